@@ -1,0 +1,1 @@
+"""Vehicles and terrains that ship with vehsim, and the scripts that generate them."""

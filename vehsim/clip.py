@@ -1,0 +1,1 @@
+"""Exact motion as arrays, read through one C1 interpolant."""
