@@ -1,0 +1,280 @@
+"""Surfaces for generated vehicles: lofts, tubes, wings, hulls, and cutting a surface along the zero line of a field.
+
+What belongs here is geometry alone, in metres; which shapes make which vehicle stands in that vehicle's script, and
+how they become USD in `_usd.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
+from scipy.interpolate import CubicSpline, PchipInterpolator
+from scipy.spatial import ConvexHull, HalfspaceIntersection
+
+Array = NDArray[np.float64]
+Faces = NDArray[np.int64]
+Field = Callable[[Array], Array]
+"""A scalar (n,) on points (n, 3); negative is inside, and near zero it is about a distance in metres."""
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Triangles (m, 3), counter-clockwise from outside, over ``points`` (n, 3) with unit ``normals`` (n, 3)."""
+
+    points: Array
+    normals: Array
+    faces: Faces
+
+    def moved(self, by: ArrayLike) -> Surface:
+        return Surface(self.points + np.asarray(by, float), self.normals, self.faces)
+
+    def turned(self, rotation: Array) -> Surface:
+        """This surface under a rotation (3, 3) about the origin."""
+        return Surface(self.points @ rotation.T, self.normals @ rotation.T, self.faces)
+
+    def mirrored(self) -> Surface:
+        """The reflection through the plane y = 0, facing outward again."""
+        flip = np.array([1.0, -1.0, 1.0])
+        return Surface(self.points * flip, self.normals * flip, self.faces[:, ::-1])
+
+    def pair(self) -> Surface:
+        """This surface together with its mirror image."""
+        return join(self, self.mirrored())
+
+
+def join(*surfaces: Surface) -> Surface:
+    """All of ``surfaces`` as one."""
+    offsets = np.cumsum([0] + [len(s.points) for s in surfaces])
+    return Surface(
+        np.concatenate([s.points for s in surfaces]),
+        np.concatenate([s.normals for s in surfaces]),
+        np.concatenate([s.faces + o for s, o in zip(surfaces, offsets, strict=False)]),
+    )
+
+
+def shade(points: ArrayLike, faces: ArrayLike, crease: float = 40.0) -> Surface:
+    """A surface with smooth normals that break where neighbouring faces differ by more than ``crease`` degrees."""
+    points, faces = np.asarray(points, float), np.asarray(faces, np.int64)
+    cross = np.cross(points[faces[:, 1]] - points[faces[:, 0]], points[faces[:, 2]] - points[faces[:, 0]])
+    area = np.linalg.norm(cross, axis=1)
+    faces, cross, area = faces[area > 1e-10], cross[area > 1e-10], area[area > 1e-10]
+    unit = cross / area[:, None]
+    _, weld = np.unique(np.round(points, 6), axis=0, return_inverse=True)
+    corners = weld.reshape(-1)[faces].reshape(-1)
+    owner = np.repeat(np.arange(len(faces)), 3)
+    touches = sparse.csr_array((np.ones(len(corners)), (corners, owner)), shape=(len(points), len(faces)))
+    around = touches[corners].tocoo()  # every face around every face corner
+    near = np.einsum("ij,ij->i", unit[owner[around.row]], unit[around.col]) > np.cos(np.radians(crease))
+    normals = np.zeros((len(corners), 3))
+    np.add.at(normals, around.row[near], cross[around.col[near]])
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    key = np.column_stack([corners, np.round(normals, 4)])
+    _, first, inverse = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    return Surface(points[faces.reshape(-1)[first]], normals[first], inverse.reshape(-1, 3))
+
+
+def lattice(rows: ArrayLike, wrap: bool = True, caps: bool = True, crease: float = 40.0) -> Surface:
+    """A skin over sections ``rows`` (m, n, 3); ``wrap`` closes each section, ``caps`` the two ends with a fan."""
+    rows = np.asarray(rows, float)
+    m, n, _ = rows.shape
+    i, j = np.meshgrid(np.arange(m - 1), np.arange(n if wrap else n - 1), indexing="ij")
+    k = (j + 1) % n
+    a, b, c, d = (i * n + j).ravel(), (i * n + k).ravel(), ((i + 1) * n + k).ravel(), ((i + 1) * n + j).ravel()
+    points, faces = rows.reshape(-1, 3), np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    if wrap and caps:
+        points = np.concatenate([points, [rows[0].mean(0), rows[-1].mean(0)]])
+        j = np.arange(n)
+        k = (j + 1) % n
+        first = np.stack([np.full(n, m * n), k, j], 1)
+        last = np.stack([np.full(n, m * n + 1), (m - 1) * n + j, (m - 1) * n + k], 1)
+        faces = np.concatenate([faces, first, last])
+        a, b, c = points[faces[:, 0]], points[faces[:, 1]], points[faces[:, 2]]
+        if np.einsum("ij,ij->", a, np.cross(b, c)) < 0:
+            faces = faces[:, ::-1]
+    return shade(points, faces, crease)
+
+
+def tube(path: ArrayLike, radius: ArrayLike, sides: int = 12, samples: int = 0, crease: float = 50.0) -> Surface:
+    """A round tube along ``path`` (m, 3), splined to ``samples`` points if given, ``radius`` a number or (m,)."""
+    path = np.asarray(path, float)
+    radius = np.broadcast_to(np.asarray(radius, float), len(path))
+    if samples:
+        s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+        t = np.linspace(0, s[-1], samples)
+        path, radius = CubicSpline(s, path)(t), PchipInterpolator(s, radius)(t)
+    tangent = np.gradient(path, axis=0)
+    tangent /= np.linalg.norm(tangent, axis=1)[:, None]
+    across = np.cross(tangent[0], np.eye(3)[np.argmin(np.abs(tangent[0]))])
+    rows = []
+    turn = np.linspace(0, 2 * np.pi, sides, endpoint=False)
+    for p, t, r in zip(path, tangent, radius, strict=True):  # parallel transport: the frame never twists
+        across = across - t * (across @ t)
+        across /= np.linalg.norm(across)
+        up = np.cross(t, across)
+        rows.append(p + r * (np.outer(np.cos(turn), across) + np.outer(np.sin(turn), up)))
+    return lattice(rows, crease=crease)
+
+
+def revolve(profile: ArrayLike, sides: int = 32, axis: str = "z", crease: float = 35.0) -> Surface:
+    """The solid of a ``profile`` (m, 2) of (radius, height) turned about ``axis``, closed at both ends."""
+    profile = np.asarray(profile, float)
+    turn = np.linspace(0, 2 * np.pi, sides, endpoint=False)
+    ring = np.stack([np.cos(turn), np.sin(turn), np.zeros(sides)], 1)
+    rows = profile[:, None, :1] * ring + profile[:, None, 1:] * np.array([0.0, 0.0, 1.0])
+    return lattice(np.roll(rows, {"z": 0, "x": 1, "y": 2}[axis], axis=2), crease=crease)
+
+
+def box(size: ArrayLike, centre: ArrayLike = (0, 0, 0), bevel: float = 0.0) -> Surface:
+    """A box with its edges bevelled, as the hull of its shrunken corners grown again."""
+    half = np.asarray(size, float) / 2
+    corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T * (half - bevel)
+    grown = np.concatenate([corners + bevel * np.sign(corners) * axis for axis in np.eye(3)]) if bevel else corners
+    return convex(grown + np.asarray(centre, float))
+
+
+def convex(points: Array, crease: float = 30.0) -> Surface:
+    """The convex hull of ``points`` as a surface."""
+    hull = ConvexHull(points)
+    faces = hull.simplices.astype(np.int64)
+    a, b, c = points[faces[:, 0]], points[faces[:, 1]], points[faces[:, 2]]
+    inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
+    faces[inward] = faces[inward, ::-1]
+    return shade(points, faces, crease)
+
+
+def airfoil(chord: float, thickness: float, points: int = 12) -> Array:
+    """A symmetric four-digit NACA section (2 points - 2, 2): x from +chord/4 (nose) to -3 chord/4, y thickness."""
+    x = (1 - np.cos(np.linspace(0, np.pi, points))) / 2
+    y = 5 * thickness * (0.2969 * np.sqrt(x) - 0.126 * x - 0.3516 * x**2 + 0.2843 * x**3 - 0.1036 * x**4)
+    top, bottom = np.stack([x, y], 1), np.stack([x, -y], 1)[-2:0:-1]
+    section = np.concatenate([top, bottom])
+    return np.stack([chord * (0.25 - section[:, 0]), chord * section[:, 1]], 1)
+
+
+def wing(stations: Sequence[tuple[ArrayLike, float, float, float]], lift: ArrayLike, points: int = 12) -> Surface:
+    """An airfoil skin through ``stations`` (quarter-chord point, chord m, thickness ratio, twist rad).
+
+    The chord points along X turned by ``twist`` towards ``lift``, the direction of the section's thickness.
+    """
+    forward, up = np.array([1.0, 0.0, 0.0]), np.asarray(lift, float)
+    rows = []
+    for point, chord, thickness, twist in stations:
+        section = airfoil(chord, thickness, points)
+        x, z = np.cos(twist) * forward + np.sin(twist) * up, np.cos(twist) * up - np.sin(twist) * forward
+        rows.append(np.asarray(point, float) + section[:, :1] * x + section[:, 1:] * z)
+    return lattice(rows, crease=50)
+
+
+# ---------------------------------------------------------------- cutting
+
+
+def split(surface: Surface, field: Field) -> tuple[Surface, Surface]:
+    """``surface`` cut along ``field`` = 0: the part inside (negative) and the part outside, sharing the cut's points."""
+    value = field(surface.points)
+    value = np.where(np.abs(value) < 1e-5, 1e-5, value)
+    inside = value < 0
+    edges = np.sort(surface.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    edges = np.unique(edges[inside[edges[:, 0]] != inside[edges[:, 1]]], axis=0)
+    at = _roots(surface.points, value, edges, field)[:, None]
+    points = surface.points[edges[:, 0]] * (1 - at) + surface.points[edges[:, 1]] * at
+    normals = surface.normals[edges[:, 0]] * (1 - at) + surface.normals[edges[:, 1]] * at
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    whole = Surface(np.concatenate([surface.points, points]), np.concatenate([surface.normals, normals]), surface.faces)
+    cut = {(int(a), int(b)): len(surface.points) + i for i, (a, b) in enumerate(edges)}
+    sides: tuple[list, list] = ([], [])
+    for face in surface.faces:
+        within = inside[face]
+        if within.all() or not within.any():
+            sides[0 if within[0] else 1].append(face)
+            continue
+        lone = int(np.argmax(within == (within.sum() == 1)))  # the corner alone on its side
+        a, b, c = (int(face[(lone + k) % 3]) for k in range(3))
+        ab, ac = cut[min(a, b), max(a, b)], cut[min(a, c), max(a, c)]
+        sides[0 if inside[a] else 1].append((a, ab, ac))
+        sides[1 if inside[a] else 0].extend([(ab, b, c), (ab, c, ac)])
+    return _used(whole, sides[0]), _used(whole, sides[1])
+
+
+def _roots(points: Array, value: Array, edges: Faces, field: Field) -> Array:
+    """Where along each edge ``field`` vanishes, by bisection kept to the chord."""
+    lower, upper = np.zeros(len(edges)), np.ones(len(edges))
+    start, along = points[edges[:, 0]], points[edges[:, 1]] - points[edges[:, 0]]
+    sign = np.sign(value[edges[:, 0]])
+    for _ in range(12):
+        middle = (lower + upper) / 2
+        same = np.sign(field(start + middle[:, None] * along)) == sign if len(edges) else np.zeros(0, bool)
+        lower, upper = np.where(same, middle, lower), np.where(same, upper, middle)
+    return np.clip((lower + upper) / 2, 0.001, 0.999)
+
+
+def _used(surface: Surface, faces: Sequence) -> Surface:
+    """``surface`` with only ``faces`` and the points they use."""
+    if not len(faces):
+        return Surface(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3), np.int64))
+    used, inverse = np.unique(np.asarray(faces, np.int64), return_inverse=True)
+    return Surface(surface.points[used], surface.normals[used], inverse.reshape(-1, 3))
+
+
+def polygon(corners: ArrayLike, radius: float = 0.0, axes: tuple[int, int] = (0, 2)) -> Field:
+    """Signed distance to a polygon with corners rounded by ``radius``, seen along the axis not in ``axes``."""
+    import shapely
+
+    shape = shapely.Polygon(corners).buffer(-radius) if radius else shapely.Polygon(corners)
+
+    def distance(points: Array) -> Array:
+        flat = shapely.points(np.asarray(points)[:, list(axes)])
+        away = shapely.distance(flat, shape.exterior)
+        return np.where(shapely.contains(shape, flat), -away, away) - radius
+
+    return distance
+
+
+def both(*fields: Field, blend: float = 0.0) -> Field:
+    """The intersection of regions; ``blend`` rounds the corners where they meet."""
+
+    def value(points: Array) -> Array:
+        result = fields[0](points)
+        for field in fields[1:]:
+            other = field(points)
+            h = np.clip(blend - np.abs(result - other), 0, None)
+            result = np.maximum(result, other) + (h * h / (4 * blend) if blend else 0)
+        return result
+
+    return value
+
+
+def curve(xs: ArrayLike, ys: ArrayLike) -> Callable[[Array], Array]:
+    """The monotone interpolant through (xs, ys), constant beyond its ends; ``xs`` in either order."""
+    xs, ys = np.asarray(xs, float), np.asarray(ys, float)
+    order = np.argsort(xs)
+    spline = PchipInterpolator(xs[order], ys[order])
+    return lambda x: spline(np.clip(x, xs.min(), xs.max()))
+
+
+# ---------------------------------------------------------------- collision hulls
+
+
+def outer_hull(points: Array, angle: float = 14.0) -> Surface:
+    """A convex polytope of few vertices that contains ``points``: their supporting planes, ``angle`` degrees apart."""
+    normals = _spread_normals(points, angle)
+    support = (points @ normals.T).max(0) + 1e-4
+    inner = np.append(points.min(0) / 2 + points.max(0) / 2, 0)[:3]
+    corners = HalfspaceIntersection(np.column_stack([normals, -support]), inner).intersections
+    corners = np.unique(np.round(corners, 5), axis=0)
+    return convex(corners, crease=1.0)
+
+
+def _spread_normals(points: Array, angle: float) -> Array:
+    """Normals of the exact hull's facets, largest first, none nearer than ``angle`` to one already taken."""
+    hull = ConvexHull(points)
+    a, b, c = (points[hull.simplices[:, k]] for k in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    chosen = np.concatenate([np.eye(3), -np.eye(3)])
+    for normal in hull.equations[np.argsort(-area), :3]:
+        if (chosen @ normal).max() < np.cos(np.radians(angle)):
+            chosen = np.vstack([chosen, normal])
+    return chosen

@@ -1,0 +1,129 @@
+"""Surfaces, materials and pivots written as a USD vehicle asset: the same form for every vehicle we generate.
+
+What belongs here is USD alone: stage metadata, parts as Xform prims with their pivot as rest translate, one mesh per
+material, UsdPreviewSurface materials, and collision meshes with purpose `guide`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from vehsim.assets.generate._shapes import Surface
+
+
+@dataclass(frozen=True)
+class Material:
+    """A UsdPreviewSurface: linear colours, the rest from 0 to 1."""
+
+    colour: tuple[float, float, float]
+    roughness: float = 0.5
+    metallic: float = 0.0
+    opacity: float = 1.0
+    clearcoat: float = 0.0
+    glow: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class PartShape:
+    """A moving part: its pivot in its parent part's frame, m, and its surfaces in its own frame.
+
+    ``look`` has one surface per material name, ``collision`` convex surfaces by name, ``parts`` parts that ride on it.
+    """
+
+    pivot: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    look: Mapping[str, Surface] = field(default_factory=dict)
+    collision: Mapping[str, Surface] = field(default_factory=dict)
+    parts: Mapping[str, PartShape] = field(default_factory=dict)
+
+
+def write_asset(path: Path, parts: Mapping[str, PartShape], materials: Mapping[str, Material], doc: str) -> None:
+    """Write a vehicle named like ``path``: ``/<name>/<part>/<part>_<material>``, metres, Z up."""
+    from pxr import Kind, Sdf, Usd, UsdGeom
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.unlink(missing_ok=True)
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    stage.GetRootLayer().documentation = doc
+    root = UsdGeom.Xform.Define(stage, f"/{path.stem}")
+    stage.SetDefaultPrim(root.GetPrim())
+    model = Usd.ModelAPI(root.GetPrim())
+    model.SetKind(Kind.Tokens.component)
+    model.SetAssetName(path.stem)
+    model.SetAssetIdentifier(Sdf.AssetPath(path.name))
+    model.SetAssetVersion("1")
+    shaders = _write_materials(stage, f"/{path.stem}", materials)
+    for name, part in parts.items():
+        _write_part(stage, f"/{path.stem}/{name}", part, shaders)
+    geometry = UsdGeom.ModelAPI.Apply(root.GetPrim())
+    cache = UsdGeom.BBoxCache(Usd.TimeCode.Default(), ["default", "render", "proxy", "guide"], useExtentsHint=False)
+    geometry.SetExtentsHint(geometry.ComputeExtentsHint(cache))
+    stage.Save()
+
+
+def triangles(parts: Mapping[str, PartShape]) -> int:
+    """How many triangles the look of ``parts`` has, parts on parts included."""
+    return sum(sum(len(s.faces) for s in p.look.values()) + triangles(p.parts) for p in parts.values())
+
+
+def _write_materials(stage, root: str, materials: Mapping[str, Material]) -> dict:
+    from pxr import Gf, Sdf, UsdGeom, UsdShade
+
+    UsdGeom.Scope.Define(stage, f"{root}/materials")
+    bound = {}
+    for name, material in materials.items():
+        shader_material = UsdShade.Material.Define(stage, f"{root}/materials/{name}")
+        shader = UsdShade.Shader.Define(stage, f"{root}/materials/{name}/surface")
+        shader.CreateIdAttr("UsdPreviewSurface")
+        colour, number = Sdf.ValueTypeNames.Color3f, Sdf.ValueTypeNames.Float
+        shader.CreateInput("diffuseColor", colour).Set(Gf.Vec3f(*material.colour))
+        shader.CreateInput("emissiveColor", colour).Set(Gf.Vec3f(*material.glow))
+        for key in ("roughness", "metallic", "opacity", "clearcoat"):
+            shader.CreateInput(key, number).Set(getattr(material, key))
+        shader.CreateInput("clearcoatRoughness", number).Set(0.05)
+        shader_material.CreateSurfaceOutput().ConnectToSource(shader.CreateOutput("surface", Sdf.ValueTypeNames.Token))
+        bound[name] = (shader_material, material)
+    return bound
+
+
+def _write_part(stage, path: str, part: PartShape, shaders: Mapping) -> None:
+    from pxr import Gf, UsdGeom, UsdPhysics, UsdShade
+
+    xform = UsdGeom.Xform.Define(stage, path)
+    xform.AddTranslateOp().Set(Gf.Vec3d(*part.pivot))
+    name = path.rsplit("/", 1)[-1]
+    for key, surface in part.look.items():
+        shader, material = shaders[key]
+        mesh = _write_mesh(stage, f"{path}/{name}_{key}", surface)
+        colour = mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.constant)
+        colour.Set([Gf.Vec3f(*material.colour)])
+        mesh.CreateDisplayOpacityPrimvar(UsdGeom.Tokens.constant).Set([material.opacity])
+        mesh.CreateNormalsAttr([Gf.Vec3f(*n) for n in surface.normals.tolist()])
+        mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+        UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(shader)
+    for key, surface in part.collision.items():
+        mesh = _write_mesh(stage, f"{path}/{name}_{key}", surface)
+        mesh.CreatePurposeAttr(UsdGeom.Tokens.guide)
+        UsdPhysics.CollisionAPI.Apply(mesh.GetPrim())
+        UsdPhysics.MeshCollisionAPI.Apply(mesh.GetPrim()).CreateApproximationAttr(UsdPhysics.Tokens.convexHull)
+    for key, child in part.parts.items():
+        _write_part(stage, f"{path}/{key}", child, shaders)
+
+
+def _write_mesh(stage, path: str, surface: Surface):
+    from pxr import Gf, UsdGeom, Vt
+
+    points = np.ascontiguousarray(surface.points, np.float32)
+    faces = np.ascontiguousarray(surface.faces, np.int32)
+    mesh = UsdGeom.Mesh.Define(stage, path)
+    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points))
+    mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(faces), 3, np.int32)))
+    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(faces.reshape(-1)))
+    mesh.CreateExtentAttr([Gf.Vec3f(*points.min(0).tolist()), Gf.Vec3f(*points.max(0).tolist())])
+    return mesh

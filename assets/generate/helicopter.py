@@ -1,0 +1,459 @@
+"""The light helicopter: `python assets/generate/helicopter.py` writes `assets/vehicles/helicopter/helicopter.usdc`.
+
+A single-engine machine of the five- to six-seat class: rotor 10.7 m across, fuselage 10.9 m long. X forward, Y left,
+Z up; the root stands on the ground between the skids, below the mast. Seen from above the main rotor turns
+counter-clockwise, so its torque turns the nose right and the tail rotor, on the left, pushes the tail to the right.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from vehsim.assets.generate._shapes import (
+    Array,
+    Field,
+    Surface,
+    both,
+    box,
+    convex,
+    curve,
+    join,
+    lattice,
+    outer_hull,
+    polygon,
+    revolve,
+    split,
+    tube,
+    wing,
+)
+from vehsim.assets.generate._usd import Material, PartShape, triangles, write_asset
+
+HUB = np.array([0.0, 0.0, 3.06])
+RADIUS, CHORD, BLADES, CONING = 5.35, 0.35, 3, np.radians(2.5)
+TAIL_HUB = np.array([-6.35, 0.36, 2.12])
+TAIL_RADIUS, TAIL_CHORD = 0.93, 0.19
+NOSE, TAIL = 3.50, -6.95
+
+MATERIALS = {
+    "white": Material((0.78, 0.79, 0.80), roughness=0.28, clearcoat=1.0),
+    "blue": Material((0.012, 0.055, 0.20), roughness=0.25, clearcoat=1.0),
+    "gold": Material((0.80, 0.36, 0.035), roughness=0.28, clearcoat=1.0),
+    "glass": Material((0.012, 0.018, 0.024), roughness=0.04, clearcoat=1.0),
+    "seal": Material((0.015, 0.015, 0.016), roughness=0.7),
+    "dark": Material((0.035, 0.037, 0.04), roughness=0.55),
+    "metal": Material((0.36, 0.37, 0.39), roughness=0.38, metallic=0.9),
+    "steel": Material((0.16, 0.15, 0.145), roughness=0.5, metallic=0.8),
+    "blade": Material((0.075, 0.08, 0.085), roughness=0.5),
+    "tip": Material((0.80, 0.36, 0.035), roughness=0.4),
+    "red": Material((0.6, 0.02, 0.02), roughness=0.2, glow=(0.5, 0.0, 0.0)),
+    "green": Material((0.02, 0.5, 0.08), roughness=0.2, glow=(0.0, 0.4, 0.05)),
+    "lamp": Material((0.9, 0.9, 0.85), roughness=0.1, glow=(0.25, 0.25, 0.22)),
+    "blur": Material((0.10, 0.105, 0.11), roughness=0.8, opacity=0.10),
+    "blur_root": Material((0.08, 0.085, 0.09), roughness=0.8, opacity=0.20),
+    "blur_tip": Material((0.80, 0.42, 0.08), roughness=0.8, opacity=0.12),
+}
+
+
+def main() -> None:
+    out = Path(__file__).parents[1] / "vehicles" / "helicopter" / "helicopter.usdc"
+    parts = build()
+    write_asset(out, parts, MATERIALS, "Light helicopter. X forward, Y left, Z up; root on the ground below the mast.")
+    print(f"{out.name}: {triangles(parts)} triangles, {out.stat().st_size / 1e6:.2f} MB")
+
+
+def build() -> dict[str, PartShape]:
+    """The helicopter's parts by name: fuselage, main rotor, tail rotor."""
+    look = by_material(hull(), cowling(), fin(), stabiliser(), landing_gear(), mast(), fittings())
+    return {
+        "fuselage": PartShape(look=look, collision=fuselage_hulls(look)),
+        "main_rotor": PartShape(tuple(HUB), main_rotor(), {"disc": main_disc()}),
+        "tail_rotor": PartShape(tuple(TAIL_HUB), tail_rotor(), {"disc": tail_disc()}),
+    }
+
+
+def by_material(*looks: dict[str, Surface]) -> dict[str, Surface]:
+    """All looks as one: one surface per material."""
+    names = [name for name in MATERIALS if any(name in look for look in looks)]
+    return {name: join(*(look[name] for look in looks if name in look)) for name in names}
+
+
+def painted(surface: Surface, coats: list[tuple[str, Field]], rest: str) -> dict[str, Surface]:
+    """``surface`` cut into materials: each coat takes what is inside its field, ``rest`` what no coat took."""
+    looks = []
+    for name, field in coats:
+        inside, surface = split(surface, field)
+        looks.append({name: inside})
+    return by_material(*(look for look in [*looks, {rest: surface}] if len(next(iter(look.values())).faces)))
+
+
+# ---------------------------------------------------------------- fuselage
+
+
+def superellipses(xs: Array, top, bottom, width, power, middle: float = 0.42, around: int = 76) -> Array:
+    """Sections (m, around, 3): superellipses from ``bottom(x)`` to ``top(x)``, widest at ``middle`` of the height."""
+    turn = np.linspace(-np.pi / 2, np.pi / 2, 400)
+    sections = []
+    for x in xs:
+        w, low, high, n = width(x), bottom(x), top(x), power(x)
+        waist = low + middle * (high - low)
+        y = w * np.cos(turn).clip(0) ** (2 / n)
+        z = waist + np.where(turn > 0, high - waist, waist - low) * np.sign(turn) * np.abs(np.sin(turn)) ** (2 / n)
+        s = np.concatenate([[0], np.cumsum(np.hypot(np.diff(y), np.diff(z)))])
+        even = np.linspace(0, s[-1], around // 2 + 1)
+        y, z = np.interp(even, s, y), np.interp(even, s, z)
+        y, z = np.concatenate([y, -y[-2:0:-1]]), np.concatenate([z, z[-2:0:-1]])
+        sections.append(np.stack([np.full(len(y), x), y, z], 1))
+    return np.array(sections)
+
+
+def _from_nose(xs: list[float], values: list[float]):
+    """A profile of x, smooth in sqrt(nose - x), so that the nose is round."""
+    profile = curve([np.sqrt(NOSE - x) for x in xs], values)
+    return lambda x: profile(np.sqrt(np.maximum(NOSE - x, 0.0)))
+
+
+HULL_TOP = _from_nose(
+    [3.5, 3.4, 3.2, 3.0, 2.6, 2.2, 1.8, 1.4, 1.0, 0.0, -1.0, -1.8, -2.6, -3.2, -5.0, -6.95],
+    [1.10, 1.33, 1.51, 1.65, 1.87, 2.04, 2.15, 2.21, 2.235, 2.22, 2.16, 2.08, 1.99, 1.96, 1.94, 1.93],
+)
+HULL_BOTTOM = _from_nose(
+    [3.5, 3.4, 3.2, 3.0, 2.6, 2.2, 1.4, 0.0, -0.6, -1.0, -1.4, -1.8, -2.4, -3.0, -5.0, -6.95],
+    [1.10, 0.92, 0.80, 0.735, 0.665, 0.635, 0.62, 0.62, 0.66, 0.75, 0.91, 1.10, 1.33, 1.46, 1.60, 1.70],
+)
+HULL_WIDTH = _from_nose(
+    [3.5, 3.4, 3.2, 3.0, 2.6, 2.2, 1.8, 1.4, 0.6, 0.0, -0.6, -1.0, -1.4, -1.8, -2.4, -3.0, -5.0, -6.95],
+    [0.0, 0.29, 0.47, 0.60, 0.77, 0.87, 0.92, 0.935, 0.93, 0.90, 0.81, 0.72, 0.61, 0.50, 0.37, 0.28, 0.20, 0.13],
+)
+HULL_POWER = _from_nose([3.5, 2.8, 1.8, 0.0, -1.5, -3.0, -6.95], [2.1, 2.35, 2.75, 2.8, 2.5, 2.1, 2.0])
+STRIPE = curve([3.5, 2.4, 1.0, -0.2, -1.2, -2.2, -3.2, -4.4], [0.97, 1.03, 1.08, 1.16, 1.32, 1.58, 1.86, 2.10])
+
+
+def livery(surface: Surface, coats: list[tuple[str, Field]]) -> dict[str, Surface]:
+    """``coats``, then blue below the cheat line, the gold stripe along it, white above."""
+    lines: list[tuple[str, Field]] = [
+        ("blue", lambda p: p[:, 2] - STRIPE(p[:, 0])),
+        ("gold", lambda p: p[:, 2] - STRIPE(p[:, 0]) - 0.075),
+    ]
+    return painted(surface, [*coats, *lines], "white")
+
+
+def hull() -> dict[str, Surface]:
+    """Cabin and tail boom in one skin, with the glazing, its seals and the door lines cut into it."""
+    xs = np.concatenate(
+        [NOSE - np.linspace(0.0, np.sqrt(0.5), 10) ** 2, np.arange(2.93, -2.4, -0.075), np.linspace(-2.5, TAIL, 16)]
+    )
+    skin = lattice(superellipses(xs, HULL_TOP, HULL_BOTTOM, HULL_WIDTH, HULL_POWER))
+    panes = windows()
+    lines = []
+    for door in doors():
+        within, skin = split(skin, lambda p, d=door: d(p) - 0.006)
+        within, line = split(within, lambda p, d=door: d(p) + 0.006)
+        lines.append(line)
+        skin = join(skin, within)
+    coats: list[tuple[str, Field]] = [("glass", pane) for pane in panes]
+    coats += [("seal", lambda p, pane=pane: pane(p) - 0.018) for pane in panes]
+    return by_material(livery(skin, coats), {"seal": join(*lines)})
+
+
+def windows() -> list[Field]:
+    """The panes: inside is glass."""
+
+    foot, head = np.array([3.10, 1.20]), np.array([1.83, 2.16])  # of the windscreen pillar, in side view
+    across = np.array([head[1] - foot[1], foot[0] - head[0]]) / np.linalg.norm(head - foot)
+    windscreen = both(
+        lambda p: (foot - p[:, [0, 2]]) @ across,
+        lambda p: 1.20 + 0.02 * (3.4 - p[:, 0]) - p[:, 2],
+        lambda p: 1.72 - p[:, 0],
+        lambda p: 0.035 - np.abs(p[:, 1]),
+        blend=0.09,
+    )
+    front = polygon([(2.86, 1.27), (1.36, 1.24), (1.36, 2.00), (1.93, 2.00)], 0.07)
+    rear = polygon([(1.22, 1.24), (0.16, 1.26), (0.30, 1.98), (1.22, 2.00)], 0.09)
+    chin = both(
+        polygon([(3.30, 1.00), (2.68, 0.985), (2.60, 0.80), (2.95, 0.765), (3.22, 0.87)], 0.05),
+        lambda p: 0.16 - np.abs(p[:, 1]),
+        blend=0.05,
+    )
+    roof = both(
+        polygon([(1.58, 0.14), (1.56, 0.56), (1.02, 0.60), (1.02, 0.14)], 0.07, axes=(0, 1)),
+        lambda p: 2.0 - p[:, 2],
+    )
+    return [windscreen, front, rear, chin, roof, lambda p: roof(p * [1.0, -1.0, 1.0])]
+
+
+def doors() -> list[Field]:
+    """Outlines of the cabin and baggage doors, in side view."""
+    return [
+        polygon([(2.98, 1.14), (2.30, 0.80), (1.29, 0.78), (1.29, 2.07), (1.90, 2.07)], 0.06),
+        polygon([(1.29, 0.78), (0.02, 0.80), (0.16, 2.06), (1.29, 2.07)], 0.05),
+        polygon([(-0.18, 0.98), (-0.86, 1.10), (-0.86, 1.72), (-0.18, 1.72)], 0.06),
+    ]
+
+
+def cowling() -> dict[str, Surface]:
+    """The fairing over gearbox and engine, its intake and louvres, and the exhaust."""
+    top = curve(
+        [1.34, 1.22, 1.05, 0.80, 0.45, 0.0, -0.6, -1.2, -1.8, -2.2, -2.42],
+        [2.24, 2.34, 2.46, 2.57, 2.67, 2.72, 2.72, 2.68, 2.60, 2.52, 2.44],
+    )
+    width = curve(
+        [1.34, 1.22, 1.05, 0.8, 0.4, -0.6, -1.4, -2.0, -2.42], [0.20, 0.34, 0.44, 0.52, 0.57, 0.57, 0.50, 0.38, 0.27]
+    )
+    xs = np.concatenate([np.linspace(1.34, 1.0, 9), np.arange(0.93, -2.4, -0.085), [-2.42]])
+    skin = lattice(superellipses(xs, top, lambda x: HULL_TOP(x) - 0.45, width, lambda x: 3.0, 0.5, 52), crease=45)
+    intake = both(
+        polygon([(1.12, 2.33), (0.52, 2.33), (0.52, 2.52), (0.86, 2.52)], 0.05), lambda p: 0.1 - np.abs(p[:, 1])
+    )
+    louvres = [polygon([(x, 2.30), (x - 0.34, 2.30), (x - 0.34, 2.54), (x, 2.54)], 0.04) for x in (-0.75, -1.18)]
+    coats: list[tuple[str, Field]] = [("dark", intake), *(("dark", louvre) for louvre in louvres)]
+    pipe = tube([[-1.9, 0.0, 2.36], [-2.3, 0.0, 2.40], [-2.86, 0.0, 2.52]], [0.19, 0.185, 0.18], 24, 10)
+    bore = revolve([(0.0, 0.0), (0.165, 0.0), (0.165, 0.004)], 24, "x").moved([0, 0, 0])
+    tilt = np.arctan2(0.12, 0.56)
+    turn = np.array([[np.cos(tilt), 0, np.sin(tilt)], [0, 1, 0], [-np.sin(tilt), 0, np.cos(tilt)]])
+    bore = bore.turned(turn).moved([-2.8635, 0, 2.5205])
+    return by_material(livery(skin, coats), {"steel": pipe}, {"dark": bore})
+
+
+def fin() -> dict[str, Surface]:
+    """The swept upper fin, the ventral fin below it, and the tail guard."""
+    up = [0.0, 1.0, 0.0]
+    heights = np.linspace(1.72, 3.02, 12)
+    lean = curve([1.72, 2.1, 2.9, 3.02], [-6.02, -6.24, -6.76, -6.84])
+    chord = curve([1.72, 1.95, 2.2, 2.9, 2.98, 3.02], [1.25, 1.02, 0.90, 0.66, 0.56, 0.40])
+    upper = wing([([lean(z), 0, z], chord(z), 0.13, 0.0) for z in heights], up, 14)
+    depths = np.linspace(1.95, 1.02, 9)
+    back = curve([1.02, 1.95], [-6.74, -6.25])
+    width = curve([1.02, 1.06, 1.3, 1.95], [0.32, 0.46, 0.58, 0.85])
+    lower = wing([([back(z), 0, z], width(z), 0.12, 0.0) for z in depths], up, 14)
+    guard = tube([[-6.72, 0, 1.12], [-6.85, 0, 0.98], [-7.05, 0, 0.93], [-7.22, 0, 0.98]], 0.022, 8, 14)
+    cap = both(lambda p: 2.78 - p[:, 2] + 0.25 * (p[:, 0] + 6.7))
+    band = both(lambda p: 2.71 - p[:, 2] + 0.25 * (p[:, 0] + 6.7))
+    return by_material(painted(upper, [("white", cap), ("gold", band)], "blue"), {"blue": lower}, {"metal": guard})
+
+
+def stabiliser() -> dict[str, Surface]:
+    """The tailplane through the boom, its end plates and the navigation lights."""
+    x, z, half = -4.75, 1.79, 1.27
+    ys = np.concatenate([[-half, -half + 0.02], np.linspace(-half + 0.1, half - 0.1, 9), [half - 0.02, half]])
+    plane = wing([([x, y, z], 0.50 - 0.12 * (abs(y) > half - 0.01), 0.12, -0.03) for y in ys], [0, 0, 1.0], 12)
+    plate = wing(
+        [([x - 0.03 - 0.25 * abs(h), half, z + h], 0.58 - 0.7 * abs(h), 0.07, 0) for h in np.linspace(-0.32, 0.42, 9)],
+        [0, 1.0, 0],
+        10,
+    )
+    light = revolve([(0.0, 0.06), (0.018, 0.05), (0.028, 0.0), (0.018, -0.05), (0.0, -0.06)], 10, "x")
+    return by_material(
+        {"blue": plane},
+        {"white": plate.pair()},
+        {"red": light.moved([x + 0.08, half + 0.03, z]), "green": light.moved([x + 0.08, -half - 0.03, z])},
+    )
+
+
+def landing_gear() -> dict[str, Surface]:
+    """Skids, their arched cross tubes with fairings, and the steps below the doors."""
+    skid = tube(
+        [
+            [2.32, 1.10, 0.42],
+            [2.22, 1.10, 0.27],
+            [2.02, 1.10, 0.12],
+            [1.72, 1.10, 0.052],
+            [1.3, 1.10, 0.045],
+            [0, 1.10, 0.045],
+            [-1.55, 1.10, 0.045],
+        ],
+        [0.034, 0.042, 0.045, 0.045, 0.045, 0.045, 0.045],
+        12,
+        44,
+    )
+    shoe = box([2.4, 0.05, 0.03], [0.05, 1.10, 0.015], 0.008)
+    tubes = []
+    for x in (1.15, -0.72):
+        path = [
+            [x, y * s, z]
+            for y, z, s in ((1.10, 0.06, 1), (1.04, 0.24, 1), (0.86, 0.46, 1), (0.55, 0.60, 1), (0.0, 0.64, 1))
+        ]
+        path += [[x, -p[1], p[2]] for p in path[-2::-1]]
+        tubes.append(tube(path, 0.042, 12, 40))
+    saddles = join(*(tube([[x - 0.11, 1.10, 0.047], [x + 0.11, 1.10, 0.047]], 0.06, 12) for x in (1.15, -0.72)))
+    step = box([1.25, 0.16, 0.035], [1.10, 0.97, 0.43], 0.012)
+    brackets = join(*(tube([[x, 0.97, 0.43], [x, 0.80, 0.56], [x, 0.70, 0.66]], 0.018, 8, 8) for x in (0.75, 1.5)))
+    return by_material(
+        {"dark": join(skid.pair(), *tubes, saddles.pair(), step.pair(), brackets.pair())},
+        {"steel": shoe.pair()},
+    )
+
+
+def mast() -> dict[str, Surface]:
+    """What stands still below the rotor head: the mast fairing and the fixed swash plate with its servo rods."""
+    fairing = revolve([(0.0, 2.60), (0.34, 2.62), (0.30, 2.70), (0.20, 2.76), (0.12, 2.78), (0.0, 2.785)], 28)
+    plate = revolve([(0.0, 2.795), (0.17, 2.795), (0.185, 2.805), (0.185, 2.825), (0.17, 2.835), (0.0, 2.835)], 28)
+    rods = []
+    for turn in np.radians([30, 150, 270]):
+        c, s = np.cos(turn), np.sin(turn)
+        rods.append(tube([[0.24 * c, 0.24 * s, 2.6], [0.165 * c, 0.165 * s, 2.81]], 0.018, 8))
+    return by_material({"white": fairing}, {"metal": plate}, {"steel": join(*rods)})
+
+
+def fittings() -> dict[str, Surface]:
+    """The small things: handles, pitot tube, aerials, beacon, landing light, tail gearbox and drive shaft cover."""
+    handles = [box([0.16, 0.03, 0.035], [x, HULL_WIDTH(x) - 0.002, 1.13], 0.008).pair() for x in (1.42, 0.2)]
+    pitot = tube(
+        [[3.28, 0.0, 1.45], [3.40, 0.0, 1.50], [3.52, 0, 1.50], [3.66, 0, 1.50]], [0.014, 0.013, 0.011, 0.009], 8, 10
+    )
+    belly = wing([([-0.2, 0, z], c, 0.12, 0) for z, c in ((0.66, 0.26), (0.45, 0.12))], [0, 1.0, 0], 8)
+    whip = tube([[-3.4, 0, 1.94], [-3.52, 0, 2.22]], [0.012, 0.006], 8)
+    beacon = revolve([(0.0, 3.10), (0.03, 3.09), (0.042, 3.05), (0.042, 3.0), (0.0, 3.0)], 14).moved([-6.92, 0, -0.01])
+    lamp = revolve([(0.0, 0.588), (0.10, 0.592), (0.115, 0.61), (0.115, 0.70), (0.0, 0.70)], 20).moved([2.05, 0, 0])
+    shaft = tube(
+        [[-2.3, 0, 2.02], [-2.7, 0, 2.02], [-4.5, 0, 1.975], [-6.3, 0, 1.965], [-6.45, 0, 1.96]],
+        [0.07, 0.085, 0.075, 0.07, 0.03],
+        14,
+        14,
+    )
+    gearbox = convex(
+        np.concatenate(
+            [
+                revolve([(0.09, -0.12), (0.135, -0.05), (0.135, 0.08), (0.09, 0.17)], 18, "y")
+                .moved([-6.35, 0.03, 2.12])
+                .points,
+            ]
+        )
+    )
+    axle = tube([[-6.35, 0.1, 2.12], [-6.35, 0.30, 2.12]], [0.06, 0.035], 14)
+    return by_material(
+        {"dark": join(*handles, belly, whip), "metal": join(pitot, gearbox, axle)},
+        {"red": beacon, "lamp": lamp, "blue": shaft},
+    )
+
+
+# ---------------------------------------------------------------- rotors
+
+
+def about_z(turn: float) -> Array:
+    c, s = np.cos(turn), np.sin(turn)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def main_rotor() -> dict[str, Surface]:
+    """Three blades on a star-plate head, coned, leading edges counter-clockwise, and the blur of their turning."""
+    blades, tips, cuffs, links = [], [], [], []
+    for k in range(BLADES):
+        turn = about_z(2 * np.pi * k / BLADES)
+        main, tip = blade()
+        blades.append(main.turned(turn))
+        tips.append(tip.turned(turn))
+        arm = tube([[0, 0.10, 0.0], [0, 0.42, 0.01], [0, 0.62, 0.025]], [0.085, 0.06, 0.055], 12, 8)
+        sleeve = box([0.15, 0.46, 0.085], [0, 0.66, 0.028], 0.02)
+        cuffs.append(join(arm, sleeve).turned(turn))
+        link = tube([[0.15, 0.10, -0.22], [0.20, 0.42, -0.02]], 0.016, 8)
+        horn = box([0.26, 0.06, 0.035], [0.12, 0.44, 0.005], 0.01)
+        links.append(join(link, horn).turned(turn))
+    shaft = revolve([(0.0, -0.34), (0.075, -0.34), (0.075, -0.09), (0.10, -0.05), (0.0, -0.05)], 20)
+    head = revolve([(0.0, -0.075), (0.15, -0.07), (0.20, -0.05), (0.20, 0.05), (0.15, 0.07), (0.0, 0.075)], 24)
+    cap = revolve([(0.0, 0.16), (0.05, 0.155), (0.105, 0.12), (0.13, 0.06), (0.13, 0.0), (0.0, 0.0)], 20)
+    swash = revolve(
+        [(0.0, -0.245), (0.15, -0.245), (0.165, -0.235), (0.165, -0.215), (0.15, -0.205), (0.0, -0.205)], 24
+    )
+    return by_material(
+        {"blade": join(*blades), "tip": join(*tips), "steel": join(*cuffs, head), "metal": join(shaft, swash, *links)},
+        {"dark": cap},
+        {
+            "blur_root": blur([0.55, 1.5], CONING),
+            "blur": blur([1.5, 5.0], CONING),
+            "blur_tip": blur([5.0, RADIUS], CONING),
+        },
+    )
+
+
+def blade() -> tuple[Surface, Surface]:
+    """One main blade along Y and its painted tip: root cut-out, linear twist of -10 degrees, swept tip corner."""
+    radii = np.concatenate([[0.72, 0.85, 1.05, 1.3], np.linspace(1.8, 4.85, 9), [5.0, 5.12, 5.24, 5.31, RADIUS]])
+    chord = curve([0.72, 0.85, 1.3, 5.1, 5.31, RADIUS], [0.13, 0.18, CHORD, CHORD, 0.27, 0.17])
+    thick = curve([0.72, 1.3, 2.5, RADIUS], [0.42, 0.13, 0.12, 0.09])
+    sweep = curve([0.72, 5.1, RADIUS], [0.0, 0.0, -0.05])
+    twist = np.radians(11.0) - np.radians(10.0) * radii / RADIUS
+    rise = np.tan(CONING) * radii
+    stations = [
+        ([sweep(r), r, z], float(chord(r)), float(thick(r)), t) for r, z, t in zip(radii, rise, twist, strict=True)
+    ]
+    tip, main = split(wing(stations, [0, 0, 1.0], 11), lambda p: 4.98 - p[:, 1])
+    return main, tip
+
+
+def blur(radii: list[float], coning: float, sides: int = 72, axis: str = "z", height: float = 0.012) -> Surface:
+    """A ring between two ``radii`` standing for blades in motion: a thin closed shell, so it shows from both sides."""
+    profile = [(r, r * np.tan(coning) + height / 2) for r in radii] + [
+        (r, r * np.tan(coning) - height / 2) for r in radii[::-1]
+    ]
+    ring = np.array(profile + profile[:1])
+    turn = np.linspace(0, 2 * np.pi, sides, endpoint=False)
+    around = np.stack([np.cos(turn), np.sin(turn), np.zeros(sides)], 1)
+    rows = ring[:, None, :1] * around + ring[:, None, 1:] * np.array([0, 0, 1.0])
+    rows = np.roll(rows, {"z": 0, "y": 2}[axis], axis=2)
+    surface = lattice(rows, caps=False, crease=30)
+    a, b, c = (surface.points[surface.faces[:, k]] for k in range(3))
+    inward = np.einsum("ij,ij->", a, np.cross(b, c)) < 0
+    return Surface(surface.points, -surface.normals, surface.faces[:, ::-1]) if inward else surface
+
+
+def tail_rotor() -> dict[str, Surface]:
+    """Two blades along Z on a teetering hub, turning about Y."""
+    radii = np.concatenate([[0.14, 0.22, 0.28], np.linspace(0.4, 0.78, 4), [0.86, 0.90, TAIL_RADIUS]])
+    chord = curve([0.14, 0.22, 0.28, 0.9, TAIL_RADIUS], [0.08, 0.12, TAIL_CHORD, TAIL_CHORD, 0.13])
+    stations = [([0, 0, r], float(chord(r)), 0.12, np.radians(9.0)) for r in radii]
+    tip, rest = split(wing(stations, [0, 1.0, 0], 9), lambda p: 0.80 - p[:, 2])
+    band, root = split(rest, lambda p: 0.66 - p[:, 2])
+    half = np.diag([-1.0, 1.0, -1.0])
+    double = {name: join(s, s.turned(half)) for name, s in (("tip", tip), ("white", band), ("blade", root))}
+    hub = revolve([(0.0, -0.09), (0.045, -0.085), (0.06, -0.03), (0.06, 0.04), (0.035, 0.075), (0.0, 0.085)], 16, "y")
+    yoke = box([0.085, 0.045, 0.36], bevel=0.012)
+    return by_material(
+        double,
+        {"steel": join(hub, yoke)},
+        {"blur": blur([0.25, 0.80], 0.0, 40, "y"), "blur_tip": blur([0.80, TAIL_RADIUS], 0.0, 40, "y")},
+    )
+
+
+# ---------------------------------------------------------------- collision
+
+
+def fuselage_hulls(look: dict[str, Surface]) -> dict[str, Surface]:
+    """Few convex hulls that together hold every triangle of the fuselage: each triangle goes whole to one region."""
+    everything = join(*look.values())
+    centre = everything.points[everything.faces].mean(1)
+    x, y, z = centre.T
+    regions = {
+        "gear_left": (z < 0.62) & (y > 0.62) & (x > -3),
+        "gear_right": (z < 0.62) & (y < -0.62) & (x > -3),
+        "tailplane": (np.abs(y) > 0.23) & (x < -3),
+        "cowl": (z > 2.16) & (x > -3),
+        "fin": (x < -5.55),
+        "boom": (x < -2.2),
+        "rear": (x < -0.4),
+    }
+    hulls, left = {}, np.ones(len(centre), bool)
+    for name, region in {**regions, "cabin": left}.items():
+        hulls[name] = outer_hull(everything.points[np.unique(everything.faces[left & region])])
+        left = left & ~region
+    return hulls
+
+
+def main_disc() -> Surface:
+    """The swept disc of the main rotor: a prism of 36 sides around everything that turns."""
+    return _disc(RADIUS + 0.02, -0.10, RADIUS * np.tan(CONING) + 0.04, 36)
+
+
+def tail_disc() -> Surface:
+    """The swept disc of the tail rotor."""
+    return _disc(TAIL_RADIUS + 0.02, -0.09, 0.09, 24, "y")
+
+
+def _disc(radius: float, low: float, high: float, sides: int, axis: str = "z") -> Surface:
+    r = radius / np.cos(np.pi / sides)
+    return revolve([(0.0, low), (r, low), (r, high), (0.0, high)], sides, axis, crease=5)
+
+
+if __name__ == "__main__":
+    main()
