@@ -9,10 +9,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from vehsim.errors import InputError
+
+if TYPE_CHECKING:
+    from vehsim.lie import Group
 
 Array = NDArray[np.float64]
 Expr = Any
@@ -78,3 +83,72 @@ class State:
     twist: Any = None
     joints: Any = None
     joint_rates: Any = None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Vehicle:
+    """What simulation, planning and export need of a vehicle. Make one as `Holonomic` or `Nonholonomic`.
+
+    Its discrete mechanics see a vehicle through these hooks, all of CasADi columns; a segment's velocity ``z`` (b + s_d,)
+    holds the ``b`` coefficients along ``basis`` and the rates of the ``dynamic`` joints:
+
+    - ``reduced_lagrangian(r, u, xi)``: kinetic energy minus joint potential, scalar
+    - ``basis(r)`` (d, b): group velocities the constraints leave free with the joints locked
+    - ``connection(r)`` (d, s): the free motion is ``xi = basis(r) z_b - connection(r) u``
+    - ``force(g, r, u, xi, c, wind)``: covectors on the joints (s,) and the group (d,); ``xi`` is the group's velocity
+    """
+
+    name: str
+    group: Group
+    joints: tuple[str, ...] = ()
+    controls: tuple[Control, ...] = ()
+    rate_controls: Mapping[str, str] = field(default_factory=dict)
+    """Control name -> the joint whose rate it sets."""
+    channels: Mapping[str, Channel] = field(default_factory=dict)
+    joint_limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    feels_wind: bool = False
+    rig: Rig | None = None
+
+    def __post_init__(self) -> None:
+        controls = tuple(c if isinstance(c, Control) else Control(c) for c in self.controls)
+        object.__setattr__(self, "controls", controls)
+        object.__setattr__(self, "joints", tuple(self.joints))
+        for control, joint in self.rate_controls.items():
+            if control not in self.control_names or joint not in self.joints:
+                raise InputError(
+                    f"{self.name}: rate_controls: {control!r} -> {joint!r}: name a control of "
+                    f"{self.control_names} and a joint of {self.joints}"
+                )
+
+    @property
+    def control_names(self) -> tuple[str, ...]:
+        return tuple(control.name for control in self.controls)
+
+    @property
+    def dynamic(self) -> tuple[int, ...]:
+        """Indices of the joints whose rates follow from the dynamics (all but those of rate controls)."""
+        driven = set(self.rate_controls.values())
+        return tuple(i for i, joint in enumerate(self.joints) if joint not in driven)
+
+    @property
+    def driven(self) -> tuple[tuple[int, int], ...]:
+        """(joint index, control index) of every rate control."""
+        names = self.control_names
+        return tuple((self.joints.index(joint), names.index(control)) for control, joint in self.rate_controls.items())
+
+    @property
+    def origin(self) -> Array:
+        """The body frame's origin in the frame of the rig's root (3,), m."""
+        return np.asarray(self.rig.origin if self.rig else (0.0, 0.0, 0.0), float)
+
+    def reduced_lagrangian(self, r: Expr, u: Expr, xi: Expr) -> Expr:
+        raise NotImplementedError
+
+    def basis(self, r: Expr) -> Expr:
+        raise NotImplementedError
+
+    def connection(self, r: Expr) -> Expr:
+        raise NotImplementedError
+
+    def force(self, g: Expr, r: Expr, u: Expr, xi: Expr, c: Expr, wind: Expr) -> tuple[Expr, Expr]:
+        raise NotImplementedError

@@ -1,0 +1,128 @@
+"""Group axioms, adjoints and tangents of difference maps, over all groups and maps and random elements."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from vehsim.lie import GROUPS, difference_map
+
+groups = pytest.mark.parametrize("group", GROUPS.values(), ids=str)
+maps = pytest.mark.parametrize("name", ["exp", "cay"])
+scales = pytest.mark.parametrize("scale", [0.0, 1e-9, 1e-4, 0.1, 0.44, 0.45, 1.0, 2.5])
+
+
+def elements(group, count, seed=0, scale=1.0):
+    rng = np.random.default_rng(seed)
+    return group.exp(scale * rng.standard_normal((count, group.dim)))
+
+
+@groups
+def test_group_axioms(group):
+    a, b, c = (elements(group, 50, seed) for seed in range(3))
+    matrix = group.matrix
+    np.testing.assert_allclose(matrix(group.compose(a, b)), matrix(a) @ matrix(b), atol=1e-13)
+    left, right = group.compose(group.compose(a, b), c), group.compose(a, group.compose(b, c))
+    np.testing.assert_allclose(matrix(left), matrix(right), atol=1e-13)
+    one = np.broadcast_to(np.eye(matrix(a).shape[-1]), matrix(a).shape)
+    np.testing.assert_allclose(matrix(group.compose(a, group.inverse(a))), one, atol=1e-13)
+    np.testing.assert_allclose(group.compose(a, group.identity), a, atol=1e-15)
+
+
+@groups
+def test_hat_vee_ad_and_bracket(group):
+    x, y = np.random.default_rng(1).standard_normal((2, group.dim))
+    bracket = group.hat(x) @ group.hat(y) - group.hat(y) @ group.hat(x)
+    np.testing.assert_allclose(group.hat(group.ad(x) @ y), bracket, atol=1e-13)
+    np.testing.assert_allclose(np.ravel(ca.DM(group.vee(ca.SX(group.hat(x))))), x, atol=0)
+
+
+@groups
+def test_adjoint_is_conjugation(group):
+    g, x = elements(group, 1)[0], np.random.default_rng(2).standard_normal(group.dim)
+    conjugate = group.matrix(g) @ group.hat(x) @ np.linalg.inv(group.matrix(g))
+    np.testing.assert_allclose(group.hat(group.Ad(g) @ x), conjugate, atol=1e-13)
+
+
+@groups
+@scales
+def test_exp_is_the_matrix_exponential(group, scale):
+    x = scale * np.random.default_rng(3).standard_normal(group.dim)
+    np.testing.assert_allclose(group.matrix(group.exp(x)), expm(group.hat(x)), atol=2e-14 * max(1, scale**3))
+
+
+@groups
+@scales
+def test_cay_is_the_matrix_cayley_map(group, scale):
+    x = scale * np.random.default_rng(4).standard_normal(group.dim)
+    half = group.hat(x) / 2
+    one = np.eye(len(half))
+    np.testing.assert_allclose(group.matrix(group.cay(x)), np.linalg.solve(one - half, one + half), atol=1e-14)
+
+
+@groups
+@maps
+@scales
+def test_tangent_is_the_derivative_of_the_map(group, name, scale):
+    """``D tau(x).d tau(x)^-1`` by automatic differentiation of tau's own matrix, against ``C^-1 d``."""
+    tau = difference_map(name, group)
+    rng = np.random.default_rng(5)
+    at, direction = scale * rng.standard_normal(group.dim), rng.standard_normal(group.dim)
+    x = ca.SX.sym("x", group.dim)
+    matrix = group.matrix(tau.tau(x))
+    slope = ca.reshape(ca.jtimes(ca.vec(matrix), x, ca.SX(direction)), matrix.shape)
+    derivative = np.array(ca.Function("d", [x], [slope])(at))
+    expected = derivative @ np.linalg.inv(group.matrix(tau.tau(at)))
+    np.testing.assert_allclose(group.hat(tau.dtau(at) @ direction), expected, atol=2e-13)
+    np.testing.assert_allclose(tau.C(at) @ tau.dtau(at), np.eye(group.dim), atol=1e-13)
+
+
+@groups
+@maps
+@scales
+def test_intertwining_and_symmetry(group, name, scale):
+    """``C(-x) = C(x) Ad(tau(x))``, which makes momentum exact, and ``tau(x) tau(-x) = e``."""
+    tau = difference_map(name, group)
+    x = scale * np.random.default_rng(6).standard_normal(group.dim)
+    np.testing.assert_allclose(tau.C(-x), tau.C(x) @ group.Ad(tau.tau(x)), atol=1e-13)
+    product = group.matrix(group.compose(tau.tau(x), tau.tau(-x)))
+    np.testing.assert_allclose(product, np.eye(len(product)), atol=1e-14)
+
+
+@groups
+@maps
+def test_second_derivatives_are_finite_at_zero(group, name):
+    x = ca.SX.sym("x", group.dim)
+    tau = difference_map(name, group)
+    entries = ca.vertcat(tau.tau(x), ca.vec(tau.C(x)))
+    second = ca.jacobian(ca.vec(ca.jacobian(entries, x)), x)
+    assert np.all(np.isfinite(np.array(ca.Function("h", [x], [second])(np.zeros(group.dim)))))
+
+
+@groups
+def test_pose_round_trip(group):
+    g = elements(group, 20, seed=7, scale=0.8)
+    np.testing.assert_allclose(group.matrix(group.from_pose(group.pose(g))), group.matrix(g), atol=1e-14)
+
+
+@groups
+def test_body_velocity_and_wrench_are_dual(group):
+    g = elements(group, 1, seed=8)[0]
+    xi, wrench = np.random.default_rng(9).standard_normal((2, group.dim))
+    twist = group.velocity_to_body(g, xi)
+    np.testing.assert_allclose(group.velocity_from_body(g, twist), xi, atol=1e-14)
+    assert group.wrench_from_body(g, wrench) @ xi == pytest.approx(wrench @ twist)
+
+
+@groups
+def test_arrays_broadcast_over_leading_axes(group):
+    g = elements(group, 6).reshape(2, 3, -1)
+    assert group.compose(g, g[0, 0]).shape == (2, 3, group.size)
+    assert group.Ad(g).shape == (2, 3, group.dim, group.dim)
+    np.testing.assert_allclose(group.Ad(g)[1, 2], group.Ad(g[1, 2]))
+    assert group.angle_squared(np.zeros((4, group.dim))).shape == (4,)
+
+
+def test_unknown_map_is_named():
+    with pytest.raises(ValueError, match="'caley': unknown; choose one of cay, exp"):
+        difference_map("caley", GROUPS["SO3"])

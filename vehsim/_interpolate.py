@@ -1,0 +1,145 @@
+"""The one interpolant of a clip: cubic Hermite on the group, from knot poses and knot twists.
+
+Positions are cubic in the world with the knot velocities as slopes. Orientations are ``q_k exp(phi(s))`` with ``phi`` a
+cubic whose end slopes make the body's angular velocity that of both knots. Joints are cubic with their rates, controls
+linear (as the integrators take them), channels monotone where their knots are: no wheel turns back between frames.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from vehsim.clip import Clip
+
+Array = NDArray[np.float64]
+
+
+def interpolate(clip: Clip, times: Array) -> Clip:
+    """The clip at ``times`` (m,) s, all inside it."""
+    if len(clip) == 1:
+        return _select(clip, np.zeros(len(times), int), times)
+    k = np.clip(np.searchsorted(clip.times, times, side="right") - 1, 0, len(clip) - 2)
+    h = clip.times[k + 1] - clip.times[k]
+    s = (times - clip.times[k]) / h
+    omega, velocity = spatial(clip)
+
+    positions, linear = _hermite(s, h, clip.positions[k], clip.positions[k + 1], velocity[k], velocity[k + 1])
+    orientations, angular = _rotations(s, h, clip.orientations[k], clip.orientations[k + 1], omega[k], omega[k + 1])
+    joints, rates = _hermite(s, h, clip.joints[k], clip.joints[k + 1], clip.joint_rates[k], clip.joint_rates[k + 1])
+    return replace(
+        clip,
+        times=times,
+        positions=positions,
+        orientations=orientations,
+        twists=_twists(clip.twists.shape[1], orientations, angular, linear),
+        joints=joints,
+        joint_rates=rates,
+        controls=clip.controls[k] + s[:, None] * (clip.controls[k + 1] - clip.controls[k]),
+        channels={name: _monotone(clip.times, values, times) for name, values in clip.channels.items()},
+        energy={name: np.interp(times, clip.times, values) for name, values in clip.energy.items()},
+    )
+
+
+def spatial(clip: Clip) -> tuple[Array, Array]:
+    """Angular velocity in body axes and linear velocity in world axes, (n, 3) each, from twists of any group."""
+    n, d = clip.twists.shape
+    omega, body = np.zeros((n, 3)), np.zeros((n, 3))
+    if d == 3 and clip.vehicle.group.name == "SE2":
+        omega[:, 2], body[:, :2] = clip.twists[:, 0], clip.twists[:, 1:3]
+    else:
+        omega = clip.twists[:, :3]
+        body[:, : d - 3] = clip.twists[:, 3:]
+    return omega, rotate(clip.orientations, body)
+
+
+def rotate(q: Array, v: Array) -> Array:
+    """Vectors (n, 3) turned by unit quaternions (n, 4)."""
+    t = 2 * np.cross(q[:, 1:], v)
+    return v + q[:, :1] * t + np.cross(q[:, 1:], t)
+
+
+def _twists(d: int, q: Array, omega: Array, velocity: Array) -> Array:
+    body = rotate(q * [1, -1, -1, -1], velocity)
+    if d == 6:
+        return np.hstack([omega, body])
+    # on SE(2) the body twist is (omega_z, vx, vy); on SO(3) there is no translation
+    planar = np.column_stack([omega[:, 2], body[:, :2]])
+    return omega if not np.any(velocity) and np.any(omega[:, :2]) else planar
+
+
+def _hermite(s: Array, h: Array, a: Array, b: Array, da: Array, db: Array) -> tuple[Array, Array]:
+    """Cubic through ``a, b`` (n, m) with slopes ``da, db`` over steps ``h`` (n,), and its derivative, at ``s`` in 0..1."""
+    s, h = s[:, None], h[:, None]
+    rise = b - a
+    value = a + s * h * da + s**2 * (3 * rise - h * (2 * da + db)) + s**3 * (h * (da + db) - 2 * rise)
+    slope = da + 2 * s * (3 * rise / h - 2 * da - db) + 3 * s**2 * (da + db - 2 * rise / h)
+    return value, slope
+
+
+def _rotations(s: Array, h: Array, qa: Array, qb: Array, wa: Array, wb: Array) -> tuple[Array, Array]:
+    """Unit quaternions (n, 4) and body angular velocities (n, 3) at ``s``."""
+    relative = _product(qa * [1, -1, -1, -1], qb)
+    relative = np.where(relative[:, :1] < 0, -relative, relative)
+    phi = _log(relative)
+    # body velocity is J_r(phi) phi', so the slope at the far end is J_r(phi)^-1 w
+    end = _right_jacobian_inverse(phi, wb)
+    value, slope = _hermite(s, h, np.zeros_like(phi), phi, wa, end)
+    q = _product(qa, _exp(value))
+    return q / np.linalg.norm(q, axis=1, keepdims=True), _right_jacobian(value, slope)
+
+
+def _product(a: Array, b: Array) -> Array:
+    scalar = a[:, :1] * b[:, :1] - np.sum(a[:, 1:] * b[:, 1:], axis=1, keepdims=True)
+    return np.hstack([scalar, a[:, :1] * b[:, 1:] + b[:, :1] * a[:, 1:] + np.cross(a[:, 1:], b[:, 1:])])
+
+
+def _exp(phi: Array) -> Array:
+    angle = np.linalg.norm(phi, axis=1, keepdims=True)
+    return np.hstack([np.cos(angle / 2), phi / 2 * np.sinc(angle / (2 * np.pi))])
+
+
+def _log(q: Array) -> Array:
+    sine = np.linalg.norm(q[:, 1:], axis=1, keepdims=True)
+    angle = 2 * np.arctan2(sine, q[:, :1])
+    return q[:, 1:] * np.where(sine > 1e-12, angle / np.where(sine > 1e-12, sine, 1.0), 2.0)
+
+
+def _right_jacobian(phi: Array, v: Array) -> Array:
+    a = np.linalg.norm(phi, axis=1, keepdims=True)
+    small = a < 1e-4
+    a = np.where(small, 1.0, a)
+    first = np.where(small, 0.5, (1 - np.cos(a)) / a**2)
+    second = np.where(small, 1 / 6, (a - np.sin(a)) / a**3)
+    cross = np.cross(phi, v)
+    return v - first * cross + second * np.cross(phi, cross)
+
+
+def _right_jacobian_inverse(phi: Array, v: Array) -> Array:
+    a = np.linalg.norm(phi, axis=1, keepdims=True)
+    small = a < 1e-3
+    a = np.where(small, 1.0, a)
+    second = np.where(small, 1 / 12, (1 - a / 2 / np.tan(a / 2)) / a**2)
+    cross = np.cross(phi, v)
+    return v + cross / 2 + second * np.cross(phi, cross)
+
+
+def _monotone(x: Array, y: Array, at: Array) -> Array:
+    from scipy.interpolate import PchipInterpolator
+
+    return np.asarray(PchipInterpolator(x, y)(at))
+
+
+def _select(clip: Clip, rows: NDArray[np.intp], times: Array) -> Clip:
+    names = ("positions", "orientations", "twists", "joints", "joint_rates", "controls")
+    return replace(
+        clip,
+        times=times,
+        **{name: getattr(clip, name)[rows] for name in names},
+        channels={name: values[rows] for name, values in clip.channels.items()},
+        energy={name: values[rows] for name, values in clip.energy.items()},
+    )

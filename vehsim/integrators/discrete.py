@@ -1,0 +1,173 @@
+"""Discrete mechanics of one segment, from a vehicle's definition: what the forward step and DMOC share.
+
+The state at a knot is ``(g, r, pi)``: group element, joints, and the momentum restricted to the free velocities. A
+segment of length h has one velocity ``z`` and maps its two ends by the discrete Legendre transforms
+
+    left(z)  = pi_k        the momentum at the start that the segment's velocity needs
+    right(z) = pi_k+1      the momentum it delivers at the end
+    next(z)  = g_k+1, r_k+1
+
+(LIE eq. 10-11 and 17-18 split at the knot, SYM eq. 10-12.) The forward step solves ``left = pi_k`` for ``z``; DMOC
+imposes all three. Midpoint shape, a symmetric difference map and mirrored force weights make the segment symmetric,
+hence second order and a base for composition. Momenta and knot velocities are second-order accurate at the knot.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+
+from vehsim.errors import InputError
+from vehsim.lie import SO3, difference_map
+from vehsim.vehicles import Vehicle
+from vehsim.vehicles.mechanics import Expr, free_velocity, momentum, project, shape_gradient
+
+QUADRATURES: dict[str, tuple[float, float]] = {
+    "galerkin": (1 / 3, 1 / 6),  # exact for forces linear between knots
+    "trapezoidal": (1 / 2, 0.0),
+    "averaged": (1 / 4, 1 / 4),  # SYM's; blind to forces that alternate from knot to knot
+}
+"""Weights of a segment's force impulse: (near end, far end) for the momentum at either end."""
+
+
+@dataclass(frozen=True, eq=False)
+class DiscreteMechanics:
+    """Expressions and functions of one segment of ``vehicle``.
+
+    Symbols (columns): ``g`` (size,), ``r`` (s,), ``pi`` and ``z`` (n_z,), ``c0, c1`` (c,) controls at both ends,
+    ``h`` s, ``wind`` (3,) m/s.
+    """
+
+    vehicle: Vehicle
+    map_name: str = "cay"
+    quadrature: str = "galerkin"
+
+    def __post_init__(self) -> None:
+        if self.quadrature not in QUADRATURES:
+            raise InputError(f"quadrature = {self.quadrature!r}: unknown; choose one of {', '.join(QUADRATURES)}")
+
+    @cached_property
+    def sizes(self) -> tuple[int, int, int, int]:
+        """(group coordinates, joints, segment velocity, controls)."""
+        v = self.vehicle
+        free = v.basis(ca.SX.sym("r", len(v.joints))).shape[1]
+        return v.group.size, len(v.joints), free + len(v.dynamic), len(v.controls)
+
+    @cached_property
+    def symbols(self) -> dict[str, Expr]:
+        size, s, n, c = self.sizes
+        shapes = {"g": size, "r": s, "pi": n, "z": n, "c0": c, "c1": c, "h": 1, "wind": 3}
+        return {name: ca.SX.sym(name, count) for name, count in shapes.items()}
+
+    def driven(self, c: Expr) -> Expr:
+        """Joint rates (s,) that rate controls set, zero for the dynamic joints."""
+        rates = ca.SX(len(self.vehicle.joints), 1)
+        for joint, control in self.vehicle.driven:
+            rates[joint] = c[control]
+        return rates
+
+    @cached_property
+    def segment(self) -> dict[str, Expr]:
+        """``left, right`` (n_z,), ``g1`` (size,), ``r1`` (s,) as expressions of ``symbols``."""
+        v, y = self.vehicle, self.symbols
+        g, r, z, c0, c1, h, wind = (y[name] for name in ("g", "r", "z", "c0", "c1", "h", "wind"))
+        tau = difference_map(self.map_name, v.group)
+
+        middle, rate = self._middle(r, z, self.driven((c0 + c1) / 2), h)
+        u, xi = rate
+        g1, r1 = v.group.compose(g, tau.tau(h * xi)), r + h * u
+        on_joints, on_group = momentum(v, middle, u, xi)
+        shape = shape_gradient(v, middle, u, xi)
+
+        start, end = v.force(g, r, u, xi, c0, wind), v.force(g1, r1, u, xi, c1, wind)
+        near, far = QUADRATURES[self.quadrature]
+        before = [h * (near * a + far * b) for a, b in zip(start, end, strict=True)]
+        after = [h * (far * a + near * b) for a, b in zip(start, end, strict=True)]
+        left = project(v, r, on_joints - h / 2 * shape - before[0], tau.C(h * xi).T @ on_group - before[1])
+        right = project(v, r1, on_joints + h / 2 * shape + after[0], tau.C(-h * xi).T @ on_group + after[1])
+        return {"left": left, "right": right, "g1": g1, "r1": r1}
+
+    def _middle(self, r: Expr, z: Expr, driven: Expr, h: Expr) -> tuple[Expr, tuple[Expr, Expr]]:
+        """Shape at mid-segment and the velocity ``(u, xi)`` there; joint rates do not depend on the shape."""
+        u, _ = free_velocity(self.vehicle, r, z, driven)
+        middle = r + h / 2 * u
+        return middle, free_velocity(self.vehicle, middle, z, driven)
+
+    @cached_property
+    def advance(self) -> ca.Function:
+        """``(g, r, pi, z_guess, c0, c1, h, wind) -> (g1, r1, pi1, z, residual)`` by Newton's method, unrolled."""
+        y, segment = self.symbols, self.segment
+        names = ("g", "r", "pi", "c0", "c1", "h", "wind")
+        residual = segment["left"] - y["pi"]
+        jacobian = ca.jacobian(residual, y["z"])
+        update = y["z"] - (ca.solve(jacobian, residual) if jacobian.shape[0] else residual)
+        newton = ca.Function("newton", [y["z"], *(y[n] for n in names)], [update])
+        z, rest = y["z"], [y[n] for n in names]
+        for _ in range(NEWTON_STEPS):
+            z = newton(z, *rest)
+        finish = ca.Function(
+            "finish",
+            [y["z"], *rest],
+            [segment["g1"], segment["r1"], segment["right"], _norm(residual) / (1e-3 + _norm(y["pi"]))],
+        )
+        g1, r1, pi1, error = finish(z, *rest)
+        inputs = [y[n] for n in ("g", "r", "pi", "z", "c0", "c1", "h", "wind")]
+        return ca.Function("advance", inputs, [g1, r1, pi1, z, error])
+
+    @cached_property
+    def knot_momentum(self) -> ca.Function:
+        """``(r, u, xi) -> pi``: the momentum of joint rates and group velocity at a knot, restricted."""
+        v = self.vehicle
+        r, u, xi = ca.SX.sym("r", len(v.joints)), ca.SX.sym("u", len(v.joints)), ca.SX.sym("xi", v.group.dim)
+        return ca.Function("knot_momentum", [r, u, xi], [project(v, r, *momentum(v, r, u, xi))])
+
+    @cached_property
+    def knot_velocity(self) -> ca.Function:
+        """``(r, pi, c) -> (u, xi)``: joint rates and group velocity at a knot; exact for quadratic Lagrangians."""
+        v, y = self.vehicle, self.symbols
+        r, pi, z, c = y["r"], y["pi"], y["z"], y["c0"]
+        u, xi = free_velocity(v, r, z, self.driven(c))
+        restricted = project(v, r, *momentum(v, r, u, xi))
+        mass, rest = ca.jacobian(restricted, z), ca.substitute([restricted], [z], [ca.SX.zeros(*z.shape)])[0]
+        mass = ca.substitute([mass], [z], [ca.SX.zeros(*z.shape)])[0]
+        solved = ca.solve(mass, pi - rest) if z.shape[0] else z
+        u, xi = ca.substitute([u, xi], [z], [ca.densify(solved)])
+        return ca.Function("knot_velocity", [r, pi, c], [u, xi])
+
+    @cached_property
+    def knot_velocity_guess(self) -> ca.Function:
+        """``(r, pi, c) -> z``: the knot's own velocity as a first guess of its segment's."""
+        v, y = self.vehicle, self.symbols
+        u, xi = self.knot_velocity(y["r"], y["pi"], y["c0"])
+        basis = v.basis(y["r"])
+        along = xi + v.connection(y["r"]) @ u
+        free = ca.solve(basis.T @ basis, basis.T @ along) if basis.shape[1] else ca.SX(0, 1)
+        return ca.Function("guess", [y["r"], y["pi"], y["c0"]], [ca.vertcat(free, u[list(v.dynamic)])])
+
+    @cached_property
+    def root_state(self) -> ca.Function:
+        """``(g, r, pi, c) -> (pose (7,), twist (d,), r, u)`` of the rig's root: what `State` and clips hold."""
+        v, y = self.vehicle, self.symbols
+        g = y["g"]
+        u, xi = self.knot_velocity(y["r"], y["pi"], y["c0"])
+        pose = v.group.pose(v.group.normalize(g))
+        root = ca.vertcat(pose[0:3] - SO3.matrix(pose[3:7]) @ ca.DM(v.origin), pose[3:7])
+        twist = shift_twist(v.group.velocity_to_body(g, xi), -v.origin)
+        return ca.Function("root_state", [g, y["r"], y["pi"], y["c0"]], [root, twist, y["r"], u])
+
+
+def shift_twist(twist: Expr, offset: Expr) -> Expr:
+    """A body twist (3,) or (6,) moved to the point ``offset`` (3,) in the same axes; SO(3) has nothing to move."""
+    if twist.shape[0] == 6:
+        return ca.vertcat(twist[0:3], twist[3:6] + ca.cross(twist[0:3], ca.DM(offset)))
+    return ca.vertcat(twist[0], twist[1] - twist[0] * offset[1], twist[2] + twist[0] * offset[0])
+
+
+NEWTON_STEPS = 4
+"""From a warm start two reach round-off at ordinary steps; the residual says when they did not."""
+
+
+def _norm(x: Expr) -> Expr:
+    return ca.sqrt(ca.dot(x, x))

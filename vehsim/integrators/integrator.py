@@ -1,0 +1,320 @@
+"""The forward step: one integrator for every vehicle, holonomic or not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from vehsim.clip import Clip
+from vehsim.errors import InputError, SolveError
+from vehsim.integrators.discrete import DiscreteMechanics, shift_twist
+from vehsim.lie import SO3
+from vehsim.vehicles import State, Vehicle
+from vehsim.vehicles._base import Array
+
+TOLERANCE = 1e-9
+"""Largest accepted Newton residual, relative to the momentum."""
+
+_SUZUKI = 1 / (4 - 4 ** (1 / 3))
+_YOSHIDA = (0.78451361047755726382, 0.23557321335935813368, -1.17767998417887100695)
+COMPOSITIONS: dict[int, tuple[float, ...]] = {
+    2: (1.0,),
+    4: (_SUZUKI, _SUZUKI, 1 - 4 * _SUZUKI, _SUZUKI, _SUZUKI),
+    6: (*_YOSHIDA, 1 - 2 * sum(_YOSHIDA), *_YOSHIDA[::-1]),
+}
+"""Order -> fractions of a step (Suzuki; Yoshida's solution A): compositions of the symmetric second-order step."""
+
+
+@dataclass
+class Phase:
+    """What an integrator carries from knot to knot: group element, joints, momentum, and Newton's warm start."""
+
+    g: Array
+    r: Array
+    pi: Array
+    z: Array
+
+
+class Integrator:
+    """Advances a vehicle by fixed steps.
+
+    ``step`` s; ``difference_map`` "cay" or "exp"; ``order`` 2, 4 or 6; ``wind`` (3,) m/s in world axes;
+    ``quadrature`` of the forces. Momentum is carried at the knots, so velocities are those *at* the knot.
+    """
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        step: float,
+        difference_map: str = "cay",
+        order: int = 2,
+        *,
+        quadrature: str = "galerkin",
+        wind: Any = (0.0, 0.0, 0.0),
+    ):
+        if not (np.isfinite(step) and step > 0):
+            raise InputError(f"step = {step!r}: must be a positive number of seconds")
+        if order not in COMPOSITIONS:
+            raise InputError(f"order = {order!r}: unknown; choose one of {', '.join(map(str, COMPOSITIONS))}")
+        self.vehicle, self.step_size, self.order = vehicle, float(step), order
+        self.wind = np.asarray(wind, float)
+        self.mechanics = _mechanics(vehicle, difference_map, quadrature)
+
+    def start(self, state: State, controls: Any) -> Phase:
+        """The phase of a public state; rates that contradict the constraints are projected onto them."""
+        g, r, u, xi = _internal(self.vehicle, state)
+        m = self.mechanics
+        c = np.asarray(controls, float)
+        for joint, control in self.vehicle.driven:
+            u[joint] = c[control]
+        pi = _flat(m.knot_momentum(r, u, xi))
+        return Phase(g, r, pi, _flat(m.knot_velocity_guess(r, pi, c)))
+
+    def state(self, phase: Phase, controls: Any, anchor: Any = (0.0, 0.0, 0.0)) -> State:
+        """The public state of a phase. ``anchor`` (3,): the part of the position the group does not hold."""
+        pose, twist, r, u = (_flat(x) for x in self.mechanics.root_state(phase.g, phase.r, phase.pi, controls))
+        return State(position=pose[0:3] + anchor, orientation=pose[3:7], twist=twist, joints=r, joint_rates=u)
+
+    def anchor(self, state: State, phase: Phase) -> Array:
+        """What a start position has beyond the group's own coordinates (the height of a vehicle on SE(2))."""
+        pose = _flat(self.mechanics.root_state(phase.g, phase.r, phase.pi, np.zeros(self.mechanics.sizes[3]))[0])
+        return np.asarray(state.position, float) - pose[0:3]
+
+    def advance(self, phase: Phase, c0: Array, c1: Array, index: int = 0) -> Phase:
+        """One step; ``c0, c1`` (c,) are the controls at its ends. ``SolveError`` names step, state and residual."""
+        done = 0.0
+        for fraction in COMPOSITIONS[self.order]:
+            a, b = c0 + done * (c1 - c0), c0 + (done + fraction) * (c1 - c0)
+            phase = self._substep(phase, a, b, fraction * self.step_size, index)
+            done += fraction
+        return phase
+
+    def _substep(self, phase: Phase, c0: Array, c1: Array, h: float, index: int) -> Phase:
+        guess = phase.z
+        for _ in range(_RETRIES):
+            g, r, pi, z, residual = self.mechanics.advance(phase.g, phase.r, phase.pi, guess, c0, c1, h, self.wind)
+            if residual <= TOLERANCE:
+                return Phase(_flat(g), _flat(r), _flat(pi), _flat(z))
+            guess = _flat(z)
+        raise _diverged(self.vehicle, index, phase, float(residual), h)
+
+    def step(self, state: State, controls: Any, next_controls: Any = None, wrench: Any = None) -> State:
+        """The state one step later. ``controls`` (c,) at its start, ``next_controls`` at its end (the same if None).
+
+        ``wrench``: an external body wrench (d,) about the body frame's origin, or a function of the state that returns
+        one; half of its impulse acts at either end, the second half at the predicted state.
+        """
+        c0 = np.asarray(controls, float)
+        c1 = c0 if next_controls is None else np.asarray(next_controls, float)
+        phase = self.start(state, c0)
+        anchor = self.anchor(state, phase)
+        if wrench is not None:
+            self._kick(phase, wrench, state)
+        phase = self.advance(phase, c0, c1)
+        if wrench is not None:
+            self._kick(phase, wrench, self.state(phase, c1, anchor))
+        return self.state(phase, c1, anchor)
+
+    def _kick(self, phase: Phase, wrench: Any, state: State) -> None:
+        body = np.asarray(wrench(state) if callable(wrench) else wrench, float)
+        phase.pi = phase.pi + self.step_size / 2 * _flat(_projected_wrench(self.mechanics)(phase.g, phase.r, body))
+
+    def rollout(self, state: State, controls: Any, *, fps: Any = 24, start_frame: int = 1001) -> Clip:
+        """A clip of ``len(controls) - 1`` steps under knot controls (n, c), linear between knots."""
+        controls = np.atleast_2d(np.asarray(controls, float))
+        phase = self.start(state, controls[0])
+        anchor = self.anchor(state, phase)
+        g, r, pi = self._accumulate(phase, controls)
+        times = self.step_size * np.arange(len(controls))
+        return build_clip(self.mechanics, times, g, r, pi, controls, anchor, fps=fps, start_frame=start_frame)
+
+    def _accumulate(self, phase: Phase, controls: Array) -> tuple[Array, Array, Array]:
+        """Phases at every knot, the loop kept inside CasADi."""
+        m, n = self.mechanics, len(controls) - 1
+        history = [(phase.g[None], phase.r[None], phase.pi[None])]
+        for first in range(0, n, _CHUNK):
+            block = controls[first : first + _CHUNK + 1]
+            if len(block) < _CHUNK + 1:
+                phases = list(self._loop(phase, block, first))
+                history += [(p.g[None], p.r[None], p.pi[None]) for p in phases]
+                break
+            x, residual = _chunk(m, self.order)(_pack(phase), block[:-1].T, block[1:].T, self.step_size, self.wind)
+            x, worst = np.asarray(x).T, np.ravel(residual)
+            bad = np.flatnonzero(~(worst <= TOLERANCE))
+            if bad.size:  # step through the chunk one by one: retries, or an error that names the step
+                phases = list(self._loop(phase, block, first))
+            else:
+                a, b, c = np.cumsum(m.sizes[:3])
+                phases = [Phase(row[:a], row[a:b], row[b:c], row[c:]) for row in x]
+            history += [(p.g[None], p.r[None], p.pi[None]) for p in phases]
+            phase = phases[-1]
+        return tuple(np.concatenate(column) for column in zip(*history, strict=True))  # type: ignore[return-value]
+
+    def _loop(self, phase: Phase, controls: Array, first: int) -> Iterator[Phase]:
+        for k in range(len(controls) - 1):
+            phase = self.advance(phase, controls[k], controls[k + 1], first + k)
+            yield phase
+
+
+HolonomicIntegrator = NonholonomicIntegrator = Integrator
+
+_RETRIES = 8
+_CHUNK = 256
+
+
+def build_clip(
+    mechanics: DiscreteMechanics,
+    times: Array,
+    g: Array,
+    r: Array,
+    pi: Array,
+    controls: Array,
+    anchor: Any = (0.0, 0.0, 0.0),
+    **header: Any,
+) -> Clip:
+    """A clip from the phases at its knots: poses and twists of the rig's root, joints, controls and channels."""
+    columns = (g.T, r.T, pi.T, controls.T)
+    pose, twist, joints, rates = (np.asarray(x).T for x in _mapped(mechanics.root_state, len(times))(*columns))
+    orientations = continuous(pose[:, 3:7])
+    return Clip(
+        vehicle=mechanics.vehicle,
+        times=times,
+        positions=pose[:, 0:3] + np.asarray(anchor, float),
+        orientations=orientations,
+        twists=twist,
+        joints=joints.reshape(len(times), -1),
+        joint_rates=rates.reshape(len(times), -1),
+        controls=controls,
+        channels=_channels(mechanics.vehicle, times, joints, rates, twist, controls),
+        **header,
+    )
+
+
+def continuous(quaternions: Array) -> Array:
+    """The same rotations (n, 4) with no sign flips from one to the next."""
+    dots = np.sum(quaternions[1:] * quaternions[:-1], axis=1)
+    signs = np.cumprod(np.concatenate([[1.0], np.where(dots < 0, -1.0, 1.0)]))
+    return quaternions * signs[:, None]
+
+
+def _channels(vehicle: Vehicle, times: Array, r: Array, u: Array, root: Array, c: Array) -> dict[str, Array]:
+    from scipy.interpolate import CubicSpline
+
+    n = len(times)
+    symbols = [ca.SX.sym(k, size) for k, size in (("t", 1), ("r", r.shape[1]), ("u", u.shape[1]))]
+    twist, control = ca.SX.sym("xi", vehicle.group.dim), ca.SX.sym("c", c.shape[1])
+    body = shift_twist(twist, vehicle.origin) if vehicle.group.dim != 3 or vehicle.group.name == "SE2" else twist
+    made: dict[str, Array] = {}
+    for name, channel in vehicle.channels.items():
+        law: Callable[..., Any] = channel.value or channel.rate  # type: ignore[assignment]
+        expression = ca.SX(law(*symbols, body, control))
+        function = ca.Function("channel", [*symbols, twist, control], [ca.densify(expression)])
+        values = np.ravel(_mapped(function, n)(times[None], r.T, u.T, root.T, c.T))
+        if channel.rate is not None:
+            values = CubicSpline(times, values).antiderivative()(times) if n > 1 else np.zeros(n)
+        made[name] = values
+    return made
+
+
+def _internal(vehicle: Vehicle, state: State) -> tuple[Array, Array, Array, Array]:
+    """(g, r, u, xi) of a public state. Joint rates not given follow from the twist through the constraints."""
+    group, s = vehicle.group, len(vehicle.joints)
+    orientation = _sized("orientation", state.orientation, 4)
+    orientation = orientation / np.linalg.norm(orientation)
+    position = _sized("position", state.position, 3) + SO3.matrix(orientation) @ vehicle.origin
+    g = group.from_pose(np.concatenate([position, orientation]))
+    r = _sized("joints", state.joints, s)
+    twist = _sized("twist", state.twist, group.dim)
+    if group.name != "SO3":
+        twist = _flat(ca.DM(shift_twist(ca.DM(twist), vehicle.origin)))
+    xi = group.velocity_from_body(g, twist)
+    u = _sized("joint_rates", state.joint_rates, s)
+    connection = np.array(ca.Function("A", *_connection(vehicle))(r)).reshape(group.dim, s)
+    if state.joint_rates is None and s:
+        u = np.linalg.lstsq(connection, -xi, rcond=None)[0]
+    elif state.twist is None and s:
+        xi = -connection @ u
+    return g, r, u, xi
+
+
+def _connection(vehicle: Vehicle) -> tuple[list[Any], list[Any]]:
+    r = ca.SX.sym("r", len(vehicle.joints))
+    return [r], [ca.densify(vehicle.connection(r))]
+
+
+def _sized(name: str, values: Any, size: int) -> Array:
+    array = np.zeros(size) if values is None else np.asarray(values, float).ravel()
+    if array.shape != (size,) or not np.all(np.isfinite(array)):
+        raise InputError(f"state.{name} = {values!r}: give {size} finite numbers")
+    return array
+
+
+def _mechanics(vehicle: Vehicle, map_name: str, quadrature: str) -> DiscreteMechanics:
+    """One per vehicle object and scheme: expressions are built once and live as long as the vehicle."""
+    kept = vehicle.__dict__.setdefault("_mechanics", {})
+    key = (map_name, quadrature)
+    if key not in kept:
+        kept[key] = DiscreteMechanics(vehicle, map_name, quadrature)
+    return kept[key]
+
+
+def _projected_wrench(mechanics: DiscreteMechanics) -> ca.Function:
+    from vehsim.vehicles.mechanics import project
+
+    v, y = mechanics.vehicle, mechanics.symbols
+    w = ca.SX.sym("w", v.group.dim)
+    covector = project(v, y["r"], ca.SX(len(v.joints), 1), v.group.wrench_from_body(y["g"], w))
+    return _keep(mechanics, "wrench", lambda: ca.Function("wrench", [y["g"], y["r"], w], [covector]))
+
+
+def _chunk(mechanics: DiscreteMechanics, order: int) -> ca.Function:
+    """``_CHUNK`` steps in one call: (x, c0 (c, n), c1 (c, n), h, wind) -> (x (., n), residuals (n,))."""
+
+    def build() -> ca.Function:
+        y = mechanics.symbols
+        sizes = mechanics.sizes[:3]
+        x, c0, c1 = ca.SX.sym("x", sum(sizes) + sizes[2]), y["c0"], y["c1"]
+        g, r, pi, z = ca.vertsplit(x, [0, *(int(k) for k in np.cumsum([*sizes, sizes[2]]))])
+        done, worst = 0.0, ca.SX(0)
+        for fraction in COMPOSITIONS[order]:
+            a, b = c0 + done * (c1 - c0), c0 + (done + fraction) * (c1 - c0)
+            g, r, pi, z, residual = mechanics.advance(g, r, pi, z, a, b, fraction * y["h"], y["wind"])
+            worst, done = ca.fmax(worst, residual), done + fraction
+        one = ca.Function("one", [x, c0, c1, y["h"], y["wind"]], [ca.vertcat(g, r, pi, z), worst])
+        xs, c0s, c1s = ca.MX.sym("x", x.shape[0]), ca.MX.sym("c0", c0.shape[0], _CHUNK), ca.MX.sym("c1", c1.shape[0], _CHUNK)
+        h, wind = ca.MX.sym("h"), ca.MX.sym("wind", 3)
+        states, residuals = one.mapaccum(_CHUNK)(xs, c0s, c1s, ca.repmat(h, 1, _CHUNK), ca.repmat(wind, 1, _CHUNK))
+        return ca.Function("chunk", [xs, c0s, c1s, h, wind], [states, residuals])
+
+    return _keep(mechanics, f"chunk{order}", build)
+
+
+def _keep(mechanics: DiscreteMechanics, key: str, build: Callable[[], ca.Function]) -> ca.Function:
+    kept = mechanics.__dict__.setdefault("_kept", {})
+    if key not in kept:
+        kept[key] = build()
+    return kept[key]
+
+
+def _pack(phase: Phase) -> Array:
+    return np.concatenate([phase.g, phase.r, phase.pi, phase.z])
+
+
+def _mapped(function: ca.Function, n: int) -> Callable[..., Any]:
+    return function.map(n) if n > 1 else function
+
+
+def _flat(values: Any) -> Array:
+    return np.asarray(values, float).ravel()
+
+
+def _diverged(vehicle: Vehicle, index: int, phase: Phase, residual: float, h: float) -> SolveError:
+    state = ", ".join(f"{name} = {np.round(getattr(phase, name), 6).tolist()}" for name in ("g", "r", "pi"))
+    return SolveError(
+        f"{vehicle.name}: step {index} of {h:.6g} s did not converge: residual {residual:.3g} at {state}; "
+        "take a smaller step, or check the controls and the start"
+    )

@@ -1,0 +1,73 @@
+"""The car of LIE 5.2.1: driven rear wheels, steering whose rate is an input, no slip."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from vehsim.lie import SE2
+from vehsim.vehicles._base import Channel, Control, Expr
+from vehsim.vehicles.nonholonomic import Nonholonomic
+
+
+def car(
+    name: str = "car",
+    *,
+    mass: float,
+    wheel_inertia: float,
+    yaw_inertia: float,
+    wheel_radius: float,
+    wheelbase: float,
+    half_track: float,
+) -> Nonholonomic:
+    """A car whose body frame stands on the rear axle.
+
+    ``mass`` kg, ``wheel_inertia`` (rear wheels, LIE's I) and ``yaw_inertia`` (K, about the rear axle) kg m^2; radius,
+    wheelbase and half track in m. Joints: ``psi``, roll of the rear wheels [rad], and ``sigma = tan(steering angle)``.
+    Controls: ``torque`` on the rear axle [N m] and ``steering_rate``, the rate of sigma [1/s].
+    Channels: ``roll_*`` of the four wheels, each rolling without slip, and Ackermann ``steer_*`` of the front ones [rad].
+    """
+    rho, length = wheel_radius, wheelbase
+
+    def lagrangian(r: Expr, u: Expr, xi: Expr) -> Expr:
+        return (wheel_inertia * u[0] ** 2 + yaw_inertia * xi[0] ** 2 + mass * (xi[1] ** 2 + xi[2] ** 2)) / 2
+
+    def constraints(r: Expr) -> tuple[Expr, Expr]:
+        psi_dot = ca.vertcat(-rho / length * r[1], -rho, 0)
+        return ca.horzcat(psi_dot, ca.SX(3, 1)), ca.SX.eye(3)
+
+    def forces(r: Expr, u: Expr, xi: Expr, c: Expr) -> Expr:
+        return ca.vertcat(c[0], 0)
+
+    def rear(side: float) -> Channel:
+        return Channel(rate=lambda t, r, u, xi, c: (xi[1] - side * half_track * xi[0]) / rho)
+
+    def steer(side: float) -> Channel:
+        # tan of a front wheel's angle: sigma / (1 - side * half_track * sigma / wheelbase), Ackermann
+        return Channel(value=lambda t, r, u, xi, c: ca.atan2(r[1], 1 - side * half_track / length * r[1]))
+
+    def front(side: float) -> Channel:
+        # the hub moves along the wheel's own heading, at the length of (1 - side b sigma / l, sigma) times vx
+        return Channel(
+            rate=lambda t, r, u, xi, c: (
+                xi[1] / rho * ca.sqrt((1 - side * half_track / length * r[1]) ** 2 + r[1] ** 2)
+            )
+        )
+
+    return Nonholonomic(
+        name=name,
+        group=SE2,
+        joints=("psi", "sigma"),
+        lagrangian=lagrangian,
+        constraints=constraints,
+        forces=forces,
+        controls=tuple(Control(n) for n in ("torque", "steering_rate")),
+        rate_controls={"steering_rate": "sigma"},
+        channels={
+            "roll_rl": rear(1.0),
+            "roll_rr": rear(-1.0),
+            "roll_fl": front(1.0),
+            "roll_fr": front(-1.0),
+            "steer_fl": steer(1.0),
+            "steer_fr": steer(-1.0),
+        },
+    )

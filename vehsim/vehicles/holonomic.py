@@ -1,0 +1,86 @@
+"""Vehicles that are one actuated rigid body: an inertia, a wrench of the controls, drag and gravity (LIE section 4)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from vehsim.errors import InputError
+from vehsim.vehicles._base import Expr, Vehicle
+
+GRAVITY = 9.81
+"""m/s^2, LIE's value."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Holonomic(Vehicle):
+    """A rigid body on ``group`` with Lagrangian ``1/2 xi^T inertia xi`` (LIE eq. 9).
+
+    ``inertia``: (d, d) or its diagonal (d,), rotation first, kg m^2 and kg, about the body frame's origin.
+    ``wrench``: controls (c,) -> body wrench (d,), N m and N; None: no actuators.
+    ``drag``: body twist relative to the air (d,) -> body wrench (d,), which must not add power; None: no drag.
+    ``gravity``: m/s^2, acts on ``mass`` (the translational inertia unless given, which added mass needs) along -Z.
+
+    Raises ``InputError`` when the inertia has the wrong shape or is not symmetric and positive definite.
+    """
+
+    inertia: Any
+    wrench: Callable[[Expr], Expr] | None = None
+    drag: Callable[[Expr], Expr] | None = None
+    mass: float | None = None
+    gravity: float = GRAVITY
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        inertia = np.asarray(self.inertia, float)
+        inertia = np.diag(inertia) if inertia.ndim == 1 else inertia
+        d = self.group.dim
+        if inertia.shape != (d, d):
+            raise InputError(f"{self.name}: inertia has shape {inertia.shape}; {self.group} needs ({d}, {d}) or ({d},)")
+        if not np.allclose(inertia, inertia.T) or np.linalg.eigvalsh(inertia).min() <= 0:
+            raise InputError(f"{self.name}: inertia must be symmetric and positive definite; got {inertia.tolist()}")
+        object.__setattr__(self, "inertia", inertia)
+        object.__setattr__(self, "feels_wind", self.feels_wind or self.drag is not None)
+
+    def reduced_lagrangian(self, r: Expr, u: Expr, xi: Expr) -> Expr:
+        return ca.dot(xi, ca.DM(self.inertia) @ xi) / 2
+
+    def basis(self, r: Expr) -> Expr:
+        return ca.SX.eye(self.group.dim)
+
+    def connection(self, r: Expr) -> Expr:
+        return ca.SX(self.group.dim, 0)
+
+    def force(self, g: Expr, r: Expr, u: Expr, xi: Expr, c: Expr, wind: Expr) -> tuple[Expr, Expr]:
+        d, group = self.group.dim, self.group
+        body = ca.SX(d, 1) if self.wrench is None else ca.vertcat(self.wrench(c))
+        if self.drag is not None:
+            air = group.velocity_to_body(g, xi - _still(group, g, wind))
+            body = body + ca.vertcat(self.drag(air))
+        total = group.wrench_from_body(g, body)
+        if d == 6:
+            mass = self.inertia[5, 5] if self.mass is None else self.mass
+            total = total + _still_dual(group, g, ca.vertcat(0, 0, -self.gravity * mass))
+        return ca.SX(0, 1), total
+
+
+def _rotation(group: Any, g: Expr) -> Expr:
+    from vehsim.lie import SO3
+
+    return SO3.matrix(group.pose(g)[3:7])
+
+
+def _still(group: Any, g: Expr, velocity: Expr) -> Expr:
+    """The group's velocity (d,) of a body that drifts with a world velocity (3,) and does not turn."""
+    linear = _rotation(group, g).T @ velocity
+    width = group.dim - (3 if group.dim == 6 else 1)
+    return group.velocity_from_body(g, ca.vertcat(ca.SX(width, 1), linear[: group.dim - width]))
+
+
+def _still_dual(group: Any, g: Expr, force: Expr) -> Expr:
+    """A world force (3,) at the body's origin as a covector (6,) on the group."""
+    return group.wrench_from_body(g, ca.vertcat(ca.SX(3, 1), _rotation(group, g).T @ force))

@@ -1,0 +1,134 @@
+"""Vehicles by name or folder: ``vehicle.toml`` gives the physics and the rig, a model gives the equations."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import math
+import tomllib
+from dataclasses import replace
+from difflib import get_close_matches
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from vehsim.errors import InputError
+from vehsim.vehicles._base import Control, Drive, Rig
+
+if TYPE_CHECKING:
+    from vehsim.vehicles._base import Vehicle
+
+MODELS: dict[str, str] = {
+    "helicopter": "vehsim.vehicles.helicopter:helicopter",
+    "car": "vehsim.vehicles.car:car",
+}
+"""Model name -> the function that makes its vehicle from ``[physics]``."""
+
+_TOP = {"schema", "name", "model", "asset", "root", "origin", "physics", "controls", "joints", "channels"}
+
+
+def available() -> list[str]:
+    """Names of the vehicles that ship with vehsim."""
+    return sorted(path.parent.name for path in _shipped().glob("*/vehicle.toml"))
+
+
+def load_vehicle(name: str | Path) -> Vehicle:
+    """A vehicle by the name of a shipped one, or by the path of a folder that holds a ``vehicle.toml``.
+
+    Raises ``InputError`` naming file, key, value and the mend.
+    """
+    folder = Path(name)
+    if not (folder / "vehicle.toml").is_file():
+        folder = _shipped() / str(name)
+    if not (folder / "vehicle.toml").is_file():
+        close = get_close_matches(str(name), available(), n=1)
+        hint = f"did you mean {close[0]!r}?" if close else f"choose one of {', '.join(available())}"
+        raise InputError(f"vehicle {str(name)!r}: no such vehicle, nor a folder with a vehicle.toml; {hint}")
+    path = (folder / "vehicle.toml").resolve()
+    return _load(path, path.stat().st_mtime_ns)
+
+
+def _shipped() -> Path:
+    assets = importlib.import_module("vehsim.assets")
+    return Path(str(assets.__file__)).parent / "vehicles"
+
+
+@lru_cache(maxsize=64)
+def _load(path: Path, changed: int) -> Vehicle:
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: not valid TOML: {error}") from None
+    _known(path, "", data, _TOP)
+    model = data.get("model")
+    if model not in MODELS:
+        raise InputError(f"{path}: model = {model!r}: unknown; choose one of {', '.join(sorted(MODELS))}")
+    module, _, function = MODELS[model].partition(":")
+    factory = getattr(importlib.import_module(module), function)
+    vehicle: Vehicle = factory(str(data.get("name", model)), **_physics(path, factory, data.get("physics", {})))
+    return replace(
+        vehicle,
+        controls=_controls(path, vehicle, data.get("controls", {})),
+        joint_limits=_limits(path, vehicle, data.get("joints", {})),
+        rig=_rig(path, vehicle, data),
+    )
+
+
+def _physics(path: Path, factory: Any, table: dict[str, Any]) -> dict[str, Any]:
+    parameters = {p.name: p for p in inspect.signature(factory).parameters.values() if p.kind is p.KEYWORD_ONLY}
+    _known(path, "physics.", table, set(parameters))
+    for key, parameter in parameters.items():
+        if parameter.default is parameter.empty and key not in table:
+            raise InputError(f"{path}: physics.{key}: missing; {factory.__name__} needs it, in SI units")
+        for number in _flat(table.get(key, 0.0)):
+            if not isinstance(number, int | float) or isinstance(number, bool) or not math.isfinite(number):
+                raise InputError(f"{path}: physics.{key} = {table[key]!r}: not a finite number; give SI units")
+    return table
+
+
+def _controls(path: Path, vehicle: Vehicle, table: dict[str, Any]) -> tuple[Control, ...]:
+    _known(path, "controls.", table, set(vehicle.control_names))
+    for name, values in table.items():
+        _known(path, f"controls.{name}.", values, {"lower", "upper", "scale", "unit"})
+        if values.get("lower", -math.inf) > values.get("upper", math.inf):
+            raise InputError(f"{path}: controls.{name}.lower = {values['lower']!r}: above upper; swap them")
+    return tuple(replace(control, **table.get(control.name, {})) for control in vehicle.controls)
+
+
+def _limits(path: Path, vehicle: Vehicle, table: dict[str, Any]) -> dict[str, tuple[float, float]]:
+    _known(path, "joints.", table, set(vehicle.joints))
+    for name, values in table.items():
+        _known(path, f"joints.{name}.", values, {"lower", "upper"})
+    return {name: (v.get("lower", -math.inf), v.get("upper", math.inf)) for name, v in table.items()}
+
+
+def _rig(path: Path, vehicle: Vehicle, data: dict[str, Any]) -> Rig | None:
+    if "asset" not in data:
+        return None
+    asset = path.parent / str(data["asset"])
+    if not asset.is_file():
+        raise InputError(f"{path}: asset = {data['asset']!r}: no such file; give a USD file relative to vehicle.toml")
+    origin = tuple(float(x) for x in data.get("origin", (0.0, 0.0, 0.0)))
+    if len(origin) != 3:
+        raise InputError(f"{path}: origin = {data['origin']!r}: give three numbers, m, in the rig root's frame")
+    channels = data.get("channels", {})
+    _known(path, "channels.", channels, set(vehicle.channels))
+    ops = {f"{kind}{axis}" for kind in ("rotate", "translate") for axis in "XYZ"}
+    for name, values in channels.items():
+        _known(path, f"channels.{name}.", values, {"prim", "op"})
+        if values.get("op") not in ops:
+            raise InputError(f"{path}: channels.{name}.op = {values.get('op')!r}: choose one of {sorted(ops)}")
+    drives = {name: Drive(values["prim"], values["op"]) for name, values in channels.items()}
+    return Rig(asset=asset, root=str(data.get("root", "")), origin=origin, drives=drives)  # type: ignore[arg-type]
+
+
+def _known(path: Path, prefix: str, table: dict[str, Any], known: set[str]) -> None:
+    for key in table:
+        if key not in known:
+            close = get_close_matches(key, known, n=1)
+            hint = f"did you mean {close[0]!r}?" if close else f"known keys: {', '.join(sorted(known))}"
+            raise InputError(f"{path}: {prefix}{key} = {table[key]!r}: unknown key; {hint}")
+
+
+def _flat(value: Any) -> list[Any]:
+    return [x for item in value for x in _flat(item)] if isinstance(value, list) else [value]
