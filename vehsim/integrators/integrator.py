@@ -143,7 +143,7 @@ class Integrator:
                 history += [(p.g[None], p.r[None], p.pi[None]) for p in phases]
                 break
             x, residual = _chunk(m, self.order)(_pack(phase), block[:-1].T, block[1:].T, self.step_size, self.wind)
-            x, worst = np.asarray(x).T, np.ravel(residual)
+            x, worst = np.asarray(x).T, _flat(residual)
             bad = np.flatnonzero(~(worst <= TOLERANCE))
             if bad.size:  # step through the chunk one by one: retries, or an error that names the step
                 phases = list(self._loop(phase, block, first))
@@ -213,7 +213,7 @@ def _channels(vehicle: Vehicle, times: Array, r: Array, u: Array, root: Array, c
         law: Callable[..., Any] = channel.value or channel.rate  # type: ignore[assignment]
         expression = ca.SX(law(*symbols, body, control))
         function = ca.Function("channel", [*symbols, twist, control], [ca.densify(expression)])
-        values = np.ravel(_mapped(function, n)(times[None], r.T, u.T, root.T, c.T))
+        values = _flat(_mapped(function, n)(times[None], r.T, u.T, root.T, c.T))
         if channel.rate is not None:
             values = CubicSpline(times, values).antiderivative()(times) if n > 1 else np.zeros(n)
         made[name] = values
@@ -285,7 +285,11 @@ def _chunk(mechanics: DiscreteMechanics, order: int) -> ca.Function:
             g, r, pi, z, residual = mechanics.advance(g, r, pi, z, a, b, fraction * y["h"], y["wind"])
             worst, done = ca.fmax(worst, residual), done + fraction
         one = ca.Function("one", [x, c0, c1, y["h"], y["wind"]], [ca.vertcat(g, r, pi, z), worst])
-        xs, c0s, c1s = ca.MX.sym("x", x.shape[0]), ca.MX.sym("c0", c0.shape[0], _CHUNK), ca.MX.sym("c1", c1.shape[0], _CHUNK)
+        xs, c0s, c1s = (
+            ca.MX.sym("x", x.shape[0]),
+            ca.MX.sym("c0", c0.shape[0], _CHUNK),
+            ca.MX.sym("c1", c1.shape[0], _CHUNK),
+        )
         h, wind = ca.MX.sym("h"), ca.MX.sym("wind", 3)
         states, residuals = one.mapaccum(_CHUNK)(xs, c0s, c1s, ca.repmat(h, 1, _CHUNK), ca.repmat(wind, 1, _CHUNK))
         return ca.Function("chunk", [xs, c0s, c1s, h, wind], [states, residuals])

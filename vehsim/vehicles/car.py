@@ -48,9 +48,7 @@ def car(
     def front(side: float) -> Channel:
         # the hub moves along the wheel's own heading, at the length of (1 - side b sigma / l, sigma) times vx
         return Channel(
-            rate=lambda t, r, u, xi, c: (
-                xi[1] / rho * ca.sqrt((1 - side * half_track / length * r[1]) ** 2 + r[1] ** 2)
-            )
+            rate=lambda t, r, u, xi, c: xi[1] / rho * ca.sqrt((1 - side * half_track / length * r[1]) ** 2 + r[1] ** 2)
         )
 
     return Nonholonomic(
