@@ -1,0 +1,32 @@
+# `make demo` and `make test` need nothing but Python 3.11+, make and the network: tools/setup.sh does the rest.
+BIN := .venv/bin
+export MUJOCO_GL ?= egl
+
+.PHONY: help setup demo test lock clean
+
+help:
+	@echo "make demo   export examples/canyon_flight.toml to out/: a USD shot, frames and a film"
+	@echo "make test   formatter, linter, type checker and all tests"
+	@echo "make setup  only make .venv"
+	@echo "make lock   bring requirements.lock up to date with pyproject.toml"
+	@echo "make clean  remove what the other commands made"
+
+setup:
+	@sh tools/setup.sh
+
+demo: setup
+	$(BIN)/vehsim export examples/canyon_flight.toml --out out --to usd,png,mp4,npz,csv
+
+test: setup
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/pytest -n 2
+
+lock: setup
+	$(BIN)/python -m pip install --quiet uv
+	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --extra dev \
+		--custom-compile-command "make lock" --output-file requirements.lock pyproject.toml
+
+clean:
+	rm -rf .venv out build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
