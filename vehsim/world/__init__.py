@@ -1,0 +1,105 @@
+"""The world: terrain, wind, and the questions vehicles ask of them, answered by MuJoCo and exact geometry.
+
+A `World` owns no motion. Heights and meshes live in `terrain.py`, clearances in `scene.py`, the smooth distance field in
+`field.py`, paths through free space in `route.py`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from vehsim.errors import InputError, Problem
+from vehsim.world.field import DistanceField, Progress, cache_folder, distance_field
+from vehsim.world.terrain import Terrain
+
+if TYPE_CHECKING:
+    from vehsim.world.scene import Scene
+
+__all__ = ["DistanceField", "Terrain", "World", "cache_folder"]
+
+Array = NDArray[np.float64]
+
+MAX_WIND = 150.0
+"""Fastest wind we believe, m/s."""
+
+
+class World:
+    """What surrounds the vehicles: ``terrain`` (`Terrain` or None, empty space) and ``wind`` (3,) m/s, world axes.
+
+    ``terrain`` is a `Terrain`, the name of a shipped one ("canyon", "flat") or a path. Raises ``InputError``.
+    """
+
+    def __init__(self, terrain: Terrain | str | Path | None = None, wind: ArrayLike = (0.0, 0.0, 0.0)) -> None:
+        self.terrain = terrain if isinstance(terrain, Terrain) or terrain is None else Terrain.load(terrain)
+        self.wind = _wind(wind)
+        self._fields: dict[Any, DistanceField] = {}
+        self._scenes: dict[Any, Scene] = {}
+
+    def __repr__(self) -> str:
+        name = None if self.terrain is None else self.terrain.name
+        return f"World(terrain={name!r}, wind={tuple(self.wind.tolist())})"
+
+    @cached_property
+    def content_hash(self) -> str:
+        """Names the world by its content."""
+        ground = "" if self.terrain is None else self.terrain.content_hash
+        return hashlib.sha256(repr((ground, self.wind.tolist())).encode()).hexdigest()
+
+    def height(self, xy: ArrayLike) -> Array:
+        """Height (n,) m of the ground at ``xy`` (n, 2) m; -inf without terrain."""
+        points = np.asarray(xy, dtype=float).reshape(-1, 2)
+        return np.full(len(points), -np.inf) if self.terrain is None else self.terrain.height(points)
+
+    def distance_field(
+        self, progress: Progress | None = None, *, spacing: float | None = None, box: ArrayLike | None = None
+    ) -> DistanceField | None:
+        """The smooth field of signed distances to the terrain, None without terrain; see `field.distance_field`."""
+        if self.terrain is None:
+            return None
+        key = (spacing, None if box is None else tuple(np.ravel(np.asarray(box, dtype=float)).tolist()))
+        if key not in self._fields:
+            self._fields[key] = distance_field(self.terrain, spacing, box, progress)
+        return self._fields[key]
+
+    def clearance(self, vehicle: Any, positions: ArrayLike, orientations: ArrayLike) -> Array:
+        """Signed distance (n,) m from the vehicle's hulls to the terrain at rig-root poses; +inf without terrain.
+
+        ``positions`` (n, 3) m, ``orientations`` (n, 4) w, x, y, z (T_wr). Outside it is exact; a pose that touches rock
+        gives minus its vertical depth.
+        """
+        if self.terrain is None:
+            return np.full(len(np.asarray(positions, dtype=float).reshape(-1, 3)), np.inf)
+        asset = str(vehicle.rig.asset)
+        if asset not in self._scenes:
+            from vehsim.world.scene import Scene
+
+            self._scenes[asset] = Scene(self.terrain, vehicle.rig)
+        return self._scenes[asset].clearance(positions, orientations)
+
+    def route(self, start: ArrayLike, goal: ArrayLike, clearance: float, ceiling: float | None = None) -> Array:
+        """A path (k, 3) m from ``start`` to ``goal`` (3,) through free space, ``clearance`` m from the rock.
+
+        ``ceiling`` m bounds its height; by default it may fly a little higher than start and goal, so that it follows
+        the valleys. Raises ``InputError`` (an end in the rock) and ``SolveError`` (no way).
+        """
+        from vehsim.world.route import find_route
+
+        return find_route(self.distance_field(), start, goal, clearance, ceiling, self.height)
+
+
+def _wind(wind: ArrayLike) -> Array:
+    try:
+        values = np.array(wind, dtype=float)
+    except (TypeError, ValueError):
+        values = np.empty(0)
+    if values.shape != (3,) or not np.isfinite(values).all() or np.linalg.norm(values) > MAX_WIND:
+        mend = f"give x, y, z in m/s, at most {MAX_WIND:g} in all"
+        raise InputError(str(Problem("world.wind", "not a wind", mend, wind)))
+    values.flags.writeable = False
+    return values

@@ -1,0 +1,130 @@
+"""Terrain: heights on a grid, and the triangles that MuJoCo, USD and the distance field all agree on.
+
+What belongs here is the surface itself: its vertices, its faces, its height anywhere. Files are read in `reading.py`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from vehsim.errors import InputError, Problem
+
+Array = NDArray[np.float64]
+
+MAX_POINTS = 4_000_000
+"""Largest number of heights we take on."""
+MAX_HEIGHT = 20_000.0
+"""Largest magnitude of a height we believe, m: beyond it a file has other units or no-data values."""
+
+
+@dataclass(frozen=True, eq=False)
+class Terrain:
+    """A height field: ``heights`` (rows, cols) m, row = +Y, column = +X.
+
+    ``origin`` (x, y) of ``heights[0, 0]`` and ``cell`` (dx, dy), m. ``look``: a USD file whose mesh, material and texture
+    show this terrain, or None. Each cell is split along (r, c)-(r+1, c+1), as MuJoCo does it.
+    """
+
+    name: str
+    heights: Array
+    origin: tuple[float, float] = (0.0, 0.0)
+    cell: tuple[float, float] = (1.0, 1.0)
+    look: Path | None = None
+
+    def __post_init__(self) -> None:
+        heights = np.array(self.heights, dtype=np.float64)  # our own copy, which nobody changes under the caches
+        heights.flags.writeable = False
+        object.__setattr__(self, "heights", heights)
+        object.__setattr__(self, "origin", (float(self.origin[0]), float(self.origin[1])))
+        object.__setattr__(self, "cell", (float(self.cell[0]), float(self.cell[1])))
+        _check(self)
+
+    @staticmethod
+    def load(source: str | Path) -> Terrain:
+        """The terrain called ``source`` ("canyon", "flat"), or read from a mesh, a height map or a ``terrain.toml``.
+
+        Meshes: OBJ, STL, PLY, GLB, USD. Heights: PNG, NPY, NPZ, GeoTIFF. Raises ``InputError``.
+        """
+        from vehsim.world.reading import read_terrain
+
+        return read_terrain(source)
+
+    @property
+    def lower(self) -> Array:
+        """(3,) m: the smallest x, y and height."""
+        return np.array([*self.origin, self.heights.min()])
+
+    @property
+    def upper(self) -> Array:
+        """(3,) m: the largest x, y and height."""
+        rows, cols = self.heights.shape
+        x, y = self.origin[0] + self.cell[0] * (cols - 1), self.origin[1] + self.cell[1] * (rows - 1)
+        return np.array([x, y, self.heights.max()])
+
+    @cached_property
+    def vertices(self) -> Array:
+        """(n, 3) m, row after row."""
+        rows, cols = self.heights.shape
+        x = self.origin[0] + self.cell[0] * np.arange(cols)
+        y = self.origin[1] + self.cell[1] * np.arange(rows)
+        grid = np.broadcast_arrays(x[None, :], y[:, None], self.heights)
+        return np.stack(grid, axis=-1).reshape(-1, 3)
+
+    @cached_property
+    def faces(self) -> NDArray[np.int64]:
+        """(m, 3) vertex indices, counter-clockwise from above; two faces per cell."""
+        rows, cols = self.heights.shape
+        index = np.arange(rows * cols).reshape(rows, cols)
+        a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
+        return np.stack([a, b, d, a, d, c], axis=-1).reshape(-1, 3)
+
+    def height(self, xy: ArrayLike) -> Array:
+        """Height (n,) m of the surface at ``xy`` (n, 2) m; beyond the borders, that of the nearest border point."""
+        xy = np.asarray(xy, dtype=float).reshape(-1, 2)
+        rows, cols = self.heights.shape
+        u = np.clip((xy[:, 0] - self.origin[0]) / self.cell[0], 0, cols - 1)
+        v = np.clip((xy[:, 1] - self.origin[1]) / self.cell[1], 0, rows - 1)
+        col, row = np.minimum(u.astype(int), cols - 2), np.minimum(v.astype(int), rows - 2)
+        u, v = u - col, v - row
+        a, b = self.heights[row, col], self.heights[row, col + 1]
+        c, d = self.heights[row + 1, col], self.heights[row + 1, col + 1]
+        return np.asarray(a + np.where(u >= v, u * (b - a) + v * (d - b), v * (c - a) + u * (d - c)))
+
+    @cached_property
+    def content_hash(self) -> str:
+        """Names the surface by its content: the same heights at the same place have the same hash."""
+        digest = hashlib.sha256(repr((self.heights.shape, self.origin, self.cell)).encode())
+        digest.update(np.ascontiguousarray(self.heights))
+        return digest.hexdigest()
+
+
+def _check(terrain: Terrain) -> None:
+    """Raise ``InputError`` for heights that are no terrain."""
+
+    def refuse(key: str, message: str, mend: str, value: object = None) -> None:
+        raise InputError(str(Problem(key, message, mend, value, terrain.name)))
+
+    heights = terrain.heights
+    if heights.ndim != 2 or min(heights.shape) < 2:
+        refuse("heights", "not a grid of at least 2 x 2", "give one height per (row, column)", heights.shape)
+    if heights.size > MAX_POINTS:
+        refuse("heights", f"more than {MAX_POINTS:,} points", "crop or resample it", heights.shape)
+    bad = np.argwhere(~np.isfinite(heights))
+    if len(bad):
+        row, col = bad[0]
+        mend = "fill the holes before loading"
+        refuse(f"heights[{row}, {col}]", f"{len(bad)} not finite", mend, float(heights[row, col]))
+    if np.abs(heights).max() > MAX_HEIGHT:
+        row, col = np.unravel_index(np.abs(heights).argmax(), heights.shape)
+        mend = "heights are metres; replace no-data values"
+        refuse(f"heights[{row}, {col}]", f"beyond {MAX_HEIGHT:g} m", mend, float(heights[row, col]))
+    if not (np.isfinite(terrain.cell).all() and 1e-3 <= min(terrain.cell) and max(terrain.cell) <= 1e4):
+        refuse("cell", "not between 0.001 and 10000 m", "give the spacing of the heights in metres", terrain.cell)
+    if not np.isfinite(terrain.origin).all():
+        refuse("origin", "not finite", "give x and y of heights[0, 0] in metres", terrain.origin)
