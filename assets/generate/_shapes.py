@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
-from scipy.interpolate import CubicSpline, PchipInterpolator
+from scipy.interpolate import Akima1DInterpolator, PchipInterpolator
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 
 Array = NDArray[np.float64]
@@ -105,7 +105,7 @@ def tube(path: ArrayLike, radius: ArrayLike, sides: int = 12, samples: int = 0, 
     if samples:
         s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
         t = np.linspace(0, s[-1], samples)
-        path, radius = CubicSpline(s, path)(t), PchipInterpolator(s, radius)(t)
+        path, radius = Akima1DInterpolator(s, path, method="makima")(t), PchipInterpolator(s, radius)(t)
     tangent = np.gradient(path, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1)[:, None]
     across = np.cross(tangent[0], np.eye(3)[np.argmin(np.abs(tangent[0]))])
@@ -173,7 +173,7 @@ def wing(stations: Sequence[tuple[ArrayLike, float, float, float]], lift: ArrayL
 
 
 def split(surface: Surface, field: Field) -> tuple[Surface, Surface]:
-    """``surface`` cut along ``field`` = 0: the part inside (negative) and the part outside, sharing the cut's points."""
+    """``surface`` cut along ``field`` = 0: inside (negative) and outside, sharing the cut's points."""
     value = field(surface.points)
     value = np.where(np.abs(value) < 1e-5, 1e-5, value)
     inside = value < 0
@@ -265,7 +265,7 @@ def outer_hull(points: Array, angle: float = 14.0) -> Surface:
     inner = np.append(points.min(0) / 2 + points.max(0) / 2, 0)[:3]
     corners = HalfspaceIntersection(np.column_stack([normals, -support]), inner).intersections
     corners = np.unique(np.round(corners, 5), axis=0)
-    return convex(corners, crease=1.0)
+    return convex(corners, crease=180.0)  # one vertex per corner
 
 
 def _spread_normals(points: Array, angle: float) -> Array:

@@ -10,7 +10,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-
 from vehsim.assets.generate._shapes import (
     Array,
     Field,
@@ -276,7 +275,7 @@ def landing_gear() -> dict[str, Surface]:
         ]
         path += [[x, -p[1], p[2]] for p in path[-2::-1]]
         tubes.append(tube(path, 0.042, 12, 40))
-    saddles = join(*(tube([[x - 0.11, 1.10, 0.047], [x + 0.11, 1.10, 0.047]], 0.06, 12) for x in (1.15, -0.72)))
+    saddles = join(*(tube([[x - 0.11, 1.10, 0.049], [x + 0.11, 1.10, 0.049]], 0.048, 12) for x in (1.15, -0.72)))
     step = box([1.25, 0.16, 0.035], [1.10, 0.97, 0.43], 0.012)
     brackets = join(*(tube([[x, 0.97, 0.43], [x, 0.80, 0.56], [x, 0.70, 0.66]], 0.018, 8, 8) for x in (0.75, 1.5)))
     return by_material(
