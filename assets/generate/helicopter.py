@@ -27,7 +27,7 @@ from vehsim.assets.generate._shapes import (
     tube,
     wing,
 )
-from vehsim.assets.generate._usd import Material, PartShape, triangles, write_asset
+from vehsim.assets.generate._usd import Material, PartShape, by_material, painted, triangles, write_asset
 
 HUB = np.array([0.0, 0.0, 3.06])
 RADIUS, CHORD, BLADES, CONING = 5.35, 0.35, 3, np.radians(2.5)
@@ -64,27 +64,12 @@ def main() -> None:
 
 def build() -> dict[str, PartShape]:
     """The helicopter's parts by name: fuselage, main rotor, tail rotor."""
-    look = by_material(hull(), cowling(), fin(), stabiliser(), landing_gear(), mast(), fittings())
+    look = by_material(MATERIALS, hull(), cowling(), fin(), stabiliser(), landing_gear(), mast(), fittings())
     return {
         "fuselage": PartShape(look=look, collision=fuselage_hulls(look)),
         "main_rotor": PartShape(tuple(HUB), main_rotor(), {"disc": main_disc()}),
         "tail_rotor": PartShape(tuple(TAIL_HUB), tail_rotor(), {"disc": tail_disc()}),
     }
-
-
-def by_material(*looks: dict[str, Surface]) -> dict[str, Surface]:
-    """All looks as one: one surface per material."""
-    names = [name for name in MATERIALS if any(name in look for look in looks)]
-    return {name: join(*(look[name] for look in looks if name in look)) for name in names}
-
-
-def painted(surface: Surface, coats: list[tuple[str, Field]], rest: str) -> dict[str, Surface]:
-    """``surface`` cut into materials: each coat takes what is inside its field, ``rest`` what no coat took."""
-    looks = []
-    for name, field in coats:
-        inside, surface = split(surface, field)
-        looks.append({name: inside})
-    return by_material(*(look for look in [*looks, {rest: surface}] if len(next(iter(look.values())).faces)))
 
 
 # ---------------------------------------------------------------- fuselage
@@ -135,7 +120,7 @@ def livery(surface: Surface, coats: list[tuple[str, Field]]) -> dict[str, Surfac
         ("blue", lambda p: p[:, 2] - STRIPE(p[:, 0])),
         ("gold", lambda p: p[:, 2] - STRIPE(p[:, 0]) - 0.075),
     ]
-    return painted(surface, [*coats, *lines], "white")
+    return painted(MATERIALS, surface, [*coats, *lines], "white")
 
 
 def hull() -> dict[str, Surface]:
@@ -153,7 +138,7 @@ def hull() -> dict[str, Surface]:
         skin = join(skin, within)
     coats: list[tuple[str, Field]] = [("glass", pane) for pane in panes]
     coats += [("seal", lambda p, pane=pane: pane(p) - 0.018) for pane in panes]
-    return by_material(livery(skin, coats), {"seal": join(*lines)})
+    return by_material(MATERIALS, livery(skin, coats), {"seal": join(*lines)})
 
 
 def windows() -> list[Field]:
@@ -212,7 +197,7 @@ def cowling() -> dict[str, Surface]:
     tilt = np.arctan2(0.12, 0.56)
     turn = np.array([[np.cos(tilt), 0, np.sin(tilt)], [0, 1, 0], [-np.sin(tilt), 0, np.cos(tilt)]])
     bore = bore.turned(turn).moved([-2.8635, 0, 2.5205])
-    return by_material(livery(skin, coats), {"steel": pipe}, {"dark": bore})
+    return by_material(MATERIALS, livery(skin, coats), {"steel": pipe}, {"dark": bore})
 
 
 def fin() -> dict[str, Surface]:
@@ -229,7 +214,12 @@ def fin() -> dict[str, Surface]:
     guard = tube([[-6.72, 0, 1.12], [-6.85, 0, 0.98], [-7.05, 0, 0.93], [-7.22, 0, 0.98]], 0.022, 8, 14)
     cap = both(lambda p: 2.78 - p[:, 2] + 0.25 * (p[:, 0] + 6.7))
     band = both(lambda p: 2.71 - p[:, 2] + 0.25 * (p[:, 0] + 6.7))
-    return by_material(painted(upper, [("white", cap), ("gold", band)], "blue"), {"blue": lower}, {"metal": guard})
+    return by_material(
+        MATERIALS,
+        painted(MATERIALS, upper, [("white", cap), ("gold", band)], "blue"),
+        {"blue": lower},
+        {"metal": guard},
+    )
 
 
 def stabiliser() -> dict[str, Surface]:
@@ -244,6 +234,7 @@ def stabiliser() -> dict[str, Surface]:
     )
     light = revolve([(0.0, 0.06), (0.018, 0.05), (0.028, 0.0), (0.018, -0.05), (0.0, -0.06)], 10, "x")
     return by_material(
+        MATERIALS,
         {"blue": plane},
         {"white": plate.pair()},
         {"red": light.moved([x + 0.08, half + 0.03, z]), "green": light.moved([x + 0.08, -half - 0.03, z])},
@@ -279,6 +270,7 @@ def landing_gear() -> dict[str, Surface]:
     step = box([1.25, 0.16, 0.035], [1.10, 0.97, 0.43], 0.012)
     brackets = join(*(tube([[x, 0.97, 0.43], [x, 0.80, 0.56], [x, 0.70, 0.66]], 0.018, 8, 8) for x in (0.75, 1.5)))
     return by_material(
+        MATERIALS,
         {"dark": join(skid.pair(), *tubes, saddles.pair(), step.pair(), brackets.pair())},
         {"steel": shoe.pair()},
     )
@@ -292,7 +284,7 @@ def mast() -> dict[str, Surface]:
     for turn in np.radians([30, 150, 270]):
         c, s = np.cos(turn), np.sin(turn)
         rods.append(tube([[0.24 * c, 0.24 * s, 2.6], [0.165 * c, 0.165 * s, 2.81]], 0.018, 8))
-    return by_material({"white": fairing}, {"metal": plate}, {"steel": join(*rods)})
+    return by_material(MATERIALS, {"white": fairing}, {"metal": plate}, {"steel": join(*rods)})
 
 
 def fittings() -> dict[str, Surface]:
@@ -322,6 +314,7 @@ def fittings() -> dict[str, Surface]:
     )
     axle = tube([[-6.35, 0.1, 2.12], [-6.35, 0.30, 2.12]], [0.06, 0.035], 14)
     return by_material(
+        MATERIALS,
         {"dark": join(*handles, belly, whip), "metal": join(pitot, gearbox, axle)},
         {"red": beacon, "lamp": lamp, "blue": shaft},
     )
@@ -356,6 +349,7 @@ def main_rotor() -> dict[str, Surface]:
         [(0.0, -0.245), (0.15, -0.245), (0.165, -0.235), (0.165, -0.215), (0.15, -0.205), (0.0, -0.205)], 24
     )
     return by_material(
+        MATERIALS,
         {"blade": join(*blades), "tip": join(*tips), "steel": join(*cuffs, head), "metal": join(shaft, swash, *links)},
         {"dark": cap},
         {
@@ -409,6 +403,7 @@ def tail_rotor() -> dict[str, Surface]:
     hub = revolve([(0.0, -0.09), (0.045, -0.085), (0.06, -0.03), (0.06, 0.04), (0.035, 0.075), (0.0, 0.085)], 16, "y")
     yoke = box([0.085, 0.045, 0.36], bevel=0.012)
     return by_material(
+        MATERIALS,
         double,
         {"steel": join(hub, yoke)},
         {"blur": blur([0.25, 0.80], 0.0, 40, "y"), "blur_tip": blur([0.80, TAIL_RADIUS], 0.0, 40, "y")},

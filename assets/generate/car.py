@@ -1,0 +1,409 @@
+"""The car: `python assets/generate/car.py` writes `assets/vehicles/car/car.usdc`.
+
+A compact two-door coupe: 4.3 m long, 1.8 m wide, 1.35 m high, wheelbase 2.6 m. X forward, Y left, Z up; the root
+stands on the ground midway between the axles. Wheels turn about Y; the front ones ride on parts that steer about Z.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from scipy.interpolate import BSpline
+from vehsim.assets.generate._shapes import (
+    Array,
+    Field,
+    Surface,
+    both,
+    box,
+    convex,
+    curve,
+    join,
+    lattice,
+    outer_hull,
+    polygon,
+    revolve,
+    split,
+    tube,
+)
+from vehsim.assets.generate._usd import Material, PartShape, by_material, painted, triangles, write_asset
+
+AXLE, HALF_TRACK, RADIUS, WIDTH = 1.30, 0.77, 0.32, 0.215
+ARCH = 0.372
+STEER_LIMIT = np.radians(40.0)  # the inner wheel of the tightest Ackermann turn
+
+MATERIALS = {
+    "paint": Material((0.42, 0.012, 0.012), roughness=0.22, metallic=0.2, clearcoat=1.0),
+    "glass": Material((0.012, 0.016, 0.02), roughness=0.04, clearcoat=1.0),
+    "seal": Material((0.012, 0.012, 0.013), roughness=0.65),
+    "trim": Material((0.03, 0.031, 0.033), roughness=0.55),
+    "lamp": Material((0.75, 0.78, 0.82), roughness=0.08, clearcoat=1.0, glow=(0.15, 0.15, 0.16)),
+    "tail_lamp": Material((0.32, 0.005, 0.008), roughness=0.12, clearcoat=1.0, glow=(0.16, 0.0, 0.0)),
+    "plate": Material((0.72, 0.72, 0.68), roughness=0.5),
+    "tyre": Material((0.018, 0.018, 0.019), roughness=0.85),
+    "rim": Material((0.55, 0.56, 0.58), roughness=0.28, metallic=0.85),
+    "disc": Material((0.20, 0.20, 0.21), roughness=0.45, metallic=0.8),
+    "chrome": Material((0.62, 0.63, 0.65), roughness=0.15, metallic=1.0),
+}
+
+
+def main() -> None:
+    out = Path(__file__).parents[1] / "vehicles" / "car" / "car.usdc"
+    parts = build()
+    write_asset(out, parts, MATERIALS, "Compact coupe. X forward, Y left, Z up; root on the ground between the axles.")
+    print(f"{out.name}: {triangles(parts)} triangles, {out.stat().st_size / 1e6:.2f} MB")
+
+
+def build() -> dict[str, PartShape]:
+    """The car's parts by name: body, rear wheels, and steered front wheels."""
+    look = by_material(MATERIALS, shell(), cabin(), wheel_wells(), fittings())
+    parts = {"body": PartShape(look=look, collision=body_hulls(look))}
+    for side, y in (("l", HALF_TRACK), ("r", -HALF_TRACK)):
+        left = wheel()
+        spun = left if side == "l" else {name: s.mirrored() for name, s in left.items()}
+        parts[f"wheel_r{side}"] = PartShape((-AXLE, y, RADIUS), spun, {"hull": wheel_hull(0.0)})
+        front = PartShape((0.0, 0.0, 0.0), spun, {"hull": wheel_hull(STEER_LIMIT)})
+        parts[f"steer_f{side}"] = PartShape((AXLE, y, RADIUS), parts={f"wheel_f{side}": front})
+    return parts
+
+
+# ---------------------------------------------------------------- body
+
+
+def sections(xs: Array, rows: list, around: int) -> Array:
+    """Closed sections (m, around, 3): per x, a cubic B-spline over the points ``rows`` (y(x), z(x)) and their mirror."""
+    result = []
+    for x in xs:
+        half = np.array([[float(y(x)), float(z(x))] for y, z in rows])
+        loop = np.concatenate([half, half[-2:0:-1] * [-1, 1]])
+        n = len(loop)
+        spline = BSpline(np.arange(-3, n + 4), np.concatenate([loop[-1:], loop, loop[:2]]), 3)
+        dense = spline(np.linspace(0, n / 2, 300))
+        s = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(dense, axis=0), axis=1))])
+        even = np.linspace(0, s[-1], around // 2 + 1)
+        y, z = np.interp(even, s, dense[:, 0]), np.interp(even, s, dense[:, 1])
+        y[[0, -1]] = 0.0
+        y, z = np.concatenate([y, -y[-2:0:-1]]), np.concatenate([z, z[-2:0:-1]])
+        result.append(np.stack([np.full(len(y), x), y, z], 1))
+    return np.array(result)
+
+
+HALF_WIDTH = curve(
+    [2.15, 2.13, 2.08, 1.98, 1.8, 1.5, 1.2, 0.6, 0.0, -0.6, -1.2, -1.6, -1.9, -2.05, -2.12, -2.15],
+    [0.46, 0.60, 0.70, 0.79, 0.86, 0.91, 0.925, 0.905, 0.90, 0.915, 0.94, 0.925, 0.87, 0.80, 0.72, 0.60],
+)
+FLOOR = curve(
+    [2.15, 2.12, 2.05, 1.9, 0.0, -1.7, -2.0, -2.12, -2.15], [0.36, 0.27, 0.22, 0.185, 0.175, 0.20, 0.25, 0.33, 0.42]
+)
+SHOULDER = curve(
+    [2.15, 2.12, 2.04, 1.9, 1.6, 1.3, 0.9, 0.3, -0.4, -1.0, -1.4, -1.8, -2.02, -2.12, -2.15],
+    [0.49, 0.56, 0.63, 0.70, 0.775, 0.81, 0.825, 0.845, 0.88, 0.925, 0.945, 0.945, 0.925, 0.87, 0.78],
+)
+CENTRE = curve(
+    [2.15, 2.12, 2.04, 1.9, 1.6, 1.3, 0.9, 0.3, -1.2, -1.7, -1.95, -2.06, -2.12, -2.15],
+    [0.51, 0.585, 0.655, 0.715, 0.79, 0.835, 0.87, 0.87, 0.90, 0.955, 0.985, 0.965, 0.89, 0.79],
+)
+
+
+def _scaled(profile, factor: float, offset: float = 0.0):
+    return lambda x: factor * profile(x) + offset
+
+
+def _between(a, b, t: float):
+    return lambda x: (1 - t) * a(x) + t * b(x)
+
+
+def shell_sections(xs: Array, around: int = 72) -> Array:
+    w, zero = HALF_WIDTH, lambda x: 0.0
+    rows = [
+        (zero, FLOOR),
+        (_scaled(w, 0.55), FLOOR),
+        (_scaled(w, 0.93), FLOOR),
+        (_scaled(w, 0.975), _between(FLOOR, SHOULDER, 0.14)),
+        (_scaled(w, 0.965), _between(FLOOR, SHOULDER, 0.42)),
+        (_scaled(w, 1.02), _between(FLOOR, SHOULDER, 0.72)),
+        (_scaled(w, 1.00), _between(FLOOR, SHOULDER, 0.95)),
+        (_scaled(w, 0.93), _scaled(SHOULDER, 1.0, 0.015)),
+        (_scaled(w, 0.80), _between(SHOULDER, CENTRE, 0.15)),
+        (_scaled(w, 0.45), _between(SHOULDER, CENTRE, 0.9)),
+        (zero, CENTRE),
+    ]
+    return sections(xs, rows, around)
+
+
+def shell() -> dict[str, Surface]:
+    """The painted body below the glass, with wheel arches cut out, lamps, grille, seams and sills cut in."""
+    ends = 0.25 * (1 - np.cos(np.linspace(0, np.pi / 2, 9)))
+    xs = np.concatenate([2.15 - ends, np.arange(1.85, -1.86, -0.055), (-2.15 + ends)[::-1]])
+    skin = lattice(shell_sections(xs), crease=50)
+    for x in (AXLE, -AXLE):
+        _, skin = split(skin, arch(x, ARCH))
+    lines = []
+    seams: list[Field] = [
+        polygon([(0.72, 0.30), (0.80, 0.86), (0.70, 1.2), (-0.52, 1.2), (-0.55, 0.62), (-0.42, 0.30)], 0.06),
+        both(polygon([(2.02, -0.66), (2.02, 0.66), (0.80, 0.80), (0.80, -0.80)], 0.1, (0, 1)), lambda p: 0.5 - p[:, 2]),
+        both(
+            polygon([(-1.72, -0.62), (-1.72, 0.62), (-2.6, 0.66), (-2.6, -0.66)], 0.06, (0, 1)),
+            lambda p: 0.62 - p[:, 2],
+        ),
+        lambda p: p[:, 0] + 1.86 + 0.5 * (p[:, 2] > 0.66),
+    ]
+    for seam in seams:
+        within, skin = split(skin, lambda p, s=seam: s(p) - 0.004)
+        within, line = split(within, lambda p, s=seam: s(p) + 0.004)
+        lines.append(line)
+        skin = join(skin, within)
+    ahead, behind = (lambda p: 1.2 - p[:, 0]), (lambda p: p[:, 0] + 1.7)
+
+    def mirrored(field: Field) -> Field:
+        return lambda p: field(np.column_stack([p[:, 0], np.abs(p[:, 1]), p[:, 2]]))
+
+    lamp = mirrored(
+        both(
+            polygon(
+                [(0.44, 0.565), (0.46, 0.615), (0.80, 0.72), (0.88, 0.70), (0.80, 0.60), (0.62, 0.555)], 0.02, (1, 2)
+            ),
+            ahead,
+        )
+    )
+    tail = mirrored(
+        both(polygon([(0.34, 0.83), (0.34, 0.775), (0.62, 0.73), (0.95, 0.73), (0.95, 0.82)], 0.02, (1, 2)), behind)
+    )
+    band = both(polygon([(-0.34, 0.815), (-0.34, 0.785), (0.34, 0.785), (0.34, 0.815)], 0.0, (1, 2)), behind)
+    grille = both(polygon([(-0.52, 0.245), (0.52, 0.245), (0.44, 0.40), (-0.44, 0.40)], 0.05, (1, 2)), ahead)
+    vents = mirrored(both(polygon([(0.60, 0.29), (0.78, 0.31), (0.78, 0.45), (0.66, 0.42)], 0.03, (1, 2)), ahead))
+    slot = both(polygon([(-0.36, 0.49), (0.36, 0.49), (0.36, 0.525), (-0.36, 0.525)], 0.015, (1, 2)), ahead)
+    diffuser = both(polygon([(-0.62, 0.1), (0.62, 0.1), (0.54, 0.40), (-0.54, 0.40)], 0.05, (1, 2)), behind)
+    coats: list[tuple[str, Field]] = [
+        ("lamp", lamp),
+        ("tail_lamp", tail),
+        ("tail_lamp", band),
+        ("trim", lambda p: np.minimum(lamp(p), tail(p)) - 0.012),
+        *(("trim", f) for f in (grille, vents, slot, diffuser)),
+        *(("trim", arch(x, ARCH + 0.014)) for x in (AXLE, -AXLE)),
+        ("trim", lambda p: p[:, 2] - 0.235),
+    ]
+    return by_material(MATERIALS, painted(MATERIALS, skin, coats, "paint"), {"seal": join(*lines)})
+
+
+def arch(x: float, radius: float) -> Field:
+    """Inside the wheel arch at ``x``: a cylinder about the wheel's axle, outboard of the chassis."""
+    return both(lambda p: np.hypot(p[:, 0] - x, p[:, 2] - RADIUS) - radius, lambda p: 0.5 - np.abs(p[:, 1]))
+
+
+ROOF = curve(
+    [1.06, 0.9, 0.7, 0.45, 0.2, 0.0, -0.25, -0.55, -0.9, -1.25, -1.55, -1.8, -1.95],
+    [0.80, 0.905, 1.02, 1.155, 1.265, 1.32, 1.35, 1.35, 1.305, 1.215, 1.11, 1.01, 0.93],
+)
+RAIL = curve([1.06, 0.7, 0.2, -0.3, -0.9, -1.5, -1.95], [0.66, 0.665, 0.60, 0.585, 0.575, 0.56, 0.52])
+BELT = curve([1.06, 0.7, 0.2, -0.4, -0.9, -1.4, -1.95], [0.70, 0.775, 0.80, 0.80, 0.79, 0.72, 0.56])
+
+
+def cabin() -> dict[str, Surface]:
+    """The greenhouse: screens and side windows cut into a painted roof."""
+    crown = curve([1.06, 0.5, -0.3, -1.0, -1.95], [0.02, 0.05, 0.045, 0.05, 0.02])
+    zero = lambda x: 0.0  # noqa: E731
+    low = lambda x: np.minimum(SHOULDER(x) - 0.05, ROOF(x) - 0.02)  # noqa: E731
+    edge = lambda x: np.maximum(ROOF(x) - crown(x), low(x))  # noqa: E731
+    rows = [
+        (zero, lambda x: low(x) - 0.15),
+        (_scaled(BELT, 0.95), lambda x: low(x) - 0.12),
+        (BELT, low),
+        (_between(BELT, RAIL, 0.35), _between(low, edge, 0.4)),
+        (_scaled(RAIL, 1.0, 0.035), _between(low, edge, 0.84)),
+        (_scaled(RAIL, 1.0, 0.0), _between(low, edge, 1.03)),
+        (_scaled(RAIL, 0.86), _between(edge, ROOF, 0.35)),
+        (_scaled(RAIL, 0.45), _between(edge, ROOF, 0.95)),
+        (zero, ROOF),
+    ]
+    xs = np.concatenate([np.arange(1.06, -1.9, -0.05), [-1.95]])
+    skin = lattice(sections(xs, rows, 64), crease=50)
+    inner = lambda p: np.abs(p[:, 1]) - RAIL(p[:, 0]) + 0.035  # noqa: E731
+    windscreen = both(inner, lambda p: 0.16 - p[:, 0] + 0.05 * p[:, 1] ** 2, blend=0.06)
+    backlight = both(inner, lambda p: p[:, 0] + 0.95, lambda p: -1.72 - p[:, 0], blend=0.08)
+    side = both(
+        polygon(
+            [
+                (0.83, 0.885),
+                (0.12, 1.245),
+                (-0.25, 1.285),
+                (-0.62, 1.275),
+                (-1.02, 1.18),
+                (-1.34, 1.005),
+                (-1.30, 0.975),
+                (0.0, 0.885),
+            ],
+            0.03,
+        ),
+        lambda p: 0.45 - np.abs(p[:, 1]),
+    )
+    post, side_panes = lambda p: np.abs(p[:, 0] + 0.56 + 0.12 * (p[:, 2] - 0.9)) - 0.03, side
+    panes: list[Field] = [windscreen, backlight, lambda p: np.maximum(side_panes(p), -post(p))]
+    coats: list[tuple[str, Field]] = [("glass", pane) for pane in panes]
+    coats += [("seal", lambda p, f=f: f(p) - 0.018) for f in (windscreen, backlight, side)]
+    return painted(MATERIALS, skin, coats, "paint")
+
+
+def side_of_shell(x: float, z: float) -> float:
+    """Half width of the shell at height ``z`` in the section at ``x``."""
+    section = shell_sections(np.array([x]), 240)[0]
+    right = section[section[:, 1] >= 0]
+    outer = right[np.argsort(right[:, 2])]
+    near = outer[np.abs(outer[:, 2] - z) < 0.03]
+    return float(near[:, 1].max()) if len(near) else 0.6
+
+
+def wheel_wells() -> dict[str, Surface]:
+    """The inside of the four wheel arches: dark liners from the chassis out to the body's skin."""
+    wells = []
+    for x in (AXLE, -AXLE):
+        turn = np.linspace(-0.42, np.pi + 0.42, 32)
+        rim = np.stack([x + ARCH * np.cos(turn), RADIUS + ARCH * np.sin(turn)], 1)
+        outer = np.array([[px, side_of_shell(px, pz) - 0.004, pz] for px, pz in rim])
+        inner = np.column_stack([rim[:, 0], np.full(len(rim), 0.5), rim[:, 1]])
+        wall = np.column_stack([np.full(len(rim), x), np.full(len(rim), 0.5), np.full(len(rim), RADIUS)])
+        wells.append(lattice([outer, inner, wall], wrap=False, crease=30))
+    liner = join(*wells)
+    a, b, c = (liner.points[liner.faces[:, k]] for k in range(3))
+    to_axle = np.array([0, 0.8, RADIUS]) + np.where(a[:, :1] > 0, AXLE, -AXLE) * np.array([1.0, 0, 0]) - a
+    if np.einsum("ij,ij->", np.cross(b - a, c - a), to_axle) < 0:
+        liner = Surface(liner.points, -liner.normals, liner.faces[:, ::-1])
+    return {"seal": liner.pair()}
+
+
+def fittings() -> dict[str, Surface]:
+    """Mirrors, handles, plates, wipers, exhausts and the aerial fin."""
+    ball = revolve(
+        [(0.0, -1.0), (0.4, -0.9), (0.75, -0.62), (0.95, -0.25), (1.0, 0.1), (0.9, 0.5), (0.6, 0.85), (0.0, 1.0)],
+        18,
+        "x",
+    )
+    mirror = Surface(ball.points * [0.09, 0.105, 0.065], ball.normals, ball.faces).moved([0.66, 0.93, 0.955])
+    stalk = tube([[0.68, 0.76, 0.90], [0.67, 0.88, 0.935]], 0.02, 8)
+    glass = box([0.006, 0.16, 0.09], [0.585, 0.93, 0.955], 0.002)
+    handle = box([0.17, 0.022, 0.025], [-0.33, 0.905, 0.765], 0.008)
+    plates = join(
+        box([0.012, 0.46, 0.105], [2.145, 0, 0.445], 0.003), box([0.012, 0.46, 0.105], [-2.15, 0, 0.60], 0.003)
+    )
+    pipes = join(*(tube([[-1.95, y, 0.285], [-2.165, y, 0.285]], 0.045, 16) for y in (-0.42, 0.42)))
+    bores = join(*(tube([[-2.10, y, 0.285], [-2.167, y, 0.285]], 0.036, 14) for y in (-0.42, 0.42)))
+    fin = convex(
+        np.array(
+            [
+                [-1.02, 0.018, 1.27],
+                [-1.02, -0.018, 1.27],
+                [-1.22, 0.025, 1.20],
+                [-1.22, -0.025, 1.20],
+                [-1.21, 0.004, 1.315],
+                [-1.21, -0.004, 1.315],
+            ]
+        )
+    )
+    return by_material(
+        MATERIALS,
+        {"paint": join(mirror.pair(), handle.pair(), fin)},
+        {"trim": join(stalk.pair(), bores)},
+        {"glass": glass.pair(), "plate": plates, "chrome": pipes},
+    )
+
+
+# ---------------------------------------------------------------- wheels
+
+
+def wheel() -> dict[str, Surface]:
+    """A left wheel about its own centre: tyre, rim with five twin spokes, brake disc. Outboard is +Y."""
+    h, r = WIDTH / 2, RADIUS
+    tread = [
+        (0.222, -h + 0.012),
+        (0.25, -h),
+        (0.285, -h),
+        (0.308, -h + 0.012),
+        (r - 0.002, -h + 0.035),
+        (r, -0.04),
+        (r, 0.04),
+    ]
+    tread += [(r - 0.002, h - 0.035), (0.308, h - 0.012), (0.285, h), (0.25, h), (0.222, h - 0.012)]
+    tyre = _ring(tread, 48)
+    barrel = _ring(
+        [
+            (0.226, -h + 0.01),
+            (0.226, h - 0.012),
+            (0.218, h - 0.004),
+            (0.204, h - 0.012),
+            (0.200, h - 0.03),
+            (0.200, -h + 0.01),
+        ],
+        48,
+    )
+    spokes = []
+    for k in range(5):
+        for lean in (-0.13, 0.13):
+            a, b = 2 * np.pi * k / 5 + 0.35 * lean, 2 * np.pi * k / 5 + lean
+            inner = np.array([0.045 * np.cos(a), h - 0.035, 0.045 * np.sin(a)])
+            outer = np.array([0.206 * np.cos(b), h - 0.016, 0.206 * np.sin(b)])
+            across = np.array([-np.sin(b), 0.0, np.cos(b)])
+            deep = np.array([0.0, 0.016, 0.0])
+            corners = [
+                p + s * wd * across + t * deep
+                for p, wd in ((inner, 0.014), (outer, 0.019))
+                for s in (-1, 1)
+                for t in (-1.2, 0)
+            ]
+            corners += [
+                p + s * wd * 0.55 * across + deep * 0.35 for p, wd in ((inner, 0.014), (outer, 0.019)) for s in (-1, 1)
+            ]
+            spokes.append(convex(np.array(corners)))
+    hub = revolve(
+        [(0.0, h - 0.07), (0.062, h - 0.07), (0.062, h - 0.025), (0.05, h - 0.016), (0.0, h - 0.014)], 24, "y"
+    )
+    nuts = join(
+        *(
+            revolve([(0.0, h - 0.03), (0.008, h - 0.03), (0.008, h - 0.01), (0.0, h - 0.01)], 6, "y").moved(
+                [0.034 * np.cos(t), 0, 0.034 * np.sin(t)]
+            )
+            for t in np.linspace(0, 2 * np.pi, 5, endpoint=False)
+        )
+    )
+    disc = revolve([(0.0, 0.0), (0.155, 0.0), (0.155, 0.022), (0.0, 0.022)], 32, "y")
+    back = revolve([(0.0, -0.075), (0.20, -0.075), (0.20, -0.06), (0.0, -0.06)], 32, "y")
+    return by_material(
+        MATERIALS, {"tyre": tyre, "rim": join(barrel, hub, *spokes), "trim": join(back, nuts), "disc": disc}
+    )
+
+
+def _ring(profile: list, sides: int) -> Surface:
+    """A closed ``profile`` of (radius, y) turned about Y."""
+    turn = np.linspace(0, 2 * np.pi, sides, endpoint=False)
+    around = np.stack([np.cos(turn), np.zeros(sides), np.sin(turn)], 1)
+    loop = np.array([*profile, profile[0]])
+    surface = lattice(loop[:, None, :1] * around + loop[:, None, 1:] * np.array([0, 1.0, 0]), caps=False)
+    a, b, c = (surface.points[surface.faces[:, k]] for k in range(3))
+    inward = np.einsum("ij,ij->", a, np.cross(b, c)) < 0
+    return Surface(surface.points, -surface.normals, surface.faces[:, ::-1]) if inward else surface
+
+
+# ---------------------------------------------------------------- collision
+
+
+def body_hulls(look: dict[str, Surface]) -> dict[str, Surface]:
+    """Two hulls that together hold every triangle of the body: each goes whole to the cabin or to the shell."""
+    everything = join(*look.values())
+    high = everything.points[everything.faces].mean(1)[:, 2] > 0.97
+    regions = {"cabin": high, "shell": ~high}
+    return {n: outer_hull(everything.points[np.unique(everything.faces[r])], 12.0) for n, r in regions.items()}
+
+
+def wheel_hull(steer: float) -> Surface:
+    """A wheel as a prism about it; swept over its steering angles when it steers, for the hulls do not move."""
+    r, h, sides = RADIUS, WIDTH / 2 + 0.002, 24
+    turn = (np.arange(sides) + 0.5) * 2 * np.pi / sides
+    ring = np.stack([np.cos(turn), np.zeros(sides), np.sin(turn)], 1) * r / np.cos(np.pi / sides)
+    ring[:, 2] = np.clip(ring[:, 2], -r, r)
+    prism = np.concatenate([ring + [0, h, 0], ring - [0, h, 0]])
+    c, s = np.cos(steer), np.sin(steer)
+    swept = [prism @ np.array([[c, -k * s, 0], [k * s, c, 0], [0, 0, 1]]) for k in (-1, 0, 1)]
+    return convex(np.concatenate(swept) if steer else prism, crease=180.0)
+
+
+if __name__ == "__main__":
+    main()
