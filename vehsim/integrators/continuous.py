@@ -1,8 +1,4 @@
-"""The continuous equations of motion, from the same definition: what discrete motion is judged against.
-
-Reduced Lagrange-d'Alembert (LIE eq. 8-9 for one body; with constraints and joints in general): along the free
-velocities ``d/dt dl/dxi - ad*_xi dl/dxi - f`` vanishes, and so does the joints' equation lifted by the connection.
-"""
+"""The continuous equations of motion, from the same definition: what discrete motion is judged against."""
 
 from __future__ import annotations
 
@@ -14,7 +10,7 @@ import numpy as np
 from vehsim.integrators.discrete import DiscreteMechanics
 from vehsim.vehicles import Vehicle
 from vehsim.vehicles._base import Array
-from vehsim.vehicles.mechanics import free_velocity, momentum, project, shape_gradient
+from vehsim.vehicles.mechanics import acceleration, free_velocity
 
 
 @lru_cache(maxsize=32)
@@ -26,22 +22,13 @@ def equations_of_motion(vehicle: Vehicle) -> ca.Function:
     m = DiscreteMechanics(vehicle)
     y = m.symbols
     g, r, z, c, wind = y["g"], y["r"], y["z"], y["c0"], y["wind"]
-    c_rate, z_dot = ca.SX.sym("c_rate", c.shape[0]), ca.SX.sym("z_dot", z.shape[0])
-
+    c_rate = ca.SX.sym("c_rate", c.shape[0])
     u, xi = free_velocity(vehicle, r, z, m.driven(c))
-    on_joints, on_group = momentum(vehicle, r, u, xi)
-    state, rates = ca.vertcat(r, z, c), ca.vertcat(u, z_dot, c_rate)
-    joint_force, group_force = vehicle.force(g, r, u, xi, c, wind)
+    z_dot = acceleration(vehicle, g, r, z, c, c_rate, wind)
     group = vehicle.group
-    joints = ca.jtimes(on_joints, state, rates) - shape_gradient(vehicle, r, u, xi) - joint_force
-    body = ca.jtimes(on_group, state, rates) - group.ad(xi).T @ on_group - group_force
-    balance = project(vehicle, r, joints, body)
-    mass, rest = ca.jacobian(balance, z_dot), ca.substitute([balance], [z_dot], [ca.SX.zeros(*z_dot.shape)])[0]
-    acceleration = -ca.solve(mass, rest) if z.shape[0] else z_dot
-
     t = ca.SX.sym("t")
     flow = ca.substitute([ca.jacobian(group.compose(g, group.exp(t * xi)), t)], [t], [ca.SX.zeros(1)])[0]
-    return ca.Function("equations_of_motion", [g, r, z, c, c_rate, wind], [flow, u, acceleration])
+    return ca.Function("equations_of_motion", [g, r, z, c, c_rate, wind], [flow, u, z_dot])
 
 
 def execute(

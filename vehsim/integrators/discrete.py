@@ -22,7 +22,17 @@ import casadi as ca
 from vehsim.errors import InputError
 from vehsim.lie import SO3, difference_map
 from vehsim.vehicles import Vehicle
-from vehsim.vehicles.mechanics import Expr, free_velocity, momentum, project, shape_gradient
+from vehsim.vehicles.mechanics import (
+    Expr,
+    conservative,
+    driven_rates,
+    free_size,
+    free_velocity,
+    momentum,
+    project,
+    shape_gradient,
+)
+from vehsim.vehicles.states import shift_twist
 
 QUADRATURES: dict[str, tuple[float, float]] = {
     "galerkin": (1 / 3, 1 / 6),  # exact for forces linear between knots
@@ -52,8 +62,7 @@ class DiscreteMechanics:
     def sizes(self) -> tuple[int, int, int, int]:
         """(group coordinates, joints, segment velocity, controls)."""
         v = self.vehicle
-        free = v.basis(ca.SX.sym("r", len(v.joints))).shape[1]
-        return v.group.size, len(v.joints), free + len(v.dynamic), len(v.controls)
+        return v.group.size, len(v.joints), free_size(v), len(v.controls)
 
     @cached_property
     def symbols(self) -> dict[str, Expr]:
@@ -63,10 +72,7 @@ class DiscreteMechanics:
 
     def driven(self, c: Expr) -> Expr:
         """Joint rates (s,) that rate controls set, zero for the dynamic joints."""
-        rates = ca.SX(len(self.vehicle.joints), 1)
-        for joint, control in self.vehicle.driven:
-            rates[joint] = c[control]
-        return rates
+        return driven_rates(self.vehicle, c)
 
     @cached_property
     def segment(self) -> dict[str, Expr]:
@@ -83,8 +89,10 @@ class DiscreteMechanics:
 
         start, end = v.force(g, r, u, xi, c0, wind), v.force(g1, r1, u, xi, c1, wind)
         near, far = QUADRATURES[self.quadrature]
-        before = [h * (near * a + far * b) for a, b in zip(start, end, strict=True)]
-        after = [h * (far * a + near * b) for a, b in zip(start, end, strict=True)]
+        # forces of a potential stay variational: half of each end's impulse at that end, whatever the quadrature
+        steady, steady1 = conservative(v, g, r), conservative(v, g1, r1)
+        before = [h * (near * a + far * b + p / 2) for a, b, p in zip(start, end, steady, strict=True)]
+        after = [h * (far * a + near * b + p / 2) for a, b, p in zip(start, end, steady1, strict=True)]
         left = project(v, r, on_joints - h / 2 * shape - before[0], tau.C(h * xi).T @ on_group - before[1])
         right = project(v, r1, on_joints + h / 2 * shape + after[0], tau.C(-h * xi).T @ on_group + after[1])
         return {"left": left, "right": right, "g1": g1, "r1": r1}
@@ -156,13 +164,6 @@ class DiscreteMechanics:
         root = ca.vertcat(pose[0:3] - SO3.matrix(pose[3:7]) @ ca.DM(v.origin), pose[3:7])
         twist = shift_twist(v.group.velocity_to_body(g, xi), -v.origin)
         return ca.Function("root_state", [g, y["r"], y["pi"], y["c0"]], [root, twist, y["r"], u])
-
-
-def shift_twist(twist: Expr, offset: Expr) -> Expr:
-    """A body twist (3,) or (6,) moved to the point ``offset`` (3,) in the same axes; SO(3) has nothing to move."""
-    if twist.shape[0] == 6:
-        return ca.vertcat(twist[0:3], twist[3:6] + ca.cross(twist[0:3], ca.DM(offset)))
-    return ca.vertcat(twist[0], twist[1] - twist[0] * offset[1], twist[2] + twist[0] * offset[0])
 
 
 NEWTON_STEPS = 4

@@ -11,10 +11,10 @@ import numpy as np
 
 from vehsim.clip import Clip
 from vehsim.errors import InputError, SolveError
-from vehsim.integrators.discrete import DiscreteMechanics, shift_twist
-from vehsim.lie import SO3
+from vehsim.integrators.discrete import DiscreteMechanics
 from vehsim.vehicles import State, Vehicle
 from vehsim.vehicles._base import Array
+from vehsim.vehicles.states import control_vector, internal, shift_twist
 
 TOLERANCE = 1e-9
 """Largest accepted Newton residual, relative to the momentum."""
@@ -66,7 +66,7 @@ class Integrator:
 
     def start(self, state: State, controls: Any) -> Phase:
         """The phase of a public state; rates that contradict the constraints are projected onto them."""
-        g, r, u, xi = _internal(self.vehicle, state)
+        g, r, u, xi = internal(self.vehicle, state)
         m = self.mechanics
         c = np.asarray(controls, float)
         for joint, control in self.vehicle.driven:
@@ -218,39 +218,6 @@ def _channels(vehicle: Vehicle, times: Array, r: Array, u: Array, root: Array, c
             values = CubicSpline(times, values).antiderivative()(times) if n > 1 else np.zeros(n)
         made[name] = values
     return made
-
-
-def _internal(vehicle: Vehicle, state: State) -> tuple[Array, Array, Array, Array]:
-    """(g, r, u, xi) of a public state. Joint rates not given follow from the twist through the constraints."""
-    group, s = vehicle.group, len(vehicle.joints)
-    orientation = _sized("orientation", state.orientation, 4)
-    orientation = orientation / np.linalg.norm(orientation)
-    position = _sized("position", state.position, 3) + SO3.matrix(orientation) @ vehicle.origin
-    g = group.from_pose(np.concatenate([position, orientation]))
-    r = _sized("joints", state.joints, s)
-    twist = _sized("twist", state.twist, group.dim)
-    if group.name != "SO3":
-        twist = _flat(ca.DM(shift_twist(ca.DM(twist), vehicle.origin)))
-    xi = group.velocity_from_body(g, twist)
-    u = _sized("joint_rates", state.joint_rates, s)
-    connection = np.array(ca.Function("A", *_connection(vehicle))(r)).reshape(group.dim, s)
-    if state.joint_rates is None and s:
-        u = np.linalg.lstsq(connection, -xi, rcond=None)[0]
-    elif state.twist is None and s:
-        xi = -connection @ u
-    return g, r, u, xi
-
-
-def _connection(vehicle: Vehicle) -> tuple[list[Any], list[Any]]:
-    r = ca.SX.sym("r", len(vehicle.joints))
-    return [r], [ca.densify(vehicle.connection(r))]
-
-
-def _sized(name: str, values: Any, size: int) -> Array:
-    array = np.zeros(size) if values is None else np.asarray(values, float).ravel()
-    if array.shape != (size,) or not np.all(np.isfinite(array)):
-        raise InputError(f"state.{name} = {values!r}: give {size} finite numbers")
-    return array
 
 
 def _mechanics(vehicle: Vehicle, map_name: str, quadrature: str) -> DiscreteMechanics:

@@ -95,7 +95,10 @@ class Vehicle:
     - ``reduced_lagrangian(r, u, xi)``: kinetic energy minus joint potential, scalar
     - ``basis(r)`` (d, b): group velocities the constraints leave free with the joints locked
     - ``connection(r)`` (d, s): the free motion is ``xi = basis(r) z_b - connection(r) u``
-    - ``force(g, r, u, xi, c, wind)``: covectors on the joints (s,) and the group (d,); ``xi`` is the group's velocity
+    - ``potential(g, r)``: energy of position, J (gravity); zero unless the vehicle says otherwise
+    - ``force(g, r, u, xi, c, wind)``: everything else that acts, covectors on the joints (s,) and the group (d,);
+      ``xi`` is the group's velocity
+    - ``dissipation(g, r, u, xi, wind)``: power that drag and damping take out, W
     """
 
     name: str
@@ -152,3 +155,27 @@ class Vehicle:
 
     def force(self, g: Expr, r: Expr, u: Expr, xi: Expr, c: Expr, wind: Expr) -> tuple[Expr, Expr]:
         raise NotImplementedError
+
+    def potential(self, g: Expr, r: Expr) -> Expr:
+        return 0.0
+
+    def dissipation(self, g: Expr, r: Expr, u: Expr, xi: Expr, wind: Expr) -> Expr:
+        return 0.0
+
+    def energy(self, state: State) -> tuple[float, float]:
+        """Kinetic and potential energy of a state, J."""
+        from vehsim.vehicles.states import state_energy
+
+        return state_energy(self, state)
+
+    def momentum(self, state: State) -> Array:
+        """Spatial momentum (d,) of a state: angular then linear, world axes; on SO3xR3 angular about the body's origin."""
+        from vehsim.vehicles.states import state_momentum
+
+        return state_momentum(self, state)
+
+    def linearize(self, state: State, controls: Any, wind: Any = (0.0, 0.0, 0.0)) -> tuple[Array, Array]:
+        """``A`` (n, n) and ``B`` (n, c) of the continuous motion about a state; see `vehsim.vehicles.states.linearize`."""
+        from vehsim.vehicles.states import linearize
+
+        return linearize(self, state, controls, wind)

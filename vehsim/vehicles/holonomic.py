@@ -61,11 +61,19 @@ class Holonomic(Vehicle):
         if self.drag is not None:
             air = group.velocity_to_body(g, xi - _still(group, g, wind))
             body = body + ca.vertcat(self.drag(air))
-        total = group.wrench_from_body(g, body)
-        if d == 6:
-            mass = self.inertia[5, 5] if self.mass is None else self.mass
-            total = total + _still_dual(group, g, ca.vertcat(0, 0, -self.gravity * mass))
-        return ca.SX(0, 1), total
+        return ca.SX(0, 1), group.wrench_from_body(g, body)
+
+    def potential(self, g: Expr, r: Expr) -> Expr:
+        if self.group.dim != 6:
+            return 0.0
+        mass = self.inertia[5, 5] if self.mass is None else self.mass
+        return self.gravity * mass * self.group.pose(g)[2]
+
+    def dissipation(self, g: Expr, r: Expr, u: Expr, xi: Expr, wind: Expr) -> Expr:
+        if self.drag is None:
+            return 0.0
+        air = self.group.velocity_to_body(g, xi - _still(self.group, g, wind))
+        return -ca.dot(ca.vertcat(self.drag(air)), air)
 
 
 def _rotation(group: Any, g: Expr) -> Expr:
@@ -80,7 +88,3 @@ def _still(group: Any, g: Expr, velocity: Expr) -> Expr:
     width = group.dim - (3 if group.dim == 6 else 1)
     return group.velocity_from_body(g, ca.vertcat(ca.SX(width, 1), linear[: group.dim - width]))
 
-
-def _still_dual(group: Any, g: Expr, force: Expr) -> Expr:
-    """A world force (3,) at the body's origin as a covector (6,) on the group."""
-    return group.wrench_from_body(g, ca.vertcat(ca.SX(3, 1), _rotation(group, g).T @ force))

@@ -42,3 +42,62 @@ def shape_gradient(vehicle: Vehicle, r: Expr, u: Expr, xi: Expr) -> Expr:
     u_, xi_ = ca.SX.sym("u", u.shape[0]), ca.SX.sym("xi", xi.shape[0])
     gradient = ca.gradient(vehicle.reduced_lagrangian(r_, u_, xi_), r_)
     return ca.substitute([gradient], [r_, u_, xi_], [ca.densify(r), ca.densify(u), ca.densify(xi)])[0]
+
+
+def driven_rates(vehicle: Vehicle, c: Expr) -> Expr:
+    """Joint rates (s,) that rate controls set, zero for the dynamic joints."""
+    rates = ca.SX(len(vehicle.joints), 1)
+    for joint, control in vehicle.driven:
+        rates[joint] = c[control]
+    return rates
+
+
+def free_size(vehicle: Vehicle) -> int:
+    """Length of a segment's velocity ``z``: free directions on the group and dynamic joints."""
+    return vehicle.basis(ca.SX.sym("r", len(vehicle.joints))).shape[1] + len(vehicle.dynamic)
+
+
+def conservative(vehicle: Vehicle, g: Expr, r: Expr) -> tuple[Expr, Expr]:
+    """``-dV`` on the joints (s,) and the group (d,), of the vehicle's potential ``V(g, r)``."""
+    g_, r_ = ca.SX.sym("g", g.shape[0]), ca.SX.sym("r", len(vehicle.joints))
+    eta = ca.SX.sym("eta", vehicle.group.dim)
+    # the derivative at e does not depend on the coordinate map; cay is the cheaper one
+    moved = ca.SX(vehicle.potential(vehicle.group.compose(g_, vehicle.group.cay(eta)), r_))
+    values = [-ca.gradient(moved, r_), ca.substitute(-ca.gradient(moved, eta), eta, ca.SX.zeros(eta.shape[0]))]
+    return tuple(ca.substitute(values, [g_, r_], [ca.densify(g), ca.densify(r)]))
+
+
+def energy(vehicle: Vehicle, g: Expr, r: Expr, u: Expr, xi: Expr) -> tuple[Expr, Expr]:
+    """Kinetic and potential energy, J; the Lagrangian's part without velocities counts as potential."""
+    on_joints, on_group = momentum(vehicle, r, u, xi)
+    rest = vehicle.reduced_lagrangian(r, ca.SX.zeros(u.shape[0]), ca.SX.zeros(xi.shape[0]))
+    total = ca.dot(on_joints, u) + ca.dot(on_group, xi) - vehicle.reduced_lagrangian(r, u, xi)
+    return total + rest, ca.SX(vehicle.potential(g, r)) - rest
+
+
+def acceleration(vehicle: Vehicle, g: Expr, r: Expr, z: Expr, c: Expr, c_rate: Expr, wind: Expr) -> Expr:
+    """``dz/dt`` (b + s_d,) of the continuous motion: reduced Lagrange-d'Alembert (LIE eq. 8-9, with constraints).
+
+    Along the free velocities ``d/dt dl/dxi - ad*_xi dl/dxi - f`` vanishes, and so does the joints' equation lifted by
+    the connection. ``c_rate``: rate of the controls, felt through rate controls only.
+    """
+    z_dot = ca.SX.sym("z_dot", z.shape[0])
+    balance = project(vehicle, r, *residual_force(vehicle, g, r, z, z_dot, c, c_rate, wind))
+    mass, rest = ca.jacobian(balance, z_dot), ca.substitute(balance, z_dot, ca.SX.zeros(z.shape[0]))
+    return -ca.solve(mass, rest) if z.shape[0] else ca.SX(0, 1)
+
+
+def residual_force(
+    vehicle: Vehicle, g: Expr, r: Expr, z: Expr, z_dot: Expr, c: Expr, c_rate: Expr, wind: Expr
+) -> tuple[Expr, Expr]:
+    """What the constraints (and rate controls) must supply: covectors on the joints (s,) and the group (d,)."""
+    r_, z_, c_ = (ca.SX.sym(n, x.shape[0]) for n, x in (("r", r), ("z", z), ("c", c)))
+    u, xi = free_velocity(vehicle, r_, z_, driven_rates(vehicle, c_))
+    on_joints, on_group = momentum(vehicle, r_, u, xi)
+    state, rates = ca.vertcat(r_, z_, c_), ca.vertcat(u, z_dot, c_rate)
+    applied = vehicle.force(g, r_, u, xi, c_, wind)
+    steady = conservative(vehicle, g, r_)
+    joints = ca.jtimes(on_joints, state, rates) - shape_gradient(vehicle, r_, u, xi) - applied[0] - steady[0]
+    body = ca.jtimes(on_group, state, rates) - vehicle.group.ad(xi).T @ on_group - applied[1] - steady[1]
+    values = [ca.densify(joints), ca.densify(body)]
+    return tuple(ca.substitute(values, [r_, z_, c_], [ca.densify(r), ca.densify(z), ca.densify(c)]))

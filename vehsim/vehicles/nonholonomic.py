@@ -22,7 +22,8 @@ class Nonholonomic(Vehicle):
     """A vehicle on ``group`` with shape ``r`` (s,), Lagrangian ``l(r, u, xi)`` and ``W_r(r) u + W_xi(r) xi = 0``.
 
     ``lagrangian``: (r, u, xi) -> scalar, J; ``constraints``: r -> (W_r (m, s), W_xi (m, d)), of nested lists, arrays or
-    expressions. ``forces``: (r, u, xi, controls) -> joint forces (s,), or (joint forces (s,), body wrench (d,)).
+    expressions. ``forces``: (r, u, xi, controls) -> joint forces (s,), or (joint forces (s,), body wrench (d,)); what
+    acts at zero controls counts as damping. ``potential_energy``: (g, r) -> J, of the group's coordinates and joints.
     ``sample``: joint values (s,) at which rank and definiteness are checked (zeros unless given).
 
     Raises ``InputError`` when constraints lose rank, or the kinetic energy is not positive definite on the velocities
@@ -32,6 +33,7 @@ class Nonholonomic(Vehicle):
     lagrangian: Callable[[Expr, Expr, Expr], Expr]
     constraints: Callable[[Expr], tuple[Any, Any]] | None = None
     forces: Callable[[Expr, Expr, Expr, Expr], Any] | None = None
+    potential_energy: Callable[[Expr, Expr], Expr] | None = None
     sample: Sequence[float] | None = None
 
     def __post_init__(self) -> None:
@@ -88,6 +90,13 @@ class Nonholonomic(Vehicle):
         forces = self.forces(r, u, self.group.velocity_to_body(g, xi), c)
         joint, body = forces if isinstance(forces, tuple) and len(forces) == 2 else (forces, ca.SX(d, 1))
         return _column(joint), self.group.wrench_from_body(g, _column(body))
+
+    def potential(self, g: Expr, r: Expr) -> Expr:
+        return 0.0 if self.potential_energy is None else self.potential_energy(g, r)
+
+    def dissipation(self, g: Expr, r: Expr, u: Expr, xi: Expr, wind: Expr) -> Expr:
+        on_joints, on_group = self.force(g, r, u, xi, ca.SX.zeros(len(self.controls)), wind)
+        return -ca.dot(on_joints, u) - ca.dot(on_group, xi)
 
 
 def _column(values: Any) -> Expr:
