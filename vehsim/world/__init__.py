@@ -1,7 +1,7 @@
 """The world: terrain, wind, and the questions vehicles ask of them, answered by MuJoCo and exact geometry.
 
-A `World` owns no motion. Heights and meshes live in `terrain.py`, clearances in `scene.py`, the smooth distance field in
-`field.py`, paths through free space in `route.py`.
+A `World` owns no motion. Heights and meshes live in `terrain.py`, clearances in `scene.py`, the smooth distance field
+in `field.py`, paths through free space in `route.py`.
 """
 
 from __future__ import annotations

@@ -42,7 +42,7 @@ BLEND = 1e-3
 class DistanceField:
     """Signed distance to the terrain, m: positive in the air, negative in the rock.
 
-    ``distances`` (nx, ny, nz) m stand ``spacing`` m apart from ``lower`` (3,) on; between them lies their cubic B-spline.
+    ``distances`` (nx, ny, nz) m stand ``spacing`` m apart from ``lower`` (3,) on; between them is a cubic B-spline.
     Beyond the box the value is the nearest box point's, less the distance outside through the sides or the bottom, so
     that no optimiser gains by leaving there. Through the top nothing is subtracted: distance to the ground only grows.
     """
@@ -77,7 +77,7 @@ class DistanceField:
 
     @cached_property
     def function(self) -> Any:
-        """``distance``: a casadi ``Function`` from a point (3,) m to its signed distance m; the same values as `value`."""
+        """``distance``: a casadi ``Function``, point (3,) m -> signed distance m; it agrees with `value`."""
         import casadi
 
         shape = np.array(self._coefficients.shape)
@@ -123,7 +123,7 @@ def distance_field(
 
 def _box(terrain: Terrain, box: ArrayLike | None) -> tuple[Array, Array]:
     """The corners (3,), (3,) of the field's box."""
-    lower, upper = terrain.lower - [0, 0, DEPTH], terrain.upper + [0, 0, HEADROOM]
+    lower, upper = terrain.lower - np.array([0, 0, DEPTH]), terrain.upper + np.array([0, 0, HEADROOM])
     if box is None:
         return lower, upper
     wanted = np.asarray(box, dtype=float)

@@ -142,9 +142,15 @@ def _read_npz(path: Path, placement: Placement) -> Terrain:
     with np.load(path, allow_pickle=False) as archive:
         if "heights" not in archive:
             raise refuse(path, "heights", "missing", "save the array under the name heights", list(archive))
-        own = {key: tuple(np.broadcast_to(archive[key], 2).tolist()) for key in ("cell", "origin") if key in archive}
-        own = {key: value for key, value in own.items() if getattr(placement, key) is None}
+        own: dict[str, Any] = {
+            key: tuple(np.broadcast_to(archive[key], 2).tolist()) for key in _missing(placement) if key in archive
+        }
         return _grid(path, archive["heights"], replace(placement, **own))
+
+
+def _missing(placement: Placement) -> list[str]:
+    """What the file itself may still say about its place."""
+    return [key for key in ("cell", "origin") if getattr(placement, key) is None]
 
 
 def _read_png(path: Path, placement: Placement) -> Terrain:
@@ -297,8 +303,8 @@ def _warn_of_overhangs(path: Path, terrain: Terrain, points: Array, faces: NDArr
     hidden = (normal[:, 2] > 0) & (depth > relief.height(centre[:, :2]) + 1e-3 * max(terrain.cell))
     if hidden.any():
         warnings.warn(
-            f"{path}: overhangs: {hidden.sum()} upward faces lie up to {depth[hidden].max():.2f} m below the surface seen "
-            "from above; the terrain is that surface, caves and undercuts are filled",
+            f"{path}: overhangs: {hidden.sum()} upward faces lie up to {depth[hidden].max():.2f} m below the surface "
+            "seen from above; the terrain is that surface, caves and undercuts are filled",
             stacklevel=2,
         )
 

@@ -27,8 +27,8 @@ MAX_HEIGHT = 20_000.0
 class Terrain:
     """A height field: ``heights`` (rows, cols) m, row = +Y, column = +X.
 
-    ``origin`` (x, y) of ``heights[0, 0]`` and ``cell`` (dx, dy), m. ``look``: a USD file whose mesh, material and texture
-    show this terrain, or None. Each cell is split along (r, c)-(r+1, c+1), as MuJoCo does it.
+    ``origin`` (x, y) of ``heights[0, 0]`` and ``cell`` (dx, dy), m. ``look``: a USD file whose mesh, material and
+    texture show this terrain, or None. Each cell is split along (r, c)-(r+1, c+1), as MuJoCo does it.
     """
 
     name: str
@@ -100,7 +100,7 @@ class Terrain:
     def content_hash(self) -> str:
         """Names the surface by its content: the same heights at the same place have the same hash."""
         digest = hashlib.sha256(repr((self.heights.shape, self.origin, self.cell)).encode())
-        digest.update(np.ascontiguousarray(self.heights))
+        digest.update(self.heights.tobytes())
         return digest.hexdigest()
 
 
@@ -124,7 +124,7 @@ def _check(terrain: Terrain) -> None:
         row, col = np.unravel_index(np.abs(heights).argmax(), heights.shape)
         mend = "heights are metres; replace no-data values"
         refuse(f"heights[{row}, {col}]", f"beyond {MAX_HEIGHT:g} m", mend, float(heights[row, col]))
-    if not (np.isfinite(terrain.cell).all() and 1e-3 <= min(terrain.cell) and max(terrain.cell) <= 1e4):
+    if not (np.isfinite(terrain.cell).all() and min(terrain.cell) >= 1e-3 and max(terrain.cell) <= 1e4):
         refuse("cell", "not between 0.001 and 10000 m", "give the spacing of the heights in metres", terrain.cell)
     if not np.isfinite(terrain.origin).all():
         refuse("origin", "not finite", "give x and y of heights[0, 0] in metres", terrain.origin)
