@@ -199,6 +199,13 @@ def split(surface: Surface, field: Field) -> tuple[Surface, Surface]:
     return _used(whole, sides[0]), _used(whole, sides[1])
 
 
+def refined(surface: Surface, axis: int, at: ArrayLike) -> Surface:
+    """``surface`` with edges along the planes where coordinate ``axis`` is one of ``at``: finer, of the same shape."""
+    for value in np.asarray(at, float):
+        surface = join(*split(surface, lambda p, v=value: p[:, axis] - v))
+    return surface
+
+
 def _roots(points: Array, value: Array, edges: Faces, field: Field) -> Array:
     """Where along each edge ``field`` vanishes, by bisection kept to the chord."""
     lower, upper = np.zeros(len(edges)), np.ones(len(edges))
@@ -245,6 +252,22 @@ def both(*fields: Field, blend: float = 0.0) -> Field:
         return result
 
     return value
+
+
+def both_sides(field: Field) -> Field:
+    """The region ``field`` of the left side, on the right side too."""
+    return lambda p: field(np.column_stack([p[:, 0], np.abs(p[:, 1]), p[:, 2]]))
+
+
+def seam(surface: Surface, fields: Sequence[Field], half_width: float) -> tuple[Surface, Surface]:
+    """``surface`` without thin lines around each region, and those lines."""
+    lines = []
+    for field in fields:
+        # two cuts on one-sided fields: a cut on |field| would miss lines thinner than a triangle
+        within, surface = split(surface, lambda p, f=field: f(p) - half_width)
+        within, line = split(within, lambda p, f=field: f(p) + half_width)
+        surface, lines = join(surface, within), [*lines, line]
+    return surface, join(*lines)
 
 
 def curve(xs: ArrayLike, ys: ArrayLike) -> Callable[[Array], Array]:

@@ -15,6 +15,7 @@ from vehsim.assets.generate._shapes import (
     Field,
     Surface,
     both,
+    both_sides,
     box,
     convex,
     curve,
@@ -22,7 +23,9 @@ from vehsim.assets.generate._shapes import (
     lattice,
     outer_hull,
     polygon,
+    refined,
     revolve,
+    seam,
     split,
     tube,
 )
@@ -33,15 +36,16 @@ ARCH = 0.372
 STEER_LIMIT = np.radians(40.0)  # the inner wheel of the tightest Ackermann turn
 
 MATERIALS = {
-    "paint": Material((0.42, 0.012, 0.012), roughness=0.22, metallic=0.2, clearcoat=1.0),
+    "paint": Material((0.008, 0.105, 0.36), roughness=0.24, metallic=0.2, clearcoat=1.0),
     "glass": Material((0.012, 0.016, 0.02), roughness=0.04, clearcoat=1.0),
     "seal": Material((0.012, 0.012, 0.013), roughness=0.65),
     "trim": Material((0.03, 0.031, 0.033), roughness=0.55),
-    "lamp": Material((0.75, 0.78, 0.82), roughness=0.08, clearcoat=1.0, glow=(0.15, 0.15, 0.16)),
-    "tail_lamp": Material((0.32, 0.005, 0.008), roughness=0.12, clearcoat=1.0, glow=(0.16, 0.0, 0.0)),
+    "lamp": Material((0.80, 0.82, 0.85), roughness=0.08, clearcoat=1.0, glow=(0.15, 0.15, 0.16)),
+    "lens": Material((0.09, 0.095, 0.10), roughness=0.06, clearcoat=1.0),
+    "tail_lamp": Material((0.42, 0.006, 0.008), roughness=0.12, clearcoat=1.0, glow=(0.2, 0.0, 0.0)),
     "plate": Material((0.72, 0.72, 0.68), roughness=0.5),
     "tyre": Material((0.018, 0.018, 0.019), roughness=0.85),
-    "rim": Material((0.55, 0.56, 0.58), roughness=0.28, metallic=0.85),
+    "rim": Material((0.30, 0.305, 0.315), roughness=0.3, metallic=0.85),
     "disc": Material((0.20, 0.20, 0.21), roughness=0.45, metallic=0.8),
     "chrome": Material((0.62, 0.63, 0.65), roughness=0.15, metallic=1.0),
 }
@@ -71,7 +75,7 @@ def build() -> dict[str, PartShape]:
 
 
 def sections(xs: Array, rows: list, around: int) -> Array:
-    """Closed sections (m, around, 3): per x, a cubic B-spline over the points ``rows`` (y(x), z(x)) and their mirror."""
+    """Closed sections (m, around, 3): per x, a cubic B-spline over ``rows`` (y(x), z(x)) and their mirror."""
     result = []
     for x in xs:
         half = np.array([[float(y(x)), float(z(x))] for y, z in rows])
@@ -93,15 +97,16 @@ HALF_WIDTH = curve(
     [0.46, 0.60, 0.70, 0.79, 0.86, 0.91, 0.925, 0.905, 0.90, 0.915, 0.94, 0.925, 0.87, 0.80, 0.72, 0.60],
 )
 FLOOR = curve(
-    [2.15, 2.12, 2.05, 1.9, 0.0, -1.7, -2.0, -2.12, -2.15], [0.36, 0.27, 0.22, 0.185, 0.175, 0.20, 0.25, 0.33, 0.42]
+    [2.15, 2.12, 2.05, 1.9, 0.0, -1.6, -1.9, -2.06, -2.13, -2.15],
+    [0.36, 0.27, 0.22, 0.185, 0.175, 0.195, 0.25, 0.31, 0.38, 0.45],
 )
 SHOULDER = curve(
     [2.15, 2.12, 2.04, 1.9, 1.6, 1.3, 0.9, 0.3, -0.4, -1.0, -1.4, -1.8, -2.02, -2.12, -2.15],
-    [0.49, 0.56, 0.63, 0.70, 0.775, 0.81, 0.825, 0.845, 0.88, 0.925, 0.945, 0.945, 0.925, 0.87, 0.78],
+    [0.49, 0.56, 0.63, 0.70, 0.775, 0.81, 0.825, 0.845, 0.875, 0.905, 0.915, 0.90, 0.87, 0.81, 0.73],
 )
 CENTRE = curve(
-    [2.15, 2.12, 2.04, 1.9, 1.6, 1.3, 0.9, 0.3, -1.2, -1.7, -1.95, -2.06, -2.12, -2.15],
-    [0.51, 0.585, 0.655, 0.715, 0.79, 0.835, 0.87, 0.87, 0.90, 0.955, 0.985, 0.965, 0.89, 0.79],
+    [2.15, 2.12, 2.04, 1.9, 1.6, 1.3, 0.9, 0.3, -1.2, -1.7, -1.95, -2.07, -2.12, -2.15],
+    [0.51, 0.585, 0.655, 0.715, 0.79, 0.835, 0.87, 0.87, 0.88, 0.925, 0.955, 0.94, 0.85, 0.75],
 )
 
 
@@ -131,59 +136,79 @@ def shell_sections(xs: Array, around: int = 72) -> Array:
     return sections(xs, rows, around)
 
 
+def above(height: float) -> Field:
+    return lambda p: height - p[:, 2]
+
+
+def facing(end: float, corners: list[tuple[float, float]], radius: float) -> Field:
+    """A rounded polygon of (y, z) on the front (``end`` = 1) or the rear (-1) of the car, on both sides."""
+    return both(both_sides(polygon(corners, radius, (1, 2))), lambda p: 1.2 - end * p[:, 0])
+
+
 def shell() -> dict[str, Surface]:
-    """The painted body below the glass, with wheel arches cut out, lamps, grille, seams and sills cut in."""
+    """The painted body below the glass, with wheel arches cut out, lamps, grilles, seams and sills cut in."""
     ends = 0.25 * (1 - np.cos(np.linspace(0, np.pi / 2, 9)))
-    xs = np.concatenate([2.15 - ends, np.arange(1.85, -1.86, -0.055), (-2.15 + ends)[::-1]])
+    xs = np.concatenate([2.15 - ends, np.arange(1.85, -1.86, -0.065), (-2.15 + ends)[::-1]])
     skin = lattice(shell_sections(xs), crease=50)
     for x in (AXLE, -AXLE):
         _, skin = split(skin, arch(x, ARCH))
-    lines = []
-    seams: list[Field] = [
-        polygon([(0.72, 0.30), (0.80, 0.86), (0.70, 1.2), (-0.52, 1.2), (-0.55, 0.62), (-0.42, 0.30)], 0.06),
-        both(polygon([(2.02, -0.66), (2.02, 0.66), (0.80, 0.80), (0.80, -0.80)], 0.1, (0, 1)), lambda p: 0.5 - p[:, 2]),
-        both(
-            polygon([(-1.72, -0.62), (-1.72, 0.62), (-2.6, 0.66), (-2.6, -0.66)], 0.06, (0, 1)),
-            lambda p: 0.62 - p[:, 2],
-        ),
-        lambda p: p[:, 0] + 1.86 + 0.5 * (p[:, 2] > 0.66),
-    ]
-    for seam in seams:
-        within, skin = split(skin, lambda p, s=seam: s(p) - 0.004)
-        within, line = split(within, lambda p, s=seam: s(p) + 0.004)
-        lines.append(line)
-        skin = join(skin, within)
-    ahead, behind = (lambda p: 1.2 - p[:, 0]), (lambda p: p[:, 0] + 1.7)
+    door = polygon([(0.72, 0.30), (0.80, 0.86), (0.70, 1.2), (-0.52, 1.2), (-0.55, 0.62), (-0.42, 0.30)], 0.06)
+    bonnet = polygon([(2.0, -0.60), (2.0, 0.60), (0.80, 0.78), (0.80, -0.78)], 0.1, (0, 1))
+    boot = polygon([(-1.72, -0.60), (-1.72, 0.60), (-2.6, 0.62), (-2.6, -0.62)], 0.06, (0, 1))
+    panels = [door, both(bonnet, above(0.5)), both(boot, above(0.66))]
+    skin, lines = seam(skin, panels, 0.004)
+    skin = sharpened(skin, LENS, 0.018)
+    skin = sharpened(skin, VENT, 0.03)
+    arches: list[tuple[str, Field]] = [("trim", arch(x, ARCH + 0.014)) for x in (AXLE, -AXLE)]
+    coats = [*front_details(), *rear_details(), *arches, ("trim", lambda p: p[:, 2] - 0.235)]
+    return by_material(MATERIALS, painted(MATERIALS, skin, coats, "paint"), {"seal": lines})
 
-    def mirrored(field: Field) -> Field:
-        return lambda p: field(np.column_stack([p[:, 0], np.abs(p[:, 1]), p[:, 2]]))
 
-    lamp = mirrored(
-        both(
-            polygon(
-                [(0.44, 0.565), (0.46, 0.615), (0.80, 0.72), (0.88, 0.70), (0.80, 0.60), (0.62, 0.555)], 0.02, (1, 2)
-            ),
-            ahead,
-        )
+def spot(y: float, z: float, radius: float) -> Field:
+    """A round lamp in the front, on both sides."""
+    return both(both_sides(lambda p: np.hypot(p[:, 1] - y, p[:, 2] - z) - radius), lambda p: 1.2 - p[:, 0])
+
+
+LENS = facing(1, [(0.44, 0.565), (0.46, 0.615), (0.80, 0.72), (0.87, 0.705), (0.80, 0.60), (0.62, 0.555)], 0.02)
+VENT = facing(1, [(0.60, 0.29), (0.78, 0.31), (0.78, 0.45), (0.66, 0.42)], 0.03)
+
+
+def sharpened(skin: Surface, region: Field, size: float) -> Surface:
+    """``skin`` with finer triangles in and around a ``region`` on the car's ends, so details cut there are crisp."""
+    near, skin = split(skin, lambda p: region(p) - 0.015)
+    for axis in (1, 2):
+        low, high = near.points[:, axis].min(), near.points[:, axis].max()
+        near = refined(near, axis, np.arange(low + size / 2, high, size))
+    return join(skin, near)
+
+
+def front_details() -> list[tuple[str, Field]]:
+    """Headlamps with two projectors behind each lens, grille, vents and the slot above the plate."""
+    streak = facing(
+        1, [(0.46, 0.560), (0.64, 0.563), (0.81, 0.615), (0.80, 0.628), (0.63, 0.578), (0.46, 0.574)], 0.004
     )
-    tail = mirrored(
-        both(polygon([(0.34, 0.83), (0.34, 0.775), (0.62, 0.73), (0.95, 0.73), (0.95, 0.82)], 0.02, (1, 2)), behind)
-    )
-    band = both(polygon([(-0.34, 0.815), (-0.34, 0.785), (0.34, 0.785), (0.34, 0.815)], 0.0, (1, 2)), behind)
-    grille = both(polygon([(-0.52, 0.245), (0.52, 0.245), (0.44, 0.40), (-0.44, 0.40)], 0.05, (1, 2)), ahead)
-    vents = mirrored(both(polygon([(0.60, 0.29), (0.78, 0.31), (0.78, 0.45), (0.66, 0.42)], 0.03, (1, 2)), ahead))
-    slot = both(polygon([(-0.36, 0.49), (0.36, 0.49), (0.36, 0.525), (-0.36, 0.525)], 0.015, (1, 2)), ahead)
-    diffuser = both(polygon([(-0.62, 0.1), (0.62, 0.1), (0.54, 0.40), (-0.54, 0.40)], 0.05, (1, 2)), behind)
-    coats: list[tuple[str, Field]] = [
-        ("lamp", lamp),
-        ("tail_lamp", tail),
-        ("tail_lamp", band),
-        ("trim", lambda p: np.minimum(lamp(p), tail(p)) - 0.012),
-        *(("trim", f) for f in (grille, vents, slot, diffuser)),
-        *(("trim", arch(x, ARCH + 0.014)) for x in (AXLE, -AXLE)),
-        ("trim", lambda p: p[:, 2] - 0.235),
+    return [
+        ("lamp", spot(0.585, 0.612, 0.031)),
+        ("lamp", spot(0.695, 0.647, 0.031)),
+        ("lamp", streak),
+        ("lens", LENS),
+        ("trim", lambda p: LENS(p) - 0.010),
+        ("trim", facing(1, [(-0.1, 0.245), (0.52, 0.245), (0.44, 0.40), (-0.1, 0.40)], 0.05)),
+        ("trim", facing(1, [(-0.1, 0.49), (0.36, 0.49), (0.36, 0.525), (-0.1, 0.525)], 0.015)),
+        ("trim", VENT),
     ]
-    return by_material(MATERIALS, painted(MATERIALS, skin, coats, "paint"), {"seal": join(*lines)})
+
+
+def rear_details() -> list[tuple[str, Field]]:
+    """Tail lamps joined by a dark band, and the diffuser."""
+    lamp = facing(-1, [(0.40, 0.765), (0.42, 0.705), (0.62, 0.675), (0.93, 0.69), (0.93, 0.755), (0.7, 0.775)], 0.02)
+    band = facing(-1, [(-0.1, 0.715), (0.45, 0.715), (0.45, 0.755), (-0.1, 0.755)], 0.0)
+    return [
+        ("tail_lamp", lamp),
+        ("trim", lambda p: lamp(p) - 0.012),
+        ("trim", band),
+        ("trim", facing(-1, [(-0.1, 0.1), (0.66, 0.1), (0.56, 0.44), (-0.1, 0.44)], 0.05)),
+    ]
 
 
 def arch(x: float, radius: float) -> Field:
@@ -218,24 +243,16 @@ def cabin() -> dict[str, Surface]:
     ]
     xs = np.concatenate([np.arange(1.06, -1.9, -0.05), [-1.95]])
     skin = lattice(sections(xs, rows, 64), crease=50)
-    inner = lambda p: np.abs(p[:, 1]) - RAIL(p[:, 0]) + 0.035  # noqa: E731
+    inner = lambda p: np.abs(p[:, 1]) - RAIL(p[:, 0]) + 0.055  # noqa: E731
     windscreen = both(inner, lambda p: 0.16 - p[:, 0] + 0.05 * p[:, 1] ** 2, blend=0.06)
     backlight = both(inner, lambda p: p[:, 0] + 0.95, lambda p: -1.72 - p[:, 0], blend=0.08)
+    frame = curve([1.06, 0.2, -0.5, -1.0, -1.4], [0.115, 0.085, 0.07, 0.085, 0.11])
     side = both(
-        polygon(
-            [
-                (0.83, 0.885),
-                (0.12, 1.245),
-                (-0.25, 1.285),
-                (-0.62, 1.275),
-                (-1.02, 1.18),
-                (-1.34, 1.005),
-                (-1.30, 0.975),
-                (0.0, 0.885),
-            ],
-            0.03,
-        ),
+        lambda p: p[:, 2] - ROOF(p[:, 0]) + frame(p[:, 0]),
+        lambda p: SHOULDER(p[:, 0]) + 0.05 - p[:, 2],
+        lambda p: -1.36 - p[:, 0],
         lambda p: 0.45 - np.abs(p[:, 1]),
+        blend=0.04,
     )
     post, side_panes = lambda p: np.abs(p[:, 0] + 0.56 + 0.12 * (p[:, 2] - 0.9)) - 0.03, side
     panes: list[Field] = [windscreen, backlight, lambda p: np.maximum(side_panes(p), -post(p))]
@@ -257,7 +274,7 @@ def wheel_wells() -> dict[str, Surface]:
     """The inside of the four wheel arches: dark liners from the chassis out to the body's skin."""
     wells = []
     for x in (AXLE, -AXLE):
-        turn = np.linspace(-0.42, np.pi + 0.42, 32)
+        turn = np.linspace(-0.30, np.pi + 0.30, 32)
         rim = np.stack([x + ARCH * np.cos(turn), RADIUS + ARCH * np.sin(turn)], 1)
         outer = np.array([[px, side_of_shell(px, pz) - 0.004, pz] for px, pz in rim])
         inner = np.column_stack([rim[:, 0], np.full(len(rim), 0.5), rim[:, 1]])
@@ -280,25 +297,18 @@ def fittings() -> dict[str, Surface]:
     )
     mirror = Surface(ball.points * [0.09, 0.105, 0.065], ball.normals, ball.faces).moved([0.66, 0.93, 0.955])
     stalk = tube([[0.68, 0.76, 0.90], [0.67, 0.88, 0.935]], 0.02, 8)
-    glass = box([0.006, 0.16, 0.09], [0.585, 0.93, 0.955], 0.002)
+    glass = convex(ball.points * [0.012, 0.088, 0.052] + [0.588, 0.93, 0.957])
     handle = box([0.17, 0.022, 0.025], [-0.33, 0.905, 0.765], 0.008)
     plates = join(
-        box([0.012, 0.46, 0.105], [2.145, 0, 0.445], 0.003), box([0.012, 0.46, 0.105], [-2.15, 0, 0.60], 0.003)
+        box([0.012, 0.46, 0.105], [2.145, 0, 0.445], 0.003), box([0.012, 0.46, 0.105], [-2.152, 0, 0.585], 0.003)
     )
-    pipes = join(*(tube([[-1.95, y, 0.285], [-2.165, y, 0.285]], 0.045, 16) for y in (-0.42, 0.42)))
-    bores = join(*(tube([[-2.10, y, 0.285], [-2.167, y, 0.285]], 0.036, 14) for y in (-0.42, 0.42)))
-    fin = convex(
-        np.array(
-            [
-                [-1.02, 0.018, 1.27],
-                [-1.02, -0.018, 1.27],
-                [-1.22, 0.025, 1.20],
-                [-1.22, -0.025, 1.20],
-                [-1.21, 0.004, 1.315],
-                [-1.21, -0.004, 1.315],
-            ]
-        )
-    )
+    pipes = join(*(tube([[-1.95, y, 0.33], [-2.15, y, 0.33]], 0.045, 16) for y in (-0.42, 0.42)))
+    bores = join(*(tube([[-2.10, y, 0.33], [-2.152, y, 0.33]], 0.036, 14) for y in (-0.42, 0.42)))
+    fin = [
+        [x, y, float(ROOF(x)) + dz]
+        for x, y, dz in ((-0.62, 0.012, -0.02), (-0.86, 0.022, -0.02), (-0.86, 0.004, 0.055))
+    ]
+    fin = convex(np.array([*fin, *([x, -y, z] for x, y, z in fin)]))
     return by_material(
         MATERIALS,
         {"paint": join(mirror.pair(), handle.pair(), fin)},
@@ -399,7 +409,7 @@ def wheel_hull(steer: float) -> Surface:
     turn = (np.arange(sides) + 0.5) * 2 * np.pi / sides
     ring = np.stack([np.cos(turn), np.zeros(sides), np.sin(turn)], 1) * r / np.cos(np.pi / sides)
     ring[:, 2] = np.clip(ring[:, 2], -r, r)
-    prism = np.concatenate([ring + [0, h, 0], ring - [0, h, 0]])
+    prism = np.concatenate([ring + np.array([0, h, 0]), ring - np.array([0, h, 0])])
     c, s = np.cos(steer), np.sin(steer)
     swept = [prism @ np.array([[c, -k * s, 0], [k * s, c, 0], [0, 0, 1]]) for k in (-1, 0, 1)]
     return convex(np.concatenate(swept) if steer else prism, crease=180.0)

@@ -23,6 +23,7 @@ from vehsim.assets.generate._shapes import (
     outer_hull,
     polygon,
     revolve,
+    seam,
     split,
     tube,
     wing,
@@ -33,7 +34,7 @@ HUB = np.array([0.0, 0.0, 3.06])
 RADIUS, CHORD, BLADES, CONING = 5.35, 0.35, 3, np.radians(2.5)
 TAIL_HUB = np.array([-6.35, 0.36, 2.12])
 TAIL_RADIUS, TAIL_CHORD = 0.93, 0.19
-NOSE, TAIL = 3.50, -6.95
+NOSE, TAIL = 3.50, -6.78
 
 MATERIALS = {
     "white": Material((0.78, 0.79, 0.80), roughness=0.28, clearcoat=1.0),
@@ -50,7 +51,7 @@ MATERIALS = {
     "green": Material((0.02, 0.5, 0.08), roughness=0.2, glow=(0.0, 0.4, 0.05)),
     "lamp": Material((0.9, 0.9, 0.85), roughness=0.1, glow=(0.25, 0.25, 0.22)),
     "blur": Material((0.10, 0.105, 0.11), roughness=0.8, opacity=0.10),
-    "blur_root": Material((0.08, 0.085, 0.09), roughness=0.8, opacity=0.20),
+    "blur_root": Material((0.08, 0.085, 0.09), roughness=0.8, opacity=0.14),
     "blur_tip": Material((0.80, 0.42, 0.08), roughness=0.8, opacity=0.12),
 }
 
@@ -75,7 +76,7 @@ def build() -> dict[str, PartShape]:
 # ---------------------------------------------------------------- fuselage
 
 
-def superellipses(xs: Array, top, bottom, width, power, middle: float = 0.42, around: int = 76) -> Array:
+def superellipses(xs: Array, top, bottom, width, power, middle: float = 0.42, around: int = 72) -> Array:
     """Sections (m, around, 3): superellipses from ``bottom(x)`` to ``top(x)``, widest at ``middle`` of the height."""
     turn = np.linspace(-np.pi / 2, np.pi / 2, 400)
     sections = []
@@ -99,16 +100,16 @@ def _from_nose(xs: list[float], values: list[float]):
 
 
 HULL_TOP = _from_nose(
-    [3.5, 3.4, 3.2, 3.0, 2.6, 2.2, 1.8, 1.4, 1.0, 0.0, -1.0, -1.8, -2.6, -3.2, -5.0, -6.95],
-    [1.10, 1.33, 1.51, 1.65, 1.87, 2.04, 2.15, 2.21, 2.235, 2.22, 2.16, 2.08, 1.99, 1.96, 1.94, 1.93],
+    [3.5, 3.4, 3.2, 3.0, 2.6, 2.2, 1.8, 1.4, 1.0, 0.0, -1.0, -1.8, -2.6, -3.2, -5.0, -6.55, -6.72, TAIL],
+    [1.10, 1.33, 1.51, 1.65, 1.87, 2.04, 2.15, 2.21, 2.235, 2.22, 2.16, 2.08, 1.99, 1.96, 1.94, 1.93, 1.90, 1.83],
 )
 HULL_BOTTOM = _from_nose(
-    [3.5, 3.4, 3.2, 3.0, 2.6, 2.2, 1.4, 0.0, -0.6, -1.0, -1.4, -1.8, -2.4, -3.0, -5.0, -6.95],
-    [1.10, 0.92, 0.80, 0.735, 0.665, 0.635, 0.62, 0.62, 0.66, 0.75, 0.91, 1.10, 1.33, 1.46, 1.60, 1.70],
+    [3.5, 3.4, 3.2, 3.0, 2.6, 2.2, 1.4, 0.0, -0.6, -1.0, -1.4, -1.8, -2.4, -3.0, -5.0, -6.55, -6.72, TAIL],
+    [1.10, 0.92, 0.80, 0.735, 0.665, 0.635, 0.62, 0.62, 0.66, 0.75, 0.91, 1.10, 1.33, 1.46, 1.60, 1.69, 1.72, 1.79],
 )
 HULL_WIDTH = _from_nose(
-    [3.5, 3.4, 3.2, 3.0, 2.6, 2.2, 1.8, 1.4, 0.6, 0.0, -0.6, -1.0, -1.4, -1.8, -2.4, -3.0, -5.0, -6.95],
-    [0.0, 0.29, 0.47, 0.60, 0.77, 0.87, 0.92, 0.935, 0.93, 0.90, 0.81, 0.72, 0.61, 0.50, 0.37, 0.28, 0.20, 0.13],
+    [3.5, 3.4, 3.2, 3.0, 2.6, 2.2, 1.8, 1.4, 0.6, 0.0, -0.6, -1.0, -1.4, -1.8, -2.4, -3.0, -5.0, -6.55, -6.72, TAIL],
+    [0, 0.29, 0.47, 0.6, 0.77, 0.87, 0.92, 0.935, 0.93, 0.9, 0.81, 0.72, 0.61, 0.5, 0.37, 0.28, 0.2, 0.13, 0.1, 0.02],
 )
 HULL_POWER = _from_nose([3.5, 2.8, 1.8, 0.0, -1.5, -3.0, -6.95], [2.1, 2.35, 2.75, 2.8, 2.5, 2.1, 2.0])
 STRIPE = curve([3.5, 2.4, 1.0, -0.2, -1.2, -2.2, -3.2, -4.4], [0.97, 1.03, 1.08, 1.16, 1.32, 1.58, 1.86, 2.10])
@@ -126,19 +127,19 @@ def livery(surface: Surface, coats: list[tuple[str, Field]]) -> dict[str, Surfac
 def hull() -> dict[str, Surface]:
     """Cabin and tail boom in one skin, with the glazing, its seals and the door lines cut into it."""
     xs = np.concatenate(
-        [NOSE - np.linspace(0.0, np.sqrt(0.5), 10) ** 2, np.arange(2.93, -2.4, -0.075), np.linspace(-2.5, TAIL, 16)]
+        [
+            NOSE - np.linspace(0.0, np.sqrt(0.5), 10) ** 2,
+            np.arange(2.93, -2.4, -0.08),
+            np.linspace(-2.5, -6.5, 13),
+            [-6.6, -6.68, -6.74, TAIL],
+        ]
     )
     skin = lattice(superellipses(xs, HULL_TOP, HULL_BOTTOM, HULL_WIDTH, HULL_POWER))
     panes = windows()
-    lines = []
-    for door in doors():
-        within, skin = split(skin, lambda p, d=door: d(p) - 0.006)
-        within, line = split(within, lambda p, d=door: d(p) + 0.006)
-        lines.append(line)
-        skin = join(skin, within)
+    skin, lines = seam(skin, doors(), 0.006)
     coats: list[tuple[str, Field]] = [("glass", pane) for pane in panes]
     coats += [("seal", lambda p, pane=pane: pane(p) - 0.018) for pane in panes]
-    return by_material(MATERIALS, livery(skin, coats), {"seal": join(*lines)})
+    return by_material(MATERIALS, livery(skin, coats), {"seal": lines})
 
 
 def windows() -> list[Field]:
@@ -179,24 +180,25 @@ def doors() -> list[Field]:
 def cowling() -> dict[str, Surface]:
     """The fairing over gearbox and engine, its intake and louvres, and the exhaust."""
     top = curve(
-        [1.34, 1.22, 1.05, 0.80, 0.45, 0.0, -0.6, -1.2, -1.8, -2.2, -2.42],
-        [2.24, 2.34, 2.46, 2.57, 2.67, 2.72, 2.72, 2.68, 2.60, 2.52, 2.44],
+        [1.34, 1.22, 1.05, 0.80, 0.45, 0.0, -0.6, -1.2, -1.8, -2.2, -2.5, -2.72],
+        [2.24, 2.34, 2.46, 2.57, 2.67, 2.72, 2.72, 2.68, 2.59, 2.47, 2.30, 2.10],
     )
     width = curve(
-        [1.34, 1.22, 1.05, 0.8, 0.4, -0.6, -1.4, -2.0, -2.42], [0.20, 0.34, 0.44, 0.52, 0.57, 0.57, 0.50, 0.38, 0.27]
+        [1.34, 1.22, 1.05, 0.8, 0.4, -0.6, -1.4, -2.0, -2.4, -2.72],
+        [0.20, 0.34, 0.44, 0.52, 0.57, 0.57, 0.50, 0.39, 0.28, 0.12],
     )
-    xs = np.concatenate([np.linspace(1.34, 1.0, 9), np.arange(0.93, -2.4, -0.085), [-2.42]])
+    xs = np.concatenate([np.linspace(1.34, 1.0, 9), np.arange(0.93, -2.65, -0.085), [-2.72]])
     skin = lattice(superellipses(xs, top, lambda x: HULL_TOP(x) - 0.45, width, lambda x: 3.0, 0.5, 52), crease=45)
     intake = both(
         polygon([(1.12, 2.33), (0.52, 2.33), (0.52, 2.52), (0.86, 2.52)], 0.05), lambda p: 0.1 - np.abs(p[:, 1])
     )
     louvres = [polygon([(x, 2.30), (x - 0.34, 2.30), (x - 0.34, 2.54), (x, 2.54)], 0.04) for x in (-0.75, -1.18)]
     coats: list[tuple[str, Field]] = [("dark", intake), *(("dark", louvre) for louvre in louvres)]
-    pipe = tube([[-1.9, 0.0, 2.36], [-2.3, 0.0, 2.40], [-2.86, 0.0, 2.52]], [0.19, 0.185, 0.18], 24, 10)
+    pipe = tube([[-1.7, 0.0, 2.36], [-2.3, 0.0, 2.43], [-2.86, 0.0, 2.55]], [0.20, 0.19, 0.18], 24, 8)
     bore = revolve([(0.0, 0.0), (0.165, 0.0), (0.165, 0.004)], 24, "x").moved([0, 0, 0])
     tilt = np.arctan2(0.12, 0.56)
     turn = np.array([[np.cos(tilt), 0, np.sin(tilt)], [0, 1, 0], [-np.sin(tilt), 0, np.cos(tilt)]])
-    bore = bore.turned(turn).moved([-2.8635, 0, 2.5205])
+    bore = bore.turned(turn).moved([-2.8635, 0, 2.5505])
     return by_material(MATERIALS, livery(skin, coats), {"steel": pipe}, {"dark": bore})
 
 
@@ -255,7 +257,7 @@ def landing_gear() -> dict[str, Surface]:
         ],
         [0.034, 0.042, 0.045, 0.045, 0.045, 0.045, 0.045],
         12,
-        44,
+        26,
     )
     shoe = box([2.4, 0.05, 0.03], [0.05, 1.10, 0.015], 0.008)
     tubes = []
@@ -265,7 +267,7 @@ def landing_gear() -> dict[str, Surface]:
             for y, z, s in ((1.10, 0.06, 1), (1.04, 0.24, 1), (0.86, 0.46, 1), (0.55, 0.60, 1), (0.0, 0.64, 1))
         ]
         path += [[x, -p[1], p[2]] for p in path[-2::-1]]
-        tubes.append(tube(path, 0.042, 12, 40))
+        tubes.append(tube(path, 0.042, 12, 26))
     saddles = join(*(tube([[x - 0.11, 1.10, 0.049], [x + 0.11, 1.10, 0.049]], 0.048, 12) for x in (1.15, -0.72)))
     step = box([1.25, 0.16, 0.035], [1.10, 0.97, 0.43], 0.012)
     brackets = join(*(tube([[x, 0.97, 0.43], [x, 0.80, 0.56], [x, 0.70, 0.66]], 0.018, 8, 8) for x in (0.75, 1.5)))
