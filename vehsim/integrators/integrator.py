@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,9 +12,13 @@ import numpy as np
 from vehsim.clip import Clip
 from vehsim.errors import InputError, SolveError
 from vehsim.integrators.discrete import DiscreteMechanics
+from vehsim.integrators.record import build_clip as build_clip
+from vehsim.integrators.record import continuous as continuous
+from vehsim.integrators.record import flat, keep
 from vehsim.vehicles import State, Vehicle
 from vehsim.vehicles._base import Array
-from vehsim.vehicles.states import control_vector, internal, shift_twist
+from vehsim.vehicles.mechanics import project
+from vehsim.vehicles.states import internal
 
 TOLERANCE = 1e-9
 """Largest accepted Newton residual, relative to the momentum."""
@@ -62,7 +66,7 @@ class Integrator:
             raise InputError(f"order = {order!r}: unknown; choose one of {', '.join(map(str, COMPOSITIONS))}")
         self.vehicle, self.step_size, self.order = vehicle, float(step), order
         self.wind = np.asarray(wind, float)
-        self.mechanics = _mechanics(vehicle, difference_map, quadrature)
+        self.mechanics = mechanics_of(vehicle, difference_map, quadrature)
 
     def start(self, state: State, controls: Any) -> Phase:
         """The phase of a public state; rates that contradict the constraints are projected onto them."""
@@ -71,17 +75,17 @@ class Integrator:
         c = np.asarray(controls, float)
         for joint, control in self.vehicle.driven:
             u[joint] = c[control]
-        pi = _flat(m.knot_momentum(r, u, xi))
-        return Phase(g, r, pi, _flat(m.knot_velocity_guess(r, pi, c)))
+        pi = flat(m.knot_momentum(r, u, xi))
+        return Phase(g, r, pi, flat(m.knot_velocity_guess(r, pi, c)))
 
     def state(self, phase: Phase, controls: Any, anchor: Any = (0.0, 0.0, 0.0)) -> State:
         """The public state of a phase. ``anchor`` (3,): the part of the position the group does not hold."""
-        pose, twist, r, u = (_flat(x) for x in self.mechanics.root_state(phase.g, phase.r, phase.pi, controls))
+        pose, twist, r, u = (flat(x) for x in self.mechanics.root_state(phase.g, phase.r, phase.pi, controls))
         return State(position=pose[0:3] + anchor, orientation=pose[3:7], twist=twist, joints=r, joint_rates=u)
 
     def anchor(self, state: State, phase: Phase) -> Array:
         """What a start position has beyond the group's own coordinates (the height of a vehicle on SE(2))."""
-        pose = _flat(self.mechanics.root_state(phase.g, phase.r, phase.pi, np.zeros(self.mechanics.sizes[3]))[0])
+        pose = flat(self.mechanics.root_state(phase.g, phase.r, phase.pi, np.zeros(self.mechanics.sizes[3]))[0])
         return np.asarray(state.position, float) - pose[0:3]
 
     def advance(self, phase: Phase, c0: Array, c1: Array, index: int = 0) -> Phase:
@@ -98,8 +102,8 @@ class Integrator:
         for _ in range(_RETRIES):
             g, r, pi, z, residual = self.mechanics.advance(phase.g, phase.r, phase.pi, guess, c0, c1, h, self.wind)
             if residual <= TOLERANCE:
-                return Phase(_flat(g), _flat(r), _flat(pi), _flat(z))
-            guess = _flat(z)
+                return Phase(flat(g), flat(r), flat(pi), flat(z))
+            guess = flat(z)
         raise _diverged(self.vehicle, index, phase, float(residual), h)
 
     def step(self, state: State, controls: Any, next_controls: Any = None, wrench: Any = None) -> State:
@@ -121,7 +125,7 @@ class Integrator:
 
     def _kick(self, phase: Phase, wrench: Any, state: State) -> None:
         body = np.asarray(wrench(state) if callable(wrench) else wrench, float)
-        phase.pi = phase.pi + self.step_size / 2 * _flat(_projected_wrench(self.mechanics)(phase.g, phase.r, body))
+        phase.pi = phase.pi + self.step_size / 2 * flat(_projected_wrench(self.mechanics)(phase.g, phase.r, body))
 
     def rollout(self, state: State, controls: Any, *, fps: Any = 24, start_frame: int = 1001) -> Clip:
         """A clip of ``len(controls) - 1`` steps under knot controls (n, c), linear between knots."""
@@ -130,7 +134,9 @@ class Integrator:
         anchor = self.anchor(state, phase)
         g, r, pi = self._accumulate(phase, controls)
         times = self.step_size * np.arange(len(controls))
-        return build_clip(self.mechanics, times, g, r, pi, controls, anchor, fps=fps, start_frame=start_frame)
+        return build_clip(
+            self.mechanics, times, g, r, pi, controls, anchor, self.wind, fps=fps, start_frame=start_frame
+        )
 
     def _accumulate(self, phase: Phase, controls: Array) -> tuple[Array, Array, Array]:
         """Phases at every knot, the loop kept inside CasADi."""
@@ -143,7 +149,7 @@ class Integrator:
                 history += [(p.g[None], p.r[None], p.pi[None]) for p in phases]
                 break
             x, residual = _chunk(m, self.order)(_pack(phase), block[:-1].T, block[1:].T, self.step_size, self.wind)
-            x, worst = np.asarray(x).T, _flat(residual)
+            x, worst = np.asarray(x).T, flat(residual)
             bad = np.flatnonzero(~(worst <= TOLERANCE))
             if bad.size:  # step through the chunk one by one: retries, or an error that names the step
                 phases = list(self._loop(phase, block, first))
@@ -166,61 +172,7 @@ _RETRIES = 8
 _CHUNK = 256
 
 
-def build_clip(
-    mechanics: DiscreteMechanics,
-    times: Array,
-    g: Array,
-    r: Array,
-    pi: Array,
-    controls: Array,
-    anchor: Any = (0.0, 0.0, 0.0),
-    **header: Any,
-) -> Clip:
-    """A clip from the phases at its knots: poses and twists of the rig's root, joints, controls and channels."""
-    columns = (g.T, r.T, pi.T, controls.T)
-    pose, twist, joints, rates = (np.asarray(x).T for x in _mapped(mechanics.root_state, len(times))(*columns))
-    orientations = continuous(pose[:, 3:7])
-    return Clip(
-        vehicle=mechanics.vehicle,
-        times=times,
-        positions=pose[:, 0:3] + np.asarray(anchor, float),
-        orientations=orientations,
-        twists=twist,
-        joints=joints.reshape(len(times), -1),
-        joint_rates=rates.reshape(len(times), -1),
-        controls=controls,
-        channels=_channels(mechanics.vehicle, times, joints, rates, twist, controls),
-        **header,
-    )
-
-
-def continuous(quaternions: Array) -> Array:
-    """The same rotations (n, 4) with no sign flips from one to the next."""
-    dots = np.sum(quaternions[1:] * quaternions[:-1], axis=1)
-    signs = np.cumprod(np.concatenate([[1.0], np.where(dots < 0, -1.0, 1.0)]))
-    return quaternions * signs[:, None]
-
-
-def _channels(vehicle: Vehicle, times: Array, r: Array, u: Array, root: Array, c: Array) -> dict[str, Array]:
-    from scipy.interpolate import CubicSpline
-
-    n = len(times)
-    symbols = [ca.SX.sym(k, size) for k, size in (("t", 1), ("r", r.shape[1]), ("u", u.shape[1]))]
-    twist, control = ca.SX.sym("xi", vehicle.group.dim), ca.SX.sym("c", c.shape[1])
-    body = shift_twist(twist, vehicle.origin) if vehicle.group.dim != 3 or vehicle.group.name == "SE2" else twist
-    made: dict[str, Array] = {}
-    for name, channel in vehicle.channels.items():
-        law: Callable[..., Any] = channel.value or channel.rate  # type: ignore[assignment]
-        expression = ca.SX(law(*symbols, body, control))
-        function = ca.Function("channel", [*symbols, twist, control], [ca.densify(expression)])
-        values = _flat(_mapped(function, n)(times[None], r.T, u.T, root.T, c.T))
-        if channel.rate is not None:
-            values = CubicSpline(times, values).antiderivative()(times) if n > 1 else np.zeros(n)
-        made[name] = values
-    return made
-
-
-def _mechanics(vehicle: Vehicle, map_name: str, quadrature: str) -> DiscreteMechanics:
+def mechanics_of(vehicle: Vehicle, map_name: str, quadrature: str) -> DiscreteMechanics:
     """One per vehicle object and scheme: expressions are built once and live as long as the vehicle."""
     kept = vehicle.__dict__.setdefault("_mechanics", {})
     key = (map_name, quadrature)
@@ -230,12 +182,10 @@ def _mechanics(vehicle: Vehicle, map_name: str, quadrature: str) -> DiscreteMech
 
 
 def _projected_wrench(mechanics: DiscreteMechanics) -> ca.Function:
-    from vehsim.vehicles.mechanics import project
-
     v, y = mechanics.vehicle, mechanics.symbols
     w = ca.SX.sym("w", v.group.dim)
     covector = project(v, y["r"], ca.SX(len(v.joints), 1), v.group.wrench_from_body(y["g"], w))
-    return _keep(mechanics, "wrench", lambda: ca.Function("wrench", [y["g"], y["r"], w], [covector]))
+    return keep(mechanics, "wrench", lambda: ca.Function("wrench", [y["g"], y["r"], w], [covector]))
 
 
 def _chunk(mechanics: DiscreteMechanics, order: int) -> ca.Function:
@@ -261,26 +211,11 @@ def _chunk(mechanics: DiscreteMechanics, order: int) -> ca.Function:
         states, residuals = one.mapaccum(_CHUNK)(xs, c0s, c1s, ca.repmat(h, 1, _CHUNK), ca.repmat(wind, 1, _CHUNK))
         return ca.Function("chunk", [xs, c0s, c1s, h, wind], [states, residuals])
 
-    return _keep(mechanics, f"chunk{order}", build)
-
-
-def _keep(mechanics: DiscreteMechanics, key: str, build: Callable[[], ca.Function]) -> ca.Function:
-    kept = mechanics.__dict__.setdefault("_kept", {})
-    if key not in kept:
-        kept[key] = build()
-    return kept[key]
+    return keep(mechanics, f"chunk{order}", build)
 
 
 def _pack(phase: Phase) -> Array:
     return np.concatenate([phase.g, phase.r, phase.pi, phase.z])
-
-
-def _mapped(function: ca.Function, n: int) -> Callable[..., Any]:
-    return function.map(n) if n > 1 else function
-
-
-def _flat(values: Any) -> Array:
-    return np.asarray(values, float).ravel()
 
 
 def _diverged(vehicle: Vehicle, index: int, phase: Phase, residual: float, h: float) -> SolveError:

@@ -49,7 +49,7 @@ class Channel:
 
 @dataclass(frozen=True)
 class Drive:
-    """Where a channel goes in the rig: ``op`` ("rotateX|Y|Z", "translateX|Y|Z") on ``prim`` (path below the rig root)."""
+    """Where a channel goes: ``op`` ("rotateX|Y|Z", "translateX|Y|Z") on ``prim`` (path below the rig root)."""
 
     prim: str
     op: str
@@ -73,8 +73,8 @@ class Rig:
 class State:
     """A vehicle's state at an instant, as riggers see it.
 
-    ``position`` (3,) m, the rig's root in the world; ``orientation`` (4,) w, x, y, z, body to world; ``twist`` (d,) body
-    axes, rad/s then m/s, of the rig's root; ``joints`` (s,) and ``joint_rates`` (s,) in rad or m (and per s).
+    ``position`` (3,) m, the rig's root in the world; ``orientation`` (4,) w, x, y, z, body to world; ``twist`` (d,)
+    in body axes, rad/s then m/s, of the rig's root; ``joints`` (s,) and ``joint_rates`` (s,) in rad or m (and per s).
     ``None`` stands for zeros of the vehicle's own size.
     """
 
@@ -89,8 +89,8 @@ class State:
 class Vehicle:
     """What simulation, planning and export need of a vehicle. Make one as `Holonomic` or `Nonholonomic`.
 
-    Its discrete mechanics see a vehicle through these hooks, all of CasADi columns; a segment's velocity ``z`` (b + s_d,)
-    holds the ``b`` coefficients along ``basis`` and the rates of the ``dynamic`` joints:
+    Its discrete mechanics see a vehicle through these hooks, all of CasADi columns; a segment's velocity ``z``
+    (b + s_d,) holds the ``b`` coefficients along ``basis`` and the rates of the ``dynamic`` joints:
 
     - ``reduced_lagrangian(r, u, xi)``: kinetic energy minus joint potential, scalar
     - ``basis(r)`` (d, b): group velocities the constraints leave free with the joints locked
@@ -169,13 +169,13 @@ class Vehicle:
         return state_energy(self, state)
 
     def momentum(self, state: State) -> Array:
-        """Spatial momentum (d,) of a state: angular then linear, world axes; on SO3xR3 angular about the body's origin."""
+        """Spatial momentum (d,), angular then linear, world axes; on SO3xR3 angular about the body's own origin."""
         from vehsim.vehicles.states import state_momentum
 
         return state_momentum(self, state)
 
     def linearize(self, state: State, controls: Any, wind: Any = (0.0, 0.0, 0.0)) -> tuple[Array, Array]:
-        """``A`` (n, n) and ``B`` (n, c) of the continuous motion about a state; see `vehsim.vehicles.states.linearize`."""
+        """``A`` (n, n), ``B`` (n, c) of the motion about a state; see `vehsim.vehicles.states.linearize`."""
         from vehsim.vehicles.states import linearize
 
         return linearize(self, state, controls, wind)

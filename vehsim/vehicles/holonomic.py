@@ -87,4 +87,3 @@ def _still(group: Any, g: Expr, velocity: Expr) -> Expr:
     linear = _rotation(group, g).T @ velocity
     width = group.dim - (3 if group.dim == 6 else 1)
     return group.velocity_from_body(g, ca.vertcat(ca.SX(width, 1), linear[: group.dim - width]))
-

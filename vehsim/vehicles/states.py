@@ -1,4 +1,4 @@
-"""Public states read as the coordinates the dynamics use, and what follows from one state: energy, momentum, linearisation.
+"""Public states read as the coordinates the dynamics use; energy, momentum and linearisation of one state.
 
 A `State` speaks of the rig's root; the dynamics speak of the body frame, in the group's own coordinates and velocities.
 """

@@ -1,0 +1,239 @@
+"""Motion from controls: a vehicle, a world and what its controls do, integrated into a clip.
+
+What belongs here: reading controls in all the forms people give them, stepping, and saying what looks wrong. How a step
+is made is the integrators' business, how a pilot thinks that of `pilots.py`.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vehsim.errors import InputError
+from vehsim.vehicles import State, Vehicle
+from vehsim.vehicles._base import Array
+
+if TYPE_CHECKING:
+    from vehsim.clip import Clip
+    from vehsim.integrators.integrator import Integrator, Phase
+    from vehsim.world import World
+
+Progress = Callable[[str, float], None]
+MAX_STEPS = 10_000_000
+
+
+def simulate(
+    vehicle: Vehicle,
+    world: World | None = None,
+    controls: Any = None,
+    start: State | None = None,
+    duration: float | None = None,
+    step: float = 1 / 240,
+    fps: Any = 24,
+    start_frame: int = 1001,
+    *,
+    difference_map: str = "cay",
+    order: int = 2,
+    progress: Progress | None = None,
+) -> Clip:
+    """Let ``vehicle`` move for ``duration`` s under ``controls`` in ``world``; returns a `Clip` with a sample per step.
+
+    ``controls``, in SI units and the order of ``vehicle.control_names``:
+
+    - (c,): held throughout; None for a vehicle without controls, or all zeros;
+    - (n, c): knot values evenly spaced over the duration, linear between (``duration`` None: one row per ``step``);
+    - a function ``f(t, state) -> (c,)`` of time [s] and `State`, or a pilot (`vehsim.pilots`): asked once at every
+      knot, in order, with the state predicted there; answers are linear between knots. Its ``reset()``, if it has one, is called first.
+
+    ``step`` s is shortened, if need be, to a whole fraction of a frame so that every frame falls on a knot; the
+    duration is rounded up to a whole step. ``world.wind`` acts through the vehicle's drag. A vehicle that moves in the plane
+    keeps its start height, or stands on the terrain's height at its start. ``order`` 2, 4 or 6.
+
+    Raises ``InputError`` naming key, value and mend; ``SolveError`` with step, state and residual when a step fails.
+    """
+    from vehsim.integrators.integrator import Integrator
+
+    rate = _frame_rate(fps)
+    wanted = _positive("step", step, "a number of seconds, such as 1/240")
+    h = 1 / float(rate) / max(1, math.ceil(1 / float(rate) / wanted - 1e-9))
+    table = None if callable(controls) else _table(vehicle, controls)
+    steps = _steps(duration, table, wanted, h)
+    begin = _standing(vehicle, world, start or State())
+    _warn_windless(vehicle, world)
+    integrator = Integrator(vehicle, h, difference_map, order, wind=_wind(world))
+
+    if table is None:
+        clip = _fly(integrator, controls, begin, steps, rate, start_frame, progress)
+    else:
+        knots = table if len(table) == 1 else _spread(table, steps)
+        clip = _roll(
+            integrator, np.broadcast_to(knots, (steps + 1, len(vehicle.controls))), begin, rate, start_frame, progress
+        )
+    _warn_limits(vehicle, clip)
+    return clip
+
+
+def _roll(
+    integrator: Integrator, knots: Array, begin: State, fps: Fraction, start_frame: int, progress: Progress | None
+) -> Clip:
+    """Controls known beforehand: the whole rollout in one go."""
+    if progress:
+        progress("simulate", 0.0)
+    clip = integrator.rollout(begin, knots, fps=fps, start_frame=start_frame)
+    if progress:
+        progress("simulate", 1.0)
+    return clip
+
+
+def _fly(
+    integrator: Integrator,
+    pilot: Callable[[float, State], Any],
+    begin: State,
+    steps: int,
+    fps: Fraction,
+    start_frame: int,
+    progress: Progress | None,
+) -> Clip:
+    """Controls that depend on the state: each knot's are asked for at a prediction of its state, then stepped to."""
+    from vehsim.integrators.record import build_clip
+    from vehsim.vehicles.states import control_vector
+
+    vehicle = integrator.vehicle
+    if hasattr(pilot, "reset"):
+        pilot.reset()
+
+    def ask(k: int, state: State) -> Array:
+        return control_vector(
+            vehicle, pilot(k * integrator.step_size, state), f"controls(t = {k * integrator.step_size:.6g})"
+        )
+
+    c = ask(0, begin)
+    phase = integrator.start(begin, c)
+    anchor = integrator.anchor(begin, phase)
+    phases: list[Phase] = [phase]
+    controls = [c]
+    for k in range(steps):
+        guess = 2 * controls[-1] - controls[-2] if k else c
+        predicted = integrator.advance(phase, c, guess, k)
+        after = ask(k + 1, integrator.state(predicted, guess, anchor))
+        phase = integrator.advance(replace(phase, z=predicted.z), c, after, k)
+        c = after
+        phases.append(phase)
+        controls.append(c)
+        if progress and k % 50 == 0:
+            progress("simulate", k / steps)
+    if progress:
+        progress("simulate", 1.0)
+    times = integrator.step_size * np.arange(steps + 1)
+    g, r, pi = (np.array([getattr(p, name) for p in phases]) for name in ("g", "r", "pi"))
+    rows = np.array(controls)
+    return build_clip(
+        integrator.mechanics, times, g, r, pi, rows, anchor, wind=integrator.wind, fps=fps, start_frame=start_frame
+    )
+
+
+def _table(vehicle: Vehicle, controls: Any) -> Array:
+    """Constant or knot controls as (n, c)."""
+    names = vehicle.control_names
+    try:
+        table = np.zeros((1, len(names))) if controls is None else np.asarray(controls, float)
+    except (TypeError, ValueError):
+        table = np.full((1, 1, 1), np.nan)
+    table = table[None] if table.ndim == 1 else table
+    if table.ndim != 2 or table.shape[1] != len(names) or len(table) == 0:
+        raise InputError(
+            f"controls: shape {np.shape(controls)}; give ({len(names)},) or (n, {len(names)}) numbers "
+            f"({', '.join(names) or 'none'}), a function of (t, state), or a pilot"
+        )
+    bad = np.argwhere(~np.isfinite(table))
+    if len(bad):
+        row, column = bad[0]
+        raise InputError(
+            f"controls[{row}, {column}] ({names[column]}) = {table[row, column]}: not finite; give a number"
+        )
+    return table
+
+
+def _steps(duration: float | None, table: Array | None, wanted: float, h: float) -> int:
+    """Number of steps of ``h`` that cover the duration."""
+    if duration is None:
+        if table is None or len(table) < 2:
+            raise InputError("duration = None: how long is not said; give seconds, or one row of controls per step")
+        duration = (len(table) - 1) * wanted
+    seconds = _positive("duration", duration, "a number of seconds")
+    steps = math.ceil(seconds / h - 1e-6)
+    if steps > MAX_STEPS:
+        raise InputError(f"duration = {duration!r}: {steps:,} steps of {h:.3g} s; shorten it, or take a longer step")
+    return max(1, steps)
+
+
+def _spread(table: Array, steps: int) -> Array:
+    """Evenly spaced knot values (n, c), linear between, at ``steps + 1`` evenly spaced times."""
+    at = np.linspace(0, len(table) - 1, steps + 1)
+    return np.column_stack([np.interp(at, np.arange(len(table)), column) for column in table.T] or [at[:, None][:, :0]])
+
+
+def _standing(vehicle: Vehicle, world: World | None, start: State) -> State:
+    """The start, on the ground when the vehicle moves in the plane and there is a terrain."""
+    if world is None or world.terrain is None or vehicle.group.name != "SE2":
+        return start
+    position = np.asarray(start.position, float).ravel()
+    if position.shape != (3,) or not np.all(np.isfinite(position)):
+        raise InputError(f"state.position = {start.position!r}: give 3 finite numbers")
+    return replace(start, position=(position[0], position[1], float(np.ravel(world.height(position[None, :2]))[0])))
+
+
+def _wind(world: World | None) -> Array:
+    wind = np.zeros(3) if world is None else np.asarray(world.wind, float)
+    if wind.shape != (3,) or not np.all(np.isfinite(wind)):
+        raise InputError(f"world.wind = {wind.tolist()!r}: give three finite numbers, m/s in world axes")
+    return wind
+
+
+def _frame_rate(fps: Any) -> Fraction:
+    try:
+        rate = Fraction(fps).limit_denominator(100_000)
+    except (TypeError, ValueError, ZeroDivisionError, OverflowError):
+        rate = Fraction(0)
+    if not 0 < rate <= 100_000:
+        raise InputError(f'fps = {fps!r}: not a frame rate; give a positive number such as 24 or "24000/1001"')
+    return rate
+
+
+def _positive(key: str, value: Any, mend: str) -> float:
+    number = value if isinstance(value, int | float | np.floating | np.integer | Fraction) else math.nan
+    if isinstance(value, bool) or not (math.isfinite(number) and number > 0):
+        raise InputError(f"{key} = {value!r}: must be positive and finite; give {mend}")
+    return float(number)
+
+
+def _warn_windless(vehicle: Vehicle, world: World | None) -> None:
+    if world is not None and np.any(world.wind) and not vehicle.feels_wind:
+        warnings.warn(
+            f"world.wind = {list(map(float, world.wind))}: {vehicle.name} has no drag and does not feel it; "
+            "give its vehicle.toml drag coefficients, or set the wind to zero",
+            stacklevel=3,
+        )
+
+
+def _warn_limits(vehicle: Vehicle, clip: Clip) -> None:
+    """Nothing is clipped silently: controls and joints are as asked, and what leaves its bounds is named."""
+    columns = [(f"control {c.name}", clip.controls[:, i], c.lower, c.upper) for i, c in enumerate(vehicle.controls)]
+    limits = vehicle.joint_limits
+    columns += [(f"joint {n}", clip.joints[:, i], *limits[n]) for i, n in enumerate(vehicle.joints) if n in limits]
+    for name, values, lower, upper in columns:
+        slack = 1e-6 * max(1.0, abs(lower) if np.isfinite(lower) else 0.0, abs(upper) if np.isfinite(upper) else 0.0)
+        outside = np.flatnonzero((values < lower - slack) | (values > upper + slack))
+        if outside.size:
+            k = outside[0]
+            warnings.warn(
+                f"{vehicle.name}: {name} = {values[k]:.6g} at frame {clip.frames[k]:g} is outside "
+                f"[{lower:g}, {upper:g}]; change the commands, or the bounds in vehicle.toml",
+                stacklevel=3,
+            )
