@@ -109,6 +109,8 @@ class Vehicle:
     """Control name -> the joint whose rate it sets."""
     channels: Mapping[str, Channel] = field(default_factory=dict)
     joint_limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    default_costs: Mapping[str, float] = field(default_factory=dict)
+    """Weights a plan adds to whatever it is asked to minimise, so that the vehicle moves as such vehicles do."""
     feels_wind: bool = False
     rig: Rig | None = None
 
