@@ -1,0 +1,175 @@
+"""Clearances through MuJoCo against elementary geometry."""
+
+from __future__ import annotations
+
+import igl
+import mujoco
+import numpy as np
+import pytest
+from scipy.ndimage import maximum_filter1d
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
+
+from vehsim.errors import InputError
+from vehsim.world import Terrain, World
+from vehsim.world.scene import Scene, add_terrain, write_heights
+
+
+class ExactDistance:
+    """The distance from placed convex hulls to a terrain's triangles.
+
+    Two disjoint polyhedral surfaces are nearest at a vertex of one and a face of the other, or at two edges: all three
+    are enumerated where they can matter.
+    """
+
+    def __init__(self, terrain: Terrain) -> None:
+        self.vertices = np.ascontiguousarray(terrain.vertices)
+        self.faces = np.ascontiguousarray(terrain.faces)
+        self.tree = igl.AABB()
+        self.tree.init(self.vertices, self.faces)
+        pairs = np.sort(self.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+        self.edges = np.unique(pairs, axis=0)
+        ends = self.vertices[self.edges]
+        self.low, self.high = ends.min(axis=1), ends.max(axis=1)
+
+    def __call__(self, hull: np.ndarray) -> float:
+        """Distance of the hull with vertices (n, 3), which must not touch the terrain."""
+        faces = ConvexHull(hull).simplices.astype(np.int64)
+        best = np.sqrt(self.tree.squared_distance(self.vertices, self.faces, np.ascontiguousarray(hull))[0].min())
+        low, high = hull.min(axis=0) - best, hull.max(axis=0) + best
+        near = ((self.high >= low) & (self.low <= high)).all(axis=1)
+        if not near.any():
+            return float(best)
+        ground = np.unique(self.edges[near])
+        points = np.ascontiguousarray(self.vertices[ground])
+        best = min(best, np.sqrt(igl.point_mesh_squared_distance(points, np.ascontiguousarray(hull), faces)[0].min()))
+        edges = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+        a, b = hull[edges][:, None], self.vertices[self.edges[near]][None]
+        return float(min(best, segment_distance(a[:, :, 0], a[:, :, 1], b[:, :, 0], b[:, :, 1]).min()))
+
+
+def segment_distance(p0, p1, q0, q1) -> np.ndarray:
+    """Distances between segments p0 p1 and q0 q1 (..., 3): the inner solution, or an end against the other segment."""
+    u, v, w = p1 - p0, q1 - q0, p0 - q0
+    a, b, c, d, e = (np.sum(x * y, axis=-1) for x, y in ((u, u), (u, v), (v, v), (u, w), (v, w)))
+    det = a * c - b * b
+    safe = np.where(det > 1e-12 * a * c, det, 1.0)
+    s, t = (b * e - c * d) / safe, (a * e - b * d) / safe
+    inner = (det > 1e-12 * a * c) & (s >= 0) & (s <= 1) & (t >= 0) & (t <= 1)
+    gap = np.linalg.norm(w + s[..., None] * u - t[..., None] * v, axis=-1)
+    best = np.where(inner, gap, np.inf)
+    for point, start, along in ((p0, q0, v), (p1, q0, v), (q0, p0, u), (q1, p0, u)):
+        x = np.clip(np.sum((point - start) * along, axis=-1) / np.sum(along * along, axis=-1), 0, 1)
+        best = np.minimum(best, np.linalg.norm(point - start - x[..., None] * along, axis=-1))
+    return best
+
+
+@pytest.fixture(scope="module")
+def canyon():
+    return World("canyon")
+
+
+@pytest.fixture(scope="module")
+def poses(canyon, vehicle):
+    """1,000 random free poses, more than half of them within 3 m of a ridge: positions, quaternions, clearances."""
+    rng = np.random.default_rng(7)
+    heights = canyon.terrain.heights
+    crest = np.zeros(heights.shape, bool)
+    for axis in (0, 1):  # a ridge: higher than everything 4 cells to either side, and well above its surroundings
+        crest |= (maximum_filter1d(heights, 9, axis=axis) == heights) & (heights > 10)
+    rows, cols = np.nonzero(crest[15:-15, 15:-15])
+    pick = rng.integers(len(rows), size=4000)
+    ridge = canyon.terrain.vertices.reshape(*heights.shape, 3)[rows[pick] + 15, cols[pick] + 15]
+    ridge = ridge + rng.uniform([-2, -2, 0], [2, 2, 8], (4000, 3))
+    valley = rng.uniform([-60, -40, 5], [230, 80, 60], (2000, 3))
+    positions = np.concatenate([ridge, valley])
+    turns = Rotation.random(len(positions), rng=rng).as_quat(scalar_first=True)
+    clearance = canyon.clearance(vehicle, positions, turns)
+    near = np.flatnonzero((clearance > 0) & (clearance < 3) & (np.arange(6000) < 4000))[:600]
+    far = np.flatnonzero((clearance > 0) & (np.arange(6000) >= 4000))[:400]
+    chosen = np.concatenate([near, far])
+    assert len(near) == 600 and len(far) == 400
+    return positions[chosen], turns[chosen], clearance[chosen]
+
+
+def placed(hulls, position, turn):
+    rotation = Rotation.from_quat(turn, scalar_first=True)
+    return [rotation.apply(hull) + position for hull in hulls]
+
+
+def test_clearance_is_exact_against_elementary_geometry(canyon, hulls, poses):
+    exact = ExactDistance(canyon.terrain)
+    positions, turns, clearance = poses
+    expected = [min(map(exact, placed(hulls, p, q))) for p, q in zip(positions, turns, strict=True)]
+    assert np.count_nonzero(np.array(expected) < 3) >= 500
+    np.testing.assert_allclose(clearance, expected, rtol=0, atol=1e-4)
+
+
+def test_clearance_does_not_depend_on_the_pose_before(canyon, vehicle, poses):
+    positions, turns, clearance = poses
+    shuffled = np.random.default_rng(0).permutation(len(positions))
+    again = canyon.clearance(vehicle, positions[shuffled], turns[shuffled])
+    np.testing.assert_allclose(again, clearance[shuffled], rtol=0, atol=2e-6)
+
+
+def test_one_plain_call_of_mujoco_misses_the_nearest_rock(canyon, vehicle, poses):
+    """Why `Scene` asks again and again: should MuJoCo mend this one day, the repair can go."""
+    scene = Scene(canyon.terrain, vehicle.rig)
+    errors = []
+    for position, turn, true in zip(*(x[-200:] for x in poses), strict=True):
+        scene._place(position, turn)
+        answers = [mujoco.mj_geomDistance(scene.model, scene.data, h, scene._ground, 200, None) for h in scene._hulls]
+        errors.append(min(answers) - true)
+    assert max(errors) > 1.0
+
+
+def test_a_pose_in_the_rock_is_negative(canyon, vehicle, hulls):
+    """Inside means: some corner of a hull lies below the surface, or the surface pierces a hull."""
+    rng = np.random.default_rng(3)
+    xy = rng.uniform([-60, -40], [230, 80], (300, 2))
+    positions = np.column_stack([xy, canyon.height(xy) + rng.uniform(-30, 3, 300)])
+    turns = Rotation.random(300, rng=rng).as_quat(scalar_first=True)
+    clearance = canyon.clearance(vehicle, positions, turns)
+    for position, turn, value in zip(positions, turns, clearance, strict=True):
+        corners = np.concatenate(placed(hulls, position, turn))
+        depth = (canyon.height(corners[:, :2]) - corners[:, 2]).max()
+        if depth > 0:
+            assert value == pytest.approx(-depth, abs=1e-4)
+    assert (clearance < 0).sum() > 200
+
+
+def test_a_spike_through_the_rotor_disc_is_inside(vehicle):
+    """No corner of a hull is in the rock, and yet it touches."""
+    heights = np.zeros((41, 41))
+    heights[20, 20] = 6.0
+    world = World(Terrain("spike", heights, origin=(-20, -20), cell=(1, 1)))
+    level = [[1, 0, 0, 0]] * 2
+    clearance = world.clearance(vehicle, [[4.2, 0, 2.0], [4.2, 0, 3.2]], level)
+    assert clearance[0] < 0 < clearance[1]
+    assert clearance[1] == pytest.approx(6.1 - 6.0, abs=1e-5)
+
+
+def test_the_height_field_in_mujoco_is_the_terrain(canyon):
+    spec = mujoco.MjSpec()
+    add_terrain(spec, canyon.terrain)
+    model = spec.compile()
+    write_heights(model, canyon.terrain)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    rng = np.random.default_rng(1)
+    xy = rng.uniform(canyon.terrain.lower[:2] + 0.01, canyon.terrain.upper[:2] - 0.01, (500, 2))
+    hit = np.zeros(1, np.int32)
+    down = np.array([0.0, 0, -1])
+    depth = [mujoco.mj_ray(model, data, np.array([*p, 200.0]), down, None, 1, -1, hit, None) for p in xy]
+    np.testing.assert_allclose(200 - np.array(depth), canyon.height(xy), atol=2e-5)
+
+
+def test_empty_space_is_endlessly_clear(vehicle):
+    assert World().clearance(vehicle, np.zeros((2, 3)), [[1, 0, 0, 0]] * 2).tolist() == [np.inf, np.inf]
+
+
+def test_broken_poses_are_named(canyon, vehicle):
+    with pytest.raises(InputError, match=r"positions\[1\]"):
+        canyon.clearance(vehicle, [[0, 0, 30], [0, np.nan, 30]], [[1, 0, 0, 0]] * 2)
+    with pytest.raises(InputError, match=r"orientations\[0\]"):
+        canyon.clearance(vehicle, [[0, 0, 30]], [[0, 0, 0, 0]])
