@@ -400,19 +400,19 @@ def body_hulls(look: dict[str, Surface]) -> dict[str, Surface]:
     everything = join(*look.values())
     high = everything.points[everything.faces].mean(1)[:, 2] > 0.97
     regions = {"cabin": high, "shell": ~high}
-    return {n: outer_hull(everything.points[np.unique(everything.faces[r])], 12.0) for n, r in regions.items()}
+    return {n: outer_hull(everything.points[np.unique(everything.faces[r])], 17.0) for n, r in regions.items()}
 
 
 def wheel_hull(steer: float) -> Surface:
     """A wheel as a prism about it; swept over its steering angles when it steers, for the hulls do not move."""
-    r, h, sides = RADIUS, WIDTH / 2 + 0.002, 24
+    r, h, sides = RADIUS, WIDTH / 2 + 0.002, 16
     turn = (np.arange(sides) + 0.5) * 2 * np.pi / sides
     ring = np.stack([np.cos(turn), np.zeros(sides), np.sin(turn)], 1) * r / np.cos(np.pi / sides)
     ring[:, 2] = np.clip(ring[:, 2], -r, r)
     prism = np.concatenate([ring + np.array([0, h, 0]), ring - np.array([0, h, 0])])
-    c, s = np.cos(steer), np.sin(steer)
-    swept = [prism @ np.array([[c, -k * s, 0], [k * s, c, 0], [0, 0, 1]]) for k in (-1, 0, 1)]
-    return convex(np.concatenate(swept) if steer else prism, crease=180.0)
+    turns = [(np.cos(t), np.sin(t)) for t in np.linspace(-steer, steer, 7 if steer else 1)]
+    swept = [prism @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) for c, s in turns]
+    return convex(np.concatenate(swept), crease=180.0)
 
 
 if __name__ == "__main__":

@@ -66,9 +66,10 @@ def main() -> None:
 def build() -> dict[str, PartShape]:
     """The helicopter's parts by name: fuselage, main rotor, tail rotor."""
     look = by_material(MATERIALS, hull(), cowling(), fin(), stabiliser(), landing_gear(), mast(), fittings())
+    rotor = main_rotor()
     return {
         "fuselage": PartShape(look=look, collision=fuselage_hulls(look)),
-        "main_rotor": PartShape(tuple(HUB), main_rotor(), {"disc": main_disc()}),
+        "main_rotor": PartShape(tuple(HUB), rotor, rotor_hulls(rotor)),
         "tail_rotor": PartShape(tuple(TAIL_HUB), tail_rotor(), {"disc": tail_disc()}),
     }
 
@@ -436,19 +437,29 @@ def fuselage_hulls(look: dict[str, Surface]) -> dict[str, Surface]:
     return hulls
 
 
-def main_disc() -> Surface:
-    """The swept disc of the main rotor: a prism of 36 sides around everything that turns."""
-    return _disc(RADIUS + 0.02, -0.10, RADIUS * np.tan(CONING) + 0.04, 36)
+def rotor_hulls(look: dict[str, Surface]) -> dict[str, Surface]:
+    """The main rotor at every angle: the coned disc of its blades, and the shaft with its links below it."""
+    everything = join(*look.values())
+    low = everything.faces[(everything.points[everything.faces][:, :, 2] < -0.1).any(1)]
+    turns = [about_z(turn) for turn in np.linspace(0, 2 * np.pi, 24, endpoint=False)]
+    shaft = np.concatenate([everything.points[np.unique(low)] @ turn.T for turn in turns])
+    top, tip = 0.27, RADIUS + 0.005
+    disc = [(0.75, -0.1), (tip, 0.175), (tip, top), (0.2, top)]
+    return {"disc": _swept(disc, 32, "z"), "shaft": outer_hull(shaft * [1.01, 1.01, 1.0])}
 
 
 def tail_disc() -> Surface:
     """The swept disc of the tail rotor."""
-    return _disc(TAIL_RADIUS + 0.02, -0.09, 0.09, 24, "y")
+    r = TAIL_RADIUS + 0.01
+    return _swept([(r, -0.09), (r, 0.09)], 24, "y")
 
 
-def _disc(radius: float, low: float, high: float, sides: int, axis: str = "z") -> Surface:
-    r = radius / np.cos(np.pi / sides)
-    return revolve([(0.0, low), (r, low), (r, high), (0.0, high)], sides, axis, crease=5)
+def _swept(profile: list[tuple[float, float]], sides: int, axis: str) -> Surface:
+    """The hull around a convex ``profile`` of (radius, height) turned about ``axis``; its sides touch from outside."""
+    turn = np.linspace(0, 2 * np.pi, sides, endpoint=False)
+    ring = np.stack([np.cos(turn), np.sin(turn)], 1) / np.cos(np.pi / sides)
+    points = np.concatenate([np.column_stack([r * ring, np.full(sides, z)]) for r, z in profile])
+    return convex(np.roll(points, {"z": 0, "y": 2}[axis], axis=1), crease=180.0)
 
 
 if __name__ == "__main__":

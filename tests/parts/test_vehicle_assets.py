@@ -1,0 +1,204 @@
+"""The shipped vehicles: clean USD, real dimensions, faces outward, and hulls that hold everything that is seen."""
+
+from __future__ import annotations
+
+import importlib
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import vehsim.assets
+from pxr import Usd, UsdGeom, UsdValidation
+from scipy.spatial import ConvexHull
+
+import vehsim
+from vehsim.parts import Part, collision_hulls, read_parts
+
+VEHICLES = Path(vehsim.assets.__file__).parent / "vehicles"
+PARTS = {
+    "helicopter": {"fuselage", "main_rotor", "tail_rotor"},
+    "car": {"body", "wheel_rl", "wheel_rr", "steer_fl", "steer_fr", "steer_fl/wheel_fl", "steer_fr/wheel_fr"},
+}
+TRIANGLES = {"helicopter": 8000, "car": 6000}
+both = pytest.mark.parametrize("name", ["helicopter", "car"])
+
+
+def asset(name: str) -> Path:
+    return VEHICLES / name / f"{name}.usdc"
+
+
+def meshes(stage: Usd.Stage, guides: bool) -> list[UsdGeom.Mesh]:
+    every = [UsdGeom.Mesh(prim) for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh)]
+    return [mesh for mesh in every if (mesh.ComputePurpose() == UsdGeom.Tokens.guide) == guides]
+
+
+def part(name: str, path: str) -> Part:
+    return next(p for p in read_parts(asset(name)) if p.path == path)
+
+
+def in_root(p: Part) -> np.ndarray:
+    return p.points @ p.T_rp[:3, :3].T + p.T_rp[:3, 3]
+
+
+def outside(points: np.ndarray, hulls: list[np.ndarray]) -> np.ndarray:
+    """How far each point (n, 3) is outside the union of convex hulls, m; not positive inside."""
+    planes = [ConvexHull(hull).equations for hull in hulls]
+    return np.min([(points @ p[:, :3].T + p[:, 3]).max(1) for p in planes], axis=0)
+
+
+def rotation(axis: int, angle: float) -> np.ndarray:
+    i, j = [(1, 2), (2, 0), (0, 1)][axis]
+    turn = np.eye(3)
+    turn[i, i] = turn[j, j] = math.cos(angle)
+    turn[i, j], turn[j, i] = -math.sin(angle), math.sin(angle)
+    return turn
+
+
+@both
+def test_every_usd_validator_finds_nothing(name):
+    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    assert len(validators) > 20
+    found = UsdValidation.ValidationContext(validators).Validate(Usd.Stage.Open(str(asset(name))))
+    assert [error.GetErrorAsString() for error in found] == []
+
+
+@both
+def test_stage_metadata_is_complete(name):
+    stage = Usd.Stage.Open(str(asset(name)))
+    root = stage.GetDefaultPrim()
+    assert (UsdGeom.GetStageMetersPerUnit(stage), UsdGeom.GetStageUpAxis(stage)) == (1.0, "Z")
+    assert stage.HasAuthoredMetadata("metersPerUnit") and stage.HasAuthoredMetadata("upAxis")
+    assert (root.GetName(), Usd.ModelAPI(root).GetKind(), Usd.ModelAPI(root).GetAssetName()) == (
+        name,
+        "component",
+        name,
+    )
+    assert asset(name).stat().st_size < 2e6
+
+
+@both
+def test_meshes_are_polygonal_with_unit_normals_that_agree_with_their_faces(name):
+    stage = Usd.Stage.Open(str(asset(name)))
+    for mesh in meshes(stage, guides=False):
+        assert mesh.GetSubdivisionSchemeAttr().Get() == "none"
+        points, normals = np.array(mesh.GetPointsAttr().Get(), float), np.array(mesh.GetNormalsAttr().Get(), float)
+        faces = np.array(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3)
+        assert np.allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-5)
+        a, b, c = (points[faces[:, k]] for k in range(3))
+        cross = np.cross(b - a, c - a)
+        area = np.linalg.norm(cross, axis=1)
+        along = np.einsum("ij,ij->i", cross, normals[faces].mean(1))
+        assert area[along <= 0].sum() < 1e-4 * area.sum(), mesh.GetPath()
+        assert np.allclose(mesh.GetExtentAttr().Get(), [points.min(0), points.max(0)])
+
+
+@both
+def test_mesh_names_are_unique_and_begin_with_their_part(name):
+    stage = Usd.Stage.Open(str(asset(name)))
+    prims = [mesh.GetPrim() for guides in (True, False) for mesh in meshes(stage, guides)]
+    names = [prim.GetName() for prim in prims]
+    assert len(set(names)) == len(names)
+    assert all(prim.GetName().startswith(prim.GetParent().GetName()) for prim in prims)
+
+
+@both
+def test_parts_and_triangles(name):
+    parts = read_parts(asset(name))
+    assert {p.path for p in parts} == PARTS[name]
+    assert sum(len(p.faces) for p in parts) >= TRIANGLES[name]
+    assert all(p.collides for p in parts if len(p.faces))
+
+
+@both
+def test_parts_face_outward(name):
+    for p in read_parts(asset(name)):
+        if len(p.faces):
+            a, b, c = (p.points[p.faces[:, k]] for k in range(3))
+            assert np.einsum("ij,ij->", a, np.cross(b, c)) > 0, p.path
+
+
+@both
+def test_hulls_hold_every_triangle_that_is_seen(name):
+    hulls = collision_hulls(asset(name))
+    for p in read_parts(asset(name)):
+        corners = in_root(p)[p.faces]
+        for sample in (corners.reshape(-1, 3), corners.mean(1), corners[:, :2].mean(1), corners[:, 1:].mean(1)):
+            if len(sample):
+                assert outside(sample, hulls).max() < 1e-3, p.path
+
+
+@both
+def test_hulls_are_no_more_than_a_hand_too_large(name):
+    hulls = collision_hulls(asset(name))
+    seen = np.concatenate([in_root(p) for p in read_parts(asset(name))])
+    rng = np.random.default_rng(3)
+    for direction in (d / np.linalg.norm(d) for d in rng.normal(size=(500, 3))):
+        excess = max((hull @ direction).max() for hull in hulls) - (seen @ direction).max()
+        assert -1e-3 < excess < 0.25
+    assert min(hull[:, 2].min() for hull in hulls) == pytest.approx(0.0, abs=2e-3)
+
+
+@pytest.mark.parametrize(("path", "axis"), [("main_rotor", 2), ("tail_rotor", 1)])
+def test_rotor_disc_holds_the_blades_at_every_angle(path, axis):
+    rotor = part("helicopter", path)
+    for angle in np.linspace(0, 2 * np.pi, 17):
+        assert outside(rotor.points @ rotation(axis, angle).T, list(rotor.hulls)).max() < 1e-6
+
+
+def test_wheel_hull_holds_the_wheel_at_every_steering_angle():
+    vehicle = vehsim.load_vehicle("car")
+    limit = math.atan2(0.7, 1 - 0.77 / 2.6 * 0.7)  # Ackermann: the inner wheel turns further
+    assert vehicle.joint_limits["sigma"] == (-0.7, 0.7)
+    wheel = part("car", "steer_fl/wheel_fl")
+    for angle in np.linspace(-limit, limit, 9):
+        assert outside(wheel.points @ rotation(2, angle).T, list(wheel.hulls)).max() < 1e-3
+
+
+def test_helicopter_has_real_dimensions():
+    rotor, body = part("helicopter", "main_rotor"), part("helicopter", "fuselage")
+    blades = rotor.points[:, :2]
+    assert 2 * np.linalg.norm(blades, axis=1).max() == pytest.approx(10.7, abs=0.02)
+    assert np.ptp(in_root(body)[:, 0]) == pytest.approx(10.9, abs=0.15)
+    assert in_root(body)[:, 2].min() == pytest.approx(0.0, abs=2e-3)
+    assert np.ptp(part("helicopter", "tail_rotor").points[:, 2]) == pytest.approx(1.86, abs=0.01)
+
+
+def test_helicopter_physics_matches_its_rig():
+    vehicle = vehsim.load_vehicle("helicopter")
+    hub, tail = part("helicopter", "main_rotor").T_rp[:3, 3], part("helicopter", "tail_rotor").T_rp[:3, 3]
+    toml = importlib.import_module("tomllib").loads((VEHICLES / "helicopter" / "vehicle.toml").read_text())
+    assert hub - vehicle.rig.origin == pytest.approx([0, 0, toml["physics"]["d_t"]])
+    assert tail[0] == pytest.approx(-toml["physics"]["d_r"])
+    assert toml["controls"]["collective"]["scale"] == pytest.approx(9.81 * toml["physics"]["mass"], rel=1e-3)
+
+
+def test_car_has_real_dimensions_and_its_wheels_stand_where_the_physics_says():
+    toml = importlib.import_module("tomllib").loads((VEHICLES / "car" / "vehicle.toml").read_text())["physics"]
+    seen = np.concatenate([in_root(p) for p in read_parts(asset("car"))])
+    assert np.ptp(seen, axis=0) == pytest.approx([4.3, 2.05, 1.38], abs=0.05)
+    front, rear = part("car", "steer_fl"), part("car", "wheel_rl")
+    assert front.T_rp[0, 3] - rear.T_rp[0, 3] == pytest.approx(toml["wheelbase"])
+    assert rear.T_rp[1, 3] == pytest.approx(toml["half_track"])
+    assert rear.T_rp[2, 3] == pytest.approx(toml["wheel_radius"])
+    assert np.hypot(*rear.points[:, [0, 2]].T).max() == pytest.approx(toml["wheel_radius"], abs=1e-4)
+    assert vehsim.load_vehicle("car").rig.origin[0] == pytest.approx(rear.T_rp[0, 3])
+
+
+@both
+def test_channels_drive_prims_that_exist(name):
+    rig = vehsim.load_vehicle(name).rig
+    paths = {p.path for p in read_parts(rig.asset)}
+    assert rig.drives and {drive.prim for drive in rig.drives.values()} <= paths
+
+
+@both
+def test_the_script_generates_the_committed_asset(name, tmp_path):
+    script = importlib.import_module(f"vehsim.assets.generate.{name}")
+    usd = importlib.import_module("vehsim.assets.generate._usd")
+    usd.write_asset(tmp_path / f"{name}.usdc", script.build(), script.MATERIALS, "")
+    fresh, committed = read_parts(tmp_path / f"{name}.usdc"), read_parts(asset(name))
+    assert [p.path for p in fresh] == [p.path for p in committed]
+    for new, old in zip(fresh, committed, strict=True):
+        assert new.faces.shape == old.faces.shape
+        assert np.allclose(new.points, old.points, atol=1e-5)
