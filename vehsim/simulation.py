@@ -49,10 +49,10 @@ def simulate(
     - (c,): held throughout; None for a vehicle without controls, or all zeros;
     - (n, c): knot values evenly spaced over the duration, linear between (``duration`` None: one row per ``step``);
     - a function ``f(t, state) -> (c,)`` of time [s] and `State`, or a pilot (`vehsim.pilots`): asked once at every
-      knot, in order, with the state predicted there; answers are linear between knots. Its ``reset()``, if it has one, is called first.
+      knot, in order, with the state predicted there; its answers are linear between knots. ``reset()`` comes first.
 
-    ``step`` s is shortened, if need be, to a whole fraction of a frame so that every frame falls on a knot; the
-    duration is rounded up to a whole step. ``world.wind`` acts through the vehicle's drag. A vehicle that moves in the plane
+    ``step`` s is shortened, if need be, to a whole fraction of a frame so that every frame is a knot; the duration
+    is rounded up to whole steps. ``world.wind`` acts through the vehicle's drag. A vehicle that moves in the plane
     keeps its start height, or stands on the terrain's height at its start. ``order`` 2, 4 or 6.
 
     Raises ``InputError`` naming key, value and mend; ``SolveError`` with step, state and residual when a step fails.
@@ -130,7 +130,7 @@ def _fly(
             progress("simulate", k / steps)
     if progress:
         progress("simulate", 1.0)
-    times = integrator.step_size * np.arange(steps + 1)
+    times = np.asarray(integrator.step_size * np.arange(steps + 1), float)
     g, r, pi = (np.array([getattr(p, name) for p in phases]) for name in ("g", "r", "pi"))
     rows = np.array(controls)
     return build_clip(

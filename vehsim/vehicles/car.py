@@ -24,7 +24,7 @@ def car(
     ``mass`` kg, ``wheel_inertia`` (rear wheels, LIE's I) and ``yaw_inertia`` (K, about the rear axle) kg m^2; radius,
     wheelbase and half track in m. Joints: ``psi``, roll of the rear wheels [rad], and ``sigma = tan(steering angle)``.
     Controls: ``torque`` on the rear axle [N m] and ``steering_rate``, the rate of sigma [1/s].
-    Channels: ``roll_*`` of the four wheels, each rolling without slip, and Ackermann ``steer_*`` of the front two [rad].
+    Channels: ``roll_*`` of the four wheels, each without slip, and Ackermann ``steer_*`` of the front two [rad].
     """
     rho, length = wheel_radius, wheelbase
 

@@ -33,7 +33,8 @@ def momentum(vehicle: Vehicle, r: Expr, u: Expr, xi: Expr) -> tuple[Expr, Expr]:
     u_, xi_ = ca.SX.sym("u", u.shape[0]), ca.SX.sym("xi", xi.shape[0])
     lagrangian = vehicle.reduced_lagrangian(r, u_, xi_)
     values = [ca.gradient(lagrangian, u_), ca.gradient(lagrangian, xi_)]
-    return tuple(ca.substitute(values, [u_, xi_], [ca.densify(u), ca.densify(xi)]))
+    p, mu = ca.substitute(values, [u_, xi_], [ca.densify(u), ca.densify(xi)])
+    return p, mu
 
 
 def shape_gradient(vehicle: Vehicle, r: Expr, u: Expr, xi: Expr) -> Expr:
@@ -64,7 +65,8 @@ def conservative(vehicle: Vehicle, g: Expr, r: Expr) -> tuple[Expr, Expr]:
     # the derivative at e does not depend on the coordinate map; cay is the cheaper one
     moved = ca.SX(vehicle.potential(vehicle.group.compose(g_, vehicle.group.cay(eta)), r_))
     values = [-ca.gradient(moved, r_), ca.substitute(-ca.gradient(moved, eta), eta, ca.SX.zeros(eta.shape[0]))]
-    return tuple(ca.substitute(values, [g_, r_], [ca.densify(g), ca.densify(r)]))
+    on_joints, on_group = ca.substitute(values, [g_, r_], [ca.densify(g), ca.densify(r)])
+    return on_joints, on_group
 
 
 def energy(vehicle: Vehicle, g: Expr, r: Expr, u: Expr, xi: Expr) -> tuple[Expr, Expr]:
@@ -100,4 +102,5 @@ def residual_force(
     joints = ca.jtimes(on_joints, state, rates) - shape_gradient(vehicle, r_, u, xi) - applied[0] - steady[0]
     body = ca.jtimes(on_group, state, rates) - vehicle.group.ad(xi).T @ on_group - applied[1] - steady[1]
     values = [ca.densify(joints), ca.densify(body)]
-    return tuple(ca.substitute(values, [r_, z_, c_], [ca.densify(r), ca.densify(z), ca.densify(c)]))
+    on_joints, on_group = ca.substitute(values, [r_, z_, c_], [ca.densify(r), ca.densify(z), ca.densify(c)])
+    return on_joints, on_group

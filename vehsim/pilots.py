@@ -1,0 +1,406 @@
+"""Pilots: feedback controllers ``pilot(t, state) -> controls`` that `simulate` asks at every knot.
+
+Time in s, `State` as everywhere (rig root, SI, radians), controls in SI units within their bounds. A pilot may remember
+(integrals, its route); `reset` makes it forget, and `simulate` calls that first. What belongs here: laws that need a
+vehicle's numbers and its state, nothing of terrain or planning.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from vehsim.errors import InputError
+from vehsim.vehicles import State, Vehicle
+from vehsim.vehicles._base import Array
+
+_TILT = 0.6
+"""Largest tilt a helicopter pilot asks for, rad."""
+_FULL_TILT = 0.15
+"""Attitude error, rad, at which the weaker of roll and pitch reaches its bound: sets the gains."""
+_OBSERVER = 2.0
+"""Speed of the estimate of wind and other forces, rad/s."""
+_TURN_RATE = 0.6
+"""How fast a helicopter pilot turns the nose, rad/s."""
+
+
+class Hover:
+    """Holds a helicopter's rig root at ``position`` (3,) m with ``heading`` rad (yaw of its nose from world X).
+
+    Steady wind and other constant forces are trimmed out: the error goes to zero.
+    """
+
+    def __init__(self, vehicle: Vehicle, position: Any, heading: float = 0.0):
+        self._law = _Helicopter(vehicle)
+        self.position = _finite("position", position, (3,), "three numbers, m")
+        self.heading = float(_finite("heading", heading, (), "one number, rad"))
+
+    def reset(self) -> None:
+        self._law.reset()
+
+    def __call__(self, t: float, state: State) -> Array:
+        still = np.zeros(3)
+        return self._law(t, state, self.position, still, still, self.heading)
+
+
+class FlyTo:
+    """Flies a helicopter's rig root to ``position`` (3,) m, or through ``waypoints`` (n, 3) m, and hovers there.
+
+    ``speed`` m/s on the way, slower in bends; ``heading`` rad at all times, or None: the nose points along the flight
+    and stays as it is at the end. The route is a smooth curve from wherever it starts.
+    """
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        position: Any = None,
+        waypoints: Any = None,
+        heading: float | None = None,
+        speed: float = 10.0,
+    ):
+        self._law = _Helicopter(vehicle)
+        if (position is None) == (waypoints is None):
+            raise InputError("fly_to: give either position (one goal, m) or waypoints (n, 3), m")
+        goals = position if waypoints is None else waypoints
+        key = "position" if waypoints is None else "waypoints"
+        self.waypoints = np.atleast_2d(_finite(key, goals, None, "three numbers a point, m"))
+        if self.waypoints.shape[1] != 3:
+            raise InputError(f"{key} = {goals!r}: give three numbers a point, m")
+        self.heading = None if heading is None else float(_finite("heading", heading, (), "one number, rad"))
+        self.speed = _positive("speed", speed)
+        self.reset()
+
+    def reset(self) -> None:
+        self._law.reset()
+        self._route: _Route | None = None
+        self._heading: float | None = None
+
+    def __call__(self, t: float, state: State) -> Array:
+        if self._route is None:
+            self._begin = t
+            start = np.asarray(state.position, float)
+            points = np.vstack([start, self.waypoints])
+            self._route = _Route(points, self.speed, acceleration=0.1 * 9.81, lateral=0.2 * 9.81)
+        position, velocity, acceleration = self._route.at(t - self._begin)
+        heading = self.heading
+        if heading is None:
+            ahead = np.hypot(*velocity[:2]) > 0.05 * self.speed
+            if ahead or self._heading is None:
+                self._heading = float(np.arctan2(*velocity[1::-1])) if ahead else _yaw(_matrix(state.orientation))
+            heading = self._heading
+        return self._law(t, state, position, velocity, acceleration, heading)
+
+
+class FollowPath:
+    """Drives a car's rear axle along the smooth curve through ``points`` (n, 2) m at ``speed`` m/s, until its root ends it.
+
+    Pure pursuit with a rate-limited steering wheel; slower in bends (2.5 m/s^2 sideways). The car may start anywhere
+    near the first point.
+    """
+
+    def __init__(self, vehicle: Vehicle, points: Any, speed: float = 8.0):
+        if not {"torque", "steering_rate"} <= set(vehicle.control_names) or "sigma" not in vehicle.joints:
+            raise InputError(f"follow_path: {vehicle.name} is no car; it needs controls torque and steering_rate")
+        points = _finite("points", points, None, "two numbers a point, m")
+        if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2:
+            raise InputError(f"points: shape {points.shape}; give at least two points of two numbers, m")
+        self.vehicle, self.points, self.speed = vehicle, points, _positive("speed", speed)
+        self._route = _Route(points, self.speed, acceleration=1.5, lateral=2.5)
+        self._offset = vehicle.origin[:2]
+        self._length, self._per_torque = _car_numbers(vehicle)
+        self.reset()
+
+    def reset(self) -> None:
+        self._along, self._integral, self._time = 0.0, 0.0, None
+
+    def __call__(self, t: float, state: State) -> Array:
+        dt = 0.0 if self._time is None else t - self._time
+        self._time = t
+        rotation = _matrix(state.orientation)[:2, :2]
+        axle = np.asarray(state.position, float)[:2] + rotation @ self._offset
+        speed = float(state.twist[1]) if state.twist is not None else 0.0
+        sigma = float(state.joints[self.vehicle.joints.index("sigma")]) if state.joints is not None else 0.0
+        self._along = self._route.nearest(axle, self._along, reach=2.0 + 4 * abs(speed) * max(dt, 1 / 240))
+        controls = {"steering_rate": self._steer(axle, rotation, speed, sigma), "torque": self._drive(dt, speed, sigma)}
+        return np.array([controls[name] for name in self.vehicle.control_names])
+
+    def _steer(self, axle: Array, rotation: Array, speed: float, sigma: float) -> float:
+        """Pure pursuit: the arc through a point one look-ahead further on has curvature ``2 y / d^2``."""
+        ahead = self._length + 0.6 * abs(speed)
+        aim = rotation.T @ (self._route.point(self._along + ahead) - axle)
+        wanted = self._length * 2 * aim[1] / max(aim @ aim, 1e-6)
+        lower, upper = self.vehicle.joint_limits.get("sigma", (-1.0, 1.0))
+        control = self.vehicle.controls[self.vehicle.control_names.index("steering_rate")]
+        rate = 6.0 * (np.clip(wanted, lower, upper) - sigma)
+        return float(np.clip(rate, control.lower, control.upper))
+
+    def _drive(self, dt: float, speed: float, sigma: float) -> float:
+        # the rig's root, ahead of the axle, is what stops at the end
+        wanted, change = self._route.speed(self._along - self._offset[0])
+        error = wanted - speed
+        control = self.vehicle.controls[self.vehicle.control_names.index("torque")]
+        torque = (change * speed + 2.0 * error + self._integral) / self._per_torque(sigma)
+        if control.lower < torque < control.upper:  # no winding up at the bounds
+            self._integral += 0.5 * error * dt
+        return float(np.clip(torque, control.lower, control.upper))
+
+
+class _Helicopter:
+    """Geometric tracking: desired force -> desired attitude -> torque -> controls through the inverse of LIE's F(gamma).
+
+    Gains place the four poles of the hover at one frequency, as fast as the weaker of roll and pitch allows. An observer
+    finds the force that is not its own (wind), so that steady wind leaves no error. Tilting the thrust pushes sideways
+    too: the point that does not feel it, ``J / (m d_t)`` below the centre of mass, is what is steered.
+    """
+
+    def __init__(self, vehicle: Vehicle):
+        wrench = getattr(vehicle, "wrench", None)
+        if vehicle.control_names != ("collective", "yaw", "pitch", "roll") or wrench is None:
+            raise InputError(f"{vehicle.name}: is no helicopter; it needs controls collective, yaw, pitch, roll")
+        self.vehicle = vehicle
+        inertia = np.asarray(vehicle.inertia)  # type: ignore[attr-defined]
+        self.mass, self.J = float(inertia[5, 5]), inertia[:3, :3]
+        self.gravity = float(vehicle.gravity)  # type: ignore[attr-defined]
+        function = _function(wrench, 4)
+        self._wrench = lambda controls: np.asarray(function(controls)).ravel()
+        self.d_t = float(self._wrench((1.0, 0.0, np.pi / 2, 0.0))[1])
+        self.d_r = float(self._wrench((0.0, 1.0, 0.0, 0.0))[2])
+        self.lower = np.array([c.lower for c in vehicle.controls])
+        self.upper = np.array([c.upper for c in vehicle.controls])
+        tilt = np.sin(np.clip(self.upper[2:], 0.01, 0.5)).min()
+        strongest = self.d_t * self.mass * self.gravity * tilt / max(self.J[0, 0], self.J[1, 1])
+        self.pole = float(np.clip(np.sqrt(strongest / _FULL_TILT / 6), 0.2, 2.5))
+        self.reset()
+
+    def reset(self) -> None:
+        self._heading: float | None = None
+        self._time: float | None = None
+        self._push = np.zeros(3)
+
+    def __call__(
+        self, t: float, state: State, goal: Array, velocity: Array, acceleration: Array, heading: float
+    ) -> Array:
+        dt = 0.0 if self._time is None else t - self._time
+        self._time = t
+        R = _matrix(state.orientation)
+        twist = np.zeros(6) if state.twist is None else np.asarray(state.twist, float)
+        origin, omega = self.vehicle.origin, twist[:3]
+        moving = R @ (twist[3:6] + np.cross(omega, origin))
+        push = self._observe(dt, moving)
+        nose = self._turn(heading, _yaw(R), dt)
+        steady = _attitude(self._limited(acceleration - push), nose)
+
+        # the steered point: in hover its acceleration is the thrust alone
+        level = _about_z(nose)
+        lever = level @ np.diag([self.J[1, 1], self.J[0, 0], 0.0]) @ level.T / (self.mass * self.d_t)
+        centre = np.asarray(state.position, float) - goal + (R - steady) @ origin
+        point = centre - lever @ (R - steady)[:, 2]
+        speed = moving - velocity - lever @ (R @ np.cross(omega, [0.0, 0.0, 1.0]))
+        force = self._limited(acceleration - push - self._pull(point, speed))
+
+        torque = self._torque(R, _attitude(self.mass * force, nose), omega)
+        controls = self._controls(torque, self.mass * float(force @ R[:, 2]))
+        self._own = R @ self._wrench(controls)[3:6] / self.mass - [0.0, 0.0, self.gravity]
+        return controls
+
+    def _observe(self, dt: float, moving: Array) -> Array:
+        """Acceleration (3,) that controls and gravity do not explain: a Luenberger observer on the velocity."""
+        if dt <= 0:
+            self._moving = moving
+            return self._push
+        predicted = self._moving + dt * (self._own + self._push)
+        wrong = moving - predicted
+        self._moving = predicted + 2 * _OBSERVER * dt * wrong
+        self._push = self._push + _OBSERVER**2 * dt * wrong
+        return self._push
+
+    def _turn(self, heading: float, yaw: float, dt: float) -> float:
+        """The nose's reference goes to ``heading`` the short way, no faster than the turn rate."""
+        if self._heading is None:
+            self._heading = yaw
+        step = np.arctan2(np.sin(heading - self._heading), np.cos(heading - self._heading))
+        self._heading += float(np.clip(step, -_TURN_RATE * dt, _TURN_RATE * dt))
+        return self._heading
+
+    def _pull(self, point: Array, speed: Array) -> Array:
+        """PD on position, m/s^2; far away the pull is bounded, so that it arrives at a bounded speed."""
+        pull = self.pole**2 / 6 * point
+        size, most = np.linalg.norm(pull), 0.25 * self.gravity
+        return pull * min(1.0, most / max(size, 1e-9)) + 2 * self.pole / 3 * speed
+
+    def _limited(self, acceleration: Array) -> Array:
+        """Thrust per mass (3,) for an acceleration, m/s^2, never below 0.3 g upwards nor tilted too far."""
+        up = max(acceleration[2] + self.gravity, 0.3 * self.gravity)
+        across = np.hypot(*acceleration[:2])
+        share = min(1.0, np.tan(_TILT) * up / max(across, 1e-9))
+        return np.array([share * acceleration[0], share * acceleration[1], up])
+
+    def _torque(self, R: Array, wanted: Array, omega: Array) -> Array:
+        """Body torque (3,) N m that turns ``R`` to ``wanted`` (SO(3) error of Lee, made full-strength at any angle)."""
+        skew = wanted.T @ R - R.T @ wanted
+        error = np.array([skew[2, 1], skew[0, 2], skew[1, 0]]) / 2
+        # sin(angle) fades beyond a right angle: scale so that the pull never does
+        angle = np.arccos(np.clip((np.trace(wanted.T @ R) - 1) / 2, -1.0, 1.0))
+        sine = np.linalg.norm(error)
+        error = error * (angle / sine) if sine > 1e-6 else error + (angle > 1) * np.array([np.pi, 0.0, 0.0])
+        p = self.pole
+        return np.cross(omega, self.J @ omega) - self.J @ (6 * p**2 * error + 4 * p * omega)
+
+    def _controls(self, torque: Array, thrust: float) -> Array:
+        """The inverse of F(gamma): torque (3,) and thrust along body Z to controls (4,), within their bounds."""
+        collective = np.clip(thrust, max(self.lower[0], 0.2 * self.mass * self.gravity), self.upper[0])
+        roll = np.arcsin(np.clip(torque[0] / (self.d_t * collective), -0.9, 0.9))
+        pitch = np.arcsin(np.clip(torque[1] / (self.d_t * collective * np.cos(roll)), -0.9, 0.9))
+        controls = np.array([collective / (np.cos(pitch) * np.cos(roll)), torque[2] / self.d_r, pitch, roll])
+        return np.clip(controls, self.lower, self.upper)
+
+
+class _Route:
+    """A smooth curve through points (n, d) with a speed along it that respects acceleration and bends, ending at rest."""
+
+    def __init__(self, points: Array, speed: float, *, acceleration: float, lateral: float):
+        from scipy.interpolate import CubicSpline
+
+        apart = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        points = points[np.concatenate([[True], apart > 1e-6])]
+        if len(points) < 2:
+            points = np.vstack([points, points + np.eye(points.shape[1])[0] * 1e-6])
+        chord = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+        curve = CubicSpline(chord, points, bc_type="natural")
+        fine = np.linspace(0, chord[-1], 50 * len(points) + 200)
+        dense = curve(fine)
+        self._s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(dense, axis=0), axis=1))])
+        self._curve = CubicSpline(self._s, dense)
+        self.length = float(self._s[-1])
+        bend = np.linalg.norm(self._curve(self._s, 2), axis=1)
+        limit = np.minimum(speed, np.sqrt(lateral / np.maximum(bend, 1e-9)))
+        limit[-1] = 0.0
+        self._v = self._reachable(limit, acceleration)
+        start = self._v.copy()
+        start[0] = 0.0
+        self._timed = self._reachable(start, acceleration)
+        gaps = np.diff(self._s) / np.maximum((self._timed[1:] + self._timed[:-1]) / 2, 1e-9)
+        self._t = np.concatenate([[0.0], np.cumsum(gaps)])
+        self._acceleration = acceleration
+
+    def _reachable(self, limit: Array, acceleration: float) -> Array:
+        v = limit**2
+        steps = 2 * acceleration * np.diff(self._s)
+        for k in range(len(steps)):
+            v[k + 1] = min(v[k + 1], v[k] + steps[k])
+        for k in range(len(steps) - 1, -1, -1):
+            v[k] = min(v[k], v[k + 1] + steps[k])
+        return np.sqrt(v)
+
+    def at(self, t: float) -> tuple[Array, Array, Array]:
+        """Position, velocity and acceleration at a time since the start from rest."""
+        if t >= self._t[-1]:
+            end = self._curve(self.length)
+            return end, np.zeros_like(end), np.zeros_like(end)
+        k = int(np.clip(np.searchsorted(self._t, t, side="right") - 1, 0, len(self._t) - 2))
+        span, since = self._t[k + 1] - self._t[k], t - self._t[k]
+        slope = (self._timed[k + 1] - self._timed[k]) / span
+        v = self._timed[k] + slope * since
+        s = self._s[k] + (self._timed[k] + slope * since / 2) * since
+        along = self._curve(s, 1)
+        return self._curve(s), v * along, slope * along + v**2 * self._curve(s, 2)
+
+    def speed(self, s: float) -> tuple[float, float]:
+        """Speed at an arc length, and its change per metre (never asking for a standing start)."""
+        left = max(self.length - s, 0.0)
+        v = min(float(np.interp(s, self._s, self._v)), 1.5 * left)
+        nudge = 1e-3
+        return v, (float(np.interp(s + nudge, self._s, self._v)) - float(np.interp(s, self._s, self._v))) / nudge
+
+    def point(self, s: float) -> Array:
+        """Point at an arc length; beyond the end the curve goes straight on."""
+        inside = float(np.clip(s, 0.0, self.length))
+        return self._curve(inside) + (s - inside) * self._curve(inside, 1)
+
+    def nearest(self, position: Array, s: float, reach: float) -> float:
+        """Arc length of the nearest point, not before ``s`` and within ``reach`` of it."""
+        span = np.linspace(s, min(s + reach, self.length), 33)
+        distance = np.linalg.norm(self._curve(span) - position, axis=1)
+        k = int(np.argmin(distance))
+        fine = np.linspace(span[max(k - 1, 0)], span[min(k + 1, 32)], 33)
+        return float(fine[int(np.argmin(np.linalg.norm(self._curve(fine) - position, axis=1)))])
+
+
+PILOTS: dict[str, type] = {"hover": Hover, "fly_to": FlyTo, "follow_path": FollowPath}
+"""Name in a shot file -> pilot. Parameters are the keyword arguments after ``vehicle``, in SI units and radians."""
+
+
+def _car_numbers(vehicle: Vehicle) -> tuple[float, Any]:
+    """Wheelbase, m, and a function sigma -> forward acceleration per torque, m/s^2 per N m, from the vehicle itself."""
+    joints = np.zeros(len(vehicle.joints))
+    sigma, torque = vehicle.joints.index("sigma"), vehicle.control_names.index("torque")
+
+    connection = _function(vehicle.connection, len(joints))
+
+    def at(value: float) -> tuple[Array, float]:
+        joints[sigma] = value
+        lift = np.array(connection(joints))
+        wheel = int(np.argmax(np.abs(lift[1])))
+        _, b = vehicle.linearize(State(joints=joints.copy()), np.zeros(len(vehicle.controls)))
+        return lift[:, wheel], -lift[1, wheel] * b[-1, torque]
+
+    column, _ = at(0.1)
+    grid = np.linspace(-1.5, 1.5, 31)
+    gain = np.array([at(value)[1] for value in grid])
+    return float(0.1 * column[1] / column[0]), lambda value: float(np.interp(value, grid, gain))
+
+
+def _function(law: Any, size: int) -> Any:
+    import casadi as ca
+
+    symbol = ca.SX.sym("x", size)
+    return ca.Function("f", [symbol], [ca.densify(ca.SX(law(symbol)))])
+
+
+def _matrix(q: Any) -> Array:
+    w, x, y, z = np.asarray(q, float) / np.linalg.norm(q)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def _about_z(angle: float) -> Array:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _yaw(R: Array) -> float:
+    """Heading of a rotation, rad; standing on its nose or tail, that of its Y axis less a right angle."""
+    if np.hypot(R[0, 0], R[1, 0]) > 0.1:
+        return float(np.arctan2(R[1, 0], R[0, 0]))
+    return float(np.arctan2(-R[0, 1], R[1, 1]))
+
+
+def _attitude(force: Array, heading: float) -> Array:
+    """The rotation whose Z axis is along ``force`` and whose X axis looks along ``heading``; force points upwards."""
+    up = force / np.linalg.norm(force)
+    left = np.cross(up, [np.cos(heading), np.sin(heading), 0.0])
+    left /= np.linalg.norm(left)
+    return np.column_stack([np.cross(left, up), left, up])
+
+
+def _finite(key: str, values: Any, shape: tuple[int, ...] | None, mend: str) -> Array:
+    try:
+        array = np.asarray(values, float)
+    except (TypeError, ValueError):
+        array = np.full((), np.nan)
+    if (shape is not None and array.shape != shape) or not np.all(np.isfinite(array)):
+        raise InputError(f"{key} = {values!r}: give {mend}")
+    return array
+
+
+def _positive(key: str, value: Any) -> float:
+    number = float(_finite(key, value, (), "a positive number, m/s"))
+    if number <= 0:
+        raise InputError(f"{key} = {value!r}: give a positive number, m/s")
+    return number
