@@ -1,0 +1,151 @@
+"""Light for a shot: a low warm sun, placed so that the motion is lit, and a dome whose cool sky fills the shade.
+
+What belongs here is authoring. How MuJoCo's renderer draws these lights is decided in `shading.py`, from the stage.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.exporters.packing import Pack
+from vehsim.take import Take
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Mood:
+    """Late afternoon, as data. Colours are linear; angles in degrees; intensities as UsdLux means them.
+
+    ``key_angle``: how far the sun stands off the camera's back: 0 lights flat from behind it, 90 from the side.
+    """
+
+    elevations: tuple[float, ...] = (20.0, 24.0)
+    key_angle: float = 55.0
+    sun_colour: tuple[float, float, float] = (1.0, 0.80, 0.58)
+    sun_intensity: float = 2.9
+    sun_angle: float = 0.53
+    dome_intensity: float = 0.62
+    zenith: tuple[float, float, float] = (0.16, 0.27, 0.48)
+    horizon: tuple[float, float, float] = (0.76, 0.66, 0.55)
+    ground: tuple[float, float, float] = (0.26, 0.20, 0.16)
+    glow: tuple[float, float, float] = (0.55, 0.36, 0.18)
+
+
+MOOD = Mood()
+
+
+def author_lights(stage: Any, scope: str, take: Take, pack: Pack, shot: Path, mood: Mood = MOOD) -> None:
+    """Author ``sun`` (DistantLight) and ``sky`` (DomeLight with a generated texture) below ``scope``."""
+    from pxr import Gf, Sdf, UsdGeom, UsdLux
+
+    azimuth, elevation = place_sun(take, mood)
+    sun = UsdLux.DistantLight.Define(stage, f"{scope}/sun")
+    sun.CreateIntensityAttr(mood.sun_intensity)
+    sun.CreateColorAttr(Gf.Vec3f(*mood.sun_colour))
+    sun.CreateAngleAttr(mood.sun_angle)
+    # A distant light shines along its -Z: lift that to the elevation, then turn it to the azimuth.
+    UsdGeom.Xformable(sun).AddRotateXYZOp(UsdGeom.XformOp.PrecisionDouble).Set(
+        Gf.Vec3d(90.0 - elevation, 0.0, azimuth + 90.0)
+    )
+
+    texture = pack.folder / "assets" / "sky" / "sky.png"
+    write_sky(texture, azimuth, elevation, mood)
+    pack.written.append(texture)
+    dome = UsdLux.DomeLight.Define(stage, f"{scope}/sky")
+    dome.CreateIntensityAttr(mood.dome_intensity)
+    dome.CreateTextureFileAttr(Sdf.AssetPath(pack.relative(texture, shot)))
+    dome.CreateTextureFormatAttr(UsdLux.Tokens.latlong)
+    UsdGeom.Xformable(dome).AddRotateXOp(UsdGeom.XformOp.PrecisionDouble).Set(90.0)  # its pole is +Y
+
+
+def place_sun(take: Take, mood: Mood = MOOD) -> tuple[float, float]:
+    """Azimuth (from +X, counter-clockwise) and elevation of the sun, degrees: as a gaffer would choose them.
+
+    Of 36 azimuths the one that keeps most of the motion out of the terrain's shadow while it lights the vehicles
+    ``key_angle`` off the camera's back.
+    """
+    points = np.concatenate([clip.positions for clip in take.clips.values()] or [np.zeros((1, 3))])
+    points = points[:: max(1, len(points) // 64)] + (0.0, 0.0, 1.5)
+    view = _view_azimuths(take)
+    best = (-np.inf, 0.0, mood.elevations[0])
+    for elevation in mood.elevations:
+        for azimuth in np.arange(0.0, 360.0, 10.0):
+            lit = _lit(take, points, azimuth, elevation).mean()
+            behind = np.abs((azimuth - view) % 360.0 - 180.0)  # 0: the sun stands at the camera's back
+            key = np.exp(-(((behind - mood.key_angle) / 35.0) ** 2)).mean()
+            score = lit + 0.5 * key
+            if score > best[0] + 1e-9:
+                best = (float(score), float(azimuth), elevation)
+    return best[1], best[2]
+
+
+def _view_azimuths(take: Take) -> Array:
+    """Where the cameras look (n,), degrees; along +X when there is none."""
+    if not take.cameras:
+        return np.zeros(1)
+    w, x, y, z = np.concatenate([camera.orientations for camera in take.cameras]).T
+    forward = -np.stack([2 * (x * z + w * y), 2 * (y * z - w * x)])
+    return np.degrees(np.arctan2(forward[1], forward[0]))[:: max(1, len(w) // 64)]
+
+
+def _lit(take: Take, points: Array, azimuth: float, elevation: float) -> NDArray[np.bool_]:
+    """Whether the sun reaches each of ``points`` (n, 3) over the terrain."""
+    a, e = np.radians([azimuth, elevation])
+    reach = np.geomspace(2.0, 400.0, 60)
+    ray = np.array([np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), np.sin(e)])
+    along = points[:, None] + reach[:, None] * ray
+    heights = np.asarray(take.world.height(along[..., :2].reshape(-1, 2))).reshape(along.shape[:2])
+    return ~(heights > along[..., 2]).any(axis=1)
+
+
+def latlong_directions(width: int, height: int) -> Array:
+    """World direction (height, width, 3) of each pixel of a sky whose pole was turned from +Y to +Z.
+
+    UsdLux (as OpenEXR) puts the dome's own +Z in the middle of the image and +X a quarter from the left.
+    """
+    phi = (np.arange(width) + 0.5) / width * 2 * np.pi - np.pi / 2
+    theta = (np.arange(height) + 0.5) / height * np.pi
+    phi, theta = np.meshgrid(phi, theta)
+    own = np.stack([np.cos(phi) * np.sin(theta), np.cos(theta), np.sin(phi) * np.sin(theta)], axis=-1)
+    return np.stack([own[..., 0], -own[..., 2], own[..., 1]], axis=-1)
+
+
+def write_sky(path: Path, azimuth: float, elevation: float, mood: Mood = MOOD, width: int = 1024) -> None:
+    """A sky as a latitude-longitude PNG: zenith to warm horizon, a glow about the sun, ground below."""
+    from PIL import Image
+
+    directions = latlong_directions(width, width // 2)
+    up = directions[..., 2]
+    a, e = np.radians([azimuth, elevation])
+    sun = np.array([np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), np.sin(e)])
+    haze = np.exp(-np.clip(up, 0, 1) / 0.16)[..., None]
+    sky = (1 - haze) * np.array(mood.zenith) + haze * np.array(mood.horizon)
+    toward = np.clip(directions @ sun, 0, 1)[..., None]
+    sky = sky + np.array(mood.glow) * (0.35 * toward**6 + 0.5 * toward**48)
+    below = np.clip(-up / 0.08, 0, 1)[..., None]
+    linear = (1 - below) * sky + below * np.array(mood.ground)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(encode_srgb(linear)).save(path)
+
+
+def encode_srgb(linear: Any) -> NDArray[np.uint8]:
+    """Linear light to 8-bit sRGB."""
+    return np.round(255 * to_srgb(linear)).astype(np.uint8)
+
+
+def to_srgb(linear: Any) -> Array:
+    """Linear light to sRGB, both 0 to 1."""
+    x = np.clip(np.asarray(linear, float), 0.0, 1.0)
+    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+
+
+def to_linear(srgb: Any) -> Array:
+    """sRGB to linear light, both 0 to 1."""
+    x = np.clip(np.asarray(srgb, float), 0.0, 1.0)
+    return np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)

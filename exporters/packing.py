@@ -1,0 +1,75 @@
+"""Gathers the assets that a shot references below its folder, so that the folder travels."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import warnings
+from pathlib import Path
+
+from vehsim.errors import ExportError
+
+
+class Pack:
+    """Copies assets to ``folder/assets/<name>/``, each source once, and remembers every file ``written``."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.written: list[Path] = []
+        self._copies: dict[Path, Path] = {}
+
+    def add(self, source: Path, name: str) -> Path:
+        """Copy ``source`` and all it depends on; returns the copy. Warns of what it refers to and cannot be found."""
+        source = Path(source).resolve()
+        if source not in self._copies:
+            taken = {copy.parent for copy in self._copies.values()}
+            target = self.folder / "assets" / name
+            while target in taken:
+                target = target.with_name(f"{target.name}_")
+            self._copies[source] = self._copy(source, target)
+        return self._copies[source]
+
+    @staticmethod
+    def relative(path: Path, anchor: Path) -> str:
+        """``path`` as an asset path relative to the layer ``anchor``."""
+        relative = Path(os.path.relpath(path, anchor.parent)).as_posix()
+        return relative if relative.startswith(".") else f"./{relative}"
+
+    def _copy(self, source: Path, target: Path) -> Path:
+        if not source.is_file():
+            raise ExportError(f"{source}: asset not found; give back the file or the vehicle's `asset` key")
+        files, missing = _dependencies(source)
+        for path in missing:
+            warnings.warn(f"{source}: refers to {path}, which does not exist; the copy will miss it too", stacklevel=4)
+        home = source.parent
+        if all(file.is_relative_to(home) for file in files):
+            for file in files:
+                copy = target / file.relative_to(home)
+                copy.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(file, copy)
+                self.written.append(copy)
+            if all(file.is_relative_to(target.resolve()) for file in _dependencies(target / source.name)[0]):
+                return target / source.name
+        return self._localize(source, target)
+
+    def _localize(self, source: Path, target: Path) -> Path:
+        """Let USD gather what lies elsewhere or is named by absolute path, rewriting the paths in the copies."""
+        from pxr import UsdUtils
+
+        shutil.rmtree(target, ignore_errors=True)
+        self.written = [file for file in self.written if not file.is_relative_to(target)]
+        if not UsdUtils.LocalizeAsset(str(source), str(target)):
+            raise ExportError(f"{source}: its dependencies could not be gathered; see the messages of USD above")
+        self.written.extend(sorted(file for file in target.rglob("*") if file.is_file()))
+        return target / source.name
+
+
+def _dependencies(asset: Path) -> tuple[list[Path], list[str]]:
+    """Files that ``asset`` needs, itself included, and references that do not resolve."""
+    from pxr import UsdUtils
+
+    if asset.suffix == ".usdz":  # a package carries all it needs
+        return [asset], []
+    layers, assets, missing = UsdUtils.ComputeAllDependencies(str(asset))
+    paths = [layer.realPath for layer in layers] + [str(path) for path in assets]
+    return sorted({Path(path.split("[")[0]).resolve() for path in paths if path}), sorted(missing)

@@ -1,0 +1,137 @@
+"""Opens the shot that was written and compares it with the clips: an opinion that does not show is an error."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.errors import ExportError
+from vehsim.exporters.animation import drive_op, insert_op, open_rig
+from vehsim.parts import Y_UP_TO_Z_UP
+
+if TYPE_CHECKING:
+    from vehsim.cameras import Camera
+    from vehsim.clip import Clip
+
+Array = NDArray[np.float64]
+
+TOLERANCE = 1e-5
+"""Largest difference of any entry of a world matrix, m or 1."""
+
+
+def check_readback(path: Path, shot: str, clips: Mapping[str, Clip], cameras: Iterable[Camera] = ()) -> None:
+    """Compare the composed stage at every frame with ``clips`` (on whole frames) and ``cameras``.
+
+    Raises ``ExportError`` naming the first prim and frame that differ by more than `TOLERANCE`.
+    """
+    from pxr import Usd
+
+    stage = Usd.Stage.Open(str(path))
+    expected: dict[str, tuple[Array, Array]] = {}
+    for name, clip in clips.items():
+        for part, matrices in expected_matrices(clip).items():
+            expected[f"/{shot}/vehicles/{name}{'/' if part else ''}{part}"] = (clip.frames, matrices)
+    for camera in cameras:
+        pose = _pose_matrices(camera.positions, camera.orientations)
+        expected[f"/{shot}/cameras/{camera.name}"] = (np.asarray(camera.frames, float), pose)
+    for prim_path, (frames, matrices) in expected.items():
+        prim = stage.GetPrimAtPath(prim_path)
+        if not prim:
+            raise ExportError(f"{path.name}: {prim_path}: not there when read back; is the asset's prim deactivated?")
+        difference = np.abs(world_matrices(prim, frames) - matrices).max(axis=(1, 2))
+        worst = int(np.argmax(~(difference <= TOLERANCE)))
+        if not difference[worst] <= TOLERANCE:
+            raise ExportError(
+                f"{path.name}: {prim_path}: at frame {frames[worst]:g} it stands {difference[worst]:.3g} from where the "
+                "clip puts it; a stronger opinion in the asset (an instance, a variant, its own animation) hides ours"
+            )
+
+
+def world_matrices(prim: Any, frames: Array) -> Array:
+    """World matrices (n, 4, 4) of a prim at ``frames``, for column vectors, as USD composes them."""
+    from pxr import UsdGeom
+
+    cache = UsdGeom.XformCache()
+    matrices = np.empty((len(frames), 4, 4))
+    for k, frame in enumerate(frames.tolist()):
+        cache.SetTime(frame)
+        matrices[k] = np.array(cache.GetLocalToWorldTransform(prim)).T
+    return matrices
+
+
+def expected_matrices(clip: Clip) -> dict[str, Array]:
+    """What the clip says: part path below the rig root ("" the root) -> world matrices (n, 4, 4).
+
+    It reads the source asset, not the copy, and multiplies the ops itself, so it shares no mistake with the export.
+    """
+    from pxr import UsdGeom
+
+    rig = clip.vehicle.rig
+    assert rig is not None
+    stage, root = open_rig(rig.asset, rig)
+    scale = UsdGeom.GetStageMetersPerUnit(stage)
+    turn = Y_UP_TO_Z_UP if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y else np.eye(4)
+    pose = clip.matrices() @ turn @ np.diag([scale, scale, scale, 1.0])
+    by_prim: dict[str, list[tuple[str, Array]]] = {}
+    for channel, drive in rig.drives.items():
+        op, factor = drive_op(drive.op, scale)
+        by_prim.setdefault(drive.prim, []).append((op, clip.channels[channel] * factor))
+
+    worlds = {"": pose @ _local_matrices(root, [])}
+    for path in by_prim:
+        world = worlds[""]
+        prim = root
+        for step in path.split("/"):
+            prim = prim.GetChild(step)
+            below = str(prim.GetPath())[len(str(root.GetPath())) + 1 :]
+            xformable = UsdGeom.Xformable(prim)
+            start = np.broadcast_to(np.eye(4), world.shape) if xformable.GetResetXformStack() else world
+            world = start @ _local_matrices(prim, by_prim.get(below, []))
+        worlds[path] = world
+    return worlds
+
+
+def _local_matrices(prim: Any, driven: list[tuple[str, Array]]) -> Array:
+    """Local matrices ((n,) 4, 4) of a prim of the asset with driven ops put into its order."""
+    from pxr import UsdGeom
+
+    xformable = UsdGeom.Xformable(prim)
+    own = {op.GetOpName(): np.array(op.GetOpTransform(0)).T for op in xformable.GetOrderedXformOps()}
+    order = [name for name in xformable.GetXformOpOrderAttr().Get() or [] if name in own]
+    moving = {}
+    for name, values in driven:
+        order = order if name in order else insert_op(order, name)
+        moving[name] = _op_matrices(name.split(":")[1], values)
+    matrix = np.eye(4)
+    for name in order:
+        matrix = matrix @ (moving[name] if name in moving else own[name])
+    return matrix
+
+
+def _op_matrices(op: str, values: Array) -> Array:
+    """Matrices (n, 4, 4) of "rotateX|Y|Z" by degrees or "translateX|Y|Z" by lengths."""
+    axis = "XYZ".index(op[-1])
+    matrices = np.tile(np.eye(4), (len(values), 1, 1))
+    if op.startswith("translate"):
+        matrices[:, axis, 3] = values
+        return matrices
+    j, k = (axis + 1) % 3, (axis + 2) % 3
+    angle = np.radians(values)
+    matrices[:, j, j] = matrices[:, k, k] = np.cos(angle)
+    matrices[:, k, j] = np.sin(angle)
+    matrices[:, j, k] = -np.sin(angle)
+    return matrices
+
+
+def _pose_matrices(positions: Array, orientations: Array) -> Array:
+    """Matrices (n, 4, 4) of poses; quaternions w, x, y, z."""
+    from scipy.spatial.transform import Rotation
+
+    matrices = np.tile(np.eye(4), (len(positions), 1, 1))
+    matrices[:, :3, :3] = Rotation.from_quat(orientations, scalar_first=True).as_matrix()
+    matrices[:, :3, 3] = positions
+    return matrices
