@@ -396,10 +396,13 @@ def _ring(profile: list, sides: int) -> Surface:
 
 
 def body_hulls(look: dict[str, Surface]) -> dict[str, Surface]:
-    """Two hulls that together hold every triangle of the body: each goes whole to the cabin or to the shell."""
+    """Few hulls that together hold every triangle of the body: each goes whole to one region."""
     everything = join(*look.values())
-    high = everything.points[everything.faces].mean(1)[:, 2] > 0.97
-    regions = {"cabin": high, "shell": ~high}
+    x, y, z = everything.points[everything.faces].mean(1).T
+    mirror = (x > 0.5) & (z > 0.86) & (np.abs(y) > 0.80)
+    left, right = mirror & (y > 0), mirror & (y < 0)
+    high = ~mirror & (z > 0.97)
+    regions = {"mirror_left": left, "mirror_right": right, "cabin": high, "shell": ~mirror & ~high}
     return {n: outer_hull(everything.points[np.unique(everything.faces[r])], 17.0) for n, r in regions.items()}
 
 
@@ -412,7 +415,7 @@ def wheel_hull(steer: float) -> Surface:
     prism = np.concatenate([ring + np.array([0, h, 0]), ring - np.array([0, h, 0])])
     turns = [(np.cos(t), np.sin(t)) for t in np.linspace(-steer, steer, 7 if steer else 1)]
     swept = [prism @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) for c, s in turns]
-    return convex(np.concatenate(swept), crease=180.0)
+    return outer_hull(np.concatenate(swept), 16.0) if steer else convex(prism, crease=180.0)
 
 
 if __name__ == "__main__":

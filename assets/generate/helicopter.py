@@ -445,7 +445,7 @@ def rotor_hulls(look: dict[str, Surface]) -> dict[str, Surface]:
     shaft = np.concatenate([everything.points[np.unique(low)] @ turn.T for turn in turns])
     top, tip = 0.27, RADIUS + 0.005
     disc = [(0.75, -0.1), (tip, 0.175), (tip, top), (0.2, top)]
-    return {"disc": _swept(disc, 32, "z"), "shaft": outer_hull(shaft * [1.01, 1.01, 1.0])}
+    return {"disc": _swept(disc, 32, "z"), "shaft": outer_hull(shaft * [1.01, 1.01, 1.0], 25.0)}
 
 
 def tail_disc() -> Surface:
