@@ -165,8 +165,11 @@ class Problem:
             values.append(ca.vec(slope))
             targets.append(use.variables.T.ravel())
         if not values:
-            return ca.MX(0), ca.MX(self.size, 1)
-        return f, _scatter(np.concatenate(targets), np.zeros(sum(map(len, targets)), np.intp), values, (self.size, 1))
+            return ca.MX(0), ca.MX.zeros(self.size, 1)
+        # IPOPT's interface reads the gradient as a dense array, whatever its sparsity says
+        return f, ca.densify(
+            _scatter(np.concatenate(targets), np.zeros(sum(map(len, targets)), np.intp), values, (self.size, 1))
+        )
 
     def _jacobian(self, local: Sequence[tuple[Any, Any]]) -> tuple[Any, Any]:
         g, values, rows, columns, first = [], [], [], [], 0
@@ -251,7 +254,9 @@ def solver_options(max_iterations: int = 400, **more: Any) -> dict[str, Any]:
 class Solver:
     """A built problem, solved as often as wanted from different starts, bounds and parameters."""
 
-    def __init__(self, problem: Problem, options: dict[str, Any] | None = None, watch: Callable[[int], None] | None = None):
+    def __init__(
+        self, problem: Problem, options: dict[str, Any] | None = None, watch: Callable[[int], None] | None = None
+    ):
         self.problem = problem
         functions = problem.functions()
         self._nlp = functions.pop("nlp")

@@ -1,0 +1,191 @@
+"""First guesses: a path at an even pace, and solved motions lifted to finer problems."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.lie import SO3
+from vehsim.planning.marks import Mark
+from vehsim.planning.transcription import Layout, Transcription
+from vehsim.vehicles import Vehicle
+from vehsim.vehicles.mechanics import conservative
+
+Array = NDArray[np.float64]
+
+
+def along_paths(
+    t: Transcription, layout: Layout, marks: Sequence[Mark], paths: Sequence[Array], lengths: Array, wind: Any
+) -> Array:
+    """Variables (size,) of a motion along ``paths`` (one polyline (k, 3) m a phase), level, at trim controls."""
+    fraction, phase = _node_fractions(layout)
+    pace = [_pace(marks[j].at_rest, marks[j + 1].at_rest) for j in range(len(paths))]
+    s = np.array([np.polyval(pace[j], f) for f, j in zip(fraction, phase, strict=True)])
+    positions = np.array([_along(paths[j], f) for f, j in zip(s, phase, strict=True)])
+    headings = _headings(marks, paths, s, phase)
+    half = headings / 2
+    quaternions = np.column_stack([np.cos(half), 0 * half, 0 * half, np.sin(half)])
+    return from_poses(t, layout, positions, quaternions, headings, lengths, trim(t.vehicle, tuple(wind)))
+
+
+def from_poses(
+    t: Transcription, layout: Layout, positions: Array, quaternions: Array, headings: Array, lengths: Array, c: Array
+) -> Array:
+    """Variables of poses (nodes, ...) of the rig root; velocities by differences, controls constant."""
+    vehicle, group, m = t.vehicle, t.vehicle.group, t.mechanics
+    _, s, n, _ = t.sizes
+    body = positions + np.einsum("nij,j->ni", SO3.matrix(quaternions), vehicle.origin)
+    g = group.from_pose(np.hstack([body, quaternions]))
+    if group.name == "SE2":
+        g[:, 0] = headings
+    h = _substep_lengths(layout, lengths)
+    xi = _difference(group, g[:-1], g[1:]) / h[:, None]
+    r = np.zeros((layout.nodes, s))
+    x = np.zeros(layout.size)
+    momenta, velocities = np.zeros((layout.nodes, n)), np.zeros((layout.nodes - 1, n))
+    for k in range(layout.nodes - 1):
+        u = _joint_rates(vehicle, r[k], xi[k]) if s else np.zeros(0)
+        pi = np.ravel(np.asarray(m.knot_momentum(r[k], u, xi[k])))
+        momenta[k], velocities[k] = pi, np.ravel(np.asarray(m.knot_velocity_guess(r[k], pi, c)))
+    momenta[-1] = momenta[-2]
+    x[layout.node(np.arange(layout.nodes))] = np.hstack([g, r, momenta / t.momentum_scale]).T
+    x[layout.velocity(np.arange(layout.nodes - 1))] = velocities.T
+    x[layout.control(np.arange(layout.segments + 1))] = (c / t.control_scale)[:, None]
+    x[layout.lengths] = lengths
+    return x
+
+
+def lift(t: Transcription, coarse: Layout, fine: Layout, x: Array, wind: Any) -> Array:
+    """A solution on a finer layout: every coarse segment's controls are run forward from its own first knot."""
+    m, split = t.mechanics, fine.segments // coarse.segments
+    k = np.arange(coarse.segments)
+    state, z = x[coarse.knot(k)], x[coarse.velocity(k * len(coarse.fractions))]
+    cuts = np.cumsum([0, *t.sizes[:3]])
+    g, r, pi = (state[a:b] for a, b in zip(cuts[:-1], cuts[1:], strict=True))
+    pi = pi * t.momentum_scale[:, None]
+    c0, c1 = (x[coarse.control(k + e)] * t.control_scale[:, None] for e in (0, 1))
+    h = x[coarse.duration(k)] / split
+    air = np.tile(np.asarray(wind, float)[:, None], len(k))
+
+    y = np.zeros(fine.size)
+    advance = m.advance.map(len(k)) if len(k) > 1 else m.advance
+    for j in range(split):
+        y[fine.control(k * split + j)] = (c0 + j / split * (c1 - c0)) / t.control_scale[:, None]
+        done = 0.0
+        for part, fraction in enumerate(fine.fractions):
+            node = (k * split + j) * len(fine.fractions) + part
+            y[fine.node(node)] = np.vstack([g, r, pi / t.momentum_scale[:, None]])
+            ends = [c0 + (j + f) / split * (c1 - c0) for f in (done, done + fraction)]
+            g, r, pi, z, _ = (np.asarray(v) for v in advance(g, r, pi, z, *ends, h * fraction, air))
+            y[fine.velocity(node)] = z
+            done += fraction
+    y[fine.node(fine.nodes - 1)] = x[coarse.node(coarse.nodes - 1)]
+    y[fine.control(fine.segments)] = x[coarse.control(coarse.segments)]
+    y[fine.lengths] = x[coarse.lengths] / split
+    return y
+
+
+@lru_cache(maxsize=64)
+def trim(vehicle: Vehicle, wind: tuple[float, ...]) -> Array:
+    """Controls (c,) that hold the vehicle still and level in the wind, as nearly as their bounds allow."""
+    from scipy.optimize import least_squares
+
+    if not vehicle.controls:
+        return np.zeros(0)
+    s, d = len(vehicle.joints), vehicle.group.dim
+    c = ca.SX.sym("c", len(vehicle.controls))
+    still = ca.SX(list(vehicle.group.identity))
+    forces = vehicle.force(still, ca.SX.zeros(s), ca.SX.zeros(s), ca.SX.zeros(d), c, ca.SX(list(wind)))
+    weight = conservative(vehicle, still, ca.SX.zeros(s))
+    residual = ca.densify(ca.vertcat(*(a + b for a, b in zip(forces, weight, strict=True))))
+    scale = np.array([control.scale for control in vehicle.controls])
+    law = ca.Function("force", [c], [residual, ca.densify(ca.jacobian(residual, c))])
+    size = max(1.0, float(np.abs(np.asarray(law(np.zeros(len(scale)))[0])).max(initial=0.0)))
+
+    def balance(v: Array) -> Array:
+        return np.concatenate([np.ravel(np.asarray(law(v * scale)[0])) / size, 1e-9 * v])
+
+    lower = np.array([control.lower for control in vehicle.controls]) / scale
+    upper = np.array([control.upper for control in vehicle.controls]) / scale
+    bounded = np.isfinite(lower) & np.isfinite(upper)
+    start = np.where(
+        bounded, (np.nan_to_num(lower) + np.nan_to_num(upper)) / 2, np.clip(0.0, lower + 1e-6, upper - 1e-6)
+    )
+    return least_squares(balance, start, bounds=(lower, upper)).x * scale
+
+
+def _node_fractions(layout: Layout) -> tuple[Array, NDArray[np.intp]]:
+    """Fraction of its phase (0 to 1) and phase of every node."""
+    inner = np.concatenate([[0.0], np.cumsum(layout.fractions)[:-1]])
+    fraction, phase = [], []
+    for j, count in enumerate(layout.phases):
+        fraction.append(((np.arange(count)[:, None] + inner) / count).ravel())
+        phase.append(np.full(count * len(inner), j))
+    fraction.append(np.ones(1))
+    phase.append(np.full(1, len(layout.phases) - 1))
+    return np.concatenate(fraction), np.concatenate(phase).astype(np.intp)
+
+
+def _substep_lengths(layout: Layout, lengths: Array) -> Array:
+    per_segment = np.repeat(lengths, layout.phases)
+    return (per_segment[:, None] * np.asarray(layout.fractions)).ravel()
+
+
+def _pace(rest_before: bool, rest_after: bool) -> Array:
+    """Cubic 0 to 1 that starts and ends at rest where the marks do."""
+    a, b = 0.0 if rest_before else 1.0, 0.0 if rest_after else 1.0
+    return np.array([a + b - 2, 3 - 2 * a - b, a, 0.0])
+
+
+def _along(path: Array, fraction: float) -> Array:
+    steps = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    at = fraction * steps[-1]
+    return np.array([np.interp(at, steps, path[:, i]) for i in range(3)])
+
+
+def _headings(marks: Sequence[Mark], paths: Sequence[Array], s: Array, phase: NDArray[np.intp]) -> Array:
+    """Headings (nodes,) rad, along the path, eased into the marks' own at either end of a phase."""
+    out = np.zeros(len(s))
+    for i, (f, j) in enumerate(zip(s, phase, strict=True)):
+        ahead = _along(paths[j], min(1.0, f + 0.03)) - _along(paths[j], max(0.0, f - 0.03))
+        flat = float(np.hypot(ahead[0], ahead[1]))
+        out[i] = np.arctan2(ahead[1], ahead[0]) if flat > 1e-6 else (out[i - 1] if i else 0.0)
+        for mark, weight in ((marks[j], 1 - f / 0.15), (marks[j + 1], 1 - (1 - f) / 0.15)):
+            wanted = _mark_heading(mark)
+            if wanted is not None and weight > 0:
+                out[i] += weight * _wrap(wanted - out[i])
+    return np.unwrap(out)
+
+
+def _mark_heading(mark: Mark) -> float | None:
+    if mark.heading is not None:
+        return float(np.deg2rad(mark.heading))
+    if mark.orientation is None:
+        return None
+    w, x, y, z = np.asarray(mark.orientation, float)
+    return float(np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z))
+
+
+def _wrap(angle: float) -> float:
+    return float((angle + np.pi) % (2 * np.pi) - np.pi)
+
+
+def _difference(group: Any, a: Array, b: Array) -> Array:
+    """Algebra vectors (n, d) whose Cayley map takes ``a`` to ``b``."""
+    step = group.matrix(group.compose(group.inverse(a), b))
+    one = np.eye(step.shape[-1])
+    # (e - x/2)^-1 (e + x/2) = g, so x = 2 (g - e) (g + e)^-1
+    x = 2 * np.linalg.solve(np.swapaxes(step + one, 1, 2), np.swapaxes(step - one, 1, 2))
+    basis = np.array([group.hat(e) for e in np.eye(group.dim)]).reshape(group.dim, -1)
+    return np.swapaxes(x, 1, 2).reshape(len(a), -1) @ np.linalg.pinv(basis)
+
+
+def _joint_rates(vehicle: Vehicle, r: Array, xi: Array) -> Array:
+    symbol = ca.SX.sym("r", len(r))
+    connection = np.array(ca.Function("A", [symbol], [ca.densify(vehicle.connection(symbol))])(r))
+    return np.linalg.lstsq(connection.reshape(len(xi), len(r)), -xi, rcond=None)[0]

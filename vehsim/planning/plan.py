@@ -1,0 +1,407 @@
+"""`plan`: marks in, the best motion the vehicle can make through them out.
+
+Top-down: check what is asked, find a way through free space, solve coarsely, settle on whole frames, solve to order 4,
+certify the motion that will be exported, tighten and repeat if it comes too near, refine until its controls lead where
+the plan says.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.clip import Clip
+from vehsim.errors import InputError
+from vehsim.integrators.integrator import build_clip
+from vehsim.planning.certify import SAMPLES, Executed, certify, executed
+from vehsim.planning.cover import sphere_cover
+from vehsim.planning.elements import Solution, Solver, solver_options
+from vehsim.planning.guess import along_paths, lift
+from vehsim.planning.marks import Mark, check_marks
+from vehsim.planning.terms import check_limits, cost_weights
+from vehsim.planning.transcription import Layout, Transcription, build, parameter_values, transcription, variable_bounds
+from vehsim.vehicles import Vehicle
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+
+TIGHTENINGS = 3
+"""How often a motion that comes too near is solved again with a wider margin."""
+EXECUTED = 0.1
+"""Largest accepted distance between the plan's end and where its controls lead, m, before the plan is refined."""
+FINEST = 4
+"""A plan is refined to at most this many times the segments asked for."""
+SLACK = 0.01
+"""How far below the asked clearance a certified motion may be, m."""
+CRUISE = 12.0
+"""Guess of a free leg's speed, m/s, when no speed limit is lower."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A planned motion and what it is worth.
+
+    ``defect``: largest constraint violation, in the problem's scaled units (m, m/s, rad); ``clearance``: smallest
+    certified, m; ``executed``: how far the controls, run finely and independently, lead from the plan, m;
+    ``segments``, ``order``: of the discretisation in the end.
+    """
+
+    clip: Clip
+    success: bool
+    message: str
+    cost: float
+    duration: float
+    iterations: int
+    solve_seconds: float
+    build_seconds: float
+    defect: float
+    clearance: float
+    executed: Executed
+    segments: int
+    order: int
+    tightenings: int = 0
+    _request: _Request | None = field(default=None, repr=False)
+
+    def replan(self, marks: Sequence[Mark], progress: Progress | None = None) -> Plan:
+        """The plan for other marks, started from this one."""
+        assert self._request is not None
+        return _solve(
+            replace(self._request, marks=check_marks(marks, len(self.clip.vehicle.joints))), progress, self.clip
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Request:
+    """All that a plan was asked for."""
+
+    vehicle: Vehicle
+    world: Any
+    marks: list[Mark]
+    fps: Fraction
+    segments: int
+    weights: dict[str, float]
+    clearance: float
+    limits: dict[str, float]
+    refine: bool
+    max_iterations: int
+
+    @property
+    def wind(self) -> Array:
+        return np.zeros(3) if self.world is None else np.asarray(self.world.wind, float)
+
+    @property
+    def terrain(self) -> bool:
+        return self.world is not None and self.world.terrain is not None and self.vehicle.group.dim == 6
+
+
+def plan(
+    vehicle: Vehicle,
+    world: Any = None,
+    marks: Sequence[Mark] = (),
+    *,
+    fps: Any = 24,
+    segments: int = 64,
+    cost: str | Mapping[str, float] = "effort",
+    clearance: float = 1.0,
+    limits: Mapping[str, float] | None = None,
+    guess: Clip | Any = None,
+    refine: bool = True,
+    max_iterations: int = 400,
+    progress: Progress | None = None,
+) -> Plan:
+    """The motion through ``marks`` that costs least, certified.
+
+    ``fps`` frames a second; ``segments`` in all, every mark on a knot; ``cost``: a name of `terms.COSTS` or weights;
+    ``clearance`` m from the terrain; ``limits``: name of `terms.LIMITS` -> bound; ``guess``: a `Clip`, or a path (k, 3)
+    m to start from; ``refine`` until the controls, executed finely, end within 0.1 m of the plan, or say so.
+
+    Raises ``InputError`` for what cannot be asked. What cannot be solved comes back with ``success = False`` and a
+    message, and a warning.
+    """
+    if segments < 2 * (len(marks) - 1) or segments > 4096:
+        raise InputError(f"segments = {segments!r}: give at least two a leg between marks, and at most 4096")
+    if not (math.isfinite(clearance) and clearance >= 0):
+        raise InputError(f"clearance = {clearance!r}: give a distance in metres, zero or more")
+    request = _Request(
+        vehicle=vehicle,
+        world=world,
+        marks=check_marks(marks, len(vehicle.joints)),
+        fps=Fraction(fps).limit_denominator(100_000),
+        segments=int(segments),
+        weights=cost_weights(cost, vehicle.default_costs),
+        clearance=float(clearance),
+        limits=check_limits(limits or {}),
+        refine=refine,
+        max_iterations=max_iterations,
+    )
+    if np.any(request.wind) and not vehicle.feels_wind:
+        warnings.warn(f"{vehicle.name}: wind is set, but the vehicle has no drag to feel it", stacklevel=2)
+    return _solve(request, progress, guess)
+
+
+def _solve(request: _Request, progress: Progress | None, guess: Any) -> Plan:
+    began = time.perf_counter()
+    t = transcription(request.vehicle)
+    cover = _cover(request, progress)
+    paths = _paths(request, guess, cover)
+    attempt = _Attempt(request, t, cover, progress)
+    attempt.start(paths)
+    attempt.solve()
+    attempt.settle()
+    for _ in range(TIGHTENINGS + 1):
+        attempt.refine()
+        if attempt.clear():
+            break
+        attempt.tighten()
+    return attempt.plan(time.perf_counter() - began)
+
+
+class _Attempt:
+    """The state of one planning: layout, variables, lengths of the legs, margin, and what was measured."""
+
+    def __init__(self, request: _Request, t: Transcription, cover: Any, progress: Progress | None):
+        self.request, self.t, self.cover, self.progress = request, t, cover, progress
+        self.margin, self.tightenings, self.iterations = request.clearance, 0, 0
+        self.build_seconds = self.solve_seconds = 0.0
+        self.clearance = self.wanted = float("inf")
+        self.checked: Executed | None = None
+
+    def start(self, paths: list[Array]) -> None:
+        """Layout, leg lengths and first guess."""
+        marks = self.request.marks
+        speed = min(CRUISE, 0.6 * self.request.limits.get("speed", math.inf))
+        fixed = _fixed_durations(marks, self.request.fps)
+        legs = np.array([_length(path) for path in paths])
+        rests = np.array([a.at_rest + b.at_rest for a, b in zip(marks[:-1], marks[1:], strict=True)])
+        durations = np.where(np.isnan(fixed), legs / speed + 1.5 * rests + 0.5, fixed)
+        _share_known_spans(durations, marks, self.request.fps)
+        phases = _split(self.request.segments, durations)
+        self.layout = Layout(self.t.sizes, phases)
+        self.lengths = durations / np.array(phases)
+        self.free = np.isnan(fixed)
+        self.x = along_paths(self.t, self.layout, marks, paths, self.lengths, self.request.wind)
+
+    def solve(self, free: bool = True) -> None:
+        """Solve on the present layout from the present variables; legs of free marks vary when ``free``."""
+        began = time.perf_counter()
+        request, layout = self.request, self.layout
+        spans = _spans(request.marks, request.fps) if free else []
+        problem, _ = build(self.t, layout, request.marks, request.limits, self.cover, spans)
+        options = solver_options(request.max_iterations)
+        solver = Solver(problem, options, self._watch() if self.progress else None)
+        self.build_seconds += time.perf_counter() - began
+        began = time.perf_counter()
+        span = [(h / 8, h * 8) if free and f else (h, h) for h, f in zip(self.lengths, self.free, strict=True)]
+        lower, upper = variable_bounds(self.t, layout, span)
+        values = parameter_values(self.t, layout, request.marks, request.wind, self.margin, request.weights)
+        self.solution: Solution = solver.solve(self.x, lower, upper, values)
+        self.x = self.solution.x
+        self.lengths = self.x[layout.lengths]
+        self.iterations += self.solution.iterations
+        self.solve_seconds += time.perf_counter() - began
+        self.worst = problem.names()[int(np.argmax(self.solution.violations))] if len(self.solution.violations) else ""
+
+    def settle(self) -> None:
+        """Put free marks on whole frames, later rather than earlier."""
+        if not np.any(self.free):
+            return
+        frames = np.cumsum(self.lengths * self.layout.phases) * float(self.request.fps)
+        whole = np.ceil(frames - 0.25)
+        for i, mark in enumerate(self.request.marks[1:]):
+            if mark.frame != "free":
+                whole[i] = mark.frame - int(self.request.marks[0].frame)
+        spans = np.maximum(np.diff(np.concatenate([[0.0], whole])), 1.0) / float(self.request.fps)
+        self._resize(spans / np.array(self.layout.phases))
+
+    def _resize(self, lengths: Array) -> None:
+        """Other segment lengths for the same motion: velocities and momenta scale with the pace."""
+        ratio = self.lengths / lengths
+        per_segment = np.repeat(ratio, self.layout.phases)
+        per_node = np.append(per_segment, per_segment[-1])
+        momenta = self.layout.node(np.arange(self.layout.nodes))[sum(self.t.sizes[:2]) :]
+        self.x[momenta] *= per_node
+        self.x[self.layout.velocity(np.arange(self.layout.nodes - 1))] *= per_segment
+        self.lengths = lengths
+        self.x[self.layout.lengths] = lengths
+
+    def refine(self) -> None:
+        """Order 4, then more segments, until the executed controls end where the plan does."""
+        if self.layout.order == 2 and self.request.refine and self.solution.success:
+            self._lift(Layout(self.t.sizes, self.layout.phases, 4))
+        self.solve(free=False)
+        while self.solution.success and self.request.refine:
+            self.checked = self._executed()
+            if self.checked.final <= EXECUTED or self.layout.segments * 2 > FINEST * self.request.segments:
+                break
+            self._lift(Layout(self.t.sizes, tuple(2 * n for n in self.layout.phases), 4))
+            self.solve(free=False)
+        self.checked = self._executed()
+
+    def _lift(self, fine: Layout) -> None:
+        self.x = lift(self.t, self.layout, fine, self.x, self.request.wind)
+        self.layout, self.lengths = fine, self.x[fine.lengths]
+
+    def clear(self) -> bool:
+        """Certify the clip; True when it is as far away as asked, or when nothing more can be done."""
+        self.wanted = self.request.clearance if self.cover is not None else 0.0
+        self.clip = self._clip()
+        self.clearance = (
+            certify(self.clip, self.request.world, SAMPLES, self.progress) if self.request.terrain else np.inf
+        )
+        near = self.clearance < self.wanted - SLACK
+        return not (near and self.solution.success and self.tightenings < TIGHTENINGS)
+
+    def tighten(self) -> None:
+        self.margin += (self.wanted - self.clearance) + 0.05
+        self.tightenings += 1
+
+    def plan(self, seconds: float) -> Plan:
+        request, solution = self.request, self.solution
+        message, success = solution.message, solution.success
+        if not success:
+            message = f"{message}: worst {self.worst}, off by {solution.violation:.3g}"
+        elif self.clearance < self.wanted - SLACK:
+            success = False
+            message = (
+                f"certified clearance {self.clearance:.3f} m is below the {self.wanted:g} m asked for after "
+                f"{self.tightenings} tighter solves; ask for less clearance, more segments, or other marks"
+            )
+        assert self.checked is not None
+        if success and self.checked.final > EXECUTED and request.refine:
+            message += f"; executed, the controls end {self.checked.final:.2f} m off: ask for more segments"
+        if not success:
+            warnings.warn(f"{request.vehicle.name}: plan failed: {message}", stacklevel=4)
+        return Plan(
+            clip=self.clip,
+            success=success,
+            message=message,
+            cost=solution.cost,
+            duration=float(self.clip.times[-1]),
+            iterations=self.iterations,
+            solve_seconds=self.solve_seconds,
+            build_seconds=self.build_seconds,
+            defect=solution.violation,
+            clearance=self.clearance,
+            executed=self.checked,
+            segments=self.layout.segments,
+            order=self.layout.order,
+            tightenings=self.tightenings,
+            _request=request,
+        )
+
+    def _knots(self) -> tuple[Array, Array, Array, Array, Array]:
+        layout, every = self.layout, np.arange(self.layout.segments + 1)
+        cuts = np.cumsum([0, *self.t.sizes[:3]])
+        state = self.x[layout.knot(every)]
+        g, r, pi = (state[a:b].T for a, b in zip(cuts[:-1], cuts[1:], strict=True))
+        c = (self.x[layout.control(every)] * self.t.control_scale[:, None]).T
+        return g, r, pi * self.t.momentum_scale, c, np.repeat(self.lengths, layout.phases)
+
+    def _executed(self) -> Executed:
+        return executed(self.t.mechanics, *self._knots(), self.request.wind)
+
+    def _clip(self) -> Clip:
+        g, r, pi, c, steps = self._knots()
+        times = np.concatenate([[0.0], np.cumsum(steps)])
+        start = int(self.request.marks[0].frame)
+        anchor = np.zeros(3)
+        if self.request.vehicle.group.dim == 3:
+            anchor[2] = float(np.asarray(self.request.marks[0].position)[2])
+        return build_clip(self.t.mechanics, times, g, r, pi, c, anchor, fps=self.request.fps, start_frame=start)
+
+    def _watch(self) -> Callable[[int], None]:
+        text = f"planning {self.layout.segments} segments at order {self.layout.order}"
+        if self.tightenings:
+            text += f", margin {self.margin:.2f} m"
+
+        def report(count: int) -> None:
+            assert self.progress is not None
+            self.progress(f"{text}: iteration {count}", 1 - math.exp(-count / 40))
+
+        return report
+
+
+def _cover(request: _Request, progress: Progress | None) -> Any:
+    """Distance function and sphere cover, or None where there is nothing to hit."""
+    if not request.terrain:
+        return None
+    field = request.world.distance_field(progress=progress)
+    return None if field is None else (field.function, *sphere_cover(request.vehicle))
+
+
+def _paths(request: _Request, guess: Any, cover: Any) -> list[Array]:
+    """A polyline (k, 3) for every leg between marks."""
+    positions = _mark_positions(request.marks)
+    legs = list(zip(positions[:-1], positions[1:], strict=True))
+    if guess is not None:
+        points = guess.positions if isinstance(guess, Clip) else np.asarray(guess, float)
+        if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2:
+            raise InputError(f"guess: shape {points.shape}; give a Clip, or a path of (k, 3) points in metres")
+        return _cut(points, legs)
+    if cover is None:
+        return [np.array(leg) for leg in legs]
+    # the route is flown by a ball around the hulls' middle
+    _, centres, radii = cover
+    middle = (centres.max(axis=0) + centres.min(axis=0)) / 2
+    reach = float(np.max(np.linalg.norm(centres - middle, axis=1) + radii)) + request.clearance
+    lift = np.array([0, 0, middle[2]])
+    return [np.asarray(request.world.route(a + lift, b + lift, reach)) - lift for a, b in legs]
+
+
+def _cut(points: Array, legs: list[tuple[Array, Array]]) -> list[Array]:
+    """One path cut into legs at its points nearest to the marks, in order."""
+    cuts = [0]
+    for _, end in legs[:-1]:
+        later = np.linalg.norm(points[cuts[-1] :] - end, axis=1)
+        cuts.append(cuts[-1] + int(np.argmin(later)))
+    cuts.append(len(points) - 1)
+    return [np.vstack([a, points[i : j + 1], b]) for (a, b), i, j in zip(legs, cuts[:-1], cuts[1:], strict=True)]
+
+
+def _mark_positions(marks: Sequence[Mark]) -> Array:
+    """A position for every mark; those that leave it open stand evenly between their neighbours."""
+    known = [i for i, mark in enumerate(marks) if mark.position is not None]
+    values = np.array([marks[i].position for i in known], float)
+    return np.column_stack([np.interp(np.arange(len(marks)), known, values[:, k]) for k in range(3)])
+
+
+def _length(path: Array) -> float:
+    return float(np.sum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
+
+
+def _fixed_durations(marks: Sequence[Mark], fps: Fraction) -> Array:
+    """Seconds of each leg between two marks at frames, NaN where either is free."""
+    frames = [math.nan if mark.frame == "free" else float(mark.frame) for mark in marks]
+    return np.diff(frames) / float(fps)
+
+
+def _spans(marks: Sequence[Mark], fps: Fraction) -> list[tuple[list[int], float]]:
+    """Runs of free legs between two marks at frames: their phases and what they add up to, s."""
+    fixed = [i for i, mark in enumerate(marks) if mark.frame != "free"]
+    spans = []
+    for a, b in zip(fixed[:-1], fixed[1:], strict=True):
+        if b > a + 1:
+            spans.append((list(range(a, b)), float((int(marks[b].frame) - int(marks[a].frame)) / fps)))
+    return spans
+
+
+def _share_known_spans(durations: Array, marks: Sequence[Mark], fps: Fraction) -> None:
+    for phases, total in _spans(marks, fps):
+        durations[phases] *= total / durations[phases].sum()
+
+
+def _split(segments: int, durations: Array) -> tuple[int, ...]:
+    """Segments a leg, by duration, at least two each."""
+    share = durations / durations.sum() * (segments - 2 * len(durations))
+    counts = np.floor(share).astype(int) + 2
+    for i in np.argsort(np.floor(share) - share)[: segments - counts.sum()]:
+        counts[i] += 1
+    return tuple(int(n) for n in counts)
