@@ -1,4 +1,4 @@
-"""Surfaces for generated vehicles: lofts, tubes, wings, hulls, and cutting a surface along the zero line of a field.
+"""Surfaces for generated vehicles: lofts, tubes, wings, hulls, and cutting a surface along a field's zero line.
 
 What belongs here is geometry alone, in metres; which shapes make which vehicle stands in that vehicle's script, and
 how they become USD in `_usd.py`.
@@ -6,8 +6,9 @@ how they become USD in `_usd.py`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -56,9 +57,8 @@ def join(*surfaces: Surface) -> Surface:
     )
 
 
-def shade(points: ArrayLike, faces: ArrayLike, crease: float = 40.0) -> Surface:
+def shade(points: Array, faces: Faces, crease: float = 40.0) -> Surface:
     """A surface with smooth normals that break where neighbouring faces differ by more than ``crease`` degrees."""
-    points, faces = np.asarray(points, float), np.asarray(faces, np.int64)
     cross = np.cross(points[faces[:, 1]] - points[faces[:, 0]], points[faces[:, 2]] - points[faces[:, 0]])
     area = np.linalg.norm(cross, axis=1)
     faces, cross, area = faces[area > 1e-10], cross[area > 1e-10], area[area > 1e-10]
@@ -77,7 +77,7 @@ def shade(points: ArrayLike, faces: ArrayLike, crease: float = 40.0) -> Surface:
     return Surface(points[faces.reshape(-1)[first]], normals[first], inverse.reshape(-1, 3))
 
 
-def lattice(rows: ArrayLike, wrap: bool = True, caps: bool = True, crease: float = 40.0) -> Surface:
+def lattice(rows: Any, wrap: bool = True, caps: bool = True, crease: float = 40.0) -> Surface:
     """A skin over sections ``rows`` (m, n, 3); ``wrap`` closes each section, ``caps`` the two ends with a fan."""
     rows = np.asarray(rows, float)
     m, n, _ = rows.shape
@@ -98,7 +98,7 @@ def lattice(rows: ArrayLike, wrap: bool = True, caps: bool = True, crease: float
     return shade(points, faces, crease)
 
 
-def tube(path: ArrayLike, radius: ArrayLike, sides: int = 12, samples: int = 0, crease: float = 50.0) -> Surface:
+def tube(path: Any, radius: Any, sides: int = 12, samples: int = 0, crease: float = 50.0) -> Surface:
     """A round tube along ``path`` (m, 3), splined to ``samples`` points if given, ``radius`` a number or (m,)."""
     path = np.asarray(path, float)
     radius = np.broadcast_to(np.asarray(radius, float), len(path))
@@ -202,7 +202,7 @@ def split(surface: Surface, field: Field) -> tuple[Surface, Surface]:
 def refined(surface: Surface, axis: int, at: ArrayLike) -> Surface:
     """``surface`` with edges along the planes where coordinate ``axis`` is one of ``at``: finer, of the same shape."""
     for value in np.asarray(at, float):
-        surface = join(*split(surface, lambda p, v=value: p[:, axis] - v))
+        surface = join(*split(surface, below(axis, value)))
     return surface
 
 
@@ -224,6 +224,22 @@ def _used(surface: Surface, faces: Sequence) -> Surface:
         return Surface(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3), np.int64))
     used, inverse = np.unique(np.asarray(faces, np.int64), return_inverse=True)
     return Surface(surface.points[used], surface.normals[used], inverse.reshape(-1, 3))
+
+
+def by_material(*looks: Mapping[str, Surface]) -> dict[str, Surface]:
+    """All ``looks`` as one: one surface per material, in the order materials first appear."""
+    names = dict.fromkeys(name for look in looks for name in look)
+    return {name: join(*(look[name] for look in looks if name in look)) for name in names}
+
+
+def painted(surface: Surface, coats: Iterable[tuple[str, Field]], rest: str) -> dict[str, Surface]:
+    """``surface`` cut into materials: each coat takes what is inside its field, ``rest`` what no coat took."""
+    looks = []
+    for name, region in coats:
+        inside, surface = split(surface, region)
+        looks.append({name: inside})
+    looks.append({rest: surface})
+    return by_material(*(look for look in looks if all(len(s.faces) for s in look.values())))
 
 
 def polygon(corners: ArrayLike, radius: float = 0.0, axes: tuple[int, int] = (0, 2)) -> Field:
@@ -259,13 +275,23 @@ def both_sides(field: Field) -> Field:
     return lambda p: field(np.column_stack([p[:, 0], np.abs(p[:, 1]), p[:, 2]]))
 
 
+def below(axis: int, value: float) -> Field:
+    """Where coordinate ``axis`` is less than ``value``."""
+    return lambda p: p[:, axis] - value
+
+
+def grown(field: Field, by: float) -> Field:
+    """The region ``field`` with its border moved outward ``by`` metres."""
+    return lambda p: field(p) - by
+
+
 def seam(surface: Surface, fields: Sequence[Field], half_width: float) -> tuple[Surface, Surface]:
     """``surface`` without thin lines around each region, and those lines."""
-    lines = []
+    lines: list[Surface] = []
     for field in fields:
         # two cuts on one-sided fields: a cut on |field| would miss lines thinner than a triangle
-        within, surface = split(surface, lambda p, f=field: f(p) - half_width)
-        within, line = split(within, lambda p, f=field: f(p) + half_width)
+        within, surface = split(surface, grown(field, half_width))
+        within, line = split(within, grown(field, -half_width))
         surface, lines = join(surface, within), [*lines, line]
     return surface, join(*lines)
 

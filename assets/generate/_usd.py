@@ -6,12 +6,12 @@ material, UsdPreviewSurface materials, and collision meshes with purpose `guide`
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from vehsim.assets.generate._shapes import Field, Surface, join, split
+from vehsim.assets.generate._shapes import Surface
 
 
 @dataclass(frozen=True)
@@ -37,24 +37,6 @@ class PartShape:
     look: Mapping[str, Surface] = field(default_factory=dict)
     collision: Mapping[str, Surface] = field(default_factory=dict)
     parts: Mapping[str, PartShape] = field(default_factory=dict)
-
-
-def by_material(order: Iterable[str], *looks: Mapping[str, Surface]) -> dict[str, Surface]:
-    """All ``looks`` as one: one surface per material, in the given order."""
-    names = [name for name in order if any(name in look for look in looks)]
-    return {name: join(*(look[name] for look in looks if name in look)) for name in names}
-
-
-def painted(
-    order: Iterable[str], surface: Surface, coats: Iterable[tuple[str, Field]], rest: str
-) -> dict[str, Surface]:
-    """``surface`` cut into materials: each coat takes what is inside its field, ``rest`` what no coat took."""
-    looks = []
-    for name, region in coats:
-        inside, surface = split(surface, region)
-        looks.append({name: inside})
-    looks.append({rest: surface})
-    return by_material(order, *(look for look in looks if all(len(s.faces) for s in look.values())))
 
 
 def write_asset(path: Path, parts: Mapping[str, PartShape], materials: Mapping[str, Material], doc: str) -> None:

@@ -17,11 +17,14 @@ from vehsim.assets.generate._shapes import (
     both,
     both_sides,
     box,
+    by_material,
     convex,
     curve,
+    grown,
     join,
     lattice,
     outer_hull,
+    painted,
     polygon,
     refined,
     revolve,
@@ -29,9 +32,10 @@ from vehsim.assets.generate._shapes import (
     split,
     tube,
 )
-from vehsim.assets.generate._usd import Material, PartShape, by_material, painted, triangles, write_asset
+from vehsim.assets.generate._usd import Material, PartShape, triangles, write_asset
+from vehsim.assets.generate._wheels import RADIUS, wheel, wheel_hull
 
-AXLE, HALF_TRACK, RADIUS, WIDTH = 1.30, 0.77, 0.32, 0.215
+AXLE, HALF_TRACK = 1.30, 0.77
 ARCH = 0.372
 STEER_LIMIT = np.radians(40.0)  # the inner wheel of the tightest Ackermann turn
 
@@ -60,7 +64,7 @@ def main() -> None:
 
 def build() -> dict[str, PartShape]:
     """The car's parts by name: body, rear wheels, and steered front wheels."""
-    look = by_material(MATERIALS, shell(), cabin(), wheel_wells(), fittings())
+    look = by_material(shell(), cabin(), wheel_wells(), fittings())
     parts = {"body": PartShape(look=look, collision=body_hulls(look))}
     for side, y in (("l", HALF_TRACK), ("r", -HALF_TRACK)):
         left = wheel()
@@ -161,7 +165,7 @@ def shell() -> dict[str, Surface]:
     skin = sharpened(skin, VENT, 0.03)
     arches: list[tuple[str, Field]] = [("trim", arch(x, ARCH + 0.014)) for x in (AXLE, -AXLE)]
     coats = [*front_details(), *rear_details(), *arches, ("trim", lambda p: p[:, 2] - 0.235)]
-    return by_material(MATERIALS, painted(MATERIALS, skin, coats, "paint"), {"seal": lines})
+    return by_material(painted(skin, coats, "paint"), {"seal": lines})
 
 
 def spot(y: float, z: float, radius: float) -> Field:
@@ -175,7 +179,7 @@ VENT = facing(1, [(0.60, 0.29), (0.78, 0.31), (0.78, 0.45), (0.66, 0.42)], 0.03)
 
 def sharpened(skin: Surface, region: Field, size: float) -> Surface:
     """``skin`` with finer triangles in and around a ``region`` on the car's ends, so details cut there are crisp."""
-    near, skin = split(skin, lambda p: region(p) - 0.015)
+    near, skin = split(skin, grown(region, 0.015))
     for axis in (1, 2):
         low, high = near.points[:, axis].min(), near.points[:, axis].max()
         near = refined(near, axis, np.arange(low + size / 2, high, size))
@@ -192,7 +196,7 @@ def front_details() -> list[tuple[str, Field]]:
         ("lamp", spot(0.695, 0.647, 0.031)),
         ("lamp", streak),
         ("lens", LENS),
-        ("trim", lambda p: LENS(p) - 0.010),
+        ("trim", grown(LENS, 0.010)),
         ("trim", facing(1, [(-0.1, 0.245), (0.52, 0.245), (0.44, 0.40), (-0.1, 0.40)], 0.05)),
         ("trim", facing(1, [(-0.1, 0.49), (0.36, 0.49), (0.36, 0.525), (-0.1, 0.525)], 0.015)),
         ("trim", VENT),
@@ -205,7 +209,7 @@ def rear_details() -> list[tuple[str, Field]]:
     band = facing(-1, [(-0.1, 0.715), (0.45, 0.715), (0.45, 0.755), (-0.1, 0.755)], 0.0)
     return [
         ("tail_lamp", lamp),
-        ("trim", lambda p: lamp(p) - 0.012),
+        ("trim", grown(lamp, 0.012)),
         ("trim", band),
         ("trim", facing(-1, [(-0.1, 0.1), (0.66, 0.1), (0.56, 0.44), (-0.1, 0.44)], 0.05)),
     ]
@@ -257,8 +261,8 @@ def cabin() -> dict[str, Surface]:
     post, side_panes = lambda p: np.abs(p[:, 0] + 0.56 + 0.12 * (p[:, 2] - 0.9)) - 0.03, side
     panes: list[Field] = [windscreen, backlight, lambda p: np.maximum(side_panes(p), -post(p))]
     coats: list[tuple[str, Field]] = [("glass", pane) for pane in panes]
-    coats += [("seal", lambda p, f=f: f(p) - 0.018) for f in (windscreen, backlight, side)]
-    return painted(MATERIALS, skin, coats, "paint")
+    coats += [("seal", grown(f, 0.018)) for f in (windscreen, backlight, side)]
+    return painted(skin, coats, "paint")
 
 
 def side_of_shell(x: float, z: float) -> float:
@@ -310,86 +314,10 @@ def fittings() -> dict[str, Surface]:
     ]
     fin = convex(np.array([*fin, *([x, -y, z] for x, y, z in fin)]))
     return by_material(
-        MATERIALS,
         {"paint": join(mirror.pair(), handle.pair(), fin)},
         {"trim": join(stalk.pair(), bores)},
         {"glass": glass.pair(), "plate": plates, "chrome": pipes},
     )
-
-
-# ---------------------------------------------------------------- wheels
-
-
-def wheel() -> dict[str, Surface]:
-    """A left wheel about its own centre: tyre, rim with five twin spokes, brake disc. Outboard is +Y."""
-    h, r = WIDTH / 2, RADIUS
-    tread = [
-        (0.222, -h + 0.012),
-        (0.25, -h),
-        (0.285, -h),
-        (0.308, -h + 0.012),
-        (r - 0.002, -h + 0.035),
-        (r, -0.04),
-        (r, 0.04),
-    ]
-    tread += [(r - 0.002, h - 0.035), (0.308, h - 0.012), (0.285, h), (0.25, h), (0.222, h - 0.012)]
-    tyre = _ring(tread, 48)
-    barrel = _ring(
-        [
-            (0.226, -h + 0.01),
-            (0.226, h - 0.012),
-            (0.218, h - 0.004),
-            (0.204, h - 0.012),
-            (0.200, h - 0.03),
-            (0.200, -h + 0.01),
-        ],
-        48,
-    )
-    spokes = []
-    for k in range(5):
-        for lean in (-0.13, 0.13):
-            a, b = 2 * np.pi * k / 5 + 0.35 * lean, 2 * np.pi * k / 5 + lean
-            inner = np.array([0.045 * np.cos(a), h - 0.035, 0.045 * np.sin(a)])
-            outer = np.array([0.206 * np.cos(b), h - 0.016, 0.206 * np.sin(b)])
-            across = np.array([-np.sin(b), 0.0, np.cos(b)])
-            deep = np.array([0.0, 0.016, 0.0])
-            corners = [
-                p + s * wd * across + t * deep
-                for p, wd in ((inner, 0.014), (outer, 0.019))
-                for s in (-1, 1)
-                for t in (-1.2, 0)
-            ]
-            corners += [
-                p + s * wd * 0.55 * across + deep * 0.35 for p, wd in ((inner, 0.014), (outer, 0.019)) for s in (-1, 1)
-            ]
-            spokes.append(convex(np.array(corners)))
-    hub = revolve(
-        [(0.0, h - 0.07), (0.062, h - 0.07), (0.062, h - 0.025), (0.05, h - 0.016), (0.0, h - 0.014)], 24, "y"
-    )
-    nuts = join(
-        *(
-            revolve([(0.0, h - 0.03), (0.008, h - 0.03), (0.008, h - 0.01), (0.0, h - 0.01)], 6, "y").moved(
-                [0.034 * np.cos(t), 0, 0.034 * np.sin(t)]
-            )
-            for t in np.linspace(0, 2 * np.pi, 5, endpoint=False)
-        )
-    )
-    disc = revolve([(0.0, 0.0), (0.155, 0.0), (0.155, 0.022), (0.0, 0.022)], 32, "y")
-    back = revolve([(0.0, -0.075), (0.20, -0.075), (0.20, -0.06), (0.0, -0.06)], 32, "y")
-    return by_material(
-        MATERIALS, {"tyre": tyre, "rim": join(barrel, hub, *spokes), "trim": join(back, nuts), "disc": disc}
-    )
-
-
-def _ring(profile: list, sides: int) -> Surface:
-    """A closed ``profile`` of (radius, y) turned about Y."""
-    turn = np.linspace(0, 2 * np.pi, sides, endpoint=False)
-    around = np.stack([np.cos(turn), np.zeros(sides), np.sin(turn)], 1)
-    loop = np.array([*profile, profile[0]])
-    surface = lattice(loop[:, None, :1] * around + loop[:, None, 1:] * np.array([0, 1.0, 0]), caps=False)
-    a, b, c = (surface.points[surface.faces[:, k]] for k in range(3))
-    inward = np.einsum("ij,ij->", a, np.cross(b, c)) < 0
-    return Surface(surface.points, -surface.normals, surface.faces[:, ::-1]) if inward else surface
 
 
 # ---------------------------------------------------------------- collision
@@ -404,18 +332,6 @@ def body_hulls(look: dict[str, Surface]) -> dict[str, Surface]:
     high = ~mirror & (z > 0.97)
     regions = {"mirror_left": left, "mirror_right": right, "cabin": high, "shell": ~mirror & ~high}
     return {n: outer_hull(everything.points[np.unique(everything.faces[r])], 17.0) for n, r in regions.items()}
-
-
-def wheel_hull(steer: float) -> Surface:
-    """A wheel as a prism about it; swept over its steering angles when it steers, for the hulls do not move."""
-    r, h, sides = RADIUS, WIDTH / 2 + 0.002, 16
-    turn = (np.arange(sides) + 0.5) * 2 * np.pi / sides
-    ring = np.stack([np.cos(turn), np.zeros(sides), np.sin(turn)], 1) * r / np.cos(np.pi / sides)
-    ring[:, 2] = np.clip(ring[:, 2], -r, r)
-    prism = np.concatenate([ring + np.array([0, h, 0]), ring - np.array([0, h, 0])])
-    turns = [(np.cos(t), np.sin(t)) for t in np.linspace(-steer, steer, 7 if steer else 1)]
-    swept = [prism @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) for c, s in turns]
-    return outer_hull(np.concatenate(swept), 16.0) if steer else convex(prism, crease=180.0)
 
 
 if __name__ == "__main__":
