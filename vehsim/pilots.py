@@ -93,10 +93,10 @@ class FlyTo:
 
 
 class FollowPath:
-    """Drives a car's rear axle along the smooth curve through ``points`` (n, 2) m at ``speed`` m/s, until its root ends it.
+    """Drives a car's rear axle along the smooth curve through ``points`` (n, 2) m; its root stops at the last one.
 
-    Pure pursuit with a rate-limited steering wheel; slower in bends (2.5 m/s^2 sideways). The car may start anywhere
-    near the first point.
+    ``speed`` m/s on the way, less in bends (2.5 m/s^2 sideways). Pure pursuit with a rate-limited steering wheel. The
+    car may start anywhere near the first point.
     """
 
     def __init__(self, vehicle: Vehicle, points: Any, speed: float = 8.0):
@@ -112,7 +112,8 @@ class FollowPath:
         self.reset()
 
     def reset(self) -> None:
-        self._along, self._integral, self._time = 0.0, 0.0, None
+        self._along, self._integral = 0.0, 0.0
+        self._time: float | None = None
 
     def __call__(self, t: float, state: State) -> Array:
         dt = 0.0 if self._time is None else t - self._time
@@ -122,7 +123,8 @@ class FollowPath:
         speed = float(state.twist[1]) if state.twist is not None else 0.0
         sigma = float(state.joints[self.vehicle.joints.index("sigma")]) if state.joints is not None else 0.0
         self._along = self._route.nearest(axle, self._along, reach=2.0 + 4 * abs(speed) * max(dt, 1 / 240))
-        controls = {"steering_rate": self._steer(axle, rotation, speed, sigma), "torque": self._drive(dt, speed, sigma)}
+        torque, steering = self._drive(dt, speed, sigma), self._steer(axle, rotation, speed, sigma)
+        controls = {"steering_rate": steering, "torque": torque}
         return np.array([controls[name] for name in self.vehicle.control_names])
 
     def _steer(self, axle: Array, rotation: Array, speed: float, sigma: float) -> float:
@@ -147,11 +149,11 @@ class FollowPath:
 
 
 class _Helicopter:
-    """Geometric tracking: desired force -> desired attitude -> torque -> controls through the inverse of LIE's F(gamma).
+    """Geometric tracking: desired force, attitude, torque, then controls through the inverse of LIE's F(gamma).
 
-    Gains place the four poles of the hover at one frequency, as fast as the weaker of roll and pitch allows. An observer
-    finds the force that is not its own (wind), so that steady wind leaves no error. Tilting the thrust pushes sideways
-    too: the point that does not feel it, ``J / (m d_t)`` below the centre of mass, is what is steered.
+    Gains place the four poles of the hover at one frequency, as fast as the weaker of roll and pitch allows. An
+    observer finds the force that is not its own (wind), so that steady wind leaves no error. Tilting the thrust pushes
+    sideways too: the point that does not feel it, ``J / (m d_t)`` below the centre of mass, is what is steered.
     """
 
     def __init__(self, vehicle: Vehicle):
@@ -226,7 +228,7 @@ class _Helicopter:
     def _pull(self, point: Array, speed: Array) -> Array:
         """PD on position, m/s^2; far away the pull is bounded, so that it arrives at a bounded speed."""
         pull = self.pole**2 / 6 * point
-        size, most = np.linalg.norm(pull), 0.25 * self.gravity
+        size, most = float(np.linalg.norm(pull)), 0.25 * self.gravity
         return pull * min(1.0, most / max(size, 1e-9)) + 2 * self.pole / 3 * speed
 
     def _limited(self, acceleration: Array) -> Array:
@@ -249,7 +251,7 @@ class _Helicopter:
 
     def _controls(self, torque: Array, thrust: float) -> Array:
         """The inverse of F(gamma): torque (3,) and thrust along body Z to controls (4,), within their bounds."""
-        collective = np.clip(thrust, max(self.lower[0], 0.2 * self.mass * self.gravity), self.upper[0])
+        collective = float(np.clip(thrust, max(self.lower[0], 0.2 * self.mass * self.gravity), self.upper[0]))
         roll = np.arcsin(np.clip(torque[0] / (self.d_t * collective), -0.9, 0.9))
         pitch = np.arcsin(np.clip(torque[1] / (self.d_t * collective * np.cos(roll)), -0.9, 0.9))
         controls = np.array([collective / (np.cos(pitch) * np.cos(roll)), torque[2] / self.d_r, pitch, roll])
@@ -257,7 +259,7 @@ class _Helicopter:
 
 
 class _Route:
-    """A smooth curve through points (n, d) with a speed along it that respects acceleration and bends, ending at rest."""
+    """A smooth curve through points (n, d), its speed bounded by acceleration and by bends; it ends at rest."""
 
     def __init__(self, points: Array, speed: float, *, acceleration: float, lateral: float):
         from scipy.interpolate import CubicSpline

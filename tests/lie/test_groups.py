@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from vehsim.errors import InputError
 from vehsim.lie import GROUPS, difference_map
 
 groups = pytest.mark.parametrize("group", GROUPS.values(), ids=str)
@@ -124,5 +125,5 @@ def test_arrays_broadcast_over_leading_axes(group):
 
 
 def test_unknown_map_is_named():
-    with pytest.raises(ValueError, match="'caley': unknown; choose one of cay, exp"):
+    with pytest.raises(InputError, match="'caley': unknown; choose one of cay, exp"):
         difference_map("caley", GROUPS["SO3"])

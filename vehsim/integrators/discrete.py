@@ -55,6 +55,7 @@ class DiscreteMechanics:
     quadrature: str = "galerkin"
 
     def __post_init__(self) -> None:
+        difference_map(self.map_name, self.vehicle.group)
         if self.quadrature not in QUADRATURES:
             raise InputError(f"quadrature = {self.quadrature!r}: unknown; choose one of {', '.join(QUADRATURES)}")
 

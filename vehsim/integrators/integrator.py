@@ -66,6 +66,8 @@ class Integrator:
             raise InputError(f"order = {order!r}: unknown; choose one of {', '.join(map(str, COMPOSITIONS))}")
         self.vehicle, self.step_size, self.order = vehicle, float(step), order
         self.wind = np.asarray(wind, float)
+        if self.wind.shape != (3,) or not np.all(np.isfinite(self.wind)):
+            raise InputError(f"wind = {wind!r}: give three finite numbers, m/s in world axes")
         self.mechanics = mechanics_of(vehicle, difference_map, quadrature)
 
     def start(self, state: State, controls: Any) -> Phase:
@@ -133,7 +135,7 @@ class Integrator:
         phase = self.start(state, controls[0])
         anchor = self.anchor(state, phase)
         g, r, pi = self._accumulate(phase, controls)
-        times = self.step_size * np.arange(len(controls))
+        times = np.asarray(self.step_size * np.arange(len(controls)), float)
         return build_clip(
             self.mechanics, times, g, r, pi, controls, anchor, self.wind, fps=fps, start_frame=start_frame
         )

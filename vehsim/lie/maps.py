@@ -12,6 +12,7 @@ from typing import Any
 
 import casadi as ca
 
+from vehsim.errors import InputError
 from vehsim.lie._lift import lifted
 from vehsim.lie._series import dexpinv2, dexpinv4
 from vehsim.lie.groups import Group
@@ -63,7 +64,7 @@ class DifferenceMap:
 
 
 def difference_map(name: str, group: Group) -> DifferenceMap:
-    """The map called ``name`` ("exp" or "cay") on ``group``; ``ValueError`` when there is none of that name."""
+    """The map called ``name`` ("exp" or "cay") on ``group``; ``InputError`` when there is none of that name."""
     if name not in _TAU:
-        raise ValueError(f"difference_map = {name!r}: unknown; choose one of {', '.join(sorted(_TAU))}")
+        raise InputError(f"difference_map = {name!r}: unknown; choose one of {', '.join(sorted(_TAU))}")
     return DifferenceMap(name, group)
