@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 
 class VehsimError(Exception):
@@ -23,23 +25,36 @@ class ExportError(VehsimError):
 
 @dataclass(frozen=True)
 class Problem:
-    """One thing wrong with an input: printed as ``file: key = value: what; mend``."""
+    """One thing wrong with an input: printed as ``file:line: key = value: message; mend``."""
 
     key: str
     message: str
     mend: str
     value: object = None
     file: str = ""
+    line: int | None = None
+    severity: Literal["error", "warning"] = "error"
 
     def __str__(self) -> str:
-        where = f"{self.file}: " if self.file else ""
-        value = f" = {self.value!r}" if self.value is not None else ""
-        return f"{where}{self.key}{value}: {self.message}; {self.mend}"
+        line = f":{self.line}" if self.line is not None else ""
+        where = f"{self.file}{line}: " if self.file else ""
+        value = f" = {_short(self.value)}" if self.value is not None else ""
+        warning = "warning: " if self.severity == "warning" else ""
+        return f"{warning}{where}{self.key}{value}: {self.message}; {self.mend}"
 
 
 class ShotError(InputError):
     """Everything wrong with a shot file, at once."""
 
-    def __init__(self, problems: list[Problem]):
-        self.problems = problems
-        super().__init__("\n".join(str(problem) for problem in problems))
+    def __init__(self, problems: Sequence[Problem]):
+        self.problems = list(problems)
+        super().__init__("\n".join(str(problem) for problem in self.problems))
+
+
+def _short(value: object, length: int = 80) -> str:
+    """A value as it is shown in a message: one line, never pages."""
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):  # an integer of thousands of digits, lists nested beyond reason
+        text = f"<{type(value).__name__}>"
+    return text if len(text) <= length else f"{text[: length - 3]}..."

@@ -1,9 +1,11 @@
-"""A take: everything a shot's exporters receive. It writes beside, then moves into place."""
+"""A take: everything a shot's exporters receive. How files come into being is in `delivery.py`."""
 
 from __future__ import annotations
 
+import re
+import shutil
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,6 +24,11 @@ class RenderSettings:
     every: int = 1
     samples: int = 4
     shadows: bool = True
+
+    def draft(self) -> RenderSettings:
+        """Quick to render: half the size, no shadows."""
+        width, height = (max(16, side // 4 * 2) for side in self.size)
+        return replace(self, size=(width, height), samples=0, shadows=False)
 
 
 @dataclass(frozen=True)
@@ -57,3 +64,61 @@ class Take:
     frames: tuple[int, int]
     render: RenderSettings = RenderSettings()
     report: dict[str, Any] = field(default_factory=dict)
+
+    def export(
+        self,
+        out: str | Path,
+        to: Sequence[str] = ("usd",),
+        progress: Progress | None = None,
+        overwrite: bool = True,
+    ) -> Path:
+        """Write the take to ``out/<name>/`` through the exporters ``to``, and say in ``report.json`` what was done.
+
+        Everything is written beside and moved into place at the end: an earlier delivery stays whole until then, and
+        whatever goes wrong. Raises ``InputError`` for unknown exporters, ``ExportError`` for what cannot be written.
+        """
+        from vehsim.delivery import in_order, replacing, write_files, write_reports
+
+        to = (to,) if isinstance(to, str) else tuple(to)
+        in_order(to)
+        target = Path(out) / self.name
+        with replacing(target, overwrite) as folder:
+            files = write_files(self, folder, to, progress or _silent)
+            write_reports(self, folder, files)
+        return target
+
+
+def export_clip(clip: Clip, path: Path, to: str | Sequence[str] | None = None) -> Path:
+    """Write one clip in empty space, seen by a chase camera; ``path`` names it, its suffix or ``to`` the exporter.
+
+    Exporters that write several files put them beside ``path``. Returns the file that ``path`` asked for. Raises
+    ``InputError`` for an unknown suffix or exporter, ``ExportError`` for what cannot be written.
+    """
+    from vehsim.delivery import exporter_for, find_exporter, staging, write_files
+
+    names = [exporter_for(path).name] if to is None else [to] if isinstance(to, str) else list(to)
+    suffixes = {suffix for name in names for suffix in find_exporter(name).suffixes}
+    take = _take_of(clip, re.sub(r"\W|^(?=\d)", "_", path.stem) or "clip")
+    with staging(path) as folder:
+        files = write_files(take, folder, names, _silent)
+        moved = {file.relative_to(folder): _move(file, path.parent / file.relative_to(folder)) for file in files}
+    tops = [file for relative, file in moved.items() if len(relative.parts) == 1]
+    return next((file for file in tops if file.suffix in suffixes), (tops or list(moved.values()))[0])
+
+
+def _move(source: Path, target: Path) -> Path:
+    target.parent.mkdir(parents=True, exist_ok=True)
+    return Path(shutil.move(source, target))
+
+
+def _take_of(clip: Clip, name: str) -> Take:
+    from vehsim.cameras import CameraRig, solve_camera
+    from vehsim.world import World
+
+    frames, world, clips = (clip.start_frame, clip.end_frame), World(), {name: clip}
+    camera = solve_camera(CameraRig(), clips, world, frames)
+    return Take(name, clips, world, (camera,), clip.fps, frames)
+
+
+def _silent(what: str, done: float) -> None:
+    """Progress that nobody watches."""

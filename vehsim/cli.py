@@ -1,0 +1,349 @@
+"""The command line: words, progress bars and exit codes, nothing else. Heavy imports stay inside the commands.
+
+Exit codes: 0 all done, 1 something failed while working, 2 wrong input and nothing touched, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import sys
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+
+from vehsim import __version__
+from vehsim.errors import InputError, Problem, ShotError, VehsimError
+
+if TYPE_CHECKING:
+    from vehsim.shot import Shot
+    from vehsim.take import Progress
+
+app = typer.Typer(
+    help="Vehicles that move as physics says and land on the mark the artist set.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+screen = Console(stderr=True, highlight=False, soft_wrap=True)
+"""Progress, warnings and errors; what a command answers goes to standard output."""
+
+FAILED, WRONG_INPUT, INTERRUPTED = 1, 2, 130
+
+Shots = Annotated[list[Path], typer.Argument(metavar="SHOT...", help="Shot files (.toml).")]
+Sets = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a key: world.wind=[0,3,0]. Repeatable.")
+]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")]
+
+
+class Quality(StrEnum):
+    """How much time pictures may take."""
+
+    draft = "draft"
+    final = "final"
+
+
+@app.command()
+def export(
+    shots: Shots,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Every shot gets a folder of its own in here.")] = Path(
+        "out"
+    ),
+    to: Annotated[str, typer.Option(metavar="LIST", help="Exporters, separated by commas.")] = "usd",
+    sets: Sets = None,
+    only: Annotated[list[str] | None, typer.Option(metavar="VEHICLE", help="This vehicle alone. Repeatable.")] = None,
+    quality: Annotated[Quality, typer.Option(help="draft: half the picture size, no shadows.")] = Quality.final,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Check and say what would be done.")] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Solve shots and write them: a USD stage, pictures, a film, tables."""
+    from vehsim.delivery import in_order
+
+    names = [name.strip() for name in to.split(",") if name.strip()]
+    in_order(names)
+    loaded, problems = _load(shots, sets or [], only or [])
+    _say(problems, quiet)
+    bad = len(shots) - len(loaded)
+    if bad and not loaded:
+        raise typer.Exit(WRONG_INPUT)
+    if dry_run:
+        for shot in loaded:
+            print(f"{out / shot.name}: {', '.join(names)} of {_summary(shot)}")
+        raise typer.Exit(WRONG_INPUT if bad else 0)
+    failed = [shot for shot in loaded if not _export(shot, out, names, quality, quiet)]
+    raise typer.Exit(FAILED if failed or bad else 0)
+
+
+@app.command()
+def check(shots: Shots, sets: Sets = None, quiet: Quiet = False) -> None:
+    """Say what is wrong with shot files, where, and how to mend it. Nothing is solved or written."""
+    loaded, problems = _load(shots, sets or [], [])
+    _say(problems, quiet)
+    for shot in loaded:
+        if not quiet:
+            print(f"{shot.source}: ready, {_summary(shot)}")
+    raise typer.Exit(WRONG_INPUT if len(loaded) < len(shots) else 0)
+
+
+@app.command()
+def validate(
+    stages: Annotated[list[Path], typer.Argument(metavar="STAGE...", help="USD files.")], quiet: Quiet = False
+) -> None:
+    """Hold USD stages against OpenUSD's rules and our own."""
+    from vehsim.exporters.validate import validate_stage
+
+    missing = [Problem("STAGE", "no such file", "give a USD file", str(path)) for path in stages if not path.is_file()]
+    if missing:
+        raise ShotError(missing)
+    wrong = False
+    for path in stages:
+        issues = validate_stage(path)
+        wrong = wrong or any(issue.severity == "error" for issue in issues)
+        for issue in issues:
+            if issue.severity == "error" or not quiet:
+                screen.print(f"{path}: {issue}", markup=False)
+        if not issues and not quiet:
+            print(f"{path}: valid")
+    raise typer.Exit(FAILED if wrong else 0)
+
+
+@app.command()
+def render(
+    stage: Annotated[Path, typer.Argument(metavar="STAGE", help="A USD stage that vehsim exported.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the pictures go.")],
+    frames: Annotated[
+        str | None, typer.Option(metavar="A-BxN", help="Frames: 1001-1100x10, 1001-1100 or 1001.")
+    ] = None,
+    size: Annotated[str, typer.Option(metavar="WxH", help="Picture size in pixels.")] = "960x540",
+    camera: Annotated[str | None, typer.Option(metavar="NAME", help="A camera of the stage.")] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Render a stage off-screen, from what is in the file."""
+    if not stage.is_file():
+        raise ShotError([Problem("STAGE", "no such file", "give a USD file", str(stage))])
+    wanted, pixels = _frames(frames), _size(size)
+    from vehsim.exporters.frames import render_stage
+
+    with _progress(quiet) as progress:
+        files = render_stage(stage, out, frames=wanted, size=pixels, camera=camera, progress=progress)
+    if not quiet:
+        print(f"{len(list(files))} pictures in {out}")
+
+
+@app.command()
+def vehicles() -> None:
+    """List the vehicles that ship with vehsim."""
+    from vehsim.vehicles import available, load_vehicle
+
+    for name in available():
+        vehicle = load_vehicle(name)
+        print(f"{name}: controls {', '.join(map(_control, vehicle.controls))}")
+        if vehicle.joints:
+            print(f"{' ' * len(name)}  joints {', '.join(vehicle.joints)}")
+
+
+@app.command()
+def terrains() -> None:
+    """List the terrains that ship with vehsim."""
+    import vehsim.assets
+    from vehsim.world import Terrain
+
+    for file in sorted(Path(vehsim.assets.__file__).parent.glob("terrains/*/terrain.toml")):
+        terrain = Terrain.load(file.parent.name)
+        ranges = zip("xyz", terrain.lower, terrain.upper, strict=True)
+        print(f"{file.parent.name}: " + ", ".join(f"{axis} {low:g} to {high:g} m" for axis, low, high in ranges))
+
+
+@app.command()
+def schema() -> None:
+    """Print the JSON schema of shot files, for editors."""
+    from vehsim.shot.file import schema as shot_schema
+
+    print(json.dumps(shot_schema(), indent=2))
+
+
+@app.command()
+def doctor() -> None:
+    """Look at what vehsim stands on: Python, libraries, EGL, the film's codec, the cache."""
+    from vehsim.doctor import examine
+
+    findings = examine()
+    for finding in findings:
+        mend = "" if finding.good else f"; {finding.mend}"
+        print(f"{'ok ' if finding.good else 'BAD'}  {finding.what}: {finding.found}{mend}")
+    raise typer.Exit(0 if all(finding.good for finding in findings) else FAILED)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        print(f"vehsim {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Say which version.")
+    ] = False,
+) -> None:
+    """Options of vehsim itself."""
+
+
+def main() -> None:
+    """The console command."""
+    sys.exit(run(sys.argv[1:]))
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run a command line and return its exit code. No traceback ever reaches the user unless VEHSIM_DEBUG is set."""
+    _end_like_interrupt()
+    try:
+        return int(app(args=list(arguments), standalone_mode=False) or 0)
+    except KeyboardInterrupt:
+        return _fail("interrupted; nothing half-written is left", INTERRUPTED)
+    except VehsimError as error:
+        return _fail(str(error), WRONG_INPUT if isinstance(error, InputError) else FAILED)
+    except Exception as error:
+        if hasattr(error, "format_message"):  # what click raises about its command line
+            return _fail(f"{error.format_message()}; see vehsim --help", WRONG_INPUT)
+        if type(error).__name__ == "Abort":
+            return _fail("interrupted; nothing half-written is left", INTERRUPTED)
+        if os.environ.get("VEHSIM_DEBUG"):
+            raise
+        what = f"{type(error).__name__}: {error}"
+        return _fail(f"unexpected: {what}; this is a fault of vehsim: set VEHSIM_DEBUG=1 to see where", FAILED)
+
+
+def _fail(message: str, code: int) -> int:
+    screen.print(message, markup=False, style="red")
+    return code
+
+
+def _end_like_interrupt() -> None:
+    """A polite kill cleans up as Ctrl-C does."""
+
+    def stop(number: int, frame: Any) -> None:
+        raise KeyboardInterrupt
+
+    try:
+        signal.signal(signal.SIGTERM, stop)
+    except ValueError:
+        return  # not the main thread: whoever called us handles signals
+
+
+def _load(paths: Sequence[Path], overrides: Sequence[str], only: Sequence[str]) -> tuple[list[Shot], list[Problem]]:
+    """The shots that are right, and everything that is wrong with the others."""
+    from vehsim.shot import Shot
+
+    loaded: dict[str, Shot] = {}
+    problems: list[Problem] = []
+    for path in paths:
+        try:
+            shot = Shot.load(path, overrides)
+            shot = shot.only(only) if only else shot
+            found = shot.check()
+        except ShotError as error:
+            problems += error.problems
+            continue
+        if shot.name in loaded:
+            mend = "give every shot of a batch a name of its own"
+            found.append(Problem("shot.name", f"{loaded[shot.name].source} has it too", mend, shot.name, str(path)))
+        problems += found
+        if all(problem.severity == "warning" for problem in found):
+            loaded[shot.name] = shot
+    return list(loaded.values()), problems
+
+
+def _say(problems: Sequence[Problem], quiet: bool) -> None:
+    for problem in problems:
+        if problem.severity == "error" or not quiet:
+            screen.print(str(problem), markup=False, style="red" if problem.severity == "error" else "yellow")
+
+
+def _export(shot: Shot, out: Path, names: Sequence[str], quality: Quality, quiet: bool) -> bool:
+    """Solve and write one shot; say what happened. False when it failed."""
+    from dataclasses import replace
+
+    try:
+        with _warnings(shot, quiet), _progress(quiet) as progress:
+            take = shot.solve(lambda what, done: progress(what, done / 2))
+            if quality is Quality.draft:
+                take = replace(take, render=take.render.draft())
+            folder = take.export(out, names, lambda what, done: progress(what, 0.5 + done / 2))
+    except VehsimError as error:
+        screen.print(f"{shot.source}: {error}", markup=False, style="red")
+        return False
+    if not quiet:
+        print(f"{folder}: {', '.join(names)} of frames {take.frames[0]} to {take.frames[1]}")
+    return True
+
+
+@contextmanager
+def _progress(quiet: bool) -> Iterator[Progress]:
+    """A progress bar on a terminal, nothing elsewhere."""
+    if quiet or not screen.is_terminal:
+        yield lambda what, done: None
+        return
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=screen, transient=True) as bar:
+        task = bar.add_task("", total=1.0)
+        yield lambda what, done: bar.update(task, description=what.replace("[", r"\["), completed=done)
+
+
+@contextmanager
+def _warnings(shot: Shot, quiet: bool) -> Iterator[None]:
+    """Warnings as one line each, naming the shot."""
+
+    def show(message: Any, *rest: Any, **more: Any) -> None:
+        if not quiet:
+            screen.print(f"warning: {shot.source}: {message}", markup=False, style="yellow")
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", UserWarning)
+        warnings.showwarning = show  # type: ignore[assignment]
+        yield
+
+
+def _summary(shot: Shot) -> str:
+    moved = ", ".join(f"{vehicle.name} ({vehicle.asset}, {vehicle.motion.method})" for vehicle in shot.file.vehicle)
+    return f"{moved} in {shot.file.world.terrain or 'empty space'} at {shot.fps} fps"
+
+
+def _control(control: Any) -> str:
+    unit = f" {control.unit}" if control.unit else ""
+    return f"{control.name} ({control.lower:g} to {control.upper:g}{unit})"
+
+
+def _frames(text: str | None) -> list[int] | None:
+    """``1001-1100x10`` as frames; None for all of them."""
+    if text is None:
+        return None
+    found = re.fullmatch(r"(-?\d{1,8})(?:-(-?\d{1,8}))?(?:x(\d{1,8}))?", text.strip())
+    wanted = range(0)
+    if found and int(found[3] or 1) > 0:
+        wanted = range(int(found[1]), int(found[2] or found[1]) + 1, int(found[3] or 1))
+    if not 0 < len(wanted) <= 100_000:
+        raise ShotError([Problem("--frames", "not a range of frames", "write it like 1001-1100x10", text)])
+    return list(wanted)
+
+
+def _size(text: str) -> tuple[int, int]:
+    found = re.fullmatch(r"(\d{1,6})x(\d{1,6})", text.strip())
+    if not found or not all(16 <= int(side) <= 8192 for side in found.groups()):
+        raise ShotError([Problem("--size", "not a picture's size", "write it like 960x540; 16 to 8192 a side", text)])
+    return int(found[1]), int(found[2])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,162 @@
+"""Deliveries: exporters found through entry points, run in order, their files written beside and moved into place.
+
+Whoever reads the folder sees the old delivery or the new one, whole. What belongs here knows files and exporters,
+nothing of motion.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import shutil
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from vehsim.errors import ExportError, InputError
+
+if TYPE_CHECKING:
+    from vehsim.take import Exporter, Progress, Take
+
+GROUP = "vehsim.exporters"
+"""Entry points of this group are `Exporter` objects; a studio's package can add its own."""
+REPORT_GROUP = "vehsim.reports"
+"""Entry points of this group are functions ``(take, folder, files) -> Path`` that say what was delivered."""
+SIGN = "report.json"
+"""The file by which a folder is known to be a delivery, which the next one may replace."""
+
+
+def exporter_names() -> list[str]:
+    return sorted({entry.name for entry in importlib.metadata.entry_points(group=GROUP)})
+
+
+def find_exporter(name: str) -> Exporter:
+    """The exporter called ``name``. Raises ``InputError``."""
+    for entry in importlib.metadata.entry_points(group=GROUP, name=name):
+        exporter: Exporter = entry.load()
+        return exporter
+    raise InputError(f"to = {name!r}: no such exporter; choose from {', '.join(exporter_names())}")
+
+
+def exporter_for(path: Path) -> Exporter:
+    """The exporter that writes files with ``path``'s suffix. Raises ``InputError``."""
+    for name in exporter_names():
+        exporter = find_exporter(name)
+        if path.suffix in exporter.suffixes:
+            return exporter
+    raise InputError(
+        f"{path}: no exporter writes {path.suffix!r} files; name one with to=: {', '.join(exporter_names())}"
+    )
+
+
+def in_order(names: Sequence[str]) -> list[Exporter]:
+    """The exporters called ``names``, each after those it needs. Raises ``InputError``."""
+    ordered: dict[str, Exporter] = {}
+
+    def add(name: str, on_the_way: tuple[str, ...]) -> None:
+        if name in on_the_way:
+            raise ExportError(f"exporters need each other in a circle: {' -> '.join((*on_the_way, name))}")
+        exporter = find_exporter(name)
+        for needed in exporter.needs:
+            add(needed, (*on_the_way, name))
+        ordered.setdefault(name, exporter)
+
+    for name in names:
+        add(name, ())
+    return list(ordered.values())
+
+
+def write_files(take: Take, folder: Path, names: Sequence[str], progress: Progress) -> list[Path]:
+    """Run the exporters in ``folder`` and return the files they were asked for; files merely needed are dropped."""
+    exporters = in_order(names)
+    written: dict[str, list[Path]] = {}
+    for i, exporter in enumerate(exporters):
+
+        def report(what: str, done: float, before: int = i) -> None:
+            progress(what, (before + min(max(done, 0.0), 1.0)) / len(exporters))
+
+        written[exporter.name] = [Path(path) for path in exporter.write(take, folder, report)]
+    asked = {path for name in names for path in written[name]}
+    for path in {path for paths in written.values() for path in paths} - asked:
+        path.unlink(missing_ok=True)
+    _drop_empty_folders(folder)
+    return sorted(asked)
+
+
+def write_reports(take: Take, folder: Path, files: Sequence[Path]) -> None:
+    """What was delivered, by every entry point of the group; the first one writes ``report.json``."""
+    for entry in importlib.metadata.entry_points(group=REPORT_GROUP):
+        entry.load()(take, folder, files)
+
+
+@contextmanager
+def staging(target: Path) -> Iterator[Path]:
+    """A hidden folder beside ``target``, on its file system, gone when the block ends. Raises ``ExportError``."""
+    made = [folder for folder in (target.parent, *target.parent.parents) if not folder.exists()]
+    beside = target.with_name(f".{target.name}.{os.getpid()}.partial")
+    try:
+        shutil.rmtree(beside, ignore_errors=True)
+        beside.mkdir(parents=True)
+        yield beside
+    except OSError as error:
+        raise ExportError(f"{target}: could not be written: {error}; mend that and export again") from error
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
+        for folder in made:
+            if folder.is_dir() and not any(folder.iterdir()):
+                folder.rmdir()
+
+
+@contextmanager
+def replacing(target: Path, overwrite: bool = True) -> Iterator[Path]:
+    """A hidden folder beside ``target`` that takes its place when the block ends well.
+
+    An earlier delivery is replaced whole; a folder that is none is never touched. Raises ``ExportError``.
+    """
+    _may_replace(target, overwrite)
+    with staging(target) as beside:
+        _bring_back(target)
+        yield beside
+        _may_replace(target, overwrite)
+        _swap(beside, target, target.with_name(f".{target.name}.{os.getpid()}.replaced"))
+
+
+def _may_replace(target: Path, overwrite: bool) -> None:
+    if not target.exists():
+        return
+    if not overwrite:
+        raise ExportError(f"{target}: exists; remove it, or export elsewhere")
+    if not target.is_dir() or (any(target.iterdir()) and not (target / SIGN).is_file()):
+        raise ExportError(
+            f"{target}: exists and was not written by vehsim (no {SIGN}); export elsewhere, or move it away"
+        )
+
+
+def _swap(beside: Path, target: Path, aside: Path) -> None:
+    """Two renames; should the second fail, the first is undone."""
+    if not target.exists():
+        beside.rename(target)
+        return
+    target.rename(aside)
+    try:
+        beside.rename(target)
+    except BaseException:
+        aside.rename(target)
+        raise
+    shutil.rmtree(aside, ignore_errors=True)
+
+
+def _bring_back(target: Path) -> None:
+    """After a crash between the two renames the old delivery is still there under its other name."""
+    if not target.exists():
+        for aside in sorted(target.parent.glob(f".{target.name}.*.replaced"), key=lambda path: path.stat().st_mtime)[
+            -1:
+        ]:
+            aside.rename(target)
+
+
+def _drop_empty_folders(folder: Path) -> None:
+    for path in sorted((path for path in folder.rglob("*") if path.is_dir()), reverse=True):
+        if not any(path.iterdir()):
+            path.rmdir()

@@ -1,0 +1,133 @@
+"""What holds of a motion in its world: marks in order and clear of rock, names that exist, attitudes given once.
+
+Checks are generators of `Problem` whose keys are relative to ``[vehicle.motion]``; `shot.py` adds what stands before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vehsim.errors import Problem
+from vehsim.shot.model import MAX_FRAMES, MarkTable
+
+if TYPE_CHECKING:
+    from vehsim.vehicles import Vehicle
+    from vehsim.world import World
+
+MAX_SPEED = 340.0
+"""Nothing here flies faster than sound, m/s."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What a motion is held against. ``first``, ``last``: the shot's frames; ``last`` None: the motion decides."""
+
+    world: World
+    fps: Fraction
+    first: int
+    last: int | None
+    folder: Path
+
+    def seconds(self, frame: float) -> float:
+        """Time of a frame, s after ``first``."""
+        return float((Fraction(frame) - self.first) / self.fps)
+
+
+def choose(name: str, known: Collection[str]) -> str:
+    close = get_close_matches(name, list(known), n=1)
+    return f"did you mean {close[0]!r}?" if close else f"choose one of {', '.join(sorted(known)) or '(none)'}"
+
+
+def check_names(key: str, given: Mapping[str, Any], known: Collection[str], noun: str) -> Iterator[Problem]:
+    for name, value in given.items():
+        if name not in known:
+            yield Problem(f"{key}.{name}", f"no such {noun}", choose(name, known), value)
+
+
+def check_order(marks: list[MarkTable], setting: Setting) -> Iterator[Problem]:
+    """Frames rise and lie in the shot; the first mark has a frame and a place; nobody has to fly faster than sound."""
+    if marks[0].frame == "free":
+        yield Problem("mark[0].frame", "the first mark starts the motion", "give it a whole frame", "free")
+    if marks[0].position is None:
+        yield Problem("mark[0].position", "missing", "say where the motion starts")
+    before: tuple[int, MarkTable] | None = None
+    for i, mark in enumerate(marks):
+        key, frame = f"mark[{i}].frame", mark.frame
+        if frame == "free":
+            continue
+        if frame < setting.first or (setting.last is not None and frame + mark.hold > setting.last):
+            end = "" if setting.last is None else f" to {setting.last}"
+            yield Problem(
+                key, "outside the shot", f"the shot runs from frame {setting.first}{end}, handles included", frame
+            )
+        if before is not None:
+            leave, earlier = before
+            if frame <= leave:
+                yield Problem(
+                    key, f"not after frame {leave} of the mark before it", "put marks in the order of time", frame
+                )
+            elif mark.position is not None and earlier.position is not None:
+                way = np.linalg.norm(np.subtract(mark.position, earlier.position)) - mark.tolerance - earlier.tolerance
+                speed = way / float((frame - leave) / setting.fps)
+                if speed > MAX_SPEED:
+                    yield Problem(key, f"{way:.0f} m away, it asks for {speed:.0f} m/s", "give it more frames", frame)
+        before = (frame + mark.hold, mark)
+    frames = [mark.frame for mark in marks if mark.frame != "free"]
+    if frames and max(frames) - min(frames) > MAX_FRAMES:
+        yield Problem("mark", f"{max(frames) - min(frames)} frames apart", f"a shot has at most {MAX_FRAMES} frames")
+
+
+def check_mark(key: str, mark: Any, vehicle: Vehicle) -> Iterator[Problem]:
+    """One attitude, one velocity, joints that exist."""
+    if mark.heading is not None and mark.orientation is not None:
+        yield Problem(f"{key}.heading", "orientation is given too", "keep one of them", mark.heading)
+    if not isinstance(mark, MarkTable):
+        return
+    if mark.speed is not None and mark.velocity is not None:
+        yield Problem(f"{key}.speed", "velocity is given too", "keep one of them", mark.speed)
+    if mark.hold and (mark.velocity is None or any(mark.velocity)):
+        yield Problem(f"{key}.hold", "a hold is at rest", "give velocity = [0, 0, 0]", mark.hold)
+    if mark.hold and mark.frame == "free":
+        yield Problem(f"{key}.hold", "a free mark cannot be held yet", "give it a whole frame", mark.hold)
+    if mark.joints is not None:
+        yield from check_names(f"{key}.joints", mark.joints, vehicle.joints, "joint")
+        for name in vehicle.joints:
+            if name not in mark.joints:
+                yield Problem(f"{key}.joints.{name}", "missing", "give every joint, or none")
+
+
+def check_free(
+    key: str, position: list[float], pose: Any, clearance: float, vehicle: Vehicle, world: World
+) -> Iterator[Problem]:
+    """Is the vehicle clear of the rock there? With an unknown attitude only its root is asked."""
+    if world.terrain is None:
+        return
+    ground = float(world.height([position[:2]])[0])
+    attitude = orientation_of(pose)
+    if position[2] < ground:
+        message, mend = f"inside rock: the ground is at {ground:.2f} m", f"raise z above {ground + clearance:.2f}"
+        yield Problem(key, message, mend, position)
+    elif attitude is not None and vehicle.rig is not None:
+        gap = float(world.clearance(vehicle, [position], [attitude])[0])
+        if gap < min(clearance - 1e-6, 0.0):
+            yield Problem(key, f"the vehicle reaches {-gap:.2f} m into rock", "move it out of the terrain", position)
+        elif gap < clearance - 1e-6:
+            mend = f"keep the clearance of {clearance:g} m, or ask for less"
+            yield Problem(key, f"only {gap:.2f} m from rock", mend, position)
+
+
+def orientation_of(pose: Any) -> Any:
+    """(4,) w, x, y, z of a table that gives a heading or an orientation; None when it gives neither."""
+    if pose.orientation is not None:
+        return np.array(pose.orientation) / np.linalg.norm(pose.orientation)
+    if pose.heading is not None:
+        half = np.deg2rad(pose.heading) / 2
+        return np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
+    return None

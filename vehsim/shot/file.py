@@ -1,0 +1,153 @@
+"""The whole shot file as one model, and everything wrong with a file's shape as problems a person can mend."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from difflib import get_close_matches
+from functools import cache
+from typing import Annotated, Any
+
+from annotated_types import Len
+from pydantic import BeforeValidator, Field, ValidationError
+
+from vehsim.errors import Problem
+from vehsim.shot.model import Array, CameraTable, Header, Name, RenderTable, Table, Text, WorldTable
+from vehsim.shot.motions import RESERVED, Motion
+
+MAX_VEHICLES = 100
+MAX_CAMERAS = 20
+
+
+def _one_or_several(value: Any) -> Any:
+    """``[camera]`` is a list of one ``[[camera]]``."""
+    return [value] if isinstance(value, dict) else value
+
+
+class VehicleTable(Table):
+    """``[[vehicle]]``"""
+
+    name: Name
+    """a name of letters, digits and underscores, one of its own for every vehicle"""
+    asset: Text
+    """a shipped vehicle's name, or the path of a vehicle's folder relative to the shot file"""
+    motion: Motion
+    """a table [vehicle.motion] with method = "plan", "simulate" or "clip\""""
+
+
+class ShotFile(Table):
+    """A shot file."""
+
+    shot: Header
+    """a table [shot] with schema and name"""
+    world: WorldTable = WorldTable()
+    """a table [world]"""
+    vehicle: Annotated[list[VehicleTable], Array, Len(1, MAX_VEHICLES)]
+    """one or more [[vehicle]] tables"""
+    camera: Annotated[list[CameraTable], BeforeValidator(_one_or_several), Array, Len(0, MAX_CAMERAS)] = Field(
+        default=[CameraTable()]
+    )
+    """a table [camera], or several [[camera]]"""
+    render: RenderTable = RenderTable()
+    """a table [render]"""
+
+
+@cache
+def schema() -> dict[str, Any]:
+    """The JSON schema of a shot file, for editors."""
+    return ShotFile.model_json_schema(by_alias=True)
+
+
+def parse(data: Any) -> tuple[ShotFile | None, list[Problem]]:
+    """The file as a model, and what is wrong with its shape.
+
+    With problems the model is what is left without them, so that it can be checked too, or None.
+    """
+    try:
+        return ShotFile.model_validate(data), []
+    except ValidationError as error:
+        wrong = error.errors(include_url=False)
+        problems = list(_problems(wrong))
+    try:
+        return ShotFile.model_validate(_without(data, wrong)), problems
+    except ValidationError:
+        return None, problems
+
+
+def dotted(place: tuple[int | str, ...]) -> str:
+    """``("vehicle", 0, "name")`` as ``vehicle[0].name``."""
+    parts = (f"[{part}]" if isinstance(part, int) else f".{part}" for part in place)
+    return "".join(parts).lstrip(".") or "file"
+
+
+def _problems(errors: Any) -> Iterator[Problem]:
+    """One problem per error of pydantic's."""
+    root = schema()
+    for error in errors:
+        place, description, keys = _locate(root, error["loc"])
+        key, value = dotted(place), error["input"]
+        match error["type"]:
+            case "extra_forbidden":
+                yield Problem(key, "unknown key", _suggest(str(place[-1]), keys), value)
+            case "missing":
+                yield Problem(key, "missing", f"give {description}")
+            case "union_tag_not_found":
+                yield Problem(f"{key}.method", "missing", 'give "plan", "simulate" or "clip"')
+            case "union_tag_invalid":
+                method = error["ctx"]["tag"]
+                message = RESERVED.get(method, "no such method")
+                yield Problem(f"{key}.method", message, 'give "plan", "simulate" or "clip"', method)
+            case _:
+                text = error["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
+                text = f"it should be {text}" if error["msg"].startswith("Input") else text[0].lower() + text[1:]
+                yield Problem(key, text, f"give {description}", value)
+
+
+def _locate(root: Mapping[str, Any], location: tuple[int | str, ...]) -> tuple[tuple[int | str, ...], str, list[str]]:
+    """Where an error is in the file (without pydantic's union tags), what belongs there, and the keys beside it."""
+    place: list[int | str] = []
+    node: Mapping[str, Any] = root
+    description, keys = "a shot file", list(root["properties"])
+    for part in location:
+        node = _resolve(node, root)
+        if isinstance(part, str) and part in node.get("discriminator", {}).get("mapping", {}):
+            node = {"$ref": node["discriminator"]["mapping"][part]}
+            continue
+        keys = list(node.get("properties", {}))
+        place.append(part)
+        node = node.get("items", {}) if isinstance(part, int) else node.get("properties", {}).get(part, {})
+        description = node.get("description", description)
+    return tuple(place), description, keys
+
+
+def _resolve(node: Mapping[str, Any], root: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Follow references, and of "this or nothing" take this."""
+    while True:
+        choices = [choice for choice in node.get("anyOf", []) if choice.get("type") != "null"]
+        if "$ref" in node:
+            node = root["$defs"][node["$ref"].rpartition("/")[2]]
+        elif len(choices) == 1:
+            node = choices[0]
+        else:
+            return node
+
+
+def _suggest(key: str, known: list[str]) -> str:
+    close = get_close_matches(key, known, n=1)
+    return f"did you mean {close[0]!r}?" if close else f"known keys: {', '.join(known) or '(none)'}"
+
+
+def _without(data: Any, errors: Any) -> Any:
+    """The data without its unknown keys, and without the top tables that have other errors."""
+    bad = set()
+    for error in errors:
+        place, _, _ = _locate(schema(), error["loc"])
+        bad.add(place if error["type"] == "extra_forbidden" else place[:1])
+
+    def keep(value: Any, place: tuple[int | str, ...]) -> Any:
+        if isinstance(value, dict):
+            return {k: keep(v, (*place, k)) for k, v in value.items() if (*place, k) not in bad}
+        if isinstance(value, list):
+            return [keep(v, (*place, i)) for i, v in enumerate(value)]
+        return value
+
+    return keep(data, ())

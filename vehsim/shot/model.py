@@ -1,0 +1,222 @@
+"""The shape of a shot file: one model per table, the docstring below a key says what to give.
+
+What belongs here needs neither world nor vehicle to be judged; the rest is in `checks.py` and `motions.py`.
+"""
+
+from __future__ import annotations
+
+import re
+from fractions import Fraction
+from typing import Annotated, Any, Literal
+
+from annotated_types import Len
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    PlainValidator,
+    WithJsonSchema,
+)
+
+MAX_FRAMES = 100_000
+"""More frames than any shot has: an hour at 24 fps."""
+MAX_PIXELS = 8192
+"""The widest and highest picture: software rendering refuses 16384 x 16384."""
+MAX_FPS = 1000
+_NTSC = Fraction(1000, 1001)
+
+
+class Table(BaseModel):
+    """A table of the file: unknown keys and values of another type are errors."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, use_attribute_docstrings=True)
+
+
+def parse_fps(value: Any) -> Fraction:
+    """An exact rate: 24, "24000/1001", or the usual short forms of NTSC rates ("23.976" is 24000/1001)."""
+    if isinstance(value, Fraction):
+        rate = value
+    elif isinstance(value, bool) or not isinstance(value, int | float | str):
+        raise ValueError("not a frame rate")
+    elif re.fullmatch(r"\d{1,7}/\d{1,7}", text := str(value).strip()):
+        over, under = (int(part) for part in text.split("/"))
+        if under == 0:
+            raise ValueError("a rate over zero")
+        rate = Fraction(over, under)
+    elif re.fullmatch(r"\d{1,7}(\.\d{1,6})?", text):
+        rate = Fraction(text)
+        ntsc = round(rate) * _NTSC
+        if rate.denominator != 1 and abs(rate - ntsc) < Fraction(5, 1000):
+            rate = ntsc
+    else:
+        raise ValueError("not a frame rate")
+    if not 0 < rate <= MAX_FPS:
+        raise ValueError(f"not between 0 and {MAX_FPS} frames per second")
+    return rate
+
+
+def parse_mark_frame(value: Any) -> Any:
+    """A whole frame, or ``"free"``."""
+    if value == "free" or (isinstance(value, int) and not isinstance(value, bool) and abs(value) <= 10_000_000):
+        return value
+    raise ValueError("neither a whole frame nor 'free'")
+
+
+def _whole(value: float) -> float:
+    if not abs(value) <= 1e9:
+        raise ValueError("beyond 1e9")
+    return value
+
+
+def _unit(value: list[float]) -> list[float]:
+    if abs(sum(x * x for x in value) - 1) > 1e-3:
+        raise ValueError("its length is not 1")
+    return value
+
+
+def _from_tuple(value: Any) -> Any:
+    """Python callers may give tuples where TOML gives arrays."""
+    return list(value) if isinstance(value, tuple) else value
+
+
+Number = Annotated[float, Field(allow_inf_nan=False), AfterValidator(_whole)]
+Positive = Annotated[Number, Field(gt=0)]
+NotNegative = Annotated[Number, Field(ge=0)]
+Metre = Annotated[Number, Field(ge=-1e6, le=1e6)]
+Array = BeforeValidator(_from_tuple)
+Point = Annotated[list[Metre], Array, Len(3, 3)]
+Velocity = Annotated[list[Annotated[Number, Field(ge=-1000, le=1000)]], Array, Len(3, 3)]
+Quaternion = Annotated[list[Number], Array, Len(4, 4), AfterValidator(_unit)]
+Size = Annotated[list[Annotated[int, Field(ge=16, le=MAX_PIXELS, multiple_of=2)]], Array, Len(2, 2)]
+Heading = Annotated[Number, Field(ge=-36_000, le=36_000)]
+Frame = Annotated[int, Field(ge=-10_000_000, le=10_000_000)]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]{0,99}$")]
+Text = Annotated[str, Field(min_length=1, max_length=4096)]
+_RATE = {"anyOf": [{"type": "number", "exclusiveMinimum": 0, "maximum": MAX_FPS}, {"type": "string"}]}
+Fps = Annotated[Fraction, PlainValidator(parse_fps), PlainSerializer(str), WithJsonSchema(_RATE)]
+MarkFrame = Annotated[
+    int | Literal["free"],
+    PlainValidator(parse_mark_frame),
+    WithJsonSchema({"anyOf": [{"type": "integer"}, {"const": "free"}]}),
+]
+
+
+class Header(Table):
+    """``[shot]``"""
+
+    version: Annotated[int, Field(alias="schema", ge=1, le=1)]
+    """1, the version of this file format"""
+    name: Name
+    """a name of letters, digits and underscores: it names the folder, the stage and its root prim"""
+    fps: Fps = Fraction(24)
+    """a frame rate such as 24, "24000/1001" or "23.976\""""
+    start_frame: Frame = 1001
+    """the first frame of the cut, a whole number"""
+    end_frame: Frame | None = None
+    """the last frame of the cut, a whole number; where the motion ends unless given"""
+    handles: Annotated[int, Field(ge=0, le=1000)] = 0
+    """how many frames to add before and after the cut, 0 to 1000; they need end_frame"""
+
+    @property
+    def first(self) -> int:
+        """First frame, handle included."""
+        return self.start_frame - self.handles
+
+    @property
+    def last(self) -> int | None:
+        """Last frame, handle included; None where the motion decides."""
+        return None if self.end_frame is None else self.end_frame + self.handles
+
+
+class WorldTable(Table):
+    """``[world]``"""
+
+    terrain: Text | None = None
+    """a shipped terrain's name, or a mesh or height map's path relative to the shot file"""
+    wind: Velocity = Field(default=[0.0, 0.0, 0.0])
+    """the wind [x, y, z] in m/s, world axes"""
+
+
+class MarkTable(Table):
+    """``[[vehicle.motion.mark]]``: what is not given is free."""
+
+    frame: MarkFrame
+    """a whole frame, or "free": the planner chooses"""
+    position: Point | None = None
+    """where the rig's root stands, [x, y, z] in m"""
+    heading: Heading | None = None
+    """the yaw of the vehicle's nose from world X in degrees, counter-clockwise"""
+    orientation: Quaternion | None = None
+    """a unit quaternion [w, x, y, z], body to world"""
+    velocity: Velocity | None = None
+    """the velocity [x, y, z] in m/s, world axes; [0, 0, 0] is standing still"""
+    speed: Annotated[NotNegative, Field(le=1000)] | None = None
+    """the speed in m/s, in any direction"""
+    joints: dict[str, Number] | None = None
+    """a table of joint values, in the vehicle's own units"""
+    tolerance: Annotated[NotNegative, Field(le=1e6)] = 0.0
+    """how far from the position is good enough, in m"""
+    hold: Annotated[int, Field(ge=0, le=MAX_FRAMES)] = 0
+    """how many frames to stay there, at rest"""
+
+
+class StartTable(Table):
+    """``[vehicle.motion.start]``"""
+
+    position: Point = [0.0, 0.0, 0.0]
+    """where the rig's root starts, [x, y, z] in m"""
+    heading: Heading | None = None
+    """the yaw of the vehicle's nose from world X in degrees, counter-clockwise"""
+    orientation: Quaternion | None = None
+    """a unit quaternion [w, x, y, z], body to world"""
+    velocity: Velocity = [0.0, 0.0, 0.0]
+    """the velocity [x, y, z] in m/s, world axes"""
+    joints: dict[str, Number] = {}
+    """a table of joint values, in the vehicle's own units; 0 unless given"""
+
+
+class CameraTable(Table):
+    """``[camera]`` or several ``[[camera]]``: a `vehsim.cameras.CameraRig`, which knows what is left out."""
+
+    name: Name = "chase"
+    """a name of letters, digits and underscores, one of its own for every camera"""
+    rig: Text = "chase"
+    """how the camera moves: "chase", "follow", "orbit" or "static\""""
+    target: Text | None = None
+    """the name of the vehicle it looks at; the first one unless given"""
+    lens_mm: Annotated[Number, Field(ge=4, le=2000)] = 35.0
+    """the focal length in mm, 4 to 2000"""
+    aperture_width_mm: Annotated[Number, Field(ge=1, le=200)] = 36.0
+    """the width of the film back in mm, 1 to 200"""
+    fill: Annotated[Number, Field(ge=0.005, le=1)] = 0.18
+    """the share of the picture's height the target takes, 0.005 to 1; it sets the distance"""
+    distance: Annotated[Positive, Field(le=1e5)] | None = None
+    """the distance to the target in m, instead of fill"""
+    height: Metre | None = None
+    """how far above the target, in m"""
+    azimuth: Heading | None = None
+    """degrees counter-clockwise: from straight behind (chase), from looking along +X (follow, orbit)"""
+    position: Point | None = None
+    """where a static camera stands, [x, y, z] in m"""
+    look_at: Point | None = None
+    """what a static camera looks at, [x, y, z] in m"""
+    turn: Annotated[Number, Field(ge=-3600, le=3600)] = 20.0
+    """degrees a second that an orbit turns"""
+    margin: Annotated[NotNegative, Field(le=1000)] = 1.5
+    """how far above the ground the camera stays, in m"""
+
+
+class RenderTable(Table):
+    """``[render]``"""
+
+    size: Size = [960, 540]
+    """the picture's [width, height] in pixels: even numbers, as films want them, from 16 to 8192"""
+    every: Annotated[int, Field(ge=1, le=MAX_FRAMES)] = 1
+    """1 to render every frame, 2 every second one, and so on"""
+    samples: Annotated[int, Field(ge=0, le=16)] = 4
+    """samples per pixel against jagged edges, 0 to 16"""
+    shadows: bool = True
+    """true or false: whether the sun casts shadows"""

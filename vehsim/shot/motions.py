@@ -1,0 +1,315 @@
+"""The methods of motion: what each asks in ``[vehicle.motion]``, what is wrong with it in a world, and its solution.
+
+A method is a model with ``check`` and ``solve``; a new one joins the union `Motion`. How motions are
+computed lives in `vehsim.planning`, `vehsim.simulation` and `vehsim.pilots`.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+from annotated_types import Len
+from pydantic import BeforeValidator, Field, PlainValidator, WithJsonSchema
+
+from vehsim.errors import InputError, Problem, SolveError
+from vehsim.shot.checks import Setting, check_free, check_mark, check_names, check_order, choose, orientation_of
+from vehsim.shot.model import (
+    MAX_FRAMES,
+    Array,
+    MarkTable,
+    NotNegative,
+    Number,
+    Positive,
+    StartTable,
+    Table,
+    Text,
+)
+
+if TYPE_CHECKING:
+    from vehsim.clip import Clip
+    from vehsim.planning import Mark
+    from vehsim.take import Progress
+    from vehsim.vehicles import State, Vehicle
+
+MAX_STEPS = 10_000_000
+"""More integration steps than any shot needs."""
+_ANGULAR = {"turn_rate", "bank"}
+"""Limits that the shot file gives in degrees."""
+
+
+class PlanMotion(Table):
+    """``method = "plan"``: the motion that hits the marks at the least cost."""
+
+    method: Literal["plan"]
+    """plan, simulate or clip"""
+    cost: Annotated[
+        str | dict[str, float],
+        PlainValidator(lambda v: _cost(v)),
+        WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object", "additionalProperties": {"type": "number"}}]}),
+    ] = "effort"
+    """what to keep small: "effort" or "time", or a table of weights such as { effort = 1, time = 0.5 }"""
+    segments: Annotated[int, Field(ge=2, le=2000)] = 64
+    """how many pieces the motion is computed in, 2 to 2000"""
+    clearance: Annotated[NotNegative, Field(le=1000)] = 1.0
+    """how far to stay from the terrain, in m"""
+    mark: Annotated[list[MarkTable], Array, Len(2, 1000)]
+    """two or more [[vehicle.motion.mark]] tables"""
+    limits: dict[str, Positive] = Field(default={})
+    """a table of what to stay below: speed and climb in m/s, turn_rate in deg/s, bank in degrees"""
+
+    def check(self, vehicle: Vehicle, setting: Setting) -> Iterator[Problem]:
+        from vehsim.planning.terms import COSTS, LIMITS
+
+        cost = {self.cost: None} if isinstance(self.cost, str) else self.cost
+        yield from check_names("cost", cost, COSTS, "cost")
+        yield from check_names("limits", self.limits, LIMITS, "limit")
+        yield from check_order(self.mark, setting)
+        for i, mark in enumerate(self.mark):
+            key = f"mark[{i}]"
+            yield from check_mark(key, mark, vehicle)
+            if mark.position is not None:
+                slack = self.clearance - mark.tolerance
+                yield from check_free(f"{key}.position", mark.position, mark, slack, vehicle, setting.world)
+
+    def solve(self, vehicle: Vehicle, setting: Setting, progress: Progress) -> tuple[Clip, dict[str, Any]]:
+        from vehsim.planning import plan
+
+        result = plan(
+            vehicle,
+            setting.world,
+            marks=[_as_mark(mark, vehicle) for mark in self.mark],
+            fps=setting.fps,
+            segments=self.segments,
+            cost=self.cost,
+            clearance=self.clearance,
+            limits={name: np.deg2rad(v) if name in _ANGULAR else v for name, v in self.limits.items()},
+            progress=progress,
+        )
+        names = ("success", "message", "cost", "duration", "iterations", "solve_seconds", "build_seconds")
+        report = {name: getattr(result, name) for name in (*names, "defect", "clearance")}
+        report |= {"segments": result.segments, "executed": asdict(result.executed)}
+        report["marks"] = [mark.model_dump(mode="json", exclude_unset=True) for mark in self.mark if mark.position]
+        if not result.success:
+            raise SolveError(f"{vehicle.name}: no plan was found: {result.message}; loosen marks, clearance or limits")
+        return result.clip, report
+
+
+class PilotTable(Table):
+    """``pilot = { name = "hover", ... }``: a feedback controller and its parameters."""
+
+    model_config = Table.model_config | {"extra": "allow"}
+    name: Text
+    """a pilot's name: "hover", "fly_to" or "follow_path\""""
+
+    def parameters(self) -> dict[str, Any]:
+        """As Python takes them: arrays, and ``heading`` in radians."""
+        given = {key: _array(value) for key, value in (self.model_extra or {}).items()}
+        return {key: np.deg2rad(value) if key == "heading" else value for key, value in given.items()}
+
+    def check(self, vehicle: Vehicle) -> Iterator[Problem]:
+        from vehsim.pilots import PILOTS
+
+        if self.name not in PILOTS:
+            mend = choose(self.name, PILOTS)
+            yield Problem("pilot.name", "no such pilot", mend, self.name)
+            return
+        signature = inspect.signature(PILOTS[self.name])
+        known = [name for name in signature.parameters if name != "vehicle"]
+        given = self.model_extra or {}
+        yield from check_names("pilot", given, known, "parameter")
+        for key, value in given.items():
+            if not is_numeric(value):
+                yield Problem(f"pilot.{key}", "not finite numbers", "give a number, or arrays of numbers", value)
+        for name in known:
+            if signature.parameters[name].default is inspect.Parameter.empty and name not in given:
+                yield Problem(f"pilot.{name}", "missing", f"the pilot {self.name!r} needs it")
+
+
+class SimulateMotion(Table):
+    """``method = "simulate"``: physics forward from a start, driven by commands or by a pilot."""
+
+    method: Literal["simulate"]
+    """plan, simulate or clip"""
+    start: StartTable = StartTable()
+    """the state on the shot's first frame, handle included"""
+    duration: Annotated[Positive, Field(le=MAX_FRAMES)] | None = None
+    """how long, in s; to the shot's end_frame unless given"""
+    step: Annotated[Number, Field(ge=1e-5, le=0.1)] = 1 / 240
+    """the integration step in s, 0.00001 to 0.1"""
+    commands: (
+        Annotated[list[Annotated[dict[str, Number], BeforeValidator(lambda v: _command(v))]], Array, Len(1, MAX_FRAMES)]
+        | None
+    ) = None
+    """a list of { frame = ..., control = value, ... }: linear between them, held before and after; angles in degrees"""
+    pilot: PilotTable | None = None
+    """a table { name = ..., parameters } instead of commands"""
+
+    def check(self, vehicle: Vehicle, setting: Setting) -> Iterator[Problem]:
+        if self.duration is None and setting.last is None:
+            yield Problem("duration", "missing", "say how many seconds to simulate, or give shot.end_frame")
+        seconds = self._duration(setting)
+        if seconds * setting.fps > MAX_FRAMES or seconds / self.step > MAX_STEPS:
+            yield Problem("duration", f"more than {MAX_FRAMES} frames or {MAX_STEPS} steps", "shorten it", seconds)
+        if self.commands is not None and self.pilot is not None:
+            yield Problem("pilot", "commands are given too", "keep one of them", self.pilot.name)
+        if self.pilot is not None:
+            yield from self.pilot.check(vehicle)
+        yield from self._check_commands(vehicle)
+        yield from check_names("start.joints", self.start.joints, vehicle.joints, "joint")
+        yield from check_mark("start", self.start, vehicle)
+        if not _planar(vehicle):
+            yield from check_free("start.position", self.start.position, self.start, 0.0, vehicle, setting.world)
+
+    def solve(self, vehicle: Vehicle, setting: Setting, progress: Progress) -> tuple[Clip, dict[str, Any]]:
+        from vehsim.simulation import simulate
+
+        clip = simulate(
+            vehicle,
+            setting.world,
+            self._controls(vehicle, setting),
+            start=_as_state(self.start, vehicle),
+            duration=self._duration(setting),
+            step=self.step,
+            fps=setting.fps,
+            start_frame=setting.first,
+            progress=progress,
+        )
+        return clip, {"step": self.step, "duration": clip.duration}
+
+    def _duration(self, setting: Setting) -> float:
+        if self.duration is not None:
+            return self.duration
+        return setting.seconds(setting.last if setting.last is not None else setting.first)
+
+    def _check_commands(self, vehicle: Vehicle) -> Iterator[Problem]:
+        last = -np.inf
+        for i, row in enumerate(self.commands or ()):
+            names = {name: value for name, value in row.items() if name != "frame"}
+            yield from check_names(f"commands[{i}]", names, vehicle.control_names, "control")
+            for name, value in _to_si(names, vehicle).items():
+                control = vehicle.controls[vehicle.control_names.index(name)]
+                if not control.lower - 1e-9 <= value <= control.upper + 1e-9:
+                    mend = f"this vehicle takes {control.lower:g} to {control.upper:g} {control.unit}".rstrip()
+                    yield Problem(f"commands[{i}].{name}", "beyond the vehicle's bounds", mend, names[name])
+            if row["frame"] <= last:
+                yield Problem(f"commands[{i}].frame", "not after the one before it", "put them in order", row["frame"])
+            last = row["frame"]
+
+    def _controls(self, vehicle: Vehicle, setting: Setting) -> Any:
+        """What `vehsim.simulate` takes: a pilot, or a function of time."""
+        if self.pilot is not None:
+            from vehsim.pilots import PILOTS
+
+            return PILOTS[self.pilot.name](vehicle, **self.pilot.parameters())
+        rows = self.commands or []
+        curves = []
+        for name in vehicle.control_names:
+            knots = [(setting.seconds(row["frame"]), _to_si(row, vehicle)[name]) for row in rows if name in row]
+            curves.append(np.array(knots or [(0.0, 0.0)]).T)
+        return lambda t, state: np.array([np.interp(t, times, values) for times, values in curves])
+
+
+class ClipMotion(Table):
+    """``method = "clip"``: a motion saved before, as it is."""
+
+    method: Literal["clip"]
+    """plan, simulate or clip"""
+    path: Text
+    """a clip saved by vehsim (.npz), relative to the shot file"""
+
+    def check(self, vehicle: Vehicle, setting: Setting) -> Iterator[Problem]:
+        try:
+            clip = self._load(vehicle, setting)
+        except InputError as error:
+            yield Problem("path", str(error), "give a file written by clip.save or the npz exporter", self.path)
+            return
+        if clip.fps != setting.fps:
+            mend = f"set shot.fps = {str(clip.fps)!r}, or bake the clip at the shot's rate"
+            yield Problem(
+                "path", f"the clip runs at {clip.fps} frames per second, the shot at {setting.fps}", mend, self.path
+            )
+
+    def solve(self, vehicle: Vehicle, setting: Setting, progress: Progress) -> tuple[Clip, dict[str, Any]]:
+        return self._load(vehicle, setting), {"path": self.path}
+
+    def _load(self, vehicle: Vehicle, setting: Setting) -> Clip:
+        from vehsim.clip import Clip
+
+        path = setting.folder / self.path
+        if not path.is_file():
+            raise InputError("no such file")
+        clip = Clip.load(path, vehicle)
+        if clip.controls.shape[1] != len(vehicle.controls) or clip.joints.shape[1] != len(vehicle.joints):
+            raise InputError(f"a clip of another vehicle than {vehicle.name!r}")
+        return clip
+
+
+Motion = Annotated[PlanMotion | SimulateMotion | ClipMotion, Field(discriminator="method")]
+RESERVED = {"sinusoid": "steering by sinusoids is not there yet"}
+"""Methods whose names are kept for later."""
+
+
+def _cost(value: Any) -> Any:
+    weights = list(value.values()) if isinstance(value, dict) else [1.0]
+    if not isinstance(value, str | dict) or not all(np.ndim(w) == 0 and is_numeric(w) and w >= 0 for w in weights):
+        raise ValueError("neither a cost's name nor a table of weights")
+    if not any(weights):
+        raise ValueError("no weight above zero")
+    return value
+
+
+def _command(value: Any) -> Any:
+    if isinstance(value, dict) and "frame" not in value:
+        raise ValueError("no frame")
+    return value
+
+
+def is_numeric(value: Any, depth: int = 3) -> bool:
+    """A finite number, or arrays of them."""
+    if isinstance(value, list | tuple):
+        return depth > 0 and 0 < len(value) <= 100_000 and all(is_numeric(item, depth - 1) for item in value)
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= 1e9
+
+
+def _array(value: Any) -> Any:
+    return np.array(value, float) if isinstance(value, list | tuple) else value
+
+
+def _as_mark(mark: MarkTable, vehicle: Vehicle) -> Mark:
+    from vehsim.planning import Mark
+
+    joints = None if mark.joints is None else [mark.joints[name] for name in vehicle.joints]
+    return Mark(**(mark.model_dump() | {"joints": joints}))
+
+
+def _as_state(start: StartTable, vehicle: Vehicle) -> State:
+    from scipy.spatial.transform import Rotation
+
+    from vehsim.vehicles import State
+
+    orientation = orientation_of(start)
+    if orientation is None:
+        orientation = np.array([1.0, 0.0, 0.0, 0.0])
+    R_wr = Rotation.from_quat(orientation[[1, 2, 3, 0]])
+    velocity = R_wr.inv().apply(start.velocity)
+    twist = np.array([0.0, *velocity[:2]]) if _planar(vehicle) else np.array([0.0, 0.0, 0.0, *velocity])
+    joints = [start.joints.get(name, 0.0) for name in vehicle.joints]
+    return State(position=np.array(start.position), orientation=orientation, twist=twist, joints=np.array(joints))
+
+
+def _planar(vehicle: Vehicle) -> bool:
+    return vehicle.group.dim == 3
+
+
+def _to_si(values: Mapping[str, float], vehicle: Vehicle) -> dict[str, float]:
+    """Control values of a shot file in SI: those whose unit is radians are given in degrees there."""
+    units = {control.name: control.unit for control in vehicle.controls}
+    return {
+        name: np.deg2rad(value) if units[name].startswith("rad") else value
+        for name, value in values.items()
+        if name in units
+    }

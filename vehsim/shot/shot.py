@@ -1,0 +1,237 @@
+"""A shot: loaded, checked against the world, solved into a take."""
+
+from __future__ import annotations
+
+import copy
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from fractions import Fraction
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from vehsim.errors import InputError, Problem, ShotError
+from vehsim.shot.checks import Setting, choose
+from vehsim.shot.file import ShotFile, VehicleTable, parse
+from vehsim.shot.model import MAX_FRAMES
+from vehsim.shot.reading import apply_overrides, line_of, lines_of, read_toml
+
+if TYPE_CHECKING:
+    from vehsim.cameras import Camera, CameraRig
+    from vehsim.clip import Clip
+    from vehsim.take import Progress, RenderSettings, Take
+    from vehsim.vehicles import Vehicle
+    from vehsim.world import World
+
+_MOVING = 1e-2
+"""A twist below it is standing still, rad/s and m/s."""
+
+
+class Shot:
+    """A shot file in memory. Make one with `Shot.load` or `Shot.from_dict`; `solve` makes the take.
+
+    Both raise ``ShotError`` with everything that is wrong at once.
+    """
+
+    def __init__(self, file: ShotFile, folder: Path, source: str = "", lines: Mapping[str, int] | None = None):
+        self.file, self.folder, self.source = file, folder, source
+        self._lines = lines or {}
+
+    @classmethod
+    def load(cls, path: str | Path, overrides: Sequence[str] = ()) -> Shot:
+        """Read a shot file. ``overrides``: ``"world.wind=[0,3,0]"`` and the like, applied first."""
+        path = Path(path)
+        data, text = read_toml(path)
+        return cls.from_dict(data, folder=path.parent, source=str(path), overrides=overrides, lines=lines_of(text))
+
+    @classmethod
+    def from_dict(
+        cls,
+        data: Mapping[str, Any],
+        folder: str | Path = ".",
+        source: str = "",
+        overrides: Sequence[str] = (),
+        lines: Mapping[str, int] | None = None,
+    ) -> Shot:
+        """A shot from what a shot file holds; its paths are relative to ``folder``."""
+        if isinstance(data, Mapping):
+            data = copy.deepcopy(dict(data))
+            apply_overrides(data, overrides)
+        lines = lines or {}
+        file, problems = parse(data)
+        shot = cls(file, Path(folder), source, lines) if file else None
+        if problems:
+            found = [_place(problem, source, lines) for problem in problems]
+            raise ShotError(found + (shot.check() if shot else []))
+        assert shot is not None
+        return shot
+
+    @property
+    def name(self) -> str:
+        return self.file.shot.name
+
+    @property
+    def fps(self) -> Fraction:
+        return self.file.shot.fps
+
+    def only(self, names: Sequence[str]) -> Shot:
+        """The shot with these vehicles alone; cameras whose target is gone look at the first of them."""
+        known = [vehicle.name for vehicle in self.file.vehicle]
+        for name in names:
+            if name not in known:
+                raise ShotError([Problem("--only", "no such vehicle", choose(name, known), name, self.source)])
+        kept = [vehicle for vehicle in self.file.vehicle if vehicle.name in names]
+        cameras = [
+            camera if camera.target in (None, *names) else camera.model_copy(update={"target": kept[0].name})
+            for camera in self.file.camera
+        ]
+        file = self.file.model_copy(update={"vehicle": kept, "camera": cameras})
+        return Shot(file, self.folder, self.source, self._lines)
+
+    @cached_property
+    def world(self) -> World:
+        from vehsim.world import World
+
+        table = self.file.world
+        return World(None if table.terrain is None else self._asset(table.terrain), table.wind)
+
+    def vehicle(self, table: VehicleTable) -> Vehicle:
+        from vehsim.vehicles import load_vehicle
+
+        return load_vehicle(self._asset(table.asset))
+
+    def check(self) -> list[Problem]:
+        """Everything wrong that can be known before solving; nothing is written. Warnings have their severity."""
+        return [_place(problem, self.source, self._lines) for problem in self._check()]
+
+    def solve(self, progress: Progress | None = None) -> Take:
+        """Check, then solve every vehicle's motion and every camera. Raises ``ShotError`` and ``SolveError``."""
+        from vehsim.take import Take
+
+        errors = [problem for problem in self.check() if problem.severity == "error"]
+        if errors:
+            raise ShotError(errors)
+        clips, vehicles = self._solve_vehicles(progress or (lambda what, done: None))
+        marks = {name: report.pop("marks", []) for name, report in vehicles.items()}
+        frames = self._frames(clips)
+        return Take(
+            name=self.name,
+            clips=clips,
+            world=self.world,
+            cameras=self._solve_cameras(clips, frames),
+            fps=self.fps,
+            frames=frames,
+            render=self.render,
+            report={
+                "shot": self.file.model_dump(mode="json", by_alias=True, exclude_unset=True),
+                "vehicles": vehicles,
+                "marks": marks,
+            },
+        )
+
+    @property
+    def render(self) -> RenderSettings:
+        from vehsim.take import RenderSettings
+
+        table = self.file.render
+        return RenderSettings((table.size[0], table.size[1]), table.every, table.samples, table.shadows)
+
+    def _asset(self, name: str) -> str | Path:
+        """A path relative to the shot file when there is one, else a shipped asset's name."""
+        beside = self.folder / Path(name).expanduser()
+        return beside if beside.exists() else name
+
+    @cached_property
+    def _setting(self) -> Setting:
+        header = self.file.shot
+        return Setting(self.world, header.fps, header.first, header.last, self.folder)
+
+    def _check(self) -> Iterator[Problem]:
+        yield from self._check_header()
+        yield from self._check_cameras()
+        world = None
+        try:
+            world = self.world
+        except InputError as error:
+            yield Problem("world.terrain", str(error), "see vehsim terrains", self.file.world.terrain)
+        for i, table in enumerate(self.file.vehicle):
+            try:
+                vehicle = self.vehicle(table)
+            except InputError as error:
+                yield Problem(f"vehicle[{i}].asset", str(error), "see vehsim vehicles", table.asset)
+                continue
+            if world is None:
+                continue
+            for problem in table.motion.check(vehicle, self._setting):
+                yield replace(problem, key=f"vehicle[{i}].motion.{problem.key}")
+            if world.wind.any() and not vehicle.feels_wind:
+                message = f"{table.name} does not feel it: its drag is zero"
+                mend = "give its vehicle.toml drag, or leave the wind out"
+                yield Problem("world.wind", message, mend, self.file.world.wind, severity="warning")
+
+    def _check_header(self) -> Iterator[Problem]:
+        header = self.file.shot
+        if header.handles and header.end_frame is None:
+            yield Problem("shot.handles", "handles need an end to stand after", "give shot.end_frame", header.handles)
+        if header.end_frame is not None and header.end_frame < header.start_frame:
+            message = f"before the first frame, {header.start_frame}"
+            yield Problem("shot.end_frame", message, "give a later frame", header.end_frame)
+        elif header.end_frame is not None and header.end_frame - header.start_frame >= MAX_FRAMES:
+            message = f"{header.end_frame - header.start_frame + 1} frames"
+            yield Problem("shot.end_frame", message, f"a shot has at most {MAX_FRAMES}", header.end_frame)
+        for kind in ("vehicle", "camera"):
+            names: list[str] = []
+            for i, table in enumerate(getattr(self.file, kind)):
+                if table.name in names:
+                    yield Problem(f"{kind}[{i}].name", "used twice", f"give every {kind} a name of its own", table.name)
+                names.append(table.name)
+
+    def _check_cameras(self) -> Iterator[Problem]:
+        from vehsim.cameras import RIGS
+
+        vehicles = [vehicle.name for vehicle in self.file.vehicle]
+        for i, camera in enumerate(self.file.camera):
+            if camera.rig not in RIGS:
+                yield Problem(f"camera[{i}].rig", "no such rig", choose(camera.rig, RIGS), camera.rig)
+            if camera.target is not None and camera.target not in vehicles:
+                yield Problem(f"camera[{i}].target", "no such vehicle", choose(camera.target, vehicles), camera.target)
+
+    def _solve_vehicles(self, progress: Progress) -> tuple[dict[str, Clip], dict[str, Any]]:
+        clips, reports = {}, {}
+        for i, table in enumerate(self.file.vehicle):
+
+            def report(what: str, done: float, name: str = table.name, before: int = i) -> None:
+                progress(f"{name}: {what}", (before + done) / len(self.file.vehicle))
+
+            clips[table.name], said = table.motion.solve(self.vehicle(table), self._setting, report)
+            reports[table.name] = {"asset": table.asset, "method": table.motion.method, **said}
+        return clips, reports
+
+    def _frames(self, clips: Mapping[str, Clip]) -> tuple[int, int]:
+        """First and last frame of the take. A vehicle stands still outside its clip; warn when it should not."""
+        first = self.file.shot.first
+        last = self.file.shot.last
+        last = max(clip.end_frame for clip in clips.values()) if last is None else last
+        for name, clip in clips.items():
+            for index, short in ((0, clip.start_frame > first), (-1, clip.end_frame < last)):
+                if short and abs(clip.twists[index]).max() > _MOVING:
+                    warnings.warn(
+                        f"{name}: its motion covers frames {clip.start_frame} to {clip.end_frame} of {first} to {last} "
+                        "and is cut off while it moves: it stands still in the others; move its marks or its duration",
+                        stacklevel=3,
+                    )
+        return first, last
+
+    def _solve_cameras(self, clips: Mapping[str, Clip], frames: tuple[int, int]) -> tuple[Camera, ...]:
+        from vehsim.cameras import CameraRig, solve_camera
+
+        width, height = self.file.render.size
+        rigs: list[CameraRig] = [CameraRig(**camera.model_dump(exclude_unset=True)) for camera in self.file.camera]
+        return tuple(solve_camera(rig, clips, self.world, frames, width / height) for rig in rigs)
+
+
+def _place(problem: Problem, source: str, lines: Mapping[str, int]) -> Problem:
+    """The problem with the file and line it stands on."""
+    line = problem.line or line_of(problem.key, lines)
+    return replace(problem, file=problem.file or source, line=line)
