@@ -31,17 +31,17 @@ def about_z(turn: float) -> Array:
 def main_rotor() -> dict[str, Surface]:
     """Three blades on a star-plate head, coned, leading edges counter-clockwise, and the blur of their turning."""
     blades, tips, cuffs, links = [], [], [], []
-    for k in range(BLADES):
+    for k in range(BLADES):  # mirrored: seen from above this rotor turns counter-clockwise
         turn = about_z(2 * np.pi * k / BLADES)
         main, tip = blade()
-        blades.append(main.turned(turn))
-        tips.append(tip.turned(turn))
+        blades.append(main.mirrored().turned(turn))
+        tips.append(tip.mirrored().turned(turn))
         arm = tube([[0, 0.10, 0.0], [0, 0.42, 0.01], [0, 0.62, 0.025]], [0.085, 0.06, 0.055], 12, 8)
         sleeve = box([0.15, 0.46, 0.085], [0, 0.66, 0.028], 0.02)
-        cuffs.append(join(arm, sleeve).turned(turn))
+        cuffs.append(join(arm, sleeve).mirrored().turned(turn))
         link = tube([[0.15, 0.10, -0.22], [0.20, 0.42, -0.02]], 0.016, 8)
         horn = box([0.26, 0.06, 0.035], [0.12, 0.44, 0.005], 0.01)
-        links.append(join(link, horn).turned(turn))
+        links.append(join(link, horn).mirrored().turned(turn))
     shaft = revolve([(0.0, -0.34), (0.075, -0.34), (0.075, -0.09), (0.10, -0.05), (0.0, -0.05)], 20)
     head = revolve([(0.0, -0.075), (0.15, -0.07), (0.20, -0.05), (0.20, 0.05), (0.15, 0.07), (0.0, 0.075)], 24)
     cap = revolve([(0.0, 0.16), (0.05, 0.155), (0.105, 0.12), (0.13, 0.06), (0.13, 0.0), (0.0, 0.0)], 20)
@@ -60,7 +60,10 @@ def main_rotor() -> dict[str, Surface]:
 
 
 def blade() -> tuple[Surface, Surface]:
-    """One main blade along Y and its painted tip: root cut-out, linear twist of -10 degrees, swept tip corner."""
+    """One blade along Y, for a rotor that turns clockwise, and its painted tip.
+
+    Root cut-out, linear twist of -10 degrees, swept tip corner.
+    """
     radii = np.concatenate([[0.72, 0.85, 1.05, 1.3], np.linspace(1.8, 4.85, 9), [5.0, 5.12, 5.24, 5.31, RADIUS]])
     chord = curve([0.72, 0.85, 1.3, 5.1, 5.31, RADIUS], [0.13, 0.18, CHORD, CHORD, 0.27, 0.17])
     thick = curve([0.72, 1.3, 2.5, RADIUS], [0.42, 0.13, 0.12, 0.09])
@@ -91,10 +94,10 @@ def blur(radii: list[float], coning: float, sides: int = 72, axis: str = "z", he
 
 
 def tail_rotor() -> dict[str, Surface]:
-    """Two blades along Z on a teetering hub, turning about Y."""
+    """Two blades along Z on a teetering hub, turning about Y; their pitch drives the tail along -Y."""
     radii = np.concatenate([[0.14, 0.22, 0.28], np.linspace(0.4, 0.78, 4), [0.86, 0.90, TAIL_RADIUS]])
     chord = curve([0.14, 0.22, 0.28, 0.9, TAIL_RADIUS], [0.08, 0.12, TAIL_CHORD, TAIL_CHORD, 0.13])
-    stations = [([0, 0, r], float(chord(r)), 0.12, np.radians(9.0)) for r in radii]
+    stations = [([0, 0, r], float(chord(r)), 0.12, np.radians(-9.0)) for r in radii]
     tip, rest = split(wing(stations, [0, 1.0, 0], 9), lambda p: 0.80 - p[:, 2])
     band, root = split(rest, lambda p: 0.66 - p[:, 2])
     half = np.diag([-1.0, 1.0, -1.0])

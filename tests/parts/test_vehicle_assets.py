@@ -161,6 +161,22 @@ def test_rotor_disc_holds_the_blades_at_every_angle(path, axis):
         assert outside(rotor.points @ rotation(axis, angle).T, list(rotor.hulls)).max() < 1e-6
 
 
+@pytest.mark.parametrize(
+    ("path", "spin", "axis", "thrust"),
+    [("main_rotor", [0, 0, 1], [0, -1, 0], 1), ("tail_rotor", [0, 1, 0], [0, 0, 1], -1)],
+)
+def test_blades_lead_with_their_nose_and_lift_the_right_way(path, spin, axis, thrust):
+    stage = Usd.Stage.Open(str(asset("helicopter")))
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath(f"/helicopter/{path}/{path}_blade"))
+    points = np.array(mesh.GetPointsAttr().Get(), float)
+    forward = np.cross(spin, axis)  # where a point of this blade goes
+    blade = points[(points @ axis > 0.4 * (points @ axis).max()) & (np.abs(points @ forward) < 0.4)]
+    ahead = blade @ forward
+    assert 2.5 < -ahead.min() / ahead.max() < 3.5  # the nose is a quarter chord ahead of the axis
+    nose, tail = blade[ahead > 0.8 * ahead.max()] @ spin, blade[ahead < 0.8 * ahead.min()] @ spin
+    assert thrust * (nose.mean() - tail.mean()) > 0.005
+
+
 def test_wheel_hull_holds_the_wheel_at_every_steering_angle():
     vehicle = vehsim.load_vehicle("car")
     limit = math.atan2(0.7, 1 - 0.77 / 2.6 * 0.7)  # Ackermann: the inner wheel turns further
