@@ -36,7 +36,7 @@ def interpolate(clip: Clip, times: Array) -> Clip:
         times=times,
         positions=positions,
         orientations=orientations,
-        twists=_twists(clip.twists.shape[1], orientations, angular, linear),
+        twists=_twists(clip.vehicle.group.name, orientations, angular, linear),
         joints=joints,
         joint_rates=rates,
         controls=clip.controls[k] + s[:, None] * (clip.controls[k + 1] - clip.controls[k]),
@@ -49,7 +49,7 @@ def spatial(clip: Clip) -> tuple[Array, Array]:
     """Angular velocity in body axes and linear velocity in world axes, (n, 3) each, from twists of any group."""
     n, d = clip.twists.shape
     omega, body = np.zeros((n, 3)), np.zeros((n, 3))
-    if d == 3 and clip.vehicle.group.name == "SE2":
+    if clip.vehicle.group.name == "SE2":
         omega[:, 2], body[:, :2] = clip.twists[:, 0], clip.twists[:, 1:3]
     else:
         omega = clip.twists[:, :3]
@@ -63,13 +63,12 @@ def rotate(q: Array, v: Array) -> Array:
     return v + q[:, :1] * t + np.cross(q[:, 1:], t)
 
 
-def _twists(d: int, q: Array, omega: Array, velocity: Array) -> Array:
+def _twists(group: str, q: Array, omega: Array, velocity: Array) -> Array:
+    """Body twists (n, d): (omega, v), (omega_z, vx, vy) on SE2, omega alone on SO3."""
     body = rotate(q * [1, -1, -1, -1], velocity)
-    if d == 6:
-        return np.hstack([omega, body])
-    # on SE(2) the body twist is (omega_z, vx, vy); on SO(3) there is no translation
-    planar = np.column_stack([omega[:, 2], body[:, :2]])
-    return omega if not np.any(velocity) and np.any(omega[:, :2]) else planar
+    if group == "SO3":
+        return omega
+    return np.column_stack([omega[:, 2], body[:, :2]]) if group == "SE2" else np.hstack([omega, body])
 
 
 def _hermite(s: Array, h: Array, a: Array, b: Array, da: Array, db: Array) -> tuple[Array, Array]:

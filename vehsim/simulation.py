@@ -113,9 +113,11 @@ def _fly(
             vehicle, pilot(k * integrator.step_size, state), f"controls(t = {k * integrator.step_size:.6g})"
         )
 
-    c = ask(0, begin)
-    phase = integrator.start(begin, c)
+    idle = np.zeros(len(vehicle.controls))
+    phase = integrator.start(begin, idle)
     anchor = integrator.anchor(begin, phase)
+    c = ask(0, integrator.state(phase, idle, anchor))  # a whole state: what the start leaves out is filled in
+    phase = integrator.start(begin, c)
     phases: list[Phase] = [phase]
     controls = [c]
     for k in range(steps):

@@ -49,9 +49,7 @@ def test_drag_carries_a_body_to_the_wind():
     clip = Integrator(vehicle, 0.05, wind=wind).rollout(State(), np.tile(hover, (401, 1)))
     exact = wind * (1 - np.exp(-200 / 1900 * clip.times))[:, None]
     np.testing.assert_allclose(clip.twists[:, 3:6], exact, atol=2e-5)
-    drifting = Integrator(vehicle, 0.05, wind=wind).rollout(
-        State(twist=(0, 0, 0, *wind)), np.tile(hover, (401, 1))
-    )
+    drifting = Integrator(vehicle, 0.05, wind=wind).rollout(State(twist=(0, 0, 0, *wind)), np.tile(hover, (401, 1)))
     np.testing.assert_allclose(drifting.positions, drifting.times[:, None] * wind, atol=1e-9)
 
 

@@ -160,9 +160,7 @@ def test_dependent_constraints_and_missing_inertia_are_named():
         return (xi[0] ** 2 + xi[1] ** 2 + xi[2] ** 2) / 2
 
     with pytest.raises(InputError, match="lose rank"):
-        Nonholonomic(
-            name="x", group=SE2, lagrangian=kinetic, constraints=lambda r: ([[], []], [[0, 0, 1], [0, 0, 2]])
-        )
+        Nonholonomic(name="x", group=SE2, lagrangian=kinetic, constraints=lambda r: ([[], []], [[0, 0, 1], [0, 0, 2]]))
     with pytest.raises(InputError, match="not positive definite"):
         Nonholonomic(name="x", group=SE2, lagrangian=lambda r, u, xi: (xi[1] ** 2 + xi[2] ** 2) / 2)
     with pytest.raises(InputError, match="must be"):

@@ -142,8 +142,8 @@ class DiscreteMechanics:
         mass, rest = ca.jacobian(restricted, z), ca.substitute([restricted], [z], [ca.SX.zeros(*z.shape)])[0]
         mass = ca.substitute([mass], [z], [ca.SX.zeros(*z.shape)])[0]
         solved = ca.solve(mass, pi - rest) if z.shape[0] else z
-        u, xi = ca.substitute([u, xi], [z], [ca.densify(solved)])
-        return ca.Function("knot_velocity", [r, pi, c], [u, xi])
+        values = ca.substitute([u, xi], [z], [ca.densify(solved)])
+        return ca.Function("knot_velocity", [r, pi, c], values)
 
     @cached_property
     def knot_velocity_guess(self) -> ca.Function:
