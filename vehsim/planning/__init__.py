@@ -1,5 +1,5 @@
 """Planning: discrete mechanics and optimal control (DMOC) from marks to certified motion."""
 
 from vehsim.planning.marks import Mark as Mark
-from vehsim.planning.plan import Plan as Plan
-from vehsim.planning.plan import plan as plan
+from vehsim.planning.planner import Plan as Plan
+from vehsim.planning.planner import plan as plan

@@ -58,11 +58,13 @@ COSTS: dict[str, Callable[[SegmentView], Expr]] = {
 
 LIMITS: dict[str, Callable[[KnotView], Expr]] = {
     "speed": lambda k: ca.sqrt(ca.sumsqr(k.velocity) + 1e-8),
+    "ceiling": lambda k: k.position[2],
     "climb": lambda k: ca.sqrt(k.velocity[2] ** 2 + 1e-8),
     "turn_rate": lambda k: ca.sqrt(ca.sumsqr(k.omega) + 1e-8),
     "bank": lambda k: ca.acos(0.9999999 * k.rotation[2, 2]),
 }
-"""Limit name -> the value that stays below it at every knot: m/s, m/s, rad/s, rad (between the body's and world's Z)."""
+"""Limit name -> the value that stays below it at every knot: m/s, height of the root m, m/s up or down, rad/s, rad between
+the body's and the world's Z."""
 
 SMOOTHNESS = 1e-3
 """Weight of smoothness unless given: it keeps any optimum unique and the controls from chattering."""

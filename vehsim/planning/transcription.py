@@ -325,7 +325,10 @@ def build(
             place = marks_at + i * width + np.arange(width)
             problem.add(element, np.vstack([layout.knot(knot), layout.control(knot)]), place)
     if cover is not None:
-        inner = np.setdiff1d(np.arange(layout.nodes), layout.mark_knots[[0]] * steps)
+        # the knots after the first and one place between: the substep's middle, or a composition's node nearest to it
+        middle = int(np.argmin(np.abs(starts - 0.5)))
+        inner = np.arange(1, layout.nodes)
+        inner = inner[np.isin(inner % steps, (0, middle))]
         problem.add(t.clearance(*cover, between=False), layout.node(inner), [MARGIN])
         if steps == 1:
             y = np.vstack([layout.node(node), layout.velocity(node), layout.duration(segment)])

@@ -353,7 +353,8 @@ def _paths(request: _Request, guess: Any, cover: Any) -> list[Array]:
     middle = (centres.max(axis=0) + centres.min(axis=0)) / 2
     reach = float(np.max(np.linalg.norm(centres - middle, axis=1) + radii)) + request.clearance
     lift = np.array([0, 0, middle[2]])
-    return [np.asarray(request.world.route(a + lift, b + lift, reach)) - lift for a, b in legs]
+    ceiling = request.limits["ceiling"] + middle[2] if "ceiling" in request.limits else None
+    return [np.asarray(request.world.route(a + lift, b + lift, reach, ceiling)) - lift for a, b in legs]
 
 
 def _cut(points: Array, legs: list[tuple[Array, Array]]) -> list[Array]:
