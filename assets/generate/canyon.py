@@ -3,12 +3,11 @@
 The shape follows the process. A river's course and its side gullies give every point a distance from the nearest
 channel; a column of strata turns that distance into height: hard beds stand as cliffs, soft beds as slopes, the foot is
 talus. Noise bends the walls into buttresses and alcoves, mesas of the same column stand on the plateau and close the
-horizon. Run from the repository: ``python assets/generate/canyon.py``.
+horizon. Run from the repository: ``python -m vehsim.assets.generate.canyon``.
 """
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +16,10 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
-sys.path.insert(0, str(Path(__file__).parent))
-from _noise import fractal, gradient_noise, ridged
+from vehsim.assets.generate._canyon_rock import ground_colour, horizon_colour, horizon_sheet
+from vehsim.assets.generate._noise import fractal, gradient_noise, ridged
+from vehsim.assets.generate._terrain_look import sheet, sky_view, unwrap, write_look, write_picture
+from vehsim.world import Terrain
 
 Array = NDArray[np.float64]
 
@@ -26,6 +27,7 @@ FOLDER = Path(__file__).parents[1] / "terrains" / "canyon"
 CELL = 1.4
 SHAPE = (174, 288)
 ORIGIN = (-110.0, -101.0)
+PICTURE = 2048
 FINE = 3
 """Heights are made this many times finer and filtered down, so that cliffs do not alias into saw teeth."""
 
@@ -53,8 +55,8 @@ GULLIES = [
 
 # Strata from the river up: (thickness m, slope). Hard beds stand steep, soft beds lie back.
 STRATA = [
-    (0.6, 0.25), (5.4, 0.95), (11.0, 9.0), (1.6, 0.7), (5.0, 8.0), (2.2, 0.75), (9.0, 9.0), (1.2, 0.5), (4.0, 7.0),
-    (3.4, 0.8), (8.0, 8.0), (1.0, 0.4), (2.4, 6.0), (1.2, 0.25), (1.6, 0.06),
+    (0.6, 0.25), (5.4, 0.95), (14.0, 9.0), (1.8, 0.45), (13.0, 9.0), (2.6, 0.5), (10.0, 9.0), (3.6, 0.6), (6.0, 8.0),
+    (1.2, 0.25), (1.6, 0.06),
 ]  # fmt: skip
 MESA = [(2.5, 0.45), (9.0, 8.0), (1.2, 0.5), (5.0, 7.0), (0.8, 0.08), (0.7, 0.04)]
 
@@ -104,15 +106,20 @@ def canyon_heights(x: Array, y: Array) -> Array:
     beyond, floor = channel_distance(xy + 3.2 * warp)
     wall = np.clip(beyond / 6, 0, 1)  # noise fades out on the floor, where it would only make holes
     buttress = 3.6 * (ridged(xy / 19, 2, 21) - 0.55) + 1.3 * (ridged(xy / 7.5, 2, 22) - 0.5)
-    beyond = beyond + wall * buttress
+    beyond = np.minimum(beyond + wall * buttress, 70)
     distance, height = profile(STRATA)
+    # Each bed weathers back by its own amount: the wall is made once to know which bed a point belongs to.
+    bed = np.interp(np.maximum(beyond, 0), distance, height)
+    recess = 1.8 * fractal(np.stack([x / 13, y / 13, bed / 9], axis=-1), 3, 23)
+    beyond = beyond + np.clip((beyond - 6) / 4, 0, 1) * recess
     dip = 1.2 * fractal(xy / 90, 2, 31) + 0.010 * (x - 90)
     ground = floor + dip * wall + np.interp(np.maximum(beyond, 0), distance, height)
-    ground += 7.0 * wall * np.clip((beyond - 20) / 40, 0, 1) * (0.6 + fractal(xy / 70, 3, 33))
+    ground += 6.0 * np.clip((beyond - 28) / 14, 0, 1) * (0.5 + fractal(xy / 60, 4, 33))
     ground += mesas(xy, beyond)
-    bed = 0.35 * fractal(xy / 7, 3, 41) * (1 - wall) + 0.25 * np.clip(-beyond / 5, -1, 0)
-    rough = 0.22 * fractal(xy / 4.2, 2, 42) * (0.4 + wall)
-    return np.asarray(ground + bed + rough)
+    bars = 0.35 * fractal(xy / 7, 3, 41) * (1 - wall) - 0.5 * np.clip(-beyond / 5, 0, 1)
+    # Rubble below the cliffs, steps worn into the ledges.
+    rough = 0.30 * fractal(xy / 4.2, 2, 42) * (0.4 + wall)
+    return np.asarray(ground + bars + rough)
 
 
 def mesas(xy: Array, beyond: Array) -> Array:
@@ -120,10 +127,10 @@ def mesas(xy: Array, beyond: Array) -> Array:
     rows, cols = SHAPE
     low, high = np.array(ORIGIN), np.array(ORIGIN) + CELL * (np.array([cols, rows]) - 1)
     to_edge = np.min(np.minimum(xy - low, high - xy), axis=-1)
-    rim = 20 - to_edge + 9.0 * fractal(xy / 38, 3, 51)
-    island = 26.0 * (fractal(xy / 62, 2, 52) - 0.28)
-    inside = np.maximum(rim, np.minimum(island, beyond - 44)) + 2.2 * (ridged(xy / 13, 2, 53) - 0.5)
-    inside = np.minimum(inside, beyond - 30)
+    rim = 10 - to_edge + 22.0 * fractal(xy / 55, 3, 51)
+    island = 30.0 * (fractal(xy / 62, 2, 52) - 0.22)
+    inside = np.maximum(rim, island) + 2.6 * (ridged(xy / 13, 2, 53) - 0.5)
+    inside = np.minimum(inside, beyond - 36)
     distance, height = profile(MESA)
     return np.interp(inside, distance, height) + 0.5 * np.interp(inside - 16, distance, height)
 
@@ -140,8 +147,21 @@ def generate() -> Array:
     return np.asarray(smooth[pad : -pad or None : FINE, pad : -pad or None : FINE])
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Write heights, pictures and the USD look."""
     FOLDER.mkdir(parents=True, exist_ok=True)
     heights = generate().astype(np.float32)
     np.savez_compressed(FOLDER / "heights.npz", heights=heights)
-    print(heights.shape, heights.min(), heights.max())
+    terrain = Terrain("canyon", heights, ORIGIN, (CELL, CELL))
+    ground = sheet(terrain.vertices, terrain.faces, unwrap(terrain))
+    sky = sky_view(terrain.heights, CELL)
+    course, _ = polyline(RIVER.astype(float))
+    write_picture(FOLDER / "canyon_ground.jpg", ground_colour(ground, sky, course, PICTURE), PICTURE)
+    horizon = horizon_sheet(terrain)
+    write_picture(FOLDER / "canyon_horizon.jpg", horizon_colour(horizon, PICTURE // 4), PICTURE // 4)
+    looks = {"ground": (ground, "canyon_ground.jpg", 0.95), "horizon": (horizon, "canyon_horizon.jpg", 1.0)}
+    write_look(FOLDER / "canyon.usdc", looks)
+
+
+if __name__ == "__main__":
+    main()
