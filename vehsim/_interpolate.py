@@ -72,7 +72,7 @@ def _twists(group: str, q: Array, omega: Array, velocity: Array) -> Array:
 
 
 def _hermite(s: Array, h: Array, a: Array, b: Array, da: Array, db: Array) -> tuple[Array, Array]:
-    """Cubic through ``a, b`` (n, m) with slopes ``da, db`` over steps ``h`` (n,), and its derivative, at ``s`` in 0..1."""
+    """Cubic through ``a, b`` (n, m) with slopes ``da, db`` over steps ``h`` (n,), and its slope, at ``s`` in 0..1."""
     s, h = s[:, None], h[:, None]
     rise = b - a
     value = a + s * h * da + s**2 * (3 * rise - h * (2 * da + db)) + s**3 * (h * (da + db) - 2 * rise)

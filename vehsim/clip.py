@@ -33,7 +33,7 @@ class Clip:
 
     ``times`` (n,) s from 0; ``positions`` (n, 3) m; ``orientations`` (n, 4) w, x, y, z, continuous in sign;
     ``twists`` (n, d) in body axes, rad/s then m/s; ``joints``, ``joint_rates`` (n, s); ``controls`` (n, c);
-    ``channels`` rig channel name -> (n,), rad or m, unwrapped. Sample k stands on frame ``start_frame + times[k] * fps``.
+    ``channels`` rig channel name -> (n,), rad or m, unwrapped. Sample k is frame ``start_frame + times[k] * fps``.
     ``events``: what happened (contacts); ``energy``: name -> (n,) J.
     """
 
@@ -116,7 +116,8 @@ class Clip:
         slack = 1e-9 * max(1.0, abs(self.times[-1]))
         if times.min() < self.times[0] - slack or times.max() > self.times[-1] + slack:
             raise InputError(
-                f"clip: time {times.min():.6g}..{times.max():.6g} s is outside {self.times[0]:.6g}..{self.times[-1]:.6g} s"
+                f"clip: time {times.min():.6g}..{times.max():.6g} s is outside "
+                f"{self.times[0]:.6g}..{self.times[-1]:.6g} s; ask for times within the clip"
             )
         return interpolate(self, np.clip(times, self.times[0], self.times[-1]))
 

@@ -1,4 +1,4 @@
-"""Free rigid bodies over 100,000 steps, on every group with every map, and tops whose motion is known in closed form."""
+"""Free rigid bodies over 100,000 steps on every group with every map, and the symmetric top in closed form."""
 
 import numpy as np
 import pytest

@@ -7,9 +7,12 @@ from scipy.linalg import expm
 
 from vehsim.errors import InputError
 from vehsim.lie import GROUPS, difference_map
+from vehsim.lie.maps import MAPS
 
 groups = pytest.mark.parametrize("group", GROUPS.values(), ids=str)
-maps = pytest.mark.parametrize("name", ["exp", "cay"])
+maps = pytest.mark.parametrize("name", MAPS)
+exact = pytest.mark.parametrize("name", ["exp", "cay", "ccsk"])
+"""Maps whose C is the inverse of their own tangent."""
 scales = pytest.mark.parametrize("scale", [0.0, 1e-9, 1e-4, 0.1, 0.44, 0.45, 1.0, 2.5])
 
 
@@ -62,7 +65,7 @@ def test_cay_is_the_matrix_cayley_map(group, scale):
 
 
 @groups
-@maps
+@exact
 @scales
 def test_tangent_is_the_derivative_of_the_map(group, name, scale):
     """``D tau(x).d tau(x)^-1`` by automatic differentiation of tau's own matrix, against ``C^-1 d``."""
@@ -82,10 +85,15 @@ def test_tangent_is_the_derivative_of_the_map(group, name, scale):
 @maps
 @scales
 def test_intertwining_and_symmetry(group, name, scale):
-    """``C(-x) = C(x) Ad(tau(x))``, which makes momentum exact, and ``tau(x) tau(-x) = e``."""
+    """``C_end(x) = C(x) Ad(tau(x))``, which makes momentum exact; ``tau(x) tau(-x) = e`` and ``C_end(x) = C(-x)``."""
     tau = difference_map(name, group)
     x = scale * np.random.default_rng(6).standard_normal(group.dim)
-    np.testing.assert_allclose(tau.C(-x), tau.C(x) @ group.Ad(tau.tau(x)), atol=1e-13)
+    loss = np.abs(tau.C_end(x) - tau.C(x) @ group.Ad(tau.tau(x))).max()
+    assert loss < 2e-13 * max(1, scale**4) or name == "exp_truncated"
+    if not tau.symmetric:
+        assert scale < 0.1 or np.abs(tau.C(-x) - tau.C(x) @ group.Ad(tau.tau(x))).max() > 1e-3
+        return
+    np.testing.assert_allclose(tau.C_end(x), tau.C(-x), atol=0)
     product = group.matrix(group.compose(tau.tau(x), tau.tau(-x)))
     np.testing.assert_allclose(product, np.eye(len(product)), atol=1e-14)
 
@@ -125,5 +133,43 @@ def test_arrays_broadcast_over_leading_axes(group):
 
 
 def test_unknown_map_is_named():
-    with pytest.raises(InputError, match="'caley': unknown; choose one of cay, exp"):
+    with pytest.raises(InputError, match="'caley': unknown; choose one of cay, ccsk, exp, exp_truncated, tln"):
         difference_map("caley", GROUPS["SO3"])
+
+
+@groups
+def test_truncated_exp_loses_momentum_with_the_fifth_power_of_the_step(group):
+    tau, x = difference_map("exp_truncated", group), np.random.default_rng(6).standard_normal(group.dim)
+    loss = [np.abs(tau.C(-y) - tau.C(y) @ group.Ad(tau.tau(y))).max() for y in (0.1 * x, 0.05 * x)]
+    assert loss[0] / loss[1] == pytest.approx(32, rel=0.1)
+
+
+def test_tln_is_not_the_tangent_of_its_map_on_se3_and_the_printed_pair_does_not_intertwine():
+    """Why a map and its C are one object: LIE's B_cay belongs to C_TLN, its C_cay to the matrix Cayley map."""
+    group, x = GROUPS["SE3"], np.random.default_rng(6).standard_normal(6)
+    cay, tln = difference_map("cay", group), difference_map("tln", group)
+    assert np.abs(cay.C(-x) - cay.C(x) @ group.Ad(tln.tau(x))).max() > 1e-2
+    np.testing.assert_allclose(group.Ad(tln.tau(x)), np.linalg.solve(tln.C(x), tln.C(-x)), atol=1e-13)
+    w, v = x[:3], x[3:]
+    hat = group.hat(x)[:3, :3]
+    printed = 2 / (4 + w @ w) * (2 * np.eye(3) + hat) @ v
+    np.testing.assert_allclose(tln.tau(x)[4:7], printed, atol=1e-14)
+
+
+def test_closed_forms_of_the_papers():
+    """LIE eq. 15 (C_cay on SE(3)), eq. 22-23 (SE(2)) and the corrected Cayley map of appendix B."""
+    w, v = np.random.default_rng(11).standard_normal((2, 3))
+    hat = GROUPS["SO3"].hat
+    C = np.zeros((6, 6))
+    C[:3, :3] = np.eye(3) - hat(w) / 2 + np.outer(w, w) / 4
+    C[3:, :3] = -(np.eye(3) - hat(w) / 2) @ hat(v) / 2
+    C[3:, 3:] = np.eye(3) - hat(w) / 2
+    np.testing.assert_allclose(difference_map("cay", GROUPS["SE3"]).C(np.r_[w, v]), C, atol=1e-14)
+
+    plane, x = GROUPS["SE2"], np.random.default_rng(12).standard_normal(3)
+    expected = np.eye(3) - plane.ad(x) / 2
+    expected[:, 0] += x[0] * x / 4
+    np.testing.assert_allclose(difference_map("cay", plane).C(x), expected, atol=1e-14)
+    a, b, c = x
+    matrix = [[4 - a * a, -4 * a, 4 * b - 2 * a * c], [4 * a, 4 - a * a, 2 * a * b + 4 * c]]
+    np.testing.assert_allclose(plane.matrix(plane.cay(x))[:2], np.array(matrix) / (4 + a * a), atol=1e-14)

@@ -130,4 +130,4 @@ def test_wrong_orders_are_named(make, message):
 
 
 def test_pilots_are_found_by_name():
-    assert PILOTS == {"hover": Hover, "fly_to": FlyTo, "follow_path": FollowPath}
+    assert {"hover": Hover, "fly_to": FlyTo, "follow_path": FollowPath} == PILOTS

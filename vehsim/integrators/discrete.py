@@ -95,7 +95,7 @@ class DiscreteMechanics:
         before = [h * (near * a + far * b + p / 2) for a, b, p in zip(start, end, steady, strict=True)]
         after = [h * (far * a + near * b + p / 2) for a, b, p in zip(start, end, steady1, strict=True)]
         left = project(v, r, on_joints - h / 2 * shape - before[0], tau.C(h * xi).T @ on_group - before[1])
-        right = project(v, r1, on_joints + h / 2 * shape + after[0], tau.C(-h * xi).T @ on_group + after[1])
+        right = project(v, r1, on_joints + h / 2 * shape + after[0], tau.C_end(h * xi).T @ on_group + after[1])
         return {"left": left, "right": right, "g1": g1, "r1": r1}
 
     def _middle(self, r: Expr, z: Expr, driven: Expr, h: Expr) -> tuple[Expr, tuple[Expr, Expr]]:

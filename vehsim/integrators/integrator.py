@@ -69,6 +69,10 @@ class Integrator:
         if self.wind.shape != (3,) or not np.all(np.isfinite(self.wind)):
             raise InputError(f"wind = {wind!r}: give three finite numbers, m/s in world axes")
         self.mechanics = mechanics_of(vehicle, difference_map, quadrature)
+        if order > 2 and not _symmetric(difference_map, vehicle):
+            raise InputError(
+                f"order = {order!r}: {difference_map!r} makes no symmetric step to compose; take order 2 or another map"
+            )
 
     def start(self, state: State, controls: Any) -> Phase:
         """The phase of a public state; rates that contradict the constraints are projected onto them."""
@@ -172,6 +176,12 @@ HolonomicIntegrator = NonholonomicIntegrator = Integrator
 
 _RETRIES = 8
 _CHUNK = 256
+
+
+def _symmetric(name: str, vehicle: Vehicle) -> bool:
+    from vehsim.lie import difference_map
+
+    return difference_map(name, vehicle.group).symmetric
 
 
 def mechanics_of(vehicle: Vehicle, map_name: str, quadrature: str) -> DiscreteMechanics:

@@ -14,7 +14,7 @@ def lifted(method: Callable[..., Any]) -> Callable[..., Any]:
     """Let ``method(self, x, y, ...)``, written on column expressions, also take arrays of shape ``(..., n)``.
 
     Symbolic arguments go straight through. Arrays broadcast over their leading axes; the expression is built once per
-    instance and argument sizes. A column comes back as ``(..., n)``, a scalar as ``(...)``, a matrix as ``(..., m, n)``.
+    instance and argument sizes. A column comes back as ``(..., n)``, a scalar as ``(...)``, a matrix ``(..., m, n)``.
     """
 
     @functools.wraps(method)

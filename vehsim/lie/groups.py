@@ -73,6 +73,11 @@ class Group(ABC):
     def cay(self, x: Expr) -> Expr:
         """Cayley map ``(e - x/2)^-1 (e + x/2)`` of the group's matrices, algebra (dim,) to coordinates (size,)."""
 
+    @lifted
+    def cay_ad(self, x: Expr) -> Expr:
+        """The element whose ``Ad`` is ``(I - ad/2)^-1 (I + ad/2)``; where it is not ``cay``, a group says so."""
+        return self.cay(x)
+
     @abstractmethod
     def pose(self, g: Expr) -> Expr:
         """Position and quaternion (7,): px, py, pz, w, x, y, z."""
@@ -87,7 +92,7 @@ class Group(ABC):
         return g
 
     @lifted
-    def Ad(self, g: Expr) -> Expr:  # noqa: N802 the field's name
+    def Ad(self, g: Expr) -> Expr:
         """Adjoint matrix (dim, dim): ``Ad(g) x = vee(g hat(x) g^-1)``."""
         forward, back = self.matrix(g), self.matrix(self.inverse(g))
         return self._columns(lambda basis: forward @ basis @ back)
@@ -255,6 +260,11 @@ class _SE3(Group):
         w, v = x[0:3], x[3:6]
         translation = 2 / (4 + ca.dot(w, w)) * (2 * v + ca.cross(w, v) + w * ca.dot(w, v) / 2)
         return ca.vertcat(SO3.cay(w), translation)
+
+    @lifted
+    def cay_ad(self, x: Expr) -> Expr:
+        w, v = x[0:3], x[3:6]
+        return ca.vertcat(SO3.cay(w), 2 / (4 + ca.dot(w, w)) * (2 * v + ca.cross(w, v)))  # LIE eq. 14, B_cay
 
     @lifted
     def pose(self, g: Expr) -> Expr:
