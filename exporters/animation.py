@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-from vehsim.errors import ExportError
 from vehsim.exporters.metadata import author_stage_metadata, samples, unit_corrections
 from vehsim.exporters.packing import Pack
+
+from vehsim.errors import ExportError
 
 if TYPE_CHECKING:
     from vehsim.clip import Clip
@@ -90,7 +90,7 @@ def rig_ops(asset: Path, rig: Rig) -> RigOps:
         prim = root.GetPrimAtPath(drive.prim)
         if not prim or not prim.IsA(UsdGeom.Xformable):
             raise ExportError(
-                f"{rig.asset}: channels.{channel}.prim = {drive.prim!r}: no such transformable prim below the rig root; "
+                f"{rig.asset}: channels.{channel}.prim = {drive.prim!r}: no such Xform below the rig root; "
                 f"choose one of {', '.join(_xformables(root))}"
             )
         op, factor = drive_op(drive.op, scale)

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
 from vehsim.exporters.packing import Pack
+
 from vehsim.take import Take
 
 Array = NDArray[np.float64]
@@ -25,12 +25,12 @@ class Mood:
     ``key_angle``: how far the sun stands off the camera's back: 0 lights flat from behind it, 90 from the side.
     """
 
-    elevations: tuple[float, ...] = (20.0, 24.0)
+    elevations: tuple[float, ...] = (20.0, 25.0)
     key_angle: float = 55.0
     sun_colour: tuple[float, float, float] = (1.0, 0.80, 0.58)
     sun_intensity: float = 2.9
     sun_angle: float = 0.53
-    dome_intensity: float = 0.62
+    dome_intensity: float = 1.0
     zenith: tuple[float, float, float] = (0.16, 0.27, 0.48)
     horizon: tuple[float, float, float] = (0.76, 0.66, 0.55)
     ground: tuple[float, float, float] = (0.26, 0.20, 0.16)
@@ -71,7 +71,7 @@ def place_sun(take: Take, mood: Mood = MOOD) -> tuple[float, float]:
     ``key_angle`` off the camera's back.
     """
     points = np.concatenate([clip.positions for clip in take.clips.values()] or [np.zeros((1, 3))])
-    points = points[:: max(1, len(points) // 64)] + (0.0, 0.0, 1.5)
+    points = points[:: max(1, len(points) // 64)] + np.array([0.0, 0.0, 1.5])
     view = _view_azimuths(take)
     best = (-np.inf, 0.0, mood.elevations[0])
     for elevation in mood.elevations:
@@ -79,7 +79,7 @@ def place_sun(take: Take, mood: Mood = MOOD) -> tuple[float, float]:
             lit = _lit(take, points, azimuth, elevation).mean()
             behind = np.abs((azimuth - view) % 360.0 - 180.0)  # 0: the sun stands at the camera's back
             key = np.exp(-(((behind - mood.key_angle) / 35.0) ** 2)).mean()
-            score = lit + 0.5 * key
+            score = lit + 0.4 * key
             if score > best[0] + 1e-9:
                 best = (float(score), float(azimuth), elevation)
     return best[1], best[2]

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from vehsim.exporters.animation import drive_op, insert_op, open_rig
 
 from vehsim.errors import ExportError
-from vehsim.exporters.animation import drive_op, insert_op, open_rig
 from vehsim.parts import Y_UP_TO_Z_UP
 
 if TYPE_CHECKING:
@@ -46,8 +46,8 @@ def check_readback(path: Path, shot: str, clips: Mapping[str, Clip], cameras: It
         worst = int(np.argmax(~(difference <= TOLERANCE)))
         if not difference[worst] <= TOLERANCE:
             raise ExportError(
-                f"{path.name}: {prim_path}: at frame {frames[worst]:g} it stands {difference[worst]:.3g} from where the "
-                "clip puts it; a stronger opinion in the asset (an instance, a variant, its own animation) hides ours"
+                f"{path.name}: {prim_path}: at frame {frames[worst]:g} it stands {difference[worst]:.3g} from where "
+                "the clip puts it; a stronger opinion in the asset (an instance, a variant, its own animation) hides ours"
             )
 
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim._camera_path import lift, smooth, steer
 from vehsim.errors import InputError
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-FILL_RANGE = (0.09, 0.33)
+FILL_RANGE = (0.09, 0.34)
 """Share of the frame's height that a target shall keep to."""
 
 
@@ -46,11 +47,11 @@ class Camera:
 class CameraRig:
     """What a camera shall do. What is None is chosen.
 
-    ``rig``: one of `RIGS`. ``target``: the vehicle it looks at (the first one when None). ``fill``: share of the frame's
-    height that the target takes, which sets the distance; ``distance`` m sets it outright. ``height`` m above the target.
-    ``azimuth`` degrees, counter-clockwise: from straight behind (chase) or from looking along +X (follow, orbit).
-    ``position`` and ``look_at`` (x, y, z) m place a static camera. ``turn`` degrees a second of an orbit. ``margin`` m
-    above the ground that it never goes below.
+    ``rig``: one of `RIGS`. ``target``: the vehicle it looks at (the first one when None). ``fill``: share of the
+    frame's height that the target takes, which sets the distance; ``distance`` m sets it outright. ``height`` m above
+    the target. ``azimuth`` degrees, counter-clockwise: from straight behind (chase) or from looking along +X (follow,
+    orbit). ``position`` and ``look_at`` (x, y, z) m place a static camera. ``turn`` degrees a second of an orbit.
+    ``margin`` m above the ground that it never goes below.
     """
 
     name: str = "chase"
@@ -58,7 +59,7 @@ class CameraRig:
     target: str | None = None
     lens_mm: float = 35.0
     aperture_width_mm: float = 36.0
-    fill: float = 0.18
+    fill: float = 0.27
     distance: float | None = None
     height: float | None = None
     azimuth: float | None = None
@@ -70,7 +71,7 @@ class CameraRig:
 
 @dataclass(frozen=True)
 class Subject:
-    """What a camera looks at: ``corners`` (n, k, 3) the outline's world points per frame, ``centre`` (n, 3), at ``fps``."""
+    """What a camera looks at: the outline's world points ``corners`` (n, k, 3), ``centre`` (n, 3), ``headings`` (n,)."""
 
     corners: Array
     centre: Array
@@ -98,7 +99,9 @@ def solve_camera(
     distance = rig.distance or subject.size / (2 * rig.fill)
     for _ in range(1 if rig.distance else 5):
         positions, aims = move(rig, subject, distance, world)
-        positions = _keep_above_ground(positions, aims, world, rig, subject.fps)
+        if np.ptp(positions, axis=0).max() > 0:  # what stands still was put there
+            positions = steer(positions, aims, world, rig.margin, subject.fps)
+        positions = lift(positions, aims, world, rig.margin, subject.fps)
         rotations = look_at(positions, aims)
         fills = projected_heights(positions, rotations, subject.corners, rig.lens_mm / aperture[1])
         distance *= _rescale(fills, rig.fill)
@@ -106,7 +109,7 @@ def solve_camera(
 
 
 def look_at(positions: Array, aims: Array) -> Array:
-    """Rotations R_wc (n, 3, 3) that look from ``positions`` to ``aims`` (n, 3) with a level horizon: X is horizontal."""
+    """Rotations R_wc (n, 3, 3) that look from ``positions`` to ``aims`` (n, 3), X horizontal: a level horizon."""
     forward = aims - positions
     forward /= np.linalg.norm(forward, axis=1, keepdims=True)
     right = np.stack([forward[:, 1], -forward[:, 0], np.zeros(len(forward))], axis=1)
@@ -116,7 +119,7 @@ def look_at(positions: Array, aims: Array) -> Array:
 
 
 def projected_heights(positions: Array, rotations: Array, corners: Array, zoom: float) -> Array:
-    """Share of the frame's height (n,) that ``corners`` (n, k, 3) take; ``zoom`` is focal length over aperture height."""
+    """Share of the frame's height (n,) that ``corners`` (n, k, 3) take; ``zoom``: focal length over aperture height."""
     seen = np.einsum("nji,nkj->nki", rotations, corners - positions[:, None])
     depth = np.maximum(-seen[..., 2], 1e-3)
     return zoom * np.ptp(seen[..., 1] / depth, axis=1)
@@ -126,32 +129,54 @@ def projected_heights(positions: Array, rotations: Array, corners: Array, zoom: 
 
 
 def _chase(rig: CameraRig, subject: Subject, distance: float, world: Any) -> tuple[Array, Array]:
-    """Towed behind the target as on a rope: calm in hover, swinging wide round bends, never the jerks of the body."""
-    path = _smooth(subject.centre, 0.45 * subject.fps)
-    azimuth = np.radians(12.0 if rig.azimuth is None else rig.azimuth)
-    height = 0.16 * distance if rig.height is None else rig.height
+    """Towed behind the target on a chain: it takes the target's own way, calm in hover, never the jerks of the body."""
+    path = smooth(subject.centre, 0.45 * subject.fps)
+    height = 0.06 * distance if rig.height is None else rig.height
     reach = np.sqrt(max(distance**2 - height**2, (0.2 * distance) ** 2))
-    rope = np.empty((len(path), 2))
-    rope[0] = -reach * np.array([np.cos(subject.headings[0]), np.sin(subject.headings[0])])
-    for k in range(1, len(path)):
-        slack = path[k - 1, :2] + rope[k - 1] - path[k, :2]
-        rope[k] = slack * (reach / max(float(np.linalg.norm(slack)), 1e-9))
-    angle = _smooth(np.unwrap(np.arctan2(rope[:, 1], rope[:, 0])), 0.5 * subject.fps) + azimuth
-    offset = np.stack([reach * np.cos(angle), reach * np.sin(angle), np.full(len(angle), height)], axis=1)
-    calm = np.column_stack([path[:, :2], _smooth(subject.centre[:, 2], 0.8 * subject.fps)])
-    return calm + offset, _smooth(subject.centre, 0.2 * subject.fps)
+    first = _open_way(path[0], subject.headings[0], reach, world)
+    trail = smooth(_tow(path[:, :2], first, reach), 0.5 * subject.fps)
+    away = trail - path[:, :2]
+    away *= np.clip(reach / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9), 1.0, 1.25)
+    turn = np.radians(0.0 if rig.azimuth is None else rig.azimuth)
+    away = away @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    level = smooth(subject.centre[:, 2], 0.8 * subject.fps)
+    return np.column_stack([path[:, :2] + away, level + height]), smooth(subject.centre, 0.2 * subject.fps)
+
+
+def _tow(path: Array, heading: float, length: float, links: int = 5) -> Array:
+    """The end (n, 2) of a chain of ``length`` m, towed along ``path`` (n, 2), laid out straight behind ``heading``."""
+    link = length / links
+    chain = path[0] - link * np.arange(links + 1)[:, None] * np.array([np.cos(heading), np.sin(heading)])
+    ends = np.empty_like(path)
+    for k, tip in enumerate(path):
+        chain[0] = tip
+        for j in range(1, links + 1):
+            slack = chain[j] - chain[j - 1]
+            chain[j] = chain[j - 1] + slack * (link / max(float(np.linalg.norm(slack)), 1e-9))
+        ends[k] = chain[-1]
+    return ends
+
+
+def _open_way(start: Array, heading: float, length: float, world: Any) -> float:
+    """The heading rad nearest to ``heading`` that has free air for ``length`` m behind ``start`` (3,)."""
+    turns = np.radians(np.arange(0, 91, 5))
+    headings = heading + np.concatenate([[0.0], np.stack([turns[1:], -turns[1:]], axis=1).ravel()])
+    behind = -np.stack([np.cos(headings), np.sin(headings)], axis=1)[:, None] * np.linspace(0, length, 16)[:, None]
+    ground = np.asarray(world.height((start[:2] + behind).reshape(-1, 2))).reshape(len(headings), -1).max(axis=1)
+    blocked = np.maximum(np.where(np.isfinite(ground), ground, -np.inf) - start[2], 0.0)
+    return float(headings[np.argmin(blocked + 0.1 * length * np.abs(headings - heading))])
 
 
 def _follow(rig: CameraRig, subject: Subject, distance: float, world: Any) -> tuple[Array, Array]:
     """Travels beside the target, always looking the same way."""
-    path = _smooth(subject.centre, 0.35 * subject.fps)
+    path = smooth(subject.centre, 0.35 * subject.fps)
     azimuth = np.radians(rig.azimuth if rig.azimuth is not None else np.degrees(np.median(subject.headings)) + 50.0)
     return path + _arm(np.full(len(path), azimuth), distance, rig.height), path
 
 
 def _orbit(rig: CameraRig, subject: Subject, distance: float, world: Any) -> tuple[Array, Array]:
     """Turns about the target at ``turn`` degrees a second."""
-    path = _smooth(subject.centre, 0.35 * subject.fps)
+    path = smooth(subject.centre, 0.35 * subject.fps)
     start = np.radians(rig.azimuth if rig.azimuth is not None else np.degrees(subject.headings[0]) + 30.0)
     turn = start + np.radians(rig.turn) * np.arange(len(path)) / subject.fps
     return path + _arm(turn, distance, rig.height), path
@@ -159,7 +184,7 @@ def _orbit(rig: CameraRig, subject: Subject, distance: float, world: Any) -> tup
 
 def _static(rig: CameraRig, subject: Subject, distance: float, world: Any) -> tuple[Array, Array]:
     """Stands still at ``position`` and pans with the target, or looks at ``look_at`` and does not turn."""
-    aims = _smooth(subject.centre, 0.2 * subject.fps)
+    aims = smooth(subject.centre, 0.2 * subject.fps)
     if rig.position is not None:
         place = np.array(rig.position, float)
     else:
@@ -191,45 +216,6 @@ def _arm(azimuth: Array, distance: float, height: float | None) -> Array:
 # ---------------------------------------------------------------- what all cameras share
 
 
-def _keep_above_ground(positions: Array, aims: Array, world: Any, rig: CameraRig, fps: float) -> Array:
-    """Lift the camera, smoothly and ahead of need, until neither it nor its line of sight touches the ground."""
-    steps = np.linspace(0.0, 0.75, 10)
-    sight = positions[:, None] + steps[:, None] * (aims - positions)[:, None]
-    around = rig.margin * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]], float)
-    footprint = (sight[:, :, None, :2] + around).reshape(-1, 2)
-    ground = np.asarray(world.height(footprint)).reshape(*sight.shape[:2], -1).max(axis=2)
-    # Raising the camera by 1 raises its sight by 1 - step at that step.
-    need = ((ground + rig.margin - sight[..., 2]) / (1.0 - steps)).max(axis=1)
-    need = np.maximum(np.where(np.isfinite(need), need, 0.0), 0.0)
-    if rig.rig in ("static", "fixed"):
-        lift = np.full(len(need), need.max())
-    else:
-        lift = _envelope(need, fps)
-    return positions + np.stack([np.zeros_like(lift), np.zeros_like(lift), lift], axis=1)
-
-
-def _envelope(values: Array, fps: float) -> Array:
-    """A smooth curve (n,) that lies nowhere below ``values``."""
-    from scipy.ndimage import gaussian_filter1d, maximum_filter1d
-
-    sigma = 0.7 * fps
-    widened = maximum_filter1d(values, size=2 * int(4 * sigma) + 1, mode="nearest")
-    return np.maximum(gaussian_filter1d(widened, sigma, mode="nearest", truncate=4.0), 0.0)
-
-
-def _smooth(values: Array, sigma: float) -> Array:
-    """Gaussian-filtered along the first axis, running straight on beyond both ends."""
-    from scipy.ndimage import gaussian_filter1d
-
-    pad = min(int(4 * sigma) + 1, len(values) - 1)
-    if pad < 1:
-        return np.array(values, float)
-    before = 2 * values[:1] - values[pad:0:-1]
-    after = 2 * values[-1:] - values[-2 : -pad - 2 : -1]
-    padded = np.concatenate([before, values, after])
-    return np.asarray(gaussian_filter1d(padded, sigma, axis=0, mode="nearest"))[pad : pad + len(values)]
-
-
 def _rescale(fills: Array, wanted: float) -> float:
     """Factor on the distance that brings the usual fill to ``wanted`` and its extremes into `FILL_RANGE`."""
     usual = float(np.median(fills)) / wanted
@@ -251,14 +237,14 @@ def _subject(clip: Clip, frames: Array) -> Subject:
 
 def _headings(matrices: Array, fps: float) -> Array:
     """Headings (n,) rad of the smoothed path; where the target hovers, that of its body."""
-    path = _smooth(matrices[:, :2, 3], 0.5 * fps)
+    path = smooth(matrices[:, :2, 3], 0.5 * fps)
     velocity = np.gradient(path, axis=0) * fps if len(path) > 1 else np.zeros((1, 2))
     way = velocity + 0.5 * matrices[:, :2, 0]
     return np.unwrap(np.arctan2(way[:, 1], way[:, 0]))
 
 
 def vehicle_outline(vehicle: Any) -> Array:
-    """The outline (k, 3) m of a vehicle in its rig root's frame: the hull of all its parts; a 2 m cube without a rig."""
+    """The outline (k, 3) m of a vehicle in its rig root's frame: its parts' hull; a 2 m cube without a rig."""
     from scipy.spatial import ConvexHull
 
     from vehsim.parts import read_parts

@@ -1,0 +1,65 @@
+"""The mp4 exporter: the frames of each camera as H.264, to be watched anywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+from vehsim.errors import ExportError
+from vehsim.take import Exporter, Progress, Take
+
+QUALITY = "17"
+"""x264's constant rate factor: visually lossless."""
+
+
+def write_films(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
+    """Write ``<shot>.<camera>.mp4`` from the frames already in ``folder``; returns the files written."""
+    written = []
+    for camera in take.cameras:
+        pictures = sorted(
+            (folder / "frames" / camera.name).glob(f"{take.name}.{camera.name}.*.png"),
+            key=lambda path: int(path.stem.rsplit(".", 1)[1]),
+        )
+        if not pictures:
+            raise ExportError(
+                f"{take.name}: camera {camera.name!r} has no frames to make a film of; export png as well"
+            )
+        path = folder / f"{take.name}.{camera.name}.mp4"
+        written.append(write_film(pictures, path, take.fps / take.render.every, progress))
+    return written
+
+
+def write_film(pictures: Sequence[Path], path: Path, fps: Fraction, progress: Progress | None = None) -> Path:
+    """Encode ``pictures`` at ``fps`` as H.264, yuv420p with even sides, Rec. 709, ready to stream.
+
+    One encoder thread and no time stamps, so that the same pictures give the same bytes.
+    """
+    import av
+    from PIL import Image
+
+    with Image.open(pictures[0]) as first:
+        width, height = first.width - first.width % 2, first.height - first.height % 2
+    with av.open(str(path), "w", options={"movflags": "+faststart", "fflags": "+bitexact"}) as container:
+        stream = container.add_stream("libx264", rate=fps)
+        stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
+        stream.options = {"crf": QUALITY, "preset": "medium", "threads": "1", "flags": "+bitexact"}
+        context = stream.codec_context
+        context.color_range, context.colorspace = 1, 1  # limited range, Rec. 709
+        context.color_primaries, context.color_trc = 1, 1
+        for k, picture in enumerate(pictures):
+            if progress and k % 12 == 0:
+                progress(f"film: {path.name}", k / len(pictures))
+            with Image.open(picture) as image:
+                pixels = np.asarray(image.convert("RGB"))[:height, :width]
+            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format="rgb24")
+            frame = frame.reformat(format="yuv420p", dst_colorspace="ITU709")
+            frame.pts = k
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    return path
+
+
+exporter = Exporter(name="mp4", suffixes=(".mp4",), write=write_films, needs=("usd", "png"))

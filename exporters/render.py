@@ -1,0 +1,219 @@
+"""Draws a stage with MuJoCo's renderer over EGL: one rigid body per group that moves, the camera exactly as in USD.
+
+What belongs here is the MuJoCo model of a stage and a frame's picture. The stage is read in `stage.py`, the look
+decided in `shading.py`, files written in `frames.py` and `film.py`.
+"""
+
+from __future__ import annotations
+
+import os
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from vehsim.exporters.shading import author_material, author_skybox, light_for
+from vehsim.exporters.stage import Shape, StageReader
+
+from vehsim.errors import ExportError
+
+Array = NDArray[np.float64]
+Picture = NDArray[np.uint8]
+
+NO_EGL = (
+    "no off-screen OpenGL (EGL): {reason}; install libegl1 and libgl1-mesa-dri (Debian, Ubuntu), "
+    "mesa-libEGL and mesa-dri-drivers (Fedora), or a GPU driver with EGL"
+)
+SHADOW_MAP = 4096
+SHADOW_REACH = 140.0
+"""Half the width of the ground that the shadow map covers, m; it follows the camera where the scene is wider."""
+SHADOW_DEPTH = 40_000.0
+"""Far plane, m. MuJoCo biases shadows by steps of the depth range: a long one keeps rock from shading itself."""
+SUPERSAMPLE = 2
+"""Pixels drawn per pixel delivered, along each side: smooths shadow edges and texture, as multisampling cannot."""
+HAZE = (15.0, 900.0)
+"""Distances where haze begins and where nothing else is left, m."""
+
+
+class StageRenderer:
+    """Renders frames of a stage as 8-bit RGB. A context manager: it holds an OpenGL context.
+
+    ``size`` (width, height) px. Raises ``ExportError`` when there is no EGL.
+    """
+
+    def __init__(self, stage: StageReader, size: tuple[int, int], shadows: bool = True) -> None:
+        os.environ.setdefault("MUJOCO_GL", "egl")
+        import mujoco
+
+        self.stage, self.size = stage, size
+        self._shadows = shadows
+        self._light = light_for(stage.sun(), stage.sky())
+        self._bounds = _bounds(stage)
+        self._reach = min(float(np.linalg.norm(self._bounds[1] - self._bounds[0])) / 2 + 1.0, SHADOW_REACH)
+        width, height = SUPERSAMPLE * size[0], SUPERSAMPLE * size[1]
+        self._model = self._spec(width, height).compile()
+        self._data = mujoco.MjData(self._model)
+        self._mocap = {
+            group: self._model.body_mocapid[self._model.body(f"group{k}").id] for k, group in enumerate(stage.groups)
+        }
+        try:
+            self._renderer = mujoco.Renderer(self._model, height=height, width=width, max_geom=self._model.ngeom + 100)
+        except Exception as error:  # MuJoCo and PyOpenGL raise what they like
+            raise ExportError(NO_EGL.format(reason=str(error).strip().split("\n")[0])) from error
+
+    def __enter__(self) -> StageRenderer:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Give the OpenGL context back."""
+        self._renderer.close()
+
+    def render(self, camera: str, frame: float) -> Picture:
+        """The picture (height, width, 3) of ``camera`` at a time code."""
+        import mujoco
+        from PIL import Image
+        from scipy.spatial.transform import Rotation
+
+        for group, pose in self.stage.matrices(frame).items():
+            k = self._mocap[group]
+            self._data.mocap_pos[k] = pose[:3, 3]
+            self._data.mocap_quat[k] = Rotation.from_matrix(pose[:3, :3]).as_quat(scalar_first=True)
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_camlight(self._model, self._data)
+        self._renderer.update_scene(self._data)
+        self._place_camera(camera, frame)
+        self._place_lights()
+        flags = self._renderer.scene.flags
+        for name, on in self._flags().items():
+            flags[getattr(mujoco.mjtRndFlag, f"mjRND_{name}")] = on
+        return np.asarray(Image.fromarray(self._renderer.render()).reduce(SUPERSAMPLE))
+
+    def _flags(self) -> dict[str, bool]:
+        return {"SHADOW": self._shadows, "FOG": True, "HAZE": False, "SKYBOX": True, "REFLECTION": False}
+
+    def _place_camera(self, name: str, frame: float) -> None:
+        pose, half_width, half_height, (near, far) = self.stage.camera(name, frame)
+        half_height = half_width * self._renderer.height / self._renderer.width  # pixels are square
+        for camera in self._renderer.scene.camera:  # two eyes, drawn as their mean
+            camera.pos = pose[:3, 3]
+            camera.forward = -pose[:3, 2]
+            camera.up = pose[:3, 1]
+            camera.orthographic = 0
+            camera.frustum_near, camera.frustum_far = near, max(far, SHADOW_DEPTH)
+            camera.frustum_center = 0.0
+            camera.frustum_width = half_width * near
+            camera.frustum_bottom, camera.frustum_top = -half_height * near, half_height * near
+
+    def _place_lights(self) -> None:
+        """Hang the sun's shadow map over what the camera sees, on whole texels so that shadow edges do not crawl."""
+        scene = self._renderer.scene
+        eye = scene.camera[0]
+        lower, upper = self._bounds
+        centre = np.clip(eye.pos + SHADOW_REACH * 0.6 * eye.forward, lower, upper)
+        direction = self._light.direction
+        side = np.cross(direction, (0.0, 0.0, 1.0) if abs(direction[2]) < 0.999 else (0.0, 1.0, 0.0))
+        side /= np.linalg.norm(side)
+        up = np.cross(side, direction)
+        texel = 2 * self._reach / SHADOW_MAP
+        across = sum(np.round(centre @ axis / texel) * texel * axis for axis in (side, up))
+        size = float(np.linalg.norm(upper - lower))
+        scene.lights[SUN].pos = across + (centre @ direction - size) * direction
+        scene.lights[SUN].dir = direction
+
+    def _spec(self, width: int, height: int) -> Any:
+        import mujoco
+
+        spec = mujoco.MjSpec()
+        light, vis = self._light, spec.visual
+        vis.global_.offwidth, vis.global_.offheight = width, height
+        vis.quality.shadowsize, vis.quality.offsamples = SHADOW_MAP, 0
+        lower, upper = self._bounds
+        extent = max(float(np.linalg.norm((upper - lower)[:2])), 1.0)
+        spec.stat.extent, spec.stat.center = extent, ((lower + upper) / 2).tolist()
+        vis.map.shadowclip = self._reach / extent
+        vis.map.fogstart, vis.map.fogend = (distance / extent for distance in HAZE)
+        vis.rgba.fog = [*light.haze.tolist(), 1.0]
+        vis.headlight.ambient = light.ambient.tolist()
+        vis.headlight.diffuse = vis.headlight.specular = [0.0, 0.0, 0.0]
+        directional = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+        for name, direction, colour, cast in (
+            ("sun", light.direction, light.sun, True),
+            ("sky", (0.0, 0.0, -1.0), light.sky, False),
+            ("bounce", (0.0, 0.0, 1.0), light.bounce, False),
+        ):
+            body = spec.worldbody
+            body.add_light(
+                name=name,
+                type=directional,
+                dir=list(direction),
+                diffuse=list(colour),
+                specular=list(colour) if cast else [0, 0, 0],
+                castshadow=cast and self._shadows,
+            )
+        author_skybox(spec, light.skybox)
+        bodies = {"": spec.worldbody}
+        for k, group in enumerate(self.stage.groups):
+            bodies[group] = spec.worldbody.add_body(name=f"group{k}", mocap=True)
+        textures: dict[Any, str] = {}
+        materials: dict[Any, str] = {}
+        for k, shape in enumerate(self.stage.shapes):
+            if shape.surface not in materials:
+                materials[shape.surface] = f"material{len(materials)}"
+                author_material(spec, materials[shape.surface], shape.surface, textures)
+            _author_mesh(spec, f"shape{k}", shape)
+            bodies[shape.group].add_geom(
+                name=f"shape{k}",
+                type=mujoco.mjtGeom.mjGEOM_MESH,
+                meshname=f"shape{k}",
+                material=materials[shape.surface],
+                contype=0,
+                conaffinity=0,
+                mass=0.0,
+            )
+        return spec
+
+
+SUN = 1
+"""The sun's place among the scene's lights, after the headlight."""
+
+
+def _author_mesh(spec: Any, name: str, shape: Shape) -> None:
+    """A MuJoCo mesh with the stage's own normals and texture coordinates; open two-sided shapes get a back."""
+    import mujoco
+
+    points, faces = shape.points, shape.faces
+    normals, face_normals, face_uvs = shape.normals, shape.face_normals, shape.face_uvs
+    if not shape.closed:
+        face_normals = np.concatenate([face_normals, face_normals[:, ::-1] + len(normals)])
+        normals = np.concatenate([normals, -normals])
+        faces = np.concatenate([faces, faces[:, ::-1]])
+        face_uvs = None if face_uvs is None else np.concatenate([face_uvs, face_uvs[:, ::-1]])
+    if len(points) < 4:  # MuJoCo wants a tetrahedron's worth
+        points = np.concatenate([points, np.repeat(points[:1], 4 - len(points), axis=0)])
+    mesh = spec.add_mesh(name=name, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
+    mesh.uservert = points.astype(np.float32).ravel()
+    mesh.userface = faces.astype(np.int32).ravel()
+    mesh.usernormal = normals.astype(np.float32).ravel()
+    mesh.userfacenormal = face_normals.astype(np.int32).ravel()
+    if shape.uvs is not None and face_uvs is not None:
+        mesh.usertexcoord = shape.uvs.astype(np.float32).ravel()
+        mesh.userfacetexcoord = face_uvs.astype(np.int32).ravel()
+
+
+def _bounds(stage: StageReader) -> tuple[Array, Array]:
+    """The box (lower, upper) (3,) m of everything that stands still, or of the movers where they begin."""
+    poses = {"": np.eye(4), **stage.matrices(stage.frames[0])}
+    still = [shape for shape in stage.shapes if not shape.group] or list(stage.shapes)
+    if not still:
+        return np.full(3, -10.0), np.full(3, 10.0)
+    corners = []
+    for shape in still:
+        pose = poses[shape.group]
+        points = shape.points @ pose[:3, :3].T + pose[:3, 3]
+        corners += [points.min(axis=0), points.max(axis=0)]
+    return np.min(corners, axis=0), np.max(corners, axis=0)

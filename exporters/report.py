@@ -1,0 +1,75 @@
+"""``report.json``: what was asked, what was solved, with which versions, and a hash of every file that was written."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping, Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vehsim.take import Take
+
+PACKAGES = ("vehsim", "mujoco", "usd-core", "casadi", "numpy", "scipy", "av", "pillow")
+
+
+def write_report(take: Take, folder: Path, files: Sequence[Path]) -> Path:
+    """Write ``folder/report.json`` about ``take`` and the ``files`` delivered; the same take gives the same bytes."""
+    report = {
+        "schema": 1,
+        "shot": take.name,
+        "fps": str(take.fps),
+        "frames": list(take.frames),
+        "terrain": take.world.terrain.name if take.world.terrain is not None else None,
+        "wind": take.world.wind,
+        "vehicles": {name: _clip_summary(clip) for name, clip in take.clips.items()},
+        "cameras": {camera.name: {"lens_mm": camera.lens_mm} for camera in take.cameras},
+        "solved": take.report,
+        "versions": {name: _version(name) for name in PACKAGES},
+        "files": {path.relative_to(folder).as_posix(): sha256(path) for path in sorted(files)},
+    }
+    path = folder / "report.json"
+    path.write_text(json.dumps(plain(report), indent=1, sort_keys=True, allow_nan=False) + "\n", encoding="utf-8")
+    return path
+
+
+def _clip_summary(clip: Any) -> dict[str, Any]:
+    speeds = np.linalg.norm(clip.twists[:, -3:] if clip.twists.shape[1] == 6 else clip.twists[:, 1:], axis=1)
+    return {
+        "vehicle": clip.vehicle.name,
+        "frames": [clip.start_frame, clip.end_frame],
+        "samples": len(clip.times),
+        "duration_s": float(clip.times[-1] - clip.times[0]),
+        "top_speed_m_s": float(speeds.max()),
+        "events": list(clip.events),
+    }
+
+
+def plain(value: Any) -> Any:
+    """``value`` as JSON knows it: arrays as lists, paths and the like as text, what is not finite as None."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value if value is None or isinstance(value, bool | int | float | str) else str(value)
+
+
+def sha256(path: Path) -> str:
+    """The SHA-256 of a file's bytes."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _version(package: str) -> str | None:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None

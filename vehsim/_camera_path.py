@@ -1,0 +1,121 @@
+"""Where a camera can be: steers a wished-for path round the ground, then lifts what is left over it, smoothly.
+
+What belongs here is the camera's way past terrain; what it wishes for is decided in `cameras.py`.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+SIDESTEPS = np.radians((0.0, 12.0, -12.0, 24.0, -24.0, 38.0, -38.0))
+SCALES = (1.0, 0.85)
+LIFTS = (0.0, 0.12, 0.25, 0.4)
+"""What a camera may do to see its target: go round it (rad), nearer (factor), higher (of its distance)."""
+SIGHT = np.linspace(0.0, 0.75, 14)
+"""Where the line of sight is tested, from the camera (0) towards the target (1)."""
+
+
+def steer(positions: Array, aims: Array, world: Any, margin: float, fps: float) -> Array:
+    """Camera positions (n, 3) near the wished ``positions`` that see ``aims`` (n, 3) past the ground.
+
+    Every quarter second it may stand as wished or a little round the target, nearer or higher; dynamic programming picks
+    the sequence with the least blocked sight, then the least departure and change.
+    """
+    count = len(positions)
+    step = max(1, round(fps / 4))
+    keys = np.unique(np.append(np.arange(0, count, step), count - 1))
+    choices = np.array(list(product(SIDESTEPS, SCALES, LIFTS)))
+    moves = np.stack([_moved(positions[keys] - aims[keys], *choice) for choice in choices], axis=1)
+    blocked = _blocked(aims[keys][:, None] + moves, aims[keys][:, None], world, margin)
+    reach = np.linalg.norm(positions - aims, axis=1).mean()
+    departure = choices[:, 0] ** 2 + (2 * (1 - choices[:, 1])) ** 2 + (2 * choices[:, 2]) ** 2
+    chosen = _cheapest(blocked / reach * 400.0 + departure, choices / (0.10, 0.12, 0.10))
+    path = np.array([np.interp(np.arange(count), keys, choices[chosen, k]) for k in range(3)])
+    path = smooth(path.T, 0.35 * fps)
+    calm = smooth(aims, 0.5 * fps)
+    return calm + _moved(positions - calm, path[:, 0], path[:, 1], path[:, 2])
+
+
+def lift(positions: Array, aims: Array, world: Any, margin: float, fps: float) -> Array:
+    """Raise the camera, ahead of need, until it sees its aim and keeps ``margin`` m from the ground.
+
+    One that stands still is raised for good.
+    """
+    sight = _sight(positions, aims)
+    need = (_ground(sight, world, 0.5 * margin) - sight[..., 2]) / (1.0 - SIGHT)  # its sight rises less than it
+    need[:, 0] = _ground(sight[:, 0], world, margin) + margin - sight[:, 0, 2]
+    need = need.max(axis=1)
+    need = np.maximum(np.where(np.isfinite(need), need, 0.0), 0.0)
+    still = np.ptp(positions, axis=0).max() < 1e-9
+    raised = np.full(len(need), need.max()) if still else _envelope(need, fps)
+    return positions + raised[:, None] * (0.0, 0.0, 1.0)
+
+
+def smooth(values: Array, sigma: float) -> Array:
+    """Gaussian-filtered along the first axis, running straight on beyond both ends; ``sigma`` in samples."""
+    from scipy.ndimage import gaussian_filter1d
+
+    pad = min(int(4 * sigma) + 1, len(values) - 1)
+    if pad < 1:
+        return np.array(values, float)
+    before = 2 * values[:1] - values[pad:0:-1]
+    after = 2 * values[-1:] - values[-2 : -pad - 2 : -1]
+    padded = np.concatenate([before, values, after])
+    return np.asarray(gaussian_filter1d(padded, sigma, axis=0, mode="nearest"))[pad : pad + len(values)]
+
+
+def _moved(offsets: Array, turn: Any, scale: Any, rise: Any) -> Array:
+    """Offsets (n, 3) from the target turned about the vertical (rad), scaled, and raised by ``rise`` of their length."""
+    x, y, z = offsets.T * scale
+    length = np.linalg.norm(offsets, axis=1)
+    return np.stack(
+        [x * np.cos(turn) - y * np.sin(turn), x * np.sin(turn) + y * np.cos(turn), z + rise * length], axis=1
+    )
+
+
+def _blocked(positions: Array, aims: Array, world: Any, margin: float) -> Array:
+    """How deep the ground stands in the way (...,), m: mean over the line of sight, and thrice for the camera itself."""
+    sight = _sight(positions, np.broadcast_to(aims, positions.shape))
+    depth = np.maximum(_ground(sight, world, margin) + margin - sight[..., 2], 0.0)
+    depth = np.where(np.isfinite(depth), depth, 0.0)
+    return np.asarray(depth.mean(axis=-1) + 3 * depth[..., 0])
+
+
+def _sight(positions: Array, aims: Array) -> Array:
+    return positions[..., None, :] + SIGHT[:, None] * (aims - positions)[..., None, :]
+
+
+def _ground(points: Array, world: Any, margin: float) -> Array:
+    """The highest ground (...,) within ``margin`` of ``points`` (..., 3)."""
+    around = margin * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]], float)
+    footprint = points[..., None, :2] + around
+    return np.asarray(world.height(footprint.reshape(-1, 2))).reshape(footprint.shape[:-1]).max(axis=-1)
+
+
+def _cheapest(costs: Array, places: Array) -> NDArray[np.int64]:
+    """The row of ``places`` (m, d) per step (k,) with the least sum of ``costs`` (k, m) and squared changes of place."""
+    change = ((places[:, None] - places[None]) ** 2).sum(axis=2)
+    best, came = costs[0], []
+    for cost in costs[1:]:
+        reached = best[:, None] + change
+        came.append(reached.argmin(axis=0))
+        best = reached.min(axis=0) + cost
+    chosen = [int(best.argmin())]
+    for back in reversed(came):
+        chosen.append(int(back[chosen[-1]]))
+    return np.array(chosen[::-1])
+
+
+def _envelope(values: Array, fps: float) -> Array:
+    """A smooth curve (n,) that lies nowhere below ``values``."""
+    from scipy.ndimage import gaussian_filter1d, maximum_filter1d
+
+    sigma = 0.4 * fps
+    widened = maximum_filter1d(values, size=2 * int(3 * sigma + 0.5) + 1, mode="nearest")
+    return np.asarray(gaussian_filter1d(widened, sigma, mode="nearest", truncate=3.0))
