@@ -84,7 +84,7 @@ def _pattern(matrix: Any) -> tuple[Indices, Indices]:
 
 @dataclass(eq=False)
 class Use:
-    """Where an element occurs: ``variables`` (n, count) and ``parameters`` (m, count) are indices into the problem's."""
+    """Where an element occurs: ``variables`` (n, count) and ``parameters`` (m, count) index the problem's."""
 
     element: Element
     variables: Indices

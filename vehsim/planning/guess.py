@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -66,7 +67,7 @@ def lift(t: Transcription, coarse: Layout, fine: Layout, x: Array, wind: Any) ->
     k = np.arange(coarse.segments)
     state, z = x[coarse.knot(k)], x[coarse.velocity(k * len(coarse.fractions))]
     cuts = np.cumsum([0, *t.sizes[:3]])
-    g, r, pi = (state[a:b] for a, b in zip(cuts[:-1], cuts[1:], strict=True))
+    g, r, pi = (state[a:b] for a, b in pairwise(cuts))
     pi = pi * t.momentum_scale[:, None]
     c0, c1 = (x[coarse.control(k + e)] * t.control_scale[:, None] for e in (0, 1))
     h = x[coarse.duration(k)] / split
@@ -116,7 +117,7 @@ def trim(vehicle: Vehicle, wind: tuple[float, ...]) -> Array:
     start = np.where(
         bounded, (np.nan_to_num(lower) + np.nan_to_num(upper)) / 2, np.clip(0.0, lower + 1e-6, upper - 1e-6)
     )
-    return least_squares(balance, start, bounds=(lower, upper)).x * scale
+    return np.asarray(least_squares(balance, start, bounds=(lower, upper)).x * scale)
 
 
 def _node_fractions(layout: Layout) -> tuple[Array, NDArray[np.intp]]:
@@ -188,4 +189,4 @@ def _difference(group: Any, a: Array, b: Array) -> Array:
 def _joint_rates(vehicle: Vehicle, r: Array, xi: Array) -> Array:
     symbol = ca.SX.sym("r", len(r))
     connection = np.array(ca.Function("A", [symbol], [ca.densify(vehicle.connection(symbol))])(r))
-    return np.linalg.lstsq(connection.reshape(len(xi), len(r)), -xi, rcond=None)[0]
+    return np.asarray(np.linalg.lstsq(connection.reshape(len(xi), len(r)), -xi, rcond=None)[0])

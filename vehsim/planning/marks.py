@@ -16,12 +16,13 @@ from vehsim.errors import InputError
 class Mark:
     """Where the rig's root has to be, and how it moves there. What is ``None`` is free.
 
-    ``frame``: a whole frame, or ``"free"``; ``position`` (3,) m; ``heading`` deg, yaw of the body's X axis from world X,
-    counter-clockwise; ``orientation`` (4,) w, x, y, z; ``velocity`` (3,) m/s in world axes; ``speed`` m/s; ``joints``
-    (s,); ``tolerance`` m, half the side of the box the position may lie in; ``hold``: frames to stay at rest there.
+    ``frame``: a whole frame, or ``"free"``; ``position`` (3,) m; ``heading`` deg, yaw of the body's X axis from world
+    X, counter-clockwise; ``orientation`` (4,) w, x, y, z; ``velocity`` (3,) m/s in world axes; ``speed`` m/s;
+    ``joints`` (s,); ``tolerance`` m, half the side of the box the position may lie in; ``hold``: frames to stay at rest there.
 
     A mark with ``velocity = (0, 0, 0)`` is at rest: the body does not turn either, and when its attitude is not given
-    it stands as it must to stay there (a helicopter level). ``speed = 0`` leaves the attitude free.
+    it stands in balance, as it must to stay there (a helicopter level, or leaning into the wind), so that motion sets
+    in and ends smoothly. ``speed = 0`` leaves the attitude free.
     """
 
     frame: int | Literal["free"]
@@ -40,7 +41,7 @@ class Mark:
         return self.velocity is not None and not np.any(self.velocity)
 
     @property
-    def level(self) -> bool:
+    def balanced(self) -> bool:
         """At rest with no attitude asked for: roll and pitch follow from standing still."""
         return self.at_rest and self.orientation is None
 
@@ -84,8 +85,10 @@ def _check_numbers(i: int, mark: Mark, joints: int) -> None:
         raise InputError(f"mark[{i}].speed = {mark.speed}: velocity is given too; drop one of them")
     if mark.orientation is not None and mark.heading is not None:
         raise InputError(f"mark[{i}].heading = {mark.heading}: orientation is given too; drop one of them")
-    if mark.hold and not mark.at_rest:
-        raise InputError(f"mark[{i}].hold = {mark.hold}: a hold is at rest; give velocity = [0, 0, 0]")
+    if mark.hold and not mark.balanced:
+        raise InputError(
+            f"mark[{i}].hold = {mark.hold}: a hold stands in balance; give velocity = [0, 0, 0], no orientation"
+        )
 
 
 def _with_holds(marks: Sequence[Mark]) -> list[Mark]:

@@ -13,6 +13,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -180,10 +181,10 @@ class _Attempt:
         speed = min(CRUISE, 0.6 * self.request.limits.get("speed", math.inf))
         fixed = _fixed_durations(marks, self.request.fps)
         legs = np.array([_length(path) for path in paths])
-        rests = np.array([a.at_rest + b.at_rest for a, b in zip(marks[:-1], marks[1:], strict=True)])
+        rests = np.array([a.at_rest + b.at_rest for a, b in pairwise(marks)])
         durations = np.where(np.isnan(fixed), legs / speed + 1.5 * rests + 0.5, fixed)
         _share_known_spans(durations, marks, self.request.fps)
-        phases = _split(self.request.segments, durations)
+        phases = _split(self.request.segments, durations, np.array([mark.hold > 0 for mark in marks[:-1]]))
         self.layout = Layout(self.t.sizes, phases)
         self.lengths = durations / np.array(phases)
         self.free = np.isnan(fixed)
@@ -301,7 +302,7 @@ class _Attempt:
         layout, every = self.layout, np.arange(self.layout.segments + 1)
         cuts = np.cumsum([0, *self.t.sizes[:3]])
         state = self.x[layout.knot(every)]
-        g, r, pi = (state[a:b].T for a, b in zip(cuts[:-1], cuts[1:], strict=True))
+        g, r, pi = (state[a:b].T for a, b in pairwise(cuts))
         c = (self.x[layout.control(every)] * self.t.control_scale[:, None]).T
         return g, r, pi * self.t.momentum_scale, c, np.repeat(self.lengths, layout.phases)
 
@@ -340,7 +341,7 @@ def _cover(request: _Request, progress: Progress | None) -> Any:
 def _paths(request: _Request, guess: Any, cover: Any) -> list[Array]:
     """A polyline (k, 3) for every leg between marks."""
     positions = _mark_positions(request.marks)
-    legs = list(zip(positions[:-1], positions[1:], strict=True))
+    legs = list(pairwise(positions))
     if guess is not None:
         points = guess.positions if isinstance(guess, Clip) else np.asarray(guess, float)
         if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2:
@@ -388,7 +389,7 @@ def _spans(marks: Sequence[Mark], fps: Fraction) -> list[tuple[list[int], float]
     """Runs of free legs between two marks at frames: their phases and what they add up to, s."""
     fixed = [i for i, mark in enumerate(marks) if mark.frame != "free"]
     spans = []
-    for a, b in zip(fixed[:-1], fixed[1:], strict=True):
+    for a, b in pairwise(fixed):
         if b > a + 1:
             spans.append((list(range(a, b)), float((int(marks[b].frame) - int(marks[a].frame)) / fps)))
     return spans
@@ -399,10 +400,12 @@ def _share_known_spans(durations: Array, marks: Sequence[Mark], fps: Fraction) -
         durations[phases] *= total / durations[phases].sum()
 
 
-def _split(segments: int, durations: Array) -> tuple[int, ...]:
-    """Segments a leg, by duration, at least two each."""
-    share = durations / durations.sum() * (segments - 2 * len(durations))
-    counts = np.floor(share).astype(int) + 2
-    for i in np.argsort(np.floor(share) - share)[: segments - counts.sum()]:
+def _split(segments: int, durations: Array, held: NDArray[np.bool_]) -> tuple[int, ...]:
+    """Segments a leg, by duration, at least two each; a hold is one."""
+    counts = np.where(held, 1, 2)
+    moving = np.where(held, 0.0, durations)
+    share = moving / moving.sum() * max(0, segments - counts.sum())
+    counts = counts + np.floor(share).astype(int)
+    for i in np.argsort(np.floor(share) - share)[: max(0, segments - counts.sum())]:
         counts[i] += 1
     return tuple(int(n) for n in counts)

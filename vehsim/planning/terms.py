@@ -1,4 +1,4 @@
-"""Costs and limits a plan can be given, as data: each is one expression of what happens along a segment or at a knot."""
+"""Costs and limits a plan can be given, as data: each is one expression of a segment or of a knot."""
 
 from __future__ import annotations
 
@@ -63,8 +63,8 @@ LIMITS: dict[str, Callable[[KnotView], Expr]] = {
     "turn_rate": lambda k: ca.sqrt(ca.sumsqr(k.omega) + 1e-8),
     "bank": lambda k: ca.acos(0.9999999 * k.rotation[2, 2]),
 }
-"""Limit name -> the value that stays below it at every knot: m/s, height of the root m, m/s up or down, rad/s, rad between
-the body's and the world's Z."""
+"""Limit name -> the value that stays below it at every knot: m/s, height of the root m, m/s up or down, rad/s, rad
+between the body's and the world's Z."""
 
 SMOOTHNESS = 1e-3
 """Weight of smoothness unless given: it keeps any optimum unique and the controls from chattering."""

@@ -23,6 +23,7 @@ from vehsim.planning.elements import Element, Problem
 from vehsim.planning.marks import Mark
 from vehsim.planning.terms import COSTS, LIMITS, KnotView, SegmentView
 from vehsim.vehicles import Vehicle
+from vehsim.vehicles.mechanics import conservative, project
 
 Array = NDArray[np.float64]
 
@@ -132,7 +133,7 @@ class Transcription:
 
     @cached_property
     def substep(self) -> Element:
-        """The three discrete equations of one substep: (x, z, c0, c1, x1, h), with parameters (wind, start, fraction)."""
+        """The three discrete equations of a substep: (x, z, c0, c1, x1, h); parameters (wind, start, fraction)."""
         v = self._symbols("x", "z", "c0", "c1", "x1", "h")
         wind, start, fraction = ca.SX.sym("wind", 3), ca.SX.sym("start"), ca.SX.sym("fraction")
         g, r, pi = self.split(v["x"])
@@ -175,6 +176,7 @@ class Transcription:
         """What a mark asks at its knot: (x, c0), with its values as parameters (``mark_values``)."""
         v = self._symbols("x", "c0")
         parameters = {key: ca.SX.sym(key, size) for key, size in self.mark_sizes.items()}
+        wind = ca.SX.sym("wind", 3)
         view = self._view(v["x"], v["c0"])
         velocity, omega, rotation = view.velocity, view.omega, view.rotation
         g, r, _ = self.split(v["x"])
@@ -194,8 +196,8 @@ class Transcription:
             c, s = ca.cos(parameters["heading"]), ca.sin(parameters["heading"])
             equal(c * rotation[1, 0] - s * rotation[0, 0])
             rows.append((c * rotation[0, 0] + s * rotation[1, 0], 0.0, np.inf))
-        if mark.level and spatial:
-            equal(rotation[2, 0:2].T)
+        if mark.balanced:
+            equal(self._imbalance(g, r, v["c0"], wind))
         if mark.velocity is not None:
             equal(
                 velocity - parameters["velocity"]
@@ -211,8 +213,23 @@ class Transcription:
         if not rows:
             return None
         g_rows, lower, upper = zip(*rows, strict=True)
-        y, p = ca.vertcat(*v.values()), ca.vertcat(*parameters.values())
+        y, p = ca.vertcat(*v.values()), ca.vertcat(wind, *parameters.values())
         return Element("mark", y, p, g=ca.vertcat(*g_rows), lower=lower, upper=upper)
+
+    def _imbalance(self, g: Any, r: Any, c: Any, wind: Any) -> Any:
+        """Acceleration along the free velocities of a vehicle that stands still, (n_z,)."""
+        vehicle = self.vehicle
+        still = (ca.SX.zeros(len(vehicle.joints)), ca.SX.zeros(vehicle.group.dim))
+        forces = vehicle.force(g, r, *still, c * self.control_scale, wind)
+        weight = conservative(vehicle, g, r)
+        total = [a + b for a, b in zip(forces, weight, strict=True)]
+        return project(vehicle, r, *total) / self.momentum_scale
+
+    @cached_property
+    def hold(self) -> Element:
+        """Controls that stay as they are: (c0, c1)."""
+        v = self._symbols("c0", "c1")
+        return Element("hold", ca.vertcat(*v.values()), ca.SX(0, 1), g=v["c1"] - v["c0"])
 
     def _planar(self, velocity: Any, wanted: Any, rotation: Any) -> Any:
         """A rolling vehicle can only be asked for its forward velocity: the constraints hold the rest."""
@@ -320,9 +337,12 @@ def build(
     if t.vehicle.group.size > t.vehicle.group.dim:
         problem.add(t.gauge, layout.knot(0))
     for i, (mark, knot) in enumerate(zip(marks, layout.mark_knots, strict=True)):
+        if i and marks[i - 1].hold:  # the vehicle stands in balance: unchanged controls keep it there
+            problem.add(t.hold, layout.control(np.array([knot - 1, knot])).T.reshape(-1, 1))
+            continue
         element = t.mark(mark)
         if element is not None:
-            place = marks_at + i * width + np.arange(width)
+            place = np.concatenate([np.arange(3), marks_at + i * width + np.arange(width)])
             problem.add(element, np.vstack([layout.knot(knot), layout.control(knot)]), place)
     if cover is not None:
         # the knots after the first and one place between: the substep's middle, or a composition's node nearest to it

@@ -1,0 +1,274 @@
+"""Plans against closed forms, replays, independent execution and certified clearance."""
+
+import warnings
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import vehsim
+from vehsim import Mark, State
+from vehsim.errors import InputError
+from vehsim.integrators import Integrator
+from vehsim.lie import SO3xR3
+from vehsim.vehicles import Control, Holonomic
+
+REST = (0.0, 0.0, 0.0)
+
+
+def tug(gravity=0.0, limit=np.inf):
+    """A body pushed along its own axes and turned by three torques."""
+    names = ("tx", "ty", "tz", "fx", "fy", "fz")
+    return Holonomic(
+        name="tug",
+        group=SO3xR3,
+        inertia=(3.0, 4.0, 5.0, 10.0, 10.0, 10.0),
+        controls=tuple(Control(n, -limit, limit, 10.0) for n in names),
+        wrench=lambda c: c,
+        gravity=gravity,
+    )
+
+
+@pytest.fixture(scope="module")
+def helicopter():
+    return vehsim.load_vehicle("helicopter")
+
+
+@pytest.fixture(scope="module")
+def flight(helicopter):
+    """The helicopter in free space, rest to rest, with a free goal frame: solved once, looked at by many tests."""
+    marks = [
+        Mark(1001, position=(0, 0, 30), heading=0, velocity=REST),
+        Mark("free", position=(120, 40, 35), heading=40, velocity=REST),
+    ]
+    return vehsim.plan(helicopter, None, marks, segments=32)
+
+
+def test_least_effort_between_rests_is_the_cubic():
+    """Closed form: position 3s^2 - 2s^3 with force linear in time, and cost 12 m^2 d^2 / T^3."""
+    distance, T = 6.0, 3.0
+    upright = (1, 0, 0, 0)  # an attitude of its own, so that a rest need not be in balance
+    marks = [
+        Mark(1, position=REST, orientation=upright, velocity=REST),
+        Mark(73, position=(distance, 0, 0), orientation=upright, velocity=REST),
+    ]
+    plan = vehsim.plan(tug(), None, marks, segments=16, cost={"effort": 1.0, "smoothness": 0.0}, refine=False)
+    assert plan.success
+    s = plan.clip.times / T
+    np.testing.assert_allclose(plan.clip.positions[:, 0], distance * (3 * s**2 - 2 * s**3), atol=2e-2)
+    np.testing.assert_allclose(plan.clip.controls[:, 3], 10 * 6 * distance / T**2 * (1 - 2 * s), atol=1e-6)
+    assert plan.cost == pytest.approx(12 * distance**2 / T**3, rel=1e-8)  # Galerkin weights make it exact
+    np.testing.assert_allclose(plan.clip.orientations, np.tile([1, 0, 0, 0], (17, 1)), atol=1e-9)
+
+
+def test_least_time_is_bang_bang():
+    """Closed form: T = 2 sqrt(m d / F) for a force bounded by F."""
+    marks = [
+        Mark(1, position=REST, orientation=(1, 0, 0, 0), velocity=REST),
+        Mark("free", position=(8, 0, 0), orientation=(1, 0, 0, 0), velocity=REST),
+    ]
+    plan = vehsim.plan(tug(limit=20.0), None, marks, fps=2400, segments=64, cost={"time": 1.0, "smoothness": 0.0})
+    assert plan.duration == pytest.approx(2 * np.sqrt(10 * 8 / 20.0), rel=0.01)
+
+
+def test_plan_meets_its_marks(flight):
+    clip = flight.clip
+    assert flight.success and flight.defect < 1e-8
+    np.testing.assert_allclose(clip.positions[[0, -1]], [(0, 0, 30), (120, 40, 35)], atol=1e-7)
+    np.testing.assert_allclose(clip.twists[[0, -1]], 0, atol=1e-7)
+    half = np.deg2rad(20)
+    np.testing.assert_allclose(np.abs(clip.orientations[-1]), np.abs([np.cos(half), 0, 0, np.sin(half)]), atol=1e-7)
+
+
+def test_free_mark_lands_on_a_whole_frame(flight):
+    assert flight.clip.frames[-1] == flight.clip.end_frame
+    assert flight.clip.resample().frames[-1] == flight.clip.end_frame
+
+
+def test_controls_stay_in_their_bounds(flight, helicopter):
+    for column, control in zip(flight.clip.controls.T, helicopter.controls, strict=True):
+        slack = 1e-6 * control.scale
+        assert control.lower - slack <= column.min() and column.max() <= control.upper + slack
+
+
+def test_plan_replays_through_the_integrator(flight, helicopter):
+    """One definition: the forward step from the first state under the plan's controls gives the plan."""
+    step = flight.clip.times[1]
+    replay = Integrator(helicopter, step, order=flight.order).rollout(flight.clip.state(0), flight.clip.controls)
+    # an unstable vehicle amplifies the solver's tolerance along the way: compare one second, then step by step
+    first = int(1 / step)
+    np.testing.assert_allclose(replay.positions[:first], flight.clip.positions[:first], atol=1e-8)
+    integrator = Integrator(helicopter, step, order=flight.order)
+    for k in range(len(flight.clip) - 1):
+        state = integrator.step(flight.clip.state(k), flight.clip.controls[k], flight.clip.controls[k + 1])
+        np.testing.assert_allclose(state.position, flight.clip.positions[k + 1], atol=1e-8)
+
+
+def test_executed_motion_ends_where_planned(flight):
+    assert flight.executed.final < 0.1 and flight.executed.mean <= flight.executed.largest
+
+
+def test_helicopter_flies_nose_first(flight):
+    moving = np.linalg.norm(flight.clip.twists[:, 3:5], axis=1) > 4
+    forward, sideways = flight.clip.twists[moving, 3], np.abs(flight.clip.twists[moving, 4])
+    assert np.all(forward > 0) and np.mean(sideways / forward) < 0.3
+
+
+def test_marks_between_are_met_in_order(helicopter):
+    marks = [
+        Mark(1001, position=(0, 0, 30), velocity=(10, 0, 0)),
+        Mark("free", position=(60, 20, 35), tolerance=0.5),
+        Mark(1197, position=(120, 0, 30), velocity=(10, 0, 0)),
+    ]
+    plan = vehsim.plan(helicopter, None, marks, segments=32)
+    assert plan.success and plan.clip.end_frame == 1197
+    nearest = np.abs(plan.clip.positions - [60, 20, 35]).max(axis=1)
+    assert nearest.min() <= 0.5 + 1e-6
+    at = int(np.argmin(nearest))
+    assert plan.clip.frames[at] == round(plan.clip.frames[at])
+    np.testing.assert_allclose(np.linalg.norm(plan.clip.twists[[0, -1], 3:], axis=1), 10, atol=1e-6)
+
+
+def test_hold_stands_still(helicopter):
+    marks = [
+        Mark(1, position=(0, 0, 30), heading=0, velocity=REST, hold=12),
+        Mark(157, position=(30, 0, 30), heading=0, velocity=REST),
+    ]
+    plan = vehsim.plan(helicopter, None, marks, segments=32)
+    assert plan.success
+    held = plan.clip.resample()
+    np.testing.assert_allclose(held.positions[:13], np.tile([0, 0, 30], (13, 1)), atol=1e-7)
+    assert np.linalg.norm(held.positions[40] - [0, 0, 30]) > 0.01
+
+
+def test_rest_is_in_balance(flight, helicopter):
+    """No jump in acceleration where a motion sets in or ends: the knot's controls just carry the vehicle."""
+    from vehsim.planning.guess import trim
+
+    np.testing.assert_allclose(flight.clip.controls[0], trim(helicopter, (0.0, 0.0, 0.0)), atol=1e-3)
+    np.testing.assert_allclose(flight.clip.orientations[0], (1, 0, 0, 0), atol=1e-8)
+
+
+def test_speed_limit_holds(helicopter):
+    marks = [Mark(1, position=(0, 0, 30), velocity=REST), Mark("free", position=(80, 0, 30), velocity=REST)]
+    plan = vehsim.plan(helicopter, None, marks, segments=32, limits={"speed": 9.0})
+    assert plan.success
+    assert np.linalg.norm(plan.clip.twists[:, 3:], axis=1).max() <= 9.0 + 1e-5
+
+
+def test_replan_is_the_plan_of_the_new_marks(flight):
+    marks = [
+        Mark(1001, position=(0, 0, 30), heading=0, velocity=REST),
+        Mark("free", position=(121, 41, 35), heading=40, velocity=REST),
+    ]
+    again = flight.replan(marks)
+    assert again.success
+    np.testing.assert_allclose(again.clip.positions[-1], (121, 41, 35), atol=1e-7)
+
+
+def test_car_plans_too():
+    """The same transcription for a nonholonomic vehicle: no wheel slips, the mark is hit."""
+    car = vehsim.load_vehicle("car")
+    marks = [
+        Mark(1, position=REST, heading=0, velocity=REST, joints=None),
+        Mark("free", position=(25, 8, 0), heading=30, velocity=REST),
+    ]
+    plan = vehsim.plan(car, None, marks, segments=32)
+    assert plan.success and plan.executed.final < 0.1
+    np.testing.assert_allclose(plan.clip.positions[-1, :2], (25, 8), atol=1e-6)
+    axle = plan.clip.positions + _turn(plan.clip.orientations, car.origin)
+    side = np.diff(axle, axis=0)
+    heading = plan.clip.orientations[:-1] + plan.clip.orientations[1:]
+    heading /= np.linalg.norm(heading, axis=1, keepdims=True)
+    assert np.abs(_turn(heading * [1, -1, -1, -1], side)[:, 1]).max() < 1e-3
+
+
+def _turn(q, v):
+    t = 2 * np.cross(q[:, 1:], np.broadcast_to(v, (len(q), 3)))
+    return v + q[:, :1] * t + np.cross(q[:, 1:], t)
+
+
+def test_unreachable_mark_fails_with_a_message():
+    marks = [Mark(1, position=REST, heading=0, velocity=REST), Mark(25, position=(500, 0, 0))]
+    with pytest.warns(UserWarning, match="plan failed"):
+        plan = vehsim.plan(tug(limit=10.0), None, marks, segments=16, max_iterations=60)
+    assert not plan.success and "off by" in plan.message
+
+
+def test_wind_without_drag_warns(helicopter):
+    marks = [Mark(1, position=(0, 0, 30), velocity=REST), Mark(97, position=(20, 0, 30), velocity=REST)]
+    with pytest.warns(UserWarning, match="no drag"):
+        vehsim.plan(helicopter, vehsim.World(wind=(0, 3, 0)), marks, segments=16, refine=False)
+
+
+@pytest.mark.parametrize(
+    ("marks", "message"),
+    [
+        ([Mark(1, position=REST)], "at least two"),
+        ([Mark("free", position=REST), Mark(9, position=REST)], r"mark\[0\].frame"),
+        ([Mark(1), Mark(9, position=REST)], r"mark\[0\].position"),
+        ([Mark(9, position=REST), Mark(3, position=REST)], r"mark\[1\].frame = 3: not after"),
+        ([Mark(1, position=(0, 0, np.nan)), Mark(9, position=REST)], r"mark\[0\].position"),
+        ([Mark(1, position=REST), Mark(9, position=(1, 2))], r"mark\[1\].position"),
+        ([Mark(1, position=REST, velocity=REST, speed=1), Mark(9)], "drop one"),
+        ([Mark(1, position=REST, hold=3), Mark(9)], "hold"),
+    ],
+)
+def test_wrong_marks_are_named(marks, message):
+    with pytest.raises(InputError, match=message):
+        vehsim.plan(tug(), None, marks, segments=16)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"cost": "effrt"}, "did you mean 'effort'"),
+        ({"cost": {"effort": -1}}, "zero or more"),
+        ({"cost": {"time": 0}}, "no weight above zero"),
+        ({"limits": {"sped": 3}}, "did you mean 'speed'"),
+        ({"limits": {"speed": 0}}, "positive"),
+        ({"segments": 1}, "segments = 1"),
+        ({"clearance": -1}, "clearance"),
+        ({"guess": np.zeros((4, 2))}, "guess"),
+    ],
+)
+def test_wrong_options_are_named(options, message):
+    marks = [Mark(1, position=REST), Mark(9, position=(1, 0, 0))]
+    with pytest.raises(InputError, match=message), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        vehsim.plan(tug(), None, marks, **{"segments": 8, **options})
+
+
+def test_elements_agree_with_whole_problem_derivatives(helicopter):
+    """Scattered element derivatives equal CasADi's own of the assembled problem."""
+    from vehsim.planning.elements import Element, Problem
+
+    rng = np.random.default_rng(0)
+    y, p = ca.SX.sym("y", 3), ca.SX.sym("p", 2)
+    one = Element("a", y, p, f=p[0] * y[0] ** 2 * y[2] + ca.sin(y[1]), g=ca.vertcat(y[0] * y[1], ca.exp(y[2])))
+    two = Element("b", y[:2], p[:1], g=y[0] * y[1] ** 2)
+    problem = Problem(9, 4)
+    problem.add(one, rng.permuted(np.tile(np.arange(9), (5, 1)), axis=1)[:, :3].T, [1, 3])
+    problem.add(two, rng.permuted(np.tile(np.arange(9), (4, 1)), axis=1)[:, :2].T, [2])
+    functions = problem.functions()
+    x, q = ca.MX.sym("x", 9), ca.MX.sym("q", 4)
+    f, g = functions["nlp"](x, q)
+    lam = ca.MX.sym("lam", g.shape[0])
+    whole = ca.Function(
+        "w", [x, q, lam], [ca.gradient(f, x), ca.jacobian(g, x), ca.triu(ca.hessian(2 * f + ca.dot(lam, g), x)[0])]
+    )
+    at = (rng.standard_normal(9), rng.standard_normal(4), rng.standard_normal(g.shape[0]))
+    expected = [np.array(e) for e in whole(*at)]
+    gradient = functions["grad_f"](*at[:2])[1]
+    assert gradient.is_dense()  # IPOPT's interface reads it as dense
+    np.testing.assert_allclose(np.array(gradient), expected[0], atol=1e-13)
+    np.testing.assert_allclose(np.array(functions["jac_g"](*at[:2])[1]), expected[1], atol=1e-13)
+    np.testing.assert_allclose(np.array(functions["hess_lag"](*at[:2], 2.0, at[2])), expected[2], atol=1e-13)
+
+
+def test_state_is_untouched_by_planning(helicopter):
+    """The first state of a plan is a state the integrator accepts and gives back."""
+    state = State(position=(1, 2, 3), twist=np.arange(6) / 10)
+    integrator = Integrator(helicopter, 0.01)
+    phase = integrator.start(state, np.zeros(4))
+    np.testing.assert_allclose(integrator.state(phase, np.zeros(4)).position, (1, 2, 3), atol=1e-12)
