@@ -47,7 +47,7 @@ def check_readback(path: Path, shot: str, clips: Mapping[str, Clip], cameras: It
         if not difference[worst] <= TOLERANCE:
             raise ExportError(
                 f"{path.name}: {prim_path}: at frame {frames[worst]:g} it stands {difference[worst]:.3g} from where "
-                "the clip puts it; a stronger opinion in the asset (an instance, a variant, its own animation) hides ours"
+                "the clip puts it; a stronger opinion (an instance, a variant, animation of the asset's own) hides ours"
             )
 
 

@@ -1,8 +1,8 @@
 """How MuJoCo's renderer shall draw a stage's lights, sky and materials. What belongs here is the look, and no drawing.
 
 MuJoCo shades in display space, USD means linear light. A display value goes as ``encode(albedo) * encode(light)`` to
-good approximation, so albedos are encoded as they are, and the light is matched where it matters: in full shade and in full
-sun.
+good approximation, so albedos are encoded as they are, and the light is matched where it matters: in full shade and
+in full sun.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ HIGHLIGHT = 1.35
 
 @dataclass(frozen=True)
 class Light:
-    """Display-space light: ``ambient`` everywhere, ``sky`` from above, ``bounce`` from below, ``sun`` along a direction.
+    """Display-space light: ``ambient`` everywhere, ``sky`` from above, ``bounce`` from below, ``sun`` along its ray.
 
     ``haze`` is the colour that distance fades to; ``skybox`` (6, n, n, 3) the faces of the sky.
     """

@@ -21,18 +21,18 @@ SIGHT = np.linspace(0.0, 0.75, 14)
 """Where the line of sight is tested, from the camera (0) towards the target (1)."""
 
 
-def steer(positions: Array, aims: Array, world: Any, margin: float, fps: float) -> Array:
-    """Camera positions (n, 3) near the wished ``positions`` that see ``aims`` (n, 3) past the ground.
+def steer(positions: Array, aims: Array, world: Any, margin: float, radius: float, fps: float) -> Array:
+    """Camera positions (n, 3) near the wished ``positions`` that see ``radius`` m about ``aims`` (n, 3) past the ground.
 
-    Every quarter second it may stand as wished or a little round the target, nearer or higher; dynamic programming picks
-    the sequence with the least blocked sight, then the least departure and change.
+    Every quarter second it may stand as wished or a little round the target, nearer or higher; dynamic programming
+    picks the sequence with the least blocked sight, then the least departure and change.
     """
     count = len(positions)
     step = max(1, round(fps / 4))
     keys = np.unique(np.append(np.arange(0, count, step), count - 1))
     choices = np.array(list(product(SIDESTEPS, SCALES, LIFTS)))
     moves = np.stack([_moved(positions[keys] - aims[keys], *choice) for choice in choices], axis=1)
-    blocked = _blocked(aims[keys][:, None] + moves, aims[keys][:, None], world, margin)
+    blocked = _blocked(aims[keys][:, None] + moves, aims[keys][:, None], world, margin, radius)
     reach = np.linalg.norm(positions - aims, axis=1).mean()
     departure = choices[:, 0] ** 2 + (2 * (1 - choices[:, 1])) ** 2 + (2 * choices[:, 2]) ** 2
     chosen = _cheapest(blocked / reach * 400.0 + departure, choices / (0.10, 0.12, 0.10))
@@ -73,18 +73,22 @@ def smooth(values: Array, sigma: float) -> Array:
 def _moved(offsets: Array, turn: Any, scale: Any, rise: Any) -> Array:
     """Offsets (n, 3) from the target turned about the vertical (rad), scaled, and raised by ``rise`` of their length."""
     x, y, z = offsets.T * scale
-    length = np.linalg.norm(offsets, axis=1)
-    return np.stack(
-        [x * np.cos(turn) - y * np.sin(turn), x * np.sin(turn) + y * np.cos(turn), z + rise * length], axis=1
-    )
+    cos, sin = np.cos(turn), np.sin(turn)
+    return np.stack([x * cos - y * sin, x * sin + y * cos, z + rise * np.linalg.norm(offsets, axis=1)], axis=1)
 
 
-def _blocked(positions: Array, aims: Array, world: Any, margin: float) -> Array:
-    """How deep the ground stands in the way (...,), m: mean over the line of sight, and thrice for the camera itself."""
-    sight = _sight(positions, np.broadcast_to(aims, positions.shape))
-    depth = np.maximum(_ground(sight, world, margin) + margin - sight[..., 2], 0.0)
-    depth = np.where(np.isfinite(depth), depth, 0.0)
-    return np.asarray(depth.mean(axis=-1) + 3 * depth[..., 0])
+def _blocked(positions: Array, aims: Array, world: Any, margin: float, radius: float) -> Array:
+    """How deep the ground stands (...,), m, in the way to the target, its left and right; thrice at the camera."""
+    ray = aims - positions
+    side = np.stack([-ray[..., 1], ray[..., 0], np.zeros_like(ray[..., 0])], axis=-1)
+    side *= radius / np.maximum(np.linalg.norm(side, axis=-1, keepdims=True), 1e-9)
+    total = np.zeros(positions.shape[:-1])
+    for weight, aim in ((1.0, aims + 0 * side), (0.5, aims + side), (0.5, aims - side)):
+        sight = _sight(positions, aim)
+        depth = np.maximum(_ground(sight, world, margin) + margin - sight[..., 2], 0.0)
+        depth = np.where(np.isfinite(depth), depth, 0.0)
+        total += weight * (depth.mean(axis=-1) + 1.5 * depth[..., 0])
+    return total
 
 
 def _sight(positions: Array, aims: Array) -> Array:
@@ -99,7 +103,7 @@ def _ground(points: Array, world: Any, margin: float) -> Array:
 
 
 def _cheapest(costs: Array, places: Array) -> NDArray[np.int64]:
-    """The row of ``places`` (m, d) per step (k,) with the least sum of ``costs`` (k, m) and squared changes of place."""
+    """The row of ``places`` (m, d) per step (k,) with the least sum of ``costs`` (k, m) and squared changes."""
     change = ((places[:, None] - places[None]) ** 2).sum(axis=2)
     best, came = costs[0], []
     for cost in costs[1:]:

@@ -71,7 +71,7 @@ class CameraRig:
 
 @dataclass(frozen=True)
 class Subject:
-    """What a camera looks at: the outline's world points ``corners`` (n, k, 3), ``centre`` (n, 3), ``headings`` (n,)."""
+    """What a camera looks at: the outline's points ``corners`` (n, k, 3), ``centre`` (n, 3), ``headings`` (n,)."""
 
     corners: Array
     centre: Array
@@ -100,7 +100,7 @@ def solve_camera(
     for _ in range(1 if rig.distance else 5):
         positions, aims = move(rig, subject, distance, world)
         if np.ptp(positions, axis=0).max() > 0:  # what stands still was put there
-            positions = steer(positions, aims, world, rig.margin, subject.fps)
+            positions = steer(positions, aims, world, rig.margin, subject.size / 2, subject.fps)
         positions = lift(positions, aims, world, rig.margin, subject.fps)
         rotations = look_at(positions, aims)
         fills = projected_heights(positions, rotations, subject.corners, rig.lens_mm / aperture[1])
