@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-
 from vehsim.assets.generate._noise import fractal, gradient_noise, ridged
 from vehsim.assets.generate._terrain_look import Sheet, at_texels, sheet, texels
+
 from vehsim.world import Terrain
 
 Array = NDArray[np.float64]

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-
 from vehsim.assets.generate._noise import fractal, gradient_noise
 from vehsim.assets.generate._terrain_look import sheet, write_look, write_picture
+
 from vehsim.world import Terrain
 
 Array = NDArray[np.float64]
@@ -48,7 +48,7 @@ def main() -> None:
     count = int(2 * HALF / CELL) + 1
     heights = np.zeros((count, count), np.float32)
     np.savez_compressed(FOLDER / "heights.npz", heights=heights)
-    terrain = Terrain("flat", heights, (-HALF, -HALF), (CELL, CELL))
+    terrain = Terrain("flat", heights.astype(float), (-HALF, -HALF), (CELL, CELL))
     ground = sheet(terrain.vertices, terrain.faces, terrain.vertices[:, :2] / (SLAB * SLABS))
     write_picture(FOLDER / "flat_ground.jpg", apron_colour(PICTURE), PICTURE)
     write_look(FOLDER / "flat.usdc", {"ground": (ground, "flat_ground.jpg", 0.9)}, wrap="repeat")

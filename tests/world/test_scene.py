@@ -112,6 +112,17 @@ def test_clearance_does_not_depend_on_the_pose_before(canyon, vehicle, poses):
     np.testing.assert_allclose(again, clearance[shuffled], rtol=0, atol=2e-6)
 
 
+def test_a_pose_deep_in_the_rock_does_not_spoil_the_next(canyon, vehicle):
+    """Depth is measured vertically: below a plateau it is larger than the way out through the cliff."""
+    free = (180.0, 40.0, 28.0)
+    inside = (free[0], free[1] + 30.0, 10.0)
+    level = [[1, 0, 0, 0]] * 2
+    alone = canyon.clearance(vehicle, [free], level[:1])[0]
+    after = canyon.clearance(vehicle, [inside, free], level)
+    assert after[0] < -30
+    assert after[1] == pytest.approx(alone, abs=1e-6)
+
+
 def test_one_plain_call_of_mujoco_misses_the_nearest_rock(canyon, vehicle, poses):
     """Why `Scene` asks again and again: should MuJoCo mend this one day, the repair can go."""
     scene = Scene(canyon.terrain, vehicle.rig)
@@ -162,6 +173,14 @@ def test_the_height_field_in_mujoco_is_the_terrain(canyon):
     down = np.array([0.0, 0, -1])
     depth = [mujoco.mj_ray(model, data, np.array([*p, 200.0]), down, None, 1, -1, hit, None) for p in xy]
     np.testing.assert_allclose(200 - np.array(depth), canyon.height(xy), atol=2e-5)
+
+
+def test_beyond_the_borders_the_ground_goes_on(vehicle):
+    world = World(Terrain("plate", np.full((11, 11), 2.0)))
+    inside, outside, below = world.clearance(vehicle, [[5, 5, 10], [500, 5, 10], [500, 5, 1]], [[1, 0, 0, 0]] * 3)
+    assert inside == pytest.approx(8, abs=1e-5)
+    assert outside == pytest.approx(8, abs=1e-5)
+    assert below == pytest.approx(-1, abs=1e-5)
 
 
 def test_empty_space_is_endlessly_clear(vehicle):

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vehsim.errors import InputError, Problem
+from vehsim.errors import InputError, Problem, SolveError
 from vehsim.parts import add_to_spec
 from vehsim.vehicles._base import Rig
 from vehsim.world.terrain import Terrain
@@ -21,6 +21,8 @@ BASE = 50.0
 """Thickness of the rock below the lowest height in MuJoCo's model, m."""
 SLACK = 1e-9
 """Answers this near to the cap certify it, m."""
+MARGIN = 1e-3
+"""Added to a cap that should hold, m, so that an answer below it proves that it did."""
 TOUCHING = 1e-9
 """What a pose that only touches the rock is inside it, m."""
 
@@ -59,12 +61,12 @@ class Scene:
         spec = mujoco.MjSpec()
         add_terrain(spec, terrain)
         body = add_to_spec(spec, rig, "vehicle")
-        geoms = [geom.name for geom in body.geoms]
+        geoms, name = [geom.name for geom in body.geoms], body.name
         self.terrain = terrain
         self.model = spec.compile()
         write_heights(self.model, terrain)
         self.data = mujoco.MjData(self.model)
-        self._ground = self.model.geom("terrain").id
+        self._ground, self._body = self.model.geom("terrain").id, self.model.body(name).id
         self._hulls = [self.model.geom(name).id for name in geoms]
         # With the body at the origin a geom's pose is its pose in the rig root's frame.
         self._place(np.zeros(3), np.array([1.0, 0, 0, 0]))
@@ -81,34 +83,41 @@ class Scene:
     def clearance(self, positions: ArrayLike, orientations: ArrayLike) -> Array:
         """Signed distance (n,) m from the hulls to the terrain at rig-root poses (n, 3) m, (n, 4) w, x, y, z.
 
-        Exact outside. A pose that touches the rock gives minus its depth, measured vertically at the hulls' corners.
-        Beyond the terrain's borders there is nothing but the terrain's own side.
+        Exact in the air. A pose that touches the rock gives minus its depth, measured vertically at the hulls' corners.
+        Beyond the borders the ground goes on level, and no more is claimed than the height above it.
         """
         positions, orientations = _poses(positions, orientations)
         bounds = self._centre_distances(positions, orientations)
         result = np.empty(len(positions))
-        known = np.inf  # an upper bound that follows the motion from pose to pose
         for k, (position, orientation) in enumerate(zip(positions, orientations, strict=True)):
+            expected = np.inf  # no farther than the pose before, plus what any point has moved since
             if k:
-                known = result[k - 1] + self._motion(positions[k - 1 : k + 1], orientations[k - 1 : k + 1])
+                moved = self._motion(positions[k - 1 : k + 1], orientations[k - 1 : k + 1])
+                expected = max(result[k - 1], 0.0) + moved
             self._place(position, orientation)
-            result[k] = self._nearest(bounds[k], max(known, 0.0))
+            result[k] = self._nearest(bounds[k], expected)
+            if result[k] > 0 and self._beyond(position):
+                result[k] = min(result[k], max(self._gap(), TOUCHING))
         return result
 
-    def _nearest(self, centre_distances: Array, known: float) -> float:
-        """Signed distance of the placed hulls, whose centres are so far away; at most ``known`` m is sure."""
+    def _nearest(self, centre_distances: Array, expected: float) -> float:
+        """Signed distance of the placed hulls, m; their centres are so far away, and about ``expected`` m is likely."""
         if centre_distances.min() <= 0:
-            return -self._depth()
-        # A hull is at most as far away as its centre, at least that less its radius: near hulls first, far ones never.
-        best = min(float(centre_distances.min()), known + 1e-6)
-        lower = centre_distances - self._radii
-        for k in np.argsort(lower):
-            if lower[k] >= best:
-                break
-            best = self._shrink(self._hulls[k], best)
-            if best <= 0:
-                return -self._depth()
-        return best
+            return min(-TOUCHING, self._gap())
+        sure = float(centre_distances.min()) + MARGIN  # a hull is no farther away than its centre
+        for cap in (min(expected + MARGIN, sure), sure):
+            best = cap
+            # A hull is at least as far away as its centre less its radius: near hulls first, far ones never.
+            lower = centre_distances - self._radii
+            for k in np.argsort(lower):
+                if lower[k] >= best:
+                    break
+                best = self._shrink(self._hulls[k], best)
+                if best <= 0:
+                    return min(-TOUCHING, self._gap())
+            if best < cap:
+                return best
+        raise SolveError("clearance: MuJoCo and the terrain's triangles disagree; please report this terrain")
 
     def _shrink(self, hull: int, cap: float) -> float:
         """The distance of ``hull`` if it is below ``cap``, else ``cap``, m.
@@ -125,10 +134,11 @@ class Scene:
                 return float(min(answer, cap))
             cap = answer
 
-    def _depth(self) -> float:
-        """How far the lowest-lying corner of the placed hulls is below the surface, vertically, m; above zero."""
-        corners = np.concatenate(self._corners) @ self.data.xmat[1].reshape(3, 3).T + self.data.xpos[1]
-        return max(TOUCHING, float((self.terrain.height(corners[:, :2]) - corners[:, 2]).max()))
+    def _gap(self) -> float:
+        """The least height of the placed hulls' corners above the surface, m; negative when one lies below it."""
+        corners = np.concatenate(self._corners) @ self.data.xmat[self._body].reshape(3, 3).T
+        corners += self.data.xpos[self._body]
+        return float((corners[:, 2] - self.terrain.height(corners[:, :2])).min())
 
     def _centre_distances(self, positions: Array, orientations: Array) -> Array:
         """Signed distance (n, hulls) m of every hull's centre from the surface."""
@@ -140,6 +150,11 @@ class Scene:
         squared, _, _ = self._tree.squared_distance(*self._mesh, points)
         above = points[:, 2] > self.terrain.height(points[:, :2])
         return np.asarray((np.where(above, 1, -1) * np.sqrt(squared)).reshape(centres.shape[:2]))
+
+    def _beyond(self, position: Array) -> bool:
+        """Whether hulls at ``position`` may reach beyond the terrain's borders."""
+        low, high = self.terrain.lower[:2] + self._reach, self.terrain.upper[:2] - self._reach
+        return bool((position[:2] < low).any() or (position[:2] > high).any())
 
     def _motion(self, positions: Array, orientations: Array) -> float:
         """The farthest any point of the hulls moves between two poses, at most, m."""

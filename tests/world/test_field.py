@@ -1,0 +1,176 @@
+"""The distance field against MuJoCo's distances, its derivatives, its borders and its cache."""
+
+from __future__ import annotations
+
+import threading
+
+import casadi
+import mujoco
+import numpy as np
+import pytest
+
+from vehsim.errors import InputError
+from vehsim.world import Terrain, World, cache_folder
+from vehsim.world.field import distance_field
+from vehsim.world.scene import add_terrain, write_heights
+
+
+@pytest.fixture(scope="module")
+def canyon():
+    return World("canyon")
+
+
+@pytest.fixture(scope="module")
+def field(canyon):
+    return canyon.distance_field()
+
+
+def valley():
+    x = np.arange(40.0)
+    return Terrain("valley", np.tile(0.05 * (x - 20) ** 2, (30, 1)))
+
+
+def test_the_field_agrees_with_mujoco(canyon, field):
+    """Distances of a tiny sphere: 99 % within 0.35 m beyond 1 m from the rock, at 2 m spacing."""
+    spec = mujoco.MjSpec()
+    add_terrain(spec, canyon.terrain)
+    body = spec.worldbody.add_body(name="ball")
+    body.add_freejoint()
+    radius = 1e-3
+    body.add_geom(name="ball", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0])
+    model = spec.compile()
+    write_heights(model, canyon.terrain)
+    data = mujoco.MjData(model)
+    ball, ground = model.geom("ball").id, model.geom("terrain").id
+    rng = np.random.default_rng(2)
+    points = rng.uniform([-60, -40, 0], [230, 90, 65], (1500, 3))
+    points = points[points[:, 2] > canyon.height(points[:, :2]) + 0.01]
+    exact = np.empty(len(points))
+    for k, point in enumerate(points):
+        data.qpos[:3] = point
+        mujoco.mj_kinematics(model, data)
+        cap, answer = 100.0, 0.0
+        while (answer := mujoco.mj_geomDistance(model, data, ball, ground, cap, None)) < cap - 1e-9:
+            cap = answer
+        exact[k] = cap + radius
+    error = np.abs(field.value(points) - exact)[exact > 1]
+    assert len(error) > 500
+    assert np.percentile(error, 99) < 0.35
+    assert error.max() < 0.8
+
+
+def test_function_and_value_are_the_same_everywhere(field):
+    points = np.random.default_rng(0).uniform(field.lower - 30, field.upper + 30, (500, 3))
+    np.testing.assert_allclose(np.array(field.function.map(500)(points.T)).ravel(), field.value(points), atol=1e-9)
+
+
+def test_the_spline_passes_through_the_grid(field):
+    index = np.random.default_rng(1).integers(0, field.distances.shape, (300, 3))
+    points = field.lower + field.spacing * index
+    np.testing.assert_allclose(field.value(points), field.distances[tuple(index.T)], atol=1e-6)
+
+
+def test_derivatives_are_those_of_the_values(field):
+    point = casadi.MX.sym("p", 3)
+    value = field.function(point)
+    hessian, gradient = casadi.hessian(value, point)
+    derivative = casadi.Function("d", [point], [gradient, hessian])
+    rng = np.random.default_rng(3)
+    for at in rng.uniform(field.lower + 5, field.upper - 5, (20, 3)):
+        slope, curvature = (np.array(x) for x in derivative(at))
+        step = 1e-4 * np.eye(3)
+        expected = (field.value(at + step) - field.value(at - step)) / 2e-4
+        np.testing.assert_allclose(slope.ravel(), expected, atol=1e-6)
+        ahead, behind = (np.array([derivative(at + s * d)[0] for d in step]).reshape(3, 3) for s in (1, -1))
+        np.testing.assert_allclose(curvature, (ahead - behind) / 2e-4, atol=1e-3)
+
+
+def test_nothing_is_gained_by_leaving_through_sides_or_bottom(field):
+    centre = 0.5 * (field.lower + field.upper)
+    for axis, sign in ((0, -1), (0, 1), (1, -1), (1, 1), (2, -1)):
+        border = centre.copy()
+        border[axis] = field.upper[axis] if sign > 0 else field.lower[axis]
+        outside = border[None] + sign * np.eye(3)[axis] * np.array([[0], [1], [10], [300]])
+        assert (np.diff(field.value(outside)) < -0.9).all()
+
+
+def test_above_the_box_the_value_is_a_safe_bound(canyon, field):
+    top = np.array([[0, 0, field.upper[2]], [0, 0, field.upper[2] + 50]])
+    value = field.value(top)
+    assert value[1] == pytest.approx(value[0])
+
+
+def test_sign_says_which_side(canyon, field):
+    points = np.random.default_rng(4).uniform(field.lower, field.upper, (3000, 3))
+    over = points[:, 2] - canyon.height(points[:, :2])
+    value = field.value(points)
+    # Near the surface the spline may be off by part of its spacing: only clear cases count.
+    assert (value[(over > 0) & (np.abs(value) > 1)] > 0).all()
+    assert (value[(over < 0) & (np.abs(value) > 1)] < 0).all()
+
+
+def test_no_terrain_has_no_field():
+    assert World().distance_field() is None
+
+
+# ---------------------------------------------------------------- the cache
+
+
+def test_a_field_comes_from_the_cache_bit_for_bit(monkeypatch):
+    first = distance_field(valley())
+    monkeypatch.setattr("vehsim.world.field._measure", lambda *_: pytest.fail("measured again"))
+    np.testing.assert_array_equal(distance_field(valley()).distances, first.distances)
+
+
+def test_another_terrain_or_spacing_is_another_field():
+    before = set(cache_folder().iterdir())
+    distance_field(valley(), spacing=1.5)
+    distance_field(valley(), spacing=1.25)
+    distance_field(valley(), spacing=1.25, box=[[5, 5, -10], [15, 15, 30]])
+    distance_field(Terrain("other", valley().heights + 1e-9), spacing=1.25)
+    assert len(set(cache_folder().iterdir()) - before) == 4
+
+
+@pytest.mark.parametrize("damage", [b"", b"nonsense", None])
+def test_a_damaged_entry_is_measured_again_with_a_warning(tmp_path, monkeypatch, damage):
+    monkeypatch.setenv("VEHSIM_CACHE", str(tmp_path))
+    first = distance_field(valley())
+    (file,) = tmp_path.iterdir()
+    file.write_bytes(file.read_bytes()[:-40] if damage is None else damage)
+    with pytest.warns(UserWarning, match="damaged"):
+        again = distance_field(valley())
+    np.testing.assert_array_equal(again.distances, first.distances)
+    np.testing.assert_array_equal(np.load(file), first.distances)
+
+
+def test_writers_at_once_leave_one_whole_entry(tmp_path, monkeypatch):
+    monkeypatch.setenv("VEHSIM_CACHE", str(tmp_path))
+    results = []
+    threads = [threading.Thread(target=lambda: results.append(distance_field(valley()))) for _ in range(6)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    (file,) = tmp_path.iterdir()
+    assert len(results) == 6
+    for result in results:
+        np.testing.assert_array_equal(result.distances, np.load(file))
+
+
+def test_a_cache_that_cannot_be_written_is_no_failure(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("VEHSIM_CACHE", str(tmp_path / "file" / "below"))
+    with pytest.warns(UserWarning, match="could not be cached"):
+        assert distance_field(valley()).value([[20, 15, 5]])[0] > 0
+
+
+@pytest.mark.parametrize("wrong", [{"spacing": 0}, {"spacing": np.nan}, {"spacing": 1e-3}, {"box": [[0, 0], [1, 1]]}])
+def test_wrong_fields_are_refused(wrong):
+    with pytest.raises(InputError, match=next(iter(wrong))):
+        distance_field(valley(), **wrong)
+
+
+def test_progress_runs_to_one():
+    told = []
+    distance_field(valley(), spacing=2.5, progress=lambda what, done: told.append(done))
+    assert told == sorted(told) and told[-1] == 1

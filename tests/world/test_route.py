@@ -1,0 +1,90 @@
+"""Routes: free, short, through the valley unless told otherwise; and honest when there is none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from vehsim.errors import InputError, SolveError
+from vehsim.world import Terrain, World
+
+START, GOAL = (0, 0, 30), (180, 40, 28)
+
+
+@pytest.fixture(scope="module")
+def canyon():
+    return World("canyon")
+
+
+def length(route):
+    return np.linalg.norm(np.diff(route, axis=0), axis=1).sum()
+
+
+def dense(route):
+    s = np.linspace(0, len(route) - 1, 40 * len(route))
+    return np.stack([np.interp(s, np.arange(len(route)), route[:, k]) for k in range(3)], axis=-1)
+
+
+@pytest.mark.parametrize("clearance", [1.0, 7.0, 10.0])
+def test_the_route_keeps_its_clearance_between_its_points_too(canyon, clearance):
+    route = canyon.route(START, GOAL, clearance)
+    assert route[0].tolist() == list(START) and route[-1].tolist() == list(GOAL)
+    assert canyon.distance_field().value(dense(route)).min() > clearance - 0.1
+
+
+def test_the_route_winds_through_the_canyon_below_its_rim(canyon):
+    route = canyon.route(START, GOAL, 7.0)
+    assert route[:, 2].max() < 41
+    assert length(route) > 1.3 * np.linalg.norm(np.subtract(GOAL, START))
+
+
+def test_a_higher_ceiling_flies_over_and_shorter(canyon):
+    over = canyon.route(START, GOAL, 7.0, ceiling=100)
+    assert over[:, 2].max() > 50
+    assert length(over) < length(canyon.route(START, GOAL, 7.0))
+
+
+def test_a_ceiling_is_kept(canyon):
+    assert canyon.route(START, GOAL, 5.0, ceiling=32)[:, 2].max() <= 32
+
+
+def test_over_open_ground_the_route_is_straight():
+    route = World("flat").route((-50, 0, 12), (80, 60, 15), 5.0)
+    assert length(route) == pytest.approx(np.linalg.norm([130, 60, 3]), rel=1e-3)
+
+
+def test_without_terrain_the_route_is_the_line():
+    assert World().route(START, GOAL, 5.0).tolist() == [list(START), list(GOAL)]
+
+
+def test_a_start_on_the_ground_can_be_left():
+    flat = World("flat")
+    route = flat.route((0, 0, 0.5), (60, 0, 12), 4.0)
+    assert route[:, 2].min() >= 0.3
+
+
+def test_no_way_is_said_clearly(canyon):
+    with pytest.raises(SolveError, match="clearance"):
+        canyon.route(START, GOAL, 40.0, ceiling=35)
+
+
+def test_a_wall_without_ceiling_is_flown_over():
+    heights = np.zeros((40, 60))
+    heights[:, 28:32] = 25.0
+    world = World(Terrain("wall", heights))
+    route = world.route((5, 20, 6), (55, 20, 6), 3.0)
+    assert route[:, 2].max() > 27
+    with pytest.raises(SolveError, match="ceiling"):
+        world.route((5, 20, 6), (55, 20, 6), 3.0, ceiling=20)
+
+
+def test_ends_in_the_rock_say_how_deep_and_where_it_is_free(canyon):
+    ground = float(canyon.height([GOAL[:2]])[0])
+    with pytest.raises(InputError, match=r"goal.*2\.5 m inside the rock; raise it to z = "):
+        canyon.route(START, (*GOAL[:2], ground - 2.5), 1.0)
+    with pytest.raises(InputError, match="beside the terrain"):
+        canyon.route(START, (5000, 0, 30), 1.0)
+    with pytest.raises(InputError, match=r"start.*ceiling"):
+        canyon.route(START, GOAL, 1.0, ceiling=10)
+    with pytest.raises(InputError, match="not a point"):
+        canyon.route((0, np.nan, 0), GOAL, 1.0)

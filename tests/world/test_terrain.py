@@ -1,0 +1,293 @@
+"""Terrains: the surface, the files it is read from, and what shipped terrains promise."""
+
+from __future__ import annotations
+
+import tomllib
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image, TiffImagePlugin
+
+from vehsim.errors import InputError
+from vehsim.world import Terrain, World
+
+RNG = np.random.default_rng(5)
+
+
+def hills(rows=9, cols=13):
+    return Terrain("hills", RNG.uniform(0, 4, (rows, cols)), origin=(-3.0, 2.0), cell=(0.5, 0.8))
+
+
+# ---------------------------------------------------------------- the surface
+
+
+def test_height_is_the_height_of_the_triangles():
+    terrain = hills()
+    mesh = trimesh.Trimesh(terrain.vertices, terrain.faces, process=False)
+    samples, _ = trimesh.sample.sample_surface(mesh, 2000, seed=1)
+    np.testing.assert_allclose(terrain.height(samples[:, :2]), samples[:, 2], atol=1e-9)
+    np.testing.assert_allclose(terrain.height(terrain.vertices[:, :2]), terrain.vertices[:, 2], atol=1e-12)
+
+
+def test_faces_look_up_and_split_along_the_diagonal_of_mujoco():
+    terrain = hills()
+    a, b, c = (terrain.vertices[terrain.faces[:, k]] for k in range(3))
+    assert (np.cross(b - a, c - a)[:, 2] > 0).all()
+    assert terrain.faces[:2].tolist() == [[0, 1, 14], [0, 14, 13]]
+
+
+def test_height_beyond_the_border_is_that_of_the_border():
+    terrain = hills()
+    assert terrain.height([[-100, -100]])[0] == terrain.heights[0, 0]
+    assert terrain.height([[100, 100]])[0] == terrain.heights[-1, -1]
+
+
+def test_content_hash_follows_content_alone():
+    heights = RNG.uniform(0, 4, (4, 5))
+    assert Terrain("a", heights).content_hash == Terrain("b", heights.copy()).content_hash
+    assert Terrain("a", heights).content_hash != Terrain("a", heights, origin=(1, 0)).content_hash
+    assert Terrain("a", heights).content_hash != Terrain("a", heights + 1e-9).content_hash
+
+
+def test_heights_cannot_be_changed_behind_the_caches():
+    heights = np.zeros((3, 3))
+    terrain = Terrain("a", heights)
+    heights[1, 1] = 5
+    assert terrain.height([[1, 1]])[0] == 0
+    with pytest.raises(ValueError, match="read-only"):
+        terrain.heights[0, 0] = 1
+
+
+# ---------------------------------------------------------------- files
+
+
+def write(tmp_path, name, heights, **scale):
+    """A height map and its scale beside it."""
+    file = tmp_path / name
+    if name.endswith(".npy"):
+        np.save(file, heights)
+    else:
+        Image.fromarray(heights).save(file)
+    if scale:
+        file.with_suffix(".toml").write_text("".join(f"{key} = {value}\n" for key, value in scale.items()))
+    return file
+
+
+def test_npz_carries_heights_cell_and_origin(tmp_path):
+    np.savez(tmp_path / "t.npz", heights=np.arange(12.0).reshape(3, 4), cell=2.0, origin=[5, 6])
+    terrain = Terrain.load(tmp_path / "t.npz")
+    assert terrain.cell == (2, 2) and terrain.origin == (5, 6)
+    assert terrain.height([[7, 8]])[0] == 5
+
+
+def test_npy_is_centred_and_warns_when_no_cell_is_given(tmp_path):
+    with pytest.warns(UserWarning, match="no cell size"):
+        terrain = Terrain.load(write(tmp_path, "t.npy", np.zeros((3, 5))))
+    assert terrain.origin == (-2, -1)
+
+
+@pytest.mark.parametrize(("dtype", "white"), [(np.uint8, 255), (np.uint16, 65535)])
+def test_png_runs_from_black_to_white_with_up_as_y(tmp_path, dtype, white):
+    grey = np.zeros((3, 4), dtype)
+    grey[0, 0] = white  # top left: smallest x, largest y
+    terrain = Terrain.load(write(tmp_path, "t.png", grey, range=[10, 60], cell=2, origin=[0, 0]))
+    assert terrain.height([[0, 4]])[0] == 60
+    assert terrain.height([[0, 0]])[0] == 10
+
+
+def test_geotiff_places_itself_with_north_as_y(tmp_path):
+    heights = np.zeros((3, 4), np.float32)
+    heights[0, 0] = 7.0
+    tags = TiffImagePlugin.ImageFileDirectory_v2()
+    for tag, value in ((33550, (10.0, 10.0, 0.0)), (33922, (0.0, 0.0, 0.0, 1000.0, 2000.0, 0.0))):
+        tags[tag], tags.tagtype[tag] = value, 12
+    Image.fromarray(heights).save(tmp_path / "t.tif", tiffinfo=tags)
+    terrain = Terrain.load(tmp_path / "t.tif")
+    assert terrain.cell == (10, 10) and terrain.origin == (1005, 1975)
+    assert terrain.height([[1005, 1995]])[0] == 7
+
+
+@pytest.mark.parametrize("suffix", ["obj", "stl", "ply", "glb", "usda"])
+def test_a_mesh_comes_back_as_the_heights_it_was_made_from(tmp_path, suffix):
+    source = Terrain("s", RNG.uniform(0, 1, (6, 7)), origin=(-3, 1), cell=(0.5, 0.5))
+    file = tmp_path / f"t.{suffix}"
+    if suffix == "usda":
+        write_usd(file, source)
+    else:
+        points = source.vertices @ np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]]) if suffix == "glb" else source.vertices
+        trimesh.Trimesh(points, source.faces, process=False).export(file)
+    file.with_suffix(".toml").write_text("cell = 0.5")
+    terrain = Terrain.load(file)
+    assert terrain.origin == pytest.approx((-3, 1), abs=1e-6)
+    np.testing.assert_allclose(terrain.heights, source.heights, atol=1e-5)
+    assert (terrain.look == file) == (suffix == "usda")
+
+
+def write_usd(file, terrain):
+    """In centimetres and Y up, below a translated Xform: a stranger's stage."""
+    from pxr import Usd, UsdGeom
+
+    stage = Usd.Stage.CreateNew(str(file))
+    UsdGeom.SetStageMetersPerUnit(stage, 0.01)
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    UsdGeom.Xform.Define(stage, "/land").AddTranslateOp().Set((0, 100, 0))
+    mesh = UsdGeom.Mesh.Define(stage, "/land/ground")
+    x, y, z = 100 * terrain.vertices.T
+    mesh.CreatePointsAttr(np.column_stack([x, z - 100, -y]).tolist())
+    mesh.CreateFaceVertexCountsAttr([3] * len(terrain.faces))
+    mesh.CreateFaceVertexIndicesAttr(terrain.faces.ravel().tolist())
+    stage.Save()
+
+
+def test_overhangs_are_filled_with_a_warning(tmp_path):
+    ground = trimesh.creation.box((20, 20, 1)).apply_translation([0, 0, -0.5])
+    arch = trimesh.creation.box((4, 20, 1)).apply_translation([0, 0, 5.5])
+    trimesh.util.concatenate([ground.subdivide_to_size(0.5), arch]).export(tmp_path / "arch.obj")
+    (tmp_path / "arch.toml").write_text("cell = 0.25")
+    with pytest.warns(UserWarning, match="overhangs"):
+        terrain = Terrain.load(tmp_path / "arch.obj")
+    assert terrain.height([[0, 0], [5, 0]]).tolist() == pytest.approx([6, 0])
+
+
+def test_holes_are_filled_with_a_warning(tmp_path):
+    source = Terrain("s", np.full((21, 21), 3.0))
+    centre = source.vertices[source.faces].mean(axis=1)
+    keep = np.abs(centre[:, :2] - 10).max(axis=1) > 2
+    mesh = trimesh.Trimesh(source.vertices, source.faces[keep], process=False)
+    mesh.export(tmp_path / "hole.ply")
+    (tmp_path / "hole.toml").write_text("cell = 1")
+    with pytest.warns(UserWarning, match="holes"):
+        assert (Terrain.load(tmp_path / "hole.ply").heights == 3).all()
+
+
+# ---------------------------------------------------------------- what is refused
+
+
+def refused(source, *words):
+    with pytest.raises(InputError) as caught:
+        Terrain.load(source)
+    message = str(caught.value)
+    assert all(word in message for word in words), message
+
+
+def test_unknown_names_list_the_shipped_terrains():
+    refused("canjon", "canjon", "canyon", "flat")
+
+
+def test_files_that_are_no_terrain_name_themselves(tmp_path):
+    for name in ("t.obj", "t.stl", "t.glb", "t.png", "t.npy", "t.npz", "t.tif", "t.usda"):
+        (tmp_path / name).write_bytes(b"nonsense")
+        refused(tmp_path / name, name)
+    (tmp_path / "t.doc").write_bytes(b"")
+    refused(tmp_path / "t.doc", ".doc", ".obj")
+
+
+def test_pickled_arrays_are_not_opened(tmp_path):
+    np.save(tmp_path / "t.npy", np.array([object()]), allow_pickle=True)
+    refused(tmp_path / "t.npy", "t.npy")
+
+
+def test_bad_heights_name_the_place(tmp_path):
+    heights = np.zeros((4, 4))
+    heights[2, 1] = np.nan
+    refused(write(tmp_path, "t.npy", heights, cell=1), "t.npy", "heights[2, 1]", "fill the holes")
+    heights[2, 1] = -32768
+    refused(write(tmp_path, "u.npy", heights, cell=1), "u.npy", "heights[2, 1]", "no-data")
+    refused(write(tmp_path, "v.npy", np.zeros((1, 4)), cell=1), "v.npy", "grid")
+    refused(write(tmp_path, "w.npy", np.zeros(4), cell=1), "w.npy", "grid")
+
+
+@pytest.mark.parametrize(
+    ("scale", "words"),
+    [
+        ({"cell": 0}, ["cell", "metres"]),
+        ({"cell": "nan"}, ["cell"]),
+        ({"cell": "'wide'"}, ["cell", "wide"]),
+        ({"cel": 1}, ["cel", "unknown key"]),
+        ({"cell": 1, "origin": "[1, 'a']"}, ["origin"]),
+        ({"cell": 1, "schema": 9}, ["schema", "9"]),
+        ({"cell": 1, "look": "'none.usda'"}, ["look", "none.usda"]),
+        ({"cell": "= 2"}, ["TOML"]),
+    ],
+)
+def test_bad_scales_name_file_and_key(tmp_path, scale, words):
+    refused(write(tmp_path, "t.npy", np.zeros((4, 4)), **scale), "t.", *words)
+
+
+def test_a_picture_must_say_how_high_it_is(tmp_path):
+    refused(write(tmp_path, "t.png", np.zeros((4, 4), np.uint8), cell=1), "range")
+
+
+def test_an_absurdly_large_terrain_is_refused_before_any_work(tmp_path):
+    file = write(tmp_path, "t.npy", np.zeros((4, 4)), cell=1)
+    header = file.read_bytes().replace(b"(4, 4)", b"(9999999, 99999)")
+    file.write_bytes(header)
+    refused(file, "t.npy")
+    trimesh.creation.box((100, 100, 1)).export(tmp_path / "b.stl")
+    (tmp_path / "b.toml").write_text("cell = 0.001")
+    refused(tmp_path / "b.stl", "cell")
+
+
+@pytest.mark.parametrize("wind", [(1, 2), (0, np.nan, 0), "windy", (0, 0, 1000)])
+def test_bad_wind_is_named(wind):
+    with pytest.raises(InputError, match=r"world\.wind"):
+        World(wind=wind)
+
+
+# ---------------------------------------------------------------- shipped terrains
+
+
+@pytest.mark.parametrize("name", ["canyon", "flat"])
+def test_the_look_is_the_surface(name):
+    from pxr import Usd, UsdGeom
+
+    terrain = Terrain.load(name)
+    stage = Usd.Stage.Open(str(terrain.look))
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath(f"/{name}/ground"))
+    np.testing.assert_allclose(np.array(mesh.GetPointsAttr().Get()), terrain.vertices, atol=1e-5)
+    faces = np.array(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3)
+    np.testing.assert_array_equal(faces, terrain.faces)
+
+
+@pytest.mark.parametrize("name", ["canyon", "flat"])
+def test_the_look_passes_every_validator_of_usd(name):
+    from pxr import Usd, UsdValidation
+
+    stage = Usd.Stage.Open(str(Terrain.load(name).look))
+    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    errors = UsdValidation.ValidationContext(validators).Validate(stage)
+    assert [error.GetMessage() for error in errors] == []
+    assert len(validators) > 10
+
+
+def test_every_texture_coordinate_of_the_canyon_is_used_once():
+    """No triangle of the unwrapped canyon is turned over or collapsed in the picture."""
+    from pxr import Usd, UsdGeom
+
+    terrain = Terrain.load("canyon")
+    stage = Usd.Stage.Open(str(terrain.look))
+    st = np.array(UsdGeom.PrimvarsAPI(stage.GetPrimAtPath("/canyon/ground")).GetPrimvar("st").Get(), dtype=float)
+    assert st.min() >= 0 and st.max() <= 1
+    a, b, c = (st[terrain.faces[:, k]] for k in range(3))
+    u, v = b - a, c - a
+    area = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
+    assert area.min() > 0
+
+
+def test_the_canyon_is_worth_flying():
+    """About 1e5 triangles; free ends, a floor near z = 0 below them, and rock on the straight line between them."""
+    terrain = Terrain.load("canyon")
+    assert 9e4 < len(terrain.faces) < 1.1e5
+    start, goal = np.array([0, 0, 30.0]), np.array([180, 40, 28.0])
+    assert (np.abs(terrain.height([start[:2], goal[:2]])) < 5).all()
+    line = start + np.linspace(0, 1, 500)[:, None] * (goal - start)
+    assert np.mean(terrain.height(line[:, :2]) > line[:, 2]) > 0.2
+    assert terrain.heights.max() - terrain.heights.min() > 60
+
+
+def test_shipped_terrain_files_are_whole():
+    for name in ("canyon", "flat"):
+        terrain = Terrain.load(name)
+        table = tomllib.loads((terrain.look.parent / "terrain.toml").read_text())
+        assert table["name"] == name
