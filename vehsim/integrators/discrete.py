@@ -24,6 +24,7 @@ from vehsim.lie import SO3, difference_map
 from vehsim.vehicles import Vehicle
 from vehsim.vehicles.mechanics import (
     Expr,
+    coefficients,
     conservative,
     driven_rates,
     free_size,
@@ -99,9 +100,16 @@ class DiscreteMechanics:
         return {"left": left, "right": right, "g1": g1, "r1": r1}
 
     def _middle(self, r: Expr, z: Expr, driven: Expr, h: Expr) -> tuple[Expr, tuple[Expr, Expr]]:
-        """Shape at mid-segment and the velocity ``(u, xi)`` there; joint rates do not depend on the shape."""
+        """Shape at mid-segment and the velocity ``(u, xi)`` there."""
         u, _ = free_velocity(self.vehicle, r, z, driven)
-        middle = r + h / 2 * u
+        middle, tied = r + h / 2 * u, list(self.vehicle.tied)
+        if tied:  # their rates depend on the shape they lead to: Newton, unrolled
+            symbol = ca.SX.sym("middle", r.shape[0])
+            gap = (symbol - r - h / 2 * free_velocity(self.vehicle, symbol, z, driven)[0])[tied]
+            update = ca.solve(ca.jacobian(gap, symbol[tied]), gap)
+            newton = ca.Function("middle", [symbol, r, z, driven, h], [update], {"allow_free": False})
+            for _ in range(NEWTON_STEPS):
+                middle[tied] -= newton(middle, r, z, driven, h)
         return middle, free_velocity(self.vehicle, middle, z, driven)
 
     @cached_property
@@ -150,10 +158,7 @@ class DiscreteMechanics:
         """``(r, pi, c) -> z``: the knot's own velocity as a first guess of its segment's."""
         v, y = self.vehicle, self.symbols
         u, xi = self.knot_velocity(y["r"], y["pi"], y["c0"])
-        basis = v.basis(y["r"])
-        along = xi + v.connection(y["r"]) @ u
-        free = ca.solve(basis.T @ basis, basis.T @ along) if basis.shape[1] else ca.SX(0, 1)
-        return ca.Function("guess", [y["r"], y["pi"], y["c0"]], [ca.vertcat(free, u[list(v.dynamic)])])
+        return ca.Function("guess", [y["r"], y["pi"], y["c0"]], [coefficients(v, y["r"], u, xi)])
 
     @cached_property
     def root_state(self) -> ca.Function:

@@ -94,7 +94,8 @@ class Vehicle:
 
     - ``reduced_lagrangian(r, u, xi)``: kinetic energy minus joint potential, scalar
     - ``basis(r)`` (d, b): group velocities the constraints leave free with the joints locked
-    - ``connection(r)`` (d, s): the free motion is ``xi = basis(r) z_b - connection(r) u``
+    - ``connection(r)`` (d, s): the free motion is ``xi = basis(r) z_b - connection(r) u``; where constraints bind the
+      joints themselves, the rates of the ``tied`` joints are further rows of both
     - ``potential(g, r)``: energy of position, J (gravity); zero unless the vehicle says otherwise
     - ``force(g, r, u, xi, c, wind)``: everything else that acts, covectors on the joints (s,) and the group (d,);
       ``xi`` is the group's velocity
@@ -131,9 +132,14 @@ class Vehicle:
 
     @property
     def dynamic(self) -> tuple[int, ...]:
-        """Indices of the joints whose rates follow from the dynamics (all but those of rate controls)."""
+        """Indices of the joints whose rates are free: neither set by a rate control nor tied by the constraints."""
         driven = set(self.rate_controls.values())
-        return tuple(i for i, joint in enumerate(self.joints) if joint not in driven)
+        return tuple(i for i, joint in enumerate(self.joints) if joint not in driven and i not in self.tied)
+
+    @property
+    def tied(self) -> tuple[int, ...]:
+        """Indices of the joints whose rates the constraints give, as they do the group's velocity (a trailer's hitch)."""
+        return ()
 
     @property
     def driven(self) -> tuple[tuple[int, int], ...]:

@@ -12,19 +12,31 @@ def free_velocity(vehicle: Vehicle, r: Expr, z: Expr, driven: Expr) -> tuple[Exp
 
     ``driven`` (s,): the rates set by rate controls, zero elsewhere.
     """
-    basis = vehicle.basis(r)
+    basis, d = vehicle.basis(r), vehicle.group.dim
     b = basis.shape[1]
     u = ca.SX(driven)
     for position, joint in enumerate(vehicle.dynamic):
         u[joint] = z[b + position]
     free = z[:b] if b else ca.SX(0, 1)
-    return u, basis @ free - vehicle.connection(r) @ u
+    bound = basis @ free - vehicle.connection(r) @ u
+    for position, joint in enumerate(vehicle.tied):
+        u[joint] = bound[d + position]
+    return u, bound[:d]
 
 
 def project(vehicle: Vehicle, r: Expr, on_joints: Expr, on_group: Expr) -> Expr:
     """A covector on the joints (s,) and the group (d,) restricted to the free velocities at ``r``: (b + s_d,)."""
-    lifted = on_joints - vehicle.connection(r).T @ on_group
-    return ca.vertcat(vehicle.basis(r).T @ on_group, lifted[list(vehicle.dynamic)])
+    on_bound = ca.vertcat(on_group, on_joints[list(vehicle.tied)])
+    lifted = on_joints - vehicle.connection(r).T @ on_bound
+    return ca.vertcat(vehicle.basis(r).T @ on_bound, lifted[list(vehicle.dynamic)])
+
+
+def coefficients(vehicle: Vehicle, r: Expr, u: Expr, xi: Expr) -> Expr:
+    """The free velocity ``z`` (b + s_d,) that joint rates (s,) and a group velocity (d,) have, or nearly have."""
+    basis = vehicle.basis(r)
+    along = ca.vertcat(xi, u[list(vehicle.tied)]) + vehicle.connection(r) @ u
+    free = ca.solve(basis.T @ basis, basis.T @ along) if basis.shape[1] else ca.SX(0, 1)
+    return ca.vertcat(free, u[list(vehicle.dynamic)])
 
 
 def momentum(vehicle: Vehicle, r: Expr, u: Expr, xi: Expr) -> tuple[Expr, Expr]:

@@ -39,11 +39,21 @@ class Nonholonomic(Vehicle):
     def __post_init__(self) -> None:
         super().__post_init__()
         sample = np.zeros(len(self.joints)) if self.sample is None else np.asarray(self.sample, float)
-        r = ca.SX.sym("r", len(self.joints))
-        _, w_xi = self._constraints(r)
-        numeric = np.array(ca.Function("w", [r], [ca.densify(w_xi)])(sample)).reshape(w_xi.shape)
-        object.__setattr__(self, "_pivots", _pivots(self.name, numeric, sample))
+        if sample.shape != (len(self.joints),) or not np.all(np.isfinite(sample)):
+            raise InputError(f"{self.name}: sample = {self.sample!r}: give {len(self.joints)} finite numbers")
+        object.__setattr__(self, "_tied", ())
+        object.__setattr__(self, "_tied", _tied(self, sample))
+        object.__setattr__(self, "_pivots", _pivots(self, sample))
         _check_definite(self, sample)
+
+    @property
+    def tied(self) -> tuple[int, ...]:
+        return self._tied  # type: ignore[attr-defined, no-any-return]
+
+    def bound(self, r: Expr) -> Expr:
+        """``W_xi`` beside the tied joints' columns of ``W_r`` (m, d + t): what the constraints solve for."""
+        w_r, w_xi = self._constraints(r)
+        return ca.horzcat(w_xi, w_r[:, list(self.tied)])
 
     def _constraints(self, r: Expr) -> tuple[Expr, Expr]:
         s, d = len(self.joints), self.group.dim
@@ -61,27 +71,37 @@ class Nonholonomic(Vehicle):
         return self.lagrangian(r, u, xi)
 
     def basis(self, r: Expr) -> Expr:
-        """Basis of null(W_xi(r)), (d, b): the pivot columns are eliminated."""
-        _, w_xi = self._constraints(r)
+        """Basis of the null space of ``bound(r)``, (d + t, b)."""
+        w = self.bound(r)
+        rows, columns = w.shape
+        if columns == rows + 1 and w.is_constant() is False:
+            return _normal(w)
         pivots: tuple[int, ...] = self._pivots  # type: ignore[attr-defined]
-        free = [i for i in range(self.group.dim) if i not in pivots]
-        basis = ca.SX(self.group.dim, len(free))
+        free = [i for i in range(columns) if i not in pivots]
+        basis = ca.SX(columns, len(free))
         for column, i in enumerate(free):
             basis[i, column] = 1
         if pivots and free:
-            basis[list(pivots), :] = -ca.solve(w_xi[:, list(pivots)], w_xi[:, free])
+            basis[list(pivots), :] = -ca.solve(w[:, list(pivots)], w[:, free])
         return basis
 
     def connection(self, r: Expr) -> Expr:
-        """``A(r)`` (d, s) with ``xi = -A u`` the lift that meets the constraints and carries no free momentum."""
-        s, d = len(self.joints), self.group.dim
-        w_r, w_xi = self._constraints(r)
-        u, xi = ca.SX.sym("u", s), ca.SX.sym("xi", d)
-        momentum = ca.gradient(self.reduced_lagrangian(r, u, xi), xi)
+        """``A(r)`` (d + t, s) with ``-A u`` the lift that meets the constraints and carries no free momentum."""
+        s, d, tied = len(self.joints), self.group.dim, list(self.tied)
+        w_r, _ = self._constraints(r)
+        u, xi, rates = ca.SX.sym("u", s), ca.SX.sym("xi", d), ca.SX.sym("rates", len(tied))
+        others = [i for i in range(s) if i not in tied]
+        all_rates = ca.SX(u)
+        all_rates[tied] = rates
+        x = ca.vertcat(xi, rates)
+        momentum = ca.gradient(self.reduced_lagrangian(r, all_rates, xi), x)
         e = self.basis(r)
-        rows_u = ca.vertcat(w_r, e.T @ ca.jacobian(momentum, u))
-        rows_xi = ca.vertcat(w_xi, e.T @ ca.jacobian(momentum, xi))
-        return ca.solve(rows_xi, rows_u) if s else ca.SX(d, 0)
+        rows_u = ca.vertcat(w_r, e.T @ ca.jacobian(momentum, u))[:, others]
+        rows_x = ca.vertcat(self.bound(r), e.T @ ca.jacobian(momentum, x))
+        lift = ca.SX(d + len(tied), s)
+        if others:
+            lift[:, others] = ca.solve(rows_x, rows_u)
+        return lift
 
     def force(self, g: Expr, r: Expr, u: Expr, xi: Expr, c: Expr, wind: Expr) -> tuple[Expr, Expr]:
         s, d = len(self.joints), self.group.dim
@@ -109,18 +129,56 @@ def _matrix(values: Any) -> Expr:
     return ca.SX(values)
 
 
-def _pivots(name: str, w_xi: np.ndarray, sample: np.ndarray) -> tuple[int, ...]:
-    """Columns of W_xi to eliminate: the best conditioned square block at the sample."""
-    rows, columns = w_xi.shape
-    if rows == 0:
-        return ()
-    best = max(combinations(range(columns), rows), key=lambda c: np.linalg.svd(w_xi[:, c], compute_uv=False)[-1])
-    if np.linalg.matrix_rank(w_xi, tol=1e-9 * max(1.0, np.abs(w_xi).max())) < rows:
+def _normal(w: Expr) -> Expr:
+    """The unit vector (n + 1, 1) across n rows, by cofactors: smooth wherever the rows are independent."""
+    columns = w.shape[1]
+    cofactors = []
+    for i in range(columns):
+        rest = [j for j in range(columns) if j != i]
+        cofactors.append((-1) ** i * (ca.det(w[:, rest]) if len(rest) else ca.SX(1)))
+    normal = ca.vertcat(*cofactors)
+    return normal / ca.sqrt(ca.dot(normal, normal))
+
+
+def _numeric(expression: Callable[[Expr], Expr], r: np.ndarray) -> np.ndarray:
+    symbol = ca.SX.sym("r", len(r))
+    matrix = expression(symbol)
+    return np.array(ca.Function("w", [symbol], [ca.densify(matrix)])(r)).reshape(matrix.shape)
+
+
+def _tied(vehicle: Nonholonomic, sample: np.ndarray) -> tuple[int, ...]:
+    """Joints whose rates the constraints fix besides the group's velocity: as few as make the rows independent."""
+    w_r, w_xi = (_numeric(lambda r, i=i: vehicle._constraints(r)[i], sample) for i in (0, 1))
+    scale = 1e-9 * max(1.0, *(np.abs(w).max() for w in (w_r, w_xi) if w.size)) if w_xi.size or w_r.size else 1.0
+    rows = len(w_xi)
+    missing = rows - (np.linalg.matrix_rank(w_xi, tol=scale) if w_xi.size else 0)
+    choices = combinations(vehicle.dynamic, missing)
+    best = max(choices, key=lambda tied: _smallest(np.hstack([w_xi, w_r[:, list(tied)]])), default=None)
+    if best is None or (rows and _smallest(np.hstack([w_xi, w_r[:, list(best)]])) <= scale):
         raise InputError(
-            f"{name}: constraints lose rank at joints = {sample.tolist()}: W_xi = {w_xi.tolist()}; "
-            "drop the dependent row, or give a `sample` where they are independent"
+            f"{vehicle.name}: constraints lose rank at joints = {sample.tolist()}: W_r = {w_r.tolist()}, W_xi = "
+            f"{w_xi.tolist()}; drop the dependent row, or give a `sample` where they are independent"
         )
-    return tuple(best)
+    return best
+
+
+def _smallest(matrix: np.ndarray) -> float:
+    """Smallest singular value of the rows: zero when they are dependent."""
+    rows, columns = matrix.shape
+    return float(np.linalg.svd(matrix, compute_uv=False)[-1]) if 0 < rows <= columns else float(rows == 0)
+
+
+def _pivots(vehicle: Nonholonomic, sample: np.ndarray) -> tuple[int, ...]:
+    """Columns to eliminate: the square block that stays best conditioned over the joints' limits, and at the sample."""
+    limits = [vehicle.joint_limits.get(joint, (-np.inf, np.inf)) for joint in vehicle.joints]
+    spread = np.random.default_rng(0).uniform(size=(16, len(limits)))
+    ends = [(a, b) if np.isfinite(a) and np.isfinite(b) else (x, x) for (a, b), x in zip(limits, sample, strict=True)]
+    points = [sample, *(np.array([a + t * (b - a) for (a, b), t in zip(ends, row, strict=True)]) for row in spread)]
+    matrices = [_numeric(vehicle.bound, np.asarray(point, float)) for point in points]
+    rows, columns = matrices[0].shape
+    blocks = combinations(range(columns), rows)
+    # at the sample first: elsewhere the rows themselves may be dependent
+    return max(blocks, key=lambda c: min(_smallest(w[:, c]) / max(_smallest(w), 1e-6) for w in matrices[:1] + matrices))
 
 
 def _check_definite(vehicle: Nonholonomic, sample: np.ndarray) -> None:

@@ -14,7 +14,15 @@ import numpy as np
 from vehsim.errors import InputError
 from vehsim.lie import SO3, difference_map
 from vehsim.vehicles._base import Array, Expr, State, Vehicle
-from vehsim.vehicles.mechanics import acceleration, driven_rates, energy, free_size, free_velocity, momentum
+from vehsim.vehicles.mechanics import (
+    acceleration,
+    coefficients,
+    driven_rates,
+    energy,
+    free_size,
+    free_velocity,
+    momentum,
+)
 
 
 def internal(vehicle: Vehicle, state: State) -> tuple[Array, Array, Array, Array]:
@@ -42,11 +50,17 @@ def internal(vehicle: Vehicle, state: State) -> tuple[Array, Array, Array, Array
         twist = _flat(ca.DM(shift_twist(ca.DM(twist), vehicle.origin)))
     xi = group.velocity_from_body(g, twist)
     u = _sized("joint_rates", state.joint_rates, s)
-    connection = np.array(kept(vehicle, "connection", lambda: _connection(vehicle))(r)).reshape(group.dim, s)
+    basis, connection = (np.array(m) for m in kept(vehicle, "lift", lambda: _lift(vehicle))(r))
+    connection = connection.reshape(len(basis), s)
     if state.joint_rates is None and s:
-        u = np.linalg.lstsq(connection, -xi, rcond=None)[0]
+        # first what moves with the joints locked, then the joints that the rest of the twist needs
+        rest = xi - basis[: group.dim] @ np.linalg.lstsq(basis[: group.dim], xi, rcond=None)[0]
+        u = np.linalg.lstsq(connection[: group.dim], -rest, rcond=None)[0]
     elif state.twist is None and s:
-        xi = -connection @ u
+        xi = -(connection @ u)[: group.dim]
+    if state.joint_rates is None and vehicle.tied:
+        free = np.linalg.lstsq(basis[: group.dim], xi + (connection @ u)[: group.dim], rcond=None)[0]
+        u[list(vehicle.tied)] = (basis @ free - connection @ u)[group.dim :]
     return g, r, u, xi
 
 
@@ -131,18 +145,16 @@ def _symbols(vehicle: Vehicle) -> tuple[Expr, ...]:
     return tuple(ca.SX.sym(name, size) for name, size in sizes.items())
 
 
-def _connection(vehicle: Vehicle) -> ca.Function:
+def _lift(vehicle: Vehicle) -> ca.Function:
+    """``r -> (basis, connection)``"""
     r = ca.SX.sym("r", len(vehicle.joints))
-    return ca.Function("A", [r], [ca.densify(vehicle.connection(r))])
+    return ca.Function("lift", [r], [ca.densify(vehicle.basis(r)), ca.densify(vehicle.connection(r))])
 
 
 def _coefficients(vehicle: Vehicle) -> ca.Function:
-    """``(r, u, xi) -> z``: the free velocity nearest to given joint rates and group velocity, in the kinetic energy."""
+    """``(r, u, xi) -> z``"""
     _, r, u, xi, _, _ = _symbols(vehicle)
-    basis = vehicle.basis(r)
-    along = xi + vehicle.connection(r) @ u
-    free = ca.solve(basis.T @ basis, basis.T @ along) if basis.shape[1] else ca.SX(0, 1)
-    return ca.Function("z", [r, u, xi], [ca.vertcat(free, u[list(vehicle.dynamic)])])
+    return ca.Function("z", [r, u, xi], [ca.densify(coefficients(vehicle, r, u, xi))])
 
 
 def _sized(name: str, values: Any, size: int) -> Array:
