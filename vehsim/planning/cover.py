@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 SPHERES = 8
 """More follow the hull more closely and cost the optimiser more."""
-_SPACING = 0.5
+_SPACING = 0.6
 
 
 @lru_cache(maxsize=32)
@@ -29,7 +29,7 @@ def sphere_cover(vehicle: Vehicle, count: int = SPHERES) -> tuple[Array, Array]:
 
     points = np.vstack([_surface(hull) for hull in collision_hulls(vehicle.rig.asset, vehicle.rig.root or None)])
     centres = _spread(points, min(count, len(points)))
-    for _ in range(15):  # Lloyd's algorithm with enclosing balls instead of means: it shrinks the largest radius
+    for _ in range(10):  # Lloyd's algorithm with enclosing balls instead of means: it shrinks the largest radius
         nearest = np.argmin(np.linalg.norm(points[:, None] - centres, axis=2), axis=1)
         centres = np.array([_ball(points[nearest == k], centres[k]) for k in range(len(centres))])
     distance = np.linalg.norm(points[:, None] - centres, axis=2)

@@ -42,6 +42,8 @@ FINEST = 4
 """A plan is refined to at most this many times the segments asked for."""
 SLACK = 0.01
 """How far below the asked clearance a certified motion may be, m."""
+ROOM = 30.0
+"""How far from the first path the optimiser sees the terrain, m."""
 CRUISE = 12.0
 """Guess of a free leg's speed, m/s, when no speed limit is lower."""
 
@@ -151,9 +153,8 @@ def plan(
 def _solve(request: _Request, progress: Progress | None, guess: Any) -> Plan:
     began = time.perf_counter()
     t = transcription(request.vehicle)
-    cover = _cover(request, progress)
-    paths = _paths(request, guess, cover)
-    attempt = _Attempt(request, t, cover, progress)
+    paths = _paths(request, guess, progress)
+    attempt = _Attempt(request, t, _cover(request, paths), progress)
     attempt.start(paths)
     attempt.solve()
     attempt.settle()
@@ -330,15 +331,19 @@ class _Attempt:
         return report
 
 
-def _cover(request: _Request, progress: Progress | None) -> Any:
-    """Distance function and sphere cover, or None where there is nothing to hit."""
+def _cover(request: _Request, paths: list[Array]) -> Any:
+    """Distance function around the paths and sphere cover, or None where there is nothing to hit."""
     if not request.terrain:
         return None
-    field = request.world.distance_field(progress=progress)
-    return None if field is None else (field.function, *sphere_cover(request.vehicle))
+    field = request.world.distance_field()
+    if field is None:
+        return None
+    points = np.vstack(paths)
+    room = field.crop(points.min(axis=0) - ROOM, points.max(axis=0) + ROOM)
+    return (room.function, *sphere_cover(request.vehicle))
 
 
-def _paths(request: _Request, guess: Any, cover: Any) -> list[Array]:
+def _paths(request: _Request, guess: Any, progress: Progress | None) -> list[Array]:
     """A polyline (k, 3) for every leg between marks."""
     positions = _mark_positions(request.marks)
     legs = list(pairwise(positions))
@@ -347,10 +352,11 @@ def _paths(request: _Request, guess: Any, cover: Any) -> list[Array]:
         if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2:
             raise InputError(f"guess: shape {points.shape}; give a Clip, or a path of (k, 3) points in metres")
         return _cut(points, legs)
-    if cover is None:
+    if not request.terrain:
         return [np.array(leg) for leg in legs]
+    request.world.distance_field(progress=progress)
     # the route is flown by a ball around the hulls' middle
-    _, centres, radii = cover
+    centres, radii = sphere_cover(request.vehicle)
     middle = (centres.max(axis=0) + centres.min(axis=0)) / 2
     reach = float(np.max(np.linalg.norm(centres - middle, axis=1) + radii)) + request.clearance
     lift = np.array([0, 0, middle[2]])

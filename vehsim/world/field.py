@@ -56,6 +56,16 @@ class DistanceField:
         """(3,) m: the far corner of the box."""
         return self.lower + self.spacing * (np.array(self.distances.shape) - 1)
 
+    def crop(self, lower: ArrayLike, upper: ArrayLike) -> DistanceField:
+        """The field of a smaller box that holds ``lower..upper`` (3,) m: quicker to hand to an optimiser."""
+        shape = np.array(self.distances.shape)
+        first = np.floor((np.asarray(lower, float) - self.lower) / self.spacing).astype(int) - 2
+        last = np.ceil((np.asarray(upper, float) - self.lower) / self.spacing).astype(int) + 3
+        first = np.clip(first, 0, shape - 4)
+        last = np.clip(last, first + 4, shape)
+        part = tuple(slice(a, b) for a, b in zip(first, last, strict=True))
+        return DistanceField(self.distances[part], self.lower + self.spacing * first, self.spacing)
+
     @cached_property
     def _coefficients(self) -> Array:
         """B-spline coefficients (nx + 2, ny + 2, nz + 2); mirrored ends."""
