@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import importlib
+import os
+import sys
 from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
+
+if sys.platform == "linux":
+    # MuJoCo chooses its OpenGL platform at its first import, which may be for a distance, long before a picture
+    os.environ.setdefault("MUJOCO_GL", "egl")
 
 _PUBLIC = {
     "Clip": "vehsim.clip",
