@@ -31,6 +31,7 @@ from vehsim.vehicles.mechanics import (
     free_velocity,
     momentum,
     project,
+    rows,
     shape_gradient,
 )
 from vehsim.vehicles.states import shift_twist
@@ -102,14 +103,15 @@ class DiscreteMechanics:
     def _middle(self, r: Expr, z: Expr, driven: Expr, h: Expr) -> tuple[Expr, tuple[Expr, Expr]]:
         """Shape at mid-segment and the velocity ``(u, xi)`` there."""
         u, _ = free_velocity(self.vehicle, r, z, driven)
-        middle, tied = r + h / 2 * u, list(self.vehicle.tied)
+        middle, tied = r + h / 2 * u, self.vehicle.tied
         if tied:  # their rates depend on the shape they lead to: Newton, unrolled
-            symbol = ca.SX.sym("middle", r.shape[0])
-            gap = (symbol - r - h / 2 * free_velocity(self.vehicle, symbol, z, driven)[0])[tied]
-            update = ca.solve(ca.jacobian(gap, symbol[tied]), gap)
-            newton = ca.Function("middle", [symbol, r, z, driven, h], [update], {"allow_free": False})
+            symbols = [ca.SX.sym(x, n.shape[0]) for x, n in (("m", r), ("r", r), ("z", z), ("driven", r), ("h", h))]
+            m_, r_, z_, driven_, h_ = symbols
+            gap = rows(m_ - r_ - h_ / 2 * free_velocity(self.vehicle, m_, z_, driven_)[0], tied)
+            update = ca.solve(ca.jacobian(gap, m_)[:, list(tied)], gap)
+            newton = ca.Function("middle", symbols, [update])
             for _ in range(NEWTON_STEPS):
-                middle[tied] -= newton(middle, r, z, driven, h)
+                middle[list(tied)] -= newton(middle, r, z, driven, h)
         return middle, free_velocity(self.vehicle, middle, z, driven)
 
     @cached_property

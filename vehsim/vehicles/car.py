@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import casadi as ca
 
 from vehsim.lie import SE2
 from vehsim.vehicles._base import Channel, Control, Expr
+from vehsim.vehicles._ground import slope_energy
 from vehsim.vehicles.nonholonomic import Nonholonomic
 
 
@@ -18,11 +21,14 @@ def car(
     wheel_radius: float,
     wheelbase: float,
     half_track: float,
+    slope: Sequence[float] = (0.0, 0.0),
+    rolling_damping: float = 0.0,
 ) -> Nonholonomic:
     """A car whose body frame stands on the rear axle.
 
     ``mass`` kg, ``wheel_inertia`` (rear wheels, LIE's I) and ``yaw_inertia`` (K, about the rear axle) kg m^2; radius,
-    wheelbase and half track in m. Joints: ``psi``, roll of the rear wheels [rad], and ``sigma = tan(steering angle)``.
+    wheelbase and half track in m; ``slope`` (2,) rise of the ground per metre along world X and Y; ``rolling_damping``
+    N m s/rad of the rear axle. Joints: ``psi``, roll of the rear wheels [rad], and ``sigma = tan(steering angle)``.
     Controls: ``torque`` on the rear axle [N m] and ``steering_rate``, the rate of sigma [1/s].
     Channels: ``roll_*`` of the four wheels, each without slip, and Ackermann ``steer_*`` of the front two [rad].
     """
@@ -36,7 +42,7 @@ def car(
         return ca.horzcat(psi_dot, ca.SX(3, 1)), ca.SX.eye(3)
 
     def forces(r: Expr, u: Expr, xi: Expr, c: Expr) -> Expr:
-        return ca.vertcat(c[0], 0)
+        return ca.vertcat(c[0] - rolling_damping * u[0], 0)
 
     def rear(side: float) -> Channel:
         return Channel(rate=lambda t, r, u, xi, c: (xi[1] - side * half_track * xi[0]) / rho)
@@ -58,6 +64,7 @@ def car(
         lagrangian=lagrangian,
         constraints=constraints,
         forces=forces,
+        potential_energy=slope_energy(mass, slope),
         controls=tuple(Control(n) for n in ("torque", "steering_rate")),
         rate_controls={"steering_rate": "sigma"},
         channels={

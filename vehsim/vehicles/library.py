@@ -21,6 +21,13 @@ if TYPE_CHECKING:
 MODELS: dict[str, str] = {
     "helicopter": "vehsim.vehicles.helicopter:helicopter",
     "car": "vehsim.vehicles.car:car",
+    "simple_car": "vehsim.vehicles.simple_car:simple_car",
+    "two_wheeled": "vehsim.vehicles.two_wheeled:two_wheeled",
+    "snakeboard": "vehsim.vehicles.snakeboard:snakeboard",
+    "chaplygin_sleigh": "vehsim.vehicles.chaplygin_sleigh:chaplygin_sleigh",
+    "roller_racer": "vehsim.vehicles.roller_racer:roller_racer",
+    "car_trailer": "vehsim.vehicles.car_trailer:car_trailer",
+    "suslov": "vehsim.vehicles.suslov:suslov",
 }
 """Model name -> the function that makes its vehicle from ``[physics]``."""
 

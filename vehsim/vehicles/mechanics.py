@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import casadi as ca
 
 from vehsim.vehicles._base import Expr, Vehicle
@@ -26,17 +28,22 @@ def free_velocity(vehicle: Vehicle, r: Expr, z: Expr, driven: Expr) -> tuple[Exp
 
 def project(vehicle: Vehicle, r: Expr, on_joints: Expr, on_group: Expr) -> Expr:
     """A covector on the joints (s,) and the group (d,) restricted to the free velocities at ``r``: (b + s_d,)."""
-    on_bound = ca.vertcat(on_group, on_joints[list(vehicle.tied)])
+    on_bound = ca.vertcat(on_group, rows(on_joints, vehicle.tied))
     lifted = on_joints - vehicle.connection(r).T @ on_bound
-    return ca.vertcat(vehicle.basis(r).T @ on_bound, lifted[list(vehicle.dynamic)])
+    return ca.vertcat(vehicle.basis(r).T @ on_bound, rows(lifted, vehicle.dynamic))
 
 
 def coefficients(vehicle: Vehicle, r: Expr, u: Expr, xi: Expr) -> Expr:
     """The free velocity ``z`` (b + s_d,) that joint rates (s,) and a group velocity (d,) have, or nearly have."""
     basis = vehicle.basis(r)
-    along = ca.vertcat(xi, u[list(vehicle.tied)]) + vehicle.connection(r) @ u
+    along = ca.vertcat(xi, rows(u, vehicle.tied)) + vehicle.connection(r) @ u
     free = ca.solve(basis.T @ basis, basis.T @ along) if basis.shape[1] else ca.SX(0, 1)
-    return ca.vertcat(free, u[list(vehicle.dynamic)])
+    return ca.vertcat(free, rows(u, vehicle.dynamic))
+
+
+def rows(column: Expr, indices: Sequence[int]) -> Expr:
+    """Entries of a column; none of them is a (0, 1), which CasADi's own indexing makes a (1, 1) of a scalar."""
+    return ca.vertcat(*(column[i] for i in indices)) if indices else ca.SX(0, 1)
 
 
 def momentum(vehicle: Vehicle, r: Expr, u: Expr, xi: Expr) -> tuple[Expr, Expr]:
