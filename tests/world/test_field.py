@@ -127,7 +127,9 @@ def test_another_terrain_or_spacing_is_another_field():
     distance_field(valley(), spacing=1.5)
     distance_field(valley(), spacing=1.25)
     distance_field(valley(), spacing=1.25, box=[[5, 5, -10], [15, 15, 30]])
-    distance_field(Terrain("other", valley().heights + 1e-9), spacing=1.25)
+    heights = valley().heights.copy()
+    heights[10, 10] += 1e-9
+    distance_field(Terrain("other", heights), spacing=1.25)
     assert len(set(cache_folder().iterdir()) - before) == 4
 
 
@@ -141,6 +143,15 @@ def test_a_damaged_entry_is_measured_again_with_a_warning(tmp_path, monkeypatch,
         again = distance_field(valley())
     np.testing.assert_array_equal(again.distances, first.distances)
     np.testing.assert_array_equal(np.load(file), first.distances)
+
+
+def test_an_entry_with_holes_is_damaged(tmp_path, monkeypatch):
+    monkeypatch.setenv("VEHSIM_CACHE", str(tmp_path))
+    first = distance_field(valley())
+    (file,) = tmp_path.iterdir()
+    np.save(file, np.where(first.distances > 5, np.nan, first.distances))
+    with pytest.warns(UserWarning, match="damaged"):
+        np.testing.assert_array_equal(distance_field(valley()).distances, first.distances)
 
 
 def test_writers_at_once_leave_one_whole_entry(tmp_path, monkeypatch):

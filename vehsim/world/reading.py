@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.errors import InputError, Problem
+from vehsim.parts import triangulate
 from vehsim.world.terrain import MAX_POINTS, Terrain
 
 Array = NDArray[np.float64]
@@ -223,7 +224,11 @@ def _read_usd(path: Path, placement: Placement) -> Terrain:
         matrix = np.array(cache.GetLocalToWorldTransform(prim))
         local = np.asarray(mesh.GetPointsAttr().Get() or np.zeros((0, 3)), dtype=float).reshape(-1, 3)
         start = sum(map(len, points))
-        faces.append(_triangulate(mesh) + start)
+        counts, indices = (
+            np.asarray(attribute.Get() or [], dtype=np.int64)
+            for attribute in (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr())
+        )
+        faces.append(triangulate(counts, indices) + start)
         points.append(local @ matrix[:3, :3] + matrix[3, :3])
     if not sum(map(len, faces)):
         raise refuse(path, "terrain", "has no mesh", "export the terrain's mesh")
@@ -231,19 +236,6 @@ def _read_usd(path: Path, placement: Placement) -> Terrain:
     if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y:
         world = world[:, [0, 2, 1]] * [1, -1, 1]
     return replace(_sample(path, world, np.concatenate(faces), placement), look=path)
-
-
-def _triangulate(mesh: Any) -> NDArray[np.int64]:
-    """A USD mesh's faces as triangles (m, 3), fanned."""
-    counts = np.asarray(mesh.GetFaceVertexCountsAttr().Get() or [], dtype=np.int64)
-    indices = np.asarray(mesh.GetFaceVertexIndicesAttr().Get() or [], dtype=np.int64)
-    first = np.cumsum(counts) - counts
-    fans = [
-        np.stack([indices[start], indices[start + k + 1], indices[start + k + 2]], axis=-1)
-        for k in range(int(counts.max(initial=0)) - 2)
-        for start in [first[counts > k + 2]]
-    ]
-    return np.concatenate(fans) if fans else np.zeros((0, 3), dtype=np.int64)
 
 
 def _sample(path: Path, points: Array, faces: NDArray[np.int64], placement: Placement) -> Terrain:

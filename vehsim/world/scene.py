@@ -97,7 +97,7 @@ class Scene:
             self._place(position, orientation)
             result[k] = self._nearest(bounds[k], expected)
             if result[k] > 0 and self._beyond(position):
-                result[k] = min(result[k], max(self._gap(), TOUCHING))
+                result[k] = min(result[k], self._gap())
         return result
 
     def _nearest(self, centre_distances: Array, expected: float) -> float:
