@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 TEXTURE = 2048
+TEXELS_PER_CELL = 12
 TILE = 48.0
 """Width of the repeated texture of level ground, m."""
 SAND = ((0.36, 0.28, 0.19), (0.42, 0.33, 0.23))
@@ -109,7 +110,8 @@ def _relief_colours(terrain: Terrain) -> Array:
 
     rows, cols = terrain.heights.shape
     extent = np.array([terrain.cell[1] * (rows - 1), terrain.cell[0] * (cols - 1)])
-    shape = np.maximum((TEXTURE * extent / extent.max()).astype(int), 16)
+    longest = min(TEXTURE, TEXELS_PER_CELL * max(rows, cols))
+    shape = np.maximum((longest * extent / extent.max()).astype(int), 16)
     factor = shape / (rows, cols)
     heights = zoom(terrain.heights, factor, order=1, grid_mode=True, mode="nearest")
     upright = zoom(_normals(terrain)[..., 2], factor, order=1, grid_mode=True, mode="nearest")

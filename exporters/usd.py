@@ -24,6 +24,7 @@ from vehsim.take import Exporter, Progress, Take
 
 if TYPE_CHECKING:
     from vehsim.cameras import Camera
+    from vehsim.clip import Clip
 
 
 def write_usd(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
@@ -35,6 +36,8 @@ def write_usd(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
 
     if not Tf.IsValidIdentifier(take.name):
         raise ExportError(f"shot name {take.name!r}: not a USD prim name; use letters, digits and _ only")
+    for name, clip in take.clips.items():
+        _check_finite(name, clip)
     pack = Pack(folder)
     clips = {name: clip.resample(take.fps) for name, clip in take.clips.items()}
     path = folder / f"{take.name}.usda"
@@ -68,6 +71,14 @@ def write_usd(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
     progress("usd: reading back", (len(clips) + 1) / (len(clips) + 2))
     check_readback(path, take.name, clips, take.cameras)
     return pack.written
+
+
+def _check_finite(name: str, clip: Clip) -> None:
+    """Nothing that is not a number gets into a stage."""
+    for what, values in {"positions": clip.positions, "orientations": clip.orientations, **clip.channels}.items():
+        bad = ~np.isfinite(np.reshape(values, (len(clip.times), -1))).all(axis=1)
+        if bad.any():
+            raise ExportError(f"{name}.{what}: not a finite number at frame {clip.frames[bad.argmax()]:g}; mend the clip")
 
 
 def _model(prim: Any, kind: str, name: str, identifier: str) -> None:

@@ -22,7 +22,7 @@ SIGHT = np.linspace(0.0, 0.75, 14)
 
 
 def steer(positions: Array, aims: Array, world: Any, margin: float, radius: float, fps: float) -> Array:
-    """Camera positions (n, 3) near the wished ``positions`` that see ``radius`` m about ``aims`` (n, 3) past the ground.
+    """Camera positions (n, 3) near the wished ``positions`` that see ``radius`` m about ``aims`` past the ground.
 
     Every quarter second it may stand as wished or a little round the target, nearer or higher; dynamic programming
     picks the sequence with the least blocked sight, then the least departure and change.
@@ -71,7 +71,7 @@ def smooth(values: Array, sigma: float) -> Array:
 
 
 def _moved(offsets: Array, turn: Any, scale: Any, rise: Any) -> Array:
-    """Offsets (n, 3) from the target turned about the vertical (rad), scaled, and raised by ``rise`` of their length."""
+    """Offsets (n, 3) from the target, turned about the vertical (rad), scaled, raised by ``rise`` of their length."""
     x, y, z = offsets.T * scale
     cos, sin = np.cos(turn), np.sin(turn)
     return np.stack([x * cos - y * sin, x * sin + y * cos, z + rise * np.linalg.norm(offsets, axis=1)], axis=1)
