@@ -122,5 +122,5 @@ def _table(name: str, is_entry: bool, counts: dict[str, int]) -> str:
 def line_of(key: str, lines: Mapping[str, int]) -> int | None:
     """The line of ``key``, or of the nearest table around it."""
     while key and key not in lines:
-        key = re.sub(r"(\.[^.\[\]]+|\[\d+\]|^[^.\[\]]+)$", "", key)
+        key = key[: max(key.rfind("."), key.rfind("["), 0)]
     return lines.get(key)

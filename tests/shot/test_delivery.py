@@ -1,0 +1,182 @@
+"""Deliveries are whole or not there: the old one stays until the new one is complete, whatever happens."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from vehsim import World, delivery
+from vehsim.errors import ExportError, InputError
+from vehsim.take import Exporter, Progress, Take
+
+
+@dataclass
+class Entry:
+    """An entry point that hands out an object."""
+
+    name: str
+    value: Any
+
+    def load(self) -> Any:
+        return self.value
+
+
+def text(name: str, *files: str, needs: tuple[str, ...] = ()) -> Exporter:
+    """An exporter that writes its name into files, after checking that what it needs is there."""
+
+    def write(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
+        assert all((folder / f"{need}.txt").exists() for need in needs)
+        paths = [folder / file for file in files]
+        for path in paths:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(name)
+        progress(name, 1.0)
+        return paths
+
+    return Exporter(name, (".txt",), write, needs)
+
+
+def failing(error: BaseException) -> Exporter:
+    def write(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
+        (folder / "half").write_text("written")
+        raise error
+
+    return Exporter("bad", (), write)
+
+
+@pytest.fixture
+def exporters(monkeypatch: pytest.MonkeyPatch) -> dict[str, Exporter]:
+    """The exporters that entry points lead to; tests add their own."""
+    found = {e.name: e for e in (text("a", "a.txt", "sub/deep/a.txt"), text("b", "b.txt", needs=("a",)))}
+
+    def report(take: Take, folder: Path, files: Sequence[Path]) -> Path:
+        path = folder / "report.json"
+        path.write_text("\n".join(file.relative_to(folder).as_posix() for file in files))
+        return path
+
+    def entry_points(group: str, name: str | None = None) -> list[Entry]:
+        if group == delivery.REPORT_GROUP:
+            return [Entry("json", report)]
+        return [Entry(e.name, e) for e in found.values() if name in (None, e.name)]
+
+    monkeypatch.setattr(importlib.metadata, "entry_points", entry_points)
+    return found
+
+
+@pytest.fixture
+def take() -> Take:
+    return Take("shot", {}, World(), (), Fraction(24), (1001, 1010))
+
+
+def files(folder: Path) -> set[str]:
+    return {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_files_that_were_only_needed_are_dropped(exporters: Any, take: Take, tmp_path: Path) -> None:
+    folder = take.export(tmp_path, to=("b",))
+    assert folder == tmp_path / "shot"
+    assert files(tmp_path) == {"shot/b.txt", "shot/report.json"}
+    assert (folder / "report.json").read_text() == "b.txt"
+    assert not (folder / "sub").exists()
+
+
+def test_needs_run_first_and_once(exporters: Any, take: Take, tmp_path: Path) -> None:
+    said: list[tuple[str, float]] = []
+    take.export(tmp_path, to=("b", "a"), progress=lambda what, done: said.append((what, done)))
+    assert said == [("a", 0.5), ("b", 1.0)]
+    assert files(tmp_path) == {"shot/a.txt", "shot/sub/deep/a.txt", "shot/b.txt", "shot/report.json"}
+
+
+def test_a_new_delivery_replaces_the_old_one_whole(exporters: Any, take: Take, tmp_path: Path) -> None:
+    take.export(tmp_path, to=("a",))
+    take.export(tmp_path, to=("b",))
+    assert files(tmp_path) == {"shot/b.txt", "shot/report.json"}
+
+
+@pytest.mark.parametrize("error", [ExportError("no"), OSError(28, "No space left on device"), KeyboardInterrupt()])
+def test_a_failed_export_leaves_the_old_delivery(
+    exporters: dict[str, Exporter], take: Take, tmp_path: Path, error: BaseException
+) -> None:
+    take.export(tmp_path, to=("a",))
+    before = files(tmp_path)
+    exporters["bad"] = failing(error)
+    with pytest.raises(ExportError if isinstance(error, Exception) else KeyboardInterrupt):
+        take.export(tmp_path, to=("a", "bad"))
+    assert files(tmp_path) == before
+    assert [path.name for path in tmp_path.iterdir()] == ["shot"]
+
+
+def test_a_failed_first_export_leaves_nothing(exporters: dict[str, Exporter], take: Take, tmp_path: Path) -> None:
+    exporters["bad"] = failing(ExportError("no"))
+    with pytest.raises(ExportError):
+        take.export(tmp_path / "deep" / "out", to=("bad",))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_unknown_exporter_touches_nothing(exporters: Any, take: Take, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="choose from a, b"):
+        take.export(tmp_path / "out", to=("c",))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_folders_of_other_people_are_never_replaced(exporters: Any, take: Take, tmp_path: Path) -> None:
+    (tmp_path / "shot").mkdir()
+    (tmp_path / "shot" / "notes.txt").write_text("mine")
+    with pytest.raises(ExportError, match="not written by vehsim"):
+        take.export(tmp_path, to=("a",))
+    assert files(tmp_path) == {"shot/notes.txt"}
+
+
+def test_overwrite_can_be_refused(exporters: Any, take: Take, tmp_path: Path) -> None:
+    take.export(tmp_path, to=("a",))
+    with pytest.raises(ExportError, match="exists"):
+        take.export(tmp_path, to=("b",), overwrite=False)
+    assert "shot/a.txt" in files(tmp_path)
+
+
+def test_a_failed_swap_puts_the_old_delivery_back(
+    exporters: Any, take: Take, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    take.export(tmp_path, to=("a",))
+    before, rename = files(tmp_path), Path.rename
+
+    def fails(self: Path, target: Path) -> Path:
+        if self.name.endswith(".partial"):
+            raise OSError(5, "Input/output error")
+        return rename(self, target)
+
+    monkeypatch.setattr(Path, "rename", fails)
+    with pytest.raises(ExportError):
+        take.export(tmp_path, to=("b",))
+    assert files(tmp_path) == before
+
+
+def test_a_crash_between_the_renames_loses_nothing(exporters: dict[str, Exporter], take: Take, tmp_path: Path) -> None:
+    """As if the power had gone: the old delivery stands aside and the next export, even a failing one, brings it back."""
+    take.export(tmp_path, to=("a",))
+    before = files(tmp_path)
+    (tmp_path / "shot").rename(tmp_path / ".shot.4711.replaced")
+    exporters["bad"] = failing(ExportError("no"))
+    with pytest.raises(ExportError):
+        take.export(tmp_path, to=("bad",))
+    assert files(tmp_path) == before
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="nothing is read-only to root")
+def test_a_folder_that_may_not_be_written(exporters: Any, take: Take, tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    with pytest.raises(ExportError, match="could not be written"):
+        take.export(tmp_path, to=("a",))
+
+
+def test_exporters_that_need_each_other(exporters: dict[str, Exporter], take: Take, tmp_path: Path) -> None:
+    exporters["x"], exporters["y"] = text("x", "x.txt", needs=("y",)), text("y", "y.txt", needs=("x",))
+    with pytest.raises(ExportError, match="x -> y -> x"):
+        take.export(tmp_path, to=("x",))

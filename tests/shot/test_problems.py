@@ -1,0 +1,161 @@
+"""Everything wrong with a shot is said at once, with file, line, key, value and the mend, before anything is done."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from vehsim import Shot
+from vehsim.errors import ShotError
+
+Find = Callable[[dict[str, Any]], dict[str, str]]
+
+
+def put(data: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
+    """``put(data, "vehicle.0.name", ...)`` writes into the data."""
+    *way, last = key.split(".")
+    table: Any = data
+    for step in way:
+        table = table[int(step)] if isinstance(table, list) else table.setdefault(step, {})
+    table[int(last) if isinstance(table, list) else last] = value
+    return data
+
+
+def test_right_shots_have_no_problems(small: dict[str, Any], planned: dict[str, Any], keys_of: Find) -> None:
+    assert keys_of(small) == {}
+    assert keys_of(planned) == {}
+
+
+@pytest.mark.parametrize(
+    "key, value, where, says",
+    [
+        ("shot.fpss", 24, "shot.fpss", "did you mean 'fps'"),
+        ("wrld", {}, "wrld", "did you mean 'world'"),
+        ("vehicle.0.motion.duraton", 1.0, "vehicle[0].motion.duraton", "did you mean 'duration'"),
+        ("shot.schema", 2, "shot.schema", "1, the version"),
+        ("shot.schema", True, "shot.schema", "valid integer"),
+        ("shot.name", "../evil", "shot.name", "letters, digits and underscores"),
+        ("shot.fps", 0, "shot.fps", "between 0 and"),
+        ("shot.fps", True, "shot.fps", "not a frame rate"),
+        ("shot.fps", "1e999999999", "shot.fps", "not a frame rate"),
+        ("shot.fps", "24/0", "shot.fps", "rate over zero"),
+        ("shot.start_frame", 1001.0, "shot.start_frame", "valid integer"),
+        ("shot.end_frame", 1_001_000, "shot.end_frame", "1000000 frames"),
+        ("shot.end_frame", 1000, "shot.end_frame", "before the first frame"),
+        ("shot.handles", 8, "shot.handles", "give shot.end_frame"),
+        ("world.wind", [0, math.nan, 0], "world.wind[1]", "finite"),
+        ("world.wind", [0, math.inf, 0], "world.wind[1]", "finite"),
+        ("world.wind", [0, "3", 0], "world.wind[1]", "valid number"),
+        ("world.wind", [0, True, 0], "world.wind[1]", "valid number"),
+        ("world.wind", [0, 3], "world.wind", "at least 3"),
+        ("world.terrain", "canyn", "world.terrain", "canyon"),
+        ("world.terrain", "missing.obj", "world.terrain", "no such terrain or file"),
+        ("vehicle", [], "vehicle", "one or more [[vehicle]]"),
+        ("vehicle.0.asset", "caar", "vehicle[0].asset", "did you mean 'car'"),
+        ("vehicle.0.motion", {"method": "sinusoid"}, "vehicle[0].motion.method", "not there yet"),
+        ("vehicle.0.motion", {"method": "teleport"}, "vehicle[0].motion.method", 'give "plan"'),
+        ("vehicle.0.motion", {}, "vehicle[0].motion.method", "missing"),
+        ("vehicle.0.motion", {"method": "clip", "path": "none.npz"}, "vehicle[0].motion.path", "no such file"),
+        ("vehicle.0.motion.duration", -1.0, "vehicle[0].motion.duration", "greater than 0"),
+        ("vehicle.0.motion.duration", 90_000.0, "vehicle[0].motion.duration", "100000 frames"),
+        ("vehicle.0.motion.step", 0.0, "vehicle[0].motion.step", "0.00001 to 0.1"),
+        ("vehicle.0.motion.commands.0.torqe", 1.0, "vehicle[0].motion.commands[0].torqe", "did you mean 'torque'"),
+        ("vehicle.0.motion.commands.0.torque", 1e6, "vehicle[0].motion.commands[0].torque", "-4000 to 2500 N m"),
+        ("vehicle.0.motion.commands", [{"torque": 1.0}], "vehicle[0].motion.commands[0]", "no frame"),
+        ("vehicle.0.motion.start", {"joints": {"sgma": 1}}, "vehicle[0].motion.start.joints.sgma", "'sigma'"),
+        ("vehicle.0.motion.pilot", {"name": "hoover"}, "vehicle[0].motion.pilot.name", "did you mean 'hover'"),
+        ("camera", {"rig": "chasse"}, "camera[0].rig", "did you mean 'chase'"),
+        ("camera", {"target": "cat"}, "camera[0].target", "did you mean 'car'"),
+        ("camera", {"lens": 35}, "camera[0].lens", "did you mean 'lens_mm'"),
+        ("camera", [{"name": "a"}, {"name": "a"}], "camera[1].name", "used twice"),
+        ("render", {"size": [100_000, 540]}, "render.size[0]", "16 to 8192"),
+        ("render", {"size": [961, 540]}, "render.size[0]", "even"),
+        ("render", {"every": 0}, "render.every", "greater than or equal to 1"),
+    ],
+)
+def test_one_problem_names_key_and_mend(
+    small: dict[str, Any], keys_of: Find, key: str, value: Any, where: str, says: str
+) -> None:
+    problems = keys_of(put(small, key, value))
+    assert where in problems, problems
+    assert says in problems[where]
+
+
+@pytest.mark.parametrize(
+    "key, value, where, says",
+    [
+        ("position", [180.0, 300.0, 2.0], "mark[1].position", "inside rock"),
+        ("frame", 1001, "mark[1].frame", "not after frame 1001"),
+        ("frame", 900, "mark[1].frame", "outside the shot"),
+        ("frame", 1003, "mark[1].frame", "m/s"),
+        ("frame", 2_001_000, "mark", "at most 100000"),
+        ("frame", 1100.5, "mark[1].frame", "neither a whole frame nor 'free'"),
+        ("frame", "fre", "mark[1].frame", "neither a whole frame nor 'free'"),
+        ("position", [math.nan, 0, 0], "mark[1].position[0]", "finite"),
+        ("orientation", [2, 0, 0, 0], "mark[1].orientation", "length is not 1"),
+        ("hold", 10, "mark[1].hold", "velocity = [0, 0, 0]"),
+        ("joints", {"psi": 1}, "mark[1].joints.psi", "no such joint"),
+    ],
+)
+def test_marks(planned: dict[str, Any], keys_of: Find, key: str, value: Any, where: str, says: str) -> None:
+    planned["vehicle"][0]["motion"]["mark"][1][key] = value
+    problems = keys_of(planned)
+    assert f"vehicle[0].motion.{where}" in problems, problems
+    assert says in problems[f"vehicle[0].motion.{where}"]
+
+
+def test_mark_nearer_to_rock_than_the_clearance(planned: dict[str, Any], keys_of: Find) -> None:
+    """The root is in free air, the rotor is not: only the vehicle's hulls can tell."""
+    motion = planned["vehicle"][0]["motion"]
+    ground = float(Shot.from_dict(planned).world.height([(0.0, 0.0)])[0])
+    motion["mark"][0]["position"] = [0.0, 0.0, ground + 0.5]
+    motion["clearance"] = 2.0
+    assert "clearance of 2 m" in keys_of(planned)["vehicle[0].motion.mark[0].position"]
+
+
+@pytest.mark.parametrize("key, value, name", [("cost", "tyme", "cost.tyme"), ("limits", {"sped": 3}, "limits.sped")])
+def test_costs_and_limits_are_known(planned: dict[str, Any], keys_of: Find, key: str, value: Any, name: str) -> None:
+    planned["vehicle"][0]["motion"][key] = value
+    assert "did you mean" in keys_of(planned)[f"vehicle[0].motion.{name}"]
+
+
+def test_wind_that_nobody_feels_is_a_warning(small: dict[str, Any]) -> None:
+    (problem,) = Shot.from_dict(put(small, "world.wind", [0, 3, 0])).check()
+    assert (problem.key, problem.severity) == ("world.wind", "warning")
+
+
+def test_all_problems_at_once_with_file_and_line(tmp_path: Path) -> None:
+    path = tmp_path / "bad.toml"
+    path.write_text(
+        "[shot]\nschema = 1\nname = 'bad'\nfpss = 24\n\n[world]\nterrain = 'canyon'\n\n[[vehicle]]\nname = 'h'\n"
+        "asset = 'helicopter'\n[vehicle.motion]\nmethod = 'plan'\n[[vehicle.motion.mark]]\nframe = 1001\n"
+        "position = [0, 0, 30]\n[[vehicle.motion.mark]]\nframe = 1000\nposition = [0, 90, 3]\n\n[render]\nevery = 0\n"
+    )
+    with pytest.raises(ShotError) as error:
+        Shot.load(path)
+    assert {(problem.key, problem.line) for problem in error.value.problems} == {
+        ("shot.fpss", 4),
+        ("render.every", 22),
+        ("vehicle[0].motion.mark[1].frame", 18),
+        ("vehicle[0].motion.mark[1].position", 19),
+    }
+    assert all(str(problem).startswith(f"{path}:") for problem in error.value.problems)
+
+
+@pytest.mark.parametrize("content", [b"\xff\xfe", b"a = ", b"a = [" * 2000, b"a = " + b"9" * 5000, b""])
+def test_files_that_are_no_shot(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "bad.toml"
+    path.write_bytes(content)
+    with pytest.raises(ShotError) as error:
+        Shot.load(path)
+    assert str(path) in str(error.value)
+
+
+@pytest.mark.parametrize("name", ["none.toml", "."])
+def test_missing_files_and_folders(tmp_path: Path, name: str) -> None:
+    with pytest.raises(ShotError, match="give the path of a shot file"):
+        Shot.load(tmp_path / name)
