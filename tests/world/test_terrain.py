@@ -131,7 +131,9 @@ def write_usd(file, terrain):
     stage = Usd.Stage.CreateNew(str(file))
     UsdGeom.SetStageMetersPerUnit(stage, 0.01)
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
-    UsdGeom.Xform.Define(stage, "/land").AddTranslateOp().Set((0, 100, 0))
+    land = UsdGeom.Xform.Define(stage, "/land")
+    land.AddTranslateOp().Set((0, 100, 0))
+    stage.SetDefaultPrim(land.GetPrim())
     mesh = UsdGeom.Mesh.Define(stage, "/land/ground")
     x, y, z = 100 * terrain.vertices.T
     mesh.CreatePointsAttr(np.column_stack([x, z - 100, -y]).tolist())
@@ -175,6 +177,7 @@ def test_unknown_names_list_the_shipped_terrains():
     refused("canjon", "canjon", "canyon", "flat")
 
 
+@pytest.mark.broken_stages
 def test_files_that_are_no_terrain_name_themselves(tmp_path):
     for name in ("t.obj", "t.stl", "t.glb", "t.png", "t.npy", "t.npz", "t.tif", "t.usda"):
         (tmp_path / name).write_bytes(b"nonsense")
