@@ -18,7 +18,8 @@ class Mark:
 
     ``frame``: a whole frame, or ``"free"``; ``position`` (3,) m; ``heading`` deg, yaw of the body's X axis from world
     X, counter-clockwise; ``orientation`` (4,) w, x, y, z; ``velocity`` (3,) m/s in world axes; ``speed`` m/s;
-    ``joints`` (s,); ``tolerance`` m, half the side of the box the position may lie in; ``hold``: frames to stay at rest there.
+    ``joints`` (s,); ``tolerance`` m, half the side of the box the position may lie in; ``hold``: frames to stay at
+    rest there.
 
     A mark with ``velocity = (0, 0, 0)`` is at rest: the body does not turn either, and when its attitude is not given
     it stands in balance, as it must to stay there (a helicopter level, or leaning into the wind), so that motion sets

@@ -1,8 +1,8 @@
 """`plan`: marks in, the best motion the vehicle can make through them out.
 
-Top-down: check what is asked, find a way through free space, solve coarsely, settle on whole frames, solve to order 4,
-certify the motion that will be exported, tighten and repeat if it comes too near, refine until its controls lead where
-the plan says.
+Top-down: check what is asked, find a way through free space, solve coarsely, settle on whole frames, solve to higher
+order until the controls lead where the plan says, certify the motion that will be exported, tighten and repeat if it
+comes too near.
 """
 
 from __future__ import annotations
@@ -38,8 +38,9 @@ TIGHTENINGS = 3
 """How often a motion that comes too near is solved again with a wider margin."""
 EXECUTED = 0.1
 """Largest accepted distance between the plan's end and where its controls lead, m, before the plan is refined."""
-FINEST = 4
-"""A plan is refined to at most this many times the segments asked for."""
+LADDER = ((1, 2), (1, 4), (1, 6), (2, 6), (4, 6))
+"""Discretisations a plan climbs through: times the segments asked for, and order. Higher order is cheaper than more
+segments."""
 SLACK = 0.01
 """How far below the asked clearance a certified motion may be, m."""
 ROOM = 30.0
@@ -174,7 +175,8 @@ class _Attempt:
         self.margin, self.tightenings, self.iterations = request.clearance, 0, 0
         self.build_seconds = self.solve_seconds = 0.0
         self.clearance = self.wanted = float("inf")
-        self.checked: Executed | None = None
+        self.checked = Executed(np.inf, np.inf, np.inf)
+        self.rung = 0
 
     def start(self, paths: list[Array]) -> None:
         """Layout, leg lengths and first guess."""
@@ -235,17 +237,23 @@ class _Attempt:
         self.x[self.layout.lengths] = lengths
 
     def refine(self) -> None:
-        """Order 4, then more segments, until the executed controls end where the plan does."""
-        if self.layout.order == 2 and self.request.refine and self.solution.success:
-            self._lift(Layout(self.t.sizes, self.layout.phases, 4))
+        """Climb the ladder of discretisations until the executed controls end where the plan does."""
+        if self.rung == 0 and self.request.refine and self.solution.success:
+            self._climb()
         self.solve(free=False)
-        while self.solution.success and self.request.refine:
-            self.checked = self._executed()
-            if self.checked.final <= EXECUTED or self.layout.segments * 2 > FINEST * self.request.segments:
-                break
-            self._lift(Layout(self.t.sizes, tuple(2 * n for n in self.layout.phases), 4))
-            self.solve(free=False)
         self.checked = self._executed()
+        while self._too_far() and self.rung < len(LADDER) - 1:
+            self._climb()
+            self.solve(free=False)
+            self.checked = self._executed()
+
+    def _too_far(self) -> bool:
+        return self.request.refine and self.solution.success and self.checked.final > EXECUTED
+
+    def _climb(self) -> None:
+        self.rung += 1
+        split, order = LADDER[self.rung][0] // LADDER[self.rung - 1][0], LADDER[self.rung][1]
+        self._lift(Layout(self.t.sizes, tuple(split * n for n in self.layout.phases), order))
 
     def _lift(self, fine: Layout) -> None:
         self.x = lift(self.t, self.layout, fine, self.x, self.request.wind)
@@ -276,7 +284,6 @@ class _Attempt:
                 f"certified clearance {self.clearance:.3f} m is below the {self.wanted:g} m asked for after "
                 f"{self.tightenings} tighter solves; ask for less clearance, more segments, or other marks"
             )
-        assert self.checked is not None
         if success and self.checked.final > EXECUTED and request.refine:
             message += f"; executed, the controls end {self.checked.final:.2f} m off: ask for more segments"
         if not success:
