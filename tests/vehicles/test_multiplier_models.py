@@ -69,12 +69,12 @@ class Model:
 
 
 def wheeled_base(joints, steering):
-    model, rho, l = Model(joints), CAR["wheel_radius"], CAR["wheelbase"]
+    model, rho, length = Model(joints), CAR["wheel_radius"], CAR["wheelbase"]
     model.body(CAR["mass"], CAR["yaw_inertia"], model.at, model.theta)
     model.kinetic += CAR["wheel_inertia"] * model.u[0] ** 2 / 2
     model.weight(CAR["mass"], model.at)
     model.no_slip(model.at, 0.0)
-    model.no_slip(model.place(l), steering(model))
+    model.no_slip(model.place(length), steering(model))
     model.rows.append(ca.dot(model.direction(0), model.dot(model.at)) - rho * model.u[0])
     return model
 
@@ -109,14 +109,14 @@ def two_wheeled():
 
 
 def snakeboard():
-    model, l, m, rotor, truck = Model(2), 0.35, 70.0, 2.0, 0.1
-    # board and trucks turn with what m l^2 leaves beside rotor and trucks; trucks turn by -phi and +phi
-    model.body(m, m * l**2 - rotor - 2 * truck, model.at, model.theta)
+    model, half, m, rotor, truck = Model(2), 0.35, 70.0, 2.0, 0.1
+    # board and trucks turn with what m half^2 leaves beside rotor and trucks; trucks turn by -phi and +phi
+    model.body(m, m * half**2 - rotor - 2 * truck, model.at, model.theta)
     model.kinetic += rotor * (model.v[0] + model.u[0]) ** 2 / 2
     model.kinetic += truck * ((model.v[0] + model.u[1]) ** 2 + (model.v[0] - model.u[1]) ** 2) / 2
     model.weight(m, model.at)
-    model.no_slip(model.place(l), -model.r[1])
-    model.no_slip(model.place(-l), model.r[1])
+    model.no_slip(model.place(half), -model.r[1])
+    model.no_slip(model.place(-half), model.r[1])
     model.force[3:] = model.c[:2] - 0.3 * model.u
     return model
 

@@ -149,8 +149,8 @@ class DiscreteMechanics:
         r, pi, z, c = y["r"], y["pi"], y["z"], y["c0"]
         u, xi = free_velocity(v, r, z, self.driven(c))
         restricted = project(v, r, *momentum(v, r, u, xi))
-        mass, rest = ca.jacobian(restricted, z), ca.substitute([restricted], [z], [ca.SX.zeros(*z.shape)])[0]
-        mass = ca.substitute([mass], [z], [ca.SX.zeros(*z.shape)])[0]
+        still = ca.SX.zeros(z.shape[0])
+        mass, rest = (ca.substitute(x, z, still) for x in (ca.jacobian(restricted, z), restricted))
         solved = ca.solve(mass, pi - rest) if z.shape[0] else z
         values = ca.substitute([u, xi], [z], [ca.densify(solved)])
         return ca.Function("knot_velocity", [r, pi, c], values)

@@ -12,6 +12,7 @@ import numpy as np
 from vehsim.clip import Clip
 from vehsim.errors import InputError, SolveError
 from vehsim.integrators.discrete import DiscreteMechanics
+from vehsim.integrators.guards import changes_rank, check_constraints, check_mass
 from vehsim.integrators.record import build_clip as build_clip
 from vehsim.integrators.record import continuous as continuous
 from vehsim.integrators.record import flat, keep
@@ -69,6 +70,7 @@ class Integrator:
         if self.wind.shape != (3,) or not np.all(np.isfinite(self.wind)):
             raise InputError(f"wind = {wind!r}: give three finite numbers, m/s in world axes")
         self.mechanics = mechanics_of(vehicle, difference_map, quadrature)
+        self._guarded = changes_rank(self.mechanics)
         if order > 2 and not _symmetric(difference_map, vehicle):
             raise InputError(
                 f"order = {order!r}: {difference_map!r} makes no symmetric step to compose; take order 2 or another map"
@@ -99,7 +101,10 @@ class Integrator:
         done = 0.0
         for fraction in COMPOSITIONS[self.order]:
             a, b = c0 + done * (c1 - c0), c0 + (done + fraction) * (c1 - c0)
-            phase = self._substep(phase, a, b, fraction * self.step_size, index)
+            after = self._substep(phase, a, b, fraction * self.step_size, index)
+            if self._guarded:
+                check_constraints(self.mechanics, np.array([phase.r, after.r]), index)
+            phase = after
             done += fraction
         return phase
 
@@ -110,7 +115,29 @@ class Integrator:
             if residual <= TOLERANCE:
                 return Phase(flat(g), flat(r), flat(pi), flat(z))
             guess = flat(z)
+        other = self._other_chart(phase, c0, c1, h)
+        if other is not None:
+            return other
+        check_constraints(self.mechanics, np.array([phase.r, phase.r]), index)
         raise _diverged(self.vehicle, index, phase, float(residual), h)
+
+    def _other_chart(self, phase: Phase, c0: Array, c1: Array, h: float) -> Phase | None:
+        """The same step with other columns of the constraints eliminated, where this choice is singular on the way."""
+        m = self.mechanics
+        chart = getattr(self.vehicle, "chart_at", None)
+        vehicle = chart(phase.r) if chart else None
+        if vehicle is None:
+            return None
+        other = mechanics_of(vehicle, m.map_name, m.quadrature)
+        pi = other.knot_momentum(phase.r, *m.knot_velocity(phase.r, phase.pi, c0))
+        z = other.knot_velocity_guess(phase.r, pi, c0)
+        for _ in range(_RETRIES):
+            g, r, pi1, z, residual = other.advance(phase.g, phase.r, pi, z, c0, c1, h, self.wind)
+            if residual <= TOLERANCE:
+                u, xi = other.knot_velocity(r, pi1, c1)
+                pi1 = flat(m.knot_momentum(r, u, xi))
+                return Phase(flat(g), flat(r), pi1, flat(m.knot_velocity_guess(r, pi1, c1)))
+        return None
 
     def step(self, state: State, controls: Any, next_controls: Any = None, wrench: Any = None) -> State:
         """The state one step later. ``controls`` (c,) at its start, ``next_controls`` at its end (the same if None).
@@ -162,8 +189,10 @@ class Integrator:
             else:
                 a, b, c = np.cumsum(m.sizes[:3])
                 phases = [Phase(row[:a], row[a:b], row[b:c], row[c:]) for row in x]
+                check_constraints(m, np.array([phase.r, *(p.r for p in phases)]), first)
             history += [(p.g[None], p.r[None], p.pi[None]) for p in phases]
             phase = phases[-1]
+        check_mass(m, np.concatenate([row[1] for row in history]))
         return tuple(np.concatenate(column) for column in zip(*history, strict=True))  # type: ignore[return-value]
 
     def _loop(self, phase: Phase, controls: Array, first: int) -> Iterator[Phase]:

@@ -138,7 +138,7 @@ class Vehicle:
 
     @property
     def tied(self) -> tuple[int, ...]:
-        """Indices of the joints whose rates the constraints give, as they do the group's velocity (a trailer's hitch)."""
+        """Indices of the joints whose rates the constraints give, like the group's velocity (a trailer's hitch)."""
         return ()
 
     @property

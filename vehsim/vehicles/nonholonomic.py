@@ -6,7 +6,7 @@ The basis of the free directions and the connection follow by automatic differen
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
@@ -24,7 +24,8 @@ class Nonholonomic(Vehicle):
     ``lagrangian``: (r, u, xi) -> scalar, J; ``constraints``: r -> (W_r (m, s), W_xi (m, d)), of nested lists, arrays or
     expressions. ``forces``: (r, u, xi, controls) -> joint forces (s,), or (joint forces (s,), body wrench (d,)); what
     acts at zero controls counts as damping. ``potential_energy``: (g, r) -> J, of the group's coordinates and joints.
-    ``sample``: joint values (s,) at which rank and definiteness are checked (zeros unless given).
+    ``sample``: joint values (s,) at which rank and definiteness are checked (zeros unless given). ``pivots``: columns
+    of ``bound(r)`` to eliminate; chosen unless given.
 
     Raises ``InputError`` when constraints lose rank, or the kinetic energy is not positive definite on the velocities
     that the constraints and rate controls leave free.
@@ -35,6 +36,7 @@ class Nonholonomic(Vehicle):
     forces: Callable[[Expr, Expr, Expr, Expr], Any] | None = None
     potential_energy: Callable[[Expr, Expr], Expr] | None = None
     sample: Sequence[float] | None = None
+    pivots: tuple[int, ...] | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -43,12 +45,23 @@ class Nonholonomic(Vehicle):
             raise InputError(f"{self.name}: sample = {self.sample!r}: give {len(self.joints)} finite numbers")
         object.__setattr__(self, "_tied", ())
         object.__setattr__(self, "_tied", _tied(self, sample))
-        object.__setattr__(self, "_pivots", _pivots(self, sample))
+        if self.pivots is None:
+            object.__setattr__(self, "pivots", _pivots(self, sample))
         _check_definite(self, sample)
 
     @property
     def tied(self) -> tuple[int, ...]:
         return self._tied  # type: ignore[attr-defined, no-any-return]
+
+    def chart_at(self, r: Any) -> Nonholonomic | None:
+        """The same vehicle with the columns eliminated that are best at joints ``r`` (s,), when those are others."""
+        pivots = _pivots(replace(self, joint_limits={}), np.asarray(r, float))
+        if pivots == self.pivots:
+            return None
+        charts = self.__dict__.setdefault("_charts", {})
+        if pivots not in charts:
+            charts[pivots] = replace(self, pivots=pivots)
+        return charts[pivots]
 
     def bound(self, r: Expr) -> Expr:
         """``W_xi`` beside the tied joints' columns of ``W_r`` (m, d + t): what the constraints solve for."""
@@ -76,7 +89,7 @@ class Nonholonomic(Vehicle):
         rows, columns = w.shape
         if columns == rows + 1 and w.is_constant() is False:
             return _normal(w)
-        pivots: tuple[int, ...] = self._pivots  # type: ignore[attr-defined]
+        pivots = self.pivots or ()
         free = [i for i in range(columns) if i not in pivots]
         basis = ca.SX(columns, len(free))
         for column, i in enumerate(free):
@@ -148,7 +161,8 @@ def _numeric(expression: Callable[[Expr], Expr], r: np.ndarray) -> np.ndarray:
 
 def _tied(vehicle: Nonholonomic, sample: np.ndarray) -> tuple[int, ...]:
     """Joints whose rates the constraints fix besides the group's velocity: as few as make the rows independent."""
-    w_r, w_xi = (_numeric(lambda r, i=i: vehicle._constraints(r)[i], sample) for i in (0, 1))
+    w_r = _numeric(lambda r: vehicle._constraints(r)[0], sample)
+    w_xi = _numeric(lambda r: vehicle._constraints(r)[1], sample)
     scale = 1e-9 * max(1.0, *(np.abs(w).max() for w in (w_r, w_xi) if w.size)) if w_xi.size or w_r.size else 1.0
     rows = len(w_xi)
     missing = rows - (np.linalg.matrix_rank(w_xi, tol=scale) if w_xi.size else 0)

@@ -29,8 +29,8 @@ def roller_racer(
 
     Body frame and the seat's centre of mass stand on the rear axle, ``pivot_ahead`` m behind the pivot; the bar's axle
     and centre of mass lie ``bar_length`` m ahead of the pivot along the bar. Masses kg, inertias about the bodies' own
-    centres kg m^2; ``slope`` (2,) rise per metre along world X and Y (felt by the seat's mass); ``damping`` N m s/rad of
-    the pivot. Joint: ``phi``, the bar's angle [rad]. Control: ``torque`` on it [N m].
+    centres kg m^2; ``slope`` (2,) rise per metre along world X and Y (felt by the seat); ``damping`` N m s/rad of the
+    pivot. Joint: ``phi``, the bar's angle [rad]. Control: ``torque`` on it [N m].
     Channels: ``bar``, ``roll_rear``, ``roll_front`` [rad].
     """
 

@@ -1,0 +1,107 @@
+"""Constraints that lose rank, charts that turn singular though the rank is full, and mass that loses its sign."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from vehsim.errors import InputError, SolveError
+from vehsim.integrators import Integrator
+from vehsim.lie import SE2
+from vehsim.vehicles import Control, Nonholonomic, State
+from vehsim.vehicles.roller_racer import roller_racer
+from vehsim.vehicles.snakeboard import snakeboard
+
+
+def steerable_blade(a=0.0):
+    """A sleigh whose blade, ``a`` ahead of the centre, is turned: two free directions, whichever way it points."""
+
+    def lagrangian(r, u, xi):
+        return (3 * (xi[1] ** 2 + xi[2] ** 2) + 0.5 * xi[0] ** 2 + 0.2 * (xi[0] + u[0]) ** 2) / 2
+
+    def constraints(r):
+        return ca.SX(1, 1), ca.horzcat(a * ca.cos(r[0]), -ca.sin(r[0]), ca.cos(r[0]))
+
+    return Nonholonomic(
+        name="blade",
+        group=SE2,
+        joints=("phi",),
+        lagrangian=lagrangian,
+        constraints=constraints,
+        forces=lambda r, u, xi, c: c,
+        controls=(Control("torque"),),
+    )
+
+
+@pytest.mark.parametrize("a", [0.0, 0.4])
+@pytest.mark.parametrize("h", [np.pi / 200, 0.01])
+def test_motion_goes_on_where_the_first_choice_of_columns_is_singular(a, h):
+    """The blade turns right round, through the angles where vy, then vx, cannot be eliminated; energy and the
+    constraint tell that nothing broke, a small step and another start tell that it is the same motion."""
+    vehicle = steerable_blade(a)
+    phi = 0.0
+    start = State(twist=(0.3, 1.0, -a * 0.3), joints=(phi,), joint_rates=(1.0 if a == 0 else 2.0,))
+    clip = Integrator(vehicle, h, order=4).rollout(start, np.zeros((round(2 * np.pi / h) + 1, 1)))
+    assert clip.joints[-1, 0] > 4
+    r, xi = clip.joints[:, 0], clip.twists
+    np.testing.assert_allclose(a * np.cos(r) * xi[:, 0] - np.sin(r) * xi[:, 1] + np.cos(r) * xi[:, 2], 0, atol=1e-9)
+    kinetic = clip.energy["kinetic"]
+    assert np.ptp(kinetic) < 1e-6 * kinetic[0]
+
+
+def test_roller_racer_passes_where_both_axles_meet():
+    """``phi = pi`` with a bar shorter than the seat: eliminating vy and omega fails at cos(phi) = -c/d, the rank holds."""
+    vehicle = roller_racer(mass=40.0, yaw_inertia=2.0, pivot_ahead=0.5, bar_mass=3.0, bar_inertia=0.1, bar_length=0.3)
+    start = State(twist=(0, 1.0, 0), joints=(1.2,), joint_rates=(6.0,))
+    clip = Integrator(vehicle, 0.002).rollout(start, np.full((400, 1), 1.0))
+    assert clip.joints.max() > np.arccos(-0.3 / 0.5) > clip.joints.min()
+    balance = clip.energy["kinetic"] - clip.energy["work"] + clip.energy["dissipated"]
+    assert np.ptp(balance) < 1e-3 * clip.energy["kinetic"].max()
+
+
+@pytest.mark.parametrize("steps", [3, 700])
+def test_rank_loss_at_a_step_is_named(steps):
+    """Trucks across the board: LIE's snakeboard at phi = pi/2, met between knots and at the start."""
+    vehicle = snakeboard(mass=70.0, half_length=0.35, rotor_inertia=2.0, steering_inertia=0.1)
+    start = State(twist=(0, 1.0, 0), joints=(0, np.pi / 2 - 0.02), joint_rates=(0.0, 1.0))
+    with pytest.raises(SolveError, match=r"snakeboard: step \d+: constraints lose rank between joints"):
+        Integrator(vehicle, 0.015).rollout(start, np.zeros((steps, 2)))
+    with pytest.raises(SolveError, match="step 0: constraints lose rank"):
+        Integrator(vehicle, 0.015).rollout(State(joints=(0, np.pi / 2)), np.zeros((3, 2)))
+
+
+def test_constraints_on_joints_alone_tie_them():
+    """Two wheels geared together: the second follows the first, and its inertia is felt."""
+    geared = Nonholonomic(
+        name="geared",
+        group=SE2,
+        joints=("a", "b"),
+        lagrangian=lambda r, u, xi: (u[0] ** 2 + 2 * u[1] ** 2 + xi[0] ** 2 + xi[1] ** 2 + xi[2] ** 2) / 2,
+        constraints=lambda r: ([[1, -3]], [[0, 0, 0]]),
+        forces=lambda r, u, xi, c: ca.vertcat(c, 0),
+        controls=(Control("torque"),),
+    )
+    assert len(geared.tied) == 1
+    clip = Integrator(geared, 0.05).rollout(State(), np.ones((41, 1)))
+    np.testing.assert_allclose(clip.joints[:, 0], 3 * clip.joints[:, 1], atol=1e-12)
+    np.testing.assert_allclose(clip.joints[:, 0], clip.times**2 / 2 / (1 + 2 / 9), atol=1e-12)
+
+
+def test_mass_that_loses_its_sign_on_the_way_is_named():
+    vehicle = Nonholonomic(
+        name="odd",
+        group=SE2,
+        joints=("x",),
+        lagrangian=lambda r, u, xi: ((1 - r[0]) * u[0] ** 2 + xi[0] ** 2 + xi[1] ** 2 + xi[2] ** 2) / 2,
+    )
+    with pytest.raises(SolveError, match=r"odd: step \d+.*(positive definite|did not converge)"):
+        Integrator(vehicle, 0.1).rollout(State(joint_rates=(1.0,)), np.zeros((40, 0)))
+
+
+def test_rank_loss_at_the_sample_and_a_better_sample():
+    vehicle = snakeboard(mass=70.0, half_length=0.35, rotor_inertia=2.0, steering_inertia=0.1)
+    definition = {k: getattr(vehicle, k) for k in ("group", "joints", "lagrangian", "constraints")}
+    with pytest.raises(InputError, match=r"lose rank at joints = \[0.0, 1.57.*give a `sample`"):
+        Nonholonomic(name="across", sample=(0.0, np.pi / 2), **definition)
+    Nonholonomic(name="fine", sample=(0.0, 0.3), **definition)
+    with pytest.raises(InputError, match="give 2 finite numbers"):
+        Nonholonomic(name="short", sample=(0.0,), **definition)

@@ -1,0 +1,145 @@
+"""What can go wrong with a vehicle's definition on the way: constraints that lose rank, kinetic energy that loses sign.
+
+Checked at knots and between neighbours, only for definitions whose constraints or mass change with the shape.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from vehsim.errors import SolveError
+from vehsim.integrators.discrete import DiscreteMechanics
+from vehsim.integrators.record import keep
+from vehsim.vehicles import Vehicle
+from vehsim.vehicles._base import Array
+from vehsim.vehicles.mechanics import driven_rates, free_velocity
+
+_INDEFINITE = 1e-12
+"""Ratio of eigenvalues below which a mass counts as lost."""
+_LOST = 1e-16
+"""Squared sine of the angle between constraint rows below which they count as dependent."""
+
+
+def changes_rank(mechanics: DiscreteMechanics) -> bool:
+    """Whether the constraints depend on the shape at all."""
+    bound = _bound(mechanics.vehicle)
+    r = mechanics.symbols["r"]
+    return bound is not None and bool(ca.depends_on(bound(r), r)) if r.shape[0] else False
+
+
+def check_constraints(mechanics: DiscreteMechanics, r: Array, first: int = 0) -> None:
+    """``SolveError`` naming step and joints when constraints lose rank at or between knots ``r`` (n, s)."""
+    if len(r) < 2 or not changes_rank(mechanics):
+        return
+    function = _overlap(mechanics)
+    mapped = function if len(r) == 2 else function.map(len(r) - 1)
+    independence, overlap = (np.asarray(x, float).ravel() for x in mapped(r[:-1].T, r[1:].T))
+    bad = np.flatnonzero(~((independence > _LOST) & (overlap > 0)))
+    if bad.size:
+        k = int(bad[0])
+        raise rank_lost(mechanics.vehicle, first + k, r[k], r[k + 1])
+
+
+def check_mass(mechanics: DiscreteMechanics, r: Array) -> None:
+    """``SolveError`` naming step and joints when the kinetic energy on the free velocities is not positive definite."""
+    function = _mass(mechanics)
+    if function is None or len(r) == 0:
+        return
+    smallest = _definiteness(_rows(function, r))
+    for k in np.flatnonzero(~(smallest > _INDEFINITE)):
+        # the basis may be what is singular: ask again in one that is not
+        value = _on_orthonormal_basis(mechanics, r[k])
+        if value > _INDEFINITE:
+            continue
+        raise SolveError(
+            f"{mechanics.vehicle.name}: step {k}: kinetic energy is not positive definite on the free velocities at "
+            f"joints = {np.round(r[k], 6).tolist()} (smallest eigenvalue {value:.3g} of the largest); mend the Lagrangian, "
+            "or keep the joints away from there"
+        )
+
+
+def rank_lost(vehicle: Vehicle, step: int, before: Array, after: Array) -> SolveError:
+    return SolveError(
+        f"{vehicle.name}: step {step}: constraints lose rank between joints = {np.round(before, 6).tolist()} and "
+        f"{np.round(after, 6).tolist()}: nothing determines the motion there; keep the joints away from it"
+    )
+
+
+def _rows(function: ca.Function, r: Array) -> Array:
+    """A square matrix function at every row of ``r`` (n, s): (n, m, m)."""
+    m, n = function.size1_out(0), len(r)
+    stacked = np.asarray((function if n == 1 else function.map(n))(r.T), float)
+    return stacked.reshape(m, n, m).transpose(1, 0, 2)
+
+
+def _definiteness(matrices: Array) -> Array:
+    """Smallest over largest eigenvalue of symmetric matrices (n, m, m), each scaled by its own diagonal first: (n,)."""
+    size = np.sqrt(np.abs(np.diagonal(matrices, axis1=1, axis2=2))) + 1e-300
+    scaled = matrices / size[:, :, None] / size[:, None, :]
+    values = np.linalg.eigvalsh(np.nan_to_num((scaled + scaled.transpose(0, 2, 1)) / 2, nan=-1.0, posinf=-1.0))
+    return np.asarray(values[:, 0] / np.abs(values).max(axis=1), float)
+
+
+def _on_orthonormal_basis(mechanics: DiscreteMechanics, r: Array) -> float:
+    """Definiteness of the kinetic energy on the null space of all constraints at joints ``r`` (s,)."""
+    v = mechanics.vehicle
+    others = [i for i in range(len(v.joints)) if i not in {joint for joint, _ in v.driven}]
+
+    def build() -> ca.Function:
+        s, d = len(v.joints), v.group.dim
+        symbol, rates, xi = ca.SX.sym("r", s), ca.SX.sym("u", len(others)), ca.SX.sym("xi", d)
+        u = ca.SX.zeros(s)
+        u[others] = rates
+        velocity = ca.vertcat(rates, xi)
+        hessian = ca.hessian(v.reduced_lagrangian(symbol, u, xi), velocity)[0]
+        w_r, w_xi = v._constraints(symbol)  # type: ignore[attr-defined]
+        still = ca.SX.zeros(velocity.shape[0])
+        values = [ca.substitute(hessian, velocity, still), ca.horzcat(w_r[:, others], w_xi)]
+        return ca.Function("full", [symbol], [ca.densify(x) for x in values])
+
+    hessian, rows = (np.array(x) for x in keep(mechanics, "full", build)(r))
+    from scipy.linalg import null_space
+
+    basis = null_space(rows.reshape(-1, len(hessian))) if rows.size else np.eye(len(hessian))
+    return float(_definiteness((basis.T @ hessian @ basis)[None])[0]) if basis.size else 1.0
+
+
+def _bound(vehicle: Vehicle) -> Callable[[Any], Any] | None:
+    """The matrix the constraints solve for, when the vehicle has any."""
+    return getattr(vehicle, "bound", None)
+
+
+def _overlap(mechanics: DiscreteMechanics) -> ca.Function:
+    """``(r0, r1) -> (independence of the rows at the worse end, overlap of the two row spaces)``."""
+
+    def build() -> ca.Function:
+        bound, s = _bound(mechanics.vehicle), len(mechanics.vehicle.joints)
+        assert bound is not None
+        r0, r1 = ca.SX.sym("r0", s), ca.SX.sym("r1", s)
+        unit = [_unit_rows(bound(r)) for r in (r0, r1)]
+        own = [ca.det(w @ w.T) for w in unit]
+        return ca.Function("overlap", [r0, r1], [ca.fmin(*own), ca.det(unit[0] @ unit[1].T)])
+
+    return keep(mechanics, "overlap", build)
+
+
+def _unit_rows(w: Any) -> Any:
+    return ca.vertcat(*(w[i, :] / ca.sqrt(ca.sumsqr(w[i, :]) + 1e-300) for i in range(w.shape[0])))
+
+
+def _mass(mechanics: DiscreteMechanics) -> ca.Function | None:
+    v, y = mechanics.vehicle, mechanics.symbols
+
+    def build() -> ca.Function:
+        u, xi = free_velocity(v, y["r"], y["z"], driven_rates(v, ca.SX.zeros(len(v.controls))))
+        mass = ca.hessian(v.reduced_lagrangian(y["r"], u, xi), y["z"])[0]
+        return ca.Function("mass", [y["r"]], [ca.densify(ca.substitute(mass, y["z"], ca.SX.zeros(y["z"].shape[0])))])
+
+    if not len(v.joints) or not y["z"].shape[0]:
+        return None
+    function = keep(mechanics, "mass", build)
+    return None if function.jac_sparsity(0, 0).nnz() == 0 else function
