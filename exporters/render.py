@@ -56,10 +56,7 @@ class StageRenderer:
         self._mocap = {
             group: self._model.body_mocapid[self._model.body(f"group{k}").id] for k, group in enumerate(stage.groups)
         }
-        try:
-            self._renderer = mujoco.Renderer(self._model, height=height, width=width, max_geom=self._model.ngeom + 100)
-        except Exception as error:  # MuJoCo and PyOpenGL raise what they like
-            raise ExportError(NO_EGL.format(reason=str(error).strip().split("\n")[0])) from error
+        self._canvas = _Canvas(self._model, width, height)
 
     def __enter__(self) -> StageRenderer:
         return self
@@ -71,7 +68,7 @@ class StageRenderer:
 
     def close(self) -> None:
         """Give the OpenGL context back."""
-        self._renderer.close()
+        self._canvas.close()
 
     def render(self, camera: str, frame: float) -> Picture:
         """The picture (height, width, 3) of ``camera`` at a time code."""
@@ -85,21 +82,19 @@ class StageRenderer:
             self._data.mocap_quat[k] = Rotation.from_matrix(pose[:3, :3]).as_quat(scalar_first=True)
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
-        self._renderer.update_scene(self._data)
+        self._canvas.update(self._data)
         self._place_camera(camera, frame)
         self._place_lights()
-        flags = self._renderer.scene.flags
-        for name, on in self._flags().items():
-            flags[getattr(mujoco.mjtRndFlag, f"mjRND_{name}")] = on
-        return np.asarray(Image.fromarray(self._renderer.render()).reduce(SUPERSAMPLE))
-
-    def _flags(self) -> dict[str, bool]:
-        return {"SHADOW": self._shadows, "FOG": True, "HAZE": False, "SKYBOX": True, "REFLECTION": False}
+        picture, depth = self._canvas.draw(SHADOW=self._shadows, FOG=True)
+        if not depth.all():  # haze would swallow the sky, so that is drawn for itself
+            sky, _ = self._canvas.draw(only_sky=True, SKYBOX=True)
+            picture = np.where(depth[..., None] > 0, picture, sky)
+        return np.asarray(Image.fromarray(picture[::-1]).reduce(SUPERSAMPLE))
 
     def _place_camera(self, name: str, frame: float) -> None:
         pose, half_width, half_height, (near, far) = self.stage.camera(name, frame)
-        half_height = half_width * self._renderer.height / self._renderer.width  # pixels are square
-        for camera in self._renderer.scene.camera:  # two eyes, drawn as their mean
+        half_height = half_width * self.size[1] / self.size[0]  # pixels are square
+        for camera in self._canvas.scene.camera:  # two eyes, drawn as their mean
             camera.pos = pose[:3, 3]
             camera.forward = -pose[:3, 2]
             camera.up = pose[:3, 1]
@@ -111,7 +106,7 @@ class StageRenderer:
 
     def _place_lights(self) -> None:
         """Hang the sun's shadow map over what the camera sees, on whole texels so that shadow edges do not crawl."""
-        scene = self._renderer.scene
+        scene = self._canvas.scene
         eye = scene.camera[0]
         lower, upper = self._bounds
         centre = np.clip(eye.pos + SHADOW_REACH * 0.6 * eye.forward, lower, upper)
@@ -176,6 +171,58 @@ class StageRenderer:
                 mass=0.0,
             )
         return spec
+
+
+class _Canvas:
+    """An off-screen OpenGL context with MuJoCo's renderer and one scene. Raises ``ExportError`` without EGL."""
+
+    def __init__(self, model: Any, width: int, height: int) -> None:
+        import mujoco
+
+        try:
+            self._gl: Any = mujoco.GLContext(width, height)
+            self._gl.make_current()
+            self._context: Any = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        except Exception as error:  # MuJoCo and PyOpenGL raise what they like
+            raise ExportError(NO_EGL.format(reason=str(error).strip().split("\n")[0])) from error
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
+        self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
+        self._model = model
+        self._rect = mujoco.MjrRect(0, 0, width, height)
+        self._option = mujoco.MjvOption()
+        self.scene = mujoco.MjvScene(model, model.ngeom + 100)
+
+    def update(self, data: Any) -> None:
+        """Take geoms and lights from ``data``."""
+        import mujoco
+
+        everything = mujoco.mjtCatBit.mjCAT_ALL
+        free = mujoco.MjvCamera()
+        mujoco.mjv_updateScene(self._model, data, self._option, None, free, everything, self.scene)
+
+    def draw(self, only_sky: bool = False, **flags: bool) -> tuple[Picture, NDArray[np.float32]]:
+        """Colour (h, w, 3) and depth (h, w), 0 where there is nothing, both from the bottom row up.
+
+        ``flags``: the renderer's own (SHADOW, FOG, SKYBOX, ...); what is not named is off.
+        """
+        import mujoco
+
+        for k, name in enumerate(mujoco.mjtRndFlag.__members__):
+            if k < len(self.scene.flags):
+                self.scene.flags[k] = flags.get(name.removeprefix("mjRND_"), name == "mjRND_CULL_FACE")
+        colour = np.empty((self._rect.height, self._rect.width, 3), np.uint8)
+        depth = np.empty((self._rect.height, self._rect.width), np.float32)
+        count, self.scene.ngeom = self.scene.ngeom, 0 if only_sky else self.scene.ngeom
+        self._gl.make_current()
+        mujoco.mjr_render(self._rect, self.scene, self._context)
+        mujoco.mjr_readPixels(colour, depth, self._rect, self._context)
+        self.scene.ngeom = count
+        return colour, depth
+
+    def close(self) -> None:
+        self._gl.make_current()
+        self._context.free()
+        self._gl.free()
 
 
 SUN = 1

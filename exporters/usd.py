@@ -78,7 +78,9 @@ def _check_finite(name: str, clip: Clip) -> None:
     for what, values in {"positions": clip.positions, "orientations": clip.orientations, **clip.channels}.items():
         bad = ~np.isfinite(np.reshape(values, (len(clip.times), -1))).all(axis=1)
         if bad.any():
-            raise ExportError(f"{name}.{what}: not a finite number at frame {clip.frames[bad.argmax()]:g}; mend the clip")
+            raise ExportError(
+                f"{name}.{what}: not a finite number at frame {clip.frames[bad.argmax()]:g}; mend the clip"
+            )
 
 
 def _model(prim: Any, kind: str, name: str, identifier: str) -> None:

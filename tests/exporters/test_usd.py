@@ -244,7 +244,7 @@ def test_not_a_number_is_refused_with_prim_and_frame(tmp_path, toys, make_take):
     clip = toys.clip(toys.asset(tmp_path / "in" / "toy.usda"))
     take = make_take(clip)
     clip.channels["rotor"][7] = np.nan
-    with pytest.raises(ExportError, match="toy0.rotor: not a finite number at frame 1008"):
+    with pytest.raises(ExportError, match=r"toy0\.rotor: not a finite number at frame 1008"):
         write_usd(take, tmp_path / "out", toys.silent)
 
 

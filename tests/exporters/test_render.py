@@ -1,0 +1,224 @@
+"""Pictures show the stage: the camera is USD's to the pixel, light and materials are its own, guides stay unseen."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from vehsim.exporters.frames import render_stage
+from vehsim.exporters.render import StageRenderer
+from vehsim.exporters.stage import StageReader
+
+from vehsim.errors import InputError
+from vehsim.world import World
+
+SIZE = (320, 180)
+
+
+@pytest.fixture
+def new_stage(tmp_path):
+    """A stage on disk with a camera 10 m back from the origin, looking along +Y; add to it and save."""
+    from pxr import Gf, Usd, UsdGeom
+
+    stage = Usd.Stage.CreateNew(str(tmp_path / "plain.usda"))
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdGeom.SetStageUpAxis(stage, "Z")
+    stage.SetStartTimeCode(1)
+    stage.SetEndTimeCode(3)
+    stage.SetFramesPerSecond(24)
+    stage.SetTimeCodesPerSecond(24)
+    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/top").GetPrim())
+    camera = UsdGeom.Camera.Define(stage, "/top/main")
+    camera.CreateFocalLengthAttr(0.35)
+    camera.CreateHorizontalApertureAttr(0.36)
+    camera.CreateVerticalApertureAttr(0.36 * SIZE[1] / SIZE[0])
+    camera.CreateClippingRangeAttr(Gf.Vec2f(0.1, 500))
+    camera.AddTranslateOp().Set(Gf.Vec3d(0, -10, 0))
+    camera.AddRotateXOp().Set(90.0)
+    return stage
+
+
+def quad(stage, path, centre, half, colour, texture=None):
+    """A square facing -Y, its lower left corner st (0, 0)."""
+    from pxr import Gf, Sdf, UsdGeom, UsdShade
+
+    x, y, z = centre
+    mesh = UsdGeom.Mesh.Define(stage, path)
+    mesh.CreateSubdivisionSchemeAttr("none")
+    points = [(x + i * half, y, z + j * half) for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    mesh.CreatePointsAttr([Gf.Vec3f(*point) for point in points])
+    mesh.CreateFaceVertexCountsAttr([4])
+    mesh.CreateFaceVertexIndicesAttr([0, 1, 2, 3])
+    mesh.CreateExtentAttr([Gf.Vec3f(*points[0]), Gf.Vec3f(*points[2])])
+    material = UsdShade.Material.Define(stage, f"{path}_material")
+    shader = UsdShade.Shader.Define(stage, f"{path}_material/surface")
+    shader.CreateIdAttr("UsdPreviewSurface")
+    emissive = shader.CreateInput("emissiveColor", Sdf.ValueTypeNames.Color3f)
+    emissive.Set(Gf.Vec3f(1.0))
+    diffuse = shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
+    diffuse.Set(Gf.Vec3f(*colour))
+    if texture:
+        st = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, "vertex")
+        st.Set([(0, 0), (1, 0), (1, 1), (0, 1)])
+        image = UsdShade.Shader.Define(stage, f"{path}_material/image")
+        image.CreateIdAttr("UsdUVTexture")
+        image.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(texture)
+        diffuse.ConnectToSource(image.CreateOutput("rgb", Sdf.ValueTypeNames.Float3))
+    material.CreateSurfaceOutput().ConnectToSource(shader.CreateOutput("surface", Sdf.ValueTypeNames.Token))
+    UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
+    return mesh
+
+
+def picture(stage, frame=1):
+    stage.GetRootLayer().Save()
+    with StageRenderer(StageReader(stage.GetRootLayer().realPath), SIZE) as renderer:
+        return renderer.render("main", frame).astype(float)
+
+
+def centroid(mask):
+    rows, columns = np.nonzero(mask)
+    return columns.mean() + 0.5, rows.mean() + 0.5
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (3.0, 2.0, -1.5), (-4.0, 5.0, 2.0)])
+def test_a_point_lands_on_the_pixel_that_usd_says(new_stage, place):
+    from pxr import Gf, UsdGeom
+
+    quad(new_stage, "/top/spot", place, 0.3, (1, 0, 0))
+    image = picture(new_stage)
+    red = (image[..., 0] > 120) & (image[..., 1] < 60)
+    frustum = UsdGeom.Camera(new_stage.GetPrimAtPath("/top/main")).GetCamera(1).frustum
+    ndc = (frustum.ComputeViewMatrix() * frustum.ComputeProjectionMatrix()).Transform(Gf.Vec3d(*place))
+    expected = (ndc[0] + 1) / 2 * SIZE[0], (1 - ndc[1]) / 2 * SIZE[1]
+    assert np.allclose(centroid(red), expected, atol=0.5)
+
+
+def test_what_moves_in_the_stage_moves_in_the_picture(new_stage):
+    from pxr import Gf, UsdGeom
+
+    mover = UsdGeom.Xform.Define(new_stage, "/top/mover")
+    op = mover.AddTranslateOp()
+    mover.AddScaleOp().Set(Gf.Vec3f(2.0))  # scale in the moving prim itself is baked, not lost
+    op.Set(Gf.Vec3d(-3, 0, 0), 1)
+    op.Set(Gf.Vec3d(3, 0, 0), 3)
+    quad(new_stage, "/top/mover/spot", (0, 0, 0), 0.2, (1, 0, 0))
+    places = []
+    for frame in (1, 2, 3):
+        image = picture(new_stage, frame)
+        red = (image[..., 0] > 120) & (image[..., 1] < 60)
+        places.append(centroid(red)[0])
+        assert red.sum() == pytest.approx((0.8 / 10 * 35 / 36 * SIZE[0]) ** 2, rel=0.12)
+    pixels = 3 / 10 * 35 / 36 * SIZE[0]
+    assert np.allclose(places, [SIZE[0] / 2 - pixels, SIZE[0] / 2, SIZE[0] / 2 + pixels], atol=0.5)
+
+
+def test_a_texture_stands_upright(new_stage, tmp_path):
+    """USD counts v from the bottom of an image, OpenGL from its first row."""
+    from PIL import Image
+
+    corners = np.zeros((64, 64, 3), np.uint8)
+    corners[:32, :32] = (255, 0, 0)  # top left
+    corners[32:, 32:] = (0, 0, 255)  # bottom right
+    Image.fromarray(corners).save(tmp_path / "corners.png")
+    quad(new_stage, "/top/card", (0, 0, 0), 2.0, (1, 1, 1), "./corners.png")
+    image = picture(new_stage)
+    middle_x, middle_y = SIZE[0] // 2, SIZE[1] // 2
+    assert image[middle_y - 25, middle_x - 25].argmax() == 0
+    assert image[middle_y + 25, middle_x + 25].argmax() == 2
+    assert image[middle_y - 25, middle_x + 25].max() < 60
+
+
+def test_guides_and_hidden_prims_are_not_drawn(new_stage):
+    from pxr import UsdGeom
+
+    quad(new_stage, "/top/far", (40, 40, 0), 0.1, (0.5, 0.5, 0.5))
+    empty = picture(new_stage)
+    quad(new_stage, "/top/guide", (0, 0, 0), 1.0, (1, 0, 0)).CreatePurposeAttr("guide")
+    hidden = quad(new_stage, "/top/hidden", (1, 0, 0), 1.0, (1, 0, 0))
+    UsdGeom.Imageable(hidden).MakeInvisible()
+    assert (picture(new_stage) == empty).all()
+
+
+def test_the_sun_comes_from_where_the_stage_says(new_stage):
+    """Two slopes facing west and east; the low sun in the east (+X) lights the one that faces it."""
+    from pxr import Gf, UsdGeom, UsdLux
+
+    for x in (-2.0, 2.0):
+        slope = UsdGeom.Xform.Define(new_stage, f"/top/slope{'we'[x > 0]}")
+        slope.AddTranslateOp().Set(Gf.Vec3d(x, 0, 0))
+        slope.AddRotateZOp().Set(50.0 if x > 0 else -50.0)
+        card = quad(new_stage, f"{slope.GetPath()}/card", (0, 0, 0), 1.0, (0.5, 0.5, 0.5))
+        card.GetPrim().GetStage().GetPrimAtPath(f"{card.GetPath()}_material/surface").GetAttribute(
+            "inputs:emissiveColor"
+        ).Set(Gf.Vec3f(0))
+    sun = UsdLux.DistantLight.Define(new_stage, "/top/sun")
+    sun.CreateIntensityAttr(3.0)
+    sun.AddRotateXYZOp().Set(Gf.Vec3f(70.0, 0.0, 90.0))  # shines along -X and down by 20 degrees
+    image = picture(new_stage).mean(axis=2)
+    offset = round(2 / 10 * 35 / 36 * SIZE[0])
+    west, east = (image[SIZE[1] // 2, SIZE[0] // 2 + side * offset] for side in (-1, 1))
+    assert east > 1.4 * west
+
+
+def test_the_sky_is_brightest_where_the_stage_puts_its_glow(new_stage, tmp_path):
+    from pxr import UsdLux
+    from vehsim.exporters.lighting import write_sky
+
+    write_sky(tmp_path / "sky.png", azimuth=90.0, elevation=10.0)
+    dome = UsdLux.DomeLight.Define(new_stage, "/top/sky")
+    dome.CreateTextureFileAttr("./sky.png")
+    dome.AddRotateXOp().Set(90.0)
+    quad(new_stage, "/top/far", (40, 40, 0), 0.1, (0.5, 0.5, 0.5))
+    image = picture(new_stage).sum(axis=2)
+    # The camera looks along +Y, where the glow is; 10 degrees up is row 90 - tan(10) * 35 / 36 * 320.
+    row = round(SIZE[1] / 2 - np.tan(np.radians(10)) * 35 / 36 * SIZE[0])
+    assert image[row, SIZE[0] // 2] > image[row, 5] + 20
+    assert image[row, SIZE[0] // 2] > image[5, SIZE[0] // 2] + 20
+    turned = new_stage.GetPrimAtPath("/top/main")
+    turned.GetAttribute("xformOpOrder").Set(["xformOp:translate", "xformOp:rotateZ", "xformOp:rotateX"])
+    turned.CreateAttribute("xformOp:rotateZ", turned.GetAttribute("xformOp:rotateX").GetTypeName()).Set(30.0)
+    image = picture(new_stage).sum(axis=2)  # turned left by 30 degrees: the glow is on the right now
+    assert image[row, -5:].mean() > image[row, :5].mean() + 20
+
+
+def test_frames_are_numbered_by_camera_and_the_same_every_time(tmp_path, toys, make_take):
+    from vehsim.exporters.usd import write_usd
+
+    clip = toys.clip(toys.asset(tmp_path / "in" / "toy.usda"))
+    write_usd(make_take(clip), tmp_path, toys.silent)
+    seen = []
+    a = render_stage(
+        tmp_path / "shot.usda", tmp_path / "a", frames=[1001, 1010], size=(160, 90), progress=lambda *x: seen.append(x)
+    )
+    b = render_stage(tmp_path / "shot.usda", tmp_path / "b", camera="chase", frames=[1001, 1010], size=(160, 90))
+    names = [str(path.relative_to(tmp_path / "a")) for path in a]
+    assert names == ["chase/shot.chase.1001.png", "chase/shot.chase.1010.png"]
+    assert [x.read_bytes() for x in a] == [x.read_bytes() for x in b]
+    assert a[0].read_bytes() != a[1].read_bytes()
+    assert [done for _, done in seen] == [0.0, 0.5]
+
+
+def test_a_take_in_empty_space_is_drawn(tmp_path, toys, make_take):
+    from vehsim.exporters.usd import write_usd
+
+    clip = toys.clip(toys.asset(tmp_path / "in" / "toy.usda"))
+    write_usd(make_take(clip, world=World()), tmp_path, toys.silent)
+    with StageRenderer(StageReader(tmp_path / "shot.usda"), SIZE) as renderer:
+        image = renderer.render("chase", 1010).astype(float)
+    red = (image[..., 0] > 1.6 * image[..., 1]) & (image[..., 0] > 60)
+    assert 50 < red.sum() < SIZE[0] * SIZE[1] / 4
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [({"camera": "b"}, "choose one of main"), ({"size": (100_000, 90)}, "16 to 8192"), ({"size": (0, 90)}, "16 to")],
+)
+def test_what_cannot_be_drawn_is_refused(new_stage, tmp_path, options, message):
+    new_stage.GetRootLayer().Save()
+    with pytest.raises(InputError, match=message):
+        render_stage(tmp_path / "plain.usda", tmp_path / "out", **options)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_missing_stage_is_named(tmp_path):
+    with pytest.raises(InputError, match=r"gone\.usda: no such file"):
+        render_stage(tmp_path / "gone.usda", tmp_path)
