@@ -26,6 +26,15 @@ from vehsim.planning.certify import SAMPLES, Executed, certify, executed
 from vehsim.planning.cover import sphere_cover
 from vehsim.planning.elements import Solution, Solver, solver_options
 from vehsim.planning.guess import along_paths, lift
+from vehsim.planning.legs import (
+    cut,
+    fixed_durations,
+    mark_positions,
+    path_length,
+    share_known_spans,
+    spans_between,
+    split_segments,
+)
 from vehsim.planning.marks import Mark, check_marks
 from vehsim.planning.terms import check_limits, cost_weights
 from vehsim.planning.transcription import Layout, Transcription, build, parameter_values, transcription, variable_bounds
@@ -182,12 +191,12 @@ class _Attempt:
         """Layout, leg lengths and first guess."""
         marks = self.request.marks
         speed = min(CRUISE, 0.6 * self.request.limits.get("speed", math.inf))
-        fixed = _fixed_durations(marks, self.request.fps)
-        legs = np.array([_length(path) for path in paths])
+        fixed = fixed_durations(marks, self.request.fps)
+        legs = np.array([path_length(path) for path in paths])
         rests = np.array([a.at_rest + b.at_rest for a, b in pairwise(marks)])
         durations = np.where(np.isnan(fixed), legs / speed + 1.5 * rests + 0.5, fixed)
-        _share_known_spans(durations, marks, self.request.fps)
-        phases = _split(self.request.segments, durations, np.array([mark.hold > 0 for mark in marks[:-1]]))
+        share_known_spans(durations, marks, self.request.fps)
+        phases = split_segments(self.request.segments, durations, np.array([mark.hold > 0 for mark in marks[:-1]]))
         self.layout = Layout(self.t.sizes, phases)
         self.lengths = durations / np.array(phases)
         self.free = np.isnan(fixed)
@@ -197,7 +206,7 @@ class _Attempt:
         """Solve on the present layout from the present variables; legs of free marks vary when ``free``."""
         began = time.perf_counter()
         request, layout = self.request, self.layout
-        spans = _spans(request.marks, request.fps) if free else []
+        spans = spans_between(request.marks, request.fps) if free else []
         problem, _ = build(self.t, layout, request.marks, request.limits, self.cover, spans)
         options = solver_options(request.max_iterations)
         solver = Solver(problem, options, self._watch() if self.progress else None)
@@ -352,13 +361,13 @@ def _cover(request: _Request, paths: list[Array]) -> Any:
 
 def _paths(request: _Request, guess: Any, progress: Progress | None) -> list[Array]:
     """A polyline (k, 3) for every leg between marks."""
-    positions = _mark_positions(request.marks)
+    positions = mark_positions(request.marks)
     legs = list(pairwise(positions))
     if guess is not None:
         points = guess.positions if isinstance(guess, Clip) else np.asarray(guess, float)
         if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2:
             raise InputError(f"guess: shape {points.shape}; give a Clip, or a path of (k, 3) points in metres")
-        return _cut(points, legs)
+        return cut(points, legs)
     if not request.terrain:
         return [np.array(leg) for leg in legs]
     request.world.distance_field(progress=progress)
@@ -369,56 +378,3 @@ def _paths(request: _Request, guess: Any, progress: Progress | None) -> list[Arr
     lift = np.array([0, 0, middle[2]])
     ceiling = request.limits["ceiling"] + middle[2] if "ceiling" in request.limits else None
     return [np.asarray(request.world.route(a + lift, b + lift, reach, ceiling)) - lift for a, b in legs]
-
-
-def _cut(points: Array, legs: list[tuple[Array, Array]]) -> list[Array]:
-    """One path cut into legs at its points nearest to the marks, in order."""
-    cuts = [0]
-    for _, end in legs[:-1]:
-        later = np.linalg.norm(points[cuts[-1] :] - end, axis=1)
-        cuts.append(cuts[-1] + int(np.argmin(later)))
-    cuts.append(len(points) - 1)
-    return [np.vstack([a, points[i : j + 1], b]) for (a, b), i, j in zip(legs, cuts[:-1], cuts[1:], strict=True)]
-
-
-def _mark_positions(marks: Sequence[Mark]) -> Array:
-    """A position for every mark; those that leave it open stand evenly between their neighbours."""
-    known = [i for i, mark in enumerate(marks) if mark.position is not None]
-    values = np.array([marks[i].position for i in known], float)
-    return np.column_stack([np.interp(np.arange(len(marks)), known, values[:, k]) for k in range(3)])
-
-
-def _length(path: Array) -> float:
-    return float(np.sum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
-
-
-def _fixed_durations(marks: Sequence[Mark], fps: Fraction) -> Array:
-    """Seconds of each leg between two marks at frames, NaN where either is free."""
-    frames = [math.nan if mark.frame == "free" else float(mark.frame) for mark in marks]
-    return np.diff(frames) / float(fps)
-
-
-def _spans(marks: Sequence[Mark], fps: Fraction) -> list[tuple[list[int], float]]:
-    """Runs of free legs between two marks at frames: their phases and what they add up to, s."""
-    fixed = [i for i, mark in enumerate(marks) if mark.frame != "free"]
-    spans = []
-    for a, b in pairwise(fixed):
-        if b > a + 1:
-            spans.append((list(range(a, b)), float((int(marks[b].frame) - int(marks[a].frame)) / fps)))
-    return spans
-
-
-def _share_known_spans(durations: Array, marks: Sequence[Mark], fps: Fraction) -> None:
-    for phases, total in _spans(marks, fps):
-        durations[phases] *= total / durations[phases].sum()
-
-
-def _split(segments: int, durations: Array, held: NDArray[np.bool_]) -> tuple[int, ...]:
-    """Segments a leg, by duration, at least two each; a hold is one."""
-    counts = np.where(held, 1, 2)
-    moving = np.where(held, 0.0, durations)
-    share = moving / moving.sum() * max(0, segments - counts.sum())
-    counts = counts + np.floor(share).astype(int)
-    for i in np.argsort(np.floor(share) - share)[: max(0, segments - counts.sum())]:
-        counts[i] += 1
-    return tuple(int(n) for n in counts)

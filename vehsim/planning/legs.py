@@ -1,0 +1,68 @@
+"""Legs: what lies between two marks, in frames, seconds, metres and segments."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from fractions import Fraction
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.planning.marks import Mark
+
+Array = NDArray[np.float64]
+
+
+def cut(points: Array, legs: list[tuple[Array, Array]]) -> list[Array]:
+    """One path cut into legs at its points nearest to the marks, in order."""
+    cuts = [0]
+    for _, end in legs[:-1]:
+        later = np.linalg.norm(points[cuts[-1] :] - end, axis=1)
+        cuts.append(cuts[-1] + int(np.argmin(later)))
+    cuts.append(len(points) - 1)
+    return [np.vstack([a, points[i : j + 1], b]) for (a, b), i, j in zip(legs, cuts[:-1], cuts[1:], strict=True)]
+
+
+def mark_positions(marks: Sequence[Mark]) -> Array:
+    """A position for every mark; those that leave it open stand evenly between their neighbours."""
+    known = [i for i, mark in enumerate(marks) if mark.position is not None]
+    values = np.array([marks[i].position for i in known], float)
+    return np.column_stack([np.interp(np.arange(len(marks)), known, values[:, k]) for k in range(3)])
+
+
+def path_length(path: Array) -> float:
+    return float(np.sum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
+
+
+def fixed_durations(marks: Sequence[Mark], fps: Fraction) -> Array:
+    """Seconds of each leg between two marks at frames, NaN where either is free."""
+    frames = [math.nan if mark.frame == "free" else float(mark.frame) for mark in marks]
+    return np.diff(frames) / float(fps)
+
+
+def spans_between(marks: Sequence[Mark], fps: Fraction) -> list[tuple[list[int], float]]:
+    """Runs of free legs between two marks at frames: their phases and what they add up to, s."""
+    fixed = [i for i, mark in enumerate(marks) if mark.frame != "free"]
+    spans = []
+    for a, b in pairwise(fixed):
+        if b > a + 1:
+            spans.append((list(range(a, b)), float((int(marks[b].frame) - int(marks[a].frame)) / fps)))
+    return spans
+
+
+def share_known_spans(durations: Array, marks: Sequence[Mark], fps: Fraction) -> None:
+    for phases, total in spans_between(marks, fps):
+        durations[phases] *= total / durations[phases].sum()
+
+
+def split_segments(segments: int, durations: Array, held: NDArray[np.bool_]) -> tuple[int, ...]:
+    """Segments a leg, by duration, at least two each; a hold is one."""
+    counts = np.where(held, 1, 2)
+    moving = np.where(held, 0.0, durations)
+    share = moving / moving.sum() * max(0, segments - counts.sum())
+    counts = counts + np.floor(share).astype(int)
+    for i in np.argsort(np.floor(share) - share)[: max(0, segments - counts.sum())]:
+        counts[i] += 1
+    return tuple(int(n) for n in counts)
