@@ -159,7 +159,7 @@ def test_a_failed_swap_puts_the_old_delivery_back(
 
 
 def test_a_crash_between_the_renames_loses_nothing(exporters: dict[str, Exporter], take: Take, tmp_path: Path) -> None:
-    """As if the power had gone: the old delivery stands aside and the next export, even a failing one, brings it back."""
+    """As if the power had gone: the old delivery stands aside, and even a failing export brings it back."""
     take.export(tmp_path, to=("a",))
     before = files(tmp_path)
     (tmp_path / "shot").rename(tmp_path / ".shot.4711.replaced")

@@ -21,6 +21,8 @@ from pydantic import (
     WithJsonSchema,
 )
 
+from vehsim.cameras import CameraRig
+
 MAX_FRAMES = 100_000
 """More frames than any shot has: an hour at 24 fps."""
 MAX_PIXELS = 8192
@@ -187,11 +189,11 @@ class CameraTable(Table):
     """how the camera moves: "chase", "follow", "orbit" or "static\""""
     target: Text | None = None
     """the name of the vehicle it looks at; the first one unless given"""
-    lens_mm: Annotated[Number, Field(ge=4, le=2000)] = 35.0
+    lens_mm: Annotated[Number, Field(ge=4, le=2000)] = CameraRig.lens_mm
     """the focal length in mm, 4 to 2000"""
-    aperture_width_mm: Annotated[Number, Field(ge=1, le=200)] = 36.0
+    aperture_width_mm: Annotated[Number, Field(ge=1, le=200)] = CameraRig.aperture_width_mm
     """the width of the film back in mm, 1 to 200"""
-    fill: Annotated[Number, Field(ge=0.005, le=1)] = 0.18
+    fill: Annotated[Number, Field(ge=0.005, le=1)] = CameraRig.fill
     """the share of the picture's height the target takes, 0.005 to 1; it sets the distance"""
     distance: Annotated[Positive, Field(le=1e5)] | None = None
     """the distance to the target in m, instead of fill"""
@@ -203,9 +205,9 @@ class CameraTable(Table):
     """where a static camera stands, [x, y, z] in m"""
     look_at: Point | None = None
     """what a static camera looks at, [x, y, z] in m"""
-    turn: Annotated[Number, Field(ge=-3600, le=3600)] = 20.0
+    turn: Annotated[Number, Field(ge=-3600, le=3600)] = CameraRig.turn
     """degrees a second that an orbit turns"""
-    margin: Annotated[NotNegative, Field(le=1000)] = 1.5
+    margin: Annotated[NotNegative, Field(le=1000)] = CameraRig.margin
     """how far above the ground the camera stays, in m"""
 
 

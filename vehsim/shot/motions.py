@@ -89,13 +89,13 @@ class PlanMotion(Table):
             limits={name: np.deg2rad(v) if name in _ANGULAR else v for name, v in self.limits.items()},
             progress=progress,
         )
-        names = ("success", "message", "cost", "duration", "iterations", "solve_seconds", "build_seconds")
-        report = {name: getattr(result, name) for name in (*names, "defect", "clearance")}
-        report |= {"segments": result.segments, "executed": asdict(result.executed)}
-        report["marks"] = [mark.model_dump(mode="json", exclude_unset=True) for mark in self.mark if mark.position]
         if not result.success:
             raise SolveError(f"{vehicle.name}: no plan was found: {result.message}; loosen marks, clearance or limits")
-        return result.clip, report
+        # how long it took is left out: the same shot gives the same report
+        names = ("success", "message", "cost", "duration", "iterations", "segments", "defect", "clearance")
+        report = {name: getattr(result, name) for name in names} | {"executed": asdict(result.executed)}
+        marks = [mark.model_dump(mode="json", exclude_unset=True) for mark in self.mark if mark.position]
+        return result.clip, report | {"marks": marks}
 
 
 class PilotTable(Table):

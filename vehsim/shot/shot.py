@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from vehsim.errors import InputError, Problem, ShotError
 from vehsim.shot.checks import Setting, choose
 from vehsim.shot.file import ShotFile, VehicleTable, parse
+from vehsim.shot.holding import hold, rests
 from vehsim.shot.model import MAX_FRAMES
 from vehsim.shot.reading import apply_overrides, line_of, lines_of, read_toml
 
@@ -23,9 +24,6 @@ if TYPE_CHECKING:
     from vehsim.take import Progress, RenderSettings, Take
     from vehsim.vehicles import Vehicle
     from vehsim.world import World
-
-_MOVING = 1e-2
-"""A twist below it is standing still, rad/s and m/s."""
 
 
 class Shot:
@@ -115,6 +113,7 @@ class Shot:
         clips, vehicles = self._solve_vehicles(progress or (lambda what, done: None))
         marks = {name: report.pop("marks", []) for name, report in vehicles.items()}
         frames = self._frames(clips)
+        clips = {name: hold(clip, *frames) for name, clip in clips.items()}
         return Take(
             name=self.name,
             clips=clips,
@@ -209,13 +208,13 @@ class Shot:
         return clips, reports
 
     def _frames(self, clips: Mapping[str, Clip]) -> tuple[int, int]:
-        """First and last frame of the take. A vehicle stands still outside its clip; warn when it should not."""
+        """First and last frame of the take; warn when one of its vehicles is cut off while it moves."""
         first = self.file.shot.first
         last = self.file.shot.last
         last = max(clip.end_frame for clip in clips.values()) if last is None else last
         for name, clip in clips.items():
             for index, short in ((0, clip.start_frame > first), (-1, clip.end_frame < last)):
-                if short and abs(clip.twists[index]).max() > _MOVING:
+                if short and not rests(clip, index):
                     warnings.warn(
                         f"{name}: its motion covers frames {clip.start_frame} to {clip.end_frame} of {first} to {last} "
                         "and is cut off while it moves: it stands still in the others; move its marks or its duration",

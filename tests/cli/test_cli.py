@@ -1,0 +1,179 @@
+"""The command line: exit codes, one message per problem, no traceback, nothing touched by wrong input."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from vehsim import cli
+
+SHOT = """
+[shot]
+schema = 1
+name = "{name}"
+[[vehicle]]
+name = "car"
+asset = "car"
+[vehicle.motion]
+method = "simulate"
+duration = {duration}
+commands = [{{ frame = 1001, torque = 500 }}]
+"""
+
+
+def write(folder: Path, name: str = "drive", duration: float = 0.25, more: str = "") -> str:
+    path = folder / f"{name}.toml"
+    path.write_text(SHOT.format(name=name, duration=duration) + more)
+    return str(path)
+
+
+def test_export_writes_a_folder_per_shot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shots = [write(tmp_path, "one"), write(tmp_path, "two")]
+    assert cli.run(["export", *shots, "--out", str(tmp_path / "out"), "--to", "npz,csv"]) == 0
+    assert {path.name for path in (tmp_path / "out" / "one").iterdir()} == {"car.npz", "car.csv", "report.json"}
+    assert json.loads((tmp_path / "out" / "two" / "report.json").read_text())["shot"] == "two"
+    assert capsys.readouterr().out.count("npz, csv of frames 1001 to 1007") == 2
+
+
+def test_overrides_reach_the_take(tmp_path: Path) -> None:
+    arguments = ["export", write(tmp_path), "--out", str(tmp_path), "--to", "npz", "--set", "shot.start_frame=1"]
+    assert cli.run([*arguments, "--set", "vehicle.car.motion.duration=0.5"]) == 0
+    report = json.loads((tmp_path / "drive" / "report.json").read_text())
+    assert report["frames"] == [1, 13]
+
+
+@pytest.mark.parametrize(
+    "arguments, says",
+    [
+        (["--set", "world.wind=[0,nan,0]"], "world.wind[1]"),
+        (["--set", "world.wnd=3"], "did you mean 'wind'"),
+        (["--set", "nonsense"], "not KEY=VALUE"),
+        (["--set", "vehicle[3].name=x"], "leads nowhere"),
+        (["--only", "cra"], "did you mean 'car'"),
+        (["--to", "usd,pgn"], "no such exporter"),
+        (["--quality", "best"], "'best'"),
+        (["--colour"], "--colour"),
+    ],
+)
+def test_wrong_input_exits_with_2_and_touches_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], says: str
+) -> None:
+    shot = write(tmp_path)
+    assert cli.run(["export", shot, "--out", str(tmp_path / "out"), *arguments]) == 2
+    said = capsys.readouterr().err
+    assert says in said
+    assert "Traceback" not in said
+    assert [path.name for path in tmp_path.iterdir()] == ["drive.toml"]
+
+
+def test_a_bad_shot_does_not_stop_the_others(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bad = write(tmp_path, "bad", duration=-1)
+    arguments = ["export", bad, write(tmp_path, "good"), str(tmp_path / "none.toml"), "--to", "npz"]
+    assert cli.run([*arguments, "--out", str(tmp_path / "out")]) == 1
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["good"]
+    said = capsys.readouterr().err
+    assert "vehicle[0].motion.duration = -1" in said
+    assert "none.toml" in said
+
+
+def test_two_shots_of_one_name_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "copies").mkdir()
+    shots = [write(tmp_path), write(tmp_path / "copies")]
+    assert cli.run(["check", *shots]) == 2
+    assert "a name of its own" in capsys.readouterr().err
+
+
+def test_what_fails_while_working_exits_with_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "out" / "drive").mkdir(parents=True)
+    (tmp_path / "out" / "drive" / "mine.txt").touch()
+    assert cli.run(["export", write(tmp_path), "--out", str(tmp_path / "out"), "--to", "npz"]) == 1
+    assert "was not written by vehsim" in capsys.readouterr().err
+
+
+def test_quiet_says_nothing_but_errors(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shot = write(tmp_path, more="[world]\nwind = [0, 3, 0]\n")
+    assert cli.run(["export", shot, "--out", str(tmp_path), "--to", "npz", "--quiet"]) == 0
+    assert cli.run(["check", shot, "--quiet"]) == 0
+    assert capsys.readouterr() == ("", "")
+    assert cli.run(["check", shot]) == 0
+    assert "its drag is zero" in capsys.readouterr().err
+
+
+def test_dry_run_writes_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.run(["export", write(tmp_path), "--out", str(tmp_path / "out"), "--dry-run"]) == 0
+    assert "car (car, simulate)" in capsys.readouterr().out
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("command", ["vehicles", "terrains", "schema", "--version"])
+def test_what_there_is(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.run([command]) == 0
+    assert capsys.readouterr().out
+
+
+def test_schema_is_json(capsys: pytest.CaptureFixture[str]) -> None:
+    cli.run(["schema"])
+    assert json.loads(capsys.readouterr().out)["required"] == ["shot", "vehicle"]
+
+
+def test_unexpected_errors_are_short(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.delenv("VEHSIM_DEBUG", raising=False)
+    monkeypatch.setattr("vehsim.doctor.examine", lambda: 1 / 0)
+    assert cli.run(["doctor"]) == 1
+    said = capsys.readouterr().err
+    assert "ZeroDivisionError" in said
+    assert "VEHSIM_DEBUG=1" in said
+    monkeypatch.setenv("VEHSIM_DEBUG", "1")
+    with pytest.raises(ZeroDivisionError):
+        cli.run(["doctor"])
+
+
+@pytest.mark.parametrize(
+    "text, frames", [("1001-1100x10", list(range(1001, 1101, 10))), ("7", [7]), ("-2-1", [-2, -1, 0, 1])]
+)
+def test_frame_ranges(text: str, frames: list[int]) -> None:
+    assert cli._frames(text) == frames
+
+
+@pytest.mark.parametrize("option", [["--frames", "9-1"], ["--frames", "a"], ["--size", "100000x10"], ["--size", "960"]])
+def test_render_refuses_frames_and_sizes(tmp_path: Path, option: list[str]) -> None:
+    stage = tmp_path / "stage"
+    stage.touch()
+    assert cli.run(["render", str(stage), "--out", str(tmp_path / "out"), *option]) == 2
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("command", [["validate"], ["render", "--out", "out"]])
+def test_missing_stages(tmp_path: Path, command: list[str]) -> None:
+    assert cli.run([*command, str(tmp_path / "none.usda")]) == 2
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_export_leaves_nothing(tmp_path: Path, number: int) -> None:
+    """Stopped in the middle of writing, while its hidden folder is there."""
+    shot = write(tmp_path, duration=60)
+    code = (
+        "import sys, time, pathlib, vehsim.delivery as d, vehsim.cli\n"
+        "def slow(take, folder, names, progress):\n"
+        f"    (folder / 'half').touch(); pathlib.Path({str(tmp_path / 'started')!r}).touch(); time.sleep(60)\n"
+        "d.write_files = slow\n"
+        "sys.exit(vehsim.cli.run(sys.argv[1:]))\n"
+    )
+    arguments = [sys.executable, "-c", code, "export", shot, "--out", str(tmp_path / "out"), "--to", "npz"]
+    process = subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True)
+    while not (tmp_path / "started").exists():
+        assert process.poll() is None, process.communicate()[1]
+        time.sleep(0.05)
+    assert any((tmp_path / "out").iterdir())
+    os.kill(process.pid, number)
+    _, said = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert "Traceback" not in said
+    assert not (tmp_path / "out").exists()

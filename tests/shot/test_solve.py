@@ -1,0 +1,191 @@
+"""A shot solved: what the file says in frames and degrees arrives as physics in seconds and radians."""
+
+from __future__ import annotations
+
+import dataclasses
+import tomllib
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vehsim import Clip, Shot, load_vehicle
+from vehsim.cameras import CameraRig
+from vehsim.errors import ShotError
+from vehsim.shot.file import schema
+from vehsim.shot.model import CameraTable, parse_fps
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.mark.parametrize(
+    "given, exact",
+    [
+        (24, Fraction(24)),
+        ("24", Fraction(24)),
+        (24.0, Fraction(24)),
+        (12.5, Fraction(25, 2)),
+        ("24000/1001", Fraction(24000, 1001)),
+        ("23.976", Fraction(24000, 1001)),
+        (23.976, Fraction(24000, 1001)),
+        ("23.98", Fraction(24000, 1001)),
+        ("29.97", Fraction(30000, 1001)),
+        ("59.94", Fraction(60000, 1001)),
+    ],
+)
+def test_frame_rates_are_exact(given: Any, exact: Fraction) -> None:
+    assert parse_fps(given) == exact
+
+
+def test_commands_are_linear_between_frames(small: dict[str, Any]) -> None:
+    """A torque rising linearly over 12 frames gives the closed form's speed: v = tau t^2 / (2 T m_eff r)."""
+    small["vehicle"][0]["motion"]["commands"] = [{"frame": 1001, "torque": 0.0}, {"frame": 1013, "torque": 1000.0}]
+    take = Shot.from_dict(small).solve()
+    clip = take.clips["car"]
+    physics = tomllib.loads((ROOT / "assets/vehicles/car/vehicle.toml").read_text())["physics"]
+    radius = physics["wheel_radius"]
+    inertia = physics["mass"] + physics["wheel_inertia"] / radius**2
+    assert take.frames == (1001, 1013)
+    assert clip.twists[-1, 1] == pytest.approx(1000.0 * 0.5 / 2 / radius / inertia, rel=1e-6)
+    assert clip.frames[-1] == 1013
+
+
+def test_start_is_in_degrees_and_world_axes(small: dict[str, Any]) -> None:
+    start = {"position": [1.0, 2.0, 0.0], "heading": 90.0, "velocity": [0.0, 5.0, 0.0], "joints": {"sigma": 0.1}}
+    small["vehicle"][0]["motion"] = {"method": "simulate", "duration": 0.25, "start": start}
+    clip = Shot.from_dict(small).solve().clips["car"]
+    half = np.sqrt(0.5)
+    np.testing.assert_allclose(clip.positions[0], [1, 2, 0], atol=1e-9)
+    np.testing.assert_allclose(clip.orientations[0], [half, 0, 0, half], atol=1e-9)
+    assert clip.twists[0, 1] == pytest.approx(5.0, abs=0.1)
+    assert clip.joints[0][load_vehicle("car").joints.index("sigma")] == pytest.approx(0.1)
+    assert clip.positions[-1, 1] > 3
+
+
+def test_angles_of_commands_are_in_degrees(small: dict[str, Any]) -> None:
+    commands = [{"frame": 1001, "collective": 18639.0, "pitch": 5.0}]
+    vehicle = {"asset": "helicopter", "motion": {"method": "simulate", "duration": 0.1, "commands": commands}}
+    small["vehicle"][0] |= vehicle
+    clip = Shot.from_dict(small).solve().clips["car"]
+    index = clip.vehicle.control_names.index("pitch")
+    np.testing.assert_allclose(clip.controls[:, index], np.deg2rad(5.0))
+
+
+def test_a_pilot_takes_degrees(small: dict[str, Any]) -> None:
+    pilot = {"name": "hover", "position": [0, 0, 10], "heading": 90}
+    small["vehicle"][0] |= {"asset": "helicopter", "motion": {"method": "simulate", "duration": 0.5, "pilot": pilot}}
+    shot = Shot.from_dict(small)
+    assert shot.file.vehicle[0].motion.pilot.parameters()["heading"] == pytest.approx(np.pi / 2)  # type: ignore[union-attr]
+    assert len(shot.solve().clips["car"]) > 12
+
+
+def test_a_saved_clip_comes_back_as_it_was(small: dict[str, Any], tmp_path: Path) -> None:
+    clip = Shot.from_dict(small).solve().clips["car"]
+    clip.save(tmp_path / "drive.npz")
+    small["vehicle"][0]["motion"] = {"method": "clip", "path": "drive.npz"}
+    again = Shot.from_dict(small, folder=tmp_path).solve().clips["car"]
+    assert isinstance(again, Clip)
+    np.testing.assert_array_equal(again.positions, clip.positions)
+
+
+def test_a_clip_of_another_vehicle_or_rate_is_refused(small: dict[str, Any], tmp_path: Path) -> None:
+    Shot.from_dict(small).solve().clips["car"].save(tmp_path / "drive.npz")
+    small["vehicle"][0] |= {"asset": "helicopter", "motion": {"method": "clip", "path": "drive.npz"}}
+    with pytest.raises(ShotError, match="another vehicle"):
+        Shot.from_dict(small, folder=tmp_path).solve()
+    small["vehicle"][0]["asset"] = "car"
+    small["shot"]["fps"] = 25
+    with pytest.raises(ShotError, match="24 frames per second, the shot at 25"):
+        Shot.from_dict(small, folder=tmp_path).solve()
+
+
+def test_simulation_runs_through_the_handles(small: dict[str, Any]) -> None:
+    small["shot"] |= {"end_frame": 1010, "handles": 4}
+    del small["vehicle"][0]["motion"]["duration"]
+    take = Shot.from_dict(small).solve()
+    clip = take.clips["car"]
+    assert take.frames == (997, 1014) == (clip.start_frame, clip.end_frame)
+
+
+def test_motion_cut_off_warns(small: dict[str, Any]) -> None:
+    small["shot"]["end_frame"] = 1050
+    with pytest.warns(UserWarning, match="car: its motion covers frames 1001 to 1013 of 1001 to 1050"):
+        take = Shot.from_dict(small).solve()
+    clip = take.clips["car"]
+    assert clip.end_frame == 1050
+    np.testing.assert_array_equal(clip.positions[-1], clip.positions[clip.frames == 1013][0])
+
+
+def test_a_hovering_helicopter_holds_with_its_rotor_turning(small: dict[str, Any]) -> None:
+    small["shot"] |= {"start_frame": 1003, "end_frame": 1101, "handles": 2}
+    marks = [
+        {"frame": 1005, "position": [0, 0, 10], "velocity": [0, 0, 0]},
+        {"frame": 1101, "position": [3, 0, 10], "velocity": [0, 0, 0]},
+    ]
+    small["vehicle"][0] |= {"asset": "helicopter", "motion": {"method": "plan", "segments": 16, "mark": marks}}
+    clip = Shot.from_dict(small).solve().clips["car"]
+    assert (clip.start_frame, clip.end_frame) == (1001, 1103)
+    baked = clip.resample()
+    np.testing.assert_allclose(baked.positions[:5], np.tile([0, 0, 10], (5, 1)), atol=1e-6)
+    np.testing.assert_allclose(baked.positions[-3:], np.tile([3, 0, 10], (3, 1)), atol=1e-6)
+    turns = np.diff(baked.channels["main_rotor"])
+    np.testing.assert_allclose(turns, turns[0], rtol=1e-6)
+
+
+def test_several_vehicles_and_cameras(small: dict[str, Any]) -> None:
+    small["vehicle"].append({**small["vehicle"][0], "name": "other"})
+    small["camera"] = [{"name": "near", "target": "other", "lens_mm": 50}, {"name": "far", "rig": "orbit"}]
+    shot = Shot.from_dict(small)
+    take = shot.solve()
+    assert set(take.clips) == {"car", "other"}
+    assert [(camera.name, camera.lens_mm) for camera in take.cameras] == [("near", 50), ("far", 35)]
+    assert all(len(camera.frames) == 13 for camera in take.cameras)
+    alone = shot.only(["car"]).solve()
+    assert set(alone.clips) == {"car"}
+    with pytest.raises(ShotError, match="did you mean 'other'"):
+        shot.only(["othr"])
+
+
+def test_a_plan_hits_its_marks(small: dict[str, Any]) -> None:
+    """From the file through the planner: frames, degrees and the marks that the stage shows."""
+    marks = [
+        {"frame": 1001, "position": [0, 0, 10], "heading": 30, "velocity": [0, 0, 0]},
+        {"frame": 1097, "position": [10, 5, 12], "velocity": [0, 0, 0]},
+    ]
+    small["vehicle"][0] |= {"asset": "helicopter", "motion": {"method": "plan", "segments": 16, "mark": marks}}
+    take = Shot.from_dict(small).solve()
+    clip = take.clips["car"]
+    assert take.frames == (1001, 1097)
+    np.testing.assert_allclose(clip.positions[[0, -1]], [[0, 0, 10], [10, 5, 12]], atol=1e-6)
+    w, _, _, z = clip.orientations[0]
+    assert 2 * np.arctan2(z, w) == pytest.approx(np.deg2rad(30), abs=1e-6)
+    assert [mark["frame"] for mark in take.report["marks"]["car"]] == [1001, 1097]
+    assert take.report["vehicles"]["car"]["success"]
+
+
+def test_paths_are_relative_to_the_shot_file(small: dict[str, Any], tmp_path: Path) -> None:
+    np.save(tmp_path / "hill.npy", np.full((5, 5), 3.0))
+    small["world"] = {"terrain": "hill.npy"}
+    small["vehicle"][0]["motion"]["start"] = {"position": [1.0, 1.0, 3.0]}
+    shot = Shot.from_dict(small, folder=tmp_path)
+    assert shot.check() == []
+    assert float(shot.world.height([(1.0, 1.0)])[0]) == 3.0
+
+
+def test_camera_keys_are_those_of_the_camera_rig() -> None:
+    rig = {field.name: field.default for field in dataclasses.fields(CameraRig)}
+    assert {name: field.default for name, field in CameraTable.model_fields.items()} == rig
+
+
+def test_every_key_is_documented() -> None:
+    text = (ROOT / "docs" / "shot-file.md").read_text()
+    for table in schema()["$defs"].values():
+        for key in table["properties"]:
+            assert f"`{key}`" in text, f"docs/shot-file.md does not explain {key}"
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "examples").glob("*.toml")), ids=lambda path: path.stem)
+def test_examples_are_ready(path: Path) -> None:
+    assert Shot.load(path).check() == []
