@@ -31,7 +31,7 @@ SHADOW_DEPTH = 40_000.0
 """Far plane, m. MuJoCo biases shadows by steps of the depth range: a long one keeps rock from shading itself."""
 SUPERSAMPLE = 2
 """Pixels drawn per pixel delivered, along each side: smooths shadow edges and texture, as multisampling cannot."""
-HAZE = (15.0, 900.0)
+HAZE = (10.0, 760.0)
 """Distances where haze begins and where nothing else is left, m."""
 
 

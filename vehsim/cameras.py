@@ -129,32 +129,27 @@ def projected_heights(positions: Array, rotations: Array, corners: Array, zoom: 
 
 
 def _chase(rig: CameraRig, subject: Subject, distance: float, world: Any) -> tuple[Array, Array]:
-    """Towed behind the target on a chain: it takes the target's own way, calm in hover, never the jerks of the body."""
+    """Towed behind the target on a rope: calm in hover, wide round bends, never the jerks of the body."""
     path = smooth(subject.centre, 0.45 * subject.fps)
     height = 0.06 * distance if rig.height is None else rig.height
     reach = np.sqrt(max(distance**2 - height**2, (0.2 * distance) ** 2))
     first = _open_way(path[0], subject.headings[0], reach, world)
-    trail = smooth(_tow(path[:, :2], first, reach), 0.5 * subject.fps)
-    away = trail - path[:, :2]
-    away *= np.clip(reach / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9), 1.0, 1.25)
-    turn = np.radians(0.0 if rig.azimuth is None else rig.azimuth)
-    away = away @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    rope = _tow(path[:, :2], first, reach)
+    turn = smooth(np.unwrap(np.arctan2(rope[:, 1], rope[:, 0])), 0.5 * subject.fps)
+    turn += np.radians(0.0 if rig.azimuth is None else rig.azimuth)
     level = smooth(subject.centre[:, 2], 0.8 * subject.fps)
-    return np.column_stack([path[:, :2] + away, level + height]), smooth(subject.centre, 0.2 * subject.fps)
+    place = np.stack([path[:, 0] + reach * np.cos(turn), path[:, 1] + reach * np.sin(turn), level + height], axis=1)
+    return place, smooth(subject.centre, 0.2 * subject.fps)
 
 
-def _tow(path: Array, heading: float, length: float, links: int = 5) -> Array:
-    """The end (n, 2) of a chain of ``length`` m, towed along ``path`` (n, 2), laid out straight behind ``heading``."""
-    link = length / links
-    chain = path[0] - link * np.arange(links + 1)[:, None] * np.array([np.cos(heading), np.sin(heading)])
-    ends = np.empty_like(path)
-    for k, tip in enumerate(path):
-        chain[0] = tip
-        for j in range(1, links + 1):
-            slack = chain[j] - chain[j - 1]
-            chain[j] = chain[j - 1] + slack * (link / max(float(np.linalg.norm(slack)), 1e-9))
-        ends[k] = chain[-1]
-    return ends
+def _tow(path: Array, heading: float, length: float) -> Array:
+    """A rope (n, 2) of ``length`` m from each point of ``path`` (n, 2) to what it tows, first straight behind."""
+    rope = np.empty_like(path)
+    rope[0] = -length * np.array([np.cos(heading), np.sin(heading)])
+    for k in range(1, len(path)):
+        pulled = path[k - 1] + rope[k - 1] - path[k]
+        rope[k] = pulled * (length / max(float(np.linalg.norm(pulled)), 1e-9))
+    return rope
 
 
 def _open_way(start: Array, heading: float, length: float, world: Any) -> float:
@@ -227,11 +222,11 @@ def _subject(clip: Clip, frames: Array) -> Subject:
     """Outline, centre and heading of a vehicle on ``frames``, held still before and after its clip."""
     fps = float(clip.fps)
     times = np.clip((frames - clip.start_frame) / fps, clip.times[0], clip.times[-1])
-    clip = clip.at(times)
+    times, sample = np.unique(times, return_inverse=True)
+    matrices = clip.at(times).matrices()[sample]
     outline = vehicle_outline(clip.vehicle)
-    matrices = clip.matrices()
     corners = np.einsum("nij,kj->nki", matrices[:, :3, :3], outline) + matrices[:, None, :3, 3]
-    centre = clip.positions + (outline.max(axis=0) + outline.min(axis=0)) / 2 * (0.0, 0.0, 1.0)
+    centre = matrices[:, :3, 3] + (outline.max(axis=0) + outline.min(axis=0)) / 2 * (0.0, 0.0, 1.0)
     return Subject(corners, centre, _headings(matrices, fps), fps)
 
 

@@ -1,0 +1,162 @@
+"""Every rig keeps its target framed and its horizon level, over the ground, moving smoothly."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from vehsim import cameras
+from vehsim.cameras import CameraRig, solve_camera
+from vehsim.clip import Clip
+from vehsim.errors import InputError
+from vehsim.world import Terrain, World
+
+ASPECT = 16 / 9
+FPS = 24
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def clip_along(positions, yaw, bank=0.0):
+    """A vehicle of a 2 m cube on ``positions`` (n, 3), one a frame, turned to ``yaw`` and rolled by ``bank``."""
+    n = len(positions)
+    euler = np.stack([np.broadcast_to(yaw, n), np.zeros(n), np.broadcast_to(bank, n)], axis=1)
+    orientations = Rotation.from_euler("ZYX", euler).as_quat(scalar_first=True)
+    signs = np.where((orientations[1:] * orientations[:-1]).sum(axis=1) < 0, -1.0, 1.0)
+    orientations *= np.concatenate([[1.0], np.cumprod(signs)])[:, None]
+    vehicle = SimpleNamespace(name="cube", joints=(), control_names=(), rig=None, group=SimpleNamespace(name="SE3"))
+    times = np.arange(n) / FPS
+    twists = np.zeros((n, 6))
+    velocity = np.gradient(positions, 1 / FPS, axis=0)
+    twists[:, 3:] = Rotation.from_quat(orientations, scalar_first=True).inv().apply(velocity)
+    empty = np.zeros((n, 0))
+    return Clip(vehicle, times, positions, orientations, twists, empty, empty, empty, {}, Fraction(FPS), 1001)  # type: ignore[arg-type]
+
+
+T = np.arange(121) / FPS
+MOTIONS = {
+    "hover": clip_along(np.tile([0.0, 0, 30], (121, 1)), 0.3),
+    "straight": clip_along(np.stack([15 * T, 0 * T, 30 + 0 * T], 1), 0.0),
+    "jittery": clip_along(np.stack([15 * T, 0 * T, 30 + 0 * T], 1), 0.3 * np.sin(40 * T), 0.3 * np.cos(37 * T)),
+    "circle": clip_along(np.stack([6 * np.sin(1.5 * T), 6 - 6 * np.cos(1.5 * T), 30 + 0 * T], 1), 1.5 * T),
+    "start and stop": clip_along(np.stack([20 * (1 - np.cos(1.25 * T)), 0 * T, 30 + 0 * T], 1), 0.0),
+}
+
+
+@pytest.fixture(scope="module")
+def hills():
+    x, y = np.meshgrid(np.arange(-150, 151, 3.0), np.arange(-150, 151, 3.0))
+    return World(Terrain("hills", 14 * np.sin(x / 17) * np.cos(y / 13) + 12, (-150.0, -150.0), (3.0, 3.0)))
+
+
+def rotations(camera):
+    return Rotation.from_quat(camera.orientations, scalar_first=True).as_matrix()
+
+
+def on_screen(camera, clip):
+    """Normalised picture coordinates (n, k, 2), -1 to 1, of the cube's corners, by USD's own frustum."""
+    from pxr import Gf
+
+    corners = np.array([[x, y, z, 1] for x in (-1, 1) for y in (-1, 1) for z in (0, 2)], float)
+    result = np.empty((len(camera.frames), 8, 2))
+    for k, matrix in enumerate(clip.matrices()):
+        lens = Gf.Camera()
+        lens.focalLength = camera.lens_mm
+        lens.horizontalAperture, lens.verticalAperture = camera.aperture_mm
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = rotations(camera)[k], camera.positions[k]
+        lens.transform = Gf.Matrix4d(*pose.T.ravel().tolist())
+        view = lens.frustum.ComputeViewMatrix() * lens.frustum.ComputeProjectionMatrix()
+        for j, corner in enumerate(corners):
+            result[k, j] = view.Transform(Gf.Vec3d(*(matrix @ corner)[:3]))[:2]
+    return result
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+@pytest.mark.parametrize("rig", ["chase", "follow", "orbit"])
+def test_target_fills_its_share_of_the_frame(rig, motion):
+    clip = MOTIONS[motion]
+    camera = solve_camera(CameraRig(rig=rig), {"cube": clip}, World(), (1001, 1121), ASPECT)
+    seen = on_screen(camera, clip)
+    heights = np.ptp(seen[..., 1], axis=1) / 2
+    assert heights.min() >= 0.08 and heights.max() <= 0.35
+    assert np.abs(seen).max() < 0.95, "inside the frame"
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+@pytest.mark.parametrize("rig", sorted(cameras.RIGS))
+def test_horizon_is_level_and_the_camera_upright(rig, motion):
+    camera = solve_camera(CameraRig(rig=rig), {"cube": MOTIONS[motion]}, World(), (1001, 1121), ASPECT)
+    R_wc = rotations(camera)
+    assert np.abs(R_wc[:, 2, 0]).max() < 1e-9
+    assert R_wc[:, 2, 1].min() > 0.5
+    assert np.abs(np.linalg.norm(camera.orientations, axis=1) - 1).max() < 1e-12
+    assert ((camera.orientations[1:] * camera.orientations[:-1]).sum(axis=1) > 0).all()
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+@pytest.mark.parametrize("rig", sorted(cameras.RIGS))
+def test_camera_stays_above_the_ground_and_sees_its_target(hills, rig, motion):
+    clip = MOTIONS[motion]
+    camera = solve_camera(CameraRig(rig=rig), {"cube": clip}, hills, (1001, 1121), ASPECT)
+    above = camera.positions[:, 2] - hills.height(camera.positions[:, :2])
+    assert above.min() >= 1.5 - 1e-6 > camera.clip_range[0]
+    along = np.linspace(0, 0.75, 40)[:, None, None]
+    sight = camera.positions + along * (clip.positions + UP - camera.positions)
+    assert (hills.height(sight[..., :2].reshape(-1, 2)) - sight[..., 2].ravel()).max() < 0.3
+
+
+@pytest.mark.parametrize("motion", ["straight", "jittery", "circle", "start and stop"])
+def test_chase_moves_smoothly(motion):
+    """Its jerk is of the order of the path's own, whatever the body does, and in hover it does not move at all."""
+    camera = solve_camera(CameraRig(), {"cube": MOTIONS[motion]}, World(), (1001, 1121), ASPECT)
+    jerk = np.linalg.norm(np.diff(camera.positions, 3, axis=0), axis=1) * FPS**3
+    assert jerk.max() < 60.0  # m/s^3; an unfiltered circle has 20, the jittery body 14,000
+    turned = np.diff(Rotation.from_quat(camera.orientations, scalar_first=True).as_euler("ZXY"), axis=0) * FPS
+    assert np.abs(np.diff(turned, axis=0)).max() * FPS < 12.0  # rad/s^2
+
+
+def test_chase_stands_still_while_its_target_hovers():
+    camera = solve_camera(CameraRig(), {"cube": MOTIONS["hover"]}, World(), (1001, 1121), ASPECT)
+    assert np.ptp(camera.positions, axis=0).max() < 1e-9
+
+
+def test_chase_stays_behind():
+    camera = solve_camera(CameraRig(), {"cube": MOTIONS["straight"]}, World(), (1001, 1121), ASPECT)
+    offset = camera.positions - MOTIONS["straight"].positions
+    assert (offset[:, 0] < -3).all() and np.abs(offset[:, 1]).max() < 0.1 * np.abs(offset[:, 0]).min()
+
+
+def test_static_camera_stands_where_it_is_put_and_pans(hills):
+    clip = MOTIONS["straight"]
+    rig = CameraRig(rig="static", position=(30.0, -60.0, 45.0))
+    camera = solve_camera(rig, {"cube": clip}, World(), (1001, 1121), ASPECT)
+    assert np.abs(camera.positions - rig.position).max() < 1e-9
+    assert np.abs(on_screen(camera, clip)).max() < 0.5
+    fixed = solve_camera(CameraRig(rig="fixed", position=(30.0, -60.0, 45.0), look_at=(30.0, 0.0, 30.0)),
+                         {"cube": clip}, World(), (1001, 1121), ASPECT)  # fmt: skip
+    assert np.ptp(fixed.orientations, axis=0).max() < 1e-12
+
+
+def test_distance_and_lens_are_obeyed():
+    clip = MOTIONS["hover"]
+    camera = solve_camera(CameraRig(distance=25.0, lens_mm=50.0), {"cube": clip}, World(), (1001, 1121), ASPECT)
+    assert camera.lens_mm == 50.0
+    assert np.allclose(np.linalg.norm(camera.positions - (clip.positions + UP), axis=1), 25.0, rtol=0.02)
+    assert camera.aperture_mm == pytest.approx((36.0, 20.25))
+
+
+def test_frames_beyond_the_clip_hold_its_ends():
+    camera = solve_camera(CameraRig(), {"cube": MOTIONS["straight"]}, World(), (990, 1130), ASPECT)
+    assert camera.frames[0] == 990 and len(camera.frames) == len(camera.positions) == 141
+
+
+@pytest.mark.parametrize(
+    ("rig", "message"), [(CameraRig(rig="crane"), "choose one of chase"), (CameraRig(target="b"), "choose one of cube")]
+)
+def test_wrong_rigs_are_named_with_the_mend(rig, message):
+    with pytest.raises(InputError, match=message):
+        solve_camera(rig, {"cube": MOTIONS["hover"]}, World(), (1001, 1121), ASPECT)
