@@ -66,11 +66,13 @@ def export(
     quiet: Quiet = False,
 ) -> None:
     """Solve shots and write them: a USD stage, pictures, a film, tables."""
-    from vehsim.delivery import in_order
+    from vehsim.delivery import in_order, may_replace
 
     names = [name.strip() for name in to.split(",") if name.strip()]
     in_order(names)
     loaded, problems = _load(shots, sets or [], only or [])
+    for shot in loaded:
+        may_replace(out / shot.name)
     _say(problems, quiet)
     bad = len(shots) - len(loaded)
     if bad and not loaded:

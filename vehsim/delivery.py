@@ -112,23 +112,25 @@ def staging(target: Path) -> Iterator[Path]:
 def replacing(target: Path, overwrite: bool = True) -> Iterator[Path]:
     """A hidden folder beside ``target`` that takes its place when the block ends well.
 
-    An earlier delivery is replaced whole; a folder that is none is never touched. Raises ``ExportError``.
+    An earlier delivery is replaced whole; a folder that is none is never touched. Raises ``InputError`` for that, and
+    ``ExportError`` for what cannot be written.
     """
-    _may_replace(target, overwrite)
+    may_replace(target, overwrite)
     with staging(target) as beside:
         _bring_back(target)
         yield beside
-        _may_replace(target, overwrite)
+        may_replace(target, overwrite)
         _swap(beside, target, target.with_name(f".{target.name}.{os.getpid()}.replaced"))
 
 
-def _may_replace(target: Path, overwrite: bool) -> None:
+def may_replace(target: Path, overwrite: bool = True) -> None:
+    """Raise ``InputError`` when something stands at ``target`` that a delivery must not replace."""
     if not target.exists():
         return
     if not overwrite:
-        raise ExportError(f"{target}: exists; remove it, or export elsewhere")
+        raise InputError(f"{target}: exists; remove it, or export elsewhere")
     if not target.is_dir() or (any(target.iterdir()) and not (target / SIGN).is_file()):
-        raise ExportError(
+        raise InputError(
             f"{target}: exists and was not written by vehsim (no {SIGN}); export elsewhere, or move it away"
         )
 

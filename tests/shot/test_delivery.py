@@ -129,14 +129,14 @@ def test_an_unknown_exporter_touches_nothing(exporters: Any, take: Take, tmp_pat
 def test_folders_of_other_people_are_never_replaced(exporters: Any, take: Take, tmp_path: Path) -> None:
     (tmp_path / "shot").mkdir()
     (tmp_path / "shot" / "notes.txt").write_text("mine")
-    with pytest.raises(ExportError, match="not written by vehsim"):
+    with pytest.raises(InputError, match="not written by vehsim"):
         take.export(tmp_path, to=("a",))
     assert files(tmp_path) == {"shot/notes.txt"}
 
 
 def test_overwrite_can_be_refused(exporters: Any, take: Take, tmp_path: Path) -> None:
     take.export(tmp_path, to=("a",))
-    with pytest.raises(ExportError, match="exists"):
+    with pytest.raises(InputError, match="exists"):
         take.export(tmp_path, to=("b",), overwrite=False)
     assert "shot/a.txt" in files(tmp_path)
 
