@@ -7,6 +7,7 @@ derivatives are exact and sparse. What belongs here knows nothing of vehicles.
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -252,29 +253,32 @@ def solver_options(max_iterations: int = 400, **more: Any) -> dict[str, Any]:
 
 
 class Solver:
-    """A built problem, solved as often as wanted from different starts, bounds and parameters."""
+    """A built problem, solved as often as wanted from different starts, bounds and parameters.
 
-    def __init__(
-        self, problem: Problem, options: dict[str, Any] | None = None, watch: Callable[[int], None] | None = None
-    ):
+    ``watch``: called with the number of iterations done; may be changed between solves.
+    """
+
+    def __init__(self, problem: Problem, options: dict[str, Any] | None = None):
         self.problem = problem
+        self.watch: Callable[[int], None] | None = None
+        self._bounds = problem.bounds
         functions = problem.functions()
         self._nlp = functions.pop("nlp")
+        self._callback = _Callback(self, problem.size, len(self._bounds[0]), problem.parameters)
         settings: dict[str, Any] = {
             **functions,
             "ipopt": options or solver_options(),
+            "iteration_callback": self._callback,
             "print_time": False,
             "error_on_fail": False,
             "calc_lam_p": False,
             "show_eval_warnings": False,
         }
-        if watch is not None:
-            self._watch = _Watch(problem.size, len(problem.bounds[0]), problem.parameters, watch)
-            settings["iteration_callback"] = self._watch
         self._solver = ca.nlpsol("plan", "ipopt", self._nlp, settings)
 
     def solve(self, x0: Array, lower: Array, upper: Array, parameters: Array) -> Solution:
-        g_lower, g_upper = self.problem.bounds
+        g_lower, g_upper = self._bounds
+        self._callback.count = 0
         answer = self._solver(x0=x0, lbx=lower, ubx=upper, lbg=g_lower, ubg=g_upper, p=parameters)
         stats = self._solver.stats()
         x, g = np.asarray(answer["x"]).ravel(), np.asarray(answer["g"]).ravel()
@@ -290,13 +294,14 @@ class Solver:
         )
 
 
-class _Watch(ca.Callback):
-    """IPOPT's iteration callback: reports how many iterations are done."""
+class _Callback(ca.Callback):
+    """IPOPT's iteration callback: tells the solver's watcher how many iterations are done."""
 
-    def __init__(self, x: int, g: int, p: int, report: Callable[[int], None]):
+    def __init__(self, solver: Solver, x: int, g: int, p: int):
         super().__init__()
         self._sizes = {"x": x, "f": 1, "g": g, "lam_x": x, "lam_g": g, "lam_p": p}
-        self._report, self._count = report, 0
+        self._solver = weakref.ref(solver)
+        self.count = 0
         self.construct("watch", {})
 
     def get_n_in(self) -> int:
@@ -315,6 +320,8 @@ class _Watch(ca.Callback):
         return ca.Sparsity.dense(self._sizes.get(ca.nlpsol_out(i), 0), 1)
 
     def eval(self, arguments: Any) -> list[int]:
-        self._count += 1
-        self._report(self._count)
+        self.count += 1
+        solver = self._solver()
+        if solver is not None and solver.watch is not None:
+            solver.watch(self.count)
         return [0]

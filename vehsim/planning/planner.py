@@ -81,14 +81,19 @@ class Plan:
     segments: int
     order: int
     tightenings: int = 0
-    _request: _Request | None = field(default=None, repr=False)
+    _attempt: _Attempt | None = field(default=None, repr=False)
 
     def replan(self, marks: Sequence[Mark], progress: Progress | None = None) -> Plan:
-        """The plan for other marks, started from this one."""
-        assert self._request is not None
-        return _solve(
-            replace(self._request, marks=check_marks(marks, len(self.clip.vehicle.joints))), progress, self.clip
-        )
+        """The plan for other marks, started from this one: quick when they ask for the same things elsewhere."""
+        assert self._attempt is not None
+        request = replace(self._attempt.request, marks=check_marks(marks, len(self.clip.vehicle.joints)))
+        if not self.success or _shape(request.marks) != _shape(self._attempt.request.marks):
+            return _solve(request, progress, self.clip)
+        attempt = self._attempt.moved(request, progress)
+        if np.any(attempt.free):
+            attempt.solve()
+            attempt.settle()
+        return _finish(attempt)
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,19 +166,33 @@ def plan(
 
 
 def _solve(request: _Request, progress: Progress | None, guess: Any) -> Plan:
-    began = time.perf_counter()
     t = transcription(request.vehicle)
     paths = _paths(request, guess, progress)
     attempt = _Attempt(request, t, _cover(request, paths), progress)
     attempt.start(paths)
     attempt.solve()
     attempt.settle()
+    if request.refine and attempt.solution.success:
+        attempt.climb()
+    return _finish(attempt)
+
+
+def _finish(attempt: _Attempt) -> Plan:
+    """Solve on whole frames, finely enough, far enough from the rock."""
     for _ in range(TIGHTENINGS + 1):
         attempt.refine()
         if attempt.clear():
             break
         attempt.tighten()
-    return attempt.plan(time.perf_counter() - began)
+    return attempt.plan()
+
+
+def _shape(marks: Sequence[Mark]) -> tuple[Any, ...]:
+    """What marks ask for, but not where: equal shapes share one built problem."""
+    keys = ("position", "heading", "orientation", "velocity", "speed", "joints")
+    asked = [tuple(getattr(m, key) is not None for key in keys) for m in marks]
+    kinds = [(m.frame == "free", m.balanced, m.at_rest, m.speed == 0, m.tolerance, m.hold > 0) for m in marks]
+    return tuple(zip(asked, kinds, strict=True))
 
 
 class _Attempt:
@@ -186,6 +205,16 @@ class _Attempt:
         self.clearance = self.wanted = float("inf")
         self.checked = Executed(np.inf, np.inf, np.inf)
         self.rung = 0
+        self.solvers: dict[Any, Solver] = {}
+
+    def moved(self, request: _Request, progress: Progress | None) -> _Attempt:
+        """A new attempt at other marks of the same shape, from where this one ended."""
+        other = _Attempt(request, self.t, self.cover, progress)
+        other.margin, other.rung, other.layout, other.solvers = self.margin, self.rung, self.layout, self.solvers
+        other.x, other.lengths, other.free = self.x.copy(), self.lengths.copy(), self.free
+        fixed = fixed_durations(request.marks, request.fps)
+        other._resize(np.where(np.isnan(fixed), other.lengths, fixed / np.array(other.layout.phases)))
+        return other
 
     def start(self, paths: list[Array]) -> None:
         """Layout, leg lengths and first guess."""
@@ -206,10 +235,8 @@ class _Attempt:
         """Solve on the present layout from the present variables; legs of free marks vary when ``free``."""
         began = time.perf_counter()
         request, layout = self.request, self.layout
-        spans = spans_between(request.marks, request.fps) if free else []
-        problem, _ = build(self.t, layout, request.marks, request.limits, self.cover, spans)
-        options = solver_options(request.max_iterations)
-        solver = Solver(problem, options, self._watch() if self.progress else None)
+        solver = self._solver(spans_between(request.marks, request.fps) if free else [])
+        solver.watch = self._watch() if self.progress else None
         self.build_seconds += time.perf_counter() - began
         began = time.perf_counter()
         span = [(h / 8, h * 8) if free and f else (h, h) for h, f in zip(self.lengths, self.free, strict=True)]
@@ -220,7 +247,15 @@ class _Attempt:
         self.lengths = self.x[layout.lengths]
         self.iterations += self.solution.iterations
         self.solve_seconds += time.perf_counter() - began
-        self.worst = problem.names()[int(np.argmax(self.solution.violations))] if len(self.solution.violations) else ""
+        self.worst = solver.problem.names()[int(np.argmax(self.solution.violations))]
+
+    def _solver(self, spans: Sequence[tuple[list[int], float]]) -> Solver:
+        """The built problem of the present layout; built once for every shape of marks."""
+        key = (self.layout, _shape(self.request.marks), repr(spans))
+        if key not in self.solvers:
+            problem, _ = build(self.t, self.layout, self.request.marks, self.request.limits, self.cover, spans)
+            self.solvers[key] = Solver(problem, solver_options(self.request.max_iterations))
+        return self.solvers[key]
 
     def settle(self) -> None:
         """Put free marks on whole frames, later rather than earlier."""
@@ -237,29 +272,27 @@ class _Attempt:
     def _resize(self, lengths: Array) -> None:
         """Other segment lengths for the same motion: velocities and momenta scale with the pace."""
         ratio = self.lengths / lengths
-        per_segment = np.repeat(ratio, self.layout.phases)
-        per_node = np.append(per_segment, per_segment[-1])
+        per_substep = np.repeat(ratio, np.array(self.layout.phases) * len(self.layout.fractions))
+        per_node = np.append(per_substep, per_substep[-1])
         momenta = self.layout.node(np.arange(self.layout.nodes))[sum(self.t.sizes[:2]) :]
         self.x[momenta] *= per_node
-        self.x[self.layout.velocity(np.arange(self.layout.nodes - 1))] *= per_segment
+        self.x[self.layout.velocity(np.arange(self.layout.nodes - 1))] *= per_substep
         self.lengths = lengths
         self.x[self.layout.lengths] = lengths
 
     def refine(self) -> None:
         """Climb the ladder of discretisations until the executed controls end where the plan does."""
-        if self.rung == 0 and self.request.refine and self.solution.success:
-            self._climb()
         self.solve(free=False)
         self.checked = self._executed()
         while self._too_far() and self.rung < len(LADDER) - 1:
-            self._climb()
+            self.climb()
             self.solve(free=False)
             self.checked = self._executed()
 
     def _too_far(self) -> bool:
         return self.request.refine and self.solution.success and self.checked.final > EXECUTED
 
-    def _climb(self) -> None:
+    def climb(self) -> None:
         self.rung += 1
         split, order = LADDER[self.rung][0] // LADDER[self.rung - 1][0], LADDER[self.rung][1]
         self._lift(Layout(self.t.sizes, tuple(split * n for n in self.layout.phases), order))
@@ -282,7 +315,7 @@ class _Attempt:
         self.margin += (self.wanted - self.clearance) + 0.05
         self.tightenings += 1
 
-    def plan(self, seconds: float) -> Plan:
+    def plan(self) -> Plan:
         request, solution = self.request, self.solution
         message, success = solution.message, solution.success
         if not success:
@@ -312,7 +345,7 @@ class _Attempt:
             segments=self.layout.segments,
             order=self.layout.order,
             tightenings=self.tightenings,
-            _request=request,
+            _attempt=self,
         )
 
     def _knots(self) -> tuple[Array, Array, Array, Array, Array]:
