@@ -45,7 +45,7 @@ def write_film(pictures: Sequence[Path], path: Path, fps: Fraction, progress: Pr
     with av.open(str(path), "w", options={"movflags": "+faststart", "fflags": "+bitexact"}) as container:
         stream = container.add_stream("libx264", rate=fps)
         stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
-        stream.options = {"crf": QUALITY, "preset": "medium", "threads": "1", "flags": "+bitexact"}
+        stream.options = {"crf": QUALITY, "preset": "veryfast", "threads": "1", "flags": "+bitexact"}
         context = stream.codec_context
         context.color_range, context.colorspace = 1, 1  # limited range, Rec. 709
         context.color_primaries, context.color_trc = 1, 1

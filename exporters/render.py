@@ -24,8 +24,8 @@ NO_EGL = (
     "no off-screen OpenGL (EGL): {reason}; install libegl1 and libgl1-mesa-dri (Debian, Ubuntu), "
     "mesa-libEGL and mesa-dri-drivers (Fedora), or a GPU driver with EGL"
 )
-SHADOW_MAP = 4096
-SHADOW_REACH = 140.0
+SHADOW_MAP = 3072
+SHADOW_REACH = 115.0
 """Half the width of the ground that the shadow map covers, m; it follows the camera where the scene is wider."""
 SHADOW_DEPTH = 40_000.0
 """Far plane, m. MuJoCo biases shadows by steps of the depth range: a long one keeps rock from shading itself."""

@@ -53,7 +53,7 @@ def lift(positions: Array, aims: Array, world: Any, margin: float, fps: float) -
     need = need.max(axis=1)
     need = np.maximum(np.where(np.isfinite(need), need, 0.0), 0.0)
     still = np.ptp(positions, axis=0).max() < 1e-9
-    raised = np.full(len(need), need.max()) if still else _envelope(need, fps)
+    raised = np.full(len(need), need.max()) if still else envelope(need, fps)
     return positions + raised[:, None] * (0.0, 0.0, 1.0)
 
 
@@ -68,6 +68,15 @@ def smooth(values: Array, sigma: float) -> Array:
     after = 2 * values[-1:] - values[-2 : -pad - 2 : -1]
     padded = np.concatenate([before, values, after])
     return np.asarray(gaussian_filter1d(padded, sigma, axis=0, mode="nearest"))[pad : pad + len(values)]
+
+
+def envelope(values: Array, fps: float) -> Array:
+    """A smooth curve (n,) that lies nowhere below ``values``."""
+    from scipy.ndimage import gaussian_filter1d, maximum_filter1d
+
+    sigma = 0.4 * fps
+    widened = maximum_filter1d(values, size=2 * int(3 * sigma + 0.5) + 1, mode="nearest")
+    return np.asarray(gaussian_filter1d(widened, sigma, mode="nearest", truncate=3.0))
 
 
 def _moved(offsets: Array, turn: Any, scale: Any, rise: Any) -> Array:
@@ -114,12 +123,3 @@ def _cheapest(costs: Array, places: Array) -> NDArray[np.int64]:
     for back in reversed(came):
         chosen.append(int(back[chosen[-1]]))
     return np.array(chosen[::-1])
-
-
-def _envelope(values: Array, fps: float) -> Array:
-    """A smooth curve (n,) that lies nowhere below ``values``."""
-    from scipy.ndimage import gaussian_filter1d, maximum_filter1d
-
-    sigma = 0.4 * fps
-    widened = maximum_filter1d(values, size=2 * int(3 * sigma + 0.5) + 1, mode="nearest")
-    return np.asarray(gaussian_filter1d(widened, sigma, mode="nearest", truncate=3.0))

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim._camera_path import lift, smooth, steer
+from vehsim._camera_path import envelope, lift, smooth, steer
 from vehsim.errors import InputError
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ class CameraRig:
     target: str | None = None
     lens_mm: float = 35.0
     aperture_width_mm: float = 36.0
-    fill: float = 0.27
+    fill: float = 0.30
     distance: float | None = None
     height: float | None = None
     azimuth: float | None = None
@@ -97,13 +97,16 @@ def solve_camera(
     aperture = (rig.aperture_width_mm, rig.aperture_width_mm / aspect)
     move = RIGS[rig.rig]
     distance = rig.distance or subject.size / (2 * rig.fill)
+    zoom = rig.lens_mm / aperture[1]
     for _ in range(1 if rig.distance else 5):
         positions, aims = move(rig, subject, distance, world)
         if np.ptp(positions, axis=0).max() > 0:  # what stands still was put there
             positions = steer(positions, aims, world, rig.margin, subject.size / 2, subject.fps)
+            if rig.distance is None:
+                positions = _back_off(positions, aims, subject, zoom)
         positions = lift(positions, aims, world, rig.margin, subject.fps)
         rotations = look_at(positions, aims)
-        fills = projected_heights(positions, rotations, subject.corners, rig.lens_mm / aperture[1])
+        fills = projected_heights(positions, rotations, subject.corners, zoom)
         distance *= _rescale(fills, rig.fill)
     return Camera(rig.name, every, positions, _quaternions(rotations), rig.lens_mm, aperture)
 
@@ -123,6 +126,13 @@ def projected_heights(positions: Array, rotations: Array, corners: Array, zoom: 
     seen = np.einsum("nji,nkj->nki", rotations, corners - positions[:, None])
     depth = np.maximum(-seen[..., 2], 1e-3)
     return zoom * np.ptp(seen[..., 1] / depth, axis=1)
+
+
+def _back_off(positions: Array, aims: Array, subject: Subject, zoom: float) -> Array:
+    """Positions (n, 3) drawn back, ahead of need, where the target banks and would fill too much of the frame."""
+    fills = projected_heights(positions, look_at(positions, aims), subject.corners, zoom)
+    factor = envelope(np.clip(fills / (0.97 * FILL_RANGE[1]), 1.0, 1.5), subject.fps)
+    return aims + (positions - aims) * factor[:, None]
 
 
 # ---------------------------------------------------------------- rigs
