@@ -72,6 +72,8 @@ def _enter(table: Any, step: str | int, key: str) -> Any:
     """The table one step down; tables that are not there yet are made, list entries are not."""
     if isinstance(table, dict) and isinstance(step, str):
         return table.setdefault(step, {})
+    if isinstance(table, dict) and step == 0:
+        return table  # [camera] is a list of one
     if isinstance(table, list):
         if isinstance(step, int) and step < len(table):
             return table[step]
