@@ -173,7 +173,7 @@ def test_missing_stages(tmp_path: Path, command: list[str]) -> None:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_export_leaves_nothing(tmp_path: Path, number: int) -> None:
     """Stopped in the middle of writing, while its hidden folder is there."""
-    shot = write(tmp_path, duration=60)
+    shot = write(tmp_path, duration=1)
     code = (
         "import sys, time, pathlib, vehsim.delivery as d, vehsim.cli\n"
         "def slow(take, folder, names, progress):\n"
