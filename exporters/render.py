@@ -25,10 +25,11 @@ NO_EGL = (
     "mesa-libEGL and mesa-dri-drivers (Fedora), or a GPU driver with EGL"
 )
 SHADOW_MAP = 3072
-SHADOW_REACH = 115.0
-"""Half the width of the ground that the shadow map covers, m; it follows the camera where the scene is wider."""
-SHADOW_DEPTH = 40_000.0
-"""Far plane, m. MuJoCo biases shadows by steps of the depth range: a long one keeps rock from shading itself."""
+SHADOW_REACH = (20.0, 115.0)
+"""Half the width of the ground that the shadow map covers, m, at least and at most; it travels with the camera."""
+SHADOW_DEPTH = 17_000.0
+"""Far plane in units of the shadow map's reach. MuJoCo biases shadows by steps of the depth range, and a long one keeps
+slopes that the sun grazes from shading themselves in teeth."""
 SUPERSAMPLE = 2
 """Pixels drawn per pixel delivered, along each side: smooths shadow edges and texture, as multisampling cannot."""
 HAZE = (10.0, 760.0)
@@ -49,7 +50,7 @@ class StageRenderer:
         self._shadows = shadows
         self._light = light_for(stage.sun(), stage.sky())
         self._bounds = _bounds(stage)
-        self._reach = min(float(np.linalg.norm(self._bounds[1] - self._bounds[0])) / 2 + 1.0, SHADOW_REACH)
+        self._reach = _shadow_reach(stage, self._bounds)
         width, height = SUPERSAMPLE * size[0], SUPERSAMPLE * size[1]
         self._model = self._spec(width, height).compile()
         self._data = mujoco.MjData(self._model)
@@ -99,7 +100,7 @@ class StageRenderer:
             camera.forward = -pose[:3, 2]
             camera.up = pose[:3, 1]
             camera.orthographic = 0
-            camera.frustum_near, camera.frustum_far = near, max(far, SHADOW_DEPTH)
+            camera.frustum_near, camera.frustum_far = near, max(far, SHADOW_DEPTH * self._reach)
             camera.frustum_center = 0.0
             camera.frustum_width = half_width * near
             camera.frustum_bottom, camera.frustum_top = -half_height * near, half_height * near
@@ -109,7 +110,7 @@ class StageRenderer:
         scene = self._canvas.scene
         eye = scene.camera[0]
         lower, upper = self._bounds
-        centre = np.clip(eye.pos + SHADOW_REACH * 0.6 * eye.forward, lower, upper)
+        centre = np.clip(eye.pos + 0.6 * self._reach * eye.forward, lower, upper)
         direction = self._light.direction
         side = np.cross(direction, (0.0, 0.0, 1.0) if abs(direction[2]) < 0.999 else (0.0, 1.0, 0.0))
         side /= np.linalg.norm(side)
@@ -131,7 +132,8 @@ class StageRenderer:
         extent = max(float(np.linalg.norm((upper - lower)[:2])), 1.0)
         spec.stat.extent, spec.stat.center = extent, ((lower + upper) / 2).tolist()
         vis.map.shadowclip = self._reach / extent
-        vis.map.fogstart, vis.map.fogend = (distance / extent for distance in HAZE)
+        edge = 0.6 * float((upper - lower)[:2].min())  # the scene's edge fades before it ends
+        vis.map.fogstart, vis.map.fogend = HAZE[0] / extent, min(HAZE[1], max(edge, 60.0)) / extent
         vis.rgba.fog = [*light.haze.tolist(), 1.0]
         vis.headlight.ambient = light.ambient.tolist()
         vis.headlight.diffuse = vis.headlight.specular = [0.0, 0.0, 0.0]
@@ -169,6 +171,7 @@ class StageRenderer:
                 contype=0,
                 conaffinity=0,
                 mass=0.0,
+                castshadow=_casts_shadow(shape, lower),
             )
         return spec
 
@@ -252,6 +255,12 @@ def _author_mesh(spec: Any, name: str, shape: Shape) -> None:
         mesh.userfacetexcoord = face_uvs.astype(np.int32).ravel()
 
 
+def _casts_shadow(shape: Shape, lower: Array) -> bool:
+    """A blurred rotor lets the sun through, and level ground has nothing below it to shade."""
+    level_ground = not shape.group and float(shape.points[:, 2].max()) < lower[2] + 1e-3
+    return shape.surface.opacity > 0.5 and not level_ground
+
+
 def _bounds(stage: StageReader) -> tuple[Array, Array]:
     """The box (lower, upper) (3,) m of everything that stands still, or of the movers where they begin."""
     poses = {"": np.eye(4), **stage.matrices(stage.frames[0])}
@@ -264,3 +273,15 @@ def _bounds(stage: StageReader) -> tuple[Array, Array]:
         points = shape.points @ pose[:3, :3].T + pose[:3, 3]
         corners += [points.min(axis=0), points.max(axis=0)]
     return np.min(corners, axis=0), np.max(corners, axis=0)
+
+
+def _shadow_reach(stage: StageReader, bounds: tuple[Array, Array]) -> float:
+    """Half the width of the shadow map, m: four times as far as the movers usually stand from the cameras."""
+    whole = float(np.linalg.norm(bounds[1] - bounds[0])) / 2 + 1.0
+    distances = []
+    for frame in np.linspace(stage.frames[0], stage.frames[1], 5):
+        places = [pose[:3, 3] for pose in stage.matrices(frame).values()]
+        eyes = [stage.camera(name, frame)[0][:3, 3] for name in stage.cameras]
+        distances += [min(np.linalg.norm(place - eye) for place in places) for eye in eyes if places]
+    usual = 4.0 * float(np.median(distances)) if distances else whole
+    return float(np.clip(min(usual, whole), *SHADOW_REACH))

@@ -94,7 +94,7 @@ def _blocked(positions: Array, aims: Array, world: Any, margin: float, radius: f
     total = np.zeros(positions.shape[:-1])
     for weight, aim in ((1.0, aims + 0 * side), (0.5, aims + side), (0.5, aims - side)):
         sight = _sight(positions, aim)
-        depth = np.maximum(_ground(sight, world, margin) + margin - sight[..., 2], 0.0)
+        depth = np.maximum(_ground(sight, world, margin) + margin * (1.0 - SIGHT) - sight[..., 2], 0.0)
         depth = np.where(np.isfinite(depth), depth, 0.0)
         total += weight * (depth.mean(axis=-1) + 1.5 * depth[..., 0])
     return total

@@ -222,3 +222,18 @@ def test_what_cannot_be_drawn_is_refused(new_stage, tmp_path, options, message):
 def test_a_missing_stage_is_named(tmp_path):
     with pytest.raises(InputError, match=r"gone\.usda: no such file"):
         render_stage(tmp_path / "gone.usda", tmp_path)
+
+
+def test_glass_and_blur_let_the_sun_through(new_stage):
+    """MuJoCo lets a geom of any opacity cast a full shadow: a rotor's blur would darken the whole vehicle."""
+    from pxr import Sdf
+
+    quad(new_stage, "/top/solid", (0, 0, 1), 1, (1, 1, 1))
+    quad(new_stage, "/top/blur", (3, 0, 1), 1, (1, 1, 1))
+    shader = new_stage.GetPrimAtPath("/top/blur_material/surface")
+    shader.CreateAttribute("inputs:opacity", Sdf.ValueTypeNames.Float).Set(0.2)
+    new_stage.GetRootLayer().Save()
+    stage = StageReader(new_stage.GetRootLayer().realPath)
+    with StageRenderer(stage, SIZE) as renderer:
+        casts = dict(zip((shape.name for shape in stage.shapes), renderer._model.geom_castshadow.tolist(), strict=True))
+    assert casts == {"/top/solid": True, "/top/blur": False}
