@@ -41,6 +41,7 @@ MOTIONS = {
     "hover": clip_along(np.tile([0.0, 0, 30], (121, 1)), 0.3),
     "straight": clip_along(np.stack([15 * T, 0 * T, 30 + 0 * T], 1), 0.0),
     "jittery": clip_along(np.stack([15 * T, 0 * T, 30 + 0 * T], 1), 0.3 * np.sin(40 * T), 0.3 * np.cos(37 * T)),
+    "shaking": clip_along(np.stack([15 * T, 0.15 * np.sin(40 * T), 30 + 0.1 * np.cos(43 * T)], 1), 0.0),
     "circle": clip_along(np.stack([6 * np.sin(1.5 * T), 6 - 6 * np.cos(1.5 * T), 30 + 0 * T], 1), 1.5 * T),
     "start and stop": clip_along(np.stack([20 * (1 - np.cos(1.25 * T)), 0 * T, 30 + 0 * T], 1), 0.0),
 }
@@ -109,7 +110,7 @@ def test_camera_stays_above_the_ground_and_sees_its_target(hills, rig, motion):
     assert (hills.height(sight[..., :2].reshape(-1, 2)) - sight[..., 2].ravel()).max() < 0.3
 
 
-@pytest.mark.parametrize("motion", ["straight", "jittery", "circle", "start and stop"])
+@pytest.mark.parametrize("motion", ["straight", "jittery", "shaking", "circle", "start and stop"])
 def test_chase_moves_smoothly(motion):
     """Its jerk is of the order of the path's own, whatever the body does, and in hover it does not move at all."""
     camera = solve_camera(CameraRig(), {"cube": MOTIONS[motion]}, World(), (1001, 1121), ASPECT)
@@ -139,6 +140,13 @@ def test_static_camera_stands_where_it_is_put_and_pans(hills):
     fixed = solve_camera(CameraRig(rig="fixed", position=(30.0, -60.0, 45.0), look_at=(30.0, 0.0, 30.0)),
                          {"cube": clip}, World(), (1001, 1121), ASPECT)  # fmt: skip
     assert np.ptp(fixed.orientations, axis=0).max() < 1e-12
+
+
+def test_a_camera_put_under_the_ground_is_raised_over_it(hills):
+    clip, rig = MOTIONS["hover"], CameraRig(rig="static", position=(20.0, 20.0, 0.0))
+    camera = solve_camera(rig, {"cube": clip}, hills, (1001, 1121), ASPECT)
+    assert camera.positions[0, 2] >= hills.height([[20.0, 20.0]])[0] + rig.margin - 1e-9
+    assert np.ptp(camera.positions, axis=0).max() == 0.0
 
 
 def test_distance_and_lens_are_obeyed():
