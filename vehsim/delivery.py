@@ -6,11 +6,16 @@ nothing of motion.
 
 from __future__ import annotations
 
+import errno
+import hashlib
 import importlib.metadata
 import os
+import platform
+import secrets
 import shutil
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -94,13 +99,13 @@ def write_reports(take: Take, folder: Path, files: Sequence[Path]) -> None:
 def staging(target: Path) -> Iterator[Path]:
     """A hidden folder beside ``target``, on its file system, gone when the block ends. Raises ``ExportError``."""
     made = [folder for folder in (target.parent, *target.parent.parents) if not folder.exists()]
-    beside = target.with_name(f".{target.name}.{os.getpid()}.partial")
+    beside = target.with_name(f".{target.name}.{_owner()}.partial")
     try:
-        shutil.rmtree(beside, ignore_errors=True)
         beside.mkdir(parents=True)
         yield beside
     except OSError as error:
-        raise ExportError(f"{target}: could not be written: {error}; mend that and export again") from error
+        text = str(error).replace(beside.name, target.name)
+        raise ExportError(f"{target}: could not be written: {text}; mend that and export again") from error
     finally:
         shutil.rmtree(beside, ignore_errors=True)
         for folder in made:
@@ -119,8 +124,9 @@ def replacing(target: Path, overwrite: bool = True) -> Iterator[Path]:
     with staging(target) as beside:
         _bring_back(target)
         yield beside
-        may_replace(target, overwrite)
-        _swap(beside, target, target.with_name(f".{target.name}.{os.getpid()}.replaced"))
+        settle(beside)
+        _swap(beside, target, overwrite)
+        _sync(target.parent)
 
 
 def may_replace(target: Path, overwrite: bool = True) -> None:
@@ -129,33 +135,114 @@ def may_replace(target: Path, overwrite: bool = True) -> None:
         return
     if not overwrite:
         raise InputError(f"{target}: exists; remove it, or export elsewhere")
-    if not target.is_dir() or (any(target.iterdir()) and not (target / SIGN).is_file()):
+    if all(_is_foreign(target) for _ in range(3)):  # asked again: another export may just be replacing it
         raise InputError(
             f"{target}: exists and was not written by vehsim (no {SIGN}); export elsewhere, or move it away"
         )
 
 
-def _swap(beside: Path, target: Path, aside: Path) -> None:
-    """Two renames; should the second fail, the first is undone."""
-    if not target.exists():
-        beside.rename(target)
-        return
-    target.rename(aside)
+def _is_foreign(target: Path) -> bool:
     try:
-        beside.rename(target)
-    except BaseException:
-        aside.rename(target)
-        raise
-    shutil.rmtree(aside, ignore_errors=True)
+        return not target.is_dir() or (any(target.iterdir()) and not (target / SIGN).is_file())
+    except FileNotFoundError:
+        return False
+
+
+def settle(folder: Path) -> None:
+    """Have everything below ``folder`` on the disk, so that a rename after it cannot outlive it in a power cut."""
+    for path in (*folder.rglob("*"), folder):
+        _sync(path)
+
+
+def _sync(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP, errno.EBADF):  # file systems that cannot, and need not
+            raise
+    finally:
+        os.close(descriptor)
+
+
+def _swap(beside: Path, target: Path, overwrite: bool) -> None:
+    """Put ``beside`` in the place of ``target``; without locks, whoever else does the same at the same time.
+
+    A rename onto a folder that is not empty fails, so nobody's delivery is lost: it is moved aside first. Should the
+    second rename fail, the first is undone.
+    """
+    for _ in range(100):
+        aside = target.with_name(f".{target.name}.{_owner()}.replaced")
+        try:
+            may_replace(target, overwrite)
+            if not target.exists():
+                beside.rename(target)
+                return
+            target.rename(aside)
+        except OSError as error:
+            if error.errno not in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOENT) or not beside.exists():
+                raise
+            continue  # another export came between
+        try:
+            beside.rename(target)
+        except BaseException as error:
+            if isinstance(error, OSError) and error.errno in (errno.ENOTEMPTY, errno.EEXIST):
+                shutil.rmtree(aside, ignore_errors=True)
+                continue  # another export was quicker: the next turn replaces it
+            aside.rename(target)
+            raise
+        shutil.rmtree(aside, ignore_errors=True)
+        return
+    raise ExportError(f"{target}: other exports keep replacing it; let one of them finish, then export again")
 
 
 def _bring_back(target: Path) -> None:
     """After a crash between the two renames the old delivery is still there under its other name."""
     if not target.exists():
-        for aside in sorted(target.parent.glob(f".{target.name}.*.replaced"), key=lambda path: path.stat().st_mtime)[
-            -1:
-        ]:
-            aside.rename(target)
+        hidden = sorted(target.parent.glob(f".{target.name}.*.replaced"), key=lambda path: path.stat().st_mtime)
+        with suppress(OSError):  # another export was quicker
+            for aside in hidden[-1:]:
+                aside.rename(target)
+
+
+def clean_up(target: Path) -> None:
+    """Drop what exports of ``target`` that were killed on this machine left beside it, and bring back what they hid."""
+    _bring_back(target)
+    for kind in ("partial", "replaced"):
+        for path in _left(target, kind):
+            shutil.rmtree(path, ignore_errors=True)
+
+
+def _left(target: Path, kind: str) -> Iterator[Path]:
+    """Hidden folders of ``target`` whose process is gone. Those of other machines may be alive: they are left alone."""
+    for path in sorted(target.parent.glob(f".{target.name}.*.{kind}")):
+        machine, _, rest = path.name[len(target.name) + 2 :].partition("-")
+        pid = rest.partition("-")[0]
+        if machine == _machine() and pid.isdigit() and not _alive(int(pid)):
+            yield path
+
+
+def _owner() -> str:
+    """Names a hidden folder: no other process, of this or another machine, makes the same name."""
+    return f"{_machine()}-{os.getpid()}-{secrets.token_hex(4)}"
+
+
+@cache
+def _machine() -> str:
+    """This machine, and the space in which its process ids mean something."""
+    space = Path("/proc/self/ns/pid")
+    name = f"{platform.node()} {space.readlink() if space.is_symlink() else ''}"
+    return hashlib.sha256(name.encode()).hexdigest()[:8]
+
+
+def _alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True
 
 
 def _drop_empty_folders(folder: Path) -> None:
