@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from vehsim.exporters.metadata import author_stage_metadata, samples, unit_corrections
-from vehsim.exporters.packing import Pack
 
 from vehsim.errors import ExportError
+from vehsim.exporters.metadata import author_stage_metadata, samples, unit_corrections
+from vehsim.exporters.packing import Pack
 
 if TYPE_CHECKING:
     from vehsim.clip import Clip

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+
+from vehsim.errors import InputError
 from vehsim.exporters.contact import write_contact_sheet
 from vehsim.exporters.render import StageRenderer
 from vehsim.exporters.stage import StageReader
-
-from vehsim.errors import InputError
 from vehsim.take import Exporter, Progress, Take
 
 MAX_SIDE = 8192
@@ -30,6 +30,7 @@ def write_frames(take: Take, folder: Path, progress: Progress) -> Sequence[Path]
         size=settings.size,
         progress=progress,
         shadows=settings.shadows,
+        samples=settings.samples,
     )
     if written:
         written.append(write_contact_sheet(written, folder / "contact.png"))
@@ -44,12 +45,13 @@ def render_stage(
     size: tuple[int, int] | None = None,
     progress: Progress | None = None,
     shadows: bool = True,
+    samples: int = 4,
 ) -> list[Path]:
     """Render a stage to ``out/<camera>/<stage>.<camera>.<frame>.png``; returns the files written.
 
     ``camera``: one by name, all when None; ``frames``: those of the stage when None; ``size`` (width, height) px,
-    960 x 540 when None. Raises ``InputError`` for a stage, camera or size that will not do, ``ExportError`` without
-    EGL.
+    960 x 540 when None; ``samples`` a pixel. Raises ``InputError`` for a stage, camera or size that will not do,
+    ``ExportError`` without EGL.
     """
     size = _checked_size(size or (960, 540))
     stage = StageReader(stage_path)
@@ -58,7 +60,7 @@ def render_stage(
     shot = Path(stage_path).stem
     written: list[Path] = []
     total = len(chosen) * len(wanted)
-    with StageRenderer(stage, size, shadows) as renderer, ThreadPoolExecutor(1) as writer:
+    with StageRenderer(stage, size, shadows, samples) as renderer, ThreadPoolExecutor(1) as writer:
         saved = []
         for name in chosen:
             folder = Path(out) / name

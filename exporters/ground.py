@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+
 from vehsim.exporters.lighting import encode_srgb
 from vehsim.exporters.metadata import author_stage_metadata
 

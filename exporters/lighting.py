@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from vehsim.exporters.packing import Pack
 
+from vehsim.exporters.packing import Pack
 from vehsim.take import Take
 
 Array = NDArray[np.float64]

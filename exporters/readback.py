@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from vehsim.exporters.animation import drive_op, insert_op, open_rig
 
 from vehsim.errors import ExportError
+from vehsim.exporters.animation import drive_op, insert_op, open_rig
 from vehsim.parts import Y_UP_TO_Z_UP
 
 if TYPE_CHECKING:

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from vehsim.exporters.shading import author_material, author_skybox, light_for
-from vehsim.exporters.stage import Shape, StageReader
 
 from vehsim.errors import ExportError
+from vehsim.exporters.shading import author_material, author_skybox, light_for
+from vehsim.exporters.stage import Shape, StageReader
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
@@ -30,8 +30,11 @@ SHADOW_REACH = (20.0, 115.0)
 SHADOW_DEPTH = 17_000.0
 """Far plane in units of the shadow map's reach. MuJoCo biases shadows by steps of the depth range, and a long one keeps
 slopes that the sun grazes from shading themselves in teeth."""
-SUPERSAMPLE = 2
-"""Pixels drawn per pixel delivered, along each side: smooths shadow edges and texture, as multisampling cannot."""
+SUPERSAMPLE = 4
+"""Most pixels drawn per pixel delivered, along each side; 2 for the usual four samples. Smooths shadow edges and
+texture, as multisampling cannot."""
+LARGEST = 16_000
+"""Longest side of an off-screen buffer, px; 16384 is refused."""
 HAZE = (10.0, 760.0)
 """Distances where haze begins and where nothing else is left, m."""
 
@@ -42,7 +45,7 @@ class StageRenderer:
     ``size`` (width, height) px. Raises ``ExportError`` when there is no EGL.
     """
 
-    def __init__(self, stage: StageReader, size: tuple[int, int], shadows: bool = True) -> None:
+    def __init__(self, stage: StageReader, size: tuple[int, int], shadows: bool = True, samples: int = 4) -> None:
         os.environ.setdefault("MUJOCO_GL", "egl")
         import mujoco
 
@@ -51,7 +54,8 @@ class StageRenderer:
         self._light = light_for(stage.sun(), stage.sky())
         self._bounds = _bounds(stage)
         self._reach = _shadow_reach(stage, self._bounds)
-        width, height = SUPERSAMPLE * size[0], SUPERSAMPLE * size[1]
+        self._supersample = max(1, min(SUPERSAMPLE, round(samples**0.5), LARGEST // max(size)))
+        width, height = self._supersample * size[0], self._supersample * size[1]
         self._model = self._spec(width, height).compile()
         self._data = mujoco.MjData(self._model)
         self._mocap = {
@@ -90,7 +94,7 @@ class StageRenderer:
         if not depth.all():  # haze would swallow the sky, so that is drawn for itself
             sky, _ = self._canvas.draw(only_sky=True, SKYBOX=True)
             picture = np.where(depth[..., None] > 0, picture, sky)
-        return np.asarray(Image.fromarray(picture[::-1]).reduce(SUPERSAMPLE))
+        return np.asarray(Image.fromarray(picture[::-1]).reduce(self._supersample))
 
     def _place_camera(self, name: str, frame: float) -> None:
         pose, half_width, half_height, (near, far) = self.stage.camera(name, frame)

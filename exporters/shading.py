@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
 from vehsim.exporters.lighting import encode_srgb, to_linear, to_srgb
 from vehsim.exporters.stage import Sky, Sun, Surface
 

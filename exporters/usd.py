@@ -12,14 +12,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from vehsim.errors import ExportError
 from vehsim.exporters.animation import write_animation
 from vehsim.exporters.guides import author_guides
 from vehsim.exporters.lighting import author_lights
 from vehsim.exporters.metadata import author_stage_metadata, correct_units, samples
 from vehsim.exporters.packing import Pack
 from vehsim.exporters.readback import check_readback
-
-from vehsim.errors import ExportError
 from vehsim.take import Exporter, Progress, Take
 
 if TYPE_CHECKING:
@@ -96,6 +96,7 @@ def _model(prim: Any, kind: str, name: str, identifier: str) -> None:
 def _author_terrain(stage: Any, prim_path: str, take: Take, pack: Pack, shot: Path) -> None:
     """Reference the terrain's look, or a ground authored from its heights when it has none."""
     from pxr import Kind, UsdGeom
+
     from vehsim.exporters.ground import write_ground
 
     terrain = take.world.terrain

@@ -142,6 +142,27 @@ def render(
 
 
 @app.command()
+def compare(
+    renders: Annotated[Path, typer.Argument(metavar="RENDERS", help="A folder of pictures.")],
+    references: Annotated[Path, typer.Argument(metavar="REFERENCES", help="The pictures they should be.")],
+    tolerance: Annotated[float, typer.Option(metavar="SHARE", help="Share of pixels that may change.")] = 0.0005,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Where to draw what changed.")] = None,
+) -> None:
+    """Hold pictures against references: counts the pixels that changed visibly."""
+    from vehsim.exporters.compare import compare_folders, write_difference
+
+    results = compare_folders(renders, references)
+    bad = [c for c in results if c.changed > tolerance]
+    for comparison in bad:
+        changed = f"{100 * comparison.changed:.3g} % of its pixels changed"
+        print(f"{comparison.picture}: {comparison.reason or changed}")
+        if out is not None and not comparison.reason:
+            write_difference(comparison, out / comparison.picture.name)
+    print(f"{len(results) - len(bad)} of {len(results)} pictures as they should be")
+    raise typer.Exit(FAILED if bad else 0)
+
+
+@app.command()
 def vehicles() -> None:
     """List the vehicles that ship with vehsim."""
     from vehsim.vehicles import available, load_vehicle

@@ -8,12 +8,12 @@ import json
 
 import numpy as np
 import pytest
+
+from vehsim.errors import ExportError
 from vehsim.exporters import film, frames, usd
 from vehsim.exporters.contact import write_contact_sheet
 from vehsim.exporters.csv import write_csv
 from vehsim.exporters.report import write_report
-
-from vehsim.errors import ExportError
 
 
 @pytest.fixture

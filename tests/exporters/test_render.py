@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
+from vehsim.errors import InputError
 from vehsim.exporters.frames import render_stage
 from vehsim.exporters.render import StageRenderer
 from vehsim.exporters.stage import StageReader
-
-from vehsim.errors import InputError
 from vehsim.world import World
 
 SIZE = (320, 180)
@@ -161,6 +161,7 @@ def test_the_sun_comes_from_where_the_stage_says(new_stage):
 
 def test_the_sky_is_brightest_where_the_stage_puts_its_glow(new_stage, tmp_path):
     from pxr import UsdLux
+
     from vehsim.exporters.lighting import write_sky
 
     write_sky(tmp_path / "sky.png", azimuth=90.0, elevation=10.0)

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from vehsim.exporters.readback import world_matrices
-from vehsim.exporters.usd import write_usd
 
 from vehsim.errors import ExportError
+from vehsim.exporters.readback import world_matrices
+from vehsim.exporters.usd import write_usd
 from vehsim.vehicles._base import Drive
 
 

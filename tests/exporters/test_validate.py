@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+
 from vehsim.exporters.usd import write_usd
 from vehsim.exporters.validate import validate_stage
 

@@ -1,0 +1,42 @@
+"""Every example exports, validates, and looks as it did when somebody last looked at it.
+
+The references were rendered at 320 x 180 and looked at. After a change that is meant to show, look at the new pictures,
+then write them with ``VEHSIM_WRITE_REFERENCES=1 pytest tests/examples``.
+"""
+
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+from vehsim import Shot
+from vehsim.exporters.compare import compare_pictures, write_difference
+
+ROOT = Path(__file__).parents[2]
+REFERENCES = ROOT / "tests" / "references"
+TOLERANCE = 0.02
+"""Share of pixels that may differ visibly: another Mesa or CPU moves edges; a lost shadow or vehicle is more."""
+
+EXAMPLES = sorted((ROOT / "examples").glob("*.toml"))
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
+def test_example_looks_as_it_did(example, tmp_path):
+    shot = Shot.load(example, ["render.size=[320, 180]"])
+    take = shot.solve()
+    middle = (take.frames[0] + take.frames[1]) // 2
+    folder = take.export(tmp_path, to=("usd",))
+    from vehsim.exporters.frames import render_stage
+
+    pictures = render_stage(folder / f"{take.name}.usda", tmp_path / "frames", frames=[middle], size=(320, 180))
+    assert pictures
+    for picture in pictures:
+        reference = REFERENCES / picture.name
+        if os.environ.get("VEHSIM_WRITE_REFERENCES"):
+            REFERENCES.mkdir(exist_ok=True)
+            shutil.copy(picture, reference)
+        comparison = compare_pictures(picture, reference)
+        if comparison.changed > TOLERANCE and not comparison.reason:
+            write_difference(comparison, tmp_path / "difference.png")
+        assert comparison.changed <= TOLERANCE, f"{comparison.reason or comparison.changed}: see {tmp_path}"

@@ -1,0 +1,69 @@
+"""What counts as a changed picture."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from vehsim.cli import run
+from vehsim.errors import InputError
+from vehsim.exporters.compare import compare_folders, compare_pictures, write_difference
+
+
+@pytest.fixture
+def pictures(tmp_path):
+    rng = np.random.default_rng(0)
+    picture = rng.integers(20, 230, (40, 60, 3), dtype=np.uint8)
+    for folder in ("renders", "references"):
+        (tmp_path / folder / "chase").mkdir(parents=True)
+        Image.fromarray(picture).save(tmp_path / folder / "chase" / "a.png")
+    return tmp_path, picture
+
+
+def replace(pictures, change):
+    root, picture = pictures
+    path = root / "renders" / "chase" / "a.png"
+    Image.fromarray(change(picture.astype(int)).astype(np.uint8)).save(path)
+    return compare_pictures(path, root / "references" / "chase" / "a.png")
+
+
+def test_equal_pictures_are_equal(pictures):
+    root, _ = pictures
+    assert [c.changed for c in compare_folders(root / "renders", root / "references")] == [0.0]
+
+
+def test_one_bit_of_noise_is_no_change(pictures):
+    assert replace(pictures, lambda p: p + 1).changed == 0.0
+
+
+def test_a_changed_pixel_is_counted(pictures):
+    def change(picture):
+        picture[3, 4] = 255 - picture[3, 4] // 4
+        return picture
+
+    assert replace(pictures, change).changed == pytest.approx(1 / 2400)
+
+
+def test_other_sizes_and_missing_pictures_say_so(pictures):
+    root, _ = pictures
+    assert "not 60 x 40" in replace(pictures, lambda p: p[:20]).reason
+    (root / "renders" / "chase" / "a.png").unlink()
+    assert compare_folders(root / "renders", root / "references")[0].reason == "was not rendered"
+
+
+def test_nothing_to_compare_is_an_error(tmp_path):
+    with pytest.raises(InputError, match="no .png"):
+        compare_folders(tmp_path, tmp_path / "missing")
+    (tmp_path / "a.png").write_bytes(b"not a picture")
+    with pytest.raises(InputError, match="cannot|can be read"):
+        compare_folders(tmp_path, tmp_path)
+
+
+def test_command_exits_1_and_draws_what_changed(pictures, capsys):
+    root, _ = pictures
+    folders = [str(root / "renders"), str(root / "references")]
+    assert run(["compare", *folders]) == 0
+    comparison = replace(pictures, lambda p: np.where(p > 120, p - 90, p))
+    assert run(["compare", *folders, "--out", str(root / "out")]) == 1
+    assert "% of its pixels changed" in capsys.readouterr().out
+    assert (root / "out" / "a.png").is_file()
+    assert write_difference(comparison, root / "d.png").is_file()
