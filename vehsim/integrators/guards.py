@@ -57,7 +57,7 @@ def check_mass(mechanics: DiscreteMechanics, r: Array) -> None:
             continue
         raise SolveError(
             f"{mechanics.vehicle.name}: step {k}: kinetic energy is not positive definite on the free velocities at "
-            f"joints = {np.round(r[k], 6).tolist()} (smallest eigenvalue {value:.3g} of the largest); mend the Lagrangian, "
+            f"joints = {np.round(r[k], 6).tolist()} (smallest eigenvalue {value:.3g} of the largest): mend it, "
             "or keep the joints away from there"
         )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -13,13 +14,14 @@ from vehsim.clip import Clip
 from vehsim.errors import InputError, SolveError
 from vehsim.integrators.discrete import DiscreteMechanics
 from vehsim.integrators.guards import changes_rank, check_constraints, check_mass
+from vehsim.integrators.motion import FAST_TOLERANCE, Motion, PublicStep, whole_step
 from vehsim.integrators.record import build_clip as build_clip
 from vehsim.integrators.record import continuous as continuous
 from vehsim.integrators.record import flat, keep
 from vehsim.vehicles import State, Vehicle
 from vehsim.vehicles._base import Array
 from vehsim.vehicles.mechanics import project
-from vehsim.vehicles.states import internal
+from vehsim.vehicles.states import control_vector, internal
 
 TOLERANCE = 1e-9
 """Largest accepted Newton residual, relative to the momentum."""
@@ -75,6 +77,10 @@ class Integrator:
             raise InputError(
                 f"order = {order!r}: {difference_map!r} makes no symmetric step to compose; take order 2 or another map"
             )
+
+    @cached_property
+    def _public(self) -> PublicStep:
+        return PublicStep(self)
 
     def start(self, state: State, controls: Any) -> Phase:
         """The phase of a public state; rates that contradict the constraints are projected onto them."""
@@ -145,8 +151,12 @@ class Integrator:
         ``wrench``: an external body wrench (d,) about the body frame's origin, or a function of the state that returns
         one; half of its impulse acts at either end, the second half at the predicted state.
         """
-        c0 = np.asarray(controls, float)
-        c1 = c0 if next_controls is None else np.asarray(next_controls, float)
+        if wrench is None and not self._guarded:
+            after = self._public(state, controls, controls if next_controls is None else next_controls)
+            if after is not None:
+                return after
+        c0 = control_vector(self.vehicle, controls)
+        c1 = c0 if next_controls is None else control_vector(self.vehicle, next_controls, "next_controls")
         phase = self.start(state, c0)
         anchor = self.anchor(state, phase)
         if wrench is not None:
@@ -156,13 +166,27 @@ class Integrator:
             self._kick(phase, wrench, self.state(phase, c1, anchor))
         return self.state(phase, c1, anchor)
 
+    def motion(self, state: State, controls: Any = None) -> Motion:
+        """The vehicle in motion from a state, to be stepped in place: the fast way from Python."""
+        c = np.zeros(len(self.vehicle.controls)) if controls is None else controls
+        return Motion(self, state, c)
+
     def _kick(self, phase: Phase, wrench: Any, state: State) -> None:
         body = np.asarray(wrench(state) if callable(wrench) else wrench, float)
+        if body.shape != (self.vehicle.group.dim,) or not np.all(np.isfinite(body)):
+            raise InputError(
+                f"wrench = {body.tolist()!r}: give {self.vehicle.group.dim} finite numbers, torque then force"
+            )
         phase.pi = phase.pi + self.step_size / 2 * flat(_projected_wrench(self.mechanics)(phase.g, phase.r, body))
 
     def rollout(self, state: State, controls: Any, *, fps: Any = 24, start_frame: int = 1001) -> Clip:
         """A clip of ``len(controls) - 1`` steps under knot controls (n, c), linear between knots."""
         controls = np.atleast_2d(np.asarray(controls, float))
+        if controls.shape[1:] != (len(self.vehicle.controls),) or not np.all(np.isfinite(controls)):
+            names = ", ".join(self.vehicle.control_names) or "none"
+            raise InputError(
+                f"controls: shape {controls.shape}; give (n, {len(self.vehicle.controls)}) finite: {names}"
+            )
         phase = self.start(state, controls[0])
         anchor = self.anchor(state, phase)
         g, r, pi = self._accumulate(phase, controls)
@@ -175,23 +199,29 @@ class Integrator:
         """Phases at every knot, the loop kept inside CasADi."""
         m, n = self.mechanics, len(controls) - 1
         history = [(phase.g[None], phase.r[None], phase.pi[None])]
+        h, fast = np.full((1, _CHUNK), self.step_size), True
+        winds, cuts = np.tile(self.wind[:, None], _CHUNK), np.cumsum(m.sizes[:3])
         for first in range(0, n, _CHUNK):
             block = controls[first : first + _CHUNK + 1]
             if len(block) < _CHUNK + 1:
                 phases = list(self._loop(phase, block, first))
                 history += [(p.g[None], p.r[None], p.pi[None]) for p in phases]
                 break
-            x, residual = _chunk(m, self.order)(_pack(phase), block[:-1].T, block[1:].T, self.step_size, self.wind)
-            x, worst = np.asarray(x).T, flat(residual)
-            bad = np.flatnonzero(~(worst <= TOLERANCE))
-            if bad.size:  # step through the chunk one by one: retries, or an error that names the step
+            inputs = (_pack(phase), block[:-1].T, block[1:].T, h, winds)
+            x, residual = _chunk(m, self.order, fast)(*inputs)
+            if fast and not np.all(flat(residual) <= FAST_TOLERANCE):
+                fast = False  # a step too long for the short solve: Newton in full from here on
+                x, residual = _chunk(m, self.order, fast)(*inputs)
+            x = np.asarray(x, float).T
+            if not np.all(flat(residual) <= TOLERANCE):  # one by one: retries, or an error that names the step
                 phases = list(self._loop(phase, block, first))
-            else:
-                a, b, c = np.cumsum(m.sizes[:3])
-                phases = [Phase(row[:a], row[a:b], row[b:c], row[c:]) for row in x]
-                check_constraints(m, np.array([phase.r, *(p.r for p in phases)]), first)
-            history += [(p.g[None], p.r[None], p.pi[None]) for p in phases]
-            phase = phases[-1]
+                history += [(p.g[None], p.r[None], p.pi[None]) for p in phases]
+                phase = phases[-1]
+                continue
+            g, r, pi, z = np.split(x, cuts, axis=1)
+            check_constraints(m, np.vstack([phase.r, r]), first)
+            history.append((g, r, pi))
+            phase = Phase(g[-1], r[-1], pi[-1], z[-1])
         check_mass(m, np.concatenate([row[1] for row in history]))
         return tuple(np.concatenate(column) for column in zip(*history, strict=True))  # type: ignore[return-value]
 
@@ -229,30 +259,9 @@ def _projected_wrench(mechanics: DiscreteMechanics) -> ca.Function:
     return keep(mechanics, "wrench", lambda: ca.Function("wrench", [y["g"], y["r"], w], [covector]))
 
 
-def _chunk(mechanics: DiscreteMechanics, order: int) -> ca.Function:
-    """``_CHUNK`` steps in one call: (x, c0 (c, n), c1 (c, n), h, wind) -> (x (., n), residuals (n,))."""
-
-    def build() -> ca.Function:
-        y = mechanics.symbols
-        sizes = mechanics.sizes[:3]
-        x, c0, c1 = ca.SX.sym("x", sum(sizes) + sizes[2]), y["c0"], y["c1"]
-        g, r, pi, z = ca.vertsplit(x, [0, *(int(k) for k in np.cumsum([*sizes, sizes[2]]))])
-        done, worst = 0.0, ca.SX(0)
-        for fraction in COMPOSITIONS[order]:
-            a, b = c0 + done * (c1 - c0), c0 + (done + fraction) * (c1 - c0)
-            g, r, pi, z, residual = mechanics.advance(g, r, pi, z, a, b, fraction * y["h"], y["wind"])
-            worst, done = ca.fmax(worst, residual), done + fraction
-        one = ca.Function("one", [x, c0, c1, y["h"], y["wind"]], [ca.vertcat(g, r, pi, z), worst])
-        xs, c0s, c1s = (
-            ca.MX.sym("x", x.shape[0]),
-            ca.MX.sym("c0", c0.shape[0], _CHUNK),
-            ca.MX.sym("c1", c1.shape[0], _CHUNK),
-        )
-        h, wind = ca.MX.sym("h"), ca.MX.sym("wind", 3)
-        states, residuals = one.mapaccum(_CHUNK)(xs, c0s, c1s, ca.repmat(h, 1, _CHUNK), ca.repmat(wind, 1, _CHUNK))
-        return ca.Function("chunk", [xs, c0s, c1s, h, wind], [states, residuals])
-
-    return keep(mechanics, f"chunk{order}", build)
+def _chunk(mechanics: DiscreteMechanics, order: int, fast: bool) -> ca.Function:
+    """``_CHUNK`` steps in one call: (x, c0 (c, n), c1 (c, n), h (1, n), wind (3, n)) -> (x, residuals) of each."""
+    return keep(mechanics, f"chunk{order}{fast}", lambda: whole_step(mechanics, order, fast).mapaccum(_CHUNK))
 
 
 def _pack(phase: Phase) -> Array:
