@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+import json
+import multiprocessing
+import os
+import subprocess
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim.errors import InputError
+from vehsim.errors import ExportError, InputError
 from vehsim.exporters.contact import write_contact_sheet
 from vehsim.exporters.render import StageRenderer
 from vehsim.exporters.stage import StageReader
@@ -46,34 +53,92 @@ def render_stage(
     progress: Progress | None = None,
     shadows: bool = True,
     samples: int = 4,
+    processes: int | None = None,
 ) -> list[Path]:
     """Render a stage to ``out/<camera>/<stage>.<camera>.<frame>.png``; returns the files written.
 
     ``camera``: one by name, all when None; ``frames``: those of the stage when None; ``size`` (width, height) px,
-    960 x 540 when None; ``samples`` a pixel. Raises ``InputError`` for a stage, camera or size that will not do,
-    ``ExportError`` without EGL.
+    960 x 540 when None; ``samples`` a pixel; ``processes``: as the machine has cores when None and there is enough to
+    do. Raises ``InputError`` for a stage, camera or size that will not do, ``ExportError`` without EGL.
     """
     size = _checked_size(size or (960, 540))
     stage = StageReader(stage_path)
     chosen = _cameras(stage, camera)
     wanted = list(range(stage.frames[0], stage.frames[1] + 1)) if frames is None else list(frames)
-    shot = Path(stage_path).stem
-    written: list[Path] = []
-    total = len(chosen) * len(wanted)
-    with StageRenderer(stage, size, shadows, samples) as renderer, ThreadPoolExecutor(1) as writer:
-        saved = []
-        for name in chosen:
-            folder = Path(out) / name
-            folder.mkdir(parents=True, exist_ok=True)
-            for frame in wanted:
+    look = {"size": size, "shadows": shadows, "samples": samples}
+    count = _processes(len(chosen) * len(wanted)) if processes is None else processes
+    shares = [wanted[k::count] for k in range(count)]
+    with _others(stage_path, out, camera, shares[1:], look) as others:
+        _render(stage, Path(out), chosen, shares[0], look, progress)
+        for other in others:
+            _finish(other)
+    return [_path(stage, Path(out), name, frame) for name in chosen for frame in wanted]
+
+
+def _render(
+    stage: StageReader,
+    out: Path,
+    cameras: Sequence[str],
+    frames: Sequence[int],
+    look: dict[str, Any],
+    progress: Progress | None,
+) -> None:
+    with StageRenderer(stage, **look) as renderer, ThreadPoolExecutor(1) as writer:
+        saved: list[Future[None]] = []
+        for name in cameras:
+            (out / name).mkdir(parents=True, exist_ok=True)
+            for frame in frames:
                 if progress:
-                    progress(f"frames: {name} {frame}", len(written) / total)
-                path = folder / f"{shot}.{name}.{frame:04d}.png"
-                saved.append(writer.submit(_save, renderer.render(name, frame), path))
-                written.append(path)
+                    progress(f"frames: {name} {frame}", len(saved) / (len(cameras) * len(frames)))
+                saved.append(writer.submit(_save, renderer.render(name, frame), _path(stage, out, name, frame)))
         for job in saved:
             job.result()
-    return written
+
+
+def _path(stage: StageReader, out: Path, camera: str, frame: int) -> Path:
+    shot = Path(stage.path).stem
+    return out / camera / f"{shot}.{camera}.{frame:04d}.png"
+
+
+def _processes(pictures: int) -> int:
+    """One for every core, but only where each has enough to do to be worth its start; one within another process."""
+    if multiprocessing.parent_process() is not None:
+        return 1
+    return max(1, min(os.cpu_count() or 1, pictures // 16))
+
+
+@contextmanager
+def _others(
+    stage: str | Path, out: str | Path, camera: str | None, shares: Sequence[Sequence[int]], look: dict[str, Any]
+) -> Iterator[list[subprocess.Popen[str]]]:
+    """Processes that render other shares of the frames: interpreters of their own, whatever script called us."""
+    program = (
+        "import json, sys; from vehsim.exporters.frames import render_stage; render_stage(**json.loads(sys.argv[1]))"
+    )
+    work = {"stage_path": str(stage), "out": str(out), "camera": camera, "processes": 1, **look}
+    started = [
+        subprocess.Popen(
+            [sys.executable, "-c", program, json.dumps({**work, "frames": list(share)})],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        for share in shares
+    ]
+    try:
+        yield started
+    finally:
+        for process in started:
+            if process.returncode is None:
+                process.kill()
+                process.communicate()
+
+
+def _finish(process: subprocess.Popen[str]) -> None:
+    _, complaint = process.communicate()
+    if process.returncode != 0:
+        last = complaint.strip().splitlines()[-1:] or [f"exit code {process.returncode}"]
+        raise ExportError(f"a render process failed: {last[0]}; render again, or with fewer frames at once")
 
 
 def _save(picture: NDArray[np.uint8], path: Path) -> None:
@@ -91,10 +156,10 @@ def _cameras(stage: StageReader, camera: str | None) -> list[str]:
     return names if camera is None else [camera]
 
 
-def _checked_size(size: tuple[int, int]) -> tuple[int, int]:
+def _checked_size(size: Sequence[int]) -> tuple[int, int]:
     if not all(isinstance(side, int) and 16 <= side <= MAX_SIDE for side in size):
         raise InputError(f"render.size = {size!r}: give a width and a height of 16 to {MAX_SIDE} pixels")
-    return size
+    return (size[0], size[1])
 
 
 exporter = Exporter(name="png", suffixes=(".png",), write=write_frames, needs=("usd",))

@@ -238,3 +238,25 @@ def test_glass_and_blur_let_the_sun_through(new_stage):
     with StageRenderer(stage, SIZE) as renderer:
         casts = dict(zip((shape.name for shape in stage.shapes), renderer._model.geom_castshadow.tolist(), strict=True))
     assert casts == {"/top/solid": True, "/top/blur": False}
+
+
+def test_frames_are_the_same_from_one_process_or_two(new_stage, tmp_path):
+    """Frames shared out to another interpreter come back bit for bit as from one."""
+    quad(new_stage, "/top/quad", (0, 0, 0), 1.0, (0.8, 0.2, 0.1))
+    new_stage.GetRootLayer().Save()
+    path = new_stage.GetRootLayer().realPath
+    one = render_stage(path, tmp_path / "one", size=(64, 36), processes=1)
+    two = render_stage(path, tmp_path / "two", size=(64, 36), processes=2)
+    assert len(one) == 3 and [a.name for a in one] == [b.name for b in two]
+    assert all(a.read_bytes() == b.read_bytes() for a, b in zip(one, two, strict=True))
+
+
+def test_a_failing_render_process_is_an_error(new_stage, tmp_path, monkeypatch):
+    from vehsim.errors import ExportError
+    from vehsim.exporters import frames
+
+    quad(new_stage, "/top/quad", (0, 0, 0), 1.0, (0.8, 0.2, 0.1))
+    new_stage.GetRootLayer().Save()
+    monkeypatch.setattr(frames.sys, "executable", "/bin/false")
+    with pytest.raises(ExportError, match="render process failed"):
+        frames.render_stage(new_stage.GetRootLayer().realPath, tmp_path / "two", size=(64, 36), processes=2)
