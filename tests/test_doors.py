@@ -14,6 +14,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 FLOORS = (
     ("vehsim", "vehsim.cli", "vehsim.doctor"),
+    ("vehsim.batch",),
     ("vehsim.exporters",),
     ("vehsim.shot",),
     ("vehsim.take", "vehsim.delivery"),

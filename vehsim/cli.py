@@ -10,9 +10,8 @@ import os
 import re
 import signal
 import sys
-import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -52,20 +51,34 @@ class Quality(StrEnum):
     final = "final"
 
 
+class Log(StrEnum):
+    """How what happens is told."""
+
+    text = "text"
+    json = "json"
+
+
 @app.command()
 def export(
     shots: Shots,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Every shot gets a folder of its own in here.")] = Path(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Every clip gets a folder of its own in here.")] = Path(
         "out"
     ),
     to: Annotated[str, typer.Option(metavar="LIST", help="Exporters, separated by commas.")] = "usd",
+    workers: Annotated[int, typer.Option(min=1, max=1024, metavar="N", help="Processes that share the clips.")] = 1,
+    dask: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help='A Dask scheduler, or "local" for N processes here.')
+    ] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Leave clips that are finished and whole.")] = False,
     sets: Sets = None,
     only: Annotated[list[str] | None, typer.Option(metavar="VEHICLE", help="This vehicle alone. Repeatable.")] = None,
     quality: Annotated[Quality, typer.Option(help="draft: half the picture size, no shadows.")] = Quality.final,
+    memory: Annotated[float | None, typer.Option(min=0.5, metavar="GB", help="What a worker may use.")] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Check and say what would be done.")] = False,
+    log: Annotated[Log, typer.Option(help="json: a line of JSON for everything that happens.")] = Log.text,
     quiet: Quiet = False,
 ) -> None:
-    """Solve shots and write them: a USD stage, pictures, a film, tables."""
+    """Solve shots and write them: a USD stage, pictures, a film, tables. Sweeps become a clip each."""
     from vehsim.delivery import in_order, may_replace
 
     names = [name.strip() for name in to.split(",") if name.strip()]
@@ -73,16 +86,33 @@ def export(
     loaded, problems = _load(shots, sets or [], only or [])
     for shot in loaded:
         may_replace(out / shot.name)
-    _say(problems, quiet)
-    bad = len(shots) - len(loaded)
-    if bad and not loaded:
+    _say(problems, quiet or log is Log.json)
+    errors = [str(problem) for problem in problems if problem.severity == "error"]
+    if errors and not loaded:
         raise typer.Exit(WRONG_INPUT)
     if dry_run:
         for shot in loaded:
             print(f"{out / shot.name}: {', '.join(names)} of {_summary(shot)}")
-        raise typer.Exit(WRONG_INPUT if bad else 0)
-    failed = [shot for shot in loaded if not _export(shot, out, names, quality, quiet)]
-    raise typer.Exit(FAILED if failed or bad else 0)
+        raise typer.Exit(WRONG_INPUT if errors else 0)
+    from vehsim.batch.run import run
+    from vehsim.batch.screen import watch
+    from vehsim.batch.summary import write_summary
+    from vehsim.batch.task import prepare
+
+    tasks = [prepare(shot, out, names, quality is Quality.draft, resume) for shot in loaded]
+    outcomes = {}
+    try:
+        with watch(tasks, screen, log.value, quiet) as watcher:
+            running = run(tasks, workers=workers, dask=dask, memory=memory, tell=watcher.tell)
+            with closing(running):
+                for outcome in running:
+                    outcomes[outcome.name] = outcome
+                    watcher.end(outcome)
+    finally:
+        if len(tasks) > 1:
+            write_summary(out, tasks, outcomes, errors)
+    failed = any(outcome.state == "failed" for outcome in outcomes.values())
+    raise typer.Exit(FAILED if failed or errors else 0)
 
 
 @app.command()
@@ -92,8 +122,8 @@ def check(shots: Shots, sets: Sets = None, quiet: Quiet = False) -> None:
     _say(problems, quiet)
     for shot in loaded:
         if not quiet:
-            print(f"{shot.source}: ready, {_summary(shot)}")
-    raise typer.Exit(WRONG_INPUT if len(loaded) < len(shots) else 0)
+            print(f"{shot.source}: {shot.name} is ready, {_summary(shot)}")
+    raise typer.Exit(WRONG_INPUT if any(problem.severity == "error" for problem in problems) else 0)
 
 
 @app.command()
@@ -264,25 +294,25 @@ def _end_like_interrupt() -> None:
 
 
 def _load(paths: Sequence[Path], overrides: Sequence[str], only: Sequence[str]) -> tuple[list[Shot], list[Problem]]:
-    """The shots that are right, and everything that is wrong with the others."""
-    from vehsim.shot import Shot
+    """The shots that are right, sweeps expanded, and everything that is wrong with the others."""
+    from vehsim.batch.sweep import load_shots
 
     loaded: dict[str, Shot] = {}
     problems: list[Problem] = []
     for path in paths:
         try:
-            shot = Shot.load(path, overrides)
-            shot = shot.only(only) if only else shot
-            found = shot.check()
+            shots = [shot.only(only) if only else shot for shot in load_shots(path, overrides)]
         except ShotError as error:
             problems += error.problems
             continue
-        if shot.name in loaded:
-            mend = "give every shot of a batch a name of its own"
-            found.append(Problem("shot.name", f"{loaded[shot.name].source} has it too", mend, shot.name, str(path)))
-        problems += found
-        if all(problem.severity == "warning" for problem in found):
-            loaded[shot.name] = shot
+        for shot in shots:
+            found = shot.check()
+            if (key := shot.name.casefold()) in loaded:  # a folder each, also where cases are not told apart
+                mend = "give every shot of a batch a name of its own"
+                found.append(Problem("shot.name", f"{loaded[key].source} has it too", mend, shot.name, str(path)))
+            problems += [problem for problem in found if problem not in problems]
+            if all(problem.severity == "warning" for problem in found):
+                loaded[key] = shot
     return list(loaded.values()), problems
 
 
@@ -290,24 +320,6 @@ def _say(problems: Sequence[Problem], quiet: bool) -> None:
     for problem in problems:
         if problem.severity == "error" or not quiet:
             screen.print(str(problem), markup=False, style="red" if problem.severity == "error" else "yellow")
-
-
-def _export(shot: Shot, out: Path, names: Sequence[str], quality: Quality, quiet: bool) -> bool:
-    """Solve and write one shot; say what happened. False when it failed."""
-    from dataclasses import replace
-
-    try:
-        with _warnings(shot, quiet), _progress(quiet) as progress:
-            take = shot.solve(lambda what, done: progress(what, done / 2))
-            if quality is Quality.draft:
-                take = replace(take, render=take.render.draft())
-            folder = take.export(out, names, lambda what, done: progress(what, 0.5 + done / 2))
-    except VehsimError as error:
-        screen.print(f"{shot.source}: {error}", markup=False, style="red")
-        return False
-    if not quiet:
-        print(f"{folder}: {', '.join(names)} of frames {take.frames[0]} to {take.frames[1]}")
-    return True
 
 
 @contextmanager
@@ -322,20 +334,6 @@ def _progress(quiet: bool) -> Iterator[Progress]:
     with Progress(*columns, console=screen, transient=True) as bar:
         task = bar.add_task("", total=1.0)
         yield lambda what, done: bar.update(task, description=what.replace("[", r"\["), completed=done)
-
-
-@contextmanager
-def _warnings(shot: Shot, quiet: bool) -> Iterator[None]:
-    """Warnings as one line each, naming the shot."""
-
-    def show(message: Any, *rest: Any, **more: Any) -> None:
-        if not quiet:
-            screen.print(f"warning: {shot.source}: {message}", markup=False, style="yellow")
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("always", UserWarning)
-        warnings.showwarning = show  # type: ignore[assignment]
-        yield
 
 
 def _summary(shot: Shot) -> str:

@@ -49,6 +49,8 @@ class ShotFile(Table):
     """a table [camera], or several [[camera]]"""
     render: RenderTable = RenderTable()
     """a table [render]"""
+    sweep: dict[str, Any] | None = None
+    """a table [sweep]: keys of this file and the values they take, one clip for each"""
 
 
 @cache

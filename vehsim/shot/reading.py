@@ -48,14 +48,19 @@ def apply_overrides(data: Any, overrides: Sequence[str]) -> None:
         key, equals, text = override.partition("=")
         if not equals or not key.strip():
             raise ShotError([Problem("--set", "not KEY=VALUE", "write it like world.wind=[0,3,0]", override)])
-        *way, last = _steps(key.strip())
-        table: Any = data
-        for step in way:
-            table = _enter(table, step, key)
-        try:
-            table[last if isinstance(table, dict) else int(last)] = _value(text)
-        except (TypeError, ValueError, IndexError):
-            raise _nowhere(key, last) from None
+        assign(data, key.strip(), _value(text))
+
+
+def assign(data: Any, key: str, value: Any) -> None:
+    """Write ``value`` under a key such as ``vehicle.heli.motion.cost``. Raises ``ShotError``."""
+    *way, last = _steps(key)
+    table: Any = data
+    for step in way:
+        table = _enter(table, step, key)
+    try:
+        table[last if isinstance(table, dict) else int(last)] = value
+    except (TypeError, ValueError, IndexError):
+        raise _nowhere(key, last) from None
 
 
 def _steps(key: str) -> list[str | int]:

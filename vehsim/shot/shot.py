@@ -171,6 +171,9 @@ class Shot:
 
     def _check_header(self) -> Iterator[Problem]:
         header = self.file.shot
+        if self.file.sweep is not None:
+            mend = "vehsim export and vehsim.batch.load_shots make its clips"
+            yield Problem("sweep", "this is the shot without its sweep", mend, severity="warning")
         if header.handles and header.end_frame is None:
             yield Problem("shot.handles", "handles need an end to stand after", "give shot.end_frame", header.handles)
         if header.end_frame is not None and header.end_frame < header.start_frame:

@@ -1,0 +1,91 @@
+"""The same tasks on a Dask cluster: its scheduler places them, survives lost workers and begins their clips again.
+
+Every worker must see the output folder and the shots' files under the same paths, and have the same vehsim installed:
+a clip whose hash differs there is refused, never written.
+"""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from vehsim.batch.task import Outcome, Task, Tell, measure, run_task
+from vehsim.errors import InputError
+
+LOCAL = "local"
+TOPIC = "vehsim"
+
+
+def run_on_dask(tasks: Sequence[Task], address: str, count: int, tell: Tell) -> Iterator[Outcome]:
+    """The outcomes of ``tasks``, each as soon as it is there. ``address`` of a scheduler, or "local": ``count``
+    processes here. Raises ``InputError`` when there is no such cluster."""
+    with _client(address, count) as client:
+        from distributed import as_completed
+
+        client.subscribe_topic(TOPIC, lambda event: tell(*event[1]))
+        run = secrets.token_hex(4)  # a scheduler remembers keys; ours are new
+        fields = {task.field: task for task in tasks if task.field is not None}
+        measured = {
+            field: client.submit(measure, task, key=f"vehsim-field-{run}-{field}") for field, task in fields.items()
+        }
+        futures = {
+            client.submit(
+                _run_there, task, measured.get(task.field or ""), key=f"vehsim-{run}-{task.name}", pure=False
+            ): task
+            for task in tasks
+        }
+        for future in as_completed(futures):
+            yield _outcome(future, futures[future])
+
+
+def _outcome(future: Any, task: Task) -> Outcome:
+    if future.status == "finished":
+        outcome: Outcome = future.result()
+        return outcome
+    error = future.exception() if future.status == "error" else None
+    text = f"the cluster lost it: {type(error).__name__}: {error}" if error else f"the cluster lost it: {future.status}"
+    return Outcome(task.name, "failed", "WorkerLost", f"{text}; see the cluster's own logs, then --resume")
+
+
+def _run_there(task: Task, measured: Any) -> Outcome:
+    from distributed import get_worker
+
+    worker = get_worker()
+    states = [""]
+
+    def tell(name: str, state: str, what: str, done: float) -> None:
+        if state != states[0]:  # a message to the scheduler each
+            states[0] = state
+            worker.log_event(TOPIC, (name, state, what, done))
+
+    return run_task(task, tell)
+
+
+def _client(address: str, count: int) -> Any:
+    try:
+        from distributed import Client, LocalCluster
+    except ImportError:
+        raise InputError("--dask: Dask is not installed; pip install 'vehsim[dask]'") from None
+    if address == LOCAL:
+        cluster = LocalCluster(n_workers=count, threads_per_worker=1, processes=True, dashboard_address=None)
+        return _Closing(Client(cluster), cluster)
+    try:
+        return Client(address, timeout="20s")
+    except (OSError, ValueError) as error:
+        mend = "give the address of a running scheduler, such as tcp://host:8786, or local"
+        raise InputError(f"--dask {address!r}: {error}; {mend}") from None
+
+
+class _Closing:
+    """A client that takes its own cluster with it."""
+
+    def __init__(self, client: Any, cluster: Any) -> None:
+        self._client, self._cluster = client, cluster
+
+    def __enter__(self) -> Any:
+        return self._client
+
+    def __exit__(self, *error: Any) -> None:
+        self._client.close()
+        self._cluster.close()

@@ -1,0 +1,76 @@
+"""A batch from shots to summary, top-down: prepare tasks, run them somewhere, say what became of each."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterable, Sequence
+from contextlib import closing
+from pathlib import Path
+
+from vehsim.batch.summary import write_summary
+from vehsim.batch.task import Outcome, Task, Tell, prepare, run_task
+from vehsim.errors import InputError
+from vehsim.shot import Shot
+
+
+def export_batch(
+    shots: Sequence[Shot],
+    out: str | Path,
+    to: Sequence[str] = ("usd",),
+    *,
+    workers: int = 1,
+    dask: str | None = None,
+    resume: bool = False,
+    draft: bool = False,
+    memory: float | None = None,
+    tell: Tell | None = None,
+) -> list[Outcome]:
+    """Export every shot to ``out/<name>/`` and write ``out/summary.json``. Returns the outcomes in the shots' order.
+
+    ``workers`` processes, or a Dask cluster's (``dask``: its address or "local"); ``resume`` leaves finished clips;
+    ``draft``: quick pictures; ``memory``: a worker's address space, GB. One shot that fails stops no other. Scripts
+    that call it keep the call below ``if __name__ == "__main__"``: workers import them. Raises ``InputError`` before
+    anything is written, ``ExportError`` when the summary cannot be.
+    """
+    tasks = [prepare(shot, Path(out), to, draft, resume) for shot in shots]
+    outcomes: dict[str, Outcome] = {}
+    check_names(tasks)
+    with closing(run(tasks, workers=workers, dask=dask, memory=memory, tell=tell)) as running:
+        for outcome in running:
+            outcomes[outcome.name] = outcome
+    write_summary(Path(out), tasks, outcomes, [])
+    return [outcomes[task.name] for task in tasks]
+
+
+def run(
+    tasks: Sequence[Task],
+    *,
+    workers: int = 1,
+    dask: str | None = None,
+    memory: float | None = None,
+    tell: Tell | None = None,
+) -> Generator[Outcome, None, None]:
+    """The outcomes of ``tasks`` as they come. A single clip needs no other process, unless memory is limited."""
+    tell = tell or (lambda name, state, what, done: None)
+    if dask is not None:
+        from vehsim.batch.cluster import run_on_dask
+
+        yield from run_on_dask(tasks, dask, workers, tell)
+    elif len(tasks) == 1 and memory is None:
+        yield run_task(tasks[0], tell)
+    elif tasks:
+        from vehsim.batch.workers import run_on_processes
+
+        yield from run_on_processes(tasks, workers, tell, memory)
+
+
+def check_names(tasks: Iterable[Task]) -> None:
+    """No two clips write the same folder, also where the file system does not tell cases apart."""
+    seen: dict[str, Task] = {}
+    for task in tasks:
+        key = task.name.casefold()
+        if key in seen:
+            raise InputError(
+                f"{task.source}: shot.name = {task.name!r}: {seen[key].source} has it too; "
+                "give every shot of a batch a name of its own"
+            )
+        seen[key] = task

@@ -1,0 +1,133 @@
+"""What a batch looks like while it runs: a live table on a terminal, plain lines elsewhere, or JSON for machines."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from typing import Any, Protocol
+
+from vehsim.batch.task import Outcome, Task
+
+STATES = ("queued", "planning", "baking", "rendering", "done", "skipped", "failed")
+ROWS = 20
+"""Most clips at work that a table shows."""
+
+
+class Watcher(Protocol):
+    """Told what clips do, and how they end."""
+
+    def tell(self, name: str, state: str, what: str, done: float) -> None: ...
+
+    def end(self, outcome: Outcome) -> None: ...
+
+
+@contextmanager
+def watch(tasks: Sequence[Task], screen: Any, log: str, quiet: bool) -> Iterator[Watcher]:
+    """The watcher for a ``log`` of "text" or "json". ``screen``: a rich console for what is not an answer."""
+    if log == "json":
+        yield _JsonLog(tasks)
+    elif quiet or not screen.is_terminal:
+        yield _Lines(tasks, screen, quiet)
+    else:
+        table = _Table(tasks, screen)
+        from rich.live import Live
+
+        with Live(table, console=screen, refresh_per_second=8, transient=True):
+            yield table
+
+
+class _Lines:
+    """One line for every clip that ended."""
+
+    def __init__(self, tasks: Sequence[Task], screen: Any, quiet: bool) -> None:
+        self._tasks = {task.name: task for task in tasks}
+        self._screen, self._quiet = screen, quiet
+
+    def tell(self, name: str, state: str, what: str, done: float) -> None:
+        pass
+
+    def end(self, outcome: Outcome) -> None:
+        task = self._tasks[outcome.name]
+        if not self._quiet:
+            for text in outcome.warnings:
+                self._screen.print(f"warning: {_where(task)}: {text}", markup=False, style="yellow")
+        if outcome.state == "failed":
+            self._screen.print(f"{_where(task)}: {outcome.message}", markup=False, style="red")
+        elif self._quiet:
+            return
+        elif outcome.frames is None:
+            print(f"{task.target}: finished before")
+        else:
+            print(f"{task.target}: {', '.join(task.to)} of frames {outcome.frames[0]} to {outcome.frames[1]}")
+
+
+class _Table(_Lines):
+    """The whole batch in one bar, and a row for every clip at work; a rich renderable."""
+
+    def __init__(self, tasks: Sequence[Task], screen: Any) -> None:
+        super().__init__(tasks, screen, quiet=False)
+        self._states = dict.fromkeys(self._tasks, "queued")
+        self._active: dict[str, tuple[str, str, float]] = {}
+
+    def tell(self, name: str, state: str, what: str, done: float) -> None:
+        self._states[name] = state
+        self._active[name] = (state, what, done)
+        if state == "queued":
+            del self._active[name]
+
+    def end(self, outcome: Outcome) -> None:
+        self._states[outcome.name] = outcome.state
+        self._active.pop(outcome.name, None)
+        super().end(outcome)
+
+    def __rich__(self) -> Any:
+        from rich.console import Group
+        from rich.progress_bar import ProgressBar
+        from rich.table import Table
+        from rich.text import Text
+
+        counts = Counter(self._states.values())
+        ended = counts["done"] + counts["skipped"] + counts["failed"]
+        head = Table.grid(padding=(0, 1))
+        words = ", ".join(f"{counts[state]} {state}" for state in STATES if counts[state])
+        head.add_row(ProgressBar(len(self._tasks), ended, width=30), Text(f"{ended} of {len(self._tasks)}: {words}"))
+        rows = Table.grid(padding=(0, 1))
+        for name, (state, what, done) in list(self._active.items())[:ROWS]:
+            rows.add_row(Text(name), Text(state, style="cyan"), ProgressBar(1.0, done, width=16), Text(what))
+        return Group(head, rows)
+
+
+class _JsonLog:
+    """A line of JSON on standard output for everything that happens; times are here and nowhere else."""
+
+    def __init__(self, tasks: Sequence[Task]) -> None:
+        self._sources = {task.name: task.source for task in tasks}
+        self._began = time.monotonic()
+        self._say("batch", clips=len(tasks))
+
+    def tell(self, name: str, state: str, what: str, done: float) -> None:
+        self._say("progress", clip=name, state=state, what=what, done=round(done, 4))
+
+    def end(self, outcome: Outcome) -> None:
+        for text in outcome.warnings:
+            self._say("warning", clip=outcome.name, message=text)
+        error = {"kind": outcome.kind, "message": outcome.message, "detail": outcome.detail}
+        more = {key: value for key, value in error.items() if value} if outcome.state == "failed" else {}
+        seconds = round(outcome.seconds, 3)
+        self._say(outcome.state, clip=outcome.name, source=self._sources[outcome.name], seconds=seconds, **more)
+
+    def _say(self, event: str, **more: Any) -> None:
+        now = datetime.now(UTC).isoformat(timespec="milliseconds")
+        elapsed = round(time.monotonic() - self._began, 3)  # the clock on the wall may jump
+        print(json.dumps({"event": event, "time": now, "elapsed": elapsed, **more}), flush=True)
+
+
+def _where(task: Task) -> str:
+    """The shot file, and the clip where a sweep made several of it."""
+    from pathlib import Path
+
+    return task.source if Path(task.source).stem == task.name else f"{task.source}: {task.name}"

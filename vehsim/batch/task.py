@@ -1,0 +1,142 @@
+"""One clip's work: a task goes in, an outcome comes out, and the folder is whole or not there.
+
+A task is plain data that can be sent to another process or machine. What happens here is the same wherever it runs, so
+that the bytes are too.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+import traceback
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from vehsim.errors import InputError, VehsimError
+
+State = Literal["queued", "planning", "baking", "rendering", "done", "skipped", "failed"]
+Tell = Callable[[str, str, str, float], None]
+"""Told a clip's name, its state, what is being done and the fraction done."""
+
+RENDERING = ("frames", "film", "contact")
+"""How what pictures and films say of their progress begins."""
+_ONE_AT_A_TIME = threading.Lock()
+
+
+@dataclass(frozen=True)
+class Task:
+    """A clip to be exported to ``out/<name>/``. ``shot``: a shot file's data; ``inputs``: the hash of all it needs.
+
+    ``field``: it needs the distance field of this terrain (by hash), which is measured once for all.
+    """
+
+    name: str
+    shot: Mapping[str, Any]
+    folder: str
+    source: str
+    out: str
+    to: tuple[str, ...]
+    inputs: str
+    draft: bool = False
+    resume: bool = False
+    field: str | None = None
+
+    @property
+    def target(self) -> Path:
+        return Path(self.out) / self.name
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a clip. ``kind``: the error's; ``seconds`` and ``detail`` are for logs, never for files."""
+
+    name: str
+    state: State
+    kind: str = ""
+    message: str = ""
+    frames: tuple[int, int] | None = None
+    warnings: tuple[str, ...] = ()
+    seconds: float = 0.0
+    detail: str = ""
+    retire: bool = False
+    """the process that gave it had better end: it ran out of memory"""
+
+
+def prepare(shot: Any, out: Path, to: Sequence[str], draft: bool = False, resume: bool = False) -> Task:
+    """The task of a checked shot."""
+    from vehsim.batch.inputs import fingerprint
+
+    terrain = shot.world.terrain
+    return Task(
+        name=shot.name,
+        shot=shot.file.model_dump(mode="python", by_alias=True, exclude_unset=True),
+        folder=str(shot.folder.resolve()),
+        source=shot.source,
+        out=str(Path(out).resolve()),
+        to=tuple(to),
+        inputs=fingerprint(shot, to, draft),
+        draft=draft,
+        resume=resume,
+        field=terrain.content_hash if terrain is not None and _measures(shot) else None,
+    )
+
+
+def run_task(task: Task, tell: Tell) -> Outcome:
+    """Solve and write one clip, or find it finished. Never raises: what goes wrong is in the outcome."""
+    began, said = time.perf_counter(), []
+    with _ONE_AT_A_TIME, warnings.catch_warnings():
+        warnings.simplefilter("always", UserWarning)
+        warnings.showwarning = lambda message, *rest, **more: said.append(str(message))  # type: ignore[assignment]
+        try:
+            outcome = _work(task, tell)
+        except MemoryError:
+            mend = "give it fewer segments or pixels, or the worker more memory"
+            outcome = Outcome(task.name, "failed", "MemoryError", f"it ran out of memory; {mend}", retire=True)
+        except VehsimError as error:
+            outcome = Outcome(task.name, "failed", type(error).__name__, str(error))
+        except Exception as error:
+            message = f"unexpected: {type(error).__name__}: {error}; this is a fault of vehsim"
+            outcome = Outcome(task.name, "failed", type(error).__name__, message, detail=traceback.format_exc())
+            if "bad_alloc" in str(error):
+                outcome = replace(outcome, message="it ran out of memory", kind="MemoryError", retire=True)
+    return replace(outcome, seconds=time.perf_counter() - began, warnings=tuple(dict.fromkeys(said)))
+
+
+def _work(task: Task, tell: Tell) -> Outcome:
+    from vehsim.batch.inputs import fingerprint, is_finished
+    from vehsim.delivery import clean_up
+    from vehsim.shot import Shot
+
+    clean_up(task.target)
+    if task.resume and is_finished(task.target, task.inputs):
+        return Outcome(task.name, "skipped")
+    tell(task.name, "planning", "starting", 0.0)
+    shot = Shot.from_dict(task.shot, task.folder, task.source)
+    if fingerprint(shot, task.to, task.draft) != task.inputs:
+        raise InputError(f"{task.source}: its files or vehsim itself changed while the batch ran; export it again")
+    take = shot.solve(lambda what, done: tell(task.name, "planning", what, done))
+    take = replace(
+        take,
+        render=take.render.draft() if task.draft else take.render,
+        report={**take.report, "inputs": task.inputs},
+    )
+
+    def bake(what: str, done: float) -> None:
+        tell(task.name, "rendering" if what.startswith(RENDERING) else "baking", what, done)
+
+    take.export(task.out, task.to, bake)
+    return Outcome(task.name, "done", frames=take.frames)
+
+
+def measure(task: Task) -> None:
+    """Have the distance field of the task's terrain in the cache, so that no two workers measure the same."""
+    from vehsim.shot import Shot
+
+    Shot.from_dict(task.shot, task.folder, task.source).world.distance_field()
+
+
+def _measures(shot: Any) -> bool:
+    return any(t.motion.method == "plan" and shot.vehicle(t).group.dim == 6 for t in shot.file.vehicle)

@@ -1,0 +1,205 @@
+"""Worker processes on this machine: each does one task after another; one that dies takes nothing with it.
+
+Every worker has a pipe of its own, no queue or lock is shared, so a process killed at any instant can block no other.
+Its clip is tried again by a fresh one. Workers end when the process that started them does.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from multiprocessing.connection import Connection, wait
+from typing import Any
+
+from vehsim.batch.task import Outcome, Task, Tell
+
+ATTEMPTS = 3
+"""How often a clip is begun whose worker dies."""
+PATIENCE = 10.0
+"""How long interrupted workers may take to tidy up, s."""
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "LP_NUM_THREADS")
+
+
+def run_on_processes(tasks: Sequence[Task], count: int, tell: Tell, memory: float | None = None) -> Iterator[Outcome]:
+    """The outcomes of ``tasks``, each as soon as it is there, from ``count`` processes.
+
+    ``memory``: how much address space a worker may use, GB.
+    """
+    fields = {task.field: task for task in tasks if task.field is not None}
+    count = max(1, min(count, len(tasks)))
+    crew = [_Worker(count, memory) for _ in range(count)]
+    try:
+        for _ in _dispatch(crew, [("measure", task) for task in fields.values()], tell):
+            pass  # what could not be measured will be said by the clips that need it
+        yield from _dispatch(crew, [("run", task) for task in tasks], tell)
+    finally:
+        for worker in crew:
+            worker.stop()
+        deadline = time.monotonic() + PATIENCE
+        for worker in crew:
+            worker.end(deadline)
+
+
+def _dispatch(crew: list[_Worker], jobs: Sequence[tuple[str, Task]], tell: Tell) -> Iterator[Outcome]:
+    waiting, attempts = deque(jobs), Counter[str]()
+    while True:
+        for worker in crew:
+            while worker.job is None and waiting:
+                job = waiting.popleft()
+                attempts[job[1].name] += 1
+                if not worker.give(job):
+                    waiting.appendleft(job)
+                    attempts[job[1].name] -= 1
+        busy = {worker.pipe: worker for worker in crew if worker.job is not None}
+        if not busy:
+            return
+        for pipe in wait(list(busy)):
+            worker = busy[pipe]  # type: ignore[index]
+            message = worker.receive()
+            if isinstance(message, Outcome):
+                worker.job = None
+                if message.retire:
+                    worker.replace()
+                yield message
+            elif message is not None:
+                tell(*message)
+            elif worker.job is not None:  # it died
+                job, how = worker.job, worker.epitaph()
+                worker.replace()
+                if attempts[job[1].name] < ATTEMPTS:
+                    tell(job[1].name, "queued", f"its worker {how}; tried again", 0.0)
+                    waiting.append(job)
+                else:
+                    mend = "give it more memory, or ask less of it"
+                    text = f"its worker {how}, {ATTEMPTS} times; {mend}"
+                    yield Outcome(job[1].name, "failed", "WorkerLost", text)
+
+
+class _Worker:
+    """A process and our end of its pipe. ``job``: what it is doing."""
+
+    def __init__(self, count: int, memory: float | None) -> None:
+        self._count, self._memory = count, memory
+        self._start()
+
+    def _start(self) -> None:
+        self.job: tuple[str, Task] | None = None
+        context = multiprocessing.get_context("spawn")
+        self.pipe, theirs = context.Pipe()
+        arguments = (theirs, self._memory)
+        self._process = context.Process(target=_serve, args=arguments, name="vehsim worker", daemon=True)
+        with _threads(max(1, (os.cpu_count() or 1) // self._count)):
+            self._process.start()
+        theirs.close()
+
+    def give(self, job: tuple[str, Task]) -> bool:
+        """False when the process had ended, by itself or by another's hand; a new one has taken its place."""
+        try:
+            self.pipe.send(job)
+        except OSError:
+            self.replace()
+            return False
+        self.job = job
+        return True
+
+    def receive(self) -> Any:
+        """What the process says; None when it is gone, be it in the middle of a word."""
+        try:
+            return self.pipe.recv()
+        except Exception:
+            return None
+
+    def epitaph(self) -> str:
+        self._process.join(5.0)
+        code = self._process.exitcode
+        if code is None:
+            return "stopped answering"
+        return f"died of {signal.Signals(-code).name}" if code < 0 else f"ended with code {code}"
+
+    def replace(self) -> None:
+        self.stop()
+        self.end(time.monotonic() + PATIENCE)
+        self._start()
+
+    def stop(self) -> None:
+        """Ask it to tidy up and go: idle it ends with its pipe, at work it needs a sign."""
+        self.pipe.close()
+        if self.job is not None and self._process.is_alive():
+            self._process.terminate()
+
+    def end(self, deadline: float) -> None:
+        self._process.join(max(0.0, deadline - time.monotonic()))
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+
+
+@contextmanager
+def _threads(share: int) -> Iterator[None]:
+    """Processes started in here share the cores: libraries read these as they are loaded."""
+    before = {name: os.environ.get(name) for name in THREADS}
+    os.environ.update({name: value or str(share) for name, value in before.items()})
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+
+
+def _serve(pipe: Connection, memory: float | None) -> None:
+    """The life of a worker: a job in, words of progress and an outcome out, until the pipe closes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches us all; the first process decides
+    signal.signal(signal.SIGTERM, _interrupt)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    if memory is not None:
+        _limit(memory)
+    from vehsim.batch.task import measure, run_task
+
+    last_time, last_state = 0.0, ""
+
+    def tell(name: str, state: str, what: str, done: float) -> None:
+        nonlocal last_time, last_state
+        now = time.monotonic()
+        if state != last_state or now - last_time > 0.1:
+            last_time, last_state = now, state
+            pipe.send((name, state, what, done))
+
+    try:
+        while True:
+            kind, task = pipe.recv()
+            if kind == "measure":
+                try:
+                    measure(task)
+                except Exception as error:
+                    pipe.send(Outcome(task.name, "failed", type(error).__name__, str(error)))
+                else:
+                    pipe.send(Outcome(task.name, "done"))
+                continue
+            pipe.send(run_task(task, tell))
+    except (EOFError, OSError, KeyboardInterrupt):
+        os._exit(0)  # tidied up: nothing may hold up those who wait for us
+
+
+def _interrupt(number: int, frame: Any) -> None:
+    raise KeyboardInterrupt
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+def _limit(gigabytes: float) -> None:
+    import resource
+
+    size = int(gigabytes * 1e9)
+    resource.setrlimit(resource.RLIMIT_AS, (size, size))
