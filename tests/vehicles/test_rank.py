@@ -49,7 +49,7 @@ def test_motion_goes_on_where_the_first_choice_of_columns_is_singular(a, h):
 
 
 def test_roller_racer_passes_where_both_axles_meet():
-    """``phi = pi`` with a bar shorter than the seat: eliminating vy and omega fails at cos(phi) = -c/d, the rank holds."""
+    """A bar shorter than the seat: eliminating vy and omega fails where cos(phi) = -c/d, though the rank holds."""
     vehicle = roller_racer(mass=40.0, yaw_inertia=2.0, pivot_ahead=0.5, bar_mass=3.0, bar_inertia=0.1, bar_length=0.3)
     start = State(twist=(0, 1.0, 0), joints=(1.2,), joint_rates=(6.0,))
     clip = Integrator(vehicle, 0.002).rollout(start, np.full((400, 1), 1.0))

@@ -27,7 +27,8 @@ def snakeboard(
     """A board whose body frame stands at its centre, between two trucks turned by opposite angles.
 
     ``mass`` kg; ``half_length`` (LIE's l) from the centre to either truck, m; ``rotor_inertia`` (I) of the torso and
-    ``steering_inertia`` (J) of either truck with the foot on it, kg m^2. As LIE has it, all of it together turns with ``mass * half_length^2``, rotor included. Wheel radius and half track m serve the channels;
+    ``steering_inertia`` (J) of either truck with the foot on it, kg m^2. As LIE has it, all of it together
+    turns with ``mass * half_length^2``. Wheel radius and half track m serve the channels;
     ``slope`` (2,) rise per metre along world X and Y; ``damping`` N m s/rad of both joints.
     Joints: ``psi``, torso against board, and ``phi``, the rear truck's angle, the front's being ``-phi`` [rad].
     Controls: ``torque_psi`` and ``torque_phi`` on them [N m]. Channels: ``hips``, ``foot_front``, ``foot_rear`` and

@@ -1,0 +1,143 @@
+"""Methods to compare with, as data: what LIE section 3.3 and everybody else integrates a rigid body and a car with.
+
+Explicit Runge-Kutta methods work on group coordinates and free velocities of any vehicle, with the coordinates
+normalised after every internal and external step, as LIE did with quaternions. Implicit RK2 (the midpoint rule) updates
+the velocities, then the pose explicitly; Lie-Newmark is Krysl and Endres' explicit scheme on the vehicle's group. None
+of them belongs in a shot.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from vehsim.errors import InputError
+from vehsim.integrators.continuous import equations_of_motion
+from vehsim.vehicles import Vehicle
+from vehsim.vehicles._base import Array
+
+Flow = Callable[[Any, Any, float], Any]
+Step = Callable[["Problem"], Any]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One step of a vehicle: state ``x = (g, r, z)``, step ``h``, controls ``c0`` to ``c1``, wind; all symbols."""
+
+    vehicle: Vehicle
+    x: Any
+    h: Any
+    c0: Any
+    c1: Any
+    wind: Any
+
+    @property
+    def sizes(self) -> tuple[int, int]:
+        return self.vehicle.group.size, len(self.vehicle.joints)
+
+    def slope(self, x: Any, fraction: float) -> Any:
+        """``dx/dt`` at ``x`` with the controls at a fraction of the step."""
+        g, r, z = self.split(x)
+        law = equations_of_motion(self.vehicle)
+        c, rate = self.c0 + fraction * (self.c1 - self.c0), (self.c1 - self.c0) / self.h
+        return ca.vertcat(*law(g, r, z, c, rate, self.wind))
+
+    def split(self, x: Any) -> tuple[Any, Any, Any]:
+        size, s = self.sizes
+        return x[:size], x[size : size + s], x[size + s :]
+
+    def plain(self, x: Any) -> Any:
+        """``x`` with its group coordinates re-projected."""
+        g, r, z = self.split(x)
+        return ca.vertcat(self.vehicle.group.normalize(g), r, z)
+
+
+@dataclass(frozen=True)
+class Tableau:
+    """An explicit Runge-Kutta method: stage weights ``a`` (lower triangle), end weights ``b``, stage times ``c``."""
+
+    a: tuple[tuple[float, ...], ...]
+    b: tuple[float, ...]
+    c: tuple[float, ...]
+
+    def __call__(self, problem: Problem) -> Any:
+        slopes: list[Any] = []
+        for row, time in zip(self.a, self.c, strict=True):
+            moved = problem.x + problem.h * sum((w * k for w, k in zip(row, slopes, strict=True)), ca.SX(0))
+            slopes.append(problem.slope(problem.plain(moved), time))
+        return problem.plain(problem.x + problem.h * sum(w * k for w, k in zip(self.b, slopes, strict=True)))
+
+
+def implicit_rk2(problem: Problem) -> Any:
+    """Midpoint rule on the velocities (Newton, unrolled), then the pose by explicit RK2 with the mid-step velocity."""
+    h, (g, r, z) = problem.h, problem.split(problem.x)
+    size, s = problem.sizes
+    half = problem.plain(problem.x + h / 2 * problem.slope(ca.vertcat(g, r, z), 0.0))
+    unknown = ca.SX.sym("z1", z.shape[0])
+    gap = unknown - z - h * problem.slope(ca.vertcat(half[: size + s], (z + unknown) / 2), 0.5)[size + s :]
+    update = ca.solve(ca.jacobian(gap, unknown), gap)
+    given = [unknown, problem.x, problem.h, problem.c0, problem.c1, problem.wind]
+    newton = ca.Function("newton", given, [unknown - update])
+    z1 = z
+    for _ in range(4):
+        z1 = newton(z1, *given[1:])
+    rate = problem.slope(ca.vertcat(half[: size + s], (z + z1) / 2), 0.5)
+    return problem.plain(ca.vertcat(problem.x[: size + s] + h * rate[: size + s], z1))
+
+
+def lie_newmark(problem: Problem) -> Any:
+    """Explicit Lie-Newmark: half a kick, a pose update by exp, half a kick with the force found there."""
+    h, group = problem.h, problem.vehicle.group
+    size, s = problem.sizes
+    g, r, z = problem.split(problem.x)
+    first = problem.slope(problem.x, 0.0)
+    half = z + h / 2 * first[size + s :]
+    turning = problem.slope(ca.vertcat(g, r, half), 0.5)[size : size + s]
+    g1 = group.compose(g, group.exp(h * _velocity(problem, r + h / 2 * turning, half)))
+    r1 = r + h * turning
+    # the far acceleration depends on the velocity it makes: two fixed-point passes from the half-step velocity
+    z1 = half
+    for _ in range(2):
+        z1 = half + h / 2 * problem.slope(ca.vertcat(g1, r1, z1), 1.0)[size + s :]
+    return problem.plain(ca.vertcat(g1, r1, z1))
+
+
+def _velocity(problem: Problem, r: Any, z: Any) -> Any:
+    from vehsim.vehicles.mechanics import driven_rates, free_velocity
+
+    return free_velocity(problem.vehicle, r, z, driven_rates(problem.vehicle, (problem.c0 + problem.c1) / 2))[1]
+
+
+METHODS: dict[str, Step] = {
+    "rk2": Tableau(a=((), (0.5,)), b=(0.0, 1.0), c=(0.0, 0.5)),
+    "rk4": Tableau(a=((), (0.5,), (0.0, 0.5), (0.0, 0.0, 1.0)), b=(1 / 6, 1 / 3, 1 / 3, 1 / 6), c=(0.0, 0.5, 0.5, 1.0)),
+    "implicit_rk2": implicit_rk2,
+    "lie_newmark": lie_newmark,
+}
+
+
+def reference_step(vehicle: Vehicle, method: str) -> ca.Function:
+    """``(x, h, c0, c1, wind) -> x1`` with ``x = (g, r, z)``: group coordinates, joints, free velocity at the knot."""
+    if method not in METHODS:
+        raise InputError(f"method = {method!r}: unknown; choose one of {', '.join(METHODS)}")
+    law = equations_of_motion(vehicle)
+    x = ca.SX.sym("x", sum(law.size1_in(i) for i in range(3)))
+    c0, c1 = ca.SX.sym("c0", law.size1_in(3)), ca.SX.sym("c1", law.size1_in(3))
+    h, wind = ca.SX.sym("h"), ca.SX.sym("wind", 3)
+    end = METHODS[method](Problem(vehicle, x, h, c0, c1, wind))
+    return ca.Function(method, [x, h, c0, c1, wind], ca.cse([ca.densify(end)]))
+
+
+def reference_rollout(
+    vehicle: Vehicle, method: str, x: Array, controls: Array, step: float, wind: Any = (0.0, 0.0, 0.0)
+) -> Array:
+    """States (n + 1, len(x)) from ``x`` under knot controls (n + 1, c); NaN from where a method blows up."""
+    n = len(controls) - 1
+    loop = reference_step(vehicle, method).mapaccum(n)
+    winds = np.tile(np.asarray(wind, float)[:, None], n)
+    states = loop(x, np.full((1, n), step), controls[:-1].T, controls[1:].T, winds)
+    return np.vstack([x, np.asarray(states, float).T])
