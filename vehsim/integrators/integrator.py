@@ -203,22 +203,20 @@ class Integrator:
         winds, cuts = np.tile(self.wind[:, None], _CHUNK), np.cumsum(m.sizes[:3])
         for first in range(0, n, _CHUNK):
             block = controls[first : first + _CHUNK + 1]
-            if len(block) < _CHUNK + 1:
-                phases = list(self._loop(phase, block, first))
-                history += [(p.g[None], p.r[None], p.pi[None]) for p in phases]
-                break
-            inputs = (_pack(phase), block[:-1].T, block[1:].T, h, winds)
+            count = len(block) - 1
+            # a short block is filled up with its last controls, and what comes of them dropped
+            filled = np.vstack([block, np.repeat(block[-1:], _CHUNK - count, axis=0)])
+            inputs = (_pack(phase), filled[:-1].T, filled[1:].T, h, winds)
             x, residual = _chunk(m, self.order, fast)(*inputs)
-            if fast and not np.all(flat(residual) <= FAST_TOLERANCE):
+            if fast and not np.all(flat(residual)[:count] <= FAST_TOLERANCE):
                 fast = False  # a step too long for the short solve: Newton in full from here on
                 x, residual = _chunk(m, self.order, fast)(*inputs)
-            x = np.asarray(x, float).T
-            if not np.all(flat(residual) <= TOLERANCE):  # one by one: retries, or an error that names the step
+            if not np.all(flat(residual)[:count] <= TOLERANCE):  # one by one: retries, or an error that names the step
                 phases = list(self._loop(phase, block, first))
                 history += [(p.g[None], p.r[None], p.pi[None]) for p in phases]
                 phase = phases[-1]
                 continue
-            g, r, pi, z = np.split(x, cuts, axis=1)
+            g, r, pi, z = np.split(np.asarray(x, float).T[:count], cuts, axis=1)
             check_constraints(m, np.vstack([phase.r, r]), first)
             history.append((g, r, pi))
             phase = Phase(g[-1], r[-1], pi[-1], z[-1])
