@@ -116,6 +116,50 @@ def export(
 
 
 @app.command()
+def job(
+    shots: Shots,
+    template: Annotated[Path, typer.Option(metavar="FILE", help="The template, FILE.json; its clips go beside it.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the farm delivers.")] = Path("out"),
+    to: Annotated[str, typer.Option(metavar="LIST", help="Exporters, separated by commas.")] = "usd",
+    chunks: Annotated[int, typer.Option(min=1, max=1000, help="Tasks that share a clip's frames.")] = 4,
+    sets: Sets = None,
+    quality: Annotated[Quality, typer.Option(help="draft: half the picture size, no shadows.")] = Quality.final,
+    quiet: Quiet = False,
+) -> None:
+    """Write an Open Job Description template that exports the shots on a render farm."""
+    from vehsim.batch.job import write_job
+    from vehsim.batch.task import prepare
+    from vehsim.delivery import in_order
+
+    names = [name.strip() for name in to.split(",") if name.strip()]
+    in_order(names)
+    loaded, problems = _load(shots, sets or [], [])
+    _say(problems, quiet)
+    if any(problem.severity == "error" for problem in problems):
+        raise typer.Exit(WRONG_INPUT)
+    tasks = [prepare(shot, out, names, quality is Quality.draft, resume=True) for shot in loaded]
+    path, clips = write_job(template, tasks, chunks)
+    if not quiet:
+        print(f"{path}: {len(tasks)} clips, listed in {clips}")
+
+
+@app.command(hidden=True)
+def step(
+    name: Annotated[str, typer.Argument(metavar="STEP")],
+    clips: Annotated[Path, typer.Argument(metavar="CLIPS")],
+    clip: Annotated[int, typer.Option(min=0)],
+    part: Annotated[int, typer.Option(min=1)] = 1,
+    parts: Annotated[int, typer.Option(min=1)] = 1,
+) -> None:
+    """Do one step of a job: what a template's tasks run."""
+    from vehsim.batch.steps import STEPS, run_step
+
+    if name not in STEPS or part > parts:
+        raise ShotError([Problem("STEP", "no such step or part", f"choose one of {', '.join(STEPS)}", name)])
+    print(f"{run_step(name, clips, clip, (part, parts))}: {name} done")
+
+
+@app.command()
 def check(shots: Shots, sets: Sets = None, quiet: Quiet = False) -> None:
     """Say what is wrong with shot files, where, and how to mend it. Nothing is solved or written."""
     loaded, problems = _load(shots, sets or [], [])

@@ -13,10 +13,11 @@ import os
 import platform
 import secrets
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from vehsim.errors import ExportError, InputError
@@ -72,9 +73,18 @@ def in_order(names: Sequence[str]) -> list[Exporter]:
     return list(ordered.values())
 
 
-def write_files(take: Take, folder: Path, names: Sequence[str], progress: Progress) -> list[Path]:
-    """Run the exporters in ``folder`` and return the files they were asked for; files merely needed are dropped."""
-    exporters = in_order(names)
+def write_files(
+    take: Take,
+    folder: Path,
+    names: Sequence[str],
+    progress: Progress,
+    instead: Mapping[str, Exporter] = MappingProxyType({}),
+) -> list[Path]:
+    """Run the exporters in ``folder`` and return the files they were asked for; files merely needed are dropped.
+
+    ``instead``: exporters to use in the place of those found, by name.
+    """
+    exporters = [instead.get(exporter.name, exporter) for exporter in in_order(names)]
     written: dict[str, list[Path]] = {}
     for i, exporter in enumerate(exporters):
 

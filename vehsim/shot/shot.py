@@ -118,7 +118,7 @@ class Shot:
             name=self.name,
             clips=clips,
             world=self.world,
-            cameras=self._solve_cameras(clips, frames),
+            cameras=self.cameras(clips, frames),
             fps=self.fps,
             frames=frames,
             render=self.render,
@@ -225,7 +225,8 @@ class Shot:
                     )
         return first, last
 
-    def _solve_cameras(self, clips: Mapping[str, Clip], frames: tuple[int, int]) -> tuple[Camera, ...]:
+    def cameras(self, clips: Mapping[str, Clip], frames: tuple[int, int]) -> tuple[Camera, ...]:
+        """The cameras on whole ``frames`` (first, last) of solved ``clips``."""
         from vehsim.cameras import CameraRig, solve_camera
 
         width, height = self.file.render.size
