@@ -31,12 +31,12 @@ def write_job(path: Path, tasks: Sequence[Task], chunks: int = 4, name: str = "v
     clips = path.with_name(f"{path.stem}{SUFFIX}")
     rows = [asdict(task) | {"resume": True} for task in tasks]
     write_whole(clips, json.dumps({"clips": rows}, default=str, indent=1) + "\n")
-    write_whole(path, json.dumps(template(tasks, clips.resolve(), chunks, name), indent=2) + "\n")
+    write_whole(path, json.dumps(template(tasks, clips.name, chunks, name), indent=2) + "\n")
     return path, clips
 
 
-def template(tasks: Sequence[Task], clips: Path, chunks: int, name: str) -> dict[str, Any]:
-    """The template as data: measure (where terrain is planned in), plan, bake, render and deliver."""
+def template(tasks: Sequence[Task], clips: str, chunks: int, name: str) -> dict[str, Any]:
+    """The template as data, with ``clips`` a file beside it: measure (where terrain is planned in), plan, bake, render and deliver."""
     every = f"0-{len(tasks) - 1}"
     first_on = {task.field: i for i, task in reversed(list(enumerate(tasks))) if task.field is not None}
     steps = []
@@ -57,7 +57,7 @@ def template(tasks: Sequence[Task], clips: Path, chunks: int, name: str) -> dict
                 "type": "PATH",
                 "objectType": "FILE",
                 "dataFlow": "IN",
-                "default": str(clips),
+                "default": clips,
                 "description": "What vehsim job wrote beside this template.",
             },
             {"name": "Vehsim", "type": "STRING", "default": "vehsim", "description": "The command on the workers."},
