@@ -1,0 +1,330 @@
+"""SIN's Fourier algorithm for triangular systems with nonlinearities (sec. 2-4).
+
+First the coordinates the inputs drive, by constant inputs; then one coordinate after another by two sinusoids at
+integrally related frequencies. Along a loop all rates are periodic, so the net motion of a coordinate is the mean, the
+zeroth Fourier coefficient, of its rate: it gives the amplitude, and says whether what was steered before stays put.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import permutations
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from vehsim.errors import InputError, SolveError
+from vehsim.sinusoids.feedback import Feedback
+from vehsim.sinusoids.steering import Law, Stage, Steering
+from vehsim.sinusoids.system import Array, DriftlessSystem
+
+TAU = 2 * np.pi
+SAMPLES = 512
+"""A loop is analysed on this many points a cycle of its fastest sinusoid."""
+CLOSED = 1e-10
+"""A coordinate whose net motion over a loop is below this has come back."""
+REACH = 0.85
+"""Loops use at most this share of the way to a bound of the domain."""
+
+
+@dataclass(frozen=True)
+class Loop:
+    """Two sinusoids: ``p`` moves by ``a (cos phase - cos(2 pi s c + phase))``, ``q`` by ``b sin`` at ``harmonic`` times.
+
+    ``p, q``: states the inputs drive; ``cycles``: c, how often the slow one goes round; ``phase``: where it starts, rad.
+    """
+
+    p: int
+    q: int
+    harmonic: int
+    cycles: int = 1
+    phase: float = 0.0
+
+    def excursions(self, s: Array, a: float, b: float) -> tuple[Array, Array]:
+        """What p and q move by, each (k,)."""
+        slow, k = TAU * self.cycles * s + self.phase, self.harmonic
+        return a * (np.cos(self.phase) - np.cos(slow)), b * (np.sin(k * slow) - np.sin(k * self.phase))
+
+    def rates(self, s: Array, a: float, b: float) -> tuple[Array, Array]:
+        """Inputs of p and q, per unit of s."""
+        slow, rate, k = TAU * self.cycles * s + self.phase, TAU * self.cycles, self.harmonic
+        return a * rate * np.sin(slow), b * k * rate * np.cos(k * slow)
+
+
+@dataclass(frozen=True, eq=False)
+class Triangular:
+    """A triangular system: ``level`` of each state (1: driven by an input of its own), ``driver`` state -> input."""
+
+    system: DriftlessSystem
+    level: tuple[int, ...]
+    driver: dict[int, int]
+
+    @property
+    def order(self) -> list[int]:
+        """States beyond the first level, in the order they are steered."""
+        return sorted((i for i, k in enumerate(self.level) if k > 1), key=lambda i: (self.level[i], i))
+
+
+def triangular(system: DriftlessSystem) -> Triangular:
+    """The levels of a triangular system (SIN sec. 4); ``InputError`` names the coordinate that breaks the order."""
+    n, m = system.n, system.m
+    points = system.samples(4)
+    depends = _dependence(system, points)
+    level, driver = [0] * n, {}
+    for j in range(m):
+        rows = [i for i in range(n) if _is_unit(system, i, j, points) and i not in driver]
+        if not rows:
+            raise InputError(
+                f"{system.name}: not triangular: no coordinate moves with input {system.inputs[j]} alone, at unit rate; "
+                "change inputs first (vehsim.sinusoids.feedback)"
+            )
+        driver[rows[0]] = j
+        level[rows[0]] = 1
+    while 0 in level:
+        ready = [i for i in range(n) if not level[i] and all(level[k] for k in _needs(depends, i))]
+        if not ready:
+            i = level.index(0)
+            blocks = [system.states[k] for k in _needs(depends, i) if not level[k]]
+            raise InputError(
+                f"{system.name}: not triangular: {system.states[i]} depends on {', '.join(blocks)}, which cannot be "
+                "steered before it; change coordinates first (vehsim.sinusoids.feedback)"
+            )
+        for i in ready:
+            level[i] = 1 + max((level[k] for k in _needs(depends, i)), default=1)
+    return Triangular(system, tuple(level), driver)
+
+
+def steer_triangular(
+    system: DriftlessSystem | Feedback,
+    start: Any,
+    goal: Any,
+    *,
+    amplitude: float = 1.0,
+    cycles: int = 1,
+    phase: float = 0.0,
+    first: Law | None = None,
+) -> Steering:
+    """The Fourier algorithm from ``start`` to ``goal``, states of the system itself (before any ``Feedback``).
+
+    ``amplitude`` of the slow sinusoid, grown where the domain leaves no other way; ``cycles``, ``phase`` [rad] choose a
+    member of the family of loops; ``first``: inputs of the first stage, constant unless given.
+    Raises ``InputError`` for what is not triangular, ``SolveError`` naming the coordinate that no loop moves alone.
+    """
+    change = system if isinstance(system, Feedback) else None
+    source = change.source if change else system
+    t = triangular(change.target if change else system)  # type: ignore[arg-type]
+    x0, x1 = source.check_state("start", start), source.check_state("goal", goal)
+    h, goal_h = (change.to(x0), change.to(x1)) if change else (x0.copy(), x1)
+    steps = [_first_stage(t, h, goal_h, first)]
+    h = _carried(t, h, steps[0])
+    h[list(t.driver)] = goal_h[list(t.driver)]
+    for i in t.order:
+        wanted = goal_h[i] - h[i]
+        if abs(wanted) < 1e-13:
+            h[i] = goal_h[i]
+            continue
+        stage = _loop_stage(t, h, i, wanted, amplitude, cycles, phase)
+        steps.append(stage)
+        h = _carried(t, h, stage)
+        h[i] = goal_h[i]
+    steps = [s for s in steps if s is not None]
+    stages = steps if change is None else _source_stages(change, x0, steps)
+    return Steering(source, x0, x1, tuple(stages)).checked()
+
+
+def net_motion(t: Triangular, h: Array, loop: Loop, a: float, b: float) -> Array:
+    """Net motion (n,) over a loop from ``h``; NaN from the first level that does not close, or leaves the domain."""
+    system = t.system
+    count = SAMPLES * loop.harmonic
+    s = np.arange(count) / count  # one cycle: all cycles are alike as long as everything closes
+    one = replace(loop, cycles=1)
+    path = np.tile(h, (count, 1))
+    for state, excursion in zip((loop.p, loop.q), one.excursions(s, a, b), strict=True):
+        path[:, state] += excursion
+    v = np.zeros((count, system.m))
+    for state, rate in zip((loop.p, loop.q), one.rates(s, a, b), strict=True):
+        v[:, t.driver[state]] = rate
+    net = np.full(system.n, np.nan)
+    net[list(t.driver)] = 0.0
+    for level in range(2, max(t.level) + 1):
+        rates = _rates(system, path, v)
+        for i in (i for i in range(system.n) if t.level[i] == level):
+            net[i] = np.mean(rates[:, i])
+            path[:, i] += _periodic(rates[:, i])
+        lower = [system.domain.get(name, (-np.inf, np.inf)) for name in system.states]
+        outside = any(np.any((path[:, i] < lo) | (path[:, i] > hi)) for i, (lo, hi) in enumerate(lower))
+        if outside or not np.all(np.isfinite(path)):
+            return np.where(np.array(t.level) > 1, np.nan, net)
+        if any(abs(net[i]) > CLOSED for i in range(system.n) if t.level[i] == level):
+            break
+    return net * loop.cycles
+
+
+def _loop_stage(t: Triangular, h: Array, i: int, wanted: float, amplitude: float, cycles: int, phase: float) -> Stage:
+    """The loop that moves state ``i`` by ``wanted`` and nothing steered before it."""
+    loop = _choose_loop(t, h, i, cycles, phase)
+    p_bound, bound = (_room(t.system, h, k) for k in (loop.p, loop.q))
+    a = float(np.sign(amplitude) or 1.0) * min(abs(amplitude), p_bound / 2)
+    for _ in range(60):
+        b = _amplitude(lambda b, a=a: net_motion(t, h, loop, a, b)[i] - wanted, bound)
+        if b is not None:
+            law = _loop_law(t, loop, a, b)
+            sizes = {t.system.states[loop.p]: abs(a), t.system.states[loop.q]: abs(b)}
+            return Stage(t.system.states[i], law, cycles=loop.cycles * loop.harmonic, amplitudes=sizes)
+        if abs(a) * 1.25 > p_bound / 2:
+            break
+        a *= 1.25
+    raise SolveError(
+        f"{t.system.name}: {t.system.states[i]}: no loop moves it by {wanted:.4g} inside the domain from here; "
+        "take more cycles, or a goal on the way"
+    )
+
+
+def _choose_loop(t: Triangular, h: Array, i: int, cycles: int, phase: float) -> Loop:
+    """Inputs and harmonic that move state ``i`` alone: bracket depth says the harmonic, the Fourier analysis the inputs."""
+    tried = []
+    for harmonic in range(t.level[i] - 1, t.level[i] + 2):
+        for p, q in permutations(t.driver, 2):
+            loop = Loop(p, q, harmonic, cycles, phase)
+            net = net_motion(t, h, loop, 0.1, 0.1)
+            done = [k for k in t.order if t.order.index(k) < t.order.index(i)]
+            moved = [t.system.states[k] for k in done if not abs(net[k]) <= CLOSED]
+            if not moved and np.isfinite(net[i]) and abs(net[i]) > 1e-12:
+                return loop
+            tried.append(
+                f"{t.system.states[p]}/{t.system.states[q]} at 1:{harmonic} moves {', '.join(moved) or 'nothing'}"
+            )
+    raise SolveError(
+        f"{t.system.name}: {t.system.states[i]}: no pair of sinusoids moves it alone ({'; '.join(tried)}); "
+        "change coordinates, or another phase"
+    )
+
+
+def _amplitude(gap: Callable[[float], float], bound: float) -> float | None:
+    """The smallest |b| up to ``bound`` with ``gap(b) = 0``; None when there is none."""
+    from scipy.optimize import brentq
+
+    at_zero = gap(0.0)
+    ladder = bound * np.linspace(0, 1, 25)[1:] if np.isfinite(bound) else np.geomspace(1e-3, 1e3, 40)
+    for sign in (1.0, -1.0):
+        before, value = 0.0, at_zero
+        for b in sign * ladder:
+            ahead = gap(b)
+            if not np.isfinite(ahead):
+                break
+            if value * ahead <= 0:
+                return float(brentq(gap, before, b, xtol=1e-15, rtol=1e-14))
+            if abs(ahead) > abs(at_zero) and b == sign * ladder[0]:
+                break  # the wrong way
+            before, value = b, ahead
+    return None
+
+
+def _room(system: DriftlessSystem, h: Array, i: int) -> float:
+    """How far state ``i`` may move to either side."""
+    lower, upper = system.domain.get(system.states[i], (-np.inf, np.inf))
+    return REACH * float(min(h[i] - lower, upper - h[i]))
+
+
+def _first_stage(t: Triangular, h: Array, goal: Array, law: Law | None) -> Stage | None:
+    v = np.zeros(t.system.m)
+    for state, j in t.driver.items():
+        v[j] = goal[state] - h[state]
+    if law is None and not np.any(v):
+        return None
+    return Stage("straight", law or (lambda s: np.tile(v, (len(s), 1))))
+
+
+def _loop_law(t: Triangular, loop: Loop, a: float, b: float) -> Law:
+    p, q, m = t.driver[loop.p], t.driver[loop.q], t.system.m
+
+    def law(s: Array) -> Array:
+        v = np.zeros((len(s), m))
+        v[:, p], v[:, q] = loop.rates(s, a, b)
+        return v
+
+    return law
+
+
+def _carried(t: Triangular, h: Array, stage: Stage | None) -> Array:
+    """Where a stage leads, by integration; ``SolveError`` when it leaves the chart."""
+    from vehsim.sinusoids.steering import integrate
+
+    if stage is None:
+        return h
+    end = integrate(t.system, stage, h, np.array([0.0, stage.duration]))[-1]
+    for name, value in zip(t.system.states, end, strict=True):
+        lower, upper = t.system.domain.get(name, (-np.inf, np.inf))
+        if not lower <= value <= upper:
+            raise SolveError(
+                f"{t.system.name}: stage {stage.label!r} takes {name} to {value:.4g}, outside {lower:g} to {upper:g}: "
+                "a singularity of these coordinates; go by a nearer goal, or use another chart"
+            )
+    return end
+
+
+def _source_stages(change: Feedback, x0: Array, steps: Sequence[Stage]) -> list[Stage]:
+    """Stages in the source's own inputs: ``u = beta(x)^-1 v`` along the motion, known densely."""
+    from scipy.integrate import solve_ivp
+
+    rate, x, stages = change.source.rate, x0, []
+    for stage in steps:
+        at = np.zeros(1)
+
+        def slope(s: float, y: Array, stage: Stage = stage, at: Array = at) -> Array:
+            at[0] = s
+            return rate(y, change.source_inputs(y[None], stage.law(at))[0])
+
+        longest = 1 / (24 * max(1, stage.cycles))
+        dense = solve_ivp(slope, (0, 1), x, "DOP853", rtol=1e-13, atol=1e-13, dense_output=True, max_step=longest)
+        if not dense.success:
+            raise SolveError(f"{change.source.name}: stage {stage.label!r}: {dense.message}")
+
+        def law(s: Array, stage: Stage = stage, path: Any = dense.sol) -> Array:
+            return change.source_inputs(path(s).T, stage.law(s))
+
+        stages.append(replace(stage, law=law))
+        x = dense.y[:, -1]
+    return stages
+
+
+def _rates(system: DriftlessSystem, path: Array, v: Array) -> Array:
+    """x' (k, n) along a path (k, n) with inputs (k, m)."""
+    function = system.__dict__.get("_rate_many")
+    if function is None:
+        u = ca.SX.sym("u", system.m)
+        function = ca.Function("rate", [system.x, u], [ca.densify(system.G @ u)])
+        system.__dict__["_rate_many"] = function
+    return np.asarray(function.map(len(path))(path.T, v.T)).T
+
+
+def _periodic(rate: Array) -> Array:
+    """Integral from 0 of the oscillating part of a periodic function sampled over its period 1."""
+    spectrum = np.fft.rfft(rate)
+    spectrum[0] = 0
+    spectrum[1:] /= 1j * TAU * np.arange(1, len(spectrum))
+    value = np.fft.irfft(spectrum, len(rate))
+    return value - value[0]
+
+
+def _needs(depends: Array, i: int) -> list[int]:
+    return [int(k) for k in np.flatnonzero(depends[i].any(axis=0))]
+
+
+def _dependence(system: DriftlessSystem, points: Array) -> Array:
+    """(n, m, n) booleans: whether the rate of state i with input j depends on state k, by derivatives at states.
+
+    Numbers, not the expressions' structure: a change of coordinates leaves terms that cancel.
+    """
+    n, m = system.n, system.m
+    function = ca.Function("dG", [system.x], [ca.densify(ca.jacobian(ca.vec(system.G), system.x))])
+    values = np.array([np.asarray(function(p)) for p in points])
+    size = 1 + max(float(np.abs(system.matrix(p)).max()) for p in points)
+    return (np.abs(values).max(axis=0) > 1e-9 * size).reshape(n, m, n, order="F")
+
+
+def _is_unit(system: DriftlessSystem, i: int, j: int, points: Array) -> bool:
+    rows = np.array([system.matrix(p)[i] for p in points])
+    return bool(np.allclose(rows, np.eye(system.m)[j], atol=1e-12))

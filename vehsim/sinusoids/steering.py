@@ -1,0 +1,223 @@
+"""What steering returns: stages of inputs, the motion they make, and how it is timed.
+
+A driftless system does not care how fast it moves: a stage is a law over ``s`` from 0 to 1, and a pace says when each
+``s`` is reached. Durations, limits and easing change the pace, never the path.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vehsim.errors import InputError, SolveError
+from vehsim.sinusoids.system import Array, DriftlessSystem
+
+if TYPE_CHECKING:
+    from vehsim.clip import Clip
+    from vehsim.vehicles import Vehicle
+
+Law = Callable[[Array], Array]
+"""``s`` (k,) in 0..1 -> inputs (k, m) per unit of s."""
+
+TOLERANCE = 1e-13
+"""Of the integration that makes the states."""
+ACCURACY = 1e-6
+"""Largest accepted difference between the goal and where the inputs lead, in the states' own units."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """One stage: ``law(s)`` for s in 0..1, over ``duration`` s. ``cycles`` of its sinusoids; ``label`` for reading.
+
+    ``eased``: inputs rise from and fall to zero at the stage's ends, as a driver would.
+    """
+
+    label: str
+    law: Law
+    duration: float = 1.0
+    cycles: int = 1
+    eased: bool = False
+    amplitudes: Mapping[str, float] = field(default_factory=dict)
+
+    def inputs(self, times: Any) -> Array:
+        """Inputs (k, m) at times (k,) s into the stage."""
+        tau = np.clip(np.asarray(times, float) / self.duration, 0.0, 1.0)
+        s, rate = _ease(tau) if self.eased else (tau, np.ones_like(tau))
+        return self.law(s) * (rate / self.duration)[:, None]
+
+    def peaks(self) -> Array:
+        """Largest |input| (m,) over the stage."""
+        return np.abs(self.inputs(np.linspace(0, self.duration, 400 * max(1, self.cycles) + 1))).max(axis=0)
+
+
+@dataclass(frozen=True, eq=False)
+class Steering:
+    """Inputs that take ``system`` from ``start`` to ``goal`` (n,), stage after stage.
+
+    ``times`` (k,) s, ``controls`` (k, m), ``states`` (k, n): samples, by integration of the inputs with an eighth-order
+    method to 1e-13; ``inputs(t)`` at any time. ``end_error``: largest difference of a state from its goal at the end.
+    """
+
+    system: DriftlessSystem
+    start: Array
+    goal: Array
+    stages: tuple[Stage, ...]
+    label: str = ""
+    rate: int = 120
+    """Samples a second of ``times``, and at least 60 a cycle."""
+
+    @property
+    def duration(self) -> float:
+        """s"""
+        return float(sum(stage.duration for stage in self.stages))
+
+    @property
+    def knots(self) -> Array:
+        """Times (stages + 1,) s at which stages begin and end; inputs may jump there."""
+        return np.concatenate([[0.0], np.cumsum([stage.duration for stage in self.stages])])
+
+    def inputs(self, times: Any) -> Array:
+        """Inputs (k, m) at times (k,) s; at a knot those of the stage that ends there."""
+        times = np.atleast_1d(np.asarray(times, float))
+        which = np.clip(np.searchsorted(self.knots, times, side="left") - 1, 0, len(self.stages) - 1)
+        out = np.zeros((len(times), self.system.m))
+        for k in np.unique(which):
+            out[which == k] = self.stages[k].inputs(times[which == k] - self.knots[k])
+        return out
+
+    @cached_property
+    def _motion(self) -> tuple[Array, Array, Array]:
+        x, times, states, controls = self.start, [np.zeros(1)], [self.start[None]], []
+        for k, stage in enumerate(self.stages):
+            count = int(np.ceil(max(stage.duration * self.rate, 60 * stage.cycles)))
+            t = np.linspace(0, stage.duration, count + 1)
+            if k == 0:
+                controls.append(stage.inputs(t[:1]))
+            rows = integrate(self.system, stage, x, t)
+            x = rows[-1]
+            times.append(self.knots[k] + t[1:])
+            states.append(rows[1:])
+            controls.append(stage.inputs(t[1:]))
+        return np.concatenate(times), np.concatenate(states), np.concatenate(controls)
+
+    @property
+    def times(self) -> Array:
+        return self._motion[0]
+
+    @property
+    def states(self) -> Array:
+        return self._motion[1]
+
+    @property
+    def controls(self) -> Array:
+        return self._motion[2]
+
+    @property
+    def end_error(self) -> float:
+        return float(np.abs(self.states[-1] - self.goal).max())
+
+    @property
+    def effort(self) -> float:
+        """Integral of |u|^2 over time."""
+        total = 0.0
+        for stage in self.stages:
+            t = np.linspace(0, stage.duration, 2000 * stage.cycles + 1)
+            total += float(np.trapezoid(np.sum(stage.inputs(t) ** 2, axis=1), t))
+        return total
+
+    def checked(self, accuracy: float = ACCURACY) -> Steering:
+        """This steering; ``SolveError`` when its inputs, integrated, end further than ``accuracy`` from the goal."""
+        missed = np.abs(self.states[-1] - self.goal)
+        if not np.all(missed <= accuracy):
+            worst = int(np.nanargmax(np.where(np.isfinite(missed), missed, np.inf)))
+            raise SolveError(
+                f"{self.system.name}: {self.system.states[worst]} ends {missed[worst]:.2g} from its goal "
+                f"{self.goal[worst]:.6g}, more than {accuracy:g}: go by a nearer goal, or by smaller amplitudes"
+            )
+        return self
+
+    def timed(self, durations: float | Sequence[float]) -> Steering:
+        """The same path in other stage durations, s: one for each stage, or a total shared in proportion."""
+        given = np.atleast_1d(np.asarray(durations, float))
+        if given.size == 1 and len(self.stages) != 1:
+            given = given * np.diff(self.knots) / self.duration
+        if len(given) != len(self.stages) or not np.all(np.isfinite(given)) or np.any(given <= 0):
+            raise InputError(
+                f"{self.system.name}: durations = {durations!r}: give {len(self.stages)} times above zero, s, "
+                "or their sum: nothing gets anywhere in no time"
+            )
+        return replace(
+            self, stages=tuple(replace(s, duration=float(d)) for s, d in zip(self.stages, given, strict=True))
+        )
+
+    def eased(self, eased: bool = True) -> Steering:
+        """The same path with every stage from rest to rest."""
+        return replace(self, stages=tuple(replace(stage, eased=eased) for stage in self.stages))
+
+    def within(self, limits: Mapping[str, float]) -> Steering:
+        """The same path, stretched in time where an input is beyond its limit; never hurried.
+
+        ``limits``: input -> largest |value|. A state's name is a limit on its excursion, which time cannot change: then
+        ``InputError`` says how far it goes.
+        """
+        for name in limits:
+            self._check_limit(name, limits[name])
+        bounds = np.array([limits.get(name, np.inf) for name in self.system.inputs])
+        stretch = [max(1.0, float(np.max(stage.peaks() / bounds))) for stage in self.stages]
+        return self.timed([stage.duration * k for stage, k in zip(self.stages, stretch, strict=True)])
+
+    def _check_limit(self, name: str, bound: float) -> None:
+        known = (*self.system.inputs, *self.system.states)
+        if name not in known:
+            raise InputError(f"{self.system.name}: limits.{name}: no such input or state; choose of {', '.join(known)}")
+        if not bound > 0:
+            raise InputError(f"{self.system.name}: limits.{name} = {bound!r}: give a bound above zero")
+        if name in self.system.states:
+            reach = float(np.abs(self.states[:, self.system.states.index(name)]).max())
+            if reach > bound * (1 + 1e-9):
+                raise InputError(
+                    f"{self.system.name}: limits.{name} = {bound:g}: the path reaches {reach:.4g}, and time does not "
+                    "change a path; take more cycles or another member of the family (vehsim.sinusoids.family)"
+                )
+
+    def clip(self, vehicle: Vehicle, fps: Any = 24, start_frame: int = 1001) -> Clip:
+        """The motion as a clip of ``vehicle``'s rig, for vehicles that know this system (`vehsim.sinusoids.clips`)."""
+        from vehsim.sinusoids.clips import as_clip
+
+        return as_clip(self, vehicle, fps, start_frame)
+
+    def picture(self, path: str | Path, **options: Any) -> Path:
+        """The painted trajectory from above as a PNG (`vehsim.sinusoids.picture`)."""
+        from vehsim.sinusoids.picture import paint
+
+        return paint([self], path, **options)
+
+
+def integrate(system: DriftlessSystem, stage: Stage, x: Array, times: Array) -> Array:
+    """States (k, n) at ``times`` (k,) s into a stage, by DOP853 to 1e-13."""
+    from scipy.integrate import solve_ivp
+
+    if stage.duration <= 0:
+        raise InputError(f"{system.name}: stage {stage.label!r}: duration {stage.duration}: give a time above zero")
+    rate, at = system.rate, np.zeros(1)
+
+    def slope(t: float, y: Array) -> Array:
+        at[0] = t
+        return rate(y, stage.inputs(at)[0])
+
+    longest = stage.duration / (6 * max(1, stage.cycles))
+    span = (0.0, stage.duration)
+    result = solve_ivp(slope, span, x, "DOP853", times, rtol=TOLERANCE, atol=TOLERANCE, max_step=longest)
+    if not result.success or result.y.shape[1] != len(times):
+        raise SolveError(f"{system.name}: stage {stage.label!r}: cannot be integrated: {result.message}")
+    return result.y.T
+
+
+def _ease(tau: Array) -> tuple[Array, Array]:
+    """C2 pace from rest to rest, and its rate."""
+    return tau - np.sin(2 * np.pi * tau) / (2 * np.pi), 1 - np.cos(2 * np.pi * tau)

@@ -1,0 +1,170 @@
+"""Driftless control systems ``x' = g_1(x) u_1 + ... + g_m(x) u_m`` (SIN eq. 1): what all steering starts from.
+
+A system is written once, as a CasADi expression, or given by its Pfaffian constraints ``W(x) x' = 0``. What one finds
+out about it lives in `algebra.py`, how one steers it in `canonical.py`, `fourier.py` and `trailers.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import combinations
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.errors import InputError
+
+Array = NDArray[np.float64]
+Expr = Any
+"""A CasADi ``SX`` expression."""
+
+
+@dataclass(frozen=True, eq=False)
+class DriftlessSystem:
+    """``x' = G(x) u`` with ``fields``: x (n,) -> G (n, m), a CasADi expression or nested lists of them.
+
+    ``domain``: state name -> (lower, upper), where the system is meant to be used: random samples are drawn from it and
+    start and goal are held against it; -1 to 1, unchecked, where a state is not named. ``singular``: names of
+    expressions of the state that must not vanish, ``x -> {name: value}``; they keep their sign along a steering.
+    ``equations``: what the states must satisfy when they are more than the manifold's dimension; none for now.
+    """
+
+    name: str
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    fields: Callable[[Expr], Any]
+    domain: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    singular: Callable[[Expr], Mapping[str, Expr]] | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "states", tuple(self.states))
+        object.__setattr__(self, "inputs", tuple(self.inputs))
+        for name in self.domain:
+            if name not in self.states:
+                raise InputError(f"{self.name}: domain.{name}: no such state; choose one of {', '.join(self.states)}")
+        shape = self.G.shape
+        if shape != (self.n, self.m):
+            raise InputError(
+                f"{self.name}: fields: shape {shape}; {self.n} states and {self.m} inputs need ({self.n}, {self.m})"
+            )
+
+    @property
+    def n(self) -> int:
+        return len(self.states)
+
+    @property
+    def m(self) -> int:
+        return len(self.inputs)
+
+    @cached_property
+    def x(self) -> Expr:
+        """The state's symbols (n,)."""
+        return ca.vertcat(*(ca.SX.sym(name) for name in self.states))
+
+    @cached_property
+    def G(self) -> Expr:
+        """Input vector fields (n, m) as expressions of ``x``."""
+        return ca.densify(matrix(self.fields(self.x)))
+
+    @cached_property
+    def rate(self) -> Callable[[Array, Array], Array]:
+        """``(x (n,), u (m,)) -> x' (n,)``, fast."""
+        u = ca.SX.sym("u", self.m)
+        return fast(ca.Function("rate", [self.x, u], [ca.densify(self.G @ u)]))
+
+    @cached_property
+    def matrix(self) -> Callable[[Array], Array]:
+        """``x (n,) -> G(x) (n, m)``."""
+        function = ca.Function("G", [self.x], [self.G])
+        return lambda x: np.array(function(x)).reshape(self.n, self.m)
+
+    def samples(self, count: int, seed: int = 0) -> Array:
+        """Random states (count, n) of the domain."""
+        random = np.random.default_rng(seed)
+        bounds = np.array([self.domain.get(name, (-1.0, 1.0)) for name in self.states])
+        return random.uniform(bounds[:, 0], bounds[:, 1], (count, self.n))
+
+    def check_state(self, key: str, values: Any) -> Array:
+        """A state (n,) as an array; ``InputError`` when a number is missing, not finite or outside the domain."""
+        x = np.asarray(values, float).ravel() if values is not None else np.zeros(0)
+        if x.shape != (self.n,) or not np.all(np.isfinite(x)):
+            raise InputError(f"{self.name}: {key} = {values!r}: give {self.n} finite numbers: {', '.join(self.states)}")
+        for name, value in zip(self.states, x, strict=True):
+            lower, upper = self.domain.get(name, (-np.inf, np.inf))
+            if not lower <= value <= upper:
+                raise InputError(
+                    f"{self.name}: {key}.{name} = {value:g}: outside {lower:g} to {upper:g}, the chart that can be "
+                    "steered in; give a value inside it"
+                )
+        return x
+
+
+def from_constraints(
+    name: str,
+    states: Sequence[str],
+    constraints: Callable[[Expr], Any],
+    *,
+    at: Sequence[float] | None = None,
+    domain: Mapping[str, tuple[float, float]] | None = None,
+) -> DriftlessSystem:
+    """The system that Pfaffian constraints ``W(x) x' = 0``, W (k, n), leave free (SIN sec. 1).
+
+    The inputs are the rates of the states that the constraints do not determine, chosen where the rest is best
+    conditioned at ``at`` (a random state unless given). Raises ``InputError`` when the rows are dependent there.
+    """
+    x = ca.vertcat(*(ca.SX.sym(s) for s in states))
+    w = matrix(constraints(x))
+    rows, n = w.shape
+    if n != len(states) or rows >= n:
+        raise InputError(f"{name}: constraints: shape {w.shape}; give fewer than {len(states)} rows of {len(states)}")
+    bounds = np.array([(domain or {}).get(s, (-1.0, 1.0)) for s in states])
+    point = np.random.default_rng(1).uniform(*bounds.T) if at is None else np.asarray(at, float)
+    value = np.array(ca.Function("W", [x], [ca.densify(w)])(point)).reshape(rows, n)
+    pivots = max(combinations(range(n), rows), key=lambda c: smallest_singular_value(value[:, c]))
+    if smallest_singular_value(value[:, pivots]) < 1e-9 * max(1.0, np.abs(value).max()):
+        raise InputError(f"{name}: constraints: dependent at {point.tolist()}; drop a row, or give another point `at`")
+    free = [i for i in range(n) if i not in pivots]
+
+    def fields(x_: Expr) -> Expr:
+        g = ca.SX(n, n - rows)
+        w_ = matrix(constraints(x_))
+        for column, i in enumerate(free):
+            g[i, column] = 1
+        g[list(pivots), :] = -ca.solve(w_[:, list(pivots)], w_[:, free])
+        return g
+
+    return DriftlessSystem(name, tuple(states), tuple(f"{states[i]}_rate" for i in free), fields, domain or {})
+
+
+def matrix(values: Any) -> Expr:
+    """Nested lists of numbers and expressions, or an expression, as an ``SX`` matrix."""
+    if isinstance(values, list | tuple):
+        return ca.vertcat(*(ca.horzcat(*row) for row in values))
+    return ca.SX(values)
+
+
+def fast(function: ca.Function) -> Callable[..., Array]:
+    """A function of dense columns as one of arrays, called through buffers: a tenth of the usual overhead."""
+    buffer, trigger = function.buffer()
+    inputs = [np.zeros(function.nnz_in(i)) for i in range(function.n_in())]
+    out = np.zeros(function.nnz_out(0))
+    for i, array in enumerate(inputs):
+        buffer.set_arg(i, memoryview(array))
+    buffer.set_res(0, memoryview(out))
+
+    def call(*values: Array) -> Array:
+        for array, value in zip(inputs, values, strict=True):
+            array[:] = value
+        trigger()
+        return out.copy()
+
+    call.keep = (function, buffer)  # type: ignore[attr-defined]
+    return call
+
+
+def smallest_singular_value(a: Array) -> float:
+    return float(np.linalg.svd(a, compute_uv=False)[-1]) if a.size else np.inf
