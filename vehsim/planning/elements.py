@@ -238,17 +238,17 @@ class Solution:
     violations: Array
 
 
-def solver_options(max_iterations: int = 400, **more: Any) -> dict[str, Any]:
-    """IPOPT with exact Hessians and MUMPS, silent."""
+def solver_options(max_iterations: int = 400, warm: bool = False) -> dict[str, Any]:
+    """IPOPT with exact Hessians and MUMPS, silent; ``warm``: the start is a solved motion of another discretisation."""
+    barrier = {"mu_strategy": "monotone", "mu_init": 1e-3} if warm else {"mu_strategy": "adaptive"}
     return {
         "max_iter": max_iterations,
         "tol": 1e-8,
         "constr_viol_tol": 1e-9,
-        "mu_strategy": "adaptive",
         "mumps_pivot_order": 0,
         "print_level": 0,
         "sb": "yes",
-        **more,
+        **barrier,
     }
 
 

@@ -254,7 +254,7 @@ class _Attempt:
         key = (self.layout, _shape(self.request.marks), repr(spans))
         if key not in self.solvers:
             problem, _ = build(self.t, self.layout, self.request.marks, self.request.limits, self.cover, spans)
-            self.solvers[key] = Solver(problem, solver_options(self.request.max_iterations))
+            self.solvers[key] = Solver(problem, solver_options(self.request.max_iterations, warm=self.rung > 0))
         return self.solvers[key]
 
     def settle(self) -> None:
