@@ -234,6 +234,6 @@ def test_order_with_constraints_and_forces(name, difference_map, order, counts):
 
     exact = end(480, order=6)
     errors = [np.abs(end(count, order=order, difference_map=difference_map) - exact).max() for count in counts]
-    if errors[1] < 1e-11:
+    if errors[1] < 1e-10:  # below what the solves leave
         return
     assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.5), errors

@@ -81,6 +81,36 @@ FAST_TOLERANCE = 1e-12
 """Largest residual, relative to what the step balances, that the fast solve may leave: momentum stays exact."""
 
 
+class PhaseStep:
+    """`Integrator.advance` in one compiled call, or None when the fast solve does not finish the step."""
+
+    def __init__(self, integrator: Integrator):
+        m = integrator.mechanics
+        a, b, c, d = (int(k) for k in np.cumsum([*m.sizes[:3], m.sizes[2]]))
+        self._x, self._out, self._residual = np.empty(d), np.empty(d), np.zeros(1)
+        self._cuts = (a, b, c)
+        self._c0, self._c1 = np.empty(m.sizes[3]), np.empty(m.sizes[3])
+        self._fixed = (np.array([integrator.step_size]), integrator.wind.copy())
+        self._buffer: Any
+        self._buffer, self._evaluate = whole_step(m, integrator.order).buffer()
+        for i, array in enumerate((self._x, self._c0, self._c1, *self._fixed)):
+            if array.size:
+                self._buffer.set_arg(i, _memory(array))
+        self._buffer.set_res(0, _memory(self._out))
+        self._buffer.set_res(1, _memory(self._residual))
+
+    def __call__(self, phase: Any, c0: Array, c1: Array) -> list[Array] | None:
+        """``[g, r, pi, z]`` one step later."""
+        a, b, c = self._cuts
+        self._x[:a], self._x[a:b], self._x[b:c], self._x[c:] = phase.g, phase.r, phase.pi, phase.z
+        self._c0[:], self._c1[:] = c0, c1
+        self._evaluate()
+        if not self._residual[0] <= FAST_TOLERANCE:
+            return None
+        out = self._out.copy()
+        return [out[:a], out[a:b], out[b:c], out[c:]]
+
+
 class PublicStep:
     """`Integrator.step` in one compiled call: public state and controls in, public state out."""
 
