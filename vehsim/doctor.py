@@ -1,6 +1,6 @@
 """What this machine offers: Python, libraries, EGL, the film's codec, the cache. Standard library only at the top.
 
-``python -m vehsim.doctor --egl`` is asked by ``tools/setup.sh`` whether pictures can be rendered: it answers by exit code.
+``python -m vehsim.doctor --egl`` is asked by ``tools/setup.sh`` whether pictures can be rendered: its exit code answers.
 """
 
 from __future__ import annotations

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+
 from vehsim.assets.generate._noise import fractal, gradient_noise, ridged
 from vehsim.assets.generate._terrain_look import Sheet, at_texels, sheet, texels
-
 from vehsim.world import Terrain
 
 Array = NDArray[np.float64]
@@ -146,7 +146,7 @@ def horizon_sheet(terrain: Terrain) -> Sheet:
     inner = terrain.height(np.clip(xy[0], low, high))
     edge = terrain.height(np.clip(xy, low, high).reshape(-1, 2)).reshape(xy.shape[:2])
     level = np.interp(outward, [2, 90], [0, 1])[:, None]
-    z = (1 - level) * edge + level * _country(xy)
+    z: NDArray[np.float64] = (1 - level) * edge + level * _country(xy)
     z[0], z[1] = inner - 4.0, edge[1] - 0.8
     points = np.concatenate([xy, z[..., None]], axis=-1).reshape(-1, 3)
     ring, k = np.meshgrid(np.arange(RINGS - 1), np.arange(256), indexing="ij")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+
 from vehsim.assets.generate._shapes import (
     Surface,
     by_material,

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
+
 from vehsim.assets.generate._canyon_rock import ground_colour, horizon_colour, horizon_sheet
 from vehsim.assets.generate._noise import fractal, gradient_noise, ridged
 from vehsim.assets.generate._terrain_look import sheet, sky_view, unwrap, write_look, write_picture
-
 from vehsim.world import Terrain
 
 Array = NDArray[np.float64]

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import BSpline
+
 from vehsim.assets.generate._shapes import (
     Array,
     Field,

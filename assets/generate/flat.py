@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+
 from vehsim.assets.generate._noise import fractal, gradient_noise
 from vehsim.assets.generate._terrain_look import sheet, write_look, write_picture
-
 from vehsim.world import Terrain
 
 Array = NDArray[np.float64]

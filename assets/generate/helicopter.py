@@ -10,6 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+
 from vehsim.assets.generate._rotors import main_rotor, rotor_hulls, tail_disc, tail_rotor
 from vehsim.assets.generate._shapes import (
     Array,

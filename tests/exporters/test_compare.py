@@ -51,10 +51,10 @@ def test_other_sizes_and_missing_pictures_say_so(pictures):
 
 
 def test_nothing_to_compare_is_an_error(tmp_path):
-    with pytest.raises(InputError, match="no .png"):
+    with pytest.raises(InputError, match=r"no \.png"):
         compare_folders(tmp_path, tmp_path / "missing")
     (tmp_path / "a.png").write_bytes(b"not a picture")
-    with pytest.raises(InputError, match="cannot|can be read"):
+    with pytest.raises(InputError, match="can be read"):
         compare_folders(tmp_path, tmp_path)
 
 

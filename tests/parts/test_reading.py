@@ -7,11 +7,11 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-import vehsim.assets
 from pxr import Gf, Usd, UsdGeom, UsdPhysics
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+import vehsim.assets
 from vehsim.errors import InputError
 from vehsim.parts import add_to_spec, collision_hulls, read_parts, triangulate
 from vehsim.vehicles._base import Rig

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import vehsim.assets
 from pxr import Usd, UsdGeom, UsdValidation
 from scipy.spatial import ConvexHull
 
 import vehsim
+import vehsim.assets
 from vehsim.parts import Part, collision_hulls, read_parts
 from vehsim.vehicles._base import Rig
 
