@@ -5,7 +5,9 @@ What belongs here is authoring. How MuJoCo's renderer draws these lights is deci
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -118,6 +120,13 @@ def latlong_directions(width: int, height: int) -> Array:
 
 def write_sky(path: Path, azimuth: float, elevation: float, mood: Mood = MOOD, width: int = 1024) -> None:
     """A sky as a latitude-longitude PNG: zenith to warm horizon, a glow about the sun, ground below."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(_sky(azimuth, elevation, mood, width))
+
+
+@lru_cache(maxsize=64)
+def _sky(azimuth: float, elevation: float, mood: Mood, width: int) -> bytes:
+    """The PNG; there are few places for the sun, and many shots."""
     from PIL import Image
 
     directions = latlong_directions(width, width // 2)
@@ -130,8 +139,9 @@ def write_sky(path: Path, azimuth: float, elevation: float, mood: Mood = MOOD, w
     sky = sky + np.array(mood.glow) * (0.35 * toward**6 + 0.5 * toward**48)
     below = np.clip(-up / 0.08, 0, 1)[..., None]
     linear = (1 - below) * sky + below * np.array(mood.ground)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(encode_srgb(linear)).save(path)
+    png = io.BytesIO()
+    Image.fromarray(encode_srgb(linear)).save(png, "png")
+    return png.getvalue()
 
 
 def encode_srgb(linear: Any) -> NDArray[np.uint8]:

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -250,13 +252,19 @@ def _headings(matrices: Array, fps: float) -> Array:
 
 def vehicle_outline(vehicle: Any) -> Array:
     """The outline (k, 3) m of a vehicle in its rig root's frame: its parts' hull; a 2 m cube without a rig."""
+    if vehicle.rig is None:
+        return np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (0, 2)], float)
+    stat = Path(vehicle.rig.asset).stat()
+    return _outline(Path(vehicle.rig.asset), vehicle.rig.root or None, stat.st_mtime_ns, stat.st_size)
+
+
+@lru_cache(maxsize=16)
+def _outline(asset: Path, root: str | None, changed: int, size: int) -> Array:
     from scipy.spatial import ConvexHull
 
     from vehsim.parts import read_parts
 
-    if vehicle.rig is None:
-        return np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (0, 2)], float)
-    parts = read_parts(vehicle.rig.asset, vehicle.rig.root or None)
+    parts = read_parts(asset, root)
     points = np.concatenate([part.points @ part.T_rp[:3, :3].T + part.T_rp[:3, 3] for part in parts])
     return points[ConvexHull(points, qhull_options="QJ").vertices]
 

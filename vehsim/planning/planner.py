@@ -8,6 +8,7 @@ comes too near.
 from __future__ import annotations
 
 import math
+import threading
 import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -54,6 +55,8 @@ SLACK = 0.01
 """How far below the asked clearance a certified motion may be, m."""
 ROOM = 30.0
 """How far from the first path the optimiser sees the terrain, m."""
+KEPT = 16
+"""Built problems kept for plans to come; building one takes as long as solving it."""
 CRUISE = 12.0
 """Guess of a free leg's speed, m/s, when no speed limit is lower."""
 
@@ -195,6 +198,16 @@ def _shape(marks: Sequence[Mark]) -> tuple[Any, ...]:
     return tuple(zip(asked, kinds, strict=True))
 
 
+class _Shelf(threading.local):
+    """Problems built in free space, solved again by every plan of the same shape; a thread keeps its own."""
+
+    def __init__(self) -> None:
+        self.solvers: dict[Any, Solver] = {}
+
+
+_shelf = _Shelf()
+
+
 class _Attempt:
     """The state of one planning: layout, variables, lengths of the legs, margin, and what was measured."""
 
@@ -250,12 +263,17 @@ class _Attempt:
         self.worst = solver.problem.names()[int(np.argmax(self.solution.violations))]
 
     def _solver(self, spans: Sequence[tuple[list[int], float]]) -> Solver:
-        """The built problem of the present layout; built once for every shape of marks."""
-        key = (self.layout, _shape(self.request.marks), repr(spans))
-        if key not in self.solvers:
-            problem, _ = build(self.t, self.layout, self.request.marks, self.request.limits, self.cover, spans)
-            self.solvers[key] = Solver(problem, solver_options(self.request.max_iterations, warm=self.rung > 0))
-        return self.solvers[key]
+        """The built problem of the present layout; built once for every shape of marks, in free space once for all."""
+        request, warm = self.request, self.rung > 0
+        asked = (repr(request.limits), request.max_iterations, warm)
+        key = (self.t, self.layout, _shape(request.marks), repr(spans), asked)
+        shelf = self.solvers if self.cover is not None else _shelf.solvers
+        if key not in shelf:
+            problem, _ = build(self.t, self.layout, request.marks, request.limits, self.cover, spans)
+            shelf[key] = Solver(problem, solver_options(request.max_iterations, warm=warm))
+            while shelf is not self.solvers and len(shelf) > KEPT:
+                del shelf[next(iter(shelf))]
+        return shelf[key]
 
     def settle(self) -> None:
         """Put free marks on whole frames, later rather than earlier."""

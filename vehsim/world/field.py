@@ -7,6 +7,7 @@ and the same in numpy and in CasADi. Fields are cached by content. Hulls are mea
 from __future__ import annotations
 
 import hashlib
+import io
 import os
 import tempfile
 import warnings
@@ -25,7 +26,7 @@ from vehsim.world.terrain import Terrain
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
-VERSION = 1
+VERSION = 2
 """Part of every cached field's name: raise it when the same terrain would give another field."""
 POINTS = 1_200_000
 """Grid points a field has at most unless its spacing is given: about three seconds on two cores."""
@@ -34,6 +35,8 @@ FINEST = 0.5
 HEADROOM, DEPTH = 12.0, 4.0
 """How far the field's box reaches above the highest and below the lowest rock, m."""
 
+SEAL = 32
+"""Bytes of checksum that end a cached field: a power cut can leave a file of the right size full of zeros."""
 BLEND = 1e-3
 """Rounds the distance beyond the box at its border, m, so that it has derivatives there."""
 
@@ -184,7 +187,11 @@ def _read(file: Path, shape: tuple[int, ...]) -> NDArray[np.float32] | None:
     if not file.exists():
         return None
     try:
-        array = np.load(file, allow_pickle=False)
+        content = file.read_bytes()
+        body, seal = content[:-SEAL], content[-SEAL:]
+        if hashlib.sha256(body).digest() != seal:
+            raise ValueError("its checksum does not match")
+        array = np.load(io.BytesIO(body), allow_pickle=False)
         if array.shape != shape or array.dtype != np.float32 or not np.isfinite(array).all():
             raise ValueError("not what was written")
     except (OSError, ValueError, EOFError) as error:
@@ -194,11 +201,15 @@ def _read(file: Path, shape: tuple[int, ...]) -> NDArray[np.float32] | None:
 
 
 def _write(file: Path, array: NDArray[np.float32]) -> None:
-    """Write beside, then move into place: readers and other writers never see half a file."""
+    """Write beside, with a checksum, then move into place: readers and other writers never see half a file."""
+    body = io.BytesIO()
+    np.save(body, array)
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=file.parent, prefix=file.stem, suffix=".part", delete=False) as beside:
-            np.save(beside, array)
+            beside.write(body.getvalue() + hashlib.sha256(body.getvalue()).digest())
+            beside.flush()
+            os.fsync(beside.fileno())
         os.replace(beside.name, file)
     except OSError as error:
         warnings.warn(f"{file}: the distance field could not be cached ({error})", stacklevel=2)
