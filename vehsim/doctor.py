@@ -1,6 +1,6 @@
 """What this machine offers: Python, libraries, EGL, the film's codec, the cache. Standard library only at the top.
 
-``python -m vehsim.doctor --egl`` is asked by ``tools/setup.sh`` whether pictures can be rendered: its exit code answers.
+``python -m vehsim.doctor --egl`` tells ``tools/setup.sh`` by its exit code whether pictures can be rendered.
 """
 
 from __future__ import annotations

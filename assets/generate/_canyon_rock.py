@@ -145,8 +145,8 @@ def horizon_sheet(terrain: Terrain) -> Sheet:
     xy = centre + border + direction * np.maximum(outward, 0)[:, None, None] * (1 - 0.25 * blend)
     inner = terrain.height(np.clip(xy[0], low, high))
     edge = terrain.height(np.clip(xy, low, high).reshape(-1, 2)).reshape(xy.shape[:2])
-    level = np.interp(outward, [2, 90], [0, 1])[:, None]
-    z: NDArray[np.float64] = (1 - level) * edge + level * _country(xy)
+    level = np.asarray(np.interp(outward, [2, 90], [0, 1]))[:, None]
+    z = (1 - level) * edge + level * _country(xy)
     z[0], z[1] = inner - 4.0, edge[1] - 0.8
     points = np.concatenate([xy, z[..., None]], axis=-1).reshape(-1, 3)
     ring, k = np.meshgrid(np.arange(RINGS - 1), np.arange(256), indexing="ij")
