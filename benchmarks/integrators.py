@@ -19,6 +19,7 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from benchmarks._figures import loglog
+from benchmarks.speed import speed, table_of
 from vehsim.integrators import Integrator
 from vehsim.integrators.references import reference_step
 from vehsim.lie import SE3, SO3xR3
@@ -28,7 +29,7 @@ from vehsim.vehicles.car import car
 HERE = Path(__file__).parent
 QUICK = "--quick" in sys.argv
 MINUTES, BODIES, RUNS, LONG = (0.4, 3, 5, 100_000) if QUICK else (4.0, 20, 50, 1_000_000)
-BODY_STEPS = (0.4, 0.2, 0.1, 0.05, 0.025, 0.0125)
+BODY_STEPS = (0.5, 0.25, 0.125, 0.0625, 0.03125, 0.015625)
 CAR_STEPS = (0.2, 0.1, 0.05, 0.025, 0.0125)
 CAR = {"mass": 1350.0, "wheel_inertia": 2.4, "yaw_inertia": 4100.0, "wheel_radius": 0.32, "wheelbase": 2.6}
 OURS = {
@@ -72,7 +73,8 @@ def random_bodies(count: int) -> list[Body]:
     while len(bodies) < count:
         inertia = rng.uniform(0.5, 2.0, 3)
         if 2 * inertia.max() < inertia.sum():  # a body that can exist
-            bodies.append(Body(inertia, rng.uniform(0.5, 2.0), rng.standard_normal(6)))
+            twist = rng.standard_normal(6) * np.repeat([2.0, 1.0], 3)  # up to a turn a second
+            bodies.append(Body(inertia, rng.uniform(0.5, 2.0), twist))
     return bodies
 
 
@@ -162,7 +164,7 @@ def free_bodies(report: list[str]) -> dict[str, dict[float, tuple[float, float, 
         )
     for i, (what, unit) in enumerate((("position error", "m"), ("rotation error", "rad"))):
         report += ["", f"### {what} [{unit}], mean; in brackets blow-ups of {BODIES}", ""]
-        report += _table(
+        report += table_of(
             ["method", *(f"h = {h}" for h in BODY_STEPS)],
             [[m, *(_cell(v[i], v[3]) for v in row.values())] for m, row in table.items()],
         )
@@ -249,7 +251,7 @@ def cars(report: list[str]) -> dict[str, dict[float, tuple[float, float]]]:
         print(name, {h: f"{v[0]:.1e} {v[1] * 1e6:.1f}us" for h, v in table[name].items()}, flush=True)
     rows = [[m, *(f"{v[0]:.1e}, {v[1] * 1e6:.1f}" for v in row.values())] for m, row in table.items()]
     report += ["", f"### Position error [m], mean of {RUNS} runs over one minute, and microseconds a step", ""]
-    report += _table(["method", *(f"h = {h}" for h in CAR_STEPS)], rows)
+    report += table_of(["method", *(f"h = {h}" for h in CAR_STEPS)], rows)
     lines = {m: [(h, v[0]) for h, v in row.items()] for m, row in table.items()}
     loglog(HERE / "figures" / "car_position.svg", "Car, one minute: position error", "step [s]", "m", lines)
     return table
@@ -258,7 +260,7 @@ def cars(report: list[str]) -> dict[str, dict[float, tuple[float, float]]]:
 def orbits(report: list[str]) -> None:
     """LIE Fig. 3, as numbers: one body at a large step, energy and spatial momentum after four minutes."""
     body = Body(np.array([0.8, 1.4, 2.0]), 1.0, np.array([1.0, 2.5, 0.5, 0.5, 0.2, 0.1]))
-    h, rows = 0.4, []
+    h, rows = 0.5, []
     steps = round(MINUTES * 60 / h)
     for label, (run, name) in {
         **{n: (run_ours, n) for n in OURS},
@@ -276,7 +278,7 @@ def orbits(report: list[str]) -> None:
         f"### One body at h = {h} s for {MINUTES:g} minutes: relative energy and angular momentum at the end",
         "",
     ]
-    report += _table(["method", "energy", "angular momentum"], rows)
+    report += table_of(["method", "energy", "angular momentum"], rows)
 
 
 def _drift(body: Body, q: np.ndarray, h: float) -> tuple[str, str]:
@@ -326,78 +328,7 @@ def long_runs(report: list[str]) -> None:
         f"### {LONG:,} steps of 0.02 s: relative swing and trend of energy, drift of angular momentum at knots",
         "",
     ]
-    report += _table(["method", "energy swing", "energy trend", "momentum drift"], rows)
-
-
-def speed(report: list[str]) -> None:
-    """Against mj_step in the same run."""
-    import mujoco
-
-    import vehsim
-
-    body = Body(np.array([1300.0, 4700.0, 4200.0]), 1900.0, np.array([0.1, 0.2, 0.3, 1.0, 2.0, 3.0]))
-    rows = []
-    for name in ("Euler", "RK4"):
-        model, data = mujoco_body(body, name, 1 / 240)
-        call = _best(lambda m=model, d=data: [mujoco.mj_step(m, d) for _ in range(2000)]) / 2000
-        loop = _best(lambda m=model, d=data: mujoco.mj_step(m, d, 10_000)) / 10_000
-        rows.append([f"MuJoCo {name}, free body", f"{call * 1e6:.2f}", "", f"{loop * 1e6:.2f}", ""])
-    for name, controls, start in (
-        ("helicopter", (18639.0, 0.0, 0.01, 0.0), State(twist=(0.1, 0.2, 0.3, 1, 2, 3))),
-        ("car", (300.0, 0.01), State(twist=(0, 5.0, 0))),
-    ):
-        integrator = Integrator(vehsim.load_vehicle(name), 1 / 240)
-        c = np.array(controls)
-        motion = integrator.motion(start, c)
-        in_place = _best(lambda m=motion: [m.step() for _ in range(2000)]) / 2000
-        state = integrator.step(start, c)
-        call = _best(lambda i=integrator, s=state, c=c: [i.step(s, c) for _ in range(2000)]) / 2000
-        phase = integrator.start(state, c)
-        table = np.tile(c, (10_241, 1))
-        loop = _best(lambda i=integrator, p=phase, t=table: i._accumulate(p, t)) / 10_240
-        rows.append(
-            [
-                name,
-                f"{in_place * 1e6:.2f}",
-                f"{call * 1e6:.2f}",
-                f"{loop * 1e6:.2f}",
-                f"{_side_by_side(integrator, phase, c):.2f}",
-            ]
-        )
-        print(rows[-1], flush=True)
-    report += [
-        "",
-        "### Microseconds a step (best of 5); the last column is the gain of two threads over one, 1,000 vehicles",
-        "",
-    ]
-    report += _table(["", "call in place", "call from state to state", "in a loop of 10,000", "two threads"], rows)
-
-
-def _side_by_side(integrator: Integrator, phase: Any, c: np.ndarray) -> float:
-    """Gain of two threads over one on 1,000 vehicles side by side, 256 steps each."""
-    from vehsim.integrators.integrator import _chunk, _pack
-
-    chunk = _chunk(integrator.mechanics, 2, True)
-    n, steps = 1000, 256
-    x = np.tile(_pack(phase)[:, None], n)
-    inputs = (
-        x,
-        np.tile(c[:, None], n * steps),
-        np.tile(c[:, None], n * steps),
-        np.full((1, n * steps), 1 / 240),
-        np.zeros((3, n * steps)),
-    )
-    serial, threads = chunk.map(n), chunk.map(n, "thread", 2)
-    return _best(lambda: serial(*inputs), 3) / _best(lambda: threads(*inputs), 3)
-
-
-def _best(call: Callable[[], Any], times: int = 5) -> float:
-    clocks = []
-    for _ in range(times):
-        begin = time.perf_counter()
-        call()
-        clocks.append(time.perf_counter() - begin)
-    return min(clocks)
+    report += table_of(["method", "energy swing", "energy trend", "momentum drift"], rows)
 
 
 def claims(bodies: dict[str, Any], car_table: dict[str, Any]) -> list[list[str]]:
@@ -405,7 +336,7 @@ def claims(bodies: dict[str, Any], car_table: dict[str, Any]) -> list[list[str]]
     coarse, fine = BODY_STEPS[0], BODY_STEPS[-1]
     lost = {name: sum(v[3] for v in row.values()) for name, row in bodies.items()}
     same = _time_at_error(bodies["SO(3)xR3 order 4"], 1), _time_at_error(bodies["RK4"], 1)
-    newmark, ours = bodies["Lie-Newmark"][0.1][0], bodies["TLN"][0.1][0]
+    newmark, ours = bodies["Lie-Newmark"][0.125][0], bodies["TLN"][0.125][0]
     h = CAR_STEPS[-1]
     rows = [
         [
@@ -415,7 +346,8 @@ def claims(bodies: dict[str, Any], car_table: dict[str, Any]) -> list[list[str]]
         ],
         [
             "at a large step rotations stay near where RK4's do not",
-            f"h = {coarse}: cay {bodies['cay'][coarse][1]:.2g} rad, RK4 {bodies['RK4'][coarse][1]:.2g} rad ({bodies['RK4'][coarse][3]} lost)",
+            f"h = {coarse}: cay {bodies['cay'][coarse][1]:.2g} rad, RK4 {bodies['RK4'][coarse][1]:.2g} rad "
+            f"({bodies['RK4'][coarse][3]} lost)",
             bodies["cay"][coarse][1] < bodies["RK4"][coarse][1],
         ],
         [
@@ -425,7 +357,7 @@ def claims(bodies: dict[str, Any], car_table: dict[str, Any]) -> list[list[str]]
         ],
         [
             "Newmark's position error is larger",
-            f"h = 0.1: Lie-Newmark {newmark:.2g} m, TLN {ours:.2g} m",
+            f"h = 0.125: Lie-Newmark {newmark:.2g} m, TLN {ours:.2g} m",
             newmark > ours,
         ],
         [
@@ -458,11 +390,6 @@ def _cell(value: float, lost: int) -> str:
     return f"{words} ({lost})" if lost else words
 
 
-def _table(header: list[str], rows: list[list[str]]) -> list[str]:
-    lines = [header, ["---"] * len(header), *rows]
-    return ["| " + " | ".join(line) + " |" for line in lines]
-
-
 def main() -> None:
     bodies_part: list[str] = []
     car_part: list[str] = []
@@ -473,20 +400,31 @@ def main() -> None:
     orbits(rest)
     long_runs(rest)
     speed(rest)
+    seconds = time.perf_counter() - begin
+    pictures = ["![](figures/body_position.svg) ![](figures/body_rotation.svg)"]
+    pictures += ["![](figures/body_position_cost.svg) ![](figures/body_rotation_cost.svg)"]
     report = [
         "# Integrators, measured",
         "",
-        f"`make bench-integrators`, {time.perf_counter() - begin:.0f} s. All in one process on one machine; run times vary by a third.",
-    ]
-    report += ["", "## The claims of LIE 3.3", ""] + _table(["claim", "held", "measured"], claims(bodies, car_table))
-    report += ["", f"## Free rigid body, {MINUTES:g} minutes, {BODIES} random bodies (LIE Fig. 4)"] + bodies_part
-    report += [
+        f"`python -m benchmarks.integrators`, {seconds:.0f} s, one process, one machine; run times vary by a third.",
         "",
-        "![](figures/body_position.svg) ![](figures/body_rotation.svg)",
-        "![](figures/body_position_cost.svg) ![](figures/body_rotation_cost.svg)",
+        "## The claims of LIE 3.3",
+        "",
+        *table_of(["claim", "held", "measured"], claims(bodies, car_table)),
+        "",
+        f"## Free rigid body, {MINUTES:g} minutes, {BODIES} random bodies (LIE Fig. 4)",
+        *bodies_part,
+        "",
+        *pictures,
+        "",
+        "## Car (LIE Fig. 5)",
+        *car_part,
+        "",
+        "![](figures/car_position.svg)",
+        "",
+        "## Orbits (LIE Fig. 3), long runs, speed",
+        *rest,
     ]
-    report += ["", "## Car (LIE Fig. 5)"] + car_part + ["", "![](figures/car_position.svg)"]
-    report += ["", "## Orbits, long runs, speed"] + rest
     (HERE / "RESULTS.md").write_text("\n".join(report) + "\n", encoding="utf-8")
     print(f"wrote {HERE / 'RESULTS.md'}")
 

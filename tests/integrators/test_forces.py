@@ -7,6 +7,7 @@ import vehsim
 from vehsim.errors import InputError, SolveError
 from vehsim.integrators import Integrator
 from vehsim.integrators.continuous import execute
+from vehsim.integrators.record import flat
 from vehsim.lie import SO3
 from vehsim.vehicles import Holonomic, State
 from vehsim.vehicles.helicopter import helicopter
@@ -80,7 +81,7 @@ def test_order_with_controls_linear_between_knots(name, difference_map, order, c
     table = law(np.linspace(0, end, knots + 1))
     integrator = Integrator(vehicle, 1.0, wind=wind)
     phase = integrator.start(start, table[0])
-    z = np.ravel(integrator.mechanics.knot_velocity_guess(phase.r, phase.pi, table[0]))
+    z = flat(integrator.mechanics.knot_velocity_guess(phase.r, phase.pi, table[0]))
     g, r = execute(vehicle, phase.g, phase.r, z, table, np.full(knots, end / knots), wind, fine=400)
     exact = np.concatenate([vehicle.group.matrix(g[-1])[:-1].ravel(), r[-1]])
     errors = []

@@ -7,6 +7,7 @@ import pytest
 import vehsim
 from vehsim.errors import InputError
 from vehsim.integrators import Integrator
+from vehsim.integrators.record import flat
 from vehsim.lie import SE2, SE3, SO3xR3
 from vehsim.vehicles import Holonomic, Nonholonomic, State
 
@@ -28,7 +29,7 @@ def test_helicopter_wrench_is_the_printed_control_matrix():
                 [np.cos(p) * np.cos(r), 0],
             ]
         )
-        np.testing.assert_allclose(np.ravel(wrench([collective, yaw, p, r])), F @ [collective, yaw], atol=1e-14)
+        np.testing.assert_allclose(flat(wrench([collective, yaw, p, r])), F @ [collective, yaw], atol=1e-14)
 
 
 def test_car_connection_is_the_printed_one():
@@ -102,11 +103,11 @@ def test_linearisation_predicts_small_changes(name):
         phase = integrator.start(state, controls)
         phase.g = vehicle.group.compose(start.g, vehicle.group.exp(delta[:d]))
         phase.r = start.r + delta[d : d + s]
-        velocity = np.ravel(m.knot_velocity_guess(start.r, start.pi, controls)) + delta[d + s :]
+        velocity = flat(m.knot_velocity_guess(start.r, start.pi, controls)) + delta[d + s :]
         c1 = np.asarray(controls) + change
         phase.pi = _momentum(m, phase.r, velocity, c1)
         phase = integrator.advance(phase, c1, c1)
-        z = np.ravel(m.knot_velocity_guess(phase.r, phase.pi, c1))
+        z = flat(m.knot_velocity_guess(phase.r, phase.pi, c1))
         return phase.g, phase.r, z
 
     zero = after(np.zeros(len(A)), np.zeros(c))
@@ -133,7 +134,7 @@ def _log(group):
     def log(g):
         target = np.concatenate([2 * g[1:4] / np.linalg.norm(g[:4]), g[4:7]]) if group.size == 7 else g
         solve = ca.rootfinder("log", "newton", {"x": x, "p": (p := ca.SX.sym("p", group.dim)), "g": full - p})
-        return np.ravel(solve(x0=np.zeros(group.dim), p=target)["x"])
+        return flat(solve(x0=np.zeros(group.dim), p=target)["x"])
 
     return log
 
@@ -143,7 +144,7 @@ def _momentum(m, r, z, c):
 
     r_, z_, c_ = ca.SX.sym("r", len(r)), ca.SX.sym("z", len(z)), ca.SX.sym("c", len(c))
     u, xi = ca.Function("v", [r_, z_, c_], [*free_velocity(m.vehicle, r_, z_, m.driven(c_))])(r, z, c)
-    return np.ravel(m.knot_momentum(r, u, xi))
+    return flat(m.knot_momentum(r, u, xi))
 
 
 @pytest.mark.parametrize(
