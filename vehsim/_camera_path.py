@@ -88,6 +88,8 @@ def _moved(offsets: Array, turn: Any, scale: Any, rise: Any) -> Array:
 
 def _blocked(positions: Array, aims: Array, world: Any, margin: float, radius: float) -> Array:
     """How deep the ground stands (...,), m, in the way to the target, its left and right; thrice at the camera."""
+    if getattr(world, "terrain", world) is None:
+        return np.zeros(positions.shape[:-1])
     ray = aims - positions
     side = np.stack([-ray[..., 1], ray[..., 0], np.zeros_like(ray[..., 0])], axis=-1)
     side *= radius / np.maximum(np.linalg.norm(side, axis=-1, keepdims=True), 1e-9)
@@ -106,6 +108,8 @@ def _sight(positions: Array, aims: Array) -> Array:
 
 def _ground(points: Array, world: Any, margin: float) -> Array:
     """The highest ground (...,) within ``margin`` of ``points`` (..., 3)."""
+    if getattr(world, "terrain", world) is None:
+        return np.full(points.shape[:-1], -np.inf)
     around = margin * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]], float)
     footprint = points[..., None, :2] + around
     return np.asarray(world.height(footprint.reshape(-1, 2))).reshape(footprint.shape[:-1]).max(axis=-1)

@@ -125,7 +125,7 @@ def look_at(positions: Array, aims: Array) -> Array:
 
 def projected_heights(positions: Array, rotations: Array, corners: Array, zoom: float) -> Array:
     """Share of the frame's height (n,) that ``corners`` (n, k, 3) take; ``zoom``: focal length over aperture height."""
-    seen = np.einsum("nji,nkj->nki", rotations, corners - positions[:, None])
+    seen = (corners - positions[:, None]) @ rotations
     depth = np.maximum(-seen[..., 2], 1e-3)
     return zoom * np.ptp(seen[..., 1] / depth, axis=1)
 
@@ -237,7 +237,7 @@ def _subject(clip: Clip, frames: Array) -> Subject:
     times, sample = np.unique(times, return_inverse=True)
     matrices = clip.at(times).matrices()[sample]
     outline = vehicle_outline(clip.vehicle)
-    corners = np.einsum("nij,kj->nki", matrices[:, :3, :3], outline) + matrices[:, None, :3, 3]
+    corners = outline @ matrices[:, :3, :3].swapaxes(1, 2) + matrices[:, None, :3, 3]
     centre = matrices[:, :3, 3] + (outline.max(axis=0) + outline.min(axis=0)) / 2 * (0.0, 0.0, 1.0)
     return Subject(corners, centre, _headings(matrices, fps), fps)
 
