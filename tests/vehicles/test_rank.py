@@ -48,6 +48,27 @@ def test_motion_goes_on_where_the_first_choice_of_columns_is_singular(a, h):
     assert np.ptp(kinetic) < 1e-6 * kinetic[0]
 
 
+def test_motion_does_not_depend_on_the_columns_eliminated():
+    """One step in another chart is the same step; a start where the first choice is singular is as good as any."""
+    vehicle = steerable_blade(0.4)
+    integrator, c = Integrator(vehicle, 0.02), np.ones(1)
+    phase = integrator.start(State(twist=(0.3, 1.0, 0.8), joints=(1.1,), joint_rates=(1.0,)), c)
+    here, other = integrator.advance(phase, c, c), integrator._other_chart(phase, c, c, 0.02)
+    assert vehicle.chart_at(phase.r).pivots != vehicle.pivots
+    for name in ("g", "r", "pi"):
+        np.testing.assert_allclose(getattr(other, name), getattr(here, name), atol=1e-12)
+
+    start = State(twist=(0.3, 0.0, 0.8), joints=(np.pi / 2,), joint_rates=(1.0,))
+    clip = Integrator(vehicle, 0.02).rollout(start, np.ones((51, 1)))
+    definition = {
+        k: getattr(vehicle, k) for k in ("group", "joints", "lagrangian", "constraints", "forces", "controls")
+    }
+    sideways = Nonholonomic(name="sideways", sample=(np.pi / 2,), **definition)
+    np.testing.assert_allclose(
+        Integrator(sideways, 0.02).rollout(start, np.ones((51, 1))).positions, clip.positions, atol=1e-11
+    )
+
+
 def test_roller_racer_passes_where_both_axles_meet():
     """A bar shorter than the seat: eliminating vy and omega fails where cos(phi) = -c/d, though the rank holds."""
     vehicle = roller_racer(mass=40.0, yaw_inertia=2.0, pivot_ahead=0.5, bar_mass=3.0, bar_inertia=0.1, bar_length=0.3)
@@ -105,3 +126,25 @@ def test_rank_loss_at_the_sample_and_a_better_sample():
     Nonholonomic(name="fine", sample=(0.0, 0.3), **definition)
     with pytest.raises(InputError, match="give 2 finite numbers"):
         Nonholonomic(name="short", sample=(0.0,), **definition)
+
+
+def test_a_start_where_the_first_choice_of_columns_is_exactly_singular():
+    """``-x vx + (1 - x) vy = 0`` from x = 1, where vy drops out: an ordinary start."""
+
+    def lagrangian(r, u, xi):
+        return (xi[0] ** 2 + xi[1] ** 2 + xi[2] ** 2 + u[0] ** 2) / 2
+
+    vehicle = Nonholonomic(
+        name="slot",
+        group=SE2,
+        joints=("x",),
+        lagrangian=lagrangian,
+        constraints=lambda r: (ca.SX(1, 1), ca.horzcat(0, -r[0], 1 - r[0])),
+    )
+    start = State(twist=(0.5, 0.0, 1.0), joints=(1.0,), joint_rates=(0.3,))
+    clip = Integrator(vehicle, 0.02).rollout(start, np.zeros((51, 0)))
+    x, xi = clip.joints[:, 0], clip.twists
+    np.testing.assert_allclose(-x * xi[:, 1] + (1 - x) * xi[:, 2], 0, atol=1e-12)
+    assert np.ptp(clip.energy["kinetic"]) < 1e-3
+    stepped = Integrator(vehicle, 0.02).step(start, [])
+    np.testing.assert_allclose(stepped.position, clip.positions[1], atol=1e-13)

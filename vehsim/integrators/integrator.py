@@ -89,6 +89,7 @@ class Integrator:
     def start(self, state: State, controls: Any) -> Phase:
         """The phase of a public state; rates that contradict the constraints are projected onto them."""
         g, r, u, xi = internal(self.vehicle, state)
+        self._choose_chart(r)
         m = self.mechanics
         c = np.asarray(controls, float)
         for joint, control in self.vehicle.driven:
@@ -136,10 +137,21 @@ class Integrator:
         check_constraints(self.mechanics, np.array([phase.r, phase.r]), index)
         raise _diverged(self.vehicle, index, phase, float(residual), h)
 
+    def _choose_chart(self, r: Array) -> None:
+        """Begin with columns to eliminate that are sound at joints ``r``, where the present choice is not."""
+        vehicle = self.mechanics.vehicle
+        if not self._guarded or vehicle.soundness(r) > 0.1:  # type: ignore[attr-defined]
+            return
+        chart = vehicle.chart_at(r)  # type: ignore[attr-defined]
+        if chart is not None:
+            self.mechanics = mechanics_of(chart, self.mechanics.map_name, self.mechanics.quadrature)
+            for kept in ("_quick", "_public"):
+                self.__dict__.pop(kept, None)
+
     def _other_chart(self, phase: Phase, c0: Array, c1: Array, h: float) -> Phase | None:
         """The same step with other columns of the constraints eliminated, where this choice is singular on the way."""
         m = self.mechanics
-        chart = getattr(self.vehicle, "chart_at", None)
+        chart = getattr(m.vehicle, "chart_at", None)
         vehicle = chart(phase.r) if chart else None
         if vehicle is None:
             return None

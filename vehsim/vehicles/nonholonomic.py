@@ -60,8 +60,15 @@ class Nonholonomic(Vehicle):
             return None
         charts = self.__dict__.setdefault("_charts", {})
         if pivots not in charts:
-            charts[pivots] = replace(self, pivots=pivots)
+            charts[pivots] = replace(self, pivots=pivots, sample=np.asarray(r, float))
         return charts[pivots]
+
+    def soundness(self, r: Any) -> float:
+        """How far from singular the eliminated columns are at joints ``r`` (s,): from 0, singular, up to 1."""
+        w = _numeric(self.bound, np.asarray(r, float))
+        if not self.pivots or w.shape[1] == len(w) + 1:
+            return 1.0
+        return _smallest(w[:, list(self.pivots)]) / max(_smallest(w), 1e-300)
 
     def bound(self, r: Expr) -> Expr:
         """``W_xi`` beside the tied joints' columns of ``W_r`` (m, d + t): what the constraints solve for."""
