@@ -1,0 +1,346 @@
+"""What a batch costs, every figure beside its peer, in one run: ``make bench-export`` (some ten minutes on two cores).
+
+Baking is measured in CPU time of one core, best of several, against MuJoCo's ``USDExporter`` and against bare ``Sdf``
+calls on the same motion; pictures against a bare ``mujoco.Renderer`` loop over the same model; batches on the clock.
+``--clips N`` and ``--short N`` make the batches smaller, ``--only NAME`` runs a part.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+os.environ.setdefault("MUJOCO_GL", "egl")
+
+import vehsim
+from vehsim.clip import Clip
+
+FREE_SPACE = """
+[shot]
+schema = 1
+name = "fly"
+[[vehicle]]
+name = "heli"
+asset = "helicopter"
+[vehicle.motion]
+method = "plan"
+segments = 16
+[[vehicle.motion.mark]]
+frame = 1001
+position = [0, 0, 10]
+heading = 0
+velocity = [0, 0, 0]
+[[vehicle.motion.mark]]
+frame = 1097
+position = [12, 0, 11]
+velocity = [0, 0, 0]
+[sweep]
+"vehicle.heli.motion.mark[1].position[0]" = {{ uniform = [8, 16] }}
+"vehicle.heli.motion.mark[1].position[1]" = {{ uniform = [-6, 6] }}
+seeds = {count}
+"""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--clips", type=int, default=1000)
+    parser.add_argument("--short", type=int, default=40)
+    parser.add_argument("--only", choices=sorted(PARTS))
+    arguments = parser.parse_args()
+    print(f"vehsim {vehsim.__version__}, Python {sys.version.split()[0]}, {os.cpu_count()} cores, load {load()}\n")
+    for name, part in PARTS.items():
+        if arguments.only in (None, name):
+            with tempfile.TemporaryDirectory(prefix="bench-") as folder:
+                part(Path(folder), arguments)
+
+
+def row(what: str, measured: str, wanted: str, met: bool) -> None:
+    print(f"{'met ' if met else 'MISS'}  {what:<58} {measured:>22}   wanted {wanted}", flush=True)
+
+
+def load() -> str:
+    return f"{os.getloadavg()[0]:.1f}"
+
+
+def cpu(work: Callable[[], Any], times: int = 5) -> float:
+    """The least CPU time of this process, s."""
+    best = np.inf
+    for _ in range(times):
+        began = time.process_time()
+        work()
+        best = min(best, time.process_time() - began)
+    return float(best)
+
+
+# ---------------------------------------------------------------- baking
+
+
+def motion(frames: int) -> Clip:
+    """A helicopter on a climbing bend, rotors turning, a sample for every frame."""
+    from scipy.spatial.transform import Rotation
+
+    heli = vehsim.load_vehicle("helicopter")
+    t = np.arange(frames) / 24.0
+    positions = np.stack([30 * np.sin(0.1 * t), 30 - 30 * np.cos(0.1 * t), 10 + np.sin(0.3 * t)], axis=1)
+    euler = np.stack([0.1 * t, 0.1 * np.sin(t), 0.2 * np.sin(0.7 * t)], axis=1)
+    orientations = Rotation.from_euler("ZYX", euler).as_quat(scalar_first=True)
+    signs = np.where((orientations[1:] * orientations[:-1]).sum(axis=1) < 0, -1.0, 1.0)
+    orientations *= np.concatenate([[1.0], np.cumprod(signs)])[:, None]
+    empty = np.zeros((frames, 0))
+    channels = {name: (35.0 + k) * t for k, name in enumerate(heli.rig.drives)}
+    controls = np.zeros((frames, len(heli.controls)))
+    return Clip(
+        heli, t, positions, orientations, np.zeros((frames, 6)), empty, empty, controls, channels, Fraction(24), 1001
+    )
+
+
+def baking(folder: Path, arguments: argparse.Namespace) -> None:
+    from vehsim.exporters.animation import write_animation
+    from vehsim.exporters.packing import Pack
+
+    clip = motion(20_000)
+    prims = 1 + len(clip.channels)
+    span = (1001, 1000 + len(clip))
+    count = iter(range(1_000_000))
+
+    def ours() -> None:
+        place = folder / f"ours{next(count)}"
+        write_animation(clip, "heli", Pack(place), place / "heli.usdc", clip.fps, span)
+
+    ours_s, bare_s = cpu(ours), cpu(lambda: bare_sdf(clip, folder / f"bare{next(count)}.usdc"))
+    few = motion(240)
+    peer_s = cpu(lambda: mujoco_usd(few, folder / f"peer{next(count)}"), times=2) / len(few)
+    poses = prims * len(clip) / ours_s
+    row("arrays to usdc, one core: poses of moving prims", f"{poses:,.0f} /s", "200,000 /s", poses >= 200_000)
+    row("  the same, whole vehicles", f"{len(clip) / ours_s:,.0f} /s", "-", True)
+    ratio = ours_s / bare_s
+    row("  beside bare Sdf authoring of the same samples", f"{ratio:.2f} x its time", "1.3 x", ratio <= 1.3)
+    faster = peer_s / (ours_s / len(clip))
+    row("  beside mujoco.usd.USDExporter, same motion", f"{faster:,.0f} x as fast", "20 x", faster >= 20)
+
+
+def bare_sdf(clip: Clip, path: Path) -> None:
+    """The least anybody can do: the same samples, straight into a layer."""
+    from pxr import Sdf, Vt
+
+    layer = Sdf.Layer.CreateNew(str(path))
+    turns = clip.orientations[:, [1, 2, 3, 0]].copy()
+    with Sdf.ChangeBlock():
+        root = Sdf.PrimSpec(layer, "heli", Sdf.SpecifierDef, "Xform")
+        tracks = [
+            (root, "xformOp:translate", Sdf.ValueTypeNames.Double3, Vt.Vec3dArray.FromNumpy(clip.positions)),
+            (root, "xformOp:orient", Sdf.ValueTypeNames.Quatd, Vt.QuatdArray.FromNumpy(turns)),
+        ]  # fmt: skip
+        for name, drive in clip.vehicle.rig.drives.items():
+            prim = Sdf.CreatePrimInLayer(layer, root.path.AppendPath(drive.prim))
+            values = Vt.DoubleArray.FromNumpy(np.degrees(clip.channels[name]))
+            tracks.append((prim, f"xformOp:{drive.op}:spin", Sdf.ValueTypeNames.Double, values))
+        frames = clip.frames.tolist()
+        for prim, name, kind, values in tracks:
+            place = Sdf.AttributeSpec(prim, name, kind).path
+            for frame, value in zip(frames, values, strict=True):
+                layer.SetTimeSample(place, frame, value)
+    layer.Save()
+
+
+def mujoco_usd(clip: Clip, folder: Path) -> None:
+    """The same motion through MuJoCo: a mocap body for the hull and one for each rotor, a frame at a time."""
+    import mujoco
+    from mujoco.usd.exporter import USDExporter
+    from scipy.spatial.transform import Rotation
+
+    from vehsim.exporters.readback import expected_matrices
+    from vehsim.parts import read_parts
+
+    spec = mujoco.MjSpec()
+    poses = expected_matrices(clip)
+    names = ["", *(path for path in poses if path)]
+    parts = {part.path: part for part in read_parts(clip.vehicle.rig.asset)}
+    for k, name in enumerate(names):
+        body = spec.worldbody.add_body(name=f"b{k}", mocap=True)
+        part = parts.get(name) or next(part for part in parts.values() if len(part.faces))
+        mesh = spec.add_mesh(name=f"m{k}")
+        mesh.uservert, mesh.userface = part.points.astype(np.float32).ravel(), part.faces.astype(np.int32).ravel()
+        body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"m{k}")
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    quaternions = {name: Rotation.from_matrix(poses[name][:, :3, :3]).as_quat(scalar_first=True) for name in names}
+    exporter = USDExporter(model, output_directory=folder.name, output_directory_root=str(folder.parent), verbose=False)
+    for frame in range(len(clip)):
+        for k, name in enumerate(names):
+            data.mocap_pos[k], data.mocap_quat[k] = poses[name][frame, :3, 3], quaternions[name][frame]
+        mujoco.mj_kinematics(model, data)
+        exporter.update_scene(data)
+    exporter.save_scene("usdc")
+
+
+# ---------------------------------------------------------------- pictures
+
+
+def pictures(folder: Path, arguments: argparse.Namespace) -> None:
+    """The same pixels drawn from the same model; ours also reads the stage, draws the sky apart and scales down."""
+    import mujoco
+
+    from vehsim.exporters.render import StageRenderer
+    from vehsim.exporters.stage import StageReader
+
+    shot = vehsim.Shot.load(write(folder, FREE_SPACE.partition("[sweep]")[0], 1))
+    stage = StageReader(shot.solve().export(folder, ["usd"]) / "fly.usda")
+    frames = range(1001, 1097, 4)
+    for samples in (1, 4):
+        with StageRenderer(stage, (960, 540), samples=samples) as ours:
+            side = ours._supersample
+            peer = mujoco.Renderer(ours._model, 540 * side, 960 * side)
+            flags = peer.scene.flags
+            for name in ("SHADOW", "FOG", "SKYBOX"):
+                flags[mujoco.mjtRndFlag.__members__[f"mjRND_{name}"]] = 1
+
+            def bare(peer: Any = peer, ours: Any = ours) -> None:
+                for _ in frames:
+                    mujoco.mj_kinematics(ours._model, ours._data)
+                    peer.update_scene(ours._data)
+                    for theirs, eye in zip(peer.scene.camera, ours._canvas.scene.camera, strict=True):
+                        for key in LENS:
+                            setattr(theirs, key, getattr(eye, key))
+                    peer.render()
+
+            def own(ours: Any = ours) -> None:
+                for frame in frames:
+                    ours.render("chase", frame)
+
+            own(), bare()
+            times = [(clock(own), clock(bare)) for _ in range(3)]
+            ratio = min(a for a, _ in times) / min(b for _, b in times)
+            peer.close()
+        what = f"pictures at {samples} sample{'s' * (samples > 1)}, beside a bare mujoco.Renderer"
+        row(what, f"{ratio:.2f} x its time", "1.05 x", ratio <= 1.05)
+
+
+def clock(work: Callable[[], Any]) -> float:
+    began = time.perf_counter()
+    work()
+    return time.perf_counter() - began
+
+
+# ---------------------------------------------------------------- batches
+
+
+def write(folder: Path, text: str, count: int) -> Path:
+    path = folder / "fly.toml"
+    path.write_text(text.format(count=count))
+    return path
+
+
+def batch(folder: Path, count: int, workers: int) -> tuple[float, dict[str, Any]]:
+    """Seconds of a batch by the command line, and what it came to."""
+    shot = write(folder, FREE_SPACE, count)
+    out = folder / f"out{workers}"
+    command = [sys.executable, "-m", "vehsim.cli", "export", str(shot), "--out", str(out), "--quiet"]
+    began = time.perf_counter()
+    process = subprocess.Popen([*command, "--workers", str(workers)])
+    memory = Memory(process.pid)
+    code = process.wait()
+    seconds = time.perf_counter() - began
+    clips = json.loads((out / "summary.json").read_text())["clips"]
+    done = sum(clip["state"] == "done" for clip in clips)
+    return seconds, {"code": code, "done": done, "memory": memory.end()}
+
+
+class Memory(threading.Thread):
+    """Watches the resident memory of a process's children, MB."""
+
+    def __init__(self, pid: int) -> None:
+        super().__init__(daemon=True)
+        self._pid, self._going, self.seen = pid, True, []
+        self.start()
+
+    def run(self) -> None:
+        while self._going:
+            text = Path(f"/proc/{self._pid}/task/{self._pid}/children")
+            try:
+                sizes = [rss(int(pid)) for pid in text.read_text().split()]
+            except OSError:
+                sizes = []
+            self.seen.append(max(sizes, default=0.0))
+            time.sleep(0.5)
+
+    def end(self) -> tuple[float, float, float]:
+        """A quarter through, at the end, and the most, MB."""
+        self._going = False
+        self.join()
+        seen = [size for size in self.seen if size] or [0.0]
+        return seen[len(seen) // 4], seen[-2 if len(seen) > 1 else -1], max(seen)
+
+
+def rss(pid: int) -> float:
+    try:
+        return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * resource.getpagesize() / 1e6
+    except (OSError, IndexError):
+        return 0.0
+
+
+def scaling(folder: Path, arguments: argparse.Namespace) -> None:
+    times = {}
+    for workers in (1, 2):
+        before = load()
+        times[workers], said = batch(folder, arguments.short, workers)
+        what = f"{arguments.short} short clips, {workers} workers"
+        print(f"      {what}: {times[workers]:.1f} s, load before {before}, {said}", flush=True)
+    ratio = times[1] / times[2]
+    row(f"two workers beside one, {arguments.short} short clips", f"{ratio:.2f} x as fast", "1.8 x", ratio >= 1.8)
+
+
+def thousand(folder: Path, arguments: argparse.Namespace) -> None:
+    seconds, said = batch(folder, arguments.clips, 2)
+    early, late, most = said["memory"]
+    limit = 240 * arguments.clips / 1000
+    row(
+        f"{said['done']} free-space clips planned and baked, 2 workers",
+        f"{seconds:.0f} s",
+        f"{limit:.0f} s",
+        seconds <= limit,
+    )
+    grown = f"{early:.0f} -> {late:.0f} MB"
+    row(
+        "  memory of the larger worker, a quarter through and last",
+        grown,
+        "flat, 1000 MB",
+        late < 1.15 * early and most < 1000,
+    )
+
+
+def starting(folder: Path, arguments: argparse.Namespace) -> None:
+    for what, code, wanted in (
+        ("vehsim --help", "import sys; sys.argv[1:] = ['--help']; from vehsim.cli import main; main()", 0.3),
+        ("import vehsim", "import vehsim", 0.5),
+    ):
+        spent = []
+        for _ in range(7):
+            before = resource.getrusage(resource.RUSAGE_CHILDREN)
+            began = time.perf_counter()
+            subprocess.run([sys.executable, "-c", code], stdout=subprocess.DEVNULL, check=True)
+            wall = time.perf_counter() - began
+            after = resource.getrusage(resource.RUSAGE_CHILDREN)
+            spent.append((wall, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime))
+        wall, busy = min(w for w, _ in spent), min(b for _, b in spent)
+        row(what, f"{wall:.2f} s ({busy:.2f} s CPU)", f"{wanted} s", wall < wanted)
+
+
+LENS = ("pos", "forward", "up", "frustum_near", "frustum_far", "frustum_width", "frustum_bottom", "frustum_top")
+PARTS = {"starting": starting, "baking": baking, "pictures": pictures, "scaling": scaling, "thousand": thousand}
+
+if __name__ == "__main__":
+    main()

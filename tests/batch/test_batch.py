@@ -1,0 +1,135 @@
+"""Batches by the command line: same bytes from any number of workers, resumed by content, told to machines."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from vehsim import cli
+from vehsim.batch import export_batch, load_shots
+from vehsim.batch.inputs import fingerprint, is_finished
+
+FIVE = '"vehicle.car.motion.duration" = [0.25, 0.3, 0.35, 0.4, 0.45]'
+Content = Callable[[Path], dict[str, str]]
+Write = Callable[..., Path]
+
+
+def test_one_worker_two_workers_and_dask_give_the_same_bytes(write: Write, tmp_path: Path, content: Content) -> None:
+    pytest.importorskip("distributed")
+    shots = load_shots(write(sweep=FIVE))
+    for name, how in {"one": {}, "two": {"workers": 2}, "dask": {"workers": 2, "dask": "local"}}.items():
+        outcomes = export_batch(shots, tmp_path / name, ["usd", "npz"], **how)  # type: ignore[arg-type]
+        assert [outcome.state for outcome in outcomes] == ["done"] * 5
+    assert content(tmp_path / "one") == content(tmp_path / "two") == content(tmp_path / "dask")
+    assert len([path for path in content(tmp_path / "one") if path.endswith("report.json")]) == 5
+
+
+def test_finished_clips_are_left_and_others_made_again(write: Write, tmp_path: Path, content: Content) -> None:
+    shots, out = load_shots(write(sweep=FIVE)), tmp_path / "out"
+    export_batch(shots, out, ["npz", "csv"], workers=2)
+    before, dates = content(out), {path: path.stat().st_ino for path in out.iterdir()}
+    broken = out / "drive_duration1" / "car.npz"
+    broken.write_bytes(broken.read_bytes()[:-1] + b"?")
+    (out / "drive_duration2" / "car.csv").unlink()
+    (out / "drive_duration3" / "report.json").write_text('{"files": {}, "solved"')
+    outcomes = export_batch(shots, out, ["npz", "csv"], workers=2, resume=True)
+    assert [outcome.state for outcome in outcomes] == ["skipped", "done", "done", "done", "skipped"]
+    assert content(out) == before
+    same = {path.name for path in out.iterdir() if path.stat().st_ino == dates[path]}
+    assert same >= {"drive_duration0", "drive_duration4"}
+
+
+def test_whatever_a_clip_is_made_of_is_in_its_hash(write: Write, tmp_path: Path) -> None:
+    import shutil
+
+    from vehsim.vehicles import load_vehicle
+
+    home = load_vehicle("car").rig.asset.parent  # type: ignore[union-attr]
+    shutil.copytree(home, tmp_path / "mine")
+    (shot,) = load_shots(write(asset="mine"))
+    first = fingerprint(shot, ["npz"])
+    assert fingerprint(shot, ["npz"]) == first
+    seen = {first, fingerprint(shot, ["npz", "csv"]), fingerprint(shot, ["npz"], draft=True)}
+    seen.add(fingerprint(load_shots(tmp_path / "drive.toml", ["shot.start_frame=1"])[0], ["npz"]))
+    toml = tmp_path / "mine" / "vehicle.toml"
+    toml.write_text(toml.read_text() + "\n# a word\n")
+    seen.add(fingerprint(load_shots(tmp_path / "drive.toml")[0], ["npz"]))
+    assert len(seen) == 5
+
+
+def test_a_delivery_by_other_means_is_not_taken_for_finished(write: Write, tmp_path: Path) -> None:
+    (shot,) = load_shots(write())
+    shot.solve().export(tmp_path / "out", ["npz"])
+    assert not is_finished(tmp_path / "out" / "drive", fingerprint(shot, ["npz"]))
+
+
+def test_summary_and_exit_code(write: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    good, bad = write("good", sweep='"shot.start_frame" = [1, 2]'), write("bad", duration=-1)
+    out = tmp_path / "out"
+    arguments = ["export", str(bad), str(good), "--out", str(out), "--to", "npz", "--workers", "2"]
+    assert cli.run(arguments) == 1
+    assert capsys.readouterr().out.count("npz of frames") == 2
+    summary = json.loads((out / "summary.json").read_text())
+    assert [(clip["name"], clip["state"]) for clip in summary["clips"]] == [
+        ("good_start_frame0", "done"),
+        ("good_start_frame1", "done"),
+    ]
+    assert "duration = -1" in summary["refused"][0]
+    assert cli.run([*arguments, "--resume"]) == 1
+    assert capsys.readouterr().out.count("finished before") == 2
+    assert json.loads((out / "summary.json").read_text()) == summary
+
+
+def test_the_log_for_machines(write: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write(sweep='"shot.start_frame" = [1, 2]')
+    assert cli.run(["export", str(path), "--out", str(tmp_path / "out"), "--to", "usd", "--log", "json"]) == 0
+    said = capsys.readouterr()
+    events = [json.loads(line) for line in said.out.splitlines()]
+    assert events[0]["event"] == "batch"
+    assert [event["clip"] for event in events if event["event"] == "done"] == [
+        "drive_start_frame0",
+        "drive_start_frame1",
+    ]
+    assert {"planning", "baking"} <= {event["state"] for event in events if event["event"] == "progress"}
+    assert all("time" in event and "elapsed" in event for event in events)
+    assert said.err == ""
+
+
+def test_nothing_about_time_is_written(write: Write, tmp_path: Path, content: Content) -> None:
+    """Clocks that run elsewhere, or back, change no byte."""
+    import subprocess
+    import sys
+
+    path = write()
+    code = (
+        "import sys, time, vehsim.cli\n"
+        "offset = float(sys.argv.pop(1)); real = time.time\n"
+        "time.time = lambda: real() + offset\n"
+        "sys.exit(vehsim.cli.run(sys.argv[1:]))\n"
+    )
+    for offset in ("-1e9", "1e8"):
+        arguments = ["export", str(path), "--out", str(tmp_path / offset), "--to", "usd,npz,csv"]
+        subprocess.run([sys.executable, "-c", code, offset, *arguments], check=True, capture_output=True)
+    assert content(tmp_path / "-1e9") == content(tmp_path / "1e8")
+
+
+def test_the_live_table_counts_states() -> None:
+    from rich.console import Console
+
+    from vehsim.batch.screen import _Table
+    from vehsim.batch.task import Outcome, Task
+
+    tasks = [Task(name, {}, "", f"{name}.toml", "out", ("usd",), "") for name in ("a", "b", "c", "d")]
+    console = Console(record=True, width=120, force_terminal=True)
+    table = _Table(tasks, console)
+    table.tell("a", "planning", "iteration [3]", 0.5)
+    table.tell("b", "rendering", "frames: chase 7", 0.2)
+    table.end(Outcome("c", "failed", "SolveError", "no way [there]"))
+    console.print(table)
+    text = console.export_text()
+    assert "1 of 4: 1 queued, 1 planning, 1 rendering, 1 failed" in text
+    assert "iteration [3]" in text
+    assert "c.toml: no way [there]" in text
