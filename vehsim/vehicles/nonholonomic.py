@@ -60,7 +60,7 @@ class Nonholonomic(Vehicle):
             return None
         charts = self.__dict__.setdefault("_charts", {})
         if pivots not in charts:
-            charts[pivots] = replace(self, pivots=pivots, sample=np.asarray(r, float))
+            charts[pivots] = replace(self, pivots=pivots, sample=tuple(np.asarray(r, float)))
         return charts[pivots]
 
     def soundness(self, r: Any) -> float:
