@@ -109,7 +109,7 @@ def write_reports(take: Take, folder: Path, files: Sequence[Path]) -> None:
 def staging(target: Path) -> Iterator[Path]:
     """A hidden folder beside ``target``, on its file system, gone when the block ends. Raises ``ExportError``."""
     made = [folder for folder in (target.parent, *target.parent.parents) if not folder.exists()]
-    beside = target.with_name(f".{target.name}.{_owner()}.partial")
+    beside = target.with_name(f".{target.name}.{owner()}.partial")
     try:
         beside.mkdir(parents=True)
         yield beside
@@ -182,7 +182,7 @@ def _swap(beside: Path, target: Path, overwrite: bool) -> None:
     second rename fail, the first is undone.
     """
     for _ in range(100):
-        aside = target.with_name(f".{target.name}.{_owner()}.replaced")
+        aside = target.with_name(f".{target.name}.{owner()}.replaced")
         try:
             may_replace(target, overwrite)
             if not target.exists():
@@ -218,13 +218,15 @@ def _bring_back(target: Path) -> None:
 def clean_up(target: Path) -> None:
     """Drop what exports of ``target`` that were killed on this machine left beside it, and bring back what they hid."""
     _bring_back(target)
-    for kind in ("partial", "replaced"):
-        for path in _left(target, kind):
+    for path in (*_left(target, "partial"), *_left(target, "replaced")):
+        if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
 
 
 def _left(target: Path, kind: str) -> Iterator[Path]:
-    """Hidden folders of ``target`` whose process is gone. Those of other machines may be alive: they are left alone."""
+    """Hidden folders and files of ``target`` whose process is gone. Those of other machines may be alive: they are left alone."""
     for path in sorted(target.parent.glob(f".{target.name}.*.{kind}")):
         machine, _, rest = path.name[len(target.name) + 2 :].partition("-")
         pid = rest.partition("-")[0]
@@ -232,7 +234,7 @@ def _left(target: Path, kind: str) -> Iterator[Path]:
             yield path
 
 
-def _owner() -> str:
+def owner() -> str:
     """Names a hidden folder: no other process, of this or another machine, makes the same name."""
     return f"{_machine()}-{os.getpid()}-{secrets.token_hex(4)}"
 

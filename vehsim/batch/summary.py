@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import json
 import os
-import secrets
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from vehsim import __version__
 from vehsim.batch.task import Outcome, Task
+from vehsim.delivery import clean_up, owner
 from vehsim.errors import ExportError
 
 NAME = "summary.json"
@@ -44,9 +45,10 @@ def _clip(task: Task, outcome: Outcome | None) -> dict[str, Any]:
 
 def write_whole(path: Path, text: str) -> None:
     """Write beside, have it on the disk, then move into place. Raises ``ExportError``."""
-    beside = path.with_name(f".{path.name}.{secrets.token_hex(6)}.partial")
+    beside = path.with_name(f".{path.name}.{owner()}.partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        clean_up(path)
         with beside.open("x", encoding="utf-8") as file:
             file.write(text)
             file.flush()
@@ -55,4 +57,5 @@ def write_whole(path: Path, text: str) -> None:
     except OSError as error:
         raise ExportError(f"{path}: could not be written: {error.strerror}; mend that and export again") from error
     finally:
-        beside.unlink(missing_ok=True)
+        with suppress(OSError):
+            beside.unlink()

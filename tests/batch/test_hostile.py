@@ -1,0 +1,244 @@
+"""Nothing is lost and nothing half-written is believed: kills, full disks, other exports, broken caches, no memory."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import resource
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vehsim.batch import export_batch, load_shots
+
+Content = Callable[[Path], dict[str, str]]
+Write = Callable[..., Path]
+SWEEP = '"vehicle.car.motion.duration" = {{ from = 0.25, to = 1.0, count = {} }}'
+
+
+def start(shot: Path, out: Path, *more: str, limit: int | None = None) -> subprocess.Popen[str]:
+    """A batch in a process group of its own. ``limit``: the largest file it may write, bytes."""
+    arguments = [sys.executable, "-m", "vehsim.cli", "export", str(shot), "--out", str(out), "--workers", "2", *more]
+    preparation = None
+    if limit is not None:
+        preparation = lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))  # noqa: E731
+    return subprocess.Popen(
+        arguments,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=preparation,
+    )
+
+
+def children(process: subprocess.Popen[str]) -> list[int]:
+    return [int(pid) for pid in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()]
+
+
+@pytest.fixture
+def undisturbed(write: Write, tmp_path: Path, content: Content) -> Callable[..., tuple[Path, dict[str, str]]]:
+    """A shot file of so many clips, and what its batch is when nothing happens."""
+
+    def run(count: int, *more: str) -> tuple[Path, dict[str, str]]:
+        shot = write(sweep=SWEEP.format(count))
+        process = start(shot, tmp_path / "undisturbed", *more)
+        assert process.wait() == 0, process.communicate()
+        return shot, content(tmp_path / "undisturbed")
+
+    return run
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_killed_at_random_again_and_again(
+    undisturbed: Callable[..., tuple[Path, dict[str, str]]], tmp_path: Path, content: Content, seed: int
+) -> None:
+    """kill -9 for the whole batch or one of its workers, at any instant; what is left in the end is what there was."""
+    shot, expected = undisturbed(12, "--to", "usd,npz")
+    chance, out, kills = random.Random(seed), tmp_path / "out", 0
+    while True:
+        process = start(shot, out, "--to", "usd,npz", "--resume")
+        if kills < 6:
+            time.sleep(chance.uniform(0.3, 3.0))
+            workers = children(process) if process.poll() is None else []
+            if chance.random() < 0.4 and workers:
+                os.kill(chance.choice(workers), signal.SIGKILL)
+            elif process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL)
+            kills += 1
+        code = process.wait()
+        if code == 0 and kills >= 6:
+            break
+    assert content(out) == expected
+
+
+def test_workers_end_with_their_batch(write: Write, tmp_path: Path) -> None:
+    process = start(write(sweep=SWEEP.format(40)), tmp_path / "out", "--to", "usd")
+    while not (tmp_path / "out").exists():
+        time.sleep(0.05)
+    workers = children(process)
+    process.kill()
+    process.wait()
+    deadline = time.monotonic() + 10
+    while any(
+        Path(f"/proc/{pid}/status").exists() and "Z (" not in Path(f"/proc/{pid}/status").read_text() for pid in workers
+    ):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_batch_tidies_up(write: Write, tmp_path: Path, number: int) -> None:
+    process = start(write(sweep=SWEEP.format(60)), tmp_path / "out", "--to", "usd")
+    while not list((tmp_path / "out").glob("drive*")):
+        time.sleep(0.02)
+    os.kill(process.pid, number)
+    _, said = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert "Traceback" not in said
+    assert not list((tmp_path / "out").glob(".*"))
+    states = {clip["state"] for clip in json.loads((tmp_path / "out" / "summary.json").read_text())["clips"]}
+    assert states == {"done", "unfinished"}
+
+
+def test_a_file_that_cannot_grow_fails_its_clip_alone(
+    undisturbed: Callable[..., tuple[Path, dict[str, str]]], tmp_path: Path, content: Content
+) -> None:
+    """As on a disk that is full for large files: every clip says so, nothing half-written stays, --resume mends it."""
+    shot, expected = undisturbed(3, "--to", "usd")
+    out = tmp_path / "out"
+    process = start(shot, out, "--to", "usd", limit=20_000)
+    _, said = process.communicate()
+    assert process.returncode == 1
+    assert "could not be written" in said
+    assert {path.name for path in out.iterdir()} == {"summary.json"}
+    clips = json.loads((out / "summary.json").read_text())["clips"]
+    assert {(clip["state"], clip["error"]["kind"]) for clip in clips} == {("failed", "ExportError")}
+    process = start(shot, out, "--to", "usd", "--resume")
+    assert process.wait() == 0
+    assert content(out) == expected
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of two and a half megabytes."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=2500k", "tmpfs", str(place)], capture_output=True)
+    if mounted.returncode != 0:
+        pytest.skip("no file system can be mounted here")
+    yield place
+    subprocess.run(["umount", str(place)], check=True)
+
+
+def test_a_full_disk(
+    undisturbed: Callable[..., tuple[Path, dict[str, str]]], small_disk: Path, content: Content
+) -> None:
+    shot, expected = undisturbed(6, "--to", "usd")
+    process = start(shot, small_disk / "out", "--to", "usd")
+    _, said = process.communicate()
+    assert process.returncode == 1, said
+    found = content(small_disk / "out")
+    whole = {path: digest for path, digest in found.items() if path != "summary.json"}
+    assert whole.items() <= expected.items()  # what is there is whole
+    assert not [path for path in found if path.startswith(".")]
+    subprocess.run(["mount", "-o", "remount,size=64m", str(small_disk)], check=True)
+    assert start(shot, small_disk / "out", "--to", "usd", "--resume").wait() == 0
+    assert content(small_disk / "out") == expected
+
+
+def test_an_output_that_may_only_be_read(write: Write, small_disk: Path) -> None:
+    subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True)
+    process = start(write(sweep=SWEEP.format(2)), small_disk / "out", "--to", "npz")
+    _, said = process.communicate()
+    assert process.returncode == 1
+    assert "could not be written" in said
+    assert "Traceback" not in said
+
+
+def test_two_exports_into_one_folder(
+    undisturbed: Callable[..., tuple[Path, dict[str, str]]], tmp_path: Path, content: Content
+) -> None:
+    shot, expected = undisturbed(6, "--to", "usd,npz")
+    for _ in range(2):  # into an empty folder, then over what is there
+        both = [start(shot, tmp_path / "out", "--to", "usd,npz") for _ in range(2)]
+        assert [process.communicate() and process.returncode for process in both] == [0, 0]
+        assert content(tmp_path / "out") == expected
+
+
+def test_deliveries_swapped_by_many_at_once(tmp_path: Path) -> None:
+    """Eight threads replace one delivery over and over: it is always one of theirs, whole."""
+    from concurrent.futures import ThreadPoolExecutor
+
+    from vehsim.delivery import SIGN, replacing
+
+    target = tmp_path / "shot"
+
+    def deliver(k: int) -> None:
+        for _ in range(10):
+            with replacing(target) as folder:
+                for name in ("a", "b", SIGN):
+                    (folder / name).write_text(str(k))
+
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(deliver, range(8)))
+    assert len({(target / name).read_text() for name in ("a", "b", SIGN)}) == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["shot"]
+
+
+def test_hidden_folders_of_the_living_and_of_other_machines_stay(tmp_path: Path) -> None:
+    from vehsim.delivery import _machine, clean_up
+
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    stay = [f".shot.{_machine()}-{os.getpid()}-00.partial", f".shot.00000000-{gone.pid}-00.partial"]
+    for name in (*stay, f".shot.{_machine()}-{gone.pid}-00.partial"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "shot").mkdir()
+    clean_up(tmp_path / "shot")
+    assert {path.name for path in tmp_path.iterdir()} == {*stay, "shot"}
+
+
+def test_a_cached_field_full_of_zeros_is_not_believed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A power cut may leave a file of the right size and shape whose data never reached the disk."""
+    from vehsim.world import Terrain, World
+
+    monkeypatch.setenv("VEHSIM_CACHE", str(tmp_path))
+    terrain = Terrain("hill", np.add.outer(np.arange(12.0), np.arange(12.0)), (0.0, 0.0), (1.0, 1.0))
+    first = World(terrain).distance_field()
+    (file,) = tmp_path.iterdir()
+    body = file.read_bytes()
+    file.write_bytes(body[:128] + bytes(len(body) - 128))
+    with pytest.warns(UserWarning, match="damaged"):
+        again = World(terrain).distance_field()
+    assert first is not None
+    assert again is not None
+    assert (first.distances == again.distances).all()
+    assert file.read_bytes() == body
+
+
+def test_a_clip_without_memory_fails_alone(write: Write, tmp_path: Path) -> None:
+    """Millions of steps do not fit into the worker's share; the other clip does."""
+    shots = load_shots(write("small")) + load_shots(write("large", duration=60.0, more="step = 0.00001\n"))
+    outcomes = export_batch(shots, tmp_path / "out", ["npz"], workers=1, memory=1.5)
+    assert [outcome.state for outcome in outcomes] == ["done", "failed"]
+    assert "memory" in outcomes[1].message
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"small", "summary.json"}
+
+
+def test_missing_pictures_are_rendered_again(write: Write, tmp_path: Path, content: Content) -> None:
+    more = "[render]\nsize = [64, 36]\nevery = 3\nsamples = 1\n"
+    (shot,) = load_shots(write(more=more))
+    export_batch([shot], tmp_path / "out", ["usd", "png"])
+    before = content(tmp_path / "out")
+    next((tmp_path / "out" / "drive" / "frames" / "chase").glob("*.1004.png")).unlink()
+    (outcome,) = export_batch([shot], tmp_path / "out", ["usd", "png"], resume=True)
+    assert outcome.state == "done"
+    assert content(tmp_path / "out") == before
