@@ -59,7 +59,7 @@ def speed(report: list[str]) -> None:
 
 def _side_by_side(integrator: Integrator, phase: Any, c: np.ndarray) -> float:
     """Gain of two threads over one on 1,000 vehicles side by side, 256 steps each."""
-    chunk = _chunk(integrator.mechanics, 2, True)
+    chunk = _chunk(integrator.mechanics, 2, "advance_fast")
     n, steps = 1000, 256
     x = np.tile(_pack(phase)[:, None], n)
     inputs = (

@@ -139,16 +139,27 @@ class DiscreteMechanics:
 
         Forces enter it with h^2 only, so at ordinary steps the residual reaches round-off; it says when it did not.
         """
+        return self._chords(rounds=1)
+
+    @cached_property
+    def advance_far(self) -> ca.Function:
+        """`advance_fast` for long steps: the Jacobian renewed twice. Still far cheaper than Newton in full."""
+        return self._chords(rounds=3)
+
+    def _chords(self, rounds: int) -> ca.Function:
         y, segment = self.symbols, self.segment
-        n = y["z"].shape[0]
-        inverse = ca.solve(ca.jacobian(segment["inert"], y["z"]), ca.SX.eye(n)) if n else ca.SX(0, 0)
-        names = ("g", "r", "pi", "c0", "c1", "h", "wind")
-        residual = ca.Function("residual", [y["z"], *(y[n] for n in names)], [segment["left"] - y["pi"]])
+        n, names = y["z"].shape[0], ("g", "r", "pi", "c0", "c1", "h", "wind")
+        given = [y["z"], *(y[name] for name in names)]
+        solve = ca.solve(ca.jacobian(segment["inert"], y["z"]), ca.SX.eye(n)) if n else ca.SX(0, 0)
+        inverse = ca.Function("inverse", given, [solve])
+        residual = ca.Function("residual", given, [segment["left"] - y["pi"]])
         z = y["z"]
-        for _ in range(CHORD_STEPS):
-            z = z - inverse @ residual(z, *(y[n] for n in names))
+        for _ in range(rounds):
+            matrix = inverse(z, *given[1:])
+            for _ in range(CHORD_STEPS):
+                z = z - matrix @ residual(z, *given[1:])
         inputs = [y[n] for n in ("g", "r", "pi", "z", "c0", "c1", "h", "wind")]
-        return ca.Function("advance_fast", inputs, ca.cse([ca.densify(x) for x in self._finish(z)]))
+        return ca.Function("advance_chords", inputs, ca.cse([ca.densify(x) for x in self._finish(z)]))
 
     def _finish(self, z: Expr) -> list[Expr]:
         """``g1, r1, pi1, z`` of a solved segment, and the residual it was solved to, relative to what it balances."""

@@ -220,7 +220,7 @@ class Integrator:
         """Phases at every knot, the loop kept inside CasADi."""
         m, n = self.mechanics, len(controls) - 1
         history = [(phase.g[None], phase.r[None], phase.pi[None])]
-        h, fast = np.full((1, _CHUNK), self.step_size), True
+        h, ways = np.full((1, _CHUNK), self.step_size), list(_WAYS)
         winds, cuts = np.tile(self.wind[:, None], _CHUNK), np.cumsum(m.sizes[:3])
         for first in range(0, n, _CHUNK):
             block = controls[first : first + _CHUNK + 1]
@@ -228,10 +228,10 @@ class Integrator:
             # a short block is filled up with its last controls, and what comes of them dropped
             filled = np.vstack([block, np.repeat(block[-1:], _CHUNK - count, axis=0)])
             inputs = (_pack(phase), filled[:-1].T, filled[1:].T, h, winds)
-            x, residual = _chunk(m, self.order, fast)(*inputs)
-            if fast and not np.all(flat(residual)[:count] <= FAST_TOLERANCE):
-                fast = False  # a step too long for the short solve: Newton in full from here on
-                x, residual = _chunk(m, self.order, fast)(*inputs)
+            x, residual = _chunk(m, self.order, ways[0])(*inputs)
+            while len(ways) > 1 and not np.all(flat(residual)[:count] <= FAST_TOLERANCE):
+                ways.pop(0)  # steps too long for this solve: the next from here on
+                x, residual = _chunk(m, self.order, ways[0])(*inputs)
             if not np.all(flat(residual)[:count] <= TOLERANCE):  # one by one: retries, or an error that names the step
                 phases = list(self._loop(phase, block, first))
                 history += [(p.g[None], p.r[None], p.pi[None]) for p in phases]
@@ -254,6 +254,8 @@ HolonomicIntegrator = NonholonomicIntegrator = Integrator
 
 _RETRIES = 8
 _CHUNK = 256
+_WAYS = ("advance_fast", "advance_far", "advance")
+"""Solves of a step, cheapest first."""
 
 
 def _symmetric(name: str, vehicle: Vehicle) -> bool:
@@ -278,9 +280,9 @@ def _projected_wrench(mechanics: DiscreteMechanics) -> ca.Function:
     return keep(mechanics, "wrench", lambda: ca.Function("wrench", [y["g"], y["r"], w], [covector]))
 
 
-def _chunk(mechanics: DiscreteMechanics, order: int, fast: bool) -> ca.Function:
+def _chunk(mechanics: DiscreteMechanics, order: int, solve: str) -> ca.Function:
     """``_CHUNK`` steps in one call: (x, c0 (c, n), c1 (c, n), h (1, n), wind (3, n)) -> (x, residuals) of each."""
-    return keep(mechanics, f"chunk{order}{fast}", lambda: whole_step(mechanics, order, fast).mapaccum(_CHUNK))
+    return keep(mechanics, f"chunk{order}{solve}", lambda: whole_step(mechanics, order, solve).mapaccum(_CHUNK))
 
 
 def _pack(phase: Phase) -> Array:

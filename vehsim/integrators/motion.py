@@ -179,8 +179,11 @@ def _public_step(m: DiscreteMechanics, order: int) -> ca.Function:
     return ca.Function("public", [given, rest], ca.cse([ca.densify(out)]))
 
 
-def whole_step(mechanics: DiscreteMechanics, order: int, fast: bool = True) -> ca.Function:
-    """``(x, c0, c1, h, wind) -> (x1, residual)`` with ``x = (g, r, pi, z)``: all substeps of a composed step."""
+def whole_step(mechanics: DiscreteMechanics, order: int, solve: str = "advance_fast") -> ca.Function:
+    """``(x, c0, c1, h, wind) -> (x1, residual)`` with ``x = (g, r, pi, z)``: all substeps of a composed step.
+
+    ``solve``: which of `DiscreteMechanics`' ways to advance.
+    """
     from vehsim.integrators.integrator import COMPOSITIONS
 
     def build() -> ca.Function:
@@ -188,7 +191,7 @@ def whole_step(mechanics: DiscreteMechanics, order: int, fast: bool = True) -> c
         x, c0, c1 = ca.SX.sym("x", sum(sizes) + sizes[2]), y["c0"], y["c1"]
         g, r, pi, z = ca.vertsplit(x, [0, *(int(k) for k in np.cumsum([*sizes, sizes[2]]))])
         done, worst = 0.0, ca.SX(0)
-        advance = mechanics.advance_fast if fast else mechanics.advance
+        advance = getattr(mechanics, solve)
         for fraction in COMPOSITIONS[order]:
             a, b = c0 + done * (c1 - c0), c0 + (done + fraction) * (c1 - c0)
             g, r, pi, z, residual = advance(g, r, pi, z, a, b, fraction * y["h"], y["wind"])
@@ -196,4 +199,4 @@ def whole_step(mechanics: DiscreteMechanics, order: int, fast: bool = True) -> c
         outputs = [ca.densify(ca.vertcat(g, r, pi, z)), worst]
         return ca.Function("step", [x, c0, c1, y["h"], y["wind"]], outputs)
 
-    return keep(mechanics, f"step{order}{fast}", build)
+    return keep(mechanics, f"step{order}{solve}", build)
