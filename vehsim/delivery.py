@@ -226,7 +226,7 @@ def clean_up(target: Path) -> None:
 
 
 def _left(target: Path, kind: str) -> Iterator[Path]:
-    """Hidden folders and files of ``target`` whose process is gone. Those of other machines may be alive: they are left alone."""
+    """Hidden folders and files of ``target`` whose process is gone; those of other machines may be alive and stay."""
     for path in sorted(target.parent.glob(f".{target.name}.*.{kind}")):
         machine, _, rest = path.name[len(target.name) + 2 :].partition("-")
         pid = rest.partition("-")[0]

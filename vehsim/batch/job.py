@@ -36,7 +36,10 @@ def write_job(path: Path, tasks: Sequence[Task], chunks: int = 4, name: str = "v
 
 
 def template(tasks: Sequence[Task], clips: str, chunks: int, name: str) -> dict[str, Any]:
-    """The template as data, with ``clips`` a file beside it: measure (where terrain is planned in), plan, bake, render and deliver."""
+    """The template as data, with ``clips`` a file beside it.
+
+    Its steps: measure (where terrain is planned in), plan, bake, and with pictures render and deliver.
+    """
     every = f"0-{len(tasks) - 1}"
     first_on = {task.field: i for i, task in reversed(list(enumerate(tasks))) if task.field is not None}
     steps = []

@@ -1,0 +1,76 @@
+"""Fifty kills in a batch of two hundred clips: ``python benchmarks/bench_kills.py [kills] [clips] [seed]``.
+
+A batch is killed (kill -9, itself or one of its workers, at random instants) and resumed until the kills are spent and
+it ends; its folder must then hold the bytes of an undisturbed batch, and nothing else.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+SHOT = """
+[shot]
+schema = 1
+name = "drive"
+[[vehicle]]
+name = "car"
+asset = "car"
+[vehicle.motion]
+method = "simulate"
+commands = [{{ frame = 1001, torque = 500 }}]
+[sweep]
+"vehicle.car.motion.duration" = {{ from = 0.5, to = 4.0, count = {count} }}
+"""
+
+
+def content(folder: Path) -> dict[str, str]:
+    files = (path for path in folder.rglob("*") if path.is_file())
+    return {path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+
+
+def start(folder: Path, out: str) -> subprocess.Popen[bytes]:
+    command = [sys.executable, "-m", "vehsim.cli", "export", str(folder / "drive.toml"), "--out", str(folder / out)]
+    options = ["--to", "usd,npz,csv", "--workers", "2", "--resume", "--quiet"]
+    return subprocess.Popen([*command, *options], start_new_session=True)
+
+
+def main(kills: int = 50, clips: int = 200, seed: int = 1) -> int:
+    chance = random.Random(seed)
+    with tempfile.TemporaryDirectory(prefix="bench-") as name:
+        folder = Path(name)
+        (folder / "drive.toml").write_text(SHOT.format(count=clips))
+        began = time.monotonic()
+        code = start(folder, "undisturbed").wait()
+        print(f"undisturbed: exit code {code}, {time.monotonic() - began:.0f} s", flush=True)
+        whole = single = starts = 0
+        while True:
+            process, starts = start(folder, "killed"), starts + 1
+            while process.poll() is None and whole + single < kills:
+                time.sleep(chance.uniform(0.2, 3.0))
+                children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+                workers = children.read_text().split() if process.poll() is None else []
+                if workers and chance.random() < 0.5:
+                    os.kill(int(chance.choice(workers)), signal.SIGKILL)
+                    single += 1
+                elif process.poll() is None:
+                    os.killpg(process.pid, signal.SIGKILL)
+                    whole += 1
+            code = process.wait()
+            if code == 0 and whole + single >= kills:
+                break
+        same = content(folder / "undisturbed") == content(folder / "killed")
+        print(f"{whole} batches and {single} workers killed, {starts} starts, {time.monotonic() - began:.0f} s in all")
+        print("byte-identical to the undisturbed batch" if same else "DIFFERENT")
+        return 0 if same else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(*map(int, sys.argv[1:])))
