@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import json
 import os
+import zipfile
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -52,12 +54,21 @@ class Clip:
     energy: Mapping[str, Array] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "fps", Fraction(self.fps).limit_denominator(100_000))
+        object.__setattr__(self, "fps", frame_rate(self.fps))
         lengths = {name: len(getattr(self, name)) for name in _ARRAYS}
         if len(set(lengths.values())) != 1 or lengths["times"] == 0:
             raise InputError(f"clip: arrays of different lengths or empty: {lengths}; give one row per sample")
         if np.any(np.diff(self.times) <= 0):
             raise InputError("clip: times must increase; sort the samples and drop repeated ones")
+        for name in _ARRAYS:
+            if not np.all(np.isfinite(getattr(self, name))):
+                raise InputError(f"clip: {name} are not finite in every sample; give numbers")
+        if np.any(np.abs(np.linalg.norm(self.orientations, axis=1) - 1) > 1e-3):
+            raise InputError("clip: orientations are not unit quaternions; normalise them")
+
+    def __repr__(self) -> str:
+        span = f"frames {self.start_frame} to {self.end_frame} at {self.fps} fps"
+        return f"<Clip of {self.vehicle.name}: {len(self)} samples, {span}>"
 
     def __len__(self) -> int:
         return len(self.times)
@@ -113,6 +124,8 @@ class Clip:
         from vehsim._interpolate import interpolate
 
         times = np.atleast_1d(np.asarray(times, float))
+        if times.ndim != 1 or not np.all(np.isfinite(times)):
+            raise InputError(f"clip: times of shape {times.shape}; give finite seconds, (m,)")
         slack = 1e-9 * max(1.0, abs(self.times[-1]))
         if times.min() < self.times[0] - slack or times.max() > self.times[-1] + slack:
             raise InputError(
@@ -123,7 +136,7 @@ class Clip:
 
     def resample(self, fps: Any = None) -> Clip:
         """The clip on whole frames, ``start_frame`` to ``end_frame``; ``fps`` unchanged unless given."""
-        clip = self if fps is None else replace(self, fps=Fraction(fps))
+        clip = self if fps is None else replace(self, fps=fps)
         count = clip.end_frame - clip.start_frame + 1
         times = np.array([float(k / clip.fps) for k in range(count)])
         return clip.at(np.minimum(times, clip.times[-1]))
@@ -159,7 +172,7 @@ class Clip:
                 arrays = {name: data[name] for name in data.files}
             header = json.loads(str(arrays.pop("header")))
             columns = {name: arrays[name] for name in _ARRAYS}
-        except (OSError, KeyError, ValueError) as error:
+        except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
             raise InputError(f"{path}: not a clip saved by vehsim: {error}; save it with clip.save") from None
         return cls(
             vehicle=vehicle or _vehicle_of(header),
@@ -176,6 +189,17 @@ class Clip:
         from vehsim.take import export_clip
 
         return export_clip(self, Path(path), to)
+
+
+def frame_rate(fps: Any) -> Fraction:
+    """Frames a second as an exact fraction; ``InputError`` unless positive."""
+    try:
+        rate = Fraction(fps).limit_denominator(100_000)
+    except (TypeError, ValueError, ZeroDivisionError, OverflowError):
+        rate = Fraction(0)
+    if rate <= 0:
+        raise InputError(f"fps = {fps!r}: give frames a second, such as 24 or Fraction(24000, 1001)")
+    return rate
 
 
 def _group(arrays: Mapping[str, Array], prefix: str) -> dict[str, Array]:

@@ -121,3 +121,38 @@ def test_one_sample_is_a_clip():
     clip = flown("car")
     one = Clip(clip.vehicle, **{f: getattr(clip, f)[:1] for f in ("times", *FIELDS)})
     assert len(one.resample()) == 1 and one.at([0.0]).positions.shape == (1, 3)
+
+
+@pytest.mark.parametrize("damage", [b"", b"PK\x03\x04half", None])
+def test_damaged_files_are_named(tmp_path, damage):
+    """Empty, truncated and bit-flipped files are wrong input, not a fault of vehsim."""
+    import vehsim
+    from vehsim.errors import InputError
+
+    clip = vehsim.simulate(vehsim.load_vehicle("car"), None, (0.0, 0.0), duration=0.5)
+    path = clip.save(tmp_path / "clip.npz")
+    whole = path.read_bytes()
+    if damage is None:
+        middle = len(whole) // 2
+        damage = whole[:middle] + bytes(255 - b for b in whole[middle : middle + 64]) + whole[middle + 64 :]
+    path.write_bytes(damage)
+    with pytest.raises(InputError, match=r"clip\.npz"):
+        vehsim.Clip.load(path)
+
+
+def test_clips_hold_finite_numbers_and_unit_quaternions():
+    from dataclasses import replace
+
+    import vehsim
+    from vehsim.errors import InputError
+
+    clip = vehsim.simulate(vehsim.load_vehicle("car"), None, (0.0, 0.0), duration=0.5)
+    with pytest.raises(InputError, match="positions are not finite"):
+        replace(clip, positions=clip.positions * np.nan)
+    with pytest.raises(InputError, match="unit quaternions"):
+        replace(clip, orientations=clip.orientations * 0)
+    with pytest.raises(InputError, match="fps"):
+        clip.resample(0)
+    with pytest.raises(InputError, match="finite seconds"):
+        clip.at([np.nan])
+    assert len(repr(clip)) < 120

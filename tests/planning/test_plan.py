@@ -272,3 +272,63 @@ def test_state_is_untouched_by_planning(helicopter):
     integrator = Integrator(helicopter, 0.01)
     phase = integrator.start(state, np.zeros(4))
     np.testing.assert_allclose(integrator.state(phase, np.zeros(4)).position, (1, 2, 3), atol=1e-12)
+
+
+def test_car_meets_velocity_marks_in_both_components():
+    car = vehsim.load_vehicle("car")
+    marks = [Mark(1, position=REST, velocity=(5, 0, 0)), Mark(121, position=(30, 30, 0), velocity=(0, 5, 0))]
+    plan = vehsim.plan(car, None, marks, segments=32)
+    assert plan.success
+    planar = np.column_stack([plan.clip.twists[:, 1:3], np.zeros(len(plan.clip))])
+    velocity = _turn(plan.clip.orientations, planar)
+    np.testing.assert_allclose(velocity[[0, -1]], [(5, 0, 0), (0, 5, 0)], atol=1e-6)
+
+
+def test_marks_of_a_car_share_their_height():
+    car = vehsim.load_vehicle("car")
+    with pytest.raises(InputError, match="keeps its height"):
+        vehsim.plan(car, None, [Mark(1, position=(0, 0, 3)), Mark(50, position=(9, 0, 0))], segments=8)
+
+
+def test_free_heading_is_nose_first(helicopter):
+    marks = [Mark(1, position=(0, 0, 10), velocity=REST), Mark(145, position=(20, 0, 10), velocity=REST)]
+    plan = vehsim.plan(helicopter, None, marks, segments=32)
+    heading = 2 * np.degrees(np.arctan2(plan.clip.orientations[:, 3], plan.clip.orientations[:, 0]))
+    assert plan.success and np.abs(heading).max() < 15
+
+
+def test_a_free_drive_does_not_crawl():
+    car = vehsim.load_vehicle("car")
+    marks = [Mark(1, position=REST, heading=0, velocity=REST), Mark("free", position=(75, 0, 0), velocity=REST)]
+    plan = vehsim.plan(car, None, marks, segments=32)
+    assert plan.success and plan.duration < 25
+
+
+def test_interrupt_stops_the_solve_and_is_raised(helicopter):
+    """Ctrl-C within IPOPT: raised at once, not swallowed and not turned into a result."""
+    import os
+    import signal
+
+    marks = [Mark(1, position=(0, 0, 30), velocity=REST), Mark("free", position=(80, 0, 30), velocity=REST)]
+    seen = []
+
+    def progress(text, fraction):
+        seen.append(text)
+        if len(seen) == 3:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    handler = signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt):
+        vehsim.plan(helicopter, None, marks, segments=32, progress=progress)
+    assert len(seen) <= 5 and signal.getsignal(signal.SIGINT) is handler
+
+
+@pytest.mark.parametrize("fps", [0, -24, "x", np.nan])
+def test_wrong_frame_rates_are_named(fps):
+    with pytest.raises(InputError, match="fps"):
+        vehsim.plan(tug(), None, [Mark(1, position=REST), Mark(9, position=(1, 0, 0))], segments=8, fps=fps)
+
+
+def test_a_name_is_not_a_vehicle():
+    with pytest.raises(InputError, match="load_vehicle"):
+        vehsim.plan("helicopter", None, [Mark(1, position=REST), Mark(9, position=(1, 0, 0))])

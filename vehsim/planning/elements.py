@@ -7,8 +7,11 @@ derivatives are exact and sparse. What belongs here knows nothing of vehicles.
 
 from __future__ import annotations
 
+import signal
+import threading
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -279,7 +282,8 @@ class Solver:
     def solve(self, x0: Array, lower: Array, upper: Array, parameters: Array) -> Solution:
         g_lower, g_upper = self._bounds
         self._callback.count = 0
-        answer = self._solver(x0=x0, lbx=lower, ubx=upper, lbg=g_lower, ubg=g_upper, p=parameters)
+        with _interruptible(self._callback):
+            answer = self._solver(x0=x0, lbx=lower, ubx=upper, lbg=g_lower, ubg=g_upper, p=parameters)
         stats = self._solver.stats()
         x, g = np.asarray(answer["x"]).ravel(), np.asarray(answer["g"]).ravel()
         violations = np.maximum.reduce([g_lower - g, g - g_upper, np.zeros_like(g)])
@@ -294,6 +298,26 @@ class Solver:
         )
 
 
+@contextmanager
+def _interruptible(callback: _Callback) -> Iterator[None]:
+    """Ctrl-C stops IPOPT at its next iteration and is raised after it: an exception inside it would be swallowed."""
+    callback.interrupted = False
+
+    def stop(number: int, frame: Any) -> None:
+        callback.interrupted = True
+
+    in_main = threading.current_thread() is threading.main_thread()
+    ours = [n for n in (signal.SIGINT, signal.SIGTERM) if in_main and callable(signal.getsignal(n))]
+    kept = {number: signal.signal(number, stop) for number in ours}
+    try:
+        yield
+    finally:
+        for number, handler in kept.items():
+            signal.signal(number, handler)
+    if callback.interrupted:
+        raise KeyboardInterrupt
+
+
 class _Callback(ca.Callback):
     """IPOPT's iteration callback: tells the solver's watcher how many iterations are done."""
 
@@ -302,6 +326,7 @@ class _Callback(ca.Callback):
         self._sizes = {"x": x, "f": 1, "g": g, "lam_x": x, "lam_g": g, "lam_p": p}
         self._solver = weakref.ref(solver)
         self.count = 0
+        self.interrupted = False
         self.construct("watch", {})
 
     def get_n_in(self) -> int:
@@ -322,6 +347,9 @@ class _Callback(ca.Callback):
     def eval(self, arguments: Any) -> list[int]:
         self.count += 1
         solver = self._solver()
-        if solver is not None and solver.watch is not None:
-            solver.watch(self.count)
-        return [0]
+        try:
+            if solver is not None and solver.watch is not None and not self.interrupted:
+                solver.watch(self.count)
+        except KeyboardInterrupt:
+            self.interrupted = True
+        return [int(self.interrupted)]

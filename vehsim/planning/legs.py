@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise
 
@@ -13,6 +14,31 @@ from numpy.typing import NDArray
 from vehsim.planning.marks import Mark
 
 Array = NDArray[np.float64]
+
+
+def facing(marks: Sequence[Mark], paths: Sequence[Array]) -> list[Mark]:
+    """The marks; those at rest without an attitude face along their legs: nothing else would say which way to look."""
+    turned = list(marks)
+    for i, mark in enumerate(marks):
+        if not mark.balanced or mark.heading is not None:
+            continue
+        way = np.zeros(2)  # onwards: away from where it comes from, towards where it goes
+        if i > 0:
+            way -= _bearing(paths[i - 1][::-1])
+        if i < len(paths):
+            way += _bearing(paths[i])
+        if np.linalg.norm(way) > 1e-6:
+            turned[i] = replace(mark, heading=float(np.degrees(np.arctan2(way[1], way[0]))))
+    return turned
+
+
+def _bearing(path: Array) -> Array:
+    """Horizontal direction (2,) from a path's first point to a place some way along it; zero for a vertical one."""
+    steps = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    at = min(steps[-1], max(5.0, 0.05 * steps[-1]))
+    ahead = np.array([np.interp(at, steps, path[:, k]) - path[0, k] for k in (0, 1)])
+    length = float(np.linalg.norm(ahead))
+    return ahead / length if length > 1e-3 else np.zeros(2)
 
 
 def cut(points: Array, legs: list[tuple[Array, Array]]) -> list[Array]:

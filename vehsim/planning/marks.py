@@ -23,7 +23,8 @@ class Mark:
 
     A mark with ``velocity = (0, 0, 0)`` is at rest: the body does not turn either, and when its attitude is not given
     it stands in balance, as it must to stay there (a helicopter level, or leaning into the wind), so that motion sets
-    in and ends smoothly. ``speed = 0`` leaves the attitude free.
+    in and ends smoothly; without a heading, what flies nose first faces along its leg. ``speed = 0`` leaves the
+    attitude free.
     """
 
     frame: int | Literal["free"]

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim.clip import Clip
+from vehsim.clip import Clip, frame_rate
 from vehsim.errors import InputError
 from vehsim.integrators.integrator import build_clip
 from vehsim.planning.certify import SAMPLES, Executed, certify, executed
@@ -29,6 +29,7 @@ from vehsim.planning.elements import Solution, Solver, solver_options
 from vehsim.planning.guess import along_paths, lift
 from vehsim.planning.legs import (
     cut,
+    facing,
     fixed_durations,
     mark_positions,
     path_length,
@@ -85,6 +86,10 @@ class Plan:
     order: int
     tightenings: int = 0
     _attempt: _Attempt | None = field(default=None, repr=False)
+
+    def __repr__(self) -> str:
+        verdict = "solved" if self.success else "failed"
+        return f"<Plan of {self.clip!r}: {verdict}, {self.message}>"
 
     def replan(self, marks: Sequence[Mark], progress: Progress | None = None) -> Plan:
         """The plan for other marks, started from this one: quick when they ask for the same things elsewhere."""
@@ -147,6 +152,8 @@ def plan(
     Raises ``InputError`` for what cannot be asked. What cannot be solved comes back with ``success = False`` and a
     message, and a warning.
     """
+    if not isinstance(vehicle, Vehicle):
+        raise InputError(f"vehicle = {vehicle!r}: give what vehsim.load_vehicle returns")
     if segments < 2 * (len(marks) - 1) or segments > 4096:
         raise InputError(f"segments = {segments!r}: give at least two a leg between marks, and at most 4096")
     if not (math.isfinite(clearance) and clearance >= 0):
@@ -155,7 +162,7 @@ def plan(
         vehicle=vehicle,
         world=world,
         marks=check_marks(marks, len(vehicle.joints)),
-        fps=Fraction(fps).limit_denominator(100_000),
+        fps=frame_rate(fps),
         segments=int(segments),
         weights=cost_weights(cost, vehicle.default_costs),
         clearance=float(clearance),
@@ -163,6 +170,11 @@ def plan(
         refine=refine,
         max_iterations=max_iterations,
     )
+    heights = {float(np.asarray(mark.position)[2]) for mark in request.marks if mark.position is not None}
+    if vehicle.group.dim == 3 and len(heights) > 1:
+        raise InputError(
+            f"mark.position: heights {sorted(heights)} m; {vehicle.name} keeps its height, give one z to all"
+        )
     if np.any(request.wind) and not vehicle.feels_wind:
         warnings.warn(f"{vehicle.name}: wind is set, but the vehicle has no drag to feel it", stacklevel=2)
     return _solve(request, progress, guess)
@@ -171,6 +183,8 @@ def plan(
 def _solve(request: _Request, progress: Progress | None, guess: Any) -> Plan:
     t = transcription(request.vehicle)
     paths = _paths(request, guess, progress)
+    if request.weights["course"]:
+        request = replace(request, marks=facing(request.marks, paths))
     attempt = _Attempt(request, t, _cover(request, paths), progress)
     attempt.start(paths)
     attempt.solve()

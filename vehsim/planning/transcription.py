@@ -199,11 +199,7 @@ class Transcription:
         if mark.balanced:
             equal(self._imbalance(g, r, v["c0"], wind))
         if mark.velocity is not None:
-            equal(
-                velocity - parameters["velocity"]
-                if spatial
-                else self._planar(velocity, parameters["velocity"], rotation)
-            )
+            equal(self._velocity_error(mark, view, parameters["velocity"]))
         if mark.at_rest and spatial:
             equal(omega)
         if mark.speed is not None:
@@ -231,11 +227,13 @@ class Transcription:
         v = self._symbols("c0", "c1")
         return Element("hold", ca.vertcat(*v.values()), ca.SX(0, 1), g=v["c1"] - v["c0"])
 
-    def _planar(self, velocity: Any, wanted: Any, rotation: Any) -> Any:
-        """A rolling vehicle can only be asked for its forward velocity: the constraints hold the rest."""
-        free = self.sizes[2]
-        error = rotation[0:2, 0:2].T @ (velocity - wanted)[0:2]
-        return error[0] if free == 1 else error
+    def _velocity_error(self, mark: Mark, view: KnotView, wanted: Any) -> Any:
+        """What is missing to a velocity; where rolling leaves one way to go, standing still is one equation."""
+        error = view.velocity - wanted
+        if self.vehicle.group.dim == 6:
+            return error
+        stuck = mark.at_rest and self.sizes[2] == 1
+        return view.rotation[0:2, 0].T @ error[0:2] if stuck else error[0:2]
 
     @cached_property
     def mark_sizes(self) -> dict[str, int]:

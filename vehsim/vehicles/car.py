@@ -66,6 +66,7 @@ def car(
         forces=forces,
         potential_energy=slope_energy(mass, slope),
         controls=tuple(Control(n) for n in ("torque", "steering_rate")),
+        default_costs={"time": 1.0},  # standing costs no effort, so effort alone would crawl for ever
         rate_controls={"steering_rate": "sigma"},
         channels={
             "roll_rl": rear(1.0),

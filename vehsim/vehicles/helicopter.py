@@ -55,7 +55,7 @@ def helicopter(
         controls=tuple(Control(n) for n in ("collective", "yaw", "pitch", "roll")),
         wrench=wrench,
         drag=drag if has_drag else None,
-        default_costs={"course": 0.3},  # nose first
+        default_costs={"course": 1.0},  # nose first
         channels={
             "main_rotor": Channel(rate=lambda t, r, u, xi, c: main_rotor_speed),
             "tail_rotor": Channel(rate=lambda t, r, u, xi, c: tail_rotor_speed),

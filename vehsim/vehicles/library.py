@@ -44,6 +44,8 @@ def load_vehicle(name: str | Path) -> Vehicle:
 
     Raises ``InputError`` naming file, key, value and the mend.
     """
+    if not isinstance(name, str | Path):
+        raise InputError(f"vehicle = {name!r}: give a name or the path of a folder")
     folder = Path(name)
     if not (folder / "vehicle.toml").is_file():
         folder = _shipped() / str(name)
