@@ -30,24 +30,33 @@ ACCURACY = 1e-6
 """Largest accepted difference between the goal and where the inputs lead, in the states' own units."""
 
 
+PACES: dict[str, Callable[[Array], tuple[Array, Array]]] = {
+    "steady": lambda t: (t, np.ones_like(t)),
+    "start": lambda t: (t - np.sin(np.pi * t) / np.pi, 1 - np.cos(np.pi * t)),
+    "end": lambda t: (t + np.sin(np.pi * t) / np.pi, 1 + np.cos(np.pi * t)),
+    "both": lambda t: (t - np.sin(2 * np.pi * t) / (2 * np.pi), 1 - np.cos(2 * np.pi * t)),
+}
+"""Fraction of a stage's time (k,) -> fraction of its way and the rate: C2, from rest at its start, its end or both."""
+
+
 @dataclass(frozen=True, eq=False)
 class Stage:
     """One stage: ``law(s)`` for s in 0..1, over ``duration`` s. ``cycles`` of its sinusoids; ``label`` for reading.
 
-    ``eased``: inputs rise from and fall to zero at the stage's ends, as a driver would.
+    ``pace``: a name of `PACES`, whether inputs rise from and fall to zero at the stage's ends, as a driver would.
     """
 
     label: str
     law: Law
     duration: float = 1.0
     cycles: int = 1
-    eased: bool = False
+    pace: str = "steady"
     amplitudes: Mapping[str, float] = field(default_factory=dict)
 
     def inputs(self, times: Any) -> Array:
         """Inputs (k, m) at times (k,) s into the stage."""
         tau = np.clip(np.asarray(times, float) / self.duration, 0.0, 1.0)
-        s, rate = _ease(tau) if self.eased else (tau, np.ones_like(tau))
+        s, rate = PACES[self.pace](tau)
         return self.law(s) * (rate / self.duration)[:, None]
 
     def peaks(self) -> Array:
@@ -130,6 +139,12 @@ class Steering:
             total += float(np.trapezoid(np.sum(stage.inputs(t) ** 2, axis=1), t))
         return total
 
+    def towards(self, goal: Array) -> Steering:
+        """The same motion held against another goal: angles that differ by full turns."""
+        other = replace(self, goal=goal)
+        other.__dict__["_motion"] = self._motion
+        return other
+
     def checked(self, accuracy: float = ACCURACY) -> Steering:
         """This steering; ``SolveError`` when its inputs, integrated, end further than ``accuracy`` from the goal."""
         missed = np.abs(self.states[-1] - self.goal)
@@ -155,9 +170,11 @@ class Steering:
             self, stages=tuple(replace(s, duration=float(d)) for s, d in zip(self.stages, given, strict=True))
         )
 
-    def eased(self, eased: bool = True) -> Steering:
-        """The same path with every stage from rest to rest."""
-        return replace(self, stages=tuple(replace(stage, eased=eased) for stage in self.stages))
+    def eased(self, pace: str = "both") -> Steering:
+        """The same path with every stage from rest to rest, or at another of the `PACES`."""
+        if pace not in PACES:
+            raise InputError(f"{self.system.name}: pace = {pace!r}: choose one of {', '.join(PACES)}")
+        return replace(self, stages=tuple(replace(stage, pace=pace) for stage in self.stages))
 
     def within(self, limits: Mapping[str, float]) -> Steering:
         """The same path, stretched in time where an input is beyond its limit; never hurried.
@@ -216,8 +233,3 @@ def integrate(system: DriftlessSystem, stage: Stage, x: Array, times: Array) -> 
     if not result.success or result.y.shape[1] != len(times):
         raise SolveError(f"{system.name}: stage {stage.label!r}: cannot be integrated: {result.message}")
     return result.y.T
-
-
-def _ease(tau: Array) -> tuple[Array, Array]:
-    """C2 pace from rest to rest, and its rate."""
-    return tau - np.sin(2 * np.pi * tau) / (2 * np.pi), 1 - np.cos(2 * np.pi * tau)
