@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+TWIST = {"angular_velocity": "rad/s", "velocity": "m/s"}
+
 
 def write_csv(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
     """Write ``<vehicle>.csv`` per vehicle; returns the files written."""
@@ -34,10 +36,10 @@ def write_csv(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
 
 
 def columns(clip: Clip) -> dict[str, Array]:
-    """Header -> values (n,): frame, time, pose, twist, joints, channels and controls."""
+    """Header -> values (n,): frame, time, pose in world axes, twist in body axes, joints, channels and controls."""
     table: dict[str, Array] = {"frame": clip.frames, "time [s]": clip.times}
-    table |= {f"position.{axis} [m]": values for axis, values in zip("xyz", clip.positions.T, strict=True)}
-    table |= {f"orientation.{axis}": values for axis, values in zip("wxyz", clip.orientations.T, strict=True)}
+    table |= {f"world.position.{axis} [m]": values for axis, values in zip("xyz", clip.positions.T, strict=True)}
+    table |= {f"world.orientation.{axis}": values for axis, values in zip("wxyz", clip.orientations.T, strict=True)}
     table |= dict(zip(_twist_names(clip.twists.shape[1]), clip.twists.T, strict=True))
     for joint, values, rates in zip(clip.vehicle.joints, clip.joints.T, clip.joint_rates.T, strict=False):
         table |= {f"joint.{joint} [rad]": values, f"joint_rate.{joint} [rad/s]": rates}
@@ -51,8 +53,8 @@ def columns(clip: Clip) -> dict[str, Array]:
 def _twist_names(size: int) -> list[str]:
     """A twist is angular before linear: (wz, vx, vy) in the plane, (wx, wy, wz, vx, vy, vz) in space."""
     if size == 3:
-        return ["angular_velocity.z [rad/s]", "velocity.x [m/s]", "velocity.y [m/s]"]
-    names = [f"angular_velocity.{axis} [rad/s]" for axis in "xyz"] + [f"velocity.{axis} [m/s]" for axis in "xyz"]
+        return ["body.angular_velocity.z [rad/s]", "body.velocity.x [m/s]", "body.velocity.y [m/s]"]
+    names = [f"body.{kind}.{axis} [{unit}]" for kind, unit in TWIST.items() for axis in "xyz"]
     return names if size == 6 else [f"twist.{k}" for k in range(size)]
 
 

@@ -59,12 +59,12 @@ def render_stage(
 
     ``camera``: one by name, all when None; ``frames``: those of the stage when None; ``size`` (width, height) px,
     960 x 540 when None; ``samples`` a pixel; ``processes``: as the machine has cores when None and there is enough to
-    do. Raises ``InputError`` for a stage, camera or size that will not do, ``ExportError`` without EGL.
+    do. Raises ``InputError`` for a stage, camera, frame or size that will not do, ``ExportError`` without EGL.
     """
     size = _checked_size(size or (960, 540))
     stage = StageReader(stage_path)
     chosen = _cameras(stage, camera)
-    wanted = list(range(stage.frames[0], stage.frames[1] + 1)) if frames is None else list(frames)
+    wanted = _wanted(stage, frames)
     look = {"size": size, "shadows": shadows, "samples": samples}
     count = _processes(len(chosen) * len(wanted)) if processes is None else processes
     shares = [wanted[k::count] for k in range(count)]
@@ -142,9 +142,25 @@ def _finish(process: subprocess.Popen[str]) -> None:
 
 
 def _save(picture: NDArray[np.uint8], path: Path) -> None:
+    """Written beside and moved into place: nobody ever reads half a picture."""
     from PIL import Image
 
-    Image.fromarray(picture).save(path, compress_level=2)
+    beside = path.with_name(f".{path.name}.partial")
+    try:
+        Image.fromarray(picture).save(beside, format="png", compress_level=2)
+        beside.replace(path)
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def _wanted(stage: StageReader, frames: Iterable[int] | None) -> list[int]:
+    """The frames to render, all of the stage's when None. Raises ``InputError`` for frames it does not have."""
+    first, last = stage.frames
+    wanted = list(range(first, last + 1)) if frames is None else list(frames)
+    beyond = [frame for frame in wanted if not first <= frame <= last]
+    if beyond:
+        raise InputError(f"{stage.path}: frames = {beyond[0]}: outside the stage; give frames of {first} to {last}")
+    return wanted
 
 
 def _cameras(stage: StageReader, camera: str | None) -> list[str]:

@@ -136,8 +136,7 @@ class StageRenderer:
         extent = max(float(np.linalg.norm((upper - lower)[:2])), 1.0)
         spec.stat.extent, spec.stat.center = extent, ((lower + upper) / 2).tolist()
         vis.map.shadowclip = self._reach / extent
-        edge = 0.6 * float((upper - lower)[:2].min())  # the scene's edge fades before it ends
-        vis.map.fogstart, vis.map.fogend = HAZE[0] / extent, min(HAZE[1], max(edge, 60.0)) / extent
+        vis.map.fogstart, vis.map.fogend = HAZE[0] / extent, _haze_end(self.stage, self._bounds) / extent
         vis.rgba.fog = [*light.haze.tolist(), 1.0]
         vis.headlight.ambient = light.ambient.tolist()
         vis.headlight.diffuse = vis.headlight.specular = [0.0, 0.0, 0.0]
@@ -277,6 +276,14 @@ def _bounds(stage: StageReader) -> tuple[Array, Array]:
         points = shape.points @ pose[:3, :3].T + pose[:3, 3]
         corners += [points.min(axis=0), points.max(axis=0)]
     return np.min(corners, axis=0), np.max(corners, axis=0)
+
+
+def _haze_end(stage: StageReader, bounds: tuple[Array, Array]) -> float:
+    """Where haze hides all, m: before the ground's edge; in empty space there is no edge to hide."""
+    if all(shape.group for shape in stage.shapes):
+        return HAZE[1]
+    edge = 0.6 * float((bounds[1] - bounds[0])[:2].min())
+    return min(HAZE[1], max(edge, 60.0))
 
 
 def _shadow_reach(stage: StageReader, bounds: tuple[Array, Array]) -> float:

@@ -72,6 +72,12 @@ class Sky:
     R_wd: Array
 
 
+def reason_of(error: Exception) -> str:
+    """What USD says went wrong, without where in its sources it noticed."""
+    last = str(error).strip().splitlines()[-1]
+    return last.partition(" : ")[2].strip(" '") or last
+
+
 class StageReader:
     """An exported stage, open for rendering.
 
@@ -88,7 +94,7 @@ class StageReader:
         try:
             self._stage = Usd.Stage.Open(str(path))
         except Tf.ErrorException as error:
-            raise InputError(f"{path}: not readable as USD: {str(error).strip().splitlines()[-1]}") from None
+            raise InputError(f"{path}: not readable as USD: {reason_of(error)}; give a stage") from None
         self._convert = _to_metres_z_up(self._stage)
         self._metres = UsdGeom.GetStageMetersPerUnit(self._stage)
         self._cache = UsdGeom.XformCache()

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from vehsim.exporters.stage import reason_of
+
 
 @dataclass(frozen=True)
 class Issue:
@@ -44,8 +46,7 @@ def validate_stage(path: str | Path) -> list[Issue]:
     try:
         stage = Usd.Stage.Open(str(path))
     except Tf.ErrorException as error:
-        message = str(error).strip().splitlines()[-1]
-        return [Issue("error", "open", str(path), message, "give a readable .usd, .usda, .usdc or .usdz file")]
+        return [Issue("error", "open", str(path), reason_of(error), "give a readable .usd, .usda, .usdc or .usdz file")]
     issues = list(_usd_issues(stage))
     for rule in OWN_RULES:
         issues.extend(rule(stage))

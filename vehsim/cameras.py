@@ -286,3 +286,5 @@ def _check(rig: CameraRig, clips: Mapping[str, Clip]) -> None:
     if rig.target is not None and rig.target not in clips:
         names = ", ".join(clips)
         raise InputError(f"camera {rig.name!r}: target = {rig.target!r}: no such vehicle; choose one of {names}")
+    if rig.look_at is not None and rig.position is not None and tuple(rig.look_at) == tuple(rig.position):
+        raise InputError(f"camera {rig.name!r}: look_at = {rig.look_at!r}: the camera stands there; look elsewhere")

@@ -79,10 +79,10 @@ def export(
     quiet: Quiet = False,
 ) -> None:
     """Solve shots and write them: a USD stage, pictures, a film, tables. Sweeps become a clip each."""
-    from vehsim.delivery import in_order, may_replace
+    from vehsim.delivery import may_replace
 
-    names = [name.strip() for name in to.split(",") if name.strip()]
-    in_order(names)
+    names = _exporters(to)
+    _check_folder(out)
     loaded, problems = _load(shots, sets or [], only or [])
     for shot in loaded:
         may_replace(out / shot.name)
@@ -129,10 +129,9 @@ def job(
     """Write an Open Job Description template that exports the shots on a render farm."""
     from vehsim.batch.job import write_job
     from vehsim.batch.task import prepare
-    from vehsim.delivery import in_order
 
-    names = [name.strip() for name in to.split(",") if name.strip()]
-    in_order(names)
+    names = _exporters(to)
+    _check_folder(out)
     loaded, problems = _load(shots, sets or [], [])
     _say(problems, quiet)
     if any(problem.severity == "error" for problem in problems):
@@ -177,9 +176,7 @@ def validate(
     """Hold USD stages against OpenUSD's rules and our own."""
     from vehsim.exporters.validate import validate_stage
 
-    missing = [Problem("STAGE", "no such file", "give a USD file", str(path)) for path in stages if not path.is_file()]
-    if missing:
-        raise ShotError(missing)
+    _check_stages(stages)
     wrong = False
     for path in stages:
         issues = validate_stage(path)
@@ -204,8 +201,8 @@ def render(
     quiet: Quiet = False,
 ) -> None:
     """Render a stage off-screen, from what is in the file."""
-    if not stage.is_file():
-        raise ShotError([Problem("STAGE", "no such file", "give a USD file", str(stage))])
+    _check_stages([stage])
+    _check_folder(out)
     wanted, pixels = _frames(frames), _size(size)
     from vehsim.exporters.frames import render_stage
 
@@ -380,6 +377,36 @@ def _progress(quiet: bool) -> Iterator[Progress]:
         yield lambda what, done: bar.update(task, description=what.replace("[", r"\["), completed=done)
 
 
+def _exporters(text: str) -> list[str]:
+    """The names in ``usd,png``, each of them an exporter's."""
+    from vehsim.delivery import exporter_names, in_order
+
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    if not names:
+        raise ShotError([Problem("--to", "names no exporter", f"choose from {', '.join(exporter_names())}", text)])
+    in_order(names)
+    return names
+
+
+def _check_folder(out: Path) -> None:
+    """``--out`` is a folder, or can become one."""
+    if taken := [path for path in (out, *out.parents) if path.exists() and not path.is_dir()]:
+        raise ShotError([Problem("--out", f"{taken[0]} is a file", "give a folder", str(out))])
+
+
+def _check_stages(paths: Sequence[Path]) -> None:
+    """Files that USD opens, by their names. What they hold is not looked at."""
+    problems = []
+    for path in paths:
+        if not path.is_file():
+            message = "a folder" if path.is_dir() else "no such file"
+            problems.append(Problem("STAGE", message, "give a USD file: .usd, .usda, .usdc or .usdz", str(path)))
+        elif path.suffix not in (".usd", ".usda", ".usdc", ".usdz") or path.stat().st_size == 0:
+            problems.append(Problem("STAGE", "not USD", "give a .usd, .usda, .usdc or .usdz file", str(path)))
+    if problems:
+        raise ShotError(problems)
+
+
 def _summary(shot: Shot) -> str:
     moved = ", ".join(f"{vehicle.name} ({vehicle.asset}, {vehicle.motion.method})" for vehicle in shot.file.vehicle)
     return f"{moved} in {shot.file.world.terrain or 'empty space'} at {shot.fps} fps"
@@ -394,7 +421,7 @@ def _frames(text: str | None) -> list[int] | None:
     """``1001-1100x10`` as frames; None for all of them."""
     if text is None:
         return None
-    found = re.fullmatch(r"(-?\d{1,8})(?:-(-?\d{1,8}))?(?:x(\d{1,8}))?", text.strip())
+    found = re.fullmatch(r"(\d{1,8})(?:-(\d{1,8}))?(?:x(\d{1,8}))?", text.strip())
     wanted = range(0)
     if found and int(found[3] or 1) > 0:
         wanted = range(int(found[1]), int(found[2] or found[1]) + 1, int(found[3] or 1))

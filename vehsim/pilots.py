@@ -105,6 +105,8 @@ class FollowPath:
         points = _finite("points", points, None, "two numbers a point, m")
         if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2:
             raise InputError(f"points: shape {points.shape}; give at least two points of two numbers, m")
+        if np.linalg.norm(np.ptp(points, axis=0)) < 1e-6:
+            raise InputError(f"points: all at {points[0].tolist()}; give at least two places, m")
         self.vehicle, self.points, self.speed = vehicle, points, _positive("speed", speed)
         self._route = _Route(points, self.speed, acceleration=1.5, lateral=2.5)
         self._offset = vehicle.origin[:2]

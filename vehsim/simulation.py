@@ -64,7 +64,7 @@ def simulate(
     h = 1 / float(rate) / max(1, math.ceil(1 / float(rate) / wanted - 1e-9))
     table = None if callable(controls) else _table(vehicle, controls)
     steps = _steps(duration, table, wanted, h)
-    begin = _standing(vehicle, world, start or State())
+    begin = _standing(vehicle, world, start)
     _warn_windless(vehicle, world)
     integrator = Integrator(vehicle, h, difference_map, order, wind=_wind(world))
 
@@ -181,14 +181,22 @@ def _spread(table: Array, steps: int) -> Array:
     return np.column_stack([np.interp(at, np.arange(len(table)), column) for column in table.T] or [at[:, None][:, :0]])
 
 
-def _standing(vehicle: Vehicle, world: World | None, start: State) -> State:
-    """The start, on the ground when the vehicle moves in the plane and there is a terrain."""
+def _standing(vehicle: Vehicle, world: World | None, given: State | None) -> State:
+    """The start, on the ground when the vehicle moves in the plane and there is a terrain; warns when it was not."""
+    start = given or State()
     if world is None or world.terrain is None or vehicle.group.name != "SE2":
         return start
     position = np.asarray(start.position, float).ravel()
     if position.shape != (3,) or not np.all(np.isfinite(position)):
         raise InputError(f"state.position = {start.position!r}: give 3 finite numbers")
-    return replace(start, position=(position[0], position[1], float(np.ravel(world.height(position[None, :2]))[0])))
+    ground = float(np.ravel(world.height(position[None, :2]))[0])
+    if given is not None and abs(position[2] - ground) > 0.01:
+        warnings.warn(
+            f"{vehicle.name}: starts at z = {position[2]:.2f} m and was put on the ground, at {ground:.2f} m; "
+            "start it there",
+            stacklevel=3,
+        )
+    return replace(start, position=(position[0], position[1], ground))
 
 
 def _wind(world: World | None) -> Array:

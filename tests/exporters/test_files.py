@@ -87,7 +87,7 @@ def test_a_table_has_a_row_per_frame_and_reads_back_exactly(tmp_path, toys, make
         rows = list(csv.DictReader(file))
     assert [row["frame"] for row in rows] == [str(frame) for frame in range(1001, 1025)]
     for axis, values in zip("xyz", clip.resample().positions.T, strict=True):
-        assert [float(row[f"position.{axis} [m]"]) for row in rows] == values.tolist()
+        assert [float(row[f"world.position.{axis} [m]"]) for row in rows] == values.tolist()
     assert [float(row["channel.rotor [rad]"]) for row in rows] == clip.resample().channels["rotor"].tolist()
     assert "control.lift [N]" in rows[0]
 

@@ -209,9 +209,43 @@ def test_a_take_in_empty_space_is_drawn(tmp_path, toys, make_take):
     assert 50 < red.sum() < SIZE[0] * SIZE[1] / 4
 
 
+def test_haze_in_empty_space_is_that_of_wide_ground(new_stage):
+    """A small red mover 40 m away stays red: no ground's edge has to fade."""
+    from pxr import Gf, UsdGeom
+
+    mover = UsdGeom.Xform.Define(new_stage, "/top/mover")
+    translate = mover.AddTranslateOp()
+    translate.Set(Gf.Vec3d(0, 30, 0), 1)
+    translate.Set(Gf.Vec3d(0.1, 30, 0), 3)
+    quad(new_stage, "/top/mover/quad", (0, 0, 0), 6.0, (0.8, 0.02, 0.02))
+    new_stage.GetRootLayer().Save()
+    with StageRenderer(StageReader(new_stage.GetRootLayer().realPath), SIZE) as renderer:
+        red, green, _ = renderer.render("main", 1)[SIZE[1] // 2, SIZE[0] // 2].astype(float)
+    assert red > 2.0 * green
+
+
+def test_a_picture_is_whole_or_not_there(new_stage, tmp_path, monkeypatch):
+    from PIL import Image
+
+    def half(self, path, **options):
+        path.write_bytes(b"half a pict")
+        raise OSError("no space left")
+
+    new_stage.GetRootLayer().Save()
+    monkeypatch.setattr(Image.Image, "save", half)
+    with pytest.raises(OSError, match="no space left"):
+        render_stage(tmp_path / "plain.usda", tmp_path / "out", frames=[1], processes=1)
+    assert list((tmp_path / "out" / "main").iterdir()) == []
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
-    [({"camera": "b"}, "choose one of main"), ({"size": (100_000, 90)}, "16 to 8192"), ({"size": (0, 90)}, "16 to")],
+    [
+        ({"camera": "b"}, "choose one of main"),
+        ({"size": (100_000, 90)}, "16 to 8192"),
+        ({"size": (0, 90)}, "16 to"),
+        ({"frames": [3, 4]}, "1 to 3"),
+    ],
 )
 def test_what_cannot_be_drawn_is_refused(new_stage, tmp_path, options, message):
     new_stage.GetRootLayer().Save()

@@ -37,20 +37,24 @@ def test_right_shots_have_no_problems(small: dict[str, Any], planned: dict[str, 
         ("wrld", {}, "wrld", "did you mean 'world'"),
         ("vehicle.0.motion.duraton", 1.0, "vehicle[0].motion.duraton", "did you mean 'duration'"),
         ("shot.schema", 2, "shot.schema", "1, the version"),
-        ("shot.schema", True, "shot.schema", "valid integer"),
+        ("shot.schema", True, "shot.schema", "not a whole number"),
         ("shot.name", "../evil", "shot.name", "letters, digits and underscores"),
         ("shot.fps", 0, "shot.fps", "between 0 and"),
         ("shot.fps", True, "shot.fps", "not a frame rate"),
         ("shot.fps", "1e999999999", "shot.fps", "not a frame rate"),
         ("shot.fps", "24/0", "shot.fps", "rate over zero"),
-        ("shot.start_frame", 1001.0, "shot.start_frame", "valid integer"),
+        ("shot.start_frame", 1001.0, "shot.start_frame", "not a whole number"),
         ("shot.end_frame", 1_001_000, "shot.end_frame", "1000000 frames"),
         ("shot.end_frame", 1000, "shot.end_frame", "before the first frame"),
         ("shot.handles", 8, "shot.handles", "give shot.end_frame"),
         ("world.wind", [0, math.nan, 0], "world.wind[1]", "finite"),
         ("world.wind", [0, math.inf, 0], "world.wind[1]", "finite"),
-        ("world.wind", [0, "3", 0], "world.wind[1]", "valid number"),
-        ("world.wind", [0, True, 0], "world.wind[1]", "valid number"),
+        ("world.wind", [0, "3", 0], "world.wind[1]", "not a number"),
+        ("world.wind", [0, True, 0], "world.wind[1]", "not a number"),
+        ("world.wind", [0, 200, 0], "world.wind", "more than 150 m/s"),
+        ("world.wind", [120, 120, 0], "world.wind", "more than 150 m/s"),
+        ("world", 3, "world", "not a table"),
+        ("vehicle.0.name", "my car", "vehicle[0].name", "not a name"),
         ("world.wind", [0, 3], "world.wind", "at least 3"),
         ("world.terrain", "canyn", "world.terrain", "canyon"),
         ("world.terrain", "missing.obj", "world.terrain", "no such terrain or file"),
@@ -72,9 +76,11 @@ def test_right_shots_have_no_problems(small: dict[str, Any], planned: dict[str, 
         ("camera", {"target": "cat"}, "camera[0].target", "did you mean 'car'"),
         ("camera", {"lens": 35}, "camera[0].lens", "did you mean 'lens_mm'"),
         ("camera", [{"name": "a"}, {"name": "a"}], "camera[1].name", "used twice"),
+        ("camera", [{"name": "a"}, {"name": "A"}], "camera[1].name", "used twice"),
+        ("camera", {"rig": "static", "position": [1, 2, 3], "look_at": [1, 2, 3]}, "camera[0].look_at", "elsewhere"),
         ("render", {"size": [100_000, 540]}, "render.size[0]", "16 to 8192"),
         ("render", {"size": [961, 540]}, "render.size[0]", "even"),
-        ("render", {"every": 0}, "render.every", "greater than or equal to 1"),
+        ("render", {"every": 0}, "render.every", "at least 1"),
     ],
 )
 def test_one_problem_names_key_and_mend(
@@ -83,6 +89,36 @@ def test_one_problem_names_key_and_mend(
     problems = keys_of(put(small, key, value))
     assert where in problems, problems
     assert says in problems[where]
+
+
+@pytest.mark.parametrize(
+    "pilot, key, says",
+    [
+        ({"points": [[0, 0]]}, "points", "at least two points"),
+        ({"points": [[0, 0, 0], [9, 0, 0]]}, "points", "two numbers"),
+        ({"points": [[5, 5], [5, 5]]}, "points", "two places"),
+        ({"points": [[0, 0], [9]]}, "pilot", "rows of one length"),
+        ({"points": [[0, 0], [9, 0]], "speed": -1}, "speed", "positive"),
+        ({"name": "hover", "position": [0, 0, 9]}, "pilot", "no helicopter"),
+    ],
+)
+def test_what_a_pilot_refuses_is_said_before(
+    small: dict[str, Any], keys_of: Find, pilot: dict[str, Any], key: str, says: str
+) -> None:
+    small["vehicle"][0]["motion"] = {"method": "simulate", "duration": 1.0, "pilot": {"name": "follow_path"} | pilot}
+    place = "vehicle[0].motion.pilot" + ("" if key == "pilot" else f".{key}")
+    assert says in keys_of(small)[place]
+
+
+def test_names_differ_in_more_than_their_case(small: dict[str, Any], keys_of: Find) -> None:
+    small["vehicle"].append(small["vehicle"][0] | {"name": "CAR"})
+    assert "used twice" in keys_of(small)["vehicle[1].name"]
+
+
+def test_wheels_may_touch_the_ground(planned: dict[str, Any], keys_of: Find) -> None:
+    planned["vehicle"][0]["asset"] = "car"
+    planned["vehicle"][0]["motion"]["mark"][1]["position"] = [20.0, 0.0, 0.0]
+    assert keys_of(planned) == {}
 
 
 @pytest.mark.parametrize(

@@ -189,3 +189,25 @@ def test_every_key_is_documented() -> None:
 @pytest.mark.parametrize("path", sorted((ROOT / "examples").glob("*.toml")), ids=lambda path: path.stem)
 def test_examples_are_ready(path: Path) -> None:
     assert Shot.load(path).check() == []
+
+
+def test_wheels_off_the_ground_are_a_warning(small: dict[str, Any], tmp_path: Path) -> None:
+    """Ground that rises one in five: 5 cm of it are under the wheels after 25 cm of way."""
+    heights = 0.2 * np.tile(np.arange(41.0), (41, 1))
+    np.savez(tmp_path / "slope.npz", heights=heights, origin=(-10.0, -20.0), cell=(1.0, 1.0))
+    small["world"] = {"terrain": str(tmp_path / "slope.npz")}
+    start = {"position": [0.0, 0.0, 0.0], "velocity": [6.0, 0.0, 0.0]}
+    small["vehicle"][0]["motion"] = {"method": "simulate", "duration": 0.5, "start": start}
+    with pytest.warns(UserWarning) as warned:
+        take = Shot.from_dict(small).solve()
+    said = [str(warning.message) for warning in warned]
+    assert any("car: starts at z = 0.00 m and was put on the ground, at 2.00 m" in text for text in said)
+    clip = take.clips["car"]
+    first = clip.frames[np.flatnonzero(0.2 * clip.positions[:, 0] > 0.05)[0]]
+    assert any(f"below the ground at frame {first:g}: wheels do not follow" in text for text in said), said
+
+
+def test_wheels_on_level_ground_are_no_warning(small: dict[str, Any], recwarn: pytest.WarningsRecorder) -> None:
+    small["world"] = {"terrain": "flat"}
+    Shot.from_dict(small).solve()
+    assert not [str(w.message) for w in recwarn if "ground" in str(w.message)]

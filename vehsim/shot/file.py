@@ -17,6 +17,29 @@ from vehsim.shot.motions import RESERVED, Motion
 MAX_VEHICLES = 100
 MAX_CAMERAS = 20
 
+WORDS = {
+    "bool_type": "neither true nor false",
+    "dict_type": "not a table",
+    "finite_number": "not a finite number",
+    "float_type": "not a number",
+    "greater_than": "it should be greater than {gt:g}",
+    "greater_than_equal": "it should be at least {ge:g}",
+    "int_type": "not a whole number",
+    "less_than": "it should be less than {lt:g}",
+    "less_than_equal": "it should be at most {le:g}",
+    "list_type": "not an array",
+    "model_attributes_type": "not a table",
+    "model_type": "not a table",
+    "multiple_of": "not a multiple of {multiple_of:g}",
+    "string_pattern_mismatch": "not a name: letters, digits and _, no digit first, at most 100",
+    "string_too_long": "longer than {max_length} characters",
+    "string_too_short": "empty",
+    "string_type": "not a text",
+    "too_long": "{actual_length} given, at most {max_length} wanted",
+    "too_short": "{actual_length} given, at least {min_length} wanted",
+}
+"""What is wrong with a value, by pydantic's types of errors, in words for people who never heard of it."""
+
 
 def _one_or_several(value: Any) -> Any:
     """``[camera]`` is a list of one ``[[camera]]``."""
@@ -98,10 +121,9 @@ def _problems(errors: Any) -> Iterator[Problem]:
                 method = error["ctx"]["tag"]
                 message = RESERVED.get(method, "no such method")
                 yield Problem(f"{key}.method", message, 'give "plan", "simulate" or "clip"', method)
-            case _:
-                text = error["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
-                text = f"it should be {text}" if error["msg"].startswith("Input") else text[0].lower() + text[1:]
-                yield Problem(key, text, f"give {description}", value)
+            case kind:
+                text = WORDS.get(kind, error["msg"].removeprefix("Value error, ")).format_map(error.get("ctx", {}))
+                yield Problem(key, text[0].lower() + text[1:], f"give {description}", value)
 
 
 def _locate(root: Mapping[str, Any], location: tuple[int | str, ...]) -> tuple[tuple[int | str, ...], str, list[str]]:

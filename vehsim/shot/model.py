@@ -22,6 +22,7 @@ from pydantic import (
 )
 
 from vehsim.cameras import CameraRig
+from vehsim.world import MAX_WIND
 
 MAX_FRAMES = 100_000
 """More frames than any shot has: an hour at 24 fps."""
@@ -79,6 +80,12 @@ def _unit(value: list[float]) -> list[float]:
     return value
 
 
+def _believable(wind: list[float]) -> list[float]:
+    if sum(x * x for x in wind) > MAX_WIND**2:
+        raise ValueError(f"more than {MAX_WIND:g} m/s")
+    return wind
+
+
 def _from_tuple(value: Any) -> Any:
     """Python callers may give tuples where TOML gives arrays."""
     return list(value) if isinstance(value, tuple) else value
@@ -91,6 +98,7 @@ Metre = Annotated[Number, Field(ge=-1e6, le=1e6)]
 Array = BeforeValidator(_from_tuple)
 Point = Annotated[list[Metre], Array, Len(3, 3)]
 Velocity = Annotated[list[Annotated[Number, Field(ge=-1000, le=1000)]], Array, Len(3, 3)]
+Wind = Annotated[list[Number], Array, Len(3, 3), AfterValidator(_believable)]
 Quaternion = Annotated[list[Number], Array, Len(4, 4), AfterValidator(_unit)]
 Size = Annotated[list[Annotated[int, Field(ge=16, le=MAX_PIXELS, multiple_of=2)]], Array, Len(2, 2)]
 Heading = Annotated[Number, Field(ge=-36_000, le=36_000)]
@@ -138,8 +146,8 @@ class WorldTable(Table):
 
     terrain: Text | None = None
     """a shipped terrain's name, or a mesh or height map's path relative to the shot file"""
-    wind: Velocity = Field(default=[0.0, 0.0, 0.0])
-    """the wind [x, y, z] in m/s, world axes"""
+    wind: Wind = Field(default=[0.0, 0.0, 0.0])
+    """the wind [x, y, z] in m/s, world axes, at most 150 m/s in all"""
 
 
 class MarkTable(Table):

@@ -55,11 +55,11 @@ class PlanMotion(Table):
     segments: Annotated[int, Field(ge=2, le=2000)] = 64
     """how many pieces the motion is computed in, 2 to 2000"""
     clearance: Annotated[NotNegative, Field(le=1000)] = 1.0
-    """how far to stay from the terrain, in m"""
+    """how far a flying vehicle stays from the terrain, in m; wheels touch the ground"""
     mark: Annotated[list[MarkTable], Array, Len(2, 1000)]
     """two or more [[vehicle.motion.mark]] tables"""
     limits: dict[str, Positive] = Field(default={})
-    """a table of what to stay below: speed and climb in m/s, turn_rate in deg/s, bank in degrees"""
+    """a table of what to stay below: speed and climb in m/s, turn_rate in deg/s, bank in degrees, ceiling in m"""
 
     def check(self, vehicle: Vehicle, setting: Setting) -> Iterator[Problem]:
         from vehsim.planning.terms import COSTS, LIMITS
@@ -71,7 +71,7 @@ class PlanMotion(Table):
         for i, mark in enumerate(self.mark):
             key = f"mark[{i}]"
             yield from check_mark(key, mark, vehicle)
-            if mark.position is not None:
+            if mark.position is not None and not _planar(vehicle):  # wheels touch the ground
                 slack = self.clearance - mark.tolerance
                 yield from check_free(f"{key}.position", mark.position, mark, slack, vehicle, setting.world)
 
@@ -128,6 +128,22 @@ class PilotTable(Table):
             if signature.parameters[name].default is inspect.Parameter.empty and name not in given:
                 yield Problem(f"pilot.{name}", "missing", f"the pilot {self.name!r} needs it")
 
+    def refusal(self, vehicle: Vehicle) -> Problem | None:
+        """What the pilot itself refuses of parameters that are otherwise right."""
+        from vehsim.pilots import PILOTS
+
+        try:
+            PILOTS[self.name](vehicle, **self.parameters())
+        except (InputError, ValueError) as error:
+            given = self.model_extra or {}
+            text = str(error) if isinstance(error, InputError) else "not a table of numbers; give rows of one length"
+            key = next((key for key in given if text.startswith((f"{key}:", f"{key} ="))), None)
+            if key is None:
+                return Problem("pilot", text, "see the pilots in docs/shot-file.md", self.name)
+            message, _, mend = text.partition(": ")[2].rpartition("; ")
+            return Problem(f"pilot.{key}", message or f"not what {self.name} takes", mend, given[key])
+        return None
+
 
 class SimulateMotion(Table):
     """``method = "simulate"``: physics forward from a start, driven by commands or by a pilot."""
@@ -157,7 +173,8 @@ class SimulateMotion(Table):
         if self.commands is not None and self.pilot is not None:
             yield Problem("pilot", "commands are given too", "keep one of them", self.pilot.name)
         if self.pilot is not None:
-            yield from self.pilot.check(vehicle)
+            wrong = list(self.pilot.check(vehicle))
+            yield from wrong or filter(None, [self.pilot.refusal(vehicle)])
         yield from self._check_commands(vehicle)
         yield from check_names("start.joints", self.start.joints, vehicle.joints, "joint")
         yield from check_mark("start", self.start, vehicle)
@@ -171,7 +188,7 @@ class SimulateMotion(Table):
             vehicle,
             setting.world,
             self._controls(vehicle, setting),
-            start=_as_state(self.start, vehicle),
+            start=_as_state(self.start, vehicle) if self.start.model_fields_set else None,
             duration=self._duration(setting),
             step=self.step,
             fps=setting.fps,

@@ -11,6 +11,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from vehsim.errors import InputError, Problem, ShotError
 from vehsim.shot.checks import Setting, choose
 from vehsim.shot.file import ShotFile, VehicleTable, parse
@@ -24,6 +26,9 @@ if TYPE_CHECKING:
     from vehsim.take import Progress, RenderSettings, Take
     from vehsim.vehicles import Vehicle
     from vehsim.world import World
+
+OFF_GROUND = 0.05
+"""Distance of a driving vehicle from the ground that is worth a warning, m."""
 
 
 class Shot:
@@ -113,6 +118,7 @@ class Shot:
         clips, vehicles = self._solve_vehicles(progress or (lambda what, done: None))
         marks = {name: report.pop("marks", []) for name, report in vehicles.items()}
         frames = self._frames(clips)
+        self._warn_off_ground(clips)
         clips = {name: hold(clip, *frames) for name, clip in clips.items()}
         return Take(
             name=self.name,
@@ -185,9 +191,10 @@ class Shot:
         for kind in ("vehicle", "camera"):
             names: list[str] = []
             for i, table in enumerate(getattr(self.file, kind)):
-                if table.name in names:
-                    yield Problem(f"{kind}[{i}].name", "used twice", f"give every {kind} a name of its own", table.name)
-                names.append(table.name)
+                if table.name.casefold() in names:  # each names files, also where cases are not told apart
+                    mend = f"give every {kind} a name of its own, in more than its case"
+                    yield Problem(f"{kind}[{i}].name", "used twice", mend, table.name)
+                names.append(table.name.casefold())
 
     def _check_cameras(self) -> Iterator[Problem]:
         from vehsim.cameras import RIGS
@@ -198,6 +205,8 @@ class Shot:
                 yield Problem(f"camera[{i}].rig", "no such rig", choose(camera.rig, RIGS), camera.rig)
             if camera.target is not None and camera.target not in vehicles:
                 yield Problem(f"camera[{i}].target", "no such vehicle", choose(camera.target, vehicles), camera.target)
+            if camera.look_at is not None and camera.look_at == camera.position:
+                yield Problem(f"camera[{i}].look_at", "the camera stands there", "look elsewhere", camera.look_at)
 
     def _solve_vehicles(self, progress: Progress) -> tuple[dict[str, Clip], dict[str, Any]]:
         clips, reports = {}, {}
@@ -209,6 +218,22 @@ class Shot:
             clips[table.name], said = table.motion.solve(self.vehicle(table), self._setting, report)
             reports[table.name] = {"asset": table.asset, "method": table.motion.method, **said}
         return clips, reports
+
+    def _warn_off_ground(self, clips: Mapping[str, Clip]) -> None:
+        """What drives keeps its height: say where the ground rises or falls below it."""
+        if self.world.terrain is None:
+            return
+        for name, clip in clips.items():
+            if clip.vehicle.group.dim != 3:
+                continue
+            off = clip.positions[:, 2] - self.world.height(clip.positions[:, :2])
+            for k in np.flatnonzero(np.abs(off) > OFF_GROUND)[:1]:
+                place = f"{abs(off[k]):.2f} m {'above' if off[k] > 0 else 'below'}"
+                warnings.warn(
+                    f"{name}: {place} the ground at frame {clip.frames[k]:g}: wheels do not follow the ground yet; "
+                    "drive where it is level",
+                    stacklevel=3,
+                )
 
     def _frames(self, clips: Mapping[str, Clip]) -> tuple[int, int]:
         """First and last frame of the take; warn when one of its vehicles is cut off while it moves."""
