@@ -13,7 +13,7 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
@@ -157,6 +157,7 @@ def _serve(pipe: Connection, memory: float | None) -> None:
     """The life of a worker: a job in, words of progress and an outcome out, until the pipe closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches us all; the first process decides
     signal.signal(signal.SIGTERM, _interrupt)
+    _die_with_parent()
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if memory is not None:
         _limit(memory)
@@ -191,7 +192,16 @@ def _interrupt(number: int, frame: Any) -> None:
     raise KeyboardInterrupt
 
 
+def _die_with_parent() -> None:
+    """Have the kernel kill us when the parent is gone, also in the middle of a long computation (Linux)."""
+    with suppress(OSError, AttributeError):
+        import ctypes
+
+        ctypes.CDLL(None).prctl(1, signal.SIGKILL, 0, 0, 0)  # PR_SET_PDEATHSIG
+
+
 def _end_with_parent() -> None:
+    """The same wherever there are threads; it has to wait for a computation that holds the interpreter."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
