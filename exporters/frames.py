@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim.delivery import owner
 from vehsim.errors import ExportError, InputError
 from vehsim.exporters.contact import write_contact_sheet
 from vehsim.exporters.render import StageRenderer
@@ -145,7 +146,7 @@ def _save(picture: NDArray[np.uint8], path: Path) -> None:
     """Written beside and moved into place: nobody ever reads half a picture."""
     from PIL import Image
 
-    beside = path.with_name(f".{path.name}.partial")
+    beside = path.with_name(f".{path.name}.{owner()}.partial")
     try:
         Image.fromarray(picture).save(beside, format="png", compress_level=2)
         beside.replace(path)

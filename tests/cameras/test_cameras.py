@@ -163,7 +163,12 @@ def test_frames_beyond_the_clip_hold_its_ends():
 
 
 @pytest.mark.parametrize(
-    ("rig", "message"), [(CameraRig(rig="crane"), "choose one of chase"), (CameraRig(target="b"), "choose one of cube")]
+    ("rig", "message"),
+    [
+        (CameraRig(rig="crane"), "choose one of chase"),
+        (CameraRig(target="b"), "choose one of cube"),
+        (CameraRig(rig="static", position=(1, 2, 3), look_at=(1.0, 2.0, 3.0)), "look elsewhere"),
+    ],
 )
 def test_wrong_rigs_are_named_with_the_mend(rig, message):
     with pytest.raises(InputError, match=message):

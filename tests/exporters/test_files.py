@@ -90,6 +90,7 @@ def test_a_table_has_a_row_per_frame_and_reads_back_exactly(tmp_path, toys, make
         assert [float(row[f"world.position.{axis} [m]"]) for row in rows] == values.tolist()
     assert [float(row["channel.rotor [rad]"]) for row in rows] == clip.resample().channels["rotor"].tolist()
     assert "control.lift [N]" in rows[0]
+    assert [float(row["body.velocity.x [m/s]"]) for row in rows] == clip.resample().twists[:, -3].tolist()
 
 
 def test_the_report_is_the_same_every_time_and_plain_json(tmp_path, toys, make_take):

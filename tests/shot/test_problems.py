@@ -159,6 +159,17 @@ def test_costs_and_limits_are_known(planned: dict[str, Any], keys_of: Find, key:
     assert "did you mean" in keys_of(planned)[f"vehicle[0].motion.{name}"]
 
 
+def test_wind_too_strong_is_said_once_where_it_stands(tmp_path: Path) -> None:
+    path = tmp_path / "windy.toml"
+    path.write_text(
+        "[shot]\nschema = 1\nname = 'windy'\n[world]\nterrain = 'flat'\nwind = [0, 160, 0]\n[[vehicle]]\n"
+        "name = 'c'\nasset = 'car'\n[vehicle.motion]\nmethod = 'simulate'\nduration = 1\n"
+    )
+    with pytest.raises(ShotError) as error:
+        Shot.load(path)
+    assert [(problem.key, problem.line) for problem in error.value.problems] == [("world.wind", 6)]
+
+
 def test_wind_that_nobody_feels_is_a_warning(small: dict[str, Any]) -> None:
     (problem,) = Shot.from_dict(put(small, "world.wind", [0, 3, 0])).check()
     assert (problem.key, problem.severity) == ("world.wind", "warning")

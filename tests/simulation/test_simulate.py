@@ -106,7 +106,8 @@ def test_wind_acts_and_its_absence_is_said():
 def test_planar_vehicles_keep_their_height_or_stand_on_the_ground(car):
     clip = simulate(car, None, [100, 0], State(position=(1, 2, 7)), duration=1.0)
     np.testing.assert_allclose(clip.positions[:, 2], 7, atol=1e-12)
-    clip = simulate(car, Field(terrain=object()), [100, 0], State(position=(10, 2, 7)), duration=1.0)
+    with pytest.warns(UserWarning, match=r"starts at z = 7.00 m and was put on the ground, at 6.00 m"):
+        clip = simulate(car, Field(terrain=object()), [100, 0], State(position=(10, 2, 7)), duration=1.0)
     np.testing.assert_allclose(clip.positions[:, 2], 6, atol=1e-12)
 
 
