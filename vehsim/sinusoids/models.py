@@ -126,7 +126,8 @@ def trailers(hitches: Sequence[float], wheelbase: float = 1.0) -> DriftlessSyste
 
     states = ("x", "y", "phi", *(f"theta{i}" for i in range(len(lengths) + 1)))
     domain = {"x": (-1e4, 1e4), "y": (-1e4, 1e4), "phi": (-_RIGHT, _RIGHT)}
-    return DriftlessSystem(f"car with {len(lengths)} trailers", states, ("speed", "steering_rate"), fields, domain)
+    name = f"car with {len(lengths)} trailers"
+    return DriftlessSystem(name, states, ("speed", "steering_rate"), fields, domain, tuple(lengths))
 
 
 def _names(indices: Any) -> list[str]:

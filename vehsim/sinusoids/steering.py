@@ -202,11 +202,11 @@ class Steering:
                     "change a path; take more cycles or another member of the family (vehsim.sinusoids.family)"
                 )
 
-    def clip(self, vehicle: Vehicle, fps: Any = 24, start_frame: int = 1001) -> Clip:
-        """The motion as a clip of ``vehicle``'s rig, for vehicles that know this system (`vehsim.sinusoids.clips`)."""
-        from vehsim.sinusoids.clips import as_clip
+    def clip(self, vehicle: Vehicle, fps: Any = 24, start_frame: int = 1001, **flight: Any) -> Clip:
+        """The motion as a clip of ``vehicle``'s rig, for vehicles that know this system (`vehsim.sinusoids.rigs`)."""
+        from vehsim.sinusoids.rigs import clip_of
 
-        return as_clip(self, vehicle, fps, start_frame)
+        return clip_of(self, vehicle, fps, start_frame, **flight)
 
     def picture(self, path: str | Path, **options: Any) -> Path:
         """The painted trajectory from above as a PNG (`vehsim.sinusoids.picture`)."""

@@ -28,9 +28,8 @@ class DriftlessSystem:
     """``x' = G(x) u`` with ``fields``: x (n,) -> G (n, m), a CasADi expression or nested lists of them.
 
     ``domain``: state name -> (lower, upper), where the system is meant to be used: random samples are drawn from it and
-    start and goal are held against it; -1 to 1, unchecked, where a state is not named. ``singular``: names of
-    expressions of the state that must not vanish, ``x -> {name: value}``; they keep their sign along a steering.
-    ``equations``: what the states must satisfy when they are more than the manifold's dimension; none for now.
+    start and goal are held against it; -1 to 1, unchecked, where a state is not named.
+    ``lengths``: of hitches, m, for systems that are seen from above.
     """
 
     name: str
@@ -38,7 +37,7 @@ class DriftlessSystem:
     inputs: tuple[str, ...]
     fields: Callable[[Expr], Any]
     domain: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    singular: Callable[[Expr], Mapping[str, Expr]] | None = None
+    lengths: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "states", tuple(self.states))

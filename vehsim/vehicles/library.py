@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 MODELS: dict[str, str] = {
     "helicopter": "vehsim.vehicles.helicopter:helicopter",
     "car": "vehsim.vehicles.car:car",
+    "truck": "vehsim.vehicles.truck:truck",
+    "hopper": "vehsim.vehicles.hopper:hopper",
     "simple_car": "vehsim.vehicles.simple_car:simple_car",
     "two_wheeled": "vehsim.vehicles.two_wheeled:two_wheeled",
     "snakeboard": "vehsim.vehicles.snakeboard:snakeboard",

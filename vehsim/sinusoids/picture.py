@@ -1,0 +1,201 @@
+"""Manoeuvres painted: trajectories seen from above, and phase portraits (SIN's Lissajous figures)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vehsim.sinusoids.families import bodies
+from vehsim.sinusoids.steering import Steering
+from vehsim.sinusoids.system import Array
+
+PAPER, INK, FAINT, GRID = (250, 249, 246), (38, 42, 50), (186, 184, 178), (229, 227, 221)
+STAGES = ((42, 98, 163), (201, 94, 30), (45, 133, 84), (142, 68, 149), (176, 141, 22), (196, 58, 88))
+"""One colour a stage, again from the first after the last."""
+FINE = 2
+"""Drawn this much larger and shrunk, for smooth lines."""
+
+
+def paint(
+    steerings: Sequence[Steering],
+    path: str | Path,
+    *,
+    footprints: Sequence[Array] = (),
+    obstacles: Sequence[tuple[float, float, float, float, float]] = (),
+    columns: int = 0,
+    size: tuple[int, int] = (640, 400),
+) -> Path:
+    """Every steering from above, a panel each: the axles' paths in a colour a stage, bodies as outlines now and then.
+
+    ``footprints``: corner points (k, 2) m of each body, in order round it; ``obstacles`` (x, y, heading rad, length,
+    width) m; ``size`` of a panel in pixels.
+    """
+    panels = []
+    for steering in steerings:
+        poses = bodies(steering)
+        bounds = _bounds(np.concatenate([_outlines(poses[::20], footprints), *(_corners(o) for o in obstacles)]))
+        panel = _Panel(size, bounds, equal=True, title=steering.label or steering.system.name, names=("x [m]", "y [m]"))
+        for box in obstacles:
+            panel.polygon(_corners(box), fill=FAINT)
+        _paint_bodies(panel, steering, poses, footprints)
+        panels.append(panel)
+    return _save(panels, path, columns or min(3, len(panels)))
+
+
+def portraits(
+    steering: Steering, pairs: Sequence[tuple[str, str]], path: str | Path, columns: int = 2, inputs: bool = True
+) -> Path:
+    """States against states, a colour a stage, and the inputs over time: SIN Fig. 4 for any steering."""
+    panels = []
+    names, t = list(steering.system.states), steering.times
+    for across, up in pairs:
+        line = steering.states[:, [names.index(across), names.index(up)]]
+        panel = _Panel((480, 360), _bounds(line), equal=False, title=f"{up} over {across}", names=(across, up))
+        for k, part in _parts(steering):
+            panel.line(line[part], STAGES[k % len(STAGES)], 2)
+        panels.append(panel)
+    if inputs:
+        rows = [np.column_stack([t, steering.controls[:, j]]) for j in range(steering.system.m)]
+        title = "inputs: " + ", ".join(steering.system.inputs)
+        panel = _Panel((480, 360), _bounds(np.concatenate(rows)), equal=False, title=title, names=("t [s]", ""))
+        for j, row in enumerate(rows):
+            panel.line(row, STAGES[j], 2)
+        panels.append(panel)
+    return _save(panels, path, columns)
+
+
+@dataclass(eq=False)
+class _Panel:
+    """A drawing area with axes; world coordinates in, pixels out."""
+
+    size: tuple[int, int]
+    bounds: tuple[Array, Array]
+    equal: bool
+    title: str
+    names: tuple[str, str]
+
+    def __post_init__(self) -> None:
+        from PIL import Image, ImageDraw, ImageFont
+
+        w, h = (FINE * s for s in self.size)
+        self.image = Image.new("RGB", (w, h), PAPER)
+        self.draw = ImageDraw.Draw(self.image)
+        self.font = ImageFont.load_default(12 * FINE)
+        left, right, top, bottom = (FINE * p for p in (46, 12, 28, 34))
+        low, high = self.bounds
+        room = np.array([w - left - right, h - top - bottom], float)
+        scale = room / (high - low)
+        if self.equal:
+            scale[:] = scale.min()
+        middle = np.array([left, top]) + room / 2
+        self._scale, self._middle, self._centre = scale * [1, -1], middle, (low + high) / 2
+        self._frame = (left, top, w - right, h - bottom)
+        self._axes()
+
+    def pixels(self, points: Array) -> list[tuple[float, float]]:
+        return [tuple(p) for p in (np.asarray(points) - self._centre) * self._scale + self._middle]
+
+    def line(self, points: Array, colour: tuple[int, int, int], width: float) -> None:
+        self.draw.line(self.pixels(points), fill=colour, width=int(width * FINE), joint="curve")
+
+    def polygon(self, points: Array, fill: Any = None, outline: Any = None, width: int = 1) -> None:
+        self.draw.polygon(self.pixels(points), fill=fill, outline=outline, width=width * FINE)
+
+    def dot(self, point: Array, colour: tuple[int, int, int], radius: float = 3.5) -> None:
+        ((x, y),) = self.pixels(point[None])
+        r = radius * FINE
+        self.draw.ellipse((x - r, y - r, x + r, y + r), fill=colour)
+
+    def _axes(self) -> None:
+        left, top, right, bottom = self._frame
+        low = (np.array([left, bottom]) - self._middle) / self._scale + self._centre
+        high = (np.array([right, top]) - self._middle) / self._scale + self._centre
+        for axis in (0, 1):
+            for tick in _ticks(low[axis], high[axis]):
+                at = np.array([self._centre, self._centre])
+                at[:, axis] = tick
+                (px, py), _ = self.pixels(at)
+                if axis == 0:
+                    self.draw.line((px, top, px, bottom), fill=GRID, width=FINE)
+                    self.draw.text((px, bottom + 4 * FINE), f"{tick:g}", INK, self.font, anchor="mt")
+                else:
+                    self.draw.line((left, py, right, py), fill=GRID, width=FINE)
+                    self.draw.text((left - 5 * FINE, py), f"{tick:g}", INK, self.font, anchor="rm")
+        self.draw.rectangle(self._frame, outline=FAINT, width=FINE)
+        self.draw.text((left, top - 8 * FINE), self.title, INK, self.font, anchor="ls")
+        self.draw.text((right, bottom + 31 * FINE), self.names[0], INK, self.font, anchor="rs")
+        self.draw.text((left + 4 * FINE, top + 4 * FINE), self.names[1], INK, self.font, anchor="lt")
+
+
+def _paint_bodies(panel: _Panel, steering: Steering, poses: Array, footprints: Sequence[Array]) -> None:
+    for body in range(poses.shape[1]):
+        for k, part in _parts(steering):
+            colour = STAGES[k % len(STAGES)]
+            panel.line(poses[part, body, :2], colour if body == 0 else _faded(colour, 0.45), 2 if body == 0 else 1.5)
+    stops = [0, *(part.stop - 1 for _, part in _parts(steering))]
+    for row in np.unique(np.concatenate([np.linspace(0, len(poses) - 1, 9).astype(int), stops])):
+        for body, points in enumerate(footprints):
+            strong = row in (0, len(poses) - 1)
+            corners = _placed(points, poses[row, body])
+            panel.polygon(corners, outline=INK if strong else FAINT, width=2 if strong else 1)
+    panel.dot(poses[0, 0, :2], INK)
+    panel.dot(poses[-1, 0, :2], STAGES[1])
+
+
+def _parts(steering: Steering) -> list[tuple[int, slice]]:
+    """The samples of every stage, their ends shared."""
+    cuts = np.searchsorted(steering.times, steering.knots - 1e-12)
+    return [(k, slice(int(a), int(b) + 1)) for k, (a, b) in enumerate(zip(cuts[:-1], cuts[1:], strict=True))]
+
+
+def _outlines(poses: Array, footprints: Sequence[Array]) -> Array:
+    if not len(footprints):
+        return poses[:, :, :2].reshape(-1, 2)
+    rows = [_placed(points, pose) for row in poses for points, pose in zip(footprints, row, strict=True)]
+    return np.concatenate(rows)
+
+
+def _placed(points: Array, pose: Array) -> Array:
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    return np.asarray(points) @ np.array([[c, s], [-s, c]]) + pose[:2]
+
+
+def _corners(box: tuple[float, float, float, float, float]) -> Array:
+    x, y, heading, length, width = box
+    corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * [length / 2, width / 2]
+    return _placed(corners, np.array([x, y, heading]))
+
+
+def _bounds(points: Array) -> tuple[Array, Array]:
+    low, high = points.min(axis=0), points.max(axis=0)
+    slack = 0.06 * np.maximum(high - low, 1e-3 + 0.02 * (high - low).max())
+    return low - slack, high + slack
+
+
+def _ticks(low: float, high: float) -> Array:
+    step = 10.0 ** np.floor(np.log10(high - low))
+    step *= next(f for f in (1.0, 0.5, 0.2) if (high - low) / (f * step) >= 3 or f == 0.2)
+    return np.round(np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step, 10)
+
+
+def _faded(colour: tuple[int, int, int], share: float) -> tuple[int, int, int]:
+    r, g, b = (int(c * share + p * (1 - share)) for c, p in zip(colour, PAPER, strict=True))
+    return r, g, b
+
+
+def _save(panels: Sequence[_Panel], path: str | Path, columns: int) -> Path:
+    from PIL import Image
+
+    path = Path(path)
+    rows = -(-len(panels) // columns)
+    w, h = panels[0].image.size
+    sheet = Image.new("RGB", (w * min(columns, len(panels)), h * rows), PAPER)
+    for i, panel in enumerate(panels):
+        sheet.paste(panel.image, (w * (i % columns), h * (i // columns)))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    sheet.resize((sheet.width // FINE, sheet.height // FINE), Image.Resampling.LANCZOS).save(path)
+    return path

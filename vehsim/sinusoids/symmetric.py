@@ -1,0 +1,105 @@
+"""Symmetric products: which velocities a vehicle with drift can reach from rest (SYM's argument for its helicopter).
+
+From a state at rest whose controls balance whatever else acts, the vectors ``Y_a`` (accelerations per control) and
+their symmetric products ``<Y_a : Y_b> = [Y_b, [f, Y_a]]`` span the velocities reachable; together with their Lie
+brackets, the configurations. Good products are those of a bad-free count: a product ``<Y_a : Y_a>`` is bad, and must
+lie in the span of lower ones for the system to be locally controllable and not only accessible.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations_with_replacement
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from vehsim.errors import InputError
+from vehsim.sinusoids.algebra import Rank, lie_bracket, rank_of
+from vehsim.sinusoids.system import Array, Expr
+from vehsim.vehicles import State, Vehicle
+
+
+@dataclass(frozen=True)
+class SymmetricClosure:
+    """``dimension``: of the velocities; ``ranks``: span of the ``Y_a``, then with products of two, of three, ...
+
+    ``accessible``: they span all velocities. ``controllable``: also no bad product stands outside the span of lower
+    ones: from rest the vehicle reaches all configurations nearby, as long as its controls are not at a bound.
+    ``bad``: labels of the products that stand in the way.
+    """
+
+    dimension: int
+    ranks: tuple[Rank, ...]
+    labels: tuple[str, ...]
+    bad: tuple[str, ...]
+
+    @property
+    def accessible(self) -> bool:
+        return self.ranks[-1].value == self.dimension
+
+    @property
+    def controllable(self) -> bool:
+        return self.accessible and not self.bad
+
+    @property
+    def certain(self) -> bool:
+        return all(rank.certain for rank in self.ranks)
+
+
+def symmetric_closure(
+    vehicle: Vehicle, at: State | None = None, controls: Sequence[float] | None = None, order: int = 3
+) -> SymmetricClosure:
+    """Symmetric products of ``vehicle`` at the state ``at`` (upright at the origin), at rest and in balance.
+
+    ``controls`` that balance it, the trim unless given. Products of up to ``order`` vectors. The Y are what small
+    changes of the controls accelerate, so controls need not enter linearly.
+    Raises ``InputError`` where the controls do not balance the vehicle.
+    """
+    from vehsim.integrators.continuous import equations_of_motion
+    from vehsim.planning.guess import trim
+    from vehsim.vehicles.states import internal
+
+    law = equations_of_motion(vehicle)
+    g0, r0, _, _ = internal(vehicle, at or State())
+    c0 = np.asarray(trim(vehicle, (0.0, 0.0, 0.0)) if controls is None else controls, float)
+    sizes = [law.size1_in(i) for i in range(3)]
+    symbols = [ca.SX.sym(name, size) for name, size in zip("grz", sizes, strict=True)]
+    x, c = ca.vertcat(*symbols), ca.SX.sym("c", len(c0))
+    motion = ca.vertcat(*law(*symbols, c, 0, 0))
+    drift, inputs = ca.substitute(motion, c, ca.DM(c0)), ca.substitute(ca.jacobian(motion, c), c, ca.DM(c0))
+    start, rows = np.concatenate([g0, r0, np.zeros(sizes[2])]), slice(sum(sizes[:2]), None)
+    unbalanced = _value(drift, x, start)
+    if np.abs(unbalanced).max() > 1e-6:
+        raise InputError(
+            f"{vehicle.name}: controls {np.round(c0, 4).tolist()} do not balance it at rest: it accelerates by "
+            f"{np.abs(unbalanced).max():.3g}; give controls that do"
+        )
+    found: list[tuple[tuple[str, ...], str, Expr]] = [
+        ((n,), n, inputs[:, i]) for i, n in enumerate(vehicle.control_names)
+    ]
+    values = [_value(field, x, start)[rows] for _, _, field in found]
+    ranks, labels, bad = [rank_of(np.array(values).T)], [label for _, label, _ in found], []
+    for count in range(2, order + 1):
+        if ranks[-1].value == sizes[2]:
+            break
+        lower, new = np.array(values).T, []
+        for (a, la, fa), (b, lb, fb) in combinations_with_replacement(found, 2):
+            if len(a) + len(b) == count:
+                product = lie_bracket(fb, lie_bracket(drift, fa, x), x)
+                new.append((tuple(sorted((*a, *b))), f"<{la} : {lb}>", product))
+        for names, label, field in new:
+            values.append(_value(field, x, start)[rows])
+            even = all(names.count(name) % 2 == 0 for name in names)
+            if even and rank_of(np.column_stack([lower, values[-1]])).value > rank_of(lower).value:
+                bad.append(label)
+        found += new
+        labels += [label for _, label, _ in new]
+        ranks.append(rank_of(np.array(values).T))
+    return SymmetricClosure(sizes[2], tuple(ranks), tuple(labels), tuple(bad))
+
+
+def _value(field: Any, x: Expr, at: Array) -> Array:
+    return np.asarray(ca.Function("f", [x], [ca.densify(field)])(at)).ravel()
