@@ -249,14 +249,16 @@ def batch(folder: Path, count: int, workers: int) -> tuple[float, dict[str, Any]
     shot = write(folder, FREE_SPACE, count)
     out = folder / f"out{workers}"
     command = [sys.executable, "-m", "vehsim.cli", "export", str(shot), "--out", str(out), "--quiet"]
-    began = time.perf_counter()
+    before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     process = subprocess.Popen([*command, "--workers", str(workers)])
     memory = Memory(process.pid)
     code = process.wait()
     seconds = time.perf_counter() - began
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    busy = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     clips = json.loads((out / "summary.json").read_text())["clips"]
     done = sum(clip["state"] == "done" for clip in clips)
-    return seconds, {"code": code, "done": done, "memory": memory.end()}
+    return seconds, {"code": code, "done": done, "cpu": round(busy, 1), "memory": memory.end()}
 
 
 class Memory(threading.Thread):
@@ -306,6 +308,7 @@ def scaling(folder: Path, arguments: argparse.Namespace) -> None:
 def thousand(folder: Path, arguments: argparse.Namespace) -> None:
     seconds, said = batch(folder, arguments.clips, 2)
     early, late, most = said["memory"]
+    print(f"      {arguments.clips} clips: {said['cpu']} s of CPU time in all, load after {load()}", flush=True)
     limit = 240 * arguments.clips / 1000
     row(
         f"{said['done']} free-space clips planned and baked, 2 workers",

@@ -42,6 +42,15 @@ def start(folder: Path, out: str) -> subprocess.Popen[bytes]:
     return subprocess.Popen([*command, *options], start_new_session=True)
 
 
+def workers_of(process: subprocess.Popen[bytes]) -> list[int]:
+    """Its worker processes, without multiprocessing's own helper."""
+    try:
+        pids = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+        return [int(pid) for pid in pids if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+    except OSError:
+        return []
+
+
 def main(kills: int = 50, clips: int = 200, seed: int = 1) -> int:
     chance = random.Random(seed)
     with tempfile.TemporaryDirectory(prefix="bench-") as name:
@@ -54,11 +63,13 @@ def main(kills: int = 50, clips: int = 200, seed: int = 1) -> int:
         while True:
             process, starts = start(folder, "killed"), starts + 1
             while process.poll() is None and whole + single < kills:
-                time.sleep(chance.uniform(0.2, 3.0))
-                children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
-                workers = children.read_text().split() if process.poll() is None else []
+                if chance.random() < 0.9:  # most strike while clips are at work, some while the batch begins
+                    while process.poll() is None and not workers_of(process):
+                        time.sleep(0.02)
+                time.sleep(chance.uniform(0.0, 3.0))
+                workers = workers_of(process)
                 if workers and chance.random() < 0.5:
-                    os.kill(int(chance.choice(workers)), signal.SIGKILL)
+                    os.kill(chance.choice(workers), signal.SIGKILL)
                     single += 1
                 elif process.poll() is None:
                     os.killpg(process.pid, signal.SIGKILL)

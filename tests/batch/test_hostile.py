@@ -40,7 +40,12 @@ def start(shot: Path, out: Path, *more: str, limit: int | None = None) -> subpro
 
 
 def children(process: subprocess.Popen[str]) -> list[int]:
-    return [int(pid) for pid in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()]
+    """Its workers, without multiprocessing's own helper; none yet while it begins."""
+    try:
+        pids = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+        return [int(pid) for pid in pids if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+    except OSError:
+        return []
 
 
 @pytest.fixture
@@ -66,8 +71,10 @@ def test_killed_at_random_again_and_again(
     while True:
         process = start(shot, out, "--to", "usd,npz", "--resume")
         if kills < 6:
-            time.sleep(chance.uniform(0.3, 3.0))
-            workers = children(process) if process.poll() is None else []
+            while process.poll() is None and not children(process):
+                time.sleep(0.02)
+            time.sleep(chance.uniform(0.0, 3.0))
+            workers = children(process)
             if chance.random() < 0.4 and workers:
                 os.kill(chance.choice(workers), signal.SIGKILL)
             elif process.poll() is None:
@@ -89,6 +96,7 @@ def test_workers_end_with_their_batch(write: Write, tmp_path: Path) -> None:
     while '"planning"' not in process.stdout.readline():
         assert process.poll() is None
     workers = children(process)
+    assert len(workers) == 2
     time.sleep(1.0)
     process.kill()
     process.wait()
