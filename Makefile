@@ -2,13 +2,14 @@
 BIN := .venv/bin
 export MUJOCO_GL ?= egl
 
-.PHONY: help setup demo test lock clean bench-export
+.PHONY: help setup demo test lock clean bench-export bench-integrators
 
 help:
 	@echo "make demo   export examples/canyon_flight.toml to out/: a USD shot, frames and a film"
 	@echo "make test   formatter, linter, type checker and all tests"
 	@echo "make setup  only make .venv"
 	@echo "make lock   bring requirements.lock up to date with pyproject.toml"
+	@echo "make bench-integrators  the claims of the papers, measured; writes benchmarks/RESULTS.md"
 	@echo "make bench-export  measure baking, pictures and batches beside their peers (ten minutes)"
 	@echo "make clean  remove what the other commands made"
 
@@ -28,6 +29,9 @@ lock: setup
 	$(BIN)/python -m pip install --quiet uv
 	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --extra dev \
 		--custom-compile-command "make lock" --output-file requirements.lock pyproject.toml
+
+bench-integrators: setup
+	$(BIN)/python -m benchmarks.integrators
 
 bench-export: setup
 	$(BIN)/python benchmarks/bench_export.py
