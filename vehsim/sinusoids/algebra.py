@@ -253,12 +253,12 @@ class Leaf:
         return words
 
 
-def leaf(system: DriftlessSystem, at: Sequence[float], known: Classification | None = None) -> Leaf:
+def leaf(system: DriftlessSystem, at: Sequence[float] | Array, known: Classification | None = None) -> Leaf:
     """The leaf through ``at``, from the involutive closure of the input fields."""
     from scipy.linalg import qr
 
     x0 = np.asarray(at, float)
-    span = (known or classify(system, x0)).basis
+    span = (known or classify(system, x0.tolist())).basis
     fields = ca.Function("T", [system.x], [ca.densify(ca.horzcat(*(b.field for b in span)))])
     value = np.array(fields(x0)).reshape(system.n, len(span))
     if rank_of(value).value < len(span):

@@ -179,7 +179,8 @@ def steer_chained(
 ) -> Steering:
     """Chained form of length n from ``start`` to ``goal``.
 
-    ``"together"``: ``v1 = d + a sin``, ``v2`` a sum of cosines of 0 to n - 2 times its frequency, all in one stage: given
+    ``"together"``: ``v1 = d + a sin``, ``v2`` a sum of cosines of 0 to n - 2 times its frequency, all in one stage:
+    given
     ``a`` the rest is a linear solve, and ``a`` is the one of least effort unless ``amplitude`` is given. ``"staged"``:
     SIN's algorithm, one coordinate a stage, ``v1 = a sin, v2 = b cos of k times``, amplitudes in closed form.
     """

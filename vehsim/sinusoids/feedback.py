@@ -90,8 +90,8 @@ def chained_from_outputs(
 ) -> Feedback:
     """Chained form of a two-input system from the functions that become ``z1`` and ``zn``.
 
-    With inputs such that ``z1' = v1``, ``z(k-1)`` is the derivative of ``zk`` along the first; this is chained form when
-    the second input enters none but ``z2``. Raises ``InputError`` naming the coordinate where it does.
+    With inputs such that ``z1' = v1``, ``z(k-1)`` is the derivative of ``zk`` along the first; this is chained form
+    when the second input enters none but ``z2``. Raises ``InputError`` naming the coordinate where it does.
     """
     if system.m != 2:
         raise InputError(f"{system.name}: {system.m} inputs; chained form from two functions needs two")
@@ -164,7 +164,7 @@ def _grown(system: DriftlessSystem, fields: list[Expr], others: list[Expr], poin
 
 
 def hopper_chained(leg: float = 0.5) -> Feedback:
-    """The hopper in chained form, globally: ``(psi, f(l), theta)`` with ``f`` its rate of turning, ``v2 = f'(l) u2``."""
+    """The hopper in chained form, globally: ``(psi, f(l), theta)``, ``f`` its rate of turning, ``v2 = f'(l) u2``."""
     from vehsim.sinusoids.models import hopper
 
     def f(length: Expr) -> Expr:

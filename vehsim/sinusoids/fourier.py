@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import permutations
 from typing import Any
 
@@ -31,9 +32,11 @@ REACH = 0.85
 
 @dataclass(frozen=True)
 class Loop:
-    """Two sinusoids: ``p`` moves by ``a (cos phase - cos(2 pi s c + phase))``, ``q`` by ``b sin`` at ``harmonic`` times.
+    """Two sinusoids: ``p`` moves by ``a (cos phase - cos(2 pi s c + phase))``, ``q`` by ``b sin`` at ``harmonic``
+    times.
 
-    ``p, q``: states the inputs drive; ``cycles``: c, how often the slow one goes round; ``phase``: where it starts, rad.
+    ``p, q``: states the inputs drive; ``cycles``: c, how often the slow one goes round; ``phase``: where it starts,
+    rad.
     """
 
     p: int
@@ -77,8 +80,8 @@ def triangular(system: DriftlessSystem) -> Triangular:
         rows = [i for i in range(n) if _is_unit(system, i, j, points) and i not in driver]
         if not rows:
             raise InputError(
-                f"{system.name}: not triangular: no coordinate moves with input {system.inputs[j]} alone, at unit rate; "
-                "change inputs first (vehsim.sinusoids.feedback)"
+                f"{system.name}: not triangular: no coordinate moves with input {system.inputs[j]} alone, "
+                "at unit rate; change inputs first (vehsim.sinusoids.feedback)"
             )
         driver[rows[0]] = j
         level[rows[0]] = 1
@@ -113,13 +116,11 @@ def steer_triangular(
     Raises ``InputError`` for what is not triangular, ``SolveError`` naming the coordinate that no loop moves alone.
     """
     change = system if isinstance(system, Feedback) else None
-    source = change.source if change else system
+    source: DriftlessSystem = system.source if isinstance(system, Feedback) else system
     t = triangular(change.target if change else system)  # type: ignore[arg-type]
     x0, x1 = source.check_state("start", start), source.check_state("goal", goal)
     h, goal_h = (change.to(x0), change.to(x1)) if change else (x0.copy(), x1)
-    steps = [_first_stage(t, h, goal_h, first)]
-    h = _carried(t, h, steps[0])
-    h[list(t.driver)] = goal_h[list(t.driver)]
+    steps, h = _first_stages(t, h, goal_h, first)
     for i in t.order:
         wanted = goal_h[i] - h[i]
         if abs(wanted) < 1e-13:
@@ -129,7 +130,6 @@ def steer_triangular(
         steps.append(stage)
         h = _carried(t, h, stage)
         h[i] = goal_h[i]
-    steps = [s for s in steps if s is not None]
     stages = steps if change is None else _source_stages(change, x0, steps)
     return Steering(source, x0, x1, tuple(stages)).checked()
 
@@ -162,13 +162,18 @@ def net_motion(t: Triangular, h: Array, loop: Loop, a: float, b: float) -> Array
     return net * loop.cycles
 
 
+def _missing(t: Triangular, h: Array, loop: Loop, i: int, wanted: float, a: float, b: float) -> float:
+    """How far a loop of amplitudes ``a, b`` leaves state ``i`` from moving by ``wanted``."""
+    return float(net_motion(t, h, loop, a, b)[i]) - wanted
+
+
 def _loop_stage(t: Triangular, h: Array, i: int, wanted: float, amplitude: float, cycles: int, phase: float) -> Stage:
     """The loop that moves state ``i`` by ``wanted`` and nothing steered before it."""
     loop = _choose_loop(t, h, i, cycles, phase)
     p_bound, bound = (_room(t.system, h, k) for k in (loop.p, loop.q))
     a = float(np.sign(amplitude) or 1.0) * min(abs(amplitude), p_bound / 2)
     for _ in range(60):
-        b = _amplitude(lambda b, a=a: net_motion(t, h, loop, a, b)[i] - wanted, bound)
+        b = _amplitude(partial(_missing, t, h, loop, i, wanted, a), bound)
         if b is not None:
             law = _loop_law(t, loop, a, b)
             sizes = {t.system.states[loop.p]: abs(a), t.system.states[loop.q]: abs(b)}
@@ -183,7 +188,9 @@ def _loop_stage(t: Triangular, h: Array, i: int, wanted: float, amplitude: float
 
 
 def _choose_loop(t: Triangular, h: Array, i: int, cycles: int, phase: float) -> Loop:
-    """Inputs and harmonic that move state ``i`` alone: bracket depth says the harmonic, the Fourier analysis the inputs."""
+    """Inputs and harmonic that move state ``i`` alone: bracket depth says the harmonic, the Fourier analysis the
+    inputs.
+    """
     tried = []
     for harmonic in range(t.level[i] - 1, t.level[i] + 2):
         for p, q in permutations(t.driver, 2):
@@ -228,13 +235,43 @@ def _room(system: DriftlessSystem, h: Array, i: int) -> float:
     return REACH * float(min(h[i] - lower, upper - h[i]))
 
 
-def _first_stage(t: Triangular, h: Array, goal: Array, law: Law | None) -> Stage | None:
+def _first_stages(t: Triangular, h: Array, goal: Array, law: Law | None) -> tuple[list[Stage], Array]:
+    """The driven coordinates to their goals: at once, or where that leaves the chart one after another.
+
+    One after another means all but one to zero, that one to its goal, then the others: a car straightens its wheels,
+    drives, and turns them.
+    """
     v = np.zeros(t.system.m)
     for state, j in t.driver.items():
         v[j] = goal[state] - h[state]
     if law is None and not np.any(v):
-        return None
-    return Stage("straight", law or (lambda s: np.tile(v, (len(s), 1))))
+        return [], h
+    try:
+        stage = _constant("straight", v) if law is None else Stage("first", law)
+        return [stage], _arrived(t, _carried(t, h, stage), goal)
+    except SolveError:
+        if law is not None:
+            raise
+    lead, *others = t.driver
+    out, drive, back = (np.zeros(t.system.m) for _ in range(3))
+    drive[t.driver[lead]] = v[t.driver[lead]]
+    for state in others:
+        out[t.driver[state]], back[t.driver[state]] = -h[state], goal[state]
+    stages = [_constant(label, u) for label, u in (("release", out), ("straight", drive), ("set", back)) if np.any(u)]
+    for stage in stages:
+        h = _carried(t, h, stage)
+    return stages, _arrived(t, h, goal)
+
+
+def _constant(label: str, v: Array) -> Stage:
+    return Stage(label, lambda s: np.tile(v, (len(s), 1)))
+
+
+def _arrived(t: Triangular, h: Array, goal: Array) -> Array:
+    """The driven coordinates are at their goals to round-off: say so exactly."""
+    h = h.copy()
+    h[list(t.driver)] = goal[list(t.driver)]
+    return h
 
 
 def _loop_law(t: Triangular, loop: Loop, a: float, b: float) -> Law:
@@ -248,12 +285,10 @@ def _loop_law(t: Triangular, loop: Loop, a: float, b: float) -> Law:
     return law
 
 
-def _carried(t: Triangular, h: Array, stage: Stage | None) -> Array:
+def _carried(t: Triangular, h: Array, stage: Stage) -> Array:
     """Where a stage leads, by integration; ``SolveError`` when it leaves the chart."""
     from vehsim.sinusoids.steering import integrate
 
-    if stage is None:
-        return h
     end = integrate(t.system, stage, h, np.array([0.0, stage.duration]))[-1]
     for name, value in zip(t.system.states, end, strict=True):
         lower, upper = t.system.domain.get(name, (-np.inf, np.inf))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -149,7 +150,7 @@ def _paint_bodies(panel: _Panel, steering: Steering, poses: Array, footprints: S
 def _parts(steering: Steering) -> list[tuple[int, slice]]:
     """The samples of every stage, their ends shared."""
     cuts = np.searchsorted(steering.times, steering.knots - 1e-12)
-    return [(k, slice(int(a), int(b) + 1)) for k, (a, b) in enumerate(zip(cuts[:-1], cuts[1:], strict=True))]
+    return [(k, slice(int(a), int(b) + 1)) for k, (a, b) in enumerate(itertools.pairwise(cuts))]
 
 
 def _outlines(poses: Array, footprints: Sequence[Array]) -> Array:

@@ -156,7 +156,9 @@ def rigged(vehicle: Vehicle, **flight: Any) -> Rigged:
 
 
 def clip_of(steering: Steering, vehicle: Vehicle, fps: Any = 24, start_frame: int = 1001, **flight: Any) -> Clip:
-    """The steering as a clip of ``vehicle``, its forces found from the motion. ``InputError`` when it is another system."""
+    """The steering as a clip of ``vehicle``, its forces found from the motion. ``InputError`` when it is another
+    system.
+    """
     who = rigged(vehicle, **flight)
     if who.system.states != steering.system.states:
         raise InputError(

@@ -1,9 +1,9 @@
 """Symmetric products: which velocities a vehicle with drift can reach from rest (SYM's argument for its helicopter).
 
 From a state at rest whose controls balance whatever else acts, the vectors ``Y_a`` (accelerations per control) and
-their symmetric products ``<Y_a : Y_b> = [Y_b, [f, Y_a]]`` span the velocities reachable; together with their Lie
-brackets, the configurations. Good products are those of a bad-free count: a product ``<Y_a : Y_a>`` is bad, and must
-lie in the span of lower ones for the system to be locally controllable and not only accessible.
+their symmetric products ``<Y_a : Y_b> = [Y_b, [f, Y_a]]`` span the velocities reachable. A product in which every Y
+stands an even number of times, such as ``<Y_a : Y_a>``, is bad: it pushes one way only, and must lie in the span of
+lower ones for the system to be locally controllable and not only accessible.
 """
 
 from __future__ import annotations
@@ -26,15 +26,16 @@ from vehsim.vehicles import State, Vehicle
 class SymmetricClosure:
     """``dimension``: of the velocities; ``ranks``: span of the ``Y_a``, then with products of two, of three, ...
 
-    ``accessible``: they span all velocities. ``controllable``: also no bad product stands outside the span of lower
-    ones: from rest the vehicle reaches all configurations nearby, as long as its controls are not at a bound.
-    ``bad``: labels of the products that stand in the way.
+    ``accessible``: they span all velocities. ``bad``: labels of the products that stand in the way of more, unless
+    what balances the vehicle, its weight, does the rest: ``linear``, the linearised motion is controllable (Kalman).
+    ``controllable``: from rest the vehicle reaches all states nearby, as long as its controls are not at a bound.
     """
 
     dimension: int
     ranks: tuple[Rank, ...]
     labels: tuple[str, ...]
     bad: tuple[str, ...]
+    linear: bool
 
     @property
     def accessible(self) -> bool:
@@ -42,7 +43,7 @@ class SymmetricClosure:
 
     @property
     def controllable(self) -> bool:
-        return self.accessible and not self.bad
+        return self.linear or (self.accessible and not self.bad)
 
     @property
     def certain(self) -> bool:
@@ -98,7 +99,20 @@ def symmetric_closure(
         found += new
         labels += [label for _, label, _ in new]
         ranks.append(rank_of(np.array(values).T))
-    return SymmetricClosure(sizes[2], tuple(ranks), tuple(labels), tuple(bad))
+    linear = _kalman(*vehicle.linearize(at or State(), c0))
+    return SymmetricClosure(sizes[2], tuple(ranks), tuple(labels), tuple(bad), linear)
+
+
+def _kalman(a: Array, b: Array) -> bool:
+    """Whether B, AB, .. span everything: the reachable subspace grown by orthonormal steps."""
+    q = np.zeros((len(a), 0))
+    new = b / max(1.0, np.abs(b).max())
+    while new.size:
+        u, values, _ = np.linalg.svd(new - q @ (q.T @ new), full_matrices=False)
+        fresh = u[:, values > 1e-9]
+        fresh -= q @ (q.T @ fresh)
+        q, new = np.hstack([q, fresh]), a @ fresh / max(1.0, np.abs(a).max())
+    return q.shape[1] == len(a)
 
 
 def _value(field: Any, x: Expr, at: Array) -> Array:

@@ -240,13 +240,13 @@ def _staged(legs: Sequence[Leg | _Pull], speed: float) -> tuple[Stage, ...]:
     """Stages at ``speed`` where legs join in the same direction, and at rest where they do not."""
     stages = []
     for i, leg in enumerate(legs):
-        rests = []
+        rests: list[bool] = []
         for j in (i - 1, i + 1):
             other = legs[j] if 0 <= j < len(legs) else None
             turned = other is None or isinstance(leg, _Pull) or isinstance(other, _Pull) or leg.span * other.span < 0
             rests.append(turned)
         pace = {(True, True): "both", (True, False): "start", (False, True): "end", (False, False): "steady"}[
-            tuple(rests)
+            rests[0], rests[1]
         ]
         end = leg.law(np.array([1.0 if rests[0] else 0.0]))
         rate = {"both": 1.5, "start": 2.0, "end": 2.0, "steady": 1.0}[pace]

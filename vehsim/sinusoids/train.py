@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property, partial
 from math import factorial
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import BPoly
@@ -155,8 +156,8 @@ class Leg:
 
     def inputs(self, s: Array) -> Array:
         """Front-wheel speed and steering rate (k, 2) per unit of s."""
-        jets = self.jets(s)
-        step = 1e-30j * self.span
+        jets: Any = self.jets(s)
+        step: Any = 1e-30j * self.span
         moved, length = state_of(
             self.train, self.x0 + self.span * s + step, jets[:, :-1] + step * jets[:, 1:], self.frame
         )

@@ -22,9 +22,10 @@ def hopper(
 ) -> Nonholonomic:
     """A rigid body whose frame stands at its centre of mass, where the leg is hinged about the body's Y axis.
 
-    ``mass`` kg, ``inertia`` (3,) principal, kg m^2, of the body; the leg's mass is at its foot, ``leg_length`` m from the
-    hinge when not stretched; ``gravity`` m/s^2 along -Z of the world.
-    Joints: ``psi``, the leg's angle about +Y from straight down [rad], and ``stretch`` [m], both set by their rates: the
+    ``mass`` kg, ``inertia`` (3,) principal, kg m^2, of the body; the leg's mass is at its foot, ``leg_length`` m from
+    the hinge when not stretched; ``gravity`` m/s^2 along -Z of the world.
+    Joints: ``psi``, the leg's angle about +Y from straight down [rad], and ``stretch`` [m], both set by their rates:
+    the
     controls ``psi_rate`` [rad/s] and ``stretch_rate`` [m/s]. The body follows: in the air its angular momentum stays.
     Channels: ``leg`` [rad]; ``stretch`` and ``half_stretch`` [m], along the leg's own Z, which points up it.
     """

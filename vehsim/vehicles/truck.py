@@ -28,11 +28,13 @@ def truck(
     """A tractor whose body frame stands on the rear axle, on the ground, and its trailers.
 
     Tractor: ``mass`` kg, ``wheel_inertia`` of the driven wheels, ``yaw_inertia`` about the rear axle kg m^2; radius of
-    all wheels, wheelbase and half track m. Trailers from the front: ``hitches`` m from each axle to the one ahead, where
-    it is coupled; masses on the axle and inertias about it.
+    all wheels, wheelbase and half track m. Trailers from the front: ``hitches`` m from each axle to the one ahead,
+    where it is coupled; masses on the axle and inertias about it.
     Joints: ``psi``, roll of the driven wheels, ``sigma = tan(steering angle)``, and for every trailer ``hitch_k``, its
-    angle against what pulls it [rad]. Controls: ``torque`` on the driven axle [N m] and ``steering_rate`` of sigma [1/s].
-    Channels: ``roll_*`` and Ackermann ``steer_*`` of the tractor's wheels, ``hitch_k``, ``roll_tk_l`` and ``roll_tk_r``.
+    angle against what pulls it [rad]. Controls: ``torque`` on the driven axle [N m] and ``steering_rate`` of sigma
+    [1/s].
+    Channels: ``roll_*`` and Ackermann ``steer_*`` of the tractor's wheels, ``hitch_k``, ``roll_tk_l`` and
+    ``roll_tk_r``.
     """
     rho, length, count = wheel_radius, wheelbase, len(hitches)
     if len(trailer_masses) != count or len(trailer_inertias) != count:
