@@ -13,6 +13,7 @@ import os
 import platform
 import secrets
 import shutil
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
@@ -145,17 +146,21 @@ def may_replace(target: Path, overwrite: bool = True) -> None:
         return
     if not overwrite:
         raise InputError(f"{target}: exists; remove it, or export elsewhere")
-    if all(_is_foreign(target) for _ in range(3)):  # asked again: another export may just be replacing it
-        raise InputError(
-            f"{target}: exists and was not written by vehsim (no {SIGN}); export elsewhere, or move it away"
-        )
+    for pause in (0.0, 0.02, 0.1):  # asked again: another export may just be replacing it
+        time.sleep(pause)
+        if not _is_foreign(target):
+            return
+    raise InputError(f"{target}: exists and was not written by vehsim (no {SIGN}); export elsewhere, or move it away")
 
 
 def _is_foreign(target: Path) -> bool:
     try:
-        return not target.is_dir() or (any(target.iterdir()) and not (target / SIGN).is_file())
+        names = os.listdir(target)  # one look: between two, another folder may stand there
     except FileNotFoundError:
         return False
+    except NotADirectoryError:
+        return True
+    return bool(names) and SIGN not in names
 
 
 def settle(folder: Path) -> None:
