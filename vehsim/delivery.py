@@ -213,11 +213,12 @@ def _swap(beside: Path, target: Path, overwrite: bool) -> None:
 
 def _bring_back(target: Path) -> None:
     """After a crash between the two renames the old delivery is still there under its other name."""
-    if not target.exists():
+    if target.exists():
+        return
+    with suppress(OSError):  # another export was quicker
         hidden = sorted(target.parent.glob(f".{target.name}.*.replaced"), key=lambda path: path.stat().st_mtime)
-        with suppress(OSError):  # another export was quicker
-            for aside in hidden[-1:]:
-                aside.rename(target)
+        for aside in hidden[-1:]:
+            aside.rename(target)
 
 
 def clean_up(target: Path) -> None:
