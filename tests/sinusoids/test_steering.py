@@ -1,0 +1,93 @@
+"""Growth vectors against the paper's and by hand; steering judged by an integrator that knows nothing of the method."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from vehsim.sinusoids import models
+from vehsim.sinusoids.algebra import classify, growth_bound
+from vehsim.sinusoids.canonical import steer_chained, steer_first_degree, steer_second_degree
+from vehsim.sinusoids.feedback import car_triangular
+from vehsim.sinusoids.fourier import steer_triangular
+from vehsim.sinusoids.trailers import steer_trailers
+
+
+def end_error(steering):
+    """Largest difference from the goal when the returned inputs are integrated stage by stage by DOP853."""
+    system = steering.system
+    inputs = ca.SX.sym("u", system.m)
+    field = ca.Function("f", [system.x, inputs], [ca.densify(system.G @ inputs)])
+    x = np.asarray(steering.start, float)
+    for a, b in zip(steering.knots[:-1], steering.knots[1:], strict=True):
+        inside = np.nextafter(a, b)
+
+        def rate(t, x, inside=inside, b=b):
+            u = steering.inputs(min(max(t, inside), b))[0]
+            return np.ravel(np.asarray(field(x, u)))
+
+        x = solve_ivp(rate, (a, b), x, method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+    return float(np.abs(x - steering.goal).max())
+
+
+@pytest.mark.parametrize(
+    ("system", "expected"),
+    [
+        (models.first_degree(3), (3, 3)),
+        (models.second_degree(2), (2, 1, 2)),
+        (models.chained(5), (2, 1, 1, 1)),
+        (models.hopper(), (2, 1)),
+        (models.car(), (2, 1, 1)),
+        (models.trailers([1.0]), (2, 1, 1, 1)),
+        (models.trailers([1.0, 1.0]), (2, 1, 1, 1, 1)),
+    ],
+    ids=["brockett", "second degree", "chained", "hopper", "car", "one trailer", "two trailers"],
+)
+def test_relative_growth(system, expected):
+    found = classify(system)
+    assert found.relative_growth == expected and found.controllable
+
+
+def test_growth_bound_is_the_papers():
+    """sigma_i of free Lie algebras: 2, 1, 2, 3, 6 for two fields and 3, 3, 8, 18 for three (Witt)."""
+    assert growth_bound(2, 5) == (2, 1, 2, 3, 6)
+    assert growth_bound(3, 4) == (3, 3, 8, 18)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("m", [2, 3, 4])
+def test_first_degree_system_is_steered_exactly(m, seed):
+    ends = np.random.default_rng(seed).uniform(-1, 1, (2, m + m * (m - 1) // 2))
+    assert end_error(steer_first_degree(m, *ends)) < 1e-8
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_second_degree_system_is_steered_exactly(seed):
+    ends = np.random.default_rng(seed).uniform(-1, 1, (2, models.second_degree(2).n))
+    assert end_error(steer_second_degree(2, *ends)) < 1e-7
+
+
+@pytest.mark.parametrize("method", ["together", "staged"])
+@pytest.mark.parametrize("n", [3, 4, 5])
+def test_chained_form_is_steered_exactly(n, method):
+    ends = np.random.default_rng(n).uniform(-1, 1, (2, n))
+    assert end_error(steer_chained(n, *ends, method=method)) < 1e-7
+
+
+def test_the_papers_car():
+    """SIN Fig. 4: (x, y, theta, phi) in math.md's order, wheelbase long enough for its constant first stage."""
+    change = car_triangular(4.0)
+    names = list(change.source.states)
+    start, goal = {"x": -5.0, "y": 1.0, "theta": 0.05, "phi": 1.0}, {"x": 0.0, "y": 0.5, "theta": 0.0, "phi": 0.0}
+    ends = [[end[name] for name in names] for end in (start, goal)]
+    assert end_error(steer_triangular(change, *ends)) < 1e-6
+
+
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_trailers_are_steered(count):
+    system = models.trailers([1.2] * count)
+    start = np.zeros(system.n)
+    goal = np.zeros(system.n)
+    goal[list(system.states).index("x")] = 6.0
+    goal[list(system.states).index("y")] = 1.0
+    assert end_error(steer_trailers([1.2] * count, start, goal)) < 1e-6
