@@ -128,12 +128,56 @@ def revolve(profile: ArrayLike, sides: int = 32, axis: str = "z", crease: float 
     return lattice(np.roll(rows, {"z": 0, "x": 1, "y": 2}[axis], axis=2), crease=crease)
 
 
-def box(size: ArrayLike, centre: ArrayLike = (0, 0, 0), bevel: float = 0.0) -> Surface:
-    """A box with its edges bevelled, as the hull of its shrunken corners grown again."""
+def box(size: ArrayLike, centre: ArrayLike = (0, 0, 0), bevel: float = 0.0, steps: int = 1) -> Surface:
+    """A box with its edges bevelled in ``steps`` (3 look round): the hull of its shrunken corners, grown."""
     half = np.asarray(size, float) / 2
     corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T * (half - bevel)
-    grown = np.concatenate([corners + bevel * np.sign(corners) * axis for axis in np.eye(3)]) if bevel else corners
-    return convex(grown + np.asarray(centre, float))
+    grown = np.concatenate([corners + bevel * np.sign(corners) * d for d in _octant(steps)]) if bevel else corners
+    return convex(grown + np.asarray(centre, float), 30.0 if steps == 1 else 100.0 / steps)
+
+
+def _octant(steps: int) -> Array:
+    """Directions (n, 3) of one octant of the unit sphere, ``steps`` apart along its edges."""
+    i, j = (k.ravel() for k in np.meshgrid(np.arange(steps + 1), np.arange(steps + 1), indexing="ij"))
+    i, j = i[i + j <= steps], j[i + j <= steps]
+    weights = np.sin(np.stack([i, j, steps - i - j], 1) / steps * np.pi / 2)
+    return weights / np.linalg.norm(weights, axis=1)[:, None]
+
+
+def sheet(rows: Any, facing: ArrayLike, crease: float = 40.0) -> Surface:
+    """An open skin over ``rows`` (m, n, 3) that faces ``facing`` (3,) on the whole."""
+    surface = lattice(rows, wrap=False, crease=crease)
+    a, b, c = (surface.points[surface.faces[:, k]] for k in range(3))
+    away = np.cross(b - a, c - a).sum(0) @ np.asarray(facing, float) < 0
+    return Surface(surface.points, -surface.normals, surface.faces[:, ::-1]) if away else surface
+
+
+def ring(profile: ArrayLike, sides: int, axis: str = "y", crease: float = 40.0) -> Surface:
+    """A closed ``profile`` (m, 2) of (radius, height along ``axis``) turned about ``axis``: tyres, rims, hoops."""
+    profile = np.asarray(profile, float)
+    turn = np.linspace(0, 2 * np.pi, sides, endpoint=False)
+    around = np.stack([np.cos(turn), np.sin(turn), np.zeros(sides)], 1)
+    loop = np.concatenate([profile, profile[:1]])
+    rows = loop[:, None, :1] * around + loop[:, None, 1:] * np.array([0.0, 0.0, 1.0])
+    rows = np.roll(rows, {"z": 0, "x": 1, "y": 2}[axis], axis=2)
+    surface = lattice(rows, caps=False, crease=crease)
+    a, b, c = (surface.points[surface.faces[:, k]] for k in range(3))
+    inward = np.einsum("ij,ij->", a, np.cross(b, c)) < 0
+    return Surface(surface.points, -surface.normals, surface.faces[:, ::-1]) if inward else surface
+
+
+def torus(radius: float, thickness: float, sides: int = 32, axis: str = "z", around: int = 8) -> Surface:
+    """A ring of round section: ``radius`` to the middle of the section, ``thickness`` its own radius."""
+    turn = np.linspace(0, 2 * np.pi, around, endpoint=False)
+    return ring(np.stack([radius + thickness * np.cos(turn), thickness * np.sin(turn)], 1), sides, axis, 70.0)
+
+
+def aimed(direction: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> Array:
+    """A rotation (3, 3) that takes X to ``direction`` and keeps Z as near ``up`` as can be."""
+    x = np.asarray(direction, float) / np.linalg.norm(direction)
+    y = np.cross(up, x)
+    y /= np.linalg.norm(y)
+    return np.stack([x, y, np.cross(x, y)], 1)
 
 
 def convex(points: Array, crease: float = 30.0) -> Surface:

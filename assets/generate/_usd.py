@@ -1,7 +1,7 @@
 """Surfaces, materials and pivots written as a USD vehicle asset: the same form for every vehicle we generate.
 
 What belongs here is USD alone: stage metadata, parts as Xform prims with their pivot as rest translate, one mesh per
-material, UsdPreviewSurface materials, and collision meshes with purpose `guide`.
+material, UsdPreviewSurface materials, liveries as a variant set, and collision meshes with purpose `guide`.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
@@ -31,7 +32,8 @@ class Material:
 class PartShape:
     """A moving part: its pivot in its parent part's frame, m, and its surfaces in its own frame.
 
-    ``look`` has one surface per material name, ``collision`` convex surfaces by name, ``parts`` parts that ride on it.
+    ``look`` has one surface per material name, ``collision`` surfaces by name ("" is called like the part), ``parts``
+    parts that ride on it.
     """
 
     pivot: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -40,8 +42,18 @@ class PartShape:
     parts: Mapping[str, PartShape] = field(default_factory=dict)
 
 
-def write_asset(path: Path, parts: Mapping[str, PartShape], materials: Mapping[str, Material], doc: str) -> None:
-    """Write a vehicle named like ``path``: ``/<name>/<part>/<part>_<material>``, metres, Z up."""
+Liveries = Mapping[str, Mapping[str, Material]]
+"""Livery name -> the materials it changes. The first is what shows unless another is chosen."""
+PLAIN: Liveries = MappingProxyType({})
+
+
+def write_asset(
+    path: Path, parts: Mapping[str, PartShape], materials: Mapping[str, Material], doc: str, liveries: Liveries = PLAIN
+) -> None:
+    """Write a vehicle named like ``path``: ``/<name>/<part>/<part>_<material>``, metres, Z up.
+
+    ``liveries`` become the variant set "livery" on the root; every material one of them changes must be in all.
+    """
     from pxr import Kind, Sdf, Usd, UsdGeom
 
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -60,6 +72,7 @@ def write_asset(path: Path, parts: Mapping[str, PartShape], materials: Mapping[s
     shaders = _write_materials(stage, f"/{path.stem}", materials)
     for name, part in parts.items():
         _write_part(stage, f"/{path.stem}/{name}", part, shaders)
+    _write_liveries(stage, root.GetPrim(), liveries)
     geometry = UsdGeom.ModelAPI.Apply(root.GetPrim())
     cache = UsdGeom.BBoxCache(Usd.TimeCode.Default(), ["default", "render", "proxy", "guide"], useExtentsHint=False)
     geometry.SetExtentsHint(geometry.ComputeExtentsHint(cache))
@@ -72,7 +85,8 @@ def triangles(parts: Mapping[str, PartShape]) -> int:
 
 
 def _write_materials(stage, root: str, materials: Mapping[str, Material]) -> dict:
-    from pxr import Gf, Sdf, UsdGeom, UsdShade
+    """Materials by name; what liveries change is written by them: a value of the asset's own would be stronger."""
+    from pxr import Sdf, UsdGeom, UsdShade
 
     UsdGeom.Scope.Define(stage, f"{root}/materials")
     bound = {}
@@ -80,15 +94,61 @@ def _write_materials(stage, root: str, materials: Mapping[str, Material]) -> dic
         shader_material = UsdShade.Material.Define(stage, f"{root}/materials/{name}")
         shader = UsdShade.Shader.Define(stage, f"{root}/materials/{name}/surface")
         shader.CreateIdAttr("UsdPreviewSurface")
-        colour, number = Sdf.ValueTypeNames.Color3f, Sdf.ValueTypeNames.Float
-        shader.CreateInput("diffuseColor", colour).Set(Gf.Vec3f(*material.colour))
-        shader.CreateInput("emissiveColor", colour).Set(Gf.Vec3f(*material.glow))
-        for key in ("roughness", "metallic", "opacity", "clearcoat"):
-            shader.CreateInput(key, number).Set(getattr(material, key))
-        shader.CreateInput("clearcoatRoughness", number).Set(0.05)
         shader_material.CreateSurfaceOutput().ConnectToSource(shader.CreateOutput("surface", Sdf.ValueTypeNames.Token))
+        _author_surface(shader, material)
         bound[name] = (shader_material, material)
     return bound
+
+
+def _author_surface(shader, material: Material) -> None:
+    from pxr import Gf, Sdf
+
+    colour, number = Sdf.ValueTypeNames.Color3f, Sdf.ValueTypeNames.Float
+    shader.CreateInput("diffuseColor", colour).Set(Gf.Vec3f(*material.colour))
+    shader.CreateInput("emissiveColor", colour).Set(Gf.Vec3f(*material.glow))
+    for key in ("roughness", "metallic", "opacity", "clearcoat"):
+        shader.CreateInput(key, number).Set(getattr(material, key))
+    shader.CreateInput("clearcoatRoughness", number).Set(0.05)
+
+
+def _write_liveries(stage, root, liveries: Liveries) -> None:
+    """The variant set "livery": each variant authors the surfaces it changes and the display colours that go with them.
+
+    Local opinions are stronger than a variant's, so what a livery changes is cleared outside the variants.
+    """
+    from pxr import Gf, Usd, UsdGeom, UsdShade
+
+    if not liveries:
+        return
+    changed = sorted({name for livery in liveries.values() for name in livery})
+    for name, livery in liveries.items():
+        if missing := sorted(set(changed) - set(livery)):
+            raise ValueError(
+                f"livery {name!r} says nothing of {missing}: every livery must say all that one of them does"
+            )
+    meshes: dict[str, list] = {name: [] for name in changed}
+    for prim in Usd.PrimRange(root):
+        bound = UsdShade.MaterialBindingAPI(prim).GetDirectBinding().GetMaterialPath().name
+        if bound in meshes:
+            meshes[bound].append(UsdGeom.Gprim(prim))
+    shaders = {
+        name: UsdShade.Shader(stage.GetPrimAtPath(f"{root.GetPath()}/materials/{name}/surface")) for name in changed
+    }
+    for name in changed:
+        for port in shaders[name].GetInputs():
+            port.GetAttr().Clear()
+        for mesh in meshes[name]:
+            mesh.GetDisplayColorAttr().Clear()
+    choices = root.GetVariantSets().AddVariantSet("livery")
+    for livery, surfaces in liveries.items():
+        choices.AddVariant(livery)
+        choices.SetVariantSelection(livery)
+        with choices.GetVariantEditContext():
+            for name in changed:
+                _author_surface(shaders[name], surfaces[name])
+                for mesh in meshes[name]:
+                    mesh.GetDisplayColorAttr().Set([Gf.Vec3f(*surfaces[name].colour)])
+    choices.SetVariantSelection(next(iter(liveries)))
 
 
 def _write_part(stage, path: str, part: PartShape, shaders: Mapping) -> None:
@@ -107,7 +167,7 @@ def _write_part(stage, path: str, part: PartShape, shaders: Mapping) -> None:
         mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
         UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(shader)
     for key, surface in part.collision.items():
-        mesh = _write_mesh(stage, f"{path}/{name}_{key}", surface)
+        mesh = _write_mesh(stage, f"{path}/{name}_{key}" if key else f"{path}/{name}", surface)
         mesh.CreatePurposeAttr(UsdGeom.Tokens.guide)
         UsdPhysics.CollisionAPI.Apply(mesh.GetPrim())
         UsdPhysics.MeshCollisionAPI.Apply(mesh.GetPrim()).CreateApproximationAttr(UsdPhysics.Tokens.convexHull)

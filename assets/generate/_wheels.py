@@ -9,9 +9,9 @@ from vehsim.assets.generate._shapes import (
     by_material,
     convex,
     join,
-    lattice,
     outer_hull,
     revolve,
+    ring,
 )
 
 RADIUS, WIDTH = 0.32, 0.215
@@ -30,8 +30,8 @@ def wheel() -> dict[str, Surface]:
         (r, 0.04),
     ]
     tread += [(r - 0.002, h - 0.035), (0.308, h - 0.012), (0.285, h), (0.25, h), (0.222, h - 0.012)]
-    tyre = _ring(tread, 48)
-    barrel = _ring(
+    tyre = ring(tread, 48)
+    barrel = ring(
         [
             (0.226, -h + 0.01),
             (0.226, h - 0.012),
@@ -74,17 +74,6 @@ def wheel() -> dict[str, Surface]:
     disc = revolve([(0.0, 0.0), (0.155, 0.0), (0.155, 0.022), (0.0, 0.022)], 32, "y")
     back = revolve([(0.0, -0.075), (0.20, -0.075), (0.20, -0.06), (0.0, -0.06)], 32, "y")
     return by_material({"tyre": tyre, "rim": join(barrel, hub, *spokes), "trim": join(back, nuts), "disc": disc})
-
-
-def _ring(profile: list, sides: int) -> Surface:
-    """A closed ``profile`` of (radius, y) turned about Y."""
-    turn = np.linspace(0, 2 * np.pi, sides, endpoint=False)
-    around = np.stack([np.cos(turn), np.zeros(sides), np.sin(turn)], 1)
-    loop = np.array([*profile, profile[0]])
-    surface = lattice(loop[:, None, :1] * around + loop[:, None, 1:] * np.array([0, 1.0, 0]), caps=False)
-    a, b, c = (surface.points[surface.faces[:, k]] for k in range(3))
-    inward = np.einsum("ij,ij->", a, np.cross(b, c)) < 0
-    return Surface(surface.points, -surface.normals, surface.faces[:, ::-1]) if inward else surface
 
 
 def wheel_hull(steer: float) -> Surface:

@@ -1,12 +1,10 @@
-"""The car: `python assets/generate/car.py` writes `assets/vehicles/car/car.usdc`.
+"""The car: `python -m vehsim.assets.generate car` writes `assets/vehicles/car/car.usdc`.
 
 A compact two-door coupe: 4.3 m long, 1.8 m wide, 1.35 m high, wheelbase 2.6 m. X forward, Y left, Z up; the root
 stands on the ground midway between the axles. Wheels turn about Y; the front ones ride on parts that steer about Z.
 """
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -33,12 +31,14 @@ from vehsim.assets.generate._shapes import (
     split,
     tube,
 )
-from vehsim.assets.generate._usd import Material, PartShape, triangles, write_asset
+from vehsim.assets.generate._usd import Material, PartShape
 from vehsim.assets.generate._wheels import RADIUS, wheel, wheel_hull
 
 AXLE, HALF_TRACK = 1.30, 0.77
 ARCH = 0.372
 STEER_LIMIT = np.radians(40.0)  # the inner wheel of the tightest Ackermann turn
+
+DOC = "Compact coupe. X forward, Y left, Z up; root on the ground between the axles."
 
 MATERIALS = {
     "paint": Material((0.008, 0.105, 0.36), roughness=0.24, metallic=0.2, clearcoat=1.0),
@@ -54,13 +54,6 @@ MATERIALS = {
     "disc": Material((0.20, 0.20, 0.21), roughness=0.45, metallic=0.8),
     "chrome": Material((0.62, 0.63, 0.65), roughness=0.15, metallic=1.0),
 }
-
-
-def main() -> None:
-    out = Path(__file__).parents[1] / "vehicles" / "car" / "car.usdc"
-    parts = build()
-    write_asset(out, parts, MATERIALS, "Compact coupe. X forward, Y left, Z up; root on the ground between the axles.")
-    print(f"{out.name}: {triangles(parts)} triangles, {out.stat().st_size / 1e6:.2f} MB")
 
 
 def build() -> dict[str, PartShape]:
@@ -333,7 +326,3 @@ def body_hulls(look: dict[str, Surface]) -> dict[str, Surface]:
     high = ~mirror & (z > 0.97)
     regions = {"mirror_left": left, "mirror_right": right, "cabin": high, "shell": ~mirror & ~high}
     return {n: outer_hull(everything.points[np.unique(everything.faces[r])], 17.0) for n, r in regions.items()}
-
-
-if __name__ == "__main__":
-    main()

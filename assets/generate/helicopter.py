@@ -1,4 +1,4 @@
-"""The light helicopter: `python assets/generate/helicopter.py` writes `assets/vehicles/helicopter/helicopter.usdc`.
+"""The light helicopter: `python -m vehsim.assets.generate helicopter` writes its `helicopter.usdc`.
 
 A single-engine machine of the five- to six-seat class: rotor 10.7 m across, fuselage 10.9 m long. X forward, Y left,
 Z up; the root stands on the ground between the skids, below the mast. Seen from above the main rotor turns
@@ -6,8 +6,6 @@ counter-clockwise, so its torque turns the nose right and the tail rotor, on the
 """
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import numpy as np
 
@@ -32,11 +30,13 @@ from vehsim.assets.generate._shapes import (
     tube,
     wing,
 )
-from vehsim.assets.generate._usd import Material, PartShape, triangles, write_asset
+from vehsim.assets.generate._usd import Material, PartShape
 
 HUB = np.array([0.0, 0.0, 3.06])
 TAIL_HUB = np.array([-6.35, 0.36, 2.12])
 NOSE, TAIL = 3.50, -6.78
+
+DOC = "Light helicopter. X forward, Y left, Z up; root on the ground below the mast."
 
 MATERIALS = {
     "white": Material((0.78, 0.79, 0.80), roughness=0.28, clearcoat=1.0),
@@ -56,13 +56,6 @@ MATERIALS = {
     "blur_root": Material((0.08, 0.085, 0.09), roughness=0.8, opacity=0.14),
     "blur_tip": Material((0.80, 0.42, 0.08), roughness=0.8, opacity=0.12),
 }
-
-
-def main() -> None:
-    out = Path(__file__).parents[1] / "vehicles" / "helicopter" / "helicopter.usdc"
-    parts = build()
-    write_asset(out, parts, MATERIALS, "Light helicopter. X forward, Y left, Z up; root on the ground below the mast.")
-    print(f"{out.name}: {triangles(parts)} triangles, {out.stat().st_size / 1e6:.2f} MB")
 
 
 def build() -> dict[str, PartShape]:
@@ -343,7 +336,3 @@ def fuselage_hulls(look: dict[str, Surface]) -> dict[str, Surface]:
         hulls[name] = outer_hull(everything.points[np.unique(everything.faces[left & region])])
         left = left & ~region
     return hulls
-
-
-if __name__ == "__main__":
-    main()
