@@ -35,6 +35,8 @@ SUPERSAMPLE = 4
 texture, as multisampling cannot."""
 LARGEST = 16_000
 """Longest side of an off-screen buffer, px; 16384 is refused."""
+NEAREST, BILINEAR = 0, 2
+"""Pillow's `Resampling`."""
 HAZE = (10.0, 760.0)
 """Distances where haze begins and where nothing else is left, m."""
 
@@ -61,6 +63,7 @@ class StageRenderer:
         self._mocap = {
             group: self._model.body_mocapid[self._model.body(f"group{k}").id] for k, group in enumerate(stage.groups)
         }
+        self._size = width, height
         self._canvas = _Canvas(self._model, width, height)
 
     def __enter__(self) -> StageRenderer:
@@ -90,16 +93,25 @@ class StageRenderer:
         self._canvas.update(self._data)
         self._place_camera(camera, frame)
         self._place_lights()
-        picture, depth = self._canvas.draw(SHADOW=self._shadows, FOG=True)
-        if not depth.all():  # haze would swallow the sky, so that is drawn for itself
-            sky, _ = self._canvas.draw(only_sky=True, SKYBOX=True)
-            picture = np.where(depth[..., None] > 0, picture, sky)
-        return np.asarray(Image.fromarray(picture[::-1]).reduce(self._supersample))
+        canvas, side = self._canvas, self._supersample
+        colour, depth = canvas.draw(canvas.scene, self._size, SHADOW=self._shadows, FOG=True)
+        picture, opaque = Image.fromarray(colour[::-1]), depth[::-1] > 0
+        if opaque.all():
+            return np.asarray(picture.reduce(side))
+        # Haze would swallow the sky, so that is drawn for itself with what it shines through; it bears half the size.
+        half = (-(-self._size[0] // 2), -(-self._size[1] // 2))
+        sky = Image.fromarray(canvas.draw(canvas.glass, half, SKYBOX=True)[0][::-1])
+        sky = sky.resize(self.size, BILINEAR)
+        box = _box(opaque, side)
+        behind = sky.crop(tuple(edge // side for edge in box)).resize((box[2] - box[0], box[3] - box[1]), NEAREST)
+        behind.paste(picture.crop(box), mask=Image.fromarray(opaque[box[1] : box[3], box[0] : box[2]]))
+        sky.paste(behind.reduce(side), (box[0] // side, box[1] // side))
+        return np.asarray(sky)
 
     def _place_camera(self, name: str, frame: float) -> None:
         pose, half_width, half_height, (near, far) = self.stage.camera(name, frame)
         half_height = half_width * self.size[1] / self.size[0]  # pixels are square
-        for camera in self._canvas.scene.camera:  # two eyes, drawn as their mean
+        for camera in (*self._canvas.scene.camera, *self._canvas.glass.camera):  # two eyes, drawn as their mean
             camera.pos = pose[:3, 3]
             camera.forward = -pose[:3, 2]
             camera.up = pose[:3, 1]
@@ -171,6 +183,7 @@ class StageRenderer:
                 type=mujoco.mjtGeom.mjGEOM_MESH,
                 meshname=f"shape{k}",
                 material=materials[shape.surface],
+                group=OPAQUE if shape.surface.opacity == 1 else TRANSLUCENT,
                 contype=0,
                 conaffinity=0,
                 mass=0.0,
@@ -194,35 +207,34 @@ class _Canvas:
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
         self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
         self._model = model
-        self._rect = mujoco.MjrRect(0, 0, width, height)
-        self._option = mujoco.MjvOption()
         self.scene = mujoco.MjvScene(model, model.ngeom + 100)
+        self.glass = mujoco.MjvScene(model, model.ngeom + 100)
 
     def update(self, data: Any) -> None:
-        """Take geoms and lights from ``data``."""
+        """Take geoms and lights from ``data``: all of them into ``scene``, what is translucent also into ``glass``."""
         import mujoco
 
-        everything = mujoco.mjtCatBit.mjCAT_ALL
-        free = mujoco.MjvCamera()
-        mujoco.mjv_updateScene(self._model, data, self._option, None, free, everything, self.scene)
+        everything, free, option = mujoco.mjtCatBit.mjCAT_ALL, mujoco.MjvCamera(), mujoco.MjvOption()
+        mujoco.mjv_updateScene(self._model, data, option, None, free, everything, self.scene)
+        option.geomgroup[OPAQUE] = 0
+        mujoco.mjv_updateScene(self._model, data, option, None, free, everything, self.glass)
 
-    def draw(self, only_sky: bool = False, **flags: bool) -> tuple[Picture, NDArray[np.float32]]:
-        """Colour (h, w, 3) and depth (h, w), 0 where there is nothing, both from the bottom row up.
+    def draw(self, scene: Any, size: tuple[int, int], **flags: bool) -> tuple[Picture, NDArray[np.float32]]:
+        """Colour (h, w, 3) and depth (h, w), 0 where there is nothing opaque; both from the bottom row up.
 
-        ``flags``: the renderer's own (SHADOW, FOG, SKYBOX, ...); what is not named is off.
+        ``size`` (w, h) px, within the context's; ``flags``: the renderer's own (SHADOW, FOG, SKYBOX, ...); what is not
+        named is off.
         """
         import mujoco
 
         for k, name in enumerate(mujoco.mjtRndFlag.__members__):
-            if k < len(self.scene.flags):
-                self.scene.flags[k] = flags.get(name.removeprefix("mjRND_"), name == "mjRND_CULL_FACE")
-        colour = np.empty((self._rect.height, self._rect.width, 3), np.uint8)
-        depth = np.empty((self._rect.height, self._rect.width), np.float32)
-        count, self.scene.ngeom = self.scene.ngeom, 0 if only_sky else self.scene.ngeom
+            if k < len(scene.flags):
+                scene.flags[k] = flags.get(name.removeprefix("mjRND_"), name == "mjRND_CULL_FACE")
+        rect = mujoco.MjrRect(0, 0, *size)
+        colour, depth = np.empty((*size[::-1], 3), np.uint8), np.empty(size[::-1], np.float32)
         self._gl.make_current()
-        mujoco.mjr_render(self._rect, self.scene, self._context)
-        mujoco.mjr_readPixels(colour, depth, self._rect, self._context)
-        self.scene.ngeom = count
+        mujoco.mjr_render(rect, scene, self._context)
+        mujoco.mjr_readPixels(colour, depth, rect, self._context)
         return colour, depth
 
     def close(self) -> None:
@@ -231,6 +243,8 @@ class _Canvas:
         self._gl.free()
 
 
+OPAQUE, TRANSLUCENT = 0, 1
+"""Geom groups."""
 SUN = 1
 """The sun's place among the scene's lights, after the headlight."""
 
@@ -241,7 +255,7 @@ def _author_mesh(spec: Any, name: str, shape: Shape) -> None:
 
     points, faces = shape.points, shape.faces
     normals, face_normals, face_uvs = shape.normals, shape.face_normals, shape.face_uvs
-    if not shape.closed:
+    if not shape.closed and shape.surface.opacity == 1:  # through glass MuJoCo shows both sides
         face_normals = np.concatenate([face_normals, face_normals[:, ::-1] + len(normals)])
         normals = np.concatenate([normals, -normals])
         faces = np.concatenate([faces, faces[:, ::-1]])
@@ -256,6 +270,14 @@ def _author_mesh(spec: Any, name: str, shape: Shape) -> None:
     if shape.uvs is not None and face_uvs is not None:
         mesh.usertexcoord = shape.uvs.astype(np.float32).ravel()
         mesh.userfacetexcoord = face_uvs.astype(np.int32).ravel()
+
+
+def _box(mask: NDArray[np.bool_], side: int) -> tuple[int, int, int, int]:
+    """Left, top, right, bottom of what is true, on multiples of ``side``."""
+    rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+    low = [int(places[0]) // side * side if len(places) else 0 for places in (columns, rows)]
+    high = [-(-(int(places[-1]) + 1) // side) * side if len(places) else side for places in (columns, rows)]
+    return low[0], low[1], high[0], high[1]
 
 
 def _casts_shadow(shape: Shape, lower: Array) -> bool:

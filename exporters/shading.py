@@ -116,7 +116,7 @@ def author_material(spec: Any, name: str, surface: Surface, textures: dict[Path,
 
     material = spec.add_material(name=name)
     colour = to_srgb(surface.colour) if surface.texture is None else np.ones(3)
-    material.rgba = [*colour.tolist(), surface.opacity]
+    material.rgba = [*colour.tolist(), 1.0 - (1.0 - surface.opacity) ** 0.5]  # MuJoCo lays what is translucent on twice
     gloss = (1.0 - surface.roughness) ** 2
     material.specular = float(np.clip(0.9 * gloss + 0.3 * surface.metallic * gloss, 0.0, 1.0))
     material.shininess = float(np.clip(gloss, 0.02, 0.9))

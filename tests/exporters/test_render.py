@@ -274,6 +274,23 @@ def test_glass_and_blur_let_the_sun_through(new_stage):
     assert casts == {"/top/solid": True, "/top/blur": False}
 
 
+def test_glass_is_seen_against_the_sky_and_only_where_nothing_hides_it(new_stage):
+    """What is translucent leaves no depth: a sky put wherever there is none wiped rotors' blur out."""
+    from pxr import Sdf
+
+    plain = picture(new_stage)
+    quad(new_stage, "/top/blur", (0, 0, 0), 1.5, (1, 0, 0))
+    shader = new_stage.GetPrimAtPath("/top/blur_material/surface")
+    shader.CreateAttribute("inputs:opacity", Sdf.ValueTypeNames.Float).Set(0.5)
+    glass = picture(new_stage)
+    assert np.allclose(centroid(np.abs(glass - plain).max(axis=-1) > 15), (SIZE[0] / 2, SIZE[1] / 2), atol=0.5)
+    row, column = SIZE[1] // 2, SIZE[0] // 2
+    through = glass[row, column, 1:] / plain[row, column, 1:]
+    assert np.allclose(through, 0.5, atol=0.03)  # of red glass, green and blue of the sky
+    quad(new_stage, "/top/wall", (0, -2, 0), 1.5, (0, 1, 0))
+    assert picture(new_stage)[row, column, 0] < 60
+
+
 def test_frames_are_the_same_from_one_process_or_two(new_stage, tmp_path):
     """Frames shared out to another interpreter come back bit for bit as from one."""
     quad(new_stage, "/top/quad", (0, 0, 0), 1.0, (0.8, 0.2, 0.1))
