@@ -11,16 +11,22 @@ from pathlib import Path
 
 from vehsim.assets.generate._usd import PLAIN, triangles, write_asset
 
-VEHICLES = ("boat", "car", "helicopter")
+HERE = Path(__file__).parent
 
 
 def main(names: list[str]) -> None:
-    for name in names or VEHICLES:
+    for name in names or vehicles():
         script = import_module(f"vehsim.assets.generate.{name}")
-        out = Path(__file__).parents[1] / "vehicles" / name / f"{name}.usdc"
+        out = HERE.parent / "vehicles" / name / f"{name}.usdc"
         parts = script.build()
         write_asset(out, parts, script.MATERIALS, script.DOC, getattr(script, "LIVERIES", PLAIN))
         print(f"{out.name}: {triangles(parts)} triangles, {out.stat().st_size / 1e6:.2f} MB")
+
+
+def vehicles() -> list[str]:
+    """Names of the scripts that build a vehicle; those of terrains write their own files."""
+    scripts = sorted(path.stem for path in HERE.glob("*.py") if not path.stem.startswith("_"))
+    return [name for name in scripts if hasattr(import_module(f"vehsim.assets.generate.{name}"), "build")]
 
 
 if __name__ == "__main__":

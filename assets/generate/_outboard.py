@@ -20,6 +20,7 @@ from vehsim.assets.generate._shapes import (
     polygon,
     revolve,
     split,
+    superellipse,
     wing,
 )
 from vehsim.assets.generate._usd import PartShape
@@ -51,13 +52,11 @@ def cowling() -> dict[str, Surface]:
     length = curve([low, 0.22, 0.40, 0.62, 0.72, 0.78, high], [0.28, 0.34, 0.375, 0.355, 0.31, 0.21, 0.02])
     width = curve([low, 0.22, 0.40, 0.62, 0.72, 0.78, high], [0.15, 0.20, 0.225, 0.205, 0.17, 0.115, 0.012])
     middle = curve([low, 0.4, high], [-0.14, -0.20, -0.27])
-    turn = np.linspace(0, 2 * np.pi, 36, endpoint=False)
-    c, s = np.cos(turn), np.sin(turn)
     rows = []
     for z in zs:
-        x, y = np.sign(c) * np.abs(c) ** 0.75, np.sign(s) * np.abs(s) ** 0.75
-        tilt = 0.26 * np.clip((z - 0.4) / 0.4, 0, 1) * length(z) * x  # the top slopes down forward
-        rows.append(np.stack([middle(z) + length(z) * x, width(z) * y, z - tilt], 1))
+        x, y = superellipse(length(z), width(z), 8 / 3, 36).T
+        tilt = 0.26 * np.clip((z - 0.4) / 0.4, 0, 1) * x  # the top slopes down forward
+        rows.append(np.stack([middle(z) + x, y, z - tilt], 1))
     skin = lattice(rows, crease=50)
     band = polygon([(0.30, 0.335), (-0.70, 0.405), (-0.70, 0.465), (0.30, 0.375)])
     split_line = both(lambda p: p[:, 2] - 0.243, lambda p: 0.231 - p[:, 2])

@@ -166,6 +166,13 @@ def ring(profile: ArrayLike, sides: int, axis: str = "y", crease: float = 40.0) 
     return Surface(surface.points, -surface.normals, surface.faces[:, ::-1]) if inward else surface
 
 
+def superellipse(length: float, width: float, power: float, around: int) -> Array:
+    """A closed curve (around, 2) with half axes ``length`` and ``width``: 2 is an ellipse, more is squarer."""
+    turn = np.linspace(0, 2 * np.pi, around, endpoint=False)
+    c, s = np.cos(turn), np.sin(turn)
+    return np.stack([length * np.sign(c) * np.abs(c) ** (2 / power), width * np.sign(s) * np.abs(s) ** (2 / power)], 1)
+
+
 def torus(radius: float, thickness: float, sides: int = 32, axis: str = "z", around: int = 8) -> Surface:
     """A ring of round section: ``radius`` to the middle of the section, ``thickness`` its own radius."""
     turn = np.linspace(0, 2 * np.pi, around, endpoint=False)
@@ -248,6 +255,15 @@ def refined(surface: Surface, axis: int, at: ArrayLike) -> Surface:
     for value in np.asarray(at, float):
         surface = join(*split(surface, below(axis, value)))
     return surface
+
+
+def sharpened(surface: Surface, region: Field, size: float, axes: tuple[int, int] = (1, 2)) -> Surface:
+    """``surface`` with triangles of ``size`` across ``axes`` in and around a ``region``: what is cut there is crisp."""
+    near, surface = split(surface, grown(region, 0.015))
+    for axis in axes:
+        low, high = near.points[:, axis].min(), near.points[:, axis].max()
+        near = refined(near, axis, np.arange(low + size / 2, high, size))
+    return join(surface, near)
 
 
 def _roots(points: Array, value: Array, edges: Faces, field: Field) -> Array:

@@ -157,6 +157,10 @@ def _write_part(stage, path: str, part: PartShape, shaders: Mapping) -> None:
     xform = UsdGeom.Xform.Define(stage, path)
     xform.AddTranslateOp().Set(Gf.Vec3d(*part.pivot))
     name = path.rsplit("/", 1)[-1]
+    if twice := set(part.look) & set(part.collision):
+        raise ValueError(
+            f"{path}: {sorted(twice)} names a look and a collision surface; give the collision another name"
+        )
     for key, surface in part.look.items():
         shader, material = shaders[key]
         mesh = _write_mesh(stage, f"{path}/{name}_{key}", surface)

@@ -1,4 +1,4 @@
-"""The car's wheels, and the hulls that hold them at every angle of roll and steering."""
+"""Wheels: the car's, spoked ones of any size, and the hulls that hold them at every angle of roll and steering."""
 
 from __future__ import annotations
 
@@ -76,9 +76,46 @@ def wheel() -> dict[str, Surface]:
     return by_material({"tyre": tyre, "rim": join(barrel, hub, *spokes), "trim": join(back, nuts), "disc": disc})
 
 
-def wheel_hull(steer: float) -> Surface:
+def spoked_wheel(
+    radius: float, width: float, rim: float = 0.72, spokes: int = 5, marked: int = 1
+) -> dict[str, Surface]:
+    """A left wheel about its own centre, Y outboard: a round-shouldered "tyre", a "rim" with spokes, a "hub".
+
+    ``rim``: its share of ``radius``. ``marked`` spokes, side by side, are the surface "mark": they show rotation.
+    """
+    h, r, b = width / 2, rim * radius, 0.16 * width
+    shoulder = [(radius - b + b * np.sin(t), h - b + b * np.cos(t)) for t in np.linspace(0, np.pi / 2, 5)]
+    outer = [(r, h - 0.6 * b), (r + 0.25 * (radius - r), h), *shoulder]
+    tyre = ring([*outer, *((a, -y) for a, y in outer[::-1])], 56)
+    t = 0.1 * radius
+    barrel = ring([(r, -h + b), (r, h - 0.7 * b), (r - 0.5 * t, h - 0.4 * b), (r - t, h - b), (r - t, -h + b)], 48)
+    arms = []
+    for k in range(spokes):
+        a = 2 * np.pi * k / spokes
+        along, across = np.array([np.cos(a), 0, np.sin(a)]), np.array([-np.sin(a), 0, np.cos(a)])
+        corners = [
+            d * along + side * half * across + y * np.array([0, 1.0, 0])
+            for d, half, lift in ((0.12 * radius, 0.085 * radius, 0.0), (r - 0.6 * t, 0.06 * radius, 0.25 * b))
+            for side in (-1, 1)
+            for half, y in ((half, h - 3.2 * b), (half, h - 1.4 * b + lift), (0.6 * half, h - b + lift))
+        ]
+        arms.append(convex(np.array(corners), 20.0))
+    cap = 0.22 * radius
+    hub = revolve([(0.0, -h + b), (cap, -h + b), (cap, h - b), (0.8 * cap, h - 0.5 * b), (0.0, h - 0.4 * b)], 32, "y")
+    bolts = [
+        revolve([(0.0, 0.0), (0.12 * cap, 0.0), (0.12 * cap, 0.25 * b), (0.0, 0.3 * b)], 6, "y").moved(
+            [0.5 * cap * np.cos(a), h - 0.5 * b, 0.5 * cap * np.sin(a)]
+        )
+        for a in np.linspace(0, 2 * np.pi, spokes, endpoint=False)
+    ]
+    return by_material(
+        {"tyre": tyre, "rim": join(barrel, *arms[marked:])}, {"mark": join(*arms[:marked])}, {"hub": join(hub, *bolts)}
+    )
+
+
+def wheel_hull(steer: float, radius: float = RADIUS, width: float = WIDTH) -> Surface:
     """A wheel as a prism about it; swept over its steering angles when it steers, for the hulls do not move."""
-    r, h, sides = RADIUS, WIDTH / 2 + 0.002, 16
+    r, h, sides = radius, width / 2 + 0.002, 16
     turn = (np.arange(sides) + 0.5) * 2 * np.pi / sides
     ring = np.stack([np.cos(turn), np.zeros(sides), np.sin(turn)], 1) * r / np.cos(np.pi / sides)
     ring[:, 2] = np.clip(ring[:, 2], -r, r)

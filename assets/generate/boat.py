@@ -78,7 +78,7 @@ def build() -> dict[str, PartShape]:
     """The boat's parts by name: hull with all that stands on it, outboard, and the propeller that rides on that."""
     look = by_material(shell(), deck(), cockpit(), windscreen(), helm(), seats(), rails(), fittings())
     engine, propeller = outboard()
-    swept = outer_hull(_steered(engine, propeller), 16.0)
+    swept = outer_hull(_steered(engine, propeller), 12.0)
     return {
         "hull": PartShape(look=look, collision={"": hull(), **outer_hulls(look)}),
         "outboard": PartShape(
@@ -445,6 +445,6 @@ def outer_hulls(look: dict[str, Surface]) -> dict[str, Surface]:
     regions["seats"] = ~low
     hulls, left = {}, np.ones(len(x), bool)
     for name, region in regions.items():
-        hulls[name] = outer_hull(everything.points[np.unique(everything.faces[left & region])], 16.0)
+        hulls[f"bounds_{name}"] = outer_hull(everything.points[np.unique(everything.faces[left & region])], 12.0)
         left &= ~region
     return hulls

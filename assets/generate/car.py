@@ -25,9 +25,9 @@ from vehsim.assets.generate._shapes import (
     outer_hull,
     painted,
     polygon,
-    refined,
     revolve,
     seam,
+    sharpened,
     split,
     tube,
 )
@@ -169,15 +169,6 @@ def spot(y: float, z: float, radius: float) -> Field:
 
 LENS = facing(1, [(0.44, 0.565), (0.46, 0.615), (0.80, 0.72), (0.87, 0.705), (0.80, 0.60), (0.62, 0.555)], 0.02)
 VENT = facing(1, [(0.60, 0.29), (0.78, 0.31), (0.78, 0.45), (0.66, 0.42)], 0.03)
-
-
-def sharpened(skin: Surface, region: Field, size: float) -> Surface:
-    """``skin`` with finer triangles in and around a ``region`` on the car's ends, so details cut there are crisp."""
-    near, skin = split(skin, grown(region, 0.015))
-    for axis in (1, 2):
-        low, high = near.points[:, axis].min(), near.points[:, axis].max()
-        near = refined(near, axis, np.arange(low + size / 2, high, size))
-    return join(skin, near)
 
 
 def front_details() -> list[tuple[str, Field]]:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from pxr import Usd, UsdGeom, UsdValidation
 from scipy.spatial import ConvexHull
 
@@ -15,15 +16,23 @@ import vehsim
 import vehsim.assets
 from vehsim.parts import Part, collision_hulls, read_parts
 from vehsim.vehicles._base import Rig
+from vehsim.vehicles.library import available
 
 VEHICLES = Path(vehsim.assets.__file__).parent / "vehicles"
 PARTS = {
     "helicopter": {"fuselage", "main_rotor", "tail_rotor"},
     "car": {"body", "wheel_rl", "wheel_rr", "steer_fl", "steer_fr", "steer_fl/wheel_fl", "steer_fr/wheel_fr"},
+    "boat": {"hull", "outboard", "outboard/propeller"},
+    "two_wheeled": {"body", "wheel_left", "wheel_right"},
 }
-TRIANGLES = {"helicopter": 8000, "car": 6000}
-STEERED = {"helicopter": [], "car": ["fl", "fr"]}
-both = pytest.mark.parametrize("name", ["helicopter", "car"])
+TRIANGLES = {"helicopter": 8000, "car": 6000, "boat": 8000, "two_wheeled": 8000}
+STEERED = {"car": {"fl": 40, "fr": 40}, "boat": {"outboard": 30}}
+"""Part -> degrees to either side: hulls do not move, so they hold what steers at every angle."""
+LOWEST = {"boat": -0.8401}
+"""Where a vehicle does not stand on the ground: its lowest point, m."""
+LIVERIES = ["boat", "two_wheeled"]
+BOAT_TOML = "vehicle.skeleton.toml"
+every = pytest.mark.parametrize("name", list(PARTS))
 
 
 def asset(name: str) -> Path:
@@ -43,11 +52,14 @@ def in_root(p: Part) -> np.ndarray:
     return p.points @ p.T_rp[:3, :3].T + p.T_rp[:3, 3]
 
 
-def steered(side: str) -> np.ndarray:
-    """The points (n, 3) of a front wheel at full lock to either side, in the root's frame."""
-    wheel = part("car", f"steer_{side}/wheel_{side}")
-    turned = [wheel.points @ rotation(2, angle).T for angle in np.radians([-40, 40])]
-    return np.concatenate(turned) + wheel.T_rp[:3, 3]
+def steered(name: str) -> np.ndarray:
+    """The points (n, 3) of what steers, at full lock to either side, in the root's frame."""
+    points = [np.zeros((0, 3))]
+    for path, limit in STEERED.get(name, {}).items():
+        pivot = next(p for p in read_parts(asset(name)) if p.path == path or p.path.startswith(f"steer_{path}/"))
+        for angle in np.radians([-limit, limit]):
+            points.append(pivot.points @ rotation(2, angle).T + pivot.T_rp[:3, 3])
+    return np.concatenate(points)
 
 
 def rig(name: str) -> Rig:
@@ -70,7 +82,7 @@ def rotation(axis: int, angle: float) -> np.ndarray:
     return turn
 
 
-@both
+@every
 def test_every_usd_validator_finds_nothing(name):
     validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
     assert len(validators) > 20
@@ -78,7 +90,7 @@ def test_every_usd_validator_finds_nothing(name):
     assert [error.GetErrorAsString() for error in found] == []
 
 
-@both
+@every
 def test_stage_metadata_is_complete(name):
     stage = Usd.Stage.Open(str(asset(name)))
     root = stage.GetDefaultPrim()
@@ -92,7 +104,7 @@ def test_stage_metadata_is_complete(name):
     assert asset(name).stat().st_size < 2e6
 
 
-@both
+@every
 def test_meshes_are_polygonal_with_unit_normals_that_agree_with_their_faces(name):
     stage = Usd.Stage.Open(str(asset(name)))
     for mesh in meshes(stage, guides=False):
@@ -108,7 +120,7 @@ def test_meshes_are_polygonal_with_unit_normals_that_agree_with_their_faces(name
         assert np.allclose(mesh.GetExtentAttr().Get(), [points.min(0), points.max(0)])
 
 
-@both
+@every
 def test_mesh_names_are_unique_and_begin_with_their_part(name):
     stage = Usd.Stage.Open(str(asset(name)))
     prims = [mesh.GetPrim() for guides in (True, False) for mesh in meshes(stage, guides)]
@@ -117,7 +129,7 @@ def test_mesh_names_are_unique_and_begin_with_their_part(name):
     assert all(prim.GetName().startswith(prim.GetParent().GetName()) for prim in prims)
 
 
-@both
+@every
 def test_parts_and_triangles(name):
     parts = read_parts(asset(name))
     assert {p.path for p in parts} == PARTS[name]
@@ -125,7 +137,7 @@ def test_parts_and_triangles(name):
     assert all(p.collides for p in parts if len(p.faces))
 
 
-@both
+@every
 def test_parts_face_outward(name):
     for p in read_parts(asset(name)):
         if len(p.faces):
@@ -133,7 +145,7 @@ def test_parts_face_outward(name):
             assert np.einsum("ij,ij->", a, np.cross(b, c)) > 0, p.path
 
 
-@both
+@every
 def test_hulls_hold_every_triangle_that_is_seen(name):
     hulls = collision_hulls(asset(name))
     for p in read_parts(asset(name)):
@@ -143,15 +155,15 @@ def test_hulls_hold_every_triangle_that_is_seen(name):
                 assert outside(sample, hulls).max() < 1e-3, p.path
 
 
-@both
+@every
 def test_hulls_are_no_more_than_a_hand_too_large(name):
     hulls = collision_hulls(asset(name))
-    seen = np.concatenate([in_root(p) for p in read_parts(asset(name))] + [steered(s) for s in STEERED[name]])
+    seen = np.concatenate([in_root(p) for p in read_parts(asset(name))] + [steered(name)])
     rng = np.random.default_rng(3)
     for direction in (d / np.linalg.norm(d) for d in rng.normal(size=(500, 3))):
         excess = max((hull @ direction).max() for hull in hulls) - (seen @ direction).max()
         assert -1e-3 < excess < 0.12
-    assert min(hull[:, 2].min() for hull in hulls) == pytest.approx(0.0, abs=2e-3)
+    assert min(hull[:, 2].min() for hull in hulls) == pytest.approx(LOWEST.get(name, 0.0), abs=2e-3)
 
 
 @pytest.mark.parametrize(("path", "axis"), [("main_rotor", 2), ("tail_rotor", 1)])
@@ -215,19 +227,83 @@ def test_car_has_real_dimensions_and_its_wheels_stand_where_the_physics_says():
     assert rig("car").origin[0] == pytest.approx(rear.T_rp[0, 3])
 
 
-@both
+@pytest.mark.parametrize("name", available())
 def test_channels_drive_prims_that_exist(name):
     paths = {p.path for p in read_parts(rig(name).asset)}
     assert rig(name).drives and {drive.prim for drive in rig(name).drives.values()} <= paths
 
 
-@both
+@every
 def test_the_script_generates_the_committed_asset(name, tmp_path):
     script = importlib.import_module(f"vehsim.assets.generate.{name}")
     usd = importlib.import_module("vehsim.assets.generate._usd")
-    usd.write_asset(tmp_path / f"{name}.usdc", script.build(), script.MATERIALS, "")
-    fresh, committed = read_parts(tmp_path / f"{name}.usdc"), read_parts(asset(name))
+    shapes, liveries = script.build(), getattr(script, "LIVERIES", {})
+    for copy in ("a", "b"):
+        usd.write_asset(tmp_path / copy / f"{name}.usdc", shapes, script.MATERIALS, script.DOC, liveries)
+    written = [(tmp_path / copy / f"{name}.usdc").read_bytes() for copy in ("a", "b")]
+    assert written[0] == written[1]
+    fresh, committed = read_parts(tmp_path / "a" / f"{name}.usdc"), read_parts(asset(name))
     assert [p.path for p in fresh] == [p.path for p in committed]
     for new, old in zip(fresh, committed, strict=True):
         assert new.faces.shape == old.faces.shape
         assert np.allclose(new.points, old.points, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", LIVERIES)
+def test_liveries_change_what_is_seen_and_nothing_else(name):
+    stage = Usd.Stage.Open(str(asset(name)))
+    liveries = stage.GetDefaultPrim().GetVariantSet("livery")
+    seen = {}
+    for choice in liveries.GetVariantNames():
+        liveries.SetVariantSelection(choice)
+        materials = [p for p in stage.Traverse() if p.GetTypeName() == "Material"]
+        assert all(prim.GetChildren()[0].GetAttribute("inputs:diffuseColor").Get() for prim in materials)
+        seen[choice] = [tuple(mesh.GetDisplayColorAttr().Get()[0]) for mesh in meshes(stage, guides=False)]
+    one, other = seen.values()
+    changed = [a != b for a, b in zip(one, other, strict=True)]
+    assert any(changed) and not all(changed)
+    assert len(read_parts(asset(name))) == len(PARTS[name])
+
+
+def test_boat_hull_is_closed_and_displaces_the_boats_mass_where_its_centre_of_mass_is():
+    toml = importlib.import_module("tomllib").loads((VEHICLES / "boat" / BOAT_TOML).read_text())
+    stage = Usd.Stage.Open(str(asset("boat")))
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/boat/hull/hull"))
+    assert mesh.GetPurposeAttr().Get() == UsdGeom.Tokens.guide
+    hull = trimesh.Trimesh(mesh.GetPointsAttr().Get(), np.reshape(mesh.GetFaceVertexIndicesAttr().Get(), (-1, 3)))
+    assert hull.is_watertight and hull.is_winding_consistent and hull.volume > 0
+    assert np.allclose(hull.center_mass[1], 0, atol=1e-6)
+    below = trimesh.intersections.slice_mesh_plane(hull, [0, 0, -1], [0, 0, 0], cap=True)
+    assert 1025 * below.volume == pytest.approx(toml["physics"]["mass"], rel=0.01)
+    assert below.center_mass[0] == pytest.approx(toml["origin"][0], abs=0.01)
+
+
+def test_boats_propeller_screws_ahead_when_it_turns_about_its_shaft():
+    points, faces = part("boat", "outboard/propeller").points, part("boat", "outboard/propeller").faces
+    centre = points[faces].mean(1)
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    normal, radius = np.cross(b - a, c - a), np.hypot(centre[:, 1], centre[:, 2])
+    aft = (normal[:, 0] < 0) & (radius > 0.08)  # the faces that push the water astern
+    velocity = np.cross([1.0, 0.0, 0.0], centre)
+    assert np.einsum("ij,ij->i", normal[aft], velocity[aft]).sum() > 0
+    assert np.ptp(points, axis=0)[1:] == pytest.approx([0.38, 0.38], rel=0.15)
+
+
+@pytest.mark.parametrize(("name", "path"), [("two_wheeled", "wheel_left"), ("two_wheeled", "wheel_right")])
+def test_wheels_carry_a_mark_that_shows_rotation(name, path):
+    stage = Usd.Stage.Open(str(asset(name)))
+    mark = np.array(UsdGeom.Mesh(stage.GetPrimAtPath(f"/{name}/{path}/{path}_mark")).GetPointsAttr().Get())
+    assert np.hypot(*mark.mean(0)[[0, 2]]) > 0.25 * np.ptp(part(name, path).points[:, 0]) / 2
+
+
+def test_robot_stands_on_wheels_where_its_physics_says():
+    toml = importlib.import_module("tomllib").loads((VEHICLES / "two_wheeled" / "vehicle.toml").read_text())["physics"]
+    for path, side in (("wheel_left", 1), ("wheel_right", -1)):
+        wheel = part("two_wheeled", path)
+        assert wheel.T_rp[:3, 3] == pytest.approx([0, side * toml["half_track"], toml["wheel_radius"]])
+        assert np.hypot(*wheel.points[:, [0, 2]].T).max() == pytest.approx(toml["wheel_radius"], abs=1e-4)
+
+
+def test_simple_car_borrows_the_cars_asset():
+    assert rig("simple_car").asset.resolve() == asset("car").resolve()
+    assert dict(rig("simple_car").drives) == dict(rig("car").drives)

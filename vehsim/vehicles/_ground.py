@@ -1,4 +1,4 @@
-"""What vehicles on the plane share: gravity along a slope, and damping of their joints."""
+"""What vehicles on the plane share: gravity along a slope, and the wheels of a car."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import casadi as ca
 
-from vehsim.vehicles._base import Expr
+from vehsim.vehicles._base import Channel, Expr
 from vehsim.vehicles.holonomic import GRAVITY
 
 
@@ -24,3 +24,34 @@ def slope_energy(mass: float, slope: Sequence[float], ahead: float = 0.0) -> Cal
         return weight * (rise_x * (g[1] + ahead * ca.cos(g[0])) + rise_y * (g[2] + ahead * ca.sin(g[0])))
 
     return potential
+
+
+def ackermann_channels(wheel_radius: float, wheelbase: float, half_track: float) -> dict[str, Channel]:
+    """Channels of a car's wheels: ``roll_*`` of the four, each without slip, ``steer_*`` of the front two [rad].
+
+    The car's body frame stands on its rear axle, its second joint is sigma, the tangent of the steering angle; lengths
+    in m.
+    """
+
+    def rear(side: float) -> Channel:
+        return Channel(rate=lambda t, r, u, xi, c: (xi[1] - side * half_track * xi[0]) / wheel_radius)
+
+    def steer(side: float) -> Channel:
+        # tan of a front wheel's angle: sigma / (1 - side * half_track * sigma / wheelbase), Ackermann
+        return Channel(value=lambda t, r, u, xi, c: ca.atan2(r[1], 1 - side * half_track / wheelbase * r[1]))
+
+    def front(side: float) -> Channel:
+        # the hub moves along the wheel's own heading, at the length of (1 - side b sigma / l, sigma) times vx
+        def rate(t: Expr, r: Expr, u: Expr, xi: Expr, c: Expr) -> Expr:
+            return xi[1] / wheel_radius * ca.sqrt((1 - side * half_track / wheelbase * r[1]) ** 2 + r[1] ** 2)
+
+        return Channel(rate=rate)
+
+    return {
+        "roll_rl": rear(1.0),
+        "roll_rr": rear(-1.0),
+        "roll_fl": front(1.0),
+        "roll_fr": front(-1.0),
+        "steer_fl": steer(1.0),
+        "steer_fr": steer(-1.0),
+    }

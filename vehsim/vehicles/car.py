@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import casadi as ca
 
 from vehsim.lie import SE2
-from vehsim.vehicles._base import Channel, Control, Expr
-from vehsim.vehicles._ground import slope_energy
+from vehsim.vehicles._base import Control, Expr
+from vehsim.vehicles._ground import ackermann_channels, slope_energy
 from vehsim.vehicles.nonholonomic import Nonholonomic
 
 
@@ -44,19 +44,6 @@ def car(
     def forces(r: Expr, u: Expr, xi: Expr, c: Expr) -> Expr:
         return ca.vertcat(c[0] - rolling_damping * u[0], 0)
 
-    def rear(side: float) -> Channel:
-        return Channel(rate=lambda t, r, u, xi, c: (xi[1] - side * half_track * xi[0]) / rho)
-
-    def steer(side: float) -> Channel:
-        # tan of a front wheel's angle: sigma / (1 - side * half_track * sigma / wheelbase), Ackermann
-        return Channel(value=lambda t, r, u, xi, c: ca.atan2(r[1], 1 - side * half_track / length * r[1]))
-
-    def front(side: float) -> Channel:
-        # the hub moves along the wheel's own heading, at the length of (1 - side b sigma / l, sigma) times vx
-        return Channel(
-            rate=lambda t, r, u, xi, c: xi[1] / rho * ca.sqrt((1 - side * half_track / length * r[1]) ** 2 + r[1] ** 2)
-        )
-
     return Nonholonomic(
         name=name,
         group=SE2,
@@ -68,12 +55,5 @@ def car(
         controls=tuple(Control(n) for n in ("torque", "steering_rate")),
         default_costs={"time": 1.0},  # standing costs no effort, so effort alone would crawl for ever
         rate_controls={"steering_rate": "sigma"},
-        channels={
-            "roll_rl": rear(1.0),
-            "roll_rr": rear(-1.0),
-            "roll_fl": front(1.0),
-            "roll_fr": front(-1.0),
-            "steer_fl": steer(1.0),
-            "steer_fr": steer(-1.0),
-        },
+        channels=ackermann_channels(wheel_radius, wheelbase, half_track),
     )

@@ -8,7 +8,7 @@ import casadi as ca
 
 from vehsim.lie import SE2
 from vehsim.vehicles._base import Channel, Control, Expr
-from vehsim.vehicles._ground import slope_energy
+from vehsim.vehicles._ground import ackermann_channels, slope_energy
 from vehsim.vehicles.nonholonomic import Nonholonomic
 
 
@@ -21,17 +21,19 @@ def simple_car(
     steering_inertia: float,
     wheel_radius: float,
     wheelbase: float,
+    half_track: float = 0.0,
     slope: Sequence[float] = (0.0, 0.0),
     rolling_damping: float = 0.0,
     steering_damping: float = 0.0,
 ) -> Nonholonomic:
     """A bicycle model whose body frame stands on the rear axle.
 
-    ``mass`` kg; inertias kg m^2: rear wheels (NH's I), yaw about the rear axle (K), steering column (J); radius and
-    wheelbase m; ``slope`` (2,) rise per metre along world X and Y; dampings N m s/rad of rear axle and steering column.
+    ``mass`` kg; inertias kg m^2: rear wheels (NH's I), yaw about the rear axle (K), steering column (J); radius,
+    wheelbase and half track (for the channels) m; ``slope`` (2,) rise per metre along world X and Y; dampings N m s/rad
+    of rear axle and steering column.
     Joints: ``psi``, roll of the rear wheels [rad], and ``sigma = tan(phi)`` of the steering angle phi.
     Controls: ``torque`` on the rear axle and ``steering`` torque on the column, about phi [N m].
-    Channels: ``roll_rear``, ``roll_front``, ``steer`` [rad].
+    Channels: ``roll_rear``, ``roll_front``, ``steer`` of the bicycle, and those of a car's four wheels [rad].
     """
     rho, length = wheel_radius, wheelbase
 
@@ -64,5 +66,6 @@ def simple_car(
             "roll_rear": Channel(value=lambda t, r, u, xi, c: r[0]),
             "roll_front": Channel(rate=lambda t, r, u, xi, c: xi[1] / rho * ca.sqrt(1 + r[1] ** 2)),
             "steer": Channel(value=lambda t, r, u, xi, c: ca.atan(r[1])),
+            **ackermann_channels(wheel_radius, wheelbase, half_track),
         },
     )
