@@ -114,6 +114,11 @@ class Vehicle:
     """Weights a plan adds to whatever it is asked to minimise, so that the vehicle moves as such vehicles do."""
     feels_wind: bool = False
     rig: Rig | None = None
+    hull: Any = None
+    """What water does to it, a `vehsim.vehicles.hydrodynamics.Hull`; None: water does nothing."""
+    planar: Vehicle | None = None
+    """The same vehicle on calm water, moving in the plane: what plans are made of, and what moves in a world without
+    water. None: the vehicle itself."""
 
     def __post_init__(self) -> None:
         controls = tuple(c if isinstance(c, Control) else Control(c) for c in self.controls)

@@ -17,11 +17,13 @@ from numpy.typing import ArrayLike, NDArray
 from vehsim.errors import InputError, Problem
 from vehsim.world.field import DistanceField, Progress, cache_folder, distance_field
 from vehsim.world.terrain import Terrain
+from vehsim.world.water import Water
 
 if TYPE_CHECKING:
+    from vehsim.world.environment import Environment
     from vehsim.world.scene import Scene
 
-__all__ = ["DistanceField", "Terrain", "World", "cache_folder"]
+__all__ = ["DistanceField", "Terrain", "Water", "World", "cache_folder"]
 
 Array = NDArray[np.float64]
 
@@ -32,12 +34,19 @@ MAX_WIND = 150.0
 class World:
     """What surrounds the vehicles: ``terrain`` (`Terrain` or None, empty space) and ``wind`` (3,) m/s, world axes.
 
-    ``terrain`` is a `Terrain`, the name of a shipped one ("canyon", "flat") or a path. Raises ``InputError``.
+    ``terrain`` is a `Terrain`, the name of a shipped one ("canyon", "flat") or a path; ``water`` a `Water`, the level
+    of calm water in m, or None. Raises ``InputError``.
     """
 
-    def __init__(self, terrain: Terrain | str | Path | None = None, wind: ArrayLike = (0.0, 0.0, 0.0)) -> None:
+    def __init__(
+        self,
+        terrain: Terrain | str | Path | None = None,
+        wind: ArrayLike = (0.0, 0.0, 0.0),
+        water: Water | float | None = None,
+    ) -> None:
         self.terrain = terrain if isinstance(terrain, Terrain) or terrain is None else Terrain.load(terrain)
         self.wind = _wind(wind)
+        self.water = _water(water)
         self._fields: dict[Any, DistanceField] = {}
         self._scenes: dict[Any, Scene] = {}
 
@@ -49,12 +58,24 @@ class World:
     def content_hash(self) -> str:
         """Names the world by its content."""
         ground = "" if self.terrain is None else self.terrain.content_hash
-        return hashlib.sha256(repr((ground, self.wind.tolist())).encode()).hexdigest()
+        content = (ground, self.wind.tolist(), *(() if self.water is None else (self.water.content_hash,)))
+        return hashlib.sha256(repr(content).encode()).hexdigest()
 
     def height(self, xy: ArrayLike) -> Array:
         """Height (n,) m of the ground at ``xy`` (n, 2) m; -inf without terrain."""
         points = np.asarray(xy, dtype=float).reshape(-1, 2)
         return np.full(len(points), -np.inf) if self.terrain is None else self.terrain.height(points)
+
+    def environment(self, vehicle: Any) -> Environment | None:
+        """All in this world that pushes ``vehicle`` from outside, None when nothing does."""
+        from vehsim.world.environment import Surroundings
+
+        parts: list[Environment] = []
+        if self.water is not None and vehicle.hull is not None:
+            from vehsim.world.buoyancy import Afloat
+
+            parts.append(Afloat(vehicle, self))
+        return Surroundings(parts) if parts else None
 
     def distance_field(
         self, progress: Progress | None = None, *, spacing: float | None = None, box: ArrayLike | None = None
@@ -91,6 +112,14 @@ class World:
         from vehsim.world.route import find_route
 
         return find_route(self.distance_field(), start, goal, clearance, ceiling, self.height)
+
+
+def _water(water: Water | float | None) -> Water | None:
+    if water is None or isinstance(water, Water):
+        return water
+    if isinstance(water, bool) or not isinstance(water, int | float):
+        raise InputError(str(Problem("world.water", "not water", "give a Water, or calm water's level in m", water)))
+    return Water(level=float(water))
 
 
 def _wind(wind: ArrayLike) -> Array:

@@ -1,0 +1,127 @@
+"""A vehicle pushed from outside: an environment's wrench enters the forward step to second order.
+
+Half of a knot's impulse is given before the vehicle's own step and half after it. The wrench is asked once a knot, at
+the pose the step arrived at and at a velocity predicted with the wrench before (math.md on LIE 10-11: with the last
+segment's velocity drag would be first order), so a queried wrench never enters the Newton solve.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import casadi as ca
+import numpy as np
+
+from vehsim.errors import InputError, SolveError
+from vehsim.integrators.record import flat, keep
+from vehsim.vehicles import State
+from vehsim.vehicles._base import Array
+from vehsim.vehicles.mechanics import acceleration, project
+from vehsim.vehicles.states import control_vector
+
+if TYPE_CHECKING:
+    from vehsim.integrators.discrete import DiscreteMechanics
+    from vehsim.integrators.integrator import Integrator, Phase
+    from vehsim.world.environment import Environment
+
+
+class Forced:
+    """A vehicle in an environment, advanced knot by knot.
+
+    ``advance(c1)`` does a whole step. Where several vehicles push each other, all of them ``drift`` first, then each
+    is ``push``ed by the wrench that their states together make. ``phase``, ``controls`` and ``wrench`` (d,) hold at
+    the knot reached, ``state`` is public and predicted until the push. Made for `Integrator`s of order 2.
+    """
+
+    def __init__(
+        self, integrator: Integrator, environment: Environment, start: State, controls: Array, time: float = 0.0
+    ):
+        if integrator.order != 2:
+            raise InputError(f"order = {integrator.order!r}: what pushes from outside is second order; take order 2")
+        self.integrator, self.environment, self.time, self.steps = integrator, environment, time, 0
+        self.controls = control_vector(integrator.vehicle, controls)
+        self.phase: Phase = integrator.start(start, self.controls)
+        self.anchor = integrator.anchor(start, self.phase)
+        self.state = integrator.state(self.phase, self.controls, self.anchor)
+        self.wrench = np.zeros(integrator.vehicle.group.dim)
+        self._set_wrench(*self.ask())
+
+    def ask(self) -> tuple[Array, Array | None]:
+        """The environment's wrench (d,) and added mass (d, d) at the present state."""
+        wrench = self.environment.wrench(self.time, self.state, self.controls)
+        return wrench, self.environment.added_inertia(self.time, self.state)
+
+    def advance(self, controls: Array) -> None:
+        """One step to ``controls`` (c,) at its end."""
+        self.drift(controls)
+        self.push(*self.ask())
+
+    def drift(self, controls: Array) -> State:
+        """The step without the impulse at its end; returns the public state predicted there."""
+        integrator, h = self.integrator, self.integrator.step_size
+        kicked = self._kicked(self.phase)
+        self.phase = integrator.advance(kicked, self.controls, np.asarray(controls, float), self.steps)
+        self.controls = np.asarray(controls, float)
+        self.time, self.steps = self.time + h, self.steps + 1
+        self.state = integrator.state(self._kicked(self.phase), self.controls, self.anchor)
+        return self.state
+
+    def predict(self, controls: Array) -> State:
+        """The public state that a step to ``controls`` (c,) would reach, without making it."""
+        integrator = self.integrator
+        after = integrator.advance(self._kicked(self.phase), self.controls, np.asarray(controls, float), self.steps)
+        return integrator.state(self._kicked(after), np.asarray(controls, float), self.anchor)
+
+    def push(self, wrench: Array, added: Array | None = None) -> None:
+        """The impulse at the end of the step, of a wrench (d,) and an added mass (d, d)."""
+        self._set_wrench(wrench, added)
+        self.phase = self._kicked(self.phase)
+        self.state = self.integrator.state(self.phase, self.controls, self.anchor)
+
+    def _kicked(self, phase: Phase) -> Phase:
+        covector = flat(_on_momentum(self.integrator.mechanics)(phase.g, phase.r, self.wrench))
+        return replace(phase, pi=phase.pi + self.integrator.step_size / 2 * covector)
+
+    def _set_wrench(self, wrench: Array, added: Array | None) -> None:
+        """``wrench``, less what it takes to accelerate the added mass under everything that acts."""
+        vehicle = self.integrator.vehicle
+        wrench = np.asarray(wrench, float)
+        if wrench.shape != self.wrench.shape or not np.isfinite(wrench).all():
+            raise SolveError(
+                f"{vehicle.name}: step {self.steps}: its surroundings push with {wrench.tolist()} at "
+                f"{self.state}; take a smaller step"
+            )
+        if added is not None:
+            inertia = np.asarray(vehicle.inertia)  # type: ignore[attr-defined]
+            wind = self.integrator.wind
+            guess = self._kicked(self.phase)
+            alone = flat(_free_acceleration(self.integrator.mechanics)(guess.g, guess.r, guess.pi, self.controls, wind))
+            wrench = wrench - added @ np.linalg.solve(inertia + added, inertia @ alone + wrench)
+        self.wrench = wrench
+
+
+def substeps(step: float, environment: Environment) -> int:
+    """Into how many equal parts a step must be cut to keep to the environment's longest."""
+    return max(1, math.ceil(step / environment.max_step - 1e-9))
+
+
+def _on_momentum(mechanics: DiscreteMechanics) -> ca.Function:
+    """``(g, r, body wrench) -> covector on the free velocities``."""
+    v, y = mechanics.vehicle, mechanics.symbols
+    w = ca.SX.sym("w", v.group.dim)
+    covector = project(v, y["r"], ca.SX(len(v.joints), 1), v.group.wrench_from_body(y["g"], w))
+    return keep(mechanics, "wrench", lambda: ca.Function("wrench", [y["g"], y["r"], w], [covector]))
+
+
+def _free_acceleration(mechanics: DiscreteMechanics) -> ca.Function:
+    """``(g, r, pi, c, wind) -> dxi/dt`` of a body on SE(3) left to itself."""
+
+    def build() -> ca.Function:
+        v, y = mechanics.vehicle, mechanics.symbols
+        _, xi = mechanics.knot_velocity(y["r"], y["pi"], y["c0"])
+        rate = acceleration(v, y["g"], y["r"], xi, y["c0"], ca.SX(y["c0"].shape[0], 1), y["wind"])
+        return ca.Function("free", [y["g"], y["r"], y["pi"], y["c0"], y["wind"]], [ca.densify(rate)])
+
+    return keep(mechanics, "free_acceleration", build)

@@ -1,0 +1,244 @@
+"""Water: where its surface stands and how it moves, anywhere and at any time.
+
+What belongs here is the surface as data: level, waves (linear or Gerstner), a current below them. Spectra and sea
+states are in `sea.py`, currents in `currents.py`, grids from a liquid solver in `water_grids.py`, what water does to a
+hull in `buoyancy.py`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from vehsim.errors import InputError, Problem
+
+Array = NDArray[np.float64]
+
+GRAVITY = 9.81
+"""m/s^2"""
+SEA_WATER = 1025.0
+"""kg/m^3"""
+MAX_WAVES = 4096
+NEWTON = 60
+"""Steps at most; five do it, but for crests about to break."""
+
+
+class Surface(Protocol):
+    """What disturbs the level: heights above it, and velocities of the water."""
+
+    shortest: float
+    """The shortest length in it that matters, m; inf when it is flat."""
+    content_hash: str
+
+    def at(self, points: Array, level: float, t: float) -> tuple[Array, Array]:
+        """Height (n,) m of the surface at ``points`` (n, 3), above the level, and the water's velocity (n, 3) there,
+        m/s; a point above the surface has the surface's."""
+
+    def slope(self, xy: Array, t: float) -> Array:
+        """Gradient (n, 2) of the height at ``xy`` (n, 2)."""
+
+
+class Current(Protocol):
+    """A flow of the water as a whole."""
+
+    content_hash: str
+
+    def velocity(self, points: Array, t: float) -> Array:
+        """(n, 3) m/s at ``points`` (n, 3) whose z is height above the surface (negative below)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Waves:
+    """Waves on deep water, ``omega^2 = g k``: one row each.
+
+    ``amplitude`` (k,) m, ``number`` (k, 2) wave vectors rad/m, ``phase`` (k,) rad. ``choppiness`` 0: linear (Airy),
+    ``sum a cos(k x - omega t + phase)``; 1: Gerstner, whose particles move on circles, so that crests are sharp and
+    troughs flat. Raises ``InputError``, also when the surface would fold over.
+    """
+
+    amplitude: Array
+    number: Array
+    phase: Array
+    choppiness: float = 0.0
+    omega: Array = field(init=False)
+    content_hash: str = field(init=False)
+
+    def __post_init__(self) -> None:
+        for name, shape in (("amplitude", (-1,)), ("number", (-1, 2)), ("phase", (-1,))):
+            object.__setattr__(self, name, np.array(getattr(self, name), float).reshape(shape))
+        sizes = {len(self.amplitude), len(self.number), len(self.phase)}
+        if len(sizes) != 1 or not 0 < len(self.amplitude) <= MAX_WAVES:
+            raise _wrong("waves", "amplitude, number and phase differ in length", "give one row a wave", sorted(sizes))
+        k = np.hypot(*self.number.T)
+        if not (np.isfinite(k).all() and np.isfinite(self.amplitude).all() and np.isfinite(self.phase).all()):
+            raise _wrong("waves", "not finite", "give finite amplitudes, wave vectors and phases")
+        if (k <= 0).any():
+            raise _wrong("waves.number", "a wave without length", "give wave vectors of 2 pi / wavelength, rad/m")
+        if not 0 <= self.choppiness <= 1:
+            raise _wrong("waves.choppiness", "not between 0 and 1", "0 is linear, 1 is Gerstner", self.choppiness)
+        steep = self.choppiness * np.abs(self.amplitude) * k
+        if min(steep.sum(), 4 * np.sqrt((steep**2).sum() / 2)) >= 1:
+            message = f"the surface folds over: steepness {steep.sum():.3g}"
+            raise _wrong("waves.choppiness", message, "lower it, or the waves", self.choppiness)
+        object.__setattr__(self, "omega", np.sqrt(GRAVITY * k))
+        digest = hashlib.sha256(repr(self.choppiness).encode())
+        for rows in (self.amplitude, self.number, self.phase):
+            digest.update(rows.tobytes())
+        object.__setattr__(self, "content_hash", digest.hexdigest())
+
+    @cached_property
+    def _k(self) -> Array:
+        return np.hypot(*self.number.T)
+
+    @cached_property
+    def _along(self) -> Array:
+        """(k, 2) unit vectors of the waves' ways."""
+        return self.number / self._k[:, None]
+
+    @cached_property
+    def shortest(self) -> float:
+        """Length (m) of the shortest wave among those that carry 99 % of the variance of the slope."""
+        slope = (self.amplitude * self._k) ** 2
+        order = np.argsort(self._k)
+        share = np.cumsum(slope[order]) / max(slope.sum(), 1e-300)
+        return float(2 * np.pi / self._k[order][min(np.searchsorted(share, 0.99), len(order) - 1)])
+
+    def rest(self, xy: Array, t: float) -> Array:
+        """Where at rest (n, 2) the water is that stands at ``xy`` (n, 2): the inverse of Gerstner's horizontal map."""
+        if self.choppiness == 0:
+            return xy
+        shift = self.choppiness * self.amplitude
+        stretch = shift[:, None] * self._k[:, None] * self._along[:, [0, 0, 1]] * self._along[:, [0, 1, 1]]
+
+        def look(rest: Array) -> tuple[Array, Array]:
+            """How far ``rest`` lands from ``xy``, and Newton's step that mends it."""
+            theta = self._theta(rest, t)
+            gap = xy - rest + (np.sin(theta) * shift) @ self._along
+            xx, yx, yy = (np.cos(theta) @ stretch).T
+            determinant = np.maximum((1 - xx) * (1 - yy) - yx**2, 1e-6)
+            step = np.column_stack([(1 - yy) * gap[:, 0] + yx * gap[:, 1], yx * gap[:, 0] + (1 - xx) * gap[:, 1]])
+            return gap, step / determinant[:, None]
+
+        rest, share = xy.copy(), np.ones(len(xy))
+        gap, step = look(rest)
+        for _ in range(NEWTON):
+            size = np.abs(gap).max(axis=1)
+            if (size <= 1e-14 * (1 + np.abs(xy).max(axis=1))).all():
+                break
+            tried = rest + share[:, None] * step
+            gap_there, step_there = look(tried)
+            better = np.abs(gap_there).max(axis=1) < size
+            share = np.where(better, 1.0, share / 2)
+            for kept, there in ((rest, tried), (gap, gap_there), (step, step_there)):
+                kept[better] = there[better]
+        return rest
+
+    def at(self, points: Array, level: float, t: float) -> tuple[Array, Array]:
+        theta = self._theta(self.rest(points[:, :2], t), t)
+        cos, sin = np.cos(theta), np.sin(theta)
+        height = cos @ self.amplitude
+        below = np.minimum(points[:, 2] - level - height, 0.0)
+        decay = np.exp(below[:, None] * self._k)
+        speed = self.amplitude * self.omega
+        horizontal = (decay * cos) @ (speed[:, None] * self._along)
+        return height, np.column_stack([horizontal, (decay * sin) @ speed])
+
+    def heights(self, xy: Array, t: float) -> Array:
+        return np.asarray(np.cos(self._theta(self.rest(xy, t), t)) @ self.amplitude)
+
+    def slope(self, xy: Array, t: float) -> Array:
+        theta = self._theta(self.rest(xy, t), t)
+        uphill = -(np.sin(theta) * self.amplitude) @ self.number
+        if self.choppiness == 0:
+            return uphill
+        shift = np.cos(theta) * (self.choppiness * self.amplitude)
+        stretch = np.eye(2) - np.einsum("nk,ki,kj->nij", shift, self._along, self.number)
+        return np.asarray(np.linalg.solve(np.swapaxes(stretch, 1, 2), uphill[:, :, None])[:, :, 0])
+
+    def _theta(self, rest: Array, t: float) -> Array:
+        return rest @ self.number.T + (self.phase - self.omega * t)
+
+
+def wave(height: float, length: float, heading: float = 0.0, phase: float = 0.0, choppiness: float = 0.0) -> Waves:
+    """One train of waves: ``height`` m from trough to crest, ``length`` m, running towards ``heading`` rad from X."""
+    if not (np.isfinite([height, length, heading, phase]).all() and length > 0 and height >= 0):
+        raise _wrong("waves", "not a wave", "give a height and a length in metres, the length above zero")
+    k = 2 * np.pi / length
+    way = [[k * np.cos(heading), k * np.sin(heading)]]
+    return Waves(np.array([height / 2]), np.array(way), np.array([phase]), choppiness)
+
+
+@dataclass(frozen=True, eq=False)
+class Water:
+    """Water up to ``level`` m, and ``surface`` (`Waves`, `WaterGrids`, None: flat) and ``current`` on it (None: still).
+
+    All points and velocities are in world axes, m and m/s; ``t`` s since the shot's first frame. ``density`` kg/m^3.
+    """
+
+    level: float = 0.0
+    surface: Surface | None = None
+    current: Current | None = None
+    density: float = SEA_WATER
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.level) and abs(self.level) < 1e5):
+            raise _wrong("water.level", "not a height", "give metres", self.level)
+        if not 1 <= self.density <= 20_000:
+            raise _wrong("water.density", "not a liquid's", "give kg/m^3; sea water has 1025", self.density)
+
+    @cached_property
+    def content_hash(self) -> str:
+        """Names the water by its content."""
+        parts = [part.content_hash for part in (self.surface, self.current) if part is not None]
+        return hashlib.sha256(repr((self.level, self.density, *parts)).encode()).hexdigest()
+
+    @property
+    def flat(self) -> bool:
+        return self.surface is None
+
+    @property
+    def shortest(self) -> float:
+        """The shortest length on the surface that matters, m; inf when it is flat."""
+        return np.inf if self.surface is None else self.surface.shortest
+
+    def height(self, xy: ArrayLike, t: float = 0.0) -> Array:
+        """Height (n,) m of the surface at ``xy`` (n, 2) m."""
+        xy = np.asarray(xy, float).reshape(-1, 2)
+        if self.surface is None:
+            return np.full(len(xy), self.level)
+        if isinstance(self.surface, Waves):
+            return self.level + self.surface.heights(xy, t)
+        points = np.column_stack([xy, np.full(len(xy), np.inf)])
+        return self.level + self.surface.at(points, self.level, t)[0]
+
+    def normal(self, xy: ArrayLike, t: float = 0.0) -> Array:
+        """Unit normals (n, 3) of the surface at ``xy`` (n, 2) m, upwards."""
+        xy = np.asarray(xy, float).reshape(-1, 2)
+        slope = np.zeros_like(xy) if self.surface is None else self.surface.slope(xy, t)
+        up = np.column_stack([-slope, np.ones(len(xy))])
+        return np.asarray(up / np.linalg.norm(up, axis=1, keepdims=True))
+
+    def velocity(self, points: ArrayLike, t: float = 0.0) -> Array:
+        """Velocity (n, 3) m/s of the water at ``points`` (n, 3) m, waves and current; above it, the surface's."""
+        return self.at(np.asarray(points, float).reshape(-1, 3), t)[1]
+
+    def at(self, points: Array, t: float) -> tuple[Array, Array]:
+        """``(height (n,), velocity (n, 3))`` at once, for ``points`` (n, 3) m."""
+        if self.surface is None:
+            height, velocity = np.full(len(points), self.level), np.zeros((len(points), 3))
+        else:
+            above, velocity = self.surface.at(points, self.level, t)
+            height = self.level + above
+        if self.current is not None:
+            depth = np.minimum(points[:, 2] - height, 0.0)
+            velocity = velocity + self.current.velocity(np.column_stack([points[:, :2], depth]), t)
+        return height, velocity
+
+
+def _wrong(key: str, message: str, mend: str, value: object = None) -> InputError:
+    return InputError(str(Problem(key, message, mend, value)))
