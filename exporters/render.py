@@ -24,6 +24,10 @@ NO_EGL = (
     "no off-screen OpenGL (EGL): {reason}; install libegl1 and libgl1-mesa-dri (Debian, Ubuntu), "
     "mesa-libEGL and mesa-dri-drivers (Fedora), or a GPU driver with EGL"
 )
+TOO_LARGE = (
+    "OpenGL cannot draw {width} x {height} px off-screen here ({reason}): "
+    "ask for a smaller render.size or fewer render.samples"
+)
 SHADOW_MAP = 3072
 SHADOW_REACH = (20.0, 115.0)
 """Half the width of the ground that the shadow map covers, m, at least and at most; it travels with the camera."""
@@ -201,9 +205,13 @@ class _Canvas:
         try:
             self._gl: Any = mujoco.GLContext(width, height)
             self._gl.make_current()
-            self._context: Any = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
         except Exception as error:  # MuJoCo and PyOpenGL raise what they like
-            raise ExportError(NO_EGL.format(reason=str(error).strip().split("\n")[0])) from error
+            raise ExportError(NO_EGL.format(reason=_first_line(error))) from error
+        try:
+            self._context: Any = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        except Exception as error:
+            self._gl.free()
+            raise ExportError(TOO_LARGE.format(width=width, height=height, reason=_first_line(error))) from error
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
         self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
         self._model = model
@@ -245,6 +253,12 @@ class _Canvas:
 
 OPAQUE, TRANSLUCENT = 0, 1
 """Geom groups."""
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).strip().split("\n")[0]
+
+
 SUN = 1
 """The sun's place among the scene's lights, after the headlight."""
 

@@ -243,13 +243,26 @@ def test_a_cached_field_full_of_zeros_is_not_believed(tmp_path: Path, monkeypatc
     assert file.read_bytes() == body
 
 
-def test_a_clip_without_memory_fails_alone(write: Write, tmp_path: Path) -> None:
-    """A picture of 16,000 pixels a side does not fit into the worker's share; the other clip does."""
+def test_a_clip_without_memory_fails_alone(write: Write, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """Its motion does not fit into the worker's share of address space; the clips before and after do."""
+    names = {"before": 0.25, "long": 2400.0, "after": 0.25}
+    shots = [shot for name, duration in names.items() for shot in load_shots(write(name, duration=duration))]
+    outcomes = export_batch(shots, tmp_path / "out", ["npz"], workers=1, memory=1.7)
+    assert [outcome.kind for outcome in outcomes] == ["", "MemoryError", ""]
+    assert "ran out of memory" in outcomes[1].message
+    assert {path.name for path in (tmp_path / "out").iterdir() if path.name[0] != "."} == {
+        "before", "after", "summary.json"
+    }  # fmt: skip
+    assert "Traceback" not in capfd.readouterr().err
+
+
+def test_a_picture_too_large_for_opengl_fails_alone(write: Write, tmp_path: Path) -> None:
     small = "[render]\nsize = [64, 36]\nevery = 10\n"
     large = "[render]\nsize = [8192, 8192]\nsamples = 16\nevery = 10\n"
     shots = load_shots(write("small", more=small)) + load_shots(write("large", more=large))
     outcomes = export_batch(shots, tmp_path / "out", ["png"], workers=1, memory=3.0)
     assert [outcome.state for outcome in outcomes] == ["done", "failed"]
+    assert "render.size" in outcomes[1].message
     assert {path.name for path in (tmp_path / "out").iterdir() if path.name[0] != "."} == {"small", "summary.json"}
 
 

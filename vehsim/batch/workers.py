@@ -183,7 +183,10 @@ def _serve(pipe: Connection, memory: float | None) -> None:
                 else:
                     pipe.send(Outcome(task.name, "done"))
                 continue
-            pipe.send(run_task(task, tell))
+            outcome = run_task(task, tell)
+            pipe.send(outcome)
+            if outcome.retire:  # without memory not even waiting is safe
+                os._exit(0)
     except (EOFError, OSError, KeyboardInterrupt):
         os._exit(0)  # tidied up: nothing may hold up those who wait for us
 
