@@ -23,11 +23,14 @@ Array = NDArray[np.float64]
 def along_paths(
     t: Transcription, layout: Layout, marks: Sequence[Mark], paths: Sequence[Array], lengths: Array, wind: Any
 ) -> Array:
-    """Variables (size,) of a motion along ``paths`` (one polyline (k, 3) m a phase), level, at trim controls."""
+    """Variables (size,) of a motion along ``paths`` (one a phase), level, at trim controls.
+
+    A path is a polyline (k, 3) m, or of poses (k, 4) with headings in rad.
+    """
     fraction, phase = _node_fractions(layout)
     pace = [_pace(marks[j].at_rest, marks[j + 1].at_rest) for j in range(len(paths))]
     s = np.array([np.polyval(pace[j], f) for f, j in zip(fraction, phase, strict=True)])
-    positions = np.array([_along(paths[j], f) for f, j in zip(s, phase, strict=True)])
+    positions = np.array([_along(paths[j], f)[:3] for f, j in zip(s, phase, strict=True)])
     headings = _headings(marks, paths, s, phase)
     half = headings / 2
     quaternions = np.column_stack([np.cos(half), 0 * half, 0 * half, np.sin(half)])
@@ -144,15 +147,18 @@ def _pace(rest_before: bool, rest_after: bool) -> Array:
 
 
 def _along(path: Array, fraction: float) -> Array:
-    steps = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    steps = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path[:, :3], axis=0), axis=1))])
     at = fraction * steps[-1]
-    return np.array([np.interp(at, steps, path[:, i]) for i in range(3)])
+    return np.array([np.interp(at, steps, column) for column in path.T])
 
 
 def _headings(marks: Sequence[Mark], paths: Sequence[Array], s: Array, phase: NDArray[np.intp]) -> Array:
     """Headings (nodes,) rad, along the path, eased into the marks' own at either end of a phase."""
     out = np.zeros(len(s))
     for i, (f, j) in enumerate(zip(s, phase, strict=True)):
+        if paths[j].shape[1] == 4:  # a path of poses
+            out[i] = _along(paths[j], f)[3]
+            continue
         ahead = _along(paths[j], min(1.0, f + 0.03)) - _along(paths[j], max(0.0, f - 0.03))
         flat = float(np.hypot(ahead[0], ahead[1]))
         out[i] = np.arctan2(ahead[1], ahead[0]) if flat > 1e-6 else (out[i - 1] if i else 0.0)

@@ -59,7 +59,7 @@ def mark_positions(marks: Sequence[Mark]) -> Array:
 
 
 def path_length(path: Array) -> float:
-    return float(np.sum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
+    return float(np.sum(np.linalg.norm(np.diff(path[:, :3], axis=0), axis=1)))
 
 
 def fixed_durations(marks: Sequence[Mark], fps: Fraction) -> Array:

@@ -38,6 +38,7 @@ from vehsim.planning.legs import (
     split_segments,
 )
 from vehsim.planning.marks import Mark, check_marks
+from vehsim.planning.obstacles import certify_plane, check_marks_clear, obstacle_rows
 from vehsim.planning.terms import check_limits, cost_weights
 from vehsim.planning.transcription import Layout, Transcription, build, parameter_values, transcription, variable_bounds
 from vehsim.vehicles import Vehicle
@@ -170,6 +171,7 @@ def plan(
         refine=refine,
         max_iterations=max_iterations,
     )
+    check_marks_clear(vehicle, world, request.marks, request.clearance)
     heights = {float(np.asarray(mark.position)[2]) for mark in request.marks if mark.position is not None}
     if vehicle.group.dim == 3 and len(heights) > 1:
         raise InputError(
@@ -233,12 +235,14 @@ class _Attempt:
         self.checked = Executed(np.inf, np.inf, np.inf)
         self.rung = 0
         self.solvers: dict[Any, Solver] = {}
+        self.rows = obstacle_rows(request.vehicle, request.world, request.marks)
 
     def moved(self, request: _Request, progress: Progress | None) -> _Attempt:
         """A new attempt at other marks of the same shape, from where this one ended."""
         other = _Attempt(request, self.t, self.cover, progress)
         other.margin, other.rung, other.layout, other.solvers = self.margin, self.rung, self.layout, self.solvers
         other.x, other.lengths, other.free = self.x.copy(), self.lengths.copy(), self.free
+        other.rows = self.rows
         fixed = fixed_durations(request.marks, request.fps)
         other._resize(np.where(np.isnan(fixed), other.lengths, fixed / np.array(other.layout.phases)))
         return other
@@ -257,6 +261,7 @@ class _Attempt:
         self.lengths = durations / np.array(phases)
         self.free = np.isnan(fixed)
         self.x = along_paths(self.t, self.layout, marks, paths, self.lengths, self.request.wind)
+        self._look()
 
     def solve(self, free: bool = True) -> None:
         """Solve on the present layout from the present variables; legs of free marks vary when ``free``."""
@@ -269,6 +274,8 @@ class _Attempt:
         span = [(h / 8, h * 8) if free and f else (h, h) for h, f in zip(self.lengths, self.free, strict=True)]
         lower, upper = variable_bounds(self.t, layout, span)
         values = parameter_values(self.t, layout, request.marks, request.wind, self.margin, request.weights)
+        if self.rows is not None:
+            values = np.concatenate([values, self.rows.values(self._seconds(), request.clearance)])
         self.solution: Solution = solver.solve(self.x, lower, upper, values)
         self.x = self.solution.x
         self.lengths = self.x[layout.lengths]
@@ -280,10 +287,12 @@ class _Attempt:
         """The built problem of the present layout; built once for every shape of marks, in free space once for all."""
         request, warm = self.request, self.rung > 0
         asked = (repr(request.limits), request.max_iterations, warm)
-        key = (self.t, self.layout, _shape(request.marks), repr(spans), asked)
+        key = (self.t, self.layout, _shape(request.marks), repr(spans), asked, self.rows and self.rows.key)
         shelf = self.solvers if self.cover is not None else _shelf.solvers
         if key not in shelf:
             problem, _ = build(self.t, self.layout, request.marks, request.limits, self.cover, spans)
+            if self.rows is not None:
+                self.rows.add(problem, self.t, self.layout)
             shelf[key] = Solver(problem, solver_options(request.max_iterations, warm=warm))
             while shelf is not self.solvers and len(shelf) > KEPT:
                 del shelf[next(iter(shelf))]
@@ -332,19 +341,46 @@ class _Attempt:
     def _lift(self, fine: Layout) -> None:
         self.x = lift(self.t, self.layout, fine, self.x, self.request.wind)
         self.layout, self.lengths = fine, self.x[fine.lengths]
+        self._look()
+
+    def _look(self) -> None:
+        """See the obstacles near the present motion."""
+        if self.rows is not None:
+            positions, yaw = self._poses()
+            self.rows.look(positions, yaw, self._seconds(), self.request.clearance)
+
+    def _poses(self) -> tuple[Array, Array]:
+        """Position (n, 2) m and heading (n,) rad of the root of what drives, at its knots."""
+        g = self._knots()[0]
+        c, s = np.cos(g[:, 0]), np.sin(g[:, 0])
+        x, y = self.request.vehicle.origin[:2]
+        return g[:, 1:3] - np.column_stack([c * x - s * y, s * x + c * y]), g[:, 0]
+
+    def _seconds(self) -> Array:
+        """When it is at its knots (n,), s since frame 0."""
+        steps = np.repeat(self.lengths, self.layout.phases)
+        start = int(self.request.marks[0].frame) / float(self.request.fps)
+        return np.asarray(start + np.concatenate([[0.0], np.cumsum(steps)]))
 
     def clear(self) -> bool:
         """Certify the clip; True when it is as far away as asked, or when nothing more can be done."""
-        self.wanted = self.request.clearance if self.cover is not None else 0.0
+        self.wanted = self.request.clearance if self.cover is not None or self.rows is not None else 0.0
         self.clip = self._clip()
         self.clearance = (
             certify(self.clip, self.request.world, SAMPLES, self.progress) if self.request.terrain else np.inf
         )
+        if self.rows is not None:
+            nearest, by_segment = certify_plane(self.clip, self.rows.parts)
+            self.clearance = min(self.clearance, nearest)
+            self.lack = np.maximum(self.wanted - by_segment, 0.0)
         near = self.clearance < self.wanted - SLACK
         return not (near and self.solution.success and self.tightenings < TIGHTENINGS)
 
     def tighten(self) -> None:
-        self.margin += (self.wanted - self.clearance) + 0.05
+        if self.rows is not None:
+            self.rows.tighten(self.lack)
+        else:
+            self.margin += (self.wanted - self.clearance) + 0.05
         self.tightenings += 1
 
     def plan(self) -> Plan:
@@ -434,7 +470,8 @@ def _paths(request: _Request, guess: Any, progress: Progress | None) -> list[Arr
             raise InputError(f"guess: shape {points.shape}; give a Clip, or a path of (k, 3) points in metres")
         return cut(points, legs)
     if not request.terrain:
-        return [np.array(leg) for leg in legs]
+        rows = obstacle_rows(request.vehicle, request.world, request.marks)
+        return [np.array(leg) for leg in legs] if rows is None else rows.drive(request.marks, legs, request.clearance)
     request.world.distance_field(progress=progress)
     # the route is flown by a ball around the hulls' middle
     centres, radii = sphere_cover(request.vehicle)

@@ -1,12 +1,13 @@
 """The world: terrain, wind, and the questions vehicles ask of them, answered by MuJoCo and exact geometry.
 
 A `World` owns no motion. Heights and meshes live in `terrain.py`, clearances in `scene.py`, the smooth distance field
-in `field.py`, paths through free space in `route.py`.
+in `field.py`, paths through free space in `route.py`, what stands or moves about in `obstacles.py`.
 """
 
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from vehsim.errors import InputError, Problem
 from vehsim.world.field import DistanceField, Progress, cache_folder, distance_field
+from vehsim.world.obstacles import Moving, Obstacle, check_obstacles
 from vehsim.world.terrain import Terrain
 from vehsim.world.water import Water
 
@@ -32,7 +34,8 @@ MAX_WIND = 150.0
 
 
 class World:
-    """What surrounds the vehicles: ``terrain`` (`Terrain` or None, empty space) and ``wind`` (3,) m/s, world axes.
+    """What surrounds the vehicles: ``terrain`` (`Terrain` or None, empty space), ``wind`` (3,) m/s, world axes, and
+    ``obstacles``, made by the functions of `vehsim.world.obstacles`.
 
     ``terrain`` is a `Terrain`, the name of a shipped one ("canyon", "flat") or a path; ``water`` a `Water`, the level
     of calm water in m, or None. Raises ``InputError``.
@@ -42,8 +45,10 @@ class World:
         self,
         terrain: Terrain | str | Path | None = None,
         wind: ArrayLike = (0.0, 0.0, 0.0),
+        obstacles: Sequence[Obstacle | Moving] = (),
         water: Water | float | None = None,
     ) -> None:
+        self.obstacles = check_obstacles(obstacles)
         self.terrain = terrain if isinstance(terrain, Terrain) or terrain is None else Terrain.load(terrain)
         self.wind = _wind(wind)
         self.water = _water(water)
@@ -52,13 +57,15 @@ class World:
 
     def __repr__(self) -> str:
         name = None if self.terrain is None else self.terrain.name
-        return f"World(terrain={name!r}, wind={tuple(self.wind.tolist())})"
+        about = f", {len(self.obstacles)} obstacles" if self.obstacles else ""
+        return f"World(terrain={name!r}, wind={tuple(self.wind.tolist())}{about})"
 
     @cached_property
     def content_hash(self) -> str:
         """Names the world by its content."""
         ground = "" if self.terrain is None else self.terrain.content_hash
-        content = (ground, self.wind.tolist(), *(() if self.water is None else (self.water.content_hash,)))
+        content = (ground, self.wind.tolist(), *(obstacle.content_hash for obstacle in self.obstacles))
+        content += () if self.water is None else (self.water.content_hash,)
         return hashlib.sha256(repr(content).encode()).hexdigest()
 
     def height(self, xy: ArrayLike) -> Array:

@@ -21,6 +21,7 @@ from vehsim.parts import triangulate
 from vehsim.world.terrain import MAX_POINTS, Terrain
 
 Array = NDArray[np.float64]
+Triangles = tuple[Array, NDArray[np.int64]]
 
 SAMPLES = 50_000
 """Heights sampled from a mesh whose file does not say ``cell``: about 1e5 triangles."""
@@ -198,6 +199,28 @@ def _read_geotiff(path: Path, placement: Placement) -> Terrain:
 
 
 def _read_trimesh(path: Path, placement: Placement) -> Terrain:
+    return _sample(path, *_trimesh_triangles(path), placement)
+
+
+def _read_usd(path: Path, placement: Placement) -> Terrain:
+    """A stage's meshes from above; the stage is the look as well."""
+    return replace(_sample(path, *_usd_triangles(path), placement), look=path)
+
+
+def read_mesh(path: Path) -> Triangles:
+    """The triangles of a mesh file: vertices (n, 3) m, Z up, and faces (m, 3). Raises ``InputError``."""
+    if not path.is_file():
+        raise refuse(path, "mesh", "no such file", "give the path of a mesh")
+    reader = TRIANGLES.get(path.suffix.lower())
+    if reader is None:
+        raise refuse(path, "mesh", "not a mesh file", f"use one of {' '.join(TRIANGLES)}", path.suffix)
+    points, faces = reader(path)
+    if not np.isfinite(points).all():
+        raise refuse(path, "mesh", "points that are not finite", "export the mesh again")
+    return points, faces
+
+
+def _trimesh_triangles(path: Path) -> Triangles:
     import trimesh
 
     mesh = trimesh.load(path, force="mesh")
@@ -206,11 +229,11 @@ def _read_trimesh(path: Path, placement: Placement) -> Terrain:
     points = np.asarray(mesh.vertices, dtype=float)
     if path.suffix.lower() in (".glb", ".gltf"):  # glTF is Y up
         points = points[:, [0, 2, 1]] * [1, -1, 1]
-    return _sample(path, points, np.asarray(mesh.faces), placement)
+    return points, np.asarray(mesh.faces, np.int64)
 
 
-def _read_usd(path: Path, placement: Placement) -> Terrain:
-    """Every mesh of a stage, in metres and Z up whatever the stage's own units; the stage is the look as well."""
+def _usd_triangles(path: Path) -> Triangles:
+    """Every mesh of a stage, in metres and Z up whatever the stage's own units."""
     from pxr import Usd, UsdGeom
 
     stage = Usd.Stage.Open(str(path))
@@ -235,7 +258,7 @@ def _read_usd(path: Path, placement: Placement) -> Terrain:
     world = np.concatenate(points) * UsdGeom.GetStageMetersPerUnit(stage)
     if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y:
         world = world[:, [0, 2, 1]] * [1, -1, 1]
-    return replace(_sample(path, world, np.concatenate(faces), placement), look=path)
+    return world, np.concatenate(faces)
 
 
 def _sample(path: Path, points: Array, faces: NDArray[np.int64], placement: Placement) -> Terrain:
@@ -301,6 +324,10 @@ def _warn_of_overhangs(path: Path, terrain: Terrain, points: Array, faces: NDArr
         )
 
 
+TRIANGLES: dict[str, Callable[[Path], Triangles]] = {
+    **dict.fromkeys((".obj", ".stl", ".ply", ".glb", ".gltf"), _trimesh_triangles),
+    **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), _usd_triangles),
+}
 READERS: dict[str, Callable[[Path, Placement], Terrain]] = {
     ".npz": _read_npz,
     ".npy": _read_npy,

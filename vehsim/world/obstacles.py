@@ -1,0 +1,261 @@
+"""What stands or moves in a world and is not to be touched: polygons, ellipses, boxes, meshes, and moving vehicles.
+
+An obstacle is a solid between two heights. It has convex `parts` in the plane, seen from above, which wheels keep clear
+of; convex `hulls`, which what flies keeps clear of; and a mesh to be looked at. Geometry itself lives in `plane.py`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from vehsim.errors import InputError, Problem
+from vehsim.world.plane import Ellipse, Shape, convex_hull, convex_parts, placed, simple_polygon
+
+if TYPE_CHECKING:
+    from vehsim.clip import Clip
+
+Array = NDArray[np.float64]
+
+SIDES = 64
+"""Sides of the prism that stands for an elliptic cylinder where only hulls will do; it contains the cylinder."""
+
+
+@dataclass(frozen=True, eq=False)
+class Obstacle:
+    """``name``; ``parts``: convex shapes in the plane; ``bottom, top`` m; ``hulls``: convex point sets (n, 3) m.
+
+    ``points`` (n, 3) m and ``faces`` (m, 3) are its mesh.
+    """
+
+    name: str
+    parts: tuple[Shape, ...]
+    bottom: float
+    top: float
+    hulls: tuple[Array, ...]
+    points: Array
+    faces: NDArray[np.int64]
+
+    def shapes_at(self, seconds: Array) -> Sequence[Shape]:
+        """The parts, polygons (k, 2) or one for each time (n, k, 2); ``seconds`` (n,) since frame 0."""
+        return self.parts
+
+    @cached_property
+    def content_hash(self) -> str:
+        """Names the obstacle by its content."""
+        content = repr((self.name, self.bottom, self.top)).encode()
+        return hashlib.sha256(content + self.points.tobytes() + self.faces.tobytes()).hexdigest()
+
+
+@dataclass(frozen=True, eq=False)
+class Moving:
+    """Another vehicle on its way: the hulls of ``clip.vehicle`` along ``clip``, before and after it where it stands."""
+
+    name: str
+    clip: Clip
+
+    @cached_property
+    def outline(self) -> Array:
+        """The vehicle seen from above, (k, 2) m in its root's frame."""
+        return footprint(self.clip.vehicle)
+
+    @cached_property
+    def hulls(self) -> tuple[Array, ...]:
+        """Convex point sets (n, 3) m in the rig root's frame."""
+        from vehsim.parts import collision_hulls
+
+        rig = self.clip.vehicle.rig
+        assert rig is not None
+        return tuple(collision_hulls(rig.asset, rig.root or None))
+
+    @property
+    def bottom(self) -> float:
+        return float(self.clip.positions[:, 2].min() + min(hull[:, 2].min() for hull in self.hulls))
+
+    @property
+    def top(self) -> float:
+        return float(self.clip.positions[:, 2].max() + max(hull[:, 2].max() for hull in self.hulls))
+
+    def poses_at(self, seconds: Array) -> Clip:
+        """The clip at ``seconds`` (n,) since frame 0."""
+        first = self.clip.start_frame / float(self.clip.fps)
+        return self.clip.at(np.clip(seconds - first, self.clip.times[0], self.clip.times[-1]))
+
+    def shapes_at(self, seconds: Array) -> Sequence[Shape]:
+        """The vehicle's outline at each time, [(n, k, 2)]; ``seconds`` (n,) since frame 0."""
+        motion = self.poses_at(seconds)
+        return [placed(self.outline, motion.positions[:, :2], headings(motion))]
+
+    @cached_property
+    def content_hash(self) -> str:
+        """Names the obstacle by its content."""
+        clip = self.clip
+        arrays = (clip.times, clip.positions, clip.orientations, *self.hulls)
+        return hashlib.sha256(self.name.encode() + b"".join(a.tobytes() for a in arrays)).hexdigest()
+
+
+def polygon(name: str, points: ArrayLike, height: float = 1.0, base: float = 0.0) -> Obstacle:
+    """A prism over a simple polygon (k, 2) m, convex or not, in either sense; from ``base`` m, ``height`` m high."""
+    try:
+        outline = simple_polygon(points)
+        parts = convex_parts(outline)
+    except ValueError as error:
+        mend = "give corners in order around it, each once"
+        raise InputError(str(Problem(f"obstacle {name!r}: points", str(error), mend))) from None
+    return _prism(name, tuple(parts), outline, parts, height, base)
+
+
+def ellipse(
+    name: str, centre: ArrayLike, radii: ArrayLike, heading: float = 0.0, height: float = 1.0, base: float = 0.0
+) -> Obstacle:
+    """An upright elliptic cylinder: ``centre`` (2,), ``radii`` (2,) m, its first axis turned by ``heading`` degrees."""
+    middle, size = _numbers(name, "centre", centre, 2), _numbers(name, "radii", radii, 2)
+    if (size <= 0).any():
+        raise InputError(str(Problem(f"obstacle {name!r}: radii", "not positive", "give two lengths in m", radii)))
+    shape = Ellipse(middle, size, _turned(heading))
+    outline = shape.outline(SIDES)
+    return _prism(name, (shape,), outline, [outline], height, base)
+
+
+def box(name: str, centre: ArrayLike, size: ArrayLike, heading: float = 0.0) -> Obstacle:
+    """An upright box: ``centre`` (3,) m of its bottom, ``size`` (3,) m along its own axes, ``heading`` degrees."""
+    middle, sides = _numbers(name, "centre", centre, 3), _numbers(name, "size", size, 3)
+    if (sides <= 0).any():
+        raise InputError(str(Problem(f"obstacle {name!r}: size", "not positive", "give three lengths in m", size)))
+    corners = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)]) * sides[:2]
+    outline = middle[:2] + corners @ _turned(heading).T
+    return _prism(name, (outline,), outline, [outline], float(sides[2]), float(middle[2]))
+
+
+def mesh(
+    name: str, path: str | Path, position: ArrayLike = (0, 0, 0), heading: float = 0.0, scale: float = 1.0
+) -> Obstacle:
+    """A mesh file (OBJ, STL, PLY, GLB, USD), Z up: each of its connected bodies is kept clear of as its convex hull."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    points, faces = _read_mesh(name, Path(path))
+    turn = np.eye(3)
+    turn[:2, :2] = _turned(heading)
+    points = scale * points @ turn.T + _numbers(name, "position", position, 3)
+    try:
+        hulls = tuple(body[ConvexHull(body).vertices] for body in _bodies(points, faces))
+    except QhullError:
+        mend = "close it, or give a box or polygon instead"
+        raise InputError(str(Problem(f"obstacle {name!r}: mesh", "a flat body has no inside", mend, path))) from None
+    parts = tuple(convex_hull(hull[:, :2]) for hull in hulls)
+    return Obstacle(name, parts, float(points[:, 2].min()), float(points[:, 2].max()), hulls, points, faces)
+
+
+def moving(name: str, clip: Clip) -> Moving:
+    """A vehicle on its way. Raises ``InputError`` for one without an asset: nobody knows how large it is."""
+    if clip.vehicle.rig is None:
+        mend = "load a vehicle with an asset"
+        raise InputError(str(Problem(f"obstacle {name!r}", f"{clip.vehicle.name} has no asset", mend)))
+    return Moving(name, clip)
+
+
+def footprint(vehicle: Any) -> Array:
+    """A vehicle's collision hulls seen from above, as one convex polygon (k, 2) m in the rig root's frame.
+
+    Without an asset it is a point (1, 2).
+    """
+    if vehicle.rig is None:
+        return np.zeros((1, 2))
+    from vehsim.parts import collision_hulls
+
+    hulls = collision_hulls(vehicle.rig.asset, vehicle.rig.root or None)
+    return convex_hull(np.vstack(hulls)[:, :2])
+
+
+def headings(clip: Clip) -> Array:
+    """Yaw (n,) rad of a clip's poses."""
+    w, x, y, z = clip.orientations.T
+    return np.asarray(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+
+
+def check_obstacles(obstacles: Sequence[Obstacle | Moving]) -> tuple[Obstacle | Moving, ...]:
+    """The obstacles, each with a name of its own."""
+    names: set[str] = set()
+    for obstacle in obstacles:
+        if not isinstance(obstacle, Obstacle | Moving):
+            mend = "make one with vehsim.world.obstacles: polygon, ellipse, box, mesh or moving"
+            raise InputError(str(Problem("obstacles", "not an obstacle", mend, obstacle)))
+        if obstacle.name in names:
+            raise InputError(str(Problem("obstacles", "a name is used twice", "give each its own", obstacle.name)))
+        names.add(obstacle.name)
+    return tuple(obstacles)
+
+
+def _prism(
+    name: str, parts: tuple[Shape, ...], outline: Array, pieces: Sequence[Array], height: float, base: float
+) -> Obstacle:
+    """A solid over ``outline`` (k, 2), which is the union of convex ``pieces``."""
+    if not (np.isfinite([height, base]).all() and height > 0):
+        mend = "give a height above zero and a finite base, in m"
+        raise InputError(str(Problem(f"obstacle {name!r}: height", "not a height", mend, height)))
+    levels = (base, base + height)
+    hulls = tuple(np.vstack([np.column_stack([piece, np.full(len(piece), z)]) for z in levels]) for piece in pieces)
+    points = np.vstack([np.column_stack([outline, np.full(len(outline), z)]) for z in levels])
+    return Obstacle(name, parts, *levels, hulls, points, _prism_faces(outline, pieces))
+
+
+def _prism_faces(outline: Array, pieces: Sequence[Array]) -> NDArray[np.int64]:
+    """Triangles of the prism's sides, bottom and top, outwards; the top's corners stand behind those of the bottom."""
+    k = len(outline)
+    faces = []
+    for i in range(k):
+        j = (i + 1) % k
+        faces += [(i, j, k + j), (i, k + j, k + i)]
+    for piece in pieces:
+        corner = [int(np.argmin(((outline - p) ** 2).sum(axis=1))) for p in piece]
+        for a, b in pairwise(corner[1:]):
+            faces += [(corner[0], b, a), (k + corner[0], k + a, k + b)]
+    return np.array(faces, np.int64)
+
+
+def _read_mesh(name: str, path: Path) -> tuple[Array, NDArray[np.int64]]:
+    """Vertices (n, 3) m, merged, and triangles (m, 3) of a mesh file."""
+    from vehsim.world.reading import read_mesh
+
+    points, faces = read_mesh(path)
+    unique, index = np.unique(np.round(points, 7), axis=0, return_inverse=True)
+    if len(faces) == 0:
+        raise InputError(str(Problem(f"obstacle {name!r}: mesh", "no triangles", "export its surface", path)))
+    return unique, index.reshape(-1)[faces]
+
+
+def _bodies(points: Array, faces: NDArray[np.int64]) -> list[Array]:
+    """The vertices of each connected body."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    edges = np.vstack([faces[:, [0, 1]], faces[:, [1, 2]]])
+    graph = coo_matrix((np.ones(len(edges)), edges.T), shape=(len(points), len(points)))
+    count, label = connected_components(graph, directed=False)
+    used = np.zeros(len(points), bool)
+    used[faces.ravel()] = True
+    return [points[(label == k) & used] for k in range(count) if (used & (label == k)).any()]
+
+
+def _turned(degrees: float) -> Array:
+    """Rotation (2, 2) by an angle in degrees."""
+    c, s = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
+    return np.array([[c, -s], [s, c]])
+
+
+def _numbers(name: str, key: str, value: ArrayLike, size: int) -> Array:
+    try:
+        numbers = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        numbers = np.empty(0)
+    if numbers.shape != (size,) or not np.isfinite(numbers).all():
+        raise InputError(str(Problem(f"obstacle {name!r}: {key}", "not numbers", f"give {size} finite ones", value)))
+    return numbers
