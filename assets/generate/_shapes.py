@@ -182,7 +182,7 @@ def torus(radius: float, thickness: float, sides: int = 32, axis: str = "z", aro
 def aimed(direction: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> Array:
     """A rotation (3, 3) that takes X to ``direction`` and keeps Z as near ``up`` as can be."""
     x = np.asarray(direction, float) / np.linalg.norm(direction)
-    y = np.cross(up, x)
+    y = np.cross(np.asarray(up, float), x)
     y /= np.linalg.norm(y)
     return np.stack([x, y, np.cross(x, y)], 1)
 

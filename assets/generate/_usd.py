@@ -121,10 +121,10 @@ def _write_liveries(stage, root, liveries: Liveries) -> None:
     if not liveries:
         return
     changed = sorted({name for livery in liveries.values() for name in livery})
-    for name, livery in liveries.items():
-        if missing := sorted(set(changed) - set(livery)):
+    for choice, chosen in liveries.items():
+        if missing := sorted(set(changed) - set(chosen)):
             raise ValueError(
-                f"livery {name!r} says nothing of {missing}: every livery must say all that one of them does"
+                f"livery {choice!r} says nothing of {missing}: every livery must say all that one of them does"
             )
     meshes: dict[str, list] = {name: [] for name in changed}
     for prim in Usd.PrimRange(root):

@@ -78,25 +78,22 @@ def build() -> dict[str, PartShape]:
     """The boat's parts by name: hull with all that stands on it, outboard, and the propeller that rides on that."""
     look = by_material(shell(), deck(), cockpit(), windscreen(), helm(), seats(), rails(), fittings())
     engine, propeller = outboard()
-    swept = outer_hull(_steered(engine, propeller), 12.0)
     return {
         "hull": PartShape(look=look, collision={"": hull(), **outer_hulls(look)}),
-        "outboard": PartShape(
-            PIVOT,
-            engine,
-            {"swept": swept},
-            {"propeller": PartShape(propeller.pivot, propeller.look, propeller.collision)},
-        ),
+        "outboard": PartShape(PIVOT, engine, swept(engine, propeller), {"propeller": propeller}),
     }
 
 
-def _steered(engine: dict[str, Surface], propeller: PartShape) -> Array:
-    """Every point of the outboard over its 30 degrees of steering to either side."""
-    points = np.concatenate([s.points for s in engine.values()])
-    disc = np.concatenate([s.points for s in propeller.collision.values()]) + np.array(propeller.pivot)
-    points = np.concatenate([points, disc])
-    turns = [(np.cos(t), np.sin(t)) for t in np.radians(np.linspace(-30, 30, 7))]
-    return np.concatenate([points @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]).T for c, s in turns])
+def swept(engine: dict[str, Surface], propeller: PartShape) -> dict[str, Surface]:
+    """Hulls of the outboard's cowling and of its leg with the propeller, over 30 degrees of steering to either side."""
+    everything = join(*engine.values(), *(s.moved(propeller.pivot) for s in propeller.collision.values()))
+    high = everything.points[everything.faces].mean(1)[:, 2] > 0.1
+    turns = [aimed([np.cos(t), np.sin(t), 0.0]) for t in np.radians(np.linspace(-30, 30, 9))]
+    hulls = {}
+    for name, region in (("bounds_cowling", high), ("bounds_leg", ~high)):
+        points = everything.points[np.unique(everything.faces[region])]
+        hulls[name] = outer_hull(np.concatenate([points @ turn.T for turn in turns]), 12.0)
+    return hulls
 
 
 # ---------------------------------------------------------------- lines of the hull

@@ -26,7 +26,7 @@ PARTS = {
     "two_wheeled": {"body", "wheel_left", "wheel_right"},
 }
 TRIANGLES = {"helicopter": 8000, "car": 6000, "boat": 8000, "two_wheeled": 8000}
-STEERED = {"car": {"fl": 40, "fr": 40}, "boat": {"outboard": 30}}
+STEERED = {"car": {"steer_fl": 40, "steer_fr": 40}, "boat": {"outboard": 30}}
 """Part -> degrees to either side: hulls do not move, so they hold what steers at every angle."""
 LOWEST = {"boat": -0.8401}
 """Where a vehicle does not stand on the ground: its lowest point, m."""
@@ -56,9 +56,10 @@ def steered(name: str) -> np.ndarray:
     """The points (n, 3) of what steers, at full lock to either side, in the root's frame."""
     points = [np.zeros((0, 3))]
     for path, limit in STEERED.get(name, {}).items():
-        pivot = next(p for p in read_parts(asset(name)) if p.path == path or p.path.startswith(f"steer_{path}/"))
+        pivot = part(name, path).T_rp[:3, 3]
+        riding = [in_root(p) for p in read_parts(asset(name)) if f"{p.path}/".startswith(f"{path}/")]
         for angle in np.radians([-limit, limit]):
-            points.append(pivot.points @ rotation(2, angle).T + pivot.T_rp[:3, 3])
+            points.append((np.concatenate(riding) - pivot) @ rotation(2, angle).T + pivot)
     return np.concatenate(points)
 
 
