@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.lie import SO3
+from vehsim.planning.layout import Layout
 from vehsim.planning.marks import Mark
-from vehsim.planning.transcription import Layout, Transcription
+from vehsim.planning.transcription import Transcription
 from vehsim.vehicles import Vehicle
 from vehsim.vehicles.mechanics import conservative
 

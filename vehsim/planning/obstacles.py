@@ -8,7 +8,7 @@ one for every knot when they move, so problems are built once for all worlds of 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
@@ -118,12 +118,11 @@ class Rows:
         self.extra += np.where(beside > 0, beside + FINEST, 0.0)
 
 
-def obstacle_rows(vehicle: Vehicle, world: Any, marks: Sequence[Mark]) -> Rows | None:
+def obstacle_rows(vehicle: Vehicle, world: Any, marks: Sequence[Any]) -> Rows | None:
     """The rows for the obstacles of ``world`` that a vehicle driving at the marks' height can touch, or None."""
     if world is None or vehicle.group.dim != 3 or not world.obstacles:
         return None
-    assert marks[0].position is not None
-    height = float(marks[0].position[2])
+    height = 0.0 if marks[0].position is None else float(marks[0].position[2])
     low, high = _reach(vehicle)
     parts = [
         (obstacle, number)
@@ -135,28 +134,32 @@ def obstacle_rows(vehicle: Vehicle, world: Any, marks: Sequence[Mark]) -> Rows |
 
 
 def check_marks_clear(vehicle: Vehicle, world: Any, marks: Sequence[Mark], clearance: float) -> None:
-    """Raise ``InputError`` for a mark whose vehicle stands in an obstacle, or nearer than ``clearance`` m to one.
+    """Raise ``InputError`` for a mark whose vehicle stands in an obstacle, or nearer than ``clearance`` m to one."""
+    for i, message, mend in marks_too_near(vehicle, world, marks, clearance):
+        raise InputError(f"mark[{i}].position = {list(marks[i].position or ())}: {message}; {mend}")
+
+
+def marks_too_near(
+    vehicle: Vehicle, world: Any, marks: Sequence[Any], clearance: float
+) -> Iterator[tuple[int, str, str]]:
+    """Number, message and mend of every mark whose vehicle stands in an obstacle or too near to one.
 
     A mark without a heading is asked for its root alone; one with a tolerance may give way by that.
     """
     rows = obstacle_rows(vehicle, world, marks)
-    for i, mark in enumerate(marks if rows is not None else ()):
+    still = [] if rows is None else [(o, k) for o, k in rows.parts if hasattr(o, "parts")]
+    for i, mark in enumerate(marks if still else ()):
         if mark.position is None:
             continue
         outline = footprint(vehicle) if mark.heading is not None else np.zeros((1, 2))
         yaw = np.array([np.deg2rad(mark.heading or 0.0)])
-        standing = [(o, k) for o, k in rows.parts if hasattr(o, "parts")]  # type: ignore[union-attr]
-        at = placed(outline, np.array([mark.position[:2]], float), yaw)
-        gaps = clearances(standing, at, np.zeros(1))[:, 0] if standing else np.array([np.inf])
-        gap, nearest = float(gaps.min()) + mark.tolerance, standing[int(gaps.argmin())][0].name if standing else ""
+        gaps = clearances(still, placed(outline, np.array([mark.position[:2]], float), yaw), np.zeros(1))[:, 0]
+        gap, name = float(gaps.min()) + mark.tolerance, still[int(gaps.argmin())][0].name
         if gap <= 0:
-            mend = "move the mark or the obstacle"
-            raise InputError(f"mark[{i}].position = {list(mark.position)}: in obstacle {nearest!r}; {mend}")
-        if mark.heading is not None and gap < clearance - FINEST:
+            yield i, f"in obstacle {name!r}", "move the mark or the obstacle"
+        elif mark.heading is not None and gap < clearance - FINEST:
             mend = f"keep the clearance of {clearance:g} m, or ask for less"
-            raise InputError(
-                f"mark[{i}].position = {list(mark.position)}: {gap:.2f} m from obstacle {nearest!r}; {mend}"
-            )
+            yield i, f"only {gap:.2f} m from obstacle {name!r}", mend
 
 
 def clearances(parts: Sequence[tuple[Any, int]], outlines: Array, seconds: Array) -> Array:

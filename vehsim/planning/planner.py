@@ -8,59 +8,28 @@ comes too near.
 from __future__ import annotations
 
 import math
-import threading
-import time
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from fractions import Fraction
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vehsim.clip import Clip, frame_rate
 from vehsim.errors import InputError
-from vehsim.integrators.integrator import build_clip
-from vehsim.planning.certify import SAMPLES, Executed, certify, executed
+from vehsim.planning.attempt import EXECUTED, SLACK, TIGHTENINGS, Array, Attempt, Progress, Request, shape
+from vehsim.planning.certify import Executed
 from vehsim.planning.cover import sphere_cover
-from vehsim.planning.elements import Solution, Solver, solver_options
-from vehsim.planning.guess import along_paths, lift
-from vehsim.planning.legs import (
-    cut,
-    facing,
-    fixed_durations,
-    mark_positions,
-    path_length,
-    share_known_spans,
-    spans_between,
-    split_segments,
-)
+from vehsim.planning.legs import cut, facing, mark_positions
 from vehsim.planning.marks import Mark, check_marks
-from vehsim.planning.obstacles import certify_plane, check_marks_clear, obstacle_rows
+from vehsim.planning.obstacles import check_marks_clear, obstacle_rows
 from vehsim.planning.terms import check_limits, cost_weights
-from vehsim.planning.transcription import Layout, Transcription, build, parameter_values, transcription, variable_bounds
+from vehsim.planning.transcription import transcription
 from vehsim.vehicles import Vehicle
 
-Array = NDArray[np.float64]
-Progress = Callable[[str, float], None]
-
-TIGHTENINGS = 3
-"""How often a motion that comes too near is solved again with a wider margin."""
-EXECUTED = 0.1
-"""Largest accepted distance between the plan's end and where its controls lead, m, before the plan is refined."""
-LADDER = ((1, 2), (1, 4), (1, 6), (2, 6), (4, 6))
-"""Discretisations a plan climbs through: times the segments asked for, and order. Higher order is cheaper than more
-segments."""
-SLACK = 0.01
-"""How far below the asked clearance a certified motion may be, m."""
 ROOM = 30.0
 """How far from the first path the optimiser sees the terrain, m."""
-KEPT = 16
-"""Built problems kept for plans to come; building one takes as long as solving it."""
-CRUISE = 12.0
-"""Guess of a free leg's speed, m/s, when no speed limit is lower."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +55,7 @@ class Plan:
     segments: int
     order: int
     tightenings: int = 0
-    _attempt: _Attempt | None = field(default=None, repr=False)
+    _attempt: Attempt | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:
         verdict = "solved" if self.success else "failed"
@@ -96,37 +65,13 @@ class Plan:
         """The plan for other marks, started from this one: quick when they ask for the same things elsewhere."""
         assert self._attempt is not None
         request = replace(self._attempt.request, marks=check_marks(marks, len(self.clip.vehicle.joints)))
-        if not self.success or _shape(request.marks) != _shape(self._attempt.request.marks):
+        if not self.success or shape(request.marks) != shape(self._attempt.request.marks):
             return _solve(request, progress, self.clip)
         attempt = self._attempt.moved(request, progress)
         if np.any(attempt.free):
             attempt.solve()
             attempt.settle()
         return _finish(attempt)
-
-
-@dataclass(frozen=True, eq=False)
-class _Request:
-    """All that a plan was asked for."""
-
-    vehicle: Vehicle
-    world: Any
-    marks: list[Mark]
-    fps: Fraction
-    segments: int
-    weights: dict[str, float]
-    clearance: float
-    limits: dict[str, float]
-    refine: bool
-    max_iterations: int
-
-    @property
-    def wind(self) -> Array:
-        return np.zeros(3) if self.world is None else np.asarray(self.world.wind, float)
-
-    @property
-    def terrain(self) -> bool:
-        return self.world is not None and self.world.terrain is not None and self.vehicle.group.dim == 6
 
 
 def plan(
@@ -159,7 +104,7 @@ def plan(
         raise InputError(f"segments = {segments!r}: give at least two a leg between marks, and at most 4096")
     if not (math.isfinite(clearance) and clearance >= 0):
         raise InputError(f"clearance = {clearance!r}: give a distance in metres, zero or more")
-    request = _Request(
+    request = Request(
         vehicle=vehicle,
         world=world,
         marks=check_marks(marks, len(vehicle.joints)),
@@ -182,12 +127,12 @@ def plan(
     return _solve(request, progress, guess)
 
 
-def _solve(request: _Request, progress: Progress | None, guess: Any) -> Plan:
+def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
     t = transcription(request.vehicle)
     paths = _paths(request, guess, progress)
     if request.weights["course"]:
         request = replace(request, marks=facing(request.marks, paths))
-    attempt = _Attempt(request, t, _cover(request, paths), progress)
+    attempt = Attempt(request, t, _cover(request, paths), progress)
     attempt.start(paths)
     attempt.solve()
     attempt.settle()
@@ -196,259 +141,52 @@ def _solve(request: _Request, progress: Progress | None, guess: Any) -> Plan:
     return _finish(attempt)
 
 
-def _finish(attempt: _Attempt) -> Plan:
+def _finish(attempt: Attempt) -> Plan:
     """Solve on whole frames, finely enough, far enough from the rock."""
     for _ in range(TIGHTENINGS + 1):
         attempt.refine()
         if attempt.clear():
             break
         attempt.tighten()
-    return attempt.plan()
+    return _result(attempt)
 
 
-def _shape(marks: Sequence[Mark]) -> tuple[Any, ...]:
-    """What marks ask for, but not where: equal shapes share one built problem."""
-    keys = ("position", "heading", "orientation", "velocity", "speed", "joints")
-    asked = [tuple(getattr(m, key) is not None for key in keys) for m in marks]
-    kinds = [(m.frame == "free", m.balanced, m.at_rest, m.speed == 0, m.tolerance, m.hold > 0) for m in marks]
-    return tuple(zip(asked, kinds, strict=True))
-
-
-class _Shelf(threading.local):
-    """Problems built in free space, solved again by every plan of the same shape; a thread keeps its own."""
-
-    def __init__(self) -> None:
-        self.solvers: dict[Any, Solver] = {}
-
-
-_shelf = _Shelf()
-
-
-class _Attempt:
-    """The state of one planning: layout, variables, lengths of the legs, margin, and what was measured."""
-
-    def __init__(self, request: _Request, t: Transcription, cover: Any, progress: Progress | None):
-        self.request, self.t, self.cover, self.progress = request, t, cover, progress
-        self.margin, self.tightenings, self.iterations = request.clearance, 0, 0
-        self.build_seconds = self.solve_seconds = 0.0
-        self.clearance = self.wanted = float("inf")
-        self.checked = Executed(np.inf, np.inf, np.inf)
-        self.rung = 0
-        self.solvers: dict[Any, Solver] = {}
-        self.rows = obstacle_rows(request.vehicle, request.world, request.marks)
-
-    def moved(self, request: _Request, progress: Progress | None) -> _Attempt:
-        """A new attempt at other marks of the same shape, from where this one ended."""
-        other = _Attempt(request, self.t, self.cover, progress)
-        other.margin, other.rung, other.layout, other.solvers = self.margin, self.rung, self.layout, self.solvers
-        other.x, other.lengths, other.free = self.x.copy(), self.lengths.copy(), self.free
-        other.rows = self.rows
-        fixed = fixed_durations(request.marks, request.fps)
-        other._resize(np.where(np.isnan(fixed), other.lengths, fixed / np.array(other.layout.phases)))
-        return other
-
-    def start(self, paths: list[Array]) -> None:
-        """Layout, leg lengths and first guess."""
-        marks = self.request.marks
-        speed = min(CRUISE, 0.6 * self.request.limits.get("speed", math.inf))
-        fixed = fixed_durations(marks, self.request.fps)
-        legs = np.array([path_length(path) for path in paths])
-        rests = np.array([a.at_rest + b.at_rest for a, b in pairwise(marks)])
-        durations = np.where(np.isnan(fixed), legs / speed + 1.5 * rests + 0.5, fixed)
-        share_known_spans(durations, marks, self.request.fps)
-        phases = split_segments(self.request.segments, durations, np.array([mark.hold > 0 for mark in marks[:-1]]))
-        self.layout = Layout(self.t.sizes, phases)
-        self.lengths = durations / np.array(phases)
-        self.free = np.isnan(fixed)
-        self.x = along_paths(self.t, self.layout, marks, paths, self.lengths, self.request.wind)
-        self._look()
-
-    def solve(self, free: bool = True) -> None:
-        """Solve on the present layout from the present variables; legs of free marks vary when ``free``."""
-        began = time.perf_counter()
-        request, layout = self.request, self.layout
-        solver = self._solver(spans_between(request.marks, request.fps) if free else [])
-        solver.watch = self._watch() if self.progress else None
-        self.build_seconds += time.perf_counter() - began
-        began = time.perf_counter()
-        span = [(h / 8, h * 8) if free and f else (h, h) for h, f in zip(self.lengths, self.free, strict=True)]
-        lower, upper = variable_bounds(self.t, layout, span)
-        values = parameter_values(self.t, layout, request.marks, request.wind, self.margin, request.weights)
-        if self.rows is not None:
-            values = np.concatenate([values, self.rows.values(self._seconds(), request.clearance)])
-        self.solution: Solution = solver.solve(self.x, lower, upper, values)
-        self.x = self.solution.x
-        self.lengths = self.x[layout.lengths]
-        self.iterations += self.solution.iterations
-        self.solve_seconds += time.perf_counter() - began
-        self.worst = solver.problem.names()[int(np.argmax(self.solution.violations))]
-
-    def _solver(self, spans: Sequence[tuple[list[int], float]]) -> Solver:
-        """The built problem of the present layout; built once for every shape of marks, in free space once for all."""
-        request, warm = self.request, self.rung > 0
-        asked = (repr(request.limits), request.max_iterations, warm)
-        key = (self.t, self.layout, _shape(request.marks), repr(spans), asked, self.rows and self.rows.key)
-        shelf = self.solvers if self.cover is not None else _shelf.solvers
-        if key not in shelf:
-            problem, _ = build(self.t, self.layout, request.marks, request.limits, self.cover, spans)
-            if self.rows is not None:
-                self.rows.add(problem, self.t, self.layout)
-            shelf[key] = Solver(problem, solver_options(request.max_iterations, warm=warm))
-            while shelf is not self.solvers and len(shelf) > KEPT:
-                del shelf[next(iter(shelf))]
-        return shelf[key]
-
-    def settle(self) -> None:
-        """Put free marks on whole frames, later rather than earlier."""
-        if not np.any(self.free):
-            return
-        frames = np.cumsum(self.lengths * self.layout.phases) * float(self.request.fps)
-        whole = np.ceil(frames - 0.25)
-        for i, mark in enumerate(self.request.marks[1:]):
-            if mark.frame != "free":
-                whole[i] = mark.frame - int(self.request.marks[0].frame)
-        spans = np.maximum(np.diff(np.concatenate([[0.0], whole])), 1.0) / float(self.request.fps)
-        self._resize(spans / np.array(self.layout.phases))
-
-    def _resize(self, lengths: Array) -> None:
-        """Other segment lengths for the same motion: velocities and momenta scale with the pace."""
-        ratio = self.lengths / lengths
-        per_substep = np.repeat(ratio, np.array(self.layout.phases) * len(self.layout.fractions))
-        per_node = np.append(per_substep, per_substep[-1])
-        momenta = self.layout.node(np.arange(self.layout.nodes))[sum(self.t.sizes[:2]) :]
-        self.x[momenta] *= per_node
-        self.x[self.layout.velocity(np.arange(self.layout.nodes - 1))] *= per_substep
-        self.lengths = lengths
-        self.x[self.layout.lengths] = lengths
-
-    def refine(self) -> None:
-        """Climb the ladder of discretisations until the executed controls end where the plan does."""
-        self.solve(free=False)
-        self.checked = self._executed()
-        while self._too_far() and self.rung < len(LADDER) - 1:
-            self.climb()
-            self.solve(free=False)
-            self.checked = self._executed()
-
-    def _too_far(self) -> bool:
-        return self.request.refine and self.solution.success and self.checked.final > EXECUTED
-
-    def climb(self) -> None:
-        self.rung += 1
-        split, order = LADDER[self.rung][0] // LADDER[self.rung - 1][0], LADDER[self.rung][1]
-        self._lift(Layout(self.t.sizes, tuple(split * n for n in self.layout.phases), order))
-
-    def _lift(self, fine: Layout) -> None:
-        self.x = lift(self.t, self.layout, fine, self.x, self.request.wind)
-        self.layout, self.lengths = fine, self.x[fine.lengths]
-        self._look()
-
-    def _look(self) -> None:
-        """See the obstacles near the present motion."""
-        if self.rows is not None:
-            positions, yaw = self._poses()
-            self.rows.look(positions, yaw, self._seconds(), self.request.clearance)
-
-    def _poses(self) -> tuple[Array, Array]:
-        """Position (n, 2) m and heading (n,) rad of the root of what drives, at its knots."""
-        g = self._knots()[0]
-        c, s = np.cos(g[:, 0]), np.sin(g[:, 0])
-        x, y = self.request.vehicle.origin[:2]
-        return g[:, 1:3] - np.column_stack([c * x - s * y, s * x + c * y]), g[:, 0]
-
-    def _seconds(self) -> Array:
-        """When it is at its knots (n,), s since frame 0."""
-        steps = np.repeat(self.lengths, self.layout.phases)
-        start = int(self.request.marks[0].frame) / float(self.request.fps)
-        return np.asarray(start + np.concatenate([[0.0], np.cumsum(steps)]))
-
-    def clear(self) -> bool:
-        """Certify the clip; True when it is as far away as asked, or when nothing more can be done."""
-        self.wanted = self.request.clearance if self.cover is not None or self.rows is not None else 0.0
-        self.clip = self._clip()
-        self.clearance = (
-            certify(self.clip, self.request.world, SAMPLES, self.progress) if self.request.terrain else np.inf
+def _result(attempt: Attempt) -> Plan:
+    """What the attempt came to."""
+    request, solution = attempt.request, attempt.solution
+    message, success = solution.message, solution.success
+    if not success:
+        message = f"{message}: worst {attempt.worst}, off by {solution.violation:.3g}"
+    elif attempt.clearance < attempt.wanted - SLACK:
+        success = False
+        message = (
+            f"certified clearance {attempt.clearance:.3f} m is below the {attempt.wanted:g} m asked for after "
+            f"{attempt.tightenings} tighter solves; ask for less clearance, more segments, or other marks"
         )
-        if self.rows is not None:
-            nearest, by_segment = certify_plane(self.clip, self.rows.parts)
-            self.clearance = min(self.clearance, nearest)
-            self.lack = np.maximum(self.wanted - by_segment, 0.0)
-        near = self.clearance < self.wanted - SLACK
-        return not (near and self.solution.success and self.tightenings < TIGHTENINGS)
-
-    def tighten(self) -> None:
-        if self.rows is not None:
-            self.rows.tighten(self.lack)
-        else:
-            self.margin += (self.wanted - self.clearance) + 0.05
-        self.tightenings += 1
-
-    def plan(self) -> Plan:
-        request, solution = self.request, self.solution
-        message, success = solution.message, solution.success
-        if not success:
-            message = f"{message}: worst {self.worst}, off by {solution.violation:.3g}"
-        elif self.clearance < self.wanted - SLACK:
-            success = False
-            message = (
-                f"certified clearance {self.clearance:.3f} m is below the {self.wanted:g} m asked for after "
-                f"{self.tightenings} tighter solves; ask for less clearance, more segments, or other marks"
-            )
-        if success and self.checked.final > EXECUTED and request.refine:
-            message += f"; executed, the controls end {self.checked.final:.2f} m off: ask for more segments"
-        if not success:
-            warnings.warn(f"{request.vehicle.name}: plan failed: {message}", stacklevel=4)
-        return Plan(
-            clip=self.clip,
-            success=success,
-            message=message,
-            cost=solution.cost,
-            duration=float(self.clip.times[-1]),
-            iterations=self.iterations,
-            solve_seconds=self.solve_seconds,
-            build_seconds=self.build_seconds,
-            defect=solution.violation,
-            clearance=self.clearance,
-            executed=self.checked,
-            segments=self.layout.segments,
-            order=self.layout.order,
-            tightenings=self.tightenings,
-            _attempt=self,
-        )
-
-    def _knots(self) -> tuple[Array, Array, Array, Array, Array]:
-        layout, every = self.layout, np.arange(self.layout.segments + 1)
-        cuts = np.cumsum([0, *self.t.sizes[:3]])
-        state = self.x[layout.knot(every)]
-        g, r, pi = (state[a:b].T for a, b in pairwise(cuts))
-        c = (self.x[layout.control(every)] * self.t.control_scale[:, None]).T
-        return g, r, pi * self.t.momentum_scale, c, np.repeat(self.lengths, layout.phases)
-
-    def _executed(self) -> Executed:
-        return executed(self.t.mechanics, *self._knots(), self.request.wind)
-
-    def _clip(self) -> Clip:
-        g, r, pi, c, steps = self._knots()
-        times = np.concatenate([[0.0], np.cumsum(steps)])
-        start = int(self.request.marks[0].frame)
-        anchor = np.zeros(3)
-        if self.request.vehicle.group.dim == 3:
-            anchor[2] = float(np.asarray(self.request.marks[0].position)[2])
-        return build_clip(self.t.mechanics, times, g, r, pi, c, anchor, fps=self.request.fps, start_frame=start)
-
-    def _watch(self) -> Callable[[int], None]:
-        text = f"planning {self.layout.segments} segments at order {self.layout.order}"
-        if self.tightenings:
-            text += f", margin {self.margin:.2f} m"
-
-        def report(count: int) -> None:
-            assert self.progress is not None
-            self.progress(f"{text}: iteration {count}", 1 - math.exp(-count / 40))
-
-        return report
+    if success and attempt.checked.final > EXECUTED and request.refine:
+        message += f"; executed, the controls end {attempt.checked.final:.2f} m off: ask for more segments"
+    if not success:
+        warnings.warn(f"{request.vehicle.name}: plan failed: {message}", stacklevel=4)
+    return Plan(
+        clip=attempt.clip,
+        success=success,
+        message=message,
+        cost=solution.cost,
+        duration=float(attempt.clip.times[-1]),
+        iterations=attempt.iterations,
+        solve_seconds=attempt.solve_seconds,
+        build_seconds=attempt.build_seconds,
+        defect=solution.violation,
+        clearance=attempt.clearance,
+        executed=attempt.checked,
+        segments=attempt.layout.segments,
+        order=attempt.layout.order,
+        tightenings=attempt.tightenings,
+        _attempt=attempt,
+    )
 
 
-def _cover(request: _Request, paths: list[Array]) -> Any:
+def _cover(request: Request, paths: list[Array]) -> Any:
     """Distance function around the paths and sphere cover, or None where there is nothing to hit."""
     if not request.terrain:
         return None
@@ -460,7 +198,7 @@ def _cover(request: _Request, paths: list[Array]) -> Any:
     return (room.function, *sphere_cover(request.vehicle))
 
 
-def _paths(request: _Request, guess: Any, progress: Progress | None) -> list[Array]:
+def _paths(request: Request, guess: Any, progress: Progress | None) -> list[Array]:
     """A polyline (k, 3) for every leg between marks."""
     positions = mark_positions(request.marks)
     legs = list(pairwise(positions))

@@ -1,0 +1,281 @@
+"""One attempt at a plan: a discretisation, its variables, and how they are solved, settled, refined and certified.
+
+`planner.py` says in which order; what belongs here changes the state of an attempt.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.clip import Clip
+from vehsim.integrators.integrator import build_clip
+from vehsim.planning.certify import SAMPLES, Executed, certify, executed
+from vehsim.planning.guess import along_paths, lift
+from vehsim.planning.layout import Layout
+from vehsim.planning.legs import fixed_durations, path_length, share_known_spans, spans_between, split_segments
+from vehsim.planning.marks import Mark
+from vehsim.planning.obstacles import certify_plane, obstacle_rows
+from vehsim.planning.problem import build, parameter_values, variable_bounds
+from vehsim.planning.solver import Solution, Solver, solver_options
+from vehsim.planning.transcription import Transcription
+from vehsim.vehicles import Vehicle
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+
+TIGHTENINGS = 3
+"""How often a motion that comes too near is solved again with a wider margin."""
+EXECUTED = 0.1
+"""Largest accepted distance between the plan's end and where its controls lead, m, before the plan is refined."""
+LADDER = ((1, 2), (1, 4), (1, 6), (2, 6), (4, 6))
+"""Discretisations a plan climbs through: times the segments asked for, and order. Higher order is cheaper than more
+segments."""
+SLACK = 0.01
+"""How far below the asked clearance a certified motion may be, m."""
+KEPT = 16
+"""Built problems kept for plans to come; building one takes as long as solving it."""
+CRUISE = 12.0
+"""Guess of a free leg's speed, m/s, when no speed limit is lower."""
+
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """All that a plan was asked for."""
+
+    vehicle: Vehicle
+    world: Any
+    marks: list[Mark]
+    fps: Fraction
+    segments: int
+    weights: dict[str, float]
+    clearance: float
+    limits: dict[str, float]
+    refine: bool
+    max_iterations: int
+
+    @property
+    def wind(self) -> Array:
+        return np.zeros(3) if self.world is None else np.asarray(self.world.wind, float)
+
+    @property
+    def terrain(self) -> bool:
+        return self.world is not None and self.world.terrain is not None and self.vehicle.group.dim == 6
+
+
+def shape(marks: Sequence[Mark]) -> tuple[Any, ...]:
+    """What marks ask for, but not where: equal shapes share one built problem."""
+    keys = ("position", "heading", "orientation", "velocity", "speed", "joints")
+    asked = [tuple(getattr(m, key) is not None for key in keys) for m in marks]
+    kinds = [(m.frame == "free", m.balanced, m.at_rest, m.speed == 0, m.tolerance, m.hold > 0) for m in marks]
+    return tuple(zip(asked, kinds, strict=True))
+
+
+class _Shelf(threading.local):
+    """Problems built in free space, solved again by every plan of the same shape; a thread keeps its own."""
+
+    def __init__(self) -> None:
+        self.solvers: dict[Any, Solver] = {}
+
+
+_shelf = _Shelf()
+
+
+class Attempt:
+    """The state of one planning: layout, variables, lengths of the legs, margin, and what was measured."""
+
+    def __init__(self, request: Request, t: Transcription, cover: Any, progress: Progress | None):
+        self.request, self.t, self.cover, self.progress = request, t, cover, progress
+        self.margin, self.tightenings, self.iterations = request.clearance, 0, 0
+        self.build_seconds = self.solve_seconds = 0.0
+        self.clearance = self.wanted = float("inf")
+        self.checked = Executed(np.inf, np.inf, np.inf)
+        self.rung = 0
+        self.solvers: dict[Any, Solver] = {}
+        self.rows = obstacle_rows(request.vehicle, request.world, request.marks)
+
+    def moved(self, request: Request, progress: Progress | None) -> Attempt:
+        """A new attempt at other marks of the same shape, from where this one ended."""
+        other = Attempt(request, self.t, self.cover, progress)
+        other.margin, other.rung, other.layout, other.solvers = self.margin, self.rung, self.layout, self.solvers
+        other.x, other.lengths, other.free = self.x.copy(), self.lengths.copy(), self.free
+        other.rows = self.rows
+        fixed = fixed_durations(request.marks, request.fps)
+        other._resize(np.where(np.isnan(fixed), other.lengths, fixed / np.array(other.layout.phases)))
+        return other
+
+    def start(self, paths: list[Array]) -> None:
+        """Layout, leg lengths and first guess."""
+        marks = self.request.marks
+        speed = min(CRUISE, 0.6 * self.request.limits.get("speed", math.inf))
+        fixed = fixed_durations(marks, self.request.fps)
+        legs = np.array([path_length(path) for path in paths])
+        rests = np.array([a.at_rest + b.at_rest for a, b in pairwise(marks)])
+        durations = np.where(np.isnan(fixed), legs / speed + 1.5 * rests + 0.5, fixed)
+        share_known_spans(durations, marks, self.request.fps)
+        phases = split_segments(self.request.segments, durations, np.array([mark.hold > 0 for mark in marks[:-1]]))
+        self.layout = Layout(self.t.sizes, phases)
+        self.lengths = durations / np.array(phases)
+        self.free = np.isnan(fixed)
+        self.x = along_paths(self.t, self.layout, marks, paths, self.lengths, self.request.wind)
+        self._look()
+
+    def solve(self, free: bool = True) -> None:
+        """Solve on the present layout from the present variables; legs of free marks vary when ``free``."""
+        began = time.perf_counter()
+        request, layout = self.request, self.layout
+        solver = self._solver(spans_between(request.marks, request.fps) if free else [])
+        solver.watch = self._watch() if self.progress else None
+        self.build_seconds += time.perf_counter() - began
+        began = time.perf_counter()
+        span = [(h / 8, h * 8) if free and f else (h, h) for h, f in zip(self.lengths, self.free, strict=True)]
+        lower, upper = variable_bounds(self.t, layout, span)
+        values = parameter_values(self.t, layout, request.marks, request.wind, self.margin, request.weights)
+        if self.rows is not None:
+            values = np.concatenate([values, self.rows.values(self._seconds(), request.clearance)])
+        self.solution: Solution = solver.solve(self.x, lower, upper, values)
+        self.x = self.solution.x
+        self.lengths = self.x[layout.lengths]
+        self.iterations += self.solution.iterations
+        self.solve_seconds += time.perf_counter() - began
+        self.worst = solver.problem.names()[int(np.argmax(self.solution.violations))]
+
+    def _solver(self, spans: Sequence[tuple[list[int], float]]) -> Solver:
+        """The built problem of the present layout; built once for every shape of marks, in free space once for all."""
+        request, warm = self.request, self.rung > 0
+        asked = (repr(request.limits), request.max_iterations, warm)
+        key = (self.t, self.layout, shape(request.marks), repr(spans), asked, self.rows and self.rows.key)
+        shelf = self.solvers if self.cover is not None else _shelf.solvers
+        if key not in shelf:
+            problem, _ = build(self.t, self.layout, request.marks, request.limits, self.cover, spans)
+            if self.rows is not None:
+                self.rows.add(problem, self.t, self.layout)
+            shelf[key] = Solver(problem, solver_options(request.max_iterations, warm=warm))
+            while shelf is not self.solvers and len(shelf) > KEPT:
+                del shelf[next(iter(shelf))]
+        return shelf[key]
+
+    def settle(self) -> None:
+        """Put free marks on whole frames, later rather than earlier."""
+        if not np.any(self.free):
+            return
+        frames = np.cumsum(self.lengths * self.layout.phases) * float(self.request.fps)
+        whole = np.ceil(frames - 0.25)
+        for i, mark in enumerate(self.request.marks[1:]):
+            if mark.frame != "free":
+                whole[i] = mark.frame - int(self.request.marks[0].frame)
+        spans = np.maximum(np.diff(np.concatenate([[0.0], whole])), 1.0) / float(self.request.fps)
+        self._resize(spans / np.array(self.layout.phases))
+
+    def _resize(self, lengths: Array) -> None:
+        """Other segment lengths for the same motion: velocities and momenta scale with the pace."""
+        ratio = self.lengths / lengths
+        per_substep = np.repeat(ratio, np.array(self.layout.phases) * len(self.layout.fractions))
+        per_node = np.append(per_substep, per_substep[-1])
+        momenta = self.layout.node(np.arange(self.layout.nodes))[sum(self.t.sizes[:2]) :]
+        self.x[momenta] *= per_node
+        self.x[self.layout.velocity(np.arange(self.layout.nodes - 1))] *= per_substep
+        self.lengths = lengths
+        self.x[self.layout.lengths] = lengths
+
+    def refine(self) -> None:
+        """Climb the ladder of discretisations until the executed controls end where the plan does."""
+        self.solve(free=False)
+        self.checked = self._executed()
+        while self._too_far() and self.rung < len(LADDER) - 1:
+            self.climb()
+            self.solve(free=False)
+            self.checked = self._executed()
+
+    def _too_far(self) -> bool:
+        return self.request.refine and self.solution.success and self.checked.final > EXECUTED
+
+    def climb(self) -> None:
+        self.rung += 1
+        split, order = LADDER[self.rung][0] // LADDER[self.rung - 1][0], LADDER[self.rung][1]
+        self._lift(Layout(self.t.sizes, tuple(split * n for n in self.layout.phases), order))
+
+    def _lift(self, fine: Layout) -> None:
+        self.x = lift(self.t, self.layout, fine, self.x, self.request.wind)
+        self.layout, self.lengths = fine, self.x[fine.lengths]
+        self._look()
+
+    def _look(self) -> None:
+        """See the obstacles near the present motion."""
+        if self.rows is not None:
+            positions, yaw = self._poses()
+            self.rows.look(positions, yaw, self._seconds(), self.request.clearance)
+
+    def _poses(self) -> tuple[Array, Array]:
+        """Position (n, 2) m and heading (n,) rad of the root of what drives, at its knots."""
+        g = self._knots()[0]
+        c, s = np.cos(g[:, 0]), np.sin(g[:, 0])
+        x, y = self.request.vehicle.origin[:2]
+        return g[:, 1:3] - np.column_stack([c * x - s * y, s * x + c * y]), g[:, 0]
+
+    def _seconds(self) -> Array:
+        """When it is at its knots (n,), s since frame 0."""
+        steps = np.repeat(self.lengths, self.layout.phases)
+        start = int(self.request.marks[0].frame) / float(self.request.fps)
+        return np.asarray(start + np.concatenate([[0.0], np.cumsum(steps)]))
+
+    def clear(self) -> bool:
+        """Certify the clip; True when it is as far away as asked, or when nothing more can be done."""
+        self.wanted = self.request.clearance if self.cover is not None or self.rows is not None else 0.0
+        self.clip = self._clip()
+        self.clearance = (
+            certify(self.clip, self.request.world, SAMPLES, self.progress) if self.request.terrain else np.inf
+        )
+        if self.rows is not None:
+            nearest, by_segment = certify_plane(self.clip, self.rows.parts)
+            self.clearance = min(self.clearance, nearest)
+            self.lack = np.maximum(self.wanted - by_segment, 0.0)
+        near = self.clearance < self.wanted - SLACK
+        return not (near and self.solution.success and self.tightenings < TIGHTENINGS)
+
+    def tighten(self) -> None:
+        if self.rows is not None:
+            self.rows.tighten(self.lack)
+        else:
+            self.margin += (self.wanted - self.clearance) + 0.05
+        self.tightenings += 1
+
+    def _knots(self) -> tuple[Array, Array, Array, Array, Array]:
+        layout, every = self.layout, np.arange(self.layout.segments + 1)
+        cuts = np.cumsum([0, *self.t.sizes[:3]])
+        state = self.x[layout.knot(every)]
+        g, r, pi = (state[a:b].T for a, b in pairwise(cuts))
+        c = (self.x[layout.control(every)] * self.t.control_scale[:, None]).T
+        return g, r, pi * self.t.momentum_scale, c, np.repeat(self.lengths, layout.phases)
+
+    def _executed(self) -> Executed:
+        return executed(self.t.mechanics, *self._knots(), self.request.wind)
+
+    def _clip(self) -> Clip:
+        g, r, pi, c, steps = self._knots()
+        times = np.concatenate([[0.0], np.cumsum(steps)])
+        start = int(self.request.marks[0].frame)
+        anchor = np.zeros(3)
+        if self.request.vehicle.group.dim == 3:
+            anchor[2] = float(np.asarray(self.request.marks[0].position)[2])
+        return build_clip(self.t.mechanics, times, g, r, pi, c, anchor, fps=self.request.fps, start_frame=start)
+
+    def _watch(self) -> Callable[[int], None]:
+        text = f"planning {self.layout.segments} segments at order {self.layout.order}"
+        if self.tightenings:
+            text += f", margin {self.margin:.2f} m"
+
+        def report(count: int) -> None:
+            assert self.progress is not None
+            self.progress(f"{text}: iteration {count}", 1 - math.exp(-count / 40))
+
+        return report

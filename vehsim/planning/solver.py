@@ -1,0 +1,146 @@
+"""A built problem handed to an NLP solver: options, interrupts, and what comes back."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import weakref
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.planning.elements import Problem
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Solution:
+    """What a solver returned: ``x`` (size,), its cost, largest constraint violation and whether it met tolerances."""
+
+    x: Array
+    cost: float
+    violation: float
+    success: bool
+    message: str
+    iterations: int
+    violations: Array
+
+
+def solver_options(max_iterations: int = 400, warm: bool = False) -> dict[str, Any]:
+    """IPOPT with exact Hessians and MUMPS, silent; ``warm``: the start is a solved motion of another discretisation."""
+    barrier = {"mu_strategy": "monotone", "mu_init": 1e-3} if warm else {"mu_strategy": "adaptive"}
+    return {
+        "max_iter": max_iterations,
+        "tol": 1e-8,
+        "constr_viol_tol": 1e-9,
+        "mumps_pivot_order": 0,
+        "print_level": 0,
+        "sb": "yes",
+        **barrier,
+    }
+
+
+class Solver:
+    """A built problem, solved as often as wanted from different starts, bounds and parameters.
+
+    ``watch``: called with the number of iterations done; may be changed between solves.
+    """
+
+    def __init__(self, problem: Problem, options: dict[str, Any] | None = None):
+        self.problem = problem
+        self.watch: Callable[[int], None] | None = None
+        self._bounds = problem.bounds
+        functions = problem.functions()
+        self._nlp = functions.pop("nlp")
+        self._callback = _Callback(self, problem.size, len(self._bounds[0]), problem.parameters)
+        settings: dict[str, Any] = {
+            **functions,
+            "ipopt": options or solver_options(),
+            "iteration_callback": self._callback,
+            "print_time": False,
+            "error_on_fail": False,
+            "calc_lam_p": False,
+            "show_eval_warnings": False,
+        }
+        self._solver = ca.nlpsol("plan", "ipopt", self._nlp, settings)
+
+    def solve(self, x0: Array, lower: Array, upper: Array, parameters: Array) -> Solution:
+        g_lower, g_upper = self._bounds
+        self._callback.count = 0
+        with _interruptible(self._callback):
+            answer = self._solver(x0=x0, lbx=lower, ubx=upper, lbg=g_lower, ubg=g_upper, p=parameters)
+        stats = self._solver.stats()
+        x, g = np.asarray(answer["x"]).ravel(), np.asarray(answer["g"]).ravel()
+        violations = np.maximum.reduce([g_lower - g, g - g_upper, np.zeros_like(g)])
+        return Solution(
+            x=x,
+            cost=float(answer["f"]),
+            violation=float(violations.max(initial=0.0)),
+            success=bool(stats["success"]),
+            message=str(stats["return_status"]),
+            iterations=int(stats.get("iter_count", 0)),
+            violations=violations,
+        )
+
+
+@contextmanager
+def _interruptible(callback: _Callback) -> Iterator[None]:
+    """Ctrl-C stops IPOPT at its next iteration and is raised after it: an exception inside it would be swallowed."""
+    callback.interrupted = False
+
+    def stop(number: int, frame: Any) -> None:
+        callback.interrupted = True
+
+    in_main = threading.current_thread() is threading.main_thread()
+    ours = [n for n in (signal.SIGINT, signal.SIGTERM) if in_main and callable(signal.getsignal(n))]
+    kept = {number: signal.signal(number, stop) for number in ours}
+    try:
+        yield
+    finally:
+        for number, handler in kept.items():
+            signal.signal(number, handler)
+    if callback.interrupted:
+        raise KeyboardInterrupt
+
+
+class _Callback(ca.Callback):
+    """IPOPT's iteration callback: tells the solver's watcher how many iterations are done."""
+
+    def __init__(self, solver: Solver, x: int, g: int, p: int):
+        super().__init__()
+        self._sizes = {"x": x, "f": 1, "g": g, "lam_x": x, "lam_g": g, "lam_p": p}
+        self._solver = weakref.ref(solver)
+        self.count = 0
+        self.interrupted = False
+        self.construct("watch", {})
+
+    def get_n_in(self) -> int:
+        return int(ca.nlpsol_n_out())
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_name_in(self, i: int) -> str:
+        return str(ca.nlpsol_out(i))
+
+    def get_name_out(self, i: int) -> str:
+        return "ret"
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        return ca.Sparsity.dense(self._sizes.get(ca.nlpsol_out(i), 0), 1)
+
+    def eval(self, arguments: Any) -> list[int]:
+        self.count += 1
+        solver = self._solver()
+        try:
+            if solver is not None and solver.watch is not None and not self.interrupted:
+                solver.watch(self.count)
+        except KeyboardInterrupt:
+            self.interrupted = True
+        return [int(self.interrupted)]
