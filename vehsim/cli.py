@@ -108,6 +108,9 @@ def export(
                 for outcome in running:
                     outcomes[outcome.name] = outcome
                     watcher.end(outcome)
+    except InputError:  # no such cluster: nothing was begun, nothing is touched
+        tasks = []
+        raise
     finally:
         if len(tasks) > 1:
             write_summary(out, tasks, outcomes, errors)

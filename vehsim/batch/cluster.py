@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from vehsim.batch.task import Outcome, Task, Tell, measure, run_task
+from vehsim.delivery import clean_up
 from vehsim.errors import InputError
 
 LOCAL = "local"
@@ -37,15 +38,20 @@ def run_on_dask(tasks: Sequence[Task], address: str, count: int, tell: Tell) -> 
         }
         for future in as_completed(futures):
             yield _outcome(future, futures[future])
+    for task in tasks:  # what killed workers left beside clips that others have made since
+        clean_up(task.target)
 
 
 def _outcome(future: Any, task: Task) -> Outcome:
-    if future.status == "finished":
+    """Waits once more for what a worker had ready and took with it when it died: the scheduler has it made again."""
+    from concurrent.futures import CancelledError
+
+    try:
         outcome: Outcome = future.result()
         return outcome
-    error = future.exception() if future.status == "error" else None
-    text = f"the cluster lost it: {type(error).__name__}: {error}" if error else f"the cluster lost it: {future.status}"
-    return Outcome(task.name, "failed", "WorkerLost", f"{text}; see the cluster's own logs, then --resume")
+    except (Exception, CancelledError) as error:
+        text = f"the cluster lost it: {type(error).__name__}: {error}; see the cluster's own logs, then --resume"
+        return Outcome(task.name, "failed", "WorkerLost", text)
 
 
 def _run_there(task: Task, measured: Any) -> Outcome:
