@@ -36,6 +36,7 @@ screen = Console(stderr=True, highlight=False, soft_wrap=True)
 """Progress, warnings and errors; what a command answers goes to standard output."""
 
 FAILED, WRONG_INPUT, INTERRUPTED = 1, 2, 130
+STOPPED = "interrupted; nothing half-written is left, and export --resume goes on from here"
 
 Shots = Annotated[list[Path], typer.Argument(metavar="SHOT...", help="Shot files (.toml).")]
 Sets = Annotated[
@@ -304,16 +305,17 @@ def run(arguments: Sequence[str]) -> int:
     """Run a command line and return its exit code. No traceback ever reaches the user unless VEHSIM_DEBUG is set."""
     _end_like_interrupt()
     try:
-        return int(app(args=list(arguments), standalone_mode=False) or 0)
+        code = int(app(args=list(arguments), standalone_mode=False) or 0)
+        return _fail(STOPPED, code) if code == INTERRUPTED else code
     except KeyboardInterrupt:
-        return _fail("interrupted; nothing half-written is left", INTERRUPTED)
+        return _fail(STOPPED, INTERRUPTED)
     except VehsimError as error:
         return _fail(str(error), WRONG_INPUT if isinstance(error, InputError) else FAILED)
     except Exception as error:
         if hasattr(error, "format_message"):  # what click raises about its command line
             return _fail(f"{error.format_message()}; see vehsim --help", WRONG_INPUT)
         if type(error).__name__ == "Abort":
-            return _fail("interrupted; nothing half-written is left", INTERRUPTED)
+            return _fail(STOPPED, INTERRUPTED)
         if os.environ.get("VEHSIM_DEBUG"):
             raise
         what = f"{type(error).__name__}: {error}"

@@ -122,6 +122,7 @@ def test_an_interrupted_batch_tidies_up(write: Write, tmp_path: Path, number: in
     _, said = process.communicate(timeout=30)
     assert process.returncode == 130
     assert "Traceback" not in said
+    assert "interrupted" in said and "--resume" in said
     assert not list((tmp_path / "out").glob(".*"))
     states = {clip["state"] for clip in json.loads((tmp_path / "out" / "summary.json").read_text())["clips"]}
     assert "unfinished" in states and states <= {"done", "unfinished"}  # the last delivery may go unrecorded
