@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -40,6 +41,21 @@ def test_finished_clips_are_left_and_others_made_again(write: Write, tmp_path: P
     assert content(out) == before
     same = {path.name for path in out.iterdir() if path.stat().st_ino == dates[path]}
     assert same >= {"drive_duration0", "drive_duration4"}
+
+
+@pytest.mark.parametrize("year", [1971, 2099])
+def test_clocks_may_jump(write: Write, tmp_path: Path, content: Content, year: int) -> None:
+    """What is finished is told by content: dates long gone or still to come neither spare nor cost any work."""
+    shot, out = write(sweep=FIVE), tmp_path / "out"
+    export_batch(load_shots(shot), out, ["npz"])
+    before = content(out)
+    (out / "drive_duration1" / "car.npz").write_bytes(b"")
+    then = (year - 1970) * 31_557_600.0
+    for path in (shot, *out.rglob("*"), out):
+        os.utime(path, (then, then))
+    outcomes = export_batch(load_shots(shot), out, ["npz"], resume=True)
+    assert [outcome.state for outcome in outcomes] == ["skipped", "done", "skipped", "skipped", "skipped"]
+    assert content(out) == before
 
 
 def test_whatever_a_clip_is_made_of_is_in_its_hash(write: Write, tmp_path: Path) -> None:
