@@ -18,6 +18,7 @@ from vehsim.exporters.animation import write_animation
 from vehsim.exporters.guides import author_guides
 from vehsim.exporters.lighting import author_lights
 from vehsim.exporters.metadata import author_stage_metadata, correct_units, samples
+from vehsim.exporters.obstacles import author_obstacles
 from vehsim.exporters.packing import Pack
 from vehsim.exporters.readback import check_readback
 from vehsim.take import Exporter, Progress, Take
@@ -61,8 +62,9 @@ def write_usd(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
         _model(prim, Kind.Tokens.component, clip.vehicle.name, pack.relative(layer, path))
     progress("usd: environment", len(clips) / (len(clips) + 2))
     _author_terrain(stage, f"/{take.name}/env/terrain", take, pack, path)
+    author_obstacles(stage, f"/{take.name}/env/obstacles", take)
     for camera in take.cameras:
-        _author_camera(stage, f"/{take.name}/cameras/{camera.name}", camera)
+        author_camera(stage, f"/{take.name}/cameras/{camera.name}", camera)
     author_lights(stage, f"/{take.name}/lights", take, pack, path)
     author_guides(stage, f"/{take.name}/guides", take, clips)
     stage.GetRootLayer().Save()
@@ -113,7 +115,7 @@ def _author_terrain(stage: Any, prim_path: str, take: Take, pack: Pack, shot: Pa
     _model(xform.GetPrim(), Kind.Tokens.component, terrain.name, pack.relative(asset, shot))
 
 
-def _author_camera(stage: Any, prim_path: str, camera: Camera) -> None:
+def author_camera(stage: Any, prim_path: str, camera: Camera) -> None:
     """A camera with its lens in tenths of the stage unit, as USD wants it: 35 mm on a metre stage is 0.35."""
     from pxr import Gf, Sdf, UsdGeom
 

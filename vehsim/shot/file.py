@@ -115,12 +115,10 @@ def _problems(errors: Any) -> Iterator[Problem]:
                 yield Problem(key, "unknown key", _suggest(str(place[-1]), keys), value)
             case "missing":
                 yield Problem(key, "missing", f"give {description}")
-            case "union_tag_not_found":
-                yield Problem(f"{key}.method", "missing", 'give "plan", "simulate" or "clip"')
-            case "union_tag_invalid":
-                method = error["ctx"]["tag"]
-                message = RESERVED.get(method, "no such method")
-                yield Problem(f"{key}.method", message, 'give "plan", "simulate" or "clip"', method)
+            case "union_tag_not_found" | "union_tag_invalid":
+                tag, value = error["ctx"]["discriminator"].strip("'"), error["ctx"].get("tag")
+                message = "missing" if value is None else RESERVED.get(value, f"no such {tag}")
+                yield Problem(f"{key}.{tag}", message, f"give {_tags(root, place)}", value)
             case kind:
                 text = WORDS.get(kind, error["msg"].removeprefix("Value error, ")).format_map(error.get("ctx", {}))
                 yield Problem(key, text[0].lower() + text[1:], f"give {description}", value)
@@ -141,6 +139,17 @@ def _locate(root: Mapping[str, Any], location: tuple[int | str, ...]) -> tuple[t
         node = node.get("items", {}) if isinstance(part, int) else node.get("properties", {}).get(part, {})
         description = node.get("description", description)
     return tuple(place), description, keys
+
+
+def _tags(root: Mapping[str, Any], place: tuple[int | str, ...]) -> str:
+    """The names a table with several forms may take: ``"plan", "simulate" or "clip"``."""
+    node: Mapping[str, Any] = root
+    for part in place:
+        node = _resolve(node, root)
+        node = node.get("items", {}) if isinstance(part, int) else node.get("properties", {}).get(part, {})
+    tags = {reference: tag for tag, reference in node["discriminator"]["mapping"].items()}
+    names = [f'"{tags[form["$ref"]]}"' for form in node["oneOf"]]
+    return f"{', '.join(names[:-1])} or {names[-1]}"
 
 
 def _resolve(node: Mapping[str, Any], root: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -97,6 +97,7 @@ NotNegative = Annotated[Number, Field(ge=0)]
 Metre = Annotated[Number, Field(ge=-1e6, le=1e6)]
 Array = BeforeValidator(_from_tuple)
 Point = Annotated[list[Metre], Array, Len(3, 3)]
+Plane = Annotated[list[Metre], Array, Len(2, 2)]
 Velocity = Annotated[list[Annotated[Number, Field(ge=-1000, le=1000)]], Array, Len(3, 3)]
 Wind = Annotated[list[Number], Array, Len(3, 3), AfterValidator(_believable)]
 Quaternion = Annotated[list[Number], Array, Len(4, 4), AfterValidator(_unit)]
@@ -141,6 +142,90 @@ class Header(Table):
         return None if self.end_frame is None else self.end_frame + self.handles
 
 
+class PolygonTable(Table):
+    """``[[world.obstacle]]`` with ``shape = "polygon"``: a prism."""
+
+    shape: Literal["polygon"]
+    """polygon, ellipse, box, mesh or vehicle"""
+    name: Name | None = None
+    """a name of letters, digits and underscores, one of its own for every obstacle"""
+    points: Annotated[list[Plane], Array, Len(3, 1000)]
+    """the corners [x, y] in m in order around it, three or more, convex or not"""
+    height: Positive = 1.0
+    """how high it is, in m"""
+    base: Metre = 0.0
+    """the height of its bottom, in m"""
+
+
+class EllipseTable(Table):
+    """``[[world.obstacle]]`` with ``shape = "ellipse"``: an upright cylinder."""
+
+    shape: Literal["ellipse"]
+    """polygon, ellipse, box, mesh or vehicle"""
+    name: Name | None = None
+    """a name of letters, digits and underscores, one of its own for every obstacle"""
+    centre: Plane
+    """its middle [x, y] in m"""
+    radii: Annotated[list[Positive], Array, Len(2, 2)]
+    """its two radii in m"""
+    heading: Heading = 0.0
+    """degrees by which the first radius is turned from world X, counter-clockwise"""
+    height: Positive = 1.0
+    """how high it is, in m"""
+    base: Metre = 0.0
+    """the height of its bottom, in m"""
+
+
+class BoxTable(Table):
+    """``[[world.obstacle]]`` with ``shape = "box"``."""
+
+    shape: Literal["box"]
+    """polygon, ellipse, box, mesh or vehicle"""
+    name: Name | None = None
+    """a name of letters, digits and underscores, one of its own for every obstacle"""
+    centre: Point
+    """the middle of its bottom, [x, y, z] in m"""
+    size: Annotated[list[Positive], Array, Len(3, 3)]
+    """its length, width and height in m"""
+    heading: Heading = 0.0
+    """degrees by which its length is turned from world X, counter-clockwise"""
+
+
+class MeshTable(Table):
+    """``[[world.obstacle]]`` with ``shape = "mesh"``: kept clear of as the convex hulls of its connected bodies."""
+
+    shape: Literal["mesh"]
+    """polygon, ellipse, box, mesh or vehicle"""
+    name: Name | None = None
+    """a name of letters, digits and underscores, one of its own for every obstacle"""
+    path: Text
+    """a mesh file (OBJ, STL, PLY, GLB, USD) relative to the shot file"""
+    position: Point = [0.0, 0.0, 0.0]
+    """where the mesh's origin stands, [x, y, z] in m"""
+    heading: Heading = 0.0
+    """degrees by which it is turned from world X, counter-clockwise"""
+    scale: Positive = 1.0
+    """how many times larger it is than in its file"""
+
+
+class VehicleObstacleTable(Table):
+    """``[[world.obstacle]]`` with ``shape = "vehicle"``: another vehicle of the shot, on its way."""
+
+    shape: Literal["vehicle"]
+    """polygon, ellipse, box, mesh or vehicle"""
+    vehicle: Text
+    """the name of the vehicle that the others keep clear of"""
+
+    @property
+    def name(self) -> str:
+        return self.vehicle
+
+
+ObstacleTable = Annotated[
+    PolygonTable | EllipseTable | BoxTable | MeshTable | VehicleObstacleTable, Field(discriminator="shape")
+]
+
+
 class WorldTable(Table):
     """``[world]``"""
 
@@ -148,6 +233,8 @@ class WorldTable(Table):
     """a shipped terrain's name, or a mesh or height map's path relative to the shot file"""
     wind: Wind = Field(default=[0.0, 0.0, 0.0])
     """the wind [x, y, z] in m/s, world axes, at most 150 m/s in all"""
+    obstacle: Annotated[list[ObstacleTable], Array, Len(0, 1000)] = []
+    """[[world.obstacle]] tables, each with shape = "polygon", "ellipse", "box", "mesh" or "vehicle\""""
 
 
 class MarkTable(Table):

@@ -28,6 +28,7 @@ from vehsim.shot.model import (
     Table,
     Text,
 )
+from vehsim.shot.obstacles import check_marks
 
 if TYPE_CHECKING:
     from vehsim.clip import Clip
@@ -55,7 +56,7 @@ class PlanMotion(Table):
     segments: Annotated[int, Field(ge=2, le=2000)] = 64
     """how many pieces the motion is computed in, 2 to 2000"""
     clearance: Annotated[NotNegative, Field(le=1000)] = 1.0
-    """how far a flying vehicle stays from the terrain, in m; wheels touch the ground"""
+    """how far the vehicle stays from obstacles and, when it flies, from the terrain, in m"""
     mark: Annotated[list[MarkTable], Array, Len(2, 1000)]
     """two or more [[vehicle.motion.mark]] tables"""
     limits: dict[str, Positive] = Field(default={})
@@ -68,6 +69,8 @@ class PlanMotion(Table):
         yield from check_names("cost", cost, COSTS, "cost")
         yield from check_names("limits", self.limits, LIMITS, "limit")
         yield from check_order(self.mark, setting)
+        if _planar(vehicle):
+            yield from check_marks(self.mark, vehicle, setting.world, self.clearance)
         for i, mark in enumerate(self.mark):
             key = f"mark[{i}]"
             yield from check_mark(key, mark, vehicle)

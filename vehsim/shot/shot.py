@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vehsim.errors import InputError, Problem, ShotError
+from vehsim.shot import obstacles
 from vehsim.shot.checks import Setting, choose
 from vehsim.shot.file import ShotFile, VehicleTable, parse
 from vehsim.shot.holding import hold, rests
@@ -97,7 +98,8 @@ class Shot:
         from vehsim.world import World
 
         table = self.file.world
-        return World(None if table.terrain is None else self._asset(table.terrain), table.wind)
+        terrain = None if table.terrain is None else self._asset(table.terrain)
+        return World(terrain, table.wind, obstacles.standing(table.obstacle, self.folder))
 
     def vehicle(self, table: VehicleTable) -> Vehicle:
         from vehsim.vehicles import load_vehicle
@@ -157,9 +159,13 @@ class Shot:
         yield from self._check_cameras()
         world = None
         try:
+        names = [vehicle.name for vehicle in self.file.vehicle]
+        wrong = list(obstacles.check_obstacles(self.file.world.obstacle, self.folder, names))
+        yield from wrong
             world = self.world
         except InputError as error:
-            yield Problem("world.terrain", str(error), "see vehsim terrains", self.file.world.terrain)
+            if self.file.world.terrain is not None and not wrong:
+                yield Problem("world.terrain", str(error), "see vehsim terrains", self.file.world.terrain)
         for i, table in enumerate(self.file.vehicle):
             try:
                 vehicle = self.vehicle(table)
@@ -209,15 +215,21 @@ class Shot:
                 yield Problem(f"camera[{i}].look_at", "the camera stands there", "look elsewhere", camera.look_at)
 
     def _solve_vehicles(self, progress: Progress) -> tuple[dict[str, Clip], dict[str, Any]]:
-        clips, reports = {}, {}
-        for i, table in enumerate(self.file.vehicle):
+        clips: dict[str, Clip] = {}
+        reports: dict[str, Any] = {}
+        avoided = {table.vehicle for table in self.file.world.obstacle if table.shape == "vehicle"}
+        # who is kept clear of moves first, the others about it
+        for i, table in enumerate(sorted(self.file.vehicle, key=lambda vehicle: vehicle.name not in avoided)):
+            world = obstacles.with_vehicles(self.world, clips, avoided, table.name)
 
             def report(what: str, done: float, name: str = table.name, before: int = i) -> None:
                 progress(f"{name}: {what}", (before + done) / len(self.file.vehicle))
 
-            clips[table.name], said = table.motion.solve(self.vehicle(table), self._setting, report)
+            setting = replace(self._setting, world=world)
+            clips[table.name], said = table.motion.solve(self.vehicle(table), setting, report)
             reports[table.name] = {"asset": table.asset, "method": table.motion.method, **said}
-        return clips, reports
+        order = [table.name for table in self.file.vehicle]
+        return {name: clips[name] for name in order}, {name: reports[name] for name in order}
 
     def _warn_off_ground(self, clips: Mapping[str, Clip]) -> None:
         """What drives keeps its height: say where the ground rises or falls below it."""

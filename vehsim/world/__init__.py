@@ -6,6 +6,7 @@ in `field.py`, paths through free space in `route.py`, what stands or moves abou
 
 from __future__ import annotations
 
+import copy
 import hashlib
 from collections.abc import Sequence
 from functools import cached_property
@@ -67,6 +68,15 @@ class World:
         content = (ground, self.wind.tolist(), *(obstacle.content_hash for obstacle in self.obstacles))
         content += () if self.water is None else (self.water.content_hash,)
         return hashlib.sha256(repr(content).encode()).hexdigest()
+
+    def among(self, obstacles: Sequence[Obstacle | Moving]) -> World:
+        """This world with more obstacles in it."""
+        if not obstacles:
+            return self
+        other = copy.copy(self)
+        other.__dict__.pop("content_hash", None)
+        other.obstacles, other._scenes = check_obstacles((*self.obstacles, *obstacles)), {}
+        return other
 
     def height(self, xy: ArrayLike) -> Array:
         """Height (n,) m of the ground at ``xy`` (n, 2) m; -inf without terrain."""

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+BEVEL = 0.06
+"""Width of the bevel along a prism's upper edge, m: edges catch the light."""
 SIDES = 64
 """Sides of the prism that stands for an elliptic cylinder where only hulls will do; it contains the cylinder."""
 
@@ -203,21 +205,33 @@ def _prism(
         raise InputError(str(Problem(f"obstacle {name!r}: height", "not a height", mend, height)))
     levels = (base, base + height)
     hulls = tuple(np.vstack([np.column_stack([piece, np.full(len(piece), z)]) for z in levels]) for piece in pieces)
-    points = np.vstack([np.column_stack([outline, np.full(len(outline), z)]) for z in levels])
+    bevel = min(BEVEL, height / 4, float(np.linalg.norm(np.roll(outline, -1, axis=0) - outline, axis=1).min()) / 4)
+    rings = ((outline, base), (outline, levels[1] - bevel), (_inset(outline, bevel), levels[1]))
+    points = np.vstack([np.column_stack([ring, np.full(len(ring), z)]) for ring, z in rings])
     return Obstacle(name, parts, *levels, hulls, points, _prism_faces(outline, pieces))
 
 
+def _inset(outline: Array, by: float) -> Array:
+    """The outline (k, 2) with its edges moved inwards."""
+    step = np.roll(outline, -1, axis=0) - outline
+    step /= np.linalg.norm(step, axis=1, keepdims=True)
+    inward = np.column_stack([-step[:, 1], step[:, 0]])
+    before = np.roll(inward, 1, axis=0)
+    along = (inward + before) / np.maximum(1 + (inward * before).sum(axis=1, keepdims=True), 0.2)
+    return np.asarray(outline + by * along)
+
+
 def _prism_faces(outline: Array, pieces: Sequence[Array]) -> NDArray[np.int64]:
-    """Triangles of the prism's sides, bottom and top, outwards; the top's corners stand behind those of the bottom."""
+    """Triangles of the prism's sides, bevel, bottom and top, outwards; rings of corners stand behind one another."""
     k = len(outline)
     faces = []
-    for i in range(k):
-        j = (i + 1) % k
+    for i in range(2 * k):
+        j = i + 1 if (i + 1) % k else i + 1 - k
         faces += [(i, j, k + j), (i, k + j, k + i)]
     for piece in pieces:
         corner = [int(np.argmin(((outline - p) ** 2).sum(axis=1))) for p in piece]
         for a, b in pairwise(corner[1:]):
-            faces += [(corner[0], b, a), (k + corner[0], k + a, k + b)]
+            faces += [(corner[0], b, a), (2 * k + corner[0], 2 * k + a, 2 * k + b)]
     return np.array(faces, np.int64)
 
 
