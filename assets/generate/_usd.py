@@ -30,8 +30,9 @@ class Material:
 
 @dataclass(frozen=True)
 class PartShape:
-    """A moving part: its pivot in its parent part's frame, m, and its surfaces in its own frame.
+    """A moving part: its pivot in its parent part's frame, m, its rest rotation, and its surfaces in its own frame.
 
+    ``turn``: degrees about X, then Y, then Z.
     ``look`` has one surface per material name, ``collision`` surfaces by name ("" is called like the part), ``parts``
     parts that ride on it.
     """
@@ -40,6 +41,7 @@ class PartShape:
     look: Mapping[str, Surface] = field(default_factory=dict)
     collision: Mapping[str, Surface] = field(default_factory=dict)
     parts: Mapping[str, PartShape] = field(default_factory=dict)
+    turn: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 Liveries = Mapping[str, Mapping[str, Material]]
@@ -156,6 +158,8 @@ def _write_part(stage, path: str, part: PartShape, shaders: Mapping) -> None:
 
     xform = UsdGeom.Xform.Define(stage, path)
     xform.AddTranslateOp().Set(Gf.Vec3d(*part.pivot))
+    if any(part.turn):
+        xform.AddRotateXYZOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(*part.turn))
     name = path.rsplit("/", 1)[-1]
     if twice := set(part.look) & set(part.collision):
         raise ValueError(

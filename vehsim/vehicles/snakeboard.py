@@ -9,7 +9,11 @@ import casadi as ca
 from vehsim.lie import SE2
 from vehsim.vehicles._base import Channel, Control, Expr
 from vehsim.vehicles._ground import slope_energy
+from vehsim.vehicles._rider import Legs
 from vehsim.vehicles.nonholonomic import Nonholonomic
+
+PELVIS, GAZE = 0.5, -0.7
+"""How far the pelvis turns with the torso's twist, and the head against it, as shares of psi."""
 
 
 def snakeboard(
@@ -21,6 +25,10 @@ def snakeboard(
     steering_inertia: float,
     wheel_radius: float = 0.03,
     half_track: float = 0.1,
+    shin: float = 0.43,
+    thigh: float = 0.43,
+    hip_rise: float = 0.68,
+    hip_spread: float = 0.09,
     slope: Sequence[float] = (0.0, 0.0),
     damping: float = 0.0,
 ) -> Nonholonomic:
@@ -28,11 +36,13 @@ def snakeboard(
 
     ``mass`` kg; ``half_length`` (LIE's l) from the centre to either truck, m; ``rotor_inertia`` (I) of the torso and
     ``steering_inertia`` (J) of either truck with the foot on it, kg m^2. As LIE has it, all of it together
-    turns with ``mass * half_length^2``. Wheel radius and half track m serve the channels;
+    turns with ``mass * half_length^2``. Wheel radius and half track, the rider's shin and thigh, the rise of the hip
+    joints above the ankles and half the distance between them, all in m, serve the channels;
     ``slope`` (2,) rise per metre along world X and Y; ``damping`` N m s/rad of both joints.
     Joints: ``psi``, torso against board, and ``phi``, the rear truck's angle, the front's being ``-phi`` [rad].
-    Controls: ``torque_psi`` and ``torque_phi`` on them [N m]. Channels: ``hips``, ``foot_front``, ``foot_rear`` and
-    ``roll_fl``, ``roll_fr``, ``roll_rl``, ``roll_rr`` of the wheels [rad].
+    Controls: ``torque_psi`` and ``torque_phi`` on them [N m]. Channels [rad]: ``hips``, ``foot_front``,
+    ``foot_rear`` and ``roll_fl``, ``roll_fr``, ``roll_rl``, ``roll_rr`` of the wheels; of the rider ``pelvis``, which
+    turns half as far as the torso, ``gaze``, and ``leg_*``, ``shin_*``, ``knee_*``, front and rear, from rest.
     The constraints lose rank where the trucks stand across the board, ``phi = +-pi/2``.
     """
     length, inertia = half_length, mass * half_length**2
@@ -57,6 +67,14 @@ def snakeboard(
 
         return rate
 
+    legs = Legs(shin, thigh, hip_rise, hip_spread, half_length)
+
+    def leg(end: float, which: int) -> Callable[..., Expr]:
+        """An angle of a leg, less what it is at rest."""
+        rest = legs.angles(end, 0.0, 0.0)[which]
+        return lambda t, r, u, xi, c: legs.angles(end, PELVIS * r[0], -end * r[1])[which] - rest
+
+    ends, angles = {"front": 1.0, "rear": -1.0}, ("leg", "shin", "knee")
     wheels = {"fl": (1.0, 1.0), "fr": (1.0, -1.0), "rl": (-1.0, 1.0), "rr": (-1.0, -1.0)}
     return Nonholonomic(
         name=name,
@@ -71,6 +89,9 @@ def snakeboard(
             "hips": Channel(value=lambda t, r, u, xi, c: r[0]),
             "foot_front": Channel(value=lambda t, r, u, xi, c: -r[1]),
             "foot_rear": Channel(value=lambda t, r, u, xi, c: r[1]),
+            "pelvis": Channel(value=lambda t, r, u, xi, c: PELVIS * r[0]),
+            "gaze": Channel(value=lambda t, r, u, xi, c: GAZE * r[0]),
+            **{f"{a}_{n}": Channel(value=leg(end, k)) for n, end in ends.items() for k, a in enumerate(angles)},
             **{f"roll_{wheel}": Channel(rate=roll(*place)) for wheel, place in wheels.items()},
         },
     )
