@@ -157,11 +157,11 @@ class Shot:
     def _check(self) -> Iterator[Problem]:
         yield from self._check_header()
         yield from self._check_cameras()
-        world = None
-        try:
         names = [vehicle.name for vehicle in self.file.vehicle]
         wrong = list(obstacles.check_obstacles(self.file.world.obstacle, self.folder, names))
         yield from wrong
+        world = None
+        try:
             world = self.world
         except InputError as error:
             if self.file.world.terrain is not None and not wrong:
