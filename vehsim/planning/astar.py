@@ -31,7 +31,7 @@ FINEST = 0.05
 """Smallest cell, m."""
 TURNS = 48
 """Headings told apart by the search over poses."""
-SHY = 2.0
+SHY = 0.5
 """A metre along the clearance asked for costs 1 + SHY metres in the open."""
 BACK, SHIFT, STEER = 2.0, 3.0, 0.05
 """Costs: a metre backwards; a change of direction, m; a change of steering, m."""

@@ -9,8 +9,6 @@ import math
 import threading
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from fractions import Fraction
 from itertools import pairwise
 from typing import Any
 
@@ -22,13 +20,19 @@ from vehsim.integrators.integrator import build_clip
 from vehsim.planning.certify import SAMPLES, Executed, certify, executed
 from vehsim.planning.guess import along_paths, lift
 from vehsim.planning.layout import Layout
-from vehsim.planning.legs import fixed_durations, path_length, share_known_spans, spans_between, split_segments
-from vehsim.planning.marks import Mark
+from vehsim.planning.legs import (
+    fixed_durations,
+    path_length,
+    share_known_spans,
+    spans_between,
+    split_segments,
+    whole_frames,
+)
 from vehsim.planning.obstacles import certify_plane, obstacle_rows
 from vehsim.planning.problem import build, parameter_values, variable_bounds
+from vehsim.planning.request import Request
 from vehsim.planning.solver import Solution, Solver, solver_options
 from vehsim.planning.transcription import Transcription
-from vehsim.vehicles import Vehicle
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -46,38 +50,6 @@ KEPT = 16
 """Built problems kept for plans to come; building one takes as long as solving it."""
 CRUISE = 12.0
 """Guess of a free leg's speed, m/s, when no speed limit is lower."""
-
-
-@dataclass(frozen=True, eq=False)
-class Request:
-    """All that a plan was asked for."""
-
-    vehicle: Vehicle
-    world: Any
-    marks: list[Mark]
-    fps: Fraction
-    segments: int
-    weights: dict[str, float]
-    clearance: float
-    limits: dict[str, float]
-    refine: bool
-    max_iterations: int
-
-    @property
-    def wind(self) -> Array:
-        return np.zeros(3) if self.world is None else np.asarray(self.world.wind, float)
-
-    @property
-    def terrain(self) -> bool:
-        return self.world is not None and self.world.terrain is not None and self.vehicle.group.dim == 6
-
-
-def shape(marks: Sequence[Mark]) -> tuple[Any, ...]:
-    """What marks ask for, but not where: equal shapes share one built problem."""
-    keys = ("position", "heading", "orientation", "velocity", "speed", "joints")
-    asked = [tuple(getattr(m, key) is not None for key in keys) for m in marks]
-    kinds = [(m.frame == "free", m.balanced, m.at_rest, m.speed == 0, m.tolerance, m.hold > 0) for m in marks]
-    return tuple(zip(asked, kinds, strict=True))
 
 
 class _Shelf(threading.local):
@@ -116,7 +88,7 @@ class Attempt:
     def start(self, paths: list[Array]) -> None:
         """Layout, leg lengths and first guess."""
         marks = self.request.marks
-        speed = min(CRUISE, 0.6 * self.request.limits.get("speed", math.inf))
+        speed = min(CRUISE, 0.6 * self.request.limits.get("speed"))
         fixed = fixed_durations(marks, self.request.fps)
         legs = np.array([path_length(path) for path in paths])
         rests = np.array([a.at_rest + b.at_rest for a, b in pairwise(marks)])
@@ -138,7 +110,7 @@ class Attempt:
         self.build_seconds += time.perf_counter() - began
         began = time.perf_counter()
         span = [(h / 8, h * 8) if free and f else (h, h) for h, f in zip(self.lengths, self.free, strict=True)]
-        lower, upper = variable_bounds(self.t, layout, span)
+        lower, upper = variable_bounds(self.t, layout, span, request.limits.joints)
         values = parameter_values(self.t, layout, request.marks, request.wind, self.margin, request.weights)
         if self.rows is not None:
             values = np.concatenate([values, self.rows.values(self._seconds(), request.clearance)])
@@ -152,11 +124,10 @@ class Attempt:
     def _solver(self, spans: Sequence[tuple[list[int], float]]) -> Solver:
         """The built problem of the present layout; built once for every shape of marks, in free space once for all."""
         request, warm = self.request, self.rung > 0
-        asked = (repr(request.limits), request.max_iterations, warm)
-        key = (self.t, self.layout, shape(request.marks), repr(spans), asked, self.rows and self.rows.key)
+        key = (self.t, self.layout, request.key, repr(spans), warm, self.rows and self.rows.key)
         shelf = self.solvers if self.cover is not None else _shelf.solvers
         if key not in shelf:
-            problem, _ = build(self.t, self.layout, request.marks, request.limits, self.cover, spans)
+            problem = build(self.t, self.layout, request, self.cover, spans)
             if self.rows is not None:
                 self.rows.add(problem, self.t, self.layout)
             shelf[key] = Solver(problem, solver_options(request.max_iterations, warm=warm))
@@ -168,12 +139,7 @@ class Attempt:
         """Put free marks on whole frames, later rather than earlier."""
         if not np.any(self.free):
             return
-        frames = np.cumsum(self.lengths * self.layout.phases) * float(self.request.fps)
-        whole = np.ceil(frames - 0.25)
-        for i, mark in enumerate(self.request.marks[1:]):
-            if mark.frame != "free":
-                whole[i] = mark.frame - int(self.request.marks[0].frame)
-        spans = np.maximum(np.diff(np.concatenate([[0.0], whole])), 1.0) / float(self.request.fps)
+        spans = whole_frames(self.lengths * self.layout.phases, self.request.marks, self.request.fps)
         self._resize(spans / np.array(self.layout.phases))
 
     def _resize(self, lengths: Array) -> None:

@@ -7,7 +7,7 @@ derivatives are exact and sparse. What belongs here knows nothing of vehicles.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -20,11 +20,37 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """A function of space that an element meets at ``points`` (3, k), expressions of ``y``.
+
+    ``function``: count -> a `Function`, points (3, count) -> value, gradient and Hessian (xx, yy, zz, xy, xz, yz) there
+    (10, count). The element itself is written in ``models`` (13, k), symbols: the point and these ten numbers, through
+    `second_order`. So nothing differentiates the function, which may be a spline too large for that.
+    """
+
+    points: Any
+    models: Any
+    function: Callable[[int], ca.Function]
+
+
+def second_order(points: Any, models: Any) -> Any:
+    """Values (k,) at ``points`` (3, k) by ``models`` (13, k) about them: exact there, with both derivatives."""
+    values = []
+    for k in range(points.shape[1]):
+        place, value, slope, bend = ca.vertsplit(models[:, k], [0, 3, 4, 7, 13])
+        x, y, z = ca.vertsplit(points[:, k] - place)
+        mixed = ca.vertcat(x * x / 2, y * y / 2, z * z / 2, x * y, x * z, y * z)
+        values.append(value + ca.dot(slope, ca.vertcat(x, y, z)) + ca.dot(bend, mixed))
+    return ca.vertcat(*values)
+
+
 @dataclass(eq=False)
 class Element:
     """A term ``f`` of the cost and constraints ``lower <= g <= upper`` of a few local variables ``y``.
 
     ``y`` (n,), ``p`` (m,) symbols, all SX or all MX; ``f`` scalar, ``g`` (k,) expressions; ``lower, upper`` (k,).
+    ``seen``: a function of space that ``f`` and ``g`` meet; its models are parameters behind those given.
     """
 
     name: str
@@ -34,14 +60,24 @@ class Element:
     g: Any = None
     lower: Any = 0.0
     upper: Any = 0.0
+    seen: Seen | None = None
 
     def __post_init__(self) -> None:
         kind = type(self.y)
+        self.given = int(self.p.shape[0])
+        if self.seen is not None:
+            self.p = ca.vertcat(self.p, ca.vec(self.seen.models))
         self.g = kind(0, 1) if self.g is None else ca.densify(self.g)
         self.f = kind(self.f)
         rows = self.g.shape[0]
         self.lower = np.broadcast_to(np.asarray(self.lower, float), (rows,))
         self.upper = np.broadcast_to(np.asarray(self.upper, float), (rows,))
+
+    @cached_property
+    def points(self) -> ca.Function:
+        """``y -> (3, k)``: where the function of space is met."""
+        assert self.seen is not None
+        return ca.Function("points", [self.y], [self.seen.points])
 
     @cached_property
     def value(self) -> ca.Function:
@@ -72,6 +108,10 @@ class Element:
         return ca.Function("hessian", [self.y, self.p, lam_f, lam_g], [_entries(upper)]), *_pattern(upper)
 
 
+def _mapped(function: ca.Function, count: int) -> ca.Function:
+    return function.map(count) if count > 1 else function
+
+
 def _entries(matrix: Any) -> Any:
     entries = matrix.nz[:] if matrix.nnz() else type(matrix)(0, 1)
     return ca.reshape(entries, matrix.nnz(), 1)
@@ -89,6 +129,7 @@ class Use:
     element: Element
     variables: Indices
     parameters: Indices
+    constants: Array
 
     @property
     def count(self) -> int:
@@ -99,7 +140,19 @@ class Use:
         return int(self.element.g.shape[0])
 
     def mapped(self, function: ca.Function) -> ca.Function:
-        return function.map(self.count) if self.count > 1 else function
+        return _mapped(function, self.count)
+
+    def local(self, x: Any, p: Any) -> tuple[Any, Any]:
+        """Local variables (n, count) and parameters (m, count) out of the problem's."""
+        y, given = _gather(x, self.variables), _gather(p, self.parameters)
+        rows = [given, ca.MX(ca.DM(self.constants))] if len(self.constants) else [given]
+        seen = self.element.seen
+        if seen is not None:
+            points, k = self.mapped(self.element.points)(y), seen.points.shape[1]
+            places = ca.reshape(points, 3, k * self.count)
+            models = ca.vertcat(places, seen.function(k * self.count)(places))
+            rows.append(ca.reshape(models, 13 * k, self.count))
+        return y, ca.vertcat(*rows)
 
 
 @dataclass(eq=False)
@@ -110,16 +163,20 @@ class Problem:
     parameters: int
     uses: list[Use] = field(default_factory=list)
 
-    def add(self, element: Element, variables: Any, parameters: Any = None) -> None:
-        """Add an element at index columns ``variables`` (n, count) and ``parameters`` (m, count)."""
+    def add(self, element: Element, variables: Any, parameters: Any = None, constants: Any = None) -> None:
+        """Add an element at index columns ``variables`` (n, count) and ``parameters`` (m, count).
+
+        ``constants`` (c, count): its last ``c`` parameters, where they are numbers.
+        """
         variables = np.asarray(variables, np.intp)
         variables = variables[:, None] if variables.ndim == 1 else variables
-        width = element.p.shape[0]
+        fixed = np.zeros((0, variables.shape[1])) if constants is None else np.atleast_2d(constants)
+        width = element.given - len(fixed)
         shared = np.arange(width) if parameters is None else np.asarray(parameters, np.intp)
         shared = shared[:, None] if shared.ndim == 1 else shared
         if variables.shape[0] != element.y.shape[0]:
             raise ValueError(f"element {element.name}: {variables.shape[0]} indices for {element.y.shape[0]} variables")
-        self.uses.append(Use(element, variables, np.broadcast_to(shared, (width, variables.shape[1]))))
+        self.uses.append(Use(element, variables, np.broadcast_to(shared, (width, variables.shape[1])), fixed))
 
     @property
     def bounds(self) -> tuple[Array, Array]:
@@ -135,7 +192,7 @@ class Problem:
     def functions(self) -> dict[str, ca.Function]:
         """``nlp, grad_f, jac_g, hess_lag`` as an NLP solver wants them."""
         x, p = ca.MX.sym("x", self.size), ca.MX.sym("p", self.parameters)
-        local = [(_gather(x, use.variables), _gather(p, use.parameters)) for use in self.uses]
+        local = [use.local(x, p) for use in self.uses]
         f, g = self._values(local)
         names = (["x", "p"], ["f", "g"])
         return {

@@ -11,6 +11,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim.errors import InputError
 from vehsim.planning.marks import Mark
 
 Array = NDArray[np.float64]
@@ -63,13 +64,14 @@ def path_length(path: Array) -> float:
 
 
 def fixed_durations(marks: Sequence[Mark], fps: Fraction) -> Array:
-    """Seconds of each leg between two marks at frames, NaN where either is free."""
+    """Seconds of each leg between two marks at frames, and of holds; NaN where the planner chooses."""
     frames = [math.nan if mark.frame == "free" else float(mark.frame) for mark in marks]
-    return np.diff(frames) / float(fps)
+    spans = [float(a.hold) if a.hold else y - x for a, x, y in zip(marks[:-1], frames[:-1], frames[1:], strict=True)]
+    return np.array(spans) / float(fps)
 
 
 def spans_between(marks: Sequence[Mark], fps: Fraction) -> list[tuple[list[int], float]]:
-    """Runs of free legs between two marks at frames: their phases and what they add up to, s."""
+    """Runs of legs between two marks at frames with free ones between: their phases and what they add up to, s."""
     fixed = [i for i, mark in enumerate(marks) if mark.frame != "free"]
     spans = []
     for a, b in pairwise(fixed):
@@ -79,8 +81,40 @@ def spans_between(marks: Sequence[Mark], fps: Fraction) -> list[tuple[list[int],
 
 
 def share_known_spans(durations: Array, marks: Sequence[Mark], fps: Fraction) -> None:
+    """Stretch the guessed durations of free legs so that they fill what lies between marks at frames."""
+    free = np.isnan(fixed_durations(marks, fps))
     for phases, total in spans_between(marks, fps):
-        durations[phases] *= total / durations[phases].sum()
+        open_ = [j for j in phases if free[j]]
+        rest = total - sum(durations[j] for j in phases if not free[j])
+        if rest <= 0:
+            raise InputError(
+                f"mark[{phases[0]}] to mark[{phases[-1] + 1}]: the holds between take longer than the "
+                f"{total:g} s between their frames; shorten them"
+            )
+        durations[open_] *= rest / durations[open_].sum()
+
+
+def whole_frames(lengths: Array, marks: Sequence[Mark], fps: Fraction) -> Array:
+    """Durations (legs,) s near ``lengths`` s that put marks on whole frames, free ones later rather than earlier."""
+    frames, at = [0], 0.0
+    for length, leave, mark in zip(lengths, marks[:-1], marks[1:], strict=True):
+        at += length * float(fps)
+        if mark.frame != "free":
+            frames.append(int(mark.frame) - int(marks[0].frame))
+        elif leave.hold:
+            frames.append(frames[-1] + leave.hold)
+        else:
+            frames.append(max(math.ceil(at - 0.25), frames[-1] + 1))
+    return np.diff(frames) / float(fps)
+
+
+def knots_within(
+    marks: Sequence[Mark], mark_knots: NDArray[np.intp], frames: tuple[int, int] | None
+) -> tuple[int, int]:
+    """First and last knot of a range of frames that `with_breaks` made knots of; all of them for None."""
+    at = {int(mark.frame): int(knot) for mark, knot in zip(marks, mark_knots, strict=True) if mark.frame != "free"}
+    end = int(mark_knots[-1])
+    return (0, end) if frames is None else (at[frames[0]], at.get(frames[1], end))
 
 
 def split_segments(segments: int, durations: Array, held: NDArray[np.bool_]) -> tuple[int, ...]:

@@ -3,13 +3,44 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vehsim.errors import InputError
+
+
+@dataclass(frozen=True)
+class Gate:
+    """An opening to pass through, about a mark's position: a ring of ``radius`` m, or ``size`` (width, height) m.
+
+    ``direction`` (3,): which way through, world axes, of any length. A rectangle's width is level.
+    """
+
+    direction: Sequence[float]
+    radius: float | None = None
+    size: Sequence[float] | None = None
+
+    @property
+    def axes(self) -> NDArray[np.float64]:
+        """Unit vectors (3, 3), rows: through, along the width, along the height."""
+        through = np.asarray(self.direction, float) / np.linalg.norm(self.direction)
+        level = np.cross([0.0, 0.0, 1.0], through)
+        width = level / np.linalg.norm(level) if np.linalg.norm(level) > 1e-9 else np.array([0.0, 1.0, 0.0])
+        return np.array([through, width, np.cross(through, width)])
+
+    def check(self, key: str) -> None:
+        direction = np.asarray(self.direction, float)
+        if direction.shape != (3,) or not np.all(np.isfinite(direction)) or not np.any(direction):
+            raise InputError(f"{key}.direction = {self.direction!r}: give three numbers, which way through")
+        if (self.radius is None) == (self.size is None):
+            raise InputError(f"{key}: give either a radius or a size (width, height), in metres")
+        sizes = [self.radius] if self.size is None else list(self.size)
+        if (self.size is not None and len(sizes) != 2) or not all(s is not None and 0 < s < math.inf for s in sizes):
+            raise InputError(f"{key}: radius {self.radius!r}, size {self.size!r}: give metres above zero")
 
 
 @dataclass(frozen=True)
@@ -18,8 +49,8 @@ class Mark:
 
     ``frame``: a whole frame, or ``"free"``; ``position`` (3,) m; ``heading`` deg, yaw of the body's X axis from world
     X, counter-clockwise; ``orientation`` (4,) w, x, y, z; ``velocity`` (3,) m/s in world axes; ``speed`` m/s;
-    ``joints`` (s,); ``tolerance`` m, half the side of the box the position may lie in; ``hold``: frames to stay at
-    rest there.
+    ``joints`` (s,), nan where free, or a table of some joints by name; ``tolerance`` m, half the side of the box the
+    position may lie in; ``hold``: frames to stay at rest there; ``gate``: an opening about the position.
 
     A mark with ``velocity = (0, 0, 0)`` is at rest: the body does not turn either, and when its attitude is not given
     it stands in balance, as it must to stay there (a helicopter level, or leaning into the wind), so that motion sets
@@ -34,9 +65,10 @@ class Mark:
     orientation: Sequence[float] | None = None
     velocity: Sequence[float] | None = None
     speed: float | None = None
-    joints: Sequence[float] | None = None
+    joints: Sequence[float] | Mapping[str, float] | None = None
     tolerance: float = 0.0
     hold: int = 0
+    gate: Gate | None = None
 
     @property
     def at_rest(self) -> bool:
@@ -51,17 +83,18 @@ class Mark:
 _SIZES = {"position": 3, "orientation": 4, "velocity": 3}
 
 
-def check_marks(marks: Sequence[Mark], joints: int) -> list[Mark]:
-    """The marks, holds written out; ``InputError`` names mark, key, value and the mend."""
+def check_marks(marks: Sequence[Mark], joints: Sequence[str]) -> list[Mark]:
+    """The marks, holds and joints written out; ``InputError`` names mark, key, value and the mend."""
     if len(marks) < 2:
         raise InputError(f"marks: {len(marks)} given; a plan needs at least two, a start and a goal")
     if marks[0].frame == "free":
         raise InputError("mark[0].frame = 'free': the first mark starts the clip; give it a whole frame")
     if marks[0].position is None:
         raise InputError("mark[0].position: missing; the first mark must say where the motion starts")
+    marks = [replace(mark, joints=_joint_row(i, mark, joints)) for i, mark in enumerate(marks)]
     last: int | None = None
     for i, mark in enumerate(marks):
-        _check_numbers(i, mark, joints)
+        _check_numbers(i, mark)
         if mark.frame == "free":
             continue
         if last is not None and mark.frame <= last:
@@ -70,10 +103,25 @@ def check_marks(marks: Sequence[Mark], joints: int) -> list[Mark]:
     return _with_holds(marks)
 
 
-def _check_numbers(i: int, mark: Mark, joints: int) -> None:
+def _joint_row(i: int, mark: Mark, joints: Sequence[str]) -> tuple[float, ...] | None:
+    """Joint values (s,), nan where free."""
+    given: Any = mark.joints
+    if given is None:
+        return None
+    if isinstance(given, Mapping):
+        unknown = [name for name in given if name not in joints]
+        if unknown:
+            raise InputError(f"mark[{i}].joints.{unknown[0]}: no such joint; choose one of {', '.join(joints)}")
+        given = [given.get(name, math.nan) for name in joints]
+    if np.shape(given) != (len(joints),) or np.any(np.isinf(np.asarray(given, float))):
+        raise InputError(f"mark[{i}].joints = {mark.joints!r}: give {len(joints)} numbers, nan where free")
+    return tuple(float(value) for value in given)
+
+
+def _check_numbers(i: int, mark: Mark) -> None:
     if mark.frame != "free" and (isinstance(mark.frame, bool) or not isinstance(mark.frame, int | np.integer)):
         raise InputError(f"mark[{i}].frame = {mark.frame!r}: give a whole frame, or 'free'")
-    for key, size in (*_SIZES.items(), ("joints", joints)):
+    for key, size in _SIZES.items():
         values = getattr(mark, key)
         if values is not None and (np.shape(values) != (size,) or not np.all(np.isfinite(values))):
             raise InputError(f"mark[{i}].{key} = {values!r}: give {size} finite numbers")
@@ -91,14 +139,47 @@ def _check_numbers(i: int, mark: Mark, joints: int) -> None:
         raise InputError(
             f"mark[{i}].hold = {mark.hold}: a hold stands in balance; give velocity = [0, 0, 0], no orientation"
         )
+    if mark.gate is not None:
+        mark.gate.check(f"mark[{i}].gate")
+        if mark.position is None or mark.tolerance:
+            raise InputError(f"mark[{i}].gate: a gate stands about a position; give it, and no tolerance")
 
 
 def _with_holds(marks: Sequence[Mark]) -> list[Mark]:
+    """Held marks twice, at both ends of their hold; the first keeps the number of frames."""
     written: list[Mark] = []
-    for i, mark in enumerate(marks):
-        if mark.hold and mark.frame == "free":
-            raise InputError(f"mark[{i}].hold = {mark.hold}: a free mark cannot be held yet; give it a frame")
+    for mark in marks:
         written.append(mark)
         if mark.hold:
-            written.append(replace(mark, frame=int(mark.frame) + mark.hold, hold=0))
+            frame = mark.frame if mark.frame == "free" else int(mark.frame) + mark.hold
+            written.append(replace(mark, frame=frame, hold=0))
+    return written
+
+
+def with_breaks(marks: Sequence[Mark], frames: Sequence[int]) -> list[Mark]:
+    """The marks and, at frames where none stands, marks that ask nothing: every such frame becomes a knot.
+
+    Raises ``InputError`` where a frame lies among marks at free frames, which may come before or after it.
+    """
+    written = list(marks)
+    for frame in sorted(set(frames)):
+        known = [i for i, mark in enumerate(written) if mark.frame != "free"]
+        if any(written[i].frame == frame for i in known):
+            continue
+        before = [i for i in known if int(written[i].frame) < frame]
+        after = [i for i in known if int(written[i].frame) > frame]
+        if not before:
+            raise InputError(f"frame {frame}: before the first mark, at frame {written[0].frame}; give a later one")
+        if after and after[0] > before[-1] + 1:
+            raise InputError(
+                f"frame {frame}: free marks stand between frames {written[before[-1]].frame} and "
+                f"{written[after[0]].frame}, before or after it; give them frames"
+            )
+        if not after and before[-1] + 1 == len(written):
+            raise InputError(f"frame {frame}: after the last mark, at frame {written[-1].frame}; give an earlier one")
+        if not after and before[-1] + 2 < len(written):
+            raise InputError(
+                f"frame {frame}: among the free marks after frame {written[before[-1]].frame}; give them frames"
+            )
+        written.insert(before[-1] + 1, Mark(frame))
     return written

@@ -198,7 +198,7 @@ def certify_plane(clip: Clip, parts: Sequence[tuple[Any, int]], samples: int = 8
 def _measured(clip: Clip, parts: Sequence[tuple[Any, int]], outline: Array, times: Array) -> tuple[Array, Array]:
     """Distances (parts, n) m at ``times``, and how far shapes move in each interval between them (parts, n - 1) m."""
     motion = clip.at(times)
-    outlines = placed(outline, motion.positions[:, :2], headings(motion))
+    outlines = placed(outline, motion.positions[:, :2], headings(motion.orientations))
     seconds = clip.start_frame / float(clip.fps) + times
     moved = np.linalg.norm(np.diff(outlines, axis=0), axis=-1).max(axis=1)
     steps = []

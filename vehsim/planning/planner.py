@@ -18,15 +18,17 @@ import numpy as np
 
 from vehsim.clip import Clip, frame_rate
 from vehsim.errors import InputError
-from vehsim.planning.attempt import EXECUTED, SLACK, TIGHTENINGS, Array, Attempt, Progress, Request, shape
+from vehsim.planning.attempt import EXECUTED, SLACK, TIGHTENINGS, Array, Attempt, Progress
 from vehsim.planning.certify import Executed
 from vehsim.planning.cover import sphere_cover
 from vehsim.planning.legs import cut, facing, mark_positions
 from vehsim.planning.marks import Mark, check_marks
 from vehsim.planning.obstacles import check_marks_clear, obstacle_rows
+from vehsim.planning.request import Request, shape
 from vehsim.planning.terms import check_limits, cost_weights
 from vehsim.planning.transcription import transcription
 from vehsim.vehicles import Vehicle
+from vehsim.world.ground import lift
 
 ROOM = 30.0
 """How far from the first path the optimiser sees the terrain, m."""
@@ -64,8 +66,9 @@ class Plan:
     def replan(self, marks: Sequence[Mark], progress: Progress | None = None) -> Plan:
         """The plan for other marks, started from this one: quick when they ask for the same things elsewhere."""
         assert self._attempt is not None
-        request = replace(self._attempt.request, marks=check_marks(marks, len(self.clip.vehicle.joints)))
-        if not self.success or shape(request.marks) != shape(self._attempt.request.marks):
+        request = replace(self._attempt.request, marks=check_marks(marks, self.clip.vehicle.joints))
+        before = self._attempt.request
+        if not self.success or shape(request.marks) != shape(before.marks) or request.weighed is not before.weighed:
             return _solve(request, progress, self.clip)
         attempt = self._attempt.moved(request, progress)
         if np.any(attempt.free):
@@ -100,6 +103,7 @@ def plan(
     """
     if not isinstance(vehicle, Vehicle):
         raise InputError(f"vehicle = {vehicle!r}: give what vehsim.load_vehicle returns")
+    vehicle = vehicle.planar or vehicle
     if segments < 2 * (len(marks) - 1) or segments > 4096:
         raise InputError(f"segments = {segments!r}: give at least two a leg between marks, and at most 4096")
     if not (math.isfinite(clearance) and clearance >= 0):
@@ -107,18 +111,18 @@ def plan(
     request = Request(
         vehicle=vehicle,
         world=world,
-        marks=check_marks(marks, len(vehicle.joints)),
+        marks=check_marks(marks, vehicle.joints),
         fps=frame_rate(fps),
         segments=int(segments),
         weights=cost_weights(cost, vehicle.default_costs),
         clearance=float(clearance),
-        limits=check_limits(limits or {}),
+        limits=check_limits(limits or {}, vehicle.joints),
         refine=refine,
         max_iterations=max_iterations,
     )
     check_marks_clear(vehicle, world, request.marks, request.clearance)
     heights = {float(np.asarray(mark.position)[2]) for mark in request.marks if mark.position is not None}
-    if vehicle.group.dim == 3 and len(heights) > 1:
+    if vehicle.group.dim == 3 and len(heights) > 1 and (world is None or world.terrain is None):
         raise InputError(
             f"mark.position: heights {sorted(heights)} m; {vehicle.name} keeps its height, give one z to all"
         )
@@ -128,7 +132,7 @@ def plan(
 
 
 def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
-    t = transcription(request.vehicle)
+    t = transcription(request.weighed)
     paths = _paths(request, guess, progress)
     if request.weights["course"]:
         request = replace(request, marks=facing(request.marks, paths))
@@ -168,7 +172,7 @@ def _result(attempt: Attempt) -> Plan:
     if not success:
         warnings.warn(f"{request.vehicle.name}: plan failed: {message}", stacklevel=4)
     return Plan(
-        clip=attempt.clip,
+        clip=lift(replace(attempt.clip, vehicle=request.vehicle), request.world),
         success=success,
         message=message,
         cost=solution.cost,
@@ -195,7 +199,7 @@ def _cover(request: Request, paths: list[Array]) -> Any:
         return None
     points = np.vstack(paths)
     room = field.crop(points.min(axis=0) - ROOM, points.max(axis=0) + ROOM)
-    return (room.function, *sphere_cover(request.vehicle))
+    return (room.models, *sphere_cover(request.vehicle))
 
 
 def _paths(request: Request, guess: Any, progress: Progress | None) -> list[Array]:
@@ -215,6 +219,7 @@ def _paths(request: Request, guess: Any, progress: Progress | None) -> list[Arra
     centres, radii = sphere_cover(request.vehicle)
     middle = (centres.max(axis=0) + centres.min(axis=0)) / 2
     reach = float(np.max(np.linalg.norm(centres - middle, axis=1) + radii)) + request.clearance
-    lift = np.array([0, 0, middle[2]])
-    ceiling = request.limits["ceiling"] + middle[2] if "ceiling" in request.limits else None
-    return [np.asarray(request.world.route(a + lift, b + lift, reach, ceiling)) - lift for a, b in legs]
+    up = np.array([0, 0, middle[2]])
+    low = request.limits.get("ceiling") + middle[2]
+    ceiling = low if math.isfinite(low) else None
+    return [np.asarray(request.world.route(a + up, b + up, reach, ceiling)) - up for a, b in legs]

@@ -9,10 +9,13 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim.planning.asked import hold_element, loop_element, mark_element, mark_values, parameter_sizes
 from vehsim.planning.elements import Element, Problem
 from vehsim.planning.layout import Layout
+from vehsim.planning.legs import knots_within
 from vehsim.planning.marks import Mark
-from vehsim.planning.terms import COSTS
+from vehsim.planning.request import Request
+from vehsim.planning.terms import COSTS, Cost, Term
 from vehsim.planning.transcription import MARGIN, Transcription
 
 Array = NDArray[np.float64]
@@ -21,24 +24,49 @@ Array = NDArray[np.float64]
 def build(
     t: Transcription,
     layout: Layout,
-    marks: Sequence[Mark],
-    limits: Mapping[str, float],
+    request: Request,
     cover: tuple[Any, Array, Array] | None,
     total: Sequence[tuple[Sequence[int], float]] = (),
-) -> tuple[Problem, int]:
-    """The whole problem and the place of the marks' parameters.
+) -> Problem:
+    """The whole problem; `parameter_values` are its parameters.
 
-    ``cover``: distance function and sphere cover (centres, radii), or None in free space. ``total``: groups of phases
-    between marks at fixed frames whose lengths must add up, with their durations in s.
+    ``cover``: models of the distance and sphere cover (centres, radii), or None in free space. ``total``: groups of
+    phases between marks at fixed frames whose lengths must add up, with their durations in s.
     """
-    steps, segments = len(layout.fractions), layout.segments
-    starts = np.concatenate([[0.0], np.cumsum(layout.fractions)[:-1]])
-    weights_at, fractions_at = MARGIN + 1, MARGIN + 1 + len(COSTS)
-    marks_at = fractions_at + 2 * steps
-    width = int(sum(t.mark_sizes.values()))
-    problem = Problem(layout.size, marks_at + width * len(marks))
+    problem = Problem(layout.size, _marks_at(layout) + _width(t) * len(request.marks))
+    _add_motion(problem, t, layout, request)
+    _add_marks(problem, t, layout, request)
+    for constraint in request.constraints:
+        _add_term(problem, t, layout, request, constraint)
+    for term in request.terms:
+        if isinstance(term, Cost):
+            _add_term(problem, t, layout, request, term)
+    if cover is not None:
+        _add_clearance(problem, t, layout, cover, wary="safety" in request.costs)
+    for phases, duration in total:
+        h = ca.SX.sym("h", len(phases))
+        counts = ca.DM([layout.phases[j] for j in phases])
+        element = Element("frames", h, ca.SX(0, 1), g=ca.dot(counts, h) - duration)
+        problem.add(element, layout.lengths[list(phases)])
+    return problem
 
-    node = np.arange(segments * steps)
+
+WEIGHTS = MARGIN + 1
+"""First of the costs' weights in the parameter vector."""
+
+
+def _marks_at(layout: Layout) -> int:
+    return WEIGHTS + len(COSTS) + 2 * len(layout.fractions)
+
+
+def _width(t: Transcription) -> int:
+    return sum(parameter_sizes(t).values())
+
+
+def _add_motion(problem: Problem, t: Transcription, layout: Layout, request: Request) -> None:
+    """The discrete mechanics of every substep, and the costs of every segment."""
+    steps, fractions_at = len(layout.fractions), WEIGHTS + len(COSTS)
+    node = np.arange(layout.segments * steps)
     segment, part = node // steps, node % steps
     shared = np.tile(np.arange(3)[:, None], len(node))
     problem.add(
@@ -49,40 +77,84 @@ def build(
         ]),
         np.vstack([shared, fractions_at + part, fractions_at + steps + part]),
     )  # fmt: skip
-    k = np.arange(segments)
-    problem.add(
-        t.cost,
-        np.vstack([layout.knot(k), layout.knot(k + 1), layout.control(k), layout.control(k + 1), layout.duration(k)]),
-        np.arange(weights_at, weights_at + len(COSTS)),
-    )
-    every = np.arange(segments + 1)
-    for name, value in limits.items():
-        problem.add(t.limit(name, value), np.vstack([layout.knot(every), layout.control(every)]))
+    places = [WEIGHTS + list(COSTS).index(name) for name in request.costs]
+    problem.add(t.cost(request.costs), _segments(layout, np.arange(layout.segments)), places)
     if t.vehicle.group.size > t.vehicle.group.dim:
         problem.add(t.gauge, layout.knot(0))
+
+
+def _segments(layout: Layout, k: Any) -> Any:
+    """Variables of segments ``k``: (x, x1, c0, c1, h)."""
+    ends = [layout.knot(k), layout.knot(k + 1), layout.control(k), layout.control(k + 1)]
+    return np.vstack([*ends, layout.duration(k)])
+
+
+def _add_marks(problem: Problem, t: Transcription, layout: Layout, request: Request) -> None:
+    marks, first, width = request.marks, _marks_at(layout), _width(t)
     for i, (mark, knot) in enumerate(zip(marks, layout.mark_knots, strict=True)):
         if i and marks[i - 1].hold:  # the vehicle stands in balance: unchanged controls keep it there
-            problem.add(t.hold, layout.control(np.array([knot - 1, knot])).T.reshape(-1, 1))
+            problem.add(hold_element(t), layout.control(np.array([knot - 1, knot])).T.reshape(-1, 1))
             continue
-        element = t.mark(mark)
+        element = mark_element(t, mark)
         if element is not None:
-            place = np.concatenate([np.arange(3), marks_at + i * width + np.arange(width)])
+            element.name = f"mark[{i}]"
+            place = np.concatenate([np.arange(3), first + i * width + np.arange(width)])
             problem.add(element, np.vstack([layout.knot(knot), layout.control(knot)]), place)
-    if cover is not None:
-        # the knots after the first and one place between: the substep's middle, or a composition's node nearest to it
-        middle = int(np.argmin(np.abs(starts - 0.5)))
-        inner = np.arange(1, layout.nodes)
-        inner = inner[np.isin(inner % steps, (0, middle))]
-        problem.add(t.clearance(*cover, between=False), layout.node(inner), [MARGIN])
-        if steps == 1:
-            y = np.vstack([layout.node(node), layout.velocity(node), layout.duration(segment)])
-            problem.add(t.clearance(*cover, between=True), y, [MARGIN])
-    for phases, duration in total:
-        h = ca.SX.sym("h", len(phases))
-        counts = ca.DM([layout.phases[j] for j in phases])
-        element = Element("frames", h, ca.SX(0, 1), g=ca.dot(counts, h) - duration)
-        problem.add(element, layout.lengths[list(phases)])
-    return problem, marks_at
+    if request.loop:
+        ends = [np.vstack([layout.knot(k), layout.control(k)]) for k in (0, layout.segments)]
+        problem.add(loop_element(t), np.vstack(ends))
+
+
+def _add_term(problem: Problem, t: Transcription, layout: Layout, request: Request, term: Term) -> None:
+    """A cost or constraint at every place it asks for, within its frames."""
+    first, last = knots_within(request.marks, layout.mark_knots, term.frames)
+    knots, segments = np.arange(first, last + 1), np.arange(first, last)
+    if isinstance(term, Cost) or term.over == "segments":
+        _place_term(problem, t, layout, term, "segment", segments, _segments(layout, segments))
+        return
+    _place_term(problem, t, layout, term, "knot", knots, np.vstack([layout.knot(knots), layout.control(knots)]))
+    if term.over == "knots":
+        return
+    ends = [layout.control(segments), layout.control(segments + 1), layout.duration(segments)]
+    if len(layout.fractions) == 1:
+        y = np.vstack([layout.node(segments), layout.velocity(segments), *ends])
+        _place_term(problem, t, layout, term, "middle", segments, y)
+    else:  # a composition's node nearest to the middle
+        part, fraction = _middle(layout)
+        y = np.vstack([layout.node(segments * len(layout.fractions) + part), *ends])
+        _place_term(problem, t, layout, term, "node", segments, y, fraction)
+
+
+def _place_term(
+    problem: Problem, t: Transcription, layout: Layout, term: Term, place: str, k: Any, y: Any, fraction: float = 0.5
+) -> None:
+    element, timed = t.term(term, place, len(layout.phases), fraction)
+    if not timed:
+        problem.add(element, y)
+        return
+    starts = layout.mark_knots[:-1, None]
+    passed = np.clip(k - starts, 0, np.array(layout.phases)[:, None])
+    problem.add(element, np.vstack([y, np.tile(layout.lengths[:, None], len(k))]), constants=passed.astype(float))
+
+
+def _middle(layout: Layout) -> tuple[int, float]:
+    """The substep whose start is nearest to the middle of a segment, and where it starts."""
+    starts = np.concatenate([[0.0], np.cumsum(layout.fractions)[:-1]])
+    part = int(np.argmin(np.abs(starts - 0.5)))
+    return part, float(starts[part])
+
+
+def _add_clearance(problem: Problem, t: Transcription, layout: Layout, cover: Any, wary: bool) -> None:
+    """Spheres off the rock at the knots after the first, and at one place between two of them."""
+    steps, places = len(layout.fractions), [MARGIN, WEIGHTS + list(COSTS).index("safety")]
+    node = np.arange(1, layout.nodes)
+    node = node[np.isin(node % steps, (0, _middle(layout)[0]))]
+    y = np.vstack([layout.node(node), layout.duration((node - 1) // steps)])
+    problem.add(t.clearance(cover, between=False, wary=wary), y, places)
+    if steps == 1:
+        k = np.arange(layout.segments)
+        y = np.vstack([layout.node(k), layout.velocity(k), layout.duration(k)])
+        problem.add(t.clearance(cover, between=True, wary=wary), y, places)
 
 
 def parameter_values(
@@ -91,18 +163,24 @@ def parameter_values(
     """The parameter vector `build` laid out."""
     starts = np.concatenate([[0.0], np.cumsum(layout.fractions)[:-1]])
     head = [np.asarray(wind, float), [margin], [weights[name] for name in COSTS], starts, layout.fractions]
-    return np.concatenate([*head, *(t.mark_values(mark) for mark in marks)])
+    return np.concatenate([*head, *(mark_values(t, mark) for mark in marks)])
 
 
-def variable_bounds(t: Transcription, layout: Layout, lengths: Sequence[tuple[float, float]]) -> tuple[Array, Array]:
-    """Bounds of all variables: controls and joints by the vehicle, segment lengths (lower, upper) s by phase."""
+def variable_bounds(
+    t: Transcription,
+    layout: Layout,
+    lengths: Sequence[tuple[float, float]],
+    joints: Mapping[str, tuple[float, float]],
+) -> tuple[Array, Array]:
+    """Bounds of all variables: controls by the vehicle, joints by the vehicle and ``joints``, segment lengths (lower,
+    upper) s by phase."""
     lower, upper = np.full(layout.size, -np.inf), np.full(layout.size, np.inf)
     knots = layout.control(np.arange(layout.segments + 1))
     lower[knots] = (np.array([c.lower for c in t.vehicle.controls]) / t.control_scale)[:, None]
     upper[knots] = (np.array([c.upper for c in t.vehicle.controls]) / t.control_scale)[:, None]
     nodes = layout.node(np.arange(layout.nodes))
-    for joint, (low, high) in t.vehicle.joint_limits.items():
+    for joint, (low, high) in (*t.vehicle.joint_limits.items(), *joints.items()):
         row = nodes[t.sizes[0] + t.vehicle.joints.index(joint)]
-        lower[row], upper[row] = low, high
+        lower[row], upper[row] = np.maximum(lower[row], low), np.minimum(upper[row], high)
     lower[layout.lengths], upper[layout.lengths] = np.array(lengths).T
     return lower, upper

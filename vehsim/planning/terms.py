@@ -1,22 +1,59 @@
-"""Costs and limits a plan can be given, as data: each is one expression of a segment or of a knot."""
+"""Costs, limits and terms of one's own, as data: each is one expression of a knot or of a segment.
+
+A built-in cost is a law of a `SegmentView`, a built-in limit a law of a `KnotView` or `SegmentView`, and so are the
+`Cost` and `Constraint` that users write: one protocol, evaluated once in CasADi symbols and differentiated from there.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from difflib import get_close_matches
-from typing import Any
+from typing import Any, Literal
 
 import casadi as ca
+import numpy as np
 
 from vehsim.errors import InputError
 
 Expr = Any
+"""A CasADi expression."""
+GRAVITY = 9.81
+"""m/s^2: what a g-load is counted in."""
+
+
+@dataclass(frozen=True)
+class KnotView:
+    """What a law sees of an instant, all CasADi columns, SI and radians.
+
+    ``position`` (3,) of the rig's root, world; ``velocity`` (3,) world; ``omega`` (3,) body axes; ``rotation`` (3, 3)
+    root to world; ``joints, joint_rates`` (s,); ``controls`` (c,); ``power``: what the controls put in, over the
+    vehicle's weight, m/s of climb; ``t`` s since the first mark.
+    """
+
+    position: Expr
+    velocity: Expr
+    omega: Expr
+    rotation: Expr
+    joints: Expr
+    joint_rates: Expr
+    controls: Expr
+    power: Expr
+    t: Expr
+    names: tuple[str, ...] = ()
+
+    def joint(self, name: str) -> Expr:
+        """A joint's value by its name."""
+        return self.joints[self.names.index(name)]
+
+    def rate(self, name: str) -> Expr:
+        """A joint's rate by its name."""
+        return self.joint_rates[self.names.index(name)]
 
 
 @dataclass(frozen=True)
 class SegmentView:
-    """What a cost sees of a segment: the knots at its ends, ``c0, c1`` controls over their scale, ``h`` s."""
+    """What a law sees of a segment: the knots at its ends, ``c0, c1`` controls over their scale, ``h`` s."""
 
     start: KnotView
     end: KnotView
@@ -24,16 +61,47 @@ class SegmentView:
     c1: Expr
     h: Expr
 
+    @property
+    def acceleration(self) -> Expr:
+        """Mean acceleration of the root (3,) m/s^2, world axes."""
+        return (self.end.velocity - self.start.velocity) / self.h
 
-@dataclass(frozen=True)
-class KnotView:
-    """What a cost or limit sees of a knot: the rig root's ``position`` (3,) m, ``velocity`` (3,) world m/s,
-    ``omega`` (3,) body rad/s, ``rotation`` (3, 3) root to world."""
 
-    position: Expr
-    velocity: Expr
-    omega: Expr
-    rotation: Expr
+@dataclass(frozen=True, eq=False)
+class Cost:
+    """A cost of one's own: ``law`` takes a `SegmentView` and gives the cost of that segment, a scalar.
+
+    ``integral=True``: the law takes a `KnotView` instead and is integrated over time (trapezoidal rule).
+    ``frames`` (first, last): only there; the whole motion unless given.
+    """
+
+    name: str
+    law: Callable[[Any], Expr]
+    weight: float = 1.0
+    integral: bool = False
+    frames: tuple[int, int] | None = None
+
+
+Where = Literal["knots", "segments", "everywhere"]
+
+
+@dataclass(frozen=True, eq=False)
+class Constraint:
+    """A constraint of one's own: ``lower <= law(view) <= upper``, component by component.
+
+    ``over``: ``"knots"``, ``"everywhere"`` (knots, and once between two of them) with a law of a `KnotView`, or
+    ``"segments"`` with a law of a `SegmentView`. ``frames`` (first, last): only there, both included.
+    """
+
+    name: str
+    law: Callable[[Any], Expr]
+    lower: Any = -np.inf
+    upper: Any = np.inf
+    over: Where = "knots"
+    frames: tuple[int, int] | None = None
+
+
+Term = Cost | Constraint
 
 
 def _effort(s: SegmentView) -> Expr:
@@ -47,24 +115,73 @@ def _off_course(k: KnotView) -> Expr:
     return across - ca.dot(k.rotation[0:2, 0], k.velocity[0:2])
 
 
+def _mean(law: Callable[[KnotView], Expr]) -> Callable[[SegmentView], Expr]:
+    return lambda s: s.h / 2 * (law(s.start) + law(s.end))
+
+
+def _norm(vector: Expr) -> Expr:
+    return ca.sqrt(ca.sumsqr(vector) + 1e-8)
+
+
 COSTS: dict[str, Callable[[SegmentView], Expr]] = {
     "effort": _effort,
     "time": lambda s: s.h,
-    "distance": lambda s: ca.sqrt(ca.sumsqr(s.end.position - s.start.position) + 1e-8),
+    "distance": lambda s: _norm(s.end.position - s.start.position),
     "smoothness": lambda s: ca.sumsqr(s.c1 - s.c0) / s.h,
-    "course": lambda s: s.h / 2 * (_off_course(s.start) + _off_course(s.end)),
+    "course": _mean(_off_course),
+    "energy": _mean(lambda k: ca.sqrt(k.power**2 + 1e-4) - 1e-2),
+    "safety": lambda s: 0 * s.h,
 }
-"""Cost name -> its integral over a segment."""
+"""Cost name -> its integral over a segment. ``energy``: work the controls do, of either sign, in metres it would
+lift the vehicle. ``safety`` comes from what there is to hit: see `repulsion`."""
 
-LIMITS: dict[str, Callable[[KnotView], Expr]] = {
-    "speed": lambda k: ca.sqrt(ca.sumsqr(k.velocity) + 1e-8),
-    "ceiling": lambda k: k.position[2],
-    "climb": lambda k: ca.sqrt(k.velocity[2] ** 2 + 1e-8),
-    "turn_rate": lambda k: ca.sqrt(ca.sumsqr(k.omega) + 1e-8),
-    "bank": lambda k: ca.acos(0.9999999 * k.rotation[2, 2]),
+PRESETS: dict[str, dict[str, float]] = {
+    "energy": {"energy": 1.0, "effort": 0.1},
+    "safety": {"safety": 10.0, "effort": 1.0},
 }
-"""Limit name -> the value that stays below it at every knot: m/s, height of the root m, m/s up or down, rad/s, rad
-between the body's and the world's Z."""
+"""Names that stand for several weights: alone these would leave the controls open where nothing is near or moves."""
+
+REACH = 4.0
+"""Distance over which `repulsion` falls to 1/e, m."""
+
+
+def repulsion(distance: Expr) -> Expr:
+    """What an instant at these distances (k,) m from a hazard costs a second: their mean of ``exp(-d / REACH)``."""
+    return ca.sum1(ca.exp(-distance / REACH)) / distance.shape[0]
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A built-in limit: the ``law`` of a knot or segment that stays below a value in ``unit``, rad for angles."""
+
+    law: Callable[[Any], Expr]
+    unit: str
+    over: Where = "knots"
+    joint: str | None = None
+
+    @property
+    def angular(self) -> bool:
+        return self.unit.startswith("rad")
+
+
+STEERING = "sigma"
+"""The joint of all steered vehicles: the tangent of the steering angle."""
+
+LIMITS: dict[str, Limit] = {
+    "speed": Limit(lambda k: _norm(k.velocity), "m/s"),
+    "ceiling": Limit(lambda k: k.position[2], "m"),
+    "climb": Limit(lambda k: ca.sqrt(k.velocity[2] ** 2 + 1e-8), "m/s"),
+    "turn_rate": Limit(lambda k: _norm(k.omega), "rad/s"),
+    "bank": Limit(lambda k: ca.acos(0.9999999 * k.rotation[2, 2]), "rad"),
+    "acceleration": Limit(lambda s: _norm(s.acceleration), "m/s^2", "segments"),
+    "g_load": Limit(lambda s: _norm(s.acceleration / GRAVITY + ca.DM([0, 0, 1])), "g", "segments"),
+    "steering": Limit(lambda k: ca.sqrt(ca.atan(k.joint(STEERING)) ** 2 + 1e-8), "rad", joint=STEERING),
+    "steering_rate": Limit(
+        lambda k: ca.sqrt((k.rate(STEERING) / (1 + k.joint(STEERING) ** 2)) ** 2 + 1e-8), "rad/s", joint=STEERING
+    ),
+}
+"""Limit name -> the value that stays below it: in any direction, up or down, and between the body's and the world's Z
+(``bank``); ``g_load`` is what the crew feels, 1 at rest; ``ceiling`` the height of the root."""
 
 SMOOTHNESS = 1e-3
 """Weight of smoothness unless given: it keeps any optimum unique and the controls from chattering."""
@@ -72,7 +189,7 @@ SMOOTHNESS = 1e-3
 
 def cost_weights(cost: str | Mapping[str, float], defaults: Mapping[str, float]) -> dict[str, float]:
     """Weights by cost name, from a name or a table; ``defaults`` are the vehicle's own and yield to the table."""
-    table = {cost: 1.0} if isinstance(cost, str) else dict(cost)
+    table = PRESETS.get(cost, {cost: 1.0}) if isinstance(cost, str) else dict(cost)
     for name, weight in table.items():
         _known("cost", name, COSTS)
         if not (isinstance(weight, int | float) and 0 <= weight < float("inf")):
@@ -82,13 +199,76 @@ def cost_weights(cost: str | Mapping[str, float], defaults: Mapping[str, float])
     return {name: 0.0 for name in COSTS} | {"smoothness": SMOOTHNESS} | dict(defaults) | table
 
 
-def check_limits(limits: Mapping[str, float]) -> dict[str, float]:
-    """The limits, every one known and positive."""
+@dataclass(frozen=True)
+class Limits:
+    """What stays below what: ``values`` by name of `LIMITS`; ``joints``, ``joint_rates`` (low, high) by joint name."""
+
+    values: Mapping[str, float] = field(default_factory=dict)
+    joints: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    joint_rates: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    def get(self, name: str, unless: float = float("inf")) -> float:
+        return self.values.get(name, unless)
+
+    def constraints(self) -> list[Constraint]:
+        """The limits as constraints, scaled to one. Joint limits are bounds of variables and not among them."""
+        made: list[Constraint] = []
+        for name, value in self.values.items():
+            limit = LIMITS[name]
+            made.append(Constraint(f"limit {name}", _scaled(limit.law, value), upper=1.0, over=limit.over))
+        for name, (low, high) in self.joint_rates.items():
+            made.append(Constraint(f"limit joint_rates.{name}", _rate(name), low, high))
+        return made
+
+
+def _scaled(law: Callable[[Any], Expr], value: float) -> Callable[[Any], Expr]:
+    return lambda view: law(view) / value
+
+
+def _rate(joint: str) -> Callable[[KnotView], Expr]:
+    return lambda view: view.rate(joint)
+
+
+def check_limits(limits: Mapping[str, Any], joints: Sequence[str] = ()) -> Limits:
+    """The limits, every one known and positive; ``joints`` and ``joint_rates`` are tables of a bound or (low, high)."""
+    values: dict[str, float] = {}
+    ranges: dict[str, dict[str, tuple[float, float]]] = {"joints": {}, "joint_rates": {}}
     for name, value in limits.items():
+        if name in ranges:
+            for joint, bounds in value.items():
+                _known(f"limits.{name}", joint, dict.fromkeys(joints))
+                ranges[name][joint] = _range(f"limits.{name}.{joint}", bounds)
+            continue
         _known("limits", name, LIMITS)
         if not (isinstance(value, int | float) and value > 0):
             raise InputError(f"limits.{name} = {value!r}: give a positive number")
-    return dict(limits)
+        needed = LIMITS[name].joint
+        if needed is not None and needed not in joints:
+            raise InputError(
+                f"limits.{name} = {value!r}: this vehicle has no joint {needed!r} to steer with; limit its own joints: "
+                f"limits.joints of {', '.join(joints) or 'none'}"
+            )
+        values[name] = float(value)
+    return Limits(values, ranges["joints"], ranges["joint_rates"])
+
+
+def _range(key: str, bounds: Any) -> tuple[float, float]:
+    low, high = (-bounds, bounds) if isinstance(bounds, int | float) else tuple(bounds)
+    if not (np.isfinite(low) and np.isfinite(high) and low < high):
+        raise InputError(f"{key} = {bounds!r}: give a bound above zero, or [low, high]")
+    return float(low), float(high)
+
+
+def check_terms(terms: Sequence[Term]) -> tuple[Term, ...]:
+    """The terms; ``InputError`` for what is none."""
+    for i, term in enumerate(terms):
+        if not isinstance(term, Cost | Constraint):
+            raise InputError(f"terms[{i}] = {term!r}: give a vehsim.planning.Cost or Constraint")
+        if isinstance(term, Cost) and not (0 <= term.weight < float("inf")):
+            raise InputError(f"terms[{i}].weight = {term.weight!r}: give a weight, zero or more")
+        if isinstance(term, Constraint) and term.over not in ("knots", "segments", "everywhere"):
+            raise InputError(f"terms[{i}].over = {term.over!r}: choose one of knots, segments, everywhere")
+    return tuple(terms)
 
 
 def _known(kind: str, name: str, table: Mapping[str, Any]) -> None:

@@ -88,6 +88,28 @@ class DistanceField:
         outside[:, 2] = np.minimum(outside[:, 2], 0)
         return np.asarray(spline - (np.sqrt(np.sum(outside**2, axis=1) + BLEND**2) - BLEND))
 
+    def models(self, count: int) -> Any:
+        """A casadi ``Function``, points (3, count) -> value, gradient, Hessian (xx, yy, zz, xy, xz, yz) (10, count).
+
+        Two or three us a point, where differentiating `function` takes 35: coefficients are gathered for all at once.
+        """
+        import casadi
+
+        shape = self._coefficients.shape
+        strides = (1, shape[0], shape[0] * shape[1])
+        near = [sum(s * i for s, i in zip(strides, at, strict=True)) for at in np.ndindex(4, 4, 4)]
+        point, coefficients = casadi.SX.sym("point", 3), casadi.SX.sym("c", 64)
+        inside = casadi.fmin(casadi.fmax(point, self.lower), self.upper)
+        index = (inside - self.lower) / self.spacing
+        first = casadi.fmax(casadi.fmin(casadi.floor(index), casadi.DM(shape) - 4), 0)
+        values = casadi.cse(_second_order(self, point, inside, index - first, coefficients))
+        place = casadi.Function("place", [point], [casadi.dot(first, casadi.DM(strides)) + casadi.DM(near)])
+        evaluate = casadi.Function("evaluate", [point, coefficients], [values])
+        points = casadi.MX.sym("points", 3, count)
+        table = casadi.MX(casadi.DM(self._coefficients.ravel(order="F")))
+        gathered = casadi.reshape(table.get_nz(False, casadi.vec(place.map(count)(points))), 64, count)
+        return casadi.Function("models", [points], [evaluate.map(count)(points, gathered)])
+
     @cached_property
     def function(self) -> Any:
         """``distance``: a casadi ``Function``, point (3,) m -> signed distance m; it agrees with `value`."""
@@ -103,6 +125,41 @@ class DistanceField:
         outside = casadi.vertcat(outside[0], outside[1], casadi.fmin(outside[2], 0))
         beyond = casadi.sqrt(casadi.sumsqr(outside) + BLEND**2) - BLEND
         return casadi.Function("distance", [point], [spline((inside - self.lower) / self.spacing) - beyond])
+
+
+def _second_order(field: DistanceField, point: Any, inside: Any, share: Any, coefficients: Any) -> Any:
+    """Value, gradient and Hessian (10,) of the spline in the cell with these 64 coefficients, less what is beyond."""
+    import casadi
+
+    t = casadi.SX.sym("t")
+    basis = casadi.vertcat((1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3) / 6
+    orders = [basis, casadi.jacobian(basis, t), casadi.jacobian(casadi.jacobian(basis, t), t)]
+    weights = casadi.Function("weights", [t], orders)
+    # a point beyond the box sees its nearest point in it, which does not move along with it
+    moves = casadi.if_else(inside == point, 1 / field.spacing, 0)
+    along = [[w * moves[a] ** order for order, w in enumerate(weights(share[a]))] for a in range(3)]
+    cube = casadi.reshape(coefficients, 16, 4)  # of `np.ndindex(4, 4, 4)`: z runs fastest, then y
+    parts = {}
+    for i, j, k in (
+        (0, 0, 0),
+        (1, 0, 0),
+        (0, 1, 0),
+        (0, 0, 1),
+        (2, 0, 0),
+        (0, 2, 0),
+        (0, 0, 2),
+        (1, 1, 0),
+        (1, 0, 1),
+        (0, 1, 1),
+    ):
+        plane = casadi.reshape(cube @ along[0][i], 4, 4)
+        parts[i, j, k] = casadi.dot(along[2][k], plane @ along[1][j])
+    outside = point - inside
+    outside = casadi.vertcat(outside[0], outside[1], casadi.fmin(outside[2], 0))
+    beyond = casadi.sqrt(casadi.sumsqr(outside) + BLEND**2) - BLEND
+    bend, slope = casadi.hessian(beyond, point)
+    upper = casadi.vertcat(bend[0, 0], bend[1, 1], bend[2, 2], bend[0, 1], bend[0, 2], bend[1, 2])
+    return casadi.vertcat(*parts.values()) - casadi.vertcat(beyond, slope, upper)
 
 
 def distance_field(

@@ -1,0 +1,153 @@
+"""What marks, holds and loops ask of the knots they stand on, as elements."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.lie import SO3
+from vehsim.planning.elements import Element
+from vehsim.planning.marks import Gate, Mark
+from vehsim.planning.terms import KnotView
+from vehsim.planning.transcription import Transcription
+from vehsim.planning.views import knot_view, root_pose
+from vehsim.vehicles.mechanics import conservative, project
+
+Array = NDArray[np.float64]
+Expr = Any
+Row = tuple[Expr, float, float]
+"""An expression and its bounds."""
+
+PARAMETERS = {"position": 3, "heading": 1, "orientation": 4, "velocity": 3, "speed": 1, "gate": 11}
+
+
+def parameter_sizes(t: Transcription) -> dict[str, int]:
+    """How many parameters each key of a mark has."""
+    return {**PARAMETERS, "joints": t.sizes[1]}
+
+
+def mark_values(t: Transcription, mark: Mark) -> Array:
+    """Parameter values of a mark, zeros where it asks nothing."""
+    values = []
+    for key, size in parameter_sizes(t).items():
+        given: Any = getattr(mark, key)
+        if isinstance(given, Gate):
+            given = np.concatenate([given.axes.ravel(), given.size or (2 * (given.radius or 0.0),) * 2])
+        given = np.zeros(size) if given is None else np.nan_to_num(np.atleast_1d(np.asarray(given, float)))
+        values.append(np.deg2rad(given) if key == "heading" else given)
+    return np.concatenate(values)
+
+
+def mark_element(t: Transcription, mark: Mark) -> Element | None:
+    """What a mark asks at its knot: (x, c0), with the wind and its values (``mark_values``) as parameters."""
+    x, c = ca.SX.sym("x", sum(t.sizes[:3])), ca.SX.sym("c", t.sizes[3])
+    wind = ca.SX.sym("wind", 3)
+    wanted = {key: ca.SX.sym(key, size) for key, size in parameter_sizes(t).items()}
+    view = knot_view(t, x, c)
+    rows = [*_place(t, mark, view, wanted), *_attitude(t, mark, root_pose(t.vehicle, t.split(x)[0]), wanted)]
+    if mark.balanced and (mark.hold or t.vehicle.group.dim == 6):  # a boat may touch a mark, the wind at its side
+        rows += _equal(imbalance(t, x, c, wind))
+    rows += _motion(t, mark, view, x, c, wanted)
+    if mark.joints is not None:
+        asked = np.flatnonzero(np.isfinite(np.asarray(mark.joints, float))).tolist()
+        rows += [(view.joints[i] - wanted["joints"][i], 0.0, 0.0) for i in asked]
+    if not rows:
+        return None
+    g, lower, upper = zip(*rows, strict=True)
+    p = ca.vertcat(wind, *wanted.values())
+    return Element("mark", ca.vertcat(x, c), p, g=ca.vertcat(*g), lower=lower, upper=upper)
+
+
+def hold_element(t: Transcription) -> Element:
+    """Controls that stay as they are: (c0, c1)."""
+    c0, c1 = ca.SX.sym("c0", t.sizes[3]), ca.SX.sym("c1", t.sizes[3])
+    return Element("hold", ca.vertcat(c0, c1), ca.SX(0, 1), g=c1 - c0)
+
+
+def loop_element(t: Transcription) -> Element:
+    """A last knot (x1, c1) that repeats the first (x, c): pose, momentum, controls and every joint that matters.
+
+    Joints that nothing depends on, as a wheel's roll, go on turning.
+    """
+    size, s, n, count = t.sizes
+    (x, x1), (c, c1) = ((ca.SX.sym(name + i, k) for i in ("", "1")) for name, k in (("x", size + s + n), ("c", count)))
+    (g, r, pi), (g1, r1, pi1) = t.split(x), t.split(x1)
+    group = t.vehicle.group
+    relative = group.pose(group.compose(group.inverse(g), g1))
+    turn, way = relative[4:7], relative[0:3]
+    shown = {"SE2": ca.vertcat(way[0:2], turn[2]), "SO3": turn}.get(group.name, ca.vertcat(way, turn))
+    kept = [i for i in range(s) if not _idle(t, i)]
+    rows = [shown, *(r1[i] - r[i] for i in kept), (pi1 - pi) / t.momentum_scale, c1 - c]
+    return Element("loop", ca.vertcat(x, c, x1, c1), ca.SX(0, 1), g=ca.vertcat(*rows))
+
+
+def _idle(t: Transcription, joint: int) -> bool:
+    """Nothing depends on the joint: neither the motion nor a limit."""
+    y, step = t.mechanics.symbols, t.mechanics.segment
+    moved = ca.vertcat(step["left"], step["right"], step["g1"])
+    name = t.vehicle.joints[joint]
+    return name not in t.vehicle.joint_limits and not ca.depends_on(moved, y["r"][joint])
+
+
+def imbalance(t: Transcription, x: Expr, c: Expr, wind: Expr) -> Expr:
+    """Acceleration along the free velocities of a vehicle that stands still, (n_z,)."""
+    vehicle, (g, r, _) = t.vehicle, t.split(x)
+    still = (ca.SX.zeros(len(vehicle.joints)), ca.SX.zeros(vehicle.group.dim))
+    forces = vehicle.force(g, r, *still, c * t.control_scale, wind)
+    weight = conservative(vehicle, g, r)
+    total = [a + b for a, b in zip(forces, weight, strict=True)]
+    return project(vehicle, r, *total) / t.momentum_scale
+
+
+def _equal(expression: Expr, slack: float = 0.0) -> list[Row]:
+    return [(row, -slack, slack) for row in ca.vertsplit(expression)]
+
+
+def _place(t: Transcription, mark: Mark, view: KnotView, wanted: dict[str, Expr]) -> list[Row]:
+    shown = 3 if t.vehicle.group.dim == 6 else 2
+    off = (view.position - wanted["position"])[:shown]
+    if mark.position is None or t.vehicle.group.name == "SO3":
+        return []
+    if mark.gate is None:
+        return _equal(off, mark.tolerance)
+    axes = [wanted["gate"][3 * i : 3 * i + 3][:shown] for i in range(3)]
+    through, along, up = (ca.dot(axis, off) for axis in axes)
+    width, height = wanted["gate"][9], wanted["gate"][10]
+    rows: list[Row] = [(through, 0.0, 0.0), (ca.dot(axes[0], view.velocity[:shown]), 0.0, np.inf)]
+    if mark.gate.radius is not None:
+        return [*rows, (4 * (along**2 + up**2) / (width * height), 0.0, 1.0)]
+    return [*rows, (2 * along / width, -1.0, 1.0), *([(2 * up / height, -1.0, 1.0)] if shown == 3 else [])]
+
+
+def _attitude(t: Transcription, mark: Mark, root: Expr, wanted: dict[str, Expr]) -> list[Row]:
+    rotation = SO3.matrix(root[3:7])
+    if mark.orientation is not None:
+        # the vector part of a quaternion: it vanishes at the attitude alone
+        off = SO3.compose(SO3.inverse(wanted["orientation"]), root[3:7])
+        return _equal(off[3 if t.vehicle.group.name == "SE2" else 1 : 4])
+    if mark.heading is not None:
+        c, s = ca.cos(wanted["heading"]), ca.sin(wanted["heading"])
+        return [
+            (c * rotation[1, 0] - s * rotation[0, 0], 0.0, 0.0),
+            (c * rotation[0, 0] + s * rotation[1, 0], 0.0, np.inf),
+        ]
+    return []
+
+
+def _motion(t: Transcription, mark: Mark, view: KnotView, x: Expr, c: Expr, wanted: dict[str, Expr]) -> list[Row]:
+    spatial, rolls = t.vehicle.group.dim == 6, t.sizes[2] == 1
+    if mark.at_rest:  # every free velocity; where rolling leaves one way to go, that is one
+        _, r, pi = t.split(x)
+        return _equal(t.mechanics.knot_velocity_guess(r, pi, c * t.control_scale))
+    if mark.velocity is not None:
+        error = view.velocity - wanted["velocity"]
+        return _equal(error if spatial else error[0:2])
+    if mark.speed == 0:
+        along = view.rotation[0:2, 0].T @ view.velocity[0:2]
+        return _equal(view.velocity if spatial else along if rolls else view.velocity[0:2])
+    if mark.speed is not None:
+        return _equal(ca.sqrt(ca.sumsqr(view.velocity) + 1e-10) - wanted["speed"])
+    return []
