@@ -3,6 +3,7 @@
 Positions are cubic in the world with the knot velocities as slopes. Orientations are ``q_k exp(phi(s))`` with ``phi`` a
 cubic whose end slopes make the body's angular velocity that of both knots. Joints are cubic with their rates, controls
 linear (as the integrators take them), channels monotone where their knots are: no wheel turns back between frames.
+What drives in the plane is interpolated there; height and tilt, where terrain gave it some, ride on top like channels.
 """
 
 from __future__ import annotations
@@ -28,15 +29,21 @@ def interpolate(clip: Clip, times: Array) -> Clip:
     s = (times - clip.times[k]) / h
     omega, velocity = spatial(clip)
 
+    flat, tilt = _planar(clip)
     positions, linear = _hermite(s, h, clip.positions[k], clip.positions[k + 1], velocity[k], velocity[k + 1])
-    orientations, angular = _rotations(s, h, clip.orientations[k], clip.orientations[k + 1], omega[k], omega[k + 1])
+    orientations, angular = _rotations(s, h, flat[k], flat[k + 1], omega[k], omega[k + 1])
     joints, rates = _hermite(s, h, clip.joints[k], clip.joints[k + 1], clip.joint_rates[k], clip.joint_rates[k + 1])
+    twists = _twists(clip.vehicle.group.name, orientations, angular, linear)
+    if tilt is not None:
+        z, pitch, roll = (_monotone(clip.times, values, times) for values in (clip.positions[:, 2], *tilt))
+        positions[:, 2] = z
+        orientations = _product(orientations, yaw_tilt(np.zeros(len(times)), pitch, roll))
     return replace(
         clip,
         times=times,
         positions=positions,
         orientations=orientations,
-        twists=_twists(clip.vehicle.group.name, orientations, angular, linear),
+        twists=twists,
         joints=joints,
         joint_rates=rates,
         controls=clip.controls[k] + s[:, None] * (clip.controls[k + 1] - clip.controls[k]),
@@ -51,10 +58,37 @@ def spatial(clip: Clip) -> tuple[Array, Array]:
     omega, body = np.zeros((n, 3)), np.zeros((n, 3))
     if clip.vehicle.group.name == "SE2":
         omega[:, 2], body[:, :2] = clip.twists[:, 0], clip.twists[:, 1:3]
-    else:
-        omega = clip.twists[:, :3]
-        body[:, : d - 3] = clip.twists[:, 3:]
+        return omega, rotate(_planar(clip)[0], body)
+    omega = clip.twists[:, :3]
+    body[:, : d - 3] = clip.twists[:, 3:]
     return omega, rotate(clip.orientations, body)
+
+
+def _planar(clip: Clip) -> tuple[Array, tuple[Array, Array] | None]:
+    """Orientations (n, 4) without the tilt that a terrain gave them, and that tilt: pitch and roll, (n,) each."""
+    if clip.vehicle.group.name != "SE2":
+        return clip.orientations, None
+    yaw, pitch, roll = tilt_of(clip.orientations)
+    if max(np.abs(pitch).max(), np.abs(roll).max(), np.ptp(clip.positions[:, 2])) < 1e-12:
+        return clip.orientations, None
+    return yaw_tilt(yaw, np.zeros(len(yaw)), np.zeros(len(yaw))), (pitch, roll)
+
+
+def yaw_tilt(yaw: Array, pitch: Array, roll: Array) -> Array:
+    """Quaternions (n, 4) of turning by ``roll`` about X, then ``pitch`` about Y, then ``yaw`` about Z, rad."""
+    zero = np.zeros(len(yaw))
+    about_z = np.column_stack([np.cos(yaw / 2), zero, zero, np.sin(yaw / 2)])
+    about_y = np.column_stack([np.cos(pitch / 2), zero, np.sin(pitch / 2), zero])
+    about_x = np.column_stack([np.cos(roll / 2), np.sin(roll / 2), zero, zero])
+    return _product(_product(about_z, about_y), about_x)
+
+
+def tilt_of(q: Array) -> tuple[Array, Array, Array]:
+    """Yaw, pitch and roll (n,) rad of quaternions (n, 4), as `yaw_tilt` puts them together; yaw is continuous."""
+    w, x, y, z = q.T
+    yaw = np.unwrap(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
+    return yaw, pitch, np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
 
 
 def rotate(q: Array, v: Array) -> Array:

@@ -105,12 +105,16 @@ class Clip:
         return T_wr
 
     def state(self, index: int) -> State:
-        """The state at one sample."""
+        """The state at one sample; what drives in the plane has no tilt in it."""
+        from vehsim._interpolate import tilt_of, yaw_tilt
         from vehsim.vehicles import State
 
+        orientation = self.orientations[index]
+        if self.vehicle.group.name == "SE2":
+            orientation = yaw_tilt(tilt_of(orientation[None])[0], np.zeros(1), np.zeros(1))[0]
         return State(
             position=self.positions[index],
-            orientation=self.orientations[index],
+            orientation=orientation,
             twist=self.twists[index],
             joints=self.joints[index],
             joint_rates=self.joint_rates[index],
@@ -148,7 +152,7 @@ class Clip:
         header = {
             "schema": 1,
             "vehicle": self.vehicle.name,
-            "folder": str(self.vehicle.rig.asset.parent) if self.vehicle.rig else "",
+            "folder": _folder(self.vehicle),
             "fps": str(self.fps),
             "start_frame": self.start_frame,
             "joints": list(self.vehicle.joints),
@@ -200,6 +204,10 @@ def frame_rate(fps: Any) -> Fraction:
     if rate <= 0:
         raise InputError(f"fps = {fps!r}: give frames a second, such as 24 or Fraction(24000, 1001)")
     return rate
+
+
+def _folder(vehicle: Vehicle) -> str:
+    return "" if vehicle.rig is None else str(vehicle.rig.folder or vehicle.rig.asset.parent)
 
 
 def _group(arrays: Mapping[str, Array], prefix: str) -> dict[str, Array]:

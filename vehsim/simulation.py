@@ -53,11 +53,13 @@ def simulate(
 
     ``step`` s is shortened, if need be, to a whole fraction of a frame so that every frame is a knot; the duration
     is rounded up to whole steps. ``world.wind`` acts through the vehicle's drag. A vehicle that moves in the plane
-    keeps its start height, or stands on the terrain's height at its start. ``order`` 2, 4 or 6.
+    keeps its start height; on a terrain its slopes pull it, and its wheels follow the ground. ``order`` 2, 4 or 6.
 
     Raises ``InputError`` naming key, value and mend; ``SolveError`` with step, state and residual when a step fails.
     """
     from vehsim.integrators.integrator import Integrator
+    from vehsim.world.ground import lift
+    from vehsim.world.slope import on_terrain
 
     rate = _frame_rate(fps)
     wanted = _positive("step", step, "a number of seconds, such as 1/240")
@@ -66,7 +68,8 @@ def simulate(
     steps = _steps(duration, table, wanted, h)
     begin = _standing(vehicle, world, start)
     _warn_windless(vehicle, world)
-    integrator = Integrator(vehicle, h, difference_map, order, wind=_wind(world))
+    weighed = on_terrain(vehicle, world, _reach(begin, steps * h))
+    integrator = Integrator(weighed, h, difference_map, order, wind=_wind(world))
 
     if table is None:
         clip = _fly(integrator, controls, begin, steps, rate, start_frame, progress)
@@ -76,7 +79,7 @@ def simulate(
             integrator, np.broadcast_to(knots, (steps + 1, len(vehicle.controls))), begin, rate, start_frame, progress
         )
     _warn_limits(vehicle, clip)
-    return clip
+    return lift(replace(clip, vehicle=vehicle), world)
 
 
 def _roll(
@@ -197,6 +200,13 @@ def _standing(vehicle: Vehicle, world: World | None, given: State | None) -> Sta
             stacklevel=3,
         )
     return replace(start, position=(position[0], position[1], ground))
+
+
+def _reach(start: State, duration: float) -> Array:
+    """Corners (2, 2) m of where a start leads at most, at 3 m/s^2."""
+    speed = 0.0 if start.twist is None else float(np.linalg.norm(np.asarray(start.twist, float)))
+    far = (speed + 3.0 * duration) * duration
+    return np.asarray(start.position, float)[:2] + np.array([[-far], [far]])
 
 
 def _wind(world: World | None) -> Array:

@@ -113,6 +113,7 @@ class Shot:
     def solve(self, progress: Progress | None = None) -> Take:
         """Check, then solve every vehicle's motion and every camera. Raises ``ShotError`` and ``SolveError``."""
         from vehsim.take import Take
+        from vehsim.world.ground import lift
 
         errors = [problem for problem in self.check() if problem.severity == "error"]
         if errors:
@@ -120,6 +121,7 @@ class Shot:
         clips, vehicles = self._solve_vehicles(progress or (lambda what, done: None))
         marks = {name: report.pop("marks", []) for name, report in vehicles.items()}
         frames = self._frames(clips)
+        clips = {name: lift(clip, self.world) for name, clip in clips.items()}
         self._warn_off_ground(clips)
         clips = {name: hold(clip, *frames) for name, clip in clips.items()}
         return Take(
@@ -232,18 +234,18 @@ class Shot:
         return {name: clips[name] for name in order}, {name: reports[name] for name in order}
 
     def _warn_off_ground(self, clips: Mapping[str, Clip]) -> None:
-        """What drives keeps its height: say where the ground rises or falls below it."""
+        """What drives without wheels keeps its height: say where the ground rises or falls below it."""
         if self.world.terrain is None:
             return
         for name, clip in clips.items():
-            if clip.vehicle.group.dim != 3:
+            if clip.vehicle.group.dim != 3 or "heave" in clip.channels:
                 continue
             off = clip.positions[:, 2] - self.world.height(clip.positions[:, :2])
             for k in np.flatnonzero(np.abs(off) > OFF_GROUND)[:1]:
                 place = f"{abs(off[k]):.2f} m {'above' if off[k] > 0 else 'below'}"
                 warnings.warn(
-                    f"{name}: {place} the ground at frame {clip.frames[k]:g}: wheels do not follow the ground yet; "
-                    "drive where it is level",
+                    f"{name}: {place} the ground at frame {clip.frames[k]:g}: its asset has no wheels to follow it with; "
+                    "drive channels travel_* or roll_* in its vehicle.toml, or drive where it is level",
                     stacklevel=3,
                 )
 

@@ -10,6 +10,7 @@ from vehsim.vehicles._base import Control as Control
 from vehsim.vehicles._base import Drive as Drive
 from vehsim.vehicles._base import Rig as Rig
 from vehsim.vehicles._base import State as State
+from vehsim.vehicles._base import Suspension as Suspension
 from vehsim.vehicles._base import Vehicle as Vehicle
 from vehsim.vehicles.library import available as available
 from vehsim.vehicles.library import load_vehicle as load_vehicle

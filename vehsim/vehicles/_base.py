@@ -56,17 +56,30 @@ class Drive:
 
 
 @dataclass(frozen=True)
+class Suspension:
+    """Springs between a body and its wheels: natural ``frequency`` Hz and ``damping`` ratio of heave, pitch and roll.
+
+    ``mass_height`` m: of the centre of mass above the ground; it makes the body dive and lean.
+    """
+
+    frequency: float = 1.5
+    damping: float = 0.5
+    mass_height: float = 0.5
+
+
+@dataclass(frozen=True)
 class Rig:
     """A vehicle's USD asset and how motion drives it.
 
     ``origin``: the body frame's origin (centre of mass, or the rear axle of a car) in the frame of the rig's root, m;
-    the axes are parallel. ``drives``: channel name -> drive.
+    the axes are parallel. ``drives``: channel name -> drive. ``suspension``: of a body on wheels.
     """
 
     asset: Path
     root: str
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     drives: Mapping[str, Drive] = field(default_factory=dict)
+    suspension: Suspension = Suspension()
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,7 @@ def slope_energy(mass: float, slope: Sequence[float], ahead: float = 0.0) -> Cal
 
 def ackermann_channels(wheel_radius: float, wheelbase: float, half_track: float) -> dict[str, Channel]:
     """Channels of a car's wheels: ``roll_*`` of the four, each without slip, ``steer_*`` of the front two [rad].
+    ``travel_*`` [m] rest until a terrain lifts the wheels (`vehsim.world.ground`).
 
     The car's body frame stands on its rear axle, its second joint is sigma, the tangent of the steering angle; lengths
     in m.
@@ -54,4 +55,5 @@ def ackermann_channels(wheel_radius: float, wheelbase: float, half_track: float)
         "roll_fr": front(-1.0),
         "steer_fl": steer(1.0),
         "steer_fr": steer(-1.0),
+        **{f"travel_{wheel}": Channel(value=lambda t, r, u, xi, c: 0.0) for wheel in ("rl", "rr", "fl", "fr")},
     }

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vehsim.errors import InputError
-from vehsim.vehicles._base import Control, Drive, Rig
+from vehsim.vehicles._base import Control, Drive, Rig, Suspension
 
 if TYPE_CHECKING:
     from vehsim.vehicles._base import Vehicle
@@ -33,7 +33,7 @@ MODELS: dict[str, str] = {
 }
 """Model name -> the function that makes its vehicle from ``[physics]``."""
 
-_TOP = {"schema", "name", "model", "asset", "root", "origin", "physics", "controls", "joints", "channels"}
+_TOP = {"schema", "name", "model", "asset", "root", "origin", "physics", "controls", "joints", "channels"} | {"suspension"}
 
 
 def available() -> list[str]:
@@ -130,7 +130,18 @@ def _rig(path: Path, vehicle: Vehicle, data: dict[str, Any]) -> Rig | None:
         if values.get("op") not in ops:
             raise InputError(f"{path}: channels.{name}.op = {values.get('op')!r}: choose one of {sorted(ops)}")
     drives = {name: Drive(values["prim"], values["op"]) for name, values in channels.items()}
-    return Rig(asset=asset, root=str(data.get("root", "")), origin=origin, drives=drives)  # type: ignore[arg-type]
+    drives = dict(sorted(drives.items(), key=lambda item: item[1].op.startswith("rotate")))  # slide first, then turn
+    springs = _suspension(path, data.get("suspension", {}))
+    return Rig(asset, str(data.get("root", "")), origin, drives, springs)  # type: ignore[arg-type]
+
+
+def _suspension(path: Path, table: dict[str, Any]) -> Suspension:
+    _known(path, "suspension.", table, set(Suspension.__dataclass_fields__))
+    for name, value in table.items():
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        if not (number and math.isfinite(value) and (value > 0 or (value == 0 and name == "mass_height"))):
+            raise InputError(f"{path}: suspension.{name} = {value!r}: give a positive number, in Hz, of 1, or in m")
+    return Suspension(**{name: float(value) for name, value in table.items()})
 
 
 def _known(path: Path, prefix: str, table: dict[str, Any], known: set[str]) -> None:

@@ -1,0 +1,164 @@
+"""Wheels on terrain against exact distances, the body against its transfer function, slopes against energy."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import vehsim
+from vehsim.parts import read_parts
+from vehsim.world import Terrain, World
+from vehsim.world.ground import lift, wheels_of
+
+CAR = vehsim.load_vehicle("car")
+
+
+def hilly(name="hills", height=1.5, length=100.0, cell=1.0, size=120.0):
+    x = np.arange(-size / 2, size / 2 + cell / 2, cell)
+    X, Y = np.meshgrid(x, x)
+    heights = height * np.sin(2 * np.pi * X / length) * np.cos(2 * np.pi * Y / (0.8 * length))
+    return World(Terrain(name, heights, (x[0], x[0]), (cell, cell)))
+
+
+def washboard(amplitude, length, cell=0.1):
+    """Waves along X, as long as the test drives."""
+    x, y = np.arange(-20, 140 + cell / 2, cell), np.array([-10.0, 0.0, 10.0])
+    heights = np.tile(amplitude * np.sin(2 * np.pi * x / length), (3, 1))
+    return World(Terrain("washboard", heights, (x[0], y[0]), (cell, 10.0)))
+
+
+def coasting(world, speed, duration, position=(0, 0, 0), heading=0.0, step=1 / 240):
+    start = vehsim.State(
+        position=(*position[:2], float(world.height([position[:2]])[0])),
+        orientation=(np.cos(heading / 2), 0, 0, np.sin(heading / 2)),
+        twist=(0, speed, 0),
+    )
+    return vehsim.simulate(CAR, world, None, start, duration=duration, step=step)
+
+
+def gaps(clip, world, frames):
+    """Smallest signed height (m) above the terrain of each tyre's own mesh, posed as USD poses it."""
+    parts = {part.path: part for part in read_parts(CAR.rig.asset)}
+    found = []
+    for k in frames:
+        T_wr = clip.matrices()[k]
+        for wheel in ("rl", "rr", "fl", "fr"):
+            path = f"wheel_{wheel}" if wheel[0] == "r" else f"steer_{wheel}/wheel_{wheel}"
+            part = parts[path]
+            turn = Rotation.from_euler("Y", clip.channels[f"roll_{wheel}"][k]).as_matrix()
+            if wheel[0] == "f":
+                turn = Rotation.from_euler("Z", clip.channels[f"steer_{wheel}"][k]).as_matrix() @ turn
+            points = part.points @ turn.T + part.T_rp[:3, 3] + [0, 0, clip.channels[f"travel_{wheel}"][k]]
+            points = points @ T_wr[:3, :3].T + T_wr[:3, 3]
+            found.append((points[:, 2] - world.height(points[:, :2])).min())
+    return np.array(found)
+
+
+def test_tyres_touch_the_ground_they_roll_on():
+    """Every tyre's mesh, not its model: within 2 mm of the terrain on every tenth frame of a drive over hills."""
+    world = hilly()
+    clip = coasting(world, 8.0, 4.0, (-30, -25), 0.8).resample()
+    found = gaps(clip, world, range(0, len(clip), 10))
+    assert np.abs(found).max() < 2e-3
+    assert np.ptp(clip.positions[:, 2]) > 0.5 and np.ptp(clip.channels["pitch"]) > 0.05
+
+
+def test_tyres_touch_between_a_coarse_clips_knots():
+    world = hilly()
+    clip = coasting(world, 8.0, 4.0, (-30, -25), 0.8, step=1 / 24)
+    coarse = clip.at(clip.times[::12])
+    bare = {name: values for name, values in coarse.channels.items() if name not in ("heave", "pitch", "roll")}
+    lifted = lift(vehsim.clip.replace(coarse, channels=bare), world).resample()
+    assert np.abs(gaps(lifted, world, range(3, len(lifted), 10))).max() < 2e-3
+
+
+@pytest.mark.parametrize("length", [6.0, 20.0])
+def test_heave_follows_the_oscillators_transfer_function(length):
+    """Driven over waves at constant speed the body's acceleration is |G(i w)| A w^2, and so bounded by curvature."""
+    amplitude, speed = 0.01, 10.0
+    world = washboard(amplitude, length)
+    clip = coasting(world, speed, 6.0)
+    springs = CAR.rig.suspension
+    omega0, omega = 2 * np.pi * springs.frequency, 2 * np.pi * speed / length
+    damped = omega0**2 + 2j * springs.damping * omega0 * omega
+    gain = abs(damped / (damped - omega**2))
+    wheelbase = 2.6
+    heard = abs(np.cos(np.pi * wheelbase / length))  # the mean of the axles' two places on the wave
+    late = clip.times > 2.5
+    acceleration = np.gradient(np.gradient(clip.positions[:, 2], clip.times), clip.times)[late]
+    tone = np.exp(-1j * omega * clip.times[late])
+    waves = np.linalg.lstsq(np.column_stack([tone.real, tone.imag, 0 * tone.real + 1]), acceleration, rcond=None)[0]
+    assert np.hypot(*waves[:2]) == pytest.approx(gain * heard * amplitude * omega**2, rel=0.02)
+    curvature = amplitude * (2 * np.pi / length) ** 2
+    assert np.abs(acceleration).max() < 1.6 * curvature * speed**2
+
+
+def test_slope_is_rolled_down_without_losing_energy():
+    """Released on a hill, kinetic energy is weight times the fall: the spline is the terrain, the scheme symplectic."""
+    world = hilly()
+    clip = coasting(world, 0.0, 8.0, (12, 3), 0.0)
+    total = clip.energy["kinetic"] + clip.energy["potential"]
+    assert np.ptp(clip.energy["kinetic"]) > 1e3
+    assert np.ptp(total) < 1e-4 * np.ptp(clip.energy["kinetic"])
+    ground = world.height(clip.positions[:, :2])
+    fall = 1350.0 * 9.81 * (ground[0] - ground)
+    assert np.abs(clip.energy["kinetic"] - fall).max() < 0.02 * np.ptp(fall)
+
+
+def test_constant_slope_accelerates_as_an_inclined_plane():
+    """a = g sin, in horizontal lengths g tan: m + I / rho^2 is what is moved."""
+    x = np.arange(-200.0, 201.0, 4.0)
+    world = World(Terrain("ramp", np.tile(0.05 * x, (len(x), 1)), (-200, -200), (4, 4)))
+    clip = coasting(world, 0.0, 2.0)
+    effective = 1350.0 / (1350.0 + 2.4 / 0.32**2)
+    assert clip.twists[-1, 1] == pytest.approx(-9.81 * 0.05 * effective * 2.0, rel=1e-3)
+    assert clip.channels["pitch"][0] == pytest.approx(-np.arctan(0.05), abs=0.01)
+
+
+def test_plan_weighs_the_slope_and_is_what_its_controls_do():
+    """A plan over a hill, executed by the independent integrator with the same weight; without it, it misses."""
+    world = hilly(height=1.0)
+    marks = [
+        vehsim.Mark(1001, position=(-20, 0, 0), heading=0, velocity=(0, 0, 0)),
+        vehsim.Mark(1145, position=(12, 0, 0), heading=0, velocity=(0, 0, 0)),
+    ]
+    plan = vehsim.plan(CAR, world, marks, segments=24)
+    assert plan.success and plan.executed.final < 0.1
+    frames = plan.clip.resample()
+    assert np.abs(gaps(frames, world, range(0, len(frames), 24))).max() < 2e-3
+    level = vehsim.plan(CAR, None, marks, segments=24)
+    ends = []
+    for knots in (plan.clip.controls, level.clip.controls):
+        with pytest.warns(UserWarning, match="put on the ground"):
+            played = vehsim.simulate(CAR, world, knots, vehsim.State(position=(-20, 0, 0)), duration=6.0, step=1 / 192)
+        ends.append(np.linalg.norm(played.positions[-1, :2] - [12, 0]))
+    assert ends[0] < 0.1 and ends[1] > 1.0
+
+
+def test_braking_dives_and_a_bend_leans_outwards():
+    world = World("flat")
+    braking = vehsim.simulate(CAR, world, (-1500.0, 0.0), vehsim.State(twist=(0, 12.0, 0)), duration=1.5)
+    assert braking.channels["pitch"][-1] > 0.005  # nose down
+    left = vehsim.State(twist=(0.0, 8.0, 0), joints=(0, 0.2))
+    turning = vehsim.simulate(CAR, world, (0.0, 0.0), left, duration=1.5)
+    assert turning.channels["roll"][-1] > 0.01  # left side up
+    assert np.abs(turning.positions[:, 2]).max() < 1e-6
+    assert np.abs(turning.channels["travel_rl"] + turning.channels["travel_rr"]).max() < 2e-3
+
+
+def test_lifting_twice_changes_nothing_and_interpolation_stays_on_the_ground():
+    world = hilly()
+    clip = coasting(world, 8.0, 2.0, (-30, -25), 0.8)
+    assert lift(clip, world) is clip
+    between = clip.at(clip.times[:-1] + 0.4 * np.diff(clip.times))
+    again = lift(vehsim.clip.replace(between, channels={**between.channels, "travel_rl": 0 * between.times}), world)
+    assert np.abs(again.positions - between.positions)[50:].max() < 2e-3
+    assert clip.state(5).orientation[1:3] == pytest.approx([0, 0], abs=1e-15)
+    assert lift(clip, World()) is clip and lift(clip, None) is clip
+
+
+def test_wheels_come_from_the_asset():
+    wheels = {wheel.travel: wheel for wheel in wheels_of(CAR.rig)}
+    assert set(wheels) == {"travel_rl", "travel_rr", "travel_fl", "travel_fr"}
+    for wheel in wheels.values():
+        assert wheel.rings[:, 1].max() == pytest.approx(0.32, abs=1e-3)
+        assert wheel.centre[2] == pytest.approx(0.32, abs=1e-3)

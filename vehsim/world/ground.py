@@ -1,0 +1,285 @@
+"""Wheels on the ground: planar motion lifted onto a terrain, every tyre touching it, the body on its springs.
+
+Each wheel is a profile turned about its axle; how far it must slide along the body's vertical until it touches is
+measured against the terrain itself. The body follows what the wheels say, heave, pitch and roll, through springs and
+dampers, and leans with acceleration. What belongs here is geometry after the fact; the slope's pull is in `slope.py`.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim._interpolate import tilt_of, yaw_tilt
+from vehsim.clip import Clip
+from vehsim.vehicles._base import Rig, Suspension
+from vehsim.world.terrain import Terrain
+
+Array = NDArray[np.float64]
+
+SAMPLES = 8
+"""Samples a frame that a coarser clip is given, so that wheels touch between its knots too."""
+ARC = np.radians(np.linspace(-50.0, 50.0, 41))
+"""Where along a tyre's lower half contact is looked for: 1.3 degrees apart, 0.05 mm of a car's tyre."""
+PROFILE = 7
+"""Rings that stand for a tyre's profile."""
+ROUNDS = 4
+"""Iterations of a contact's height and of the body's rest; each gains the slope's square."""
+TRAVEL = "travel_"
+"""Channels that slide a wheel up its suspension begin so."""
+LARGEST_TRAVEL = 0.12
+"""Beyond it a wheel leaves its arch, m."""
+
+
+@dataclass(frozen=True)
+class Wheel:
+    """``centre`` (3,) m in the rig root's frame; ``rings`` (k, 2): lateral offset and radius of its profile, m.
+
+    ``travel``, ``roll``: the channels that slide and turn it, or None.
+    """
+
+    centre: Array
+    rings: Array
+    travel: str | None
+    roll: str | None
+
+    @property
+    def rim(self) -> Array:
+        """Points (m, 3) of the tyre's lower half, about the root, straight ahead."""
+        side, radius = self.rings.T
+        x = radius[:, None] * np.sin(ARC)
+        z = -radius[:, None] * np.cos(ARC)
+        return self.centre + np.stack(np.broadcast_arrays(x, side[:, None], z), axis=-1).reshape(-1, 3)
+
+
+def lift(clip: Clip, world: Any) -> Clip:
+    """The clip of a vehicle with wheels on ``world``'s terrain: height, pitch and roll of its root, travel of wheels.
+
+    Adds the channels ``heave`` (of the body above its rest on its wheels, m), ``pitch`` (nose down) and ``roll`` (left
+    side up, rad); fills ``travel_*`` (m, upwards); wheels turn by the length of the slope. Where and how fast it goes
+    in the plane stays as it was. Clips of anything else, or without terrain, come back as they are.
+    """
+    terrain = None if world is None else world.terrain
+    rig = clip.vehicle.rig
+    if terrain is None or rig is None or clip.vehicle.group.name != "SE2":
+        return clip
+    wheels = wheels_of(rig)
+    if not wheels:
+        return clip
+    if _lifted(clip, terrain, wheels):
+        return clip
+    clip = _dense(clip)
+    yaw = tilt_of(clip.orientations)[0]
+    rest = _rest(terrain, wheels, clip.positions[:, :2], yaw)
+    sprung = any(wheel.travel for wheel in wheels)
+    deflection = _deflections(clip, rest, wheels, rig.suspension) if sprung else np.zeros_like(rest)
+    z, pitch, roll = (rest + deflection).T
+    positions = np.column_stack([clip.positions[:, :2], z])
+    orientations = yaw_tilt(yaw, pitch, roll)
+    channels = {**clip.channels, "heave": deflection[:, 0], "pitch": pitch, "roll": roll}
+    channels |= _wheel_channels(clip, terrain, wheels, positions, orientations)
+    return replace(clip, positions=positions, orientations=orientations, channels=channels)
+
+
+def _lifted(clip: Clip, terrain: Terrain, wheels: tuple[Wheel, ...]) -> bool:
+    """Whether the clip stands on this terrain already."""
+    if "heave" not in clip.channels:
+        return False
+    some = slice(None, None, max(1, len(clip) // 200))
+    there = clip.positions[some], clip.orientations[some]
+    return all(
+        np.allclose(touch(terrain, wheel, *there), clip.channels[wheel.travel][some], atol=1e-4)
+        for wheel in wheels
+        if wheel.travel is not None
+    )
+
+
+def wheels_of(rig: Rig) -> tuple[Wheel, ...]:
+    """The wheels of a rig: the parts its ``travel_*`` channels slide or, without any, those that turn about Y and carry no joint."""
+    stat = Path(rig.asset).stat()
+    drives = tuple(sorted((name, drive.prim, drive.op) for name, drive in rig.drives.items()))
+    return _wheels(Path(rig.asset), rig.root or None, drives, stat.st_mtime_ns)
+
+
+@lru_cache(maxsize=32)
+def _wheels(asset: Path, root: str | None, drives: tuple[Any, ...], changed: int) -> tuple[Wheel, ...]:
+    from vehsim.parts import read_parts
+
+    sliding = {prim: name for name, prim, op in drives if name.startswith(TRAVEL)}
+    joints = {prim for _, prim, _ in drives for _, other, _ in drives if other.startswith(f"{prim}/")}  # a leg, say
+    turning = {prim: name for name, prim, op in drives if op == "rotateY" and prim not in joints}
+    parts = {part.path: part for part in read_parts(asset, root)}
+    found = []
+    for prim in sliding or turning:
+        below = [path for path in parts if path == prim or path.startswith(f"{prim}/")]
+        points = np.concatenate([parts[p].points @ parts[p].T_rp[:3, :3].T + parts[p].T_rp[:3, 3] for p in below])
+        if not len(points):
+            continue
+        spin = next((path for path in sorted(turning) if path in below), None)
+        hub = parts[spin if spin in parts else below[0]].T_rp[:3, 3]
+        found.append(Wheel(hub, _profile(points - hub), sliding.get(prim), turning.get(spin or "")))
+    return tuple(found)
+
+
+def _profile(points: Array) -> Array:
+    """Rings (k, 2) of a wheel's points about its hub: the convex outline of its tread, which is what rolls."""
+    from scipy.spatial import ConvexHull
+
+    radius = np.hypot(points[:, 0], points[:, 2])
+    tread = np.column_stack([points[:, 1], radius])[radius > 0.9 * radius.max()]
+    if np.ptp(tread[:, 0]) < 1e-4:
+        return np.array([[tread[:, 0].mean(), radius.max()]])
+    floor = np.column_stack([[tread[:, 0].min(), tread[:, 0].max()], np.zeros(2)])
+    outline = np.vstack([tread, floor])
+    outline = outline[ConvexHull(outline).vertices]
+    outline = outline[outline[:, 1] > 0]
+    outline = outline[np.argsort(outline[:, 0])]
+    sides = np.linspace(outline[0, 0], outline[-1, 0], PROFILE)
+    return np.column_stack([sides, np.interp(sides, *outline.T)])
+
+
+def _dense(clip: Clip) -> Clip:
+    """The clip with samples close enough that what happens between them does not matter."""
+    step = 1 / (SAMPLES * float(clip.fps))
+    if len(clip) < 2 or np.diff(clip.times).max() < 1.5 * step:
+        return clip
+    count = int(np.floor((clip.times[-1] - clip.times[0]) / step + 1e-6))
+    times = clip.times[0] + np.array([float(k / (SAMPLES * clip.fps)) for k in range(count + 1)])
+    times = np.minimum(times, clip.times[-1])
+    return clip.at(times if clip.times[-1] - times[-1] < 1e-9 else np.append(times, clip.times[-1]))
+
+
+def _rest(terrain: Terrain, wheels: tuple[Wheel, ...], xy: Array, yaw: Array) -> Array:
+    """Height, pitch and roll (n, 3) at which the body rests on equal springs, whatever the slope."""
+    centres = np.array([wheel.centre for wheel in wheels])
+    # how a wheel's travel grows with height, pitch and roll
+    fit = np.linalg.pinv(np.column_stack([np.ones(len(wheels)), -centres[:, 0], centres[:, 1]]), rcond=1e-6)
+    pose = np.zeros((len(xy), 3))
+    pose[:, 0] = terrain.height(xy)
+    for _ in range(ROUNDS):
+        orientations = yaw_tilt(yaw, *pose[:, 1:].T)
+        positions = np.column_stack([xy, pose[:, 0]])
+        travel = np.column_stack([touch(terrain, wheel, positions, orientations) for wheel in wheels])
+        pose = pose + travel @ fit.T
+    return pose
+
+
+def touch(terrain: Terrain, wheel: Wheel, positions: Array, orientations: Array) -> Array:
+    """How far (n,) m up the body's vertical a wheel stands from its rest when it just touches the terrain."""
+    return np.concatenate(
+        [_touch(terrain, wheel, positions[k], orientations[k]) for k in _blocks(len(positions))] or [np.zeros(0)]
+    )
+
+
+def _touch(terrain: Terrain, wheel: Wheel, positions: Array, orientations: Array) -> Array:
+    R_wr = _matrices(orientations)
+    points = positions[:, None] + wheel.rim @ R_wr.swapaxes(1, 2)
+    up, travel = R_wr[:, None, :, 2], np.zeros(len(positions))
+    for _ in range(ROUNDS):
+        moved = points[..., :2] + travel[:, None, None] * up[..., :2]
+        ground = terrain.height(moved.reshape(-1, 2)).reshape(moved.shape[:2])
+        travel = ((ground - points[..., 2]) / up[..., 2]).max(axis=1)
+    return travel
+
+
+def _blocks(count: int, size: int = 512) -> Iterator[slice]:
+    return (slice(k, k + size) for k in range(0, count, size))
+
+
+def _deflections(clip: Clip, rest: Array, wheels: tuple[Wheel, ...], springs: Suspension) -> Array:
+    """Heave, pitch and roll (n, 3) of the body against its rest on the wheels, from equilibrium at the start.
+
+    A damped oscillator for each, ``d'' + 2 zeta omega d' + omega^2 d = load - rest''``, stepped exactly with ``rest``
+    linear between samples. ``load``: what the mass above the ground leans with under acceleration and gravity.
+    """
+    omega, zeta = 2 * np.pi * springs.frequency, springs.damping
+    load = omega**2 * _lean(clip, rest, wheels, springs)
+    d, rate = load[0] / omega**2, np.zeros(3)
+    path = [d]
+    steps = np.diff(clip.times)
+    slopes = np.diff(rest, axis=0) / steps[:, None]
+    kicks = np.diff(slopes, axis=0, prepend=slopes[:1])
+    for h, kick, a, b in zip(steps.tolist(), kicks, load[:-1], load[1:], strict=True):
+        flow = _oscillator(round(h, 12), omega, zeta)
+        level = (a + b) / (2 * omega**2)
+        offset, rate = d - level, rate - kick
+        d, rate = level + flow[0][0] * offset + flow[0][1] * rate, flow[1][0] * offset + flow[1][1] * rate
+        path.append(d)
+    return np.array(path)
+
+
+@lru_cache(maxsize=256)
+def _oscillator(h: float, omega: float, zeta: float) -> list[list[float]]:
+    """What ``h`` s make of (d, d') in ``d'' + 2 zeta omega d' + omega^2 d = 0``, (2, 2)."""
+    from scipy.linalg import expm
+
+    flow: list[list[float]] = expm(h * np.array([[0.0, 1.0], [-(omega**2), -2 * zeta * omega]])).tolist()
+    return flow
+
+
+def _lean(clip: Clip, rest: Array, wheels: tuple[Wheel, ...], springs: Suspension) -> Array:
+    """Where the springs would settle under the present acceleration: nothing of heave, pitch and roll (n, 3)."""
+    from vehsim.vehicles.holonomic import GRAVITY
+
+    lean = np.zeros((len(clip), 3))
+    if len(clip) < 2:
+        return lean
+    turn, vx, vy = clip.twists.T
+    ax = np.gradient(vx, clip.times) - turn * vy + GRAVITY * np.sin(-rest[:, 1])
+    ay = np.gradient(vy, clip.times) + turn * vx + GRAVITY * np.sin(rest[:, 2])
+    centres = np.array([wheel.centre for wheel in wheels])
+    along, across = ((centres[:, :2] - centres[:, :2].mean(axis=0)) ** 2).mean(axis=0)
+    stiffness = (2 * np.pi * springs.frequency) ** 2
+    if along > 1e-4:
+        lean[:, 1] = -springs.mass_height * ax / (stiffness * along)
+    if across > 1e-4:
+        lean[:, 2] = springs.mass_height * ay / (stiffness * across)
+    return np.clip(lean, -0.2, 0.2)
+
+
+def _wheel_channels(
+    clip: Clip, terrain: Terrain, wheels: tuple[Wheel, ...], positions: Array, orientations: Array
+) -> dict[str, Array]:
+    """Travel of every wheel that has it, and its turning, by the way its hub really goes."""
+    made = {}
+    R_wr = _matrices(orientations)
+    for wheel in wheels:
+        travel = np.zeros(len(clip))
+        if wheel.travel is not None:
+            travel = made[wheel.travel] = touch(terrain, wheel, positions, orientations)
+            _warn_travel(clip, wheel.travel, travel)
+        if wheel.roll is not None and len(clip) > 1:
+            hub = positions + R_wr @ wheel.centre + travel[:, None] * R_wr[:, :, 2]
+            way = np.diff(hub, axis=0)
+            level = np.linalg.norm(way[:, :2], axis=1)
+            longer = np.where(level > 1e-6, np.linalg.norm(way, axis=1) / np.maximum(level, 1e-6), 1.0)
+            turned = clip.channels[wheel.roll]
+            made[wheel.roll] = turned[0] + np.concatenate([[0.0], np.cumsum(np.diff(turned) * longer)])
+    return made
+
+
+def _warn_travel(clip: Clip, name: str, travel: Array) -> None:
+    worst = int(np.abs(travel).argmax())
+    if abs(travel[worst]) > LARGEST_TRAVEL:
+        warnings.warn(
+            f"{clip.vehicle.name}: {name} = {travel[worst]:.2f} m at frame {clip.frames[worst]:g}: the ground is too "
+            "rough or the vehicle too fast for its wheels to stay in their arches; go slower, or smooth the ground",
+            stacklevel=4,
+        )
+
+
+def _matrices(q: Array) -> Array:
+    w, x, y, z = q.T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), 2, 0)
