@@ -57,6 +57,23 @@ def lift(positions: Array, aims: Array, world: Any, margin: float, fps: float) -
     return positions + raised[:, None] * (0.0, 0.0, 1.0)
 
 
+def calm(positions: Array, aims: Array, world: Any, margin: float, fps: float, limit: float) -> Array:
+    """The path (n, 3) smoothed just as far as its jerk (m/s^3) stays below ``limit``, still over the ground."""
+    path = positions
+    for sigma in (0.15, 0.25, 0.4, 0.6, 0.9, 1.3):
+        if jerk(path, fps) <= limit:
+            break
+        path = lift(smooth(positions, sigma * fps), aims, world, margin, fps)
+    return path
+
+
+def jerk(positions: Array, fps: float) -> float:
+    """Largest third difference of ``positions`` (n, 3), m/s^3."""
+    if len(positions) < 4:
+        return 0.0
+    return float(np.linalg.norm(np.diff(positions, n=3, axis=0), axis=1).max()) * fps**3
+
+
 def smooth(values: Array, sigma: float) -> Array:
     """Gaussian-filtered along the first axis, running straight on beyond both ends; ``sigma`` in samples."""
     from scipy.ndimage import gaussian_filter1d

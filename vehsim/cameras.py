@@ -1,22 +1,24 @@
 """Cameras: a rig (data) and a take's motion in, a camera per frame out. The same camera is exported and rendered.
 
-A rig is a row of `CameraRig` and a function in `RIGS` that says where the camera would like to be and what it looks
-at. What every camera then gets is common: a distance that fills the frame as asked, ground kept below it, motion
-smoothed, the horizon level.
+A rig is a row of `CameraRig` and a row of `RIGS` (`_camera_rigs.py`) that says where the camera would like to be and
+what it looks at. What every camera then gets is common: a distance that fills the frame as asked, ground kept below it,
+motion smoothed, the horizon level. A cut list joins cameras into one more.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim._camera_path import envelope, lift, smooth, steer
+from vehsim._camera_path import calm, envelope, lift, smooth, steer
+from vehsim._camera_rigs import RIGS as RIGS
 from vehsim.errors import InputError
 
 if TYPE_CHECKING:
@@ -24,6 +26,10 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+JERK = 6.0
+"""Most jerk of a camera, in its distances a cubed second."""
+JUMP = 1e-3
+"""How long a cut takes, in frames: USD joins samples by straight lines."""
 FILL_RANGE = (0.09, 0.34)
 """Share of the frame's height that a target shall keep to."""
 
@@ -33,14 +39,15 @@ class Camera:
     """A solved camera: looks along its own -Z with +Y up (the USD convention).
 
     ``frames`` (n,) time codes; ``positions`` (n, 3) m and ``orientations`` (n, 4) w, x, y, z, camera to world (T_wc);
-    ``lens_mm`` focal length and ``aperture_mm`` (width, height) in millimetres; ``clip_range`` near and far, m.
+    ``lens_mm`` focal length, one or (n,), and ``aperture_mm`` (width, height) in millimetres; ``clip_range`` near and
+    far, m.
     """
 
     name: str
     frames: Array
     positions: Array
     orientations: Array
-    lens_mm: float = 35.0
+    lens_mm: float | Array = 35.0
     aperture_mm: tuple[float, float] = (36.0, 20.25)
     clip_range: tuple[float, float] = (0.3, 3000.0)
 
@@ -51,9 +58,12 @@ class CameraRig:
 
     ``rig``: one of `RIGS`. ``target``: the vehicle it looks at (the first one when None). ``fill``: share of the
     frame's height that the target takes, which sets the distance; ``distance`` m sets it outright. ``height`` m above
-    the target. ``azimuth`` degrees, counter-clockwise: from straight behind (chase) or from looking along +X (follow,
-    orbit). ``position`` and ``look_at`` (x, y, z) m place a static camera. ``turn`` degrees a second of an orbit.
-    ``margin`` m above the ground that it never goes below.
+    the target. ``azimuth`` degrees, counter-clockwise: from straight behind (chase), from straight ahead (first_person)
+    or from looking along +X (the others). ``position`` (x, y, z) m: where a static, fly_by or crane camera stands and a
+    dolly's rail begins; ``to``: where the rail ends; ``look_at``: what a camera looks at that does not pan. ``turn``
+    degrees a second of an orbit; ``rise`` m of a crane; ``eye`` (x, y, z) m in the root frame, of first_person.
+    ``framing`` (x, y): where the target stands, from the centre (0, 0) to the right and upper edges (1, 1). ``level``:
+    whether the horizon is, or banks with the vehicle. ``margin`` m above the ground that it never goes below.
     """
 
     name: str = "chase"
@@ -67,14 +77,22 @@ class CameraRig:
     azimuth: float | None = None
     position: tuple[float, float, float] | None = None
     look_at: tuple[float, float, float] | None = None
+    to: tuple[float, float, float] | None = None
     turn: float = 20.0
+    rise: float | None = None
+    eye: tuple[float, float, float] | None = None
+    framing: tuple[float, float] = (0.0, 0.0)
+    level: bool | None = None
     margin: float = 1.5
 
 
 @dataclass(frozen=True)
 class Subject:
-    """What a camera looks at: the outline's points ``corners`` (n, k, 3), ``centre`` (n, 3), ``headings`` (n,)."""
+    """What a camera looks at: poses ``matrices`` T_wr (n, 4, 4) of ``outline`` (k, 3) m in the root frame, which is at
+    ``corners`` (n, k, 3), ``centre`` (n, 3); ``headings`` (n,) rad."""
 
+    matrices: Array
+    outline: Array
     corners: Array
     centre: Array
     headings: Array
@@ -98,29 +116,88 @@ def solve_camera(
     subject = _subject(clips[rig.target or next(iter(clips))], every)
     aperture = (rig.aperture_width_mm, rig.aperture_width_mm / aspect)
     move = RIGS[rig.rig]
+    framed = move.fill is not None and rig.distance is None
     distance = rig.distance or subject.size / (2 * rig.fill)
     zoom = rig.lens_mm / aperture[1]
-    for _ in range(1 if rig.distance else 5):
-        positions, aims = move(rig, subject, distance, world)
-        if np.ptp(positions, axis=0).max() > 0:  # what stands still was put there
+    level = move.level if rig.level is None else rig.level
+    ups = np.broadcast_to((0.0, 0.0, 1.0), subject.centre.shape) if level else subject.matrices[:, :3, 2]
+    for _ in range(5 if framed else 1):
+        positions, aims = move.place(rig, subject, distance, world)
+        if move.guided and np.ptp(positions, axis=0).max() > 0:  # what stands still was put there
             positions = steer(positions, aims, world, rig.margin, subject.size / 2, subject.fps)
-            if rig.distance is None:
+            if framed:
                 positions = _back_off(positions, aims, subject, zoom)
-        positions = lift(positions, aims, world, rig.margin, subject.fps)
-        rotations = look_at(positions, aims)
-        fills = projected_heights(positions, rotations, subject.corners, zoom)
-        distance *= _rescale(fills, rig.fill)
+        if move.fill is not None:
+            positions = lift(positions, aims, world, rig.margin, subject.fps)
+            apart = float(np.linalg.norm(positions - aims, axis=1).mean())
+            positions = calm(positions, aims, world, rig.margin, subject.fps, JERK * apart)
+        rotations = _framed(look_at(positions, aims, ups), rig.framing, aperture, rig.lens_mm, ups)
+        if framed:
+            fills = projected_heights(positions, rotations, subject.corners, zoom)
+            distance *= _rescale(fills, rig.fill, move.fill)
     return Camera(rig.name, every, positions, _quaternions(rotations), rig.lens_mm, aperture)
 
 
-def look_at(positions: Array, aims: Array) -> Array:
-    """Rotations R_wc (n, 3, 3) that look from ``positions`` to ``aims`` (n, 3), X horizontal: a level horizon."""
+def cut(name: str, cameras: Mapping[str, Camera], cuts: Sequence[tuple[float, str]]) -> Camera:
+    """One camera from several: from each frame of ``cuts`` (frame, camera's name) on, it is that camera.
+
+    It jumps half a frame before, so that neither side's motion blur sees the other. Raises ``InputError`` for unknown
+    cameras, frames out of order and film backs that differ.
+    """
+    if not cuts or any(late[0] <= early[0] for early, late in pairwise(cuts)):
+        raise InputError(f"cut {name!r}: frames = {[frame for frame, _ in cuts]!r}: give frames one after the other")
+    for _, used in cuts:
+        if used not in cameras:
+            raise InputError(f"cut {name!r}: camera = {used!r}: no such camera; choose one of {', '.join(cameras)}")
+    used_cameras = [cameras[used] for _, used in cuts]
+    if len({camera.aperture_mm for camera in used_cameras}) > 1:
+        raise InputError(f"cut {name!r}: its cameras' film backs differ; give all the same aperture_width_mm")
+    pieces: list[tuple[Array, Array, Array, Array]] = []
+    for k, camera in enumerate(used_cameras):
+        begin = camera.frames[0] if k == 0 else cuts[k][0] - 0.5
+        end = camera.frames[-1] if k == len(cuts) - 1 else cuts[k + 1][0] - 0.5 - JUMP
+        inside = camera.frames[(camera.frames > begin) & (camera.frames < end)]
+        frames = np.unique(np.concatenate([[begin], inside, [end]]))
+        lens = np.interp(frames, camera.frames, np.broadcast_to(camera.lens_mm, camera.frames.shape))
+        pieces.append((frames, *_between(camera, frames), lens))
+    frames, positions, orientations, lens = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
+    first = used_cameras[0]
+    turned = _quaternions(_rotations(orientations))
+    return Camera(name, frames, positions, turned, lens, first.aperture_mm, first.clip_range)
+
+
+def _between(camera: Camera, frames: Array) -> tuple[Array, Array]:
+    """Positions and orientations of a camera at any ``frames`` within its own."""
+    from scipy.spatial.transform import Rotation, Slerp
+
+    if len(camera.frames) == 1:
+        return np.repeat(camera.positions, len(frames), axis=0), np.repeat(camera.orientations, len(frames), axis=0)
+    positions = np.stack([np.interp(frames, camera.frames, column) for column in camera.positions.T], axis=1)
+    turns = Slerp(camera.frames, Rotation.from_quat(camera.orientations, scalar_first=True))(frames)
+    return positions, turns.as_quat(scalar_first=True)
+
+
+def look_at(positions: Array, aims: Array, ups: Array | None = None) -> Array:
+    """Rotations R_wc (n, 3, 3) that look from ``positions`` to ``aims`` (n, 3), upright along ``ups``.
+
+    Without ``ups`` X is horizontal: a level horizon.
+    """
     forward = aims - positions
     forward /= np.linalg.norm(forward, axis=1, keepdims=True)
-    right = np.stack([forward[:, 1], -forward[:, 0], np.zeros(len(forward))], axis=1)
+    right = np.cross(forward, np.broadcast_to((0.0, 0.0, 1.0), forward.shape) if ups is None else ups)
     flat = np.linalg.norm(right, axis=1, keepdims=True)
     right = np.where(flat > 1e-9, right / np.maximum(flat, 1e-9), (0.0, -1.0, 0.0))
     return np.stack([right, np.cross(right, forward), -forward], axis=2)
+
+
+def _framed(
+    rotations: Array, framing: tuple[float, float], aperture: tuple[float, float], lens: float, ups: Array
+) -> Array:
+    """``rotations`` (n, 3, 3) turned so that what was in the centre stands at ``framing``."""
+    if framing == (0.0, 0.0):
+        return rotations
+    across, along = (share * side / (2 * lens) for share, side in zip(framing, aperture, strict=True))
+    return look_at(np.zeros(rotations.shape[:2]), rotations @ (-across, -along, -1.0), ups)
 
 
 def projected_heights(positions: Array, rotations: Array, corners: Array, zoom: float) -> Array:
@@ -137,95 +214,14 @@ def _back_off(positions: Array, aims: Array, subject: Subject, zoom: float) -> A
     return aims + (positions - aims) * factor[:, None]
 
 
-# ---------------------------------------------------------------- rigs
-
-
-def _chase(rig: CameraRig, subject: Subject, distance: float, world: Any) -> tuple[Array, Array]:
-    """Towed behind the target on a rope: calm in hover, wide round bends, never the jerks of the body."""
-    path = smooth(subject.centre, 0.45 * subject.fps)
-    height = 0.06 * distance if rig.height is None else rig.height
-    reach = np.sqrt(max(distance**2 - height**2, (0.2 * distance) ** 2))
-    first = _open_way(path[0], subject.headings[0], reach, world)
-    rope = _tow(path[:, :2], first, reach)
-    turn = smooth(np.unwrap(np.arctan2(rope[:, 1], rope[:, 0])), 0.5 * subject.fps)
-    turn += np.radians(0.0 if rig.azimuth is None else rig.azimuth)
-    level = smooth(subject.centre[:, 2], 0.8 * subject.fps)
-    place = np.stack([path[:, 0] + reach * np.cos(turn), path[:, 1] + reach * np.sin(turn), level + height], axis=1)
-    return place, smooth(subject.centre, 0.2 * subject.fps)
-
-
-def _tow(path: Array, heading: float, length: float) -> Array:
-    """A rope (n, 2) of ``length`` m from each point of ``path`` (n, 2) to what it tows, first straight behind."""
-    rope = np.empty_like(path)
-    rope[0] = -length * np.array([np.cos(heading), np.sin(heading)])
-    for k in range(1, len(path)):
-        pulled = path[k - 1] + rope[k - 1] - path[k]
-        rope[k] = pulled * (length / max(float(np.linalg.norm(pulled)), 1e-9))
-    return rope
-
-
-def _open_way(start: Array, heading: float, length: float, world: Any) -> float:
-    """The heading rad nearest to ``heading`` that has free air for ``length`` m behind ``start`` (3,)."""
-    turns = np.radians(np.arange(0, 91, 5))
-    headings = heading + np.concatenate([[0.0], np.stack([turns[1:], -turns[1:]], axis=1).ravel()])
-    behind = -np.stack([np.cos(headings), np.sin(headings)], axis=1)[:, None] * np.linspace(0, length, 16)[:, None]
-    ground = np.asarray(world.height((start[:2] + behind).reshape(-1, 2))).reshape(len(headings), -1).max(axis=1)
-    blocked = np.maximum(np.where(np.isfinite(ground), ground, -np.inf) - start[2], 0.0)
-    return float(headings[np.argmin(blocked + 0.1 * length * np.abs(headings - heading))])
-
-
-def _follow(rig: CameraRig, subject: Subject, distance: float, world: Any) -> tuple[Array, Array]:
-    """Travels beside the target, always looking the same way."""
-    path = smooth(subject.centre, 0.35 * subject.fps)
-    azimuth = np.radians(rig.azimuth if rig.azimuth is not None else np.degrees(np.median(subject.headings)) + 50.0)
-    return path + _arm(np.full(len(path), azimuth), distance, rig.height), path
-
-
-def _orbit(rig: CameraRig, subject: Subject, distance: float, world: Any) -> tuple[Array, Array]:
-    """Turns about the target at ``turn`` degrees a second."""
-    path = smooth(subject.centre, 0.35 * subject.fps)
-    start = np.radians(rig.azimuth if rig.azimuth is not None else np.degrees(subject.headings[0]) + 30.0)
-    turn = start + np.radians(rig.turn) * np.arange(len(path)) / subject.fps
-    return path + _arm(turn, distance, rig.height), path
-
-
-def _static(rig: CameraRig, subject: Subject, distance: float, world: Any) -> tuple[Array, Array]:
-    """Stands still at ``position`` and pans with the target, or looks at ``look_at`` and does not turn."""
-    aims = smooth(subject.centre, 0.2 * subject.fps)
-    if rig.position is not None:
-        place = np.array(rig.position, float)
-    else:
-        middle = subject.centre[len(subject.centre) // 2]
-        side = np.radians(rig.azimuth if rig.azimuth is not None else np.degrees(np.median(subject.headings)) + 60.0)
-        place = middle + _arm(np.array([side]), distance, rig.height)[0]
-    if rig.look_at is not None:
-        aims = np.broadcast_to(np.array(rig.look_at, float), aims.shape)
-    return np.tile(place, (len(aims), 1)), aims
-
-
-RIGS: dict[str, Callable[[CameraRig, Subject, float, Any], tuple[Array, Array]]] = {
-    "chase": _chase,
-    "follow": _follow,
-    "orbit": _orbit,
-    "static": _static,
-    "fixed": _static,
-}
-"""Rig name -> positions and aims (n, 3) for a distance."""
-
-
-def _arm(azimuth: Array, distance: float, height: float | None) -> Array:
-    """Offset (n, 3) to a camera that looks along ``azimuth`` (n,) rad from ``distance``."""
-    up = 0.18 * distance if height is None else height
-    reach = np.sqrt(max(distance**2 - up**2, (0.2 * distance) ** 2))
-    return np.stack([-reach * np.cos(azimuth), -reach * np.sin(azimuth), np.full(len(azimuth), up)], axis=1)
-
-
 # ---------------------------------------------------------------- what all cameras share
 
 
-def _rescale(fills: Array, wanted: float) -> float:
+def _rescale(fills: Array, wanted: float, measure: Any = np.median) -> float:
     """Factor on the distance that brings the usual fill to ``wanted`` and its extremes into `FILL_RANGE`."""
-    usual = float(np.median(fills)) / wanted
+    usual = float(measure(fills)) / wanted
+    if measure is np.max:  # the far end of a pass is as small as it is
+        return float(np.clip(usual, 0.3, 3.0))
     nearest, farthest = float(fills.max()) / FILL_RANGE[1], float(fills.min()) / FILL_RANGE[0]
     return float(np.clip(min(max(usual, nearest), max(farthest, nearest)), 0.3, 3.0))
 
@@ -239,7 +235,7 @@ def _subject(clip: Clip, frames: Array) -> Subject:
     outline = vehicle_outline(clip.vehicle)
     corners = outline @ matrices[:, :3, :3].swapaxes(1, 2) + matrices[:, None, :3, 3]
     centre = matrices[:, :3, 3] + (outline.max(axis=0) + outline.min(axis=0)) / 2 * (0.0, 0.0, 1.0)
-    return Subject(corners, centre, _headings(matrices, fps), fps)
+    return Subject(matrices, outline, corners, centre, _headings(matrices, fps), fps)
 
 
 def _headings(matrices: Array, fps: float) -> Array:
@@ -276,6 +272,12 @@ def _quaternions(rotations: Array) -> Array:
     quaternions = Rotation.from_matrix(rotations).as_quat(scalar_first=True)
     flips = np.where((quaternions[1:] * quaternions[:-1]).sum(axis=1) < 0, -1.0, 1.0)
     return quaternions * np.concatenate([[1.0], np.cumprod(flips)])[:, None]
+
+
+def _rotations(quaternions: Array) -> Array:
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_quat(quaternions, scalar_first=True).as_matrix())
 
 
 def _check(rig: CameraRig, clips: Mapping[str, Clip]) -> None:

@@ -90,7 +90,7 @@ def test_target_fills_its_share_of_the_frame(rig, motion):
 @pytest.mark.parametrize("motion", MOTIONS)
 @pytest.mark.parametrize("rig", sorted(cameras.RIGS))
 def test_horizon_is_level_and_the_camera_upright(rig, motion):
-    camera = solve_camera(CameraRig(rig=rig), {"cube": MOTIONS[motion]}, World(), (1001, 1121), ASPECT)
+    camera = solve_camera(CameraRig(rig=rig, level=True), {"cube": MOTIONS[motion]}, World(), (1001, 1121), ASPECT)
     R_wc = rotations(camera)
     assert np.abs(R_wc[:, 2, 0]).max() < 1e-9
     assert R_wc[:, 2, 1].min() > 0.5
@@ -103,6 +103,12 @@ def test_horizon_is_level_and_the_camera_upright(rig, motion):
 def test_camera_stays_above_the_ground_and_sees_its_target(hills, rig, motion):
     clip = MOTIONS[motion]
     camera = solve_camera(CameraRig(rig=rig), {"cube": clip}, hills, (1001, 1121), ASPECT)
+    if rig == "first_person":  # where its vehicle goes
+        return
+    half = np.array(camera.aperture_mm) / (2 * camera.lens_mm) * camera.clip_range[0]
+    corners = np.array([[x, y, -camera.clip_range[0]] for x in (-half[0], half[0]) for y in (-half[1], half[1])])
+    near = camera.positions[:, None] + corners @ rotations(camera).swapaxes(1, 2)
+    assert (near[..., 2].ravel() > hills.height(near[..., :2].reshape(-1, 2))).all(), "the near plane is in the ground"
     above = camera.positions[:, 2] - hills.height(camera.positions[:, :2])
     assert above.min() >= 1.5 - 1e-6 > camera.clip_range[0]
     along = np.linspace(0, 0.75, 40)[:, None, None]
@@ -118,6 +124,102 @@ def test_chase_moves_smoothly(motion):
     assert jerk.max() < 60.0  # m/s^3; an unfiltered circle has 20, the jittery body 14,000
     turned = np.diff(Rotation.from_quat(camera.orientations, scalar_first=True).as_euler("ZXY"), axis=0) * FPS
     assert np.abs(np.diff(turned, axis=0)).max() * FPS < 12.0  # rad/s^2
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+@pytest.mark.parametrize("rig", sorted(set(cameras.RIGS) - {"first_person"}))
+def test_jerk_is_bounded_over_hills_too(hills, rig, motion):
+    camera = solve_camera(CameraRig(rig=rig, distance=12.0), {"cube": MOTIONS[motion]}, hills, (1001, 1121), ASPECT)
+    jerk = np.linalg.norm(np.diff(camera.positions, 3, axis=0), axis=1) * FPS**3
+    assert jerk.max() <= cameras.JERK * 14.0
+
+
+def test_a_dolly_rides_its_rail_abreast_of_the_target():
+    clip, rig = MOTIONS["straight"], CameraRig(rig="dolly", position=(10.0, -20.0, 31.0), to=(60.0, -30.0, 35.0))
+    camera = solve_camera(rig, {"cube": clip}, World(), (1001, 1121), ASPECT)
+    rail = np.subtract(rig.to, rig.position) / np.linalg.norm(np.subtract(rig.to, rig.position))
+    off = camera.positions - rig.position
+    along = off @ rail
+    assert np.abs(off - np.outer(along, rail)).max() < 1e-9
+    assert along.min() > -1e-9 and along.max() < np.linalg.norm(np.subtract(rig.to, rig.position)) + 1e-9
+    middle = slice(40, 80)  # away from the rail's ends it is where the target is nearest
+    assert np.abs(((clip.positions + UP - camera.positions) @ rail)[middle]).max() < 1.0
+    chosen = solve_camera(CameraRig(rig="dolly"), {"cube": clip}, World(), (1001, 1121), ASPECT)
+    assert np.abs(on_screen(chosen, clip)).max() < 0.95
+
+
+def test_a_crane_rises_from_rest_to_rest_as_far_as_asked():
+    clip, rig = MOTIONS["straight"], CameraRig(rig="crane", position=(30.0, -25.0, 31.0), rise=8.0)
+    camera = solve_camera(rig, {"cube": clip}, World(), (1001, 1121), ASPECT)
+    assert np.abs(camera.positions[:, :2] - rig.position[:2]).max() < 1e-9
+    height = camera.positions[:, 2]
+    assert (height[0], height[-1]) == pytest.approx((31.0, 39.0)) and (np.diff(height) >= -1e-9).all()
+    assert height[1] - height[0] < 1e-3 and height[-1] - height[-2] < 1e-3
+
+
+def test_a_fly_by_is_passed_close_and_pans_along():
+    clip = MOTIONS["straight"]
+    camera = solve_camera(CameraRig(rig="fly_by"), {"cube": clip}, World(), (1001, 1121), ASPECT)
+    assert np.ptp(camera.positions, axis=0).max() < 1e-9
+    heights = np.ptp(on_screen(camera, clip)[..., 1], axis=1) / 2
+    assert 0.2 < heights.max() < 0.45 and heights[0] < 0.3 * heights.max()
+    assert 60 < heights.argmax() < 100
+
+
+def test_first_person_is_fixed_to_its_vehicle_and_banks_unless_level():
+    clip = MOTIONS["jittery"]
+    rig = CameraRig(rig="first_person", eye=(0.5, 0.2, 1.8))
+    camera = solve_camera(rig, {"cube": clip}, World(), (1001, 1121), ASPECT)
+    T_wr = clip.matrices()
+    assert np.allclose(camera.positions, (T_wr @ (0.5, 0.2, 1.8, 1.0))[:, :3], atol=1e-9)
+    R_wc = rotations(camera)
+    assert np.allclose(-R_wc[:, :, 2], T_wr[:, :3, 0], atol=1e-9)  # looks ahead
+    assert np.allclose(R_wc[:, :, 1], T_wr[:, :3, 2], atol=1e-9)  # its up is the vehicle's
+
+
+@pytest.mark.parametrize("framing", [(1 / 3, 0.0), (-0.5, 0.25), (0.0, -1 / 3)])
+@pytest.mark.parametrize("rig", ["chase", "static", "orbit"])
+def test_the_target_stands_where_framing_says(rig, framing):
+    clip = MOTIONS["hover"]
+    camera = solve_camera(CameraRig(rig=rig, framing=framing), {"cube": clip}, World(), (1001, 1121), ASPECT)
+    assert np.abs(on_screen(camera, clip).mean(axis=1) - framing).max() < 0.06
+
+
+def test_a_cut_is_each_of_its_cameras_in_turn_and_jumps_between_frames():
+    clip = MOTIONS["straight"]
+    rigs = [CameraRig(name="near"), CameraRig(name="far", rig="static", lens_mm=85.0)]
+    both = {rig.name: solve_camera(rig, {"cube": clip}, World(), (1001, 1121), ASPECT) for rig in rigs}
+    cut = cameras.cut("cut", both, [(1001, "near"), (1041, "far"), (1081, "near")])
+    assert (np.diff(cut.frames) > 0).all()
+    whole = np.isin(cut.frames, both["near"].frames)
+    assert whole.sum() == 121
+    expected = np.where((cut.frames[whole] >= 1041) & (cut.frames[whole] < 1081), 85.0, 35.0)
+    assert np.allclose(cut.lens_mm[whole], expected)
+    far = expected == 85.0
+    assert np.allclose(cut.positions[whole], np.where(far[:, None], both["far"].positions, both["near"].positions))
+    # whatever a shutter sees within half a frame of a frame belongs to that frame's camera
+    for frame in (1040.0, 1041.0):
+        for shutter in (-0.49, 0.49):
+            seen = np.array([np.interp(frame + shutter, cut.frames, column) for column in cut.positions.T])
+            source = both["near"] if frame < 1041 else both["far"]
+            there = np.array([np.interp(frame + shutter, source.frames, column) for column in source.positions.T])
+            assert np.allclose(seen, there, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("cuts", "message"),
+    [
+        ([], "one after the other"),
+        ([(1001, "near"), (1001, "near")], "one after the other"),
+        ([(1001, "nowhere")], "choose one of near"),
+        ([(1001, "near"), (1010, "wide")], "film backs"),
+    ],
+)
+def test_cuts_that_cannot_be_are_named(cuts, message):
+    rigs = [CameraRig(name="near"), CameraRig(name="wide", aperture_width_mm=24.0)]
+    both = {rig.name: solve_camera(rig, {"cube": MOTIONS["hover"]}, World(), (1001, 1121), ASPECT) for rig in rigs}
+    with pytest.raises(InputError, match=message):
+        cameras.cut("cut", both, cuts)
 
 
 def test_chase_stands_still_while_its_target_hovers():
@@ -165,7 +267,7 @@ def test_frames_beyond_the_clip_hold_its_ends():
 @pytest.mark.parametrize(
     ("rig", "message"),
     [
-        (CameraRig(rig="crane"), "choose one of chase"),
+        (CameraRig(rig="drone"), "choose one of chase"),
         (CameraRig(target="b"), "choose one of cube"),
         (CameraRig(rig="static", position=(1, 2, 3), look_at=(1.0, 2.0, 3.0)), "look elsewhere"),
     ],

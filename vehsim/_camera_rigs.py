@@ -1,0 +1,162 @@
+"""Camera rigs: where each kind of camera would like to be and what it looks at, one function and one row each.
+
+What every camera gets (framing, ground, smoothness, horizon) is common and in `cameras.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim._camera_path import smooth
+
+if TYPE_CHECKING:
+    from vehsim.cameras import CameraRig, Subject
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Move:
+    """What a rig does. ``place``: (rig, subject, distance, world) -> positions and aims (n, 3).
+
+    ``fill``: the share of the frame's height that stands for the whole shot, of those of its frames, or None: the
+    distance is not the rig's to choose; ``guided``: may step aside for ground in the way; ``level``: keeps its horizon.
+    """
+
+    place: Callable[[CameraRig, Subject, float, Any], tuple[Array, Array]]
+    fill: Callable[[Array], Any] | None = np.median
+    guided: bool = True
+    level: bool = True
+
+
+def _chase(rig: CameraRig, subject: Subject, distance: float, world: Any) -> tuple[Array, Array]:
+    """Towed behind the target on a rope: calm in hover, wide round bends, never the jerks of the body."""
+    path = smooth(subject.centre, 0.45 * subject.fps)
+    height = 0.06 * distance if rig.height is None else rig.height
+    reach = np.sqrt(max(distance**2 - height**2, (0.2 * distance) ** 2))
+    first = _open_way(path[0], subject.headings[0], reach, world)
+    rope = _tow(path[:, :2], first, reach)
+    turn = smooth(np.unwrap(np.arctan2(rope[:, 1], rope[:, 0])), 0.5 * subject.fps)
+    turn += np.radians(0.0 if rig.azimuth is None else rig.azimuth)
+    level = smooth(subject.centre[:, 2], 0.8 * subject.fps)
+    place = np.stack([path[:, 0] + reach * np.cos(turn), path[:, 1] + reach * np.sin(turn), level + height], axis=1)
+    return place, smooth(subject.centre, 0.2 * subject.fps)
+
+
+def _tow(path: Array, heading: float, length: float) -> Array:
+    """A rope (n, 2) of ``length`` m from each point of ``path`` (n, 2) to what it tows, first straight behind."""
+    rope = np.empty_like(path)
+    rope[0] = -length * np.array([np.cos(heading), np.sin(heading)])
+    for k in range(1, len(path)):
+        pulled = path[k - 1] + rope[k - 1] - path[k]
+        rope[k] = pulled * (length / max(float(np.linalg.norm(pulled)), 1e-9))
+    return rope
+
+
+def _open_way(start: Array, heading: float, length: float, world: Any) -> float:
+    """The heading rad nearest to ``heading`` that has free air for ``length`` m behind ``start`` (3,)."""
+    turns = np.radians(np.arange(0, 91, 5))
+    headings = heading + np.concatenate([[0.0], np.stack([turns[1:], -turns[1:]], axis=1).ravel()])
+    behind = -np.stack([np.cos(headings), np.sin(headings)], axis=1)[:, None] * np.linspace(0, length, 16)[:, None]
+    ground = np.asarray(world.height((start[:2] + behind).reshape(-1, 2))).reshape(len(headings), -1).max(axis=1)
+    blocked = np.maximum(np.where(np.isfinite(ground), ground, -np.inf) - start[2], 0.0)
+    return float(headings[np.argmin(blocked + 0.1 * length * np.abs(headings - heading))])
+
+
+def _follow(rig: CameraRig, subject: Subject, distance: float, world: Any) -> tuple[Array, Array]:
+    """Travels beside the target, always looking the same way."""
+    path = smooth(subject.centre, 0.35 * subject.fps)
+    azimuth = np.radians(rig.azimuth if rig.azimuth is not None else np.degrees(np.median(subject.headings)) + 50.0)
+    return path + _arm(np.full(len(path), azimuth), distance, rig.height), path
+
+
+def _orbit(rig: CameraRig, subject: Subject, distance: float, world: Any) -> tuple[Array, Array]:
+    """Turns about the target at ``turn`` degrees a second."""
+    path = smooth(subject.centre, 0.35 * subject.fps)
+    start = np.radians(rig.azimuth if rig.azimuth is not None else np.degrees(subject.headings[0]) + 30.0)
+    turn = start + np.radians(rig.turn) * np.arange(len(path)) / subject.fps
+    return path + _arm(turn, distance, rig.height), path
+
+
+def _static(rig: CameraRig, subject: Subject, distance: float, world: Any) -> tuple[Array, Array]:
+    """Stands still at ``position`` and pans with the target, or looks at ``look_at`` and does not turn."""
+    aims = smooth(subject.centre, 0.2 * subject.fps)
+    place = np.array(rig.position, float) if rig.position is not None else _beside(rig, subject, distance, 0.5)
+    if rig.look_at is not None:
+        aims = np.broadcast_to(np.array(rig.look_at, float), aims.shape)
+    return np.tile(place, (len(aims), 1)), aims
+
+
+def _fly_by(rig: CameraRig, subject: Subject, distance: float, world: Any) -> tuple[Array, Array]:
+    """Stands close to where the target passes, two thirds through, and pans with it."""
+    place = np.array(rig.position, float) if rig.position is not None else _beside(rig, subject, distance, 0.65)
+    return np.tile(place, (len(subject.centre), 1)), smooth(subject.centre, 0.08 * subject.fps)
+
+
+def _dolly(rig: CameraRig, subject: Subject, distance: float, world: Any) -> tuple[Array, Array]:
+    """Rides a straight rail abreast of the target, from ``position`` to ``to``."""
+    path = smooth(subject.centre, 0.5 * subject.fps)
+    if rig.position is not None and rig.to is not None:
+        ends = np.array([rig.position, rig.to], float)
+    else:
+        way = path[-1] - path[0]
+        run = way if np.linalg.norm(way[:2]) > 1e-6 else np.array([1e-6, 0.0, 0.0])
+        beside = _beside(rig, subject, distance, 0.5) - (path[0] + path[-1]) / 2
+        beside -= run * float(beside[:2] @ run[:2]) / float(run[:2] @ run[:2]) * (1.0, 1.0, 0.0)
+        ends = np.array([path[0], path[-1]]) + beside
+    rail = ends[1] - ends[0]
+    along = np.clip((path - ends[0]) @ rail / max(float(rail @ rail), 1e-9), 0.0, 1.0)
+    return ends[0] + smooth(along, 0.4 * subject.fps)[:, None] * rail, path
+
+
+def _crane(rig: CameraRig, subject: Subject, distance: float, world: Any) -> tuple[Array, Array]:
+    """Stands beside the middle of the path and rises, by ``rise`` m, easing in and out."""
+    low = replace(rig, height=0.05 * distance) if rig.height is None else rig
+    place = np.array(rig.position, float) if rig.position is not None else _beside(low, subject, distance, 0.5)
+    rise = 0.6 * distance if rig.rise is None else rig.rise
+    t = np.linspace(0.0, 1.0, len(subject.centre)) if len(subject.centre) > 1 else np.zeros(1)
+    ease = t**3 * (10 - 15 * t + 6 * t**2)
+    return place + np.outer(ease, (0.0, 0.0, rise)), smooth(subject.centre, 0.3 * subject.fps)
+
+
+def _first_person(rig: CameraRig, subject: Subject, distance: float, world: Any) -> tuple[Array, Array]:
+    """Fixed to the vehicle at ``eye``, by default just before its nose, and looks ahead, turned by ``azimuth``."""
+    lower, upper = subject.outline.min(axis=0), subject.outline.max(axis=0)
+    nose = (upper[0] + 0.05, (lower[1] + upper[1]) / 2, lower[2] + 0.6 * (upper[2] - lower[2]))
+    T_wr = subject.matrices
+    eyes = T_wr[:, :3, :3] @ np.array(rig.eye if rig.eye is not None else nose, float) + T_wr[:, :3, 3]
+    turn = np.radians(rig.azimuth or 0.0)
+    return eyes, eyes + T_wr[:, :3, :3] @ np.array([np.cos(turn), np.sin(turn), 0.0])
+
+
+RIGS: dict[str, Move] = {
+    "chase": Move(_chase),
+    "follow": Move(_follow),
+    "orbit": Move(_orbit),
+    "static": Move(_static),
+    "fixed": Move(_static),
+    "dolly": Move(_dolly, guided=False),
+    "crane": Move(_crane, guided=False),
+    "fly_by": Move(_fly_by, fill=np.max, guided=False),
+    "first_person": Move(_first_person, fill=None, guided=False, level=False),
+}
+"""Rig name -> what it does."""
+
+
+def _beside(rig: CameraRig, subject: Subject, distance: float, share: float) -> Array:
+    """A place (3,) at ``distance`` from where the target is after ``share`` of its way, looking across that way."""
+    k = int(share * (len(subject.centre) - 1))
+    side = np.radians(rig.azimuth) if rig.azimuth is not None else float(subject.headings[k]) + np.radians(60.0)
+    return np.asarray(subject.centre[k] + _arm(np.array([side]), distance, rig.height)[0])
+
+
+def _arm(azimuth: Array, distance: float, height: float | None) -> Array:
+    """Offset (n, 3) to a camera that looks along ``azimuth`` (n,) rad from ``distance``."""
+    up = 0.18 * distance if height is None else height
+    reach = np.sqrt(max(distance**2 - up**2, (0.2 * distance) ** 2))
+    return np.stack([-reach * np.cos(azimuth), -reach * np.sin(azimuth), np.full(len(azimuth), up)], axis=1)
