@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -95,6 +95,21 @@ def collision_hulls(asset: str | Path, root: str | None = None) -> list[Array]:
     An asset that marks no collision mesh gets the convex hull of each part's look, with a warning.
     """
     return [hull for _, hull in _named_hulls(asset, root)]
+
+
+def read_mesh(asset: str | Path, root: str | None, path: str) -> tuple[Array, Faces]:
+    """Points (n, 3) m and triangles (m, 3) of one mesh, ``path`` below the rig root, in the rig root's frame.
+
+    Raises ``InputError`` naming file and prim when there is none, or it is broken.
+    """
+    stage, prim = _open(asset, root)
+    for node in _walk(prim, _to_metres_z_up(stage)):
+        if node.is_mesh and node.path == path.strip("/"):
+            mesh = _read_mesh(asset, replace(node, collides=True))
+            if mesh is not None:
+                return mesh.points, mesh.faces
+            return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
+    raise InputError(f"{asset}: {prim.GetPath()}/{path.strip('/')}: no such mesh; name one below the rig's root")
 
 
 def add_to_spec(spec: Any, rig: Rig, name: str, free: bool = True) -> Any:

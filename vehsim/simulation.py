@@ -57,18 +57,29 @@ def simulate(
 
     Raises ``InputError`` naming key, value and mend; ``SolveError`` with step, state and residual when a step fails.
     """
+    from vehsim.integrators.forced import pushed, substeps
     from vehsim.integrators.integrator import Integrator
+    from vehsim.world import World
     from vehsim.world.ground import lift
     from vehsim.world.slope import on_terrain
 
     rate = _frame_rate(fps)
     wanted = _positive("step", step, "a number of seconds, such as 1/240")
     h = 1 / float(rate) / max(1, math.ceil(1 / float(rate) / wanted - 1e-9))
+    vehicle, start = _on_water(vehicle, world, start)
     table = None if callable(controls) else _table(vehicle, controls)
     steps = _steps(duration, table, wanted, h)
     begin = _standing(vehicle, world, start)
     _warn_windless(vehicle, world)
     weighed = on_terrain(vehicle, world, _reach(begin, steps * h))
+    environment = world.environment(vehicle) if isinstance(world, World) else None
+    if environment is not None:
+        cuts = substeps(h, environment)
+        integrator = Integrator(vehicle, h / cuts, difference_map, order, wind=_wind(world))
+        ask = controls if table is None else _played(table, steps * h)
+        clip = pushed(integrator, environment, ask, begin, steps, cuts, rate, start_frame, progress)
+        _warn_limits(vehicle, clip)
+        return clip
     integrator = Integrator(weighed, h, difference_map, order, wind=_wind(world))
 
     if table is None:
@@ -200,6 +211,28 @@ def _standing(vehicle: Vehicle, world: World | None, given: State | None) -> Sta
             stacklevel=3,
         )
     return replace(start, position=(position[0], position[1], ground))
+
+
+def _on_water(vehicle: Vehicle, world: World | None, start: State | None) -> tuple[Vehicle, State | None]:
+    """What moves, and from where: afloat and at rest unless said; in a world without water, gliding in the plane."""
+    if getattr(world, "water", None) is not None and vehicle.hull is not None:
+        if start is None:
+            from vehsim.world.buoyancy import Afloat
+
+            assert world is not None
+            start = Afloat(vehicle, world).at_rest()
+        return vehicle, start
+    if vehicle.planar is None:
+        return vehicle, start
+    if start is not None and np.shape(start.twist) == (6,):
+        start = replace(start, twist=np.asarray(start.twist, float)[[2, 3, 4]])
+    return vehicle.planar, start
+
+
+def _played(table: Array, duration: float) -> Callable[[float, State], Array]:
+    """Evenly spaced knot values (n, c), linear between, as a function of time."""
+    at = np.linspace(0, duration, len(table))
+    return lambda t, state: np.array([np.interp(t, at, column) for column in table.T])
 
 
 def _reach(start: State, duration: float) -> Array:

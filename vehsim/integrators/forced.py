@@ -8,20 +8,22 @@ segment's velocity drag would be first order), so a queried wrench never enters 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 
 from vehsim.errors import InputError, SolveError
-from vehsim.integrators.record import flat, keep
+from vehsim.integrators.record import build_clip, flat, keep
 from vehsim.vehicles import State
 from vehsim.vehicles._base import Array
 from vehsim.vehicles.mechanics import acceleration, project
 from vehsim.vehicles.states import control_vector
 
 if TYPE_CHECKING:
+    from vehsim.clip import Clip
     from vehsim.integrators.discrete import DiscreteMechanics
     from vehsim.integrators.integrator import Integrator, Phase
     from vehsim.world.environment import Environment
@@ -100,6 +102,77 @@ class Forced:
             alone = flat(_free_acceleration(self.integrator.mechanics)(guess.g, guess.r, guess.pi, self.controls, wind))
             wrench = wrench - added @ np.linalg.solve(inertia + added, inertia @ alone + wrench)
         self.wrench = wrench
+
+
+def pushed(
+    integrator: Integrator,
+    environment: Environment,
+    ask: Callable[[float, State], Any],
+    begin: State,
+    steps: int,
+    cuts: int,
+    fps: Any,
+    start_frame: int,
+    progress: Callable[[str, float], None] | None = None,
+) -> Clip:
+    """A clip of ``steps`` steps, each of ``cuts`` steps of the integrator; ``ask(t, state)`` gives the controls (c,).
+
+    Controls are asked at every knot, at its predicted state, and are linear between. The ledger's work holds what the
+    environment puts in or takes out.
+    """
+    vehicle, h = integrator.vehicle, integrator.step_size * cuts
+    if hasattr(ask, "reset"):
+        ask.reset()
+
+    def controls_at(k: int, state: State) -> Array:
+        return control_vector(vehicle, ask(k * h, state), f"controls(t = {k * h:.6g})")
+
+    whole = integrator.state(integrator.start(begin, np.zeros(len(vehicle.controls))), np.zeros(len(vehicle.controls)))
+    before = controls_at(0, replace(whole, position=np.asarray(begin.position, float)))
+    body = Forced(integrator, environment, begin, before)
+    phases, controls, wrenches = [body.phase], [before], [body.wrench]
+    guess = before
+    for k in range(steps):
+        after = controls_at(k + 1, body.predict(guess) if cuts == 1 else body.state)
+        for j in range(cuts):
+            body.advance(before + (j + 1) / cuts * (after - before))
+        before, guess = after, 2 * after - before
+        phases.append(body.phase)
+        controls.append(after)
+        wrenches.append(body.wrench)
+        if progress and k % 50 == 0:
+            progress("simulate", k / steps)
+    if progress:
+        progress("simulate", 1.0)
+    times = np.asarray(h * np.arange(steps + 1), float)
+    g, r, pi = (np.array([getattr(p, name) for p in phases]) for name in ("g", "r", "pi"))
+    clip = build_clip(
+        integrator.mechanics,
+        times,
+        g,
+        r,
+        pi,
+        np.array(controls),
+        body.anchor,
+        wind=integrator.wind,
+        fps=fps,
+        start_frame=start_frame,
+        events=environment.events(),
+    )
+    clip.energy["work"] = clip.energy["work"] + _work(clip, np.array(wrenches))
+    return clip
+
+
+def _work(clip: Clip, wrenches: Array) -> Array:
+    """Work (n,) J of body wrenches (n, d) at the knots of a clip."""
+    twists = clip.twists.copy()
+    origin = clip.vehicle.origin
+    if twists.shape[1] == 6:
+        twists[:, 3:] += np.cross(twists[:, :3], origin)
+    elif clip.vehicle.group.name == "SE2":
+        twists[:, 1:] += twists[:, :1] * np.array([-origin[1], origin[0]])
+    power = np.einsum("ni,ni->n", wrenches, twists)
+    return np.concatenate([[0.0], np.cumsum(np.diff(clip.times) * (power[1:] + power[:-1]) / 2)])
 
 
 def substeps(step: float, environment: Environment) -> int:

@@ -23,6 +23,8 @@ class Holonomic(Vehicle):
     ``inertia``: (d, d) or its diagonal (d,), rotation first, kg m^2 and kg, about the body frame's origin.
     ``wrench``: controls (c,) -> body wrench (d,), N m and N; None: no actuators.
     ``drag``: body twist relative to the air (d,) -> body wrench (d,), which must not add power; None: no drag.
+    ``resistance``: body twist (d,) and controls (c,) -> body wrench (d,), of what rests in the world, such as calm
+    water, and what the controls do in it; None: none.
     ``gravity``: m/s^2, acts on ``mass`` (the translational inertia unless given, which added mass needs) along -Z.
 
     Raises ``InputError`` when the inertia has the wrong shape or is not symmetric and positive definite.
@@ -31,6 +33,7 @@ class Holonomic(Vehicle):
     inertia: Any
     wrench: Callable[[Expr], Expr] | None = None
     drag: Callable[[Expr], Expr] | None = None
+    resistance: Callable[[Expr, Expr], Expr] | None = None
     mass: float | None = None
     gravity: float = GRAVITY
 
@@ -61,6 +64,8 @@ class Holonomic(Vehicle):
         if self.drag is not None:
             air = group.velocity_to_body(g, xi - _still(group, g, wind))
             body = body + ca.vertcat(self.drag(air))
+        if self.resistance is not None:
+            body = body + ca.vertcat(self.resistance(group.velocity_to_body(g, xi), c))
         return ca.SX(0, 1), group.wrench_from_body(g, body)
 
     def potential(self, g: Expr, r: Expr) -> Expr:
@@ -70,10 +75,14 @@ class Holonomic(Vehicle):
         return self.gravity * mass * self.group.pose(g)[2]
 
     def dissipation(self, g: Expr, r: Expr, u: Expr, xi: Expr, wind: Expr) -> Expr:
-        if self.drag is None:
-            return 0.0
-        air = self.group.velocity_to_body(g, xi - _still(self.group, g, wind))
-        return -ca.dot(ca.vertcat(self.drag(air)), air)
+        lost = 0.0
+        if self.drag is not None:
+            air = self.group.velocity_to_body(g, xi - _still(self.group, g, wind))
+            lost -= ca.dot(ca.vertcat(self.drag(air)), air)
+        if self.resistance is not None:
+            body = self.group.velocity_to_body(g, xi)
+            lost -= ca.dot(ca.vertcat(self.resistance(body, ca.SX(len(self.controls), 1))), body)
+        return lost
 
 
 def _rotation(group: Any, g: Expr) -> Expr:

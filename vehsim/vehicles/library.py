@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 MODELS: dict[str, str] = {
     "helicopter": "vehsim.vehicles.helicopter:helicopter",
+    "boat": "vehsim.vehicles.boat:boat",
     "car": "vehsim.vehicles.car:car",
     "truck": "vehsim.vehicles.truck:truck",
     "hopper": "vehsim.vehicles.hopper:hopper",
@@ -33,7 +34,9 @@ MODELS: dict[str, str] = {
 }
 """Model name -> the function that makes its vehicle from ``[physics]``."""
 
-_TOP = {"schema", "name", "model", "asset", "root", "origin", "physics", "controls", "joints", "channels"} | {"suspension"}
+_TOP = {"schema", "name", "model", "asset", "root", "origin", "hull", "physics", "controls", "joints", "channels"} | {
+    "suspension"
+}
 
 
 def available() -> list[str]:
@@ -77,12 +80,13 @@ def _load(path: Path, changed: int) -> Vehicle:
     module, _, function = MODELS[model].partition(":")
     factory = getattr(importlib.import_module(module), function)
     vehicle: Vehicle = factory(str(data.get("name", model)), **_physics(path, factory, data.get("physics", {})))
-    return replace(
-        vehicle,
-        controls=_controls(path, vehicle, data.get("controls", {})),
-        joint_limits=_limits(path, vehicle, data.get("joints", {})),
-        rig=_rig(path, vehicle, data),
-    )
+    told: dict[str, Any] = {
+        "controls": _controls(path, vehicle, data.get("controls", {})),
+        "joint_limits": _limits(path, vehicle, data.get("joints", {})),
+        "rig": _rig(path, vehicle, data),
+    }
+    planar = None if vehicle.planar is None else replace(vehicle.planar, **told | {"rig": _level(told["rig"])})
+    return replace(vehicle, **told, hull=_hull(path, vehicle, data), planar=planar)
 
 
 def _physics(path: Path, factory: Any, table: dict[str, Any]) -> dict[str, Any]:
@@ -111,6 +115,20 @@ def _limits(path: Path, vehicle: Vehicle, table: dict[str, Any]) -> dict[str, tu
     for name, values in table.items():
         _known(path, f"joints.{name}.", values, {"lower", "upper"})
     return {name: (v.get("lower", -math.inf), v.get("upper", math.inf)) for name, v in table.items()}
+
+
+def _level(rig: Rig | None) -> Rig | None:
+    """The rig of a vehicle that keeps its height: its body frame stands level with the root."""
+    return None if rig is None else replace(rig, origin=(*rig.origin[:2], 0.0))
+
+
+def _hull(path: Path, vehicle: Vehicle, data: dict[str, Any]) -> Any:
+    prim = data.get("hull")
+    if vehicle.hull is None and prim is not None:
+        raise InputError(f"{path}: hull = {prim!r}: {vehicle.name} does not float; leave it out")
+    if vehicle.hull is not None and not isinstance(prim, str):
+        raise InputError(f"{path}: hull = {prim!r}: name the closed mesh that displaces water, a path below the root")
+    return None if prim is None else replace(vehicle.hull, prim=prim)
 
 
 def _rig(path: Path, vehicle: Vehicle, data: dict[str, Any]) -> Rig | None:

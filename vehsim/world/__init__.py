@@ -83,6 +83,10 @@ class World:
         points = np.asarray(xy, dtype=float).reshape(-1, 2)
         return np.full(len(points), -np.inf) if self.terrain is None else self.terrain.height(points)
 
+    def wind_at(self, t: float) -> Array:
+        """The wind (3,) m/s at ``t`` s."""
+        return self.wind
+
     def environment(self, vehicle: Any) -> Environment | None:
         """All in this world that pushes ``vehicle`` from outside, None when nothing does."""
         from vehsim.world.environment import Surroundings

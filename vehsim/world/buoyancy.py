@@ -1,0 +1,266 @@
+"""What water does to a hull: buoyancy by exact integration over the wetted surface, and LIE eq. 16's resistance.
+
+`Afloat` is the `Environment` of one vehicle: pressure under the local surface, so that waves push and surf, resistance
+of every wetted patch through the water where it is, slamming, added mass, what its propulsors push, and the wind.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.errors import InputError, Problem
+from vehsim.vehicles._base import State
+from vehsim.world.environment import Environment
+from vehsim.world.hull_mesh import HullMesh, Wetted, read_hull, wetted
+from vehsim.world.water import GRAVITY, Water
+
+if TYPE_CHECKING:
+    from vehsim.vehicles.hydrodynamics import Hull
+    from vehsim.world import World
+
+Array = NDArray[np.float64]
+
+ACROSS = 12
+"""Edges of a hull in waves are no longer than this share of its length, nor of the shortest wave."""
+IMPACT_SPEED = 15.0
+"""Fastest entry into the water that a step is made for, m/s."""
+INSTANT = 1e-3
+"""Time difference that gives the water's acceleration, s."""
+
+
+@dataclass(eq=False)
+class Afloat(Environment):
+    """One vehicle in a world's water. Raises ``InputError`` when its hull is none."""
+
+    vehicle: Any
+    world: World
+    _asked: tuple[State, Forces] | None = None
+
+    @property
+    def data(self) -> Hull:
+        return self.vehicle.hull
+
+    @property
+    def water(self) -> Water:
+        water = self.world.water
+        assert water is not None
+        return water
+
+    @cached_property
+    def mesh(self) -> HullMesh:
+        """The hull from the body frame's origin, fine enough for the water."""
+        hull, rig = self.data, self.vehicle.rig
+        if hull.points is not None:
+            mesh = HullMesh(hull.points, hull.faces, f"{self.vehicle.name}: hull")
+        elif hull.prim and rig is not None:
+            mesh = read_hull(rig.asset, rig.root, hull.prim)
+        else:
+            raise InputError(str(Problem(f"{self.vehicle.name}: hull", "missing", "name a closed mesh of its asset")))
+        mesh = mesh.shifted(self.vehicle.origin)
+        if self.water.flat:
+            return mesh
+        length = float(np.ptp(mesh.points, axis=0).max())
+        return mesh.refined(min(length, self.water.shortest) / ACROSS)
+
+    @cached_property
+    def reference_area(self) -> float:
+        """Wetted area (m^2) to which the hull's resistance refers: as it floats upright at rest, unless given."""
+        if self.data.reference_area:
+            return float(self.data.reference_area)
+        return self.floating()[1].area
+
+    @cached_property
+    def rest_volume(self) -> float:
+        """What the vehicle displaces when it floats, m^3."""
+        return self.mass / self.water.density
+
+    @property
+    def mass(self) -> float:
+        return float(self.vehicle.inertia[5, 5] if self.vehicle.mass is None else self.vehicle.mass)
+
+    def floating(self) -> tuple[float, Wetted]:
+        """Height (m) of the body frame's origin above calm water when the vehicle floats upright, and what is wet."""
+        from scipy.optimize import brentq
+
+        up, points = np.array([0.0, 0.0, 1.0]), self.mesh.points
+        if self.mesh.volume <= self.rest_volume:
+            message = f"displaces {self.mesh.volume:.4g} m^3 at most, and {self.rest_volume:.4g} m^3 would carry it"
+            raise InputError(str(Problem(self.mesh.name, message, "lower physics.mass, or give it a larger hull")))
+
+        def cut(height: float) -> Wetted:
+            return wetted(np.column_stack([points, -height - points[:, 2]]), self.mesh.faces)
+
+        low, high = -float(points[:, 2].max()), -float(points[:, 2].min())
+        height = brentq(lambda z: cut(z).volume(up) - self.rest_volume, low, high, xtol=1e-13)
+        return float(height), cut(height)
+
+    def at_rest(self) -> State:
+        """Afloat at the origin, upright at the height of the surface there, and still."""
+        height = self.floating()[0] + float(self.water.height(np.zeros((1, 2)), 0.0)[0]) - self.vehicle.origin[2]
+        return State(position=np.array([0.0, 0.0, height]))
+
+    @cached_property
+    def max_step(self) -> float:  # type: ignore[override]
+        """A tenth of a radian of the fastest heave, pitch or roll; a quarter of the fastest decay."""
+        hull, inertia = self.data, np.diag(self.vehicle.inertia)
+        size = np.ptp(self.mesh.points, axis=0)
+        plan, rho = float(size[0] * size[1]), self.water.density
+        arm = np.array([size[1] / 2, size[0] / 2, size[0] / 2, 1, 1, 1]) ** 2
+        stiff = np.array([1 / 3, 1 / 3, 0, 0, 0, 1]) * rho * GRAVITY * plan * arm
+        drag = float(np.max(np.asarray(hull.damping) + IMPACT_SPEED * np.asarray(hull.quadratic)))
+        decay = arm * np.array([1 / 3, 1 / 3, 1, 1, 1, 1]) * drag
+        decay += arm * np.array([1 / 3, 1 / 3, 0, 0, 0, 1]) * hull.impact * rho * plan * IMPACT_SPEED
+        inertia = inertia + 0.25 * np.asarray(hull.added_mass, float)
+        return float(min(0.25 / np.sqrt((stiff / inertia).max()), 0.5 / max((decay / inertia).max(), 1e-9)))
+
+    def wrench(self, t: float, state: State, controls: Array) -> Array:
+        return self.forces(t, state, controls).wrench
+
+    def added_inertia(self, t: float, state: State) -> Array | None:
+        if not np.any(self.data.added_mass):
+            return None
+        if self._asked is None or self._asked[0] is not state:
+            self.forces(t, state, np.zeros(len(self.vehicle.controls)))
+        assert self._asked is not None
+        return self._asked[1].immersion * np.diag(np.asarray(self.data.added_mass, float))
+
+    def forces(self, t: float, state: State, controls: Array) -> Forces:
+        """All that water and wind do to the vehicle in ``state`` at ``t`` s."""
+        R_wb, position, omega, velocity = _body(state, self.vehicle.origin)
+        points = self.mesh.points
+        world = points @ R_wb.T + position
+        height, flow = self.water.at(world, t)
+        columns = np.empty((len(points), 7))
+        columns[:, :3], columns[:, 3] = points, height - world[:, 2]
+        columns[:, 4:] = velocity + _cross(omega, points) - flow @ R_wb
+        wet = wetted(columns, self.mesh.faces)
+        up = R_wb[2]
+        torque_force, volume = np.zeros(6), 0.0
+        immersion = entering = 0.0
+        if len(wet.normals):
+            volume = wet.volume(up)
+            immersion = min(1.0, max(0.0, volume / self.rest_volume))
+            torque_force, entering = self._surface(wet)
+        forces = Forces(torque_force, volume, immersion)
+        self._couple(forces, t, state, controls, (R_wb, position, omega, velocity), entering)
+        self._asked = (state, forces)
+        return forces
+
+    def _surface(self, wet: Wetted) -> tuple[Array, float]:
+        """Body wrench (6,) of pressure and resistance on the wetted surface; m^3/s that it enters the water."""
+        hull, rho = self.data, self.water.density
+        middles, normals = wet.middles, wet.normals
+        area = np.sqrt(np.einsum("ki,ki->k", normals, normals))
+        through = middles[:, :, 4:]
+        pressure = rho * GRAVITY * middles[:, :, 3]
+        if hull.normal_force:
+            pressure = pressure + hull.normal_force / self.reference_area
+        into = np.einsum("kqi,ki->kq", through, normals)  # times the area
+        if hull.impact:
+            speed = np.maximum(into, 0.0) / np.maximum(area, 1e-300)[:, None]
+            pressure = pressure + 0.5 * hull.impact * rho * speed**2
+        force = -pressure[:, :, None] * normals[:, None]
+        if np.any(hull.damping) or np.any(hull.quadratic):
+            rate = np.asarray(hull.damping, float)
+            if np.any(hull.quadratic):
+                size = np.sqrt(np.einsum("kqi,kqi->kq", through, through))
+                rate = rate + size[:, :, None] * np.asarray(hull.quadratic, float)
+            force -= (area / self.reference_area)[:, None, None] * rate * through
+        force, arms = force.reshape(-1, 3) / 3, middles[:, :, :3].reshape(-1, 3)
+        return np.concatenate([_cross(arms, force).sum(axis=0), force.sum(axis=0)]), float(into.sum() / 3)
+
+    def _couple(
+        self, forces: Forces, t: float, state: State, controls: Array, body: tuple[Array, ...], entering: float
+    ) -> None:
+        """Added mass in moving water, propulsion and wind: what depends on the body as a whole."""
+        hull, water = self.data, self.water
+        R_wb, position, omega, velocity = body
+        still = np.zeros(3)
+        if np.any(hull.added_mass):
+            flow, change = self._flow(position, t)
+            added = forces.immersion * np.asarray(hull.added_mass, float)
+            through = np.concatenate([omega, velocity - flow @ R_wb])
+            momentum = added * through
+            # Kirchhoff's equations with the motion relative to the water; the water's own acceleration drags along
+            forces.wrench[:3] += np.cross(momentum[:3], omega) + np.cross(momentum[3:], through[3:])
+            forces.wrench[3:] += np.cross(momentum[3:], omega)
+            forces.wrench[3:] += added[3:] * (change @ R_wb - np.cross(omega, flow @ R_wb))
+            if forces.immersion < 1 and entering > 0:  # water set in motion (von Karman); what leaves takes its own
+                forces.wrench -= entering / self.rest_volume * np.asarray(hull.added_mass, float) * through
+        if self._propulsion is not None:
+            places = hull.propulsor_points @ R_wb.T + position
+            height, flows = water.at(places, t) if len(places) else (np.zeros(0), np.zeros((0, 3)))
+            depth = (height - places[:, 2]) / hull.propulsor_size + 0.5
+            flow = flows.mean(axis=0) if len(places) else still
+            through = np.concatenate([omega, velocity - flow @ R_wb])
+            forces.wrench += np.ravel(np.asarray(self._propulsion(controls, through, np.clip(depth, 0, 1))))
+        if self._windage is not None:
+            air = self.world.wind_at(t) @ R_wb
+            forces.wrench += np.ravel(np.asarray(self._windage(np.concatenate([omega, velocity - air]))))
+
+    def _flow(self, position: Array, t: float) -> tuple[Array, Array]:
+        """The water's velocity and acceleration (3,) below the body frame's origin, world axes."""
+        if self.water.flat and self.water.current is None:
+            return np.zeros(3), np.zeros(3)
+        here = position[None]
+        flow = self.water.velocity(here, t)[0]
+        if self.water.flat:
+            return flow, np.zeros(3)
+        after, before = (self.water.velocity(here, t + s * INSTANT)[0] for s in (1, -1))
+        return flow, (after - before) / (2 * INSTANT)
+
+    @cached_property
+    def _propulsion(self) -> Any:
+        if self.data.propulsion is None:
+            return None
+        import casadi as ca
+
+        sizes = (len(self.vehicle.controls), 6, len(self.data.propulsor_points))
+        c, flow, immersion = (ca.SX.sym(name, n) for name, n in zip(("c", "flow", "immersion"), sizes, strict=True))
+        law = ca.densify(self.data.propulsion(c, flow, immersion))
+        return ca.Function("propulsion", [c, flow, immersion], [law])
+
+    @cached_property
+    def _windage(self) -> Any:
+        if self.data.windage is None:
+            return None
+        import casadi as ca
+
+        air = ca.SX.sym("air", 6)
+        return ca.Function("windage", [air], [ca.densify(self.data.windage(air))])
+
+
+@dataclass
+class Forces:
+    """What water and wind do at an instant: body ``wrench`` (6,), displaced ``volume`` m^3, ``immersion`` 0 to 1."""
+
+    wrench: Array
+    volume: float
+    immersion: float
+
+
+def _body(state: State, origin: Array) -> tuple[Array, Array, Array, Array]:
+    """Rotation body to world, position of the body frame's origin, angular and linear velocity in body axes."""
+    w, x, y, z = np.asarray(state.orientation, float)
+    R_wb = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    twist = np.zeros(6) if state.twist is None else np.asarray(state.twist, float)
+    omega = twist[:3]
+    return R_wb, np.asarray(state.position, float) + R_wb @ origin, omega, twist[3:] + np.cross(omega, origin)
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Cross product of rows; ``a`` may be one row."""
+    ax, ay, az = a.T
+    bx, by, bz = b.T
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)

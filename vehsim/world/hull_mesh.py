@@ -1,0 +1,253 @@
+"""The closed surface of a hull: read, welded, checked, refined; cut at a waterline and integrated exactly.
+
+What belongs here is geometry; forces are in `buoyancy.py`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.errors import InputError, Problem
+
+Array = NDArray[np.float64]
+Faces = NDArray[np.int64]
+
+WELD = 1e-6
+"""Corners nearer than this share of the hull's size are one."""
+MAX_FACES = 200_000
+CHECKED_FACES = 20_000
+"""Hulls of more faces are not searched for parts that run through each other: that would take minutes."""
+
+
+@dataclass(frozen=True, eq=False)
+class HullMesh:
+    """A closed surface: ``points`` (n, 3) m, ``faces`` (m, 3) counter-clockwise from outside; ``name`` for messages.
+
+    Points with the same place are one. Raises ``InputError`` when it is empty, open, inside out or runs through itself.
+    """
+
+    points: Array
+    faces: Faces
+    name: str = "hull"
+
+    def __post_init__(self) -> None:
+        points, faces = np.asarray(self.points, float), np.asarray(self.faces, np.int64)
+        if points.size == 0 or faces.size == 0:
+            raise self._wrong("empty", "give the hull a mesh with faces")
+        if points.ndim != 2 or faces.ndim != 2 or points.shape[1] != 3 or faces.shape[1] != 3:
+            raise self._wrong(f"shapes {points.shape}, {faces.shape}", "give points (n, 3) and triangles (m, 3)")
+        if not np.isfinite(points).all() or faces.min() < 0 or faces.max() >= len(points):
+            raise self._wrong("points that are not finite, or faces that do not fit them", "export the mesh again")
+        if len(faces) > MAX_FACES:
+            raise self._wrong(f"{len(faces):,} faces", f"a buoyancy hull needs a few hundred, at most {MAX_FACES:,}")
+        points, faces = _welded(points, faces)
+        object.__setattr__(self, "points", points)
+        object.__setattr__(self, "faces", faces)
+        self._check()
+
+    def _check(self) -> None:
+        if len(self.faces) == 0:
+            raise self._wrong("empty: all its faces are degenerate", "give it a volume")
+        edges = self.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+        key, back = edges @ [len(self.points), 1], edges @ [1, len(self.points)]
+        alone = ~np.isin(key, back)
+        if alone.any():
+            x, y, z = self.points[edges[alone][0]].mean(axis=0)
+            message = f"open: {alone.sum()} edges without a neighbour, one at ({x:.3g}, {y:.3g}, {z:.3g})"
+            raise self._wrong(message, "close the mesh, or turn faces so that all look outwards")
+        if len(np.unique(key)) != len(key):
+            raise self._wrong("more than two faces meet at an edge", "make each part a closed surface of its own")
+        volume = _volume(self.points, self.faces)
+        size = float(np.ptp(self.points, axis=0).max())
+        if abs(volume) < 1e-9 * size**3:
+            raise self._wrong("encloses no volume", "give it a volume")
+        for part in _parts(self.faces):
+            if _volume(self.points, self.faces[part]) < 0:
+                raise self._wrong("inside out", "turn its faces so that they look outwards")
+        if len(self.faces) <= CHECKED_FACES:
+            crossing = _crossing(self.points, self.faces)
+            if crossing is not None:
+                x, y, z = crossing
+                message = f"runs through itself at ({x:.3g}, {y:.3g}, {z:.3g})"
+                raise self._wrong(message, "unite its parts to one surface, or keep them apart")
+
+    def _wrong(self, message: str, mend: str) -> InputError:
+        return InputError(str(Problem(self.name, f"not a hull: {message}", mend)))
+
+    @cached_property
+    def volume(self) -> float:
+        """m^3"""
+        return _volume(self.points, self.faces)
+
+    def shifted(self, offset: Array) -> HullMesh:
+        """The same hull seen from ``offset`` (3,) m."""
+        return self._like(self.points - offset, self.faces)
+
+    def refined(self, edge: float) -> HullMesh:
+        """The same surface with no edge longer than ``edge`` m, or as near to it as ``MAX_FACES`` allows."""
+        import trimesh
+
+        longest = np.linalg.norm(self.points[self.faces] - self.points[np.roll(self.faces, 1, 1)], axis=2).max()
+        area = float(np.linalg.norm(_normals(self.points[self.faces]), axis=1).sum())
+        edge = max(edge, float(np.sqrt(4 * area / MAX_FACES)))
+        if longest <= edge:
+            return self
+        points, faces = trimesh.remesh.subdivide_to_size(self.points, self.faces, edge, max_iter=20)
+        return self._like(*_welded(points, faces))
+
+    def _like(self, points: Array, faces: Faces) -> HullMesh:
+        """A hull whose surface is known to be sound."""
+        other = object.__new__(HullMesh)
+        for key, value in (("points", points), ("faces", faces), ("name", self.name)):
+            object.__setattr__(other, key, value)
+        return other
+
+
+def read_hull(asset: Any, root: str, prim: str) -> HullMesh:
+    """The mesh ``prim``, a path below the rig root of a USD ``asset``, in the rig root's frame; see `HullMesh`."""
+    from vehsim.parts import read_mesh
+
+    return HullMesh(*read_mesh(asset, root, prim), name=f"{asset}: {prim}")
+
+
+@dataclass(frozen=True, eq=False)
+class Wetted:
+    """The part of a hull below a waterline, as triangles: ``corners`` (k, 3, w) of the columns given to `wetted`,
+    ``normals`` (k, 3) outwards, as long as the triangles' areas."""
+
+    corners: Array
+    normals: Array
+
+    @cached_property
+    def middles(self) -> Array:
+        """(k, 3, w) columns at the middles of the triangles' edges, where quadratic functions integrate exactly."""
+        c = self.corners
+        return 0.5 * (c + c[:, [1, 2, 0]])
+
+    @cached_property
+    def area(self) -> float:
+        return float(np.sqrt(np.einsum("ki,ki->k", self.normals, self.normals)).sum())
+
+    def volume(self, up: Array, depth: int = 3) -> float:
+        """Volume (m^3) between hull and surface; ``up`` (3,) unit, column ``depth`` holds the depth below it."""
+        return -float((self.normals @ up) @ self.corners[:, :, depth].mean(axis=1))
+
+    def centroid(self, up: Array, depth: int = 3) -> Array:
+        """Centroid (3,) m of that volume below a level surface, in the frame of the first three columns."""
+        weight = (self.normals @ up)[:, None] * self.middles[:, :, depth] / -3
+        moments = np.einsum("ki,kij->j", weight, self.middles[:, :, :3])
+        deep = 0.5 * float((weight * self.middles[:, :, depth]).sum())
+        middle = moments / self.volume(up, depth)
+        # along `up` the surface's own flux counts: the depth's moment is known instead
+        first = self.middles[0, 0] if len(self.middles) else np.zeros(depth + 1)
+        level = float(first[:3] @ up + first[depth])
+        return np.asarray(middle + up * (level - deep / self.volume(up, depth) - middle @ up))
+
+
+def wetted(columns: Array, faces: Faces, depth: int = 3) -> Wetted:
+    """The triangles ``faces`` (m, 3) where column ``depth`` of ``columns`` (n, w) is positive, cut where it is zero.
+
+    The first three columns are places; all columns are linear on a triangle.
+    """
+    wet = columns[:, depth] > 0
+    count = wet[faces].sum(axis=1)
+    parts = [columns[faces[count == 3]]]
+    cut = faces[(count == 1) | (count == 2)]
+    if len(cut):
+        under = wet[cut]
+        one = under.sum(axis=1) == 1
+        odd = (under == one[:, None]).argmax(axis=1)  # the corner alone on its side
+        a, b, c = (columns[cut[np.arange(len(cut)), (odd + k) % 3]] for k in range(3))
+        p, q = (a + (a[:, depth] / (a[:, depth] - x[:, depth]))[:, None] * (x - a) for x in (b, c))
+        p[:, depth] = q[:, depth] = 0.0
+        two = ~one
+        for triangle in ((a[one], p[one], q[one]), (p[two], b[two], c[two]), (p[two], c[two], q[two])):
+            parts.append(np.stack(triangle, axis=1))
+    corners = np.concatenate(parts)
+    return Wetted(corners, _normals(corners))
+
+
+def _normals(corners: Array) -> Array:
+    """Outward normals (k, 3) of triangles (k, 3, >=3), as long as their areas."""
+    ax, ay, az = (corners[:, 1, :3] - corners[:, 0, :3]).T
+    bx, by, bz = (corners[:, 2, :3] - corners[:, 0, :3]).T
+    normals = np.empty((len(corners), 3))
+    normals[:, 0], normals[:, 1], normals[:, 2] = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    normals *= 0.5
+    return normals
+
+
+def _volume(points: Array, faces: Faces) -> float:
+    corners = points[faces] - points.mean(axis=0)
+    return float(np.einsum("ki,ki->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6)
+
+
+def _welded(points: Array, faces: Faces) -> tuple[Array, Faces]:
+    """Points with one place made one, faces that collapse left out, points without faces too."""
+    size = max(float(np.ptp(points, axis=0).max()), 1e-12)
+    _, first, index = np.unique(np.round(points / (WELD * size)), axis=0, return_index=True, return_inverse=True)
+    faces = index.reshape(-1)[faces]
+    a, b, c = faces.T
+    faces = faces[(a != b) & (b != c) & (c != a)]
+    used, faces = np.unique(faces, return_inverse=True)
+    return points[first[used]], faces.reshape(-1, 3).astype(np.int64)
+
+
+def _parts(faces: Faces) -> list[NDArray[np.bool_]]:
+    """Masks of the faces of each connected part."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    n = int(faces.max()) + 1
+    a, b = faces.ravel(), np.roll(faces, 1, axis=1).ravel()
+    _, label = connected_components(coo_matrix((np.ones(len(a)), (a, b)), shape=(n, n)), directed=False)
+    of_face = label[faces[:, 0]]
+    return [of_face == k for k in np.unique(of_face)]
+
+
+def _crossing(points: Array, faces: Faces) -> Array | None:
+    """Where (3,) an edge pierces a face that it does not touch, None when none does."""
+    edges = np.unique(np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
+    triangles = points[faces]
+    low, high = triangles.min(axis=1), triangles.max(axis=1)
+    block = max(1, 4_000_000 // len(faces))
+    for start in range(0, len(edges), block):
+        ends = points[edges[start : start + block]]
+        below, above = ends.min(axis=1), ends.max(axis=1)
+        near = np.ones((len(ends), len(faces)), bool)
+        for i in range(3):
+            near &= (below[:, None, i] <= high[None, :, i]) & (above[:, None, i] >= low[None, :, i])
+        e, f = np.nonzero(near)
+        if not len(e):
+            continue
+        shared = (faces[f][:, :, None] == edges[start : start + block][e][:, None, :]).any(axis=(1, 2))
+        e, f = e[~shared], f[~shared]
+        found = _pierced(ends[e], triangles[f])
+        if found is not None:
+            return found
+    return None
+
+
+def _pierced(ends: Array, triangles: Array) -> Array | None:
+    """The first point (3,) where segments (k, 2, 3) pass through the inside of their triangles (k, 3, 3)."""
+    way = ends[:, 1] - ends[:, 0]
+    u, v = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    normal = np.cross(u, v)
+    slope = np.einsum("ki,ki->k", way, normal)
+    size = np.linalg.norm(way, axis=1) * np.linalg.norm(normal, axis=1)
+    crosses = np.abs(slope) > 1e-9 * size
+    slope = np.where(crosses, slope, 1.0)
+    share = np.einsum("ki,ki->k", triangles[:, 0] - ends[:, 0], normal) / slope
+    from_corner = ends[:, 0] + share[:, None] * way - triangles[:, 0]
+    squared = np.maximum(np.einsum("ki,ki->k", normal, normal), 1e-300)
+    a = np.einsum("ki,ki->k", np.cross(from_corner, v), normal) / squared
+    b = np.einsum("ki,ki->k", np.cross(u, from_corner), normal) / squared
+    edge = 1e-7
+    inside = crosses & (share > edge) & (share < 1 - edge) & (a > edge) & (b > edge) & (a + b < 1 - edge)
+    k = np.flatnonzero(inside)
+    return None if not len(k) else np.asarray(ends[k[0], 0] + share[k[0]] * way[k[0]])
