@@ -18,7 +18,8 @@ QUALITY = "17"
 def write_films(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
     """Write ``<shot>.<camera>.mp4`` from the frames already in ``folder``; returns the files written."""
     written = []
-    for camera in take.cameras:
+    wanted = take.render.cameras
+    for camera in [camera for camera in take.cameras if wanted is None or camera.name in wanted]:
         pictures = sorted(
             (folder / "frames" / camera.name).glob(f"{take.name}.{camera.name}.*.png"),
             key=lambda path: int(path.stem.rsplit(".", 1)[1]),

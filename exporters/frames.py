@@ -34,6 +34,7 @@ def write_frames(take: Take, folder: Path, progress: Progress) -> Sequence[Path]
     written = render_stage(
         folder / f"{take.name}.usda",
         folder / "frames",
+        camera=settings.cameras,
         frames=frames,
         size=settings.size,
         progress=progress,
@@ -48,7 +49,7 @@ def write_frames(take: Take, folder: Path, progress: Progress) -> Sequence[Path]
 def render_stage(
     stage_path: str | Path,
     out: str | Path,
-    camera: str | None = None,
+    camera: str | Sequence[str] | None = None,
     frames: Iterable[int] | None = None,
     size: tuple[int, int] | None = None,
     progress: Progress | None = None,
@@ -58,9 +59,10 @@ def render_stage(
 ) -> list[Path]:
     """Render a stage to ``out/<camera>/<stage>.<camera>.<frame>.png``; returns the files written.
 
-    ``camera``: one by name, all when None; ``frames``: those of the stage when None; ``size`` (width, height) px,
-    960 x 540 when None; ``samples`` a pixel; ``processes``: as the machine has cores when None and there is enough to
-    do. Raises ``InputError`` for a stage, camera, frame or size that will not do, ``ExportError`` without EGL.
+    ``camera``: one or several by name, all when None; ``frames``: those of the stage when None; ``size`` (width,
+    height) px, 960 x 540 when None; ``samples`` a pixel; ``processes``: as the machine has cores when None and there
+    is enough to do. Raises ``InputError`` for a stage, camera, frame or size that will not do, ``ExportError`` without
+    EGL.
     """
     size = _checked_size(size or (960, 540))
     stage = StageReader(stage_path)
@@ -69,7 +71,7 @@ def render_stage(
     look = {"size": size, "shadows": shadows, "samples": samples}
     count = _processes(len(chosen) * len(wanted)) if processes is None else processes
     shares = [wanted[k::count] for k in range(count)]
-    with _others(stage_path, out, camera, shares[1:], look) as others:
+    with _others(stage_path, out, chosen, shares[1:], look) as others:
         _render(stage, Path(out), chosen, shares[0], look, progress)
         for other in others:
             _finish(other)
@@ -110,13 +112,13 @@ def _processes(pictures: int) -> int:
 
 @contextmanager
 def _others(
-    stage: str | Path, out: str | Path, camera: str | None, shares: Sequence[Sequence[int]], look: dict[str, Any]
+    stage: str | Path, out: str | Path, cameras: Sequence[str], shares: Sequence[Sequence[int]], look: dict[str, Any]
 ) -> Iterator[list[subprocess.Popen[str]]]:
     """Processes that render other shares of the frames: interpreters of their own, whatever script called us."""
     program = (
         "import json, sys; from vehsim.exporters.frames import render_stage; render_stage(**json.loads(sys.argv[1]))"
     )
-    work = {"stage_path": str(stage), "out": str(out), "camera": camera, "processes": 1, **look}
+    work = {"stage_path": str(stage), "out": str(out), "camera": list(cameras), "processes": 1, **look}
     started = [
         subprocess.Popen(
             [sys.executable, "-c", program, json.dumps({**work, "frames": list(share)})],
@@ -164,13 +166,15 @@ def _wanted(stage: StageReader, frames: Iterable[int] | None) -> list[int]:
     return wanted
 
 
-def _cameras(stage: StageReader, camera: str | None) -> list[str]:
+def _cameras(stage: StageReader, camera: str | Sequence[str] | None) -> list[str]:
     names = sorted(stage.cameras)
     if not names:
         raise InputError(f"{stage.path}: has no camera; add one to the shot or the stage")
-    if camera is not None and camera not in names:
-        raise InputError(f"{stage.path}: --camera {camera!r}: no such camera; choose one of {', '.join(names)}")
-    return names if camera is None else [camera]
+    wanted = names if camera is None else [camera] if isinstance(camera, str) else list(camera)
+    for name in wanted:
+        if name not in names:
+            raise InputError(f"{stage.path}: --camera {name!r}: no such camera; choose one of {', '.join(names)}")
+    return wanted
 
 
 def _checked_size(size: Sequence[int]) -> tuple[int, int]:

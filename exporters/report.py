@@ -28,7 +28,7 @@ def write_report(take: Take, folder: Path, files: Sequence[Path]) -> Path:
         "terrain": take.world.terrain.name if take.world.terrain is not None else None,
         "wind": take.world.wind,
         "vehicles": {name: _clip_summary(clip) for name, clip in take.clips.items()},
-        "cameras": {camera.name: {"lens_mm": camera.lens_mm} for camera in take.cameras},
+        "cameras": {camera.name: {"lens_mm": _lenses(camera)} for camera in take.cameras},
         "solved": take.report,
         "versions": {name: _version(name) for name in PACKAGES},
         "files": {path.relative_to(folder).as_posix(): sha256(path) for path in sorted(files)},
@@ -36,6 +36,12 @@ def write_report(take: Take, folder: Path, files: Sequence[Path]) -> Path:
     path = folder / "report.json"
     path.write_text(json.dumps(plain(report), indent=1, sort_keys=True, allow_nan=False) + "\n", encoding="utf-8")
     return path
+
+
+def _lenses(camera: Any) -> float | list[float]:
+    """The focal length, or all that a cut uses, mm."""
+    lenses: list[float] = np.unique(camera.lens_mm).tolist()
+    return lenses[0] if len(lenses) == 1 else lenses
 
 
 def _clip_summary(clip: Any) -> dict[str, Any]:

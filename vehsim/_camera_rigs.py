@@ -105,10 +105,9 @@ def _dolly(rig: CameraRig, subject: Subject, distance: float, world: Any) -> tup
         ends = np.array([rig.position, rig.to], float)
     else:
         way = path[-1] - path[0]
-        run = way if np.linalg.norm(way[:2]) > 1e-6 else np.array([1e-6, 0.0, 0.0])
-        beside = _beside(rig, subject, distance, 0.5) - (path[0] + path[-1]) / 2
-        beside -= run * float(beside[:2] @ run[:2]) / float(run[:2] @ run[:2]) * (1.0, 1.0, 0.0)
-        ends = np.array([path[0], path[-1]]) + beside
+        heading = np.arctan2(way[1], way[0]) if np.linalg.norm(way[:2]) > distance / 2 else subject.headings[0]
+        side = heading + np.pi / 2 if rig.azimuth is None else np.radians(rig.azimuth)
+        ends = path[[0, -1]] + _arm(np.array([side]), distance, rig.height)
     rail = ends[1] - ends[0]
     along = np.clip((path - ends[0]) @ rail / max(float(rail @ rail), 1e-9), 0.0, 1.0)
     return ends[0] + smooth(along, 0.4 * subject.fps)[:, None] * rail, path

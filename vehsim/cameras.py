@@ -28,6 +28,8 @@ Array = NDArray[np.float64]
 
 JERK = 6.0
 """Most jerk of a camera, in its distances a cubed second."""
+CUT = "cut"
+"""The name of the camera that a shot's cut list makes of the others."""
 JUMP = 1e-3
 """How long a cut takes, in frames: USD joins samples by straight lines."""
 FILL_RANGE = (0.09, 0.34)
@@ -81,7 +83,7 @@ class CameraRig:
     turn: float = 20.0
     rise: float | None = None
     eye: tuple[float, float, float] | None = None
-    framing: tuple[float, float] = (0.0, 0.0)
+    framing: tuple[float, float] | None = None
     level: bool | None = None
     margin: float = 1.5
 
@@ -131,7 +133,9 @@ def solve_camera(
             positions = lift(positions, aims, world, rig.margin, subject.fps)
             apart = float(np.linalg.norm(positions - aims, axis=1).mean())
             positions = calm(positions, aims, world, rig.margin, subject.fps, JERK * apart)
-        rotations = _framed(look_at(positions, aims, ups), rig.framing, aperture, rig.lens_mm, ups)
+        rotations = look_at(positions, aims, ups)
+        if rig.framing is not None:
+            rotations = _framed(rotations, rig.framing, aperture, rig.lens_mm, ups)
         if framed:
             fills = projected_heights(positions, rotations, subject.corners, zoom)
             distance *= _rescale(fills, rig.fill, move.fill)
@@ -194,8 +198,6 @@ def _framed(
     rotations: Array, framing: tuple[float, float], aperture: tuple[float, float], lens: float, ups: Array
 ) -> Array:
     """``rotations`` (n, 3, 3) turned so that what was in the centre stands at ``framing``."""
-    if framing == (0.0, 0.0):
-        return rotations
     across, along = (share * side / (2 * lens) for share, side in zip(framing, aperture, strict=True))
     return look_at(np.zeros(rotations.shape[:2]), rotations @ (-across, -along, -1.0), ups)
 

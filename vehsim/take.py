@@ -18,17 +18,40 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RenderSettings:
-    """How the playblast looks: ``size`` (width, height) px; ``every`` n-th frame; ``samples`` of multisampling."""
+    """How the playblast looks: ``size`` (width, height) px; ``every`` n-th frame; ``samples`` of multisampling.
+
+    ``cameras``: the names of those to render, all of the take's when None.
+    """
 
     size: tuple[int, int] = (960, 540)
     every: int = 1
     samples: int = 4
     shadows: bool = True
+    cameras: tuple[str, ...] | None = None
 
     def draft(self) -> RenderSettings:
         """Quick to render: half the size, no shadows."""
         width, height = (max(16, side // 4 * 2) for side in self.size)
         return replace(self, size=(width, height), samples=0, shadows=False)
+
+
+@dataclass(frozen=True)
+class UsdSettings:
+    """How the stage is delivered: ``up_axis`` and ``meters_per_unit`` of all that is written.
+
+    ``assets``: "copy" them along, or "keep" them where they are. ``shutter``: frames from and to which it is open; it
+    adds the samples motion blur needs. ``thin`` m: a variant with the fewest keys that stay within it.
+    ``clip_frames``: value clips of that many frames. ``layer_only``: the vehicles' animation layers and nothing else.
+    """
+
+    up_axis: str = "Z"
+    meters_per_unit: float = 1.0
+    assets: str = "copy"
+    shutter: tuple[float, float] | None = None
+    thin: float | None = None
+    clip_frames: int | None = None
+    layer_only: bool = False
+    versions: bool = False
 
 
 @dataclass(frozen=True)
@@ -63,6 +86,7 @@ class Take:
     fps: Fraction
     frames: tuple[int, int]
     render: RenderSettings = RenderSettings()
+    usd: UsdSettings = UsdSettings()
     report: dict[str, Any] = field(default_factory=dict)
 
     def export(

@@ -136,7 +136,10 @@ def _render(task: Task, part: tuple[int, int]) -> None:
     with _whole(task, f"frames.{part[0]}of{part[1]}") as folder:
         if folder is not None:
             frames = _frames(_read_frames(task), render.every)
-            look: dict[str, Any] = {key: value for key, value in asdict(render).items() if key != "every"}
+            names = {"cameras": "camera"}
+            look: dict[str, Any] = {
+                names.get(key, key): value for key, value in asdict(render).items() if key != "every"
+            }
             render_stage(stage, folder, frames=_share(frames, *part), **look)
 
 
@@ -147,7 +150,7 @@ def _deliver(task: Task, part: tuple[int, int]) -> None:
 
         written = []
         shares = [_need(task, f"frames.{k}of{part[1]}", "render") for k in range(1, part[1] + 1)]
-        for camera in sorted(camera.name for camera in take.cameras):
+        for camera in take.render.cameras or sorted(camera.name for camera in take.cameras):
             (folder / "frames" / camera).mkdir(parents=True)
             pictures = [path for share in shares for path in sorted((share / camera).glob("*.png"), key=_number)]
             written += [Path(shutil.copy(path, folder / "frames" / camera / path.name)) for path in pictures]

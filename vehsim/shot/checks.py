@@ -18,7 +18,9 @@ from vehsim.errors import Problem
 from vehsim.shot.model import MAX_FRAMES, MarkTable
 
 if TYPE_CHECKING:
+    from vehsim.shot.file import ShotFile
     from vehsim.vehicles import Vehicle
+    from vehsim.vehicles._base import Rig
     from vehsim.world import World
 
 MAX_SPEED = 340.0
@@ -49,6 +51,27 @@ def check_names(key: str, given: Mapping[str, Any], known: Collection[str], noun
     for name, value in given.items():
         if name not in known:
             yield Problem(f"{key}.{name}", f"no such {noun}", choose(name, known), value)
+
+
+def check_variants(key: str, given: Mapping[str, str], rig: Rig | None) -> Iterator[Problem]:
+    """Every variant set and variant that is asked for is on the root prim of the vehicle's asset."""
+    from pxr import Usd
+
+    if not given:
+        return
+    stage = None if rig is None else Usd.Stage.Open(str(rig.asset))
+    root = stage and (stage.GetPrimAtPath(f"/{rig.root.strip('/')}") if rig and rig.root else stage.GetDefaultPrim())
+    sets = (
+        {}
+        if not root
+        else {name: root.GetVariantSet(name).GetVariantNames() for name in root.GetVariantSets().GetNames()}
+    )
+    for name, variant in given.items():
+        if name not in sets:
+            mend = choose(name, sets) if sets else "the asset has none: leave variants out"
+            yield Problem(f"{key}.{name}", "no such variant set", mend, variant)
+        elif variant not in sets[name]:
+            yield Problem(f"{key}.{name}", "no such variant", choose(variant, sets[name]), variant)
 
 
 def check_order(marks: list[MarkTable], setting: Setting) -> Iterator[Problem]:
@@ -131,3 +154,29 @@ def orientation_of(pose: Any) -> Any:
         half = np.deg2rad(pose.heading) / 2
         return np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
     return None
+
+
+def check_cuts(file: ShotFile) -> Iterator[Problem]:
+    """A cut list in order, of cameras that are there and have one film back; the cameras that shall be rendered."""
+    from vehsim.cameras import CUT
+
+    cameras = {camera.name: camera for camera in file.camera}
+    used: list[str] = []
+    for i, piece in enumerate(file.cut):
+        if piece.camera not in cameras:
+            yield Problem(f"cut[{i}].camera", "no such camera", choose(piece.camera, cameras), piece.camera)
+            continue
+        used.append(piece.camera)
+        if i and piece.frame <= file.cut[i - 1].frame:
+            message = f"not after the cut before it, at {file.cut[i - 1].frame}"
+            yield Problem(f"cut[{i}].frame", message, "give the cuts in order", piece.frame)
+        if cameras[piece.camera].aperture_width_mm != cameras[used[0]].aperture_width_mm:
+            message = f"cut with {used[0]!r}, which has another film back"
+            yield Problem(f"cut[{i}].camera", message, "give both the same aperture_width_mm", piece.camera)
+    if file.cut and CUT in cameras:
+        i = list(cameras).index(CUT)
+        yield Problem(f"camera[{i}].name", "the cut list's own camera has this name", "choose another", CUT)
+    names = [*cameras, CUT] if file.cut else [*cameras]
+    for i, name in enumerate(file.render.cameras or []):
+        if name not in names:
+            yield Problem(f"render.cameras[{i}]", "no such camera", choose(name, names), name)

@@ -11,11 +11,22 @@ from annotated_types import Len
 from pydantic import BeforeValidator, Field, ValidationError
 
 from vehsim.errors import Problem
-from vehsim.shot.model import Array, CameraTable, Header, Name, RenderTable, Table, Text, WorldTable
+from vehsim.shot.model import (
+    MAX_CAMERAS,
+    Array,
+    CameraTable,
+    CutTable,
+    Header,
+    Name,
+    RenderTable,
+    Table,
+    Text,
+    WorldTable,
+)
 from vehsim.shot.motions import RESERVED, Motion
 
 MAX_VEHICLES = 100
-MAX_CAMERAS = 20
+MAX_CUTS = 1000
 
 WORDS = {
     "bool_type": "neither true nor false",
@@ -53,6 +64,8 @@ class VehicleTable(Table):
     """a name of letters, digits and underscores, one of its own for every vehicle"""
     asset: Text
     """a shipped vehicle's name, or the path of a vehicle's folder relative to the shot file"""
+    variants: dict[str, Text] = Field(default={})
+    """a table of the asset's variant sets and the variants to show, such as { livery = "red" }"""
     motion: Motion
     """a table [vehicle.motion] with method = "plan", "simulate" or "clip\""""
 
@@ -70,6 +83,8 @@ class ShotFile(Table):
         default=[CameraTable()]
     )
     """a table [camera], or several [[camera]]"""
+    cut: Annotated[list[CutTable], Array, Len(0, MAX_CUTS)] = Field(default=[])
+    """[[cut]] tables with frame and camera: which camera is seen from which frame on"""
     render: RenderTable = RenderTable()
     """a table [render]"""
     sweep: dict[str, Any] | None = None

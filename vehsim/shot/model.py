@@ -27,6 +27,7 @@ from vehsim.world import MAX_WIND
 MAX_FRAMES = 100_000
 """More frames than any shot has: an hour at 24 fps."""
 MAX_PIXELS = 8192
+MAX_CAMERAS = 20
 """The widest and highest picture: software rendering refuses 16384 x 16384."""
 MAX_FPS = 1000
 _NTSC = Fraction(1000, 1001)
@@ -226,6 +227,81 @@ ObstacleTable = Annotated[
 ]
 
 
+class WaveTable(Table):
+    """``[[world.water.wave]]``: a train of waves on deep water"""
+
+    height: Annotated[NotNegative, Field(le=40)]
+    """from trough to crest, in m"""
+    length: Annotated[Number, Field(ge=0.05, le=2000)]
+    """from crest to crest, in m"""
+    heading: Heading = 0.0
+    """where it runs to: degrees from world X, counter-clockwise"""
+    phase: Heading = 0.0
+    """where the crest stands at the start: degrees before the origin"""
+
+
+class SeaTable(Table):
+    """``[world.water.sea]``: wind waves with a JONSWAP spectrum"""
+
+    height: Annotated[Positive, Field(le=40)]
+    """the significant height in m: the mean of the highest third, from trough to crest"""
+    period: Annotated[Number, Field(ge=0.2, le=60)] | None = None
+    """the period of the peak in s; that of a fully developed sea unless given"""
+    heading: Heading = 0.0
+    """where it runs to: degrees from world X, counter-clockwise"""
+    spread: Annotated[NotNegative, Field(le=68)] = 28.0
+    """how far its waves stray from there, in degrees: about 28 for a wind sea, 8 for swell, 0 for long crests"""
+    peakedness: Annotated[Number, Field(ge=1, le=20)] = 3.3
+    """JONSWAP's gamma: 3.3 for a young sea, 1 for a fully developed one (Pierson-Moskowitz)"""
+    seed: Annotated[int, Field(ge=0)] = 0
+    """a whole number: the same one gives the same sea"""
+
+
+class VortexTable(Table):
+    """``[[world.water.vortex]]``"""
+
+    centre: Annotated[list[Metre], Array, Len(2, 2)]
+    """its middle, [x, y] in m"""
+    speed: Annotated[Number, Field(ge=-50, le=50)]
+    """its fastest in m/s, counter-clockwise"""
+    radius: Positive
+    """where it is fastest, in m"""
+
+
+class WaterTable(Table):
+    """``[world.water]``"""
+
+    level: Metre = 0.0
+    """the height of the calm surface in m"""
+    density: Annotated[Number, Field(ge=1, le=20_000)] = 1025.0
+    """in kg/m^3; fresh water has 1000"""
+    wave: Annotated[list[WaveTable], Array, Len(0, 100)] = []
+    """[[world.water.wave]] tables"""
+    sea: SeaTable | None = None
+    """a [world.water.sea] table"""
+    choppiness: Annotated[NotNegative, Field(le=1)] = 0.0
+    """0 for round waves, 1 for sharp crests and flat troughs (Gerstner)"""
+    grids: Text | None = None
+    """an .npz of times, heights, velocities, origin and cell from a liquid solver, relative to the shot file"""
+    current: Annotated[list[Annotated[Number, Field(ge=-50, le=50)]], Array, Len(3, 3)] = [0.0, 0.0, 0.0]
+    """the current [x, y, z] in m/s, world axes"""
+    current_depth: Positive | None = None
+    """the depth in m where the current has faded to nothing; it reaches down for ever unless given"""
+    vortex: Annotated[list[VortexTable], Array, Len(0, 100)] = []
+    """[[world.water.vortex]] tables"""
+
+
+class GustsTable(Table):
+    """``[world.gusts]``"""
+
+    strength: Annotated[NotNegative, Field(le=1)] = 0.15
+    """standard deviation of the wind over its mean: 0.1 over open sea, 0.2 over land"""
+    period: Annotated[Number, Field(ge=0.1, le=1000)] = 8.0
+    """time scale of the large gusts in s"""
+    seed: Annotated[int, Field(ge=0)] = 0
+    """a whole number: the same one gives the same gusts"""
+
+
 class WorldTable(Table):
     """``[world]``"""
 
@@ -233,6 +309,10 @@ class WorldTable(Table):
     """a shipped terrain's name, or a mesh or height map's path relative to the shot file"""
     wind: Wind = Field(default=[0.0, 0.0, 0.0])
     """the wind [x, y, z] in m/s, world axes, at most 150 m/s in all"""
+    gusts: GustsTable | None = None
+    """a [world.gusts] table: the wind changes with time"""
+    water: WaterTable | None = None
+    """a [world.water] table; no water unless given"""
     obstacle: Annotated[list[ObstacleTable], Array, Len(0, 1000)] = []
     """[[world.obstacle]] tables, each with shape = "polygon", "ellipse", "box", "mesh" or "vehicle\""""
 
@@ -281,7 +361,7 @@ class CameraTable(Table):
     name: Name = "chase"
     """a name of letters, digits and underscores, one of its own for every camera"""
     rig: Text = "chase"
-    """how the camera moves: "chase", "follow", "orbit" or "static\""""
+    """how the camera moves: "chase", "follow", "orbit", "static", "dolly", "crane", "fly_by" or "first_person\""""
     target: Text | None = None
     """the name of the vehicle it looks at; the first one unless given"""
     lens_mm: Annotated[Number, Field(ge=4, le=2000)] = CameraRig.lens_mm
@@ -295,15 +375,34 @@ class CameraTable(Table):
     height: Metre | None = None
     """how far above the target, in m"""
     azimuth: Heading | None = None
-    """degrees counter-clockwise: from straight behind (chase), from looking along +X (follow, orbit)"""
+    """degrees counter-clockwise: from straight behind (chase), straight ahead (first_person), +X (the others)"""
     position: Point | None = None
-    """where a static camera stands, [x, y, z] in m"""
+    """where a static, fly_by or crane camera stands or a dolly's rail begins, [x, y, z] in m"""
+    to: Point | None = None
+    """where a dolly's rail ends, [x, y, z] in m"""
     look_at: Point | None = None
     """what a static camera looks at, [x, y, z] in m"""
     turn: Annotated[Number, Field(ge=-3600, le=3600)] = CameraRig.turn
     """degrees a second that an orbit turns"""
+    rise: Metre | None = None
+    """how far a crane rises, in m"""
+    eye: Point | None = None
+    """where a first_person camera is, [x, y, z] in m in the vehicle's root frame"""
+    framing: Annotated[list[Annotated[Number, Field(ge=-0.9, le=0.9)]], Array, Len(2, 2)] | None = None
+    """where the target stands in the picture, [x, y] from the centre to 1 at the right and upper edges"""
+    level: bool | None = None
+    """true or false: whether the horizon is level or banks with the vehicle"""
     margin: Annotated[NotNegative, Field(le=1000)] = CameraRig.margin
     """how far above the ground the camera stays, in m"""
+
+
+class CutTable(Table):
+    """One of several ``[[cut]]``."""
+
+    frame: Frame
+    """the first frame of this piece"""
+    camera: Text
+    """the name of the camera it is seen by"""
 
 
 class RenderTable(Table):
@@ -317,3 +416,5 @@ class RenderTable(Table):
     """samples per pixel against jagged edges, 0 to 16"""
     shadows: bool = True
     """true or false: whether the sun casts shadows"""
+    cameras: Annotated[list[Text], Array, Len(1, MAX_CAMERAS + 1)] | None = None
+    """names of the cameras to render; unless given, all of them, or just "cut" where there is a [[cut]]"""

@@ -15,7 +15,7 @@ import numpy as np
 
 from vehsim.errors import InputError, Problem, ShotError
 from vehsim.shot import obstacles
-from vehsim.shot.checks import Setting, choose
+from vehsim.shot.checks import Setting, check_cuts, check_variants, choose
 from vehsim.shot.file import ShotFile, VehicleTable, parse
 from vehsim.shot.holding import hold, rests
 from vehsim.shot.model import MAX_FRAMES
@@ -96,15 +96,25 @@ class Shot:
     @cached_property
     def world(self) -> World:
         from vehsim.world import World
+        from vehsim.world.wind import Gusts
 
         table = self.file.world
         terrain = None if table.terrain is None else self._asset(table.terrain)
-        return World(terrain, table.wind, obstacles.standing(table.obstacle, self.folder))
+        return World(
+            terrain,
+            table.wind,
+            obstacles.standing(table.obstacle, self.folder),
+            water=make_water(table.water, self.folder),
+            gusts=None if table.gusts is None else Gusts(**table.gusts.model_dump()),
+        )
 
     def vehicle(self, table: VehicleTable) -> Vehicle:
         from vehsim.vehicles import load_vehicle
 
-        return load_vehicle(self._asset(table.asset))
+        vehicle = load_vehicle(self._asset(table.asset))
+        if table.variants and vehicle.rig is not None:
+            vehicle = replace(vehicle, rig=replace(vehicle.rig, variants={**vehicle.rig.variants, **table.variants}))
+        return vehicle
 
     def check(self) -> list[Problem]:
         """Everything wrong that can be known before solving; nothing is written. Warnings have their severity."""
@@ -141,10 +151,13 @@ class Shot:
 
     @property
     def render(self) -> RenderSettings:
+        from vehsim.cameras import CUT
         from vehsim.take import RenderSettings
 
         table = self.file.render
-        return RenderSettings((table.size[0], table.size[1]), table.every, table.samples, table.shadows)
+        cameras = table.cameras or [CUT] * bool(self.file.cut)
+        size = (table.size[0], table.size[1])
+        return RenderSettings(size, table.every, table.samples, table.shadows, tuple(cameras) or None)
 
     def _asset(self, name: str) -> str | Path:
         """A path relative to the shot file when there is one, else a shipped asset's name."""
@@ -174,6 +187,7 @@ class Shot:
             except InputError as error:
                 yield Problem(f"vehicle[{i}].asset", str(error), "see vehsim vehicles", table.asset)
                 continue
+            yield from check_variants(f"vehicle[{i}].variants", table.variants, vehicle.rig)
             if world is None:
                 continue
             for problem in table.motion.check(vehicle, self._setting):
@@ -215,6 +229,7 @@ class Shot:
                 yield Problem(f"camera[{i}].target", "no such vehicle", choose(camera.target, vehicles), camera.target)
             if camera.look_at is not None and camera.look_at == camera.position:
                 yield Problem(f"camera[{i}].look_at", "the camera stands there", "look elsewhere", camera.look_at)
+        yield from check_cuts(self.file)
 
     def _solve_vehicles(self, progress: Progress) -> tuple[dict[str, Clip], dict[str, Any]]:
         clips: dict[str, Clip] = {}
@@ -266,11 +281,15 @@ class Shot:
 
     def cameras(self, clips: Mapping[str, Clip], frames: tuple[int, int]) -> tuple[Camera, ...]:
         """The cameras on whole ``frames`` (first, last) of solved ``clips``."""
-        from vehsim.cameras import CameraRig, solve_camera
+        from vehsim.cameras import CUT, CameraRig, cut, solve_camera
 
         width, height = self.file.render.size
         rigs: list[CameraRig] = [CameraRig(**camera.model_dump(exclude_unset=True)) for camera in self.file.camera]
-        return tuple(solve_camera(rig, clips, self.world, frames, width / height) for rig in rigs)
+        cameras = [solve_camera(rig, clips, self.world, frames, width / height) for rig in rigs]
+        if self.file.cut:
+            cuts = [(float(piece.frame), piece.camera) for piece in self.file.cut]
+            cameras.append(cut(CUT, {camera.name: camera for camera in cameras}, cuts))
+        return tuple(cameras)
 
 
 def _place(problem: Problem, source: str, lines: Mapping[str, int]) -> Problem:
