@@ -17,8 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.errors import ExportError
-from vehsim.exporters.metadata import author_stage_metadata, samples, unit_corrections
+from vehsim.exporters.metadata import Z_UP_METRES, Units, author_stage_metadata, samples, unit_corrections
 from vehsim.exporters.packing import Pack
+from vehsim.exporters.sampling import Shutter, clip_at, fewest, fewest_poses
+from vehsim.rigging import drive_op as drive_op
+from vehsim.rigging import driven_prim, instances_above, op_order, pivot_of, pivot_op, prim_path
+from vehsim.rigging import insert_op as insert_op
+from vehsim.rigging import open_rig as open_rig
 
 if TYPE_CHECKING:
     from vehsim.clip import Clip
@@ -33,18 +38,38 @@ class RigOps:
     """Where motion goes in an asset: op orders per prim path below the root ("" is the root), and op names.
 
     ``orders[path]``: the prim's new xformOpOrder. ``channels``: channel -> (path, op name, factor from SI to op units).
-    ``translate`` and ``orient`` are the root's pose ops, ``corrections`` its constant ops for foreign units.
+    ``translate`` and ``orient`` are the root's pose ops; ``constants[path]`` its constant ops: the root's corrections
+    for foreign units, pivots of drives; ``freed`` the instances that must stop being such for their parts to move.
     """
 
     orders: Mapping[str, list[str]]
     channels: Mapping[str, tuple[str, str, float]]
     translate: str
     orient: str
-    corrections: list[tuple[str, Any]]
+    constants: Mapping[str, list[tuple[str, Any]]]
+    freed: tuple[str, ...] = ()
+
+    @property
+    def corrections(self) -> list[tuple[str, Any]]:
+        return self.constants.get("", [])
 
 
-def write_animation(clip: Clip, name: str, pack: Pack, path: Path, fps: Fraction, frames: tuple[int, int]) -> Path:
-    """Write ``clip`` (already on whole frames) as the animation layer ``path`` of a vehicle called ``name``."""
+def write_animation(
+    clip: Clip,
+    name: str,
+    pack: Pack,
+    path: Path,
+    fps: Fraction,
+    frames: tuple[int, int],
+    units: Units = Z_UP_METRES,
+    shutter: tuple[float, float] | None = None,
+    thin: float | None = None,
+) -> Path:
+    """Write ``clip`` as the animation layer ``path`` of a vehicle called ``name``.
+
+    Samples stand on whole frames; an open ``shutter`` (frames from, to) adds those that motion blur needs, ``thin``
+    (m) leaves out all that straight lines between the others replace.
+    """
     from pxr import Sdf, Tf
 
     rig = clip.vehicle.rig
@@ -52,96 +77,147 @@ def write_animation(clip: Clip, name: str, pack: Pack, path: Path, fps: Fraction
         raise ExportError(f"vehicle {name!r}: has no rig (USD asset) to animate; give it one in its vehicle.toml")
     if not Tf.IsValidIdentifier(name):
         raise ExportError(f"vehicle name {name!r}: not a USD prim name; use letters, digits and _ only")
-    asset = pack.add(rig.asset, rig.asset.stem)
-    ops = rig_ops(asset, rig)
+    ops = rig_ops(rig.asset, rig, units)
+    reference = pack.reference(rig, path)
+    motion = _Motion(clip, name, frames, shutter, thin)
 
     path.parent.mkdir(parents=True, exist_ok=True)
     layer = Sdf.Layer.CreateNew(str(path))
     with Sdf.ChangeBlock():
-        author_stage_metadata(layer, fps, frames)
+        author_stage_metadata(layer, fps, frames, units)
         layer.defaultPrim = name
         root = Sdf.PrimSpec(layer, name, Sdf.SpecifierDef, "Xform")
-        root.referenceList.prependedItems = [Sdf.Reference(pack.relative(asset, path), _prim_path(rig) or Sdf.Path())]
-        _author_root(root, ops, clip)
-        for channel, (prim_path, op, factor) in ops.channels.items():
-            values = clip.channels[channel] * factor
-            if not np.any(values):
+        target = prim_path(rig.root if rig.source is None else rig.source_root)
+        root.referenceList.prependedItems = [Sdf.Reference(reference, target or Sdf.Path())]
+        for variant_set, variant in rig.variants.items():
+            root.variantSelections[variant_set] = variant
+        motion.author_pose(root, ops, units)
+        for channel, (below, op, factor) in ops.channels.items():
+            if not np.any(clip.channels[channel]):
                 continue  # rests where the asset left it
-            spec = Sdf.CreatePrimInLayer(layer, root.path.AppendPath(prim_path))
-            samples(spec, op, Sdf.ValueTypeNames.Double, clip.frames, values)
-            _author_order(spec, ops.orders[prim_path])
+            spec = Sdf.CreatePrimInLayer(layer, root.path.AppendPath(below)) if below else root
+            motion.author_channel(spec, channel, op, factor)
+            _author_constants(spec, ops.constants.get(below, []))
+            _author_order(spec, ops.orders[below])
+        for below in ops.freed:
+            spec = Sdf.CreatePrimInLayer(layer, root.path.AppendPath(below)) if below else root
+            spec.instanceable = False
     layer.Save()
     return path
 
 
-def rig_ops(asset: Path, rig: Rig) -> RigOps:
+def rig_ops(asset: Path, rig: Rig, units: Units = Z_UP_METRES) -> RigOps:
     """Fit the motion into the asset's own op orders, so that its pivots, scales and resets survive."""
     from pxr import UsdGeom
 
     stage, root = open_rig(asset, rig)
     scale = UsdGeom.GetStageMetersPerUnit(stage)
-    own = _order(root)
+    own = op_order(root)
     reset, own = ([RESET], own[1:]) if own[:1] == [RESET] else ([], own)
     translate, orient = (_free_name(root, name) for name in ("xformOp:translate", "xformOp:orient"))
-    corrections = unit_corrections(asset)
+    standing = _wrapped(rig, root)  # what the wrapper says, the layer has to say: it references the asset itself
+    corrections = unit_corrections(asset, units)
+    constants: dict[str, list[tuple[str, Any]]] = {"": [*corrections, *standing]}
     orders = {"": [*reset, translate, orient, *(name for name, _ in corrections), *own]}
-    channels = {}
+    channels, freed = {}, []
     for channel, drive in rig.drives.items():
-        prim = root.GetPrimAtPath(drive.prim)
-        if not prim or not prim.IsA(UsdGeom.Xformable):
-            raise ExportError(
-                f"{rig.asset}: channels.{channel}.prim = {drive.prim!r}: no such Xform below the rig root; "
-                f"choose one of {', '.join(_xformables(root))}"
-            )
+        prim = driven_prim(rig, root, channel)
         op, factor = drive_op(drive.op, scale)
-        order = orders.get(drive.prim, _order(prim))
+        order = orders.get(drive.prim, op_order(prim))
         if op in order and drive.prim in orders:
             raise ExportError(f"{rig.asset}: channels.{channel}: {drive.op} on {drive.prim!r} is driven twice")
-        orders[drive.prim] = order if op in order else insert_op(order, op)
-        channels[channel] = (drive.prim, op, factor)
-    return RigOps(orders, channels, translate, orient, corrections)
+        pivot = pivot_of(rig, channel, root, scale)
+        if pivot is not None:
+            constants.setdefault(drive.prim, []).append((pivot_op(channel), pivot.tolist()))
+        inserted = insert_op(order, op, None if pivot is None else pivot_op(channel))
+        orders[drive.prim] = order if op in order else inserted
+        channels[channel] = (drive.prim, op, factor * drive.factor)
+        freed += [path for path in instances_above(root, prim) if path not in freed]
+    return RigOps(orders, channels, translate, orient, constants, tuple(freed))
 
 
-def drive_op(op: str, metres_per_unit: float = 1.0) -> tuple[str, float]:
-    """The full op name of a drive ("rotateZ" -> "xformOp:rotateZ:spin") and the factor from rad or m to its unit."""
-    if op.startswith("rotate"):
-        return f"xformOp:{op}:spin", 180.0 / np.pi
-    return f"xformOp:{op}:slide", 1.0 / metres_per_unit
+class _Motion:
+    """A clip as attributes: which frames each of them gets, and their values."""
+
+    def __init__(
+        self, clip: Clip, name: str, frames: tuple[int, int], shutter: tuple[float, float] | None, thin: float | None
+    ) -> None:
+        self.clip, self.name, self.thin = clip, name, thin
+        first, last = max(frames[0], clip.start_frame), min(frames[1], clip.end_frame)
+        self.whole = np.arange(first, last + 1, dtype=float)
+        self.on_whole = clip_at(clip, self.whole)
+        self.shutter = None if shutter is None else Shutter(clip, shutter, (first, last))
+        self.reach = _reaches(clip.vehicle.rig) if shutter is not None or thin is not None else {}
+
+    def _at(self, frames: Array) -> Clip:
+        return self.on_whole if frames is self.whole else clip_at(self.clip, frames)
+
+    def author_pose(self, root: Any, ops: RigOps, units: Units) -> None:
+        from pxr import Sdf
+
+        frames = self.whole if self.shutter is None else self.shutter.pose_frames(self.reach[""], self.name)
+        at = self._at(frames)
+        positions, orientations = units.points(at.positions), units.poses(at.orientations)
+        some = other = np.arange(len(frames))
+        if self.thin is not None:
+            some = fewest(frames, at.positions, self.thin / np.sqrt(3))
+            other = fewest_poses(frames, at.orientations, self.thin / max(self.reach[""], 1e-3))
+        samples(root, ops.translate, Sdf.ValueTypeNames.Double3, frames[some], positions[some])
+        samples(root, ops.orient, Sdf.ValueTypeNames.Quatd, frames[other], orientations[other])
+        _author_constants(root, ops.constants.get("", []))
+        _author_order(root, ops.orders[""])
+
+    def author_channel(self, spec: Any, channel: str, op: str, factor: float) -> None:
+        from pxr import Sdf
+
+        turns = ":rotate" in op
+        reach = self.reach.get(channel, 1.0)
+        frames = self.whole
+        if self.shutter is not None:
+            frames = self.shutter.channel_frames(channel, 1.0, reach, turns, self.name)
+        values = self._at(frames).channels[channel]
+        if self.thin is not None:
+            some = fewest(frames, values, self.thin / (max(reach, 1e-3) if turns else 1.0))
+            frames, values = frames[some], values[some]
+        samples(spec, op, Sdf.ValueTypeNames.Double, frames, values * factor)
 
 
-def insert_op(order: list[str], op: str) -> list[str]:
-    """``order`` with ``op`` after the prim's placement: inside its pivot, and before the scale that shapes its mesh.
+def _reaches(rig: Any) -> dict[str, float]:
+    """How far, m, the outermost point stands from the rig's root ("") and from each channel's axis or pivot."""
+    from vehsim.parts import read_parts
 
-    USD applies the last op first, so an op behind a scale would turn the unscaled shape and shear a stretched one.
-    """
-    inverses = [k for k, name in enumerate(order) if name.startswith("!invert!")]
-    end = inverses[0] if inverses else len(order)
-    while end > 0 and order[end - 1].split(":")[1:2] == ["scale"]:
-        end -= 1
-    return [*order[:end], op, *order[end:]]
-
-
-def open_rig(asset: Path, rig: Rig) -> tuple[Any, Any]:
-    """The asset's stage and the rig's root prim on it."""
-    from pxr import Usd
-
-    stage = Usd.Stage.Open(str(asset))
-    path = _prim_path(rig)
-    root = stage.GetPrimAtPath(path) if path else stage.GetDefaultPrim()
-    if not root:
-        raise ExportError(f"{rig.asset}: no {path or 'defaultPrim'}; author it or mend the vehicle's `root` key")
-    return stage, root
+    parts = {part.path: part for part in read_parts(rig.asset, rig.root or None)}
+    clouds = {path: p.points @ p.T_rp[:3, :3].T + p.T_rp[:3, 3] for path, p in parts.items() if len(p.points)}
+    reaches = {"": max((float(np.linalg.norm(cloud, axis=1).max()) for cloud in clouds.values()), default=1.0)}
+    for channel, drive in rig.drives.items():
+        below = [c for path, c in clouds.items() if path == drive.prim or path.startswith(f"{drive.prim}/")]
+        if not below:
+            continue
+        cloud = np.concatenate(below)
+        part = parts.get(drive.prim)
+        hub = part.T_rp[:3, 3] if part is not None and drive.pivot is None else (cloud.min(0) + cloud.max(0)) / 2
+        axis = np.eye(3)["XYZ".index(drive.op[-1])] if part is None else part.T_rp[:3, "XYZ".index(drive.op[-1])]
+        off = cloud - hub
+        reaches[channel] = float(np.linalg.norm(off - (off @ axis)[:, None] * axis, axis=1).max())
+    return reaches
 
 
-def _author_root(root: Any, ops: RigOps, clip: Clip) -> None:
-    from pxr import Sdf
+def _wrapped(rig: Rig, root: Any) -> list[tuple[str, Any]]:
+    """The constant ops that the wrapper of a foreign asset stands it upright with."""
+    if rig.source is None:
+        return []
+    spec = root.GetStage().GetRootLayer().GetPrimAtPath(root.GetPath())
+    return [(p.name, p.default) for p in spec.properties if p.name.startswith("xformOp:")]
 
-    samples(root, ops.translate, Sdf.ValueTypeNames.Double3, clip.frames, clip.positions)
-    samples(root, ops.orient, Sdf.ValueTypeNames.Quatd, clip.frames, clip.orientations)
-    for op, value in ops.corrections:
-        kind = Sdf.ValueTypeNames.Double3 if op.startswith("xformOp:scale") else Sdf.ValueTypeNames.Double
-        Sdf.AttributeSpec(root, op, kind).default = value
-    _author_order(root, ops.orders[""])
+
+def _author_constants(prim: Any, ops: list[tuple[str, Any]]) -> None:
+    from pxr import Gf, Sdf
+
+    for op, value in ops:
+        vector = not isinstance(value, float | int)
+        kind = Sdf.ValueTypeNames.Double3 if vector else Sdf.ValueTypeNames.Double
+        if op not in prim.attributes:
+            Sdf.AttributeSpec(prim, op, kind).default = Gf.Vec3d(*value) if vector else value
 
 
 def _author_order(prim: Any, order: list[str]) -> None:
@@ -153,25 +229,6 @@ def _author_order(prim: Any, order: list[str]) -> None:
     spec.default = Vt.TokenArray(order)
 
 
-def _prim_path(rig: Rig) -> str:
-    return rig.root if not rig.root or rig.root.startswith("/") else f"/{rig.root}"
-
-
-def _order(prim: Any) -> list[str]:
-    from pxr import UsdGeom
-
-    return list(UsdGeom.Xformable(prim).GetXformOpOrderAttr().Get() or [])
-
-
 def _free_name(prim: Any, name: str) -> str:
     """An op name the asset's root does not use itself."""
     return f"{name}:motion" if prim.HasAttribute(name) else name
-
-
-def _xformables(root: Any) -> list[str]:
-    from pxr import Usd, UsdGeom
-
-    skip = len(str(root.GetPath())) + 1
-    prims = Usd.PrimRange(root, Usd.TraverseInstanceProxies())
-    names = [str(prim.GetPath())[skip:] for prim in prims if prim.IsA(UsdGeom.Xform)]
-    return [name for name in names if name][:20]

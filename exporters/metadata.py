@@ -1,7 +1,8 @@
-"""What every layer we write has in common: stage metadata, time samples from numpy, corrections of foreign units."""
+"""What every layer we write has in common: stage metadata, time samples from numpy, units and their corrections."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -14,11 +15,66 @@ from vehsim.errors import ExportError
 Array = NDArray[np.float64]
 
 
-def author_stage_metadata(layer: Any, fps: Fraction | None = None, frames: tuple[int, int] | None = None) -> None:
-    """Metres, Z up, and time: what USD would otherwise take for centimetres, Y up and 24 frames a second."""
-    layer.pseudoRoot.SetInfo("metersPerUnit", 1.0)
-    layer.pseudoRoot.SetInfo("upAxis", "Z")
+@dataclass(frozen=True)
+class Units:
+    """What a delivery is written in: its up axis and metres per unit. Ours are metres, Z up.
+
+    A pose ``T_wr`` of ours becomes ``C T_wr C^-1`` with ``C`` = `matrix`, so a vehicle at rest is unturned in both.
+    """
+
+    up_axis: str = "Z"
+    metres: float = 1.0
+
+    @property
+    def turn(self) -> Array:
+        """(3, 3) from our axes to these."""
+        return np.eye(3) if self.up_axis == "Z" else np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])
+
+    @property
+    def matrix(self) -> Array:
+        """``C`` (4, 4): our coordinates, metres Z up, to these."""
+        matrix = np.eye(4)
+        matrix[:3, :3] = self.turn / self.metres
+        return matrix
+
+    def points(self, points: Array) -> Array:
+        """Places (n, 3) in m."""
+        return points @ self.turn.T / self.metres
+
+    def poses(self, q: Array) -> Array:
+        """Orientations (n, 4) of things that are turned along with the axes: vehicles."""
+        return q if self.up_axis == "Z" else np.column_stack([q[:, 0], q[:, 1:] @ self.turn.T])
+
+    def views(self, q: Array) -> Array:
+        """Orientations (n, 4) of things that keep their own axes: cameras look along -Z in any stage."""
+        if self.up_axis == "Z":
+            return q
+        w, x, y, z = q.T  # a quarter turn about -X from the left
+        return np.column_stack([w + x, x - w, y + z, z - y]) / np.sqrt(2.0)
+
+    def corrections(self) -> list[tuple[str, Any]]:
+        """Ops that bring what is authored in metres, Z up, to these units."""
+        return _corrections("Z", 1.0, self)
+
+
+Z_UP_METRES = Units()
+
+
+def author_stage_metadata(
+    layer: Any,
+    fps: Fraction | None = None,
+    frames: tuple[int, int] | None = None,
+    units: Units = Z_UP_METRES,
+) -> None:
+    """Units, up axis and time: what USD would otherwise take for centimetres, Y up and 24 frames a second.
+
+    A rate that is no whole number is kept exactly, as text, in ``customLayerData``.
+    """
+    layer.pseudoRoot.SetInfo("metersPerUnit", units.metres)
+    layer.pseudoRoot.SetInfo("upAxis", units.up_axis)
     if fps is not None and frames is not None:
+        if fps.denominator != 1:
+            layer.customLayerData = {"frameRate": str(fps)}
         layer.timeCodesPerSecond = layer.framesPerSecond = float(fps)
         layer.startTimeCode, layer.endTimeCode = (float(frame) for frame in frames)
 
@@ -57,24 +113,33 @@ def _vt_array(type_name: Any, values: Array) -> Any:
     return Vt.DoubleArray.FromNumpy(np.ascontiguousarray(values))
 
 
-def unit_corrections(asset: Path) -> list[tuple[str, Any]]:
-    """Ops (name, value) that bring an asset of other units or up axis to metres, Z up. USD does not do it itself."""
-    from pxr import Gf, Usd, UsdGeom
+def unit_corrections(asset: Path, units: Units = Z_UP_METRES) -> list[tuple[str, Any]]:
+    """Ops (name, value) that bring an asset of other units or up axis to ours. USD does not do it itself."""
+    from pxr import Usd, UsdGeom
 
     stage = Usd.Stage.Open(str(asset), Usd.Stage.LoadNone)
+    return _corrections(str(UsdGeom.GetStageUpAxis(stage)), UsdGeom.GetStageMetersPerUnit(stage), units)
+
+
+def _corrections(up_axis: str, metres: float, units: Units) -> list[tuple[str, Any]]:
+    from pxr import Gf
+
     ops: list[tuple[str, Any]] = []
-    if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y:
-        ops.append(("xformOp:rotateX:upAxis", 90.0))
-    scale = UsdGeom.GetStageMetersPerUnit(stage)
-    if not np.isclose(scale, 1.0, rtol=1e-9):
-        ops.append(("xformOp:scale:units", Gf.Vec3d(scale)))
+    if up_axis != units.up_axis:
+        ops.append(("xformOp:rotateX:upAxis", 90.0 if up_axis == "Y" else -90.0))
+    if not np.isclose(metres, units.metres, rtol=1e-9):
+        ops.append(("xformOp:scale:units", Gf.Vec3d(metres / units.metres)))
     return ops
 
 
-def correct_units(xform: Any, asset: Path) -> None:
+def correct_units(xform: Any, asset: Path, units: Units = Z_UP_METRES) -> None:
     """Put the corrections of ``asset`` before the ops that the referencing prim got from it."""
+    author_corrections(xform, unit_corrections(asset, units))
+
+
+def author_corrections(xform: Any, corrections: list[tuple[str, Any]]) -> None:
+    """Put constant ops before those that a prim has."""
     order = list(xform.GetXformOpOrderAttr().Get() or [])
-    corrections = unit_corrections(asset)
     if not corrections:
         return
     for name, value in corrections:

@@ -6,17 +6,36 @@ import os
 import shutil
 import warnings
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from vehsim._cache import cache_folder
 from vehsim.errors import ExportError
+
+if TYPE_CHECKING:
+    from vehsim.vehicles._base import Rig
 
 
 class Pack:
-    """Copies assets to ``folder/assets/<name>/``, each source once, and remembers every file ``written``."""
+    """Copies assets to ``folder/assets/<name>/``, each source once, and remembers every file ``written``.
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    ``keep``: vehicles' assets stay where they are, and are referenced by the path their vehicle.toml gives.
+    """
+
+    def __init__(self, folder: Path, keep: bool = False) -> None:
+        self.folder, self.keep = folder, keep
         self.written: list[Path] = []
         self._copies: dict[Path, Path] = {}
+
+    def reference(self, rig: Rig, layer: Path) -> str:
+        """The path by which ``layer`` references the asset of ``rig``.
+
+        Kept: as its vehicle.toml names it, when that means the same anywhere, and else in full.
+        """
+        source = rig.source or rig.asset
+        if not self.keep or source.is_relative_to(cache_folder()):  # what was converted exists nowhere else
+            return self.relative(self.add(source, source.stem), layer)
+        anchored = rig.folder is not None and (rig.folder / rig.named).is_file() and not Path(rig.named).is_absolute()
+        return rig.named if rig.named and not anchored else source.resolve().as_posix()
 
     def add(self, source: Path, name: str) -> Path:
         """Copy ``source`` and all it depends on; returns the copy. Warns of what it refers to and cannot be found."""

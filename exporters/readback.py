@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.errors import ExportError
-from vehsim.exporters.animation import drive_op, insert_op, open_rig
+from vehsim.exporters.metadata import Z_UP_METRES, Units
+from vehsim.exporters.sampling import frames_of
 from vehsim.parts import Y_UP_TO_Z_UP
+from vehsim.rigging import drive_op, insert_op, open_rig, pivot_of
 
 if TYPE_CHECKING:
     from vehsim.cameras import Camera
@@ -23,26 +26,35 @@ TOLERANCE = 1e-5
 """Largest difference of any entry of a world matrix, m or 1."""
 
 
-def check_readback(path: Path, shot: str, clips: Mapping[str, Clip], cameras: Iterable[Camera] = ()) -> None:
-    """Compare the composed stage at every frame with ``clips`` (on whole frames) and ``cameras``.
+def check_readback(
+    path: Path,
+    clips: Mapping[str, Clip],
+    cameras: Mapping[str, Camera] = MappingProxyType({}),
+    units: Units = Z_UP_METRES,
+) -> None:
+    """Compare the composed stage with ``clips`` and ``cameras`` by prim path, at every frame they have samples on.
 
     Raises ``ExportError`` naming the first prim and frame that differ by more than `TOLERANCE`.
     """
-    from pxr import Usd
+    from pxr import Usd, UsdGeom
 
     stage = Usd.Stage.Open(str(path))
     expected: dict[str, tuple[Array, Array]] = {}
-    for name, clip in clips.items():
-        for part, matrices in expected_matrices(clip).items():
-            expected[f"/{shot}/vehicles/{name}{'/' if part else ''}{part}"] = (clip.frames, matrices)
-    for camera in cameras:
+    for prim_path, clip in clips.items():
+        for part, matrices in expected_matrices(clip, stage.GetTimeCodesPerSecond()).items():
+            expected[f"{prim_path}{'/' if part else ''}{part}"] = (frames_of(clip), matrices)
+    for prim_path, camera in cameras.items():
         pose = _pose_matrices(camera.positions, camera.orientations)
-        expected[f"/{shot}/cameras/{camera.name}"] = (np.asarray(camera.frames, float), pose)
+        expected[prim_path] = (np.asarray(camera.frames, float), pose)
+    to_metres = np.linalg.inv(units.matrix)
     for prim_path, (frames, matrices) in expected.items():
         prim = stage.GetPrimAtPath(prim_path)
         if not prim:
             raise ExportError(f"{path.name}: {prim_path}: not there when read back; is the asset's prim deactivated?")
-        difference = np.abs(world_matrices(prim, frames) - matrices).max(axis=(1, 2))
+        found = to_metres @ world_matrices(prim, frames)
+        if prim.IsA(UsdGeom.Camera):  # keeps its own axes and size
+            found[:, :3, :3] /= np.linalg.norm(found[:, :3, :3], axis=1, keepdims=True)
+        difference = np.abs(found - matrices).max(axis=(1, 2))
         worst = int(np.argmax(~(difference <= TOLERANCE)))
         if not difference[worst] <= TOLERANCE:
             raise ExportError(
@@ -63,7 +75,7 @@ def world_matrices(prim: Any, frames: Array) -> Array:
     return matrices
 
 
-def expected_matrices(clip: Clip) -> dict[str, Array]:
+def expected_matrices(clip: Clip, codes_per_second: float = 24.0) -> dict[str, Array]:
     """What the clip says: part path below the rig root ("" the root) -> world matrices (n, 4, 4).
 
     It reads the source asset, not the copy, and multiplies the ops itself, so it shares no mistake with the export.
@@ -79,36 +91,54 @@ def expected_matrices(clip: Clip) -> dict[str, Array]:
     by_prim: dict[str, list[tuple[str, Array]]] = {}
     for channel, drive in rig.drives.items():
         op, factor = drive_op(drive.op, scale)
-        by_prim.setdefault(drive.prim, []).append((op, clip.channels[channel] * factor))
+        turned = _op_matrices(op.split(":")[1], clip.channels[channel] * factor * drive.factor)
+        pivot = pivot_of(rig, channel, root, scale)
+        if pivot is not None:
+            turned = _shift(pivot) @ turned @ _shift(-pivot)
+        by_prim.setdefault(drive.prim, []).append((op, turned))
 
-    worlds = {"": pose @ _local_matrices(root, [])}
+    # the asset's own animation goes on below ours, by its own clock
+    codes = frames_of(clip) * stage.GetTimeCodesPerSecond() / codes_per_second
+    worlds = {"": pose @ _local_matrices(root, by_prim.get("", []), codes)}
     for path in by_prim:
         world = worlds[""]
         prim = root
-        for step in path.split("/"):
+        for step in path.split("/") if path else ():
             prim = prim.GetChild(step)
             below = str(prim.GetPath())[len(str(root.GetPath())) + 1 :]
             xformable = UsdGeom.Xformable(prim)
             start = np.broadcast_to(np.eye(4), world.shape) if xformable.GetResetXformStack() else world
-            world = start @ _local_matrices(prim, by_prim.get(below, []))
+            world = start @ _local_matrices(prim, by_prim.get(below, []), codes)
         worlds[path] = world
     return worlds
 
 
-def _local_matrices(prim: Any, driven: list[tuple[str, Array]]) -> Array:
-    """Local matrices ((n,) 4, 4) of a prim of the asset with driven ops put into its order."""
+def _local_matrices(prim: Any, driven: list[tuple[str, Array]], codes: Array) -> Array:
+    """Local matrices ((n,) 4, 4) of a prim of the asset at time ``codes`` (n,), driven ops put into its order."""
     from pxr import UsdGeom
 
     xformable = UsdGeom.Xformable(prim)
-    own = {op.GetOpName(): np.array(op.GetOpTransform(0)).T for op in xformable.GetOrderedXformOps()}
+    own = {op.GetOpName(): _own_matrices(op, codes) for op in xformable.GetOrderedXformOps()}
     order = [name for name in xformable.GetXformOpOrderAttr().Get() or [] if name in own]
     moving = {}
-    for name, values in driven:
+    for name, matrices in driven:
         order = order if name in order else insert_op(order, name)
-        moving[name] = _op_matrices(name.split(":")[1], values)
+        moving[name] = matrices
     matrix = np.eye(4)
     for name in order:
         matrix = matrix @ (moving[name] if name in moving else own[name])
+    return matrix
+
+
+def _own_matrices(op: Any, codes: Array) -> Array:
+    if not op.MightBeTimeVarying():
+        return np.array(op.GetOpTransform(0)).T
+    return np.array([np.array(op.GetOpTransform(code)).T for code in codes.tolist()])
+
+
+def _shift(offset: Array) -> Array:
+    matrix = np.eye(4)
+    matrix[:3, 3] = offset
     return matrix
 
 

@@ -7,7 +7,8 @@ opens what was written and compares it with the clips.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,10 +18,18 @@ from vehsim.errors import ExportError
 from vehsim.exporters.animation import write_animation
 from vehsim.exporters.guides import author_guides
 from vehsim.exporters.lighting import author_lights
-from vehsim.exporters.metadata import author_stage_metadata, correct_units, samples
+from vehsim.exporters.metadata import (
+    Z_UP_METRES,
+    Units,
+    author_corrections,
+    author_stage_metadata,
+    correct_units,
+    samples,
+)
 from vehsim.exporters.obstacles import author_obstacles
 from vehsim.exporters.packing import Pack
 from vehsim.exporters.readback import check_readback
+from vehsim.exporters.sampling import clip_at
 from vehsim.take import Exporter, Progress, Take
 
 if TYPE_CHECKING:
@@ -39,40 +48,95 @@ def write_usd(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
         raise ExportError(f"shot name {take.name!r}: not a USD prim name; use letters, digits and _ only")
     for name, clip in take.clips.items():
         _check_finite(name, clip)
-    pack = Pack(folder)
+    settings = take.usd
+    units = Units(settings.up_axis, settings.meters_per_unit)
+    pack = Pack(folder, keep=settings.assets == "keep")
     clips = {name: clip.resample(take.fps) for name, clip in take.clips.items()}
+    layers: dict[str, list[Path]] = {}
+    for done, name in enumerate(clips):
+        progress(f"usd: {name}", done / (len(clips) + 2))
+        layers[name] = write_layers(take, name, pack, units)
+    if settings.layer_only:
+        for name, clip in clips.items():
+            check_readback(layers[name][0], {f"/{name}": clip}, {}, units)
+        return pack.written
     path = folder / f"{take.name}.usda"
     stage = Usd.Stage.CreateNew(str(path))
     root = UsdGeom.Xform.Define(stage, f"/{take.name}").GetPrim()
     stage.SetDefaultPrim(root)
-    author_stage_metadata(stage.GetRootLayer(), take.fps, take.frames)
+    author_stage_metadata(stage.GetRootLayer(), take.fps, take.frames, units)
     _model(root, Kind.Tokens.assembly, take.name, path.name)
     for scope in ("vehicles", "env", "cameras", "lights", "guides"):
         grouped = scope in ("vehicles", "env")
         prim = (UsdGeom.Xform if grouped else UsdGeom.Scope).Define(stage, root.GetPath().AppendChild(scope)).GetPrim()
         if grouped:
             Usd.ModelAPI(prim).SetKind(Kind.Tokens.group)
+        if scope in ("env", "lights", "guides") and units.corrections():  # what stands in them is in metres, Z up
+            prim.SetTypeName("Xform")
+            author_corrections(UsdGeom.Xform(prim), units.corrections())
 
-    for done, (name, clip) in enumerate(clips.items()):
-        progress(f"usd: {name}", done / (len(clips) + 2))
-        layer = folder / "layers" / f"{name}.anim.usdc"
-        pack.written.append(write_animation(clip, name, pack, layer, take.fps, take.frames))
+    for name, clip in clips.items():
         prim = UsdGeom.Xform.Define(stage, f"/{take.name}/vehicles/{name}").GetPrim()
-        prim.GetReferences().AddReference(pack.relative(layer, path))
-        _model(prim, Kind.Tokens.component, clip.vehicle.name, pack.relative(layer, path))
+        _reference_layers(prim, layers[name], path, pack)
+        _model(prim, Kind.Tokens.component, clip.vehicle.name, pack.relative(layers[name][0], path))
     progress("usd: environment", len(clips) / (len(clips) + 2))
     _author_terrain(stage, f"/{take.name}/env/terrain", take, pack, path)
     author_obstacles(stage, f"/{take.name}/env/obstacles", take)
     for camera in take.cameras:
-        author_camera(stage, f"/{take.name}/cameras/{camera.name}", camera)
+        author_camera(stage, f"/{take.name}/cameras/{camera.name}", camera, units, settings.shutter)
     author_lights(stage, f"/{take.name}/lights", take, pack, path)
     author_guides(stage, f"/{take.name}/guides", take, clips)
     stage.GetRootLayer().Save()
     pack.written.append(path)
 
     progress("usd: reading back", (len(clips) + 1) / (len(clips) + 2))
-    check_readback(path, take.name, clips, take.cameras)
+    check_readback(path, _prims(take, _shown(take, clips)), _cameras(take), units)
     return pack.written
+
+
+def write_layers(take: Take, name: str, pack: Pack, units: Units) -> list[Path]:
+    """The animation layer of a vehicle and, when keys are to be few, a second one with those that are needed."""
+    settings = take.usd
+    clip = replace(take.clips[name], fps=take.fps)
+    layer = pack.folder / "layers" / f"{name}.anim.usdc"
+    layers = [write_animation(clip, name, pack, layer, take.fps, take.frames, units, settings.shutter)]
+    if settings.thin is not None:
+        thin = layer.with_name(f"{name}.thinned.usdc")
+        layers.append(write_animation(clip, name, pack, thin, take.fps, take.frames, units, thin=settings.thin))
+    pack.written.extend(layers)
+    return layers
+
+
+def _reference_layers(prim: Any, layers: Sequence[Path], shot: Path, pack: Pack) -> None:
+    """Reference the animation; when there are two, as variants ``exact`` and ``thinned`` of the set ``motion``."""
+    if len(layers) == 1:
+        prim.GetReferences().AddReference(pack.relative(layers[0], shot))
+        return
+    variants = prim.GetVariantSets().AddVariantSet("motion")
+    for variant, layer in zip(("thinned", "exact"), reversed(layers), strict=True):
+        variants.AddVariant(variant)
+        variants.SetVariantSelection(variant)
+        with variants.GetVariantEditContext():
+            prim.GetReferences().AddReference(pack.relative(layer, shot))
+
+
+def _shown(take: Take, clips: Mapping[str, Clip]) -> Mapping[str, Clip]:
+    """What has to show: the clips on whole frames and, with an open shutter, where it opens and closes."""
+    if take.usd.shutter is None:
+        return clips
+    shown = {}
+    for name, clip in clips.items():
+        frames = np.unique((clip.frames[:, None] + [*take.usd.shutter, 0.0]).ravel())
+        shown[name] = clip_at(replace(take.clips[name], fps=take.fps), frames)
+    return shown
+
+
+def _prims(take: Take, clips: Mapping[str, Clip]) -> dict[str, Clip]:
+    return {f"/{take.name}/vehicles/{name}": clip for name, clip in clips.items()}
+
+
+def _cameras(take: Take) -> dict[str, Camera]:
+    return {f"/{take.name}/cameras/{camera.name}": camera for camera in take.cameras}
 
 
 def _check_finite(name: str, clip: Clip) -> None:
@@ -115,22 +179,35 @@ def _author_terrain(stage: Any, prim_path: str, take: Take, pack: Pack, shot: Pa
     _model(xform.GetPrim(), Kind.Tokens.component, terrain.name, pack.relative(asset, shot))
 
 
-def author_camera(stage: Any, prim_path: str, camera: Camera) -> None:
+def author_camera(
+    stage: Any,
+    prim_path: str,
+    camera: Camera,
+    units: Units = Z_UP_METRES,
+    shutter: tuple[float, float] | None = None,
+) -> None:
     """A camera with its lens in tenths of the stage unit, as USD wants it: 35 mm on a metre stage is 0.35."""
     from pxr import Gf, Sdf, UsdGeom
 
     mm = 1e-3 / (UsdGeom.GetStageMetersPerUnit(stage) * 0.1)
     prim = UsdGeom.Camera.Define(stage, prim_path)
     prim.CreateProjectionAttr(UsdGeom.Tokens.perspective)
-    prim.CreateFocalLengthAttr(camera.lens_mm * mm)
+    lens = np.asarray(camera.lens_mm) * mm
+    focal = prim.CreateFocalLengthAttr(float(lens.flat[0]))
+    if np.ptp(lens) > 0:  # a cut between lenses
+        for frame, value in zip(camera.frames, lens, strict=True):
+            focal.Set(float(value), float(frame))
     prim.CreateHorizontalApertureAttr(camera.aperture_mm[0] * mm)
     prim.CreateVerticalApertureAttr(camera.aperture_mm[1] * mm)
-    prim.CreateClippingRangeAttr(Gf.Vec2f(*camera.clip_range))
+    prim.CreateClippingRangeAttr(Gf.Vec2f(*(float(x) / units.metres for x in camera.clip_range)))
+    if shutter is not None:
+        prim.CreateShutterOpenAttr(shutter[0])
+        prim.CreateShutterCloseAttr(shutter[1])
     spec = stage.GetRootLayer().GetPrimAtPath(prim_path)
     frames = np.asarray(camera.frames, float)
     with Sdf.ChangeBlock():
-        samples(spec, "xformOp:translate", Sdf.ValueTypeNames.Double3, frames, camera.positions)
-        samples(spec, "xformOp:orient", Sdf.ValueTypeNames.Quatd, frames, camera.orientations)
+        samples(spec, "xformOp:translate", Sdf.ValueTypeNames.Double3, frames, units.points(camera.positions))
+        samples(spec, "xformOp:orient", Sdf.ValueTypeNames.Quatd, frames, units.views(camera.orientations))
     prim.GetXformOpOrderAttr().Set(["xformOp:translate", "xformOp:orient"])
 
 

@@ -23,13 +23,14 @@ FLOORS = (
         "vehsim._camera_path",
         "vehsim.simulation",
         "vehsim.pilots",
+        "vehsim._gait",
         "vehsim.planning",
         "vehsim.sinusoids",
     ),
     ("vehsim.integrators", "vehsim.world", "vehsim.clip", "vehsim._interpolate"),
-    ("vehsim.vehicles", "vehsim.parts"),
+    ("vehsim.vehicles", "vehsim.parts", "vehsim.rigging"),
     ("vehsim.lie",),
-    ("vehsim.errors", "vehsim.assets"),
+    ("vehsim.errors", "vehsim.assets", "vehsim._cache"),
 )
 """From the roof to the cellar; the rooms of one floor may see each other."""
 

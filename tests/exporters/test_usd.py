@@ -145,8 +145,7 @@ def test_ops_of_the_assets_own_root_survive(tmp_path, toys, make_take):
     assert np.abs(prim_matrices(open_shot(tmp_path), "/shot/vehicles/toy0") - clip.matrices() @ own).max() < 1e-9
 
 
-def test_an_opinion_that_does_not_show_is_an_error(tmp_path, toys, make_take):
-    """An over below an instance is ignored by USD: the rotor would stand still in every other software."""
+def instanced_rotor(tmp_path, toys):
     from pxr import Usd, UsdGeom
 
     inner = toys.asset(tmp_path / "in" / "inner.usda")
@@ -161,6 +160,22 @@ def test_an_opinion_that_does_not_show_is_an_error(tmp_path, toys, make_take):
     stage.GetRootLayer().Save()
     clip = toys.clip(outer, drives={"rotor": Drive("chassis/rotor", "rotateZ")})
     assert inner.is_file()
+    return clip
+
+
+def test_a_part_inside_an_instance_moves(tmp_path, toys, make_take):
+    """An over below an instance is ignored by USD, so the layer makes it an instance no more."""
+    write_usd(make_take(instanced_rotor(tmp_path, toys)), tmp_path / "out", toys.silent)
+    stage = open_shot(tmp_path / "out")
+    assert not stage.GetPrimAtPath("/shot/vehicles/toy0/chassis").IsInstance()
+    turned = prim_matrices(stage, "/shot/vehicles/toy0/chassis/rotor")
+    assert np.abs(turned[0] - turned[5]).max() > 0.1
+
+
+def test_an_opinion_that_does_not_show_is_an_error(tmp_path, toys, make_take, monkeypatch):
+    """Left an instance, the rotor would stand still in every other software."""
+    monkeypatch.setattr("vehsim.exporters.animation.instances_above", lambda root, prim: [])
+    clip = instanced_rotor(tmp_path, toys)
     with pytest.raises(ExportError, match=r"/shot/vehicles/toy0/chassis/rotor: at frame 1002"):
         write_usd(make_take(clip), tmp_path / "out", toys.silent)
     shutil.rmtree(tmp_path / "out")

@@ -54,7 +54,7 @@ def _files(shot: Shot) -> Iterable[Path]:
     for table in shot.file.vehicle:
         rig = shot.vehicle(table).rig
         if rig is not None:
-            yield rig.asset.parent / "vehicle.toml"
+            yield (rig.folder or rig.asset.parent) / "vehicle.toml"
             yield from _with_dependencies(rig.asset, rig.asset.stat().st_mtime_ns)
         path = getattr(table.motion, "path", None)
         if path is not None:

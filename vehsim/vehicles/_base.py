@@ -49,10 +49,16 @@ class Channel:
 
 @dataclass(frozen=True)
 class Drive:
-    """Where a channel goes: ``op`` ("rotateX|Y|Z", "translateX|Y|Z") on ``prim`` (path below the rig root)."""
+    """Where a channel goes: ``op`` ("rotateX|Y|Z", "translateX|Y|Z") on ``prim`` (path below the rig root).
+
+    ``pivot``: what it turns about when the prim has no pivot of its own: a point (3,) m in the rig root's frame, or
+    "centre", the middle of the part. ``factor`` multiplies the channel: -1 for a wheel modelled the other way round.
+    """
 
     prim: str
     op: str
+    pivot: tuple[float, float, float] | str | None = None
+    factor: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -73,6 +79,9 @@ class Rig:
 
     ``origin``: the body frame's origin (centre of mass, or the rear axle of a car) in the frame of the rig's root, m;
     the axes are parallel. ``drives``: channel name -> drive. ``suspension``: of a body on wheels.
+    ``variants``: variant set -> variant of the asset's root, where not the asset's own choice.
+    ``source``: the file that deliveries reference, at its prim ``source_root``, when ``asset`` is only a wrapper that
+    stands it upright; ``folder``: where its vehicle.toml lies; ``named``: the asset as that file names it.
     """
 
     asset: Path
@@ -80,6 +89,11 @@ class Rig:
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     drives: Mapping[str, Drive] = field(default_factory=dict)
     suspension: Suspension = Suspension()
+    variants: Mapping[str, str] = field(default_factory=dict)
+    source: Path | None = None
+    source_root: str = ""
+    folder: Path | None = None
+    named: str = ""
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,12 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from vehsim.errors import InputError
 from vehsim.vehicles._base import Control, Drive, Rig, Suspension
+from vehsim.vehicles._imported import KEYS, ready_asset
+from vehsim.vehicles._mass import fill_in, weigh
 
 if TYPE_CHECKING:
     from vehsim.vehicles._base import Vehicle
@@ -31,12 +35,12 @@ MODELS: dict[str, str] = {
     "roller_racer": "vehsim.vehicles.roller_racer:roller_racer",
     "car_trailer": "vehsim.vehicles.car_trailer:car_trailer",
     "suslov": "vehsim.vehicles.suslov:suslov",
+    "rigid_body": "vehsim.vehicles.rigid_body:rigid_body",
 }
 """Model name -> the function that makes its vehicle from ``[physics]``."""
 
-_TOP = {"schema", "name", "model", "asset", "root", "origin", "hull", "physics", "controls", "joints", "channels"} | {
-    "suspension"
-}
+_TOP = {"schema", "name", "model", "asset", "root", "origin", "hull", "physics", "controls", "joints", "channels"}
+_TOP |= {"suspension"} | KEYS
 
 
 def available() -> list[str]:
@@ -79,7 +83,7 @@ def _load(path: Path, changed: int) -> Vehicle:
         raise InputError(f"{path}: model = {model!r}: unknown; choose one of {', '.join(sorted(MODELS))}")
     module, _, function = MODELS[model].partition(":")
     factory = getattr(importlib.import_module(module), function)
-    vehicle: Vehicle = factory(str(data.get("name", model)), **_physics(path, factory, data.get("physics", {})))
+    vehicle: Vehicle = factory(str(data.get("name", model)), **_physics(path, factory, _weighed(path, factory, data)))
     told: dict[str, Any] = {
         "controls": _controls(path, vehicle, data.get("controls", {})),
         "joint_limits": _limits(path, vehicle, data.get("joints", {})),
@@ -87,6 +91,19 @@ def _load(path: Path, changed: int) -> Vehicle:
     }
     planar = None if vehicle.planar is None else replace(vehicle.planar, **told | {"rig": _level(told["rig"])})
     return replace(vehicle, **told, hull=_hull(path, vehicle, data), planar=planar)
+
+
+def _weighed(path: Path, factory: Any, data: dict[str, Any]) -> dict[str, Any]:
+    """``[physics]``; where it gives a density, mass and inertia are measured on the asset."""
+    physics: dict[str, Any] = data.get("physics", {})
+    if "density" not in physics:
+        return physics
+    if "asset" not in data:
+        raise InputError(f"{path}: physics.density = {physics['density']!r}: there is no asset to measure; give mass")
+    asset, source = ready_asset(path, data)
+    weighed = weigh(path, asset, None if asset != source else str(data.get("root", "")) or None, physics["density"])
+    data.setdefault("origin", [float(x) for x in weighed[1]])
+    return fill_in(physics, set(inspect.signature(factory).parameters), weighed, np.asarray(data["origin"], float))
 
 
 def _physics(path: Path, factory: Any, table: dict[str, Any]) -> dict[str, Any]:
@@ -134,9 +151,7 @@ def _hull(path: Path, vehicle: Vehicle, data: dict[str, Any]) -> Any:
 def _rig(path: Path, vehicle: Vehicle, data: dict[str, Any]) -> Rig | None:
     if "asset" not in data:
         return None
-    asset = path.parent / str(data["asset"])
-    if not asset.is_file():
-        raise InputError(f"{path}: asset = {data['asset']!r}: no such file; give a USD file relative to vehicle.toml")
+    asset, source = ready_asset(path, data)
     origin = tuple(float(x) for x in data.get("origin", (0.0, 0.0, 0.0)))
     if len(origin) != 3:
         raise InputError(f"{path}: origin = {data['origin']!r}: give three numbers, m, in the rig root's frame")
@@ -144,13 +159,42 @@ def _rig(path: Path, vehicle: Vehicle, data: dict[str, Any]) -> Rig | None:
     _known(path, "channels.", channels, set(vehicle.channels))
     ops = {f"{kind}{axis}" for kind in ("rotate", "translate") for axis in "XYZ"}
     for name, values in channels.items():
-        _known(path, f"channels.{name}.", values, {"prim", "op"})
+        _known(path, f"channels.{name}.", values, {"prim", "op", "pivot", "factor"})
+        if not isinstance(values.get("prim"), str):
+            raise InputError(f"{path}: channels.{name}.prim = {values.get('prim')!r}: give a path below the rig root")
         if values.get("op") not in ops:
             raise InputError(f"{path}: channels.{name}.op = {values.get('op')!r}: choose one of {sorted(ops)}")
-    drives = {name: Drive(values["prim"], values["op"]) for name, values in channels.items()}
-    drives = dict(sorted(drives.items(), key=lambda item: item[1].op.startswith("rotate")))  # slide first, then turn
+    drives = {name: _drive(path, name, values) for name, values in channels.items()}
+
+    def place(item: tuple[str, Drive]) -> tuple[bool, bool]:  # slide first, then steer, then spin
+        return item[1].op.startswith("rotate"), vehicle.channels[item[0]].rate is not None
+
+    drives = dict(sorted(drives.items(), key=place))
     springs = _suspension(path, data.get("suspension", {}))
-    return Rig(asset, str(data.get("root", "")), origin, drives, springs)  # type: ignore[arg-type]
+    root = str(data.get("root", ""))
+    return Rig(
+        asset=asset,
+        root=root if asset == source else "",
+        origin=origin,  # type: ignore[arg-type]
+        drives=drives,
+        suspension=springs,
+        variants=dict(data.get("variants", {})),
+        source=None if asset == source else source,
+        source_root=root,
+        folder=path.parent,
+        named=str(data["asset"]),
+    )
+
+
+def _drive(path: Path, name: str, values: dict[str, Any]) -> Drive:
+    pivot, factor = values.get("pivot"), values.get("factor", 1.0)
+    if isinstance(pivot, list) and len(pivot) == 3 and all(isinstance(x, int | float) for x in pivot):
+        pivot = (float(pivot[0]), float(pivot[1]), float(pivot[2]))
+    if pivot not in (None, "centre") and not isinstance(pivot, tuple):
+        raise InputError(f'{path}: channels.{name}.pivot = {pivot!r}: give "centre" or three numbers, m')
+    if isinstance(factor, bool) or not isinstance(factor, int | float) or not math.isfinite(factor) or factor == 0:
+        raise InputError(f"{path}: channels.{name}.factor = {factor!r}: give a number such as -1")
+    return Drive(values["prim"], values["op"], pivot, float(factor))
 
 
 def _suspension(path: Path, table: dict[str, Any]) -> Suspension:

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from vehsim._cache import cache_folder as cache_folder
 from vehsim.errors import InputError, Problem
 from vehsim.world.terrain import Terrain
 
@@ -88,10 +89,10 @@ class DistanceField:
         outside[:, 2] = np.minimum(outside[:, 2], 0)
         return np.asarray(spline - (np.sqrt(np.sum(outside**2, axis=1) + BLEND**2) - BLEND))
 
-    def models(self, count: int) -> Any:
+    def models(self, count: int, order: int = 2) -> Any:
         """A casadi ``Function``, points (3, count) -> value, gradient, Hessian (xx, yy, zz, xy, xz, yz) (10, count).
 
-        Two or three us a point, where differentiating `function` takes 35: coefficients are gathered for all at once.
+        Derivatives up to ``order``, zeros beyond. Two or three us a point, where differentiating `function` takes 35: coefficients are gathered for all at once.
         """
         import casadi
 
@@ -102,13 +103,14 @@ class DistanceField:
         inside = casadi.fmin(casadi.fmax(point, self.lower), self.upper)
         index = (inside - self.lower) / self.spacing
         first = casadi.fmax(casadi.fmin(casadi.floor(index), casadi.DM(shape) - 4), 0)
-        values = casadi.cse(_second_order(self, point, inside, index - first, coefficients))
+        values = casadi.cse(_second_order(self, point, inside, index - first, coefficients)[: (1, 4, 10)[order]])
         place = casadi.Function("place", [point], [casadi.dot(first, casadi.DM(strides)) + casadi.DM(near)])
         evaluate = casadi.Function("evaluate", [point, coefficients], [values])
         points = casadi.MX.sym("points", 3, count)
         table = casadi.MX(casadi.DM(self._coefficients.ravel(order="F")))
         gathered = casadi.reshape(table.get_nz(False, casadi.vec(place.map(count)(points))), 64, count)
-        return casadi.Function("models", [points], [evaluate.map(count)(points, gathered)])
+        known = evaluate.map(count)(points, gathered)
+        return casadi.Function("models", [points], [casadi.vertcat(known, casadi.DM.zeros(10 - known.shape[0], count))])
 
     @cached_property
     def function(self) -> Any:
@@ -228,15 +230,6 @@ def _measure(
         if progress is not None:
             progress("measuring distances to the terrain", (done + 1) / len(slabs))
     return distances
-
-
-def cache_folder() -> Path:
-    """Where fields are kept: ``VEHSIM_CACHE``, or else the platform's cache folder. Safe to delete at any time."""
-    if folder := os.environ.get("VEHSIM_CACHE"):
-        return Path(folder).expanduser()
-    import platformdirs
-
-    return Path(platformdirs.user_cache_dir("vehsim", appauthor=False))
 
 
 def _read(file: Path, shape: tuple[int, ...]) -> NDArray[np.float32] | None:

@@ -1,0 +1,192 @@
+"""At which frames motion is written: whole ones, within an open shutter as many as the eye needs, or as few as will do.
+
+What belongs here is the choice of frames from arrays and tolerances; authoring is in `animation.py`.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from vehsim.clip import Clip
+
+Array = NDArray[np.float64]
+
+CHORD = 1e-3
+"""How far, m, a point of a moving part may stand from its path when samples are joined by straight lines."""
+MOST = 16
+"""Most samples within a shutter's opening."""
+
+
+def clip_at(clip: Clip, frames: Array) -> Clip:
+    """The clip at any ``frames`` (m,); beyond its ends it goes on as it moves there, for a shutter that opens early."""
+    rate = float(clip.fps)
+    times = (np.asarray(frames, float) - clip.start_frame) / rate
+    inside = clip.at(np.clip(times, clip.times[0], clip.times[-1]))
+    beyond = times - inside.times
+    if not beyond.any():
+        return replace(inside, times=times)
+    from scipy.spatial.transform import Rotation
+
+    from vehsim._interpolate import spatial
+
+    omega, velocity = spatial(inside)
+    turned = Rotation.from_quat(inside.orientations, scalar_first=True) * Rotation.from_rotvec(omega * beyond[:, None])
+    q = turned.as_quat(scalar_first=True)
+    q = q * np.where((q * inside.orientations).sum(axis=1) < 0, -1.0, 1.0)[:, None]
+    step = min(0.25 / rate, clip.duration) or 1.0
+    channels = {}
+    for name, values in inside.channels.items():
+        ends = clip.at(np.array([clip.times[0], clip.times[0] + step, clip.times[-1] - step, clip.times[-1]])[:4])
+        a = ends.channels[name]
+        slope = np.where(beyond < 0, (a[1] - a[0]) / step, (a[3] - a[2]) / step) if clip.duration else 0.0
+        channels[name] = values + slope * beyond
+    return replace(
+        inside,
+        times=times,
+        positions=inside.positions + velocity * beyond[:, None],
+        orientations=q,
+        channels=channels,
+    )
+
+
+def frames_of(clip: Clip) -> Array:
+    """The frames (n,) of a clip from `clip_at`, as they were asked for."""
+    return np.asarray(clip.start_frame + clip.times * float(clip.fps))
+
+
+class Shutter:
+    """Fine samples of a clip within every frame's opening, from which each attribute takes what it needs."""
+
+    def __init__(self, clip: Clip, opening: tuple[float, float], frames: tuple[int, int]) -> None:
+        self.whole = np.arange(frames[0], frames[1] + 1, dtype=float)
+        self.offsets = np.linspace(*opening, MOST + 1)
+        self.fine = clip_at(clip, (self.whole[:, None] + self.offsets).ravel())
+
+    def pose_frames(self, reach: float, name: str) -> Array:
+        """Frames (m,) at which a body of ``reach`` m about its root needs samples of position and orientation."""
+        shape = (len(self.whole), MOST + 1)
+        positions = self.fine.positions.reshape(*shape, 3)
+        q = self.fine.orientations.reshape(*shape, 4)
+
+        def error(n: int) -> Array:
+            off, turned = np.zeros(shape), np.zeros(shape)
+            for a, b, s, inner in _spans(n):
+                off[:, inner] = np.linalg.norm(_lerp(positions, a, b, s) - positions[:, inner], axis=-1)
+                between = _lerp(q, a, b, s)
+                between /= np.linalg.norm(between, axis=-1, keepdims=True)
+                turned[:, inner] = _angle(between, q[:, inner])
+                off[:, inner] += reach * (1 - np.cos(_angle(q[:, [a]], q[:, [b]]) / 2))  # renderers join matrices
+            return (off + reach * turned).max(axis=1)
+
+        return self._choose(error, f"{name}: its pose")
+
+    def channel_frames(self, channel: str, factor: float, reach: float, turns: bool, name: str) -> Array:
+        """Frames (m,) at which a driven part needs samples; ``reach`` m of its outermost point from its axis."""
+        values = self.fine.channels[channel].reshape(len(self.whole), MOST + 1) * factor
+
+        def error(n: int) -> Array:
+            off = np.zeros(values.shape)
+            for a, b, s, inner in _spans(n):
+                off[:, inner] = np.abs(_lerp(values[..., None], a, b, s)[..., 0] - values[:, inner])
+                if turns:
+                    chord = np.minimum(np.abs(values[:, [b]] - values[:, [a]]) / 2, np.pi)
+                    off[:, inner] = reach * (off[:, inner] + 1 - np.cos(chord))
+            return off.max(axis=1)
+
+        return self._choose(error, f"{name}: {channel}")
+
+    def _choose(self, error: object, what: str) -> Array:
+        """Whole frames, and per opening the fewest of 1, 2, 4, 8, 16 spans that hold the error."""
+        spans = np.full(len(self.whole), MOST)
+        worst = np.zeros(len(self.whole))
+        for n in (16, 8, 4, 2, 1):
+            found = error(n)  # type: ignore[operator]
+            if n == MOST:
+                worst = found
+            spans = np.where(found <= CHORD, n, spans)
+        if (excess := worst.max()) > CHORD:
+            at = self.whole[worst.argmax()]
+            warnings.warn(
+                f"{what}: {1e3 * excess:.2g} mm off its path at frame {at:g} between {MOST} samples of the open "
+                "shutter; show a fast rotor as its disc, or open the shutter for less",
+                stacklevel=4,
+            )
+        chosen = [frame + self.offsets[:: MOST // n] for frame, n in zip(self.whole, spans, strict=True)]
+        return np.unique(np.round(np.concatenate([self.whole, *chosen]), 9))
+
+
+def _spans(n: int) -> list[tuple[int, int, Array, slice]]:
+    """(first, last, weights, inner indices) of ``n`` spans over the fine samples of an opening."""
+    width = MOST // n
+    weights = np.linspace(0, 1, width + 1)
+    return [(k * width, (k + 1) * width, weights, slice(k * width, (k + 1) * width + 1)) for k in range(n)]
+
+
+def _lerp(values: Array, a: int, b: int, s: Array) -> Array:
+    return values[:, [a]] + s[:, None] * (values[:, [b]] - values[:, [a]])
+
+
+def _angle(p: Array, q: Array) -> Array:
+    """Angles between unit quaternions (..., 4), accurate near zero."""
+    d = np.minimum(np.linalg.norm(p - q, axis=-1), np.linalg.norm(p + q, axis=-1))
+    return 4 * np.arcsin(np.clip(d / 2, 0, 1))
+
+
+# ---------------------------------------------------------------- as few as will do
+
+
+def fewest(frames: Array, values: Array, tolerance: float) -> NDArray[np.intp]:
+    """The fewest of the samples whose straight lines stay within ``tolerance`` of all of them, in every column.
+
+    ``frames`` (n,), ``values`` (n, m); returns indices (k,), the first and the last among them. The shortest path over
+    all chords that hold (Imai and Iri 1988): from sample i a line of slope within the narrowest cone reaches sample j.
+    """
+    n = len(frames)
+    values = np.asarray(values, float).reshape(n, -1)
+    if n <= 2:
+        return np.unique([0, n - 1])
+    cost = np.full(n, n + 1)
+    before = np.zeros(n, np.intp)
+    cost[0] = 0
+    for i in range(n - 1):
+        run = (frames[i + 1 :] - frames[i])[:, None]
+        slope = (values[i + 1 :] - values[i]) / run
+        low = np.maximum.accumulate(slope - tolerance / run, axis=0)
+        high = np.minimum.accumulate(slope + tolerance / run, axis=0)
+        # the cone of the samples between, not of the end itself: a chord passes through its own end
+        low = np.vstack([np.full((1, values.shape[1]), -np.inf), low[:-1]])
+        high = np.vstack([np.full((1, values.shape[1]), np.inf), high[:-1]])
+        reached = i + 1 + np.flatnonzero(((slope >= low) & (slope <= high)).all(axis=1))
+        better = reached[cost[reached] > cost[i] + 1]
+        cost[better], before[better] = cost[i] + 1, i
+    chain = [n - 1]
+    while chain[-1]:
+        chain.append(int(before[chain[-1]]))
+    return np.array(chain[::-1], np.intp)
+
+
+def fewest_poses(frames: Array, q: Array, angle: float) -> NDArray[np.intp]:
+    """The same for unit quaternions (n, 4) that are slerped: no orientation is off by more than ``angle`` rad."""
+    tolerance = angle / 4  # of each of four components: their norm is half the angle
+    for _ in range(8):
+        chosen = fewest(frames, q, tolerance)
+        if _slerp_error(frames, q, chosen) <= angle:
+            return chosen
+        tolerance /= 2
+    return np.arange(len(frames))
+
+
+def _slerp_error(frames: Array, q: Array, chosen: NDArray[np.intp]) -> float:
+    from scipy.spatial.transform import Rotation, Slerp
+
+    if len(frames) < 2:
+        return 0.0
+    rotations = Rotation.from_quat(q, scalar_first=True)
+    between = Slerp(frames[chosen], rotations[chosen])(frames)
+    return float((between.inv() * rotations).magnitude().max())

@@ -1,0 +1,229 @@
+"""How motion enters a rig: which op on which prim, and whether the prim can take it.
+
+What belongs here knows USD prims and op orders and no motion: the exporter writes through it, checks ask it before
+anything is solved. A channel becomes one suffixed scalar op in the prim's own ``xformOpOrder``, after the prim's
+placement and before what shapes its mesh, with values in the prim's own units.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from difflib import get_close_matches
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.errors import ExportError, InputError
+
+if TYPE_CHECKING:
+    from vehsim.vehicles._base import Drive, Rig
+
+Array = NDArray[np.float64]
+
+SHEAR = 1e-3
+"""Largest relative difference of scale across a spin's axis."""
+
+
+def open_rig(asset: Path, rig: Rig) -> tuple[Any, Any]:
+    """The asset's stage and the rig's root prim on it."""
+    from pxr import Usd
+
+    stage = Usd.Stage.Open(str(asset))
+    path = prim_path(rig.root)
+    root = stage.GetPrimAtPath(path) if path else stage.GetDefaultPrim()
+    if not root:
+        raise ExportError(f"{rig.asset}: no {path or 'defaultPrim'}; author it or mend the vehicle's `root` key")
+    return stage, root
+
+
+def prim_path(root: str) -> str:
+    return root if not root or root.startswith("/") else f"/{root}"
+
+
+def driven_prim(rig: Rig, root: Any, channel: str) -> Any:
+    """The prim that ``channel`` drives. Raises ``ExportError`` naming those that are there."""
+    from pxr import Sdf, UsdGeom
+
+    name = rig.drives[channel].prim
+    valid = Sdf.Path.IsValidPathString(name) and not name.startswith("/")
+    prim = root.GetPrimAtPath(name) if valid else None
+    if prim and prim.IsA(UsdGeom.Xformable):
+        return prim
+    known = xformables(root)
+    close = [path for path in known if path.rpartition("/")[2] == name.rpartition("/")[2]]
+    close = close or get_close_matches(name, known, n=1)
+    hint = f"did you mean {close[0]!r}?" if close else f"choose one of {', '.join(known[:20])}"
+    raise ExportError(f"{rig.asset}: channels.{channel}.prim = {name!r}: no such Xform below the rig root; {hint}")
+
+
+def xformables(root: Any) -> list[str]:
+    """Paths of the Xforms below ``root``, inside instances too."""
+    from pxr import Usd, UsdGeom
+
+    skip = len(str(root.GetPath())) + 1
+    prims = Usd.PrimRange(root, Usd.TraverseInstanceProxies())
+    return [name for prim in prims if prim.IsA(UsdGeom.Xform) and (name := str(prim.GetPath())[skip:])]
+
+
+def instances_above(root: Any, prim: Any) -> list[str]:
+    """Paths below ``root`` ("" the root) of the instances that ``prim`` lies in: USD drops overs below them."""
+    found = []
+    above = prim.GetParent()
+    while above and above.GetPath().HasPrefix(root.GetPath()):
+        if above.IsInstance():
+            found.append(str(above.GetPath())[len(str(root.GetPath())) + 1 :])
+        above = above.GetParent()
+    return found[::-1]
+
+
+def op_order(prim: Any) -> list[str]:
+    from pxr import UsdGeom
+
+    return list(UsdGeom.Xformable(prim).GetXformOpOrderAttr().Get() or [])
+
+
+def drive_op(op: str, metres_per_unit: float = 1.0) -> tuple[str, float]:
+    """The full op name of a drive ("rotateZ" -> "xformOp:rotateZ:spin") and the factor from rad or m to its unit."""
+    if op.startswith("rotate"):
+        return f"xformOp:{op}:spin", 180.0 / np.pi
+    return f"xformOp:{op}:slide", 1.0 / metres_per_unit
+
+
+def pivot_op(channel: str) -> str:
+    """The op that holds a drive's own pivot."""
+    return f"xformOp:translate:{channel}_pivot"
+
+
+def insert_op(order: list[str], op: str, pivot: str | None = None) -> list[str]:
+    """``order`` with ``op`` after the prim's placement: inside its pivot, and before the scale that shapes its mesh.
+
+    USD applies the last op first, so an op behind a scale would turn the unscaled shape and shear a stretched one.
+    ``pivot``: an op about which it turns, put around it.
+    """
+    own_pivots = [k for k, name in enumerate(order) if name.startswith("!invert!") and not name.endswith("_pivot")]
+    end = own_pivots[0] if own_pivots else len(order)
+    while end > 0 and order[end - 1].split(":")[1:2] == ["scale"]:
+        end -= 1
+    return [*order[:end], *([op] if pivot is None else [pivot, op, f"!invert!{pivot}"]), *order[end:]]
+
+
+def pivot_of(rig: Rig, channel: str, root: Any, metres_per_unit: float) -> Array | None:
+    """The drive's pivot (3,) in the space its op works in, in the asset's units; None for the prim's own."""
+    drive = rig.drives[channel]
+    if drive.pivot is None:
+        return None
+    prim = root.GetPrimAtPath(drive.prim)
+    T_ra = _to_op_space(root, prim, drive, metres_per_unit)
+    point = _bounds(rig, drive.prim).mean(axis=0) if drive.pivot == "centre" else np.asarray(drive.pivot, float)
+    return np.asarray((np.linalg.inv(T_ra) @ [*point, 1.0])[:3])
+
+
+def rig_problems(rig: Rig) -> Iterator[tuple[str, str, str]]:
+    """(channel, what is wrong, how to mend it) for every drive that cannot move its prim as a rigid part."""
+    from pxr import UsdGeom
+
+    try:
+        stage, root = open_rig(rig.asset, rig)
+    except ExportError as error:
+        yield "", str(error), "mend asset or root in its vehicle.toml"
+        return
+    metres = UsdGeom.GetStageMetersPerUnit(stage)
+    for channel, drive in rig.drives.items():
+        try:
+            prim = driven_prim(rig, root, channel)
+            linear = _to_op_space(root, prim, drive, metres)[:3, :3]
+            sizes = np.linalg.norm(linear, axis=0)
+            if np.linalg.matrix_rank(linear / max(sizes.max(), 1e-30), tol=1e-6) < 3:
+                yield channel, f"{drive.prim}: its transform cannot be inverted", "mend the scale of it and its parents"
+            elif drive.op.startswith("rotate"):
+                yield from _turning(rig, channel, drive, linear, sizes)
+        except (ExportError, InputError) as error:
+            yield channel, str(error), "mend its vehicle.toml or the asset"
+
+
+def _turning(rig: Rig, channel: str, drive: Drive, linear: Array, sizes: Array) -> Iterator[tuple[str, str, str]]:
+    """A spin keeps its part's shape, and its axis goes through it."""
+    axis = "XYZ".index(drive.op[-1])
+    j, k = (axis + 1) % 3, (axis + 2) % 3
+    unit = linear / sizes
+    skew = max(abs(unit[:, j] @ unit[:, k]), abs(unit[:, axis] @ unit[:, j]), abs(unit[:, axis] @ unit[:, k]))
+    if abs(sizes[j] / sizes[k] - 1) > SHEAR or skew > SHEAR:
+        scales = ", ".join(f"{size:.4g}" for size in sizes)
+        yield (
+            channel,
+            f"{drive.prim}: turned about {drive.op[-1]} it would shear: a scale of {scales} stands above the spin",
+            "apply that scale to the meshes, or move it behind the rotation, last in xformOpOrder",
+        )
+        return
+    low, high = _bounds(rig, drive.prim)
+    if drive.pivot is not None or not np.isfinite(low).all():
+        return
+    hub = _hub(rig, drive)
+    direction = unit[:, axis]
+    middle, half = (low + high) / 2, (high - low) / 2
+    off = middle - hub
+    off = off - direction * (off @ direction)
+    if np.linalg.norm(off) > max(1.2 * float(np.linalg.norm(half)), 1e-6):
+        yield (
+            channel,
+            f"{drive.prim}: no pivot: it would swing about an axis {np.linalg.norm(off):.3g} m from its middle",
+            'give the channel pivot = "centre", or a point [x, y, z] in m, or set the pivot in the asset',
+        )
+
+
+def _hub(rig: Rig, drive: Drive) -> Array:
+    part = {part.path: part for part in _parts(rig)}.get(drive.prim)
+    return part.T_rp[:3, 3] if part is not None else np.zeros(3)
+
+
+def _bounds(rig: Rig, path: str) -> Array:
+    """Lower and upper corner (2, 3) of a part and all that rides on it, in the rig root's frame, m."""
+    inside = [part for part in _parts(rig) if part.path == path or part.path.startswith(f"{path}/")]
+    points = [part.points @ part.T_rp[:3, :3].T + part.T_rp[:3, 3] for part in inside]
+    points = [cloud for cloud in points if len(cloud)]
+    if not points:
+        return np.full((2, 3), np.nan)
+    cloud = np.concatenate(points)
+    return np.stack([cloud.min(axis=0), cloud.max(axis=0)])
+
+
+def _parts(rig: Rig) -> Any:
+    from vehsim.parts import read_parts
+
+    return read_parts(rig.asset, rig.root or None)
+
+
+def _to_op_space(root: Any, prim: Any, drive: Drive, metres_per_unit: float) -> Array:
+    """(4, 4) from the space a drive's op works in to the rig root's frame, at the asset's first time."""
+    from pxr import Usd, UsdGeom
+
+    from vehsim.parts import Y_UP_TO_Z_UP
+
+    stage = root.GetStage()
+    turn = Y_UP_TO_Z_UP if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y else np.eye(4)
+    matrix = turn @ np.diag([metres_per_unit] * 3 + [1.0])
+    chain = [prim]
+    while chain[-1] != root:
+        chain.append(chain[-1].GetParent())
+    when = Usd.TimeCode.EarliestTime()
+    for step in chain[:0:-1]:
+        matrix = matrix @ np.array(UsdGeom.Xformable(step).GetLocalTransformation(when)).T if _moves(step) else matrix
+    op, _ = drive_op(drive.op)
+    own = {o.GetOpName(): np.array(o.GetOpTransform(when)).T for o in UsdGeom.Xformable(prim).GetOrderedXformOps()}
+    order = op_order(prim)
+    for name in order[: order.index(op)] if op in order else _before(order, op):
+        matrix = matrix @ own.get(name, np.eye(4))
+    return np.asarray(matrix)
+
+
+def _before(order: list[str], op: str) -> list[str]:
+    inserted = insert_op(order, op)
+    return inserted[: inserted.index(op)]
+
+
+def _moves(prim: Any) -> bool:
+    from pxr import UsdGeom
+
+    return bool(prim.IsA(UsdGeom.Xformable))

@@ -1,0 +1,287 @@
+"""A studio's asset made ready to be read: converted to USD when it is GLB or OBJ, and stood in the rig root's frame.
+
+A wrapper, kept in the cache, references the asset and puts it in metres, Z up, nose along +X, with its variants
+chosen; everything that reads a vehicle reads that. What is delivered references the studio's own file.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import secrets
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vehsim._cache import cache_folder
+from vehsim.errors import InputError
+
+USD = (".usd", ".usda", ".usdc", ".usdz")
+MESHES = (".glb", ".gltf", ".obj")
+KEYS = {"up_axis", "meters_per_unit", "forward", "offset", "variants"}
+"""Keys of a vehicle.toml that say how its asset stands."""
+FORWARD = {"+X": 0, "+Y": 1, "-X": 2, "-Y": 3, "+Z": 1, "-Z": 3}
+"""Quarter turns counter-clockwise, seen from above, from world X to where the asset's nose points."""
+
+
+def ready_asset(toml: Path, data: Mapping[str, Any]) -> tuple[Path, Path]:
+    """``(asset, source)``: what vehsim reads, and the USD file that deliveries reference; often the same.
+
+    Raises ``InputError`` naming file, key, value and the mend.
+    """
+    source, up, metres = _usd_file(toml, data)
+    if not KEYS & set(data):
+        return source, source
+    up = _choice(toml, data, "up_axis", ("Y", "Z")) or up
+    metres = data.get("meters_per_unit", metres)
+    if isinstance(metres, bool) or not isinstance(metres, int | float) or not 0 < metres < 1e6:
+        raise InputError(f"{toml}: meters_per_unit = {metres!r}: give metres, such as 0.01 for centimetres")
+    offset = data.get("offset", [0.0, 0.0, 0.0])
+    if not isinstance(offset, list) or len(offset) != 3 or not all(isinstance(x, int | float) for x in offset):
+        raise InputError(f"{toml}: offset = {offset!r}: give three numbers, m, along the nose, to the left and up")
+    turns = _quarter_turns(toml, data, up)
+    variants = data.get("variants", {})
+    ops: dict[str, Any] = {}
+    if any(offset):
+        ops["xformOp:translate:offset"] = [float(x) for x in offset]
+    if turns:
+        ops["xformOp:rotateZ:forward"] = -90.0 * turns
+    if up == "Y":
+        ops["xformOp:rotateX:assetUpAxis"] = 90.0
+    if metres != 1.0:
+        ops["xformOp:scale:assetUnits"] = [float(metres)] * 3
+    return _wrapper(toml, source, str(data.get("root", "")), ops, variants), source
+
+
+def _usd_file(toml: Path, data: Mapping[str, Any]) -> tuple[Path, str, float]:
+    """The asset as USD, its up axis and metres per unit."""
+    named = str(data["asset"])
+    path = toml.parent / named
+    if not path.is_file():
+        from pxr import Ar
+
+        resolved = str(Ar.GetResolver().Resolve(named))  # a studio's resolver may know it
+        if not resolved or not Path(resolved).is_file():
+            raise InputError(f"{toml}: asset = {named!r}: no such file; give a USD, GLB or OBJ file beside it")
+        path = Path(resolved)
+    if path.suffix.lower() in MESHES:
+        if path.suffix.lower() == ".obj" and not {"up_axis", "meters_per_unit"} <= set(data):
+            raise InputError(f"{toml}: asset = {named!r}: OBJ says neither; give up_axis and meters_per_unit")
+        return _converted(path), "Y", 1.0
+    if path.suffix.lower() not in USD:
+        raise InputError(f"{toml}: asset = {named!r}: not USD, GLB or OBJ; export it as one of them")
+    if not KEYS & set(data):
+        return path, "Z", 1.0  # whoever reads it asks the file itself
+    from pxr import Usd, UsdGeom
+
+    stage = Usd.Stage.Open(str(path), Usd.Stage.LoadNone)
+    return path, str(UsdGeom.GetStageUpAxis(stage)), UsdGeom.GetStageMetersPerUnit(stage)
+
+
+def _choice(toml: Path, data: Mapping[str, Any], key: str, choices: tuple[str, ...]) -> Any:
+    value = data.get(key)
+    if value is not None and value not in choices:
+        raise InputError(f"{toml}: {key} = {value!r}: choose one of {', '.join(choices)}")
+    return value
+
+
+def _quarter_turns(toml: Path, data: Mapping[str, Any], up: str) -> int:
+    """How often to turn the asset clockwise by 90 degrees to bring its ``forward`` axis to world X."""
+    axes = ("+X", "-X", "+Z", "-Z") if up == "Y" else ("+X", "-X", "+Y", "-Y")
+    forward = _choice(toml, data, "forward", axes) or "+X"
+    turns = FORWARD[forward]
+    return -turns if up == "Y" and forward.endswith("Z") else turns  # turned upright, +Z points along -Y
+
+
+def _wrapper(toml: Path, source: Path, root: str, ops: Mapping[str, Any], variants: Mapping[str, str]) -> Path:
+    """A layer that references ``source`` and stands it upright, in the cache by content."""
+    said = {"source": str(source.resolve()), "root": root, "ops": ops, "variants": variants, "made": 2}
+    key = hashlib.sha256(json.dumps(said, sort_keys=True, default=str).encode()).hexdigest()[:24]
+    file = cache_folder() / "vehicles" / f"{toml.parent.name}-{key}.usda"
+    _check_variants(toml, source, root, variants)
+    if not file.is_file():
+        from pxr import Gf, Sdf, Usd, UsdGeom
+
+        stage = Usd.Stage.CreateInMemory(".usda")
+        UsdGeom.SetStageUpAxis(stage, "Z")
+        UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+        own = Usd.Stage.Open(str(source), Usd.Stage.LoadNone)
+        for name in ("timeCodesPerSecond", "framesPerSecond"):
+            stage.GetRootLayer().pseudoRoot.SetInfo(name, own.GetTimeCodesPerSecond())
+        xform = UsdGeom.Xform.Define(stage, f"/{_asset_root(toml, own, root).GetName()}")
+        stage.SetDefaultPrim(xform.GetPrim())
+        path = Sdf.Path() if not root else Sdf.Path(root if root.startswith("/") else f"/{root}")
+        xform.GetPrim().GetReferences().AddReference(str(source.resolve()), path)
+        for name, choice in variants.items():
+            xform.GetPrim().GetVariantSet(name).SetVariantSelection(choice)
+        order = list(xform.GetXformOpOrderAttr().Get() or [])
+        for op, value in ops.items():
+            kind = Sdf.ValueTypeNames.Double3 if isinstance(value, list) else Sdf.ValueTypeNames.Double
+            attribute = xform.GetPrim().CreateAttribute(op, kind, custom=False)
+            attribute.Set(Gf.Vec3d(*value) if isinstance(value, list) else value)
+        xform.GetXformOpOrderAttr().Set([*ops, *(name for name in order if name != "!resetXformStack!")])
+        _write(file, stage.GetRootLayer().ExportToString().encode())
+    return file
+
+
+def _asset_root(toml: Path, stage: Any, root: str) -> Any:
+    prim = stage.GetPrimAtPath(root if root.startswith("/") else f"/{root}") if root else stage.GetDefaultPrim()
+    if not prim:
+        tops = ", ".join(str(child.GetPath()) for child in stage.GetPseudoRoot().GetChildren())
+        raise InputError(f"{toml}: root = {root!r}: no such prim in the asset; it holds {tops or 'nothing'}")
+    return prim
+
+
+def _check_variants(toml: Path, source: Path, root: str, variants: Any) -> None:
+    if not variants:
+        return
+    from pxr import Usd
+
+    stage = Usd.Stage.Open(str(source), Usd.Stage.LoadNone)
+    sets = _asset_root(toml, stage, root).GetVariantSets()
+    if not isinstance(variants, Mapping):
+        raise InputError(f"{toml}: variants = {variants!r}: give a table of variant set = variant")
+    for name, choice in variants.items():
+        if not sets.HasVariantSet(name):
+            known = ", ".join(sets.GetNames()) or "none"
+            raise InputError(f"{toml}: variants.{name} = {choice!r}: no such variant set on its root; it has {known}")
+        if choice not in (names := sets.GetVariantSet(name).GetVariantNames()):
+            raise InputError(f"{toml}: variants.{name} = {choice!r}: choose one of {', '.join(names)}")
+
+
+# ---------------------------------------------------------------- GLB and OBJ
+
+
+def _converted(path: Path) -> Path:
+    """A GLB, glTF or OBJ file as USD in the cache, by content: nodes become Xforms, Y up, in the file's own units."""
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()[:24]
+    folder = cache_folder() / "vehicles" / f"{path.stem}-{digest}"
+    file = folder / f"{path.stem}.usdc"
+    if file.is_file():
+        return file
+    import trimesh
+
+    try:
+        obj: dict[str, Any] = {"split_object": True, "group_material": False} if path.suffix.lower() == ".obj" else {}
+        scene = trimesh.load(path, force="scene", process=False, **obj)
+    except Exception as error:  # trimesh raises whatever its readers stumble over
+        raise InputError(f"{path}: not readable: {error}; export it again, or as USD") from None
+    beside = folder.with_name(f".{folder.name}.{secrets.token_hex(4)}")
+    _write_scene(scene, beside / file.name, path)
+    try:
+        beside.rename(folder)
+    except OSError:  # another process was quicker: what it made is the same
+        import shutil
+
+        shutil.rmtree(beside, ignore_errors=True)
+    return file
+
+
+def _write_scene(scene: Any, file: Path, path: Path) -> None:
+    from pxr import Gf, Tf, Usd, UsdGeom
+
+    file.parent.mkdir(parents=True)
+    stage = Usd.Stage.CreateNew(str(file))
+    UsdGeom.SetStageUpAxis(stage, "Y")
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    top = Tf.MakeValidIdentifier(path.stem)
+    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, f"/{top}").GetPrim())
+    Usd.ModelAPI(stage.GetDefaultPrim()).SetKind("component")
+    UsdGeom.Scope.Define(stage, f"/{top}/materials")
+    base, children = scene.graph.base_frame, scene.graph.transforms.children
+    materials: dict[int, Any] = {}
+
+    def add(node: str, parent: str, used: set[str]) -> None:
+        name = _free(Tf.MakeValidIdentifier(node), used)
+        xform = UsdGeom.Xform.Define(stage, f"{parent}/{name}")
+        edge = scene.graph.transforms.edge_data[(scene.graph.transforms.parents[node], node)]
+        matrix = np.asarray(edge.get("matrix"))
+        if matrix.ndim == 2 and not np.allclose(matrix, np.eye(4)):
+            xform.AddTransformOp().Set(Gf.Matrix4d(matrix.T.tolist()))
+        below = {"materials"}
+        geometry = scene.graph.transforms.node_data[node].get("geometry")
+        if geometry is not None and hasattr(scene.geometry[geometry], "faces"):
+            mesh = scene.geometry[geometry]
+            _write_mesh(stage, f"{parent}/{name}/{_free(name, below)}", mesh, top, materials, file.parent)
+        for child in children.get(node, []):
+            add(child, f"{parent}/{name}", below)
+
+    used = {"materials"}
+    for node in children.get(base, []):
+        add(node, f"/{top}", used)
+    stage.GetRootLayer().Save()
+
+
+def _write_mesh(stage: Any, path: str, mesh: Any, top: str, materials: dict[int, Any], folder: Path) -> None:
+    from pxr import Gf, Sdf, UsdGeom, UsdShade, Vt
+
+    prim = UsdGeom.Mesh.Define(stage, path)
+    points = np.asarray(mesh.vertices, np.float32)
+    prim.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    prim.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points))
+    prim.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(mesh.faces), 3, np.int32)))
+    prim.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.asarray(mesh.faces, np.int32).ravel()))
+    prim.CreateExtentAttr([Gf.Vec3f(*points.min(0).tolist()), Gf.Vec3f(*points.max(0).tolist())])
+    uv = getattr(mesh.visual, "uv", None)
+    if uv is not None and len(uv) == len(points):
+        st = UsdGeom.PrimvarsAPI(prim).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex)
+        st.Set(Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(uv, np.float32)))
+    material = getattr(mesh.visual, "material", None)
+    key = id(material)
+    if key not in materials:
+        materials[key] = _write_material(stage, f"/{top}/materials/material_{len(materials)}", material, folder)
+    UsdShade.MaterialBindingAPI.Apply(prim.GetPrim()).Bind(materials[key])
+
+
+def _write_material(stage: Any, path: str, material: Any, folder: Path) -> Any:
+    """A preview surface of a material's base colour, roughness, metal and colour texture."""
+    from pxr import Gf, Sdf, UsdShade
+
+    types = Sdf.ValueTypeNames
+    prim = UsdShade.Material.Define(stage, path)
+    surface = UsdShade.Shader.Define(stage, f"{path}/surface")
+    surface.CreateIdAttr("UsdPreviewSurface")
+    prim.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", types.Token))
+    rgba = np.asarray(getattr(material, "main_color", [128, 128, 128, 255]), float) / 255.0
+    linear = np.where(rgba[:3] <= 0.04045, rgba[:3] / 12.92, ((rgba[:3] + 0.055) / 1.055) ** 2.4)
+    factor = getattr(material, "baseColorFactor", None)
+    if factor is not None:  # glTF's factors are linear, whatever type they are kept in
+        linear = np.asarray(factor, float)[:3] / (255.0 if np.asarray(factor).dtype.kind in "ui" else 1.0)
+    diffuse = surface.CreateInput("diffuseColor", types.Color3f)
+    diffuse.Set(Gf.Vec3f(*linear.tolist()))
+    surface.CreateInput("opacity", types.Float).Set(float(rgba[3]))
+    for ours, theirs, otherwise in (("roughness", "roughnessFactor", 0.6), ("metallic", "metallicFactor", 0.0)):
+        value = getattr(material, theirs, None)
+        surface.CreateInput(ours, types.Float).Set(float(otherwise if value is None else value))
+    image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
+    if image is not None:
+        file = folder / f"{Sdf.Path(path).name}.png"
+        image.convert("RGBA" if "A" in image.getbands() else "RGB").save(file)
+        reader = UsdShade.Shader.Define(stage, f"{path}/st")
+        reader.CreateIdAttr("UsdPrimvarReader_float2")
+        reader.CreateInput("varname", types.String).Set("st")
+        texture = UsdShade.Shader.Define(stage, f"{path}/texture")
+        texture.CreateIdAttr("UsdUVTexture")
+        texture.CreateInput("file", types.Asset).Set(Sdf.AssetPath(f"./{file.name}"))
+        texture.CreateInput("sourceColorSpace", types.Token).Set("sRGB")
+        texture.CreateInput("st", types.Float2).ConnectToSource(reader.CreateOutput("result", types.Float2))
+        diffuse.ConnectToSource(texture.CreateOutput("rgb", types.Float3))
+    return prim
+
+
+def _free(name: str, used: set[str]) -> str:
+    count, free = 1, name
+    while free in used:
+        count, free = count + 1, f"{name}_{count}"
+    used.add(free)
+    return free
+
+
+def _write(file: Path, data: bytes) -> None:
+    file.parent.mkdir(parents=True, exist_ok=True)
+    beside = file.with_name(f".{file.name}.{os.getpid()}.tmp")
+    beside.write_bytes(data)
+    beside.replace(file)

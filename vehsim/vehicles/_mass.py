@@ -1,0 +1,65 @@
+"""Mass, centre and inertia of a vehicle from the volume of its parts and a density."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+def weigh(toml: Path, asset: Path, root: str | None, density: Any) -> tuple[float, Array, Array]:
+    """``(mass kg, centre (3,) m, inertia (3, 3) kg m^2 about the centre)`` in the rig root's frame.
+
+    Volumes are those of the collision hulls, or of the parts' own convex hulls where the asset marks none; where they
+    overlap they count twice. ``density`` kg/m^3: one number, or part path -> number with ``""`` for all others.
+    """
+    import trimesh
+
+    from vehsim.parts import read_parts
+
+    by_part = density if isinstance(density, Mapping) else {"": density}
+    for name, value in by_part.items():
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < 1e5:
+            raise InputError(f"{toml}: physics.density{f'.{name}' if name else ''} = {value!r}: give kg/m^3, above 0")
+    parts = read_parts(asset, root)
+    if unknown := sorted(set(by_part) - {""} - {part.path for part in parts}):
+        known = ", ".join(part.path for part in parts if part.path)
+        raise InputError(f"{toml}: physics.density.{unknown[0]!r}: no such part; choose one of {known}")
+    marked = any(part.collides for part in parts)
+    mass, moment, second = 0.0, np.zeros(3), np.zeros((3, 3))
+    for part in parts:
+        rho = float(by_part[part.path] if part.path in by_part else by_part.get("", 0.0))
+        for points in part.hulls if marked else ([part.points] if len(part.points) > 3 else []):
+            hull = trimesh.convex.convex_hull(points @ part.T_rp[:3, :3].T + part.T_rp[:3, 3])
+            m, c = rho * hull.volume, np.asarray(hull.center_mass)
+            mass, moment = mass + m, moment + m * c
+            second = second + rho * np.asarray(hull.moment_inertia) + m * (c @ c * np.eye(3) - np.outer(c, c))
+    if not mass > 0:
+        raise InputError(f"{toml}: physics.density: the parts that have one enclose no volume; give mass and inertia")
+    centre = moment / mass
+    inertia = second - mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+    return mass, centre, inertia
+
+
+def fill_in(
+    physics: Mapping[str, Any], wanted: set[str], weighed: tuple[float, Array, Array], origin: Array
+) -> dict[str, Any]:
+    """``physics`` without density, with ``mass``, ``inertia`` (principal) and ``yaw_inertia`` (about ``origin``)."""
+    mass, centre, inertia = weighed
+    given = {key: value for key, value in physics.items() if key != "density"}
+    mass_given = float(given.get("mass", mass))
+    ratio = mass_given / mass  # a mass that is given scales what the shape says
+    off = centre - origin
+    computed = {
+        "mass": mass,
+        "inertia": [float(x) * ratio for x in np.diag(inertia)],
+        "yaw_inertia": float(inertia[2, 2] + mass * (off[0] ** 2 + off[1] ** 2)) * ratio,
+    }
+    return {**{key: value for key, value in computed.items() if key in wanted}, **given}
