@@ -59,11 +59,13 @@ def write_figures(take: Take, folder: Path, progress: Progress) -> Sequence[Path
 def _top(take: Take, name: str, clip: Clip) -> str:
     """From above: contours, obstacles, the path, poses, marks and the wind."""
     shown = _poses(take, clip, (0, 1))
-    canvas = _Canvas(f"{name} from above", "x [m]", "y [m]", np.vstack([*shown, clip.positions[:, :2]]), equal=True)
+    parts = [part for obstacle in take.world.obstacles for part in getattr(obstacle, "parts", ())]
+    outlines = [part.outline() if hasattr(part, "outline") else part for part in parts]
+    data = np.vstack([*shown, clip.positions[:, :2], *outlines])
+    canvas = _Canvas(f"{name} from above", "x [m]", "y [m]", data, equal=True)
     _contours(canvas, take)
-    for obstacle in take.world.obstacles:
-        for part in getattr(obstacle, "parts", ()):
-            canvas.polygon(part.outline() if hasattr(part, "outline") else part, ROCK, INK)
+    for outline in outlines:
+        canvas.polygon(outline, ROCK, "none")
     return _view(canvas, take, name, clip, (0, 1), shown)
 
 
@@ -184,16 +186,16 @@ def _controls(name: str, clip: Clip) -> str | None:
 
 def _panels(title: str, times: Array, panels: Sequence[tuple[str, Mapping[str, Array]]]) -> str:
     """Graphs over time, one below the other."""
-    height = 150
-    out, total = [], TOP + len(panels) * (height + 46) + 8
+    height, apart = 150, 34
+    out, total = [], TOP + len(panels) * (height + apart) + 24
     for k, (label, curves) in enumerate(panels):
         data = np.vstack([np.column_stack([times, values]) for values in curves.values()])
-        canvas = _Canvas(label, "t [s]" if k == len(panels) - 1 else "", "", data, height=height + 60, small=True)
+        canvas = _Canvas(label, "t [s]" if k == len(panels) - 1 else "", "", data, height=height + TOP + 10, small=True)
         for i, (curve, values) in enumerate(curves.items()):
             canvas.line(np.column_stack([times, values]), COLOURS[i % len(COLOURS)], 1.8)
             if curve:
                 canvas.note(curve, COLOURS[i % len(COLOURS)])
-        out.append(f'<g transform="translate(0 {TOP - 14 + k * (height + 46)})">{canvas.body()}</g>')
+        out.append(f'<g transform="translate(0 {k * (height + apart) + 10})">{canvas.body()}</g>')
     return _page(WIDTH, total, [_text(LEFT, 24, title, 16), *out])
 
 
@@ -279,11 +281,11 @@ class _Canvas:
             out.append(_stroke(x, TOP, x, tall, GRID, 1))
             if self.names[0]:
                 out.append(_text(x, tall + 16, f"{value:g}", 11, anchor="middle"))
-        for value in _round_numbers(self.low[1], self.high[1], max(3, self.height // 70)):
+        for value in _round_numbers(self.low[1], self.high[1], max(4, self.height // 60)):
             y = self.place(np.array([self.low[0], value]))[1]
             out += [_stroke(LEFT, y, WIDTH - RIGHT, y, GRID, 1), _text(LEFT - 6, y + 4, f"{value:g}", 11, anchor="end")]
         out.append(_text((LEFT + WIDTH - RIGHT) / 2, tall + 34, self.names[0], 12, anchor="middle"))
-        out.append(_text(LEFT - 6, TOP - 10, self.names[1], 12, anchor="end"))
+        out.append(_text(LEFT - 44, (TOP + tall) / 2, self.names[1], 12, anchor="middle", turned=True))
         out.append(f'<g clip-path="url(#{clip})">{"".join(self.shapes)}</g>')
         for i, (text, colour) in enumerate(self.notes):
             out.append(_text(WIDTH - RIGHT + 8, TOP + 12 + 17 * i, text, 11, colour))
@@ -307,19 +309,19 @@ def _stroke(x0: float, y0: float, x1: float, y1: float, colour: str, width: floa
     return f'<line {ends} stroke="{colour}" stroke-width="{width}"/>'
 
 
-def _text(x: float, y: float, words: str, size: int, colour: str = INK, anchor: str = "start") -> str:
+def _text(
+    x: float, y: float, words: str, size: int, colour: str = INK, anchor: str = "start", turned: bool = False
+) -> str:
     place = f'x="{x:.1f}" y="{y:.1f}" font-size="{size}" fill="{colour}" text-anchor="{anchor}"'
+    place += f' transform="rotate(-90 {x:.1f} {y:.1f})"' if turned else ""
     return f"<text {place}>{escape(words)}</text>"
 
 
 def _round_numbers(low: float, high: float, count: int) -> Any:
     """Round numbers within a range, about ``count`` of them."""
-    step = 10.0 ** np.floor(np.log10(max(high - low, 1e-12) / count))
-    for factor in (1, 2, 5, 10):
-        if (high - low) / (factor * step) <= count:
-            break
-    step *= factor
-    return np.round(np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step, 12)
+    power = 10.0 ** np.floor(np.log10(max(high - low, 1e-12) / count))
+    step = next(factor * power for factor in (1, 2, 5, 10) if (high - low) / (factor * power) <= count)
+    return np.round(np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step, 12) + 0.0
 
 
 def _slug(words: str) -> str:

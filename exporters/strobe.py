@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from vehsim.cameras import Camera, look_at, vehicle_outline
 from vehsim.exporters.metadata import author_stage_metadata
 from vehsim.take import Exporter, Progress, Take
+from vehsim.world.plane import distance
 
 if TYPE_CHECKING:
     from vehsim.clip import Clip
@@ -121,11 +122,16 @@ def _framed(corners: Array, azimuth: float, elevation: float, aperture: tuple[fl
 
 
 def _seen(place: Array, corners: Array, world: Any) -> float:
-    """Share of ``corners`` to which the line of sight is clear of the ground."""
-    points = corners[:: max(1, len(corners) // 400)] + np.array([0, 0, 0.3])
+    """Share of ``corners`` to which the line of sight is clear of the ground and of what stands on it."""
+    points = corners[:: max(1, len(corners) // 200)] + np.array([0, 0, 0.3])
     share = np.linspace(0.02, 0.98, 80)[:, None, None]
     line = place + share * (points - place)
-    ground = np.asarray(world.height(line[..., :2].reshape(-1, 2))).reshape(line.shape[:2])
+    flat = line[..., :2].reshape(-1, 1, 2)
+    ground = np.asarray(world.height(flat[:, 0]))
+    for obstacle in world.obstacles:
+        for part in getattr(obstacle, "parts", ()):
+            ground = np.where(distance(flat, part) <= 0, np.maximum(ground, obstacle.top), ground)
+    ground = ground.reshape(line.shape[:2])
     return float((ground < line[..., 2]).all(axis=0).mean())
 
 

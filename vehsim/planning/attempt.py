@@ -28,7 +28,7 @@ from vehsim.planning.legs import (
     split_segments,
     whole_frames,
 )
-from vehsim.planning.obstacles import certify_plane, obstacle_rows
+from vehsim.planning.obstacles import FINEST, certify_plane, obstacle_rows
 from vehsim.planning.problem import build, parameter_values, variable_bounds
 from vehsim.planning.request import Request
 from vehsim.planning.solver import Solution, Solver, solver_options
@@ -202,10 +202,10 @@ class Attempt:
             certify(self.clip, self.request.world, SAMPLES, self.progress) if self.request.terrain else np.inf
         )
         if self.rows is not None:
-            nearest, by_segment = certify_plane(self.clip, self.rows.parts)
+            nearest, by_segment = certify_plane(self.clip, self.rows.parts, self.wanted + 0.5)
             self.clearance = min(self.clearance, nearest)
             self.lack = np.maximum(self.wanted - by_segment, 0.0)
-        near = self.clearance < self.wanted - SLACK
+        near = self.clearance < self.wanted - (SLACK if self.rows is None else FINEST)
         return not (near and self.solution.success and self.tightenings < TIGHTENINGS)
 
     def tighten(self) -> None:

@@ -50,12 +50,11 @@ def from_poses(
         g[:, 0] = headings
     h = _substep_lengths(layout, lengths)
     xi = _difference(group, g[:-1], g[1:]) / h[:, None]
-    r = np.zeros((layout.nodes, s))
+    r, u = _joints(vehicle, xi, h) if s else (np.zeros((layout.nodes, 0)), np.zeros((layout.nodes - 1, 0)))
     x = np.zeros(layout.size)
     momenta, velocities = np.zeros((layout.nodes, n)), np.zeros((layout.nodes - 1, n))
     for k in range(layout.nodes - 1):
-        u = _joint_rates(vehicle, r[k], xi[k]) if s else np.zeros(0)
-        pi = np.ravel(np.asarray(m.knot_momentum(r[k], u, xi[k])))
+        pi = np.ravel(np.asarray(m.knot_momentum(r[k], u[k], xi[k])))
         momenta[k], velocities[k] = pi, np.ravel(np.asarray(m.knot_velocity_guess(r[k], pi, c)))
     momenta[-1] = momenta[-2]
     x[layout.node(np.arange(layout.nodes))] = np.hstack([g, r, momenta / t.momentum_scale]).T
@@ -193,7 +192,32 @@ def _difference(group: Any, a: Array, b: Array) -> Array:
     return np.swapaxes(x, 1, 2).reshape(len(a), -1) @ np.linalg.pinv(basis)
 
 
-def _joint_rates(vehicle: Vehicle, r: Array, xi: Array) -> Array:
-    symbol = ca.SX.sym("r", len(r))
-    connection = np.array(ca.Function("A", [symbol], [ca.densify(vehicle.connection(symbol))])(r))
-    return np.asarray(np.linalg.lstsq(connection.reshape(len(xi), len(r)), -xi, rcond=None)[0])
+def _joints(vehicle: Vehicle, xi: Array, h: Array) -> tuple[Array, Array]:
+    """Joints (n + 1, s) and rates (n, s) that let the vehicle move with twists ``xi`` (n, d), as nearly as they can.
+
+    A joint with limits is set (a steered wheel), the others turn along (a rolling one).
+    """
+    s, d, b = len(vehicle.joints), vehicle.group.dim, vehicle.basis(ca.SX.zeros(len(vehicle.joints))).shape[1]
+    symbol: Any = ca.SX.sym("r", s)
+    free: Any = ca.horzcat(vehicle.basis(symbol), -vehicle.connection(symbol))
+    moves = ca.Function("moves", [symbol], [ca.densify(free[:d, :])])
+    r = np.zeros((len(xi) + 1, s))
+    for joint, (low, high) in vehicle.joint_limits.items():
+        place, values = vehicle.joints.index(joint), np.linspace(max(low, -2.0), min(high, 2.0), 81)
+        rays = [np.array(moves(np.eye(s)[place] * value)) for value in values]
+        missed = np.array([((xi - xi @ np.linalg.pinv(M).T @ M.T) ** 2).sum(axis=1) for M in rays])
+        missed += 1e-6 * (values[:, None] ** 2) * (xi**2).sum(axis=1)
+        chosen = values[np.argmin(missed, axis=0)]
+        # at rest any value will do: the next one that matters
+        moving = (xi**2).sum(axis=1) > 1e-4 * (xi**2).sum(axis=1).max()
+        chosen = np.interp(np.arange(len(xi)), np.flatnonzero(moving), chosen[moving]) if moving.any() else chosen
+        kernel = np.array([1.0, 2.0, 3.0, 2.0, 1.0]) / 9
+        r[:-1, place] = np.convolve(np.pad(chosen, 2, mode="edge"), kernel, mode="valid")
+        r[-1, place] = r[-2, place]
+    u = np.array([np.linalg.pinv(np.array(moves(row))) @ v for row, v in zip(r[:-1], xi, strict=True)])[:, b:]
+    for place, joint in enumerate(vehicle.joints):
+        if joint in vehicle.joint_limits:
+            u[:, place] = np.diff(r[:, place]) / h
+        else:
+            r[1:, place] = np.cumsum(u[:, place] * h)
+    return r, u

@@ -23,7 +23,7 @@ from vehsim.planning.elements import Element, Problem
 from vehsim.planning.marks import Mark
 from vehsim.planning.transcription import Layout, Transcription
 from vehsim.vehicles import Vehicle
-from vehsim.world.obstacles import footprint, headings
+from vehsim.world.obstacles import footprint, headings, vertical_reach
 from vehsim.world.plane import Ellipse, distance, placed
 
 Array = NDArray[np.float64]
@@ -31,9 +31,12 @@ Expr = Any
 
 CORNERS = 8
 """Corners of the polygon the optimiser sees a vehicle as, at most; it contains the footprint."""
-SIGHT = 6.0
+SIGHT = 3.0
 """How far from the first guess a part is seen at a knot, beyond the clearance asked for, m. What comes too near
 unseen is found when the motion is certified, and seen from then on."""
+BETWEEN = 0.005
+"""What knots demand beyond the clearance asked for, m, since the way between them bends; more where that is not enough.
+"""
 ROUND = 1e-12
 """Added under square roots, m^2."""
 FINEST = 1e-3
@@ -63,11 +66,12 @@ class Rows:
     def look(self, positions: Array, yaw: Array, seconds: Array, clearance: float) -> None:
         """See what is near the guessed poses (knots, ...) of a discretisation; what was seen already stays."""
         outline = footprint(self.vehicle)
-        near = clearances(self.parts, placed(outline, positions[:, :2], yaw), seconds) < clearance + SIGHT
+        reach = clearance + SIGHT
+        near = clearances(self.parts, placed(outline, positions[:, :2], yaw), seconds, reach) < reach
         near[:, 0] = False  # where it starts is given
         if self.seen.shape != near.shape:
             old = self.extra
-            self.extra = _stretched(old, near.shape) if old.size else np.zeros(near.shape)
+            self.extra = _stretched(old, near.shape) if old.size else np.full(near.shape, BETWEEN)
             self.seen = near
         self.seen = self.seen | near
 
@@ -104,7 +108,10 @@ class Rows:
             knots = np.flatnonzero(self.seen[row])
             if not len(knots):
                 continue
-            shape = obstacle.shapes_at(seconds[knots])[number]
+            shape = _shape_of(obstacle, number)
+            if not hasattr(obstacle, "parts"):
+                positions, orientations = obstacle.poses_at(seconds[knots])
+                shape = placed(shape, positions[:, :2], headings(orientations))
             out += [_numbers(shape), clearance + self.extra[row, knots]]
         return np.concatenate([np.zeros(0), *out])
 
@@ -123,7 +130,7 @@ def obstacle_rows(vehicle: Vehicle, world: Any, marks: Sequence[Any]) -> Rows | 
     if world is None or vehicle.group.dim != 3 or not world.obstacles:
         return None
     height = 0.0 if marks[0].position is None else float(marks[0].position[2])
-    low, high = _reach(vehicle)
+    low, high = vertical_reach(vehicle)
     parts = [
         (obstacle, number)
         for obstacle in world.obstacles
@@ -162,58 +169,86 @@ def marks_too_near(
             yield i, f"only {gap:.2f} m from obstacle {name!r}", mend
 
 
-def clearances(parts: Sequence[tuple[Any, int]], outlines: Array, seconds: Array) -> Array:
-    """Signed distances (parts, n) m of outlines (n, k, 2) at ``seconds`` (n,) since frame 0."""
-    return np.array([distance(outlines, obstacle.shapes_at(seconds)[number]) for obstacle, number in parts])
+def clearances(parts: Sequence[tuple[Any, int]], outlines: Array, seconds: Array, reach: float = np.inf) -> Array:
+    """Signed distances (parts, n) m of outlines (n, k, 2) at ``seconds`` (n,) since frame 0.
+
+    Those beyond ``reach`` m are lower bounds, beyond it too.
+    """
+    out = np.empty((len(parts), len(outlines)))
+    centres, radii = _circle(outlines)
+    for row, (obstacle, number) in zip(out, parts, strict=True):
+        shape = obstacle.shapes_at(seconds)[number]
+        middle, radius = (shape.centre, shape.radii.max()) if isinstance(shape, Ellipse) else _circle(shape)
+        row[:] = np.linalg.norm(centres - middle, axis=-1) - radii - radius
+        near = row < reach
+        if near.any():
+            alone = isinstance(shape, Ellipse) or shape.ndim == 2
+            row[near] = distance(outlines[near], shape if alone else shape[near])
+    return out
 
 
-def certify_plane(clip: Clip, parts: Sequence[tuple[Any, int]], samples: int = 8) -> tuple[float, Array]:
+def _circle(polygons: Array) -> tuple[Array, Array]:
+    """Centres (..., 2) and radii (...) m of circles about polygons (..., k, 2)."""
+    centres = (polygons.min(axis=-2) + polygons.max(axis=-2)) / 2
+    return centres, np.linalg.norm(polygons - centres[..., None, :], axis=-1).max(axis=-1)
+
+
+def certify_plane(
+    clip: Clip, parts: Sequence[tuple[Any, int]], reach: float = np.inf, samples: int = 8
+) -> tuple[float, Array]:
     """Least signed distance (m) of a clip's vehicle to the parts, between knots too; and by part and segment.
 
     On the clip's interpolant: where two samples and the way between them leave room for a smaller distance, there are
-    more, until the least one is known to `FINEST`.
+    more, until the least one is known to `FINEST`. By segment, those beyond ``reach`` m are lower bounds.
     """
-    outline = footprint(clip.vehicle)
     if not parts or len(clip) < 2:
         return float("inf"), np.full((len(parts), max(len(clip) - 1, 1)), np.inf)
     fine = np.linspace(0, 1, samples, endpoint=False)
     times = np.append((clip.times[:-1, None] + np.diff(clip.times)[:, None] * fine).ravel(), clip.times[-1])
-    gaps, steps = _measured(clip, parts, outline, times)
-    inner = gaps[:, :-1].reshape(len(parts), -1, samples)
-    by_segment = np.minimum(inner.min(axis=2), np.minimum(gaps[:, samples::samples], gaps[:, :-1:samples]))
-    nearest = float(gaps.min())
+    pairs = np.column_stack([np.arange(len(times) - 1), np.arange(1, len(times))])
+    gaps, moved = _measured(clip, parts, times, pairs, reach)
+    if gaps.min() > reach:
+        return certify_plane(clip, parts, np.inf, samples)
+    nearest, every = float(gaps.min()), samples
+    inner = gaps[:, :-1].reshape(len(parts), -1, every)
+    by_segment = np.minimum(inner.min(axis=2), gaps[:, every::every])
     for _ in range(12):
         # no point of a shape comes nearer than the sum of what both ends allow
-        least = (gaps[:, :-1] + gaps[:, 1:] - 1.2 * steps) / 2
-        doubtful = np.flatnonzero(least.min(axis=0) < nearest - FINEST)
-        if not len(doubtful):
+        least = (gaps[:, pairs[:, 0]] + gaps[:, pairs[:, 1]] - 1.2 * moved) / 2
+        left, right = times[pairs[least.min(axis=0) < nearest - FINEST]].T
+        if not len(left):
             break
-        middle = (times[doubtful] + times[doubtful + 1]) / 2
-        times = np.unique(np.concatenate([times[doubtful], middle, times[doubtful + 1]]))
-        gaps, steps = _measured(clip, parts, outline, times)
+        middle = (left + right) / 2
+        times, place = np.unique(np.concatenate([left, middle, middle, right]), return_inverse=True)
+        pairs = place.reshape(2, 2, -1).transpose(0, 2, 1).reshape(-1, 2)
+        gaps, moved = _measured(clip, parts, times, pairs, reach)
         nearest = min(nearest, float(gaps.min()))
     return nearest, by_segment
 
 
-def _measured(clip: Clip, parts: Sequence[tuple[Any, int]], outline: Array, times: Array) -> tuple[Array, Array]:
-    """Distances (parts, n) m at ``times``, and how far shapes move in each interval between them (parts, n - 1) m."""
+def _measured(
+    clip: Clip, parts: Sequence[tuple[Any, int]], times: Array, pairs: NDArray[np.intp], reach: float
+) -> tuple[Array, Array]:
+    """Distances (parts, n) m at ``times``; how far shapes move between ``pairs`` (m, 2) of them, (parts, m) m."""
     motion = clip.at(times)
-    outlines = placed(outline, motion.positions[:, :2], headings(motion.orientations))
+    outlines = placed(footprint(clip.vehicle), motion.positions[:, :2], headings(motion.orientations))
     seconds = clip.start_frame / float(clip.fps) + times
-    moved = np.linalg.norm(np.diff(outlines, axis=0), axis=-1).max(axis=1)
-    steps = []
-    for obstacle, number in parts:
-        shape = obstacle.shapes_at(seconds)[number]
-        own = 0.0 if isinstance(shape, Ellipse) or shape.ndim == 2 else np.abs(np.diff(shape, axis=0)).sum(-1).max(1)
-        steps.append(moved + own)
-    return clearances(parts, outlines, seconds), np.array(steps)
+
+    def way(corners: Array) -> Array:
+        return np.asarray(np.linalg.norm(corners[pairs[:, 1]] - corners[pairs[:, 0]], axis=-1).max(axis=1))
+
+    own = way(outlines)
+    shapes = [obstacle.shapes_at(seconds)[number] for obstacle, number in parts]
+    moved = [own if isinstance(shape, Ellipse) or shape.ndim == 2 else own + way(shape) for shape in shapes]
+    return clearances(parts, outlines, seconds, reach), np.array(moved)
 
 
 # ------------------------------------------------------------ rows
 
 
 def _shape_of(obstacle: Any, number: int) -> Any:
-    return obstacle.parts[number] if hasattr(obstacle, "parts") else obstacle.outline
+    """A part as the optimiser sees it; a vehicle's in its root's frame."""
+    return obstacle.parts[number] if hasattr(obstacle, "parts") else simplified(obstacle.outline, CORNERS)
 
 
 def _kind(shape: Any) -> Any:
@@ -354,16 +389,6 @@ def inner_discs(polygon: Array) -> list[tuple[Array, float]]:
     along = np.where(deep, grid[:, axis], np.nan)
     chosen = {int(np.argmax(depth)), int(np.nanargmin(along)), int(np.nanargmax(along))}
     return [(grid[k], float(depth[k])) for k in sorted(chosen)]
-
-
-def _reach(vehicle: Vehicle) -> tuple[float, float]:
-    """Lowest and highest point of a vehicle over its root, m."""
-    if vehicle.rig is None:
-        return 0.0, 1e-3
-    from vehsim.parts import collision_hulls
-
-    z = np.concatenate([hull[:, 2] for hull in collision_hulls(vehicle.rig.asset, vehicle.rig.root or None)])
-    return float(z.min()), float(z.max())
 
 
 def _stretched(values: Array, shape: tuple[int, int]) -> Array:

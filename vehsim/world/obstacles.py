@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -72,11 +72,7 @@ class Moving:
     @cached_property
     def hulls(self) -> tuple[Array, ...]:
         """Convex point sets (n, 3) m in the rig root's frame."""
-        from vehsim.parts import collision_hulls
-
-        rig = self.clip.vehicle.rig
-        assert rig is not None
-        return tuple(collision_hulls(rig.asset, rig.root or None))
+        return _hulls(self.clip.vehicle)
 
     @property
     def bottom(self) -> float:
@@ -86,15 +82,17 @@ class Moving:
     def top(self) -> float:
         return float(self.clip.positions[:, 2].max() + max(hull[:, 2].max() for hull in self.hulls))
 
-    def poses_at(self, seconds: Array) -> Clip:
-        """The clip at ``seconds`` (n,) since frame 0."""
+    def poses_at(self, seconds: Array) -> tuple[Array, Array]:
+        """Positions (n, 3) m and orientations (n, 4) at ``seconds`` (n,) since frame 0."""
         first = self.clip.start_frame / float(self.clip.fps)
-        return self.clip.at(np.clip(seconds - first, self.clip.times[0], self.clip.times[-1]))
+        times, place = np.unique(np.clip(seconds - first, *self.clip.times[[0, -1]]), return_inverse=True)
+        motion = self.clip.at(times)
+        return motion.positions[place], motion.orientations[place]
 
     def shapes_at(self, seconds: Array) -> Sequence[Shape]:
         """The vehicle's outline at each time, [(n, k, 2)]; ``seconds`` (n,) since frame 0."""
-        motion = self.poses_at(seconds)
-        return [placed(self.outline, motion.positions[:, :2], headings(motion))]
+        positions, orientations = self.poses_at(seconds)
+        return [placed(self.outline, positions[:, :2], headings(orientations))]
 
     @cached_property
     def content_hash(self) -> str:
@@ -169,17 +167,33 @@ def footprint(vehicle: Any) -> Array:
 
     Without an asset it is a point (1, 2).
     """
+    return convex_hull(np.vstack(_hulls(vehicle))[:, :2]) if vehicle.rig is not None else np.zeros((1, 2))
+
+
+def vertical_reach(vehicle: Any) -> tuple[float, float]:
+    """Lowest and highest point of a vehicle's collision hulls over its root, m."""
     if vehicle.rig is None:
-        return np.zeros((1, 2))
+        return 0.0, 1e-3
+    z = np.concatenate([hull[:, 2] for hull in _hulls(vehicle)])
+    return float(z.min()), float(z.max())
+
+
+def _hulls(vehicle: Any) -> tuple[Array, ...]:
+    """The collision hulls (n, 3) m of a vehicle's asset, in its rig root's frame."""
+    stat = Path(vehicle.rig.asset).stat()
+    return _read_hulls(Path(vehicle.rig.asset), vehicle.rig.root or None, stat.st_mtime_ns, stat.st_size)
+
+
+@lru_cache(maxsize=32)
+def _read_hulls(asset: Path, root: str | None, changed: int, size: int) -> tuple[Array, ...]:
     from vehsim.parts import collision_hulls
 
-    hulls = collision_hulls(vehicle.rig.asset, vehicle.rig.root or None)
-    return convex_hull(np.vstack(hulls)[:, :2])
+    return tuple(collision_hulls(asset, root))
 
 
-def headings(clip: Clip) -> Array:
-    """Yaw (n,) rad of a clip's poses."""
-    w, x, y, z = clip.orientations.T
+def headings(orientations: Array) -> Array:
+    """Yaw (n,) rad of attitudes (n, 4) w, x, y, z."""
+    w, x, y, z = orientations.T
     return np.asarray(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
 
 
