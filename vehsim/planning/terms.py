@@ -115,6 +115,13 @@ def _off_course(k: KnotView) -> Expr:
     return across - ca.dot(k.rotation[0:2, 0], k.velocity[0:2])
 
 
+def _steering(k: KnotView) -> Expr:
+    """Tangent of the steering angle."""
+    if STEERING not in k.names:
+        raise InputError(f"cost = 'steering': the vehicle steers no wheel; its joints are {list(k.names)}")
+    return k.joint(STEERING)
+
+
 def _mean(law: Callable[[KnotView], Expr]) -> Callable[[SegmentView], Expr]:
     return lambda s: s.h / 2 * (law(s.start) + law(s.end))
 
@@ -130,10 +137,12 @@ COSTS: dict[str, Callable[[SegmentView], Expr]] = {
     "smoothness": lambda s: ca.sumsqr(s.c1 - s.c0) / s.h,
     "course": _mean(_off_course),
     "energy": _mean(lambda k: ca.sqrt(k.power**2 + 1e-4) - 1e-2),
+    "steering": _mean(lambda k: _steering(k) ** 2),
     "safety": lambda s: 0 * s.h,
 }
 """Cost name -> its integral over a segment. ``energy``: work the controls do, of either sign, in metres it would
-lift the vehicle. ``safety`` comes from what there is to hit: see `repulsion`."""
+lift the vehicle. ``steering``: the squared tangent of the steering angle. ``safety`` comes from what there is to hit:
+see `repulsion`."""
 
 PRESETS: dict[str, dict[str, float]] = {
     "energy": {"energy": 1.0, "effort": 0.1},
