@@ -53,6 +53,14 @@ def check_names(key: str, given: Mapping[str, Any], known: Collection[str], noun
             yield Problem(f"{key}.{name}", f"no such {noun}", choose(name, known), value)
 
 
+def check_rig(key: str, asset: str, rig: Rig | None) -> Iterator[Problem]:
+    """Every part that is driven is there and can move as a rigid part about a pivot of its own."""
+    from vehsim.rigging import rig_problems
+
+    for channel, message, mend in rig_problems(rig) if rig is not None and rig.drives else ():
+        yield Problem(key, f"channels.{channel}: {message}" if channel else message, mend, asset)
+
+
 def check_variants(key: str, given: Mapping[str, str], rig: Rig | None) -> Iterator[Problem]:
     """Every variant set and variant that is asked for is on the root prim of the vehicle's asset."""
     from pxr import Usd

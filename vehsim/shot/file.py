@@ -15,6 +15,7 @@ from vehsim.shot.model import (
     MAX_CAMERAS,
     Array,
     CameraTable,
+    ExportTable,
     CutTable,
     Header,
     Name,
@@ -86,6 +87,7 @@ class ShotFile(Table):
     cut: Annotated[list[CutTable], Array, Len(0, MAX_CUTS)] = Field(default=[])
     """[[cut]] tables with frame and camera: which camera is seen from which frame on"""
     render: RenderTable = RenderTable()
+    export: ExportTable = ExportTable()
     """a table [render]"""
     sweep: dict[str, Any] | None = None
     """a table [sweep]: keys of this file and the values they take, one clip for each"""

@@ -81,6 +81,12 @@ def _unit(value: list[float]) -> list[float]:
     return value
 
 
+def _opens(shutter: list[float]) -> list[float]:
+    if not 0 < shutter[1] - shutter[0] <= 1:
+        raise ValueError("it opens after it closes, or for more than a frame")
+    return shutter
+
+
 def _believable(wind: list[float]) -> list[float]:
     if sum(x * x for x in wind) > MAX_WIND**2:
         raise ValueError(f"more than {MAX_WIND:g} m/s")
@@ -102,6 +108,7 @@ Plane = Annotated[list[Metre], Array, Len(2, 2)]
 Velocity = Annotated[list[Annotated[Number, Field(ge=-1000, le=1000)]], Array, Len(3, 3)]
 Wind = Annotated[list[Number], Array, Len(3, 3), AfterValidator(_believable)]
 Quaternion = Annotated[list[Number], Array, Len(4, 4), AfterValidator(_unit)]
+Shutter = Annotated[list[Annotated[Number, Field(ge=-1, le=1)]], Array, Len(2, 2), AfterValidator(_opens)]
 Size = Annotated[list[Annotated[int, Field(ge=16, le=MAX_PIXELS, multiple_of=2)]], Array, Len(2, 2)]
 Heading = Annotated[Number, Field(ge=-36_000, le=36_000)]
 Frame = Annotated[int, Field(ge=-10_000_000, le=10_000_000)]
@@ -403,6 +410,27 @@ class CutTable(Table):
     """the first frame of this piece"""
     camera: Text
     """the name of the camera it is seen by"""
+
+
+class ExportTable(Table):
+    """``[export]``: how the USD is delivered"""
+
+    up_axis: Literal["Y", "Z"] = "Z"
+    """"Z" or "Y": the up axis of everything that is written"""
+    meters_per_unit: Annotated[Positive, Field(ge=1e-6, le=1e6)] = 1.0
+    """the length of a unit in metres: 0.01 for centimetres"""
+    assets: Literal["copy", "keep"] = "copy"
+    """"copy" the vehicles' assets along, or "keep" them where they are, referenced by their path as it is given"""
+    shutter: Shutter | None = None
+    """[open, close] in frames about each frame, such as [-0.25, 0.25]; adds the samples that motion blur needs"""
+    thin: Annotated[Positive, Field(ge=1e-6, le=10)] | None = None
+    """a tolerance in m: adds a variant "thinned" with the fewest keys that stay within it"""
+    clip_frames: Annotated[int, Field(ge=2, le=MAX_FRAMES)] | None = None
+    """for long takes: value clips of at most so many frames each instead of one layer"""
+    layer_only: bool = False
+    """true to write the vehicles' animation layers and nothing else"""
+    versions: bool = False
+    """true to write v001, v002, ... and a latest.usda that sublayers the newest; none is ever overwritten"""
 
 
 class RenderTable(Table):
