@@ -7,8 +7,10 @@ chosen; everything that reads a vehicle reads that. What is delivered references
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import os
+import re
 import secrets
 from collections.abc import Mapping
 from pathlib import Path
@@ -98,7 +100,7 @@ def _quarter_turns(toml: Path, data: Mapping[str, Any], up: str) -> int:
 
 def _wrapper(toml: Path, source: Path, root: str, ops: Mapping[str, Any], variants: Mapping[str, str]) -> Path:
     """A layer that references ``source`` and stands it upright, in the cache by content."""
-    said = {"source": str(source.resolve()), "root": root, "ops": ops, "variants": variants, "made": 2}
+    said = {"source": str(source.resolve()), "root": root, "ops": ops, "variants": variants, "made": 3}
     key = hashlib.sha256(json.dumps(said, sort_keys=True, default=str).encode()).hexdigest()[:24]
     file = cache_folder() / "vehicles" / f"{toml.parent.name}-{key}.usda"
     _check_variants(toml, source, root, variants)
@@ -165,8 +167,7 @@ def _converted(path: Path) -> Path:
     import trimesh
 
     try:
-        obj: dict[str, Any] = {"split_object": True, "group_material": False} if path.suffix.lower() == ".obj" else {}
-        scene = trimesh.load(path, force="scene", process=False, **obj)
+        scene = _read_obj(path) if path.suffix.lower() == ".obj" else trimesh.load(path, force="scene", process=False)
     except Exception as error:  # trimesh raises whatever its readers stumble over
         raise InputError(f"{path}: not readable: {error}; export it again, or as USD") from None
     beside = folder.with_name(f".{folder.name}.{secrets.token_hex(4)}")
@@ -178,6 +179,41 @@ def _converted(path: Path) -> Path:
 
         shutil.rmtree(beside, ignore_errors=True)
     return file
+
+
+def _read_obj(path: Path) -> Any:
+    """An OBJ file as a scene of its objects (``o``, or ``g``) by name; trimesh by itself forgets the names."""
+    import trimesh
+
+    shared: list[str] = []
+    objects: dict[str, list[str]] = {}
+    materials: dict[str, str] = {}
+    name, material = path.stem, ""
+    keys = "o" if re.search(r"^o\s", text := path.read_text(encoding="utf-8", errors="replace"), re.MULTILINE) else "g"
+    for line in text.splitlines():
+        word, _, rest = line.strip().partition(" ")
+        if word == keys:
+            name = rest.strip() or path.stem
+        elif word == "usemtl":
+            material = line
+        elif word == "f":
+            lines = objects.setdefault(name, [])
+            if materials.get(name) != material:
+                lines.append(material)
+                materials[name] = material
+            lines.append(line)
+        elif word in ("v", "vt", "vn", "mtllib"):
+            shared.append(line)
+    scene = trimesh.Scene()
+    resolver = trimesh.resolvers.FilePathResolver(str(path))
+    for name, faces in objects.items():
+        text = "\n".join([*shared, *faces])
+        found = trimesh.load(io.StringIO(text), file_type="obj", resolver=resolver, force="scene", process=False)
+        scene.graph.update(frame_to=name, frame_from=scene.graph.base_frame)
+        for k, mesh in enumerate(found.geometry.values()):
+            mesh.remove_unreferenced_vertices()
+            scene.add_geometry(mesh, node_name=f"{name}_{k}", geom_name=f"{name}_{k}", parent_node_name=name)
+    return scene
 
 
 def _write_scene(scene: Any, file: Path, path: Path) -> None:
@@ -246,12 +282,8 @@ def _write_material(stage: Any, path: str, material: Any, folder: Path) -> Any:
     surface.CreateIdAttr("UsdPreviewSurface")
     prim.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", types.Token))
     rgba = np.asarray(getattr(material, "main_color", [128, 128, 128, 255]), float) / 255.0
-    linear = np.where(rgba[:3] <= 0.04045, rgba[:3] / 12.92, ((rgba[:3] + 0.055) / 1.055) ** 2.4)
-    factor = getattr(material, "baseColorFactor", None)
-    if factor is not None:  # glTF's factors are linear, whatever type they are kept in
-        linear = np.asarray(factor, float)[:3] / (255.0 if np.asarray(factor).dtype.kind in "ui" else 1.0)
     diffuse = surface.CreateInput("diffuseColor", types.Color3f)
-    diffuse.Set(Gf.Vec3f(*linear.tolist()))
+    diffuse.Set(Gf.Vec3f(*rgba[:3].tolist()))  # glTF's factors and OBJ's Kd are linear
     surface.CreateInput("opacity", types.Float).Set(float(rgba[3]))
     for ours, theirs, otherwise in (("roughness", "roughnessFactor", 0.6), ("metallic", "metallicFactor", 0.0)):
         value = getattr(material, theirs, None)
