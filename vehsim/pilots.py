@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from vehsim._gait import Gait
 from vehsim.errors import InputError
 from vehsim.vehicles import State, Vehicle
 from vehsim.vehicles._base import Array
@@ -331,7 +332,7 @@ class _Route:
         return float(fine[int(np.argmin(np.linalg.norm(self._curve(fine) - position, axis=1)))])
 
 
-PILOTS: dict[str, type] = {"hover": Hover, "fly_to": FlyTo, "follow_path": FollowPath}
+PILOTS: dict[str, type] = {"hover": Hover, "fly_to": FlyTo, "follow_path": FollowPath, "gait": Gait}
 """Name in a shot file -> pilot. Parameters are the keyword arguments after ``vehicle``, in SI units and radians."""
 
 

@@ -137,8 +137,8 @@ def pelvis(spread: float) -> dict[str, Surface]:
             (-0.085, 0.130, 0.098, -0.012),
             (-0.03, spread + 0.088, 0.122, -0.016),
             (0.04, spread + 0.078, 0.116, -0.012),
-            (0.11, spread + 0.058, 0.102, 0.0),
-            (0.15, spread + 0.040, 0.092, 0.006),
+            (0.11, spread + 0.050, 0.090, 0.004),
+            (0.15, spread + 0.028, 0.076, 0.012),
         ],
         2.5,
     )
@@ -161,7 +161,7 @@ def torso() -> dict[str, Surface]:
     ]
     trunk = loft(rows, 2.5, 56, 0.018)
     slant: Field = lambda p: np.abs(p[:, 2] - 0.315 - 0.45 * p[:, 0]) - 0.034  # noqa: E731
-    thin: Field = lambda p: np.abs(p[:, 2] - 0.245 - 0.45 * p[:, 0]) - 0.010  # noqa: E731
+    thin: Field = lambda p: np.abs(p[:, 2] - 0.245 - 0.45 * p[:, 0]) - 0.014  # noqa: E731
     zip_: Field = lambda p: np.maximum(np.abs(p[:, 0]) - 0.004, -p[:, 1])  # noqa: E731
     hem: Field = lambda p: p[:, 2] - 0.118  # noqa: E731
     collar: Field = lambda p: 0.538 - p[:, 2]  # noqa: E731

@@ -34,17 +34,17 @@ PARTS = {
     "car": {"body", "wheel_rl", "wheel_rr", "steer_fl", "steer_fr", "steer_fl/wheel_fl", "steer_fr/wheel_fr"},
     "boat": {"hull", "outboard", "outboard/propeller"},
     "two_wheeled": {"body", "wheel_left", "wheel_right"},
+    "tumbler": {"handle"},
     "snakeboard": {"board", "pelvis", "torso", "torso/head"}
     | {f"truck_{end}{below}" for end in ("front", "rear") for below in ("", *(f"/{part}" for part in LEG[end]))},
 }
-TRIANGLES = {"helicopter": 8000, "car": 6000, "boat": 8000, "two_wheeled": 8000, "snakeboard": 8000}
+TRIANGLES = {"helicopter": 8000, "car": 6000, "boat": 8000, "two_wheeled": 8000, "snakeboard": 8000, "tumbler": 8000}
 STEERED = {"car": {"steer_fl": 40, "steer_fr": 40}, "boat": {"outboard": 30}}
 """Part -> degrees to either side: hulls do not move, so they hold what steers at every angle."""
-LOWEST = {"boat": -0.8401}
+LOWEST = {"boat": -0.8401, "tumbler": -0.0221}
 """Where a vehicle does not stand on the ground: its lowest point, m."""
 WHEELS = [("two_wheeled", "wheel_left"), ("two_wheeled", "wheel_right"), ("snakeboard", "truck_front/wheel_fl")]
-LIVERIES = ["boat", "two_wheeled", "snakeboard"]
-BOAT_TOML = "vehicle.skeleton.toml"
+LIVERIES = ["boat", "two_wheeled", "snakeboard", "tumbler"]
 every = pytest.mark.parametrize("name", list(PARTS))
 
 
@@ -244,7 +244,8 @@ def test_car_has_real_dimensions_and_its_wheels_stand_where_the_physics_says():
 @pytest.mark.parametrize("name", available())
 def test_channels_drive_prims_that_exist(name):
     paths = {p.path for p in read_parts(rig(name).asset)}
-    assert rig(name).drives and {drive.prim for drive in rig(name).drives.values()} <= paths
+    assert bool(rig(name).drives) == bool(vehsim.load_vehicle(name).channels)
+    assert {drive.prim for drive in rig(name).drives.values()} <= paths
 
 
 @every
@@ -280,7 +281,7 @@ def test_liveries_change_what_is_seen_and_nothing_else(name):
 
 
 def test_boat_hull_is_closed_and_displaces_the_boats_mass_where_its_centre_of_mass_is():
-    toml = importlib.import_module("tomllib").loads((VEHICLES / "boat" / BOAT_TOML).read_text())
+    toml = importlib.import_module("tomllib").loads((VEHICLES / "boat" / "vehicle.toml").read_text())
     stage = Usd.Stage.Open(str(asset("boat")))
     mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/boat/hull/hull"))
     assert mesh.GetPurposeAttr().Get() == UsdGeom.Tokens.guide
@@ -353,3 +354,14 @@ def test_riders_legs_reach_from_the_turned_feet_to_the_turned_hips(psi, phi):
         assert np.allclose(ankle, [side * 0.27, 0, 0.195], atol=1e-9)
         toes = place(f"truck_{end}", [0, 1, 0]) - place(f"truck_{end}", [0, 0, 0])
         assert (knee - (ankle + hip) / 2) @ toes > 0.1
+
+
+def test_tumbler_has_the_inertia_of_its_bars_and_floats_at_its_centre_of_mass():
+    script = importlib.import_module("vehsim.assets.generate.tumbler")
+    body = vehsim.load_vehicle("tumbler")
+    assert np.diag(body.inertia)[:3] == pytest.approx(script.inertia(), rel=1e-3)
+    assert np.diag(body.inertia)[3] == pytest.approx(sum(script.masses()), rel=1e-3)
+    stem, bar, other = script.inertia()
+    assert bar < stem < other  # about its stem it turns over
+    clip = vehsim.simulate(body, None, start=vehsim.State(twist=[0, 0, 0, 0, 0, 0]), duration=0.5)
+    assert not clip.positions.any()

@@ -1,0 +1,48 @@
+"""What the vehicles' own shots promise in their first line, measured."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from vehsim import Shot
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+def solved(name: str):
+    shot = Shot.load(EXAMPLES / f"{name}.toml")
+    assert [problem for problem in shot.check()] == []
+    return shot.solve()
+
+
+def heading(clip) -> np.ndarray:
+    w, x, y, z = clip.orientations.T
+    return np.unwrap(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+
+
+def test_rider_picks_up_speed_and_the_wheels_roll_where_they_point():
+    clip = solved("snakeboard_twist").clips["rider"]
+    assert clip.twists[-1, 1] > 1.5 and np.ptp(clip.positions[:, 1]) < 0.15 * clip.positions[-1, 0]
+    angle, t = heading(clip), clip.times
+    for end, truck, wheels in ((1, "foot_front", ("roll_fl", "roll_fr")), (-1, "foot_rear", ("roll_rl", "roll_rr"))):
+        pivot = clip.positions[:, :2] + end * 0.27 * np.column_stack([np.cos(angle), np.sin(angle)])
+        velocity, pointing = np.gradient(pivot, t, axis=0), angle + clip.channels[truck]
+        across = velocity[:, 1] * np.cos(pointing) - velocity[:, 0] * np.sin(pointing)
+        along = velocity[:, 0] * np.cos(pointing) + velocity[:, 1] * np.sin(pointing)
+        assert np.abs(across).max() < 5e-3  # no slip
+        rolled = 0.032 * np.mean([np.gradient(clip.channels[wheel], t) for wheel in wheels], axis=0)
+        assert np.abs(rolled - along).max() < 5e-3
+        lead = np.correlate(clip.channels["hips"], -end * clip.channels[truck], "full")
+        assert np.argmax(np.abs(lead)) < len(t) - 1  # the feet follow the twist
+
+
+def test_car_steers_through_the_gates_and_stops_at_the_end():
+    take = solved("car_winding")
+    clip = take.clips["car"]
+    assert abs(clip.twists[-1, 1]) < 0.3
+    assert np.degrees(np.ptp(clip.channels["steer_fl"])) > 25
+    gates = [obstacle.centre for obstacle in Shot.load(EXAMPLES / "car_winding.toml").file.world.obstacle]
+    apart = np.linalg.norm(clip.positions[:, None, :2] - np.array(gates), axis=2).min(0)
+    assert apart.min() > 1.2 and apart.max() < 3.0
