@@ -10,7 +10,7 @@ import numpy as np
 
 import vehsim
 from vehsim.integrators import Integrator
-from vehsim.integrators.integrator import _chunk, _pack
+
 from vehsim.vehicles import State
 
 INERTIA, MASS, TWIST = (1300.0, 4700.0, 4200.0), 1900.0, (0.1, 0.2, 0.3, 1.0, 2.0, 3.0)

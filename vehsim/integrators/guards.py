@@ -80,6 +80,8 @@ def _definiteness(matrices: Array) -> Array:
     """Smallest over largest eigenvalue of symmetric matrices (n, m, m), each scaled by its own diagonal first: (n,)."""
     size = np.sqrt(np.abs(np.diagonal(matrices, axis1=1, axis2=2))) + 1e-300
     scaled = matrices / size[:, :, None] / size[:, None, :]
+    if matrices.shape[1] == 1:
+        return np.asarray(np.sign(scaled[:, 0, 0]), float)
     values = np.linalg.eigvalsh(np.nan_to_num((scaled + scaled.transpose(0, 2, 1)) / 2, nan=-1.0, posinf=-1.0))
     return np.asarray(values[:, 0] / np.abs(values).max(axis=1), float)
 

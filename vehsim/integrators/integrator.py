@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -12,12 +12,15 @@ import numpy as np
 
 from vehsim.clip import Clip
 from vehsim.errors import InputError, SolveError
+from vehsim.integrators import machine
 from vehsim.integrators.discrete import DiscreteMechanics
+from vehsim.integrators.fleet import Fleet, control_table
 from vehsim.integrators.guards import changes_rank, check_constraints, check_mass
+from vehsim.integrators.loops import Loop
 from vehsim.integrators.motion import FAST_TOLERANCE, Motion, PhaseStep, PublicStep, whole_step
 from vehsim.integrators.record import build_clip as build_clip
+from vehsim.integrators.record import build_clips, flat, keep
 from vehsim.integrators.record import continuous as continuous
-from vehsim.integrators.record import flat, keep
 from vehsim.vehicles import State, Vehicle
 from vehsim.vehicles._base import Array
 from vehsim.vehicles.mechanics import project
@@ -36,6 +39,13 @@ COMPOSITIONS: dict[int, tuple[float, ...]] = {
 """Order -> fractions of a step (Suzuki; Yoshida's solution A): compositions of the symmetric second-order step."""
 
 
+_RETRIES = 8
+_CHUNK = 1024
+"""Steps between looks at whether the solve suffices."""
+_WAYS = ("advance_fast", "advance_far", "advance")
+"""Solves of a step, cheapest first."""
+
+
 @dataclass
 class Phase:
     """What an integrator carries from knot to knot: group element, joints, momentum, and Newton's warm start."""
@@ -51,6 +61,8 @@ class Integrator:
 
     ``step`` s; ``difference_map`` "cay" or "exp"; ``order`` 2, 4 or 6; ``wind`` (3,) m/s in world axes;
     ``quadrature`` of the forces. Momentum is carried at the knots, so velocities are those *at* the knot.
+    ``compiled``: by machine code, ten times as fast, built once by the system's C compiler and kept in the cache; where
+    there is none, a warning, and ``compiled`` stays False.
     """
 
     def __init__(
@@ -62,6 +74,7 @@ class Integrator:
         *,
         quadrature: str = "galerkin",
         wind: Any = (0.0, 0.0, 0.0),
+        compiled: bool = False,
     ):
         if not (np.isfinite(step) and step > 0):
             raise InputError(f"step = {step!r}: must be a positive number of seconds")
@@ -72,7 +85,8 @@ class Integrator:
         if self.wind.shape != (3,) or not np.all(np.isfinite(self.wind)):
             raise InputError(f"wind = {wind!r}: give three finite numbers, m/s in world axes")
         self.mechanics = mechanics_of(vehicle, difference_map, quadrature)
-        self._guarded = changes_rank(self.mechanics)
+        self.guarded = changes_rank(self.mechanics)
+        self.compiled = compiled and machine.loop(whole_step(self.mechanics, order)) is not None
         if order > 2 and not _symmetric(difference_map, vehicle):
             raise InputError(
                 f"order = {order!r}: {difference_map!r} makes no symmetric step to compose; take order 2 or another map"
@@ -111,14 +125,14 @@ class Integrator:
         """One step; ``c0, c1`` (c,) are the controls at its ends. ``SolveError`` names step, state and residual."""
         quick = self._quick(phase, c0, c1)
         if quick is not None:
-            if self._guarded:
+            if self.guarded:
                 check_constraints(self.mechanics, np.array([phase.r, quick[1]]), index)
             return Phase(*quick)
         done = 0.0
         for fraction in COMPOSITIONS[self.order]:
             a, b = c0 + done * (c1 - c0), c0 + (done + fraction) * (c1 - c0)
             after = self._substep(phase, a, b, fraction * self.step_size, index)
-            if self._guarded:
+            if self.guarded:
                 check_constraints(self.mechanics, np.array([phase.r, after.r]), index)
             phase = after
             done += fraction
@@ -140,7 +154,7 @@ class Integrator:
     def _choose_chart(self, r: Array) -> None:
         """Begin with columns to eliminate that are sound at joints ``r``, where the present choice is not."""
         vehicle = self.mechanics.vehicle
-        if not self._guarded or vehicle.soundness(r) > 0.1:  # type: ignore[attr-defined]
+        if not self.guarded or vehicle.soundness(r) > 0.1:  # type: ignore[attr-defined]
             return
         chart = vehicle.chart_at(r)  # type: ignore[attr-defined]
         if chart is not None:
@@ -172,7 +186,7 @@ class Integrator:
         ``wrench``: an external body wrench (d,) about the body frame's origin, or a function of the state that returns
         one; half of its impulse acts at either end, the second half at the predicted state.
         """
-        if wrench is None and not self._guarded:
+        if wrench is None and not self.guarded:
             after = self._public(state, controls, controls if next_controls is None else next_controls)
             if after is not None:
                 return after
@@ -192,6 +206,11 @@ class Integrator:
         c = np.zeros(len(self.vehicle.controls)) if controls is None else controls
         return Motion(self, state, c)
 
+    def fleet(self, states: Sequence[State], controls: Any = None, threads: int = 1) -> Fleet:
+        """Vehicles in motion side by side from ``states`` (m,), under ``controls`` (m, c) or (c,) there."""
+        c = np.zeros(len(self.vehicle.controls)) if controls is None else controls
+        return Fleet(self, states, c, threads)
+
     def _kick(self, phase: Phase, wrench: Any, state: State) -> None:
         body = np.asarray(wrench(state) if callable(wrench) else wrench, float)
         if body.shape != (self.vehicle.group.dim,) or not np.all(np.isfinite(body)):
@@ -209,40 +228,68 @@ class Integrator:
                 f"controls: shape {controls.shape}; give (n, {len(self.vehicle.controls)}) finite: {names}"
             )
         phase = self.start(state, controls[0])
-        anchor = self.anchor(state, phase)
-        g, r, pi = self._accumulate(phase, controls)
-        times = np.asarray(self.step_size * np.arange(len(controls)), float)
-        return build_clip(
-            self.mechanics, times, g, r, pi, controls, anchor, self.wind, fps=fps, start_frame=start_frame
-        )
+        x = self.history(packed(phase), controls)
+        return self._clips(x[None], controls[None], self.anchor(state, phase)[None], fps, start_frame)[0]
+
+    def rollouts(
+        self, states: Sequence[State], controls: Any, *, threads: int = 1, fps: Any = 24, start_frame: int = 1001
+    ) -> list[Clip]:
+        """Clips of many vehicles side by side: ``states`` (m,), ``controls`` (m, n, c), or (n, c) for all of them.
+
+        Each is what `rollout` makes of it. ``threads`` share the vehicles out where the integrator is ``compiled``.
+        """
+        given = np.asarray(controls, float)
+        knots = control_table(self.vehicle, given, (len(states), given.shape[-2] if given.ndim > 1 else 0))
+        if self.guarded:  # each may need columns of its own eliminated
+            return [self.rollout(s, c, fps=fps, start_frame=start_frame) for s, c in zip(states, knots, strict=True)]
+        fleet = self.fleet(states, knots[:, 0], threads)
+        return self._clips(fleet.advance(knots[:, 1:]), knots, fleet.anchors, fps, start_frame, threads)
+
+    def _clips(
+        self, x: Array, controls: Array, anchors: Array, fps: Any, start_frame: int, threads: int = 1
+    ) -> list[Clip]:
+        times = np.asarray(self.step_size * np.arange(x.shape[1]), float)
+        options = {"compiled": self.compiled, "threads": threads, "fps": fps, "start_frame": start_frame}
+        return build_clips(self.mechanics, times, x, controls, anchors, self.wind, **options)
+
+    def steps(self, solve: str = _WAYS[0]) -> Callable[[Array, Array, Array], None]:
+        """``run(x (..., n + 1, d), controls (..., n + 1, c), residual (..., n, 1))`` fills in ``x[1:]``."""
+        function = whole_step(self.mechanics, self.order, solve)
+        key = f"steps{self.order}{solve}{self.compiled}"
+        loop = keep(self.mechanics, key, lambda: Loop(function, carries=True, compiled=self.compiled))
+
+        def run(x: Array, controls: Array, residual: Array) -> None:
+            h, wind = (
+                np.broadcast_to(a, (*residual.shape[:-1], a.size)) for a in (np.array(self.step_size), self.wind)
+            )
+            before, after = controls[..., :-1, :], controls[..., 1:, :]
+            loop([x[..., :-1, :], before, after, h, wind], [x[..., 1:, :], residual])
+
+        return run
 
     def _accumulate(self, phase: Phase, controls: Array) -> tuple[Array, Array, Array]:
-        """Phases at every knot, the loop kept inside CasADi."""
-        m, n = self.mechanics, len(controls) - 1
-        history = [(phase.g[None], phase.r[None], phase.pi[None])]
-        h, ways = np.full((1, _CHUNK), self.step_size), list(_WAYS)
-        winds, cuts = np.tile(self.wind[:, None], _CHUNK), np.cumsum(m.sizes[:3])
-        for first in range(0, n, _CHUNK):
-            block = controls[first : first + _CHUNK + 1]
-            count = len(block) - 1
-            # a short block is filled up with its last controls, and what comes of them dropped
-            filled = np.vstack([block, np.repeat(block[-1:], _CHUNK - count, axis=0)])
-            inputs = (_pack(phase), filled[:-1].T, filled[1:].T, h, winds)
-            x, residual = _chunk(m, self.order, ways[0])(*inputs)
-            while len(ways) > 1 and not np.all(flat(residual)[:count] <= FAST_TOLERANCE):
+        """Group elements, joints and momenta at every knot."""
+        g, r, pi, _ = np.split(self.history(packed(phase), controls), np.cumsum(self.mechanics.sizes[:3]), axis=1)
+        return g, r, pi
+
+    def history(self, start: Array, controls: Array) -> Array:
+        """Phases (n, .) packed at every knot of ``controls`` (n, c), the loop kept out of Python."""
+        m, controls = self.mechanics, np.ascontiguousarray(controls)
+        x, residual = np.empty((len(controls), len(start))), np.zeros((len(controls) - 1, 1))
+        x[0], ways = start, list(_WAYS)
+        for first in range(0, len(residual), _CHUNK):
+            steps = slice(first, first + _CHUNK)
+            block, knots, left = x[first : first + _CHUNK + 1], controls[first : first + _CHUNK + 1], residual[steps]
+            self.steps(ways[0])(block, knots, left)
+            while len(ways) > 1 and not np.all(left <= FAST_TOLERANCE):
                 ways.pop(0)  # steps too long for this solve: the next from here on
-                x, residual = _chunk(m, self.order, ways[0])(*inputs)
-            if not np.all(flat(residual)[:count] <= TOLERANCE):  # one by one: retries, or an error that names the step
-                phases = list(self._loop(phase, block, first))
-                history += [(p.g[None], p.r[None], p.pi[None]) for p in phases]
-                phase = phases[-1]
-                continue
-            g, r, pi, z = np.split(np.asarray(x, float).T[:count], cuts, axis=1)
-            check_constraints(m, np.vstack([phase.r, r]), first)
-            history.append((g, r, pi))
-            phase = Phase(g[-1], r[-1], pi[-1], z[-1])
-        check_mass(m, np.concatenate([row[1] for row in history]))
-        return tuple(np.concatenate(column) for column in zip(*history, strict=True))  # type: ignore[return-value]
+                self.steps(ways[0])(block, knots, left)
+            if not np.all(left <= TOLERANCE):  # one by one: retries, or an error that names the step
+                block[1:] = [packed(after) for after in self._loop(unpacked(m, block[0]), knots, first)]
+            elif self.guarded:
+                check_constraints(m, _joints(m, block), first)
+        check_mass(m, _joints(m, x))
+        return x
 
     def _loop(self, phase: Phase, controls: Array, first: int) -> Iterator[Phase]:
         for k in range(len(controls) - 1):
@@ -251,11 +298,6 @@ class Integrator:
 
 
 HolonomicIntegrator = NonholonomicIntegrator = Integrator
-
-_RETRIES = 8
-_CHUNK = 256
-_WAYS = ("advance_fast", "advance_far", "advance")
-"""Solves of a step, cheapest first."""
 
 
 def _symmetric(name: str, vehicle: Vehicle) -> bool:
@@ -280,13 +322,18 @@ def _projected_wrench(mechanics: DiscreteMechanics) -> ca.Function:
     return keep(mechanics, "wrench", lambda: ca.Function("wrench", [y["g"], y["r"], w], [covector]))
 
 
-def _chunk(mechanics: DiscreteMechanics, order: int, solve: str) -> ca.Function:
-    """``_CHUNK`` steps in one call: (x, c0 (c, n), c1 (c, n), h (1, n), wind (3, n)) -> (x, residuals) of each."""
-    return keep(mechanics, f"chunk{order}{solve}", lambda: whole_step(mechanics, order, solve).mapaccum(_CHUNK))
-
-
-def _pack(phase: Phase) -> Array:
+def packed(phase: Phase) -> Array:
     return np.concatenate([phase.g, phase.r, phase.pi, phase.z])
+
+
+def unpacked(mechanics: DiscreteMechanics, x: Array) -> Phase:
+    return Phase(*(part.copy() for part in np.split(x, np.cumsum(mechanics.sizes[:3]))))
+
+
+def _joints(mechanics: DiscreteMechanics, x: Array) -> Array:
+    """Joints (n, s) of packed phases (n, .)."""
+    size, s = mechanics.sizes[:2]
+    return x[:, size : size + s]
 
 
 def _diverged(vehicle: Vehicle, index: int, phase: Phase, residual: float, h: float) -> SolveError:

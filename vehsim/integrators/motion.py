@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
+from vehsim.integrators import machine
 from vehsim.integrators.record import keep
 from vehsim.lie import SO3
 from vehsim.vehicles import State
@@ -37,9 +38,8 @@ class Motion:
         self.controls = np.array(controls, float).reshape(-1)
         self._before, self._residual = self.controls.copy(), np.zeros(1)
         self._step, wind = np.array([integrator.step_size]), integrator.wind.copy()
-        function = whole_step(m, integrator.order)
         self._buffer: Any
-        self._buffer, self._evaluate = function.buffer()
+        self._buffer, self._evaluate = _made(integrator, whole_step(m, integrator.order)).buffer()
         self._held = (self._x, self._before, self.controls, self._step, wind)  # the buffer points into them
         for i, array in enumerate(self._held):
             if array.size:
@@ -92,7 +92,7 @@ class PhaseStep:
         self._c0, self._c1 = np.empty(m.sizes[3]), np.empty(m.sizes[3])
         self._fixed = (np.array([integrator.step_size]), integrator.wind.copy())
         self._buffer: Any
-        self._buffer, self._evaluate = whole_step(m, integrator.order).buffer()
+        self._buffer, self._evaluate = _made(integrator, whole_step(m, integrator.order)).buffer()
         for i, array in enumerate((self._x, self._c0, self._c1, *self._fixed)):
             if array.size:
                 self._buffer.set_arg(i, _memory(array))
@@ -119,31 +119,43 @@ class PublicStep:
         s, d, c = len(v.joints), v.group.dim, len(v.controls)
         function = keep(m, f"public{integrator.order}", lambda: _public_step(m, integrator.order))
         sizes = np.cumsum([3, 4, d, s, s, c, c])
-        self._in, self._out = np.empty(sizes[-1]), np.empty(7 + d + 2 * s + 1)
+        self._in, self._out = np.empty(sizes[-1]), np.empty(sizes[4])
+        self._residual = np.zeros(1)
         self._state, self._c0, self._c1 = np.split(self._in, sizes[4:6])
         self._parts = np.split(self._state, sizes[:4])
-        self._cuts = (7, 7 + d, 7 + d + s, 7 + d + 2 * s)
+        self._cuts = tuple(map(int, sizes[1:5]))
         self._rest = np.concatenate([[integrator.step_size], integrator.wind])
         self._buffer: Any
-        self._buffer, self._evaluate = function.buffer()
+        self._buffer, self._evaluate = _made(integrator, function).buffer()
         self._buffer.set_arg(0, _memory(self._in))
         self._buffer.set_arg(1, _memory(self._rest))
         self._buffer.set_res(0, _memory(self._out))
+        self._buffer.set_res(1, _memory(self._residual))
 
     def __call__(self, state: State, c0: Any, c1: Any) -> State | None:
         """The state one step later, or None when something needs the careful way."""
-        position, orientation, twist, joints, rates = self._parts
+        known = state.__dict__
         try:
-            position[:], orientation[:], self._c0[:], self._c1[:] = state.position, state.orientation, c0, c1
-            twist[:], joints[:], rates[:] = state.twist, state.joints, state.joint_rates
+            row = known.get("_row")
+            if row is not None and known["position"].base is row:  # made below, and not a copy
+                self._state[:] = row
+            else:
+                position, orientation, twist, joints, rates = self._parts
+                position[:], orientation[:], twist[:] = state.position, state.orientation, state.twist
+                joints[:], rates[:] = state.joints, state.joint_rates
+            self._c0[:] = c0
+            self._c1[:] = c1
         except (TypeError, ValueError):
             return None
         self._evaluate()
-        out = self._out.copy()
-        if not out[-1] <= FAST_TOLERANCE:
+        if not self._residual[0] <= FAST_TOLERANCE:
             return None
-        _, b, c, d = self._cuts
-        return State(out[0:3], out[3:7], out[7:b], out[b:c], out[c:d])
+        # the fields are views of one row, which the next step then reads at once
+        row, after, (a, b, c, d) = self._out.copy(), object.__new__(State), self._cuts
+        after.__dict__.update(
+            position=row[:3], orientation=row[3:a], twist=row[a:b], joints=row[b:c], joint_rates=row[c:d], _row=row
+        )
+        return after
 
 
 def _memory(array: Array) -> Any:
@@ -151,8 +163,13 @@ def _memory(array: Array) -> Any:
     return memoryview(array)  # type: ignore[arg-type]
 
 
+def _made(integrator: Integrator, function: ca.Function) -> ca.Function:
+    """The function as the integrator runs it: interpreted, or machine code."""
+    return machine.external(function) if integrator.compiled else function
+
+
 def _public_step(m: DiscreteMechanics, order: int) -> ca.Function:
-    """``((position, orientation, twist, joints, rates, c0, c1), (h, wind)) -> (pose, twist, joints, rates, error)``"""
+    """``((position, orientation, twist, joints, rates, c0, c1), (h, wind)) -> (pose, twist, joints, rates), error``"""
     v, (size, s, n, c) = m.vehicle, m.sizes
     d = v.group.dim
     given, rest = ca.SX.sym("given", 7 + d + 2 * s + 2 * c), ca.SX.sym("rest", 4)
@@ -175,8 +192,8 @@ def _public_step(m: DiscreteMechanics, order: int) -> ca.Function:
     odd = ca.logic_not(length > 1e-6)
     if v.group.name == "SE2":
         odd = ca.logic_or(odd, q[1] ** 2 + q[2] ** 2 > 1e-12)
-    out = ca.vertcat(here, pose[3:7], twist1, r1, u1, residual + odd)
-    return ca.Function("public", [given, rest], ca.cse([ca.densify(out)]))
+    out = ca.vertcat(here, pose[3:7], twist1, r1, u1)
+    return ca.Function("public", [given, rest], ca.cse([ca.densify(out), residual + odd]))
 
 
 def whole_step(mechanics: DiscreteMechanics, order: int, solve: str = "advance_fast") -> ca.Function:

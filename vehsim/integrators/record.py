@@ -10,10 +10,9 @@ import numpy as np
 
 from vehsim.clip import Clip
 from vehsim.integrators.discrete import DiscreteMechanics
-from vehsim.vehicles import Vehicle
+from vehsim.integrators.loops import Loop, each_part
 from vehsim.vehicles._base import Array
 from vehsim.vehicles.mechanics import energy
-from vehsim.vehicles.states import shift_twist
 
 
 def build_clip(
@@ -28,100 +27,126 @@ def build_clip(
     **header: Any,
 ) -> Clip:
     """A clip from the phases at its knots: poses and twists of the rig's root, joints, controls, channels, energy."""
-    columns = (g.T, r.T, pi.T, controls.T)
-    pose, twist, joints, rates = (np.asarray(x).T for x in _mapped(mechanics.root_state, len(times))(*columns))
-    orientations = continuous(pose[:, 3:7])
-    return Clip(
-        vehicle=mechanics.vehicle,
-        times=times,
-        positions=pose[:, 0:3] + np.asarray(anchor, float),
-        orientations=orientations,
-        twists=twist,
-        joints=joints.reshape(len(times), -1),
-        joint_rates=rates.reshape(len(times), -1),
-        controls=controls,
-        channels=_channels(mechanics.vehicle, times, joints, rates, twist, controls),
-        energy=ledger(mechanics, times, g, r, pi, controls, wind),
-        **header,
-    )
+    phases = np.hstack([g, r, pi, np.zeros_like(pi)])
+    anchors = np.asarray(anchor, float)[None]
+    return build_clips(mechanics, times, phases[None], np.asarray(controls, float)[None], anchors, wind, **header)[0]
+
+
+def build_clips(
+    mechanics: DiscreteMechanics,
+    times: Array,
+    phases: Array,
+    controls: Array,
+    anchors: Array,
+    wind: Any = (0.0, 0.0, 0.0),
+    *,
+    compiled: bool = False,
+    threads: int = 1,
+    **header: Any,
+) -> list[Clip]:
+    """Clips of vehicles of one kind side by side.
+
+    ``phases`` (m, n, .): group elements, joints, momenta and segment velocities at the knots ``times`` (n,);
+    ``controls`` (m, n, c); ``anchors`` (m, 3); ``compiled``: by machine code, and then by as many ``threads``. The
+    ledger: kinetic and potential
+    energy, work done by controls and wind, and what drag took out, each (n,) J. Work and dissipation are integrals of
+    the power at the knots (cubic spline); ``kinetic + potential - work + dissipated`` stays constant up to the
+    integrator's error, O(h^2).
+    """
+    vehicle, (m, n) = mechanics.vehicle, phases.shape[:2]
+    function = keep(mechanics, "record", lambda: _record(mechanics))
+    loop = keep(mechanics, f"record {compiled}", lambda: Loop(function, compiled=compiled))
+    rows = np.empty((m, n, function.size1_out(0)))
+    times = np.asarray(times, float)
+    clock, air = (np.broadcast_to(a, (m, n, a.shape[-1])) for a in (times[:, None], np.asarray(wind, float)))
+    inputs = [phases, clock, np.ascontiguousarray(controls), air]
+    each_part(m, threads if compiled else 1, lambda part: loop([a[part] for a in inputs], [rows[part]]))
+
+    rates = [name for name, channel in vehicle.channels.items() if channel.rate is not None]
+    s, d, count = len(vehicle.joints), vehicle.group.dim, 2 + len(rates)
+    widths = [3, 4, d, s, s, 2, count, len(vehicle.channels) - len(rates)]
+    powers = rows[:, :, sum(widths[:6]) : sum(widths[:7])]
+    totals = _integrals(times, powers.transpose(1, 0, 2).reshape(n, -1)).reshape(n, m, count)
+    values = [name for name in vehicle.channels if name not in rates]
+    clips = []
+    for row, total, control, anchor in zip(rows, totals.transpose(1, 2, 0), controls, anchors, strict=True):
+        position, orientation, twist, r, u, energies, _, channels = (
+            np.ascontiguousarray(part) for part in np.split(row, np.cumsum(widths[:-1]), axis=1)
+        )
+        integrated = np.ascontiguousarray(total)
+        by_name = dict(zip(values, np.ascontiguousarray(channels.T), strict=True))
+        by_name |= dict(zip(rates, integrated[2:], strict=True))
+        kinetic, potential = np.ascontiguousarray(energies.T)
+        clips.append(
+            Clip(
+                vehicle=vehicle,
+                times=times,
+                positions=position + anchor,
+                orientations=continuous(orientation),
+                twists=twist,
+                joints=r,
+                joint_rates=u,
+                controls=control,
+                channels={name: by_name[name] for name in vehicle.channels},
+                energy={
+                    "kinetic": kinetic,
+                    "potential": potential,
+                    "work": integrated[0],
+                    "dissipated": integrated[1],
+                },
+                **header,
+            )
+        )
+    return clips
 
 
 def continuous(quaternions: Array) -> Array:
     """The same rotations (n, 4) with no sign flips from one to the next."""
-    dots = np.sum(quaternions[1:] * quaternions[:-1], axis=1)
-    signs = np.cumprod(np.concatenate([[1.0], np.where(dots < 0, -1.0, 1.0)]))
+    flips = np.sum(quaternions[1:] * quaternions[:-1], axis=1) < 0
+    if not flips.any():
+        return quaternions
+    signs = np.cumprod(np.concatenate([[1.0], np.where(flips, -1.0, 1.0)]))
     return quaternions * signs[:, None]
 
 
-def _channels(vehicle: Vehicle, times: Array, r: Array, u: Array, root: Array, c: Array) -> dict[str, Array]:
-    n = len(times)
-    symbols = [ca.SX.sym(k, size) for k, size in (("t", 1), ("r", r.shape[1]), ("u", u.shape[1]))]
-    twist, control = ca.SX.sym("xi", vehicle.group.dim), ca.SX.sym("c", c.shape[1])
-    body = shift_twist(twist, vehicle.origin) if vehicle.group.dim != 3 or vehicle.group.name == "SE2" else twist
-    made: dict[str, Array] = {}
-    for name, channel in vehicle.channels.items():
-        law: Callable[..., Any] = channel.value or channel.rate  # type: ignore[assignment]
-        expression = ca.SX(law(*symbols, body, control))
-        function = ca.Function("channel", [*symbols, twist, control], [ca.densify(expression)])
-        values = flat(_mapped(function, n)(times[None], r.T, u.T, root.T, c.T))
-        if channel.rate is not None:
-            values = _integral(times, values)
-        made[name] = values
-    return made
+def _record(mechanics: DiscreteMechanics) -> ca.Function:
+    """``(x, t, c, wind) -> row`` with ``x = (g, r, pi, z)``.
 
-
-def ledger(
-    mechanics: DiscreteMechanics, times: Array, g: Array, r: Array, pi: Array, controls: Array, wind: Any
-) -> dict[str, Array]:
-    """Kinetic and potential energy, work done by controls and wind, and what drag took out, each (n,) J.
-
-    Work and dissipation are integrals of the power at the knots (cubic spline); ``kinetic + potential - work +
-    dissipated`` stays constant up to the integrator's error, O(h^2).
+    A row: pose (7,), twist (d,), joints, their rates, kinetic and potential energy; power put in and dissipated, the
+    channels given by rates; the channels given by values.
     """
-    n = len(times)
-    winds = np.tile(np.asarray(wind, float)[:, None], n)
-    columns = (g.T, r.T, pi.T, controls.T, winds)
-    kinetic, potential, work, dissipated = (flat(x) for x in _mapped(_power(mechanics), n)(*columns))
-    return {
-        "kinetic": kinetic,
-        "potential": potential,
-        "work": _integral(times, work),
-        "dissipated": _integral(times, dissipated),
-    }
+    v, y = mechanics.vehicle, mechanics.symbols
+    g, r, pi, c, wind, t = y["g"], y["r"], y["pi"], y["c0"], y["wind"], ca.SX.sym("t")
+    u, xi = mechanics.knot_velocity(r, pi, c)
+    joint, body = v.force(g, r, u, xi, c, wind)
+    lost = ca.SX(v.dissipation(g, r, u, xi, wind))
+    work = ca.dot(joint, u) + ca.dot(body, xi) + lost
+    laws = v.channels.values()
+    given = (t, r, u, v.group.velocity_to_body(g, xi), c)
+    rates = [ca.SX(channel.rate(*given)) for channel in laws if channel.rate is not None]
+    values = [ca.SX(channel.value(*given)) for channel in laws if channel.rate is None and channel.value is not None]
+    row = ca.vertcat(*mechanics.root_state(g, r, pi, c), *energy(v, g, r, u, xi), work, lost, *rates, *values)
+    return ca.Function("record", [ca.vertcat(g, r, pi, y["z"]), t, c, wind], ca.cse([ca.densify(row)]))
 
 
-def _power(mechanics: DiscreteMechanics) -> ca.Function:
-    """``(g, r, pi, c, wind) -> (kinetic, potential, power put in, power dissipated)`` at a knot."""
-
-    def build() -> ca.Function:
-        v, y = mechanics.vehicle, mechanics.symbols
-        g, r, c, wind = y["g"], y["r"], y["c0"], y["wind"]
-        u, xi = mechanics.knot_velocity(r, y["pi"], c)
-        joint, body = v.force(g, r, u, xi, c, wind)
-        lost = ca.SX(v.dissipation(g, r, u, xi, wind))
-        work = ca.dot(joint, u) + ca.dot(body, xi) + lost
-        return ca.Function("power", [g, r, y["pi"], c, wind], [*energy(v, g, r, u, xi), work, lost])
-
-    return keep(mechanics, "power", build)
-
-
-def _integral(times: Array, rate: Array) -> Array:
-    """Integral (n,) of knot rates (n,) from the first knot."""
+def _integrals(times: Array, rates: Array) -> Array:
+    """Integrals (n, k) of knot rates (n, k) from the first knot, of the cubic splines through them."""
+    if len(times) < 2:
+        return np.zeros_like(rates)
     from scipy.interpolate import CubicSpline
 
-    return np.asarray(CubicSpline(times, rate).antiderivative()(times)) if len(times) > 1 else np.zeros(len(times))
+    h = np.diff(times)[:, None]
+    c3, c2, c1, c0 = CubicSpline(times, rates).c
+    parts = h * (c0 + h * (c1 / 2 + h * (c2 / 3 + h * c3 / 4)))
+    return np.vstack([np.zeros((1, rates.shape[1])), np.cumsum(parts, axis=0)])
 
 
-def keep(mechanics: DiscreteMechanics, key: str, build: Callable[[], ca.Function]) -> ca.Function:
-    """A function built once and kept as long as the mechanics."""
+def keep(mechanics: DiscreteMechanics, key: str, build: Callable[[], Any]) -> Any:
+    """Something built once and kept as long as the mechanics."""
     kept = mechanics.__dict__.setdefault("_kept", {})
     if key not in kept:
         kept[key] = build()
     return kept[key]
-
-
-def _mapped(function: ca.Function, n: int) -> Callable[..., Any]:
-    return function.map(n) if n > 1 else function
 
 
 def flat(values: Any) -> Array:

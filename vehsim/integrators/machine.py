@@ -1,0 +1,128 @@
+"""CasADi functions as machine code: C written by CasADi, built by the system's compiler, kept by content in the cache.
+
+Off unless an `Integrator` is asked for it: another compiler may round the last bit otherwise, and a film must be the
+same on every machine. Without a compiler there is a warning and CasADi's interpreter. What is built is safe to delete,
+and safe under concurrent writers: every process builds beside and moves into place.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import os
+import platform
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+import warnings
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+
+from vehsim._cache import cache_folder
+
+FLAGS = ("-O2", "-fPIC", "-shared", "-ffp-contract=off", *(("-Wl,-Bsymbolic",) if sys.platform == "linux" else ()))
+"""Nothing that reorders arithmetic. ``-Bsymbolic``: glibc has a function called ``step`` of its own."""
+
+_PLACEHOLDER = "vehsim_function_"
+
+_LOOP = """
+/* m rows of n rows: every pointer moves by its own strides, in doubles; of null pointers CasADi makes zeros */
+void vehsim_loop(long long m, long long n, const double** in, const long long* over, const long long* along,
+                 double** out, const long long* out_over, const long long* out_along) {{
+  const double* arg[{arg}]; double* res[{res}]; casadi_int iw[{iw}]; double w[{w}];
+  for (long long j = 0; j < m; ++j)
+    for (long long k = 0; k < n; ++k) {{
+      for (int i = 0; i < {n_in}; ++i) arg[i] = in[i] ? in[i] + j * over[i] + k * along[i] : 0;
+      for (int i = 0; i < {n_out}; ++i) res[i] = out[i] ? out[i] + j * out_over[i] + k * out_along[i] : 0;
+      {name}(arg, res, iw, w, 0);
+    }}
+}}
+"""
+
+
+def compiler() -> list[str] | None:
+    """The command of the system's C compiler (``CC``, or else cc, gcc or clang), None when there is none."""
+    for command in (os.environ.get("CC", ""), "cc", "gcc", "clang"):
+        words = shlex.split(command)
+        if words and shutil.which(words[0]):
+            return words
+    return None
+
+
+def external(function: ca.Function) -> ca.Function:
+    """The same function as machine code, or ``function`` itself, with a warning, where there is no compiler."""
+    built = _built(function)
+    return function if built is None else ca.external(built[1], str(built[0]))
+
+
+def loop(function: ca.Function) -> Any:
+    """``vehsim_loop`` of a function (its C stands above), which lets Python's lock go; None without a compiler."""
+    built = _built(function)
+    return None if built is None else ctypes.CDLL(str(built[0])).vehsim_loop
+
+
+def _built(function: ca.Function) -> tuple[Path, str] | None:
+    """The library of an SX function, and the function's name in it."""
+    command = compiler()
+    if command is None:
+        _warn_once("no C compiler: set CC, or install one; going on with CasADi's interpreter, which is slower")
+        return None
+    source, name = _source(function, " ".join(command))
+    library = cache_folder() / "machine-code" / f"{name}.so"
+    if not (library.is_file() and _loads(library)):
+        try:
+            _build(source, library, command)
+        except (OSError, subprocess.SubprocessError) as error:
+            words = getattr(error, "stderr", None) or str(error)
+            _warn_once(f"{command[0]} cannot build here ({words.strip()[:300]}); going on with CasADi's interpreter")
+            return None
+    return library, name
+
+
+def _source(function: ca.Function, command: str) -> tuple[str, str]:
+    """C of a function and of its loop, and a name made of everything the machine code depends on."""
+    symbols = function.sx_in()
+    renamed = ca.Function(_PLACEHOLDER, symbols, ca.cse(function.call(symbols)))
+    with tempfile.TemporaryDirectory() as folder:
+        generator = ca.CodeGenerator(f"{_PLACEHOLDER}.c")
+        generator.add(renamed)
+        generator.generate(f"{folder}/")
+        text = Path(folder, f"{_PLACEHOLDER}.c").read_text(encoding="utf-8")
+    sizes = {"arg": renamed.sz_arg(), "res": renamed.sz_res(), "iw": renamed.sz_iw(), "w": renamed.sz_w()}
+    counts = {"n_in": renamed.n_in(), "n_out": renamed.n_out(), "name": _PLACEHOLDER}
+    text += _LOOP.format(**{k: v + 1 for k, v in sizes.items()}, **counts)
+    machine = (platform.system(), platform.machine(), command, FLAGS)
+    name = f"vehsim_{hashlib.sha256(repr((text, machine)).encode()).hexdigest()[:24]}"
+    return text.replace(_PLACEHOLDER, name), name
+
+
+def _build(source: str, library: Path, command: list[str]) -> None:
+    library.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=library.parent) as folder:
+        file, made = Path(folder, "function.c"), Path(folder, library.name)
+        file.write_text(source, encoding="utf-8")
+        subprocess.run(
+            [*command, *FLAGS, str(file), "-o", str(made), "-lm"],
+            check=True,
+            capture_output=True,
+            text=True,
+            timeout=300,
+        )
+        made.replace(library)
+
+
+def _loads(library: Path) -> bool:
+    try:
+        return bool(ctypes.CDLL(str(library)).vehsim_loop)
+    except (OSError, AttributeError):  # cut short, or another machine's
+        return False
+
+
+@cache
+def _warn_once(message: str) -> None:
+    warnings.warn(f"machine code: {message}", stacklevel=2)
