@@ -46,19 +46,25 @@ def mark_element(t: Transcription, mark: Mark) -> Element | None:
     x, c = ca.SX.sym("x", sum(t.sizes[:3])), ca.SX.sym("c", t.sizes[3])
     wind = ca.SX.sym("wind", 3)
     wanted = {key: ca.SX.sym(key, size) for key, size in parameter_sizes(t).items()}
-    view = knot_view(t, x, c)
-    rows = [*_place(t, mark, view, wanted), *_attitude(t, mark, root_pose(t.vehicle, t.split(x)[0]), wanted)]
-    if mark.balanced and (mark.hold or t.vehicle.group.dim == 6):  # a boat may touch a mark, the wind at its side
-        rows += _equal(imbalance(t, x, c, wind))
-    rows += _motion(t, mark, view, x, c, wanted)
-    if mark.joints is not None:
-        asked = np.flatnonzero(np.isfinite(np.asarray(mark.joints, float))).tolist()
-        rows += [(view.joints[i] - wanted["joints"][i], 0.0, 0.0) for i in asked]
-    if not rows:
+    view, g = knot_view(t, x, c), t.split(x)[0]
+    asked = {
+        "position": _place(t, mark, view, wanted),
+        "heading" if mark.orientation is None else "orientation": _attitude(t, mark, root_pose(t.vehicle, g), wanted),
+        "velocity (balance)": _equal(imbalance(t, x, c, wind)) if mark.balanced else [],
+        "speed" if mark.velocity is None else "velocity": _motion(t, mark, view, x, c, wanted),
+        "joints": _joints(mark, view, wanted),
+    }
+    labels = [key for key, rows in asked.items() for _ in rows]
+    if not labels:
         return None
-    g, lower, upper = zip(*rows, strict=True)
+    rows, lower, upper = zip(*(row for rows in asked.values() for row in rows), strict=True)
     p = ca.vertcat(wind, *wanted.values())
-    return Element("mark", ca.vertcat(x, c), p, g=ca.vertcat(*g), lower=lower, upper=upper)
+    return Element("mark", ca.vertcat(x, c), p, g=ca.vertcat(*rows), lower=lower, upper=upper, labels=labels)
+
+
+def _joints(mark: Mark, view: KnotView, wanted: dict[str, Expr]) -> list[Row]:
+    given = np.asarray(() if mark.joints is None else mark.joints, float)
+    return [(view.joints[i] - wanted["joints"][i], 0.0, 0.0) for i in np.flatnonzero(np.isfinite(given)).tolist()]
 
 
 def hold_element(t: Transcription) -> Element:

@@ -31,7 +31,7 @@ from vehsim.planning.legs import (
 from vehsim.planning.obstacles import FINEST, certify_plane, obstacle_rows
 from vehsim.planning.problem import build, parameter_values, variable_bounds
 from vehsim.planning.request import Request
-from vehsim.planning.solver import Solution, Solver, solver_options
+from vehsim.planning.solver import SOLVERS, Solution, Solver
 from vehsim.planning.transcription import Transcription
 
 Array = NDArray[np.float64]
@@ -41,9 +41,11 @@ TIGHTENINGS = 3
 """How often a motion that comes too near is solved again with a wider margin."""
 EXECUTED = 0.1
 """Largest accepted distance between the plan's end and where its controls lead, m, before the plan is refined."""
-LADDER = ((1, 2), (1, 4), (1, 6), (2, 6), (4, 6))
+LADDER = ((1, 4), (1, 6), (2, 6), (4, 6))
 """Discretisations a plan climbs through: times the segments asked for, and order. Higher order is cheaper than more
 segments."""
+COARSE = 24
+"""A plan is first found on at least as many segments, a half or a quarter of those asked for where that goes."""
 SLACK = 0.01
 """How far below the asked clearance a certified motion may be, m."""
 KEPT = 16
@@ -71,7 +73,7 @@ class Attempt:
         self.build_seconds = self.solve_seconds = 0.0
         self.clearance = self.wanted = float("inf")
         self.checked = Executed(np.inf, np.inf, np.inf)
-        self.rung = 0
+        self.rung, self.lifted, self.stale, self.note = -1, False, True, ""
         self.solvers: dict[Any, Solver] = {}
         self.rows = obstacle_rows(request.vehicle, request.world, request.marks)
 
@@ -79,27 +81,37 @@ class Attempt:
         """A new attempt at other marks of the same shape, from where this one ended."""
         other = Attempt(request, self.t, self.cover, progress)
         other.margin, other.rung, other.layout, other.solvers = self.margin, self.rung, self.layout, self.solvers
+        other.lifted = True
         other.x, other.lengths, other.free = self.x.copy(), self.lengths.copy(), self.free
         other.rows = self.rows
         fixed = fixed_durations(request.marks, request.fps)
         other._resize(np.where(np.isnan(fixed), other.lengths, fixed / np.array(other.layout.phases)))
         return other
 
-    def start(self, paths: list[Array]) -> None:
-        """Layout, leg lengths and first guess."""
+    def start(self, paths: list[Array], stretch: float = 1.0) -> None:
+        """Layout, leg lengths (those of free legs stretched) and first guess."""
         marks = self.request.marks
         speed = min(CRUISE, 0.6 * self.request.limits.get("speed"))
         fixed = fixed_durations(marks, self.request.fps)
         legs = np.array([path_length(path) for path in paths])
         rests = np.array([a.at_rest + b.at_rest for a, b in pairwise(marks)])
-        durations = np.where(np.isnan(fixed), legs / speed + 1.5 * rests + 0.5, fixed)
+        durations = np.where(np.isnan(fixed), stretch * (legs / speed + 1.5 * rests + 0.5), fixed)
         share_known_spans(durations, marks, self.request.fps)
-        phases = split_segments(self.request.segments, durations, np.array([mark.hold > 0 for mark in marks[:-1]]))
-        self.layout = Layout(self.t.sizes, phases)
+        held = np.array([mark.hold > 0 for mark in marks[:-1]])
+        self.layout = Layout(self.t.sizes, split_segments(self._coarse(), durations, held))
+        phases = self.layout.phases
         self.lengths = durations / np.array(phases)
         self.free = np.isnan(fixed)
         self.x = along_paths(self.t, self.layout, marks, paths, self.lengths, self.request.wind)
+        self.guess = self.x
         self._look()
+
+    def _coarse(self) -> int:
+        """Segments to find a plan on: as many as asked for, halved while enough are left."""
+        segments, least = self.request.segments, max(COARSE, 2 * len(self.request.marks))
+        while segments % 2 == 0 and segments // 2 >= least and 4 * segments > self.request.segments:
+            segments //= 2
+        return segments
 
     def solve(self, free: bool = True) -> None:
         """Solve on the present layout from the present variables; legs of free marks vary when ``free``."""
@@ -114,26 +126,34 @@ class Attempt:
         values = parameter_values(self.t, layout, request.marks, request.wind, self.margin, request.weights)
         if self.rows is not None:
             values = np.concatenate([values, self.rows.values(self._seconds(), request.clearance)])
-        self.solution: Solution = solver.solve(self.x, lower, upper, values)
+        self.solution: Solution = solver.solve(self.x, lower, upper, values, request.deadline)
         self.x = self.solution.x
         self.lengths = self.x[layout.lengths]
+        self.stale = False
         self.iterations += self.solution.iterations
         self.solve_seconds += time.perf_counter() - began
         self.worst = solver.problem.names()[int(np.argmax(self.solution.violations))]
 
     def _solver(self, spans: Sequence[tuple[list[int], float]]) -> Solver:
         """The built problem of the present layout; built once for every shape of marks, in free space once for all."""
-        request, warm = self.request, self.rung > 0
+        request, warm = self.request, self.lifted
         key = (self.t, self.layout, request.key, repr(spans), warm, self.rows and self.rows.key)
-        shelf = self.solvers if self.cover is not None else _shelf.solvers
+        shelf = self.solvers if self.cover is not None or request.terms else _shelf.solvers
         if key not in shelf:
             problem = build(self.t, self.layout, request, self.cover, spans)
             if self.rows is not None:
                 self.rows.add(problem, self.t, self.layout)
-            shelf[key] = Solver(problem, solver_options(request.max_iterations, warm=warm))
+            options = SOLVERS[request.solver](request.max_iterations, warm)
+            shelf[key] = Solver(problem, options, request.solver)
             while shelf is not self.solvers and len(shelf) > KEPT:
                 del shelf[next(iter(shelf))]
         return shelf[key]
+
+    def give_up(self, message: str) -> None:
+        """End with the first guess, where nothing can be solved."""
+        nothing = np.zeros(0)
+        self.solution = Solution(self.x, math.nan, math.inf, False, message, 0, nothing)
+        self.stale, self.worst, self.clip = False, "", self._clip()
 
     def settle(self) -> None:
         """Put free marks on whole frames, later rather than earlier."""
@@ -150,29 +170,58 @@ class Attempt:
         momenta = self.layout.node(np.arange(self.layout.nodes))[sum(self.t.sizes[:2]) :]
         self.x[momenta] *= per_node
         self.x[self.layout.velocity(np.arange(self.layout.nodes - 1))] *= per_substep
-        self.lengths = lengths
+        self.lengths, self.stale = lengths, True
         self.x[self.layout.lengths] = lengths
+
+    def approach(self) -> None:
+        """From the coarse discretisation a plan was found on to the one asked for, doubling on the way."""
+        self.resolve()
+        asked, refine = self.request.segments, self.request.refine
+        while self.solution.success and 4 * self.layout.segments <= asked and self._try(2 * self.layout.segments, 2):
+            pass
+        if self.solution.success and (refine or self.layout.segments < asked):
+            self._climb()
+        self.checked = self._executed()
 
     def refine(self) -> None:
         """Climb the ladder of discretisations until the executed controls end where the plan does."""
-        self.solve(free=False)
-        self.checked = self._executed()
-        while self._too_far() and self.rung < len(LADDER) - 1:
-            self.climb()
-            self.solve(free=False)
+        if self.resolve():
             self.checked = self._executed()
+        while self._too_far() and self.rung < len(LADDER) - 1 and self._climb():
+            self.checked = self._executed()
+
+    def resolve(self) -> bool:
+        """Solve again if anything changed since; True when it did."""
+        if self.stale:
+            self.solve(free=False)
+            return True
+        return False
 
     def _too_far(self) -> bool:
         return self.request.refine and self.solution.success and self.checked.final > EXECUTED
 
-    def climb(self) -> None:
+    def _climb(self) -> bool:
+        """The next discretisation, from the present motion; False when it fails."""
         self.rung += 1
-        split, order = LADDER[self.rung][0] // LADDER[self.rung - 1][0], LADDER[self.rung][1]
-        self._lift(Layout(self.t.sizes, tuple(split * n for n in self.layout.phases), order))
+        times, order = LADDER[self.rung] if self.request.refine else (1, 2)
+        return self._try(times * self.request.segments, order)
 
-    def _lift(self, fine: Layout) -> None:
+    def _try(self, segments: int, order: int) -> bool:
+        """Solve on a finer discretisation; where that fails, keep what there was, and say so."""
+        before = (self.x, self.layout, self.lengths, self.solution, self.worst)
+        self._lift(segments, order)
+        self.solve(free=False)
+        if self.solution.success:
+            return True
+        self.note = f"; not refined to {segments} segments of order {order}: {self.solution.message}"
+        self.x, self.layout, self.lengths, self.solution, self.worst = before
+        return False
+
+    def _lift(self, segments: int, order: int) -> None:
+        split = segments // self.layout.segments
+        fine = Layout(self.t.sizes, tuple(split * n for n in self.layout.phases), order)
         self.x = lift(self.t, self.layout, fine, self.x, self.request.wind)
-        self.layout, self.lengths = fine, self.x[fine.lengths]
+        self.layout, self.lengths, self.lifted = fine, self.x[fine.lengths], True
         self._look()
 
     def _look(self) -> None:
@@ -214,13 +263,14 @@ class Attempt:
         else:
             self.margin += (self.wanted - self.clearance) + 0.05
         self.tightenings += 1
+        self.stale = True
 
     def _knots(self) -> tuple[Array, Array, Array, Array, Array]:
         layout, every = self.layout, np.arange(self.layout.segments + 1)
         cuts = np.cumsum([0, *self.t.sizes[:3]])
         state = self.x[layout.knot(every)]
-        g, r, pi = (state[a:b].T for a, b in pairwise(cuts))
-        c = (self.x[layout.control(every)] * self.t.control_scale[:, None]).T
+        g, r, pi = (np.ascontiguousarray(state[a:b].T) for a, b in pairwise(cuts))
+        c = np.ascontiguousarray((self.x[layout.control(every)] * self.t.control_scale[:, None]).T)
         return g, r, pi * self.t.momentum_scale, c, np.repeat(self.lengths, layout.phases)
 
     def _executed(self) -> Executed:

@@ -24,14 +24,15 @@ Indices = NDArray[np.intp]
 class Seen:
     """A function of space that an element meets at ``points`` (3, k), expressions of ``y``.
 
-    ``function``: count -> a `Function`, points (3, count) -> value, gradient and Hessian (xx, yy, zz, xy, xz, yz) there
-    (10, count). The element itself is written in ``models`` (13, k), symbols: the point and these ten numbers, through
-    `second_order`. So nothing differentiates the function, which may be a spline too large for that.
+    ``function``: (count, order) -> a `Function`, points (3, count) -> value, gradient and Hessian (xx, yy, zz, xy, xz,
+    yz) there (10, count), derivatives up to ``order``. The element itself is written in ``models`` (13, k), symbols:
+    the point and these ten numbers, through `second_order`. So nothing differentiates the function, which may be a
+    spline too large for that.
     """
 
     points: Any
     models: Any
-    function: Callable[[int], ca.Function]
+    function: Callable[[int, int], ca.Function]
 
 
 def second_order(points: Any, models: Any) -> Any:
@@ -61,6 +62,8 @@ class Element:
     lower: Any = 0.0
     upper: Any = 0.0
     seen: Seen | None = None
+    labels: Sequence[str] = ()
+    """Names of the rows of ``g``, where they differ from the element's."""
 
     def __post_init__(self) -> None:
         kind = type(self.y)
@@ -108,6 +111,15 @@ class Element:
         return ca.Function("hessian", [self.y, self.p, lam_f, lam_g], [_entries(upper)]), *_pattern(upper)
 
 
+def elastic(element: Element, price: float) -> Element:
+    """The element with room to miss its rows either way, at a price: 2 k more variables, which are not negative."""
+    k = element.g.shape[0]
+    over, under = ca.SX.sym("over", k), ca.SX.sym("under", k)
+    cost = element.f + price * (ca.sum1(over) + ca.sum1(under))
+    y, g = ca.vertcat(element.y, over, under), element.g - over + under
+    return Element(element.name, y, element.p, cost, g, element.lower, element.upper, labels=element.labels)
+
+
 def _mapped(function: ca.Function, count: int) -> ca.Function:
     return function.map(count) if count > 1 else function
 
@@ -142,15 +154,15 @@ class Use:
     def mapped(self, function: ca.Function) -> ca.Function:
         return _mapped(function, self.count)
 
-    def local(self, x: Any, p: Any) -> tuple[Any, Any]:
-        """Local variables (n, count) and parameters (m, count) out of the problem's."""
+    def local(self, x: Any, p: Any, order: int) -> tuple[Any, Any]:
+        """Local variables (n, count) and parameters (m, count) out of the problem's; models good to ``order``."""
         y, given = _gather(x, self.variables), _gather(p, self.parameters)
         rows = [given, ca.MX(ca.DM(self.constants))] if len(self.constants) else [given]
         seen = self.element.seen
         if seen is not None:
             points, k = self.mapped(self.element.points)(y), seen.points.shape[1]
             places = ca.reshape(points, 3, k * self.count)
-            models = ca.vertcat(places, seen.function(k * self.count)(places))
+            models = ca.vertcat(places, seen.function(k * self.count, order)(places))
             rows.append(ca.reshape(models, 13 * k, self.count))
         return y, ca.vertcat(*rows)
 
@@ -187,19 +199,24 @@ class Problem:
 
     def names(self) -> list[str]:
         """The element each constraint row comes from."""
-        return [f"{use.element.name}[{k}]" for use in self.uses for k in range(use.count) for _ in range(use.rows)]
+        return [
+            use.element.labels[row] if use.element.labels else f"{use.element.name}[{k}]"
+            for use in self.uses
+            for k in range(use.count)
+            for row in range(use.rows)
+        ]
 
     def functions(self) -> dict[str, ca.Function]:
         """``nlp, grad_f, jac_g, hess_lag`` as an NLP solver wants them."""
         x, p = ca.MX.sym("x", self.size), ca.MX.sym("p", self.parameters)
-        local = [use.local(x, p) for use in self.uses]
-        f, g = self._values(local)
+        local = [[use.local(x, p, order) for use in self.uses] for order in range(3)]
+        f, g = self._values(local[0])
         names = (["x", "p"], ["f", "g"])
         return {
             "nlp": ca.Function("nlp", [x, p], [f, g], *names),
-            "grad_f": ca.Function("grad_f", [x, p], list(self._gradient(local)), ["x", "p"], ["f", "grad_f_x"]),
-            "jac_g": ca.Function("jac_g", [x, p], list(self._jacobian(local)), ["x", "p"], ["g", "jac_g_x"]),
-            "hess_lag": self._hessian(x, p, local),
+            "grad_f": ca.Function("grad_f", [x, p], list(self._gradient(local[1])), ["x", "p"], ["f", "grad_f_x"]),
+            "jac_g": ca.Function("jac_g", [x, p], list(self._jacobian(local[1])), ["x", "p"], ["g", "jac_g_x"]),
+            "hess_lag": self._hessian(x, p, local[2]),
         }
 
     def _values(self, local: Sequence[tuple[Any, Any]]) -> tuple[Any, Any]:
@@ -207,7 +224,7 @@ class Problem:
         g = []
         for use, arguments in zip(self.uses, local, strict=True):
             cost, rows = use.mapped(use.element.value)(*arguments)
-            f = f + ca.sum2(cost)
+            f = f if use.element.f.is_zero() else f + ca.sum2(cost)
             g.append(ca.vec(rows))
         return f, ca.vertcat(*g)
 

@@ -42,6 +42,19 @@ def _bearing(path: Array) -> Array:
     return ahead / length if length > 1e-3 else np.zeros(2)
 
 
+def bent(path: Array, share: float) -> Array:
+    """A path that swings aside by a share of its length, half way along, ends where they were."""
+    if not share or path_length(path) < 1e-6:
+        return path
+    steps = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    at = np.unique(np.concatenate([steps, np.linspace(0, steps[-1], 17)]))
+    points = np.column_stack([np.interp(at, steps, path[:, k]) for k in range(3)])
+    way = path[-1] - path[0]
+    aside = np.array([-way[1], way[0], 0.0])
+    aside = aside / np.linalg.norm(aside) if np.linalg.norm(aside) > 1e-6 else np.array([1.0, 0.0, 0.0])
+    return np.asarray(points + share * steps[-1] * np.sin(np.pi * at / steps[-1])[:, None] * aside)
+
+
 def cut(points: Array, legs: list[tuple[Array, Array]]) -> list[Array]:
     """One path cut into legs at its points nearest to the marks, in order."""
     cuts = [0]

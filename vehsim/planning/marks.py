@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -69,6 +69,13 @@ class Mark:
     tolerance: float = 0.0
     hold: int = 0
     gate: Gate | None = None
+    place: int = field(default=-1, repr=False, compare=False)
+    """Its place among the marks that were given; a plan writes it."""
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        return f"mark[{self.place}]" if self.place >= 0 else f"frame {self.frame}"
 
     @property
     def at_rest(self) -> bool:
@@ -91,7 +98,7 @@ def check_marks(marks: Sequence[Mark], joints: Sequence[str]) -> list[Mark]:
         raise InputError("mark[0].frame = 'free': the first mark starts the clip; give it a whole frame")
     if marks[0].position is None:
         raise InputError("mark[0].position: missing; the first mark must say where the motion starts")
-    marks = [replace(mark, joints=_joint_row(i, mark, joints)) for i, mark in enumerate(marks)]
+    marks = [replace(mark, joints=_joint_row(i, mark, joints), place=i) for i, mark in enumerate(marks)]
     last: int | None = None
     for i, mark in enumerate(marks):
         _check_numbers(i, mark)

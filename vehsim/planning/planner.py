@@ -8,6 +8,7 @@ comes too near.
 from __future__ import annotations
 
 import math
+import time
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -21,15 +22,21 @@ from vehsim.errors import InputError
 from vehsim.planning.attempt import EXECUTED, SLACK, TIGHTENINGS, Array, Attempt, Progress
 from vehsim.planning.certify import Executed
 from vehsim.planning.cover import sphere_cover
-from vehsim.planning.legs import cut, facing, mark_positions
-from vehsim.planning.marks import Mark, check_marks
+from vehsim.planning.feasibility import refusals
+from vehsim.planning.legs import bent, cut, facing, mark_positions
+from vehsim.planning.marks import Mark, check_marks, with_breaks
 from vehsim.planning.obstacles import check_marks_clear, obstacle_rows
-from vehsim.planning.request import Request, shape
-from vehsim.planning.terms import check_limits, cost_weights
+from vehsim.planning.relax import diagnose
+from vehsim.planning.request import Request, check_loop, shape
+from vehsim.planning.solver import check_solver
+from vehsim.planning.terms import Term, check_limits, check_terms, cost_weights
 from vehsim.planning.transcription import transcription
 from vehsim.vehicles import Vehicle
 from vehsim.world.ground import lift
 
+RETRIES = ((1.7, 0.0), (0.6, 0.08), (1.2, -0.15))
+"""First guesses tried when the first fails: durations of free legs times, and how far each path bends aside, of its
+length."""
 ROOM = 30.0
 """How far from the first path the optimiser sees the terrain, m."""
 
@@ -89,14 +96,21 @@ def plan(
     limits: Mapping[str, float] | None = None,
     guess: Clip | Any = None,
     refine: bool = True,
+    terms: Sequence[Term] = (),
+    loop: bool = False,
+    solver: str = "ipopt",
     max_iterations: int = 400,
+    time_limit: float | None = None,
     progress: Progress | None = None,
 ) -> Plan:
     """The motion through ``marks`` that costs least, certified.
 
     ``fps`` frames a second; ``segments`` in all, every mark on a knot; ``cost``: a name of `terms.COSTS` or weights;
     ``clearance`` m from the terrain; ``limits``: name of `terms.LIMITS` -> bound; ``guess``: a `Clip`, or a path (k, 3)
-    m to start from; ``refine`` until the controls, executed finely, end within 0.1 m of the plan, or say so.
+    m to start from; ``refine`` until the controls, executed finely, end within 0.1 m of the plan, or say so;
+    ``terms``: costs and constraints of one's own (`terms.Cost`, `terms.Constraint`, `ranges.look_at`, `ranges.stay`);
+    ``loop``: the motion ends as it begins; ``solver``: a name of `solver.SOLVERS`; ``time_limit`` s, after which the
+    best motion so far comes back.
 
     Raises ``InputError`` for what cannot be asked. What cannot be solved comes back with ``success = False`` and a
     message, and a warning.
@@ -108,10 +122,14 @@ def plan(
         raise InputError(f"segments = {segments!r}: give at least two a leg between marks, and at most 4096")
     if not (math.isfinite(clearance) and clearance >= 0):
         raise InputError(f"clearance = {clearance!r}: give a distance in metres, zero or more")
+    if time_limit is not None and not time_limit > 0:
+        raise InputError(f"time_limit = {time_limit!r}: give seconds, more than zero")
+    terms = check_terms(terms)
+    frames = [frame for term in terms for frame in term.frames or ()]
     request = Request(
         vehicle=vehicle,
         world=world,
-        marks=check_marks(marks, vehicle.joints),
+        marks=with_breaks(check_marks(marks, vehicle.joints), frames),
         fps=frame_rate(fps),
         segments=int(segments),
         weights=cost_weights(cost, vehicle.default_costs),
@@ -119,7 +137,12 @@ def plan(
         limits=check_limits(limits or {}, vehicle.joints),
         refine=refine,
         max_iterations=max_iterations,
+        terms=terms,
+        loop=loop,
+        solver=check_solver(solver),
+        deadline=math.inf if time_limit is None else time.monotonic() + time_limit,
     )
+    check_loop(request)
     check_marks_clear(vehicle, world, request.marks, request.clearance)
     heights = {float(np.asarray(mark.position)[2]) for mark in request.marks if mark.position is not None}
     if vehicle.group.dim == 3 and len(heights) > 1 and (world is None or world.terrain is None):
@@ -138,10 +161,18 @@ def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
         request = replace(request, marks=facing(request.marks, paths))
     attempt = Attempt(request, t, _cover(request, paths), progress)
     attempt.start(paths)
+    refused = refusals(request)
+    if refused:
+        attempt.give_up("; ".join(map(str, refused)))
+        return _result(attempt)
     attempt.solve()
+    for stretch, bend in RETRIES:
+        if attempt.solution.success or request.late:
+            break
+        attempt.start([bent(path, bend) for path in paths], stretch)
+        attempt.solve()
     attempt.settle()
-    if request.refine and attempt.solution.success:
-        attempt.climb()
+    attempt.approach()
     return _finish(attempt)
 
 
@@ -159,14 +190,16 @@ def _result(attempt: Attempt) -> Plan:
     """What the attempt came to."""
     request, solution = attempt.request, attempt.solution
     message, success = solution.message, solution.success
-    if not success:
-        message = f"{message}: worst {attempt.worst}, off by {solution.violation:.3g}"
-    elif attempt.clearance < attempt.wanted - SLACK:
+    if not success and attempt.worst:
+        why = "" if request.late else diagnose(attempt)
+        message = f"{message}: {why or f'worst {attempt.worst}, off by {solution.violation:.3g}'}"
+    elif success and attempt.clearance < attempt.wanted - SLACK:
         success = False
         message = (
             f"certified clearance {attempt.clearance:.3f} m is below the {attempt.wanted:g} m asked for after "
             f"{attempt.tightenings} tighter solves; ask for less clearance, more segments, or other marks"
         )
+    message += attempt.note
     if success and attempt.checked.final > EXECUTED and request.refine:
         message += f"; executed, the controls end {attempt.checked.final:.2f} m off: ask for more segments"
     if not success:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.planning.asked import hold_element, loop_element, mark_element, mark_values, parameter_sizes
-from vehsim.planning.elements import Element, Problem
+from vehsim.planning.elements import Element, Problem, elastic
 from vehsim.planning.layout import Layout
 from vehsim.planning.legs import knots_within
 from vehsim.planning.marks import Mark
@@ -27,15 +27,17 @@ def build(
     request: Request,
     cover: tuple[Any, Array, Array] | None,
     total: Sequence[tuple[Sequence[int], float]] = (),
+    give: float = 0.0,
 ) -> Problem:
     """The whole problem; `parameter_values` are its parameters.
 
     ``cover``: models of the distance and sphere cover (centres, radii), or None in free space. ``total``: groups of
     phases between marks at fixed frames whose lengths must add up, with their durations in s.
+    ``give``: where above zero, marks after the first may be missed at this price, see `elements.elastic`.
     """
     problem = Problem(layout.size, _marks_at(layout) + _width(t) * len(request.marks))
     _add_motion(problem, t, layout, request)
-    _add_marks(problem, t, layout, request)
+    _add_marks(problem, t, layout, request, give)
     for constraint in request.constraints:
         _add_term(problem, t, layout, request, constraint)
     for term in request.terms:
@@ -89,7 +91,7 @@ def _segments(layout: Layout, k: Any) -> Any:
     return np.vstack([*ends, layout.duration(k)])
 
 
-def _add_marks(problem: Problem, t: Transcription, layout: Layout, request: Request) -> None:
+def _add_marks(problem: Problem, t: Transcription, layout: Layout, request: Request, give: float) -> None:
     marks, first, width = request.marks, _marks_at(layout), _width(t)
     for i, (mark, knot) in enumerate(zip(marks, layout.mark_knots, strict=True)):
         if i and marks[i - 1].hold:  # the vehicle stands in balance: unchanged controls keep it there
@@ -97,9 +99,13 @@ def _add_marks(problem: Problem, t: Transcription, layout: Layout, request: Requ
             continue
         element = mark_element(t, mark)
         if element is not None:
-            element.name = f"mark[{i}]"
+            element.name, element.labels = mark.name, [f"{mark.name}.{key}" for key in element.labels]
             place = np.concatenate([np.arange(3), first + i * width + np.arange(width)])
-            problem.add(element, np.vstack([layout.knot(knot), layout.control(knot)]), place)
+            y = np.vstack([layout.knot(knot), layout.control(knot)])
+            if give and i:
+                slack = problem.size + np.arange(2 * len(element.labels))
+                element, y, problem.size = elastic(element, give), np.vstack([y, slack[:, None]]), slack[-1] + 1
+            problem.add(element, y, place)
     if request.loop:
         ends = [np.vstack([layout.knot(k), layout.control(k)]) for k in (0, layout.segments)]
         problem.add(loop_element(t), np.vstack(ends))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim.errors import InputError
 from vehsim.planning.legs import mark_positions
 from vehsim.planning.marks import Mark
 from vehsim.planning.terms import Constraint, Limits, Term
@@ -44,6 +46,11 @@ class Request:
         return np.zeros(3) if self.world is None else np.asarray(self.world.wind, float)
 
     @property
+    def late(self) -> bool:
+        """Past its deadline."""
+        return time.monotonic() > self.deadline
+
+    @property
     def costs(self) -> tuple[str, ...]:
         """Names of the costs that count."""
         return tuple(name for name, weight in self.weights.items() if weight)
@@ -74,6 +81,19 @@ class Request:
     @property
     def terrain(self) -> bool:
         return self.world is not None and self.world.terrain is not None and self.vehicle.group.dim == 6
+
+
+def check_loop(request: Request) -> None:
+    """Raise ``InputError`` where a loop is asked to end elsewhere than it begins."""
+    first, last = request.marks[0], request.marks[-1]
+    if not request.loop:
+        return
+    for key in ("position", "heading", "orientation", "velocity"):
+        a, b = getattr(first, key), getattr(last, key)
+        if a is not None and b is not None and not np.allclose(a, b, atol=1e-9):
+            raise InputError(
+                f"{last.name}.{key} = {b!r}: a loop ends as it begins, with {a!r}; leave it out of the last mark"
+            )
 
 
 def shape(marks: Sequence[Mark]) -> tuple[Any, ...]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import threading
+import time
 import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -14,6 +16,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim.errors import InputError
 from vehsim.planning.elements import Problem
 
 Array = NDArray[np.float64]
@@ -32,18 +35,66 @@ class Solution:
     violations: Array
 
 
-def solver_options(max_iterations: int = 400, warm: bool = False) -> dict[str, Any]:
+def ipopt_options(max_iterations: int = 400, warm: bool = False) -> dict[str, Any]:
     """IPOPT with exact Hessians and MUMPS, silent; ``warm``: the start is a solved motion of another discretisation."""
-    barrier = {"mu_strategy": "monotone", "mu_init": 1e-3} if warm else {"mu_strategy": "adaptive"}
+    barrier = {"mu_strategy": "monotone", "mu_init": 1e-4} if warm else {"mu_strategy": "adaptive"}
+    return {
+        "ipopt": {
+            "max_iter": max_iterations,
+            "tol": 1e-8,
+            "constr_viol_tol": 1e-9,
+            "mumps_pivot_order": 0,
+            "print_level": 0,
+            "sb": "yes",
+            **barrier,
+        }
+    }
+
+
+def sqp_options(max_iterations: int = 400, warm: bool = False) -> dict[str, Any]:
+    """CasADi's own SQP over the sparse QP solver it ships, convexified; silent."""
+    quiet = {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False}
     return {
         "max_iter": max_iterations,
-        "tol": 1e-8,
-        "constr_viol_tol": 1e-9,
-        "mumps_pivot_order": 0,
-        "print_level": 0,
-        "sb": "yes",
-        **barrier,
+        "tol_pr": 1e-9,
+        "tol_du": 1e-6,
+        "convexify_strategy": "regularize",
+        "qpsol": "qrqp",
+        "qpsol_options": quiet | {"print_time": False},
+        "print_header": False,
+        "print_iteration": False,
+        "print_status": False,
     }
+
+
+SOLVERS: dict[str, Callable[[int, bool], dict[str, Any]]] = {
+    "ipopt": ipopt_options,
+    "sqpmethod": sqp_options,
+    "fatrop": lambda iterations, warm: {"fatrop": {"max_iter": iterations, "print_level": 0, "tol": 1e-8}},
+    "bonmin": lambda iterations, warm: {},
+    "uno": lambda iterations, warm: {},
+}
+"""NLP solver -> its options, from the iterations allowed and whether the start is a solved motion."""
+
+PLAIN = {
+    "Maximum_Iterations_Exceeded": "no solution within the iterations allowed",
+    "Infeasible_Problem_Detected": "nothing nearby meets all that is asked",
+    "Restoration_Failed": "stuck: no step brings it nearer to what is asked",
+    "Search_Direction_Becomes_Too_Small": "stuck: no step brings it nearer to what is asked",
+    "Error_In_Step_Computation": "stuck: the equations became singular",
+    "Invalid_Number_Detected": "a cost or constraint gave no number",
+    "User_Requested_Stop": "time limit reached",
+    "NonIpopt_Exception_Thrown": "time limit reached",
+}
+"""What a solver's words mean."""
+
+
+def check_solver(name: str) -> str:
+    """The name of a solver that this CasADi has, else ``InputError``."""
+    known = [solver for solver in SOLVERS if ca.has_nlpsol(solver)]
+    if name not in known:
+        raise InputError(f"solver = {name!r}: not here; choose one of {', '.join(known)}")
+    return name
 
 
 class Solver:
@@ -52,38 +103,41 @@ class Solver:
     ``watch``: called with the number of iterations done; may be changed between solves.
     """
 
-    def __init__(self, problem: Problem, options: dict[str, Any] | None = None):
+    def __init__(self, problem: Problem, options: dict[str, Any] | None = None, plugin: str = "ipopt"):
         self.problem = problem
         self.watch: Callable[[int], None] | None = None
         self._bounds = problem.bounds
         functions = problem.functions()
         self._nlp = functions.pop("nlp")
         self._callback = _Callback(self, problem.size, len(self._bounds[0]), problem.parameters)
+        own = {"ipopt": functions, "bonmin": functions}.get(plugin, {"hess_lag": functions["hess_lag"]})
         settings: dict[str, Any] = {
-            **functions,
-            "ipopt": options or solver_options(),
+            **own,
+            **(options or SOLVERS[plugin](400, False)),
             "iteration_callback": self._callback,
             "print_time": False,
             "error_on_fail": False,
             "calc_lam_p": False,
             "show_eval_warnings": False,
         }
-        self._solver = ca.nlpsol("plan", "ipopt", self._nlp, settings)
+        self._solver = ca.nlpsol("plan", plugin, self._nlp, settings)
 
-    def solve(self, x0: Array, lower: Array, upper: Array, parameters: Array) -> Solution:
+    def solve(self, x0: Array, lower: Array, upper: Array, parameters: Array, deadline: float = math.inf) -> Solution:
+        """Solve from ``x0`` until ``deadline`` s on `time.monotonic`'s clock."""
         g_lower, g_upper = self._bounds
-        self._callback.count = 0
+        self._callback.count, self._callback.deadline = 0, deadline
         with _interruptible(self._callback):
             answer = self._solver(x0=x0, lbx=lower, ubx=upper, lbg=g_lower, ubg=g_upper, p=parameters)
         stats = self._solver.stats()
         x, g = np.asarray(answer["x"]).ravel(), np.asarray(answer["g"]).ravel()
         violations = np.maximum.reduce([g_lower - g, g - g_upper, np.zeros_like(g)])
+        status = str(stats["return_status"])
         return Solution(
             x=x,
             cost=float(answer["f"]),
             violation=float(violations.max(initial=0.0)),
             success=bool(stats["success"]),
-            message=str(stats["return_status"]),
+            message=f"{PLAIN[status]} ({status})" if status in PLAIN else status,
             iterations=int(stats.get("iter_count", 0)),
             violations=violations,
         )
@@ -118,6 +172,7 @@ class _Callback(ca.Callback):
         self._solver = weakref.ref(solver)
         self.count = 0
         self.interrupted = False
+        self.deadline = math.inf
         self.construct("watch", {})
 
     def get_n_in(self) -> int:
@@ -143,4 +198,4 @@ class _Callback(ca.Callback):
                 solver.watch(self.count)
         except KeyboardInterrupt:
             self.interrupted = True
-        return [int(self.interrupted)]
+        return [int(self.interrupted or time.monotonic() > self.deadline)]

@@ -92,7 +92,8 @@ class DistanceField:
     def models(self, count: int, order: int = 2) -> Any:
         """A casadi ``Function``, points (3, count) -> value, gradient, Hessian (xx, yy, zz, xy, xz, yz) (10, count).
 
-        Derivatives up to ``order``, zeros beyond. Two or three us a point, where differentiating `function` takes 35: coefficients are gathered for all at once.
+        Derivatives up to ``order``, zeros beyond. Two or three us a point, where differentiating `function` takes 35:
+        coefficients are gathered for all at once.
         """
         import casadi
 

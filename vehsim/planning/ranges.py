@@ -1,0 +1,57 @@
+"""Constraints over a range of frames, as an animator asks for them: look there, stay above or below."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import casadi as ca
+import numpy as np
+
+from vehsim.errors import InputError
+from vehsim.planning.terms import Constraint, Expr, KnotView
+
+Frames = tuple[int, int] | None
+AXES = {"x": (0, 1.0), "y": (1, 1.0), "z": (2, 1.0), "-x": (0, -1.0), "-y": (1, -1.0), "-z": (2, -1.0)}
+"""Body axes by name: column of the rotation, and sign."""
+
+
+def look_at(
+    point: Sequence[float], frames: Frames = None, *, within: float = 5.0, axis: str = "x", level: bool = True
+) -> Constraint:
+    """A body axis (the nose, ``"x"``) points to ``point`` (3,) m, ``within`` degrees, over ``frames`` (first, last).
+
+    ``level``: seen from above, so that the vehicle may pitch and bank; else in space. Raises ``InputError``.
+    """
+    if np.shape(point) != (3,) or not np.all(np.isfinite(point)):
+        raise InputError(f"look_at: point = {point!r}: give [x, y, z] in metres")
+    if axis not in AXES or (level and axis.endswith("z")):
+        raise InputError(f"look_at: axis = {axis!r}: choose one of {', '.join(AXES)}; z cannot be level")
+    if not 0 < within < 180:
+        raise InputError(f"look_at: within = {within!r}: give degrees between 0 and 180")
+    column, sign = AXES[axis]
+    shown = slice(0, 2 if level else 3)
+
+    def law(k: KnotView) -> Expr:
+        way, nose = (ca.DM(list(point)) - k.position)[shown], sign * k.rotation[shown, column]
+        return ca.dot(way, nose) / ca.sqrt((ca.sumsqr(way) + 1e-6) * (ca.sumsqr(nose) + 1e-9))
+
+    return Constraint("look_at", law, lower=math.cos(math.radians(within)), frames=frames)
+
+
+def stay(
+    frames: Frames = None, *, above: float | None = None, below: float | None = None, within: Sequence[float] = ()
+) -> Constraint:
+    """The root stays between the heights ``above`` and ``below``, m, and inside ``within`` (x0, y0, x1, y1), m.
+
+    Between knots too. Raises ``InputError``.
+    """
+    low, high = -math.inf if above is None else float(above), math.inf if below is None else float(below)
+    box = np.array(within, float) if len(within) else np.array([-np.inf, -np.inf, np.inf, np.inf])
+    if not low < high or (above is None and below is None and not len(within)):
+        raise InputError(f"stay: above = {above!r}, below = {below!r}: give heights in metres, above less than below")
+    if box.shape != (4,) or not np.all(box[:2] < box[2:]):
+        raise InputError(f"stay: within = {within!r}: give [x0, y0, x1, y1] in metres, x0 < x1 and y0 < y1")
+    lower, upper = np.array([box[0], box[1], low]), np.array([box[2], box[3], high])
+    kept = [i for i in range(3) if np.isfinite(lower[i]) or np.isfinite(upper[i])]
+    return Constraint("stay", lambda k: k.position[kept], lower[kept], upper[kept], over="everywhere", frames=frames)

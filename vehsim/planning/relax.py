@@ -1,0 +1,101 @@
+"""Why a plan failed: the same problem with room to miss marks, and with room to be late, says which and by how much."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.planning.attempt import Attempt
+from vehsim.planning.elements import Element
+from vehsim.planning.legs import fixed_durations
+from vehsim.planning.problem import build, parameter_values, variable_bounds
+from vehsim.planning.solver import Solver, ipopt_options
+
+Array = NDArray[np.float64]
+
+PRICE = 1e3
+"""Cost of missing a mark by one unit, or of being late by one second: more than any effort saves."""
+ITERATIONS, SECONDS = 200, 10.0
+"""What either answer may take at most."""
+NOTHING = 1e-3
+"""Misses and delays below this are none, in m and s."""
+
+
+def diagnose(attempt: Attempt) -> str:
+    """Which marks cannot be met, by how much, and which frames would do; empty when neither is found out."""
+    if attempt.guess.shape != (attempt.layout.size,):  # it failed later than on the first discretisation
+        return ""
+    found = [text for text in (_missed(attempt), _late(attempt)) if text]
+    return "; ".join(found)
+
+
+def _missed(attempt: Attempt) -> str:
+    problem = build(attempt.t, attempt.layout, attempt.request, attempt.cover, give=PRICE)
+    x, _ = _solve(attempt, problem, late=False)
+    if x is None:
+        return ""
+    first, misses = attempt.layout.size, []
+    for use in problem.uses:
+        rows = use.rows
+        if use.variables.max() < first:
+            continue
+        slack = x[use.variables[-2 * rows :, 0]]
+        by = np.abs(slack[:rows] - slack[rows:])
+        if by.max() > NOTHING:
+            label = use.element.labels[int(np.argmax(by))]
+            unit = " m" if label.endswith("position") else ""
+            misses.append((float(np.linalg.norm(by)), f"{label} is missed by {np.linalg.norm(by):.3g}{unit}"))
+    return "; ".join(text for _, text in misses[:3])
+
+
+def _late(attempt: Attempt) -> str:
+    layout, request = attempt.layout, attempt.request
+    fixed = fixed_durations(request.marks, request.fps)
+    held = np.array([mark.hold > 0 for mark in request.marks[:-1]])
+    asked = np.isfinite(fixed) & ~held
+    if not np.any(asked):
+        return ""
+    problem = build(attempt.t, layout, request, attempt.cover)
+    h = ca.SX.sym("h", len(fixed))
+    counts = np.array(layout.phases)
+    delay = ca.dot(ca.DM(asked.astype(float)), ca.DM(counts.astype(float)) * h - ca.DM(np.nan_to_num(fixed)))
+    problem.add(Element("late", h, ca.SX(0, 1), f=PRICE * delay), layout.lengths)
+    x, solved = _solve(attempt, problem, late=True)
+    if x is None or not solved:
+        return ""
+    arrivals = np.cumsum(x[layout.lengths] * counts) * float(request.fps) + int(request.marks[0].frame)
+    for mark, frame in zip(request.marks[1:], arrivals, strict=True):
+        if mark.frame != "free" and frame > int(mark.frame) + NOTHING * float(request.fps):
+            return f"{mark.name}.frame = {mark.frame} is too early; earliest {math.ceil(frame - 1e-3)}"
+    return ""
+
+
+def _solve(attempt: Attempt, problem: Any, late: bool) -> tuple[Array | None, bool]:
+    """The relaxed problem's variables, or None, and whether it is solved."""
+    t, layout, request = attempt.t, attempt.layout, attempt.request
+    if attempt.rows is not None:
+        attempt.rows.add(problem, t, layout)
+    fixed = fixed_durations(request.marks, request.fps) / np.array(layout.phases)
+    start = attempt.guess.copy()
+    lengths = start[layout.lengths]
+    most = [8 * h if late or f else h for h, f in zip(lengths, attempt.free, strict=True)]
+    least = [h / 8 if f else h for h, f in zip(lengths, attempt.free, strict=True)]
+    for j, mark in enumerate(request.marks[:-1]):
+        if mark.hold:
+            least[j] = most[j] = fixed[j]
+    lower, upper = variable_bounds(t, layout, list(zip(least, most, strict=True)), request.limits.joints)
+    extra = problem.size - layout.size
+    lower, upper = np.append(lower, np.zeros(extra)), np.append(upper, np.full(extra, np.inf))
+    values = parameter_values(t, layout, request.marks, request.wind, attempt.margin, request.weights)
+    if attempt.rows is not None:
+        values = np.concatenate([values, attempt.rows.values(attempt._seconds(), request.clearance)])
+    deadline = min(request.deadline, time.monotonic() + SECONDS)
+    solver = Solver(problem, ipopt_options(ITERATIONS))
+    answer = solver.solve(np.append(start, np.ones(extra)), lower, upper, values, deadline)
+    usable = answer.success or answer.violation < NOTHING
+    return (answer.x if usable else None), answer.success
