@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
@@ -91,6 +91,62 @@ def simulate(
         )
     _warn_limits(vehicle, clip)
     return lift(replace(clip, vehicle=vehicle), world)
+
+
+@dataclass(frozen=True)
+class Mover:
+    """One of several vehicles that move together: its controls and start, as `simulate` takes them."""
+
+    vehicle: Vehicle
+    controls: Any = None
+    start: State | None = None
+
+
+def simulate_together(
+    movers: Mapping[str, Mover],
+    world: World,
+    duration: float,
+    step: float = 1 / 240,
+    fps: Any = 24,
+    start_frame: int = 1001,
+    *,
+    progress: Progress | None = None,
+) -> dict[str, Clip]:
+    """Let several vehicles move at the same time in ``world``, where its ``contact`` says how they touch.
+
+    ``movers``: name -> `Mover`; the other parameters as in `simulate`. Returns a clip for every name, with its contacts
+    among its events. Raises what `simulate` raises.
+    """
+    from vehsim.integrators.forced import Course, pushed_together, substeps
+    from vehsim.integrators.integrator import Integrator
+    from vehsim.world.contact import Contact, ContactScene
+    from vehsim.world.environment import Nothing
+
+    rate = _frame_rate(fps)
+    wanted = _positive("step", step, "a number of seconds, such as 1/240")
+    h = 1 / float(rate) / max(1, math.ceil(1 / float(rate) / wanted - 1e-9))
+    steps = _steps(duration, np.zeros((1, 0)), wanted, h)
+    prepared = []
+    for name, mover in movers.items():
+        vehicle, start = _on_water(mover.vehicle, world, mover.start)
+        table = None if callable(mover.controls) else _table(vehicle, mover.controls)
+        ask = mover.controls if table is None else _played(table, steps * h)
+        environment = world.environment(vehicle, alone=False) or Nothing(vehicle.group.dim)
+        prepared.append((name, vehicle, ask, _standing(vehicle, world, start), environment))
+        _warn_windless(vehicle, world)
+    meeting = ContactScene({name: vehicle for name, vehicle, *_ in prepared}, world, world.contact or Contact())
+    cuts = max(substeps(h, environment) for *_, environment in prepared)
+    courses = [
+        Course(Integrator(vehicle, h / cuts, wind=_wind(world)), environment, ask, begin, cuts)
+        for _, vehicle, ask, begin, environment in prepared
+    ]
+    pushed_together(courses, meeting, steps, cuts, progress)
+    clips = {}
+    for k, (course, (name, vehicle, _, _, environment)) in enumerate(zip(courses, prepared, strict=True)):
+        events = sorted([*environment.events(), *meeting.events(k)], key=lambda event: event["time"])
+        clips[name] = course.clip(events, rate, start_frame)
+        _warn_limits(vehicle, clips[name])
+    return clips
 
 
 def _roll(

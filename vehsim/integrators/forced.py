@@ -8,9 +8,9 @@ segment's velocity drag would be first order), so a queried wrench never enters 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import casadi as ca
 import numpy as np
@@ -27,6 +27,19 @@ if TYPE_CHECKING:
     from vehsim.integrators.discrete import DiscreteMechanics
     from vehsim.integrators.integrator import Integrator, Phase
     from vehsim.world.environment import Environment
+
+
+FINEST = 4096
+"""Pieces of a step that an environment in haste may ask for."""
+
+
+class Meeting(Protocol):
+    """What several vehicles do to each other."""
+
+    next_step: float
+
+    def wrenches(self, t: float, states: Sequence[State]) -> Sequence[Array]:
+        """Wrench (d,) on each, in body axes about its body frame's origin, at public states at ``t`` s."""
 
 
 class Forced:
@@ -60,6 +73,16 @@ class Forced:
         self.drift(controls)
         self.push(*self.ask())
 
+    def carry(self, start: Array, end: Array) -> None:
+        """One step from controls ``start`` to ``end`` (c,), halved as often as the environment is in haste."""
+        whole, at = self.integrator, 0
+        while at < FINEST:
+            pieces = piece(whole.step_size, self.environment.next_step, at)
+            self.integrator = halved(whole, FINEST // pieces)
+            at += pieces
+            self.advance(start + at / FINEST * (end - start))
+        self.integrator = whole
+
     def drift(self, controls: Array) -> State:
         """The step without the impulse at its end; returns the public state predicted there."""
         integrator, h = self.integrator, self.integrator.step_size
@@ -81,6 +104,10 @@ class Forced:
         self._set_wrench(wrench, added)
         self.phase = self._kicked(self.phase)
         self.state = self.integrator.state(self.phase, self.controls, self.anchor)
+
+    def start_with(self, wrench: Array, added: Array | None = None) -> None:
+        """Begin with this wrench (d,) instead of the environment's own."""
+        self._set_wrench(wrench, added)
 
     def _kicked(self, phase: Phase) -> Phase:
         covector = flat(_on_momentum(self.integrator.mechanics)(phase.g, phase.r, self.wrench))
@@ -104,6 +131,70 @@ class Forced:
         self.wrench = wrench
 
 
+class Course:
+    """One vehicle's way through an environment: asked for its controls knot by knot, written down as a clip.
+
+    ``ask(t, state)`` gives the controls (c,), linear between knots; a knot is ``cuts`` steps of the integrator.
+    """
+
+    def __init__(
+        self,
+        integrator: Integrator,
+        environment: Environment,
+        ask: Callable[[float, State], Any],
+        begin: State,
+        cuts: int,
+    ):
+        self._ask, self._cuts, self._step = ask, cuts, integrator.step_size * cuts
+        if hasattr(ask, "reset"):
+            ask.reset()
+        idle = np.zeros(len(integrator.vehicle.controls))
+        whole = integrator.state(integrator.start(begin, idle), idle)
+        self._before = self._controls(integrator.vehicle, 0, replace(whole, position=np.asarray(begin.position, float)))
+        self._after = self._guess = self._before
+        self.body = Forced(integrator, environment, begin, self._before)
+        self._rows = [(self.body.phase, self._before, self.body.wrench)]
+
+    def aim(self, k: int) -> None:
+        """Ask for the controls at the end of step ``k``."""
+        body = self.body
+        state = body.predict(self._guess) if self._cuts == 1 else body.state
+        self._after = self._controls(body.integrator.vehicle, k + 1, state)
+
+    def between(self, share: float) -> Array:
+        """The controls (c,) at a share of the step."""
+        return np.asarray(self._before + share * (self._after - self._before))
+
+    def arrive(self) -> None:
+        """The step is done."""
+        self._before, self._guess = self._after, 2 * self._after - self._before
+        self._rows.append((self.body.phase, self._after, self.body.wrench))
+
+    def clip(self, events: Sequence[Mapping[str, Any]], fps: Any, start_frame: int) -> Clip:
+        """What was done. The ledger's work holds what the environment puts in or takes out."""
+        integrator = self.body.integrator
+        phases, controls, wrenches = zip(*self._rows, strict=True)
+        times = np.asarray(self._step * np.arange(len(phases)), float)
+        g, r, pi = (np.array([getattr(p, name) for p in phases]) for name in ("g", "r", "pi"))
+        header = {"wind": integrator.wind, "fps": fps, "start_frame": start_frame, "events": tuple(events)}
+        clip = build_clip(
+            integrator.mechanics,
+            times,
+            g,
+            r,
+            pi,
+            np.array(controls),
+            self.body.anchor,
+            **header,  # type: ignore[arg-type]
+        )
+        work = clip.energy["work"] + _work(clip, np.array(wrenches))
+        return replace(clip, energy={**clip.energy, "work": work})
+
+    def _controls(self, vehicle: Any, k: int, state: State) -> Array:
+        t = k * self._step
+        return control_vector(vehicle, self._ask(t, state), f"controls(t = {t:.6g})")
+
+
 def pushed(
     integrator: Integrator,
     environment: Environment,
@@ -115,52 +206,51 @@ def pushed(
     start_frame: int,
     progress: Callable[[str, float], None] | None = None,
 ) -> Clip:
-    """A clip of ``steps`` steps, each of ``cuts`` steps of the integrator; ``ask(t, state)`` gives the controls (c,).
-
-    Controls are asked at every knot, at its predicted state, and are linear between. The ledger's work holds what the
-    environment puts in or takes out.
-    """
-    vehicle, h = integrator.vehicle, integrator.step_size * cuts
-    if hasattr(ask, "reset"):
-        ask.reset()
-
-    def controls_at(k: int, state: State) -> Array:
-        return control_vector(vehicle, ask(k * h, state), f"controls(t = {k * h:.6g})")
-
-    whole = integrator.state(integrator.start(begin, np.zeros(len(vehicle.controls))), np.zeros(len(vehicle.controls)))
-    before = controls_at(0, replace(whole, position=np.asarray(begin.position, float)))
-    body = Forced(integrator, environment, begin, before)
-    phases, controls, wrenches = [body.phase], [before], [body.wrench]
-    guess = before
+    """A clip of ``steps`` steps, each of ``cuts`` of the integrator's; ``ask(t, state)`` gives the controls (c,)."""
+    course = Course(integrator, environment, ask, begin, cuts)
     for k in range(steps):
-        after = controls_at(k + 1, body.predict(guess) if cuts == 1 else body.state)
+        course.aim(k)
         for j in range(cuts):
-            body.advance(before + (j + 1) / cuts * (after - before))
-        before, guess = after, 2 * after - before
-        phases.append(body.phase)
-        controls.append(after)
-        wrenches.append(body.wrench)
+            course.body.carry(course.between(j / cuts), course.between((j + 1) / cuts))
+        course.arrive()
         if progress and k % 50 == 0:
             progress("simulate", k / steps)
     if progress:
         progress("simulate", 1.0)
-    times = np.asarray(h * np.arange(steps + 1), float)
-    g, r, pi = (np.array([getattr(p, name) for p in phases]) for name in ("g", "r", "pi"))
-    clip = build_clip(
-        integrator.mechanics,
-        times,
-        g,
-        r,
-        pi,
-        np.array(controls),
-        body.anchor,
-        wind=integrator.wind,
-        fps=fps,
-        start_frame=start_frame,
-        events=environment.events(),
-    )
-    clip.energy["work"] = clip.energy["work"] + _work(clip, np.array(wrenches))
-    return clip
+    return course.clip(environment.events(), fps, start_frame)
+
+
+def pushed_together(
+    courses: Sequence[Course], meeting: Meeting, steps: int, cuts: int, progress: Callable[[str, float], None] | None
+) -> None:
+    """Take several vehicles ``steps`` steps on at the same time: each feels its surroundings and the ``meeting``."""
+    bodies = [course.body for course in courses]
+    whole = [body.integrator for body in bodies]
+    for body, wrench in zip(bodies, meeting.wrenches(0.0, [body.state for body in bodies]), strict=True):
+        own, added = body.ask()
+        body.start_with(own + wrench, added)
+    for k in range(steps):
+        for course in courses:
+            course.aim(k)
+        at, end = 0, cuts * FINEST
+        while at < end:
+            longest = min(meeting.next_step, *(body.environment.next_step for body in bodies))
+            pieces = piece(whole[0].step_size, longest, at % FINEST)
+            at += pieces
+            for course, integrator in zip(courses, whole, strict=True):
+                course.body.integrator = halved(integrator, FINEST // pieces)
+                course.body.drift(course.between(at / end))
+            wrenches = meeting.wrenches(bodies[0].time, [body.state for body in bodies])
+            for body, wrench in zip(bodies, wrenches, strict=True):
+                own, added = body.ask()
+                body.push(own + wrench, added)
+        for course, integrator in zip(courses, whole, strict=True):
+            course.body.integrator = integrator
+            course.arrive()
+        if progress and k % 50 == 0:
+            progress("simulate", k / steps)
+    if progress:
+        progress("simulate", 1.0)
 
 
 def _work(clip: Clip, wrenches: Array) -> Array:
@@ -175,6 +265,30 @@ def _work(clip: Clip, wrenches: Array) -> Array:
     return np.concatenate([[0.0], np.cumsum(np.diff(clip.times) * (power[1:] + power[:-1]) / 2)])
 
 
+def piece(step: float, longest: float, at: int) -> int:
+    """The largest power of two of `FINEST` pieces of ``step`` s that takes ``longest`` s and fits ``at`` pieces in."""
+    pieces = FINEST
+    while pieces > 1 and (at % pieces or step * pieces / FINEST > longest * (1 + 1e-9)):
+        pieces //= 2
+    return pieces
+
+
+def halved(integrator: Integrator, parts: int) -> Integrator:
+    """The same integrator with its step in ``parts``, kept for the next time."""
+    from vehsim.integrators.integrator import Integrator
+
+    if parts == 1:
+        return integrator
+    kept = integrator.__dict__.setdefault("_halved", {})
+    if parts not in kept:
+        m = integrator.mechanics
+        step = integrator.step_size / parts
+        kept[parts] = Integrator(
+            integrator.vehicle, step, m.map_name, integrator.order, quadrature=m.quadrature, wind=integrator.wind
+        )
+    return kept[parts]  # type: ignore[no-any-return]
+
+
 def substeps(step: float, environment: Environment) -> int:
     """Into how many equal parts a step must be cut to keep to the environment's longest."""
     return max(1, math.ceil(step / environment.max_step - 1e-9))
@@ -182,10 +296,14 @@ def substeps(step: float, environment: Environment) -> int:
 
 def _on_momentum(mechanics: DiscreteMechanics) -> ca.Function:
     """``(g, r, body wrench) -> covector on the free velocities``."""
-    v, y = mechanics.vehicle, mechanics.symbols
-    w = ca.SX.sym("w", v.group.dim)
-    covector = project(v, y["r"], ca.SX(len(v.joints), 1), v.group.wrench_from_body(y["g"], w))
-    return keep(mechanics, "wrench", lambda: ca.Function("wrench", [y["g"], y["r"], w], [covector]))
+
+    def build() -> ca.Function:
+        v, y = mechanics.vehicle, mechanics.symbols
+        w = ca.SX.sym("w", v.group.dim)
+        covector = project(v, y["r"], ca.SX(len(v.joints), 1), v.group.wrench_from_body(y["g"], w))
+        return ca.Function("wrench", [y["g"], y["r"], w], [covector])
+
+    return keep(mechanics, "wrench", build)
 
 
 def _free_acceleration(mechanics: DiscreteMechanics) -> ca.Function:

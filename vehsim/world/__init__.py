@@ -23,8 +23,10 @@ from vehsim.world.terrain import Terrain
 from vehsim.world.water import Water
 
 if TYPE_CHECKING:
+    from vehsim.world.contact import Contact
     from vehsim.world.environment import Environment
     from vehsim.world.scene import Scene
+    from vehsim.world.wind import Gusts
 
 __all__ = ["DistanceField", "Terrain", "Water", "World", "cache_folder"]
 
@@ -39,7 +41,8 @@ class World:
     ``obstacles``, made by the functions of `vehsim.world.obstacles`.
 
     ``terrain`` is a `Terrain`, the name of a shipped one ("canyon", "flat") or a path; ``water`` a `Water`, the level
-    of calm water in m, or None. Raises ``InputError``.
+    of calm water in m, or None; ``gusts`` make the wind change with time; ``contact``: how hulls
+    touch obstacles, ground and each other, None: they pass through. Raises ``InputError``.
     """
 
     def __init__(
@@ -48,11 +51,13 @@ class World:
         wind: ArrayLike = (0.0, 0.0, 0.0),
         obstacles: Sequence[Obstacle | Moving] = (),
         water: Water | float | None = None,
+        gusts: Gusts | None = None,
+        contact: Contact | None = None,
     ) -> None:
         self.obstacles = check_obstacles(obstacles)
         self.terrain = terrain if isinstance(terrain, Terrain) or terrain is None else Terrain.load(terrain)
         self.wind = _wind(wind)
-        self.water = _water(water)
+        self.water, self.gusts, self.contact = _water(water), gusts, contact
         self._fields: dict[Any, DistanceField] = {}
         self._scenes: dict[Any, Scene] = {}
 
@@ -67,6 +72,7 @@ class World:
         ground = "" if self.terrain is None else self.terrain.content_hash
         content = (ground, self.wind.tolist(), *(obstacle.content_hash for obstacle in self.obstacles))
         content += () if self.water is None else (self.water.content_hash,)
+        content += () if self.gusts is None else (repr(self.gusts),)
         return hashlib.sha256(repr(content).encode()).hexdigest()
 
     def among(self, obstacles: Sequence[Obstacle | Moving]) -> World:
@@ -84,11 +90,12 @@ class World:
         return np.full(len(points), -np.inf) if self.terrain is None else self.terrain.height(points)
 
     def wind_at(self, t: float) -> Array:
-        """The wind (3,) m/s at ``t`` s."""
-        return self.wind
+        """The wind (3,) m/s at ``t`` s, gusts and all."""
+        return self.wind if self.gusts is None else self.gusts.at(self.wind, t)
 
-    def environment(self, vehicle: Any) -> Environment | None:
-        """All in this world that pushes ``vehicle`` from outside, None when nothing does."""
+    def environment(self, vehicle: Any, alone: bool = True) -> Environment | None:
+        """All in this world that pushes ``vehicle`` from outside, None when nothing does; without contact unless
+        ``alone``: what touches each other is asked together (`vehsim.world.contact.ContactScene`)."""
         from vehsim.world.environment import Surroundings
 
         parts: list[Environment] = []
@@ -96,6 +103,14 @@ class World:
             from vehsim.world.buoyancy import Afloat
 
             parts.append(Afloat(vehicle, self))
+        elif self.gusts is not None and getattr(vehicle, "drag", None) is not None:
+            from vehsim.world.wind import Gusty
+
+            parts.append(Gusty(vehicle, self.wind, self.gusts))
+        if alone and self.contact is not None and vehicle.group.dim == 6 and vehicle.rig is not None:
+            from vehsim.world.contact import Touching
+
+            parts.append(Touching(vehicle, self, self.contact))
         return Surroundings(parts) if parts else None
 
     def distance_field(

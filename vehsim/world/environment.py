@@ -20,10 +20,12 @@ Array = NDArray[np.float64]
 class Environment:
     """Base of all that pushes a vehicle from outside. A subclass is made for one vehicle in one world.
 
-    ``max_step`` s: the longest step it may be integrated with; simulation takes substeps to keep to it.
+    ``max_step`` s: the longest step it may be integrated with; simulation takes substeps to keep to it. ``next_step``
+    s: the longest from the state last asked about, for what comes and goes, such as contact.
     """
 
     max_step: float = np.inf
+    next_step: float = np.inf
 
     def wrench(self, t: float, state: State, controls: Array) -> Array:
         """Wrench (d,) in body axes about the body frame's origin, torque [N m] then force [N] (SE(2): yaw, x, y).
@@ -42,12 +44,26 @@ class Environment:
         return []
 
 
+class Nothing(Environment):
+    """Empty space about a vehicle on a group of dimension ``size``."""
+
+    def __init__(self, size: int):
+        self._size = size
+
+    def wrench(self, t: float, state: State, controls: Array) -> Array:
+        return np.zeros(self._size)
+
+
 class Surroundings(Environment):
     """Several environments as one: wrenches and added masses add up, the shortest step rules."""
 
     def __init__(self, parts: Sequence[Environment]):
         self.parts = tuple(parts)
         self.max_step = min((part.max_step for part in self.parts), default=np.inf)
+
+    @property
+    def next_step(self) -> float:  # type: ignore[override]
+        return min((part.next_step for part in self.parts), default=np.inf)
 
     def wrench(self, t: float, state: State, controls: Array) -> Array:
         return np.sum([part.wrench(t, state, controls) for part in self.parts], axis=0)

@@ -1,0 +1,164 @@
+"""Contact against closed forms: restitution, friction, momentum, depth; a block, a helicopter's skids, two bodies."""
+
+import numpy as np
+import pytest
+from pxr import Usd, UsdGeom, UsdPhysics
+
+import vehsim
+from vehsim.errors import InputError
+from vehsim.lie import SE3, SO3xR3
+from vehsim.simulation import Mover, simulate_together
+from vehsim.vehicles import Holonomic, Rig, State
+from vehsim.world import Terrain, World
+from vehsim.world.contact import Contact, damping_ratio
+from vehsim.world.obstacles import box
+
+FLOOR = box("floor", (0, 0, -1), (400, 400, 1))
+SIZE = (1.0, 0.6, 0.4)
+
+
+@pytest.fixture(scope="module")
+def block(tmp_path_factory):
+    """Makes a uniform block with its body frame in its middle."""
+    path = tmp_path_factory.mktemp("block") / "block.usda"
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/block").GetPrim())
+    mesh = UsdGeom.Mesh.Define(stage, "/block/hull")
+    x, y, z = (side / 2 for side in SIZE)
+    mesh.CreatePointsAttr([(a, b, c) for a in (-x, x) for b in (-y, y) for c in (-z, z)])
+    mesh.CreateFaceVertexCountsAttr([4] * 6)
+    mesh.CreateFaceVertexIndicesAttr([0, 1, 3, 2, 4, 6, 7, 5, 0, 4, 5, 1, 2, 3, 7, 6, 0, 2, 6, 4, 1, 5, 7, 3])
+    UsdPhysics.CollisionAPI.Apply(mesh.GetPrim())
+    stage.Save()
+
+    def make(mass=100.0, gravity=9.81, group=SO3xR3):
+        x, y, z = SIZE
+        turning = mass / 12 * np.array([y * y + z * z, x * x + z * z, x * x + y * y])
+        inertia = [*turning, mass, mass, mass]
+        return Holonomic(name="block", group=group, inertia=inertia, gravity=gravity, rig=Rig(path, ""))
+
+    return make
+
+
+def thrown(vehicle, contact, position, twist, duration, world=None, step=1 / 60):
+    world = world or World(obstacles=[FLOOR], contact=contact)
+    start = State(position=position, twist=twist)
+    return vehsim.simulate(vehicle, world, None, start, duration=duration, step=step, fps=60)
+
+
+@pytest.mark.parametrize("restitution", [0.2, 0.5, 0.9])
+@pytest.mark.parametrize("speed", [20.0, 2.0])
+@pytest.mark.parametrize("group", [SE3, SO3xR3], ids=lambda group: group.name)
+def test_restitution_at_any_speed(block, restitution, speed, group):
+    clip = thrown(
+        block(gravity=0.0, group=group),
+        Contact(0.3, restitution, 20.0),
+        (0, 0, 0.2 + 0.05 * speed),
+        (0, 0, 0, 0, 0, -speed),
+        0.1,
+    )
+    assert clip.twists[-1, 5] / speed == pytest.approx(restitution, rel=0.05)
+    (event,) = clip.events
+    assert event["speed"] == pytest.approx(speed, rel=1e-3)
+    assert event["impulse"] == pytest.approx(100 * (speed + clip.twists[-1, 5]), rel=0.01)
+    assert event["time"] == pytest.approx(0.05, abs=1e-3) and event["with"] == "floor"
+
+
+def test_friction_slows_as_coulomb_says_and_then_holds(block):
+    """mu g while it slides; v / (mu g) to rest; and nothing creeps by more than the slip."""
+    clip = thrown(block(), Contact(0.3, 0.2, 1.0), (0, 0, 0.2), (0, 0, 0, 3.0, 0, 0), 1.3)
+    slides = clip.times < 0.9
+    slope = np.polyfit(clip.times[slides], clip.twists[slides, 3], 1)[0]
+    assert slope == pytest.approx(-0.3 * 9.81, rel=0.05)
+    assert clip.positions[-1, 0] == pytest.approx(3.0**2 / (2 * 0.3 * 9.81), rel=0.05)
+    assert np.abs(clip.twists[-1, 3:]).max() < 0.01
+    assert 0.2 - clip.positions[:, 2].min() < 2e-3  # g / frequency^2
+
+
+def test_depth_stays_below_two_centimetres_however_it_lands(block):
+    """Corner, edge and face first at 20 m/s, a frame every sixtieth of a second: asked of MuJoCo's contacts."""
+    from scipy.spatial.transform import Rotation
+
+    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.3, 0.3) for z in (-0.2, 0.2)])
+    for k, turn in enumerate(Rotation.random(3, rng=7)):
+        q = turn.as_quat(scalar_first=True)
+        start = State(position=(0, 0, 2.0), orientation=q, twist=(3, -2, 1, *turn.inv().apply([4, 0, -20])))
+        world = World(obstacles=[FLOOR], contact=Contact(0.4, 0.3, 20.0))
+        clip = vehsim.simulate(block(), world, None, start, duration=0.25, step=1 / 60, fps=60)
+        lowest = [(corners @ m[:3, :3].T + m[:3, 3])[:, 2].min() for m in clip.matrices()]
+        assert min(lowest) > -0.02, k
+        assert clip.events
+
+
+def test_two_vehicles_exchange_momentum_and_nothing_else(block):
+    world = World(contact=Contact(0.3, 0.5, 5.0))
+    movers = {
+        "a": Mover(block(gravity=0.0), None, State(twist=(0, 0, 0, 3.0, 0, 0))),
+        "b": Mover(block(50.0, 0.0), None, State(position=(2, 0.2, 0.05), twist=(0, 0, 0, -1.0, 0, 0))),
+    }
+    clips = simulate_together(movers, world, 0.5, step=1 / 60)
+    before, after = (momenta(clips.values(), k) for k in (0, -1))
+    assert after == pytest.approx(before, abs=1e-9)
+    assert clips["a"].events[0]["with"] == "b" and clips["b"].events[0]["with"] == "a"
+    assert clips["a"].events[0]["impulse"] == clips["b"].events[0]["impulse"] > 0
+    kinetic = [sum(clip.energy["kinetic"][k] for clip in clips.values()) for k in (0, -1)]
+    assert kinetic[1] < kinetic[0]
+
+
+def momenta(clips, k):
+    total = np.zeros(6)
+    for clip in clips:
+        rotation, inertia = clip.matrices()[k, :3, :3], clip.vehicle.inertia
+        linear = inertia[5, 5] * rotation @ clip.twists[k, 3:]
+        angular = rotation @ inertia[:3, :3] @ clip.twists[k, :3] + np.cross(clip.positions[k], linear)
+        total += np.concatenate([angular, linear])
+    return total
+
+
+def test_one_alone_moves_as_together(block):
+    contact = Contact(0.3, 0.4, 5.0)
+    world = World(obstacles=[FLOOR], contact=contact)
+    start = State(position=(0, 0, 0.5), twist=(0.5, 0.2, 0, 1.0, 0, -3.0))
+    alone = vehsim.simulate(block(), world, None, start, duration=0.25, step=1 / 60)
+    together = simulate_together({"block": Mover(block(), None, start)}, world, 0.25, step=1 / 60)["block"]
+    assert together.positions == pytest.approx(alone.positions, abs=1e-12)
+    assert together.events == alone.events
+
+
+def test_shore_is_touched_too(block):
+    """On a slope steeper than its friction it slides, with g (sin - mu cos) along it; on a flat one it stays."""
+    x = np.arange(-60.0, 61.0, 2.0)
+    beach = Terrain("beach", np.tile(0.4 * x, (len(x), 1)), (-60, -60), (2, 2))
+    angle = np.arctan(0.4)
+    q = (np.cos(angle / 2), 0, -np.sin(angle / 2), 0)
+    normal = np.array([-np.sin(angle), 0, np.cos(angle)])
+    start = State(position=0.2 * normal, orientation=q)
+    for friction, moves in ((0.2, True), (0.8, False)):
+        world = World(beach, contact=Contact(friction, 0.1, 1.0))
+        clip = vehsim.simulate(block(), world, None, start, duration=0.5, step=1 / 60, fps=60)
+        slid = -clip.twists[-1, 3]
+        expected = 9.81 * (np.sin(angle) - friction * np.cos(angle)) * 0.5
+        assert slid == pytest.approx(expected, rel=0.05) if moves else abs(slid) < 0.03
+
+
+def test_without_contact_things_pass(block):
+    clip = thrown(block(), None, (0, 0, 0.5), (0, 0, 0, 0, 0, -5.0), 0.3, World(obstacles=[FLOOR]))
+    assert clip.positions[-1, 2] < -1 and not clip.events
+
+
+def test_damping_ratio_gives_the_restitution():
+    """Bounce of the spring and damper, integrated finely."""
+    for wanted in (0.1, 0.3, 0.7):
+        zeta, depth, rate, h = damping_ratio(wanted), 0.0, 1.0, 1e-5
+        while depth >= 0 and depth + 2 * zeta * rate >= 0:
+            rate -= h * (depth + 2 * zeta * rate)
+            depth += h * rate
+        assert -rate == pytest.approx(wanted, rel=2e-3)
+
+
+@pytest.mark.parametrize("wrong", [{"friction": -1.0}, {"restitution": 1.5}, {"speed": 0.0}, {"friction": "ice"}])
+def test_what_is_no_contact_is_said(wrong):
+    with pytest.raises(InputError, match=f"world.contact.{next(iter(wrong))}"):
+        Contact(**wrong)

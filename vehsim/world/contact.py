@@ -1,0 +1,375 @@
+"""Contact: what a vehicle's convex hulls touch, and the wrench that comes of it, a function of states alone.
+
+MuJoCo answers where hulls meet obstacles and each other (`mj_collision`); on terrain the hulls' corners are asked. Each
+pair that touches pushes back as one spring and damper, as stiff as keeps the depth below `DEPTH` at the fastest
+approach, shared among its points by their depth; Coulomb friction is along the surface. Spring and damper follow from
+the mass that the contact feels, so restitution does not depend on what hits what.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.errors import InputError, Problem
+from vehsim.vehicles._base import State
+from vehsim.world.environment import Environment
+
+Array = NDArray[np.float64]
+
+DEPTH = 0.012
+"""How deep hulls overlap at most when they meet at `Contact.speed`, m."""
+RESOLVED = 0.06
+"""Phase of the contact's spring that a step may cover in an impact, rad: 50 steps from touch to parting."""
+RESTING = 0.25
+"""The same where nothing closes or parts faster than `GENTLE`."""
+GENTLE = 0.3
+"""m/s"""
+SLIP = 0.02
+"""Below it friction grows with speed instead of holding, m/s."""
+AHEAD = 0.5
+"""Share of the time to the next contact that a step may take."""
+MARGIN = 1.0
+"""Pairs nearer than this are watched, m."""
+PAUSE = 0.1
+"""Contacts with the same thing within this time are one event, s."""
+TOUCH = 1e-12
+"""Less depth than this is none, m."""
+TERRAIN = "terrain"
+
+
+@dataclass(frozen=True)
+class Contact:
+    """How things touch: ``friction`` (Coulomb's), ``restitution`` (speed after over before, 0.02 to 1).
+
+    ``speed`` m/s: the fastest approach that is kept from sinking in; slower is quicker to compute.
+    """
+
+    friction: float = 0.4
+    restitution: float = 0.3
+    speed: float = 20.0
+
+    def __post_init__(self) -> None:
+        for name, low, high in (("friction", 0.0, 10.0), ("restitution", 0.02, 1.0), ("speed", 0.1, 200.0)):
+            value = getattr(self, name)
+            if not (isinstance(value, int | float) and low <= value <= high):
+                mend = f"give a number from {low:g} to {high:g}"
+                raise InputError(str(Problem(f"world.contact.{name}", "out of range", mend, value)))
+
+    @property
+    def frequency(self) -> float:
+        """Of the contact's spring, rad/s."""
+        return self.speed / DEPTH
+
+    @property
+    def step(self) -> float:
+        """The longest step while something touches, s."""
+        return RESTING / self.frequency
+
+    @property
+    def damping(self) -> float:
+        """The damping ratio that gives the restitution."""
+        return damping_ratio(float(self.restitution))
+
+
+@lru_cache(maxsize=64)
+def damping_ratio(restitution: float) -> float:
+    """Damping ratio of a spring and damper that do not pull, whose bounce keeps ``restitution`` of the speed.
+
+    They part when the force is zero, before the spring is at rest (Schwager and Poeschel 2007, eq. 23-24).
+    """
+    from scipy.optimize import brentq
+
+    def bounce(zeta: float) -> float:
+        if zeta < 1:
+            omega = math.sqrt(1 - zeta**2)
+            return math.exp(-zeta / omega * math.atan2(2 * zeta * omega, 2 * zeta**2 - 1))
+        if zeta == 1:
+            return math.exp(-2.0)
+        root = math.sqrt(zeta**2 - 1)
+        return math.exp(-zeta / root * math.log((zeta + root) / (zeta - root)))
+
+    if restitution >= 1.0:
+        return 0.0
+    return float(brentq(lambda zeta: bounce(zeta) - restitution, 0.0, 50.0))
+
+
+@dataclass
+class Event:
+    """A contact from its first touch until it has been over for `PAUSE`."""
+
+    vehicle: str
+    other: str
+    time: float
+    place: Array
+    speed: float
+    last: float
+    impulse: Array = field(default_factory=lambda: np.zeros(3))
+    force: Array = field(default_factory=lambda: np.zeros(3))
+
+    def told(self) -> dict[str, Any]:
+        """As clips and reports tell it: place of the first touch (m, world), its closing speed (m/s), impulse (N s)."""
+        return {
+            "kind": "contact",
+            "with": self.other,
+            "time": round(self.time, 9),
+            "duration": round(self.last - self.time, 9),
+            "place": [round(float(x), 6) for x in self.place],
+            "speed": round(self.speed, 6),
+            "impulse": round(float(np.linalg.norm(self.impulse)), 6),
+        }
+
+
+@dataclass(frozen=True)
+class _Body:
+    """A vehicle in the scene: where its joint and body stand in the model, its inertia and body frame."""
+
+    name: str
+    vehicle: Any
+    joint: int
+    corners: Array
+    reach: float
+    inverse_inertia: Array
+
+
+class ContactScene:
+    """Several vehicles' hulls, a world's obstacles and its terrain in one MuJoCo model."""
+
+    def __init__(self, vehicles: dict[str, Any], world: Any, contact: Contact) -> None:
+        import mujoco
+
+        from vehsim.parts import add_to_spec
+
+        self.contact, self.terrain = contact, world.terrain
+        spec = mujoco.MjSpec()
+        bodies = {name: self._add_vehicle(spec, name, vehicle, add_to_spec) for name, vehicle in vehicles.items()}
+        for obstacle in world.obstacles:
+            self._add_obstacle(spec, obstacle)
+        self.model = spec.compile()
+        self.data = mujoco.MjData(self.model)
+        self.model.geom_margin[:] = MARGIN
+        self.bodies = [self._body(name, vehicles[name], body) for name, body in bodies.items()]
+        self._owner = {self.model.body(body.name).id: k for k, body in enumerate(self.bodies)}
+        self._events: list[list[Event]] = [[] for _ in self.bodies]
+        self._time = 0.0
+        self.next_step = self._soon = math.inf
+
+    def _add_vehicle(self, spec: Any, name: str, vehicle: Any, add: Any) -> str:
+        if vehicle.rig is None or vehicle.group.dim != 6 or not hasattr(vehicle, "inertia"):
+            mend = "contact is for vehicles that move in space and have an asset with hulls; leave world.contact out"
+            raise InputError(str(Problem(f"{name}: contact", "nothing to touch with", mend)))
+        body = add(spec, vehicle.rig, f"vehicle/{name}")
+        for geom in body.geoms:
+            geom.contype, geom.conaffinity = 1, 3
+        return str(body.name)
+
+    def _add_obstacle(self, spec: Any, obstacle: Any) -> None:
+        import mujoco
+
+        for k, hull in enumerate(obstacle.hulls):
+            mesh = f"obstacle/{obstacle.name}/{k}"
+            spec.add_mesh(name=mesh, uservert=np.ravel(hull), inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX)
+            kind = mujoco.mjtGeom.mjGEOM_MESH
+            spec.worldbody.add_geom(name=mesh, type=kind, meshname=mesh, contype=2, conaffinity=1)
+
+    def _body(self, name: str, vehicle: Any, body: str) -> _Body:
+        from vehsim.parts import collision_hulls
+
+        hulls = collision_hulls(vehicle.rig.asset, vehicle.rig.root or None)
+        corners = np.concatenate(hulls)
+        number = self.model.body(body).id
+        joint = int(self.model.jnt_qposadr[self.model.body_jntadr[number]])
+        reach = float(np.linalg.norm(corners - vehicle.origin, axis=1).max())
+        return _Body(body, vehicle, joint, corners, reach, np.linalg.inv(np.asarray(vehicle.inertia, float)))
+
+    def wrenches(self, t: float, states: Sequence[State]) -> list[Array]:
+        """Wrench (6,) on each vehicle, in body axes about its body frame's origin, at public ``states`` at ``t`` s."""
+        moving = [_Moving(body, state) for body, state in zip(self.bodies, states, strict=True)]
+        pairs = self._touching(moving)
+        total = [np.zeros(6) for _ in moving]
+        forces: dict[tuple[int, str], list[tuple[Array, Array, float]]] = {}
+        for (a, b, name), points in pairs.items():
+            for place, force, closing in self._push(moving[a], None if b is None else moving[b], points):
+                total[a] += moving[a].wrench(place, force)
+                forces.setdefault((a, name), []).append((place, force, closing))
+                if b is not None:
+                    total[b] += moving[b].wrench(place, -force)
+                    forces.setdefault((b, _plain(self.bodies[a].name)), []).append((place, -force, closing))
+        bounce = max((depth for points in pairs.values() for depth, _, _ in points), default=math.inf)
+        bounce *= self.contact.frequency  # the speed that the spring would give back
+        impact = max((abs(closing) for points in forces.values() for _, _, closing in points), default=math.inf)
+        phase = RESOLVED if max(impact, bounce) > GENTLE else RESTING
+        self.next_step = max(phase / self.contact.frequency, AHEAD * self._soon)
+        self._note(t, forces)
+        return total
+
+    def _touching(self, moving: list[_Moving]) -> dict[tuple[int, int | None, str], list[tuple[float, Array, Array]]]:
+        """(vehicle, other vehicle or None, its name) -> (depth m, place (3,), normal (3,) towards the first) of points.
+
+        Notes when, at the earliest, what is nearest is touched.
+        """
+        import mujoco
+
+        for body, m in zip(self.bodies, moving, strict=True):
+            self.data.qpos[body.joint : body.joint + 3] = m.position
+            self.data.qpos[body.joint + 3 : body.joint + 7] = m.orientation
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_collision(self.model, self.data)
+        found: dict[tuple[int, int | None, str], list[tuple[float, Array, Array]]] = {}
+        # what is not reported is farther away than the margin, and two may come nearer
+        soon = MARGIN / max(2 * max(m.fastest for m in moving), 1e-6)
+        contacts = self.data.contact
+        for k in range(self.data.ncon):
+            first, second = (int(g) for g in contacts.geom[k])
+            a, b = (self._owner.get(int(self.model.geom_bodyid[g])) for g in (first, second))
+            normal, distance = contacts.frame[k][:3], float(contacts.dist[k])
+            if a is None or (b is not None and b < a):
+                (a, b), first, second = (b, a), second, first
+            else:
+                normal = -normal  # MuJoCo's points from the first to the second
+            assert a is not None
+            closing = moving[a].fastest + (0.0 if b is None else moving[b].fastest)
+            soon = min(soon, max(distance, 0.0) / max(closing, 1e-6))
+            if distance < -TOUCH:
+                name = _plain(self.model.geom(second).name)
+                found.setdefault((a, b, name), []).append((-distance, contacts.pos[k].copy(), normal.copy()))
+        if self.terrain is not None:
+            for a, m in enumerate(moving):
+                gap, points = self._on_terrain(m)
+                soon = min(soon, gap / max(m.fastest, 1e-6))
+                if points:
+                    found[(a, None, TERRAIN)] = points
+        self._soon = soon
+        return found
+
+    def _on_terrain(self, m: _Moving) -> tuple[float, list[tuple[float, Array, Array]]]:
+        """How far above the ground the lowest corner is, m, and the corners below it."""
+        corners = m.body.corners @ m.R_wr.T + m.position
+        depth = self.terrain.height(corners[:, :2]) - corners[:, 2]
+        under = np.flatnonzero(depth > TOUCH)
+        if not len(under):
+            return float(-depth.max()), []
+        normals = _normals(self.terrain, corners[under, :2])
+        return 0.0, [
+            (float(d * n[2]), corner, n) for d, corner, n in zip(depth[under], corners[under], normals, strict=True)
+        ]
+
+    def _push(
+        self, a: _Moving, b: _Moving | None, points: list[tuple[float, Array, Array]]
+    ) -> list[tuple[Array, Array, float]]:
+        """(place, force (3,) N on ``a``, closing speed m/s) of every point of a pair."""
+        c, total = self.contact, sum(depth for depth, _, _ in points)
+        middle = np.sum([depth / total * place for depth, place, _ in points], axis=0)
+        mean = np.sum([depth / total * normal for depth, _, normal in points], axis=0)
+        length = float(np.linalg.norm(mean))
+        mean = mean / length if length > 1e-6 else points[0][2]
+        mass = 1 / (a.yielding(middle, mean) + (0.0 if b is None else b.yielding(middle, mean)))
+        made = []
+        for depth, place, normal in points:
+            velocity = a.velocity(place) - (0.0 if b is None else b.velocity(place))
+            closing = -float(velocity @ normal)
+            stiff = c.frequency * depth + 2 * c.damping * closing
+            pressure = max(0.0, depth / total * mass * c.frequency * stiff)
+            slide = velocity + closing * normal
+            speed = float(np.linalg.norm(slide))
+            # a force that would turn the sliding round within a step only stops it
+            least = max(SLIP, c.friction * pressure * c.step / mass)
+            drag = -c.friction * pressure * slide / max(speed, least)
+            made.append((place, pressure * normal + drag, closing))
+        return made
+
+    def _note(self, t: float, forces: dict[tuple[int, str], list[tuple[Array, Array, float]]]) -> None:
+        """Open events, and add the impulse since the last time."""
+        elapsed, self._time = max(t - self._time, 0.0), t
+        for k, events in enumerate(self._events):
+            live = {event.other: event for event in events if t - event.last < PAUSE}
+            names = {name for owner, name in forces if owner == k}
+            for name in names - set(live):
+                place, _, closing = max(forces[(k, name)], key=lambda point: float(np.linalg.norm(point[1])))
+                live[name] = Event(self.bodies[k].name, name, t, place, closing, t)
+                events.append(live[name])
+            for name, event in live.items():
+                now = np.sum([force for _, force, _ in forces.get((k, name), [])] or [np.zeros(3)], axis=0)
+                event.impulse += elapsed / 2 * (event.force + now)
+                event.force = now
+                if name in names:
+                    event.last = t
+
+    def events(self, k: int = 0) -> list[dict[str, Any]]:
+        """What the ``k``-th vehicle touched, in order of time."""
+        return [event.told() for event in self._events[k]]
+
+
+class Touching(Environment):
+    """One vehicle among a world's obstacles and on its terrain."""
+
+    def __init__(self, vehicle: Any, world: Any, contact: Contact) -> None:
+        self._scene = ContactScene({vehicle.name: vehicle}, world, contact)
+
+    @property
+    def next_step(self) -> float:  # type: ignore[override]
+        return self._scene.next_step
+
+    def wrench(self, t: float, state: State, controls: Array) -> Array:
+        return self._scene.wrenches(t, [state])[0]
+
+    def events(self) -> list[dict[str, Any]]:
+        return self._scene.events()
+
+
+class _Moving:
+    """A vehicle at a public state, asked about its points; world axes."""
+
+    def __init__(self, body: _Body, state: State) -> None:
+        self.body = body
+        self.position = np.asarray(state.position, float)
+        self.orientation = np.asarray(state.orientation, float)
+        twist = np.asarray(state.twist, float)
+        self.R_wr = _matrix(*self.orientation.tolist())
+        self.omega, self.v = self.R_wr @ twist[:3], self.R_wr @ twist[3:]
+        self.centre = self.position + self.R_wr @ body.vehicle.origin
+        self.fastest = float(np.linalg.norm(self.v) + np.linalg.norm(self.omega) * 2 * body.reach) + 0.5
+
+    def velocity(self, place: Array) -> Array:
+        return np.asarray(self.v + _cross(self.omega, place - self.position))
+
+    def wrench(self, place: Array, force: Array) -> Array:
+        """Torque and force of a force (3,) at a place, in body axes about the body frame's origin."""
+        torque = _cross(place - self.centre, force)
+        return np.concatenate([self.R_wr.T @ torque, self.R_wr.T @ force])
+
+    def yielding(self, place: Array, normal: Array) -> float:
+        """The inverse of the mass that a push along ``normal`` feels, 1/kg."""
+        unit = self.wrench(place, normal)
+        return float(unit @ self.body.inverse_inertia @ unit)
+
+
+def _matrix(w: float, x: float, y: float, z: float) -> Array:
+    return np.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ])  # fmt: skip
+
+
+def _cross(a: Array, b: Array) -> Array:
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+def _plain(name: str) -> str:
+    """ "vehicle/<name>/..." or "obstacle/<name>/..." -> its own name."""
+    return name.split("/")[1] if "/" in name else name
+
+
+def _normals(terrain: Any, xy: Array, reach: float = 0.05) -> Array:
+    """Upward unit normals (n, 3) of the terrain, a hand's width about each place."""
+    offsets = reach * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
+    heights = terrain.height((xy[:, None] + offsets).reshape(-1, 2)).reshape(len(xy), 4)
+    up = np.column_stack([heights[:, 1] - heights[:, 0], heights[:, 3] - heights[:, 2], np.full(len(xy), 2 * reach)])
+    return np.asarray(up / np.linalg.norm(up, axis=1, keepdims=True))
