@@ -24,35 +24,44 @@ MOST = 16
 
 
 def clip_at(clip: Clip, frames: Array) -> Clip:
-    """The clip at any ``frames`` (m,); beyond its ends it goes on as it moves there, for a shutter that opens early."""
-    rate = float(clip.fps)
-    times = (np.asarray(frames, float) - clip.start_frame) / rate
-    inside = clip.at(np.clip(times, clip.times[0], clip.times[-1]))
-    beyond = times - inside.times
-    if not beyond.any():
-        return replace(inside, times=times)
-    from scipy.spatial.transform import Rotation
-
+    """The clip at rising ``frames`` (m,); beyond its ends it goes on as it moves there: a shutter may open early."""
     from vehsim._interpolate import spatial
 
-    omega, velocity = spatial(inside)
-    turned = Rotation.from_quat(inside.orientations, scalar_first=True) * Rotation.from_rotvec(omega * beyond[:, None])
-    q = turned.as_quat(scalar_first=True)
-    q = q * np.where((q * inside.orientations).sum(axis=1) < 0, -1.0, 1.0)[:, None]
-    step = min(0.25 / rate, clip.duration) or 1.0
-    channels = {}
-    for name, values in inside.channels.items():
-        ends = clip.at(np.array([clip.times[0], clip.times[0] + step, clip.times[-1] - step, clip.times[-1]])[:4])
-        a = ends.channels[name]
-        slope = np.where(beyond < 0, (a[1] - a[0]) / step, (a[3] - a[2]) / step) if clip.duration else 0.0
-        channels[name] = values + slope * beyond
+    times = (np.asarray(frames, float) - clip.start_frame) / float(clip.fps)
+    inner, rows = np.unique(np.clip(times, clip.times[0], clip.times[-1]), return_inverse=True)
+    inside = clip.at(inner)
+    if len(inner) == len(times) and np.allclose(inner, times, rtol=0, atol=1e-9):
+        return replace(inside, times=times)
+    beyond = times - inner[rows]
+    omega, velocity = (values[rows] for values in spatial(inside))
+    turned = np.column_stack([np.ones(len(times)), omega * beyond[:, None] / 2])  # of a quarter frame: enough
+    turned /= np.linalg.norm(turned, axis=1, keepdims=True)
+    names = ("twists", "joints", "joint_rates", "controls")
     return replace(
         inside,
         times=times,
-        positions=inside.positions + velocity * beyond[:, None],
-        orientations=q,
-        channels=channels,
+        positions=inside.positions[rows] + velocity * beyond[:, None],
+        orientations=_product(inside.orientations[rows], turned),
+        channels={n: values[rows] + _end_slopes(clip, n, beyond) * beyond for n, values in inside.channels.items()},
+        energy={name: values[rows] for name, values in inside.energy.items()},
+        **{name: getattr(inside, name)[rows] for name in names},
     )
+
+
+def _end_slopes(clip: Clip, channel: str, beyond: Array) -> Array:
+    """A channel's rate (m,) at the end of the clip that each time lies beyond."""
+    if clip.duration == 0:
+        return np.zeros(len(beyond))
+    step = min(0.25 / float(clip.fps), clip.duration)
+    first, last = clip.times[0], clip.times[-1]
+    start = np.diff(clip.at([first, first + step]).channels[channel])[0] / step
+    end = np.diff(clip.at([last - step, last]).channels[channel])[0] / step
+    return np.where(beyond < 0, start, end)
+
+
+def _product(p: Array, q: Array) -> Array:
+    scalar = p[:, :1] * q[:, :1] - np.sum(p[:, 1:] * q[:, 1:], axis=1, keepdims=True)
+    return np.hstack([scalar, p[:, :1] * q[:, 1:] + q[:, :1] * p[:, 1:] + np.cross(p[:, 1:], q[:, 1:])])
 
 
 def frames_of(clip: Clip) -> Array:
@@ -66,13 +75,14 @@ class Shutter:
     def __init__(self, clip: Clip, opening: tuple[float, float], frames: tuple[int, int]) -> None:
         self.whole = np.arange(frames[0], frames[1] + 1, dtype=float)
         self.offsets = np.linspace(*opening, MOST + 1)
-        self.fine = clip_at(clip, (self.whole[:, None] + self.offsets).ravel())
+        frames, self.rows = np.unique(np.round(self.whole[:, None] + self.offsets, 9).ravel(), return_inverse=True)
+        self.fine = clip_at(clip, frames)
 
     def pose_frames(self, reach: float, name: str) -> Array:
         """Frames (m,) at which a body of ``reach`` m about its root needs samples of position and orientation."""
         shape = (len(self.whole), MOST + 1)
-        positions = self.fine.positions.reshape(*shape, 3)
-        q = self.fine.orientations.reshape(*shape, 4)
+        positions = self.fine.positions[self.rows].reshape(*shape, 3)
+        q = self.fine.orientations[self.rows].reshape(*shape, 4)
 
         def error(n: int) -> Array:
             off, turned = np.zeros(shape), np.zeros(shape)
@@ -88,7 +98,7 @@ class Shutter:
 
     def channel_frames(self, channel: str, factor: float, reach: float, turns: bool, name: str) -> Array:
         """Frames (m,) at which a driven part needs samples; ``reach`` m of its outermost point from its axis."""
-        values = self.fine.channels[channel].reshape(len(self.whole), MOST + 1) * factor
+        values = self.fine.channels[channel][self.rows].reshape(len(self.whole), MOST + 1) * factor
 
         def error(n: int) -> Array:
             off = np.zeros(values.shape)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vehsim.blocking import write_over
 from vehsim.errors import ExportError
 from vehsim.exporters.animation import write_animation
 from vehsim.exporters.guides import author_guides
@@ -30,6 +31,8 @@ from vehsim.exporters.obstacles import author_obstacles
 from vehsim.exporters.packing import Pack
 from vehsim.exporters.readback import check_readback
 from vehsim.exporters.sampling import clip_at
+from vehsim.exporters.value_clips import split_into_clips
+from vehsim.exporters.versions import write_latest
 from vehsim.take import Exporter, Progress, Take
 
 if TYPE_CHECKING:
@@ -51,7 +54,7 @@ def write_usd(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
     settings = take.usd
     units = Units(settings.up_axis, settings.meters_per_unit)
     pack = Pack(folder, keep=settings.assets == "keep")
-    clips = {name: clip.resample(take.fps) for name, clip in take.clips.items()}
+    clips = {name: _whole_frames(clip, take) for name, clip in take.clips.items()}
     layers: dict[str, list[Path]] = {}
     for done, name in enumerate(clips):
         progress(f"usd: {name}", done / (len(clips) + 2))
@@ -86,12 +89,22 @@ def write_usd(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
         author_camera(stage, f"/{take.name}/cameras/{camera.name}", camera, units, settings.shutter)
     author_lights(stage, f"/{take.name}/lights", take, pack, path)
     author_guides(stage, f"/{take.name}/guides", take, clips)
+    for name, blocking in take.blockings.items():
+        clip, layer = clips[name], folder / "layers" / f"{name}.blocking.usdc"
+        pack.written.append(write_over(blocking, clip.frames, clip.positions, clip.matrices()[:, :3, :3], layer))
     stage.GetRootLayer().Save()
     pack.written.append(path)
 
     progress("usd: reading back", (len(clips) + 1) / (len(clips) + 2))
     check_readback(path, _prims(take, _shown(take, clips)), _cameras(take), units)
     return pack.written
+
+
+def _whole_frames(clip: Clip, take: Take) -> Clip:
+    """The clip on those whole frames of the take that it covers."""
+    clip = replace(clip, fps=take.fps)
+    first, last = max(take.frames[0], clip.start_frame), min(take.frames[1], clip.end_frame)
+    return clip_at(clip, np.arange(first, last + 1, dtype=float))
 
 
 def write_layers(take: Take, name: str, pack: Pack, units: Units) -> list[Path]:
@@ -104,6 +117,9 @@ def write_layers(take: Take, name: str, pack: Pack, units: Units) -> list[Path]:
         thin = layer.with_name(f"{name}.thinned.usdc")
         layers.append(write_animation(clip, name, pack, thin, take.fps, take.frames, units, thin=settings.thin))
     pack.written.extend(layers)
+    if settings.clip_frames is not None:
+        for layer in layers:
+            pack.written.extend(split_into_clips(layer, settings.clip_frames))
     return layers
 
 
@@ -126,7 +142,7 @@ def _shown(take: Take, clips: Mapping[str, Clip]) -> Mapping[str, Clip]:
         return clips
     shown = {}
     for name, clip in clips.items():
-        frames = np.unique((clip.frames[:, None] + [*take.usd.shutter, 0.0]).ravel())
+        frames = np.unique(np.round(clip.frames[:, None] + [*take.usd.shutter, 0.0], 9).ravel())
         shown[name] = clip_at(replace(take.clips[name], fps=take.fps), frames)
     return shown
 
@@ -211,4 +227,4 @@ def author_camera(
     prim.GetXformOpOrderAttr().Set(["xformOp:translate", "xformOp:orient"])
 
 
-exporter = Exporter(name="usd", suffixes=(".usd", ".usda", ".usdc"), write=write_usd)
+exporter = Exporter(name="usd", suffixes=(".usd", ".usda", ".usdc"), write=write_usd, latest=write_latest)

@@ -11,6 +11,7 @@ import hashlib
 import importlib.metadata
 import os
 import platform
+import re
 import secrets
 import shutil
 import time
@@ -140,12 +141,62 @@ def replacing(target: Path, overwrite: bool = True) -> Iterator[Path]:
         _sync(target.parent)
 
 
+VERSION = re.compile(r"v(\d{3,})")
+"""What the folder of a version is called."""
+
+
+def versions(home: Path) -> list[Path]:
+    """The versions in ``home``, oldest first."""
+    found = [path for path in home.glob("v*") if VERSION.fullmatch(path.name) and path.is_dir()]
+    return sorted(found, key=lambda path: int(path.name[1:]))
+
+
+@contextmanager
+def new_version(home: Path) -> Iterator[Path]:
+    """A hidden folder in ``home`` that becomes its next version, ``v001``, ``v002``, ..., when the block ends well.
+
+    No version is ever overwritten, whoever else makes one at the same time. Raises ``InputError`` when ``home`` holds
+    something else, ``ExportError`` for what cannot be written.
+    """
+    may_hold_versions(home)
+    with staging(home / "version") as beside:
+        yield beside
+        settle(beside)
+        for _ in range(1000):
+            target = home / f"v{1 + max((int(path.name[1:]) for path in versions(home)), default=0):03d}"
+            with suppress(FileExistsError):
+                target.mkdir()  # claims the number; a rename onto an empty folder then replaces it
+                beside.rename(target)
+                _sync(home)
+                return
+    raise ExportError(f"{home}: other exports keep taking the next version; let one of them finish")
+
+
+def may_hold_versions(home: Path) -> None:
+    """Raise ``InputError`` when ``home`` is a delivery without versions, or somebody else's."""
+    if home.is_dir() and any(home.iterdir()) and not versions(home) and not (home / "latest.usda").exists():
+        if all(path.name.startswith(".version.") for path in home.iterdir()):
+            return
+        raise InputError(f"{home}: holds something else than versions; export elsewhere, or move it away")
+
+
+def point_at_newest(home: Path, exporters: Sequence[Exporter]) -> Path:
+    """Have every exporter point at the newest version in ``home``, which is returned."""
+    newest = versions(home)[-1]
+    for exporter in exporters:
+        if exporter.latest is not None:
+            exporter.latest(newest, home)
+    return newest
+
+
 def may_replace(target: Path, overwrite: bool = True) -> None:
     """Raise ``InputError`` when something stands at ``target`` that a delivery must not replace."""
     if not target.exists():
         return
     if not overwrite:
         raise InputError(f"{target}: exists; remove it, or export elsewhere")
+    if versions(target):
+        raise InputError(f"{target}: holds versions, which stay; export with export.versions = true, or elsewhere")
     for pause in (0.0, 0.02, 0.1):  # asked again: another export may just be replacing it
         time.sleep(pause)
         if not _is_foreign(target):

@@ -4,23 +4,29 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from vehsim.blocking import Blocking
     from vehsim.cameras import Camera
     from vehsim.clip import Clip
     from vehsim.world import World
+
+
+PANEL_GAP = 4
+"""Pixels between two pictures side by side."""
 
 
 @dataclass(frozen=True)
 class RenderSettings:
     """How the playblast looks: ``size`` (width, height) px; ``every`` n-th frame; ``samples`` of multisampling.
 
-    ``cameras``: the names of those to render, all of the take's when None.
+    ``cameras``: the names of those to render, all of the take's when None. ``layout`` "side-by-side" puts their
+    pictures together, each as wide as its share of ``size``, with ``captions`` by camera name.
     """
 
     size: tuple[int, int] = (960, 540)
@@ -28,6 +34,15 @@ class RenderSettings:
     samples: int = 4
     shadows: bool = True
     cameras: tuple[str, ...] | None = None
+    layout: str = "separate"
+    captions: Mapping[str, str] = field(default_factory=dict)
+
+    def panel(self, cameras: int) -> tuple[int, int]:
+        """The size of one of ``cameras`` pictures, px: even, as films want them."""
+        width, height = self.size
+        if self.layout != "side-by-side":
+            return width, height
+        return (width - PANEL_GAP * (cameras - 1)) // cameras // 2 * 2, height
 
     def draft(self) -> RenderSettings:
         """Quick to render: half the size, no shadows."""
@@ -66,6 +81,8 @@ class Exporter:
     suffixes: tuple[str, ...]
     write: Callable[[Take, Path, Progress], Sequence[Path]]
     needs: tuple[str, ...] = ()
+    latest: Callable[[Path, Path], None] | None = None
+    """``latest(version, home)`` points what stands in ``home`` at its newest version"""
 
 
 Progress = Callable[[str, float], None]
@@ -76,7 +93,8 @@ Progress = Callable[[str, float], None]
 class Take:
     """A solved shot: clips by vehicle name, the world, cameras, and what to say about them in ``report.json``.
 
-    ``frames``: first and last whole frame, inclusive, handles included.
+    ``frames``: first and last whole frame, inclusive, handles included; ``blockings``: the animator's own motion of
+    vehicles that were blocked in, by name.
     """
 
     name: str
@@ -88,6 +106,7 @@ class Take:
     render: RenderSettings = RenderSettings()
     usd: UsdSettings = UsdSettings()
     report: dict[str, Any] = field(default_factory=dict)
+    blockings: dict[str, Blocking] = field(default_factory=dict)
 
     def export(
         self,
@@ -101,15 +120,15 @@ class Take:
         Everything is written beside and moved into place at the end: an earlier delivery stays whole until then, and
         whatever goes wrong. Raises ``InputError`` for unknown exporters, ``ExportError`` for what cannot be written.
         """
-        from vehsim.delivery import in_order, replacing, write_files, write_reports
+        from vehsim.delivery import in_order, new_version, point_at_newest, replacing, write_files, write_reports
 
         to = (to,) if isinstance(to, str) else tuple(to)
         in_order(to)
         target = Path(out) / self.name
-        with replacing(target, overwrite) as folder:
+        with new_version(target) if self.usd.versions else replacing(target, overwrite) as folder:
             files = write_files(self, folder, to, progress or _silent)
             write_reports(self, folder, files)
-        return target
+        return point_at_newest(target, in_order(to)) if self.usd.versions else target
 
 
 def export_clip(clip: Clip, path: Path, to: str | Sequence[str] | None = None) -> Path:

@@ -15,7 +15,7 @@ import numpy as np
 
 from vehsim.errors import InputError, Problem, ShotError
 from vehsim.shot import obstacles
-from vehsim.shot.checks import Setting, check_cuts, check_variants, choose
+from vehsim.shot.checks import Setting, check_cuts, check_rig, check_variants, choose
 from vehsim.shot.file import ShotFile, VehicleTable, parse
 from vehsim.shot.holding import hold, rests
 from vehsim.shot.model import MAX_FRAMES
@@ -24,7 +24,7 @@ from vehsim.shot.reading import apply_overrides, line_of, lines_of, read_toml
 if TYPE_CHECKING:
     from vehsim.cameras import Camera, CameraRig
     from vehsim.clip import Clip
-    from vehsim.take import Progress, RenderSettings, Take
+    from vehsim.take import Progress, RenderSettings, Take, UsdSettings
     from vehsim.vehicles import Vehicle
     from vehsim.world import World
 
@@ -142,6 +142,7 @@ class Shot:
             fps=self.fps,
             frames=frames,
             render=self.render,
+            usd=self.usd,
             report={
                 "shot": self.file.model_dump(mode="json", by_alias=True, exclude_unset=True),
                 "vehicles": vehicles,
@@ -158,6 +159,14 @@ class Shot:
         cameras = table.cameras or [CUT] * bool(self.file.cut)
         size = (table.size[0], table.size[1])
         return RenderSettings(size, table.every, table.samples, table.shadows, tuple(cameras) or None)
+
+    @property
+    def usd(self) -> UsdSettings:
+        from vehsim.take import UsdSettings
+
+        given = self.file.export.model_dump()
+        shutter = given.pop("shutter")
+        return UsdSettings(**given, shutter=None if shutter is None else (shutter[0], shutter[1]))
 
     def _asset(self, name: str) -> str | Path:
         """A path relative to the shot file when there is one, else a shipped asset's name."""
@@ -187,6 +196,7 @@ class Shot:
             except InputError as error:
                 yield Problem(f"vehicle[{i}].asset", str(error), "see vehsim vehicles", table.asset)
                 continue
+            yield from check_rig(f"vehicle[{i}].asset", table.asset, vehicle.rig)
             yield from check_variants(f"vehicle[{i}].variants", table.variants, vehicle.rig)
             if world is None:
                 continue
