@@ -15,16 +15,17 @@ import numpy as np
 
 from vehsim.errors import InputError, Problem, ShotError
 from vehsim.shot import obstacles
-from vehsim.shot.checks import Setting, check_cuts, check_rig, check_variants, choose
+from vehsim.shot.checks import Setting, check_cuts, check_variants, choose
 from vehsim.shot.file import ShotFile, VehicleTable, parse
 from vehsim.shot.holding import hold, rests
 from vehsim.shot.model import MAX_FRAMES
 from vehsim.shot.reading import apply_overrides, line_of, lines_of, read_toml
+from vehsim.shot.water import check_water, make_water
 
 if TYPE_CHECKING:
     from vehsim.cameras import Camera, CameraRig
     from vehsim.clip import Clip
-    from vehsim.take import Progress, RenderSettings, Take, UsdSettings
+    from vehsim.take import Progress, RenderSettings, Take
     from vehsim.vehicles import Vehicle
     from vehsim.world import World
 
@@ -142,7 +143,6 @@ class Shot:
             fps=self.fps,
             frames=frames,
             render=self.render,
-            usd=self.usd,
             report={
                 "shot": self.file.model_dump(mode="json", by_alias=True, exclude_unset=True),
                 "vehicles": vehicles,
@@ -160,14 +160,6 @@ class Shot:
         size = (table.size[0], table.size[1])
         return RenderSettings(size, table.every, table.samples, table.shadows, tuple(cameras) or None)
 
-    @property
-    def usd(self) -> UsdSettings:
-        from vehsim.take import UsdSettings
-
-        given = self.file.export.model_dump()
-        shutter = given.pop("shutter")
-        return UsdSettings(**given, shutter=None if shutter is None else (shutter[0], shutter[1]))
-
     def _asset(self, name: str) -> str | Path:
         """A path relative to the shot file when there is one, else a shipped asset's name."""
         beside = self.folder / Path(name).expanduser()
@@ -183,6 +175,7 @@ class Shot:
         yield from self._check_cameras()
         names = [vehicle.name for vehicle in self.file.vehicle]
         wrong = list(obstacles.check_obstacles(self.file.world.obstacle, self.folder, names))
+        wrong += check_water(self.file.world.water, self.folder)
         yield from wrong
         world = None
         try:
@@ -196,7 +189,6 @@ class Shot:
             except InputError as error:
                 yield Problem(f"vehicle[{i}].asset", str(error), "see vehsim vehicles", table.asset)
                 continue
-            yield from check_rig(f"vehicle[{i}].asset", table.asset, vehicle.rig)
             yield from check_variants(f"vehicle[{i}].variants", table.variants, vehicle.rig)
             if world is None:
                 continue

@@ -79,7 +79,7 @@ def boat(
             force = immersion[k] * c[k] * ca.vertcat(ca.cos(turn), -ca.sin(turn), 0)
             wrench += ca.vertcat(ca.cross(ca.DM(list(place)), force), force)
         if rudder_area > 0:
-            depth = ca.sum1(immersion) / len(places)
+            depth = sum((immersion[k] for k in range(len(places))), ca.SX(0)) / len(places)
             local = flow[3:6] + ca.cross(flow[0:3], along)
             # lift across the fin, area times slope times speed times the speed across it; no stall, no drag of its own
             fin = ca.vertcat(ca.sin(angle), ca.cos(angle), 0)

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-ACROSS = 12
-"""Edges of a hull in waves are no longer than this share of its length, nor of the shortest wave."""
+ACROSS = 18
+"""Edges of a hull in waves are at most so small a share of the shortest wave, and of twice the hull's length."""
 IMPACT_SPEED = 15.0
 """Fastest entry into the water that a step is made for, m/s."""
 INSTANT = 1e-3
@@ -65,7 +65,7 @@ class Afloat(Environment):
         if self.water.flat:
             return mesh
         length = float(np.ptp(mesh.points, axis=0).max())
-        return mesh.refined(min(length, self.water.shortest) / ACROSS)
+        return mesh.refined(min(2 * length, self.water.shortest) / ACROSS)
 
     @cached_property
     def reference_area(self) -> float:

@@ -31,9 +31,12 @@ NEWTON = 60
 class Surface(Protocol):
     """What disturbs the level: heights above it, and velocities of the water."""
 
-    shortest: float
-    """The shortest length in it that matters, m; inf when it is flat."""
-    content_hash: str
+    @property
+    def shortest(self) -> float:
+        """Wavelength (m) by which the surface bends; what follows it linearly needs pieces of a small share of it."""
+
+    @property
+    def content_hash(self) -> str: ...
 
     def at(self, points: Array, level: float, t: float) -> tuple[Array, Array]:
         """Height (n,) m of the surface at ``points`` (n, 3), above the level, and the water's velocity (n, 3) there,
@@ -46,7 +49,8 @@ class Surface(Protocol):
 class Current(Protocol):
     """A flow of the water as a whole."""
 
-    content_hash: str
+    @property
+    def content_hash(self) -> str: ...
 
     def velocity(self, points: Array, t: float) -> Array:
         """(n, 3) m/s at ``points`` (n, 3) whose z is height above the surface (negative below)."""
@@ -102,11 +106,9 @@ class Waves:
 
     @cached_property
     def shortest(self) -> float:
-        """Length (m) of the shortest wave among those that carry 99 % of the variance of the slope."""
-        slope = (self.amplitude * self._k) ** 2
-        order = np.argsort(self._k)
-        share = np.cumsum(slope[order]) / max(slope.sum(), 1e-300)
-        return float(2 * np.pi / self._k[order][min(np.searchsorted(share, 0.99), len(order) - 1)])
+        """Length (m) of a single wave that is as curved for its height as the whole surface."""
+        power = self.amplitude**2
+        return float(2 * np.pi * (power.sum() / max((power * self._k**4).sum(), 1e-300)) ** 0.25)
 
     def rest(self, xy: Array, t: float) -> Array:
         """Where at rest (n, 2) the water is that stands at ``xy`` (n, 2): the inverse of Gerstner's horizontal map."""
@@ -128,7 +130,7 @@ class Waves:
         gap, step = look(rest)
         for _ in range(NEWTON):
             size = np.abs(gap).max(axis=1)
-            if (size <= 1e-14 * (1 + np.abs(xy).max(axis=1))).all():
+            if (size <= 1e-13 * (1 + np.abs(xy).max(axis=1))).all():
                 break
             tried = rest + share[:, None] * step
             gap_there, step_there = look(tried)

@@ -1,0 +1,145 @@
+"""Water from an external liquid solver: grids of heights and velocities through time (LIE Fig. 8, one way)."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from vehsim.errors import InputError, Problem, SolveError
+from vehsim.world.water import Array
+
+KEYS = ("times", "heights", "velocities", "origin", "cell")
+
+
+@dataclass(frozen=True, eq=False)
+class WaterGrids:
+    """A surface sampled at ``times`` (n,) s: ``heights`` (n, rows, cols) m above the level, row = +Y, column = +X.
+
+    ``velocities`` (n, rows, cols, 3) m/s of the water near the surface, or None: what follows from the heights alone
+    (rising and falling). ``origin`` (x, y) of the first sample and ``cell`` (dx, dy), m. Linear in time; each cell is
+    split along (r, c)-(r+1, c+1), as MuJoCo does. A question off the grid, or after its end, raises ``SolveError``.
+    """
+
+    times: Array
+    heights: Array
+    velocities: Array | None = None
+    origin: tuple[float, float] = (0.0, 0.0)
+    cell: tuple[float, float] = (1.0, 1.0)
+
+    def __post_init__(self) -> None:
+        for name in ("times", "heights", "velocities"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, np.asarray(getattr(self, name), float))
+        times, heights, flow = self.times, self.heights, self.velocities
+        if heights.ndim != 3 or times.shape != heights.shape[:1] or min(heights.shape[1:], default=0) < 2:
+            raise _wrong("heights", "not a grid through time", "give (times, rows, cols)", heights.shape)
+        if flow is not None and flow.shape != (*heights.shape, 3):
+            raise _wrong("velocities", "do not fit the heights", "give (times, rows, cols, 3)", flow.shape)
+        if not (np.isfinite(heights).all() and (flow is None or np.isfinite(flow).all())):
+            raise _wrong("heights", "not finite", "fill the holes")
+        if not (np.isfinite(times).all() and (np.diff(times) > 0).all()):
+            raise _wrong("times", "do not rise", "give seconds in order, each once")
+        object.__setattr__(self, "origin", tuple(map(float, self.origin)))
+        object.__setattr__(self, "cell", tuple(map(float, self.cell)))
+        if not (len(self.cell) == 2 and min(self.cell) > 0 and np.isfinite([*self.cell, *self.origin]).all()):
+            raise _wrong("cell", "not a spacing", "give (dx, dy) in m", self.cell)
+
+    @classmethod
+    def load(cls, path: str | Path) -> WaterGrids:
+        """Read an ``.npz`` of times, heights, origin, cell and, if there are, velocities."""
+        try:
+            with np.load(path, allow_pickle=False) as data:
+                given = {key: data[key] for key in KEYS if key in data}
+        except (OSError, ValueError) as error:
+            raise _wrong("grids", f"not readable: {error}", "give an .npz of times, heights, origin, cell") from None
+        missing = [key for key in ("times", "heights", "origin", "cell") if key not in given]
+        if missing:
+            raise _wrong("grids", f"without {', '.join(missing)}", f"save {', '.join(KEYS)}", str(path))
+        return cls(**given)
+
+    @property
+    def shortest(self) -> float:
+        """Four cells: nothing finer is resolved, m."""
+        return 4 * min(self.cell)
+
+    @property
+    def lower(self) -> Array:
+        """(2,) m: the grid's corner of smallest x and y."""
+        return np.array(self.origin)
+
+    @property
+    def upper(self) -> Array:
+        """(2,) m: the grid's corner of largest x and y."""
+        rows, cols = self.heights.shape[1:]
+        return np.array([self.origin[0] + self.cell[0] * (cols - 1), self.origin[1] + self.cell[1] * (rows - 1)])
+
+    @cached_property
+    def content_hash(self) -> str:
+        digest = hashlib.sha256(repr((self.origin, self.cell)).encode())
+        for array in (self.times, self.heights, self.velocities):
+            digest.update(b"" if array is None else array.tobytes())
+        return digest.hexdigest()
+
+    def at(self, points: Array, level: float, t: float) -> tuple[Array, Array]:
+        corners, weights = self._cells(points[:, :2])
+        k, share, span = self._instant(t)
+        before, after = (self.heights[i][corners] for i in (k, k + 1))
+        height = np.einsum("ns,ns->n", weights, (1 - share) * before + share * after)
+        if self.velocities is None:
+            rising = np.einsum("ns,ns->n", weights, (after - before) / span)
+            return height, np.column_stack([np.zeros((len(height), 2)), rising])
+        flow = (1 - share) * self.velocities[k][corners] + share * self.velocities[k + 1][corners]
+        return height, np.einsum("ns,nsi->ni", weights, flow)
+
+    def slope(self, xy: Array, t: float) -> Array:
+        """Gradient (n, 2) of the height, by central differences over half a cell."""
+        columns = []
+        for i in range(2):
+            step = np.zeros(2)
+            step[i] = self.cell[i] / 2
+            low, high = (np.clip(xy + s * step, self.lower, self.upper) for s in (-1, 1))
+            ends = [self.at(np.column_stack([p, np.zeros(len(p))]), 0.0, t)[0] for p in (low, high)]
+            columns.append((ends[1] - ends[0]) / (high - low)[:, i])
+        return np.column_stack(columns)
+
+    def _instant(self, t: float) -> tuple[int, float, float]:
+        """The grid before ``t`` s, the share of the one after it, and the seconds between."""
+        slack = 1e-9 + 1e-3 * (self.times[-1] - self.times[0]) / max(len(self.times) - 1, 1)
+        if len(self.times) < 2 or not self.times[0] - 2 * slack <= t <= self.times[-1] + 2 * slack:
+            end = f"{self.times[0]:.3f} to {self.times[-1]:.3f} s"
+            raise SolveError(
+                f"world.water.grids: asked at {t:.3f} s, but they cover {end}; simulate more of the liquid"
+            )
+        k = int(np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, len(self.times) - 2))
+        span = float(self.times[k + 1] - self.times[k])
+        return k, float(np.clip((t - self.times[k]) / span, 0, 1)), span
+
+    def _cells(self, xy: Array) -> tuple[tuple[Array, Array], Array]:
+        """Rows and columns (n, 3) of the samples around ``xy`` (n, 2), and their weights (n, 3)."""
+        rows, cols = self.heights.shape[1:]
+        u, v = ((xy - self.origin) / self.cell).T
+        out = (u < -1e-9) | (v < -1e-9) | (u > cols - 1 + 1e-9) | (v > rows - 1 + 1e-9) | ~np.isfinite(u + v)
+        if out.any():
+            x, y = xy[np.flatnonzero(out)[0]]
+            low, high = self.lower.round(3).tolist(), self.upper.round(3).tolist()
+            raise SolveError(
+                f"world.water.grids: asked at ({x:.2f}, {y:.2f}) m, off the grid {low} to {high}; enlarge it"
+            )
+        col, row = (np.clip(a.astype(int), 0, n - 2) for a, n in ((u, cols), (v, rows)))
+        u, v = u - col, v - row
+        right = u >= v
+        corners = (
+            np.column_stack([row, np.where(right, row, row + 1), row + 1]),
+            np.column_stack([col, np.where(right, col + 1, col), col + 1]),
+        )
+        far = np.where(right, v, u)
+        near = np.where(right, 1 - u, 1 - v)
+        return corners, np.column_stack([near, 1 - near - far, far])
+
+
+def _wrong(key: str, message: str, mend: str, value: object = None) -> InputError:
+    return InputError(str(Problem(f"world.water.grids.{key}", message, mend, value)))
