@@ -42,18 +42,24 @@ POSES = 30_000
 
 
 def guess_drive(
-    vehicle: Vehicle, parts: Sequence[tuple[Any, int]], ends: Array, asked: Sequence[float | None], clearance: float
+    vehicle: Vehicle,
+    parts: Sequence[tuple[Any, int]],
+    ends: Array,
+    asked: Sequence[float | None],
+    clearance: float,
+    wariness: int = 0,
 ) -> Array:
     """A path (k, 4) of x, y, z m and heading rad from ``ends[0]`` to ``ends[1]`` (2, 3) m, clear of standing ``parts``.
 
-    ``asked``: headings at either end in rad, or None. Raises ``SolveError`` when there is no way.
+    ``asked``: headings at either end in rad, or None. Each step of ``wariness`` makes narrow ways dearer. Raises
+    ``SolveError`` when there is no way.
     """
     radius = turning_radius(vehicle)
     bearing = float(np.arctan2(*(ends[1] - ends[0])[[1, 0]]))
     nose = [bearing if heading is None else heading for heading in asked]
     # what has a turning circle is led by its body frame's origin (a car's rear axle), the rest by its root
     lead = np.asarray(vehicle.origin[:2], float) if radius > 0 else np.zeros(2)
-    ground = _Ground(vehicle, lead, parts, ends[:, :2] + _turned(np.array(nose), lead), clearance)
+    ground = _Ground(vehicle, lead, parts, ends[:, :2] + _turned(np.array(nose), lead), clearance, SHY * 4**wariness)
     way = ground.descend()
     if way is None:
         places = " to ".join("(" + ", ".join(f"{v:g}" for v in end[:2]) + ")" for end in ends)
@@ -89,7 +95,13 @@ class _Ground:
     """Distances on a grid about two places ``ends`` (2, 2) of a vehicle's point ``lead`` (2,), and where it may be."""
 
     def __init__(
-        self, vehicle: Vehicle, lead: Array, parts: Sequence[tuple[Any, int]], ends: Array, clearance: float
+        self,
+        vehicle: Vehicle,
+        lead: Array,
+        parts: Sequence[tuple[Any, int]],
+        ends: Array,
+        clearance: float,
+        shy: float = SHY,
     ) -> None:
         self.ends, self.clearance = ends, clearance
         outline = footprint(vehicle) - lead
@@ -119,7 +131,7 @@ class _Ground:
         # near an end that is itself closer, only what it has
         self.demanded = np.minimum(self.radius + clearance, (own + 0.5 * near).min(axis=1)).reshape(self.shape)
         over = np.clip((self.distance - self.demanded) / (2 * self.radius + 2 * clearance + 1e-9), 0, 1)
-        self.price = 1 + SHY * (1 - over) ** 2
+        self.price = 1 + shy * (1 - over) ** 2
 
     def index(self, point: Array) -> tuple[int, int]:
         i, j = np.clip(np.round((point - self.lower) / self.cell).astype(int), 0, np.array(self.shape) - 1)

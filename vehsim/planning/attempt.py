@@ -44,6 +44,8 @@ EXECUTED = 0.1
 LADDER = ((1, 4), (1, 6), (2, 6), (4, 6))
 """Discretisations a plan climbs through: times the segments asked for, and order. Higher order is cheaper than more
 segments."""
+CLOSE = 48
+"""The same among obstacles: between knots farther apart they could be jumped over."""
 COARSE = 24
 """A plan is first found on at least as many segments, a half or a quarter of those asked for where that goes."""
 SLACK = 0.01
@@ -73,7 +75,8 @@ class Attempt:
         self.build_seconds = self.solve_seconds = 0.0
         self.clearance = self.wanted = float("inf")
         self.checked = Executed(np.inf, np.inf, np.inf)
-        self.rung, self.lifted, self.stale, self.note = -1, False, True, ""
+        # between rocks controls are agile throughout: the first rung would not do
+        self.rung, self.lifted, self.stale, self.note = -1 + (cover is not None), False, True, ""
         self.solvers: dict[Any, Solver] = {}
         self.rows = obstacle_rows(request.vehicle, request.world, request.marks)
 
@@ -108,7 +111,8 @@ class Attempt:
 
     def _coarse(self) -> int:
         """Segments to find a plan on: as many as asked for, halved while enough are left."""
-        segments, least = self.request.segments, max(COARSE, 2 * len(self.request.marks))
+        enough = COARSE if self.rows is None else CLOSE
+        segments, least = self.request.segments, max(enough, 2 * len(self.request.marks))
         while segments % 2 == 0 and segments // 2 >= least and 4 * segments > self.request.segments:
             segments //= 2
         return segments

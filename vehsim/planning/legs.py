@@ -11,6 +11,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim.clip import Clip
 from vehsim.errors import InputError
 from vehsim.planning.marks import Mark
 
@@ -59,10 +60,23 @@ def cut(points: Array, legs: list[tuple[Array, Array]]) -> list[Array]:
     """One path cut into legs at its points nearest to the marks, in order."""
     cuts = [0]
     for _, end in legs[:-1]:
-        later = np.linalg.norm(points[cuts[-1] :] - end, axis=1)
+        later = np.linalg.norm(points[cuts[-1] :, :3] - end, axis=1)
         cuts.append(cuts[-1] + int(np.argmin(later)))
     cuts.append(len(points) - 1)
-    return [np.vstack([a, points[i : j + 1], b]) for (a, b), i, j in zip(legs, cuts[:-1], cuts[1:], strict=True)]
+    spans = zip(legs, cuts[:-1], cuts[1:], strict=True)
+    return [np.vstack([[*a, *points[i, 3:]], points[i : j + 1], [*b, *points[j, 3:]]]) for (a, b), i, j in spans]
+
+
+def poses_of(clip: Clip) -> Array:
+    """Positions and headings (k, 4) m, rad along a clip, to start another plan from."""
+    w, x, y, z = clip.orientations.T
+    yaw = np.unwrap(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+    return np.column_stack([clip.positions, yaw])
+
+
+def legs_between(marks: Sequence[Mark]) -> list[tuple[Array, Array]]:
+    """Start and end (3,) m of the way from each mark to the next."""
+    return list(pairwise(mark_positions(marks)))
 
 
 def mark_positions(marks: Sequence[Mark]) -> Array:

@@ -75,13 +75,18 @@ class Rows:
             self.seen = near
         self.seen = self.seen | near
 
-    def drive(self, marks: Sequence[Mark], legs: Sequence[tuple[Array, Array]], clearance: float) -> list[Array]:
-        """A path (k, 4) x, y, z m and heading rad for every leg (start, end) between two marks, by A*."""
+    def drive(
+        self, marks: Sequence[Mark], legs: Sequence[tuple[Array, Array]], clearance: float, wariness: int = 0
+    ) -> list[Array]:
+        """A path (k, 4) x, y, z m and heading rad for every leg (start, end) between two marks, by A*.
+
+        The greater ``wariness``, the more room it looks for.
+        """
         from vehsim.planning.astar import guess_drive
 
         nose = [None if mark.heading is None else float(np.deg2rad(mark.heading)) for mark in marks]
         return [
-            guess_drive(self.vehicle, self.parts, np.array(leg), (nose[j], nose[j + 1]), clearance)
+            guess_drive(self.vehicle, self.parts, np.array(leg), (nose[j], nose[j + 1]), clearance, wariness)
             for j, leg in enumerate(legs)
         ]
 

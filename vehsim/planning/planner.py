@@ -12,7 +12,6 @@ import time
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,7 @@ from vehsim.planning.attempt import EXECUTED, SLACK, TIGHTENINGS, Array, Attempt
 from vehsim.planning.certify import Executed
 from vehsim.planning.cover import sphere_cover
 from vehsim.planning.feasibility import refusals
-from vehsim.planning.legs import bent, cut, facing, mark_positions
+from vehsim.planning.legs import bent, cut, facing, legs_between, poses_of
 from vehsim.planning.marks import Mark, check_marks, with_breaks
 from vehsim.planning.obstacles import check_marks_clear, obstacle_rows
 from vehsim.planning.relax import diagnose
@@ -166,10 +165,12 @@ def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
         attempt.give_up("; ".join(map(str, refused)))
         return _result(attempt)
     attempt.solve()
-    for stretch, bend in RETRIES:
+    for wariness, (stretch, bend) in enumerate(RETRIES, 1):
         if attempt.solution.success or request.late:
             break
-        attempt.start([bent(path, bend) for path in paths], stretch)
+        if attempt.rows is not None and guess is None:
+            paths = attempt.rows.drive(request.marks, legs_between(request.marks), request.clearance, wariness)
+        attempt.start([bent(path, bend) if attempt.rows is None else path for path in paths], stretch)
         attempt.solve()
     attempt.settle()
     attempt.approach()
@@ -236,12 +237,11 @@ def _cover(request: Request, paths: list[Array]) -> Any:
 
 
 def _paths(request: Request, guess: Any, progress: Progress | None) -> list[Array]:
-    """A polyline (k, 3) for every leg between marks."""
-    positions = mark_positions(request.marks)
-    legs = list(pairwise(positions))
+    """A polyline (k, 3) for every leg between marks, or poses (k, 4) with headings in rad."""
+    legs = legs_between(request.marks)
     if guess is not None:
-        points = guess.positions if isinstance(guess, Clip) else np.asarray(guess, float)
-        if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2:
+        points = poses_of(guess) if isinstance(guess, Clip) else np.asarray(guess, float)
+        if points.ndim != 2 or points.shape[1] not in (3, 4) or len(points) < 2:
             raise InputError(f"guess: shape {points.shape}; give a Clip, or a path of (k, 3) points in metres")
         return cut(points, legs)
     if not request.terrain:
