@@ -21,6 +21,7 @@ FLOORS = (
     (
         "vehsim.cameras",
         "vehsim._camera_path",
+        "vehsim._camera_rigs",
         "vehsim.simulation",
         "vehsim.pilots",
         "vehsim._gait",
@@ -28,7 +29,7 @@ FLOORS = (
         "vehsim.sinusoids",
     ),
     ("vehsim.integrators", "vehsim.world", "vehsim.clip", "vehsim._interpolate"),
-    ("vehsim.vehicles", "vehsim.parts", "vehsim.rigging"),
+    ("vehsim.vehicles", "vehsim.parts", "vehsim.rigging", "vehsim.blocking"),
     ("vehsim.lie",),
     ("vehsim.errors", "vehsim.assets", "vehsim._cache"),
 )

@@ -59,6 +59,8 @@ def _files(shot: Shot) -> Iterable[Path]:
         path = getattr(table.motion, "path", None)
         if path is not None:
             yield shot.folder / path
+    for blocking in shot.blockings().values():
+        yield from _with_dependencies(blocking.path, blocking.path.stat().st_mtime_ns)
     terrain = shot.world.terrain
     if terrain is not None and terrain.look is not None:
         yield from _with_dependencies(terrain.look, terrain.look.stat().st_mtime_ns)

@@ -115,6 +115,7 @@ def _take(task: Task) -> Take:
         frames=tuple(said["frames"]),
         render=shot.render.draft() if task.draft else shot.render,
         report={**said["report"], "inputs": task.inputs},
+        blockings=shot.blockings(),
     )
 
 

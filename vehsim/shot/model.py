@@ -358,6 +358,8 @@ class StartTable(Table):
     """a unit quaternion [w, x, y, z], body to world"""
     velocity: Velocity = [0.0, 0.0, 0.0]
     """the velocity [x, y, z] in m/s, world axes"""
+    spin: Annotated[list[Annotated[Number, Field(ge=-36_000, le=36_000)]], Array, Len(3, 3)] = [0.0, 0.0, 0.0]
+    """the angular velocity [x, y, z] in deg/s, the vehicle's own axes; in the plane only z counts"""
     joints: dict[str, Number] = {}
     """a table of joint values, in the vehicle's own units; 0 unless given"""
 
@@ -446,3 +448,7 @@ class RenderTable(Table):
     """true or false: whether the sun casts shadows"""
     cameras: Annotated[list[Text], Array, Len(1, MAX_CAMERAS + 1)] | None = None
     """names of the cameras to render; unless given, all of them, or just "cut" where there is a [[cut]]"""
+    layout: Literal["separate", "side-by-side"] = "separate"
+    """"side-by-side" puts the cameras' pictures beside each other in one more film; "separate" does not"""
+    captions: dict[str, Text] = {}
+    """side-by-side: camera name = what to write below it; {NAME} is the energy left to the vehicle of that name"""

@@ -16,7 +16,9 @@ from annotated_types import Len
 from pydantic import BeforeValidator, Field, PlainValidator, WithJsonSchema
 
 from vehsim.errors import InputError, Problem, SolveError
+from vehsim.shot.blocked import BlockingTable, blocking_of, marks_of
 from vehsim.shot.checks import Setting, check_free, check_mark, check_names, check_order, choose, orientation_of
+from vehsim.shot.integrating import IntegrateMotion
 from vehsim.shot.model import (
     MAX_FRAMES,
     Array,
@@ -31,6 +33,7 @@ from vehsim.shot.model import (
 from vehsim.shot.obstacles import check_marks
 
 if TYPE_CHECKING:
+    from vehsim.blocking import Blocking
     from vehsim.clip import Clip
     from vehsim.planning import Mark
     from vehsim.take import Progress
@@ -57,21 +60,43 @@ class PlanMotion(Table):
     """how many pieces the motion is computed in, 2 to 2000"""
     clearance: Annotated[NotNegative, Field(le=1000)] = 1.0
     """how far the vehicle stays from obstacles and, when it flies, from the terrain, in m"""
-    mark: Annotated[list[MarkTable], Array, Len(2, 1000)]
+    mark: Annotated[list[MarkTable], Array, Len(2, 1000)] | None = None
     """two or more [[vehicle.motion.mark]] tables"""
+    marks: BlockingTable | None = None
+    """instead of them, a table { usd, prim, ... }: a prim that was blocked in"""
     limits: dict[str, Positive] = Field(default={})
     """a table of what to stay below: speed and climb in m/s, turn_rate in deg/s, bank in degrees, ceiling in m"""
+
+    def blocking(self, setting: Setting) -> Blocking | None:
+        """What was blocked in, None where the marks were given one by one. Raises ``InputError``."""
+        return None if self.marks is None else blocking_of(self.marks, setting.folder, setting.fps)
+
+    def all_marks(self, setting: Setting) -> list[MarkTable]:
+        """The marks, wherever they come from. Raises ``InputError``."""
+        blocking = self.blocking(setting)
+        if blocking is not None and self.marks is not None:
+            return marks_of(self.marks, blocking, setting.fps)
+        return self.mark or []
 
     def check(self, vehicle: Vehicle, setting: Setting) -> Iterator[Problem]:
         from vehsim.planning.terms import COSTS, LIMITS
 
+        if (self.mark is None) == (self.marks is None):
+            mend = "give two or more [[vehicle.motion.mark]], or marks = { usd = ..., prim = ... }, not both"
+            yield Problem("mark", "missing" if self.mark is None else "marks are given too", mend)
+            return
+        try:
+            marks = self.all_marks(setting)
+        except InputError as error:
+            yield Problem("marks", str(error), "mend the blocking or the table that names it")
+            return
         cost = {self.cost: None} if isinstance(self.cost, str) else self.cost
         yield from check_names("cost", cost, COSTS, "cost")
         yield from check_names("limits", self.limits, LIMITS, "limit")
-        yield from check_order(self.mark, setting)
+        yield from check_order(marks, setting)
         if _planar(vehicle):
-            yield from check_marks(self.mark, vehicle, setting.world, self.clearance)
-        for i, mark in enumerate(self.mark):
+            yield from check_marks(marks, vehicle, setting.world, self.clearance)
+        for i, mark in enumerate(marks):
             key = f"mark[{i}]"
             yield from check_mark(key, mark, vehicle)
             if mark.position is not None and not _planar(vehicle):  # wheels touch the ground
@@ -81,10 +106,11 @@ class PlanMotion(Table):
     def solve(self, vehicle: Vehicle, setting: Setting, progress: Progress) -> tuple[Clip, dict[str, Any]]:
         from vehsim.planning import plan
 
+        wanted = self.all_marks(setting)
         result = plan(
             vehicle,
             setting.world,
-            marks=[_as_mark(mark, vehicle) for mark in self.mark],
+            marks=[_as_mark(mark, vehicle) for mark in wanted],
             fps=setting.fps,
             segments=self.segments,
             cost=self.cost,
@@ -97,7 +123,13 @@ class PlanMotion(Table):
         # how long it took is left out: the same shot gives the same report
         names = ("success", "message", "cost", "duration", "iterations", "segments", "defect", "clearance")
         report = {name: getattr(result, name) for name in names} | {"executed": asdict(result.executed)}
-        marks = [mark.model_dump(mode="json", exclude_unset=True) for mark in self.mark if mark.position]
+        marks = [mark.model_dump(mode="json", exclude_unset=True) for mark in wanted if mark.position]
+        blocking = self.blocking(setting)
+        if blocking is not None:
+            clip = result.clip.resample()
+            poses = clip.matrices()
+            report["blocking"] = blocking.departure(clip.frames, clip.positions, poses[:, :3, :3])
+            report["blocking"]["keys"] = [mark.frame for mark in wanted]
         return result.clip, report | {"marks": marks}
 
 
@@ -191,7 +223,7 @@ class SimulateMotion(Table):
             vehicle,
             setting.world,
             self._controls(vehicle, setting),
-            start=_as_state(self.start, vehicle) if self.start.model_fields_set else None,
+            start=as_state(self.start, vehicle) if self.start.model_fields_set else None,
             duration=self._duration(setting),
             step=self.step,
             fps=setting.fps,
@@ -268,7 +300,7 @@ class ClipMotion(Table):
         return clip
 
 
-Motion = Annotated[PlanMotion | SimulateMotion | ClipMotion, Field(discriminator="method")]
+Motion = Annotated[PlanMotion | SimulateMotion | IntegrateMotion | ClipMotion, Field(discriminator="method")]
 RESERVED = {"sinusoid": "steering by sinusoids is not there yet"}
 """Methods whose names are kept for later."""
 
@@ -306,7 +338,7 @@ def _as_mark(mark: MarkTable, vehicle: Vehicle) -> Mark:
     return Mark(**(mark.model_dump() | {"joints": joints}))
 
 
-def _as_state(start: StartTable, vehicle: Vehicle) -> State:
+def as_state(start: StartTable, vehicle: Vehicle) -> State:
     from scipy.spatial.transform import Rotation
 
     from vehsim.vehicles import State
@@ -316,7 +348,8 @@ def _as_state(start: StartTable, vehicle: Vehicle) -> State:
         orientation = np.array([1.0, 0.0, 0.0, 0.0])
     R_wr = Rotation.from_quat(orientation[[1, 2, 3, 0]])
     velocity = R_wr.inv().apply(start.velocity)
-    twist = np.array([0.0, *velocity[:2]]) if _planar(vehicle) else np.array([0.0, 0.0, 0.0, *velocity])
+    spin = np.deg2rad(start.spin)
+    twist = np.array([spin[2], *velocity[:2]]) if _planar(vehicle) else np.concatenate([spin, velocity])
     joints = [start.joints.get(name, 0.0) for name in vehicle.joints]
     return State(position=np.array(start.position), orientation=orientation, twist=twist, joints=np.array(joints))
 

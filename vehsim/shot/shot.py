@@ -15,7 +15,8 @@ import numpy as np
 
 from vehsim.errors import InputError, Problem, ShotError
 from vehsim.shot import obstacles
-from vehsim.shot.checks import Setting, check_cuts, check_variants, choose
+from vehsim.shot.blocked import blocking_of
+from vehsim.shot.checks import Setting, check_cuts, check_names, check_rig, check_variants, choose
 from vehsim.shot.file import ShotFile, VehicleTable, parse
 from vehsim.shot.holding import hold, rests
 from vehsim.shot.model import MAX_FRAMES
@@ -23,9 +24,10 @@ from vehsim.shot.reading import apply_overrides, line_of, lines_of, read_toml
 from vehsim.shot.water import check_water, make_water
 
 if TYPE_CHECKING:
+    from vehsim.blocking import Blocking
     from vehsim.cameras import Camera, CameraRig
     from vehsim.clip import Clip
-    from vehsim.take import Progress, RenderSettings, Take
+    from vehsim.take import Progress, RenderSettings, Take, UsdSettings
     from vehsim.vehicles import Vehicle
     from vehsim.world import World
 
@@ -143,6 +145,8 @@ class Shot:
             fps=self.fps,
             frames=frames,
             render=self.render,
+            usd=self.usd,
+            blockings=self.blockings(),
             report={
                 "shot": self.file.model_dump(mode="json", by_alias=True, exclude_unset=True),
                 "vehicles": vehicles,
@@ -158,7 +162,21 @@ class Shot:
         table = self.file.render
         cameras = table.cameras or [CUT] * bool(self.file.cut)
         size = (table.size[0], table.size[1])
-        return RenderSettings(size, table.every, table.samples, table.shadows, tuple(cameras) or None)
+        shown = (tuple(cameras) or None, table.layout, table.captions)
+        return RenderSettings(size, table.every, table.samples, table.shadows, *shown)
+
+    def blockings(self) -> dict[str, Blocking]:
+        """What the vehicles that were blocked in follow, by vehicle."""
+        tables = {table.name: getattr(table.motion, "marks", None) for table in self.file.vehicle}
+        return {name: blocking_of(table, self.folder, self.fps) for name, table in tables.items() if table}
+
+    @property
+    def usd(self) -> UsdSettings:
+        from vehsim.take import UsdSettings
+
+        given = self.file.export.model_dump()
+        shutter = given.pop("shutter")
+        return UsdSettings(**given, shutter=None if shutter is None else (shutter[0], shutter[1]))
 
     def _asset(self, name: str) -> str | Path:
         """A path relative to the shot file when there is one, else a shipped asset's name."""
@@ -189,6 +207,7 @@ class Shot:
             except InputError as error:
                 yield Problem(f"vehicle[{i}].asset", str(error), "see vehsim vehicles", table.asset)
                 continue
+            yield from check_rig(f"vehicle[{i}].asset", table.asset, vehicle.rig)
             yield from check_variants(f"vehicle[{i}].variants", table.variants, vehicle.rig)
             if world is None:
                 continue
@@ -223,6 +242,8 @@ class Shot:
     def _check_cameras(self) -> Iterator[Problem]:
         from vehsim.cameras import RIGS
 
+        cameras = [camera.name for camera in self.file.camera]
+        yield from check_names("render.captions", self.file.render.captions, cameras, "camera")
         vehicles = [vehicle.name for vehicle in self.file.vehicle]
         for i, camera in enumerate(self.file.camera):
             if camera.rig not in RIGS:
@@ -285,7 +306,7 @@ class Shot:
         """The cameras on whole ``frames`` (first, last) of solved ``clips``."""
         from vehsim.cameras import CUT, CameraRig, cut, solve_camera
 
-        width, height = self.file.render.size
+        width, height = self.render.panel(len(self.render.cameras or self.file.camera))
         rigs: list[CameraRig] = [CameraRig(**camera.model_dump(exclude_unset=True)) for camera in self.file.camera]
         cameras = [solve_camera(rig, clips, self.world, frames, width / height) for rig in rigs]
         if self.file.cut:

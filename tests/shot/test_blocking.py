@@ -1,0 +1,182 @@
+"""Blocking in, motion out: an animator's prim becomes marks, and physical motion shows over the same prim."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from vehsim import Shot
+from vehsim.blocking import read_blocking, write_over
+from vehsim.errors import InputError, ShotError
+
+FPS = Fraction(24)
+KEYS = {1001: ((0.0, 0.0, 10.0), 0.0), 1050: ((10.0, 4.0, 12.0), 30.0), 1100: ((20.0, -3.0, 9.0), -45.0)}
+
+
+def stage_with(path: Path, up: str = "Z", metres: float = 1.0, keys: Any = KEYS, parent: bool = False) -> Path:
+    """A prim /World/heli keyed at world places (m, Z up) and headings (deg), whatever the stage's own axes; with
+    ``parent`` what it stands in turns and moves all the time."""
+    from pxr import Gf, Usd, UsdGeom
+
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageUpAxis(stage, up)
+    UsdGeom.SetStageMetersPerUnit(stage, metres)
+    stage.SetTimeCodesPerSecond(24)
+    stage.SetFramesPerSecond(24)
+    stage.SetStartTimeCode(1001)
+    stage.SetEndTimeCode(1100)
+    world = UsdGeom.Xform.Define(stage, "/World")
+    stage.SetDefaultPrim(world.GetPrim())
+    heli = UsdGeom.Xform.Define(stage, "/World/heli")
+    box = UsdGeom.Cube.Define(stage, "/World/heli/box")
+    box.CreateExtentAttr([(-1, -1, -1), (1, 1, 1)])
+    axes = np.eye(3) if up == "Z" else np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])  # Z up -> the stage's
+    if parent:
+        turn, slide = world.AddRotateZOp(), world.AddTranslateOp()
+        for frame in range(1001, 1101):
+            turn.Set(3.0 * (frame - 1001), frame)
+            slide.Set(Gf.Vec3d(0.1 * frame, 5.0, 0.0), frame)
+    move = heli.AddTransformOp()
+    cache = UsdGeom.XformCache()
+    for frame, (place, heading) in keys.items():
+        wanted = np.eye(4)
+        turned = Rotation.from_euler("z", heading, degrees=True).as_matrix()
+        wanted[:3, :3] = 2.0 * axes @ turned @ axes.T  # the prim is scaled, too
+        wanted[:3, 3] = axes @ place / metres
+        cache.SetTime(frame)
+        above = np.array(cache.GetLocalToWorldTransform(world.GetPrim())).T
+        move.Set(Gf.Matrix4d((np.linalg.inv(above) @ wanted).T.tolist()), frame)
+    stage.GetRootLayer().Save()
+    return path
+
+
+@pytest.mark.parametrize(("up", "metres"), [("Z", 1.0), ("Y", 0.01), ("Y", 1.0), ("Z", 0.3048)])
+@pytest.mark.parametrize("parent", [False, True])
+def test_poses_are_read_in_the_world_in_metres_z_up(tmp_path: Path, up: str, metres: float, parent: bool) -> None:
+    blocking = read_blocking(stage_with(tmp_path / "in.usda", up, metres, parent=parent), "/World/heli", FPS)
+    for frame, (place, heading) in KEYS.items():
+        k = blocking.index(frame)
+        assert blocking.positions[k] == pytest.approx(place, abs=1e-6)
+        assert (np.degrees(blocking.headings[k]) - heading + 180) % 360 - 180 == pytest.approx(0.0, abs=1e-6)
+        assert np.allclose(blocking.rotations[k] @ blocking.rotations[k].T, np.eye(3), atol=1e-9)
+
+
+def test_the_nose_may_be_any_axis_of_the_prim(tmp_path: Path) -> None:
+    path = stage_with(tmp_path / "in.usda", "Y", 0.01)
+    headings = {}
+    for forward in ("X", "-X", "Z", "-Z"):
+        headings[forward] = np.degrees(read_blocking(path, "/World/heli", FPS, forward).headings[0]) % 360
+    assert headings == pytest.approx({"X": 0.0, "-X": 180.0, "Z": 270.0, "-Z": 90.0})
+    with pytest.raises(InputError, match="up axis"):
+        read_blocking(path, "/World/heli", FPS, "Y")
+
+
+def test_keys_of_the_same_pose_are_a_hold(tmp_path: Path) -> None:
+    keys = {1001: KEYS[1001], 1040: KEYS[1050], 1060: KEYS[1050], 1100: KEYS[1100]}
+    assert read_blocking(stage_with(tmp_path / "in.usda", keys=keys), "/World/heli", FPS).keys == (
+        (1001, 0), (1040, 20), (1100, 0)
+    )  # fmt: skip
+
+
+def baked(places: np.ndarray) -> dict[int, Any]:
+    return {1001 + k: (tuple(place), 0.0) for k, place in enumerate(places)}
+
+
+def test_keys_and_holds_are_found_in_baked_motion(tmp_path: Path) -> None:
+    """Straight, held for a second, then round a corner: the corner and both ends of the hold are keys."""
+    t = np.arange(100)
+    x = np.interp(t, [0, 30, 54, 75, 99], [0, 15, 15, 30, 30])
+    y = np.interp(t, [0, 30, 54, 75, 99], [0, 0, 0, 0, 18])
+    path = stage_with(tmp_path / "in.usda", keys=baked(np.stack([x, y, 0 * x + 8], axis=1)))
+    assert read_blocking(path, "/World/heli", FPS).keys == ((1001, 0), (1031, 24), (1076, 0), (1100, 0))
+
+
+def test_stepped_blocking_is_poses_to_reach_and_not_to_stay_in(tmp_path: Path) -> None:
+    x = np.repeat([0.0, 10.0, 25.0], [40, 40, 20])
+    path = stage_with(tmp_path / "in.usda", keys=baked(np.stack([x, 0 * x, 0 * x + 8], axis=1)))
+    assert read_blocking(path, "/World/heli", FPS).keys == ((1001, 0), (1041, 0), (1081, 0))
+
+
+def over(folder: Path, up: str, metres: float, layer: Path) -> None:
+    """The animator's stage below our layer: both.usda."""
+    times = "timeCodesPerSecond = 24\n framesPerSecond = 24\n startTimeCode = 1001\n endTimeCode = 1100"
+    (folder / "both.usda").write_text(
+        f'#usda 1.0\n(\n defaultPrim = "World"\n metersPerUnit = {metres}\n upAxis = "{up}"\n {times}\n'
+        f" subLayers = [@{layer}@, @./in.usda@]\n)\n"
+    )
+
+
+@pytest.mark.parametrize(("up", "metres"), [("Z", 1.0), ("Y", 0.01)])
+@pytest.mark.parametrize("parent", [False, True])
+def test_motion_written_over_the_prim_shows_there(tmp_path: Path, up: str, metres: float, parent: bool) -> None:
+    from pxr import Usd, UsdGeom
+
+    blocking = read_blocking(stage_with(tmp_path / "in.usda", up, metres, parent=parent), "/World/heli", FPS)
+    frames = np.arange(1001.0, 1101.0)
+    t = (frames - 1001) / 24
+    positions = np.stack([8 * np.sin(t), 3 * t, 10 + np.cos(t)], axis=1)
+    rotations = Rotation.from_euler("ZYX", np.stack([t, 0.2 * np.sin(t), 0.3 * np.cos(t)], axis=1)).as_matrix()
+    layer = write_over(blocking, frames, positions, rotations, tmp_path / "over.usdc")
+    over(tmp_path, up, metres, layer)
+    both = read_blocking(tmp_path / "both.usda", "/World/heli", FPS)
+    assert np.allclose(both.positions, positions, atol=1e-6)
+    assert np.allclose(both.rotations, rotations, atol=1e-6)
+    stage = Usd.Stage.Open(str(tmp_path / "both.usda"))
+    local = np.array(UsdGeom.XformCache(1050).GetLocalToWorldTransform(stage.GetPrimAtPath("/World/heli")))[:3, :3]
+    assert np.linalg.norm(local, axis=1) == pytest.approx(2.0)  # scaled as it was
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"prim": "/World/hel"}, "choose one of /World/heli"),
+        ({"prim": "heli"}, "give one such as /World/heli"),
+        ({"usd": "none.usda"}, "no such file"),
+        ({"frames": [1001, 2000]}, "the blocking goes from 1001 to 1100"),
+        ({"prim": "/World/heli/box", "forward": "Z"}, "up axis"),
+        ({"use": ["place"]}, "position"),
+    ],
+)
+def test_what_cannot_be_read_is_named(tmp_path: Path, change: dict[str, Any], says: str) -> None:
+    stage_with(tmp_path / "in.usda")
+    with pytest.raises(ShotError, match=says):
+        Shot.from_dict(shot_with(change), tmp_path).solve()
+
+
+def test_another_frame_rate_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="24 a second, the shot at 30"):
+        read_blocking(stage_with(tmp_path / "in.usda"), "/World/heli", Fraction(30))
+
+
+def shot_with(change: dict[str, Any]) -> dict[str, Any]:
+    marks = {"usd": "in.usda", "prim": "/World/heli", **change}
+    motion = {"method": "plan", "segments": 16, "marks": marks}
+    return {
+        "shot": {"schema": 1, "name": "blocked"},
+        "vehicle": [{"name": "heli", "asset": "helicopter", "motion": motion}],
+    }
+
+
+def test_a_shot_hits_what_was_blocked_and_says_where_it_left_it(tmp_path: Path) -> None:
+    stage_with(tmp_path / "in.usda", "Y", 0.01)
+    take = Shot.from_dict(shot_with({"tolerance": 0.2}), tmp_path).solve()
+    clip = take.clips["heli"].resample()
+    for frame, (place, heading) in KEYS.items():
+        k = frame - 1001
+        assert np.abs(clip.positions[k] - place).max() <= 0.2 + 1e-6
+        nose = clip.matrices()[k, :3, 0]
+        assert np.degrees(np.arctan2(nose[1], nose[0])) == pytest.approx(heading, abs=1e-3)
+    said = take.report["vehicles"]["heli"]["blocking"]
+    assert said["keys"] == [1001, 1050, 1100]
+    own = read_blocking(tmp_path / "in.usda", "/World/heli", FPS)
+    off = np.linalg.norm(clip.positions - own.positions, axis=1)
+    assert said["largest"] == pytest.approx(off.max()) and said["largest_frame"] == 1001 + off.argmax()
+    folder = take.export(tmp_path / "out")
+    over(tmp_path, "Y", 0.01, folder / "layers" / "heli.blocking.usdc")
+    shown = read_blocking(tmp_path / "both.usda", "/World/heli", FPS)
+    assert np.allclose(shown.positions, clip.positions, atol=1e-5)

@@ -1,0 +1,89 @@
+"""Motion through the handles: what still moves where its marks end goes on as physics has it, and came from there too.
+
+Beyond its ends a vehicle keeps the controls it has there. Afterwards it is simulated; before, the same discrete
+mechanics run backwards, which they can: a variational step taken with ``-h`` undoes the step with ``h``.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vehsim.errors import VehsimError
+from vehsim.shot.holding import rests
+
+if TYPE_CHECKING:
+    from vehsim.clip import Clip
+    from vehsim.world import World
+
+
+def carry_on(name: str, clip: Clip, first: int, last: int, handles: int, world: World) -> Clip:
+    """The clip on frames ``first`` to ``last``, where it moves at its ends and lacks no more than ``handles`` frames.
+
+    Where it rests, or lacks more, it stays as it is; warns when the motion cannot be carried on.
+    """
+    try:
+        if 0 < last - clip.end_frame <= handles and not rests(clip, -1):
+            clip = _after(clip, last, world)
+        if 0 < clip.start_frame - first <= handles and not rests(clip, 0):
+            clip = _before(clip, first, world)
+    except VehsimError as error:
+        warnings.warn(f"{name}: its motion cannot be carried on through the handles: {error}", stacklevel=3)
+    return clip
+
+
+def _after(clip: Clip, last: int, world: World) -> Clip:
+    from vehsim.simulation import simulate
+
+    seconds = float((last - clip.start_frame) / clip.fps) - clip.times[-1]
+    onward = simulate(clip.vehicle, world, clip.controls[-1], clip.state(-1), seconds, fps=clip.fps)
+    return _joined(clip, replace(onward, times=onward.times + clip.times[-1]))
+
+
+def _before(clip: Clip, first: int, world: World) -> Clip:
+    from vehsim.integrators.integrator import Integrator
+    from vehsim.integrators.record import build_clip
+    from vehsim.world.slope import on_terrain
+
+    frames = clip.start_frame - first
+    per_frame = int(np.ceil(240 / float(clip.fps)))
+    h = 1 / float(clip.fps) / per_frame
+    reach = float(np.linalg.norm(clip.twists[0])) * frames / float(clip.fps) + 10.0
+    integrator = Integrator(on_terrain(clip.vehicle, world, (clip.positions[:1], reach)), h, wind=world.wind)
+    controls, state = clip.controls[0], clip.state(0)
+    phases = [integrator.start(state, controls)]
+    anchor = integrator.anchor(state, phases[0])
+    for k in range(frames * per_frame):
+        phases.append(integrator._substep(phases[-1], controls, controls, -h, -k))
+    phases.reverse()
+    g, r, pi = (np.array([getattr(phase, part) for phase in phases]) for part in ("g", "r", "pi"))
+    times = h * np.arange(len(phases))
+    held = np.broadcast_to(controls, (len(phases), len(controls)))
+    earlier = build_clip(
+        integrator.mechanics, times, g, r, pi, held, anchor, world.wind, fps=clip.fps, start_frame=first
+    )
+    later = replace(clip, times=clip.times + frames / float(clip.fps))
+    return _joined(earlier, later)
+
+
+def _joined(earlier: Clip, later: Clip) -> Clip:
+    """Two clips of one vehicle, the first sample of the later being the last of the earlier; channels run on."""
+    names = ("positions", "orientations", "twists", "joints", "joint_rates", "controls")
+    sign = np.sign(earlier.orientations[-1] @ later.orientations[0]) or 1.0
+    later = replace(later, orientations=later.orientations * sign)
+    channels = {}
+    for name, values in earlier.channels.items():
+        on = later.channels.get(name, np.zeros(len(later)))
+        integrated = (channel := earlier.vehicle.channels.get(name)) is not None and channel.rate is not None
+        channels[name] = np.concatenate([values[:-1], on + (values[-1] - on[0]) * integrated])
+    return replace(
+        earlier,
+        times=np.concatenate([earlier.times[:-1], later.times]),
+        channels=channels,
+        events=[*earlier.events, *later.events],
+        energy={n: np.concatenate([v[:-1], later.energy[n]]) for n, v in earlier.energy.items() if n in later.energy},
+        **{name: np.concatenate([getattr(earlier, name)[:-1], getattr(later, name)]) for name in names},
+    )
