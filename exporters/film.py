@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from vehsim.errors import ExportError
+from vehsim.exporters.split import NAME as SPLIT
 from vehsim.take import Exporter, Progress, Take
 
 QUALITY = "17"
@@ -19,16 +20,15 @@ def write_films(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
     """Write ``<shot>.<camera>.mp4`` from the frames already in ``folder``; returns the files written."""
     written = []
     wanted = take.render.cameras
-    for camera in [camera for camera in take.cameras if wanted is None or camera.name in wanted]:
+    shown = [camera.name for camera in take.cameras if wanted is None or camera.name in wanted]
+    for name in [*shown, SPLIT] if take.render.layout == "side-by-side" else shown:
         pictures = sorted(
-            (folder / "frames" / camera.name).glob(f"{take.name}.{camera.name}.*.png"),
+            (folder / "frames" / name).glob(f"{take.name}.{name}.*.png"),
             key=lambda path: int(path.stem.rsplit(".", 1)[1]),
         )
         if not pictures:
-            raise ExportError(
-                f"{take.name}: camera {camera.name!r} has no frames to make a film of; export png as well"
-            )
-        path = folder / f"{take.name}.{camera.name}.mp4"
+            raise ExportError(f"{take.name}: camera {name!r} has no frames to make a film of; export png as well")
+        path = folder / f"{take.name}.{name}.mp4"
         written.append(write_film(pictures, path, take.fps / take.render.every, progress))
     return written
 

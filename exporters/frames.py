@@ -20,6 +20,7 @@ from vehsim.delivery import owner
 from vehsim.errors import ExportError, InputError
 from vehsim.exporters.contact import write_contact_sheet
 from vehsim.exporters.render import StageRenderer
+from vehsim.exporters.split import write_split
 from vehsim.exporters.stage import StageReader
 from vehsim.take import Exporter, Progress, Take
 
@@ -31,16 +32,19 @@ def write_frames(take: Take, folder: Path, progress: Progress) -> Sequence[Path]
     """Write ``frames/<camera>/<shot>.<camera>.<frame>.png`` and ``contact.png``; returns every file written."""
     settings = take.render
     frames = range(take.frames[0], take.frames[1] + 1, settings.every)
+    shown = [camera.name for camera in take.cameras if settings.cameras is None or camera.name in settings.cameras]
     written = render_stage(
         folder / f"{take.name}.usda",
         folder / "frames",
         camera=settings.cameras,
         frames=frames,
-        size=settings.size,
+        size=settings.panel(len(shown)),
         progress=progress,
         shadows=settings.shadows,
         samples=settings.samples,
     )
+    if settings.layout == "side-by-side":
+        written += write_split(take, folder, shown, frames)
     if written:
         written.append(write_contact_sheet(written, folder / "contact.png"))
     return written

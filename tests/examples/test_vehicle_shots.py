@@ -46,3 +46,25 @@ def test_car_steers_through_the_gates_and_stops_at_the_end():
     gates = [obstacle.centre for obstacle in Shot.load(EXAMPLES / "car_winding.toml").file.world.obstacle]
     apart = np.linalg.norm(clip.positions[:, None, :2] - np.array(gates), axis=2).min(0)
     assert apart.min() > 1.2 and apart.max() < 3.0
+
+
+def test_at_the_same_large_step_rk4_loses_what_ours_keeps():
+    clips = solved("tumbling_body").clips
+    inertia = np.diag(clips["ours"].vehicle.inertia)[:3]
+    assert clips["rk4"].times[1] == clips["ours"].times[1] == 1 / 6
+    energy = {name: clip.energy["kinetic"] / clip.energy["kinetic"][0] for name, clip in clips.items()}
+    momentum = {name: spatial_momentum(clip, inertia) for name, clip in clips.items()}
+    size = np.linalg.norm(momentum["ours"][0])
+    assert energy["ours"].min() > 0.95 and energy["ours"].max() < 1.06
+    assert np.abs(momentum["ours"] - momentum["ours"][0]).max() < 1e-9 * size
+    assert energy["rk4"][-1] < 0.55 and np.all(np.diff(energy["rk4"]) < 0)
+    assert np.linalg.norm(momentum["rk4"][-1]) < 0.85 * size
+    # it stops turning over: its axis of rotation comes to rest in the body, ours goes on through it
+    wander = {name: np.ptp((inertia * clip.twists[-18:, :3])[:, 0]) / size for name, clip in clips.items()}
+    assert wander["rk4"] < 0.5 * wander["ours"]
+
+
+def spatial_momentum(clip, inertia) -> np.ndarray:
+    w, v = clip.orientations[:, :1], clip.orientations[:, 1:]
+    body = inertia * clip.twists[:, :3]
+    return body + 2 * np.cross(v, np.cross(v, body) + w * body)

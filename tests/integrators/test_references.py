@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import vehsim
-from vehsim.errors import InputError
+from vehsim.errors import InputError, SolveError
 from vehsim.integrators import Integrator
-from vehsim.integrators.references import METHODS, reference_rollout
+from vehsim.integrators.references import METHODS, reference_clip, reference_rollout
 from vehsim.lie import SE3
 from vehsim.vehicles import Holonomic, State
 
@@ -43,3 +43,20 @@ def test_observed_order(name, method):
 def test_an_unknown_method_is_named():
     with pytest.raises(InputError, match="method = 'euler': unknown; choose one of rk2"):
         reference_rollout(BODY, "euler", np.zeros(13), np.zeros((2, 0)), 0.1)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_clip_of_a_reference_shows_its_states(name):
+    vehicle, start, law = CASES[name]
+    controls = law(np.linspace(0, 1, 129))
+    clip = reference_clip(vehicle, "rk4", start, controls, 1 / 128)
+    exact = Integrator(vehicle, 1 / 128, "exp", 6).rollout(start, controls)
+    assert np.allclose(clip.positions, exact.positions, atol=1e-6)
+    assert np.allclose(clip.twists, exact.twists, atol=1e-6)
+    assert np.allclose(clip.energy["kinetic"], exact.energy["kinetic"], rtol=1e-6)
+
+
+def test_blown_up_reference_says_when():
+    fast = State(twist=(400.0, 100.0, 300.0, 0.0, 0.0, 0.0))
+    with pytest.raises(SolveError, match=r"body: rk2 blows up after [\d.]+ s at a step of 0.5 s; shorten it"):
+        reference_clip(BODY, "rk2", fast, np.zeros((200, 0)), 0.5)

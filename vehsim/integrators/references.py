@@ -3,22 +3,26 @@
 Explicit Runge-Kutta methods work on group coordinates and free velocities of any vehicle, with the coordinates
 normalised after every internal and external step, as LIE did with quaternions. Implicit RK2 (the midpoint rule) updates
 the velocities, then the pose explicitly; Lie-Newmark is Krysl and Endres' explicit scheme on the vehicle's group. None
-of them belongs in a shot.
+of them belongs in a shot, but beside ours to be compared.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 
-from vehsim.errors import InputError
+from vehsim.errors import InputError, SolveError
 from vehsim.integrators.continuous import equations_of_motion
 from vehsim.vehicles import Vehicle
 from vehsim.vehicles._base import Array
+
+if TYPE_CHECKING:
+    from vehsim.clip import Clip
+    from vehsim.vehicles import State
 
 Flow = Callable[[Any, Any, float], Any]
 Step = Callable[["Problem"], Any]
@@ -141,3 +145,33 @@ def reference_rollout(
     winds = np.tile(np.asarray(wind, float)[:, None], n)
     states = loop(x, np.full((1, n), step), controls[:-1].T, controls[1:].T, winds)
     return np.vstack([x, np.asarray(states, float).T])
+
+
+def reference_clip(
+    vehicle: Vehicle, method: str, state: State, controls: Array, step: float, *, fps: Any = 24, start_frame: int = 1001
+) -> Clip:
+    """The clip a method makes of a start under knot controls (n + 1, c), as `Integrator.rollout` makes ours.
+
+    Raises ``SolveError`` saying when the method blows up.
+    """
+    from vehsim.integrators.integrator import Integrator
+    from vehsim.vehicles.mechanics import coefficients, driven_rates, free_velocity
+    from vehsim.vehicles.states import internal
+
+    integrator = Integrator(vehicle, step)
+    m, (g, r, u, xi) = integrator.mechanics, internal(vehicle, state)
+    start = np.concatenate([g, r, np.array(ca.evalf(coefficients(vehicle, *map(ca.SX, (r, u, xi))))).ravel()])
+    x = reference_rollout(vehicle, method, start, controls, step)
+    lost = ~np.isfinite(x).all(axis=1)
+    if lost.any():
+        raise SolveError(
+            f"{vehicle.name}: {method} blows up after {lost.argmax() * step:g} s at a step of {step:g} s; shorten it"
+        )
+    sizes = (len(r), len(start) - len(g) - len(r), controls.shape[1])
+    rest, free, c = given = [ca.SX.sym(name, size) for name, size in zip("rzc", sizes, strict=True)]
+    momentum = m.knot_momentum(rest, *free_velocity(vehicle, rest, free, driven_rates(vehicle, c)))
+    joints, speeds = np.split(x[:, len(g) :], [len(r)], axis=1)
+    pi = ca.Function("pi", given, [momentum]).map(len(x))(joints.T, speeds.T, controls.T)
+    phases = np.ascontiguousarray(np.hstack([x[:, : len(g)], joints, np.asarray(pi).T, speeds]))
+    anchor = integrator.anchor(state, integrator.start(state, controls[0]))
+    return integrator._clips(phases[None], controls[None], anchor[None], fps, start_frame)[0]

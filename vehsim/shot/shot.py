@@ -18,6 +18,7 @@ from vehsim.shot import obstacles
 from vehsim.shot.blocked import blocking_of
 from vehsim.shot.checks import Setting, check_cuts, check_names, check_rig, check_variants, choose
 from vehsim.shot.file import ShotFile, VehicleTable, parse
+from vehsim.shot.handles import carry_on
 from vehsim.shot.holding import hold, rests
 from vehsim.shot.model import MAX_FRAMES
 from vehsim.shot.reading import apply_overrides, line_of, lines_of, read_toml
@@ -134,6 +135,8 @@ class Shot:
         clips, vehicles = self._solve_vehicles(progress or (lambda what, done: None))
         marks = {name: report.pop("marks", []) for name, report in vehicles.items()}
         frames = self._frames(clips)
+        handles = self.file.shot.handles
+        clips = {name: carry_on(name, clip, *frames, handles, self.world) for name, clip in clips.items()}
         clips = {name: lift(clip, self.world) for name, clip in clips.items()}
         self._warn_off_ground(clips)
         clips = {name: hold(clip, *frames) for name, clip in clips.items()}
@@ -293,8 +296,8 @@ class Shot:
         last = self.file.shot.last
         last = max(clip.end_frame for clip in clips.values()) if last is None else last
         for name, clip in clips.items():
-            for index, short in ((0, clip.start_frame > first), (-1, clip.end_frame < last)):
-                if short and not rests(clip, index):
+            for index, short in ((0, clip.start_frame - first), (-1, last - clip.end_frame)):
+                if short > self.file.shot.handles and not rests(clip, index):
                     warnings.warn(
                         f"{name}: its motion covers frames {clip.start_frame} to {clip.end_frame} of {first} to {last} "
                         "and is cut off while it moves: it stands still in the others; move its marks or its duration",

@@ -1,0 +1,93 @@
+"""Pictures side by side: each camera's own, whole, with its caption; and the film of them."""
+
+from __future__ import annotations
+
+import av
+import numpy as np
+import pytest
+from PIL import Image
+
+from vehsim import Shot
+from vehsim.exporters.split import NAME, caption
+
+SHOT = """
+[shot]
+schema = 1
+name = "pair"
+[[vehicle]]
+name = "slow"
+asset = "tumbler"
+[vehicle.motion]
+method = "integrate"
+integrator = "rk4"
+duration = 0.5
+step = 0.25
+start = { spin = [600, 60, 400] }
+[[camera]]
+name = "a"
+rig = "static"
+position = [-1, 0, 0]
+[[camera]]
+name = "b"
+rig = "static"
+position = [0, -1, 0]
+[render]
+size = [324, 120]
+every = 6
+samples = 0
+layout = "side-by-side"
+[render.captions]
+a = "RK4: {slow} {unknown}"
+"""
+
+
+@pytest.fixture(scope="module")
+def delivery(tmp_path_factory):
+    place = tmp_path_factory.mktemp("split")
+    (place / "pair.toml").write_text(SHOT)
+    take = Shot.load(place / "pair.toml").solve()
+    return take, take.export(place / "out", to=("png", "mp4"))
+
+
+def test_each_panel_is_its_cameras_picture_above_the_caption(delivery):
+    _, folder = delivery
+    for frame in (1001, 1007, 1013):
+        wide = np.asarray(Image.open(folder / "frames" / NAME / f"pair.{NAME}.{frame}.png"))
+        assert wide.shape == (120, 324, 3)
+        for k, camera in enumerate("ab"):
+            alone = np.asarray(Image.open(folder / "frames" / camera / f"pair.{camera}.{frame}.png"))
+            assert alone.shape == (120, 160, 3)
+            panel = wide[:, 164 * k : 164 * k + 160]
+            assert np.array_equal(panel[:98], alone[:98])
+            assert np.array_equal(panel, alone) == (camera == "b")  # which has no caption
+        assert not wide[:, 160:164].any()
+
+
+def test_caption_says_the_energy_left(delivery):
+    take, _ = delivery
+    energy = take.clips["slow"].energy["kinetic"]
+    assert caption(take, "a", 1001) == "RK4: 100% {unknown}"
+    assert caption(take, "a", 1013) == f"RK4: {energy[-1] / energy[0]:.0%} {{unknown}}"
+    assert energy[-1] < 0.97 * energy[0]
+    assert caption(take, "b", 1001) == ""
+
+
+def test_film_of_the_pictures_side_by_side(delivery):
+    _, folder = delivery
+    with av.open(str(folder / f"pair.{NAME}.mp4")) as film:
+        assert [(frame.width, frame.height) for frame in film.decode(video=0)] == [(324, 120)] * 3
+    assert {path.name for path in folder.glob("*.mp4")} == {"pair.a.mp4", "pair.b.mp4", f"pair.{NAME}.mp4"}
+
+
+@pytest.mark.parametrize(
+    ("change", "key", "mend"),
+    [
+        ('a = "RK4: {slow} {unknown}"', "render.captions.c", "choose one of a, b"),
+        ('integrator = "rk4"', "vehicle[0].motion.integrator", "did you mean 'rk4'?"),
+    ],
+)
+def test_wrong_names_are_told(tmp_path, change, key, mend):
+    text = SHOT.replace(change, {"a": 'c = "no such camera"', "i": 'integrator = "rk5"'}[change[0]])
+    (tmp_path / "pair.toml").write_text(text)
+    (problem,) = (p for p in Shot.load(tmp_path / "pair.toml").check() if p.severity == "error")
+    assert (problem.key, problem.mend) == (key, mend)
