@@ -288,7 +288,12 @@ def _on_water(vehicle: Vehicle, world: World | None, start: State | None) -> tup
 def _played(table: Array, duration: float) -> Callable[[float, State], Array]:
     """Evenly spaced knot values (n, c), linear between, as a function of time."""
     at = np.linspace(0, duration, len(table))
-    return lambda t, state: np.array([np.interp(t, at, column) for column in table.T])
+
+    def play(t: float, state: State) -> Array:
+        return np.array([np.interp(t, at, column) for column in table.T])
+
+    play.blind = True  # type: ignore[attr-defined]
+    return play
 
 
 def _reach(start: State, duration: float) -> Array:

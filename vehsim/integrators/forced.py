@@ -16,7 +16,8 @@ import casadi as ca
 import numpy as np
 
 from vehsim.errors import InputError, SolveError
-from vehsim.integrators.record import build_clip, flat, keep
+from vehsim.integrators.buffered import Buffered
+from vehsim.integrators.record import build_clip, keep
 from vehsim.vehicles import State
 from vehsim.vehicles._base import Array
 from vehsim.vehicles.mechanics import acceleration, project
@@ -56,6 +57,7 @@ class Forced:
         if integrator.order != 2:
             raise InputError(f"order = {integrator.order!r}: what pushes from outside is second order; take order 2")
         self.integrator, self.environment, self.time, self.steps = integrator, environment, time, 0
+        self._calls: dict[str, tuple[DiscreteMechanics, Buffered]] = {}
         self.controls = control_vector(integrator.vehicle, controls)
         self.phase: Phase = integrator.start(start, self.controls)
         self.anchor = integrator.anchor(start, self.phase)
@@ -90,28 +92,41 @@ class Forced:
         self.phase = integrator.advance(kicked, self.controls, np.asarray(controls, float), self.steps)
         self.controls = np.asarray(controls, float)
         self.time, self.steps = self.time + h, self.steps + 1
-        self.state = integrator.state(self._kicked(self.phase), self.controls, self.anchor)
+        self.state = self._public(self._kicked(self.phase), self.controls)
         return self.state
 
     def predict(self, controls: Array) -> State:
         """The public state that a step to ``controls`` (c,) would reach, without making it."""
         integrator = self.integrator
         after = integrator.advance(self._kicked(self.phase), self.controls, np.asarray(controls, float), self.steps)
-        return integrator.state(self._kicked(after), np.asarray(controls, float), self.anchor)
+        return self._public(self._kicked(after), np.asarray(controls, float))
 
     def push(self, wrench: Array, added: Array | None = None) -> None:
         """The impulse at the end of the step, of a wrench (d,) and an added mass (d, d)."""
         self._set_wrench(wrench, added)
         self.phase = self._kicked(self.phase)
-        self.state = self.integrator.state(self.phase, self.controls, self.anchor)
+        self.state = self._public(self.phase, self.controls)
 
     def start_with(self, wrench: Array, added: Array | None = None) -> None:
         """Begin with this wrench (d,) instead of the environment's own."""
         self._set_wrench(wrench, added)
 
     def _kicked(self, phase: Phase) -> Phase:
-        covector = flat(_on_momentum(self.integrator.mechanics)(phase.g, phase.r, self.wrench))
+        (covector,) = self._call("wrench", _on_momentum)(phase.g, phase.r, self.wrench)
         return replace(phase, pi=phase.pi + self.integrator.step_size / 2 * covector)
+
+    def _public(self, phase: Phase, controls: Array) -> State:
+        """`Integrator.state`, quickly."""
+        pose, twist, r, u = self._call("state", lambda m: m.root_state)(phase.g, phase.r, phase.pi, controls)
+        return State(position=pose[0:3] + self.anchor, orientation=pose[3:7], twist=twist, joints=r, joint_rates=u)
+
+    def _call(self, name: str, build: Callable[[DiscreteMechanics], ca.Function]) -> Buffered:
+        """A function of the integrator's present mechanics, which may change with its chart."""
+        mechanics = self.integrator.mechanics
+        kept = self._calls.get(name)
+        if kept is None or kept[0] is not mechanics:
+            kept = self._calls[name] = (mechanics, Buffered(build(mechanics)))
+        return kept[1]
 
     def _set_wrench(self, wrench: Array, added: Array | None) -> None:
         """``wrench``, less what it takes to accelerate the added mass under everything that acts."""
@@ -126,7 +141,8 @@ class Forced:
             inertia = np.asarray(vehicle.inertia)  # type: ignore[attr-defined]
             wind = self.integrator.wind
             guess = self._kicked(self.phase)
-            alone = flat(_free_acceleration(self.integrator.mechanics)(guess.g, guess.r, guess.pi, self.controls, wind))
+            law = self._call("free", _free_acceleration)
+            (alone,) = law(guess.g, guess.r, guess.pi, self.controls, wind)
             wrench = wrench - added @ np.linalg.solve(inertia + added, inertia @ alone + wrench)
         self.wrench = wrench
 
@@ -158,7 +174,8 @@ class Course:
     def aim(self, k: int) -> None:
         """Ask for the controls at the end of step ``k``."""
         body = self.body
-        state = body.predict(self._guess) if self._cuts == 1 else body.state
+        blind = getattr(self._ask, "blind", False)  # what asks for no state needs no prediction
+        state = body.state if blind or self._cuts > 1 else body.predict(self._guess)
         self._after = self._controls(body.integrator.vehicle, k + 1, state)
 
     def between(self, share: float) -> Array:

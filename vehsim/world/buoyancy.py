@@ -187,9 +187,9 @@ class Afloat(Environment):
             through = np.concatenate([omega, velocity - flow @ R_wb])
             momentum = added * through
             # Kirchhoff's equations with the motion relative to the water; the water's own acceleration drags along
-            forces.wrench[:3] += np.cross(momentum[:3], omega) + np.cross(momentum[3:], through[3:])
-            forces.wrench[3:] += np.cross(momentum[3:], omega)
-            forces.wrench[3:] += added[3:] * (change @ R_wb - np.cross(omega, flow @ R_wb))
+            forces.wrench[:3] += _cross(momentum[:3], omega) + _cross(momentum[3:], through[3:])
+            forces.wrench[3:] += _cross(momentum[3:], omega)
+            forces.wrench[3:] += added[3:] * (change @ R_wb - _cross(omega, flow @ R_wb))
             if forces.immersion < 1 and entering > 0:  # water set in motion (von Karman); what leaves takes its own
                 forces.wrench -= entering / self.rest_volume * np.asarray(hull.added_mass, float) * through
         if self._propulsion is not None:
@@ -198,10 +198,10 @@ class Afloat(Environment):
             depth = (height - places[:, 2]) / hull.propulsor_size + 0.5
             flow = flows.mean(axis=0) if len(places) else still
             through = np.concatenate([omega, velocity - flow @ R_wb])
-            forces.wrench += np.ravel(np.asarray(self._propulsion(controls, through, np.clip(depth, 0, 1))))
+            forces.wrench += self._propulsion(controls, through, np.clip(depth, 0, 1))[0]
         if self._windage is not None:
             air = self.world.wind_at(t) @ R_wb
-            forces.wrench += np.ravel(np.asarray(self._windage(np.concatenate([omega, velocity - air]))))
+            forces.wrench += self._windage(np.concatenate([omega, velocity - air]))[0]
 
     def _flow(self, position: Array, t: float) -> tuple[Array, Array]:
         """The water's velocity and acceleration (3,) below the body frame's origin, world axes."""
@@ -220,10 +220,12 @@ class Afloat(Environment):
             return None
         import casadi as ca
 
+        from vehsim.integrators.buffered import Buffered
+
         sizes = (len(self.vehicle.controls), 6, len(self.data.propulsor_points))
         c, flow, immersion = (ca.SX.sym(name, n) for name, n in zip(("c", "flow", "immersion"), sizes, strict=True))
         law = ca.densify(self.data.propulsion(c, flow, immersion))
-        return ca.Function("propulsion", [c, flow, immersion], [law])
+        return Buffered(ca.Function("propulsion", [c, flow, immersion], [law]))
 
     @cached_property
     def _windage(self) -> Any:
@@ -231,8 +233,10 @@ class Afloat(Environment):
             return None
         import casadi as ca
 
+        from vehsim.integrators.buffered import Buffered
+
         air = ca.SX.sym("air", 6)
-        return ca.Function("windage", [air], [ca.densify(self.data.windage(air))])
+        return Buffered(ca.Function("windage", [air], [ca.densify(self.data.windage(air))]))
 
 
 @dataclass
@@ -256,7 +260,7 @@ def _body(state: State, origin: Array) -> tuple[Array, Array, Array, Array]:
     )
     twist = np.zeros(6) if state.twist is None else np.asarray(state.twist, float)
     omega = twist[:3]
-    return R_wb, np.asarray(state.position, float) + R_wb @ origin, omega, twist[3:] + np.cross(omega, origin)
+    return R_wb, np.asarray(state.position, float) + R_wb @ origin, omega, twist[3:] + _cross(omega, origin)
 
 
 def _cross(a: Array, b: Array) -> Array:
