@@ -276,14 +276,14 @@ class Integrator:
         """Phases (n, .) packed at every knot of ``controls`` (n, c), the loop kept out of Python."""
         m, controls = self.mechanics, np.ascontiguousarray(controls)
         x, residual = np.empty((len(controls), len(start))), np.zeros((len(controls) - 1, 1))
-        x[0], ways = start, list(_WAYS)
+        x[0] = start
         for first in range(0, len(residual), _CHUNK):
             steps = slice(first, first + _CHUNK)
             block, knots, left = x[first : first + _CHUNK + 1], controls[first : first + _CHUNK + 1], residual[steps]
-            self.steps(ways[0])(block, knots, left)
-            while len(ways) > 1 and not np.all(left <= FAST_TOLERANCE):
-                ways.pop(0)  # steps too long for this solve: the next from here on
-                self.steps(ways[0])(block, knots, left)
+            for solve in _WAYS:
+                self.steps(solve)(block, knots, left)
+                if np.all(left <= FAST_TOLERANCE):
+                    break
             if not np.all(left <= TOLERANCE):  # one by one: retries, or an error that names the step
                 block[1:] = [packed(after) for after in self._loop(unpacked(m, block[0]), knots, first)]
             elif self.guarded:

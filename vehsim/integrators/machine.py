@@ -67,7 +67,7 @@ def loop(function: ca.Function) -> Any:
 
 
 def _built(function: ca.Function) -> tuple[Path, str] | None:
-    """The library of an SX function, and the function's name in it."""
+    """The library of a function, and the function's name in it."""
     command = compiler()
     if command is None:
         _warn_once("no C compiler: set CC, or install one; going on with CasADi's interpreter, which is slower")
@@ -86,7 +86,7 @@ def _built(function: ca.Function) -> tuple[Path, str] | None:
 
 def _source(function: ca.Function, command: str) -> tuple[str, str]:
     """C of a function and of its loop, and a name made of everything the machine code depends on."""
-    symbols = function.sx_in()
+    symbols: Any = function.sx_in() if function.is_a("SXFunction") else function.mx_in()
     renamed = ca.Function(_PLACEHOLDER, symbols, ca.cse(function.call(symbols)))
     with tempfile.TemporaryDirectory() as folder:
         generator = ca.CodeGenerator(f"{_PLACEHOLDER}.c")

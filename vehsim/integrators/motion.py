@@ -204,16 +204,37 @@ def whole_step(mechanics: DiscreteMechanics, order: int, solve: str = "advance_f
     from vehsim.integrators.integrator import COMPOSITIONS
 
     def build() -> ca.Function:
-        y, sizes = mechanics.symbols, mechanics.sizes[:3]
-        x, c0, c1 = ca.SX.sym("x", sum(sizes) + sizes[2]), y["c0"], y["c1"]
-        g, r, pi, z = ca.vertsplit(x, [0, *(int(k) for k in np.cumsum([*sizes, sizes[2]]))])
-        done, worst = 0.0, ca.SX(0)
-        advance = getattr(mechanics, solve)
+        part = _part_of_a_step(mechanics, solve)
+        # composed steps call the same code again, which a processor's cache holds, rather than write it out each time
+        kind: Any = ca.SX if order == 2 else ca.MX
+        x, *given = (kind.sym(part.name_in(i), part.size1_in(i)) for i in range(5))
+        x1, done, worst, last = x, 0.0, kind(0), COMPOSITIONS[order][-1]
         for fraction in COMPOSITIONS[order]:
-            a, b = c0 + done * (c1 - c0), c0 + (done + fraction) * (c1 - c0)
-            g, r, pi, z, residual = advance(g, r, pi, z, a, b, fraction * y["h"], y["wind"])
-            worst, done = ca.if_else(residual <= worst, worst, residual), done + fraction  # NaN wins
-        outputs = [ca.densify(ca.vertcat(g, r, pi, z)), worst]
-        return ca.Function("step", [x, c0, c1, y["h"], y["wind"]], outputs)
+            x1, residual = part(x1, *given, done, fraction, fraction / last)
+            worst = ca.if_else(residual <= worst, worst, residual)  # NaN wins
+            done, last = done + fraction, fraction
+        return ca.Function("step", [x, *given], [x1, worst])
 
     return keep(mechanics, f"step{order}{solve}", build)
+
+
+def _part_of_a_step(mechanics: DiscreteMechanics, solve: str) -> ca.Function:
+    """``(x, c0, c1, h, wind, done, fraction, ratio) -> (x1, residual)``: a fraction of a step, after what is done.
+
+    ``ratio``: how much longer it is than the fraction before, which the warm start wants to know.
+    """
+
+    def build() -> ca.Function:
+        y, sizes = mechanics.symbols, mechanics.sizes[:3]
+        x = ca.SX.sym("x", sum(sizes) + sizes[2])
+        g, r, pi, z = ca.vertsplit(x, [0, *(int(k) for k in np.cumsum([*sizes, sizes[2]]))])
+        c0, c1, h, wind = y["c0"], y["c1"], y["h"], y["wind"]
+        done, fraction, ratio = (ca.SX.sym(name) for name in ("done", "fraction", "ratio"))
+        a, b = c0 + done * (c1 - c0), c0 + (done + fraction) * (c1 - c0)
+        knot = mechanics.knot_velocity_guess(r, pi, a)
+        before = knot + ratio * (z - knot)  # half a segment back, were that segment as long as this one
+        *after, residual = getattr(mechanics, solve)(g, r, pi, before, a, b, fraction * h, wind)
+        outputs = ca.cse([ca.densify(ca.vertcat(*after)), residual])
+        return ca.Function("part", [x, c0, c1, h, wind, done, fraction, ratio], outputs)
+
+    return keep(mechanics, f"part{solve}", build)

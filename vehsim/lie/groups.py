@@ -252,8 +252,9 @@ class _SE3(Group):
     @lifted
     def exp(self, x: Expr) -> Expr:
         squared, cross = self.angle_squared(x), ca.skew(x[0:3])
-        translation = ca.SX.eye(3) + _versine(squared) * cross + sinsc(squared) * cross @ cross  # LIE eq. 14, B_exp
-        return ca.vertcat(SO3.exp(x[0:3]), translation @ x[3:6])
+        turned = cross @ x[3:6]  # LIE eq. 14, B_exp
+        translation = x[3:6] + _versine(squared) * turned + sinsc(squared) * cross @ turned
+        return ca.vertcat(SO3.exp(x[0:3]), translation)
 
     @lifted
     def cay(self, x: Expr) -> Expr:

@@ -57,6 +57,15 @@ def _tln(group: Group, x: Expr) -> Expr:
     return ca.SX.eye(group.dim) - group.ad(x) / 2
 
 
+def _exp_dual(group: Group, x: Expr, covector: Expr) -> Expr:
+    """`_exp_tangent_inverse` transposed, applied without ever making the matrix."""
+    transposed, squared = group.ad(x).T, group.angle_squared(x)
+    once = transposed @ covector
+    twice = transposed @ once
+    fourth = transposed @ (transposed @ twice)
+    return covector - once / 2 + dexpinv2(squared) * twice + dexpinv4(squared) * fourth
+
+
 def _factors(group: Group, x: Expr) -> list[Expr]:
     return [group.exp(x * ca.SX(e)) for e in np.eye(group.dim)]
 
@@ -77,18 +86,23 @@ def _ccsk_tangent_inverse(group: Group, x: Expr) -> Expr:
 
 @dataclass(frozen=True)
 class _Law:
-    """A map as data: ``tau`` and ``C`` of (group, x), and whether its step is symmetric."""
+    """A map as data: ``tau`` and ``C`` of (group, x), whether its step is symmetric, ``C.T`` times a covector.
+
+    ``near``: the map whose simpler ``C`` agrees to second order, for Newton's slopes; its own where None.
+    """
 
     tau: Callable[[Group, Expr], Expr]
     C: Callable[[Group, Expr], Expr]
     symmetric: bool = True
+    dual: Callable[[Group, Expr, Expr], Expr] | None = None
+    near: str | None = None
 
 
 MAPS: dict[str, _Law] = {
-    "exp": _Law(lambda group, x: group.exp(x), _exp_tangent_inverse),
+    "exp": _Law(lambda group, x: group.exp(x), _exp_tangent_inverse, dual=_exp_dual, near="tln"),
     "cay": _Law(lambda group, x: group.cay(x), _cay_tangent_inverse),
     "tln": _Law(lambda group, x: group.cay_ad(x), _tln),
-    "exp_truncated": _Law(lambda group, x: group.exp(x), _exp_truncated),
+    "exp_truncated": _Law(lambda group, x: group.exp(x), _exp_truncated, near="tln"),
     "ccsk": _Law(_ccsk, _ccsk_tangent_inverse, symmetric=False),
 }
 
@@ -105,6 +119,11 @@ class DifferenceMap:
         """Whether a step made with this map is its own inverse backwards: second order, and a base for composition."""
         return MAPS[self.name].symmetric
 
+    @property
+    def near(self) -> DifferenceMap:
+        """The map whose ``C`` is good enough, and cheaper, to differentiate in Newton's method."""
+        return DifferenceMap(MAPS[self.name].near or self.name, self.group)
+
     @lifted
     def tau(self, x: Expr) -> Expr:
         """Group element (size,) of an algebra vector (dim,)."""
@@ -119,6 +138,17 @@ class DifferenceMap:
     def C_end(self, x: Expr) -> Expr:
         """What carries the momentum at a segment's end, (dim, dim): ``C(-x)``, or ``C(x) Ad(tau(x))`` if asymmetric."""
         return self.C(-x) if self.symmetric else self.C(x) @ self.group.Ad(self.tau(x))
+
+    @lifted
+    def dual(self, x: Expr, covector: Expr) -> Expr:
+        """``C(x).T`` times a covector (dim,)."""
+        dual = MAPS[self.name].dual
+        return self.C(x).T @ covector if dual is None else dual(self.group, x, covector)
+
+    @lifted
+    def dual_end(self, x: Expr, covector: Expr) -> Expr:
+        """``C_end(x).T`` times a covector (dim,)."""
+        return self.dual(-x, covector) if self.symmetric else self.C_end(x).T @ covector
 
     @lifted
     def dtau(self, x: Expr) -> Expr:
