@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from vehsim.vehicles._base import Rig
+
+sys.path.insert(0, str(Path(__file__).parent))  # hulls.py, which several tests share
 
 BODY = np.array([[x, y, z] for x in (-3.0, 2.5) for y in (-0.9, 0.9) for z in (0.0, 2.2)])
 ANGLES = 2 * np.pi * np.arange(16) / 16

@@ -1,0 +1,331 @@
+"""Hulls in water against closed forms and an independent clipping of tetrahedra."""
+
+import numpy as np
+import pytest
+from hulls import box, floating, join, sphere
+from scipy.spatial.transform import Rotation
+
+import vehsim
+from vehsim.errors import InputError
+from vehsim.vehicles import State
+from vehsim.world import Water, World
+from vehsim.world.buoyancy import Afloat
+from vehsim.world.hull_mesh import HullMesh, wetted
+from vehsim.world.sea import sea_state
+from vehsim.world.water import GRAVITY, wave
+
+RHO = 1025.0
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def afloat(body, water=None, **world):
+    return Afloat(body, World(water=water or Water(), **world))
+
+
+def at(z=0.0, rotation=None, twist=None, xy=(0.0, 0.0)):
+    quaternion = np.array([1.0, 0, 0, 0]) if rotation is None else rotation.as_quat(scalar_first=True)
+    return State(position=np.array([*xy, z]), orientation=quaternion, twist=twist)
+
+
+def clipped(points, faces, rotation, height):
+    """Volume and centroid (world, about the body's origin) of a hull below z = -height, from signed tetrahedra.
+
+    Nothing is shared with what is tested: volumes are cut, not surfaces integrated.
+    """
+    world = rotation.apply(points)
+    apex = np.array([*world[:, :2].mean(axis=0), -height])  # on the surface: it is never in doubt
+    volume, moment = 0.0, np.zeros(3)
+    for face in faces:
+        a, b, c = world[face]
+        tets = [np.array([apex, a, b, c])]
+        sign = np.linalg.det(np.array([a - apex, b - apex, c - apex]))
+        if sign == 0:
+            continue
+        below = np.array([a, b, c])[:, 2] < -height
+
+        def cross(p, q):
+            s = (-height - p[2]) / (q[2] - p[2])
+            return p + s * (q - p)
+
+        corner = [a, b, c]
+        if below.sum() == 0:
+            continue
+        if below.sum() == 1:
+            k = int(np.flatnonzero(below)[0])
+            p, q, r = corner[k], corner[(k + 1) % 3], corner[(k + 2) % 3]
+            tets = [np.array([apex, p, cross(p, q), cross(p, r)])]
+        elif below.sum() == 2:
+            k = int(np.flatnonzero(~below)[0])
+            p, q, r = corner[k], corner[(k + 1) % 3], corner[(k + 2) % 3]
+            tets = [np.array([apex, cross(p, q), q, r]), np.array([apex, cross(p, q), r, cross(p, r)])]
+        for t in tets:
+            v = np.linalg.det(t[1:] - t[0]) / 6
+            volume += v
+            moment += v * t.mean(axis=0)
+    return volume, moment / volume
+
+
+def hull_of(name):
+    if name == "boat":
+        mesh = Afloat(vehsim.load_vehicle("boat"), World(water=0.0)).mesh
+        return mesh.points, mesh.faces
+    rough = np.random.default_rng(4)
+    points, faces = sphere(1.0, 2)
+    return {
+        "potato": (points * rough.uniform(0.6, 1.4, (len(points), 1)) * [2.0, 1.0, 0.6], faces),
+        "catamaran": join(box(4, 0.5, 0.8, (0, 1, 0)), box(4, 0.5, 0.8, (0, -1, 0))),
+    }[name]
+
+
+@pytest.mark.parametrize(("name", "poses"), [("boat", 100), ("potato", 100), ("catamaran", 300)])
+def test_volume_and_centroid_of_many_poses(name, poses):
+    """500 poses against cut tetrahedra: 1e-10 relative volume, 1e-9 m centroid; and the wrench is Archimedes'."""
+    points, faces = hull_of(name)
+    body = floating((points, faces), 1000.0)
+    float_ = afloat(body)
+    random = np.random.default_rng(7)
+    for _ in range(poses):
+        rotation, height = Rotation.random(random_state=random), random.uniform(-0.3, 0.3)
+        wet = wetted(np.column_stack([points, -height - rotation.apply(points)[:, 2]]), np.asarray(faces))
+        volume, centroid = clipped(points, faces, rotation, height)
+        up = rotation.inv().apply(UP)
+        assert wet.volume(up) == pytest.approx(volume, rel=1e-10)
+        np.testing.assert_allclose(rotation.apply(wet.centroid(up)), centroid, atol=1e-9)
+        wrench = float_.forces(0.0, at(height, rotation), np.zeros(0)).wrench
+        lift = RHO * GRAVITY * volume
+        np.testing.assert_allclose(rotation.apply(wrench[3:]), [0, 0, lift], atol=1e-9 * lift)
+        np.testing.assert_allclose(rotation.apply(wrench[:3]), np.cross(centroid, [0, 0, lift]), atol=1e-8 * lift)
+
+
+def test_closed_forms():
+    """A half-sunk ball, a barge and a catamaran: volume, centre of buoyancy, righting moment."""
+    ball = afloat(floating(sphere(1.0, 5), 2 / 3 * np.pi * RHO)).forces(0.0, at(), np.zeros(0))
+    assert ball.volume == pytest.approx(2 / 3 * np.pi, rel=2e-3)
+    barge, heel, draft, beam = box(10, 4, 2), 0.1, 0.5, 4.0
+    found = afloat(floating(barge, 10 * 4 * draft * RHO)).forces(
+        0.0, at(1 - draft, Rotation.from_rotvec([heel, 0, 0])), np.zeros(0)
+    )
+    # wall-sided: GZ = sin(heel) (GM + BM tan^2(heel) / 2), about the centre of mass in the middle of the box
+    bm = beam**2 / 12 / draft
+    gm = draft / 2 + bm - 1.0
+    depth = 1 - (1 - draft) / np.cos(heel)  # immersed at this height, along the body's own Z
+    bm, gm = beam**2 / 12 / depth, depth / 2 + beam**2 / 12 / depth - 1.0
+    gz = np.sin(heel) * (gm + bm * np.tan(heel) ** 2 / 2)
+    assert found.wrench[0] == pytest.approx(-RHO * GRAVITY * 40 * depth * gz, rel=1e-9)
+    cat = join(box(10, 1, 2, (0, 3, 0)), box(10, 1, 2, (0, -3, 0)))
+    found = afloat(floating(cat, 20 * 0.5 * RHO)).forces(0.0, at(0.5, Rotation.from_rotvec([1e-5, 0, 0])), np.zeros(0))
+    stiffness = RHO * GRAVITY * (2 * 10 * (1 / 12 + 9) + 20 * 0.5 * -0.75)  # rho g (I + V (zB - zG))
+    assert -found.wrench[0] / 1e-5 == pytest.approx(stiffness, rel=1e-6)
+
+
+def test_draft_by_archimedes():
+    """Released a little off, a damped barge comes to rest where it displaces its weight."""
+    mass = 10 * 4 * 0.6 * RHO
+    barge = floating(box(10, 4, 2), mass, (4e4, 2.4e5, 2.8e5), damping=(2e4, 2e4, 1.5e5))
+    clip = vehsim.simulate(barge, World(water=0.3), start=at(0.3 + 0.4 + 0.1), duration=12.0, step=1 / 48)
+    assert clip.positions[-1, 2] == pytest.approx(0.3 + 1 - 0.6, abs=1e-4)
+    np.testing.assert_allclose(clip.orientations[-1], [1, 0, 0, 0], atol=1e-9)
+
+
+def period_of(values, times):
+    crossings = np.flatnonzero((values[:-1] < 0) & (values[1:] >= 0))
+    at_zero = times[crossings] - values[crossings] * np.diff(times)[crossings] / np.diff(values)[crossings]
+    return float(np.mean(np.diff(at_zero)))
+
+
+@pytest.mark.parametrize("added", [0.0, 0.8])
+def test_heave_roll_and_pitch_periods(added):
+    """T = 2 pi sqrt((I + added) / stiffness) within 3 % (it comes out within 0.5 %)."""
+    length, width, draft, height = 10.0, 4.0, 0.5, 1.2
+    mass = length * width * draft * RHO
+    inertia = mass / 12 * np.array([width**2 + height**2, length**2 + height**2, length**2 + width**2])
+    extra = added * np.array([*inertia, mass, mass, mass])
+    body = floating(box(length, width, height), mass, inertia, added_mass=extra)
+    rest = height / 2 - draft
+    below = -(height / 2 - draft / 2)  # centre of buoyancy under the centre of mass
+    stiff = {
+        "heave": RHO * GRAVITY * length * width,
+        "roll": RHO * GRAVITY * (length * width**3 / 12 + length * width * draft * below),
+        "pitch": RHO * GRAVITY * (width * length**3 / 12 + length * width * draft * below),
+    }
+    starts = {
+        "heave": at(rest - 0.01),
+        "roll": at(rest, Rotation.from_rotvec([-0.01, 0, 0])),
+        "pitch": at(rest, Rotation.from_rotvec([0, -0.004, 0])),
+    }
+    for name, moved in (("heave", mass + extra[3]), ("roll", inertia[0] + extra[0]), ("pitch", inertia[1] + extra[1])):
+        clip = vehsim.simulate(body, World(water=0.0), start=starts[name], duration=4.0, step=1 / 120, fps=120)
+        angles = Rotation.from_quat(clip.orientations, scalar_first=True).as_rotvec()
+        values = {"heave": clip.positions[:, 2] - rest, "roll": angles[:, 0], "pitch": angles[:, 1]}[name]
+        assert period_of(values, clip.times) == pytest.approx(2 * np.pi * np.sqrt(moved / stiff[name]), rel=5e-3), name
+
+
+def test_energy_never_grows_in_still_water():
+    """Kinetic, of the added mass too, and gravity's, and what it takes to push the hull down: only lost, or kept."""
+    length, width, height, mass = 2.0, 1.0, 0.5, 400.0
+    inertia = mass / 12 * np.array([width**2 + height**2, length**2 + height**2, length**2 + width**2])
+    extra = 0.3 * np.array([*inertia, mass, mass, mass])
+    kept = {}
+    for name, data in {
+        "free": {},
+        "damped": {"damping": (50.0, 200.0, 400.0), "impact": 1.0, "added_mass": extra},
+    }.items():
+        body = floating(box(length, width, height), mass, inertia, **data)
+        float_ = afloat(body)
+        start = at(0.25, Rotation.from_rotvec([0.4, 0.2, 0.1]), twist=np.array([0.5, -0.3, 0.2, 0.4, 0.2, 0.0]))
+        clip = vehsim.simulate(body, World(water=0.0), start=start, duration=3.0, step=1 / 240, fps=240)
+        energy = clip.energy["kinetic"] + clip.energy["potential"]
+        for k in range(len(clip.times)):
+            rotation = Rotation.from_quat(clip.orientations[k], scalar_first=True)
+            mesh, z = float_.mesh, clip.positions[k, 2]
+            wet = wetted(np.column_stack([mesh.points, -z - rotation.apply(mesh.points)[:, 2]]), mesh.faces)
+            volume = wet.volume(rotation.inv().apply(UP)) if len(wet.normals) else 0.0
+            if volume > 0:
+                depth = -(rotation.apply(wet.centroid(rotation.inv().apply(UP)))[2] + z)
+                energy[k] += RHO * GRAVITY * volume * depth
+            if "added_mass" in data:
+                immersion = min(1.0, volume * RHO / mass)
+                energy[k] += 0.5 * immersion * extra @ clip.twists[k] ** 2
+        kept[name] = energy - energy[0]
+        scale = mass * GRAVITY * 0.1
+        assert np.diff(kept[name]).max() < 2e-3 * scale, name
+        assert kept[name].max() < 2e-3 * scale, name
+    assert abs(kept["free"][-1]) < 2e-3 * scale  # nothing takes energy: none is lost
+    assert kept["damped"][-1] < -0.3 * scale
+
+
+def test_terminal_speed():
+    """Thrust = (damping + quadratic v) v, on the shipped boat's own law and on a ball that sinks."""
+    ball = floating(
+        sphere(0.5, 3), 700.0, (70.0, 70.0, 70.0), damping=(0, 0, 100.0), quadratic=(0, 0, 300.0), reference_area=1.0
+    )
+    float_ = afloat(ball)
+    area, volume = (
+        float(
+            np.linalg.norm(
+                wetted(
+                    np.column_stack([float_.mesh.points, np.ones(len(float_.mesh.points))]), float_.mesh.faces
+                ).normals,
+                axis=1,
+            ).sum()
+        ),
+        float_.mesh.volume,
+    )
+    clip = vehsim.simulate(ball, World(water=0.0), start=at(-3.0), duration=6.0, step=1 / 48)
+    weight = (700.0 - RHO * volume) * GRAVITY
+    speed = (-100 + np.sqrt(100**2 + 4 * 300 * weight / area)) / (2 * 300)
+    assert clip.twists[-1, 5] == pytest.approx(-speed, rel=1e-3)
+
+
+def test_lie_16_has_its_totals_and_its_lift():
+    """A sunken ball is dragged by -E v whatever its tessellation; P lifts P/2 on a half-sunk one (math.md)."""
+    for splits in (2, 4):
+        points, faces = sphere(1.0, splits)
+        body = floating((points, faces), 1000.0, damping=(10.0, 20.0, 30.0), reference_area=4 * np.pi)
+        deep = afloat(body)
+        twist = np.array([0.0, 0.0, 0.0, 1.0, -2.0, 0.5])
+        drag = (
+            deep.forces(0.0, at(-5.0, twist=twist), np.zeros(0)).wrench - deep.forces(0.0, at(-5.0), np.zeros(0)).wrench
+        )
+        np.testing.assert_allclose(drag[3:], [-10, 40, -15], rtol=0.2 / splits**2)
+    body = floating(sphere(1.0, 5), 2 / 3 * np.pi * RHO, normal_force=500.0, reference_area=2 * np.pi)
+    plain = floating(sphere(1.0, 5), 2 / 3 * np.pi * RHO)
+    lift = afloat(body).forces(0.0, at(), np.zeros(0)).wrench - afloat(plain).forces(0.0, at(), np.zeros(0)).wrench
+    np.testing.assert_allclose(lift[3:], [0, 0, 250.0], atol=1.0)
+
+
+def test_waves_push_and_surf():
+    """On a long slope the pressure under the local surface pulls downhill with weight times slope (math.md)."""
+    body = floating(box(1, 1, 1), 500.0, (80.0, 80.0, 80.0))
+    water = Water(surface=wave(1.0, 100.0))
+    quarter = 25.0  # half way down behind the crest
+    height = water.height([[quarter, 0.0]])[0]
+    forces = afloat(body, water).forces(0.0, at(height, xy=(quarter, 0.0)), np.zeros(0))
+    slope = -0.5 * 2 * np.pi / 100
+    assert forces.wrench[3] == pytest.approx(-RHO * GRAVITY * forces.volume * slope, rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    "surface", [wave(0.5, 8.0, 0.3), sea_state(1.0, 4.5, seed=2, choppiness=0.3)], ids=["wave", "sea"]
+)
+def test_waves_against_a_fine_hull(surface):
+    """Volume and force within 0.5 % of the same hull cut into a hundred times as many triangles."""
+    boat, water = vehsim.load_vehicle("boat"), Water(surface=surface)
+    ours, fine = afloat(boat, water), afloat(boat, water)
+    fine.mesh = fine.mesh.refined(0.15)
+    random = np.random.default_rng(1)
+    for k in range(6):
+        xy, turn = random.uniform(-20, 20, 2), Rotation.from_euler("ZYX", random.normal(size=3) * [2, 0.1, 0.15])
+        state = at(water.height(xy[None], 0.7 * k)[0] + random.uniform(-0.1, 0.1), turn, xy=xy)
+        a, b = (x.forces(0.7 * k, state, np.zeros(2)) for x in (ours, fine))
+        assert a.volume == pytest.approx(b.volume, rel=5e-3)
+        assert np.linalg.norm(a.wrench[3:] - b.wrench[3:]) < 5e-3 * np.linalg.norm(b.wrench[3:])
+
+
+def righting(body, heel):
+    """Moment about the body's X when heeled, at the height where it displaces its weight."""
+    from scipy.optimize import brentq
+
+    float_, turn = afloat(body), Rotation.from_rotvec([heel, 0, 0])
+    z = brentq(lambda z: float_.forces(0.0, at(z, turn), np.zeros(0)).volume - float_.rest_volume, -3, 3)
+    return z, float_.forces(0.0, at(z, turn), np.zeros(0)).wrench[0]
+
+
+@pytest.mark.parametrize(("width", "ballast"), [(1.6, 0.0), (1.2, -0.45)])
+def test_a_capsized_hull_rights_itself_as_its_gz_curve_says(width, ballast):
+    """Set down almost upside down: with its weight low its righting arm says it comes back, else that it stays."""
+    mass, size = 1500.0, (4.0, width, 1.2)
+    hull = box(*size, at=(0, 0, -ballast))
+    inertia = (
+        mass / 12 * np.array([size[1] ** 2 + size[2] ** 2, size[0] ** 2 + size[2] ** 2, size[0] ** 2 + size[1] ** 2])
+    )
+    body = floating(hull, mass, inertia, damping=(500.0, 1500.0, 6000.0))
+    heel = np.pi - 0.3
+    height, moment = righting(body, heel)
+    clip = vehsim.simulate(
+        body, World(water=0.0), start=at(height, Rotation.from_rotvec([heel, 0, 0])), duration=12.0, step=1 / 24
+    )
+    up = Rotation.from_quat(clip.orientations[-1], scalar_first=True).as_matrix()[2, 2]
+    assert (up > 0.99) == (moment < 0) == (ballast < 0)
+    assert ballast < 0 or up < -0.99
+
+
+def test_added_mass_counts_in_water_alone():
+    """In the air a dropped hull falls with g; fully in it resists like mass plus added mass (math.md)."""
+    body = floating(box(1, 1, 1), 1025.0, (100.0, 100.0, 100.0), added_mass=(0, 0, 0, 500.0, 500.0, 500.0))
+    clip = vehsim.simulate(body, World(water=0.0), start=at(9.0), duration=1.0)
+    np.testing.assert_allclose(clip.positions[-1, 2], 9 - GRAVITY / 2, atol=1e-9)
+    pushed = floating(box(1, 1, 1), 1025.0, (100.0, 100.0, 100.0), added_mass=(0, 0, 0, 500.0, 500.0, 500.0))
+    clip = vehsim.simulate(pushed, World(water=Water(density=2050.0)), start=at(-3.0), duration=0.1)
+    np.testing.assert_allclose(clip.twists[-1, 5], 0.1 * GRAVITY * 1025 / 1525, rtol=1e-9)
+
+
+BROKEN = {
+    "empty": (lambda p, f: (p, f[:0]), "empty"),
+    "open": (lambda p, f: (p, f[1:]), r"open: 3 edges without a neighbour"),
+    "a face turned": (lambda p, f: (p, np.vstack([f[1:], f[:1, ::-1]])), "open"),
+    "inside out": (lambda p, f: (p, f[:, ::-1]), "inside out"),
+    "flat": (lambda p, f: (p * [1, 1, 0], f), "no volume|more than two|open"),
+    "nan": (lambda p, f: (np.where(p == p.max(), np.nan, p), f), "not finite"),
+    "through itself": (lambda p, f: join((p, f), (0.7 * p + [0.5, 0.11, 0.07], f)), "runs through itself at"),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_hulls_that_are_none(name):
+    break_it, message = BROKEN[name]
+    points, faces = break_it(*box(2.0, 1.0, 0.5))
+    with pytest.raises(InputError, match=message):
+        HullMesh(points, faces, "boat.usda: hull")
+
+
+def test_a_boat_that_sinks_is_said_so():
+    with pytest.raises(InputError, match=r"displaces 1 m\^3 at most, and 1.951 m\^3 would carry it"):
+        afloat(floating(box(1, 1, 1), 2000.0)).floating()
+
+
+def test_split_corners_are_welded():
+    """A flat-shaded mesh has its own corners for every face: still one closed hull."""
+    points, faces = box(2.0, 1.0, 0.5)
+    mesh = HullMesh(points[faces].reshape(-1, 3), np.arange(faces.size).reshape(-1, 3))
+    assert len(mesh.points) == 8 and mesh.volume == pytest.approx(1.0)

@@ -1,0 +1,197 @@
+"""The water's surface: waves that obey their laws, seas with their statistics, grids, and MuJoCo's picture of them."""
+
+import numpy as np
+import pytest
+
+from vehsim.errors import InputError, SolveError
+from vehsim.world import Water, World
+from vehsim.world.currents import Currents, Sampled, Stream, Vortex
+from vehsim.world.sea import sea_state, spectrum
+from vehsim.world.water import GRAVITY, Waves, wave
+from vehsim.world.water_field import WaterField
+from vehsim.world.water_grids import WaterGrids
+from vehsim.world.wind import Gusts
+
+SEAS = {
+    "linear": wave(1.0, 15.0, 0.4, 0.3),
+    "gerstner": wave(2.0, 20.0, -0.7, 0.2, choppiness=1.0),
+    "about to break": wave(6.2, 20.0, 2.0, 0.2, choppiness=1.0),
+    "choppy sea": sea_state(1.5, 6.0, seed=3, choppiness=0.4),
+}
+
+
+@pytest.fixture(params=SEAS.values(), ids=SEAS.keys())
+def water(request):
+    return Water(level=0.7, surface=request.param)
+
+
+def places(n=200, seed=0, reach=300.0):
+    return np.random.default_rng(seed).uniform(-reach, reach, (n, 2))
+
+
+def test_the_surface_is_where_its_particles_are(water):
+    """Gerstner's horizontal map and its inverse undo each other, far from the origin and near to breaking too."""
+    s, t = water.surface, 7.3
+    rest = places()
+    theta = rest @ s.number.T - s.omega * t + s.phase
+    k = np.linalg.norm(s.number, axis=1)
+    moved = rest - (np.sin(theta) * s.choppiness * s.amplitude) @ (s.number / k[:, None])
+    np.testing.assert_allclose(water.height(moved, t), 0.7 + np.cos(theta) @ s.amplitude, atol=1e-10)
+
+
+@pytest.mark.parametrize("name", ["gerstner", "about to break"])
+def test_water_does_not_leave_the_surface(name):
+    """Kinematic condition: d eta/dt + u . grad eta = w, exactly for one Gerstner wave."""
+    water = Water(level=0.7, surface=SEAS[name])
+    xy, t, h = places(), 3.0, 1e-5
+    rate = (water.height(xy, t + h) - water.height(xy, t - h)) / (2 * h)
+    normal = water.normal(xy, t)
+    slope = -normal[:, :2] / normal[:, 2:]
+    v = water.velocity(np.column_stack([xy, water.height(xy, t)]), t)
+    steep = np.abs(slope).max(axis=1) > 4  # where differences say nothing
+    np.testing.assert_allclose((rate + (v[:, :2] * slope).sum(axis=1) - v[:, 2])[~steep], 0, atol=2e-4)
+
+
+def test_normals_are_those_of_the_heights(water):
+    xy, h = places(), 1e-6
+    slope = np.column_stack(
+        [(water.height(xy + h * e, 2.0) - water.height(xy - h * e, 2.0)) / (2 * h) for e in np.eye(2)]
+    )
+    flat = np.abs(slope).max(axis=1) < 3
+    normal = water.normal(xy, 2.0)
+    np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1)
+    np.testing.assert_allclose((-normal[:, :2] / normal[:, 2:])[flat], slope[flat], atol=1e-4)
+
+
+def test_waves_run_as_deep_water_says():
+    """omega^2 = g k: a crest advances by a wavelength in a period, sqrt(2 pi L / g)."""
+    length, heading = 12.0, 0.6
+    water = Water(surface=wave(0.5, length, heading))
+    period = np.sqrt(2 * np.pi * length / GRAVITY)
+    along = np.array([np.cos(heading), np.sin(heading)])
+    xy = places(50)
+    np.testing.assert_allclose(
+        water.height(xy + 0.25 * length * along, 0.25 * period), water.height(xy, 0.0), atol=1e-12
+    )
+
+
+def test_orbits_fade_with_depth():
+    """Airy's velocity: irrotational, divergence-free, e-fold less at 1/k; the crest runs with the wave."""
+    a, length = 0.01, 10.0
+    k = 2 * np.pi / length
+    water = Water(surface=wave(2 * a, length))
+    crest = np.array([[0.0, 0.0, a], [0.0, 0.0, a - 1 / k]])
+    speed = water.velocity(crest, 0.0)
+    np.testing.assert_allclose(speed[0], [a * np.sqrt(GRAVITY * k), 0, 0], atol=1e-12)
+    np.testing.assert_allclose(speed[1] / np.e**-1, speed[0], atol=1e-12)
+
+
+def test_folded_and_broken_waves_are_refused():
+    with pytest.raises(InputError, match="folds over"):
+        wave(7.0, 20.0, choppiness=1.0)
+    with pytest.raises(InputError, match="without length"):
+        Waves(np.ones(1), np.zeros((1, 2)), np.zeros(1))
+    with pytest.raises(InputError, match="not a wave"):
+        wave(1.0, -3.0)
+    with pytest.raises(InputError, match="choppiness"):
+        wave(0.1, 10.0, choppiness=2.0)
+    with pytest.raises(InputError, match="not a sea"):
+        sea_state(-1.0)
+    with pytest.raises(InputError, match="not water"):
+        World(water="salty")
+
+
+@pytest.mark.parametrize(("height", "period", "peakedness"), [(0.6, 4.0, 3.3), (3.0, 9.0, 1.0), (6.0, 12.0, 3.3)])
+def test_a_sea_has_its_height_and_its_peak(height, period, peakedness):
+    """4 sigma of the sampled surface within 2 %, the peak of its spectrum within a bin (LIE's boat, issue 4)."""
+    water = Water(surface=sea_state(height, period, seed=5, peakedness=peakedness))
+    step, n = period / 20, 16384
+    series = np.array([water.height(np.zeros((1, 2)), step * k)[0] for k in range(n)])
+    assert 4 * series.std() == pytest.approx(height, rel=0.02)
+    power = np.abs(np.fft.rfft(series * np.hanning(n))) ** 2
+    f = np.fft.rfftfreq(n, step)
+    width = 0.08 / period  # a bin
+    bins = np.array([power[np.abs(f - (k + 0.5) * width) <= width / 2].sum() for k in range(60)])
+    assert abs((np.argmax(bins) + 0.5) * width - 1 / period) <= 1.5 * width
+
+
+def test_a_seed_is_a_sea_and_directions_spread_as_asked():
+    one, same, other = (sea_state(1.0, 5.0, seed=s, heading=0.5, spread=0.4, components=512) for s in (1, 1, 2))
+    assert one.content_hash == same.content_hash != other.content_hash
+    angle = np.arctan2(*one.number.T[::-1])
+    assert np.mean(angle) == pytest.approx(0.5, abs=0.03)
+    assert np.std(angle) == pytest.approx(0.4, rel=0.06)
+    omega = np.linspace(0.8, 4.9, 20001)
+    assert np.trapezoid(spectrum(omega, 1.0, 5.0), omega) == pytest.approx(1 / 16, rel=1e-3)
+
+
+def test_currents():
+    whirl = Vortex((1.0, 2.0), 2.0, 3.0)
+    points = np.column_stack([1 + np.linspace(0, 9, 91), np.full(91, 2.0), np.zeros(91)])
+    speed = whirl.velocity(points, 0.0)
+    assert np.argmax(speed[:, 1]) == 30 and speed[30, 1] == pytest.approx(2.0, rel=1e-6)
+    assert np.allclose(speed[:, [0, 2]], 0) and speed[0, 1] == 0
+    shear = Water(current=Stream((1.0, 0.0, 0.0), depth=4.0))
+    np.testing.assert_allclose(shear.velocity([[0, 0, 0], [0, 0, -1], [0, 0, -9]])[:, 0], [1, 0.75, 0])
+    y, x = np.mgrid[0:3, 0:4].astype(float)
+    grid = Sampled(np.stack([2 * x + y, x - 3 * y], axis=-1), origin=(10.0, 20.0), cell=(0.5, 2.0))
+    found = Currents((grid, Stream((0, 0, 1.0)))).velocity(np.array([[10.8, 21.0, 0.0]]), 0.0)
+    np.testing.assert_allclose(found, [[2 * 1.6 + 0.5, 1.6 - 1.5, 1.0]])
+
+
+def test_gusts_have_their_strength():
+    gusts, wind = Gusts(strength=0.2, period=3.0, seed=1), np.array([0.0, 8.0, 0.0])
+    speed = np.array([gusts.at(wind, t) for t in np.arange(0, 4000, 0.7)])
+    np.testing.assert_allclose(speed.mean(axis=0), wind, atol=0.05)
+    assert speed[:, 1].std() == pytest.approx(1.6, rel=0.03) and speed[:, 0].std() == pytest.approx(1.2, rel=0.03)
+
+
+@pytest.mark.parametrize("centre", [(0.0, 0.0), (1234.5, -987.6)])
+def test_mujoco_sees_the_same_surface(centre):
+    """Vertical rays on the height field against the formula: apart by a cell's bend at most, anywhere, any time."""
+    water = Water(0.5, sea_state(0.5, 4.0, seed=1))
+    field = WaterField(water, size=12.0, samples=97)
+    for t in (0.0, 2.7):
+        field.update(t, centre)
+        xy = np.asarray(centre) + places(200, reach=5.5)
+        bend = (2 * np.pi / water.shortest) ** 2 * field.cell**2 / 8
+        np.testing.assert_allclose(field.heights(xy), water.height(xy, t), atol=3 * 0.25 * bend)
+
+
+def test_mujoco_and_a_solvers_grid_agree_exactly():
+    """Cells are split the same way: only single precision is between them."""
+    random = np.random.default_rng(2)
+    grids = WaterGrids([0.0, 1.0], random.uniform(-0.3, 0.3, (2, 13, 13)), None, (-6.0, -6.0), (1.0, 1.0))
+    water = Water(0.2, grids)
+    field = WaterField(water, size=12.0, samples=13)
+    field.update(0.25, (0.0, 0.0))
+    xy = places(300, reach=5.99)
+    np.testing.assert_allclose(field.heights(xy), water.height(xy, 0.25), atol=1e-7)
+
+
+def test_nothing_is_asked_off_a_grid():
+    grids = WaterGrids([0.0, 1.0], np.zeros((2, 4, 4)), np.ones((2, 4, 4, 3)), (0.0, 0.0), (1.0, 1.0))
+    water = Water(surface=grids)
+    np.testing.assert_allclose(water.velocity([[1.5, 1.2, 0.0]], 0.5), 1)
+    with pytest.raises(SolveError, match=r"off the grid \[0.0, 0.0\] to \[3.0, 3.0\]"):
+        water.height([[1.0, 3.5]], 0.5)
+    with pytest.raises(SolveError, match=r"asked at 2.000 s, but they cover 0.000 to 1.000 s"):
+        water.height([[1.0, 1.0]], 2.0)
+    field = WaterField(Water(), size=4.0, samples=9)
+    field.update(0.0, (10.0, 0.0))
+    with pytest.raises(SolveError, match="off its 4 m around"):
+        field.heights([[0.0, 0.0]])
+
+
+def test_grids_are_read_and_refused(tmp_path):
+    path = tmp_path / "w.npz"
+    np.savez(path, times=[0.0, 1.0], heights=np.zeros((2, 3, 3)), origin=(1.0, 2.0), cell=(0.5, 0.5))
+    assert WaterGrids.load(path).upper.tolist() == [2.0, 3.0]
+    np.savez(path, times=[0.0, 1.0], heights=np.full((2, 3, 3), np.nan), origin=(1.0, 2.0), cell=(0.5, 0.5))
+    with pytest.raises(InputError, match=r"world.water.grids.heights: not finite"):
+        WaterGrids.load(path)
+    np.savez(path, times=[0.0, 1.0])
+    with pytest.raises(InputError, match="without heights, origin, cell"):
+        WaterGrids.load(path)
+    with pytest.raises(InputError, match="not readable"):
+        WaterGrids.load(tmp_path / "none.npz")
