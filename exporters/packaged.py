@@ -12,6 +12,8 @@ from pathlib import Path
 from vehsim.errors import ExportError
 from vehsim.take import Exporter, Progress, Take
 
+LAYERS = (".usd", ".usda", ".usdc", ".usdz")
+
 
 def write_usdz(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
     """``<shot>.usdz``: the stage, its layers, assets and textures in one uncompressed package."""
@@ -35,8 +37,10 @@ def write_flat(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
 
     def relative(found: str) -> str:
         file = Path(found)
-        if not file.is_absolute() or not file.is_file() or not file.is_relative_to(folder.resolve()):
+        if not file.is_absolute() or not file.is_relative_to(folder.resolve()):
             return found
+        if file.suffix in LAYERS:
+            return ""  # it names where a prim came from, which is nowhere now
         needed.add(file)
         return f"./{Path(os.path.relpath(file, folder.resolve())).as_posix()}"
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -51,20 +51,20 @@ def _before(clip: Clip, first: int, world: World) -> Clip:
     frames = clip.start_frame - first
     per_frame = int(np.ceil(240 / float(clip.fps)))
     h = 1 / float(clip.fps) / per_frame
-    reach = float(np.linalg.norm(clip.twists[0])) * frames / float(clip.fps) + 10.0
-    integrator = Integrator(on_terrain(clip.vehicle, world, (clip.positions[:1], reach)), h, wind=world.wind)
+    wind = np.asarray(world.wind, float)
+    far = (float(np.linalg.norm(clip.twists[0])) + 10.0) * frames / float(clip.fps)
+    places = clip.positions[0, :2] + np.array([[-far], [far]])
+    integrator = Integrator(on_terrain(clip.vehicle, world, places), h, wind=wind)
     controls, state = clip.controls[0], clip.state(0)
     phases = [integrator.start(state, controls)]
     anchor = integrator.anchor(state, phases[0])
     for k in range(frames * per_frame):
         phases.append(integrator._substep(phases[-1], controls, controls, -h, -k))
     phases.reverse()
-    g, r, pi = (np.array([getattr(phase, part) for phase in phases]) for part in ("g", "r", "pi"))
-    times = h * np.arange(len(phases))
-    held = np.broadcast_to(controls, (len(phases), len(controls)))
-    earlier = build_clip(
-        integrator.mechanics, times, g, r, pi, held, anchor, world.wind, fps=clip.fps, start_frame=first
-    )
+    g, r, pi = (np.array([getattr(phase, part) for phase in phases], float) for part in ("g", "r", "pi"))
+    times = h * np.arange(len(phases), dtype=float)
+    held = np.tile(controls, (len(phases), 1))
+    earlier = build_clip(integrator.mechanics, times, g, r, pi, held, anchor, wind, fps=clip.fps, start_frame=first)
     later = replace(clip, times=clip.times + frames / float(clip.fps))
     return _joined(earlier, later)
 
@@ -74,6 +74,9 @@ def _joined(earlier: Clip, later: Clip) -> Clip:
     names = ("positions", "orientations", "twists", "joints", "joint_rates", "controls")
     sign = np.sign(earlier.orientations[-1] @ later.orientations[0]) or 1.0
     later = replace(later, orientations=later.orientations * sign)
+    columns: dict[str, Any] = {
+        name: np.concatenate([getattr(earlier, name)[:-1], getattr(later, name)]) for name in names
+    }
     channels = {}
     for name, values in earlier.channels.items():
         on = later.channels.get(name, np.zeros(len(later)))
@@ -85,5 +88,5 @@ def _joined(earlier: Clip, later: Clip) -> Clip:
         channels=channels,
         events=[*earlier.events, *later.events],
         energy={n: np.concatenate([v[:-1], later.energy[n]]) for n, v in earlier.energy.items() if n in later.energy},
-        **{name: np.concatenate([getattr(earlier, name)[:-1], getattr(later, name)]) for name in names},
+        **columns,
     )

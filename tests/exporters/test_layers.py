@@ -1,0 +1,203 @@
+"""Samples for motion blur, few keys, value clips, versions and single files: each reads as the motion it came from."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+import vehsim
+from vehsim.errors import InputError
+from vehsim.exporters.readback import world_matrices
+from vehsim.exporters.sampling import clip_at, fewest, fewest_poses
+from vehsim.exporters.usd import write_usd
+from vehsim.take import Take, UsdSettings
+from vehsim.vehicles import load_vehicle
+
+FRAMES = (1001, 1025)
+
+
+@pytest.fixture(scope="module")
+def weave():
+    """A second of a car that weaves at 12 m/s, its wheels at 37 rad/s."""
+    t = np.linspace(0, 1, 241)
+    controls = np.column_stack([200 * np.ones_like(t), 0.5 * np.cos(9 * t)])
+    return vehsim.simulate(load_vehicle("car"), None, controls, vehsim.State(twist=(0.0, 12.0, 0.0)), 1.0)
+
+
+def take_of(clip, fps=Fraction(24), **settings):
+    return Take("shot", {"it": clip}, vehsim.World(), (), fps, FRAMES, usd=UsdSettings(**settings))
+
+
+def write(clip, folder, **settings):
+    from pxr import Usd
+
+    write_usd(take_of(clip, **settings), folder, lambda what, done: None)
+    return Usd.Stage.Open(str(folder / "shot.usda"))
+
+
+def chord_error(stage, clip, path, frames, point):
+    """How far a point of a prim stands from its path when matrices at its samples are joined by straight lines, m."""
+    prim = stage.GetPrimAtPath(path)
+    exact = world_matrices(prim, frames)[:, :3] @ point
+    moved = (prim, stage.GetPrimAtPath("/shot/vehicles/it"))
+    times = sorted({time for p in moved for attribute in p.GetAttributes() for time in attribute.GetTimeSamples()})
+    samples = world_matrices(prim, np.array(times))[:, :3] @ point
+    return np.linalg.norm(np.stack([np.interp(frames, times, samples[:, k]) for k in range(3)], 1) - exact, axis=1)
+
+
+def test_an_open_shutter_holds_chords_to_a_millimetre(weave, tmp_path):
+    stage = write(weave, tmp_path, shutter=(-0.25, 0.25))
+    within = (np.arange(1001, 1026)[:, None] + np.linspace(-0.25, 0.25, 41)).ravel()
+    rim = np.array([0.32, 0.0, 0.0, 1.0])
+    assert chord_error(stage, weave, "/shot/vehicles/it/wheel_rl", within, rim).max() < 1.2e-3
+    plain = write(weave, tmp_path / "plain")
+    assert chord_error(plain, weave, "/shot/vehicles/it/wheel_rl", within, rim).max() > 0.05
+    spins = stage.GetPrimAtPath("/shot/vehicles/it/wheel_rl").GetAttribute("xformOp:rotateY:spin").GetTimeSamples()
+    per_frame = np.histogram(spins, np.arange(1000.5, 1026))[0]
+    assert 3 < per_frame.max() <= 18
+    assert (spins[0], spins[-1]) == (1000.75, 1025.25)
+
+
+def test_no_wheel_turns_backwards_between_samples(weave, tmp_path):
+    stage = write(weave, tmp_path, shutter=(-0.5, 0.5), thin=0.002)
+    for corner in ("wheel_rl", "wheel_rr", "steer_fl/wheel_fl", "steer_fr/wheel_fr"):
+        spin = stage.GetPrimAtPath(f"/shot/vehicles/it/{corner}").GetAttribute("xformOp:rotateY:spin")
+        assert (np.diff([spin.Get(time) for time in spin.GetTimeSamples()]) > 0).all()
+
+
+def test_a_rotor_too_fast_for_its_samples_is_warned_of(tmp_path):
+    heli = load_vehicle("helicopter")
+    clip = vehsim.simulate(heli, None, [18639.0, 0, 0, 0], vehsim.State(position=(0, 0, 20)), 1.0)
+    with pytest.warns(UserWarning, match="main_rotor: .* mm off its path .* as its disc"):
+        write(clip, tmp_path, shutter=(-0.5, 0.5))
+
+
+def test_shutter_of_the_cameras(toys, make_take, tmp_path):
+    from dataclasses import replace
+
+    from pxr import Usd, UsdGeom
+
+    take = make_take(toys.clip(toys.asset(tmp_path / "in" / "toy.usda")))
+    write_usd(replace(take, usd=UsdSettings(shutter=(-0.25, 0.25))), tmp_path / "out", toys.silent)
+    stage = Usd.Stage.Open(str(tmp_path / "out" / "shot.usda"))
+    camera = UsdGeom.Camera(stage.GetPrimAtPath("/shot/cameras/chase"))
+    assert (camera.GetShutterOpenAttr().Get(), camera.GetShutterCloseAttr().Get()) == (-0.25, 0.25)
+
+
+def test_thinned_keys_stay_within_their_tolerance(weave, tmp_path):
+    stage = write(weave, tmp_path, thin=0.003)
+    frames = np.arange(FRAMES[0], FRAMES[1] + 1.0)
+    prim = stage.GetPrimAtPath("/shot/vehicles/it")
+    motion = prim.GetVariantSets().GetVariantSet("motion")
+    assert (motion.GetVariantSelection(), set(motion.GetVariantNames())) == ("exact", {"exact", "thinned"})
+    exact = world_matrices(prim, frames)
+    motion.SetVariantSelection("thinned")
+    thinned = world_matrices(prim, frames)
+    assert 0 < np.linalg.norm(exact[:, :3, 3] - thinned[:, :3, 3], axis=1).max() < 0.003
+    assert len(prim.GetAttribute("xformOp:translate").GetTimeSamples()) < 25
+
+
+def fewest_by_force(frames, values, tolerance):
+    """The smallest number of samples whose chords hold, by trying all subsets."""
+    from itertools import combinations
+
+    n = len(frames)
+    for k in range(n - 1):
+        for inner in combinations(range(1, n - 1), k):
+            chosen = [0, *inner, n - 1]
+            if np.abs(np.interp(frames, frames[chosen], values[chosen]) - values).max() <= tolerance + 1e-12:
+                return k + 2
+    return n
+
+
+def test_fewest_keys_are_the_fewest():
+    rng = np.random.default_rng(2)
+    for _ in range(12):
+        frames, values = np.arange(10.0), np.cumsum(rng.normal(size=10))
+        chosen = fewest(frames, values, 0.6)
+        assert np.abs(np.interp(frames, frames[chosen], values[chosen]) - values).max() <= 0.6 + 1e-12
+        assert len(chosen) == fewest_by_force(frames, values, 0.6)
+
+
+def test_few_orientations_slerp_within_their_angle():
+    from scipy.spatial.transform import Rotation, Slerp
+
+    t = np.linspace(0, 3, 73)
+    q = Rotation.from_euler("ZYX", np.stack([t, 0.4 * np.sin(2 * t), 0.2 * t**2], 1))
+    chosen = fewest_poses(t, q.as_quat(scalar_first=True), 0.01)
+    error = (Slerp(t[chosen], q[chosen])(t).inv() * q).magnitude().max()
+    assert error <= 0.01 and len(chosen) < 40
+
+
+def test_beyond_its_ends_a_clip_goes_on_as_it_moves(weave):
+    before, first = clip_at(weave, np.array([1000.75, 1001.0])), weave.at(0.0)
+    assert before.positions[0, 0] == pytest.approx(first.positions[0, 0] - 12.0 * 0.25 / 24, abs=1e-3)
+    assert np.diff(before.channels["roll_rl"])[0] == pytest.approx(12.0 / 0.32 * 0.25 / 24, rel=0.02)
+
+
+def test_value_clips_read_as_one_layer(weave, tmp_path):
+    from pxr import Sdf
+
+    one, many = write(weave, tmp_path / "one"), write(weave, tmp_path / "many", clip_frames=10)
+    frames = np.arange(FRAMES[0], FRAMES[1] + 0.1, 0.25)
+    for path in ("/shot/vehicles/it", "/shot/vehicles/it/steer_fl/wheel_fl"):
+        a, b = (world_matrices(stage.GetPrimAtPath(path), frames) for stage in (one, many))
+        assert np.array_equal(a, b)
+    layers = tmp_path / "many" / "layers"
+    assert {path.name for path in layers.glob("it.anim.1*")} == {f"it.anim.{n}.usdc" for n in (1001, 1011, 1021)}
+    held = []
+    layer = Sdf.Layer.FindOrOpen(str(layers / "it.anim.usdc"))
+    layer.Traverse("/", lambda path: held.extend(layer.ListTimeSamplesForPath(path)))
+    assert held == []
+
+
+def test_rational_rates_are_kept_exactly(weave, tmp_path):
+    from dataclasses import replace
+
+    stage = write(replace(weave, fps="24000/1001"), tmp_path, fps=Fraction(24000, 1001))
+    assert Fraction(stage.GetTimeCodesPerSecond()).limit_denominator(1001) == Fraction(24000, 1001)
+    assert stage.GetRootLayer().customLayerData["frameRate"] == "24000/1001"
+
+
+def test_layers_alone(weave, tmp_path):
+    write_usd(take_of(weave, layer_only=True), tmp_path, lambda what, done: None)
+    assert not (tmp_path / "shot.usda").exists()
+    assert (tmp_path / "layers" / "it.anim.usdc").is_file()
+
+
+def test_versions_are_never_overwritten_and_latest_follows(weave, tmp_path):
+    from pxr import Usd
+
+    take = take_of(weave, versions=True)
+    assert take.export(tmp_path).name == "v001"
+    before = {path: path.read_bytes() for path in (tmp_path / "shot" / "v001").rglob("*") if path.is_file()}
+    assert take.export(tmp_path).name == "v002"
+    assert {path: path.read_bytes() for path in before} == before
+    latest = Usd.Stage.Open(str(tmp_path / "shot" / "latest.usda"))
+    assert latest.GetRootLayer().subLayerPaths[0] == "./v002/shot.usda"
+    assert latest.GetPrimAtPath("/shot/vehicles/it/wheel_rl")
+    assert (latest.GetStartTimeCode(), latest.GetEndTimeCode()) == FRAMES
+    with pytest.raises(InputError, match="holds versions, which stay"):
+        take_of(weave).export(tmp_path)
+    plain = take_of(weave).export(tmp_path / "plain")
+    with pytest.raises(InputError, match="holds something else than versions"):
+        take.export(tmp_path / "plain")
+    assert (plain / "shot.usda").is_file()
+    assert not [path for path in (tmp_path / "shot").iterdir() if path.name.startswith(".")]
+
+
+def test_one_file_holds_the_same_shot(weave, tmp_path):
+    from pxr import Usd
+
+    folder = take_of(weave).export(tmp_path, to=("usd", "usdz", "flat"))
+    frames = np.arange(FRAMES[0], FRAMES[1] + 1.0)
+    whole = Usd.Stage.Open(str(folder / "shot.usda"))
+    reference = world_matrices(whole.GetPrimAtPath("/shot/vehicles/it/wheel_rl"), frames)
+    alone = take_of(weave).export(tmp_path / "alone", to=("usdz", "flat"))
+    assert not (alone / "shot.usda").exists()
+    for name in ("shot.usdz", "shot.flat.usdc"):
+        stage = Usd.Stage.Open(str(alone / name))
+        found = world_matrices(stage.GetPrimAtPath("/shot/vehicles/it/wheel_rl"), frames)
+        assert np.array_equal(found, reference), name
