@@ -79,7 +79,9 @@ def loop_element(t: Transcription) -> Element:
     Joints that nothing depends on, as a wheel's roll, go on turning.
     """
     size, s, n, count = t.sizes
-    (x, x1), (c, c1) = ((ca.SX.sym(name + i, k) for i in ("", "1")) for name, k in (("x", size + s + n), ("c", count)))
+    x, x1, c, c1 = (
+        ca.SX.sym(name, k) for name, k in (("x", size + s + n), ("x1", size + s + n), ("c", count), ("c1", count))
+    )
     (g, r, pi), (g1, r1, pi1) = t.split(x), t.split(x1)
     group = t.vehicle.group
     relative = group.pose(group.compose(group.inverse(g), g1))

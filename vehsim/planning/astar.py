@@ -33,7 +33,7 @@ TURNS = 48
 """Headings told apart by the search over poses."""
 SHY = 0.5
 """A metre along the clearance asked for costs 1 + SHY metres in the open."""
-BACK, SHIFT, STEER = 2.0, 3.0, 0.05
+BACK, SHIFT, STEER = 1.5, 2.0, 0.05
 """Costs: a metre backwards; a change of direction, m; a change of steering, m."""
 EAGER = 1.3
 """How much more than its length is believed of the way still to go: fewer poses are looked at."""
@@ -48,18 +48,21 @@ def guess_drive(
     asked: Sequence[float | None],
     clearance: float,
     wariness: int = 0,
+    met: Sequence[Array] = (),
 ) -> Array:
     """A path (k, 4) of x, y, z m and heading rad from ``ends[0]`` to ``ends[1]`` (2, 3) m, clear of standing ``parts``.
 
-    ``asked``: headings at either end in rad, or None. Each step of ``wariness`` makes narrow ways dearer. Raises
-    ``SolveError`` when there is no way.
+    ``asked``: headings at either end in rad, or None. Each step of ``wariness`` makes narrow ways dearer. ``met``:
+    outlines (n, k, 2) to go round where there is a way. Raises ``SolveError`` when there is no way.
     """
     radius = turning_radius(vehicle)
     bearing = float(np.arctan2(*(ends[1] - ends[0])[[1, 0]]))
     nose = [bearing if heading is None else heading for heading in asked]
     # what has a turning circle is led by its body frame's origin (a car's rear axle), the rest by its root
     lead = np.asarray(vehicle.origin[:2], float) if radius > 0 else np.zeros(2)
-    ground = _Ground(vehicle, lead, parts, ends[:, :2] + _turned(np.array(nose), lead), clearance, SHY * 4**wariness)
+    ground = _Ground(
+        vehicle, lead, parts, ends[:, :2] + _turned(np.array(nose), lead), clearance, SHY * 4**wariness, met
+    )
     way = ground.descend()
     if way is None:
         places = " to ".join("(" + ", ".join(f"{v:g}" for v in end[:2]) + ")" for end in ends)
@@ -101,7 +104,8 @@ class _Ground:
         parts: Sequence[tuple[Any, int]],
         ends: Array,
         clearance: float,
-        shy: float = SHY,
+        shy: float,
+        met: Sequence[Array],
     ) -> None:
         self.ends, self.clearance = ends, clearance
         outline = footprint(vehicle) - lead
@@ -109,6 +113,8 @@ class _Ground:
         self.radius = max(radius for _, radius in self.discs)
         size = float(np.linalg.norm(outline, axis=1).max())
         still = [o.parts[i] for o, i in parts if hasattr(o, "parts")]
+        still += [outline for outlines in met for outline in outlines[:: max(1, len(outlines) // 8)]]
+        still += [o.shapes_at(np.zeros(1))[0][0] for o, _ in parts if not hasattr(o, "parts") and o.stands]
         corners = [shape.outline() if hasattr(shape, "outline") else shape for shape in still]
         points = np.vstack([ends, *corners])
         room = 4 * size + 2 * clearance

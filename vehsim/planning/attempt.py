@@ -77,6 +77,7 @@ class Attempt:
         self.checked = Executed(np.inf, np.inf, np.inf)
         # between rocks controls are agile throughout: the first rung would not do
         self.rung, self.lifted, self.stale, self.note = -1 + (cover is not None), False, True, ""
+        self.why = ""
         self.solvers: dict[Any, Solver] = {}
         self.rows = obstacle_rows(request.vehicle, request.world, request.marks)
 

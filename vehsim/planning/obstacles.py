@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
@@ -20,11 +20,15 @@ from numpy.typing import NDArray
 from vehsim.clip import Clip
 from vehsim.errors import InputError
 from vehsim.planning.elements import Element, Problem
+from vehsim.planning.legs import fixed_durations, legs_between, path_length
 from vehsim.planning.marks import Mark
 from vehsim.planning.transcription import Layout, Transcription
 from vehsim.vehicles import Vehicle
 from vehsim.world.obstacles import footprint, headings, vertical_reach
 from vehsim.world.plane import Ellipse, distance, placed
+
+if TYPE_CHECKING:
+    from vehsim.planning.request import Request
 
 Array = NDArray[np.float64]
 Expr = Any
@@ -37,6 +41,10 @@ unseen is found when the motion is certified, and seen from then on."""
 BETWEEN = 0.005
 """What knots demand beyond the clearance asked for, m, since the way between them bends; more where that is not enough.
 """
+DODGES = 4
+"""How often a first guess is sought that is not in the way of what moves."""
+BRISK = 5.0
+"""Guess of how fast a leg between free marks is driven, m/s."""
 ROUND = 1e-12
 """Added under square roots, m^2."""
 FINEST = 1e-3
@@ -75,19 +83,48 @@ class Rows:
             self.seen = near
         self.seen = self.seen | near
 
-    def drive(
-        self, marks: Sequence[Mark], legs: Sequence[tuple[Array, Array]], clearance: float, wariness: int = 0
-    ) -> list[Array]:
-        """A path (k, 4) x, y, z m and heading rad for every leg (start, end) between two marks, by A*.
+    def drive(self, request: Request, wariness: int = 0) -> list[Array]:
+        """A path (k, 4) x, y, z m and heading rad for every leg between two marks, by A*; the greater ``wariness``,
+        the more room it looks for.
 
-        The greater ``wariness``, the more room it looks for.
+        Where a path meets something that moves, it is sought again about the places where that was met.
         """
         from vehsim.planning.astar import guess_drive
 
-        nose = [None if mark.heading is None else float(np.deg2rad(mark.heading)) for mark in marks]
+        nose = [None if mark.heading is None else float(np.deg2rad(mark.heading)) for mark in request.marks]
+        seconds = float(int(request.marks[0].frame) / request.fps)
+        fixed = fixed_durations(request.marks, request.fps)
+        paths = []
+        for j, leg in enumerate(legs_between(request.marks)):
+            met: list[Any] = []
+            for _ in range(DODGES):
+                ends = np.array(leg)
+                path = guess_drive(
+                    self.vehicle, self.parts, ends, (nose[j], nose[j + 1]), request.clearance, wariness, met
+                )
+                length = path_length(path)
+                duration = length / BRISK if np.isnan(fixed[j]) else fixed[j]
+                new = self._met(path, seconds, duration, request.clearance)
+                if not new:
+                    break
+                met += new
+            paths.append(path)
+            seconds += duration
+        return paths
+
+    def _met(self, path: Array, start: float, duration: float, clearance: float) -> list[Array]:
+        """Outlines (k, 2) of what moves, where an even pace along a path (k, 4) meets it."""
+        moving = [(o, k) for o, k in self.parts if not hasattr(o, "parts") and not o.stands]
+        if not moving:
+            return []
+        way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path[:, :2], axis=0), axis=1))])
+        seconds = start + duration * way / max(way[-1], 1e-9)
+        outlines = placed(footprint(self.vehicle), path[:, :2], path[:, 3])
+        gaps = clearances(moving, outlines, seconds)
         return [
-            guess_drive(self.vehicle, self.parts, np.array(leg), (nose[j], nose[j + 1]), clearance, wariness)
-            for j, leg in enumerate(legs)
+            o.shapes_at(seconds[row < clearance])[0]
+            for (o, _), row in zip(moving, gaps, strict=True)
+            if row.min() < clearance
         ]
 
     def add(self, problem: Problem, t: Transcription, layout: Layout) -> None:
@@ -126,8 +163,8 @@ class Rows:
         beside[:, :-1] = lack
         beside[:, 1:] = np.maximum(beside[:, 1:], lack)
         beside[:, 0] = 0.0
+        self.extra += np.where(self.seen & (beside > 0), beside + FINEST, 0.0)  # the unseen need only be seen
         self.seen |= beside > 0
-        self.extra += np.where(beside > 0, beside + FINEST, 0.0)
 
 
 def obstacle_rows(vehicle: Vehicle, world: Any, marks: Sequence[Any]) -> Rows | None:

@@ -8,7 +8,6 @@ comes too near.
 from __future__ import annotations
 
 import math
-import time
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -16,19 +15,18 @@ from typing import Any
 
 import numpy as np
 
-from vehsim.clip import Clip, frame_rate
+from vehsim.clip import Clip
 from vehsim.errors import InputError
 from vehsim.planning.attempt import EXECUTED, SLACK, TIGHTENINGS, Array, Attempt, Progress
 from vehsim.planning.certify import Executed
 from vehsim.planning.cover import sphere_cover
 from vehsim.planning.feasibility import refusals
 from vehsim.planning.legs import bent, cut, facing, legs_between, poses_of
-from vehsim.planning.marks import Mark, check_marks, with_breaks
-from vehsim.planning.obstacles import check_marks_clear, obstacle_rows
+from vehsim.planning.marks import Mark
+from vehsim.planning.obstacles import obstacle_rows
 from vehsim.planning.relax import diagnose
-from vehsim.planning.request import Request, check_loop, shape
-from vehsim.planning.solver import check_solver
-from vehsim.planning.terms import Term, check_limits, check_terms, cost_weights
+from vehsim.planning.request import Request, all_marks, ask, shape
+from vehsim.planning.terms import Term
 from vehsim.planning.transcription import transcription
 from vehsim.vehicles import Vehicle
 from vehsim.world.ground import lift
@@ -72,8 +70,8 @@ class Plan:
     def replan(self, marks: Sequence[Mark], progress: Progress | None = None) -> Plan:
         """The plan for other marks, started from this one: quick when they ask for the same things elsewhere."""
         assert self._attempt is not None
-        request = replace(self._attempt.request, marks=check_marks(marks, self.clip.vehicle.joints))
         before = self._attempt.request
+        request = replace(before, marks=all_marks(marks, before.vehicle, before.terms), deadline=math.inf)
         if not self.success or shape(request.marks) != shape(before.marks) or request.weighed is not before.weighed:
             return _solve(request, progress, self.clip)
         attempt = self._attempt.moved(request, progress)
@@ -98,7 +96,7 @@ def plan(
     terms: Sequence[Term] = (),
     loop: bool = False,
     solver: str = "ipopt",
-    max_iterations: int = 400,
+    max_iterations: int = 200,
     time_limit: float | None = None,
     progress: Progress | None = None,
 ) -> Plan:
@@ -114,41 +112,11 @@ def plan(
     Raises ``InputError`` for what cannot be asked. What cannot be solved comes back with ``success = False`` and a
     message, and a warning.
     """
-    if not isinstance(vehicle, Vehicle):
-        raise InputError(f"vehicle = {vehicle!r}: give what vehsim.load_vehicle returns")
-    vehicle = vehicle.planar or vehicle
-    if segments < 2 * (len(marks) - 1) or segments > 4096:
-        raise InputError(f"segments = {segments!r}: give at least two a leg between marks, and at most 4096")
-    if not (math.isfinite(clearance) and clearance >= 0):
-        raise InputError(f"clearance = {clearance!r}: give a distance in metres, zero or more")
-    if time_limit is not None and not time_limit > 0:
-        raise InputError(f"time_limit = {time_limit!r}: give seconds, more than zero")
-    terms = check_terms(terms)
-    frames = [frame for term in terms for frame in term.frames or ()]
-    request = Request(
-        vehicle=vehicle,
-        world=world,
-        marks=with_breaks(check_marks(marks, vehicle.joints), frames),
-        fps=frame_rate(fps),
-        segments=int(segments),
-        weights=cost_weights(cost, vehicle.default_costs),
-        clearance=float(clearance),
-        limits=check_limits(limits or {}, vehicle.joints),
-        refine=refine,
-        max_iterations=max_iterations,
-        terms=terms,
-        loop=loop,
-        solver=check_solver(solver),
-        deadline=math.inf if time_limit is None else time.monotonic() + time_limit,
-    )
-    check_loop(request)
-    check_marks_clear(vehicle, world, request.marks, request.clearance)
-    heights = {float(np.asarray(mark.position)[2]) for mark in request.marks if mark.position is not None}
-    if vehicle.group.dim == 3 and len(heights) > 1 and (world is None or world.terrain is None):
-        raise InputError(
-            f"mark.position: heights {sorted(heights)} m; {vehicle.name} keeps its height, give one z to all"
-        )
-    if np.any(request.wind) and not vehicle.feels_wind:
+    request = ask(
+        vehicle, world, marks, fps=fps, segments=segments, cost=cost, clearance=clearance, limits=limits,
+        refine=refine, terms=terms, loop=loop, solver=solver, max_iterations=max_iterations, time_limit=time_limit,
+    )  # fmt: skip
+    if np.any(request.wind) and not request.vehicle.feels_wind:
         warnings.warn(f"{vehicle.name}: wind is set, but the vehicle has no drag to feel it", stacklevel=2)
     return _solve(request, progress, guess)
 
@@ -165,16 +133,30 @@ def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
         attempt.give_up("; ".join(map(str, refused)))
         return _result(attempt)
     attempt.solve()
-    for wariness, (stretch, bend) in enumerate(RETRIES, 1):
-        if attempt.solution.success or request.late:
-            break
-        if attempt.rows is not None and guess is None:
-            paths = attempt.rows.drive(request.marks, legs_between(request.marks), request.clearance, wariness)
-        attempt.start([bent(path, bend) if attempt.rows is None else path for path in paths], stretch)
-        attempt.solve()
+    if not attempt.solution.success:
+        _again(attempt, paths, guess)
     attempt.settle()
     attempt.approach()
     return _finish(attempt)
+
+
+def _again(attempt: Attempt, paths: list[Array], guess: Any) -> None:
+    """Solve from other first guesses; in free space find out first whether the marks go together at all."""
+    request, blocked = attempt.request, attempt.rows is not None or attempt.cover is not None
+    if not blocked and not request.late:
+        attempt.why, near = diagnose(attempt)
+        if near is not None:
+            attempt.x = near
+            attempt.solve()
+    for wariness, (stretch, bend) in enumerate(RETRIES, 1):
+        if attempt.solution.success or attempt.why or request.late:
+            break
+        if attempt.rows is not None and guess is None:
+            paths = attempt.rows.drive(request, wariness)
+        attempt.start([bent(path, bend) if attempt.rows is None else path for path in paths], stretch)
+        attempt.solve()
+    if blocked and not attempt.solution.success and not request.late:
+        attempt.why, _ = diagnose(attempt)
 
 
 def _finish(attempt: Attempt) -> Plan:
@@ -192,8 +174,8 @@ def _result(attempt: Attempt) -> Plan:
     request, solution = attempt.request, attempt.solution
     message, success = solution.message, solution.success
     if not success and attempt.worst:
-        why = "" if request.late else diagnose(attempt)
-        message = f"{message}: {why or f'worst {attempt.worst}, off by {solution.violation:.3g}'}"
+        worst = f"worst {attempt.worst}, off by {solution.violation:.3g}"
+        message = f"{message}: {attempt.why or worst}"
     elif success and attempt.clearance < attempt.wanted - SLACK:
         success = False
         message = (
@@ -246,7 +228,7 @@ def _paths(request: Request, guess: Any, progress: Progress | None) -> list[Arra
         return cut(points, legs)
     if not request.terrain:
         rows = obstacle_rows(request.vehicle, request.world, request.marks)
-        return [np.array(leg) for leg in legs] if rows is None else rows.drive(request.marks, legs, request.clearance)
+        return [np.array(leg) for leg in legs] if rows is None else rows.drive(request)
     request.world.distance_field(progress=progress)
     # the route is flown by a ball around the hulls' middle
     centres, radii = sphere_cover(request.vehicle)

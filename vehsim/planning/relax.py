@@ -26,19 +26,23 @@ NOTHING = 1e-3
 """Misses and delays below this are none, in m and s."""
 
 
-def diagnose(attempt: Attempt) -> str:
-    """Which marks cannot be met, by how much, and which frames would do; empty when neither is found out."""
-    if attempt.guess.shape != (attempt.layout.size,):  # it failed later than on the first discretisation
-        return ""
-    found = [text for text in (_missed(attempt), _late(attempt)) if text]
-    return "; ".join(found)
+def diagnose(attempt: Attempt) -> tuple[str, Array | None]:
+    """Which marks cannot be met, by how much, and which frames would do; or, where all can, variables that meet them.
+
+    Neither where the relaxed problem is not solved either.
+    """
+    missed, x = _missed(attempt)
+    if x is None or not missed:
+        return "", x
+    late = _late(attempt)
+    return f"{missed}; {late}" if late else missed, None
 
 
-def _missed(attempt: Attempt) -> str:
+def _missed(attempt: Attempt) -> tuple[str, Array | None]:
     problem = build(attempt.t, attempt.layout, attempt.request, attempt.cover, give=PRICE)
-    x, _ = _solve(attempt, problem, late=False)
-    if x is None:
-        return ""
+    x, solved = _solve(attempt, problem, late=False)
+    if x is None or not solved:
+        return "", None
     first, misses = attempt.layout.size, []
     for use in problem.uses:
         rows = use.rows
@@ -50,7 +54,8 @@ def _missed(attempt: Attempt) -> str:
             label = use.element.labels[int(np.argmax(by))]
             unit = " m" if label.endswith("position") else ""
             misses.append((float(np.linalg.norm(by)), f"{label} is missed by {np.linalg.norm(by):.3g}{unit}"))
-    return "; ".join(text for _, text in misses[:3])
+    misses.sort(reverse=True)
+    return "; ".join(text for _, text in misses[:3]), x[:first]
 
 
 def _late(attempt: Attempt) -> str:

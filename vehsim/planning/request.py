@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -12,10 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim.clip import frame_rate
 from vehsim.errors import InputError
 from vehsim.planning.legs import mark_positions
-from vehsim.planning.marks import Mark
-from vehsim.planning.terms import Constraint, Limits, Term
+from vehsim.planning.marks import Mark, check_marks, with_breaks
+from vehsim.planning.obstacles import check_marks_clear
+from vehsim.planning.solver import check_solver
+from vehsim.planning.terms import Constraint, Limits, Term, check_limits, check_terms, cost_weights
 from vehsim.vehicles import Vehicle
 from vehsim.world.slope import on_terrain
 
@@ -81,6 +84,66 @@ class Request:
     @property
     def terrain(self) -> bool:
         return self.world is not None and self.world.terrain is not None and self.vehicle.group.dim == 6
+
+
+def ask(
+    vehicle: Vehicle,
+    world: Any,
+    marks: Sequence[Mark],
+    *,
+    fps: Any,
+    segments: int,
+    cost: str | Mapping[str, float] = "effort",
+    clearance: float = 1.0,
+    limits: Mapping[str, Any] | None = None,
+    refine: bool = True,
+    terms: Sequence[Term] = (),
+    loop: bool = False,
+    solver: str = "ipopt",
+    max_iterations: int = 200,
+    time_limit: float | None = None,
+) -> Request:
+    """What `vehsim.plan` is asked for, checked; raises ``InputError`` naming key, value and mend."""
+    if not isinstance(vehicle, Vehicle):
+        raise InputError(f"vehicle = {vehicle!r}: give what vehsim.load_vehicle returns")
+    vehicle = vehicle.planar or vehicle
+    if not (math.isfinite(clearance) and clearance >= 0):
+        raise InputError(f"clearance = {clearance!r}: give a distance in metres, zero or more")
+    if time_limit is not None and not time_limit > 0:
+        raise InputError(f"time_limit = {time_limit!r}: give seconds, more than zero")
+    kept = check_terms(terms)
+    request = Request(
+        vehicle=vehicle,
+        world=world,
+        marks=all_marks(marks, vehicle, kept),
+        fps=frame_rate(fps),
+        segments=int(segments),
+        weights=cost_weights(cost, vehicle.default_costs),
+        clearance=float(clearance),
+        limits=check_limits(limits or {}, vehicle.joints),
+        refine=refine,
+        max_iterations=max_iterations,
+        terms=kept,
+        loop=loop,
+        solver=check_solver(solver),
+        deadline=math.inf if time_limit is None else time.monotonic() + time_limit,
+    )
+    least = 2 * (len(request.marks) - 1)
+    if not least <= segments <= 4096:
+        raise InputError(f"segments = {segments!r}: give at least two a leg between marks, {least}, and at most 4096")
+    check_loop(request)
+    check_marks_clear(vehicle, world, request.marks, request.clearance)
+    heights = {float(np.asarray(mark.position)[2]) for mark in request.marks if mark.position is not None}
+    if vehicle.group.dim == 3 and len(heights) > 1 and (world is None or world.terrain is None):
+        raise InputError(
+            f"mark.position: heights {sorted(heights)} m; {vehicle.name} keeps its height, give one z to all"
+        )
+    return request
+
+
+def all_marks(marks: Sequence[Mark], vehicle: Vehicle, terms: Sequence[Term]) -> list[Mark]:
+    """The marks, holds written out, and a knot where a term's frames begin or end."""
+    return with_breaks(check_marks(marks, vehicle.joints), [frame for term in terms for frame in term.frames or ()])
 
 
 def check_loop(request: Request) -> None:

@@ -136,7 +136,7 @@ COSTS: dict[str, Callable[[SegmentView], Expr]] = {
     "distance": lambda s: _norm(s.end.position - s.start.position),
     "smoothness": lambda s: ca.sumsqr(s.c1 - s.c0) / s.h,
     "course": _mean(_off_course),
-    "energy": _mean(lambda k: ca.sqrt(k.power**2 + 1e-4) - 1e-2),
+    "energy": _mean(lambda k: ca.sqrt(k.power**2 + 0.04) - 0.2),
     "steering": _mean(lambda k: _steering(k) ** 2),
     "safety": lambda s: 0 * s.h,
 }

@@ -125,13 +125,8 @@ def check_mark(key: str, mark: Any, vehicle: Vehicle) -> Iterator[Problem]:
         yield Problem(f"{key}.speed", "velocity is given too", "keep one of them", mark.speed)
     if mark.hold and (mark.velocity is None or any(mark.velocity)):
         yield Problem(f"{key}.hold", "a hold is at rest", "give velocity = [0, 0, 0]", mark.hold)
-    if mark.hold and mark.frame == "free":
-        yield Problem(f"{key}.hold", "a free mark cannot be held yet", "give it a whole frame", mark.hold)
     if mark.joints is not None:
         yield from check_names(f"{key}.joints", mark.joints, vehicle.joints, "joint")
-        for name in vehicle.joints:
-            if name not in mark.joints:
-                yield Problem(f"{key}.joints.{name}", "missing", "give every joint, or none")
 
 
 def check_free(

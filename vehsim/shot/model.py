@@ -324,6 +324,17 @@ class WorldTable(Table):
     """[[world.obstacle]] tables, each with shape = "polygon", "ellipse", "box", "mesh" or "vehicle\""""
 
 
+class GateTable(Table):
+    """``gate = { direction = [1, 0, 0], radius = 4 }``: an opening about a mark's position."""
+
+    direction: Velocity
+    """which way through, [x, y, z] of any length"""
+    radius: Positive | None = None
+    """a ring's radius in m"""
+    size: Annotated[list[Positive], Array, Len(2, 2)] | None = None
+    """instead of it, a rectangle's [width, height] in m; its width is level"""
+
+
 class MarkTable(Table):
     """``[[vehicle.motion.mark]]``: what is not given is free."""
 
@@ -340,11 +351,13 @@ class MarkTable(Table):
     speed: Annotated[NotNegative, Field(le=1000)] | None = None
     """the speed in m/s, in any direction"""
     joints: dict[str, Number] | None = None
-    """a table of joint values, in the vehicle's own units"""
+    """a table of joint values, in the vehicle's own units; joints it leaves out are free"""
     tolerance: Annotated[NotNegative, Field(le=1e6)] = 0.0
     """how far from the position is good enough, in m"""
     hold: Annotated[int, Field(ge=0, le=MAX_FRAMES)] = 0
     """how many frames to stay there, at rest"""
+    gate: GateTable | None = None
+    """a table { direction, radius or size }: an opening about the position to pass through"""
 
 
 class StartTable(Table):

@@ -16,6 +16,7 @@ from annotated_types import Len
 from pydantic import BeforeValidator, Field, PlainValidator, WithJsonSchema
 
 from vehsim.errors import InputError, Problem, SolveError
+from vehsim.shot.asking import LimitTable, LookTable, StayTable, check_asked, check_limits, limits_si
 from vehsim.shot.blocked import BlockingTable, blocking_of, marks_of
 from vehsim.shot.checks import Setting, check_free, check_mark, check_names, check_order, choose, orientation_of
 from vehsim.shot.integrating import IntegrateMotion
@@ -41,8 +42,6 @@ if TYPE_CHECKING:
 
 MAX_STEPS = 10_000_000
 """More integration steps than any shot needs."""
-_ANGULAR = {"turn_rate", "bank"}
-"""Limits that the shot file gives in degrees."""
 
 
 class PlanMotion(Table):
@@ -64,8 +63,18 @@ class PlanMotion(Table):
     """two or more [[vehicle.motion.mark]] tables"""
     marks: BlockingTable | None = None
     """instead of them, a table { usd, prim, ... }: a prim that was blocked in"""
-    limits: dict[str, Positive] = Field(default={})
-    """a table of what to stay below: speed and climb in m/s, turn_rate in deg/s, bank in degrees, ceiling in m"""
+    limits: LimitTable = Field(default={})
+    """a table of what to stay below: speed and climb in m/s, turn_rate in deg/s, bank in degrees, ceiling in m ..."""
+    look: Annotated[list[LookTable], Array, Len(0, 100)] = Field(default=[])
+    """[[vehicle.motion.look]] tables: where to look, and when"""
+    stay: Annotated[list[StayTable], Array, Len(0, 100)] = Field(default=[])
+    """[[vehicle.motion.stay]] tables: above, below or inside what, and when"""
+    loop: bool = False
+    """true: the motion ends as it begins, to be repeated"""
+    solver: Text = "ipopt"
+    """the optimiser: "ipopt", or another that CasADi ships"""
+    time_limit: Annotated[Positive, Field(le=1e5)] | None = None
+    """seconds after which the best motion so far is taken; results then depend on the machine"""
 
     def blocking(self, setting: Setting) -> Blocking | None:
         """What was blocked in, None where the marks were given one by one. Raises ``InputError``."""
@@ -79,7 +88,18 @@ class PlanMotion(Table):
         return self.mark or []
 
     def check(self, vehicle: Vehicle, setting: Setting) -> Iterator[Problem]:
-        from vehsim.planning.terms import COSTS, LIMITS
+        wrong = list(self._check_each(vehicle, setting))
+        yield from wrong
+        if not any(problem.severity == "error" for problem in wrong):  # each is right: do they go together?
+            try:
+                marks, options = [_as_mark(mark, vehicle) for mark in self.all_marks(setting)], self._options()
+            except InputError as error:
+                yield Problem("look" if self.look else "stay", str(error), "see docs/shot-file.md")
+                return
+            yield from check_asked(vehicle, setting, marks, options)
+
+    def _check_each(self, vehicle: Vehicle, setting: Setting) -> Iterator[Problem]:
+        from vehsim.planning.terms import COSTS
 
         if (self.mark is None) == (self.marks is None):
             mend = "give two or more [[vehicle.motion.mark]], or marks = { usd = ..., prim = ... }, not both"
@@ -92,7 +112,7 @@ class PlanMotion(Table):
             return
         cost = {self.cost: None} if isinstance(self.cost, str) else self.cost
         yield from check_names("cost", cost, COSTS, "cost")
-        yield from check_names("limits", self.limits, LIMITS, "limit")
+        yield from check_limits(self.limits, vehicle)
         yield from check_order(marks, setting)
         if _planar(vehicle):
             yield from check_marks(marks, vehicle, setting.world, self.clearance)
@@ -103,6 +123,18 @@ class PlanMotion(Table):
                 slack = self.clearance - mark.tolerance
                 yield from check_free(f"{key}.position", mark.position, mark, slack, vehicle, setting.world)
 
+    def _options(self) -> dict[str, Any]:
+        """What `vehsim.plan` takes beside the marks."""
+        return {
+            "segments": self.segments,
+            "cost": self.cost,
+            "clearance": self.clearance,
+            "limits": limits_si(self.limits),
+            "terms": [*(table.term() for table in self.look), *(table.term() for table in self.stay)],
+            "loop": self.loop,
+            "solver": self.solver,
+        }
+
     def solve(self, vehicle: Vehicle, setting: Setting, progress: Progress) -> tuple[Clip, dict[str, Any]]:
         from vehsim.planning import plan
 
@@ -112,11 +144,9 @@ class PlanMotion(Table):
             setting.world,
             marks=[_as_mark(mark, vehicle) for mark in wanted],
             fps=setting.fps,
-            segments=self.segments,
-            cost=self.cost,
-            clearance=self.clearance,
-            limits={name: np.deg2rad(v) if name in _ANGULAR else v for name, v in self.limits.items()},
+            time_limit=self.time_limit,
             progress=progress,
+            **self._options(),
         )
         if not result.success:
             raise SolveError(f"{vehicle.name}: no plan was found: {result.message}; loosen marks, clearance or limits")
@@ -332,10 +362,10 @@ def _array(value: Any) -> Any:
 
 
 def _as_mark(mark: MarkTable, vehicle: Vehicle) -> Mark:
-    from vehsim.planning import Mark
+    from vehsim.planning import Gate, Mark
 
-    joints = None if mark.joints is None else [mark.joints[name] for name in vehicle.joints]
-    return Mark(**(mark.model_dump() | {"joints": joints}))
+    gate = None if mark.gate is None else Gate(**mark.gate.model_dump())
+    return Mark(**(mark.model_dump() | {"gate": gate}))
 
 
 def as_state(start: StartTable, vehicle: Vehicle) -> State:
