@@ -72,8 +72,32 @@ def wheel() -> dict[str, Surface]:
         )
     )
     disc = revolve([(0.0, 0.0), (0.155, 0.0), (0.155, 0.022), (0.0, 0.022)], 32, "y")
+    # letters on the sidewall, in two arcs of unlike length: they show the wheel turning
+    letters = [
+        _letter(a, r) for start, count in ((0.35, 7), (0.35 + np.pi, 4)) for a in start + 0.13 * np.arange(count)
+    ]
     back = revolve([(0.0, -0.075), (0.20, -0.075), (0.20, -0.06), (0.0, -0.06)], 32, "y")
-    return by_material({"tyre": tyre, "rim": join(barrel, hub, *spokes), "trim": join(back, nuts), "disc": disc})
+    return by_material(
+        {
+            "tyre": tyre,
+            "rim": join(barrel, hub, *spokes),
+            "trim": join(back, nuts),
+            "disc": disc,
+            "mark": join(*letters),
+        }
+    )
+
+
+def _letter(angle: float, radius: float) -> Surface:
+    """A raised block on the outer sidewall at ``angle``."""
+    along, across = np.array([np.cos(angle), 0, np.sin(angle)]), np.array([-np.sin(angle), 0, np.cos(angle)])
+    corners = [
+        d * radius * along + side * half * across + (WIDTH / 2 + y) * np.array([0, 1.0, 0])
+        for d in (0.805, 0.875)
+        for side in (-1, 1)
+        for half, y in ((0.0105, -0.006), (0.009, 0.0012))
+    ]
+    return convex(np.array(corners), 20.0)
 
 
 def spoked_wheel(

@@ -53,6 +53,15 @@ MATERIALS = {
     "rim": Material((0.30, 0.305, 0.315), roughness=0.3, metallic=0.85),
     "disc": Material((0.20, 0.20, 0.21), roughness=0.45, metallic=0.8),
     "chrome": Material((0.62, 0.63, 0.65), roughness=0.15, metallic=1.0),
+    "mark": Material((0.80, 0.78, 0.72), roughness=0.6),
+}
+LIVERIES = {
+    "blue": {name: MATERIALS[name] for name in ("paint", "rim", "mark")},
+    "red": {
+        "paint": Material((0.36, 0.014, 0.012), roughness=0.22, metallic=0.15, clearcoat=1.0),
+        "rim": Material((0.05, 0.051, 0.054), roughness=0.35, metallic=0.7),
+        "mark": Material((0.72, 0.07, 0.02), roughness=0.6),
+    },
 }
 
 
@@ -116,7 +125,7 @@ def _between(a, b, t: float):
     return lambda x: (1 - t) * a(x) + t * b(x)
 
 
-def shell_sections(xs: Array, around: int = 72) -> Array:
+def shell_sections(xs: Array, around: int = 64) -> Array:
     w, zero = HALF_WIDTH, lambda x: 0.0
     rows = [
         (zero, FLOOR),
@@ -146,7 +155,7 @@ def facing(end: float, corners: list[tuple[float, float]], radius: float) -> Fie
 def shell() -> dict[str, Surface]:
     """The painted body below the glass, with wheel arches cut out, lamps, grilles, seams and sills cut in."""
     ends = 0.25 * (1 - np.cos(np.linspace(0, np.pi / 2, 9)))
-    xs = np.concatenate([2.15 - ends, np.arange(1.85, -1.86, -0.065), (-2.15 + ends)[::-1]])
+    xs = np.concatenate([2.15 - ends, np.arange(1.85, -1.86, -0.072), (-2.15 + ends)[::-1]])
     skin = lattice(shell_sections(xs), crease=50)
     for x in (AXLE, -AXLE):
         _, skin = split(skin, arch(x, ARCH))
@@ -155,8 +164,8 @@ def shell() -> dict[str, Surface]:
     boot = polygon([(-1.72, -0.60), (-1.72, 0.60), (-2.6, 0.62), (-2.6, -0.62)], 0.06, (0, 1))
     panels = [door, both(bonnet, above(0.5)), both(boot, above(0.66))]
     skin, lines = seam(skin, panels, 0.004)
-    skin = sharpened(skin, LENS, 0.018)
-    skin = sharpened(skin, VENT, 0.03)
+    skin = sharpened(skin, LENS, 0.014)
+    skin = sharpened(skin, VENT, 0.06)
     arches: list[tuple[str, Field]] = [("trim", arch(x, ARCH + 0.014)) for x in (AXLE, -AXLE)]
     coats = [*front_details(), *rear_details(), *arches, ("trim", lambda p: p[:, 2] - 0.235)]
     return by_material(painted(skin, coats, "paint"), {"seal": lines})
@@ -230,8 +239,8 @@ def cabin() -> dict[str, Surface]:
         (_scaled(RAIL, 0.45), _between(edge, ROOF, 0.95)),
         (zero, ROOF),
     ]
-    xs = np.concatenate([np.arange(1.06, -1.9, -0.05), [-1.95]])
-    skin = lattice(sections(xs, rows, 64), crease=50)
+    xs = np.concatenate([np.arange(1.06, -1.9, -0.055), [-1.95]])
+    skin = lattice(sections(xs, rows, 48), crease=50)
     inner = lambda p: np.abs(p[:, 1]) - RAIL(p[:, 0]) + 0.055  # noqa: E731
     windscreen = both(inner, lambda p: 0.16 - p[:, 0] + 0.05 * p[:, 1] ** 2, blend=0.06)
     backlight = both(inner, lambda p: p[:, 0] + 0.95, lambda p: -1.72 - p[:, 0], blend=0.08)
@@ -264,8 +273,10 @@ def wheel_wells() -> dict[str, Surface]:
     wells = []
     for x in (AXLE, -AXLE):
         turn = np.linspace(-0.30, np.pi + 0.30, 32)
-        rim = np.stack([x + ARCH * np.cos(turn), RADIUS + ARCH * np.sin(turn)], 1)
-        outer = np.array([[px, side_of_shell(px, pz) - 0.004, pz] for px, pz in rim])
+        rim = np.stack(
+            [x + (ARCH + 0.008) * np.cos(turn), RADIUS + (ARCH + 0.008) * np.sin(turn)], 1
+        )  # behind the edge
+        outer = np.array([[px, side_of_shell(px, pz) + 0.001, pz] for px, pz in rim])
         inner = np.column_stack([rim[:, 0], np.full(len(rim), 0.5), rim[:, 1]])
         wall = np.column_stack([np.full(len(rim), x), np.full(len(rim), 0.5), np.full(len(rim), RADIUS)])
         wells.append(lattice([outer, inner, wall], wrap=False, crease=30))
@@ -287,7 +298,7 @@ def fittings() -> dict[str, Surface]:
     mirror = Surface(ball.points * [0.09, 0.105, 0.065], ball.normals, ball.faces).moved([0.66, 0.93, 0.955])
     stalk = tube([[0.68, 0.76, 0.90], [0.67, 0.88, 0.935]], 0.02, 8)
     glass = convex(ball.points * [0.012, 0.088, 0.052] + [0.588, 0.93, 0.957])
-    handle = box([0.17, 0.022, 0.025], [-0.33, 0.905, 0.765], 0.008)
+    handle = box([0.17, 0.022, 0.025], [-0.33, 0.918, 0.765], 0.008)
     plates = join(
         box([0.012, 0.46, 0.105], [2.145, 0, 0.445], 0.003), box([0.012, 0.46, 0.105], [-2.152, 0, 0.585], 0.003)
     )

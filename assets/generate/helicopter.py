@@ -56,6 +56,14 @@ MATERIALS = {
     "blur_root": Material((0.08, 0.085, 0.09), roughness=0.8, opacity=0.14),
     "blur_tip": Material((0.80, 0.42, 0.08), roughness=0.8, opacity=0.12),
 }
+LIVERIES = {
+    "navy": {name: MATERIALS[name] for name in ("white", "blue", "gold")},
+    "rescue": {
+        "white": Material((0.80, 0.62, 0.03), roughness=0.28, clearcoat=1.0),
+        "blue": Material((0.45, 0.018, 0.012), roughness=0.25, clearcoat=1.0),
+        "gold": Material((0.78, 0.79, 0.80), roughness=0.28, clearcoat=1.0),
+    },
+}
 
 
 def build() -> dict[str, PartShape]:
@@ -72,7 +80,7 @@ def build() -> dict[str, PartShape]:
 # ---------------------------------------------------------------- fuselage
 
 
-def superellipses(xs: Array, top, bottom, width, power, middle: float = 0.42, around: int = 72) -> Array:
+def superellipses(xs: Array, top, bottom, width, power, middle: float = 0.42, around: int = 56) -> Array:
     """Sections (m, around, 3): superellipses from ``bottom(x)`` to ``top(x)``, widest at ``middle`` of the height."""
     turn = np.linspace(-np.pi / 2, np.pi / 2, 400)
     sections = []
@@ -125,7 +133,7 @@ def hull() -> dict[str, Surface]:
     xs = np.concatenate(
         [
             NOSE - np.linspace(0.0, np.sqrt(0.5), 10) ** 2,
-            np.arange(2.93, -2.4, -0.08),
+            np.arange(2.93, -2.4, -0.125),
             np.linspace(-2.5, -6.5, 13),
             [-6.6, -6.68, -6.74, TAIL],
         ]
@@ -183,8 +191,8 @@ def cowling() -> dict[str, Surface]:
         [1.34, 1.22, 1.05, 0.8, 0.4, -0.6, -1.4, -2.0, -2.4, -2.72],
         [0.20, 0.34, 0.44, 0.52, 0.57, 0.57, 0.50, 0.39, 0.28, 0.12],
     )
-    xs = np.concatenate([np.linspace(1.34, 1.0, 9), np.arange(0.93, -2.65, -0.085), [-2.72]])
-    skin = lattice(superellipses(xs, top, lambda x: HULL_TOP(x) - 0.45, width, lambda x: 3.0, 0.5, 52), crease=45)
+    xs = np.concatenate([np.linspace(1.34, 1.0, 9), np.arange(0.93, -2.65, -0.13), [-2.72]])
+    skin = lattice(superellipses(xs, top, lambda x: HULL_TOP(x) - 0.45, width, lambda x: 3.0, 0.5, 40), crease=45)
     intake = both(
         polygon([(1.12, 2.33), (0.52, 2.33), (0.52, 2.52), (0.86, 2.52)], 0.05), lambda p: 0.1 - np.abs(p[:, 1])
     )

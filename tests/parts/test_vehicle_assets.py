@@ -43,8 +43,14 @@ STEERED = {"car": {"steer_fl": 40, "steer_fr": 40}, "boat": {"outboard": 30}}
 """Part -> degrees to either side: hulls do not move, so they hold what steers at every angle."""
 LOWEST = {"boat": -0.8401, "tumbler": -0.0221}
 """Where a vehicle does not stand on the ground: its lowest point, m."""
-WHEELS = [("two_wheeled", "wheel_left"), ("two_wheeled", "wheel_right"), ("snakeboard", "truck_front/wheel_fl")]
-LIVERIES = ["boat", "two_wheeled", "snakeboard", "tumbler"]
+WHEELS = [
+    ("car", "wheel_rl"),
+    ("car", "steer_fr/wheel_fr"),
+    ("two_wheeled", "wheel_left"),
+    ("two_wheeled", "wheel_right"),
+    ("snakeboard", "truck_front/wheel_fl"),
+]
+LIVERIES = ["car", "helicopter", "boat", "two_wheeled", "snakeboard", "tumbler"]
 every = pytest.mark.parametrize("name", list(PARTS))
 
 
