@@ -75,6 +75,7 @@ def export(
     only: Annotated[list[str] | None, typer.Option(metavar="VEHICLE", help="This vehicle alone. Repeatable.")] = None,
     quality: Annotated[Quality, typer.Option(help="draft: half the picture size, no shadows.")] = Quality.final,
     memory: Annotated[float | None, typer.Option(min=0.5, metavar="GB", help="What a worker may use.")] = None,
+    layer_only: Annotated[bool, typer.Option("--layer-only", help="Animation layers and nothing else.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Check and say what would be done.")] = False,
     log: Annotated[Log, typer.Option(help="json: a line of JSON for everything that happens.")] = Log.text,
     quiet: Quiet = False,
@@ -84,7 +85,7 @@ def export(
 
     names = _exporters(to)
     _check_folder(out)
-    loaded, problems = _load(shots, sets or [], only or [])
+    loaded, problems = _load(shots, [*(sets or []), *["export.layer_only=true"] * layer_only], only or [])
     for shot in loaded:
         (may_hold_versions if shot.usd.versions else may_replace)(out / shot.name)
     _say(problems, quiet or log is Log.json)

@@ -1,0 +1,57 @@
+"""Through its handles a vehicle moves as physics has it: forwards and backwards with the controls it has at its ends."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+
+import vehsim
+from vehsim.shot import Shot
+
+MARKS = {
+    "car": [((0, 0, 0), (12, 0, 0)), ((26, 3, 0), (14, 0, 0))],
+    "helicopter": [((0, 0, 10), (12, 0, 0)), ((26, 6, 12), (12, 5, 0))],
+}
+
+
+def solve(asset, handles=8, end=1049):
+    marks = [
+        {"frame": frame, "position": list(place), "velocity": list(speed)}
+        for frame, (place, speed) in zip((1001, 1049), MARKS[asset], strict=True)
+    ]
+    shot = {
+        "shot": {"schema": 1, "name": "handles", "end_frame": end, "handles": handles},
+        "vehicle": [{"name": "it", "asset": asset, "motion": {"method": "plan", "mark": marks}}],
+    }
+    return Shot.from_dict(shot).solve()
+
+
+@pytest.mark.parametrize("asset", MARKS)
+def test_motion_goes_on_physically_through_handles(asset):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        take = solve(asset)
+    clip = take.clips["it"]
+    assert take.frames == (993, 1057) and (clip.start_frame, clip.end_frame) == (993, 1057)
+    marked = clip.at([8 / 24, 56 / 24])
+    assert marked.positions == pytest.approx(np.array([MARKS[asset][0][0], MARKS[asset][1][0]], float), abs=1e-6)
+    # what came before leads to the first mark, by the forward integrator
+    again = vehsim.simulate(clip.vehicle, take.world, clip.controls[0], clip.state(0), 8 / 24)
+    k = np.argmin(np.abs(clip.times - 8 / 24))
+    assert np.abs(again.positions[-1] - clip.positions[k]).max() < 1e-9
+    assert np.abs(again.twists[-1] - clip.twists[k]).max() < 1e-9
+    # nothing jumps: not the velocity, not a wheel's or a rotor's speed
+    whole = clip.resample()
+    steps = np.diff(whole.positions, axis=0)
+    assert np.linalg.norm(np.diff(steps, axis=0), axis=1).max() * 24**2 < 15
+    for name, values in whole.channels.items():
+        if clip.vehicle.channels[name].rate is not None:
+            assert np.abs(np.diff(values, 2)).max() < 0.1 * np.abs(np.diff(values)).max(), name
+
+
+def test_where_more_is_missing_than_the_handles_it_is_said():
+    with pytest.warns(UserWarning, match="cut off while it moves"):
+        take = solve("car", end=1060)
+    assert np.ptp(take.clips["it"].resample().positions[-5:], axis=0).max() == 0.0
