@@ -66,6 +66,10 @@ def _top(take: Take, name: str, clip: Clip) -> str:
     _contours(canvas, take)
     for outline in outlines:
         canvas.polygon(outline, ROCK, "none")
+    for other, motion in take.clips.items():
+        if other != name:
+            for outline in _poses(take, motion, (0, 1)):
+                canvas.polygon(outline, ROCK, INK, 0.6 if np.ptp(motion.positions, axis=0).max() < 0.01 else 0.12)
     return _view(canvas, take, name, clip, (0, 1), shown)
 
 

@@ -22,6 +22,7 @@ from vehsim.planning.guess import along_paths, lift
 from vehsim.planning.layout import Layout
 from vehsim.planning.legs import (
     fixed_durations,
+    knots_within,
     path_length,
     share_known_spans,
     spans_between,
@@ -52,6 +53,8 @@ SLACK = 0.01
 """How far below the asked clearance a certified motion may be, m."""
 KEPT = 16
 """Built problems kept for plans to come; building one takes as long as solving it."""
+LOOKS = 3
+"""How often a solve begins again because it ran through an obstacle it had not seen."""
 CRUISE = 12.0
 """Guess of a free leg's speed, m/s, when no speed limit is lower."""
 
@@ -106,9 +109,15 @@ class Attempt:
         phases = self.layout.phases
         self.lengths = durations / np.array(phases)
         self.free = np.isnan(fixed)
-        self.x = along_paths(self.t, self.layout, marks, paths, self.lengths, self.request.wind)
+        self.x = along_paths(self.t, self.layout, marks, paths, self.lengths, self.request.wind, self._aims())
         self.guess = self.x
         self._look()
+
+    def _aims(self) -> list[tuple[int, int, Any, float]]:
+        """What constraints say of headings: (first knot, last knot, point, angle)."""
+        marks, knots = self.request.marks, self.layout.mark_knots
+        aimed = [(term, term.aim) for term in self.request.constraints if term.aim is not None]
+        return [(*knots_within(marks, knots, term.frames), *aim) for term, aim in aimed]
 
     def _coarse(self) -> int:
         """Segments to find a plan on: as many as asked for, halved while enough are left."""
@@ -119,7 +128,19 @@ class Attempt:
         return segments
 
     def solve(self, free: bool = True) -> None:
-        """Solve on the present layout from the present variables; legs of free marks vary when ``free``."""
+        """Solve on the present layout from the present variables; legs of free marks vary when ``free``.
+
+        A motion through an obstacle that was too far away to be seen is solved again, from the same start.
+        """
+        start, lengths = self.x.copy(), self.lengths.copy()
+        self._solve(free)
+        for _ in range(LOOKS):
+            if self.rows is None or not self.rows.overlooked(*self._poses(), self._seconds(), self.request.clearance):
+                break
+            self.x, self.lengths = start.copy(), lengths.copy()
+            self._solve(free)
+
+    def _solve(self, free: bool) -> None:
         began = time.perf_counter()
         request, layout = self.request, self.layout
         solver = self._solver(spans_between(request.marks, request.fps) if free else [])

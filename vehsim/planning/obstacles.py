@@ -83,6 +83,17 @@ class Rows:
             self.seen = near
         self.seen = self.seen | near
 
+    def overlooked(self, positions: Array, yaw: Array, seconds: Array, clearance: float) -> bool:
+        """Whether solved poses (knots, ...) come too near to parts unseen there; these are seen from now on."""
+        outlines = placed(footprint(self.vehicle), positions[:, :2], yaw)
+        missed = clearances(self.parts, outlines, seconds, clearance + SIGHT) < clearance - FINEST
+        missed[:, 0] = False
+        missed &= ~self.seen
+        if missed.any():
+            whole = missed.any(axis=1, keepdims=True)
+            self.seen |= whole & (np.arange(self.seen.shape[1]) > 0)
+        return bool(missed.any())
+
     def drive(self, request: Request, wariness: int = 0) -> list[Array]:
         """A path (k, 4) x, y, z m and heading rad for every leg between two marks, by A*; the greater ``wariness``,
         the more room it looks for.

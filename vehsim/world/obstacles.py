@@ -82,6 +82,12 @@ class Moving:
     def top(self) -> float:
         return float(self.clip.positions[:, 2].max() + max(hull[:, 2].max() for hull in self.hulls))
 
+    @property
+    def stands(self) -> bool:
+        """Whether it never moves."""
+        poses = np.hstack([self.clip.positions, self.clip.orientations])
+        return bool(np.ptp(poses, axis=0).max() < 0.01)
+
     def poses_at(self, seconds: Array) -> tuple[Array, Array]:
         """Positions (n, 3) m and orientations (n, 4) at ``seconds`` (n,) since frame 0."""
         first = self.clip.start_frame / float(self.clip.fps)

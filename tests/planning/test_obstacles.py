@@ -1,0 +1,243 @@
+"""Cars among obstacles: clear by an independent library's word, between knots too; what cannot be done is named."""
+
+import numpy as np
+import pytest
+import shapely
+
+import vehsim
+from vehsim import Mark, World
+from vehsim.errors import InputError, SolveError
+from vehsim.planning.astar import guess_drive, turning_radius
+from vehsim.planning.obstacles import (
+    CORNERS,
+    Rows,
+    certify_plane,
+    clearances,
+    inner_discs,
+    obstacle_rows,
+    simplified,
+)
+from vehsim.planning.transcription import transcription
+from vehsim.world import obstacles as ob
+from vehsim.world.plane import distance, placed
+
+REST = (0.0, 0.0, 0.0)
+WALLS = [  # a ring about (20, 0)
+    ob.box("east", (26, 0, 0), (1, 14, 2)),
+    ob.box("west", (14, 0, 0), (1, 14, 2)),
+    ob.box("north", (20, 6.5, 0), (13, 1, 2)),
+    ob.box("south", (20, -6.5, 0), (13, 1, 2)),
+]
+
+
+@pytest.fixture(scope="module")
+def car():
+    return vehsim.load_vehicle("car")
+
+
+def yard(seed, count=8):
+    rng = np.random.default_rng(seed)
+    obstacles = []
+    for i in range(count):
+        centre = rng.uniform((9, -9), (41, 9))
+        if i % 3 == 0:
+            obstacles.append(ob.ellipse(f"e{i}", centre, rng.uniform(1, 2.5, 2), rng.uniform(0, 180)))
+        else:
+            angles = np.sort(rng.uniform(0, 2 * np.pi, 6))
+            ring = np.column_stack([np.cos(angles), np.sin(angles)]) * rng.uniform(1, 2.5)
+            obstacles.append(ob.polygon(f"p{i}", centre + ring))
+    return World(obstacles=obstacles)
+
+
+def across(length=50.0, **goal):
+    return [
+        Mark(1001, position=REST, heading=0, velocity=REST),
+        Mark("free", position=(length, 0, 0), heading=0, velocity=REST, **goal),
+    ]
+
+
+def gap_by_shapely(clip, world):
+    """Least distance at 2000 times, footprints and obstacles as shapely sees them; ellipses as rings of 400 corners."""
+    motion = clip.at(np.linspace(0, clip.times[-1], 2000))
+    yaw = ob.headings(motion.orientations)
+    outlines = placed(ob.footprint(clip.vehicle), motion.positions[:, :2], yaw)
+    shapes = [part for o in world.obstacles for part in o.parts]
+    union = shapely.unary_union([
+        shapely.Polygon(part.outline(400) if hasattr(part, "outline") else part) for part in shapes
+    ])  # fmt: skip
+    return float(shapely.distance(shapely.polygons(outlines), union).min())
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_car_finds_its_way_and_keeps_its_distance(car, seed):
+    world = yard(seed)
+    plan = vehsim.plan(car, world, across(), segments=48, clearance=0.5)
+    assert plan.success, plan.message
+    checked = gap_by_shapely(plan.clip, world)
+    assert checked >= 0.5 - 2e-3
+    assert plan.clearance == pytest.approx(checked, abs=2e-3)  # the certificate says no more than is so
+    np.testing.assert_allclose(plan.clip.positions[-1, :2], (50, 0), atol=1e-6)
+    assert np.abs(plan.clip.joints[:, car.joints.index("sigma")]).max() <= 0.7 + 1e-6
+
+
+@pytest.mark.parametrize("name", ["two_wheeled", "simple_car"])
+def test_other_vehicles_drive_among_obstacles_too(name):
+    vehicle, scale = vehsim.load_vehicle(name), 0.2 if name == "two_wheeled" else 1.0
+    stones = [ob.ellipse("stone", (20 * scale, 0), (3 * scale, 2 * scale)), ob.box("crate", (34 * scale, 3 * scale, 0),
+              (4 * scale, 6 * scale, 1), 20)]  # fmt: skip
+    world = World(obstacles=stones)
+    plan = vehsim.plan(vehicle, world, across(50 * scale), segments=48, clearance=0.5 * scale)
+    assert plan.success, plan.message
+    assert gap_by_shapely(plan.clip, world) >= 0.5 * scale - 2e-3
+
+
+def test_a_car_parks_between_two_others(car):
+    """In a gap two metres longer than itself: no way but backwards."""
+    world = World(obstacles=[ob.box("behind", (-5.4, -3, 0), (4.3, 1.9, 1.4)), ob.box("ahead", (5.4, -3, 0),
+                  (4.3, 1.9, 1.4)), ob.box("kerb", (0, -4.75, 0), (26, 0.8, 0.15))])  # fmt: skip
+    marks = [
+        Mark(1001, position=(-7, 0, 0), heading=0, velocity=REST),
+        Mark("free", position=(0, -3, 0), heading=0, velocity=REST),
+    ]
+    plan = vehsim.plan(car, world, marks, segments=64, clearance=0.2, limits={"speed": 3.0})
+    assert plan.success, plan.message
+    assert gap_by_shapely(plan.clip, world) >= 0.2 - 2e-3
+    assert plan.clip.twists[:, 1].min() < -0.3 and plan.clip.twists[:, 1].max() > 0.3  # it went both ways
+
+
+def test_a_moving_obstacle_is_let_by(car):
+    """Another car crosses where the first would meet it: without an eye on it they collide, with it they do not."""
+    start = vehsim.State(position=(20, -24, 0), orientation=(np.sqrt(0.5), 0, 0, np.sqrt(0.5)), twist=(0, 6.0, 0))
+    other = vehsim.simulate(car, World(), start=start, duration=8.0, fps=24, start_frame=1001)
+    crossing = ob.moving("crossing", other)
+    marks = [
+        Mark(1001, position=REST, heading=0, velocity=(5, 0, 0)),
+        Mark(1193, position=(40, 0, 0), heading=0, velocity=(5, 0, 0)),
+    ]
+    blind = vehsim.plan(car, World(), marks, segments=48)
+    seeing = vehsim.plan(car, World(obstacles=[crossing]), marks, segments=48, clearance=0.5)
+    assert certify_plane(blind.clip, [(crossing, 0)])[0] < 0
+    assert seeing.success, seeing.message
+    assert certify_plane(seeing.clip, [(crossing, 0)])[0] >= 0.5 - 2e-3
+
+
+def test_what_hangs_higher_or_lies_lower_does_not_matter(car):
+    overhead = World(obstacles=[ob.box("bridge", (20, 0, 5), (4, 40, 1)), ob.box("drain", (30, 0, -2), (4, 40, 1))])
+    assert obstacle_rows(car, overhead, across()) is None
+
+
+@pytest.mark.parametrize(
+    "obstacles, complaint",
+    [
+        ([ob.box("hut", (0, 0, 0), (9, 9, 3))], r"mark\[0\].position = .*in obstacle 'hut'; move the mark"),
+        ([ob.polygon("c", [(47, -3), (53, -3), (53, 3), (47, 3)][::-1])], r"mark\[1\].position = .*in obstacle 'c'"),
+        ([ob.box("wall", (50, 2.0, 0), (9, 0.5, 3))], r"mark\[1\].position = .*only 0.69 m from obstacle 'wall'"),
+    ],
+    ids=["start inside", "goal inside, clockwise", "goal too near"],
+)
+def test_marks_in_obstacles_are_refused(car, obstacles, complaint):
+    with pytest.raises(InputError, match=complaint):
+        vehsim.plan(car, World(obstacles=obstacles), across(), segments=32)
+
+
+def test_walled_in_is_said(car):
+    marks = [Mark(1, position=(20, 0, 0), heading=0, velocity=REST), Mark("free", position=(50, 0, 0))]
+    with pytest.raises(SolveError, match=r"no way from .*obstacles close it; open a gap"):
+        vehsim.plan(car, World(obstacles=WALLS), marks, segments=32, clearance=0.3)
+
+
+def test_a_way_out_of_the_walls_is_found(car):
+    """The same ring with its east wall moved away: overlapping corners are no trouble."""
+    marks = [
+        Mark(1, position=(19, 0, 0), heading=180, velocity=REST),
+        Mark("free", position=(50, 0, 0), velocity=REST),
+    ]
+    world = World(obstacles=WALLS[1:])
+    plan = vehsim.plan(car, world, marks, segments=64, clearance=0.3)
+    assert plan.success, plan.message
+    assert gap_by_shapely(plan.clip, world) >= 0.3 - 2e-3
+
+
+def test_a_motion_of_another_planner_is_a_guess(car):
+    world = yard(1)
+    first = vehsim.plan(car, world, across(), segments=48, clearance=0.5, refine=False)
+    again = vehsim.plan(car, world, across(), segments=48, clearance=0.5, guess=first.clip, refine=False)
+    assert again.success and gap_by_shapely(again.clip, world) >= 0.5 - 2e-3
+    assert np.abs(again.clip.positions[::8, 1] - first.clip.positions[::8, 1]).max() < 1.0  # the same way round
+
+
+@pytest.mark.parametrize("part", [ob.polygon("p", [(0, 0), (3, 0), (2, 2)]), ob.ellipse("e", (1, 1), (2, 0.8), 30)])
+def test_rows_are_the_exact_distance(car, part):
+    """Outside each other, the least row is the distance of the polygon the optimiser sees from the part."""
+    import casadi as ca
+
+    from vehsim.planning.obstacles import _element, _numbers
+
+    t = transcription(car)
+    element = _element(t, part.parts[0])
+    rows = ca.Function("rows", [element.y, element.p], [element.g])
+    rng = np.random.default_rng(2)
+    body = simplified(ob.footprint(car), CORNERS)
+    for _ in range(60):
+        yaw, root = rng.uniform(-np.pi, np.pi), rng.uniform(-7, 9, 2)
+        exact = distance(placed(body, root[None], np.array([yaw])), part.parts[0])[0]
+        if exact < 0.02:
+            continue
+        c, s = np.cos(yaw), np.sin(yaw)
+        axle = root + np.array([[c, -s], [s, c]]) @ car.origin[:2]
+        x = np.zeros(element.y.shape[0])
+        x[:3] = (yaw, *axle)
+        values = np.ravel(rows(x, np.append(_numbers(part.parts[0]), 0.0)))
+        assert values.min() == pytest.approx(exact, abs=1e-5)
+
+
+def test_the_optimiser_sees_no_less_than_the_vehicle(car):
+    hull = ob.footprint(car)
+    seen = simplified(hull, CORNERS)
+    assert len(seen) <= CORNERS and shapely.Polygon(seen).buffer(1e-9).contains(shapely.Polygon(hull))
+    assert shapely.Polygon(seen).area < 1.03 * shapely.Polygon(hull).area
+    for centre, radius in inner_discs(seen):
+        assert shapely.Polygon(seen).contains(shapely.Point(centre).buffer(0.98 * radius))
+
+
+def test_certification_finds_what_passes_between_samples(car):
+    """A post beside a fast car: the nearest moment lies between any two of few samples."""
+    clip = vehsim.simulate(car, World(), start=vehsim.State(twist=(0, 15.0, 0)), duration=2.0, step=0.5, fps=24)
+    post = ob.polygon("post", [(11.3, 1.6), (11.4, 1.6), (11.35, 1.7)])
+    nearest, by_segment = certify_plane(clip, [(post, 0)], samples=1)
+    widest = np.abs(ob.footprint(car)[:, 1]).max()
+    assert nearest == pytest.approx(1.6 - widest, abs=2e-3)
+    assert by_segment.shape == (1, len(clip) - 1)
+
+
+def test_far_parts_cost_nothing_and_are_bounded_from_below(car):
+    world = yard(0)
+    parts = obstacle_rows(car, world, across()).parts
+    outlines = placed(ob.footprint(car), np.array([[x, 0.0] for x in np.linspace(0, 50, 30)]), np.zeros(30))
+    exact, bounded = (clearances(parts, outlines, np.zeros(30), reach) for reach in (np.inf, 2.0))
+    assert np.all(bounded <= exact + 1e-9)
+    np.testing.assert_allclose(bounded[exact < 1.9], exact[exact < 1.9])
+
+
+def test_turning_circles_follow_from_the_constraints(car):
+    assert turning_radius(car) == pytest.approx(2.6 / 0.7, rel=2e-3)
+    assert turning_radius(vehsim.load_vehicle("two_wheeled")) == 0.0
+
+
+def test_guesses_drive_no_tighter_than_the_car_can(car):
+    world = yard(2)
+    parts = obstacle_rows(car, world, across()).parts
+    path = guess_drive(car, parts, np.array([(0, 0, 0), (50.0, 0, 0)]), (0.0, 0.0), 0.5)
+    gaps = clearances(parts, placed(ob.footprint(car), path[:, :2], path[:, 3]), np.zeros(len(path)))
+    assert gaps.min() > 0
+    axle = path[:, :2] + np.column_stack([np.cos(path[:, 3]), np.sin(path[:, 3])]) * car.origin[0]
+    way, turn = np.linalg.norm(np.diff(axle, axis=0), axis=1), np.abs(np.diff(path[:, 3]))
+    assert np.median(turn / np.maximum(way, 1e-9)) < 1 / turning_radius(car) + 1e-3
+
+
+def test_problems_are_shared_by_worlds_of_a_shape(car):
+    """Where parts stand is a parameter: the same rows serve another world."""
+    one, two = (Rows(car, [(ob.box("b", (x, 3, 0), (1, 1, 1)), 0)]) for x in (10.0, 11.0))
+    for rows in (one, two):
+        rows.seen = np.array([[False, True, True]])
+    assert one.key == two.key
