@@ -22,17 +22,29 @@ Array = NDArray[np.float64]
 
 
 def along_paths(
-    t: Transcription, layout: Layout, marks: Sequence[Mark], paths: Sequence[Array], lengths: Array, wind: Any
+    t: Transcription,
+    layout: Layout,
+    marks: Sequence[Mark],
+    paths: Sequence[Array],
+    lengths: Array,
+    wind: Any,
+    aims: Sequence[tuple[int, int, Any, float]] = (),
 ) -> Array:
     """Variables (size,) of a motion along ``paths`` (one a phase), level, at trim controls.
 
-    A path is a polyline (k, 3) m, or of poses (k, 4) with headings in rad.
+    A path is a polyline (k, 3) m, or of poses (k, 4) with headings in rad. ``aims``: (first, last) knots between which
+    it heads for a point (3,) m, and by how much to the right of it, rad.
     """
     fraction, phase = _node_fractions(layout)
     pace = [_pace(marks[j].at_rest, marks[j + 1].at_rest) for j in range(len(paths))]
     s = np.array([np.polyval(pace[j], f) for f, j in zip(fraction, phase, strict=True)])
     positions = np.array([_along(paths[j], f)[:3] for f, j in zip(s, phase, strict=True)])
     headings = _headings(marks, paths, s, phase)
+    for first, last, point, offset in aims:
+        nodes = np.arange(first, last + 1) * len(layout.fractions)
+        way = np.asarray(point, float)[:2] - positions[nodes, :2]
+        headings[nodes] = np.arctan2(way[:, 1], way[:, 0]) - offset
+    headings = np.unwrap(headings) if len(aims) else headings
     half = headings / 2
     quaternions = np.column_stack([np.cos(half), 0 * half, 0 * half, np.sin(half)])
     return from_poses(t, layout, positions, quaternions, headings, lengths, trim(t.vehicle, tuple(wind)))

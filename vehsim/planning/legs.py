@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise
@@ -18,11 +18,11 @@ from vehsim.planning.marks import Mark
 Array = NDArray[np.float64]
 
 
-def facing(marks: Sequence[Mark], paths: Sequence[Array]) -> list[Mark]:
-    """The marks; those at rest without an attitude face along their legs: nothing else would say which way to look."""
+def facing(marks: Sequence[Mark], paths: Sequence[Array], aimed: Callable[[Mark], bool]) -> list[Mark]:
+    """The marks; those at rest without an attitude face along their legs, unless something else aims them."""
     turned = list(marks)
     for i, mark in enumerate(marks):
-        if not mark.balanced or mark.heading is not None:
+        if not mark.balanced or mark.heading is not None or aimed(mark):
             continue
         way = np.zeros(2)  # onwards: away from where it comes from, towards where it goes
         if i > 0:

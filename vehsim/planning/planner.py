@@ -125,7 +125,7 @@ def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
     t = transcription(request.weighed)
     paths = _paths(request, guess, progress)
     if request.weights["course"]:
-        request = replace(request, marks=facing(request.marks, paths))
+        request = replace(request, marks=facing(request.marks, paths, request.aimed))
     attempt = Attempt(request, t, _cover(request, paths), progress)
     attempt.start(paths)
     refused = refusals(request)

@@ -79,10 +79,24 @@ def _add_motion(problem: Problem, t: Transcription, layout: Layout, request: Req
         ]),
         np.vstack([shared, fractions_at + part, fractions_at + steps + part]),
     )  # fmt: skip
-    places = [WEIGHTS + list(COSTS).index(name) for name in request.costs]
-    problem.add(t.cost(request.costs), _segments(layout, np.arange(layout.segments)), places)
+    aimed = _aimed(layout, request)
+    without = tuple(name for name in request.costs if name != "course")  # told where to look, it need not face its way
+    for names, segments in ((request.costs, np.flatnonzero(~aimed)), (without, np.flatnonzero(aimed))):
+        if len(segments) and names:
+            places = [WEIGHTS + list(COSTS).index(name) for name in names]
+            problem.add(t.cost(names), _segments(layout, segments), places)
     if t.vehicle.group.size > t.vehicle.group.dim:
         problem.add(t.gauge, layout.knot(0))
+
+
+def _aimed(layout: Layout, request: Request) -> NDArray[np.bool_]:
+    """Segments (n,) where a constraint says which way to head."""
+    aimed = np.zeros(layout.segments, bool)
+    for term in request.constraints:
+        if term.aim is not None:
+            first, last = knots_within(request.marks, layout.mark_knots, term.frames)
+            aimed[first:last] = True
+    return aimed
 
 
 def _segments(layout: Layout, k: Any) -> Any:

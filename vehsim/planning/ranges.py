@@ -36,7 +36,9 @@ def look_at(
         way, nose = (ca.DM(list(point)) - k.position)[shown], sign * k.rotation[shown, column]
         return ca.dot(way, nose) / ca.sqrt((ca.sumsqr(way) + 1e-6) * (ca.sumsqr(nose) + 1e-9))
 
-    return Constraint("look_at", law, lower=math.cos(math.radians(within)), frames=frames)
+    aside = None if axis.endswith("z") else (0.0, math.pi / 2)[column] + (math.pi if sign < 0 else 0.0)
+    aim = None if aside is None else (tuple(point), aside)
+    return Constraint("look_at", law, lower=math.cos(math.radians(within)), frames=frames, aim=aim)
 
 
 def stay(

@@ -63,6 +63,12 @@ class Request:
         """Limits and constraints of one's own."""
         return [*self.limits.constraints(), *(term for term in self.terms if isinstance(term, Constraint))]
 
+    def aimed(self, mark: Mark) -> bool:
+        """A constraint says which way to head at this mark."""
+        ranges = [term.frames for term in self.constraints if term.aim is not None]
+        frame = mark.frame
+        return any(r is None or (frame != "free" and r[0] <= frame <= r[1]) for r in ranges)
+
     @property
     def key(self) -> Any:
         """Equal for requests whose problems differ in parameters alone."""

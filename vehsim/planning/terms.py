@@ -99,6 +99,8 @@ class Constraint:
     upper: Any = np.inf
     over: Where = "knots"
     frames: tuple[int, int] | None = None
+    aim: tuple[Any, float] | None = None
+    """For first guesses: it heads for a point (3,) m, turned right by an angle, rad."""
 
 
 Term = Cost | Constraint
