@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Mood:
-    """Late afternoon, as data. Colours are linear; angles in degrees; intensities as UsdLux means them.
+    """A time of day, as data; late afternoon by default. Colours are linear; angles in degrees; intensities as UsdLux means them.
 
     ``key_angle``: how far the sun stands off the camera's back: 0 lights flat from behind it, 90 from the side.
     """
@@ -40,17 +40,32 @@ class Mood:
 
 
 MOOD = Mood()
+MOODS: dict[str, Mood] = {
+    "afternoon": MOOD,
+    "dusk": Mood(
+        elevations=(7.0, 10.0),
+        key_angle=115.0,
+        sun_colour=(1.0, 0.56, 0.28),
+        sun_intensity=2.1,
+        zenith=(0.07, 0.12, 0.26),
+        horizon=(0.62, 0.38, 0.27),
+        glow=(0.95, 0.46, 0.16),
+    ),
+}
+"""``render.mood`` of a shot file -> its light."""
 
 
-def author_lights(stage: Any, scope: str, take: Take, pack: Pack, shot: Path, mood: Mood = MOOD) -> None:
+def author_lights(stage: Any, scope: str, take: Take, pack: Pack, shot: Path, mood: Mood | None = None) -> None:
     """Author ``sun`` (DistantLight) and ``sky`` (DomeLight with a generated texture) below ``scope``."""
     from pxr import Gf, Sdf, UsdGeom, UsdLux
 
+    mood = mood or MOODS[take.render.mood]
     azimuth, elevation = place_sun(take, mood)
     sun = UsdLux.DistantLight.Define(stage, f"{scope}/sun")
     sun.CreateIntensityAttr(mood.sun_intensity)
     sun.CreateColorAttr(Gf.Vec3f(*mood.sun_colour))
     sun.CreateAngleAttr(mood.sun_angle)
+    sun.CreateNormalizeAttr(True)  # without, intensity is the disc's own, and half a degree of that lights nothing
     # A distant light shines along its -Z: lift that to the elevation, then turn it to the azimuth.
     UsdGeom.Xformable(sun).AddRotateXYZOp(UsdGeom.XformOp.PrecisionDouble).Set(
         Gf.Vec3d(90.0 - elevation, 0.0, azimuth + 90.0)
