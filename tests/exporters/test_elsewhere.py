@@ -260,6 +260,7 @@ def test_motion_of_the_assets_own_goes_on_below_ours(tmp_path):
     assert height == pytest.approx(0.32 + 0.1 * np.sin(frames), abs=1e-4)  # 0.03 down: its own bobbing ended there
 
 
+@pytest.mark.broken_stages
 def test_a_driven_prim_that_hides_our_opinion_is_an_error(tmp_path, monkeypatch):
     monkeypatch.setattr("vehsim.exporters.animation.instances_above", lambda root, prim: [])
     folder = vehicle_with(

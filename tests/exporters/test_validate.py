@@ -42,10 +42,24 @@ BREAKS = {
         .Set(-_camera(stage).GetAttribute("xformOp:orient").Get(1005), 1005)
     ),
     "units": lambda stage: stage.DefinePrim("/shot/env/prop", "Xform").GetReferences().AddReference("./cm.usda"),
+    "dead over": lambda stage: stage.OverridePrim("/shot/vehicles/gone/wheel").CreateAttribute("a", _float()).Set(1.0),
+    "scale": lambda stage: _op(stage, "Scale", (1, 0, 1)),
     "usdValidation:CompositionErrorTest": lambda stage: (
         stage.OverridePrim("/shot/env").GetReferences().AddReference("./gone.usda")
     ),
 }
+
+
+def _float():
+    from pxr import Sdf
+
+    return Sdf.ValueTypeNames.Float
+
+
+def _op(stage, kind, value):
+    from pxr import Gf, UsdGeom
+
+    getattr(UsdGeom.Xformable(stage.GetPrimAtPath("/shot/env")), f"Add{kind}Op")().Set(Gf.Vec3f(value))
 
 
 def _camera(stage):
@@ -63,3 +77,81 @@ def test_a_file_that_is_no_stage_is_one_issue(tmp_path):
     (tmp_path / "bad.usda").write_text("not usd")
     (issue,) = validate_stage(tmp_path / "bad.usda")
     assert issue.severity == "error" and "bad.usda" in issue.site
+
+
+def test_a_wrapped_angle_and_a_slerped_spin_are_found(tmp_path):
+    from pxr import Gf, Usd, UsdGeom
+
+    stage = Usd.Stage.CreateNew(str(tmp_path / "wheels.usda"))
+    wrapped = UsdGeom.Xform.Define(stage, "/wrapped").AddRotateYOp()
+    running = UsdGeom.Xform.Define(stage, "/running").AddRotateYOp()
+    slerped = UsdGeom.Xform.Define(stage, "/slerped").AddOrientOp()
+    for k in range(24):
+        wrapped.Set(80.0 * k % 360.0, k)
+        running.Set(700.0 * k, k)
+        slerped.Set(Gf.Quatf(Gf.Rotation(Gf.Vec3d(0, 1, 0), 170.0 * k).GetQuat()), k)
+    stage.Save()
+    found = {issue.site.partition(".")[0] for issue in validate_stage(tmp_path / "wheels.usda") if issue.rule == "spin"}
+    assert found == {"/wrapped", "/slerped"}
+
+
+def test_what_is_said_of_the_inside_of_an_instance_is_found(tmp_path, toys):
+    from pxr import Usd, UsdGeom
+
+    toys.asset(tmp_path / "toy.usda")
+    stage = Usd.Stage.CreateNew(str(tmp_path / "shot.usda"))
+    prim = UsdGeom.Xform.Define(stage, "/it").GetPrim()
+    prim.GetReferences().AddReference("./toy.usda")
+    prim.SetInstanceable(True)
+    stage.Save()
+    assert not [issue for issue in validate_stage(tmp_path / "shot.usda") if issue.rule == "dead over"]
+    layer = stage.GetRootLayer()
+    from pxr import Sdf
+
+    Sdf.CreatePrimInLayer(layer, "/it/rotor")
+    layer.Save()
+    issues = [issue for issue in validate_stage(tmp_path / "shot.usda") if issue.rule == "dead over"]
+    assert "says something of rotor in an instance" in issues[0].message and "instanceable = false" in issues[0].mend
+
+
+def test_a_model_in_the_wrong_unit_is_found(tmp_path, toys):
+    from pxr import Usd, UsdGeom
+
+    toys.asset(tmp_path / "toy.usda")
+    stage = Usd.Stage.Open(str(tmp_path / "toy.usda"))
+    UsdGeom.SetStageMetersPerUnit(stage, 1e-2)
+    stage.GetRootLayer().Save()
+    assert not [issue for issue in validate_stage(tmp_path / "toy.usda") if issue.rule == "scale"]
+    UsdGeom.SetStageMetersPerUnit(stage, 1e-4)
+    stage.GetRootLayer().Save()
+    assert [issue.message for issue in validate_stage(tmp_path / "toy.usda") if issue.rule == "scale"]
+
+
+def test_the_same_fault_at_many_places_is_told_once(shot):
+    def lengthen(stage):
+        stage.SetStartTimeCode(1010)
+
+    issues = [issue for issue in broken(shot, lengthen) if issue.rule == "range"]
+    assert 1 <= len(issues) <= 3
+    assert any("more" in issue.site for issue in issues)
+
+
+def test_nvidias_validator_is_asked_when_it_is_installed(shot, monkeypatch):
+    """A stand-in for the package, which is not among ours: its issues come through with severity, place and mend."""
+    import sys
+    from types import ModuleType
+    from types import SimpleNamespace as Named
+
+    issue = Named(
+        severity=Named(name="FAILURE"),
+        rule=Named(__name__="NormalsExistChecker"),
+        message="no normals ",
+        at=Named(as_str=lambda: "Prim </shot>"),
+        suggestion=None,
+    )
+    module = ModuleType("usd_validation_nvidia")
+    module.__spec__ = Named(name="usd_validation_nvidia")
+    module.ValidationEngine = lambda: Named(validate=lambda stage: Named(issues=lambda: [issue]))
+    monkeypatch.setitem(sys.modules, "usd_validation_nvidia", module)
+    found = [str(issue) for issue in validate_stage(shot) if issue.rule.startswith("nvidia")]
+    assert found == ["error: Prim </shot>: no normals [nvidia:NormalsExistChecker]; see nvidia_usd_validate --explain"]

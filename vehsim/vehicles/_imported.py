@@ -38,9 +38,7 @@ def ready_asset(toml: Path, data: Mapping[str, Any]) -> tuple[Path, Path]:
     if not KEYS & set(data):
         return source, source
     up = _choice(toml, data, "up_axis", ("Y", "Z")) or up
-    metres = data.get("meters_per_unit", metres)
-    if isinstance(metres, bool) or not isinstance(metres, int | float) or not 0 < metres < 1e6:
-        raise InputError(f"{toml}: meters_per_unit = {metres!r}: give metres, such as 0.01 for centimetres")
+    metres = _metres(toml, data, metres)
     offset = data.get("offset", [0.0, 0.0, 0.0])
     if not isinstance(offset, list) or len(offset) != 3 or not all(isinstance(x, int | float) for x in offset):
         raise InputError(f"{toml}: offset = {offset!r}: give three numbers, m, along the nose, to the left and up")
@@ -72,7 +70,8 @@ def _usd_file(toml: Path, data: Mapping[str, Any]) -> tuple[Path, str, float]:
     if path.suffix.lower() in MESHES:
         if path.suffix.lower() == ".obj" and not {"up_axis", "meters_per_unit"} <= set(data):
             raise InputError(f"{toml}: asset = {named!r}: OBJ says neither; give up_axis and meters_per_unit")
-        return _converted(path), "Y", 1.0
+        up, metres = _choice(toml, data, "up_axis", ("Y", "Z")) or "Y", _metres(toml, data, 1.0)
+        return _converted(path, up, metres), up, metres
     if path.suffix.lower() not in USD:
         raise InputError(f"{toml}: asset = {named!r}: not USD, GLB or OBJ; export it as one of them")
     if not KEYS & set(data):
@@ -88,6 +87,13 @@ def _choice(toml: Path, data: Mapping[str, Any], key: str, choices: tuple[str, .
     if value is not None and value not in choices:
         raise InputError(f"{toml}: {key} = {value!r}: choose one of {', '.join(choices)}")
     return value
+
+
+def _metres(toml: Path, data: Mapping[str, Any], otherwise: float) -> float:
+    metres = data.get("meters_per_unit", otherwise)
+    if isinstance(metres, bool) or not isinstance(metres, int | float) or not 0 < metres < 1e6:
+        raise InputError(f"{toml}: meters_per_unit = {metres!r}: give metres, such as 0.01 for centimetres")
+    return float(metres)
 
 
 def _quarter_turns(toml: Path, data: Mapping[str, Any], up: str) -> int:
@@ -157,9 +163,9 @@ def _check_variants(toml: Path, source: Path, root: str, variants: Any) -> None:
 # ---------------------------------------------------------------- GLB and OBJ
 
 
-def _converted(path: Path) -> Path:
-    """A GLB, glTF or OBJ file as USD in the cache, by content: nodes become Xforms, Y up, in the file's own units."""
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()[:24]
+def _converted(path: Path, up: str, metres: float) -> Path:
+    """A GLB, glTF or OBJ file as USD in the cache, by content: nodes become Xforms, in the file's own units."""
+    digest = hashlib.sha256(f"3 {up} {metres}".encode() + path.read_bytes()).hexdigest()[:24]
     folder = cache_folder() / "vehicles" / f"{path.stem}-{digest}"
     file = folder / f"{path.stem}.usdc"
     if file.is_file():
@@ -171,7 +177,7 @@ def _converted(path: Path) -> Path:
     except Exception as error:  # trimesh raises whatever its readers stumble over
         raise InputError(f"{path}: not readable: {error}; export it again, or as USD") from None
     beside = folder.with_name(f".{folder.name}.{secrets.token_hex(4)}")
-    _write_scene(scene, beside / file.name, path)
+    _write_scene(scene, beside / file.name, path, up, metres)
     try:
         beside.rename(folder)
     except OSError:  # another process was quicker: what it made is the same
@@ -208,7 +214,7 @@ def _read_obj(path: Path) -> Any:
     resolver = trimesh.resolvers.FilePathResolver(str(path))
     for name, faces in objects.items():
         text = "\n".join([*shared, *faces])
-        found = trimesh.load(io.StringIO(text), file_type="obj", resolver=resolver, force="scene", process=False)
+        found: Any = trimesh.load(io.StringIO(text), file_type="obj", resolver=resolver, force="scene", process=False)
         scene.graph.update(frame_to=name, frame_from=scene.graph.base_frame)
         for k, mesh in enumerate(found.geometry.values()):
             mesh.remove_unreferenced_vertices()
@@ -216,13 +222,13 @@ def _read_obj(path: Path) -> Any:
     return scene
 
 
-def _write_scene(scene: Any, file: Path, path: Path) -> None:
+def _write_scene(scene: Any, file: Path, path: Path, up: str, metres: float) -> None:
     from pxr import Gf, Tf, Usd, UsdGeom
 
     file.parent.mkdir(parents=True)
     stage = Usd.Stage.CreateNew(str(file))
-    UsdGeom.SetStageUpAxis(stage, "Y")
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdGeom.SetStageUpAxis(stage, up)
+    UsdGeom.SetStageMetersPerUnit(stage, metres)
     top = Tf.MakeValidIdentifier(path.stem)
     stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, f"/{top}").GetPrim())
     Usd.ModelAPI(stage.GetDefaultPrim()).SetKind("component")
@@ -261,6 +267,10 @@ def _write_mesh(stage: Any, path: str, mesh: Any, top: str, materials: dict[int,
     prim.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(mesh.faces), 3, np.int32)))
     prim.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.asarray(mesh.faces, np.int32).ravel()))
     prim.CreateExtentAttr([Gf.Vec3f(*points.min(0).tolist()), Gf.Vec3f(*points.max(0).tolist())])
+    normals = mesh.vertex_normals
+    if len(normals) == len(points):
+        prim.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(normals, np.float32)))
+        prim.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
     uv = getattr(mesh.visual, "uv", None)
     if uv is not None and len(uv) == len(points):
         st = UsdGeom.PrimvarsAPI(prim).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex)

@@ -1,0 +1,241 @@
+"""Our own rules for stages: time, motion, units and composition, each issue with its mend.
+
+A rule is a function of the composed stage that yields issues. What USD's and other validators find is in `validate.py`.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Issue:
+    """One thing wrong with a stage. ``severity`` is "error" or "warning"; ``site`` a prim, property or layer."""
+
+    severity: str
+    rule: str
+    site: str
+    message: str
+    mend: str
+
+    def __str__(self) -> str:
+        return f"{self.severity}: {self.site}: {self.message} [{self.rule}]; {self.mend}"
+
+
+def _time_metadata(stage: Any) -> Iterator[Issue]:
+    """A stage that moves says when, and plays as fast as it was made."""
+    layer = stage.GetRootLayer()
+    if not any(attribute.GetNumTimeSamples() for attribute in _animated(stage)):
+        return
+    for key in ("timeCodesPerSecond", "framesPerSecond", "startTimeCode", "endTimeCode"):
+        if not layer.pseudoRoot.HasInfo(key):
+            yield Issue("error", "time", layer.identifier, f"{key} is not authored", f"set {key} on the root layer")
+    if stage.GetTimeCodesPerSecond() != stage.GetFramesPerSecond():
+        message = f"timeCodesPerSecond {stage.GetTimeCodesPerSecond():g} is not framesPerSecond "
+        mend = "author both alike, so that a time code is a frame"
+        yield Issue("warning", "time", layer.identifier, f"{message}{stage.GetFramesPerSecond():g}", mend)
+
+
+def _sample_range(stage: Any) -> Iterator[Issue]:
+    """No sample stands further outside the range that plays than a shutter opens; told once for every layer."""
+    if not stage.HasAuthoredTimeCodeRange():
+        return
+    start, end = stage.GetStartTimeCode(), stage.GetEndTimeCode()
+    outside: dict[str, list[Any]] = defaultdict(list)
+    for attribute in _animated(stage):
+        times = attribute.GetTimeSamples()
+        if times and (times[0] < start - 1 or times[-1] > end + 1):
+            layer = attribute.GetPropertyStack(times[0])[0].layer
+            outside[layer.GetDisplayName()].append((attribute.GetPath(), times[0], times[-1]))
+    for layer, found in outside.items():
+        path, first, last = found[0]
+        more = f" and {len(found) - 1} more" if len(found) > 1 else ""
+        message = f"samples {first:g}..{last:g} of {layer} leave the stage's {start:g}..{end:g}"
+        mend = "widen startTimeCode and endTimeCode, offset the layer, or cut the samples"
+        yield Issue("warning", "range", f"{path}{more}", message, mend)
+
+
+def _finite_values(stage: Any) -> Iterator[Issue]:
+    """No transform, point or lens is NaN or infinite."""
+    for attribute in _animated(stage):
+        times = attribute.GetTimeSamples() or [None]
+        for time in times:
+            value = attribute.Get() if time is None else attribute.Get(time)
+            if value is not None and not np.isfinite(_numbers(value)).all():
+                at = "" if time is None else f" at time code {time:g}"
+                mend = "export it again from finite motion"
+                yield Issue("error", "finite", str(attribute.GetPath()), f"not a finite number{at}", mend)
+                break
+
+
+def _quaternion_signs(stage: Any) -> Iterator[Issue]:
+    """Neighbouring quaternions lie in one hemisphere: software that lerps would spin them the long way round."""
+    for attribute in _animated(stage):
+        if not str(attribute.GetTypeName()).startswith("quat"):
+            continue
+        times = attribute.GetTimeSamples()
+        if len(times) > 1:
+            values = np.array([_numbers(attribute.Get(time)) for time in times])
+            flips = np.flatnonzero((values[1:] * values[:-1]).sum(axis=1) < 0)
+            if len(flips):
+                message = f"changes sign after time code {times[flips[0]]:g}"
+                mend = "negate the quaternions after it"
+                yield Issue("warning", "sign", str(attribute.GetPath()), message, mend)
+
+
+def _backward_spins(stage: Any) -> Iterator[Issue]:
+    """No wheel or rotor turns backwards between samples: angles are unwrapped, and no spin is left to slerp."""
+    for attribute in _animated(stage):
+        name, times = attribute.GetName(), attribute.GetTimeSamples()
+        if len(times) < 3:
+            continue
+        if name.startswith(("xformOp:rotateX", "xformOp:rotateY", "xformOp:rotateZ")) and len(name.split(":")[1]) == 7:
+            steps = np.diff([float(attribute.Get(time)) for time in times])
+            back = np.flatnonzero((np.abs(steps) > 180) & (steps * np.median(steps) < 0))
+            if len(back):
+                message = f"turns back by {abs(steps[back[0]]):.4g} degrees after time code {times[back[0]]:g}"
+                mend = "unwrap its angles: let them run on beyond 360"
+                yield Issue("error", "spin", str(attribute.GetPath()), message, mend)
+        elif str(attribute.GetTypeName()).startswith("quat"):
+            q = np.array([_numbers(attribute.Get(time)) for time in times])
+            q /= np.linalg.norm(q, axis=1, keepdims=True)
+            turns = 2 * np.degrees(np.arccos(np.clip(np.abs((q[1:] * q[:-1]).sum(axis=1)), 0, 1)))
+            if (fast := np.flatnonzero(turns > 150)).size > 1:
+                message = f"turns {turns[fast[0]]:.0f} degrees from time code {times[fast[0]]:g} to the next"
+                mend = "spin by a scalar rotate op with running degrees: slerp goes the short way round"
+                yield Issue("warning", "spin", str(attribute.GetPath()), message, mend)
+
+
+def _invertible(stage: Any) -> Iterator[Issue]:
+    """No transform is flat: what it carries could not be placed, lit or picked."""
+    from pxr import UsdGeom
+
+    for prim in stage.Traverse():
+        if prim.IsA(UsdGeom.Xformable) and prim.GetAuthoredPropertyNames():
+            matrix = np.array(UsdGeom.Xformable(prim).GetLocalTransformation(stage.GetStartTimeCode()))[:3, :3]
+            sizes = np.linalg.svd(matrix, compute_uv=False)
+            if not sizes[-1] > 1e-9 * max(sizes[0], 1e-30):
+                yield Issue("error", "scale", str(prim.GetPath()), "its transform cannot be inverted", "mend its scale")
+
+
+def _believable_sizes(stage: Any) -> Iterator[Issue]:
+    """A model is between a centimetre and a hundred kilometres large: else its unit is wrong."""
+    from pxr import Kind, Usd, UsdGeom
+
+    metres = UsdGeom.GetStageMetersPerUnit(stage)
+    cache = UsdGeom.BBoxCache(Usd.TimeCode(stage.GetStartTimeCode()), [UsdGeom.Tokens.default_], useExtentsHint=True)
+    prims = iter(stage.Traverse())
+    for prim in prims:
+        if not Kind.Registry.IsA(Usd.ModelAPI(prim).GetKind(), Kind.Tokens.component):
+            continue
+        prims.PruneChildren()
+        bound = cache.ComputeWorldBound(prim).ComputeAlignedRange()
+        size = 0.0 if bound.IsEmpty() else metres * max(bound.GetSize())
+        if size and not 0.01 <= size <= 1e5:
+            mend = "mend metersPerUnit where it was made, or scale the prim"
+            yield Issue("warning", "scale", str(prim.GetPath()), f"{size:.3g} m large", mend)
+
+
+def _dead_overs(stage: Any) -> Iterator[Issue]:
+    """Every opinion shows: none on a prim that nothing defines, none below an instance."""
+    from pxr import Usd
+
+    prims = iter(Usd.PrimRange.Stage(stage, Usd.PrimAllPrimsPredicate))
+    for prim in prims:
+        if not prim.IsDefined() and not prim.IsAbstract():
+            prims.PruneChildren()
+            layer = prim.GetPrimStack()[0].layer.GetDisplayName() if prim.GetPrimStack() else "no layer"
+            mend = "mend its path, or the reference that should define it"
+            yield Issue("error", "dead over", str(prim.GetPath()), f"nothing defines what {layer} says of it", mend)
+        elif prim.IsInstance():
+            for node in _nodes_above(prim):
+                for layer in node.layerStack.layers:
+                    spec = layer.GetPrimAtPath(node.path)
+                    if spec and spec.nameChildren:
+                        what = f"{layer.GetDisplayName()} says something of {spec.nameChildren[0].name} in an instance"
+                        mend = "set instanceable = false on it, or say it in what it references"
+                        yield Issue("error", "dead over", str(prim.GetPath()), what, mend)
+
+
+def _nodes_above(instance: Any) -> Iterator[Any]:
+    """The places with opinions on an instance that its prototype does not share: its own, and those above it."""
+
+    from pxr import Pcp
+
+    def walk(node: Any) -> Iterator[Any]:
+        if node.arcType == Pcp.ArcTypeRoot or node.IsDueToAncestor():
+            yield node
+        for child in node.children:
+            yield from walk(child)
+
+    yield from walk(instance.GetPrimIndex().rootNode)
+
+
+def _foreign_units(stage: Any) -> Iterator[Issue]:
+    """A referenced layer in other units is scaled by the prim that references it; USD does not do it."""
+    from pxr import Usd
+
+    for prim in stage.Traverse():
+        if not prim.HasAuthoredReferences():
+            continue
+        for arc in Usd.PrimCompositionQuery.GetDirectReferences(prim).GetCompositionArcs():
+            theirs, ours = arc.GetTargetLayer(), arc.GetIntroducingLayer()
+            if not all(layer and layer.pseudoRoot.HasInfo("metersPerUnit") for layer in (theirs, ours)):
+                continue
+            ratio = theirs.pseudoRoot.GetInfo("metersPerUnit") / ours.pseudoRoot.GetInfo("metersPerUnit")
+            if np.isclose(ratio, 1.0):
+                continue
+            own = _scale(Usd.Stage.Open(theirs).GetPrimAtPath(arc.GetTargetPrimPath()))
+            scale = _scale(prim) / own
+            if not np.isclose([scale, scale * _scale(prim.GetParent())], ratio, rtol=1e-3).any():
+                message = f"references {theirs.GetDisplayName()}, whose unit is {ratio:g} of ours, scaled by {scale:g}"
+                yield Issue("warning", "units", str(prim.GetPath()), message, f"scale the prim by {ratio:g}")
+
+
+def _scale(prim: Any) -> float:
+    from pxr import UsdGeom
+
+    if not prim or not prim.IsA(UsdGeom.Xformable):
+        return 1.0
+    return (
+        float(abs(np.linalg.det(np.array(UsdGeom.Xformable(prim).GetLocalTransformation())[:3, :3])) ** (1 / 3)) or 1.0
+    )
+
+
+OWN_RULES: tuple[Callable[[Any], Iterator[Issue]], ...] = (
+    _time_metadata,
+    _sample_range,
+    _finite_values,
+    _quaternion_signs,
+    _backward_spins,
+    _invertible,
+    _believable_sizes,
+    _dead_overs,
+    _foreign_units,
+)
+
+
+def _animated(stage: Any) -> Iterator[Any]:
+    """The attributes that motion and shape are made of."""
+    from pxr import UsdGeom
+
+    for prim in stage.Traverse():
+        for attribute in prim.GetAuthoredAttributes():
+            name = attribute.GetName()
+            if name.startswith("xformOp:") or name == "points" or (prim.IsA(UsdGeom.Camera) and ":" not in name):
+                yield attribute
+
+
+def _numbers(value: Any) -> Any:
+    """Any USD value as an array of numbers; what is not numeric is empty."""
+    if hasattr(value, "imaginary"):
+        return np.array([value.real, *value.imaginary], float)
+    try:
+        return np.asarray(value, float).ravel()
+    except (TypeError, ValueError):
+        return np.empty(0)
