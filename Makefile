@@ -2,12 +2,13 @@
 BIN := .venv/bin
 export MUJOCO_GL ?= egl
 
-.PHONY: help setup demo test lock clean bench-export bench-integrators
+.PHONY: help setup demo test assets lock clean bench-export bench-integrators
 
 help:
 	@echo "make demo   export examples/canyon_flight.toml to out/: a USD shot, frames and a film"
 	@echo "make test   formatter, linter, type checker and all tests"
 	@echo "make setup  only make .venv"
+	@echo "make assets regenerate the vehicles' USD assets, byte for byte"
 	@echo "make lock   bring requirements.lock up to date with pyproject.toml"
 	@echo "make bench-integrators  the claims of the papers, measured; writes benchmarks/RESULTS.md"
 	@echo "make bench-export  measure baking, pictures and batches beside their peers (ten minutes)"
@@ -24,6 +25,9 @@ test: setup
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/pytest -n 2
+
+assets: setup
+	$(BIN)/python -m vehsim.assets.generate
 
 lock: setup
 	$(BIN)/python -m pip install --quiet uv
