@@ -241,3 +241,10 @@ def test_problems_are_shared_by_worlds_of_a_shape(car):
     for rows in (one, two):
         rows.seen = np.array([[False, True, True]])
     assert one.key == two.key
+
+
+def test_what_flies_says_that_it_sees_no_obstacles():
+    heli = vehsim.load_vehicle("helicopter")
+    marks = [Mark(1, position=(0, 0, 30), velocity=REST), Mark(73, position=(10, 0, 30), velocity=REST)]
+    with pytest.warns(UserWarning, match="obstacles are kept clear of by wheels alone yet"):
+        vehsim.plan(heli, World(obstacles=WALLS), marks, segments=16, refine=False)

@@ -71,3 +71,16 @@ def test_a_gap_too_narrow_is_said(helicopter, world):
     ]
     with pytest.raises(SolveError, match="no way from"):
         vehsim.plan(helicopter, world, marks, segments=16, clearance=12.0, limits={"ceiling": 20.0})
+
+
+def test_safety_keeps_further_off(helicopter, world):
+    """Along the wall, with room to go wide: repulsion does, effort alone does not."""
+    marks = [
+        Mark(1, position=(40, -45, 12), heading=90, velocity=(0, 8, 0)),
+        Mark(97, position=(40, -13, 12), velocity=(0, 8, 0)),
+    ]
+    options = {"segments": 12, "refine": False, "limits": {"ceiling": 14.0}}
+    near = vehsim.plan(helicopter, world, marks, **options)
+    far = vehsim.plan(helicopter, world, marks, cost={"safety": 50.0, "effort": 1.0}, **options)
+    assert near.success and far.success
+    assert far.clip.positions[6, 0] < near.clip.positions[6, 0] - 0.5

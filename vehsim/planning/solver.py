@@ -71,8 +71,6 @@ SOLVERS: dict[str, Callable[[int, bool], dict[str, Any]]] = {
     "ipopt": ipopt_options,
     "sqpmethod": sqp_options,
     "fatrop": lambda iterations, warm: {"fatrop": {"max_iter": iterations, "print_level": 0, "tol": 1e-8}},
-    "bonmin": lambda iterations, warm: {},
-    "uno": lambda iterations, warm: {},
 }
 """NLP solver -> its options, from the iterations allowed and whether the start is a solved motion."""
 
@@ -110,7 +108,8 @@ class Solver:
         functions = problem.functions()
         self._nlp = functions.pop("nlp")
         self._callback = _Callback(self, problem.size, len(self._bounds[0]), problem.parameters)
-        own = {"ipopt": functions, "bonmin": functions}.get(plugin, {"hess_lag": functions["hess_lag"]})
+        taken = {"ipopt": functions, "sqpmethod": {"hess_lag": _whole(functions["hess_lag"])}}
+        own = taken.get(plugin, {})  # the others differentiate for themselves
         settings: dict[str, Any] = {
             **own,
             **(options or SOLVERS[plugin](400, False)),
@@ -141,6 +140,13 @@ class Solver:
             iterations=int(stats.get("iter_count", 0)),
             violations=violations,
         )
+
+
+def _whole(hessian: ca.Function) -> ca.Function:
+    """The Hessian with both its triangles."""
+    arguments = [ca.MX.sym(name, *hessian.size_in(i)) for i, name in enumerate(hessian.name_in())]
+    full = ca.triu2symm(hessian(*arguments))
+    return ca.Function("hess_lag", arguments, [full], hessian.name_in(), ["hess_gamma_x_x"])
 
 
 @contextmanager

@@ -27,8 +27,8 @@ class KnotView:
     """What a law sees of an instant, all CasADi columns, SI and radians.
 
     ``position`` (3,) of the rig's root, world; ``velocity`` (3,) world; ``omega`` (3,) body axes; ``rotation`` (3, 3)
-    root to world; ``joints, joint_rates`` (s,); ``controls`` (c,); ``power``: what the controls put in, over the
-    vehicle's weight, m/s of climb; ``t`` s since the first mark.
+    root to world; ``joints, joint_rates`` (s,); ``controls`` (c,); ``push``: what the controls push with, over the
+    vehicle's weight, and ``rates``: how fast that moves; ``t`` s since the first mark.
     """
 
     position: Expr
@@ -38,9 +38,15 @@ class KnotView:
     joints: Expr
     joint_rates: Expr
     controls: Expr
-    power: Expr
+    push: Expr
+    rates: Expr
     t: Expr
     names: tuple[str, ...] = ()
+
+    @property
+    def power(self) -> Expr:
+        """What the controls put in, over the vehicle's weight: m/s of climb."""
+        return ca.dot(self.push, self.rates)
 
     def joint(self, name: str) -> Expr:
         """A joint's value by its name."""
@@ -128,6 +134,13 @@ def _mean(law: Callable[[KnotView], Expr]) -> Callable[[SegmentView], Expr]:
     return lambda s: s.h / 2 * (law(s.start) + law(s.end))
 
 
+def _work(s: SegmentView) -> Expr:
+    """Integral of the power's size by Simpson's rule: knots alone would let force and speed take turns."""
+    middle = ca.dot(s.start.push + s.end.push, s.start.rates + s.end.rates) / 4
+    a, b, c = (ca.sqrt(power**2 + 0.04) - 0.2 for power in (s.start.power, middle, s.end.power))
+    return s.h / 6 * (a + 4 * b + c)
+
+
 def _norm(vector: Expr) -> Expr:
     return ca.sqrt(ca.sumsqr(vector) + 1e-8)
 
@@ -138,7 +151,7 @@ COSTS: dict[str, Callable[[SegmentView], Expr]] = {
     "distance": lambda s: _norm(s.end.position - s.start.position),
     "smoothness": lambda s: ca.sumsqr(s.c1 - s.c0) / s.h,
     "course": _mean(_off_course),
-    "energy": _mean(lambda k: ca.sqrt(k.power**2 + 0.04) - 0.2),
+    "energy": _work,
     "steering": _mean(lambda k: _steering(k) ** 2),
     "safety": lambda s: 0 * s.h,
 }

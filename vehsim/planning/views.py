@@ -52,18 +52,18 @@ def _view(vehicle: Vehicle, g: Expr, r: Expr, u: Expr, xi: Expr, c: Expr, time: 
         flat = vehicle.group.dim == 3
         omega = ca.vertcat(0, 0, twist[0]) if flat else twist[0:3]
         body = ca.vertcat(twist[1:3], 0) if flat else twist[3:6]
-    power = _power(vehicle, g, r, u, xi, c)
-    return KnotView(root[0:3], rotation @ body, omega, rotation, r, u, c, power, ca.SX(time), vehicle.joints)
+    push, rates = _push(vehicle, g, r, u, xi, c), ca.vertcat(u, xi)
+    return KnotView(root[0:3], rotation @ body, omega, rotation, r, u, c, push, rates, ca.SX(time), vehicle.joints)
 
 
-def _power(vehicle: Vehicle, g: Expr, r: Expr, u: Expr, xi: Expr, c: Expr) -> Expr:
-    """Power of the controls over the vehicle's weight, m/s; rate controls move without force."""
+def _push(vehicle: Vehicle, g: Expr, r: Expr, u: Expr, xi: Expr, c: Expr) -> Expr:
+    """Forces of the controls on the joints (s,) and the group (d,) over its weight; rate controls have none."""
     still = ca.SX.zeros(3)
     given = vehicle.force(g, r, u, xi, c, still)
     rest = vehicle.force(g, r, u, xi, ca.SX.zeros(c.shape[0]), still)
-    power = sum(ca.dot(a - b, rate) for a, b, rate in zip(given, rest, (u, xi), strict=True))
-    push = ca.SX.sym("push")
-    along = ca.vertcat(ca.SX.zeros(vehicle.group.dim - 1), push)
+    force = ca.vertcat(*(a - b for a, b in zip(given, rest, strict=True)))
+    speed = ca.SX.sym("speed")
+    along = ca.vertcat(ca.SX.zeros(vehicle.group.dim - 1), speed)
     kinetic = ca.SX(vehicle.reduced_lagrangian(ca.SX.zeros(r.shape[0]), ca.SX.zeros(u.shape[0]), along))
-    mass = float(ca.evalf(ca.substitute(ca.hessian(kinetic, push)[0], push, 0)))
-    return power / (max(mass, 1e-9) * GRAVITY)
+    mass = float(ca.evalf(ca.substitute(ca.hessian(kinetic, speed)[0], speed, 0)))
+    return force / (max(mass, 1e-9) * GRAVITY)

@@ -1,0 +1,166 @@
+"""What animators ask beside positions: gates, looks, heights, holds, loops, joints; each met on the exported clip."""
+
+import numpy as np
+import pytest
+
+import vehsim
+from vehsim import Mark
+from vehsim._interpolate import rotate
+from vehsim.errors import InputError
+from vehsim.planning import Gate, look_at, stay
+from vehsim.planning.marks import check_marks, with_breaks
+
+REST = (0.0, 0.0, 0.0)
+
+
+@pytest.fixture(scope="module")
+def helicopter():
+    return vehsim.load_vehicle("helicopter")
+
+
+@pytest.fixture(scope="module")
+def car():
+    return vehsim.load_vehicle("car")
+
+
+def at_frame(clip, frame):
+    return int(np.argmin(np.abs(clip.frames - frame)))
+
+
+@pytest.mark.parametrize("gate", [Gate((1.0, 0.5, 0.0), radius=2.0), Gate((1.0, 0.5, 0.0), size=(3.0, 1.0))])
+def test_a_gate_is_flown_through(helicopter, gate):
+    centre = np.array([40.0, 14.0, 35.0])
+    marks = [
+        Mark(1, position=(0, 0, 30), heading=0, velocity=REST),
+        Mark("free", position=centre, gate=gate),
+        Mark("free", position=(80, 0, 30), velocity=REST),
+    ]
+    plan = vehsim.plan(helicopter, None, marks, segments=32, refine=False)
+    assert plan.success
+    through, width, height = gate.axes
+    k = int(np.argmin(np.abs((plan.clip.positions - centre) @ through)))
+    off = plan.clip.positions[k] - centre
+    velocity = rotate(plan.clip.orientations, plan.clip.twists[:, 3:])[k]
+    assert abs(off @ through) < 1e-6 and velocity @ through > 0
+    assert plan.clip.frames[k] == pytest.approx(round(plan.clip.frames[k]))
+    if gate.radius is not None:
+        assert np.linalg.norm(off) <= gate.radius + 1e-6
+    else:
+        assert abs(off @ width) <= 1.5 + 1e-6 and abs(off @ height) <= 0.5 + 1e-6
+    # the straight way passes outside: the gate, not chance, brings it there
+    assert np.linalg.norm(np.cross(centre - [0, 0, 30], [1, 0, 0])) > 5
+
+
+def test_the_nose_points_where_it_shall(helicopter):
+    tower = np.array([10.0, 30.0, 20.0])
+    marks = [Mark(1, position=(-20, 0, 20), velocity=REST), Mark(169, position=(40, 0, 20), velocity=REST)]
+    plan = vehsim.plan(
+        helicopter, None, marks, segments=32, refine=False, terms=[look_at(tower, (49, 121), within=6.0)]
+    )
+    assert plan.success
+    shown = (plan.clip.frames >= 49 - 1e-6) & (plan.clip.frames <= 121 + 1e-6)
+    way = (tower - plan.clip.positions)[:, :2]
+    nose = rotate(plan.clip.orientations, np.tile([1.0, 0.0, 0.0], (len(plan.clip), 1)))[:, :2]
+    angle = np.degrees(
+        np.arccos(np.sum(way * nose, axis=1) / np.linalg.norm(way, axis=1) / np.linalg.norm(nose, axis=1))
+    )
+    assert angle[shown].max() <= 6.0 + 1e-4 and shown.sum() > 10
+    assert np.any(np.isclose(plan.clip.frames, 49)) and np.any(np.isclose(plan.clip.frames, 121))
+
+
+def test_heights_are_kept_between_knots_too(helicopter):
+    marks = [Mark(1, position=(0, 0, 10), velocity=REST), Mark(145, position=(50, 0, 10), velocity=REST)]
+    plan = vehsim.plan(helicopter, None, marks, segments=24, refine=False, terms=[stay((49, 97), above=14, below=15)])
+    assert plan.success
+    fine = plan.clip.at(np.linspace(48 / 24, 96 / 24, 200))
+    assert fine.positions[:, 2].min() >= 14 - 0.02 and fine.positions[:, 2].max() <= 15 + 0.02
+
+
+def test_a_free_mark_is_held(car):
+    marks = [
+        Mark(1, position=REST, heading=0, velocity=REST),
+        Mark("free", position=(15, 0, 0), velocity=REST, hold=12),
+        Mark("free", position=(30, 3, 0), velocity=REST),
+    ]
+    plan = vehsim.plan(car, None, marks, segments=24)
+    assert plan.success
+    clip = plan.clip.resample()
+    there = np.flatnonzero(np.linalg.norm(clip.positions[:, :2] - [15, 0], axis=1) < 1e-6)
+    assert len(there) == 13 and np.all(np.diff(there) == 1)
+
+
+def test_a_loop_ends_as_it_begins(car):
+    """Pose, velocity, steering and controls; only the wheels' roll, which nothing depends on, has gone on."""
+    marks = [
+        Mark(1, position=REST, speed=6),
+        Mark("free", position=(12, 12, 0)),
+        Mark("free", position=(0, 24, 0)),
+        Mark("free"),
+    ]
+    plan = vehsim.plan(car, None, marks, segments=24, loop=True, refine=False)
+    assert plan.success
+    clip = plan.clip
+    np.testing.assert_allclose(clip.positions[-1], clip.positions[0], atol=1e-6)
+    np.testing.assert_allclose(np.abs(clip.orientations[-1]), np.abs(clip.orientations[0]), atol=1e-6)
+    np.testing.assert_allclose(clip.twists[-1], clip.twists[0], atol=1e-6)
+    np.testing.assert_allclose(clip.joints[-1, 1], clip.joints[0, 1], atol=1e-6)
+    np.testing.assert_allclose(clip.controls[-1] / [1000, 0.3], clip.controls[0] / [1000, 0.3], atol=1e-6)
+    assert abs(clip.joints[-1, 0] - clip.joints[0, 0]) > 10
+    frames = clip.resample()
+    np.testing.assert_allclose(frames.positions[-1], frames.positions[0], atol=1e-6)
+
+
+def test_a_loop_ends_nowhere_else(car):
+    with pytest.raises(InputError, match=r"mark\[1\].position.*ends as it begins"):
+        vehsim.plan(car, None, [Mark(1, position=REST), Mark(50, position=(9, 0, 0))], segments=8, loop=True)
+
+
+def test_some_joints_at_a_mark(car):
+    marks = [
+        Mark(1, position=REST, heading=0, velocity=REST, joints={"sigma": 0.0}),
+        Mark(97, position=(20, 4, 0), joints={"sigma": 0.25}),
+        Mark(193, position=(30, 18, 0), velocity=REST),
+    ]
+    plan = vehsim.plan(car, None, marks, segments=24)
+    assert plan.success
+    assert plan.clip.joints[at_frame(plan.clip, 97), 1] == pytest.approx(0.25, abs=1e-7)
+    with pytest.raises(InputError, match=r"mark\[1\].joints.steer: no such joint; choose one of psi, sigma"):
+        vehsim.plan(car, None, [marks[0], Mark(50, joints={"steer": 1.0})], segments=8)
+
+
+def test_rest_stops_every_free_velocity():
+    """A robot that can turn on the spot does not, at rest."""
+    robot = vehsim.load_vehicle("two_wheeled")
+    marks = [Mark(1, position=REST, heading=0, velocity=REST), Mark(121, position=(2, 1, 0), heading=90, velocity=REST)]
+    plan = vehsim.plan(robot, None, marks, segments=16)
+    assert plan.success
+    np.testing.assert_allclose(plan.clip.twists[[0, -1]], 0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("frame", "message"),
+    [(0, "before the first mark"), (50, "free marks stand between"), (90, "after the last mark")],
+)
+def test_ranges_that_have_no_place_are_named(frame, message):
+    marks = check_marks([Mark(1, position=REST), Mark("free"), Mark(80)], ())
+    with pytest.raises(InputError, match=message):
+        with_breaks(marks, [frame])
+
+
+def test_a_range_makes_knots_once():
+    marks = with_breaks(check_marks([Mark(1, position=REST), Mark(80)], ()), [20, 80, 20, 60])
+    assert [mark.frame for mark in marks] == [1, 20, 60, 80]
+    assert [mark.name for mark in marks] == ["mark[0]", "frame 20", "frame 60", "mark[1]"]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"direction": (0, 0, 0), "radius": 1}, "which way through"),
+        ({"direction": (1, 0, 0)}, "either a radius or a size"),
+        ({"direction": (1, 0, 0), "radius": -1}, "above zero"),
+    ],
+)
+def test_wrong_gates_are_named(options, message):
+    with pytest.raises(InputError, match=message):
+        check_marks([Mark(1, position=REST), Mark(9, position=REST, gate=Gate(**options))], ())
