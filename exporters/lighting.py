@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Mood:
-    """A time of day, as data; late afternoon by default. Colours are linear; angles in degrees; intensities as UsdLux means them.
+    """A time of day, as data; late afternoon unless said. Colours linear, angles in degrees, intensities UsdLux's.
 
     ``key_angle``: how far the sun stands off the camera's back: 0 lights flat from behind it, 90 from the side.
     """
@@ -44,12 +44,12 @@ MOODS: dict[str, Mood] = {
     "afternoon": MOOD,
     "dusk": Mood(
         elevations=(7.0, 10.0),
-        key_angle=115.0,
+        key_angle=80.0,
         sun_colour=(1.0, 0.56, 0.28),
-        sun_intensity=2.1,
+        sun_intensity=2.4,
         zenith=(0.07, 0.12, 0.26),
-        horizon=(0.62, 0.38, 0.27),
-        glow=(0.95, 0.46, 0.16),
+        horizon=(0.60, 0.42, 0.33),
+        glow=(0.42, 0.20, 0.07),
     ),
 }
 """``render.mood`` of a shot file -> its light."""

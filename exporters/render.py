@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from vehsim.errors import ExportError
 from vehsim.exporters.shading import author_material, author_skybox, light_for
 from vehsim.exporters.stage import Shape, StageReader
+from vehsim.exporters.water_view import WaterView, places_of
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
@@ -58,6 +59,7 @@ class StageRenderer:
         self.stage, self.size = stage, size
         self._shadows = shadows
         self._light = light_for(stage.sun(), stage.sky())
+        self._water = None if stage.water is None else WaterView(stage, self._light)
         self._bounds = _bounds(stage)
         self._reach = _shadow_reach(stage, self._bounds)
         self._supersample = max(1, min(SUPERSAMPLE, round(samples**0.5), LARGEST // max(size)))
@@ -98,7 +100,11 @@ class StageRenderer:
         self._place_camera(camera, frame)
         self._place_lights()
         canvas, side = self._canvas, self._supersample
+        if self._water is not None:
+            canvas.draw_water(self._water, self._data, frame)
         colour, depth = canvas.draw(canvas.scene, self._size, SHADOW=self._shadows, FOG=True)
+        if self._water is not None:
+            colour = self._wet(colour, depth, camera, frame)
         picture, opaque = Image.fromarray(colour[::-1]), depth[::-1] > 0
         if opaque.all():
             return np.asarray(picture.reduce(side))
@@ -124,6 +130,15 @@ class StageRenderer:
             camera.frustum_center = 0.0
             camera.frustum_width = half_width * near
             camera.frustum_bottom, camera.frustum_top = -half_height * near, half_height * near
+
+    def _wet(self, colour: Picture, depth: NDArray[np.float32], camera: str, frame: float) -> Picture:
+        """Dark lines where hulls, piles and rocks stand in the water."""
+        assert self._water is not None
+        pose, half_width, _, (near, far) = self.stage.camera(camera, frame)
+        half = (half_width, half_width * self.size[1] / self.size[0])
+        clip = (near, max(far, SHADOW_DEPTH * self._reach))
+        places, distance = places_of(depth.astype(float), pose[:3, 3], -pose[:3, 2], pose[:3, 1], half, clip)
+        return self._water.wet(colour, places, distance)
 
     def _place_lights(self) -> None:
         """Hang the sun's shadow map over what the camera sees, on whole texels so that shadow edges do not crawl."""
@@ -172,6 +187,8 @@ class StageRenderer:
                 castshadow=cast and self._shadows,
             )
         author_skybox(spec, light.skybox)
+        if self._water is not None:
+            self._water.author(spec)
         bodies = {"": spec.worldbody}
         for k, group in enumerate(self.stage.groups):
             bodies[group] = spec.worldbody.add_body(name=f"group{k}", mocap=True)
@@ -226,6 +243,11 @@ class _Canvas:
         mujoco.mjv_updateScene(self._model, data, option, None, free, everything, self.scene)
         option.geomgroup[OPAQUE] = 0
         mujoco.mjv_updateScene(self._model, data, option, None, free, everything, self.glass)
+
+    def draw_water(self, water: WaterView, data: Any, frame: float) -> None:
+        """Bring the water to a frame, as the camera sees it from where it stands now."""
+        self._gl.make_current()
+        water.draw(self._model, data, self._context, frame, np.array(self.scene.camera[0].pos, float))
 
     def draw(self, scene: Any, size: tuple[int, int], **flags: bool) -> tuple[Picture, NDArray[np.float32]]:
         """Colour (h, w, 3) and depth (h, w), 0 where there is nothing opaque; both from the bottom row up.
@@ -316,7 +338,7 @@ def _bounds(stage: StageReader) -> tuple[Array, Array]:
 
 def _haze_end(stage: StageReader, bounds: tuple[Array, Array]) -> float:
     """Where haze hides all, m: before the ground's edge; in empty space there is no edge to hide."""
-    if all(shape.group for shape in stage.shapes):
+    if stage.water is not None or all(shape.group for shape in stage.shapes):
         return HAZE[1]
     edge = 0.6 * float((bounds[1] - bounds[0])[:2].min())
     return min(HAZE[1], max(edge, 60.0))

@@ -49,7 +49,7 @@ def light_for(sun: Sun | None, sky: Sky | None) -> Light:
     """
     key = sun or DEFAULT_SUN
     image = sky_image(sky)
-    fill = _dome_mean(image) if sky else DEFAULT_SKY
+    fill = dome_mean(image) if sky else DEFAULT_SKY
     exposure = HIGHLIGHT / float((fill + key.colour / np.pi).max())
     shade = _display(fill * exposure)
     lit = _display((fill + key.colour / np.pi) * exposure)
@@ -81,7 +81,7 @@ def sky_image(sky: Sky | None) -> Array:
         return to_linear(np.asarray(image.convert("RGB")) / 255.0) * sky.colour
 
 
-def _dome_mean(image: Array) -> Array:
+def dome_mean(image: Array) -> Array:
     """Mean radiance (3,) over the upper half of the dome, weighted by solid angle and by the cosine to the zenith."""
     theta = (np.arange(image.shape[0]) + 0.5) / image.shape[0] * np.pi
     weight = np.sin(theta) * np.maximum(np.cos(theta), 0.0)

@@ -22,6 +22,9 @@ from vehsim.parts import Y_UP_TO_Z_UP, triangulate
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+WATER_GRID = "vehsim:grid"
+"""Attribute of the water's surface: how many (rows, columns) of points it has. Its points move."""
+
 
 @dataclass(frozen=True)
 class Surface:
@@ -99,6 +102,7 @@ class StageReader:
         self._metres = UsdGeom.GetStageMetersPerUnit(self._stage)
         self._cache = UsdGeom.XformCache()
         self._movers: dict[Any, str] = {}
+        self.water: str | None = None
         self.fps = Fraction(self._stage.GetFramesPerSecond()).limit_denominator(1001)
         self.frames = (int(self._stage.GetStartTimeCode()), int(self._stage.GetEndTimeCode()))
         self.cameras = {
@@ -135,6 +139,24 @@ class StageReader:
         half = np.array([lens.horizontalAperture, lens.verticalAperture]) / (2 * lens.focalLength)
         clip = lens.clippingRange
         return pose, float(half[0]), float(half[1]), (clip.min * self._metres, clip.max * self._metres)
+
+    def water_grid(self) -> tuple[int, int]:
+        """Rows and columns of points of the water's surface."""
+        rows, cols = self._stage.GetPrimAtPath(self.water).GetAttribute(WATER_GRID).Get()
+        return int(rows), int(cols)
+
+    def water_at(self, frame: float) -> tuple[Array, Array, Array]:
+        """Points (n, 3) m, unit normals (n, 3) and foam (n,) of the water's surface at a time code."""
+        from pxr import UsdGeom
+
+        prim = self._stage.GetPrimAtPath(self.water)
+        self._cache.SetTime(frame)
+        T_ws = self._world(str(prim.GetPath()))
+        primvars = UsdGeom.PrimvarsAPI(prim)
+        points = np.array(UsdGeom.Mesh(prim).GetPointsAttr().Get(frame), float) @ T_ws[:3, :3].T + T_ws[:3, 3]
+        normals = np.array(primvars.GetPrimvar("normals").Get(frame), float) @ np.linalg.inv(T_ws[:3, :3])
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        return points, normals, np.array(primvars.GetPrimvar("foam").Get(frame), float)
 
     # ------------------------------------------------------------ once
 
@@ -178,6 +200,8 @@ class StageReader:
                 prims.PruneChildren()
             elif imageable.ComputePurpose() not in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render):
                 continue
+            elif prim.HasAttribute(WATER_GRID):
+                self.water = str(prim.GetPath())
             elif prim.IsA(UsdGeom.Mesh):
                 yield from self._read_mesh(prim)
             elif prim.IsA(UsdGeom.Gprim) or prim.IsA(UsdGeom.PointInstancer):

@@ -33,6 +33,7 @@ from vehsim.exporters.readback import check_readback
 from vehsim.exporters.sampling import clip_at
 from vehsim.exporters.value_clips import split_into_clips
 from vehsim.exporters.versions import write_latest
+from vehsim.exporters.water import write_water
 from vehsim.take import Exporter, Progress, Take
 
 if TYPE_CHECKING:
@@ -85,6 +86,11 @@ def write_usd(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
     progress("usd: environment", len(clips) / (len(clips) + 2))
     _author_terrain(stage, f"/{take.name}/env/terrain", take, pack, path)
     author_obstacles(stage, f"/{take.name}/env/obstacles", take)
+    for layer in write_water(take, folder):
+        prim = UsdGeom.Xform.Define(stage, f"/{take.name}/env/water").GetPrim()
+        prim.GetReferences().AddReference(pack.relative(layer, path))
+        _model(prim, Kind.Tokens.component, "water", pack.relative(layer, path))
+        pack.written.append(layer)
     for camera in take.cameras:
         author_camera(stage, f"/{take.name}/cameras/{camera.name}", camera, units, settings.shutter)
     author_lights(stage, f"/{take.name}/lights", take, pack, path)

@@ -26,7 +26,8 @@ class RenderSettings:
     """How the playblast looks: ``size`` (width, height) px; ``every`` n-th frame; ``samples`` of multisampling.
 
     ``cameras``: the names of those to render, all of the take's when None. ``layout`` "side-by-side" puts their
-    pictures together, each as wide as its share of ``size``, with ``captions`` by camera name.
+    pictures together, each as wide as its share of ``size``, with ``captions`` by camera name. ``mood``: the light,
+    "afternoon" or "dusk".
     """
 
     size: tuple[int, int] = (960, 540)
@@ -36,6 +37,7 @@ class RenderSettings:
     cameras: tuple[str, ...] | None = None
     layout: str = "separate"
     captions: Mapping[str, str] = field(default_factory=dict)
+    mood: str = "afternoon"
 
     def panel(self, cameras: int) -> tuple[int, int]:
         """The size of one of ``cameras`` pictures, px: even, as films want them."""

@@ -309,6 +309,17 @@ class GustsTable(Table):
     """a whole number: the same one gives the same gusts"""
 
 
+class ContactTable(Table):
+    """``[world.contact]``: how what flies and floats touches obstacles, the ground and each other"""
+
+    friction: Annotated[NotNegative, Field(le=10)] = 0.4
+    """Coulomb's coefficient"""
+    restitution: Annotated[Number, Field(ge=0.02, le=1)] = 0.3
+    """speed after a bounce over speed before, 0.02 to 1"""
+    speed: Annotated[Number, Field(ge=0.1, le=200)] = 20.0
+    """the fastest meeting in m/s that is kept from sinking in by 2 cm; less of it computes faster"""
+
+
 class WorldTable(Table):
     """``[world]``"""
 
@@ -320,6 +331,8 @@ class WorldTable(Table):
     """a [world.gusts] table: the wind changes with time"""
     water: WaterTable | None = None
     """a [world.water] table; no water unless given"""
+    contact: ContactTable | None = None
+    """a [world.contact] table; simulated vehicles pass through things unless given"""
     obstacle: Annotated[list[ObstacleTable], Array, Len(0, 1000)] = []
     """[[world.obstacle]] tables, each with shape = "polygon", "ellipse", "box", "mesh" or "vehicle\""""
 
@@ -463,5 +476,7 @@ class RenderTable(Table):
     """names of the cameras to render; unless given, all of them, or just "cut" where there is a [[cut]]"""
     layout: Literal["separate", "side-by-side"] = "separate"
     """"side-by-side" puts the cameras' pictures beside each other in one more film; "separate" does not"""
+    mood: Literal["afternoon", "dusk"] = "afternoon"
+    """the time of day, "afternoon" or "dusk": where the sun stands and what colours it has"""
     captions: dict[str, Text] = {}
     """side-by-side: camera name = what to write below it; {NAME} is the energy left to the vehicle of that name"""

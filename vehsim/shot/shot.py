@@ -100,6 +100,7 @@ class Shot:
     @cached_property
     def world(self) -> World:
         from vehsim.world import World
+        from vehsim.world.contact import Contact
         from vehsim.world.wind import Gusts
 
         table = self.file.world
@@ -110,6 +111,7 @@ class Shot:
             obstacles.standing(table.obstacle, self.folder),
             water=make_water(table.water, self.folder),
             gusts=None if table.gusts is None else Gusts(**table.gusts.model_dump()),
+            contact=None if table.contact is None else Contact(**table.contact.model_dump()),
         )
 
     def vehicle(self, table: VehicleTable) -> Vehicle:
@@ -166,7 +168,7 @@ class Shot:
         cameras = table.cameras or [CUT] * bool(self.file.cut)
         size = (table.size[0], table.size[1])
         shown = (tuple(cameras) or None, table.layout, table.captions)
-        return RenderSettings(size, table.every, table.samples, table.shadows, *shown)
+        return RenderSettings(size, table.every, table.samples, table.shadows, *shown, mood=table.mood)
 
     def blockings(self) -> dict[str, Blocking]:
         """What the vehicles that were blocked in follow, by vehicle."""

@@ -1,0 +1,260 @@
+"""The water's surface in a shot: a mesh whose points move, with normals, foam and the wakes of what floats.
+
+One layer, ``layers/water.usdc``. Its grid is fine about the vehicles' paths and ever coarser to the horizon, and stands
+still, so that the surface does not swim; as many points as `BYTES_A_SECOND` allow. How wakes and foam come about is in
+`water_wake.py`, how the preview draws the surface in `water_view.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.exporters.metadata import author_stage_metadata
+from vehsim.exporters.stage import WATER_GRID
+from vehsim.exporters.water_wake import Floating, Foam, Wake, clip_places
+
+if TYPE_CHECKING:
+    from vehsim.clip import Clip
+    from vehsim.take import Take
+
+Array = NDArray[np.float64]
+
+BYTES_A_SECOND = 8e6
+"""Of motion: 80 MB for ten seconds, whatever the frame rate."""
+BYTES_A_POINT = 12 + 6 + 2
+"""Point in float, normal and foam in half precision."""
+MOST_POINTS = 20_000
+MARGIN = 6.0
+"""Of the fine grid about the vehicles' paths and the nearest cameras, m."""
+SEEN = 30.0
+"""Cameras nearer than this to a path widen the fine grid, m."""
+HORIZON = 1500.0
+"""How far the surface reaches beyond the fine grid, m."""
+GROWTH = 1.32
+"""Ratio of neighbouring cells beyond the fine grid."""
+RESOLVED = 2.5
+"""Cells longer than this show waves lower than they are, so that the coarse distance is calm instead of jagged, m."""
+INSIDE = 0.8
+"""Share of a waterplane below which the water is pushed down, so that it does not show inside a hull."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Points ``origin + u e_u + v e_v``: ``u`` (cols,), ``v`` (rows,) m; ``axes`` (2, 2) rows are e_u, e_v."""
+
+    u: Array
+    v: Array
+    origin: Array
+    axes: Array
+
+    @property
+    def xy(self) -> Array:
+        """(rows * cols, 2) m, row after row."""
+        across = np.stack(np.meshgrid(self.u, self.v), axis=-1).reshape(-1, 2)
+        return np.asarray(self.origin + across @ self.axes)
+
+    @property
+    def cells(self) -> Array:
+        """The longer side (n,) m of the cell about each point."""
+        across = np.meshgrid(np.gradient(self.u), np.gradient(self.v))
+        return np.maximum(*across).ravel()
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return len(self.v), len(self.u)
+
+    def shape_of(self, points: Array) -> tuple[Array, Array]:
+        """Unit normals (n, 3) of points (n, 3) that the grid moved to, and the curvature (n,) of their height."""
+        net = points.reshape(*self.shape, 3)
+        along_v, along_u = np.gradient(net, self.v, self.u, axis=(0, 1))
+        normals = np.cross(along_u, along_v).reshape(-1, 3)
+        curvature = np.gradient(along_u[..., 2], self.u, axis=1) + np.gradient(along_v[..., 2], self.v, axis=0)
+        return normals / np.linalg.norm(normals, axis=1, keepdims=True), curvature.ravel()
+
+
+def write_water(take: Take, folder: Path) -> list[Path]:
+    """Write ``layers/water.usdc`` below ``folder`` when the take's world has water; returns the files written."""
+    from pxr import Gf, Sdf, Usd, UsdGeom, Vt
+
+    water = take.world.water
+    if water is None:
+        return []
+    path = folder / "layers" / "water.usdc"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    stage = Usd.Stage.CreateNew(str(path))
+    layer = stage.GetRootLayer()
+    author_stage_metadata(layer, take.fps, take.frames)
+    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/water").GetPrim())
+    grid = lay_grid(take)
+    rows, cols = grid.shape
+    mesh = UsdGeom.Mesh.Define(stage, "/water/surface")
+    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+    faces = quads(rows, cols)
+    mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(faces), 4, np.int32)))
+    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(faces.astype(np.int32).ravel()))
+    mesh.GetPrim().CreateAttribute(WATER_GRID, Sdf.ValueTypeNames.Int2).Set(Gf.Vec2i(rows, cols))
+    primvars = UsdGeom.PrimvarsAPI(mesh)
+    primvars.CreatePrimvar("foam", Sdf.ValueTypeNames.HalfArray, UsdGeom.Tokens.vertex)
+    primvars.CreatePrimvar("normals", Sdf.ValueTypeNames.Normal3hArray, UsdGeom.Tokens.vertex)
+    points, extent = mesh.CreatePointsAttr(), mesh.CreateExtentAttr()
+    _bind_material(stage, mesh)
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    frames = np.arange(take.frames[0], take.frames[1] + 1, dtype=float)
+    for frame, (place, normals, foam) in zip(frames.tolist(), surfaces(take, grid, frames), strict=True):
+        layer.SetTimeSample(points.GetPath(), frame, Vt.Vec3fArray.FromNumpy(place.astype(np.float32)))
+        halves = Vt.Vec3hArray.FromNumpy(normals.astype(np.float16))
+        layer.SetTimeSample("/water/surface.primvars:normals", frame, halves)
+        layer.SetTimeSample("/water/surface.primvars:foam", frame, Vt.HalfArray.FromNumpy(foam.astype(np.float16)))
+        low, high = np.minimum(low, place.min(axis=0)), np.maximum(high, place.max(axis=0))
+    extent.Set([Gf.Vec3f(*low.tolist()), Gf.Vec3f(*high.tolist())])
+    layer.Save()
+    return [path]
+
+
+def surfaces(take: Take, grid: Grid, frames: Array) -> Iterator[tuple[Array, Array, Array]]:
+    """Points (n, 3) m, unit normals (n, 3) and foam (n,) of the surface, for every frame."""
+    water, fps, xy = take.world.water, float(take.fps), grid.xy
+    assert water is not None
+    afloat = floating(take)
+    wake = Wake(afloat, water.level, frames, fps) if afloat else None
+    foam = Foam(afloat, xy, frames, fps)
+    raised = wake.heights() if wake is not None else iter(np.zeros((len(frames), 1, 1)))
+    start = min((clip.start_frame for clip in take.clips.values()), default=take.frames[0])
+    sea = _undisturbed(water, xy)
+    still, calm = np.column_stack([xy, np.full(len(xy), water.level)]), np.minimum(1.0, RESOLVED / grid.cells)
+    for k, (frame, field) in enumerate(zip(frames.tolist(), raised, strict=True)):
+        points = sea((frame - start) / fps)
+        points = still + calm[:, None] * (points - still)
+        if wake is not None:
+            points[:, 2] += wake.at(field, points[:, :2])
+        normals, curvature = grid.shape_of(points)
+        steep = np.hypot(normals[:, 0], normals[:, 1]) / normals[:, 2]
+        white = np.clip(foam.step(k, curvature, steep), 0.0, 1.0)
+        points[:, 2] = _out_of_hulls(afloat, points[:, :2], points[:, 2], frame)
+        yield points, normals, white
+
+
+def _undisturbed(water: Any, xy: Array) -> Callable[[float], Array]:
+    """The water's own surface as a function of time [s]: where the points (n, 2) at rest are, (n, 3) m.
+
+    Waves carry their points about as Gerstner's do, so that crests are sharp; their phases are computed once.
+    """
+    from vehsim.world.water import Waves
+
+    waves = water.surface
+    if not isinstance(waves, Waves):
+        return lambda t: np.column_stack([xy, water.height(xy, t)])
+    theta = xy @ waves.number.T + waves.phase
+    cos, sin = np.cos(theta), np.sin(theta)
+    way = waves.number / np.hypot(*waves.number.T)[:, None]
+
+    def at(t: float) -> Array:
+        turn = np.exp(1j * waves.omega * t) * waves.amplitude  # cos(theta - w t), sin(theta - w t)
+        shift = waves.choppiness * way
+        z = cos @ turn.real + sin @ turn.imag
+        drift = sin @ (turn.real[:, None] * shift) - cos @ (turn.imag[:, None] * shift)
+        return np.column_stack([xy - drift, water.level + z])
+
+    return at
+
+
+def floating(take: Take) -> dict[str, Floating]:
+    """The vehicles of a take that float, and how they lie in the water."""
+    from vehsim.world.buoyancy import Afloat
+
+    found = {}
+    for name, clip in take.clips.items():
+        if getattr(clip.vehicle, "hull", None) is None or not len(clip):
+            continue
+        afloat = Afloat(clip.vehicle, take.world)
+        height, _ = afloat.floating()
+        points = afloat.mesh.points
+        low = points[points[:, 2] < -height + 0.15]  # the hull near and below its waterline
+        x0, x1 = float(low[:, 0].min()), float(low[:, 0].max())
+        centre = (x0 + x1) / 2 + float(clip.vehicle.origin[0])
+        found[name] = Floating(clip, afloat.rest_volume, x1 - x0, float(np.ptp(low[:, 1])), centre)
+    return found
+
+
+def lay_grid(take: Take) -> Grid:
+    """A grid along the vehicles' way: even where they are, growing to the horizon."""
+    places = [_on_take(clip, take) for clip in take.clips.values()] or [np.zeros((1, 2))]
+    path = np.concatenate(places)
+    eyes = [camera.positions[:, :2] for camera in take.cameras]
+    near = [
+        eye
+        for eye in eyes
+        if np.linalg.norm(eye[:, None] - path[None, :: max(1, len(path) // 50)], axis=2).min() < SEEN
+    ]
+    seen = np.concatenate([path, *(eye[:: max(1, len(eye) // 50)] for eye in near)])
+    middle = path.mean(axis=0)
+    spread = np.linalg.svd(path - middle, full_matrices=False)[2][0] if np.ptp(path) > 1.0 else np.array([1.0, 0.0])
+    axes = np.array([spread, [-spread[1], spread[0]]])
+    local = (seen - middle) @ axes.T
+    low, high = local.min(axis=0) - MARGIN, local.max(axis=0) + MARGIN
+    count = min(MOST_POINTS, int(BYTES_A_SECOND / BYTES_A_POINT / float(take.fps)))
+    spacing = 0.2
+    while True:
+        u, v = (_graded(low[k], high[k], spacing) for k in range(2))
+        if len(u) * len(v) <= count:
+            return Grid(u, v, middle, axes)
+        spacing *= 1.03
+
+
+def _graded(low: float, high: float, spacing: float) -> Array:
+    """Coordinates from ``HORIZON`` before ``low`` to ``HORIZON`` after ``high``: even between, growing outside."""
+    inner = np.linspace(low, high, max(2, int(np.ceil((high - low) / spacing)) + 1))
+    steps: list[float] = []
+    reach = 0.0
+    while reach < HORIZON:
+        steps.append((inner[1] - inner[0]) * GROWTH ** (len(steps) + 1))
+        reach += steps[-1]
+    outer = np.cumsum(steps)
+    return np.concatenate([low - outer[::-1], inner, high + outer])
+
+
+def _on_take(clip: Clip, take: Take) -> Array:
+    frames = np.arange(take.frames[0], take.frames[1] + 1, dtype=float)
+    return clip_places(clip, frames)[0][:, :2]
+
+
+def _out_of_hulls(afloat: dict[str, Floating], xy: Array, z: Array, frame: float) -> Array:
+    """Heights (n,) with the water inside hulls pushed below them."""
+    for vehicle in afloat.values():
+        places, _, heading = clip_places(vehicle.clip, np.array([frame]))
+        c, s = np.cos(heading[0]), np.sin(heading[0])
+        offset = xy - places[0, :2]
+        x = (offset @ np.array([c, s]) - vehicle.centre) / (0.5 * vehicle.length)
+        y = offset @ np.array([-s, c]) / (0.5 * vehicle.beam)
+        depth = np.clip(1 - np.maximum(np.abs(x), np.abs(y) * (1 + 0.6 * np.clip(x, 0, 1))) / INSIDE, 0, 1)
+        z = z - np.minimum(2.0 * depth, 0.7)
+    return z
+
+
+def quads(rows: int, cols: int) -> NDArray[np.int64]:
+    """(m, 4) corners of the cells, counter-clockwise from above."""
+    index = np.arange(rows * cols).reshape(rows, cols)
+    return np.stack([index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]], axis=-1).reshape(-1, 4)
+
+
+def _bind_material(stage: Any, mesh: Any) -> None:
+    """Deep water; foam whitens it where a renderer reads the primvar ``foam``."""
+    from pxr import Gf, Sdf, UsdShade
+
+    types = Sdf.ValueTypeNames
+    material = UsdShade.Material.Define(stage, "/water/materials/water")
+    stage.GetPrimAtPath("/water/materials").SetTypeName("Scope")
+    shader = UsdShade.Shader.Define(stage, "/water/materials/water/surface")
+    shader.CreateIdAttr("UsdPreviewSurface")
+    shader.CreateInput("diffuseColor", types.Color3f).Set(Gf.Vec3f(0.010, 0.032, 0.038))
+    shader.CreateInput("roughness", types.Float).Set(0.08)
+    shader.CreateInput("ior", types.Float).Set(1.333)
+    material.CreateSurfaceOutput().ConnectToSource(shader.CreateOutput("surface", types.Token))
+    UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)

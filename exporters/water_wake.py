@@ -1,0 +1,197 @@
+"""What vehicles do to the water that is shown: their waves by linear theory, and foam.
+
+A hull presses on the surface with its weight, where its path leads it. The waves of a pressure that travels on deep
+water are found exactly, wave by wave, on a periodic box about the paths (``eta'' + g k eta = -k p / rho``, Lamb art.
+242): Kelvin's wedge, its bending in turns and its start come of themselves. What belongs here is looks: waves of the
+wake do not push back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from vehsim.clip import Clip
+
+Array = NDArray[np.float64]
+
+GRAVITY = 9.81
+CELL = 0.4
+"""Of the box on which waves are made, m."""
+ROOM = 36.0
+"""Of the box about the paths, m."""
+MOST = 1024
+"""Cells of the box along a side, at most."""
+FADE = 14.0
+"""Time in which waves of the wake fade, s."""
+FOAM_LIFE = 5.0
+"""Time in which foam fades, s."""
+TRAIL = 14.0
+"""How long churned water is followed, s."""
+SMALLEST = 0.16
+"""Shortest length that a hull's pressure holds, as a share of its beam."""
+
+
+@dataclass(frozen=True)
+class Floating:
+    """A vehicle that presses on the water: its ``clip``, ``volume`` m^3 displaced, and its waterplane.
+
+    ``length``, ``beam`` m; ``centre`` m: the waterplane's middle along the root's X.
+    """
+
+    clip: Clip
+    volume: float
+    length: float
+    beam: float
+    centre: float
+
+
+class Wake:
+    """Waves of floating vehicles on a box, frame by frame from the first; `step` moves on by a frame."""
+
+    def __init__(self, vehicles: Mapping[str, Floating], level: float, frames: Array, fps: float) -> None:
+        self.vehicles, self.level, self._frames, self._dt = tuple(vehicles.values()), level, frames, 1.0 / fps
+        places = [clip_places(v.clip, frames) for v in self.vehicles]
+        low = np.min([p[0][:, :2].min(axis=0) for p in places], axis=0) - ROOM
+        high = np.max([p[0][:, :2].max(axis=0) for p in places], axis=0) + ROOM
+        self.lower = low
+        self.cell = max(CELL, float((high - low).max()) / MOST)
+        self.shape = tuple(int(np.ceil(side / self.cell / 2) * 2) for side in (high - low)[::-1])
+        rows, cols = self.shape
+        kx = 2 * np.pi * np.fft.rfftfreq(cols, self.cell)
+        ky = 2 * np.pi * np.fft.fftfreq(rows, self.cell)
+        self._kx, self._ky = np.meshgrid(kx, ky)
+        k = np.hypot(self._kx, self._ky)
+        self._k, self._omega = k, np.sqrt(GRAVITY * np.maximum(k, 1e-9))
+        self._eta = np.zeros(k.shape, complex)
+        self._rate = np.zeros(k.shape, complex)
+        self._places = places
+        self._resolve()
+
+    def _resolve(self) -> None:
+        """Let the first frame begin as if the vehicles had come straight on at their first speed."""
+        first, before = float(self._frames[0]), 2.5
+        steps = int(before / self._dt)
+        for k in range(steps, 0, -1):
+            self._advance([(p - v * k * self._dt, h) for (p, v, h) in self._at(first)])
+
+    def _at(self, frame: float) -> list[tuple[Array, Array, float]]:
+        k = int(round(frame - self._frames[0]))
+        return [(p[k, :2], v[k], float(h[k])) for p, v, h in self._places]
+
+    def heights(self) -> Iterator[Array]:
+        """The wake's height (rows, cols) m above the undisturbed surface, for every frame."""
+        for frame in self._frames.tolist():
+            poses = [(p, h) for p, _, h in self._at(frame)]
+            self._advance(poses)
+            # the dent itself is filled by the hull: what is left of a vehicle at rest is nothing
+            yield np.fft.irfft2(self._eta + self._depth(poses), self.shape)
+
+    def _advance(self, poses: list[tuple[Array, float]]) -> None:
+        """A frame's time under pressures that stand where they are, exactly, with fading."""
+        rest = -self._depth(poses)  # the dent in which the pressure would be at rest: -p / (rho g)
+        cos, sin = np.cos(self._omega * self._dt), np.sin(self._omega * self._dt)
+        off = self._eta - rest
+        fade = np.exp(-self._dt / FADE)
+        self._eta, self._rate = (
+            rest + fade * (cos * off + sin * self._rate / self._omega),
+            fade * (cos * self._rate - self._omega * sin * off),
+        )
+
+    def _depth(self, poses: list[tuple[Array, float]]) -> Array:
+        """Transform of the depth of water that weighs as much as the vehicles, smooth blots about their waterplanes."""
+        total = np.zeros(self._k.shape, complex)
+        for vehicle, (place, heading) in zip(self.vehicles, poses, strict=True):
+            c, s = np.cos(heading), np.sin(heading)
+            x, y = place - self.lower + vehicle.centre * np.array([c, s])
+            along, across = c * self._kx + s * self._ky, -s * self._kx + c * self._ky
+            blot = np.exp(-((0.26 * vehicle.length * along) ** 2 + (0.3 * vehicle.beam * across) ** 2) / 2)
+            total += vehicle.volume / self.cell**2 * blot * np.exp(-1j * (self._kx * x + self._ky * y))
+        return total
+
+    def at(self, field: Array, xy: Array) -> Array:
+        """Values (n,) of a field of the box at ``xy`` (n, 2) m; nothing beyond it, fading out towards its borders."""
+        from scipy.ndimage import map_coordinates
+
+        where = (xy - self.lower) / self.cell
+        edge = np.minimum(where, np.array(self.shape[::-1]) - 1 - where).min(axis=1) * self.cell
+        inside = edge > 0
+        values = np.zeros(len(xy))
+        values[inside] = map_coordinates(field, where[inside][:, ::-1].T, order=3, mode="nearest")
+        return values * np.clip(edge / 8.0, 0.0, 1.0)
+
+
+def clip_places(clip: Clip, frames: Array) -> tuple[Array, Array, Array]:
+    """Positions (n, 3) m, horizontal velocities (n, 2) m/s and headings (n,) rad on ``frames``, held at its ends."""
+    times = np.clip((frames - clip.start_frame) / float(clip.fps), clip.times[0], clip.times[-1])
+    unique, back = np.unique(times, return_inverse=True)
+    matrices = clip.at(unique).matrices()[back]
+    places = matrices[:, :3, 3]
+    heading = np.unwrap(np.arctan2(matrices[:, 1, 0], matrices[:, 0, 0]))
+    velocity = np.gradient(places[:, :2], axis=0) * float(clip.fps) if len(places) > 1 else np.zeros((1, 2))
+    return places, velocity, heading
+
+
+class Foam:
+    """How much foam (0 to 1) lies on the water at fixed points: born on crests and behind hulls, fading."""
+
+    def __init__(self, vehicles: Mapping[str, Floating], xy: Array, frames: Array, fps: float) -> None:
+        self._vehicles, self._xy, self._frames, self._dt = tuple(vehicles.values()), xy, frames, 1.0 / fps
+        self._places = [clip_places(vehicle.clip, frames) for vehicle in self._vehicles]
+        self._crests = np.zeros(len(xy))
+
+    def step(self, k: int, curvature: Array, slope: Array) -> Array:
+        """Foam (n,) in frame ``k``, given the surface's curvature (1/m, negative on crests) and slope (n,)."""
+        born = np.clip((-curvature - 0.30) / 0.5, 0, 1) * np.clip((slope - 0.16) / 0.25, 0, 1)
+        self._crests = np.maximum(self._crests * np.exp(-self._dt / (0.4 * FOAM_LIFE)), born)
+        foam = self._crests
+        for vehicle, (places, velocity, heading) in zip(self._vehicles, self._places, strict=True):
+            foam = np.maximum(foam, self._trail(vehicle, places, velocity, heading, k))
+        return foam
+
+    def _trail(self, vehicle: Floating, places: Array, velocity: Array, heading: Array, k: int) -> Array:
+        """Churned water behind a hull, and what its bow and sides throw off."""
+        from scipy.spatial import cKDTree
+
+        first = max(0, k - int(TRAIL / self._dt))
+        past = slice(first, k + 1)
+        forward = np.column_stack([np.cos(heading[past]), np.sin(heading[past])])
+        stern = places[past, :2] + (vehicle.centre - 0.5 * vehicle.length) * forward
+        distance, nearest = cKDTree(stern).query(self._xy, distance_upper_bound=2.5 * vehicle.beam + 3.0)
+        near = np.isfinite(distance)
+        row = nearest[near]
+        age = (k - first - row) * self._dt
+        speed = np.linalg.norm(velocity[past][row], axis=1)
+        offset = self._xy[near] - stern[row]
+        ahead = np.einsum("ij,ij->i", offset, forward[row])
+        aside = np.abs(forward[row, 0] * offset[:, 1] - forward[row, 1] * offset[:, 0])
+        width = 0.32 * vehicle.beam + 0.22 * np.sqrt(np.maximum(age, 0)) * vehicle.beam
+        strength = np.clip((speed - 0.8) / 4.0, 0, 1)
+        churn = strength * np.exp(-((aside / width) ** 2)) * np.exp(-age / FOAM_LIFE) * (ahead < 0.3)
+        edges = (
+            0.7 * strength * np.exp(-(((aside - 1.15 * width) / (0.3 * width)) ** 2)) * np.exp(-age / FOAM_LIFE * 1.6)
+        )
+        foam = np.zeros(len(self._xy))
+        foam[near] = np.maximum(churn, edges)
+        return np.maximum(foam, self._bow(vehicle, places[k], velocity[k], heading[k]))
+
+    def _bow(self, vehicle: Floating, place: Array, velocity: Array, heading: float) -> Array:
+        """White water along the forward sides, thrown out and back."""
+        c, s = np.cos(heading), np.sin(heading)
+        offset = self._xy - place[:2]
+        x, y = offset @ np.array([c, s]) - vehicle.centre, offset @ np.array([-s, c])
+        half = 0.5 * vehicle.length
+        back = (half - x) / vehicle.length
+        side = 0.5 * vehicle.beam * np.sqrt(np.clip(1.7 * back, 0, 1)) + 0.35 * vehicle.beam * np.clip(
+            back - 0.15, 0, 2
+        )
+        strength = np.clip((float(np.linalg.norm(velocity)) - 1.5) / 5.0, 0, 1)
+        band = np.exp(-(((np.abs(y) - side) / (0.16 * vehicle.beam + 0.1 * np.clip(back, 0, 2))) ** 2))
+        return np.asarray(
+            strength * band * np.clip(4 * back, 0, 1) * np.exp(-np.clip(back, 0, None) * 1.4) * (back > 0)
+        )
