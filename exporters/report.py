@@ -53,6 +53,22 @@ def _clip_summary(clip: Any) -> dict[str, Any]:
         "duration_s": float(clip.times[-1] - clip.times[0]),
         "top_speed_m_s": float(speeds.max()),
         "events": list(clip.events),
+        "energy_J": _ledger(clip.energy),
+    }
+
+
+def _ledger(energy: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+    """Each account of a clip's energy, J: what it begins and ends with, its least and its most.
+
+    ``imbalance`` is what the accounts do not explain: the integrator's error, O(h^2).
+    """
+    accounts = {name: np.asarray(values, float) for name, values in energy.items() if len(values)}
+    if accounts.keys() >= {"kinetic", "potential", "work", "dissipated"}:
+        total = accounts["kinetic"] + accounts["potential"] - accounts["work"] + accounts["dissipated"]
+        accounts["imbalance"] = total - total[0]
+    return {
+        name: {"first": float(v[0]), "last": float(v[-1]), "least": float(v.min()), "most": float(v.max())}
+        for name, v in accounts.items()
     }
 
 

@@ -64,7 +64,7 @@ def test_machine_code_is_the_same_motion_and_kept(name, cache):
     for reached in (motion.state(), state):
         np.testing.assert_allclose(reached.position, plain.positions[20], atol=1e-11)
     built = {path: path.stat().st_mtime_ns for path in cache.iterdir()}
-    assert len(built) == 3 and all(path.suffix == ".so" for path in built)  # step, clip, public step
+    assert len(built) >= 3 and all(path.suffix == ".so" for path in built)  # step, clip, public step, ...
     again = Integrator(fresh(name), H, compiled=True)
     same(again.rollout(start, controls), plain)
     assert {path: path.stat().st_mtime_ns for path in cache.iterdir()} == built

@@ -71,18 +71,16 @@ class Fleet:
         knots = np.concatenate([self.controls[:, None], control_table(run.vehicle, given, shape)], axis=1)
         x, residual = np.empty((*knots.shape[:2], self.x.shape[1])), np.full((*shape, 1), np.inf)
         x[:, 0] = self.x
-        if not run.guarded:
-            steps = run.steps()
-            each_part(
-                shape[0],
-                self.threads if run.compiled else 1,
-                lambda part: steps(x[part], knots[part], residual[part]),
-            )
-        for j in np.flatnonzero(~np.all(residual <= FAST_TOLERANCE, axis=(1, 2))):
-            x[j] = run.history(x[j, 0], knots[j])
         size, s = run.mechanics.sizes[:2]
-        for row in x:
-            check_mass(run.mechanics, row[:, size : size + s])
+
+        def share(part: slice) -> None:
+            if not run.guarded:
+                run.steps()(x[part], knots[part], residual[part])
+            for j in part.start + np.flatnonzero(~np.all(residual[part] <= FAST_TOLERANCE, axis=(1, 2))):
+                x[j] = run.history(x[j, 0], knots[j])
+            check_mass(run.mechanics, x[part, :, size : size + s], run.compiled)
+
+        each_part(shape[0], self.threads if run.compiled else 1, share)
         self.x, self.controls = x[:, -1].copy(), knots[:, -1].copy()
         return x
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from vehsim.errors import SolveError
 from vehsim.integrators.discrete import DiscreteMechanics
+from vehsim.integrators.loops import Loop
 from vehsim.integrators.record import keep
 from vehsim.vehicles import Vehicle
 from vehsim.vehicles._base import Array
@@ -44,12 +45,27 @@ def check_constraints(mechanics: DiscreteMechanics, r: Array, first: int = 0) ->
         raise rank_lost(mechanics.vehicle, first + k, r[k], r[k + 1])
 
 
-def check_mass(mechanics: DiscreteMechanics, r: Array) -> None:
-    """``SolveError`` naming step and joints when the kinetic energy on the free velocities is not positive definite."""
+def check_mass(mechanics: DiscreteMechanics, r: Array, compiled: bool = False) -> None:
+    """``SolveError`` naming step and joints when the kinetic energy on the free velocities is not positive definite.
+
+    ``r`` (n, s), or (m, n, s) of vehicles side by side; ``compiled``: looked at by machine code.
+    """
     function = _mass(mechanics)
     if function is None or len(r) == 0:
         return
-    smallest = _definiteness(_rows(function, r))
+    if r.ndim == 3:
+        try:
+            check_mass(mechanics, r.reshape(-1, r.shape[2]), compiled)
+        except SolveError:  # again one by one, so that the step is named right
+            for row in r:
+                check_mass(mechanics, row, compiled)
+        return
+    size = function.size1_out(0)
+    masses = np.empty((len(r), size * size))
+    keep(mechanics, f"masses {compiled}", lambda: Loop(function, compiled=compiled))(
+        [np.ascontiguousarray(r)], [masses]
+    )
+    smallest = _definiteness(masses.reshape(-1, size, size))
     for k in np.flatnonzero(~(smallest > _INDEFINITE)):
         # the basis may be what is singular: ask again in one that is not
         value = _on_orthonormal_basis(mechanics, r[k])
@@ -67,13 +83,6 @@ def rank_lost(vehicle: Vehicle, step: int, before: Array, after: Array) -> Solve
         f"{vehicle.name}: step {step}: constraints lose rank between joints = {np.round(before, 6).tolist()} and "
         f"{np.round(after, 6).tolist()}: nothing determines the motion there; keep the joints away from it"
     )
-
-
-def _rows(function: ca.Function, r: Array) -> Array:
-    """A square matrix function at every row of ``r`` (n, s): (n, m, m)."""
-    m, n = function.size1_out(0), len(r)
-    stacked = np.asarray((function if n == 1 else function.map(n))(r.T), float)
-    return stacked.reshape(m, n, m).transpose(1, 0, 2)
 
 
 def _definiteness(matrices: Array) -> Array:

@@ -288,7 +288,7 @@ class Integrator:
                 block[1:] = [packed(after) for after in self._loop(unpacked(m, block[0]), knots, first)]
             elif self.guarded:
                 check_constraints(m, _joints(m, block), first)
-        check_mass(m, _joints(m, x))
+        check_mass(m, _joints(m, x), self.compiled)
         return x
 
     def _loop(self, phase: Phase, controls: Array, first: int) -> Iterator[Phase]:

@@ -52,6 +52,12 @@ def _exp_truncated(group: Group, x: Expr) -> Expr:
     return ca.SX.eye(group.dim) - ad / 2 + ad @ ad / 12
 
 
+def _exp_truncated_dual(group: Group, x: Expr, covector: Expr) -> Expr:
+    transposed = group.ad(x).T
+    once = transposed @ covector
+    return covector - once / 2 + transposed @ once / 12
+
+
 def _tln(group: Group, x: Expr) -> Expr:
     """``I - ad/2``, LIE's C_TLN; intertwines with the Cayley map of ``ad`` (LIE eq. 14, B_cay) alone."""
     return ca.SX.eye(group.dim) - group.ad(x) / 2
@@ -99,10 +105,10 @@ class _Law:
 
 
 MAPS: dict[str, _Law] = {
-    "exp": _Law(lambda group, x: group.exp(x), _exp_tangent_inverse, dual=_exp_dual, near="tln"),
+    "exp": _Law(lambda group, x: group.exp(x), _exp_tangent_inverse, dual=_exp_dual, near="exp_truncated"),
     "cay": _Law(lambda group, x: group.cay(x), _cay_tangent_inverse),
     "tln": _Law(lambda group, x: group.cay_ad(x), _tln),
-    "exp_truncated": _Law(lambda group, x: group.exp(x), _exp_truncated, near="tln"),
+    "exp_truncated": _Law(lambda group, x: group.exp(x), _exp_truncated, dual=_exp_truncated_dual),
     "ccsk": _Law(_ccsk, _ccsk_tangent_inverse, symmetric=False),
 }
 

@@ -167,20 +167,50 @@ def _numeric(expression: Callable[[Expr], Expr], r: np.ndarray) -> np.ndarray:
 
 
 def _tied(vehicle: Nonholonomic, sample: np.ndarray) -> tuple[int, ...]:
-    """Joints whose rates the constraints fix besides the group's velocity: as few as make the rows independent."""
+    """Joints whose rates the constraints fix besides the group's velocity: as few as keep the rows independent.
+
+    Not at the sample alone: the other joints' rates are to determine the motion everywhere. A trailer's hitch, which
+    stands still in a steady turn, does not.
+    """
     w_r = _numeric(lambda r: vehicle._constraints(r)[0], sample)
     w_xi = _numeric(lambda r: vehicle._constraints(r)[1], sample)
     scale = 1e-9 * max(1.0, *(np.abs(w).max() for w in (w_r, w_xi) if w.size)) if w_xi.size or w_r.size else 1.0
     rows = len(w_xi)
     missing = rows - (np.linalg.matrix_rank(w_xi, tol=scale) if w_xi.size else 0)
-    choices = combinations(vehicle.dynamic, missing)
-    best = max(choices, key=lambda tied: _smallest(np.hstack([w_xi, w_r[:, list(tied)]])), default=None)
+    points = [sample, *_spread(vehicle, sample, 1.0)] if rows else []
+    spread = [[_numeric(lambda r, i=i: vehicle._constraints(r)[i], point) for i in (1, 0)] for point in points]
+
+    def sound(tied: tuple[int, ...]) -> bool:
+        """Whether a square matrix of constraints stays clear of singular: its determinant keeps its sign."""
+        if rows < w_xi.shape[1] + len(tied):
+            return True  # free motions of the group are there to drive by
+        return len({np.sign(np.linalg.det(np.hstack([a, b[:, list(tied)]]))) for a, b in spread}) == 1
+
+    def choose(count: int) -> tuple[int, ...] | None:
+        choices = combinations(vehicle.dynamic, count)
+        return max(choices, key=lambda tied: _smallest(np.hstack([w_xi, w_r[:, list(tied)]])), default=None)
+
+    best = choose(missing)
+    if best is not None and rows:
+        more = (choose(count) for count in range(missing, len(vehicle.dynamic) + 1))
+        best = next((tied for tied in more if tied is not None and sound(tied)), best)
     if best is None or (rows and _smallest(np.hstack([w_xi, w_r[:, list(best)]])) <= scale):
         raise InputError(
             f"{vehicle.name}: constraints lose rank at joints = {sample.tolist()}: W_r = {w_r.tolist()}, W_xi = "
             f"{w_xi.tolist()}; drop the dependent row, or give a `sample` where they are independent"
         )
     return best
+
+
+def _spread(vehicle: Nonholonomic, sample: np.ndarray, reach: float) -> list[np.ndarray]:
+    """Sixteen choices of the joints within their limits, or within ``reach`` of the sample where there are none."""
+    limits = [vehicle.joint_limits.get(joint, (-np.inf, np.inf)) for joint in vehicle.joints]
+    ends = [
+        (a, b) if np.isfinite(a) and np.isfinite(b) else (x - reach, x + reach)
+        for (a, b), x in zip(limits, sample, strict=True)
+    ]
+    random = np.random.default_rng(0).uniform(size=(16, len(limits)))
+    return [np.array([a + t * (b - a) for (a, b), t in zip(ends, row, strict=True)]) for row in random]
 
 
 def _smallest(matrix: np.ndarray) -> float:
@@ -191,10 +221,7 @@ def _smallest(matrix: np.ndarray) -> float:
 
 def _pivots(vehicle: Nonholonomic, sample: np.ndarray) -> tuple[int, ...]:
     """Columns to eliminate: the square block that stays best conditioned over the joints' limits, and at the sample."""
-    limits = [vehicle.joint_limits.get(joint, (-np.inf, np.inf)) for joint in vehicle.joints]
-    spread = np.random.default_rng(0).uniform(size=(16, len(limits)))
-    ends = [(a, b) if np.isfinite(a) and np.isfinite(b) else (x, x) for (a, b), x in zip(limits, sample, strict=True)]
-    points = [sample, *(np.array([a + t * (b - a) for (a, b), t in zip(ends, row, strict=True)]) for row in spread)]
+    points = [sample, *_spread(vehicle, sample, 0.0)]
     matrices = [_numeric(vehicle.bound, np.asarray(point, float)) for point in points]
     rows, columns = matrices[0].shape
     blocks = combinations(range(columns), rows)
