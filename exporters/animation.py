@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from vehsim.errors import ExportError
 from vehsim.exporters.metadata import Z_UP_METRES, Units, author_stage_metadata, samples, unit_corrections
 from vehsim.exporters.packing import Pack
+from vehsim.exporters.rotors import author_rotors
 from vehsim.exporters.sampling import Shutter, clip_at, fewest, fewest_poses
 from vehsim.rigging import drive_op as drive_op
 from vehsim.rigging import driven_prim, instances_above, op_order, pivot_of, pivot_op, prim_path
@@ -99,6 +100,7 @@ def write_animation(
             motion.author_channel(spec, channel, op, factor)
             _author_constants(spec, ops.constants.get(below, []))
             _author_order(spec, ops.orders[below])
+        author_rotors(root, rig)
         for below in ops.freed:
             spec = Sdf.CreatePrimInLayer(layer, root.path.AppendPath(below)) if below else root
             spec.instanceable = False

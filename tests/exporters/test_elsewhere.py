@@ -272,3 +272,32 @@ def test_a_driven_prim_that_hides_our_opinion_is_an_error(tmp_path, monkeypatch)
     clip = vehsim.simulate(load_vehicle(folder), None, [0.0, 0.0], vehsim.State(twist=(0.0, 5.0, 0.0)), 0.5)
     with pytest.raises(ExportError, match="axle_rear/left/wheel/wheel: at frame 1002"):
         write(clip, tmp_path / "out")
+
+
+@pytest.mark.parametrize(("name", "start"), [("gyro", "blades"), ("helicopter", "")])
+def test_rotors_as_blades_or_disc(name, start, tmp_path):
+    """A ring is made where the asset has none; either way one of both is seen, and the disc turns with the rotor."""
+    from pxr import UsdGeom
+
+    folder = ELSEWHERE / name if name == "gyro" else name
+    clip = vehsim.simulate(load_vehicle(folder), None, [9000.0, 0, 0, 0], vehsim.State(position=(0, 0, 9)), 0.5)
+    stage = write(clip, tmp_path)
+    rotor = stage.GetPrimAtPath("/shot/vehicles/it").GetVariantSets().GetVariantSet("rotor")
+    assert rotor.GetVariantSelection() == start and set(rotor.GetVariantNames()) == {"blades", "disc"}
+
+    def seen():
+        meshes = [prim for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh) and "rotor" in str(prim.GetPath())]
+        looks = [prim for prim in meshes if UsdGeom.Imageable(prim).ComputePurpose() == "default"]
+        visible = [prim for prim in looks if UsdGeom.Imageable(prim).ComputeVisibility() == "inherited"]
+        return {prim.GetName() for prim in visible}
+
+    rotor.SetVariantSelection("blades")
+    blades = seen()
+    rotor.SetVariantSelection("disc")
+    disc = seen()
+    assert blades and disc and not blades & disc
+    assert all("blur" in name or name.startswith("disc") for name in disc)
+    if name == "gyro":
+        ring = stage.GetPrimAtPath("/shot/vehicles/it/cabin/mast/main_rotor/disc")
+        points = np.array(UsdGeom.Mesh(ring).GetPointsAttr().Get())
+        assert np.linalg.norm(points, axis=1).max() == pytest.approx(3.8, abs=0.02)

@@ -74,6 +74,8 @@ def check_variants(key: str, given: Mapping[str, str], rig: Rig | None) -> Itera
         if not root
         else {name: root.GetVariantSet(name).GetVariantNames() for name in root.GetVariantSets().GetNames()}
     )
+    if rig is not None and any(drive.disc for drive in rig.drives.values()):
+        sets = {**sets, "rotor": ["blades", "disc"]}  # made with the animation layer
     for name, variant in given.items():
         if name not in sets:
             mend = choose(name, sets) if sets else "the asset has none: leave variants out"

@@ -53,12 +53,14 @@ class Drive:
 
     ``pivot``: what it turns about when the prim has no pivot of its own: a point (3,) m in the rig root's frame, or
     "centre", the middle of the part. ``factor`` multiplies the channel: -1 for a wheel modelled the other way round.
+    ``disc``: a rotor that can be shown as the disc it blurs into: True to make one, or a pattern of its meshes' names.
     """
 
     prim: str
     op: str
     pivot: tuple[float, float, float] | str | None = None
     factor: float = 1.0
+    disc: bool | str = False
 
 
 @dataclass(frozen=True)

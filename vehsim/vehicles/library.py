@@ -159,7 +159,7 @@ def _rig(path: Path, vehicle: Vehicle, data: dict[str, Any]) -> Rig | None:
     _known(path, "channels.", channels, set(vehicle.channels))
     ops = {f"{kind}{axis}" for kind in ("rotate", "translate") for axis in "XYZ"}
     for name, values in channels.items():
-        _known(path, f"channels.{name}.", values, {"prim", "op", "pivot", "factor"})
+        _known(path, f"channels.{name}.", values, {"prim", "op", "pivot", "factor", "disc"})
         if not isinstance(values.get("prim"), str):
             raise InputError(f"{path}: channels.{name}.prim = {values.get('prim')!r}: give a path below the rig root")
         if values.get("op") not in ops:
@@ -194,7 +194,10 @@ def _drive(path: Path, name: str, values: dict[str, Any]) -> Drive:
         raise InputError(f'{path}: channels.{name}.pivot = {pivot!r}: give "centre" or three numbers, m')
     if isinstance(factor, bool) or not isinstance(factor, int | float) or not math.isfinite(factor) or factor == 0:
         raise InputError(f"{path}: channels.{name}.factor = {factor!r}: give a number such as -1")
-    return Drive(values["prim"], values["op"], pivot, float(factor))
+    disc = values.get("disc", False)
+    if not isinstance(disc, bool | str):
+        raise InputError(f"{path}: channels.{name}.disc = {disc!r}: give true, or a pattern of meshes' names")
+    return Drive(values["prim"], values["op"], pivot, float(factor), disc)
 
 
 def _suspension(path: Path, table: dict[str, Any]) -> Suspension:
