@@ -1,0 +1,147 @@
+"""Failure is a result: which mark, by how much, what would do; time limits kept; refinements that fail are left out."""
+
+import time
+
+import numpy as np
+import pytest
+
+import vehsim
+from tests.planning.test_plan import REST, tug
+from vehsim import Mark, Shot
+from vehsim.errors import ShotError
+from vehsim.planning.feasibility import refusals, strength
+from vehsim.planning.request import ask
+
+CAR_ASIDE = [Mark(1, position=REST, heading=0, velocity=REST), Mark(25, position=(0, 6, 0), heading=0, velocity=REST)]
+
+
+def said(marks, vehicle=None, **options):
+    request = ask(vehicle or tug(), None, marks, fps=24, segments=16, **options)
+    return [str(refusal) for refusal in refusals(request)]
+
+
+@pytest.mark.parametrize(
+    ("marks", "limits", "expected"),
+    [
+        # 26 m in 20 frames at 22 m/s: 28.4 frames
+        (
+            [Mark(1040, position=REST), Mark(1060, position=(26, 0, 0))],
+            {"speed": 22},
+            "mark[1].frame: frames 1040 to 1060 needs 31.2 m/s, limit 22; earliest 1069",
+        ),
+        # rest to rest over 16 m at 4 m/s^2: 2 sqrt(16 / 4) = 4 s
+        (
+            [Mark(1, position=REST, velocity=REST), Mark(49, position=(16, 0, 0), velocity=REST)],
+            {"acceleration": 4},
+            "mark[1].frame: frames 1 to 49 is 16 m in 2 s, more than 4 m/s^2 can do; earliest 97",
+        ),
+        (
+            [Mark(1, position=REST), Mark(25, position=(0, 0, 9))],
+            {"climb": 3},
+            "mark[1].frame: frames 1 to 25 needs 9 m/s up or down, limit 3; earliest 73",
+        ),
+        (
+            [Mark(1, position=REST, heading=170), Mark(13, position=REST, heading=-100)],
+            {"turn_rate": np.deg2rad(45)},
+            "mark[1].frame: frames 1 to 13 needs 180 deg/s, limit 45; earliest 49",
+        ),
+        (
+            [Mark(1, position=REST, speed=9), Mark(25)],
+            {"speed": 8},
+            "mark[0].speed: 9 m/s, limit 8; ask for at most 8 m/s, or raise it",
+        ),
+        (
+            [Mark(1, position=REST), Mark(25, position=(0, 0, 9))],
+            {"ceiling": 8},
+            "mark[1].position: 9 m high, ceiling 8; put it below 8 m, or raise the ceiling",
+        ),
+    ],
+)
+def test_bounds_name_mark_amount_and_mend(marks, limits, expected):
+    assert said(marks, limits=limits) == [expected]
+
+
+def test_what_can_be_done_is_not_refused():
+    """Just inside every bound, and free marks, which have no frame to be late for."""
+    assert not said([Mark(1, position=REST), Mark(30, position=(26, 0, 0))], limits={"speed": 22})
+    assert not said([Mark(1, position=REST), Mark("free", position=(999, 0, 0))], limits={"speed": 22})
+    assert not said([Mark(1, position=REST), Mark(25, position=(23, 0, 0), tolerance=1.5)], limits={"speed": 22})
+    assert not said([Mark(1, position=REST, velocity=REST), Mark(97, position=(15.9, 0, 0), velocity=REST)],
+                    limits={"acceleration": 4})  # fmt: skip
+
+
+def test_strength_is_the_controls_at_their_corners():
+    assert strength(tug(limit=10.0)) == pytest.approx(np.sqrt(3) * 10 / 10)
+    assert strength(tug(limit=10.0, gravity=9.81)) == pytest.approx(np.sqrt(3) + 9.81)
+    assert strength(tug()) == np.inf and strength(vehsim.load_vehicle("car")) == np.inf
+
+
+def test_failed_solves_say_by_how_much_and_what_would_do():
+    with pytest.warns(
+        UserWarning, match=r"mark\[1\].position is missed by 5\.\d+ m; mark\[1\].frame = 25 is too early"
+    ):
+        plan = vehsim.plan(vehsim.load_vehicle("car"), None, CAR_ASIDE, segments=12)
+    assert not plan.success and np.all(np.isfinite(plan.clip.positions))
+
+
+def test_time_limits_are_kept():
+    helicopter = vehsim.load_vehicle("helicopter")
+    marks = [Mark(1, position=(0, 0, 30), velocity=REST), Mark("free", position=(90, 40, 40), velocity=REST)]
+    vehsim.plan(helicopter, None, marks, segments=256, refine=False)  # built
+    began = time.monotonic()
+    with pytest.warns(UserWarning, match="time limit"):
+        plan = vehsim.plan(helicopter, None, marks, segments=256, time_limit=1e-3)
+    assert not plan.success and plan.iterations <= 3 and time.monotonic() - began < 20
+    assert len(plan.clip) > 2
+
+
+def test_a_refinement_out_of_time_leaves_the_plan_there_was(monkeypatch):
+    """The finer solve fails: the coarser one comes back, and the message says so."""
+    from vehsim.planning.attempt import Attempt
+
+    solve = Attempt.solve
+
+    def failing(self, free=True):
+        solve(self, free)
+        if self.layout.order > 2:
+            object.__setattr__(self.solution, "success", False)
+
+    monkeypatch.setattr(Attempt, "solve", failing)
+    marks = [Mark(1, position=REST, velocity=REST), Mark(73, position=(6, 2, 0), heading=90, velocity=REST)]
+    plan = vehsim.plan(tug(), None, marks, segments=8)
+    assert plan.success and plan.order == 2 and "not refined to 8 segments of order 4" in plan.message
+
+
+def test_shots_say_what_bounds_rule_out():
+    marks = [
+        {"frame": 1040, "position": [0, 0, 30], "velocity": [0, 0, 0]},
+        {"frame": 1060, "position": [26, 0, 30]},
+    ]
+    motion = {"method": "plan", "limits": {"speed": 22}, "mark": marks}
+    shot = {"shot": {"schema": 1, "name": "late"}, "vehicle": [{"name": "v", "asset": "helicopter", "motion": motion}]}
+    with pytest.raises(ShotError, match=r"mark\[1\].frame = 1060: frames 1040 to 1060 needs 31.2 m/s, limit 22; earl"):
+        Shot.from_dict(shot).solve()
+
+
+@pytest.mark.parametrize(
+    ("extra", "message"),
+    [
+        ({"look": [{"at": [0, 0, 0], "frames": [990, 1030]}]}, "frame 990: before the first mark"),
+        ({"look": [{"at": [0, 0, 0], "axis": "z"}]}, "z cannot be level"),
+        ({"stay": [{"above": 9, "below": 3}]}, "above less than below"),
+        ({"limits": {"steering": 20}}, "limits.steering.*no joint 'sigma'"),
+        ({"limits": {"joints": {"wheel": 1}}}, "limits.joints.wheel.*no such joint"),
+        ({"limits": {"joints": 3}}, "limits.joints.*not a table"),
+        ({"solver": "snopt"}, "solver.*not here; choose one of ipopt"),
+        ({"time_limit": -1}, "time_limit"),
+    ],
+)
+def test_wrong_tables_of_shots_are_named(extra, message):
+    marks = [
+        {"frame": 1001, "position": [0, 0, 30], "velocity": [0, 0, 0]},
+        {"frame": 1100, "position": [26, 0, 30]},
+    ]
+    motion = {"method": "plan", "mark": marks, **extra}
+    shot = {"shot": {"schema": 1, "name": "wrong"}, "vehicle": [{"name": "v", "asset": "helicopter", "motion": motion}]}
+    with pytest.raises(ShotError, match=message):
+        Shot.from_dict(shot).solve()
