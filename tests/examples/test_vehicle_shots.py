@@ -26,14 +26,18 @@ def test_rider_picks_up_speed_and_the_wheels_roll_where_they_point():
     clip = solved("snakeboard_twist").clips["rider"]
     assert clip.twists[-1, 1] > 1.5 and np.ptp(clip.positions[:, 1]) < 0.15 * clip.positions[-1, 0]
     angle, t = heading(clip), clip.times
-    for end, truck, wheels in ((1, "foot_front", ("roll_fl", "roll_fr")), (-1, "foot_rear", ("roll_rl", "roll_rr"))):
+    for end, truck, wheels in (
+        (1, "foot_front", {"roll_fl": 1, "roll_fr": -1}),
+        (-1, "foot_rear", {"roll_rl": 1, "roll_rr": -1}),
+    ):
         pivot = clip.positions[:, :2] + end * 0.27 * np.column_stack([np.cos(angle), np.sin(angle)])
-        velocity, pointing = np.gradient(pivot, t, axis=0), angle + clip.channels[truck]
-        across = velocity[:, 1] * np.cos(pointing) - velocity[:, 0] * np.sin(pointing)
-        along = velocity[:, 0] * np.cos(pointing) + velocity[:, 1] * np.sin(pointing)
-        assert np.abs(across).max() < 5e-3  # no slip
-        rolled = 0.032 * np.mean([np.gradient(clip.channels[wheel], t) for wheel in wheels], axis=0)
-        assert np.abs(rolled - along).max() < 5e-3
+        pointing = angle + clip.channels[truck]
+        ahead = np.column_stack([np.cos(pointing), np.sin(pointing)])
+        aside = np.column_stack([-np.sin(pointing), np.cos(pointing)])
+        assert np.abs(np.sum(np.gradient(pivot, t, axis=0) * aside, axis=1)).max() < 5e-3  # no slip
+        for wheel, side in wheels.items():
+            speed = np.sum(np.gradient(pivot + side * 0.075 * aside, t, axis=0) * ahead, axis=1)
+            assert np.abs(0.032 * np.gradient(clip.channels[wheel], t) - speed).max() < 5e-3
         lead = np.correlate(clip.channels["hips"], -end * clip.channels[truck], "full")
         assert np.argmax(np.abs(lead)) < len(t) - 1  # the feet follow the twist
 
