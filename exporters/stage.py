@@ -17,6 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.errors import InputError
+from vehsim.exporters.surfaces import Surface as Surface
+from vehsim.exporters.surfaces import read_surface as read_surface
+from vehsim.exporters.surfaces import surfaces_of
 from vehsim.parts import Y_UP_TO_Z_UP, triangulate
 
 Array = NDArray[np.float64]
@@ -24,18 +27,6 @@ Ints = NDArray[np.int64]
 
 WATER_GRID = "vehsim:grid"
 """Attribute of the water's surface: how many (rows, columns) of points it has. Its points move."""
-
-
-@dataclass(frozen=True)
-class Surface:
-    """A material: linear ``colour``, ``opacity``, ``roughness``, ``metallic``, a colour ``texture`` file or None."""
-
-    colour: tuple[float, float, float] = (0.5, 0.5, 0.5)
-    opacity: float = 1.0
-    roughness: float = 0.5
-    metallic: float = 0.0
-    emission: float = 0.0
-    texture: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -223,7 +214,7 @@ class StageReader:
             return
         left_handed = mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded
         flip = left_handed != (np.linalg.det(local[:3, :3]) < 0)
-        for name, chosen, surface in _by_material(prim, len(geometry.counts), self.frames[0]):
+        for name, chosen, surface in surfaces_of(prim, len(geometry.counts), self.frames[0]):
             yield geometry.shape(name, group, local, chosen, surface, flip, bool(mesh.GetDoubleSidedAttr().Get()))
 
     def _mover(self, prim: Any) -> str:
@@ -333,69 +324,6 @@ def _is_closed(points: Array, faces: Ints) -> bool:
     edges = np.sort(np.concatenate([welded[:, [0, 1]], welded[:, [1, 2]], welded[:, [2, 0]]]), axis=1)
     _, count = np.unique(edges, axis=0, return_counts=True)
     return bool((count >= 2).all())
-
-
-def _by_material(prim: Any, count: int, time: float) -> Iterator[tuple[str, Ints, Surface]]:
-    """(name, faces, surface) for each material of a mesh: its subsets', then its own for the rest."""
-    from pxr import UsdShade
-
-    path = str(prim.GetPath())
-    rest = np.ones(count, bool)
-    for subset in UsdShade.MaterialBindingAPI(prim).GetMaterialBindSubsets():
-        chosen = np.array(subset.GetIndicesAttr().Get(time) or [], np.int64)
-        rest[chosen] = False
-        if len(chosen):
-            yield f"{path}/{subset.GetPrim().GetName()}", chosen, read_surface(subset.GetPrim(), time)
-    if rest.any():
-        yield path, np.flatnonzero(rest), read_surface(prim, time)
-
-
-def read_surface(prim: Any, time: float) -> Surface:
-    """The preview surface bound to a prim, else its display colour, else grey."""
-    from pxr import UsdGeom, UsdShade
-
-    material = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
-    shader = material.ComputeSurfaceSource()[0] if material else None
-    if not shader:
-        gprim = UsdGeom.Gprim(prim)
-        rgb = gprim.GetDisplayColorAttr().Get(time) if gprim else None
-        alpha = gprim.GetDisplayOpacityAttr().Get(time) if gprim else None
-        colour = tuple(float(x) for x in rgb[0]) if rgb else (0.5, 0.5, 0.5)
-        return Surface(colour=colour, opacity=float(alpha[0]) if alpha else 1.0)  # type: ignore[arg-type]
-
-    def value(name: str, default: Any) -> Any:
-        port = shader.GetInput(name)
-        got = port.Get(time) if port else None
-        return default if got is None else got
-
-    emissive = value("emissiveColor", (0.0, 0.0, 0.0))
-    colour = value("diffuseColor", (0.18, 0.18, 0.18))
-    return Surface(
-        colour=(float(colour[0]), float(colour[1]), float(colour[2])),
-        opacity=float(value("opacity", 1.0)),
-        roughness=float(value("roughness", 0.5)),
-        metallic=float(value("metallic", 0.0)),
-        emission=float(max(emissive)),
-        texture=_texture(shader),
-    )
-
-
-def _texture(shader: Any) -> Path | None:
-    """The file that feeds a surface's diffuse colour."""
-    from pxr import UsdShade
-
-    diffuse = shader.GetInput("diffuseColor")
-    if not diffuse or not diffuse.HasConnectedSource():
-        return None
-    source = UsdShade.Shader(diffuse.GetConnectedSources()[0][0].source.GetPrim())
-    if source.GetIdAttr().Get() != "UsdUVTexture":
-        warnings.warn(f"{source.GetPath()}: only UsdUVTexture is drawn; its colour is left out", stacklevel=4)
-        return None
-    file = source.GetInput("file").Get()
-    if not file or not file.resolvedPath:
-        warnings.warn(f"{source.GetPath()}: its texture does not resolve; drawn without it", stacklevel=4)
-        return None
-    return Path(file.resolvedPath)
 
 
 def _light_colour(prim: Any) -> Array:
