@@ -2,7 +2,7 @@
 BIN := .venv/bin
 export MUJOCO_GL ?= egl
 
-.PHONY: help setup demo test assets lock clean bench-export bench-integrators
+.PHONY: help setup demo test assets lock clean bench-export bench-integrators bench-planning
 
 help:
 	@echo "make demo   export examples/canyon_flight.toml to out/: a USD shot, frames and a film"
@@ -11,6 +11,7 @@ help:
 	@echo "make assets regenerate the vehicles' USD assets, byte for byte"
 	@echo "make lock   bring requirements.lock up to date with pyproject.toml"
 	@echo "make bench-integrators  the claims of the papers, measured; writes benchmarks/RESULTS.md"
+	@echo "make bench-planning  plans measured: building, free space, canyon, replanning; writes RESULTS.planning.md"
 	@echo "make bench-export  measure baking, pictures and batches beside their peers (ten minutes)"
 	@echo "make clean  remove what the other commands made"
 
@@ -36,6 +37,9 @@ lock: setup
 
 bench-integrators: setup
 	$(BIN)/python -m benchmarks.integrators
+
+bench-planning: setup
+	$(BIN)/python -m benchmarks.planning
 
 bench-export: setup
 	$(BIN)/python benchmarks/bench_export.py
