@@ -47,10 +47,12 @@ def mark_element(t: Transcription, mark: Mark) -> Element | None:
     wind = ca.SX.sym("wind", 3)
     wanted = {key: ca.SX.sym(key, size) for key, size in parameter_sizes(t).items()}
     view, g = knot_view(t, x, c), t.split(x)[0]
+    # in the plane nothing follows from standing still: a boat may touch a mark with the wind at its side
+    balanced = mark.balanced and (mark.hold > 0 or t.vehicle.group.dim == 6)
     asked = {
         "position": _place(t, mark, view, wanted),
         "heading" if mark.orientation is None else "orientation": _attitude(t, mark, root_pose(t.vehicle, g), wanted),
-        "velocity (balance)": _equal(imbalance(t, x, c, wind)) if mark.balanced else [],
+        "velocity (balance)": _equal(imbalance(t, x, c, wind)) if balanced else [],
         "speed" if mark.velocity is None else "velocity": _motion(t, mark, view, x, c, wanted),
         "joints": _joints(mark, view, wanted),
     }

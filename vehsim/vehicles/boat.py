@@ -42,6 +42,7 @@ def boat(
     reference_area: float = 0.0,
     normal_force: float = 0.0,
     impact: float = 0.0,
+    impact_drag: Sequence[float] = (0.0, 0.0),
     added_mass: Sequence[float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
     wind_area: Sequence[float] = (0.0, 0.0),
     wind_centre: Sequence[float] = (0.0, 0.0, 0.0),
@@ -56,7 +57,8 @@ def boat(
     ``propeller_speed`` rad/s (channel ``propeller``). ``rudder``: a fin, or the outboard's leg, of ``rudder_area``
     m^2 and lift slope ``rudder_slope`` 1/rad, turned by the steering. ``damping`` N s/m, ``damping_quadratic``,
     ``reference_area``, ``normal_force``, ``impact`` and ``added_mass``: see `Hull`; ``wetted_centre`` (x, m) and
-    ``wetted_radius`` (root mean square of x, m) of the wetted surface carry the resistance over to ``planar``.
+    ``wetted_radius`` (root mean square of x, m) of the wetted surface carry the resistance over to ``planar``, and
+    ``impact_drag`` (2,) N s^2/m^2, ahead and across, what ``impact`` adds to it.
     Wind: ``wind_area`` seen from ahead and from the side, m^2, pushed at ``wind_centre``, ``wind_coefficient``.
     """
     places = [tuple(map(float, place)) for place in thrusters]
@@ -98,7 +100,7 @@ def boat(
     def resistance(twist: Expr) -> Expr:
         """`Hull`'s, of the upright hull: what turns about Z meets the water sideways, at its distance."""
         speed = ca.sqrt(twist[1] ** 2 + twist[2] ** 2 + (wetted_radius * twist[0]) ** 2 + 1e-6)
-        ahead, across = (damping[i] + speed * damping_quadratic[i] for i in (0, 1))
+        ahead, across = (damping[i] + speed * (damping_quadratic[i] + impact_drag[i]) for i in (0, 1))
         side = -across * (twist[2] + wetted_centre * twist[0])
         yaw = -across * (wetted_centre * twist[2] + wetted_radius**2 * twist[0])
         return ca.vertcat(yaw, -ahead * twist[1], side)

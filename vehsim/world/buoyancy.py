@@ -27,8 +27,6 @@ Array = NDArray[np.float64]
 
 ACROSS = 18
 """Edges of a hull in waves are at most so small a share of the shortest wave, and of twice the hull's length."""
-IMPACT_SPEED = 15.0
-"""Fastest entry into the water that a step is made for, m/s."""
 INSTANT = 1e-3
 """Time difference that gives the water's acceleration, s."""
 
@@ -106,17 +104,29 @@ class Afloat(Environment):
 
     @cached_property
     def max_step(self) -> float:  # type: ignore[override]
-        """A tenth of a radian of the fastest heave, pitch or roll; a quarter of the fastest decay."""
-        hull, inertia = self.data, np.diag(self.vehicle.inertia)
-        size = np.ptp(self.mesh.points, axis=0)
-        plan, rho = float(size[0] * size[1]), self.water.density
-        arm = np.array([size[1] / 2, size[0] / 2, size[0] / 2, 1, 1, 1]) ** 2
-        stiff = np.array([1 / 3, 1 / 3, 0, 0, 0, 1]) * rho * GRAVITY * plan * arm
-        drag = float(np.max(np.asarray(hull.damping) + IMPACT_SPEED * np.asarray(hull.quadratic)))
-        decay = arm * np.array([1 / 3, 1 / 3, 1, 1, 1, 1]) * drag
-        decay += arm * np.array([1 / 3, 1 / 3, 0, 0, 0, 1]) * hull.impact * rho * plan * IMPACT_SPEED
-        inertia = inertia + 0.25 * np.asarray(hull.added_mass, float)
+        """A quarter of a radian of the fastest heave, pitch or roll, half of the fastest linear decay."""
+        plan, arms, inertia = self._scales
+        stiff = np.array([1 / 3, 1 / 3, 0, 0, 0, 1]) * self.water.density * GRAVITY * plan * arms
+        decay = arms * np.array([1 / 3, 1 / 3, 1, 1, 1, 1]) * float(np.max(self.data.damping))
         return float(min(0.25 / np.sqrt((stiff / inertia).max()), 0.5 / max((decay / inertia).max(), 1e-9)))
+
+    @property
+    def next_step(self) -> float:  # type: ignore[override]
+        """Half of the decay that the speed of the surface into the water makes: short when it slams."""
+        if self._asked is None:
+            return np.inf
+        plan, arms, inertia = self._scales
+        into, through = self._asked[1].speeds
+        rate = self.data.impact * self.water.density * plan * into + float(np.max(self.data.quadratic)) * through
+        share = arms * np.array([1 / 3, 1 / 3, 1, 0, 0, 1]) / inertia
+        return float(0.5 / max(rate * share.max(), 1e-9))
+
+    @cached_property
+    def _scales(self) -> tuple[float, Array, Array]:
+        """Area from above, squared lever arms (6,), and inertia (6,) with a part of the added mass."""
+        size = np.ptp(self.mesh.points, axis=0)
+        arms = np.array([size[1] / 2, size[0] / 2, size[0] / 2, 1, 1, 1]) ** 2
+        return float(size[0] * size[1]), arms, np.diag(self.vehicle.inertia) + 0.25 * np.asarray(self.data.added_mass)
 
     def wrench(self, t: float, state: State, controls: Array) -> Array:
         return self.forces(t, state, controls).wrench
@@ -142,17 +152,20 @@ class Afloat(Environment):
         up = R_wb[2]
         torque_force, volume = np.zeros(6), 0.0
         immersion = entering = 0.0
+        fastest = float(np.sqrt((columns[:, 4:] ** 2).sum(axis=1).max()))
+        speeds = (0.0 if len(wet.normals) else fastest, fastest)  # in the air any part may hit the water next
         if len(wet.normals):
             volume = wet.volume(up)
             immersion = min(1.0, max(0.0, volume / self.rest_volume))
-            torque_force, entering = self._surface(wet)
-        forces = Forces(torque_force, volume, immersion)
+            torque_force, entering, into = self._surface(wet)
+            speeds = (into, fastest)
+        forces = Forces(torque_force, volume, immersion, speeds)
         self._couple(forces, t, state, controls, (R_wb, position, omega, velocity), entering)
         self._asked = (state, forces)
         return forces
 
-    def _surface(self, wet: Wetted) -> tuple[Array, float]:
-        """Body wrench (6,) of pressure and resistance on the wetted surface; m^3/s that it enters the water."""
+    def _surface(self, wet: Wetted) -> tuple[Array, float, float]:
+        """Body wrench (6,) of pressure and resistance on the wetted surface; m^3/s and m/s that it enters the water."""
         hull, rho = self.data, self.water.density
         middles, normals = wet.middles, wet.normals
         area = np.sqrt(np.einsum("ki,ki->k", normals, normals))
@@ -161,8 +174,10 @@ class Afloat(Environment):
         if hull.normal_force:
             pressure = pressure + hull.normal_force / self.reference_area
         into = np.einsum("kqi,ki->kq", through, normals)  # times the area
+        fastest = 0.0
         if hull.impact:
             speed = np.maximum(into, 0.0) / np.maximum(area, 1e-300)[:, None]
+            fastest = float(np.maximum(into, 0.0).sum()) / 3 / self._scales[0]
             pressure = pressure + 0.5 * hull.impact * rho * speed**2
         force = -pressure[:, :, None] * normals[:, None]
         if np.any(hull.damping) or np.any(hull.quadratic):
@@ -172,7 +187,7 @@ class Afloat(Environment):
                 rate = rate + size[:, :, None] * np.asarray(hull.quadratic, float)
             force -= (area / self.reference_area)[:, None, None] * rate * through
         force, arms = force.reshape(-1, 3) / 3, middles[:, :, :3].reshape(-1, 3)
-        return np.concatenate([_cross(arms, force).sum(axis=0), force.sum(axis=0)]), float(into.sum() / 3)
+        return np.concatenate([_cross(arms, force).sum(axis=0), force.sum(axis=0)]), float(into.sum() / 3), fastest
 
     def _couple(
         self, forces: Forces, t: float, state: State, controls: Array, body: tuple[Array, ...], entering: float
@@ -186,9 +201,11 @@ class Afloat(Environment):
             added = forces.immersion * np.asarray(hull.added_mass, float)
             through = np.concatenate([omega, velocity - flow @ R_wb])
             momentum = added * through
-            # Kirchhoff's equations with the motion relative to the water; the water's own acceleration drags along
-            forces.wrench[:3] += _cross(momentum[:3], omega) + _cross(momentum[3:], through[3:])
-            forces.wrench[3:] += _cross(momentum[3:], omega)
+            # Kirchhoff's equations in the waterplane, of the motion through the water. Upright to it they would pitch a
+            # fast hull out of the water: there its stern sheds the flow
+            x, y, turn = momentum[3], momentum[4], omega[2]
+            forces.wrench[2:5] += x * through[4] - y * through[3], y * turn, -x * turn
+            # the water's own acceleration drags along
             forces.wrench[3:] += added[3:] * (change @ R_wb - _cross(omega, flow @ R_wb))
             if forces.immersion < 1 and entering > 0:  # water set in motion (von Karman); what leaves takes its own
                 forces.wrench -= entering / self.rest_volume * np.asarray(hull.added_mass, float) * through
@@ -241,11 +258,13 @@ class Afloat(Environment):
 
 @dataclass
 class Forces:
-    """What water and wind do at an instant: body ``wrench`` (6,), displaced ``volume`` m^3, ``immersion`` 0 to 1."""
+    """What water and wind do at an instant: body ``wrench`` (6,), displaced ``volume`` m^3, ``immersion`` 0 to 1, and
+    ``speeds`` m/s of the hull's surface: into the water, over its area from above, and the fastest through it."""
 
     wrench: Array
     volume: float
     immersion: float
+    speeds: tuple[float, float] = (0.0, 0.0)
 
 
 def _body(state: State, origin: Array) -> tuple[Array, Array, Array, Array]:

@@ -1,0 +1,135 @@
+"""The boat: afloat on the world's water, and its planar self that plans are made of."""
+
+import numpy as np
+import pytest
+
+import vehsim
+from vehsim.errors import InputError, ShotError
+from vehsim.vehicles import State
+from vehsim.vehicles.boat import boat
+from vehsim.world import Water, World
+from vehsim.world.currents import Stream
+from vehsim.world.wind import Gusts
+
+BOAT = vehsim.load_vehicle("boat")
+
+
+def test_it_floats_at_its_waterline():
+    """The asset's root stands on the still waterline: there the boat displaces its weight, on an even keel."""
+    clip = vehsim.simulate(BOAT, World(water=2.0), duration=3.0, step=1 / 60)
+    assert np.abs(clip.positions[:, 2] - 2.0).max() < 2e-3
+    assert clip.orientations[-1, 0] > 1 - 1e-6
+
+
+def test_planar_and_afloat_drive_alike():
+    """The same boat, hull and closed form: speed on a straight course, drift and rate in a turn."""
+    for controls, names in (((4500.0, 0.0), ("u",)), ((3000.0, 0.25), ("u", "r"))):
+        wet = vehsim.simulate(BOAT, World(water=0.0), controls, duration=12.0, step=1 / 48).twists[-1]
+        flat = vehsim.simulate(BOAT, World(), controls, duration=12.0, step=1 / 48).twists[-1]
+        for name, i, j in (("u", 3, 1), ("v", 4, 2), ("r", 2, 0)):
+            if name in names:
+                assert flat[j] == pytest.approx(wet[i], rel=0.15), name
+
+
+def test_terminal_speed_of_the_planar_boat():
+    """Thrust = (damping + (quadratic + impact's) u) u, and the air's drag on what stands above the water."""
+    clip = vehsim.simulate(BOAT, None, (2000.0, 0.0), duration=60.0, step=1 / 24)
+    u = clip.twists[-1, 1]
+    air = 0.5 * 1.225 * 2.4
+    assert 70 * u + (3 + 23 + air) * u * u == pytest.approx(2000.0, rel=1e-4)
+    assert np.ptp(clip.positions[:, 2]) == 0
+
+
+def test_steering_turns_to_port_and_the_rudder_needs_flow():
+    for thrust, turn in ((2000.0, 1), (-1500.0, -1)):
+        clip = vehsim.simulate(BOAT, None, (thrust, 0.3), duration=2.0, step=1 / 48)
+        assert np.sign(clip.twists[-1, 0]) == turn
+    still = vehsim.simulate(BOAT, None, (0.0, 0.3), duration=1.0, step=1 / 48)
+    np.testing.assert_allclose(still.twists, 0, atol=1e-12)
+    assert still.channels["steer"][-1] == pytest.approx(-0.3)
+
+
+def test_two_thrusters_are_lies():
+    """Each thruster at c pushing along X makes (c x e_x, e_x) = (0, c_z, -c_y, 1, 0, 0) (math.md on LIE 4.3.2)."""
+    pair = boat(mass=100.0, inertia=(10, 20, 30), thrusters=((-2, -0.5, -0.2), (-2, 0.5, -0.2)), outboard=0)
+    assert pair.control_names == ("right", "left")
+    import casadi as ca
+
+    wrench = pair.hull.propulsion(ca.DM([10, 4]), ca.DM.zeros(6), ca.DM([1, 0.5]))
+    np.testing.assert_allclose(np.ravel(ca.DM(wrench)), [0, -0.2 * 12, 0.5 * 10 - 0.5 * 2, 12, 0, 0])
+    with pytest.raises(InputError, match="an outboard is one thruster"):
+        boat(mass=1.0, inertia=(1, 1, 1), thrusters=((-1, -1, 0), (-1, 1, 0)))
+
+
+def test_a_propeller_in_the_air_does_not_push():
+    clip = vehsim.simulate(BOAT, World(water=0.0), (4000.0, 0.0), start=State(position=(0, 0, 4.0)), duration=0.5)
+    assert abs(clip.twists[-1, 3]) < 1e-9
+
+
+def test_currents_and_wind_carry_it_away():
+    stream = World(water=Water(current=Stream((0.8, 0.3, 0.0))))
+    clip = vehsim.simulate(BOAT, stream, duration=15.0, step=1 / 24)
+    drift = np.diff(clip.positions[-2:], axis=0)[0] / np.diff(clip.times[-2:])
+    np.testing.assert_allclose(drift, [0.8, 0.3, 0], atol=0.25)
+    blown = vehsim.simulate(BOAT, World(water=0.0, wind=(0, 10, 0)), duration=6.0, step=1 / 24)
+    assert blown.positions[-1, 1] > 1.0
+    gusty = vehsim.simulate(
+        BOAT, World(water=0.0, wind=(0, 10, 0), gusts=Gusts(0.4, seed=2)), duration=6.0, step=1 / 24
+    )
+    assert 1e-3 < abs(gusty.positions[-1, 1] - blown.positions[-1, 1]) < 1.0
+
+
+def test_docking_in_the_wind_is_planned():
+    """From rest to rest, the wind at its side: plans are made of the planar boat (LIE Fig. 10)."""
+    marks = [
+        vehsim.Mark(1001, position=(0, 0, 0), heading=0, velocity=(0, 0, 0)),
+        vehsim.Mark(1481, position=(30, 12, 0), heading=90, velocity=(0, 0, 0)),
+    ]
+    plan = vehsim.plan(BOAT, World(wind=(0, 6, 0)), marks=marks, segments=48)
+    assert plan.success and plan.defect < 1e-6
+    np.testing.assert_allclose(plan.clip.positions[-1], [30, 12, 0], atol=1e-6)
+    replay = vehsim.simulate(
+        BOAT, World(wind=(0, 6, 0)), plan.clip.controls, start=State(), duration=plan.duration, step=1 / 24
+    )
+    np.testing.assert_allclose(replay.positions[-1], [30, 12, 0], atol=0.1)
+
+
+SHOT = {
+    "shot": {"schema": 1, "name": "float", "end_frame": 1013},
+    "world": {
+        "wind": [0, 5, 0],
+        "gusts": {"seed": 3},
+        "water": {
+            "level": 1.0,
+            "choppiness": 0.2,
+            "current": [0.3, 0, 0],
+            "wave": [{"height": 0.2, "length": 12, "heading": 30}],
+            "vortex": [{"centre": [20, 0], "speed": 1, "radius": 3}],
+        },
+    },
+    "vehicle": [{"name": "boat", "asset": "boat", "motion": {"method": "simulate", "step": 1 / 48}}],
+}
+
+
+def test_a_shot_file_has_water():
+    shot = vehsim.Shot.from_dict(SHOT)
+    assert not [problem for problem in shot.check() if problem.severity == "error"]
+    water = shot.world.water
+    assert water.level == 1.0 and water.surface.choppiness == 0.2 and len(water.current.parts) == 2
+    clip = shot.solve().clips["boat"]
+    assert np.abs(clip.positions[:, 2] - 1.0).max() < 0.3 and np.isfinite(clip.twists).all()
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ({"wave": [{"height": 9, "length": 10}], "choppiness": 1.0}, "folds over"),
+        ({"grids": "none.npz"}, "not readable"),
+        ({"grids": "none.npz", "sea": {"height": 1.0}}, "waves are given too"),
+        ({"sea": {"height": -1.0}}, "world.water.sea.height"),
+    ],
+)
+def test_what_is_no_water_is_said(table, message):
+    data = SHOT | {"world": {"water": table}}
+    with pytest.raises(ShotError, match=message):
+        vehsim.Shot.from_dict(data).solve()
