@@ -8,6 +8,7 @@ one for every knot when they move, so problems are built once for all worlds of 
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -194,7 +195,13 @@ def obstacle_rows(vehicle: Vehicle, world: Any, marks: Sequence[Any]) -> Rows | 
 
 
 def check_marks_clear(vehicle: Vehicle, world: Any, marks: Sequence[Mark], clearance: float) -> None:
-    """Raise ``InputError`` for a mark whose vehicle stands in an obstacle, or nearer than ``clearance`` m to one."""
+    """Raise ``InputError`` for a mark whose vehicle stands in an obstacle, or nearer than ``clearance`` m to one.
+
+    Warns where the obstacles are not seen at all: what flies keeps clear of the terrain alone.
+    """
+    if world is not None and world.obstacles and vehicle.group.dim != 3:
+        message = f"{vehicle.name}: obstacles are kept clear of by wheels alone yet; it plans as if there were none"
+        warnings.warn(message, stacklevel=4)
     for i, message, mend in marks_too_near(vehicle, world, marks, clearance):
         raise InputError(f"mark[{i}].position = {list(marks[i].position or ())}: {message}; {mend}")
 

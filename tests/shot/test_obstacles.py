@@ -1,0 +1,136 @@
+"""Obstacles from the shot file to stage, strobe and figures; what is wrong with a table is said in its place."""
+
+import copy
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Usd, UsdGeom
+
+from vehsim import Shot
+from vehsim.errors import ShotError
+from vehsim.exporters.validate import validate_stage
+
+SHOT = {
+    "shot": {"schema": 1, "name": "yard", "fps": 24},
+    "world": {
+        "terrain": "flat",
+        "obstacle": [
+            {"shape": "polygon", "name": "wedge", "points": [[8, -3], [12, -2], [11, 1]], "height": 1.5},
+            {"shape": "ellipse", "centre": [16, 5], "radii": [2, 1], "heading": 30},
+            {"shape": "box", "name": "crate", "centre": [15, -5, 0], "size": [2, 1, 1]},
+        ],
+    },
+    "vehicle": [
+        {
+            "name": "car",
+            "asset": "car",
+            "motion": {
+                "method": "plan",
+                "segments": 48,
+                "clearance": 0.4,
+                "mark": [
+                    {"frame": 1001, "position": [0, 0, 0], "heading": 0, "velocity": [0, 0, 0]},
+                    {"frame": "free", "position": [24, 0, 0], "heading": 0, "velocity": [0, 0, 0]},
+                ],
+            },
+        }
+    ],
+}
+
+
+@pytest.fixture(scope="module")
+def delivery(tmp_path_factory) -> Path:
+    take = Shot.from_dict(SHOT | {"render": {"size": [160, 90], "samples": 0}}).solve()
+    return take.export(tmp_path_factory.mktemp("yard"), to=("usd", "strobe", "figures"))
+
+
+def problems(change) -> dict[str, str]:
+    data = copy.deepcopy(SHOT)
+    change(data)
+    try:
+        found = Shot.from_dict(data).check()
+    except ShotError as error:
+        found = error.problems
+    return {problem.key: f"{problem.message}; {problem.mend}" for problem in found}
+
+
+def test_standing_obstacles_are_in_the_stage(delivery):
+    stage = Usd.Stage.Open(str(delivery / "yard.usda"))
+    group = stage.GetPrimAtPath("/yard/env/obstacles")
+    names = {prim.GetName() for prim in group.GetChildren()}
+    assert names == {"wedge", "ellipse_1", "crate", "materials"}
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/yard/env/obstacles/wedge/mesh"))
+    points = np.array(mesh.GetPointsAttr().Get())
+    np.testing.assert_allclose(points.max(axis=0), [12, 1, 1.5], atol=1e-6)
+    assert not validate_stage(delivery / "yard.usda")
+
+
+def test_the_strobe_is_a_picture_and_leaves_nothing_behind(delivery):
+    from PIL import Image
+
+    with Image.open(delivery / "yard.strobe.png") as picture:
+        assert picture.size == (160, 90)
+        assert np.asarray(picture).std() > 5
+    assert not list(delivery.glob(".*"))
+
+
+def test_figures_show_path_obstacles_and_controls(delivery):
+    top = (delivery / "figures" / "car.top.svg").read_text()
+    assert top.count("<polygon") >= 3 + 5 and "path of the root" in top
+    controls = (delivery / "figures" / "car.controls.svg").read_text()
+    assert "torque" in controls and "steering_rate" in controls
+    assert not (delivery / "figures" / "car.side.svg").exists()  # it stays on level ground
+
+
+@pytest.mark.parametrize(
+    "change, key, words",
+    [
+        (lambda d: d["world"]["obstacle"].append({"shape": "cone"}), "world.obstacle[3].shape", 'give "polygon"'),
+        (lambda d: d["world"]["obstacle"].append({"name": "a"}), "world.obstacle[3].shape", "missing"),
+        (
+            lambda d: d["world"]["obstacle"][0].update(points=[[0, 9], [1, 10], [1, 9], [0, 11]]),
+            "world.obstacle[0].points",
+            "its edges 0 and 2 cross",
+        ),
+        (lambda d: d["world"]["obstacle"][2].update(name="wedge"), "world.obstacle[2].name", "used twice"),
+        (lambda d: d["world"]["obstacle"][2].update(radius=1), "world.obstacle[2].radius", "unknown key"),
+        (
+            lambda d: d["world"]["obstacle"].append({"shape": "vehicle", "vehicle": "truk"}),
+            "world.obstacle[3].vehicle",
+            "no such vehicle",
+        ),
+        (
+            lambda d: d["world"]["obstacle"].append({"shape": "mesh", "path": "none.obj"}),
+            "world.obstacle[3].mesh",
+            "no such file",
+        ),
+        (
+            lambda d: d["world"]["obstacle"][2].update(centre=[24, 0, 0]),
+            "vehicle[0].motion.mark[1].position",
+            "in obstacle 'crate'",
+        ),
+    ],
+)
+def test_what_is_wrong_is_said_in_its_place(change, key, words):
+    found = problems(change)
+    assert words in found.get(key, ""), found
+
+
+def test_a_right_shot_has_no_problems():
+    assert problems(lambda data: None) == {}
+
+
+def test_a_vehicle_is_kept_clear_of_on_its_way():
+    """Another car stands in the way; it is no mesh of the world, and the plan goes round it."""
+    data = copy.deepcopy(SHOT)
+    data["world"]["obstacle"] = [{"shape": "vehicle", "vehicle": "parked"}]
+    start = {"position": [12.0, 0.2, 0.0], "heading": 90.0}
+    data["vehicle"].append(
+        {"name": "parked", "asset": "car", "motion": {"method": "simulate", "duration": 1.0, "start": start}}
+    )
+    take = Shot.from_dict(data).solve()
+    assert list(take.clips) == ["car", "parked"] and not take.world.obstacles
+    way = take.clips["car"].positions
+    beside = np.abs(way[:, 0] - 12).argmin()
+    assert abs(way[beside, 1] - 0.2) > 2.15 + 0.9 + 0.4
