@@ -1,4 +1,4 @@
-"""Time of a step against MuJoCo's `mj_step`, in one run: called from Python, in a loop, and a thousand side by side."""
+"""Time of a step against MuJoCo's `mj_step` of a free body, in one run: called from Python, and 10,000 in one go."""
 
 from __future__ import annotations
 
@@ -10,75 +10,74 @@ import numpy as np
 
 import vehsim
 from vehsim.integrators import Integrator
-
 from vehsim.vehicles import State
 
 INERTIA, MASS, TWIST = (1300.0, 4700.0, 4200.0), 1900.0, (0.1, 0.2, 0.3, 1.0, 2.0, 3.0)
+VEHICLES = {
+    "helicopter": ((18639.0, 0.0, 0.01, 0.0), State(twist=TWIST)),
+    "car": ((300.0, 0.01), State(twist=(0, 5.0, 0))),
+}
 
 
-def speed(report: list[str]) -> None:
-    """Against mj_step in the same run."""
+def speed() -> dict[str, Any]:
+    """Rows of CPU seconds a step: called in place, from state to state, in rollouts (a clip included), in its loop."""
     import mujoco
 
-    rows = []
+    rows: dict[str, Any] = {}
     for name in ("Euler", "RK4"):
         model, data = _mujoco_body(name)
-        call = _best(lambda m=model, d=data: [mujoco.mj_step(m, d) for _ in range(2000)]) / 2000
-        loop = _best(lambda m=model, d=data: mujoco.mj_step(m, d, 10_000)) / 10_000
-        rows.append([f"MuJoCo {name}, free body", f"{call * 1e6:.2f}", "", f"{loop * 1e6:.2f}", ""])
-    for name, controls, start in (
-        ("helicopter", (18639.0, 0.0, 0.01, 0.0), State(twist=(0.1, 0.2, 0.3, 1, 2, 3))),
-        ("car", (300.0, 0.01), State(twist=(0, 5.0, 0))),
-    ):
-        integrator = Integrator(vehsim.load_vehicle(name), 1 / 240)
-        c = np.array(controls)
-        motion = integrator.motion(start, c)
-        in_place = _best(lambda m=motion: [m.step() for _ in range(2000)]) / 2000
-        state = integrator.step(start, c)
-        call = _best(lambda i=integrator, s=state, c=c: [i.step(s, c) for _ in range(2000)]) / 2000
-        phase = integrator.start(state, c)
-        table = np.tile(c, (10_241, 1))
-        loop = _best(lambda i=integrator, p=phase, t=table: i._accumulate(p, t)) / 10_240
-        rows.append(
-            [
-                name,
-                f"{in_place * 1e6:.2f}",
-                f"{call * 1e6:.2f}",
-                f"{loop * 1e6:.2f}",
-                f"{_side_by_side(integrator, phase, c):.2f}",
-            ]
-        )
-        print(rows[-1], flush=True)
-    report += [
-        "",
-        "### Microseconds a step (best of 5); the last column is the gain of two threads over one, 1,000 vehicles",
-        "",
+        call = best(lambda m=model, d=data: [mujoco.mj_step(m, d) for _ in range(2000)]) / 2000
+        loop = best(lambda m=model, d=data: mujoco.mj_step(m, d, 10_000)) / 10_000
+        rows[f"MuJoCo {name}"] = [call, None, None, loop]
+    gains: dict[str, Any] = {}
+    for name, (controls, start) in VEHICLES.items():
+        for compiled in (False, True):
+            integrator = Integrator(vehsim.load_vehicle(name), 1 / 240, compiled=compiled)
+            c = np.array(controls)
+            label = f"{name}, machine code" if integrator.compiled else name
+            rows[label] = _times(integrator, start, c)
+            if integrator.compiled:
+                gains[name] = _two_threads(integrator, start, c)
+    print(rows, gains, flush=True)
+    return {"rows": rows, "gains": gains}
+
+
+def _times(integrator: Integrator, start: State, c: np.ndarray) -> list[float]:
+    motion, state, table = integrator.motion(start, c), integrator.step(start, c), np.tile(c, (10_001, 1))
+    integrator.rollout(start, table)
+
+    def from_state_to_state() -> None:
+        after = state
+        for _ in range(2000):
+            after = integrator.step(after, c)
+
+    phase = integrator.start(start, c)
+    return [
+        best(lambda: [motion.step() for _ in range(2000)]) / 2000,
+        best(from_state_to_state) / 2000,
+        best(lambda: integrator.rollout(start, table)) / 10_000,
+        best(lambda: integrator._accumulate(phase, table)) / 10_000,
     ]
-    report += table_of(["", "call in place", "call from state to state", "in a loop of 10,000", "two threads"], rows)
 
 
-def _side_by_side(integrator: Integrator, phase: Any, c: np.ndarray) -> float:
-    """Gain of two threads over one on 1,000 vehicles side by side, 256 steps each."""
-    chunk = _chunk(integrator.mechanics, 2, "advance_fast")
-    n, steps = 1000, 256
-    x = np.tile(_pack(phase)[:, None], n)
-    inputs = (
-        x,
-        np.tile(c[:, None], n * steps),
-        np.tile(c[:, None], n * steps),
-        np.full((1, n * steps), 1 / 240),
-        np.zeros((3, n * steps)),
-    )
-    serial, threads = chunk.map(n), chunk.map(n, "thread", 2)
-    return _best(lambda: serial(*inputs), 3) / _best(lambda: threads(*inputs), 3)
+def _two_threads(integrator: Integrator, start: State, c: np.ndarray) -> list[float]:
+    """Wall seconds a step of 1,000 vehicles side by side, 240 steps each, on one thread and on two."""
+    fleets = [integrator.fleet([start] * 1000, c, threads=threads) for threads in (1, 2)]
+    controls, walls = np.tile(c, (240, 1)), [np.inf, np.inf]
+    for _ in range(15):  # in turns: on a shared machine, the best of each
+        for i, fleet in enumerate(fleets):
+            begin = time.perf_counter()
+            fleet.advance(controls)
+            walls[i] = min(walls[i], time.perf_counter() - begin)
+    return [wall / 240_000 for wall in walls]
 
 
-def _best(call: Callable[[], Any], times: int = 5) -> float:
+def best(call: Callable[[], Any], times: int = 15) -> float:
     clocks = []
     for _ in range(times):
-        begin = time.perf_counter()
+        begin = time.process_time()
         call()
-        clocks.append(time.perf_counter() - begin)
+        clocks.append(time.process_time() - begin)
     return min(clocks)
 
 
@@ -93,9 +92,3 @@ def _mujoco_body(integrator: str) -> tuple[Any, Any]:
     data = mujoco.MjData(model)
     data.qvel[:] = [*TWIST[3:], *TWIST[:3]]
     return model, data
-
-
-def table_of(header: list[str], rows: list[list[str]]) -> list[str]:
-    """A Markdown table."""
-    lines = [header, ["---"] * len(header), *rows]
-    return ["| " + " | ".join(line) + " |" for line in lines]

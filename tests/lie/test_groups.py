@@ -174,3 +174,19 @@ def test_closed_forms_of_the_papers():
     a, b, c = x
     matrix = [[4 - a * a, -4 * a, 4 * b - 2 * a * c], [4 * a, 4 - a * a, 2 * a * b + 4 * c]]
     np.testing.assert_allclose(plane.matrix(plane.cay(x))[:2], np.array(matrix) / (4 + a * a), atol=1e-14)
+
+
+@groups
+def test_shifted_twists_are_velocities_of_the_shifted_point(group):
+    """Against poses: a body and a point fixed to it, moved by ``exp(t x)``."""
+    if group.name == "SO3":  # nothing to move
+        np.testing.assert_array_equal(group.shift(np.array([1.0, 2, 3]), np.array([4.0, 5, 6])), [1, 2, 3])
+        return
+    x, offset, dt = np.random.default_rng(7).standard_normal(group.dim), np.array([0.4, -0.3, 0.0]), 1e-6
+    twist = group.velocity_to_body(np.array(group.identity), x)
+    moved = group.pose(group.exp(dt * x))
+    w, v = np.asarray(moved[3:7]), np.asarray(moved[:3])
+    turned = offset + 2 * np.cross(w[1:], w[0] * offset + np.cross(w[1:], offset))
+    speed = (v + turned - offset) / dt
+    linear = group.shift(twist, offset)[-2:] if group.planar else group.shift(twist, offset)[3:]
+    np.testing.assert_allclose(linear, speed[: len(linear)], atol=1e-5)

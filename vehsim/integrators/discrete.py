@@ -34,7 +34,6 @@ from vehsim.vehicles.mechanics import (
     rows,
     shape_gradient,
 )
-from vehsim.vehicles.states import shift_twist
 
 QUADRATURES: dict[str, tuple[float, float]] = {
     "galerkin": (1 / 3, 1 / 6),  # exact for forces linear between knots
@@ -186,7 +185,8 @@ class DiscreteMechanics:
         g1, r1, pi1, residual, push = ca.Function("finish", given, outputs)(z, *given[1:])
         size = 1e-3 * ca.fabs(inertia) + ca.fabs(self.symbols["pi"]) + ca.fabs(push)
         error = ca.mmax(ca.fabs(residual) / size) if residual.shape[0] else ca.SX(0)
-        return [g1, r1, pi1, z, error]
+        # what the solve left unbalanced goes along, or a million steps would add it up
+        return [g1, r1, pi1 - residual, z, error]
 
     @cached_property
     def knot_momentum(self) -> ca.Function:
@@ -223,7 +223,7 @@ class DiscreteMechanics:
         u, xi = self.knot_velocity(y["r"], y["pi"], y["c0"])
         pose = v.group.pose(v.group.normalize(g))
         root = ca.vertcat(pose[0:3] - SO3.matrix(pose[3:7]) @ ca.DM(v.origin), pose[3:7])
-        twist = shift_twist(v.group.velocity_to_body(g, xi), -v.origin)
+        twist = v.group.shift(v.group.velocity_to_body(g, xi), ca.DM(-v.origin))
         return ca.Function("root_state", [g, y["r"], y["pi"], y["c0"]], [root, twist, y["r"], u])
 
 

@@ -12,7 +12,6 @@ from vehsim.integrators.record import keep
 from vehsim.lie import SO3
 from vehsim.vehicles import State
 from vehsim.vehicles._base import Array
-from vehsim.vehicles.states import shift_twist
 
 if TYPE_CHECKING:
     from vehsim.integrators.discrete import DiscreteMechanics
@@ -181,7 +180,7 @@ def _public_step(m: DiscreteMechanics, order: int) -> ca.Function:
     g = v.group.from_pose(ca.vertcat(position + SO3.matrix(q) @ ca.DM(v.origin), q))
     for joint, control in v.driven:
         u[joint] = c0[control]
-    xi = v.group.velocity_from_body(g, twist if v.group.name == "SO3" else shift_twist(twist, v.origin))
+    xi = v.group.velocity_from_body(g, v.group.shift(twist, ca.DM(v.origin)))
     pi = m.knot_momentum(r, u, xi)
     before, _, _, _ = m.root_state(g, r, pi, c0)
     x = ca.vertcat(g, r, pi, m.knot_velocity_guess(r, pi, c0))
@@ -190,7 +189,7 @@ def _public_step(m: DiscreteMechanics, order: int) -> ca.Function:
     pose, twist1, r1, u1 = m.root_state(x1[:size], x1[size:b], x1[b:e], c1)
     here = pose[0:3] + position - before[0:3]
     odd = ca.logic_not(length > 1e-6)
-    if v.group.name == "SE2":
+    if v.group.planar:
         odd = ca.logic_or(odd, q[1] ** 2 + q[2] ** 2 > 1e-12)
     out = ca.vertcat(here, pose[3:7], twist1, r1, u1)
     return ca.Function("public", [given, rest], ca.cse([ca.densify(out), residual + odd]))

@@ -19,7 +19,7 @@ from vehsim.vehicles.mechanics import coefficients, driven_rates, free_size, fre
 
 def unreduced_rollout(vehicle: Vehicle, q: Array, v: Array, controls: Array, step: float) -> Array:
     """Coordinates (n + 1, 3 + s) from ``q`` and knot velocity ``v`` (3 + s,) under knot controls (n + 1, c)."""
-    if vehicle.group.name != "SE2":
+    if not vehicle.group.planar:
         raise InputError(f"{vehicle.name}: moves on {vehicle.group}; the unreduced scheme is written for SE2")
     solve = _step(vehicle, step)
     rows, momentum = [np.asarray(q, float)], np.asarray(_momentum(vehicle)(q, v), float).ravel()

@@ -37,6 +37,8 @@ class Group(ABC):
     dim: int
     size: int
     identity: tuple[float, ...]
+    planar = False
+    """Whether its elements move in the plane Z = 0 and turn about Z."""
 
     def __repr__(self) -> str:
         return self.name
@@ -118,6 +120,11 @@ class Group(ABC):
         """A body wrench (dim,) as a covector dual to the group's own velocity (dim,)."""
         return wrench
 
+    @lifted
+    def shift(self, twist: Expr, offset: Expr) -> Expr:
+        """A body twist (dim,) at the point ``offset`` (3,) of the same body, in the same axes."""
+        return ca.vertcat(twist[0:3], twist[3:6] + ca.cross(twist[0:3], offset))
+
     def _columns(self, linear: Any) -> Expr:
         """Matrix of a linear map of the algebra, given on the algebra's matrices."""
         return ca.horzcat(*(self.vee(linear(self.hat(ca.SX(e)))) for e in np.eye(self.dim)))
@@ -165,6 +172,10 @@ class _SO3(Group):
         return ca.vertcat(2, x) / ca.sqrt(4 + ca.dot(x, x))
 
     @lifted
+    def shift(self, twist: Expr, offset: Expr) -> Expr:
+        return twist
+
+    @lifted
     def pose(self, g: Expr) -> Expr:
         return ca.vertcat(ca.SX.zeros(3), g)
 
@@ -175,6 +186,7 @@ class _SO3(Group):
 
 class _SE2(Group):
     name, dim, size, identity = "SE2", 3, 3, (0.0, 0.0, 0.0)
+    planar = True
 
     @lifted
     def compose(self, a: Expr, b: Expr) -> Expr:
@@ -210,6 +222,10 @@ class _SE2(Group):
         return ca.vertcat(2 * ca.atan(x[0] / 2), scale * (2 * x[1] - x[0] * x[2]), scale * (2 * x[2] + x[0] * x[1]))
 
     @lifted
+    def shift(self, twist: Expr, offset: Expr) -> Expr:
+        return ca.vertcat(twist[0], twist[1] - twist[0] * offset[1], twist[2] + twist[0] * offset[0])
+
+    @lifted
     def pose(self, g: Expr) -> Expr:
         return ca.vertcat(g[1:3], 0, ca.cos(g[0] / 2), 0, 0, ca.sin(g[0] / 2))
 
@@ -219,8 +235,30 @@ class _SE2(Group):
         return ca.vertcat(ca.atan2(2 * (w * z + x * y), w**2 + x**2 - y**2 - z**2), pose[0:2])
 
 
-class _SE3(Group):
-    name, dim, size, identity = "SE3", 6, 7, (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+class _Spatial(Group):
+    """A rotation and a position, however they compose."""
+
+    dim, size, identity = 6, 7, (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+    @lifted
+    def normalize(self, g: Expr) -> Expr:
+        return ca.vertcat(SO3.normalize(g[0:4]), g[4:7])
+
+    @lifted
+    def angle_squared(self, x: Expr) -> Expr:
+        return ca.dot(x[0:3], x[0:3])
+
+    @lifted
+    def pose(self, g: Expr) -> Expr:
+        return ca.vertcat(g[4:7], g[0:4])
+
+    @lifted
+    def from_pose(self, pose: Expr) -> Expr:
+        return ca.vertcat(pose[3:7], pose[0:3])
+
+
+class _SE3(_Spatial):
+    name = "SE3"
 
     @lifted
     def compose(self, a: Expr, b: Expr) -> Expr:
@@ -229,10 +267,6 @@ class _SE3(Group):
     @lifted
     def inverse(self, g: Expr) -> Expr:
         return ca.vertcat(SO3.inverse(g[0:4]), -SO3.matrix(g[0:4]).T @ g[4:7])
-
-    @lifted
-    def normalize(self, g: Expr) -> Expr:
-        return ca.vertcat(SO3.normalize(g[0:4]), g[4:7])
 
     @lifted
     def matrix(self, g: Expr) -> Expr:
@@ -244,10 +278,6 @@ class _SE3(Group):
 
     def vee(self, matrix: Expr) -> Expr:
         return ca.vertcat(SO3.vee(matrix[0:3, 0:3]), matrix[0:3, 3])
-
-    @lifted
-    def angle_squared(self, x: Expr) -> Expr:
-        return ca.dot(x[0:3], x[0:3])
 
     @lifted
     def exp(self, x: Expr) -> Expr:
@@ -267,19 +297,11 @@ class _SE3(Group):
         w, v = x[0:3], x[3:6]
         return ca.vertcat(SO3.cay(w), 2 / (4 + ca.dot(w, w)) * (2 * v + ca.cross(w, v)))  # LIE eq. 14, B_cay
 
-    @lifted
-    def pose(self, g: Expr) -> Expr:
-        return ca.vertcat(g[4:7], g[0:4])
 
-    @lifted
-    def from_pose(self, pose: Expr) -> Expr:
-        return ca.vertcat(pose[3:7], pose[0:3])
-
-
-class _SO3xR3(Group):
+class _SO3xR3(_Spatial):
     """Rotations and translations side by side: the group SYM discretises the helicopter on."""
 
-    name, dim, size, identity = "SO3xR3", 6, 7, (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    name = "SO3xR3"
 
     @lifted
     def compose(self, a: Expr, b: Expr) -> Expr:
@@ -288,10 +310,6 @@ class _SO3xR3(Group):
     @lifted
     def inverse(self, g: Expr) -> Expr:
         return ca.vertcat(SO3.inverse(g[0:4]), -g[4:7])
-
-    @lifted
-    def normalize(self, g: Expr) -> Expr:
-        return ca.vertcat(SO3.normalize(g[0:4]), g[4:7])
 
     @lifted
     def matrix(self, g: Expr) -> Expr:
@@ -305,24 +323,12 @@ class _SO3xR3(Group):
         return ca.vertcat(SO3.vee(matrix[0:3, 0:3]), matrix[3:6, 6])
 
     @lifted
-    def angle_squared(self, x: Expr) -> Expr:
-        return ca.dot(x[0:3], x[0:3])
-
-    @lifted
     def exp(self, x: Expr) -> Expr:
         return ca.vertcat(SO3.exp(x[0:3]), x[3:6])
 
     @lifted
     def cay(self, x: Expr) -> Expr:
         return ca.vertcat(SO3.cay(x[0:3]), x[3:6])
-
-    @lifted
-    def pose(self, g: Expr) -> Expr:
-        return ca.vertcat(g[4:7], g[0:4])
-
-    @lifted
-    def from_pose(self, pose: Expr) -> Expr:
-        return ca.vertcat(pose[3:7], pose[0:3])
 
     @lifted
     def velocity_to_body(self, g: Expr, xi: Expr) -> Expr:

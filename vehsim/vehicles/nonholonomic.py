@@ -172,13 +172,12 @@ def _tied(vehicle: Nonholonomic, sample: np.ndarray) -> tuple[int, ...]:
     Not at the sample alone: the other joints' rates are to determine the motion everywhere. A trailer's hitch, which
     stands still in a steady turn, does not.
     """
-    w_r = _numeric(lambda r: vehicle._constraints(r)[0], sample)
-    w_xi = _numeric(lambda r: vehicle._constraints(r)[1], sample)
+    w_r, w_xi = (_numeric(_part(vehicle, i), sample) for i in (0, 1))
     scale = 1e-9 * max(1.0, *(np.abs(w).max() for w in (w_r, w_xi) if w.size)) if w_xi.size or w_r.size else 1.0
     rows = len(w_xi)
     missing = rows - (np.linalg.matrix_rank(w_xi, tol=scale) if w_xi.size else 0)
     points = [sample, *_spread(vehicle, sample, 1.0)] if rows else []
-    spread = [[_numeric(lambda r, i=i: vehicle._constraints(r)[i], point) for i in (1, 0)] for point in points]
+    spread = [tuple(_numeric(_part(vehicle, i), point) for i in (1, 0)) for point in points]
 
     def sound(tied: tuple[int, ...]) -> bool:
         """Whether a square matrix of constraints stays clear of singular: its determinant keeps its sign."""
@@ -200,6 +199,11 @@ def _tied(vehicle: Nonholonomic, sample: np.ndarray) -> tuple[int, ...]:
             f"{w_xi.tolist()}; drop the dependent row, or give a `sample` where they are independent"
         )
     return best
+
+
+def _part(vehicle: Nonholonomic, i: int) -> Callable[[Expr], Expr]:
+    """``W_r(r)`` (0) or ``W_xi(r)`` (1)."""
+    return lambda r: vehicle._constraints(r)[i]
 
 
 def _spread(vehicle: Nonholonomic, sample: np.ndarray, reach: float) -> list[np.ndarray]:

@@ -37,7 +37,7 @@ def internal(vehicle: Vehicle, state: State) -> tuple[Array, Array, Array, Array
     if length < 1e-6:
         raise InputError(f"state.orientation = {state.orientation!r}: has no length; give a unit quaternion w, x, y, z")
     orientation = orientation / length
-    if group.name == "SE2" and np.hypot(orientation[1], orientation[2]) > 1e-6:
+    if group.planar and np.hypot(orientation[1], orientation[2]) > 1e-6:
         raise InputError(
             f"state.orientation = {state.orientation!r}: tilted, but {vehicle.name} moves in the plane; "
             "give a rotation about Z: (cos(yaw/2), 0, 0, sin(yaw/2))"
@@ -46,9 +46,7 @@ def internal(vehicle: Vehicle, state: State) -> tuple[Array, Array, Array, Array
     g = group.from_pose(np.concatenate([position, orientation]))
     r = _sized("joints", state.joints, s)
     twist = _sized("twist", state.twist, group.dim)
-    if group.name != "SO3":
-        twist = _flat(ca.DM(shift_twist(ca.DM(twist), vehicle.origin)))
-    xi = group.velocity_from_body(g, twist)
+    xi = group.velocity_from_body(g, group.shift(twist, vehicle.origin))
     u = _sized("joint_rates", state.joint_rates, s)
     basis, connection = (np.array(m) for m in kept(vehicle, "lift", lambda: _lift(vehicle))(r))
     connection = connection.reshape(len(basis), s)

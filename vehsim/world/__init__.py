@@ -86,7 +86,9 @@ class World:
 
     def height(self, xy: ArrayLike) -> Array:
         """Height (n,) m of the ground at ``xy`` (n, 2) m; -inf without terrain."""
-        points = np.asarray(xy, dtype=float).reshape(-1, 2)
+        points = np.atleast_2d(np.asarray(xy, dtype=float))
+        if points.ndim != 2 or points.shape[1] != 2:
+            raise InputError(f"xy: shape {np.shape(xy)}; give (n, 2) m: positions[:, :2] of points with a height")
         return np.full(len(points), -np.inf) if self.terrain is None else self.terrain.height(points)
 
     def wind_at(self, t: float) -> Array:
