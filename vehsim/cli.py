@@ -175,6 +175,25 @@ def check(shots: Shots, sets: Sets = None, quiet: Quiet = False) -> None:
 
 
 @app.command()
+def manoeuvres(
+    shots: Shots,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the pictures go.")] = Path("out"),
+    sets: Sets = None,
+    quiet: Quiet = False,
+) -> None:
+    """List what vehicles steered by sinusoids can choose from, and paint it from above."""
+    from vehsim.shot.sinusoid import paint_offers
+
+    _check_folder(out)
+    loaded, problems = _load(shots, sets or [], [])
+    _say(problems, quiet)
+    for shot in loaded:
+        for line in paint_offers(shot, out):
+            print(line)
+    raise typer.Exit(WRONG_INPUT if any(problem.severity == "error" for problem in problems) else 0)
+
+
+@app.command()
 def validate(
     stages: Annotated[list[Path], typer.Argument(metavar="STAGE...", help="USD files.")], quiet: Quiet = False
 ) -> None:

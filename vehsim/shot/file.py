@@ -24,7 +24,7 @@ from vehsim.shot.model import (
     Text,
     WorldTable,
 )
-from vehsim.shot.motions import RESERVED, Motion
+from vehsim.shot.motions import Motion
 
 MAX_VEHICLES = 100
 MAX_CUTS = 1000
@@ -68,7 +68,7 @@ class VehicleTable(Table):
     variants: dict[str, Text] = Field(default={})
     """a table of the asset's variant sets and the variants to show, such as { livery = "red" }"""
     motion: Motion
-    """a table [vehicle.motion] with method = "plan", "simulate" or "clip\""""
+    """a table [vehicle.motion] with method = "plan", "simulate", "integrate", "sinusoid" or "clip\""""
 
 
 class ShotFile(Table):
@@ -134,7 +134,7 @@ def _problems(errors: Any) -> Iterator[Problem]:
                 yield Problem(key, "missing", f"give {description}")
             case "union_tag_not_found" | "union_tag_invalid":
                 tag, value = error["ctx"]["discriminator"].strip("'"), error["ctx"].get("tag")
-                message = "missing" if value is None else RESERVED.get(value, f"no such {tag}")
+                message = "missing" if value is None else f"no such {tag}"
                 yield Problem(f"{key}.{tag}", message, f"give {_tags(root, place)}", value)
             case kind:
                 text = WORDS.get(kind, error["msg"].removeprefix("Value error, ")).format_map(error.get("ctx", {}))

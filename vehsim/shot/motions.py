@@ -32,6 +32,7 @@ from vehsim.shot.model import (
     Text,
 )
 from vehsim.shot.obstacles import check_marks
+from vehsim.shot.sinusoid import SinusoidMotion
 
 if TYPE_CHECKING:
     from vehsim.blocking import Blocking
@@ -48,7 +49,7 @@ class PlanMotion(Table):
     """``method = "plan"``: the motion that hits the marks at the least cost."""
 
     method: Literal["plan"]
-    """plan, simulate or clip"""
+    """plan, simulate, sinusoid or clip"""
     cost: Annotated[
         str | dict[str, float],
         PlainValidator(lambda v: _cost(v)),
@@ -214,7 +215,7 @@ class SimulateMotion(Table):
     """``method = "simulate"``: physics forward from a start, driven by commands or by a pilot."""
 
     method: Literal["simulate"]
-    """plan, simulate or clip"""
+    """plan, simulate, sinusoid or clip"""
     start: StartTable = StartTable()
     """the state on the shot's first frame, handle included"""
     duration: Annotated[Positive, Field(le=MAX_FRAMES)] | None = None
@@ -299,7 +300,7 @@ class ClipMotion(Table):
     """``method = "clip"``: a motion saved before, as it is."""
 
     method: Literal["clip"]
-    """plan, simulate or clip"""
+    """plan, simulate, sinusoid or clip"""
     path: Text
     """a clip saved by vehsim (.npz), relative to the shot file"""
 
@@ -330,9 +331,9 @@ class ClipMotion(Table):
         return clip
 
 
-Motion = Annotated[PlanMotion | SimulateMotion | IntegrateMotion | ClipMotion, Field(discriminator="method")]
-RESERVED = {"sinusoid": "steering by sinusoids is not there yet"}
-"""Methods whose names are kept for later."""
+Motion = Annotated[
+    PlanMotion | SimulateMotion | IntegrateMotion | SinusoidMotion | ClipMotion, Field(discriminator="method")
+]
 
 
 def _cost(value: Any) -> Any:

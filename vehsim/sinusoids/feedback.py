@@ -8,7 +8,7 @@ nilpotentisation.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -47,6 +47,15 @@ class Feedback:
 
         return DriftlessSystem(
             self.name, self.states, tuple(f"v{i + 1}" for i in range(self.source.m)), moved, self.domain or {}
+        )
+
+    @cached_property
+    def driven(self) -> DriftlessSystem:
+        """The source's states with the target's inputs: ``x' = G beta^-1 v``."""
+        return replace(
+            self.source,
+            inputs=tuple(f"v{i + 1}" for i in range(self.source.m)),
+            fields=lambda x: matrix(self.source.fields(x)) @ ca.inv(matrix(self.inputs(x))),
         )
 
     @cached_property
@@ -181,22 +190,22 @@ def hopper_chained(leg: float = 0.5) -> Feedback:
     )
 
 
-def car_triangular(wheelbase: float = 1.0) -> Feedback:
+def car_triangular(wheelbase: float = 1.0, steering: float = 1.5) -> Feedback:
     """SIN sec. 3: ``v1 = cos theta cos phi u1``, ``alpha = sin theta``; then x, phi, alpha, y is triangular."""
     from vehsim.sinusoids.models import car
 
     return Feedback(
-        car(wheelbase),
+        car(wheelbase, steering),
         "car, triangular",
         ("x", "phi", "alpha", "y"),
         coordinates=lambda q: [q[0], q[3], ca.sin(q[2]), q[1]],
         inverse=lambda h: [h[0], h[3], ca.asin(h[2]), h[1]],
         inputs=lambda q: [[ca.cos(q[2]) * ca.cos(q[3]), 0], [0, 1]],
-        domain={"x": (-1e4, 1e4), "phi": (-1.5, 1.5), "alpha": (-0.9975, 0.9975), "y": (-1e4, 1e4)},
+        domain={"x": (-1e4, 1e4), "phi": (-steering, steering), "alpha": (-0.9975, 0.9975), "y": (-1e4, 1e4)},
     )
 
 
-def car_chained(wheelbase: float = 1.0) -> Feedback:
+def car_chained(wheelbase: float = 1.0, steering: float = 1.5) -> Feedback:
     """``z = (x, tan phi / (l cos^3 theta), tan theta, y)``."""
     from vehsim.sinusoids.models import car
 
@@ -204,7 +213,7 @@ def car_chained(wheelbase: float = 1.0) -> Feedback:
         theta = ca.atan(z[2])
         return [z[0], z[3], theta, ca.atan(wheelbase * z[1] * ca.cos(theta) ** 3)]
 
-    return chained_from_outputs(car(wheelbase), lambda q: q[0], lambda q: q[1], back)
+    return chained_from_outputs(car(wheelbase, steering), lambda q: q[0], lambda q: q[1], back)
 
 
 def _column(values: Any) -> Expr:

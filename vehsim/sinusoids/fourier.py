@@ -20,6 +20,7 @@ from vehsim.errors import InputError, SolveError
 from vehsim.sinusoids.feedback import Feedback
 from vehsim.sinusoids.steering import Law, Stage, Steering
 from vehsim.sinusoids.system import Array, DriftlessSystem
+from vehsim.sinusoids.train import chebyshev
 
 TAU = 2 * np.pi
 SAMPLES = 512
@@ -134,6 +135,14 @@ def steer_triangular(
     return Steering(source, x0, x1, tuple(stages)).checked()
 
 
+def steer_through(change: Feedback, start: Any, goal: Any, steer: Callable[[Array, Array], Steering]) -> Steering:
+    """From ``start`` to ``goal`` of ``change.source`` by what ``steer(h0, h1)`` does to its target."""
+    source = change.source
+    x0, x1 = source.check_state("start", start), source.check_state("goal", goal)
+    steps = steer(change.to(x0), change.to(x1)).stages
+    return Steering(source, x0, x1, tuple(_source_stages(change, x0, steps))).checked()
+
+
 def net_motion(t: Triangular, h: Array, loop: Loop, a: float, b: float) -> Array:
     """Net motion (n,) over a loop from ``h``; NaN from the first level that does not close, or leaves the domain."""
     system = t.system
@@ -149,7 +158,7 @@ def net_motion(t: Triangular, h: Array, loop: Loop, a: float, b: float) -> Array
     net = np.full(system.n, np.nan)
     net[list(t.driver)] = 0.0
     for level in range(2, max(t.level) + 1):
-        rates = _rates(system, path, v)
+        rates = system.rates(path, v)
         for i in (i for i in range(system.n) if t.level[i] == level):
             net[i] = np.mean(rates[:, i])
             path[:, i] += _periodic(rates[:, i])
@@ -301,38 +310,19 @@ def _carried(t: Triangular, h: Array, stage: Stage) -> Array:
 
 
 def _source_stages(change: Feedback, x0: Array, steps: Sequence[Stage]) -> list[Stage]:
-    """Stages in the source's own inputs: ``u = beta(x)^-1 v`` along the motion, known densely."""
-    from scipy.integrate import solve_ivp
+    """Stages in the source's own inputs: ``u = beta(x)^-1 v`` along the motion, read off at Chebyshev points."""
+    from vehsim.sinusoids.steering import integrate
 
-    rate, x, stages = change.source.rate, x0, []
+    x, stages = x0, []
     for stage in steps:
-        at = np.zeros(1)
 
-        def slope(s: float, y: Array, stage: Stage = stage, at: Array = at) -> Array:
-            at[0] = s
-            return rate(y, change.source_inputs(y[None], stage.law(at))[0])
+        def law(s: Array, stage: Stage = stage, x: Array = x) -> Array:
+            states = integrate(change.driven, stage, x, np.concatenate([[0.0], s]))[1:]
+            return change.source_inputs(states, stage.law(s))
 
-        longest = 1 / (24 * max(1, stage.cycles))
-        dense = solve_ivp(slope, (0, 1), x, "DOP853", rtol=1e-13, atol=1e-13, dense_output=True, max_step=longest)
-        if not dense.success:
-            raise SolveError(f"{change.source.name}: stage {stage.label!r}: {dense.message}")
-
-        def law(s: Array, stage: Stage = stage, path: Any = dense.sol) -> Array:
-            return change.source_inputs(path(s).T, stage.law(s))
-
-        stages.append(replace(stage, law=law))
-        x = dense.y[:, -1]
+        stages.append(replace(stage, law=chebyshev(law, stage.cycles)))
+        x = integrate(change.driven, stage, x, np.array([0.0, 1.0]))[-1]
     return stages
-
-
-def _rates(system: DriftlessSystem, path: Array, v: Array) -> Array:
-    """x' (k, n) along a path (k, n) with inputs (k, m)."""
-    function = system.__dict__.get("_rate_many")
-    if function is None:
-        u = ca.SX.sym("u", system.m)
-        function = ca.Function("rate", [system.x, u], [ca.densify(system.G @ u)])
-        system.__dict__["_rate_many"] = function
-    return np.asarray(function.map(len(path))(path.T, v.T)).T
 
 
 def _periodic(rate: Array) -> Array:

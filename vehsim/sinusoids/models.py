@@ -67,24 +67,26 @@ def chained(n: int) -> DriftlessSystem:
     return DriftlessSystem(f"chained form, n = {n}", tuple(f"z{i + 1}" for i in range(n)), ("v1", "v2"), fields)
 
 
-def hopper(leg: float = 0.5) -> DriftlessSystem:
+def hopper(leg: float = 0.5, reach: tuple[float, float] = (-0.99, 100.0)) -> DriftlessSystem:
     """The hopping robot in the air (SIN Fig. 1): leg angle psi from the body, extension l, body angle theta.
 
     ``leg``: the leg's moment of inertia at l = 0 over the body's, m_l in SIN's units; lengths in legs at l = 0.
+    ``reach``: smallest and largest l.
     """
 
     def fields(x: Expr) -> Any:
         moment = leg * (1 + x[1]) ** 2
         return [[1, 0], [0, 1], [-moment / (1 + moment), 0]]
 
-    domain = {"psi": (-1e3, 1e3), "l": (-0.99, 100.0), "theta": (-1e3, 1e3)}
+    domain = {"psi": (-1e3, 1e3), "l": reach, "theta": (-1e3, 1e3)}
     return DriftlessSystem("hopper", ("psi", "l", "theta"), ("psi_rate", "l_rate"), fields, domain)
 
 
-def car(wheelbase: float = 1.0) -> DriftlessSystem:
+def car(wheelbase: float = 1.0, steering: float = _RIGHT) -> DriftlessSystem:
     """The front-wheel-drive car (SIN eq. 7): x, y of the rear axle m, heading theta, steering angle phi.
 
-    Inputs: speed of the front wheels along their own heading m/s, and steering rate rad/s.
+    Inputs: speed of the front wheels along their own heading m/s, and steering rate rad/s. ``steering``: largest phi,
+    rad.
     """
 
     def fields(q: Expr) -> Any:
@@ -96,7 +98,7 @@ def car(wheelbase: float = 1.0) -> DriftlessSystem:
             [0, 1],
         ]
 
-    domain = {"x": (-1e4, 1e4), "y": (-1e4, 1e4), "theta": (-_RIGHT, _RIGHT), "phi": (-_RIGHT, _RIGHT)}
+    domain = {"x": (-1e4, 1e4), "y": (-1e4, 1e4), "theta": (-_RIGHT, _RIGHT), "phi": (-steering, steering)}
     return DriftlessSystem("car", ("x", "y", "theta", "phi"), ("speed", "steering_rate"), fields, domain)
 
 

@@ -26,14 +26,14 @@ def paint(
     path: str | Path,
     *,
     footprints: Sequence[Array] = (),
-    obstacles: Sequence[tuple[float, float, float, float, float]] = (),
+    obstacles: Sequence[tuple[float, float, float, float, float] | Array] = (),
     columns: int = 0,
     size: tuple[int, int] = (640, 400),
 ) -> Path:
     """Every steering from above, a panel each: the axles' paths in a colour a stage, bodies as outlines now and then.
 
     ``footprints``: corner points (k, 2) m of each body, in order round it; ``obstacles`` (x, y, heading rad, length,
-    width) m; ``size`` of a panel in pixels.
+    width) m, or corners (k, 2); ``size`` of a panel in pixels.
     """
     panels = []
     for steering in steerings:
@@ -165,7 +165,9 @@ def _placed(points: Array, pose: Array) -> Array:
     return np.asarray(points) @ np.array([[c, s], [-s, c]]) + pose[:2]
 
 
-def _corners(box: tuple[float, float, float, float, float]) -> Array:
+def _corners(box: tuple[float, float, float, float, float] | Array) -> Array:
+    if isinstance(box, np.ndarray):
+        return box
     x, y, heading, length, width = box
     corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * [length / 2, width / 2]
     return _placed(corners, np.array([x, y, heading]))

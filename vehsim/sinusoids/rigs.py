@@ -7,27 +7,44 @@ A vehicle is recognised by its joints; its lengths are read off its own constrai
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache, partial
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from vehsim.clip import Clip
-from vehsim.errors import InputError
-from vehsim.integrators.continuous import equations_of_motion
+from vehsim.errors import InputError, SolveError
 from vehsim.integrators.discrete import DiscreteMechanics
 from vehsim.integrators.integrator import build_clip
 from vehsim.lie import SO3
+from vehsim.sinusoids._controls import controls_of
+from vehsim.sinusoids.canonical import steer_chained
+from vehsim.sinusoids.feedback import car_chained, car_triangular
+from vehsim.sinusoids.fourier import steer_through, steer_triangular
+from vehsim.sinusoids.manoeuvres import Way, Wish, loops
 from vehsim.sinusoids.steering import Steering
 from vehsim.sinusoids.system import Array, DriftlessSystem
+from vehsim.sinusoids.trailers import trailer_ways
 from vehsim.vehicles import State, Vehicle
 from vehsim.vehicles.states import internal
+
+SPEED, STEERING_RATE = 1.5, 0.7
+"""How fast wheels manoeuvre unless told otherwise, m/s, and how fast they are steered, rad/s."""
+SHARPEST_STEERING = 0.7
+"""Largest steering angle of a vehicle whose joints say none, rad."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rigged(ABC):
-    """A vehicle as a driftless system. ``state``: a public state -> x (n,); ``motion``: x, inputs -> g, r, u, xi."""
+    """A vehicle as a driftless system. ``state``: a public state -> x (n,); ``motion``: x, inputs -> g, r, u, xi.
+
+    ``ways``: names and makers of the manoeuvres between two states; ``limits``: what inputs and states stay below
+    unless told otherwise, SI; ``outlines``: every body from above, convex (k, 2) m about its axle;
+    ``flight``: what `rigged` was told of take-off and landing.
+    """
 
     vehicle: Vehicle
 
@@ -35,11 +52,32 @@ class Rigged(ABC):
     @abstractmethod
     def system(self) -> DriftlessSystem: ...
 
+    @property
+    @abstractmethod
+    def limits(self) -> dict[str, float]: ...
+
+    @abstractmethod
+    def ways(self, start: Array, goal: Array, wish: Wish) -> Iterator[Way]: ...
+
     @abstractmethod
     def state(self, at: State) -> Array: ...
 
     @abstractmethod
     def motion(self, steering: Steering) -> tuple[Array, Array, Array, Array]: ...
+
+    @property
+    def outlines(self) -> tuple[Array, ...]:
+        return ()
+
+    @property
+    def flight(self) -> dict[str, Any]:
+        return {}
+
+    def bound(self, control: str, otherwise: float) -> float:
+        """The smaller bound of a control."""
+        (found,) = (c for c in self.vehicle.controls if c.name == control)
+        bound = min(found.upper, -found.lower)
+        return float(bound) if np.isfinite(bound) else otherwise
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,10 +89,96 @@ class Wheeled(Rigged):
     hitches: tuple[float, ...]
 
     @property
+    def steering(self) -> float:
+        """Largest steering angle, rad."""
+        lower, upper = self.vehicle.joint_limits.get("sigma", (-np.inf, np.inf))
+        return min(SHARPEST_STEERING, float(np.arctan(min(upper, -lower))))
+
+    @property
+    def hitch(self) -> float:
+        """Largest hitch angle, rad."""
+        bounds = [self.vehicle.joint_limits.get(j, (-np.inf, np.inf)) for j in self.vehicle.joints[2:]]
+        return min([np.inf, *(min(upper, -lower) for lower, upper in bounds)])
+
+    @property
     def system(self) -> DriftlessSystem:
         from vehsim.sinusoids.models import car, trailers
 
         return trailers(self.hitches, self.wheelbase) if self.hitches else car(self.wheelbase)
+
+    @property
+    def limits(self) -> dict[str, float]:
+        rate = self.bound("steering_rate", STEERING_RATE)
+        return {"speed": SPEED, "steering_rate": min(STEERING_RATE, rate), "phi": self.steering}
+
+    @cached_property
+    def outlines(self) -> tuple[Array, ...]:  # type: ignore[override]
+        """From the collision hulls of the parts that ride on each body."""
+        rig = self.vehicle.rig
+        if rig is None:
+            return ()
+        from vehsim.parts import read_parts
+        from vehsim.world.plane import convex_hull
+
+        towed = [rig.drives[joint].prim for joint in self.vehicle.joints[2:] if joint in rig.drives]
+        points: list[list[Array]] = [[] for _ in range(1 + len(self.hitches))]
+        for part in read_parts(rig.asset, rig.root or None):
+            body = max((k for k, prim in enumerate(towed, 1) if f"{part.path}/".startswith(f"{prim}/")), default=0)
+            points[body] += [hull @ part.T_rp[:2, :3].T + part.T_rp[:2, 3] for hull in part.hulls]
+        axles = np.asarray(rig.origin)[:2] - np.outer(np.cumsum([0.0, *self.hitches]), [1.0, 0.0])
+        return tuple(convex_hull(np.concatenate(p) - axle) for p, axle in zip(points, axles, strict=True) if p)
+
+    def ways(self, start: Array, goal: Array, wish: Wish) -> Iterator[Way]:
+        steering = min(self.steering, wish.limits.get("phi", np.inf))
+        if not self.hitches:
+            yield from self._loops(start, goal, wish, steering)
+        order = [0, 1, 2, 3] if self.hitches else [0, 1, 3, 2]  # of x, y, phi, theta0 in this system's states
+        ends = [np.concatenate([x[:4][order], x[4:]]) for x in (start, goal)]
+        hitch = min(self.hitch, wish.limits.get("hitch", np.inf))
+
+        @lru_cache
+        def legs() -> list[Steering] | SolveError:
+            try:
+                return trailer_ways(self.hitches, *ends, wheelbase=self.wheelbase, steering=steering, hitch=hitch)
+            except SolveError as error:
+                return error
+
+        def leg(k: int) -> Steering:
+            found = legs()
+            if isinstance(found, SolveError):
+                raise found
+            q = found[k].goal
+            return replace(found[k], system=self.system, start=start, goal=np.concatenate([q[:4][order], q[4:]]))
+
+        found = legs()
+        labels = ["in legs"] if isinstance(found, SolveError) else [way.label for way in found]
+        for k, label in enumerate(labels):
+            yield label, partial(leg, k)
+
+    def _loops(self, start: Array, goal: Array, wish: Wish, steering: float) -> Iterator[Way]:
+        """Sweeps through chained form and SIN's loops, in axes half way between the headings."""
+        frame = (start[2] + goal[2]) / 2 if abs(goal[2] - start[2]) < np.pi else start[2]
+        c, s = np.cos(frame), np.sin(frame)
+        x0, x1 = (
+            np.array([c * x + s * y, c * y - s * x, theta - frame, phi])
+            for x, y, theta, phi in ([*(q[:2] - start[:2]), *q[2:]] for q in (start, goal))
+        )
+        chained, triangular = car_chained(self.wheelbase, steering), car_triangular(self.wheelbase, steering)
+
+        def there(make: Callable[[], Steering]) -> Steering:
+            return replace(make(), start=start, goal=goal)
+
+        def sweep(a: float) -> Steering:
+            return steer_through(chained, x0, x1, lambda z0, z1: steer_chained(4, z0, z1, amplitude=a)).eased()
+
+        def loop(a: float, cycles: int, phase: float) -> Steering:
+            return steer_triangular(triangular, x0, x1, amplitude=a, cycles=cycles, phase=phase).eased()
+
+        for k in (0.0, 0.5, -0.5, 1.0, -1.0):
+            out = f", {abs(k) * 2 * self.wheelbase:.2g} m {'ahead' if k > 0 else 'back'} on the way" if k else ""
+            yield f"one sweep{out}", partial(there, partial(sweep, k * self.wheelbase))
+        for a, cycles, phase, label in loops((self.wheelbase, -self.wheelbase), wish):
+            yield label, partial(there, partial(loop, a, cycles, phase))
 
     def state(self, at: State) -> Array:
         g, r, _, _ = internal(self.vehicle, at)
@@ -69,7 +193,7 @@ class Wheeled(Rigged):
         names = list(steering.system.states)
         phi, theta = q[:, names.index("phi")], q[:, names.index("theta0" if "theta0" in names else "theta")]
         headings = q[:, 3:] if self.hitches else theta[:, None]
-        rates = np.array([steering.system.rate(x, u) for x, u in zip(q, v, strict=True)])
+        rates = steering.system.rates(q, v)
         turning = rates[:, 3:] if self.hitches else rates[:, 2:3]
         along = v[:, 0] * np.cos(phi)
         psi = CubicSpline(t, along / self.wheel_radius).antiderivative()(t)
@@ -81,9 +205,10 @@ class Wheeled(Rigged):
 
 @dataclass(frozen=True, eq=False)
 class Airborne(Rigged):
-    """The hopper between take-off and landing: its centre of mass falls freely, its body turns about Y.
+    """The hopper between take-off and landing: its centre of mass falls freely, its body turns about its own Y.
 
-    ``take_off``, ``landing``: where the rig's root is, m; flight time is the steering's.
+    ``take_off``, ``landing``: where the rig's root is, m; ``heading`` of the plane it flips in, rad from world X. The
+    time in the air is the steering's.
     """
 
     leg_length: float
@@ -92,51 +217,90 @@ class Airborne(Rigged):
     gravity: float
     take_off: tuple[float, float, float] = (0.0, 0.0, 0.0)
     landing: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    heading: float = 0.0
 
     @property
     def system(self) -> DriftlessSystem:
         from vehsim.sinusoids.models import hopper
 
-        return hopper(self.ratio)
+        lower, upper = self.vehicle.joint_limits.get("stretch", (-np.inf, np.inf))
+        return hopper(self.ratio, (max(-0.99, lower / self.leg_length), min(100.0, upper / self.leg_length)))
+
+    @property
+    def limits(self) -> dict[str, float]:
+        return {
+            "psi_rate": self.bound("psi_rate", 6.0),
+            "l_rate": self.bound("stretch_rate", 2.0) / self.leg_length,
+        }
+
+    @property
+    def flight(self) -> dict[str, Any]:
+        return {"take_off": self.take_off, "landing": self.landing, "heading": self.heading}
+
+    def ways(self, start: Array, goal: Array, wish: Wish) -> Iterator[Way]:
+        def loop(a: float, cycles: int, phase: float) -> Steering:
+            return steer_triangular(self.system, start, goal, amplitude=a, cycles=cycles, phase=phase).eased()
+
+        for a, cycles, phase, label in loops((1.0, -1.0, 1.8, -1.8), wish):
+            yield f"{label}, leg to {np.degrees(abs(a)):.0f} deg", partial(loop, a, cycles, phase)
 
     def state(self, at: State) -> Array:
         _, r, _, _ = internal(self.vehicle, at)
+        half = self.heading / 2
         w, x, y, z = np.asarray(at.orientation, float)
+        w, x, y, z = (
+            w * np.cos(half) + z * np.sin(half),
+            x * np.cos(half) + y * np.sin(half),
+            y * np.cos(half) - x * np.sin(half),
+            z * np.cos(half) - w * np.sin(half),
+        )
         if np.hypot(x, z) > 1e-6:
             raise InputError(
-                f"{self.vehicle.name}: orientation {list(at.orientation)}: turned about another axis than Y, where the "
-                "leg cannot steer it; give (cos(a/2), 0, sin(a/2), 0)"
+                f"{self.vehicle.name}: orientation {list(at.orientation)}: turned about another axis than its own Y, "
+                "where the leg cannot steer it; give a heading, and the same at take-off and landing"
             )
         return np.array([r[0], r[1] / self.leg_length, 2 * np.arctan2(y, w)])
-
-    def _offset(self, psi: Array, reach: Array, theta: Array) -> Array:
-        """From the body's origin to the centre of mass, world axes (k, 3)."""
-        angle = psi + theta
-        return -self.share * (reach * np.array([np.sin(angle), 0 * angle, np.cos(angle)])).T
 
     def motion(self, steering: Steering) -> tuple[Array, Array, Array, Array]:
         q, v, t = steering.states, steering.controls, steering.times
         psi, reach, theta = q[:, 0], self.leg_length * (1 + q[:, 1]), q[:, 2]
-        rates = np.array([steering.system.rate(x, u) for x, u in zip(q, v, strict=True)])
+        rates = steering.system.rates(q, v)
         zero, down = 0 * t, np.array([0.0, 0.0, -self.gravity])
-        offset = self._offset(psi, reach, theta)
+        ahead = np.array([np.cos(self.heading), np.sin(self.heading), 0.0])
+        up = np.array([0.0, 0.0, 1.0])
+        # from the root down the leg to the foot, which has its share of the mass
+        along = -np.outer(np.sin(psi + theta), ahead) - np.outer(np.cos(psi + theta), up)
+        across = -np.outer(np.cos(psi + theta), ahead) + np.outer(np.sin(psi + theta), up)
+        offset = self.share * reach[:, None] * along
         first, last = np.asarray(self.take_off) + offset[0], np.asarray(self.landing) + offset[-1]
         start = (last - first) / t[-1] - down * t[-1] / 2
         origin = first + np.outer(t, start) + np.outer(t**2, down) / 2 - offset
+        self._check_ground(steering, origin + reach[:, None] * along)
         turn, reach_rate = rates[:, 0] + rates[:, 2], self.leg_length * v[:, 1]
-        angle = psi + theta
-        moving = reach_rate * np.array([np.sin(angle), zero, np.cos(angle)])
-        moving += reach * turn * np.array([np.cos(angle), zero, -np.sin(angle)])
-        velocity = start + np.outer(t, down) + self.share * moving.T
-        quaternions = np.column_stack([np.cos(theta / 2), zero, np.sin(theta / 2), zero])
+        moving = reach_rate[:, None] * along + (reach * turn)[:, None] * across
+        velocity = start + np.outer(t, down) - self.share * moving
+        c, s = np.cos(self.heading / 2), np.sin(self.heading / 2)
+        half = theta / 2
+        quaternions = np.column_stack([c * np.cos(half), -s * np.sin(half), c * np.sin(half), s * np.cos(half)])
         body = np.einsum("kji,kj->ki", SO3.matrix(quaternions), velocity)
         xi = np.column_stack([zero, rates[:, 2], zero, body])
         g = np.hstack([quaternions, origin])
         return g, np.column_stack([psi, reach - self.leg_length]), np.column_stack([v[:, 0], reach_rate]), xi
 
+    def _check_ground(self, steering: Steering, foot: Array) -> None:
+        """The foot stays above the line from where it leaves the ground to where it lands."""
+        share = steering.times / steering.times[-1]
+        above = foot[:, 2] - (foot[0, 2] + share * (foot[-1, 2] - foot[0, 2]))
+        if above.min() < -0.01:
+            raise SolveError(
+                f"{self.vehicle.name}: its foot goes {-above.min():.2f} m into the ground "
+                f"{share[above.argmin()] * steering.duration:.2f} s after take-off: give it more time in the air, or "
+                "another manoeuvre"
+            )
+
 
 def rigged(vehicle: Vehicle, **flight: Any) -> Rigged:
-    """The system a vehicle is; ``flight``: take_off and landing of a hopper.
+    """The system a vehicle is; ``flight``: take_off, landing and heading of a hopper.
 
     Raises ``InputError`` for vehicles that are none of the paper's.
     """
@@ -155,7 +319,9 @@ def rigged(vehicle: Vehicle, **flight: Any) -> Rigged:
     )
 
 
-def clip_of(steering: Steering, vehicle: Vehicle, fps: Any = 24, start_frame: int = 1001, **flight: Any) -> Clip:
+def clip_of(
+    steering: Steering, vehicle: Vehicle, fps: Any = 24, start_frame: int = 1001, height: float = 0.0, **flight: Any
+) -> Clip:
     """The steering as a clip of ``vehicle``, its forces found from the motion. ``InputError`` when it is another
     system.
     """
@@ -168,38 +334,9 @@ def clip_of(steering: Steering, vehicle: Vehicle, fps: Any = 24, start_frame: in
     g, r, u, xi = who.motion(steering)
     mechanics = DiscreteMechanics(vehicle)
     momenta = np.asarray(mechanics.knot_momentum.map(len(r))(r.T, u.T, xi.T)).T
-    controls = _controls(mechanics, steering.times, g, r, u, xi)
-    return build_clip(mechanics, steering.times, g, r, momenta, controls, fps=fps, start_frame=start_frame)
-
-
-def _controls(mechanics: DiscreteMechanics, times: Array, g: Array, r: Array, u: Array, xi: Array) -> Array:
-    """Controls (k, c): rates as they are, forces as the equations of motion ask for them."""
-    from scipy.interpolate import CubicSpline
-
-    vehicle, law = mechanics.vehicle, equations_of_motion(mechanics.vehicle)
-    controls = np.zeros((len(times), len(vehicle.controls)))
-    for joint, control in vehicle.driven:
-        controls[:, control] = u[:, joint]
-    others = [i for i, name in enumerate(vehicle.control_names) if name not in vehicle.rate_controls]
-    if not others:
-        return controls
-    free = np.asarray(
-        mechanics.knot_velocity_guess.map(len(times))(
-            r.T, np.asarray(mechanics.knot_momentum.map(len(times))(r.T, u.T, xi.T)), controls.T
-        )
-    ).T
-    wanted, rates = CubicSpline(times, free).derivative()(times), CubicSpline(times, controls).derivative()(times)
-    c = ca.SX.sym("c", controls.shape[1])
-    symbols = [ca.SX.sym(name, size) for name, size in (("g", g.shape[1]), ("r", r.shape[1]), ("z", free.shape[1]))]
-    c_rate = ca.SX.sym("c_rate", controls.shape[1])
-    z_dot = law(*symbols, c, c_rate, ca.SX.zeros(3))[2]
-    function = ca.Function(
-        "z", [*symbols, c, c_rate], [ca.densify(z_dot), ca.densify(ca.jacobian(z_dot, c)[:, others])]
-    )
-    for k in range(len(times)):
-        rest, gain = (np.asarray(x) for x in function(g[k], r[k], free[k], controls[k], rates[k]))
-        controls[k, others] = np.linalg.lstsq(gain, wanted[k] - rest.ravel(), rcond=None)[0]
-    return controls
+    controls = controls_of(mechanics, steering.times, g, r, u, xi)
+    anchor = (0.0, 0.0, height if vehicle.group.dim == 3 else 0.0)
+    return build_clip(mechanics, steering.times, g, r, momenta, controls, anchor, fps=fps, start_frame=start_frame)
 
 
 def _wheeled(vehicle: Vehicle) -> Wheeled:

@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 from vehsim.errors import InputError
 
 Array = NDArray[np.float64]
+BLOCK = 32
+"""Steps of integration in one call."""
 Expr = Any
 """A CasADi ``SX`` expression."""
 
@@ -70,10 +72,35 @@ class DriftlessSystem:
         return ca.densify(matrix(self.fields(self.x)))
 
     @cached_property
-    def rate(self) -> Callable[[Array, Array], Array]:
-        """``(x (n,), u (m,)) -> x' (n,)``, fast."""
+    def rates(self) -> Callable[[Array, Array], Array]:
+        """``(x (k, n), u (k, m)) -> x' (k, n)``."""
         u = ca.SX.sym("u", self.m)
-        return fast(ca.Function("rate", [self.x, u], [ca.densify(self.G @ u)]))
+        function = ca.Function("rate", [self.x, u], [ca.densify(self.G @ u)])
+        return lambda x, u: np.asarray(function.map(len(x))(x.T, u.T)).T
+
+    @cached_property
+    def _steps(self) -> ca.Function:
+        """``BLOCK`` steps of Dormand and Prince's method of order 8: ``(x, inputs at each one's 12 nodes, h) -> x``."""
+        from scipy.integrate import DOP853
+
+        field = ca.Function("f", [self.x, u := ca.SX.sym("u", self.m)], [ca.densify(self.G @ u)])
+        x, h, inputs = ca.SX.sym("x", self.n), ca.SX.sym("h"), ca.SX.sym("u", self.m * DOP853.n_stages)
+        slopes: list[Expr] = []
+        for i, row in enumerate(DOP853.A[: DOP853.n_stages]):
+            ahead = sum((a * k for a, k in zip(row, slopes, strict=False) if a), ca.SX.zeros(self.n))
+            slopes.append(field(x + h * ahead, inputs[self.m * i : self.m * (i + 1)]))
+        gained = sum((b * k for b, k in zip(DOP853.B, slopes, strict=True) if b), ca.SX.zeros(self.n))
+        return ca.Function("step", [x, inputs, h], [ca.densify(x + h * gained)]).mapaccum(BLOCK)
+
+    def march(self, x: Array, u: Array, h: Array) -> Array:
+        """States (k + 1, n) from ``x`` (n,) by steps ``h`` (k,) with inputs ``u`` (k, 12 m) at each one's nodes."""
+        rows = [np.asarray(x, float)[None]]
+        for first in range(0, len(h), BLOCK):
+            size = min(BLOCK, len(h) - first)
+            inputs, steps = np.zeros((BLOCK, u.shape[1])), np.zeros(BLOCK)
+            inputs[:size], steps[:size] = u[first : first + size], h[first : first + size]
+            rows.append(np.asarray(self._steps(rows[-1][-1], inputs.T, steps[None])).T[:size])
+        return np.concatenate(rows)
 
     @cached_property
     def matrix(self) -> Callable[[Array], Array]:
@@ -144,26 +171,6 @@ def matrix(values: Any) -> Expr:
     if isinstance(values, list | tuple):
         return ca.vertcat(*(ca.horzcat(*row) for row in values))
     return ca.SX(values)
-
-
-def fast(function: ca.Function) -> Callable[..., Array]:
-    """A function of dense columns as one of arrays, called through buffers: a tenth of the usual overhead."""
-    buffer: Any
-    buffer, trigger = function.buffer()  # its stubs ask for a size that memoryviews carry
-    inputs = [np.zeros(function.nnz_in(i)) for i in range(function.n_in())]
-    out = np.zeros(function.nnz_out(0))
-    for i, array in enumerate(inputs):
-        buffer.set_arg(i, memoryview(array))  # type: ignore[arg-type]
-    buffer.set_res(0, memoryview(out))  # type: ignore[arg-type]
-
-    def call(*values: Array) -> Array:
-        for array, value in zip(inputs, values, strict=True):
-            array[:] = value
-        trigger()
-        return out.copy()
-
-    call.keep = (function, buffer)  # type: ignore[attr-defined]
-    return call
 
 
 def smallest_singular_value(a: Array) -> float:

@@ -66,48 +66,83 @@ def steer_trailers(
     says which. Raises ``InputError`` naming a hitch at a right angle, where the system is singular, and ``SolveError``
     when no choice of legs keeps every hitch away from it.
     """
+    (way,) = trailer_ways(
+        hitches, start, goal, wheelbase=wheelbase, speed=speed, via=via, steering=steering, hitch=hitch, count=1
+    )
+    return way
+
+
+def trailer_ways(
+    hitches: Sequence[float],
+    start: Any,
+    goal: Any,
+    *,
+    wheelbase: float = 1.0,
+    speed: float = 1.0,
+    via: Sequence[Pose] = (),
+    steering: float | None = None,
+    hitch: float | None = None,
+    count: int = 6,
+) -> list[Steering]:
+    """Up to ``count`` ways of `steer_trailers`, the gentlest first, each with other kinds of legs than those before."""
     system = trailers(hitches, wheelbase)
     train = Train(tuple(float(d) for d in hitches), float(wheelbase))
     q0, q1 = system.check_state("start", start), system.check_state("goal", goal)
     for key, q in (("start", q0), ("goal", q1)):
         _check_bends(system.name, key, q)
     if np.array_equal(q0, q1):
-        return Steering(system, q0, q1, (Stage("rest", lambda s: np.zeros((len(s), 2))),))
-    limit = min(SHARPEST, *(x for x in (steering, hitch) if x is not None), 9.0)
-    legs = _choose(system, train, q0, q1, via, limit)
-    steered = Steering(system, q0, q1, _staged(legs, speed))
-    turns = np.round((steered.states[-1] - q1) / TAU) * TAU * (np.arange(system.n) >= 3)
-    return steered.towards(q1 + turns).checked()
+        return [Steering(system, q0, q1, (Stage("rest", lambda s: np.zeros((len(s), 2))),))]
+    limits = (min(SHARPEST, steering or np.inf), min(SHARPEST, hitch or np.inf))
+    ways = []
+    for legs in _choose(system, train, q0, q1, via, limits, count):
+        way = Steering(system, q0, q1, _staged(legs, speed), label=_described(legs))
+        turns = np.round((way.states[-1] - q1) / TAU) * TAU * (np.arange(system.n) >= 3)
+        ways.append(way.towards(q1 + turns).checked())
+    return ways
+
+
+def _described(legs: Sequence[Leg | _Pull]) -> str:
+    """``straighten, drive past, and back``: each kind of leg once, in order."""
+    return ", ".join(dict.fromkeys(f"{leg.label}{' (reversing)' if leg.span < 0 else ''}" for leg in legs))
 
 
 def _choose(
-    system: DriftlessSystem, train: Train, q0: Array, q1: Array, via: Sequence[Pose], limit: float
-) -> list[Leg | _Pull]:
-    """The gentlest of all ways: straighten ahead or behind, drive between straight poses, bend into the goal."""
+    system: DriftlessSystem,
+    train: Train,
+    q0: Array,
+    q1: Array,
+    via: Sequence[Pose],
+    limits: tuple[float, float],
+    count: int,
+) -> list[list[Leg | _Pull]]:
+    """The gentlest ways of ``count`` kinds: straighten either way, drive between straight poses, bend into the goal."""
     ways: list[tuple[float, list[Leg | _Pull]]] = []
-    for out, back in product(_straightenings(system, train, q0, limit), _straightenings(system, train, q1, limit)):
+    for out, back in product(_straightenings(system, train, q0, limits), _straightenings(system, train, q1, limits)):
         into = [leg.back("bend to the goal") for leg in reversed(back)]
         poses = [out[-1].far_end, *via, back[-1].far_end]
         for between in product(*(_crossings(train, a, b) for a, b in pairwise(poses))):
             way = [*out, *(leg for legs in between for leg in legs), *into]
             ways.append((_least(train, way), way))
     ways.sort(key=lambda option: option[0])
-    best, found = np.inf, None
+    found: dict[str, tuple[float, list[Leg | _Pull]]] = {}
     for least, way in ways:
-        if least >= best:
+        if least == np.inf or (len(found) >= count and least >= sorted(cost for cost, _ in found.values())[count - 1]):
             break
-        cost = least + sum(_bending(leg, limit) for leg in way if isinstance(leg, Leg))
-        if cost < best:
-            best, found = cost, way
-    if found is None:
+        cost = least + sum(_bending(leg, limits) for leg in way if isinstance(leg, Leg))
+        kind = _described(way)
+        if cost < found.get(kind, (np.inf, way))[0]:
+            found[kind] = (cost, way)
+    if not found:
         raise SolveError(
-            f"{system.name}: no choice of legs keeps every hitch and the steering below {limit:.3g} rad without more "
-            "reversing than can be steered open loop; go by a state between (`via`), with smaller hitch angles"
+            f"{system.name}: no choice of legs keeps the steering below {limits[0]:.3g} and every hitch below "
+            f"{limits[1]:.3g} rad without more reversing than can be steered open loop; go by a state between (`via`), "
+            "with smaller hitch angles"
         )
-    return [leg for leg in found if leg.length > 1e-9]
+    best = sorted(found.values(), key=lambda option: option[0])[:count]
+    return [[leg for leg in way if leg.length > 1e-9] for _, way in best]
 
 
-def _straightenings(system: DriftlessSystem, train: Train, q: Array, limit: float) -> list[list]:
+def _straightenings(system: DriftlessSystem, train: Train, q: Array, limits: tuple[float, float]) -> list[list[Any]]:
     """Ways from a state to a straight pose, the best of each kind: ahead, behind, and after a pull."""
     if np.abs(np.concatenate([[q[2]], np.diff(q[3:])])).max() < 1e-12:
         # nothing to straighten: a leg of no length marks the pose
@@ -120,7 +155,7 @@ def _straightenings(system: DriftlessSystem, train: Train, q: Array, limit: floa
             for length in train.length * np.array([0.6, 0.8, 1.0, 1.6, 2.5]):
                 leg = straighten(train, pull.end if pull else q, sign * length, "straighten")
                 way: list[Leg | _Pull] = [pull, leg] if pull else [leg]
-                if np.isfinite(cost := _bending(leg, limit)):
+                if np.isfinite(cost := _bending(leg, limits)):
                     options.append((cost, sum(x.length for x in way), way))
         if options:  # the gentlest for its length, and the shortest, for where it is reversed
             best = min(options, key=lambda option: option[0] + option[1])
@@ -216,11 +251,13 @@ def _beside(pose: Pose, distance: float) -> Array:
     return np.array([pose.x - distance * np.sin(pose.heading), pose.y + distance * np.cos(pose.heading)])
 
 
-def _bending(leg: Leg, limit: float) -> float:
-    """What sharp angles cost, m; infinite beyond the limit."""
+def _bending(leg: Leg, limits: tuple[float, float]) -> float:
+    """What sharp angles cost, m; infinite beyond the ``limits`` of steering and hitches."""
     if leg.length < 1e-9:
         return 0.0
-    return leg.length * float(np.tan(leg.sharpness * np.pi / 2 / 1.6) ** 2) if leg.sharpness < limit else np.inf
+    if any(angle >= limit for angle, limit in zip(leg.angles, limits, strict=True)):
+        return np.inf
+    return leg.length * float(np.tan(max(leg.angles) * np.pi / 2 / 1.6) ** 2)
 
 
 def _least(train: Train, way: Sequence[Leg | _Pull]) -> float:
@@ -245,11 +282,13 @@ def _staged(legs: Sequence[Leg | _Pull], speed: float) -> tuple[Stage, ...]:
             other = legs[j] if 0 <= j < len(legs) else None
             turned = other is None or isinstance(leg, _Pull) or isinstance(other, _Pull) or leg.span * other.span < 0
             rests.append(turned)
-        pace = {(True, True): "both", (True, False): "start", (False, True): "end", (False, False): "steady"}[
-            rests[0], rests[1]
-        ]
+        pace, rate = {
+            (True, True): ("both", 1.5),
+            (True, False): ("start", 2.0),
+            (False, True): ("end", 2.0),
+            (False, False): ("steady", 1.0),
+        }[rests[0], rests[1]]
         end = leg.law(np.array([1.0 if rests[0] else 0.0]))
-        rate = {"both": 1.5, "start": 2.0, "end": 2.0, "steady": 1.0}[pace]
         stages.append(Stage(leg.label, leg.law, max(0.2, rate * abs(float(end[0, 0])) / speed), pace=pace))
     return tuple(stages)
 

@@ -170,10 +170,10 @@ class Leg:
         return chebyshev(self.inputs)
 
     @cached_property
-    def sharpness(self) -> float:
-        """The largest hitch or steering angle on the way, rad."""
+    def angles(self) -> tuple[float, float]:
+        """The largest steering and hitch angle on the way, rad."""
         q = self.states(np.linspace(0, 1, SAMPLES))
-        return float(max(np.abs(q[:, 2]).max(), np.abs(np.diff(q[:, 3:], axis=1)).max(initial=0.0)))
+        return float(np.abs(q[:, 2]).max()), float(np.abs(np.diff(q[:, 3:], axis=1)).max(initial=0.0))
 
     def back(self, label: str) -> Leg:
         """The same path the other way."""
@@ -221,12 +221,12 @@ def hermite(left: Array, right: Array) -> BPoly:
 NODES = 25
 
 
-def chebyshev(law: Law) -> Law:
+def chebyshev(law: Law, cycles: int = 1) -> Law:
     """A smooth law through its values at Chebyshev points of as many panels as it takes, by the barycentric formula."""
     check = np.linspace(0.003, 0.997, 41)
     truth = law(check)
     nodes = (1 - np.cos(np.pi * np.arange(NODES) / (NODES - 1))) / 2
-    for panels in (2, 8, 32, 128):
+    for panels in cycles * np.array([2, 8, 32, 128]):
         at = (np.arange(panels)[:, None] + nodes) / panels
         read = partial(_barycentric, nodes, law(at.ravel()).reshape(panels, NODES, -1))
         if np.abs(read(check) - truth).max() < 1e-12 * max(1.0, np.abs(truth).max()):
