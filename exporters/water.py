@@ -38,7 +38,7 @@ HORIZON = 1500.0
 """How far the surface reaches beyond the fine grid, m."""
 GROWTH = 1.32
 """Ratio of neighbouring cells beyond the fine grid."""
-RESOLVED = 2.5
+RESOLVED = 1.6
 """Cells longer than this show waves lower than they are, so that the coarse distance is calm instead of jagged, m."""
 INSIDE = 0.8
 """Share of a waterplane below which the water is pushed down, so that it does not show inside a hull."""
@@ -72,7 +72,7 @@ class Grid:
     def shape_of(self, points: Array) -> tuple[Array, Array]:
         """Unit normals (n, 3) of points (n, 3) that the grid moved to, and the curvature (n,) of their height."""
         net = points.reshape(*self.shape, 3)
-        along_v, along_u = np.gradient(net, self.v, self.u, axis=(0, 1))
+        along_v, along_u = (np.gradient(net, at, axis=axis) for axis, at in enumerate((self.v, self.u)))
         normals = np.cross(along_u, along_v).reshape(-1, 3)
         curvature = np.gradient(along_u[..., 2], self.u, axis=1) + np.gradient(along_v[..., 2], self.v, axis=0)
         return normals / np.linalg.norm(normals, axis=1, keepdims=True), curvature.ravel()

@@ -23,7 +23,7 @@ FINER = 4
 DEPTHS = np.array([0.006, 0.022, 0.030])
 CREST = np.array([0.020, 0.075, 0.070])
 """Linear colours of the water seen into: its depths, and thin crests lit from behind."""
-FOAM = 0.62
+FOAM = 0.8
 """Albedo of foam."""
 RIPPLES = 7
 """Small waves that only the picture has."""
@@ -122,7 +122,7 @@ class WaterView:
         glint = 0.5 * self._sun.colour * sun**160
         colour = (1 - fresnel) * into * self._fill * np.pi + fresnel * (self._seen(mirrored) + glint)
         white = np.clip(1.25 * foam * (1 + 1.1 * self._grain(points[:, :2])), 0, 1)[:, None]
-        bright = FOAM * (self._fill + max(-float(self._sun.direction[2]), 0.05) * self._sun.colour / np.pi)
+        bright = FOAM * (self._fill + max(-float(self._sun.direction[2]), 0.4) * self._sun.colour / np.pi)
         colour = (1 - white) * colour + white * bright
         display = to_srgb(np.clip(colour * self._exposure, 0, 1)) / self._lit
         rows, cols = self.shape

@@ -77,11 +77,12 @@ class Wake:
         """Let the first frame begin as if the vehicles had come straight on at their first speed."""
         first, before = float(self._frames[0]), 2.5
         steps = int(before / self._dt)
+        self._eta = -self._depth([(p - v * before, h) for (p, v, h) in self._at(first)])
         for k in range(steps, 0, -1):
             self._advance([(p - v * k * self._dt, h) for (p, v, h) in self._at(first)])
 
     def _at(self, frame: float) -> list[tuple[Array, Array, float]]:
-        k = int(round(frame - self._frames[0]))
+        k = round(frame - self._frames[0])
         return [(p[k, :2], v[k], float(h[k])) for p, v, h in self._places]
 
     def heights(self) -> Iterator[Array]:
@@ -170,8 +171,8 @@ class Foam:
         offset = self._xy[near] - stern[row]
         ahead = np.einsum("ij,ij->i", offset, forward[row])
         aside = np.abs(forward[row, 0] * offset[:, 1] - forward[row, 1] * offset[:, 0])
-        width = 0.32 * vehicle.beam + 0.22 * np.sqrt(np.maximum(age, 0)) * vehicle.beam
-        strength = np.clip((speed - 0.8) / 4.0, 0, 1)
+        width = 0.45 * vehicle.beam + 0.25 * np.sqrt(np.maximum(age, 0)) * vehicle.beam
+        strength = 1.4 * np.clip((speed - 0.8) / 4.0, 0, 1)
         churn = strength * np.exp(-((aside / width) ** 2)) * np.exp(-age / FOAM_LIFE) * (ahead < 0.3)
         edges = (
             0.7 * strength * np.exp(-(((aside - 1.15 * width) / (0.3 * width)) ** 2)) * np.exp(-age / FOAM_LIFE * 1.6)
@@ -191,7 +192,7 @@ class Foam:
             back - 0.15, 0, 2
         )
         strength = np.clip((float(np.linalg.norm(velocity)) - 1.5) / 5.0, 0, 1)
-        band = np.exp(-(((np.abs(y) - side) / (0.16 * vehicle.beam + 0.1 * np.clip(back, 0, 2))) ** 2))
+        band = 1.3 * np.exp(-(((np.abs(y) - side) / (0.24 * vehicle.beam + 0.1 * np.clip(back, 0, 2))) ** 2))
         return np.asarray(
             strength * band * np.clip(4 * back, 0, 1) * np.exp(-np.clip(back, 0, None) * 1.4) * (back > 0)
         )

@@ -1,0 +1,156 @@
+"""Water for animators: wakes against Kelvin, the mesh against the water it shows, size, foam, and the preview."""
+
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from pxr import Usd, UsdGeom
+
+import vehsim
+from vehsim.cameras import CameraRig, solve_camera
+from vehsim.clip import Clip
+from vehsim.exporters import water as authored
+from vehsim.exporters.render import StageRenderer
+from vehsim.exporters.stage import StageReader
+from vehsim.exporters.validate import validate_stage
+from vehsim.exporters.water_view import places_of
+from vehsim.exporters.water_wake import Floating, Foam, Wake
+from vehsim.take import RenderSettings, Take
+from vehsim.world import Water, World
+from vehsim.world.water import wave
+
+BOAT = vehsim.load_vehicle("boat")
+FPS = 24
+
+
+def straight(speed, seconds, start=(-10.0, 0.0, 0.0)):
+    """A boat that goes straight on along X."""
+    times = np.arange(int(seconds * FPS) + 1) / FPS
+    n = len(times)
+    positions = np.array(start) + np.outer(times, [speed, 0, 0])
+    twists = np.tile([0.0, 0, 0, speed, 0, 0], (n, 1))
+    empty, channels = np.zeros((n, 0)), {name: np.zeros(n) for name in BOAT.channels}
+    quaternions = np.tile([1.0, 0, 0, 0], (n, 1))
+    return Clip(BOAT, times, positions, quaternions, twists, empty, empty, np.zeros((n, 2)), channels, Fraction(FPS))
+
+
+def afloat(clip):
+    return {"boat": Floating(clip, 1.65, 5.0, 1.8, 0.0)}
+
+
+@pytest.fixture(scope="module")
+def shown(tmp_path_factory):
+    """A take of a second in a wave, exported."""
+    clip = straight(6.0, 1.0, (-3.0, 0.0, 0.0))
+    world = World(water=Water(0.3, wave(0.3, 9.0, heading=2.0, choppiness=0.6)))
+    rig = CameraRig(name="low", rig="static", position=(0.0, -9.0, 1.4))
+    frames = (1001, 1025)
+    camera = solve_camera(rig, {"boat": clip}, world, frames)
+    take = Take("sea", {"boat": clip}, world, (camera,), Fraction(FPS), frames, RenderSettings((320, 180)))
+    return take, take.export(tmp_path_factory.mktemp("sea")) / "sea.usda"
+
+
+def test_a_vehicle_at_rest_makes_no_waves():
+    clip = straight(0.0, 1.0)
+    wake = Wake(afloat(clip), 0.0, clip.frames, FPS)
+    assert np.abs(np.array(list(wake.heights()))).max() < 1e-9
+
+
+def test_a_wake_has_kelvins_wavelength_and_wedge():
+    """Transverse waves behind it are 2 pi U^2 / g long, and outside 19.5 degrees there is hardly anything."""
+    speed = 4.0
+    clip = straight(speed, 12.0, (-24.0, 0.0, 0.0))
+    wake = Wake(afloat(clip), 0.0, clip.frames, FPS)
+    *_, field = wake.heights()
+    bow = clip.positions[-1, 0]
+    behind = np.arange(5.0, 28.0, 0.2)
+    line = wake.at(field, np.column_stack([bow - behind, 0 * behind]))
+    spectrum = np.abs(np.fft.rfft((line - line.mean()) * np.hanning(len(line)), 4096))
+    length = 1 / (np.fft.rfftfreq(4096, 0.2)[10:][spectrum[10:].argmax()])
+    assert length == pytest.approx(2 * np.pi * speed**2 / 9.81, rel=0.12)
+    x, y = np.meshgrid(np.arange(8.0, 25.0, 0.5), np.arange(-20.0, 20.5, 0.5))
+    heights = wake.at(field, np.column_stack([bow - x.ravel(), y.ravel()])).reshape(x.shape)
+    angle = np.degrees(np.arctan2(np.abs(y), x))
+    assert np.sqrt((heights[angle > 28] ** 2).mean()) < 0.15 * np.sqrt((heights[angle < 20] ** 2).mean())
+
+
+def test_foam_lies_behind_and_fades():
+    clip = straight(7.0, 4.0, (0.0, 0.0, 0.0))
+    xy = np.column_stack([np.linspace(-10, 40, 101), np.zeros(101)])
+    foam = Foam(afloat(clip), xy, clip.frames, FPS)
+    calm = np.zeros(len(xy))
+    white = [foam.step(k, calm, calm) for k in range(len(clip))][-1]
+    ahead, near, far = (white[np.abs(xy[:, 0] - x).argmin()] for x in (35.0, 22.0, 4.0))
+    assert ahead == 0 and near > 0.5 and 0 < far < near
+
+
+def test_points_are_the_waters_own(shown):
+    """Ahead of the wake, every point stands on the water's surface at its time, and its normal is the water's."""
+    take, path = shown
+    stage = StageReader(path)
+    for frame in (1001, 1019):
+        points, normals, foam = stage.water_at(frame)
+        t = (frame - 1001) / FPS
+        far = (points[:, 0] > 6.5) & (points[:, 0] < 8.5) & (np.abs(points[:, 1]) < 5)
+        assert far.sum() > 20
+        surface = take.world.water.height(points[far, :2], t)
+        assert np.abs(points[far, 2] - surface).max() < 0.02
+        assert np.abs(normals[far] - take.world.water.normal(points[far, :2], t)).max() < 0.1
+        assert foam.min() >= 0 and foam.max() <= 1
+    assert foam.max() > 0.3
+
+
+def test_it_is_small_and_valid_and_reaches_the_horizon(shown):
+    take, path = shown
+    assert not validate_stage(path)
+    seconds = (take.frames[1] - take.frames[0] + 1) / FPS
+    assert (path.parent / "layers" / "water.usdc").stat().st_size < 10e6 * seconds + 1e6
+    stage = Usd.Stage.Open(str(path))
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/sea/env/water/surface"))
+    low, high = np.array(mesh.GetExtentAttr().Get())
+    assert low[:2].max() < -1000 and high[:2].min() > 1000
+    assert mesh.GetNormalsInterpolation() == UsdGeom.Tokens.vertex
+
+
+def test_fast_frames_cost_no_more():
+    clip = straight(6.0, 1.0)
+    take = Take("sea", {"boat": clip}, World(water=0.0), (), Fraction(24), (1001, 1025))
+    fast = authored.lay_grid(replace(take, fps=Fraction(120)))
+    for grid, fps in ((authored.lay_grid(take), 24), (fast, 120)):
+        rows, cols = grid.shape
+        assert rows * cols * authored.BYTES_A_POINT * fps <= authored.BYTES_A_SECOND
+
+
+def test_the_preview_moves_and_its_hulls_are_wet(shown):
+    with StageRenderer(StageReader(shown[1]), (320, 180)) as renderer:
+        first, again, later = (renderer.render("low", frame).astype(float) for frame in (1005, 1005, 1015))
+    assert (first == again).all()
+    lower = slice(120, 180)
+    assert np.abs(first[lower] - later[lower]).mean() > 2
+    blue = first[lower].reshape(-1, 3).mean(axis=0)
+    assert blue[2] > blue[0]
+
+
+def test_wet_lines_darken_what_stands_just_above_the_water(shown):
+    from vehsim.exporters.shading import light_for
+    from vehsim.exporters.water_view import WaterView
+
+    stage = StageReader(shown[1])
+    view = WaterView(stage, light_for(stage.sun(), stage.sky()))
+    points, _, _ = stage.water_at(stage.frames[0])
+    middle = points[np.linalg.norm(points[:, :2] - [0, 8], axis=1).argmin()]
+    places = middle + np.array([[[0, 0, 0.0], [0, 0, 0.06], [0, 0, 0.4]]])
+    wet = view.wet(np.full((1, 3, 3), 200, np.uint8), places, np.full((1, 3), 5.0))
+    assert wet[0, 0, 0] == wet[0, 2, 0] == 200 and wet[0, 1, 0] < 150
+
+
+def test_depth_becomes_places():
+    """A plane ten metres ahead, seen by a camera that looks along X."""
+    near, far = 0.5, 1000.0
+    depth = np.full((3, 5), near * (far - 10.0) / (10.0 * (far - near)))
+    eye, forward, up = np.array([1.0, 2.0, 3.0]), np.array([1.0, 0, 0]), np.array([0, 0, 1.0])
+    places, distance = places_of(depth, eye, forward, up, (0.5, 0.3), (near, far))
+    assert distance == pytest.approx(np.full((3, 5), 10.0))
+    assert places[1, 2] == pytest.approx([11.0, 2.0, 3.0])
+    assert places[2, 4] == pytest.approx([11.0, 2.0 - 0.8 * 5.0, 3.0 + 2 / 3 * 3.0])
