@@ -329,3 +329,19 @@ def test_split_corners_are_welded():
     points, faces = box(2.0, 1.0, 0.5)
     mesh = HullMesh(points[faces].reshape(-1, 3), np.arange(faces.size).reshape(-1, 3))
     assert len(mesh.points) == 8 and mesh.volume == pytest.approx(1.0)
+
+
+def test_moving_water_drags_its_mass_along():
+    """Added mass resists the acceleration through the water: a body held still in a wave feels A du/dt."""
+    extra, a, length, t = 300.0, 0.003, 20.0, 0.8
+    hull, mass = box(0.5, 0.5, 0.5), 100.0
+    water = Water(surface=wave(2 * a, length))
+    k = 2 * np.pi / length
+    omega, z = np.sqrt(GRAVITY * k), -2.0
+    state, still = at(z), np.zeros(0)
+    plain = afloat(floating(hull, mass), water).forces(t, state, still)
+    heavy = afloat(floating(hull, mass, added_mass=(0, 0, 0, extra, extra, extra)), water).forces(t, state, still)
+    height = water.height([[0.0, 0.0]], t)[0]
+    size = a * omega**2 * np.exp(k * (z - height))
+    wanted = extra * size * np.array([np.sin(-omega * t), 0.0, -np.cos(-omega * t)])
+    np.testing.assert_allclose((heavy.wrench - plain.wrench)[3:], wanted, atol=4e-3 * extra * size)
