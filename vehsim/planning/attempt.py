@@ -123,7 +123,7 @@ class Attempt:
         """Segments to find a plan on: as many as asked for, halved while enough are left."""
         enough = COARSE if self.rows is None else CLOSE
         segments, least = self.request.segments, max(enough, 2 * len(self.request.marks))
-        while segments % 2 == 0 and segments // 2 >= least and 4 * segments > self.request.segments:
+        while segments % 2 == 0 and segments // 2 >= least:
             segments //= 2
         return segments
 

@@ -6,7 +6,10 @@ afterwards with the hulls themselves.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +21,17 @@ Array = NDArray[np.float64]
 SPHERES = 8
 """More follow the hull more closely and cost the optimiser more."""
 _SPACING = 0.6
+
+
+@dataclass(eq=False)
+class Cover:
+    """What keeps a vehicle off the rock: ``models`` of the distance (`vehsim.world.field.DistanceField.models`),
+    spheres ``centres`` (k, 3) m and ``radii`` (k,) m, and the elements made of them, shared by all discretisations."""
+
+    models: Callable[[int, int], Any]
+    centres: Array
+    radii: Array
+    elements: dict[Any, Any] = field(default_factory=dict)
 
 
 @lru_cache(maxsize=32)

@@ -34,6 +34,14 @@ def facing(marks: Sequence[Mark], paths: Sequence[Array], aimed: Callable[[Mark]
     return turned
 
 
+def same_headings(marks: Sequence[Mark], given: Sequence[Mark], turned: Sequence[Mark]) -> list[Mark]:
+    """The marks, turned where `facing` turned those ``given`` before."""
+    return [
+        replace(mark, heading=after.heading) if before.heading is None else mark
+        for mark, before, after in zip(marks, given, turned, strict=True)
+    ]
+
+
 def _bearing(path: Array) -> Array:
     """Horizontal direction (2,) from a path's first point to a place some way along it; zero for a vertical one."""
     steps = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])

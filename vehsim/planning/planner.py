@@ -19,9 +19,9 @@ from vehsim.clip import Clip
 from vehsim.errors import InputError
 from vehsim.planning.attempt import EXECUTED, SLACK, TIGHTENINGS, Array, Attempt, Progress
 from vehsim.planning.certify import Executed
-from vehsim.planning.cover import sphere_cover
+from vehsim.planning.cover import Cover, sphere_cover
 from vehsim.planning.feasibility import refusals
-from vehsim.planning.legs import bent, cut, facing, legs_between, poses_of
+from vehsim.planning.legs import bent, cut, facing, legs_between, poses_of, same_headings
 from vehsim.planning.marks import Mark
 from vehsim.planning.obstacles import obstacle_rows
 from vehsim.planning.relax import diagnose
@@ -72,8 +72,10 @@ class Plan:
         assert self._attempt is not None
         before = self._attempt.request
         request = replace(before, marks=all_marks(marks, before.vehicle, before.terms), deadline=math.inf)
-        if not self.success or shape(request.marks) != shape(before.marks) or request.weighed is not before.weighed:
-            return _solve(request, progress, self.clip)
+        given = before.given or before.marks
+        if not self.success or shape(request.marks) != shape(given) or request.weighed is not before.weighed:
+            return _solve(replace(request, given=()), progress, self.clip)
+        request = replace(request, given=request.marks, marks=same_headings(request.marks, given, before.marks))
         attempt = self._attempt.moved(request, progress)
         if np.any(attempt.free):
             attempt.solve()
@@ -125,7 +127,8 @@ def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
     t = transcription(request.weighed)
     paths = _paths(request, guess, progress)
     if request.weights["course"]:
-        request = replace(request, marks=facing(request.marks, paths, request.aimed))
+        faced = facing(request.marks, paths, request.aimed)
+        request = replace(request, marks=faced, given=request.marks)
     attempt = Attempt(request, t, _cover(request, paths), progress)
     attempt.start(paths)
     refused = refusals(request)
@@ -213,9 +216,9 @@ def _cover(request: Request, paths: list[Array]) -> Any:
     field = request.world.distance_field()
     if field is None:
         return None
-    points = np.vstack(paths)
+    points = np.vstack([path[:, :3] for path in paths])
     room = field.crop(points.min(axis=0) - ROOM, points.max(axis=0) + ROOM)
-    return (room.models, *sphere_cover(request.vehicle))
+    return Cover(room.models, *sphere_cover(request.vehicle))
 
 
 def _paths(request: Request, guess: Any, progress: Progress | None) -> list[Array]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.planning.asked import hold_element, loop_element, mark_element, mark_values, parameter_sizes
+from vehsim.planning.cover import Cover
 from vehsim.planning.elements import Element, Problem, elastic
 from vehsim.planning.layout import Layout
 from vehsim.planning.legs import knots_within
@@ -25,13 +26,13 @@ def build(
     t: Transcription,
     layout: Layout,
     request: Request,
-    cover: tuple[Any, Array, Array] | None,
+    cover: Cover | None,
     total: Sequence[tuple[Sequence[int], float]] = (),
     give: float = 0.0,
 ) -> Problem:
     """The whole problem; `parameter_values` are its parameters.
 
-    ``cover``: models of the distance and sphere cover (centres, radii), or None in free space. ``total``: groups of
+    ``cover``: what is to be kept off the rock, or None in free space. ``total``: groups of
     phases between marks at fixed frames whose lengths must add up, with their durations in s.
     ``give``: where above zero, marks after the first may be missed at this price, see `elements.elastic`.
     """

@@ -43,6 +43,8 @@ class Request:
     loop: bool = False
     solver: str = "ipopt"
     deadline: float = math.inf
+    given: Sequence[Mark] = ()
+    """The marks before those at rest were turned along their legs."""
 
     @property
     def wind(self) -> Array:

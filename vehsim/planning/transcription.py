@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from vehsim.errors import InputError
 from vehsim.integrators import DiscreteMechanics
 from vehsim.integrators.integrator import mechanics_of
+from vehsim.planning.cover import Cover
 from vehsim.planning.elements import Element, Seen, second_order
 from vehsim.planning.layout import Layout as Layout
 from vehsim.planning.terms import COSTS, Cost, KnotView, SegmentView, Term, repulsion
@@ -136,13 +137,18 @@ class Transcription:
         q = self.split(v["x"])[0][0:4]
         return Element("gauge", v["x"], ca.SX(0, 1), g=ca.dot(q, q) - 1)
 
-    def clearance(self, cover: tuple[Any, Array, Array], between: bool, wary: bool) -> Element:
+    def clearance(self, cover: Cover, between: bool, wary: bool) -> Element:
         """Spheres (k, 3), (k,) off the rock at a node (x, h), or half way along a substep (x, z, h) when ``between``.
 
         ``cover``: models of the distance as `Seen` takes them, and the spheres. Parameters: the clearance asked for,
         and the weight of `repulsion`, which costs something when ``wary``.
         """
-        field, centres, radii = cover
+        if (between, wary) not in cover.elements:
+            cover.elements[between, wary] = self._clearance(cover, between, wary)
+        return cover.elements[between, wary]
+
+    def _clearance(self, cover: Cover, between: bool, wary: bool) -> Element:
+        centres, radii = cover.centres, cover.radii
         v = self._symbols(*(("x", "z", "h") if between else ("x", "h")))
         y, none = ca.vertcat(*v.values()), ca.SX.zeros(self.sizes[3])
         view = middle_view(self, v["x"], v["z"], none, v["h"]) if between else knot_view(self, v["x"], none)
@@ -158,7 +164,7 @@ class Transcription:
             g=free - asked,
             lower=0.0,
             upper=np.inf,
-            seen=Seen(points, models, field),
+            seen=Seen(points, models, cover.models),
         )
 
 

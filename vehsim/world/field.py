@@ -97,6 +97,18 @@ class DistanceField:
         """
         import casadi
 
+        place, evaluate, table = self._kernels[order]
+        points = casadi.MX.sym("points", 3, count)
+        gathered = casadi.reshape(table.get_nz(False, casadi.vec(place.map(count)(points))), 64, count)
+        known = evaluate.map(count)(points, gathered)
+        beyond = casadi.DM.zeros(10 - known.shape[0], count)
+        return casadi.Function("models", [points], [casadi.vertcat(known, beyond)])
+
+    @cached_property
+    def _kernels(self) -> list[Any]:
+        """By order: where a point's 64 coefficients stand, what they give there, and the table of all of them."""
+        import casadi
+
         shape = self._coefficients.shape
         strides = (1, shape[0], shape[0] * shape[1])
         near = [sum(s * i for s, i in zip(strides, at, strict=True)) for at in np.ndindex(4, 4, 4)]
@@ -104,14 +116,11 @@ class DistanceField:
         inside = casadi.fmin(casadi.fmax(point, self.lower), self.upper)
         index = (inside - self.lower) / self.spacing
         first = casadi.fmax(casadi.fmin(casadi.floor(index), casadi.DM(shape) - 4), 0)
-        values = casadi.cse(_second_order(self, point, inside, index - first, coefficients)[: (1, 4, 10)[order]])
         place = casadi.Function("place", [point], [casadi.dot(first, casadi.DM(strides)) + casadi.DM(near)])
-        evaluate = casadi.Function("evaluate", [point, coefficients], [values])
-        points = casadi.MX.sym("points", 3, count)
+        values = _second_order(self, point, inside, index - first, coefficients)
         table = casadi.MX(casadi.DM(self._coefficients.ravel(order="F")))
-        gathered = casadi.reshape(table.get_nz(False, casadi.vec(place.map(count)(points))), 64, count)
-        known = evaluate.map(count)(points, gathered)
-        return casadi.Function("models", [points], [casadi.vertcat(known, casadi.DM.zeros(10 - known.shape[0], count))])
+        rows = [casadi.cse(values[:rows]) for rows in (1, 4, 10)]
+        return [(place, casadi.Function("evaluate", [point, coefficients], [row]), table) for row in rows]
 
     @cached_property
     def function(self) -> Any:
