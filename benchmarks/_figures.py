@@ -18,6 +18,10 @@ _COLOURS = [
     "#d0609a",
     "#5a6470",
     "#93a82b",
+    "#111111",
+    "#e08f8f",
+    "#3fbf3f",
+    "#3a3ad8",
 ]
 _WIDTH, _HEIGHT, _LEFT, _BOTTOM, _RIGHT, _TOP = 640, 420, 70, 50, 170, 40
 
@@ -48,8 +52,7 @@ def loglog(
         colour = _COLOURS[i % len(_COLOURS)]
         drawn = [place(x, y) for x, y in line if np.isfinite(y) and y > 0]
         corners = " ".join(f"{x:.1f},{y:.1f}" for x, y in drawn)
-        dashes = ' stroke-dasharray="6 4"' if i >= len(_COLOURS) else ""
-        out.append(f'<polyline points="{corners}" fill="none" stroke="{colour}" stroke-width="2"{dashes}/>')
+        out.append(f'<polyline points="{corners}" fill="none" stroke="{colour}" stroke-width="2"/>')
         out += [f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3" fill="{colour}"/>' for x, y in drawn]
         out.append(_text(_WIDTH - _RIGHT + 14, _TOP + 14 + 18 * i, name, 12, colour))
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -8,7 +8,6 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -18,8 +17,8 @@ import numpy as np
 from vehsim.integrators import machine
 from vehsim.vehicles._base import Array
 
-BLOCK = 256
-"""Rows in one call of the interpreter."""
+BLOCKS = (256, 16, 1)
+"""Rows in one call of the interpreter: as many as are left, then fewer."""
 
 
 class Loop:
@@ -31,6 +30,7 @@ class Loop:
 
     def __init__(self, function: ca.Function, carries: bool = False, compiled: bool = False):
         self.function, self.carries = function, carries
+        self._blocks: dict[int, tuple[Any, Any]] = {}
         self._code = machine.loop(function) if compiled else None
 
     def __call__(self, inputs: Sequence[Array], outputs: Sequence[Array]) -> None:
@@ -44,25 +44,27 @@ class Loop:
 
     def _interpret(self, inputs: Sequence[Array], outputs: Sequence[Array]) -> None:
         n, first = len(outputs[0]), 0
-        if n >= BLOCK:
-            held = [np.repeat(a[:1], BLOCK, axis=0) if a.strides[0] == 0 else None for a in inputs]
-            while first + BLOCK <= n:
-                rows = slice(first, first + BLOCK)
+        for size in BLOCKS:
+            if first + size > n:
+                continue
+            buffer, evaluate = self._block(size)
+            held = [np.repeat(a[:1], size, axis=0) if a.strides[0] == 0 else None for a in inputs]
+            for _ in range((n - first) // size):
+                rows = slice(first, first + size)
                 given = [a[rows] if h is None else h for a, h in zip(inputs, held, strict=True)]
                 if self.carries:
                     given[0] = given[0][:1]
-                _evaluate(*self._many, given, [a[rows] for a in outputs])
-                first += BLOCK
-        for k in range(first, n):
-            _evaluate(*self._one, [a[k] for a in inputs], [a[k] for a in outputs])
+                _point(buffer.set_arg, given)
+                _point(buffer.set_res, [a[rows] for a in outputs])
+                evaluate()
+                first += size
 
-    @cached_property
-    def _one(self) -> tuple[Any, Any]:
-        return self.function.buffer()
-
-    @cached_property
-    def _many(self) -> tuple[Any, Any]:
-        return (self.function.mapaccum(BLOCK) if self.carries else self.function.map(BLOCK)).buffer()
+    def _block(self, size: int) -> tuple[Any, Any]:
+        """Buffer and call of ``size`` rows at once, built once."""
+        if size not in self._blocks:
+            function = self.function.mapaccum(size) if self.carries else self.function.map(size)
+            self._blocks[size] = (self.function if size == 1 else function).buffer()
+        return self._blocks[size]
 
 
 def each_part(count: int, threads: int, work: Callable[[slice], None]) -> None:
@@ -76,14 +78,11 @@ def each_part(count: int, threads: int, work: Callable[[slice], None]) -> None:
         list(pool.map(work, parts))
 
 
-def _evaluate(buffer: Any, evaluate: Any, inputs: Sequence[Array], outputs: Sequence[Array]) -> None:
-    for i, array in enumerate(inputs):
+def _point(place: Callable[[int, Any], None], arrays: Sequence[Array]) -> None:
+    """Have a buffer read, or write, arrays where they are."""
+    for i, array in enumerate(arrays):
         if array.size:
-            buffer.set_arg(i, memoryview(array))  # type: ignore[arg-type]
-    for i, array in enumerate(outputs):
-        if array.size:
-            buffer.set_res(i, memoryview(array))  # type: ignore[arg-type]
-    evaluate()
+            place(i, memoryview(array))  # type: ignore[arg-type]
 
 
 def _call(code: Any, inputs: Sequence[Array], outputs: Sequence[Array]) -> None:
