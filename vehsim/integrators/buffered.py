@@ -15,8 +15,8 @@ class Buffered:
 
     def __init__(self, function: ca.Function):
         symbols = [ca.SX.sym(f"x{i}", function.size1_in(i), function.size2_in(i)) for i in range(function.n_in())]
-        outputs = function(*symbols)
-        outputs = outputs if isinstance(outputs, tuple | list) else [outputs]
+        made: Any = function(*symbols)
+        outputs = made if isinstance(made, tuple | list) else [made]
         dense = ca.Function(function.name(), symbols, [ca.densify(x) for x in outputs])
         self._in = [np.zeros(dense.numel_in(i)) for i in range(dense.n_in())]
         self._out = [np.zeros(dense.numel_out(i)) for i in range(dense.n_out())]
