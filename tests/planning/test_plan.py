@@ -166,6 +166,19 @@ def test_replan_is_the_plan_of_the_new_marks(flight):
     np.testing.assert_allclose(again.clip.positions[-1], (121, 41, 35), atol=1e-7)
 
 
+def test_replans_of_marks_that_face_along_their_legs_start_warm(helicopter, monkeypatch):
+    """Marks at rest are given headings along their legs: their replan must not take them for other marks."""
+    from vehsim.planning import planner
+
+    marks = [Mark(1, position=(0, 0, 30), velocity=REST), Mark(121, position=(40, 0, 30), velocity=REST)]
+    plan = vehsim.plan(helicopter, None, marks, segments=16, refine=False)
+    monkeypatch.setattr(planner, "_solve", None)  # a cold start would call it
+    again = plan.replan([marks[0], Mark(121, position=(40, 1, 30), velocity=REST)])
+    assert again.success and again.iterations < plan.iterations
+    np.testing.assert_allclose(again.clip.positions[-1], (40, 1, 30), atol=1e-7)
+    assert again.replan(marks).success
+
+
 def test_car_plans_too():
     """The same transcription for a nonholonomic vehicle: no wheel slips, the mark is hit."""
     car = vehsim.load_vehicle("car")
