@@ -214,3 +214,24 @@ def test_wheels_on_level_ground_are_no_warning(small: dict[str, Any], recwarn: p
     small["world"] = {"terrain": "flat"}
     Shot.from_dict(small).solve()
     assert not [str(w.message) for w in recwarn if "ground" in str(w.message)]
+
+
+def test_simulated_vehicles_meet_where_there_is_contact() -> None:
+    """Two boats drift into each other: advanced together, each tells of the other, and they do not pass through."""
+
+    def boat(name: str, x: float, vx: float) -> dict[str, Any]:
+        start = {"position": [x, 0.0, 0.0], "velocity": [vx, 0.0, 0.0], "heading": 90.0}
+        motion = {"method": "simulate", "duration": 1.2, "step": 1 / 96, "start": start}
+        return {"name": name, "asset": "boat", "motion": motion}
+
+    data = {
+        "shot": {"schema": 1, "name": "meeting"},
+        "world": {"water": {}, "contact": {"speed": 3.0}},
+        "vehicle": [boat("a", -1.3, 1.5), boat("b", 1.3, -1.5)],
+        "camera": [{"rig": "static"}],
+    }
+    take = Shot.from_dict(data).solve()
+    a, b = take.clips["a"], take.clips["b"]
+    assert a.events[0]["with"] == "b" and b.events[0]["with"] == "a"
+    assert (b.positions[:, 0] - a.positions[:, 0]).min() > 1.8
+    assert take.report["vehicles"]["a"]["together"] == ["a", "b"]

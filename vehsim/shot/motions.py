@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from vehsim.blocking import Blocking
     from vehsim.clip import Clip
     from vehsim.planning import Mark
+    from vehsim.simulation import Mover
     from vehsim.take import Progress
     from vehsim.vehicles import State, Vehicle
 
@@ -262,6 +263,13 @@ class SimulateMotion(Table):
             progress=progress,
         )
         return clip, {"step": self.step, "duration": clip.duration}
+
+    def mover(self, vehicle: Vehicle, setting: Setting) -> tuple[Mover, float]:
+        """The same for vehicles that move together, and for how long, s."""
+        from vehsim.simulation import Mover
+
+        start = as_state(self.start, vehicle) if self.start.model_fields_set else None
+        return Mover(vehicle, self._controls(vehicle, setting), start), self._duration(setting)
 
     def _duration(self, setting: Setting) -> float:
         if self.duration is not None:

@@ -263,6 +263,7 @@ class Shot:
         clips: dict[str, Clip] = {}
         reports: dict[str, Any] = {}
         avoided = {table.vehicle for table in self.file.world.obstacle if table.shape == "vehicle"}
+        together = self._meet(progress)
         # who is kept clear of moves first, the others about it
         for i, table in enumerate(sorted(self.file.vehicle, key=lambda vehicle: vehicle.name not in avoided)):
             world = obstacles.with_vehicles(self.world, clips, avoided, table.name)
@@ -270,11 +271,39 @@ class Shot:
             def report(what: str, done: float, name: str = table.name, before: int = i) -> None:
                 progress(f"{name}: {what}", (before + done) / len(self.file.vehicle))
 
+            if table.name in together:
+                clips[table.name] = together[table.name]
+                reports[table.name] = {"asset": table.asset, "method": table.motion.method, "together": [*together]}
+                continue
             setting = replace(self._setting, world=world)
             clips[table.name], said = table.motion.solve(self.vehicle(table), setting, report)
             reports[table.name] = {"asset": table.asset, "method": table.motion.method, **said}
         order = [table.name for table in self.file.vehicle]
         return {name: clips[name] for name in order}, {name: reports[name] for name in order}
+
+    def _meet(self, progress: Progress) -> dict[str, Clip]:
+        """Clips of simulated vehicles that may touch each other, advanced together; none unless there are two."""
+        from vehsim.shot.motions import SimulateMotion
+        from vehsim.simulation import simulate_together
+
+        motions = {table.name: (table.motion, self.vehicle(table)) for table in self.file.vehicle}
+        simulated = {
+            name: (motion, vehicle)
+            for name, (motion, vehicle) in motions.items()
+            if isinstance(motion, SimulateMotion) and vehicle.group.dim == 6 and vehicle.rig is not None
+        }
+        if self.world.contact is None or len(simulated) < 2:
+            return {}
+        movers, durations = {}, []
+        for name, (motion, vehicle) in simulated.items():
+            movers[name], duration = motion.mover(vehicle, self._setting)
+            durations.append(duration)
+        step, first = min(motion.step for motion, _ in simulated.values()), self._setting.first
+        meeting = ", ".join(simulated)
+        return simulate_together(
+            movers, self.world, max(durations), step, self.fps, first,
+            progress=lambda what, done: progress(f"{meeting}: {what}", done / len(self.file.vehicle)),
+        )  # fmt: skip
 
     def _warn_off_ground(self, clips: Mapping[str, Clip]) -> None:
         """What drives without wheels keeps its height: say where the ground rises or falls below it."""
@@ -287,7 +316,7 @@ class Shot:
             for k in np.flatnonzero(np.abs(off) > OFF_GROUND)[:1]:
                 place = f"{abs(off[k]):.2f} m {'above' if off[k] > 0 else 'below'}"
                 warnings.warn(
-                    f"{name}: {place} the ground at frame {clip.frames[k]:g}: its asset has no wheels to follow it with; "
+                    f"{name}: {place} the ground at frame {clip.frames[k]:g}: its asset has no wheels to follow it; "
                     "drive channels travel_* or roll_* in its vehicle.toml, or drive where it is level",
                     stacklevel=3,
                 )
