@@ -145,9 +145,14 @@ def _believable_sizes(stage: Any) -> Iterator[Issue]:
 
 
 def _dead_overs(stage: Any) -> Iterator[Issue]:
-    """Every opinion shows: none on a prim that nothing defines, none below an instance."""
+    """Every opinion shows: none on a prim that nothing defines, none below an instance.
+
+    A layer of nothing but overs is meant to lie over another, and is judged there.
+    """
     from pxr import Usd
 
+    if not any(prim.IsDefined() for prim in stage.GetPseudoRoot().GetAllChildren()):
+        return
     prims = iter(Usd.PrimRange.Stage(stage, Usd.PrimAllPrimsPredicate))
     for prim in prims:
         if not prim.IsDefined() and not prim.IsAbstract():

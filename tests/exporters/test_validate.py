@@ -114,6 +114,15 @@ def test_what_is_said_of_the_inside_of_an_instance_is_found(tmp_path, toys):
     assert "says something of rotor in an instance" in issues[0].message and "instanceable = false" in issues[0].mend
 
 
+def test_a_layer_of_overs_alone_is_no_fault(tmp_path):
+    from pxr import Usd, UsdGeom
+
+    stage = Usd.Stage.CreateNew(str(tmp_path / "over.usda"))
+    UsdGeom.Xformable(stage.OverridePrim("/World/heli"))
+    stage.GetRootLayer().Save()
+    assert not [issue for issue in validate_stage(tmp_path / "over.usda") if issue.rule == "dead over"]
+
+
 def test_a_model_in_the_wrong_unit_is_found(tmp_path, toys):
     from pxr import Usd, UsdGeom
 
