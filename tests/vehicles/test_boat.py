@@ -1,5 +1,8 @@
 """The boat: afloat on the world's water, and its planar self that plans are made of."""
 
+import re
+import shutil
+
 import numpy as np
 import pytest
 
@@ -133,3 +136,16 @@ def test_what_is_no_water_is_said(table, message):
     data = SHOT | {"world": {"water": table}}
     with pytest.raises(ShotError, match=message):
         vehsim.Shot.from_dict(data).solve()
+
+
+def test_a_broken_hull_is_said_before_anything_moves(tmp_path):
+    """A boat whose hull is a mesh that is open: `check` names vehicle, file, prim and the mend."""
+    folder = tmp_path / "boat"
+    shutil.copytree(BOAT.rig.asset.parent, folder)
+    toml = folder / "vehicle.toml"
+    toml.write_text(toml.read_text().replace('hull = "hull/hull" ', 'hull = "hull/hull_deck" '))
+    vehicle = SHOT["vehicle"][0] | {"asset": str(folder)}
+    problems = vehsim.Shot.from_dict(SHOT | {"vehicle": [vehicle]}).check()
+    found = [problem for problem in problems if problem.severity == "error"]
+    assert [problem.key for problem in found] == ["vehicle[0].asset"]
+    assert re.search(r"boat.usdc: hull/hull_deck: not a hull: open: \d+ edges", str(found[0]))

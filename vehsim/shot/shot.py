@@ -22,7 +22,7 @@ from vehsim.shot.handles import carry_on
 from vehsim.shot.holding import hold, rests
 from vehsim.shot.model import MAX_FRAMES
 from vehsim.shot.reading import apply_overrides, line_of, lines_of, read_toml
-from vehsim.shot.water import check_water, make_water
+from vehsim.shot.water import check_afloat, check_water, make_water
 
 if TYPE_CHECKING:
     from vehsim.blocking import Blocking
@@ -218,6 +218,8 @@ class Shot:
                 continue
             for problem in table.motion.check(vehicle, self._setting):
                 yield replace(problem, key=f"vehicle[{i}].motion.{problem.key}")
+            for problem in check_afloat(vehicle, world):
+                yield replace(problem, key=f"vehicle[{i}].{problem.key}")
             if world.wind.any() and not vehicle.feels_wind:
                 message = f"{table.name} does not feel it: its drag is zero"
                 mend = "give its vehicle.toml drag, or leave the wind out"

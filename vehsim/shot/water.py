@@ -12,6 +12,8 @@ from vehsim.errors import InputError, Problem
 
 if TYPE_CHECKING:
     from vehsim.shot.model import WaterTable
+    from vehsim.vehicles import Vehicle
+    from vehsim.world import World
     from vehsim.world.water import Current, Surface, Water, Waves
 
 
@@ -33,6 +35,18 @@ def check_water(table: WaterTable | None, folder: Path) -> Iterator[Problem]:
         make_water(table, folder)
     except InputError as error:
         yield Problem("world.water", str(error), "see [world.water] in docs/shot-file.md")
+
+
+def check_afloat(vehicle: Vehicle, world: World) -> Iterator[Problem]:
+    """A hull that is none, or does not carry its vehicle; the key is the vehicle's own."""
+    if world.water is None or vehicle.hull is None:
+        return
+    from vehsim.world.buoyancy import Afloat
+
+    try:
+        Afloat(vehicle, world).floating()
+    except InputError as error:
+        yield Problem("asset", str(error), "see hull in its vehicle.toml", vehicle.name)
 
 
 def _surface(table: WaterTable, folder: Path) -> Surface | None:
