@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import os
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -185,7 +186,7 @@ class Shot:
 
     def _asset(self, name: str) -> str | Path:
         """A path relative to the shot file when there is one, else a shipped asset's name."""
-        beside = self.folder / Path(name).expanduser()
+        beside = self.folder / os.path.expanduser(name)  # Path's own raises for a user nobody knows
         return beside if beside.exists() else name
 
     @cached_property

@@ -6,6 +6,7 @@ What belongs here is file formats. A height map's scale stands in a TOML file of
 
 from __future__ import annotations
 
+import os
 import tomllib
 import warnings
 from collections.abc import Callable
@@ -48,7 +49,7 @@ def refuse(file: Path | str, key: str, message: str, mend: str, value: object = 
 
 def read_terrain(source: str | Path) -> Terrain:
     """The shipped terrain called ``source``, or the terrain in the file or folder ``source``. Raises ``InputError``."""
-    path = _shipped().get(str(source), Path(source).expanduser())
+    path = _shipped().get(str(source), Path(os.path.expanduser(source)))
     if path.is_dir():
         path = path / "terrain.toml"
     if not path.is_file():
