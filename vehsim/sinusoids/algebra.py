@@ -180,7 +180,8 @@ def rank_of(vectors: Array) -> Rank:
     """Rank of the columns of (n, k), each scaled to unit length; columns that vanish do not count."""
     lengths = np.linalg.norm(vectors, axis=0)
     scale = max(1.0, lengths.max(initial=0.0))
-    kept = vectors[:, lengths > TOLERANCE * scale] / lengths[lengths > TOLERANCE * scale]
+    counts = lengths > TOLERANCE * scale
+    kept = vectors[:, counts] / lengths[counts]
     if not kept.size:
         return Rank(0, np.inf)
     values = np.linalg.svd(kept, compute_uv=False)
@@ -375,7 +376,14 @@ def _nilpotency(system: DriftlessSystem, points: Array, depth: int) -> int | Non
 def _evaluate(system: DriftlessSystem, field: Expr, points: Array) -> Array:
     """(k, n) values of a vector field at states (k, n)."""
     function = ca.Function("f", [system.x], [ca.densify(field)])
-    return np.array([np.asarray(function(p)).ravel() for p in points])
+    values = np.array([np.asarray(function(p)).ravel() for p in points])
+    if not np.all(np.isfinite(values)):
+        where = points[int(np.argmin(np.isfinite(values).all(axis=1)))]
+        raise InputError(
+            f"{system.name}: its fields or their brackets are not finite at {np.round(where, 4).tolist()}: a singular "
+            "state of these coordinates; ask at another, or choose other inputs"
+        )
+    return values
 
 
 def _middle(system: DriftlessSystem) -> Array:

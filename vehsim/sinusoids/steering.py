@@ -79,7 +79,7 @@ class Steering:
     goal: Array
     stages: tuple[Stage, ...]
     label: str = ""
-    rate: int = 48
+    rate: int = 24
     """Samples a second of ``times``, and at least 60 a cycle."""
 
     @property

@@ -1,0 +1,121 @@
+"""Growth vectors of systems that are not in the paper, known from the literature; errors that name what fails."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from vehsim.errors import InputError, SolveError
+from vehsim.sinusoids import models
+from vehsim.sinusoids.algebra import classify, leaf
+from vehsim.sinusoids.feedback import car_triangular, chained_form_exists
+from vehsim.sinusoids.fourier import steer_triangular, triangular
+from vehsim.sinusoids.steering import Stage, Steering
+from vehsim.sinusoids.system import DriftlessSystem, from_constraints
+from vehsim.sinusoids.trailers import steer_trailers
+
+
+def system(name, states, m, fields, **more):
+    return DriftlessSystem(name, tuple(states), tuple(f"u{i}" for i in range(m)), fields, **more)
+
+
+def penny(q):
+    return [[ca.cos(q[2]), 0], [ca.sin(q[2]), 0], [0, 1], [1, 0]]
+
+
+def ball(q):
+    """A unit ball on a plane, orientation by Z-Y-X angles; both rolling rates are inputs."""
+    psi, theta = q[2], q[3]
+    spatial = ca.horzcat(
+        ca.vertcat(0, 0, 1),
+        ca.vertcat(-ca.sin(psi), ca.cos(psi), 0),
+        ca.vertcat(ca.cos(psi) * ca.cos(theta), ca.sin(psi) * ca.cos(theta), -ca.sin(theta)),
+    )
+    # rolling along +X turns about +Y, along +Y about -X
+    turning = ca.solve(spatial, ca.DM([[0, -1], [1, 0], [0, 0]]))
+    return ca.vertcat(ca.DM.eye(2), turning)
+
+
+def off_axle(q):
+    """A unicycle with a trailer hitched 0.4 m behind its axle."""
+    bend = q[2] - q[3]
+    return [[ca.cos(q[2]), 0], [ca.sin(q[2]), 0], [0, 1], [ca.sin(bend), -0.4 * ca.cos(bend)]]
+
+
+KNOWN = [
+    (system("rolling penny", "xyat", 2, penny), (2, 3, 4)),
+    (system("ball on a plane", ("x", "y", "psi", "theta", "phi"), 2, ball), (2, 3, 5)),
+    (system("Engel", "xyzw", 2, lambda q: [[1, 0], [0, 1], [0, q[0]], [0, q[0] ** 2 / 2]]), (2, 3, 4)),
+    (
+        system("Cartan", "abcde", 2, lambda q: [[1, 0], [0, 1], [0, q[0]], [0, q[0] ** 2 / 2], [0, q[0] * q[1]]]),
+        (2, 3, 5),
+    ),
+    (system("trailer off the axle", "xyab", 2, off_axle), (2, 3, 4)),
+    (
+        system(
+            "Heisenberg twice",
+            "abcdz",
+            4,
+            lambda q: [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1], [0, q[0], 0, q[2]]],
+        ),
+        (4, 5),
+    ),
+]
+
+
+@pytest.mark.parametrize(("which", "growth"), KNOWN, ids=lambda x: getattr(x, "name", None))
+def test_growth_of_systems_not_in_the_paper(which, growth):
+    found = classify(which)
+    assert found.growth == growth and found.controllable and found.certain
+    assert (found.levels, found.brackets) == (len(growth), len(growth) - 1)
+
+
+def test_chained_form_asks_for_growth_by_one():
+    """Goursat: the car's flag grows by one a step, Cartan's 2-3-5 does not."""
+    assert chained_form_exists(models.car())
+    assert not chained_form_exists(KNOWN[3][0])
+
+
+def test_singular_states_of_martinets_distribution():
+    """Martinet: growth (2, 3) nearly everywhere, (2, 2, 3) on the surface x = 0."""
+    martinet = system("Martinet", "xyz", 2, lambda q: [[1, 0], [0, 1], [0, q[0] ** 2 / 2]])
+    off, on = classify(martinet, [1.0, 0.0, 0.0]), classify(martinet, [0.0, 0.0, 0.0])
+    assert (off.growth_at, off.regular) == ((2, 3), True)
+    assert (on.growth_at, on.regular, on.controllable) == ((2, 2, 3), False, True)
+
+
+def test_leaf_of_a_system_that_keeps_a_sphere():
+    """x x' + y y' + z z' = 0 keeps the radius: leaves are spheres, and the error names the radial direction."""
+    sphere = from_constraints("sphere", "xyz", lambda q: [[q[0], q[1], q[2]]], domain={s: (0.5, 1.0) for s in "xyz"})
+    with pytest.raises(InputError, match="not finite at"):
+        leaf(sphere, [0.6, 0.0, 0.8])  # where the state that the constraint gives is zero
+    at = [0.48, 0.36, 0.8]
+    found = leaf(sphere, at)
+    assert found.dimension == 2
+    assert np.allclose(np.cross(found.annihilator(at)[0], at), 0, atol=1e-9)
+    assert np.abs(found.offset([0.36, 0.48, 0.8])).max() < 1e-8
+    assert np.abs(found.offset([0.36, 0.48, 0.9])).max() > 0.05
+    with pytest.raises(InputError, match=r"span 2 of 3.*dx.*dz|span 2 of 3.*dz.*dx"):
+        classify(sphere, at).require_controllable()
+
+
+def test_what_is_not_triangular_is_named():
+    with pytest.raises(InputError, match="not triangular"):
+        triangular(models.trailers([1.0]))
+
+
+def test_zero_time_is_refused():
+    steering = Steering(models.chained(3), np.zeros(3), np.zeros(3), (Stage("s", lambda s: np.zeros((len(s), 2))),))
+    with pytest.raises(InputError, match="no time"):
+        steering.timed(0.0)
+
+
+def test_goals_across_a_singularity_name_the_coordinate():
+    with pytest.raises(InputError, match=r"goal\.theta = 2: outside"):
+        steer_triangular(car_triangular(), [0, 0, 0, 0], [0, 0, 2.0, 0])
+    with pytest.raises(InputError, match="hitch 1 is at a right angle"):
+        steer_trailers([1.0], [0, 0, 0, 0, 0], [5, 0, 0, 0, 1.7])
+
+
+def test_goals_out_of_reach_of_every_loop_name_the_coordinate():
+    with pytest.raises(SolveError, match="theta"):
+        steer_triangular(models.hopper(0.01, (-0.01, 0.01)), [0, 0, 0], [0, 0, 900.0])

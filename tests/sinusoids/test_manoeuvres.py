@@ -1,0 +1,108 @@
+"""Vehicles steered to marks: what shots drive lands, keeps its limits, its wheels do not slip, and momentum stays."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import vehsim
+from vehsim.errors import SolveError
+from vehsim.sinusoids import models
+from vehsim.sinusoids.manoeuvres import Wish, choose_manoeuvre, manoeuvres, timed_clip
+from vehsim.sinusoids.picture import paint
+from vehsim.sinusoids.rigs import rigged
+from vehsim.sinusoids.steering import integrate
+from vehsim.sinusoids.trailers import steer_trailers
+from vehsim.world import World
+from vehsim.world.obstacles import box
+
+LOOP = Wish(amplitude=2.6, cycles=1, phase=0.0)
+
+
+@pytest.fixture(scope="module")
+def car():
+    return rigged(vehsim.load_vehicle("car"))
+
+
+@pytest.fixture(scope="module")
+def parked(car):
+    start = car.state(vehsim.State(position=(6.0, 0, 0)))
+    return manoeuvres(car, start, car.state(vehsim.State(position=(0, -2.3, 0))), LOOP)
+
+
+def test_every_manoeuvre_has_the_same_net_motion_within_its_limits(car, parked):
+    assert len(parked) >= 3 and len({m.number for m in parked}) == len(parked)
+    for m in parked:
+        assert m.steering.end_error < 1e-9
+        peaks = np.abs(m.steering.controls).max(axis=0)
+        assert peaks[0] <= 1.5 * (1 + 1e-6) and peaks[1] <= car.limits["steering_rate"] * (1 + 1e-6)
+        assert np.abs(m.steering.states[:, 3]).max() <= car.steering + 1e-9
+
+
+def test_the_one_chosen_keeps_clear_of_obstacles(car, parked):
+    """A box across the straight way of the loops leaves only the others; one over the goal leaves none."""
+    start, goal = parked[0].steering.start, parked[0].steering.goal
+    ahead = World().among([box("ahead", (6.7, -2.3, 0), (4.3, 1.8, 1.2))])
+    found = manoeuvres(car, start, goal, LOOP, ahead)
+    chosen = choose_manoeuvre(found, None, 0.1)
+    assert chosen.clearance >= 0.1 and min(m.clearance for m in found) < 0
+    over = World().among([box("over", (0.0, -2.3, 0), (1, 1, 1))])
+    with pytest.raises(SolveError, match="none of"):
+        choose_manoeuvre(manoeuvres(car, start, goal, LOOP, over), None, 0.1)
+
+
+def test_too_early_a_frame_says_what_it_takes(car, parked):
+    with pytest.raises(SolveError, match=r"too short .* it takes"):
+        timed_clip(car, parked[0].steering, 2.0, 24, 1001)
+
+
+def test_clips_meet_the_constraints(car, parked):
+    """No slip: the body's sideways velocity at the rear axle is zero, its path is where the states went."""
+    steering, clip = timed_clip(car, parked[0].steering, None, 24, 1001)
+    axle = clip.positions[:, :2] - 1.3 * np.column_stack([np.cos(steering.states[:, 2]), np.sin(steering.states[:, 2])])
+    assert np.abs(axle - steering.states[:, :2]).max() < 1e-9
+    sideways = clip.twists[:, 2] - 1.3 * clip.twists[:, 0]
+    assert np.abs(sideways).max() < 1e-9
+
+
+def test_hopper_keeps_its_angular_momentum_and_falls_freely():
+    rig = rigged(vehsim.load_vehicle("hopper"), take_off=(0, 0, 0.9), landing=(2, 1, 0.9), heading=0.4)
+    start, goal = np.zeros(3), np.array([-2 * np.pi, 0, 2 * np.pi])
+    found = manoeuvres(rig, start, goal, Wish(1.0, 2, 0.0))
+    steering, clip = timed_clip(rig, found[0].steering, None, 24, 1001)
+    assert steering.end_error < 1e-9 and np.allclose(clip.positions[-1], [2, 1, 0.9])
+    psi, reach, theta = steering.states[:, 0], 0.9 * (1 + steering.states[:, 1]), steering.states[:, 2]
+    plane = np.array([np.cos(0.4), np.sin(0.4)])
+    down = -np.column_stack([np.outer(np.sin(psi + theta), plane), np.cos(psi + theta)])
+    foot = clip.positions + reach[:, None] * down
+    centre = (16.0 * clip.positions + 0.9 * foot) / 16.9
+    fall = np.polynomial.polynomial.polyfit(clip.times, centre, 2)
+    assert np.allclose(fall[2], [0, 0, -0.81], atol=1e-6)
+    # about the centre of mass, from positions alone
+    arm = foot - clip.positions
+    along, up = arm[:, :2] @ plane, arm[:, 2]
+    area = np.gradient(along, clip.times) * up - np.gradient(up, clip.times) * along
+    spin = 0.69 * np.gradient(theta, clip.times) + 16.0 * 0.9 / 16.9 * area
+    assert np.abs(spin[5:-5]).max() < 0.05 * np.abs(0.69 * np.gradient(theta, clip.times)).max()
+
+
+@pytest.mark.parametrize("count", [3, 4, 5])
+def test_long_trains_are_steered(count):
+    hitches = [1.0] * count
+    system = models.trailers(hitches)
+    goal = np.zeros(system.n)
+    goal[:2] = 4.0 * (count + 2), 2.0
+    start = np.zeros(system.n)
+    start[3:] = 0.2 * (-1.0) ** np.arange(count + 1)
+    steering = steer_trailers(hitches, start, goal)
+    x = steering.start
+    for stage in steering.stages:
+        x = integrate(system, stage, x, np.array([0.0, stage.duration]))[-1]
+    assert np.abs(x - steering.goal).max() < 1e-6
+    assert np.abs(np.diff(steering.states[:, 3:], axis=1)).max() < 1.4
+
+
+def test_pictures_show_a_panel_for_every_manoeuvre(car, parked, tmp_path):
+    path = paint([m.steering for m in parked[:2]], tmp_path / "ways.png", footprints=car.outlines, columns=2)
+    with Image.open(path) as picture:
+        assert picture.size == (1280, 400)
+        assert len(picture.convert("RGB").getcolors(1 << 20)) > 100
