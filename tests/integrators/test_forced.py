@@ -1,0 +1,74 @@
+"""What pushes from outside enters the step to second order, drag and added mass too."""
+
+import numpy as np
+import pytest
+
+from vehsim.errors import InputError, SolveError
+from vehsim.integrators.forced import Forced
+from vehsim.integrators.integrator import Integrator
+from vehsim.lie import SE3
+from vehsim.vehicles import State
+from vehsim.vehicles.holonomic import Holonomic
+from vehsim.world.environment import Environment, Surroundings
+
+BODY = Holonomic(name="body", group=SE3, inertia=(1.0, 2.0, 3.0, 4.0, 4.0, 4.0), gravity=0.0)
+
+
+class Spring(Environment):
+    """A spring to the origin, drag linear and quadratic, a push that changes with time."""
+
+    def wrench(self, t, state, controls):
+        twist = np.asarray(state.twist)
+        drag = -(0.8 + 0.3 * np.linalg.norm(twist)) * twist
+        w, x, y, z = state.orientation
+        turn = np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]])  # fmt: skip
+        force = turn.T @ (-9.0 * np.asarray(state.position) + [np.sin(3 * t), 0, 0])
+        return drag + np.concatenate([[0.3, 0.0, -0.2], force])
+
+
+class Heavy(Environment):
+    def wrench(self, t, state, controls):
+        return np.zeros(6)
+
+    def added_inertia(self, t, state):
+        return np.diag([0.5, 0.5, 0.5, 2.0, 2.0, 2.0])
+
+
+START = State(position=np.array([1.0, 0.5, -0.3]), twist=np.array([0.4, -0.2, 0.6, 0.0, 1.0, 0.0]))
+
+
+def end(steps, *parts):
+    body = Forced(Integrator(BODY, 1.5 / steps, "tln"), Surroundings(parts), START, np.zeros(0))
+    for _ in range(steps):
+        body.advance(np.zeros(0))
+    return np.concatenate([body.state.position, body.state.orientation, body.state.twist])
+
+
+@pytest.mark.parametrize("parts", [(Spring(),), (Spring(), Heavy())], ids=["plain", "added mass"])
+def test_second_order(parts):
+    fine = end(2400, *parts)
+    errors = [np.linalg.norm(end(n, *parts) - fine) for n in (30, 60, 120)]
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.2)
+    assert np.log2(errors[1] / errors[2]) == pytest.approx(2, abs=0.2)
+
+
+def test_predictions_are_not_steps():
+    body = Forced(Integrator(BODY, 0.01), Spring(), START, np.zeros(0))
+    seen = body.predict(np.zeros(0))
+    body.advance(np.zeros(0))
+    np.testing.assert_allclose(body.state.position, seen.position, atol=1e-12)
+    np.testing.assert_allclose(body.state.twist, seen.twist, atol=1e-2)
+
+
+def test_what_cannot_be():
+    with pytest.raises(InputError, match="is second order; take order 2"):
+        Forced(Integrator(BODY, 0.01, order=4), Spring(), START, np.zeros(0))
+
+    class Broken(Environment):
+        def wrench(self, t, state, controls):
+            return np.full(6, np.nan)
+
+    with pytest.raises(SolveError, match="body: step 0: its surroundings push with"):
+        Forced(Integrator(BODY, 0.01), Broken(), START, np.zeros(0))
