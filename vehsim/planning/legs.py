@@ -87,6 +87,19 @@ def legs_between(marks: Sequence[Mark]) -> list[tuple[Array, Array]]:
     return list(pairwise(mark_positions(marks)))
 
 
+def round_trip(marks: Sequence[Mark]) -> list[Array]:
+    """Paths (k, 3) m of all legs along one smooth closed curve that starts and ends at the first mark."""
+    from scipy.interpolate import CubicSpline
+
+    points = mark_positions([*marks[:-1], replace(marks[-1], position=marks[0].position)])
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    if len(points) < 4 or steps.min() < 1e-6:
+        return [np.array(leg) for leg in pairwise(points)]
+    at = np.concatenate([[0.0], np.cumsum(steps)])
+    curve = CubicSpline(at, points, bc_type="periodic")
+    return [np.asarray(curve(np.linspace(a, b, 17))) for a, b in pairwise(at)]
+
+
 def mark_positions(marks: Sequence[Mark]) -> Array:
     """A position for every mark; those that leave it open stand evenly between their neighbours."""
     known = [i for i, mark in enumerate(marks) if mark.position is not None]

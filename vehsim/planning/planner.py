@@ -21,7 +21,7 @@ from vehsim.planning.attempt import EXECUTED, SLACK, TIGHTENINGS, Array, Attempt
 from vehsim.planning.certify import Executed
 from vehsim.planning.cover import Cover, sphere_cover
 from vehsim.planning.feasibility import refusals
-from vehsim.planning.legs import bent, cut, facing, legs_between, poses_of, same_headings
+from vehsim.planning.legs import bent, cut, facing, legs_between, poses_of, round_trip, same_headings
 from vehsim.planning.marks import Mark
 from vehsim.planning.obstacles import obstacle_rows
 from vehsim.planning.relax import diagnose
@@ -231,6 +231,8 @@ def _paths(request: Request, guess: Any, progress: Progress | None) -> list[Arra
         return cut(points, legs)
     if not request.terrain:
         rows = obstacle_rows(request.vehicle, request.world, request.marks)
+        if request.loop and rows is None:
+            return round_trip(request.marks)
         return [np.array(leg) for leg in legs] if rows is None else rows.drive(request)
     request.world.distance_field(progress=progress)
     # the route is flown by a ball around the hulls' middle
