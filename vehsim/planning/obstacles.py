@@ -436,7 +436,7 @@ def _without_edge(polygon: Array, i: int) -> tuple[float, Array]:
 
 
 def inner_discs(polygon: Array) -> list[tuple[Array, float]]:
-    """Up to three discs (centre (2,), radius m) within a convex polygon: its largest, and one towards either end."""
+    """Discs (centre (2,), radius m) within a convex polygon, from end to end, about a radius apart."""
     if len(polygon) < 3:
         return []
     low, high = polygon.min(axis=0), polygon.max(axis=0)
@@ -444,11 +444,13 @@ def inner_discs(polygon: Array) -> list[tuple[Array, float]]:
     step = np.roll(polygon, -1, axis=0) - polygon
     inward = np.stack([-step[:, 1], step[:, 0]], axis=-1) / np.linalg.norm(step, axis=1, keepdims=True)
     depth = ((grid[:, None] - polygon) * inward).sum(-1).min(axis=1)
-    deep = depth >= 0.8 * depth.max()
-    axis = int(np.argmax(high - low))
-    along = np.where(deep, grid[:, axis], np.nan)
-    chosen = {int(np.argmax(depth)), int(np.nanargmin(along)), int(np.nanargmax(along))}
-    return [(grid[k], float(depth[k])) for k in sorted(chosen)]
+    deep = np.flatnonzero(depth >= 0.8 * depth.max())
+    along = grid[deep, int(np.argmax(high - low))]
+    count = int(np.ceil(np.ptp(along) / depth.max())) + 1
+    places = np.linspace(along.min(), along.max(), count)
+    # where several are as near, the deepest
+    chosen = {int(deep[np.argmin(np.abs(along - place) - 1e-3 * depth[deep])]) for place in places}
+    return [(grid[n], float(depth[n])) for n in sorted(chosen)]
 
 
 def _stretched(values: Array, shape: tuple[int, int]) -> Array:
