@@ -201,3 +201,22 @@ def test_one_file_holds_the_same_shot(weave, tmp_path):
         stage = Usd.Stage.Open(str(alone / name))
         found = world_matrices(stage.GetPrimAtPath("/shot/vehicles/it/wheel_rl"), frames)
         assert np.array_equal(found, reference), name
+
+
+def test_cameras_see_the_same_in_any_units(toys, make_take, tmp_path):
+    """Lens over distance is the same, and what it looks at stands where the vehicle does."""
+    from dataclasses import replace
+
+    from pxr import Usd, UsdGeom
+
+    take = make_take(toys.clip(toys.asset(tmp_path / "in" / "toy.usda")))
+    seen = []
+    for name, settings in (("ours", UsdSettings()), ("theirs", UsdSettings(up_axis="Y", meters_per_unit=0.01))):
+        write_usd(replace(take, usd=settings), tmp_path / name, toys.silent)
+        stage = Usd.Stage.Open(str(tmp_path / name / "shot.usda"))
+        lens = UsdGeom.Camera(stage.GetPrimAtPath("/shot/cameras/chase")).GetCamera(1010)
+        body = UsdGeom.XformCache(1010).GetLocalToWorldTransform(stage.GetPrimAtPath("/shot/vehicles/toy0"))
+        frustum = lens.frustum
+        view = frustum.ComputeViewMatrix() * frustum.ComputeProjectionMatrix()
+        seen.append(np.array(view.Transform(body.ExtractTranslation())))
+    assert seen[0] == pytest.approx(seen[1], abs=1e-5)
