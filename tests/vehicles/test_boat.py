@@ -59,7 +59,7 @@ def test_two_thrusters_are_lies():
     import casadi as ca
 
     wrench = pair.hull.propulsion(ca.DM([10, 4]), ca.DM.zeros(6), ca.DM([1, 0.5]))
-    np.testing.assert_allclose(np.ravel(ca.DM(wrench)), [0, -0.2 * 12, 0.5 * 10 - 0.5 * 2, 12, 0, 0])
+    np.testing.assert_allclose(ca.DM(wrench).full().ravel(), [0, -0.2 * 12, 0.5 * 10 - 0.5 * 2, 12, 0, 0])
     with pytest.raises(InputError, match="an outboard is one thruster"):
         boat(mass=1.0, inertia=(1, 1, 1), thrusters=((-1, -1, 0), (-1, 1, 0)))
 
