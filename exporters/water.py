@@ -71,7 +71,7 @@ class Grid:
 
     def shape_of(self, points: Array) -> tuple[Array, Array]:
         """Unit normals (n, 3) of points (n, 3) that the grid moved to, and the curvature (n,) of their height."""
-        net = points.reshape(*self.shape, 3)
+        net: Any = points.reshape(*self.shape, 3)
         along_v, along_u = (np.gradient(net, at, axis=axis) for axis, at in enumerate((self.v, self.u)))
         normals = np.cross(along_u, along_v).reshape(-1, 3)
         curvature = np.gradient(along_u[..., 2], self.u, axis=1) + np.gradient(along_v[..., 2], self.v, axis=0)

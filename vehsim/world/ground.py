@@ -102,7 +102,8 @@ def _lifted(clip: Clip, terrain: Terrain, wheels: tuple[Wheel, ...]) -> bool:
 
 
 def wheels_of(rig: Rig) -> tuple[Wheel, ...]:
-    """The wheels of a rig: the parts its ``travel_*`` channels slide or, without any, those that turn about Y and carry no joint."""
+    """The wheels of a rig: the parts its ``travel_*`` channels slide or, without any, those that turn about Y and
+    carry no joint."""
     stat = Path(rig.asset).stat()
     drives = tuple(sorted((name, drive.prim, drive.op) for name, drive in rig.drives.items()))
     return _wheels(Path(rig.asset), rig.root or None, drives, stat.st_mtime_ns)
