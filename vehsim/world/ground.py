@@ -120,6 +120,8 @@ def _wheels(asset: Path, root: str | None, drives: tuple[Any, ...], changed: int
     found = []
     for prim in sliding or turning:
         below = [path for path in parts if path == prim or path.startswith(f"{prim}/")]
+        if not below:
+            continue
         points = np.concatenate([parts[p].points @ parts[p].T_rp[:3, :3].T + parts[p].T_rp[:3, 3] for p in below])
         if not len(points):
             continue
