@@ -1,7 +1,8 @@
 """Random start and goal pairs for every system steered by sinusoids, judged by an integrator of another house.
 
 ``python -m benchmarks.sinusoids [--pairs 1000]`` prints a table: how many pairs were steered, the largest end error
-when the returned inputs are integrated by scipy's DOP853, and CPU time a pair. What could not be steered counts as such.
+when the returned inputs are integrated by scipy's DOP853, and CPU time a pair. What could not be steered
+counts as such.
 """
 
 from __future__ import annotations
@@ -90,9 +91,8 @@ def main() -> None:
             finally:
                 spent += time.process_time() - begun
             errors.append(end_error(steering))
-        print(
-            f"{name:24} {len(errors):5} of {wanted.pairs:4} {max(errors, default=np.nan):14.1e} {spent / wanted.pairs * 1e3:10.0f}"
-        )
+        worst, each = max(errors, default=np.nan), spent / wanted.pairs * 1e3
+        print(f"{name:24} {len(errors):5} of {wanted.pairs:4} {worst:14.1e} {each:10.0f}")
 
 
 if __name__ == "__main__":
