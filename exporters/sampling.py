@@ -75,8 +75,8 @@ class Shutter:
     def __init__(self, clip: Clip, opening: tuple[float, float], frames: tuple[int, int]) -> None:
         self.whole = np.arange(frames[0], frames[1] + 1, dtype=float)
         self.offsets = np.linspace(*opening, MOST + 1)
-        frames, self.rows = np.unique(np.round(self.whole[:, None] + self.offsets, 9).ravel(), return_inverse=True)
-        self.fine = clip_at(clip, frames)
+        fine, self.rows = np.unique(np.round(self.whole[:, None] + self.offsets, 9).ravel(), return_inverse=True)
+        self.fine = clip_at(clip, fine)
 
     def pose_frames(self, reach: float, name: str) -> Array:
         """Frames (m,) at which a body of ``reach`` m about its root needs samples of position and orientation."""

@@ -1,4 +1,4 @@
-"""Through its handles a vehicle moves as physics has it: forwards and backwards with the controls it has at its ends."""
+"""Through its handles a vehicle moves as physics has it, forwards and backwards with the controls at its ends."""
 
 from __future__ import annotations
 

@@ -301,5 +301,5 @@ def test_heights_are_asked_at_points_of_the_plane():
     for world in (World(), World("flat")):
         assert world.height((1.0, 2.0)).shape == (1,) and world.height(np.zeros((4, 2))).shape == (4,)
         for wrong in (np.zeros((2, 3)), np.zeros((2, 2, 2)), 3.0):
-            with pytest.raises(InputError, match="give .n, 2. m"):
+            with pytest.raises(InputError, match=r"give .n, 2. m"):
                 world.height(wrong)
