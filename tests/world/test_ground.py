@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 import vehsim
 from vehsim.parts import read_parts
 from vehsim.world import Terrain, World
-from vehsim.world.ground import lift, wheels_of
+from vehsim.world.ground import lift, touch, wheels_of
 
 CAR = vehsim.load_vehicle("car")
 
@@ -60,6 +60,22 @@ def test_tyres_touch_the_ground_they_roll_on():
     found = gaps(clip, world, range(0, len(clip), 10))
     assert np.abs(found).max() < 2e-3
     assert np.ptp(clip.positions[:, 2]) > 0.5 and np.ptp(clip.channels["pitch"]) > 0.05
+
+
+def test_level_ground_is_ground():
+    """Level terrain takes a shorter way to the same touch, whatever the pose."""
+    heights = np.full((41, 41), 1.5)
+    level = Terrain("level", heights, (-20.0, -20.0), (1.0, 1.0))
+    heights = heights.copy()
+    heights[0, 0] += 1.0  # far away
+    chance = np.random.default_rng(1)
+    positions = chance.normal(scale=2.0, size=(50, 3))
+    angles = chance.normal(size=(50, 3)) * (3.0, 0.1, 0.1)
+    orientations = Rotation.from_euler("ZYX", angles).as_quat(scalar_first=True)
+    for wheel in wheels_of(CAR.rig):
+        here = touch(level, wheel, positions, orientations)
+        there = touch(Terrain("corner", heights, (-20.0, -20.0), (1.0, 1.0)), wheel, positions, orientations)
+        assert np.allclose(here, there, atol=1e-12)
 
 
 def test_tyres_touch_between_a_coarse_clips_knots():

@@ -176,6 +176,10 @@ def _rest(terrain: Terrain, wheels: tuple[Wheel, ...], xy: Array, yaw: Array) ->
 
 def touch(terrain: Terrain, wheel: Wheel, positions: Array, orientations: Array) -> Array:
     """How far (n,) m up the body's vertical a wheel stands from its rest when it just touches the terrain."""
+    level = float(terrain.heights.flat[0])
+    if np.all(terrain.heights == level):
+        vertical = _matrices(orientations)[:, 2]
+        return np.asarray(((level - positions[:, 2:] - vertical @ wheel.rim.T) / vertical[:, 2:]).max(axis=1))
     return np.concatenate(
         [_touch(terrain, wheel, positions[k], orientations[k]) for k in _blocks(len(positions))] or [np.zeros(0)]
     )
