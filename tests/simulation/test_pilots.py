@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import vehsim
+from vehsim._gait import Gait
 from vehsim.errors import InputError
 from vehsim.pilots import PILOTS, FlyTo, FollowPath, Hover
 from vehsim.simulation import simulate
@@ -130,4 +131,4 @@ def test_wrong_orders_are_named(make, message):
 
 
 def test_pilots_are_found_by_name():
-    assert {"hover": Hover, "fly_to": FlyTo, "follow_path": FollowPath} == PILOTS
+    assert {"hover": Hover, "fly_to": FlyTo, "follow_path": FollowPath, "gait": Gait} == PILOTS
