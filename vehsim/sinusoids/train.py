@@ -238,7 +238,7 @@ def _barycentric(nodes: Array, values: Array, s: Array) -> Array:
     panels = len(values)
     panel = np.clip((np.asarray(s) * panels).astype(int), 0, panels - 1)
     gap = (np.asarray(s) * panels - panel)[:, None] - nodes
-    hit = gap == 0
+    hit = np.abs(gap) < 1e-15  # at a node, or so near that its reciprocal overflows
     weight = np.where(np.arange(NODES) % 2, -1.0, 1.0) / np.where(hit, 1.0, gap)
     weight[:, [0, -1]] /= 2
     at = hit.any(axis=1)
