@@ -2,7 +2,7 @@
 BIN := .venv/bin
 export MUJOCO_GL ?= egl
 
-.PHONY: help setup demo test assets lock clean bench-export bench-integrators bench-planning
+.PHONY: help setup demo test assets lock clean bench-export bench-integrators bench-planning bench-collocation
 
 help:
 	@echo "make demo   export examples/canyon_flight.toml to out/: a USD shot, frames and a film"
@@ -12,6 +12,7 @@ help:
 	@echo "make lock   bring requirements.lock up to date with pyproject.toml"
 	@echo "make bench-integrators  the claims of the papers, measured; writes benchmarks/RESULTS.md"
 	@echo "make bench-planning  plans measured: building, free space, canyon, replanning; writes RESULTS.planning.md"
+	@echo "make bench-collocation  DMOC against collocation; writes RESULTS.collocation.md"
 	@echo "make bench-export  measure baking, pictures and batches beside their peers (ten minutes)"
 	@echo "make clean  remove what the other commands made"
 
@@ -40,6 +41,9 @@ bench-integrators: setup
 
 bench-planning: setup
 	$(BIN)/python -m benchmarks.planning
+
+bench-collocation: setup
+	$(BIN)/python -m benchmarks.collocation
 
 bench-export: setup
 	$(BIN)/python benchmarks/bench_export.py

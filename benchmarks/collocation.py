@@ -1,0 +1,75 @@
+"""DMOC against direct collocation of the same vehicles, marks, cost and solver, as SYM and NH compare them.
+
+``python -m benchmarks.collocation`` prints a table and writes ``RESULTS.collocation.md`` beside this file. Every row is
+one solve from one first guess, neither coarser before nor finer after; *executed* is how far the controls end from the
+plan when run finely through an independent integration.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+
+import vehsim
+from vehsim import Mark
+from vehsim.planning.collocation import SCHEMES, Collocation, solve
+from vehsim.planning.transcription import Transcription
+
+REST = (0.0, 0.0, 0.0)
+TASKS = {
+    ("helicopter", "smoothness"): (121, (0, 0, 30), (40, 10, 35)),
+    ("helicopter", "effort"): (121, (0, 0, 30), (40, 10, 35)),
+    ("car", "effort"): (145, (0, 0, 0), (25, 6, 0)),
+}
+"""(vehicle, cost) -> last frame at 24 fps, start and goal, m, from rest to rest, turned by 20 degrees."""
+
+READING = """All three come to one optimum: costs extrapolated from N = 32 and 64 agree to 0.1 % (helicopter,
+smoothness) and 0.002 % (car). There executed errors fall at order 2 (DMOC, trapezoidal) and 4 (Hermite-Simpson); with the
+helicopter's effort alone the cost still moves with N and orders do not show yet. At one N DMOC leads seven times nearer
+than the trapezoidal rule on the car, and on the helicopter no worse to three times nearer. Hermite-Simpson is far
+nearer than both in about the same time, but its quaternions drift, which DMOC's do not. At order 2 DMOC is no match for it:
+`plan` climbs to orders 4 and 6."""
+
+
+def main() -> None:
+    lines = [
+        "# DMOC and collocation, measured",
+        "",
+        f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} at the start; one thread, no compiler. CPU seconds are"
+        " of a solve, building included, median of 5; `dmoc` is order 2, the first rung of the ladder `plan` climbs.",
+        "",
+        "| vehicle, cost | way | N | cost | executed, off by (m) | quaternion drift | iterations | CPU (s) |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for (name, cost), (frame, start, goal) in TASKS.items():
+        vehicle = vehsim.load_vehicle(name)
+        vehicle = vehicle.planar or vehicle
+        marks = [
+            Mark(1, position=start, heading=0, velocity=REST),
+            Mark(frame, position=goal, heading=20, velocity=REST),
+        ]
+        ways = {"dmoc": Transcription(vehicle)} | {scheme: Collocation(vehicle, scheme) for scheme in SCHEMES}
+        for way, t in ways.items():
+            for n in (16, 32, 64):
+                answer, spent = solve(t, marks, n, cost=cost), []
+                for _ in range(5):
+                    began = time.process_time()
+                    answer = solve(t, marks, n, cost=cost)
+                    spent.append(time.process_time() - began)
+                flat = vehicle.group.dim == 3
+                drift = "" if flat else f"{np.abs(np.linalg.norm(answer.g[:, :4], axis=1) - 1).max():.0e}"
+                solution = answer.solution
+                lines.append(
+                    f"| {name}, {cost} | {way} | {n} | {solution.cost:.4f} | {answer.executed.final:.1e} | {drift} "
+                    f"| {solution.iterations if solution.success else solution.message} | {np.median(spent):.2f} |"
+                )
+                print(lines[-1], flush=True)
+    lines += ["", READING]
+    Path(__file__).with_name("RESULTS.collocation.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

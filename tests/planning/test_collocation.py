@@ -1,0 +1,58 @@
+"""DMOC against direct collocation of the same vehicle: two discretisations that must come to one optimum."""
+
+import numpy as np
+import pytest
+
+import vehsim
+from vehsim import Mark
+from vehsim.planning.collocation import SCHEMES, Collocation, solve
+from vehsim.planning.transcription import transcription
+
+REST = (0.0, 0.0, 0.0)
+ORDER = {"dmoc": 2, "trapezoidal": 2, "hermite-simpson": 4}
+
+
+def _solved(name, marks, counts, **options):
+    vehicle = vehsim.load_vehicle(name)
+    vehicle = vehicle.planar or vehicle
+    ways = {"dmoc": transcription(vehicle)} | {scheme: Collocation(vehicle, scheme) for scheme in SCHEMES}
+    return {way: [solve(t, marks, n, **options) for n in counts] for way, t in ways.items()}
+
+
+@pytest.mark.parametrize(
+    ("name", "cost", "frame", "start", "goal", "counts", "near"),
+    [
+        ("car", "effort", 145, (0, 0, 0), (25, 6, 0), (32, 64), 2e-5),
+        ("helicopter", "smoothness", 121, (0, 0, 30), (40, 10, 35), (32, 64), 1e-3),
+    ],
+)
+def test_collocation_and_dmoc_come_to_the_same_optimum(name, cost, frame, start, goal, counts, near):
+    marks = [
+        Mark(1, position=start, heading=0, velocity=REST),
+        Mark(frame, position=goal, heading=20, velocity=REST),
+    ]
+    solved = _solved(name, marks, counts, cost=cost)
+    limits = {}
+    for way, (coarse, fine) in solved.items():
+        assert coarse.solution.success and fine.solution.success
+        # where the controls really lead converges at the order of the rule
+        measured = np.log2(coarse.executed.final / fine.executed.final)
+        assert measured > ORDER[way] - 0.3, (way, measured)
+        assert np.isclose(measured, ORDER[way], atol=0.3) or way == "hermite-simpson"
+        # controls linear between knots make every cost second order (Richardson)
+        limits[way] = fine.solution.cost + (fine.solution.cost - coarse.solution.cost) / 3
+    for way in SCHEMES:
+        assert np.isclose(limits[way], limits["dmoc"], rtol=near), limits
+
+
+def test_collocation_lets_quaternions_drift_and_dmoc_does_not():
+    marks = [
+        Mark(1, position=(0, 0, 30), heading=0, velocity=REST),
+        Mark(121, position=(40, 10, 35), heading=20, velocity=REST),
+    ]
+    drift = {
+        way: np.abs(np.linalg.norm(runs[0].g[:, :4], axis=1) - 1).max()
+        for way, runs in _solved("helicopter", marks, (16,), cost="smoothness").items()
+    }
+    assert drift["dmoc"] < 1e-8
+    assert drift["trapezoidal"] > 1e-4 and drift["hermite-simpson"] > 1e-7, drift
