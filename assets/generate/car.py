@@ -31,6 +31,7 @@ from vehsim.assets.generate._shapes import (
     split,
     tube,
 )
+from vehsim.assets.generate._slim import slimmed
 from vehsim.assets.generate._usd import Material, PartShape
 from vehsim.assets.generate._wheels import RADIUS, wheel, wheel_hull
 
@@ -168,7 +169,7 @@ def shell() -> dict[str, Surface]:
     skin = sharpened(skin, VENT, 0.06)
     arches: list[tuple[str, Field]] = [("trim", arch(x, ARCH + 0.014)) for x in (AXLE, -AXLE)]
     coats = [*front_details(), *rear_details(), *arches, ("trim", lambda p: p[:, 2] - 0.235)]
-    return by_material(painted(skin, coats, "paint"), {"seal": lines})
+    return slimmed(by_material(painted(skin, coats, "paint"), {"seal": lines}), 0.0003, trim=0.001)
 
 
 def spot(y: float, z: float, radius: float) -> Field:
@@ -256,7 +257,7 @@ def cabin() -> dict[str, Surface]:
     panes: list[Field] = [windscreen, backlight, lambda p: np.maximum(side_panes(p), -post(p))]
     coats: list[tuple[str, Field]] = [("glass", pane) for pane in panes]
     coats += [("seal", grown(f, 0.018)) for f in (windscreen, backlight, side)]
-    return painted(skin, coats, "paint")
+    return slimmed(painted(skin, coats, "paint"), 0.0003)
 
 
 def side_of_shell(x: float, z: float) -> float:

@@ -30,6 +30,7 @@ from vehsim.assets.generate._shapes import (
     tube,
     wing,
 )
+from vehsim.assets.generate._slim import slimmed
 from vehsim.assets.generate._usd import Material, PartShape
 
 HUB = np.array([0.0, 0.0, 3.06])
@@ -68,7 +69,9 @@ LIVERIES = {
 
 def build() -> dict[str, PartShape]:
     """The helicopter's parts by name: fuselage, main rotor, tail rotor."""
-    look = by_material(hull(), cowling(), fin(), stabiliser(), landing_gear(), mast(), fittings())
+    look = by_material(
+        hull(), cowling(), slimmed(fin(), 0.0002), stabiliser(), slimmed(landing_gear(), 0.0002), mast(), fittings()
+    )
     rotor = main_rotor()
     return {
         "fuselage": PartShape(look=look, collision=fuselage_hulls(look)),
@@ -143,7 +146,7 @@ def hull() -> dict[str, Surface]:
     skin, lines = seam(skin, doors(), 0.006)
     coats: list[tuple[str, Field]] = [("glass", pane) for pane in panes]
     coats += [("seal", grown(pane, 0.018)) for pane in panes]
-    return by_material(livery(skin, coats), {"seal": lines})
+    return slimmed(by_material(livery(skin, coats), {"seal": lines}), 0.001, blue=0.002)
 
 
 def windows() -> list[Field]:
@@ -203,7 +206,7 @@ def cowling() -> dict[str, Surface]:
     tilt = np.arctan2(0.12, 0.56)
     turn = np.array([[np.cos(tilt), 0, np.sin(tilt)], [0, 1, 0], [-np.sin(tilt), 0, np.cos(tilt)]])
     bore = bore.turned(turn).moved([-2.8635, 0, 2.5505])
-    return by_material(livery(skin, coats), {"steel": pipe}, {"dark": bore})
+    return by_material(slimmed(livery(skin, coats), 0.001), {"steel": pipe}, {"dark": bore})
 
 
 def fin() -> dict[str, Surface]:

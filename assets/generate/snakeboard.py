@@ -30,6 +30,7 @@ from vehsim.assets.generate._shapes import (
     superellipse,
     tube,
 )
+from vehsim.assets.generate._slim import slimmed
 from vehsim.assets.generate._usd import Material, PartShape
 from vehsim.assets.generate._wheels import wheel_hull
 from vehsim.vehicles._rider import Legs
@@ -79,13 +80,14 @@ LIVERIES = {
 
 def build() -> dict[str, PartShape]:
     """The parts by name: board, trucks with wheels, boots and legs, pelvis, and torso with the head."""
-    bar, trunk, skull = board(), figure.torso(), figure.head()
+    bar, trunk = slimmed(board(), 0.0002), slimmed(figure.torso(), 0.0004, glove=0.0008)
+    skull = slimmed(figure.head(), 0.0002, trim=0.0005)
     head = PartShape((0.0, 0.08, 0.555), skull, {"bounds": held(skull)}, turn=(0.0, 0.0, -62.0))
     return {
         "board": PartShape(look=bar, collision={"bounds": held(bar)}),
         "truck_front": truck("front", 1.0),
         "truck_rear": truck("rear", -1.0),
-        "pelvis": PartShape((0, 0, HIPS), hips := figure.pelvis(LEGS.spread), {"bounds": held(hips)}),
+        "pelvis": PartShape((0, 0, HIPS), hips := slimmed(figure.pelvis(LEGS.spread), 0.0004), {"bounds": held(hips)}),
         "torso": PartShape((0, 0, HIPS), trunk, {"bounds": held(trunk)}, {"head": head}),
     }
 
@@ -104,14 +106,16 @@ def board() -> dict[str, Surface]:
         y, z = superellipse(0.026 - 0.006 * np.cos(np.pi * x / (2 * HALF_LENGTH)), 0.0115, 3.0, 24).T
         sections.append(np.column_stack([np.full(24, x), y, 0.058 - 0.004 * np.cos(np.pi * x / (2 * HALF_LENGTH)) + z]))
     profile = [(0.0, 0.040), (0.028, 0.040), (0.033, 0.044), (0.033, 0.070), (0.028, 0.074), (0.0, 0.074)]
-    knuckles = join(*(revolve(profile, 32).moved([x, 0, 0]) for x in (-HALF_LENGTH, HALF_LENGTH)))
+    knuckles = join(*(revolve(profile, 28).moved([x, 0, 0]) for x in (-HALF_LENGTH, HALF_LENGTH)))
     label = both(lambda p: np.abs(p[:, 0]) - 0.085, lambda p: np.abs(p[:, 1]) - 0.012, lambda p: 0.058 - p[:, 2])
     return by_material(painted(lattice(sections, crease=60), [("plate", label)], "bar"), {"casting": knuckles})
 
 
 def truck(name: str, end: float) -> PartShape:
     """A truck about its pivot, on the ground below it: plate, axle, wheels, the boot strapped on, and the leg in it."""
-    look = by_material(foot_plate(), hanger(), {n: s.moved([0, 0, ANKLE]) for n, s in figure.boot().items()})
+    look = by_material(
+        slimmed(foot_plate(), 0.0002), hanger(), {n: s.moved([0, 0, ANKLE]) for n, s in figure.boot().items()}
+    )
     wheels = {}
     for side, y in (("l", HALF_TRACK), ("r", -HALF_TRACK)):
         left = wheel()
@@ -131,7 +135,7 @@ def _yaw(angle: float) -> Array:
 def leg(name: str, end: float) -> PartShape:
     """The leg's plane about the ankle, in it the shin, and on the shin's end the thigh; turned as they are at rest."""
     across, lean, bend = (float(np.degrees(float(angle))) for angle in LEGS.angles(end, 0.0, 0.0))
-    low, high = figure.shin(LEGS.shin), figure.thigh(LEGS.thigh)
+    low, high = slimmed(figure.shin(LEGS.shin), 0.0004), slimmed(figure.thigh(LEGS.thigh), 0.0004)
     thigh = PartShape((0, 0, LEGS.shin), high, {"bounds": held(high)}, turn=(bend, 0.0, 0.0))
     shin = PartShape((0, 0, 0), low, {"bounds": held(low)}, {f"thigh_{name}": thigh}, (lean, 0.0, 0.0))
     return PartShape((0, 0, ANKLE), parts={f"shin_{name}": shin}, turn=(0.0, across, 0.0))

@@ -1,0 +1,186 @@
+"""Fewer triangles for a skin cut into materials: the vertices that shape, shading and borders can spare go.
+
+What belongs here is decimation alone. Edges collapse onto one of their own ends, so what stays keeps its place and its
+normal; borders between materials, creases and open edges collapse along themselves only and stay shared by both sides.
+Error and order are quadrics (Garland and Heckbert, "Surface Simplification Using Quadric Error Metrics", 1997), in
+rounds of collapses that do not touch one another: the same input gives the same output.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from vehsim.assets.generate._shapes import Array, Faces, Surface
+
+_ROUNDS = 60
+_FACE_TURN = np.cos(np.radians(20.0))
+"""How far a triangle may turn from the one it replaces, and its plane from its corners' normals."""
+_SHADE_TURN = np.cos(np.radians(6.0))
+"""How far the normal of a vertex that goes may be from the one that takes its place: highlights keep their shape."""
+_SLIVER = 0.03
+"""The least height of a new triangle as a share of its longest edge, unless the one it replaces was thinner."""
+
+Flags = NDArray[np.bool_]
+
+
+def slimmed(look: Mapping[str, Surface], tolerance: float, **of: float) -> dict[str, Surface]:
+    """``look`` without the vertices whose loss moves the skin, or a line on it, by less than about ``tolerance`` m.
+
+    ``of``: tolerances of single materials, m; where materials meet the least holds. Vertices of several surfaces in one
+    place stay in one place; lines are borders, creases and open edges.
+    """
+    skin = _Skin(look)
+    for _ in range(_ROUNDS):
+        if not skin.collapse(np.array([of.get(name, tolerance) for name in look])):
+            break
+    return skin.look()
+
+
+class _Skin:
+    """All surfaces of a look as one mesh: ``faces`` (m, 3) of vertices, a vertex: a place, a normal, a material."""
+
+    def __init__(self, look: Mapping[str, Surface]) -> None:
+        self.names = list(look)
+        points, normals = (np.concatenate([getattr(s, k) for s in look.values()]) for k in ("points", "normals"))
+        owner = np.repeat(np.arange(len(look)), [len(s.points) for s in look.values()])
+        offsets = np.cumsum([0, *(len(s.points) for s in look.values())])
+        faces = np.concatenate([s.faces + o for s, o in zip(look.values(), offsets, strict=False)])
+        _, first, place = np.unique(np.round(points, 7), axis=0, return_index=True, return_inverse=True)
+        self.places: Array = points[first]
+        key = np.column_stack([place.reshape(-1), owner, np.round(normals, 3)])
+        _, first, vertex = np.unique(key, axis=0, return_index=True, return_inverse=True)
+        self.place, self.owner, self.normals = place.reshape(-1)[first], owner[first], normals[first]
+        self.faces: Faces = self._whole(vertex.reshape(-1)[faces])
+        self.shape, self.line = self._quadrics()
+        self.shuffle = np.random.default_rng(0).permutation(len(self.places))
+
+    def look(self) -> dict[str, Surface]:
+        surfaces = {}
+        for k, name in enumerate(self.names):
+            used, inverse = np.unique(self.faces[self.owner[self.faces[:, 0]] == k], return_inverse=True)
+            surfaces[name] = Surface(self.places[self.place[used]], self.normals[used], inverse.reshape(-1, 3))
+        return surfaces
+
+    def collapse(self, tolerances: Array) -> int:
+        """One round of collapses, cheapest first, within ``tolerances`` by material, m; how many there were."""
+        (going, staying), pairs, edge = self._candidates()
+        cost = np.maximum(*(_distance(q[going], self.places[staying]) for q in (self.shape, self.line)))
+        cost /= tolerances[self.owner[pairs[:, :, 0]]].min(1)
+        normals = self.normals[pairs]
+        alike = (np.einsum("eskj,eskj->esk", normals[:, :, :1], normals[:, :, 1:]) > _SHADE_TURN).all((1, 2))
+        keep = np.flatnonzero((cost < 1.0) & alike)
+        keep = keep[self._fits(going[keep], staying[keep], pairs[keep])]
+        # costs in steps, and shuffled within one: on a plane, where all are nought, neighbours else wait in a row
+        order = keep[np.lexsort([cost[keep], self.shuffle[going[keep]], np.floor(8 * cost[keep])])]
+        rank = np.full(len(self.places), len(order))
+        np.minimum.at(rank, going[order], np.arange(len(order)))
+        nearby = np.full(len(self.places), len(order))
+        for one, other in (edge, edge[::-1]):
+            np.minimum.at(nearby, one, rank[other])
+        chosen = order[(rank[going[order]] == np.arange(len(order))) & (rank < nearby)[going[order]]]
+        target = np.arange(len(self.place))
+        target[pairs[chosen, :, 0]] = pairs[chosen, :, 1]
+        self.faces = self._whole(target[self.faces])
+        for quadric in (self.shape, self.line):
+            np.add.at(quadric, staying[chosen], quadric[going[chosen]])
+        return len(chosen)
+
+    def _whole(self, faces: Faces) -> Faces:
+        a, b, c = self.place[faces].T
+        return faces[(a != b) & (b != c) & (c != a)]
+
+    def _edges(self) -> tuple[Faces, Faces, Flags, NDArray[np.int64]]:
+        """Edges: places (2, e), vertices of both their sides (e, side, end), which are lines, and faces on each."""
+        vertices = self.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+        vertices = np.where(np.diff(self.place[vertices]) < 0, vertices[:, ::-1], vertices)
+        low, high = self.place[vertices].T
+        order = np.lexsort([high, low])
+        low, high, vertices = low[order], high[order], vertices[order]
+        first = np.flatnonzero(np.append(True, (low[1:] != low[:-1]) | (high[1:] != high[:-1])))
+        count = np.diff(np.append(first, len(low)))
+        sides = np.stack([vertices[first], vertices[first + count - 1]], 1)
+        return np.stack([low[first], high[first]]), sides, (count != 2) | (sides[:, 0] != sides[:, 1]).any(1), count
+
+    def _candidates(self) -> tuple[Faces, Faces, Faces]:
+        """Collapses that keep topology and lines: places (2, c) going and staying, the vertices on both sides of the
+        edge (c, side, 2), going and staying; and all edges (2, e)."""
+        edge, sides, line, count = self._edges()
+        size = len(self.places)
+        lines = np.bincount(edge[:, line].ravel(), minlength=size)
+        lines[edge[:, count > 2].ravel()] = 3  # never goes
+        normals = np.bincount(self.place[np.unique(self.faces)], minlength=size)
+        joined = sparse.csr_array((np.ones(len(line)), (edge[0], edge[1])), shape=(size, size))
+        joined = (joined + joined.T).tocsr()
+        apart = np.asarray(joined[edge[0]].multiply(joined[edge[1]]).sum(axis=1)).ravel() == count
+        found = []
+        for places, pairs in ((edge, sides), (edge[::-1], sides[:, :, ::-1])):
+            same = (pairs[:, 0] == pairs[:, 1]) | (pairs[:, 0, :1] != pairs[:, 1, :1])
+            covered = 1 + (pairs[:, 0, 0] != pairs[:, 1, 0]) == normals[places[0]]
+            along = (lines[places[0]] == 0) | ((lines[places[0]] == 2) & line)
+            ok = apart & same.all(1) & covered & along
+            found.append((places[:, ok], pairs[ok]))
+        return np.concatenate([p for p, _ in found], 1), np.concatenate([s for _, s in found]), edge
+
+    def _fits(self, going: Faces, staying: Faces, pairs: Faces) -> Flags:
+        """Whether every triangle that stays keeps its facing and is no sliver."""
+        corners = self.faces.ravel()
+        order = np.argsort(self.place[corners], kind="stable")
+        start = np.searchsorted(self.place[corners][order], np.arange(len(self.places) + 1))
+        number = (start[1:] - start[:-1])[going]
+        which = np.repeat(np.arange(len(going)), number)
+        slot = np.arange(number.sum()) - np.repeat(np.cumsum(number) - number, number) + start[going][which]
+        old = self.faces[order[slot] // 3]
+        stays = (self.place[old] != staying[which, None]).all(1)
+        which, old = which[stays], old[stays]
+        new = old.copy()
+        for side in (0, 1):
+            new = np.where(old == pairs[which, side, :1], pairs[which, side, 1:], new)
+        (was, fat), (now, thin) = self._facing(old), self._facing(new)
+        lean = [np.einsum("fkj,fj->fk", self.normals[f], n).min(1) for f, n in ((old, was), (new, now))]
+        good = np.einsum("ij,ij->i", was, now) > np.where(fat > _SLIVER, _FACE_TURN, 0.5)
+        good &= (lean[1] > _FACE_TURN) | (lean[1] >= lean[0])
+        good &= (thin > _SLIVER) | (thin >= fat)
+        return np.bincount(which[~good], minlength=len(going)) == 0
+
+    def _facing(self, faces: Faces) -> tuple[Array, Array]:
+        """Unit normals of triangles (f, 3), and their heights as a share of their longest edge."""
+        a, b, c = (self.places[self.place[faces[:, k]]] for k in range(3))
+        cross = np.cross(b - a, c - a)
+        twice = np.linalg.norm(cross, axis=1)
+        longest = np.max([np.sum((p - q) ** 2, 1) for p, q in ((a, b), (b, c), (c, a))], axis=0)
+        return cross / np.maximum(twice, 1e-20)[:, None], twice / longest
+
+    def _quadrics(self) -> tuple[Array, Array]:
+        """Per place two quadrics (4, 4) with their weight in a last row: of the planes and of the lines around it."""
+        unit, _ = self._facing(self.faces)
+        a, b, c = (self.places[self.place[self.faces[:, k]]] for k in range(3))
+        area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        shape, line = np.zeros((2, len(self.places), 5, 4))
+        plane = np.column_stack([unit, -np.einsum("ij,ij->i", unit, a)])
+        for k in range(3):
+            _gather(shape, self.place[self.faces[:, k]], area, plane[:, :, None] * plane[:, None, :])
+        (one, other), _, is_line, _ = self._edges()
+        one, other = one[is_line], other[is_line]
+        along = self.places[other] - self.places[one]
+        length = np.linalg.norm(along, axis=1)
+        across = np.eye(3) - along[:, :, None] * along[:, None, :] / (length**2)[:, None, None]
+        affine = np.concatenate([across, -across @ self.places[one][:, :, None]], 2)
+        for end in (one, other):
+            _gather(line, end, length, np.swapaxes(affine, 1, 2) @ affine)
+        return shape, line
+
+
+def _gather(quadrics: Array, at: Faces, weight: Array, square: Array) -> None:
+    np.add.at(quadrics[:, :4], at, weight[:, None, None] * square)
+    np.add.at(quadrics[:, 4, 0], at, weight)
+
+
+def _distance(quadrics: Array, points: Array) -> Array:
+    """The root mean square distance (n,) m of points (n, 3) from what quadrics (n, 5, 4) stand for."""
+    homogeneous = np.column_stack([points, np.ones(len(points))])
+    square = np.einsum("ni,nij,nj->n", homogeneous, quadrics[:, :4], homogeneous)
+    return np.sqrt(np.maximum(square, 0.0) / np.maximum(quadrics[:, 4, 0], 1e-20))
