@@ -27,11 +27,11 @@ TASKS = {
 """(vehicle, cost) -> last frame at 24 fps, start and goal, m, from rest to rest, turned by 20 degrees."""
 
 READING = """All three come to one optimum: costs extrapolated from N = 32 and 64 agree to 0.1 % (helicopter,
-smoothness) and 0.002 % (car). There executed errors fall at order 2 (DMOC, trapezoidal) and 4 (Hermite-Simpson); with the
-helicopter's effort alone the cost still moves with N and orders do not show yet. At one N DMOC leads seven times nearer
-than the trapezoidal rule on the car, and on the helicopter no worse to three times nearer. Hermite-Simpson is far
-nearer than both in about the same time, but its quaternions drift, which DMOC's do not. At order 2 DMOC is no match for it:
-`plan` climbs to orders 4 and 6."""
+smoothness) and 0.002 % (car). There executed errors fall at order 2 (DMOC, trapezoidal) and 4 (Hermite-
+Simpson); with the helicopter's effort alone the cost still moves with N and orders do not show yet. At one N
+DMOC leads seven times nearer than the trapezoidal rule on the car, and on the helicopter no worse to three
+times nearer. Hermite-Simpson is far nearer than both in about the same time, but its quaternions drift, which
+DMOC's do not. At order 2 DMOC is no match for it: `plan` climbs to orders 4 and 6."""
 
 
 def main() -> None:
