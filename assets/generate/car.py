@@ -68,8 +68,10 @@ LIVERIES = {
 
 def build() -> dict[str, PartShape]:
     """The car's parts by name: body, rear wheels, and steered front wheels."""
-    look = by_material(shell(), cabin(), wheel_wells(), fittings())
-    parts = {"body": PartShape(look=look, collision=body_hulls(look))}
+    skins, rest = (shell(), cabin()), (wheel_wells(), fittings())
+    whole = by_material(*skins, *rest)  # hulls from all of it: what it clears does not hang on how finely it is drawn
+    look = by_material(*(slimmed(skin, 0.0003, trim=0.001) for skin in skins), *rest)
+    parts = {"body": PartShape(look=look, collision=body_hulls(whole))}
     for side, y in (("l", HALF_TRACK), ("r", -HALF_TRACK)):
         left = wheel()
         spun = left if side == "l" else {name: s.mirrored() for name, s in left.items()}
@@ -169,7 +171,7 @@ def shell() -> dict[str, Surface]:
     skin = sharpened(skin, VENT, 0.06)
     arches: list[tuple[str, Field]] = [("trim", arch(x, ARCH + 0.014)) for x in (AXLE, -AXLE)]
     coats = [*front_details(), *rear_details(), *arches, ("trim", lambda p: p[:, 2] - 0.235)]
-    return slimmed(by_material(painted(skin, coats, "paint"), {"seal": lines}), 0.0003, trim=0.001)
+    return by_material(painted(skin, coats, "paint"), {"seal": lines})
 
 
 def spot(y: float, z: float, radius: float) -> Field:
@@ -257,7 +259,7 @@ def cabin() -> dict[str, Surface]:
     panes: list[Field] = [windscreen, backlight, lambda p: np.maximum(side_panes(p), -post(p))]
     coats: list[tuple[str, Field]] = [("glass", pane) for pane in panes]
     coats += [("seal", grown(f, 0.018)) for f in (windscreen, backlight, side)]
-    return slimmed(painted(skin, coats, "paint"), 0.0003)
+    return painted(skin, coats, "paint")
 
 
 def side_of_shell(x: float, z: float) -> float:

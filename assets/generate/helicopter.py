@@ -66,15 +66,18 @@ LIVERIES = {
     },
 }
 
+TOLERANCES = ((0.001, 0.002), (0.001, 0.001), (0.0002, 0.0002), (0.0002, 0.0002))
+"""How far hull, cowling, fin and landing gear may be from their fine shape, m, and where they are blue."""
+
 
 def build() -> dict[str, PartShape]:
     """The helicopter's parts by name: fuselage, main rotor, tail rotor."""
-    look = by_material(
-        hull(), cowling(), slimmed(fin(), 0.0002), stabiliser(), slimmed(landing_gear(), 0.0002), mast(), fittings()
-    )
+    slim, rest = (hull(), cowling(), fin(), landing_gear()), (stabiliser(), mast(), fittings())
+    whole = by_material(*slim, *rest)  # hulls from all of it: what it clears does not hang on how finely it is drawn
+    look = by_material(*(slimmed(s, t, blue=b) for s, (t, b) in zip(slim, TOLERANCES, strict=True)), *rest)
     rotor = main_rotor()
     return {
-        "fuselage": PartShape(look=look, collision=fuselage_hulls(look)),
+        "fuselage": PartShape(look=look, collision=fuselage_hulls(whole)),
         "main_rotor": PartShape(tuple(HUB), rotor, rotor_hulls(rotor)),
         "tail_rotor": PartShape(tuple(TAIL_HUB), tail_rotor(), {"disc": tail_disc()}),
     }
@@ -146,7 +149,7 @@ def hull() -> dict[str, Surface]:
     skin, lines = seam(skin, doors(), 0.006)
     coats: list[tuple[str, Field]] = [("glass", pane) for pane in panes]
     coats += [("seal", grown(pane, 0.018)) for pane in panes]
-    return slimmed(by_material(livery(skin, coats), {"seal": lines}), 0.001, blue=0.002)
+    return by_material(livery(skin, coats), {"seal": lines})
 
 
 def windows() -> list[Field]:
@@ -206,7 +209,7 @@ def cowling() -> dict[str, Surface]:
     tilt = np.arctan2(0.12, 0.56)
     turn = np.array([[np.cos(tilt), 0, np.sin(tilt)], [0, 1, 0], [-np.sin(tilt), 0, np.cos(tilt)]])
     bore = bore.turned(turn).moved([-2.8635, 0, 2.5505])
-    return by_material(slimmed(livery(skin, coats), 0.001), {"steel": pipe}, {"dark": bore})
+    return by_material(livery(skin, coats), {"steel": pipe}, {"dark": bore})
 
 
 def fin() -> dict[str, Surface]:
