@@ -30,23 +30,33 @@ MAX_SIDE = 8192
 
 def write_frames(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
     """Write ``frames/<camera>/<shot>.<camera>.<frame>.png`` and ``contact.png``; returns every file written."""
-    settings = take.render
-    frames = range(take.frames[0], take.frames[1] + 1, settings.every)
-    shown = [camera.name for camera in take.cameras if settings.cameras is None or camera.name in settings.cameras]
+    frames = range(take.frames[0], take.frames[1] + 1, take.render.every)
     written = render_stage(
-        folder / f"{take.name}.usda",
-        folder / "frames",
-        camera=settings.cameras,
-        frames=frames,
-        size=settings.panel(len(shown)),
-        progress=progress,
-        shadows=settings.shadows,
-        samples=settings.samples,
+        folder / f"{take.name}.usda", folder / "frames", frames=frames, progress=progress, **look_of(take)
     )
-    if settings.layout == "side-by-side":
-        written += write_split(take, folder, shown, frames)
-    if written:
-        written.append(write_contact_sheet(written, folder / "contact.png"))
+    return written + write_sheets(take, folder, written)
+
+
+def shown(take: Take) -> list[str]:
+    """The names of the cameras that are rendered."""
+    wanted = take.render.cameras
+    return [camera.name for camera in take.cameras if wanted is None or camera.name in wanted]
+
+
+def look_of(take: Take) -> dict[str, Any]:
+    """What `render_stage` is told of how a take's pictures look."""
+    settings, names = take.render, shown(take)
+    size = settings.panel(len(names))
+    return {"camera": names or None, "size": size, "shadows": settings.shadows, "samples": settings.samples}
+
+
+def write_sheets(take: Take, folder: Path, pictures: Sequence[Path]) -> list[Path]:
+    """What is put together from the ``pictures`` below ``folder/frames``: those side by side, and the contact sheet."""
+    written: list[Path] = []
+    if take.render.layout == "side-by-side":
+        written += write_split(take, folder, shown(take), range(take.frames[0], take.frames[1] + 1, take.render.every))
+    if pictures:
+        written.append(write_contact_sheet([*pictures, *written], folder / "contact.png"))
     return written
 
 

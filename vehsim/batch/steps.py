@@ -10,7 +10,6 @@ import json
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -115,6 +114,7 @@ def _take(task: Task) -> Take:
         frames=tuple(said["frames"]),
         render=shot.render.draft() if task.draft else shot.render,
         report={**said["report"], "inputs": task.inputs},
+        usd=shot.usd,
         blockings=shot.blockings(),
     )
 
@@ -130,32 +130,28 @@ def _bake(task: Task, part: tuple[int, int]) -> None:
 
 
 def _render(task: Task, part: tuple[int, int]) -> None:
-    from vehsim.exporters.frames import render_stage
+    from vehsim.exporters.frames import look_of, render_stage
 
-    stage, shot = _need(task, "bake", "bake") / f"{task.name}.usda", _shot(task)
-    render = shot.render.draft() if task.draft else shot.render
+    stage = _need(task, "bake", "bake") / f"{task.name}.usda"
     with _whole(task, f"frames.{part[0]}of{part[1]}") as folder:
         if folder is not None:
-            frames = _frames(_read_frames(task), render.every)
-            names = {"cameras": "camera"}
-            look: dict[str, Any] = {
-                names.get(key, key): value for key, value in asdict(render).items() if key != "every"
-            }
-            render_stage(stage, folder, frames=_share(frames, *part), **look)
+            take = _take(task)
+            frames = _frames(take.frames, take.render.every)
+            render_stage(stage, folder, frames=_share(frames, *part), **look_of(take))
 
 
 def _deliver(task: Task, part: tuple[int, int]) -> None:
     def gather(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
-        """The pictures that were rendered in parts, where one process would have put them, and their contact sheet."""
-        from vehsim.exporters.contact import write_contact_sheet
+        """The pictures that were rendered in parts, where one process would have put them, and their sheets."""
+        from vehsim.exporters.frames import shown, write_sheets
 
         written = []
         shares = [_need(task, f"frames.{k}of{part[1]}", "render") for k in range(1, part[1] + 1)]
-        for camera in take.render.cameras or sorted(camera.name for camera in take.cameras):
+        for camera in shown(take):
             (folder / "frames" / camera).mkdir(parents=True)
             pictures = [path for share in shares for path in sorted((share / camera).glob("*.png"), key=_number)]
             written += [Path(shutil.copy(path, folder / "frames" / camera / path.name)) for path in pictures]
-        return [*written, write_contact_sheet(written, folder / "contact.png")] if written else []
+        return written + write_sheets(take, folder, written)
 
     take = _take(task)
     with replacing(task.target) as folder:
@@ -164,11 +160,6 @@ def _deliver(task: Task, part: tuple[int, int]) -> None:
     shutil.rmtree(_place(task, "plan").parent, ignore_errors=True)
     with suppress(OSError):  # other clips are still at it
         (Path(task.out) / HIDDEN).rmdir()
-
-
-def _read_frames(task: Task) -> tuple[int, int]:
-    said = json.loads((_need(task, "plan", "plan") / "take.json").read_text(encoding="utf-8"))
-    return said["frames"][0], said["frames"][1]
 
 
 def _frames(ends: tuple[int, int], every: int) -> list[int]:
