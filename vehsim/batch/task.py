@@ -23,6 +23,7 @@ Tell = Callable[[str, str, str, float], None]
 
 RENDERING = ("frames", "film", "contact")
 """How what pictures and films say of their progress begins."""
+MEMORY_MEND = "give it fewer segments or pixels, or the worker more memory"
 _ONE_AT_A_TIME = threading.Lock()
 
 
@@ -93,8 +94,7 @@ def run_task(task: Task, tell: Tell) -> Outcome:
         try:
             outcome = _work(task, tell)
         except MemoryError:
-            mend = "give it fewer segments or pixels, or the worker more memory"
-            outcome = Outcome(task.name, "failed", "MemoryError", f"it ran out of memory; {mend}", retire=True)
+            outcome = Outcome(task.name, "failed", "MemoryError", f"it ran out of memory; {MEMORY_MEND}", retire=True)
         except VehsimError as error:
             outcome = Outcome(task.name, "failed", type(error).__name__, str(error))
         except Exception as error:

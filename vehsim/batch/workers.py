@@ -17,12 +17,14 @@ from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
-from vehsim.batch.task import Outcome, Task, Tell
+from vehsim.batch.task import MEMORY_MEND, Outcome, Task, Tell
 
 ATTEMPTS = 3
 """How often a clip is begun whose worker dies."""
 PATIENCE = 10.0
 """How long interrupted workers may take to tidy up, s."""
+RESERVE = 16_000_000
+"""Bytes a worker keeps for its last words."""
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "LP_NUM_THREADS")
 
 
@@ -183,12 +185,23 @@ def _serve(pipe: Connection, memory: float | None) -> None:
                 else:
                     pipe.send(Outcome(task.name, "done"))
                 continue
-            outcome = run_task(task, tell)
+            outcome = _run(run_task, task, tell)
             pipe.send(outcome)
             if outcome.retire:  # without memory not even waiting is safe
                 os._exit(0)
-    except (EOFError, OSError, KeyboardInterrupt):
+    except (EOFError, OSError, KeyboardInterrupt, MemoryError):
         os._exit(0)  # tidied up: nothing may hold up those who wait for us
+
+
+def _run(run_task: Any, task: Task, tell: Tell) -> Outcome:
+    """The task's outcome, also when there was not even memory left to say so: what we set aside is free by then."""
+    aside: list[bytearray] = [bytearray(RESERVE)]
+    try:
+        outcome: Outcome = run_task(task, tell)
+        return outcome
+    except MemoryError:
+        aside.clear()
+        return Outcome(task.name, "failed", "MemoryError", f"it ran out of memory; {MEMORY_MEND}", retire=True)
 
 
 def _interrupt(number: int, frame: Any) -> None:
