@@ -147,8 +147,11 @@ VERSION = re.compile(r"v(\d{3,})")
 
 def versions(home: Path) -> list[Path]:
     """The versions in ``home``, oldest first."""
-    found = [path for path in home.glob("v*") if VERSION.fullmatch(path.name) and path.is_dir()]
-    return sorted(found, key=lambda path: int(path.name[1:]))
+    try:
+        found = [home / name for name in os.listdir(home) if VERSION.fullmatch(name)]
+    except (FileNotFoundError, NotADirectoryError):  # not there, or another export is just replacing it
+        return []
+    return sorted((path for path in found if path.is_dir()), key=lambda path: int(path.name[1:]))
 
 
 @contextmanager
