@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from vehsim.lie import SO3
 from vehsim.planning.elements import Element
 from vehsim.planning.marks import Gate, Mark
-from vehsim.planning.terms import KnotView
+from vehsim.planning.request import Request
+from vehsim.planning.terms import Cost, KnotView, Term
 from vehsim.planning.transcription import Transcription
 from vehsim.planning.views import knot_view, root_pose
 from vehsim.vehicles.mechanics import conservative, project
@@ -89,17 +90,31 @@ def loop_element(t: Transcription) -> Element:
     relative = group.pose(group.compose(group.inverse(g), g1))
     turn, way = relative[4:7], relative[0:3]
     shown = {"SE2": ca.vertcat(way[0:2], turn[2]), "SO3": turn}.get(group.name, ca.vertcat(way, turn))
-    kept = [i for i in range(s) if not _idle(t, i)]
+    kept = [i for i in range(s) if i not in t.idle]
     rows = [shown, *(r1[i] - r[i] for i in kept), (pi1 - pi) / t.momentum_scale, c1 - c]
     return Element("loop", ca.vertcat(x, c, x1, c1), ca.SX(0, 1), g=ca.vertcat(*rows))
 
 
-def _idle(t: Transcription, joint: int) -> bool:
-    """Nothing depends on the joint: neither the motion nor a limit."""
-    y, step = t.mechanics.symbols, t.mechanics.segment
-    moved = ca.vertcat(step["left"], step["right"], step["g1"])
-    name = t.vehicle.joints[joint]
-    return name not in t.vehicle.joint_limits and not ca.depends_on(moved, y["r"][joint])
+def adrift(t: Transcription, request: Request) -> list[int]:
+    """Joints that neither motion, limit, term nor mark places, such as a wheel's roll.
+
+    Somebody has to say where they begin: a solver that is free to choose ends up anywhere.
+    """
+    rows = [np.asarray(mark.joints, float) for mark in request.marks if mark.joints is not None]
+    return [
+        i
+        for i, name in enumerate(t.vehicle.joints)
+        if i in t.idle
+        and name not in request.limits.joints
+        and not any(np.isfinite(row[i]) for row in rows)
+        and not any(_reads(t, term, i) for term in request.terms)
+    ]
+
+
+def _reads(t: Transcription, term: Term, joint: int) -> bool:
+    """A term's law depends on the joint."""
+    element = t.term(term, "segment" if isinstance(term, Cost) or term.over == "segments" else "knot", 1)[0]
+    return bool(ca.depends_on(ca.vertcat(element.f, element.g), element.y[t.sizes[0] + joint]))
 
 
 def imbalance(t: Transcription, x: Expr, c: Expr, wind: Expr) -> Expr:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from vehsim.clip import Clip
 from vehsim.integrators.integrator import build_clip
+from vehsim.planning.asked import adrift
 from vehsim.planning.certify import SAMPLES, Executed, certify, executed
 from vehsim.planning.guess import along_paths, lift
 from vehsim.planning.layout import Layout
@@ -149,6 +150,8 @@ class Attempt:
         began = time.perf_counter()
         span = [(h / 8, h * 8) if free and f else (h, h) for h, f in zip(self.lengths, self.free, strict=True)]
         lower, upper = variable_bounds(self.t, layout, span, request.limits.joints)
+        begins = layout.node(0)[[self.t.sizes[0] + joint for joint in adrift(self.t, request)]]
+        lower[begins] = upper[begins] = self.x[begins]
         values = parameter_values(self.t, layout, request.marks, request.wind, self.margin, request.weights)
         if self.rows is not None:
             values = np.concatenate([values, self.rows.values(self._seconds(), request.clearance)])

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from vehsim.errors import InputError
 from vehsim.integrators import DiscreteMechanics
 from vehsim.integrators.integrator import mechanics_of
-from vehsim.planning.cover import Cover
+from vehsim.planning.cover import POSE, ROUND, Cover, approach
 from vehsim.planning.elements import Element, Seen, second_order
 from vehsim.planning.layout import Layout as Layout
 from vehsim.planning.terms import COSTS, Cost, KnotView, SegmentView, Term, repulsion
@@ -60,6 +60,14 @@ class Transcription:
         size, s, n = self.sizes[:3]
         g, r, pi = ca.vertsplit(x, [0, size, size + s, size + s + n])
         return g, r, pi * self.momentum_scale
+
+    @cached_property
+    def idle(self) -> list[int]:
+        """Joints that nothing depends on, neither the motion nor a limit: a wheel's roll."""
+        y, step = self.mechanics.symbols, self.mechanics.segment
+        moved = ca.vertcat(step["left"], step["right"], step["g1"])
+        named = enumerate(self.vehicle.joints)
+        return [i for i, name in named if name not in self.vehicle.joint_limits and not ca.depends_on(moved, y["r"][i])]
 
     @cached_property
     def substep(self) -> Element:
@@ -137,34 +145,47 @@ class Transcription:
         q = self.split(v["x"])[0][0:4]
         return Element("gauge", v["x"], ca.SX(0, 1), g=ca.dot(q, q) - 1)
 
-    def clearance(self, cover: Cover, between: bool, wary: bool) -> Element:
-        """Spheres (k, 3), (k,) off the rock at a node (x, h), or half way along a substep (x, z, h) when ``between``.
+    def clearance(self, cover: Cover, k: int, landed: int, between: bool, wary: bool) -> Element:
+        """Spheres off what stands (field ``k`` = 0) or moves at a node (x, h), or half way along a substep (x, z, h).
 
-        ``cover``: models of the distance as `Seen` takes them, and the spheres. Parameters: the clearance asked for,
-        and the weight of `repulsion`, which costs something when ``wary``.
+        Parameters: the clearance asked for, and the weight of `repulsion`, which costs something when ``wary``; then
+        for every landing of ``landed`` what `Cover.landing` says, or for what moves where it is.
         """
-        if (between, wary) not in cover.elements:
-            cover.elements[between, wary] = self._clearance(cover, between, wary)
-        return cover.elements[between, wary]
+        key = (k, landed, between, wary)
+        if key not in cover.elements:
+            cover.elements[key] = self._clearance(cover, *key)
+        return cover.elements[key]
 
-    def _clearance(self, cover: Cover, between: bool, wary: bool) -> Element:
-        centres, radii = cover.centres, cover.radii
+    def _clearance(self, cover: Cover, k: int, landed: int, between: bool, wary: bool) -> Element:
+        field, radii = cover.fields()[k], cover.radii
+        assert field is not None
         v = self._symbols(*(("x", "z", "h") if between else ("x", "h")))
         y, none = ca.vertcat(*v.values()), ca.SX.zeros(self.sizes[3])
         view = middle_view(self, v["x"], v["z"], none, v["h"]) if between else knot_view(self, v["x"], none)
         asked, weight = ca.SX.sym("asked"), ca.SX.sym("weight")
-        points = ca.horzcat(*(view.position + view.rotation @ ca.DM(c) for c in centres))
+        more = ca.SX.sym("more", POSE if k else landed * (3 + len(radii)))
+        points = [view.position + view.rotation @ ca.DM(c) for c in cover.centres]
+        wanted = ca.repmat(asked, len(radii), 1)
+        if k:  # what moves is met in its own frame
+            there, R_wo = more[:3], ca.reshape(more[3:], 3, 3)
+            points = [R_wo.T @ (point - there) for point in points]
+        else:
+            for landing in ca.vertsplit(more, 3 + len(radii)) if landed else []:
+                distance = ca.sqrt(ca.sumsqr(view.position - landing[:3]) + ROUND**2) - ROUND
+                touching = ca.fmin(landing[3:], asked - ROUND)
+                wanted = ca.fmin(wanted, approach(distance, asked, touching, ca.tanh))
         models = ca.SX.sym("models", 13, len(radii))
-        free = second_order(points, models) - ca.DM(radii)
+        met = ca.horzcat(*points)
+        free = second_order(met, models) - ca.DM(radii)
         return Element(
             "clearance",
             y,
-            ca.vertcat(asked, weight),
+            ca.vertcat(asked, weight, more),
             f=weight * v["h"] / 2 * repulsion(free) if wary else 0.0,
-            g=free - asked,
+            g=free - wanted,
             lower=0.0,
             upper=np.inf,
-            seen=Seen(points, models, cover.models),
+            seen=Seen(met, models, field.models),
         )
 
 
