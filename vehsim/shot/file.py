@@ -87,8 +87,9 @@ class ShotFile(Table):
     cut: Annotated[list[CutTable], Array, Len(0, MAX_CUTS)] = Field(default=[])
     """[[cut]] tables with frame and camera: which camera is seen from which frame on"""
     render: RenderTable = RenderTable()
-    export: ExportTable = ExportTable()
     """a table [render]"""
+    export: ExportTable = ExportTable()
+    """a table [export]"""
     sweep: dict[str, Any] | None = None
     """a table [sweep]: keys of this file and the values they take, one clip for each"""
 

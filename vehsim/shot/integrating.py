@@ -28,15 +28,15 @@ class IntegrateMotion(Table):
     """``method = "integrate"``: the undriven motion as one integrator gives it, in empty space."""
 
     method: Literal["integrate"]
-    """plan, simulate, integrate or clip"""
+    """plan, simulate, integrate, sinusoid or clip"""
     integrator: Text = OURS
     """"variational" or, to compare with, "rk2", "rk4", "implicit_rk2" or "lie_newmark\""""
     start: StartTable = StartTable()
-    """the state on the shot's first frame, handle included"""
+    """the state on the shot's first frame, handle included; at the origin and at rest unless given"""
     duration: Annotated[Positive, Field(le=MAX_FRAMES)]
     """how long, in s"""
     step: Annotated[Number, Field(ge=1e-4, le=2)] = 1 / 24
-    """the integration step in s, taken as it is; frames between steps are interpolated"""
+    """the integration step in s, taken as it is: frames between steps are interpolated; 1/24 unless given"""
 
     def check(self, vehicle: Vehicle, setting: Setting) -> Iterator[Problem]:
         from vehsim.integrators.references import METHODS

@@ -27,8 +27,8 @@ from vehsim.world import MAX_WIND
 MAX_FRAMES = 100_000
 """More frames than any shot has: an hour at 24 fps."""
 MAX_PIXELS = 8192
-MAX_CAMERAS = 20
 """The widest and highest picture: software rendering refuses 16384 x 16384."""
+MAX_CAMERAS = 20
 MAX_FPS = 1000
 _NTSC = Fraction(1000, 1001)
 
@@ -135,9 +135,9 @@ class Header(Table):
     start_frame: Frame = 1001
     """the first frame of the cut, a whole number"""
     end_frame: Frame | None = None
-    """the last frame of the cut, a whole number; where the motion ends unless given"""
+    """the last frame of the cut, a whole number; where the longest motion ends unless given"""
     handles: Annotated[int, Field(ge=0, le=1000)] = 0
-    """how many frames to add before and after the cut, 0 to 1000; they need end_frame"""
+    """how many frames to add before and after the cut, 0 to 1000; needs end_frame"""
 
     @property
     def first(self) -> int:
@@ -324,15 +324,16 @@ class WorldTable(Table):
     """``[world]``"""
 
     terrain: Text | None = None
-    """a shipped terrain's name, or a mesh or height map's path relative to the shot file"""
+    """a shipped terrain's name, or the path of a mesh (OBJ, STL, PLY, GLB, USD) or height map (PNG, NPY, NPZ, GeoTIFF); empty
+    space unless given"""
     wind: Wind = Field(default=[0.0, 0.0, 0.0])
     """the wind [x, y, z] in m/s, world axes, at most 150 m/s in all"""
     gusts: GustsTable | None = None
-    """a [world.gusts] table: the wind changes with time"""
+    """a [world.gusts] table: the wind changes with time; it is steady unless given"""
     water: WaterTable | None = None
-    """a [world.water] table; no water unless given"""
+    """a [world.water] table, for vehicles with a hull; a boat glides on calm water, level, unless given"""
     contact: ContactTable | None = None
-    """a [world.contact] table; simulated vehicles pass through things unless given"""
+    """a [world.contact] table: hulls touch obstacles, ground and each other; they pass through unless given"""
     obstacle: Annotated[list[ObstacleTable], Array, Len(0, 1000)] = []
     """[[world.obstacle]] tables, each with shape = "polygon", "ellipse", "box", "mesh" or "vehicle\""""
 
@@ -398,7 +399,7 @@ class CameraTable(Table):
     rig: Text = "chase"
     """how the camera moves: "chase", "follow", "orbit", "static", "dolly", "crane", "fly_by" or "first_person\""""
     target: Text | None = None
-    """the name of the vehicle it looks at; the first one unless given"""
+    """the name of the vehicle it looks at; the first unless given"""
     lens_mm: Annotated[Number, Field(ge=4, le=2000)] = CameraRig.lens_mm
     """the focal length in mm, 4 to 2000"""
     aperture_width_mm: Annotated[Number, Field(ge=1, le=200)] = CameraRig.aperture_width_mm
@@ -406,27 +407,29 @@ class CameraTable(Table):
     fill: Annotated[Number, Field(ge=0.005, le=1)] = CameraRig.fill
     """the share of the picture's height the target takes, 0.005 to 1; it sets the distance"""
     distance: Annotated[Positive, Field(le=1e5)] | None = None
-    """the distance to the target in m, instead of fill"""
+    """the distance to the target in m, instead of fill; from fill unless given"""
     height: Metre | None = None
-    """how far above the target, in m"""
+    """how far above the target, in m; the rig's own unless given"""
     azimuth: Heading | None = None
-    """degrees counter-clockwise: from straight behind (chase), straight ahead (first_person), +X (the others)"""
+    """degrees counter-clockwise from straight behind (chase), straight ahead (first_person), or looking along +X (the
+    others); the rig's own unless given"""
     position: Point | None = None
-    """where a static, fly_by or crane camera stands or a dolly's rail begins, [x, y, z] in m"""
+    """where a static, fly_by or crane camera stands or a dolly's rail begins, [x, y, z] in m; chosen unless given"""
     to: Point | None = None
-    """where a dolly's rail ends, [x, y, z] in m"""
+    """where a dolly's rail ends, [x, y, z] in m; chosen unless given"""
     look_at: Point | None = None
-    """what a static camera looks at, [x, y, z] in m"""
+    """where a static camera looks without panning, [x, y, z] in m; it pans with the target unless given"""
     turn: Annotated[Number, Field(ge=-3600, le=3600)] = CameraRig.turn
     """degrees a second that an orbit turns"""
     rise: Metre | None = None
     """how far a crane rises, in m"""
     eye: Point | None = None
-    """where a first_person camera is, [x, y, z] in m in the vehicle's root frame"""
+    """where a first_person camera is, [x, y, z] in m in the vehicle's root frame; before its nose unless given"""
     framing: Annotated[list[Annotated[Number, Field(ge=-0.9, le=0.9)]], Array, Len(2, 2)] | None = None
-    """where the target stands in the picture, [x, y] from the centre to 1 at the right and upper edges"""
+    """where the target stands in the picture, [x, y] from the centre to 1 at the right and upper edges; the centre
+    unless given"""
     level: bool | None = None
-    """true or false: whether the horizon is level or banks with the vehicle"""
+    """true or false: whether the horizon is level or banks with the vehicle; level but for first_person unless given"""
     margin: Annotated[NotNegative, Field(le=1000)] = CameraRig.margin
     """how far above the ground the camera stays, in m"""
 
@@ -450,11 +453,12 @@ class ExportTable(Table):
     assets: Literal["copy", "keep"] = "copy"
     """"copy" the vehicles' assets along, or "keep" them where they are, referenced by their path as it is given"""
     shutter: Shutter | None = None
-    """[open, close] in frames about each frame, such as [-0.25, 0.25]; adds the samples that motion blur needs"""
+    """[open, close] in frames about each frame, such as [-0.25, 0.25]: authored on the cameras, with the samples motion
+    blur needs (a millimetre of chord, at most 16 an opening); closed unless given"""
     thin: Annotated[Positive, Field(ge=1e-6, le=10)] | None = None
-    """a tolerance in m: adds a variant "thinned" with the fewest keys that stay within it"""
+    """a tolerance in m: adds a variant "thinned" with the fewest keys that stay within it; all keys unless given"""
     clip_frames: Annotated[int, Field(ge=2, le=MAX_FRAMES)] | None = None
-    """for long takes: value clips of at most so many frames each instead of one layer"""
+    """for long takes: value clips of at most so many frames each; one layer unless given"""
     layer_only: bool = False
     """true to write the vehicles' animation layers and nothing else"""
     versions: bool = False
@@ -473,7 +477,7 @@ class RenderTable(Table):
     shadows: bool = True
     """true or false: whether the sun casts shadows"""
     cameras: Annotated[list[Text], Array, Len(1, MAX_CAMERAS + 1)] | None = None
-    """names of the cameras to render; unless given, all of them, or just "cut" where there is a [[cut]]"""
+    """names of the cameras to render; all of them, or just "cut" where there is a [[cut]], unless given"""
     layout: Literal["separate", "side-by-side"] = "separate"
     """"side-by-side" puts the cameras' pictures beside each other in one more film; "separate" does not"""
     mood: Literal["afternoon", "dusk"] = "afternoon"

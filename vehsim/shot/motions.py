@@ -50,15 +50,15 @@ class PlanMotion(Table):
     """``method = "plan"``: the motion that hits the marks at the least cost."""
 
     method: Literal["plan"]
-    """plan, simulate, sinusoid or clip"""
+    """plan, simulate, integrate, sinusoid or clip"""
     cost: Annotated[
         str | dict[str, float],
         PlainValidator(lambda v: _cost(v)),
         WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object", "additionalProperties": {"type": "number"}}]}),
     ] = "effort"
-    """what to keep small: "effort" or "time", or a table of weights such as { effort = 1, time = 0.5 }"""
+    """what to keep small: "effort", "time" or another cost by name, or weights such as { effort = 1, time = 0.5 }"""
     segments: Annotated[int, Field(ge=2, le=2000)] = 64
-    """how many pieces the motion is computed in, 2 to 2000"""
+    """how many pieces the motion is computed in, 2 to 2000: more follow faster motion"""
     clearance: Annotated[NotNegative, Field(le=1000)] = 1.0
     """how far the vehicle stays from obstacles and, when it flies, from the terrain, in m"""
     mark: Annotated[list[MarkTable], Array, Len(2, 1000)] | None = None
@@ -74,7 +74,7 @@ class PlanMotion(Table):
     loop: bool = False
     """true: the motion ends as it begins, to be repeated"""
     solver: Text = "ipopt"
-    """the optimiser: "ipopt", or another that CasADi ships"""
+    """the optimiser: "ipopt", "sqpmethod" or "fatrop\""""
     time_limit: Annotated[Positive, Field(le=1e5)] | None = None
     """seconds after which the best motion so far is taken; results then depend on the machine"""
 
@@ -216,18 +216,19 @@ class SimulateMotion(Table):
     """``method = "simulate"``: physics forward from a start, driven by commands or by a pilot."""
 
     method: Literal["simulate"]
-    """plan, simulate, sinusoid or clip"""
+    """plan, simulate, integrate, sinusoid or clip"""
     start: StartTable = StartTable()
-    """the state on the shot's first frame, handle included"""
+    """the state on the shot's first frame, handle included; at the origin and at rest unless given"""
     duration: Annotated[Positive, Field(le=MAX_FRAMES)] | None = None
-    """how long, in s; to the shot's end_frame unless given"""
+    """how long, in s; up to the shot's end_frame unless given"""
     step: Annotated[Number, Field(ge=1e-5, le=0.1)] = 1 / 240
-    """the integration step in s, 0.00001 to 0.1"""
+    """the integration step in s, 0.00001 to 0.1; 1/240 unless given"""
     commands: (
         Annotated[list[Annotated[dict[str, Number], BeforeValidator(lambda v: _command(v))]], Array, Len(1, MAX_FRAMES)]
         | None
     ) = None
-    """a list of { frame = ..., control = value, ... }: linear between them, held before and after; angles in degrees"""
+    """a list of { frame = ..., control = value, ... }: linear between them, held before and after; angles in degrees; no
+    controls unless given"""
     pilot: PilotTable | None = None
     """a table { name = ..., parameters } instead of commands"""
 
@@ -308,7 +309,7 @@ class ClipMotion(Table):
     """``method = "clip"``: a motion saved before, as it is."""
 
     method: Literal["clip"]
-    """plan, simulate, sinusoid or clip"""
+    """plan, simulate, integrate, sinusoid or clip"""
     path: Text
     """a clip saved by vehsim (.npz), relative to the shot file"""
 

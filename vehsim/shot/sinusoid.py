@@ -59,7 +59,7 @@ class SinusoidMotion(Table):
     """``method = "sinusoid"``: from rest to rest by sinusoids, one manoeuvre of several between two marks."""
 
     method: Literal["sinusoid"]
-    """plan, simulate, sinusoid or clip"""
+    """plan, simulate, integrate, sinusoid or clip"""
     mark: Annotated[list[RestMark], Array, Len(2, 100)]
     """two or more [[vehicle.motion.mark]] tables; exactly two for what hops"""
     manoeuvre: Annotated[int, Field(ge=1, le=1000)] | None = None
