@@ -22,11 +22,11 @@ class BlockingTable(Table):
     """``marks = { usd = "blocking.usda", prim = "/World/heli", ... }``."""
 
     usd: Text
-    """a USD stage, relative to the shot file"""
+    """a USD stage at the shot's frame rate, in any unit and up axis, relative to the shot file"""
     prim: Text
     """the path of the prim that was blocked in, such as /World/heli"""
     frames: Annotated[list[Frame], Array, Len(2, 1000)] | None = None
-    """the frames that become marks; the prim's keys and holds unless given"""
+    """the frames that become marks; the prim's keys, or in baked motion its holds and bends, unless given"""
     use: Annotated[list[Literal["position", "heading", "orientation", "velocity", "speed"]], Array, Len(1, 5)] = Field(
         default=["position", "heading"]
     )

@@ -324,8 +324,8 @@ class WorldTable(Table):
     """``[world]``"""
 
     terrain: Text | None = None
-    """a shipped terrain's name, or the path of a mesh (OBJ, STL, PLY, GLB, USD) or height map (PNG, NPY, NPZ, GeoTIFF); empty
-    space unless given"""
+    """a shipped terrain's name, or the path of a mesh (OBJ, STL, PLY, GLB, USD) or height map (PNG, NPY, NPZ, GeoTIFF)
+    relative to the shot file; empty space unless given"""
     wind: Wind = Field(default=[0.0, 0.0, 0.0])
     """the wind [x, y, z] in m/s, world axes, at most 150 m/s in all"""
     gusts: GustsTable | None = None
@@ -422,7 +422,7 @@ class CameraTable(Table):
     turn: Annotated[Number, Field(ge=-3600, le=3600)] = CameraRig.turn
     """degrees a second that an orbit turns"""
     rise: Metre | None = None
-    """how far a crane rises, in m"""
+    """how far a crane rises, in m; chosen unless given"""
     eye: Point | None = None
     """where a first_person camera is, [x, y, z] in m in the vehicle's root frame; before its nose unless given"""
     framing: Annotated[list[Annotated[Number, Field(ge=-0.9, le=0.9)]], Array, Len(2, 2)] | None = None

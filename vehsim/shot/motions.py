@@ -227,8 +227,8 @@ class SimulateMotion(Table):
         Annotated[list[Annotated[dict[str, Number], BeforeValidator(lambda v: _command(v))]], Array, Len(1, MAX_FRAMES)]
         | None
     ) = None
-    """a list of { frame = ..., control = value, ... }: linear between them, held before and after; angles in degrees; no
-    controls unless given"""
+    """a list of { frame = ..., control = value, ... }: linear between them, held before and after, angles in degrees;
+    no controls unless given"""
     pilot: PilotTable | None = None
     """a table { name = ..., parameters } instead of commands"""
 

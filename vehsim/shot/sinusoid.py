@@ -65,11 +65,12 @@ class SinusoidMotion(Table):
     manoeuvre: Annotated[int, Field(ge=1, le=1000)] | None = None
     """a number from `vehsim manoeuvres`; the quickest that keeps clear unless given"""
     amplitude: Annotated[Number, Field(ge=-1000, le=1000)] | None = None
-    """of the slow sinusoid: m driven to and fro, degrees the leg swings; its sign is the side it begins on"""
+    """of the slow sinusoid: m driven to and fro, degrees the leg swings; its sign is the side it begins on; several are
+    offered unless given"""
     cycles: Annotated[int, Field(ge=1, le=50)] | None = None
-    """how many loops, 1 to 50"""
+    """how many loops, 1 to 50; several are offered unless given"""
     phase: Heading | None = None
-    """where in its period the slow sinusoid begins, in degrees"""
+    """where in its period the slow sinusoid begins, in degrees; several are offered unless given"""
     clearance: Annotated[NotNegative, Field(le=1000)] = 0.1
     """how far every body of the vehicle stays from obstacles, in m"""
     limits: dict[str, Positive] = Field(default={})
