@@ -25,6 +25,7 @@ FLOORS = (
         "vehsim.simulation",
         "vehsim.pilots",
         "vehsim._gait",
+        "vehsim._route",
         "vehsim.planning",
         "vehsim.sinusoids",
     ),

@@ -6,7 +6,6 @@ computed lives in `vehsim.planning`, `vehsim.simulation` and `vehsim.pilots`.
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -18,7 +17,7 @@ from pydantic import BeforeValidator, Field, PlainValidator, WithJsonSchema
 from vehsim.errors import InputError, Problem, SolveError
 from vehsim.shot.asking import LimitTable, LookTable, StayTable, check_asked, check_limits, limits_si
 from vehsim.shot.blocked import BlockingTable, blocking_of, marks_of
-from vehsim.shot.checks import Setting, check_free, check_mark, check_names, check_order, choose, orientation_of
+from vehsim.shot.checks import Setting, check_free, check_mark, check_names, check_order, orientation_of
 from vehsim.shot.integrating import IntegrateMotion
 from vehsim.shot.model import (
     MAX_FRAMES,
@@ -32,6 +31,8 @@ from vehsim.shot.model import (
     Text,
 )
 from vehsim.shot.obstacles import check_marks
+from vehsim.shot.piloting import PilotTable as PilotTable
+from vehsim.shot.piloting import is_numeric as is_numeric
 from vehsim.shot.sinusoid import SinusoidMotion
 
 if TYPE_CHECKING:
@@ -163,53 +164,6 @@ class PlanMotion(Table):
             report["blocking"] = blocking.departure(clip.frames, clip.positions, poses[:, :3, :3])
             report["blocking"]["keys"] = [mark.frame for mark in wanted]
         return result.clip, report | {"marks": marks}
-
-
-class PilotTable(Table):
-    """``pilot = { name = "hover", ... }``: a feedback controller and its parameters."""
-
-    model_config = Table.model_config | {"extra": "allow"}
-    name: Text
-    """a pilot's name: "hover", "fly_to" or "follow_path\""""
-
-    def parameters(self) -> dict[str, Any]:
-        """As Python takes them: arrays, and ``heading`` in radians."""
-        given = {key: _array(value) for key, value in (self.model_extra or {}).items()}
-        return {key: np.deg2rad(value) if key == "heading" else value for key, value in given.items()}
-
-    def check(self, vehicle: Vehicle) -> Iterator[Problem]:
-        from vehsim.pilots import PILOTS
-
-        if self.name not in PILOTS:
-            mend = choose(self.name, PILOTS)
-            yield Problem("pilot.name", "no such pilot", mend, self.name)
-            return
-        signature = inspect.signature(PILOTS[self.name])
-        known = [name for name in signature.parameters if name != "vehicle"]
-        given = self.model_extra or {}
-        yield from check_names("pilot", given, known, "parameter")
-        for key, value in given.items():
-            if not is_numeric(value):
-                yield Problem(f"pilot.{key}", "not finite numbers", "give a number, or arrays of numbers", value)
-        for name in known:
-            if signature.parameters[name].default is inspect.Parameter.empty and name not in given:
-                yield Problem(f"pilot.{name}", "missing", f"the pilot {self.name!r} needs it")
-
-    def refusal(self, vehicle: Vehicle) -> Problem | None:
-        """What the pilot itself refuses of parameters that are otherwise right."""
-        from vehsim.pilots import PILOTS
-
-        try:
-            PILOTS[self.name](vehicle, **self.parameters())
-        except (InputError, ValueError) as error:
-            given = self.model_extra or {}
-            text = str(error) if isinstance(error, InputError) else "not a table of numbers; give rows of one length"
-            key = next((key for key in given if text.startswith((f"{key}:", f"{key} ="))), None)
-            if key is None:
-                return Problem("pilot", text, "see the pilots in docs/shot-file.md", self.name)
-            message, _, mend = text.partition(": ")[2].rpartition("; ")
-            return Problem(f"pilot.{key}", message or f"not what {self.name} takes", mend, given[key])
-        return None
 
 
 class SimulateMotion(Table):
@@ -358,17 +312,6 @@ def _command(value: Any) -> Any:
     if isinstance(value, dict) and "frame" not in value:
         raise ValueError("no frame")
     return value
-
-
-def is_numeric(value: Any, depth: int = 3) -> bool:
-    """A finite number, or arrays of them."""
-    if isinstance(value, list | tuple):
-        return depth > 0 and 0 < len(value) <= 100_000 and all(is_numeric(item, depth - 1) for item in value)
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= 1e9
-
-
-def _array(value: Any) -> Any:
-    return np.array(value, float) if isinstance(value, list | tuple) else value
 
 
 def _as_mark(mark: MarkTable, vehicle: Vehicle) -> Mark:

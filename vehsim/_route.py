@@ -1,0 +1,81 @@
+"""The route of a pilot: a smooth curve through points, and how fast it may be travelled.
+
+What belongs here is geometry and timing along a curve; who follows it, and how, is in `pilots.py`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vehsim.vehicles._base import Array
+
+
+class Route:
+    """A smooth curve through points (n, d), its speed bounded by acceleration and by bends; it ends at rest."""
+
+    def __init__(self, points: Array, speed: float, *, acceleration: float, lateral: float):
+        from scipy.interpolate import CubicSpline
+
+        apart = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        points = points[np.concatenate([[True], apart > 1e-6])]
+        if len(points) < 2:
+            points = np.vstack([points, points + np.eye(points.shape[1])[0] * 1e-6])
+        chord = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+        curve = CubicSpline(chord, points, bc_type="natural")
+        fine = np.linspace(0, chord[-1], 50 * len(points) + 200)
+        dense = curve(fine)
+        self._s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(dense, axis=0), axis=1))])
+        self._curve = CubicSpline(self._s, dense)
+        self.length = float(self._s[-1])
+        bend = np.linalg.norm(self._curve(self._s, 2), axis=1)
+        limit = np.minimum(speed, np.sqrt(lateral / np.maximum(bend, 1e-9)))
+        limit[-1] = 0.0
+        self._v = self._reachable(limit, acceleration)
+        start = self._v.copy()
+        start[0] = 0.0
+        self._timed = self._reachable(start, acceleration)
+        gaps = np.diff(self._s) / np.maximum((self._timed[1:] + self._timed[:-1]) / 2, 1e-9)
+        self._t = np.concatenate([[0.0], np.cumsum(gaps)])
+        self._acceleration = acceleration
+
+    def _reachable(self, limit: Array, acceleration: float) -> Array:
+        v = limit**2
+        steps = 2 * acceleration * np.diff(self._s)
+        for k in range(len(steps)):
+            v[k + 1] = min(v[k + 1], v[k] + steps[k])
+        for k in range(len(steps) - 1, -1, -1):
+            v[k] = min(v[k], v[k + 1] + steps[k])
+        return np.sqrt(v)
+
+    def at(self, t: float) -> tuple[Array, Array, Array]:
+        """Position, velocity and acceleration at a time since the start from rest."""
+        if t >= self._t[-1]:
+            end = self._curve(self.length)
+            return end, np.zeros_like(end), np.zeros_like(end)
+        k = int(np.clip(np.searchsorted(self._t, t, side="right") - 1, 0, len(self._t) - 2))
+        span, since = self._t[k + 1] - self._t[k], t - self._t[k]
+        slope = (self._timed[k + 1] - self._timed[k]) / span
+        v = self._timed[k] + slope * since
+        s = self._s[k] + (self._timed[k] + slope * since / 2) * since
+        along = self._curve(s, 1)
+        return self._curve(s), v * along, slope * along + v**2 * self._curve(s, 2)
+
+    def speed(self, s: float) -> tuple[float, float]:
+        """Speed at an arc length, and its change per metre (never asking for a standing start)."""
+        left = max(self.length - s, 0.0)
+        v = min(float(np.interp(s, self._s, self._v)), 1.5 * left)
+        nudge = 1e-3
+        return v, (float(np.interp(s + nudge, self._s, self._v)) - float(np.interp(s, self._s, self._v))) / nudge
+
+    def point(self, s: float) -> Array:
+        """Point at an arc length; beyond the end the curve goes straight on."""
+        inside = float(np.clip(s, 0.0, self.length))
+        return self._curve(inside) + (s - inside) * self._curve(inside, 1)
+
+    def nearest(self, position: Array, s: float, reach: float) -> float:
+        """Arc length of the nearest point, not before ``s`` and within ``reach`` of it."""
+        span = np.linspace(s, min(s + reach, self.length), 33)
+        distance = np.linalg.norm(self._curve(span) - position, axis=1)
+        k = int(np.argmin(distance))
+        fine = np.linspace(span[max(k - 1, 0)], span[min(k + 1, 32)], 33)
+        return float(fine[int(np.argmin(np.linalg.norm(self._curve(fine) - position, axis=1)))])
