@@ -253,7 +253,7 @@ class SeaTable(Table):
     height: Annotated[Positive, Field(le=40)]
     """the significant height in m: the mean of the highest third, from trough to crest"""
     period: Annotated[Number, Field(ge=0.2, le=60)] | None = None
-    """the period of the peak in s; that of a fully developed sea unless given"""
+    """the period of the peak in s; that of a fully developed sea, 5.1 sqrt(height), unless given"""
     heading: Heading = 0.0
     """where it runs to: degrees from world X, counter-clockwise"""
     spread: Annotated[NotNegative, Field(le=68)] = 28.0
@@ -359,17 +359,17 @@ class MarkTable(Table):
     heading: Heading | None = None
     """the yaw of the vehicle's nose from world X in degrees, counter-clockwise"""
     orientation: Quaternion | None = None
-    """a unit quaternion [w, x, y, z], body to world"""
+    """instead of heading, a unit quaternion [w, x, y, z], body to world"""
     velocity: Velocity | None = None
     """the velocity [x, y, z] in m/s, world axes; [0, 0, 0] is standing still"""
     speed: Annotated[NotNegative, Field(le=1000)] | None = None
-    """the speed in m/s, in any direction"""
+    """instead of velocity, the speed in m/s, in any direction"""
     joints: dict[str, Number] | None = None
     """a table of joint values, in the vehicle's own units; joints it leaves out are free"""
     tolerance: Annotated[NotNegative, Field(le=1e6)] = 0.0
-    """how far from the position is good enough, in m"""
+    """how far from the position, in x, y and z, is good enough, in m"""
     hold: Annotated[int, Field(ge=0, le=MAX_FRAMES)] = 0
-    """how many frames to stay there, at rest"""
+    """how many frames to stay there, with velocity = [0, 0, 0]"""
     gate: GateTable | None = None
     """a table { direction, radius or size }: an opening about the position to pass through"""
 
@@ -380,9 +380,9 @@ class StartTable(Table):
     position: Point = [0.0, 0.0, 0.0]
     """where the rig's root starts, [x, y, z] in m"""
     heading: Heading | None = None
-    """the yaw of the vehicle's nose from world X in degrees, counter-clockwise"""
+    """the yaw of the vehicle's nose from world X in degrees, counter-clockwise; 0 unless given"""
     orientation: Quaternion | None = None
-    """a unit quaternion [w, x, y, z], body to world"""
+    """instead of heading, a unit quaternion [w, x, y, z], body to world"""
     velocity: Velocity = [0.0, 0.0, 0.0]
     """the velocity [x, y, z] in m/s, world axes"""
     spin: Annotated[list[Annotated[Number, Field(ge=-36_000, le=36_000)]], Array, Len(3, 3)] = [0.0, 0.0, 0.0]
