@@ -1,41 +1,89 @@
 """Rendered pictures held against references: the regression check of a studio's own pictures.
 
-Means over a picture cannot tell a moved vehicle from one bit of noise; counting pixels that changed visibly can.
+Equal files are equal. Otherwise pixels that differ visibly are counted: means over a picture cannot tell a moved
+vehicle from one bit of noise. What a change is depends on the pass, and stands in `RULES`: a light may flicker, the
+outline and the distance of a thing may not. What was found is shown in `compare_report.py`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.errors import InputError
+from vehsim.exporters.passes import SUFFIXES, read_depth
 
 VISIBLE = 8
 """A pixel has changed when a channel differs by more than this, of 255: above the noise of another OpenGL."""
+NEARER, FARTHER = 2e-3, 2e-4
+"""Depth has changed when it differs by more than this, m, and than this share of it: above the depth buffer's steps."""
+ALLOWED = 5e-4
+"""Share of a picture's pixels that may change."""
+
+
+@dataclass(frozen=True)
+class Rule:
+    """What a change is: ``read`` a file, where two (h, w, ...) ``differ`` (h, w), the share ``allowed`` to."""
+
+    read: Callable[[Path], NDArray[Any]]
+    differ: Callable[[NDArray[Any], NDArray[Any]], NDArray[np.bool_]]
+    allowed: float
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """A picture and its reference: ``changed`` is the share of pixels that differ visibly, 1 when sizes differ."""
+    """A picture and its reference: ``changed`` is the share of pixels that differ visibly, 1 when sizes differ.
+
+    ``kind``: the row of `RULES` it was held against; ``reason``: why there was nothing to count.
+    """
 
     picture: Path
     reference: Path
     changed: float
     reason: str = ""
+    kind: str = "colour"
+
+    @property
+    def allowed(self) -> float:
+        """The share of pixels that may differ."""
+        return RULES[self.kind].allowed
+
+    def fails(self, allowed: float | None = None) -> bool:
+        """Whether more changed than may; ``allowed``: the share of colour pixels, unless it is the rule's."""
+        return self.changed > (self.allowed if allowed is None or self.kind != "colour" else allowed)
+
+    def __str__(self) -> str:
+        return f"{self.picture}: {self.reason or f'{100 * self.changed:.3g} % of its pixels changed in {self.kind}'}"
 
 
 def compare_pictures(picture: str | Path, reference: str | Path) -> Comparison:
     """Hold one picture against its reference. Raises ``InputError`` for a file that is no picture."""
     picture, reference = Path(picture), Path(reference)
+    kind = kind_of(reference)
     if not picture.is_file():
-        return Comparison(picture, reference, 1.0, "was not rendered")
-    a, b = _read(picture), _read(reference)
+        return Comparison(picture, reference, 1.0, "was not rendered", kind)
+    if not reference.is_file():
+        return Comparison(picture, reference, 1.0, "has no reference", kind)
+    if picture.read_bytes() == reference.read_bytes():
+        return Comparison(picture, reference, 0.0, kind=kind)
+    rule = RULES[kind]
+    a, b = rule.read(picture), rule.read(reference)
     if a.shape != b.shape:
-        return Comparison(picture, reference, 1.0, f"is {a.shape[1]} x {a.shape[0]}, not {b.shape[1]} x {b.shape[0]}")
-    return Comparison(picture, reference, float(changed_pixels(a, b).mean()))
+        size = f"is {a.shape[1]} x {a.shape[0]}, not {b.shape[1]} x {b.shape[0]}"
+        return Comparison(picture, reference, 1.0, size, kind)
+    return Comparison(picture, reference, float(rule.differ(a, b).mean()), kind=kind)
+
+
+def kind_of(path: Path) -> str:
+    """The pass that a file is of, by its name."""
+    return next(
+        (kind for kind, suffix in SUFFIXES.items() if f".{kind}." in path.name and path.suffix == suffix), "colour"
+    )
 
 
 def changed_pixels(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> NDArray[np.bool_]:
@@ -43,31 +91,70 @@ def changed_pixels(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> NDArray[np.boo
     return np.asarray(np.abs(a.astype(int) - b.astype(int)).max(axis=2) > VISIBLE)
 
 
+def _other_prims(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    return np.asarray((a != b).any(axis=2))
+
+
+def _other_depths(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.bool_]:
+    return np.asarray(np.abs(a - b) > np.maximum(NEARER, FARTHER * np.minimum(a, b)))
+
+
 def compare_folders(renders: str | Path, references: str | Path) -> list[Comparison]:
-    """Every PNG below ``references`` against the one of the same relative path below ``renders``.
+    """Every picture below ``references`` against the one of the same relative path below ``renders``.
 
     Raises ``InputError`` when there is nothing to compare with.
     """
     renders, references = Path(renders), Path(references)
-    wanted = sorted(references.rglob("*.png")) if references.is_dir() else []
+    wanted = pictures_below(references)
     if not wanted:
         raise InputError(f"{references}: holds no .png; give the folder of reference pictures")
-    return [compare_pictures(renders / path.relative_to(references), path) for path in wanted]
+    return [compare_pictures(renders / path, references / path) for path in wanted]
+
+
+def pictures_below(folder: Path) -> list[Path]:
+    """Pictures and depths below ``folder``, relative to it; none that are hidden."""
+    found = (path for pattern in ("*.png", "*.tif") for path in folder.rglob(pattern)) if folder.is_dir() else ()
+    paths = (path.relative_to(folder) for path in found)
+    return sorted(path for path in paths if not any(part.startswith(".") for part in path.parts))
 
 
 def write_difference(comparison: Comparison, path: str | Path) -> Path:
     """Picture, reference, and what changed in red on grey, side by side."""
     from PIL import Image
 
-    a, b = _read(comparison.picture), _read(comparison.reference)
-    if a.shape != b.shape:
-        a = np.zeros_like(b)
-    grey = np.repeat(b.mean(axis=2, keepdims=True) / 2, 3, axis=2).astype(np.uint8)
-    grey[changed_pixels(a, b)] = (255, 40, 40)
+    a, b = views(comparison)[:2]
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(np.hstack([a, b, grey])).save(path)
+    Image.fromarray(np.hstack([a, b, difference(comparison)])).save(path)
     return path
+
+
+def views(comparison: Comparison) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Picture and reference as one can look at them (h, w, 3), of one size; black where there is none."""
+    read = RULES[comparison.kind].read
+    found = [read(path) if path.is_file() else None for path in (comparison.picture, comparison.reference)]
+    size = next(image.shape[:2] for image in reversed(found) if image is not None)
+    farthest = max((float(image.max()) for image in found if image is not None), default=1.0)
+    shown = []
+    for image in found:
+        if image is None or image.shape[:2] != size:
+            image = np.zeros((*size, 3), np.uint8)
+        elif image.ndim == 2:  # near is bright
+            bright = np.where(image > 0, 255 * (1 - 0.9 * np.log1p(image) / np.log1p(farthest)), 0)
+            image = np.repeat(bright.astype(np.uint8)[..., None], 3, axis=2)
+        shown.append(image)
+    return shown[0], shown[1]
+
+
+def difference(comparison: Comparison) -> NDArray[np.uint8]:
+    """What changed in red on the greyed reference (h, w, 3); all of it where there was nothing to count."""
+    grey = np.repeat(views(comparison)[1].mean(axis=2, keepdims=True) / 2, 3, axis=2).astype(np.uint8)
+    rule = RULES[comparison.kind]
+    if comparison.reason:
+        grey[..., 0] = 255
+    else:
+        grey[rule.differ(rule.read(comparison.picture), rule.read(comparison.reference))] = (255, 40, 40)
+    return grey
 
 
 def _read(path: Path) -> NDArray[np.uint8]:
@@ -78,3 +165,11 @@ def _read(path: Path) -> NDArray[np.uint8]:
             return np.asarray(image.convert("RGB"))
     except OSError as error:
         raise InputError(f"{path}: not a picture that can be read ({error}); render it again") from None
+
+
+RULES: dict[str, Rule] = {
+    "colour": Rule(_read, changed_pixels, ALLOWED),
+    "segmentation": Rule(_read, _other_prims, ALLOWED / 5),
+    "depth": Rule(read_depth, _other_depths, ALLOWED / 5),
+}
+"""Pass -> what counts as a change."""

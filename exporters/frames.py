@@ -1,4 +1,4 @@
-"""The png exporter: numbered frames per camera and a contact sheet, rendered from the exported stage."""
+"""The png exporter: numbered frames per camera, their passes and a contact sheet, rendered from the exported stage."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.delivery import owner
 from vehsim.errors import ExportError, InputError
 from vehsim.exporters.contact import write_contact_sheet
+from vehsim.exporters.lettering import lettered
+from vehsim.exporters.passes import LEGEND, SUFFIXES, pass_path, write_legend
 from vehsim.exporters.render import StageRenderer
 from vehsim.exporters.split import write_split
 from vehsim.exporters.stage import StageReader
@@ -34,7 +35,12 @@ def write_frames(take: Take, folder: Path, progress: Progress) -> Sequence[Path]
     written = render_stage(
         folder / f"{take.name}.usda", folder / "frames", frames=frames, progress=progress, **look_of(take)
     )
-    return written + write_sheets(take, folder, written)
+    return written + write_sheets(take, folder, pictures_of(written))
+
+
+def pictures_of(files: Iterable[Path]) -> list[Path]:
+    """Those of what was rendered that are pictures and no passes."""
+    return [path for path in files if path.parent.name not in SUFFIXES]
 
 
 def shown(take: Take) -> list[str]:
@@ -47,7 +53,8 @@ def look_of(take: Take) -> dict[str, Any]:
     """What `render_stage` is told of how a take's pictures look."""
     settings, names = take.render, shown(take)
     size = settings.panel(len(names))
-    return {"camera": names or None, "size": size, "shadows": settings.shadows, "samples": settings.samples}
+    look = {"shadows": settings.shadows, "samples": settings.samples, "burn_in": settings.burn_in}
+    return {"camera": names or None, "size": size, "passes": settings.passes, **look}
 
 
 def write_sheets(take: Take, folder: Path, pictures: Sequence[Path]) -> list[Path]:
@@ -70,26 +77,34 @@ def render_stage(
     shadows: bool = True,
     samples: int = 4,
     processes: int | None = None,
+    passes: Sequence[str] = (),
+    burn_in: bool = False,
 ) -> list[Path]:
     """Render a stage to ``out/<camera>/<stage>.<camera>.<frame>.png``; returns the files written.
 
     ``camera``: one or several by name, all when None; ``frames``: those of the stage when None; ``size`` (width,
     height) px, 960 x 540 when None; ``samples`` a pixel; ``processes``: as the machine has cores when None and there
-    is enough to do. Raises ``InputError`` for a stage, camera, frame or size that will not do, ``ExportError`` without
-    EGL.
+    is enough to do. ``passes``: "depth", "segmentation" or both, beside the pictures (`passes.py`); ``burn_in``:
+    stage, camera and frame written on the pictures. Raises ``InputError`` for a stage, camera, frame, size or pass
+    that will not do, ``ExportError`` without EGL.
     """
     size = _checked_size(size or (960, 540))
+    for kind in passes:
+        if kind not in SUFFIXES:
+            raise InputError(f"passes: {kind!r}: no such pass; choose from {', '.join(SUFFIXES)}")
     stage = StageReader(stage_path)
     chosen = _cameras(stage, camera)
     wanted = _wanted(stage, frames)
-    look = {"size": size, "shadows": shadows, "samples": samples}
+    look = {"size": size, "shadows": shadows, "samples": samples, "passes": list(passes), "burn_in": burn_in}
     count = _processes(len(chosen) * len(wanted)) if processes is None else processes
     shares = [wanted[k::count] for k in range(count)]
     with _others(stage_path, out, chosen, shares[1:], look) as others:
         _render(stage, Path(out), chosen, shares[0], look, progress)
         for other in others:
             _finish(other)
-    return [_path(stage, Path(out), name, frame) for name in chosen for frame in wanted]
+    pictures = [_path(stage, Path(out), name, frame) for name in chosen for frame in wanted]
+    legends = [Path(out) / name / "segmentation" / LEGEND for name in chosen if "segmentation" in passes]
+    return pictures + [pass_path(picture, kind) for kind in passes for picture in pictures] + legends
 
 
 def _render(
@@ -100,14 +115,25 @@ def _render(
     look: dict[str, Any],
     progress: Progress | None,
 ) -> None:
-    with StageRenderer(stage, **look) as renderer, ThreadPoolExecutor(1) as writer:
-        saved: list[Future[None]] = []
+    passes, burn_in = look["passes"], look["burn_in"]
+    drawn = {key: look[key] for key in ("size", "shadows", "samples")}
+    saved: list[Future[None]] = []
+    with StageRenderer(stage, **drawn) as renderer, ThreadPoolExecutor(1) as writer:
         for name in cameras:
-            (out / name).mkdir(parents=True, exist_ok=True)
-            for frame in frames:
+            for kind in ("", *passes):
+                (out / name / kind).mkdir(parents=True, exist_ok=True)
+            if "segmentation" in passes:
+                write_legend(renderer.prims, out / name / "segmentation")
+            for k, frame in enumerate(frames):
                 if progress:
-                    progress(f"frames: {name} {frame}", len(saved) / (len(cameras) * len(frames)))
-                saved.append(writer.submit(_save, renderer.render(name, frame), _path(stage, out, name, frame)))
+                    done = k + cameras.index(name) * len(frames)
+                    progress(f"frames: {name} {frame}", done / (len(cameras) * len(frames)))
+                path, words = _path(stage, out, name, frame), (Path(stage.path).stem, name, f"{frame}")
+                picture = renderer.render(name, frame)
+                saved.append(writer.submit(_save, picture, path, words if burn_in else None))
+                if passes:
+                    drawings = dict(zip(("depth", "segmentation"), renderer.passes(name, frame), strict=True))
+                    saved += [writer.submit(_save, drawings[kind], pass_path(path, kind)) for kind in passes]
         for job in saved:
             job.result()
 
@@ -158,13 +184,19 @@ def _finish(process: subprocess.Popen[str]) -> None:
         raise ExportError(f"a render process failed: {last[0]}; render again, or with fewer frames at once")
 
 
-def _save(picture: NDArray[np.uint8], path: Path) -> None:
-    """Written beside and moved into place: nobody ever reads half a picture."""
+def _save(picture: NDArray[Any], path: Path, words: tuple[str, str, str] | None = None) -> None:
+    """Written beside and moved into place: nobody ever reads half a picture. ``words`` are burned into it."""
     from PIL import Image
 
+    image = Image.fromarray(picture)
+    if words:
+        image = lettered(image, words)
     beside = path.with_name(f".{path.name}.{owner()}.partial")
+    how: dict[str, Any] = {"format": "png", "compress_level": 2}
+    if path.suffix == ".tif":
+        how = {"format": "tiff", "compression": "tiff_adobe_deflate"}
     try:
-        Image.fromarray(picture).save(beside, format="png", compress_level=2)
+        image.save(beside, **how)
         beside.replace(path)
     finally:
         beside.unlink(missing_ok=True)

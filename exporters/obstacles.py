@@ -44,10 +44,11 @@ def author_obstacles(stage: Any, scope: str, take: Take) -> None:
         material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", Sdf.ValueTypeNames.Token))
     for k, obstacle in enumerate(standing):
         paint = list(PAINTS)[k % len(PAINTS)]
-        path = f"{scope}/{Tf.MakeValidIdentifier(obstacle.name)}"
+        name = Tf.MakeValidIdentifier(obstacle.name)
+        path = f"{scope}/{name}"
         xform = UsdGeom.Xform.Define(stage, path)
         Usd.ModelAPI(xform).SetKind(Kind.Tokens.component)
-        mesh = UsdGeom.Mesh.Define(stage, f"{path}/mesh")
+        mesh = UsdGeom.Mesh.Define(stage, f"{path}/{name}")  # Blender makes one object of both, called as the mesh
         _author_mesh(mesh, obstacle)
         material = UsdShade.Material.Get(stage, f"{scope}/materials/{paint}")
         UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)

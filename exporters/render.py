@@ -13,22 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim.errors import ExportError
+from vehsim.exporters.canvas import OPAQUE, TRANSLUCENT, Canvas, Picture
+from vehsim.exporters.passes import prim_colours
 from vehsim.exporters.shading import author_material, author_skybox, light_for
 from vehsim.exporters.stage import Shape, StageReader
 from vehsim.exporters.water_view import WaterView, places_of
 
 Array = NDArray[np.float64]
-Picture = NDArray[np.uint8]
 
-NO_EGL = (
-    "no off-screen OpenGL (EGL): {reason}; install libegl1 and libgl1-mesa-dri (Debian, Ubuntu), "
-    "mesa-libEGL and mesa-dri-drivers (Fedora), or a GPU driver with EGL"
-)
-TOO_LARGE = (
-    "OpenGL cannot draw {width} x {height} px off-screen here ({reason}): "
-    "ask for a smaller render.size or fewer render.samples"
-)
 SHADOW_MAP = 3072
 SHADOW_REACH = (20.0, 115.0)
 """Half the width of the ground that the shadow map covers, m, at least and at most; it travels with the camera."""
@@ -70,7 +62,7 @@ class StageRenderer:
             group: self._model.body_mocapid[self._model.body(f"group{k}").id] for k, group in enumerate(stage.groups)
         }
         self._size = width, height
-        self._canvas = _Canvas(self._model, width, height)
+        self._canvas = Canvas(self._model, width, height)
 
     def __enter__(self) -> StageRenderer:
         return self
@@ -86,18 +78,9 @@ class StageRenderer:
 
     def render(self, camera: str, frame: float) -> Picture:
         """The picture (height, width, 3) of ``camera`` at a time code."""
-        import mujoco
         from PIL import Image
-        from scipy.spatial.transform import Rotation
 
-        for group, pose in self.stage.matrices(frame).items():
-            k = self._mocap[group]
-            self._data.mocap_pos[k] = pose[:3, 3]
-            self._data.mocap_quat[k] = Rotation.from_matrix(pose[:3, :3]).as_quat(scalar_first=True)
-        mujoco.mj_kinematics(self._model, self._data)
-        mujoco.mj_camlight(self._model, self._data)
-        self._canvas.update(self._data)
-        self._place_camera(camera, frame)
+        self._pose(camera, frame)
         self._place_lights()
         canvas, side = self._canvas, self._supersample
         if self._water is not None:
@@ -118,15 +101,55 @@ class StageRenderer:
         sky.paste(behind.reduce(side), (box[0] // side, box[1] // side))
         return np.asarray(sky)
 
+    def passes(self, camera: str, frame: float) -> tuple[NDArray[np.float32], Picture]:
+        """Depth (height, width) m along the view, 0 where there is nothing, and the prims' colours (height, width, 3).
+
+        What is translucent is seen through. Prims are those of `prims`, coloured by `passes.prim_colours`.
+        """
+        self._pose(camera, frame)
+        if self._water is not None:
+            self._canvas.draw_water(self._water, self._data, frame)
+        of_geom, depth = self._canvas.draw_ids(self.size)
+        near, far = self._clip(camera, frame)
+        away = near * far / (depth * (far - near) + near)
+        colours = np.vstack([prim_colours(self.prims), np.zeros((1, 3), np.uint8)])  # the last one, -1: nothing
+        return np.where(of_geom < 0, 0.0, away).astype(np.float32)[::-1], colours[of_geom][::-1]
+
+    @property
+    def prims(self) -> list[str]:
+        """The paths of the prims that are drawn, in the order of the model's geoms."""
+        names = {f"shape{k}": shape.name for k, shape in enumerate(self.stage.shapes)} | {"water": self.stage.water}
+        return [str(names[self._model.geom(k).name]) for k in range(self._model.ngeom)]
+
+    def _pose(self, camera: str, frame: float) -> None:
+        """Bring everything that moves, and the camera, to a time code."""
+        import mujoco
+        from scipy.spatial.transform import Rotation
+
+        for group, pose in self.stage.matrices(frame).items():
+            k = self._mocap[group]
+            self._data.mocap_pos[k] = pose[:3, 3]
+            self._data.mocap_quat[k] = Rotation.from_matrix(pose[:3, :3]).as_quat(scalar_first=True)
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_camlight(self._model, self._data)
+        self._canvas.update(self._data)
+        self._place_camera(camera, frame)
+
+    def _clip(self, camera: str, frame: float) -> tuple[float, float]:
+        """Near and far plane as drawn, m."""
+        near, far = self.stage.camera(camera, frame)[3]
+        return near, max(far, SHADOW_DEPTH * self._reach)
+
     def _place_camera(self, name: str, frame: float) -> None:
-        pose, half_width, half_height, (near, far) = self.stage.camera(name, frame)
+        pose, half_width, _, _ = self.stage.camera(name, frame)
+        near, far = self._clip(name, frame)
         half_height = half_width * self.size[1] / self.size[0]  # pixels are square
-        for camera in (*self._canvas.scene.camera, *self._canvas.glass.camera):  # two eyes, drawn as their mean
+        for camera in self._canvas.cameras:
             camera.pos = pose[:3, 3]
             camera.forward = -pose[:3, 2]
             camera.up = pose[:3, 1]
             camera.orthographic = 0
-            camera.frustum_near, camera.frustum_far = near, max(far, SHADOW_DEPTH * self._reach)
+            camera.frustum_near, camera.frustum_far = near, far
             camera.frustum_center = 0.0
             camera.frustum_width = half_width * near
             camera.frustum_bottom, camera.frustum_top = -half_height * near, half_height * near
@@ -134,11 +157,12 @@ class StageRenderer:
     def _wet(self, colour: Picture, depth: NDArray[np.float32], camera: str, frame: float) -> Picture:
         """Dark lines where hulls, piles and rocks stand in the water."""
         assert self._water is not None
-        pose, half_width, _, (near, far) = self.stage.camera(camera, frame)
+        pose, half_width, _, _ = self.stage.camera(camera, frame)
         half = (half_width, half_width * self.size[1] / self.size[0])
-        clip = (near, max(far, SHADOW_DEPTH * self._reach))
+        clip = self._clip(camera, frame)
         places, distance = places_of(depth.astype(float), pose[:3, 3], -pose[:3, 2], pose[:3, 1], half, clip)
-        return self._water.wet(colour, places, distance)
+        seen, _ = self._canvas.draw_ids(self._size)
+        return self._water.wet(colour, places, np.where(seen == self._model.geom("water").id, np.inf, distance))
 
     def _place_lights(self) -> None:
         """Hang the sun's shadow map over what the camera sees, on whole texels so that shadow edges do not crawl."""
@@ -211,74 +235,6 @@ class StageRenderer:
                 castshadow=_casts_shadow(shape, lower),
             )
         return spec
-
-
-class _Canvas:
-    """An off-screen OpenGL context with MuJoCo's renderer and one scene. Raises ``ExportError`` without EGL."""
-
-    def __init__(self, model: Any, width: int, height: int) -> None:
-        import mujoco
-
-        try:
-            self._gl: Any = mujoco.GLContext(width, height)
-            self._gl.make_current()
-        except Exception as error:  # MuJoCo and PyOpenGL raise what they like
-            raise ExportError(NO_EGL.format(reason=_first_line(error))) from error
-        try:
-            self._context: Any = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
-        except Exception as error:
-            self._gl.free()
-            raise ExportError(TOO_LARGE.format(width=width, height=height, reason=_first_line(error))) from error
-        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
-        self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
-        self._model = model
-        self.scene = mujoco.MjvScene(model, model.ngeom + 100)
-        self.glass = mujoco.MjvScene(model, model.ngeom + 100)
-
-    def update(self, data: Any) -> None:
-        """Take geoms and lights from ``data``: all of them into ``scene``, what is translucent also into ``glass``."""
-        import mujoco
-
-        everything, free, option = mujoco.mjtCatBit.mjCAT_ALL, mujoco.MjvCamera(), mujoco.MjvOption()
-        mujoco.mjv_updateScene(self._model, data, option, None, free, everything, self.scene)
-        option.geomgroup[OPAQUE] = 0
-        mujoco.mjv_updateScene(self._model, data, option, None, free, everything, self.glass)
-
-    def draw_water(self, water: WaterView, data: Any, frame: float) -> None:
-        """Bring the water to a frame, as the camera sees it from where it stands now."""
-        self._gl.make_current()
-        water.draw(self._model, data, self._context, frame, np.array(self.scene.camera[0].pos, float))
-
-    def draw(self, scene: Any, size: tuple[int, int], **flags: bool) -> tuple[Picture, NDArray[np.float32]]:
-        """Colour (h, w, 3) and depth (h, w), 0 where there is nothing opaque; both from the bottom row up.
-
-        ``size`` (w, h) px, within the context's; ``flags``: the renderer's own (SHADOW, FOG, SKYBOX, ...); what is not
-        named is off.
-        """
-        import mujoco
-
-        for k, name in enumerate(mujoco.mjtRndFlag.__members__):
-            if k < len(scene.flags):
-                scene.flags[k] = flags.get(name.removeprefix("mjRND_"), name == "mjRND_CULL_FACE")
-        rect = mujoco.MjrRect(0, 0, *size)
-        colour, depth = np.empty((*size[::-1], 3), np.uint8), np.empty(size[::-1], np.float32)
-        self._gl.make_current()
-        mujoco.mjr_render(rect, scene, self._context)
-        mujoco.mjr_readPixels(colour, depth, rect, self._context)
-        return colour, depth
-
-    def close(self) -> None:
-        self._gl.make_current()
-        self._context.free()
-        self._gl.free()
-
-
-OPAQUE, TRANSLUCENT = 0, 1
-"""Geom groups."""
-
-
-def _first_line(error: Exception) -> str:
-    return str(error).strip().split("\n")[0]
 
 
 SUN = 1

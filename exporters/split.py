@@ -7,10 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vehsim.exporters.lettering import captioned
 from vehsim.take import PANEL_GAP
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ def write_split(take: Take, folder: Path, cameras: Sequence[str], frames: Sequen
         panels = []
         for camera in cameras:
             with Image.open(folder / "frames" / camera / f"{take.name}.{camera}.{frame:04d}.png") as picture:
-                panels.append(_captioned(picture.convert("RGB"), caption(take, camera, frame)))
+                panels.append(captioned(picture.convert("RGB"), caption(take, camera, frame)))
         wide = Image.new("RGB", take.render.size)
         for k, panel in enumerate(panels):
             wide.paste(panel, (k * (panel.width + PANEL_GAP), 0))
@@ -49,18 +50,3 @@ def caption(take: Take, camera: str, frame: float) -> str:
             now = np.interp(frame, clip.frames, energy) / energy[0]
             text = text.replace(f"{{{name}}}", f"{now:.0%}")
     return text
-
-
-def _captioned(picture: Any, text: str) -> Any:
-    """``text`` in a darkened band along the picture's lower edge."""
-    from PIL import Image, ImageDraw, ImageFont
-
-    if not text:
-        return picture
-    size = max(11, picture.height // 26)
-    band = Image.new("RGB", (picture.width, 2 * size), (12, 14, 18))
-    under = picture.crop((0, picture.height - band.height, picture.width, picture.height))
-    picture.paste(Image.blend(under, band, 0.62), (0, picture.height - band.height))
-    place = (picture.width // 2, picture.height - size)
-    ImageDraw.Draw(picture).text(place, text, (240, 240, 236), ImageFont.load_default(size), anchor="mm")
-    return picture

@@ -222,6 +222,9 @@ def render(
     ] = None,
     size: Annotated[str, typer.Option(metavar="WxH", help="Picture size in pixels.")] = "960x540",
     camera: Annotated[str | None, typer.Option(metavar="NAME", help="A camera of the stage.")] = None,
+    passes: Annotated[str, typer.Option(metavar="LIST", help="depth, segmentation or both, beside the pictures.")] = "",
+    burn_in: Annotated[bool, typer.Option("--burn-in", help="Write stage, camera and frame on the pictures.")] = False,
+    quality: Annotated[Quality, typer.Option(help="draft: one sample a pixel, no shadows.")] = Quality.final,
     quiet: Quiet = False,
 ) -> None:
     """Render a stage off-screen, from what is in the file."""
@@ -231,28 +234,37 @@ def render(
     from vehsim.exporters.frames import render_stage
 
     with _progress(quiet) as progress:
-        files = render_stage(stage, out, frames=wanted, size=pixels, camera=camera, progress=progress)
+        files = render_stage(
+            stage, out, frames=wanted, size=pixels, camera=camera, progress=progress, burn_in=burn_in, **_look(quality),
+            passes=[kind.strip() for kind in passes.split(",") if kind.strip()],
+        )  # fmt: skip
     if not quiet:
-        print(f"{len(list(files))} pictures in {out}")
+        print(f"{len(list(files))} files in {out}" if passes else f"{len(list(files))} pictures in {out}")
+
+
+def _look(quality: Quality) -> dict[str, Any]:
+    return {"samples": 0, "shadows": False} if quality is Quality.draft else {}
 
 
 @app.command()
 def compare(
     renders: Annotated[Path, typer.Argument(metavar="RENDERS", help="A folder of pictures.")],
     references: Annotated[Path, typer.Argument(metavar="REFERENCES", help="The pictures they should be.")],
-    tolerance: Annotated[float, typer.Option(metavar="SHARE", help="Share of pixels that may change.")] = 0.0005,
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Where to draw what changed.")] = None,
+    tolerance: Annotated[
+        float | None, typer.Option(metavar="SHARE", help="Share of colour pixels that may change; 0.0005 unless given.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Where to show what changed: index.html.")] = None,
 ) -> None:
     """Hold pictures against references: counts the pixels that changed visibly."""
-    from vehsim.exporters.compare import compare_folders, write_difference
+    from vehsim.exporters.compare import compare_folders
+    from vehsim.exporters.compare_report import write_report
 
     results = compare_folders(renders, references)
-    bad = [c for c in results if c.changed > tolerance]
+    bad = [comparison for comparison in results if comparison.fails(tolerance)]
     for comparison in bad:
-        changed = f"{100 * comparison.changed:.3g} % of its pixels changed"
-        print(f"{comparison.picture}: {comparison.reason or changed}")
-        if out is not None and not comparison.reason:
-            write_difference(comparison, out / comparison.picture.name)
+        print(comparison)
+    if out is not None and bad:
+        print(f"shown in {write_report(bad, out, str(renders), len(results))}")
     print(f"{len(results) - len(bad)} of {len(results)} pictures as they should be")
     raise typer.Exit(FAILED if bad else 0)
 

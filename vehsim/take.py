@@ -27,7 +27,8 @@ class RenderSettings:
 
     ``cameras``: the names of those to render, all of the take's when None. ``layout`` "side-by-side" puts their
     pictures together, each as wide as its share of ``size``, with ``captions`` by camera name. ``mood``: the light,
-    "afternoon" or "dusk".
+    "afternoon" or "dusk". ``passes``: "depth" and "segmentation" beside the pictures; ``burn_in``: shot, camera and
+    frame written on them.
     """
 
     size: tuple[int, int] = (960, 540)
@@ -38,6 +39,8 @@ class RenderSettings:
     layout: str = "separate"
     captions: Mapping[str, str] = field(default_factory=dict)
     mood: str = "afternoon"
+    passes: tuple[str, ...] = ()
+    burn_in: bool = False
 
     def panel(self, cameras: int) -> tuple[int, int]:
         """The size of one of ``cameras`` pictures, px: even, as films want them."""

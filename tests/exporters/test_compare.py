@@ -53,9 +53,11 @@ def test_other_sizes_and_missing_pictures_say_so(pictures):
 def test_nothing_to_compare_is_an_error(tmp_path):
     with pytest.raises(InputError, match=r"no \.png"):
         compare_folders(tmp_path, tmp_path / "missing")
-    (tmp_path / "a.png").write_bytes(b"not a picture")
+    for folder, text in (("a", b"not a picture"), ("b", b"nor this")):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "a.png").write_bytes(text)
     with pytest.raises(InputError, match="can be read"):
-        compare_folders(tmp_path, tmp_path)
+        compare_folders(tmp_path / "a", tmp_path / "b")
 
 
 def test_command_exits_1_and_draws_what_changed(pictures, capsys):
@@ -65,5 +67,5 @@ def test_command_exits_1_and_draws_what_changed(pictures, capsys):
     comparison = replace(pictures, lambda p: np.where(p > 120, p - 90, p))
     assert run(["compare", *folders, "--out", str(root / "out")]) == 1
     assert "% of its pixels changed" in capsys.readouterr().out
-    assert (root / "out" / "a.png").is_file()
+    assert (root / "out" / "index.html").is_file()
     assert write_difference(comparison, root / "d.png").is_file()

@@ -60,7 +60,7 @@ def test_standing_obstacles_are_in_the_stage(delivery):
     group = stage.GetPrimAtPath("/yard/env/obstacles")
     names = {prim.GetName() for prim in group.GetChildren()}
     assert names == {"wedge", "ellipse_1", "crate", "materials"}
-    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/yard/env/obstacles/wedge/mesh"))
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/yard/env/obstacles/wedge/wedge"))
     points = np.array(mesh.GetPointsAttr().Get())
     np.testing.assert_allclose(points.max(axis=0), [12, 1, 1.5], atol=1e-6)
     assert not validate_stage(delivery / "yard.usda")

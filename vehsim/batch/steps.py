@@ -143,15 +143,17 @@ def _render(task: Task, part: tuple[int, int]) -> None:
 def _deliver(task: Task, part: tuple[int, int]) -> None:
     def gather(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
         """The pictures that were rendered in parts, where one process would have put them, and their sheets."""
-        from vehsim.exporters.frames import shown, write_sheets
+        from vehsim.exporters.frames import pictures_of, shown, write_sheets
 
         written = []
         shares = [_need(task, f"frames.{k}of{part[1]}", "render") for k in range(1, part[1] + 1)]
         for camera in shown(take):
-            (folder / "frames" / camera).mkdir(parents=True)
-            pictures = [path for share in shares for path in sorted((share / camera).glob("*.png"), key=_number)]
-            written += [Path(shutil.copy(path, folder / "frames" / camera / path.name)) for path in pictures]
-        return written + write_sheets(take, folder, written)
+            for share in shares:
+                for path in sorted((path for path in (share / camera).rglob("*") if path.is_file()), key=_number):
+                    place = folder / "frames" / path.relative_to(share)
+                    place.parent.mkdir(parents=True, exist_ok=True)
+                    written.append(Path(shutil.copy(path, place)))
+        return written + write_sheets(take, folder, pictures_of(written))
 
     take = _take(task)
     with replacing(task.target) as folder:
@@ -172,7 +174,9 @@ def _share(frames: Sequence[int], k: int, count: int) -> list[int]:
 
 
 def _number(path: Path) -> int:
-    return int(path.stem.rsplit(".", 1)[1])
+    """The frame in a file's name; -1 without one."""
+    number = path.stem.rpartition(".")[2]
+    return int(number) if number.isdigit() else -1
 
 
 def _plain(value: Any) -> Any:

@@ -482,5 +482,9 @@ class RenderTable(Table):
     """"side-by-side" puts the cameras' pictures beside each other in one more film; "separate" does not"""
     mood: Literal["afternoon", "dusk"] = "afternoon"
     """the time of day, "afternoon" or "dusk": where the sun stands and what colours it has"""
+    passes: Annotated[list[Literal["depth", "segmentation"]], Array, Len(0, 2)] = []
+    """"depth" (metres, 32-bit TIFF) and "segmentation" (a colour for each prim), beside every picture"""
+    burn_in: bool = False
+    """true or false: whether shot, camera and frame are written on the pictures"""
     captions: dict[str, Text] = {}
     """side-by-side: camera name = what to write below it; {NAME} is the energy left to the vehicle of that name"""

@@ -168,8 +168,8 @@ class Shot:
         table = self.file.render
         cameras = table.cameras or [CUT] * bool(self.file.cut)
         size = (table.size[0], table.size[1])
-        shown = (tuple(cameras) or None, table.layout, table.captions)
-        return RenderSettings(size, table.every, table.samples, table.shadows, *shown, mood=table.mood)
+        shown = (tuple(cameras) or None, table.layout, table.captions, table.mood, tuple(table.passes))
+        return RenderSettings(size, table.every, table.samples, table.shadows, *shown, burn_in=table.burn_in)
 
     def blockings(self) -> dict[str, Blocking]:
         """What the vehicles that were blocked in follow, by vehicle."""

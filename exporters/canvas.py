@@ -1,0 +1,110 @@
+"""An off-screen OpenGL context with MuJoCo's renderer: scenes in, colour, depth and geoms by pixel out.
+
+What belongs here is drawing; what is drawn, and from where, is decided in `render.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.errors import ExportError
+from vehsim.exporters.water_view import WaterView
+
+Picture = NDArray[np.uint8]
+
+NO_EGL = (
+    "no off-screen OpenGL (EGL): {reason}; install libegl1 and libgl1-mesa-dri (Debian, Ubuntu), "
+    "mesa-libEGL and mesa-dri-drivers (Fedora), or a GPU driver with EGL"
+)
+TOO_LARGE = (
+    "OpenGL cannot draw {width} x {height} px off-screen here ({reason}): "
+    "ask for a smaller render.size or fewer render.samples"
+)
+OPAQUE, TRANSLUCENT = 0, 1
+"""Geom groups."""
+
+
+class Canvas:
+    """An off-screen OpenGL context with MuJoCo's renderer and one scene. Raises ``ExportError`` without EGL."""
+
+    def __init__(self, model: Any, width: int, height: int) -> None:
+        import mujoco
+
+        try:
+            self._gl: Any = mujoco.GLContext(width, height)
+            self._gl.make_current()
+        except Exception as error:  # MuJoCo and PyOpenGL raise what they like
+            raise ExportError(NO_EGL.format(reason=_first_line(error))) from error
+        try:
+            self._context: Any = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        except Exception as error:
+            self._gl.free()
+            raise ExportError(TOO_LARGE.format(width=width, height=height, reason=_first_line(error))) from error
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
+        self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
+        self._model = model
+        self.scene = mujoco.MjvScene(model, model.ngeom + 100)
+        self.glass = mujoco.MjvScene(model, model.ngeom + 100)
+        self.solid = mujoco.MjvScene(model, model.ngeom + 100)
+
+    @property
+    def cameras(self) -> Iterator[Any]:
+        """Those of all scenes; each has two eyes, drawn as their mean."""
+        for scene in (self.scene, self.glass, self.solid):
+            yield from scene.camera
+
+    def update(self, data: Any) -> None:
+        """Take geoms and lights from ``data``: all of them into ``scene``, by their translucency into the others."""
+        import mujoco
+
+        everything, free, option = mujoco.mjtCatBit.mjCAT_ALL, mujoco.MjvCamera(), mujoco.MjvOption()
+        mujoco.mjv_updateScene(self._model, data, option, None, free, everything, self.scene)
+        for scene, hidden in ((self.glass, OPAQUE), (self.solid, TRANSLUCENT)):
+            option.geomgroup[:] = np.arange(len(option.geomgroup)) != hidden
+            mujoco.mjv_updateScene(self._model, data, option, None, free, everything, scene)
+
+    def draw_water(self, water: WaterView, data: Any, frame: float) -> None:
+        """Bring the water to a frame, as the camera sees it from where it stands now."""
+        self._gl.make_current()
+        water.draw(self._model, data, self._context, frame, np.array(self.scene.camera[0].pos, float))
+
+    def draw(self, scene: Any, size: tuple[int, int], **flags: bool) -> tuple[Picture, NDArray[np.float32]]:
+        """Colour (h, w, 3) and depth (h, w), 0 where there is nothing opaque; both from the bottom row up.
+
+        ``size`` (w, h) px, within the context's; ``flags``: the renderer's own (SHADOW, FOG, SKYBOX, ...); what is not
+        named is off.
+        """
+        import mujoco
+
+        for k, name in enumerate(mujoco.mjtRndFlag.__members__):
+            if k < len(scene.flags):
+                scene.flags[k] = flags.get(name.removeprefix("mjRND_"), name == "mjRND_CULL_FACE")
+        rect = mujoco.MjrRect(0, 0, *size)
+        colour, depth = np.empty((*size[::-1], 3), np.uint8), np.empty(size[::-1], np.float32)
+        self._gl.make_current()
+        mujoco.mjr_render(rect, scene, self._context)
+        mujoco.mjr_readPixels(colour, depth, rect, self._context)
+        return colour, depth
+
+    def draw_ids(self, size: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+        """Which opaque geom is seen (h, w), -1 for none, and its depth (h, w); both from the bottom row up."""
+        colour, depth = self.draw(self.solid, size, SEGMENT=True, IDCOLOR=True)
+        drawn = colour.astype(np.int64) @ (1, 256, 65536)  # 0 for nothing, then from 1 on in the scene's order
+        geoms = np.full(self.solid.ngeom + 1, -1)
+        for geom in self.solid.geoms[: self.solid.ngeom]:
+            geoms[geom.segid + 1] = geom.objid
+        geoms[0] = -1
+        return geoms[drawn], depth
+
+    def close(self) -> None:
+        self._gl.make_current()
+        self._context.free()
+        self._gl.free()
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).strip().split("\n")[0]

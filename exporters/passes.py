@@ -1,0 +1,63 @@
+"""Depth and segmentation beside a picture: for the compositor, and for checks that a change of light cannot blur.
+
+Depth is metres along the view as 32-bit TIFF, 0 where there is nothing. Segmentation is a colour for each prim, made of
+its path, so that it stays what it is when others come and go; ``legend.json`` says which is whose. Both are as large as
+the picture, unsmoothed, and see through what is translucent. What belongs here is their files and how they are read.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.errors import InputError
+
+SUFFIXES = {"depth": ".tif", "segmentation": ".png"}
+"""Pass -> what its files end in."""
+LEGEND = "legend.json"
+
+
+def pass_path(picture: Path, kind: str) -> Path:
+    """Where the pass of a ``picture`` stands: ``<camera>/depth/<shot>.<camera>.depth.1001.tif``."""
+    name, _, frame = picture.stem.rpartition(".")
+    return picture.parent / kind / f"{name}.{kind}.{frame}{SUFFIXES[kind]}"
+
+
+def prim_colours(paths: Sequence[str]) -> NDArray[np.uint8]:
+    """A colour (n, 3) for each prim path, none twice and none black."""
+    taken: dict[bytes, str] = {bytes(3): ""}
+    for path in paths:
+        colour, salt = hashlib.sha256(path.encode()).digest()[:3], 0
+        while taken.setdefault(colour, path) != path:
+            salt += 1
+            colour = hashlib.sha256(f"{path}#{salt}".encode()).digest()[:3]
+    of_path = {path: colour for colour, path in taken.items()}
+    return np.array([list(of_path[path]) for path in paths], np.uint8).reshape(-1, 3)
+
+
+def write_legend(paths: Sequence[str], folder: Path) -> Path:
+    """Which colour is whose: ``#rrggbb`` -> prim path."""
+    colours = prim_colours(paths)
+    legend = {f"#{bytes(colour).hex()}": path for colour, path in zip(colours, paths, strict=True)}
+    target = folder / LEGEND
+    target.write_text(json.dumps(dict(sorted(legend.items(), key=lambda item: item[1])), indent=1), encoding="utf-8")
+    return target
+
+
+def read_depth(path: Path) -> NDArray[np.float32]:
+    """Metres (h, w) along the view; 0: nothing. Raises ``InputError`` for a file that is no depth."""
+    from PIL import Image
+
+    try:
+        with Image.open(path) as image:
+            depth = np.asarray(image, np.float32)
+    except OSError as error:
+        raise InputError(f"{path}: not a depth that can be read ({error}); render it again") from None
+    if depth.ndim != 2:
+        raise InputError(f"{path}: has {depth.shape[-1]} channels, depth has one; give 32-bit metres")
+    return depth
