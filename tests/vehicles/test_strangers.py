@@ -141,6 +141,8 @@ def test_arms_with_a_spring_between_them():
             xi[0] ** 2 * reach**2 + 2 * xi[0] * u[0] * reach + 2 * u[0] ** 2 + u[1] ** 2 + 3 * ca.sumsqr(xi[1:3])
         ) / 2 - (k * (r[0] - r[1]) ** 2 / 2)
 
+    with pytest.raises(InputError, match=r"group = 'SE2': give the group itself, vehsim\.lie\.SE2"):
+        Nonholonomic(name="arms", group="SE2", joints=("p", "q"), lagrangian=lagrangian)  # type: ignore[arg-type]
     vehicle = Nonholonomic(name="arms", group=SE2, joints=("p", "q"), lagrangian=lagrangian)
     start = State(twist=(1.0, 0.4, -0.3), joints=(0.2, -0.1), joint_rates=(0.5, 2.0))
     clip, order = end_by_refinement(vehicle, start, lambda t: np.zeros(0))

@@ -150,6 +150,8 @@ class Vehicle:
     water. None: the vehicle itself."""
 
     def __post_init__(self) -> None:
+        if isinstance(self.group, str):
+            raise InputError(f"{self.name}: group = {self.group!r}: give the group itself, vehsim.lie.{self.group}")
         controls = tuple(c if isinstance(c, Control) else Control(c) for c in self.controls)
         object.__setattr__(self, "controls", controls)
         object.__setattr__(self, "joints", tuple(self.joints))
