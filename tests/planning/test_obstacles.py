@@ -14,7 +14,6 @@ from vehsim.planning.obstacles import (
     CORNERS,
     Rows,
     certify_plane,
-    check_marks_clear,
     clearances,
     inner_discs,
     obstacle_rows,
@@ -261,9 +260,3 @@ def test_problems_are_shared_by_worlds_of_a_shape(car):
     for rows in (one, two):
         rows.seen = np.array([[False, True, True]])
     assert one.key == two.key
-
-
-def test_what_flies_says_that_it_sees_no_obstacles():
-    heli = vehsim.load_vehicle("helicopter")
-    with pytest.warns(UserWarning, match="obstacles are kept clear of by wheels alone yet"):
-        check_marks_clear(heli, World(obstacles=WALLS), [Mark(1, position=(0, 0, 30))], 1.0)

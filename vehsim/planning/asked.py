@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.lie import SO3
+from vehsim.planning.cover import ROUND, approach
 from vehsim.planning.elements import Element
 from vehsim.planning.marks import Gate, Mark
 from vehsim.planning.request import Request
@@ -16,6 +17,7 @@ from vehsim.planning.terms import Cost, KnotView, Term
 from vehsim.planning.transcription import Transcription
 from vehsim.planning.views import knot_view, root_pose
 from vehsim.vehicles.mechanics import conservative, project
+from vehsim.world.landing import feet
 
 Array = NDArray[np.float64]
 Expr = Any
@@ -68,6 +70,32 @@ def mark_element(t: Transcription, mark: Mark) -> Element | None:
 def _joints(mark: Mark, view: KnotView, wanted: dict[str, Expr]) -> list[Row]:
     given = np.asarray(() if mark.joints is None else mark.joints, float)
     return [(view.joints[i] - wanted["joints"][i], 0.0, 0.0) for i in np.flatnonzero(np.isfinite(given)).tolist()]
+
+
+GENTLE, SINK = 0.5, 0.5
+"""How fast it may come down where it lands, m/s, and how much faster a metre away from there, 1/s."""
+FADE = 10.0
+"""How far from a landing its cone no longer counts, m."""
+
+
+def landing_element(t: Transcription, upright: Array) -> Element:
+    """What stands on the ground above the cone about its landing, and gently down, at a knot: (x).
+
+    ``upright`` (4,): its attitude there. Parameters: the clearance asked for beyond, and the place (3,).
+    """
+    x, asked, place = ca.SX.sym("x", sum(t.sizes[:3])), ca.SX.sym("asked"), ca.SX.sym("place", 3)
+    view = knot_view(t, x, ca.SX.zeros(t.sizes[3]))
+    distance = ca.sqrt(ca.sumsqr(view.position - place) + ROUND**2) - ROUND
+    cone = approach(distance, asked, 0.0, ca.tanh) - (asked + FADE) * (distance / FADE) ** 4
+    below = feet(t.vehicle)
+    flat = below @ SO3.matrix(upright).T
+    rise = [
+        (view.rotation @ ca.DM(foot))[2] - float(z) + view.position[2] - place[2]
+        for foot, z in zip(below, flat[:, 2], strict=True)
+    ]
+    down = view.velocity[2] + GENTLE + SINK * distance
+    g = ca.vertcat(ca.vertcat(*rise) - cone, down)
+    return Element("landing", x, ca.vertcat(asked, place), g=g, lower=0.0, upper=np.inf)
 
 
 def hold_element(t: Transcription) -> Element:

@@ -19,6 +19,7 @@ from vehsim.clip import Clip
 from vehsim.integrators.integrator import build_clip
 from vehsim.planning.asked import adrift
 from vehsim.planning.certify import SAMPLES, Executed, certify, executed
+from vehsim.planning.cover import SLOPE, approach, landings
 from vehsim.planning.guess import along_paths, lift
 from vehsim.planning.layout import Layout
 from vehsim.planning.legs import (
@@ -152,9 +153,7 @@ class Attempt:
         lower, upper = variable_bounds(self.t, layout, span, request.limits.joints)
         begins = layout.node(0)[[self.t.sizes[0] + joint for joint in adrift(self.t, request)]]
         lower[begins] = upper[begins] = self.x[begins]
-        values = parameter_values(self.t, layout, request.marks, request.wind, self.margin, request.weights)
-        if self.rows is not None:
-            values = np.concatenate([values, self.rows.values(self._seconds(), request.clearance)])
+        values = self.parameters()
         self.solution: Solution = solver.solve(self.x, lower, upper, values, request.deadline)
         self.x = self.solution.x
         self.lengths = self.x[layout.lengths]
@@ -162,6 +161,16 @@ class Attempt:
         self.iterations += self.solution.iterations
         self.solve_seconds += time.perf_counter() - began
         self.worst = solver.problem.names()[int(np.argmax(self.solution.violations))]
+
+    def parameters(self) -> Array:
+        """The parameter vector: of wind, weights and marks, then of what is to be kept clear of."""
+        request, layout = self.request, self.layout
+        values = [parameter_values(self.t, layout, request.marks, request.wind, self.margin, request.weights)]
+        if self.cover is not None:
+            values.append(self.cover.values(layout, request.marks, self.lengths, self._seconds()[0]))
+        if self.rows is not None:
+            values.append(self.rows.values(self._seconds(), request.clearance))
+        return np.concatenate(values)
 
     def _solver(self, spans: Sequence[tuple[list[int], float]]) -> Solver:
         """The built problem of the present layout; built once for every shape of marks, in free space once for all."""
@@ -276,15 +285,24 @@ class Attempt:
         """Certify the clip; True when it is as far away as asked, or when nothing more can be done."""
         self.wanted = self.request.clearance if self.cover is not None or self.rows is not None else 0.0
         self.clip = self._clip()
-        self.clearance = (
-            certify(self.clip, self.request.world, SAMPLES, self.progress) if self.request.terrain else np.inf
-        )
+        self.clearance = self._certified() if self.request.hazards else np.inf
         if self.rows is not None:
             nearest, by_segment = certify_plane(self.clip, self.rows.parts, self.wanted + 0.5)
             self.clearance = min(self.clearance, nearest)
             self.lack = np.maximum(self.wanted - by_segment, 0.0)
         near = self.clearance < self.wanted - (SLACK if self.rows is None else FINEST)
         return not (near and self.solution.success and self.tightenings < TIGHTENINGS)
+
+    def _certified(self) -> float:
+        """The least clearance; near a landing, as much is added as less is asked for."""
+        places = [np.asarray(mark.position, float) for mark in landings(self.request.marks)]
+        wanted = max(self.wanted, SLACK)
+
+        def less(positions: Array) -> Array:
+            away = [wanted - approach(np.linalg.norm(positions - p, axis=1), wanted, 0.0) for p in places]
+            return np.max(away, axis=0, initial=0.0) if away else np.zeros(len(positions))
+
+        return certify(self.clip, self.request.world, SAMPLES, self.progress, less, SLOPE * bool(places))
 
     def tighten(self) -> None:
         if self.rows is not None:

@@ -22,7 +22,7 @@ Indices = NDArray[np.intp]
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """A function of space that an element meets at ``points`` (3, k), expressions of ``y``.
+    """A function of space that an element meets at ``points`` (3, k), expressions of ``y`` and ``p``.
 
     ``function``: (count, order) -> a `Function`, points (3, count) -> value, gradient and Hessian (xx, yy, zz, xy, xz,
     yz) there (10, count), derivatives up to ``order``. The element itself is written in ``models`` (13, k), symbols:
@@ -78,9 +78,9 @@ class Element:
 
     @cached_property
     def points(self) -> ca.Function:
-        """``y -> (3, k)``: where the function of space is met."""
+        """``(y, p) -> (3, k)``: where the function of space is met; ``p`` without its models."""
         assert self.seen is not None
-        return ca.Function("points", [self.y], [self.seen.points])
+        return ca.Function("points", [self.y, self.p[: self.given]], [self.seen.points])
 
     @cached_property
     def value(self) -> ca.Function:
@@ -160,7 +160,7 @@ class Use:
         rows = [given, ca.MX(ca.DM(self.constants))] if len(self.constants) else [given]
         seen = self.element.seen
         if seen is not None:
-            points, k = self.mapped(self.element.points)(y), seen.points.shape[1]
+            points, k = self.mapped(self.element.points)(y, ca.vertcat(*rows)), seen.points.shape[1]
             places = ca.reshape(points, 3, k * self.count)
             models = ca.vertcat(places, seen.function(k * self.count, order)(places))
             rows.append(ca.reshape(models, 13 * k, self.count))

@@ -76,6 +76,13 @@ class Layout:
         return self._durations + np.arange(len(self.phases))
 
     @property
+    def middle(self) -> tuple[int, float]:
+        """The substep whose start is nearest to the middle of a segment, and the fraction where it starts."""
+        starts = np.concatenate([[0.0], np.cumsum(self.fractions)[:-1]])
+        part = int(np.argmin(np.abs(starts - 0.5)))
+        return part, float(starts[part])
+
+    @property
     def mark_knots(self) -> NDArray[np.intp]:
         """Knot of every mark."""
         return np.concatenate([[0], np.cumsum(self.phases)]).astype(np.intp)

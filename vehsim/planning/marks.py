@@ -50,7 +50,8 @@ class Mark:
     ``frame``: a whole frame, or ``"free"``; ``position`` (3,) m; ``heading`` deg, yaw of the body's X axis from world
     X, counter-clockwise; ``orientation`` (4,) w, x, y, z; ``velocity`` (3,) m/s in world axes; ``speed`` m/s;
     ``joints`` (s,), nan where free, or a table of some joints by name; ``tolerance`` m, half the side of the box the
-    position may lie in; ``hold``: frames to stay at rest there; ``gate``: an opening about the position.
+    position may lie in; ``hold``: frames to stay at rest there; ``gate``: an opening about the position; ``on_ground``:
+    what flies stands there, at rest and level, put down from ``position`` on the terrain or obstacle below.
 
     A mark with ``velocity = (0, 0, 0)`` is at rest: the body does not turn either, and when its attitude is not given
     it stands in balance, as it must to stay there (a helicopter level, or leaning into the wind), so that motion sets
@@ -69,6 +70,7 @@ class Mark:
     tolerance: float = 0.0
     hold: int = 0
     gate: Gate | None = None
+    on_ground: bool = False
     place: int = field(default=-1, repr=False, compare=False)
     """Its place among the marks that were given; a plan writes it."""
 
@@ -98,7 +100,7 @@ def check_marks(marks: Sequence[Mark], joints: Sequence[str]) -> list[Mark]:
         raise InputError("mark[0].frame = 'free': the first mark starts the clip; give it a whole frame")
     if marks[0].position is None:
         raise InputError("mark[0].position: missing; the first mark must say where the motion starts")
-    marks = [replace(mark, joints=_joint_row(i, mark, joints), place=i) for i, mark in enumerate(marks)]
+    marks = [_at_rest(replace(mark, joints=_joint_row(i, mark, joints), place=i)) for i, mark in enumerate(marks)]
     last: int | None = None
     for i, mark in enumerate(marks):
         _check_numbers(i, mark)
@@ -108,6 +110,12 @@ def check_marks(marks: Sequence[Mark], joints: Sequence[str]) -> list[Mark]:
             raise InputError(f"mark[{i}].frame = {mark.frame}: not after frame {last} before it; put marks in order")
         last = mark.frame + mark.hold
     return _with_holds(marks)
+
+
+def _at_rest(mark: Mark) -> Mark:
+    """A mark on the ground is at rest."""
+    unsaid = mark.on_ground and mark.velocity is None and mark.speed is None
+    return replace(mark, velocity=(0.0, 0.0, 0.0)) if unsaid else mark
 
 
 def _joint_row(i: int, mark: Mark, joints: Sequence[str]) -> tuple[float, ...] | None:
@@ -146,6 +154,10 @@ def _check_numbers(i: int, mark: Mark) -> None:
         raise InputError(
             f"mark[{i}].hold = {mark.hold}: a hold stands in balance; give velocity = [0, 0, 0], no orientation"
         )
+    if mark.on_ground and (mark.position is None or (mark.heading is None and mark.orientation is None)):
+        raise InputError(f"mark[{i}].on_ground: give the position above it, and a heading")
+    if mark.on_ground and (not mark.at_rest or mark.tolerance or mark.gate is not None):
+        raise InputError(f"mark[{i}].on_ground: it stands still, exactly there; drop speed, tolerance and gate")
     if mark.gate is not None:
         mark.gate.check(f"mark[{i}].gate")
         if mark.position is None or mark.tolerance:

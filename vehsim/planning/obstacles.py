@@ -8,9 +8,8 @@ one for every knot when they move, so problems are built once for all worlds of 
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 
 from vehsim.clip import Clip
 from vehsim.errors import InputError
+from vehsim.planning.cover import attitude
 from vehsim.planning.elements import Element, Problem
 from vehsim.planning.legs import fixed_durations, legs_between, path_length
 from vehsim.planning.marks import Mark
@@ -195,13 +195,7 @@ def obstacle_rows(vehicle: Vehicle, world: Any, marks: Sequence[Any]) -> Rows | 
 
 
 def check_marks_clear(vehicle: Vehicle, world: Any, marks: Sequence[Mark], clearance: float) -> None:
-    """Raise ``InputError`` for a mark whose vehicle stands in an obstacle, or nearer than ``clearance`` m to one.
-
-    Warns where the obstacles are not seen at all: what flies keeps clear of the terrain alone.
-    """
-    if world is not None and world.obstacles and vehicle.group.dim != 3:
-        message = f"{vehicle.name}: obstacles are kept clear of by wheels alone yet; it plans as if there were none"
-        warnings.warn(message, stacklevel=4)
+    """Raise ``InputError`` for a mark whose vehicle stands in an obstacle, or nearer than ``clearance`` m to one."""
     for i, message, mend in marks_too_near(vehicle, world, marks, clearance):
         raise InputError(f"mark[{i}].position = {list(marks[i].position or ())}: {message}; {mend}")
 
@@ -213,6 +207,9 @@ def marks_too_near(
 
     A mark without a heading is asked for its root alone; one with a tolerance may give way by that.
     """
+    if vehicle.group.dim == 6:
+        yield from _flown_too_near(vehicle, world, marks, clearance)
+        return
     rows = obstacle_rows(vehicle, world, marks)
     still = [] if rows is None else [(o, k) for o, k in rows.parts if hasattr(o, "parts")]
     for i, mark in enumerate(marks if still else ()):
@@ -225,6 +222,24 @@ def marks_too_near(
         if gap <= 0:
             yield i, f"in obstacle {name!r}", "move the mark or the obstacle"
         elif mark.heading is not None and gap < clearance - FINEST:
+            mend = f"keep the clearance of {clearance:g} m, or ask for less"
+            yield i, f"only {gap:.2f} m from obstacle {name!r}", mend
+
+
+def _flown_too_near(
+    vehicle: Vehicle, world: Any, marks: Sequence[Any], clearance: float
+) -> Iterator[tuple[int, str, str]]:
+    """The same for what flies: by its hulls where the attitude is given, else by its root."""
+    for i, mark in enumerate(marks if world is not None and world.standing else ()):
+        if mark.position is None or mark.on_ground:
+            continue
+        turned = mark.orientation is not None or mark.heading is not None
+        body = vehicle if turned else replace(vehicle, rig=None)
+        gaps = world.clearance_by_obstacle(body, mark.position, attitude(mark))[0]
+        gap, name = float(gaps.min()) + mark.tolerance, world.obstacles[int(gaps.argmin())].name
+        if gap <= 0:
+            yield i, f"in obstacle {name!r}", "move the mark or the obstacle"
+        elif turned and gap < clearance - FINEST:
             mend = f"keep the clearance of {clearance:g} m, or ask for less"
             yield i, f"only {gap:.2f} m from obstacle {name!r}", mend
 

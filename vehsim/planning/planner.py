@@ -19,9 +19,18 @@ from vehsim.clip import Clip
 from vehsim.errors import InputError
 from vehsim.planning.attempt import EXECUTED, SLACK, TIGHTENINGS, Array, Attempt, Progress
 from vehsim.planning.certify import Executed
-from vehsim.planning.cover import Cover, sphere_cover
+from vehsim.planning.cover import AROUND, Cover, sphere_cover
 from vehsim.planning.feasibility import refusals
-from vehsim.planning.legs import bent, cut, facing, legs_between, poses_of, round_trip, same_headings
+from vehsim.planning.legs import (
+    bent,
+    cut,
+    facing,
+    legs_between,
+    mark_positions,
+    poses_of,
+    round_trip,
+    same_headings,
+)
 from vehsim.planning.marks import Mark
 from vehsim.planning.obstacles import obstacle_rows
 from vehsim.planning.relax import diagnose
@@ -71,7 +80,7 @@ class Plan:
         """The plan for other marks, started from this one: quick when they ask for the same things elsewhere."""
         assert self._attempt is not None
         before = self._attempt.request
-        request = replace(before, marks=all_marks(marks, before.vehicle, before.terms), deadline=math.inf)
+        request = replace(before, marks=all_marks(marks, before.vehicle, before.world, before.terms), deadline=math.inf)
         given = before.given or before.marks
         if not self.success or shape(request.marks) != shape(given) or request.weighed is not before.weighed:
             return _solve(replace(request, given=()), progress, self.clip)
@@ -210,15 +219,31 @@ def _result(attempt: Attempt) -> Plan:
 
 
 def _cover(request: Request, paths: list[Array]) -> Any:
-    """Distance function around the paths and sphere cover, or None where there is nothing to hit."""
-    if not request.terrain:
+    """What is to be kept clear of around the paths, and the spheres that do; None where there is nothing to hit."""
+    if not request.hazards:
         return None
-    field = request.world.distance_field()
-    if field is None:
+    centres, radii = sphere_cover(request.vehicle)
+    field = request.world.distance_field(box=_airspace(request))
+    if field is not None:
+        points = np.vstack([path[:, :3] for path in paths])
+        field = field.crop(points.min(axis=0) - ROOM, points.max(axis=0) + ROOM)
+    around = request.clearance + float(radii.max()) + AROUND
+    return Cover(field, centres, radii, tuple((o, o.around(around)) for o in request.world.moving))
+
+
+def _airspace(request: Request) -> Array | None:
+    """A box (2, 3) m about the marks and what stands near them, to look for a way in; None: the terrain's."""
+    world = request.world
+    if world.terrain is not None or not world.standing:
         return None
-    points = np.vstack([path[:, :3] for path in paths])
-    room = field.crop(points.min(axis=0) - ROOM, points.max(axis=0) + ROOM)
-    return Cover(room.models, *sphere_cover(request.vehicle))
+    places = mark_positions(request.marks)
+    low, high = places.min(axis=0) - ROOM, places.max(axis=0) + ROOM
+    for obstacle in world.standing:
+        corners = np.vstack(obstacle.hulls)
+        a, b = corners.min(axis=0), corners.max(axis=0)
+        if (a < high).all() and (b > low).all():
+            low, high = np.minimum(low, a - ROOM), np.maximum(high, b + ROOM)
+    return np.array([low, high])
 
 
 def _paths(request: Request, guess: Any, progress: Progress | None) -> list[Array]:
@@ -229,12 +254,14 @@ def _paths(request: Request, guess: Any, progress: Progress | None) -> list[Arra
         if points.ndim != 2 or points.shape[1] not in (3, 4) or len(points) < 2:
             raise InputError(f"guess: shape {points.shape}; give a Clip, or a path of (k, 3) points in metres")
         return cut(points, legs)
-    if not request.terrain:
+    if not request.hazards:
         rows = obstacle_rows(request.vehicle, request.world, request.marks)
         if request.loop and rows is None:
             return round_trip(request.marks)
         return [np.array(leg) for leg in legs] if rows is None else rows.drive(request)
-    request.world.distance_field(progress=progress)
+    box = _airspace(request)
+    if request.world.distance_field(progress, box=box) is None:
+        return round_trip(request.marks) if request.loop else [np.array(leg) for leg in legs]
     # the route is flown by a ball around the hulls' middle
     centres, radii = sphere_cover(request.vehicle)
     middle = (centres.max(axis=0) + centres.min(axis=0)) / 2
@@ -242,4 +269,4 @@ def _paths(request: Request, guess: Any, progress: Progress | None) -> list[Arra
     up = np.array([0, 0, middle[2]])
     low = request.limits.get("ceiling") + middle[2]
     ceiling = low if math.isfinite(low) else None
-    return [np.asarray(request.world.route(a + up, b + up, reach, ceiling)) - up for a, b in legs]
+    return [np.asarray(request.world.route(a + up, b + up, reach, ceiling, box)) - up for a, b in legs]

@@ -9,8 +9,16 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim.planning.asked import hold_element, loop_element, mark_element, mark_values, parameter_sizes
-from vehsim.planning.cover import Cover
+from vehsim.planning.asked import (
+    PARAMETERS,
+    hold_element,
+    landing_element,
+    loop_element,
+    mark_element,
+    mark_values,
+    parameter_sizes,
+)
+from vehsim.planning.cover import POSE, Cover, attitude, landings, places
 from vehsim.planning.elements import Element, Problem, elastic
 from vehsim.planning.layout import Layout
 from vehsim.planning.legs import knots_within
@@ -32,7 +40,7 @@ def build(
 ) -> Problem:
     """The whole problem; `parameter_values` are its parameters.
 
-    ``cover``: what is to be kept off the rock, or None in free space. ``total``: groups of
+    ``cover``: what is to be kept off rock and obstacles, or None in free space. ``total``: groups of
     phases between marks at fixed frames whose lengths must add up, with their durations in s.
     ``give``: where above zero, marks after the first may be missed at this price, see `elements.elastic`.
     """
@@ -45,7 +53,7 @@ def build(
         if isinstance(term, Cost):
             _add_term(problem, t, layout, request, term)
     if cover is not None:
-        _add_clearance(problem, t, layout, cover, wary="safety" in request.costs)
+        _add_clearance(problem, t, layout, cover, request.marks, wary="safety" in request.costs)
     for phases, duration in total:
         h = ca.SX.sym("h", len(phases))
         counts = ca.DM([layout.phases[j] for j in phases])
@@ -121,9 +129,21 @@ def _add_marks(problem: Problem, t: Transcription, layout: Layout, request: Requ
                 slack = problem.size + np.arange(2 * len(element.labels))
                 element, y, problem.size = elastic(element, give), np.vstack([y, slack[:, None]]), slack[-1] + 1
             problem.add(element, y, place)
+        if mark.on_ground:
+            _add_landing(problem, t, layout, i, mark, first + i * width)
     if request.loop:
         ends = [np.vstack([layout.knot(k), layout.control(k)]) for k in (0, layout.segments)]
         problem.add(loop_element(t), np.vstack(ends))
+
+
+def _add_landing(problem: Problem, t: Transcription, layout: Layout, i: int, mark: Mark, first: int) -> None:
+    """Down (or up) a cone about mark ``i``, gently, at every knot; its parameters stand at ``first``."""
+    knots, knot = layout.mark_knots, layout.mark_knots[i]
+    beside = np.concatenate([np.arange(1, knot), np.arange(knots[i + 1 if mark.hold else i] + 1, layout.segments)])
+    if mark.hold or not len(beside):
+        return
+    p = [MARGIN, *(first + np.arange(PARAMETERS["position"]))]
+    problem.add(landing_element(t, attitude(mark)), layout.knot(beside), np.tile(np.array(p)[:, None], len(beside)))
 
 
 def _add_term(problem: Problem, t: Transcription, layout: Layout, request: Request, term: Term) -> None:
@@ -141,7 +161,7 @@ def _add_term(problem: Problem, t: Transcription, layout: Layout, request: Reque
         y = np.vstack([layout.node(segments), layout.velocity(segments), *ends])
         _place_term(problem, t, layout, term, "middle", segments, y)
     else:  # a composition's node nearest to the middle
-        part, fraction = _middle(layout)
+        part, fraction = layout.middle
         y = np.vstack([layout.node(segments * len(layout.fractions) + part), *ends])
         _place_term(problem, t, layout, term, "node", segments, y, fraction)
 
@@ -158,24 +178,30 @@ def _place_term(
     problem.add(element, np.vstack([y, np.tile(layout.lengths[:, None], len(k))]), constants=passed.astype(float))
 
 
-def _middle(layout: Layout) -> tuple[int, float]:
-    """The substep whose start is nearest to the middle of a segment, and where it starts."""
-    starts = np.concatenate([[0.0], np.cumsum(layout.fractions)[:-1]])
-    part = int(np.argmin(np.abs(starts - 0.5)))
-    return part, float(starts[part])
+def _add_clearance(
+    problem: Problem, t: Transcription, layout: Layout, cover: Cover, marks: Sequence[Mark], wary: bool
+) -> None:
+    """Spheres off what stands and what moves at the knots after the first, and at one place between two of them.
 
-
-def _add_clearance(problem: Problem, t: Transcription, layout: Layout, cover: Any, wary: bool) -> None:
-    """Spheres off the rock at the knots after the first, and at one place between two of them."""
-    steps, places = len(layout.fractions), [MARGIN, WEIGHTS + list(COSTS).index("safety")]
-    node = np.arange(1, layout.nodes)
-    node = node[np.isin(node % steps, (0, _middle(layout)[0]))]
-    y = np.vstack([layout.node(node), layout.duration((node - 1) // steps)])
-    problem.add(t.clearance(cover, between=False, wary=wary), y, places)
-    if steps == 1:
-        k = np.arange(layout.segments)
-        y = np.vstack([layout.node(k), layout.velocity(k), layout.duration(k)])
-        problem.add(t.clearance(cover, between=True, wary=wary), y, places)
+    Parameters behind the problem's own, as `Cover.values` gives them.
+    """
+    shared = [MARGIN, WEIGHTS + list(COSTS).index("safety")]
+    node, half = places(layout, marks)
+    landed = len(landings(marks))
+    uses = [
+        (False, np.vstack([layout.node(node), layout.duration((node - 1) // len(layout.fractions))])),
+        (True, np.vstack([layout.node(half), layout.velocity(half), layout.duration(half)])),
+    ]
+    for k, field in enumerate(cover.fields()):
+        width = POSE if k else landed * (3 + len(cover.radii))
+        for between, y in uses:
+            count = y.shape[1]
+            if field is not None and count:
+                place = problem.parameters + np.arange(width)[:, None] + (width * np.arange(count) if k else 0)
+                p = np.vstack([np.tile(np.array(shared)[:, None], count), np.broadcast_to(place, (width, count))])
+                problem.add(t.clearance(cover, k, landed, between=between, wary=wary), y, p)
+            problem.parameters += width * count if k else 0
+        problem.parameters += 0 if k or field is None else width
 
 
 def parameter_values(

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from vehsim.planning.attempt import Attempt
 from vehsim.planning.elements import Element
 from vehsim.planning.legs import fixed_durations
-from vehsim.planning.problem import build, parameter_values, variable_bounds
+from vehsim.planning.problem import build, variable_bounds
 from vehsim.planning.solver import Solver, ipopt_options
 
 Array = NDArray[np.float64]
@@ -96,9 +96,7 @@ def _solve(attempt: Attempt, problem: Any, late: bool) -> tuple[Array | None, bo
     lower, upper = variable_bounds(t, layout, list(zip(least, most, strict=True)), request.limits.joints)
     extra = problem.size - layout.size
     lower, upper = np.append(lower, np.zeros(extra)), np.append(upper, np.full(extra, np.inf))
-    values = parameter_values(t, layout, request.marks, request.wind, attempt.margin, request.weights)
-    if attempt.rows is not None:
-        values = np.concatenate([values, attempt.rows.values(attempt._seconds(), request.clearance)])
+    values = attempt.parameters()
     deadline = min(request.deadline, time.monotonic() + SECONDS)
     solver = Solver(problem, ipopt_options(ITERATIONS))
     answer = solver.solve(np.append(start, np.ones(extra)), lower, upper, values, deadline)

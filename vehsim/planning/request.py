@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import time
+import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any
 
@@ -14,15 +15,21 @@ from numpy.typing import NDArray
 
 from vehsim.clip import frame_rate
 from vehsim.errors import InputError
+from vehsim.lie import SO3
+from vehsim.planning.cover import attitude
 from vehsim.planning.legs import mark_positions
 from vehsim.planning.marks import Mark, check_marks, with_breaks
 from vehsim.planning.obstacles import check_marks_clear
 from vehsim.planning.solver import check_solver
 from vehsim.planning.terms import Constraint, Limits, Term, check_limits, check_terms, cost_weights
 from vehsim.vehicles import Vehicle
+from vehsim.world import landing
 from vehsim.world.slope import on_terrain
 
 Array = NDArray[np.float64]
+
+UNEVEN = 0.02
+"""How high a part of what stands on the ground may be above it, m, before it is said."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,8 +97,10 @@ class Request:
         return on_terrain(self.vehicle, self.world, mark_positions(self.marks))
 
     @property
-    def terrain(self) -> bool:
-        return self.world is not None and self.world.terrain is not None and self.vehicle.group.dim == 6
+    def hazards(self) -> bool:
+        """It flies, and there is something to hit."""
+        about = self.world is not None and (self.world.terrain is not None or self.world.obstacles)
+        return bool(about) and self.vehicle.group.dim == 6
 
 
 def ask(
@@ -123,7 +132,7 @@ def ask(
     request = Request(
         vehicle=vehicle,
         world=world,
-        marks=all_marks(marks, vehicle, kept),
+        marks=all_marks(marks, vehicle, world, kept),
         fps=frame_rate(fps),
         segments=int(segments),
         weights=cost_weights(cost, vehicle.default_costs),
@@ -149,9 +158,34 @@ def ask(
     return request
 
 
-def all_marks(marks: Sequence[Mark], vehicle: Vehicle, terms: Sequence[Term]) -> list[Mark]:
-    """The marks, holds written out, and a knot where a term's frames begin or end."""
-    return with_breaks(check_marks(marks, vehicle.joints), [frame for term in terms for frame in term.frames or ()])
+def all_marks(marks: Sequence[Mark], vehicle: Vehicle, world: Any, terms: Sequence[Term]) -> list[Mark]:
+    """The marks, holds written out, put down where they shall be, and a knot where a term's frames begin or end."""
+    standing = [put_down(mark, vehicle, world) for mark in check_marks(marks, vehicle.joints)]
+    return with_breaks(standing, [frame for term in terms for frame in term.frames or ()])
+
+
+def put_down(mark: Mark, vehicle: Vehicle, world: Any) -> Mark:
+    """A mark on the ground where the vehicle touches it; warns where it stands uneven. Raises ``InputError``."""
+    if not mark.on_ground:
+        return mark
+    assert mark.position is not None
+    key = f"{mark.name}.on_ground"
+    if world is None or vehicle.group.dim != 6:
+        mend = "leave it out" if vehicle.group.dim != 6 else "give a terrain or obstacles to stand on"
+        raise InputError(f"{key}: {vehicle.name} does not land; {mend}")
+    q = attitude(mark)
+    try:
+        place = landing.put_down(world, vehicle, mark.position, q)
+    except InputError as error:
+        raise InputError(f"{key}: {error}") from None
+    below = place + landing.feet(vehicle) @ SO3.matrix(q).T
+    hollow = float(np.max(below[:, 2] - landing.height_below(world, below)))
+    if hollow > UNEVEN:
+        message = f"{key}: it touches the ground, but stands up to {hollow:.2f} m above it elsewhere"
+        warnings.warn(f"{message}; land on level ground or on a pad (an obstacle)", stacklevel=5)
+    if np.any(world.wind):  # it stands level, but is not in balance
+        mark = replace(mark, orientation=tuple(q.tolist()), heading=None)
+    return replace(mark, position=tuple(place.tolist()))
 
 
 def check_loop(request: Request) -> None:
@@ -171,7 +205,8 @@ def shape(marks: Sequence[Mark]) -> tuple[Any, ...]:
     """What marks ask for, but not where: equal shapes share one built problem."""
     keys = ("position", "heading", "orientation", "velocity", "speed", "joints")
     asked = [tuple(getattr(m, key) is not None for key in keys) for m in marks]
-    kinds = [(m.frame == "free", m.balanced, m.at_rest, m.speed == 0, m.tolerance, m.hold > 0) for m in marks]
+    rests = [(m.balanced, m.at_rest, m.speed == 0, m.hold > 0, m.on_ground) for m in marks]
+    kinds = [(m.frame == "free", m.tolerance) for m in marks]
     joints = [None if m.joints is None else tuple(np.isfinite(np.asarray(m.joints, float))) for m in marks]
     gates = [m.gate and m.gate.radius is None for m in marks]
-    return tuple(zip(asked, kinds, joints, gates, strict=True))
+    return tuple(zip(asked, rests, kinds, joints, gates, strict=True))

@@ -1,7 +1,8 @@
 """The world: terrain, wind, and the questions vehicles ask of them, answered by MuJoCo and exact geometry.
 
-A `World` owns no motion. Heights and meshes live in `terrain.py`, clearances in `scene.py`, the smooth distance field
-in `field.py`, paths through free space in `route.py`, what stands or moves about in `obstacles.py`.
+A `World` owns no motion. Heights and meshes live in `terrain.py`, clearances from the terrain in `scene.py` and from
+what stands or moves about (`obstacles.py`) in `clearance.py`, the smooth distance field in `field.py`, paths through
+free space in `route.py`.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from vehsim.world.terrain import Terrain
 from vehsim.world.water import Water
 
 if TYPE_CHECKING:
+    from vehsim.world.clearance import Among
     from vehsim.world.contact import Contact
     from vehsim.world.environment import Environment
     from vehsim.world.scene import Scene
@@ -60,6 +62,7 @@ class World:
         self.water, self.gusts, self.contact = _water(water), gusts, contact
         self._fields: dict[Any, DistanceField] = {}
         self._scenes: dict[Any, Scene] = {}
+        self._among: dict[Any, Among] = {}
 
     def __repr__(self) -> str:
         name = None if self.terrain is None else self.terrain.name
@@ -81,8 +84,19 @@ class World:
             return self
         other = copy.copy(self)
         other.__dict__.pop("content_hash", None)
-        other.obstacles, other._scenes = check_obstacles((*self.obstacles, *obstacles)), {}
+        other.obstacles = check_obstacles((*self.obstacles, *obstacles))
+        other._fields, other._scenes, other._among = {}, {}, {}
         return other
+
+    @property
+    def standing(self) -> tuple[Obstacle, ...]:
+        """The obstacles that never move."""
+        return tuple(obstacle for obstacle in self.obstacles if isinstance(obstacle, Obstacle))
+
+    @property
+    def moving(self) -> tuple[Moving, ...]:
+        """The others."""
+        return tuple(obstacle for obstacle in self.obstacles if isinstance(obstacle, Moving))
 
     def height(self, xy: ArrayLike) -> Array:
         """Height (n,) m of the ground at ``xy`` (n, 2) m; -inf without terrain."""
@@ -118,38 +132,75 @@ class World:
     def distance_field(
         self, progress: Progress | None = None, *, spacing: float | None = None, box: ArrayLike | None = None
     ) -> DistanceField | None:
-        """The smooth field of signed distances to the terrain, None without terrain; see `field.distance_field`."""
-        if self.terrain is None:
+        """The smooth field of signed distances to the terrain and to standing obstacles, None where there is neither.
+
+        See `field.distance_field`; without terrain it is open, and reaches a little around the obstacles unless ``box``
+        (2, 3) m says otherwise.
+        """
+        if self.terrain is None and not self.standing:
             return None
         key = (spacing, None if box is None else tuple(np.ravel(np.asarray(box, dtype=float)).tolist()))
         if key not in self._fields:
-            self._fields[key] = distance_field(self.terrain, spacing, box, progress)
+            self._fields[key] = distance_field(self.terrain, spacing, box, progress, self.standing)
         return self._fields[key]
 
-    def clearance(self, vehicle: Any, positions: ArrayLike, orientations: ArrayLike) -> Array:
-        """Signed distance (n,) m from the vehicle's hulls to the terrain at rig-root poses; +inf without terrain.
+    def clearance(
+        self, vehicle: Any, positions: ArrayLike, orientations: ArrayLike, seconds: ArrayLike | None = None
+    ) -> Array:
+        """Signed distance (n,) m from the vehicle's hulls to terrain and obstacles at rig-root poses; +inf without any.
 
         ``positions`` (n, 3) m, ``orientations`` (n, 4) w, x, y, z (T_wr). Outside it is exact; a pose that touches rock
-        gives minus its vertical depth.
+        gives minus its vertical depth. What moves is seen where it is at ``seconds`` (n,) since frame 0, not without.
         """
-        if self.terrain is None:
-            return np.full(len(np.asarray(positions, dtype=float).reshape(-1, 3)), np.inf)
+        least = self._from_obstacles(vehicle, positions, orientations, seconds).min(axis=1)
+        if self.terrain is None or vehicle.rig is None:
+            return np.asarray(least)
         asset = str(vehicle.rig.asset)
         if asset not in self._scenes:
             from vehsim.world.scene import Scene
 
             self._scenes[asset] = Scene(self.terrain, vehicle.rig)
-        return self._scenes[asset].clearance(positions, orientations)
+        return np.minimum(least, self._scenes[asset].clearance(positions, orientations))
 
-    def route(self, start: ArrayLike, goal: ArrayLike, clearance: float, ceiling: float | None = None) -> Array:
-        """A path (k, 3) m from ``start`` to ``goal`` (3,) through free space, ``clearance`` m from the rock.
+    def clearance_by_obstacle(
+        self, vehicle: Any, positions: ArrayLike, orientations: ArrayLike, seconds: ArrayLike | None = None
+    ) -> Array:
+        """`clearance` from each of the ``obstacles`` alone, (n, obstacles) m."""
+        return self._from_obstacles(vehicle, positions, orientations, seconds, each=True)
 
-        ``ceiling`` m bounds its height; by default it may fly a little higher than start and goal, so that it follows
-        the valleys. Raises ``InputError`` (an end in the rock) and ``SolveError`` (no way).
+    def _from_obstacles(
+        self, vehicle: Any, positions: ArrayLike, orientations: ArrayLike, seconds: ArrayLike | None, each: bool = False
+    ) -> Array:
+        """Distances (n, obstacles) m from each, or (n, 1) from the nearest."""
+        points = np.asarray(positions, dtype=float).reshape(-1, 3)
+        if not self.obstacles:
+            return np.full((len(points), 0 if each else 1), np.inf)
+        key = vehicle.rig and str(vehicle.rig.asset)
+        if key not in self._among:
+            from vehsim.world.clearance import Among
+
+            self._among[key] = Among(vehicle.rig, self.obstacles)
+        turned = np.asarray(orientations, dtype=float).reshape(-1, 4)
+        when = None if seconds is None else np.atleast_1d(np.asarray(seconds, float))
+        return self._among[key].clearance(points, turned, when, each)
+
+    def route(
+        self,
+        start: ArrayLike,
+        goal: ArrayLike,
+        clearance: float,
+        ceiling: float | None = None,
+        box: ArrayLike | None = None,
+    ) -> Array:
+        """A path (k, 3) m from ``start`` to ``goal`` (3,) through free space, ``clearance`` m from all that stands.
+
+        ``box`` (2, 3) m: where to look. ``ceiling`` m bounds its height; by default it may fly a little higher than
+        start and goal, so that it follows the valleys. Raises ``InputError`` (an end in the rock) and ``SolveError``
+        (no way).
         """
         from vehsim.world.route import find_route
 
-        return find_route(self.distance_field(), start, goal, clearance, ceiling, self.height)
+        return find_route(self.distance_field(box=box), start, goal, clearance, ceiling, self.height)
 
 
 def _water(water: Water | float | None) -> Water | None:

@@ -1,7 +1,8 @@
-"""The distance field: how far every point is from the rock, smooth enough for an optimiser and a route.
+"""The distance field: how far every point is from what stands there, smooth enough for an optimiser and a route.
 
-Exact signed distances to the terrain's triangles on a grid become a cubic B-spline that passes through them: C2, cheap,
-and the same in numpy and in CasADi. Fields are cached by content. Hulls are measured in `scene.py`, not here.
+Exact signed distances to the terrain's triangles and to the convex hulls of obstacles, on a grid, become a cubic
+B-spline that passes through them: C2, cheap, and the same in numpy and in CasADi. Fields are cached by content. Hulls
+of vehicles are measured in `scene.py` and `clearance.py`, not here.
 """
 
 from __future__ import annotations
@@ -11,11 +12,11 @@ import io
 import os
 import tempfile
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,6 +24,9 @@ from numpy.typing import ArrayLike, NDArray
 from vehsim._cache import cache_folder as cache_folder
 from vehsim.errors import InputError, Problem
 from vehsim.world.terrain import Terrain
+
+if TYPE_CHECKING:
+    from vehsim.world.obstacles import Obstacle
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -44,16 +48,19 @@ BLEND = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class DistanceField:
-    """Signed distance to the terrain, m: positive in the air, negative in the rock.
+    """Signed distance to what stands there, m: positive in the air, negative in the rock.
 
     ``distances`` (nx, ny, nz) m stand ``spacing`` m apart from ``lower`` (3,) on; between them is a cubic B-spline.
     Beyond the box the value is the nearest box point's, less the distance outside through the sides or the bottom, so
     that no optimiser gains by leaving there. Through the top nothing is subtracted: distance to the ground only grows.
+    Nor is it anywhere where the field is ``open``: the box holds all there is to hit, and nothing outside it is nearer
+    than its nearest point is.
     """
 
     distances: NDArray[np.float32]
     lower: Array
     spacing: float
+    open: bool = False
 
     @property
     def upper(self) -> Array:
@@ -68,7 +75,7 @@ class DistanceField:
         first = np.clip(first, 0, shape - 4)
         last = np.clip(last, first + 4, shape)
         part = tuple(slice(a, b) for a, b in zip(first, last, strict=True))
-        return DistanceField(self.distances[part], self.lower + self.spacing * first, self.spacing)
+        return DistanceField(self.distances[part], self.lower + self.spacing * first, self.spacing, self.open)
 
     @cached_property
     def _coefficients(self) -> Array:
@@ -85,6 +92,8 @@ class DistanceField:
         inside = np.clip(points, self.lower, self.upper)
         index = (inside - self.lower) / self.spacing + 1
         spline = map_coordinates(self._coefficients, index.T, order=3, prefilter=False, mode="nearest")
+        if self.open:
+            return np.asarray(spline)
         outside = points - inside
         outside[:, 2] = np.minimum(outside[:, 2], 0)
         return np.asarray(spline - (np.sqrt(np.sum(outside**2, axis=1) + BLEND**2) - BLEND))
@@ -97,16 +106,17 @@ class DistanceField:
         """
         import casadi
 
-        place, evaluate, table = self._kernels[order]
+        first, near, evaluate, table = self._kernels[order]
         points = casadi.MX.sym("points", 3, count)
-        gathered = casadi.reshape(table.get_nz(False, casadi.vec(place.map(count)(points))), 64, count)
+        gathered = table.get_nz(False, near, casadi.vec(first.map(count)(points)))  # (64, count)
         known = evaluate.map(count)(points, gathered)
         beyond = casadi.DM.zeros(10 - known.shape[0], count)
         return casadi.Function("models", [points], [casadi.vertcat(known, beyond)])
 
     @cached_property
     def _kernels(self) -> list[Any]:
-        """By order: where a point's 64 coefficients stand, what they give there, and the table of all of them."""
+        """By order: where a point's 64 coefficients begin, where they stand from there, what they give, and all of
+        them."""
         import casadi
 
         shape = self._coefficients.shape
@@ -116,11 +126,12 @@ class DistanceField:
         inside = casadi.fmin(casadi.fmax(point, self.lower), self.upper)
         index = (inside - self.lower) / self.spacing
         first = casadi.fmax(casadi.fmin(casadi.floor(index), casadi.DM(shape) - 4), 0)
-        place = casadi.Function("place", [point], [casadi.dot(first, casadi.DM(strides)) + casadi.DM(near)])
+        place = casadi.Function("place", [point], [casadi.dot(first, casadi.DM(strides))])
+        offsets = casadi.MX(casadi.DM(near))
         values = _second_order(self, point, inside, index - first, coefficients)
         table = casadi.MX(casadi.DM(self._coefficients.ravel(order="F")))
         rows = [casadi.cse(values[:rows]) for rows in (1, 4, 10)]
-        return [(place, casadi.Function("evaluate", [point, coefficients], [row]), table) for row in rows]
+        return [(place, offsets, casadi.Function("evaluate", [point, coefficients], [row]), table) for row in rows]
 
     @cached_property
     def function(self) -> Any:
@@ -133,10 +144,19 @@ class DistanceField:
         spline = casadi.Function.bspline("spline", knots, coefficients, [3, 3, 3], 1, {"lookup_mode": ["exact"] * 3})
         point = casadi.MX.sym("point", 3)
         inside = casadi.fmin(casadi.fmax(point, self.lower), self.upper)
-        outside = point - inside
-        outside = casadi.vertcat(outside[0], outside[1], casadi.fmin(outside[2], 0))
-        beyond = casadi.sqrt(casadi.sumsqr(outside) + BLEND**2) - BLEND
-        return casadi.Function("distance", [point], [spline((inside - self.lower) / self.spacing) - beyond])
+        value = spline((inside - self.lower) / self.spacing) - _beyond(self, point, inside)
+        return casadi.Function("distance", [point], [value])
+
+
+def _beyond(field: DistanceField, point: Any, inside: Any) -> Any:
+    """What is subtracted at a ``point`` beyond the box, whose nearest point in it is ``inside``."""
+    import casadi
+
+    if field.open:
+        return type(point)(0)
+    outside = point - inside
+    outside = casadi.vertcat(outside[0], outside[1], casadi.fmin(outside[2], 0))
+    return casadi.sqrt(casadi.sumsqr(outside) + BLEND**2) - BLEND
 
 
 def _second_order(field: DistanceField, point: Any, inside: Any, share: Any, coefficients: Any) -> Any:
@@ -166,80 +186,133 @@ def _second_order(field: DistanceField, point: Any, inside: Any, share: Any, coe
     ):
         plane = casadi.reshape(cube @ along[0][i], 4, 4)
         parts[i, j, k] = casadi.dot(along[2][k], plane @ along[1][j])
-    outside = point - inside
-    outside = casadi.vertcat(outside[0], outside[1], casadi.fmin(outside[2], 0))
-    beyond = casadi.sqrt(casadi.sumsqr(outside) + BLEND**2) - BLEND
+    beyond = _beyond(field, point, inside)
     bend, slope = casadi.hessian(beyond, point)
     upper = casadi.vertcat(bend[0, 0], bend[1, 1], bend[2, 2], bend[0, 1], bend[0, 2], bend[1, 2])
     return casadi.vertcat(*parts.values()) - casadi.vertcat(beyond, slope, upper)
 
 
 def distance_field(
-    terrain: Terrain,
+    terrain: Terrain | None,
     spacing: float | None = None,
     box: ArrayLike | None = None,
     progress: Progress | None = None,
+    obstacles: Sequence[Obstacle] = (),
 ) -> DistanceField:
-    """The field of ``terrain``, from the cache or built now.
+    """The field of ``terrain`` and standing ``obstacles``, from the cache or built now.
 
     ``spacing`` m between grid points (chosen by `POINTS` when None); ``box`` (2, 3) m restricts the field to a part of
-    the terrain; ``progress`` is told what is done and the fraction. Raises ``InputError``.
+    the terrain, and says where it is without one; ``progress`` is told what is done and the fraction. Raises
+    ``InputError``.
     """
-    lower, upper = _box(terrain, box)
+    name = "open space" if terrain is None else terrain.name
+    lower, upper = _box(terrain, box, obstacles)
     volume = float(np.prod(np.maximum(upper - lower, 1e-9)))
     step = max(FINEST, (volume / POINTS) ** (1 / 3)) if spacing is None else float(spacing)
     shape = np.maximum(np.ceil((upper - lower) / step).astype(int) + 1, 4) if step > 0 else np.zeros(3, int)
     if not np.isfinite(step) or step <= 0 or np.prod(shape, dtype=float) > 20 * POINTS:
         mend = "give a spacing of about a metre"
-        raise InputError(str(Problem("spacing", "not a spacing for this terrain", mend, spacing, terrain.name)))
-    key = hashlib.sha256(
-        repr((VERSION, terrain.content_hash, lower.tolist(), shape.tolist(), step)).encode()
-    ).hexdigest()
-    file = cache_folder() / f"distance-{key[:32]}.npy"
+        raise InputError(str(Problem("spacing", "not a spacing for this terrain", mend, spacing, name)))
+    content: tuple[Any, ...] = (VERSION, terrain and terrain.content_hash, lower.tolist(), shape.tolist(), step)
+    content += tuple(obstacle.content_hash for obstacle in obstacles)
+    file = cache_folder() / f"distance-{hashlib.sha256(repr(content).encode()).hexdigest()[:32]}.npy"
     distances = _read(file, tuple(shape.tolist()))
     if distances is None:
-        distances = _measure(terrain, lower, shape, step, progress)
+        distances = _measure(terrain, obstacles, lower, shape, step, progress)
         _write(file, distances)
-    return DistanceField(distances, lower, step)
+    return DistanceField(distances, lower, step, open=terrain is None)
 
 
-def _box(terrain: Terrain, box: ArrayLike | None) -> tuple[Array, Array]:
+def _box(terrain: Terrain | None, box: ArrayLike | None, obstacles: Sequence[Obstacle] = ()) -> tuple[Array, Array]:
     """The corners (3,), (3,) of the field's box."""
-    lower, upper = terrain.lower - np.array([0, 0, DEPTH]), terrain.upper + np.array([0, 0, HEADROOM])
+    corners = np.concatenate([np.zeros((0, 3)), *(hull for obstacle in obstacles for hull in obstacle.hulls)])
+    if terrain is None:
+        lower, upper = corners.min(axis=0) - HEADROOM, corners.max(axis=0) + HEADROOM
+    else:
+        lower, upper = terrain.lower - np.array([0, 0, DEPTH]), terrain.upper + np.array([0, 0, HEADROOM])
+        upper[2] = max(upper[2], corners[:, 2].max(initial=-np.inf) + HEADROOM)
     if box is None:
         return lower, upper
     wanted = np.asarray(box, dtype=float)
+    name = "open space" if terrain is None else terrain.name
     if wanted.shape != (2, 3) or not np.isfinite(wanted).all() or (wanted[1] <= wanted[0]).any():
         mend = "give its lower and upper corner, each x, y, z in metres"
-        raise InputError(str(Problem("box", "not a box", mend, wanted.tolist(), terrain.name)))
+        raise InputError(str(Problem("box", "not a box", mend, wanted.tolist(), name)))
+    if terrain is None:
+        return wanted[0], wanted[1]
     lower, upper = np.maximum(lower, wanted[0]), np.minimum(upper, wanted[1])
     if (upper <= lower).any():
         mend = f"the terrain reaches from {terrain.lower} to {terrain.upper}"
-        raise InputError(str(Problem("box", "lies beside the terrain", mend, wanted.tolist(), terrain.name)))
+        raise InputError(str(Problem("box", "lies beside the terrain", mend, wanted.tolist(), name)))
     return lower, upper
 
 
 def _measure(
-    terrain: Terrain, lower: Array, shape: NDArray[np.int64], step: float, progress: Progress | None
+    terrain: Terrain | None,
+    obstacles: Sequence[Obstacle],
+    lower: Array,
+    shape: NDArray[np.int64],
+    step: float,
+    progress: Progress | None,
 ) -> NDArray[np.float32]:
-    """Exact signed distances (nx, ny, nz) m on the grid."""
-    import igl
-
-    vertices, faces = np.ascontiguousarray(terrain.vertices), np.ascontiguousarray(terrain.faces)
-    tree = igl.AABB()
-    tree.init(vertices, faces)
+    """Exact signed distances (nx, ny, nz) m on the grid: the least of those to everything."""
+    laws = [] if terrain is None else [_to_terrain(terrain, int(shape[2]))]
+    hulls = [hull for obstacle in obstacles for hull in obstacle.hulls]
+    laws += [_to_hulls(hulls)] if hulls else []
+    what = "measuring distances to " + " and ".join(
+        ["the terrain"] * (terrain is not None) + ["obstacles"] * bool(obstacles)
+    )
     x, y, z = (lower[k] + step * np.arange(shape[k]) for k in range(3))
     distances = np.empty(tuple(shape), dtype=np.float32)
     slabs = np.array_split(np.arange(shape[0]), min(16, shape[0]))
     for done, slab in enumerate(slabs):
         points = np.stack(np.meshgrid(x[slab], y, z, indexing="ij"), axis=-1).reshape(-1, 3)
-        squared, _, _ = tree.squared_distance(vertices, faces, points)
-        ground = np.repeat(terrain.height(points[:: shape[2], :2]), shape[2])
-        signed = np.where(points[:, 2] >= ground, 1.0, -1.0) * np.sqrt(squared)
-        distances[slab] = signed.reshape(len(slab), shape[1], shape[2])
+        least = np.full(len(points), np.inf)
+        for law in laws:
+            least = np.minimum(least, law(points))
+        distances[slab] = least.reshape(len(slab), shape[1], shape[2])
         if progress is not None:
-            progress("measuring distances to the terrain", (done + 1) / len(slabs))
+            progress(what, (done + 1) / len(slabs))
     return distances
+
+
+def _to_terrain(terrain: Terrain, levels: int) -> Callable[[Array], Array]:
+    """Signed distances (n,) m of columns of ``levels`` points (n, 3) m to the terrain."""
+    import igl
+
+    vertices, faces = np.ascontiguousarray(terrain.vertices), np.ascontiguousarray(terrain.faces)
+    tree = igl.AABB()
+    tree.init(vertices, faces)
+
+    def law(points: Array) -> Array:
+        squared, _, _ = tree.squared_distance(vertices, faces, points)
+        ground = np.repeat(terrain.height(points[::levels, :2]), levels)
+        return np.where(points[:, 2] >= ground, 1.0, -1.0) * np.sqrt(squared)
+
+    return law
+
+
+def _to_hulls(hulls: Sequence[Array]) -> Callable[[Array], Array]:
+    """Signed distances (n,) m of points (n, 3) m to convex hulls (k, 3) m; within more than one, of the right sign."""
+    import igl
+    from scipy.spatial import ConvexHull
+
+    shapes = [ConvexHull(hull) for hull in hulls]
+    first = np.cumsum([0, *(len(hull) for hull in hulls)])
+    vertices = np.ascontiguousarray(np.vstack(hulls), dtype=float)
+    faces = np.vstack([shape.simplices + start for shape, start in zip(shapes, first, strict=False)]).astype(np.int64)
+    tree = igl.AABB()
+    tree.init(vertices, faces)
+
+    def law(points: Array) -> Array:
+        squared, _, _ = tree.squared_distance(vertices, faces, points)
+        inside = np.zeros(len(points), bool)
+        for hull, shape in zip(hulls, shapes, strict=True):
+            near = np.flatnonzero(((points >= hull.min(axis=0)) & (points <= hull.max(axis=0))).all(axis=1))
+            inside[near] |= (points[near] @ shape.equations[:, :3].T + shape.equations[:, 3]).max(axis=1) <= 0
+        return np.where(inside, -1.0, 1.0) * np.sqrt(squared)
+
+    return law
 
 
 def _read(file: Path, shape: tuple[int, ...]) -> NDArray[np.float32] | None:

@@ -17,11 +17,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from vehsim._interpolate import spatial
 from vehsim.errors import InputError, Problem
 from vehsim.world.plane import Ellipse, Shape, convex_hull, convex_parts, placed, simple_polygon
 
 if TYPE_CHECKING:
     from vehsim.clip import Clip
+    from vehsim.world.field import DistanceField
 
 Array = NDArray[np.float64]
 
@@ -29,6 +31,8 @@ BEVEL = 0.06
 """Width of the bevel along a prism's upper edge, m: edges catch the light."""
 SIDES = 64
 """Sides of the prism that stands for an elliptic cylinder where only hulls will do; it contains the cylinder."""
+ROUNDNESS = 3
+"""Subdivisions of the icosahedron that stands for a ball: 1280 faces, 0.5 % larger than the ball."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +76,7 @@ class Moving:
     @cached_property
     def hulls(self) -> tuple[Array, ...]:
         """Convex point sets (n, 3) m in the rig root's frame."""
-        return _hulls(self.clip.vehicle)
+        return hulls_of(self.clip.vehicle)
 
     @property
     def bottom(self) -> float:
@@ -90,10 +94,36 @@ class Moving:
 
     def poses_at(self, seconds: Array) -> tuple[Array, Array]:
         """Positions (n, 3) m and orientations (n, 4) at ``seconds`` (n,) since frame 0."""
-        first = self.clip.start_frame / float(self.clip.fps)
-        times, place = np.unique(np.clip(seconds - first, *self.clip.times[[0, -1]]), return_inverse=True)
+        times, place = np.unique(self._times(seconds), return_inverse=True)
         motion = self.clip.at(times)
         return motion.positions[place], motion.orientations[place]
+
+    def motion_at(self, seconds: Array) -> tuple[Array, Array, Array, Array]:
+        """Times of its clip (n,) s, positions, velocities in world axes and angular ones in body axes, (n, 3) each."""
+        times, place = np.unique(self._times(seconds), return_inverse=True)
+        motion = self.clip.at(times)
+        omega, velocity = spatial(motion)
+        return times[place], motion.positions[place], velocity[place], omega[place]
+
+    @cached_property
+    def solid(self) -> Obstacle:
+        """Its hulls alone, in the rig root's frame."""
+        corners = np.vstack(self.hulls)
+        low, high = float(corners[:, 2].min()), float(corners[:, 2].max())
+        return Obstacle(self.name, (self.outline,), low, high, self.hulls, corners, np.zeros((0, 3), np.int64))
+
+    def around(self, reach: float) -> DistanceField:
+        """The distance field about it in its root's frame, ``reach`` m beyond its hulls."""
+        from vehsim.world.field import distance_field
+
+        corners = np.vstack(self.hulls)
+        box = np.array([corners.min(axis=0) - reach, corners.max(axis=0) + reach])
+        return distance_field(None, box=box, obstacles=[self.solid])
+
+    def _times(self, seconds: Array) -> Array:
+        """Times of its clip (n,) s, at ``seconds`` (n,) since frame 0."""
+        first = self.clip.start_frame / float(self.clip.fps)
+        return np.asarray(np.clip(seconds - first, *self.clip.times[[0, -1]]))
 
     def shapes_at(self, seconds: Array) -> Sequence[Shape]:
         """The vehicle's outline at each time, [(n, k, 2)]; ``seconds`` (n,) since frame 0."""
@@ -141,6 +171,21 @@ def box(name: str, centre: ArrayLike, size: ArrayLike, heading: float = 0.0) -> 
     return _prism(name, (outline,), outline, [outline], float(sides[2]), float(middle[2]))
 
 
+def sphere(name: str, centre: ArrayLike, radius: float) -> Obstacle:
+    """A ball: ``centre`` (3,) m, ``radius`` m. Its hull has flat faces and contains it; so does what wheels see."""
+    import trimesh
+
+    middle = _numbers(name, "centre", centre, 3)
+    if not (np.isfinite(radius) and radius > 0):
+        raise InputError(str(Problem(f"obstacle {name!r}: radius", "not a radius", "give a length in m", radius)))
+    ball = trimesh.creation.icosphere(subdivisions=ROUNDNESS, radius=1.0)
+    inner = float((ball.face_normals * ball.triangles_center).sum(axis=1).min())
+    points = middle + np.asarray(ball.vertices) * (radius / inner)
+    disc = Ellipse(middle[:2], np.full(2, float(radius)), np.eye(2))
+    low, high = float(middle[2] - radius), float(middle[2] + radius)
+    return Obstacle(name, (disc,), low, high, (points,), points, np.asarray(ball.faces, np.int64))
+
+
 def mesh(
     name: str, path: str | Path, position: ArrayLike = (0, 0, 0), heading: float = 0.0, scale: float = 1.0
 ) -> Obstacle:
@@ -173,19 +218,21 @@ def footprint(vehicle: Any) -> Array:
 
     Without an asset it is a point (1, 2).
     """
-    return convex_hull(np.vstack(_hulls(vehicle))[:, :2]) if vehicle.rig is not None else np.zeros((1, 2))
+    return convex_hull(np.vstack(hulls_of(vehicle))[:, :2]) if vehicle.rig is not None else np.zeros((1, 2))
 
 
 def vertical_reach(vehicle: Any) -> tuple[float, float]:
     """Lowest and highest point of a vehicle's collision hulls over its root, m."""
     if vehicle.rig is None:
         return 0.0, 1e-3
-    z = np.concatenate([hull[:, 2] for hull in _hulls(vehicle)])
+    z = np.concatenate([hull[:, 2] for hull in hulls_of(vehicle)])
     return float(z.min()), float(z.max())
 
 
-def _hulls(vehicle: Any) -> tuple[Array, ...]:
-    """The collision hulls (n, 3) m of a vehicle's asset, in its rig root's frame."""
+def hulls_of(vehicle: Any) -> tuple[Array, ...]:
+    """The collision hulls (n, 3) m of a vehicle's asset, in its rig root's frame; none without an asset."""
+    if vehicle.rig is None:
+        return ()
     stat = Path(vehicle.rig.asset).stat()
     return _read_hulls(Path(vehicle.rig.asset), vehicle.rig.root or None, stat.st_mtime_ns, stat.st_size)
 
