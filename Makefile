@@ -2,12 +2,13 @@
 BIN := .venv/bin
 export MUJOCO_GL ?= egl
 
-.PHONY: help setup demo test assets lock clean bench-export bench-integrators bench-planning bench-collocation
+.PHONY: help setup demo test docs assets lock clean bench-export bench-integrators bench-planning bench-collocation
 
 help:
 	@echo "make demo   export examples/canyon_flight.toml to out/: a USD shot, frames and a film"
 	@echo "make test   formatter, linter, type checker and all tests"
 	@echo "make setup  only make .venv"
+	@echo "make docs   the key tables of docs/shot-file.md, and the site in site/"
 	@echo "make assets regenerate the vehicles' USD assets, byte for byte"
 	@echo "make lock   bring requirements.lock up to date with pyproject.toml"
 	@echo "make bench-integrators  the claims of the papers, measured; writes benchmarks/RESULTS.md"
@@ -28,12 +29,16 @@ test: setup
 	$(BIN)/mypy
 	$(BIN)/pytest -n 2
 
+docs: setup
+	$(BIN)/python -m vehsim.shot.reference docs/shot-file.md
+	$(BIN)/mkdocs build --quiet --strict
+
 assets: setup
 	$(BIN)/python -m vehsim.assets.generate
 
 lock: setup
 	$(BIN)/python -m pip install --quiet uv
-	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --extra dev \
+	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --extra dev --extra docs \
 		--custom-compile-command "make lock" --output-file requirements.lock pyproject.toml
 
 bench-integrators: setup
@@ -49,4 +54,4 @@ bench-export: setup
 	$(BIN)/python benchmarks/bench_export.py
 
 clean:
-	rm -rf .venv out build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv out site build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -1,0 +1,78 @@
+"""The pages beside their snippets: tables as the models are, nothing left out, and a site without a dead link."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import vehsim
+from vehsim.cameras import RIGS
+from vehsim.cli import app
+from vehsim.errors import InputError
+from vehsim.integrators.references import METHODS
+from vehsim.pilots import PILOTS
+from vehsim.planning.solver import SOLVERS
+from vehsim.planning.terms import COSTS, LIMITS
+from vehsim.shot.reference import table, with_tables
+from vehsim.vehicles import available
+
+ROOT = Path(vehsim.__file__).parents[1]
+SHOT_FILE = (ROOT / "docs" / "shot-file.md").read_text(encoding="utf-8")
+
+
+def test_key_tables_are_those_of_the_models() -> None:
+    assert with_tables(SHOT_FILE) == SHOT_FILE, "run make docs"
+
+
+def test_a_table_says_what_is_required_what_holds_otherwise_and_what_is_toml() -> None:
+    rows = dict(row.split(" | ", 1) for row in table("Header").splitlines()[2:])
+    assert rows["| `schema`"].endswith("| required |")
+    assert rows["| `end_frame`"].endswith("| where the longest motion ends |")
+    assert rows["| `start_frame`"].endswith("| `1001` |")
+    assert '`"24000/1001"`' in rows["| `fps`"]
+    assert "`shape`" not in table("BoxTable", ["shape"])
+    with pytest.raises(InputError, match="no such table"):
+        table("BoxTabel")
+
+
+@pytest.mark.parametrize(
+    "names",
+    [COSTS, LIMITS, PILOTS, RIGS, SOLVERS, METHODS],
+    ids=["costs", "limits", "pilots", "rigs", "solvers", "integrators"],
+)
+def test_every_name_a_shot_may_use_is_explained(names: dict[str, object]) -> None:
+    missing = [name for name in names if f"`{name}`" not in SHOT_FILE and f'`"{name}"`' not in SHOT_FILE]
+    assert not missing, "explain them in docs/shot-file.md"
+
+
+def test_every_vehicle_is_shown() -> None:
+    text = (ROOT / "docs" / "vehicles.md").read_text(encoding="utf-8")
+    assert [name for name in available() if f"`{name}`" not in text] == []
+
+
+def test_every_command_is_explained() -> None:
+    pages = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "docs").glob("*.md"))
+    names = [command.name or command.callback.__name__ for command in app.registered_commands if command.callback]
+    assert [name for name in names if f"vehsim {name}" not in pages and f"`{name}`" not in pages] == []
+
+
+def test_every_public_name_is_in_the_reference() -> None:
+    text = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
+    assert [name for name in vehsim.__all__ if f"::: vehsim.{name}\n" not in text and name != "__version__"] == []
+
+
+def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
+    """MkDocs holds every link and anchor, mkdocstrings every name of the reference; strict makes a warning an error."""
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path)]
+    done = subprocess.run(
+        command, cwd=ROOT, env=os.environ | {"NO_MKDOCS_2_WARNING": "1"}, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    for page in ("index", "shot-file/index", "api/index", "examples/index", "cookbook/index"):
+        assert (tmp_path / f"{page}.html").is_file()
+    reference = (tmp_path / "api" / "index.html").read_text(encoding="utf-8")
+    assert "Position of the rig" in reference or "vehsim.plan" in reference

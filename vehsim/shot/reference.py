@@ -1,0 +1,72 @@
+"""The key tables of docs/shot-file.md, made from the models: a key's docstring is its one description.
+
+The page's prose is written by hand; between ``<!-- keys: MarkTable -->`` and ``<!-- end -->`` stands what `table` says
+of that model. ``python -m vehsim.shot.reference docs/shot-file.md`` brings the page up to date.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from vehsim.errors import InputError
+from vehsim.shot.file import schema
+
+_BLOCK = re.compile(r"(<!-- keys: (\w+)(?: without ([\w, ]+))? -->\n).*?(<!-- end -->)", re.DOTALL)
+_UNLESS = re.compile(r"(.*); (.*?) unless given")
+_CODE = re.compile(r'("[^"]*"(?:\.\.\.)?|\{[^}]*\}|\[\[[^]]*\]\]|\[[^]]*\])')
+
+
+def with_tables(page: str) -> str:
+    """The page (Markdown) with its key tables as the models are now."""
+    return _BLOCK.sub(lambda m: f"{m[1]}{table(m[2], (m[3] or '').replace(' ', '').split(','))}{m[4]}", page)
+
+
+def table(model: str, without: list[str] | None = None) -> str:
+    """A model's keys as a Markdown table: key, what to give, unless given.
+
+    ``model`` is the name of a table in `vehsim schema`; ``without`` names keys to leave out. Raises ``InputError``.
+    """
+    known = {**schema()["$defs"], "ShotFile": schema()}
+    if model not in known:
+        raise InputError(f"keys: {model}: no such table; choose one of {', '.join(sorted(known))}")
+    required = known[model].get("required", ())
+    rows = [
+        f"| `{key}` | {what} | {default} |\n"
+        for key, field in known[model]["properties"].items()
+        if key not in (without or ())
+        for what, default in [_described(field, key in required)]
+    ]
+    return "".join(["| key | what to give | unless given |\n|---|---|---|\n", *rows])
+
+
+def _described(field: Mapping[str, Any], required: bool) -> tuple[str, str]:
+    """What to give, and what holds unless it is given."""
+    text, default = " ".join(field.get("description", "").split()), field.get("default")
+    stated = _UNLESS.fullmatch(text)
+    if stated:
+        return _marked(stated[1]), _marked(stated[2].rstrip(","))
+    if required or default is None:
+        return _marked(text), "required" if required else ""
+    return _marked(text), f"`{json.dumps(_plain(default))}`" if default not in ({}, []) else "none"
+
+
+def _marked(text: str) -> str:
+    """What is TOML in a description set as code."""
+    return _CODE.sub(r"`\1`", text).replace("|", "\\|")
+
+
+def _plain(value: Any) -> Any:
+    """Whole numbers without their .0, as people write them."""
+    if isinstance(value, list):
+        return [_plain(item) for item in value]
+    return int(value) if isinstance(value, float) and value.is_integer() else value
+
+
+if __name__ == "__main__":
+    for name in sys.argv[1:]:
+        Path(name).write_text(with_tables(Path(name).read_text(encoding="utf-8")), encoding="utf-8")
