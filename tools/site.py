@@ -63,9 +63,7 @@ def _source(page: str) -> Path:
 
 def _examples() -> str:
     """Every shot and script of examples/, as it stands."""
-    said = [
-        "# Examples\n\nEvery shot in [examples/](../examples), as it stands: `vehsim export examples/NAME.toml --out out`.\n"
-    ]
+    said = ["# Examples\n\nEvery shot as it stands: `vehsim export examples/NAME.toml --out out`.\n"]
     for path in sorted(ROOT.glob("examples/*")):
         if path.suffix in (".toml", ".py"):
             language = "toml" if path.suffix == ".toml" else "python"
