@@ -446,7 +446,9 @@ def _check_stages(paths: Sequence[Path]) -> None:
 
 def _summary(shot: Shot) -> str:
     moved = ", ".join(f"{vehicle.name} ({vehicle.asset}, {vehicle.motion.method})" for vehicle in shot.file.vehicle)
-    return f"{moved} in {shot.file.world.terrain or 'empty space'} at {shot.fps} fps"
+    world = shot.file.world
+    place = f"in {world.terrain}" if world.terrain else "on water" if world.water else "in empty space"
+    return f"{moved} {place} at {shot.fps} fps"
 
 
 def _control(control: Any) -> str:

@@ -206,7 +206,8 @@ class Shot:
             world = self.world
         except InputError as error:
             if self.file.world.terrain is not None and not wrong:
-                yield Problem("world.terrain", str(error), "see vehsim terrains", self.file.world.terrain)
+                said = str(error).partition("': ")[2] if str(error).startswith("terrain = ") else str(error)
+                yield Problem("world.terrain", said, "see vehsim terrains", self.file.world.terrain)
         for i, table in enumerate(self.file.vehicle):
             try:
                 vehicle = self.vehicle(table)

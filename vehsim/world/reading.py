@@ -11,6 +11,7 @@ import tomllib
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -53,8 +54,10 @@ def read_terrain(source: str | Path) -> Terrain:
     if path.is_dir():
         path = path / "terrain.toml"
     if not path.is_file():
+        close = get_close_matches(path.name, _shipped(), n=1)
         mend = f"give one of {', '.join(sorted(_shipped()))} or the path of a mesh or height map"
-        raise refuse(source, "terrain", "no such terrain or file", mend, str(source))
+        mend = f"did you mean {close[0]!r}?" if close else mend
+        raise InputError(str(Problem("terrain", "no such terrain or file", mend, str(source))))
     if path.suffix == ".toml":
         heights, placement = _read_toml(path)
         return replace(_read_heights(heights, placement), name=path.parent.name, look=placement.look)
