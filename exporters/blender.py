@@ -93,6 +93,7 @@ def still(scene: Any, path: str | Path, frame: int, camera: str | None, size: Se
     cycles.use_adaptive_sampling, cycles.adaptive_threshold = True, 0.04
     cycles.use_denoising, cycles.denoiser = True, "OPENIMAGEDENOISE"
     scene.view_settings.view_transform, scene.view_settings.look = "AgX", "AgX - Medium High Contrast"
+    scene.view_settings.exposure = 0.35
     bpy.ops.render.render(write_still=True)
 
 
@@ -116,7 +117,7 @@ def main(arguments: Sequence[str]) -> None:
     parser.add_argument("--camera")
     parser.add_argument("--fps", type=Fraction, help="the stage's exact rate, such as 24000/1001")
     parser.add_argument("--size", default="1920x1080")
-    parser.add_argument("--samples", type=int, default=64)
+    parser.add_argument("--samples", type=int, default=40)
     given = parser.parse_args(arguments)
     scene = open_stage(given.stage, given.fps)
     if given.bake:

@@ -130,7 +130,10 @@ def _curves(stage: Any, path: str, lines: Array, width: float, colour: Colour) -
 def _points(stage: Any, path: str, places: Array, colour: Colour) -> Any:
     from pxr import UsdGeom
 
-    return _place(UsdGeom.Points.Define(stage, path), places, POINT_WIDTH, colour)
+    points = _place(UsdGeom.Points.Define(stage, path), places, POINT_WIDTH, colour)
+    points.GetWidthsAttr().Set([POINT_WIDTH] * len(places))  # USD's own extent of points wants one each
+    points.SetWidthsInterpolation(UsdGeom.Tokens.vertex)
+    return points
 
 
 def _place(prim: Any, points: Array, width: float, colour: Colour) -> Any:
@@ -146,7 +149,8 @@ def _place(prim: Any, points: Array, width: float, colour: Colour) -> Any:
 
 
 def _extent(points: Any, width: float) -> list[Any]:
+    """As USD computes it, to the bit: in single precision."""
     from pxr import Gf
 
-    half = width / 2
+    points, half = points.astype(np.float32), np.float32(width / 2)
     return [Gf.Vec3f(*(points.min(0) - half).tolist()), Gf.Vec3f(*(points.max(0) + half).tolist())]

@@ -121,6 +121,8 @@ def _invertible(stage: Any) -> Iterator[Issue]:
     for prim in stage.Traverse():
         if prim.IsA(UsdGeom.Xformable) and prim.GetAuthoredPropertyNames():
             matrix = np.array(UsdGeom.Xformable(prim).GetLocalTransformation(stage.GetStartTimeCode()))[:3, :3]
+            if not np.isfinite(matrix).all():
+                continue  # the rule of finite values says so
             sizes = np.linalg.svd(matrix, compute_uv=False)
             if not sizes[-1] > 1e-9 * max(sizes[0], 1e-30):
                 yield Issue("error", "scale", str(prim.GetPath()), "its transform cannot be inverted", "mend its scale")

@@ -7,7 +7,8 @@ opens what was written and compares it with the clips.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -85,16 +86,19 @@ def write_usd(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
         _model(prim, Kind.Tokens.component, clip.vehicle.name, pack.relative(layers[name][0], path))
     progress("usd: environment", len(clips) / (len(clips) + 2))
     _author_terrain(stage, f"/{take.name}/env/terrain", take, pack, path)
-    author_obstacles(stage, f"/{take.name}/env/obstacles", take)
+    with _layer_of(stage, f"/{take.name}/env/obstacles", take, pack, path, Z_UP_METRES) as layer:
+        author_obstacles(layer, "/obstacles", take)
     for layer in write_water(take, folder):
         prim = UsdGeom.Xform.Define(stage, f"/{take.name}/env/water").GetPrim()
         prim.GetReferences().AddReference(pack.relative(layer, path))
         _model(prim, Kind.Tokens.component, "water", pack.relative(layer, path))
         pack.written.append(layer)
-    for camera in take.cameras:
-        author_camera(stage, f"/{take.name}/cameras/{camera.name}", camera, units, settings.shutter)
+    with _layer_of(stage, f"/{take.name}/cameras", take, pack, path, units) as layer:
+        for camera in take.cameras:
+            author_camera(layer, f"/cameras/{camera.name}", camera, units, settings.shutter)
     author_lights(stage, f"/{take.name}/lights", take, pack, path)
-    author_guides(stage, f"/{take.name}/guides", take, clips)
+    with _layer_of(stage, f"/{take.name}/guides", take, pack, path, Z_UP_METRES) as layer:
+        author_guides(layer, "/guides", take, clips)
     for name, blocking in take.blockings.items():
         clip, layer = clips[name], folder / "layers" / f"{name}.blocking.usdc"
         pack.written.append(write_over(blocking, clip.frames, clip.positions, clip.matrices()[:, :3, :3], layer))
@@ -104,6 +108,29 @@ def write_usd(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
     progress("usd: reading back", (len(clips) + 1) / (len(clips) + 2))
     check_readback(path, _prims(take, _shown(take, clips)), _cameras(take), units)
     return pack.written
+
+
+@contextmanager
+def _layer_of(stage: Any, prim_path: str, take: Take, pack: Pack, shot: Path, units: Units) -> Iterator[Any]:
+    """A stage to author what is below a prim of the shot: many numbers stand in a layer of their own, binary.
+
+    What is below ``/shot/cameras`` is authored below ``/cameras``; nothing there, no layer.
+    """
+    from pxr import Usd, UsdGeom
+
+    name = prim_path.rpartition("/")[2]
+    path = pack.folder / "layers" / f"{name}.usdc"
+    layer = Usd.Stage.CreateNew(str(path))
+    author_stage_metadata(layer.GetRootLayer(), take.fps, take.frames, units)
+    layer.SetDefaultPrim(UsdGeom.Scope.Define(layer, f"/{name}").GetPrim())
+    yield layer
+    if layer.GetDefaultPrim().GetChildren():
+        layer.GetRootLayer().Save()
+        pack.written.append(path)
+        prim = stage.GetPrimAtPath(prim_path) or stage.DefinePrim(prim_path, "Xform")
+        prim.GetReferences().AddReference(pack.relative(path, shot))
+    else:
+        path.unlink(missing_ok=True)
 
 
 def _whole_frames(clip: Clip, take: Take) -> Clip:

@@ -76,3 +76,25 @@ def test_wind_arrows_are_as_long_as_half_a_second_of_it(tmp_path, toys, make_tak
     curves = UsdGeom.BasisCurves(prims["wind"])
     points = np.array(curves.GetPointsAttr().Get()).reshape(-1, 5, 3)
     assert np.allclose(points[:, 1] - points[:, 0], (0.0, 1.5, 0.0), atol=1e-5)
+
+
+def test_extents_are_usds_own_to_the_bit_and_no_samples_stand_in_the_text_layer(tmp_path, toys, make_take):
+    from pxr import Sdf, UsdGeom
+
+    event = {"kind": "contact", "with": "dock", "time": 0.5, "place": [1.1, 2.3, 3.7], "speed": 1.0, "impulse": 40.0}
+    _, stage, prims = write(tmp_path, toys, make_take, events=(event,))
+    for prim in prims.values():
+        guide = UsdGeom.Boundable(prim)
+        for time in (1001.0, 1013.0):
+            assert list(guide.GetExtentAttr().Get(time)) == list(guide.ComputeExtentFromPlugins(guide, time)), prim
+    sampled = []
+    text = stage.GetRootLayer()
+
+    def note(path):
+        spec = text.GetObjectAtPath(path)
+        sampled.extend([path] * (isinstance(spec, Sdf.AttributeSpec) and bool(text.ListTimeSamplesForPath(path))))
+
+    text.Traverse("/", note)
+    assert not sampled
+    for scope in ("cameras", "guides"):
+        assert (tmp_path / "layers" / f"{scope}.usdc").is_file()
