@@ -81,12 +81,13 @@ def export(
     quiet: Quiet = False,
 ) -> None:
     """Solve shots and write them: a USD stage, pictures, a film, tables. Sweeps become a clip each."""
-    from vehsim.delivery import may_hold_versions, may_replace
+    from vehsim.delivery import check_stage_is_there, may_hold_versions, may_replace
 
     names = _exporters(to)
     _check_folder(out)
     loaded, problems = _load(shots, [*(sets or []), *["export.layer_only=true"] * layer_only], only or [])
     for shot in loaded:
+        check_stage_is_there(names, shot.usd.layer_only)
         (may_hold_versions if shot.usd.versions else may_replace)(out / shot.name)
     _say(problems, quiet or log is Log.json)
     errors = [str(problem) for problem in problems if problem.severity == "error"]

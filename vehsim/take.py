@@ -125,12 +125,20 @@ class Take:
         Everything is written beside and moved into place at the end: an earlier delivery stays whole until then, and
         whatever goes wrong. Raises ``InputError`` for unknown exporters, ``ExportError`` for what cannot be written.
         """
-        from vehsim.delivery import in_order, new_version, point_at_newest, replacing, write_files, write_reports
+        from vehsim.delivery import (
+            check_stage_is_there,
+            delivering,
+            in_order,
+            point_at_newest,
+            write_files,
+            write_reports,
+        )
 
         to = (to,) if isinstance(to, str) else tuple(to)
         in_order(to)
+        check_stage_is_there(to, self.usd.layer_only)
         target = Path(out) / self.name
-        with new_version(target) if self.usd.versions else replacing(target, overwrite) as folder:
+        with delivering(self, target, overwrite) as folder:
             files = write_files(self, folder, to, progress or _silent)
             write_reports(self, folder, files)
         return point_at_newest(target, in_order(to)) if self.usd.versions else target

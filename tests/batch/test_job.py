@@ -74,6 +74,17 @@ def test_steps_want_what_comes_before_whole(write: Callable[..., Path], tmp_path
     run_step("deliver", clips, 0, (1, 2))  # again: it is done
 
 
+def test_steps_make_versions_as_export_does(write: Callable[..., Path], tmp_path: Path) -> None:
+    more = "[export]\nversions = true\n"
+    for seconds in (0.25, 0.3):  # other inputs, so another version
+        clips = write_job(write(more=more, duration=seconds), tmp_path / "job.json", "usd")
+        for step in ("plan", "bake", "bake"):  # done again, it finds itself done
+            run_step(step, clips, 0)
+    home = tmp_path / "farm" / "drive"
+    assert sorted(path.name for path in home.iterdir()) == ["latest.car.usda", "latest.usda", "v001", "v002"]
+    assert "./v002/drive.usda" in (home / "latest.usda").read_text()
+
+
 def test_steps_refuse_clips_that_are_not_there(write: Callable[..., Path], tmp_path: Path) -> None:
     clips = write_job(write(), tmp_path / "job.json", "npz")
     with pytest.raises(InputError, match="no clip 1"):

@@ -167,6 +167,13 @@ def test_layers_alone(weave, tmp_path):
     assert (tmp_path / "layers" / "it.anim.usdc").is_file()
 
 
+@pytest.mark.parametrize("to", ["png", "mp4", "flat"])
+def test_layers_alone_make_no_pictures_and_say_so_before_any_work(weave, tmp_path, to):
+    with pytest.raises(InputError, match=f"(png|{to}).*layer_only leaves out"):
+        take_of(weave, layer_only=True).export(tmp_path, to=("usd", to))
+    assert not list(tmp_path.iterdir())
+
+
 def test_versions_are_never_overwritten_and_latest_follows(weave, tmp_path):
     from pxr import Usd
 

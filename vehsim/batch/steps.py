@@ -15,7 +15,16 @@ from typing import TYPE_CHECKING, Any
 
 from vehsim.batch.inputs import fingerprint, is_finished
 from vehsim.batch.task import Task, measure
-from vehsim.delivery import SIGN, in_order, replacing, write_files, write_reports
+from vehsim.delivery import (
+    SIGN,
+    delivering,
+    in_order,
+    newest,
+    point_at_newest,
+    replacing,
+    write_files,
+    write_reports,
+)
 from vehsim.errors import ExportError, InputError
 from vehsim.shot import Shot
 from vehsim.take import Exporter, Progress, Take
@@ -35,7 +44,7 @@ def run_step(name: str, clips: Path, index: int, part: tuple[int, int] = (1, 1))
     task = _read(clips, index)
     if fingerprint(_shot(task), task.to, task.draft) != task.inputs:
         raise InputError(f"{task.source}: its files or vehsim itself changed since the job was written; write it again")
-    if name == "measure" or not is_finished(task.target, task.inputs):
+    if name == "measure" or not is_finished(newest(task.target), task.inputs):
         STEPS[name](task, part)
     return task.name
 
@@ -156,9 +165,11 @@ def _deliver(task: Task, part: tuple[int, int]) -> None:
         return written + write_sheets(take, folder, pictures_of(written))
 
     take = _take(task)
-    with replacing(task.target) as folder:
+    with delivering(take, task.target) as folder:
         files = write_files(take, folder, task.to, _silent, {"png": Exporter("png", (".png",), gather, ("usd",))})
         write_reports(take, folder, files)
+    if take.usd.versions:
+        point_at_newest(task.target, in_order(task.to))
     shutil.rmtree(_place(task, "plan").parent, ignore_errors=True)
     with suppress(OSError):  # other clips are still at it
         (Path(task.out) / HIDDEN).rmdir()

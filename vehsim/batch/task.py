@@ -107,13 +107,12 @@ def run_task(task: Task, tell: Tell) -> Outcome:
 
 def _work(task: Task, tell: Tell) -> Outcome:
     from vehsim.batch.inputs import fingerprint, is_finished
-    from vehsim.delivery import clean_up, versions
+    from vehsim.delivery import clean_up, newest
     from vehsim.shot import Shot
 
     clean_up(task.target)
     clean_up(task.target / "version")
-    newest = [task.target, *versions(task.target)][-1]
-    if task.resume and is_finished(newest, task.inputs):
+    if task.resume and is_finished(newest(task.target), task.inputs):
         return Outcome(task.name, "skipped")
     tell(task.name, "planning", "starting", 0.0)
     shot = Shot.from_dict(task.shot, task.folder, task.source)
