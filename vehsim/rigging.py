@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from difflib import get_close_matches
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -190,9 +191,15 @@ def _bounds(rig: Rig, path: str) -> Array:
 
 
 def _parts(rig: Rig) -> Any:
+    stat = Path(rig.asset).stat()
+    return _read(Path(rig.asset), rig.root or None, stat.st_mtime_ns, stat.st_size)
+
+
+@lru_cache(maxsize=8)
+def _read(asset: Path, root: str | None, changed: int, size: int) -> Any:
     from vehsim.parts import read_parts
 
-    return read_parts(rig.asset, rig.root or None)
+    return read_parts(asset, root)
 
 
 def _to_op_space(root: Any, prim: Any, drive: Drive, metres_per_unit: float) -> Array:

@@ -149,3 +149,16 @@ def test_the_live_table_counts_states() -> None:
     assert "1 of 4: 1 queued, 1 planning, 1 rendering, 1 failed" in text
     assert "iteration [3]" in text
     assert "c.toml: no way [there]" in text
+
+
+def test_an_asset_is_read_once_for_all_clips(write: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reading a car's meshes takes longer than driving it: no clip pays for what another has read."""
+    from vehsim import parts
+
+    (first, second) = load_shots(write(sweep='"vehicle.car.motion.duration" = [0.25, 0.3]'))
+    export_batch([first], tmp_path / "out", ["usd"])
+    reads: list[object] = []
+    monkeypatch.setattr(parts, "read_parts", lambda *asked: reads.append(asked))
+    second.check()
+    assert export_batch([second], tmp_path / "out", ["usd"])[0].state == "done"
+    assert reads == []

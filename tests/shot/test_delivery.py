@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -61,12 +60,10 @@ def exporters(monkeypatch: pytest.MonkeyPatch) -> dict[str, Exporter]:
         path.write_text("\n".join(file.relative_to(folder).as_posix() for file in files))
         return path
 
-    def entry_points(group: str, name: str | None = None) -> list[Entry]:
-        if group == delivery.REPORT_GROUP:
-            return [Entry("json", report)]
-        return [Entry(e.name, e) for e in found.values() if name in (None, e.name)]
+    def entries(group: str) -> list[Entry]:
+        return [Entry("json", report)] if group == delivery.REPORT_GROUP else [Entry(e.name, e) for e in found.values()]
 
-    monkeypatch.setattr(importlib.metadata, "entry_points", entry_points)
+    monkeypatch.setattr(delivery, "entries", entries)
     return found
 
 

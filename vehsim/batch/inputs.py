@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from vehsim import __version__, exporters
-from vehsim.delivery import SIGN, in_order
+from vehsim.delivery import GROUP, SIGN, entries, in_order
 from vehsim.exporters.packing import _dependencies
 from vehsim.exporters.report import PACKAGES, sha256
 from vehsim.shot import Shot
@@ -102,5 +102,5 @@ def _code() -> str:
 
 def _exporter(name: str) -> Any:
     """An exporter's name with the version of the package it comes from: a studio's own may change without us."""
-    (entry, *_) = importlib.metadata.entry_points(group="vehsim.exporters", name=name)
+    entry = next(entry for entry in entries(GROUP) if entry.name == name)
     return [name, entry.value, entry.dist.version if entry.dist else None]
