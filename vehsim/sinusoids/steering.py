@@ -26,7 +26,9 @@ Law = Callable[[Array], Array]
 
 TOLERANCE = 1e-13
 """Of the integration that makes the states, relative to them."""
-HALVINGS = 4
+SETTLED = 1e-9
+"""A change below it that halving does not bring down is round-off, which reversing trailers amplify."""
+HALVINGS = 6
 """How often its steps are halved at most."""
 ACCURACY = 1e-6
 """Largest accepted difference between the goal and where the inputs lead, in the states' own units."""
@@ -236,11 +238,12 @@ def integrate(system: DriftlessSystem, stage: Stage, x: Array, times: Array) -> 
     coarse = _finely(system, stage, x, ends, longest)[-1]
     for _ in range(HALVINGS):
         longest /= 2
-        rows = _finely(system, stage, x, times, longest)
-        before, change, coarse = change, float(np.abs(rows[-1] - coarse).max()), rows[-1]
-        # where round-off is all that is left, which reversing trailers amplify, halving changes nothing
-        if change <= TOLERANCE * max(1.0, float(np.abs(rows).max())) or change > before / 4:
+        fine = _finely(system, stage, x, ends, longest)[-1]
+        before, change, coarse = change, float(np.abs(fine - coarse).max()), fine
+        size = max(1.0, float(np.abs(fine).max()))
+        if change <= TOLERANCE * size or (change < SETTLED * size and change > before / 4):
             break
+    rows = _finely(system, stage, x, times, longest) if len(times) > 2 else np.array([x, fine])
     if not np.all(np.isfinite(rows)):
         raise SolveError(f"{system.name}: stage {stage.label!r}: runs into a singularity; go by a nearer goal")
     return rows

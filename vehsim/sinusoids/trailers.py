@@ -6,8 +6,8 @@ chosen for gentle hitches, short ways and little reversing, which amplifies ever
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise, product
 from math import factorial
 from typing import Any
@@ -15,18 +15,21 @@ from typing import Any
 import numpy as np
 
 from vehsim.errors import InputError, SolveError
+from vehsim.sinusoids.crossings import crossings, span
 from vehsim.sinusoids.models import trailers
 from vehsim.sinusoids.steering import Law, Stage, Steering, integrate
 from vehsim.sinusoids.system import Array, DriftlessSystem
-from vehsim.sinusoids.train import Leg, Pose, Train, across, hermite, last_axle, straighten
+from vehsim.sinusoids.train import Leg, Pose, Train, across, last_axle, sharpness, straighten
 
 TAU = 2 * np.pi
 SHARPEST = 1.3
 """Hitch and steering angles of a chosen path stay below this, rad; a right angle is singular."""
-AMPLIFIED = 3e4
+AMPLIFIED = 3e3
 """How much reversing may amplify errors on a chosen way."""
-CORNER = 1.75
-"""The most one leg turns on the way round a bend, rad."""
+FOLDED = 20.0
+"""A car goes at most this many metres for one of the last axle."""
+CHUNK = 24
+"""Ways whose angles are looked at together."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,11 +96,19 @@ def trailer_ways(
     if np.array_equal(q0, q1):
         return [Steering(system, q0, q1, (Stage("rest", lambda s: np.zeros((len(s), 2))),))]
     limits = (min(SHARPEST, steering or np.inf), min(SHARPEST, hitch or np.inf))
-    ways = []
+    ways, missed = [], None
     for legs in _choose(system, train, q0, q1, via, limits, count):
-        way = Steering(system, q0, q1, _staged(legs, speed), label=_described(legs))
+        way = Steering(system, q0, q1, _staged(_joined(system, q0, legs), speed), label=_described(legs))
         turns = np.round((way.states[-1] - q1) / TAU) * TAU * (np.arange(system.n) >= 3)
-        ways.append(way.towards(q1 + turns).checked())
+        try:
+            ways.append(way.towards(q1 + turns).checked())
+        except SolveError as error:  # reversing amplified round-off too far
+            missed = error
+        if len(ways) == count:
+            return ways
+    if not ways:
+        assert missed is not None
+        raise missed
     return ways
 
 
@@ -115,51 +126,75 @@ def _choose(
     limits: tuple[float, float],
     count: int,
 ) -> list[list[Leg | _Pull]]:
-    """The gentlest ways of ``count`` kinds: straighten either way, drive between straight poses, bend into the goal."""
-    ways: list[tuple[float, list[Leg | _Pull]]] = []
-    for out, back in product(_straightenings(system, train, q0, limits), _straightenings(system, train, q1, limits)):
-        into = [leg.back("bend to the goal") for leg in reversed(back)]
-        poses = [out[-1].far_end, *via, back[-1].far_end]
-        for between in product(*(_crossings(train, a, b) for a, b in pairwise(poses))):
-            way = [*out, *(leg for legs in between for leg in legs), *into]
-            ways.append((_least(train, way), way))
-    ways.sort(key=lambda option: option[0])
+    """The gentlest ways of more than ``count`` kinds: straighten either way, drive between straight poses, bend into
+    the goal.
+    """
+    ends = list(product(_straightenings(system, train, q0, limits), _straightenings(system, train, q1, limits)))
+    outer = [[*out, *(leg.back("bend to the goal") for leg in reversed(back))] for out, back in ends]
+    poses = [[out[-1].far_end, *via, back[-1].far_end] for out, back in ends]
+    sharp = [_bending(way, limits) for way in outer]
+    bounds = [_least(train, [leg.span for leg in way]) + _length(p) for way, p in zip(outer, poses, strict=True)]
+    bounds = [a + b for a, b in zip(bounds, sharp, strict=True)]
     found: dict[str, tuple[float, list[Leg | _Pull]]] = {}
-    for least, way in ways:
-        if least == np.inf or (len(found) >= count and least >= sorted(cost for cost, _ in found.values())[count - 1]):
+
+    def enough() -> float:
+        costs = sorted(cost for cost, _ in found.values())
+        return costs[count - 1] if len(costs) >= count else np.inf
+
+    for k in np.argsort(bounds):
+        if bounds[k] >= enough():
             break
-        cost = least + sum(_bending(leg, limits) for leg in way if isinstance(leg, Leg))
-        kind = _described(way)
-        if cost < found.get(kind, (np.inf, way))[0]:
-            found[kind] = (cost, way)
+        out, _ = ends[k]
+        options = []
+        for between in product(*(crossings(train, a, b) for a, b in pairwise(poses[k]))):
+            steps = [step for part in between for step in part]
+            spans = [leg.span for leg in outer[k]] + [span(a, b) for a, b, _ in steps]
+            options.append((_least(train, spans), steps))
+        options.sort(key=lambda option: option[0])
+        for first in range(0, len(options), CHUNK):
+            chunk = [o for o in options[first : first + CHUNK] if o[0] + sharp[k] < enough()]
+            if not chunk:
+                break
+            ways = [[across(train, *step) for step in steps] for _, steps in chunk]
+            for (least, _), legs, bend in zip(chunk, ways, _bendings(ways, limits), strict=True):
+                cost = least + sharp[k] + bend
+                way = [*out, *legs, *outer[k][len(out) :]]
+                kind = _described(way)
+                if cost < found.get(kind, (np.inf, way))[0]:
+                    found[kind] = (cost, way)
     if not found:
         raise SolveError(
             f"{system.name}: no choice of legs keeps the steering below {limits[0]:.3g} and every hitch below "
             f"{limits[1]:.3g} rad without more reversing than can be steered open loop; go by a state between (`via`), "
             "with smaller hitch angles"
         )
-    best = sorted(found.values(), key=lambda option: option[0])[:count]
+    best = sorted(found.values(), key=lambda option: option[0])
     return [[leg for leg in way if leg.length > 1e-9] for _, way in best]
 
 
 def _straightenings(system: DriftlessSystem, train: Train, q: Array, limits: tuple[float, float]) -> list[list[Any]]:
-    """Ways from a state to a straight pose, the best of each kind: ahead, behind, and after a pull."""
+    """Ways from a state to a straight pose, the best of each kind: ahead or behind, at once or after a pull."""
     if np.abs(np.concatenate([[q[2]], np.diff(q[3:])])).max() < 1e-12:
         # nothing to straighten: a leg of no length marks the pose
-        return [[Leg(train, last_axle(train, q), 0.0, 1e-12, hermite(np.zeros(1), np.zeros(1)), "rest")]]
+        return [[Leg(train, last_axle(train, q), 0.0, 1e-12, np.zeros(2), "rest")]]
+    longest = max((*train.hitches, train.wheelbase))
+    pulls = [None, *(_pull(system, q, k * longest) for k in (0.5, 1.0, 2.5, 5.0))]
+    lengths = train.length * np.array([0.6, 0.8, 1.0, 1.6, 2.5])
+    options: list[tuple[tuple[bool, bool], list[Leg | _Pull]]] = []
+    for pull, sign in product(pulls, (1.0, -1.0)):
+        for leg in straighten(train, pull.end if pull else q, list(sign * lengths), "straighten"):
+            options.append(((pull is None, sign > 0), [pull, leg] if pull else [leg]))
     found = []
-    pulls = [None, *(_pull(system, q, k * max((*train.hitches, train.wheelbase))) for k in (1.0, 2.5, 5.0))]
-    for sign in (1.0, -1.0):
-        options = []
-        for pull in pulls if sign > 0 else pulls[:1]:
-            for length in train.length * np.array([0.6, 0.8, 1.0, 1.6, 2.5]):
-                leg = straighten(train, pull.end if pull else q, sign * length, "straighten")
-                way: list[Leg | _Pull] = [pull, leg] if pull else [leg]
-                if np.isfinite(cost := _bending(leg, limits)):
-                    options.append((cost, sum(x.length for x in way), way))
-        if options:  # the gentlest for its length, and the shortest, for where it is reversed
-            best = min(options, key=lambda option: option[0] + option[1])
-            shortest = min(options, key=lambda option: option[1])
+    costs = _bendings([way[-1:] for _, way in options], limits)  # type: ignore[misc]
+    for kind in product((True, False), repeat=2):
+        rated = [
+            (cost, sum(leg.length for leg in way), way)
+            for (of, way), cost in zip(options, costs, strict=True)
+            if of == kind and np.isfinite(cost)
+        ]
+        if rated:  # the gentlest for its length, and the shortest, for where it is reversed
+            best = min(rated, key=lambda option: option[0] + option[1])
+            shortest = min(rated, key=lambda option: option[1])
             found += [best[2]] if best is shortest else [best[2], shortest[2]]
     return found
 
@@ -176,96 +211,44 @@ def _pull(system: DriftlessSystem, q: Array, length: float) -> _Pull:
     return _Pull(law, length, end)
 
 
-def _crossings(train: Train, a: Pose, b: Pose) -> Iterator[list[Leg]]:
-    """Ways between straight poses: at once, round bends forwards, or by a turning point in line with one of them."""
-    dx, dy, _ = b.within(a)
-    turn = _wrapped(b.heading - a.heading)
-    if np.hypot(dx, dy) < 1e-9 and abs(turn) < 1e-9:
-        yield []
-        return
-    b = replace(b, heading=a.heading + turn)
-    if abs(turn) < 2.0:
-        yield from _direct(train, a, b, "drive")
-        reach = abs(dy) + train.length
-        for far, sign in product((reach, 2 * reach), (1.0, -1.0)):
-            for turning in (a.ahead(max(0.0, sign * dx) * sign + sign * far), b.ahead(sign * far)):
-                ahead, after = _direct(train, a, turning, "drive past"), _direct(train, turning, b, "and back")
-                for first, second in product(ahead, after):
-                    yield [*first, *second]
-    radii = 1.2 * max((*train.hitches, train.wheelbase)) + train.length * np.array([0.0, 0.25, 0.7, 1.4, 2.4])
-    for radius, lead in product(radii, train.length * np.array([0.0, 0.6, 1.2])):
-        yield from _round_bends(train, a, b, float(radius), float(lead))
+def _joined(system: DriftlessSystem, q: Array, legs: Sequence[Leg | _Pull]) -> list[Leg | _Pull]:
+    """Every leg from where those before it lead, to the last digit: what round-off adds is not carried on."""
+    joined: list[Leg | _Pull] = []
+    for k, leg in enumerate(legs):
+        joined.append(leg.begun(q) if k and isinstance(leg, Leg) else leg)
+        q = integrate(system, Stage(leg.label, joined[-1].law), q, np.array([0.0, 1.0]))[-1]
+    return joined
 
 
-def _direct(train: Train, a: Pose, b: Pose, label: str) -> list[list[Leg]]:
-    """One leg, where the chart half way between the headings allows it."""
-    turn = _wrapped(b.heading - a.heading)
-    leg = across(train, a, replace(b, heading=a.heading + turn), label) if abs(turn) < 2.0 else None
-    return [[leg]] if leg is not None and leg.length > 0.3 * train.length else []
+def _length(poses: Sequence[Pose]) -> float:
+    """The straight way through poses, m."""
+    return float(sum(np.hypot(b.x - a.x, b.y - a.y) for a, b in pairwise(poses)))
 
 
-def _round_bends(train: Train, a: Pose, b: Pose, radius: float, lead: float) -> Iterator[list[Leg]]:
-    """Forwards round circles at either end and the straight line between them (Dubins), in smooth corners.
-
-    Corners begin and end ``lead`` m before and after their arcs: a short arc needs it, or the train swings.
-    """
-    start, end = a.ahead(lead), b.ahead(-lead)
-    for first, last in product((1.0, -1.0), repeat=2):
-        centre_a, centre_b = _beside(start, first * radius), _beside(end, last * radius)
-        gap = centre_b - centre_a
-        far = float(np.hypot(*gap))
-        twist = 0.0 if first == last else 2 * first * radius
-        if far < abs(twist) + 1e-9:
-            continue
-        along = float(np.arctan2(gap[1], gap[0])) + (np.arcsin(twist / far) if twist else 0.0)
-        straight = float(np.sqrt(far**2 - twist**2))
-        arcs = [first * (first * (along - a.heading) % TAU), last * (last * (b.heading - along) % TAU)]
-        arcs = [0.0 if min(abs(arc), TAU - abs(arc)) < 1e-9 else arc for arc in arcs]
-        bend = _around(start, centre_a, arcs[0])
-        unbend = _around(bend[-1].ahead(straight), centre_b, arcs[1])
-        room = straight - lead * sum(arc != 0 for arc in arcs)
-        if room < -1e-9:
-            continue
-        bend = [a, *bend[1:-1], bend[-1].ahead(lead)] if arcs[0] else [a]
-        last_pose = replace(b, heading=unbend[-1].heading)  # b, after as many turns as the way makes
-        unbend = [unbend[0].ahead(-lead), *unbend[1:-1], last_pose] if arcs[1] else [last_pose]
-        poses = [*bend, *unbend] if room > 1e-9 else [*bend, *unbend[1:]]
-        if len(poses) > 1:
-            yield [across(train, p, q, "round the bend") for p, q in pairwise(poses)]
+def _bending(way: Sequence[Leg | _Pull], limits: tuple[float, float]) -> float:
+    """What the sharp angles of a way cost, m; infinite beyond the ``limits`` of steering and hitches."""
+    return float(_bendings([[leg for leg in way if isinstance(leg, Leg)]], limits)[0])
 
 
-def _around(start: Pose, centre: Array, arc: float) -> list[Pose]:
-    """Poses along a circle through ``start``, a corner apart."""
-    count = int(np.ceil(abs(arc) / CORNER - 1e-9)) if abs(arc) > 1e-9 else 0
-    spoke = np.array([start.x, start.y]) - centre
-    poses = [start]
-    for turn in arc * np.arange(1, count + 1) / max(count, 1):
-        c, s = np.cos(turn), np.sin(turn)
-        x, y = centre + np.array([c * spoke[0] - s * spoke[1], s * spoke[0] + c * spoke[1]])
-        poses.append(Pose(float(x), float(y), start.heading + turn))
-    return poses
+def _bendings(ways: Sequence[Sequence[Leg]], limits: tuple[float, float]) -> Array:
+    """`_bending` of many ways at once."""
+    legs = [leg for way in ways for leg in way if leg.length > 1e-9]
+    if not legs:
+        return np.zeros(len(ways))
+    steering, hitch, mean, most = sharpness(legs).T
+    lengths, sharpest = np.array([leg.length for leg in legs]), np.maximum(steering, hitch)
+    costs = lengths * (np.tan(sharpest * np.pi / 2 / 1.6) ** 2 + mean - 1)
+    costs[(steering >= limits[0]) | (hitch >= limits[1]) | (most > FOLDED)] = np.inf
+    which = np.repeat(np.arange(len(ways)), [sum(leg.length > 1e-9 for leg in way) for way in ways])
+    return np.asarray(np.bincount(which, costs, len(ways)), float)
 
 
-def _beside(pose: Pose, distance: float) -> Array:
-    """The point ``distance`` m to the left."""
-    return np.array([pose.x - distance * np.sin(pose.heading), pose.y + distance * np.cos(pose.heading)])
-
-
-def _bending(leg: Leg, limits: tuple[float, float]) -> float:
-    """What sharp angles cost, m; infinite beyond the ``limits`` of steering and hitches."""
-    if leg.length < 1e-9:
-        return 0.0
-    if any(angle >= limit for angle, limit in zip(leg.angles, limits, strict=True)):
-        return np.inf
-    return leg.length * float(np.tan(max(leg.angles) * np.pi / 2 / 1.6) ** 2)
-
-
-def _least(train: Train, way: Sequence[Leg | _Pull]) -> float:
-    """What a way costs however gentle it is, m: its length and its reversing.
+def _least(train: Train, spans: Sequence[float]) -> float:
+    """What a way of legs over ``spans`` m costs however gentle it is, m: its length and its reversing.
 
     Reversing a distance r multiplies errors by about ``e^(r/d) (r/d)^(N-1) / (N-1)!``, infinite beyond `AMPLIFIED`.
     """
-    total, back = sum(leg.length for leg in way), sum(leg.length for leg in way if leg.span < 0)
+    total, back = sum(abs(x) for x in spans), -sum(x for x in spans if x < 0)
     if not train.hitches:
         return total + back
     hitches, n = back / min(train.hitches), len(train.hitches)
@@ -291,10 +274,6 @@ def _staged(legs: Sequence[Leg | _Pull], speed: float) -> tuple[Stage, ...]:
         end = leg.law(np.array([1.0 if rests[0] else 0.0]))
         stages.append(Stage(leg.label, leg.law, max(0.2, rate * abs(float(end[0, 0])) / speed), pace=pace))
     return tuple(stages)
-
-
-def _wrapped(angle: float) -> float:
-    return float((angle + np.pi) % TAU - np.pi)
 
 
 def _check_bends(name: str, key: str, q: Array) -> None:

@@ -7,20 +7,27 @@ Which legs to take is chosen in `trailers.py`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
-from math import factorial
+from functools import cached_property, lru_cache
+from math import comb, factorial, perm
 from typing import Any
 
 import numpy as np
+from numpy.polynomial import Chebyshev
 from scipy.interpolate import BPoly
 
+from vehsim.sinusoids.laws import chebyshev
 from vehsim.sinusoids.series import angle, derivative, divide, one, sincos, sqrt, times
 from vehsim.sinusoids.steering import Law
 from vehsim.sinusoids.system import Array
 
 SAMPLES = 49
 """States looked at on a leg to see how sharp it is."""
+PACE = 12
+"""Degree of the polynomial that evens the pace on a leg: more ripples."""
+SPARE, ROUNDS = 5, 6
+"""Coefficients that a straightening leg has to spare for gentle angles, and solves to find them."""
 
 
 @dataclass(frozen=True)
@@ -121,15 +128,15 @@ def state_of(train: Train, x: Array, jets: Array, frame: Pose) -> tuple[Array, A
 class Leg:
     """The graph ``y`` in the axes of ``frame``, ``curve`` over the fraction ``(x - x0) / span``, from x0 to x0 + span.
 
-    Backwards if ``span`` is negative. The curve is a polynomial in Bernstein's basis, where derivatives at either end
-    are exact however many there are.
+    Backwards if ``span`` is negative. ``curve``: a polynomial's coefficients in Bernstein's basis, where derivatives at
+    either end are exact however many there are.
     """
 
     train: Train
     frame: Pose
     x0: float
     span: float
-    curve: BPoly
+    curve: Array
     label: str
 
     @property
@@ -142,7 +149,7 @@ class Leg:
 
     @cached_property
     def _derivatives(self) -> list[BPoly]:
-        curves = [self.curve]
+        curves = [BPoly(self.curve[:, None], [0.0, 1.0])]
         for _ in range(self.train.count + 1):
             curves.append(curves[-1].derivative())
         return curves
@@ -150,7 +157,7 @@ class Leg:
     def states(self, s: Array) -> Array:
         return state_of(self.train, self.x0 + self.span * s, self.jets(s)[:, :-1], self.frame)[0]
 
-    @property
+    @cached_property
     def far_end(self) -> Pose:
         return last_axle(self.train, self.states(np.ones(1))[0])
 
@@ -166,38 +173,93 @@ class Leg:
 
     @cached_property
     def law(self) -> Law:
-        """`inputs`, through its values at Chebyshev points: the same to 1e-13 and a hundred times faster."""
-        return chebyshev(self.inputs)
+        """`inputs` at an even pace of the front wheels, through values at Chebyshev points: as exact, far quicker."""
+        pace, rate = self.pace, self.pace.deriv()
+        return chebyshev(lambda s: self.inputs(pace(s)) * rate(s)[:, None])
 
     @cached_property
+    def pace(self) -> Chebyshev:
+        """Share of the front wheels' way -> fraction of the leg, from 0 to 1: nearly even, and exactly a polynomial."""
+        from scipy.interpolate import CubicSpline
+
+        s = _dense(201)
+        q, length = state_of(self.train, self.span * s, self.jets(s)[:, :-1], self.frame)
+        way = CubicSpline(s, length / np.cos(q[:, 2])).antiderivative()(s)
+        found = Chebyshev.fit(way / way[-1], s, PACE, [0.0, 1.0])
+        found -= Chebyshev([(found(1.0) - 1 + found(0.0)) / 2, (found(1.0) - 1 - found(0.0)) / 2], [0.0, 1.0])
+        even: Chebyshev = found if found.deriv()(s).min() > 0.0 else Chebyshev([0.5, 0.5], [0.0, 1.0])
+        return even
+
+    @property
     def angles(self) -> tuple[float, float]:
         """The largest steering and hitch angle on the way, rad."""
-        q = self.states(np.linspace(0, 1, SAMPLES))
-        return float(np.abs(q[:, 2]).max()), float(np.abs(np.diff(q[:, 3:], axis=1)).max(initial=0.0))
+        steering, hitch, _, _ = sharpness([self])[0]
+        return float(steering), float(hitch)
+
+    def begun(self, q: Array) -> Leg:
+        """The same leg from state ``q`` a hair's breadth from its start, to the same end: no error is carried on."""
+        k, last = self.train.count, self.x0 + self.span
+        x0 = last_axle(self.train, q).within(self.frame)[0]
+        span = last - x0
+        ends = [float(c(1.0)) * (span / self.span) ** i for i, c in enumerate(self._derivatives)]
+        curve, left = self.curve.copy(), derivatives(self.train, q, self.frame) * span ** np.arange(k + 1)
+        curve[-k - 1 :] = _from_left(np.array(ends[: k + 1]) * (-1.0) ** np.arange(k + 1), len(curve) - 1)[::-1]
+        curve[: k + 1] = _from_left(left, len(curve) - 1)
+        return Leg(self.train, self.frame, x0, span, curve, self.label)
 
     def back(self, label: str) -> Leg:
         """The same path the other way."""
-        turned = BPoly(self.curve.c[::-1], self.curve.x)
-        return Leg(self.train, self.frame, self.x0 + self.span, -self.span, turned, label)
+        return Leg(self.train, self.frame, self.x0 + self.span, -self.span, self.curve[::-1], label)
 
 
-def straighten(train: Train, q: Array, span: float, label: str) -> Leg:
-    """The leg from state ``q`` over ``span`` m (backwards if negative) to where the train stands straight.
+def sharpness(legs: Sequence[Leg]) -> Array:
+    """The largest steering and hitch angle on each of the legs of one train, rad, and how far its car goes for every
+    metre of the last axle, on average and at most (k, 4). All at once: far quicker.
+    """
+    train = legs[0].train
+    # span^-k: derivatives over x
+    jets = [
+        _sampled(len(leg.curve) - 1, train.count) @ leg.curve / leg.span ** np.arange(train.count + 1)[:, None]
+        for leg in legs
+    ]
+    rows = np.concatenate([j.T for j in jets])
+    q, ratio = state_of(train, np.zeros(len(rows)), rows, Pose(0.0, 0.0, 0.0))
+    q, ratio = q.reshape(len(legs), SAMPLES, -1), ratio.reshape(len(legs), SAMPLES)
+    hitch = np.abs(np.diff(q[:, :, 3:], axis=2)).max(axis=(1, 2), initial=0.0)
+    mean = np.trapezoid(ratio, _dense(SAMPLES), axis=1)
+    return np.column_stack([np.abs(q[:, :, 2]).max(axis=1), hitch, mean, ratio.max(axis=1)])
+
+
+def straighten(train: Train, q: Array, spans: Sequence[float], label: str) -> list[Leg]:
+    """Legs from state ``q`` over ``spans`` m (backwards if negative) to where the train stands straight.
 
     In the axes of the last trailer: the polynomial with the derivatives of ``q`` at one end and none from the second to
-    the (N + 3)rd at the other that bends least.
+    the (N + 3)rd at the other whose largest angles are least, to first order in them.
     """
-    frame, k = last_axle(train, q), train.count
-    known = derivatives(train, q, frame) * float(span) ** np.arange(k + 1)
-    # linear in where and at what slope the straight line is met
-    zero = np.zeros(k + 2)
-    fixed, *free = (
-        hermite(left, right) for left, right in ((known, zero), *((0 * known, e) for e in np.eye(k + 2)[:2]))
-    )
-    nodes = (1 - np.cos(np.pi * (np.arange(40) + 0.5) / 40)) / 2
-    bends = np.array([c.derivative(2)(nodes) for c in (fixed, *free)])
-    best = np.linalg.lstsq(bends[1:].T, -bends[0], rcond=None)[0]
-    return Leg(train, frame, 0.0, span, hermite(known, np.concatenate([best, zero[2:]])), label)
+    frame = last_axle(train, q)
+    known = derivatives(train, q, frame)
+    return [_straightening(train, frame, known, float(span), label) for span in spans]
+
+
+def _straightening(train: Train, frame: Pose, known: Array, span: float, label: str) -> Leg:
+    k = train.count
+    left = known * span ** np.arange(k + 1)
+    degree = 2 * k + 2 + SPARE
+    fixed = np.concatenate([_from_left(left, degree), np.zeros(degree - k)])
+    # where and at what slope the straight line is met, and what is spare between
+    free = np.zeros((2 + SPARE, degree + 1))
+    free[:2, -k - 2 :] = [np.ones(k + 2), np.arange(-k - 1.0, 1.0)]
+    free[2:, k + 1 : k + 1 + SPARE] = np.eye(SPARE)
+    samples = _sampled(degree, k) / span ** np.arange(k + 1)[:, None, None]
+    bends = np.concatenate([np.tensordot(row, samples, (0, 0)) for row in _linear_angles(train)])
+    a, b = bends @ free.T, bends @ fixed
+    weights = np.ones(len(b))
+    for _ in range(ROUNDS):  # the largest angle, by weights that follow it
+        best = np.linalg.lstsq(a * weights[:, None], -b * weights, rcond=1e-12)[0]
+        left_over = np.abs(a @ best + b)
+        weights *= np.sqrt(left_over / max(left_over.max(), 1e-12) + 1e-3)
+        weights /= weights.max()
+    return Leg(train, frame, 0.0, span, fixed + best @ free, label)
 
 
 def across(train: Train, a: Pose, b: Pose, label: str) -> Leg:
@@ -207,41 +269,56 @@ def across(train: Train, a: Pose, b: Pose, label: str) -> Leg:
     """
     frame = Pose(a.x, a.y, (a.heading + b.heading) / 2)
     (x0, y0, m0), (x1, y1, m1) = a.within(frame), b.within(frame)
-    span, k = x1 - x0, train.count
-    left, right = np.zeros((2, k + 2))
-    left[:2], right[:2] = (y0, m0 * span), (y1, m1 * span)
-    return Leg(train, frame, x0, span, hermite(left, right), label)
+    span = x1 - x0
+    ends = np.array([y0, m0 * span, y1, m1 * span])
+    return Leg(train, frame, x0, span, ends @ _joining(train.count + 2), label)
 
 
-def hermite(left: Array, right: Array) -> BPoly:
-    """The polynomial on 0..1 with these derivatives, from the zeroth, at its ends."""
-    return BPoly.from_derivatives([0.0, 1.0], [left, right])
+@lru_cache
+def _joining(count: int) -> Array:
+    """Curves (4, 2 count) of unit value and slope at either end, all other derivatives below ``count`` zero."""
+    e, zero = np.eye(count), np.zeros(count)
+    return np.array([hermite(e[0], zero), hermite(e[1], zero), hermite(zero, e[0]), hermite(zero, e[1])])
 
 
-NODES = 25
+def hermite(left: Array, right: Array) -> Array:
+    """Bernstein coefficients of the polynomial on 0..1 with these derivatives, from the zeroth, at its ends."""
+    degree = len(left) + len(right) - 1
+    mirrored = right * (-1.0) ** np.arange(len(right))
+    return np.concatenate([_from_left(left, degree), _from_left(mirrored, degree)[::-1]])
 
 
-def chebyshev(law: Law, cycles: int = 1) -> Law:
-    """A smooth law through its values at Chebyshev points of as many panels as it takes, by the barycentric formula."""
-    check = np.linspace(0.003, 0.997, 41)
-    truth = law(check)
-    nodes = (1 - np.cos(np.pi * np.arange(NODES) / (NODES - 1))) / 2
-    for panels in cycles * np.array([2, 8, 32, 128]):
-        at = (np.arange(panels)[:, None] + nodes) / panels
-        read = partial(_barycentric, nodes, law(at.ravel()).reshape(panels, NODES, -1))
-        if np.abs(read(check) - truth).max() < 1e-12 * max(1.0, np.abs(truth).max()):
-            return read
-    return law
+def _from_left(values: Array, degree: int) -> Array:
+    """The first Bernstein coefficients of a polynomial with these derivatives at 0."""
+    differences = values / [perm(degree, j) for j in range(len(values))]
+    return np.array([[comb(i, j) for j in range(len(values))] for i in range(len(values))], float) @ differences
 
 
-def _barycentric(nodes: Array, values: Array, s: Array) -> Array:
-    panels = len(values)
-    panel = np.clip((np.asarray(s) * panels).astype(int), 0, panels - 1)
-    gap = (np.asarray(s) * panels - panel)[:, None] - nodes
-    hit = np.abs(gap) < 1e-15  # at a node, or so near that its reciprocal overflows
-    weight = np.where(np.arange(NODES) % 2, -1.0, 1.0) / np.where(hit, 1.0, gap)
-    weight[:, [0, -1]] /= 2
-    at = hit.any(axis=1)
-    if at.any():
-        weight[at] = hit[at]
-    return np.einsum("kn,knm->km", weight, values[panel]) / weight.sum(axis=1, keepdims=True)
+def _dense(count: int) -> Array:
+    """Fractions from 0 to 1, denser at both ends."""
+    return (1 - np.cos(np.pi * np.arange(count) / (count - 1))) / 2
+
+
+@lru_cache
+def _sampled(degree: int, order: int) -> Array:
+    """Derivatives, from the zeroth to ``order``, of Bernstein's polynomials on samples: (order + 1, samples,
+    degree + 1)."""
+    curve, s, rows = BPoly(np.eye(degree + 1)[:, None], [0.0, 1.0]), _dense(SAMPLES), []
+    for _ in range(order + 1):
+        rows.append(curve(s))
+        curve = curve.derivative()
+    return np.array(rows)
+
+
+@lru_cache
+def _linear_angles(train: Train) -> Array:
+    """Hitch angles from the last, then the steering, as combinations (N + 1, N + 3) of ``y .. y^(N+2)``, for small
+    ones.
+
+    An axle ``d`` ahead is at ``y + d y'``, so every one multiplies by ``1 + d D``.
+    """
+    ahead, rows = np.array([1.0]), []
+    for d in (*train.hitches[::-1], train.wheelbase):
+        rows.append(np.pad(d * ahead, (2, train.count - 1 - len(ahead))))
+        ahead = np.convolve(ahead, [1.0, d])
+    return np.array(rows)
