@@ -13,3 +13,14 @@ def cache_folder() -> Path:
     import platformdirs
 
     return Path(platformdirs.user_cache_dir("vehsim", appauthor=False))
+
+
+SOURCE = "vehsim:source"
+"""Key of a cached layer's custom data: the file it was made of."""
+
+
+def made_of(asset: str | Path) -> str:
+    """The file that a user knows: what a layer in the cache was made of, or itself."""
+    from pxr import Sdf
+
+    return str(Sdf.Layer.FindOrOpen(str(asset)).customLayerData.get(SOURCE, asset))

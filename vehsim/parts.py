@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim._cache import made_of
 from vehsim.errors import InputError
 from vehsim.vehicles._base import Rig
 
@@ -82,10 +83,11 @@ def read_parts(asset: str | Path, root: str | None = None) -> list[Part]:
             drafts[node.path] = draft
         owner[node.prim.GetPath()] = draft
     if skipped:
-        warnings.warn(f"{asset}: only meshes are read; left out: {', '.join(skipped)}", stacklevel=2)
+        warnings.warn(f"{made_of(asset)}: only meshes are read; left out: {', '.join(skipped)}", stacklevel=2)
     parts = [draft.part() for draft in drafts.values() if draft.carries(drafts)]
     if not parts:
-        raise InputError(f"{asset}: {prim.GetPath()}: no mesh at or below it; give the prim that holds the vehicle")
+        where = f"{made_of(asset)}: {prim.GetPath()}"
+        raise InputError(f"{where}: no mesh at or below it; give the prim that holds the vehicle")
     return parts
 
 
@@ -109,7 +111,8 @@ def read_mesh(asset: str | Path, root: str | None, path: str) -> tuple[Array, Fa
             if mesh is not None:
                 return mesh.points, mesh.faces
             return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
-    raise InputError(f"{asset}: {prim.GetPath()}/{path.strip('/')}: no such mesh; name one below the rig's root")
+    where = f"{made_of(asset)}: {prim.GetPath()}/{path.strip('/')}"
+    raise InputError(f"{where}: no such mesh; name one below the rig's root")
 
 
 def add_to_spec(spec: Any, rig: Rig, name: str, free: bool = True) -> Any:
@@ -144,8 +147,8 @@ def _named_hulls(asset: str | Path, root: str | None) -> list[tuple[str, Array]]
     if any(part.collides for part in parts):
         return [(part.name, _apply(part.T_rp, hull)) for part in parts for hull in part.hulls]
     warnings.warn(
-        f"{asset}: no mesh carries UsdPhysics.CollisionAPI; the convex hull of each part stands in, which may be far "
-        "too large; mark collision meshes for honest clearances",
+        f"{made_of(asset)}: no mesh carries UsdPhysics.CollisionAPI; the convex hull of each part stands in, which may "
+        "be far too large; mark collision meshes for honest clearances",
         stacklevel=3,
     )
     return [(part.name, _apply(part.T_rp, _hull(part.points))) for part in parts if len(part.points)]
@@ -182,14 +185,14 @@ def _open(asset: str | Path, root: str | None) -> tuple[Any, Any]:
     if not root:
         prim = stage.GetDefaultPrim()
         if not prim:
-            raise InputError(f"{asset}: no defaultPrim; author one or name the rig's root prim")
+            raise InputError(f"{made_of(asset)}: no defaultPrim; author one or name the rig's root prim")
         return stage, prim
     prim = (
         stage.GetPrimAtPath(root if root.startswith("/") else f"/{root}") if Sdf.Path.IsValidPathString(root) else None
     )
     if not prim:
         tops = ", ".join(str(child.GetPath()) for child in stage.GetPseudoRoot().GetChildren())
-        raise InputError(f"{asset}: root = {root!r}: no such prim; the file holds {tops or 'nothing'}")
+        raise InputError(f"{made_of(asset)}: root = {root!r}: no such prim; the file holds {tops or 'nothing'}")
     return stage, prim
 
 
@@ -255,7 +258,7 @@ def _rigid(asset: str | Path, node: _Node) -> Array:
     linear = node.matrix[:3, :3]
     u, stretch, v = np.linalg.svd(linear)
     if stretch[-1] <= 1e-9 * max(stretch[0], 1e-30):
-        raise InputError(f"{asset}: {node.prim.GetPath()}: its transform cannot be inverted; mend its scale")
+        raise InputError(f"{made_of(asset)}: {node.prim.GetPath()}: its transform cannot be inverted; mend its scale")
     rotation = u @ v
     if np.linalg.det(rotation) < 0:
         rotation = rotation @ np.diag([-1.0, 1.0, 1.0])
@@ -325,7 +328,7 @@ def _read_mesh(asset: str | Path, node: _Node) -> _Mesh | None:
     points = np.array(mesh.GetPointsAttr().Get(when) or [], float).reshape(-1, 3)
     counts = np.array(mesh.GetFaceVertexCountsAttr().Get(when) or [], np.int64)
     indices = np.array(mesh.GetFaceVertexIndicesAttr().Get(when) or [], np.int64)
-    where = f"{asset}: {node.prim.GetPath()}"
+    where = f"{made_of(asset)}: {node.prim.GetPath()}"
     if not len(points) or not len(counts):
         warnings.warn(f"{where}: an empty mesh; left out", stacklevel=3)
         return None

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim._cache import made_of
 from vehsim.errors import ExportError, InputError
 
 if TYPE_CHECKING:
@@ -35,7 +36,9 @@ def open_rig(asset: Path, rig: Rig) -> tuple[Any, Any]:
     path = prim_path(rig.root)
     root = stage.GetPrimAtPath(path) if path else stage.GetDefaultPrim()
     if not root:
-        raise ExportError(f"{rig.asset}: no {path or 'defaultPrim'}; author it or mend the vehicle's `root` key")
+        raise ExportError(
+            f"{made_of(rig.asset)}: no {path or 'defaultPrim'}; author it or mend the vehicle's `root` key"
+        )
     return stage, root
 
 
@@ -56,7 +59,8 @@ def driven_prim(rig: Rig, root: Any, channel: str) -> Any:
     close = [path for path in known if path.rpartition("/")[2] == name.rpartition("/")[2]]
     close = close or get_close_matches(name, known, n=1)
     hint = f"did you mean {close[0]!r}?" if close else f"choose one of {', '.join(known[:20])}"
-    raise ExportError(f"{rig.asset}: channels.{channel}.prim = {name!r}: no such Xform below the rig root; {hint}")
+    said = f"{made_of(rig.asset)}: channels.{channel}.prim = {name!r}"
+    raise ExportError(f"{said}: no such Xform below the rig root; {hint}")
 
 
 def xformables(root: Any) -> list[str]:

@@ -274,6 +274,21 @@ def test_a_driven_prim_that_hides_our_opinion_is_an_error(tmp_path, monkeypatch)
         write(clip, tmp_path / "out")
 
 
+@pytest.mark.broken_stages
+def test_what_is_wrong_inside_an_asset_names_the_users_file_and_not_our_cache(tmp_path):
+    from pxr import Usd, UsdGeom
+
+    folder = vehicle_with(tmp_path, "pickup")
+    stage = Usd.Stage.Open(str(folder / "chassis.usdc"))
+    mesh = next(UsdGeom.Mesh(prim) for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh))
+    mesh.GetFaceVertexIndicesAttr().Set([99999] * len(mesh.GetFaceVertexIndicesAttr().Get()))
+    stage.GetRootLayer().Save()
+    with pytest.raises(InputError) as broken:
+        load = load_vehicle(folder)
+        read_parts(load.rig.asset, load.rig.root or None)
+    assert str(broken.value).startswith(f"{folder / 'pickup.usda'}: /") and "do not fit" in str(broken.value)
+
+
 @pytest.mark.parametrize(("name", "start"), [("gyro", "blades"), ("helicopter", "")])
 def test_rotors_as_blades_or_disc(name, start, tmp_path):
     """A ring is made where the asset has none; either way one of both is seen, and the disc turns with the rotor."""

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from vehsim._cache import cache_folder
+from vehsim._cache import SOURCE, cache_folder
 from vehsim.errors import InputError
 
 USD = (".usd", ".usda", ".usdc", ".usdz")
@@ -53,7 +53,8 @@ def ready_asset(toml: Path, data: Mapping[str, Any]) -> tuple[Path, Path]:
         ops["xformOp:rotateX:assetUpAxis"] = 90.0
     if metres != 1.0:
         ops["xformOp:scale:assetUnits"] = [float(metres)] * 3
-    return _wrapper(toml, source, str(data.get("root", "")), ops, variants), source
+    named = toml.parent / str(data["asset"])
+    return _wrapper(toml, source, str(data.get("root", "")), ops, variants, named), source
 
 
 def _usd_file(toml: Path, data: Mapping[str, Any]) -> tuple[Path, str, float]:
@@ -104,9 +105,18 @@ def _quarter_turns(toml: Path, data: Mapping[str, Any], up: str) -> int:
     return -turns if up == "Y" and forward.endswith("Z") else turns  # turned upright, +Z points along -Y
 
 
-def _wrapper(toml: Path, source: Path, root: str, ops: Mapping[str, Any], variants: Mapping[str, str]) -> Path:
-    """A layer that references ``source`` and stands it upright, in the cache by content."""
-    said = {"source": str(source.resolve()), "root": root, "ops": ops, "variants": variants, "made": 3}
+def _wrapper(
+    toml: Path, source: Path, root: str, ops: Mapping[str, Any], variants: Mapping[str, str], named: Path
+) -> Path:
+    """A layer that references ``source`` and stands it upright, in the cache by content; messages say ``named``."""
+    said = {
+        "source": str(source.resolve()),
+        "named": str(named),
+        "root": root,
+        "ops": ops,
+        "variants": variants,
+        "made": 4,
+    }
     key = hashlib.sha256(json.dumps(said, sort_keys=True, default=str).encode()).hexdigest()[:24]
     file = cache_folder() / "vehicles" / f"{toml.parent.name}-{key}.usda"
     _check_variants(toml, source, root, variants)
@@ -131,6 +141,7 @@ def _wrapper(toml: Path, source: Path, root: str, ops: Mapping[str, Any], varian
             attribute = xform.GetPrim().CreateAttribute(op, kind, custom=False)
             attribute.Set(Gf.Vec3d(*value) if isinstance(value, list) else value)
         xform.GetXformOpOrderAttr().Set([*ops, *(name for name in order if name != "!resetXformStack!")])
+        stage.GetRootLayer().customLayerData = {SOURCE: str(named)}
         _write(file, stage.GetRootLayer().ExportToString().encode())
     return file
 
@@ -165,7 +176,7 @@ def _check_variants(toml: Path, source: Path, root: str, variants: Any) -> None:
 
 def _converted(path: Path, up: str, metres: float) -> Path:
     """A GLB, glTF or OBJ file as USD in the cache, by content: nodes become Xforms, in the file's own units."""
-    digest = hashlib.sha256(f"3 {up} {metres}".encode() + path.read_bytes()).hexdigest()[:24]
+    digest = hashlib.sha256(f"4 {path.name} {up} {metres}".encode() + path.read_bytes()).hexdigest()[:24]
     folder = cache_folder() / "vehicles" / f"{path.stem}-{digest}"
     file = folder / f"{path.stem}.usdc"
     if file.is_file():
@@ -254,6 +265,7 @@ def _write_scene(scene: Any, file: Path, path: Path, up: str, metres: float) -> 
     used = {"materials"}
     for node in children.get(base, []):
         add(node, f"/{top}", used)
+    stage.GetRootLayer().customLayerData = {SOURCE: path.name}  # it is delivered: no folder of this machine
     stage.GetRootLayer().Save()
 
 
