@@ -1,5 +1,7 @@
 """Wheels on terrain against exact distances, the body against its transfer function, slopes against energy."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -178,3 +180,30 @@ def test_wheels_come_from_the_asset():
     for wheel in wheels.values():
         assert wheel.rings[:, 1].max() == pytest.approx(0.32, abs=1e-3)
         assert wheel.centre[2] == pytest.approx(0.32, abs=1e-3)
+
+
+ELSEWHERE = Path(__file__).parents[1] / "assets_elsewhere"
+
+
+@pytest.mark.parametrize(
+    ("name", "radius", "base"), [("pickup", 0.38, 3.0), ("kart", 0.14, 1.3), ("crawler", 0.35, 1.8)]
+)
+def test_wheels_of_foreign_cars_stand_on_uneven_ground(name, radius, base):
+    """Their axles are their own X or Z, one asset has no pivots: all four wheels are found, and touch."""
+    car = vehsim.load_vehicle(ELSEWHERE / name)
+    wheels = wheels_of(car.rig)
+    assert {wheel.roll for wheel in wheels} == {"roll_rl", "roll_rr", "roll_fl", "roll_fr"}
+    for wheel in wheels:
+        assert wheel.rings[:, 1].max() == pytest.approx(radius, rel=0.02)
+        assert wheel.centre[2] == pytest.approx(radius, rel=0.05)
+    assert np.ptp([wheel.centre[0] for wheel in wheels]) == pytest.approx(base, rel=0.05)
+    world = hilly(height=0.8, length=40.0)
+    start = vehsim.State(position=(0, 0, float(world.height([(0.0, 0.0)])[0])), twist=(0.0, 5.0, 0.0))
+    clip = vehsim.simulate(car, world, None, start, duration=1.0, step=1 / 240)
+    assert np.ptp(clip.positions[:, 2]) > 0.05 and np.abs(clip.channels["pitch"]).max() > 0.01
+    lowest = []
+    for wheel in wheels:
+        rim = np.einsum("nij,kj->nki", clip.matrices()[:, :3, :3], wheel.rim) + clip.positions[:, None]
+        lowest.append((rim[..., 2] - world.height(rim[..., :2].reshape(-1, 2)).reshape(rim.shape[:2])).min(axis=1))
+    # no suspension of its own: a rigid body on four wheels stands on three, the fourth is near
+    assert np.abs(np.mean(lowest, axis=0)).max() < 0.03

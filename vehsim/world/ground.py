@@ -102,10 +102,11 @@ def _lifted(clip: Clip, terrain: Terrain, wheels: tuple[Wheel, ...]) -> bool:
 
 
 def wheels_of(rig: Rig) -> tuple[Wheel, ...]:
-    """The wheels of a rig: the parts its ``travel_*`` channels slide or, without any, those that turn about Y and
-    carry no joint."""
+    """The wheels of a rig: the parts its ``travel_*`` channels slide or, without any, those that turn about an axle
+    across the vehicle, whichever of their own axes that is, and carry no joint."""
     stat = Path(rig.asset).stat()
-    drives = tuple(sorted((name, drive.prim, drive.op) for name, drive in rig.drives.items()))
+    pivots = {name: tuple(d.pivot) if isinstance(d.pivot, list) else d.pivot for name, d in rig.drives.items()}
+    drives = tuple(sorted((name, drive.prim, drive.op, pivots[name]) for name, drive in rig.drives.items()))
     return _wheels(Path(rig.asset), rig.root or None, drives, stat.st_mtime_ns)
 
 
@@ -113,10 +114,13 @@ def wheels_of(rig: Rig) -> tuple[Wheel, ...]:
 def _wheels(asset: Path, root: str | None, drives: tuple[Any, ...], changed: int) -> tuple[Wheel, ...]:
     from vehsim.parts import read_parts
 
-    sliding = {prim: name for name, prim, op in drives if name.startswith(TRAVEL)}
-    joints = {prim for _, prim, _ in drives for _, other, _ in drives if other.startswith(f"{prim}/")}  # a leg, say
-    turning = {prim: name for name, prim, op in drives if op == "rotateY" and prim not in joints}
     parts = {part.path: part for part in read_parts(asset, root)}
+    sliding = {prim: name for name, prim, *_ in drives if name.startswith(TRAVEL)}
+    joints = {prim for _, prim, *_ in drives for _, other, *_ in drives if other.startswith(f"{prim}/")}  # a leg, say
+    turning = {
+        prim: name for name, prim, op, _ in drives if prim in parts and prim not in joints and _across(parts[prim], op)
+    }
+    pivots = {prim: pivot for name, prim, _, pivot in drives if name in turning.values() and pivot is not None}
     found = []
     for prim in sliding or turning:
         below = [path for path in parts if path == prim or path.startswith(f"{prim}/")]
@@ -127,8 +131,15 @@ def _wheels(asset: Path, root: str | None, drives: tuple[Any, ...], changed: int
             continue
         spin = next((path for path in sorted(turning) if path in below), None)
         hub = parts[spin if spin in parts else below[0]].T_rp[:3, 3]
+        if spin in pivots:
+            hub = (points.min(axis=0) + points.max(axis=0)) / 2 if pivots[spin] == "centre" else np.array(pivots[spin])
         found.append(Wheel(hub, _profile(points - hub), sliding.get(prim), turning.get(spin or "")))
     return tuple(found)
+
+
+def _across(part: Any, op: str) -> bool:
+    """Whether an op turns a part about an axle along the vehicle's Y, to 5 degrees."""
+    return op.startswith("rotate") and bool(abs(part.T_rp[1, "XYZ".index(op[-1])]) > 0.996)
 
 
 def _profile(points: Array) -> Array:
