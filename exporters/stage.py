@@ -136,8 +136,9 @@ class StageReader:
         rows, cols = self._stage.GetPrimAtPath(self.water).GetAttribute(WATER_GRID).Get()
         return int(rows), int(cols)
 
-    def water_at(self, frame: float) -> tuple[Array, Array, Array]:
-        """Points (n, 3) m, unit normals (n, 3) and foam (n,) of the water's surface at a time code."""
+    def water_at(self, frame: float) -> tuple[Array, Array, Array, Array]:
+        """Points (n, 3) m, unit normals (n, 3), foam (n,) of the water's surface at a time code, and how far (n,) m it
+        was lowered there to lie inside a hull."""
         from pxr import UsdGeom
 
         prim = self._stage.GetPrimAtPath(self.water)
@@ -147,7 +148,9 @@ class StageReader:
         points = np.array(UsdGeom.Mesh(prim).GetPointsAttr().Get(frame), float) @ T_ws[:3, :3].T + T_ws[:3, 3]
         normals = np.array(primvars.GetPrimvar("normals").Get(frame), float) @ np.linalg.inv(T_ws[:3, :3])
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        return points, normals, np.array(primvars.GetPrimvar("foam").Get(frame), float)
+        given = [primvars.GetPrimvar(name).Get(frame) for name in ("foam", "lowered")]
+        foam, lowered = (np.zeros(len(points)) if values is None else np.array(values, float) for values in given)
+        return points, normals, foam, lowered * np.linalg.norm(T_ws[:3, 2])
 
     # ------------------------------------------------------------ once
 

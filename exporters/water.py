@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from vehsim.exporters.metadata import author_stage_metadata
 from vehsim.exporters.stage import WATER_GRID
-from vehsim.exporters.water_wake import Floating, Foam, Wake, clip_places
+from vehsim.exporters.water_wake import Floating, Foam, Wake, clip_matrices, clip_places
+from vehsim.world.hull_mesh import wetted
 
 if TYPE_CHECKING:
     from vehsim.clip import Clip
@@ -27,8 +28,8 @@ Array = NDArray[np.float64]
 
 BYTES_A_SECOND = 8e6
 """Of motion: 80 MB for ten seconds, whatever the frame rate."""
-BYTES_A_POINT = 12 + 6 + 2
-"""Point in float, normal and foam in half precision."""
+BYTES_A_POINT = 12 + 6 + 2 + 2
+"""Point in float, normal, foam and `LOWERED` in half precision."""
 MOST_POINTS = 20_000
 MARGIN = 6.0
 """Of the fine grid about the vehicles' paths and the nearest cameras, m."""
@@ -40,8 +41,12 @@ GROWTH = 1.32
 """Ratio of neighbouring cells beyond the fine grid."""
 RESOLVED = 1.6
 """Cells longer than this show waves lower than they are, so that the coarse distance is calm instead of jagged, m."""
-INSIDE = 0.8
-"""Share of a waterplane below which the water is pushed down, so that it does not show inside a hull."""
+LOWERED = "lowered"
+"""Primvar: how far the surface was lowered to lie out of sight inside a hull, m."""
+SKIN = 0.03
+"""How far inside a hull lowered water stays, m."""
+FALLS = 8
+"""Steps in which water goes down in a hull."""
 
 
 @dataclass(frozen=True)
@@ -101,28 +106,31 @@ def write_water(take: Take, folder: Path) -> list[Path]:
     mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(faces.astype(np.int32).ravel()))
     mesh.GetPrim().CreateAttribute(WATER_GRID, Sdf.ValueTypeNames.Int2).Set(Gf.Vec2i(rows, cols))
     primvars = UsdGeom.PrimvarsAPI(mesh)
-    primvars.CreatePrimvar("foam", Sdf.ValueTypeNames.HalfArray, UsdGeom.Tokens.vertex)
+    for name in ("foam", LOWERED):
+        primvars.CreatePrimvar(name, Sdf.ValueTypeNames.HalfArray, UsdGeom.Tokens.vertex)
     primvars.CreatePrimvar("normals", Sdf.ValueTypeNames.Normal3hArray, UsdGeom.Tokens.vertex)
     points, extent = mesh.CreatePointsAttr(), mesh.CreateExtentAttr()
     _bind_material(stage, mesh)
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     frames = np.arange(take.frames[0], take.frames[1] + 1, dtype=float)
-    for frame, (place, normals, foam) in zip(frames.tolist(), surfaces(take, grid, frames), strict=True):
+    for frame, (place, normals, foam, lowered) in zip(frames.tolist(), surfaces(take, grid, frames), strict=True):
         layer.SetTimeSample(points.GetPath(), frame, Vt.Vec3fArray.FromNumpy(place.astype(np.float32)))
         halves = Vt.Vec3hArray.FromNumpy(normals.astype(np.float16))
         layer.SetTimeSample("/water/surface.primvars:normals", frame, halves)
-        layer.SetTimeSample("/water/surface.primvars:foam", frame, Vt.HalfArray.FromNumpy(foam.astype(np.float16)))
+        for name, values in (("foam", foam), (LOWERED, lowered)):
+            halves = Vt.HalfArray.FromNumpy(values.astype(np.float16))
+            layer.SetTimeSample(f"/water/surface.primvars:{name}", frame, halves)
         low, high = np.minimum(low, place.min(axis=0)), np.maximum(high, place.max(axis=0))
     extent.Set([Gf.Vec3f(*low.tolist()), Gf.Vec3f(*high.tolist())])
     layer.Save()
     return [path]
 
 
-def surfaces(take: Take, grid: Grid, frames: Array) -> Iterator[tuple[Array, Array, Array]]:
-    """Points (n, 3) m, unit normals (n, 3) and foam (n,) of the surface, for every frame."""
+def surfaces(take: Take, grid: Grid, frames: Array) -> Iterator[tuple[Array, Array, Array, Array]]:
+    """Points (n, 3) m, unit normals (n, 3), foam (n,) and how far they were `LOWERED` (n,) m, for every frame."""
     water, fps, xy = take.world.water, float(take.fps), grid.xy
     assert water is not None
-    afloat = floating(take)
+    afloat = floating(take, frames)
     wake = Wake(afloat, water.level, frames, fps) if afloat else None
     foam = Foam(afloat, xy, frames, fps)
     raised = wake.heights() if wake is not None else iter(np.zeros((len(frames), 1, 1)))
@@ -137,8 +145,9 @@ def surfaces(take: Take, grid: Grid, frames: Array) -> Iterator[tuple[Array, Arr
         normals, curvature = grid.shape_of(points)
         steep = np.hypot(normals[:, 0], normals[:, 1]) / normals[:, 2]
         white = np.clip(foam.step(k, curvature, steep), 0.0, 1.0)
-        points[:, 2] = _out_of_hulls(afloat, points[:, :2], points[:, 2], frame)
-        yield points, normals, white
+        lowered = _into_hulls(afloat, points, grid.cells, frame)
+        points[:, 2] -= lowered
+        yield points, normals, white, lowered
 
 
 def _undisturbed(water: Any, xy: Array) -> Callable[[float], Array]:
@@ -165,11 +174,11 @@ def _undisturbed(water: Any, xy: Array) -> Callable[[float], Array]:
     return at
 
 
-def floating(take: Take) -> dict[str, Floating]:
-    """The vehicles of a take that float, and how they lie in the water."""
+def floating(take: Take, frames: Array) -> dict[str, Floating]:
+    """The vehicles of a take that float, and how they lie in the water on ``frames``."""
     from vehsim.world.buoyancy import Afloat
 
-    found = {}
+    found: dict[str, Floating] = {}
     for name, clip in take.clips.items():
         if getattr(clip.vehicle, "hull", None) is None or not len(clip):
             continue
@@ -179,8 +188,26 @@ def floating(take: Take) -> dict[str, Floating]:
         low = points[points[:, 2] < -height + 0.15]  # the hull near and below its waterline
         x0, x1 = float(low[:, 0].min()), float(low[:, 0].max())
         centre = (x0 + x1) / 2 + float(clip.vehicle.origin[0])
-        found[name] = Floating(clip, afloat.rest_volume, x1 - x0, float(np.ptp(low[:, 1])), centre)
+        hull = points + clip.vehicle.origin, afloat.mesh.faces
+        wet = _borne(afloat, clip, frames)
+        found[name] = Floating(clip, afloat.rest_volume, x1 - x0, float(np.ptp(low[:, 1])), centre, hull, wet)
     return found
+
+
+def _borne(afloat: Any, clip: Clip, frames: Array) -> Array:
+    """How much (n,) of a vehicle the water bears on frames, 0 to 1."""
+    if clip.twists.shape[1] != 6:
+        return np.ones(len(frames))
+    times = (frames - clip.start_frame) / float(clip.fps)
+    T_wr = clip_matrices(clip, frames)
+    local = afloat.mesh.points + clip.vehicle.origin
+    wet = []
+    for t, pose in zip(times.tolist(), T_wr, strict=True):
+        world = local @ pose[:3, :3].T + pose[:3, 3]
+        depth = afloat.water.height(world[:, :2], t) - world[:, 2]
+        volume = wetted(np.column_stack([local, depth]), afloat.mesh.faces).volume(pose[2, :3])
+        wet.append(float(np.clip(volume / afloat.rest_volume, 0.0, 1.0)))
+    return np.array(wet)
 
 
 def lay_grid(take: Take) -> Grid:
@@ -225,17 +252,32 @@ def _on_take(clip: Clip, take: Take) -> Array:
     return clip_places(clip, frames)[0][:, :2]
 
 
-def _out_of_hulls(afloat: dict[str, Floating], xy: Array, z: Array, frame: float) -> Array:
-    """Heights (n,) with the water inside hulls pushed below them."""
+def _into_hulls(afloat: dict[str, Floating], points: Array, cells: Array, frame: float) -> Array:
+    """How far (n,) m the surface's points (n, 3) must go down to the bottoms of the hulls they are in, out of sight.
+
+    Points within a cell of a hull's skin stay, so that the waterline on it is the water's own.
+    """
+    import igl
+
+    lowered = np.zeros(len(points))
     for vehicle in afloat.values():
-        places, _, heading = clip_places(vehicle.clip, np.array([frame]))
-        c, s = np.cos(heading[0]), np.sin(heading[0])
-        offset = xy - places[0, :2]
-        x = (offset @ np.array([c, s]) - vehicle.centre) / (0.5 * vehicle.length)
-        y = offset @ np.array([-s, c]) / (0.5 * vehicle.beam)
-        depth = np.clip(1 - np.maximum(np.abs(x), np.abs(y) * (1 + 0.6 * np.clip(x, 0, 1))) / INSIDE, 0, 1)
-        z = z - np.minimum(2.0 * depth, 0.7)
-    return z
+        if vehicle.hull is None:
+            continue
+        corners, faces = vehicle.hull
+        T_wr = clip_matrices(vehicle.clip, np.array([frame]))[0]
+        R_wr, own = T_wr[:3, :3], (points - T_wr[:3, 3]) @ T_wr[:3, :3]
+        near = np.flatnonzero(((own > corners.min(axis=0)) & (own < corners.max(axis=0))).all(axis=1))
+        if not len(near):
+            continue
+        depth = -igl.signed_distance(own[near], corners, faces)[0]
+        deep = depth > cells[near]
+        near, depth = near[deep], depth[deep]
+        for _ in range(FALLS):  # as far as the nearest skin is away, again and again, it stays inside
+            if not len(near):
+                break
+            lowered[near] += np.maximum(depth - SKIN, 0.0)
+            depth = -igl.signed_distance(own[near] - lowered[near, None] * R_wr[2], corners, faces)[0]
+    return lowered
 
 
 def quads(rows: int, cols: int) -> NDArray[np.int64]:

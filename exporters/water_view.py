@@ -25,12 +25,14 @@ CREST = np.array([0.020, 0.075, 0.070])
 """Linear colours of the water seen into: its depths, and thin crests lit from behind."""
 FOAM = 0.8
 """Albedo of foam."""
-RIPPLES = 7
-"""Small waves that only the picture has."""
+RIPPLES, RIPPLES_END = 7, 58.5
+"""Small waves that only the picture has, and how far away the last of them are seen, m."""
 WET, WETNESS = 0.15, 0.55
 """Height of the dark line above the water, m, and how much of its light is left."""
 NEAR = 60.0
 """How far away wet lines are drawn, m."""
+HULL = 1.5
+"""What is so near to water lowered inside a hull belongs to the hull, m."""
 
 
 class WaterView:
@@ -41,7 +43,7 @@ class WaterView:
         self._stage, self._light = stage, light
         self.shape = stage.water_grid()
         self._time = float(stage.frames[0])
-        self._points, self._normals, self._foam = stage.water_at(stage.frames[0])
+        self._points, self._normals, self._foam, self._lowered = stage.water_at(stage.frames[0])
         sun, sky = stage.sun(), stage.sky()
         self._sun, self._sky = sun or Sun(np.array([0.0, 0.0, -1.0]), np.ones(3)), sky
         self._image = sky_image(sky)
@@ -90,7 +92,7 @@ class WaterView:
         import mujoco
 
         self._time = frame
-        self._points, self._normals, self._foam = self._stage.water_at(frame)
+        self._points, self._normals, self._foam, self._lowered = self._stage.water_at(frame)
         mesh, geom = model.mesh("water").id, model.geom("water").id
         first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
         own = (self._points - data.geom_xpos[geom]) @ data.geom_xmat[geom].reshape(3, 3)
@@ -105,83 +107,129 @@ class WaterView:
     def _picture(self, eye: Array) -> NDArray[np.uint8]:
         """What every texel shows (h, w, 3)."""
         points, normals = self._fine(self._points), self._fine(self._normals)
-        foam = self._fine(self._foam[:, None])[:, 0]
-        away = np.linalg.norm(points[:, :2] - eye[:2], axis=1)
-        slope = self._small_slopes(points[:, :2], away)
-        normals[:, :2] -= slope
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        view = eye - points
-        view /= np.maximum(np.linalg.norm(view, axis=1, keepdims=True), 1e-6)
-        facing = np.clip(np.einsum("ij,ij->i", normals, view), 0.04, 1.0)
-        fresnel = (0.02 + 0.98 * (1 - facing) ** 5)[:, None]
-        mirrored = 2 * facing[:, None] * normals - view
-        mirrored[:, 2] = np.abs(mirrored[:, 2]) + 0.02
-        mirrored /= np.linalg.norm(mirrored, axis=1, keepdims=True)
-        into = DEPTHS + CREST * np.clip((points[:, 2:] - self._points[:, 2].mean()) / 0.6, 0, 1)
-        sun = np.clip(mirrored @ -self._sun.direction, 0, 1)[:, None]
-        glint = 0.5 * self._sun.colour * sun**160
-        colour = (1 - fresnel) * into * self._fill * np.pi + fresnel * (self._seen(mirrored) + glint)
-        white = np.clip(1.25 * foam * (1 + 1.1 * self._grain(points[:, :2])), 0, 1)[:, None]
+        (foam,) = self._fine(self._foam[:, None])
+        away = _length(points[:2] - eye[:2, None])
+        normals[:2] -= self._small_slopes(points, away)
+        normals /= _length(normals)
+        view = eye[:, None] - points
+        view /= np.maximum(_length(view), 1e-6)
+        facing = np.clip((normals * view).sum(axis=0), 0.04, 1.0)
+        fresnel = 0.02 + 0.98 * (1 - facing) ** 5
+        mirrored = 2 * facing * normals - view
+        mirrored[2] = np.abs(mirrored[2]) + 0.02
+        mirrored /= _length(mirrored)
+        crest = np.clip((points[2] - self._points[:, 2].mean()) / 0.6, 0, 1)
+        white = self._white(points, foam)
         bright = FOAM * (self._fill + max(-float(self._sun.direction[2]), 0.4) * self._sun.colour / np.pi)
-        colour = (1 - white) * colour + white * bright
+        seen, glint = self._seen(mirrored), self._glint(mirrored)
+        colour = np.empty((foam.size, 3))
+        for k in range(3):
+            below = (DEPTHS[k] + CREST[k] * crest) * self._fill[k] * np.pi
+            water = (1 - fresnel) * below + fresnel * (seen[k] + glint * self._sun.colour[k])
+            colour[:, k] = (1 - white) * water + white * bright[k]
         display = to_srgb(np.clip(colour * self._exposure, 0, 1)) / self._lit
         rows, cols = self.shape
         return np.round(255 * np.clip(display, 0, 1)).astype(np.uint8).reshape(rows * FINER, cols * FINER, 3)
 
     def _fine(self, values: Array) -> Array:
-        """Values (n, k) at the vertices, at the texels (m, k)."""
+        """Values (n, k) at the vertices, at the texels (k, m)."""
         rows, cols = self.shape
-        net = values.reshape(rows, cols, -1)
-        for axis, count in ((0, rows), (1, cols)):
+        net = values.T.reshape(-1, rows, cols)
+        for axis, count in ((1, rows), (2, cols)):
             at = np.clip((np.arange(count * FINER) + 0.5) / FINER - 0.5, 0, count - 1)
             low = np.minimum(at.astype(int), count - 2)
-            share = (at - low).reshape((-1, 1, 1) if axis == 0 else (1, -1, 1))
+            share = (at - low)[:, None] if axis == 1 else at - low
             net = (1 - share) * net.take(low, axis) + share * net.take(low + 1, axis)
-        return net.reshape(-1, net.shape[-1])
+        return net.reshape(len(net), -1)
 
-    def _small_slopes(self, xy: Array, away: Array) -> Array:
-        """Slopes (n, 2) of ripples, which the eye no longer tells apart far away."""
+    def _small_slopes(self, points: Array, away: Array) -> Array:
+        """Slopes (2, m) of ripples, which the eye no longer tells apart far away."""
+        slopes = np.zeros((2, away.size))
+        near = np.flatnonzero(away < RIPPLES_END)
+        x, y = points[0, near], points[1, near]
         seconds = (self._time - self._stage.frames[0]) / float(self._stage.fps)
-        k = np.hypot(*self._ripples)
-        slope = np.cos(xy @ self._ripples + self._phases - np.sqrt(9.81 * k) * seconds) @ (self._ripples / k).T
-        return 0.035 * slope * np.clip(1.3 - away / 45.0, 0, 1)[:, None]
+        for (kx, ky), phase in zip(self._ripples.T, self._phases, strict=True):
+            k = np.hypot(kx, ky)
+            wave = np.cos(x * kx + y * ky + phase - np.sqrt(9.81 * k) * seconds)
+            slopes[0, near] += wave * (kx / k)
+            slopes[1, near] += wave * (ky / k)
+        return np.asarray(0.035 * slopes * np.clip((RIPPLES_END - away) / 45.0, 0, 1))
 
-    def _grain(self, xy: Array) -> Array:
-        """Patches and holes of foam (n,), -1 to 1."""
-        a, b = np.array([[3.1, 1.7], [-1.3, 4.3]]), np.array([[7.9, -2.2], [1.9, 9.1]])
-        coarse = np.sin(xy @ a[0] + 1.3 * np.sin(xy @ a[1]))
-        return np.asarray(0.55 * coarse + 0.45 * np.sin(xy @ b[0] + 1.7 * np.sin(xy @ b[1] + coarse)))
+    def _white(self, points: Array, foam: Array) -> Array:
+        """How much of each texel (m,) foam hides: patches with holes."""
+        white = np.zeros(foam.size)
+        there = np.flatnonzero(foam > 0)
+        x, y = points[0, there], points[1, there]
+        coarse = np.sin(3.1 * x + 1.7 * y + 1.3 * np.sin(-1.3 * x + 4.3 * y))
+        grain = 0.55 * coarse + 0.45 * np.sin(7.9 * x - 2.2 * y + 1.7 * np.sin(1.9 * x + 9.1 * y + coarse))
+        white[there] = np.clip(1.25 * foam[there] * (1 + 1.1 * grain), 0, 1)
+        return white
+
+    def _glint(self, ways: Array) -> Array:
+        """The sun mirrored (m,) along ``ways`` (3, m), as a share of its colour."""
+        towards = -self._sun.direction
+        sun = np.clip(ways[0] * towards[0] + ways[1] * towards[1] + ways[2] * towards[2], 0, 1)
+        glint = np.zeros(sun.size)
+        near = np.flatnonzero(sun > 0.8)  # 0.8^160 is 3e-16
+        glint[near] = 0.5 * sun[near] ** 160
+        return glint
 
     def _seen(self, ways: Array) -> Array:
-        """Radiance (n, 3) of the sky along ``ways`` (n, 3)."""
-        own = ways if self._sky is None else ways @ self._sky.R_wd
+        """Radiance (3, m) of the sky along ``ways`` (3, m)."""
+        R_dw = np.eye(3) if self._sky is None else self._sky.R_wd.T
+        x, y, z = (row[0] * ways[0] + row[1] * ways[1] + row[2] * ways[2] for row in R_dw)
         height, width = self._image.shape[:2]
-        u = (np.arctan2(own[:, 2], own[:, 0]) + np.pi / 2) / (2 * np.pi) % 1.0
-        v = np.arccos(np.clip(own[:, 1], -1, 1)) / np.pi
-        return np.asarray(
-            self._image[np.minimum((v * height).astype(int), height - 1), (u * width).astype(int) % width]
-        )
+        u = (np.arctan2(z, x) + np.pi / 2) / (2 * np.pi) % 1.0
+        v = np.arccos(np.clip(y, -1, 1)) / np.pi
+        texel = np.minimum((v * height).astype(int), height - 1) * width + (u * width).astype(int) % width
+        return np.asarray(self._image.reshape(-1, 3).take(texel, axis=0).T)
 
     def wet(self, colour: NDArray[np.uint8], places: Array, distance: Array) -> NDArray[np.uint8]:
         """Pixels (h, w, 3), wet lines on what stands in the water; ``places`` (h, w, 3) m, ``distance`` (h, w) m."""
         from scipy.spatial import cKDTree
 
-        low, high = float(self._points[:, 2].min()), float(self._points[:, 2].max()) + WET
-        rows, cols = np.nonzero((distance < NEAR) & (places[..., 2] > low) & (places[..., 2] < high))
+        surface = self._points + self._lowered[:, None] * (0.0, 0.0, 1.0)
+        low, high = float(surface[:, 2].min()), float(surface[:, 2].max()) + WET
+        near = (distance < NEAR) & (places[..., 2] > low) & (places[..., 2] < high)
+        rows, cols = np.nonzero(near & self._outside(places, near))
         if not len(rows):
             return colour
         at = places[rows, cols]
-        apart, nearest = cKDTree(self._points[:, :2]).query(at[:, :2], k=4)
-        point, normal = self._points[nearest], self._normals[nearest]
+        apart, nearest = cKDTree(surface[:, :2]).query(at[:, :2], k=4)
+        point, normal = surface[nearest], self._normals[nearest]
         rise = -(normal[..., :2] / normal[..., 2:] * (at[:, None, :2] - point[..., :2])).sum(axis=2)
         weight = 1 / (apart**2 + 1e-4)
         above = at[:, 2] - ((point[..., 2] + rise) * weight).sum(axis=1) / weight.sum(axis=1)
-        ragged = WET * (0.8 + 0.2 * np.sin(9.0 * at[:, 0] + 4.0 * np.sin(5.0 * at[:, 1])))
-        wet = np.clip((above - 0.035) / 0.02, 0, 1) * np.clip((ragged - above) / 0.04, 0, 1)
+        wet = np.clip((above - 0.02) / 0.02, 0, 1) * np.clip((WET - above) / 0.06, 0, 1)
         dark = colour[rows, cols] * (1 - (1 - WETNESS) * wet)[:, None]
         colour = colour.copy()
         colour[rows, cols] = np.round(dark).astype(np.uint8)
         return colour
+
+    def _outside(self, places: Array, near: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Which pixels (h, w), of those ``near`` the water, do not look inwards in a hull as cockpits do."""
+        from scipy.spatial import cKDTree
+
+        rows, cols = np.nonzero(near)
+        inside = self._points[self._lowered > 0, :2]
+        if not len(rows) or not len(inside):
+            return near
+        after = [np.minimum(index + 1, size - 1) for index, size in zip((rows, cols), near.shape, strict=True)]
+        at = places[rows, cols]
+        facing = np.cross(places[rows, after[1]] - at, places[after[0], cols] - at)
+        facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-12)
+        apart, nearest = cKDTree(inside).query(at[:, :2], distance_upper_bound=HULL)
+        hull = np.isfinite(apart)
+        outwards = at[hull, :2] - inside[nearest[hull]]
+        looks = np.einsum("ni,ni->n", facing[hull, :2], outwards) > 0.2 * apart[hull]
+        outside = near.copy()
+        outside[rows[hull], cols[hull]] = looks
+        return outside
+
+
+def _length(vectors: Array) -> Array:
+    """Of each of ``vectors`` (k, m): (m,)."""
+    return np.asarray(np.sqrt((vectors**2).sum(axis=0)))
 
 
 def places_of(

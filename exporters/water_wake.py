@@ -41,7 +41,9 @@ SMALLEST = 0.16
 class Floating:
     """A vehicle that presses on the water: its ``clip``, ``volume`` m^3 displaced, and its waterplane.
 
-    ``length``, ``beam`` m; ``centre`` m: the waterplane's middle along the root's X.
+    ``length``, ``beam`` m; ``centre`` m: the waterplane's middle along the root's X. ``hull``: its closed surface,
+    points (n, 3) m in the root's frame and faces (m, 3). ``wet`` (n,): how much of its weight the water bears on the
+    frames asked for, 0 in the air to 1; None: always 1.
     """
 
     clip: Clip
@@ -49,6 +51,12 @@ class Floating:
     length: float
     beam: float
     centre: float
+    hull: tuple[Array, NDArray[np.int64]] | None = None
+    wet: Array | None = None
+
+    def bears(self, k: int) -> float:
+        """How much of the vehicle the water bears in the ``k``-th frame."""
+        return 1.0 if self.wet is None else float(self.wet[k])
 
 
 class Wake:
@@ -75,27 +83,26 @@ class Wake:
 
     def _resolve(self) -> None:
         """Let the first frame begin as if the vehicles had come straight on at their first speed."""
-        first, before = float(self._frames[0]), 2.5
+        before = 2.5
         steps = int(before / self._dt)
-        self._eta = -self._depth([(p - v * before, h) for (p, v, h) in self._at(first)])
+        self._eta = -self._depth([(p - v * before, h) for (p, v, h) in self._at(0)], 0)
         for k in range(steps, 0, -1):
-            self._advance([(p - v * k * self._dt, h) for (p, v, h) in self._at(first)])
+            self._advance([(p - v * k * self._dt, h) for (p, v, h) in self._at(0)], 0)
 
-    def _at(self, frame: float) -> list[tuple[Array, Array, float]]:
-        k = round(frame - self._frames[0])
+    def _at(self, k: int) -> list[tuple[Array, Array, float]]:
         return [(p[k, :2], v[k], float(h[k])) for p, v, h in self._places]
 
     def heights(self) -> Iterator[Array]:
         """The wake's height (rows, cols) m above the undisturbed surface, for every frame."""
-        for frame in self._frames.tolist():
-            poses = [(p, h) for p, _, h in self._at(frame)]
-            self._advance(poses)
+        for k in range(len(self._frames)):
+            poses = [(p, h) for p, _, h in self._at(k)]
+            self._advance(poses, k)
             # the dent itself is filled by the hull: what is left of a vehicle at rest is nothing
-            yield np.fft.irfft2(self._eta + self._depth(poses), self.shape)
+            yield np.fft.irfft2(self._eta + self._depth(poses, k), self.shape)
 
-    def _advance(self, poses: list[tuple[Array, float]]) -> None:
+    def _advance(self, poses: list[tuple[Array, float]], k: int) -> None:
         """A frame's time under pressures that stand where they are, exactly, with fading."""
-        rest = -self._depth(poses)  # the dent in which the pressure would be at rest: -p / (rho g)
+        rest = -self._depth(poses, k)  # the dent in which the pressure would be at rest: -p / (rho g)
         cos, sin = np.cos(self._omega * self._dt), np.sin(self._omega * self._dt)
         off = self._eta - rest
         fade = np.exp(-self._dt / FADE)
@@ -104,15 +111,18 @@ class Wake:
             fade * (cos * self._rate - self._omega * sin * off),
         )
 
-    def _depth(self, poses: list[tuple[Array, float]]) -> Array:
-        """Transform of the depth of water that weighs as much as the vehicles, smooth blots about their waterplanes."""
+    def _depth(self, poses: list[tuple[Array, float]], k: int) -> Array:
+        """Transform of the depth of water that weighs as much as it bears of the vehicles in the ``k``-th frame, smooth
+        blots about their waterplanes."""
         total = np.zeros(self._k.shape, complex)
         for vehicle, (place, heading) in zip(self.vehicles, poses, strict=True):
             c, s = np.cos(heading), np.sin(heading)
             x, y = place - self.lower + vehicle.centre * np.array([c, s])
             along, across = c * self._kx + s * self._ky, -s * self._kx + c * self._ky
             blot = np.exp(-((0.26 * vehicle.length * along) ** 2 + (0.3 * vehicle.beam * across) ** 2) / 2)
-            total += vehicle.volume / self.cell**2 * blot * np.exp(-1j * (self._kx * x + self._ky * y))
+            total += (
+                vehicle.bears(k) * vehicle.volume / self.cell**2 * blot * np.exp(-1j * (self._kx * x + self._ky * y))
+            )
         return total
 
     def at(self, field: Array, xy: Array) -> Array:
@@ -129,13 +139,18 @@ class Wake:
 
 def clip_places(clip: Clip, frames: Array) -> tuple[Array, Array, Array]:
     """Positions (n, 3) m, horizontal velocities (n, 2) m/s and headings (n,) rad on ``frames``, held at its ends."""
-    times = np.clip((frames - clip.start_frame) / float(clip.fps), clip.times[0], clip.times[-1])
-    unique, back = np.unique(times, return_inverse=True)
-    matrices = clip.at(unique).matrices()[back]
+    matrices = clip_matrices(clip, frames)
     places = matrices[:, :3, 3]
     heading = np.unwrap(np.arctan2(matrices[:, 1, 0], matrices[:, 0, 0]))
     velocity = np.gradient(places[:, :2], axis=0) * float(clip.fps) if len(places) > 1 else np.zeros((1, 2))
     return places, velocity, heading
+
+
+def clip_matrices(clip: Clip, frames: Array) -> Array:
+    """Poses T_wr (n, 4, 4) on ``frames``, held at the clip's ends."""
+    times = np.clip((frames - clip.start_frame) / float(clip.fps), clip.times[0], clip.times[-1])
+    unique, back = np.unique(times, return_inverse=True)
+    return np.asarray(clip.at(unique).matrices()[back])
 
 
 class Foam:
@@ -167,19 +182,19 @@ class Foam:
         near = np.isfinite(distance)
         row = nearest[near]
         age = (k - first - row) * self._dt
-        speed = np.linalg.norm(velocity[past][row], axis=1)
+        bears = np.array([vehicle.bears(j) for j in range(first, k + 1)])
+        speed = bears[row] * np.linalg.norm(velocity[past][row], axis=1)
         offset = self._xy[near] - stern[row]
         ahead = np.einsum("ij,ij->i", offset, forward[row])
         aside = np.abs(forward[row, 0] * offset[:, 1] - forward[row, 1] * offset[:, 0])
         width = 0.45 * vehicle.beam + 0.25 * np.sqrt(np.maximum(age, 0)) * vehicle.beam
         strength = 1.4 * np.clip((speed - 0.8) / 4.0, 0, 1)
-        churn = strength * np.exp(-((aside / width) ** 2)) * np.exp(-age / FOAM_LIFE) * (ahead < 0.3)
-        edges = (
-            0.7 * strength * np.exp(-(((aside - 1.15 * width) / (0.3 * width)) ** 2)) * np.exp(-age / FOAM_LIFE * 1.6)
-        )
+        strength = strength * (ahead < 0.3) * np.exp(-age / FOAM_LIFE)
+        churn = strength * np.exp(-((aside / width) ** 2))
+        edges = 0.7 * strength * np.exp(-(((aside - 1.15 * width) / (0.3 * width)) ** 2 + 0.6 * age / FOAM_LIFE))
         foam = np.zeros(len(self._xy))
         foam[near] = np.maximum(churn, edges)
-        return np.maximum(foam, self._bow(vehicle, places[k], velocity[k], heading[k]))
+        return np.maximum(foam, vehicle.bears(k) * self._bow(vehicle, places[k], velocity[k], heading[k]))
 
     def _bow(self, vehicle: Floating, place: Array, velocity: Array, heading: float) -> Array:
         """White water along the forward sides, thrown out and back."""

@@ -11,6 +11,7 @@ import vehsim
 from vehsim.cameras import CameraRig, solve_camera
 from vehsim.clip import Clip
 from vehsim.exporters import water as authored
+from vehsim.exporters.passes import prim_colours
 from vehsim.exporters.render import StageRenderer
 from vehsim.exporters.stage import StageReader
 from vehsim.exporters.validate import validate_stage
@@ -77,12 +78,62 @@ def test_a_wake_has_kelvins_wavelength_and_wedge():
 
 def test_foam_lies_behind_and_fades():
     clip = straight(7.0, 4.0, (0.0, 0.0, 0.0))
-    xy = np.column_stack([np.linspace(-10, 40, 101), np.zeros(101)])
+    xy = np.column_stack([np.tile(np.linspace(-10, 40, 101), 2), np.repeat([0.0, 1.0], 101)])
     foam = Foam(afloat(clip), xy, clip.frames, FPS)
     calm = np.zeros(len(xy))
     white = [foam.step(k, calm, calm) for k in range(len(clip))][-1]
     ahead, near, far = (white[np.abs(xy[:, 0] - x).argmin()] for x in (35.0, 22.0, 4.0))
     assert ahead == 0 and near > 0.5 and 0 < far < near
+    assert white[xy[:, 0] > 28.0 + 2.5].max() == 0  # the bow's end; beside the way too
+
+
+def test_in_the_air_nothing_is_left_on_the_water():
+    clip = straight(7.0, 2.0, (0.0, 0.0, 3.0))
+    frames = clip.frames.astype(float)
+    take = Take("sea", {"boat": clip}, World(water=0.0), (), Fraction(FPS), (1001, 1049))
+    grid = authored.lay_grid(take)
+    assert (authored.floating(take, frames)["boat"].wet == 0).all()
+    for points, _, foam, lowered in authored.surfaces(take, grid, frames[[0, 20, 48]]):
+        assert np.abs(points[:, 2]).max() < 1e-9 and foam.max() == 0 and lowered.max() == 0
+
+
+@pytest.mark.parametrize("roll", [0.0, 0.35])
+def test_water_inside_a_hull_goes_down_to_its_bottom_and_not_through(roll):
+    clip = straight(6.0, 1.0, (-3.0, 0.0, 0.0))
+    lying = np.tile([np.cos(roll / 2), np.sin(roll / 2), 0, 0], (len(clip), 1))
+    take = Take("sea", {"boat": replace(clip, orientations=lying)}, World(water=0.0), (), Fraction(FPS), (1001, 1025))
+    grid = authored.lay_grid(take)
+    corners, faces = authored.floating(take, clip.frames)["boat"].hull
+    points, _, _, lowered = list(authored.surfaces(take, grid, clip.frames.astype(float)))[12]
+    T_wr = take.clips["boat"].matrices()[12]
+
+    def inside(place):  # m from the skin, by an independent library
+        import trimesh
+
+        return trimesh.proximity.signed_distance(trimesh.Trimesh(corners, faces), (place - T_wr[:3, 3]) @ T_wr[:3, :3])
+
+    sunk = np.flatnonzero(lowered > 0)
+    near = np.flatnonzero(np.linalg.norm(points[:, :2] - T_wr[:2, 3], axis=1) < 5)
+    assert len(sunk) > 20 and set(sunk) <= set(near)
+    assert inside(points[sunk]).min() > 0.01 and inside(points[sunk]).max() < 0.12  # at the bottom
+    untouched = np.setdiff1d(near, sunk)
+    assert (inside(points[untouched]) < 1.1 * grid.cells[untouched]).all()
+
+
+def test_water_itself_has_no_wet_lines(shown, monkeypatch):
+    """Where MuJoCo draws the water, the picture is the same without them: far crests once were dark slivers."""
+    from vehsim.exporters import water_view
+
+    pictures = []
+    for share in (0.0, 1.0):
+        monkeypatch.setattr(water_view, "WETNESS", share)
+        with StageRenderer(StageReader(shown[1]), (320, 180), samples=1) as renderer:
+            pictures.append(renderer.render("low", 1005).astype(int))
+            _, prims = renderer.passes("low", 1005)
+            water = prim_colours(renderer.prims)[renderer.prims.index("/sea/env/water/surface")]
+    changed, of_water = (pictures[0] != pictures[1]).any(axis=2), (prims == water).all(axis=2)
+    assert of_water.mean() > 0.3 and not (changed & of_water).any()
+    assert changed.sum() > 50
 
 
 def test_points_are_the_waters_own(shown):
@@ -90,7 +141,7 @@ def test_points_are_the_waters_own(shown):
     take, path = shown
     stage = StageReader(path)
     for frame in (1001, 1019):
-        points, normals, foam = stage.water_at(frame)
+        points, normals, foam, _ = stage.water_at(frame)
         t = (frame - 1001) / FPS
         far = (points[:, 0] > 6.5) & (points[:, 0] < 8.5) & (np.abs(points[:, 1]) < 5)
         assert far.sum() > 20
@@ -138,7 +189,7 @@ def test_wet_lines_darken_what_stands_just_above_the_water(shown):
 
     stage = StageReader(shown[1])
     view = WaterView(stage, light_for(stage.sun(), stage.sky()))
-    points, _, _ = stage.water_at(stage.frames[0])
+    points, *_ = stage.water_at(stage.frames[0])
     middle = points[np.linalg.norm(points[:, :2] - [0, 8], axis=1).argmin()]
     places = middle + np.array([[[0, 0, 0.0], [0, 0, 0.06], [0, 0, 0.4]]])
     wet = view.wet(np.full((1, 3, 3), 200, np.uint8), places, np.full((1, 3), 5.0))

@@ -39,7 +39,7 @@ def test_terminal_speed_of_the_planar_boat():
     clip = vehsim.simulate(BOAT, None, (2000.0, 0.0), duration=60.0, step=1 / 24)
     u = clip.twists[-1, 1]
     air = 0.5 * 1.225 * 2.4
-    assert 70 * u + (3 + 23 + air) * u * u == pytest.approx(2000.0, rel=1e-4)
+    assert 70 * u + (3 + 30 + air) * u * u == pytest.approx(2000.0, rel=1e-4)
     assert np.ptp(clip.positions[:, 2]) == 0
 
 

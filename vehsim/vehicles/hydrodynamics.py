@@ -23,7 +23,8 @@ class Hull:
     ``-(damping + quadratic |v|) v dA / reference_area``, ``damping`` (3,) N s/m and ``quadratic`` (3,) N s^2/m^2 along
     the body's axes: totals of a hull immersed to its reference area, m^2 (None: as it floats at rest, upright).
     ``normal_force`` N is LIE's ``P``, which pushes inwards everywhere, lifts, and so is zero unless asked for.
-    ``impact``: pressure ``impact rho v_n^2 / 2`` on patches that move into the water with ``v_n``: slamming, planing.
+    ``impact`` and ``planing``: pressure ``rho v_n (impact v_n + planing |v|) / 2`` on patches that move into the water
+    with ``v_n``: slamming, and the lift of a bottom at a small angle to its way, which grows with the angle itself.
     ``added_mass`` (6,) kg m^2 and kg, of the hull at rest; less of it counts when less is immersed.
 
     ``propulsion(c, flow, immersion) -> (6,)`` body wrench of what pushes against the water, of controls, the body's
@@ -39,6 +40,7 @@ class Hull:
     reference_area: float | None = None
     normal_force: float = 0.0
     impact: float = 0.0
+    planing: float = 0.0
     added_mass: Any = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     propulsion: Callable[[Expr, Expr, Expr], Expr] | None = None
     propulsors: Any = ()

@@ -118,7 +118,8 @@ class Afloat(Environment):
         plan, arms, inertia = self._scales
         into, through = self._asked[1].speeds
         rate = self.data.impact * self.water.density * plan * into + float(np.max(self.data.quadratic)) * through
-        share = arms * np.array([1 / 3, 1 / 3, 1, 0, 0, 1]) / inertia
+        rate += 0.5 * self.data.planing * self.water.density * plan * through
+        share = arms * np.array([1 / 3, 1 / 3, 1 / 3, 0, 0, 1]) / inertia
         return float(0.5 / max(rate * share.max(), 1e-9))
 
     @cached_property
@@ -144,7 +145,11 @@ class Afloat(Environment):
         R_wb, position, omega, velocity = _body(state, self.vehicle.origin)
         points = self.mesh.points
         world = points @ R_wb.T + position
-        height, flow = self.water.at(world, t)
+        places = np.concatenate([world, position[None], self.data.propulsor_points @ R_wb.T + position])
+        height, flow = self.water.at(places, t)
+        n = len(points)
+        elsewhere = height[n:] - places[n:, 2], flow[n:]
+        height, flow = height[:n], flow[:n]
         columns = np.empty((len(points), 7))
         columns[:, :3], columns[:, 3] = points, height - world[:, 2]
         columns[:, 4:] = velocity + _cross(omega, points) - flow @ R_wb
@@ -160,7 +165,7 @@ class Afloat(Environment):
             torque_force, entering, into = self._surface(wet)
             speeds = (into, fastest)
         forces = Forces(torque_force, volume, immersion, speeds)
-        self._couple(forces, t, state, controls, (R_wb, position, omega, velocity), entering)
+        self._couple(forces, t, controls, (R_wb, position, omega, velocity), elsewhere, entering)
         self._asked = (state, forces)
         return forces
 
@@ -175,10 +180,11 @@ class Afloat(Environment):
             pressure = pressure + hull.normal_force / self.reference_area
         into = np.einsum("kqi,ki->kq", through, normals)  # times the area
         fastest = 0.0
-        if hull.impact:
+        if hull.impact or hull.planing:
             speed = np.maximum(into, 0.0) / np.maximum(area, 1e-300)[:, None]
             fastest = float(np.maximum(into, 0.0).sum()) / 3 / self._scales[0]
-            pressure = pressure + 0.5 * hull.impact * rho * speed**2
+            along = np.sqrt(np.einsum("kqi,kqi->kq", through, through)) if hull.planing else 0.0
+            pressure = pressure + 0.5 * rho * speed * (hull.impact * speed + hull.planing * along)
         force = -pressure[:, :, None] * normals[:, None]
         if np.any(hull.damping) or np.any(hull.quadratic):
             rate = np.asarray(hull.damping, float)
@@ -190,14 +196,23 @@ class Afloat(Environment):
         return np.concatenate([_cross(arms, force).sum(axis=0), force.sum(axis=0)]), float(into.sum() / 3), fastest
 
     def _couple(
-        self, forces: Forces, t: float, state: State, controls: Array, body: tuple[Array, ...], entering: float
+        self,
+        forces: Forces,
+        t: float,
+        controls: Array,
+        body: tuple[Array, ...],
+        water: tuple[Array, Array],
+        entering: float,
     ) -> None:
-        """Added mass in moving water, propulsion and wind: what depends on the body as a whole."""
-        hull, water = self.data, self.water
+        """Added mass in moving water, propulsion and wind: what depends on the body as a whole.
+
+        ``water``: depth (1 + p,) and velocity (1 + p, 3) of it at the body's origin and at its propulsors.
+        """
+        hull = self.data
         R_wb, position, omega, velocity = body
-        still = np.zeros(3)
+        depths, flows = water
         if np.any(hull.added_mass):
-            flow, change = self._flow(position, t)
+            flow, change = flows[0], self._change(position, t)
             added = forces.immersion * np.asarray(hull.added_mass, float)
             through = np.concatenate([omega, velocity - flow @ R_wb])
             momentum = added * through
@@ -210,26 +225,20 @@ class Afloat(Environment):
             if forces.immersion < 1 and entering > 0:  # water set in motion (von Karman); what leaves takes its own
                 forces.wrench -= entering / self.rest_volume * np.asarray(hull.added_mass, float) * through
         if self._propulsion is not None:
-            places = hull.propulsor_points @ R_wb.T + position
-            height, flows = water.at(places, t) if len(places) else (np.zeros(0), np.zeros((0, 3)))
-            depth = (height - places[:, 2]) / hull.propulsor_size + 0.5
-            flow = flows.mean(axis=0) if len(places) else still
+            depth = depths[1:] / hull.propulsor_size + 0.5
+            flow = flows[1:].mean(axis=0) if len(flows) > 1 else np.zeros(3)
             through = np.concatenate([omega, velocity - flow @ R_wb])
             forces.wrench += self._propulsion(controls, through, np.clip(depth, 0, 1))[0]
         if self._windage is not None:
             air = self.world.wind_at(t) @ R_wb
             forces.wrench += self._windage(np.concatenate([omega, velocity - air]))[0]
 
-    def _flow(self, position: Array, t: float) -> tuple[Array, Array]:
-        """The water's velocity and acceleration (3,) below the body frame's origin, world axes."""
-        if self.water.flat and self.water.current is None:
-            return np.zeros(3), np.zeros(3)
-        here = position[None]
-        flow = self.water.velocity(here, t)[0]
+    def _change(self, position: Array, t: float) -> Array:
+        """The water's acceleration (3,) below the body frame's origin, world axes."""
         if self.water.flat:
-            return flow, np.zeros(3)
-        after, before = (self.water.velocity(here, t + s * INSTANT)[0] for s in (1, -1))
-        return flow, (after - before) / (2 * INSTANT)
+            return np.zeros(3)
+        after, before = (self.water.velocity(position[None], t + s * INSTANT)[0] for s in (1, -1))
+        return np.asarray((after - before) / (2 * INSTANT))
 
     @cached_property
     def _propulsion(self) -> Any:
