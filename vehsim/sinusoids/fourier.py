@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import permutations
+from itertools import permutations, product
 from typing import Any
 
 import casadi as ca
@@ -106,33 +106,70 @@ def steer_triangular(
     goal: Any,
     *,
     amplitude: float = 1.0,
-    cycles: int = 1,
+    cycles: int | None = None,
     phase: float = 0.0,
     first: Law | None = None,
 ) -> Steering:
     """The Fourier algorithm from ``start`` to ``goal``, states of the system itself (before any ``Feedback``).
 
     ``amplitude`` of the slow sinusoid, grown where the domain leaves no other way; ``cycles``, ``phase`` [rad] choose a
-    member of the family of loops; ``first``: inputs of the first stage, constant unless given.
+    member of the family of loops, as few as the domain lets it unless given; ``first``: inputs of the first stage,
+    constant unless given. A state that an input turns on the spot is taken to the middle of its domain for the loops
+    where they leave the domain otherwise: a car's wheels are straightened, and set in the end.
     Raises ``InputError`` for what is not triangular, ``SolveError`` naming the coordinate that no loop moves alone.
     """
     change = system if isinstance(system, Feedback) else None
     source: DriftlessSystem = system.source if isinstance(system, Feedback) else system
     t = triangular(change.target if change else system)  # type: ignore[arg-type]
     x0, x1 = source.check_state("start", start), source.check_state("goal", goal)
-    h, goal_h = (change.to(x0), change.to(x1)) if change else (x0.copy(), x1)
-    steps, h = _first_stages(t, h, goal_h, first)
-    for i in t.order:
-        wanted = goal_h[i] - h[i]
-        if abs(wanted) < 1e-13:
-            h[i] = goal_h[i]
+    h0, h1 = (change.to(x0), change.to(x1)) if change else (x0, x1)
+    signs = (1.0, -1.0) if cycles is None else (1.0,)
+    for count, sign, released in product((1, 2, 4, 8) if cycles is None else (cycles,), signs, (False, True)):
+        if released and (first is not None or not _spinning(t)):
             continue
-        stage = _loop_stage(t, h, i, wanted, amplitude, cycles, phase)
-        steps.append(stage)
-        h = _carried(t, h, stage)
-        h[i] = goal_h[i]
-    stages = steps if change is None else _source_stages(change, x0, steps)
-    return Steering(source, x0, x1, tuple(stages)).checked()
+        try:
+            steps = _stages(t, h0, h1, partial(_loop_stage, t, sign * amplitude, count, phase), first, released)
+        except SolveError as error:
+            reason = error
+            continue
+        stages = steps if change is None else _source_stages(change, x0, steps)
+        return Steering(source, x0, x1, tuple(stages)).checked()
+    raise reason
+
+
+def _stages(
+    t: Triangular, h: Array, goal: Array, loop: Callable[..., Stage], first: Law | None, released: bool
+) -> list[Stage]:
+    """Stages from ``h`` to ``goal``: what is driven at once, then one coordinate after another by loops."""
+    aim, steps = goal.copy(), []
+    if released:
+        aim[_spinning(t)] = 0.0
+        steps.append(_turned(t, "release", aim - h))
+        h = h.copy()
+        h[_spinning(t)] = 0.0
+    more, h = _first_stages(t, h, aim, first)
+    steps += more
+    for i in t.order:
+        if abs(aim[i] - h[i]) >= 1e-13:
+            steps.append(loop(h, i, aim[i] - h[i]))
+            h = _carried(t, h, steps[-1])
+        h[i] = aim[i]
+    return [*steps, _turned(t, "set", goal - aim)] if released else steps
+
+
+def _spinning(t: Triangular) -> list[int]:
+    """States with zero in the middle of their domain that an input moves without moving any other, anywhere."""
+    still = np.array([np.abs(t.system.matrix(p)).sum(axis=0) for p in t.system.samples(4)])
+    domain = [t.system.domain.get(name, (0.0, 1.0)) for name in t.system.states]
+    return [i for i, j in t.driver.items() if np.allclose(still[:, j], 1.0) and sum(domain[i]) == 0.0]
+
+
+def _turned(t: Triangular, label: str, motion: Array) -> Stage:
+    """The states that can be set on the spot moved by ``motion`` (n,) of theirs."""
+    v = np.zeros(t.system.m)
+    for state in _spinning(t):
+        v[t.driver[state]] = motion[state]
+    return _constant(label, v)
 
 
 def steer_through(change: Feedback, start: Any, goal: Any, steer: Callable[[Array, Array], Steering]) -> Steering:
@@ -176,7 +213,7 @@ def _missing(t: Triangular, h: Array, loop: Loop, i: int, wanted: float, a: floa
     return float(net_motion(t, h, loop, a, b)[i]) - wanted
 
 
-def _loop_stage(t: Triangular, h: Array, i: int, wanted: float, amplitude: float, cycles: int, phase: float) -> Stage:
+def _loop_stage(t: Triangular, amplitude: float, cycles: int, phase: float, h: Array, i: int, wanted: float) -> Stage:
     """The loop that moves state ``i`` by ``wanted`` and nothing steered before it."""
     loop = _choose_loop(t, h, i, cycles, phase)
     p_bound, bound = (_room(t.system, h, k) for k in (loop.p, loop.q))

@@ -96,8 +96,21 @@ def trailer_ways(
     if np.array_equal(q0, q1):
         return [Steering(system, q0, q1, (Stage("rest", lambda s: np.zeros((len(s), 2))),))]
     limits = (min(SHARPEST, steering or np.inf), min(SHARPEST, hitch or np.inf))
-    ways, missed = [], None
-    for legs in _choose(system, train, q0, q1, via, limits, count):
+    for kinds in (count, count + 6):  # gentle ways, and where all of those miss, others
+        ways, missed = _driven(system, q0, q1, _choose(system, train, q0, q1, via, limits, kinds), speed, count)
+        if ways:
+            return ways
+    assert missed is not None
+    raise missed
+
+
+def _driven(
+    system: DriftlessSystem, q0: Array, q1: Array, choices: Sequence[list[Leg | _Pull]], speed: float, count: int
+) -> tuple[list[Steering], SolveError | None]:
+    """The first ``count`` ways that end at the goal, and why another did not."""
+    ways: list[Steering] = []
+    missed = None
+    for legs in choices:
         way = Steering(system, q0, q1, _staged(_joined(system, q0, legs), speed), label=_described(legs))
         turns = np.round((way.states[-1] - q1) / TAU) * TAU * (np.arange(system.n) >= 3)
         try:
@@ -105,11 +118,8 @@ def trailer_ways(
         except SolveError as error:  # reversing amplified round-off too far
             missed = error
         if len(ways) == count:
-            return ways
-    if not ways:
-        assert missed is not None
-        raise missed
-    return ways
+            break
+    return ways, missed
 
 
 def _described(legs: Sequence[Leg | _Pull]) -> str:
@@ -178,7 +188,7 @@ def _straightenings(system: DriftlessSystem, train: Train, q: Array, limits: tup
         # nothing to straighten: a leg of no length marks the pose
         return [[Leg(train, last_axle(train, q), 0.0, 1e-12, np.zeros(2), "rest")]]
     longest = max((*train.hitches, train.wheelbase))
-    pulls = [None, *(_pull(system, q, k * longest) for k in (0.5, 1.0, 2.5, 5.0))]
+    pulls = [None, *(_pull(system, q, k * longest) for k in (0.5, 1.5, 4.0))]
     lengths = train.length * np.array([0.6, 0.8, 1.0, 1.6, 2.5])
     options: list[tuple[tuple[bool, bool], list[Leg | _Pull]]] = []
     for pull, sign in product(pulls, (1.0, -1.0)):
