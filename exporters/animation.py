@@ -7,7 +7,7 @@ degrees (or asset units) on the prim it drives: read through a quaternion, a rot
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -78,7 +78,8 @@ def write_animation(
         raise ExportError(f"vehicle {name!r}: has no rig (USD asset) to animate; give it one in its vehicle.toml")
     if not Tf.IsValidIdentifier(name):
         raise ExportError(f"vehicle name {name!r}: not a USD prim name; use letters, digits and _ only")
-    ops = rig_ops(rig.asset, rig, units)
+    moving = [channel for channel in rig.drives if np.any(clip.channels[channel])]  # others rest as the asset left them
+    ops = rig_ops(rig.asset, rig, units, moving)
     reference = pack.reference(rig, path)
     motion = _Motion(clip, name, frames, shutter, thin)
 
@@ -94,8 +95,6 @@ def write_animation(
             root.variantSelections[variant_set] = variant
         motion.author_pose(root, ops, units)
         for channel, (below, op, factor) in ops.channels.items():
-            if not np.any(clip.channels[channel]):
-                continue  # rests where the asset left it
             spec = Sdf.CreatePrimInLayer(layer, root.path.AppendPath(below)) if below else root
             motion.author_channel(spec, channel, op, factor)
             _author_constants(spec, ops.constants.get(below, []))
@@ -108,8 +107,11 @@ def write_animation(
     return path
 
 
-def rig_ops(asset: Path, rig: Rig, units: Units = Z_UP_METRES) -> RigOps:
-    """Fit the motion into the asset's own op orders, so that its pivots, scales and resets survive."""
+def rig_ops(asset: Path, rig: Rig, units: Units, moving: Sequence[str]) -> RigOps:
+    """Fit the motion into the asset's own op orders, so that its pivots, scales and resets survive.
+
+    ``moving``: the channels there is motion for. An order never names an op without values.
+    """
     from pxr import UsdGeom
 
     stage, root = open_rig(asset, rig)
@@ -122,7 +124,8 @@ def rig_ops(asset: Path, rig: Rig, units: Units = Z_UP_METRES) -> RigOps:
     constants: dict[str, list[tuple[str, Any]]] = {"": [*corrections, *standing]}
     orders = {"": [*reset, translate, orient, *(name for name, _ in corrections), *own]}
     channels, freed = {}, []
-    for channel, drive in rig.drives.items():
+    for channel in moving:
+        drive = rig.drives[channel]
         prim = driven_prim(rig, root, channel)
         op, factor = drive_op(drive.op, scale)
         order = orders.get(drive.prim, op_order(prim))

@@ -128,6 +128,17 @@ def _invertible(stage: Any) -> Iterator[Issue]:
                 yield Issue("error", "scale", str(prim.GetPath()), "its transform cannot be inverted", "mend its scale")
 
 
+def _op_orders(stage: Any) -> Iterator[Issue]:
+    """Every op that an xformOpOrder names is there: USD leaves out the others, and says so at every look."""
+    for prim in stage.Traverse():
+        order = prim.GetAttribute("xformOpOrder")
+        for name in (order.Get() if order else None) or []:
+            op = name.removeprefix("!invert!")
+            if op != "!resetXformStack!" and not prim.HasAttribute(op):
+                mend = "author the op, or take it out of the order"
+                yield Issue("error", "ops", str(prim.GetPath()), f"xformOpOrder names {op}, which is not there", mend)
+
+
 def _believable_sizes(stage: Any) -> Iterator[Issue]:
     """A model is between a centimetre and a hundred kilometres large: else its unit is wrong."""
     from pxr import Kind, Usd, UsdGeom
@@ -224,6 +235,7 @@ OWN_RULES: tuple[Callable[[Any], Iterator[Issue]], ...] = (
     _quaternion_signs,
     _backward_spins,
     _invertible,
+    _op_orders,
     _believable_sizes,
     _dead_overs,
     _foreign_units,

@@ -40,6 +40,9 @@ BREAKS = {
     "units": lambda stage: stage.DefinePrim("/shot/env/prop", "Xform").GetReferences().AddReference("./cm.usda"),
     "dead over": lambda stage: stage.OverridePrim("/shot/vehicles/gone/wheel").CreateAttribute("a", _float()).Set(1.0),
     "scale": lambda stage: _op(stage, "Scale", (1, 0, 1)),
+    "ops": lambda stage: (
+        stage.GetPrimAtPath("/shot/env").CreateAttribute("xformOpOrder", _tokens()).Set(["xformOp:rotateX:spin"])
+    ),
     "usdValidation:CompositionErrorTest": lambda stage: (
         stage.OverridePrim("/shot/env").GetReferences().AddReference("./gone.usda")
     ),
@@ -50,6 +53,12 @@ def _float():
     from pxr import Sdf
 
     return Sdf.ValueTypeNames.Float
+
+
+def _tokens():
+    from pxr import Sdf
+
+    return Sdf.ValueTypeNames.TokenArray
 
 
 def _op(stage, kind, value):
