@@ -1,4 +1,4 @@
-"""The snakeboard's rider: a smooth figure of one's own height in sportswear, in parts about their joints.
+"""The snakeboard's rider, and whoever sits at a helm: a smooth figure in sportswear, in parts about their joints.
 
 Every function gives surfaces in its part's frame: the joint is the origin, Z up at rest, Y ahead of the figure, X to
 its right. What belongs here is shape; which part hangs on which stands in the vehicle's script.
@@ -146,7 +146,12 @@ def pelvis(spread: float) -> dict[str, Surface]:
 
 
 def torso() -> dict[str, Surface]:
-    """Trunk and arms in a jacket, held a little forward, with a stripe across chest and back and a number's panel."""
+    """Trunk and arms, held out for balance."""
+    return by_material(trunk(), arm(), {n: _other_side(s) for n, s in arm().items()})
+
+
+def trunk() -> dict[str, Surface]:
+    """The trunk in a jacket, held a little forward, with a stripe across chest and back."""
     rows = [
         (0.085, 0.120, 0.088, 0.004),
         (0.095, 0.146, 0.110, 0.006),
@@ -159,16 +164,15 @@ def torso() -> dict[str, Surface]:
         (0.56, 0.064, 0.064, 0.074),
         (0.575, 0.060, 0.060, 0.076),
     ]
-    trunk = loft(rows, 2.5, 56, 0.018)
+    skin = loft(rows, 2.5, 56, 0.018)
     slant: Field = lambda p: np.abs(p[:, 2] - 0.315 - 0.45 * p[:, 0]) - 0.034  # noqa: E731
     thin: Field = lambda p: np.abs(p[:, 2] - 0.245 - 0.45 * p[:, 0]) - 0.014  # noqa: E731
     zip_: Field = lambda p: np.maximum(np.abs(p[:, 0]) - 0.004, -p[:, 1])  # noqa: E731
     hem: Field = lambda p: p[:, 2] - 0.118  # noqa: E731
     collar: Field = lambda p: 0.538 - p[:, 2]  # noqa: E731
-    dress = painted(
-        trunk, [("trim", hem), ("trim", collar), ("trim", zip_), ("accent", slant), ("accent", thin)], "jacket"
+    return painted(
+        skin, [("trim", hem), ("trim", collar), ("trim", zip_), ("accent", slant), ("accent", thin)], "jacket"
     )
-    return by_material(dress, arm(), {n: _other_side(s) for n, s in arm().items()})
 
 
 def arm() -> dict[str, Surface]:
@@ -253,3 +257,41 @@ def head() -> dict[str, Surface]:
         painted(shell, [("trim", vent) for vent in vents] + [("accent", stripe)], "helmet"),
         {"trim": join(band, strap), "goggles": lens},
     )
+
+
+def seated(hands: ArrayLike, ankles: ArrayLike, lean: float) -> dict[str, Surface]:
+    """The figure on a seat, about the middle between its hip joints; its trunk leans forward by ``lean`` rad.
+
+    ``hands`` and ``ankles`` (3,): where those on its right are, m; the left ones mirror them.
+    """
+    upright = _pitch(-lean)
+    hip, ankle, hand = np.array([0.10, 0.0, 0.0]), np.asarray(ankles, float), np.asarray(hands, float)
+    shoulder = upright @ np.array([0.165, 0.055, 0.455])
+    knee = _bend(hip, ankle, 0.42, 0.44, np.array([0.25, 0.6, 0.75]))
+    elbow = _bend(shoulder, hand, 0.29, 0.28, np.array([0.7, 0.0, -0.7]))
+    leg = by_material(
+        {"trousers": limb([hip, knee], [0.088, 0.064])},
+        {"trousers": limb([knee, 0.45 * knee + 0.55 * ankle, ankle], [0.062, 0.058, 0.044])},
+        {name: surface.moved(ankle) for name, surface in boot().items()},
+    )
+    sleeve = {"jacket": join(limb([shoulder, elbow], [0.068, 0.050]), limb([elbow, hand], [0.051, 0.038]))}
+    side = by_material(leg, sleeve, {"glove": ball(0.052, hand, [0.8, 1.1, 0.9], 20)})
+    top = by_material(
+        trunk(), {name: surface.turned(upright.T).moved([0, 0.08, 0.555]) for name, surface in head().items()}
+    )
+    return by_material(
+        pelvis(0.09),
+        {name: surface.turned(upright) for name, surface in top.items()},
+        side,
+        {name: _other_side(surface) for name, surface in side.items()},
+    )
+
+
+def _bend(root: Array, tip: Array, upper: float, lower: float, way: Array) -> Array:
+    """The joint (3,) of a limb of two lengths from ``root`` to ``tip``, bent towards ``way``; stretched if short."""
+    along = tip - root
+    reach = float(np.linalg.norm(along))
+    along /= reach
+    foot = min((reach**2 + upper**2 - lower**2) / (2 * reach), upper)
+    aside = way - (way @ along) * along
+    return root + foot * along + np.sqrt(max(upper**2 - foot**2, 0.0)) * aside / np.linalg.norm(aside)

@@ -39,7 +39,7 @@ PARTS = {
     "snakeboard": {"board", "pelvis", "torso", "torso/head"}
     | {f"truck_{end}{below}" for end in ("front", "rear") for below in ("", *(f"/{part}" for part in LEG[end]))},
 }
-TRIANGLES = (8000, 25000)
+TRIANGLES = (8000, 33000)
 """Of a vehicle's look, at least and at most."""
 STEERED = {"car": {"steer_fl": 40, "steer_fr": 40}, "boat": {"outboard": 30}}
 """Part -> degrees to either side: hulls do not move, so they hold what steers at every angle."""
