@@ -54,9 +54,8 @@ def read_terrain(source: str | Path) -> Terrain:
     if path.is_dir():
         path = path / "terrain.toml"
     if not path.is_file():
-        close = get_close_matches(path.name, _shipped(), n=1)
-        mend = f"give one of {', '.join(sorted(_shipped()))} or the path of a mesh or height map"
-        mend = f"did you mean {close[0]!r}?" if close else mend
+        close = [f"did you mean {name!r}? " for name in get_close_matches(path.name, _shipped(), n=1)]
+        mend = f"{''.join(close)}give one of {', '.join(sorted(_shipped()))} or the path of a mesh or height map"
         raise InputError(str(Problem("terrain", "no such terrain or file", mend, str(source))))
     if path.suffix == ".toml":
         heights, placement = _read_toml(path)
