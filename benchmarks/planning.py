@@ -23,7 +23,7 @@ from vehsim.planning import attempt
 from vehsim.planning.layout import Layout
 from vehsim.planning.problem import build
 from vehsim.planning.request import ask
-from vehsim.planning.solver import SOLVERS, Solver
+from vehsim.planning.solver import Solver
 from vehsim.planning.transcription import Transcription
 
 REST = (0.0, 0.0, 0.0)
@@ -58,7 +58,7 @@ def _first(vehicle: Any, request: Any) -> Transcription:
 
 
 def _built(t: Transcription, request: Any, segments: int) -> Solver:
-    return Solver(build(t, Layout(t.sizes, (segments,)), request, None), SOLVERS["ipopt"](200, False))
+    return Solver(build(t, Layout(t.sizes, (segments,)), request, None), max_iterations=200)
 
 
 def free_space() -> Iterator[Row]:

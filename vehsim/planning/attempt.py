@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from vehsim.clip import Clip
 from vehsim.integrators.integrator import build_clip
-from vehsim.planning.asked import adrift
 from vehsim.planning.certify import SAMPLES, Executed, certify, executed
 from vehsim.planning.cover import SLOPE, approach, landings
+from vehsim.planning.elements import Problem
 from vehsim.planning.guess import along_paths, lift
 from vehsim.planning.layout import Layout
 from vehsim.planning.legs import (
@@ -31,10 +31,11 @@ from vehsim.planning.legs import (
     split_segments,
     whole_frames,
 )
+from vehsim.planning.multipliers import carried
 from vehsim.planning.obstacles import FINEST, certify_plane, obstacle_rows
-from vehsim.planning.problem import build, parameter_values, variable_bounds
+from vehsim.planning.problem import build, distances, hold_adrift, parameter_values, variable_bounds
 from vehsim.planning.request import Request
-from vehsim.planning.solver import SOLVERS, Solution, Solver
+from vehsim.planning.solver import Multipliers, Solution, Solver
 from vehsim.planning.transcription import Transcription
 
 Array = NDArray[np.float64]
@@ -55,6 +56,9 @@ SLACK = 0.01
 """How far below the asked clearance a certified motion may be, m."""
 KEPT = 16
 """Built problems kept for plans to come; building one takes as long as solving it."""
+SIGHT = 4.0
+"""How far from a motion found on fewer segments terrain is seen by those that refine it, beyond the clearance asked
+for, m."""
 LOOKS = 3
 """How often a solve begins again because it ran through an obstacle it had not seen."""
 CRUISE = 12.0
@@ -84,22 +88,24 @@ class Attempt:
         self.rung, self.lifted, self.stale, self.note = -1 + (cover is not None), False, True, ""
         self.why = ""
         self.solvers: dict[Any, Solver] = {}
+        self.solved: tuple[Multipliers, tuple[Problem, Layout]] | None = None
+        self.near: NDArray[np.bool_] | None = None
         self.rows = obstacle_rows(request.vehicle, request.world, request.marks)
 
     def moved(self, request: Request, progress: Progress | None) -> Attempt:
         """A new attempt at other marks of the same shape, from where this one ended."""
         other = Attempt(request, self.t, self.cover, progress)
         other.margin, other.rung, other.layout, other.solvers = self.margin, self.rung, self.layout, self.solvers
-        other.lifted = True
+        other.lifted, other.solved = True, self.solved
         other.x, other.lengths, other.free = self.x.copy(), self.lengths.copy(), self.free
-        other.rows = self.rows
+        other.rows, other.near = self.rows, self.near
         fixed = fixed_durations(request.marks, request.fps)
         other._resize(np.where(np.isnan(fixed), other.lengths, fixed / np.array(other.layout.phases)))
         return other
 
     def start(self, paths: list[Array], stretch: float = 1.0) -> None:
         """Layout, leg lengths (those of free legs stretched) and first guess."""
-        marks = self.request.marks
+        marks, self.solved = self.request.marks, None
         speed = min(CRUISE, 0.6 * self.request.limits.get("speed"))
         fixed = fixed_durations(marks, self.request.fps)
         legs = np.array([path_length(path) for path in paths])
@@ -134,12 +140,12 @@ class Attempt:
 
         A motion through an obstacle that was too far away to be seen is solved again, from the same start.
         """
-        start, lengths = self.x.copy(), self.lengths.copy()
+        start, lengths, solved = self.x.copy(), self.lengths.copy(), self.solved
         self._solve(free)
         for _ in range(LOOKS):
-            if self.rows is None or not self.rows.overlooked(*self._poses(), self._seconds(), self.request.clearance):
+            if not self._overlooked():
                 break
-            self.x, self.lengths = start.copy(), lengths.copy()
+            self.x, self.lengths, self.solved = start.copy(), lengths.copy(), solved
             self._solve(free)
 
     def _solve(self, free: bool) -> None:
@@ -151,14 +157,11 @@ class Attempt:
         began = time.perf_counter()
         span = [(h / 8, h * 8) if free and f else (h, h) for h, f in zip(self.lengths, self.free, strict=True)]
         lower, upper = variable_bounds(self.t, layout, span, request.limits.joints)
-        begins = layout.node(0)[[self.t.sizes[0] + joint for joint in adrift(self.t, request)]]
-        lower[begins] = upper[begins] = self.x[begins]
-        values = self.parameters()
-        self.solution: Solution = solver.solve(self.x, lower, upper, values, request.deadline)
+        hold_adrift(self.t, layout, request, self.x, lower, upper)
+        self.solution: Solution = self._answer(solver, lower, upper, self.parameters())
         self.x = self.solution.x
         self.lengths = self.x[layout.lengths]
         self.stale = False
-        self.iterations += self.solution.iterations
         self.solve_seconds += time.perf_counter() - began
         self.worst = solver.problem.names()[int(np.argmax(self.solution.violations))]
 
@@ -172,17 +175,32 @@ class Attempt:
             values.append(self.rows.values(self._seconds(), request.clearance))
         return np.concatenate(values)
 
+    def _answer(self, solver: Solver, lower: Array, upper: Array, values: Array) -> Solution:
+        """From the multipliers of the last solve, where there was one; from the motion alone where these mislead."""
+        deadline, answer = self.request.deadline, None
+        blocked = self.cover is not None or self.rows is not None  # finer, what is in the way pushes elsewhere
+        if self.solved is not None and not (blocked and self.solved[1][1] != self.layout):
+            given = carried(*self.solved, (solver.problem, self.layout))
+            answer = solver.solve(self.x, lower, upper, values, deadline, multipliers=given)
+            self.iterations += answer.iterations
+        if answer is None or not (answer.success or self.request.late):
+            answer = solver.solve(self.x, lower, upper, values, deadline, "motion" if self.lifted else "guess")
+            self.iterations += answer.iterations
+        if answer.success and answer.multipliers is not None:
+            self.solved = answer.multipliers, (solver.problem, self.layout)
+        return answer
+
     def _solver(self, spans: Sequence[tuple[list[int], float]]) -> Solver:
         """The built problem of the present layout; built once for every shape of marks, in free space once for all."""
-        request, warm = self.request, self.lifted
-        key = (self.t, self.layout, request.key, repr(spans), warm, self.rows and self.rows.key)
+        request = self.request
+        near = None if self.near is None else self.near.tobytes()
+        key = (self.t, self.layout, request.key, repr(spans), near, self.rows and self.rows.key)
         shelf = self.solvers if self.cover is not None or request.terms else _shelf.solvers
         if key not in shelf:
-            problem = build(self.t, self.layout, request, self.cover, spans)
+            problem = build(self.t, self.layout, request, self.cover, spans, near=self.near)
             if self.rows is not None:
                 self.rows.add(problem, self.t, self.layout)
-            options = SOLVERS[request.solver](request.max_iterations, warm)
-            shelf[key] = Solver(problem, options, request.solver)
+            shelf[key] = Solver(problem, request.solver, request.max_iterations)
             while shelf is not self.solvers and len(shelf) > KEPT:
                 del shelf[next(iter(shelf))]
         return shelf[key]
@@ -246,13 +264,13 @@ class Attempt:
 
     def _try(self, segments: int, order: int) -> bool:
         """Solve on a finer discretisation; where that fails, keep what there was, and say so."""
-        before = (self.x, self.layout, self.lengths, self.solution, self.worst)
+        before = (self.x, self.layout, self.lengths, self.solution, self.worst, self.near)
         self._lift(segments, order)
         self.solve(free=False)
         if self.solution.success:
             return True
         self.note = f"; not refined to {segments} segments of order {order}: {self.solution.message}"
-        self.x, self.layout, self.lengths, self.solution, self.worst = before
+        self.x, self.layout, self.lengths, self.solution, self.worst, self.near = before
         return False
 
     def _lift(self, segments: int, order: int) -> None:
@@ -262,8 +280,24 @@ class Attempt:
         self.layout, self.lengths, self.lifted = fine, self.x[fine.lengths], True
         self._look()
 
+    def _overlooked(self) -> bool:
+        """Whether the present motion comes too near to what it did not see; that is seen from now on."""
+        if self.rows is not None:
+            return self.rows.overlooked(*self._poses(), self._seconds(), self.request.clearance)
+        if self.near is None:
+            return False
+        missed = ~self.near & (self._away() < self.margin - FINEST)
+        self.near = self.near | missed
+        return bool(missed.any())
+
+    def _away(self) -> Array:
+        return distances(self.t, self.layout, self.cover, self.request.marks, self.x)
+
     def _look(self) -> None:
         """See the obstacles near the present motion."""
+        self.near, everywhere = None, bool(self.request.weights["safety"])
+        if self.lifted and self.cover is not None and self.cover.stands is not None and not everywhere:
+            self.near = self._away() < self.margin + SIGHT
         if self.rows is not None:
             positions, yaw = self._poses()
             self.rows.look(positions, yaw, self._seconds(), self.request.clearance)

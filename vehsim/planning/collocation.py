@@ -22,9 +22,9 @@ from vehsim.planning.guess import along_paths
 from vehsim.planning.layout import Layout
 from vehsim.planning.legs import legs_between
 from vehsim.planning.marks import Mark
-from vehsim.planning.problem import build, parameter_values, variable_bounds
+from vehsim.planning.problem import build, hold_adrift, parameter_values, variable_bounds
 from vehsim.planning.request import ask
-from vehsim.planning.solver import SOLVERS, Solution, Solver
+from vehsim.planning.solver import Solution, Solver
 from vehsim.planning.transcription import Array, Transcription
 from vehsim.vehicles import Vehicle
 from vehsim.vehicles.mechanics import free_velocity
@@ -105,11 +105,12 @@ def solve(t: Transcription, marks: Sequence[Mark], segments: int, **options: Any
     paths = [np.array(leg) for leg in legs_between(request.marks)]
     x = along_paths(t, layout, request.marks, paths, lengths, request.wind)
     lower, upper = variable_bounds(t, layout, [(lengths[0], lengths[0])], request.limits.joints)
+    hold_adrift(t, layout, request, x, lower, upper)
     if isinstance(t, Collocation):
         unused = layout.velocity(np.arange(segments))
         lower[unused] = upper[unused] = x[unused]
     values = parameter_values(t, layout, request.marks, request.wind, request.clearance, request.weights)
-    solver = Solver(build(t, layout, request, None), SOLVERS[request.solver](request.max_iterations, False))
+    solver = Solver(build(t, layout, request, None), request.solver, request.max_iterations)
     solution = solver.solve(x, lower, upper, values)
     knots = np.arange(segments + 1)
     g, r, pi = (np.asarray(ca.DM(part)).T for part in t.split(ca.DM(solution.x[layout.knot(knots)])))

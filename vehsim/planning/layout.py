@@ -75,6 +75,21 @@ class Layout:
         """Indices (phases,) of the segment lengths."""
         return self._durations + np.arange(len(self.phases))
 
+    def instants(self, variables: Any) -> NDArray[np.float64]:
+        """When variables (n,) of nodes, velocities or controls stand, in phases since the start; lengths at zero."""
+        places, steps = np.asarray(variables), len(self.fractions)
+        node = np.zeros(len(places), np.intp)
+        for first, last, width, every in (
+            (0, self._velocities, self.state, 1),
+            (self._velocities, self._controls, self.sizes[2], 1),
+            (self._controls, self._durations, self.sizes[3], steps),
+        ):
+            inside = (first <= places) & (places < last)
+            node[inside] = (places[inside] - first) // max(width, 1) * every
+        starts = np.concatenate([[0.0], np.cumsum(self.fractions)[:-1]])
+        segments = np.append((np.arange(self.segments)[:, None] + starts).ravel(), self.segments)
+        return np.interp(segments[node], self.mark_knots, np.arange(len(self.mark_knots)))
+
     @property
     def middle(self) -> tuple[int, float]:
         """The substep whose start is nearest to the middle of a segment, and the fraction where it starts."""

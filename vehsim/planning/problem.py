@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from vehsim.planning.asked import (
     PARAMETERS,
+    adrift,
     hold_element,
     landing_element,
     loop_element,
@@ -37,12 +38,14 @@ def build(
     cover: Cover | None,
     total: Sequence[tuple[Sequence[int], float]] = (),
     give: float = 0.0,
+    near: NDArray[np.bool_] | None = None,
 ) -> Problem:
     """The whole problem; `parameter_values` are its parameters.
 
     ``cover``: what is to be kept off rock and obstacles, or None in free space. ``total``: groups of
     phases between marks at fixed frames whose lengths must add up, with their durations in s.
     ``give``: where above zero, marks after the first may be missed at this price, see `elements.elastic`.
+    ``near``: which of `cover.places` see what stands, all unless given.
     """
     problem = Problem(layout.size, _marks_at(layout) + _width(t) * len(request.marks))
     _add_motion(problem, t, layout, request)
@@ -53,7 +56,7 @@ def build(
         if isinstance(term, Cost):
             _add_term(problem, t, layout, request, term)
     if cover is not None:
-        _add_clearance(problem, t, layout, cover, request.marks, wary="safety" in request.costs)
+        _add_clearance(problem, t, layout, cover, request.marks, near, wary="safety" in request.costs)
     for phases, duration in total:
         h = ca.SX.sym("h", len(phases))
         counts = ca.DM([layout.phases[j] for j in phases])
@@ -179,22 +182,23 @@ def _place_term(
 
 
 def _add_clearance(
-    problem: Problem, t: Transcription, layout: Layout, cover: Cover, marks: Sequence[Mark], wary: bool
+    problem: Problem,
+    t: Transcription,
+    layout: Layout,
+    cover: Cover,
+    marks: Sequence[Mark],
+    near: NDArray[np.bool_] | None,
+    wary: bool,
 ) -> None:
     """Spheres off what stands and what moves at the knots after the first, and at one place between two of them.
 
     Parameters behind the problem's own, as `Cover.values` gives them.
     """
     shared = [MARGIN, WEIGHTS + list(COSTS).index("safety")]
-    node, half = places(layout, marks)
-    landed = len(landings(marks))
-    uses = [
-        (False, np.vstack([layout.node(node), layout.duration((node - 1) // len(layout.fractions))])),
-        (True, np.vstack([layout.node(half), layout.velocity(half), layout.duration(half)])),
-    ]
+    landed, uses = len(landings(marks)), _at_places(layout, marks)
     for k, field in enumerate(cover.fields()):
         width = POSE if k else landed * (3 + len(cover.radii))
-        for between, y in uses:
+        for between, y in uses if k or near is None else _only(uses, near):
             count = y.shape[1]
             if field is not None and count:
                 place = problem.parameters + np.arange(width)[:, None] + (width * np.arange(count) if k else 0)
@@ -202,6 +206,33 @@ def _add_clearance(
                 problem.add(t.clearance(cover, k, landed, between=between, wary=wary), y, p)
             problem.parameters += width * count if k else 0
         problem.parameters += 0 if k or field is None else width
+
+
+def _at_places(layout: Layout, marks: Sequence[Mark]) -> list[tuple[bool, NDArray[np.intp]]]:
+    """Whether half way along a segment, and the variables there, for both kinds of `cover.places`."""
+    node, half = places(layout, marks)
+    return [
+        (False, np.vstack([layout.node(node), layout.duration((node - 1) // len(layout.fractions))])),
+        (True, np.vstack([layout.node(half), layout.velocity(half), layout.duration(half)])),
+    ]
+
+
+def _only(uses: Sequence[tuple[bool, NDArray[np.intp]]], near: NDArray[np.bool_]) -> list[Any]:
+    split = np.split(near, [uses[0][1].shape[1]])
+    return [(between, y[:, seen]) for (between, y), seen in zip(uses, split, strict=True)]
+
+
+def distances(t: Transcription, layout: Layout, cover: Cover, marks: Sequence[Mark], x: Array) -> Array:
+    """How far the nearest sphere is from what stands at every one of `cover.places`, m, with variables ``x``."""
+    assert cover.stands is not None
+    out = [np.zeros(0)]
+    for between, y in _at_places(layout, marks):
+        if y.shape[1]:
+            element = t.clearance(cover, 0, len(landings(marks)), between=between, wary=False)
+            points = np.asarray(element.points.map(y.shape[1])(x[y], 0))
+            away = cover.stands.value(points.T).reshape(y.shape[1], -1)
+            out.append((away - cover.radii).min(axis=1))
+    return np.concatenate(out)
 
 
 def parameter_values(
@@ -231,3 +262,9 @@ def variable_bounds(
         lower[row], upper[row] = np.maximum(lower[row], low), np.minimum(upper[row], high)
     lower[layout.lengths], upper[layout.lengths] = np.array(lengths).T
     return lower, upper
+
+
+def hold_adrift(t: Transcription, layout: Layout, request: Request, x: Array, lower: Array, upper: Array) -> None:
+    """Bound joints that nothing places to begin where ``x`` has them."""
+    begins = layout.node(0)[[t.sizes[0] + joint for joint in adrift(t, request)]]
+    lower[begins] = upper[begins] = x[begins]

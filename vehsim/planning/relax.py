@@ -14,7 +14,7 @@ from vehsim.planning.attempt import Attempt
 from vehsim.planning.elements import Element
 from vehsim.planning.legs import fixed_durations
 from vehsim.planning.problem import build, variable_bounds
-from vehsim.planning.solver import Solver, ipopt_options
+from vehsim.planning.solver import Solver
 
 Array = NDArray[np.float64]
 
@@ -98,7 +98,7 @@ def _solve(attempt: Attempt, problem: Any, late: bool) -> tuple[Array | None, bo
     lower, upper = np.append(lower, np.zeros(extra)), np.append(upper, np.full(extra, np.inf))
     values = attempt.parameters()
     deadline = min(request.deadline, time.monotonic() + SECONDS)
-    solver = Solver(problem, ipopt_options(ITERATIONS))
+    solver = Solver(problem, max_iterations=ITERATIONS)
     answer = solver.solve(np.append(start, np.ones(extra)), lower, upper, values, deadline)
     usable = answer.success or answer.violation < NOTHING
     return (answer.x if usable else None), answer.success

@@ -10,7 +10,7 @@ import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -20,6 +20,15 @@ from vehsim.errors import InputError
 from vehsim.planning.elements import Problem
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Multipliers:
+    """Lagrange multipliers of the variables' bounds ``x`` (size,) and of the constraints ``g`` (rows,), signed as
+    CasADi does: positive at an upper bound."""
+
+    x: Array
+    g: Array
 
 
 @dataclass(frozen=True)
@@ -33,25 +42,43 @@ class Solution:
     message: str
     iterations: int
     violations: Array
+    multipliers: Multipliers | None = None
 
 
-def ipopt_options(max_iterations: int = 400, warm: bool = False) -> dict[str, Any]:
-    """IPOPT with exact Hessians and MUMPS, silent; ``warm``: the start is a solved motion of another discretisation."""
-    barrier = {"mu_strategy": "monotone", "mu_init": 1e-4} if warm else {"mu_strategy": "adaptive"}
+Start = Literal["guess", "motion", "multipliers"]
+"""What a solve starts from: anything; a solved motion of another discretisation; and its multipliers too."""
+
+NEARBY = 60
+"""Iterations from multipliers, at most: where these lead nowhere, the motion alone is the better start."""
+_WARM = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
+_BARRIERS: dict[Start, dict[str, Any]] = {
+    "guess": {"mu_strategy": "adaptive"},
+    "motion": {"mu_strategy": "monotone", "mu_init": 1e-4},
+    "multipliers": {
+        "mu_strategy": "monotone",
+        "mu_init": 1e-6,
+        "warm_start_init_point": "yes",
+        **{f"warm_start_{name}": 1e-9 for name in _WARM},
+    },
+}
+
+
+def ipopt_options(max_iterations: int = 400, start: Start = "guess") -> dict[str, Any]:
+    """IPOPT with exact Hessians and MUMPS, silent."""
     return {
         "ipopt": {
-            "max_iter": max_iterations,
+            "max_iter": min(max_iterations, NEARBY) if start == "multipliers" else max_iterations,
             "tol": 1e-8,
             "constr_viol_tol": 1e-9,
             "mumps_pivot_order": 0,
             "print_level": 0,
             "sb": "yes",
-            **barrier,
+            **_BARRIERS[start],
         }
     }
 
 
-def sqp_options(max_iterations: int = 400, warm: bool = False) -> dict[str, Any]:
+def sqp_options(max_iterations: int = 400, start: Start = "guess") -> dict[str, Any]:
     """CasADi's own SQP over the sparse QP solver it ships, convexified; silent."""
     quiet = {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False}
     return {
@@ -67,12 +94,12 @@ def sqp_options(max_iterations: int = 400, warm: bool = False) -> dict[str, Any]
     }
 
 
-SOLVERS: dict[str, Callable[[int, bool], dict[str, Any]]] = {
+SOLVERS: dict[str, Callable[[int, Start], dict[str, Any]]] = {
     "ipopt": ipopt_options,
     "sqpmethod": sqp_options,
-    "fatrop": lambda iterations, warm: {"fatrop": {"max_iter": iterations, "print_level": 0, "tol": 1e-8}},
+    "fatrop": lambda iterations, start: {"fatrop": {"max_iter": iterations, "print_level": 0, "tol": 1e-8}},
 }
-"""NLP solver -> its options, from the iterations allowed and whether the start is a solved motion."""
+"""NLP solver -> its options, from the iterations allowed and what a solve starts from."""
 
 PLAIN = {
     "Maximum_Iterations_Exceeded": "no solution within the iterations allowed",
@@ -101,33 +128,51 @@ class Solver:
     ``watch``: called with the number of iterations done; may be changed between solves.
     """
 
-    def __init__(self, problem: Problem, options: dict[str, Any] | None = None, plugin: str = "ipopt"):
-        self.problem = problem
+    def __init__(self, problem: Problem, plugin: str = "ipopt", max_iterations: int = 400):
+        self.problem, self.plugin, self.max_iterations = problem, plugin, max_iterations
         self.watch: Callable[[int], None] | None = None
         self._bounds = problem.bounds
         functions = problem.functions()
         self._nlp = functions.pop("nlp")
         self._callback = _Callback(self, problem.size, len(self._bounds[0]), problem.parameters)
         taken = {"ipopt": functions, "sqpmethod": {"hess_lag": _whole(functions["hess_lag"])}}
-        own = taken.get(plugin, {})  # the others differentiate for themselves
-        settings: dict[str, Any] = {
-            **own,
-            **(options or SOLVERS[plugin](400, False)),
-            "iteration_callback": self._callback,
-            "print_time": False,
-            "error_on_fail": False,
-            "calc_lam_p": False,
-            "show_eval_warnings": False,
-        }
-        self._solver = ca.nlpsol("plan", plugin, self._nlp, settings)
+        self._own = taken.get(plugin, {})  # the others differentiate for themselves
+        self._solvers: dict[Start, ca.Function] = {}
 
-    def solve(self, x0: Array, lower: Array, upper: Array, parameters: Array, deadline: float = math.inf) -> Solution:
-        """Solve from ``x0`` until ``deadline`` s on `time.monotonic`'s clock."""
+    def _from(self, start: Start) -> ca.Function:
+        """CasADi's solver for such a start, made when first asked for: milliseconds, the functions are shared."""
+        if start not in self._solvers:
+            settings: dict[str, Any] = {
+                **self._own,
+                **SOLVERS[self.plugin](self.max_iterations, start),
+                "iteration_callback": self._callback,
+                "print_time": False,
+                "error_on_fail": False,
+                "calc_lam_p": False,
+                "show_eval_warnings": False,
+            }
+            self._solvers[start] = ca.nlpsol("plan", self.plugin, self._nlp, settings)
+        return self._solvers[start]
+
+    def solve(
+        self,
+        x0: Array,
+        lower: Array,
+        upper: Array,
+        parameters: Array,
+        deadline: float = math.inf,
+        start: Start = "guess",
+        multipliers: Multipliers | None = None,
+    ) -> Solution:
+        """Solve from ``x0``, and ``multipliers`` where there are any, until ``deadline`` s on `time.monotonic`'s
+        clock."""
         g_lower, g_upper = self._bounds
+        solver = self._from("multipliers" if multipliers else start)
+        given = {} if multipliers is None else {"lam_x0": multipliers.x, "lam_g0": multipliers.g}
         self._callback.count, self._callback.deadline = 0, deadline
         with _interruptible(self._callback):
-            answer = self._solver(x0=x0, lbx=lower, ubx=upper, lbg=g_lower, ubg=g_upper, p=parameters)
-        stats = self._solver.stats()
+            answer = solver(x0=x0, lbx=lower, ubx=upper, lbg=g_lower, ubg=g_upper, p=parameters, **given)
+        stats = solver.stats()
         x, g = np.asarray(answer["x"]).ravel(), np.asarray(answer["g"]).ravel()
         violations = np.maximum.reduce([g_lower - g, g - g_upper, np.zeros_like(g)])
         status = str(stats["return_status"])
@@ -139,6 +184,7 @@ class Solver:
             message=f"{PLAIN[status]} ({status})" if status in PLAIN else status,
             iterations=int(stats.get("iter_count", 0)),
             violations=violations,
+            multipliers=Multipliers(np.asarray(answer["lam_x"]).ravel(), np.asarray(answer["lam_g"]).ravel()),
         )
 
 
