@@ -75,7 +75,7 @@ def _joints(mark: Mark, view: KnotView, wanted: dict[str, Expr]) -> list[Row]:
 GENTLE, SINK = 0.5, 0.5
 """How fast it may come down where it lands, m/s, and how much faster a metre away from there, 1/s."""
 FADE = 10.0
-"""How far from a landing its cone no longer counts, m."""
+"""How far from a landing its cone counts half, m: there it may be as much below the place."""
 
 
 def landing_element(t: Transcription, upright: Array) -> Element:
@@ -86,7 +86,8 @@ def landing_element(t: Transcription, upright: Array) -> Element:
     x, asked, place = ca.SX.sym("x", sum(t.sizes[:3])), ca.SX.sym("asked"), ca.SX.sym("place", 3)
     view = knot_view(t, x, ca.SX.zeros(t.sizes[3]))
     distance = ca.sqrt(ca.sumsqr(view.position - place) + ROUND**2) - ROUND
-    cone = approach(distance, asked, 0.0, ca.tanh) - (asked + FADE) * (distance / FADE) ** 4
+    counts = 1 / (1 + (distance / FADE) ** 4)
+    above = approach(distance, asked, 0.0, ca.tanh)
     below = feet(t.vehicle)
     flat = below @ SO3.matrix(upright).T
     rise = [
@@ -94,7 +95,7 @@ def landing_element(t: Transcription, upright: Array) -> Element:
         for foot, z in zip(below, flat[:, 2], strict=True)
     ]
     down = view.velocity[2] + GENTLE + SINK * distance
-    g = ca.vertcat(ca.vertcat(*rise) - cone, down)
+    g = ca.vertcat(counts * (ca.vertcat(*rise) - above) + (1 - counts) * FADE, down)
     return Element("landing", x, ca.vertcat(asked, place), g=g, lower=0.0, upper=np.inf)
 
 

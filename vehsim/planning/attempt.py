@@ -20,7 +20,7 @@ from vehsim.integrators.integrator import build_clip
 from vehsim.planning.certify import SAMPLES, Executed, certify, executed
 from vehsim.planning.cover import SLOPE, approach, landings
 from vehsim.planning.elements import Problem
-from vehsim.planning.guess import along_paths, lift
+from vehsim.planning.guess import along_clip, along_paths, clip_spans, lift
 from vehsim.planning.layout import Layout
 from vehsim.planning.legs import (
     fixed_durations,
@@ -49,7 +49,7 @@ LADDER = ((1, 4), (1, 6), (2, 6), (4, 6))
 """Discretisations a plan climbs through: times the segments asked for, and order. Higher order is cheaper than more
 segments."""
 CLOSE = 48
-"""The same among obstacles: between knots farther apart they could be jumped over."""
+"""The same among obstacles, and to land: between knots farther apart they could be jumped over."""
 COARSE = 24
 """A plan is first found on at least as many segments, a half or a quarter of those asked for where that goes."""
 SLACK = 0.01
@@ -103,21 +103,26 @@ class Attempt:
         other._resize(np.where(np.isnan(fixed), other.lengths, fixed / np.array(other.layout.phases)))
         return other
 
-    def start(self, paths: list[Array], stretch: float = 1.0) -> None:
-        """Layout, leg lengths (those of free legs stretched) and first guess."""
+    def start(self, paths: list[Array], stretch: float = 1.0, clip: Clip | None = None) -> None:
+        """Layout, leg lengths (of free legs stretched) and first guess: along the paths, or a ``clip`` as it is."""
         marks, self.solved = self.request.marks, None
         speed = min(CRUISE, 0.6 * self.request.limits.get("speed"))
         fixed = fixed_durations(marks, self.request.fps)
         legs = np.array([path_length(path) for path in paths])
         rests = np.array([a.at_rest + b.at_rest for a, b in pairwise(marks)])
         durations = np.where(np.isnan(fixed), stretch * (legs / speed + 1.5 * rests + 0.5), fixed)
+        if clip is not None:
+            durations = np.where(np.isnan(fixed), np.maximum(-np.subtract(*clip_spans(clip, marks)), 0.1), fixed)
         share_known_spans(durations, marks, self.request.fps)
         held = np.array([mark.hold > 0 for mark in marks[:-1]])
         self.layout = Layout(self.t.sizes, split_segments(self._coarse(), durations, held))
         phases = self.layout.phases
         self.lengths = durations / np.array(phases)
         self.free = np.isnan(fixed)
-        self.x = along_paths(self.t, self.layout, marks, paths, self.lengths, self.request.wind, self._aims())
+        if clip is None:
+            self.x = along_paths(self.t, self.layout, marks, paths, self.lengths, self.request.wind, self._aims())
+        else:
+            self.x = along_clip(self.t, self.layout, marks, clip, self.lengths)
         self.guess = self.x
         self._look()
 
@@ -129,7 +134,7 @@ class Attempt:
 
     def _coarse(self) -> int:
         """Segments to find a plan on: as many as asked for, halved while enough are left."""
-        enough = COARSE if self.rows is None else CLOSE
+        enough = COARSE if self.rows is None and not landings(self.request.marks) else CLOSE
         segments, least = self.request.segments, max(enough, 2 * len(self.request.marks))
         while segments % 2 == 0 and segments // 2 >= least:
             segments //= 2

@@ -11,14 +11,19 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim.clip import Clip
 from vehsim.lie import SO3
 from vehsim.planning.layout import Layout
+from vehsim.planning.legs import cuts_of, legs_between, mark_positions, poses_of
 from vehsim.planning.marks import Mark
 from vehsim.planning.transcription import Transcription
 from vehsim.vehicles import Vehicle
 from vehsim.vehicles.mechanics import conservative
 
 Array = NDArray[np.float64]
+
+SWING, SWINGS, LAG = 1.1, 0.6, 0.6
+"""Of a first guess that swings: period, s; share of the joints' limits; lag of each joint behind the last, rad."""
 
 
 def along_paths(
@@ -50,28 +55,61 @@ def along_paths(
     return from_poses(t, layout, positions, quaternions, headings, lengths, trim(t.vehicle, tuple(wind)))
 
 
+def along_clip(t: Transcription, layout: Layout, marks: Sequence[Mark], clip: Clip, lengths: Array) -> Array:
+    """Variables (size,) of a clip of the same vehicle, with its joints and controls, drawn onto the marks' places."""
+    fraction, phase = _node_fractions(layout)
+    begins, ends = clip_spans(clip, marks)
+    motion = clip.at(begins[phase] + fraction * (ends - begins)[phase])
+    off = mark_positions(marks) - clip.at(np.append(begins, ends[-1])).positions
+    positions = motion.positions + (1 - fraction)[:, None] * off[phase] + fraction[:, None] * off[phase + 1]
+    headings = poses_of(motion)[:, 3]
+    knots = np.arange(layout.segments + 1) * len(layout.fractions)
+    return from_poses(
+        t, layout, positions, motion.orientations, headings, lengths, motion.controls[knots], motion.joints
+    )
+
+
+def clip_spans(clip: Clip, marks: Sequence[Mark]) -> tuple[Array, Array]:
+    """When a clip begins and ends every leg between marks, (legs,) s each."""
+    times = clip.times[cuts_of(clip.positions, legs_between(marks))]
+    return times[:-1], times[1:]
+
+
 def from_poses(
-    t: Transcription, layout: Layout, positions: Array, quaternions: Array, headings: Array, lengths: Array, c: Array
+    t: Transcription,
+    layout: Layout,
+    positions: Array,
+    quaternions: Array,
+    headings: Array,
+    lengths: Array,
+    c: Array,
+    joints: Array | None = None,
 ) -> Array:
-    """Variables of poses (nodes, ...) of the rig root; velocities by differences, controls constant."""
+    """Variables of poses (nodes, ...) of the rig root; velocities by differences, ``c`` controls (c,) or at knots
+    (segments + 1, c), ``joints`` (nodes, s), where they are not given such as go with the motion."""
     vehicle, group, m = t.vehicle, t.vehicle.group, t.mechanics
     _, s, n, _ = t.sizes
     body = positions + np.einsum("nij,j->ni", SO3.matrix(quaternions), vehicle.origin)
     g = group.from_pose(np.hstack([body, quaternions]))
-    if group.name == "SE2":
+    if group.planar:
         g[:, 0] = headings
     h = _substep_lengths(layout, lengths)
     xi = _difference(group, g[:-1], g[1:]) / h[:, None]
-    r, u = _joints(vehicle, xi, h) if s else (np.zeros((layout.nodes, 0)), np.zeros((layout.nodes - 1, 0)))
+    if joints is not None:
+        r, u = joints, np.diff(joints, axis=0) / h[:, None]
+    else:
+        r, u = _joints(vehicle, xi, h) if s else (np.zeros((layout.nodes, 0)), np.zeros((layout.nodes - 1, 0)))
+    at_knots = np.broadcast_to(c, (layout.segments + 1, len(t.control_scale)))
     x = np.zeros(layout.size)
     momenta, velocities = np.zeros((layout.nodes, n)), np.zeros((layout.nodes - 1, n))
     for k in range(layout.nodes - 1):
         pi = np.ravel(np.asarray(m.knot_momentum(r[k], u[k], xi[k])))
-        momenta[k], velocities[k] = pi, np.ravel(np.asarray(m.knot_velocity_guess(r[k], pi, c)))
+        control = at_knots[k // len(layout.fractions)]
+        momenta[k], velocities[k] = pi, np.ravel(np.asarray(m.knot_velocity_guess(r[k], pi, control)))
     momenta[-1] = momenta[-2]
     x[layout.node(np.arange(layout.nodes))] = np.hstack([g, r, momenta / t.momentum_scale]).T
     x[layout.velocity(np.arange(layout.nodes - 1))] = velocities.T
-    x[layout.control(np.arange(layout.segments + 1))] = (c / t.control_scale)[:, None]
+    x[layout.control(np.arange(layout.segments + 1))] = (at_knots / t.control_scale).T
     x[layout.lengths] = lengths
     return x
 
@@ -204,11 +242,31 @@ def _difference(group: Any, a: Array, b: Array) -> Array:
     return np.swapaxes(x, 1, 2).reshape(len(a), -1) @ np.linalg.pinv(basis)
 
 
+def swims(vehicle: Vehicle) -> bool:
+    """Whether it has nothing to drive it but torques on joints that swing, as a snakeboard."""
+    s = len(vehicle.joints)
+    pushed = s > 0 and len(vehicle.dynamic) == s == len(vehicle.controls) == len(vehicle.joint_limits)
+    return bool(pushed and vehicle.basis(ca.SX.zeros(s)).shape[1])
+
+
+def _swing(vehicle: Vehicle, h: Array) -> tuple[Array, Array]:
+    """Joints (n + 1, s) and rates (n, s) that swing in time, each after the one before it, growing and dying away."""
+    t = np.concatenate([[0.0], np.cumsum(h)])
+    share = t / t[-1]
+    wave = 2 * np.pi * max(1, round(t[-1] / SWING)) * share
+    most = np.array([min(-low, high) for low, high in (vehicle.joint_limits[joint] for joint in vehicle.joints)])
+    r = SWINGS * most * (1 - (2 * share - 1) ** 4)[:, None] * np.sin(wave[:, None] - LAG * np.arange(len(most)))
+    return r, np.diff(r, axis=0) / h[:, None]
+
+
 def _joints(vehicle: Vehicle, xi: Array, h: Array) -> tuple[Array, Array]:
     """Joints (n + 1, s) and rates (n, s) that let the vehicle move with twists ``xi`` (n, d), as nearly as they can.
 
-    A joint with limits is set (a steered wheel), the others turn along (a rolling one).
+    A joint with limits is set (a steered wheel), the others turn along (a rolling one). What gets about by its joints
+    alone swings them: straight and still it is stuck, an optimiser finds no way out of that.
     """
+    if swims(vehicle):
+        return _swing(vehicle, h)
     s, d, b = len(vehicle.joints), vehicle.group.dim, vehicle.basis(ca.SX.zeros(len(vehicle.joints))).shape[1]
     symbol: Any = ca.SX.sym("r", s)
     free: Any = ca.horzcat(vehicle.basis(symbol), -vehicle.connection(symbol))

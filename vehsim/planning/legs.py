@@ -66,13 +66,18 @@ def bent(path: Array, share: float) -> Array:
 
 def cut(points: Array, legs: list[tuple[Array, Array]]) -> list[Array]:
     """One path cut into legs at its points nearest to the marks, in order."""
+    cuts = cuts_of(points, legs)
+    spans = zip(legs, cuts[:-1], cuts[1:], strict=True)
+    return [np.vstack([[*a, *points[i, 3:]], points[i : j + 1], [*b, *points[j, 3:]]]) for (a, b), i, j in spans]
+
+
+def cuts_of(points: Array, legs: list[tuple[Array, Array]]) -> list[int]:
+    """Which of a path's points (k, ...) stand for the marks: its ends, and those nearest to the others, in order."""
     cuts = [0]
     for _, end in legs[:-1]:
         later = np.linalg.norm(points[cuts[-1] :, :3] - end, axis=1)
         cuts.append(cuts[-1] + int(np.argmin(later)))
-    cuts.append(len(points) - 1)
-    spans = zip(legs, cuts[:-1], cuts[1:], strict=True)
-    return [np.vstack([[*a, *points[i, 3:]], points[i : j + 1], [*b, *points[j, 3:]]]) for (a, b), i, j in spans]
+    return [*cuts, len(points) - 1]
 
 
 def poses_of(clip: Clip) -> Array:

@@ -52,8 +52,8 @@ class Plan:
     """A planned motion and what it is worth.
 
     ``defect``: largest constraint violation, in the problem's scaled units (m, m/s, rad); ``clearance``: smallest
-    certified, m; ``executed``: how far the controls, run finely and independently, lead from the plan, m;
-    ``segments``, ``order``: of the discretisation in the end.
+    certified, m, where near a landing as much is added as less is asked for; ``executed``: how far the controls, run
+    finely and independently, lead from the plan, m; ``segments``, ``order``: of the discretisation in the end.
     """
 
     clip: Clip
@@ -114,11 +114,11 @@ def plan(
     """The motion through ``marks`` that costs least, certified.
 
     ``fps`` frames a second; ``segments`` in all, every mark on a knot; ``cost``: a name of `terms.COSTS` or weights;
-    ``clearance`` m from the terrain; ``limits``: name of `terms.LIMITS` -> bound; ``guess``: a `Clip`, or a path (k, 3)
-    m to start from; ``refine`` until the controls, executed finely, end within 0.1 m of the plan, or say so;
-    ``terms``: costs and constraints of one's own (`terms.Cost`, `terms.Constraint`, `ranges.look_at`, `ranges.stay`);
-    ``loop``: the motion ends as it begins; ``solver``: a name of `solver.SOLVERS`; ``time_limit`` s, after which the
-    best motion so far comes back.
+    ``clearance`` m from terrain and obstacles; ``limits``: name of `terms.LIMITS` -> bound; ``guess``: a `Clip`, which
+    brings joints and controls along when it is of such a vehicle, or a path (k, 3) m to start from; ``refine`` until
+    the controls, executed finely, end within 0.1 m of the plan, or say so; ``terms``: costs and constraints of one's
+    own (`terms.Cost`, `terms.Constraint`, `ranges.look_at`, `ranges.stay`); ``loop``: the motion ends as it begins;
+    ``solver``: a name of `solver.SOLVERS`; ``time_limit`` s, after which the best motion so far comes back.
 
     Raises ``InputError`` for what cannot be asked. What cannot be solved comes back with ``success = False`` and a
     message, and a warning.
@@ -139,7 +139,7 @@ def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
         faced = facing(request.marks, paths, request.aimed)
         request = replace(request, marks=faced, given=request.marks)
     attempt = Attempt(request, t, _cover(request, paths), progress)
-    attempt.start(paths)
+    attempt.start(paths, clip=_own(request, guess))
     refused = refusals(request)
     if refused:
         attempt.give_up("; ".join(map(str, refused)))
@@ -150,6 +150,14 @@ def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
     attempt.settle()
     attempt.approach()
     return _finish(attempt)
+
+
+def _own(request: Request, guess: Any) -> Clip | None:
+    """A guess that is a clip of such a vehicle: it brings joints and controls along."""
+    if not isinstance(guess, Clip):
+        return None
+    names = [[*v.joints, *(control.name for control in v.controls)] for v in (request.vehicle, guess.vehicle)]
+    return guess if names[0] == names[1] and request.vehicle.group.name == guess.vehicle.group.name else None
 
 
 def _again(attempt: Attempt, paths: list[Array], guess: Any) -> None:
@@ -223,10 +231,13 @@ def _cover(request: Request, paths: list[Array]) -> Any:
     if not request.hazards:
         return None
     centres, radii = sphere_cover(request.vehicle)
-    field = request.world.distance_field(box=_airspace(request))
-    if field is not None:
-        points = np.vstack([path[:, :3] for path in paths])
-        field = field.crop(points.min(axis=0) - ROOM, points.max(axis=0) + ROOM)
+    points = np.vstack([path[:, :3] for path in paths])
+    room = np.array([points.min(axis=0) - ROOM, points.max(axis=0) + ROOM])
+    if request.world.terrain is not None and request.world.standing:  # finer than the terrain's whole
+        field = request.world.distance_field(box=room)
+    else:
+        field = request.world.distance_field(box=_airspace(request))
+        field = None if field is None else field.crop(*room)
     around = request.clearance + float(radii.max()) + AROUND
     return Cover(field, centres, radii, tuple((o, o.around(around)) for o in request.world.moving))
 

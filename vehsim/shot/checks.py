@@ -143,7 +143,7 @@ def check_free(
         message, mend = f"inside rock: the ground is at {ground:.2f} m", f"raise z above {ground + clearance:.2f}"
         yield Problem(key, message, mend, position)
     elif attitude is not None and vehicle.rig is not None:
-        gap = float(world.clearance(vehicle, [position], [attitude])[0])
+        gap = float(world.clearance_from_terrain(vehicle, [position], [attitude])[0])
         if gap < min(clearance - 1e-6, 0.0):
             yield Problem(key, f"the vehicle reaches {-gap:.2f} m into rock", "move it out of the terrain", position)
         elif gap < clearance - 1e-6:

@@ -154,7 +154,7 @@ class PolygonTable(Table):
     """``[[world.obstacle]]`` with ``shape = "polygon"``: a prism."""
 
     shape: Literal["polygon"]
-    """polygon, ellipse, box, mesh or vehicle"""
+    """polygon, ellipse, box, sphere, mesh or vehicle"""
     name: Name | None = None
     """a name of letters, digits and underscores, one of its own for every obstacle"""
     points: Annotated[list[Plane], Array, Len(3, 1000)]
@@ -169,7 +169,7 @@ class EllipseTable(Table):
     """``[[world.obstacle]]`` with ``shape = "ellipse"``: an upright cylinder."""
 
     shape: Literal["ellipse"]
-    """polygon, ellipse, box, mesh or vehicle"""
+    """polygon, ellipse, box, sphere, mesh or vehicle"""
     name: Name | None = None
     """a name of letters, digits and underscores, one of its own for every obstacle"""
     centre: Plane
@@ -188,7 +188,7 @@ class BoxTable(Table):
     """``[[world.obstacle]]`` with ``shape = "box"``."""
 
     shape: Literal["box"]
-    """polygon, ellipse, box, mesh or vehicle"""
+    """polygon, ellipse, box, sphere, mesh or vehicle"""
     name: Name | None = None
     """a name of letters, digits and underscores, one of its own for every obstacle"""
     centre: Point
@@ -199,11 +199,24 @@ class BoxTable(Table):
     """degrees by which its length is turned from world X, counter-clockwise"""
 
 
+class SphereTable(Table):
+    """``[[world.obstacle]]`` with ``shape = "sphere"``."""
+
+    shape: Literal["sphere"]
+    """polygon, ellipse, box, sphere, mesh or vehicle"""
+    name: Name | None = None
+    """a name of letters, digits and underscores, one of its own for every obstacle"""
+    centre: Point
+    """its middle, [x, y, z] in m"""
+    radius: Positive
+    """in m"""
+
+
 class MeshTable(Table):
     """``[[world.obstacle]]`` with ``shape = "mesh"``: kept clear of as the convex hulls of its connected bodies."""
 
     shape: Literal["mesh"]
-    """polygon, ellipse, box, mesh or vehicle"""
+    """polygon, ellipse, box, sphere, mesh or vehicle"""
     name: Name | None = None
     """a name of letters, digits and underscores, one of its own for every obstacle"""
     path: Text
@@ -220,7 +233,7 @@ class VehicleObstacleTable(Table):
     """``[[world.obstacle]]`` with ``shape = "vehicle"``: another vehicle of the shot, on its way."""
 
     shape: Literal["vehicle"]
-    """polygon, ellipse, box, mesh or vehicle"""
+    """polygon, ellipse, box, sphere, mesh or vehicle"""
     vehicle: Text
     """the name of the vehicle that the others keep clear of"""
 
@@ -230,7 +243,7 @@ class VehicleObstacleTable(Table):
 
 
 ObstacleTable = Annotated[
-    PolygonTable | EllipseTable | BoxTable | MeshTable | VehicleObstacleTable, Field(discriminator="shape")
+    PolygonTable | EllipseTable | BoxTable | SphereTable | MeshTable | VehicleObstacleTable, Field(discriminator="shape")
 ]
 
 
@@ -335,7 +348,7 @@ class WorldTable(Table):
     contact: ContactTable | None = None
     """a [world.contact] table: hulls touch obstacles, ground and each other; they pass through unless given"""
     obstacle: Annotated[list[ObstacleTable], Array, Len(0, 1000)] = []
-    """[[world.obstacle]] tables, each with shape = "polygon", "ellipse", "box", "mesh" or "vehicle\""""
+    """[[world.obstacle]] tables, each with shape = "polygon", "ellipse", "box", "sphere", "mesh" or "vehicle\""""
 
 
 class GateTable(Table):
@@ -372,6 +385,8 @@ class MarkTable(Table):
     """how many frames to stay there, with velocity = [0, 0, 0]"""
     gate: GateTable | None = None
     """a table { direction, radius or size }: an opening about the position to pass through"""
+    on_ground: bool = False
+    """true: what flies stands there, level and at rest, put down from the position on the ground or obstacle below"""
 
 
 class StartTable(Table):

@@ -117,12 +117,11 @@ class PlanMotion(Table):
         yield from check_names("cost", cost, COSTS, "cost")
         yield from check_limits(self.limits, vehicle)
         yield from check_order(marks, setting)
-        if _planar(vehicle):
-            yield from check_marks(marks, vehicle, setting.world, self.clearance)
+        yield from check_marks(marks, vehicle, setting.world, self.clearance)
         for i, mark in enumerate(marks):
             key = f"mark[{i}]"
             yield from check_mark(key, mark, vehicle)
-            if mark.position is not None and not _planar(vehicle):  # wheels touch the ground
+            if mark.position is not None and not (_planar(vehicle) or mark.on_ground):  # wheels touch the ground
                 slack = self.clearance - mark.tolerance
                 yield from check_free(f"{key}.position", mark.position, mark, slack, vehicle, setting.world)
 

@@ -109,9 +109,10 @@ class World:
         """The wind (3,) m/s at ``t`` s, gusts and all."""
         return self.wind if self.gusts is None else self.gusts.at(self.wind, t)
 
-    def environment(self, vehicle: Any, alone: bool = True) -> Environment | None:
+    def environment(self, vehicle: Any, alone: bool = True, began: float = 0.0) -> Environment | None:
         """All in this world that pushes ``vehicle`` from outside, None when nothing does; without contact unless
-        ``alone``: what touches each other is asked together (`vehsim.world.contact.ContactScene`)."""
+        ``alone``: what touches each other is asked together (`vehsim.world.contact.ContactScene`). ``began``: when its
+        time is 0, s since frame 0."""
         from vehsim.world.environment import Surroundings
 
         parts: list[Environment] = []
@@ -126,7 +127,7 @@ class World:
         if alone and self.contact is not None and vehicle.group.dim == 6 and vehicle.rig is not None:
             from vehsim.world.contact import Touching
 
-            parts.append(Touching(vehicle, self, self.contact))
+            parts.append(Touching(vehicle, self, self.contact, began))
         return Surroundings(parts) if parts else None
 
     def distance_field(
@@ -153,14 +154,18 @@ class World:
         gives minus its vertical depth. What moves is seen where it is at ``seconds`` (n,) since frame 0, not without.
         """
         least = self._from_obstacles(vehicle, positions, orientations, seconds).min(axis=1)
+        return np.minimum(least, self.clearance_from_terrain(vehicle, positions, orientations))
+
+    def clearance_from_terrain(self, vehicle: Any, positions: ArrayLike, orientations: ArrayLike) -> Array:
+        """`clearance` from the terrain alone, (n,) m."""
         if self.terrain is None or vehicle.rig is None:
-            return np.asarray(least)
+            return np.full(len(np.asarray(positions, dtype=float).reshape(-1, 3)), np.inf)
         asset = str(vehicle.rig.asset)
         if asset not in self._scenes:
             from vehsim.world.scene import Scene
 
             self._scenes[asset] = Scene(self.terrain, vehicle.rig)
-        return np.minimum(least, self._scenes[asset].clearance(positions, orientations))
+        return self._scenes[asset].clearance(positions, orientations)
 
     def clearance_by_obstacle(
         self, vehicle: Any, positions: ArrayLike, orientations: ArrayLike, seconds: ArrayLike | None = None
