@@ -174,6 +174,16 @@ def test_lifting_twice_changes_nothing_and_interpolation_stays_on_the_ground():
     assert lift(clip, World()) is clip and lift(clip, None) is clip
 
 
+@pytest.mark.parametrize("speed, held", [(15.0, False), (9.0, True)])
+def test_bends_that_no_tyre_holds_are_told(speed, held, recwarn):
+    """On a circle the tyres hold v^2 / R: 2.3 g at 15 m/s on 10 m, 0.8 g at 9 m/s."""
+    start = vehsim.State(twist=(speed / 10, speed, 0.0), joints=(0.0, 2.6 / 10))
+    vehsim.simulate(CAR, vehsim.World(terrain="flat"), [0.0, 0.0], start=start, duration=0.5)
+    said = [str(warning.message) for warning in recwarn]
+    assert [text for text in said if "tyre" in text] == ([] if held else [said[0]])
+    assert held or said[0].startswith("car: 2.3 g at frame ") and "limits = { acceleration = 8 }" in said[0]
+
+
 def test_wheels_come_from_the_asset():
     wheels = {wheel.travel: wheel for wheel in wheels_of(CAR.rig)}
     assert set(wheels) == {"travel_rl", "travel_rr", "travel_fl", "travel_fr"}

@@ -34,6 +34,8 @@ ROUNDS = 4
 """Iterations of a contact's height and of the body's rest; each gains the slope's square."""
 TRAVEL = "travel_"
 """Channels that slide a wheel up its suspension begin so."""
+GRIP = 1.1
+"""What dry tyres hold, in g."""
 LARGEST_TRAVEL = 0.12
 """Beyond it a wheel leaves its arch, m."""
 
@@ -85,6 +87,7 @@ def lift(clip: Clip, world: Any) -> Clip:
     orientations = yaw_tilt(yaw, pitch, roll)
     channels = {**clip.channels, "heave": deflection[:, 0], "pitch": pitch, "roll": roll}
     channels |= _wheel_channels(clip, terrain, wheels, positions, orientations)
+    _warn_strain(clip, rest, {wheel.travel: channels[wheel.travel] for wheel in wheels if wheel.travel})
     return replace(clip, positions=positions, orientations=orientations, channels=channels)
 
 
@@ -244,14 +247,10 @@ def _oscillator(h: float, omega: float, zeta: float) -> list[list[float]]:
 
 def _lean(clip: Clip, rest: Array, wheels: tuple[Wheel, ...], springs: Suspension) -> Array:
     """Where the springs would settle under the present acceleration: nothing of heave, pitch and roll (n, 3)."""
-    from vehsim.vehicles.holonomic import GRAVITY
-
     lean = np.zeros((len(clip), 3))
     if len(clip) < 2:
         return lean
-    turn, vx, vy = clip.twists.T
-    ax = np.gradient(vx, clip.times) - turn * vy + GRAVITY * np.sin(-rest[:, 1])
-    ay = np.gradient(vy, clip.times) + turn * vx + GRAVITY * np.sin(rest[:, 2])
+    ax, ay = _held(clip, rest)
     centres = np.array([wheel.centre for wheel in wheels])
     along, across = ((centres[:, :2] - centres[:, :2].mean(axis=0)) ** 2).mean(axis=0)
     stiffness = (2 * np.pi * springs.frequency) ** 2
@@ -260,6 +259,34 @@ def _lean(clip: Clip, rest: Array, wheels: tuple[Wheel, ...], springs: Suspensio
     if across > 1e-4:
         lean[:, 2] = springs.mass_height * ay / (stiffness * across)
     return np.clip(lean, -0.2, 0.2)
+
+
+def _held(clip: Clip, rest: Array) -> tuple[Array, Array]:
+    """What the tyres hold of a vehicle at rest on its springs (n, 3), per mass: (n,) m/s^2 along and across it."""
+    from vehsim.vehicles.holonomic import GRAVITY
+
+    turn, vx, vy = clip.twists.T
+    along = np.gradient(vx, clip.times) - turn * vy - GRAVITY * np.sin(rest[:, 1])
+    return along, np.gradient(vy, clip.times) + turn * vx + GRAVITY * np.sin(rest[:, 2])
+
+
+def _warn_strain(clip: Clip, rest: Array, travels: dict[str, Array]) -> None:
+    """Say where tyres, or else springs, are asked for more than they hold."""
+    from vehsim.vehicles.holonomic import GRAVITY
+
+    asked = np.hypot(*_held(clip, rest)) / GRAVITY if len(clip) > 1 else np.zeros(len(clip))
+    name, travel = max(travels.items(), key=lambda item: np.abs(item[1]).max(), default=("", np.zeros(len(clip))))
+    if asked.max() > GRIP:
+        frame = clip.frames[int(asked.argmax())]
+        said = f"{asked.max():.1f} g at frame {frame:.0f}: no tyre holds that, yet nothing slips here; "
+        mend = "go slower, or plan with limits = { acceleration = 8 }"
+    elif np.abs(travel).max() > LARGEST_TRAVEL:
+        worst = int(np.abs(travel).argmax())
+        said = f"{name} = {travel[worst]:.2f} m at frame {clip.frames[worst]:.0f}: the ground is too rough or the vehicle "
+        mend = "too fast for its wheels to stay in their arches; go slower, or smooth the ground"
+    else:
+        return
+    warnings.warn(f"{clip.vehicle.name}: {said}{mend}", stacklevel=3)
 
 
 def _wheel_channels(
@@ -272,7 +299,6 @@ def _wheel_channels(
         travel = np.zeros(len(clip))
         if wheel.travel is not None:
             travel = made[wheel.travel] = touch(terrain, wheel, positions, orientations)
-            _warn_travel(clip, wheel.travel, travel)
         if wheel.roll is not None and len(clip) > 1:
             hub = positions + R_wr @ wheel.centre + travel[:, None] * R_wr[:, :, 2]
             way = np.diff(hub, axis=0)
@@ -281,16 +307,6 @@ def _wheel_channels(
             turned = clip.channels[wheel.roll]
             made[wheel.roll] = turned[0] + np.concatenate([[0.0], np.cumsum(np.diff(turned) * longer)])
     return made
-
-
-def _warn_travel(clip: Clip, name: str, travel: Array) -> None:
-    worst = int(np.abs(travel).argmax())
-    if abs(travel[worst]) > LARGEST_TRAVEL:
-        warnings.warn(
-            f"{clip.vehicle.name}: {name} = {travel[worst]:.2f} m at frame {clip.frames[worst]:g}: the ground is too "
-            "rough or the vehicle too fast for its wheels to stay in their arches; go slower, or smooth the ground",
-            stacklevel=4,
-        )
 
 
 def _matrices(q: Array) -> Array:
