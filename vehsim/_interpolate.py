@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from vehsim.clip import Clip
+    from vehsim.lie import Group
 
 Array = NDArray[np.float64]
 
@@ -33,7 +34,7 @@ def interpolate(clip: Clip, times: Array) -> Clip:
     positions, linear = _hermite(s, h, clip.positions[k], clip.positions[k + 1], velocity[k], velocity[k + 1])
     orientations, angular = _rotations(s, h, flat[k], flat[k + 1], omega[k], omega[k + 1])
     joints, rates = _hermite(s, h, clip.joints[k], clip.joints[k + 1], clip.joint_rates[k], clip.joint_rates[k + 1])
-    twists = _twists(clip.vehicle.group.name, orientations, angular, linear)
+    twists = _twists(clip.vehicle.group, orientations, angular, linear)
     if tilt is not None:
         z, pitch, roll = (_monotone(clip.times, values, times) for values in (clip.positions[:, 2], *tilt))
         positions[:, 2] = z
@@ -56,7 +57,7 @@ def spatial(clip: Clip) -> tuple[Array, Array]:
     """Angular velocity in body axes and linear velocity in world axes, (n, 3) each, from twists of any group."""
     n, d = clip.twists.shape
     omega, body = np.zeros((n, 3)), np.zeros((n, 3))
-    if clip.vehicle.group.name == "SE2":
+    if clip.vehicle.group.planar:
         omega[:, 2], body[:, :2] = clip.twists[:, 0], clip.twists[:, 1:3]
         return omega, rotate(_planar(clip)[0], body)
     omega = clip.twists[:, :3]
@@ -66,7 +67,7 @@ def spatial(clip: Clip) -> tuple[Array, Array]:
 
 def _planar(clip: Clip) -> tuple[Array, tuple[Array, Array] | None]:
     """Orientations (n, 4) without the tilt that a terrain gave them, and that tilt: pitch and roll, (n,) each."""
-    if clip.vehicle.group.name != "SE2":
+    if not clip.vehicle.group.planar:
         return clip.orientations, None
     yaw, pitch, roll = tilt_of(clip.orientations)
     if max(np.abs(pitch).max(), np.abs(roll).max(), np.ptp(clip.positions[:, 2])) < 1e-12:
@@ -97,12 +98,12 @@ def rotate(q: Array, v: Array) -> Array:
     return v + q[:, :1] * t + np.cross(q[:, 1:], t)
 
 
-def _twists(group: str, q: Array, omega: Array, velocity: Array) -> Array:
-    """Body twists (n, d): (omega, v), (omega_z, vx, vy) on SE2, omega alone on SO3."""
+def _twists(group: Group, q: Array, omega: Array, velocity: Array) -> Array:
+    """Body twists (n, d): (omega, v), (omega_z, vx, vy) in the plane, omega alone on SO3."""
     body = rotate(q * [1, -1, -1, -1], velocity)
-    if group == "SO3":
+    if group.name == "SO3":
         return omega
-    return np.column_stack([omega[:, 2], body[:, :2]]) if group == "SE2" else np.hstack([omega, body])
+    return np.column_stack([omega[:, 2], body[:, :2]]) if group.planar else np.hstack([omega, body])
 
 
 def _hermite(s: Array, h: Array, a: Array, b: Array, da: Array, db: Array) -> tuple[Array, Array]:

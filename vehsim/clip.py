@@ -110,7 +110,7 @@ class Clip:
         from vehsim.vehicles import State
 
         orientation = self.orientations[index]
-        if self.vehicle.group.name == "SE2":
+        if self.vehicle.group.planar:
             orientation = yaw_tilt(tilt_of(orientation[None])[0], np.zeros(1), np.zeros(1))[0]
         return State(
             position=self.positions[index],

@@ -276,7 +276,7 @@ def _work(clip: Clip, wrenches: Array) -> Array:
     origin = clip.vehicle.origin
     if twists.shape[1] == 6:
         twists[:, 3:] += np.cross(twists[:, :3], origin)
-    elif clip.vehicle.group.name == "SE2":
+    elif clip.vehicle.group.planar:
         twists[:, 1:] += twists[:, :1] * np.array([-origin[1], origin[0]])
     power = np.einsum("ni,ni->n", wrenches, twists)
     return np.concatenate([[0.0], np.cumsum(np.diff(clip.times) * (power[1:] + power[:-1]) / 2)])

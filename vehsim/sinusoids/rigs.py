@@ -305,11 +305,8 @@ def rigged(vehicle: Vehicle, **flight: Any) -> Rigged:
     Raises ``InputError`` for vehicles that are none of the paper's.
     """
     joints = vehicle.joints
-    if (
-        joints[:2] == ("psi", "sigma")
-        and all(j.startswith("hitch") for j in joints[2:])
-        and vehicle.group.name == "SE2"
-    ):
+    rolls = joints[:2] == ("psi", "sigma") and all(joint.startswith("hitch") for joint in joints[2:])
+    if rolls and vehicle.group.planar:
         return _wheeled(vehicle)
     if joints == ("psi", "stretch") and vehicle.group.name == "SE3":
         return _airborne(vehicle, **flight)

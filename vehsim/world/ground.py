@@ -70,7 +70,7 @@ def lift(clip: Clip, world: Any) -> Clip:
     """
     terrain = None if world is None else world.terrain
     rig = clip.vehicle.rig
-    if terrain is None or rig is None or clip.vehicle.group.name != "SE2":
+    if terrain is None or rig is None or not clip.vehicle.group.planar:
         return clip
     wheels = wheels_of(rig)
     if not wheels:
