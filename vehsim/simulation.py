@@ -72,7 +72,7 @@ def simulate(
     begin = _standing(vehicle, world, start)
     _warn_windless(vehicle, world)
     weighed = on_terrain(vehicle, world, _reach(begin, steps * h))
-    environment = world.environment(vehicle) if isinstance(world, World) else None
+    environment = world.environment(vehicle, began=start_frame / float(rate)) if isinstance(world, World) else None
     if environment is not None:
         cuts = substeps(h, environment)
         integrator = Integrator(vehicle, h / cuts, difference_map, order, wind=_wind(world))
@@ -134,7 +134,8 @@ def simulate_together(
         environment = world.environment(vehicle, alone=False) or Nothing(vehicle.group.dim)
         prepared.append((name, vehicle, ask, _standing(vehicle, world, start), environment))
         _warn_windless(vehicle, world)
-    meeting = ContactScene({name: vehicle for name, vehicle, *_ in prepared}, world, world.contact or Contact())
+    touching = {name: vehicle for name, vehicle, *_ in prepared}
+    meeting = ContactScene(touching, world, world.contact or Contact(), start_frame / float(rate))
     cuts = max(substeps(h, environment) for *_, environment in prepared)
     courses = [
         Course(Integrator(vehicle, h / cuts, wind=_wind(world)), environment, ask, begin, cuts)
@@ -254,7 +255,7 @@ def _spread(table: Array, steps: int) -> Array:
 def _standing(vehicle: Vehicle, world: World | None, given: State | None) -> State:
     """The start, on the ground when the vehicle moves in the plane and there is a terrain; warns when it was not."""
     start = given or State()
-    if world is None or world.terrain is None or vehicle.group.name != "SE2":
+    if world is None or world.terrain is None or not vehicle.group.planar:
         return start
     position = np.asarray(start.position, float).ravel()
     if position.shape != (3,) or not np.all(np.isfinite(position)):

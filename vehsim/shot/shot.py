@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from vehsim.blocking import Blocking
     from vehsim.cameras import Camera, CameraRig
     from vehsim.clip import Clip
+    from vehsim.shot.motions import SimulateMotion
     from vehsim.take import Progress, RenderSettings, Take, UsdSettings
     from vehsim.vehicles import Vehicle
     from vehsim.world import World
@@ -267,7 +268,8 @@ class Shot:
         clips: dict[str, Clip] = {}
         reports: dict[str, Any] = {}
         avoided = {table.vehicle for table in self.file.world.obstacle if table.shape == "vehicle"}
-        together = self._meet(progress)
+        meeting = self._meeting()
+        together: dict[str, Clip] = {}
         # who is kept clear of moves first, the others about it
         for i, table in enumerate(sorted(self.file.vehicle, key=lambda vehicle: vehicle.name not in avoided)):
             world = obstacles.with_vehicles(self.world, clips, avoided, table.name)
@@ -275,7 +277,8 @@ class Shot:
             def report(what: str, done: float, name: str = table.name, before: int = i) -> None:
                 progress(f"{name}: {what}", (before + done) / len(self.file.vehicle))
 
-            if table.name in together:
+            if table.name in meeting:
+                together = together or self._meet(meeting, world, progress)
                 clips[table.name] = together[table.name]
                 reports[table.name] = {"asset": table.asset, "method": table.motion.method, "together": [*together]}
                 continue
@@ -285,10 +288,9 @@ class Shot:
         order = [table.name for table in self.file.vehicle]
         return {name: clips[name] for name in order}, {name: reports[name] for name in order}
 
-    def _meet(self, progress: Progress) -> dict[str, Clip]:
-        """Clips of simulated vehicles that may touch each other, advanced together; none unless there are two."""
+    def _meeting(self) -> dict[str, tuple[SimulateMotion, Vehicle]]:
+        """The simulated vehicles that may touch each other, with their motions; none unless there are two."""
         from vehsim.shot.motions import SimulateMotion
-        from vehsim.simulation import simulate_together
 
         motions = {table.name: (table.motion, self.vehicle(table)) for table in self.file.vehicle}
         simulated = {
@@ -296,8 +298,14 @@ class Shot:
             for name, (motion, vehicle) in motions.items()
             if isinstance(motion, SimulateMotion) and vehicle.group.dim == 6 and vehicle.rig is not None
         }
-        if self.world.contact is None or len(simulated) < 2:
-            return {}
+        return {} if self.world.contact is None or len(simulated) < 2 else simulated
+
+    def _meet(
+        self, simulated: Mapping[str, tuple[SimulateMotion, Vehicle]], world: World, progress: Progress
+    ) -> dict[str, Clip]:
+        """Their clips, advanced together among what stands and moves in ``world``."""
+        from vehsim.simulation import simulate_together
+
         movers, durations = {}, []
         for name, (motion, vehicle) in simulated.items():
             movers[name], duration = motion.mover(vehicle, self._setting)
@@ -305,7 +313,7 @@ class Shot:
         step, first = min(motion.step for motion, _ in simulated.values()), self._setting.first
         meeting = ", ".join(simulated)
         return simulate_together(
-            movers, self.world, max(durations), step, self.fps, first,
+            movers, world, max(durations), step, self.fps, first,
             progress=lambda what, done: progress(f"{meeting}: {what}", done / len(self.file.vehicle)),
         )  # fmt: skip
 

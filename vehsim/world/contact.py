@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from vehsim.errors import InputError, Problem
 from vehsim.vehicles._base import State
+from vehsim.world.contact_bodies import Body, Course, Led, Moving
 from vehsim.world.environment import Environment
 
 Array = NDArray[np.float64]
@@ -26,7 +27,8 @@ Array = NDArray[np.float64]
 DEPTH = 0.012
 """How deep hulls overlap at most when they meet at `Contact.speed`, m."""
 RESOLVED = 0.06
-"""Phase of the contact's spring that a step may cover in an impact, rad: 50 steps from touch to parting."""
+"""Phase of the contact's spring that a step may cover in an impact, rad: 50 steps from touch to parting, and more
+where the damper, which sets in at once, does most of it."""
 RESTING = 0.25
 """The same where nothing closes or parts faster than `GENTLE`."""
 GENTLE = 0.3
@@ -126,36 +128,34 @@ class Event:
         }
 
 
-@dataclass(frozen=True)
-class _Body:
-    """A vehicle in the scene: where its joint and body stand in the model, its inertia and body frame."""
-
-    name: str
-    vehicle: Any
-    joint: int
-    corners: Array
-    reach: float
-    inverse_inertia: Array
-
-
 class ContactScene:
-    """Several vehicles' hulls, a world's obstacles and its terrain in one MuJoCo model."""
+    """Several vehicles' hulls, a world's obstacles and its terrain in one MuJoCo model.
 
-    def __init__(self, vehicles: dict[str, Any], world: Any, contact: Contact) -> None:
+    ``began``: when ``t`` is 0, in s since frame 0, which is how moving obstacles tell the time.
+    """
+
+    def __init__(self, vehicles: dict[str, Any], world: Any, contact: Contact, began: float = 0.0) -> None:
         import mujoco
 
         from vehsim.parts import add_to_spec
 
-        self.contact, self.terrain = contact, world.terrain
+        self.contact, self.terrain, self._began = contact, world.terrain, began
         spec = mujoco.MjSpec()
         bodies = {name: self._add_vehicle(spec, name, vehicle, add_to_spec) for name, vehicle in vehicles.items()}
+        moving = [obstacle for obstacle in world.obstacles if hasattr(obstacle, "motion_at")]
         for obstacle in world.obstacles:
-            self._add_obstacle(spec, obstacle)
+            body = spec.worldbody.add_body(name=f"obstacle/{obstacle.name}")
+            if obstacle in moving:
+                body.mass, body.inertia, body.explicitinertial = 1.0, [1.0, 1.0, 1.0], True
+                body.add_freejoint()
+            self._add_hulls(spec, body, obstacle)
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
         self.model.geom_margin[:] = MARGIN
         self.bodies = [self._body(name, vehicles[name], body) for name, body in bodies.items()]
-        self._owner = {self.model.body(body.name).id: k for k, body in enumerate(self.bodies)}
+        self._courses = [self._course(obstacle) for obstacle in moving]
+        names = [body.name for body in self.bodies] + [f"obstacle/{obstacle.name}" for obstacle in moving]
+        self._owner = {self.model.body(name).id: k for k, name in enumerate(names)}
         self._events: list[list[Event]] = [[] for _ in self.bodies]
         self._time = 0.0
         self.next_step = self._soon = math.inf
@@ -169,28 +169,36 @@ class ContactScene:
             geom.contype, geom.conaffinity = 1, 3
         return str(body.name)
 
-    def _add_obstacle(self, spec: Any, obstacle: Any) -> None:
+    def _add_hulls(self, spec: Any, body: Any, obstacle: Any) -> None:
         import mujoco
 
         for k, hull in enumerate(obstacle.hulls):
             mesh = f"obstacle/{obstacle.name}/{k}"
             spec.add_mesh(name=mesh, uservert=np.ravel(hull), inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX)
             kind = mujoco.mjtGeom.mjGEOM_MESH
-            spec.worldbody.add_geom(name=mesh, type=kind, meshname=mesh, contype=2, conaffinity=1)
+            body.add_geom(name=mesh, type=kind, meshname=mesh, contype=2, conaffinity=1)
 
-    def _body(self, name: str, vehicle: Any, body: str) -> _Body:
+    def _body(self, name: str, vehicle: Any, body: str) -> Body:
         from vehsim.parts import collision_hulls
 
         hulls = collision_hulls(vehicle.rig.asset, vehicle.rig.root or None)
         corners = np.concatenate(hulls)
-        number = self.model.body(body).id
-        joint = int(self.model.jnt_qposadr[self.model.body_jntadr[number]])
         reach = float(np.linalg.norm(corners - vehicle.origin, axis=1).max())
-        return _Body(body, vehicle, joint, corners, reach, np.linalg.inv(np.asarray(vehicle.inertia, float)))
+        inverse = np.linalg.inv(np.asarray(vehicle.inertia, float))
+        return Body(body, vehicle, self._joint(body), corners, reach, inverse)
+
+    def _course(self, obstacle: Any) -> Course:
+        reach = float(max(np.linalg.norm(hull, axis=1).max() for hull in obstacle.hulls))
+        return Course(self._joint(f"obstacle/{obstacle.name}"), reach, obstacle)
+
+    def _joint(self, body: str) -> int:
+        """Where a body's free joint begins among the model's positions."""
+        return int(self.model.jnt_qposadr[self.model.body_jntadr[self.model.body(body).id]])
 
     def wrenches(self, t: float, states: Sequence[State]) -> list[Array]:
         """Wrench (6,) on each vehicle, in body axes about its body frame's origin, at public ``states`` at ``t`` s."""
-        moving = [_Moving(body, state) for body, state in zip(self.bodies, states, strict=True)]
+        moving: list[Moving | Led] = [Moving(body, state) for body, state in zip(self.bodies, states, strict=True)]
+        moving += [Led(course, self._began + t) for course in self._courses]
         pairs = self._touching(moving)
         total = [np.zeros(6) for _ in moving]
         forces: dict[tuple[int, str], list[tuple[Array, Array, float]]] = {}
@@ -198,27 +206,29 @@ class ContactScene:
             for place, force, closing in self._push(moving[a], None if b is None else moving[b], points):
                 total[a] += moving[a].wrench(place, force)
                 forces.setdefault((a, name), []).append((place, force, closing))
-                if b is not None:
+                if b is not None and b < len(self.bodies):
                     total[b] += moving[b].wrench(place, -force)
                     forces.setdefault((b, _plain(self.bodies[a].name)), []).append((place, -force, closing))
         bounce = max((depth for points in pairs.values() for depth, _, _ in points), default=math.inf)
         bounce *= self.contact.frequency  # the speed that the spring would give back
         impact = max((abs(closing) for points in forces.values() for _, _, closing in points), default=math.inf)
-        phase = RESOLVED if max(impact, bounce) > GENTLE else RESTING
+        phase = RESOLVED / (1 + self.contact.damping) if max(impact, bounce) > GENTLE else RESTING
         self.next_step = max(phase / self.contact.frequency, AHEAD * self._soon)
         self._note(t, forces)
-        return total
+        return total[: len(self.bodies)]
 
-    def _touching(self, moving: list[_Moving]) -> dict[tuple[int, int | None, str], list[tuple[float, Array, Array]]]:
+    def _touching(
+        self, moving: list[Moving | Led]
+    ) -> dict[tuple[int, int | None, str], list[tuple[float, Array, Array]]]:
         """(vehicle, other vehicle or None, its name) -> (depth m, place (3,), normal (3,) towards the first) of points.
 
         Notes when, at the earliest, what is nearest is touched.
         """
         import mujoco
 
-        for body, m in zip(self.bodies, moving, strict=True):
-            self.data.qpos[body.joint : body.joint + 3] = m.position
-            self.data.qpos[body.joint + 3 : body.joint + 7] = m.orientation
+        for m in moving:
+            self.data.qpos[m.body.joint : m.body.joint + 3] = m.position
+            self.data.qpos[m.body.joint + 3 : m.body.joint + 7] = m.orientation
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_collision(self.model, self.data)
         found: dict[tuple[int, int | None, str], list[tuple[float, Array, Array]]] = {}
@@ -240,7 +250,7 @@ class ContactScene:
                 name = _plain(self.model.geom(second).name)
                 found.setdefault((a, b, name), []).append((-distance, contacts.pos[k].copy(), normal.copy()))
         if self.terrain is not None:
-            for a, m in enumerate(moving):
+            for a, m in enumerate(moving[: len(self.bodies)]):
                 gap, points = self._on_terrain(m)
                 soon = min(soon, gap / max(m.fastest, 1e-6))
                 if points:
@@ -248,7 +258,7 @@ class ContactScene:
         self._soon = soon
         return found
 
-    def _on_terrain(self, m: _Moving) -> tuple[float, list[tuple[float, Array, Array]]]:
+    def _on_terrain(self, m: Any) -> tuple[float, list[tuple[float, Array, Array]]]:
         """How far above the ground the lowest corner is, m, and the corners below it."""
         corners = m.body.corners @ m.R_wr.T + m.position
         depth = self.terrain.height(corners[:, :2]) - corners[:, 2]
@@ -261,7 +271,7 @@ class ContactScene:
         ]
 
     def _push(
-        self, a: _Moving, b: _Moving | None, points: list[tuple[float, Array, Array]]
+        self, a: Moving | Led, b: Moving | Led | None, points: list[tuple[float, Array, Array]]
     ) -> list[tuple[Array, Array, float]]:
         """(place, force (3,) N on ``a``, closing speed m/s) of every point of a pair."""
         c, total = self.contact, sum(depth for depth, _, _ in points)
@@ -309,8 +319,8 @@ class ContactScene:
 class Touching(Environment):
     """One vehicle among a world's obstacles and on its terrain."""
 
-    def __init__(self, vehicle: Any, world: Any, contact: Contact) -> None:
-        self._scene = ContactScene({vehicle.name: vehicle}, world, contact)
+    def __init__(self, vehicle: Any, world: Any, contact: Contact, began: float = 0.0) -> None:
+        self._scene = ContactScene({vehicle.name: vehicle}, world, contact, began)
 
     @property
     def next_step(self) -> float:  # type: ignore[override]
@@ -321,45 +331,6 @@ class Touching(Environment):
 
     def events(self) -> list[dict[str, Any]]:
         return self._scene.events()
-
-
-class _Moving:
-    """A vehicle at a public state, asked about its points; world axes."""
-
-    def __init__(self, body: _Body, state: State) -> None:
-        self.body = body
-        self.position = np.asarray(state.position, float)
-        self.orientation = np.asarray(state.orientation, float)
-        twist = np.asarray(state.twist, float)
-        self.R_wr = _matrix(*self.orientation.tolist())
-        self.omega, self.v = self.R_wr @ twist[:3], self.R_wr @ twist[3:]
-        self.centre = self.position + self.R_wr @ body.vehicle.origin
-        self.fastest = float(np.linalg.norm(self.v) + np.linalg.norm(self.omega) * 2 * body.reach) + 0.5
-
-    def velocity(self, place: Array) -> Array:
-        return np.asarray(self.v + _cross(self.omega, place - self.position))
-
-    def wrench(self, place: Array, force: Array) -> Array:
-        """Torque and force of a force (3,) at a place, in body axes about the body frame's origin."""
-        torque = _cross(place - self.centre, force)
-        return np.concatenate([self.R_wr.T @ torque, self.R_wr.T @ force])
-
-    def yielding(self, place: Array, normal: Array) -> float:
-        """The inverse of the mass that a push along ``normal`` feels, 1/kg."""
-        unit = self.wrench(place, normal)
-        return float(unit @ self.body.inverse_inertia @ unit)
-
-
-def _matrix(w: float, x: float, y: float, z: float) -> Array:
-    return np.array([
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ])  # fmt: skip
-
-
-def _cross(a: Array, b: Array) -> Array:
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
 def _plain(name: str) -> str:

@@ -1,0 +1,101 @@
+"""What takes part in contact: vehicles that give way, and obstacles that move whatever they meet, at an instant.
+
+What belongs here is where points of them are, how fast, and how much they yield; what they touch is in `contact.py`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim._interpolate import spatial
+from vehsim.vehicles._base import State
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Body:
+    """A vehicle in the scene: where its joint and body stand in the model, its inertia and body frame."""
+
+    name: str
+    vehicle: Any
+    joint: int
+    corners: Array
+    reach: float
+    inverse_inertia: Array
+
+
+@dataclass(frozen=True)
+class Course:
+    """An obstacle that moves on its own, whatever it meets: where its joint stands in the model, and its motion."""
+
+    joint: int
+    reach: float
+    obstacle: Any
+
+
+class Moving:
+    """A vehicle at a public state, asked about its points; world axes."""
+
+    def __init__(self, body: Body, state: State) -> None:
+        self.body = body
+        self.position = np.asarray(state.position, float)
+        self.orientation = np.asarray(state.orientation, float)
+        twist = np.asarray(state.twist, float)
+        self.R_wr = _matrix(*self.orientation.tolist())
+        self.omega, self.v = self.R_wr @ twist[:3], self.R_wr @ twist[3:]
+        self.centre = self.position + self.R_wr @ body.vehicle.origin
+        self.fastest = float(np.linalg.norm(self.v) + np.linalg.norm(self.omega) * 2 * body.reach) + 0.5
+
+    def velocity(self, place: Array) -> Array:
+        return np.asarray(self.v + cross(self.omega, place - self.position))
+
+    def wrench(self, place: Array, force: Array) -> Array:
+        """Torque and force of a force (3,) at a place, in body axes about the body frame's origin."""
+        torque = cross(place - self.centre, force)
+        return np.concatenate([self.R_wr.T @ torque, self.R_wr.T @ force])
+
+    def yielding(self, place: Array, normal: Array) -> float:
+        """The inverse of the mass that a push along ``normal`` feels, 1/kg."""
+        unit = self.wrench(place, normal)
+        return float(unit @ self.body.inverse_inertia @ unit)
+
+
+class Led:
+    """A moving obstacle at a time, s since frame 0; it weighs more than all that it meets."""
+
+    def __init__(self, course: Course, seconds: float) -> None:
+        self.body = course
+        clip = course.obstacle.clip
+        first, last = clip.times[[0, -1]]
+        since = seconds - clip.start_frame / float(clip.fps)
+        motion = clip.at(np.array([np.clip(since, first, last)]))
+        omega, v = (rows[0] if first <= since <= last else np.zeros(3) for rows in spatial(motion))  # else it stands
+        self.position, self.orientation, self.v = motion.positions[0], motion.orientations[0], v
+        self.omega = _matrix(*self.orientation.tolist()) @ omega
+        self.fastest = float(np.linalg.norm(self.v) + np.linalg.norm(self.omega) * 2 * course.reach) + 0.5
+
+    def velocity(self, place: Array) -> Array:
+        return np.asarray(self.v + cross(self.omega, place - self.position))
+
+    def wrench(self, place: Array, force: Array) -> Array:
+        return np.zeros(6)
+
+    def yielding(self, place: Array, normal: Array) -> float:
+        return 0.0
+
+
+def _matrix(w: float, x: float, y: float, z: float) -> Array:
+    return np.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ])  # fmt: skip
+
+
+def cross(a: Array, b: Array) -> Array:
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
