@@ -282,8 +282,8 @@ def _warn_strain(clip: Clip, rest: Array, travels: dict[str, Array]) -> None:
         mend = "go slower, or plan with limits = { acceleration = 8 }"
     elif np.abs(travel).max() > LARGEST_TRAVEL:
         worst = int(np.abs(travel).argmax())
-        said = f"{name} = {travel[worst]:.2f} m at frame {clip.frames[worst]:.0f}: the ground is too rough, or the way too "
-        mend = "fast, for its wheels to stay in their arches; go slower, or smooth the ground"
+        said = f"{name} = {travel[worst]:.2f} m at frame {clip.frames[worst]:.0f}: too rough a ground or too fast a way "
+        mend = "for its wheels to stay in their arches; go slower, or smooth the ground"
     else:
         return
     warnings.warn(f"{clip.vehicle.name}: {said}{mend}", stacklevel=3)
