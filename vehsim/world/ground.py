@@ -281,8 +281,8 @@ def _warn_strain(clip: Clip, rest: Array, travels: dict[str, Array]) -> None:
         said = f"{asked.max():.1f} g at frame {frame:.0f}: no tyre holds that, yet nothing slips here; "
         mend = "go slower, or plan with limits = { acceleration = 8 }"
     elif np.abs(travel).max() > LARGEST_TRAVEL:
-        worst = int(np.abs(travel).argmax())
-        said = f"{name} = {travel[worst]:.2f} m at frame {clip.frames[worst]:.0f}: too rough a ground or too fast a way "
+        k = int(np.abs(travel).argmax())
+        said = f"{name} = {travel[k]:.2f} m at frame {clip.frames[k]:.0f}: too rough a ground or too fast a way "
         mend = "for its wheels to stay in their arches; go slower, or smooth the ground"
     else:
         return
