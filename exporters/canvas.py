@@ -72,8 +72,8 @@ class Canvas:
         self._gl.make_current()
         water.draw(self._model, data, self._context, frame, np.array(self.scene.camera[0].pos, float))
 
-    def draw(self, scene: Any, size: tuple[int, int], **flags: bool) -> tuple[Picture, NDArray[np.float32]]:
-        """Colour (h, w, 3) and depth (h, w), 0 where there is nothing opaque; both from the bottom row up.
+    def draw(self, scene: Any, size: tuple[int, int], **flags: bool) -> Picture:
+        """Colour (h, w, 3) from the bottom row up.
 
         ``size`` (w, h) px, within the context's; ``flags``: the renderer's own (SHADOW, FOG, SKYBOX, ...); what is not
         named is off.
@@ -83,22 +83,29 @@ class Canvas:
         for k, name in enumerate(mujoco.mjtRndFlag.__members__):
             if k < len(scene.flags):
                 scene.flags[k] = flags.get(name.removeprefix("mjRND_"), name == "mjRND_CULL_FACE")
-        rect = mujoco.MjrRect(0, 0, *size)
-        colour, depth = np.empty((*size[::-1], 3), np.uint8), np.empty(size[::-1], np.float32)
+        rect, colour = mujoco.MjrRect(0, 0, *size), np.empty((*size[::-1], 3), np.uint8)
         self._gl.make_current()
         mujoco.mjr_render(rect, scene, self._context)
-        mujoco.mjr_readPixels(colour, depth, rect, self._context)
-        return colour, depth
+        mujoco.mjr_readPixels(colour, None, rect, self._context)
+        return colour
 
-    def draw_ids(self, size: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-        """Which opaque geom is seen (h, w), -1 for none, and its depth (h, w); both from the bottom row up."""
-        colour, depth = self.draw(self.solid, size, SEGMENT=True, IDCOLOR=True)
-        drawn = colour.astype(np.int64) @ (1, 256, 65536)  # 0 for nothing, then from 1 on in the scene's order
+    def depth(self, size: tuple[int, int]) -> NDArray[np.float32]:
+        """Of what was drawn last (h, w), 0 where there is nothing opaque, from the bottom row up."""
+        import mujoco
+
+        depth = np.empty(size[::-1], np.float32)
+        mujoco.mjr_readPixels(None, depth, mujoco.MjrRect(0, 0, *size), self._context)
+        return depth
+
+    def draw_ids(self, size: tuple[int, int]) -> NDArray[np.int64]:
+        """Which opaque geom is seen (h, w), -1 for none, from the bottom row up."""
+        colour = self.draw(self.solid, size, SEGMENT=True, IDCOLOR=True).astype(np.int32)
+        drawn = colour[..., 0] + 256 * colour[..., 1] + 65536 * colour[..., 2]  # 0 nothing, then in the scene's order
         geoms = np.full(self.solid.ngeom + 1, -1)
         for geom in self.solid.geoms[: self.solid.ngeom]:
             geoms[geom.segid + 1] = geom.objid
         geoms[0] = -1
-        return geoms[drawn], depth
+        return geoms[drawn]
 
     def close(self) -> None:
         self._gl.make_current()

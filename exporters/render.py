@@ -85,7 +85,8 @@ class StageRenderer:
         canvas, side = self._canvas, self._supersample
         if self._water is not None:
             canvas.draw_water(self._water, self._data, frame)
-        colour, depth = canvas.draw(canvas.scene, self._size, SHADOW=self._shadows, FOG=True)
+        colour = canvas.draw(canvas.scene, self._size, SHADOW=self._shadows, FOG=True)
+        depth = canvas.depth(self._size)
         if self._water is not None:
             colour = self._wet(colour, depth, camera, frame)
         picture, opaque = Image.fromarray(colour[::-1]), depth[::-1] > 0
@@ -93,7 +94,7 @@ class StageRenderer:
             return np.asarray(picture.reduce(side))
         # Haze would swallow the sky, so that is drawn for itself with what it shines through; it bears half the size.
         half = (-(-self._size[0] // 2), -(-self._size[1] // 2))
-        sky = Image.fromarray(canvas.draw(canvas.glass, half, SKYBOX=True)[0][::-1])
+        sky = Image.fromarray(canvas.draw(canvas.glass, half, SKYBOX=True)[::-1])
         sky = sky.resize(self.size, BILINEAR)
         box = _box(opaque, side)
         behind = sky.crop(tuple(edge // side for edge in box)).resize((box[2] - box[0], box[3] - box[1]), NEAREST)
@@ -109,7 +110,7 @@ class StageRenderer:
         self._pose(camera, frame)
         if self._water is not None:
             self._canvas.draw_water(self._water, self._data, frame)
-        of_geom, depth = self._canvas.draw_ids(self.size)
+        of_geom, depth = self._canvas.draw_ids(self.size), self._canvas.depth(self.size)
         near, far = self._clip(camera, frame)
         away = near * far / (depth * (far - near) + near)
         colours = np.vstack([prim_colours(self.prims), np.zeros((1, 3), np.uint8)])  # the last one, -1: nothing
@@ -157,12 +158,15 @@ class StageRenderer:
     def _wet(self, colour: Picture, depth: NDArray[np.float32], camera: str, frame: float) -> Picture:
         """Dark lines where hulls, piles and rocks stand in the water."""
         assert self._water is not None
+        standing = (depth > 0) & (self._canvas.draw_ids(self._size) != self._model.geom("water").id)
+        left, low, right, high = _box(standing, 1)
+        part = slice(low, high + 1), slice(left, right + 1)  # a pixel more: slopes are told from the next one
         pose, half_width, _, _ = self.stage.camera(camera, frame)
         half = (half_width, half_width * self.size[1] / self.size[0])
         clip = self._clip(camera, frame)
-        places, distance = places_of(depth.astype(float), pose[:3, 3], -pose[:3, 2], pose[:3, 1], half, clip)
-        seen, _ = self._canvas.draw_ids(self._size)
-        return self._water.wet(colour, places, np.where(seen == self._model.geom("water").id, np.inf, distance))
+        places, distance = places_of(depth, pose[:3, 3], -pose[:3, 2], pose[:3, 1], half, clip, part)
+        colour[part] = self._water.wet(colour[part], places, np.where(standing[part], distance, np.inf))
+        return colour
 
     def _place_lights(self) -> None:
         """Hang the sun's shadow map over what the camera sees, on whole texels so that shadow edges do not crawl."""

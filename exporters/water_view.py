@@ -233,18 +233,24 @@ def _length(vectors: Array) -> Array:
 
 
 def places_of(
-    depth: Array, eye: Any, forward: Array, up: Array, half: tuple[float, float], clip: tuple[float, float]
+    depth: NDArray[np.floating],
+    eye: Any,
+    forward: Array,
+    up: Array,
+    half: tuple[float, float],
+    clip: tuple[float, float],
+    part: tuple[slice, slice] = (slice(None), slice(None)),
 ) -> tuple[Array, Array]:
     """World places (h, w, 3) m of pixels, bottom row first, and their distance (h, w) along the view; inf: nothing.
 
-    ``depth`` (h, w): 1 at the near plane, 0 at the far one; ``half``: width and height of the view at distance 1.
+    ``depth`` (h, w): 1 at the near plane, 0 at the far one; ``half``: width and height of the view at distance 1;
+    ``part``: rows and columns of the pixels wanted.
     """
-    near, far = clip
-    distance = near * far / np.maximum(depth * (far - near) + near, 1e-12)
-    distance = np.where(depth > 0, distance, np.inf)
-    h, w = depth.shape
-    x = (np.arange(w) + 0.5) / w * 2 - 1
-    y = (np.arange(h) + 0.5) / h * 2 - 1
+    (near, far), (h, w) = clip, depth.shape
+    x = (np.arange(w)[part[1]] + 0.5) / w * 2 - 1
+    y = (np.arange(h)[part[0]] + 0.5) / h * 2 - 1
+    share = depth[part].astype(float)
+    distance = np.where(share > 0, near * far / np.maximum(share * (far - near) + near, 1e-12), np.inf)
     side = np.cross(forward, up)
     ray = forward + half[0] * x[None, :, None] * side + half[1] * y[:, None, None] * up
     reach = np.where(np.isfinite(distance), distance, 0.0)[..., None]
