@@ -1,0 +1,85 @@
+"""The gallery's pictures, from exported stages alone: of every example a film in forty frames, and a still by Cycles.
+
+``python tools/gallery.py STAGES [NAME...]``: STAGES is a folder that ``vehsim export`` wrote the examples to. Writes
+docs/gallery/NAME.webp and NAME.jpg; stills need Blender (`VEHSIM_BLENDER`) and take two CPU minutes each.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from pathlib import Path
+
+from PIL import Image
+
+from vehsim.exporters import blender
+from vehsim.exporters.frames import render_stage
+from vehsim.exporters.stage import StageReader
+
+GALLERY = Path(__file__).parents[1] / "docs" / "gallery"
+STILLS = {
+    "boat_bumps_dock": (1043, "pier"),
+    "boat_docking": (1301, "chase"),
+    "boat_in_swell": (1055, "low"),
+    "canyon_flight": (1225, "chase"),
+    "car_commands": (1097, "chase"),
+    "car_obstacles": (1128, "chase"),
+    "car_over_hills": (1156, "chase"),
+    "car_winding": (1253, "chase"),
+    "hopper_flip": (1067, "chase"),
+    "parallel_park": (1341, "chase"),
+    "parallel_parking": (1122, "chase"),
+    "robot_worlds_seed0": (1166, "chase"),
+    "simple_car_worlds_seed0": (1160, "chase"),
+    "snakeboard_twist": (1109, "chase"),
+    "truck_reverses_trailer": (1250, "chase"),
+    "tumbling_body": (1145, "left"),
+}
+"""Stage -> the frame and the camera of its still; the film is that camera's too."""
+FRAMES, SIZE, SECONDS = 40, (480, 270), 5.0
+LARGEST = 250_000
+"""Bytes a picture may have."""
+
+
+def film(stage: Path, camera: str, path: Path) -> None:
+    """An animated WebP of about ``FRAMES`` frames, as good as fits."""
+    first, last = StageReader(stage).frames
+    frames = range(first, last + 1, max(1, (last - first) // FRAMES))
+    with tempfile.TemporaryDirectory() as folder:
+        files = render_stage(stage, folder, camera=camera, frames=frames, size=SIZE)
+        pictures = [Image.open(file).convert("RGB") for file in files]
+    duration = round(1000 * SECONDS / len(pictures))
+    for quality in (70, 55, 40, 25):
+        pictures[0].save(
+            path, save_all=True, append_images=pictures[1:], duration=duration, loop=0, quality=quality, method=4
+        )
+        if path.stat().st_size <= LARGEST:
+            return
+
+
+def still(stage: Path, camera: str, frame: int, path: Path) -> None:
+    """1920 x 1080 by Cycles, as JPEG as good as fits."""
+    with tempfile.TemporaryDirectory() as folder:
+        picture = Path(folder) / "still.png"
+        blender._run(stage, "--still", picture, "--frame", frame, "--camera", camera)
+        compress(picture, path)
+
+
+def compress(picture: Path, path: Path) -> None:
+    """A picture as JPEG, as good as fits."""
+    for quality in (90, 82, 74, 66, 55):
+        Image.open(picture).convert("RGB").save(path, quality=quality, optimize=True, progressive=True)
+        if path.stat().st_size <= LARGEST:
+            return
+
+
+def main(stages: str, *names: str) -> None:
+    for name in names or STILLS:
+        frame, camera = STILLS[name]
+        stage = Path(stages) / name / f"{name}.usda"
+        film(stage, camera, GALLERY / f"{name}.webp")
+        still(stage, camera, frame, GALLERY / f"{name}.jpg")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
