@@ -13,7 +13,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 
 FLOORS = (
-    ("vehsim", "vehsim.cli", "vehsim.doctor"),
+    ("vehsim", "vehsim.cli", "vehsim._arguments", "vehsim.doctor"),
     ("vehsim.batch",),
     ("vehsim.exporters",),
     ("vehsim.shot",),

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import signal
 import sys
 from collections.abc import Iterator, Sequence
@@ -20,10 +19,10 @@ import typer
 from rich.console import Console
 
 from vehsim import __version__
+from vehsim._arguments import bounds, check_folder, check_stages, exporters_in, frames_in, load_all, size_in, summary
 from vehsim.errors import InputError, Problem, ShotError, VehsimError
 
 if TYPE_CHECKING:
-    from vehsim.shot import Shot
     from vehsim.take import Progress
 
 app = typer.Typer(
@@ -83,9 +82,9 @@ def export(
     """Solve shots and write them: a USD stage, pictures, a film, tables. Sweeps become a clip each."""
     from vehsim.delivery import check_stage_is_there, may_hold_versions, may_replace
 
-    names = _exporters(to)
-    _check_folder(out)
-    loaded, problems = _load(shots, [*(sets or []), *["export.layer_only=true"] * layer_only], only or [])
+    names = exporters_in(to)
+    check_folder(out)
+    loaded, problems = load_all(shots, [*(sets or []), *["export.layer_only=true"] * layer_only], only or [])
     for shot in loaded:
         check_stage_is_there(names, shot.usd.layer_only)
         (may_hold_versions if shot.usd.versions else may_replace)(out / shot.name)
@@ -95,7 +94,7 @@ def export(
         raise typer.Exit(WRONG_INPUT)
     if dry_run:
         for shot in loaded:
-            print(f"{out / shot.name}: {', '.join(names)} of {_summary(shot)}")
+            print(f"{out / shot.name}: {', '.join(names)} of {summary(shot)}")
         raise typer.Exit(WRONG_INPUT if errors else 0)
     from vehsim.batch.run import run
     from vehsim.batch.screen import watch
@@ -136,9 +135,9 @@ def job(
     from vehsim.batch.job import write_job
     from vehsim.batch.task import prepare
 
-    names = _exporters(to)
-    _check_folder(out)
-    loaded, problems = _load(shots, sets or [], [])
+    names = exporters_in(to)
+    check_folder(out)
+    loaded, problems = load_all(shots, sets or [], [])
     _say(problems, quiet)
     if any(problem.severity == "error" for problem in problems):
         raise typer.Exit(WRONG_INPUT)
@@ -167,11 +166,11 @@ def step(
 @app.command()
 def check(shots: Shots, sets: Sets = None, quiet: Quiet = False) -> None:
     """Say what is wrong with shot files, where, and how to mend it. Nothing is solved or written."""
-    loaded, problems = _load(shots, sets or [], [])
+    loaded, problems = load_all(shots, sets or [], [])
     _say(problems, quiet)
     for shot in loaded:
         if not quiet:
-            print(f"{shot.source}: {shot.name} is ready, {_summary(shot)}")
+            print(f"{shot.source}: {shot.name} is ready, {summary(shot)}")
     raise typer.Exit(WRONG_INPUT if any(problem.severity == "error" for problem in problems) else 0)
 
 
@@ -185,8 +184,8 @@ def manoeuvres(
     """List what vehicles steered by sinusoids can choose from, and paint it from above."""
     from vehsim.shot.sinusoid import paint_offers
 
-    _check_folder(out)
-    loaded, problems = _load(shots, sets or [], [])
+    check_folder(out)
+    loaded, problems = load_all(shots, sets or [], [])
     _say(problems, quiet)
     for shot in loaded:
         for line in paint_offers(shot, out):
@@ -201,7 +200,7 @@ def validate(
     """Hold USD stages against OpenUSD's rules and our own."""
     from vehsim.exporters.validate import validate_stage
 
-    _check_stages(stages)
+    check_stages(stages)
     wrong = False
     for path in stages:
         issues = validate_stage(path)
@@ -229,9 +228,9 @@ def render(
     quiet: Quiet = False,
 ) -> None:
     """Render a stage off-screen, from what is in the file."""
-    _check_stages([stage])
-    _check_folder(out)
-    wanted, pixels = _frames(frames), _size(size)
+    check_stages([stage])
+    check_folder(out)
+    wanted, pixels = frames_in(frames), size_in(size)
     from vehsim.exporters.frames import render_stage
 
     with _progress(quiet) as progress:
@@ -277,7 +276,7 @@ def vehicles() -> None:
 
     for name in available():
         vehicle = load_vehicle(name)
-        print(f"{name}: controls {', '.join(map(_control, vehicle.controls))}")
+        print(f"{name}: controls {', '.join(map(bounds, vehicle.controls))}")
         if vehicle.joints:
             print(f"{' ' * len(name)}  joints {', '.join(vehicle.joints)}")
 
@@ -372,29 +371,6 @@ def _end_like_interrupt() -> None:
         return  # not the main thread: whoever called us handles signals
 
 
-def _load(paths: Sequence[Path], overrides: Sequence[str], only: Sequence[str]) -> tuple[list[Shot], list[Problem]]:
-    """The shots that are right, sweeps expanded, and everything that is wrong with the others."""
-    from vehsim.batch.sweep import load_shots
-
-    loaded: dict[str, Shot] = {}
-    problems: list[Problem] = []
-    for path in paths:
-        try:
-            shots = [shot.only(only) if only else shot for shot in load_shots(path, overrides)]
-        except ShotError as error:
-            problems += error.problems
-            continue
-        for shot in shots:
-            found = shot.check()
-            if (key := shot.name.casefold()) in loaded:  # a folder each, also where cases are not told apart
-                mend = "give every shot of a batch a name of its own"
-                found.append(Problem("shot.name", f"{loaded[key].source} has it too", mend, shot.name, str(path)))
-            problems += [problem for problem in found if problem not in problems]
-            if all(problem.severity == "warning" for problem in found):
-                loaded[key] = shot
-    return list(loaded.values()), problems
-
-
 def _say(problems: Sequence[Problem], quiet: bool) -> None:
     for problem in problems:
         if problem.severity == "error" or not quiet:
@@ -413,68 +389,6 @@ def _progress(quiet: bool) -> Iterator[Progress]:
     with Progress(*columns, console=screen, transient=True) as bar:
         task = bar.add_task("", total=1.0)
         yield lambda what, done: bar.update(task, description=what.replace("[", r"\["), completed=done)
-
-
-def _exporters(text: str) -> list[str]:
-    """The names in ``usd,png``, each of them an exporter's."""
-    from vehsim.delivery import exporter_names, in_order
-
-    names = [name.strip() for name in text.split(",") if name.strip()]
-    if not names:
-        raise ShotError([Problem("--to", "names no exporter", f"choose from {', '.join(exporter_names())}", text)])
-    in_order(names)
-    return names
-
-
-def _check_folder(out: Path) -> None:
-    """``--out`` is a folder, or can become one."""
-    if taken := [path for path in (out, *out.parents) if path.exists() and not path.is_dir()]:
-        raise ShotError([Problem("--out", f"{taken[0]} is a file", "give a folder", str(out))])
-
-
-def _check_stages(paths: Sequence[Path]) -> None:
-    """Files that USD opens, by their names. What they hold is not looked at."""
-    problems = []
-    for path in paths:
-        if not path.is_file():
-            message = "a folder" if path.is_dir() else "no such file"
-            problems.append(Problem("STAGE", message, "give a USD file: .usd, .usda, .usdc or .usdz", str(path)))
-        elif path.suffix not in (".usd", ".usda", ".usdc", ".usdz") or path.stat().st_size == 0:
-            problems.append(Problem("STAGE", "not USD", "give a .usd, .usda, .usdc or .usdz file", str(path)))
-    if problems:
-        raise ShotError(problems)
-
-
-def _summary(shot: Shot) -> str:
-    moved = ", ".join(f"{vehicle.name} ({vehicle.asset}, {vehicle.motion.method})" for vehicle in shot.file.vehicle)
-    world = shot.file.world
-    place = f"in {world.terrain}" if world.terrain else "on water" if world.water else "in empty space"
-    return f"{moved} {place} at {shot.fps} fps"
-
-
-def _control(control: Any) -> str:
-    unit = f" {control.unit}" if control.unit else ""
-    return f"{control.name} ({control.lower:g} to {control.upper:g}{unit})"
-
-
-def _frames(text: str | None) -> list[int] | None:
-    """``1001-1100x10`` as frames; None for all of them."""
-    if text is None:
-        return None
-    found = re.fullmatch(r"(\d{1,8})(?:-(\d{1,8}))?(?:x(\d{1,8}))?", text.strip())
-    wanted = range(0)
-    if found and int(found[3] or 1) > 0:
-        wanted = range(int(found[1]), int(found[2] or found[1]) + 1, int(found[3] or 1))
-    if not 0 < len(wanted) <= 100_000:
-        raise ShotError([Problem("--frames", "not a range of frames", "write it like 1001-1100x10", text)])
-    return list(wanted)
-
-
-def _size(text: str) -> tuple[int, int]:
-    found = re.fullmatch(r"(\d{1,6})x(\d{1,6})", text.strip())
-    if not found or not all(16 <= int(side) <= 8192 for side in found.groups()):
-        raise ShotError([Problem("--size", "not a picture's size", "write it like 960x540; 16 to 8192 a side", text)])
-    return int(found[1]), int(found[2])
 
 
 if __name__ == "__main__":

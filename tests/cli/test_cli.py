@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from vehsim import cli
+from vehsim._arguments import frames_in
 
 SHOT = """
 [shot]
@@ -154,7 +155,7 @@ def test_unexpected_errors_are_short(monkeypatch: pytest.MonkeyPatch, capsys: py
 
 @pytest.mark.parametrize("text, frames", [("1001-1100x10", list(range(1001, 1101, 10))), ("7", [7])])
 def test_frame_ranges(text: str, frames: list[int]) -> None:
-    assert cli._frames(text) == frames
+    assert frames_in(text) == frames
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,101 @@
+"""What a command line is given, read and checked: shots with all that is wrong with them, exporters, folders, frames.
+
+What belongs here answers with values or raises ``InputError``; it prints nothing. The commands are in `cli.py`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from vehsim.errors import Problem, ShotError
+
+if TYPE_CHECKING:
+    from vehsim.shot import Shot
+
+
+def load_all(paths: Sequence[Path], overrides: Sequence[str], only: Sequence[str]) -> tuple[list[Shot], list[Problem]]:
+    """The shots that are right, sweeps expanded, and everything that is wrong with the others."""
+    from vehsim.batch.sweep import load_shots
+
+    loaded: dict[str, Shot] = {}
+    problems: list[Problem] = []
+    for path in paths:
+        try:
+            shots = [shot.only(only) if only else shot for shot in load_shots(path, overrides)]
+        except ShotError as error:
+            problems += error.problems
+            continue
+        for shot in shots:
+            found = shot.check()
+            if (key := shot.name.casefold()) in loaded:  # a folder each, also where cases are not told apart
+                mend = "give every shot of a batch a name of its own"
+                found.append(Problem("shot.name", f"{loaded[key].source} has it too", mend, shot.name, str(path)))
+            problems += [problem for problem in found if problem not in problems]
+            if all(problem.severity == "warning" for problem in found):
+                loaded[key] = shot
+    return list(loaded.values()), problems
+
+
+def exporters_in(text: str) -> list[str]:
+    """The names in ``usd,png``, each of them an exporter's."""
+    from vehsim.delivery import exporter_names, in_order
+
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    if not names:
+        raise ShotError([Problem("--to", "names no exporter", f"choose from {', '.join(exporter_names())}", text)])
+    in_order(names)
+    return names
+
+
+def check_folder(out: Path) -> None:
+    """``--out`` is a folder, or can become one."""
+    if taken := [path for path in (out, *out.parents) if path.exists() and not path.is_dir()]:
+        raise ShotError([Problem("--out", f"{taken[0]} is a file", "give a folder", str(out))])
+
+
+def check_stages(paths: Sequence[Path]) -> None:
+    """Files that USD opens, by their names. What they hold is not looked at."""
+    problems = []
+    for path in paths:
+        if not path.is_file():
+            message = "a folder" if path.is_dir() else "no such file"
+            problems.append(Problem("STAGE", message, "give a USD file: .usd, .usda, .usdc or .usdz", str(path)))
+        elif path.suffix not in (".usd", ".usda", ".usdc", ".usdz") or path.stat().st_size == 0:
+            problems.append(Problem("STAGE", "not USD", "give a .usd, .usda, .usdc or .usdz file", str(path)))
+    if problems:
+        raise ShotError(problems)
+
+
+def summary(shot: Shot) -> str:
+    moved = ", ".join(f"{vehicle.name} ({vehicle.asset}, {vehicle.motion.method})" for vehicle in shot.file.vehicle)
+    world = shot.file.world
+    place = f"in {world.terrain}" if world.terrain else "on water" if world.water else "in empty space"
+    return f"{moved} {place} at {shot.fps} fps"
+
+
+def bounds(control: Any) -> str:
+    unit = f" {control.unit}" if control.unit else ""
+    return f"{control.name} ({control.lower:g} to {control.upper:g}{unit})"
+
+
+def frames_in(text: str | None) -> list[int] | None:
+    """``1001-1100x10`` as frames; None for all of them."""
+    if text is None:
+        return None
+    found = re.fullmatch(r"(\d{1,8})(?:-(\d{1,8}))?(?:x(\d{1,8}))?", text.strip())
+    wanted = range(0)
+    if found and int(found[3] or 1) > 0:
+        wanted = range(int(found[1]), int(found[2] or found[1]) + 1, int(found[3] or 1))
+    if not 0 < len(wanted) <= 100_000:
+        raise ShotError([Problem("--frames", "not a range of frames", "write it like 1001-1100x10", text)])
+    return list(wanted)
+
+
+def size_in(text: str) -> tuple[int, int]:
+    found = re.fullmatch(r"(\d{1,6})x(\d{1,6})", text.strip())
+    if not found or not all(16 <= int(side) <= 8192 for side in found.groups()):
+        raise ShotError([Problem("--size", "not a picture's size", "write it like 960x540; 16 to 8192 a side", text)])
+    return int(found[1]), int(found[2])
