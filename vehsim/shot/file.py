@@ -22,9 +22,9 @@ from vehsim.shot.model import (
     RenderTable,
     Table,
     Text,
-    WorldTable,
 )
 from vehsim.shot.motions import Motion
+from vehsim.shot.world_tables import WorldTable
 
 MAX_VEHICLES = 100
 MAX_CUTS = 1000

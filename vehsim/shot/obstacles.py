@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from vehsim.errors import InputError, Problem
 from vehsim.shot.checks import choose
-from vehsim.shot.model import VehicleObstacleTable
+from vehsim.shot.world_tables import VehicleObstacleTable
 
 if TYPE_CHECKING:
     from vehsim.clip import Clip

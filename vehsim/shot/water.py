@@ -11,7 +11,7 @@ import numpy as np
 from vehsim.errors import InputError, Problem
 
 if TYPE_CHECKING:
-    from vehsim.shot.model import WaterTable
+    from vehsim.shot.world_tables import WaterTable
     from vehsim.vehicles import Vehicle
     from vehsim.world import World
     from vehsim.world.water import Current, Surface, Water, Waves
