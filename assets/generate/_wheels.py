@@ -101,18 +101,20 @@ def _letter(angle: float, radius: float) -> Surface:
 
 
 def spoked_wheel(
-    radius: float, width: float, rim: float = 0.72, spokes: int = 5, marked: int = 1
+    radius: float, width: float, rim: float = 0.72, spokes: int = 5, marked: int = 1, sides: int = 56
 ) -> dict[str, Surface]:
     """A left wheel about its own centre, Y outboard: a round-shouldered "tyre", a "rim" with spokes, a "hub".
 
-    ``rim``: its share of ``radius``. ``marked`` spokes, side by side, are the surface "mark": they show rotation.
+    ``rim``: its share of ``radius``; ``sides`` of the tyre's outline. ``marked`` spokes, side by side, are the surface
+    "mark": they show rotation.
     """
     h, r, b = width / 2, rim * radius, 0.16 * width
     shoulder = [(radius - b + b * np.sin(t), h - b + b * np.cos(t)) for t in np.linspace(0, np.pi / 2, 5)]
     outer = [(r, h - 0.6 * b), (r + 0.25 * (radius - r), h), *shoulder]
-    tyre = ring([*outer, *((a, -y) for a, y in outer[::-1])], 56)
+    tyre = ring([*outer, *((a, -y) for a, y in outer[::-1])], sides)
     t = 0.1 * radius
-    barrel = ring([(r, -h + b), (r, h - 0.7 * b), (r - 0.5 * t, h - 0.4 * b), (r - t, h - b), (r - t, -h + b)], 48)
+    section = [(r, -h + b), (r, h - 0.7 * b), (r - 0.5 * t, h - 0.4 * b), (r - t, h - b), (r - t, -h + b)]
+    barrel = ring(section, sides * 6 // 7)
     arms = []
     for k in range(spokes):
         a = 2 * np.pi * k / spokes

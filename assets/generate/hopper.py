@@ -30,6 +30,7 @@ from vehsim.assets.generate._shapes import (
     torus,
     tube,
 )
+from vehsim.assets.generate._slim import slimmed
 from vehsim.assets.generate._usd import Material, PartShape
 
 LENGTH = 0.90
@@ -57,8 +58,8 @@ MATERIALS = {
 
 def build() -> dict[str, PartShape]:
     """The hopper's parts by name: its pod, and the leg with what slides on it."""
-    pod = by_material(shell(), fittings())
-    points = np.concatenate([s.points for s in pod.values()])
+    points = points_of(by_material(shell(), fittings()))  # hulls from all of it, however finely it is drawn
+    pod = by_material(slimmed(shell(), 0.0001), fittings())
     upper, middle, foot = leg()
     return {
         "body": PartShape(look=pod, collision={"hull": outer_hull(points, 16.0)}),

@@ -28,6 +28,7 @@ from vehsim.assets.generate._shapes import (
     superellipse,
     tube,
 )
+from vehsim.assets.generate._slim import slimmed
 from vehsim.assets.generate._usd import Material, PartShape
 from vehsim.assets.generate._wheels import spoked_wheel, wheel_hull
 
@@ -61,9 +62,10 @@ MATERIALS = {
 
 def build() -> dict[str, PartShape]:
     """The truck's parts by name: tractor, its wheels, and the trailer with its own."""
-    tractor = by_material(cab(), chassis(), mudguards())
-    parts = {"tractor": PartShape(look=tractor, collision=tractor_hulls(tractor))}
-    left = spoked_wheel(RADIUS, WIDTH, rim=0.56, spokes=8)
+    tractor = by_material(cab(), chassis(), mudguards())  # hulls from all of it, however finely it is drawn
+    look = by_material(slimmed(cab(), 0.0005), slimmed(chassis(), 0.0005), mudguards())
+    parts = {"tractor": PartShape(look=look, collision=tractor_hulls(tractor))}
+    left = slimmed(spoked_wheel(RADIUS, WIDTH, rim=0.56, spokes=8, sides=40), 0.0012)
     for side, y in (("l", HALF_TRACK), ("r", -HALF_TRACK)):
         spun = left if y > 0 else {name: s.mirrored() for name, s in left.items()}
         still, steered = wheel_hull(0.0, RADIUS, WIDTH), wheel_hull(STEER_LIMIT, RADIUS, WIDTH)
@@ -264,4 +266,4 @@ def trailer(wheel: dict[str, Surface]) -> PartShape:
         wheels[f"wheel_t1_{side}"] = PartShape(
             (-HITCH, y, RADIUS - DECK), spun, {"hull": wheel_hull(0.0, RADIUS, WIDTH)}
         )
-    return PartShape((-AXLE, 0.0, DECK), look, hulls, wheels)
+    return PartShape((-AXLE, 0.0, DECK), slimmed(look, 0.0005), hulls, wheels)

@@ -36,18 +36,23 @@ PARTS = {
     "boat": {"hull", "outboard", "outboard/propeller"},
     "two_wheeled": {"body", "wheel_left", "wheel_right"},
     "tumbler": {"handle"},
+    "truck": {"tractor", "wheel_rl", "wheel_rr", "steer_fl", "steer_fr", "steer_fl/wheel_fl", "steer_fr/wheel_fr"}
+    | {f"trailer_1{below}" for below in ("", "/wheel_t1_l", "/wheel_t1_r")},
+    "hopper": {"body", "leg", "leg/shin", "leg/foot"},
     "snakeboard": {"board", "pelvis", "torso", "torso/head"}
     | {f"truck_{end}{below}" for end in ("front", "rear") for below in ("", *(f"/{part}" for part in LEG[end]))},
 }
 TRIANGLES = (8000, 33000)
 """Of a vehicle's look, at least and at most."""
-STEERED = {"car": {"steer_fl": 40, "steer_fr": 40}, "boat": {"outboard": 30}}
+STEERED = {"car": {"steer_fl": 40, "steer_fr": 40}, "truck": {"steer_fl": 40, "steer_fr": 40}, "boat": {"outboard": 30}}
 """Part -> degrees to either side: hulls do not move, so they hold what steers at every angle."""
-LOWEST = {"boat": -0.8401, "tumbler": -0.0221}
+LOWEST = {"boat": -0.8401, "tumbler": -0.0221, "hopper": -0.9}
 """Where a vehicle does not stand on the ground: its lowest point, m."""
 WHEELS = [
     ("car", "wheel_rl"),
     ("car", "steer_fr/wheel_fr"),
+    ("truck", "wheel_rl"),
+    ("truck", "steer_fr/wheel_fr"),
     ("two_wheeled", "wheel_left"),
     ("two_wheeled", "wheel_right"),
     ("snakeboard", "truck_front/wheel_fl"),
