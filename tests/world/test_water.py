@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 
+import vehsim
 from vehsim.errors import InputError, SolveError
+from vehsim.vehicles import State
 from vehsim.world import Water, World
 from vehsim.world.currents import Currents, Sampled, Stream, Vortex
 from vehsim.world.sea import sea_state, spectrum
 from vehsim.world.water import GRAVITY, Waves, wave
-from vehsim.world.water_field import WaterField
+from vehsim.world.water_field import Rays, WaterField
 from vehsim.world.water_grids import WaterGrids
 from vehsim.world.wind import Gusts
 
@@ -156,6 +158,29 @@ def test_mujoco_sees_the_same_surface(centre):
         xy = np.asarray(centre) + places(200, reach=5.5)
         bend = (2 * np.pi / water.shortest) ** 2 * field.cell**2 / 8
         np.testing.assert_allclose(field.heights(xy), water.height(xy, t), atol=3 * 0.25 * bend)
+
+
+def test_a_boat_floats_alike_on_mujocos_height_field():
+    """LIE's way: rays on a field that lives in MuJoCo, follows the boat far off its first place, and is never left."""
+    boat, waves = vehsim.load_vehicle("boat"), wave(0.4, 9.0, 0.4, choppiness=0.5)
+    start = State(twist=[0, 0, 0, 8.0, 0, 0])
+    rays = Rays(waves, 0.1)
+    asked = []
+    update = WaterField.update
+
+    def watched(self, t, centre):
+        update(self, t, centre)
+        asked.append((t, *self.centre))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(WaterField, "update", watched)
+        seen, known = (
+            vehsim.simulate(boat, World(water=Water(0.3, surface)), (3000.0, 0.0), start, duration=1.0, step=1 / 48)
+            for surface in (rays, waves)
+        )
+    assert np.abs(seen.positions - known.positions).max() < 5e-3
+    assert np.ptp([x for _, x, _ in asked]) > 6 and asked[-1][0] == pytest.approx(1.0, abs=2e-3)
+    assert rays.field.size < 12
 
 
 def test_mujoco_and_a_solvers_grid_agree_exactly():

@@ -1,8 +1,7 @@
 """The water's surface inside a MuJoCo model: a height field kept in step with time and with what it follows.
 
 MuJoCo knows triangles only, so where the surface is a formula `Water` itself is the more accurate answer and buoyancy
-asks it; this field is for what lives in MuJoCo (rays, pictures, other engines' grids). Both are held against each other
-in the tests.
+asks it by default; `Rays` has MuJoCo answer instead. Both are held against each other in the tests.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from vehsim.errors import InputError, Problem, SolveError
-from vehsim.world.water import Array, Water
+from vehsim.world.water import Array, Surface, Water
 
 NAME = "water"
 GROUP = 4
@@ -98,3 +97,37 @@ class WaterField:
         if (found < 0).any():  # a ray along the border itself may pass by it
             raise SolveError("water field: a ray missed it; keep its borders away from what asks")
         return top - found
+
+
+class Rays:
+    """A surface as MuJoCo answers for it (LIE 4.3.2): `Surface` by vertical rays on a field that follows who asks.
+
+    ``surface`` is what the field shows, ``cell`` m its spacing: heights are off the formula's by a cell's bend at most,
+    velocities are the surface's own. The field grows with what asks, so that nothing is asked off it.
+    """
+
+    def __init__(self, surface: Surface, cell: float = 0.1):
+        if not 0 < cell < 100:
+            raise InputError(str(Problem("water field", "not a cell", "give its width in m, such as 0.1", cell)))
+        self.surface, self.cell = surface, float(cell)
+        self.field: WaterField | None = None
+
+    @property
+    def shortest(self) -> float:
+        return self.surface.shortest
+
+    @property
+    def content_hash(self) -> str:
+        return f"rays:{self.cell}:{self.surface.content_hash}"
+
+    def at(self, points: Array, level: float, t: float) -> tuple[Array, Array]:
+        low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+        need = float((high - low).max()) + 4 * self.cell
+        if self.field is None or self.field.size < need:
+            samples = 2 * int(np.ceil(0.75 * need / self.cell)) + 1
+            self.field = WaterField(Water(0.0, self.surface), (samples - 1) * self.cell, samples)
+        self.field.update(t, (low + high) / 2)
+        return self.field.heights(points[:, :2]), self.surface.at(points, level, t)[1]
+
+    def slope(self, xy: Array, t: float) -> Array:
+        return self.surface.slope(xy, t)
