@@ -1,0 +1,101 @@
+"""Warm starts: multipliers say what pushes, and rock far from a motion already found need not be seen."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import vehsim
+from vehsim import Mark
+from vehsim.planning import attempt
+from vehsim.planning.multipliers import carried
+from vehsim.planning.solver import Multipliers
+from vehsim.world.terrain import Terrain
+
+REST = (0.0, 0.0, 0.0)
+
+
+@pytest.fixture(scope="module")
+def helicopter():
+    return vehsim.load_vehicle("helicopter")
+
+
+def flight(vehicle, segments, goal=(40, 10, 35)):
+    marks = [
+        Mark(1, position=(0, 0, 30), heading=0, velocity=REST),
+        Mark(121, position=goal, heading=20, velocity=REST),
+    ]
+    return marks, vehsim.plan(vehicle, None, marks, segments=segments, refine=False)
+
+
+def test_multipliers_spare_a_replan_iterations(helicopter):
+    """The same answer as from the motion alone, in fewer iterations."""
+    marks, plan = flight(helicopter, 16)
+    moved = [marks[0], replace(marks[1], position=(40.6, 9.5, 35.6))]
+    told = plan.replan(moved)
+    plan._attempt.solved = None
+    untold = plan.replan(moved)
+    assert told.success and untold.success and told.defect < 1e-8
+    np.testing.assert_allclose(told.clip.positions, untold.clip.positions, atol=1e-6)
+    assert told.iterations < untold.iterations
+
+
+def test_misleading_multipliers_cost_time_and_nothing_else(helicopter):
+    marks, plan = flight(helicopter, 16)
+    moved = [marks[0], replace(marks[1], position=(40.6, 9.5, 35.6))]
+    right = plan.replan(moved)
+    true, where = plan._attempt.solved
+    rng = np.random.default_rng(1)
+    plan._attempt.solved = Multipliers(*(1e6 * rng.standard_normal(len(part)) for part in (true.x, true.g))), where
+    wrong = plan.replan(moved)
+    assert wrong.success and wrong.iterations > right.iterations
+    np.testing.assert_allclose(wrong.clip.positions, right.clip.positions, atol=1e-6)
+
+
+def multipliers_of(name, segments, **limits):
+    """A solved problem and its multipliers, from rest to rest in seven seconds."""
+    z = 30.0 if name == "helicopter" else 0.0
+    marks = [
+        Mark(1, position=(0, 0, z), heading=0, velocity=REST),
+        Mark(169, position=(40, 8, z), heading=0, velocity=REST),
+    ]
+    vehicle = vehsim.load_vehicle(name)
+    return vehsim.plan(vehicle, None, marks, segments=segments, refine=False, limits=limits)._attempt.solved
+
+
+@pytest.mark.parametrize(
+    ("name", "limits", "part"), [("helicopter", {}, "dynamics"), ("car", {"speed": 7.5}, "limit speed")]
+)
+def test_carried_multipliers_are_nearly_those_of_the_finer_problem(name, limits, part):
+    """Costates are functions of time, and limits push with as much in all, however many instants they are spread on."""
+    coarse, (true, where) = multipliers_of(name, 24, **limits), multipliers_of(name, 48, **limits)
+    guess = carried(*coarse, where)
+    assert guess.x.shape == true.x.shape and guess.g.shape == true.g.shape
+    rows = np.array([label.split("[")[0] == part for label in where[0].names()])
+    assert np.linalg.norm(true.g[rows]) > 0.1
+    assert np.linalg.norm(guess.g[rows] - true.g[rows]) < 0.35 * np.linalg.norm(true.g[rows])
+    if part != "dynamics":
+        assert guess.g[rows].sum() == pytest.approx(true.g[rows].sum(), rel=0.1)
+
+
+def test_what_is_far_away_need_not_be_seen(helicopter, monkeypatch):
+    """Who sees all the rock, some, or none of it at first, comes to the same motion, as clear as was asked."""
+    x, y = np.meshgrid(np.arange(0, 81, 4.0), np.arange(-24, 25, 4.0))
+    world = vehsim.World(
+        terrain=Terrain("ridge", 20 * np.exp(-(((x - 40) / 7) ** 2)) + 0 * y, (0.0, -24.0), (4.0, 4.0))
+    )
+    marks = [
+        Mark(1, position=(10, 0, 9), heading=0, velocity=REST),
+        Mark(193, position=(70, 0, 9), velocity=REST),
+    ]
+    plans = {}
+    for sight in (attempt.SIGHT, 1e6, -50.0):
+        monkeypatch.setattr(attempt, "SIGHT", sight)
+        plans[sight] = vehsim.plan(helicopter, world, marks, segments=48, clearance=2.0, refine=False)
+    usual, all_seen, blind = plans.values()
+    assert 0 < usual._attempt.near.mean() < 1 == all_seen._attempt.near.mean()
+    assert blind._attempt.near.mean() > 0  # what it ran through it has seen since
+    for other in plans.values():
+        assert other.success and other.clearance >= 2.0 - 0.01
+        assert other.cost == pytest.approx(usual.cost, rel=1e-6)
+        np.testing.assert_allclose(other.clip.positions, usual.clip.positions, atol=1e-3)
