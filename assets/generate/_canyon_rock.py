@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.assets.generate._noise import fractal, gradient_noise, ridged
-from vehsim.assets.generate._terrain_look import Sheet, at_texels, sheet, texels
-from vehsim.world import Terrain
+from vehsim.assets.generate._terrain_look import Sheet, at_texels, texels
 
 Array = NDArray[np.float64]
 
@@ -127,37 +126,8 @@ def _texel_colour(points: Array, normals: Array, seen: Array, bank: Array) -> Ar
 
 # ---------------------------------------------------------------- the horizon
 
-RINGS = 26
-FAR = 1500.0
-"""How far the country around the canyon reaches, m."""
 
-
-def horizon_sheet(terrain: Terrain) -> Sheet:
-    """The country around the canyon: rings that begin hidden below its border and end far away."""
-    low, high = terrain.lower[:2], terrain.upper[:2]
-    centre, half = 0.5 * (low + high), 0.5 * (high - low)
-    angle = 2 * np.pi * np.arange(256) / 256
-    direction = np.column_stack([np.cos(angle), np.sin(angle)])
-    square = direction / np.max(np.abs(direction), axis=1, keepdims=True)
-    outward = np.r_[-5.0, 2.0, np.geomspace(12.0, FAR, RINGS - 2)]
-    blend = np.clip(outward / FAR, 0, 1)[:, None, None] ** 0.5  # from the border's rectangle to a circle
-    border = square[None] * (half + np.minimum(outward, 0)[:, None, None])
-    xy = centre + border + direction * np.maximum(outward, 0)[:, None, None] * (1 - 0.25 * blend)
-    inner = terrain.height(np.clip(xy[0], low, high))
-    edge = terrain.height(np.clip(xy, low, high).reshape(-1, 2)).reshape(xy.shape[:2])
-    level = np.asarray(np.interp(outward, [2, 90], [0, 1]))[:, None]
-    z = (1 - level) * edge + level * _country(xy)
-    z[0], z[1] = inner - 4.0, edge[1] - 0.8
-    points = np.concatenate([xy, z[..., None]], axis=-1).reshape(-1, 3)
-    ring, k = np.meshgrid(np.arange(RINGS - 1), np.arange(256), indexing="ij")
-    a, b = ring * 257 + k, ring * 257 + k + 1
-    faces = np.stack([a, a + 257, b + 257, a, b + 257, b], axis=-1).reshape(-1, 3)
-    closed = np.concatenate([points.reshape(RINGS, 256, 3), points.reshape(RINGS, 256, 3)[:, :1]], axis=1)
-    s, t = np.meshgrid(np.arange(257) / 256, np.arange(RINGS) / (RINGS - 1))
-    return sheet(closed.reshape(-1, 3), faces, np.stack([s, t], axis=-1).reshape(-1, 2))
-
-
-def _country(xy: Array) -> Array:
+def country(xy: Array) -> Array:
     """Heights (...,) m of the plateau and the buttes beyond the canyon."""
     butte = fractal(xy / 210, 3, 201) + 0.25 * fractal(xy / 60, 2, 202)
     steps = 26 * smoothstep(0.12, 0.20, butte) + 34 * smoothstep(0.34, 0.41, butte) + 22 * smoothstep(0.52, 0.58, butte)

@@ -5,6 +5,7 @@ What belongs here is the same for every terrain; what a rock or a road is colour
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -35,6 +36,39 @@ def sheet(points: Array, faces: NDArray[np.int64], st: Array) -> Sheet:
     for k in range(3):
         np.add.at(normals, faces[:, k], area)
     return Sheet(points, faces, st, normals / np.linalg.norm(normals, axis=1, keepdims=True))
+
+
+RINGS = 26
+FAR = 1500.0
+"""How far the country around a terrain reaches, m."""
+
+
+def horizon_sheet(terrain: Terrain, country: Callable[[Array], Array]) -> Sheet:
+    """What surrounds a terrain: rings that begin hidden below its border and end far away.
+
+    ``country``: heights (...,) m at places (..., 2) m, reached 90 m from the border.
+    """
+    low, high = terrain.lower[:2], terrain.upper[:2]
+    centre, half = 0.5 * (low + high), 0.5 * (high - low)
+    angle = 2 * np.pi * np.arange(256) / 256
+    direction = np.column_stack([np.cos(angle), np.sin(angle)])
+    square = direction / np.max(np.abs(direction), axis=1, keepdims=True)
+    outward = np.r_[-5.0, 2.0, np.geomspace(12.0, FAR, RINGS - 2)]
+    blend = np.clip(outward / FAR, 0, 1)[:, None, None] ** 0.5  # from the border's rectangle to a circle
+    border = square[None] * (half + np.minimum(outward, 0)[:, None, None])
+    xy = centre + border + direction * np.maximum(outward, 0)[:, None, None] * (1 - 0.25 * blend)
+    inner = terrain.height(np.clip(xy[0], low, high))
+    edge = terrain.height(np.clip(xy, low, high).reshape(-1, 2)).reshape(xy.shape[:2])
+    level = np.asarray(np.interp(outward, [2, 90], [0, 1]))[:, None]
+    z = (1 - level) * edge + level * country(xy)
+    z[0], z[1] = inner - 4.0, edge[1] - 0.8
+    points = np.concatenate([xy, z[..., None]], axis=-1).reshape(-1, 3)
+    ring, k = np.meshgrid(np.arange(RINGS - 1), np.arange(256), indexing="ij")
+    a, b = ring * 257 + k, ring * 257 + k + 1
+    faces = np.stack([a, a + 257, b + 257, a, b + 257, b], axis=-1).reshape(-1, 3)
+    closed = np.concatenate([points.reshape(RINGS, 256, 3), points.reshape(RINGS, 256, 3)[:, :1]], axis=1)
+    s, t = np.meshgrid(np.arange(257) / 256, np.arange(RINGS) / (RINGS - 1))
+    return sheet(closed.reshape(-1, 3), faces, np.stack([s, t], axis=-1).reshape(-1, 2))
 
 
 def unwrap(terrain: Terrain) -> Array:

@@ -16,9 +16,9 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
-from vehsim.assets.generate._canyon_rock import ground_colour, horizon_colour, horizon_sheet
+from vehsim.assets.generate._canyon_rock import country, ground_colour, horizon_colour
 from vehsim.assets.generate._noise import fractal, gradient_noise, ridged
-from vehsim.assets.generate._terrain_look import sheet, sky_view, unwrap, write_look, write_picture
+from vehsim.assets.generate._terrain_look import horizon_sheet, sheet, sky_view, unwrap, write_look, write_picture
 from vehsim.world import Terrain
 
 Array = NDArray[np.float64]
@@ -157,7 +157,7 @@ def main() -> None:
     sky = sky_view(terrain.heights, CELL)
     course, _ = polyline(RIVER.astype(float))
     write_picture(FOLDER / "canyon_ground.jpg", ground_colour(ground, sky, course, PICTURE), PICTURE)
-    horizon = horizon_sheet(terrain)
+    horizon = horizon_sheet(terrain, country)
     write_picture(FOLDER / "canyon_horizon.jpg", horizon_colour(horizon, PICTURE // 4), PICTURE // 4)
     looks = {"ground": (ground, "canyon_ground.jpg", 0.95), "horizon": (horizon, "canyon_horizon.jpg", 1.0)}
     write_look(FOLDER / "canyon.usdc", looks)

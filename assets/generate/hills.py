@@ -1,7 +1,8 @@
 """Generate the hills: grassy downs with a dirt track over them, as a height field of about 6e4 triangles.
 
-Heights are smooth noise, so that curvature is that of hills and not of cells; a rim of higher ground closes the
-horizon. The track is a curve that a car can follow at a good pace. Run from the repository:
+Heights are smooth noise, so that curvature is that of hills and not of cells; a rim of higher ground stands
+before the downs beyond, which are only looked at. The track is a curve that a car can follow at a good pace. Run from
+the repository:
 ``python -m vehsim.assets.generate.hills``.
 """
 
@@ -15,7 +16,15 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
 
 from vehsim.assets.generate._noise import fractal, gradient_noise
-from vehsim.assets.generate._terrain_look import at_texels, sheet, texels, write_look, write_picture
+from vehsim.assets.generate._terrain_look import (
+    Sheet,
+    at_texels,
+    horizon_sheet,
+    sheet,
+    texels,
+    write_look,
+    write_picture,
+)
 from vehsim.world import Terrain
 
 Array = NDArray[np.float64]
@@ -42,25 +51,48 @@ def heights(x: Array, y: Array) -> Array:
     return np.asarray(downs + swells + rim)
 
 
-def colours(surface: object, terrain: Terrain) -> Array:
-    """Grass, drier on the tops, and two ruts of earth: (PICTURE^2, 3), 0 to 1, as seen."""
-    face, weights = texels(surface, PICTURE)  # type: ignore[arg-type]
-    place = at_texels(terrain.vertices, surface, face, weights)  # type: ignore[arg-type]
+def country(xy: Array) -> Array:
+    """Heights (...,) m of the downs beyond: longer with the distance, low enough to leave some sky."""
+    far = np.clip((np.hypot(xy[..., 0], xy[..., 1]) - 120) / 900, 0, 1)
+    rolling = gradient_noise(xy / 260, 11) + 0.4 * gradient_noise(xy / 90, 12)
+    return np.asarray(6 + 6 * far + (8 + 13 * far) * rolling)
+
+
+def grass(place: Array, fine: Array) -> Array:
+    """Grass (n, 3) at ``place`` (n, 3) m, drier on the tops; ``fine`` (n,) what single tufts add."""
+    xy = place[:, :2]
+    dry = np.clip(0.45 + 0.07 * place[:, 2] + 0.9 * fractal(xy / 14, 3, 23), 0, 1)[:, None]
+    colour = (1 - dry) * np.array([0.29, 0.335, 0.15]) + dry * np.array([0.50, 0.455, 0.235])
+    return np.asarray(colour * (1 + fine + 0.12 * fractal(xy / 3.2, 2, 25))[:, None])
+
+
+def far_colours(surface: Sheet, size: int) -> Array:
+    """The downs beyond, (size^2, 3): grass in fields and dark copses, without detail that nobody sees."""
+    face, weights = texels(surface, size)
+    place = at_texels(surface.points, surface, face, weights)
+    xy = place[:, :2]
+    level = place * [1, 1, 0.15]  # high ground far away is not drier
+    colour = grass(level, 0.10 * fractal(xy / 24, 3, 28))
+    copse = np.clip(6 * (fractal(xy / 75, 3, 29) - 0.22), 0, 1)[:, None]
+    return np.asarray(colour * (1 - copse) + np.array([0.145, 0.185, 0.095]) * copse)
+
+
+def colours(surface: Sheet, terrain: Terrain) -> Array:
+    """Grass and two ruts of earth: (PICTURE^2, 3), 0 to 1, as seen."""
+    face, weights = texels(surface, PICTURE)
+    place = at_texels(terrain.vertices, surface, face, weights)
     xy = place[:, :2]
     chord = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(TRACK, axis=0), axis=1))])
     curve = CubicSpline(chord, TRACK)(np.arange(-15, chord[-1] + 15, 0.15))
     aside, _ = cKDTree(curve).query(xy, distance_upper_bound=4.0)
     aside = np.minimum(aside, 4.0) + 0.12 * gradient_noise(xy / 1.1, 21)
-    tuft, patch = gradient_noise(xy / 0.45, 22), fractal(xy / 14, 3, 23)
     fine = gradient_noise(xy / 0.16, 24)
-    dry = np.clip(0.45 + 0.07 * place[:, 2] + 0.9 * patch, 0, 1)[:, None]
-    grass = (1 - dry) * np.array([0.29, 0.335, 0.15]) + dry * np.array([0.50, 0.455, 0.235])
-    grass = grass * (1 + 0.20 * tuft + 0.16 * fine + 0.12 * fractal(xy / 3.2, 2, 25))[:, None]
+    green = grass(place, 0.20 * gradient_noise(xy / 0.45, 22) + 0.16 * fine)
     earth = np.array([0.47, 0.375, 0.27]) * (1 + 0.10 * fine + 0.12 * fractal(xy / 1.7, 2, 26))[:, None]
     rut = np.exp(-(((aside - 0.78) / 0.30) ** 4))
     worn = 0.55 * np.exp(-((aside / 1.5) ** 4))
     bare = np.clip(rut + worn * (0.6 + 0.8 * gradient_noise(xy / 0.8, 27)), 0, 1)[:, None]
-    return np.asarray((1 - bare) * grass + bare * earth)
+    return np.asarray((1 - bare) * green + bare * earth)
 
 
 def main() -> None:
@@ -73,7 +105,10 @@ def main() -> None:
     st = (terrain.vertices[:, :2] - ORIGIN) / (CELL * (COUNT - 1))
     ground = sheet(terrain.vertices, terrain.faces, st)
     write_picture(FOLDER / "hills_ground.jpg", colours(ground, terrain), PICTURE, 82)
-    write_look(FOLDER / "hills.usdc", {"ground": (ground, "hills_ground.jpg", 0.95)})
+    horizon = horizon_sheet(terrain, country)
+    write_picture(FOLDER / "hills_horizon.jpg", far_colours(horizon, PICTURE // 4), PICTURE // 4, 85)
+    looks = {"ground": (ground, "hills_ground.jpg", 0.95), "horizon": (horizon, "hills_horizon.jpg", 1.0)}
+    write_look(FOLDER / "hills.usdc", looks)
 
 
 if __name__ == "__main__":
