@@ -33,8 +33,6 @@ FOAM_LIFE = 5.0
 """Time in which foam fades, s."""
 TRAIL = 14.0
 """How long churned water is followed, s."""
-SMALLEST = 0.16
-"""Shortest length that a hull's pressure holds, as a share of its beam."""
 
 
 @dataclass(frozen=True)

@@ -100,9 +100,17 @@ def run_task(task: Task, tell: Tell) -> Outcome:
         except Exception as error:
             message = f"unexpected: {type(error).__name__}: {error}; this is a fault of vehsim"
             outcome = Outcome(task.name, "failed", type(error).__name__, message, detail=traceback.format_exc())
-            if "bad_alloc" in str(error):
-                outcome = replace(outcome, message="it ran out of memory", kind="MemoryError", retire=True)
+            if _starved(error):
+                message = f"it ran out of memory ({type(error).__name__}: {error}); {MEMORY_MEND}"
+                outcome = replace(outcome, message=message, kind="MemoryError", retire=True)
     return replace(outcome, seconds=time.perf_counter() - began, warnings=tuple(dict.fromkeys(said)))
+
+
+def _starved(error: Exception) -> bool:
+    """Does it say in other words that there was no memory? C++ does, the loader of libraries, and extensions whose
+    results never came to be."""
+    words = ("bad_alloc", "annot allocate memory", "failed to map segment")
+    return isinstance(error, SystemError) or any(word in str(error) for word in words)
 
 
 def _work(task: Task, tell: Tell) -> Outcome:

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from vehsim.clip import Clip
     from vehsim.vehicles import State
 
-Flow = Callable[[Any, Any, float], Any]
 Step = Callable[["Problem"], Any]
 
 
