@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from vehsim.cameras import vehicle_outline
 from vehsim.exporters.strobe import strobe_frames
 from vehsim.take import Exporter, Progress, Take
+from vehsim.world.plane import convex_hull
 
 if TYPE_CHECKING:
     from vehsim.clip import Clip
@@ -83,7 +84,11 @@ def _side(take: Take, name: str, clip: Clip) -> str | None:
     if take.world.terrain is not None:
         below = np.column_stack([clip.positions[:, axis], take.world.height(clip.positions[:, :2])])
         data = np.vstack([data, below])
+    hulls = [hull[:, [axis, 2]] for obstacle in take.world.standing for hull in obstacle.hulls]
+    data = np.vstack([data, *hulls])
     canvas = _Canvas(f"{name} from the side", f"{'xy'[axis]} [m]", "z [m]", data, equal=True)
+    for hull in hulls:
+        canvas.polygon(convex_hull(hull), ROCK, "none")
     if take.world.terrain is not None:
         canvas.line(below, ROCK, 2)
         canvas.note("ground below", ROCK)

@@ -72,18 +72,22 @@ def _joints(mark: Mark, view: KnotView, wanted: dict[str, Expr]) -> list[Row]:
     return [(view.joints[i] - wanted["joints"][i], 0.0, 0.0) for i in np.flatnonzero(np.isfinite(given)).tolist()]
 
 
-GENTLE, SINK = 0.5, 0.5
+GENTLE, SINK = 0.5, 1.0
 """How fast it may come down where it lands, m/s, and how much faster a metre away from there, 1/s."""
+FALL, NEAR = 1.0, 4.0
+"""What coming down at 1 m/s costs a second where it lands, and the distance over which that falls to 1/e, m. It keeps
+the descent off its bound, along which controls would chatter."""
 FADE = 10.0
 """How far from a landing its cone counts half, m: there it may be as much below the place."""
 
 
 def landing_element(t: Transcription, upright: Array) -> Element:
-    """What stands on the ground above the cone about its landing, and gently down, at a knot: (x).
+    """What stands on the ground above the cone about its landing, and gently down, at a knot: (x, h).
 
     ``upright`` (4,): its attitude there. Parameters: the clearance asked for beyond, and the place (3,).
     """
-    x, asked, place = ca.SX.sym("x", sum(t.sizes[:3])), ca.SX.sym("asked"), ca.SX.sym("place", 3)
+    x, h = ca.SX.sym("x", sum(t.sizes[:3])), ca.SX.sym("h")
+    asked, place = ca.SX.sym("asked"), ca.SX.sym("place", 3)
     view = knot_view(t, x, ca.SX.zeros(t.sizes[3]))
     distance = ca.sqrt(ca.sumsqr(view.position - place) + ROUND**2) - ROUND
     counts = 1 / (1 + (distance / FADE) ** 4)
@@ -96,7 +100,8 @@ def landing_element(t: Transcription, upright: Array) -> Element:
     ]
     down = view.velocity[2] + GENTLE + SINK * distance
     g = ca.vertcat(counts * (ca.vertcat(*rise) - above) + (1 - counts) * FADE, down)
-    return Element("landing", x, ca.vertcat(asked, place), g=g, lower=0.0, upper=np.inf)
+    cost = FALL * h * view.velocity[2] ** 2 * ca.exp(-((distance / NEAR) ** 2))
+    return Element("landing", ca.vertcat(x, h), ca.vertcat(asked, place), f=cost, g=g, lower=0.0, upper=np.inf)
 
 
 def hold_element(t: Transcription) -> Element:

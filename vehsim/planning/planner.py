@@ -76,6 +76,11 @@ class Plan:
         verdict = "solved" if self.success else "failed"
         return f"<Plan of {self.clip!r}: {verdict}, {self.message}>"
 
+    @property
+    def marks(self) -> list[Mark]:
+        """The marks it was made for, holds written out and those on the ground put down."""
+        return [] if self._attempt is None else list(self._attempt.request.given or self._attempt.request.marks)
+
     def replan(self, marks: Sequence[Mark], progress: Progress | None = None) -> Plan:
         """The plan for other marks, started from this one: quick when they ask for the same things elsewhere."""
         assert self._attempt is not None

@@ -146,7 +146,8 @@ def _add_landing(problem: Problem, t: Transcription, layout: Layout, i: int, mar
     if mark.hold or not len(beside):
         return
     p = [MARGIN, *(first + np.arange(PARAMETERS["position"]))]
-    problem.add(landing_element(t, attitude(mark)), layout.knot(beside), np.tile(np.array(p)[:, None], len(beside)))
+    y = np.vstack([layout.knot(beside), layout.duration(beside - 1)])
+    problem.add(landing_element(t, attitude(mark)), y, np.tile(np.array(p)[:, None], len(beside)))
 
 
 def _add_term(problem: Problem, t: Transcription, layout: Layout, request: Request, term: Term) -> None:

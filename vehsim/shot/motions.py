@@ -155,7 +155,12 @@ class PlanMotion(Table):
         # how long it took is left out: the same shot gives the same report
         names = ("success", "message", "cost", "duration", "iterations", "segments", "defect", "clearance")
         report = {name: getattr(result, name) for name in names} | {"executed": asdict(result.executed)}
-        marks = [mark.model_dump(mode="json", exclude_unset=True) for mark in wanted if mark.position]
+        places = {mark.place: mark.position for mark in result.marks}
+        marks = [
+            mark.model_dump(mode="json", exclude_unset=True) | {"position": list(places[i] or mark.position)}
+            for i, mark in enumerate(wanted)
+            if mark.position
+        ]
         blocking = self.blocking(setting)
         if blocking is not None:
             clip = result.clip.resample()
