@@ -48,7 +48,7 @@ class Route:
         return np.sqrt(v)
 
     def at(self, t: float) -> tuple[Array, Array, Array]:
-        """Position, velocity and acceleration at a time since the start from rest."""
+        """Position (d,) m, velocity m/s and acceleration m/s^2 at ``t`` s since the start from rest."""
         if t >= self._t[-1]:
             end = self._curve(self.length)
             return end, np.zeros_like(end), np.zeros_like(end)

@@ -53,6 +53,7 @@ class Part:
 
     @property
     def collides(self) -> bool:
+        """It has collision hulls."""
         return bool(self.hulls)
 
 

@@ -39,6 +39,7 @@ class Hover:
         self.heading = float(_finite("heading", heading, (), "one number, rad"))
 
     def reset(self) -> None:
+        """Forget what was flown or driven before: simulations call it as they begin."""
         self._law.reset()
 
     def __call__(self, t: float, state: State) -> Array:
@@ -74,6 +75,7 @@ class FlyTo:
         self.reset()
 
     def reset(self) -> None:
+        """Forget what was flown or driven before: simulations call it as they begin."""
         self._law.reset()
         self._route: Route | None = None
         self._heading: float | None = None
@@ -116,6 +118,7 @@ class FollowPath:
         self.reset()
 
     def reset(self) -> None:
+        """Forget what was flown or driven before: simulations call it as they begin."""
         self._along, self._integral = 0.0, 0.0
         self._time: float | None = None
 
@@ -180,6 +183,7 @@ class _Helicopter:
         self.reset()
 
     def reset(self) -> None:
+        """Forget what was flown or driven before: simulations call it as they begin."""
         self._heading: float | None = None
         self._time: float | None = None
         self._push = np.zeros(3)

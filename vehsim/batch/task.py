@@ -47,6 +47,7 @@ class Task:
 
     @property
     def target(self) -> Path:
+        """The folder that the clip is delivered to."""
         return Path(self.out) / self.name
 
 

@@ -33,6 +33,7 @@ class Gate:
         return np.array([through, width, np.cross(through, width)])
 
     def check(self, key: str) -> None:
+        """Raises ``InputError`` naming ``key`` and what is wrong."""
         direction = np.asarray(self.direction, float)
         if direction.shape != (3,) or not np.all(np.isfinite(direction)) or not np.any(direction):
             raise InputError(f"{key}.direction = {self.direction!r}: give three numbers, which way through")
@@ -81,6 +82,7 @@ class Mark:
 
     @property
     def at_rest(self) -> bool:
+        """Standing still is asked for."""
         return self.velocity is not None and not np.any(self.velocity)
 
     @property

@@ -79,10 +79,12 @@ class Shot:
 
     @property
     def name(self) -> str:
+        """The shot's name: that of its folder, its stage and the root prim."""
         return self.file.shot.name
 
     @property
     def fps(self) -> Fraction:
+        """Frames a second, exact: 23.976 is 24000/1001."""
         return self.file.shot.fps
 
     def only(self, names: Sequence[str]) -> Shot:
@@ -101,6 +103,7 @@ class Shot:
 
     @cached_property
     def world(self) -> World:
+        """What surrounds the vehicles; obstacles that move come with the motions. Raises ``InputError``."""
         from vehsim.world import World
         from vehsim.world.contact import Contact
         from vehsim.world.wind import Gusts
@@ -117,6 +120,7 @@ class Shot:
         )
 
     def vehicle(self, table: VehicleTable) -> Vehicle:
+        """The vehicle that a ``[[vehicle]]`` names, in the variants asked for. Raises ``InputError``."""
         from vehsim.vehicles import load_vehicle
 
         vehicle = load_vehicle(self._asset(table.asset))
@@ -163,6 +167,7 @@ class Shot:
 
     @property
     def render(self) -> RenderSettings:
+        """How pictures are made."""
         from vehsim.cameras import CUT
         from vehsim.take import RenderSettings
 
@@ -179,6 +184,7 @@ class Shot:
 
     @property
     def usd(self) -> UsdSettings:
+        """How the USD is delivered."""
         from vehsim.take import UsdSettings
 
         given = self.file.export.model_dump()

@@ -164,6 +164,7 @@ class Vehicle:
 
     @property
     def control_names(self) -> tuple[str, ...]:
+        """The controls' names, in the order of a control vector (c,)."""
         return tuple(control.name for control in self.controls)
 
     @property

@@ -80,10 +80,12 @@ class Moving:
 
     @property
     def bottom(self) -> float:
+        """The lowest it ever reaches, m."""
         return float(self.clip.positions[:, 2].min() + min(hull[:, 2].min() for hull in self.hulls))
 
     @property
     def top(self) -> float:
+        """The highest it ever reaches, m."""
         return float(self.clip.positions[:, 2].max() + max(hull[:, 2].max() for hull in self.hulls))
 
     @property

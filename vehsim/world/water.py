@@ -128,6 +128,7 @@ class Waves:
         return self._solved(xy, t)[0]
 
     def at(self, points: Array, level: float, t: float) -> tuple[Array, Array]:
+        """Height (n,) m above the level at ``points`` (n, 3), and the water's velocity (n, 3) m/s there, at ``t`` s."""
         height, velocity = np.empty(len(points)), np.empty((len(points), 3))
         speed = self.amplitude * self.omega
         for block in _blocks(len(points)):
@@ -140,9 +141,11 @@ class Waves:
         return height, velocity
 
     def heights(self, xy: Array, t: float) -> Array:
+        """Heights (n,) m above the level at ``xy`` (n, 2) m and ``t`` s."""
         return np.concatenate([self._solved(xy[block], t)[1] @ self.amplitude for block in _blocks(len(xy))])
 
     def slope(self, xy: Array, t: float) -> Array:
+        """Gradient (n, 2) of the height at ``xy`` (n, 2) m and ``t`` s."""
         _, cos, sin = self._solved(xy, t)
         uphill = -(sin * self.amplitude) @ self.number
         if self.choppiness == 0:
@@ -239,6 +242,7 @@ class Water:
 
     @property
     def flat(self) -> bool:
+        """Without waves."""
         return self.surface is None
 
     @property
