@@ -27,7 +27,9 @@ def clip_along(positions, yaw, bank=0.0):
     orientations = Rotation.from_euler("ZYX", euler).as_quat(scalar_first=True)
     signs = np.where((orientations[1:] * orientations[:-1]).sum(axis=1) < 0, -1.0, 1.0)
     orientations *= np.concatenate([[1.0], np.cumprod(signs)])[:, None]
-    vehicle = SimpleNamespace(name="cube", joints=(), control_names=(), rig=None, group=SimpleNamespace(name="SE3"))
+    vehicle = SimpleNamespace(
+        name="cube", joints=(), control_names=(), rig=None, group=SimpleNamespace(name="SE3", planar=False)
+    )
     times = np.arange(n) / FPS
     twists = np.zeros((n, 6))
     velocity = np.gradient(positions, 1 / FPS, axis=0)

@@ -90,7 +90,7 @@ def toy_clip(asset: Path, spin_axis: str = "Z", still: bool = False, drives: dic
         controls=(Control("lift", unit="N"),),
         control_names=("lift",),
         rig=rig,
-        group=SimpleNamespace(name="SE3"),
+        group=SimpleNamespace(name="SE3", planar=False),
     )
     count = len(t)
     return Clip(

@@ -86,6 +86,19 @@ def test_cycles_renders_the_stage_alone(shot, tmp_path):
     assert pixels.shape == (36, 64, 3) and 20 < pixels.mean() < 235 and pixels.std() > 5
 
 
+@needs_blender
+def test_the_suns_strength_in_blender_is_its_irradiance(shot):
+    """Blender's own reader multiplies by four."""
+    program = f"import sys; sys.path.insert(0, {str(Path(blender.__file__).parent)!r}); import blender, bpy; "
+    program += f"blender.open_stage({str(shot[1])!r}); print('SAYS', bpy.data.objects['sun'].data.energy)"
+    answer = subprocess.run([PYTHON, "-c", program], capture_output=True, text=True)
+    said = next(line for line in answer.stdout.splitlines() if line.startswith("SAYS"))
+    from pxr import Usd, UsdLux
+
+    sun = UsdLux.DistantLight(Usd.Stage.Open(str(shot[1])).GetPrimAtPath("/shot/lights/sun"))
+    assert float(said.split()[1]) == pytest.approx(sun.GetIntensityAttr().Get(), rel=1e-6)
+
+
 def test_without_blender_its_exporters_say_how_to_get_it(shot, tmp_path, toys, monkeypatch):
     from vehsim.errors import InputError
 
