@@ -109,9 +109,10 @@ def _weighed(path: Path, factory: Any, data: dict[str, Any]) -> dict[str, Any]:
 def _physics(path: Path, factory: Any, table: dict[str, Any]) -> dict[str, Any]:
     parameters = {p.name: p for p in inspect.signature(factory).parameters.values() if p.kind is p.KEYWORD_ONLY}
     _known(path, "physics.", table, set(parameters))
-    for key, parameter in parameters.items():
-        if parameter.default is parameter.empty and key not in table:
-            raise InputError(f"{path}: physics.{key}: missing; {factory.__name__} needs it, in SI units")
+    missing = [key for key, one in parameters.items() if one.default is one.empty and key not in table]
+    if missing:
+        raise InputError(f"{path}: physics.{', physics.'.join(missing)}: missing; {factory.__name__} needs it, in SI units")
+    for key in parameters:
         for number in _flat(table.get(key, 0.0)):
             if not isinstance(number, int | float) or isinstance(number, bool) or not math.isfinite(number):
                 raise InputError(f"{path}: physics.{key} = {table[key]!r}: not a finite number; give SI units")
