@@ -52,6 +52,15 @@ def test_steering_turns_to_port_and_the_rudder_needs_flow():
     assert still.channels["steer"][-1] == pytest.approx(-0.3)
 
 
+def test_at_speed_it_rides_up_and_leans_little_in_a_bend():
+    """Its bottom lifts it by centimetres and keeps a gentle bend upright, where weight alone would lean it outwards."""
+    straight = vehsim.simulate(BOAT, World(water=0.0), (4500.0, 0.0), duration=10.0, step=1 / 48)
+    assert 0.08 < straight.positions[-1, 2] < 0.3 and straight.twists[-1, 3] > 9.5
+    bend = vehsim.simulate(BOAT, World(water=0.0), (4500.0, 0.1), duration=10.0, step=1 / 48)
+    lean = np.degrees(np.arcsin(bend.matrices()[-1, 2, 1]))  # to starboard, the outside of a bend to port
+    assert bend.twists[-1, 2] > 0.15 and abs(lean) < 1.5
+
+
 def test_two_thrusters_are_lies():
     """Each thruster at c pushing along X makes (c x e_x, e_x) = (0, c_z, -c_y, 1, 0, 0) (math.md on LIE 4.3.2)."""
     pair = boat(mass=100.0, inertia=(10, 20, 30), thrusters=((-2, -0.5, -0.2), (-2, 0.5, -0.2)), outboard=0)

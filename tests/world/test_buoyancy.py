@@ -168,7 +168,7 @@ def test_energy_never_grows_in_still_water():
     kept = {}
     for name, data in {
         "free": {},
-        "damped": {"damping": (50.0, 200.0, 400.0), "impact": 1.0, "added_mass": extra},
+        "damped": {"damping": (50.0, 200.0, 400.0), "impact": 1.0, "planing": 0.3, "added_mass": extra},
     }.items():
         body = floating(box(length, width, height), mass, inertia, **data)
         float_ = afloat(body)
@@ -232,6 +232,24 @@ def test_lie_16_has_its_totals_and_its_lift():
     plain = floating(sphere(1.0, 5), 2 / 3 * np.pi * RHO)
     lift = afloat(body).forces(0.0, at(), np.zeros(0)).wrench - afloat(plain).forces(0.0, at(), np.zeros(0)).wrench
     np.testing.assert_allclose(lift[3:], [0, 0, 250.0], atol=1.0)
+
+
+def test_a_planing_bottom_lifts_with_its_angle():
+    """P rho U v_n A / 2 on a plate at a small angle to its way: twice the angle is twice the lift, and it brakes."""
+    speed, share = 9.0, 0.3
+    plate = box(4.0, 2.0, 0.1)
+    lifts = []
+    for angle in (0.02, 0.04):
+        twist = np.array([0, 0, 0, speed * np.cos(angle), 0, -speed * np.sin(angle)])
+        with_lift, without = (
+            afloat(floating(plate, 500.0, planing=planing)).forces(0.0, at(-1.0, twist=twist), np.zeros(0)).wrench
+            for planing in (share, 0.0)
+        )
+        force = (with_lift - without)[3:]
+        lifts.append(force[2])
+        assert force[2] == pytest.approx(share * RHO * speed**2 * np.sin(angle) * 8.0 / 2, rel=1e-9)
+        assert force @ twist[3:] < 0
+    assert lifts[1] / lifts[0] == pytest.approx(2.0, rel=1e-3)
 
 
 def test_waves_push_and_surf():
