@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
+
+from vehsim.batch import export_batch, load_shots
 
 SHOT = """
 [shot]
@@ -22,27 +25,39 @@ commands = [{{ frame = 1001, torque = 500 }}]
 """
 
 
+def write_shot(
+    folder: Path, name: str = "drive", sweep: str = "", duration: float = 0.25, asset: str = "car", more: str = ""
+) -> Path:
+    path = folder / f"{name}.toml"
+    table = f"[sweep]\n{sweep}\n" if sweep else ""
+    path.write_text(SHOT.format(name=name, duration=duration, asset=asset) + table + more)
+    return path
+
+
+def content_of(folder: Path) -> dict[str, str]:
+    return {
+        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
+        for path in folder.rglob("*")
+    }
+
+
 @pytest.fixture
 def write(tmp_path: Path) -> Callable[..., Path]:
     """Write a shot file: ``write(name, sweep=...)``."""
-
-    def shot(name: str = "drive", sweep: str = "", duration: float = 0.25, asset: str = "car", more: str = "") -> Path:
-        path = tmp_path / f"{name}.toml"
-        table = f"[sweep]\n{sweep}\n" if sweep else ""
-        path.write_text(SHOT.format(name=name, duration=duration, asset=asset) + table + more)
-        return path
-
-    return shot
+    return partial(write_shot, tmp_path)
 
 
 @pytest.fixture
 def content() -> Callable[[Path], dict[str, str]]:
     """Everything below a folder: path -> hash, hidden files and folders too."""
+    return content_of
 
-    def read(folder: Path) -> dict[str, str]:
-        return {
-            path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
-            for path in folder.rglob("*")
-        }
 
-    return read
+@pytest.fixture(scope="session")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, str]]:
+    """A shot file of twelve clips, and what its batch (usd, npz) is when nothing happens."""
+    folder = tmp_path_factory.mktemp("undisturbed")
+    shot = write_shot(folder, sweep='"vehicle.car.motion.duration" = { from = 0.25, to = 1.0, count = 12 }')
+    outcomes = export_batch(load_shots(shot), folder / "out", ["usd", "npz"])
+    assert {outcome.state for outcome in outcomes} == {"done"}
+    return shot, content_of(folder / "out")
