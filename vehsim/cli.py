@@ -345,7 +345,7 @@ def run(arguments: Sequence[str]) -> int:
         return _fail(str(error), WRONG_INPUT if isinstance(error, InputError) else FAILED)
     except Exception as error:
         if hasattr(error, "format_message"):  # what click raises about its command line
-            return _fail(f"{error.format_message()}; see vehsim --help", WRONG_INPUT)
+            return _fail(f"{error.format_message().rstrip('.')}; see vehsim --help", WRONG_INPUT)
         if type(error).__name__ == "Abort":
             return _fail(STOPPED, INTERRUPTED)
         if os.environ.get("VEHSIM_DEBUG"):
