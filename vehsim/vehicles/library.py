@@ -111,7 +111,8 @@ def _physics(path: Path, factory: Any, table: dict[str, Any]) -> dict[str, Any]:
     _known(path, "physics.", table, set(parameters))
     missing = [key for key, one in parameters.items() if one.default is one.empty and key not in table]
     if missing:
-        raise InputError(f"{path}: physics.{', physics.'.join(missing)}: missing; {factory.__name__} needs it, in SI units")
+        keys = ", ".join(f"physics.{key}" for key in missing)
+        raise InputError(f"{path}: {keys}: missing; the {factory.__name__} has no number of its own for it; give SI units")
     for key in parameters:
         for number in _flat(table.get(key, 0.0)):
             if not isinstance(number, int | float) or isinstance(number, bool) or not math.isfinite(number):
