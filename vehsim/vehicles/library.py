@@ -112,7 +112,7 @@ def _physics(path: Path, factory: Any, table: dict[str, Any]) -> dict[str, Any]:
     missing = [key for key, one in parameters.items() if one.default is one.empty and key not in table]
     if missing:
         keys = ", ".join(f"physics.{key}" for key in missing)
-        raise InputError(f"{path}: {keys}: missing; the {factory.__name__} has no number of its own for it; give SI units")
+        raise InputError(f"{path}: {keys}: missing; a {factory.__name__} has no numbers of its own; give SI units")
     for key in parameters:
         for number in _flat(table.get(key, 0.0)):
             if not isinstance(number, int | float) or isinstance(number, bool) or not math.isfinite(number):
