@@ -114,7 +114,7 @@ def export(
         tasks = []
         raise
     finally:
-        if len(tasks) > 1:
+        if len(tasks) > 1 or (tasks and errors):
             write_summary(out, tasks, outcomes, errors)
     failed = any(outcome.state == "failed" for outcome in outcomes.values())
     raise typer.Exit(FAILED if failed or errors else 0)

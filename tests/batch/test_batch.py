@@ -114,6 +114,30 @@ def test_the_log_for_machines(write: Write, tmp_path: Path, capsys: pytest.Captu
     assert said.err == ""
 
 
+def test_a_listener_that_goes_stops_no_work(write: Write, tmp_path: Path) -> None:
+    """As in ``vehsim export ... --log json | head -1``."""
+    import subprocess
+    import sys
+
+    arguments = ["export", str(write()), "--out", str(tmp_path / "out"), "--to", "npz", "--log", "json"]
+    command = [sys.executable, "-m", "vehsim.cli", *arguments]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert process.stdout is not None and process.stderr is not None
+    process.stdout.readline()
+    process.stdout.close()
+    assert process.stderr.read() == b""
+    assert process.wait() == 0
+    assert (tmp_path / "out" / "drive" / "car.npz").exists()
+
+
+def test_one_right_shot_among_wrong_ones_has_a_summary(write: Write, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    arguments = ["export", str(write("good")), str(write("bad", duration=-1)), "--out", str(out), "--to", "npz"]
+    assert cli.run(arguments) == 1
+    summary = json.loads((out / "summary.json").read_text())
+    assert [clip["name"] for clip in summary["clips"]] == ["good"] and len(summary["refused"]) == 1
+
+
 def test_nothing_about_time_is_written(write: Write, tmp_path: Path, content: Content) -> None:
     """Clocks that run elsewhere, or back, change no byte."""
     import subprocess

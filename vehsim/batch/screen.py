@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import sys
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -60,9 +62,9 @@ class _Lines:
         elif self._quiet:
             return
         elif outcome.frames is None:
-            print(f"{task.target}: finished before")
+            _answer(f"{task.target}: finished before")
         else:
-            print(f"{task.target}: {', '.join(task.to)} of frames {outcome.frames[0]} to {outcome.frames[1]}")
+            _answer(f"{task.target}: {', '.join(task.to)} of frames {outcome.frames[0]} to {outcome.frames[1]}")
 
 
 class _Table(_Lines):
@@ -123,7 +125,15 @@ class _JsonLog:
     def _say(self, event: str, **more: Any) -> None:
         now = datetime.now(UTC).isoformat(timespec="milliseconds")
         elapsed = round(time.monotonic() - self._began, 3)  # the clock on the wall may jump
-        print(json.dumps({"event": event, "time": now, "elapsed": elapsed, **more}), flush=True)
+        _answer(json.dumps({"event": event, "time": now, "elapsed": elapsed, **more}))
+
+
+def _answer(text: str) -> None:
+    """A line on standard output. Whoever listened there may be gone: the work goes on."""
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _where(task: Task) -> str:
