@@ -1,0 +1,54 @@
+"""Landings in shot files: on a pad, at the frame; the stage shows the pad, the report says where it stands."""
+
+import numpy as np
+import pytest
+from pxr import Usd, UsdGeom
+
+from vehsim import Shot
+from vehsim.exporters.validate import validate_stage
+
+
+def shot(**last):
+    mark = {"frame": 121, "position": [30, 0, 25], "heading": 0, "on_ground": True} | last
+    start = {"frame": 1, "position": [0, 0, 10], "heading": 0, "velocity": [0, 0, 0]}
+    motion = {"method": "plan", "segments": 48, "clearance": 1.0, "mark": [start, mark]}
+    obstacles = [
+        {"shape": "box", "name": "pad", "centre": [30, 0, -1], "size": [10, 10, 3]},
+        {"shape": "sphere", "name": "balloon", "centre": [14, 12, 9], "radius": 3},
+    ]
+    return Shot.from_dict({
+        "shot": {"schema": 1, "name": "hop", "fps": 24, "start_frame": 1},
+        "world": {"terrain": "flat", "obstacle": obstacles},
+        "vehicle": [{"name": "heli", "asset": "helicopter", "motion": motion}],
+    })  # fmt: skip
+
+
+def test_a_landing_from_file_to_stage(tmp_path):
+    take = shot().solve()
+    clip = take.clips["heli"]
+    assert clip.end_frame == 121
+    assert clip.positions[-1] == pytest.approx([30, 0, 2], abs=1e-4)
+    assert take.report["marks"]["heli"][-1]["position"] == pytest.approx([30, 0, 2], abs=1e-4)
+    folder = take.export(tmp_path, to=("usd",))
+    assert not validate_stage(folder / "hop.usda")
+    stage = Usd.Stage.Open(str(folder / "hop.usda"))
+    ball = next(p for p in Usd.PrimRange(stage.GetPrimAtPath("/hop/env/obstacles/balloon")) if p.IsA(UsdGeom.Mesh))
+    points = np.array(UsdGeom.Mesh(ball).GetPointsAttr().Get())
+    radius = np.linalg.norm(points - [14, 12, 9], axis=1)
+    assert radius.min() >= 3.0 - 1e-6 and radius.max() < 3.04
+
+
+@pytest.mark.parametrize(
+    "wrong, complaint",
+    [
+        ({"position": [30, 0, 1]}, "inside the ground or an obstacle; raise it"),
+        ({"speed": 2.0}, "it stands still, exactly there; drop speed"),
+        ({"tolerance": 1.0}, "drop speed, tolerance and gate"),
+    ],
+)
+def test_what_cannot_land_is_said(wrong, complaint):
+    assert any(complaint in f"{problem.message}; {problem.mend}" for problem in shot(**wrong).check())
+
+
+def test_a_right_landing_has_no_problems():
+    assert not shot().check()
