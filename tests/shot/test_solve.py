@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vehsim import Clip, Shot, load_vehicle
+from vehsim import Clip, Shot, State, World, load_vehicle, simulate
 from vehsim.cameras import CameraRig
 from vehsim.errors import ShotError
 from vehsim.shot.file import schema
@@ -235,3 +235,27 @@ def test_simulated_vehicles_meet_where_there_is_contact() -> None:
     assert a.events[0]["with"] == "b" and b.events[0]["with"] == "a"
     assert (b.positions[:, 0] - a.positions[:, 0]).min() > 1.8
     assert take.report["vehicles"]["a"]["together"] == ["a", "b"]
+
+
+def test_a_vehicle_that_is_an_obstacle_pushes_those_that_are_simulated(tmp_path: Path) -> None:
+    """A ram's saved motion meets a boat at rest on the water: pushed, and the ram goes on as it was."""
+    boat = load_vehicle("boat")
+    there = State(position=(-7.0, 0.0, 0.0), twist=(0, 0, 0, 4.0, 0, 0))
+    ram = simulate(boat, World(water=0.0), (4000.0, 0.0), there, duration=0.8, step=1 / 48, start_frame=1001)
+    ram.save(tmp_path / "ram.npz")
+    rest = {"method": "simulate", "duration": 0.8, "step": 1 / 96, "start": {"position": [0.0, 0.3, 0.0]}}
+    data = {
+        "shot": {"schema": 1, "name": "rammed"},
+        "world": {
+            "water": {}, "contact": {"speed": 3.0, "restitution": 0.1},
+            "obstacle": [{"shape": "vehicle", "vehicle": "ram"}],
+        },
+        "vehicle": [
+            {"name": "idle", "asset": "boat", "motion": rest},
+            {"name": "ram", "asset": "boat", "motion": {"method": "clip", "path": str(tmp_path / "ram.npz")}},
+        ],
+        "camera": [{"rig": "static"}],
+    }  # fmt: skip
+    clips = Shot.from_dict(data).solve().clips
+    assert clips["idle"].events[0]["with"] == "ram" and clips["idle"].twists[-1, 3] > 1.5
+    assert np.array_equal(clips["ram"].positions, ram.positions)
