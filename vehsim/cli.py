@@ -73,7 +73,9 @@ def export(
     sets: Sets = None,
     only: Annotated[list[str] | None, typer.Option(metavar="VEHICLE", help="This vehicle alone. Repeatable.")] = None,
     quality: Annotated[Quality, typer.Option(help="draft: half the picture size, no shadows.")] = Quality.final,
-    memory: Annotated[float | None, typer.Option(min=0.5, metavar="GB", help="What a worker may use.")] = None,
+    memory: Annotated[
+        float | None, typer.Option(min=0.5, metavar="GB", help="A worker's address space; 1.5 is gone at once.")
+    ] = None,
     layer_only: Annotated[bool, typer.Option("--layer-only", help="Animation layers and nothing else.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Check and say what would be done.")] = False,
     log: Annotated[Log, typer.Option(help="json: a line of JSON for everything that happens.")] = Log.text,
@@ -144,7 +146,7 @@ def job(
     tasks = [prepare(shot, out, names, quality is Quality.draft, resume=True) for shot in loaded]
     path, clips = write_job(template, tasks, chunks)
     if not quiet:
-        print(f"{path}: {len(tasks)} clips, listed in {clips}")
+        print(f"{path}: {len(tasks)} clip{'s' * (len(tasks) != 1)}, listed in {clips}")
 
 
 @app.command(hidden=True)
