@@ -31,7 +31,7 @@ test: setup
 
 docs: setup
 	$(BIN)/python -m vehsim.shot.reference docs/shot-file.md
-	$(BIN)/mkdocs build --quiet --strict
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 assets: setup
 	$(BIN)/python -m vehsim.assets.generate

@@ -67,7 +67,7 @@ def test_every_public_name_is_in_the_reference() -> None:
 
 def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
     """MkDocs holds every link and anchor, mkdocstrings every name of the reference; strict makes a warning an error."""
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path)]
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)]
     done = subprocess.run(
         command, cwd=ROOT, env=os.environ | {"NO_MKDOCS_2_WARNING": "1"}, capture_output=True, text=True
     )

@@ -16,7 +16,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import click
 import pytest
 import typer
 
@@ -132,11 +131,18 @@ def test_commands_are_there(snippet: Snippet) -> None:
             understand(words)
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_commands_in_prose_are_there(page: Path) -> None:
+    prose = FENCE.sub("", page.read_text(encoding="utf-8"))
+    for said in re.findall(r"`((?:vehsim|make) [^`]+)`", prose):
+        understand(shlex.split(said))
+
+
 def understand(words: list[str]) -> None:
     """The command of a line: that it exists, and takes these options."""
     name, rest = words[0].removeprefix(".venv/bin/"), words[1:]
     if name == "vehsim":
-        parse(typer.main.get_command(app), rest)
+        parse(rest)
     elif name == "make":
         assert re.search(rf"^{rest[0]}:", (ROOT / "Makefile").read_text(), re.MULTILINE), (
             f"make {rest[0]}: no such target"
@@ -150,11 +156,10 @@ def understand(words: list[str]) -> None:
         assert name in ("openjd", "git", "cd", "pip", "pytest"), f"{name}: teach this test what it is"
 
 
-def parse(command: click.Command, words: list[str]) -> None:
-    with click.Context(command) as context:
-        if isinstance(command, click.Group):
-            found = command.get_command(context, words[0])
-            assert found is not None, f"vehsim {words[0]}: no such command"
-            parse(found, words[1:])
-        else:
-            command.make_parser(context).parse_args(words)
+def parse(words: list[str]) -> None:
+    commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+    assert words[0] in commands, f"vehsim {words[0]}: no such command"
+    command = commands[words[0]]
+    context = command.make_context(words[0], [], resilient_parsing=True)  # so far nothing need be given
+    context.resilient_parsing = False  # but what is given must be known
+    command.make_parser(context).parse_args(words[1:])
