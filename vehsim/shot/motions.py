@@ -6,7 +6,7 @@ computed lives in `vehsim.planning`, `vehsim.simulation` and `vehsim.pilots`.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -76,6 +76,9 @@ class PlanMotion(Table):
     """true: the motion ends as it begins, to be repeated"""
     solver: Text = "ipopt"
     """the optimiser: "ipopt", "sqpmethod" or "fatrop\""""
+    guess: Literal["sinusoid"] | None = None
+    """where the search starts: "sinusoid", a manoeuvre that a car or truck can drive; the straight way, or one round
+    obstacles, unless given"""
     time_limit: Annotated[Positive, Field(le=1e5)] | None = None
     """seconds after which the best motion so far is taken; results then depend on the machine"""
 
@@ -116,6 +119,7 @@ class PlanMotion(Table):
         cost = {self.cost: None} if isinstance(self.cost, str) else self.cost
         yield from check_names("cost", cost, COSTS, "cost")
         yield from check_limits(self.limits, vehicle)
+        yield from self._check_guess(vehicle)
         yield from check_order(marks, setting)
         yield from check_marks(marks, vehicle, setting.world, self.clearance)
         for i, mark in enumerate(marks):
@@ -124,6 +128,17 @@ class PlanMotion(Table):
             if mark.position is not None and not (_planar(vehicle) or mark.on_ground):  # wheels touch the ground
                 slack = self.clearance - mark.tolerance
                 yield from check_free(f"{key}.position", mark.position, mark, slack, vehicle, setting.world)
+
+    def _check_guess(self, vehicle: Vehicle) -> Iterator[Problem]:
+        if self.guess == "sinusoid":
+            from vehsim.sinusoids.rigs import rigged
+
+            try:
+                if not _planar(vehicle):
+                    raise InputError(f"{vehicle.name}: does not drive on wheels")
+                rigged(vehicle)
+            except InputError as error:
+                yield Problem("guess", str(error), "leave guess out", self.guess)
 
     def _options(self) -> dict[str, Any]:
         """What `vehsim.plan` takes beside the marks."""
@@ -141,11 +156,13 @@ class PlanMotion(Table):
         from vehsim.planning import plan
 
         wanted = self.all_marks(setting)
+        marks = [_as_mark(mark, vehicle) for mark in wanted]
         result = plan(
             vehicle,
             setting.world,
-            marks=[_as_mark(mark, vehicle) for mark in wanted],
+            marks=marks,
             fps=setting.fps,
+            guess=self._guess(vehicle, marks, setting),
             time_limit=self.time_limit,
             progress=progress,
             **self._options(),
@@ -156,7 +173,7 @@ class PlanMotion(Table):
         names = ("success", "message", "cost", "duration", "iterations", "segments", "defect", "clearance")
         report = {name: getattr(result, name) for name in names} | {"executed": asdict(result.executed)}
         places = {mark.place: mark.position for mark in result.marks}
-        marks = [
+        said = [
             mark.model_dump(mode="json", exclude_unset=True) | {"position": list(places[i] or mark.position)}
             for i, mark in enumerate(wanted)
             if mark.position
@@ -167,7 +184,13 @@ class PlanMotion(Table):
             poses = clip.matrices()
             report["blocking"] = blocking.departure(clip.frames, clip.positions, poses[:, :3, :3])
             report["blocking"]["keys"] = [mark.frame for mark in wanted]
-        return result.clip, report | {"marks": marks}
+        return result.clip, report | {"marks": said}
+
+    def _guess(self, vehicle: Vehicle, marks: Sequence[Mark], setting: Setting) -> Any:
+        """The path to start from, None for `vehsim.plan`'s own."""
+        from vehsim.sinusoids.guess import first_guess
+
+        return None if self.guess is None else first_guess(vehicle, marks, setting.world, self.clearance)
 
 
 class SimulateMotion(Table):
