@@ -95,7 +95,8 @@ def test_the_suns_strength_in_blender_is_its_irradiance(shot):
     said = next(line for line in answer.stdout.splitlines() if line.startswith("SAYS"))
     from pxr import Usd, UsdLux
 
-    sun = UsdLux.DistantLight(Usd.Stage.Open(str(shot[1])).GetPrimAtPath("/shot/lights/sun"))
+    stage = Usd.Stage.Open(str(shot[1]))
+    sun = UsdLux.DistantLight(stage.GetPrimAtPath("/shot/lights/sun"))
     assert float(said.split()[1]) == pytest.approx(sun.GetIntensityAttr().Get(), rel=1e-6)
 
 

@@ -55,3 +55,26 @@ def test_where_more_is_missing_than_the_handles_it_is_said():
     with pytest.warns(UserWarning, match="cut off while it moves"):
         take = solve("car", end=1060)
     assert np.ptp(take.clips["it"].resample().positions[-5:], axis=0).max() == 0.0
+
+
+def test_a_car_that_stopped_settles_on_its_springs_and_its_wheels_stand():
+    """The last rates of wheels and springs are no rates to go on at: they left the car on the ground without it."""
+    from dataclasses import replace
+
+    from vehsim.shot.holding import hold
+    from vehsim.world.ground import lift
+
+    world = vehsim.World("flat")
+    clip = vehsim.simulate(vehsim.load_vehicle("car"), world, [900.0, 0.0], vehsim.State(), 0.5)
+    twists = clip.twists.copy()
+    twists[-1] = 0.0  # braked hard, with its nose still down
+    clip = replace(clip, twists=twists)
+    with pytest.warns(UserWarning, match="no tyre holds that"):
+        held = lift(hold(clip, clip.start_frame, clip.end_frame + 96), world)
+    after = held.frames > clip.end_frame + 1
+    for wheel in ("rl", "rr", "fl", "fr"):
+        assert np.ptp(held.channels[f"roll_{wheel}"][after]) < 0.02
+        assert abs(held.channels[f"travel_{wheel}"][-1]) < 1e-3
+        assert np.abs(held.channels[f"travel_{wheel}"]).max() < 0.12
+    assert abs(held.channels["pitch"][-1]) < 1e-3 and np.ptp(held.positions[after, :2]) < 20
+    assert np.abs(held.matrices()[-1][:3, :3] - np.eye(3)).max() < 2e-3

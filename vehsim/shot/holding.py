@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim.vehicles import Nonholonomic
+
 if TYPE_CHECKING:
     from vehsim.clip import Clip
 
@@ -25,7 +27,8 @@ def rests(clip: Clip, index: int) -> bool:
 def hold(clip: Clip, first: int, last: int) -> Clip:
     """The clip on frames ``first`` to ``last`` at least: standing still in those it does not cover.
 
-    Channels go on at their rate where the vehicle is at rest (a hovering helicopter's rotor), else they stop too.
+    Channels go on at their rate where the vehicle is at rest in the air or on water (a hovering helicopter's rotor),
+    else they stop too. A body that stood on its springs is no longer lifted: `lift` it again, and it settles.
     """
     before = np.arange(first, clip.start_frame, dtype=float)
     after = np.arange(clip.end_frame + 1, last + 1, dtype=float)
@@ -46,12 +49,14 @@ def hold(clip: Clip, first: int, last: int) -> Clip:
     def onwards(values: Array) -> Array:
         held = same(values)
         for index, beyond in ((0, slice(0, len(before))), (-1, slice(len(times) - len(after), None))):
-            if len(clip) > 1 and rests(clip, index):
+            if len(clip) > 1 and not isinstance(clip.vehicle, Nonholonomic) and rests(clip, index):
                 a, b = (0, 1) if index == 0 else (-2, -1)
                 rate = (values[b] - values[a]) / (clip.times[b] - clip.times[a])
                 held[beyond] += rate * (times[beyond] - (clip.times[index] + shift))
         return held
 
+    sprung = ("heave", "pitch", "roll") if "heave" in clip.channels else ()
+    channels = {name: onwards(values) for name, values in clip.channels.items() if name not in sprung}
     return replace(
         clip,
         times=times,
@@ -61,7 +66,7 @@ def hold(clip: Clip, first: int, last: int) -> Clip:
         joints=same(clip.joints),
         joint_rates=zero(clip.joint_rates),
         controls=same(clip.controls),
-        channels={name: onwards(values) for name, values in clip.channels.items()},
+        channels=channels,
         energy={name: same(values) for name, values in clip.energy.items()},
         start_frame=start,
     )

@@ -147,7 +147,7 @@ class Shot:
         clips = {name: carry_on(name, clip, *frames, handles, self.world) for name, clip in clips.items()}
         clips = {name: lift(clip, self.world) for name, clip in clips.items()}
         self._warn_off_ground(clips)
-        clips = {name: hold(clip, *frames) for name, clip in clips.items()}
+        clips = {name: lift(hold(clip, *frames), self.world) for name, clip in clips.items()}
         return Take(
             name=self.name,
             clips=clips,
