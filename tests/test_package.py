@@ -35,7 +35,7 @@ def pip(arguments: list[str]) -> None:
 def test_wheel_holds_vehsim_alone_with_its_assets(wheel: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
     assert {name.partition("/")[0].partition("-")[0] for name in names} == {"vehsim"}
-    assert not [name for name in names if "test" in name or name.endswith((".pyc", ".orig"))]
+    assert not [name for name in names if "/test" in name or name.endswith((".pyc", ".orig"))]
     for folder in ("vehicles", "terrains"):
         for path in (ROOT / "assets" / folder).rglob("*"):
             if path.is_file() and not path.name.startswith("."):
