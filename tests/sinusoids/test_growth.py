@@ -41,7 +41,46 @@ def off_axle(q):
     return [[ca.cos(q[2]), 0], [ca.sin(q[2]), 0], [0, 1], [ca.sin(bend), -0.4 * ca.cos(bend)]]
 
 
+def fire_truck(q):
+    """Steered at both ends: x, y, steering phi0, cab theta0, ladder's steering phi1, trailer theta1; three inputs."""
+    theta0, phi0, phi1, theta1 = q[3], q[2], q[4], q[5]
+    turning = -ca.sin(phi1 - theta0 + theta1) / ca.cos(phi1)
+    speed = ca.vertcat(ca.cos(theta0), ca.sin(theta0), 0, ca.tan(phi0), 0, turning)
+    return ca.horzcat(speed, ca.DM([0, 0, 1, 0, 0, 0]), ca.DM([0, 0, 0, 0, 1, 0]))
+
+
+def trident_snake(q):
+    """A unit triangle with a wheeled leg of length 1 at every corner, the three leg angles driven (Ishikawa 2004)."""
+    theta, rows = q[2], []
+    for i, alpha in enumerate((-2 * ca.pi / 3, 0.0, 2 * ca.pi / 3)):
+        leg = q[3 + i]
+        side = theta + alpha + leg
+        rows.append(ca.horzcat(ca.sin(side), -ca.cos(side), -1 - ca.cos(leg)))
+    return ca.vertcat(ca.solve(ca.vertcat(*rows), ca.DM.eye(3)), ca.DM.eye(3))
+
+
+def spacecraft(q):
+    """Attitude by Z-Y-X angles, two rotors along the body's X and Y, zero angular momentum: w = -k (rates)."""
+    theta, phi = q[1], q[2]
+    rates = ca.vertcat(
+        ca.horzcat(0, ca.sin(phi) / ca.cos(theta), ca.cos(phi) / ca.cos(theta)),
+        ca.horzcat(0, ca.cos(phi), -ca.sin(phi)),
+        ca.horzcat(1, ca.sin(phi) * ca.tan(theta), ca.cos(phi) * ca.tan(theta)),
+    )
+    return ca.vertcat(rates @ ca.DM([[-0.2, 0], [0, -0.3], [0, 0]]), ca.DM.eye(2))
+
+
+def attitude(q):
+    """Attitude alone, turned about two of the body's axes: SO(3), two inputs."""
+    return spacecraft(q)[:3, :]
+
+
 KNOWN = [
+    (system("fire truck", ("x", "y", "phi0", "theta0", "phi1", "theta1"), 3, fire_truck), (3, 5, 6)),
+    (system("trident snake", ("x", "y", "theta", "a", "b", "c"), 3, trident_snake), (3, 6)),
+    (system("spacecraft with two rotors", ("psi", "theta", "phi", "r1", "r2"), 2, spacecraft), (2, 3, 5)),
+    (system("attitude by two axes", ("psi", "theta", "phi"), 2, attitude), (2, 3)),
+    (system("sleigh", "xya", 2, lambda q: [[ca.cos(q[2]), 0], [ca.sin(q[2]), 0], [0, 1]]), (2, 3)),
     (system("rolling penny", "xyat", 2, penny), (2, 3, 4)),
     (system("ball on a plane", ("x", "y", "psi", "theta", "phi"), 2, ball), (2, 3, 5)),
     (system("Engel", "xyzw", 2, lambda q: [[1, 0], [0, 1], [0, q[0]], [0, q[0] ** 2 / 2]]), (2, 3, 4)),
@@ -72,7 +111,7 @@ def test_growth_of_systems_not_in_the_paper(which, growth):
 def test_chained_form_asks_for_growth_by_one():
     """Goursat: the car's flag grows by one a step, Cartan's 2-3-5 does not."""
     assert chained_form_exists(models.car())
-    assert not chained_form_exists(KNOWN[3][0])
+    assert not chained_form_exists(next(which for which, _ in KNOWN if which.name == "Cartan"))
 
 
 def test_singular_states_of_martinets_distribution():

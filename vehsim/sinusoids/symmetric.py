@@ -63,6 +63,8 @@ def symmetric_closure(
     from vehsim.planning.guess import trim
     from vehsim.vehicles.states import internal
 
+    if not vehicle.controls:
+        raise InputError(f"{vehicle.name}: no controls: nothing can be reached from rest; give it one")
     law = equations_of_motion(vehicle)
     g0, r0, _, _ = internal(vehicle, at or State())
     c0 = np.asarray(trim(vehicle, (0.0, 0.0, 0.0)) if controls is None else controls, float)

@@ -1,0 +1,60 @@
+"""Symmetric products: SYM's argument for its helicopter, and bodies for which it fails (Lewis and Murray 1997)."""
+
+import casadi as ca
+import pytest
+
+import vehsim
+from vehsim.errors import InputError
+from vehsim.lie import SE2
+from vehsim.sinusoids.symmetric import symmetric_closure
+from vehsim.vehicles import Control, Holonomic
+
+
+def ranks(found):
+    return [rank.value for rank in found.ranks]
+
+
+def pushed(*forces):
+    """A planar body, m = 2, J = 1, pushed by body-fixed forces: (torque, fx, fy) per unit of each control."""
+    controls = tuple(Control(f"f{i + 1}") for i in range(len(forces)))
+
+    def wrench(c):
+        return ca.mtimes(ca.DM(forces).T, c)
+
+    return Holonomic(name="body", group=SE2, inertia=(1.0, 2.0, 2.0), controls=controls, wrench=wrench, gravity=0.0)
+
+
+def test_helicopter_reaches_what_its_four_controls_do_not_push():
+    """SYM: thrust and torques span four directions, products of two all six; hovering, weight does the rest."""
+    found = symmetric_closure(vehsim.load_vehicle("helicopter"))
+    assert ranks(found) == [4, 6] and found.accessible and found.certain
+    assert found.bad == ("<yaw : yaw>",) and found.linear and found.controllable
+
+
+def test_hovercraft_is_controllable_by_a_force_ahead_and_one_abeam_off_its_centre():
+    """<f2 : f2> is bad but along f1, which does not count against it; <f1 : f2> is the direction that is missing."""
+    found = symmetric_closure(pushed((0.0, 1.0, 0.0), (-0.4, 0.0, 1.0)))
+    assert ranks(found) == [2, 3] and found.bad == () and found.controllable and not found.linear
+
+
+def test_one_force_off_the_centre_pushes_one_way_only():
+    """Accessible, but its product with itself is bad: locally it cannot come back."""
+    found = symmetric_closure(pushed((-0.4, 0.0, 1.0)))
+    assert found.bad[0] == "<f1 : f1>" and not found.controllable
+
+
+def test_one_force_through_the_centre_turns_nothing():
+    found = symmetric_closure(pushed((0.0, 1.0, 0.0)))
+    assert ranks(found)[-1] == 1 and not found.accessible and not found.controllable
+
+
+def test_a_boat_with_its_engine_idle_has_no_steering():
+    found = symmetric_closure(vehsim.load_vehicle("boat").planar, controls=[0.0, 0.0])
+    assert ranks(found)[:2] == [1, 2] and not found.accessible
+
+
+def test_what_is_not_in_balance_is_refused():
+    with pytest.raises(InputError, match="do not balance it"):
+        symmetric_closure(vehsim.load_vehicle("helicopter"), controls=[0.0, 0.0, 0.0, 0.0])
+    with pytest.raises(InputError, match="no controls"):
+        symmetric_closure(vehsim.load_vehicle("tumbler"))
