@@ -1,7 +1,7 @@
 """The gallery's pictures, from exported stages alone: of every example a film in forty frames, and a still by Cycles.
 
 ``python tools/gallery.py STAGES [NAME...]``: STAGES is a folder that ``vehsim export`` wrote the examples to. Writes
-docs/gallery/NAME.webp and NAME.jpg; stills need Blender (`VEHSIM_BLENDER`) and take two CPU minutes each.
+docs/gallery/NAME.webp and still_NAME.jpg; stills need Blender (`VEHSIM_BLENDER`) and take two CPU minutes each.
 """
 
 from __future__ import annotations
@@ -77,8 +77,8 @@ def main(stages: str, *names: str) -> None:
     for name in names or STILLS:
         frame, camera = STILLS[name]
         stage = Path(stages) / name / f"{name}.usda"
-        film(stage, camera, GALLERY / f"{name}.webp")
-        still(stage, camera, frame, GALLERY / f"{name}.jpg")
+        film(stage, camera, GALLERY / f"{name.removesuffix('_seed0')}.webp")
+        still(stage, camera, frame, GALLERY / f"still_{name.removesuffix('_seed0')}.jpg")
 
 
 if __name__ == "__main__":
