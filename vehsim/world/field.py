@@ -35,6 +35,8 @@ VERSION = 2
 """Part of every cached field's name: raise it when the same terrain would give another field."""
 POINTS = 1_200_000
 """Grid points a field has at most unless its spacing is given: about three seconds on two cores."""
+AMONG = 400_000
+"""The same with obstacles, which are measured anew each time: about a second."""
 FINEST = 0.5
 """Smallest spacing chosen by itself, m."""
 HEADROOM, DEPTH = 12.0, 4.0
@@ -199,8 +201,10 @@ def distance_field(
     progress: Progress | None = None,
     obstacles: Sequence[Obstacle] = (),
 ) -> DistanceField:
-    """The field of ``terrain`` and standing ``obstacles``, from the cache or built now.
+    """The field of ``terrain`` and standing ``obstacles``.
 
+    That of a terrain comes from the cache or is built now. Obstacles are measured anew, exactly, on a grid of the same
+    kind, where the terrain's distances are those of its own field: moving an obstacle costs a second, not many.
     ``spacing`` m between grid points (chosen by `POINTS` when None); ``box`` (2, 3) m restricts the field to a part of
     the terrain, and says where it is without one; ``progress`` is told what is done and the fraction. Raises
     ``InputError``.
@@ -208,19 +212,25 @@ def distance_field(
     name = "open space" if terrain is None else terrain.name
     lower, upper = _box(terrain, box, obstacles)
     volume = float(np.prod(np.maximum(upper - lower, 1e-9)))
-    step = max(FINEST, (volume / POINTS) ** (1 / 3)) if spacing is None else float(spacing)
+    points = AMONG if obstacles else POINTS
+    step = max(FINEST, (volume / points) ** (1 / 3)) if spacing is None else float(spacing)
     shape = np.maximum(np.ceil((upper - lower) / step).astype(int) + 1, 4) if step > 0 else np.zeros(3, int)
     if not np.isfinite(step) or step <= 0 or np.prod(shape, dtype=float) > 20 * POINTS:
         mend = "give a spacing of about a metre"
         raise InputError(str(Problem("spacing", "not a spacing for this terrain", mend, spacing, name)))
-    content: tuple[Any, ...] = (VERSION, terrain and terrain.content_hash, lower.tolist(), shape.tolist(), step)
-    content += tuple(obstacle.content_hash for obstacle in obstacles)
+    if obstacles:
+        laws = [] if terrain is None else [distance_field(terrain, progress=progress).value]
+        laws.append(_to_hulls([hull for obstacle in obstacles for hull in obstacle.hulls]))
+        distances = _measure(laws, lower, shape, step, progress, "obstacles")
+        return DistanceField(distances, lower, step, open=terrain is None)
+    assert terrain is not None
+    content = (VERSION, terrain.content_hash, lower.tolist(), shape.tolist(), step)
     file = cache_folder() / f"distance-{hashlib.sha256(repr(content).encode()).hexdigest()[:32]}.npy"
-    distances = _read(file, tuple(shape.tolist()))
-    if distances is None:
-        distances = _measure(terrain, obstacles, lower, shape, step, progress)
-        _write(file, distances)
-    return DistanceField(distances, lower, step, open=terrain is None)
+    known = _read(file, tuple(shape.tolist()))
+    if known is None:
+        known = _measure([_to_terrain(terrain, int(shape[2]))], lower, shape, step, progress, "the terrain")
+        _write(file, known)
+    return DistanceField(known, lower, step)
 
 
 def _box(terrain: Terrain | None, box: ArrayLike | None, obstacles: Sequence[Obstacle] = ()) -> tuple[Array, Array]:
@@ -248,31 +258,23 @@ def _box(terrain: Terrain | None, box: ArrayLike | None, obstacles: Sequence[Obs
 
 
 def _measure(
-    terrain: Terrain | None,
-    obstacles: Sequence[Obstacle],
+    laws: Sequence[Callable[[Array], Array]],
     lower: Array,
     shape: NDArray[np.int64],
     step: float,
     progress: Progress | None,
+    to: str,
 ) -> NDArray[np.float32]:
-    """Exact signed distances (nx, ny, nz) m on the grid: the least of those to everything."""
-    laws = [] if terrain is None else [_to_terrain(terrain, int(shape[2]))]
-    hulls = [hull for obstacle in obstacles for hull in obstacle.hulls]
-    laws += [_to_hulls(hulls)] if hulls else []
-    what = "measuring distances to " + " and ".join(
-        ["the terrain"] * (terrain is not None) + ["obstacles"] * bool(obstacles)
-    )
+    """Signed distances (nx, ny, nz) m on the grid: at each point the least that the ``laws`` say."""
     x, y, z = (lower[k] + step * np.arange(shape[k]) for k in range(3))
     distances = np.empty(tuple(shape), dtype=np.float32)
     slabs = np.array_split(np.arange(shape[0]), min(16, shape[0]))
     for done, slab in enumerate(slabs):
         points = np.stack(np.meshgrid(x[slab], y, z, indexing="ij"), axis=-1).reshape(-1, 3)
-        least = np.full(len(points), np.inf)
-        for law in laws:
-            least = np.minimum(least, law(points))
+        least = np.min([law(points) for law in laws], axis=0)
         distances[slab] = least.reshape(len(slab), shape[1], shape[2])
         if progress is not None:
-            progress(what, (done + 1) / len(slabs))
+            progress(f"measuring distances to {to}", (done + 1) / len(slabs))
     return distances
 
 

@@ -1,0 +1,60 @@
+"""The distance field with obstacles in it: the least of two exact distances, in one spline; open without ground."""
+
+import igl
+import numpy as np
+import trimesh
+
+from vehsim import World
+from vehsim.world import obstacles as ob
+from vehsim.world.terrain import Terrain
+
+THINGS = (ob.box("hut", (12, 8, 0), (6, 5, 9), 25), ob.sphere("ball", (28, 20, 14), 4.0))
+
+
+def exact(points, terrain=None):
+    """Signed distances (n,) m by libigl."""
+    shapes = [trimesh.convex.convex_hull(hull) for thing in THINGS for hull in thing.hulls]
+    found = [igl.signed_distance(points, np.array(s.vertices), np.array(s.faces))[0] for s in shapes]
+    if terrain is not None:
+        above = np.sign(points[:, 2] - terrain.height(points[:, :2]))
+        found.append(above * np.sqrt(igl.point_mesh_squared_distance(points, terrain.vertices, terrain.faces)[0]))
+    return np.min(found, axis=0)
+
+
+def test_obstacles_alone_are_an_open_field():
+    """Near them the distance to a few centimetres; beyond the box never more than it is."""
+    field = World(obstacles=THINGS).distance_field()
+    rng = np.random.default_rng(0)
+    points = rng.uniform(field.lower, field.upper, (600, 3))
+    off = field.value(points) - exact(points)
+    assert np.abs(off).max() < 0.25 and np.sqrt(np.mean(off**2)) < 0.03
+    outside = rng.uniform(field.lower - 60, field.upper + 60, (600, 3))
+    assert (field.value(outside) <= exact(outside) + 0.25).all()
+    assert field.value([[12, 8, 4]])[0] < -2
+
+
+def test_with_terrain_it_is_the_least_of_both():
+    x, y = np.meshgrid(np.arange(0, 61, 2.0), np.arange(0, 41, 2.0))
+    terrain = Terrain("waves", 2 * np.sin(x / 9) * np.cos(y / 7), (0.0, 0.0), (2.0, 2.0))
+    field = World(terrain, obstacles=THINGS).distance_field()
+    assert not field.open and field.upper[2] > 18 + 10
+    points = np.random.default_rng(1).uniform((2, 2, 3), (58, 38, 24), (500, 3))
+    off = field.value(points) - exact(points, terrain)
+    assert off.max() < 0.3  # above what the terrain's own field knows it is less, and never more
+    off = off[points[:, 2] < terrain.upper[2] + 10]
+    assert np.abs(off).max() < 0.3 and np.sqrt(np.mean(off**2)) < 0.04
+
+
+def test_its_functions_agree_inside_and_beyond():
+    """numpy, CasADi and the models handed to the optimiser say the same; where it is open nothing is subtracted."""
+    field = World(obstacles=THINGS).distance_field()
+    points = np.random.default_rng(2).uniform(field.lower - 20, field.upper + 20, (60, 3))
+    values = field.value(points)
+    by_models = np.asarray(field.models(60)(points.T))
+    np.testing.assert_allclose(by_models[0], values, atol=1e-9)
+    np.testing.assert_allclose([float(field.function(p)) for p in points], values, atol=1e-9)
+    step = 1e-4
+    for k in range(3):
+        slope = (field.value(points + step * np.eye(3)[k]) - field.value(points - step * np.eye(3)[k])) / (2 * step)
+        inside = ((points > field.lower + 1) & (points < field.upper - 1)).all(axis=1)
+        np.testing.assert_allclose(by_models[1 + k][inside], slope[inside], atol=1e-5)
