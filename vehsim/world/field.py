@@ -219,7 +219,9 @@ def distance_field(
         mend = "give a spacing of about a metre"
         raise InputError(str(Problem("spacing", "not a spacing for this terrain", mend, spacing, name)))
     if obstacles:
-        laws = [] if terrain is None else [distance_field(terrain, progress=progress).value]
+        laws: list[Callable[[Array], Array]] = []
+        if terrain is not None:
+            laws.append(distance_field(terrain, progress=progress).value)
         laws.append(_to_hulls([hull for obstacle in obstacles for hull in obstacle.hulls]))
         distances = _measure(laws, lower, shape, step, progress, "obstacles")
         return DistanceField(distances, lower, step, open=terrain is None)
