@@ -54,6 +54,7 @@ class StageRenderer:
         self._water = None if stage.water is None else WaterView(stage, self._light)
         self._bounds = _bounds(stage)
         self._reach = _shadow_reach(stage, self._bounds)
+        self._shadow_axes = _across(self._light.direction)
         self._supersample = max(1, min(SUPERSAMPLE, round(samples**0.5), LARGEST // max(size)))
         width, height = self._supersample * size[0], self._supersample * size[1]
         self._model = self._spec(width, height).compile()
@@ -111,7 +112,7 @@ class StageRenderer:
         if self._water is not None:
             self._canvas.draw_water(self._water, self._data, frame)
         of_geom, depth = self._canvas.draw_ids(self.size), self._canvas.depth(self.size)
-        near, far = self._clip(camera, frame)
+        near, far = self._drawn(self.stage.camera(camera, frame)[3])
         away = near * far / (depth * (far - near) + near)
         colours = np.vstack([prim_colours(self.prims), np.zeros((1, 3), np.uint8)])  # the last one, -1: nothing
         return np.where(of_geom < 0, 0.0, away).astype(np.float32)[::-1], colours[of_geom][::-1]
@@ -127,23 +128,22 @@ class StageRenderer:
         import mujoco
         from scipy.spatial.transform import Rotation
 
-        for group, pose in self.stage.matrices(frame).items():
-            k = self._mocap[group]
-            self._data.mocap_pos[k] = pose[:3, 3]
-            self._data.mocap_quat[k] = Rotation.from_matrix(pose[:3, :3]).as_quat(scalar_first=True)
+        if poses := self.stage.matrices(frame):
+            some, T_wg = [self._mocap[group] for group in poses], np.stack(list(poses.values()))
+            self._data.mocap_pos[some] = T_wg[:, :3, 3]
+            self._data.mocap_quat[some] = Rotation.from_matrix(T_wg[:, :3, :3]).as_quat(scalar_first=True)
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
         self._canvas.update(self._data)
         self._place_camera(camera, frame)
 
-    def _clip(self, camera: str, frame: float) -> tuple[float, float]:
-        """Near and far plane as drawn, m."""
-        near, far = self.stage.camera(camera, frame)[3]
-        return near, max(far, SHADOW_DEPTH * self._reach)
+    def _drawn(self, clip: tuple[float, float]) -> tuple[float, float]:
+        """Near and far plane as drawn, m, where the stage asks for ``clip``."""
+        return clip[0], max(clip[1], SHADOW_DEPTH * self._reach)
 
     def _place_camera(self, name: str, frame: float) -> None:
-        pose, half_width, _, _ = self.stage.camera(name, frame)
-        near, far = self._clip(name, frame)
+        pose, half_width, _, clip = self.stage.camera(name, frame)
+        near, far = self._drawn(clip)
         half_height = half_width * self.size[1] / self.size[0]  # pixels are square
         for camera in self._canvas.cameras:
             camera.pos = pose[:3, 3]
@@ -161,10 +161,10 @@ class StageRenderer:
         standing = (depth > 0) & (self._canvas.draw_ids(self._size) != self._model.geom("water").id)
         left, low, right, high = _box(standing, 1)
         part = slice(low, high + 1), slice(left, right + 1)  # a pixel more: slopes are told from the next one
-        pose, half_width, _, _ = self.stage.camera(camera, frame)
+        pose, half_width, _, clip = self.stage.camera(camera, frame)
         half = (half_width, half_width * self.size[1] / self.size[0])
-        clip = self._clip(camera, frame)
-        places, distance = places_of(depth, pose[:3, 3], -pose[:3, 2], pose[:3, 1], half, clip, part)
+        eye, forward, up = pose[:3, 3], -pose[:3, 2], pose[:3, 1]
+        places, distance = places_of(depth, eye, forward, up, half, self._drawn(clip), part)
         colour[part] = self._water.wet(colour[part], places, np.where(standing[part], distance, np.inf))
         return colour
 
@@ -174,12 +174,8 @@ class StageRenderer:
         eye = scene.camera[0]
         lower, upper = self._bounds
         centre = np.clip(eye.pos + 0.6 * self._reach * eye.forward, lower, upper)
-        direction = self._light.direction
-        side = np.cross(direction, (0.0, 0.0, 1.0) if abs(direction[2]) < 0.999 else (0.0, 1.0, 0.0))
-        side /= np.linalg.norm(side)
-        up = np.cross(side, direction)
-        texel = 2 * self._reach / SHADOW_MAP
-        across = sum(np.round(centre @ axis / texel) * texel * axis for axis in (side, up))
+        direction, texel = self._light.direction, 2 * self._reach / SHADOW_MAP
+        across = sum(np.round(centre @ axis / texel) * texel * axis for axis in self._shadow_axes)
         size = float(np.linalg.norm(upper - lower))
         scene.lights[SUN].pos = across + (centre @ direction - size) * direction
         scene.lights[SUN].dir = direction
@@ -302,6 +298,13 @@ def _haze_end(stage: StageReader, bounds: tuple[Array, Array]) -> float:
         return HAZE[1]
     edge = 0.6 * float((bounds[1] - bounds[0])[:2].min())
     return min(HAZE[1], max(edge, 60.0))
+
+
+def _across(direction: Array) -> tuple[Array, Array]:
+    """Two unit vectors (3,) across a unit ``direction`` and each other, the first of them level."""
+    side = np.cross(direction, (0.0, 0.0, 1.0) if abs(direction[2]) < 0.999 else (0.0, 1.0, 0.0))
+    side /= np.linalg.norm(side)
+    return side, np.cross(side, direction)
 
 
 def _shadow_reach(stage: StageReader, bounds: tuple[Array, Array]) -> float:

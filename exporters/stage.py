@@ -101,7 +101,7 @@ class StageReader:
         }
         self.shapes = tuple(self._read_shapes())
         self.groups = tuple(sorted({shape.group for shape in self.shapes} - {""}))
-        self._stretch: dict[str, Array] = {group: _stretch(self._world(group)) for group in self.groups}
+        self._relax = {group: np.linalg.inv(_stretch(self._world(group))) for group in self.groups}
 
     # ------------------------------------------------------------ by frame
 
@@ -110,8 +110,8 @@ class StageReader:
         self._cache.SetTime(frame)
         poses = {}
         for group in self.groups:
-            pose = self._world(group) @ np.linalg.inv(self._stretch[group])
-            if not np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-4):
+            pose = self._world(group) @ self._relax[group]
+            if not np.abs(pose[:3, :3] @ pose[:3, :3].T - np.eye(3)).max() < 1e-4:
                 warnings.warn(f"{group}: its scale changes over time; drawn as at the first frame", stacklevel=2)
                 u, _, v = np.linalg.svd(pose[:3, :3])
                 pose[:3, :3] = u @ v
