@@ -59,10 +59,11 @@ def changed(approved: Path, folder: Path, damage: Any) -> set[str]:
 def move(axis: int, far: float) -> Any:
     def damage(stage: Any) -> None:
         attribute = stage.GetPrimAtPath(TOY).GetAttribute("xformOp:translate")
-        for time in attribute.GetTimeSamples():
-            place = attribute.Get(time)
+        places = {time: attribute.Get(time) for time in attribute.GetTimeSamples()}  # before the first one hides them
+        for time, place in places.items():
             place[axis] += far
             attribute.Set(place, time)
+        assert len(attribute.GetTimeSamples()) == len(places) > 1
 
     return damage
 
