@@ -34,7 +34,10 @@ def validate_stage(path: str | Path) -> list[Issue]:
         return [Issue("error", "open", str(path), reason_of(error), "give a readable .usd, .usda, .usdc or .usdz file")]
     issues = [*_usd_issues(stage), *_nvidia_issues(stage)]
     for rule in OWN_RULES:
-        issues.extend(rule(stage))
+        try:
+            issues.extend(rule(stage))
+        except Tf.ErrorException as error:  # USD will not even read it
+            issues.append(Issue("error", "read", str(path), reason_of(error), "mend what USD names, validate again"))
     return _together(issues)
 
 

@@ -40,9 +40,8 @@ BREAKS = {
     "units": lambda stage: stage.DefinePrim("/shot/env/prop", "Xform").GetReferences().AddReference("./cm.usda"),
     "dead over": lambda stage: stage.OverridePrim("/shot/vehicles/gone/wheel").CreateAttribute("a", _float()).Set(1.0),
     "scale": lambda stage: _op(stage, "Scale", (1, 0, 1)),
-    "ops": lambda stage: (
-        stage.GetPrimAtPath("/shot/env").CreateAttribute("xformOpOrder", _tokens()).Set(["xformOp:rotateX:spin"])
-    ),
+    "read": lambda stage: _order(stage, "xformOp:x"),
+    "ops": lambda stage: _order(stage, "xformOp:rotateX:spin"),
     "usdValidation:CompositionErrorTest": lambda stage: (
         stage.OverridePrim("/shot/env").GetReferences().AddReference("./gone.usda")
     ),
@@ -55,10 +54,11 @@ def _float():
     return Sdf.ValueTypeNames.Float
 
 
-def _tokens():
+def _order(stage, op):
     from pxr import Sdf
 
-    return Sdf.ValueTypeNames.TokenArray
+    env = stage.GetPrimAtPath("/shot/env")
+    env.CreateAttribute("xformOpOrder", Sdf.ValueTypeNames.TokenArray).Set([op])
 
 
 def _op(stage, kind, value):
