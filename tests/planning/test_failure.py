@@ -1,5 +1,6 @@
 """Failure is a result: which mark, by how much, what would do; time limits kept; refinements that fail are left out."""
 
+import math
 import time
 
 import numpy as np
@@ -93,6 +94,19 @@ def test_time_limits_are_kept():
         plan = vehsim.plan(helicopter, None, marks, segments=256, time_limit=1e-3)
     assert not plan.success and plan.iterations <= 3 and time.monotonic() - began < 20
     assert len(plan.clip) > 2
+
+
+def test_nothing_is_built_after_the_time_limit(monkeypatch):
+    """Found just before its deadline, a plan is not taken to a finer discretisation: it comes back as it is."""
+    from vehsim.planning.attempt import Attempt
+    from vehsim.planning.request import Request
+
+    lifts = []
+    monkeypatch.setattr(Request, "late", property(lambda self: self.deadline < math.inf))
+    monkeypatch.setattr(Attempt, "_lift", lambda self, *finer: lifts.append(finer))
+    marks = [Mark(1, position=REST, velocity=REST), Mark(73, position=(6, 2, 0), heading=90, velocity=REST)]
+    plan = vehsim.plan(tug(), None, marks, segments=8, time_limit=1e6)
+    assert plan.success and not lifts and "not refined to 8 segments of order 4: time limit reached" in plan.message
 
 
 def test_a_refinement_out_of_time_leaves_the_plan_there_was(monkeypatch):

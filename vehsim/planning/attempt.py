@@ -246,7 +246,7 @@ class Attempt:
 
     def refine(self) -> None:
         """Climb the ladder of discretisations until the executed controls end where the plan does."""
-        if self.resolve():
+        if self.resolve() or math.isinf(self.checked.final):
             self.checked = self._executed()
         while self._too_far() and self.rung < len(LADDER) - 1 and self._climb():
             self.checked = self._executed()
@@ -269,6 +269,9 @@ class Attempt:
 
     def _try(self, segments: int, order: int) -> bool:
         """Solve on a finer discretisation; where that fails, keep what there was, and say so."""
+        if self.request.late:  # building it alone takes its time
+            self.note = f"; not refined to {segments} segments of order {order}: time limit reached"
+            return False
         before = (self.x, self.layout, self.lengths, self.solution, self.worst, self.near)
         self._lift(segments, order)
         self.solve(free=False)
