@@ -57,9 +57,9 @@ def boat(
     Thrust fades as the propeller, ``propeller_diameter`` m, comes out of the water; at ``full_thrust`` N it turns at
     ``propeller_speed`` rad/s (channel ``propeller``). ``rudder``: a fin, or the outboard's leg, of ``rudder_area``
     m^2 and lift slope ``rudder_slope`` 1/rad, turned by the steering. ``damping`` N s/m, ``damping_quadratic``,
-    ``reference_area``, ``normal_force``, ``impact``, ``planing`` and ``added_mass``: see `Hull`; ``wetted_centre`` (x, m)
-    and ``wetted_radius`` (root mean square of x, m) of the wetted surface carry the resistance over to ``planar``, and
-    ``impact_drag`` (2,) N s^2/m^2, ahead and across, what ``impact`` and ``planing`` add to it.
+    ``reference_area``, ``normal_force``, ``impact``, ``planing`` and ``added_mass``: see `Hull`; ``wetted_centre`` (x,
+    m) and ``wetted_radius`` (root mean square of x, m) of the wetted surface carry the resistance over to ``planar``,
+    and ``impact_drag`` (2,) N s^2/m^2, ahead and across, what ``impact`` and ``planing`` add to it.
     Wind: ``wind_area`` seen from ahead and from the side, m^2, pushed at ``wind_centre``, ``wind_coefficient``.
     """
     places = [tuple(map(float, place)) for place in thrusters]
