@@ -186,7 +186,7 @@ def _attitude(t: Transcription, mark: Mark, root: Expr, wanted: dict[str, Expr])
     if mark.orientation is not None:
         # the vector part of a quaternion: it vanishes at the attitude alone
         off = SO3.compose(SO3.inverse(wanted["orientation"]), root[3:7])
-        return _equal(off[3 if t.vehicle.group.name == "SE2" else 1 : 4])
+        return _equal(off[3 if t.vehicle.group.planar else 1 : 4])
     if mark.heading is not None:
         c, s = ca.cos(wanted["heading"]), ca.sin(wanted["heading"])
         return [
