@@ -91,3 +91,19 @@ def test_trailers_are_steered(count):
     goal[list(system.states).index("x")] = 6.0
     goal[list(system.states).index("y")] = 1.0
     assert end_error(steer_trailers([1.2] * count, start, goal)) < 1e-6
+
+
+@pytest.mark.parametrize("count", [1, 3, 5])
+def test_trains_between_random_states(count):
+    rng = np.random.default_rng(count)
+    ends = np.zeros((2, 4 + count))
+    ends[:, :2], ends[:, 2] = rng.uniform(-10, 10, (2, 2)), rng.uniform(-0.4, 0.4, 2)
+    ends[:, 3:] = np.cumsum(rng.uniform(-0.5, 0.5, (2, count + 1)), axis=1)
+    assert end_error(steer_trailers([1.5] * count, *ends)) < 1e-6
+
+
+def test_wheels_are_straightened_for_loops_that_leave_the_chart():
+    """A goal with turned wheels: loops round it would turn the car across its axes."""
+    steering = steer_triangular(car_triangular(2.6), [4.0, 1.0, -0.3, 0.4], [-4.0, -1.5, 0.55, 0.5], amplitude=2.6)
+    assert [steering.stages[0].label, steering.stages[-1].label] == ["release", "set"]
+    assert end_error(steering) < 1e-6
