@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 import vehsim
+from tests.planning.test_plan import REST, tug
 from vehsim import Mark
 from vehsim.planning import attempt
 from vehsim.planning.multipliers import carried
 from vehsim.planning.solver import Multipliers
 from vehsim.world.terrain import Terrain
-
-REST = (0.0, 0.0, 0.0)
 
 
 @pytest.fixture(scope="module")
@@ -99,3 +98,19 @@ def test_what_is_far_away_need_not_be_seen(helicopter, monkeypatch):
         assert other.success and other.clearance >= 2.0 - 0.01
         assert other.cost == pytest.approx(usual.cost, rel=1e-6)
         np.testing.assert_allclose(other.clip.positions, usual.clip.positions, atol=1e-3)
+
+
+@pytest.mark.parametrize("solver", ["ipopt", "sqpmethod", "fatrop"])
+def test_every_solver_replans(solver):
+    """Where a warm start is no help, as to those that take no multipliers, from scratch."""
+    vehicle, upright = tug(), (1.0, 0.0, 0.0, 0.0)
+    marks = [
+        Mark(1, position=REST, orientation=upright, velocity=REST),
+        Mark(73, position=(6, 0, 0), orientation=upright, velocity=REST),
+    ]
+    plans = [vehsim.plan(vehicle, None, marks, segments=8, refine=False, solver=s) for s in ("ipopt", solver)]
+    moved = [marks[0], replace(marks[1], position=(5.4, 0.6, 0.5))]
+    usual, other = (plan.replan(moved) for plan in plans)
+    assert usual.success and other.success, other.message
+    assert other.cost == pytest.approx(usual.cost, rel=1e-5)
+    np.testing.assert_allclose(other.clip.positions, usual.clip.positions, atol=1e-4)

@@ -89,11 +89,14 @@ class Plan:
         given = before.given or before.marks
         if not self.success or shape(request.marks) != shape(given) or request.weighed is not before.weighed:
             return _solve(replace(request, given=()), progress, self.clip)
-        request = replace(request, given=request.marks, marks=same_headings(request.marks, given, before.marks))
-        attempt = self._attempt.moved(request, progress)
+        faced = replace(request, given=request.marks, marks=same_headings(request.marks, given, before.marks))
+        attempt = self._attempt.moved(faced, progress)
         if np.any(attempt.free):
             attempt.solve()
             attempt.settle()
+        attempt.resolve()
+        if not attempt.solution.success:  # from here there is no way: from its own first guess there may be one
+            return _solve(replace(request, given=()), progress, None)
         return _finish(attempt)
 
 

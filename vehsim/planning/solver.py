@@ -139,7 +139,7 @@ class Solver:
         self._own = taken.get(plugin, {})  # the others differentiate for themselves
         self._solvers: dict[Start, ca.Function] = {}
 
-    def _from(self, start: Start) -> ca.Function:
+    def prepare(self, start: Start) -> ca.Function:
         """CasADi's solver for such a start, made when first asked for: milliseconds, the functions are shared."""
         if start not in self._solvers:
             settings: dict[str, Any] = {
@@ -167,7 +167,7 @@ class Solver:
         """Solve from ``x0``, and ``multipliers`` where there are any, until ``deadline`` s on `time.monotonic`'s
         clock."""
         g_lower, g_upper = self._bounds
-        solver = self._from("multipliers" if multipliers else start)
+        solver = self.prepare("multipliers" if multipliers else start)
         given = {} if multipliers is None else {"lam_x0": multipliers.x, "lam_g0": multipliers.g}
         self._callback.count, self._callback.deadline = 0, deadline
         with _interruptible(self._callback):
