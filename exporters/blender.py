@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -78,7 +79,8 @@ def still(scene: Any, path: str | Path, frame: int, camera: str | None, size: Se
     """A picture by Cycles, denoised. ``camera``: by name, the stage's only one or its cut when None."""
     import bpy
 
-    cameras = {found.name: found for found in bpy.data.objects if found.type == "CAMERA"}
+    # Blender calls the second of a name, of whatever kind, "pad.001"
+    cameras = {re.sub(r"\.\d{3}$", "", found.name): found for found in bpy.data.objects if found.type == "CAMERA"}
     name = camera or ("cut" if "cut" in cameras else min(cameras, default=None))
     if name not in cameras:
         raise SystemExit(f"camera {name!r}: not in the stage; choose one of {', '.join(sorted(cameras))}")

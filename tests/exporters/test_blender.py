@@ -78,9 +78,14 @@ def test_matrices_in_blender_are_those_of_the_stage(shot, tmp_path, toys, baked)
 def test_cycles_renders_the_stage_alone(shot, tmp_path):
     from PIL import Image
 
+    from pxr import Usd, UsdGeom
+
     _, path = shot
+    stage = Usd.Stage.Open(str(path))
+    UsdGeom.Xform.Define(stage, "/shot/env/chase")  # in Blender the camera of that name is then called chase.001
+    stage.GetRootLayer().Save()
     picture = tmp_path / "still.png"
-    blender._run(path, "--still", picture, "--size", "64x36", "--samples", "4")
+    blender._run(path, "--still", picture, "--size", "64x36", "--samples", "4", "--camera", "chase")
     with Image.open(picture) as image:
         pixels = np.asarray(image.convert("RGB"), float)
     assert pixels.shape == (36, 64, 3) and 20 < pixels.mean() < 235 and pixels.std() > 5
