@@ -77,7 +77,6 @@ def test_matrices_in_blender_are_those_of_the_stage(shot, tmp_path, toys, baked)
 @needs_blender
 def test_cycles_renders_the_stage_alone(shot, tmp_path):
     from PIL import Image
-
     from pxr import Usd, UsdGeom
 
     _, path = shot
