@@ -125,6 +125,7 @@ def test_what_moves_is_let_by(helicopter):
     world = World(obstacles=[ob.moving("other", other)])
     seeing = vehsim.plan(helicopter, world, marks, segments=24, clearance=2.0)
     assert seeing.success and seeing.clearance >= 2.0 - 0.01
+    assert seeing.tightenings == 0  # it knows where the other is, and when
     assert certify(vehsim.plan(helicopter, None, marks, segments=24).clip, world) < 0
     times = np.linspace(0, other.times[-1], 81)
     seen = seen_by_igl(seeing.clip, hulls_of(helicopter), times, lambda t: other.at([t]).matrices()[0]).min()
