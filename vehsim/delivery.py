@@ -340,10 +340,12 @@ def _alive(pid: int) -> bool:
         return False
     except PermissionError:
         return True
-    try:  # killed, but its parent has not noticed yet
-        return "\nState:\tZ" not in Path(f"/proc/{pid}/status").read_text()
+    try:
+        status = Path(f"/proc/{pid}/status").read_text()
     except OSError:
         return True
+    killed = re.search(r"^(?:SigPnd|ShdPnd):\s*[0-9a-f]*[13579bdf][0-9a-f]{2}$", status, re.M)  # SIGKILL waits for it
+    return "\nVmSize:" in status and not killed  # without memory it is only waiting for its parent to notice
 
 
 def _drop_empty_folders(folder: Path) -> None:

@@ -217,6 +217,17 @@ def test_hidden_folders_of_the_living_and_of_other_machines_stay(tmp_path: Path)
     assert {path.name for path in tmp_path.iterdir()} == {*stay, "shot"}
 
 
+def test_who_was_killed_is_not_alive_though_nobody_has_noticed() -> None:
+    from vehsim.delivery import _alive
+
+    process = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
+    assert _alive(process.pid) and _alive(os.getpid())
+    process.kill()
+    assert not _alive(process.pid)  # at once: not yet gone, or gone and not yet waited for
+    process.wait()
+    assert not _alive(process.pid)
+
+
 def test_a_cached_field_full_of_zeros_is_not_believed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A power cut may leave a file of the right size and shape whose data never reached the disk."""
     from vehsim.world import Terrain, World
