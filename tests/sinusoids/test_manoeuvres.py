@@ -10,11 +10,13 @@ from vehsim.sinusoids import models
 from vehsim.sinusoids.manoeuvres import Wish, choose_manoeuvre, manoeuvres, timed_clip
 from vehsim.sinusoids.picture import paint
 from vehsim.sinusoids.rigs import rigged
-from vehsim.sinusoids.steering import integrate
+from vehsim.sinusoids.steering import PACES, Stage, Steering, integrate
 from vehsim.sinusoids.trailers import steer_trailers
 from vehsim.world import World
 from vehsim.world.obstacles import box
 
+TAU = 2 * np.pi
+LIMITS = {"speed": 1.5, "steering_rate": 0.7}
 LOOP = Wish(amplitude=2.6, cycles=1, phase=0.0)
 
 
@@ -48,6 +50,26 @@ def test_the_one_chosen_keeps_clear_of_obstacles(car, parked):
     over = World().among([box("over", (0.0, -2.3, 0), (1, 1, 1))])
     with pytest.raises(SolveError, match="none of"):
         choose_manoeuvre(manoeuvres(car, start, goal, LOOP, over), None, 0.1)
+
+
+def test_nobody_idles(parked):
+    """From and to rest within a fifth of a stage, and not far from a limit in between."""
+    for m in parked:
+        for stage in m.steering.stages:
+            share = (np.abs(stage.inputs(np.linspace(0, stage.duration, 401))) / [1.5, 0.7]).max(axis=1)
+            assert np.mean(share < 0.1) < 0.2 and np.mean(share) > 0.4, m.label
+
+
+def test_an_even_pace_changes_no_path():
+    """The car ends where its own pace led it, sooner."""
+    system = models.car(2.0)
+    stage = Stage("out", lambda s: np.column_stack([3 * np.sin(TAU * s) ** 4, 0.5 * np.cos(TAU * s) * s]))
+    steering = Steering(system, np.zeros(4), np.zeros(4), (stage,))
+    evened = steering.evened(LIMITS)
+    assert np.abs(evened.states[-1] - steering.states[-1]).max() < 1e-11
+    assert evened.fastest(LIMITS).duration < 0.75 * steering.fastest(LIMITS).duration
+    for pace in PACES:
+        assert np.abs(evened.eased(pace).states[-1] - steering.states[-1]).max() < 1e-11
 
 
 def test_too_early_a_frame_says_what_it_takes(car, parked):

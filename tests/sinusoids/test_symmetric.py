@@ -6,6 +6,8 @@ import pytest
 import vehsim
 from vehsim.errors import InputError
 from vehsim.lie import SE2
+from vehsim.sinusoids.algebra import classify
+from vehsim.sinusoids.rigs import rigged
 from vehsim.sinusoids.symmetric import symmetric_closure
 from vehsim.vehicles import Control, Holonomic
 
@@ -58,3 +60,11 @@ def test_what_is_not_in_balance_is_refused():
         symmetric_closure(vehsim.load_vehicle("helicopter"), controls=[0.0, 0.0, 0.0, 0.0])
     with pytest.raises(InputError, match="no controls"):
         symmetric_closure(vehsim.load_vehicle("tumbler"))
+
+
+def test_a_vehicle_moved_by_rates_alone_has_brackets_instead():
+    """The hopper's leg is set by its rates: no force to multiply, and brackets answer (SIN: growth (2, 3))."""
+    hopper = vehsim.load_vehicle("hopper")
+    with pytest.raises(InputError, match="psi_rate, stretch_rate set rates and push nothing"):
+        symmetric_closure(hopper)
+    assert classify(rigged(hopper).system).growth == (2, 3)

@@ -1,10 +1,11 @@
-"""Laws of inputs as tables: a costly smooth law read through its values at Chebyshev points."""
+"""Laws of inputs read through their values at Chebyshev points, and at an even pace."""
 
 from __future__ import annotations
 
 from functools import partial
 
 import numpy as np
+from numpy.polynomial import Chebyshev
 
 from vehsim.sinusoids.steering import Law
 from vehsim.sinusoids.system import Array
@@ -12,6 +13,13 @@ from vehsim.sinusoids.system import Array
 NODES = 25
 TOLERANCES = (1e-12, 1e-12, 1e-11, 1e-10)
 """Largest difference accepted, relative, with more and more panels: a sharp law's own round-off may be above 1e-12."""
+
+DEGREE = 64
+"""Of the polynomial that evens the pace of one cycle."""
+TURNING = 0.4
+"""Share of its greatest demand below which an even law slows down: where both inputs pass zero, a car stops softly."""
+NEWTON = 40
+"""Steps of it at most; from the nearest of many samples three or four do."""
 
 
 def chebyshev(law: Law, cycles: int = 1) -> Law:
@@ -38,3 +46,37 @@ def _barycentric(nodes: Array, values: Array, s: Array) -> Array:
     if at.any():
         weight[at] = hit[at]
     return np.einsum("kn,knm->km", weight, values[panel]) / weight.sum(axis=1, keepdims=True)
+
+
+def even(law: Law, bounds: Array, cycles: int = 1) -> Law:
+    """The same path at another pace: all along, one input or another is about equally near its bound (m,).
+
+    The pace is the reciprocal of a polynomial and its way is exact, so the path is as well. A law that asks too
+    unevenly for a polynomial stays as it is.
+    """
+
+    def demand(s: Array) -> Array:
+        return np.sqrt(np.sum((law(s) / bounds) ** 2, axis=1) + floor)
+
+    floor = 0.0
+    greatest = float(demand(np.linspace(0, 1, 400 * cycles + 1)).max())
+    if not 0 < greatest < np.inf:
+        return law
+    floor = (TURNING * greatest) ** 2
+    need = Chebyshev.interpolate(demand, DEGREE * cycles, domain=[0.0, 1.0])
+    dense = np.linspace(0, 1, 4 * DEGREE * cycles + 1)
+    if need(dense).min() < np.sqrt(floor) / 2:
+        return law
+    way = need.integ(lbnd=0.0)
+    total, along = way(1.0), way(dense)
+
+    def evened(sigma: Array) -> Array:
+        s = np.interp(total * np.asarray(sigma), along, dense)
+        for _ in range(NEWTON):
+            step = (way(s) - total * sigma) / need(s)
+            s = np.clip(s - step, 0.0, 1.0)
+            if np.abs(step).max(initial=0.0) < 1e-13:
+                break
+        return law(s) * (total / need(s))[:, None]
+
+    return chebyshev(evened, cycles)

@@ -165,14 +165,16 @@ class Wheeled(Rigged):
         )
         chained, triangular = car_chained(self.wheelbase, steering), car_triangular(self.wheelbase, steering)
 
+        limits = {**self.limits, **wish.limits}
+
         def there(make: Callable[[], Steering]) -> Steering:
-            return replace(make(), start=start, goal=goal)
+            return replace(make().evened(limits).eased(), start=start, goal=goal)
 
         def sweep(a: float) -> Steering:
-            return steer_through(chained, x0, x1, lambda z0, z1: steer_chained(4, z0, z1, amplitude=a)).eased()
+            return steer_through(chained, x0, x1, lambda z0, z1: steer_chained(4, z0, z1, amplitude=a))
 
         def loop(a: float, cycles: int, phase: float) -> Steering:
-            return steer_triangular(triangular, x0, x1, amplitude=a, cycles=cycles, phase=phase).eased()
+            return steer_triangular(triangular, x0, x1, amplitude=a, cycles=cycles, phase=phase)
 
         for k in (0.0, 0.5, -0.5, 1.0, -1.0):
             out = f", {abs(k) * 2 * self.wheelbase:.2g} m {'ahead' if k > 0 else 'back'} on the way" if k else ""
@@ -239,7 +241,8 @@ class Airborne(Rigged):
 
     def ways(self, start: Array, goal: Array, wish: Wish) -> Iterator[Way]:
         def loop(a: float, cycles: int, phase: float) -> Steering:
-            return steer_triangular(self.system, start, goal, amplitude=a, cycles=cycles, phase=phase).eased()
+            found = steer_triangular(self.system, start, goal, amplitude=a, cycles=cycles, phase=phase)
+            return found.evened({**self.limits, **wish.limits}).eased()
 
         for a, cycles, phase, label in loops((1.0, -1.0, 1.8, -1.8), wish):
             yield f"{label}, leg to {np.degrees(abs(a)):.0f} deg", partial(loop, a, cycles, phase)

@@ -34,11 +34,20 @@ ACCURACY = 1e-6
 """Largest accepted difference between the goal and where the inputs lead, in the states' own units."""
 
 
+CRUISE = 45 / 32
+"""Rate of the paces below at their fastest, where the mean is 1: from and to rest within a fifth of the time."""
+
+
+def _drive(x: Array) -> tuple[Array, Array]:
+    """Way and rate ``(1 - x^4)^2`` at x in -1..1, their mean rate 1."""
+    return CRUISE * (x - 2 * x**5 / 5 + x**9 / 9), CRUISE * (1 - x**4) ** 2
+
+
 PACES: dict[str, Callable[[Array], tuple[Array, Array]]] = {
     "steady": lambda t: (t, np.ones_like(t)),
-    "start": lambda t: (t - np.sin(np.pi * t) / np.pi, 1 - np.cos(np.pi * t)),
-    "end": lambda t: (t + np.sin(np.pi * t) / np.pi, 1 + np.cos(np.pi * t)),
-    "both": lambda t: (t - np.sin(2 * np.pi * t) / (2 * np.pi), 1 - np.cos(2 * np.pi * t)),
+    "start": lambda t: (1 + _drive(t - 1)[0], _drive(t - 1)[1]),
+    "end": _drive,
+    "both": lambda t: ((1 + _drive(2 * t - 1)[0]) / 2, _drive(2 * t - 1)[1]),
 }
 """Fraction of a stage's time (k,) -> fraction of its way and the rate: C2, from rest at its start, its end or both."""
 
@@ -179,6 +188,13 @@ class Steering:
         if pace not in PACES:
             raise InputError(f"{self.system.name}: pace = {pace!r}: choose one of {', '.join(PACES)}")
         return replace(self, stages=tuple(replace(stage, pace=pace) for stage in self.stages))
+
+    def evened(self, limits: Mapping[str, float]) -> Steering:
+        """The same path, every stage as near to the ``limits`` on its inputs all along as smoothness lets it."""
+        from vehsim.sinusoids.laws import even
+
+        bounds = np.array([limits.get(name, np.inf) for name in self.system.inputs])
+        return replace(self, stages=tuple(replace(s, law=even(s.law, bounds, s.cycles)) for s in self.stages))
 
     def within(self, limits: Mapping[str, float]) -> Steering:
         """The same path, stretched in time where an input is beyond its limit; never hurried.

@@ -57,7 +57,7 @@ def symmetric_closure(
 
     ``controls`` that balance it, the trim unless given. Products of up to ``order`` vectors. The Y are what small
     changes of the controls accelerate, so controls need not enter linearly.
-    Raises ``InputError`` where the controls do not balance the vehicle.
+    Raises ``InputError`` where the controls do not balance the vehicle, and where all of them are rates.
     """
     from vehsim.integrators.continuous import equations_of_motion
     from vehsim.planning.guess import trim
@@ -65,6 +65,11 @@ def symmetric_closure(
 
     if not vehicle.controls:
         raise InputError(f"{vehicle.name}: no controls: nothing can be reached from rest; give it one")
+    if set(vehicle.control_names) == set(vehicle.rate_controls):
+        raise InputError(
+            f"{vehicle.name}: {', '.join(vehicle.control_names)} set rates and push nothing: no force for a symmetric "
+            "product; ask for the brackets of its driftless system, algebra.classify(rigged(vehicle).system)"
+        )
     law = equations_of_motion(vehicle)
     g0, r0, _, _ = internal(vehicle, at or State())
     c0 = np.asarray(trim(vehicle, (0.0, 0.0, 0.0)) if controls is None else controls, float)

@@ -17,7 +17,7 @@ import numpy as np
 from vehsim.errors import InputError, SolveError
 from vehsim.sinusoids.crossings import crossings, span
 from vehsim.sinusoids.models import trailers
-from vehsim.sinusoids.steering import Law, Stage, Steering, integrate
+from vehsim.sinusoids.steering import CRUISE, Law, Stage, Steering, integrate
 from vehsim.sinusoids.system import Array, DriftlessSystem
 from vehsim.sinusoids.train import Leg, Pose, Train, across, last_axle, sharpness, straighten
 
@@ -276,9 +276,9 @@ def _staged(legs: Sequence[Leg | _Pull], speed: float) -> tuple[Stage, ...]:
             turned = other is None or isinstance(leg, _Pull) or isinstance(other, _Pull) or leg.span * other.span < 0
             rests.append(turned)
         pace, rate = {
-            (True, True): ("both", 1.5),
-            (True, False): ("start", 2.0),
-            (False, True): ("end", 2.0),
+            (True, True): ("both", CRUISE),
+            (True, False): ("start", CRUISE),
+            (False, True): ("end", CRUISE),
             (False, False): ("steady", 1.0),
         }[rests[0], rests[1]]
         end = leg.law(np.array([1.0 if rests[0] else 0.0]))
