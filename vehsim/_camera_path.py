@@ -1,15 +1,20 @@
-"""Where a camera can be: steers a wished-for path round the ground, then lifts what is left over it, smoothly.
+"""Where a camera can be: steers a wished-for path round what is in the way, then lifts what is left over it, smoothly.
 
-What belongs here is the camera's way past terrain; what it wishes for is decided in `cameras.py`.
+What belongs here is the camera's way past terrain and standing obstacles; what it wishes for is decided in
+`cameras.py`.
 """
 
 from __future__ import annotations
 
+from functools import lru_cache
 from itertools import product
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from vehsim.world.obstacles import Obstacle
 
 Array = NDArray[np.float64]
 
@@ -19,10 +24,16 @@ LIFTS = (0.0, 0.12, 0.25, 0.4)
 """What a camera may do to see its target: go round it (rad), nearer (factor), higher (of its distance)."""
 SIGHT = np.linspace(0.0, 0.75, 14)
 """Where the line of sight is tested, from the camera (0) towards the target (1)."""
+ROUND = np.radians((55.0, -55.0, 75.0, -75.0))
+"""How far round it may go besides, where obstacles stand: they may hide a target from close by."""
+THROUGH = 0.2
+"""What a metre of sight inside an obstacle counts, in metres of the ground's mean depth along the sight."""
+RAISES = np.linspace(0.0, 1.2, 25)
+"""How far it may be raised over an obstacle, of its distance."""
 
 
 def steer(positions: Array, aims: Array, world: Any, margin: float, radius: float, fps: float) -> Array:
-    """Camera positions (n, 3) near the wished ``positions`` that see ``radius`` m about ``aims`` past the ground.
+    """Camera positions (n, 3) near the wished ``positions`` that see ``radius`` m about ``aims`` past all that stands.
 
     Every quarter second it may stand as wished or a little round the target, nearer or higher; dynamic programming
     picks the sequence with the least blocked sight, then the least departure and change.
@@ -30,7 +41,8 @@ def steer(positions: Array, aims: Array, world: Any, margin: float, radius: floa
     count = len(positions)
     step = max(1, round(fps / 4))
     keys = np.unique(np.append(np.arange(0, count, step), count - 1))
-    choices = np.array(list(product(SIDESTEPS, SCALES, LIFTS)))
+    turns = np.append(SIDESTEPS, ROUND) if _standing(world) else SIDESTEPS
+    choices = np.array(list(product(turns, SCALES, LIFTS)))
     moves = np.stack([_moved(positions[keys] - aims[keys], *choice) for choice in choices], axis=1)
     blocked = _blocked(aims[keys][:, None] + moves, aims[keys][:, None], world, margin, radius)
     reach = np.linalg.norm(positions - aims, axis=1).mean()
@@ -45,7 +57,7 @@ def steer(positions: Array, aims: Array, world: Any, margin: float, radius: floa
 def lift(positions: Array, aims: Array, world: Any, margin: float, fps: float) -> Array:
     """Raise the camera, ahead of need, until it sees its aim and keeps ``margin`` m from the ground.
 
-    One that stands still is raised for good.
+    One that stands still is raised for good, over the ground alone: what else hides its aim, it was put behind.
     """
     sight = _sight(positions, aims)
     need = (_ground(sight, world, 0.5 * margin) - sight[..., 2]) / (1.0 - SIGHT)  # its sight rises less than it
@@ -54,6 +66,8 @@ def lift(positions: Array, aims: Array, world: Any, margin: float, fps: float) -
     need = np.maximum(np.where(np.isfinite(need), need, 0.0), 0.0)
     still = np.ptp(positions, axis=0).max() < 1e-9
     raised = np.full(len(need), need.max()) if still else envelope(need, fps)
+    if not still and _standing(world):  # blocks have steeper sides than the ground: a longer run-up
+        raised = raised + envelope(_over_obstacles(positions, aims, world, margin), fps, 0.8)
     return positions + raised[:, None] * (0.0, 0.0, 1.0)
 
 
@@ -87,11 +101,11 @@ def smooth(values: Array, sigma: float) -> Array:
     return np.asarray(gaussian_filter1d(padded, sigma, axis=0, mode="nearest"))[pad : pad + len(values)]
 
 
-def envelope(values: Array, fps: float) -> Array:
-    """A smooth curve (n,) that lies nowhere below ``values``."""
+def envelope(values: Array, fps: float, ahead: float = 0.4) -> Array:
+    """A smooth curve (n,) that lies nowhere below ``values``; it begins to rise thrice ``ahead`` s before them."""
     from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
-    sigma = 0.4 * fps
+    sigma = ahead * fps
     widened = maximum_filter1d(values, size=2 * int(3 * sigma + 0.5) + 1, mode="nearest")
     return np.asarray(gaussian_filter1d(widened, sigma, mode="nearest", truncate=3.0))
 
@@ -104,8 +118,8 @@ def _moved(offsets: Array, turn: Any, scale: Any, rise: Any) -> Array:
 
 
 def _blocked(positions: Array, aims: Array, world: Any, margin: float, radius: float) -> Array:
-    """How deep the ground stands (...,), m, in the way to the target, its left and right; thrice at the camera."""
-    if getattr(world, "terrain", world) is None:
+    """How much stands (...,), m, in the way to the target, its left and right; it weighs more at the camera."""
+    if getattr(world, "terrain", world) is None and not _standing(world):
         return np.zeros(positions.shape[:-1])
     ray = aims - positions
     side = np.stack([-ray[..., 1], ray[..., 0], np.zeros_like(ray[..., 0])], axis=-1)
@@ -116,11 +130,70 @@ def _blocked(positions: Array, aims: Array, world: Any, margin: float, radius: f
         depth = np.maximum(_ground(sight, world, margin) + margin * (1.0 - SIGHT) - sight[..., 2], 0.0)
         depth = np.where(np.isfinite(depth), depth, 0.0)
         total += weight * (depth.mean(axis=-1) + 1.5 * depth[..., 0])
+        if _standing(world):
+            total += weight * THROUGH * _through_obstacles(positions, aim, world, margin)
     return total
 
 
 def _sight(positions: Array, aims: Array) -> Array:
     return positions[..., None, :] + SIGHT[:, None] * (aims - positions)[..., None, :]
+
+
+def _over_obstacles(positions: Array, aims: Array, world: Any, margin: float) -> Array:
+    """The least raise (n,) m of each camera that sees its aim past every obstacle; 0 where none does."""
+    apart = np.linalg.norm(aims - positions, axis=1)[:, None]
+
+    def free(raises: Array) -> Any:
+        raised = positions[:, None] + (apart * raises)[..., None] * (0.0, 0.0, 1.0)
+        return _through_obstacles(raised, aims[:, None], world, margin) <= 0.0
+
+    enough = RAISES[free(np.tile(RAISES, (len(apart), 1))).argmax(axis=1)][:, None]
+    short = np.maximum(enough - RAISES[1], 0.0)
+    for _ in range(8):
+        middle = (short + enough) / 2
+        seen = free(middle)
+        short, enough = np.where(seen, short, middle), np.where(seen, middle, enough)
+    return np.asarray((apart * enough)[:, 0])
+
+
+def _through_obstacles(positions: Array, aims: Array, world: Any, margin: float) -> Array:
+    """How far (...,), m, the sight from ``positions`` to ``aims`` (..., 3) runs inside obstacles, or close by them;
+    added to it what a camera lacks of half the ``margin`` from them."""
+    start, end = (np.reshape(ends, (-1, 3)) for ends in np.broadcast_arrays(positions, aims))
+    ray = end - start
+    reach = np.linalg.norm(ray, axis=1)
+    total = np.zeros(len(start))
+    for centre, radius, planes in (solid for obstacle in _standing(world) for solid in _solids(obstacle)):
+        nearest = np.clip(((centre - start) * ray).sum(axis=1) / np.maximum(reach**2, 1e-9), 0.0, 1.0)
+        close = np.linalg.norm(start + nearest[:, None] * ray - centre, axis=1) < radius + margin
+        if not close.any():
+            continue
+        over = start[close] @ planes[:, :3].T + planes[:, 3]  # how far outside each face the sight begins
+        lacking = np.maximum(0.5 * margin - over.max(axis=1), 0.0)
+        rate = ray[close] @ planes[:, :3].T + 0.1 * margin  # a little air about the sight, less towards the target
+        rate[np.abs(rate) < 1e-12] = -1e-12  # along a face: inside for all of the way or for none
+        crossing = (0.1 * margin - over) / rate
+        enters = np.where(rate < 0, crossing, -np.inf).max(axis=1)
+        leaves = np.where(rate > 0, crossing, np.inf).min(axis=1)
+        inside = np.clip(leaves, 0.0, 1.0) - np.clip(enters, 0.0, 1.0)
+        total[close] += np.maximum(inside, 0.0) * reach[close] + lacking
+    return total.reshape(np.broadcast_shapes(np.shape(positions), np.shape(aims))[:-1])
+
+
+@lru_cache(maxsize=256)
+def _solids(obstacle: Obstacle) -> list[tuple[Array, float, Array]]:
+    """An obstacle's hulls: centre (3,) m, radius m, faces (m, 4), unit normals outwards and offsets."""
+    from scipy.spatial import ConvexHull
+
+    centres = [hull.mean(axis=0) for hull in obstacle.hulls]
+    spread = [hull - centre for hull, centre in zip(obstacle.hulls, centres, strict=True)]
+    radii = [float(np.linalg.norm(offsets, axis=1).max()) for offsets in spread]
+    planes = [np.unique(ConvexHull(hull).equations.round(9), axis=0) for hull in obstacle.hulls]
+    return list(zip(centres, radii, planes, strict=True))
+
+
+def _standing(world: Any) -> tuple[Obstacle, ...]:
+    return getattr(world, "standing", ())
 
 
 def _ground(points: Array, world: Any, margin: float) -> Array:

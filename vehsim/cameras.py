@@ -1,8 +1,8 @@
 """Cameras: a rig (data) and a take's motion in, a camera per frame out. The same camera is exported and rendered.
 
 A rig is a row of `CameraRig` and a row of `RIGS` (`_camera_rigs.py`) that says where the camera would like to be and
-what it looks at. What every camera then gets is common: a distance that fills the frame as asked, ground kept below it,
-motion smoothed, the horizon level. A cut list joins cameras into one more.
+what it looks at. What every camera then gets is common: a distance that fills the frame as asked, ground kept below it
+and obstacles out of its sight, motion smoothed, the horizon level. A cut list joins cameras into one more.
 """
 
 from __future__ import annotations

@@ -14,6 +14,7 @@ from vehsim.cameras import CameraRig, solve_camera
 from vehsim.clip import Clip
 from vehsim.errors import InputError
 from vehsim.world import Terrain, World
+from vehsim.world.obstacles import box
 
 ASPECT = 16 / 9
 FPS = 24
@@ -134,6 +135,44 @@ def test_jerk_is_bounded_over_hills_too(hills, rig, motion):
     camera = solve_camera(CameraRig(rig=rig, distance=12.0), {"cube": MOTIONS[motion]}, hills, (1001, 1121), ASPECT)
     jerk = np.linalg.norm(np.diff(camera.positions, 3, axis=0), axis=1) * FPS**3
     assert jerk.max() <= cameras.JERK * 14.0
+
+
+BLOCKS = {  # motion -> centre (x, y) m and size (x, y, z) m of a box that stands on 24 m, beside the cube's way
+    "straight": ((40.0, -5.0), (12.0, 4.0, 9.0)),
+    "circle": ((0.0, 6.0), (5.0, 5.0, 10.0)),
+    "start and stop": ((20.0, -6.0), (20.0, 3.0, 9.0)),
+}
+
+
+def within(points, motion, more=0.0):
+    """Whether ``points`` (..., 3) are in the motion's box, or ``more`` m beside it."""
+    centre, size = BLOCKS[motion]
+    lower = np.array([centre[0] - size[0] / 2, centre[1] - size[1] / 2, 24.0])
+    return ((points > lower - more) & (points < lower + size + more)).all(axis=-1)
+
+
+@pytest.mark.parametrize("motion", BLOCKS)
+@pytest.mark.parametrize("rig", ["chase", "follow", "orbit", "dolly"])
+def test_camera_sees_its_target_past_what_stands(rig, motion):
+    clip, (centre, size) = MOTIONS[motion], BLOCKS[motion]
+    world = World(obstacles=[box("block", (*centre, 24.0), size)])
+    rows = CameraRig(rig=rig, distance=14.0, height=2.0)
+    camera = solve_camera(rows, {"cube": clip}, world, (1001, 1121), ASPECT)
+    sight = camera.positions + np.linspace(0, 1, 500)[:, None, None] * (clip.positions + UP - camera.positions)
+    assert not within(sight, motion).any(), "hidden"
+    assert not within(camera.positions, motion, 0.5).any(), "in the obstacle"
+    jerk = np.linalg.norm(np.diff(camera.positions, 3, axis=0), axis=1) * FPS**3
+    assert jerk.max() <= cameras.JERK * 14.0
+
+
+def test_an_obstacle_out_of_sight_moves_no_camera():
+    far = World(obstacles=[box("block", (0.0, 300.0, 24.0), (5.0, 5.0, 9.0))])
+    for rig in ("chase", "follow", "dolly", "static"):
+        alone, beside = (
+            solve_camera(CameraRig(rig=rig), {"cube": MOTIONS["circle"]}, world, (1001, 1121), ASPECT)
+            for world in (World(), far)
+        )
+        assert np.array_equal(alone.positions, beside.positions)
 
 
 def test_a_dolly_rides_its_rail_abreast_of_the_target():
