@@ -25,7 +25,7 @@ class Move:
     """What a rig does. ``place``: (rig, subject, distance, world) -> positions and aims (n, 3).
 
     ``fill``: the share of the frame's height that stands for the whole shot, of those of its frames, or None: the
-    distance is not the rig's to choose; ``guided``: may step aside for what is in the way; ``level``: keeps its horizon.
+    distance is not the rig's to choose; ``guided``: may step aside for what stands; ``level``: keeps its horizon.
     """
 
     place: Callable[[CameraRig, Subject, float, Any], tuple[Array, Array]]
