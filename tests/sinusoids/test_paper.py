@@ -73,6 +73,9 @@ def test_fig_6_three_parks_share_their_net_motion(tmp_path):
     path = paint(parks, tmp_path / "parks.png", footprints=[outline(1.6, 0.8, 0.3)])
     with Image.open(path) as picture:
         assert picture.size == (1920, 400)
+    x, y = (corners := outline(1.6, 0.8, 0.3)).T  # in order round it, once: its area by the shoelace formula
+    assert (x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2 == pytest.approx(1.6 * 0.8)
+    assert len(np.unique(corners.round(9), axis=0)) == len(corners)
     assert bodies(parks[0])[-1, 0] == pytest.approx([0.0, -3.368, 0.0], abs=1e-9)
 
 

@@ -74,14 +74,14 @@ def boxes(obstacles: Iterable[tuple[float, float, float, float, float]]) -> Dist
 
 
 def outline(length: float, width: float, behind: float = 0.0, spacing: float = 0.25) -> Array:
-    """Points (k, 2) m round a rectangle that starts ``behind`` m behind the axle and is ``length`` long."""
+    """Points (k, 2) m, in order round a rectangle that starts ``behind`` m behind the axle and is ``length`` long."""
     along, across = (
         np.linspace(0, 1, max(2, int(length / spacing))),
         np.linspace(-0.5, 0.5, max(2, int(width / spacing))),
     )
-    sides = [np.column_stack([along * length - behind, np.full(len(along), side * width / 2)]) for side in (1, -1)]
-    ends = [np.column_stack([np.full(len(across), end * length - behind), across * width]) for end in (0, 1)]
-    return np.concatenate([*sides, *ends])
+    right, left = (np.column_stack([along * length - behind, 0 * along + side * width / 2]) for side in (-1, 1))
+    back, front = (np.column_stack([0 * across + end * length - behind, across * width]) for end in (0, 1))
+    return np.concatenate([right[:-1], front[:-1], left[:0:-1], back[:0:-1]])
 
 
 def clearance(steering: Steering, distance: Distance, footprints: Sequence[Array]) -> float:

@@ -52,7 +52,7 @@ def portraits(
 ) -> Path:
     """States against states, a colour a stage, and the inputs over time: SIN Fig. 4 for any steering."""
     panels = []
-    names, t = list(steering.system.states), steering.times
+    names = list(steering.system.states)
     for across, up in pairs:
         line = steering.states[:, [names.index(across), names.index(up)]]
         panel = _Panel((480, 360), _bounds(line), equal=False, title=f"{up} over {across}", names=(across, up))
@@ -60,13 +60,25 @@ def portraits(
             panel.line(line[part], STAGES[k % len(STAGES)], 2)
         panels.append(panel)
     if inputs:
-        rows = [np.column_stack([t, steering.controls[:, j]]) for j in range(steering.system.m)]
-        title = "inputs: " + ", ".join(steering.system.inputs)
-        panel = _Panel((480, 360), _bounds(np.concatenate(rows)), equal=False, title=title, names=("t [s]", ""))
-        for j, row in enumerate(rows):
-            panel.line(row, STAGES[j], 2)
-        panels.append(panel)
+        panels.append(_inputs(steering))
     return _save(panels, path, columns)
+
+
+def _inputs(steering: Steering) -> _Panel:
+    """Inputs over time, named in their colours; stage by stage, for they may jump in between."""
+    parts = []
+    for begin, stage in zip(steering.knots, steering.stages, strict=False):
+        t = np.linspace(0, stage.duration, 200 * stage.cycles + 1)
+        parts.append(np.column_stack([begin + t, stage.inputs(t)]))
+    rows = np.concatenate(parts)
+    bounds = _bounds(np.column_stack([np.tile(rows[:, 0], steering.system.m), rows[:, 1:].T.ravel()]))
+    panel = _Panel((480, 360), bounds, equal=False, title="inputs", names=("t [s]", ""))
+    for j, name in enumerate(steering.system.inputs):
+        colour = STAGES[j % len(STAGES)]
+        for part in parts:
+            panel.line(part[:, [0, j + 1]], colour, 2)
+        panel.label(name, j, colour)
+    return panel
 
 
 @dataclass(eq=False)
@@ -111,6 +123,10 @@ class _Panel:
         r = radius * FINE
         self.draw.ellipse((x - r, y - r, x + r, y + r), fill=colour)
 
+    def label(self, text: str, row: int, colour: tuple[int, int, int]) -> None:
+        left, top = self._frame[:2]
+        self.draw.text((left + 4 * FINE, top + (4 + 15 * row) * FINE), text, colour, self.font, anchor="lt")
+
     def _axes(self) -> None:
         left, top, right, bottom = self._frame
         low = (np.array([left, bottom]) - self._middle) / self._scale + self._centre
@@ -129,7 +145,7 @@ class _Panel:
         self.draw.rectangle(self._frame, outline=FAINT, width=FINE)
         self.draw.text((left, top - 8 * FINE), self.title, INK, self.font, anchor="ls")
         self.draw.text((right, bottom + 31 * FINE), self.names[0], INK, self.font, anchor="rs")
-        self.draw.text((left + 4 * FINE, top + 4 * FINE), self.names[1], INK, self.font, anchor="lt")
+        self.label(self.names[1], 0, INK)
 
 
 def _paint_bodies(panel: _Panel, steering: Steering, poses: Array, footprints: Sequence[Array]) -> None:
@@ -182,7 +198,7 @@ def _bounds(points: Array) -> tuple[Array, Array]:
 def _ticks(low: float, high: float) -> Array:
     step = 10.0 ** np.floor(np.log10(high - low))
     step *= next(f for f in (1.0, 0.5, 0.2) if (high - low) / (f * step) >= 3 or f == 0.2)
-    return np.round(np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step, 10)
+    return np.round(np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step, 10) + 0.0  # no -0
 
 
 def _faded(colour: tuple[int, int, int], share: float) -> tuple[int, int, int]:
