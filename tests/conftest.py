@@ -5,6 +5,7 @@ A test that writes a broken stage on purpose says so with ``@pytest.mark.broken_
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,6 +16,8 @@ USD_SUFFIXES = {".usd", ".usda", ".usdc", ".usdz"}
 
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "broken_stages: the test writes stages that do not validate, on purpose")
+    # where tests run in the background of a shell, Ctrl-C is ignored, also by what they start
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(autouse=True)

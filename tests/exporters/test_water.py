@@ -108,9 +108,10 @@ def test_water_inside_a_hull_goes_down_to_its_bottom_and_not_through(roll):
     T_wr = take.clips["boat"].matrices()[12]
 
     def inside(place):  # m from the skin, by an independent library
-        import trimesh
+        import igl
 
-        return trimesh.proximity.signed_distance(trimesh.Trimesh(corners, faces), (place - T_wr[:3, 3]) @ T_wr[:3, :3])
+        at = np.ascontiguousarray((place - T_wr[:3, 3]) @ T_wr[:3, :3])
+        return -igl.signed_distance(at, np.array(corners, float), np.array(faces, np.int64))[0]
 
     sunk = np.flatnonzero(lowered > 0)
     near = np.flatnonzero(np.linalg.norm(points[:, :2] - T_wr[:2, 3], axis=1) < 5)
