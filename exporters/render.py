@@ -50,7 +50,8 @@ class StageRenderer:
 
         self.stage, self.size = stage, size
         self._shadows = shadows
-        self._light = light_for(stage.sun(), stage.sky())
+        grounded = stage.water is None and any(not shape.group for shape in stage.shapes)
+        self._light = light_for(stage.sun(), stage.sky(), grounded)
         self._water = None if stage.water is None else WaterView(stage, self._light)
         self._bounds = _bounds(stage)
         self._reach = _shadow_reach(stage, self._bounds)

@@ -20,6 +20,8 @@ from vehsim.exporters.stage import Sky, Sun, Surface
 Array = NDArray[np.float64]
 
 DEFAULT_SUN = Sun(np.array([0.5, 0.3, -0.8]) / np.linalg.norm([0.5, 0.3, -0.8]), np.full(3, 2.5))
+DIP = 8.0
+"""How far below the horizon a camera sees past the ground's edge, degrees: 300 m away, from 42 m up."""
 DEFAULT_SKY = np.array([0.30, 0.36, 0.44])
 """Light for a stage that brings none, linear."""
 HIGHLIGHT = 1.35
@@ -42,10 +44,11 @@ class Light:
     skybox: NDArray[np.uint8]
 
 
-def light_for(sun: Sun | None, sky: Sky | None) -> Light:
+def light_for(sun: Sun | None, sky: Sky | None, grounded: bool = False) -> Light:
     """The light of a stage. Irradiance over pi is what a white surface reflects: the sun's, and the dome's mean.
 
-    Exposed so that white in full sun stands just above white.
+    Exposed so that white in full sun stands just above white. ``grounded``: the stage has ground, which ends somewhere,
+    so the sky it is drawn before has its horizon go on down for `DIP` degrees; light and haze do not change.
     """
     key = sun or DEFAULT_SUN
     image = sky_image(sky)
@@ -54,6 +57,7 @@ def light_for(sun: Sun | None, sky: Sky | None) -> Light:
     shade = _display(fill * exposure)
     lit = _display((fill + key.colour / np.pi) * exposure)
     horizon = image[int(image.shape[0] * 0.49)].mean(axis=0)
+    behind = below_horizon(image) if grounded else image
     return Light(
         direction=key.direction,
         sun=lit - shade,
@@ -61,8 +65,15 @@ def light_for(sun: Sun | None, sky: Sky | None) -> Light:
         sky=0.42 * shade,
         bounce=0.46 * shade * (1.25, 0.96, 0.72),
         haze=to_srgb(horizon * exposure),
-        skybox=_cube_faces(image * exposure, np.eye(3) if sky is None else sky.R_wd),
+        skybox=_cube_faces(behind * exposure, np.eye(3) if sky is None else sky.R_wd),
     )
+
+
+def below_horizon(image: Array) -> Array:
+    """A latitude-longitude sky (rows, columns, 3) whose lower half begins `DIP` degrees below the horizon."""
+    half, dip = image.shape[0] // 2, round(image.shape[0] * DIP / 180.0)
+    horizon = np.repeat(image[half - 1 : half], dip, axis=0)
+    return np.concatenate([image[:half], horizon, image[half : image.shape[0] - dip]])
 
 
 def _display(linear: Array) -> Array:

@@ -311,3 +311,24 @@ def test_a_failing_render_process_is_an_error(new_stage, tmp_path, monkeypatch):
     monkeypatch.setattr(frames.sys, "executable", "/bin/false")
     with pytest.raises(ExportError, match="render process failed"):
         frames.render_stage(new_stage.GetRootLayer().realPath, tmp_path / "two", size=(64, 36), processes=2)
+
+
+def test_past_the_edge_of_the_ground_the_horizon_goes_on(tmp_path):
+    """No brown band between level ground and its horizon; the light stays as it is."""
+    from vehsim.exporters.lighting import write_sky
+    from vehsim.exporters.shading import light_for
+    from vehsim.exporters.stage import Sky
+
+    write_sky(tmp_path / "sky.png", azimuth=40.0, elevation=22.0)
+    sky = Sky(np.ones(3), tmp_path / "sky.png", np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]))
+    open_sky, grounded = light_for(None, sky), light_for(None, sky, grounded=True)
+    for name in ("sun", "ambient", "sky", "bounce", "haze"):
+        assert np.array_equal(getattr(open_sky, name), getattr(grounded, name))
+    size = grounded.skybox.shape[1]
+    middle, slope = size // 2, size / 2 * np.tan(np.radians(1.0))
+    for face in (0, 1, 4, 5):  # those about the horizon; 1 degree above it, 5 below, 30 below
+        up, down, deep = (int(middle + degrees * slope) for degrees in (-1, 5, 30))
+        before, after = (light.skybox[face, :, middle].astype(int) for light in (open_sky, grounded))
+        assert np.array_equal(before[:up], after[:up])
+        assert np.abs(after[down] - after[up]).max() <= 12 < 40 < np.abs(before[down] - before[up]).max()
+        assert np.abs(before[deep] - after[deep]).max() <= 2
