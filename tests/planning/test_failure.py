@@ -109,6 +109,22 @@ def test_nothing_is_built_after_the_time_limit(monkeypatch):
     assert plan.success and not lifts and "not refined to 8 segments of order 4: time limit reached" in plan.message
 
 
+def test_nothing_is_solved_again_after_the_time_limit(monkeypatch):
+    """Out of time: neither for what it ran through unseen, nor on whole frames, which a free mark asks for."""
+    from vehsim.planning.attempt import Attempt
+    from vehsim.planning.obstacles import Rows
+    from vehsim.world.obstacles import ellipse
+
+    solves, solve = [], Attempt._solve
+    monkeypatch.setattr(Attempt, "_solve", lambda self, *how: (solves.append(how), solve(self, *how))[1])
+    monkeypatch.setattr(Rows, "overlooked", lambda self, *poses: True)
+    car, world = vehsim.load_vehicle("car"), vehsim.World(obstacles=[ellipse("e", (9, 9), (1, 1))])
+    marks = [Mark(1, position=REST, heading=0, velocity=REST), Mark("free", position=(20, 4, 0), velocity=REST)]
+    with pytest.warns(UserWarning, match="time limit"):
+        plan = vehsim.plan(car, world, marks, segments=16, time_limit=1e-6)
+    assert not plan.success and len(solves) == 1
+
+
 def test_a_refinement_out_of_time_leaves_the_plan_there_was(monkeypatch):
     """The finer solve fails: the coarser one comes back, and the message says so."""
     from vehsim.planning.attempt import Attempt

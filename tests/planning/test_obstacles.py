@@ -9,6 +9,7 @@ import shapely
 import vehsim
 from vehsim import Mark, World
 from vehsim.errors import InputError, SolveError
+from vehsim.planning import astar
 from vehsim.planning.astar import guess_drive, turning_radius
 from vehsim.planning.obstacles import (
     CORNERS,
@@ -227,6 +228,29 @@ def test_certification_finds_what_passes_between_samples(car):
     widest = np.abs(ob.footprint(car)[:, 1]).max()
     assert nearest == pytest.approx(1.6 - widest, abs=2e-3)
     assert by_segment.shape == (1, len(clip) - 1)
+
+
+def test_what_is_run_through_unseen_is_seen_where_it_is_near(car):
+    """Nothing seen, straight through the first part: it is seen about there, the far one and the start are not."""
+    world = World(obstacles=[ob.ellipse("e", (20, 0), (2, 1)), ob.ellipse("far", (20, 60), (2, 1))])
+    rows = obstacle_rows(car, world, across())
+    positions, yaw, seconds = np.column_stack([np.linspace(0, 40, 41), np.zeros((41, 2))]), np.zeros(41), np.zeros(41)
+    rows.look(positions + 200, yaw, seconds, 0.5)
+    assert not rows.seen.any() and rows.overlooked(positions, yaw, seconds, 0.5)
+    assert rows.seen[0, 16:25].all() and not rows.seen[0, :10].any() and not rows.seen[1].any()
+    assert not rows.overlooked(positions, yaw, seconds, 0.5)
+
+
+def test_first_guesses_look_only_as_far_as_matters(car, monkeypatch):
+    """Where the car may be and what it costs there are as with exact distances everywhere."""
+    ends = np.array([(0.0, 0, 0), (60, 0, 0)])
+    rows = obstacle_rows(car, yard(3), across())
+    ground = astar._Ground(car, np.zeros(2), rows.parts, ends[:, :2], 0.5, 0.5, ())
+    monkeypatch.setattr(astar, "gaps_to", lambda shape, grid, reach: distance(grid, shape))
+    exact = astar._Ground(car, np.zeros(2), rows.parts, ends[:, :2], 0.5, 0.5, ())
+    assert np.array_equal(ground.price, exact.price) and np.array_equal(ground.demanded, exact.demanded)
+    assert np.array_equal(ground.free_poses(), exact.free_poses())
+    assert not np.array_equal(ground.distance, exact.distance)
 
 
 def test_far_parts_cost_nothing_and_are_bounded_from_below(car):

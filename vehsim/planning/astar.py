@@ -18,10 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.errors import SolveError
-from vehsim.planning.obstacles import inner_discs
+from vehsim.planning.obstacles import gaps_to, inner_discs
 from vehsim.vehicles import Vehicle
 from vehsim.world.obstacles import footprint
-from vehsim.world.plane import distance
 
 Array = NDArray[np.float64]
 
@@ -128,9 +127,9 @@ class _Ground:
         self.shape = tuple(np.ceil((upper - lower) / self.cell).astype(int) + 1)
         axes = [lower[k] + self.cell * np.arange(self.shape[k]) for k in (0, 1)]
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 1, 2)
-        far = np.full(len(grid), np.inf)
+        far, enough = np.full(len(grid), np.inf), 3 * (self.radius + clearance) + FINEST  # `over` is 1 from there
         for shape in still:
-            far = np.minimum(far, distance(grid, shape))
+            far = np.minimum(far, gaps_to(shape, grid, enough))
         self.distance = far.reshape(self.shape)
         near = np.linalg.norm(grid[:, 0, None] - ends, axis=2)
         own = np.array([max(0.0, self.distance[self.index(end)] - self.cell) for end in ends])

@@ -35,7 +35,7 @@ from vehsim.planning.multipliers import carried
 from vehsim.planning.obstacles import FINEST, certify_plane, obstacle_rows
 from vehsim.planning.problem import build, distances, hold_adrift, parameter_values, variable_bounds
 from vehsim.planning.request import Request
-from vehsim.planning.solver import Multipliers, Solution, Solver
+from vehsim.planning.solver import Multipliers, Solution, Solver, Start
 from vehsim.planning.transcription import Transcription
 
 Array = NDArray[np.float64]
@@ -148,12 +148,12 @@ class Attempt:
         start, lengths, solved = self.x.copy(), self.lengths.copy(), self.solved
         self._solve(free)
         for _ in range(LOOKS):
-            if not self._overlooked():
+            if self.request.late or not self._overlooked():
                 break
             self.x, self.lengths, self.solved = start.copy(), lengths.copy(), solved
-            self._solve(free)
+            self._solve(free, "again")
 
-    def _solve(self, free: bool) -> None:
+    def _solve(self, free: bool, start: Start = "guess") -> None:
         began = time.perf_counter()
         request, layout = self.request, self.layout
         solver = self._solver(spans_between(request.marks, request.fps) if free else [])
@@ -163,7 +163,7 @@ class Attempt:
         span = [(h / 8, h * 8) if free and f else (h, h) for h, f in zip(self.lengths, self.free, strict=True)]
         lower, upper = variable_bounds(self.t, layout, span, request.limits.joints)
         hold_adrift(self.t, layout, request, self.x, lower, upper)
-        self.solution: Solution = self._answer(solver, lower, upper, self.parameters())
+        self.solution: Solution = self._answer(solver, lower, upper, self.parameters(), start)
         self.x = self.solution.x
         self.lengths = self.x[layout.lengths]
         self.stale = False
@@ -180,7 +180,7 @@ class Attempt:
             values.append(self.rows.values(self._seconds(), request.clearance))
         return np.concatenate(values)
 
-    def _answer(self, solver: Solver, lower: Array, upper: Array, values: Array) -> Solution:
+    def _answer(self, solver: Solver, lower: Array, upper: Array, values: Array, start: Start) -> Solution:
         """From the multipliers of the last solve, where there was one; from the motion alone where these mislead."""
         deadline, answer = self.request.deadline, None
         blocked = self.cover is not None or self.rows is not None  # finer, what is in the way pushes elsewhere
@@ -189,7 +189,7 @@ class Attempt:
             answer = solver.solve(self.x, lower, upper, values, deadline, multipliers=given)
             self.iterations += answer.iterations
         if answer is None or not (answer.success or self.request.late):
-            answer = solver.solve(self.x, lower, upper, values, deadline, "motion" if self.lifted else "guess")
+            answer = solver.solve(self.x, lower, upper, values, deadline, "motion" if self.lifted else start)
             self.iterations += answer.iterations
         if answer.success and answer.multipliers is not None:
             self.solved = answer.multipliers, (solver.problem, self.layout)
@@ -252,8 +252,8 @@ class Attempt:
             self.checked = self._executed()
 
     def resolve(self) -> bool:
-        """Solve again if anything changed since; True when it did."""
-        if self.stale:
+        """Solve again if anything changed since; True when it did. What failed for want of time has none for that."""
+        if self.stale and (not self.request.late or self.solution.success):
             self.solve(free=False)
             return True
         return False

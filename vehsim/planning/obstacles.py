@@ -85,15 +85,15 @@ class Rows:
         self.seen = self.seen | near
 
     def overlooked(self, positions: Array, yaw: Array, seconds: Array, clearance: float) -> bool:
-        """Whether solved poses (knots, ...) come too near to parts unseen there; these are seen from now on."""
+        """Whether solved poses (knots, ...) come too near to parts unseen there; what is near them is seen from
+        now on."""
         outlines = placed(footprint(self.vehicle), positions[:, :2], yaw)
-        missed = clearances(self.parts, outlines, seconds, clearance + SIGHT) < clearance - FINEST
-        missed[:, 0] = False
-        missed &= ~self.seen
-        if missed.any():
-            whole = missed.any(axis=1, keepdims=True)
-            self.seen |= whole & (np.arange(self.seen.shape[1]) > 0)
-        return bool(missed.any())
+        gaps = clearances(self.parts, outlines, seconds, clearance + SIGHT)
+        gaps[:, 0] = np.inf
+        missed = bool(np.any(~self.seen & (gaps < clearance - FINEST)))
+        if missed:
+            self.seen |= gaps < clearance + SIGHT
+        return missed
 
     def drive(self, request: Request, wariness: int = 0) -> list[Array]:
         """A path (k, 4) x, y, z m and heading rad for every leg between two marks, by A*; the greater ``wariness``,
@@ -249,16 +249,22 @@ def clearances(parts: Sequence[tuple[Any, int]], outlines: Array, seconds: Array
 
     Those beyond ``reach`` m are lower bounds, beyond it too.
     """
-    out = np.empty((len(parts), len(outlines)))
+    found = [gaps_to(obstacle.shapes_at(seconds)[number], outlines, reach) for obstacle, number in parts]
+    return np.reshape(found, (len(parts), len(outlines)))
+
+
+def gaps_to(shape: Any, outlines: Array, reach: float = np.inf) -> Array:
+    """Signed distances (n,) m of outlines (n, k, 2) to one shape, or to one each (n, m, 2).
+
+    Those beyond ``reach`` m are lower bounds, beyond it too.
+    """
     centres, radii = _circle(outlines)
-    for row, (obstacle, number) in zip(out, parts, strict=True):
-        shape = obstacle.shapes_at(seconds)[number]
-        middle, radius = (shape.centre, shape.radii.max()) if isinstance(shape, Ellipse) else _circle(shape)
-        row[:] = np.linalg.norm(centres - middle, axis=-1) - radii - radius
-        near = row < reach
-        if near.any():
-            alone = isinstance(shape, Ellipse) or shape.ndim == 2
-            row[near] = distance(outlines[near], shape if alone else shape[near])
+    alone = isinstance(shape, Ellipse) or shape.ndim == 2
+    middle, radius = (shape.centre, shape.radii.max()) if isinstance(shape, Ellipse) else _circle(shape)
+    out = np.asarray(np.linalg.norm(centres - middle, axis=-1) - radii - radius)
+    near = out < reach
+    if near.any():
+        out[near] = distance(outlines[near], shape if alone else shape[near])
     return out
 
 

@@ -45,14 +45,16 @@ class Solution:
     multipliers: Multipliers | None = None
 
 
-Start = Literal["guess", "motion", "multipliers"]
-"""What a solve starts from: anything; a solved motion of another discretisation; and its multipliers too."""
+Start = Literal["guess", "again", "motion", "multipliers"]
+"""What a solve starts from: anything; the same again, with more seen of what is in the way; a solved motion of another
+discretisation; and its multipliers too."""
 
 NEARBY = 60
 """Iterations from multipliers, at most: where these lead nowhere, the motion alone is the better start."""
 _WARM = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
 _BARRIERS: dict[Start, dict[str, Any]] = {
     "guess": {"mu_strategy": "adaptive"},
+    "again": {"mu_strategy": "monotone", "mu_init": 3e-3},
     "motion": {"mu_strategy": "monotone", "mu_init": 1e-4},
     "multipliers": {
         "mu_strategy": "monotone",

@@ -220,7 +220,7 @@ def footprint(vehicle: Any) -> Array:
 
     Without an asset it is a point (1, 2).
     """
-    return convex_hull(np.vstack(hulls_of(vehicle))[:, :2]) if vehicle.rig is not None else np.zeros((1, 2))
+    return np.zeros((1, 2)) if vehicle.rig is None else _read_footprint(*_asset_of(vehicle)).copy()
 
 
 def vertical_reach(vehicle: Any) -> tuple[float, float]:
@@ -233,10 +233,13 @@ def vertical_reach(vehicle: Any) -> tuple[float, float]:
 
 def hulls_of(vehicle: Any) -> tuple[Array, ...]:
     """The collision hulls (n, 3) m of a vehicle's asset, in its rig root's frame; none without an asset."""
-    if vehicle.rig is None:
-        return ()
+    return () if vehicle.rig is None else _read_hulls(*_asset_of(vehicle))
+
+
+def _asset_of(vehicle: Any) -> tuple[Path, str | None, int, int]:
+    """The file, its root prim, and when and how it was last written: the key of what is read from it."""
     stat = Path(vehicle.rig.asset).stat()
-    return _read_hulls(Path(vehicle.rig.asset), vehicle.rig.root or None, stat.st_mtime_ns, stat.st_size)
+    return Path(vehicle.rig.asset), vehicle.rig.root or None, stat.st_mtime_ns, stat.st_size
 
 
 @lru_cache(maxsize=32)
@@ -244,6 +247,11 @@ def _read_hulls(asset: Path, root: str | None, changed: int, size: int) -> tuple
     from vehsim.parts import collision_hulls
 
     return tuple(collision_hulls(asset, root))
+
+
+@lru_cache(maxsize=32)
+def _read_footprint(asset: Path, root: str | None, changed: int, size: int) -> Array:
+    return convex_hull(np.vstack(_read_hulls(asset, root, changed, size))[:, :2])
 
 
 def headings(orientations: Array) -> Array:
