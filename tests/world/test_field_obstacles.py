@@ -40,8 +40,6 @@ def test_with_terrain_it_is_the_least_of_both():
     assert not field.open and field.upper[2] > 18 + 10
     points = np.random.default_rng(1).uniform((2, 2, 3), (58, 38, 24), (500, 3))
     off = field.value(points) - exact(points, terrain)
-    assert off.max() < 0.3  # above what the terrain's own field knows it is less, and never more
-    off = off[points[:, 2] < terrain.upper[2] + 10]
     assert np.abs(off).max() < 0.3 and np.sqrt(np.mean(off**2)) < 0.04
 
 

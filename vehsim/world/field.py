@@ -221,7 +221,8 @@ def distance_field(
     if obstacles:
         laws: list[Callable[[Array], Array]] = []
         if terrain is not None:
-            laws.append(distance_field(terrain, progress=progress).value)
+            z = lower[2] + step * np.arange(shape[2])
+            laws.append(_by_field(terrain, distance_field(terrain, progress=progress), z))
         laws.append(_to_hulls([hull for obstacle in obstacles for hull in obstacle.hulls]))
         distances = _measure(laws, lower, shape, step, progress, "obstacles")
         return DistanceField(distances, lower, step, open=terrain is None)
@@ -292,6 +293,22 @@ def _to_terrain(terrain: Terrain, levels: int) -> Callable[[Array], Array]:
         squared, _, _ = tree.squared_distance(vertices, faces, points)
         ground = np.repeat(terrain.height(points[::levels, :2]), levels)
         return np.where(points[:, 2] >= ground, 1.0, -1.0) * np.sqrt(squared)
+
+    return law
+
+
+def _by_field(terrain: Terrain, field: DistanceField, z: Array) -> Callable[[Array], Array]:
+    """Signed distances (n,) m to the terrain by its own ``field``; exact above it and at its top, where its mirrored
+    end bends it. Points (n, 3) m are columns at heights ``z`` m."""
+    high = z > field.upper[2] - 2 * field.spacing
+    exact = _to_terrain(terrain, max(1, int(high.sum())))
+
+    def law(points: Array) -> Array:
+        found = field.value(points)
+        above = np.tile(high, len(points) // len(z))
+        if above.any():
+            found[above] = exact(points[above])
+        return found
 
     return law
 
