@@ -248,7 +248,7 @@ def test_motion_of_the_assets_own_goes_on_below_ours(tmp_path):
 
     folder = vehicle_with(tmp_path, "crawler")
     stage = Usd.Stage.Open(str(folder / "crawler.usdc"))
-    bob = UsdGeom.Xformable(stage.GetPrimAtPath("/root/rig")).GetOrderedXformOps()[0]
+    bob = UsdGeom.Xformable(stage.GetDefaultPrim().GetChild("rig")).GetOrderedXformOps()[0]
     for frame in range(FRAMES[0], FRAMES[1] + 1):
         bob.Set((0.0, 0.0, 0.1 * np.sin(frame)), frame)
     stage.Save()
