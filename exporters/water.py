@@ -269,14 +269,18 @@ def _into_hulls(afloat: dict[str, Floating], points: Array, cells: Array, frame:
         near = np.flatnonzero(((own > corners.min(axis=0)) & (own < corners.max(axis=0))).all(axis=1))
         if not len(near):
             continue
-        depth = -igl.signed_distance(own[near], corners, faces)[0]
+        depth = np.sqrt(igl.point_mesh_squared_distance(own[near], corners, faces)[0])
         deep = depth > cells[near]
         near, depth = near[deep], depth[deep]
+        # Summed triangle by triangle: signed_distance's own, fast winding number was wrong on one machine.
+        inside = np.array([igl.winding_number(corners, faces, point) > 0.5 for point in own[near]], bool)
+        near, depth = near[inside], depth[inside]
         for _ in range(FALLS):  # as far as the nearest skin is away, again and again, it stays inside
             if not len(near):
                 break
             lowered[near] += np.maximum(depth - SKIN, 0.0)
-            depth = -igl.signed_distance(own[near] - lowered[near, None] * R_wr[2], corners, faces)[0]
+            below = own[near] - lowered[near, None] * R_wr[2]
+            depth = np.sqrt(igl.point_mesh_squared_distance(below, corners, faces)[0])
     return lowered
 
 

@@ -111,7 +111,9 @@ def test_water_inside_a_hull_goes_down_to_its_bottom_and_not_through(roll):
         import igl
 
         at = np.ascontiguousarray((place - T_wr[:3, 3]) @ T_wr[:3, :3])
-        return -igl.signed_distance(at, np.array(corners, float), np.array(faces, np.int64))[0]
+        skin = np.array(corners, float), np.array(faces, np.int64)
+        away = np.sqrt(igl.point_mesh_squared_distance(at, *skin)[0])
+        return away * [1 if igl.winding_number(*skin, point) > 0.5 else -1 for point in at]
 
     sunk = np.flatnonzero(lowered > 0)
     near = np.flatnonzero(np.linalg.norm(points[:, :2] - T_wr[:2, 3], axis=1) < 5)

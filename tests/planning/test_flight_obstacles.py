@@ -51,7 +51,14 @@ def seen_by_igl(clip, hulls, times, frame=lambda t: np.eye(4)):
     for t, T in zip(times, clip.at(times).matrices(), strict=True):
         T = np.linalg.inv(frame(t)) @ T
         there = points @ T[:3, :3].T + T[:3, 3]
-        out.append(min(igl.signed_distance(there, np.array(s.vertices), np.array(s.faces))[0].min() for s in shapes))
+        out.append(
+            min(
+                igl.signed_distance(
+                    there, np.array(s.vertices), np.array(s.faces), igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL
+                )[0].min()
+                for s in shapes
+            )
+        )
     return np.array(out)
 
 

@@ -14,7 +14,10 @@ THINGS = (ob.box("hut", (12, 8, 0), (6, 5, 9), 25), ob.sphere("ball", (28, 20, 1
 def exact(points, terrain=None):
     """Signed distances (n,) m by libigl."""
     shapes = [trimesh.convex.convex_hull(hull) for thing in THINGS for hull in thing.hulls]
-    found = [igl.signed_distance(points, np.array(s.vertices), np.array(s.faces))[0] for s in shapes]
+    found = [
+        igl.signed_distance(points, np.array(s.vertices), np.array(s.faces), igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL)[0]
+        for s in shapes
+    ]
     if terrain is not None:
         above = np.sign(points[:, 2] - terrain.height(points[:, :2]))
         found.append(above * np.sqrt(igl.point_mesh_squared_distance(points, terrain.vertices, terrain.faces)[0]))
