@@ -253,13 +253,17 @@ def _author_mesh(spec: Any, name: str, shape: Shape) -> None:
         normals = np.concatenate([normals, -normals])
         faces = np.concatenate([faces, faces[:, ::-1]])
         face_uvs = None if face_uvs is None else np.concatenate([face_uvs, face_uvs[:, ::-1]])
+    # a vertex for every normal at a point: MuJoCo 4.0 does not read userfacenormal
+    used, faces = np.unique(np.stack([faces, face_normals], axis=-1).reshape(-1, 2), axis=0, return_inverse=True)
+    points, normals = points[used[:, 0]], normals[used[:, 1]]
     if len(points) < 4:  # MuJoCo wants a tetrahedron's worth
-        points = np.concatenate([points, np.repeat(points[:1], 4 - len(points), axis=0)])
+        points, normals = (
+            np.concatenate([each, np.repeat(each[:1], 4 - len(each), axis=0)]) for each in (points, normals)
+        )
     mesh = spec.add_mesh(name=name, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
     mesh.uservert = points.astype(np.float32).ravel()
     mesh.userface = faces.astype(np.int32).ravel()
     mesh.usernormal = normals.astype(np.float32).ravel()
-    mesh.userfacenormal = face_normals.astype(np.int32).ravel()
     if shape.uvs is not None and face_uvs is not None:
         mesh.usertexcoord = shape.uvs.astype(np.float32).ravel()
         mesh.userfacetexcoord = face_uvs.astype(np.int32).ravel()

@@ -332,3 +332,33 @@ def test_past_the_edge_of_the_ground_the_horizon_goes_on(tmp_path):
         assert np.array_equal(before[:up], after[:up])
         assert np.abs(after[down] - after[up]).max() <= 12 < 40 < np.abs(before[down] - before[up]).max()
         assert np.abs(before[deep] - after[deep]).max() <= 2
+
+
+@pytest.mark.parametrize("interpolation", ["faceVarying", "uniform"])
+def test_edges_are_as_sharp_as_the_mesh_says(interpolation, new_stage, tmp_path):
+    """A box as Blender writes it: eight points, a normal at each corner of each face. MuJoCo 4.0 drops face normals."""
+    from pxr import Gf, Usd, UsdGeom
+
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
+    faces = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    normals = [(-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0), (0, 0, -1), (0, 0, 1)]
+
+    def box(stage, points, indices, interpolation, normals):
+        mesh = UsdGeom.Mesh.Define(stage, "/top/box")
+        mesh.CreateSubdivisionSchemeAttr("none")
+        mesh.CreatePointsAttr([Gf.Vec3f(*point) for point in points])
+        mesh.CreateFaceVertexCountsAttr([4] * 6)
+        mesh.CreateFaceVertexIndicesAttr(indices)
+        mesh.CreateExtentAttr([Gf.Vec3f(-1, -1, -1), Gf.Vec3f(1, 1, 1)])
+        mesh.CreateNormalsAttr([Gf.Vec3f(*normal) for normal in normals])
+        mesh.SetNormalsInterpolation(interpolation)
+        UsdGeom.XformCommonAPI(mesh).SetRotate(Gf.Vec3f(25, 0, 35))
+        return picture(stage)
+
+    each = np.repeat(normals, 4, axis=0).astype(float).tolist()
+    some = each if interpolation == "faceVarying" else normals
+    new_stage.GetRootLayer().Export(str(tmp_path / "other.usda"))
+    other = Usd.Stage.Open(str(tmp_path / "other.usda"))
+    split = box(other, corners[np.ravel(faces)].tolist(), range(24), "vertex", each)
+    shared = box(new_stage, corners.tolist(), np.ravel(faces).tolist(), interpolation, some)
+    assert (shared == split).all() and len(np.unique(split.reshape(-1, 3), axis=0)) > 3
