@@ -336,10 +336,10 @@ def test_past_the_edge_of_the_ground_the_horizon_goes_on(tmp_path):
 
 @pytest.mark.parametrize("interpolation", ["faceVarying", "uniform"])
 def test_edges_are_as_sharp_as_the_mesh_says(interpolation, new_stage, tmp_path):
-    """A box as Blender writes it: eight points, a normal at each corner of each face. MuJoCo 4.0 drops face normals."""
-    from pxr import Gf, Usd, UsdGeom
+    """A box as Blender writes it: eight points, a normal at each corner of each face. MuJoCo 4.0 drops those."""
+    from pxr import Gf, Sdf, Usd, UsdGeom
 
-    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float) * (0.6, 1.8, 0.5)
     faces = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
     normals = [(-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0), (0, 0, -1), (0, 0, 1)]
 
@@ -349,10 +349,12 @@ def test_edges_are_as_sharp_as_the_mesh_says(interpolation, new_stage, tmp_path)
         mesh.CreatePointsAttr([Gf.Vec3f(*point) for point in points])
         mesh.CreateFaceVertexCountsAttr([4] * 6)
         mesh.CreateFaceVertexIndicesAttr(indices)
-        mesh.CreateExtentAttr([Gf.Vec3f(-1, -1, -1), Gf.Vec3f(1, 1, 1)])
+        mesh.CreateExtentAttr([Gf.Vec3f(-0.6, -1.8, -0.5), Gf.Vec3f(0.6, 1.8, 0.5)])
         mesh.CreateNormalsAttr([Gf.Vec3f(*normal) for normal in normals])
         mesh.SetNormalsInterpolation(interpolation)
         UsdGeom.XformCommonAPI(mesh).SetRotate(Gf.Vec3f(25, 0, 35))
+        st = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, "faceVarying")
+        st.Set([(0, 0), (1, 0), (1, 1), (0, 1)] * 6)  # without, MuJoCo looks at the angle between faces itself
         return picture(stage)
 
     each = np.repeat(normals, 4, axis=0).astype(float).tolist()
