@@ -75,7 +75,69 @@ def attitude(q):
     return spacecraft(q)[:3, :]
 
 
+def two_axles(q):
+    """A car steered at both axles, x, y, heading, both steering angles: moved along its front wheels (Bushnell)."""
+    ahead = q[2] + q[3]
+    speed = ca.vertcat(ca.cos(ahead), ca.sin(ahead), ca.sin(q[3] - q[4]) / ca.cos(q[4]), 0, 0)
+    return ca.horzcat(speed, ca.DM([0, 0, 0, 1, 0]), ca.DM([0, 0, 0, 0, 1]))
+
+
+def submarine(q):
+    """Driven ahead and turned about all three body axes; x, y, z and Z-Y-X angles."""
+    psi, theta, phi = q[3], q[4], q[5]
+    ahead = ca.vertcat(ca.cos(psi) * ca.cos(theta), ca.sin(psi) * ca.cos(theta), -ca.sin(theta), 0, 0, 0)
+    rates = ca.vertcat(
+        ca.horzcat(0, ca.sin(phi) / ca.cos(theta), ca.cos(phi) / ca.cos(theta)),
+        ca.horzcat(0, ca.cos(phi), -ca.sin(phi)),
+        ca.horzcat(1, ca.sin(phi) * ca.tan(theta), ca.cos(phi) * ca.tan(theta)),
+    )
+    return ca.horzcat(ahead, ca.vertcat(ca.SX(3, 3), rates))
+
+
+def rolling_balls(ratio):
+    """A unit ball rolling on one of radius ``ratio``: Montana's contact coordinates u, v on each, and their angle."""
+
+    def fields(q):
+        u, v, angle = q[0], q[2], q[4]
+        turn = ca.vertcat(
+            ca.horzcat(ca.cos(angle), -ca.sin(angle)),
+            ca.horzcat(-ca.sin(angle), -ca.cos(angle)),
+        )
+        rolling = ca.mtimes(ca.inv(ca.DM.eye(2) / ratio + turn @ turn), ca.DM([[0, -1], [1, 0]]))
+        below = rolling / ca.vertcat(ca.horzcat(ratio, ratio), ca.horzcat(ratio * ca.cos(u), ratio * ca.cos(u)))
+        above = (turn @ rolling) / ca.vertcat(ca.horzcat(1, 1), ca.horzcat(ca.cos(v), ca.cos(v)))
+        spin = -ca.sin(u) * below[1, :] - ca.sin(v) * above[1, :]
+        return ca.vertcat(below, above, spin)
+
+    return system(f"balls, {ratio:g} to 1", ("u", "u2", "v", "v2", "angle"), 2, fields)
+
+
+def snake(q):
+    """Three links of length 2 with wheels at their middles, both joints driven: no link's middle slips."""
+    rows = [ca.horzcat(ca.sin(q[2]), -ca.cos(q[2]), 0, 0, 0)]
+    for joint, end in ((3, -1), (4, 1)):
+        link, bend = q[2] + q[joint], q[joint]
+        turning = [end * (ca.cos(bend) + 1), 0, 0]
+        turning[joint - 2] = end
+        rows.append(ca.horzcat(-ca.sin(link), ca.cos(link), *turning))
+    return ca.vertcat(*rows)
+
+
+def free_to_degree_four(q):
+    """The free nilpotent system of two inputs and degree 4 (Grayson and Grossman)."""
+    a, b = q[0], q[1]
+    return [[1, 0], [0, 1], *([0, w] for w in (a, a**2 / 2, a * b, a**3 / 6, a**2 * b / 2, a * b**2 / 2))]
+
+
 KNOWN = [
+    (system("car steered at both axles", "xyapq", 3, two_axles), (3, 5)),
+    (system("submarine", ("x", "y", "z", "psi", "theta", "phi"), 4, submarine), (4, 6)),
+    (rolling_balls(2.0), (2, 3, 5)),
+    (
+        from_constraints("snake", "xyabc", snake, domain={"b": (0.3, 1.0), "c": (-1.0, -0.4)}, at=[0, 0, 0, 0.5, -0.8]),
+        (2, 3, 5),
+    ),
+    (system("free to degree 4", "abcdefgh", 2, free_to_degree_four), (2, 3, 5, 8)),
     (system("fire truck", ("x", "y", "phi0", "theta0", "phi1", "theta1"), 3, fire_truck), (3, 5, 6)),
     (system("trident snake", ("x", "y", "theta", "a", "b", "c"), 3, trident_snake), (3, 6)),
     (system("spacecraft with two rotors", ("psi", "theta", "phi", "r1", "r2"), 2, spacecraft), (2, 3, 5)),
@@ -120,11 +182,50 @@ def test_singular_states_of_martinets_distribution():
     off, on = classify(martinet, [1.0, 0.0, 0.0]), classify(martinet, [0.0, 0.0, 0.0])
     assert (off.growth_at, off.regular) == ((2, 3), True)
     assert (on.growth_at, on.regular, on.controllable) == ((2, 2, 3), False, True)
+    assert (off.relative_growth_at, on.relative_growth_at) == ((2, 1), (2, 0, 1))
+
+
+def test_states_where_much_deeper_brackets_are_needed():
+    """``z' = x^5 u2`` takes six fields at x = 0; of unicycles with two and three trailers, Jean (1996) knows when: a
+    first trailer at a right angle, and the bound is a Fibonacci number."""
+    flat = system("flat", "xyz", 2, lambda q: [[1, 0], [0, 1], [0, q[0] ** 5]])
+    assert classify(flat, [0.0, 0.3, 0.0]).growth_at == (2, 2, 2, 2, 2, 3)
+
+    def train(count):
+        def fields(q):
+            rows, speed = [[ca.cos(q[2]), 0], [ca.sin(q[2]), 0], [0, 1]], 1
+            for ahead, behind in zip(range(2, 2 + count), range(3, 3 + count), strict=True):
+                rows.append([speed * ca.sin(q[ahead] - q[behind]), 0])
+                speed = speed * ca.cos(q[ahead] - q[behind])
+            return rows
+
+        return system("train", "xyabcd"[: 3 + count], 2, fields)
+
+    assert classify(train(2), [0, 0, np.pi / 2, 0, 0]).growth_at == (2, 3, 4, 4, 5)
+    assert classify(train(3), [0, 0, np.pi, np.pi / 2, 0, 0]).growth_at == (2, 3, 4, 4, 5, 5, 5, 6)
+
+
+def test_two_balls_of_one_size_roll_on_a_leaf():
+    """Then, and only then, rolling is integrable: growth (2,)."""
+    found = classify(rolling_balls(1.0))
+    assert found.growth == (2,) and found.certain
+    with pytest.raises(InputError, match="span 2 of 5 directions"):
+        found.require_controllable()
+
+
+def test_constraints_choose_inputs_that_serve_the_whole_domain():
+    """A car from the no-slip rows of its axles: at rest straight ahead, sideways must not be an input."""
+    rows = [lambda q: [ca.sin(q[2]), -ca.cos(q[2]), 0, 0]]
+    rows.append(lambda q: [ca.sin(q[2] + q[3]), -ca.cos(q[2] + q[3]), -ca.cos(q[3]), 0])
+    car = from_constraints("car", "xyap", lambda q: [row(q) for row in rows])
+    assert car.inputs == ("x_rate", "p_rate") and classify(car).growth_at == (2, 3, 4)
+    with pytest.raises(InputError, match="row 3 of 3 is zero or follows from those above it"):
+        from_constraints("car", "xyap", lambda q: [*(row(q) for row in rows), [0.5 * w for w in rows[0](q)]])
 
 
 def test_leaf_of_a_system_that_keeps_a_sphere():
     """x x' + y y' + z z' = 0 keeps the radius: leaves are spheres, and the error names the radial direction."""
-    sphere = from_constraints("sphere", "xyz", lambda q: [[q[0], q[1], q[2]]], domain={s: (0.5, 1.0) for s in "xyz"})
+    sphere = from_constraints("sphere", "xyz", lambda q: [[q[0], q[1], q[2]]], at=[0.5, 0.9, 0.5])
     with pytest.raises(InputError, match="not finite at"):
         leaf(sphere, [0.6, 0.0, 0.8])  # where the state that the constraint gives is zero
     at = [0.48, 0.36, 0.8]
@@ -135,6 +236,18 @@ def test_leaf_of_a_system_that_keeps_a_sphere():
     assert np.abs(found.offset([0.36, 0.48, 0.9])).max() > 0.05
     with pytest.raises(InputError, match=r"span 2 of 3.*dx.*dz|span 2 of 3.*dz.*dx"):
         classify(sphere, at).require_controllable()
+
+
+def test_steering_where_no_bracket_leads_names_the_direction():
+    """``z - x y`` never changes: no loop moves it, and why is said instead of which loops were tried."""
+    kept = system("kept", "xyz", 2, lambda q: [[1, 0], [0, 1], [q[1], q[0]]])
+    with pytest.raises(InputError, match=r"kept: not controllable.* no bracket reaches dz"):
+        steer_triangular(kept, [0, 0, 0], [0, 0, 1])
+
+
+def test_nowhere_to_go_is_a_rest():
+    steering = steer_triangular(models.hopper(), [0.1, 0, 0], [0.1, 0, 0])
+    assert [stage.label for stage in steering.stages] == ["rest"] and steering.end_error == 0.0
 
 
 def test_what_is_not_triangular_is_named():

@@ -9,7 +9,7 @@ from vehsim.lie import SE2
 from vehsim.sinusoids.algebra import classify
 from vehsim.sinusoids.rigs import rigged
 from vehsim.sinusoids.symmetric import symmetric_closure
-from vehsim.vehicles import Control, Holonomic
+from vehsim.vehicles import Control, Holonomic, Nonholonomic
 
 
 def ranks(found):
@@ -55,9 +55,27 @@ def test_a_boat_with_its_engine_idle_has_no_steering():
     assert ranks(found)[:2] == [1, 2] and not found.accessible
 
 
+def test_wheels_on_rails_reach_no_pose_beside_them():
+    """All velocities, one of them, are reached, and two directions of the pose are not."""
+    rail = Nonholonomic(
+        name="rail",
+        group=SE2,
+        lagrangian=lambda r, u, xi: (xi[0] ** 2 + 2 * xi[1] ** 2 + 2 * xi[2] ** 2) / 2,
+        constraints=lambda r: (ca.SX(2, 0), ca.DM([[1, 0, 0], [0, 0, 1]])),
+        forces=lambda r, u, xi, c: (ca.SX(0, 1), ca.vertcat(0, c[0], 0)),
+        controls=(Control("push"),),
+    )
+    found = symmetric_closure(rail)
+    assert ranks(found) == [1] and found.unreached == 2 and not found.accessible and not found.controllable
+    free = symmetric_closure(vehsim.load_vehicle("snakeboard"))
+    assert free.unreached == 0 and free.controllable
+
+
 def test_what_is_not_in_balance_is_refused():
     with pytest.raises(InputError, match="do not balance it"):
         symmetric_closure(vehsim.load_vehicle("helicopter"), controls=[0.0, 0.0, 0.0, 0.0])
+    with pytest.raises(InputError, match=r"-9\.81\]; the water .* not in its equations: ask for `vehicle\.planar`"):
+        symmetric_closure(vehsim.load_vehicle("boat"))
     with pytest.raises(InputError, match="no controls"):
         symmetric_closure(vehsim.load_vehicle("tumbler"))
 

@@ -1,50 +1,39 @@
 """The control Lie algebra of a driftless system: filtration, growth, and what follows for steering (SIN sec. 1).
 
-Brackets are symbolic; ranks are decided from singular values at several random states (generic) and at a given one,
-and a decision without a clear gap between the singular values is called uncertain, not guessed.
+Ranks are decided from singular values at several random states (generic) and at a given one, and a decision without a
+clear gap between the singular values is called uncertain, not guessed. The brackets themselves stand in `brackets.py`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from vehsim.errors import InputError
-from vehsim.sinusoids.system import Array, DriftlessSystem, Expr
+from vehsim.sinusoids.brackets import (
+    Bracket,
+    Rank,
+    evaluate,
+    function_of,
+    growth_bound,
+    hall_levels,
+    input_fields,
+    product,
+    rank_of,
+)
+from vehsim.sinusoids.system import Array, DriftlessSystem
 
 SAMPLES = 6
 """Random states at which generic ranks are decided."""
-TOLERANCE = 1e-9
-"""Singular values of unit columns below it count as zero."""
-GAP = 1e3
-"""Smallest ratio between the singular values on either side of a rank that is called certain."""
 DEEPEST = 12
 """Brackets of more fields than this are not looked at."""
-
-
-@dataclass(frozen=True)
-class Bracket:
-    """A Lie product: ``label`` such as ``[g1, [g1, g2]]``, of ``degree`` input fields; ``field`` (n,) of the state."""
-
-    label: str
-    degree: int
-    field: Expr
-
-
-@dataclass(frozen=True)
-class Rank:
-    """A rank read off singular values. ``gap``: the ratio across the cut; ``certain`` when it is wide."""
-
-    value: int
-    gap: float
-
-    @property
-    def certain(self) -> bool:
-        return self.gap >= GAP
+WIDEST, LONGEST = 200, 200_000
+"""Nor more brackets of one degree at once, nor expressions of more operations."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +44,7 @@ class Classification:
     (SIN eq. 2). ``brackets``: degree of nonholonomy as SIN's examples count it, bracketings needed (1 for Brockett's
     system); ``levels``: as its definition does, the number of G_i (2 there). ``nilpotency``: the k from which all Lie
     products of k fields vanish, None when there is none up to ``depth``. ``basis``: brackets that span generically.
+    ``span_at`` (n, k): all brackets looked at, as vectors at the state. ``notes``: why it is not ``certain``.
     ``regular``: the growth at the state is the generic one. ``controllable``: Chow, at the state (and generically).
     """
 
@@ -68,6 +58,7 @@ class Classification:
     regular: bool
     certain: bool
     depth: int
+    span_at: Array
     notes: tuple[str, ...] = ()
 
     @property
@@ -99,12 +90,13 @@ class Classification:
         """``InputError`` naming the directions that no bracket reaches."""
         if self.controllable:
             return
-        n, rank = self.system.n, self.growth_at[-1]
-        missing = leaf(self.system, self.at, self).missing()
+        rank = self.growth_at[-1]
+        missing = _words(self.system, _annihilator(self.span_at, rank))
+        doubts = "".join(f"; {note}" for note in self.notes)
         raise InputError(
-            f"{self.system.name}: not controllable at {np.round(self.at, 4).tolist()}: its brackets span {rank} of {n} "
-            f"directions (growth {self.growth_at}); no bracket reaches {', '.join(missing)}: choose a goal on the leaf "
-            "through the start (vehsim.sinusoids.leaf), or another input"
+            f"{self.system.name}: not controllable at {np.round(self.at, 4).tolist()}: its brackets span {rank} of "
+            f"{self.system.n} directions (growth {self.growth_at}); no bracket reaches {', '.join(missing)}: choose a "
+            f"goal on the leaf through the start (vehsim.sinusoids.algebra.leaf), or another input{doubts}"
         )
 
 
@@ -119,12 +111,10 @@ def classify(system: DriftlessSystem, at: Sequence[float] | None = None, depth: 
     points = system.samples(SAMPLES)
     growth, basis, ranks = _generic_filtration(system, points, min(depth or DEEPEST, DEEPEST))
     notes = [f"generic rank {r.value} has a gap of only {r.gap:.0e}" for r in ranks if not r.certain]
-    growth_at, more, unfinished = _growth_at(system, x0, growth, basis, depth)
+    growth_at, more, span_at = _growth_at(system, x0, growth, basis, min(depth or DEEPEST, DEEPEST))
     notes += [f"rank {r.value} at the state has a gap of only {r.gap:.0e}" for r in more if not r.certain]
-    if unfinished:
-        notes.append(
-            f"rank {growth_at[-1]} at the state up to brackets of {len(growth_at)} fields: deeper ones may add"
-        )
+    if growth_at[-1] < growth[-1]:
+        notes.append(f"rank {growth_at[-1]} at the state up to brackets of {len(more)} fields: deeper ones may add")
     if len(growth) == min(depth or DEEPEST, DEEPEST) and growth[-1] < system.n:
         notes.append(f"generic rank {growth[-1]} up to brackets of {len(growth)} fields: deeper ones may add")
     bound = growth_bound(system.m, len(growth))
@@ -139,55 +129,9 @@ def classify(system: DriftlessSystem, at: Sequence[float] | None = None, depth: 
         regular=growth_at[: len(growth)] == growth,
         certain=not notes,
         depth=depth or len(growth) + 1,
+        span_at=span_at,
         notes=tuple(notes),
     )
-
-
-def growth_bound(m: int, levels: int) -> tuple[int, ...]:
-    """sigma_1 .. sigma_levels: dimensions of the free Lie algebra on m generators, by degree (SIN eq. 2)."""
-    sigma: list[int] = []
-    for i in range(1, levels + 1):
-        sigma.append((m**i - sum(j * sigma[j - 1] for j in range(1, i) if i % j == 0)) // i)
-    return tuple(sigma)
-
-
-def lie_bracket(f: Expr, g: Expr, x: Expr) -> Expr:
-    """``[f, g] = (dg/dx) f - (df/dx) g``."""
-    return ca.jtimes(g, x, f) - ca.jtimes(f, x, g)
-
-
-def hall_basis(system: DriftlessSystem, degree: int) -> list[Bracket]:
-    """All brackets of a Philip Hall basis up to ``degree`` fields, in order."""
-    x = system.x
-    # an element is (degree, left, right); [a, b] belongs when a < b and b's left factor is not after a
-    found: list[tuple[Bracket, int, int]] = [(Bracket(f"g{i + 1}", 1, system.G[:, i]), -1, -1) for i in range(system.m)]
-    for d in range(2, degree + 1):
-        level = []
-        for i, (a, _, _) in enumerate(found):
-            for j, (b, left, _) in enumerate(found):
-                if a.degree + b.degree != d or i >= j or (b.degree > 1 and left > i):
-                    continue
-                level.append((_product(a, b, x), i, j))
-        found += level
-    return [bracket for bracket, _, _ in found]
-
-
-def _product(a: Bracket, b: Bracket, x: Expr) -> Bracket:
-    return Bracket(f"[{a.label}, {b.label}]", a.degree + b.degree, lie_bracket(a.field, b.field, x))
-
-
-def rank_of(vectors: Array) -> Rank:
-    """Rank of the columns of (n, k), each scaled to unit length; columns that vanish do not count."""
-    lengths = np.linalg.norm(vectors, axis=0)
-    scale = max(1.0, lengths.max(initial=0.0))
-    counts = lengths > TOLERANCE * scale
-    kept = vectors[:, counts] / lengths[counts]
-    if not kept.size:
-        return Rank(0, np.inf)
-    values = np.linalg.svd(kept, compute_uv=False)
-    value = int(np.sum(values > TOLERANCE * max(1.0, values[0])))
-    below = values[value] if value < len(values) else 0.0
-    return Rank(value, float(values[value - 1] / max(below, 1e-16 * values[0])))
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,13 +153,15 @@ class Leaf:
 
     def tangent(self, x: Any) -> Array:
         """Basis (n, r) of the tangent space at ``x``."""
-        fields = ca.horzcat(*(b.field for b in self.span))
-        return np.array(ca.Function("T", [self.system.x], [ca.densify(fields)])(np.asarray(x, float)))
+        return np.asarray(self._tangent(np.asarray(x, float)))
+
+    @cached_property
+    def _tangent(self) -> ca.Function:
+        return function_of(self.system, self.span)
 
     def annihilator(self, x: Any) -> Array:
         """Orthonormal covectors (n - r, n) that vanish on the leaf's tangent space at ``x``."""
-        u, _, _ = np.linalg.svd(self.tangent(x))
-        return u[:, self.dimension :].T
+        return _annihilator(self.tangent(x), self.dimension)
 
     def offset(self, x: Any) -> Array:
         """How far ``x`` is from the leaf: (n - r,), zero on it.
@@ -246,12 +192,23 @@ class Leaf:
 
     def missing(self) -> list[str]:
         """The directions that are not reached, in words: covectors rounded for reading."""
-        words = []
-        for row in self.annihilator(self.at):
-            row = row / row[np.argmax(np.abs(row))]
-            terms = [f"{c:+.3g} d{s}" for c, s in zip(row, self.system.states, strict=True) if abs(c) > 1e-9]
-            words.append(" ".join(terms).removeprefix("+").replace("1 d", "d", 1))
-        return words
+        return _words(self.system, self.annihilator(self.at))
+
+
+def _annihilator(vectors: Array, rank: int) -> Array:
+    """Orthonormal covectors (n - rank, n) that vanish on the columns of (n, k)."""
+    return np.linalg.svd(vectors)[0][:, rank:].T
+
+
+def _words(system: DriftlessSystem, covectors: Array) -> list[str]:
+    """Covectors (k, n) for reading, such as ``dz - 0.4 dx``."""
+    words = []
+    for row in covectors:
+        row = row / row[np.argmax(np.abs(row))]
+        sizes = [(c, f"{abs(c):.3g} d{s}".removeprefix("1 ")) for c, s in zip(row, system.states, strict=True)]
+        terms = [f"{'-' if c < 0 else '+'} {size}" for c, size in sizes if abs(c) > 1e-9]
+        words.append(" ".join(terms).removeprefix("+ "))
+    return words
 
 
 def leaf(system: DriftlessSystem, at: Sequence[float] | Array, known: Classification | None = None) -> Leaf:
@@ -260,8 +217,7 @@ def leaf(system: DriftlessSystem, at: Sequence[float] | Array, known: Classifica
 
     x0 = np.asarray(at, float)
     span = (known or classify(system, x0.tolist())).basis
-    fields = ca.Function("T", [system.x], [ca.densify(ca.horzcat(*(b.field for b in span)))])
-    value = np.array(fields(x0)).reshape(system.n, len(span))
+    value = evaluate(system, span, x0[None])[0]
     if rank_of(value).value < len(span):
         raise InputError(
             f"{system.name}: at = {x0.tolist()}: a singular state, its leaf is smaller than those around it; "
@@ -279,33 +235,31 @@ def _generic_filtration(
     Over functions, G_{i+1} needs only brackets of the inputs with what was new in G_i: everything older is in G_i.
     """
     basis: list[Bracket] = []
-    candidates = [Bracket(f"g{i + 1}", 1, system.G[:, i]) for i in range(system.m)]
+    candidates = inputs = input_fields(system)
     growth: list[int] = []
     ranks: list[Rank] = []
     values = np.zeros((len(points), system.n, 0))
     while candidates:
-        columns = [_evaluate(system, b.field, points) for b in candidates]
-        new, values = _select(values, columns, ranks)
+        new, values = _select(values, evaluate(system, candidates, points), ranks)
         basis += [candidates[i] for i in new]
         if not new and growth:
             break
         growth.append(len(basis))
         if len(basis) == system.n or len(growth) == depth:
             break
-        inputs = [Bracket(f"g{i + 1}", 1, system.G[:, i]) for i in range(system.m)]
         pairs = [(i, k) for k in new for i in range(system.m) if len(growth) > 1 or i < k]
-        candidates = [_product(inputs[i], candidates[k], system.x) for i, k in pairs]
+        candidates = [product(inputs[i], candidates[k], system.x) for i, k in pairs]
     return tuple(growth), basis, ranks
 
 
-def _select(values: Array, columns: list[Array], ranks: list[Rank]) -> tuple[list[int], Array]:
-    """Candidates that raise the generic rank, the best conditioned first."""
+def _select(values: Array, columns: Array, ranks: list[Rank]) -> tuple[list[int], Array]:
+    """Candidates, columns of (k, n, c), that raise the generic rank, the best conditioned first."""
     chosen: list[int] = []
-    while len(chosen) < len(columns):
+    while len(chosen) < columns.shape[2]:
         trials = []
-        for i, column in enumerate(columns):
+        for i in range(columns.shape[2]):
             if i not in chosen:
-                stack = np.concatenate([values, column[:, :, None]], axis=2)
+                stack = np.concatenate([values, columns[:, :, i : i + 1]], axis=2)
                 # the rank is generic: the largest over the states, with the clearest gap
                 trials.append((max((rank_of(s) for s in stack), key=lambda r: (r.value, r.gap)), -i, stack))
         best, index, stack = max(trials, key=lambda t: (t[0].value, _conditioning(t[2]), t[1]))
@@ -327,63 +281,49 @@ def _conditioning(stack: Array) -> float:
 
 
 def _growth_at(
-    system: DriftlessSystem, x0: Array, growth: tuple[int, ...], basis: list[Bracket], depth: int | None
-) -> tuple[tuple[int, ...], list[Rank], bool]:
-    """Growth at one state. Where it lags behind the generic one, deeper brackets are looked at, all of them."""
-    ranks, quick = [], []
-    for level in range(1, len(growth) + 1):
-        fields = [b.field for b in basis if b.degree <= level]
-        ranks.append(rank_of(np.hstack([_evaluate(system, f, x0[None]).T for f in fields])))
-        quick.append(ranks[-1].value)
-    if tuple(quick) == growth:
-        return growth, ranks, False
-    limit = depth or _affordable(system.m, len(growth) + 2)
-    hall = hall_basis(system, limit)
-    grown: list[int] = []
-    ranks = []
-    for level in range(1, limit + 1):
-        columns = [_evaluate(system, b.field, x0[None]).T for b in hall if b.degree <= level]
-        ranks.append(rank_of(np.hstack(columns)))
-        grown.append(ranks[-1].value)
-        if grown[-1] == growth[-1]:
+    system: DriftlessSystem, x0: Array, growth: tuple[int, ...], basis: list[Bracket], depth: int
+) -> tuple[tuple[int, ...], list[Rank], Array]:
+    """Growth at one state, the ranks looked at, and the vectors (n, k) that span.
+
+    Where the generic basis lags behind, a Hall basis is looked at, deeper than where generic growth ends.
+    """
+    span = evaluate(system, basis, x0[None])[0]
+    ranks = [rank_of(span[:, [b.degree <= level for b in basis]]) for level in range(1, len(growth) + 1)]
+    if tuple(rank.value for rank in ranks) == growth:
+        return growth, ranks, span
+    span, ranks = np.zeros((system.n, 0)), []
+    for values in _hall_values(system, x0[None], depth):
+        span = np.hstack([span, values[0]])
+        ranks.append(rank_of(span))
+        if ranks[-1].value == growth[-1]:
             break
-    finished = grown[-1] == growth[-1]
-    while not finished and len(grown) > len(growth) and grown[-1] == grown[-2]:
+    grown = [rank.value for rank in ranks]
+    while len(grown) > 1 and grown[-1] == grown[-2] < growth[-1]:
         grown.pop()
-    return tuple(grown), ranks, not finished
-
-
-def _affordable(m: int, levels: int) -> int:
-    """The deepest level whose Hall basis stays small."""
-    while sum(growth_bound(m, levels)) > 150 and levels > 2:
-        levels -= 1
-    return levels
+    return tuple(grown), ranks, span
 
 
 def _nilpotency(system: DriftlessSystem, points: Array, depth: int) -> int | None:
-    """The smallest k such that all brackets of k fields vanish, up to ``depth`` + 1."""
-    limit = _affordable(system.m, depth)
-    hall = hall_basis(system, limit)
-    for k in range(2, limit + 1):
-        fields = [b.field for b in hall if b.degree == k]
-        lower = [b.field for b in hall if b.degree == k - 1]
-        size = max((np.abs(_evaluate(system, f, points)).max() for f in lower), default=1.0)
-        if all(np.abs(_evaluate(system, f, points)).max() <= 1e-10 * max(1.0, size) for f in fields):
+    """The smallest k such that all brackets of k fields vanish, up to ``depth``."""
+    size = 1.0
+    for k, values in enumerate(_hall_values(system, points, depth), 1):
+        largest = float(np.abs(values).max(initial=0.0))
+        if k > 1 and largest <= 1e-10 * max(1.0, size):
             return k
+        size = largest
     return None
 
 
-def _evaluate(system: DriftlessSystem, field: Expr, points: Array) -> Array:
-    """(k, n) values of a vector field at states (k, n)."""
-    function = ca.Function("f", [system.x], [ca.densify(field)])
-    values = np.array([np.asarray(function(p)).ravel() for p in points])
-    if not np.all(np.isfinite(values)):
-        where = points[int(np.argmin(np.isfinite(values).all(axis=1)))]
-        raise InputError(
-            f"{system.name}: its fields or their brackets are not finite at {np.round(where, 4).tolist()}: a singular "
-            "state of these coordinates; ask at another, or choose other inputs"
-        )
-    return values
+def _hall_values(system: DriftlessSystem, points: Array, depth: int) -> Iterator[Array]:
+    """Values (k, n, c) of a Hall basis at states (k, n), degree by degree, as far as that stays affordable."""
+    levels = hall_levels(system)
+    for width in growth_bound(system.m, depth):
+        if width > WIDEST:
+            return
+        level = next(levels)
+        if function_of(system, level).n_instructions() > LONGEST:
+            return
+        yield evaluate(system, level, points)
 
 
 def _middle(system: DriftlessSystem) -> Array:

@@ -7,7 +7,7 @@ optimal inputs between general end points stand in `optimal.py`.
 from __future__ import annotations
 
 from functools import lru_cache
-from itertools import combinations
+from itertools import combinations, product
 from math import factorial
 from typing import Any, Literal
 
@@ -160,12 +160,12 @@ def _cubic_effect(waves: dict[int, tuple[int, str]], triple: tuple[int, int, int
         return TAU * frequency * (np.sin if kind == "sin" else np.cos)(TAU * frequency * s)
 
     i, j, k = triple
-    inner = _periodic_integral(rate(i))
-    return float(np.mean(_periodic_integral(inner * rate(j)) * rate(k)))
+    inner = periodic_integral(rate(i))
+    return float(np.mean(periodic_integral(inner * rate(j)) * rate(k)))
 
 
-def _periodic_integral(rate: Array) -> Array:
-    """Integral from 0 of a periodic function of zero mean sampled over its period 1."""
+def periodic_integral(rate: Array) -> Array:
+    """Integral from 0 of the oscillating part of a periodic function sampled over its period 1."""
     spectrum = np.fft.rfft(rate)
     spectrum[0] = 0
     k = np.arange(len(spectrum))
@@ -179,10 +179,11 @@ def steer_chained(
 ) -> Steering:
     """Chained form of length n from ``start`` to ``goal``.
 
-    ``"together"``: ``v1 = d + a sin``, ``v2`` a sum of cosines of 0 to n - 2 times its frequency, all in one stage:
-    given
-    ``a`` the rest is a linear solve, and ``a`` is the one of least effort unless ``amplitude`` is given. ``"staged"``:
-    SIN's algorithm, one coordinate a stage, ``v1 = a sin, v2 = b cos of k times``, amplitudes in closed form.
+    ``"together"``: ``v1 = d + a sin``, ``v2`` a sum of cosines of 0 to n - 2 times its phase, all in one stage: given
+    ``a`` the rest is a linear solve. Amplitude and first phase, 0 or a right angle, are those of least effort, or
+    ``amplitude`` at phase 0. Beyond n = 14, states swing so far that round-off may keep them from the goal.
+    ``"staged"``: SIN's algorithm, one coordinate a stage, ``v1 = a sin, v2 = b cos of k times``, amplitudes in closed
+    form.
     """
     system, z0, z1 = _ends(chained(n), start, goal)
     if method == "staged":
@@ -194,7 +195,8 @@ def steer_chained(
         return _exact(system, z0, z1, _straight(np.array([d, 0.0])) or [_rest(2)])
     if amplitude is None:
         size = max(1.0, abs(d)) * np.geomspace(0.1, 8.0, 24)
-        trials = [_chained_together(n, z0, z1, sign * a) for a in size for sign in (1.0, -1.0)]
+        members = product(size, (1.0, -1.0), (0.0, TAU / 4))
+        trials = [_chained_together(n, z0, z1, sign * a, phase) for a, sign, phase in members]
         law = min(trials, key=lambda t: t[1])[0]
     else:
         law = _chained_together(n, z0, z1, amplitude)[0]
@@ -206,14 +208,18 @@ def _gauss(count: int) -> tuple[Array, Array]:
     return np.polynomial.legendre.leggauss(count)
 
 
-def _chained_together(n: int, z0: Array, z1: Array, a: float) -> tuple[Law, float]:
-    """The law and its effort for ``z1(s) = z1(0) + d s + a (1 - cos 2 pi s)``."""
+def _chained_together(n: int, z0: Array, z1: Array, a: float, phase: float = 0.0) -> tuple[Law, float]:
+    """The law and its effort for ``z1(s) = z1(0) + d s + a (cos phase - cos(2 pi s + phase))``.
+
+    From a right angle on, z1 swings to both sides: long chains then need less effort and lose fewer digits.
+    """
     nodes, weights = _gauss(40 + 12 * n)
     s, w = (nodes + 1) / 2, weights / 2
     d = z1[0] - z0[0]
     extra = 3 if d else 0
-    waves = np.cos(TAU * np.outer(np.arange(n - 1 + extra), s))
-    ahead = d * (1 - s) - a * (1 - np.cos(TAU * s))  # z1(1) - z1(s)
+    order = np.arange(n - 1 + extra)
+    waves = np.cos(np.outer(order, TAU * s + phase))
+    ahead = d * (1 - s) - a * (np.cos(phase) - np.cos(TAU * s + phase))  # z1(1) - z1(s)
     # what v2 at s adds to z_(k+2) at the end: (z1(1) - z1(s))^k / k!
     effect = np.array([ahead**k / factorial(k) for k in range(n - 1)]) * w @ waves.T
     free = [sum(z0[1 + i] * d ** (k - i) / factorial(k - i) for i in range(k + 1)) for k in range(n - 1)]
@@ -223,8 +229,8 @@ def _chained_together(n: int, z0: Array, z1: Array, a: float) -> tuple[Law, floa
     b += np.linalg.lstsq(effect / scale[:, None], (wanted - effect @ b) / scale, rcond=1e-15)[0]
 
     def law(s: Array) -> Array:
-        v2 = np.cos(TAU * np.outer(s, np.arange(len(b)))) @ b
-        return np.column_stack([d + a * TAU * np.sin(TAU * s), v2])
+        turn = TAU * s + phase
+        return np.column_stack([d + a * TAU * np.sin(turn), np.cos(np.outer(turn, order)) @ b])
 
     return law, d**2 + (TAU * a) ** 2 / 2 + float(w @ (b @ waves) ** 2)
 

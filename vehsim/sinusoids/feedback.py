@@ -16,7 +16,8 @@ import casadi as ca
 import numpy as np
 
 from vehsim.errors import InputError
-from vehsim.sinusoids.algebra import SAMPLES, lie_bracket, rank_of
+from vehsim.sinusoids.algebra import SAMPLES
+from vehsim.sinusoids.brackets import lie_bracket, rank_of
 from vehsim.sinusoids.system import Array, DriftlessSystem, Expr, matrix
 
 

@@ -17,10 +17,12 @@ import casadi as ca
 import numpy as np
 
 from vehsim.errors import InputError, SolveError
+from vehsim.sinusoids.algebra import classify
+from vehsim.sinusoids.canonical import periodic_integral
 from vehsim.sinusoids.feedback import Feedback
+from vehsim.sinusoids.laws import chebyshev
 from vehsim.sinusoids.steering import Law, Stage, Steering
 from vehsim.sinusoids.system import Array, DriftlessSystem
-from vehsim.sinusoids.train import chebyshev
 
 TAU = 2 * np.pi
 SAMPLES = 512
@@ -132,6 +134,7 @@ def steer_triangular(
         except SolveError as error:
             reason = error
             continue
+        steps = steps or [_constant("rest", np.zeros(source.m))]
         stages = steps if change is None else _source_stages(change, x0, steps)
         return Steering(source, x0, x1, tuple(stages)).checked()
     raise reason
@@ -198,7 +201,7 @@ def net_motion(t: Triangular, h: Array, loop: Loop, a: float, b: float) -> Array
         rates = system.rates(path, v)
         for i in (i for i in range(system.n) if t.level[i] == level):
             net[i] = np.mean(rates[:, i])
-            path[:, i] += _periodic(rates[:, i])
+            path[:, i] += periodic_integral(rates[:, i])
         lower = [system.domain.get(name, (-np.inf, np.inf)) for name in system.states]
         outside = any(np.any((path[:, i] < lo) | (path[:, i] > hi)) for i, (lo, hi) in enumerate(lower))
         if outside or not np.all(np.isfinite(path)):
@@ -235,7 +238,7 @@ def _loop_stage(t: Triangular, amplitude: float, cycles: int, phase: float, h: A
 
 def _choose_loop(t: Triangular, h: Array, i: int, cycles: int, phase: float) -> Loop:
     """Inputs and harmonic that move state ``i`` alone: bracket depth says the harmonic, the Fourier analysis the
-    inputs.
+    inputs. ``InputError`` where no bracket reaches it either.
     """
     tried = []
     for harmonic in range(t.level[i] - 1, t.level[i] + 2):
@@ -249,6 +252,7 @@ def _choose_loop(t: Triangular, h: Array, i: int, cycles: int, phase: float) -> 
             tried.append(
                 f"{t.system.states[p]}/{t.system.states[q]} at 1:{harmonic} moves {', '.join(moved) or 'nothing'}"
             )
+    classify(t.system, h.tolist()).require_controllable()
     raise SolveError(
         f"{t.system.name}: {t.system.states[i]}: no pair of sinusoids moves it alone ({'; '.join(tried)}); "
         "change coordinates, or another phase"
@@ -360,15 +364,6 @@ def _source_stages(change: Feedback, x0: Array, steps: Sequence[Stage]) -> list[
         stages.append(replace(stage, law=chebyshev(law, stage.cycles)))
         x = integrate(change.driven, stage, x, np.array([0.0, 1.0]))[-1]
     return stages
-
-
-def _periodic(rate: Array) -> Array:
-    """Integral from 0 of the oscillating part of a periodic function sampled over its period 1."""
-    spectrum = np.fft.rfft(rate)
-    spectrum[0] = 0
-    spectrum[1:] /= 1j * TAU * np.arange(1, len(spectrum))
-    value = np.fft.irfft(spectrum, len(rate))
-    return value - value[0]
 
 
 def _needs(depends: Array, i: int) -> list[int]:

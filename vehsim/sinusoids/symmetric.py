@@ -17,8 +17,9 @@ import casadi as ca
 import numpy as np
 
 from vehsim.errors import InputError
-from vehsim.sinusoids.algebra import Rank, lie_bracket, rank_of
-from vehsim.sinusoids.system import Array, Expr
+from vehsim.sinusoids.algebra import classify
+from vehsim.sinusoids.brackets import Rank, lie_bracket, rank_of
+from vehsim.sinusoids.system import Array, DriftlessSystem, Expr
 from vehsim.vehicles import State, Vehicle
 
 
@@ -26,9 +27,11 @@ from vehsim.vehicles import State, Vehicle
 class SymmetricClosure:
     """``dimension``: of the velocities; ``ranks``: span of the ``Y_a``, then with products of two, of three, ...
 
-    ``accessible``: they span all velocities. ``bad``: labels of the products that stand in the way of more, unless
-    what balances the vehicle, its weight, does the rest: ``linear``, the linearised motion is controllable (Kalman).
-    ``controllable``: from rest the vehicle reaches all states nearby, as long as its controls are not at a bound.
+    ``unreached``: directions of the pose that no bracket of the velocities leads to (Chow), as of wheels on rails.
+    ``accessible``: they span all velocities, and those all poses. ``bad``: labels of the products that stand
+    in the way of more, unless what balances the vehicle, its weight, does the rest: ``linear``, the linearised motion
+    is controllable (Kalman). ``controllable``: from rest the vehicle reaches all poses and velocities nearby, as long
+    as its controls are not at a bound.
     """
 
     dimension: int
@@ -36,10 +39,11 @@ class SymmetricClosure:
     labels: tuple[str, ...]
     bad: tuple[str, ...]
     linear: bool
+    unreached: int = 0
 
     @property
     def accessible(self) -> bool:
-        return self.ranks[-1].value == self.dimension
+        return self.ranks[-1].value == self.dimension and not self.unreached
 
     @property
     def controllable(self) -> bool:
@@ -83,7 +87,7 @@ def symmetric_closure(
     if np.abs(unbalanced).max() > 1e-6:
         raise InputError(
             f"{vehicle.name}: controls {np.round(c0, 4).tolist()} do not balance it at rest: it accelerates by "
-            f"{np.abs(unbalanced).max():.3g}; give controls that do"
+            f"{np.round(unbalanced[rows], 3).tolist()}; {_mend(vehicle, controls)}"
         )
     found: list[tuple[tuple[str, ...], str, Expr]] = [
         ((n,), n, inputs[:, i]) for i, n in enumerate(vehicle.control_names)
@@ -107,7 +111,23 @@ def symmetric_closure(
         labels += [label for _, label, _ in new]
         ranks.append(rank_of(np.array(values).T))
     linear = _kalman(*vehicle.linearize(at or State(), c0))
-    return SymmetricClosure(sizes[2], tuple(ranks), tuple(labels), tuple(bad), linear)
+    allowed = ca.jacobian(ca.vertcat(*law(*symbols, c, 0, 0)[:2]), ca.vertcat(symbols[2], c))
+    unreached = _unreached(vehicle, ca.vertcat(*symbols[:2]), allowed, start[: sum(sizes[:2])])
+    return SymmetricClosure(sizes[2], tuple(ranks), tuple(labels), tuple(bad), linear, unreached)
+
+
+def _unreached(vehicle: Vehicle, x: Expr, fields: Expr, at: Array) -> int:
+    """How many directions of the pose no bracket of the allowed velocities ``fields`` (n, m) leads to."""
+    states, inputs = (tuple(f"{kind}{i}" for i in range(size)) for kind, size in zip("xu", fields.shape, strict=True))
+    system = DriftlessSystem(vehicle.name, states, inputs, lambda q: ca.substitute(fields, x, q))
+    pose = classify(system, at.tolist()).span_at[: len(vehicle.group.identity)]
+    return vehicle.group.dim - rank_of(pose).value
+
+
+def _mend(vehicle: Vehicle, controls: Sequence[float] | None) -> str:
+    if vehicle.hull is not None and vehicle.planar is not None:
+        return "the water that carries it is not in its equations: ask for `vehicle.planar`, which glides on it"
+    return "give controls that do" if controls is not None else "none within their bounds do: it cannot rest here"
 
 
 def _kalman(a: Array, b: Array) -> bool:

@@ -139,8 +139,8 @@ def from_constraints(
 ) -> DriftlessSystem:
     """The system that Pfaffian constraints ``W(x) x' = 0``, W (k, n), leave free (SIN sec. 1).
 
-    The inputs are the rates of the states that the constraints do not determine, chosen where the rest is best
-    conditioned at ``at`` (a random state unless given). Raises ``InputError`` when the rows are dependent there.
+    The inputs are the rates of the states that the constraints do not determine, chosen so that the rest is well
+    conditioned at ``at``, or throughout the domain. Raises ``InputError`` naming a row that follows from others.
     """
     x = ca.vertcat(*(ca.SX.sym(s) for s in states))
     w = matrix(constraints(x))
@@ -148,11 +148,18 @@ def from_constraints(
     if n != len(states) or rows >= n:
         raise InputError(f"{name}: constraints: shape {w.shape}; give fewer than {len(states)} rows of {len(states)}")
     bounds = np.array([(domain or {}).get(s, (-1.0, 1.0)) for s in states])
-    point = np.random.default_rng(1).uniform(*bounds.T) if at is None else np.asarray(at, float)
-    value = np.array(ca.Function("W", [x], [ca.densify(w)])(point)).reshape(rows, n)
-    pivots = max(combinations(range(n), rows), key=lambda c: smallest_singular_value(value[:, c]))
-    if smallest_singular_value(value[:, pivots]) < 1e-9 * max(1.0, np.abs(value).max()):
-        raise InputError(f"{name}: constraints: dependent at {point.tolist()}; drop a row, or give another point `at`")
+    random = np.random.default_rng(1).uniform(bounds[:, 0], bounds[:, 1], (8, n))
+    points = np.vstack([bounds.mean(axis=1), random]) if at is None else np.asarray(at, float)[None]
+    function = ca.Function("W", [x], [ca.densify(w)])
+    values = [np.array(function(p)).reshape(rows, n) for p in points]
+    regular = [v for v in values if smallest_singular_value(v) > 1e-9 * max(1.0, np.abs(v).max())]
+    if not regular:
+        k = next(k for k in range(rows) if np.linalg.matrix_rank(values[-1][: k + 1]) <= k)
+        raise InputError(
+            f"{name}: constraints: row {k + 1} of {rows} is zero or follows from those above it at "
+            f"{np.round(points[-1], 4).tolist()}; drop it, or give another point `at`"
+        )
+    pivots = max(combinations(range(n), rows), key=lambda c: min(smallest_singular_value(v[:, c]) for v in regular))
     free = [i for i in range(n) if i not in pivots]
 
     def fields(x_: Expr) -> Expr:
