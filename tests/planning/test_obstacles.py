@@ -11,15 +11,11 @@ from vehsim import Mark, World
 from vehsim.errors import InputError, SolveError
 from vehsim.planning import astar
 from vehsim.planning.astar import guess_drive, turning_radius
-from vehsim.planning.obstacles import (
-    CORNERS,
-    Rows,
-    certify_plane,
-    clearances,
-    inner_discs,
-    obstacle_rows,
-    simplified,
-)
+from vehsim.planning.certify import certify_plane
+from vehsim.planning.features import CORNERS, body_of, form_of, gap
+from vehsim.planning.features import element as row_of
+from vehsim.planning.obstacles import Rows, obstacle_rows
+from vehsim.planning.outlines import clearances, inner_discs, simplified
 from vehsim.planning.transcription import transcription
 from vehsim.world import obstacles as ob
 from vehsim.world.plane import distance, placed
@@ -169,43 +165,75 @@ def test_a_motion_of_another_planner_is_a_guess(car):
     assert np.abs(again.clip.positions[::8, 1] - first.clip.positions[::8, 1]).max() < 1.0  # the same way round
 
 
-@pytest.mark.parametrize("part", [ob.polygon("p", [(0, 0), (3, 0), (2, 2)]), ob.ellipse("e", (1, 1), (2, 0.8), 30)])
+PARTS = [ob.polygon("p", [(0, 0), (3, 0), (2, 2)]), ob.ellipse("e", (1, 1), (2, 0.8), 30)]
+
+
+def rows_of(vehicle, shape, poses):
+    """All features of a shape, (features, n) m, at poses (n, 3) of the root: yaw, x, y."""
+    form, body = form_of(shape), body_of(vehicle)
+    numbers = form.numbers(shape)
+    return np.array([
+        np.ravel(gap(f.kind, body)(poses.T, np.tile(numbers[list(f.numbers)], (len(poses), 1)).T,
+                                   np.tile(f.constants, (len(poses), 1)).T))
+        for f in form.features(shape, body)
+    ])  # fmt: skip
+
+
+@pytest.mark.parametrize("part", PARTS)
 def test_rows_are_the_exact_distance(car, part):
     """Outside each other, the least row is the distance of the polygon the optimiser sees from the part."""
-    import casadi as ca
-
-    from vehsim.planning.obstacles import _element, _numbers
-
-    t = transcription(car)
-    element = _element(t, part.parts[0])
-    rows = ca.Function("rows", [element.y, element.p], [element.g])
     rng = np.random.default_rng(2)
-    body = simplified(ob.footprint(car), CORNERS)
-    for _ in range(60):
-        yaw, root = rng.uniform(-np.pi, np.pi), rng.uniform(-7, 9, 2)
-        exact = distance(placed(body, root[None], np.array([yaw])), part.parts[0])[0]
-        if exact < 0.02:
-            continue
-        c, s = np.cos(yaw), np.sin(yaw)
-        axle = root + np.array([[c, -s], [s, c]]) @ car.origin[:2]
-        x = np.zeros(element.y.shape[0])
-        x[:3] = (yaw, *axle)
-        values = np.ravel(rows(x, np.append(_numbers(part.parts[0]), 0.0)))
-        assert values.min() == pytest.approx(exact, abs=1e-5)
+    poses = np.column_stack([rng.uniform(-np.pi, np.pi, 300), rng.uniform(-7, 9, (300, 2))])
+    body = np.array(body_of(car))
+    exact = distance(placed(body, poses[:, 1:], poses[:, 0]), part.parts[0])
+    poses, exact = poses[exact > 0.02], exact[exact > 0.02]
+    assert len(exact) > 50
+    np.testing.assert_allclose(rows_of(car, part.parts[0], poses).min(axis=0), exact, atol=1e-5)
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_what_rows_hold_does_not_spoil_their_derivatives(car, part):
+    """Slopes and bends, whose distances are not differentiated through, are those of the values: inside and out."""
+    t = transcription(car)
+    rng, shape = np.random.default_rng(4), part.parts[0]
+    kinds = {feature.kind: feature for feature in form_of(shape).features(shape, body_of(car))}
+    for kind, feature in kinds.items():
+        element = row_of(t, kind)
+        p = np.concatenate([form_of(shape).numbers(shape)[list(feature.numbers)], [0.5], feature.constants])
+        value = lambda x, e=element, p=p: float(e.value(x, p)[1])  # noqa: E731
+        for _ in range(12):
+            x = np.zeros(element.y.shape[0])
+            x[:3] = rng.uniform(-np.pi, np.pi), *rng.uniform(-4, 6, 2)
+            slope, bend = np.zeros(len(x)), np.zeros((len(x), len(x)))
+            slope[element.jacobian_pattern[1]] = np.ravel(element.jacobian(x, p)[1])
+            hessian, i, j = element.hessian
+            bend[i, j] = bend[j, i] = np.ravel(hessian(x, p, 0.0, 1.0))
+            way = np.append(rng.standard_normal(3), np.zeros(len(x) - 3))
+            found = np.array([value(x + s * way) for s in (-2e-4, -1e-4, 0, 1e-4, 2e-4)])
+            ends = (found[3] - found[1]) / 2e-4, (found[4] - found[0]) / 4e-4
+            if abs(ends[0] - ends[1]) > 1e-4:  # between features it has an edge
+                continue
+            assert slope @ way == pytest.approx(ends[0], abs=1e-4)
+            assert way @ bend @ way == pytest.approx((found[3] - 2 * found[2] + found[1]) / 1e-8, abs=3e-2, rel=2e-2)
 
 
 def test_a_thin_wall_across_the_car_is_seen(car):
     """None of its corners lies in the car, nor any of the car's in it."""
-    import casadi as ca
-
-    from vehsim.planning.obstacles import _element, _numbers
-
     wall = ob.polygon("wall", [(-0.1, -9), (0.1, -9), (0.1, 9), (-0.1, 9)])
-    element = _element(transcription(car), wall.parts[0])
-    x = np.zeros(element.y.shape[0])
-    x[1:3] = car.origin[:2]
-    rows = ca.Function("rows", [element.y, element.p], [element.g])(x, np.append(_numbers(wall.parts[0]), 0.0))
-    assert float(np.min(np.array(rows))) < -0.5
+    assert rows_of(car, wall.parts[0], np.zeros((1, 3))).min() < -0.5
+
+
+def test_only_features_near_each_other_become_rows(car):
+    """A part in front: the car's tail and the part's far corners are no rows, and those that are suffice."""
+    world = World(obstacles=[ob.box("ahead", (7, 0, 0), (6, 3, 1))])
+    rows = obstacle_rows(car, world, across())
+    poses = np.zeros((3, 3)), np.zeros(3), np.zeros(3)
+    rows.look(*poses, 0.5)
+    seen = [feature for (_, feature), seen in zip(rows.features, rows.seen[:, 1], strict=True) if seen]
+    assert 0 < len(seen) < 0.7 * len(rows.features)
+    assert all(feature.constants[0] > -1 for feature in seen if feature.constants)  # of the car, no tail
+    gaps = rows_of(car, world.obstacles[0].parts[0], np.zeros((1, 3)))[:, 0]
+    assert gaps[rows.seen[:, 1]].min() == gaps.min()
 
 
 def test_the_optimiser_sees_no_less_than_the_vehicle(car):
@@ -237,7 +265,8 @@ def test_what_is_run_through_unseen_is_seen_where_it_is_near(car):
     positions, yaw, seconds = np.column_stack([np.linspace(0, 40, 41), np.zeros((41, 2))]), np.zeros(41), np.zeros(41)
     rows.look(positions + 200, yaw, seconds, 0.5)
     assert not rows.seen.any() and rows.overlooked(positions, yaw, seconds, 0.5)
-    assert rows.seen[0, 16:25].all() and not rows.seen[0, :10].any() and not rows.seen[1].any()
+    near, far = (rows.seen[rows.owners == part].any(axis=0) for part in (0, 1))
+    assert near[16:25].all() and not near[:10].any() and not far.any()
     assert not rows.overlooked(positions, yaw, seconds, 0.5)
 
 
@@ -282,5 +311,5 @@ def test_problems_are_shared_by_worlds_of_a_shape(car):
     """Where parts stand is a parameter: the same rows serve another world."""
     one, two = (Rows(car, [(ob.box("b", (x, 3, 0), (1, 1, 1)), 0)]) for x in (10.0, 11.0))
     for rows in (one, two):
-        rows.seen = np.array([[False, True, True]])
-    assert one.key == two.key
+        rows.seen = np.ones((len(rows.features), 3), bool)
+    assert one.key == two.key and hash(one.key) == hash(two.key)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.errors import SolveError
-from vehsim.planning.obstacles import gaps_to, inner_discs
+from vehsim.planning.outlines import gaps_to, inner_discs
 from vehsim.vehicles import Vehicle
 from vehsim.world.obstacles import footprint
 
@@ -111,9 +111,9 @@ class _Ground:
         self.discs = inner_discs(outline) or [(np.zeros(2), 0.0)]
         self.radius = max(radius for _, radius in self.discs)
         size = float(np.linalg.norm(outline, axis=1).max())
-        still = [o.parts[i] for o, i in parts if hasattr(o, "parts")]
+        still = [o.parts[i] for o, i in parts if not o.moves]
         still += [outline for outlines in met for outline in outlines[:: max(1, len(outlines) // 8)]]
-        still += [o.shapes_at(np.zeros(1))[0][0] for o, _ in parts if not hasattr(o, "parts") and o.stands]
+        still += [o.shapes_at(np.zeros(1))[0][0] for o, _ in parts if o.moves and o.stands]
         corners = [shape.outline() if hasattr(shape, "outline") else shape for shape in still]
         points = np.vstack([ends, *corners])
         room = 4 * size + 2 * clearance

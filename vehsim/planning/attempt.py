@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from vehsim.clip import Clip
 from vehsim.integrators.integrator import build_clip
-from vehsim.planning.certify import SAMPLES, Executed, certify, executed
+from vehsim.planning.certify import SAMPLES, Executed, certify, certify_plane, executed
 from vehsim.planning.cover import SLOPE, approach, landings
 from vehsim.planning.elements import Problem
 from vehsim.planning.guess import along_clip, along_paths, clip_spans, lift
@@ -32,7 +32,7 @@ from vehsim.planning.legs import (
     whole_frames,
 )
 from vehsim.planning.multipliers import carried
-from vehsim.planning.obstacles import FINEST, certify_plane, obstacle_rows
+from vehsim.planning.obstacles import FINEST, obstacle_rows
 from vehsim.planning.problem import build, distances, hold_adrift, parameter_values, variable_bounds
 from vehsim.planning.request import Request
 from vehsim.planning.solver import Multipliers, Solution, Solver, Start
@@ -329,7 +329,7 @@ class Attempt:
         self.clip = self._clip()
         self.clearance = self._certified() if self.request.hazards else np.inf
         if self.rows is not None:
-            nearest, by_segment = certify_plane(self.clip, self.rows.parts, self.wanted + 0.5)
+            nearest, by_segment = certify_plane(self.clip, self.rows.parts, self.wanted)
             self.clearance = min(self.clearance, nearest)
             self.lack = np.maximum(self.wanted - by_segment, 0.0)
         near = self.clearance < self.wanted - (SLACK if self.rows is None else FINEST)

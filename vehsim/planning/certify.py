@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -14,7 +15,9 @@ from vehsim._interpolate import spatial
 from vehsim.clip import Clip
 from vehsim.integrators import DiscreteMechanics
 from vehsim.integrators.continuous import execute
-from vehsim.world.obstacles import Moving, hulls_of
+from vehsim.planning.outlines import bounds_to, gaps_to
+from vehsim.world.obstacles import Moving, footprint, headings, hulls_of
+from vehsim.world.plane import distance, placed
 
 Array = NDArray[np.float64]
 
@@ -53,57 +56,121 @@ def certify(
     """
     if world is None or (world.terrain is None and not world.obstacles) or len(clip) < 2:
         return float("inf")
-    measure = _Measure(clip, world, less or (lambda positions: np.zeros(len(positions))), slope)
+    add = less or (lambda positions: np.zeros(len(positions)))
+    return _nearest(_Hulls(clip, world, add, slope), samples, progress)[0]
+
+
+def certify_plane(
+    clip: Clip, parts: Sequence[tuple[Any, int]], wanted: float = 0.0, samples: int = SAMPLES
+) -> tuple[float, Array]:
+    """Least signed distance (m) of a clip's vehicle to the parts, between knots too; and by part and segment.
+
+    On the clip's interpolant: where two samples and the way between them leave room for a smaller distance, there are
+    more, until the least one is known to `FINEST`. By segment, the least of the samples; those beyond it and beyond
+    ``wanted`` m are lower bounds.
+    """
+    if not parts or len(clip) < 2:
+        return float("inf"), np.full((len(parts), max(len(clip) - 1, 1)), np.inf)
+    bare = replace(clip, channels={}, energy={})  # nothing but its motion is asked of it
+    return _nearest(_Outlines(bare, parts, wanted), samples)
+
+
+def _nearest(
+    measure: _Measure, samples: int, progress: Callable[[str, float], None] | None = None
+) -> tuple[float, Array]:
+    """The least of what is measured, and the least by row and segment (rows, segments)."""
+    knots = measure.clip.times
     fine = np.linspace(0, 1, samples, endpoint=False)
-    times = np.append((clip.times[:-1, None] + np.diff(clip.times)[:, None] * fine).ravel(), clip.times[-1])
+    times = np.append((knots[:-1, None] + np.diff(knots)[:, None] * fine).ravel(), knots[-1])
     times = np.union1d(times, measure.breaks)
     pairs = np.column_stack([np.arange(len(times) - 1), np.arange(1, len(times))])
-    nearest = np.inf
+    nearest, by_segment = np.inf, np.zeros((0, len(knots) - 1))
     for round_ in range(HALVINGS):
-        gaps, moved = measure(times, pairs)
+        gaps, moved = measure(times, pairs, nearest)
         nearest = min(nearest, float(gaps.min()))
+        by_segment = np.vstack([by_segment, np.full((len(gaps) - len(by_segment), len(knots) - 1), np.inf)])
+        for side in ("left", "right"):  # a knot belongs to the segments on both its sides
+            segment = np.clip(np.searchsorted(knots, times, side) - 1, 0, len(knots) - 2)
+            np.minimum.at(by_segment.T, segment, gaps.T)
         if progress is not None:
             progress("certifying clearance", 1 - 0.5 ** (round_ + 1))
         # no point comes nearer than the sum of what both ends allow
-        least = (gaps[pairs[:, 0]] + gaps[pairs[:, 1]] - moved) / 2
-        left, right = times[pairs[least < nearest - FINEST]].T
+        least = (gaps[:, pairs[:, 0]] + gaps[:, pairs[:, 1]] - moved) / 2
+        left, right = times[pairs[least.min(axis=0) < nearest - FINEST]].T
         if not len(left):
             break
         middle = (left + right) / 2
         times, place = np.unique(np.concatenate([left, middle, middle, right]), return_inverse=True)
         pairs = place.reshape(2, 2, -1).transpose(0, 2, 1).reshape(-1, 2)
-    return nearest
+    return nearest, by_segment
 
 
-class _Measure:
-    """Distances along a clip, and how far anything may move between two poses."""
+class _Measure(ABC):
+    """Distances along a clip, and how far anything may move between two poses of it."""
 
-    def __init__(self, clip: Clip, world: Any, less: Callable[[Array], Array], slope: float) -> None:
-        self.clip, self.world, self.less, self.slope = clip, world, less, slope
+    def __init__(self, clip: Clip, moving: Sequence[Moving], around: float) -> None:
+        self.clip, self.moving, self.around = clip, moving, around
         self.start = clip.start_frame / float(clip.fps)
-        self.moving = [o for o in world.obstacles if isinstance(o, Moving)]
-        knots = [o.clip.start_frame / float(o.clip.fps) + o.clip.times - self.start for o in self.moving]
+        knots = [o.clip.start_frame / float(o.clip.fps) + o.clip.times - self.start for o in moving]
         inside = np.concatenate([np.zeros(0), *knots])
         self.breaks = inside[(inside > clip.times[0]) & (inside < clip.times[-1])]
-        self.reach = reach(clip.vehicle)
+
+    def ways(self, times: Array, motion: Clip, pairs: NDArray[np.intp]) -> tuple[Array, Array, list[Array]]:
+        """Between ``pairs`` (m, 2) of poses: how far the root goes (m,) m, any point of it by turning (m,) m, and any
+        point of each that moves, (m,) m."""
+        omega, velocity = spatial(motion)
+        way, turn = _path(times, motion.positions, velocity, omega, pairs)
+        others = [(o, _path(*o.motion_at(self.start + times), pairs)) for o in self.moving]
+        return way, self.around * turn, [w + reach(o.clip.vehicle) * t for o, (w, t) in others]
+
+    @abstractmethod
+    def __call__(self, times: Array, pairs: NDArray[np.intp], nearest: float) -> tuple[Array, Array]:
+        """Distances (rows, n) m at ``times``, exact below ``nearest`` m, and the most that any two points can approach
+        between ``pairs`` (m, 2), (rows, m) m."""
+
+
+class _Hulls(_Measure):
+    """Of hulls to all there is in a world, in one row; each pose is measured once."""
+
+    def __init__(self, clip: Clip, world: Any, less: Callable[[Array], Array], slope: float) -> None:
+        super().__init__(clip, [o for o in world.obstacles if o.moves], reach(clip.vehicle))
+        self.world, self.less, self.slope = world, less, slope
         self.known: dict[float, float] = {}
 
-    def __call__(self, times: Array, pairs: NDArray[np.intp]) -> tuple[Array, Array]:
-        """Distances (n,) m at ``times``, and the most that any two points can approach between ``pairs`` (m, 2), m."""
-        motion, seconds = self.clip.at(times), self.start + times
-        omega, velocity = spatial(motion)
+    def __call__(self, times: Array, pairs: NDArray[np.intp], nearest: float) -> tuple[Array, Array]:
+        motion = self.clip.at(times)
         new = np.array([k for k, t in enumerate(times.tolist()) if t not in self.known], int)
         if len(new):
             poses = motion.positions[new], motion.orientations[new]
-            found = self.world.clearance(self.clip.vehicle, *poses, seconds[new]) + self.less(poses[0])
+            found = self.world.clearance(self.clip.vehicle, *poses, self.start + times[new]) + self.less(poses[0])
             self.known.update(zip(times[new].tolist(), found.tolist(), strict=True))
-        way, turn = _path(times, motion.positions, velocity, omega, pairs)
-        moved = (1 + self.slope) * way + self.reach * turn
-        others = np.zeros(len(pairs))
-        for obstacle in self.moving:
-            way, turn = _path(*obstacle.motion_at(seconds), pairs)
-            others = np.maximum(others, way + reach(obstacle.clip.vehicle) * turn)
-        return np.array([self.known[t] for t in times.tolist()]), moved + others
+        way, turn, others = self.ways(times, motion, pairs)
+        moved = (1 + self.slope) * way + turn + np.max(others, axis=0, initial=0.0)
+        return np.array([[self.known[t] for t in times.tolist()]]), moved[None]
+
+
+class _Outlines(_Measure):
+    """Of an outline in the plane to parts of obstacles, a row each."""
+
+    def __init__(self, clip: Clip, parts: Sequence[tuple[Any, int]], wanted: float) -> None:
+        self.outline = footprint(clip.vehicle)
+        super().__init__(clip, [o for o, _ in parts if o.moves], float(np.linalg.norm(self.outline, axis=1).max()))
+        self.parts, self.wanted = parts, wanted
+
+    def __call__(self, times: Array, pairs: NDArray[np.intp], nearest: float) -> tuple[Array, Array]:
+        motion = self.clip.at(times)
+        way, turn, others = self.ways(times, motion, pairs)
+        their = iter(others)
+        moved = np.array([way + turn + (next(their) if o.moves else 0.0) for o, _ in self.parts])
+        outlines = placed(self.outline, motion.positions[:, :2], headings(motion.orientations))
+        shapes = [o.shapes_at(self.start + times)[number] for o, number in self.parts]
+        bounds = np.array([bounds_to(shape, outlines) for shape in shapes])
+        # what is nearest is no farther than what the bounds call nearest
+        row, column = np.unravel_index(int(bounds.argmin()), bounds.shape)
+        here = shapes[row] if np.ndim(shapes[row]) < 3 else shapes[row][[column]]
+        nearest = min(nearest, float(distance(outlines[[column]], here)[0]))
+        enough = max(nearest, self.wanted) + float(moved.max())
+        return np.array([gaps_to(shape, outlines, enough) for shape in shapes]), moved
 
 
 def reach(vehicle: Any) -> float:

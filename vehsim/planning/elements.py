@@ -64,6 +64,9 @@ class Element:
     seen: Seen | None = None
     labels: Sequence[str] = ()
     """Names of the rows of ``g``, where they differ from the element's."""
+    held: tuple[Any, Any] | None = None
+    """Symbols in ``f`` and ``g``, and the expressions of ``y`` and ``p`` they stand for: derivatives take them as
+    constants."""
 
     def __post_init__(self) -> None:
         kind = type(self.y)
@@ -87,17 +90,17 @@ class Element:
     @cached_property
     def value(self) -> ca.Function:
         """``(y, p) -> (f, g)``"""
-        return ca.Function("value", [self.y, self.p], [ca.densify(self.f), self.g])
+        return self._function("value", [ca.densify(self.f), self.g])
 
     @cached_property
     def gradient(self) -> ca.Function:
         """``(y, p) -> (f, df/dy)``, dense."""
-        return ca.Function("gradient", [self.y, self.p], [ca.densify(self.f), ca.densify(ca.gradient(self.f, self.y))])
+        return self._function("gradient", [ca.densify(self.f), ca.densify(ca.gradient(self.f, self.y))])
 
     @cached_property
     def jacobian(self) -> ca.Function:
         """``(y, p) -> (g, entries of dg/dy)``, entries in the order of ``jacobian_pattern``."""
-        return ca.Function("jacobian", [self.y, self.p], [self.g, _entries(ca.jacobian(self.g, self.y))])
+        return self._function("jacobian", [self.g, _entries(ca.jacobian(self.g, self.y))])
 
     @cached_property
     def jacobian_pattern(self) -> tuple[Indices, Indices]:
@@ -110,7 +113,13 @@ class Element:
         lam_f, lam_g = kind.sym("lam_f"), kind.sym("lam_g", self.g.shape[0])
         lagrangian = lam_f * self.f + ca.dot(lam_g, self.g)
         upper = ca.triu(ca.hessian(lagrangian, self.y)[0])
-        return ca.Function("hessian", [self.y, self.p, lam_f, lam_g], [_entries(upper)]), *_pattern(upper)
+        return self._function("hessian", [_entries(upper)], lam_f, lam_g), *_pattern(upper)
+
+    def _function(self, name: str, results: list[Any], *more: Any) -> ca.Function:
+        """Of ``y, p`` and ``more``, with what is held put in."""
+        if self.held is not None:
+            results = [ca.densify(r) for r in ca.cse(ca.substitute(results, [self.held[0]], [self.held[1]]))]
+        return ca.Function(name, [self.y, self.p, *more], results)
 
 
 def elastic(element: Element, price: float) -> Element:

@@ -1,44 +1,44 @@
 """Obstacles as constraints: what drives stays clear of polygons and ellipses, exactly (NH IV.B).
 
-Seen from above a vehicle is a convex polygon A, and so is every part B of an obstacle, unless it is an ellipse. Two of
-them are d apart exactly when the corners of A are d from B and the corners of B are d from A; each of these is a smooth
-row. Rows for a few discs within A see what crosses it between corners. Where parts stand is a parameter of the problem,
-one for every knot when they move, so problems are built once for all worlds of a shape. Geometry is in `world.plane`.
+Which parts, and which `features` of theirs, the problem has rows for at which knot: what is near the guess, and what a
+solved motion ran through unseen. Where parts stand is a parameter of the problem, one for every knot when they move, so
+problems are built once for all worlds of a shape.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim.clip import Clip
 from vehsim.errors import InputError
+from vehsim.planning.certify import FINEST
 from vehsim.planning.cover import attitude
-from vehsim.planning.elements import Element, Problem
+from vehsim.planning.elements import Problem
+from vehsim.planning.features import CORNERS, Feature, body_of, element, form_of, gap
 from vehsim.planning.legs import fixed_durations, legs_between, path_length
 from vehsim.planning.marks import Mark
+from vehsim.planning.outlines import bounds_to, clearances, simplified
 from vehsim.planning.transcription import Layout, Transcription
 from vehsim.vehicles import Vehicle
 from vehsim.world.obstacles import footprint, headings, vertical_reach
-from vehsim.world.plane import Ellipse, distance, placed
+from vehsim.world.plane import placed
 
 if TYPE_CHECKING:
     from vehsim.planning.request import Request
 
 Array = NDArray[np.float64]
-Expr = Any
+Seen = NDArray[np.bool_]
 
-CORNERS = 8
-"""Corners of the polygon the optimiser sees a vehicle as, at most; it contains the footprint."""
 SIGHT = 3.0
 """How far from the first guess a part is seen at a knot, beyond the clearance asked for, m. What comes too near
-unseen is found when the motion is certified, and seen from then on."""
+unseen is found when it is solved, and seen from then on."""
+SPREAD = 2.0
+"""How much farther away than the nearest feature of a part others of it are seen, m."""
 BETWEEN = 0.005
 """What knots demand beyond the clearance asked for, m, since the way between them bends; more where that is not enough.
 """
@@ -46,54 +46,77 @@ DODGES = 4
 """How often a first guess is sought that is not in the way of what moves."""
 BRISK = 5.0
 """Guess of how fast a leg between free marks is driven, m/s."""
-ROUND = 1e-12
-"""Added under square roots, m^2."""
-FINEST = 1e-3
-"""How exactly the least clearance between samples is found, m."""
 
 
 @dataclass(eq=False)
 class Rows:
     """The rows that keep one vehicle clear of a world's obstacles on one discretisation.
 
-    ``parts``: (obstacle, part number); ``seen`` (parts, knots): which stand where in the problem; ``extra``: what each
-    row demands beyond the clearance asked for, m.
+    ``parts``: (obstacle, part number); ``seen`` (features, knots): which `features` are rows of the problem where;
+    ``extra`` (parts, knots): what each demands beyond the clearance asked for, m.
     """
 
     vehicle: Vehicle
     parts: list[tuple[Any, int]]
-    seen: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), bool))
+    seen: Seen = field(default_factory=lambda: np.zeros((0, 0), bool))
     extra: Array = field(default_factory=lambda: np.zeros((0, 0)))
+
+    @cached_property
+    def features(self) -> list[tuple[int, Feature]]:
+        """All that may be nearest: the number of its part, and the feature."""
+        shapes, body = [_shape_of(*part) for part in self.parts], body_of(self.vehicle)
+        return [(row, feature) for row, shape in enumerate(shapes) for feature in form_of(shape).features(shape, body)]
+
+    @cached_property
+    def owners(self) -> NDArray[np.intp]:
+        """The part (features,) that each feature belongs to."""
+        return np.array([row for row, _ in self.features], np.intp)
 
     @property
     def key(self) -> Any:
         """Equal for problems that differ in parameters alone."""
-        return repr(
-            [_kind(o.parts[i]) if hasattr(o, "parts") else "moving" for o, i in self.parts]
-        ), self.seen.tobytes()
+        kinds = tuple((row, self.parts[row][0].moves, feature) for row, feature in self.features)
+        return kinds, self.seen.tobytes()
 
     def look(self, positions: Array, yaw: Array, seconds: Array, clearance: float) -> None:
         """See what is near the guessed poses (knots, ...) of a discretisation; what was seen already stays."""
-        outline = footprint(self.vehicle)
-        reach = clearance + SIGHT
-        near = clearances(self.parts, placed(outline, positions[:, :2], yaw), seconds, reach) < reach
-        near[:, 0] = False  # where it starts is given
-        if self.seen.shape != near.shape:
-            old = self.extra
-            self.extra = _stretched(old, near.shape) if old.size else np.full(near.shape, BETWEEN)
-            self.seen = near
-        self.seen = self.seen | near
+        gaps = self._gaps(positions, yaw, seconds, clearance)
+        if self.seen.shape != gaps.shape:
+            knots = (len(self.parts), len(positions))
+            self.extra = _stretched(self.extra, knots) if self.extra.size else np.full(knots, BETWEEN)
+            self.seen = np.zeros(gaps.shape, bool)
+        self._see(gaps, clearance)
 
     def overlooked(self, positions: Array, yaw: Array, seconds: Array, clearance: float) -> bool:
-        """Whether solved poses (knots, ...) come too near to parts unseen there; what is near them is seen from
-        now on."""
-        outlines = placed(footprint(self.vehicle), positions[:, :2], yaw)
-        gaps = clearances(self.parts, outlines, seconds, clearance + SIGHT)
-        gaps[:, 0] = np.inf
+        """Whether solved poses (knots, ...) come too near to what is unseen there; all near them is seen from now
+        on."""
+        gaps = self._gaps(positions, yaw, seconds, clearance)
         missed = bool(np.any(~self.seen & (gaps < clearance - FINEST)))
         if missed:
-            self.seen |= gaps < clearance + SIGHT
+            self._see(gaps, clearance)
         return missed
+
+    def _see(self, gaps: Array, clearance: float) -> None:
+        nearest = np.full((len(self.parts), gaps.shape[1]), np.inf)
+        np.minimum.at(nearest, self.owners, gaps)
+        self.seen |= gaps < np.minimum(clearance + SIGHT, np.maximum(nearest, clearance)[self.owners] + SPREAD)
+
+    def _gaps(self, positions: Array, yaw: Array, seconds: Array, clearance: float) -> Array:
+        """How far every feature is at poses (knots, ...), (features, knots) m; inf beyond sight and where it starts."""
+        body, out = body_of(self.vehicle), np.full((len(self.features), len(yaw)), np.inf)
+        outlines = placed(np.array(body), positions[:, :2], yaw)
+        near = np.array([bounds_to(o.shapes_at(seconds)[k], outlines) < clearance + SIGHT for o, k in self.parts])
+        near[:, 0] = False  # where it starts is given
+        poses, numbers = np.vstack([yaw, positions[:, :2].T]), [_numbers(*part, seconds) for part in self.parts]
+        for kind in dict.fromkeys(feature.kind for _, feature in self.features):
+            of_kind = [n for n, (_, feature) in enumerate(self.features) if feature.kind == kind]
+            where = [(n, np.flatnonzero(near[self.owners[n]])) for n in of_kind]
+            columns = [_columns(self.features[n][1], numbers[self.owners[n]], poses, knots) for n, knots in where]
+            rows, at = np.repeat(of_kind, [len(knots) for _, knots in where]), np.concatenate([k for _, k in where])
+            if len(rows):
+                found = gap(kind, body)(*map(np.hstack, zip(*columns, strict=True)))
+                out[rows, at] = np.asarray(found).ravel()
+        return out
 
     def drive(self, request: Request, wariness: int = 0) -> list[Array]:
         """A path (k, 4) x, y, z m and heading rad for every leg between two marks, by A*; the greater ``wariness``,
@@ -126,7 +149,7 @@ class Rows:
 
     def _met(self, path: Array, start: float, duration: float, clearance: float) -> list[Array]:
         """Outlines (k, 2) of what moves, where an even pace along a path (k, 4) meets it."""
-        moving = [(o, k) for o, k in self.parts if not hasattr(o, "parts") and not o.stands]
+        moving = [(o, k) for o, k in self.parts if o.moves and not o.stands]
         if not moving:
             return []
         way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path[:, :2], axis=0), axis=1))])
@@ -140,34 +163,38 @@ class Rows:
         ]
 
     def add(self, problem: Problem, t: Transcription, layout: Layout) -> None:
-        """The rows, and parameters for them behind those the problem has."""
+        """The rows, and parameters for them behind those the problem has: as `values` lays them out."""
+        rows: dict[Any, list[tuple[Any, ...]]] = {}
         first = problem.parameters
-        for row, (obstacle, number) in enumerate(self.parts):
-            knots = np.flatnonzero(self.seen[row])
-            if not len(knots):
-                continue
-            element = _element(t, _shape_of(obstacle, number))
-            width, moves = element.p.shape[0] - 1, not hasattr(obstacle, "parts")
-            count = width * (len(knots) if moves else 1)
-            shape = first + np.arange(width)[:, None] + width * np.arange(len(knots)) * moves
-            margins = first + count + np.arange(len(knots))
-            problem.add(element, layout.knot(knots), np.vstack([shape, margins]))
-            first += count + len(knots)
+        for row, knots in self._seen_at():
+            obstacle, number = self.parts[row]
+            width = len(_numbers(obstacle, number, np.zeros(1)))
+            place = first + width * obstacle.moves * np.arange(len(knots))
+            margins = first + width * (len(knots) if obstacle.moves else 1) + np.arange(len(knots))
+            for n in np.flatnonzero((self.owners == row) & self.seen.any(axis=1)):
+                feature, here = self.features[n][1], self.seen[n, knots]
+                p = np.vstack([place[here] + np.array(feature.numbers)[:, None], margins[here]])
+                constants = np.tile(np.array(feature.constants)[:, None], np.sum(here))
+                rows.setdefault(feature.kind, []).append((layout.knot(knots[here]), p, constants))
+            first = int(margins[-1]) + 1
         problem.parameters = first
+        for kind, uses in rows.items():
+            problem.add(element(t, kind), *map(np.hstack, zip(*uses, strict=True)))
 
     def values(self, seconds: Array, clearance: float) -> Array:
         """The parameters that `add` laid out: ``seconds`` (knots,) since frame 0, when the vehicle is at its knots."""
         out: list[Array] = []
-        for row, (obstacle, number) in enumerate(self.parts):
-            knots = np.flatnonzero(self.seen[row])
-            if not len(knots):
-                continue
-            shape = _shape_of(obstacle, number)
-            if not hasattr(obstacle, "parts"):
-                positions, orientations = obstacle.poses_at(seconds[knots])
-                shape = placed(shape, positions[:, :2], headings(orientations))
-            out += [_numbers(shape), clearance + self.extra[row, knots]]
+        for row, knots in self._seen_at():
+            numbers = _numbers(*self.parts[row], seconds[knots])
+            out += [numbers.T.ravel(), clearance + self.extra[row, knots]]
         return np.concatenate([np.zeros(0), *out])
+
+    def _seen_at(self) -> Iterator[tuple[int, NDArray[np.intp]]]:
+        """Every part seen anywhere, and the knots at which any feature of it is."""
+        for row in range(len(self.parts)):
+            knots = np.flatnonzero(self.seen[self.owners == row].any(axis=0))
+            if len(knots):
+                yield row, knots
 
     def tighten(self, lack: Array) -> None:
         """Demand more at both knots of the segments where a certified motion lacks clearance: (parts, segments) m."""
@@ -175,8 +202,10 @@ class Rows:
         beside[:, :-1] = lack
         beside[:, 1:] = np.maximum(beside[:, 1:], lack)
         beside[:, 0] = 0.0
-        self.extra += np.where(self.seen & (beside > 0), beside + FINEST, 0.0)  # the unseen need only be seen
-        self.seen |= beside > 0
+        for row, knots in self._seen_at():  # the unseen need only be seen
+            self.extra[row, knots] += np.where(beside[row, knots] > 0, beside[row, knots] + FINEST, 0.0)
+            beside[row, knots] = 0.0
+        self.seen |= beside[self.owners] > 0
 
 
 def obstacle_rows(vehicle: Vehicle, world: Any, marks: Sequence[Any]) -> Rows | None:
@@ -189,7 +218,7 @@ def obstacle_rows(vehicle: Vehicle, world: Any, marks: Sequence[Any]) -> Rows | 
         (obstacle, number)
         for obstacle in world.obstacles
         if obstacle.bottom < height + high and obstacle.top > height + low
-        for number in range(len(getattr(obstacle, "parts", [None])))
+        for number in range(1 if obstacle.moves else len(obstacle.parts))
     ]
     return Rows(vehicle, parts) if parts else None
 
@@ -211,7 +240,7 @@ def marks_too_near(
         yield from _flown_too_near(vehicle, world, marks, clearance)
         return
     rows = obstacle_rows(vehicle, world, marks)
-    still = [] if rows is None else [(o, k) for o, k in rows.parts if hasattr(o, "parts")]
+    still = [] if rows is None else [(o, k) for o, k in rows.parts if not o.moves]
     for i, mark in enumerate(marks if still else ()):
         if mark.position is None:
             continue
@@ -244,234 +273,25 @@ def _flown_too_near(
             yield i, f"only {gap:.2f} m from obstacle {name!r}", mend
 
 
-def clearances(parts: Sequence[tuple[Any, int]], outlines: Array, seconds: Array, reach: float = np.inf) -> Array:
-    """Signed distances (parts, n) m of outlines (n, k, 2) at ``seconds`` (n,) since frame 0.
-
-    Those beyond ``reach`` m are lower bounds, beyond it too.
-    """
-    found = [gaps_to(obstacle.shapes_at(seconds)[number], outlines, reach) for obstacle, number in parts]
-    return np.reshape(found, (len(parts), len(outlines)))
-
-
-def gaps_to(shape: Any, outlines: Array, reach: float = np.inf) -> Array:
-    """Signed distances (n,) m of outlines (n, k, 2) to one shape, or to one each (n, m, 2).
-
-    Those beyond ``reach`` m are lower bounds, beyond it too.
-    """
-    centres, radii = _circle(outlines)
-    alone = isinstance(shape, Ellipse) or shape.ndim == 2
-    middle, radius = (shape.centre, shape.radii.max()) if isinstance(shape, Ellipse) else _circle(shape)
-    out = np.asarray(np.linalg.norm(centres - middle, axis=-1) - radii - radius)
-    near = out < reach
-    if near.any():
-        out[near] = distance(outlines[near], shape if alone else shape[near])
-    return out
-
-
-def _circle(polygons: Array) -> tuple[Array, Array]:
-    """Centres (..., 2) and radii (...) m of circles about polygons (..., k, 2)."""
-    centres = (polygons.min(axis=-2) + polygons.max(axis=-2)) / 2
-    return centres, np.linalg.norm(polygons - centres[..., None, :], axis=-1).max(axis=-1)
-
-
-def certify_plane(
-    clip: Clip, parts: Sequence[tuple[Any, int]], reach: float = np.inf, samples: int = 8
-) -> tuple[float, Array]:
-    """Least signed distance (m) of a clip's vehicle to the parts, between knots too; and by part and segment.
-
-    On the clip's interpolant: where two samples and the way between them leave room for a smaller distance, there are
-    more, until the least one is known to `FINEST`. By segment, those beyond ``reach`` m are lower bounds.
-    """
-    if not parts or len(clip) < 2:
-        return float("inf"), np.full((len(parts), max(len(clip) - 1, 1)), np.inf)
-    fine = np.linspace(0, 1, samples, endpoint=False)
-    times = np.append((clip.times[:-1, None] + np.diff(clip.times)[:, None] * fine).ravel(), clip.times[-1])
-    pairs = np.column_stack([np.arange(len(times) - 1), np.arange(1, len(times))])
-    gaps, moved = _measured(clip, parts, times, pairs, reach)
-    if gaps.min() > reach:
-        return certify_plane(clip, parts, np.inf, samples)
-    nearest, every = float(gaps.min()), samples
-    inner = gaps[:, :-1].reshape(len(parts), -1, every)
-    by_segment = np.minimum(inner.min(axis=2), gaps[:, every::every])
-    for _ in range(12):
-        # no point of a shape comes nearer than the sum of what both ends allow
-        least = (gaps[:, pairs[:, 0]] + gaps[:, pairs[:, 1]] - 1.2 * moved) / 2
-        left, right = times[pairs[least.min(axis=0) < nearest - FINEST]].T
-        if not len(left):
-            break
-        middle = (left + right) / 2
-        times, place = np.unique(np.concatenate([left, middle, middle, right]), return_inverse=True)
-        pairs = place.reshape(2, 2, -1).transpose(0, 2, 1).reshape(-1, 2)
-        gaps, moved = _measured(clip, parts, times, pairs, reach)
-        nearest = min(nearest, float(gaps.min()))
-    return nearest, by_segment
-
-
-def _measured(
-    clip: Clip, parts: Sequence[tuple[Any, int]], times: Array, pairs: NDArray[np.intp], reach: float
-) -> tuple[Array, Array]:
-    """Distances (parts, n) m at ``times``; how far shapes move between ``pairs`` (m, 2) of them, (parts, m) m."""
-    motion = clip.at(times)
-    outlines = placed(footprint(clip.vehicle), motion.positions[:, :2], headings(motion.orientations))
-    seconds = clip.start_frame / float(clip.fps) + times
-
-    def way(corners: Array) -> Array:
-        return np.asarray(np.linalg.norm(corners[pairs[:, 1]] - corners[pairs[:, 0]], axis=-1).max(axis=1))
-
-    own = way(outlines)
-    shapes = [obstacle.shapes_at(seconds)[number] for obstacle, number in parts]
-    moved = [own if isinstance(shape, Ellipse) or shape.ndim == 2 else own + way(shape) for shape in shapes]
-    return clearances(parts, outlines, seconds, reach), np.array(moved)
-
-
-# ------------------------------------------------------------ rows
-
-
 def _shape_of(obstacle: Any, number: int) -> Any:
     """A part as the optimiser sees it; a vehicle's in its root's frame."""
-    return obstacle.parts[number] if hasattr(obstacle, "parts") else simplified(obstacle.outline, CORNERS)
+    return simplified(obstacle.outline, CORNERS) if obstacle.moves else obstacle.parts[number]
 
 
-def _kind(shape: Any) -> Any:
-    return "ellipse" if isinstance(shape, Ellipse) else len(shape)
+def _numbers(obstacle: Any, number: int, seconds: Array) -> Array:
+    """The numbers (width, 1) of a part as the optimiser sees it; where it moves, (width, knots) at ``seconds``."""
+    shape = _shape_of(obstacle, number)
+    if not obstacle.moves:
+        return form_of(shape).numbers(shape)[:, None]
+    positions, orientations = obstacle.poses_at(seconds)
+    return placed(shape, positions[:, :2], headings(orientations)).reshape(len(seconds), -1).T
 
 
-def _numbers(shape: Any) -> Array:
-    """A shape's parameters: corners, or centre, radii and axis of an ellipse."""
-    if isinstance(shape, Ellipse):
-        return np.concatenate([shape.centre, shape.radii, shape.R[:, 0]])
-    return np.asarray(shape, float).ravel()
-
-
-def _element(t: Transcription, shape: Any) -> Element:
-    return _built(t, _kind(shape))
-
-
-@lru_cache(maxsize=64)
-def _built(t: Transcription, kind: Any) -> Element:
-    """The rows at one knot: (x), with the part's numbers and the clearance asked for as parameters."""
-    x = ca.SX.sym("x", t.sizes[0] + t.sizes[1] + t.sizes[2])
-    asked = ca.SX.sym("asked")
-    g = t.split(x)[0]
-    c, s = ca.cos(g[0]), ca.sin(g[0])
-    R = ca.vertcat(ca.horzcat(c, -s), ca.horzcat(s, c))
-    root = g[1:3] - R @ ca.DM(t.vehicle.origin[:2])
-    body = simplified(footprint(t.vehicle), CORNERS)
-    corners = [root + R @ ca.DM(corner) for corner in body]
-    discs = [(root + R @ ca.DM(centre), radius) for centre, radius in inner_discs(body)]
-    own = [ca.DM(corner) for corner in body]
-    if kind == "ellipse":
-        centre, radii, axis = ca.SX.sym("centre", 2), ca.SX.sym("radii", 2), ca.SX.sym("axis", 2)
-        shape = ca.vertcat(centre, radii, axis)
-        R_we = ca.horzcat(axis, ca.vertcat(-axis[1], axis[0]))
-
-        def gap(point: Expr) -> Expr:
-            return _from_ellipse(R_we.T @ (point - centre), radii)
-
-        others = [centre + R_we @ p for p in _outermost(R_we.T @ R, body, radii)]
-    else:
-        shape = ca.SX.sym("corners", 2 * kind)
-        others = [shape[2 * k : 2 * k + 2] for k in range(kind)]
-
-        def gap(point: Expr) -> Expr:
-            return _from_polygon(point, others)
-
-    found = [gap(corner) for corner in corners]
-    found += [gap(centre) - radius for centre, radius in discs]
-    if len(body) > 2:
-        found += [_from_polygon(R.T @ (point - root), own) for point in others]
-    g_rows = ca.vertcat(*found) - asked
-    return Element("obstacle", x, ca.vertcat(shape, asked), g=g_rows, lower=0.0, upper=np.inf)
-
-
-def _from_polygon(point: Expr, corners: Sequence[Expr]) -> Expr:
-    """Signed distance of a point from a convex polygon, counter-clockwise; C1 outside."""
-    beyond, squared = [], []
-    for a, b in zip(corners, [*corners[1:], corners[0]], strict=True):
-        step, offset = b - a, point - a
-        length = ca.sumsqr(step) + ROUND
-        beyond.append((offset[0] * step[1] - offset[1] * step[0]) / ca.sqrt(length))
-        share = ca.fmin(ca.fmax(ca.dot(offset, step) / length, 0), 1)
-        squared.append(ca.sumsqr(offset - share * step))
-    farthest = _fold(ca.fmax, beyond)
-    return ca.if_else(farthest > 0, ca.sqrt(_fold(ca.fmin, squared) + ROUND), farthest)
-
-
-def _from_ellipse(point: Expr, radii: Expr, rounds: int = 5) -> Expr:
-    """Signed distance of a point from an ellipse about the origin, along the axes; inside, of its own measure."""
-    squared = radii**2
-    t = ca.SX(0)
-    for _ in range(rounds):
-        ratio = radii * point / (t + squared)
-        size = ca.sqrt(ca.sumsqr(ratio) + ROUND)
-        t = ca.fmax(t + (size - 1) * size**2 / (ca.dot(ratio, ratio / (t + squared)) + ROUND), 0)
-    foot = squared * point / (t + squared)
-    inside = (ca.sqrt(ca.sumsqr(point / radii) + ROUND) - 1) * ca.fmin(radii[0], radii[1])
-    return ca.if_else(inside > 0, ca.sqrt(ca.sumsqr(point - foot) + ROUND), inside)
-
-
-def _outermost(R_eb: Expr, body: Array, radii: Expr) -> list[Expr]:
-    """The points of an ellipse farthest towards each edge of the body, in the ellipse's own frame."""
-    out = []
-    for a, b in zip(body, np.roll(body, -1, axis=0), strict=True):
-        inwards = R_eb @ ca.DM([-(b - a)[1], (b - a)[0]])
-        out.append(radii**2 * inwards / ca.sqrt(ca.sumsqr(radii * inwards) + ROUND))
-    return out
-
-
-def _fold(law: Any, values: Sequence[Expr]) -> Expr:
-    folded = values[0]
-    for value in values[1:]:
-        folded = law(folded, value)
-    return folded
-
-
-# ------------------------------------------------------------ the vehicle from above
-
-
-def simplified(polygon: Array, count: int) -> Array:
-    """A convex polygon of at most ``count`` corners that contains ``polygon`` (k, 2) and little more."""
-    while len(polygon) > count:
-        added = [_without_edge(polygon, i) for i in range(len(polygon))]
-        best = min(range(len(polygon)), key=lambda i: added[i][0])
-        if not np.isfinite(added[best][0]):
-            break
-        polygon = added[best][1]
-    return polygon
-
-
-def _without_edge(polygon: Array, i: int) -> tuple[float, Array]:
-    """The area added when edge ``i`` goes and its neighbours are drawn on until they meet; inf where they do not."""
-    n = len(polygon)
-    before, a, b, after = (polygon[k % n] for k in (i - 1, i, i + 1, i + 2))
-    u, v = a - before, b - after
-    cross = u[0] * v[1] - u[1] * v[0]
-    if cross >= -1e-12:
-        return np.inf, polygon
-    offset = b - a
-    corner = a + (offset[0] * v[1] - offset[1] * v[0]) / cross * u
-    area = abs((b - a)[0] * (corner - a)[1] - (b - a)[1] * (corner - a)[0]) / 2
-    kept = polygon.copy()
-    kept[i] = corner
-    return float(area), np.delete(kept, (i + 1) % n, axis=0)
-
-
-def inner_discs(polygon: Array) -> list[tuple[Array, float]]:
-    """Discs (centre (2,), radius m) within a convex polygon, from end to end, about a radius apart."""
-    if len(polygon) < 3:
-        return []
-    low, high = polygon.min(axis=0), polygon.max(axis=0)
-    grid = np.stack(np.meshgrid(*np.linspace(low, high, 41).T, indexing="ij"), axis=-1).reshape(-1, 2)
-    step = np.roll(polygon, -1, axis=0) - polygon
-    inward = np.stack([-step[:, 1], step[:, 0]], axis=-1) / np.linalg.norm(step, axis=1, keepdims=True)
-    depth = ((grid[:, None] - polygon) * inward).sum(-1).min(axis=1)
-    deep = np.flatnonzero(depth >= 0.8 * depth.max())
-    along = grid[deep, int(np.argmax(high - low))]
-    count = int(np.ceil(np.ptp(along) / depth.max())) + 1
-    places = np.linspace(along.min(), along.max(), count)
-    # where several are as near, the deepest
-    chosen = {int(deep[np.argmin(np.abs(along - place) - 1e-3 * depth[deep])]) for place in places}
-    return [(grid[n], float(depth[n])) for n in sorted(chosen)]
+def _columns(feature: Feature, numbers: Array, poses: Array, knots: NDArray[np.intp]) -> tuple[Array, Array, Array]:
+    """Pose, numbers and constants of a feature at knots, a column each."""
+    own = numbers[list(feature.numbers)]
+    own = np.tile(own, len(knots)) if own.shape[1] == 1 else own[:, knots]
+    return poses[:, knots], own, np.tile(np.array(feature.constants)[:, None], len(knots))
 
 
 def _stretched(values: Array, shape: tuple[int, int]) -> Array:

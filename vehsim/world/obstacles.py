@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -49,6 +49,7 @@ class Obstacle:
     hulls: tuple[Array, ...]
     points: Array
     faces: NDArray[np.int64]
+    moves: ClassVar[bool] = False
 
     def shapes_at(self, seconds: Array) -> Sequence[Shape]:
         """The parts, polygons (k, 2) or one for each time (n, k, 2); ``seconds`` (n,) since frame 0."""
@@ -67,6 +68,7 @@ class Moving:
 
     name: str
     clip: Clip
+    moves: ClassVar[bool] = True
 
     @cached_property
     def outline(self) -> Array:

@@ -160,6 +160,15 @@ def _joined(a: list[int], b: list[int]) -> list[int] | None:
     return None
 
 
+def bounding_circle(shape: Shape) -> tuple[Array, Array]:
+    """Centres (..., 2) and radii (...) m of circles about an ellipse or polygons (..., k, 2)."""
+    if isinstance(shape, Ellipse):
+        return shape.centre, shape.radii.max()
+    centres = np.einsum("...ke->...e", shape) / shape.shape[-2]
+    offset = shape - centres[..., None, :]
+    return centres, np.sqrt(np.einsum("...ke,...ke->...k", offset, offset).max(axis=-1))
+
+
 def placed(polygon: Array, positions: Array, headings: Array) -> Array:
     """``polygon`` (k, 2) moved by poses: (n, k, 2) for positions (n, 2) m and headings (n,) rad."""
     c, s = np.cos(headings)[:, None], np.sin(headings)[:, None]

@@ -1,0 +1,88 @@
+"""Vehicles and obstacles seen from above: how far outlines are from shapes, and simpler outlines to reckon with.
+
+What belongs here is measured with numpy; the optimiser's rows are in `features.py`, exact distances in `world.plane`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.world.plane import bounding_circle, distance
+
+Array = NDArray[np.float64]
+
+
+def clearances(parts: Sequence[tuple[Any, int]], outlines: Array, seconds: Array, reach: float = np.inf) -> Array:
+    """Signed distances (parts, n) m of outlines (n, k, 2) at ``seconds`` (n,) since frame 0.
+
+    Those beyond ``reach`` m are lower bounds, beyond it too.
+    """
+    found = [gaps_to(obstacle.shapes_at(seconds)[number], outlines, reach) for obstacle, number in parts]
+    return np.reshape(found, (len(parts), len(outlines)))
+
+
+def gaps_to(shape: Any, outlines: Array, reach: float = np.inf) -> Array:
+    """Signed distances (n,) m of outlines (n, k, 2) to one shape, or to one each (n, m, 2).
+
+    Those beyond ``reach`` m are lower bounds, beyond it too.
+    """
+    out = bounds_to(shape, outlines)
+    near = out < reach
+    if near.any():
+        out[near] = distance(outlines[near], shape[near] if np.ndim(shape) == 3 else shape)
+    return out
+
+
+def bounds_to(shape: Any, outlines: Array) -> Array:
+    """No more than the distances (n,) m of outlines (n, k, 2) to one shape, or to one each (n, m, 2)."""
+    (centres, radii), (middle, radius) = bounding_circle(outlines), bounding_circle(shape)
+    return np.asarray(np.linalg.norm(centres - middle, axis=-1) - radii - radius)
+
+
+def simplified(polygon: Array, count: int) -> Array:
+    """A convex polygon of at most ``count`` corners that contains ``polygon`` (k, 2) and little more."""
+    while len(polygon) > count:
+        added = [_without_edge(polygon, i) for i in range(len(polygon))]
+        best = min(range(len(polygon)), key=lambda i: added[i][0])
+        if not np.isfinite(added[best][0]):
+            break
+        polygon = added[best][1]
+    return polygon
+
+
+def _without_edge(polygon: Array, i: int) -> tuple[float, Array]:
+    """The area added when edge ``i`` goes and its neighbours are drawn on until they meet; inf where they do not."""
+    n = len(polygon)
+    before, a, b, after = (polygon[k % n] for k in (i - 1, i, i + 1, i + 2))
+    u, v = a - before, b - after
+    cross = u[0] * v[1] - u[1] * v[0]
+    if cross >= -1e-12:
+        return np.inf, polygon
+    offset = b - a
+    corner = a + (offset[0] * v[1] - offset[1] * v[0]) / cross * u
+    area = abs((b - a)[0] * (corner - a)[1] - (b - a)[1] * (corner - a)[0]) / 2
+    kept = polygon.copy()
+    kept[i] = corner
+    return float(area), np.delete(kept, (i + 1) % n, axis=0)
+
+
+def inner_discs(polygon: Array) -> list[tuple[Array, float]]:
+    """Discs (centre (2,), radius m) within a convex polygon, from end to end, about a radius apart."""
+    if len(polygon) < 3:
+        return []
+    low, high = polygon.min(axis=0), polygon.max(axis=0)
+    grid = np.stack(np.meshgrid(*np.linspace(low, high, 41).T, indexing="ij"), axis=-1).reshape(-1, 2)
+    step = np.roll(polygon, -1, axis=0) - polygon
+    inward = np.stack([-step[:, 1], step[:, 0]], axis=-1) / np.linalg.norm(step, axis=1, keepdims=True)
+    depth = ((grid[:, None] - polygon) * inward).sum(-1).min(axis=1)
+    deep = np.flatnonzero(depth >= 0.8 * depth.max())
+    along = grid[deep, int(np.argmax(high - low))]
+    count = int(np.ceil(np.ptp(along) / depth.max())) + 1
+    places = np.linspace(along.min(), along.max(), count)
+    # where several are as near, the deepest
+    chosen = {int(deep[np.argmin(np.abs(along - place) - 1e-3 * depth[deep])]) for place in places}
+    return [(grid[n], float(depth[n])) for n in sorted(chosen)]
