@@ -103,8 +103,20 @@ def write_animation(
         for below in ops.freed:
             spec = Sdf.CreatePrimInLayer(layer, root.path.AppendPath(below)) if below else root
             spec.instanceable = False
+        _keep_root_in_blender(layer, rig)
     layer.Save()
     return path
+
+
+def _keep_root_in_blender(layer: Any, rig: Rig) -> None:
+    """A second root beside one that Blender once wrote: its reader leaves out lone roots marked as its own, moving or
+    not, and no stronger opinion takes the mark away."""
+    from pxr import Sdf
+
+    stage, prim = open_rig(rig.asset, rig)
+    if stage and prim.HasCustomDataKey("Blender:generated"):
+        beside = Sdf.PrimSpec(layer, "blender_keeps_the_root", Sdf.SpecifierDef)
+        beside.documentation = "a second root: Blender leaves out a lone one that it wrote itself, and its motion"
 
 
 def rig_ops(asset: Path, rig: Rig, units: Units, moving: Sequence[str]) -> RigOps:

@@ -211,8 +211,8 @@ def _foreign_units(stage: Any) -> Iterator[Issue]:
             ratio = theirs.pseudoRoot.GetInfo("metersPerUnit") / ours.pseudoRoot.GetInfo("metersPerUnit")
             if np.isclose(ratio, 1.0):
                 continue
-            own = _scale(Usd.Stage.Open(theirs).GetPrimAtPath(arc.GetTargetPrimPath()))
-            scale = _scale(prim) / own
+            source = Usd.Stage.Open(theirs)  # a prim lives only as long as its stage is held
+            scale = _scale(prim) / _scale(source.GetPrimAtPath(arc.GetTargetPrimPath()))
             if not np.isclose([scale, scale * _scale(prim.GetParent())], ratio, rtol=1e-3).any():
                 message = f"references {theirs.GetDisplayName()}, whose unit is {ratio:g} of ours, scaled by {scale:g}"
                 yield Issue("warning", "units", str(prim.GetPath()), message, f"scale the prim by {ratio:g}")

@@ -138,6 +138,12 @@ def rig_problems(rig: Rig) -> Iterator[tuple[str, str, str]]:
     for channel, drive in rig.drives.items():
         try:
             prim = driven_prim(rig, root, channel)
+            if skinned := _skinned_from_elsewhere(prim):
+                message = (
+                    f"{drive.prim}: its mesh {skinned} is skinned to joints, which what moves the prim does not move"
+                )
+                yield channel, message, "hang the part on its bone (parent type Bone) instead of skinning it to it"
+                continue
             linear = _to_op_space(root, prim, drive, metres)[:3, :3]
             sizes = np.linalg.norm(linear, axis=0)
             if np.linalg.matrix_rank(linear / max(sizes.max(), 1e-30), tol=1e-6) < 3:
@@ -146,6 +152,18 @@ def rig_problems(rig: Rig) -> Iterator[tuple[str, str, str]]:
                 yield from _turning(rig, channel, drive, linear, sizes)
         except (ExportError, InputError) as error:
             yield channel, str(error), "mend its vehicle.toml or the asset"
+
+
+def _skinned_from_elsewhere(prim: Any) -> str:
+    """The first mesh at or below ``prim`` that follows a skeleton which does not: skinning overrules its transform."""
+    from pxr import Usd, UsdGeom, UsdSkel
+
+    for below in Usd.PrimRange(prim, Usd.TraverseInstanceProxies()):
+        if below.IsA(UsdGeom.Mesh) and below.HasAttribute("primvars:skel:jointIndices"):
+            skeleton = UsdSkel.BindingAPI(below).GetInheritedSkeleton()
+            if skeleton and not skeleton.GetPath().HasPrefix(prim.GetPath()):
+                return str(below.GetName())
+    return ""
 
 
 def _turning(rig: Rig, channel: str, drive: Drive, linear: Array, sizes: Array) -> Iterator[tuple[str, str, str]]:

@@ -75,6 +75,25 @@ def test_matrices_in_blender_are_those_of_the_stage(shot, tmp_path, toys, baked)
 
 
 @needs_blender
+def test_a_layer_over_what_blender_wrote_moves_in_blender(tmp_path, toys, make_take):
+    """Its reader leaves out a lone root that it wrote itself."""
+
+    def marked(stage):
+        stage.GetDefaultPrim().SetCustomDataByKey("Blender:generated", True)
+
+    write_usd(make_take(toys.clip(toys.asset(tmp_path / "a" / "toy.usda", edit=marked))), tmp_path, toys.silent)
+    layer, folder = str(tmp_path / "layers" / "toy0.anim.usdc"), str(Path(blender.__file__).parent)
+    program = f"""import sys; sys.path.insert(0, {folder!r}); import blender, bpy
+scene, found = blender.open_stage({layer!r}), bpy.data.objects["rotor"]
+for frame in (1001, 1024):
+    scene.frame_set(frame)
+    print("SAYS", *found.matrix_world.translation)"""
+    said = subprocess.run([PYTHON, "-c", program], capture_output=True, text=True).stdout
+    first, last = (np.array(line.split()[1:], float) for line in said.splitlines() if line.startswith("SAYS"))
+    assert np.linalg.norm(last - first) > 5
+
+
+@needs_blender
 def test_cycles_renders_the_stage_alone(shot, tmp_path):
     from PIL import Image
     from pxr import Usd, UsdGeom

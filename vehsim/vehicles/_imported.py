@@ -12,6 +12,9 @@ import json
 import os
 import re
 import secrets
+import struct
+import unicodedata
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -176,7 +179,9 @@ def _check_variants(toml: Path, source: Path, root: str, variants: Any) -> None:
 
 def _converted(path: Path, up: str, metres: float) -> Path:
     """A GLB, glTF or OBJ file as USD in the cache, by content: nodes become Xforms, in the file's own units."""
-    digest = hashlib.sha256(f"4 {path.name} {up} {metres}".encode() + path.read_bytes()).hexdigest()[:24]
+    data = path.read_bytes()
+    _warn_of_motion(path, data)
+    digest = hashlib.sha256(f"5 {path.name} {up} {metres}".encode() + data).hexdigest()[:24]
     folder = cache_folder() / "vehicles" / f"{path.stem}-{digest}"
     file = folder / f"{path.stem}.usdc"
     if file.is_file():
@@ -196,6 +201,20 @@ def _converted(path: Path, up: str, metres: float) -> Path:
 
         shutil.rmtree(beside, ignore_errors=True)
     return file
+
+
+def _warn_of_motion(path: Path, data: bytes) -> None:
+    """Say so when a glTF brings motion of its own: only its nodes and meshes at rest are read."""
+    if path.suffix.lower() == ".glb" and len(data) > 20:  # 12 bytes of header, then length, type and text of the JSON
+        data = data[20 : 20 + struct.unpack_from("<I", data, 12)[0]]
+    try:
+        scene = json.loads(data) if path.suffix.lower() != ".obj" else {}
+    except ValueError:
+        return  # whoever reads it says what is wrong
+    found = [f"{len(scene[key])} {key}" for key in ("animations", "skins") if scene.get(key)]
+    if found:
+        mend = "export the asset as USD to keep its motion"
+        warnings.warn(f"{path}: has {' and '.join(found)}, read is how it stands at rest; {mend}", stacklevel=2)
 
 
 def _read_obj(path: Path) -> Any:
@@ -234,13 +253,13 @@ def _read_obj(path: Path) -> Any:
 
 
 def _write_scene(scene: Any, file: Path, path: Path, up: str, metres: float) -> None:
-    from pxr import Gf, Tf, Usd, UsdGeom
+    from pxr import Gf, Usd, UsdGeom
 
     file.parent.mkdir(parents=True)
     stage = Usd.Stage.CreateNew(str(file))
     UsdGeom.SetStageUpAxis(stage, up)
     UsdGeom.SetStageMetersPerUnit(stage, metres)
-    top = Tf.MakeValidIdentifier(path.stem)
+    top = _identifier(path.stem)
     stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, f"/{top}").GetPrim())
     Usd.ModelAPI(stage.GetDefaultPrim()).SetKind("component")
     UsdGeom.Scope.Define(stage, f"/{top}/materials")
@@ -248,7 +267,7 @@ def _write_scene(scene: Any, file: Path, path: Path, up: str, metres: float) -> 
     materials: dict[int, Any] = {}
 
     def add(node: str, parent: str, used: set[str]) -> None:
-        name = _free(Tf.MakeValidIdentifier(node), used)
+        name = _free(_identifier(node), used)
         xform = UsdGeom.Xform.Define(stage, f"{parent}/{name}")
         edge = scene.graph.transforms.edge_data[(scene.graph.transforms.parents[node], node)]
         matrix = np.asarray(edge.get("matrix"))
@@ -324,6 +343,15 @@ def _write_material(stage: Any, path: str, material: Any, folder: Path) -> Any:
         texture.CreateInput("st", types.Float2).ConnectToSource(reader.CreateOutput("result", types.Float2))
         diffuse.ConnectToSource(texture.CreateOutput("rgb", types.Float3))
     return prim
+
+
+def _identifier(name: str) -> str:
+    """A prim's name from a node's: letters of any language and digits stay, all else becomes ``_``."""
+    from pxr import Sdf
+
+    name = unicodedata.normalize("NFC", name)
+    name = "".join(letter if Sdf.Path.IsValidIdentifier(f"_{letter}") else "_" for letter in name)
+    return name if Sdf.Path.IsValidIdentifier(name) else f"_{name}"
 
 
 def _free(name: str, used: set[str]) -> str:

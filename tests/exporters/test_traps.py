@@ -1,0 +1,126 @@
+"""Traps that assets set by being what they are, and readers by what they do with them."""
+
+from __future__ import annotations
+
+import json
+import struct
+
+import numpy as np
+import pytest
+
+from vehsim.exporters.usd import write_usd
+from vehsim.exporters.validate import validate_stage
+from vehsim.rigging import rig_problems
+from vehsim.vehicles._base import Drive, Rig
+from vehsim.vehicles._imported import ready_asset
+
+
+def made_by_blender(stage):
+    """Its exporter marks the root prim that it adds."""
+    stage.GetDefaultPrim().SetCustomDataByKey("Blender:generated", True)
+
+
+def test_a_layer_over_what_blender_wrote_is_not_a_lone_root(tmp_path, toys, make_take):
+    """Blender's reader leaves out lone roots with its mark, with the motion on them; any value of the mark will do."""
+    from pxr import Usd
+
+    write_usd(
+        make_take(toys.clip(toys.asset(tmp_path / "a" / "toy.usda", edit=made_by_blender))), tmp_path, toys.silent
+    )
+    write_usd(make_take(toys.clip(toys.asset(tmp_path / "b" / "toy.usda"))), tmp_path / "plain", toys.silent)
+    layers = [Usd.Stage.Open(str(folder / "layers" / "toy0.anim.usdc")) for folder in (tmp_path, tmp_path / "plain")]
+    roots = [[prim.GetName() for prim in layer.GetPseudoRoot().GetChildren()] for layer in layers]
+    assert roots == [["toy0", "blender_keeps_the_root"], ["toy0"]]
+    shot = Usd.Stage.Open(str(tmp_path / "shot.usda"))
+    assert not [prim for prim in shot.Traverse() if prim.GetName() == "blender_keeps_the_root"]
+
+
+def test_parts_that_follow_a_skeleton_are_refused(tmp_path):
+    """Skinning overrules the transform of a mesh's prim: an op there would turn nothing that is seen."""
+    from pxr import Sdf, Usd, UsdGeom, UsdSkel
+
+    stage = Usd.Stage.CreateNew(str(tmp_path / "skinned.usda"))
+    UsdGeom.SetStageUpAxis(stage, "Z")
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/cart").GetPrim())
+    UsdSkel.Root.Define(stage, "/cart/rig")
+    skeleton = UsdSkel.Skeleton.Define(stage, "/cart/rig/bones")
+    skeleton.CreateJointsAttr(["axle"])
+    for name, skinned in (("hung", False), ("wheel", True)):
+        UsdGeom.Xform.Define(stage, f"/cart/rig/{name}")
+        mesh = UsdGeom.Mesh.Define(stage, f"/cart/rig/{name}/mesh")
+        mesh.CreatePointsAttr([(1, 0, 0), (-1, 1, 0), (-1, -1, 0), (0, 0, 1)])
+        mesh.CreateFaceVertexCountsAttr([3] * 4)
+        mesh.CreateFaceVertexIndicesAttr([0, 2, 1, 0, 1, 3, 1, 2, 3, 2, 0, 3])
+        mesh.CreateExtentAttr([(-1, -1, 0), (1, 1, 1)])
+        if skinned:
+            binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
+            binding.CreateSkeletonRel().SetTargets([Sdf.Path("/cart/rig/bones")])
+            binding.CreateJointIndicesPrimvar(False, 1).Set([0] * 4)
+            binding.CreateJointWeightsPrimvar(False, 1).Set([1.0] * 4)
+    stage.Save()
+    drives = {"a": Drive("rig/hung", "rotateZ"), "b": Drive("rig/wheel", "rotateZ"), "whole": Drive("rig", "rotateZ")}
+    problems = list(rig_problems(Rig(asset=tmp_path / "skinned.usda", root="", drives=drives)))
+    assert [channel for channel, *_ in problems] == ["b"] and "is skinned to joints" in problems[0][1]
+
+
+def glb(path, **more):
+    """A cart with a wheel, as glTF names its nodes; ``more``: what else its JSON holds."""
+    import trimesh
+
+    scene = trimesh.Scene()
+    scene.add_geometry(trimesh.creation.box((2, 1, 1)), node_name="Körper Haupt", geom_name="body")
+    scene.add_geometry(
+        trimesh.creation.box((1, 1, 1)), node_name="Rad (vorn) 1²", geom_name="wheel", parent_node_name="Körper Haupt"
+    )
+    data = scene.export(file_type="glb")
+    (length,) = struct.unpack_from("<I", data, 12)
+    text = json.dumps({**json.loads(data[20 : 20 + length]), **more}).encode()
+    text += b" " * (-len(text) % 4)
+    body = struct.pack("<I4s", len(text), b"JSON") + text + data[20 + length :]
+    path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body)
+    return {"asset": path.name}
+
+
+def test_names_keep_their_letters(tmp_path):
+    from pxr import Usd
+
+    asset, _ = ready_asset(tmp_path / "vehicle.toml", glb(tmp_path / "Käfer 1.glb"))
+    stage = Usd.Stage.Open(str(asset))
+    names = [str(prim.GetPath()) for prim in stage.Traverse() if prim.GetTypeName() == "Xform"]
+    assert "/Käfer_1/Körper_Haupt/Rad__vorn__1_" in names, names
+
+
+def test_motion_in_a_glb_is_said_to_be_left_out(tmp_path):
+    with pytest.warns(UserWarning, match="has 1 animations and 2 skins, read is how it stands at rest"):
+        ready_asset(tmp_path / "vehicle.toml", glb(tmp_path / "bobbing.glb", animations=[{}], skins=[{}, {}]))
+
+
+def test_a_root_with_a_scale_of_its_own_is_in_the_right_unit(tmp_path, toys, make_take):
+    """Blender writes centimetres as a scale of 100 on the root: 0.01 of ours makes up for it."""
+    from pxr import Gf, UsdGeom
+
+    def as_blender_does(stage):
+        UsdGeom.Xformable(stage.GetDefaultPrim()).AddScaleOp().Set(Gf.Vec3f(100.0))
+        for prim in stage.GetDefaultPrim().GetChildren():
+            for op in UsdGeom.Xformable(prim).GetOrderedXformOps() if prim.IsA(UsdGeom.Xformable) else ():
+                op.Set(op.Get() / 100)
+            for mesh in (UsdGeom.Mesh(child) for child in prim.GetChildren() if child.IsA(UsdGeom.Mesh)):
+                points = np.array(mesh.GetPointsAttr().Get()) / 100
+                mesh.GetPointsAttr().Set([Gf.Vec3f(*point) for point in points.tolist()])
+                mesh.GetExtentAttr().Set([Gf.Vec3f(*points.min(0).tolist()), Gf.Vec3f(*points.max(0).tolist())])
+
+    asset = toys.asset(tmp_path / "in" / "toy.usda", 0.01, edit=as_blender_does)
+    write_usd(make_take(toys.clip(asset)), tmp_path, toys.silent)
+    assert [str(issue) for issue in validate_stage(tmp_path / "shot.usda")] == []
+
+
+def test_warnings_on_the_command_line_name_no_source_of_ours(monkeypatch, capsys):
+    import warnings
+
+    from vehsim import cli
+
+    monkeypatch.setattr(warnings, "formatwarning", warnings.formatwarning)
+    monkeypatch.setattr(cli, "app", lambda **_: 0)
+    cli.run([])
+    assert warnings.formatwarning(UserWarning("look"), UserWarning, "a.py", 3) == "warning: look\n"
