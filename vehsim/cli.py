@@ -9,6 +9,7 @@ import json
 import os
 import signal
 import sys
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from enum import StrEnum
@@ -338,6 +339,7 @@ def main() -> None:
 def run(arguments: Sequence[str]) -> int:
     """Run a command line and return its exit code. No traceback ever reaches the user unless VEHSIM_DEBUG is set."""
     _end_like_interrupt()
+    warnings.formatwarning = lambda message, *rest, **more: f"warning: {message}\n"  # no line of our sources
     try:
         code = int(app(args=list(arguments), standalone_mode=False) or 0)
         return _fail(STOPPED, code) if code == INTERRUPTED else code
