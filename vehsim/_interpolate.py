@@ -101,7 +101,7 @@ def rotate(q: Array, v: Array) -> Array:
 def _twists(group: Group, q: Array, omega: Array, velocity: Array) -> Array:
     """Body twists (n, d): (omega, v), (omega_z, vx, vy) in the plane, omega alone on SO3."""
     body = rotate(q * [1, -1, -1, -1], velocity)
-    if group.name == "SO3":
+    if group.fixed:
         return omega
     return np.column_stack([omega[:, 2], body[:, :2]]) if group.planar else np.hstack([omega, body])
 

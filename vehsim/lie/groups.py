@@ -39,6 +39,8 @@ class Group(ABC):
     identity: tuple[float, ...]
     planar = False
     """Whether its elements move in the plane Z = 0 and turn about Z."""
+    fixed = False
+    """Whether its elements only turn: the body's origin stays where it is."""
 
     def __repr__(self) -> str:
         return self.name
@@ -132,6 +134,7 @@ class Group(ABC):
 
 class _SO3(Group):
     name, dim, size, identity = "SO3", 3, 4, (1.0, 0.0, 0.0, 0.0)
+    fixed = True
 
     @lifted
     def compose(self, a: Expr, b: Expr) -> Expr:

@@ -168,7 +168,7 @@ def _equal(expression: Expr, slack: float = 0.0) -> list[Row]:
 def _place(t: Transcription, mark: Mark, view: KnotView, wanted: dict[str, Expr]) -> list[Row]:
     shown = 3 if t.vehicle.group.dim == 6 else 2
     off = (view.position - wanted["position"])[:shown]
-    if mark.position is None or t.vehicle.group.name == "SO3":
+    if mark.position is None or t.vehicle.group.fixed:
         return []
     if mark.gate is None:
         return _equal(off, mark.tolerance)

@@ -210,7 +210,7 @@ class Rows:
 
 def obstacle_rows(vehicle: Vehicle, world: Any, marks: Sequence[Any]) -> Rows | None:
     """The rows for the obstacles of ``world`` that a vehicle driving at the marks' height can touch, or None."""
-    if world is None or vehicle.group.dim != 3 or not world.obstacles:
+    if world is None or not vehicle.group.planar or not world.obstacles:
         return None
     height = 0.0 if marks[0].position is None else float(marks[0].position[2])
     low, high = vertical_reach(vehicle)

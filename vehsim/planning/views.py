@@ -45,7 +45,7 @@ def _view(vehicle: Vehicle, g: Expr, r: Expr, u: Expr, xi: Expr, c: Expr, time: 
     root = root_pose(vehicle, g)
     rotation = SO3.matrix(root[3:7])
     twist = vehicle.group.velocity_to_body(g, xi)
-    if vehicle.group.name == "SO3":
+    if vehicle.group.fixed:
         omega, body = twist, ca.SX.zeros(3)
     else:
         twist = shift_twist(twist, -vehicle.origin)

@@ -26,47 +26,51 @@ from vehsim.shot.model import (
 )
 
 
-class PolygonTable(Table):
-    """``[[world.obstacle]]`` with ``shape = "polygon"``: a prism."""
+class StandingTable(Table):
+    """What ``[[world.obstacle]]`` tables of things that do not move share."""
 
-    shape: Literal["polygon"]
+    shape: str
     """polygon, ellipse, box, sphere, mesh or vehicle"""
     name: Name | None = None
     """a name of letters, digits and underscores, one of its own for every obstacle"""
-    points: Annotated[list[Plane], Array, Len(3, 1000)]
-    """the corners [x, y] in m in order around it, three or more, convex or not"""
+
+
+class UprightTable(StandingTable):
+    """Those between two heights, too."""
+
     height: Positive = 1.0
     """how high it is, in m"""
     base: Metre = 0.0
     """the height of its bottom, in m"""
 
 
-class EllipseTable(Table):
+class PolygonTable(UprightTable):
+    """``[[world.obstacle]]`` with ``shape = "polygon"``: a prism."""
+
+    shape: Literal["polygon"]
+    """polygon, ellipse, box, sphere, mesh or vehicle"""
+    points: Annotated[list[Plane], Array, Len(3, 1000)]
+    """the corners [x, y] in m in order around it, three or more, convex or not"""
+
+
+class EllipseTable(UprightTable):
     """``[[world.obstacle]]`` with ``shape = "ellipse"``: an upright cylinder."""
 
     shape: Literal["ellipse"]
     """polygon, ellipse, box, sphere, mesh or vehicle"""
-    name: Name | None = None
-    """a name of letters, digits and underscores, one of its own for every obstacle"""
     centre: Plane
     """its middle [x, y] in m"""
     radii: Annotated[list[Positive], Array, Len(2, 2)]
     """its two radii in m"""
     heading: Heading = 0.0
     """degrees by which the first radius is turned from world X, counter-clockwise"""
-    height: Positive = 1.0
-    """how high it is, in m"""
-    base: Metre = 0.0
-    """the height of its bottom, in m"""
 
 
-class BoxTable(Table):
+class BoxTable(StandingTable):
     """``[[world.obstacle]]`` with ``shape = "box"``."""
 
     shape: Literal["box"]
     """polygon, ellipse, box, sphere, mesh or vehicle"""
-    name: Name | None = None
-    """a name of letters, digits and underscores, one of its own for every obstacle"""
     centre: Point
     """the middle of its bottom, [x, y, z] in m"""
     size: Annotated[list[Positive], Array, Len(3, 3)]
@@ -75,26 +79,22 @@ class BoxTable(Table):
     """degrees by which its length is turned from world X, counter-clockwise"""
 
 
-class SphereTable(Table):
+class SphereTable(StandingTable):
     """``[[world.obstacle]]`` with ``shape = "sphere"``."""
 
     shape: Literal["sphere"]
     """polygon, ellipse, box, sphere, mesh or vehicle"""
-    name: Name | None = None
-    """a name of letters, digits and underscores, one of its own for every obstacle"""
     centre: Point
     """its middle, [x, y, z] in m"""
     radius: Positive
     """in m"""
 
 
-class MeshTable(Table):
+class MeshTable(StandingTable):
     """``[[world.obstacle]]`` with ``shape = "mesh"``: kept clear of as the convex hulls of its connected bodies."""
 
     shape: Literal["mesh"]
     """polygon, ellipse, box, sphere, mesh or vehicle"""
-    name: Name | None = None
-    """a name of letters, digits and underscores, one of its own for every obstacle"""
     path: Text
     """a mesh file (OBJ, STL, PLY, GLB, USD) relative to the shot file"""
     position: Point = Field(default=[0.0, 0.0, 0.0])
