@@ -1,6 +1,6 @@
 """Plans started from sinusoids against plans started from a straight line, over random pairs.
 
-``python -m benchmarks.guesses [--trucks 20] [--parks 6]`` prints a table and writes ``RESULTS.guesses.md`` beside this
+``python -m benchmarks.guesses [--trucks 20] [--parks 20]`` prints a table and writes ``RESULTS.guesses.md`` beside this
 file: a truck reverses its trailer into a bay, a car parks in a gap between two others, each in the time the sinusoids
 take, with joints straight at both ends and effort the cost.
 """
@@ -8,6 +8,7 @@ take, with joints straight at both ends and effort the cost.
 from __future__ import annotations
 
 import argparse
+import time
 import warnings
 from pathlib import Path
 
@@ -23,11 +24,12 @@ from vehsim.world.obstacles import box
 HEAD = """# Sinusoids as a first guess, measured
 
 `python -m benchmarks.guesses`. *Straight*: the straight line between the marks; *own*: `plan` left to itself, which
-goes round obstacles; *sinusoid*: `vehsim.sinusoids.guess.first_guess`. Iterations are medians over the pairs all three
-solved; *cheaper* counts pairs whose cost ends 1 % or more below that from the straight line.
+goes round obstacles; *sinusoid*: `vehsim.sinusoids.guess.first_guess`. Iterations and seconds are medians over the
+pairs all three solved, seconds of CPU time, the making of the guess among them; *cheaper* counts those of these pairs
+whose cost ends 1 % or more below that from the straight line.
 
-| task | pairs | guess | solved | iterations | cheaper |
-|---|---|---|---|---|---|
+| task | pairs | guess | solved | iterations | CPU, s | cheaper |
+|---|---|---|---|---|---|---|
 """
 GUESSES = ("straight", "own", "sinusoid")
 
@@ -46,21 +48,25 @@ def gap(rng):
 
 
 def compare(vehicle, draw, count):
-    """Successes, iterations and costs (pairs, guesses)."""
+    """Success, iterations, cost and CPU seconds (pairs, guesses, 4)."""
     rng, rows = np.random.default_rng(1), []
     joints = dict.fromkeys(vehicle.joints[1:], 0.0)
     while len(rows) < count:
         start, goal, heading, world = draw(rng)
         rest = {"velocity": (0, 0, 0), "joints": joints}
         marks = [Mark(1001, position=start, heading=0.0, **rest), Mark(1002, position=goal, heading=heading, **rest)]
+        begun = time.process_time()
         way = first_guess(vehicle, marks, world, 0.15)
+        made = time.process_time() - begun
         seconds = np.abs(np.hypot(*np.diff(way[:, :2], axis=0).T)).sum() / 1.0 + 5.0
         marks[1] = Mark(1001 + round(24 * seconds), position=goal, heading=heading, **rest)
         guesses = {"straight": np.array([start, goal], float), "own": None, "sinusoid": way}
         row = []
         for name in GUESSES:
+            begun = time.process_time()
             found = vehsim.plan(vehicle, world, marks, clearance=0.15, guess=guesses[name], refine=False)
-            row.append((found.success, found.iterations, found.cost))
+            spent = time.process_time() - begun + (made if name == "sinusoid" else 0.0)
+            row.append((found.success, found.iterations, found.cost, spent))
         rows.append(row)
         print(vehicle.name, len(rows), row, flush=True)
     return np.array(rows, float)
@@ -69,7 +75,7 @@ def compare(vehicle, draw, count):
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--trucks", type=int, default=20)
-    parser.add_argument("--parks", type=int, default=6)
+    parser.add_argument("--parks", type=int, default=20)
     wanted = parser.parse_args()
     warnings.simplefilter("ignore")
     lines = []
@@ -84,9 +90,10 @@ def main() -> None:
         both = rows[:, :, 0].all(axis=1)
         for k, guess in enumerate(GUESSES):
             cheaper = int(np.sum(rows[both, k, 2] < 0.99 * rows[both, 0, 2]))
-            iterations = np.median(rows[both, k, 1]) if both.any() else np.nan
+            iterations, spent = np.median(rows[both, k][:, [1, 3]], axis=0) if both.any() else (np.nan, np.nan)
             solved = int(rows[:, k, 0].sum())
-            lines.append(f"| {task} | {count} | {guess} | {solved} | {iterations:.0f} | {cheaper} of {both.sum()} |")
+            ended = f"{solved} | {iterations:.0f} | {spent:.1f} | {cheaper} of {both.sum()}"
+            lines.append(f"| {task} | {count} | {guess} | {ended} |")
     print(*lines, sep="\n")
     Path(__file__).with_name("RESULTS.guesses.md").write_text(HEAD + "\n".join(lines) + "\n")
 

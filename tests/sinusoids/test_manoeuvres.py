@@ -1,19 +1,24 @@
 """Vehicles steered to marks: what shots drive lands, keeps its limits, its wheels do not slip, and momentum stays."""
 
+import re
+import textwrap
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from PIL import Image
 
 import vehsim
 from vehsim.errors import SolveError
+from vehsim.shot.sinusoid import paint_offers
 from vehsim.sinusoids import models
-from vehsim.sinusoids.manoeuvres import Wish, choose_manoeuvre, manoeuvres, timed_clip
-from vehsim.sinusoids.picture import paint
+from vehsim.sinusoids.manoeuvres import Wish, choose_manoeuvre, clearance, joined, manoeuvres, timed_clip
+from vehsim.sinusoids.picture import FAINT, paint
 from vehsim.sinusoids.rigs import rigged
 from vehsim.sinusoids.steering import PACES, Stage, Steering, integrate
 from vehsim.sinusoids.trailers import steer_trailers
 from vehsim.world import World
-from vehsim.world.obstacles import box
+from vehsim.world.obstacles import box, moving
 
 TAU = 2 * np.pi
 LIMITS = {"speed": 1.5, "steering_rate": 0.7}
@@ -50,6 +55,65 @@ def test_the_one_chosen_keeps_clear_of_obstacles(car, parked):
     over = World().among([box("over", (0.0, -2.3, 0), (1, 1, 1))])
     with pytest.raises(SolveError, match="none of"):
         choose_manoeuvre(manoeuvres(car, start, goal, LOOP, over), None, 0.1)
+
+
+def facing(car, x, y, degrees):
+    half = np.radians(degrees) / 2
+    return car.state(vehsim.State(position=(x, y, 0), orientation=(np.cos(half), 0, 0, np.sin(half))))
+
+
+def test_cars_park_at_any_heading_of_the_world(car):
+    """Charts bound the turn, not the heading: across the world's X, and past 180 degrees, where it jumps by a turn."""
+    poses = [facing(car, *pose) for pose in ((0, 0, 80), (1, 6, 100), (-5, 7, 175), (-11, 6, -170), (-16, 6, -160))]
+    ways = [manoeuvres(car, a, b, LOOP, only=6)[0].steering for a, b in pairwise(poses)]
+    whole = joined(ways, [0.0, 1.0])
+    assert np.degrees(whole.goal[2]) == pytest.approx(200.0) and whole.end_error < 1e-8
+    assert np.degrees(np.ptp(whole.states[:, 2])) < 300.0
+
+
+def test_what_moves_is_met_where_it_is_then(car, parked):
+    """Another car does the same a minute later: only who comes then meets it."""
+    steering, clip = timed_clip(car, parked[0].steering, None, 24, 1441)
+    world = World().among([moving("other", clip)])
+    assert clearance(steering, car, world, None) == np.inf
+    assert clearance(steering, car, world, 1441 / 24) < -1.0
+    (found,) = manoeuvres(car, steering.start, steering.goal, LOOP, world, only=parked[0].number)
+    assert found.clearance == np.inf
+
+
+def test_offers_are_told_and_painted_with_all_that_stands(tmp_path):
+    """`vehsim manoeuvres`: a line each, and a pillar, an ellipse, in the picture as dark as a box."""
+    shot = """
+        [shot]
+        schema = 1
+        name = "alley"
+        [[world.obstacle]]
+        shape = "ellipse"
+        name = "pillar"
+        centre = [9, 1]
+        radii = [2, 3]
+        [[vehicle]]
+        name = "taxi"
+        asset = "car"
+        [vehicle.motion]
+        method = "sinusoid"
+        manoeuvre = 6
+        amplitude = 2.6
+        cycles = 1
+        phase = 0
+        [[vehicle.motion.mark]]
+        frame = 1001
+        position = [0, 0, 0]
+        [[vehicle.motion.mark]]
+        frame = "free"
+        position = [6, -2.3, 0]
+    """
+    (tmp_path / "alley.toml").write_text(textwrap.dedent(shot))
+    line, picture = paint_offers(vehsim.Shot.load(tmp_path / "alley.toml"), tmp_path)
+    assert re.fullmatch(r"alley: taxi: mark\[1\]: 6, 1 cycle, .*: \d+\.\d s, hits by \d\.\d\d m", line)
+    with Image.open(picture) as image:
+        pixels = np.asarray(image)
+    assert np.all(pixels == FAINT, axis=2).mean() > 0.01
 
 
 def test_nobody_idles(parked):

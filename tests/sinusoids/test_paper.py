@@ -8,8 +8,9 @@ import pytest
 from PIL import Image
 from scipy.integrate import solve_ivp
 
+from vehsim.errors import SolveError
 from vehsim.sinusoids import models
-from vehsim.sinusoids.families import bodies, family, outline
+from vehsim.sinusoids.families import bodies, boxes, choose, clearance, discs, family, outline
 from vehsim.sinusoids.feedback import car_triangular, hopper_chained
 from vehsim.sinusoids.fourier import steer_triangular
 from vehsim.sinusoids.optimal import extremal
@@ -77,6 +78,14 @@ def test_fig_6_three_parks_share_their_net_motion(tmp_path):
     assert (x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2 == pytest.approx(1.6 * 0.8)
     assert len(np.unique(corners.round(9), axis=0)) == len(corners)
     assert bodies(parks[0])[-1, 0] == pytest.approx([0.0, -3.368, 0.0], abs=1e-9)
+    # a kerb where the wide one swings: of those that clear it, the one of least effort
+    kerb, hulls = boxes([(5.5, -1.0, 0.0, 0.5, 6.0)]), [corners]
+    rooms = [clearance(park, kerb, hulls) for park in parks]
+    assert min(rooms) < 0.0 < max(rooms)
+    free = [park for park, room in zip(parks, rooms, strict=True) if room > 0.1]
+    assert choose(parks, kerb, hulls) is min(free, key=lambda park: park.effort)
+    with pytest.raises(SolveError, match="none of 3 manoeuvres keeps"):
+        choose(parks, discs([(0.0, -3.368, 1.0)]), hulls)
 
 
 def test_the_papers_printed_inputs_integrated_as_they_stand():

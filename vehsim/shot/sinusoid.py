@@ -104,9 +104,13 @@ class SinusoidMotion(Table):
         """Every manoeuvre between each two marks. Raises ``SolveError`` where there is none."""
         from vehsim.sinusoids.manoeuvres import manoeuvres
 
-        rig = self._rig(vehicle)
-        ends = pairwise(self._state(mark, rig) for mark in self.mark)
-        return [manoeuvres(rig, a, b, self._wish(rig), setting.world, self.manoeuvre) for a, b in ends]
+        rig, found = self._rig(vehicle), []
+        for k, (a, b) in enumerate(pairwise(self._state(mark, rig) for mark in self.mark), 1):
+            try:
+                found.append(manoeuvres(rig, a, b, self._wish(rig), setting.world, self.manoeuvre))
+            except VehsimError as error:
+                raise SolveError(f"mark[{k}]: {error}") from None
+        return found
 
     def solve(self, vehicle: Vehicle, setting: Setting, progress: Progress) -> tuple[Clip, dict[str, Any]]:
         from vehsim.sinusoids.manoeuvres import choose_manoeuvre, clearance, joined, timed_clip
@@ -118,6 +122,9 @@ class SinusoidMotion(Table):
         holds = [mark.hold / float(setting.fps) for mark in self.mark]
         for k, offers in enumerate(self.offers(vehicle, setting)):
             progress("steering", k / (len(self.mark) - 1))
+            if setting.world.moving:
+                begun = frame / float(setting.fps)
+                offers = [replace(m, clearance=clearance(m.steering, rig, setting.world, begun)) for m in offers]
             until = self.mark[k + 1].frame
             seconds = None if until == "free" else float((int(until) - frame) / setting.fps)
             try:
@@ -178,17 +185,23 @@ def paint_offers(shot: Shot, folder: Path) -> Iterator[str]:
     """A line for every manoeuvre of a shot's vehicles; those that drive are painted, `<shot>.<vehicle>.<mark>.png`."""
     from vehsim.sinusoids.picture import paint
 
+    shapes = [shape for obstacle in shot.world.obstacles for shape in obstacle.shapes_at(np.zeros(1))]
+    corners = [np.asarray(getattr(shape, "outline", lambda s=shape: s)()).reshape(-1, 2) for shape in shapes]
     for table in shot.file.vehicle:
         if not isinstance(table.motion, SinusoidMotion):
             continue
         vehicle = shot.vehicle(table)
         outlines = table.motion._rig(vehicle).outlines
         for k, offers in enumerate(table.motion.offers(vehicle, shot._setting), 1):
-            for m in offers:
-                room = f", {m.clearance:.2f} m clear" if np.isfinite(m.clearance) else ""
-                yield f"{shot.name}: {table.name}: mark[{k}]: {m.number}, {m.label}: {m.steering.duration:.1f} s{room}"
+            told = [_told(m) for m in offers]
+            yield from (f"{shot.name}: {table.name}: mark[{k}]: {line}" for line in told)
             if outlines:
                 path = folder / f"{shot.name}.{table.name}.{k}.png"
-                shapes = [s for o in shot.world.obstacles for s in getattr(o, "parts", ()) if isinstance(s, np.ndarray)]
-                painted = [replace(m.steering, label=f"{m.number}: {m.label}") for m in offers]
-                yield str(paint(painted, path, footprints=outlines, obstacles=shapes))
+                painted = [replace(m.steering, label=line) for m, line in zip(offers, told, strict=True)]
+                yield str(paint(painted, path, footprints=outlines, obstacles=corners))
+
+
+def _told(m: Manoeuvre) -> str:
+    """A manoeuvre in words, such as ``7, one sweep: 12.1 s, 0.31 m clear``."""
+    room = f", {m.clearance:.2f} m clear" if m.clearance >= 0 else f", hits by {-m.clearance:.2f} m"
+    return f"{m.number}, {m.label}: {m.steering.duration:.1f} s{room if np.isfinite(m.clearance) else ''}"

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -77,7 +78,7 @@ def manoeuvres(
         except (SolveError, InputError) as error:  # a chart too small for this one may do for another
             reasons.append(f"{number}, {label}: {error}")
             continue
-        found.append(Manoeuvre(number, steering, clearance(steering, rig, world)))
+        found.append(Manoeuvre(number, steering, clearance(steering, rig, world, None)))
     if not found:
         raise SolveError(f"{rig.vehicle.name}: none of {len(reasons)} manoeuvres works: {'; '.join(reasons[:4])}")
     return found
@@ -99,39 +100,41 @@ def choose_manoeuvre(found: Sequence[Manoeuvre], number: int | None = None, marg
         best = max(found, key=lambda m: m.clearance)
         raise SolveError(
             f"none of {len(found)} manoeuvres keeps {margin:g} m clear; the best, {best.number} ({best.label}), comes "
-            f"to {best.clearance:.2f} m: ask for less clearance, or move a mark or an obstacle"
+            f"to {best.clearance:.2f} m: ask for less clearance, move a mark or an obstacle, or add a mark on the way"
         )
     return min(clear, key=lambda m: m.steering.duration)
 
 
-def clearance(steering: Steering, rig: Rigged, world: World | None, seconds: float = 0.0) -> float:
+def clearance(steering: Steering, rig: Rigged, world: World | None, seconds: float | None = 0.0) -> float:
     """Least distance, m, of every body's outline to the world's obstacles, on the samples of the motion.
 
-    ``seconds``: since frame 0, at which the steering begins, for obstacles that move.
+    ``seconds``: since frame 0, at which the steering begins, for obstacles that move; None leaves those out.
     """
-    if world is None or not world.obstacles or not rig.outlines:
+    obstacles = () if world is None else world.standing if seconds is None else world.obstacles
+    if not obstacles or not rig.outlines:
         return np.inf
     from vehsim.planning.obstacles import clearances
     from vehsim.world.plane import placed
 
-    parts = [(o, k) for o in world.obstacles for k in range(len(getattr(o, "parts", [None])))]
+    parts = [(o, k) for o in obstacles for k in range(len(getattr(o, "parts", [None])))]
     poses = bodies(steering)
     gaps = [
-        clearances(parts, placed(outline, poses[:, k, :2], poses[:, k, 2]), seconds + steering.times)
+        clearances(parts, placed(outline, poses[:, k, :2], poses[:, k, 2]), (seconds or 0.0) + steering.times)
         for k, outline in enumerate(rig.outlines)
     ]
     return float(np.min(gaps))
 
 
 def joined(steerings: Sequence[Steering], holds: Sequence[float] = ()) -> Steering:
-    """Steerings one after another, each followed by so many seconds at rest."""
+    """Steerings one after another, each followed by so many seconds at rest. Full turns made on the way add up."""
     first = steerings[0]
+    turned = sum(a.goal - b.start for a, b in pairwise(steerings))
     stages: list[Stage] = []
     for k, steering in enumerate(steerings):
         stages += steering.stages
         if k < len(holds) and holds[k] > 0:
             stages.append(rest(first.system.m, holds[k]))
-    return replace(first, goal=steerings[-1].goal, stages=tuple(stages)).checked()
+    return replace(first, goal=steerings[-1].goal + turned, stages=tuple(stages)).checked()
 
 
 def rest(m: int, seconds: float) -> Stage:

@@ -100,11 +100,14 @@ class Wheeled(Rigged):
         bounds = [self.vehicle.joint_limits.get(j, (-np.inf, np.inf)) for j in self.vehicle.joints[2:]]
         return min([np.inf, *(min(upper, -lower) for lower, upper in bounds)])
 
-    @property
-    def system(self) -> DriftlessSystem:
+    @cached_property
+    def system(self) -> DriftlessSystem:  # type: ignore[override]
         from vehsim.sinusoids.models import car, trailers
 
-        return trailers(self.hitches, self.wheelbase) if self.hitches else car(self.wheelbase)
+        if self.hitches:
+            return trailers(self.hitches, self.wheelbase)
+        found = car(self.wheelbase)  # the chart's bound on its heading is for the axes that loops are made in
+        return replace(found, domain={name: bounds for name, bounds in found.domain.items() if name != "theta"})
 
     @property
     def limits(self) -> dict[str, float]:
@@ -157,7 +160,9 @@ class Wheeled(Rigged):
 
     def _loops(self, start: Array, goal: Array, wish: Wish, steering: float) -> Iterator[Way]:
         """Sweeps through chained form and SIN's loops, in axes half way between the headings."""
-        frame = (start[2] + goal[2]) / 2 if abs(goal[2] - start[2]) < np.pi else start[2]
+        goal = goal.copy()
+        goal[2] = start[2] + (goal[2] - start[2] + np.pi) % (2 * np.pi) - np.pi  # the short way round
+        frame = (start[2] + goal[2]) / 2
         c, s = np.cos(frame), np.sin(frame)
         x0, x1 = (
             np.array([c * x + s * y, c * y - s * x, theta - frame, phi])
