@@ -14,7 +14,10 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import suppress
 from pathlib import Path
+
+from vehsim.batch.workers import NAME
 
 SHOT = """
 [shot]
@@ -43,12 +46,15 @@ def start(folder: Path, out: str) -> subprocess.Popen[bytes]:
 
 
 def workers_of(process: subprocess.Popen[bytes]) -> list[int]:
-    """Its worker processes, without multiprocessing's own helper."""
-    try:
-        pids = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
-        return [int(pid) for pid in pids if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
-    except OSError:
-        return []
+    """Its worker processes, without what they are forked from and multiprocessing's own helper."""
+    found, above = [], [process.pid]
+    while above:
+        pid = above.pop()
+        with suppress(OSError):
+            children = list(map(int, Path(f"/proc/{pid}/task/{pid}/children").read_text().split()))
+            above += children
+            found += [child for child in children if Path(f"/proc/{child}/comm").read_text().strip() == NAME]
+    return found
 
 
 def main(kills: int = 50, clips: int = 200, seed: int = 1) -> int:

@@ -91,17 +91,18 @@ class StageRenderer:
         depth = canvas.depth(self._size)
         if self._water is not None:
             colour = self._wet(colour, depth, camera, frame)
-        picture, opaque = Image.fromarray(colour[::-1]), depth[::-1] > 0
+        colour, opaque = colour[::-1], depth[::-1] > 0
         if opaque.all():
-            return np.asarray(picture.reduce(side))
+            return np.asarray(Image.fromarray(colour).reduce(side))
         # Haze would swallow the sky, so that is drawn for itself with what it shines through; it bears half the size.
         half = (-(-self._size[0] // 2), -(-self._size[1] // 2))
         sky = Image.fromarray(canvas.draw(canvas.glass, half, SKYBOX=True)[::-1])
         sky = sky.resize(self.size, BILINEAR)
-        box = _box(opaque, side)
-        behind = sky.crop(tuple(edge // side for edge in box)).resize((box[2] - box[0], box[3] - box[1]), NEAREST)
-        behind.paste(picture.crop(box), mask=Image.fromarray(opaque[box[1] : box[3], box[0] : box[2]]))
-        sky.paste(behind.reduce(side), (box[0] // side, box[1] // side))
+        left, top, right, bottom = box = _box(opaque, side)
+        behind = sky.crop(tuple(edge // side for edge in box)).resize((right - left, bottom - top), NEAREST)
+        part = slice(top, bottom), slice(left, right)
+        behind.paste(Image.fromarray(colour[part]), mask=Image.fromarray(opaque[part]))
+        sky.paste(behind.reduce(side), (left // side, top // side))
         return np.asarray(sky)
 
     def passes(self, camera: str, frame: float) -> tuple[NDArray[np.float32], Picture]:
@@ -127,12 +128,11 @@ class StageRenderer:
     def _pose(self, camera: str, frame: float) -> None:
         """Bring everything that moves, and the camera, to a time code."""
         import mujoco
-        from scipy.spatial.transform import Rotation
 
-        if poses := self.stage.matrices(frame):
-            some, T_wg = [self._mocap[group] for group in poses], np.stack(list(poses.values()))
-            self._data.mocap_pos[some] = T_wg[:, :3, 3]
-            self._data.mocap_quat[some] = Rotation.from_matrix(T_wg[:, :3, :3]).as_quat(scalar_first=True)
+        for group, T_wg in self.stage.matrices(frame).items():
+            place = self._mocap[group]
+            self._data.mocap_pos[place] = T_wg[:3, 3]
+            mujoco.mju_mat2Quat(self._data.mocap_quat[place], T_wg[:3, :3].ravel())
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
         self._canvas.update(self._data)

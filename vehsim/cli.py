@@ -83,8 +83,11 @@ def export(
     quiet: Quiet = False,
 ) -> None:
     """Solve shots and write them: a USD stage, pictures, a film, tables. Sweeps become a clip each."""
+    from vehsim.batch.workers import warm_up
     from vehsim.delivery import check_stage_is_there, may_hold_versions, may_replace
 
+    if (workers > 1 or len(shots) > 1) and dask is None and not dry_run:
+        warm_up()
     names = exporters_in(to)
     check_folder(out)
     loaded, problems = load_all(shots, [*(sets or []), *["export.layer_only=true"] * layer_only], only or [])

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from vehsim.batch import export_batch, load_shots
-from vehsim.batch.workers import THREADS
+from vehsim.batch.workers import NAME, THREADS
 
 Content = Callable[[Path], dict[str, str]]
 Write = Callable[..., Path]
@@ -42,13 +42,27 @@ def start(shot: Path, out: Path, *more: str, workers: int = 2, limit: int | None
     )
 
 
-def children(process: subprocess.Popen[str]) -> list[int]:
-    """Its workers, without multiprocessing's own helper; none yet while it begins."""
+def workers_of(pid: int) -> list[int]:
+    """The workers below a process; none yet while its batch begins."""
+    return [child for child in descendants(pid) if comm(child) == NAME]
+
+
+def descendants(pid: int) -> Iterator[int]:
     try:
-        pids = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
-        return [int(pid) for pid in pids if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+        children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
     except OSError:
-        return []
+        return
+    for child in map(int, children):
+        yield child
+        yield from descendants(child)
+
+
+def comm(pid: int) -> str:
+    """What the system calls a process."""
+    try:
+        return Path(f"/proc/{pid}/comm").read_text().strip()
+    except OSError:
+        return ""
 
 
 def test_killed_at_random_again_and_again(undisturbed: Undisturbed, tmp_path: Path, content: Content) -> None:
@@ -70,7 +84,7 @@ def test_killed_at_random_again_and_again(undisturbed: Undisturbed, tmp_path: Pa
             if whole:
                 os.killpg(process.pid, signal.SIGKILL)
             else:
-                os.kill(chance.choice(children(process)), signal.SIGKILL)
+                os.kill(chance.choice(workers_of(process.pid)), signal.SIGKILL)
         assert process.wait() == -signal.SIGKILL
         assert done(out) < 12
     assert start(shot, out, "--resume").wait() == 0
@@ -91,7 +105,7 @@ def test_workers_end_with_their_batch(write: Write, tmp_path: Path) -> None:
     assert process.stdout is not None
     while '"planning"' not in process.stdout.readline():
         assert process.poll() is None
-    workers = children(process)
+    workers = workers_of(process.pid)
     assert len(workers) == 2
     time.sleep(1.0)
     process.kill()

@@ -29,7 +29,7 @@ def fingerprint(shot: Shot, to: Sequence[str], draft: bool = False) -> str:
     file = shot.file.model_copy(update={"sweep": None})
     made_of = {
         "schema": SCHEMA,
-        "code": _code(),
+        "code": code(),
         "shot": file.model_dump(mode="json", by_alias=True),
         "files": [_content(path) for path in _files(shot)],
         "terrain": shot.world.terrain.content_hash if shot.world.terrain is not None else None,
@@ -86,7 +86,7 @@ def _hash(path: Path, changed: int, size: int) -> str:
 
 
 @cache
-def _code() -> str:
+def code() -> str:
     """The code at work and what it stands on: another version may well give other bytes."""
     digest = hashlib.sha256(repr((__version__, platform.python_version(), platform.machine())).encode())
     for package in PACKAGES:

@@ -5,11 +5,15 @@ from __future__ import annotations
 from collections.abc import Generator, Iterable, Sequence
 from contextlib import closing
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from vehsim.batch.summary import write_summary
 from vehsim.batch.task import Outcome, Task, Tell, prepare, run_task
+from vehsim.batch.workers import run_on_processes, warm_up
 from vehsim.errors import InputError
-from vehsim.shot import Shot
+
+if TYPE_CHECKING:
+    from vehsim.shot import Shot
 
 
 def export_batch(
@@ -31,6 +35,8 @@ def export_batch(
     that call it keep the call below ``if __name__ == "__main__"``: workers import them. Raises ``InputError`` before
     anything is written, ``ExportError`` when the summary cannot be.
     """
+    if workers > 1 and dask is None:
+        warm_up()
     tasks = [prepare(shot, Path(out), to, draft, resume) for shot in shots]
     outcomes: dict[str, Outcome] = {}
     check_names(tasks)
@@ -58,8 +64,6 @@ def run(
     elif len(tasks) == 1 and memory is None:
         yield run_task(tasks[0], tell)
     elif tasks:
-        from vehsim.batch.workers import run_on_processes
-
         yield from run_on_processes(tasks, workers, tell, memory)
 
 

@@ -1,7 +1,8 @@
 """Worker processes on this machine: each does one task after another; one that dies takes nothing with it.
 
 Every worker has a pipe of its own, no queue or lock is shared, so a process killed at any instant can block no other.
-Its clip is tried again by a fresh one. Workers end when the process that started them does.
+Its clip is tried again by a fresh one. Workers are forked from a process that has loaded what they need and does
+nothing else (`preload.py`), where the system has such; they end when the process that asked for them does.
 """
 
 from __future__ import annotations
@@ -12,10 +13,11 @@ import signal
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager, suppress
 from multiprocessing.connection import Connection, wait
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 from vehsim.batch.task import MEMORY_MEND, Outcome, Task, Tell
 
@@ -26,6 +28,28 @@ PATIENCE = 10.0
 RESERVE = 16_000_000
 """Bytes a worker keeps for its last words."""
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "LP_NUM_THREADS")
+NAME = "vehsim worker"
+"""What a worker is called in the system's list of processes."""
+METHODS = [method for method in ("forkserver", "spawn") if method in multiprocessing.get_all_start_methods()]
+"""How workers are started; the next where one cannot be, as without room for the fork server's socket."""
+
+
+class Job(NamedTuple):
+    """A task and what to do of it: ``measure`` its terrain's distance field, or ``run`` it."""
+
+    kind: str
+    task: Task
+
+
+def warm_up() -> None:
+    """Have what workers are forked from loaded, beside whatever the caller does next."""
+    if "forkserver" not in METHODS:
+        return
+    from multiprocessing import forkserver
+
+    forkserver.set_forkserver_preload(["vehsim.batch.preload"])
+    with _threads(1), suppress(OSError):  # what is forked has a single thread
+        forkserver.ensure_running()
 
 
 def run_on_processes(tasks: Sequence[Task], count: int, tell: Tell, memory: float | None = None) -> Iterator[Outcome]:
@@ -33,13 +57,13 @@ def run_on_processes(tasks: Sequence[Task], count: int, tell: Tell, memory: floa
 
     ``memory``: how much address space a worker may use, GB.
     """
+    warm_up()
     fields = {task.field: task for task in tasks if task.field is not None}
+    jobs = [*(Job("measure", task) for task in fields.values()), *(Job("run", task) for task in tasks)]
     count = max(1, min(count, len(tasks)))
     crew = [_Worker(count, memory) for _ in range(count)]
     try:
-        for _ in _dispatch(crew, [("measure", task) for task in fields.values()], tell):
-            pass  # what could not be measured will be said by the clips that need it
-        yield from _dispatch(crew, [("run", task) for task in tasks], tell)
+        yield from _dispatch(crew, jobs, tell)
     finally:
         for worker in crew:
             worker.stop()
@@ -48,39 +72,49 @@ def run_on_processes(tasks: Sequence[Task], count: int, tell: Tell, memory: floa
             worker.end(deadline)
 
 
-def _dispatch(crew: list[_Worker], jobs: Sequence[tuple[str, Task]], tell: Tell) -> Iterator[Outcome]:
-    waiting, attempts = deque(jobs), Counter[str]()
+def _dispatch(crew: list[_Worker], jobs: Sequence[Job], tell: Tell) -> Iterator[Outcome]:
+    """The outcomes of what is run. Clips whose field is being measured wait for it, others do not."""
+    waiting, deaths = deque(jobs), Counter[tuple[str, str]]()
+    measuring = {job.task.field for job in jobs if job.kind == "measure"}
     while True:
         for worker in crew:
-            while worker.job is None and waiting:
-                job = waiting.popleft()
-                attempts[job[1].name] += 1
+            while worker.job is None and (job := _next(waiting, measuring)) is not None:
                 if not worker.give(job):
                     waiting.appendleft(job)
-                    attempts[job[1].name] -= 1
-        busy = {worker.pipe: worker for worker in crew if worker.job is not None}
+        busy: dict[Any, tuple[_Worker, Job]] = {w.pipe: (w, w.job) for w in crew if w.job is not None}
         if not busy:
             return
         for pipe in wait(list(busy)):
-            worker = busy[pipe]  # type: ignore[index]
+            worker, job = busy[pipe]
             message = worker.receive()
-            if isinstance(message, Outcome):
-                worker.job = None
-                if message.retire:
-                    worker.replace()
-                yield message
-            elif message is not None:
+            if isinstance(message, tuple):
                 tell(*message)
-            elif worker.job is not None:  # it died
-                job, how = worker.job, worker.epitaph()
+                continue
+            if message is None:  # it died
+                how = worker.epitaph()
                 worker.replace()
-                if attempts[job[1].name] < ATTEMPTS:
-                    tell(job[1].name, "queued", f"its worker {how}; tried again", 0.0)
+                deaths[job.kind, job.task.name] += 1
+                if deaths[job.kind, job.task.name] < ATTEMPTS:
+                    tell(job.task.name, "queued", f"its worker {how}; tried again", 0.0)
                     waiting.append(job)
-                else:
-                    mend = "give it more memory, or ask less of it"
-                    text = f"its worker {how}, {ATTEMPTS} times; {mend}"
-                    yield Outcome(job[1].name, "failed", "WorkerLost", text)
+                    continue
+                text = f"its worker {how}, {ATTEMPTS} times; give it more memory, or ask less of it"
+                message = Outcome(job.task.name, "failed", "WorkerLost", text)
+            worker.job = None
+            if message.retire:
+                worker.replace()
+            if job.kind == "run":
+                yield message
+            measuring.discard(job.task.field)  # what could not be measured is said by the clips that need it
+
+
+def _next(waiting: deque[Job], measuring: Collection[str | None]) -> Job | None:
+    """Take the first job that can begin."""
+    for i, job in enumerate(waiting):
+        if job.kind == "measure" or job.task.field not in measuring:
+            del waiting[i]
+            return job
+    return None
 
 
 class _Worker:
@@ -91,16 +125,21 @@ class _Worker:
         self._start()
 
     def _start(self) -> None:
-        self.job: tuple[str, Task] | None = None
-        context = multiprocessing.get_context("spawn")
-        self.pipe, theirs = context.Pipe()
-        arguments = (theirs, self._memory)
-        self._process = context.Process(target=_serve, args=arguments, name="vehsim worker", daemon=True)
-        with _threads(max(1, (os.cpu_count() or 1) // self._count)):
-            self._process.start()
-        theirs.close()
+        self.job: Job | None = None
+        self.pipe, theirs = multiprocessing.Pipe()
+        with closing(theirs), _threads(max(1, (os.cpu_count() or 1) // self._count)):
+            arguments = (theirs, self._memory, dict(os.environ))
+            for method in METHODS:
+                context: Any = multiprocessing.get_context(method)
+                self._process = context.Process(target=_serve, args=arguments, name=NAME, daemon=True)
+                try:
+                    self._process.start()
+                    return
+                except (OSError, EOFError):  # no room for a socket, or the server was just killed
+                    if method == METHODS[-1]:
+                        raise
 
-    def give(self, job: tuple[str, Task]) -> bool:
+    def give(self, job: Job) -> bool:
         """False when the process had ended, by itself or by another's hand; a new one has taken its place."""
         try:
             self.pipe.send(job)
@@ -155,11 +194,15 @@ def _threads(share: int) -> Iterator[None]:
                 del os.environ[name]
 
 
-def _serve(pipe: Connection, memory: float | None) -> None:
+def _serve(pipe: Connection, memory: float | None, environment: Mapping[str, str]) -> None:
     """The life of a worker: a job in, words of progress and an outcome out, until the pipe closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches us all; the first process decides
     signal.signal(signal.SIGTERM, _interrupt)
-    _die_with_parent()
+    os.environ.clear()  # what we were forked from has that of another time
+    os.environ.update(environment)
+    with suppress(OSError):
+        Path("/proc/self/comm").write_text(NAME)
+    die_with_parent()
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if memory is not None:
         _limit(memory)
@@ -208,7 +251,7 @@ def _interrupt(number: int, frame: Any) -> None:
     raise KeyboardInterrupt
 
 
-def _die_with_parent() -> None:
+def die_with_parent() -> None:
     """Have the kernel kill us when the parent is gone, also in the middle of a long computation (Linux)."""
     with suppress(OSError, AttributeError):
         import ctypes

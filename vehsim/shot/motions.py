@@ -188,9 +188,11 @@ class PlanMotion(Table):
 
     def _guess(self, vehicle: Vehicle, marks: Sequence[Mark], setting: Setting) -> Any:
         """The path to start from, None for `vehsim.plan`'s own."""
+        if self.guess is None:
+            return None
         from vehsim.sinusoids.guess import first_guess
 
-        return None if self.guess is None else first_guess(vehicle, marks, setting.world, self.clearance)
+        return first_guess(vehicle, marks, setting.world, self.clearance)
 
 
 class SimulateMotion(Table):

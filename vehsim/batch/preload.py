@@ -1,0 +1,41 @@
+"""What workers start with: the process they are forked from imports this module, once for all of them.
+
+Only `multiprocessing`'s fork server may import it: it changes how the process takes signals. Nothing is opened, solved
+or drawn here, for a process with threads cannot be forked.
+"""
+
+from __future__ import annotations
+
+import gc
+import importlib
+import signal
+
+from vehsim.batch.workers import die_with_parent
+
+MODULES = (
+    "vehsim.batch.inputs",
+    "vehsim.exporters.ground",
+    "vehsim.exporters.npz",
+    "vehsim.exporters.usd",
+    "vehsim.planning",
+    "vehsim.shot",
+    "vehsim.simulation",
+    "vehsim.vehicles.helicopter",
+    "vehsim.world.contact",
+    "scipy.interpolate",
+    "scipy.ndimage",
+    "scipy.optimize",
+    "scipy.spatial.transform",
+    "PIL.PngImagePlugin",
+    "pxr.UsdLux",
+    "pxr.UsdShade",
+)
+"""What most clips need; the rest is imported by who meets it."""
+
+for _number in (signal.SIGINT, signal.SIGTERM):  # the first process decides, and workers tidy up before they go
+    signal.signal(_number, signal.SIG_IGN)
+die_with_parent()
+for _name in MODULES:
+    importlib.import_module(_name)
+importlib.import_module("vehsim.batch.inputs").code()  # read and hashed once for all
+gc.freeze()  # what is here stays: no worker need look through it, or copy it by looking
