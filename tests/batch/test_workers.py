@@ -1,0 +1,128 @@
+"""Worker processes: what they begin with, what they wait for, and that they begin again whatever becomes of them."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from vehsim.batch import Outcome, Task, export_batch, load_shots, workers
+from vehsim.batch.workers import METHODS, THREADS, Job, _dispatch
+
+Content = Callable[[Path], dict[str, str]]
+Write = Callable[..., Path]
+TWO = '"vehicle.car.motion.duration" = [0.25, 0.3]'
+forked = pytest.mark.skipif("forkserver" not in METHODS, reason="workers are not forked here")
+
+
+@forked
+def test_what_is_forked_has_all_modules_and_a_single_thread() -> None:
+    code = "import os, vehsim.batch.preload; print(len(os.listdir('/proc/self/task')))"
+    one = {**os.environ, **dict.fromkeys(THREADS, "1")}
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=one)
+    assert answer.stdout.strip() == "1"
+
+
+@forked
+def test_workers_have_the_environment_of_who_asks(
+    write: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not that of the process they are forked from, which may have been started long before."""
+    import shutil
+
+    from vehsim.vehicles import load_vehicle
+
+    shot = write(asset="~/mine", sweep=TWO)
+    for home in ("first", "second"):
+        (tmp_path / home).mkdir()
+        shutil.copytree(load_vehicle("car").rig.asset.parent, tmp_path / home / "mine")  # type: ignore[union-attr]
+        monkeypatch.setenv("HOME", str(tmp_path / home))
+        outcomes = export_batch(load_shots(shot), tmp_path / "out", ["npz"], workers=2)
+        assert [outcome.state for outcome in outcomes] == ["done", "done"], outcomes
+        shutil.rmtree(tmp_path / home)
+
+
+@forked
+@pytest.mark.parametrize("why", ["no room for a socket", "killed"])
+def test_workers_start_without_a_fork_server(
+    write: Write, tmp_path: Path, content: Content, monkeypatch: pytest.MonkeyPatch, why: str
+) -> None:
+    shots, out = load_shots(write(sweep=TWO)), tmp_path / "out"
+    export_batch(shots, out, ["npz"])
+    expected = content(out)
+    if why == "killed":
+        workers.warm_up()
+        monkeypatch.setattr(workers, "warm_up", lambda: os.kill(_server(), signal.SIGKILL))
+    else:
+        monkeypatch.setattr(workers, "METHODS", ["nowhere", "spawn"])
+        contexts = {"nowhere": _Nowhere(), "spawn": multiprocessing.get_context("spawn")}
+        monkeypatch.setattr(multiprocessing, "get_context", contexts.__getitem__)
+    outcomes = export_batch(shots, tmp_path / "again", ["npz"], workers=2)
+    assert [outcome.state for outcome in outcomes] == ["done", "done"], outcomes
+    assert content(tmp_path / "again") == expected
+
+
+class _Nowhere:
+    """A way to start processes whose socket has no room."""
+
+    def Process(self, **what: Any) -> Any:
+        class Refused:
+            def start(self) -> None:
+                raise OSError("AF_UNIX path too long")
+
+        return Refused()
+
+
+def _server() -> int:
+    """The process that ours are forked from."""
+    children = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text().split()
+    (server,) = [pid for pid in children if b"forkserver" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+    return int(server)
+
+
+class _Hand:
+    """A worker that tells of each job, and ends the jobs it is told to end."""
+
+    def __init__(self, given: list[tuple[str, str]], when: dict[str, list[_Hand]]) -> None:
+        self.pipe, self._theirs = multiprocessing.Pipe()
+        self.job: Job | None = None
+        self._given, self._when = given, when
+
+    def give(self, job: Job) -> bool:
+        self.job = job
+        self._given.append((job.kind, job.task.name))
+        if job.kind == "run":
+            for hand in (self, *self._when.pop(job.task.name, [])):
+                hand.end()
+        return True
+
+    def end(self) -> None:
+        assert self.job is not None
+        self._theirs.send(Outcome(self.job.task.name, "done"))
+
+    def receive(self) -> Any:
+        return self.pipe.recv()
+
+
+def test_only_clips_that_need_a_field_wait_for_it() -> None:
+    """While one measures the canyon, the other makes clips in free space."""
+    tasks = [Task(name, {}, "", "", "out", ("usd",), "", field=field) for name, field in FIELDS.items()]
+    given: list[tuple[str, str]] = []
+    when: dict[str, list[_Hand]] = {}
+    crew = [_Hand(given, when), _Hand(given, when)]
+    when["free2"] = [crew[0]]  # by then the field is measured
+    jobs = [Job("measure", tasks[0]), *(Job("run", task) for task in tasks)]
+    outcomes = list(_dispatch(crew, jobs, lambda *said: None))  # type: ignore[arg-type]
+    assert given[:3] == [("measure", "canyon1"), ("run", "free1"), ("run", "free2")]
+    assert sorted(given[3:]) == [("run", "canyon1"), ("run", "canyon2")]
+    assert sorted(outcome.name for outcome in outcomes) == sorted(FIELDS)
+
+
+FIELDS = {"canyon1": "field", "free1": None, "canyon2": "field", "free2": None}
