@@ -2,6 +2,7 @@
 
 import math
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import vehsim
 from tests.planning.test_plan import REST, tug
 from vehsim import Mark, Shot
 from vehsim.errors import ShotError
+from vehsim.planning.deadline import MORE, Deadline
 from vehsim.planning.feasibility import refusals, strength
 from vehsim.planning.request import ask
 
@@ -96,14 +98,62 @@ def test_time_limits_are_kept():
     assert len(plan.clip) > 2
 
 
+def test_a_deadline_keeps_time_to_certify_and_begins_nothing_it_cannot_end(monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr("vehsim.planning.deadline.time", SimpleNamespace(monotonic=lambda: now[0]))
+    deadline = Deadline(110.0)
+
+    def finish():
+        now[0] += 2.0
+
+    deadline.rehearse(finish)
+    assert deadline.solving == 110.0 - MORE * 2.0 and not deadline.late
+    now[0] += 1.0
+    deadline.solved(now[0] - 1.0, 50, over=False)  # 20 ms a node: from a motion half that, so 4 s are enough for 400
+    assert deadline.allows(390) and not deadline.cut and not deadline.allows(410) and deadline.cut
+    assert not deadline.late
+    deadline.solved(now[0], 50, over=True)
+    assert deadline.late and not deadline.allows(1) and not Deadline().late and Deadline().allows(10**9)
+
+
+def test_a_solver_stops_before_an_iteration_that_would_end_too_late(monkeypatch):
+    """Iterations of a second each and 4.5 seconds: four are done, the fifth is not begun."""
+    from vehsim.planning.solver import _Callback
+
+    class Watched:
+        watch = None
+
+    now, watched = [0.0], Watched()
+    monkeypatch.setattr("vehsim.planning.solver.time", SimpleNamespace(monotonic=lambda: now[0]))
+    callback, stops = _Callback(watched, 1, 1, 1), []
+    callback.begin(4.5)
+    while not stops or not stops[-1]:
+        now[0] += 1.0
+        stops.append(callback.eval([])[0])
+    assert len(stops) == 4 and callback.hurried
+
+
+def test_short_of_time_it_comes_back_at_a_lower_order(monkeypatch):
+    """No time for higher orders: all the segments asked for, at order 2; and the message says what was left out."""
+
+    def allows(self, nodes):
+        self.cut |= nodes > 500
+        return nodes <= 500
+
+    monkeypatch.setattr(Deadline, "allows", allows)
+    marks = [Mark(1, position=REST, velocity=REST), Mark(73, position=(6, 2, 0), heading=90, velocity=REST)]
+    plan = vehsim.plan(tug(), None, marks, segments=128, time_limit=1e6)
+    assert plan.success and (plan.segments, plan.order) == (128, 2), plan.message
+    assert "not refined to 128 segments of order 4: time limit reached" in plan.message
+
+
 def test_nothing_is_built_after_the_time_limit(monkeypatch):
     """Found just before its deadline, a plan is not taken to a finer discretisation: it comes back as it is."""
     from vehsim.planning.attempt import Attempt
-    from vehsim.planning.request import Request
 
     lifts = []
-    monkeypatch.setattr(Request, "late", property(lambda self: self.deadline < math.inf))
-    monkeypatch.setattr(Attempt, "_lift", lambda self, *finer: lifts.append(finer))
+    monkeypatch.setattr(Deadline, "late", property(lambda self: self.end < math.inf))
+    monkeypatch.setattr(Attempt, "_lift", lambda self, fine: lifts.append(fine))
     marks = [Mark(1, position=REST, velocity=REST), Mark(73, position=(6, 2, 0), heading=90, velocity=REST)]
     plan = vehsim.plan(tug(), None, marks, segments=8, time_limit=1e6)
     assert plan.success and not lifts and "not refined to 8 segments of order 4: time limit reached" in plan.message

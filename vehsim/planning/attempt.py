@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import math
-import threading
 import time
 from collections.abc import Callable, Sequence
 from itertools import pairwise
@@ -19,12 +18,12 @@ from vehsim.clip import Clip
 from vehsim.integrators.integrator import build_clip
 from vehsim.planning.certify import SAMPLES, Executed, certify, certify_plane, executed
 from vehsim.planning.cover import SLOPE, approach, landings
+from vehsim.planning.deadline import Deadline
 from vehsim.planning.elements import Problem
 from vehsim.planning.guess import along_clip, along_paths, clip_spans, lift
 from vehsim.planning.layout import Layout
 from vehsim.planning.legs import (
     fixed_durations,
-    knots_within,
     path_length,
     share_known_spans,
     spans_between,
@@ -35,6 +34,7 @@ from vehsim.planning.multipliers import carried
 from vehsim.planning.obstacles import FINEST, obstacle_rows
 from vehsim.planning.problem import build, distances, hold_adrift, parameter_values, variable_bounds
 from vehsim.planning.request import Request
+from vehsim.planning.shelf import Shelf, common
 from vehsim.planning.solver import Multipliers, Solution, Solver, Start
 from vehsim.planning.transcription import Transcription
 
@@ -54,25 +54,16 @@ COARSE = 24
 """A plan is first found on at least as many segments, a half or a quarter of those asked for where that goes."""
 SLACK = 0.01
 """How far below the asked clearance a certified motion may be, m."""
-KEPT = 16
-"""Built problems kept for plans to come; building one takes as long as solving it."""
 SIGHT = 4.0
 """How far from a motion found on fewer segments terrain is seen by those that refine it, beyond the clearance asked
 for, m."""
 LOOKS = 3
 """How often a solve begins again because it ran through an obstacle it had not seen."""
+REHEARSED = 8
+"""Segments the first guess is certified on to learn how long that takes, where time is limited: it looks closer
+where it has to, so that their number matters little."""
 CRUISE = 12.0
 """Guess of a free leg's speed, m/s, when no speed limit is lower."""
-
-
-class _Shelf(threading.local):
-    """Problems built in free space, solved again by every plan of the same shape; a thread keeps its own."""
-
-    def __init__(self) -> None:
-        self.solvers: dict[Any, Solver] = {}
-
-
-_shelf = _Shelf()
 
 
 class Attempt:
@@ -82,12 +73,13 @@ class Attempt:
         self.request, self.t, self.cover, self.progress = request, t, cover, progress
         self.margin, self.tightenings, self.iterations = request.clearance, 0, 0
         self.build_seconds = self.solve_seconds = 0.0
+        self.deadline = Deadline(request.deadline)
         self.clearance = self.wanted = float("inf")
         self.checked = Executed(np.inf, np.inf, np.inf)
         # between rocks controls are agile throughout: the first rung would not do
         self.rung, self.lifted, self.stale, self.note = -1 + (cover is not None), False, True, ""
         self.why = ""
-        self.solvers: dict[Any, Solver] = {}
+        self.solvers = Shelf()
         self.solved: tuple[Multipliers, tuple[Problem, Layout]] | None = None
         self.near: NDArray[np.bool_] | None = None
         self.rows = obstacle_rows(request.vehicle, request.world, request.marks)
@@ -120,17 +112,22 @@ class Attempt:
         self.lengths = durations / np.array(phases)
         self.free = np.isnan(fixed)
         if clip is None:
-            self.x = along_paths(self.t, self.layout, marks, paths, self.lengths, self.request.wind, self._aims())
+            aims = self.request.aims(self.layout.mark_knots)
+            self.x = along_paths(self.t, self.layout, marks, paths, self.lengths, self.request.wind, aims)
         else:
             self.x = along_clip(self.t, self.layout, marks, clip, self.lengths)
         self.guess = self.x
         self._look()
+        if math.isfinite(self.deadline.end) and not self.deadline.kept:
+            self._rehearse()
 
-    def _aims(self) -> list[tuple[int, int, Any, float]]:
-        """What constraints say of headings: (first knot, last knot, point, angle)."""
-        marks, knots = self.request.marks, self.layout.mark_knots
-        aimed = [(term, term.aim) for term in self.request.constraints if term.aim is not None]
-        return [(*knots_within(marks, knots, term.frames), *aim) for term, aim in aimed]
+    def _rehearse(self) -> None:
+        """Certify the first guess on a few segments, to know how long that takes in the end."""
+        clip = self._clip()
+        ends = clip.times[0], clip.times[-1]
+        self._measured(clip.at(ends))  # builds models, which takes longer
+        few = clip.at(np.linspace(*ends, REHEARSED + 1))
+        self.deadline.rehearse(lambda: (self._measured(few), self._executed()))
 
     def _coarse(self) -> int:
         """Segments to find a plan on: as many as asked for, halved while enough are left."""
@@ -148,18 +145,18 @@ class Attempt:
         start, lengths, solved = self.x.copy(), self.lengths.copy(), self.solved
         self._solve(free)
         for _ in range(LOOKS):
-            if self.request.late or not self._overlooked():
+            if self.deadline.late or not self._overlooked():
                 break
             self.x, self.lengths, self.solved = start.copy(), lengths.copy(), solved
             self._solve(free, "again")
 
     def _solve(self, free: bool, start: Start = "guess") -> None:
-        began = time.perf_counter()
+        began = time.monotonic()
         request, layout = self.request, self.layout
         solver = self._solver(spans_between(request.marks, request.fps) if free else [])
         solver.watch = self._watch() if self.progress else None
-        self.build_seconds += time.perf_counter() - began
-        began = time.perf_counter()
+        built = time.monotonic()
+        self.build_seconds += built - began
         span = [(h / 8, h * 8) if free and f else (h, h) for h, f in zip(self.lengths, self.free, strict=True)]
         lower, upper = variable_bounds(self.t, layout, span, request.limits.joints)
         hold_adrift(self.t, layout, request, self.x, lower, upper)
@@ -167,7 +164,8 @@ class Attempt:
         self.x = self.solution.x
         self.lengths = self.x[layout.lengths]
         self.stale = False
-        self.solve_seconds += time.perf_counter() - began
+        self.solve_seconds += time.monotonic() - built
+        self.deadline.solved(began, layout.nodes, self.solution.hurried)
         self.worst = solver.problem.names()[int(np.argmax(self.solution.violations))]
 
     def parameters(self) -> Array:
@@ -182,13 +180,13 @@ class Attempt:
 
     def _answer(self, solver: Solver, lower: Array, upper: Array, values: Array, start: Start) -> Solution:
         """From the multipliers of the last solve, where there was one; from the motion alone where these mislead."""
-        deadline, answer = self.request.deadline, None
+        deadline, answer = self.deadline.solving, None
         blocked = self.cover is not None or self.rows is not None  # finer, what is in the way pushes elsewhere
         if self.solved is not None and not (blocked and self.solved[1][1] != self.layout):
             given = carried(*self.solved, (solver.problem, self.layout))
             answer = solver.solve(self.x, lower, upper, values, deadline, multipliers=given)
             self.iterations += answer.iterations
-        if answer is None or not (answer.success or self.request.late):
+        if answer is None or not (answer.success or answer.hurried or self.deadline.late):
             answer = solver.solve(self.x, lower, upper, values, deadline, "motion" if self.lifted else start)
             self.iterations += answer.iterations
         if answer.success and answer.multipliers is not None:
@@ -200,15 +198,14 @@ class Attempt:
         request = self.request
         near = None if self.near is None else self.near.tobytes()
         key = (self.t, self.layout, request.key, repr(spans), near, self.rows and self.rows.key)
-        shelf = self.solvers if self.cover is not None or request.terms else _shelf.solvers
-        if key not in shelf:
-            problem = build(self.t, self.layout, request, self.cover, spans, near=self.near)
-            if self.rows is not None:
-                self.rows.add(problem, self.t, self.layout)
-            shelf[key] = Solver(problem, request.solver, request.max_iterations)
-            while shelf is not self.solvers and len(shelf) > KEPT:
-                del shelf[next(iter(shelf))]
-        return shelf[key]
+        shelf = self.solvers if self.cover is not None or request.terms else common()
+        return shelf.get(key, lambda: Solver(self._problem(spans), request.solver, request.max_iterations))
+
+    def _problem(self, spans: Sequence[tuple[list[int], float]]) -> Problem:
+        problem = build(self.t, self.layout, self.request, self.cover, spans, near=self.near)
+        if self.rows is not None:
+            self.rows.add(problem, self.t, self.layout)
+        return problem
 
     def give_up(self, message: str) -> None:
         """End with the first guess, where nothing can be solved."""
@@ -235,25 +232,35 @@ class Attempt:
         self.x[self.layout.lengths] = lengths
 
     def approach(self) -> None:
-        """From the coarse discretisation a plan was found on to the one asked for, doubling on the way."""
+        """From the coarse discretisation a plan was found on to the one asked for, in steps on the way."""
         self.resolve()
         asked, refine = self.request.segments, self.request.refine
-        while self.solution.success and 4 * self.layout.segments <= asked and self._try(2 * self.layout.segments, 2):
+        while self.solution.success and 4 * self.layout.segments <= asked and self._step(asked):
             pass
-        if self.solution.success and (refine or self.layout.segments < asked):
-            self._climb()
+        finer = self.solution.success and (refine or self.layout.segments < asked)
+        if finer and not self._climb() and self.deadline.cut and self.layout.segments < asked:
+            note = self.note  # a lower order may still be in time
+            self._try(asked, 2)
+            self.note = note
         self.checked = self._executed()
+
+    def _step(self, asked: int) -> bool:
+        """Four times the segments where that stays below those ``asked`` for, or else twice as many."""
+        few = self.layout.segments
+        found = any(self._try(times * few, 2) for times in (4, 2) if 2 * times * few <= asked)
+        self.note = "" if found else self.note
+        return found
 
     def refine(self) -> None:
         """Climb the ladder of discretisations until the executed controls end where the plan does."""
         if self.resolve() or math.isinf(self.checked.final):
             self.checked = self._executed()
-        while self._too_far() and self.rung < len(LADDER) - 1 and self._climb():
+        while self._too_far() and self.rung < len(LADDER) - 1 and not self.deadline.cut and self._climb():
             self.checked = self._executed()
 
     def resolve(self) -> bool:
         """Solve again if anything changed since; True when it did. What failed for want of time has none for that."""
-        if self.stale and (not self.request.late or self.solution.success):
+        if self.stale and (not self.deadline.late or self.solution.success):
             self.solve(free=False)
             return True
         return False
@@ -269,11 +276,13 @@ class Attempt:
 
     def _try(self, segments: int, order: int) -> bool:
         """Solve on a finer discretisation; where that fails, keep what there was, and say so."""
-        if self.request.late:  # building it alone takes its time
+        split = segments // self.layout.segments
+        fine = Layout(self.t.sizes, tuple(split * n for n in self.layout.phases), order)
+        if not self.deadline.allows(fine.nodes):
             self.note = f"; not refined to {segments} segments of order {order}: time limit reached"
             return False
         before = (self.x, self.layout, self.lengths, self.solution, self.worst, self.near)
-        self._lift(segments, order)
+        self._lift(fine)
         self.solve(free=False)
         if self.solution.success:
             return True
@@ -281,9 +290,7 @@ class Attempt:
         self.x, self.layout, self.lengths, self.solution, self.worst, self.near = before
         return False
 
-    def _lift(self, segments: int, order: int) -> None:
-        split = segments // self.layout.segments
-        fine = Layout(self.t.sizes, tuple(split * n for n in self.layout.phases), order)
+    def _lift(self, fine: Layout) -> None:
         self.x = lift(self.t, self.layout, fine, self.x, self.request.wind)
         self.layout, self.lengths, self.lifted = fine, self.x[fine.lengths], True
         self._look()
@@ -327,24 +334,29 @@ class Attempt:
         """Certify the clip; True when it is as far away as asked, or when nothing more can be done."""
         self.wanted = self.request.clearance if self.cover is not None or self.rows is not None else 0.0
         self.clip = self._clip()
-        self.clearance = self._certified() if self.request.hazards else np.inf
-        if self.rows is not None:
-            nearest, by_segment = certify_plane(self.clip, self.rows.parts, self.wanted)
-            self.clearance = min(self.clearance, nearest)
-            self.lack = np.maximum(self.wanted - by_segment, 0.0)
+        self.clearance = self._measured(self.clip)
         near = self.clearance < self.wanted - (SLACK if self.rows is None else FINEST)
-        return not (near and self.solution.success and self.tightenings < TIGHTENINGS)
+        return not (near and self.solution.success and self.tightenings < TIGHTENINGS and not self.deadline.late)
 
-    def _certified(self) -> float:
+    def _measured(self, clip: Clip) -> float:
+        """The least clearance of a clip, and what it lacks where it drives."""
+        clearance = self._certified(clip) if self.request.hazards else np.inf
+        if self.rows is not None:
+            nearest, by_segment = certify_plane(clip, self.rows.parts, self.request.clearance)
+            clearance = min(clearance, nearest)
+            self.lack = np.maximum(self.request.clearance - by_segment, 0.0)
+        return clearance
+
+    def _certified(self, clip: Clip) -> float:
         """The least clearance; near a landing, as much is added as less is asked for."""
         places = [np.asarray(mark.position, float) for mark in landings(self.request.marks)]
-        wanted = max(self.wanted, SLACK)
+        wanted = max(self.request.clearance, SLACK)
 
         def less(positions: Array) -> Array:
             away = [wanted - approach(np.linalg.norm(positions - p, axis=1), wanted, 0.0) for p in places]
             return np.max(away, axis=0, initial=0.0) if away else np.zeros(len(positions))
 
-        return certify(self.clip, self.request.world, SAMPLES, self.progress, less, SLOPE * bool(places))
+        return certify(clip, self.request.world, SAMPLES, self.progress, less, SLOPE * bool(places))
 
     def tighten(self) -> None:
         if self.rows is not None:

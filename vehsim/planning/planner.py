@@ -126,7 +126,8 @@ def plan(
     brings joints and controls along when it is of such a vehicle, or a path (k, 3) m to start from; ``refine`` until
     the controls, executed finely, end within 0.1 m of the plan, or say so; ``terms``: costs and constraints of one's
     own (`terms.Cost`, `terms.Constraint`, `ranges.look_at`, `ranges.stay`); ``loop``: the motion ends as it begins;
-    ``solver``: a name of `solver.SOLVERS`; ``time_limit`` s, after which the best motion so far comes back.
+    ``solver``: a name of `solver.SOLVERS`; ``time_limit`` s, after which the best motion so far comes
+    back, certified: from half a second on, once vehicle and world have been looked at.
 
     Raises ``InputError`` for what cannot be asked. What cannot be solved comes back with ``success = False`` and a
     message, and a warning.
@@ -171,19 +172,19 @@ def _own(request: Request, guess: Any) -> Clip | None:
 def _again(attempt: Attempt, paths: list[Array], guess: Any) -> None:
     """Solve from other first guesses; in free space find out first whether the marks go together at all."""
     request, blocked = attempt.request, attempt.rows is not None or attempt.cover is not None
-    if not blocked and not request.late:
+    if not blocked and not attempt.deadline.late:
         attempt.why, near = diagnose(attempt)
         if near is not None:
             attempt.x = near
             attempt.solve()
     for wariness, (stretch, bend) in enumerate(RETRIES, 1):
-        if attempt.solution.success or attempt.why or request.late:
+        if attempt.solution.success or attempt.why or attempt.deadline.late:
             break
         if attempt.rows is not None and guess is None:
             paths = attempt.rows.drive(request, wariness)
         attempt.start([bent(path, bend) if attempt.rows is None else path for path in paths], stretch)
         attempt.solve()
-    if blocked and not attempt.solution.success and not request.late:
+    if blocked and not attempt.solution.success and not attempt.deadline.late:
         attempt.why, _ = diagnose(attempt)
 
 

@@ -97,7 +97,7 @@ def _solve(attempt: Attempt, problem: Any, late: bool) -> tuple[Array | None, bo
     extra = problem.size - layout.size
     lower, upper = np.append(lower, np.zeros(extra)), np.append(upper, np.full(extra, np.inf))
     values = attempt.parameters()
-    deadline = min(request.deadline, time.monotonic() + SECONDS)
+    deadline = min(attempt.deadline.solving, time.monotonic() + SECONDS)
     solver = Solver(problem, max_iterations=ITERATIONS)
     answer = solver.solve(np.append(start, np.ones(extra)), lower, upper, values, deadline)
     usable = answer.success or answer.violation < NOTHING

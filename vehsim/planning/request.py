@@ -17,7 +17,7 @@ from vehsim.clip import frame_rate
 from vehsim.errors import InputError
 from vehsim.lie import SO3
 from vehsim.planning.cover import attitude
-from vehsim.planning.legs import mark_positions
+from vehsim.planning.legs import knots_within, mark_positions
 from vehsim.planning.marks import Mark, check_marks, with_breaks
 from vehsim.planning.obstacles import check_marks_clear
 from vehsim.planning.solver import check_solver
@@ -58,11 +58,6 @@ class Request:
         return np.zeros(3) if self.world is None else np.asarray(self.world.wind, float)
 
     @property
-    def late(self) -> bool:
-        """Past its deadline."""
-        return time.monotonic() > self.deadline
-
-    @property
     def costs(self) -> tuple[str, ...]:
         """Names of the costs that count."""
         return tuple(name for name, weight in self.weights.items() if weight)
@@ -77,6 +72,11 @@ class Request:
         ranges = [term.frames for term in self.constraints if term.aim is not None]
         frame = mark.frame
         return any(r is None or (frame != "free" and r[0] <= frame <= r[1]) for r in ranges)
+
+    def aims(self, mark_knots: NDArray[np.intp]) -> list[tuple[int, int, Any, float]]:
+        """What constraints say of headings: (first knot, last knot, point, angle)."""
+        aimed = [(term, term.aim) for term in self.constraints if term.aim is not None]
+        return [(*knots_within(self.marks, mark_knots, term.frames), *aim) for term, aim in aimed]
 
     @property
     def key(self) -> Any:

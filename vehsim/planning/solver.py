@@ -43,6 +43,8 @@ class Solution:
     iterations: int
     violations: Array
     multipliers: Multipliers | None = None
+    hurried: bool = False
+    """It was stopped by its deadline."""
 
 
 Start = Literal["guess", "again", "motion", "multipliers"]
@@ -55,7 +57,7 @@ _WARM = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mu
 _BARRIERS: dict[Start, dict[str, Any]] = {
     "guess": {"mu_strategy": "adaptive"},
     "again": {"mu_strategy": "monotone", "mu_init": 3e-3},
-    "motion": {"mu_strategy": "monotone", "mu_init": 1e-4},
+    "motion": {"mu_strategy": "monotone", "mu_init": 1e-5},
     "multipliers": {
         "mu_strategy": "monotone",
         "mu_init": 1e-6,
@@ -171,7 +173,7 @@ class Solver:
         g_lower, g_upper = self._bounds
         solver = self.prepare("multipliers" if multipliers else start)
         given = {} if multipliers is None else {"lam_x0": multipliers.x, "lam_g0": multipliers.g}
-        self._callback.count, self._callback.deadline = 0, deadline
+        self._callback.begin(deadline)
         with _interruptible(self._callback):
             answer = solver(x0=x0, lbx=lower, ubx=upper, lbg=g_lower, ubg=g_upper, p=parameters, **given)
         stats = solver.stats()
@@ -187,6 +189,7 @@ class Solver:
             iterations=int(stats.get("iter_count", 0)),
             violations=violations,
             multipliers=Multipliers(np.asarray(answer["lam_x"]).ravel(), np.asarray(answer["lam_g"]).ravel()),
+            hurried=self._callback.hurried,
         )
 
 
@@ -224,10 +227,13 @@ class _Callback(ca.Callback):
         super().__init__()
         self._sizes = {"x": x, "f": 1, "g": g, "lam_x": x, "lam_g": g, "lam_p": p}
         self._solver = weakref.ref(solver)
-        self.count = 0
         self.interrupted = False
-        self.deadline = math.inf
+        self.begin(math.inf)
         self.construct("watch", {})
+
+    def begin(self, deadline: float) -> None:
+        """Count from nothing; stop where another iteration like the last would end after ``deadline``."""
+        self.count, self.deadline, self.before, self.hurried = 0, deadline, time.monotonic(), False
 
     def get_n_in(self) -> int:
         return int(ca.nlpsol_n_out())
@@ -252,4 +258,7 @@ class _Callback(ca.Callback):
                 solver.watch(self.count)
         except KeyboardInterrupt:
             self.interrupted = True
-        return [int(self.interrupted or time.monotonic() > self.deadline)]
+        now = time.monotonic()
+        another, self.before = now - self.before, now
+        self.hurried = now + another > self.deadline
+        return [int(self.interrupted or self.hurried)]

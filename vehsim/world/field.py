@@ -1,8 +1,8 @@
 """The distance field: how far every point is from what stands there, smooth enough for an optimiser and a route.
 
-Exact signed distances to the terrain's triangles and to the convex hulls of obstacles, on a grid, become a cubic
-B-spline that passes through them: C2, cheap, and the same in numpy and in CasADi. Fields are cached by content. Hulls
-of vehicles are measured in `scene.py` and `clearance.py`, not here.
+Signed distances to the terrain's triangles (exact near them) and to the convex hulls of obstacles, on a grid, become a
+cubic B-spline that passes through them: C2, cheap, and the same in numpy and in CasADi. Fields are cached by content.
+Hulls of vehicles are measured in `scene.py` and `clearance.py`, not here.
 """
 
 from __future__ import annotations
@@ -12,9 +12,10 @@ import io
 import os
 import tempfile
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,16 +32,19 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
-VERSION = 2
+VERSION = 3
 """Part of every cached field's name: raise it when the same terrain would give another field."""
 POINTS = 1_200_000
-"""Grid points a field has at most unless its spacing is given: about three seconds on two cores."""
+"""Grid points a field has at most unless its spacing is given: a second or two."""
 AMONG = 400_000
 """The same with obstacles, which are measured anew each time: about a second."""
 FINEST = 0.5
 """Smallest spacing chosen by itself, m."""
 HEADROOM, DEPTH = 12.0, 4.0
 """How far the field's box reaches above the highest and below the lowest rock, m."""
+
+NEAR = (-4.0, 16.0)
+"""Between these distances from the terrain a grid point's own nearest triangle is sought, m; see `_around`."""
 
 SEAL = 32
 """Bytes of checksum that end a cached field: a power cut can leave a file of the right size full of zeros."""
@@ -231,7 +235,7 @@ def distance_field(
     file = cache_folder() / f"distance-{hashlib.sha256(repr(content).encode()).hexdigest()[:32]}.npy"
     known = _read(file, tuple(shape.tolist()))
     if known is None:
-        known = _measure([_to_terrain(terrain, int(shape[2]))], lower, shape, step, progress, "the terrain")
+        known = _around(terrain, lower, shape, step, progress)
         _write(file, known)
     return DistanceField(known, lower, step)
 
@@ -269,20 +273,69 @@ def _measure(
     to: str,
 ) -> NDArray[np.float32]:
     """Signed distances (nx, ny, nz) m on the grid: at each point the least that the ``laws`` say."""
-    x, y, z = (lower[k] + step * np.arange(shape[k]) for k in range(3))
+    axes = [lower[k] + step * np.arange(shape[k]) for k in range(3)]
     distances = np.empty(tuple(shape), dtype=np.float32)
-    slabs = np.array_split(np.arange(shape[0]), min(16, shape[0]))
-    for done, slab in enumerate(slabs):
-        points = np.stack(np.meshgrid(x[slab], y, z, indexing="ij"), axis=-1).reshape(-1, 3)
-        least = np.min([law(points) for law in laws], axis=0)
-        distances[slab] = least.reshape(len(slab), shape[1], shape[2])
-        if progress is not None:
-            progress(f"measuring distances to {to}", (done + 1) / len(slabs))
+    for slab in _slabs(shape[0], to, progress):
+        points = _grid(axes[0][slab], *axes[1:])
+        least = np.min([law(points.reshape(-1, 3)) for law in laws], axis=0)
+        distances[slab] = least.reshape(points.shape[:3])
     return distances
 
 
-def _to_terrain(terrain: Terrain, levels: int) -> Callable[[Array], Array]:
-    """Signed distances (n,) m of columns of ``levels`` points (n, 3) m to the terrain."""
+def _grid(x: Array, y: Array, z: Array) -> Array:
+    """Grid points (nx, ny, nz, 3)."""
+    return np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1)
+
+
+def _slabs(count: int, to: str, progress: Progress | None) -> Iterator[NDArray[np.int64]]:
+    """Indices below ``count`` in a few lots; ``progress`` is told when one is done."""
+    slabs = np.array_split(np.arange(count), min(16, count))
+    for done, slab in enumerate(slabs):
+        yield slab
+        if progress is not None:
+            progress(f"measuring distances to {to}", (done + 1) / len(slabs))
+
+
+def _around(
+    terrain: Terrain, lower: Array, shape: NDArray[np.int64], step: float, progress: Progress | None
+) -> NDArray[np.float32]:
+    """Signed distances (nx, ny, nz) m from the terrain's triangles on the grid, where they are `NEAR` the exact ones.
+
+    Elsewhere, where a query costs most and matters least, a point measures to where the corners of its cell of a grid
+    twice as wide find the surface nearest: never too near, 1 to 4 cm too far on average.
+    """
+    nearest = _nearest_on(terrain)
+    axes = [lower[k] + step * np.arange(shape[k]) for k in range(3)]
+    coarse = [np.unique([*range(0, n, 2), n - 1]) for n in shape]
+    wide = [axis[kept] for axis, kept in zip(axes, coarse, strict=True)]
+    found = np.concatenate([nearest(points)[None] for points in _grid(*wide)])
+    sides = [
+        (np.searchsorted(kept, range(n), "right") - 1, np.searchsorted(kept, range(n)))
+        for kept, n in zip(coarse, shape, strict=True)
+    ]
+    distances = np.empty(tuple(shape), dtype=np.float32)
+    for slab in _slabs(shape[0], "the terrain", progress):
+        points = _grid(axes[0][slab], *axes[1:])
+        away = np.full(points.shape[:3], np.inf)
+        for i, j, k in product(*sides):
+            away = np.minimum(away, _length(found[np.ix_(i[slab], j, k)] - points))
+        above = (
+            points[..., 2] >= terrain.height(points[:, :, 0, :2].reshape(-1, 2)).reshape(points.shape[:2])[..., None]
+        )
+        signed = np.where(above, away, -away)
+        near = (NEAR[0] < signed) & (signed < NEAR[1])
+        signed[near] = np.where(above[near], 1, -1) * _length(nearest(points[near]) - points[near])
+        distances[slab] = signed
+    return distances
+
+
+def _length(vectors: Array) -> Array:
+    """Lengths (...) of ``vectors`` (..., 3)."""
+    return np.asarray(np.sqrt(np.einsum("...i,...i", vectors, vectors)))
+
+
+def _nearest_on(terrain: Terrain) -> Callable[[Array], Array]:
+    """The point of the terrain's triangles nearest to each of the points (..., 3) m."""
     import igl
 
     vertices, faces = np.ascontiguousarray(terrain.vertices), np.ascontiguousarray(terrain.faces)
@@ -290,9 +343,19 @@ def _to_terrain(terrain: Terrain, levels: int) -> Callable[[Array], Array]:
     tree.init(vertices, faces)
 
     def law(points: Array) -> Array:
-        squared, _, _ = tree.squared_distance(vertices, faces, points)
+        _, _, there = tree.squared_distance(vertices, faces, np.ascontiguousarray(points.reshape(-1, 3)))
+        return np.asarray(there).reshape(points.shape)
+
+    return law
+
+
+def _to_terrain(terrain: Terrain, levels: int) -> Callable[[Array], Array]:
+    """Signed distances (n,) m of columns of ``levels`` points (n, 3) m to the terrain."""
+    nearest = _nearest_on(terrain)
+
+    def law(points: Array) -> Array:
         ground = np.repeat(terrain.height(points[::levels, :2]), levels)
-        return np.where(points[:, 2] >= ground, 1.0, -1.0) * np.sqrt(squared)
+        return np.where(points[:, 2] >= ground, 1.0, -1.0) * _length(nearest(points) - points)
 
     return law
 
