@@ -13,6 +13,7 @@ from vehsim import cameras
 from vehsim.cameras import CameraRig, solve_camera
 from vehsim.clip import Clip
 from vehsim.errors import InputError
+from vehsim.lie import SE3
 from vehsim.world import Terrain, World
 from vehsim.world.obstacles import box
 
@@ -28,9 +29,7 @@ def clip_along(positions, yaw, bank=0.0):
     orientations = Rotation.from_euler("ZYX", euler).as_quat(scalar_first=True)
     signs = np.where((orientations[1:] * orientations[:-1]).sum(axis=1) < 0, -1.0, 1.0)
     orientations *= np.concatenate([[1.0], np.cumprod(signs)])[:, None]
-    vehicle = SimpleNamespace(
-        name="cube", joints=(), control_names=(), rig=None, group=SimpleNamespace(name="SE3", planar=False)
-    )
+    vehicle = SimpleNamespace(name="cube", joints=(), control_names=(), rig=None, group=SE3)
     times = np.arange(n) / FPS
     twists = np.zeros((n, 6))
     velocity = np.gradient(positions, 1 / FPS, axis=0)

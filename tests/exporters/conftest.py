@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from vehsim.cameras import CameraRig, solve_camera
 from vehsim.clip import Clip
+from vehsim.lie import SE3
 from vehsim.take import RenderSettings, Take
 from vehsim.vehicles._base import Control, Drive, Rig
 from vehsim.world import Terrain, World
@@ -90,7 +91,7 @@ def toy_clip(asset: Path, spin_axis: str = "Z", still: bool = False, drives: dic
         controls=(Control("lift", unit="N"),),
         control_names=("lift",),
         rig=rig,
-        group=SimpleNamespace(name="SE3", planar=False),
+        group=SE3,
     )
     count = len(t)
     return Clip(
