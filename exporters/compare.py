@@ -2,7 +2,8 @@
 
 Equal files are equal. Otherwise pixels that differ visibly are counted: means over a picture cannot tell a moved
 vehicle from one bit of noise. What a change is depends on the pass, and stands in `RULES`: a light may flicker, the
-outline and the distance of a thing may not. What was found is shown in `compare_report.py`.
+outline and the distance of a thing may not. Where a segmentation stands beside, each prim is looked at by itself: what
+is small or far may not vanish or turn blue unseen. What was found is shown in `compare_report.py`.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.errors import InputError
-from vehsim.exporters.passes import SUFFIXES, read_depth
+from vehsim.exporters.passes import SUFFIXES, read_depth, read_legend, segmentation_of
 
 VISIBLE = 8
 """A pixel has changed when a channel differs by more than this, of 255: above the noise of another OpenGL."""
@@ -24,6 +25,8 @@ NEARER, FARTHER = 2e-3, 2e-4
 """Depth has changed when it differs by more than this, m, and than this share of it: above the depth buffer's steps."""
 ALLOWED = 5e-4
 """Share of a picture's pixels that may change."""
+SEEN, MOSTLY = 12, 0.5
+"""A prim of so many pixels has changed when more than this share of them has, however small it is in the picture."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +42,8 @@ class Rule:
 class Comparison:
     """A picture and its reference: ``changed`` is the share of pixels that differ visibly, 1 when sizes differ.
 
-    ``kind``: the row of `RULES` it was held against; ``reason``: why there was nothing to count.
+    ``kind``: the row of `RULES` it was held against; ``reason``: why there was nothing to count; ``prims``: those that
+    changed for the most part, by path or colour in the segmentation.
     """
 
     picture: Path
@@ -47,6 +51,7 @@ class Comparison:
     changed: float
     reason: str = ""
     kind: str = "colour"
+    prims: tuple[str, ...] = ()
 
     @property
     def allowed(self) -> float:
@@ -54,11 +59,23 @@ class Comparison:
         return RULES[self.kind].allowed
 
     def fails(self, allowed: float | None = None) -> bool:
-        """Whether more changed than may; ``allowed``: the share of colour pixels, unless it is the rule's."""
-        return self.changed > (self.allowed if allowed is None or self.kind != "colour" else allowed)
+        """Whether more changed than may; ``allowed``: the share of colour pixels, unless it is the rule's.
+
+        Who allows more than the rule does, of colour, leaves single prims alone too.
+        """
+        if allowed is None or self.kind != "colour":
+            return self.changed > self.allowed or bool(self.prims)
+        return self.changed > allowed or (bool(self.prims) and allowed <= self.allowed)
 
     def __str__(self) -> str:
-        return f"{self.picture}: {self.reason or f'{100 * self.changed:.3g} % of its pixels changed in {self.kind}'}"
+        counted = f"{100 * self.changed:.3g} % of its pixels changed in {self.kind}"
+        return f"{self.picture}: {self.reason or counted}{self.most}"
+
+    @property
+    def most(self) -> str:
+        """What `prims` says, as words to add."""
+        more = f" and {len(self.prims) - 3} more" if len(self.prims) > 3 else ""
+        return f"; most of {', '.join(self.prims[:3])}{more}" if self.prims else ""
 
 
 def compare_pictures(picture: str | Path, reference: str | Path) -> Comparison:
@@ -76,7 +93,26 @@ def compare_pictures(picture: str | Path, reference: str | Path) -> Comparison:
     if a.shape != b.shape:
         size = f"is {a.shape[1]} x {a.shape[0]}, not {b.shape[1]} x {b.shape[0]}"
         return Comparison(picture, reference, 1.0, size, kind)
-    return Comparison(picture, reference, float(rule.differ(a, b).mean()), kind=kind)
+    changed = rule.differ(a, b)
+    return Comparison(
+        picture, reference, float(changed.mean()), kind=kind, prims=_mostly_changed(changed, picture, reference)
+    )
+
+
+def _mostly_changed(changed: NDArray[np.bool_], picture: Path, reference: Path) -> tuple[str, ...]:
+    """The prims most of whose pixels ``changed`` (h, w), by the segmentation that stands beside; before and after."""
+    found: set[str] = set()
+    for path in (reference, picture):
+        segmentation = segmentation_of(path, kind_of(path))
+        if not segmentation.is_file() or (pixels := _read(segmentation)).shape[:2] != changed.shape:
+            continue
+        code = pixels.astype(np.int64) @ (1 << 16, 1 << 8, 1)
+        colours, which = np.unique(code, return_inverse=True)
+        area, lost = np.bincount(which.ravel()), np.bincount(which.ravel(), weights=changed.ravel())
+        hit = colours[(area >= SEEN) & (lost > MOSTLY * area) & (colours > 0)]
+        names = read_legend(segmentation.parent)
+        found |= {names.get(f"#{colour:06x}", f"#{colour:06x}") for colour in hit.tolist()}
+    return tuple(sorted(found))
 
 
 def kind_of(path: Path) -> str:

@@ -61,7 +61,7 @@ def _row(comparison: Comparison, folder: Path, k: int) -> str:
     for which, pixels in images.items():
         _save(pixels, folder / names[which])
     counted = f"{100 * comparison.changed:.3g} % of its pixels changed, {100 * comparison.allowed:.3g} % may"
-    what = f"{comparison.kind}: {comparison.reason or counted}"
+    what = f"{comparison.kind}: {comparison.reason or counted}{comparison.most}"
     return ROW.format(name=html.escape(comparison.reference.name), what=html.escape(what), **names)
 
 

@@ -49,6 +49,19 @@ def write_legend(paths: Sequence[str], folder: Path) -> Path:
     return target
 
 
+def read_legend(folder: Path) -> dict[str, str]:
+    """``#rrggbb`` -> prim path, of the segmentation in ``folder``; empty without one."""
+    legend = folder / LEGEND
+    return dict(json.loads(legend.read_text(encoding="utf-8"))) if legend.is_file() else {}
+
+
+def segmentation_of(path: Path, kind: str) -> Path:
+    """Where the segmentation stands that belongs to a picture, or to a pass (``kind``) of it."""
+    if kind in SUFFIXES:  # <camera>/<kind>/<shot>.<camera>.<kind>.1001.tif
+        path = path.parent.parent / path.name.replace(f".{kind}.", ".")
+    return pass_path(path, "segmentation")
+
+
 def read_depth(path: Path) -> NDArray[np.float32]:
     """Metres (h, w) along the view; 0: nothing. Raises ``InputError`` for a file that is no depth."""
     from PIL import Image

@@ -69,3 +69,31 @@ def test_command_exits_1_and_draws_what_changed(pictures, capsys):
     assert "% of its pixels changed" in capsys.readouterr().out
     assert (root / "out" / "index.html").is_file()
     assert write_difference(comparison, root / "d.png").is_file()
+
+
+@pytest.mark.parametrize(
+    ("kind", "pixels", "named"),
+    [("segmentation", 14, True), ("segmentation", 10, False), ("colour", 14, True), ("colour", 10, False)],
+)
+def test_what_is_small_may_not_vanish_or_change_its_colour(tmp_path, kind, pixels, named):
+    """A prim of 14 pixels of 160000 is a hundredth of what the picture as a whole forgives."""
+    from vehsim.exporters.passes import pass_path, prim_colours, write_legend
+
+    paths = ["/shot/env/ground", "/shot/heli/hub"]
+    ground, hub = prim_colours(paths)
+    spot = np.zeros((400, 400), bool)
+    spot[200, 100 : 100 + pixels] = True
+    for folder in ("a", "b"):
+        picture = tmp_path / folder / "main" / "shot.main.1001.png"
+        beside = pass_path(picture, "segmentation")
+        beside.parent.mkdir(parents=True)
+        write_legend(paths, beside.parent)
+        gone = spot if folder == "b" and kind == "segmentation" else np.zeros_like(spot)
+        blue = spot if folder == "b" and kind == "colour" else np.zeros_like(spot)
+        Image.fromarray(np.where((spot & ~gone)[..., None], hub, ground)).save(beside)
+        Image.fromarray(np.where(blue[..., None], (0, 0, 200), (90, 90, 90)).astype(np.uint8)).save(picture)
+    found = {each.kind: each for each in compare_folders(tmp_path / "b", tmp_path / "a")}
+    assert found[kind].changed < found[kind].allowed
+    assert found[kind].prims == (("/shot/heli/hub",) if named else ())
+    assert found[kind].fails() is named and ("most of /shot/heli/hub" in str(found[kind])) is named
+    assert found["colour"].fails(0.01) is False
