@@ -6,18 +6,26 @@ What belongs here answers with values or raises ``InputError``; it prints nothin
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from vehsim.errors import Problem, ShotError
+from vehsim.errors import InputError, Problem, ShotError
 
 if TYPE_CHECKING:
     from vehsim.shot import Shot
 
 
-def load_all(paths: Sequence[Path], overrides: Sequence[str], only: Sequence[str]) -> tuple[list[Shot], list[Problem]]:
-    """The shots that are right, sweeps expanded, and everything that is wrong with the others."""
+def load_all(
+    paths: Sequence[Path],
+    overrides: Sequence[str],
+    only: Sequence[str] = (),
+    may: Callable[[Shot], None] = lambda shot: None,
+) -> tuple[list[Shot], list[Problem]]:
+    """The shots that are right, sweeps expanded, and everything that is wrong with the others.
+
+    ``may``: raises ``InputError`` for what cannot be done with a shot.
+    """
     from vehsim.batch.sweep import load_shots
 
     loaded: dict[str, Shot] = {}
@@ -33,6 +41,11 @@ def load_all(paths: Sequence[Path], overrides: Sequence[str], only: Sequence[str
             if (key := shot.name.casefold()) in loaded:  # a folder each, also where cases are not told apart
                 mend = "give every shot of a batch a name of its own"
                 found.append(Problem("shot.name", f"{loaded[key].source} has it too", mend, shot.name, str(path)))
+            try:
+                may(shot)
+            except InputError as error:
+                message, _, mend = str(error).rpartition("; ")
+                found.append(Problem("export", message, mend, file=str(path)))
             problems += [problem for problem in found if problem not in problems]
             if all(problem.severity == "warning" for problem in found):
                 loaded[key] = shot
@@ -54,6 +67,14 @@ def check_folder(out: Path) -> None:
     """``--out`` is a folder, or can become one."""
     if taken := [path for path in (out, *out.parents) if path.exists() and not path.is_dir()]:
         raise ShotError([Problem("--out", f"{taken[0]} is a file", "give a folder", str(out))])
+
+
+def check_delivery(names: Sequence[str], out: Path, shot: Shot) -> None:
+    """Can the exporters ``names`` deliver ``shot`` to ``out``?"""
+    from vehsim.delivery import check_stage_is_there, may_hold_versions, may_replace
+
+    check_stage_is_there(names, shot.usd.layer_only)
+    (may_hold_versions if shot.usd.versions else may_replace)(out / shot.name)
 
 
 def check_stages(paths: Sequence[Path]) -> None:

@@ -13,14 +13,14 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
 
-from vehsim import __version__
-from vehsim._arguments import bounds, check_folder, check_stages, exporters_in, frames_in, load_all, size_in, summary
+from vehsim import __version__, _arguments
 from vehsim.errors import InputError, Problem, ShotError, VehsimError
 
 if TYPE_CHECKING:
@@ -83,30 +83,28 @@ def export(
     quiet: Quiet = False,
 ) -> None:
     """Solve shots and write them: a USD stage, pictures, a film, tables. Sweeps become a clip each."""
+    from vehsim.batch.run import run
+    from vehsim.batch.screen import log_problems, watch
+    from vehsim.batch.summary import write_summary
+    from vehsim.batch.task import prepare
     from vehsim.batch.workers import warm_up
-    from vehsim.delivery import check_stage_is_there, may_hold_versions, may_replace
 
     if (workers > 1 or len(shots) > 1) and dask is None and not dry_run:
         warm_up()
-    names = exporters_in(to)
-    check_folder(out)
-    loaded, problems = load_all(shots, [*(sets or []), *["export.layer_only=true"] * layer_only], only or [])
-    for shot in loaded:
-        check_stage_is_there(names, shot.usd.layer_only)
-        (may_hold_versions if shot.usd.versions else may_replace)(out / shot.name)
+    names = _arguments.exporters_in(to)
+    _arguments.check_folder(out)
+    overrides = [*(sets or []), *["export.layer_only=true"] * layer_only]
+    loaded, problems = _arguments.load_all(shots, overrides, only or [], partial(_arguments.check_delivery, names, out))
     _say(problems, quiet or log is Log.json)
+    if log is Log.json:
+        log_problems(problems)
     errors = [str(problem) for problem in problems if problem.severity == "error"]
     if errors and not loaded:
         raise typer.Exit(WRONG_INPUT)
     if dry_run:
         for shot in loaded:
-            print(f"{out / shot.name}: {', '.join(names)} of {summary(shot)}")
+            print(f"{out / shot.name}: {', '.join(names)} of {_arguments.summary(shot)}")
         raise typer.Exit(WRONG_INPUT if errors else 0)
-    from vehsim.batch.run import run
-    from vehsim.batch.screen import watch
-    from vehsim.batch.summary import write_summary
-    from vehsim.batch.task import prepare
-
     tasks = [prepare(shot, out, names, quality is Quality.draft, resume) for shot in loaded]
     outcomes = {}
     try:
@@ -141,9 +139,9 @@ def job(
     from vehsim.batch.job import write_job
     from vehsim.batch.task import prepare
 
-    names = exporters_in(to)
-    check_folder(out)
-    loaded, problems = load_all(shots, sets or [], [])
+    names = _arguments.exporters_in(to)
+    _arguments.check_folder(out)
+    loaded, problems = _arguments.load_all(shots, sets or [])
     _say(problems, quiet)
     if any(problem.severity == "error" for problem in problems):
         raise typer.Exit(WRONG_INPUT)
@@ -172,11 +170,11 @@ def step(
 @app.command()
 def check(shots: Shots, sets: Sets = None, quiet: Quiet = False) -> None:
     """Say what is wrong with shot files, where, and how to mend it. Nothing is solved or written."""
-    loaded, problems = load_all(shots, sets or [], [])
+    loaded, problems = _arguments.load_all(shots, sets or [])
     _say(problems, quiet)
     for shot in loaded:
         if not quiet:
-            print(f"{shot.source}: {shot.name} is ready, {summary(shot)}")
+            print(f"{shot.source}: {shot.name} is ready, {_arguments.summary(shot)}")
     raise typer.Exit(WRONG_INPUT if any(problem.severity == "error" for problem in problems) else 0)
 
 
@@ -190,8 +188,8 @@ def manoeuvres(
     """List what vehicles steered by sinusoids can choose from, and paint it from above."""
     from vehsim.shot.sinusoid import paint_offers
 
-    check_folder(out)
-    loaded, problems = load_all(shots, sets or [], [])
+    _arguments.check_folder(out)
+    loaded, problems = _arguments.load_all(shots, sets or [])
     _say(problems, quiet)
     for shot in loaded:
         for line in paint_offers(shot, out):
@@ -206,7 +204,7 @@ def validate(
     """Hold USD stages against OpenUSD's rules and our own."""
     from vehsim.exporters.validate import validate_stage
 
-    check_stages(stages)
+    _arguments.check_stages(stages)
     wrong = False
     for path in stages:
         issues = validate_stage(path)
@@ -234,22 +232,19 @@ def render(
     quiet: Quiet = False,
 ) -> None:
     """Render a stage off-screen, from what is in the file."""
-    check_stages([stage])
-    check_folder(out)
-    wanted, pixels = frames_in(frames), size_in(size)
+    _arguments.check_stages([stage])
+    _arguments.check_folder(out)
+    wanted, pixels = _arguments.frames_in(frames), _arguments.size_in(size)
+    look: dict[str, Any] = {"samples": 0, "shadows": False} if quality is Quality.draft else {}
     from vehsim.exporters.frames import render_stage
 
     with _progress(quiet) as progress:
         files = render_stage(
-            stage, out, frames=wanted, size=pixels, camera=camera, progress=progress, burn_in=burn_in, **_look(quality),
+            stage, out, frames=wanted, size=pixels, camera=camera, progress=progress, burn_in=burn_in, **look,
             passes=[kind.strip() for kind in passes.split(",") if kind.strip()],
         )  # fmt: skip
     if not quiet:
         print(f"{len(list(files))} files in {out}" if passes else f"{len(list(files))} pictures in {out}")
-
-
-def _look(quality: Quality) -> dict[str, Any]:
-    return {"samples": 0, "shadows": False} if quality is Quality.draft else {}
 
 
 @app.command()
@@ -282,7 +277,7 @@ def vehicles() -> None:
 
     for name in available():
         vehicle = load_vehicle(name)
-        print(f"{name}: controls {', '.join(map(bounds, vehicle.controls))}")
+        print(f"{name}: controls {', '.join(map(_arguments.bounds, vehicle.controls))}")
         if vehicle.joints:
             print(f"{' ' * len(name)}  joints {', '.join(vehicle.joints)}")
 

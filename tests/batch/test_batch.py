@@ -114,6 +114,24 @@ def test_the_log_for_machines(write: Write, tmp_path: Path, capsys: pytest.Captu
     assert said.err == ""
 
 
+def test_the_log_for_machines_has_what_is_refused(
+    write: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With the line to look at; and a folder of somebody else's stops its own shot alone."""
+    out = tmp_path / "out"
+    (out / "taken").mkdir(parents=True)
+    (out / "taken" / "notes.txt").write_text("mine")
+    shots = [str(write(name, duration=d)) for name, d in {"good": 0.25, "bad": -1, "taken": 0.25}.items()]
+    assert cli.run(["export", *shots, "--out", str(out), "--to", "npz", "--log", "json"]) == 1
+    events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    refused = {Path(event["source"]).stem: event for event in events if event["event"] == "refused"}
+    assert set(refused) == {"bad", "taken"}
+    assert (refused["bad"]["line"], refused["bad"]["key"]) == (10, "vehicle[0].motion.duration")
+    assert "was not written by vehsim" in refused["taken"]["message"]
+    assert [event["clip"] for event in events if event["event"] == "done"] == ["good"]
+    assert (out / "taken" / "notes.txt").read_text() == "mine"
+
+
 def test_a_listener_that_goes_stops_no_work(write: Write, tmp_path: Path) -> None:
     """As in ``vehsim export ... --log json | head -1``."""
     import subprocess

@@ -13,6 +13,7 @@ from datetime import UTC, datetime
 from typing import Any, Protocol
 
 from vehsim.batch.task import Outcome, Task
+from vehsim.errors import Problem
 
 STATES = ("queued", "planning", "baking", "rendering", "done", "skipped", "failed")
 ROWS = 20
@@ -103,6 +104,13 @@ class _Table(_Lines):
         return Group(head, rows)
 
 
+def log_problems(problems: Sequence[Problem]) -> None:
+    """Lines of the log for shots that are refused, and for what is odd about others."""
+    for problem in problems:
+        where = {"source": problem.file, "line": problem.line, "key": problem.key}
+        _log("refused" if problem.severity == "error" else "warning", 0.0, **where, message=str(problem))
+
+
 class _JsonLog:
     """A line of JSON on standard output for everything that happens; times are here and nowhere else."""
 
@@ -123,9 +131,12 @@ class _JsonLog:
         self._say(outcome.state, clip=outcome.name, source=self._sources[outcome.name], seconds=seconds, **more)
 
     def _say(self, event: str, **more: Any) -> None:
-        now = datetime.now(UTC).isoformat(timespec="milliseconds")
-        elapsed = round(time.monotonic() - self._began, 3)  # the clock on the wall may jump
-        _answer(json.dumps({"event": event, "time": now, "elapsed": elapsed, **more}))
+        _log(event, time.monotonic() - self._began, **more)  # the clock on the wall may jump
+
+
+def _log(event: str, elapsed: float, **more: Any) -> None:
+    now = datetime.now(UTC).isoformat(timespec="milliseconds")
+    _answer(json.dumps({"event": event, "time": now, "elapsed": round(elapsed, 3), **more}))
 
 
 def _answer(text: str) -> None:

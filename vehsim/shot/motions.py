@@ -168,7 +168,8 @@ class PlanMotion(Table):
             **self._options(),
         )
         if not result.success:
-            raise SolveError(f"{vehicle.name}: no plan was found: {result.message}; loosen marks, clearance or limits")
+            mend = "loosen marks, clearance or limits" if self.time_limit is None else "give it a longer time_limit"
+            raise SolveError(f"{vehicle.name}: no plan was found: {result.message}; {mend}")
         # how long it took is left out: the same shot gives the same report
         names = ("success", "message", "cost", "duration", "iterations", "segments", "defect", "clearance")
         report = {name: getattr(result, name) for name in names} | {"executed": asdict(result.executed)}
