@@ -12,8 +12,10 @@ from vehsim.errors import InputError, SolveError
 from vehsim.planning import astar
 from vehsim.planning.astar import guess_drive, turning_radius
 from vehsim.planning.certify import certify_plane
+from vehsim.planning.elements import Problem
 from vehsim.planning.features import CORNERS, body_of, form_of, gap
 from vehsim.planning.features import element as row_of
+from vehsim.planning.layout import Layout
 from vehsim.planning.obstacles import Rows, obstacle_rows
 from vehsim.planning.outlines import clearances, inner_discs, simplified
 from vehsim.planning.transcription import transcription
@@ -268,6 +270,41 @@ def test_what_is_run_through_unseen_is_seen_where_it_is_near(car):
     near, far = (rows.seen[rows.owners == part].any(axis=0) for part in (0, 1))
     assert near[16:25].all() and not near[:10].any() and not far.any()
     assert not rows.overlooked(positions, yaw, seconds, 0.5)
+
+
+def test_what_ran_through_something_looks_twice_as_far_about_its_guess(car):
+    """Knots slide along a guess: those before and behind a wall are to know of it, too."""
+    rows = obstacle_rows(car, World(obstacles=[ob.box("wall", (20, 0, 0), (1, 8, 1))]), across())
+    along, still = np.column_stack([np.linspace(0, 40, 41), np.zeros((41, 2))]), np.zeros(41)
+    rows.look(np.add(along, (0, 20, 0)), still, still, 0.5)
+    assert not rows.seen.any()
+    rows.look(np.add(along, (0, 8.5, 0)), still, still, 0.5)
+    before = rows.seen.any(axis=0)
+    assert rows.overlooked(along, still, still, 0.5)
+    seen = rows.seen.any(axis=0)
+    assert before.any() and before.sum() + 4 < seen.sum() < 41  # of 3 m, 6 m ahead and behind
+
+
+def test_cars_weave_between_walls(car):
+    """Four walls from either side in turn: knots may not jump over those they do not see."""
+    walls = [ob.box(f"w{k}", (10 + 8 * k, 5.5 if k % 2 else -5.5, 0), (0.6, 14, 1)) for k in range(4)]
+    ends = [ob.box("top", (22, 14, 0), (50, 0.5, 1)), ob.box("bottom", (22, -14, 0), (50, 0.5, 1))]
+    world = World(obstacles=walls + ends)
+    plan = vehsim.plan(car, world, across(46.0), segments=64, clearance=0.4, refine=False)
+    assert plan.success, plan.message
+    assert gap_by_shapely(plan.clip, world) >= 0.4 - 2e-3
+
+
+def test_rows_name_their_obstacle(car):
+    """So a failure says which one is in the way, not the number of a row."""
+    rows = obstacle_rows(car, World(obstacles=[ob.box("pier", (6, 0, 0), (2, 30, 1)), *WALLS]), across())
+    rows.look(np.zeros((4, 3)), np.zeros(4), np.zeros(4), 0.4)
+    t = transcription(car)
+    layout = Layout(t.sizes, (3,))
+    problem = Problem(layout.size, 0)
+    rows.add(problem, t, layout)
+    assert set(problem.names()) == {"obstacle 'pier'"}
+    assert problem.parameters == len(rows.values(np.zeros(4), 0.4))
 
 
 def test_first_guesses_look_only_as_far_as_matters(car, monkeypatch):

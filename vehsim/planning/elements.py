@@ -147,12 +147,14 @@ def _pattern(matrix: Any) -> tuple[Indices, Indices]:
 
 @dataclass(eq=False)
 class Use:
-    """Where an element occurs: ``variables`` (n, count) and ``parameters`` (m, count) index the problem's."""
+    """Where an element occurs: ``variables`` (n, count) and ``parameters`` (m, count) index the problem's; ``names``
+    (count,) of the occurrences, where they have any."""
 
     element: Element
     variables: Indices
     parameters: Indices
     constants: Array
+    names: Sequence[str] = ()
 
     @property
     def count(self) -> int:
@@ -186,7 +188,14 @@ class Problem:
     parameters: int
     uses: list[Use] = field(default_factory=list)
 
-    def add(self, element: Element, variables: Any, parameters: Any = None, constants: Any = None) -> None:
+    def add(
+        self,
+        element: Element,
+        variables: Any,
+        parameters: Any = None,
+        constants: Any = None,
+        names: Sequence[str] = (),
+    ) -> None:
         """Add an element at index columns ``variables`` (n, count) and ``parameters`` (m, count).
 
         ``constants`` (c, count): its last ``c`` parameters, where they are numbers.
@@ -199,7 +208,8 @@ class Problem:
         shared = shared[:, None] if shared.ndim == 1 else shared
         if variables.shape[0] != element.y.shape[0]:
             raise ValueError(f"element {element.name}: {variables.shape[0]} indices for {element.y.shape[0]} variables")
-        self.uses.append(Use(element, variables, np.broadcast_to(shared, (width, variables.shape[1])), fixed))
+        places = np.broadcast_to(shared, (width, variables.shape[1]))
+        self.uses.append(Use(element, variables, places, fixed, names))
 
     @property
     def bounds(self) -> tuple[Array, Array]:
@@ -211,7 +221,7 @@ class Problem:
     def names(self) -> list[str]:
         """The element each constraint row comes from."""
         return [
-            use.element.labels[row] if use.element.labels else f"{use.element.name}[{k}]"
+            use.element.labels[row] if use.element.labels else use.names[k] if use.names else f"{use.element.name}[{k}]"
             for use in self.uses
             for k in range(use.count)
             for row in range(use.rows)

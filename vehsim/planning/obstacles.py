@@ -53,13 +53,15 @@ class Rows:
     """The rows that keep one vehicle clear of a world's obstacles on one discretisation.
 
     ``parts``: (obstacle, part number); ``seen`` (features, knots): which `features` are rows of the problem where;
-    ``extra`` (parts, knots): what each demands beyond the clearance asked for, m.
+    ``extra`` (parts, knots): what each demands beyond the clearance asked for, m; ``sight`` m, see `SIGHT`.
     """
 
     vehicle: Vehicle
     parts: list[tuple[Any, int]]
     seen: Seen = field(default_factory=lambda: np.zeros((0, 0), bool))
     extra: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    sight: float = SIGHT
+    _guessed: tuple[Array, Array, Array] | None = None
 
     @cached_property
     def features(self) -> list[tuple[int, Feature]]:
@@ -80,32 +82,35 @@ class Rows:
 
     def look(self, positions: Array, yaw: Array, seconds: Array, clearance: float) -> None:
         """See what is near the guessed poses (knots, ...) of a discretisation; what was seen already stays."""
-        gaps = self._gaps(positions, yaw, seconds, clearance)
-        if self.seen.shape != gaps.shape:
+        self._guessed, shape = (positions, yaw, seconds), (len(self.features), len(positions))
+        if self.seen.shape != shape:
             knots = (len(self.parts), len(positions))
             self.extra = _stretched(self.extra, knots) if self.extra.size else np.full(knots, BETWEEN)
-            self.seen = np.zeros(gaps.shape, bool)
-        self._see(gaps, clearance)
+            self.seen, self.sight = np.zeros(shape, bool), SIGHT
+        self._see(self._gaps(positions, yaw, seconds, clearance), clearance)
 
     def overlooked(self, positions: Array, yaw: Array, seconds: Array, clearance: float) -> bool:
-        """Whether solved poses (knots, ...) come too near to what is unseen there; all near them is seen from now
-        on."""
+        """Whether solved poses (knots, ...) come too near to what is unseen there; all near them is seen from now on,
+        and twice as far about the guess: knots slide along it."""
         gaps = self._gaps(positions, yaw, seconds, clearance)
         missed = bool(np.any(~self.seen & (gaps < clearance - FINEST)))
         if missed:
             self._see(gaps, clearance)
+            self.sight *= 2
+            if self._guessed is not None:
+                self._see(self._gaps(*self._guessed, clearance), clearance)
         return missed
 
     def _see(self, gaps: Array, clearance: float) -> None:
         nearest = np.full((len(self.parts), gaps.shape[1]), np.inf)
         np.minimum.at(nearest, self.owners, gaps)
-        self.seen |= gaps < np.minimum(clearance + SIGHT, np.maximum(nearest, clearance)[self.owners] + SPREAD)
+        self.seen |= gaps < np.minimum(clearance + self.sight, np.maximum(nearest, clearance)[self.owners] + SPREAD)
 
     def _gaps(self, positions: Array, yaw: Array, seconds: Array, clearance: float) -> Array:
         """How far every feature is at poses (knots, ...), (features, knots) m; inf beyond sight and where it starts."""
         body, out = body_of(self.vehicle), np.full((len(self.features), len(yaw)), np.inf)
         outlines = placed(np.array(body), positions[:, :2], yaw)
-        near = np.array([bounds_to(o.shapes_at(seconds)[k], outlines) < clearance + SIGHT for o, k in self.parts])
+        near = np.array([bounds_to(o.shapes_at(seconds)[k], outlines) < clearance + self.sight for o, k in self.parts])
         near[:, 0] = False  # where it starts is given
         poses, numbers = np.vstack([yaw, positions[:, :2].T]), [_numbers(*part, seconds) for part in self.parts]
         for kind in dict.fromkeys(feature.kind for _, feature in self.features):
@@ -165,6 +170,7 @@ class Rows:
     def add(self, problem: Problem, t: Transcription, layout: Layout) -> None:
         """The rows, and parameters for them behind those the problem has: as `values` lays them out."""
         rows: dict[Any, list[tuple[Any, ...]]] = {}
+        names: dict[Any, list[str]] = {}
         first = problem.parameters
         for row, knots in self._seen_at():
             obstacle, number = self.parts[row]
@@ -176,10 +182,12 @@ class Rows:
                 p = np.vstack([place[here] + np.array(feature.numbers)[:, None], margins[here]])
                 constants = np.tile(np.array(feature.constants)[:, None], np.sum(here))
                 rows.setdefault(feature.kind, []).append((layout.knot(knots[here]), p, constants))
+                names.setdefault(feature.kind, []).extend([f"obstacle {obstacle.name!r}"] * int(here.sum()))
             first = int(margins[-1]) + 1
         problem.parameters = first
         for kind, uses in rows.items():
-            problem.add(element(t, kind), *map(np.hstack, zip(*uses, strict=True)))
+            variables, p, constants = map(np.hstack, zip(*uses, strict=True))
+            problem.add(element(t, kind), variables, p, constants, names[kind])
 
     def values(self, seconds: Array, clearance: float) -> Array:
         """The parameters that `add` laid out: ``seconds`` (knots,) since frame 0, when the vehicle is at its knots."""
