@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -111,19 +112,26 @@ def write_water(take: Take, folder: Path) -> list[Path]:
     primvars.CreatePrimvar("normals", Sdf.ValueTypeNames.Normal3hArray, UsdGeom.Tokens.vertex)
     points, extent = mesh.CreatePointsAttr(), mesh.CreateExtentAttr()
     _bind_material(stage, mesh)
-    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    _set_points(points.Set, extent.Set, np.column_stack([grid.xy, np.full(len(grid.xy), water.level)]))
     frames = np.arange(take.frames[0], take.frames[1] + 1, dtype=float)
     for frame, (place, normals, foam, lowered) in zip(frames.tolist(), surfaces(take, grid, frames), strict=True):
-        layer.SetTimeSample(points.GetPath(), frame, Vt.Vec3fArray.FromNumpy(place.astype(np.float32)))
+        _set_points(*(partial(layer.SetTimeSample, each.GetPath(), frame) for each in (points, extent)), place)
         halves = Vt.Vec3hArray.FromNumpy(normals.astype(np.float16))
         layer.SetTimeSample("/water/surface.primvars:normals", frame, halves)
         for name, values in (("foam", foam), (LOWERED, lowered)):
             halves = Vt.HalfArray.FromNumpy(values.astype(np.float16))
             layer.SetTimeSample(f"/water/surface.primvars:{name}", frame, halves)
-        low, high = np.minimum(low, place.min(axis=0)), np.maximum(high, place.max(axis=0))
-    extent.Set([Gf.Vec3f(*low.tolist()), Gf.Vec3f(*high.tolist())])
     layer.Save()
     return [path]
+
+
+def _set_points(points: Callable[[Any], Any], extent: Callable[[Any], Any], place: Array) -> None:
+    """Set points (n, 3) and their extent, at a frame or for readers that ask at none: the water at rest."""
+    from pxr import Vt
+
+    single = place.astype(np.float32)
+    points(Vt.Vec3fArray.FromNumpy(single))
+    extent(Vt.Vec3fArray.FromNumpy(np.stack([single.min(axis=0), single.max(axis=0)])))
 
 
 def surfaces(take: Take, grid: Grid, frames: Array) -> Iterator[tuple[Array, Array, Array, Array]]:

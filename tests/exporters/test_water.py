@@ -208,3 +208,13 @@ def test_depth_becomes_places():
     assert distance == pytest.approx(np.full((3, 5), 10.0))
     assert places[1, 2] == pytest.approx([11.0, 2.0, 3.0])
     assert places[2, 4] == pytest.approx([11.0, 2.0 - 0.8 * 5.0, 3.0 + 2 / 3 * 3.0])
+
+
+def test_the_surface_says_its_extent_at_every_frame_and_has_a_rest(shown):
+    """Readers that ask at no time get still water, not an empty mesh."""
+    stage = Usd.Stage.Open(str(shown[1]))  # a prim lives only as long as its stage is held
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/sea/env/water/surface"))
+    for when in (Usd.TimeCode.Default(), 1001, 1013, 1025):
+        points, extent = (np.array(attribute.Get(when)) for attribute in (mesh.GetPointsAttr(), mesh.GetExtentAttr()))
+        assert (extent == [points.min(axis=0), points.max(axis=0)]).all()
+    assert np.ptp(np.array(mesh.GetPointsAttr().Get())[:, 2]) == 0.0
