@@ -92,6 +92,17 @@ def tilt_of(q: Array) -> tuple[Array, Array, Array]:
     return yaw, pitch, np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
 
 
+def matrices(q: Array) -> Array:
+    """Rotation matrices (..., 3, 3) of unit quaternions (..., 4) w, x, y, z; their columns are the body's axes."""
+    w, x, y, z = q.T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+
 def rotate(q: Array, v: Array) -> Array:
     """Vectors (n, 3) turned by unit quaternions (n, 4)."""
     t = 2 * np.cross(q[:, 1:], v)

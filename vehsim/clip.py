@@ -92,14 +92,10 @@ class Clip:
 
     def matrices(self) -> Array:
         """``T_wr`` (n, 4, 4): rig root to world, for column vectors."""
-        w, x, y, z = self.orientations.T
-        rows = [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
+        from vehsim._interpolate import matrices
+
         T_wr = np.zeros((len(self), 4, 4))
-        T_wr[:, :3, :3] = np.moveaxis(np.array(rows), 2, 0)
+        T_wr[:, :3, :3] = matrices(self.orientations)
         T_wr[:, :3, 3] = self.positions
         T_wr[:, 3, 3] = 1.0
         return T_wr

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from vehsim._gait import Gait
+from vehsim._interpolate import matrices
 from vehsim._route import Route
 from vehsim.errors import InputError
 from vehsim.vehicles import State, Vehicle
@@ -298,14 +299,7 @@ def _function(law: Any, size: int) -> Any:
 
 
 def _matrix(q: Any) -> Array:
-    w, x, y, z = np.asarray(q, float) / np.linalg.norm(q)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    return matrices(np.asarray(q, float) / np.linalg.norm(q))
 
 
 def _about_z(angle: float) -> Array:

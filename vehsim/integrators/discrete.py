@@ -196,6 +196,14 @@ class DiscreteMechanics:
         return ca.Function("knot_momentum", [r, u, xi], [project(v, r, *momentum(v, r, u, xi))])
 
     @cached_property
+    def wrench_momentum(self) -> ca.Function:
+        """``(g, r, wrench) -> (n_z,)``: what a body wrench (d,) adds to the restricted momentum in a second."""
+        v, y = self.vehicle, self.symbols
+        wrench = ca.SX.sym("wrench", v.group.dim)
+        covector = project(v, y["r"], ca.SX(len(v.joints), 1), v.group.wrench_from_body(y["g"], wrench))
+        return ca.Function("wrench", [y["g"], y["r"], wrench], [covector])
+
+    @cached_property
     def knot_velocity(self) -> ca.Function:
         """``(r, pi, c) -> (u, xi)``: joint rates and group velocity at a knot; exact for quadratic Lagrangians."""
         v, y = self.vehicle, self.symbols

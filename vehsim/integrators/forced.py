@@ -20,7 +20,7 @@ from vehsim.integrators.buffered import Buffered
 from vehsim.integrators.record import build_clip, keep
 from vehsim.vehicles import State
 from vehsim.vehicles._base import Array
-from vehsim.vehicles.mechanics import acceleration, project
+from vehsim.vehicles.mechanics import acceleration
 from vehsim.vehicles.states import control_vector
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ class Forced:
         self._set_wrench(wrench, added)
 
     def _kicked(self, phase: Phase) -> Phase:
-        (covector,) = self._call("wrench", _on_momentum)(phase.g, phase.r, self.wrench)
+        (covector,) = self._call("wrench", lambda m: m.wrench_momentum)(phase.g, phase.r, self.wrench)
         return replace(phase, pi=phase.pi + self.integrator.step_size / 2 * covector)
 
     def _public(self, phase: Phase, controls: Array) -> State:
@@ -309,18 +309,6 @@ def halved(integrator: Integrator, parts: int) -> Integrator:
 def substeps(step: float, environment: Environment) -> int:
     """Into how many equal parts a step must be cut to keep to the environment's longest."""
     return max(1, math.ceil(step / environment.max_step - 1e-9))
-
-
-def _on_momentum(mechanics: DiscreteMechanics) -> ca.Function:
-    """``(g, r, body wrench) -> covector on the free velocities``."""
-
-    def build() -> ca.Function:
-        v, y = mechanics.vehicle, mechanics.symbols
-        w = ca.SX.sym("w", v.group.dim)
-        covector = project(v, y["r"], ca.SX(len(v.joints), 1), v.group.wrench_from_body(y["g"], w))
-        return ca.Function("wrench", [y["g"], y["r"], w], [covector])
-
-    return keep(mechanics, "wrench", build)
 
 
 def _free_acceleration(mechanics: DiscreteMechanics) -> ca.Function:

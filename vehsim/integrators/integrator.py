@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from vehsim.clip import Clip
@@ -23,7 +22,6 @@ from vehsim.integrators.record import build_clips, flat, keep
 from vehsim.integrators.record import continuous as continuous
 from vehsim.vehicles import State, Vehicle
 from vehsim.vehicles._base import Array
-from vehsim.vehicles.mechanics import project
 from vehsim.vehicles.states import control_vector, internal
 
 TOLERANCE = 1e-9
@@ -217,7 +215,7 @@ class Integrator:
             raise InputError(
                 f"wrench = {body.tolist()!r}: give {self.vehicle.group.dim} finite numbers, torque then force"
             )
-        phase.pi = phase.pi + self.step_size / 2 * flat(_projected_wrench(self.mechanics)(phase.g, phase.r, body))
+        phase.pi = phase.pi + self.step_size / 2 * flat(self.mechanics.wrench_momentum(phase.g, phase.r, body))
 
     def rollout(self, state: State, controls: Any, *, fps: Any = 24, start_frame: int = 1001) -> Clip:
         """A clip of ``len(controls) - 1`` steps under knot controls (n, c), linear between knots."""
@@ -313,13 +311,6 @@ def mechanics_of(vehicle: Vehicle, map_name: str, quadrature: str) -> DiscreteMe
     if key not in kept:
         kept[key] = DiscreteMechanics(vehicle, map_name, quadrature)
     return kept[key]
-
-
-def _projected_wrench(mechanics: DiscreteMechanics) -> ca.Function:
-    v, y = mechanics.vehicle, mechanics.symbols
-    w = ca.SX.sym("w", v.group.dim)
-    covector = project(v, y["r"], ca.SX(len(v.joints), 1), v.group.wrench_from_body(y["g"], w))
-    return keep(mechanics, "wrench", lambda: ca.Function("wrench", [y["g"], y["r"], w], [covector]))
 
 
 def packed(phase: Phase) -> Array:

@@ -19,6 +19,7 @@ from vehsim.errors import InputError, SolveError
 from vehsim.integrators.continuous import equations_of_motion
 from vehsim.vehicles import Vehicle
 from vehsim.vehicles._base import Array
+from vehsim.vehicles.mechanics import coefficients, driven_rates, free_velocity
 
 if TYPE_CHECKING:
     from vehsim.clip import Clip
@@ -110,8 +111,6 @@ def lie_newmark(problem: Problem) -> Any:
 
 
 def _velocity(problem: Problem, r: Any, z: Any) -> Any:
-    from vehsim.vehicles.mechanics import driven_rates, free_velocity
-
     return free_velocity(problem.vehicle, r, z, driven_rates(problem.vehicle, (problem.c0 + problem.c1) / 2))[1]
 
 
@@ -154,7 +153,6 @@ def reference_clip(
     Raises ``SolveError`` saying when the method blows up.
     """
     from vehsim.integrators.integrator import Integrator
-    from vehsim.vehicles.mechanics import coefficients, driven_rates, free_velocity
     from vehsim.vehicles.states import internal
 
     integrator = Integrator(vehicle, step)

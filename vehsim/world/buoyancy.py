@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim._interpolate import matrices
 from vehsim.errors import InputError, Problem
 from vehsim.vehicles._base import State
 from vehsim.world.environment import Environment
@@ -278,14 +279,7 @@ class Forces:
 
 def _body(state: State, origin: Array) -> tuple[Array, Array, Array, Array]:
     """Rotation body to world, position of the body frame's origin, angular and linear velocity in body axes."""
-    w, x, y, z = np.asarray(state.orientation, float)
-    R_wb = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    R_wb = matrices(np.asarray(state.orientation, float))
     twist = np.zeros(6) if state.twist is None else np.asarray(state.twist, float)
     omega = twist[:3]
     return R_wb, np.asarray(state.position, float) + R_wb @ origin, omega, twist[3:] + _cross(omega, origin)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim._interpolate import spatial
+from vehsim._interpolate import matrices, spatial
 from vehsim.vehicles._base import State
 
 Array = NDArray[np.float64]
@@ -46,7 +46,7 @@ class Moving:
         self.position = np.asarray(state.position, float)
         self.orientation = np.asarray(state.orientation, float)
         twist = np.asarray(state.twist, float)
-        self.R_wr = _matrix(*self.orientation.tolist())
+        self.R_wr = matrices(self.orientation)
         self.omega, self.v = self.R_wr @ twist[:3], self.R_wr @ twist[3:]
         self.centre = self.position + self.R_wr @ body.vehicle.origin
         self.fastest = float(np.linalg.norm(self.v) + np.linalg.norm(self.omega) * 2 * body.reach) + 0.5
@@ -76,7 +76,7 @@ class Led:
         motion = clip.at(np.array([np.clip(since, first, last)]))
         omega, v = (rows[0] if first <= since <= last else np.zeros(3) for rows in spatial(motion))  # else it stands
         self.position, self.orientation, self.v = motion.positions[0], motion.orientations[0], v
-        self.omega = _matrix(*self.orientation.tolist()) @ omega
+        self.omega = matrices(self.orientation) @ omega
         self.fastest = float(np.linalg.norm(self.v) + np.linalg.norm(self.omega) * 2 * course.reach) + 0.5
 
     def velocity(self, place: Array) -> Array:
@@ -87,14 +87,6 @@ class Led:
 
     def yielding(self, place: Array, normal: Array) -> float:
         return 0.0
-
-
-def _matrix(w: float, x: float, y: float, z: float) -> Array:
-    return np.array([
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ])  # fmt: skip
 
 
 def cross(a: Array, b: Array) -> Array:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim._interpolate import tilt_of, yaw_tilt
+from vehsim._interpolate import matrices, tilt_of, yaw_tilt
 from vehsim.clip import Clip
 from vehsim.vehicles._base import Rig, Suspension
 from vehsim.world.terrain import Terrain
@@ -192,7 +192,7 @@ def touch(terrain: Terrain, wheel: Wheel, positions: Array, orientations: Array)
     """How far (n,) m up the body's vertical a wheel stands from its rest when it just touches the terrain."""
     level = float(terrain.heights.flat[0])
     if np.all(terrain.heights == level):
-        vertical = _matrices(orientations)[:, 2]
+        vertical = matrices(orientations)[:, 2]
         return np.asarray(((level - positions[:, 2:] - vertical @ wheel.rim.T) / vertical[:, 2:]).max(axis=1))
     return np.concatenate(
         [_touch(terrain, wheel, positions[k], orientations[k]) for k in _blocks(len(positions))] or [np.zeros(0)]
@@ -200,7 +200,7 @@ def touch(terrain: Terrain, wheel: Wheel, positions: Array, orientations: Array)
 
 
 def _touch(terrain: Terrain, wheel: Wheel, positions: Array, orientations: Array) -> Array:
-    R_wr = _matrices(orientations)
+    R_wr = matrices(orientations)
     points = positions[:, None] + wheel.rim @ R_wr.swapaxes(1, 2)
     up, travel = R_wr[:, None, :, 2], np.zeros(len(positions))
     for _ in range(ROUNDS):
@@ -294,7 +294,7 @@ def _wheel_channels(
 ) -> dict[str, Array]:
     """Travel of every wheel that has it, and its turning, by the way its hub really goes."""
     made = {}
-    R_wr = _matrices(orientations)
+    R_wr = matrices(orientations)
     for wheel in wheels:
         travel = np.zeros(len(clip))
         if wheel.travel is not None:
@@ -307,13 +307,3 @@ def _wheel_channels(
             turned = clip.channels[wheel.roll]
             made[wheel.roll] = turned[0] + np.concatenate([[0.0], np.cumsum(np.diff(turned) * longer)])
     return made
-
-
-def _matrices(q: Array) -> Array:
-    w, x, y, z = q.T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), 2, 0)
