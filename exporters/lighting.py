@@ -72,7 +72,7 @@ def author_lights(stage: Any, scope: str, take: Take, pack: Pack, shot: Path, mo
     )
 
     texture = pack.folder / "assets" / "sky" / "sky.png"
-    write_sky(texture, azimuth, elevation, mood)
+    write_sky(texture, azimuth, elevation, mood, hills=take.world.terrain is not None)
     pack.written.append(texture)
     dome = UsdLux.DomeLight.Define(stage, f"{scope}/sky")
     dome.CreateIntensityAttr(mood.dome_intensity)
@@ -133,14 +133,19 @@ def latlong_directions(width: int, height: int) -> Array:
     return np.stack([own[..., 0], -own[..., 2], own[..., 1]], axis=-1)
 
 
-def write_sky(path: Path, azimuth: float, elevation: float, mood: Mood = MOOD, width: int = 1024) -> None:
-    """A sky as a latitude-longitude PNG: zenith to warm horizon, a glow about the sun, ground below."""
+def write_sky(
+    path: Path, azimuth: float, elevation: float, mood: Mood = MOOD, width: int = 1024, hills: bool = False
+) -> None:
+    """A sky as a latitude-longitude PNG: zenith to warm horizon, clouds, a glow about the sun, ground below.
+
+    ``hills``: far ones stand along the horizon.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(_sky(azimuth, elevation, mood, width))
+    path.write_bytes(_sky(azimuth, elevation, mood, width, hills))
 
 
 @lru_cache(maxsize=64)
-def _sky(azimuth: float, elevation: float, mood: Mood, width: int) -> bytes:
+def _sky(azimuth: float, elevation: float, mood: Mood, width: int, hills: bool) -> bytes:
     """The PNG; there are few places for the sun, and many shots."""
     from PIL import Image
 
@@ -151,12 +156,60 @@ def _sky(azimuth: float, elevation: float, mood: Mood, width: int) -> bytes:
     haze = np.exp(-np.clip(up, 0, 1) / 0.16)[..., None]
     sky = (1 - haze) * np.array(mood.zenith) + haze * np.array(mood.horizon)
     toward = np.clip(directions @ sun, 0, 1)[..., None]
-    sky = sky + np.array(mood.glow) * (0.35 * toward**6 + 0.5 * toward**48)
+    glow = np.array(mood.glow) * (0.35 * toward**6 + 0.5 * toward**48)
+    cover, light = clouds(directions, sun)
+    lit = light * (0.6 * np.array(mood.sun_colour) + 0.4 * np.array(mood.horizon)) + (1 - light) * sky
+    sky = sky + cover * (0.9 * lit - 0.6 * sky) + glow
+    if hills:
+        hidden = ridges(directions)
+        sky = (1 - hidden) * sky + hidden * (0.30 * np.array(mood.horizon) + 0.45 * np.array(mood.zenith))
     below = np.clip(-up / 0.08, 0, 1)[..., None]
     linear = (1 - below) * sky + below * np.array(mood.ground)
     png = io.BytesIO()
     Image.fromarray(encode_srgb(linear)).save(png, "png")
     return png.getvalue()
+
+
+CLOUD_TILE = 256
+"""Texels along each side of the pattern of clouds, which repeats."""
+
+
+@lru_cache(maxsize=8)
+def fractal_noise(size: int, slope: float, seed: int) -> Array:
+    """Noise (n, n) that repeats, of mean 0 and deviation 1: white noise, its spectrum falling off by ``slope``."""
+    frequency = np.hypot(*np.meshgrid(*[np.fft.fftfreq(size) * size] * 2))
+    white = np.fft.fft2(np.random.default_rng(seed).normal(size=(size, size)))
+    noise = np.fft.ifft2(white * np.where(frequency > 0, np.maximum(frequency, 2.0) ** -slope, 0.0)).real
+    return np.asarray(noise / noise.std())
+
+
+def clouds(directions: Array, sun: Array) -> tuple[Array, Array]:
+    """How much of the sky fair-weather clouds hide along ``directions`` (h, w, 3), and how lit they are: (h, w, 1)."""
+    from scipy.ndimage import map_coordinates
+
+    up = np.clip(directions[..., 2], 0, 1)
+    flat = directions[..., :2] / (up + 0.10)[..., None]  # on a layer that the Earth's curve bends down to the horizon
+
+    def density(shift: Array) -> Array:
+        where = np.moveaxis((flat + shift) * (CLOUD_TILE / 12.0), -1, 0)
+        return np.asarray(map_coordinates(fractal_noise(CLOUD_TILE, 1.75, 11), where, order=1, mode="grid-wrap"))
+
+    here, sunwards = density(np.zeros(2)), density(0.10 * sun[:2] / np.hypot(*sun[:2]))
+    cover = np.clip((here + 0.05) / 1.5, 0, 1) * np.clip(up / 0.10, 0, 1)
+    light = np.clip(0.62 + 0.35 * (here - sunwards), 0.25, 1)
+    return 0.85 * (cover * cover * (3 - 2 * cover))[..., None], light[..., None]
+
+
+def ridges(directions: Array) -> Array:
+    """How much far hills hide of the sky along ``directions`` (h, w, 3): (h, w, 1); mist lies at their feet."""
+    azimuth = np.arctan2(directions[..., 1], directions[..., 0])
+    height = np.degrees(np.arcsin(np.clip(directions[..., 2], -1, 1)))
+    hidden = np.zeros_like(height)
+    for k, (top, share) in enumerate(((3.6, 0.70), (2.0, 0.85))):
+        waves = sum(np.sin((n + k) * azimuth + 2.4 * n + k) / (n + 3) for n in (2, 3, 5, 8, 13, 21, 34, 55))
+        crest = top * (0.55 + 0.55 * waves)
+        hidden = np.maximum(hidden, share * np.clip((crest - height) / 0.35, 0, 1))
+    return np.asarray(hidden * np.clip(0.65 + height / 3.0, 0, 1))[..., None]
 
 
 def encode_srgb(linear: Any) -> NDArray[np.uint8]:

@@ -5,10 +5,13 @@ Moving ones are vehicles of the shot and have layers of their own.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vehsim.exporters.concrete import author_material, coordinates
+from vehsim.exporters.packing import Pack
 from vehsim.take import Take
 
 if TYPE_CHECKING:
@@ -23,9 +26,9 @@ PAINTS = {
 """Linear colours, taken in turn."""
 
 
-def author_obstacles(stage: Any, scope: str, take: Take) -> None:
+def author_obstacles(stage: Any, scope: str, take: Take, pack: Pack) -> None:
     """Author every standing obstacle of the take's world as ``<scope>/<name>``, and the materials they share."""
-    from pxr import Kind, Sdf, Tf, Usd, UsdGeom, UsdShade
+    from pxr import Kind, Tf, Usd, UsdGeom, UsdShade
 
     from vehsim.world.obstacles import Obstacle
 
@@ -35,27 +38,24 @@ def author_obstacles(stage: Any, scope: str, take: Take) -> None:
     group = UsdGeom.Xform.Define(stage, scope)
     Usd.ModelAPI(group).SetKind(Kind.Tokens.group)
     UsdGeom.Scope.Define(stage, f"{scope}/materials")
-    for name, colour in PAINTS.items():
-        material = UsdShade.Material.Define(stage, f"{scope}/materials/{name}")
-        surface = UsdShade.Shader.Define(stage, f"{scope}/materials/{name}/surface")
-        surface.CreateIdAttr("UsdPreviewSurface")
-        surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(colour)
-        surface.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(0.8)
-        material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", Sdf.ValueTypeNames.Token))
+    layer = Path(stage.GetRootLayer().realPath)
+    materials = []
+    for name, colour in list(PAINTS.items())[: len(standing)]:
+        file = pack.folder / "assets" / "obstacles" / f"{name}.png"
+        materials.append(author_material(stage, f"{scope}/materials/{name}", file, pack.relative(file, layer), colour))
+        pack.written.append(file)
     for k, obstacle in enumerate(standing):
-        paint = list(PAINTS)[k % len(PAINTS)]
         name = Tf.MakeValidIdentifier(obstacle.name)
         path = f"{scope}/{name}"
         xform = UsdGeom.Xform.Define(stage, path)
         Usd.ModelAPI(xform).SetKind(Kind.Tokens.component)
         mesh = UsdGeom.Mesh.Define(stage, f"{path}/{name}")  # Blender makes one object of both, called as the mesh
         _author_mesh(mesh, obstacle)
-        material = UsdShade.Material.Get(stage, f"{scope}/materials/{paint}")
-        UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
+        UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(materials[k % len(materials)])
 
 
 def _author_mesh(mesh: Any, obstacle: Obstacle) -> None:
-    from pxr import Gf, UsdGeom, Vt
+    from pxr import Gf, Sdf, UsdGeom, Vt
 
     points, faces = obstacle.points, obstacle.faces
     corners = points[faces]
@@ -67,5 +67,7 @@ def _author_mesh(mesh: Any, obstacle: Obstacle) -> None:
     mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(faces.astype(np.int32).ravel()))
     mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(normals.astype(np.float32)))
     mesh.SetNormalsInterpolation(UsdGeom.Tokens.uniform)
+    st = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.faceVarying)
+    st.Set(Vt.Vec2fArray.FromNumpy(coordinates(corners, normals).reshape(-1, 2).astype(np.float32)))
     lower, upper = points.min(axis=0), points.max(axis=0)
     mesh.CreateExtentAttr([Gf.Vec3f(*lower.tolist()), Gf.Vec3f(*upper.tolist())])

@@ -52,7 +52,7 @@ class StageRenderer:
         self._shadows = shadows
         grounded = stage.water is None and any(not shape.group for shape in stage.shapes)
         self._light = light_for(stage.sun(), stage.sky(), grounded)
-        self._water = None if stage.water is None else WaterView(stage, self._light)
+        self._water = None if stage.water is None else WaterView(stage, self._light, shadows)
         self._bounds = _bounds(stage)
         self._reach = _shadow_reach(stage, self._bounds)
         self._shadow_axes = _across(self._light.direction)

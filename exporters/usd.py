@@ -87,12 +87,12 @@ def write_usd(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
     progress("usd: environment", len(clips) / (len(clips) + 2))
     _author_terrain(stage, f"/{take.name}/env/terrain", take, pack, path)
     with _layer_of(stage, f"/{take.name}/env/obstacles", take, pack, path, Z_UP_METRES) as layer:
-        author_obstacles(layer, "/obstacles", take)
-    for layer in write_water(take, folder):
+        author_obstacles(layer, "/obstacles", take, pack)
+    if water := write_water(take, folder):
         prim = UsdGeom.Xform.Define(stage, f"/{take.name}/env/water").GetPrim()
-        prim.GetReferences().AddReference(pack.relative(layer, path))
-        _model(prim, Kind.Tokens.component, "water", pack.relative(layer, path))
-        pack.written.append(layer)
+        prim.GetReferences().AddReference(pack.relative(water[0], path))
+        _model(prim, Kind.Tokens.component, "water", pack.relative(water[0], path))
+        pack.written.extend(water)
     with _layer_of(stage, f"/{take.name}/cameras", take, pack, path, units) as layer:
         for camera in take.cameras:
             author_camera(layer, f"/cameras/{camera.name}", camera, units, settings.shutter)

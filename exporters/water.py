@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from vehsim.exporters.metadata import author_stage_metadata
 from vehsim.exporters.stage import WATER_GRID
+from vehsim.exporters.water_material import author_coordinates, author_foam, bind_material, set_foam
 from vehsim.exporters.water_wake import Floating, Foam, Wake, clip_matrices, clip_places
 from vehsim.world.hull_mesh import wetted
 
@@ -85,7 +86,7 @@ class Grid:
 
 
 def write_water(take: Take, folder: Path) -> list[Path]:
-    """Write ``layers/water.usdc`` below ``folder`` when the take's world has water; returns the files written."""
+    """Write ``layers/water.usdc`` below ``folder`` when the take's world has water; returns the files, it first."""
     from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
     water = take.world.water
@@ -111,7 +112,9 @@ def write_water(take: Take, folder: Path) -> list[Path]:
         primvars.CreatePrimvar(name, Sdf.ValueTypeNames.HalfArray, UsdGeom.Tokens.vertex)
     primvars.CreatePrimvar("normals", Sdf.ValueTypeNames.Normal3hArray, UsdGeom.Tokens.vertex)
     points, extent = mesh.CreatePointsAttr(), mesh.CreateExtentAttr()
-    _bind_material(stage, mesh)
+    author_foam(mesh)
+    author_coordinates(mesh, grid.xy)
+    picture = bind_material(stage, mesh, folder)
     _set_points(points.Set, extent.Set, np.column_stack([grid.xy, np.full(len(grid.xy), water.level)]))
     frames = np.arange(take.frames[0], take.frames[1] + 1, dtype=float)
     for frame, (place, normals, foam, lowered) in zip(frames.tolist(), surfaces(take, grid, frames), strict=True):
@@ -121,8 +124,9 @@ def write_water(take: Take, folder: Path) -> list[Path]:
         for name, values in (("foam", foam), (LOWERED, lowered)):
             halves = Vt.HalfArray.FromNumpy(values.astype(np.float16))
             layer.SetTimeSample(f"/water/surface.primvars:{name}", frame, halves)
+        set_foam(layer, "/water/surface", frame, foam)
     layer.Save()
-    return [path]
+    return [path, picture]
 
 
 def _set_points(points: Callable[[Any], Any], extent: Callable[[Any], Any], place: Array) -> None:
@@ -296,19 +300,3 @@ def quads(rows: int, cols: int) -> NDArray[np.int64]:
     """(m, 4) corners of the cells, counter-clockwise from above."""
     index = np.arange(rows * cols).reshape(rows, cols)
     return np.stack([index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]], axis=-1).reshape(-1, 4)
-
-
-def _bind_material(stage: Any, mesh: Any) -> None:
-    """Deep water; foam whitens it where a renderer reads the primvar ``foam``."""
-    from pxr import Gf, Sdf, UsdShade
-
-    types = Sdf.ValueTypeNames
-    material = UsdShade.Material.Define(stage, "/water/materials/water")
-    stage.GetPrimAtPath("/water/materials").SetTypeName("Scope")
-    shader = UsdShade.Shader.Define(stage, "/water/materials/water/surface")
-    shader.CreateIdAttr("UsdPreviewSurface")
-    shader.CreateInput("diffuseColor", types.Color3f).Set(Gf.Vec3f(0.010, 0.032, 0.038))
-    shader.CreateInput("roughness", types.Float).Set(0.08)
-    shader.CreateInput("ior", types.Float).Set(1.333)
-    material.CreateSurfaceOutput().ConnectToSource(shader.CreateOutput("surface", types.Token))
-    UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)

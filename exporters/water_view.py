@@ -25,8 +25,11 @@ CREST = np.array([0.020, 0.075, 0.070])
 """Linear colours of the water seen into: its depths, and thin crests lit from behind."""
 FOAM = 0.8
 """Albedo of foam."""
-RIPPLES, RIPPLES_END = 7, 58.5
+RIPPLES, RIPPLES_END = 10, 58.5
 """Small waves that only the picture has, and how far away the last of them are seen, m."""
+SLOPES, FAR = 0.22, (25.0, 160.0)
+"""What waves too far away to be told apart do: faces tilted by up to ``SLOPES`` towards the eye are what is seen of
+them, the more the further between the distances ``FAR``, m. So a sea is darker than the sky at its horizon."""
 WET, WETNESS = 0.15, 0.55
 """Height of the dark line above the water, m, and how much of its light is left."""
 NEAR = 60.0
@@ -38,7 +41,7 @@ HULL = 1.5
 class WaterView:
     """A stage's water in MuJoCo's renderer: `author` it into a spec, `bind` to the model, `draw` it for a frame."""
 
-    def __init__(self, stage: StageReader, light: Light) -> None:
+    def __init__(self, stage: StageReader, light: Light, shadows: bool = True) -> None:
         assert stage.water is not None
         self._stage, self._light = stage, light
         self.shape = stage.water_grid()
@@ -51,9 +54,11 @@ class WaterView:
         self._fill = fill
         self._exposure = HIGHLIGHT / float((fill + self._sun.colour / np.pi).max())
         overhead = max(-float(self._sun.direction[2]), 0.0)
-        self._lit = np.maximum(light.ambient + light.sky + overhead * light.sun, 1e-3)
+        # MuJoCo's emission of 1 shows the picture as it is; what casts shadows is added in a pass of its own, so that a
+        # shadow on water takes little away: most of what water shows is mirrored
+        self._lit = 1.0 + shadows * overhead * light.sun
         rng = np.random.default_rng(3)
-        heading, length = rng.uniform(0, 2 * np.pi, RIPPLES), rng.uniform(0.5, 1.6, RIPPLES)
+        heading, length = rng.uniform(0, 2 * np.pi, RIPPLES), np.geomspace(0.35, 1.8, RIPPLES)
         self._ripples = 2 * np.pi / length * np.stack([np.cos(heading), np.sin(heading)])
         self._phases = rng.uniform(0, 2 * np.pi, RIPPLES)
 
@@ -77,7 +82,7 @@ class WaterView:
         texture = spec.add_texture(name="water", type=mujoco.mjtTexture.mjTEXTURE_2D, nchannel=3)
         texture.height, texture.width = rows * FINER, cols * FINER
         texture.data = bytes(rows * cols * FINER**2 * 3)
-        material = spec.add_material(name="water", rgba=[1, 1, 1, 1], specular=0.0, shininess=0.0, emission=0.0)
+        material = spec.add_material(name="water", rgba=[1, 1, 1, 1], specular=0.0, shininess=0.0, emission=1.0)
         roles = list(material.textures)
         roles[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "water"
         material.textures = roles
@@ -113,10 +118,11 @@ class WaterView:
         normals /= _length(normals)
         view = eye[:, None] - points
         view /= np.maximum(_length(view), 1e-6)
-        facing = np.clip((normals * view).sum(axis=0), 0.04, 1.0)
+        tilt = SLOPES * np.clip((away - FAR[0]) / (FAR[1] - FAR[0]), 0, 1)
+        facing = np.clip((normals * view).sum(axis=0) + 0.5 * tilt, 0.04, 1.0)
         fresnel = 0.02 + 0.98 * (1 - facing) ** 5
         mirrored = 2 * facing * normals - view
-        mirrored[2] = np.abs(mirrored[2]) + 0.02
+        mirrored[2] = np.abs(mirrored[2]) + 0.02 + 2 * tilt
         mirrored /= _length(mirrored)
         crest = np.clip((points[2] - self._points[:, 2].mean()) / 0.6, 0, 1)
         white = self._white(points, foam)

@@ -9,7 +9,7 @@ import sys
 from importlib import import_module
 from pathlib import Path
 
-from vehsim.assets.generate._usd import PLAIN, triangles, write_asset
+from vehsim.assets.generate._usd import PLAIN, WHOLE, triangles, write_asset
 
 HERE = Path(__file__).parent
 
@@ -19,7 +19,8 @@ def main(names: list[str]) -> None:
         script = import_module(f"vehsim.assets.generate.{name}")
         out = HERE.parent / "vehicles" / name / f"{name}.usdc"
         parts = script.build()
-        write_asset(out, parts, script.MATERIALS, script.DOC, getattr(script, "LIVERIES", PLAIN))
+        variants = getattr(script, "LIVERIES", PLAIN), getattr(script, "ABSENT", WHOLE)
+        write_asset(out, parts, script.MATERIALS, script.DOC, *variants)
         print(f"{out.name}: {triangles(parts)} triangles, {out.stat().st_size / 1e6:.2f} MB")
 
 

@@ -6,6 +6,8 @@ its right. What belongs here is shape; which part hangs on which stands in the v
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -197,10 +199,10 @@ def _other_side(surface: Surface) -> Surface:
     return Surface(surface.points * flip, surface.normals * flip, surface.faces[:, ::-1])
 
 
-def head() -> dict[str, Surface]:
-    """Neck, face, goggles and a helmet with vents, about the base of the neck; it looks along Y."""
+def face() -> Surface:
+    """Neck, face, nose and ears, about the base of the neck."""
     neck = limb([[0, -0.012, -0.02], [0, 0.0, 0.05], [0, 0.012, 0.10]], [0.054, 0.052, 0.052], 8)
-    face = loft(
+    front = loft(
         [
             (0.070, 0.020, 0.030, 0.042),
             (0.078, 0.040, 0.056, 0.036),
@@ -214,6 +216,24 @@ def head() -> dict[str, Surface]:
     )
     nose = ball(0.016, [0, 0.108, 0.145], [0.75, 1.0, 1.5], 16)
     ears = join(*(ball(0.022, [s * 0.073, 0.004, 0.155], [0.35, 0.8, 1.2], 16) for s in (-1, 1)))
+    return join(neck, front, nose, ears)
+
+
+def lens() -> Surface:
+    """Goggles or dark glasses before the eyes."""
+    return loft(
+        [
+            (0.150, 0.056, 0.030, 0.082),
+            (0.156, 0.066, 0.036, 0.080),
+            (0.188, 0.070, 0.038, 0.080),
+            (0.196, 0.062, 0.032, 0.082),
+        ],
+        2.6,
+    )
+
+
+def head() -> dict[str, Surface]:
+    """Neck, face, goggles and a helmet with vents, about the base of the neck; it looks along Y."""
     shell = ball(0.106, [0, 0.004, 0.205], [0.92, 1.14, 0.92], 40)
     brow: Field = lambda p: p[:, 2] - 0.188 - 0.20 * (p[:, 1] - 0.02)  # noqa: E731
     _, shell = split(shell, brow)
@@ -232,15 +252,6 @@ def head() -> dict[str, Surface]:
         for x in (-0.044, 0.0, 0.044)
     ]
     stripe: Field = lambda p: np.abs(np.abs(p[:, 0]) - 0.022) - 0.006  # noqa: E731
-    lens = loft(
-        [
-            (0.150, 0.056, 0.030, 0.082),
-            (0.156, 0.066, 0.036, 0.080),
-            (0.188, 0.070, 0.038, 0.080),
-            (0.196, 0.062, 0.032, 0.082),
-        ],
-        2.6,
-    )
     strap = join(
         *(
             tube(
@@ -253,38 +264,56 @@ def head() -> dict[str, Surface]:
         )
     )
     return by_material(
-        {"skin": join(neck, face, nose, ears)},
+        {"skin": face()},
         painted(shell, [("trim", vent) for vent in vents] + [("accent", stripe)], "helmet"),
-        {"trim": join(band, strap), "goggles": lens},
+        {"trim": join(band, strap), "goggles": lens()},
     )
 
 
-def seated(hands: ArrayLike, ankles: ArrayLike, lean: float) -> dict[str, Surface]:
+def bare_head() -> dict[str, Surface]:
+    """Neck, face, dark glasses and short hair, about the base of the neck; it looks along Y."""
+    scalp = ball(0.104, [0, 0.0, 0.198], [0.86, 1.13, 0.92], 32)
+    hairline: Field = lambda p: p[:, 2] - 0.165 - 0.75 * np.maximum(p[:, 1] - 0.005, -0.06)  # noqa: E731
+    return {"skin": face(), "hair": split(scalp, hairline)[1], "goggles": lens()}
+
+
+def seated(
+    hands: ArrayLike,
+    ankles: ArrayLike,
+    lean: float,
+    left_hand: ArrayLike | None = None,
+    top: Mapping[str, Surface] | None = None,
+) -> dict[str, Surface]:
     """The figure on a seat, about the middle between its hip joints; its trunk leans forward by ``lean`` rad.
 
-    ``hands`` and ``ankles`` (3,): where those on its right are, m; the left ones mirror them.
+    ``hands`` and ``ankles`` (3,): where those on its right are, m; the left ones mirror them, unless ``left_hand`` is
+    given. ``top`` is its head, about the base of the neck; `head` unless given.
     """
     upright = _pitch(-lean)
     hip, ankle, hand = np.array([0.10, 0.0, 0.0]), np.asarray(ankles, float), np.asarray(hands, float)
-    shoulder = upright @ np.array([0.165, 0.055, 0.455])
+    other = hand if left_hand is None else np.asarray(left_hand, float) * [-1.0, 1.0, 1.0]
     knee = _bend(hip, ankle, 0.42, 0.44, np.array([0.25, 0.6, 0.75]))
-    elbow = _bend(shoulder, hand, 0.29, 0.28, np.array([0.7, 0.0, -0.7]))
     leg = by_material(
         {"trousers": limb([hip, knee], [0.088, 0.064])},
         {"trousers": limb([knee, 0.45 * knee + 0.55 * ankle, ankle], [0.062, 0.058, 0.044])},
         {name: surface.moved(ankle) for name, surface in boot().items()},
     )
-    sleeve = {"jacket": join(limb([shoulder, elbow], [0.068, 0.050]), limb([elbow, hand], [0.051, 0.038]))}
-    side = by_material(leg, sleeve, {"glove": ball(0.052, hand, [0.8, 1.1, 0.9], 20)})
-    top = by_material(
-        trunk(), {name: surface.turned(upright.T).moved([0, 0.08, 0.555]) for name, surface in head().items()}
-    )
+    crown = {name: surface.turned(upright.T).moved([0, 0.08, 0.555]) for name, surface in (top or head()).items()}
     return by_material(
         pelvis(0.09),
-        {name: surface.turned(upright) for name, surface in top.items()},
-        side,
-        {name: _other_side(surface) for name, surface in side.items()},
+        {name: surface.turned(upright) for name, surface in by_material(trunk(), crown).items()},
+        leg,
+        _reaching(upright, hand),
+        *({name: _other_side(surface) for name, surface in side.items()} for side in (leg, _reaching(upright, other))),
     )
+
+
+def _reaching(upright: Array, hand: Array) -> dict[str, Surface]:
+    """The arm on the right from its shoulder, turned by ``upright``, to the ``hand`` (3,)."""
+    shoulder = upright @ np.array([0.165, 0.055, 0.455])
+    elbow = _bend(shoulder, hand, 0.29, 0.28, np.array([0.7, 0.0, -0.7]))
+    sleeve = join(limb([shoulder, elbow], [0.068, 0.050]), limb([elbow, hand], [0.051, 0.038]))
+    return {"jacket": sleeve, "glove": ball(0.052, hand, [0.8, 1.1, 0.9], 20)}
 
 
 def _bend(root: Array, tip: Array, upper: float, lower: float, way: Array) -> Array:

@@ -19,21 +19,20 @@ from vehsim.assets.generate._shapes import Array, Faces, Surface
 _ROUNDS = 60
 _FACE_TURN = np.cos(np.radians(20.0))
 """How far a triangle may turn from the one it replaces, and its plane from its corners' normals."""
-_SHADE_TURN = np.cos(np.radians(6.0))
-"""How far the normal of a vertex that goes may be from the one that takes its place: highlights keep their shape."""
 _SLIVER = 0.03
 """The least height of a new triangle as a share of its longest edge, unless the one it replaces was thinner."""
 
 Flags = NDArray[np.bool_]
 
 
-def slimmed(look: Mapping[str, Surface], tolerance: float, **of: float) -> dict[str, Surface]:
+def slimmed(look: Mapping[str, Surface], tolerance: float, shade: float = 6.0, **of: float) -> dict[str, Surface]:
     """``look`` without the vertices whose loss moves the skin, or a line on it, by less than about ``tolerance`` m.
 
     ``of``: tolerances of single materials, m; where materials meet the least holds. Vertices of several surfaces in one
-    place stay in one place; lines are borders, creases and open edges.
+    place stay in one place; lines are borders, creases and open edges. ``shade``: how far the normal of a vertex that
+    goes may be from the one that takes its place, degrees: highlights keep their shape.
     """
-    skin = _Skin(look)
+    skin = _Skin(look, np.cos(np.radians(shade)))
     for _ in range(_ROUNDS):
         if not skin.collapse(np.array([of.get(name, tolerance) for name in look])):
             break
@@ -43,7 +42,8 @@ def slimmed(look: Mapping[str, Surface], tolerance: float, **of: float) -> dict[
 class _Skin:
     """All surfaces of a look as one mesh: ``faces`` (m, 3) of vertices, a vertex: a place, a normal, a material."""
 
-    def __init__(self, look: Mapping[str, Surface]) -> None:
+    def __init__(self, look: Mapping[str, Surface], shade: float) -> None:
+        self.shade = shade
         self.names = list(look)
         points, normals = (np.concatenate([getattr(s, k) for s in look.values()]) for k in ("points", "normals"))
         owner = np.repeat(np.arange(len(look)), [len(s.points) for s in look.values()])
@@ -71,7 +71,7 @@ class _Skin:
         cost = np.maximum(*(_distance(q[going], self.places[staying]) for q in (self.shape, self.line)))
         cost /= tolerances[self.owner[pairs[:, :, 0]]].min(1)
         normals = self.normals[pairs]
-        alike = (np.einsum("eskj,eskj->esk", normals[:, :, :1], normals[:, :, 1:]) > _SHADE_TURN).all((1, 2))
+        alike = (np.einsum("eskj,eskj->esk", normals[:, :, :1], normals[:, :, 1:]) > self.shade).all((1, 2))
         keep = np.flatnonzero((cost < 1.0) & alike)
         keep = keep[self._fits(going[keep], staying[keep], pairs[keep])]
         # costs in steps, and shuffled within one: on a plane, where all are nought, neighbours else wait in a row

@@ -25,6 +25,7 @@ class Material:
     metallic: float = 0.0
     opacity: float = 1.0
     clearcoat: float = 0.0
+    ior: float = 1.5
     glow: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
@@ -47,14 +48,24 @@ class PartShape:
 Liveries = Mapping[str, Mapping[str, Material]]
 """Livery name -> the materials it changes. The first is what shows unless another is chosen."""
 PLAIN: Liveries = MappingProxyType({})
+Absent = Mapping[str, Mapping[str, str]]
+"""Variant set -> its variants -> what the names of the materials begin with whose meshes it leaves out; "": none. The
+first variant is what shows unless another is chosen."""
+WHOLE: Absent = MappingProxyType({})
 
 
 def write_asset(
-    path: Path, parts: Mapping[str, PartShape], materials: Mapping[str, Material], doc: str, liveries: Liveries = PLAIN
+    path: Path,
+    parts: Mapping[str, PartShape],
+    materials: Mapping[str, Material],
+    doc: str,
+    liveries: Liveries = PLAIN,
+    absent: Absent = WHOLE,
 ) -> None:
     """Write a vehicle named like ``path``: ``/<name>/<part>/<part>_<material>``, metres, Z up.
 
     ``liveries`` become the variant set "livery" on the root; every material one of them changes must be in all.
+    ``absent`` become variant sets too.
     """
     from pxr import Kind, Sdf, Usd, UsdGeom
 
@@ -75,6 +86,7 @@ def write_asset(
     for name, part in parts.items():
         _write_part(stage, f"/{path.stem}/{name}", part, shaders)
     _write_liveries(stage, root.GetPrim(), liveries)
+    _write_absent(root.GetPrim(), absent)
     geometry = UsdGeom.ModelAPI.Apply(root.GetPrim())
     cache = UsdGeom.BBoxCache(Usd.TimeCode.Default(), ["default", "render", "proxy", "guide"], useExtentsHint=False)
     geometry.SetExtentsHint(geometry.ComputeExtentsHint(cache))
@@ -111,6 +123,8 @@ def _author_surface(shader, material: Material) -> None:
     for key in ("roughness", "metallic", "opacity", "clearcoat"):
         shader.CreateInput(key, number).Set(getattr(material, key))
     shader.CreateInput("clearcoatRoughness", number).Set(0.05)
+    if material.opacity < 1:
+        shader.CreateInput("ior", number).Set(material.ior)
 
 
 def _write_liveries(stage, root, liveries: Liveries) -> None:
@@ -151,6 +165,24 @@ def _write_liveries(stage, root, liveries: Liveries) -> None:
                 for mesh in meshes[name]:
                     mesh.GetDisplayColorAttr().Set([Gf.Vec3f(*surfaces[name].colour)])
     choices.SetVariantSelection(next(iter(liveries)))
+
+
+def _write_absent(root, absent: Absent) -> None:
+    """Variant sets that leave meshes out, by their materials' names."""
+    from pxr import Usd, UsdShade
+
+    prims = list(Usd.PrimRange(root))
+    bound = {p: UsdShade.MaterialBindingAPI(p).GetDirectBinding().GetMaterialPath().name for p in prims}
+    for name, variants in absent.items():
+        choices = root.GetVariantSets().AddVariantSet(name)
+        for variant, start in variants.items():
+            choices.AddVariant(variant)
+            choices.SetVariantSelection(variant)
+            with choices.GetVariantEditContext():
+                for prim, material in bound.items():
+                    if start and material.startswith(start):
+                        prim.SetActive(False)
+        choices.SetVariantSelection(next(iter(variants)))
 
 
 def _write_part(stage, path: str, part: PartShape, shaders: Mapping) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vehsim.assets.generate._figure import seated
+from vehsim.assets.generate._crew import ABOARD, SPRAY_WEAR, driver, driver_materials
 from vehsim.assets.generate._outboard import PIVOT, outboard
 from vehsim.assets.generate._shapes import (
     Array,
@@ -39,20 +39,6 @@ from vehsim.assets.generate._usd import Material, PartShape
 BOW, TRANSOM = 3.25, -3.00
 DOC = "Motor boat. X forward, Y left, Z up; root midships on the still waterline."
 
-SPRAY_WEAR = {
-    "jacket": Material((0.72, 0.10, 0.015), roughness=0.6),
-    "accent": Material((0.70, 0.70, 0.62), roughness=0.4),
-    "trim": Material((0.02, 0.022, 0.026), roughness=0.7),
-    "trousers": Material((0.030, 0.042, 0.075), roughness=0.85),
-    "belt": Material((0.02, 0.02, 0.021), roughness=0.6),
-    "boot": Material((0.70, 0.69, 0.66), roughness=0.6),
-    "sole": Material((0.10, 0.10, 0.10), roughness=0.7),
-    "strap": Material((0.02, 0.02, 0.021), roughness=0.6),
-    "glove": Material((0.03, 0.031, 0.034), roughness=0.8),
-    "skin": Material((0.42, 0.23, 0.15), roughness=0.55),
-    "helmet": Material((0.75, 0.74, 0.70), roughness=0.3, clearcoat=0.8),
-    "goggles": Material((0.012, 0.014, 0.018), roughness=0.06, clearcoat=1.0),
-}
 MATERIALS = {
     "topsides": Material((0.80, 0.81, 0.80), roughness=0.22, clearcoat=1.0),
     "stripe": Material((0.010, 0.045, 0.16), roughness=0.22, clearcoat=1.0),
@@ -76,8 +62,9 @@ MATERIALS = {
     "red": Material((0.6, 0.02, 0.02), roughness=0.2, glow=(0.5, 0.0, 0.0)),
     "green": Material((0.02, 0.5, 0.08), roughness=0.2, glow=(0.0, 0.4, 0.05)),
     "lamp": Material((0.9, 0.9, 0.85), roughness=0.1, glow=(0.25, 0.25, 0.22)),
-    **{f"driver_{name}": material for name, material in SPRAY_WEAR.items()},
+    **driver_materials(SPRAY_WEAR),
 }
+ABSENT = ABOARD
 LIVERIES = {
     "navy": {name: MATERIALS[name] for name in ("topsides", "stripe", "bottom", "boot", "cushion", "piping")},
     "red": {
@@ -95,7 +82,7 @@ def build() -> dict[str, PartShape]:
     """The boat's parts by name: hull with all that stands on it, outboard, and the propeller that rides on that."""
     look = by_material(shell(), deck(), cockpit(), windscreen(), helm(), seats(), rails(), fittings())
     engine, propeller = outboard()
-    crew = driver()
+    crew = driver([0.16, -0.585, 0.635], hands=[0.15, 0.50, 0.05], ankles=[0.17, 0.46, SOLE + 0.107 - 0.635], lean=0.22)
     held = outer_hull(np.concatenate([surface.points for surface in crew.values()]), 14.0)
     return {
         "hull": PartShape(
@@ -383,15 +370,6 @@ def seats() -> dict[str, Surface]:
         cushions.append(box([0.11, 0.54, 0.30], [-2.45, y, 0.56], 0.045, 3))
     bench = box([0.50, 1.76, 0.32], [-2.27, 0, 0.18], 0.03, 2)
     return {"cushion": join(*cushions), "piping": join(*piping), "liner": bench, "chrome": join(*frames)}
-
-
-def driver() -> dict[str, Surface]:
-    """Whoever steers, on the seat to starboard with both hands on the wheel, and dressed for spray."""
-    ahead = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])  # the figure's X is to its right, its Y ahead
-    hips = np.array([0.16, -0.585, 0.635])
-    figure = seated([0.15, 0.50, 0.05], [0.17, 0.46, SOLE + 0.107 - hips[2]], 0.22)
-    look = {f"driver_{name}": surface.turned(ahead).moved(hips) for name, surface in figure.items()}
-    return slimmed(look, 0.0012)
 
 
 def rails() -> dict[str, Surface]:

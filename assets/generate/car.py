@@ -9,6 +9,15 @@ from __future__ import annotations
 import numpy as np
 from scipy.interpolate import BSpline
 
+from vehsim.assets.generate._crew import (
+    ABOARD,
+    STREET_WEAR,
+    driver,
+    driver_materials,
+    lining,
+    seat,
+    steering_wheel,
+)
 from vehsim.assets.generate._shapes import (
     Array,
     Field,
@@ -28,6 +37,7 @@ from vehsim.assets.generate._shapes import (
     revolve,
     seam,
     sharpened,
+    sheet,
     split,
     tube,
 )
@@ -43,7 +53,9 @@ DOC = "Compact coupe. X forward, Y left, Z up; root on the ground between the ax
 
 MATERIALS = {
     "paint": Material((0.008, 0.105, 0.36), roughness=0.24, metallic=0.2, clearcoat=1.0),
-    "glass": Material((0.012, 0.016, 0.02), roughness=0.04, clearcoat=1.0),
+    "glass": Material((0.05, 0.068, 0.075), roughness=0.04, opacity=0.38, clearcoat=1.0),
+    "lining": Material((0.060, 0.061, 0.064), roughness=0.85),
+    "seat": Material((0.11, 0.075, 0.05), roughness=0.75),
     "seal": Material((0.012, 0.012, 0.013), roughness=0.65),
     "trim": Material((0.03, 0.031, 0.033), roughness=0.55),
     "lamp": Material((0.80, 0.82, 0.85), roughness=0.08, clearcoat=1.0, glow=(0.15, 0.15, 0.16)),
@@ -55,7 +67,9 @@ MATERIALS = {
     "disc": Material((0.20, 0.20, 0.21), roughness=0.45, metallic=0.8),
     "chrome": Material((0.62, 0.63, 0.65), roughness=0.15, metallic=1.0),
     "mark": Material((0.80, 0.78, 0.72), roughness=0.6),
+    **driver_materials(STREET_WEAR),
 }
+ABSENT = ABOARD
 LIVERIES = {
     "blue": {name: MATERIALS[name] for name in ("paint", "rim", "mark")},
     "red": {
@@ -70,7 +84,7 @@ def build() -> dict[str, PartShape]:
     """The car's parts by name: body, rear wheels, and steered front wheels."""
     skins, rest = (shell(), cabin()), (wheel_wells(), fittings())
     whole = by_material(*skins, *rest)  # hulls from all of it: what it clears does not hang on how finely it is drawn
-    look = by_material(*(slimmed(skin, 0.0003, trim=0.001) for skin in skins), *rest)
+    look = by_material(*(slimmed(skin, 0.0003, trim=0.001) for skin in skins), *rest, interior(), whoever_drives())
     parts = {"body": PartShape(look=look, collision=body_hulls(whole))}
     for side, y in (("l", HALF_TRACK), ("r", -HALF_TRACK)):
         left = wheel()
@@ -167,6 +181,7 @@ def shell() -> dict[str, Surface]:
     boot = polygon([(-1.72, -0.60), (-1.72, 0.60), (-2.6, 0.62), (-2.6, -0.62)], 0.06, (0, 1))
     panels = [door, both(bonnet, above(0.5)), both(boot, above(0.66))]
     skin, lines = seam(skin, panels, 0.004)
+    _, skin = split(skin, OPENING)
     skin = sharpened(skin, LENS, 0.014)
     skin = sharpened(skin, VENT, 0.06)
     arches: list[tuple[str, Field]] = [("trim", arch(x, ARCH + 0.014)) for x in (AXLE, -AXLE)]
@@ -225,8 +240,8 @@ RAIL = curve([1.06, 0.7, 0.2, -0.3, -0.9, -1.5, -1.95], [0.66, 0.665, 0.60, 0.58
 BELT = curve([1.06, 0.7, 0.2, -0.4, -0.9, -1.4, -1.95], [0.70, 0.775, 0.80, 0.80, 0.79, 0.72, 0.56])
 
 
-def cabin() -> dict[str, Surface]:
-    """The greenhouse: screens and side windows cut into a painted roof."""
+def bare_cabin() -> Surface:
+    """The skin of the greenhouse, open below."""
     crown = curve([1.06, 0.5, -0.3, -1.0, -1.95], [0.02, 0.05, 0.045, 0.05, 0.02])
     zero = lambda x: 0.0  # noqa: E731
     low = lambda x: np.minimum(SHOULDER(x) - 0.05, ROOF(x) - 0.02)  # noqa: E731
@@ -243,7 +258,11 @@ def cabin() -> dict[str, Surface]:
         (zero, ROOF),
     ]
     xs = np.concatenate([np.arange(1.06, -1.9, -0.055), [-1.95]])
-    skin = lattice(sections(xs, rows, 48), crease=50)
+    return split(lattice(sections(xs, rows, 48), crease=50), lambda p: p[:, 2] - SHOULDER(p[:, 0]) + 0.045)[1]
+
+
+def windows() -> tuple[list[Field], list[Field]]:
+    """The panes, and what their seals go round."""
     inner = lambda p: np.abs(p[:, 1]) - RAIL(p[:, 0]) + 0.055  # noqa: E731
     windscreen = both(inner, lambda p: 0.16 - p[:, 0] + 0.05 * p[:, 1] ** 2, blend=0.06)
     backlight = both(inner, lambda p: p[:, 0] + 0.95, lambda p: -1.72 - p[:, 0], blend=0.08)
@@ -257,9 +276,55 @@ def cabin() -> dict[str, Surface]:
     )
     post, side_panes = lambda p: np.abs(p[:, 0] + 0.56 + 0.12 * (p[:, 2] - 0.9)) - 0.03, side
     panes: list[Field] = [windscreen, backlight, lambda p: np.maximum(side_panes(p), -post(p))]
+    return panes, [windscreen, backlight, side]
+
+
+def cabin() -> dict[str, Surface]:
+    """The greenhouse: screens and side windows cut into a painted roof."""
+    panes, framed = windows()
     coats: list[tuple[str, Field]] = [("glass", pane) for pane in panes]
-    coats += [("seal", grown(f, 0.018)) for f in (windscreen, backlight, side)]
-    return painted(skin, coats, "paint")
+    coats += [("seal", grown(pane, 0.018)) for pane in framed]
+    return painted(bare_cabin(), coats, "paint")
+
+
+FOOTWELL, HIPS = 0.27, np.array([-0.12, 0.36, 0.42])
+"""Height of the floor, and the driver's hips, m."""
+OPENING: Field = both(
+    lambda p: np.abs(p[:, 1]) - BELT(p[:, 0]) + 0.025,
+    lambda p: p[:, 0] - 0.91,
+    lambda p: -1.76 - p[:, 0],
+    lambda p: 0.7 - p[:, 2],
+)
+"""What the shell leaves open below the greenhouse."""
+
+
+def interior() -> dict[str, Surface]:
+    """What the glass shows: roof lining, tub, dashboard, shelf, seats and steering wheel."""
+    skin = bare_cabin()
+    for pane in windows()[0]:
+        _, skin = split(skin, pane)
+    walls = slimmed({"lining": lining(skin, 0.012)}, 0.003, shade=14.0)
+    tub = []
+    for x in np.linspace(-1.78, 0.86, 12):
+        w = float(BELT(x)) - 0.015
+        half = [[w, float(SHOULDER(x)) - 0.01], [w - 0.03, 0.74], [w - 0.05, FOOTWELL], [0.0, FOOTWELL]]
+        tub.append([[x, s * y, z] for s, side in ((1, half), (-1, half[-2::-1])) for y, z in side])
+    shelf = box([0.56, 1.16, 0.06], [-1.45, 0, 0.875], 0.02)
+    top = [(0.36, 0.60), (0.34, 0.80), (0.37, 0.845), (0.48, 0.86), (0.66, 0.86), (0.80, 0.855), (0.94, 0.83)]
+    hood = sheet([[[x, s * (float(BELT(x)) - 0.02), z] for s in (1, -1)] for x, z in top], [0, 0, 1])
+    binnacle = box([0.22, 0.40, 0.10], [0.44, HIPS[1], 0.865], 0.045, 2)
+    bench = [box([0.48, 1.16, 0.16], [-0.92, 0, 0.42], 0.05, 2), box([0.13, 1.16, 0.50], [-1.22, 0, 0.66], 0.05, 2)]
+    return by_material(
+        walls,
+        {"lining": join(sheet(tub, [0, 0, 1]), shelf), "seat": join(seat(HIPS, 0.30).pair(), *bench)},
+        {"trim": join(hood, binnacle, steering_wheel([0.36, HIPS[1], 0.75], 0.42))},
+    )
+
+
+def whoever_drives() -> dict[str, Surface]:
+    """The driver, leaning back, both hands on the wheel."""
+    hands, ankles = [0.165, 0.46, 0.36], [0.13, 0.74, FOOTWELL + 0.107 - HIPS[2]]
+    return driver(HIPS, hands, ankles, lean=-0.28, helmet=False, close=False)
 
 
 def side_of_shell(x: float, z: float) -> float:
@@ -298,9 +363,10 @@ def fittings() -> dict[str, Surface]:
         18,
         "x",
     )
-    mirror = Surface(ball.points * [0.09, 0.105, 0.065], ball.normals, ball.faces).moved([0.66, 0.93, 0.955])
+    blunt = ball.points.clip([-0.72, -1, -1]) * [0.09, 0.105, 0.065]
+    mirror = Surface(blunt, ball.normals, ball.faces).moved([0.66, 0.93, 0.955])
     stalk = tube([[0.68, 0.76, 0.90], [0.67, 0.88, 0.935]], 0.02, 8)
-    glass = convex(ball.points * [0.012, 0.088, 0.052] + [0.588, 0.93, 0.957])
+    mirrored = convex(ball.points * [0.012, 0.088, 0.052] + [0.582, 0.93, 0.957])
     handle = box([0.17, 0.022, 0.025], [-0.33, 0.918, 0.765], 0.008)
     plates = join(
         box([0.012, 0.46, 0.105], [2.145, 0, 0.445], 0.003), box([0.012, 0.46, 0.105], [-2.152, 0, 0.585], 0.003)
@@ -315,7 +381,7 @@ def fittings() -> dict[str, Surface]:
     return by_material(
         {"paint": join(mirror.pair(), handle.pair(), fin)},
         {"trim": join(stalk.pair(), bores)},
-        {"glass": glass.pair(), "plate": plates, "chrome": pipes},
+        {"plate": plates, "chrome": join(pipes, mirrored.pair())},
     )
 
 

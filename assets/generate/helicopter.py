@@ -9,9 +9,20 @@ from __future__ import annotations
 
 import numpy as np
 
+from vehsim.assets.generate._crew import ABOARD, FLIGHT_WEAR, driver_materials
+from vehsim.assets.generate._fuselage import (
+    HULL_TOP,
+    HULL_WIDTH,
+    bare_hull,
+    below_hull,
+    cabin,
+    doors,
+    pilot,
+    superellipses,
+    windows,
+)
 from vehsim.assets.generate._rotors import main_rotor, rotor_hulls, tail_disc, tail_rotor
 from vehsim.assets.generate._shapes import (
-    Array,
     Field,
     Surface,
     both,
@@ -27,6 +38,7 @@ from vehsim.assets.generate._shapes import (
     polygon,
     revolve,
     seam,
+    split,
     tube,
     wing,
 )
@@ -35,7 +47,6 @@ from vehsim.assets.generate._usd import Material, PartShape
 
 HUB = np.array([0.0, 0.0, 3.06])
 TAIL_HUB = np.array([-6.35, 0.36, 2.12])
-NOSE, TAIL = 3.50, -6.78
 
 DOC = "Light helicopter. X forward, Y left, Z up; root on the ground below the mast."
 
@@ -43,7 +54,9 @@ MATERIALS = {
     "white": Material((0.78, 0.79, 0.80), roughness=0.28, clearcoat=1.0),
     "blue": Material((0.012, 0.055, 0.20), roughness=0.25, clearcoat=1.0),
     "gold": Material((0.80, 0.36, 0.035), roughness=0.28, clearcoat=1.0),
-    "glass": Material((0.012, 0.018, 0.024), roughness=0.04, clearcoat=1.0),
+    "glass": Material((0.07, 0.095, 0.105), roughness=0.04, opacity=0.30, clearcoat=1.0, ior=1.5),
+    "lining": Material((0.085, 0.087, 0.09), roughness=0.85),
+    "seat": Material((0.045, 0.046, 0.05), roughness=0.8),
     "seal": Material((0.015, 0.015, 0.016), roughness=0.7),
     "dark": Material((0.035, 0.037, 0.04), roughness=0.55),
     "metal": Material((0.36, 0.37, 0.39), roughness=0.38, metallic=0.9),
@@ -56,7 +69,9 @@ MATERIALS = {
     "blur": Material((0.10, 0.105, 0.11), roughness=0.8, opacity=0.10),
     "blur_root": Material((0.08, 0.085, 0.09), roughness=0.8, opacity=0.14),
     "blur_tip": Material((0.80, 0.42, 0.08), roughness=0.8, opacity=0.12),
+    **driver_materials(FLIGHT_WEAR),
 }
+ABSENT = ABOARD
 LIVERIES = {
     "navy": {name: MATERIALS[name] for name in ("white", "blue", "gold")},
     "rescue": {
@@ -74,7 +89,9 @@ def build() -> dict[str, PartShape]:
     """The helicopter's parts by name: fuselage, main rotor, tail rotor."""
     slim, rest = (hull(), cowling(), fin(), landing_gear()), (stabiliser(), mast(), fittings())
     whole = by_material(*slim, *rest)  # hulls from all of it: what it clears does not hang on how finely it is drawn
-    look = by_material(*(slimmed(s, t, blue=b) for s, (t, b) in zip(slim, TOLERANCES, strict=True)), *rest)
+    inside = cabin(), pilot()
+    slim = (slim[0], {name: split(s, below_hull)[1] for name, s in slim[1].items()}, *slim[2:])
+    look = by_material(*(slimmed(s, t, blue=b) for s, (t, b) in zip(slim, TOLERANCES, strict=True)), *rest, *inside)
     rotor = main_rotor()
     return {
         "fuselage": PartShape(look=look, collision=fuselage_hulls(whole)),
@@ -86,42 +103,6 @@ def build() -> dict[str, PartShape]:
 # ---------------------------------------------------------------- fuselage
 
 
-def superellipses(xs: Array, top, bottom, width, power, middle: float = 0.42, around: int = 56) -> Array:
-    """Sections (m, around, 3): superellipses from ``bottom(x)`` to ``top(x)``, widest at ``middle`` of the height."""
-    turn = np.linspace(-np.pi / 2, np.pi / 2, 400)
-    sections = []
-    for x in xs:
-        w, low, high, n = width(x), bottom(x), top(x), power(x)
-        waist = low + middle * (high - low)
-        y = w * np.cos(turn).clip(0) ** (2 / n)
-        z = waist + np.where(turn > 0, high - waist, waist - low) * np.sign(turn) * np.abs(np.sin(turn)) ** (2 / n)
-        s = np.concatenate([[0], np.cumsum(np.hypot(np.diff(y), np.diff(z)))])
-        even = np.linspace(0, s[-1], around // 2 + 1)
-        y, z = np.interp(even, s, y), np.interp(even, s, z)
-        y, z = np.concatenate([y, -y[-2:0:-1]]), np.concatenate([z, z[-2:0:-1]])
-        sections.append(np.stack([np.full(len(y), x), y, z], 1))
-    return np.array(sections)
-
-
-def _from_nose(xs: list[float], values: list[float]):
-    """A profile of x, smooth in sqrt(nose - x), so that the nose is round."""
-    profile = curve([np.sqrt(NOSE - x) for x in xs], values)
-    return lambda x: profile(np.sqrt(np.maximum(NOSE - x, 0.0)))
-
-
-HULL_TOP = _from_nose(
-    [3.5, 3.4, 3.2, 3.0, 2.6, 2.2, 1.8, 1.4, 1.0, 0.0, -1.0, -1.8, -2.6, -3.2, -5.0, -6.55, -6.72, TAIL],
-    [1.10, 1.33, 1.51, 1.65, 1.87, 2.04, 2.15, 2.21, 2.235, 2.22, 2.16, 2.08, 1.99, 1.96, 1.94, 1.93, 1.90, 1.83],
-)
-HULL_BOTTOM = _from_nose(
-    [3.5, 3.4, 3.2, 3.0, 2.6, 2.2, 1.4, 0.0, -0.6, -1.0, -1.4, -1.8, -2.4, -3.0, -5.0, -6.55, -6.72, TAIL],
-    [1.10, 0.92, 0.80, 0.735, 0.665, 0.635, 0.62, 0.62, 0.66, 0.75, 0.91, 1.10, 1.33, 1.46, 1.60, 1.69, 1.72, 1.79],
-)
-HULL_WIDTH = _from_nose(
-    [3.5, 3.4, 3.2, 3.0, 2.6, 2.2, 1.8, 1.4, 0.6, 0.0, -0.6, -1.0, -1.4, -1.8, -2.4, -3.0, -5.0, -6.55, -6.72, TAIL],
-    [0, 0.29, 0.47, 0.6, 0.77, 0.87, 0.92, 0.935, 0.93, 0.9, 0.81, 0.72, 0.61, 0.5, 0.37, 0.28, 0.2, 0.13, 0.1, 0.02],
-)
-HULL_POWER = _from_nose([3.5, 2.8, 1.8, 0.0, -1.5, -3.0, -6.95], [2.1, 2.35, 2.75, 2.8, 2.5, 2.1, 2.0])
 STRIPE = curve([3.5, 2.4, 1.0, -0.2, -1.2, -2.2, -3.2, -4.4], [0.97, 1.03, 1.08, 1.16, 1.32, 1.58, 1.86, 2.10])
 
 
@@ -135,56 +116,12 @@ def livery(surface: Surface, coats: list[tuple[str, Field]]) -> dict[str, Surfac
 
 
 def hull() -> dict[str, Surface]:
-    """Cabin and tail boom in one skin, with the glazing, its seals and the door lines cut into it."""
-    xs = np.concatenate(
-        [
-            NOSE - np.linspace(0.0, np.sqrt(0.5), 10) ** 2,
-            np.arange(2.93, -2.4, -0.125),
-            np.linspace(-2.5, -6.5, 13),
-            [-6.6, -6.68, -6.74, TAIL],
-        ]
-    )
-    skin = lattice(superellipses(xs, HULL_TOP, HULL_BOTTOM, HULL_WIDTH, HULL_POWER))
+    """The skin with the glazing, its seals and the door lines cut into it."""
     panes = windows()
-    skin, lines = seam(skin, doors(), 0.006)
+    skin, lines = seam(bare_hull(), doors(), 0.006)
     coats: list[tuple[str, Field]] = [("glass", pane) for pane in panes]
     coats += [("seal", grown(pane, 0.018)) for pane in panes]
     return by_material(livery(skin, coats), {"seal": lines})
-
-
-def windows() -> list[Field]:
-    """The panes: inside is glass."""
-
-    foot, head = np.array([3.10, 1.20]), np.array([1.83, 2.16])  # of the windscreen pillar, in side view
-    across = np.array([head[1] - foot[1], foot[0] - head[0]]) / np.linalg.norm(head - foot)
-    windscreen = both(
-        lambda p: (foot - p[:, [0, 2]]) @ across,
-        lambda p: 1.20 + 0.02 * (3.4 - p[:, 0]) - p[:, 2],
-        lambda p: 1.72 - p[:, 0],
-        lambda p: 0.035 - np.abs(p[:, 1]),
-        blend=0.09,
-    )
-    front = polygon([(2.86, 1.27), (1.36, 1.24), (1.36, 2.00), (1.93, 2.00)], 0.07)
-    rear = polygon([(1.22, 1.24), (0.16, 1.26), (0.30, 1.98), (1.22, 2.00)], 0.09)
-    chin = both(
-        polygon([(3.30, 1.00), (2.68, 0.985), (2.60, 0.80), (2.95, 0.765), (3.22, 0.87)], 0.05),
-        lambda p: 0.16 - np.abs(p[:, 1]),
-        blend=0.05,
-    )
-    roof = both(
-        polygon([(1.58, 0.14), (1.56, 0.56), (1.02, 0.60), (1.02, 0.14)], 0.07, axes=(0, 1)),
-        lambda p: 2.0 - p[:, 2],
-    )
-    return [windscreen, front, rear, chin, roof, lambda p: roof(p * [1.0, -1.0, 1.0])]
-
-
-def doors() -> list[Field]:
-    """Outlines of the cabin and baggage doors, in side view."""
-    return [
-        polygon([(2.98, 1.14), (2.30, 0.80), (1.29, 0.78), (1.29, 2.07), (1.90, 2.07)], 0.06),
-        polygon([(1.29, 0.78), (0.02, 0.80), (0.16, 2.06), (1.29, 2.07)], 0.05),
-        polygon([(-0.18, 0.98), (-0.86, 1.10), (-0.86, 1.72), (-0.18, 1.72)], 0.06),
-    ]
 
 
 def cowling() -> dict[str, Surface]:

@@ -364,3 +364,44 @@ def test_edges_are_as_sharp_as_the_mesh_says(interpolation, new_stage, tmp_path)
     split = box(other, corners[np.ravel(faces)].tolist(), range(24), "vertex", each)
     shared = box(new_stage, corners.tolist(), np.ravel(faces).tolist(), interpolation, some)
     assert (shared == split).all() and len(np.unique(split.reshape(-1, 3), axis=0)) > 3
+
+
+def test_the_sky_has_clouds_and_far_hills_only_where_there_is_land(tmp_path):
+    from PIL import Image
+
+    from vehsim.exporters.lighting import clouds, latlong_directions, write_sky
+
+    directions = latlong_directions(512, 256)
+    cover, light = clouds(directions, np.array([0.6, 0.6, 0.53]))
+    up = directions[..., 2]
+    assert 0.08 < (cover[(up > 0.08) & (up < 0.5)] > 0.2).mean() < 0.6 and cover[up < 0].max() == 0
+    assert light.min() >= 0.25 and light.max() <= 1
+    land, sea = (tmp_path / name for name in ("land.png", "sea.png"))
+    write_sky(land, 40.0, 22.0, hills=True)
+    write_sky(sea, 40.0, 22.0)
+    with Image.open(land) as one, Image.open(sea) as other:
+        changed = (np.asarray(one) != np.asarray(other)).any(axis=2).any(axis=1)
+    degrees = 90.0 - (np.arange(512) + 0.5) / 512 * 180.0
+    assert changed.any() and np.abs(degrees[changed]).max() < 9.0
+
+
+def test_concrete_lies_on_obstacles_to_scale():
+    """Texture coordinates are metres over the tile's side, on every side of a box; joints come every metre."""
+    import io
+
+    from PIL import Image
+
+    from vehsim.exporters.concrete import TILE, coordinates, picture
+
+    rng = np.random.default_rng(4)
+    for axis in range(3):
+        normals = np.tile(np.eye(3)[axis] * [-1, 1, -1], (5, 1))
+        corners = rng.normal(size=(5, 3, 3))
+        corners[..., axis] = 2.0
+        st = coordinates(corners, normals)
+        lengths = [np.linalg.norm(np.diff(x, axis=1), axis=2) for x in (corners, st * TILE)]
+        assert np.allclose(*lengths)
+    with Image.open(io.BytesIO(picture((0.4, 0.4, 0.4)))) as image:
+        shade = np.asarray(image, float).mean(axis=2)
+    rows = shade.mean(axis=1)
+    assert set(np.argsort(rows)[:4]) == {0, 127, 128, 255}

@@ -5,7 +5,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from pxr import Usd, UsdGeom
+from pxr import Usd, UsdGeom, UsdShade
 
 import vehsim
 from vehsim.cameras import CameraRig, solve_camera
@@ -197,6 +197,80 @@ def test_wet_lines_darken_what_stands_just_above_the_water(shown):
     places = middle + np.array([[[0, 0, 0.0], [0, 0, 0.06], [0, 0, 0.4]]])
     wet = view.wet(np.full((1, 3, 3), 200, np.uint8), places, np.full((1, 3), 5.0))
     assert wet[0, 0, 0] == wet[0, 2, 0] == 200 and wet[0, 1, 0] < 150
+
+
+def test_any_renderer_can_whiten_foam(shown):
+    """UsdPreviewSurface reads colour and roughness from primvars, which say what the preview's foam says."""
+    from vehsim.exporters.water_material import CLEAR, FOAM, ROUGH, SHADES
+
+    stage = Usd.Stage.Open(str(shown[1]))
+    prim = stage.GetPrimAtPath("/sea/env/water/surface")
+    primvars = UsdGeom.PrimvarsAPI(prim)
+    foam = np.array(primvars.GetPrimvar("foam").Get(1020), float)
+    assert foam.max() > 0.3
+    colour = np.array(primvars.GetPrimvar("displayColor").ComputeFlattened(1020))
+    rough = np.array(primvars.GetPrimvar("roughness").ComputeFlattened(1020))
+    assert np.abs((colour - CLEAR) / (FOAM - CLEAR) - foam[:, None]).max() < 0.6 / SHADES
+    assert np.abs((rough - ROUGH[0]) / (ROUGH[1] - ROUGH[0]) - foam).max() < 0.6 / SHADES
+    surface = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0].ComputeSurfaceSource()[0]
+    for port, reader in (("diffuseColor", "UsdPrimvarReader_float3"), ("roughness", "UsdPrimvarReader_float")):
+        source = UsdShade.Shader(surface.GetInput(port).GetConnectedSources()[0][0].source.GetPrim())
+        assert source.GetIdAttr().Get() == reader
+        assert primvars.HasPrimvar(source.GetInput("varname").Get())
+
+
+def test_ripples_are_level_on_the_whole_and_repeat():
+    import io
+
+    from PIL import Image
+
+    from vehsim.exporters.water_material import STEEP, ripples
+
+    with Image.open(io.BytesIO(ripples())) as picture:
+        normal = np.asarray(picture, float) / 127.5 - 1
+    assert np.abs(np.linalg.norm(normal, axis=2) - 1).max() < 0.02
+    slopes = normal[..., :2] / normal[..., 2:]
+    assert np.abs(slopes.mean(axis=(0, 1))).max() < 0.005
+    assert slopes.std(axis=(0, 1)) == pytest.approx([STEEP, STEEP], rel=0.05)
+    for axis in (0, 1):  # a seam would be steeper than what lies between texels elsewhere
+        steps = np.abs(np.diff(normal, axis=axis, append=normal.take([0], axis)))
+        assert steps.take(-1, axis).mean() < 1.5 * steps.mean()
+
+
+def calm(tmp_path):
+    """A calm sea, seen to its horizon."""
+    clip = straight(0.0, 0.1, (-60.0, 0.0, 0.0))
+    world = World(water=Water(0.0))
+    camera = solve_camera(
+        CameraRig(name="low", rig="static", position=(0.0, -9.0, 3.0)), {"boat": clip}, world, (1001, 1002)
+    )
+    take = Take("sea", {"boat": clip}, world, (camera,), Fraction(FPS), (1001, 1002), RenderSettings((320, 180)))
+    return StageReader(take.export(tmp_path) / "sea.usda")
+
+
+def test_water_is_as_bright_with_shadows_as_without(tmp_path):
+    """MuJoCo clamps the light of each of its passes at 1 and adds what casts shadows in a pass of its own."""
+    stage = calm(tmp_path)
+    lower = slice(150, 180)
+    seen = []
+    for shadows in (True, False):
+        with StageRenderer(stage, (320, 180), shadows=shadows) as renderer:
+            seen.append(renderer.render("low", 1001)[lower].astype(float))
+    assert seen[0].mean() > 20
+    assert np.abs(seen[0] - seen[1]).max() <= 4
+
+
+def test_the_sea_is_darker_than_the_sky_at_its_horizon(tmp_path):
+    """Waves too far away to be told apart show the sky higher up, not its rim; nothing is clipped to grey."""
+    with StageRenderer(calm(tmp_path), (320, 180)) as renderer:
+        picture = renderer.render("low", 1001).astype(float)
+        depth, _ = renderer.passes("low", 1001)
+    rim = int(np.flatnonzero(np.median(depth, axis=1) > 0)[0])  # the first row of water
+    sky, sea = (
+        np.median(picture[rows].reshape(-1, 3), axis=0) for rows in (slice(rim - 6, rim - 2), slice(rim + 3, rim + 7))
+    )
+    assert (sea < sky - 12).all()
+    assert sea[2] > sea[0] + 4  # blue, where it was the sky's grey
 
 
 def test_depth_becomes_places():

@@ -283,9 +283,9 @@ def test_channels_drive_prims_that_exist(name):
 def test_the_script_generates_the_committed_asset(name, tmp_path):
     script = importlib.import_module(f"vehsim.assets.generate.{name}")
     usd = importlib.import_module("vehsim.assets.generate._usd")
-    shapes, liveries = script.build(), getattr(script, "LIVERIES", {})
+    shapes, variants = script.build(), [getattr(script, given, {}) for given in ("LIVERIES", "ABSENT")]
     for copy in ("a", "b"):
-        usd.write_asset(tmp_path / copy / f"{name}.usdc", shapes, script.MATERIALS, script.DOC, liveries)
+        usd.write_asset(tmp_path / copy / f"{name}.usdc", shapes, script.MATERIALS, script.DOC, *variants)
     written = [(tmp_path / copy / f"{name}.usdc").read_bytes() for copy in ("a", "b")]
     assert written[0] == written[1]
     fresh, committed = read_parts(tmp_path / "a" / f"{name}.usdc"), read_parts(asset(name))
@@ -309,6 +309,63 @@ def test_liveries_change_what_is_seen_and_nothing_else(name):
     changed = [a != b for a, b in zip(one, other, strict=True)]
     assert any(changed) and not all(changed)
     assert len(read_parts(asset(name))) == len(PARTS[name])
+
+
+@pytest.mark.parametrize("name", ["boat", "car", "helicopter"])
+def test_whoever_drives_may_be_left_out(name):
+    """The variant set `driver`: `none` leaves the figure out, and nothing else; what collides stays."""
+    stage = Usd.Stage.Open(str(asset(name)))
+    choice = stage.GetDefaultPrim().GetVariantSet("driver")
+    assert choice.GetVariantSelection() == "aboard"
+    seen = {}
+    for variant in ("aboard", "none"):
+        choice.SetVariantSelection(variant)
+        seen[variant] = {mesh.GetPrim().GetName() for guides in (True, False) for mesh in meshes(stage, guides)}
+    left_out = seen["aboard"] - seen["none"]
+    assert seen["none"] < seen["aboard"] and len(left_out) > 8
+    assert all("_driver_" in gone for gone in left_out) and not any("_driver_" in kept for kept in seen["none"])
+
+
+@pytest.mark.parametrize(
+    ("name", "eyes"),
+    [
+        ("car", [(6.0, 0.4, 1.5), (-0.1, 5.0, 1.3), (6.0, 1.6, 1.6)]),
+        ("helicopter", [(8.0, -0.6, 2.0), (1.6, -6.0, 1.8)]),
+    ],
+)
+def test_whoever_drives_is_seen_through_the_glass(name, eyes):
+    """From in front and from the side, glass is all that stands between the eye and the driver's face."""
+    stage = Usd.Stage.Open(str(asset(name)))
+    glass = stage.GetPrimAtPath(f"/{name}/materials/glass/surface")
+    assert 0.1 < glass.GetAttribute("inputs:opacity").Get() < 0.5
+    shown = {mesh.GetPrim().GetName(): mesh for mesh in meshes(stage, guides=False)}
+    body = [
+        mesh for key, mesh in shown.items() if key.startswith(("body_", "fuselage_")) and not key.endswith("_glass")
+    ]
+    of, triangles = [], []
+    for mesh in body:
+        points, faces = np.array(mesh.GetPointsAttr().Get(), float), np.array(mesh.GetFaceVertexIndicesAttr().Get())
+        triangles.append(points[faces.reshape(-1, 3)])
+        of += [mesh.GetPrim().GetName()] * len(triangles[-1])
+    soup = np.concatenate(triangles)
+    face = np.concatenate(
+        [t.reshape(-1, 3) for t, m in zip(triangles, body, strict=True) if "goggles" in str(m.GetPath())]
+    )
+    for eye in np.array(eyes):
+        assert "driver" in of[first_hit(soup, eye, face.mean(0) - eye)], eye
+
+
+def first_hit(triangles: np.ndarray, eye: np.ndarray, way: np.ndarray) -> int:
+    """The nearest of ``triangles`` (n, 3, 3) that a ray meets (Moeller and Trumbore, 1997)."""
+    a, ab, ac = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    across = np.cross(way, ac)
+    volume = np.einsum("ij,ij->i", ab, across)
+    volume = np.where(np.abs(volume) < 1e-12, np.inf, volume)
+    u = np.einsum("ij,ij->i", eye - a, across) / volume
+    turned = np.cross(eye - a, ab)
+    v, distance = turned @ way / volume, np.einsum("ij,ij->i", ac, turned) / volume
+    met = (u >= 0) & (v >= 0) & (u + v <= 1) & (distance > 0)
+    return int(np.where(met, distance, np.inf).argmin())
 
 
 def test_boat_hull_is_closed_and_displaces_the_boats_mass_where_its_centre_of_mass_is():
