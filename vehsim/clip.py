@@ -175,7 +175,7 @@ class Clip:
         except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
             raise InputError(f"{path}: not a clip saved by vehsim: {error}; save it with clip.save") from None
         return cls(
-            vehicle=vehicle or _vehicle_of(header),
+            vehicle=_moving(vehicle or _vehicle_of(header), columns["twists"].shape[-1], path),
             **columns,
             channels=_group(arrays, "channel."),
             energy=_group(arrays, "energy."),
@@ -208,6 +208,15 @@ def _folder(vehicle: Vehicle) -> str:
 
 def _group(arrays: Mapping[str, Array], prefix: str) -> dict[str, Array]:
     return {name.removeprefix(prefix): values for name, values in arrays.items() if name.startswith(prefix)}
+
+
+def _moving(vehicle: Vehicle, width: int, path: str | Path) -> Vehicle:
+    """The vehicle as twists of ``width`` columns have it move: a boat's may be those of its planar self."""
+    for self in (vehicle, vehicle.planar):
+        if self is not None and self.group.dim == width:
+            return self
+    mend = "give the vehicle whose clip it is"
+    raise InputError(f"{path}: twists of {width} columns, {vehicle.name} has {vehicle.group.dim}; {mend}")
 
 
 def _vehicle_of(header: Mapping[str, Any]) -> Vehicle:

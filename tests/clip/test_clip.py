@@ -99,6 +99,19 @@ def test_save_and_load_bit_for_bit(name, tmp_path):
     assert (back.fps, back.start_frame, back.vehicle.name) == (clip.fps, clip.start_frame, clip.vehicle.name)
 
 
+def test_a_boat_that_glides_in_the_plane_comes_back_as_one(tmp_path):
+    """Its twists have three columns: read as the floating boat's they would be rolls, pitches and yaws."""
+    boat = vehsim.load_vehicle("boat")
+    t = np.linspace(0, 2, 25)
+    gliding = Integrator(boat.planar, 1 / 12).rollout(State(), np.column_stack([2000 + 0 * t, 0.2 * np.sin(t)]))
+    path = gliding.save(tmp_path / "gliding")
+    for back in (Clip.load(path), Clip.load(path, boat)):
+        assert back.vehicle.group.name == "SE2" and back.vehicle.rig == gliding.vehicle.rig
+        assert np.array_equal(back.at(np.linspace(0, 2, 97)).positions, gliding.at(np.linspace(0, 2, 97)).positions)
+    with pytest.raises(InputError, match="twists of 3 columns, helicopter has 6"):
+        Clip.load(path, vehsim.load_vehicle("helicopter"))
+
+
 def test_wrong_clips_and_times_are_named(tmp_path):
     clip = flown("car")
     with pytest.raises(InputError, match=r"outside 0\.\.2 s"):
