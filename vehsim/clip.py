@@ -215,8 +215,8 @@ def _moving(vehicle: Vehicle, width: int, path: str | Path) -> Vehicle:
     for self in (vehicle, vehicle.planar):
         if self is not None and self.group.dim == width:
             return self
-    mend = "give the vehicle whose clip it is"
-    raise InputError(f"{path}: twists of {width} columns, {vehicle.name} has {vehicle.group.dim}; {mend}")
+    wrong = f"a clip of another vehicle than {vehicle.name!r}: its twists have {width} columns, not {vehicle.group.dim}"
+    raise InputError(f"{path}: {wrong}; give the vehicle whose clip it is")
 
 
 def _vehicle_of(header: Mapping[str, Any]) -> Vehicle:

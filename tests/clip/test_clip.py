@@ -108,7 +108,7 @@ def test_a_boat_that_glides_in_the_plane_comes_back_as_one(tmp_path):
     for back in (Clip.load(path), Clip.load(path, boat)):
         assert back.vehicle.group.name == "SE2" and back.vehicle.rig == gliding.vehicle.rig
         assert np.array_equal(back.at(np.linspace(0, 2, 97)).positions, gliding.at(np.linspace(0, 2, 97)).positions)
-    with pytest.raises(InputError, match="twists of 3 columns, helicopter has 6"):
+    with pytest.raises(InputError, match="another vehicle than 'helicopter': its twists have 3 columns, not 6"):
         Clip.load(path, vehsim.load_vehicle("helicopter"))
 
 
