@@ -33,7 +33,9 @@ CUT = "cut"
 JUMP = 1e-3
 """How long a cut takes, in frames: USD joins samples by straight lines."""
 FILL_RANGE = (0.09, 0.34)
-"""Share of the frame's height that a target shall keep to."""
+"""Share of the frame's height that a target shall keep to, as tall as it is upright."""
+TILTED = 0.55
+"""Most that it may take of it as it is: pitched steeply, a long one is tall, and would else look small and far away."""
 
 
 @dataclass(frozen=True)
@@ -91,11 +93,12 @@ class CameraRig:
 @dataclass(frozen=True)
 class Subject:
     """What a camera looks at: poses ``matrices`` T_wr (n, 4, 4) of ``outline`` (k, 3) m in the root frame, which is at
-    ``corners`` (n, k, 3), ``centre`` (n, 3); ``headings`` (n,) rad."""
+    ``corners`` (n, k, 3), upright at ``upright``, ``centre`` (n, 3); ``headings`` (n,) rad."""
 
     matrices: Array
     outline: Array
     corners: Array
+    upright: Array
     centre: Array
     headings: Array
     fps: float
@@ -125,10 +128,12 @@ def solve_camera(
     ups = np.broadcast_to((0.0, 0.0, 1.0), subject.centre.shape) if level else subject.matrices[:, :3, 2]
     for _ in range(5 if framed else 1):
         positions, aims = move.place(rig, subject, distance, world)
+        back = np.ones(len(positions))
         if move.guided and np.ptp(positions, axis=0).max() > 0:  # what stands still was put there
             positions = steer(positions, aims, world, rig.margin, subject.size / 2, subject.fps)
             if framed:
-                positions = _back_off(positions, aims, subject, zoom)
+                back = _back_off(positions, aims, subject, zoom)
+                positions = aims + (positions - aims) * back[:, None]
         if move.fill is not None:
             positions = lift(positions, aims, world, rig.margin, subject.fps)
             apart = float(np.linalg.norm(positions - aims, axis=1).mean())
@@ -137,8 +142,8 @@ def solve_camera(
         if rig.framing is not None:
             rotations = _framed(rotations, rig.framing, aperture, rig.lens_mm, ups)
         if framed:
-            fills = projected_heights(positions, rotations, subject.corners, zoom)
-            distance *= _rescale(fills, rig.fill, move.fill)
+            fills = projected_heights(positions, rotations, subject.upright, zoom)
+            distance *= _rescale(fills * back, rig.fill, move.fill)  # a while farther back makes no nearer else
     return Camera(rig.name, every, positions, _quaternions(rotations), rig.lens_mm, aperture)
 
 
@@ -210,10 +215,11 @@ def projected_heights(positions: Array, rotations: Array, corners: Array, zoom: 
 
 
 def _back_off(positions: Array, aims: Array, subject: Subject, zoom: float) -> Array:
-    """Positions (n, 3) drawn back, ahead of need, where the target banks and would fill too much of the frame."""
-    fills = projected_heights(positions, look_at(positions, aims), subject.corners, zoom)
-    factor = envelope(np.clip(fills / (0.97 * FILL_RANGE[1]), 1.0, 1.5), subject.fps)
-    return aims + (positions - aims) * factor[:, None]
+    """How many times as far (n,) to stand, ahead of need, where the target would fill too much of the frame."""
+    rotations = look_at(positions, aims)
+    upright, tilted = (projected_heights(positions, rotations, c, zoom) for c in (subject.upright, subject.corners))
+    excess = np.maximum(upright / FILL_RANGE[1], tilted / TILTED) / 0.97
+    return envelope(np.clip(excess, 1.0, 2.0), subject.fps)
 
 
 # ---------------------------------------------------------------- what all cameras share
@@ -235,9 +241,21 @@ def _subject(clip: Clip, frames: Array) -> Subject:
     times, sample = np.unique(times, return_inverse=True)
     matrices = clip.at(times).matrices()[sample]
     outline = vehicle_outline(clip.vehicle)
-    corners = outline @ matrices[:, :3, :3].swapaxes(1, 2) + matrices[:, None, :3, 3]
+    attitudes = (matrices[:, :3, :3], _upright(matrices[:, :3, :3]))
+    corners, upright = (outline @ R_wr.swapaxes(1, 2) + matrices[:, None, :3, 3] for R_wr in attitudes)
     centre = matrices[:, :3, 3] + (outline.max(axis=0) + outline.min(axis=0)) / 2 * (0.0, 0.0, 1.0)
-    return Subject(matrices, outline, corners, centre, _headings(matrices, fps), fps)
+    return Subject(matrices, outline, corners, upright, centre, _headings(matrices, fps), fps)
+
+
+def _upright(R_wr: Array) -> Array:
+    """Rotations (n, 3, 3) of vehicles with as little of their tilt taken off as makes their Z axis vertical."""
+    from scipy.spatial.transform import Rotation
+
+    tilt = np.cross(R_wr[:, :, 2], (0.0, 0.0, 1.0))
+    sine = np.linalg.norm(tilt, axis=1, keepdims=True)
+    angle = np.arctan2(sine[:, 0], R_wr[:, 2, 2])[:, None]
+    back = Rotation.from_rotvec(tilt * angle / np.maximum(sine, 1e-9))
+    return np.asarray(back.as_matrix() @ R_wr)
 
 
 def _headings(matrices: Array, fps: float) -> Array:

@@ -219,7 +219,7 @@ class CameraTable(Table):
     aperture_width_mm: Annotated[Number, Field(ge=1, le=200)] = CameraRig.aperture_width_mm
     """the width of the film back in mm, 1 to 200"""
     fill: Annotated[Number, Field(ge=0.005, le=1)] = CameraRig.fill
-    """the share of the picture's height the target takes, 0.005 to 1; it sets the distance"""
+    """the share of the picture's height the target takes upright, 0.005 to 1; it sets the distance"""
     distance: Annotated[Positive, Field(le=1e5)] | None = None
     """the distance to the target in m, instead of fill; from fill unless given"""
     height: Metre | None = None
