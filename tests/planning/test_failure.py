@@ -11,8 +11,10 @@ import vehsim
 from tests.planning.test_plan import REST, tug
 from vehsim import Mark, Shot
 from vehsim.errors import ShotError
+from vehsim.planning import ranges, relax
 from vehsim.planning.deadline import MORE, Deadline
 from vehsim.planning.feasibility import refusals, strength
+from vehsim.planning.marks import Gate
 from vehsim.planning.request import ask
 
 CAR_ASIDE = [Mark(1, position=REST, heading=0, velocity=REST), Mark(25, position=(0, 6, 0), heading=0, velocity=REST)]
@@ -64,6 +66,41 @@ def test_bounds_name_mark_amount_and_mend(marks, limits, expected):
     assert said(marks, limits=limits) == [expected]
 
 
+def test_a_mark_outside_a_stay_is_named():
+    helicopter, low = vehsim.load_vehicle("helicopter"), (20, 0, 20)
+    stays = (ranges.stay((1050, 1150), above=25), ranges.stay(within=(-5, -5, 45, 5)))
+    ends = [Mark(1001, position=(0, 0, 30), velocity=REST), Mark(1201, position=(40, 0, 30), velocity=REST)]
+    expected = [
+        ({"frame": 1101}, ["mark[1].position: 5 m outside what 'stay' asks for frames 1050 to 1150; "
+                           "move it by 5 m, or loosen 'stay'"]),
+        ({"frame": 1101, "tolerance": 2.0}, ["mark[1].position: 3 m outside what 'stay' asks for frames 1050 to 1150; "
+                                             "move it by 3 m, or loosen 'stay'"]),
+        ({"frame": 1101, "gate": Gate((1, 0, 0), radius=6)}, []),
+        ({"frame": 1160}, []),
+    ]  # fmt: skip
+    for given, messages in expected:
+        marks = [ends[0], Mark(position=low, **given), ends[1]]
+        found = refusals(ask(helicopter, None, marks, fps=24, segments=64, terms=stays))
+        assert [str(refusal) for refusal in found] == messages
+    aside = [ends[0], Mark(1201, position=(40, 9, 30), velocity=REST)]
+    found = refusals(ask(helicopter, None, aside, fps=24, segments=64, terms=stays[1:]))
+    assert str(found[0]).startswith("mark[1].position: 4 m outside what 'stay' asks; move")
+
+
+def test_misses_are_said_in_the_marks_own_units(monkeypatch):
+    """Too short a bend: degrees; and a solve that hardly ends still finds the frame that would do."""
+    monkeypatch.setattr(relax, "SECONDS", 600.0)
+    car, helicopter = vehsim.load_vehicle("car"), vehsim.load_vehicle("helicopter")
+    turn = [Mark(1, position=REST, heading=0, speed=12), Mark(73, position=(35, 10, 0), heading=90, speed=8)]
+    with pytest.warns(UserWarning, match=r"mark\[1\].heading is missed by \d+(\.\d+)? deg"):
+        vehsim.plan(car, None, turn, segments=16, limits={"acceleration": 5})
+    level = [Mark(1, position=(0, 0, 20), velocity=REST), Mark(73, position=(40, 0, 20), velocity=REST)]
+    with pytest.warns(UserWarning, match=r"mark\[1\].frame = 73 is too early; earliest 2\d\d"):
+        vehsim.plan(helicopter, None, level, segments=12, limits={"bank": np.deg2rad(10)})
+    assert relax._amount("mark[1].heading", np.array([0.6, 0.8])) == "143 deg"
+    assert relax._amount("mark[1].orientation", np.array([0, 0, 0.5])) == "60 deg"
+
+
 def test_what_can_be_done_is_not_refused():
     """Just inside every bound, and free marks, which have no frame to be late for."""
     assert not said([Mark(1, position=REST), Mark(30, position=(26, 0, 0))], limits={"speed": 22})
@@ -81,7 +118,7 @@ def test_strength_is_the_controls_at_their_corners():
 
 def test_failed_solves_say_by_how_much_and_what_would_do():
     with pytest.warns(
-        UserWarning, match=r"mark\[1\].position is missed by 5\.\d+ m; mark\[1\].frame = 25 is too early"
+        UserWarning, match=r"mark\[1\].position is missed by 5\.\d+ m; .*mark\[1\].frame = 25 is too early"
     ):
         plan = vehsim.plan(vehsim.load_vehicle("car"), None, CAR_ASIDE, segments=12)
     assert not plan.success and np.all(np.isfinite(plan.clip.positions))

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from vehsim.planning.marks import Mark
 from vehsim.planning.request import Request
+from vehsim.planning.terms import Constraint
 from vehsim.vehicles import Holonomic, Vehicle
 
 Array = NDArray[np.float64]
@@ -55,7 +56,26 @@ def _alone(request: Request, mark: Mark) -> list[Refusal]:
     if mark.velocity is not None and abs(mark.velocity[2]) > climb:
         message = f"{abs(mark.velocity[2]):g} m/s up or down, limit {climb:g}"
         found.append(Refusal(mark, "velocity", message, f"ask for at most {climb:g} m/s"))
-    return found
+    return found + [refusal for term in request.constraints for refusal in _outside(request, mark, term)]
+
+
+def _outside(request: Request, mark: Mark, term: Constraint) -> list[Refusal]:
+    """A mark where a constraint does not let it be."""
+    there = term.frames is None or (mark.frame != "free" and term.frames[0] <= mark.frame <= term.frames[1])
+    if term.box is None or mark.position is None or not there:
+        return []
+    room, gate = mark.tolerance, mark.gate
+    if gate is not None:
+        room = gate.radius or math.hypot(*(gate.size or ())) / 2
+    shown = 3 if request.vehicle.group.dim == 6 else 2
+    low, high = term.box
+    place = np.asarray(mark.position, float)
+    off = max(max(low[i] - place[i], place[i] - high[i]) for i in range(shown)) - room
+    if off <= 1e-9:
+        return []
+    when = "" if term.frames is None else f" for frames {term.frames[0]} to {term.frames[1]}"
+    mend = f"move it by {off:.3g} m, or loosen {term.name!r}"
+    return [Refusal(mark, "position", f"{off:.3g} m outside what {term.name!r} asks{when}", mend)]
 
 
 def _between(request: Request, i: int, j: int) -> list[Refusal]:

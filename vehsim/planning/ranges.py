@@ -56,4 +56,5 @@ def stay(
         raise InputError(f"stay: within = {within!r}: give [x0, y0, x1, y1] in metres, x0 < x1 and y0 < y1")
     lower, upper = np.array([box[0], box[1], low]), np.array([box[2], box[3], high])
     kept = [i for i in range(3) if np.isfinite(lower[i]) or np.isfinite(upper[i])]
-    return Constraint("stay", lambda k: k.position[kept], lower[kept], upper[kept], over="everywhere", frames=frames)
+    law, bounds = (lambda k: k.position[kept]), (lower[kept], upper[kept])
+    return Constraint("stay", law, *bounds, over="everywhere", frames=frames, box=(lower, upper))

@@ -34,13 +34,13 @@ def diagnose(attempt: Attempt) -> tuple[str, Array | None]:
     missed, x = _missed(attempt)
     if x is None or not missed:
         return "", x
-    late = _late(attempt)
+    late = _late(attempt, x)
     return f"{missed}; {late}" if late else missed, None
 
 
 def _missed(attempt: Attempt) -> tuple[str, Array | None]:
     problem = build(attempt.t, attempt.layout, attempt.request, attempt.cover, give=PRICE)
-    x, solved = _solve(attempt, problem, late=False)
+    x, solved = _solve(attempt, problem, late=False, start=attempt.guess)
     if x is None or not solved:
         return "", None
     first, misses = attempt.layout.size, []
@@ -48,17 +48,32 @@ def _missed(attempt: Attempt) -> tuple[str, Array | None]:
         rows = use.rows
         if use.variables.max() < first:
             continue
-        slack = x[use.variables[-2 * rows :, 0]]
+        slack, labels = x[use.variables[-2 * rows :, 0]], np.array(use.element.labels)
         by = np.abs(slack[:rows] - slack[rows:])
-        if by.max() > NOTHING:
-            label = use.element.labels[int(np.argmax(by))]
-            unit = " m" if label.endswith("position") else ""
-            misses.append((float(np.linalg.norm(by)), f"{label} is missed by {np.linalg.norm(by):.3g}{unit}"))
+        for label in dict.fromkeys(use.element.labels):
+            off = by[labels == label]
+            if off.max() > NOTHING:
+                misses.append((float(np.linalg.norm(off)), f"{label} is missed by {_amount(label, off)}"))
     misses.sort(reverse=True)
     return "; ".join(text for _, text in misses[:3]), x[:first]
 
 
-def _late(attempt: Attempt) -> str:
+def _amount(label: str, off: Array) -> str:
+    """How much is missed, in the mark's own unit, by what its rows in `asked.py` are off."""
+    norm, key = float(np.linalg.norm(off)), label.rpartition(".")[2]
+    if key == "heading":  # its sine, and what its cosine is below zero
+        cosine = -off[1] if off[1] > 0 else math.sqrt(max(0.0, 1 - off[0] ** 2))
+        return f"{math.degrees(math.atan2(off[0], cosine)):.3g} deg"
+    if key == "orientation":
+        return f"{math.degrees(2 * math.asin(min(1.0, norm))):.3g} deg"
+    return f"{norm:.3g}{_UNITS.get(key, '')}"
+
+
+_UNITS = {"position": " m", "velocity": " m/s", "speed": " m/s"}
+
+
+def _late(attempt: Attempt, near: Array) -> str:
+    """The first mark that can only be later, found from a motion that misses marks."""
     layout, request = attempt.layout, attempt.request
     fixed = fixed_durations(request.marks, request.fps)
     held = np.array([mark.hold > 0 for mark in request.marks[:-1]])
@@ -70,7 +85,7 @@ def _late(attempt: Attempt) -> str:
     counts = np.array(layout.phases)
     delay = ca.dot(ca.DM(asked.astype(float)), ca.DM(counts.astype(float)) * h - ca.DM(np.nan_to_num(fixed)))
     problem.add(Element("late", h, ca.SX(0, 1), f=PRICE * delay), layout.lengths)
-    x, solved = _solve(attempt, problem, late=True)
+    x, solved = _solve(attempt, problem, late=True, start=near)
     if x is None or not solved:
         return ""
     arrivals = np.cumsum(x[layout.lengths] * counts) * float(request.fps) + int(request.marks[0].frame)
@@ -80,13 +95,12 @@ def _late(attempt: Attempt) -> str:
     return ""
 
 
-def _solve(attempt: Attempt, problem: Any, late: bool) -> tuple[Array | None, bool]:
+def _solve(attempt: Attempt, problem: Any, late: bool, start: Array) -> tuple[Array | None, bool]:
     """The relaxed problem's variables, or None, and whether it is solved."""
     t, layout, request = attempt.t, attempt.layout, attempt.request
     if attempt.rows is not None:
         attempt.rows.add(problem, t, layout)
     fixed = fixed_durations(request.marks, request.fps) / np.array(layout.phases)
-    start = attempt.guess.copy()
     lengths = start[layout.lengths]
     most = [8 * h if late or f else h for h, f in zip(lengths, attempt.free, strict=True)]
     least = [h / 8 if f else h for h, f in zip(lengths, attempt.free, strict=True)]

@@ -107,6 +107,8 @@ class Constraint:
     frames: tuple[int, int] | None = None
     aim: tuple[Any, float] | None = None
     """For first guesses: it heads for a point (3,) m, turned right by an angle, rad."""
+    box: Any | None = None
+    """Where it keeps the root, (2, 3) m: a mark outside is refused before anything is solved."""
 
 
 Term = Cost | Constraint
