@@ -69,6 +69,9 @@ def test_cars_park_at_any_heading_of_the_world(car):
     whole = joined(ways, [0.0, 1.0])
     assert np.degrees(whole.goal[2]) == pytest.approx(200.0) and whole.end_error < 1e-8
     assert np.degrees(np.ptp(whole.states[:, 2])) < 300.0
+    # too far a turn for loops: round a bend, wide enough for wheels that steer by 35 degrees
+    (round_it,) = manoeuvres(car, poses[0], facing(car, 6, 5, -150), LOOP, only=7)
+    assert round_it.label == "round the bend" and np.abs(round_it.steering.states[:, 3]).max() < car.steering
 
 
 def test_what_moves_is_met_where_it_is_then(car, parked):

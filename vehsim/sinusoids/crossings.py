@@ -37,7 +37,7 @@ def crossings(train: Train, a: Pose, b: Pose) -> Iterator[list[Step]]:
         for far, sign in product((reach, 2 * reach), (1.0, -1.0)):
             for turning in (a.ahead(max(0.0, sign * dx) * sign + sign * far), b.ahead(sign * far)):
                 yield from _direct(train, [(a, turning, "drive past"), (turning, b, "and back")])
-    radii = 1.2 * max((*train.hitches, train.wheelbase)) + train.length * np.array([0.0, 0.25, 0.7, 1.4, 2.4])
+    radii = 1.2 * max((*train.hitches, train.wheelbase)) + train.length * np.array([0.0, 0.25, 0.7, 1.4, 2.4, 3.4, 5.0])
     for radius, lead in product(radii, train.length * np.array([0.0, 0.6, 1.2])):
         for way in _round_bends(a, b, float(radius), float(lead)):
             yield [(p, q, "round the bend") for p, q in pairwise(way)]
