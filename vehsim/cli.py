@@ -11,7 +11,7 @@ import signal
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -62,9 +62,7 @@ class Log(StrEnum):
 @app.command()
 def export(
     shots: Shots,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Every clip gets a folder of its own in here.")] = Path(
-        "out"
-    ),
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Every clip gets its own folder here.")] = Path("out"),
     to: Annotated[str, typer.Option(metavar="LIST", help="Exporters, separated by commas.")] = "usd",
     workers: Annotated[int, typer.Option(min=1, max=1024, metavar="N", help="Processes that share the clips.")] = 1,
     dask: Annotated[
@@ -142,8 +140,7 @@ def job(
     names = _arguments.exporters_in(to)
     _arguments.check_folder(out)
     loaded, problems = _arguments.load_all(shots, sets or [])
-    _say(problems, quiet)
-    if any(problem.severity == "error" for problem in problems):
+    if _say(problems, quiet):
         raise typer.Exit(WRONG_INPUT)
     tasks = [prepare(shot, out, names, quality is Quality.draft, resume=True) for shot in loaded]
     path, clips = write_job(template, tasks, chunks)
@@ -171,11 +168,11 @@ def step(
 def check(shots: Shots, sets: Sets = None, quiet: Quiet = False) -> None:
     """Say what is wrong with shot files, where, and how to mend it. Nothing is solved or written."""
     loaded, problems = _arguments.load_all(shots, sets or [])
-    _say(problems, quiet)
+    wrong = _say(problems, quiet)
     for shot in loaded:
         if not quiet:
             print(f"{shot.source}: {shot.name} is ready, {_arguments.summary(shot)}")
-    raise typer.Exit(WRONG_INPUT if any(problem.severity == "error" for problem in problems) else 0)
+    raise typer.Exit(WRONG_INPUT if wrong else 0)
 
 
 @app.command()
@@ -190,11 +187,11 @@ def manoeuvres(
 
     _arguments.check_folder(out)
     loaded, problems = _arguments.load_all(shots, sets or [])
-    _say(problems, quiet)
+    wrong = _say(problems, quiet)
     for shot in loaded:
         for line in paint_offers(shot, out):
             print(line)
-    raise typer.Exit(WRONG_INPUT if any(problem.severity == "error" for problem in problems) else 0)
+    raise typer.Exit(WRONG_INPUT if wrong else 0)
 
 
 @app.command()
@@ -361,22 +358,28 @@ def _fail(message: str, code: int) -> int:
     return code
 
 
+class _Stop(KeyboardInterrupt):
+    """Not `KeyboardInterrupt` itself: once that has crossed an ``exec``, Python ends by signal and not by our code."""
+
+
 def _end_like_interrupt() -> None:
     """A polite kill cleans up as Ctrl-C does."""
 
     def stop(number: int, frame: Any) -> None:
-        raise KeyboardInterrupt
+        raise _Stop
 
-    try:
+    with suppress(ValueError):  # not the main thread: whoever called us handles signals
         signal.signal(signal.SIGTERM, stop)
-    except ValueError:
-        return  # not the main thread: whoever called us handles signals
+        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # it may be ignored
+            signal.signal(signal.SIGINT, stop)
 
 
-def _say(problems: Sequence[Problem], quiet: bool) -> None:
+def _say(problems: Sequence[Problem], quiet: bool) -> bool:
+    """Is anything of it an error?"""
     for problem in problems:
         if problem.severity == "error" or not quiet:
             screen.print(str(problem), markup=False, style="red" if problem.severity == "error" else "yellow")
+    return any(problem.severity == "error" for problem in problems)
 
 
 @contextmanager

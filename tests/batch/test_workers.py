@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from vehsim.batch import Outcome, Task, export_batch, load_shots, workers
-from vehsim.batch.workers import METHODS, THREADS, Job, _dispatch
+from vehsim.batch.workers import ENDING, METHODS, THREADS, Job, _dispatch
 
 Content = Callable[[Path], dict[str, str]]
 Write = Callable[..., Path]
@@ -28,6 +28,32 @@ def test_what_is_forked_has_all_modules_and_a_single_thread() -> None:
     one = {**os.environ, **dict.fromkeys(THREADS, "1")}
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=one)
     assert answer.stdout.strip() == "1"
+
+
+@forked
+def test_what_is_forked_takes_ctrl_c_in_silence(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It reaches the whole group: kept out while the process begins, then ignored, and nobody inherits the mask."""
+    from multiprocessing import forkserver
+
+    blocked = []
+    monkeypatch.setattr(
+        forkserver, "ensure_running", lambda: blocked.append(signal.pthread_sigmask(signal.SIG_BLOCK, ()))
+    )
+    workers.warm_up()
+    assert blocked[0] >= set(ENDING)
+    assert not signal.pthread_sigmask(signal.SIG_BLOCK, ()) & set(ENDING)
+    code = (
+        "import signal, vehsim.batch.preload; from vehsim.batch.workers import ENDING\n"
+        "print(*(signal.getsignal(number).name for number in ENDING), *signal.pthread_sigmask(signal.SIG_BLOCK, ()))"
+    )
+    answer = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        preexec_fn=lambda: signal.pthread_sigmask(signal.SIG_BLOCK, ENDING),
+    )
+    assert answer.stdout.split() == ["SIG_IGN", "SIG_IGN"]
 
 
 @forked

@@ -196,6 +196,22 @@ def test_out_must_be_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert "is a file; give a folder" in capsys.readouterr().err
 
 
+def test_an_interrupt_has_our_exit_code_wherever_it_strikes(tmp_path: Path) -> None:
+    """Under ``python -m`` a KeyboardInterrupt that crossed an ``exec`` ends Python by signal, though it was caught."""
+    (tmp_path / "struck.py").write_text(
+        "import os, signal, sys\n"
+        "from vehsim import _arguments, cli\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "def strike(*given):\n"
+        "    exec('os.kill(os.getpid(), signal.SIGINT)\\nwhile True: pass')\n"
+        "_arguments.exporters_in = strike\n"
+        "sys.exit(cli.run(['export', 'shot.toml']))\n"
+    )
+    command = [sys.executable, "-m", "struck"]
+    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert (result.returncode, "Traceback" in result.stderr) == (130, False)
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_export_leaves_nothing(tmp_path: Path, number: int) -> None:
     """Stopped in the middle of writing, while its hidden folder is there."""

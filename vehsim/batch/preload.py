@@ -10,7 +10,7 @@ import gc
 import importlib
 import signal
 
-from vehsim.batch.workers import die_with_parent
+from vehsim.batch.workers import ENDING, die_with_parent
 
 MODULES = (
     "vehsim.batch.inputs",
@@ -32,8 +32,9 @@ MODULES = (
 )
 """What most clips need; the rest is imported by who meets it."""
 
-for _number in (signal.SIGINT, signal.SIGTERM):  # the first process decides, and workers tidy up before they go
+for _number in ENDING:  # workers are told by the first process, and tidy up before they go
     signal.signal(_number, signal.SIG_IGN)
+signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
 die_with_parent()
 for _name in MODULES:
     importlib.import_module(_name)

@@ -25,6 +25,8 @@ ATTEMPTS = 3
 """How often a clip is begun whose worker dies."""
 PATIENCE = 10.0
 """How long interrupted workers may take to tidy up, s."""
+ENDING = (signal.SIGINT, signal.SIGTERM)
+"""Signals that reach a whole group of processes; the first process decides what follows."""
 RESERVE = 16_000_000
 """Bytes a worker keeps for its last words."""
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "LP_NUM_THREADS")
@@ -45,11 +47,16 @@ def warm_up() -> None:
     """Have what workers are forked from loaded, beside whatever the caller does next."""
     if "forkserver" not in METHODS:
         return
-    from multiprocessing import forkserver
+    from multiprocessing import forkserver, resource_tracker
 
     forkserver.set_forkserver_preload(["vehsim.batch.preload"])
-    with _threads(1), suppress(OSError):  # what is forked has a single thread
-        forkserver.ensure_running()
+    resource_tracker.ensure_running()  # first: it lets in what is kept out next
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)  # until it can take them in silence
+    try:
+        with _threads(1), suppress(OSError):  # what is forked has a single thread
+            forkserver.ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def run_on_processes(tasks: Sequence[Task], count: int, tell: Tell, memory: float | None = None) -> Iterator[Outcome]:
