@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import os
+from collections.abc import Mapping
+from hashlib import sha256
 from pathlib import Path
 
 
@@ -13,6 +16,23 @@ def cache_folder() -> Path:
     import platformdirs
 
     return Path(platformdirs.user_cache_dir("vehsim", appauthor=False))
+
+
+def seal(at: Path, holds: Mapping[str, bytes]) -> None:
+    """Write to ``at`` what the files beside it, by name, are to hold: before they are there, or others take them for
+    damaged."""
+    beside = at.with_name(f".{at.name}.{os.getpid()}.tmp")
+    beside.write_text(json.dumps({name: sha256(content).hexdigest() for name, content in holds.items()}))
+    beside.replace(at)
+
+
+def is_whole(at: Path) -> bool:
+    """Do the files hold what ``at`` says? A power cut may leave some of the right size that never reached the disk."""
+    try:
+        holds = json.loads(at.read_text())
+        return all(sha256((at.parent / name).read_bytes()).hexdigest() == digest for name, digest in holds.items())
+    except (OSError, ValueError, AttributeError):
+        return False
 
 
 SOURCE = "vehsim:source"

@@ -260,6 +260,34 @@ def test_a_cached_field_full_of_zeros_is_not_believed(tmp_path: Path, monkeypatc
     assert file.read_bytes() == body
 
 
+@pytest.mark.parametrize("damage", [lambda body: body[:-9], lambda body: body[:99] + bytes(len(body) - 99)])
+@pytest.mark.parametrize("what", ["gyro-*/gyro.usdc", "gyro-*.usda"])
+def test_a_converted_vehicle_cut_short_or_full_of_zeros_is_not_believed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: Content, what: str, damage: Callable[[bytes], bytes]
+) -> None:
+    """What stands in the cache of a GLB is held against its seal, and made again."""
+    import shutil
+
+    monkeypatch.setenv("VEHSIM_CACHE", str(tmp_path / "cache"))
+    shutil.copytree(Path(__file__).parents[1] / "assets_elsewhere" / "gyro", tmp_path / "gyro")
+    _load_anew(tmp_path / "gyro")
+    before = content(tmp_path / "cache")
+    (made,) = (tmp_path / "cache" / "vehicles").glob(what)
+    made.write_bytes(damage(made.read_bytes()))
+    with pytest.warns(UserWarning, match="damaged cache entry"):
+        _load_anew(tmp_path / "gyro")
+    assert content(tmp_path / "cache") == before
+
+
+def _load_anew(folder: Path) -> None:
+    """As another process would: what this one remembers of a vehicle goes by its toml's date."""
+    from vehsim.vehicles import load_vehicle
+
+    toml = folder / "vehicle.toml"
+    os.utime(toml, ns=(0, toml.stat().st_mtime_ns + 1_000_000_000))
+    load_vehicle(folder)
+
+
 def test_a_clip_without_memory_fails_alone(
     write: Write, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

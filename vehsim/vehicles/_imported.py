@@ -12,6 +12,7 @@ import json
 import os
 import re
 import secrets
+import shutil
 import struct
 import unicodedata
 import warnings
@@ -21,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from vehsim._cache import SOURCE, cache_folder
+from vehsim._cache import SOURCE, cache_folder, is_whole, seal
 from vehsim.errors import InputError
 
 USD = (".usd", ".usda", ".usdc", ".usdz")
@@ -118,12 +119,12 @@ def _wrapper(
         "root": root,
         "ops": ops,
         "variants": variants,
-        "made": 4,
+        "made": 5,
     }
     key = hashlib.sha256(json.dumps(said, sort_keys=True, default=str).encode()).hexdigest()[:24]
     file = cache_folder() / "vehicles" / f"{toml.parent.name}-{key}.usda"
     _check_variants(toml, source, root, variants)
-    if not file.is_file():
+    if not _is_whole(file, file.with_suffix(".seal")):
         from pxr import Gf, Sdf, Usd, UsdGeom
 
         stage = Usd.Stage.CreateInMemory(".usda")
@@ -145,7 +146,10 @@ def _wrapper(
             attribute.Set(Gf.Vec3d(*value) if isinstance(value, list) else value)
         xform.GetXformOpOrderAttr().Set([*ops, *(name for name in order if name != "!resetXformStack!")])
         stage.GetRootLayer().customLayerData = {SOURCE: str(named)}
-        _write(file, stage.GetRootLayer().ExportToString().encode())
+        text = stage.GetRootLayer().ExportToString().encode()
+        file.parent.mkdir(parents=True, exist_ok=True)
+        seal(file.with_suffix(".seal"), {file.name: text})
+        _write(file, text)
     return file
 
 
@@ -181,10 +185,10 @@ def _converted(path: Path, up: str, metres: float) -> Path:
     """A GLB, glTF or OBJ file as USD in the cache, by content: nodes become Xforms, in the file's own units."""
     data = path.read_bytes()
     _warn_of_motion(path, data)
-    digest = hashlib.sha256(f"5 {path.name} {up} {metres}".encode() + data).hexdigest()[:24]
+    digest = hashlib.sha256(f"6 {path.name} {up} {metres}".encode() + data).hexdigest()[:24]
     folder = cache_folder() / "vehicles" / f"{path.stem}-{digest}"
     file = folder / f"{path.stem}.usdc"
-    if file.is_file():
+    if _is_whole(folder, folder / "seal"):
         return file
     import trimesh
 
@@ -194,13 +198,23 @@ def _converted(path: Path, up: str, metres: float) -> Path:
         raise InputError(f"{path}: not readable: {error}; export it again, or as USD") from None
     beside = folder.with_name(f".{folder.name}.{secrets.token_hex(4)}")
     _write_scene(scene, beside / file.name, path, up, metres)
+    made = [each for each in beside.rglob("*") if each.is_file()]
+    seal(beside / "seal", {each.relative_to(beside).as_posix(): each.read_bytes() for each in made})
+    if folder.exists() and not is_whole(folder / "seal"):
+        shutil.rmtree(folder, ignore_errors=True)
     try:
         beside.rename(folder)
     except OSError:  # another process was quicker: what it made is the same
-        import shutil
-
         shutil.rmtree(beside, ignore_errors=True)
     return file
+
+
+def _is_whole(made: Path, by: Path) -> bool:
+    """Was ``made`` in the cache and is as it was sealed?"""
+    if not made.exists() or is_whole(by):
+        return made.exists()
+    warnings.warn(f"{made}: damaged cache entry, made again", stacklevel=2)
+    return False
 
 
 def _warn_of_motion(path: Path, data: bytes) -> None:
@@ -363,7 +377,6 @@ def _free(name: str, used: set[str]) -> str:
 
 
 def _write(file: Path, data: bytes) -> None:
-    file.parent.mkdir(parents=True, exist_ok=True)
     beside = file.with_name(f".{file.name}.{os.getpid()}.tmp")
     beside.write_bytes(data)
     beside.replace(file)
