@@ -6,6 +6,8 @@ What belongs here is the camera's way past terrain and standing obstacles; what 
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
 from typing import TYPE_CHECKING, Any
@@ -44,10 +46,10 @@ def steer(positions: Array, aims: Array, world: Any, margin: float, radius: floa
     turns = np.append(SIDESTEPS, ROUND) if _standing(world) else SIDESTEPS
     choices = np.array(list(product(turns, SCALES, LIFTS)))
     moves = np.stack([_moved(positions[keys] - aims[keys], *choice) for choice in choices], axis=1)
-    blocked = _blocked(aims[keys][:, None] + moves, aims[keys][:, None], world, margin, radius)
+    hidden = blocked(aims[keys][:, None] + moves, aims[keys][:, None], world, margin, radius)
     reach = np.linalg.norm(positions - aims, axis=1).mean()
     departure = choices[:, 0] ** 2 + (2 * (1 - choices[:, 1])) ** 2 + (2 * choices[:, 2]) ** 2
-    chosen = _cheapest(blocked / reach * 400.0 + departure, choices / (0.10, 0.12, 0.10))
+    chosen = _cheapest(hidden / reach * 400.0 + departure, choices / (0.10, 0.12, 0.10))
     path = np.array([np.interp(np.arange(count), keys, choices[chosen, k]) for k in range(3)])
     path = smooth(path.T, 0.35 * fps)
     calm = smooth(aims, 0.5 * fps)
@@ -117,7 +119,27 @@ def _moved(offsets: Array, turn: Any, scale: Any, rise: Any) -> Array:
     return np.stack([x * cos - y * sin, x * sin + y * cos, z + rise * np.linalg.norm(offsets, axis=1)], axis=1)
 
 
-def _blocked(positions: Array, aims: Array, world: Any, margin: float, radius: float) -> Array:
+@dataclass(frozen=True, eq=False)
+class Parked:
+    """A vehicle that stands still, as cameras see it: an obstacle. ``hulls``: convex, vertices (n, 3) m."""
+
+    hulls: tuple[Array, ...]
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What may hide a target: the ground and all that stands, vehicles too."""
+
+    terrain: Any
+    height: Callable[[Array], Any]
+    standing: tuple[Obstacle | Parked, ...]
+
+    @staticmethod
+    def of(world: Any, parked: tuple[Parked, ...]) -> Surroundings:
+        return Surroundings(getattr(world, "terrain", world), world.height, (*_standing(world), *parked))
+
+
+def blocked(positions: Array, aims: Array, world: Any, margin: float, radius: float) -> Array:
     """How much stands (...,), m, in the way to the target, its left and right; it weighs more at the camera."""
     if getattr(world, "terrain", world) is None and not _standing(world):
         return np.zeros(positions.shape[:-1])
@@ -181,7 +203,7 @@ def _through_obstacles(positions: Array, aims: Array, world: Any, margin: float)
 
 
 @lru_cache(maxsize=256)
-def _solids(obstacle: Obstacle) -> list[tuple[Array, float, Array]]:
+def _solids(obstacle: Obstacle | Parked) -> list[tuple[Array, float, Array]]:
     """An obstacle's hulls: centre (3,) m, radius m, faces (m, 4), unit normals outwards and offsets."""
     from scipy.spatial import ConvexHull
 
@@ -192,7 +214,7 @@ def _solids(obstacle: Obstacle) -> list[tuple[Array, float, Array]]:
     return list(zip(centres, radii, planes, strict=True))
 
 
-def _standing(world: Any) -> tuple[Obstacle, ...]:
+def _standing(world: Any) -> tuple[Obstacle | Parked, ...]:
     return getattr(world, "standing", ())
 
 

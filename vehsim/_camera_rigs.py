@@ -25,13 +25,15 @@ class Move:
     """What a rig does. ``place``: (rig, subject, distance, world) -> positions and aims (n, 3).
 
     ``fill``: the share of the frame's height that stands for the whole shot, of those of its frames, or None: the
-    distance is not the rig's to choose; ``guided``: may step aside for what stands; ``level``: keeps its horizon.
+    distance is not the rig's to choose; ``guided``: may step aside for what stands; ``level``: keeps its horizon;
+    ``side``: of rigs that are put in a place: (subject, distance) -> the azimuth, degrees, it looks along unless told.
     """
 
     place: Callable[[CameraRig, Subject, float, Any], tuple[Array, Array]]
     fill: Callable[[Array], Any] | None = np.median
     guided: bool = True
     level: bool = True
+    side: Callable[[Subject, float], float] | None = None
 
 
 def _chase(rig: CameraRig, subject: Subject, distance: float, world: Any) -> tuple[Array, Array]:
@@ -104,10 +106,8 @@ def _dolly(rig: CameraRig, subject: Subject, distance: float, world: Any) -> tup
     if rig.position is not None and rig.to is not None:
         ends = np.array([rig.position, rig.to], float)
     else:
-        way = path[-1] - path[0]
-        heading = np.arctan2(way[1], way[0]) if np.linalg.norm(way[:2]) > distance / 2 else subject.headings[0]
-        side = heading + np.pi / 2 if rig.azimuth is None else np.radians(rig.azimuth)
-        ends = path[[0, -1]] + _arm(np.array([side]), distance, rig.height)
+        side = _abreast(subject, distance) if rig.azimuth is None else rig.azimuth
+        ends = path[[0, -1]] + _arm(np.radians([side]), distance, rig.height)
     rail = ends[1] - ends[0]
     along = np.clip((path - ends[0]) @ rail / max(float(rail @ rail), 1e-9), 0.0, 1.0)
     return ends[0] + smooth(along, 0.4 * subject.fps)[:, None] * rail, path
@@ -121,6 +121,22 @@ def _crane(rig: CameraRig, subject: Subject, distance: float, world: Any) -> tup
     t = np.linspace(0.0, 1.0, len(subject.centre)) if len(subject.centre) > 1 else np.zeros(1)
     ease = t**3 * (10 - 15 * t + 6 * t**2)
     return place + np.outer(ease, (0.0, 0.0, rise)), smooth(subject.centre, 0.3 * subject.fps)
+
+
+def _abreast(subject: Subject, distance: float) -> float:
+    """Across the way as a whole, degrees; of what does not get far, across its heading."""
+    way = subject.centre[-1] - subject.centre[0]
+    far = np.linalg.norm(way[:2]) > distance / 2
+    return float(np.degrees(np.arctan2(way[1], way[0]) if far else subject.headings[0])) + 90.0
+
+
+def _half_ahead(share: float) -> Callable[[Subject, float], float]:
+    """Across the target's way after ``share`` of it, and a little along."""
+    return lambda subject, distance: float(np.degrees(subject.headings[_after(subject, share)])) + 60.0
+
+
+def _after(subject: Subject, share: float) -> int:
+    return int(share * (len(subject.centre) - 1))
 
 
 def _first_person(rig: CameraRig, subject: Subject, distance: float, world: Any) -> tuple[Array, Array]:
@@ -137,11 +153,11 @@ RIGS: dict[str, Move] = {
     "chase": Move(_chase),
     "follow": Move(_follow),
     "orbit": Move(_orbit),
-    "static": Move(_static),
-    "fixed": Move(_static),
-    "dolly": Move(_dolly, guided=False),
-    "crane": Move(_crane, guided=False),
-    "fly_by": Move(_fly_by, fill=np.max, guided=False),
+    "static": Move(_static, side=_half_ahead(0.5)),
+    "fixed": Move(_static, side=_half_ahead(0.5)),
+    "dolly": Move(_dolly, guided=False, side=_abreast),
+    "crane": Move(_crane, guided=False, side=_half_ahead(0.5)),
+    "fly_by": Move(_fly_by, fill=np.max, guided=False, side=_half_ahead(0.65)),
     "first_person": Move(_first_person, fill=None, guided=False, level=False),
 }
 """Rig name -> what it does."""
@@ -149,9 +165,8 @@ RIGS: dict[str, Move] = {
 
 def _beside(rig: CameraRig, subject: Subject, distance: float, share: float) -> Array:
     """A place (3,) at ``distance`` from where the target is after ``share`` of its way, looking across that way."""
-    k = int(share * (len(subject.centre) - 1))
-    side = np.radians(rig.azimuth) if rig.azimuth is not None else float(subject.headings[k]) + np.radians(60.0)
-    return np.asarray(subject.centre[k] + _arm(np.array([side]), distance, rig.height)[0])
+    side = rig.azimuth if rig.azimuth is not None else _half_ahead(share)(subject, distance)
+    return np.asarray(subject.centre[_after(subject, share)] + _arm(np.radians([side]), distance, rig.height)[0])
 
 
 def _arm(azimuth: Array, distance: float, height: float | None) -> Array:

@@ -8,7 +8,7 @@ and obstacles out of its sight, motion smoothed, the horizon level. A cut list j
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim._camera_path import calm, envelope, lift, smooth, steer
+from vehsim._camera_path import Parked, Surroundings, blocked, calm, envelope, lift, smooth, steer
 from vehsim._camera_rigs import RIGS as RIGS
+from vehsim._camera_rigs import Move
 from vehsim.errors import InputError
 
 if TYPE_CHECKING:
@@ -34,6 +35,12 @@ JUMP = 1e-3
 """How long a cut takes, in frames: USD joins samples by straight lines."""
 FILL_RANGE = (0.09, 0.34)
 """Share of the frame's height that a target shall keep to, as tall as it is upright."""
+SIDES = np.array([0.0, 180.0, 60.0, -60.0, 120.0, -120.0])
+"""Where else a camera that is put in a place may stand, degrees round its target from its own choice."""
+STEP_ASIDE = 0.02
+"""What standing on the other side costs, in mean depth of what hides the target, in distances."""
+STILL = 0.05
+"""How far, m, a parked vehicle may move."""
 TILTED = 0.55
 """Most that it may take of it as it is: pitched steeply, a long one is tall, and would else look small and far away."""
 
@@ -125,19 +132,21 @@ def solve_camera(
     distance = rig.distance or subject.size / (2 * rig.fill)
     zoom = rig.lens_mm / aperture[1]
     level = move.level if rig.level is None else rig.level
+    around = Surroundings.of(world, _parked(clips, rig.target or next(iter(clips)), every))
     ups = np.broadcast_to((0.0, 0.0, 1.0), subject.centre.shape) if level else subject.matrices[:, :3, 2]
     for _ in range(5 if framed else 1):
-        positions, aims = move.place(rig, subject, distance, world)
+        placed = _on_the_open_side(rig, move, subject, distance, around)
+        positions, aims = move.place(placed, subject, distance, around)
         back = np.ones(len(positions))
         if move.guided and np.ptp(positions, axis=0).max() > 0:  # what stands still was put there
-            positions = steer(positions, aims, world, rig.margin, subject.size / 2, subject.fps)
+            positions = steer(positions, aims, around, rig.margin, subject.size / 2, subject.fps)
             if framed:
                 back = _back_off(positions, aims, subject, zoom)
                 positions = aims + (positions - aims) * back[:, None]
         if move.fill is not None:
-            positions = lift(positions, aims, world, rig.margin, subject.fps)
+            positions = lift(positions, aims, around, rig.margin, subject.fps)
             apart = float(np.linalg.norm(positions - aims, axis=1).mean())
-            positions = calm(positions, aims, world, rig.margin, subject.fps, JERK * apart)
+            positions = calm(positions, aims, around, rig.margin, subject.fps, JERK * apart)
         rotations = look_at(positions, aims, ups)
         if rig.framing is not None:
             rotations = _framed(rotations, rig.framing, aperture, rig.lens_mm, ups)
@@ -223,6 +232,27 @@ def _back_off(positions: Array, aims: Array, subject: Subject, zoom: float) -> A
 
 
 # ---------------------------------------------------------------- what all cameras share
+
+
+def _on_the_open_side(rig: CameraRig, move: Move, subject: Subject, distance: float, around: Surroundings) -> CameraRig:
+    """A rig that is put in a place, but not told where: where least hides the target, best on the side of its own."""
+    told = rig.azimuth is not None or rig.position is not None
+    if move.side is None or told or (around.terrain is None and not around.standing):
+        return rig
+    options = move.side(subject, distance) + SIDES
+
+    def hidden(azimuth: float) -> float:
+        places = move.place(replace(rig, azimuth=azimuth), subject, distance, around)
+        return float(blocked(*places, around, rig.margin, subject.size / 2).mean())
+
+    costs = [hidden(azimuth) / distance for azimuth in options.tolist()] + STEP_ASIDE * np.abs(SIDES) / 180.0
+    return replace(rig, azimuth=float(options[costs.argmin()])) if costs.argmin() else rig
+
+
+def _parked(clips: Mapping[str, Clip], target: str, frames: Array) -> tuple[Parked, ...]:
+    """The vehicles but the target that stand still on ``frames``: they may hide it."""
+    others = [_subject(clip, frames) for name, clip in clips.items() if name != target]
+    return tuple(Parked((s.corners[0],)) for s in others if np.ptp(s.corners, axis=0).max() < STILL)
 
 
 def _rescale(fills: Array, wanted: float, measure: Any = np.median) -> float:

@@ -210,6 +210,39 @@ def test_a_dolly_rides_its_rail_abreast_of_the_target():
     assert np.abs(on_screen(chosen, clip)).max() < 0.95
 
 
+def hidden_frames(camera, clip, centre, size):
+    """On how many frames the line to the middle of the cube runs through a box, ``centre`` that of its bottom."""
+    half = np.array([*size[:2], 0.0]) / 2
+    low, high = np.subtract(centre, half), np.add(centre, half) + np.array([0.0, 0.0, size[2]])
+    along = np.linspace(0, 0.9, 200)[:, None, None]
+    sight = camera.positions + along * (clip.positions + UP - camera.positions)
+    return int(((sight > low) & (sight < high)).all(axis=2).any(axis=0).sum())
+
+
+@pytest.mark.parametrize("rig", ["dolly", "crane", "static", "fly_by"])
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_camera_nobody_placed_stands_on_the_open_side_of_a_wall(rig, side):
+    clip, wall = MOTIONS["straight"], ((40.0, 4.5 * side, 0.0), (200.0, 1.0, 60.0))
+    world = World(obstacles=[box("wall", *wall)])
+    camera = solve_camera(CameraRig(rig=rig), {"cube": clip}, world, (1001, 1121), ASPECT)
+    assert (camera.positions[:, 1] * side < 4.0).all() and hidden_frames(camera, clip, *wall) == 0
+
+
+def test_parked_vehicles_are_seen_past_as_obstacles_are():
+    clip = MOTIONS["start and stop"]
+    alone = solve_camera(CameraRig(rig="follow"), {"cube": clip}, World(), (1001, 1121), ASPECT)
+    place = (clip.positions + alone.positions)[60] / 2
+    parked, block = clip_along(np.tile(place, (121, 1)), 0.0), box("block", tuple(place), (2.0, 2.0, 2.0))
+    camera = solve_camera(CameraRig(rig="follow"), {"cube": clip, "parked": parked}, World(), (1001, 1121), ASPECT)
+    obstacle = solve_camera(CameraRig(rig="follow"), {"cube": clip}, World(obstacles=[block]), (1001, 1121), ASPECT)
+    assert np.abs(camera.positions - obstacle.positions).max() < 1e-6
+    before, after = (hidden_frames(each, clip, place, (2.0, 2.0, 2.0)) for each in (alone, camera))
+    assert before > 5 and after < before / 2
+    driven = {"cube": clip, "other": MOTIONS["straight"]}  # who moves is part of the picture
+    moved = solve_camera(CameraRig(rig="follow"), driven, World(), (1001, 1121), ASPECT)
+    assert np.array_equal(moved.positions, alone.positions)
+
+
 def test_a_crane_rises_from_rest_to_rest_as_far_as_asked():
     clip, rig = MOTIONS["straight"], CameraRig(rig="crane", position=(30.0, -25.0, 31.0), rise=8.0)
     camera = solve_camera(rig, {"cube": clip}, World(), (1001, 1121), ASPECT)
