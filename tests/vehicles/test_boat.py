@@ -100,6 +100,8 @@ def test_docking_in_the_wind_is_planned():
     plan = vehsim.plan(BOAT, World(wind=(0, 6, 0)), marks=marks, segments=48)
     assert plan.success and plan.defect < 1e-6
     np.testing.assert_allclose(plan.clip.positions[-1], [30, 12, 0], atol=1e-6)
+    thrust, steering = np.abs(np.diff(plan.clip.controls, axis=0) / np.diff(plan.clip.times)[:, None]).max(axis=0)
+    assert thrust < 2000 and steering < 0.5  # N/s, rad/s: no bursts ahead and astern, which would be least effort
     replay = vehsim.simulate(
         BOAT, World(wind=(0, 6, 0)), plan.clip.controls, start=State(), duration=plan.duration, step=1 / 24
     )

@@ -20,6 +20,9 @@ from vehsim.vehicles.hydrodynamics import Hull
 SEA_WATER = 1025.0
 AIR = 1.225
 """kg/m^3"""
+ANSWER = 0.5
+"""How long a motor and its steering take to answer, s: plans weigh how fast controls change with its square, so that
+nobody goes from full ahead to astern in less. Without, a turn on the spot is least effort: bursts ahead and astern."""
 
 
 def boat(
@@ -123,6 +126,7 @@ def boat(
     if steered:
         channels["steer"] = Channel(value=lambda t, r, u, xi, c: -c[len(places)])
     common: dict[str, Any] = {"name": name, "controls": controls, "channels": channels, "feels_wind": any(wind_area)}
+    common["default_costs"] = {"smoothness": ANSWER**2}
     a = [*map(float, added_mass)]
 
     def on_calm_water(twist: Expr, c: Expr) -> Expr:
