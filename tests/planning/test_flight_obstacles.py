@@ -8,7 +8,7 @@ from scipy.optimize import nnls
 
 import vehsim
 from vehsim import Mark, World
-from vehsim.errors import InputError
+from vehsim.errors import InputError, SolveError
 from vehsim.planning.certify import certify
 from vehsim.planning.cover import approach
 from vehsim.world import landing
@@ -239,3 +239,21 @@ def test_put_down_is_exact(helicopter):
     assert landing.put_down(flat, helicopter, (0, 0, 40), level)[2] == pytest.approx(12 - lowest, abs=1e-4)
     points = np.array([(0, 0, 5.0), (0, 0, 11), (0, 0, 40), (30, 0, 40)])
     np.testing.assert_allclose(landing.height_below(flat, points), [ground, 12, 12, ground], atol=1e-9)
+
+
+def test_helicopters_take_gates_that_their_spheres_do_not_fit(helicopter):
+    """A hall in two by walls: 15 m between them, 10.8 m across the rotor, 15.9 m across all spheres. A metre less than
+    fits is said, and how much of that is the helicopter."""
+
+    def hall(gate):
+        walls = [ob.box(f"wall{s}", (40, s * (gate / 2 + 12), 0), (3, 24, 40)) for s in (1, -1)]
+        sides = [ob.box(f"side{s}", (40, s * 32, -2), (124, 2, 44)) for s in (1, -1)]
+        ends = [ob.box(f"end{x}", (x, 0, -2), (2, 66, 44)) for x in (-21, 101)]
+        return World(obstacles=walls + sides + ends + [ob.box(f"z{z}", (40, 0, z), (124, 66, 2)) for z in (-2, 40)])
+
+    marks = [Mark(1, position=(0, 0, 18), heading=0, velocity=REST), Mark("free", position=(80, 0, 18), velocity=REST)]
+    plan = vehsim.plan(helicopter, hall(15.0), marks, segments=32, clearance=0.5, refine=False)
+    assert plan.success, plan.message
+    assert plan.clearance > 0.49
+    with pytest.raises(SolveError, match=r"no way from .*; 5.4 m of it for the helicopter itself"):
+        vehsim.plan(helicopter, hall(9.0), marks, segments=32, clearance=0.5)

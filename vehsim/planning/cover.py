@@ -20,7 +20,7 @@ from vehsim.planning.layout import Layout
 from vehsim.planning.marks import Mark
 from vehsim.vehicles import Vehicle
 from vehsim.world import DistanceField
-from vehsim.world.obstacles import Moving
+from vehsim.world.obstacles import Moving, hulls_of
 
 Array = NDArray[np.float64]
 
@@ -121,9 +121,7 @@ def sphere_cover(vehicle: Vehicle, count: int = SPHERES) -> tuple[Array, Array]:
     """Centres (k, 3) in the rig root's frame and radii (k,), m; one point without a rig."""
     if vehicle.rig is None:
         return np.zeros((1, 3)), np.zeros(1)
-    from vehsim.parts import collision_hulls
-
-    points = np.vstack([_surface(hull) for hull in collision_hulls(vehicle.rig.asset, vehicle.rig.root or None)])
+    points = np.vstack([_surface(hull) for hull in hulls_of(vehicle)])
     centres = _spread(points, min(count, len(points)))
     for _ in range(10):  # Lloyd's algorithm with enclosing balls instead of means: it shrinks the largest radius
         nearest = np.argmin(np.linalg.norm(points[:, None] - centres, axis=2), axis=1)
@@ -132,6 +130,16 @@ def sphere_cover(vehicle: Vehicle, count: int = SPHERES) -> tuple[Array, Array]:
     nearest = np.argmin(distance, axis=1)
     radii = np.array([distance[nearest == k, k].max(initial=0.0) for k in range(len(centres))])
     return centres, radii + _SPACING / np.sqrt(3)
+
+
+def balls(vehicle: Vehicle) -> tuple[Array, float, float]:
+    """The middle (3,) of a vehicle's spheres in the rig root's frame, and radii of two balls about it, m: of one that
+    holds all spheres, and of the least that may get through where the vehicle does, nose first."""
+    centres, radii = sphere_cover(vehicle)
+    middle = (centres.max(axis=0) + centres.min(axis=0)) / 2
+    corners = np.vstack(hulls_of(vehicle) or [np.zeros((1, 3))])
+    spheres = float(np.max(np.linalg.norm(centres - middle, axis=1) + radii))
+    return middle, spheres, float(np.ptp(corners, axis=0)[1:].max()) / 2
 
 
 def _surface(hull: Array) -> Array:

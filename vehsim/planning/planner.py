@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from vehsim.clip import Clip
-from vehsim.errors import InputError
+from vehsim.errors import InputError, SolveError
 from vehsim.planning.attempt import EXECUTED, SLACK, TIGHTENINGS, Array, Attempt, Progress
 from vehsim.planning.certify import Executed
-from vehsim.planning.cover import AROUND, Cover, sphere_cover
+from vehsim.planning.cover import AROUND, Cover, balls, sphere_cover
 from vehsim.planning.feasibility import refusals
 from vehsim.planning.legs import (
     bent,
@@ -282,11 +282,20 @@ def _paths(request: Request, guess: Any, progress: Progress | None) -> list[Arra
     box = _airspace(request)
     if request.world.distance_field(progress, box=box) is None:
         return round_trip(request.marks) if request.loop else [np.array(leg) for leg in legs]
-    # the route is flown by a ball around the hulls' middle
-    centres, radii = sphere_cover(request.vehicle)
-    middle = (centres.max(axis=0) + centres.min(axis=0)) / 2
-    reach = float(np.max(np.linalg.norm(centres - middle, axis=1) + radii)) + request.clearance
+    middle, roomy, tight = balls(request.vehicle)
     up = np.array([0, 0, middle[2]])
     low = request.limits.get("ceiling") + middle[2]
     ceiling = low if math.isfinite(low) else None
-    return [np.asarray(request.world.route(a + up, b + up, reach, ceiling, box)) - up for a, b in legs]
+
+    def flown(radius: float) -> list[Array]:
+        reach = radius + request.clearance
+        return [np.asarray(request.world.route(a + up, b + up, reach, ceiling, box)) - up for a, b in legs]
+
+    try:
+        return flown(roomy)
+    except SolveError:  # no way for all its spheres; whether it gets through nose first, the solve says
+        pass
+    try:
+        return flown(tight)
+    except SolveError as error:
+        raise SolveError(f"{error}; {tight:.1f} m of it for the {request.vehicle.name} itself") from None
