@@ -5,6 +5,7 @@ What belongs here is authoring. How MuJoCo's renderer draws these lights is deci
 
 from __future__ import annotations
 
+import hashlib
 import io
 from dataclasses import dataclass
 from functools import lru_cache
@@ -14,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim._cache import kept
 from vehsim.exporters.packing import Pack
 from vehsim.take import Take
 
@@ -141,12 +143,20 @@ def write_sky(
     ``hills``: far ones stand along the horizon.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(_sky(azimuth, elevation, mood, width, hills))
+    path.write_bytes(_kept_sky(azimuth, elevation, mood, width, hills))
 
 
 @lru_cache(maxsize=64)
+def _kept_sky(azimuth: float, elevation: float, mood: Mood, width: int, hills: bool) -> bytes:
+    """The PNG. There are few places for the sun and many shots, and half a second to paint one."""
+    import PIL
+
+    asked = (azimuth, elevation, mood, width, hills)
+    by = (np.__version__, PIL.__version__, hashlib.sha256(Path(__file__).read_bytes()).hexdigest())
+    return kept("sky", (asked, by), lambda: _sky(*asked))
+
+
 def _sky(azimuth: float, elevation: float, mood: Mood, width: int, hills: bool) -> bytes:
-    """The PNG; there are few places for the sun, and many shots."""
     from PIL import Image
 
     directions = latlong_directions(width, width // 2)

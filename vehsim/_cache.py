@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+import secrets
+import warnings
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from hashlib import sha256
 from pathlib import Path
 
@@ -16,6 +19,31 @@ def cache_folder() -> Path:
     import platformdirs
 
     return Path(platformdirs.user_cache_dir("vehsim", appauthor=False))
+
+
+def kept(kind: str, key: object, make: Callable[[], bytes]) -> bytes:
+    """What ``make`` gives, kept for other processes under all that it depends on. Safe under concurrent writers, and
+    made again when the entry is damaged."""
+    file = cache_folder() / f"{kind}-{sha256(repr(key).encode()).hexdigest()[:32]}"
+    with suppress(OSError):
+        content = file.read_bytes()
+        if sha256(content[:-SEAL]).digest() == content[-SEAL:]:
+            return content[:-SEAL]
+        warnings.warn(f"{file}: damaged cache entry, made again", stacklevel=2)
+    made = make()
+    with suppress(OSError):  # a cache that cannot be written costs time, nothing else
+        file.parent.mkdir(parents=True, exist_ok=True)
+        beside = file.with_name(f".{file.name}.{secrets.token_hex(4)}.tmp")
+        try:
+            beside.write_bytes(made + sha256(made).digest())
+            beside.replace(file)
+        finally:
+            beside.unlink(missing_ok=True)
+    return made
+
+
+SEAL = 32
+"""Bytes at the end of what is `kept`: the checksum of those before."""
 
 
 def seal(at: Path, holds: Mapping[str, bytes]) -> None:

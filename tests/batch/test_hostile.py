@@ -260,6 +260,30 @@ def test_a_cached_field_full_of_zeros_is_not_believed(tmp_path: Path, monkeypatc
     assert file.read_bytes() == body
 
 
+def test_what_is_kept_for_other_processes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Made once, again when it is damaged, and also where nothing can be kept."""
+    from vehsim._cache import kept
+
+    monkeypatch.setenv("VEHSIM_CACHE", str(tmp_path / "cache"))
+    made: list[int] = []
+
+    def make() -> bytes:
+        made.append(1)
+        return b"a sky"
+
+    assert [kept("sky", 7, make) for _ in range(3)] == [b"a sky"] * 3
+    assert len(made) == 1
+    (file,) = (tmp_path / "cache").iterdir()
+    for damaged in (b"", file.read_bytes()[:-1], b"A" + file.read_bytes()[1:]):
+        file.write_bytes(damaged)
+        with pytest.warns(UserWarning, match="damaged"):
+            assert kept("sky", 7, make) == b"a sky"
+        assert kept("sky", 7, make) == b"a sky"
+    assert len(made) == 4
+    monkeypatch.setenv("VEHSIM_CACHE", str(file))  # a file, no folder
+    assert kept("sky", 7, make) == b"a sky"
+
+
 @pytest.mark.parametrize("damage", [lambda body: body[:-9], lambda body: body[:99] + bytes(len(body) - 99)])
 @pytest.mark.parametrize("what", ["gyro-*/gyro.usdc", "gyro-*.usda"])
 def test_a_converted_vehicle_cut_short_or_full_of_zeros_is_not_believed(
