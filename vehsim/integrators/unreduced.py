@@ -41,7 +41,7 @@ def unreduced_rollout(vehicle: Vehicle, q: Array, v: Array, controls: Array, ste
     return np.array(rows)
 
 
-def _pieces(vehicle: Vehicle, q: Any, v: Any) -> tuple[Any, Any]:
+def _pieces(q: Any, v: Any) -> tuple[Any, Any]:
     """Joint part and body velocity of coordinates' velocity ``v``."""
     c, s = ca.cos(q[0]), ca.sin(q[0])
     return v[3:], ca.vertcat(v[0], c * v[1] + s * v[2], -s * v[1] + c * v[2])
@@ -62,7 +62,7 @@ def _restricted(vehicle: Vehicle, q: Any, covector: Any) -> Any:
 
 
 def _lagrangian(vehicle: Vehicle, q: Any, v: Any) -> Any:
-    u, xi = _pieces(vehicle, q, v)
+    u, xi = _pieces(q, v)
     return vehicle.reduced_lagrangian(q[3:], u, xi) - vehicle.potential(q[:3], q[3:])
 
 
@@ -74,7 +74,7 @@ def _momentum(vehicle: Vehicle) -> ca.Function:
 
 def _free(vehicle: Vehicle) -> ca.Function:
     q, v = ca.SX.sym("q", 3 + len(vehicle.joints)), ca.SX.sym("v", 3 + len(vehicle.joints))
-    return ca.Function("z", [q, v], [coefficients(vehicle, q[3:], *_pieces(vehicle, q, v))])
+    return ca.Function("z", [q, v], [coefficients(vehicle, q[3:], *_pieces(q, v))])
 
 
 def _step(vehicle: Vehicle, h: float) -> ca.Function:
@@ -96,7 +96,7 @@ def _step(vehicle: Vehicle, h: float) -> ca.Function:
     q_, v_ = ca.SX.sym("q_", n), ca.SX.sym("v_", n)
     lagrangian = _lagrangian(vehicle, q_, v_)
     dq, dv = ca.substitute([ca.gradient(lagrangian, q_), ca.gradient(lagrangian, v_)], [q_, v_], [middle, v])
-    u, xi = _pieces(vehicle, middle, v)
+    u, xi = _pieces(middle, v)
     joint, body = vehicle.force(middle[:3], middle[3:], u, xi, (c0 + c1) / 2, wind)
     c, s = ca.cos(middle[0]), ca.sin(middle[0])
     force = ca.vertcat(body[0], c * body[1] - s * body[2], s * body[1] + c * body[2], joint)

@@ -18,7 +18,8 @@ import numpy as np
 from vehsim.errors import InputError
 from vehsim.sinusoids.algebra import SAMPLES
 from vehsim.sinusoids.brackets import lie_bracket, rank_of
-from vehsim.sinusoids.system import Array, DriftlessSystem, Expr, matrix
+from vehsim.sinusoids.system import Array, DriftlessSystem, Expr
+from vehsim.vehicles.mechanics import matrix, stacked
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,11 +41,11 @@ class Feedback:
     def target(self) -> DriftlessSystem:
         """``h' = (dT/dx) G beta^-1 v`` at ``x = T^-1(h)``."""
         x = self.source.x
-        jacobian = ca.jacobian(_column(self.coordinates(x)), x)
+        jacobian = ca.jacobian(stacked(self.coordinates(x)), x)
         fields = jacobian @ self.source.G @ ca.inv(matrix(self.inputs(x)))
 
         def moved(h: Expr) -> Expr:
-            return ca.simplify(ca.substitute(fields, x, _column(self.inverse(h))))
+            return ca.simplify(ca.substitute(fields, x, stacked(self.inverse(h))))
 
         return DriftlessSystem(
             self.name, self.states, tuple(f"v{i + 1}" for i in range(self.source.m)), moved, self.domain or {}
@@ -64,8 +65,8 @@ class Feedback:
         x, h, v = self.source.x, ca.SX.sym("h", self.source.n), ca.SX.sym("v", self.source.m)
         beta = matrix(self.inputs(x))
         return (
-            ca.Function("to", [x], [ca.densify(_column(self.coordinates(x)))]),
-            ca.Function("back", [h], [ca.densify(_column(self.inverse(h)))]),
+            ca.Function("to", [x], [ca.densify(stacked(self.coordinates(x)))]),
+            ca.Function("back", [h], [ca.densify(stacked(self.inverse(h)))]),
             ca.Function("u", [x, v], [ca.densify(ca.solve(beta, v))]),
         )
 
@@ -215,10 +216,6 @@ def car_chained(wheelbase: float = 1.0, steering: float = 1.5) -> Feedback:
         return [z[0], z[3], theta, ca.atan(wheelbase * z[1] * ca.cos(theta) ** 3)]
 
     return chained_from_outputs(car(wheelbase, steering), lambda q: q[0], lambda q: q[1], back)
-
-
-def _column(values: Any) -> Expr:
-    return ca.vertcat(*values) if isinstance(values, list | tuple) else ca.SX(values)
 
 
 def _generic_size(system: DriftlessSystem, expression: Expr) -> float:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.errors import InputError
+from vehsim.vehicles.mechanics import matrix as matrix
 
 Array = NDArray[np.float64]
 BLOCK = 32
@@ -171,13 +172,6 @@ def from_constraints(
         return g
 
     return DriftlessSystem(name, tuple(states), tuple(f"{states[i]}_rate" for i in free), fields, domain or {})
-
-
-def matrix(values: Any) -> Expr:
-    """Nested lists of numbers and expressions, or an expression, as an ``SX`` matrix."""
-    if isinstance(values, list | tuple):
-        return ca.vertcat(*(ca.horzcat(*row) for row in values))
-    return ca.SX(values)
 
 
 def smallest_singular_value(a: Array) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import casadi as ca
 
@@ -39,6 +40,18 @@ def coefficients(vehicle: Vehicle, r: Expr, u: Expr, xi: Expr) -> Expr:
     along = ca.vertcat(xi, rows(u, vehicle.tied)) + vehicle.connection(r) @ u
     free = ca.solve(basis.T @ basis, basis.T @ along) if basis.shape[1] else ca.SX(0, 1)
     return ca.vertcat(free, rows(u, vehicle.dynamic))
+
+
+def matrix(values: Any) -> Expr:
+    """Nested lists of numbers and expressions, or an expression, as an ``SX`` matrix."""
+    if isinstance(values, list | tuple):
+        return ca.vertcat(*(ca.horzcat(*row) for row in values))
+    return ca.SX(values)
+
+
+def stacked(values: Any) -> Expr:
+    """A list of numbers and expressions, or an expression, as an ``SX`` column."""
+    return ca.vertcat(*values) if isinstance(values, list | tuple) else ca.SX(values)
 
 
 def rows(column: Expr, indices: Sequence[int]) -> Expr:

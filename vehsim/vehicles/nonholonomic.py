@@ -15,6 +15,7 @@ import numpy as np
 
 from vehsim.errors import InputError
 from vehsim.vehicles._base import Expr, Vehicle
+from vehsim.vehicles.mechanics import free_velocity, matrix, stacked
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -79,7 +80,7 @@ class Nonholonomic(Vehicle):
         s, d = len(self.joints), self.group.dim
         if self.constraints is None:
             return ca.SX(0, s), ca.SX(0, d)
-        w_r, w_xi = (_matrix(w) for w in self.constraints(r))
+        w_r, w_xi = (matrix(w) for w in self.constraints(r))
         if w_r.shape[0] != w_xi.shape[0] or w_r.shape[1] != s or w_xi.shape[1] != d:
             raise InputError(
                 f"{self.name}: constraints: W_r has shape {w_r.shape} and W_xi {w_xi.shape}; "
@@ -129,7 +130,7 @@ class Nonholonomic(Vehicle):
             return ca.SX(s, 1), ca.SX(d, 1)
         forces = self.forces(r, u, self.group.velocity_to_body(g, xi), c)
         joint, body = forces if isinstance(forces, tuple) and len(forces) == 2 else (forces, ca.SX(d, 1))
-        return _column(joint), self.group.wrench_from_body(g, _column(body))
+        return stacked(joint), self.group.wrench_from_body(g, stacked(body))
 
     def potential(self, g: Expr, r: Expr) -> Expr:
         return 0.0 if self.potential_energy is None else self.potential_energy(g, r)
@@ -137,16 +138,6 @@ class Nonholonomic(Vehicle):
     def dissipation(self, g: Expr, r: Expr, u: Expr, xi: Expr, wind: Expr) -> Expr:
         on_joints, on_group = self.force(g, r, u, xi, ca.SX.zeros(len(self.controls)), wind)
         return -ca.dot(on_joints, u) - ca.dot(on_group, xi)
-
-
-def _column(values: Any) -> Expr:
-    return ca.vertcat(*values) if isinstance(values, list | tuple) else ca.SX(values)
-
-
-def _matrix(values: Any) -> Expr:
-    if isinstance(values, list | tuple):
-        return ca.vertcat(*(ca.horzcat(*row) for row in values))
-    return ca.SX(values)
 
 
 def _normal(w: Expr) -> Expr:
@@ -234,8 +225,6 @@ def _pivots(vehicle: Nonholonomic, sample: np.ndarray) -> tuple[int, ...]:
 
 
 def _check_definite(vehicle: Nonholonomic, sample: np.ndarray) -> None:
-    from vehsim.vehicles.mechanics import free_velocity
-
     s = len(vehicle.joints)
     r, z = ca.SX.sym("r", s), ca.SX.sym("z", vehicle.basis(ca.SX(sample)).shape[1] + len(vehicle.dynamic))
     u, xi = free_velocity(vehicle, r, z, ca.SX(s, 1))

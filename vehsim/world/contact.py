@@ -152,7 +152,7 @@ class ContactScene:
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
         self.model.geom_margin[:] = MARGIN
-        self.bodies = [self._body(name, vehicles[name], body) for name, body in bodies.items()]
+        self.bodies = [self._body(vehicles[name], body) for name, body in bodies.items()]
         self._courses = [self._course(obstacle) for obstacle in moving]
         names = [body.name for body in self.bodies] + [f"obstacle/{obstacle.name}" for obstacle in moving]
         self._owner = {self.model.body(name).id: k for k, name in enumerate(names)}
@@ -178,7 +178,7 @@ class ContactScene:
             kind = mujoco.mjtGeom.mjGEOM_MESH
             body.add_geom(name=mesh, type=kind, meshname=mesh, contype=2, conaffinity=1)
 
-    def _body(self, name: str, vehicle: Any, body: str) -> Body:
+    def _body(self, vehicle: Any, body: str) -> Body:
         from vehsim.parts import collision_hulls
 
         hulls = collision_hulls(vehicle.rig.asset, vehicle.rig.root or None)
