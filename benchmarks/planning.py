@@ -197,16 +197,18 @@ NOTES = """
   in more, and the canyon in 170 for 71.
 - **Coarse levels solved to 1e-3 only** save about five iterations a level, a sixth of the solves of N=128. Not taken:
   a plan that runs out of time there would have a defect of 1e-4.
-- **Barrier of finer solves**: 1e-5 for 1e-4 takes 22 iterations for 39 to N=256, the others as many; 1e-6 the same. Bounds
-  pushed less far, other dual steps, other starts of multipliers, no refinement of steps: none is better by more than the noise.
-  Fourfold where that leads on (32 to 128 to 256): 97 iterations for 120. At loads of 8 to 20, canyon N=256 took 3.3, 4.0 and
-  4.0 s of CPU time.
+- **Barrier of finer solves**: 1e-5 for 1e-4 takes 22 iterations for 39 to N=256, the others as many; 1e-6 the same.
+  Bounds pushed less far, other dual steps, other starts of multipliers, no refinement of steps: none is better by more
+  than the noise. Fourfold where that leads on (32 to 128 to 256): 97 iterations for 120. At loads of 8 to 20, canyon
+  N=256 took 3.3, 4.0 and 4.0 s of CPU time.
 - **Coarse levels to 1e-3 or 1e-4 with constraints to 1e-9**: one or two iterations a level; not taken.
-- **Field**: 6.3 s of CPU time were triangles sought from 1.3 million points, two thirds of them for points farther than any
-  plan looks. Now these measure to where the corners of a cell twice as wide find the surface: 2.5 s; 1 to 4 cm too far on
-  average, 1.5 m at worst, between crags as far away from both. Cubic interpolation there: 7 to 12 cm, either way.
-- **Time limits** of 0.5 s: canyon N=64 and 256 0.52, helicopter N=256 0.49, cars 0.47 and 0.51 s of CPU time (for 0.63, 0.62,
-  1.23, 0.61 and 0.54); of 1 s at most 1.04. The first plan of a process still loads what it needs: up to 1.4 s in the canyon.
+- **Field**: 6.3 s of CPU time were triangles sought from 1.3 million points, two thirds of them for points farther than
+  any plan looks. Now these measure to where the corners of a cell twice as wide find the surface: 2.5 s; in the air up
+  to 1 cm too far on average, in the rock up to 15, 1.5 m at worst, midway between crags. Cubic interpolation there
+  would be off by 7 to 12 cm, either way.
+- **Time limits** of 0.5 s: canyon N=64 and 256 0.52, helicopter N=256 0.49, cars 0.47 and 0.51 s of CPU time (for 0.63,
+  0.62, 1.23, 0.61 and 0.54); of 1 s at most 1.04. The first plan of a process still loads what it needs: up to 1.4 s in
+  the canyon.
 - **Fewer levels** to N=128: 32 to 128 at once as long, 128 directly 4.0 and 4.3 s for 2.5 and 2.6.
 - **Built problems shared between processes** (a thousand clips): a helicopter's is read back in 48 to 72 ms and
   built in 38; in the canyon, where the field is part of it, 367 ms and 48 MB for 70 ms; a car's in 10 for 19, without
