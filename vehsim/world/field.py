@@ -302,7 +302,8 @@ def _around(
     """Signed distances (nx, ny, nz) m from the terrain's triangles on the grid, where they are `NEAR` the exact ones.
 
     Elsewhere, where a query costs most and matters least, a point measures to where the corners of its cell of a grid
-    twice as wide find the surface nearest: never too near; too far by 1 cm in the canyon's air, on average, and by up to 15 in its rock.
+    twice as wide find the surface nearest: never too near; too far by 1 cm in the canyon's air, on average, and by up
+    to 15 in its rock.
     """
     nearest = _nearest_on(terrain)
     axes = [lower[k] + step * np.arange(shape[k]) for k in range(3)]
