@@ -66,7 +66,7 @@ def _top(take: Take, name: str, clip: Clip) -> str:
     canvas = _Canvas(f"{name} from above", "x [m]", "y [m]", data, equal=True)
     _contours(canvas, take)
     for outline in outlines:
-        canvas.polygon(outline, ROCK, "none")
+        canvas.polygon(outline, ROCK, ROCK)  # an edge of its colour: no seam shows between the parts of an obstacle
     for other, motion in take.clips.items():
         if other != name:
             for outline in _poses(take, motion, (0, 1)):

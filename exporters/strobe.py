@@ -61,12 +61,21 @@ def write_strobe(take: Take, folder: Path, progress: Progress) -> Sequence[Path]
 
 
 def strobe_frames(clip: Clip, frames: tuple[int, int]) -> list[int]:
-    """Whole frames evenly apart, as many as give the poses room."""
-    first, last = max(clip.start_frame, frames[0]), min(clip.end_frame, frames[1])
-    way = float(np.linalg.norm(np.diff(clip.positions, axis=0), axis=1).sum())
+    """Whole frames evenly apart, as many as give the poses room; without those that stand in one another, as where it
+    sets out and arrives, if enough are left."""
+    span = max(clip.start_frame, frames[0]), min(clip.end_frame, frames[1])
+    way = np.append(0.0, np.linalg.norm(np.diff(clip.positions, axis=0), axis=1).cumsum())
     length = float(np.ptp(vehicle_outline(clip.vehicle), axis=0).max())
-    count = int(np.clip(way / (SPACING * max(length, 1e-3)) + 1, *POSES))
-    return sorted({round(frame) for frame in np.linspace(first, last, count)})
+    count = int(np.clip(way[-1] / (SPACING * max(length, 1e-3)) + 1, *POSES))
+    even = sorted({round(frame) for frame in np.linspace(*span, count)})
+    gone = np.interp((np.array(even) - clip.start_frame) / float(clip.fps), clip.times, way)
+    apart, last = even[:1], gone[0]
+    for frame, here in zip(even[1:-1], gone[1:-1], strict=True):
+        if here - last > length and gone[-1] - here > length:
+            apart.append(frame)
+            last = here
+    apart += even[-1:]
+    return apart if len(apart) >= POSES[0] else even
 
 
 def strobe_camera(clips: Mapping[str, Clip], world: Any, frames: tuple[int, int], aspect: float) -> Camera:

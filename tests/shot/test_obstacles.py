@@ -2,13 +2,15 @@
 
 import copy
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from pxr import Usd, UsdGeom
 
-from vehsim import Shot
+from vehsim import Shot, load_vehicle
 from vehsim.errors import ShotError
+from vehsim.exporters.strobe import strobe_frames
 from vehsim.exporters.validate import validate_stage
 
 SHOT = {
@@ -73,6 +75,18 @@ def test_the_strobe_is_a_picture_and_leaves_nothing_behind(delivery):
         assert picture.size == (160, 90)
         assert np.asarray(picture).std() > 5
     assert not list(delivery.glob(".*"))
+
+
+def test_no_two_poses_of_a_strobe_stand_in_one_another():
+    """From rest to rest over 60 m: evenly in time, those of the first and last second are left out."""
+    times = np.linspace(0, 10, 241)
+    positions = np.column_stack([30 * (1 - np.cos(np.pi * times / 10)), *np.zeros((2, 241))])
+    clip = SimpleNamespace(
+        vehicle=load_vehicle("car"), times=times, positions=positions, start_frame=1, end_frame=241, fps=24
+    )
+    frames = strobe_frames(clip, (1, 241))
+    assert frames[0] == 1 and frames[-1] == 241
+    assert np.diff(positions[np.array(frames) - 1, 0]).min() > 4.3  # the car's length
 
 
 def test_figures_show_path_obstacles_and_controls(delivery):
