@@ -1,7 +1,11 @@
 """Failure is a result: which mark, by how much, what would do; time limits kept; refinements that fail are left out."""
 
 import math
+import os
+import signal
 import time
+from contextlib import suppress
+from threading import Thread
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,6 +20,7 @@ from vehsim.planning.deadline import MORE, Deadline
 from vehsim.planning.feasibility import refusals, strength
 from vehsim.planning.marks import Gate
 from vehsim.planning.request import ask
+from vehsim.planning.terms import Constraint
 
 CAR_ASIDE = [Mark(1, position=REST, heading=0, velocity=REST), Mark(25, position=(0, 6, 0), heading=0, velocity=REST)]
 
@@ -262,3 +267,95 @@ def test_wrong_tables_of_shots_are_named(extra, message):
     shot = {"shot": {"schema": 1, "name": "wrong"}, "vehicle": [{"name": "v", "asset": "helicopter", "motion": motion}]}
     with pytest.raises(ShotError, match=message):
         Shot.from_dict(shot).solve()
+
+
+class Stop(KeyboardInterrupt):
+    """What a program of its own raises at a signal."""
+
+
+def stop(number, frame):
+    raise Stop
+
+
+@pytest.fixture
+def stopping():
+    before = signal.signal(signal.SIGINT, stop)
+    yield
+    assert signal.getsignal(signal.SIGINT) is stop
+    signal.signal(signal.SIGINT, before)
+
+
+TUG_ASIDE = [Mark(1, position=REST, velocity=REST), Mark(73, position=(6, 2, 0), velocity=REST)]
+
+
+def interrupting():
+    """A law that is interrupted, and loses it as CasADi's wrappers do, which clear what is raised in them."""
+
+    def law(knot):
+        with suppress(Stop):
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(0.05)
+        return knot.position[0]
+
+    return Constraint("here", law, -100.0, 100.0)
+
+
+def test_an_interrupt_that_casadi_swallows_is_raised_nevertheless(stopping):
+    """As its handler raised it; before the next solve, or at the end."""
+    with pytest.raises(Stop):
+        vehsim.plan(tug(), None, TUG_ASIDE, segments=8, terms=[interrupting()])
+    assert vehsim.plan(tug(), None, TUG_ASIDE, segments=8, refine=False).success  # and is forgotten then
+
+
+def test_an_interrupt_in_a_plan_within_a_plan_ends_both(stopping):
+    def law(knot):
+        with suppress(Stop):
+            vehsim.plan(tug(), None, TUG_ASIDE, segments=8, terms=[interrupting()])
+        return knot.position[0]
+
+    with pytest.raises(Stop):
+        vehsim.plan(tug(), None, TUG_ASIDE, segments=8, terms=[Constraint("here", law, -100.0, 100.0)])
+
+
+def test_an_interrupt_whose_handler_returns_stops_nothing():
+    came, told = [], []
+
+    def progress(text, fraction):
+        told.append(text)
+        if len(told) == 3:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    before = signal.signal(signal.SIGINT, lambda number, frame: came.append(number))
+    try:
+        plan = vehsim.plan(tug(), None, TUG_ASIDE, segments=8, terms=[interrupting()], progress=progress)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert plan.success and len(came) >= 2
+
+
+def test_a_plan_in_another_thread_neither_sees_nor_forgets_an_interrupt(stopping):
+    """It is the main thread's."""
+    plans = []
+
+    def law(knot):
+        with suppress(Stop):
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(0.05)
+        thread = Thread(target=lambda: plans.append(vehsim.plan(tug(), None, TUG_ASIDE, segments=8)))
+        thread.start()
+        thread.join()
+        return knot.position[0]
+
+    with pytest.raises(Stop):
+        vehsim.plan(tug(), None, TUG_ASIDE, segments=8, terms=[Constraint("here", law, -100.0, 100.0)])
+    assert plans and all(plan.success for plan in plans)
+
+
+def test_what_progress_raises_is_raised():
+    """And is no time limit."""
+
+    def progress(text, fraction):
+        raise ValueError(text)
+
+    with pytest.raises(ValueError, match="iteration"):
+        vehsim.plan(tug(), None, TUG_ASIDE, segments=8, progress=progress)

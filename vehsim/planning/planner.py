@@ -17,6 +17,7 @@ import numpy as np
 
 from vehsim.clip import Clip
 from vehsim.errors import InputError, SolveError
+from vehsim.planning import interrupts
 from vehsim.planning.attempt import EXECUTED, SLACK, TIGHTENINGS, Array, Attempt, Progress
 from vehsim.planning.certify import Executed
 from vehsim.planning.cover import AROUND, Cover, balls, sphere_cover
@@ -87,17 +88,18 @@ class Plan:
         before = self._attempt.request
         request = replace(before, marks=all_marks(marks, before.vehicle, before.world, before.terms), deadline=math.inf)
         given = before.given or before.marks
-        if not self.success or shape(request.marks) != shape(given) or request.weighed is not before.weighed:
-            return _solve(replace(request, given=()), progress, self.clip)
-        faced = replace(request, given=request.marks, marks=same_headings(request.marks, given, before.marks))
-        attempt = self._attempt.moved(faced, progress)
-        if np.any(attempt.free):
-            attempt.solve()
-            attempt.settle()
-        attempt.resolve()
-        if not attempt.solution.success:  # from here there is no way: from its own first guess there may be one
-            return _solve(replace(request, given=()), progress, None)
-        return _finish(attempt)
+        with interrupts.remembered():
+            if not self.success or shape(request.marks) != shape(given) or request.weighed is not before.weighed:
+                return _solve(replace(request, given=()), progress, self.clip)
+            faced = replace(request, given=request.marks, marks=same_headings(request.marks, given, before.marks))
+            attempt = self._attempt.moved(faced, progress)
+            if np.any(attempt.free):
+                attempt.solve()
+                attempt.settle()
+            attempt.resolve()
+            if not attempt.solution.success:  # from here there is no way: from its own first guess there may be one
+                return _solve(replace(request, given=()), progress, None)
+            return _finish(attempt)
 
 
 def plan(
@@ -138,7 +140,8 @@ def plan(
     )  # fmt: skip
     if np.any(request.wind) and not request.vehicle.feels_wind:
         warnings.warn(f"{vehicle.name}: wind is set, but the vehicle has no drag to feel it", stacklevel=2)
-    return _solve(request, progress, guess)
+    with interrupts.remembered():
+        return _solve(request, progress, guess)
 
 
 def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import math
-import signal
-import threading
 import time
 import weakref
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -17,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.errors import InputError
+from vehsim.planning import interrupts
 from vehsim.planning.elements import Problem
 
 Array = NDArray[np.float64]
@@ -174,7 +172,7 @@ class Solver:
         solver = self.prepare("multipliers" if multipliers else start)
         given = {} if multipliers is None else {"lam_x0": multipliers.x, "lam_g0": multipliers.g}
         self._callback.begin(deadline)
-        with _interruptible(self._callback):
+        with interrupts.silent():
             answer = solver(x0=x0, lbx=lower, ubx=upper, lbg=g_lower, ubg=g_upper, p=parameters, **given)
         stats = solver.stats()
         x, g = np.asarray(answer["x"]).ravel(), np.asarray(answer["g"]).ravel()
@@ -200,26 +198,6 @@ def _whole(hessian: ca.Function) -> ca.Function:
     return ca.Function("hess_lag", arguments, [full], hessian.name_in(), ["hess_gamma_x_x"])
 
 
-@contextmanager
-def _interruptible(callback: _Callback) -> Iterator[None]:
-    """Ctrl-C stops IPOPT at its next iteration and is raised after it: an exception inside it would be swallowed."""
-    callback.interrupted = False
-
-    def stop(number: int, frame: Any) -> None:
-        callback.interrupted = True
-
-    in_main = threading.current_thread() is threading.main_thread()
-    ours = [n for n in (signal.SIGINT, signal.SIGTERM) if in_main and callable(signal.getsignal(n))]
-    kept = {number: signal.signal(number, stop) for number in ours}
-    try:
-        yield
-    finally:
-        for number, handler in kept.items():
-            signal.signal(number, handler)
-    if callback.interrupted:
-        raise KeyboardInterrupt
-
-
 class _Callback(ca.Callback):
     """IPOPT's iteration callback: tells the solver's watcher how many iterations are done."""
 
@@ -227,7 +205,6 @@ class _Callback(ca.Callback):
         super().__init__()
         self._sizes = {"x": x, "f": 1, "g": g, "lam_x": x, "lam_g": g, "lam_p": p}
         self._solver = weakref.ref(solver)
-        self.interrupted = False
         self.begin(math.inf)
         self.construct("watch", {})
 
@@ -254,11 +231,11 @@ class _Callback(ca.Callback):
         self.count += 1
         solver = self._solver()
         try:
-            if solver is not None and solver.watch is not None and not self.interrupted:
+            if solver is not None and solver.watch is not None and not interrupts.came():
                 solver.watch(self.count)
-        except KeyboardInterrupt:
-            self.interrupted = True
+        except BaseException as error:
+            interrupts.keep(error)
         now = time.monotonic()
         another, self.before = now - self.before, now
         self.hurried = now + another > self.deadline
-        return [int(self.interrupted or self.hurried)]
+        return [int(interrupts.came() or self.hurried)]
