@@ -118,13 +118,14 @@ def write_water(take: Take, folder: Path) -> list[Path]:
     _set_points(points.Set, extent.Set, np.column_stack([grid.xy, np.full(len(grid.xy), water.level)]))
     frames = np.arange(take.frames[0], take.frames[1] + 1, dtype=float)
     for frame, (place, normals, foam, lowered) in zip(frames.tolist(), surfaces(take, grid, frames), strict=True):
-        _set_points(*(partial(layer.SetTimeSample, each.GetPath(), frame) for each in (points, extent)), place)
+        points_at, extent_at = (partial(layer.SetTimeSample, each.GetPath(), frame) for each in (points, extent))
+        _set_points(points_at, extent_at, place)
         halves = Vt.Vec3hArray.FromNumpy(normals.astype(np.float16))
         layer.SetTimeSample("/water/surface.primvars:normals", frame, halves)
         for name, values in (("foam", foam), (LOWERED, lowered)):
             halves = Vt.HalfArray.FromNumpy(values.astype(np.float16))
             layer.SetTimeSample(f"/water/surface.primvars:{name}", frame, halves)
-        set_foam(layer, "/water/surface", frame, foam)
+        set_foam(layer, "/water/surface", frame, place, foam)
     layer.Save()
     return [path, picture]
 

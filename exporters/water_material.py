@@ -31,7 +31,7 @@ TILE, TEXELS, STEEP = 9.0, 256, 0.075
 
 
 def author_foam(mesh: Any) -> None:
-    """Create the primvars ``displayColor`` and ``roughness``, as tables, on the surface; `foam_indices` fill them."""
+    """Create the primvars ``displayColor`` and ``roughness``, as tables, on the surface; `set_foam` fills them."""
     from pxr import Sdf, UsdGeom, Vt
 
     share = np.linspace(0.0, 1.0, SHADES)
@@ -47,13 +47,24 @@ def author_foam(mesh: Any) -> None:
         primvar.CreateIndicesAttr()
 
 
-def set_foam(layer: Any, path: str, frame: float, foam: Array) -> None:
-    """The foam (n,) of a frame as indices of both primvars of the surface at ``path``."""
+def set_foam(layer: Any, path: str, frame: float, points: Array, foam: Array) -> None:
+    """The foam (n,) of a frame on ``points`` (n, 3), in `patches`, as indices of both primvars of the surface."""
     from pxr import Vt
 
-    shade = np.round(np.clip(foam, 0, 1) * (SHADES - 1)).astype(np.int32)
+    shade = np.round(patches(points[:, 0], points[:, 1], foam) * (SHADES - 1)).astype(np.int32)
     for name in ("displayColor", "roughness"):
         layer.SetTimeSample(f"{path}.primvars:{name}:indices", frame, Vt.IntArray.FromNumpy(shade))
+
+
+def patches(x: Array, y: Array, foam: Array) -> Array:
+    """How much of the water at places (n,) m ``foam`` (n,) hides: patches with holes."""
+    white = np.zeros_like(foam)
+    there = np.flatnonzero(foam > 0)
+    x, y = x[there], y[there]
+    coarse = np.sin(3.1 * x + 1.7 * y + 1.3 * np.sin(-1.3 * x + 4.3 * y))
+    grain = 0.55 * coarse + 0.45 * np.sin(7.9 * x - 2.2 * y + 1.7 * np.sin(1.9 * x + 9.1 * y + coarse))
+    white[there] = np.clip(1.25 * foam[there] * (1 + 1.1 * grain), 0, 1)
+    return white
 
 
 def author_coordinates(mesh: Any, xy: Array) -> None:
@@ -70,7 +81,7 @@ def ripples() -> bytes:
     """The PNG of a normal map of ripples, wavelengths from some 0.2 to 2 m; OpenGL's handedness."""
     from PIL import Image
 
-    height = fractal_noise(TEXELS, 2.2, seed=8)
+    height = fractal_noise(TEXELS, 1.5, seed=8)
     wide = np.fft.ifft2(np.fft.fft2(height) * _band()).real
     slopes = [(np.roll(wide, -1, axis) - np.roll(wide, 1, axis)) for axis in (1, 0)]
     slopes = [slope * STEEP / slope.std() for slope in slopes]

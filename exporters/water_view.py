@@ -7,6 +7,7 @@ light that MuJoCo will multiply them with. Everything is read from the stage.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -15,8 +16,9 @@ from numpy.typing import NDArray
 from vehsim.exporters.lighting import to_srgb
 from vehsim.exporters.shading import HIGHLIGHT, Light, dome_mean, sky_image
 from vehsim.exporters.stage import StageReader, Sun
+from vehsim.exporters.water_material import patches
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 
 FINER = 4
 """Texels of the picture per cell of the mesh, along each side."""
@@ -49,8 +51,8 @@ class WaterView:
         self._points, self._normals, self._foam, self._lowered = stage.water_at(stage.frames[0])
         sun, sky = stage.sun(), stage.sky()
         self._sun, self._sky = sun or Sun(np.array([0.0, 0.0, -1.0]), np.ones(3)), sky
-        self._image = sky_image(sky)
-        fill = dome_mean(self._image)
+        image = sky_image(sky)
+        fill, self._image = dome_mean(image), image.astype(np.float32)
         self._fill = fill
         self._exposure = HIGHLIGHT / float((fill + self._sun.colour / np.pi).max())
         overhead = max(-float(self._sun.direction[2]), 0.0)
@@ -113,6 +115,7 @@ class WaterView:
         """What every texel shows (h, w, 3)."""
         points, normals = self._fine(self._points), self._fine(self._normals)
         (foam,) = self._fine(self._foam[:, None])
+        eye = eye.astype(np.float32)
         away = _length(points[:2] - eye[:2, None])
         normals[:2] -= self._small_slopes(points, away)
         normals /= _length(normals)
@@ -124,58 +127,50 @@ class WaterView:
         mirrored = 2 * facing * normals - view
         mirrored[2] = np.abs(mirrored[2]) + 0.02 + 2 * tilt
         mirrored /= _length(mirrored)
-        crest = np.clip((points[2] - self._points[:, 2].mean()) / 0.6, 0, 1)
-        white = self._white(points, foam)
+        crest = np.clip((points[2] - float(self._points[:, 2].mean())) / 0.6, 0, 1)
+        white = patches(points[0], points[1], foam)
         bright = FOAM * (self._fill + max(-float(self._sun.direction[2]), 0.4) * self._sun.colour / np.pi)
         seen, glint = self._seen(mirrored), self._glint(mirrored)
-        colour = np.empty((foam.size, 3))
+        colour = np.empty((foam.size, 3), np.float32)
         for k in range(3):
-            below = (DEPTHS[k] + CREST[k] * crest) * self._fill[k] * np.pi
-            water = (1 - fresnel) * below + fresnel * (seen[k] + glint * self._sun.colour[k])
-            colour[:, k] = (1 - white) * water + white * bright[k]
-        display = to_srgb(np.clip(colour * self._exposure, 0, 1)) / self._lit
+            depths, lit_crest = (float(c[k] * self._fill[k] * np.pi) for c in (DEPTHS, CREST))
+            water = (1 - fresnel) * (depths + lit_crest * crest)
+            water += fresnel * (seen[k] + glint * float(self._sun.colour[k]))
+            colour[:, k] = (1 - white) * water + white * float(bright[k])
+        display = to_srgb(np.clip(colour * self._exposure, 0, 1)) / self._lit.astype(np.float32)
         rows, cols = self.shape
         return np.round(255 * np.clip(display, 0, 1)).astype(np.uint8).reshape(rows * FINER, cols * FINER, 3)
 
     def _fine(self, values: Array) -> Array:
         """Values (n, k) at the vertices, at the texels (k, m)."""
         rows, cols = self.shape
-        net = values.T.reshape(-1, rows, cols)
+        net = values.T.reshape(-1, rows, cols).astype(np.float32)
         for axis, count in ((1, rows), (2, cols)):
             at = np.clip((np.arange(count * FINER) + 0.5) / FINER - 0.5, 0, count - 1)
             low = np.minimum(at.astype(int), count - 2)
-            share = (at - low)[:, None] if axis == 1 else at - low
+            share = (at - low).astype(np.float32)
+            share = share[:, None] if axis == 1 else share
             net = (1 - share) * net.take(low, axis) + share * net.take(low + 1, axis)
-        return net.reshape(len(net), -1)
+        return np.asarray(net.reshape(len(net), -1), np.float32)
 
     def _small_slopes(self, points: Array, away: Array) -> Array:
         """Slopes (2, m) of ripples, which the eye no longer tells apart far away."""
-        slopes = np.zeros((2, away.size))
+        slopes = np.zeros((2, away.size), np.float32)
         near = np.flatnonzero(away < RIPPLES_END)
         x, y = points[0, near], points[1, near]
         seconds = (self._time - self._stage.frames[0]) / float(self._stage.fps)
-        for (kx, ky), phase in zip(self._ripples.T, self._phases, strict=True):
-            k = np.hypot(kx, ky)
-            wave = np.cos(x * kx + y * ky + phase - np.sqrt(9.81 * k) * seconds)
+        for (kx, ky), phase in zip(self._ripples.T.tolist(), self._phases.tolist(), strict=True):
+            k = math.hypot(kx, ky)
+            wave = np.cos(x * kx + (y * ky + (phase - math.sqrt(9.81 * k) * seconds) % (2 * math.pi)))
             slopes[0, near] += wave * (kx / k)
             slopes[1, near] += wave * (ky / k)
         return np.asarray(0.035 * slopes * np.clip((RIPPLES_END - away) / 45.0, 0, 1))
 
-    def _white(self, points: Array, foam: Array) -> Array:
-        """How much of each texel (m,) foam hides: patches with holes."""
-        white = np.zeros(foam.size)
-        there = np.flatnonzero(foam > 0)
-        x, y = points[0, there], points[1, there]
-        coarse = np.sin(3.1 * x + 1.7 * y + 1.3 * np.sin(-1.3 * x + 4.3 * y))
-        grain = 0.55 * coarse + 0.45 * np.sin(7.9 * x - 2.2 * y + 1.7 * np.sin(1.9 * x + 9.1 * y + coarse))
-        white[there] = np.clip(1.25 * foam[there] * (1 + 1.1 * grain), 0, 1)
-        return white
-
     def _glint(self, ways: Array) -> Array:
         """The sun mirrored (m,) along ``ways`` (3, m), as a share of its colour."""
-        towards = -self._sun.direction
+        towards = (-self._sun.direction).tolist()
         sun = np.clip(ways[0] * towards[0] + ways[1] * towards[1] + ways[2] * towards[2], 0, 1)
-        glint = np.zeros(sun.size)
+        glint = np.zeros(sun.size, np.float32)
         near = np.flatnonzero(sun > 0.8)  # 0.8^160 is 3e-16
         glint[near] = 0.5 * sun[near] ** 160
         return glint
@@ -183,7 +178,7 @@ class WaterView:
     def _seen(self, ways: Array) -> Array:
         """Radiance (3, m) of the sky along ``ways`` (3, m)."""
         R_dw = np.eye(3) if self._sky is None else self._sky.R_wd.T
-        x, y, z = (row[0] * ways[0] + row[1] * ways[1] + row[2] * ways[2] for row in R_dw)
+        x, y, z = (row[0] * ways[0] + row[1] * ways[1] + row[2] * ways[2] for row in R_dw.tolist())
         height, width = self._image.shape[:2]
         u = (np.arctan2(z, x) + np.pi / 2) / (2 * np.pi) % 1.0
         v = np.arccos(np.clip(y, -1, 1)) / np.pi

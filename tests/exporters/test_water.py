@@ -201,17 +201,20 @@ def test_wet_lines_darken_what_stands_just_above_the_water(shown):
 
 def test_any_renderer_can_whiten_foam(shown):
     """UsdPreviewSurface reads colour and roughness from primvars, which say what the preview's foam says."""
-    from vehsim.exporters.water_material import CLEAR, FOAM, ROUGH, SHADES
+    from vehsim.exporters.water_material import CLEAR, FOAM, ROUGH, SHADES, patches
 
     stage = Usd.Stage.Open(str(shown[1]))
     prim = stage.GetPrimAtPath("/sea/env/water/surface")
     primvars = UsdGeom.PrimvarsAPI(prim)
     foam = np.array(primvars.GetPrimvar("foam").Get(1020), float)
     assert foam.max() > 0.3
+    points = np.array(UsdGeom.Mesh(prim).GetPointsAttr().Get(1020), float)
+    white = patches(points[:, 0], points[:, 1], foam)
+    assert (white[foam == 0] == 0).all() and white.mean() == pytest.approx(foam.mean(), rel=0.4)
     colour = np.array(primvars.GetPrimvar("displayColor").ComputeFlattened(1020))
     rough = np.array(primvars.GetPrimvar("roughness").ComputeFlattened(1020))
-    assert np.abs((colour - CLEAR) / (FOAM - CLEAR) - foam[:, None]).max() < 0.6 / SHADES
-    assert np.abs((rough - ROUGH[0]) / (ROUGH[1] - ROUGH[0]) - foam).max() < 0.6 / SHADES
+    assert np.abs((colour - CLEAR) / (FOAM - CLEAR) - white[:, None]).max() < 0.8 / SHADES
+    assert np.abs((rough - ROUGH[0]) / (ROUGH[1] - ROUGH[0]) - white).max() < 0.8 / SHADES
     surface = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0].ComputeSurfaceSource()[0]
     for port, reader in (("diffuseColor", "UsdPrimvarReader_float3"), ("roughness", "UsdPrimvarReader_float")):
         source = UsdShade.Shader(surface.GetInput(port).GetConnectedSources()[0][0].source.GetPrim())
