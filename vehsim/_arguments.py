@@ -5,6 +5,7 @@ What belongs here answers with values or raises ``InputError``; it prints nothin
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -33,11 +34,14 @@ def load_all(
     for path in paths:
         try:
             shots = [shot.only(only) if only else shot for shot in load_shots(path, overrides)]
+            checked = [(shot, shot.check()) for shot in shots]
         except ShotError as error:
             problems += error.problems
             continue
-        for shot in shots:
-            found = shot.check()
+        except PermissionError as error:
+            problems.append(Problem(str(error.filename), "may not be read", "mend its permissions", file=str(path)))
+            continue
+        for shot, found in checked:
             if (key := shot.name.casefold()) in loaded:  # a folder each, also where cases are not told apart
                 mend = "give every shot of a batch a name of its own"
                 found.append(Problem("shot.name", f"{loaded[key].source} has it too", mend, shot.name, str(path)))
@@ -65,7 +69,7 @@ def exporters_in(text: str) -> list[str]:
 
 def check_folder(out: Path) -> None:
     """``--out`` is a folder, or can become one."""
-    if taken := [path for path in (out, *out.parents) if path.exists() and not path.is_dir()]:
+    if taken := [path for path in (out, *out.parents) if os.path.exists(path) and not os.path.isdir(path)]:
         raise ShotError([Problem("--out", f"{taken[0]} is a file", "give a folder", str(out))])
 
 

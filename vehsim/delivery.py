@@ -126,19 +126,26 @@ def write_reports(take: Take, folder: Path, files: Sequence[Path]) -> None:
 @contextmanager
 def staging(target: Path) -> Iterator[Path]:
     """A hidden folder beside ``target``, on its file system, gone when the block ends. Raises ``ExportError``."""
-    made = [folder for folder in (target.parent, *target.parent.parents) if not folder.exists()]
+    made = [folder for folder in (target.parent, *target.parent.parents) if not os.path.exists(folder)]
     beside = target.with_name(f".{target.name}.{owner()}.partial")
     try:
-        beside.mkdir(parents=True)
+        _make(beside)
         yield beside
     except OSError as error:
         text = str(error).replace(beside.name, target.name)
         raise ExportError(f"{target}: could not be written: {text}; mend that and export again") from error
     finally:
         shutil.rmtree(beside, ignore_errors=True)
-        for folder in made:
-            if folder.is_dir() and not any(folder.iterdir()):
+        with suppress(OSError):  # there is something in it, perhaps of another export
+            for folder in made:
                 folder.rmdir()
+
+
+def _make(folder: Path) -> None:
+    for _ in range(10):  # another export that failed may just be dropping the folders above
+        with suppress(FileNotFoundError):
+            return folder.mkdir(parents=True)
+    folder.mkdir(parents=True)
 
 
 @contextmanager
@@ -168,10 +175,7 @@ VERSION = re.compile(r"v(\d{3,})")
 
 def versions(home: Path) -> list[Path]:
     """The versions in ``home``, oldest first."""
-    try:
-        found = [home / name for name in os.listdir(home) if VERSION.fullmatch(name)]
-    except (FileNotFoundError, NotADirectoryError):  # not there, or another export is just replacing it
-        return []
+    found = [home / name for name in _names(home) if VERSION.fullmatch(name)]
     return sorted((path for path in found if path.is_dir()), key=lambda path: int(path.name[1:]))
 
 
@@ -203,9 +207,8 @@ def new_version(home: Path) -> Iterator[Path]:
 
 def may_hold_versions(home: Path) -> None:
     """Raise ``InputError`` when ``home`` is a delivery without versions, or somebody else's."""
-    if home.is_dir() and any(home.iterdir()) and not versions(home) and not (home / "latest.usda").exists():
-        if all(path.name.startswith(".version.") for path in home.iterdir()):
-            return
+    others = [name for name in _names(home) if not name.startswith(".version.")]
+    if os.path.isfile(home) or (others and "latest.usda" not in others and not versions(home)):
         raise InputError(f"{home}: holds something else than versions; export elsewhere, or move it away")
 
 
@@ -220,7 +223,7 @@ def point_at_newest(home: Path, exporters: Sequence[Exporter]) -> Path:
 
 def may_replace(target: Path, overwrite: bool = True) -> None:
     """Raise ``InputError`` when something stands at ``target`` that a delivery must not replace."""
-    if not target.exists():
+    if not os.path.exists(target):
         return
     if not overwrite:
         raise InputError(f"{target}: exists; remove it, or export elsewhere")
@@ -234,13 +237,19 @@ def may_replace(target: Path, overwrite: bool = True) -> None:
 
 
 def _is_foreign(target: Path) -> bool:
+    names = _names(target)
+    is_file = os.path.exists(target) and not os.path.isdir(target)
+    return is_file or (bool(names) and SIGN not in names)
+
+
+def _names(folder: Path) -> list[str]:
+    """What stands in a folder, in one look: between two, another export may replace it. Nothing where there is none."""
     try:
-        names = os.listdir(target)  # one look: between two, another folder may stand there
-    except FileNotFoundError:
-        return False
-    except NotADirectoryError:
-        return True
-    return bool(names) and SIGN not in names
+        return os.listdir(folder)
+    except (FileNotFoundError, NotADirectoryError):
+        return []
+    except PermissionError:
+        raise InputError(f"{folder}: may not be read; export elsewhere, or mend its permissions") from None
 
 
 def settle(folder: Path) -> None:
@@ -270,7 +279,7 @@ def _swap(beside: Path, target: Path, overwrite: bool) -> None:
         aside = target.with_name(f".{target.name}.{owner()}.replaced")
         try:
             may_replace(target, overwrite)
-            if not target.exists():
+            if not os.path.exists(target):
                 beside.rename(target)
                 return
             target.rename(aside)
@@ -293,31 +302,31 @@ def _swap(beside: Path, target: Path, overwrite: bool) -> None:
 
 def _bring_back(target: Path) -> None:
     """After a crash between the two renames the old delivery is still there under its other name."""
-    if target.exists():
+    if os.path.exists(target):
         return
     with suppress(OSError):  # another export was quicker
-        hidden = sorted(target.parent.glob(f".{target.name}.*.replaced"), key=lambda path: path.stat().st_mtime)
-        for aside in hidden[-1:]:
+        hidden = [path for path, _, _, kind in _hidden(target) if kind == "replaced"]
+        for aside in sorted(hidden, key=lambda path: path.stat().st_mtime)[-1:]:
             aside.rename(target)
 
 
 def clean_up(target: Path) -> None:
     """Drop what exports of ``target`` that were killed on this machine left beside it, and bring back what they hid."""
     _bring_back(target)
-    for path in (*_left(target, "partial"), *_left(target, "replaced")):
+    for path, machine, pid, _ in _hidden(target):
+        if machine != _machine() or _alive(int(pid)):  # those of other machines may be alive
+            continue
         if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)
         else:
             path.unlink(missing_ok=True)
 
 
-def _left(target: Path, kind: str) -> Iterator[Path]:
-    """Hidden folders and files of ``target`` whose process is gone; those of other machines may be alive and stay."""
-    for path in sorted(target.parent.glob(f".{target.name}.*.{kind}")):
-        machine, _, rest = path.name[len(target.name) + 2 :].partition("-")
-        pid = rest.partition("-")[0]
-        if machine == _machine() and pid.isdigit() and not _alive(int(pid)):
-            yield path
+def _hidden(target: Path) -> list[tuple[Path, str, str, str]]:
+    """What exports of ``target`` hide beside it: path, machine, process and kind."""
+    pattern = re.compile(rf"\.{re.escape(target.name)}\.([0-9a-f]{{8}})-(\d+)-[0-9a-f]+\.(partial|replaced)")
+    found = [(name, pattern.fullmatch(name)) for name in sorted(_names(target.parent)) if name[0] == "."]
+    return [(target.parent / name, match[1], match[2], match[3]) for name, match in found if match]
 
 
 def owner() -> str:

@@ -190,6 +190,48 @@ def test_an_output_that_may_only_be_read(write: Write, small_disk: Path) -> None
     assert "Traceback" not in said
 
 
+def test_what_may_not_be_read_is_named(write: Write, tmp_path: Path) -> None:
+    """A folder or a rig without permissions stops its own shot, by a message that says which."""
+    out, rig = tmp_path / "out", tmp_path / "rig"
+    for folder in (out / "taken", rig):
+        folder.mkdir(parents=True)
+        folder.chmod(0)
+    shots = [write("good"), write("taken"), write("rigged", asset="rig/car")]
+    command = [sys.executable, "-m", "vehsim.cli", "export", *map(str, shots), "--out", str(out), "--to", "npz"]
+    answer = subprocess.run(command, capture_output=True, text=True, preexec_fn=_obey_permissions)
+    for folder in (out / "taken", rig):
+        folder.chmod(0o700)
+    assert answer.returncode == 1
+    assert f"{out / 'taken'}: may not be read" in answer.stderr
+    assert f"{rig / 'car'}: may not be read" in answer.stderr
+    assert "unexpected" not in answer.stderr
+    assert {path.name for path in out.iterdir()} == {"good", "taken", "summary.json"}
+
+
+def _obey_permissions() -> None:
+    """Also root does, without CAP_DAC_OVERRIDE and CAP_DAC_READ_SEARCH (Linux)."""
+    import ctypes
+
+    for capability in (1, 2):
+        ctypes.CDLL(None).prctl(24, capability, 0, 0, 0)  # PR_CAPBSET_DROP
+
+
+def test_the_folder_above_dropped_by_an_export_that_failed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It made that folder, and drops it just when another is to begin in it: the other makes it again."""
+    from vehsim.delivery import staging
+
+    make, out = Path.mkdir, tmp_path / "out"
+
+    def dropped(folder: Path, *how: object, **more: object) -> None:
+        monkeypatch.setattr(Path, "mkdir", make)
+        raise FileNotFoundError(folder)
+
+    monkeypatch.setattr(Path, "mkdir", dropped)
+    with staging(out / "clip") as beside:
+        assert beside.is_dir()
+    assert not out.exists()
+
+
 def test_two_exports_into_one_folder(undisturbed: Undisturbed, tmp_path: Path, content: Content) -> None:
     shot, expected = undisturbed
     for _ in range(2):  # into an empty folder, then over what is there
