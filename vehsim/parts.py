@@ -69,20 +69,19 @@ def read_parts(asset: str | Path, root: str | None = None) -> list[Part]:
     skipped = []
     for node in _walk(prim, _to_metres_z_up(stage)):
         parent = owner.get(node.prim.GetParent().GetPath())
-        kind = node.prim.GetTypeName()
-        if node.is_mesh:
-            mesh = _read_mesh(asset, node)
-            if mesh is not None and parent is not None:
-                (parent.look if node.is_look else parent.collision).append(mesh)
-                if node.is_look and node.collides:
-                    parent.collision.append(mesh)
-        elif node.is_gprim and node.is_look:
-            skipped.append(f"{node.prim.GetPath()} ({kind})")
         draft = parent
-        if not node.is_gprim and node.is_xformable:
+        if node.is_part:
             draft = _Draft(node.path, parent, _rigid(asset, node), node.prim.GetName(), [], [])
             drafts[node.path] = draft
         owner[node.prim.GetPath()] = draft
+        if node.is_mesh:
+            mesh = _read_mesh(asset, node)
+            if mesh is not None and draft is not None:
+                (draft.look if node.is_look else draft.collision).append(mesh)
+                if node.is_look and node.collides:
+                    draft.collision.append(mesh)
+        elif node.is_gprim and node.is_look:
+            skipped.append(f"{node.prim.GetPath()} ({node.prim.GetTypeName()})")
     if skipped:
         warnings.warn(f"{made_of(asset)}: only meshes are read; left out: {', '.join(skipped)}", stacklevel=2)
     parts = [draft.part() for draft in drafts.values() if draft.carries(drafts)]
@@ -166,9 +165,9 @@ class _Node:
     path: str
     matrix: Array
     pivot: Array
+    is_part: bool
     is_mesh: bool
     is_gprim: bool
-    is_xformable: bool
     is_look: bool
     collides: bool
 
@@ -230,15 +229,17 @@ def _walk(root: Any, convert: Array) -> Iterator[_Node]:
                     stacklevel=3,
                 )
         matrices[prim.GetPath()] = above @ local
+        is_mesh, is_gprim = prim.IsA(UsdGeom.Mesh), prim.IsA(UsdGeom.Gprim)
+        placed = is_mesh and (prim == root or len(xformable.GetOrderedXformOps()) > 0)  # transform and shape in one
         collider: Any = UsdPhysics.CollisionAPI(prim) if prim.HasAPI(UsdPhysics.CollisionAPI) else None
         yield _Node(
             prim=prim,
             path=str(prim.GetPath())[len(str(root.GetPath())) + 1 :],
             matrix=above @ local,
             pivot=(above @ to_pivot)[:3, 3],
-            is_mesh=prim.IsA(UsdGeom.Mesh),
-            is_gprim=prim.IsA(UsdGeom.Gprim),
-            is_xformable=bool(xformable),
+            is_part=bool(xformable) and (placed or not is_gprim),
+            is_mesh=is_mesh,
+            is_gprim=is_gprim,
             is_look=bool(imageable) and imageable.ComputePurpose() in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render),
             collides=collider is not None and collider.GetCollisionEnabledAttr().Get(when) is not False,
         )
@@ -246,11 +247,12 @@ def _walk(root: Any, convert: Array) -> Iterator[_Node]:
 
 def _local(xformable: Any, when: Any) -> tuple[Array, Array]:
     """A prim's local transform, and its leading ops through the pivot (all of them when there is no pivot op)."""
-    whole, to_pivot = np.eye(4), None
-    for op in xformable.GetOrderedXformOps():
+    whole, to_pivot, ops = np.eye(4), None, xformable.GetOrderedXformOps()
+    taken_back = {op.GetName() for op in ops if op.IsInverseOp()}  # a pivot is a move that is undone, whatever its name
+    for op in ops:
         whole = whole @ np.array(op.GetOpTransform(when)).T
-        if "pivot" in op.GetOpName().lower() and not op.IsInverseOp():
-            to_pivot = whole if to_pivot is None else to_pivot
+        if to_pivot is None and op.GetName() in taken_back and not op.IsInverseOp():
+            to_pivot = whole
     return whole, whole if to_pivot is None else to_pivot
 
 

@@ -26,6 +26,13 @@ Array = NDArray[np.float64]
 
 SHEAR = 1e-3
 """Largest relative difference of scale across a spin's axis."""
+PIVOT = "_vehsim_pivot"
+SENSES = {
+    "roll_": ("rolling forward is a turn about what points left", (0.0, 1.0, 0.0)),
+    "steer_": ("steering to the left is a turn about what points up", (0.0, 0.0, 1.0)),
+    "travel_": ("a wheel's travel goes up", (0.0, 0.0, 1.0)),
+}
+"""What positive values of such channels mean in every model: the axis (3,) in the rig root's frame."""
 
 
 def open_rig(asset: Path, rig: Rig) -> tuple[Any, Any]:
@@ -53,13 +60,15 @@ def driven_prim(rig: Rig, root: Any, channel: str) -> Any:
     name = rig.drives[channel].prim
     valid = Sdf.Path.IsValidPathString(name) and not name.startswith("/")
     prim = root.GetPrimAtPath(name) if valid else None
+    said = f"{made_of(rig.asset)}: channels.{channel}.prim = {name!r}"
+    if prim and not prim.IsActive():
+        raise ExportError(f"{said}: deactivated in the asset; activate it, or leave the channel out")
     if prim and prim.IsA(UsdGeom.Xformable):
         return prim
     known = xformables(root)
     close = [path for path in known if path.rpartition("/")[2] == name.rpartition("/")[2]]
     close = close or get_close_matches(name, known, n=1)
     hint = f"did you mean {close[0]!r}?" if close else f"choose one of {', '.join(known[:20])}"
-    said = f"{made_of(rig.asset)}: channels.{channel}.prim = {name!r}"
     raise ExportError(f"{said}: no such Xform below the rig root; {hint}")
 
 
@@ -97,8 +106,8 @@ def drive_op(op: str, metres_per_unit: float = 1.0) -> tuple[str, float]:
 
 
 def pivot_op(channel: str) -> str:
-    """The op that holds a drive's own pivot."""
-    return f"xformOp:translate:{channel}_pivot"
+    """The op that holds a drive's own pivot; the name is one that no asset's pivot has."""
+    return f"xformOp:translate:{channel}{PIVOT}"
 
 
 def insert_op(order: list[str], op: str, pivot: str | None = None) -> list[str]:
@@ -107,7 +116,7 @@ def insert_op(order: list[str], op: str, pivot: str | None = None) -> list[str]:
     USD applies the last op first, so an op behind a scale would turn the unscaled shape and shear a stretched one.
     ``pivot``: an op about which it turns, put around it.
     """
-    own_pivots = [k for k, name in enumerate(order) if name.startswith("!invert!") and not name.endswith("_pivot")]
+    own_pivots = [k for k, name in enumerate(order) if name.startswith("!invert!") and not name.endswith(PIVOT)]
     end = own_pivots[0] if own_pivots else len(order)
     while end > 0 and order[end - 1].split(":")[1:2] == ["scale"]:
         end -= 1
@@ -144,12 +153,15 @@ def rig_problems(rig: Rig) -> Iterator[tuple[str, str, str]]:
                 )
                 yield channel, message, "hang the part on its bone (parent type Bone) instead of skinning it to it"
                 continue
-            linear = _to_op_space(root, prim, drive, metres)[:3, :3]
+            T_ra = _to_op_space(root, prim, drive, metres)
+            linear = T_ra[:3, :3]
             sizes = np.linalg.norm(linear, axis=0)
             if np.linalg.matrix_rank(linear / max(sizes.max(), 1e-30), tol=1e-6) < 3:
                 yield channel, f"{drive.prim}: its transform cannot be inverted", "mend the scale of it and its parents"
-            elif drive.op.startswith("rotate"):
-                yield from _turning(rig, channel, drive, linear, sizes)
+                continue
+            yield from _wrong_way(channel, drive, linear / sizes)
+            if drive.op.startswith("rotate"):
+                yield from _turning(rig, channel, drive, T_ra)
         except (ExportError, InputError) as error:
             yield channel, str(error), "mend its vehicle.toml or the asset"
 
@@ -166,11 +178,12 @@ def _skinned_from_elsewhere(prim: Any) -> str:
     return ""
 
 
-def _turning(rig: Rig, channel: str, drive: Drive, linear: Array, sizes: Array) -> Iterator[tuple[str, str, str]]:
-    """A spin keeps its part's shape, and its axis goes through it."""
+def _turning(rig: Rig, channel: str, drive: Drive, T_ra: Array) -> Iterator[tuple[str, str, str]]:
+    """A spin keeps its part's shape, and its axis goes through it; ``T_ra`` (4, 4): from the op's space."""
     axis = "XYZ".index(drive.op[-1])
     j, k = (axis + 1) % 3, (axis + 2) % 3
-    unit = linear / sizes
+    sizes = np.linalg.norm(T_ra[:3, :3], axis=0)
+    unit = T_ra[:3, :3] / sizes
     skew = max(abs(unit[:, j] @ unit[:, k]), abs(unit[:, axis] @ unit[:, j]), abs(unit[:, axis] @ unit[:, k]))
     if abs(sizes[j] / sizes[k] - 1) > SHEAR or skew > SHEAR:
         scales = ", ".join(f"{size:.4g}" for size in sizes)
@@ -183,10 +196,9 @@ def _turning(rig: Rig, channel: str, drive: Drive, linear: Array, sizes: Array) 
     low, high = _bounds(rig, drive.prim)
     if drive.pivot is not None or not np.isfinite(low).all():
         return
-    hub = _hub(rig, drive)
     direction = unit[:, axis]
     middle, half = (low + high) / 2, (high - low) / 2
-    off = middle - hub
+    off = middle - T_ra[:3, 3]
     off = off - direction * (off @ direction)
     if np.linalg.norm(off) > max(1.2 * float(np.linalg.norm(half)), 1e-6):
         yield (
@@ -196,20 +208,38 @@ def _turning(rig: Rig, channel: str, drive: Drive, linear: Array, sizes: Array) 
         )
 
 
-def _hub(rig: Rig, drive: Drive) -> Array:
-    part = {part.path: part for part in _parts(rig)}.get(drive.prim)
-    return part.T_rp[:3, 3] if part is not None else np.zeros(3)
+def _wrong_way(channel: str, drive: Drive, axes: Array) -> Iterator[tuple[str, str, str]]:
+    """A wheel that would roll backwards, steer the other way or sink; ``axes`` (3, 3): the op's space, unit columns."""
+    axis = axes[:, "XYZ".index(drive.op[-1])] * np.sign(drive.factor)
+    if drive.op.startswith("rotate"):
+        axis = axis * np.sign(np.linalg.det(axes))  # a mirror turns turns round
+    for prefix, (meaning, wanted) in SENSES.items():
+        along = float(axis @ np.asarray(wanted))
+        if channel.startswith(prefix) and along < 0.5:
+            mend = f"factor = {-drive.factor:g}" if along < -0.5 else "choose the op along its axle, or mend forward"
+            goes = ", ".join(f"{x:.2g}" for x in np.round(axis, 2) + 0.0)
+            yield channel, f"{drive.prim}: {drive.op} goes by [{goes}] of the vehicle; {meaning}, {list(wanted)}", mend
 
 
 def _bounds(rig: Rig, path: str) -> Array:
     """Lower and upper corner (2, 3) of a part and all that rides on it, in the rig root's frame, m."""
     inside = [part for part in _parts(rig) if part.path == path or part.path.startswith(f"{path}/")]
     points = [part.points @ part.T_rp[:3, :3].T + part.T_rp[:3, 3] for part in inside]
-    points = [cloud for cloud in points if len(cloud)]
+    points = [cloud for cloud in points if len(cloud)] or _own_points(rig, path)
     if not points:
         return np.full((2, 3), np.nan)
     cloud = np.concatenate(points)
     return np.stack([cloud.min(axis=0), cloud.max(axis=0)])
+
+
+def _own_points(rig: Rig, path: str) -> list[Array]:
+    """The points (n, 3) of a mesh that is driven itself, though nothing places it."""
+    from vehsim.parts import read_mesh
+
+    try:
+        return [read_mesh(rig.asset, rig.root or None, path)[0]]
+    except InputError:
+        return []
 
 
 def _parts(rig: Rig) -> Any:

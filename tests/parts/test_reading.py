@@ -86,9 +86,9 @@ def intricate() -> Usd.Stage:
 
 def test_geometry_is_where_usd_says(intricate, tmp_path):
     parts = {part.path: part for part in read_parts(saved(intricate, tmp_path))}
-    assert list(parts) == ["body", "body/group", "body/group/arm"]
+    assert list(parts) == ["body", "body/skin", "body/group", "body/group/arm"]
     assert parts["body/group/arm"].parent == "body/group" and parts["body"].parent is None
-    for path, mesh in (("body", "/rig/body/skin"), ("body/group/arm", "/rig/body/group/arm/mesh")):
+    for path, mesh in (("body/skin", "/rig/body/skin"), ("body/group/arm", "/rig/body/group/arm/mesh")):
         assert np.allclose(in_root(parts[path]), world_points(intricate, mesh), atol=1e-6)
 
 
@@ -112,7 +112,7 @@ def test_mirrored_and_left_handed_meshes_face_outward(intricate, tmp_path):
     indices = [i for quad in QUADS for i in quad[::-1]]
     UsdGeom.Mesh(intricate.GetPrimAtPath("/rig/body/skin")).CreateFaceVertexIndicesAttr(indices)
     volumes = {part.path: volume(part) for part in read_parts(saved(intricate, tmp_path)) if len(part.faces)}
-    assert volumes == pytest.approx({"body": 8.0, "body/group/arm": 8.0})
+    assert volumes == pytest.approx({"body/skin": 8.0, "body/group/arm": 8.0})
 
 
 def test_units_and_up_axis_become_metres_z_up(tmp_path):

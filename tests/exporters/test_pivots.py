@@ -1,0 +1,125 @@
+"""Wheels modelled in their place, whose pivots other software named: they turn about their own middle, and forward."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Gf, Usd, UsdGeom
+from scipy.spatial.transform import Rotation
+
+import vehsim
+from vehsim.exporters.readback import world_matrices
+from vehsim.exporters.usd import write_usd
+from vehsim.rigging import rig_problems
+from vehsim.take import Take
+from vehsim.vehicles import load_vehicle
+
+HUBS = {"fl": (2.6, 0.8, 0.4), "fr": (2.6, -0.8, 0.4), "rl": (0.0, 0.8, 0.4), "rr": (0.0, -0.8, 0.4)}
+TOML = """
+schema = 1
+name = "mine"
+model = "car"
+asset = "mine.usda"
+origin = [0.0, 0.0, 0.0]
+[physics]
+mass = 900.0
+yaw_inertia = 1500.0
+wheel_inertia = 1.5
+wheel_radius = 0.4
+wheelbase = 2.6
+half_track = 0.8
+"""
+
+
+def wheel(stage, path, hub):
+    """A tyre (a prism of 24 sides, radius 0.4 m) about a point; its points (n, 3) m."""
+    angle = np.arange(24) / 24 * 2 * np.pi
+    ring = 0.4 * np.stack([np.cos(angle), 0 * angle, np.sin(angle)], axis=1)
+    points = np.concatenate([ring + np.array([0, y, 0]) for y in (-0.12, 0.12)]) + hub
+    mesh = UsdGeom.Mesh.Define(stage, path)
+    mesh.CreatePointsAttr([Gf.Vec3f(*p) for p in points.tolist()])
+    mesh.CreateFaceVertexCountsAttr([4] * 24)
+    mesh.CreateFaceVertexIndicesAttr([i for k in range(24) for i in (k, (k + 1) % 24, 24 + (k + 1) % 24, 24 + k)])
+    return mesh
+
+
+def vehicle(folder: Path, pivots=("rotatePivotTranslate", "rotatePivot"), merged=False, mirrored=(), **more):
+    """A car whose wheels lie in their place in a prim each, which may be the mesh itself, or below a mirror."""
+    stage = Usd.Stage.CreateNew(str(folder / "mine.usda"))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/mine").GetPrim())
+    channels = ""
+    for name, hub in HUBS.items():
+        path = f"side_{name}/wheel"
+        side = UsdGeom.Xform.Define(stage, f"/mine/side_{name}")
+        place = np.array(hub) * [1, -1, 1] if name in mirrored else np.array(hub)
+        if name in mirrored:
+            side.AddScaleOp().Set((1, -1, 1))
+            side.AddTranslateOp().Set((0, 0, 0))  # a mirror last in the order would stand below the steering
+        if not merged:
+            UsdGeom.Xform.Define(stage, f"/mine/{path}")
+        prim = UsdGeom.Xformable(wheel(stage, f"/mine/{path}{'' if merged else '/tyre'}", place).GetPrim())
+        prim = prim if merged else UsdGeom.Xformable(stage.GetPrimAtPath(f"/mine/{path}"))
+        for suffix in pivots[:-1]:
+            prim.AddTranslateOp(opSuffix=suffix).Set((0, 0, 0))
+        prim.AddTranslateOp(opSuffix=pivots[-1]).Set(tuple(place.tolist()))
+        prim.AddRotateXYZOp().Set((0, 12, 0))
+        prim.AddTranslateOp(opSuffix=pivots[-1], isInverseOp=True)
+        for kind, op, carrier in (("roll", "rotateY", path), ("steer", "rotateZ", f"side_{name}")):
+            if kind == "roll" or name in mirrored:
+                turns = "".join(f"{key} = {value}\n" for key, value in more.get(f"{kind}_{name}", {}).items())
+                channels += f'[channels.{kind}_{name}]\nprim = "{carrier}"\nop = "{op}"\n{turns}'
+    stage.Save()
+    (folder / "vehicle.toml").write_text(TOML + channels)
+    return load_vehicle(folder)
+
+
+@pytest.mark.parametrize("merged", [False, True])
+@pytest.mark.parametrize("pivots", [("rotatePivotTranslate", "rotatePivot"), ("my_pivot",), ("hub",)])
+def test_wheels_turn_about_their_pivot_whatever_its_name(pivots, merged, tmp_path):
+    """Every point stands at T_wr (hub + R_y(roll) (rest - hub)), written out here from the clip's own numbers."""
+    car = vehicle(tmp_path, pivots, merged)
+    assert list(rig_problems(car.rig)) == []
+    clip = vehsim.simulate(car, None, [0.0, 0.0], vehsim.State(twist=(0.0, 8.0, 0.0)), 0.5)
+    take = Take("shot", {"it": clip}, vehsim.World(), (), Fraction(24), (1001, 1013))
+    write_usd(take, tmp_path / "out", lambda what, done: None)
+    stage, whole = Usd.Stage.Open(str(tmp_path / "out/shot.usda")), clip.resample()
+    rest = Usd.Stage.Open(str(tmp_path / "mine.usda"))
+    for name, hub in HUBS.items():
+        path = f"side_{name}/wheel{'' if merged else '/tyre'}"
+        mesh = UsdGeom.Mesh(rest.GetPrimAtPath(f"/mine/{path}"))
+        points = np.array(mesh.GetPointsAttr().Get(), float)
+        at_rest = world_matrices(mesh.GetPrim(), np.array([0.0]))[0]
+        off = points @ at_rest[:3, :3].T + at_rest[:3, 3] - hub
+        found = world_matrices(stage.GetPrimAtPath(f"/shot/vehicles/it/{path}"), whole.frames)
+        for T_wr, roll, matrix in zip(whole.matrices(), whole.channels[f"roll_{name}"], found, strict=True):
+            turned = off @ Rotation.from_rotvec([0.0, roll, 0.0]).as_matrix().T + hub
+            expected = turned @ T_wr[:3, :3].T + T_wr[:3, 3]
+            assert np.abs(points @ matrix[:3, :3].T + matrix[:3, 3] - expected).max() < 1e-9, name
+
+
+def test_a_mirror_above_a_wheel_turns_its_steering_round_and_not_its_rolling(tmp_path):
+    centre = {"pivot": '"centre"'}
+    found = list(rig_problems(vehicle(tmp_path, mirrored=("fr",), steer_fr=centre).rig))
+    assert [(channel, mend) for channel, _, mend in found] == [("steer_fr", "factor = -1")]
+    assert "steering to the left is a turn about what points up" in found[0][1]
+    (again := tmp_path / "again").mkdir()
+    assert not list(rig_problems(vehicle(again, mirrored=("fr",), steer_fr={"factor": -1} | centre).rig))
+
+
+def test_a_wheel_that_would_roll_backwards_is_named(tmp_path):
+    ((channel, message, mend),) = rig_problems(vehicle(tmp_path, roll_rl={"factor": -1}).rig)
+    assert channel == "roll_rl" and mend == "factor = 1" and "goes by [0, -1, 0] of the vehicle" in message
+
+
+def test_a_deactivated_prim_is_named(tmp_path):
+    car = vehicle(tmp_path)
+    stage = Usd.Stage.Open(str(tmp_path / "mine.usda"))
+    stage.GetPrimAtPath("/mine/side_rr/wheel").SetActive(False)
+    stage.Save()
+    ((channel, message, _),) = rig_problems(car.rig)
+    assert channel == "roll_rr" and "prim = 'side_rr/wheel': deactivated in the asset" in message
