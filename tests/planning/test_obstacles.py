@@ -16,7 +16,8 @@ from vehsim.planning.elements import Problem
 from vehsim.planning.features import CORNERS, body_of, form_of, gap
 from vehsim.planning.features import element as row_of
 from vehsim.planning.layout import Layout
-from vehsim.planning.obstacles import Rows, obstacle_rows
+from vehsim.planning.marks import Gate
+from vehsim.planning.obstacles import Rows, marks_too_near, obstacle_rows
 from vehsim.planning.outlines import clearances, inner_discs, simplified
 from vehsim.planning.transcription import transcription
 from vehsim.world import obstacles as ob
@@ -139,6 +140,23 @@ def test_what_hangs_higher_or_lies_lower_does_not_matter(car):
 def test_marks_in_obstacles_are_refused(car, obstacles, complaint):
     with pytest.raises(InputError, match=complaint):
         vehsim.plan(car, World(obstacles=obstacles), across(), segments=32)
+
+
+def test_a_mark_that_no_heading_clears_is_refused(car):
+    """Shapely turns the car about the mark: 5 cm less than the best heading leaves is planned, 5 cm more refused."""
+    walls = [ob.box("wall", (50, 2.5, 0), (30, 0.5, 3)), ob.box("rail", (50, -3.5, 0), (30, 0.5, 3))]
+    union = shapely.unary_union([shapely.Polygon(part) for wall in walls for part in wall.parts])
+    yaw = np.linspace(0, 2 * np.pi, 3601)
+    turned = placed(ob.footprint(car), np.tile([50.0, 0.0], (len(yaw), 1)), yaw)
+    best = float(shapely.distance(shapely.polygons(turned), union).max())
+    mark = Mark("free", position=(50, 0, 0))
+
+    def complaints(clearance, mark=mark):
+        return [message for _, message, _ in marks_too_near(car, World(obstacles=walls), [mark], clearance)]
+
+    assert not complaints(best - 0.05)
+    assert complaints(best + 0.1) == [f"only {best:.2f} m from obstacle 'wall' at any heading"]
+    assert not complaints(best + 0.1, replace(mark, gate=Gate((1, 0, 0), radius=2)))  # it may pass elsewhere
 
 
 def test_walled_in_is_said(car):

@@ -11,6 +11,7 @@ from vehsim import Mark, State
 from vehsim.errors import InputError
 from vehsim.integrators import Integrator
 from vehsim.lie import SO3xR3
+from vehsim.planning.request import ask
 from vehsim.vehicles import Control, Holonomic
 
 REST = (0.0, 0.0, 0.0)
@@ -311,11 +312,21 @@ def test_free_heading_is_nose_first(helicopter):
     assert plan.success and np.abs(heading).max() < 15
 
 
-def test_a_free_drive_does_not_crawl():
-    car = vehsim.load_vehicle("car")
-    marks = [Mark(1, position=REST, heading=0, velocity=REST), Mark("free", position=(75, 0, 0), velocity=REST)]
-    plan = vehsim.plan(car, None, marks, segments=32)
-    assert plan.success and plan.duration < 25
+@pytest.mark.parametrize(("name", "away", "seconds"), [("car", 75, 25), ("truck", 60, 35), ("two_wheeled", 5, 15)])
+def test_a_free_drive_does_not_crawl(name, away, seconds):
+    """Where standing costs no effort, time counts too."""
+    marks = [Mark(1, position=REST, heading=0, velocity=REST), Mark("free", position=(away, 0, 0), velocity=REST)]
+    plan = vehsim.plan(vehsim.load_vehicle(name), None, marks, segments=32, refine=False)
+    assert plan.success and plan.duration < seconds
+
+
+def test_time_counts_where_nobody_else_says_when():
+    """Not for what has to hold itself up, nor between marks at frames; who names it says how much."""
+    free, fixed = [Mark(1, position=REST), Mark("free", position=(9, 0, 0))], [Mark(1, position=REST), Mark(9)]
+    boat, helicopter = vehsim.load_vehicle("boat"), vehsim.load_vehicle("helicopter")
+    weights = [ask(v, None, m, fps=24, segments=8).weights["time"] for v in (boat, helicopter) for m in (free, fixed)]
+    assert weights == [1.0, 0.0, 0.0, 0.0]
+    assert ask(boat, None, free, fps=24, segments=8, cost={"effort": 1, "time": 0}).weights["time"] == 0
 
 
 def test_interrupt_stops_the_solve_and_is_raised(helicopter):

@@ -38,6 +38,12 @@ def test_a_landing_from_file_to_stage(tmp_path):
     assert radius.min() >= 3.0 - 1e-6 and radius.max() < 3.04
 
 
+@pytest.mark.parametrize("height", [2.0, 1.6])
+def test_the_height_of_the_ground_itself_will_do(height):
+    """Given as an animator gives it: the pad's own height, or a little less."""
+    assert not shot(position=[30, 0, height]).check()
+
+
 @pytest.mark.parametrize(
     "wrong, complaint",
     [

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim.planning.marks import Mark
+from vehsim.planning.marks import Mark, leeway
 from vehsim.planning.request import Request
 from vehsim.planning.terms import Constraint
 from vehsim.vehicles import Holonomic, Vehicle
@@ -64,9 +64,7 @@ def _outside(request: Request, mark: Mark, term: Constraint) -> list[Refusal]:
     there = term.frames is None or (mark.frame != "free" and term.frames[0] <= mark.frame <= term.frames[1])
     if term.box is None or mark.position is None or not there:
         return []
-    room, gate = mark.tolerance, mark.gate
-    if gate is not None:
-        room = gate.radius or math.hypot(*(gate.size or ())) / 2
+    room = mark.tolerance if mark.gate is None else leeway(mark)
     shown = 3 if request.vehicle.group.dim == 6 else 2
     low, high = term.box
     place = np.asarray(mark.position, float)

@@ -151,14 +151,8 @@ def trim(vehicle: Vehicle, wind: tuple[float, ...]) -> Array:
 
     if not vehicle.controls:
         return np.zeros(0)
-    s, d = len(vehicle.joints), vehicle.group.dim
-    c = ca.SX.sym("c", len(vehicle.controls))
-    still = ca.SX(list(vehicle.group.identity))
-    forces = vehicle.force(still, ca.SX.zeros(s), ca.SX.zeros(s), ca.SX.zeros(d), c, ca.SX(list(wind)))
-    weight = conservative(vehicle, still, ca.SX.zeros(s))
-    residual = ca.densify(ca.vertcat(*(a + b for a, b in zip(forces, weight, strict=True))))
     scale = np.array([control.scale for control in vehicle.controls])
-    law = ca.Function("force", [c], [residual, ca.densify(ca.jacobian(residual, c))])
+    law = _standing(vehicle, wind)
     size = max(1.0, float(np.abs(np.asarray(law(np.zeros(len(scale)))[0])).max(initial=0.0)))
 
     def balance(v: Array) -> Array:
@@ -171,6 +165,23 @@ def trim(vehicle: Vehicle, wind: tuple[float, ...]) -> Array:
         bounded, (np.nan_to_num(lower) + np.nan_to_num(upper)) / 2, np.clip(0.0, lower + 1e-6, upper - 1e-6)
     )
     return np.asarray(least_squares(balance, start, bounds=(lower, upper)).x * scale)
+
+
+def stands(vehicle: Vehicle) -> bool:
+    """Whether it stands still and level with its controls at zero."""
+    force = _standing(vehicle, (0.0, 0.0, 0.0))(np.zeros(len(vehicle.controls)))[0]
+    return bool(np.abs(np.asarray(force)).max(initial=0.0) < 1e-9)
+
+
+def _standing(vehicle: Vehicle, wind: tuple[float, ...]) -> ca.Function:
+    """Controls (c,) -> the force on it where it stands level in the wind, and its derivative."""
+    s, d = len(vehicle.joints), vehicle.group.dim
+    c = ca.SX.sym("c", len(vehicle.controls))
+    still = ca.SX(list(vehicle.group.identity))
+    forces = vehicle.force(still, ca.SX.zeros(s), ca.SX.zeros(s), ca.SX.zeros(d), c, ca.SX(list(wind)))
+    weight = conservative(vehicle, still, ca.SX.zeros(s))
+    residual = ca.densify(ca.vertcat(*(a + b for a, b in zip(forces, weight, strict=True))))
+    return ca.Function("force", [c], [residual, ca.densify(ca.jacobian(residual, c))])
 
 
 def _node_fractions(layout: Layout) -> tuple[Array, NDArray[np.intp]]:

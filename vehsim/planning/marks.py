@@ -91,6 +91,13 @@ class Mark:
         return self.at_rest and self.orientation is None
 
 
+def leeway(mark: Any) -> float:
+    """How far from its position a mark lets the root be, m: to the corners of its box or gate."""
+    if mark.gate is not None:
+        return float(mark.gate.radius or math.hypot(*mark.gate.size) / 2)
+    return float(mark.tolerance * math.sqrt(3))
+
+
 _SIZES = {"position": 3, "orientation": 4, "velocity": 3}
 
 

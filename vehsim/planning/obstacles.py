@@ -21,7 +21,7 @@ from vehsim.planning.cover import attitude
 from vehsim.planning.elements import Problem
 from vehsim.planning.features import CORNERS, Feature, body_of, element, form_of, gap
 from vehsim.planning.legs import fixed_durations, legs_between, path_length
-from vehsim.planning.marks import Mark
+from vehsim.planning.marks import Mark, leeway
 from vehsim.planning.outlines import bounds_to, clearances, simplified
 from vehsim.planning.transcription import Layout, Transcription
 from vehsim.vehicles import Vehicle
@@ -44,6 +44,8 @@ BETWEEN = 0.005
 """
 DODGES = 4
 """How often a first guess is sought that is not in the way of what moves."""
+TURNS = 180
+"""Headings tried at a mark that leaves it open."""
 BRISK = 5.0
 """Guess of how fast a leg between free marks is driven, m/s."""
 
@@ -242,7 +244,8 @@ def marks_too_near(
 ) -> Iterator[tuple[int, str, str]]:
     """Number, message and mend of every mark whose vehicle stands in an obstacle or too near to one.
 
-    A mark without a heading is asked for its root alone; one with a tolerance may give way by that.
+    A mark without a heading may have any, what flies without an attitude is asked for its root alone; one with a
+    tolerance or a gate may give way by that.
     """
     if vehicle.group.dim == 6:
         yield from _flown_too_near(vehicle, world, marks, clearance)
@@ -252,15 +255,16 @@ def marks_too_near(
     for i, mark in enumerate(marks if still else ()):
         if mark.position is None:
             continue
-        outline = footprint(vehicle) if mark.heading is not None else np.zeros((1, 2))
-        yaw = np.array([np.deg2rad(mark.heading or 0.0)])
-        gaps = clearances(still, placed(outline, np.array([mark.position[:2]], float), yaw), np.zeros(1))[:, 0]
-        gap, name = float(gaps.min()) + mark.tolerance, still[int(gaps.argmin())][0].name
-        if gap <= 0:
-            yield i, f"in obstacle {name!r}", "move the mark or the obstacle"
-        elif mark.heading is not None and gap < clearance - FINEST:
-            mend = f"keep the clearance of {clearance:g} m, or ask for less"
-            yield i, f"only {gap:.2f} m from obstacle {name!r}", mend
+        outline, place = footprint(vehicle), np.array([mark.position[:2]], float)
+        faced = mark.heading is not None
+        yaw = np.deg2rad([mark.heading] if faced else np.arange(TURNS) * 360 / TURNS)
+        between = 0.0 if faced else np.pi / TURNS * float(np.linalg.norm(outline, axis=1).max())
+        seconds = np.zeros(len(yaw))
+        near = clearances(still, placed(outline, np.repeat(place, len(yaw), axis=0), yaw), seconds)
+        best = int(near.min(axis=0).argmax())
+        gap, name = float(near[:, best].min()), still[int(near[:, best].argmin())][0].name
+        if gap + leeway(mark) + between < clearance - FINEST:
+            yield i, *_nearness(gap, name, clearance, "" if faced else " at any heading")
 
 
 def _flown_too_near(
@@ -273,12 +277,17 @@ def _flown_too_near(
         turned = mark.orientation is not None or mark.heading is not None
         body = vehicle if turned else replace(vehicle, rig=None)
         gaps = world.clearance_by_obstacle(body, mark.position, attitude(mark))[0]
-        gap, name = float(gaps.min()) + mark.tolerance, world.obstacles[int(gaps.argmin())].name
-        if gap <= 0:
-            yield i, f"in obstacle {name!r}", "move the mark or the obstacle"
-        elif turned and gap < clearance - FINEST:
-            mend = f"keep the clearance of {clearance:g} m, or ask for less"
-            yield i, f"only {gap:.2f} m from obstacle {name!r}", mend
+        gap, name = float(gaps.min()), world.obstacles[int(gaps.argmin())].name
+        if gap + leeway(mark) < (clearance - FINEST if turned else 0.0):
+            yield i, *_nearness(gap, name, clearance)
+
+
+def _nearness(gap: float, name: str, clearance: float, heading: str = "") -> tuple[str, str]:
+    """Message and mend of a mark at ``gap`` m from an obstacle."""
+    if gap <= 0:
+        return f"in obstacle {name!r}{heading}", "move the mark or the obstacle"
+    mend = f"keep the clearance of {clearance:g} m, or ask for less"
+    return f"only {gap:.2f} m from obstacle {name!r}{heading}", mend
 
 
 def _shape_of(obstacle: Any, number: int) -> Any:

@@ -17,6 +17,7 @@ from vehsim.clip import frame_rate
 from vehsim.errors import InputError
 from vehsim.lie import SO3
 from vehsim.planning.cover import attitude
+from vehsim.planning.guess import stands
 from vehsim.planning.legs import knots_within, mark_positions
 from vehsim.planning.marks import Mark, check_marks, with_breaks
 from vehsim.planning.obstacles import check_marks_clear
@@ -135,7 +136,7 @@ def ask(
         marks=all_marks(marks, vehicle, world, kept),
         fps=frame_rate(fps),
         segments=int(segments),
-        weights=cost_weights(cost, vehicle.default_costs),
+        weights=cost_weights(cost, default_costs(vehicle, marks)),
         clearance=float(clearance),
         limits=check_limits(limits or {}, vehicle.joints),
         refine=refine,
@@ -156,6 +157,13 @@ def ask(
             f"mark.position: heights {sorted(heights)} m; {vehicle.name} keeps its height, give one z to all"
         )
     return request
+
+
+def default_costs(vehicle: Vehicle, marks: Sequence[Mark]) -> dict[str, float]:
+    """The vehicle's own, and time where it may take as long as it likes and standing costs no effort: effort alone
+    would crawl for ever."""
+    patient = len(marks) > 0 and marks[-1].frame == "free" and stands(vehicle)
+    return ({"time": 1.0} if patient else {}) | dict(vehicle.default_costs)
 
 
 def all_marks(marks: Sequence[Mark], vehicle: Vehicle, world: Any, terms: Sequence[Term]) -> list[Mark]:

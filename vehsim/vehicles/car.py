@@ -53,7 +53,6 @@ def car(
         forces=forces,
         potential_energy=slope_energy(mass, slope),
         controls=tuple(Control(n) for n in ("torque", "steering_rate")),
-        default_costs={"time": 1.0},  # standing costs no effort, so effort alone would crawl for ever
         rate_controls={"steering_rate": "sigma"},
         channels=ackermann_channels(wheel_radius, wheelbase, half_track),
     )

@@ -22,6 +22,8 @@ TOUCH = 2e-5
 """Where it touches it is no farther away than this, m."""
 FOOT = 5e-3
 """What a vehicle stands on: points of its hulls no higher than this above its lowest, m."""
+SUNK = 0.5
+"""By how much it may stand too deep, m: whoever gives the height of the ground gives it no finer."""
 STEPS = 400
 """Steps down, at most."""
 
@@ -29,18 +31,27 @@ STEPS = 400
 def put_down(world: World, vehicle: Any, position: ArrayLike, orientation: ArrayLike) -> Array:
     """The root's position (3,) m where a vehicle let down from ``position``, not turning, touches terrain or obstacle.
 
-    Exact to `TOUCH`: hulls go down by their distance, which never is too far. Raises ``InputError`` where it begins
-    inside something, and where there is nothing below.
+    Exact to `TOUCH`: hulls go down by their distance, which never is too far. Where it touches already or stands too
+    deep by up to `SUNK`, it is let down from as much higher. Raises ``InputError`` where it begins inside something,
+    and where there is nothing below.
     """
+
+    def gap(place: Array) -> float:
+        return float(world.clearance(vehicle, place[None], np.asarray(orientation)[None])[0])
+
     place = np.array(position, float)
-    lowest = min([world.terrain.lower[2]] if world.terrain else [] + [o.bottom for o in world.standing], default=np.inf)
-    for step in range(STEPS):
-        gap = float(world.clearance(vehicle, place[None], np.asarray(orientation)[None])[0])
-        if gap <= 0 and step == 0:
+    if gap(place) <= 0:
+        place[2] += SUNK
+        if gap(place) <= 0:
             raise InputError(f"{_say(position)}: inside the ground or an obstacle; raise it")
-        if gap <= TOUCH:
+    lowest = min(
+        [o.bottom for o in world.standing] + ([world.terrain.lower[2]] if world.terrain else []), default=np.inf
+    )
+    for _ in range(STEPS):
+        left = gap(place)
+        if left <= TOUCH:
             return place
-        place[2] -= min(gap, 1e3)
+        place[2] -= min(left, 1e3)
         if place[2] < lowest - 1e3:
             break
     raise InputError(f"{_say(position)}: nothing below it to stand on; move it, or give the world a terrain")
