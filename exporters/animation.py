@@ -20,7 +20,7 @@ from vehsim.errors import ExportError
 from vehsim.exporters.metadata import Z_UP_METRES, Units, author_stage_metadata, samples, unit_corrections
 from vehsim.exporters.packing import Pack
 from vehsim.exporters.rotors import author_rotors
-from vehsim.exporters.sampling import Shutter, clip_at, fewest, fewest_poses
+from vehsim.exporters.sampling import PLACE, TURN, Shutter, clip_at, fewest_together
 from vehsim.rigging import drive_op as drive_op
 from vehsim.rigging import driven_prim, instances_above, op_order, pivot_of, pivot_op, prim_path
 from vehsim.rigging import insert_op as insert_op
@@ -159,12 +159,15 @@ class _Motion:
     def __init__(
         self, clip: Clip, name: str, frames: tuple[int, int], shutter: tuple[float, float] | None, thin: float | None
     ) -> None:
-        self.clip, self.name, self.thin = clip, name, thin
+        self.clip, self.name = clip, name
         first, last = max(frames[0], clip.start_frame), min(frames[1], clip.end_frame)
         self.whole = np.arange(first, last + 1, dtype=float)
         self.on_whole = clip_at(clip, self.whole)
         self.shutter = None if shutter is None else Shutter(clip, shutter, (first, last))
         self.reach = _reaches(clip.vehicle.rig) if shutter is not None or thin is not None else {}
+        self.few = (
+            {} if thin is None else fewest_together(self.whole, self.on_whole, clip.vehicle.rig, self.reach, thin)
+        )
 
     def _at(self, frames: Array) -> Clip:
         return self.on_whole if frames is self.whole else clip_at(self.clip, frames)
@@ -175,10 +178,7 @@ class _Motion:
         frames = self.whole if self.shutter is None else self.shutter.pose_frames(self.reach[""], self.name)
         at = self._at(frames)
         positions, orientations = units.points(at.positions), units.poses(at.orientations)
-        some = other = np.arange(len(frames))
-        if self.thin is not None:
-            some = fewest(frames, at.positions, self.thin / np.sqrt(3))
-            other = fewest_poses(frames, at.orientations, self.thin / max(self.reach[""], 1e-3))
+        some, other = (self.few.get(what, slice(None)) for what in (PLACE, TURN))
         samples(root, ops.translate, Sdf.ValueTypeNames.Double3, frames[some], positions[some])
         samples(root, ops.orient, Sdf.ValueTypeNames.Quatd, frames[other], orientations[other])
         _author_constants(root, ops.constants.get("", []))
@@ -192,11 +192,8 @@ class _Motion:
         frames = self.whole
         if self.shutter is not None:
             frames = self.shutter.channel_frames(channel, 1.0, reach, turns, self.name)
-        values = self._at(frames).channels[channel]
-        if self.thin is not None:
-            some = fewest(frames, values, self.thin / (max(reach, 1e-3) if turns else 1.0))
-            frames, values = frames[some], values[some]
-        samples(spec, op, Sdf.ValueTypeNames.Double, frames, values * factor)
+        values, some = self._at(frames).channels[channel], self.few.get(channel, slice(None))
+        samples(spec, op, Sdf.ValueTypeNames.Double, frames[some], values[some] * factor)
 
 
 def _reaches(rig: Any) -> dict[str, float]:

@@ -6,6 +6,7 @@ What belongs here is the choice of frames from arrays and tolerances; authoring 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from vehsim.clip import Clip
+    from vehsim.vehicles._base import Rig
 
 Array = NDArray[np.float64]
 
@@ -151,6 +153,45 @@ def _angle(p: Array, q: Array) -> Array:
 # ---------------------------------------------------------------- as few as will do
 
 
+PLACE, TURN = "xformOp:translate", "xformOp:orient"
+"""The pose's attributes, beside a rig's channels."""
+
+
+def fewest_together(
+    frames: Array, at: Clip, rig: Rig, reaches: Mapping[str, float], tolerance: float
+) -> dict[str, NDArray[np.intp]]:
+    """Few of the samples of a clip at ``frames`` (n,): indices by channel, `PLACE` and `TURN`.
+
+    Each attribute gets the fewest that keep it within its share of ``tolerance`` m, and all get the largest share at
+    which no point is off by more, whatever it hangs on. ``reaches``: m, of the root ("") and of each channel.
+    """
+    levers = {name: reaches.get(name, 1.0) if d.op.startswith("rotate") else 1.0 for name, d in rig.drives.items()}
+    carriers = {
+        name: [up for up, d in rig.drives.items() if not d.prim or f"{drive.prim}/".startswith(f"{d.prim}/")]
+        for name, drive in rig.drives.items()
+    }
+    share = tolerance
+    while True:
+        chosen = {PLACE: fewest(frames, at.positions, share / np.sqrt(3))}
+        chosen[TURN] = fewest_poses(frames, at.orientations, share / max(reaches[""], 1e-3))
+        off = np.linalg.norm(_between(frames, at.positions, chosen[PLACE]), axis=1)
+        off += reaches[""] * _slerp_errors(frames, at.orientations, chosen[TURN])
+        errors = {}
+        for name, lever in levers.items():
+            chosen[name] = fewest(frames, at.channels[name], share / max(lever, 1e-3))
+            errors[name] = lever * np.abs(_between(frames, at.channels[name], chosen[name]))[:, 0]
+        carried = [np.sum([errors[up] for up in above], axis=0) for above in carriers.values()]
+        if (off + np.max(carried, axis=0, initial=0.0)).max() <= tolerance or share < 1e-3 * tolerance:
+            return chosen
+        share *= 0.8
+
+
+def _between(frames: Array, values: Array, chosen: NDArray[np.intp]) -> Array:
+    """How far (n, m) the samples stand from straight lines between those chosen."""
+    columns = np.reshape(values, (len(frames), -1)).T
+    return np.stack([np.interp(frames, frames[chosen], column[chosen]) - column for column in columns], axis=1)
+
+
 def fewest(frames: Array, values: Array, tolerance: float) -> NDArray[np.intp]:
     """The fewest of the samples whose straight lines stay within ``tolerance`` of all of them, in every column.
 
@@ -186,17 +227,18 @@ def fewest_poses(frames: Array, q: Array, angle: float) -> NDArray[np.intp]:
     tolerance = angle / 4  # of each of four components: their norm is half the angle
     for _ in range(8):
         chosen = fewest(frames, q, tolerance)
-        if _slerp_error(frames, q, chosen) <= angle:
+        if _slerp_errors(frames, q, chosen).max() <= angle:
             return chosen
         tolerance /= 2
     return np.arange(len(frames))
 
 
-def _slerp_error(frames: Array, q: Array, chosen: NDArray[np.intp]) -> float:
+def _slerp_errors(frames: Array, q: Array, chosen: NDArray[np.intp]) -> Array:
+    """Angles (n,) between the samples and slerps between those chosen."""
     from scipy.spatial.transform import Rotation, Slerp
 
     if len(frames) < 2:
-        return 0.0
+        return np.zeros(len(frames))
     rotations = Rotation.from_quat(q, scalar_first=True)
     between = Slerp(frames[chosen], rotations[chosen])(frames)
-    return float((between.inv() * rotations).magnitude().max())
+    return np.asarray((between.inv() * rotations).magnitude())
