@@ -1,5 +1,7 @@
 """Growth vectors against the paper's and by hand; steering judged by an integrator that knows nothing of the method."""
 
+from itertools import pairwise
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -10,7 +12,8 @@ from vehsim.sinusoids.algebra import classify, growth_bound
 from vehsim.sinusoids.canonical import steer_chained, steer_first_degree, steer_second_degree
 from vehsim.sinusoids.feedback import car_triangular
 from vehsim.sinusoids.fourier import steer_triangular
-from vehsim.sinusoids.trailers import steer_trailers
+from vehsim.sinusoids.trailers import _joined, steer_trailers
+from vehsim.sinusoids.train import Pose, Train, across
 
 
 def end_error(steering):
@@ -109,6 +112,17 @@ def test_trains_between_random_states(count):
     ends[:, :2], ends[:, 2] = rng.uniform(-10, 10, (2, 2)), rng.uniform(-0.4, 0.4, 2)
     ends[:, 3:] = np.cumsum(rng.uniform(-0.5, 0.5, (2, count + 1)), axis=1)
     assert end_error(steer_trailers([1.5] * count, *ends)) < 1e-6
+
+
+def test_a_hands_breadth_of_way_mends_no_error():
+    """With five trailers to mend 1e-10 m on 30 cm would take the wheels round at 1e5 rad: the next leg does it."""
+    hitches = (1.5,) * 5
+    poses = [Pose(0, 0, 0), Pose(40, 6, 0), Pose(40.3, 6, 0), Pose(80, 0, 0)]
+    legs = [across(Train(hitches, 1.0), a, b, "drive") for a, b in pairwise(poses)]
+    start = legs[0].states(np.zeros(1))[0] + 1e-10 * np.array([1, 1, 0, 1, -1, 1, -1, 1, -1])
+    joined = _joined(models.trailers(hitches), start, legs)
+    turning = [float(np.abs(leg.law(np.linspace(0, 1, 99))[:, 1]).max()) for leg in joined]
+    assert turning[1] < 1e-3 and turning[2] == pytest.approx(turning[0], rel=0.2)
 
 
 def test_wheels_are_straightened_for_loops_that_leave_the_chart():

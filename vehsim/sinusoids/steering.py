@@ -28,7 +28,7 @@ TOLERANCE = 1e-13
 """Of the integration that makes the states, relative to them."""
 SETTLED = 1e-9
 """A change below it that halving does not bring down is round-off, which reversing trailers amplify."""
-HALVINGS = 6
+HALVINGS = 8
 """How often its steps are halved at most."""
 ACCURACY = 1e-6
 """Largest accepted difference between the goal and where the inputs lead, in the states' own units."""

@@ -28,6 +28,10 @@ AMPLIFIED = 3e3
 """How much reversing may amplify errors on a chosen way."""
 FOLDED = 20.0
 """A car goes at most this many metres for one of the last axle."""
+FAR = 15
+"""A way of this many lengths of the train costs twice its length: what the steering is off by grows with its square."""
+SHORT = 0.3
+"""A leg of fewer lengths of the train is no place to mend what those before it are off by."""
 CHUNK = 24
 """Ways whose angles are looked at together."""
 
@@ -222,10 +226,15 @@ def _pull(system: DriftlessSystem, q: Array, length: float) -> _Pull:
 
 
 def _joined(system: DriftlessSystem, q: Array, legs: Sequence[Leg | _Pull]) -> list[Leg | _Pull]:
-    """Every leg from where those before it lead, to the last digit: what round-off adds is not carried on."""
+    """Every leg from where those before it lead, to the last digit: what round-off adds is not carried on.
+
+    Short ones only pass it on: to mend it there takes high derivatives times powers of one over their length.
+    """
     joined: list[Leg | _Pull] = []
     for k, leg in enumerate(legs):
-        joined.append(leg.begun(q) if k and isinstance(leg, Leg) else leg)
+        if k and isinstance(leg, Leg) and leg.length > SHORT * leg.train.length:
+            leg = leg.begun(q)
+        joined.append(leg)
         q = integrate(system, Stage(leg.label, joined[-1].law), q, np.array([0.0, 1.0]))[-1]
     return joined
 
@@ -259,6 +268,7 @@ def _least(train: Train, spans: Sequence[float]) -> float:
     Reversing a distance r multiplies errors by about ``e^(r/d) (r/d)^(N-1) / (N-1)!``, infinite beyond `AMPLIFIED`.
     """
     total, back = sum(abs(x) for x in spans), -sum(x for x in spans if x < 0)
+    total += total**2 / (FAR * train.length)
     if not train.hitches:
         return total + back
     hitches, n = back / min(train.hitches), len(train.hitches)
