@@ -280,6 +280,35 @@ def test_waves_against_a_fine_hull(surface):
         assert np.linalg.norm(a.wrench[3:] - b.wrench[3:]) < 5e-3 * np.linalg.norm(b.wrench[3:])
 
 
+@pytest.mark.parametrize(
+    ("surface", "most"),
+    [(wave(0.5, 8.0, 0.3), 8000), (sea_state(0.3, 2.5, seed=5), 40_000), (sea_state(2.0, 7.0, seed=5), 8000)],
+    ids=["wave", "chop", "sea"],
+)
+def test_hulls_of_strangers_are_cut_as_fine_as_waves_ask(surface, most):
+    """A barge with a moon pool and a catamaran: within 0.5 % of finer ones, closed, and of few faces even in a chop."""
+    import trimesh
+
+    ring = trimesh.creation.annulus(2.0, 6.0, 3.0)
+    barge = np.array(ring.vertices) * [2.0, 1.0, 1.0], np.array(ring.faces)
+    cat = join(box(10, 0.9, 1.6, (0, 2.3, 0)), box(10, 0.9, 1.6, (0, -2.3, 0)))
+    for hull, mass in ((barge, 300e3), (cat, 9e3)):
+        ours, fine = (afloat(floating(hull, mass), Water(surface=surface)) for _ in range(2))
+        mesh = ours.mesh
+        assert mesh.volume == pytest.approx(HullMesh(*hull).volume, rel=1e-10) and len(mesh.faces) < most
+        edges = np.sort(np.stack([mesh.faces, np.roll(mesh.faces, 1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+        assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()
+        longest = np.linalg.norm(np.diff(mesh.points[edges], axis=1), axis=2).max()
+        fine.mesh = mesh.refined(longest / 2.1)
+        random = np.random.default_rng(3)
+        for k in range(3):
+            turn = Rotation.from_euler("ZYX", random.normal(size=3) * [2, 0.03, 0.05])
+            state = at(ours.floating()[0] + random.uniform(-0.1, 0.1), turn, xy=random.uniform(-20, 20, 2))
+            a, b = (x.forces(0.7 * k, state, np.zeros(0)) for x in (ours, fine))
+            assert a.volume == pytest.approx(b.volume, rel=5e-3)
+            assert np.linalg.norm(a.wrench[3:] - b.wrench[3:]) < 5e-3 * np.linalg.norm(b.wrench[3:])
+
+
 def righting(body, heel):
     """Moment about the body's X when heeled, at the height where it displaces its weight."""
     from scipy.optimize import brentq

@@ -26,8 +26,12 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-ACROSS = 18
-"""Edges of a hull in waves are at most so small a share of the shortest wave, and of twice the hull's length."""
+SAG = 1 / 60
+"""The surface may bend by so small a share of a hull's mean draft across an edge of it, in waves as long as the hull or
+longer; the bends of shorter ones average out along it."""
+FINEST, COARSEST = 1 / 36, 1 / 3
+"""Shares of the shortest wave: no edge is longer than the second, and none need be shorter than the first (of twice the
+hull's length, where the wave is longer still)."""
 INSTANT = 1e-3
 """Time difference that gives the water's acceleration, s."""
 
@@ -63,8 +67,11 @@ class Afloat(Environment):
         mesh = mesh.shifted(self.vehicle.origin)
         if self.water.flat:
             return mesh
-        length = float(np.ptp(mesh.points, axis=0).max())
-        return mesh.refined(min(2 * length, self.water.shortest) / ACROSS)
+        size, wave = np.ptp(mesh.points, axis=0), self.water.shortest
+        length, draft = float(size.max()), self.rest_volume / (size[0] * size[1])
+        sag = SAG * draft * max(1.0, length / wave)
+        edge = np.sqrt(8 * sag / max(self.water.curvature, 1e-12))
+        return mesh.refined(float(np.clip(edge, FINEST * min(wave, 2 * length), COARSEST * wave)))
 
     @cached_property
     def reference_area(self) -> float:

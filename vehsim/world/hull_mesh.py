@@ -89,16 +89,22 @@ class HullMesh:
         return self._like(self.points - offset, self.faces)
 
     def refined(self, edge: float) -> HullMesh:
-        """The same surface with no edge longer than ``edge`` m, or as near to it as ``MAX_FACES`` allows."""
-        import trimesh
+        """The same surface with no edge longer than ``edge`` m, or as near to it as ``MAX_FACES`` allows.
 
-        longest = np.linalg.norm(self.points[self.faces] - self.points[np.roll(self.faces, 1, 1)], axis=2).max()
-        area = float(np.linalg.norm(_normals(self.points[self.faces]), axis=1).sum())
-        edge = max(edge, float(np.sqrt(4 * area / MAX_FACES)))
-        if longest <= edge:
-            return self
-        points, faces = trimesh.remesh.subdivide_to_size(self.points, self.faces, edge, max_iter=20)
-        return self._like(*_welded(points, faces))
+        Longer edges are halved, and only these: it stays closed, and long thin faces become less so.
+        """
+        points, faces = self.points, self.faces
+        while 4 * len(faces) <= MAX_FACES:
+            pairs = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2), axis=2)
+            key, index = np.unique(pairs.reshape(-1, 2) @ [len(points), 1], return_inverse=True)
+            a, b = np.divmod(key, len(points))
+            long = np.linalg.norm(points[a] - points[b], axis=1) > edge
+            if not long.any():
+                break
+            middle = np.where(long, len(points) + np.cumsum(long) - 1, -1)
+            points = np.concatenate([points, (points[a[long]] + points[b[long]]) / 2])
+            faces = _halved(points, faces, middle[index.reshape(-1, 3)])
+        return self._like(points, faces)
 
     def _like(self, points: Array, faces: Faces) -> HullMesh:
         """A hull whose surface is known to be sound."""
@@ -196,6 +202,28 @@ def _welded(points: Array, faces: Faces) -> tuple[Array, Faces]:
     faces = faces[(a != b) & (b != c) & (c != a)]
     used, faces = np.unique(faces, return_inverse=True)
     return points[first[used]], faces.reshape(-1, 3).astype(np.int64)
+
+
+def _halved(points: Array, faces: Faces, middle: Faces) -> Faces:
+    """Triangles (m, 3) cut where edges k to k + 1 have a ``middle`` (m, 3), which is -1 where they have none."""
+    count = (middle >= 0).sum(axis=1)
+
+    def corners(these: Any, first: Any) -> Any:
+        """Corners and middles, turned so that edge ``first`` comes first."""
+        turned = (first[:, None] + np.arange(3)) % 3
+        f, m = (np.take_along_axis(x[these], turned, axis=1).T for x in (faces, middle))
+        return (*f, *m)
+
+    one, two, three = (np.flatnonzero(count == k) for k in (1, 2, 3))
+    p, q, r, pq, _, _ = corners(one, (middle[one] >= 0).argmax(axis=1))
+    made = [faces[count == 0], (p, pq, r), (pq, q, r)]
+    p, q, r, _, qr, rp = corners(two, (middle[two] < 0).argmax(axis=1))
+    # what is left of the face below r has four corners, and is cut along its shorter diagonal
+    across = np.linalg.norm(points[p] - points[qr], axis=1) < np.linalg.norm(points[q] - points[rp], axis=1)
+    made += [(qr, r, rp), (p, q, np.where(across, qr, rp)), (np.where(across, p, q), qr, rp)]
+    p, q, r, pq, qr, rp = corners(three, np.zeros(len(three), np.int64))
+    made += [(p, pq, rp), (pq, q, qr), (rp, qr, r), (pq, qr, rp)]
+    return np.concatenate([made[0], *(np.stack(triangle, axis=1) for triangle in made[1:])])
 
 
 def _parts(faces: Faces) -> list[NDArray[np.bool_]]:

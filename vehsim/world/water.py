@@ -39,6 +39,10 @@ class Surface(Protocol):
         """Wavelength (m) by which the surface bends; what follows it linearly needs pieces of a small share of it."""
 
     @property
+    def curvature(self) -> float:
+        """Root mean square (1/m) of the Laplacian of the height: how much it bends."""
+
+    @property
     def content_hash(self) -> str: ...
 
     def at(self, points: Array, level: float, t: float) -> tuple[Array, Array]:
@@ -122,6 +126,11 @@ class Waves:
         """Length (m) of a single wave that is as curved for its height as the whole surface."""
         power = self.amplitude**2
         return float(2 * np.pi * (power.sum() / max((power * self._k**4).sum(), 1e-300)) ** 0.25)
+
+    @cached_property
+    def curvature(self) -> float:
+        """Root mean square (1/m) of the Laplacian of the height."""
+        return float(np.sqrt((self.amplitude**2 * self._k**4).sum() / 2))
 
     def rest(self, xy: Array, t: float) -> Array:
         """Where at rest (n, 2) the water is that stands at ``xy`` (n, 2): the inverse of Gerstner's horizontal map."""
@@ -249,6 +258,11 @@ class Water:
     def shortest(self) -> float:
         """The shortest length on the surface that matters, m; inf when it is flat."""
         return np.inf if self.surface is None else self.surface.shortest
+
+    @property
+    def curvature(self) -> float:
+        """How much the surface bends, 1/m: see `Surface`."""
+        return 0.0 if self.surface is None else self.surface.curvature
 
     def height(self, xy: ArrayLike, t: float = 0.0) -> Array:
         """Height (n,) m of the surface at ``xy`` (n, 2) m."""

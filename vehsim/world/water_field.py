@@ -117,6 +117,10 @@ class Rays:
         return self.surface.shortest
 
     @property
+    def curvature(self) -> float:
+        return self.surface.curvature
+
+    @property
     def content_hash(self) -> str:
         return f"rays:{self.cell}:{self.surface.content_hash}"
 

@@ -66,6 +66,12 @@ class WaterGrids:
         """Four cells: nothing finer is resolved, m."""
         return 4 * min(self.cell)
 
+    @cached_property
+    def curvature(self) -> float:
+        """Root mean square (1/m) of the heights' second differences, those along X and along Y together."""
+        bends = [np.diff(self.heights, 2, axis=2 - i) / self.cell[i] ** 2 for i in range(2)]
+        return float(np.sqrt(sum((bend**2).mean() for bend in bends if bend.size)))
+
     @property
     def lower(self) -> Array:
         """(2,) m: the grid's corner of smallest x and y."""
