@@ -37,18 +37,19 @@ def block(tmp_path_factory):
     return make
 
 
-def slab(path, size):
-    """A box about its root, as USD."""
+def slab(path, size, places=(0.0,)):
+    """A box about its root, as USD; or several, side by side at ``places``."""
     stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/block").GetPrim())
-    mesh = UsdGeom.Mesh.Define(stage, "/block/hull")
     x, y, z = (float(side) / 2 for side in size)
-    mesh.CreatePointsAttr([(a, b, c) for a in (-x, x) for b in (-y, y) for c in (-z, z)])
-    mesh.CreateFaceVertexCountsAttr([4] * 6)
-    mesh.CreateFaceVertexIndicesAttr([0, 1, 3, 2, 4, 6, 7, 5, 0, 4, 5, 1, 2, 3, 7, 6, 0, 2, 6, 4, 1, 5, 7, 3])
-    UsdPhysics.CollisionAPI.Apply(mesh.GetPrim())
+    for k, place in enumerate(places):
+        mesh = UsdGeom.Mesh.Define(stage, f"/block/hull{k or ''}")
+        mesh.CreatePointsAttr([(a, b + place, c) for a in (-x, x) for b in (-y, y) for c in (-z, z)])
+        mesh.CreateFaceVertexCountsAttr([4] * 6)
+        mesh.CreateFaceVertexIndicesAttr([0, 1, 3, 2, 4, 6, 7, 5, 0, 4, 5, 1, 2, 3, 7, 6, 0, 2, 6, 4, 1, 5, 7, 3])
+        UsdPhysics.CollisionAPI.Apply(mesh.GetPrim())
     stage.Save()
 
 
@@ -101,6 +102,26 @@ def test_depth_stays_below_two_centimetres_however_it_lands(block):
         lowest = [(corners @ m[:3, :3].T + m[:3, 3])[:, 2].min() for m in clip.matrices()]
         assert min(lowest) > -0.02, k
         assert clip.events
+
+
+@pytest.mark.parametrize("speed", [20.0, 2.0])
+def test_hulls_of_several_parts_are_seen_coming(tmp_path, speed):
+    """Two floats side by side, bows on to a quay: watched before they touch, they bounce as one block does."""
+    path = tmp_path / "floats.usda"
+    slab(path, (4.0, 0.5, 0.6), places=(-1.0, 1.0))
+    inertia = (100.0, 150.0, 200.0, 300.0, 300.0, 300.0)
+    floats = Holonomic(name="floats", group=SE3, inertia=inertia, gravity=0.0, rig=Rig(path, ""))
+    contact = Contact(0.3, 0.1, 20.0)
+    world = World(obstacles=[box("quay", (12.5, 0, 0), (20, 300, 10))], contact=contact)  # its face is at 2.5
+    start = State(position=(-speed * 0.05, 0, 2.0), twist=(0, 0, 0, speed, 0, 0))
+    clip = vehsim.simulate(floats, world, None, start, duration=0.4, step=1 / 60, fps=60)
+    assert clip.positions[:, 0].max() < 0.5 + 0.02
+    assert clip.twists[-1, 3] / speed == pytest.approx(-0.1, rel=0.05)
+    (event,) = clip.events
+    assert event["impulse"] == pytest.approx(300 * speed * 1.1, rel=0.01)
+    scene = ContactScene({"floats": floats}, world, contact)
+    scene.wrenches(0.0, [replace(start, position=(0.499, 0, 2.0))])
+    assert len(scene.data.contact.dist) > 0  # a millimetre away
 
 
 def test_two_vehicles_exchange_momentum_and_nothing_else(block):

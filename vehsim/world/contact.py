@@ -149,9 +149,10 @@ class ContactScene:
                 body.mass, body.inertia, body.explicitinertial = 1.0, [1.0, 1.0, 1.0], True
                 body.add_freejoint()
             self._add_hulls(spec, body, obstacle)
+        for geom in spec.geoms:  # before compiling: bodies of several geoms are sorted out by boxes that hold it
+            geom.margin = MARGIN
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
-        self.model.geom_margin[:] = MARGIN
         self.bodies = [self._body(vehicles[name], body) for name, body in bodies.items()]
         self._courses = [self._course(obstacle) for obstacle in moving]
         names = [body.name for body in self.bodies] + [f"obstacle/{obstacle.name}" for obstacle in moving]
