@@ -31,7 +31,7 @@ def kept(kind: str, key: object, make: Callable[[], bytes]) -> bytes:
             return content[:-SEAL]
         warnings.warn(f"{file}: damaged cache entry, made again", stacklevel=2)
     made = make()
-    with suppress(OSError):  # a cache that cannot be written costs time, nothing else
+    try:
         file.parent.mkdir(parents=True, exist_ok=True)
         beside = file.with_name(f".{file.name}.{secrets.token_hex(4)}.tmp")
         try:
@@ -39,6 +39,8 @@ def kept(kind: str, key: object, make: Callable[[], bytes]) -> bytes:
             beside.replace(file)
         finally:
             beside.unlink(missing_ok=True)
+    except OSError as error:
+        warnings.warn(f"{file}: could not be kept ({error}); it is made again each time", stacklevel=2)
     return made
 
 

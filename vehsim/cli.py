@@ -21,6 +21,7 @@ import typer
 from rich.console import Console
 
 from vehsim import __version__, _arguments
+from vehsim._ending import raising
 from vehsim.errors import InputError, Problem, ShotError, VehsimError
 
 if TYPE_CHECKING:
@@ -365,9 +366,7 @@ class _Stop(KeyboardInterrupt):
 def _end_like_interrupt() -> None:
     """A polite kill cleans up as Ctrl-C does."""
 
-    def stop(number: int, frame: Any) -> None:
-        raise _Stop
-
+    stop = raising(_Stop)
     with suppress(ValueError):  # not the main thread: whoever called us handles signals
         signal.signal(signal.SIGTERM, stop)
         if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # it may be ignored

@@ -323,7 +323,8 @@ def test_what_is_kept_for_other_processes(tmp_path: Path, monkeypatch: pytest.Mo
         assert kept("sky", 7, make) == b"a sky"
     assert len(made) == 4
     monkeypatch.setenv("VEHSIM_CACHE", str(file))  # a file, no folder
-    assert kept("sky", 7, make) == b"a sky"
+    with pytest.warns(UserWarning, match="could not be kept"):
+        assert kept("sky", 7, make) == b"a sky"
 
 
 @pytest.mark.parametrize("damage", [lambda body: body[:-9], lambda body: body[:99] + bytes(len(body) - 99)])

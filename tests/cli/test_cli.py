@@ -212,6 +212,21 @@ def test_an_interrupt_has_our_exit_code_wherever_it_strikes(tmp_path: Path) -> N
     assert (result.returncode, "Traceback" in result.stderr) == (130, False)
 
 
+def test_an_interrupt_waits_for_modules_of_usd() -> None:
+    """They print what is raised while they load, and go on half made: the command would never hear of it."""
+    from vehsim._ending import raising
+
+    module = {"__name__": "pxr.Something"}
+    before = signal.signal(signal.SIGINT, raising(InterruptedError))
+    try:
+        with pytest.raises(InterruptedError):
+            exec("import signal; signal.raise_signal(signal.SIGINT); loaded = True", module)
+            time.sleep(10.0)
+        assert module["loaded"] is True
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_export_leaves_nothing(tmp_path: Path, number: int) -> None:
     """Stopped in the middle of writing, while its hidden folder is there."""

@@ -169,7 +169,8 @@ def test_an_entry_with_holes_is_damaged(tmp_path, monkeypatch):
     monkeypatch.setenv("VEHSIM_CACHE", str(tmp_path))
     first = distance_field(valley())
     (file,) = tmp_path.iterdir()
-    np.save(file, np.where(first.distances > 5, np.nan, first.distances))
+    with file.open("wb") as entry:
+        np.save(entry, np.where(first.distances > 5, np.nan, first.distances))
     with pytest.warns(UserWarning, match="damaged"):
         np.testing.assert_array_equal(distance_field(valley()).distances, first.distances)
 
@@ -191,7 +192,7 @@ def test_writers_at_once_leave_one_whole_entry(tmp_path, monkeypatch):
 def test_a_cache_that_cannot_be_written_is_no_failure(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("VEHSIM_CACHE", str(tmp_path / "file" / "below"))
-    with pytest.warns(UserWarning, match="could not be cached"):
+    with pytest.warns(UserWarning, match="could not be kept"):
         assert distance_field(valley()).value([[20, 15, 5]])[0] > 0
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 import time
 from collections import Counter, deque
@@ -19,6 +20,7 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from vehsim._ending import raising
 from vehsim.batch.task import MEMORY_MEND, Outcome, Task, Tell
 
 ATTEMPTS = 3
@@ -32,8 +34,9 @@ RESERVE = 16_000_000
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "LP_NUM_THREADS")
 NAME = "vehsim worker"
 """What a worker is called in the system's list of processes."""
-METHODS = [method for method in ("forkserver", "spawn") if method in multiprocessing.get_all_start_methods()]
-"""How workers are started; the next where one cannot be, as without room for the fork server's socket."""
+METHODS = ["forkserver", "spawn"] if sys.platform == "linux" else ["spawn"]
+"""How workers are started; the next where one cannot be, as without room for the fork server's socket. Apple's
+frameworks, which numpy loads, must not be used after a fork, and Windows has none."""
 
 
 class Job(NamedTuple):
@@ -204,7 +207,13 @@ def _threads(share: int) -> Iterator[None]:
 def _serve(pipe: Connection, memory: float | None, environment: Mapping[str, str]) -> None:
     """The life of a worker: a job in, words of progress and an outcome out, until the pipe closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches us all; the first process decides
-    signal.signal(signal.SIGTERM, _interrupt)
+    signal.signal(signal.SIGTERM, raising(KeyboardInterrupt, once=True))  # the group's, or that of the first process
+    with suppress(EOFError, OSError, KeyboardInterrupt, MemoryError):
+        _work(pipe, memory, environment)
+    os._exit(0)  # tidied up: nothing may hold up those who wait for us
+
+
+def _work(pipe: Connection, memory: float | None, environment: Mapping[str, str]) -> None:
     os.environ.clear()  # what we were forked from has that of another time
     os.environ.update(environment)
     with suppress(OSError):
@@ -224,23 +233,20 @@ def _serve(pipe: Connection, memory: float | None, environment: Mapping[str, str
             last_time, last_state = now, state
             pipe.send((name, state, what, done))
 
-    try:
-        while True:
-            kind, task = pipe.recv()
-            if kind == "measure":
-                try:
-                    measure(task)
-                except Exception as error:
-                    pipe.send(Outcome(task.name, "failed", type(error).__name__, str(error)))
-                else:
-                    pipe.send(Outcome(task.name, "done"))
-                continue
-            outcome = _run(run_task, task, tell)
-            pipe.send(outcome)
-            if outcome.retire:  # without memory not even waiting is safe
-                os._exit(0)
-    except (EOFError, OSError, KeyboardInterrupt, MemoryError):
-        os._exit(0)  # tidied up: nothing may hold up those who wait for us
+    while True:
+        kind, task = pipe.recv()
+        if kind == "measure":
+            try:
+                measure(task)
+            except Exception as error:
+                pipe.send(Outcome(task.name, "failed", type(error).__name__, str(error)))
+            else:
+                pipe.send(Outcome(task.name, "done"))
+            continue
+        outcome = _run(run_task, task, tell)
+        pipe.send(outcome)
+        if outcome.retire:  # without memory not even waiting is safe
+            return
 
 
 def _run(run_task: Any, task: Task, tell: Tell) -> Outcome:
@@ -254,13 +260,11 @@ def _run(run_task: Any, task: Task, tell: Tell) -> Outcome:
         return Outcome(task.name, "failed", "MemoryError", f"it ran out of memory; {MEMORY_MEND}", retire=True)
 
 
-def _interrupt(number: int, frame: Any) -> None:
-    raise KeyboardInterrupt
-
-
 def die_with_parent() -> None:
     """Have the kernel kill us when the parent is gone, also in the middle of a long computation (Linux)."""
-    with suppress(OSError, AttributeError):
+    if sys.platform != "linux":
+        return
+    with suppress(OSError):
         import ctypes
 
         ctypes.CDLL(None).prctl(1, signal.SIGKILL, 0, 0, 0)  # PR_SET_PDEATHSIG

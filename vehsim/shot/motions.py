@@ -6,6 +6,7 @@ computed lives in `vehsim.planning`, `vehsim.simulation` and `vehsim.pilots`.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -157,16 +158,18 @@ class PlanMotion(Table):
 
         wanted = self.all_marks(setting)
         marks = [_as_mark(mark, vehicle) for mark in wanted]
-        result = plan(
-            vehicle,
-            setting.world,
-            marks=marks,
-            fps=setting.fps,
-            guess=self._guess(vehicle, marks, setting),
-            time_limit=self.time_limit,
-            progress=progress,
-            **self._options(),
-        )
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", ".*: plan failed: ")  # it is raised below
+            result = plan(
+                vehicle,
+                setting.world,
+                marks=marks,
+                fps=setting.fps,
+                guess=self._guess(vehicle, marks, setting),
+                time_limit=self.time_limit,
+                progress=progress,
+                **self._options(),
+            )
         if not result.success:
             mend = "loosen marks, clearance or limits" if self.time_limit is None else "give it a longer time_limit"
             raise SolveError(f"{vehicle.name}: no plan was found: {result.message}; {mend}")

@@ -7,22 +7,18 @@ Hulls of vehicles are measured in `scene.py` and `clearance.py`, not here.
 
 from __future__ import annotations
 
-import hashlib
 import io
-import os
-import tempfile
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vehsim._cache import cache_folder as cache_folder
+from vehsim._cache import kept
 from vehsim.errors import InputError, Problem
 from vehsim.world.terrain import Terrain
 
@@ -46,8 +42,6 @@ HEADROOM, DEPTH = 12.0, 4.0
 NEAR = (-4.0, 16.0)
 """Between these distances from the terrain a grid point's own nearest triangle is sought, m; see `_around`."""
 
-SEAL = 32
-"""Bytes of checksum that end a cached field: a power cut can leave a file of the right size full of zeros."""
 BLEND = 1e-3
 """Rounds the distance beyond the box at its border, m, so that it has derivatives there."""
 
@@ -232,12 +226,14 @@ def distance_field(
         return DistanceField(distances, lower, step, open=terrain is None)
     assert terrain is not None
     content = (VERSION, terrain.content_hash, lower.tolist(), shape.tolist(), step)
-    file = cache_folder() / f"distance-{hashlib.sha256(repr(content).encode()).hexdigest()[:32]}.npy"
-    known = _read(file, tuple(shape.tolist()))
-    if known is None:
-        known = _around(terrain, lower, shape, step, progress)
-        _write(file, known)
-    return DistanceField(known, lower, step)
+    body = kept("distance", content, lambda: _bytes_of(_around(terrain, lower, shape, step, progress)))
+    return DistanceField(np.load(io.BytesIO(body), allow_pickle=False), lower, step)
+
+
+def _bytes_of(array: NDArray[np.float32]) -> bytes:
+    body = io.BytesIO()
+    np.save(body, array)
+    return body.getvalue()
 
 
 def _box(terrain: Terrain | None, box: ArrayLike | None, obstacles: Sequence[Obstacle] = ()) -> tuple[Array, Array]:
@@ -398,36 +394,3 @@ def _to_hulls(hulls: Sequence[Array]) -> Callable[[Array], Array]:
         return np.where(inside, -1.0, 1.0) * np.sqrt(squared)
 
     return law
-
-
-def _read(file: Path, shape: tuple[int, ...]) -> NDArray[np.float32] | None:
-    """The cached array, or None when there is none or it is damaged."""
-    if not file.exists():
-        return None
-    try:
-        content = file.read_bytes()
-        body, seal = content[:-SEAL], content[-SEAL:]
-        if hashlib.sha256(body).digest() != seal:
-            raise ValueError("its checksum does not match")
-        array = np.load(io.BytesIO(body), allow_pickle=False)
-        if array.shape != shape or array.dtype != np.float32 or not np.isfinite(array).all():
-            raise ValueError("not what was written")
-    except (OSError, ValueError, EOFError) as error:
-        warnings.warn(f"{file}: damaged cache entry ({error}), measuring again", stacklevel=2)
-        return None
-    return np.asarray(array)
-
-
-def _write(file: Path, array: NDArray[np.float32]) -> None:
-    """Write beside, with a checksum, then move into place: readers and other writers never see half a file."""
-    body = io.BytesIO()
-    np.save(body, array)
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=file.parent, prefix=file.stem, suffix=".part", delete=False) as beside:
-            beside.write(body.getvalue() + hashlib.sha256(body.getvalue()).digest())
-            beside.flush()
-            os.fsync(beside.fileno())
-        os.replace(beside.name, file)
-    except OSError as error:
-        warnings.warn(f"{file}: the distance field could not be cached ({error})", stacklevel=2)
