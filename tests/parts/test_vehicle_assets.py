@@ -6,6 +6,7 @@ import importlib
 import math
 from pathlib import Path
 
+import igl
 import mujoco
 import numpy as np
 import pytest
@@ -19,6 +20,8 @@ from vehsim.parts import Part, add_to_spec, collision_hulls, read_parts
 from vehsim.vehicles._base import Rig
 from vehsim.vehicles.library import available
 
+SLIM = 0.004
+"""Skins are told to keep their place by it, m, where they are told least (`assets/generate/_slim.py`)."""
 VEHICLES = Path(vehsim.assets.__file__).parent / "vehicles"
 LEG = {
     end: [
@@ -290,9 +293,18 @@ def test_the_script_generates_the_committed_asset(name, tmp_path):
     assert written[0] == written[1]
     fresh, committed = read_parts(tmp_path / "a" / f"{name}.usdc"), read_parts(asset(name))
     assert [p.path for p in fresh] == [p.path for p in committed]
-    for new, old in zip(fresh, committed, strict=True):
-        assert new.faces.shape == old.faces.shape
-        assert np.allclose(new.points, old.points, atol=1e-5)
+    for new, old in zip(fresh, committed, strict=True):  # which vertices were spared may hang on a CPU's last digit
+        assert len(new.faces) == pytest.approx(len(old.faces), rel=0.01)
+        for one, other in ((new, old), (old, new)):
+            assert _apart(one.points, other) < SLIM
+
+
+def _apart(points, part):
+    """The largest distance of points (n, 3) from a part's faces, m."""
+    if not len(points):
+        return 0.0
+    squared = igl.point_mesh_squared_distance(points.astype(float), part.points.astype(float), part.faces.astype(int))
+    return float(np.sqrt(squared[0].max()))
 
 
 @pytest.mark.parametrize("name", LIVERIES)
