@@ -99,6 +99,27 @@ def test_summary_and_exit_code(write: Write, tmp_path: Path, capsys: pytest.Capt
     assert json.loads((out / "summary.json").read_text()) == summary
 
 
+def test_a_failed_plan_is_told_once(write: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As the error it is, not as a warning before it."""
+    import warnings
+    from types import SimpleNamespace
+
+    from vehsim import planning
+
+    def fail(*asked: object, **more: object) -> SimpleNamespace:
+        warnings.warn("car: plan failed: no way there", stacklevel=1)
+        return SimpleNamespace(success=False, message="no way there")
+
+    path = write()
+    simulated = path.read_text().partition("method")[0]
+    marks = "".join(f"[[vehicle.motion.mark]]\nframe = {k}\nposition = [{k - 1001}, 0, 0]\n" for k in (1001, 1025))
+    path.write_text(f'{simulated}method = "plan"\n{marks}')
+    monkeypatch.setattr(planning, "plan", fail)
+    (outcome,) = export_batch(load_shots(path), tmp_path / "out", ["npz"])
+    assert outcome.message.startswith("car: no plan was found: no way there")
+    assert outcome.warnings == ()
+
+
 def test_the_log_for_machines(write: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = write(sweep='"shot.start_frame" = [1, 2]')
     assert cli.run(["export", str(path), "--out", str(tmp_path / "out"), "--to", "usd", "--log", "json"]) == 0

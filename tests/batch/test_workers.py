@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from vehsim._ending import raising
 from vehsim.batch import Outcome, Task, export_batch, load_shots, workers
 from vehsim.batch.workers import ENDING, METHODS, THREADS, Job, _dispatch
 
@@ -54,6 +55,17 @@ def test_what_is_forked_takes_ctrl_c_in_silence(monkeypatch: pytest.MonkeyPatch)
         preexec_fn=lambda: signal.pthread_sigmask(signal.SIG_BLOCK, ENDING),
     )
     assert answer.stdout.split() == ["SIG_IGN", "SIG_IGN"]
+
+
+def test_a_signal_that_comes_twice_is_raised_once() -> None:
+    """From the group, and from the first process: the second must not disturb what is tidied up."""
+    before = signal.signal(signal.SIGTERM, raising(KeyboardInterrupt, once=True))
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGTERM)
+        signal.raise_signal(signal.SIGTERM)
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 @forked
