@@ -92,9 +92,10 @@ class Mark:
 
 
 def leeway(mark: Any) -> float:
-    """How far from its position a mark lets the root be, m: to the corners of its box or gate."""
-    if mark.gate is not None:
-        return float(mark.gate.radius or math.hypot(*mark.gate.size) / 2)
+    """How far from its position a mark lets the root be, m: to the corners of its box or gate, where it has one."""
+    gate = getattr(mark, "gate", None)
+    if gate is not None:
+        return float(gate.radius or math.hypot(*gate.size) / 2)
     return float(mark.tolerance * math.sqrt(3))
 
 
