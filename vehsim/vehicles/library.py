@@ -6,6 +6,7 @@ import importlib
 import inspect
 import math
 import tomllib
+import warnings
 from dataclasses import replace
 from difflib import get_close_matches
 from functools import lru_cache
@@ -38,6 +39,11 @@ MODELS: dict[str, str] = {
     "rigid_body": "vehsim.vehicles.rigid_body:rigid_body",
 }
 """Model name -> the function that makes its vehicle from ``[physics]``."""
+
+DAMPING = np.array([0.05, 0.3, 1.0])
+"""Usual damping of a hull over its mass, along body X, Y, Z, 1/s."""
+ADDED_MASS = np.array([0.25, 0.9, 0.5, 0.06, 0.6, 1.0])
+"""Usual added mass of a hull over its own inertia: roll, pitch, yaw, surge, sway, heave."""
 
 _TOP = {"schema", "name", "model", "asset", "root", "origin", "hull", "physics", "controls", "joints", "channels"}
 _TOP |= {"suspension"} | KEYS
@@ -147,7 +153,21 @@ def _hull(path: Path, vehicle: Vehicle, data: dict[str, Any]) -> Any:
         raise InputError(f"{path}: hull = {prim!r}: {vehicle.name} does not float; leave it out")
     if vehicle.hull is not None and not isinstance(prim, str):
         raise InputError(f"{path}: hull = {prim!r}: name the closed mesh that displaces water, a path below the root")
-    return None if prim is None else replace(vehicle.hull, prim=prim)
+    if prim is None:
+        return None
+    if not any(np.any(law) for law in (vehicle.hull.damping, vehicle.hull.quadratic, vehicle.hull.impact)):
+        _warn_restless(path, vehicle)
+    return replace(vehicle.hull, prim=prim)
+
+
+def _warn_restless(path: Path, vehicle: Any) -> None:
+    """Say what is usual for hulls of its mass and inertia where water would take no energy from one."""
+    usual = {"damping": DAMPING * vehicle.mass, "added_mass": ADDED_MASS * np.diag(vehicle.inertia)}
+    mend = ", ".join(f"{key} = [{', '.join(f'{x:.3g}' for x in row)}]" for key, row in usual.items())
+    warnings.warn(
+        f"{path}: physics.damping: missing: without it a boat never comes to rest; begin with {mend}, impact = 1",
+        stacklevel=5,
+    )
 
 
 def _rig(path: Path, vehicle: Vehicle, data: dict[str, Any]) -> Rig | None:
