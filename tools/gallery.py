@@ -20,7 +20,7 @@ GALLERY = Path(__file__).parents[1] / "docs" / "gallery"
 STILLS = {
     "boat_bumps_dock": (1043, "pier"),
     "boat_docking": (1301, "chase"),
-    "boat_in_swell": (1055, "low"),
+    "boat_in_swell": (1082, "low"),
     "canyon_flight": (1225, "chase"),
     "car_commands": (1097, "chase"),
     "car_obstacles": (1128, "chase"),
