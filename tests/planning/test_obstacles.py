@@ -9,6 +9,7 @@ import shapely
 import vehsim
 from vehsim import Mark, World
 from vehsim.errors import InputError, SolveError
+from vehsim.parts import read_parts
 from vehsim.planning import astar
 from vehsim.planning.astar import guess_drive, turning_radius
 from vehsim.planning.certify import certify_plane
@@ -16,9 +17,11 @@ from vehsim.planning.elements import Problem
 from vehsim.planning.features import CORNERS, body_of, form_of, gap
 from vehsim.planning.features import element as row_of
 from vehsim.planning.layout import Layout
+from vehsim.planning.legs import divided
 from vehsim.planning.marks import Gate
 from vehsim.planning.obstacles import Rows, marks_too_near, obstacle_rows
 from vehsim.planning.outlines import clearances, inner_discs, simplified
+from vehsim.planning.ranges import stay
 from vehsim.planning.transcription import transcription
 from vehsim.world import obstacles as ob
 from vehsim.world.plane import distance, placed
@@ -157,6 +160,48 @@ def test_a_mark_that_no_heading_clears_is_refused(car):
     assert not complaints(best - 0.05)
     assert complaints(best + 0.1) == [f"only {best:.2f} m from obstacle 'wall' at any heading"]
     assert not complaints(best + 0.1, replace(mark, gate=Gate((1, 0, 0), radius=2)))  # it may pass elsewhere
+
+
+def test_a_trailer_is_kept_clear_where_it_swings():
+    """Round a block: the trailer, turned about its king pin by hand, keeps the clearance by shapely's word."""
+    truck = vehsim.load_vehicle("truck")
+    world = World(obstacles=[ob.box("silo", (30, -1, 0), (8, 8, 6), heading=45)])
+    marks = [
+        Mark(1, position=REST, heading=0, velocity=REST),
+        Mark("free", position=(60, 6, 0), heading=20, velocity=REST),
+    ]
+    plan = vehsim.plan(truck, world, marks, segments=64, clearance=0.7, limits={"speed": 8})
+    assert plan.success and plan.clearance >= 0.7 - 0.011
+    trailer = next(p for p in read_parts(truck.rig.asset, truck.rig.root or None) if p.path == "trailer_1")
+    corners, pin = np.vstack(trailer.hulls)[:, :2], trailer.T_rp[:2, 3]
+    motion = plan.clip.at(np.linspace(0, plan.clip.times[-1], 1000))
+    yaw = ob.headings(motion.orientations)
+    pins = placed(pin[None], motion.positions[:, :2], yaw)[:, 0]
+    turned = placed(corners, pins, yaw + motion.channels["hitch_1"])
+    seen = shapely.distance(
+        shapely.convex_hull(shapely.multipoints(turned)), shapely.Polygon(world.obstacles[0].parts[0])
+    )
+    assert plan.clearance - 1e-3 <= seen.min() <= plan.clearance + 0.05
+
+
+def test_frames_of_a_range_are_on_the_way_round(car):
+    """Where a stay begins and ends no mark says a place: half way between the marks there would be a block."""
+    world = World(obstacles=[ob.box("block", (20, 0, 0), (8, 8, 2))])
+    marks = [
+        Mark(1, position=REST, heading=0, velocity=REST),
+        Mark(241, position=(40, 0, 0), heading=0, velocity=REST),
+    ]
+    kept = stay((101, 141), within=(-5, -20, 45, 20))
+    plan = vehsim.plan(car, world, marks, segments=48, clearance=0.4, terms=[kept], refine=False)
+    assert plan.success and gap_by_shapely(plan.clip, world) >= 0.4 - 2e-3
+
+
+def test_a_way_is_divided_by_frames():
+    path = np.array([[0.0, 0, 0], [0, 30, 0], [10, 30, 0]])
+    marks = [Mark(1, position=(0, 0, 0)), Mark(11), Mark(37), Mark(41, position=(10, 30, 0))]
+    legs = divided([path], marks)
+    assert [len(leg) for leg in legs] == [2, 3, 2]
+    np.testing.assert_allclose([leg[-1] for leg in legs], [(0, 10, 0), (6, 30, 0), (10, 30, 0)])
 
 
 def test_walled_in_is_said(car):

@@ -360,7 +360,7 @@ class Attempt:
 
     def tighten(self) -> None:
         if self.rows is not None:
-            self.rows.tighten(self.lack)
+            self.rows.tighten(self.lack, *self._poses(), self._seconds(), self.request.clearance)
         else:
             self.margin += (self.wanted - self.clearance) + 0.05
         self.tightenings += 1

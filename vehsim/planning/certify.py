@@ -18,6 +18,7 @@ from vehsim.integrators.continuous import execute
 from vehsim.planning.outlines import bounds_to, gaps_to
 from vehsim.world.obstacles import Moving, footprint, headings, hulls_of
 from vehsim.world.plane import distance, placed
+from vehsim.world.swings import swings
 
 Array = NDArray[np.float64]
 
@@ -71,7 +72,9 @@ def certify_plane(
     """
     if not parts or len(clip) < 2:
         return float("inf"), np.full((len(parts), max(len(clip) - 1, 1)), np.inf)
-    bare = replace(clip, channels={}, energy={})  # nothing but its motion is asked of it
+    turned = {name for swing in swings(clip.vehicle) for name, _, _ in swing.pivots}
+    channels = {name: values for name, values in clip.channels.items() if name in turned}
+    bare = replace(clip, channels=channels, energy={})  # nothing but its motion is asked of it
     return _nearest(_Outlines(bare, parts, wanted), samples)
 
 
@@ -150,19 +153,31 @@ class _Hulls(_Measure):
 
 
 class _Outlines(_Measure):
-    """Of an outline in the plane to parts of obstacles, a row each."""
+    """Of outlines in the plane, the whole vehicle's at rest and what swings out of it, to parts of obstacles, a row
+    each."""
 
     def __init__(self, clip: Clip, parts: Sequence[tuple[Any, int]], wanted: float) -> None:
-        self.outline = footprint(clip.vehicle)
-        super().__init__(clip, [o for o, _ in parts if o.moves], float(np.linalg.norm(self.outline, axis=1).max()))
-        self.parts, self.wanted = parts, wanted
+        self.outline, self.swings = footprint(clip.vehicle), swings(clip.vehicle)
+        around = [float(np.linalg.norm(self.outline, axis=1).max())]
+        around += [float(np.linalg.norm(swing.pivots[0][2])) + swing.reach for swing in self.swings]
+        super().__init__(clip, [o for o, _ in parts if o.moves], max(around))
+        self.parts, self.wanted, height = parts, wanted, float(clip.positions[0, 2])
+        self.meets = [
+            [s for s in self.swings if o.bottom < height + s.top and o.top > height + s.bottom] for o, _ in parts
+        ]
 
     def __call__(self, times: Array, pairs: NDArray[np.intp], nearest: float) -> tuple[Array, Array]:
         motion = self.clip.at(times)
         way, turn, others = self.ways(times, motion, pairs)
+        places, yaw = motion.positions[:, :2], headings(motion.orientations)
+        outlines, swung = placed(self.outline, places, yaw), np.zeros(len(pairs))
+        turned = {}
+        for swing in self.swings:
+            turned[id(swing)] = placed(swing.at(motion.channels), places, yaw)
+            steps = [np.abs(np.diff(motion.channels[name][pairs], axis=1))[:, 0] for name, _, _ in swing.pivots]
+            swung = np.maximum(swung, LEAN * swing.reach * np.sum(steps, axis=0))
         their = iter(others)
-        moved = np.array([way + turn + (next(their) if o.moves else 0.0) for o, _ in self.parts])
-        outlines = placed(self.outline, motion.positions[:, :2], headings(motion.orientations))
+        moved = np.array([way + turn + swung + (next(their) if o.moves else 0.0) for o, _ in self.parts])
         shapes = [o.shapes_at(self.start + times)[number] for o, number in self.parts]
         bounds = np.array([bounds_to(shape, outlines) for shape in shapes])
         # what is nearest is no farther than what the bounds call nearest
@@ -170,7 +185,11 @@ class _Outlines(_Measure):
         here = shapes[row] if np.ndim(shapes[row]) < 3 else shapes[row][[column]]
         nearest = min(nearest, float(distance(outlines[[column]], here)[0]))
         enough = max(nearest, self.wanted) + float(moved.max())
-        return np.array([gaps_to(shape, outlines, enough) for shape in shapes]), moved
+        gaps = [
+            np.min([gaps_to(shape, each, enough) for each in (outlines, *(turned[id(s)] for s in meets))], axis=0)
+            for shape, meets in zip(shapes, self.meets, strict=True)
+        ]
+        return np.array(gaps), moved
 
 
 def reach(vehicle: Any) -> float:

@@ -92,6 +92,25 @@ def legs_between(marks: Sequence[Mark]) -> list[tuple[Array, Array]]:
     return list(pairwise(mark_positions(marks)))
 
 
+def placed_marks(marks: Sequence[Mark]) -> list[int]:
+    """Which marks say where they are, and the ends: between these ways are looked for."""
+    return [i for i, mark in enumerate(marks) if mark.position is not None or i in (0, len(marks) - 1)]
+
+
+def divided(paths: Sequence[Array], marks: Sequence[Mark]) -> list[Array]:
+    """Paths (k, ...) between `placed_marks` as one for every leg: marks between stand along them by their frames."""
+    legs: list[Array] = []
+    for path, (i, j) in zip(paths, pairwise(placed_marks(marks)), strict=True):
+        frames = [math.nan if mark.frame == "free" else float(mark.frame) for mark in marks[i : j + 1]]
+        at = np.array(frames) if np.all(np.isfinite(frames)) else np.arange(j - i + 1.0)
+        steps = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path[:, :3], axis=0), axis=1))])
+        cuts = (at - at[0]) / (at[-1] - at[0]) * steps[-1]
+        for a, b in pairwise(cuts):
+            ends = [[np.interp(x, steps, column) for column in path.T] for x in (a, b)]
+            legs.append(np.vstack([ends[0], path[(steps > a) & (steps < b)], ends[1]]) if j > i + 1 else path)
+    return legs
+
+
 def round_trip(marks: Sequence[Mark]) -> list[Array]:
     """Paths (k, 3) m of all legs along one smooth closed curve that starts and ends at the first mark."""
     from scipy.interpolate import CubicSpline

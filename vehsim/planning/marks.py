@@ -92,7 +92,7 @@ class Mark:
 
 
 def leeway(mark: Any) -> float:
-    """How far from its position a mark lets the root be, m: to the corners of its box or gate, where it has one."""
+    """How far from its position a mark lets the root be, m: to the corners of its box or, where it has one, gate."""
     gate = getattr(mark, "gate", None)
     if gate is not None:
         return float(gate.radius or math.hypot(*gate.size) / 2)

@@ -27,6 +27,7 @@ from vehsim.planning.transcription import Layout, Transcription
 from vehsim.vehicles import Vehicle
 from vehsim.world.obstacles import footprint, headings, vertical_reach
 from vehsim.world.plane import placed
+from vehsim.world.swings import swings
 
 if TYPE_CHECKING:
     from vehsim.planning.request import Request
@@ -206,12 +207,19 @@ class Rows:
             if len(knots):
                 yield row, knots
 
-    def tighten(self, lack: Array) -> None:
-        """Demand more at both knots of the segments where a certified motion lacks clearance: (parts, segments) m."""
+    def tighten(self, lack: Array, positions: Array, yaw: Array, seconds: Array, clearance: float) -> None:
+        """Demand more at both knots of the segments where a certified motion, at these poses (knots, ...), lacks
+        clearance: (parts, segments) m. What swings out comes nearer than the rest, of which rows know: that has to give
+        way from where it is."""
         beside = np.zeros_like(self.extra)
         beside[:, :-1] = lack
         beside[:, 1:] = np.maximum(beside[:, 1:], lack)
         beside[:, 0] = 0.0
+        if swings(self.vehicle):
+            gaps = np.full_like(self.extra, np.inf)
+            np.minimum.at(gaps, self.owners, self._gaps(positions, yaw, seconds, clearance))
+            given = (beside > 0) & np.isfinite(gaps)
+            self.extra[given] = np.maximum(self.extra, gaps - clearance)[given]
         for row, knots in self._seen_at():  # the unseen need only be seen
             self.extra[row, knots] += np.where(beside[row, knots] > 0, beside[row, knots] + FINEST, 0.0)
             beside[row, knots] = 0.0

@@ -25,9 +25,11 @@ from vehsim.planning.feasibility import refusals
 from vehsim.planning.legs import (
     bent,
     cut,
+    divided,
     facing,
     legs_between,
     mark_positions,
+    placed_marks,
     poses_of,
     round_trip,
     same_headings,
@@ -184,7 +186,8 @@ def _again(attempt: Attempt, paths: list[Array], guess: Any) -> None:
         if attempt.solution.success or attempt.why or attempt.deadline.late:
             break
         if attempt.rows is not None and guess is None:
-            paths = attempt.rows.drive(request, wariness)
+            kept = [request.marks[i] for i in placed_marks(request.marks)]
+            paths = divided(attempt.rows.drive(replace(request, marks=kept), wariness), request.marks)
         attempt.start([bent(path, bend) if attempt.rows is None else path for path in paths], stretch)
         attempt.solve()
     if blocked and not attempt.solution.success and not attempt.deadline.late:
@@ -271,20 +274,19 @@ def _airspace(request: Request) -> Array | None:
 
 def _paths(request: Request, guess: Any, progress: Progress | None) -> list[Array]:
     """A polyline (k, 3) for every leg between marks, or poses (k, 4) with headings in rad."""
-    legs = legs_between(request.marks)
     if guess is not None:
         points = poses_of(guess) if isinstance(guess, Clip) else np.asarray(guess, float)
         if points.ndim != 2 or points.shape[1] not in (3, 4) or len(points) < 2:
             raise InputError(f"guess: shape {points.shape}; give a Clip, or a path of (k, 3) points in metres")
-        return cut(points, legs)
+        return cut(points, legs_between(request.marks))
+    straight = round_trip(request.marks) if request.loop else [np.array(leg) for leg in legs_between(request.marks)]
+    kept = [request.marks[i] for i in placed_marks(request.marks)]
     if not request.hazards:
         rows = obstacle_rows(request.vehicle, request.world, request.marks)
-        if request.loop and rows is None:
-            return round_trip(request.marks)
-        return [np.array(leg) for leg in legs] if rows is None else rows.drive(request)
+        return straight if rows is None else divided(rows.drive(replace(request, marks=kept)), request.marks)
     box = _airspace(request)
     if request.world.distance_field(progress, box=box) is None:
-        return round_trip(request.marks) if request.loop else [np.array(leg) for leg in legs]
+        return straight
     middle, roomy, tight = balls(request.vehicle)
     up = np.array([0, 0, middle[2]])
     low = request.limits.get("ceiling") + middle[2]
@@ -292,7 +294,8 @@ def _paths(request: Request, guess: Any, progress: Progress | None) -> list[Arra
 
     def flown(radius: float) -> list[Array]:
         reach = radius + request.clearance
-        return [np.asarray(request.world.route(a + up, b + up, reach, ceiling, box)) - up for a, b in legs]
+        ways = [request.world.route(a + up, b + up, reach, ceiling, box) for a, b in legs_between(kept)]
+        return divided([np.asarray(way) - up for way in ways], request.marks)
 
     try:
         return flown(roomy)

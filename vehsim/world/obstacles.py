@@ -222,7 +222,7 @@ def footprint(vehicle: Any) -> Array:
 
     Without an asset it is a point (1, 2).
     """
-    return np.zeros((1, 2)) if vehicle.rig is None else _read_footprint(*_asset_of(vehicle)).copy()
+    return np.zeros((1, 2)) if vehicle.rig is None else _read_footprint(*asset_of(vehicle)).copy()
 
 
 def vertical_reach(vehicle: Any) -> tuple[float, float]:
@@ -235,10 +235,10 @@ def vertical_reach(vehicle: Any) -> tuple[float, float]:
 
 def hulls_of(vehicle: Any) -> tuple[Array, ...]:
     """The collision hulls (n, 3) m of a vehicle's asset, in its rig root's frame; none without an asset."""
-    return () if vehicle.rig is None else _read_hulls(*_asset_of(vehicle))
+    return () if vehicle.rig is None else _read_hulls(*asset_of(vehicle))
 
 
-def _asset_of(vehicle: Any) -> tuple[Path, str | None, int, int]:
+def asset_of(vehicle: Any) -> tuple[Path, str | None, int, int]:
     """The file, its root prim, and when and how it was last written: the key of what is read from it."""
     stat = Path(vehicle.rig.asset).stat()
     return Path(vehicle.rig.asset), vehicle.rig.root or None, stat.st_mtime_ns, stat.st_size

@@ -170,9 +170,10 @@ def bounding_circle(shape: Shape) -> tuple[Array, Array]:
 
 
 def placed(polygon: Array, positions: Array, headings: Array) -> Array:
-    """``polygon`` (k, 2) moved by poses: (n, k, 2) for positions (n, 2) m and headings (n,) rad."""
+    """``polygon`` (k, 2), or one each (n, k, 2), moved by poses: (n, k, 2) for positions (n, 2) m and headings (n,)
+    rad."""
     c, s = np.cos(headings)[:, None], np.sin(headings)[:, None]
-    x, y = polygon.T
+    x, y = polygon[..., 0], polygon[..., 1]
     return np.stack([c * x - s * y, s * x + c * y], axis=-1) + positions[:, None]
 
 

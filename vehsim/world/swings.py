@@ -1,0 +1,94 @@
+"""What swings out of a vehicle's footprint as it moves, seen from above: trailers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.world.obstacles import asset_of, footprint
+from vehsim.world.plane import convex_hull, distance
+
+Array = NDArray[np.float64]
+
+ASIDE = 0.3
+"""What comes out of a vehicle's footprint by less than this, m, when it turns by a radian counts as the rest does, as
+it stands at rest: a steered wheel. What comes out farther is measured where it is: a trailer."""
+
+
+@dataclass(frozen=True)
+class Swing:
+    """What turns about upright pivots as the vehicle moves, such as a trailer, seen from above.
+
+    ``outline`` (k, 2) m at rest, convex, ``bottom`` and ``top`` m; ``pivots``: channel, factor and place (2,) m,
+    parents before children. All in the rig root's frame.
+    """
+
+    outline: Array
+    bottom: float
+    top: float
+    pivots: tuple[tuple[str, float, Array], ...]
+
+    @property
+    def reach(self) -> float:
+        """How far any point of it is from any of its pivots, m, wherever the others stand."""
+        places = np.array([place for _, _, place in self.pivots])
+        last = float(np.linalg.norm(self.outline - places[-1], axis=1).max())
+        return last + float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
+
+    def at(self, channels: Mapping[str, Array]) -> Array:
+        """Outlines (n, k, 2) m in the root's frame for values (n,) of the channels, rad."""
+        found = self.outline[None]
+        for channel, factor, place in reversed(self.pivots):
+            angle = factor * np.asarray(channels[channel], float)
+            c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
+            x, y = (found - place)[..., 0], (found - place)[..., 1]
+            found = np.stack([c * x - s * y, s * x + c * y], axis=-1) + place
+        return found
+
+
+def swings(vehicle: Any) -> tuple[Swing, ...]:
+    """What a vehicle's channels turn about upright axes farther than `ASIDE` out of its footprint; none without an
+    asset."""
+    if vehicle.rig is None:
+        return ()
+    drives = tuple(
+        (drive.prim, channel, drive.factor, drive.pivot if isinstance(drive.pivot, tuple) else None)
+        for channel, drive in vehicle.rig.drives.items()
+        if drive.op == "rotateZ" and channel in vehicle.channels
+    )
+    return _read_swings(*asset_of(vehicle), drives, footprint(vehicle).tobytes())
+
+
+@lru_cache(maxsize=32)
+def _read_swings(
+    asset: Path, root: str | None, changed: int, size: int, drives: Any, outline: bytes
+) -> tuple[Swing, ...]:
+    from vehsim.parts import read_parts
+
+    whole = np.frombuffer(outline).reshape(-1, 2)
+    parts = {part.path: part for part in read_parts(asset, root)} if drives else {}
+    groups: dict[Any, list[Array]] = {}
+    for part in parts.values():
+        chain = [
+            (channel, factor * parts[prim].T_rp[2, 2], tuple((pivot or parts[prim].T_rp[:3, 3])[:2]))
+            for prim, channel, factor, pivot in sorted(drives)
+            if prim in parts and (part.path + "/").startswith(prim + "/") and abs(parts[prim].T_rp[2, 2]) > 0.999
+        ]
+        if chain and part.hulls:
+            hulls = np.vstack(part.hulls) @ part.T_rp[:3, :3].T + part.T_rp[:3, 3]
+            groups.setdefault(tuple(chain), []).append(hulls)
+    made = []
+    for chain, bodies in groups.items():
+        points = np.vstack(bodies)
+        pivots = tuple((name, float(factor), np.array(place)) for name, factor, place in chain)
+        swing = Swing(convex_hull(points[:, :2]), float(points[:, 2].min()), float(points[:, 2].max()), pivots)
+        turned = swing.at({name: np.array([-1.0, 1.0]) for name, _, _ in pivots}).reshape(-1, 1, 2)
+        if distance(turned, whole).max() > ASIDE:
+            made.append(swing)
+    return tuple(made)
