@@ -11,6 +11,7 @@ from vehsim import Mark, World
 from vehsim.errors import InputError, SolveError
 from vehsim.planning.certify import certify
 from vehsim.planning.cover import approach
+from vehsim.planning.ranges import stay
 from vehsim.world import landing
 from vehsim.world import obstacles as ob
 from vehsim.world.clearance import Among
@@ -91,6 +92,17 @@ def test_flies_round_what_stands(flight, helicopter):
     marks = [Mark(1, position=(0, 0, 30)), Mark(121, position=(120, 0, 30))]
     straight = vehsim.plan(helicopter, None, marks, segments=8).clip
     assert seen_by_igl(straight, hulls, straight.times).min() < 0
+
+
+def test_frames_of_a_range_are_on_the_way_round(helicopter):
+    """Where a stay begins no mark says a place: half way between its neighbours stands the tower."""
+    marks = [
+        Mark(1, position=(0, 0, 30), heading=0, velocity=REST),
+        Mark(289, position=(80, 0, 30), heading=0, velocity=REST),
+    ]
+    low = stay((145, 289), below=40)
+    plan = vehsim.plan(helicopter, World(obstacles=TOWN[:1]), marks, segments=32, terms=[low], refine=False)
+    assert plan.success and plan.clearance >= 1 - 0.01
 
 
 def test_certification_finds_what_samples_miss(flight):

@@ -21,7 +21,6 @@ from vehsim.planning.legs import divided
 from vehsim.planning.marks import Gate
 from vehsim.planning.obstacles import Rows, marks_too_near, obstacle_rows
 from vehsim.planning.outlines import clearances, inner_discs, simplified
-from vehsim.planning.ranges import stay
 from vehsim.planning.transcription import transcription
 from vehsim.world import obstacles as ob
 from vehsim.world.plane import distance, placed
@@ -182,18 +181,6 @@ def test_a_trailer_is_kept_clear_where_it_swings():
         shapely.convex_hull(shapely.multipoints(turned)), shapely.Polygon(world.obstacles[0].parts[0])
     )
     assert plan.clearance - 1e-3 <= seen.min() <= plan.clearance + 0.05
-
-
-def test_frames_of_a_range_are_on_the_way_round(car):
-    """Where a stay begins and ends no mark says a place: half way between the marks there would be a block."""
-    world = World(obstacles=[ob.box("block", (20, 0, 0), (8, 8, 2))])
-    marks = [
-        Mark(1, position=REST, heading=0, velocity=REST),
-        Mark(241, position=(40, 0, 0), heading=0, velocity=REST),
-    ]
-    kept = stay((101, 141), within=(-5, -20, 45, 20))
-    plan = vehsim.plan(car, world, marks, segments=48, clearance=0.4, terms=[kept], refine=False)
-    assert plan.success and gap_by_shapely(plan.clip, world) >= 0.4 - 2e-3
 
 
 def test_a_way_is_divided_by_frames():
