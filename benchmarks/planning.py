@@ -215,10 +215,10 @@ NOTES = """
   the 13 ms to write it, the disk and the checks. So each worker builds its own, once a shape of marks, and keeps it.
 - **Cars among obstacles**: the median of the table's ten fields was 0.77 s of CPU time, and is 0.45 (at load 15; on
   another day, at load 18 to 20, 0.63 and 0.67, and 0.52 by the code of before that day), of ten others 0.30 for 0.51,
-  all twenty solved and certified. Only features that can be nearest are rows, 654 to 716 for 915 to 1038 in easy fields;
-  distances enter by value, slope and bend, so that Hessians take a fifth to an eighth; certification measures exactly only where bounds do
-  not say enough: 0.03 to 0.09 s for 0.05 to 0.38. Not taken: features 1 or 3 m beyond the nearest for 2, parts 4 or 5 m
-  away for 3 (a quarter fewer iterations, as much time).
+  all twenty solved and certified. Only features that can be nearest are rows, 654 to 716 for 915 to 1038 in easy
+  fields; distances enter by value, slope and bend, so that Hessians take a fifth to an eighth; certification measures
+  exactly only where bounds do not say enough: 0.03 to 0.09 s for 0.05 to 0.38. Not taken: features 1 or 3 m beyond
+  the nearest for 2, parts 4 or 5 m away for 3 (a quarter fewer iterations, as much time).
 - **What is run through unseen** is seen where it is near, not at every knot, and twice as far about the guess, along
   which knots slide: a car between four walls in turn got stuck after 929 iterations, now it is through after 376. The
   second solve begins at a barrier of 3e-3; A* measures only as far as its price reaches. Not taken: going on from the
