@@ -38,7 +38,8 @@ STILLS = {
     "tumbling_body": (1145, "left"),
 }
 """Stage -> the frame and the camera of its still; the film is that camera's too."""
-FRAMES, SIZE, SECONDS = 40, (480, 270), 5.0
+FRAMES, SIZE, SMALLER, SECONDS = 40, (480, 270), (384, 216), 5.0
+"""A sea, where everything moves, is smaller rather than blurred."""
 LARGEST = 250_000
 """Bytes a picture may have."""
 
@@ -51,12 +52,13 @@ def film(stage: Path, camera: str, path: Path) -> None:
         files = render_stage(stage, folder, camera=camera, frames=frames, size=SIZE)
         pictures = [Image.open(file).convert("RGB") for file in files]
     duration = round(1000 * SECONDS / len(pictures))
-    for quality in (70, 55, 40, 25):
-        pictures[0].save(
-            path, save_all=True, append_images=pictures[1:], duration=duration, loop=0, quality=quality, method=4
-        )
-        if path.stat().st_size <= LARGEST:
-            return
+    for size in (SIZE, SMALLER):
+        smaller = [picture.resize(size) for picture in pictures]
+        for quality in (70, 55, 40):
+            options = {"duration": duration, "loop": 0, "quality": quality, "method": 4}
+            smaller[0].save(path, save_all=True, append_images=smaller[1:], **options)
+            if path.stat().st_size <= LARGEST:
+                return
 
 
 def still(stage: Path, camera: str, frame: int, path: Path) -> None:
