@@ -38,8 +38,8 @@ def load_all(
         except ShotError as error:
             problems += error.problems
             continue
-        except PermissionError as error:
-            problems.append(Problem(str(error.filename), "may not be read", "mend its permissions", file=str(path)))
+        except OSError as error:  # a rig without permissions, a cache for what is converted without room
+            problems.append(Problem(str(error.filename), str(error.strerror), "mend that", file=str(path)))
             continue
         for shot, found in checked:
             if (key := shot.name.casefold()) in loaded:  # a folder each, also where cases are not told apart
