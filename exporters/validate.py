@@ -59,11 +59,21 @@ def _nvidia_issues(stage: Any) -> Iterator[Issue]:
     import usd_validation_nvidia
 
     for issue in usd_validation_nvidia.ValidationEngine().validate(stage).issues():
+        if issue.rule and issue.rule.__name__ == "NormalsExistChecker" and _is_guide(stage, issue.at):
+            continue  # a collision hull is never shaded
         severe = issue.severity.name in ("ERROR", "FAILURE")
         rule = f"nvidia:{issue.rule.__name__}" if issue.rule else "nvidia"
         site = issue.at.as_str() if issue.at is not None else stage.GetRootLayer().identifier
         mend = issue.suggestion.message if issue.suggestion else "see nvidia_usd_validate --explain"
         yield Issue("error" if severe else "warning", rule, site, issue.message.strip(), mend)
+
+
+def _is_guide(stage: Any, site: Any) -> bool:
+    """Whether a place that NVIDIA's validator names is a prim of purpose guide."""
+    from pxr import UsdGeom
+
+    imageable = UsdGeom.Imageable(stage.GetPrimAtPath(site.path)) if hasattr(site, "path") else None
+    return bool(imageable) and imageable.ComputePurpose() == UsdGeom.Tokens.guide
 
 
 def _usd_issues(stage: Any) -> Iterator[Issue]:

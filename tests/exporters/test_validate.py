@@ -162,16 +162,25 @@ def test_nvidias_validator_is_asked_when_it_is_installed(shot, monkeypatch):
     from types import ModuleType
     from types import SimpleNamespace as Named
 
-    issue = Named(
-        severity=Named(name="FAILURE"),
-        rule=Named(__name__="NormalsExistChecker"),
-        message="no normals ",
-        at=Named(as_str=lambda: "Prim </shot>"),
-        suggestion=None,
-    )
+    from pxr import Usd, UsdGeom
+
+    def unshaded(path):
+        return Named(
+            severity=Named(name="FAILURE"),
+            rule=Named(__name__="NormalsExistChecker"),
+            message="no normals ",
+            at=Named(as_str=lambda: f"Prim <{path}>", path=path),
+            suggestion=None,
+        )
+
+    stage = Usd.Stage.Open(str(shot))
+    hull = UsdGeom.Mesh.Define(stage, "/shot/hull")  # a guide, which nobody shades
+    hull.CreatePurposeAttr(UsdGeom.Tokens.guide)
+    stage.Save()
+    found_by_them = [unshaded("/shot"), unshaded("/shot/hull")]
     module = ModuleType("usd_validation_nvidia")
     module.__spec__ = Named(name="usd_validation_nvidia")
-    module.ValidationEngine = lambda: Named(validate=lambda stage: Named(issues=lambda: [issue]))
+    module.ValidationEngine = lambda: Named(validate=lambda stage: Named(issues=lambda: found_by_them))
     monkeypatch.setitem(sys.modules, "usd_validation_nvidia", module)
     found = [str(issue) for issue in validate_stage(shot) if issue.rule.startswith("nvidia")]
     assert found == ["error: Prim </shot>: no normals [nvidia:NormalsExistChecker]; see nvidia_usd_validate --explain"]
