@@ -35,6 +35,8 @@ GENTLE = 0.3
 """m/s"""
 SLIP = 0.02
 """Below it friction grows with speed instead of holding, m/s."""
+ROOM = 1.0
+"""How much faster things may have become by then, m/s."""
 AHEAD = 0.5
 """Share of the time to the next contact that a step may take."""
 MARGIN = 1.0
@@ -245,8 +247,8 @@ class ContactScene:
             else:
                 normal = -normal  # MuJoCo's points from the first to the second
             assert a is not None
-            closing = moving[a].fastest + (0.0 if b is None else moving[b].fastest)
-            soon = min(soon, max(distance, 0.0) / max(closing, 1e-6))
+            toward = _toward(moving[a], None if b is None else moving[b], contacts.pos[k], normal)
+            soon = min(soon, max(distance, 0.0) / toward)
             if distance < -TOUCH:
                 name = _plain(self.model.geom(second).name)
                 found.setdefault((a, b, name), []).append((-distance, contacts.pos[k].copy(), normal.copy()))
@@ -332,6 +334,14 @@ class Touching(Environment):
 
     def events(self) -> list[dict[str, Any]]:
         return self._scene.events()
+
+
+def _toward(a: Moving | Led, b: Moving | Led | None, place: Array, normal: Array) -> float:
+    """How fast any points of two convex hulls may close along the ``normal`` between them, m/s, and room for pushes."""
+    velocity, turning, reach = a.velocity(place), a.omega, a.body.reach
+    if b is not None:
+        velocity, turning, reach = velocity - b.velocity(place), turning - b.omega, min(reach, b.body.reach)
+    return max(-float(velocity @ normal), 0.0) + 2 * reach * float(np.linalg.norm(turning)) + ROOM
 
 
 def _plain(name: str) -> str:
