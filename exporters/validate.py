@@ -72,8 +72,8 @@ def _is_guide(stage: Any, site: Any) -> bool:
     """Whether a place that NVIDIA's validator names is a prim of purpose guide."""
     from pxr import UsdGeom
 
-    imageable = UsdGeom.Imageable(stage.GetPrimAtPath(site.path)) if hasattr(site, "path") else None
-    return bool(imageable) and imageable.ComputePurpose() == UsdGeom.Tokens.guide
+    prim = stage.GetPrimAtPath(site.path) if hasattr(site, "path") else None
+    return bool(prim) and UsdGeom.Imageable(prim).ComputePurpose() == UsdGeom.Tokens.guide
 
 
 def _usd_issues(stage: Any) -> Iterator[Issue]:
