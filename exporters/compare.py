@@ -102,15 +102,15 @@ def compare_pictures(picture: str | Path, reference: str | Path) -> Comparison:
 def _mostly_changed(changed: NDArray[np.bool_], picture: Path, reference: Path) -> tuple[str, ...]:
     """The prims most of whose pixels ``changed`` (h, w), by the segmentation that stands beside; before and after."""
     found: set[str] = set()
-    for path in (reference, picture):
-        segmentation = segmentation_of(path, kind_of(path))
+    sides = [segmentation_of(path, kind_of(path)) for path in (reference, picture)]
+    names = read_legend(sides[0].parent) | read_legend(sides[1].parent)  # a prim has one colour on both
+    for segmentation in sides:
         if not segmentation.is_file() or (pixels := _read(segmentation)).shape[:2] != changed.shape:
             continue
         code = pixels.astype(np.int64) @ (1 << 16, 1 << 8, 1)
         colours, which = np.unique(code, return_inverse=True)
         area, lost = np.bincount(which.ravel()), np.bincount(which.ravel(), weights=changed.ravel())
         hit = colours[(area >= SEEN) & (lost > MOSTLY * area) & (colours > 0)]
-        names = read_legend(segmentation.parent)
         found |= {names.get(f"#{colour:06x}", f"#{colour:06x}") for colour in hit.tolist()}
     return tuple(sorted(found))
 
