@@ -54,7 +54,7 @@ def film(stage: Path, camera: str, path: Path) -> None:
     duration = round(1000 * SECONDS / len(pictures))
     for size in (SIZE, SMALLER):
         smaller = [picture.resize(size) for picture in pictures]
-        for quality in (70, 55, 40):
+        for quality in (70, 55, 40, 30):
             options = {"duration": duration, "loop": 0, "quality": quality, "method": 4}
             smaller[0].save(path, save_all=True, append_images=smaller[1:], **options)
             if path.stat().st_size <= LARGEST:
