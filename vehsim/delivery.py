@@ -273,27 +273,23 @@ def _swap(beside: Path, target: Path, overwrite: bool) -> None:
     """Put ``beside`` in the place of ``target``; without locks, whoever else does the same at the same time.
 
     A rename onto a folder that is not empty fails, so nobody's delivery is lost: it is moved aside first. Should the
-    second rename fail, the first is undone.
+    second rename fail, or a signal come between, the first is undone.
     """
     for _ in range(100):
         aside = target.with_name(f".{target.name}.{owner()}.replaced")
         try:
             may_replace(target, overwrite)
-            if not os.path.exists(target):
-                beside.rename(target)
-                return
-            target.rename(aside)
-        except OSError as error:
-            if error.errno not in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOENT) or not beside.exists():
-                raise
-            continue  # another export came between
-        try:
+            if os.path.exists(target):
+                target.rename(aside)
             beside.rename(target)
         except BaseException as error:
-            if isinstance(error, OSError) and error.errno in (errno.ENOTEMPTY, errno.EEXIST):
+            with suppress(OSError):  # nothing was moved, or another export was quicker
+                aside.rename(target)
+            if os.path.exists(target):
                 shutil.rmtree(aside, ignore_errors=True)
-                continue  # another export was quicker: the next turn replaces it
-            aside.rename(target)
+            came_between = isinstance(error, OSError) and error.errno in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOENT)
+            if came_between and beside.exists():
+                continue
             raise
         shutil.rmtree(aside, ignore_errors=True)
         return

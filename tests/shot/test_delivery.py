@@ -155,11 +155,32 @@ def test_a_failed_swap_puts_the_old_delivery_back(
     assert files(tmp_path) == before
 
 
+@pytest.mark.parametrize("moved", [".replaced", "shot"])
+def test_a_signal_between_the_renames_or_after_them_loses_nothing(
+    moved: str, exporters: Any, take: Take, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Python raises it as soon as a rename returns."""
+    take.export(tmp_path, to=("a",))
+    before, rename, came = files(tmp_path), Path.rename, []
+
+    def interrupted(self: Path, target: Path) -> Path:
+        renamed = rename(self, target)
+        if Path(target).name.endswith(moved) and not came:
+            came.append(target)
+            raise KeyboardInterrupt
+        return renamed
+
+    monkeypatch.setattr(Path, "rename", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        take.export(tmp_path, to=("b",))
+    assert came and files(tmp_path) == (before if moved == ".replaced" else {"shot/b.txt", "shot/report.json"})
+
+
 def test_a_crash_between_the_renames_loses_nothing(exporters: dict[str, Exporter], take: Take, tmp_path: Path) -> None:
     """As if the power had gone: the old delivery stands aside, and even a failing export brings it back."""
     take.export(tmp_path, to=("a",))
     before = files(tmp_path)
-    (tmp_path / "shot").rename(tmp_path / ".shot.4711.replaced")
+    (tmp_path / "shot").rename(tmp_path / f".shot.{delivery.owner()}.replaced")
     exporters["bad"] = failing(ExportError("no"))
     with pytest.raises(ExportError):
         take.export(tmp_path, to=("bad",))
