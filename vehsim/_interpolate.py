@@ -20,11 +20,15 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+SAME = 1e-11
+"""Times no farther apart, s, are the same."""
+
 
 def interpolate(clip: Clip, times: Array) -> Clip:
     """The clip at ``times`` (m,) s, all inside it."""
-    if len(clip) == 1:
-        return _select(clip, np.zeros(len(times), int), times)
+    rows = np.minimum(np.searchsorted(clip.times, times - SAME), len(clip) - 1)
+    if len(clip) == 1 or np.all(np.abs(clip.times[rows] - times) < SAME):  # knots alone: a clip on whole frames, baked
+        return _select(clip, rows, times)
     k = np.clip(np.searchsorted(clip.times, times, side="right") - 1, 0, len(clip) - 2)
     h = clip.times[k + 1] - clip.times[k]
     s = (times - clip.times[k]) / h
