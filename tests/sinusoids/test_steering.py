@@ -1,5 +1,6 @@
 """Growth vectors against the paper's and by hand; steering judged by an integrator that knows nothing of the method."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import casadi as ca
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from vehsim.errors import SolveError
 from vehsim.sinusoids import models
 from vehsim.sinusoids.algebra import classify, growth_bound
 from vehsim.sinusoids.canonical import steer_chained, steer_first_degree, steer_second_degree
@@ -123,6 +125,12 @@ def test_a_hands_breadth_of_way_mends_no_error():
     joined = _joined(models.trailers(hitches), start, legs)
     turning = [float(np.abs(leg.law(np.linspace(0, 1, 99))[:, 1]).max()) for leg in joined]
     assert turning[1] < 1e-3 and turning[2] == pytest.approx(turning[0], rel=0.2)
+
+
+def test_a_leg_bent_beyond_all_measure_is_a_named_error():
+    leg = across(Train((1.5,) * 5, 1.0), Pose(0, 0, 0), Pose(40, 6, 0), "drive")
+    with pytest.raises(SolveError, match="leg 'drive': bends beyond"):
+        _ = replace(leg, curve=leg.curve * 1e300).law
 
 
 def test_wheels_are_straightened_for_loops_that_leave_the_chart():

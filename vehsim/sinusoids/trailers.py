@@ -115,9 +115,9 @@ def _driven(
     ways: list[Steering] = []
     missed = None
     for legs in choices:
-        way = Steering(system, q0, q1, _staged(_joined(system, q0, legs), speed), label=_described(legs))
-        turns = np.round((way.states[-1] - q1) / TAU) * TAU * (np.arange(system.n) >= 3)
         try:
+            way = Steering(system, q0, q1, _staged(_joined(system, q0, legs), speed), label=_described(legs))
+            turns = np.round((way.states[-1] - q1) / TAU) * TAU * (np.arange(system.n) >= 3)
             ways.append(way.towards(q1 + turns).checked())
         except SolveError as error:  # reversing amplified round-off too far
             missed = error

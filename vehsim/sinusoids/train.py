@@ -17,6 +17,7 @@ import numpy as np
 from numpy.polynomial import Chebyshev
 from scipy.interpolate import BPoly
 
+from vehsim.errors import SolveError
 from vehsim.sinusoids.laws import chebyshev
 from vehsim.sinusoids.series import angle, derivative, divide, one, sincos, sqrt, times
 from vehsim.sinusoids.steering import Law
@@ -184,6 +185,8 @@ class Leg:
 
         s = _dense(201)
         q, length = state_of(self.train, self.span * s, self.jets(s)[:, :-1], self.frame)
+        if not np.all(np.isfinite(length)) or not np.all(np.isfinite(q)):
+            raise SolveError(f"leg {self.label!r}: bends beyond all measure; go by a nearer goal")
         way = CubicSpline(s, length / np.cos(q[:, 2])).antiderivative()(s)
         found = Chebyshev.fit(way / way[-1], s, PACE, [0.0, 1.0])
         found -= Chebyshev([(found(1.0) - 1 + found(0.0)) / 2, (found(1.0) - 1 - found(0.0)) / 2], [0.0, 1.0])
