@@ -14,8 +14,9 @@ from vehsim.sinusoids.algebra import classify, growth_bound
 from vehsim.sinusoids.canonical import steer_chained, steer_first_degree, steer_second_degree
 from vehsim.sinusoids.feedback import car_triangular
 from vehsim.sinusoids.fourier import steer_triangular
-from vehsim.sinusoids.trailers import _joined, steer_trailers
-from vehsim.sinusoids.train import Pose, Train, across
+from vehsim.sinusoids.steering import Stage, integrate
+from vehsim.sinusoids.trailers import _joined, _pull, steer_trailers
+from vehsim.sinusoids.train import Pose, Train, across, straighten
 
 
 def end_error(steering):
@@ -116,6 +117,26 @@ def test_trains_between_random_states(count):
     assert end_error(steer_trailers([1.5] * count, *ends)) < 1e-6
 
 
+def test_a_leg_begun_elsewhere_ends_where_it_did():
+    """To the last digits of the steering, a seventh derivative: rounded coefficients of the path keep half of them."""
+    train, goal = Train((1.5,) * 5, 1.0), np.array([1.0, 2.0, -0.3, 0.7, 0.4, 0.5, 0.1, -0.2, -0.6])
+    for span in (5.1, -5.1):
+        leg = straighten(train, goal, [span], "straighten")[0].back("bend")
+        start = leg.states(np.zeros(1))[0] + 1e-12 * np.array([1, 1, 0, 1, -1, 1, -1, 1, -1])
+        begun = leg.begun(start)
+        assert np.abs(begun.states(np.zeros(1))[0] - start).max() < 1e-13
+        assert np.abs(begun.states(np.ones(1))[0] - goal).max() < 1e-12
+
+
+def test_a_pull_is_smooth_enough_for_any_steps():
+    """Where wheels stop turning in its middle: a jump of the law's second derivative cost 1e-8 rad of steering."""
+    system, q = models.trailers((1.5,) * 5), np.array([5.0, 3.0, 0.4, -0.4, 0.1, 0.0, 0.3, -0.2, -0.5])
+    pull = _pull(system, q, 6.0)
+    for count in (49, 98, 143):
+        end = integrate(system, Stage("pull", pull.law), q, np.linspace(0, 1, count))[-1]
+        assert np.abs(end - pull.end).max() < 1e-11
+
+
 def test_a_hands_breadth_of_way_mends_no_error():
     """With five trailers to mend 1e-10 m on 30 cm would take the wheels round at 1e5 rad: the next leg does it."""
     hitches = (1.5,) * 5
@@ -130,7 +151,7 @@ def test_a_hands_breadth_of_way_mends_no_error():
 def test_a_leg_bent_beyond_all_measure_is_a_named_error():
     leg = across(Train((1.5,) * 5, 1.0), Pose(0, 0, 0), Pose(40, 6, 0), "drive")
     with pytest.raises(SolveError, match="leg 'drive': bends beyond"):
-        _ = replace(leg, curve=leg.curve * 1e300).law
+        _ = replace(leg, right=leg.right * 1e300).law
 
 
 def test_wheels_are_straightened_for_loops_that_leave_the_chart():

@@ -11,8 +11,10 @@ from vehsim.sinusoids.steering import Law
 from vehsim.sinusoids.system import Array
 
 NODES = 25
-TOLERANCES = (1e-12, 1e-12, 1e-11, 1e-10)
-"""Largest difference accepted, relative, with more and more panels: a sharp law's own round-off may be above 1e-12."""
+PANELS = (2, 8, 24, 96, 384)
+"""Of one cycle: the fewest that will do are taken."""
+TOLERANCE = 1e-12
+"""Largest difference accepted, relative."""
 
 DEGREE = 64
 """Of the polynomial that evens the pace of one cycle."""
@@ -27,10 +29,10 @@ def chebyshev(law: Law, cycles: int = 1) -> Law:
     check = np.linspace(0.003, 0.997, 41)
     truth = law(check)
     nodes = (1 - np.cos(np.pi * np.arange(NODES) / (NODES - 1))) / 2
-    for panels, tolerance in zip(cycles * np.array([2, 8, 24, 96]), TOLERANCES, strict=True):
+    for panels in cycles * np.array(PANELS):
         at = (np.arange(panels)[:, None] + nodes) / panels
         read = partial(_barycentric, nodes, law(at.ravel()).reshape(panels, NODES, -1))
-        if np.abs(read(check) - truth).max() < tolerance * max(1.0, np.abs(truth).max()):
+        if np.abs(read(check) - truth).max() < TOLERANCE * max(1.0, np.abs(truth).max()):
             return read
     return law
 

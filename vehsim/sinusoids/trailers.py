@@ -190,7 +190,8 @@ def _straightenings(system: DriftlessSystem, train: Train, q: Array, limits: tup
     """Ways from a state to a straight pose, the best of each kind: ahead or behind, at once or after a pull."""
     if np.abs(np.concatenate([[q[2]], np.diff(q[3:])])).max() < 1e-12:
         # nothing to straighten: a leg of no length marks the pose
-        return [[Leg(train, last_axle(train, q), 0.0, 1e-12, np.zeros(2), "rest")]]
+        zero = np.zeros(train.count + 2)
+        return [[Leg(train, last_axle(train, q), 0.0, 1e-12, zero, zero, zero, "rest")]]
     longest = max((*train.hitches, train.wheelbase))
     pulls = [None, *(_pull(system, q, k * longest) for k in (0.5, 1.5, 4.0))]
     lengths = train.length * np.array([0.6, 0.8, 1.0, 1.6, 2.5])
@@ -214,10 +215,13 @@ def _straightenings(system: DriftlessSystem, train: Train, q: Array, limits: tup
 
 
 def _pull(system: DriftlessSystem, q: Array, length: float) -> _Pull:
-    """Over ``length`` m of the front wheels the steering goes to zero, in the first half, and stays."""
+    """Over ``length`` m of the front wheels the steering goes to zero, in the first half, and stays.
+
+    So smoothly that an integrator's steps over the middle keep its order.
+    """
 
     def law(s: Array) -> Array:
-        turning = np.where(s < 0.5, -q[2] * 2 * (1 - np.cos(4 * np.pi * s)), 0.0)
+        turning = np.where(s < 0.5, -q[2] * 256 / 35 * np.sin(2 * np.pi * s) ** 8, 0.0)
         return np.column_stack([np.full(len(s), length), turning])
 
     end = integrate(system, Stage("pull", law), q, np.array([0.0, 1.0]))[-1]

@@ -8,7 +8,8 @@ Which legs to take is chosen in `trailers.py`.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from fractions import Fraction
 from functools import cached_property, lru_cache
 from math import comb, factorial, perm
 from typing import Any
@@ -127,22 +128,30 @@ def state_of(train: Train, x: Array, jets: Array, frame: Pose) -> tuple[Array, A
 
 @dataclass(frozen=True, eq=False)
 class Leg:
-    """The graph ``y`` in the axes of ``frame``, ``curve`` over the fraction ``(x - x0) / span``, from x0 to x0 + span.
+    """The graph ``y`` in the axes of ``frame``, a polynomial of the fraction ``(x - x0) / span``, from x0 to x0 + span.
 
-    Backwards if ``span`` is negative. ``curve``: a polynomial's coefficients in Bernstein's basis, where derivatives at
-    either end are exact however many there are.
+    Backwards if ``span`` is negative. ``left``, ``right``: its derivatives over the fraction at its ends, from the
+    zeroth; ``spare``: coefficients between in Bernstein's basis. Rounded coefficients alone would keep but half the
+    digits of the highest derivatives, which are the steering.
     """
 
     train: Train
     frame: Pose
     x0: float
     span: float
-    curve: Array
+    left: Array
+    spare: Array
+    right: Array
     label: str
 
     @property
     def length(self) -> float:
         return abs(self.span)
+
+    @property
+    def curve(self) -> Array:
+        """All coefficients in Bernstein's basis."""
+        return bernstein(self.left, self.spare, self.right)
 
     def jets(self, s: Array) -> Array:
         """``y .. y^(N+3)`` (k, N + 4) at fractions s (k,) of the leg."""
@@ -150,9 +159,12 @@ class Leg:
 
     @cached_property
     def _derivatives(self) -> list[BPoly]:
-        curves = [BPoly(self.curve[:, None], [0.0, 1.0])]
-        for _ in range(self.train.count + 1):
-            curves.append(curves[-1].derivative())
+        """By the differences of exact coefficients, each rounded once."""
+        ends = (self.left, self.spare, self.right)
+        curve, curves = bernstein(*(np.array([Fraction(x) for x in end], object) for end in ends)), []
+        for _ in range(self.train.count + 2):
+            curves.append(BPoly(curve.astype(float)[:, None], [0.0, 1.0]))
+            curve = (len(curve) - 1) * np.diff(curve)
         return curves
 
     def states(self, s: Array) -> Array:
@@ -184,10 +196,14 @@ class Leg:
         from scipy.interpolate import CubicSpline
 
         s = _dense(201)
-        q, length = state_of(self.train, self.span * s, self.jets(s)[:, :-1], self.frame)
-        if not np.all(np.isfinite(length)) or not np.all(np.isfinite(q)):
-            raise SolveError(f"leg {self.label!r}: bends beyond all measure; go by a nearer goal")
-        way = CubicSpline(s, length / np.cos(q[:, 2])).antiderivative()(s)
+        try:
+            q, length = state_of(self.train, self.span * s, self.jets(s)[:, :-1], self.frame)
+            way = CubicSpline(s, length / np.cos(q[:, 2])).antiderivative()(s)
+        except (
+            OverflowError,
+            ValueError,
+        ):  # of fractions too large for a double, of a spline through what is not finite
+            raise SolveError(f"leg {self.label!r}: bends beyond all measure; go by a nearer goal") from None
         found = Chebyshev.fit(way / way[-1], s, PACE, [0.0, 1.0])
         found -= Chebyshev([(found(1.0) - 1 + found(0.0)) / 2, (found(1.0) - 1 - found(0.0)) / 2], [0.0, 1.0])
         even: Chebyshev = found if found.deriv()(s).min() > 0.0 else Chebyshev([0.5, 0.5], [0.0, 1.0])
@@ -201,18 +217,16 @@ class Leg:
 
     def begun(self, q: Array) -> Leg:
         """The same leg from state ``q`` a hair's breadth from its start, to the same end: no error is carried on."""
-        k, last = self.train.count, self.x0 + self.span
-        x0 = last_axle(self.train, q).within(self.frame)[0]
-        span = last - x0
-        ends = [float(c(1.0)) * (span / self.span) ** i for i, c in enumerate(self._derivatives)]
-        curve, left = self.curve.copy(), derivatives(self.train, q, self.frame) * span ** np.arange(k + 1)
-        curve[-k - 1 :] = _from_left(np.array(ends[: k + 1]) * (-1.0) ** np.arange(k + 1), len(curve) - 1)[::-1]
-        curve[: k + 1] = _from_left(left, len(curve) - 1)
-        return Leg(self.train, self.frame, x0, span, curve, self.label)
+        x0, last = last_axle(self.train, q).within(self.frame)[0], self.x0 + self.span
+        span, known = last - x0, self.train.count + 1
+        left, right = (end * (span / self.span) ** np.arange(len(end)) for end in (self.left, self.right))
+        left[:known] = derivatives(self.train, q, self.frame) * span ** np.arange(known)
+        return replace(self, x0=x0, span=span, left=left, right=right)
 
     def back(self, label: str) -> Leg:
         """The same path the other way."""
-        return Leg(self.train, self.frame, self.x0 + self.span, -self.span, self.curve[::-1], label)
+        left, right = _mirrored(self.right), _mirrored(self.left)
+        return Leg(self.train, self.frame, self.x0 + self.span, -self.span, left, self.spare[::-1], right, label)
 
 
 def sharpness(legs: Sequence[Leg]) -> Array:
@@ -246,9 +260,9 @@ def straighten(train: Train, q: Array, spans: Sequence[float], label: str) -> li
 
 def _straightening(train: Train, frame: Pose, known: Array, span: float, label: str) -> Leg:
     k = train.count
-    left = known * span ** np.arange(k + 1)
+    left, right = known * span ** np.arange(k + 1), np.zeros(k + 2)
     degree = 2 * k + 2 + SPARE
-    fixed = np.concatenate([_from_left(left, degree), np.zeros(degree - k)])
+    fixed = bernstein(left, np.zeros(SPARE), right)
     # where and at what slope the straight line is met, and what is spare between
     free = np.zeros((2 + SPARE, degree + 1))
     free[:2, -k - 2 :] = [np.ones(k + 2), np.arange(-k - 1.0, 1.0)]
@@ -262,7 +276,8 @@ def _straightening(train: Train, frame: Pose, known: Array, span: float, label: 
         left_over = np.abs(a @ best + b)
         weights *= np.sqrt(left_over / max(left_over.max(), 1e-12) + 1e-3)
         weights /= weights.max()
-    return Leg(train, frame, 0.0, span, fixed + best @ free, label)
+    right[:2] = best[0], degree * best[1]
+    return Leg(train, frame, 0.0, span, left, best[2:].astype(float), right, label)
 
 
 def across(train: Train, a: Pose, b: Pose, label: str) -> Leg:
@@ -273,28 +288,35 @@ def across(train: Train, a: Pose, b: Pose, label: str) -> Leg:
     frame = Pose(a.x, a.y, (a.heading + b.heading) / 2)
     (x0, y0, m0), (x1, y1, m1) = a.within(frame), b.within(frame)
     span = x1 - x0
-    ends = np.array([y0, m0 * span, y1, m1 * span])
-    return Leg(train, frame, x0, span, ends @ _joining(train.count + 2), label)
+    left, right = np.zeros((2, train.count + 2))
+    left[:2], right[:2] = [y0, m0 * span], [y1, m1 * span]
+    return Leg(train, frame, x0, span, left, np.zeros(0), right, label)
 
 
-@lru_cache
-def _joining(count: int) -> Array:
-    """Curves (4, 2 count) of unit value and slope at either end, all other derivatives below ``count`` zero."""
-    e, zero = np.eye(count), np.zeros(count)
-    return np.array([hermite(e[0], zero), hermite(e[1], zero), hermite(zero, e[0]), hermite(zero, e[1])])
+def bernstein(left: Array, spare: Array, right: Array) -> Array:
+    """Coefficients of the polynomial on 0..1 with these derivatives, from the zeroth, at its ends, and those between.
 
-
-def hermite(left: Array, right: Array) -> Array:
-    """Bernstein coefficients of the polynomial on 0..1 with these derivatives, from the zeroth, at its ends."""
-    degree = len(left) + len(right) - 1
-    mirrored = right * (-1.0) ** np.arange(len(right))
-    return np.concatenate([_from_left(left, degree), _from_left(mirrored, degree)[::-1]])
+    As exact as what is given: fractions give fractions.
+    """
+    degree = len(left) + len(spare) + len(right) - 1
+    return np.concatenate([_from_left(left, degree), spare, _from_left(_mirrored(right), degree)[::-1]])
 
 
 def _from_left(values: Array, degree: int) -> Array:
     """The first Bernstein coefficients of a polynomial with these derivatives at 0."""
-    differences = values / [perm(degree, j) for j in range(len(values))]
-    return np.array([[comb(i, j) for j in range(len(values))] for i in range(len(values))], float) @ differences
+    pascal, steps = _pascal(len(values), degree)
+    return np.asarray(pascal @ (values / steps))
+
+
+@lru_cache
+def _pascal(count: int, degree: int) -> tuple[Array, Array]:
+    pascal = np.array([[comb(i, j) for j in range(count)] for i in range(count)])
+    return pascal, np.array([perm(degree, j) for j in range(count)])
+
+
+def _mirrored(values: Array) -> Array:
+    """Derivatives (k,), from the zeroth, of the same curve seen from its other end."""
+    return values * (-1) ** np.arange(len(values))
 
 
 def _dense(count: int) -> Array:
