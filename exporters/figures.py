@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim._quaternions import tilt_of
 from vehsim.cameras import vehicle_outline
 from vehsim.exporters.strobe import strobe_frames
 from vehsim.take import Exporter, Progress, Take
@@ -156,9 +157,7 @@ def _contours(canvas: _Canvas, take: Take) -> None:
 
 def _pose(name: str, clip: Clip) -> str:
     """Position, attitude and speed over time, as SYM's Fig. 4 has them."""
-    from scipy.spatial.transform import Rotation
-
-    yaw, pitch, roll = np.unwrap(Rotation.from_quat(clip.orientations, scalar_first=True).as_euler("ZYX"), axis=0).T
+    yaw, pitch, roll = np.unwrap(tilt_of(clip.orientations), axis=1)
     x, y, z = (clip.positions - clip.positions[0]).T
     planar = clip.twists.shape[1] == 3
     turns = {"heading": yaw} if planar else {"heading": yaw, "pitch": pitch, "roll": roll}

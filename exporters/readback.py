@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim import _quaternions
 from vehsim.errors import ExportError
 from vehsim.exporters.metadata import Z_UP_METRES, Units
 from vehsim.exporters.sampling import frames_of
@@ -159,9 +160,7 @@ def _op_matrices(op: str, values: Array) -> Array:
 
 def _pose_matrices(positions: Array, orientations: Array) -> Array:
     """Matrices (n, 4, 4) of poses; quaternions w, x, y, z."""
-    from scipy.spatial.transform import Rotation
-
-    matrices = np.tile(np.eye(4), (len(positions), 1, 1))
-    matrices[:, :3, :3] = Rotation.from_quat(orientations, scalar_first=True).as_matrix()
-    matrices[:, :3, 3] = positions
-    return matrices
+    poses = np.tile(np.eye(4), (len(positions), 1, 1))
+    poses[:, :3, :3] = _quaternions.matrices(orientations)
+    poses[:, :3, 3] = positions
+    return poses

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim._quaternions import quaternions
 from vehsim.cameras import Camera, look_at, vehicle_outline
 from vehsim.exporters.metadata import author_stage_metadata
 from vehsim.take import Exporter, Progress, Take
@@ -91,11 +92,8 @@ def strobe_camera(clips: Mapping[str, Clip], world: Any, frames: tuple[int, int]
                 best = (seen, place, rotation)
         if best[0] >= SEEN:
             break
-    from scipy.spatial.transform import Rotation
-
     _, place, rotation = best
-    orientation = Rotation.from_matrix(rotation).as_quat(scalar_first=True)
-    return Camera("strobe", np.array([float(frames[0])]), place[None], orientation[None], LENS, aperture)
+    return Camera("strobe", np.array([float(frames[0])]), place[None], quaternions(rotation)[None], LENS, aperture)
 
 
 def _corners(clip: Clip, frames: Sequence[int]) -> Array:

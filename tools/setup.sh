@@ -68,6 +68,9 @@ if [ "$made" != "$stamp" ]; then
     printf '%s' "$stamp" >.venv/.stamp
 fi
 
+# As pip does with what it installs: an environment may forbid Python to, and every process would compile them again.
+.venv/bin/python -m compileall -q vehsim exporters assets
+
 if ! .venv/bin/python -m vehsim.doctor --egl; then
     need_packages "No EGL library that can render was found" libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri
     .venv/bin/python -m vehsim.doctor --egl ||

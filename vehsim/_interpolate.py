@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim._quaternions import from_vectors, product, rotate, rotation_vectors, tilt_of, yaw_tilt
+
 if TYPE_CHECKING:
     from vehsim.clip import Clip
     from vehsim.lie import Group
@@ -42,7 +44,7 @@ def interpolate(clip: Clip, times: Array) -> Clip:
     if tilt is not None:
         z, pitch, roll = (_monotone(clip.times, values, times) for values in (clip.positions[:, 2], *tilt))
         positions[:, 2] = z
-        orientations = _product(orientations, yaw_tilt(np.zeros(len(times)), pitch, roll))
+        orientations = product(orientations, yaw_tilt(np.zeros(len(times)), pitch, roll))
     return replace(
         clip,
         times=times,
@@ -79,40 +81,6 @@ def _planar(clip: Clip) -> tuple[Array, tuple[Array, Array] | None]:
     return yaw_tilt(yaw, np.zeros(len(yaw)), np.zeros(len(yaw))), (pitch, roll)
 
 
-def yaw_tilt(yaw: Array, pitch: Array, roll: Array) -> Array:
-    """Quaternions (n, 4) of turning by ``roll`` about X, then ``pitch`` about Y, then ``yaw`` about Z, rad."""
-    zero = np.zeros(len(yaw))
-    about_z = np.column_stack([np.cos(yaw / 2), zero, zero, np.sin(yaw / 2)])
-    about_y = np.column_stack([np.cos(pitch / 2), zero, np.sin(pitch / 2), zero])
-    about_x = np.column_stack([np.cos(roll / 2), np.sin(roll / 2), zero, zero])
-    return _product(_product(about_z, about_y), about_x)
-
-
-def tilt_of(q: Array) -> tuple[Array, Array, Array]:
-    """Yaw, pitch and roll (n,) rad of quaternions (n, 4), as `yaw_tilt` puts them together; yaw is continuous."""
-    w, x, y, z = q.T
-    yaw = np.unwrap(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
-    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
-    return yaw, pitch, np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-
-
-def matrices(q: Array) -> Array:
-    """Rotation matrices (..., 3, 3) of unit quaternions (..., 4) w, x, y, z; their columns are the body's axes."""
-    w, x, y, z = q.T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
-
-
-def rotate(q: Array, v: Array) -> Array:
-    """Vectors (n, 3) turned by unit quaternions (n, 4)."""
-    t = 2 * np.cross(q[:, 1:], v)
-    return v + q[:, :1] * t + np.cross(q[:, 1:], t)
-
-
 def _twists(group: Group, q: Array, omega: Array, velocity: Array) -> Array:
     """Body twists (n, d): (omega, v), (omega_z, vx, vy) in the plane, omega alone on SO3."""
     body = rotate(q * [1, -1, -1, -1], velocity)
@@ -132,30 +100,14 @@ def _hermite(s: Array, h: Array, a: Array, b: Array, da: Array, db: Array) -> tu
 
 def _rotations(s: Array, h: Array, qa: Array, qb: Array, wa: Array, wb: Array) -> tuple[Array, Array]:
     """Unit quaternions (n, 4) and body angular velocities (n, 3) at ``s``."""
-    relative = _product(qa * [1, -1, -1, -1], qb)
+    relative = product(qa * [1, -1, -1, -1], qb)
     relative = np.where(relative[:, :1] < 0, -relative, relative)
-    phi = _log(relative)
+    phi = rotation_vectors(relative)
     # body velocity is J_r(phi) phi', so the slope at the far end is J_r(phi)^-1 w
     end = _right_jacobian_inverse(phi, wb)
     value, slope = _hermite(s, h, np.zeros_like(phi), phi, wa, end)
-    q = _product(qa, _exp(value))
+    q = product(qa, from_vectors(value))
     return q / np.linalg.norm(q, axis=1, keepdims=True), _right_jacobian(value, slope)
-
-
-def _product(a: Array, b: Array) -> Array:
-    scalar = a[:, :1] * b[:, :1] - np.sum(a[:, 1:] * b[:, 1:], axis=1, keepdims=True)
-    return np.hstack([scalar, a[:, :1] * b[:, 1:] + b[:, :1] * a[:, 1:] + np.cross(a[:, 1:], b[:, 1:])])
-
-
-def _exp(phi: Array) -> Array:
-    angle = np.linalg.norm(phi, axis=1, keepdims=True)
-    return np.hstack([np.cos(angle / 2), phi / 2 * np.sinc(angle / (2 * np.pi))])
-
-
-def _log(q: Array) -> Array:
-    sine = np.linalg.norm(q[:, 1:], axis=1, keepdims=True)
-    angle = 2 * np.arctan2(sine, q[:, :1])
-    return q[:, 1:] * np.where(sine > 1e-12, angle / np.where(sine > 1e-12, sine, 1.0), 2.0)
 
 
 def _right_jacobian(phi: Array, v: Array) -> Array:
@@ -178,9 +130,27 @@ def _right_jacobian_inverse(phi: Array, v: Array) -> Array:
 
 
 def _monotone(x: Array, y: Array, at: Array) -> Array:
-    from scipy.interpolate import PchipInterpolator
+    """The piecewise cubic through ``y`` (n, ...) that overshoots nowhere (Fritsch and Butland 1984), as scipy's PCHIP,
+    which takes as long to load as a clip to bake.
+    """
+    h, v = np.diff(x), y.reshape(len(y), -1)
+    slopes = np.diff(v, axis=0) / h[:, None]
+    rates = np.repeat(slopes[:1], len(x), axis=0)
+    if len(x) > 2:
+        a, b, before, after = 2 * h[1:, None] + h[:-1, None], h[1:, None] + 2 * h[:-1, None], slopes[:-1], slopes[1:]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            rates[1:-1] = np.where(before * after > 0, (a + b) / (a / before + b / after), 0.0)
+        rates[0] = _end_rate(h[0], h[1], slopes[0], slopes[1])
+        rates[-1] = _end_rate(h[-1], h[-2], slopes[-1], slopes[-2])
+    k = np.clip(np.searchsorted(x, at, side="right") - 1, 0, len(h) - 1)
+    value, _ = _hermite((at - x[k]) / h[k], h[k], v[k], v[k + 1], rates[k], rates[k + 1])
+    return value.reshape(len(at), *y.shape[1:])
 
-    return np.asarray(PchipInterpolator(x, y)(at))
+
+def _end_rate(h0: float, h1: float, slope: Array, inner: Array) -> Array:
+    rate = ((2 * h0 + h1) * slope - h0 * inner) / (h0 + h1)
+    rate = np.where(rate * slope <= 0, 0.0, rate)
+    return np.where((slope * inner <= 0) & (np.abs(rate) > 3 * np.abs(slope)), 3 * slope, rate)
 
 
 def _select(clip: Clip, rows: NDArray[np.intp], times: Array) -> Clip:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from hashlib import sha256
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,9 +18,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim._cache import kept
 from vehsim._camera_path import Parked, Surroundings, blocked, calm, envelope, lift, smooth, steer
 from vehsim._camera_rigs import RIGS as RIGS
 from vehsim._camera_rigs import Move
+from vehsim._quaternions import continuous, from_vectors, matrices, quaternions
 from vehsim.errors import InputError
 
 if TYPE_CHECKING:
@@ -153,7 +156,7 @@ def solve_camera(
         if framed:
             fills = projected_heights(positions, rotations, subject.upright, zoom)
             distance *= _rescale(fills * back, rig.fill, move.fill)  # a while farther back makes no nearer else
-    return Camera(rig.name, every, positions, _quaternions(rotations), rig.lens_mm, aperture)
+    return Camera(rig.name, every, positions, continuous(quaternions(rotations)), rig.lens_mm, aperture)
 
 
 def cut(name: str, cameras: Mapping[str, Camera], cuts: Sequence[tuple[float, str]]) -> Camera:
@@ -180,8 +183,7 @@ def cut(name: str, cameras: Mapping[str, Camera], cuts: Sequence[tuple[float, st
         pieces.append((frames, *_between(camera, frames), lens))
     frames, positions, orientations, lens = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
     first = used_cameras[0]
-    turned = _quaternions(_rotations(orientations))
-    return Camera(name, frames, positions, turned, lens, first.aperture_mm, first.clip_range)
+    return Camera(name, frames, positions, continuous(orientations), lens, first.aperture_mm, first.clip_range)
 
 
 def _between(camera: Camera, frames: Array) -> tuple[Array, Array]:
@@ -279,13 +281,10 @@ def _subject(clip: Clip, frames: Array) -> Subject:
 
 def _upright(R_wr: Array) -> Array:
     """Rotations (n, 3, 3) of vehicles with as little of their tilt taken off as makes their Z axis vertical."""
-    from scipy.spatial.transform import Rotation
-
     tilt = np.cross(R_wr[:, :, 2], (0.0, 0.0, 1.0))
     sine = np.linalg.norm(tilt, axis=1, keepdims=True)
     angle = np.arctan2(sine[:, 0], R_wr[:, 2, 2])[:, None]
-    back = Rotation.from_rotvec(tilt * angle / np.maximum(sine, 1e-9))
-    return np.asarray(back.as_matrix() @ R_wr)
+    return matrices(from_vectors(tilt * angle / np.maximum(sine, 1e-9))) @ R_wr
 
 
 def _headings(matrices: Array, fps: float) -> Array:
@@ -306,28 +305,17 @@ def vehicle_outline(vehicle: Any) -> Array:
 
 @lru_cache(maxsize=16)
 def _outline(asset: Path, root: str | None, changed: int, size: int) -> Array:
-    from scipy.spatial import ConvexHull
-
     from vehsim.parts import read_parts
 
     parts = read_parts(asset, root)
     points = np.concatenate([part.points @ part.T_rp[:3, :3].T + part.T_rp[:3, 3] for part in parts])
-    return points[ConvexHull(points, qhull_options="QJ").vertices]
 
+    def hull() -> bytes:
+        from scipy.spatial import ConvexHull  # takes longer to load than to work
 
-def _quaternions(rotations: Array) -> Array:
-    """Quaternions (n, 4) w, x, y, z of rotations (n, 3, 3), continuous in sign."""
-    from scipy.spatial.transform import Rotation
+        return np.ascontiguousarray(points[ConvexHull(points, qhull_options="QJ").vertices]).tobytes()
 
-    quaternions = Rotation.from_matrix(rotations).as_quat(scalar_first=True)
-    flips = np.where((quaternions[1:] * quaternions[:-1]).sum(axis=1) < 0, -1.0, 1.0)
-    return quaternions * np.concatenate([[1.0], np.cumprod(flips)])[:, None]
-
-
-def _rotations(quaternions: Array) -> Array:
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_quat(quaternions, scalar_first=True).as_matrix())
+    return np.frombuffer(kept("outline", sha256(points.tobytes()).hexdigest(), hull)).reshape(-1, 3)
 
 
 def _check(rig: CameraRig, clips: Mapping[str, Clip]) -> None:

@@ -329,7 +329,11 @@ def _options(
 
 def main() -> None:
     """The console command."""
-    sys.exit(run(sys.argv[1:]))
+    code = run(sys.argv[1:])
+    with suppress(OSError):  # whoever read it has gone
+        sys.stdout.flush()
+        sys.stderr.flush()
+    os._exit(code)  # all is written and closed: what libraries tear down in order would take as long as a clip
 
 
 def run(arguments: Sequence[str]) -> int:

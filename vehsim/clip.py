@@ -92,7 +92,7 @@ class Clip:
 
     def matrices(self) -> Array:
         """``T_wr`` (n, 4, 4): rig root to world, for column vectors."""
-        from vehsim._interpolate import matrices
+        from vehsim._quaternions import matrices
 
         T_wr = np.zeros((len(self), 4, 4))
         T_wr[:, :3, :3] = matrices(self.orientations)
@@ -102,7 +102,7 @@ class Clip:
 
     def state(self, index: int) -> State:
         """The state at one sample; what drives in the plane has no tilt in it."""
-        from vehsim._interpolate import tilt_of, yaw_tilt
+        from vehsim._quaternions import tilt_of, yaw_tilt
         from vehsim.vehicles import State
 
         orientation = self.orientations[index]

@@ -12,6 +12,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +38,7 @@ class Part:
     ``path`` is the prim's path below the rig root ("" for the root itself), ``parent`` its parent part's (None for
     the root's). ``T_pr`` (4, 4) maps the part's frame to its parent part's at rest, ``T_rp`` to the rig root's.
     ``points`` (n, 3) m and ``faces`` (m, 3), counter-clockwise from outside, are the look, both empty for a part that
-    only carries others; ``hulls`` are the vertices (k, 3) of its collision meshes. ``rgba`` (4,) is the linear colour
+    only carries others; ``collision`` are the points (k, 3) of its collision meshes. ``rgba`` (4,) is the linear colour
     of its largest mesh.
     """
 
@@ -48,13 +49,18 @@ class Part:
     T_rp: Array
     points: Array
     faces: Faces
-    hulls: tuple[Array, ...]
+    collision: tuple[Array, ...]
     rgba: tuple[float, float, float, float]
 
     @property
     def collides(self) -> bool:
-        """It has collision hulls."""
-        return bool(self.hulls)
+        """It has collision meshes."""
+        return bool(self.collision)
+
+    @cached_property
+    def hulls(self) -> tuple[Array, ...]:
+        """The vertices (k, 3) m of its collision meshes' convex hulls."""
+        return tuple(_hull(points) for points in self.collision)
 
 
 def read_parts(asset: str | Path, root: str | None = None) -> list[Part]:
@@ -316,7 +322,7 @@ class _Draft:
             T_rp=self.frame,
             points=np.concatenate([np.zeros((0, 3)), *points]),
             faces=np.concatenate([np.zeros((0, 3), np.int64), *faces]),
-            hulls=tuple(_apply(to_frame, _hull(mesh.points)) for mesh in self.collision),
+            collision=tuple(_apply(to_frame, mesh.points) for mesh in self.collision),
             rgba=largest.rgba if largest else (0.5, 0.5, 0.5, 1.0),
         )
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from vehsim._gait import Gait
-from vehsim._interpolate import matrices
+from vehsim._quaternions import matrices
 from vehsim._route import Route
 from vehsim.errors import InputError
 from vehsim.vehicles import State, Vehicle

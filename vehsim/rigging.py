@@ -134,8 +134,23 @@ def pivot_of(rig: Rig, channel: str, root: Any, metres_per_unit: float) -> Array
     return np.asarray((np.linalg.inv(T_ra) @ [*point, 1.0])[:3])
 
 
-def rig_problems(rig: Rig) -> Iterator[tuple[str, str, str]]:
-    """(channel, what is wrong, how to mend it) for every drive that cannot move its prim as a rigid part."""
+def rig_problems(rig: Rig) -> list[tuple[str, str, str]]:
+    """(channel, what is wrong, how to mend it) for every drive that cannot move its prim as a rigid part.
+
+    Looked at once for all the clips of a batch, as long as the asset does not change.
+    """
+    stat = Path(rig.asset).stat()
+    key = (repr(rig), stat.st_mtime_ns, stat.st_size)
+    if key not in _found:
+        _found[key] = list(_problems_of(rig))
+    return _found[key]
+
+
+_found: dict[tuple[str, int, int], list[tuple[str, str, str]]] = {}
+"""What `rig_problems` found."""
+
+
+def _problems_of(rig: Rig) -> Iterator[tuple[str, str, str]]:
     from pxr import UsdGeom
 
     try:

@@ -5,7 +5,7 @@ import pytest
 
 import vehsim
 from vehsim import Mark
-from vehsim._interpolate import rotate
+from vehsim._quaternions import rotate
 from vehsim.errors import InputError
 from vehsim.planning import Gate, look_at, stay
 from vehsim.planning.marks import check_marks, with_breaks

@@ -19,7 +19,6 @@ from vehsim.integrators.loops import Loop
 from vehsim.integrators.motion import FAST_TOLERANCE, Motion, PhaseStep, PublicStep, whole_step
 from vehsim.integrators.record import build_clip as build_clip
 from vehsim.integrators.record import build_clips, flat, keep
-from vehsim.integrators.record import continuous as continuous
 from vehsim.vehicles import State, Vehicle
 from vehsim.vehicles._base import Array
 from vehsim.vehicles.states import control_vector, internal

@@ -8,6 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from vehsim._quaternions import continuous
 from vehsim.clip import Clip
 from vehsim.integrators.discrete import DiscreteMechanics
 from vehsim.integrators.loops import Loop, each_part
@@ -50,7 +51,7 @@ def build_clips(
     ``controls`` (m, n, c); ``anchors`` (m, 3); ``compiled``: by machine code, and then by as many ``threads``. The
     ledger: kinetic and potential
     energy, work done by controls and wind, and what drag took out, each (n,) J. Work and dissipation are integrals of
-    the power at the knots (cubic spline); ``kinetic + potential - work + dissipated`` stays constant up to the
+    the power at the knots (`_integrals`); ``kinetic + potential - work + dissipated`` stays constant up to the
     integrator's error, O(h^2).
     """
     vehicle, (m, n) = mechanics.vehicle, phases.shape[:2]
@@ -100,15 +101,6 @@ def build_clips(
     return clips
 
 
-def continuous(quaternions: Array) -> Array:
-    """The same rotations (n, 4) with no sign flips from one to the next."""
-    flips = np.sum(quaternions[1:] * quaternions[:-1], axis=1) < 0
-    if not flips.any():
-        return quaternions
-    signs = np.cumprod(np.concatenate([[1.0], np.where(flips, -1.0, 1.0)]))
-    return quaternions * signs[:, None]
-
-
 def _record(mechanics: DiscreteMechanics) -> ca.Function:
     """``(x, t, c, wind) -> row`` with ``x = (g, r, pi, z)``.
 
@@ -130,14 +122,16 @@ def _record(mechanics: DiscreteMechanics) -> ca.Function:
 
 
 def _integrals(times: Array, rates: Array) -> Array:
-    """Integrals (n, k) of knot rates (n, k) from the first knot, of the cubic splines through them."""
+    """Integrals (n, k) of knot rates (n, k) from the first knot, of the polynomials through every six neighbours."""
     if len(times) < 2:
         return np.zeros_like(rates)
-    from scipy.interpolate import CubicSpline
-
-    h = np.diff(times)[:, None]
-    c3, c2, c1, c0 = CubicSpline(times, rates).c
-    parts = h * (c0 + h * (c1 / 2 + h * (c2 / 3 + h * c3 / 4)))
+    count = min(6, len(times))
+    first = np.clip(np.arange(len(times) - 1) - 2, 0, len(times) - count)[:, None]
+    near, h = first + np.arange(count), np.diff(times)[:, None]
+    s = (times[near] - times[:-1, None]) / h  # 0 to 1 over the interval
+    powers = np.arange(count)
+    weights = np.linalg.solve(s[:, None] ** powers[:, None], 1 / (powers + 1)[:, None])
+    parts = h * np.sum(weights * rates[near], axis=1)
     return np.vstack([np.zeros((1, rates.shape[1])), np.cumsum(parts, axis=0)])
 
 

@@ -147,24 +147,20 @@ def lift(t: Transcription, coarse: Layout, fine: Layout, x: Array, wind: Any) ->
 @lru_cache(maxsize=64)
 def trim(vehicle: Vehicle, wind: tuple[float, ...]) -> Array:
     """Controls (c,) that hold the vehicle still and level in the wind, as nearly as their bounds allow."""
-    from scipy.optimize import least_squares
-
     if not vehicle.controls:
         return np.zeros(0)
     scale = np.array([control.scale for control in vehicle.controls])
-    law = _standing(vehicle, wind)
-    size = max(1.0, float(np.abs(np.asarray(law(np.zeros(len(scale)))[0])).max(initial=0.0)))
-
-    def balance(v: Array) -> Array:
-        return np.concatenate([np.ravel(np.asarray(law(v * scale)[0])) / size, 1e-9 * v])
-
     lower = np.array([control.lower for control in vehicle.controls]) / scale
     upper = np.array([control.upper for control in vehicle.controls]) / scale
+    law, v = _standing(vehicle, wind), ca.SX.sym("v", len(scale))
+    size = max(1.0, float(np.abs(np.asarray(law(np.zeros(len(scale)))[0])).max(initial=0.0)))
+    missed = ca.sumsqr(law(v * scale)[0] / size) + 1e-12 * ca.sumsqr(v)
+    options: Any = {"ipopt": {"tol": 1e-12, "print_level": 0, "sb": "yes"}, "print_time": False}
+    solver = ca.nlpsol("trim", "ipopt", {"x": v, "f": missed}, options)
     bounded = np.isfinite(lower) & np.isfinite(upper)
-    start = np.where(
-        bounded, (np.nan_to_num(lower) + np.nan_to_num(upper)) / 2, np.clip(0.0, lower + 1e-6, upper - 1e-6)
-    )
-    return np.asarray(least_squares(balance, start, bounds=(lower, upper)).x * scale)
+    middle = (np.nan_to_num(lower) + np.nan_to_num(upper)) / 2
+    start = np.where(bounded, middle, np.clip(0.0, lower + 1e-6, upper - 1e-6))
+    return np.asarray(solver(x0=start, lbx=lower, ubx=upper)["x"]).ravel() * scale
 
 
 def stands(vehicle: Vehicle) -> bool:

@@ -11,6 +11,7 @@ import numpy as np
 from annotated_types import Len
 from pydantic import Field
 
+from vehsim._quaternions import quaternions
 from vehsim.errors import InputError
 from vehsim.shot.model import Array, Frame, MarkTable, NotNegative, Table, Text
 
@@ -66,7 +67,7 @@ def marks_of(table: BlockingTable, blocking: Blocking, fps: Fraction) -> list[Ma
         known: dict[str, Any] = {
             "position": blocking.positions[k].tolist(),
             "heading": float(headings[k]),
-            "orientation": _quaternion(blocking.rotations[k]),
+            "orientation": quaternions(blocking.rotations[k]).tolist(),
             "velocity": velocities[k].tolist(),
             "speed": float(np.linalg.norm(velocities[k])),
         }
@@ -78,10 +79,3 @@ def marks_of(table: BlockingTable, blocking: Blocking, fps: Fraction) -> list[Ma
             mark.pop("speed", None)
         marks.append(MarkTable(**mark))
     return marks
-
-
-def _quaternion(rotation: np.ndarray) -> list[float]:
-    from scipy.spatial.transform import Rotation
-
-    result: list[float] = Rotation.from_matrix(rotation).as_quat(scalar_first=True).tolist()
-    return result

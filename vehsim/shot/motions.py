@@ -15,6 +15,7 @@ import numpy as np
 from annotated_types import Len
 from pydantic import BeforeValidator, Field, PlainValidator, WithJsonSchema
 
+from vehsim._quaternions import rotate
 from vehsim.errors import InputError, Problem, SolveError
 from vehsim.shot.asking import LimitTable, LookTable, StayTable, check_asked, check_limits, limits_si
 from vehsim.shot.blocked import BlockingTable, blocking_of, marks_of
@@ -355,15 +356,12 @@ def _as_mark(mark: MarkTable, vehicle: Vehicle) -> Mark:
 
 
 def as_state(start: StartTable, vehicle: Vehicle) -> State:
-    from scipy.spatial.transform import Rotation
-
     from vehsim.vehicles import State
 
     orientation = orientation_of(start)
     if orientation is None:
         orientation = np.array([1.0, 0.0, 0.0, 0.0])
-    R_wr = Rotation.from_quat(orientation[[1, 2, 3, 0]])
-    velocity = R_wr.inv().apply(start.velocity)
+    velocity = rotate(orientation[None] * [1, -1, -1, -1], np.array([start.velocity], float))[0]
     spin = np.deg2rad(start.spin)
     twist = np.array([spin[2], *velocity[:2]]) if _planar(vehicle) else np.concatenate([spin, velocity])
     joints = [start.joints.get(name, 0.0) for name in vehicle.joints]

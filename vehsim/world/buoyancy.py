@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim._interpolate import matrices
+from vehsim._quaternions import matrices
 from vehsim.errors import InputError, Problem
 from vehsim.vehicles._base import State
 from vehsim.world.environment import Environment

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim._interpolate import matrices, spatial
+from vehsim._interpolate import spatial
+from vehsim._quaternions import matrices
 from vehsim.vehicles._base import State
 
 Array = NDArray[np.float64]

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim._interpolate import matrices, tilt_of, yaw_tilt
+from vehsim._quaternions import matrices, tilt_of, yaw_tilt
 from vehsim.clip import Clip
 from vehsim.vehicles._base import Rig, Suspension
 from vehsim.world.terrain import Terrain

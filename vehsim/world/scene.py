@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from vehsim._quaternions import matrices
 from vehsim.errors import InputError, Problem, SolveError
 from vehsim.parts import add_to_spec
 from vehsim.vehicles._base import Rig
@@ -142,9 +143,7 @@ class Scene:
 
     def _centre_distances(self, positions: Array, orientations: Array) -> Array:
         """Signed distance (n, hulls) m of every hull's centre from the surface."""
-        from scipy.spatial.transform import Rotation
-
-        rotation = Rotation.from_quat(orientations, scalar_first=True).as_matrix()
+        rotation = matrices(np.asarray(orientations, float))
         centres = positions[:, None] + np.einsum("nij,hj->nhi", rotation, self._centres)
         points = np.ascontiguousarray(centres.reshape(-1, 3))
         squared, _, _ = self._tree.squared_distance(*self._mesh, points)
