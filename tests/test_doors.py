@@ -31,7 +31,7 @@ FLOORS = (
     ),
     ("vehsim.integrators", "vehsim.world", "vehsim.clip", "vehsim._interpolate"),
     ("vehsim.vehicles", "vehsim.parts", "vehsim.rigging", "vehsim.blocking"),
-    ("vehsim.lie",),
+    ("vehsim.lie", "vehsim._quaternions"),
     ("vehsim.errors", "vehsim.assets", "vehsim._cache", "vehsim._ending"),
 )
 """From the roof to the cellar; the rooms of one floor may see each other."""

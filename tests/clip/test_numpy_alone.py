@@ -1,0 +1,82 @@
+"""What we do in numpy alone, to start quickly, is what scipy does."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from scipy.interpolate import PchipInterpolator
+from scipy.ndimage import gaussian_filter1d, maximum_filter1d
+from scipy.spatial.transform import Rotation
+
+from vehsim import _quaternions
+from vehsim._camera_path import envelope, smooth
+from vehsim._interpolate import _monotone
+from vehsim.integrators.record import _integrals
+
+ALONE = """
+import sys, vehsim
+marks = [vehsim.Mark(1001, position=(0, 0, 0), heading=0), vehsim.Mark(1049, position=(8, 2, 0), heading=0)]
+plan = vehsim.plan(vehsim.load_vehicle("car"), None, marks, segments=16)
+plan.clip.at([0.1, 0.7])
+print(plan.success, [name for name in sys.modules if name.split(".")[0] == "scipy"])
+"""
+
+
+def test_a_plan_needs_no_scipy():
+    said = subprocess.run([sys.executable, "-c", ALONE], capture_output=True, text=True, check=True)
+    assert said.stdout.strip() == "True []", said.stdout + said.stderr
+
+
+def test_quaternions_of_matrices_and_back():
+    turns = Rotation.concatenate(
+        [Rotation.random(300, rng=1), Rotation.from_rotvec(np.pi * np.eye(3)), Rotation.identity(1)]
+    )
+    R = turns.as_matrix()
+    q = _quaternions.quaternions(R)
+    assert (
+        np.abs(
+            q - turns.as_quat(scalar_first=True) * np.sign((q * turns.as_quat(scalar_first=True)).sum(1))[:, None]
+        ).max()
+        < 1e-14
+    )
+    assert np.abs(_quaternions.matrices(q) - R).max() < 1e-14
+    assert _quaternions.quaternions(R[0]).shape == (4,)
+    vectors = np.random.default_rng(2).normal(size=(50, 3))
+    assert (
+        np.abs(
+            _quaternions.matrices(_quaternions.from_vectors(vectors)) - Rotation.from_rotvec(vectors).as_matrix()
+        ).max()
+        < 1e-14
+    )
+
+
+@pytest.mark.parametrize("count", [2, 3, 4, 10, 200])
+@pytest.mark.parametrize("shape", [(), (3,)])
+@pytest.mark.parametrize("kind", [lambda y: y, lambda y: np.cumsum(np.abs(y), axis=0), np.round])
+def test_channels_are_monotone_as_pchip(count, shape, kind):
+    rng = np.random.default_rng(count)
+    x, y = np.cumsum(rng.uniform(0.1, 1, count)), kind(rng.normal(size=(count, *shape)))
+    at = rng.uniform(x[0], x[-1], 100)
+    assert np.abs(_monotone(x, y, at) - PchipInterpolator(x, y)(at)).max() < 1e-11
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 100])
+def test_bells_are_gaussian_filters(count):
+    values = np.random.default_rng(count).normal(size=count)
+    widened = maximum_filter1d(values, size=2 * int(3 * 9.6 + 0.5) + 1, mode="nearest")
+    wanted = gaussian_filter1d(widened, 9.6, mode="nearest", truncate=3.0)
+    assert np.abs(envelope(values, 24.0) - wanted).max() < 1e-13
+    line = np.arange(count) * 0.3 + 2.0
+    assert count < 100 or np.abs(smooth(line, 8.4) - line).max() < 1e-12  # runs straight on beyond its ends
+    assert np.abs(smooth(np.stack([values, line], axis=1), 2.0)[:, 0] - smooth(values, 2.0)).max() < 1e-14
+
+
+@pytest.mark.parametrize("count", [2, 3, 6, 40])
+def test_integrals_of_polynomials_are_exact(count):
+    rng = np.random.default_rng(count)
+    times = np.linspace(1.0, 4.0, count) + rng.uniform(-0.2, 0.2, count) * 3 / count
+    laws = [np.poly1d(rng.normal(size=min(6, count))) for _ in range(2)]
+    rates = np.column_stack([law(times) for law in laws])
+    wanted = np.column_stack([law.integ()(times) - law.integ()(times[0]) for law in laws])
+    assert np.abs(_integrals(times, rates) - wanted).max() < 1e-10 * (1 + np.abs(wanted).max())
