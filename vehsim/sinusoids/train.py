@@ -28,6 +28,10 @@ SAMPLES = 49
 """States looked at on a leg to see how sharp it is."""
 PACE = 12
 """Degree of the polynomial that evens the pace on a leg: more ripples."""
+TURNED = 0.5
+"""Wheelbases of way on which a straightening leg turns the wheels no further than its largest angle: else they quiver,
+and an integrator of the highest order may step over it.
+"""
 SPARE, ROUNDS = 5, 6
 """Coefficients that a straightening leg has to spare for gentle angles, and solves to find them."""
 
@@ -251,7 +255,7 @@ def straighten(train: Train, q: Array, spans: Sequence[float], label: str) -> li
     """Legs from state ``q`` over ``spans`` m (backwards if negative) to where the train stands straight.
 
     In the axes of the last trailer: the polynomial with the derivatives of ``q`` at one end and none from the second to
-    the (N + 3)rd at the other whose largest angles are least, to first order in them.
+    the (N + 3)rd at the other whose largest angles are least, to first order in them, turned gently (`TURNED`).
     """
     frame = last_axle(train, q)
     known = derivatives(train, q, frame)
@@ -267,7 +271,7 @@ def _straightening(train: Train, frame: Pose, known: Array, span: float, label: 
     free = np.zeros((2 + SPARE, degree + 1))
     free[:2, -k - 2 :] = [np.ones(k + 2), np.arange(-k - 1.0, 1.0)]
     free[2:, k + 1 : k + 1 + SPARE] = np.eye(SPARE)
-    samples = _sampled(degree, k) / span ** np.arange(k + 1)[:, None, None]
+    samples = _sampled(degree, k + 1) / span ** np.arange(k + 2)[:, None, None]
     bends = np.concatenate([np.tensordot(row, samples, (0, 0)) for row in _linear_angles(train)])
     a, b = bends @ free.T, bends @ fixed
     weights = np.ones(len(b))
@@ -337,13 +341,14 @@ def _sampled(degree: int, order: int) -> Array:
 
 @lru_cache
 def _linear_angles(train: Train) -> Array:
-    """Hitch angles from the last, then the steering, as combinations (N + 1, N + 3) of ``y .. y^(N+2)``, for small
-    ones.
+    """Hitch angles from the last, the steering and what it turns on `TURNED` as combinations (N + 2, N + 4) of
+    ``y .. y^(N+3)``, for small ones.
 
     An axle ``d`` ahead is at ``y + d y'``, so every one multiplies by ``1 + d D``.
     """
     ahead, rows = np.array([1.0]), []
     for d in (*train.hitches[::-1], train.wheelbase):
-        rows.append(np.pad(d * ahead, (2, train.count - 1 - len(ahead))))
+        rows.append(np.pad(d * ahead, (2, train.count - len(ahead))))
         ahead = np.convolve(ahead, [1.0, d])
+    rows.append(TURNED * train.wheelbase * np.roll(rows[-1], 1))
     return np.array(rows)
