@@ -254,14 +254,7 @@ class Airborne(Rigged):
 
     def state(self, at: State) -> Array:
         _, r, _, _ = internal(self.vehicle, at)
-        half = self.heading / 2
-        w, x, y, z = np.asarray(at.orientation, float)
-        w, x, y, z = (
-            w * np.cos(half) + z * np.sin(half),
-            x * np.cos(half) + y * np.sin(half),
-            y * np.cos(half) - x * np.sin(half),
-            z * np.cos(half) - w * np.sin(half),
-        )
+        w, x, y, z = SO3.compose(SO3.exp(np.array([0.0, 0.0, -self.heading])), np.asarray(at.orientation, float))
         if np.hypot(x, z) > 1e-6:
             raise InputError(
                 f"{self.vehicle.name}: orientation {list(at.orientation)}: turned about another axis than its own Y, "
