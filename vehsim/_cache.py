@@ -6,10 +6,16 @@ import json
 import os
 import secrets
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from hashlib import sha256
+from io import BytesIO
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
 
 
 def cache_folder() -> Path:
@@ -42,6 +48,21 @@ def kept(kind: str, key: object, make: Callable[[], bytes]) -> bytes:
     except OSError as error:
         warnings.warn(f"{file}: could not be kept ({error}); it is made again each time", stacklevel=2)
     return made
+
+
+def kept_arrays(kind: str, made_from: Sequence[Array], make: Callable[[], Sequence[Array]]) -> list[Array]:
+    """Arrays that follow from others, `kept` under these: convex hulls, whose library takes half a second to load."""
+    digest = sha256()
+    for array in made_from:
+        digest.update(repr((array.shape, array.dtype.str)).encode() + np.ascontiguousarray(array).tobytes())
+
+    def packed() -> bytes:
+        buffer = BytesIO()
+        np.savez(buffer, *make())
+        return buffer.getvalue()
+
+    with np.load(BytesIO(kept(kind, digest.hexdigest(), packed)), allow_pickle=False) as arrays:
+        return [arrays[f"arr_{k}"] for k in range(len(arrays.files))]
 
 
 SEAL = 32

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from hashlib import sha256
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim._cache import kept
+from vehsim._cache import kept_arrays
 from vehsim._camera_path import Parked, Surroundings, blocked, calm, envelope, lift, smooth, steer
 from vehsim._camera_rigs import RIGS as RIGS
 from vehsim._camera_rigs import Move
@@ -310,12 +309,12 @@ def _outline(asset: Path, root: str | None, changed: int, size: int) -> Array:
     parts = read_parts(asset, root)
     points = np.concatenate([part.points @ part.T_rp[:3, :3].T + part.T_rp[:3, 3] for part in parts])
 
-    def hull() -> bytes:
-        from scipy.spatial import ConvexHull  # takes longer to load than to work
+    def hull() -> list[Array]:
+        from scipy.spatial import ConvexHull
 
-        return np.ascontiguousarray(points[ConvexHull(points, qhull_options="QJ").vertices]).tobytes()
+        return [points[ConvexHull(points, qhull_options="QJ").vertices]]
 
-    return np.frombuffer(kept("outline", sha256(points.tobytes()).hexdigest(), hull)).reshape(-1, 3)
+    return kept_arrays("outline", [points], hull)[0]
 
 
 def _check(rig: CameraRig, clips: Mapping[str, Clip]) -> None:

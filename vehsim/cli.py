@@ -82,14 +82,15 @@ def export(
     quiet: Quiet = False,
 ) -> None:
     """Solve shots and write them: a USD stage, pictures, a film, tables. Sweeps become a clip each."""
-    from vehsim.batch.run import run
-    from vehsim.batch.screen import log_problems, watch
-    from vehsim.batch.summary import write_summary
-    from vehsim.batch.task import prepare
     from vehsim.batch.workers import warm_up
 
     if (workers > 1 or len(shots) > 1) and dask is None and not dry_run:
         warm_up()
+    from vehsim.batch.run import run
+    from vehsim.batch.screen import log_problems, watch
+    from vehsim.batch.summary import write_summary
+    from vehsim.batch.task import prepare
+
     names = _arguments.exporters_in(to)
     _arguments.check_folder(out)
     overrides = [*(sets or []), *["export.layer_only=true"] * layer_only]

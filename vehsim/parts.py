@@ -10,7 +10,7 @@ of units and up axis, are part of the geometry, so an animated pose multiplies e
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim._cache import made_of
+from vehsim._cache import kept_arrays, made_of
 from vehsim.errors import InputError
 from vehsim.vehicles._base import Rig
 
@@ -60,7 +60,7 @@ class Part:
     @cached_property
     def hulls(self) -> tuple[Array, ...]:
         """The vertices (k, 3) m of its collision meshes' convex hulls."""
-        return tuple(_hull(points) for points in self.collision)
+        return tuple(_hulls(self.collision)) if self.collision else ()
 
 
 def read_parts(asset: str | Path, root: str | None = None) -> list[Part]:
@@ -157,7 +157,7 @@ def _named_hulls(asset: str | Path, root: str | None) -> list[tuple[str, Array]]
         "be far too large; mark collision meshes for honest clearances",
         stacklevel=3,
     )
-    return [(part.name, _apply(part.T_rp, _hull(part.points))) for part in parts if len(part.points)]
+    return [(part.name, _apply(part.T_rp, *_hulls([part.points]))) for part in parts if len(part.points)]
 
 
 # ---------------------------------------------------------------- the stage
@@ -377,6 +377,11 @@ def _colour(mesh: Any, when: Any) -> tuple[float, float, float, float]:
         colour = values.get("diffuseColor") or colour
         opacity = opacity if values.get("opacity") is None else values["opacity"]
     return (float(colour[0]), float(colour[1]), float(colour[2]), float(opacity))
+
+
+def _hulls(clouds: Sequence[Array]) -> list[Array]:
+    """`_hull` of each."""
+    return kept_arrays("hulls", clouds, lambda: [_hull(points) for points in clouds])
 
 
 def _hull(points: Array) -> Array:

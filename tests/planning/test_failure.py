@@ -2,6 +2,7 @@
 
 import math
 import os
+import re
 import signal
 import time
 from contextlib import suppress
@@ -359,3 +360,11 @@ def test_what_progress_raises_is_raised():
 
     with pytest.raises(ValueError, match="iteration"):
         vehsim.plan(tug(), None, TUG_ASIDE, segments=8, progress=progress)
+
+
+def test_where_the_motion_breaks_is_a_frame():
+    marks = [Mark(1001, position=(0, 0, 10), velocity=(0, 0, 0)), Mark(1049, position=(20, 5, 10), velocity=(0, 0, 0))]
+    with pytest.warns(UserWarning, match="plan failed"):
+        plan = vehsim.plan(vehsim.load_vehicle("helicopter"), None, marks, segments=24, time_limit=1e-3)
+    found = re.search(r"the motion at frame (\d+), off by", plan.message)
+    assert found and 1001 <= int(found[1]) < 1049

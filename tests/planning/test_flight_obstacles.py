@@ -55,7 +55,7 @@ def seen_by_igl(clip, hulls, times, frame=lambda t: np.eye(4)):
         out.append(
             min(
                 igl.signed_distance(
-                    there, np.array(s.vertices), np.array(s.faces), igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL
+                    there, np.array(s.vertices), np.array(s.faces), igl.SIGNED_DISTANCE_TYPE_WINDING_NUMBER
                 )[0].min()
                 for s in shapes
             )

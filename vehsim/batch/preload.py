@@ -31,7 +31,9 @@ for _number in ENDING:  # workers are told by the first process, and tidy up bef
     signal.signal(_number, signal.SIG_IGN)
 signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
 die_with_parent()
+gc.disable()  # what modules make stays
 for _name in MODULES:
     importlib.import_module(_name)
 importlib.import_module("vehsim.batch.inputs").code()  # read and hashed once for all
-gc.freeze()  # what is here stays: no worker need look through it, or copy it by looking
+gc.freeze()  # no worker need look through it, or copy it by looking
+gc.enable()

@@ -166,7 +166,14 @@ class Attempt:
         self.stale = False
         self.solve_seconds += time.monotonic() - built
         self.deadline.solved(began, layout.nodes, self.solution.hurried)
-        self.worst = solver.problem.names()[int(np.argmax(self.solution.violations))]
+        self.worst = self._plainly(solver.problem.names()[int(np.argmax(self.solution.violations))])
+
+    def _plainly(self, row: str) -> str:
+        """A constraint as an animator knows it: the equations of motion by their frame."""
+        if not row.startswith("dynamics["):
+            return row
+        segment = int(row[9:-1]) // len(self.layout.fractions)
+        return f"the motion at frame {self._seconds()[segment] * float(self.request.fps):.0f}"
 
     def parameters(self) -> Array:
         """The parameter vector: of wind, weights and marks, then of what is to be kept clear of."""
@@ -282,18 +289,15 @@ class Attempt:
             self.note = f"; not refined to {segments} segments of order {order}: time limit reached"
             return False
         before = (self.x, self.layout, self.lengths, self.solution, self.worst, self.near)
-        self._lift(fine)
+        self.x = lift(self.t, self.layout, fine, self.x, self.request.wind)
+        self.layout, self.lengths, self.lifted = fine, self.x[fine.lengths], True
+        self._look()
         self.solve(free=False)
         if self.solution.success:
             return True
         self.note = f"; not refined to {segments} segments of order {order}: {self.solution.message}"
         self.x, self.layout, self.lengths, self.solution, self.worst, self.near = before
         return False
-
-    def _lift(self, fine: Layout) -> None:
-        self.x = lift(self.t, self.layout, fine, self.x, self.request.wind)
-        self.layout, self.lengths, self.lifted = fine, self.x[fine.lengths], True
-        self._look()
 
     def _overlooked(self) -> bool:
         """Whether the present motion comes too near to what it did not see; that is seen from now on."""

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim._cache import kept_arrays
 from vehsim.lie import SO3
 from vehsim.planning.layout import Layout
 from vehsim.planning.marks import Mark
@@ -121,7 +122,13 @@ def sphere_cover(vehicle: Vehicle, count: int = SPHERES) -> tuple[Array, Array]:
     """Centres (k, 3) in the rig root's frame and radii (k,), m; one point without a rig."""
     if vehicle.rig is None:
         return np.zeros((1, 3)), np.zeros(1)
-    points = np.vstack([_surface(hull) for hull in hulls_of(vehicle)])
+    hulls = hulls_of(vehicle)
+    centres, radii = kept_arrays("cover", [*hulls, np.array([_SPACING, count])], lambda: _covering(hulls, count))
+    return centres, radii
+
+
+def _covering(hulls: Sequence[Array], count: int) -> tuple[Array, Array]:
+    points = np.vstack([_surface(hull) for hull in hulls])
     centres = _spread(points, min(count, len(points)))
     for _ in range(10):  # Lloyd's algorithm with enclosing balls instead of means: it shrinks the largest radius
         nearest = np.argmin(np.linalg.norm(points[:, None] - centres, axis=2), axis=1)

@@ -130,8 +130,8 @@ def plan(
     brings joints and controls along when it is of such a vehicle, or a path (k, 3) m to start from; ``refine`` until
     the controls, executed finely, end within 0.1 m of the plan, or say so; ``terms``: costs and constraints of one's
     own (`terms.Cost`, `terms.Constraint`, `ranges.look_at`, `ranges.stay`); ``loop``: the motion ends as it begins;
-    ``solver``: a name of `solver.SOLVERS`; ``time_limit`` s, after which the best motion so far comes
-    back, certified: from half a second on, once vehicle and world have been looked at.
+    ``solver``: a name of `solver.SOLVERS`; ``time_limit`` s, after which the best motion so far comes back,
+    certified: from half a second on, or from one or two where vehicle and world are still to be read.
 
     Raises ``InputError`` for what cannot be asked. What cannot be solved comes back with ``success = False`` and a
     message, and a warning.

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from vehsim._cache import kept_arrays
 from vehsim._interpolate import spatial
 from vehsim.errors import InputError, Problem
 from vehsim.world.plane import Ellipse, Shape, convex_hull, convex_parts, placed, simple_polygon
@@ -253,7 +254,13 @@ def _read_hulls(asset: Path, root: str | None, changed: int, size: int) -> tuple
 
 @lru_cache(maxsize=32)
 def _read_footprint(asset: Path, root: str | None, changed: int, size: int) -> Array:
-    return convex_hull(np.vstack(_read_hulls(asset, root, changed, size))[:, :2])
+    return seen_from_above(np.vstack(_read_hulls(asset, root, changed, size)))
+
+
+def seen_from_above(points: Array) -> Array:
+    """The outline (k, 2) of points (n, 3), convex and counter-clockwise."""
+    flat = points[:, :2]
+    return kept_arrays("footprint", [flat], lambda: [convex_hull(flat)])[0]
 
 
 def headings(orientations: Array) -> Array:

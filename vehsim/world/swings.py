@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim.world.obstacles import asset_of, footprint
-from vehsim.world.plane import convex_hull, distance
+from vehsim.world.obstacles import asset_of, footprint, seen_from_above
+from vehsim.world.plane import distance
 
 Array = NDArray[np.float64]
 
@@ -87,7 +87,7 @@ def _read_swings(
     for chain, bodies in groups.items():
         points = np.vstack(bodies)
         pivots = tuple((name, float(factor), np.array(place)) for name, factor, place in chain)
-        swing = Swing(convex_hull(points[:, :2]), float(points[:, 2].min()), float(points[:, 2].max()), pivots)
+        swing = Swing(seen_from_above(points), float(points[:, 2].min()), float(points[:, 2].max()), pivots)
         turned = swing.at({name: np.array([-1.0, 1.0]) for name, _, _ in pivots}).reshape(-1, 1, 2)
         if distance(turned, whole).max() > ASIDE:
             made.append(swing)
