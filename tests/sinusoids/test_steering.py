@@ -128,6 +128,15 @@ def test_a_leg_begun_elsewhere_ends_where_it_did():
         assert np.abs(begun.states(np.ones(1))[0] - goal).max() < 1e-12
 
 
+@pytest.mark.parametrize("span", [8.5, 13.6])
+def test_straightening_does_not_quiver(span):
+    """Bent by 0.1 rad, five trailers need no larger angles; for the least of these alone wheels turn 2 rad a metre."""
+    state = np.array([0.0, 0.0, 0.1, 0.1, 0.0, 0.1, 0.05, 0.0, -0.1])
+    (leg,) = straighten(Train((1.5,) * 5, 1.0), state, [span], "straighten")
+    speed, rate = leg.inputs(np.linspace(0, 1, 801)).T
+    assert max(leg.angles) < 0.105 and np.abs(rate / speed).max() < 1.0
+
+
 def test_a_pull_is_smooth_enough_for_any_steps():
     """Where wheels stop turning in its middle: a jump of the law's second derivative cost 1e-8 rad of steering."""
     system, q = models.trailers((1.5,) * 5), np.array([5.0, 3.0, 0.4, -0.4, 0.1, 0.0, 0.3, -0.2, -0.5])
