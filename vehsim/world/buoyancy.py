@@ -26,12 +26,11 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-SAG = 1 / 60
-"""The surface may bend by so small a share of a hull's mean draft across an edge of it, in waves as long as the hull or
-longer; the bends of shorter ones average out along it."""
-FINEST, COARSEST = 1 / 36, 1 / 3
-"""Shares of the shortest wave: no edge is longer than the second, and none need be shorter than the first (of twice the
-hull's length, where the wave is longer still)."""
+BEND = 1 / 5000
+"""Share of a hull's mean draft that Simpson's rule along an edge of it may miss of the surface, in waves as long as the
+hull or longer; what it misses of shorter ones averages out along the hull."""
+FINEST = 1 / 16
+"""Share of the shortest wave that no edge need be shorter than; none is longer than that wave."""
 INSTANT = 1e-3
 """Time difference that gives the water's acceleration, s."""
 
@@ -68,10 +67,10 @@ class Afloat(Environment):
         if self.water.flat:
             return mesh
         size, wave = np.ptp(mesh.points, axis=0), self.water.shortest
-        length, draft = float(size.max()), self.rest_volume / (size[0] * size[1])
-        sag = SAG * draft * max(1.0, length / wave)
-        edge = np.sqrt(8 * sag / max(self.water.curvature, 1e-12))
-        return mesh.refined(float(np.clip(edge, FINEST * min(wave, 2 * length), COARSEST * wave)))
+        miss = BEND * self.rest_volume / (size[0] * size[1]) * max(1.0, float(size.max()) / wave) ** 2
+        fourth = self.water.curvature * (2 * np.pi / wave) ** 2  # derivative of the height
+        edge = (2880 * miss / max(fourth, 1e-12)) ** 0.25
+        return mesh.refined(float(np.clip(edge, FINEST * wave, wave)))
 
     @cached_property
     def reference_area(self) -> float:
@@ -151,7 +150,7 @@ class Afloat(Environment):
     def forces(self, t: float, state: State, controls: Array) -> Forces:
         """All that water and wind do to the vehicle in ``state`` at ``t`` s."""
         R_wb, position, omega, velocity = _body(state, self.vehicle.origin)
-        points = self.mesh.points
+        points, faces = (self.mesh.points, self.mesh.faces) if self.water.flat else self.mesh.quadratic
         world = points @ R_wb.T + position
         places = np.concatenate([world, position[None], self.data.propulsor_points @ R_wb.T + position])
         height, flow = self.water.at(places, t)
@@ -161,7 +160,7 @@ class Afloat(Environment):
         columns = np.empty((len(points), 7))
         columns[:, :3], columns[:, 3] = points, height - world[:, 2]
         columns[:, 4:] = velocity + _cross(omega, points) - flow @ R_wb
-        wet = wetted(columns, self.mesh.faces)
+        wet = wetted(columns, faces)
         up = R_wb[2]
         torque_force, volume = np.zeros(6), 0.0
         immersion = entering = 0.0

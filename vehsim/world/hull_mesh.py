@@ -95,16 +95,22 @@ class HullMesh:
         """
         points, faces = self.points, self.faces
         while 4 * len(faces) <= MAX_FACES:
-            pairs = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2), axis=2)
-            key, index = np.unique(pairs.reshape(-1, 2) @ [len(points), 1], return_inverse=True)
-            a, b = np.divmod(key, len(points))
+            (a, b), index = _edges(faces, len(points))
             long = np.linalg.norm(points[a] - points[b], axis=1) > edge
             if not long.any():
                 break
             middle = np.where(long, len(points) + np.cumsum(long) - 1, -1)
             points = np.concatenate([points, (points[a[long]] + points[b[long]]) / 2])
-            faces = _halved(points, faces, middle[index.reshape(-1, 3)])
+            faces = _halved(points, faces, middle[index])
         return self._like(points, faces)
+
+    @cached_property
+    def quadratic(self) -> tuple[Array, Faces]:
+        """Its points and the middles of its edges (n, 3), and faces (m, 6): corners, then the middles of edges k to
+        k + 1; see `wetted`."""
+        (a, b), index = _edges(self.faces, len(self.points))
+        middles = (self.points[a] + self.points[b]) / 2
+        return np.concatenate([self.points, middles]), np.concatenate([self.faces, len(self.points) + index], axis=1)
 
     def _like(self, points: Array, faces: Faces) -> HullMesh:
         """A hull whose surface is known to be sound."""
@@ -123,17 +129,11 @@ def read_hull(asset: Any, root: str, prim: str) -> HullMesh:
 
 @dataclass(frozen=True, eq=False)
 class Wetted:
-    """The part of a hull below a waterline, as triangles: ``corners`` (k, 3, w) of the columns given to `wetted`,
-    ``normals`` (k, 3) outwards, as long as the triangles' areas."""
+    """The part of a hull below a waterline, as triangles: ``middles`` (k, 3, w) of their edges, columns as given to
+    `wetted`, where quadratic functions integrate exactly; ``normals`` (k, 3) outwards, as long as the areas."""
 
-    corners: Array
+    middles: Array
     normals: Array
-
-    @cached_property
-    def middles(self) -> Array:
-        """(k, 3, w) columns at the middles of the triangles' edges, where quadratic functions integrate exactly."""
-        c = self.corners
-        return 0.5 * (c + c[:, [1, 2, 0]])
 
     @cached_property
     def area(self) -> float:
@@ -141,7 +141,7 @@ class Wetted:
 
     def volume(self, up: Array, depth: int = 3) -> float:
         """Volume (m^3) between hull and surface; ``up`` (3,) unit, column ``depth`` holds the depth below it."""
-        return -float((self.normals @ up) @ self.corners[:, :, depth].mean(axis=1))
+        return -float((self.normals @ up) @ self.middles[:, :, depth].mean(axis=1))
 
     def centroid(self, up: Array, depth: int = 3) -> Array:
         """Centroid (3,) m of that volume below a level surface, in the frame of the first three columns."""
@@ -156,26 +156,65 @@ class Wetted:
 
 
 def wetted(columns: Array, faces: Faces, depth: int = 3) -> Wetted:
-    """The triangles ``faces`` (m, 3) where column ``depth`` of ``columns`` (n, w) is positive, cut where it is zero.
+    """The triangles ``faces`` where column ``depth`` of ``columns`` (n, w) is positive, cut where it is zero.
 
-    The first three columns are places; all columns are linear on a triangle.
+    The first three columns are places. All are linear on faces (m, 3); on faces (m, 6), which name the middles of their
+    edges too (`HullMesh.quadratic`), they are quadratic, and the cut is straight between where it meets the edges.
     """
     wet = columns[:, depth] > 0
-    count = wet[faces].sum(axis=1)
-    parts = [columns[faces[count == 3]]]
-    cut = faces[(count == 1) | (count == 2)]
-    if len(cut):
-        under = wet[cut]
-        one = under.sum(axis=1) == 1
-        odd = (under == one[:, None]).argmax(axis=1)  # the corner alone on its side
-        a, b, c = (columns[cut[np.arange(len(cut)), (odd + k) % 3]] for k in range(3))
-        p, q = (a + (a[:, depth] / (a[:, depth] - x[:, depth]))[:, None] * (x - a) for x in (b, c))
-        p[:, depth] = q[:, depth] = 0.0
-        two = ~one
-        for triangle in ((a[one], p[one], q[one]), (p[two], b[two], c[two]), (p[two], c[two], q[two])):
-            parts.append(np.stack(triangle, axis=1))
-    corners = np.concatenate(parts)
-    return Wetted(corners, _normals(corners))
+    count = wet[faces[:, :3]].sum(axis=1)
+    whole = columns.take(faces[count == 3], axis=0)
+    places, middles = [whole[:, :3, :3]], [whole[:, 3:] if faces.shape[1] == 6 else _halfway(whole)]
+    cut = (count == 1) | (count == 2)
+    if cut.any():
+        one, cut = count[cut] == 1, faces[cut]
+        odd = (wet[cut[:, :3]] == one[:, None]).argmax(axis=1)  # the corner alone on its side comes first
+        nodes = columns.take(cut[np.arange(len(cut))[:, None], TURNED[odd, : faces.shape[1]]], axis=0)
+        first, others = nodes[:, :1, depth], nodes[:, 1:3, depth]
+        between = nodes[:, 3::2, depth] if faces.shape[1] == 6 else 0.5 * (first + others)
+        corners, owner = _pieces(_zero(first, between, others), one)
+        nodes, halfway = nodes.take(owner, axis=0), _halfway(corners)
+        places.append(corners @ nodes[:, :3, :3])
+        middles.append((_quadratic(halfway) if faces.shape[1] == 6 else halfway) @ nodes)
+    return Wetted(np.concatenate(middles), _normals(np.concatenate(places)))
+
+
+TURNED = np.array([[0, 1, 2, 3, 4, 5], [1, 2, 0, 4, 5, 3], [2, 0, 1, 5, 3, 4]])
+"""Nodes of a triangle that begins with another of its corners."""
+
+
+def _halfway(corners: Array) -> Array:
+    """Middles (k, 3, w) of the edges of triangles (k, 3, w)."""
+    return 0.5 * (corners + corners.take([1, 2, 0], axis=1))
+
+
+def _zero(a: Array, middle: Array, b: Array) -> Array:
+    """Where on an edge, 0 at its start and 1 at its end, what is quadratic and changes its sign is zero."""
+    bend, rise = 2 * (a + b - 2 * middle), 4 * middle - 3 * a - b
+    return 2 * a / (np.copysign(np.sqrt(np.maximum(rise**2 - 4 * bend * a, 0.0)), a - b) - rise)
+
+
+def _pieces(shares: Array, one: NDArray[np.bool_]) -> tuple[Array, Faces]:
+    """Barycentric corners (j, 3, 3) of the wet pieces of cut triangles, and the triangle (j,) that each is of.
+
+    Cuts are at ``shares`` (k, 2) of the way from the first corner, a, to the second and third, b and c: at p and q. Wet
+    is a, p, q where ``one`` (k,) says so, else p, b, c and p, c, q.
+    """
+    first, rest = np.flatnonzero(one), np.flatnonzero(~one)
+    owner = np.concatenate([first, rest, rest])
+    p, q = shares.take(owner, axis=0).T
+    corners, n, m = np.zeros((len(owner), 3, 3)), len(first), len(one)
+    corners[:n, 0, 0] = corners[n:m, 1, 1] = corners[n:m, 2, 2] = corners[m:, 1, 2] = 1
+    corners[:n, 1, 0], corners[:n, 1, 1] = 1 - p[:n], p[:n]
+    corners[n:, 0, 0], corners[n:, 0, 1] = 1 - p[n:], p[n:]
+    for these in (slice(n), slice(m, None)):
+        corners[these, 2, 0], corners[these, 2, 2] = 1 - q[these], q[these]
+    return corners, owner
+
+
+def _quadratic(places: Array) -> Array:
+    """Weights (..., 6) of a triangle's nodes at barycentric ``places`` (..., 3)."""
+    return np.concatenate([places * (2 * places - 1), 4 * places * places[..., [1, 2, 0]]], axis=-1)
 
 
 def _normals(corners: Array) -> Array:
@@ -202,6 +241,14 @@ def _welded(points: Array, faces: Faces) -> tuple[Array, Faces]:
     faces = faces[(a != b) & (b != c) & (c != a)]
     used, faces = np.unique(faces, return_inverse=True)
     return points[first[used]], faces.reshape(-1, 3).astype(np.int64)
+
+
+def _edges(faces: Faces, count: int) -> tuple[tuple[Faces, Faces], Faces]:
+    """The two ends (e,) of every edge of triangles between ``count`` points, and which (m, 3) goes from corner k on."""
+    pairs = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2), axis=2)
+    key, index = np.unique(pairs.reshape(-1, 2) @ [count, 1], return_inverse=True)
+    a, b = np.divmod(key, count)
+    return (a, b), index.reshape(-1, 3)
 
 
 def _halved(points: Array, faces: Faces, middle: Faces) -> Faces:
