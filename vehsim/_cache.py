@@ -29,7 +29,8 @@ def cache_folder() -> Path:
 
 def kept(kind: str, key: object, make: Callable[[], bytes]) -> bytes:
     """What ``make`` gives, kept for other processes under all that it depends on. Safe under concurrent writers, and
-    made again when the entry is damaged."""
+    made again when the entry is damaged. ``kind``: to be changed with what ``make`` does.
+    """
     file = cache_folder() / f"{kind}-{sha256(repr(key).encode()).hexdigest()[:32]}"
     with suppress(OSError):
         content = file.read_bytes()
@@ -46,7 +47,8 @@ def kept(kind: str, key: object, make: Callable[[], bytes]) -> bytes:
         finally:
             beside.unlink(missing_ok=True)
     except OSError as error:
-        warnings.warn(f"{file}: could not be kept ({error}); it is made again each time", stacklevel=2)
+        reason = error.strerror or type(error).__name__
+        warnings.warn(f"{file.parent}: {kind}: could not be kept ({reason}); made again each time", stacklevel=2)
     return made
 
 

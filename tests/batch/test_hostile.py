@@ -329,6 +329,25 @@ def test_what_is_kept_for_other_processes(tmp_path: Path, monkeypatch: pytest.Mo
         assert kept("sky", 7, make) == b"a sky"
 
 
+def test_arrays_are_kept_under_what_they_are_made_from(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from vehsim._cache import kept_arrays
+
+    monkeypatch.setenv("VEHSIM_CACHE", str(tmp_path))
+    points, made = np.arange(12.0).reshape(4, 3), []
+
+    def make() -> list[np.ndarray]:
+        made.append(1)
+        return [points[:2], points.T[:0]]
+
+    for given in (points, np.asfortranarray(points), points):
+        first, second = kept_arrays("some", [given], make)
+        assert np.array_equal(first, points[:2]) and second.shape == (0, 4)
+    assert len(made) == 1
+    for other in ([points.reshape(3, 4)], [points, points], [np.nextafter(points, 99.0)]):
+        kept_arrays("some", other, make)
+    assert len(made) == 4
+
+
 @pytest.mark.parametrize("damage", [lambda body: body[:-9], lambda body: body[:99] + bytes(len(body) - 99)])
 @pytest.mark.parametrize("what", ["gyro-*/gyro.usdc", "gyro-*.usda"])
 def test_a_converted_vehicle_cut_short_or_full_of_zeros_is_not_believed(
