@@ -64,6 +64,7 @@ def main() -> None:
             f"all forces {microseconds(everything):7.0f} us"
         )
     field = WaterField(waters["sea of 96 waves"], size=12.0, samples=97)
+    field.update(1.0, (0, 0))
     xy = np.random.default_rng(0).uniform(-5, 5, (145, 2))
     print(f"MuJoCo: {microseconds(lambda: field.heights(xy), 100):.0f} us for 145 rays")
     print(f"MuJoCo: {microseconds(lambda: field.update(1.0, (0, 0)), 20):.0f} us to write 97 x 97 heights of 96 waves")

@@ -10,7 +10,7 @@ from vehsim.world import Water, World
 from vehsim.world.currents import Currents, Sampled, Stream, Vortex
 from vehsim.world.sea import sea_state, spectrum
 from vehsim.world.water import GRAVITY, Waves, wave
-from vehsim.world.water_field import Rays, WaterField
+from vehsim.world.water_field import WaterField
 from vehsim.world.water_grids import WaterGrids
 from vehsim.world.wind import Gusts
 
@@ -97,6 +97,10 @@ def test_folded_and_broken_waves_are_refused():
         wave(1.0, -3.0)
     with pytest.raises(InputError, match="choppiness"):
         wave(0.1, 10.0, choppiness=2.0)
+    with pytest.raises(InputError, match=r"water\.height_field"):
+        Water(height_field=0.0)
+    with pytest.raises(InputError, match="give a wider cell"):
+        Water(height_field=0.1).at(np.array([[0.0, 0, 0], [400.0, 0, 0]]), 0.0)
     with pytest.raises(InputError, match="not a sea"):
         sea_state(-1.0)
     with pytest.raises(InputError, match="not water"):
@@ -164,23 +168,41 @@ def test_a_boat_floats_alike_on_mujocos_height_field():
     """LIE's way: rays on a field that lives in MuJoCo, follows the boat far off its first place, and is never left."""
     boat, waves = vehsim.load_vehicle("boat"), wave(0.4, 9.0, 0.4, choppiness=0.5)
     start = State(twist=[0, 0, 0, 8.0, 0, 0])
-    rays = Rays(waves, 0.1)
     asked = []
     update = WaterField.update
 
-    def watched(self, t, centre):
-        update(self, t, centre)
+    def watched(self, t, centre, wide):
+        update(self, t, centre, wide)
         asked.append((t, *self.centre))
+        assert self.wide.max() < 9
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(WaterField, "update", watched)
         seen, known = (
-            vehsim.simulate(boat, World(water=Water(0.3, surface)), (3000.0, 0.0), start, duration=1.0, step=1 / 48)
-            for surface in (rays, waves)
+            vehsim.simulate(boat, World(water=water), (3000.0, 0.0), start, duration=1.0, step=1 / 48)
+            for water in (Water(0.3, waves, height_field=0.1), Water(0.3, waves))
         )
     assert np.abs(seen.positions - known.positions).max() < 5e-3
     assert np.ptp([x for _, x, _ in asked]) > 6 and asked[-1][0] == pytest.approx(1.0, abs=2e-3)
-    assert rays.field.size < 12
+
+
+def test_a_shot_asks_for_the_height_field_in_a_word():
+    """The same boat in the same swell, by rays and by the formula; a cell that is none is named."""
+
+    def shot(**water):
+        data = {
+            "shot": {"schema": 1, "name": "swell"},
+            "world": {"water": {"level": 0.2, "wave": [{"height": 0.4, "length": 9.0}], **water}},
+            "vehicle": [{"name": "boat", "asset": "boat", "motion": {"method": "simulate", "duration": 0.5}}],
+        }
+        return vehsim.Shot.from_dict(data)
+
+    seen, known = shot(height_field=0.1).solve(), shot().solve()
+    assert seen.world.water.height_field == 0.1 and known.world.water.height_field is None
+    apart = np.abs(seen.clips["boat"].positions - known.clips["boat"].positions).max()
+    assert 0 < apart < 2e-3
+    with pytest.raises(InputError, match=r"world\.water\.height_field"):
+        shot(height_field=0.0)
 
 
 def test_mujoco_and_a_solvers_grid_agree_exactly():
@@ -204,7 +226,7 @@ def test_nothing_is_asked_off_a_grid():
         water.height([[1.0, 1.0]], 2.0)
     field = WaterField(Water(), size=4.0, samples=9)
     field.update(0.0, (10.0, 0.0))
-    with pytest.raises(SolveError, match="off its 4 m around"):
+    with pytest.raises(SolveError, match="off its 4 x 4 m around"):
         field.heights([[0.0, 0.0]])
 
 

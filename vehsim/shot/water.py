@@ -23,7 +23,7 @@ def make_water(table: WaterTable | None, folder: Path) -> Water | None:
 
     if table is None:
         return None
-    return Water(table.level, _surface(table, folder), _current(table), table.density)
+    return Water(table.level, _surface(table, folder), _current(table), table.density, table.height_field)
 
 
 def check_water(table: WaterTable | None, folder: Path) -> Iterator[Problem]:

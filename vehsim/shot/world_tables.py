@@ -186,6 +186,9 @@ class WaterTable(Table):
     """the depth in m where the current has faded to nothing; it reaches down for ever unless given"""
     vortex: Annotated[list[VortexTable], Array, Len(0, 100)] = Field(default=[])
     """[[world.water.vortex]] tables"""
+    height_field: Annotated[Number, Field(ge=0.01, le=10)] | None = None
+    """the cell in m, such as 0.1, of a height field in MuJoCo that hulls ask by rays where the surface stands;
+    the waves' own formula is asked unless given"""
 
 
 class GustsTable(Table):

@@ -11,12 +11,15 @@ import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vehsim.errors import InputError, Problem
+
+if TYPE_CHECKING:
+    from vehsim.world.water_field import Rays
 
 Array = NDArray[np.float64]
 
@@ -230,24 +233,29 @@ class Water:
     """Water up to ``level`` m, and ``surface`` (`Waves`, `WaterGrids`, None: flat) and ``current`` on it (None: still).
 
     All points and velocities are in world axes, m and m/s; ``t`` s since the shot's first frame. ``density`` kg/m^3.
+    ``height_field`` m: hulls ask MuJoCo where the surface stands, by vertical rays on a height field of such cells, as
+    0.1, that follows them (`water_field.Rays`); None: they ask the surface itself.
     """
 
     level: float = 0.0
     surface: Surface | None = None
     current: Current | None = None
     density: float = SEA_WATER
+    height_field: float | None = None
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.level) and abs(self.level) < 1e5):
             raise _wrong("water.level", "not a height", "give metres", self.level)
         if not 1 <= self.density <= 20_000:
             raise _wrong("water.density", "not a liquid's", "give kg/m^3; sea water has 1025", self.density)
+        if not (self.height_field is None or 1e-3 <= self.height_field < 100):
+            raise _wrong("water.height_field", "not a cell", "give its width in m, such as 0.1", self.height_field)
 
     @cached_property
     def content_hash(self) -> str:
         """Names the water by its content."""
         parts = [part.content_hash for part in (self.surface, self.current) if part is not None]
-        return hashlib.sha256(repr((self.level, self.density, *parts)).encode()).hexdigest()
+        return hashlib.sha256(repr((self.level, self.density, self.height_field, *parts)).encode()).hexdigest()
 
     @property
     def flat(self) -> bool:
@@ -283,10 +291,23 @@ class Water:
 
     def velocity(self, points: ArrayLike, t: float = 0.0) -> Array:
         """Velocity (n, 3) m/s of the water at ``points`` (n, 3) m, waves and current; above it, the surface's."""
-        return self.at(np.asarray(points, float).reshape(-1, 3), t)[1]
+        return self._known(np.asarray(points, float).reshape(-1, 3), t)[1]
 
     def at(self, points: Array, t: float) -> tuple[Array, Array]:
         """``(height (n,), velocity (n, 3))`` at once, for ``points`` (n, 3) m."""
+        height, velocity = self._known(points, t)
+        return (height if self._rays is None else self._rays.heights(points[:, :2], t)), velocity
+
+    @cached_property
+    def _rays(self) -> Rays | None:
+        if self.height_field is None:
+            return None
+        from vehsim.world.water_field import Rays
+
+        return Rays(self, self.height_field)
+
+    def _known(self, points: Array, t: float) -> tuple[Array, Array]:
+        """`at` as the surface itself knows it."""
         if self.surface is None:
             height, velocity = np.full(len(points), self.level), np.zeros((len(points), 3))
         else:
