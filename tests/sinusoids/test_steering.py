@@ -15,7 +15,7 @@ from vehsim.sinusoids.canonical import steer_chained, steer_first_degree, steer_
 from vehsim.sinusoids.feedback import car_triangular
 from vehsim.sinusoids.fourier import steer_triangular
 from vehsim.sinusoids.steering import Stage, integrate
-from vehsim.sinusoids.trailers import _joined, _pull, steer_trailers
+from vehsim.sinusoids.trailers import _gain, _joined, _pull, steer_trailers
 from vehsim.sinusoids.train import Pose, Train, across, straighten
 
 
@@ -144,6 +144,18 @@ def test_a_pull_is_smooth_enough_for_any_steps():
     for count in (49, 98, 143):
         end = integrate(system, Stage("pull", pull.law), q, np.linspace(0, 1, count))[-1]
         assert np.abs(end - pull.end).max() < 1e-11
+
+
+def test_the_gain_of_a_straight_way_is_half_its_square():
+    """Wheels off by a hair for D m at a wheelbase of 1 m: D^2 / 2 to the side."""
+    assert _gain(steer_trailers([], [0, 0, 0, 0], [40, 0, 0, 0])) == pytest.approx(800, rel=1e-6)
+
+
+def test_a_way_that_amplifies_less_is_preferred():
+    """The gentlest way by its legs alone reverses fifteen metres and multiplies errors 45,000 times."""
+    start = [5.76, 2.24, 0.24, 0.61, 1.03, 1.23, 1.5, 1.42, 1.05]
+    goal = [7.62, 7.81, -0.22, 0.09, -0.15, -0.36, -0.67, -0.69, -0.19]
+    assert _gain(steer_trailers([1.5] * 5, start, goal)) < 5e3
 
 
 def test_a_hands_breadth_of_way_mends_no_error():

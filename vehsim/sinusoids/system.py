@@ -80,6 +80,13 @@ class DriftlessSystem:
         return lambda x, u: np.asarray(function.map(len(x))(x.T, u.T)).T
 
     @cached_property
+    def jacobians(self) -> Callable[[Array, Array], Array]:
+        """``(x (k, n), u (k, m)) -> d x' / d x (k, n, n)``."""
+        u = ca.SX.sym("u", self.m)
+        function = ca.Function("A", [self.x, u], [ca.densify(ca.jacobian(self.G @ u, self.x))])
+        return lambda x, u: np.asarray(function.map(len(x))(x.T, u.T)).T.reshape(len(x), self.n, self.n).swapaxes(1, 2)
+
+    @cached_property
     def _steps(self) -> ca.Function:
         """``BLOCK`` steps of Dormand and Prince's method of order 8: ``(x, inputs at each one's 12 nodes, h) -> x``."""
         from scipy.integrate import DOP853

@@ -26,6 +26,8 @@ SHARPEST = 1.3
 """Hitch and steering angles of a chosen path stay below this, rad; a right angle is singular."""
 AMPLIFIED = 3e3
 """How much reversing may amplify errors on a chosen way."""
+GAIN = 4e3
+"""How much all of a way may, its length among it, where another does less."""
 FOLDED = 20.0
 """A car goes at most this many metres for one of the last axle."""
 FAR = 15
@@ -100,30 +102,58 @@ def trailer_ways(
     if np.array_equal(q0, q1):
         return [Steering(system, q0, q1, (Stage("rest", lambda s: np.zeros((len(s), 2))),))]
     limits = (min(SHARPEST, steering or np.inf), min(SHARPEST, hitch or np.inf))
-    for kinds in (count, count + 6):  # gentle ways, and where all of those miss, others
-        ways, missed = _driven(system, q0, q1, _choose(system, train, q0, q1, via, limits, kinds), speed, count)
-        if ways:
-            return ways
-    assert missed is not None
-    raise missed
+    # an error in steering alone comes to D^2 / 2 wheelbases at a goal D m away
+    gain = max(GAIN, float(np.sum((q1[:2] - q0[:2]) ** 2)) / wheelbase)
+    for kinds in (count, count + 6):  # gentle ways, and where all of those miss or amplify errors, others
+        choices = _choose(system, train, q0, q1, via, limits, kinds)
+        ways, missed = _driven(system, q0, q1, choices, speed, count, gain)
+        if ways and _gain(ways[0]) < gain:
+            break
+    if not ways:
+        assert missed is not None
+        raise missed
+    return ways
 
 
 def _driven(
-    system: DriftlessSystem, q0: Array, q1: Array, choices: Sequence[list[Leg | _Pull]], speed: float, count: int
+    system: DriftlessSystem,
+    q0: Array,
+    q1: Array,
+    choices: Sequence[list[Leg | _Pull]],
+    speed: float,
+    count: int,
+    most: float,
 ) -> tuple[list[Steering], SolveError | None]:
-    """The first ``count`` ways that end at the goal, and why another did not."""
-    ways: list[Steering] = []
+    """The first ``count`` ways that end at the goal, any that amplify errors too much last; why another does not."""
+    found: list[tuple[float, Steering]] = []
     missed = None
     for legs in choices:
         try:
             way = Steering(system, q0, q1, _staged(_joined(system, q0, legs), speed), label=_described(legs))
             turns = np.round((way.states[-1] - q1) / TAU) * TAU * (np.arange(system.n) >= 3)
-            ways.append(way.towards(q1 + turns).checked())
+            way = way.towards(q1 + turns).checked()
+            found.append((_gain(way), way))
         except SolveError as error:  # reversing amplified round-off too far
             missed = error
-        if len(ways) == count:
+        if sum(gain < most for gain, _ in found) == count:
             break
-    return ways, missed
+    found.sort(key=lambda option: option[0] if option[0] >= most else 0.0)
+    return [way for _, way in found[:count]], missed
+
+
+def _gain(way: Steering) -> float:
+    """The most that an error of one state, made anywhere on the way, has grown to in another at its end.
+
+    By the motion linearised half way between samples.
+    """
+    x, t = way.states, way.times
+    h, u = np.diff(t), way.inputs((t[:-1] + t[1:]) / 2)
+    slopes = h[:, None, None] * way.system.jacobians((x[:-1] + x[1:]) / 2, u)
+    flow, most = np.eye(way.system.n), 1.0
+    for step in (np.eye(way.system.n) + slopes + slopes @ slopes / 2)[::-1]:
+        flow = flow @ step
+        most = max(most, float(np.abs(flow).max()))
+    return most
 
 
 def _described(legs: Sequence[Leg | _Pull]) -> str:
