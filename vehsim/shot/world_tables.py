@@ -187,8 +187,7 @@ class WaterTable(Table):
     vortex: Annotated[list[VortexTable], Array, Len(0, 100)] = Field(default=[])
     """[[world.water.vortex]] tables"""
     height_field: Annotated[Number, Field(ge=0.01, le=10)] | None = None
-    """the cell in m, such as 0.1, of a height field in MuJoCo that hulls ask by rays where the surface stands;
-    the waves' own formula is asked unless given"""
+    """the cell in m, such as 0.1, of a height field in MuJoCo, asked by rays; the formula is asked unless given"""
 
 
 class GustsTable(Table):

@@ -200,7 +200,9 @@ class Afloat(Environment):
                 rate = rate + size[:, :, None] * np.asarray(hull.quadratic, float)
             force -= (area / self.reference_area)[:, None, None] * rate * through
         force, arms = force.reshape(-1, 3) / 3, middles[:, :, :3].reshape(-1, 3)
-        return np.concatenate([_cross(arms, force).sum(axis=0), force.sum(axis=0)]), float(into.sum() / 3), fastest
+        (_, xy, xz), (yx, _, yz), (zx, zy, _) = arms.T @ force
+        wrench = np.array([yz - zy, zx - xz, xy - yx, *(np.ones(len(force)) @ force)])
+        return wrench, float(into.sum() / 3), fastest
 
     def _couple(
         self,
@@ -295,4 +297,6 @@ def _cross(a: Array, b: Array) -> Array:
     """Cross product of rows; ``a`` may be one row."""
     ax, ay, az = a.T
     bx, by, bz = b.T
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
+    product = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    product[..., 0], product[..., 1], product[..., 2] = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    return product

@@ -141,7 +141,7 @@ class Wetted:
 
     def volume(self, up: Array, depth: int = 3) -> float:
         """Volume (m^3) between hull and surface; ``up`` (3,) unit, column ``depth`` holds the depth below it."""
-        return -float((self.normals @ up) @ self.middles[:, :, depth].mean(axis=1))
+        return -float((self.normals @ up) @ self.middles[:, :, depth] @ np.ones(3)) / 3
 
     def centroid(self, up: Array, depth: int = 3) -> Array:
         """Centroid (3,) m of that volume below a level surface, in the frame of the first three columns."""
