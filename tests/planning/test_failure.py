@@ -22,6 +22,7 @@ from vehsim.planning.feasibility import refusals, strength
 from vehsim.planning.marks import Gate
 from vehsim.planning.request import ask
 from vehsim.planning.terms import Constraint
+from vehsim.world.obstacles import box
 
 CAR_ASIDE = [Mark(1, position=REST, heading=0, velocity=REST), Mark(25, position=(0, 6, 0), heading=0, velocity=REST)]
 
@@ -192,11 +193,11 @@ def test_short_of_time_it_comes_back_at_a_lower_order(monkeypatch):
 
 def test_nothing_is_built_after_the_time_limit(monkeypatch):
     """Found just before its deadline, a plan is not taken to a finer discretisation: it comes back as it is."""
-    from vehsim.planning.attempt import Attempt
+    from vehsim.planning import attempt
 
     lifts = []
     monkeypatch.setattr(Deadline, "late", property(lambda self: self.end < math.inf))
-    monkeypatch.setattr(Attempt, "_lift", lambda self, fine: lifts.append(fine))
+    monkeypatch.setattr(attempt, "lift", lambda *given: lifts.append(given))
     marks = [Mark(1, position=REST, velocity=REST), Mark(73, position=(6, 2, 0), heading=90, velocity=REST)]
     plan = vehsim.plan(tug(), None, marks, segments=8, time_limit=1e6)
     assert plan.success and not lifts and "not refined to 8 segments of order 4: time limit reached" in plan.message
@@ -368,3 +369,16 @@ def test_where_the_motion_breaks_is_a_frame():
         plan = vehsim.plan(vehsim.load_vehicle("helicopter"), None, marks, segments=24, time_limit=1e-3)
     found = re.search(r"the motion at frame (\d+), off by", plan.message)
     assert found and 1001 <= int(found[1]) < 1049
+
+
+def test_among_obstacles_too_it_is_said_which_mark_is_too_early(monkeypatch):
+    """Retries end elsewhere; what the first way misses is what an animator can mend."""
+    monkeypatch.setattr("vehsim.planning.planner.RETRIES", ((1.2, 0.3),))
+    monkeypatch.setattr(relax, "SECONDS", 300.0)
+    world = vehsim.World(obstacles=[box("tower", (15, 12, 0), (4, 4, 40))])
+    marks = [Mark(1001, position=(0, 0, 10), velocity=REST), Mark(1049, position=(30, 0, 10), velocity=REST)]
+    with pytest.warns(UserWarning, match=r"mark\[1\]\.frame = 1049 is too early; earliest 11[3-6]\d"):
+        plan = vehsim.plan(
+            vehsim.load_vehicle("helicopter"), world, marks, segments=16, limits={"bank": np.radians(20)}
+        )
+    assert not plan.success and len(plan.clip)

@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 from vehsim.clip import Clip
 from vehsim.integrators.integrator import build_clip
 from vehsim.planning.certify import SAMPLES, Executed, certify, certify_plane, executed
-from vehsim.planning.cover import SLOPE, approach, landings
+from vehsim.planning.cover import SLOPE, forgiven, landings
 from vehsim.planning.deadline import Deadline
 from vehsim.planning.elements import Problem
 from vehsim.planning.guess import along_clip, along_paths, clip_spans, lift
 from vehsim.planning.layout import Layout
 from vehsim.planning.legs import (
+    cruising,
     fixed_durations,
-    path_length,
     share_known_spans,
     spans_between,
     split_segments,
@@ -98,13 +98,12 @@ class Attempt:
     def start(self, paths: list[Array], stretch: float = 1.0, clip: Clip | None = None) -> None:
         """Layout, leg lengths (of free legs stretched) and first guess: along the paths, or a ``clip`` as it is."""
         marks, self.solved = self.request.marks, None
-        speed = min(CRUISE, 0.6 * self.request.limits.get("speed"))
         fixed = fixed_durations(marks, self.request.fps)
-        legs = np.array([path_length(path) for path in paths])
-        rests = np.array([a.at_rest + b.at_rest for a, b in pairwise(marks)])
-        durations = np.where(np.isnan(fixed), stretch * (legs / speed + 1.5 * rests + 0.5), fixed)
-        if clip is not None:
-            durations = np.where(np.isnan(fixed), np.maximum(-np.subtract(*clip_spans(clip, marks)), 0.1), fixed)
+        if clip is None:
+            free = stretch * cruising(marks, paths, min(CRUISE, 0.6 * self.request.limits.get("speed")))
+        else:
+            free = np.maximum(-np.subtract(*clip_spans(clip, marks)), 0.1)
+        durations = np.where(np.isnan(fixed), free, fixed)
         share_known_spans(durations, marks, self.request.fps)
         held = np.array([mark.hold > 0 for mark in marks[:-1]])
         self.layout = Layout(self.t.sizes, split_segments(self._coarse(), durations, held))
@@ -251,6 +250,15 @@ class Attempt:
             self.note = note
         self.checked = self._executed()
 
+    @property
+    def state(self) -> tuple[Any, ...]:
+        """What a solve starts from and comes to, to be put back."""
+        return self.x, self.layout, self.lengths, self.solution, self.worst, self.near
+
+    @state.setter
+    def state(self, kept: tuple[Any, ...]) -> None:
+        self.x, self.layout, self.lengths, self.solution, self.worst, self.near = kept
+
     def _step(self, asked: int) -> bool:
         """Four times the segments where that stays below those ``asked`` for, or else twice as many."""
         few = self.layout.segments
@@ -288,7 +296,7 @@ class Attempt:
         if not self.deadline.allows(fine.nodes):
             self.note = f"; not refined to {segments} segments of order {order}: time limit reached"
             return False
-        before = (self.x, self.layout, self.lengths, self.solution, self.worst, self.near)
+        before = self.state
         self.x = lift(self.t, self.layout, fine, self.x, self.request.wind)
         self.layout, self.lengths, self.lifted = fine, self.x[fine.lengths], True
         self._look()
@@ -296,7 +304,7 @@ class Attempt:
         if self.solution.success:
             return True
         self.note = f"; not refined to {segments} segments of order {order}: {self.solution.message}"
-        self.x, self.layout, self.lengths, self.solution, self.worst, self.near = before
+        self.state = before
         return False
 
     def _overlooked(self) -> bool:
@@ -353,14 +361,9 @@ class Attempt:
 
     def _certified(self, clip: Clip) -> float:
         """The least clearance; near a landing, as much is added as less is asked for."""
-        places = [np.asarray(mark.position, float) for mark in landings(self.request.marks)]
-        wanted = max(self.request.clearance, SLACK)
-
-        def less(positions: Array) -> Array:
-            away = [wanted - approach(np.linalg.norm(positions - p, axis=1), wanted, 0.0) for p in places]
-            return np.max(away, axis=0, initial=0.0) if away else np.zeros(len(positions))
-
-        return certify(clip, self.request.world, SAMPLES, self.progress, less, SLOPE * bool(places))
+        marks = self.request.marks
+        less = forgiven(marks, max(self.request.clearance, SLACK))
+        return certify(clip, self.request.world, SAMPLES, self.progress, less, SLOPE * bool(landings(marks)))
 
     def tighten(self) -> None:
         if self.rows is not None:

@@ -7,7 +7,7 @@ it is at every node is a parameter of the problem. Where it lands the clearance 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
@@ -115,6 +115,17 @@ def times_at(layout: Layout, marks: Sequence[Mark], lengths: Array) -> tuple[Arr
     shares = np.concatenate([[0.0], np.cumsum(layout.fractions)[:-1]])
     segment, part = np.divmod(node, len(layout.fractions))
     return knots[segment] + shares[part] * np.append(steps, 0.0)[segment], knots[half] + steps[half] / 2
+
+
+def forgiven(marks: Sequence[Mark], wanted: float) -> Callable[[Array], Array]:
+    """Positions (n, 3) -> how much less than the clearance ``wanted`` is asked there (n,), m: all, on a landing."""
+    places = [np.asarray(mark.position, float) for mark in landings(marks)]
+
+    def less(positions: Array) -> Array:
+        away = [wanted - approach(np.linalg.norm(positions - p, axis=1), wanted, 0.0) for p in places]
+        return np.max(away, axis=0, initial=0.0) if away else np.zeros(len(positions))
+
+    return less
 
 
 @lru_cache(maxsize=32)

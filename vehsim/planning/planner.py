@@ -185,13 +185,21 @@ def _again(attempt: Attempt, paths: list[Array], guess: Any) -> None:
     for wariness, (stretch, bend) in enumerate(RETRIES, 1):
         if attempt.solution.success or attempt.why or attempt.deadline.late:
             break
+        ways = [bent(path, bend) if attempt.rows is None else path for path in paths]
         if attempt.rows is not None and guess is None:
             kept = [request.marks[i] for i in placed_marks(request.marks)]
-            paths = divided(attempt.rows.drive(replace(request, marks=kept), wariness), request.marks)
-        attempt.start([bent(path, bend) if attempt.rows is None else path for path in paths], stretch)
+            ways = divided(attempt.rows.drive(replace(request, marks=kept), wariness), request.marks)
+        attempt.start(ways, stretch)
         attempt.solve()
-    if blocked and not attempt.solution.success and not attempt.deadline.late:
-        attempt.why, _ = diagnose(attempt)
+    if blocked and not attempt.solution.success and not attempt.deadline.late:  # what of it can be met the first way?
+        best = attempt.state
+        attempt.start(paths, clip=_own(request, guess))
+        attempt.why, near = diagnose(attempt)
+        if near is not None:
+            attempt.x = near
+            attempt.solve()
+        if not attempt.solution.success:
+            attempt.state = best
 
 
 def _finish(attempt: Attempt) -> Plan:

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 PRICE = 1e3
 """Cost of missing a mark by one unit, or of being late by one second: more than any effort saves."""
-ITERATIONS, SECONDS = 200, 10.0
+ITERATIONS, SECONDS = 200, 20.0
 """What either answer may take at most."""
 NOTHING = 1e-3
 """Misses and delays below this are none, in m and s."""
