@@ -1,4 +1,6 @@
-"""Generate the flat ground: 600 m of concrete apron in slabs of 10 m, whose joints let motion be read.
+"""Generate the flat ground: concrete apron in slabs of 10 m, whose joints let motion be read.
+
+Rigs have 600 m of it to drive on; what is seen goes on to where haze hides all.
 
 Run from the repository: ``python -m vehsim.assets.generate.flat``.
 """
@@ -18,6 +20,8 @@ Array = NDArray[np.float64]
 
 FOLDER = Path(__file__).parents[1] / "terrains" / "flat"
 HALF, CELL = 300.0, 10.0
+BEYOND = np.array([320.0, 360.0, 440.0, 600.0, 900.0, 1500.0, 3000.0])
+"""How far what is seen goes on, m from the middle, in ever longer slabs."""
 SLAB, SLABS = 10.0, 4
 """Size of a slab, m, and slabs along the side of the picture, which repeats: the joints hide its seams."""
 PICTURE = 1024
@@ -48,8 +52,10 @@ def main() -> None:
     count = int(2 * HALF / CELL) + 1
     heights = np.zeros((count, count), np.float32)
     np.savez_compressed(FOLDER / "heights.npz", heights=heights)
-    terrain = Terrain("flat", heights.astype(float), (-HALF, -HALF), (CELL, CELL))
-    ground = sheet(terrain.vertices, terrain.faces, terrain.vertices[:, :2] / (SLAB * SLABS))
+    x = np.concatenate([-BEYOND[::-1], np.linspace(-HALF, HALF, count), BEYOND])
+    faces = Terrain("flat", np.zeros((len(x), len(x))), (0.0, 0.0), (1.0, 1.0)).faces
+    xy = np.stack(np.meshgrid(x, x), axis=-1).reshape(-1, 2)
+    ground = sheet(np.column_stack([xy, np.zeros(len(xy))]), faces, xy / (SLAB * SLABS))
     write_picture(FOLDER / "flat_ground.jpg", apron_colour(PICTURE), PICTURE)
     write_look(FOLDER / "flat.usdc", {"ground": (ground, "flat_ground.jpg", 0.9)}, wrap="repeat")
 
