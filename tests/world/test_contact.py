@@ -104,6 +104,19 @@ def test_depth_stays_below_two_centimetres_however_it_lands(block):
         assert clip.events
 
 
+def test_only_what_closes_or_is_thrown_back_takes_small_steps(block):
+    """What slides by or parts, its damper stronger than its spring, is at rest as far as steps are concerned."""
+    contact = Contact(0.3, 0.1, 20.0)
+    scene = ContactScene({"block": block()}, World(obstacles=[FLOOR], contact=contact), contact)
+
+    def step(gap, rise, along=0.0):
+        scene.wrenches(0.0, [State(position=(0, 0, 0.2 + gap), twist=(0, 0, 0, along, 0, rise))])
+        return scene.next_step / contact.step
+
+    assert step(-1e-3, 0.9) == step(1e-5, 0.9) == step(1e-5, 0.0, along=5.0) == pytest.approx(1.0)
+    assert max(step(-1e-3, -0.9), step(1e-5, -2.0), step(-5e-3, 0.0)) < 0.2
+
+
 @pytest.mark.parametrize("speed", [20.0, 2.0])
 def test_hulls_of_several_parts_are_seen_coming(tmp_path, speed):
     """Two floats side by side, bows on to a quay: watched before they touch, they bounce as one block does."""

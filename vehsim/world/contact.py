@@ -30,7 +30,7 @@ RESOLVED = 0.06
 """Phase of the contact's spring that a step may cover in an impact, rad: 50 steps from touch to parting, and more
 where the damper, which sets in at once, does most of it."""
 RESTING = 0.25
-"""The same where nothing closes or parts faster than `GENTLE`."""
+"""The same where nothing closes, or is thrown back, faster than `GENTLE`."""
 GENTLE = 0.3
 """m/s"""
 SLIP = 0.02
@@ -162,6 +162,7 @@ class ContactScene:
         self._events: list[list[Event]] = [[] for _ in self.bodies]
         self._time = 0.0
         self.next_step = self._soon = math.inf
+        self._nearing = 0.0
 
     def _add_vehicle(self, spec: Any, name: str, vehicle: Any, add: Any) -> str:
         if vehicle.rig is None or vehicle.group.dim != 6 or not hasattr(vehicle, "inertia"):
@@ -205,17 +206,17 @@ class ContactScene:
         pairs = self._touching(moving)
         total = [np.zeros(6) for _ in moving]
         forces: dict[tuple[int, str], list[tuple[Array, Array, float]]] = {}
+        brisk = self._nearing
         for (a, b, name), points in pairs.items():
-            for place, force, closing in self._push(moving[a], None if b is None else moving[b], points):
+            pushes, kick = self._push(moving[a], None if b is None else moving[b], points)
+            brisk = max(brisk, kick, *(closing for _, _, closing in pushes))
+            for place, force, closing in pushes:
                 total[a] += moving[a].wrench(place, force)
                 forces.setdefault((a, name), []).append((place, force, closing))
                 if b is not None and b < len(self.bodies):
                     total[b] += moving[b].wrench(place, -force)
                     forces.setdefault((b, _plain(self.bodies[a].name)), []).append((place, -force, closing))
-        bounce = max((depth for points in pairs.values() for depth, _, _ in points), default=math.inf)
-        bounce *= self.contact.frequency  # the speed that the spring would give back
-        impact = max((abs(closing) for points in forces.values() for _, _, closing in points), default=math.inf)
-        phase = RESOLVED / (1 + self.contact.damping) if max(impact, bounce) > GENTLE else RESTING
+        phase = RESOLVED / (1 + self.contact.damping) if brisk > GENTLE else RESTING
         self.next_step = max(phase / self.contact.frequency, AHEAD * self._soon)
         self._note(t, forces)
         return total[: len(self.bodies)]
@@ -225,7 +226,7 @@ class ContactScene:
     ) -> dict[tuple[int, int | None, str], list[tuple[float, Array, Array]]]:
         """(vehicle, other vehicle or None, its name) -> (depth m, place (3,), normal (3,) towards the first) of points.
 
-        Notes when, at the earliest, what is nearest is touched.
+        Notes when, at the earliest, what is nearest is touched, and how fast (m/s) what is a resting step away closes.
         """
         import mujoco
 
@@ -237,6 +238,7 @@ class ContactScene:
         found: dict[tuple[int, int | None, str], list[tuple[float, Array, Array]]] = {}
         # what is not reported is farther away than the margin, and two may come nearer
         soon = MARGIN / max(2 * max(m.fastest for m in moving), 1e-6)
+        nearing = 0.0
         contacts = self.data.contact
         for k in range(self.data.ncon):
             first, second = (int(g) for g in contacts.geom[k])
@@ -247,8 +249,13 @@ class ContactScene:
             else:
                 normal = -normal  # MuJoCo's points from the first to the second
             assert a is not None
-            toward = _toward(moving[a], None if b is None else moving[b], contacts.pos[k], normal)
-            soon = min(soon, max(distance, 0.0) / toward)
+            fast = 2 * (moving[a].fastest + (0.0 if b is None else moving[b].fastest)) + ROOM
+            if distance > fast * max(soon, self.contact.step):  # others come first
+                continue
+            closing, most = _toward(moving[a], None if b is None else moving[b], contacts.pos[k], normal)
+            soon = min(soon, max(distance, 0.0) / most)
+            if -TOUCH <= distance < closing * self.contact.step:
+                nearing = max(nearing, closing)
             if distance < -TOUCH:
                 name = _plain(self.model.geom(second).name)
                 found.setdefault((a, b, name), []).append((-distance, contacts.pos[k].copy(), normal.copy()))
@@ -258,7 +265,9 @@ class ContactScene:
                 soon = min(soon, gap / max(m.fastest, 1e-6))
                 if points:
                     found[(a, None, TERRAIN)] = points
-        self._soon = soon
+                elif gap < m.fastest * self.contact.step:
+                    nearing = max(nearing, m.fastest)
+        self._soon, self._nearing = soon, nearing
         return found
 
     def _on_terrain(self, m: Any) -> tuple[float, list[tuple[float, Array, Array]]]:
@@ -275,27 +284,29 @@ class ContactScene:
 
     def _push(
         self, a: Moving | Led, b: Moving | Led | None, points: list[tuple[float, Array, Array]]
-    ) -> list[tuple[Array, Array, float]]:
-        """(place, force (3,) N on ``a``, closing speed m/s) of every point of a pair."""
+    ) -> tuple[list[tuple[Array, Array, float]], float]:
+        """(place, force (3,) N on ``a``, closing speed m/s) of every point of a pair; what a spring that pushes as they
+        do together would give back, m/s."""
         c, total = self.contact, sum(depth for depth, _, _ in points)
         middle = np.sum([depth / total * place for depth, place, _ in points], axis=0)
         mean = np.sum([depth / total * normal for depth, _, normal in points], axis=0)
         length = float(np.linalg.norm(mean))
         mean = mean / length if length > 1e-6 else points[0][2]
         mass = 1 / (a.yielding(middle, mean) + (0.0 if b is None else b.yielding(middle, mean)))
-        made = []
+        made, pushing = [], 0.0
         for depth, place, normal in points:
             velocity = a.velocity(place) - (0.0 if b is None else b.velocity(place))
             closing = -float(velocity @ normal)
             stiff = c.frequency * depth + 2 * c.damping * closing
             pressure = max(0.0, depth / total * mass * c.frequency * stiff)
+            pushing += pressure
             slide = velocity + closing * normal
             speed = float(np.linalg.norm(slide))
             # a force that would turn the sliding round within a step only stops it
             least = max(SLIP, c.friction * pressure * c.step / mass)
             drag = -c.friction * pressure * slide / max(speed, least)
             made.append((place, pressure * normal + drag, closing))
-        return made
+        return made, pushing / (mass * c.frequency)
 
     def _note(self, t: float, forces: dict[tuple[int, str], list[tuple[Array, Array, float]]]) -> None:
         """Open events, and add the impulse since the last time."""
@@ -336,12 +347,14 @@ class Touching(Environment):
         return self._scene.events()
 
 
-def _toward(a: Moving | Led, b: Moving | Led | None, place: Array, normal: Array) -> float:
-    """How fast any points of two convex hulls may close along the ``normal`` between them, m/s, and room for pushes."""
+def _toward(a: Moving | Led, b: Moving | Led | None, place: Array, normal: Array) -> tuple[float, float]:
+    """How fast two convex hulls close along the ``normal`` between them at a ``place``, m/s, and how fast any points of
+    them may, with room for pushes."""
     velocity, turning, reach = a.velocity(place), a.omega, a.body.reach
     if b is not None:
         velocity, turning, reach = velocity - b.velocity(place), turning - b.omega, min(reach, b.body.reach)
-    return max(-float(velocity @ normal), 0.0) + 2 * reach * float(np.linalg.norm(turning)) + ROOM
+    closing = max(-float(velocity @ normal), 0.0)
+    return closing, closing + 2 * reach * float(np.linalg.norm(turning)) + ROOM
 
 
 def _plain(name: str) -> str:
