@@ -234,6 +234,17 @@ def test_lie_16_has_its_totals_and_its_lift():
     np.testing.assert_allclose(lift[3:], [0, 0, 250.0], atol=1.0)
 
 
+def test_turning_to_port_and_to_starboard_are_alike():
+    """A catamaran of 24 triangles, whose diagonals know port from starboard, meets the water alike either way."""
+    hull = join(box(10, 0.9, 1.6, (0, 2.3, 0)), box(10, 0.9, 1.6, (0, -2.3, 0)))
+    cat = afloat(floating(hull, 9e3, quadratic=(200.0, 3000.0, 0.0), damping=(400.0, 3000.0, 14e3), impact=1.0))
+    port, starboard = (
+        cat.forces(0.0, at(0.2, twist=np.array([0, 0, s * 0.4, 3.0, s * 0.5, 0.0])), np.zeros(0)).wrench
+        for s in (1, -1)
+    )
+    np.testing.assert_allclose(port[[3, 4, 5, 2]], starboard[[3, 4, 5, 2]] * [1, -1, 1, -1], rtol=2e-3)
+
+
 def test_a_planing_bottom_lifts_with_its_angle():
     """P rho U v_n A / 2 on a plate at a small angle to its way: twice the angle is twice the lift, and it brakes."""
     speed, share = 9.0, 0.3

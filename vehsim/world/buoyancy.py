@@ -31,6 +31,8 @@ BEND = 1 / 5000
 hull or longer; what it misses of shorter ones averages out along the hull."""
 FINEST = 1 / 16
 """Share of the shortest wave that no edge need be shorter than; none is longer than that wave."""
+COARSEST = 1 / 2
+"""Share of the hull's length that no edge is longer than, as its resistance differs along it where it turns."""
 INSTANT = 1e-3
 """Time difference that gives the water's acceleration, s."""
 
@@ -64,13 +66,14 @@ class Afloat(Environment):
         else:
             raise InputError(str(Problem(f"{self.vehicle.name}: hull", "missing", "name a closed mesh of its asset")))
         mesh = mesh.shifted(self.vehicle.origin)
-        if self.water.flat:
-            return mesh
         size, wave = np.ptp(mesh.points, axis=0), self.water.shortest
-        miss = BEND * self.rest_volume / (size[0] * size[1]) * max(1.0, float(size.max()) / wave) ** 2
+        length = float(size.max())
+        if self.water.flat:
+            return mesh.refined(COARSEST * length)
+        miss = BEND * self.rest_volume / (size[0] * size[1]) * max(1.0, length / wave) ** 2
         fourth = self.water.curvature * (2 * np.pi / wave) ** 2  # derivative of the height
         edge = (2880 * miss / max(fourth, 1e-12)) ** 0.25
-        return mesh.refined(float(np.clip(edge, FINEST * wave, wave)))
+        return mesh.refined(min(COARSEST * length, float(np.clip(edge, FINEST * wave, wave))))
 
     @cached_property
     def reference_area(self) -> float:
