@@ -32,6 +32,8 @@ TURNED = 0.5
 """Wheelbases of way on which a straightening leg turns the wheels no further than its largest angle: else they quiver,
 and an integrator of the highest order may step over it.
 """
+IN_LINE = 1e-11
+"""Poses less beside each other, m and rad, are in line: what round-off adds would turn the wheels on a short leg."""
 SPARE, ROUNDS = 5, 6
 """Coefficients that a straightening leg has to spare for gentle angles, and solves to find them."""
 
@@ -292,6 +294,8 @@ def across(train: Train, a: Pose, b: Pose, label: str) -> Leg:
     frame = Pose(a.x, a.y, (a.heading + b.heading) / 2)
     (x0, y0, m0), (x1, y1, m1) = a.within(frame), b.within(frame)
     span = x1 - x0
+    if max(abs(y1 - y0), abs(m0), abs(m1)) < IN_LINE:
+        y1, m0, m1 = y0, 0.0, 0.0
     left, right = np.zeros((2, train.count + 2))
     left[:2], right[:2] = [y0, m0 * span], [y1, m1 * span]
     return Leg(train, frame, x0, span, left, np.zeros(0), right, label)
