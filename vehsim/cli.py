@@ -5,6 +5,7 @@ Exit codes: 0 all done, 1 something failed while working, 2 wrong input and noth
 
 from __future__ import annotations
 
+import atexit
 import json
 import os
 import signal
@@ -330,11 +331,18 @@ def _options(
 
 def main() -> None:
     """The console command."""
+    code = FAILED
+
+    def leave() -> None:
+        """After all others: what libraries would then tear down in order takes as long as a clip."""
+        with suppress(OSError):  # whoever read it has gone
+            sys.stdout.flush()
+            sys.stderr.flush()
+        os._exit(code)
+
+    atexit.register(leave)  # first in, last out
     code = run(sys.argv[1:])
-    with suppress(OSError):  # whoever read it has gone
-        sys.stdout.flush()
-        sys.stderr.flush()
-    os._exit(code)  # all is written and closed: what libraries tear down in order would take as long as a clip
+    sys.exit(code)
 
 
 def run(arguments: Sequence[str]) -> int:
