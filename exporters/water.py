@@ -197,11 +197,11 @@ def floating(take: Take, frames: Array) -> dict[str, Floating]:
             continue
         afloat = Afloat(clip.vehicle, take.world)
         height, _ = afloat.floating()
-        points = afloat.mesh.points
+        points, _ = afloat.mesh.quadratic
         low = points[points[:, 2] < -height + 0.15]  # the hull near and below its waterline
         x0, x1 = float(low[:, 0].min()), float(low[:, 0].max())
         centre = (x0 + x1) / 2 + float(clip.vehicle.origin[0])
-        hull = points + clip.vehicle.origin, afloat.mesh.faces
+        hull = afloat.mesh.points + clip.vehicle.origin, afloat.mesh.faces
         wet = _borne(afloat, clip, frames)
         found[name] = Floating(clip, afloat.rest_volume, x1 - x0, float(np.ptp(low[:, 1])), centre, hull, wet)
     return found
@@ -213,12 +213,13 @@ def _borne(afloat: Any, clip: Clip, frames: Array) -> Array:
         return np.ones(len(frames))
     times = (frames - clip.start_frame) / float(clip.fps)
     T_wr = clip_matrices(clip, frames)
-    local = afloat.mesh.points + clip.vehicle.origin
+    points, faces = afloat.mesh.quadratic
+    local = points + clip.vehicle.origin
     wet = []
     for t, pose in zip(times.tolist(), T_wr, strict=True):
         world = local @ pose[:3, :3].T + pose[:3, 3]
         depth = afloat.water.height(world[:, :2], t) - world[:, 2]
-        volume = wetted(np.column_stack([local, depth]), afloat.mesh.faces).volume(pose[2, :3])
+        volume = wetted(np.column_stack([local, depth]), faces).volume(pose[2, :3])
         wet.append(float(np.clip(volume / afloat.rest_volume, 0.0, 1.0)))
     return np.array(wet)
 
