@@ -52,12 +52,17 @@ def main() -> None:
     count = int(2 * HALF / CELL) + 1
     heights = np.zeros((count, count), np.float32)
     np.savez_compressed(FOLDER / "heights.npz", heights=heights)
+    terrain = Terrain("flat", heights.astype(float), (-HALF, -HALF), (CELL, CELL))
     x = np.concatenate([-BEYOND[::-1], np.linspace(-HALF, HALF, count), BEYOND])
+    whole = np.stack([*np.meshgrid(x, x), np.zeros((len(x), len(x)))], axis=-1).reshape(-1, 3)
     faces = Terrain("flat", np.zeros((len(x), len(x))), (0.0, 0.0), (1.0, 1.0)).faces
-    xy = np.stack(np.meshgrid(x, x), axis=-1).reshape(-1, 2)
-    ground = sheet(np.column_stack([xy, np.zeros(len(xy))]), faces, xy / (SLAB * SLABS))
+    far = faces[np.abs(whole[faces]).max(axis=(1, 2)) > HALF]
+    used, far = np.unique(far, return_inverse=True)
+    meshes = (terrain.vertices, terrain.faces), (whole[used], far.reshape(-1, 3))
+    ground, horizon = (sheet(points, faces, points[:, :2] / (SLAB * SLABS)) for points, faces in meshes)
     write_picture(FOLDER / "flat_ground.jpg", apron_colour(PICTURE), PICTURE)
-    write_look(FOLDER / "flat.usdc", {"ground": (ground, "flat_ground.jpg", 0.9)}, wrap="repeat")
+    looks = {"ground": (ground, "flat_ground.jpg", 0.9), "horizon": (horizon, "flat_ground.jpg", 0.9)}
+    write_look(FOLDER / "flat.usdc", looks, wrap="repeat")
 
 
 if __name__ == "__main__":
