@@ -137,7 +137,8 @@ def pivot_of(rig: Rig, channel: str, root: Any, metres_per_unit: float) -> Array
 def rig_problems(rig: Rig) -> list[tuple[str, str, str]]:
     """(channel, what is wrong, how to mend it) for every drive that cannot move its prim as a rigid part.
 
-    Looked at once for all the clips of a batch, as long as the asset does not change.
+    Looked at once for all the clips of a batch, as long as the asset's file does not change; files that it refers to
+    are looked at again by another process.
     """
     stat = Path(rig.asset).stat()
     key = (repr(rig), stat.st_mtime_ns, stat.st_size)

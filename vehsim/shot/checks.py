@@ -57,7 +57,7 @@ def check_rig(key: str, asset: str, rig: Rig | None) -> Iterator[Problem]:
     """Every part that is driven is there and can move as a rigid part about a pivot of its own."""
     from vehsim.rigging import rig_problems
 
-    for channel, message, mend in rig_problems(rig) if rig is not None and rig.drives else []:
+    for channel, message, mend in rig_problems(rig) if rig is not None and rig.drives else ():
         yield Problem(key, f"channels.{channel}: {message}" if channel else message, mend, asset)
 
 

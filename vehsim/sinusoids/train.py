@@ -205,10 +205,7 @@ class Leg:
         try:
             q, length = state_of(self.train, self.span * s, self.jets(s)[:, :-1], self.frame)
             way = CubicSpline(s, length / np.cos(q[:, 2])).antiderivative()(s)
-        except (
-            OverflowError,
-            ValueError,
-        ):  # of fractions too large for a double, of a spline through what is not finite
+        except (OverflowError, ValueError):  # fractions too large for a double; a spline through what is not finite
             raise SolveError(f"leg {self.label!r}: bends beyond all measure; go by a nearer goal") from None
         found = Chebyshev.fit(way / way[-1], s, PACE, [0.0, 1.0])
         found -= Chebyshev([(found(1.0) - 1 + found(0.0)) / 2, (found(1.0) - 1 - found(0.0)) / 2], [0.0, 1.0])
