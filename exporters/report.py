@@ -30,7 +30,7 @@ def write_report(take: Take, folder: Path, files: Sequence[Path]) -> Path:
         "vehicles": {name: _clip_summary(clip) for name, clip in take.clips.items()},
         "cameras": {camera.name: {"lens_mm": _lenses(camera)} for camera in take.cameras},
         "solved": take.report,
-        "versions": {name: _version(name) for name in PACKAGES},
+        "versions": {name: version(name) for name in PACKAGES},
         "files": {path.relative_to(folder).as_posix(): sha256(path) for path in sorted(files)},
     }
     path = folder / "report.json"
@@ -92,7 +92,8 @@ def sha256(path: Path) -> str:
 
 
 @cache
-def _version(package: str) -> str | None:
+def version(package: str) -> str | None:
+    """A package's version, None where it is not installed."""
     try:
         return metadata.version(package)
     except metadata.PackageNotFoundError:

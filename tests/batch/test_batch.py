@@ -76,6 +76,16 @@ def test_whatever_a_clip_is_made_of_is_in_its_hash(write: Write, tmp_path: Path)
     assert len(seen) == 5
 
 
+def test_an_obstacles_mesh_is_in_the_hash(write: Write, tmp_path: Path) -> None:
+    path = write(more='[[world.obstacle]]\nshape = "mesh"\npath = "wall.obj"\nposition = [9, 9, 0]\n')
+    seen = set()
+    for height in (1, 2):
+        corners = "".join(f"v {x} {y} {z}\n" for x, y, z in ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, height)))
+        (tmp_path / "wall.obj").write_text(f"{corners}f 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n")
+        seen.add(fingerprint(load_shots(path)[0], ["npz"]))
+    assert len(seen) == 2
+
+
 def test_a_delivery_by_other_means_is_not_taken_for_finished(write: Write, tmp_path: Path) -> None:
     (shot,) = load_shots(write())
     shot.solve().export(tmp_path / "out", ["npz"])

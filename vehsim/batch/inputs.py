@@ -6,7 +6,6 @@ Nothing here trusts a date or a file's presence: inputs are hashed, and so is ev
 from __future__ import annotations
 
 import hashlib
-import importlib.metadata
 import json
 import platform
 from collections.abc import Iterable, Sequence
@@ -17,22 +16,18 @@ from typing import Any
 from vehsim import __version__, exporters
 from vehsim.delivery import GROUP, SIGN, entries, in_order
 from vehsim.exporters.packing import _dependencies
-from vehsim.exporters.report import PACKAGES, sha256
+from vehsim.exporters.report import PACKAGES, sha256, version
 from vehsim.shot import Shot
-
-SCHEMA = 1
-"""Part of every hash: raise it when the same inputs would be hashed otherwise."""
 
 
 def fingerprint(shot: Shot, to: Sequence[str], draft: bool = False) -> str:
     """A hash of all that decides the bytes of a clip: shot, the files it names, exporters, and the code itself."""
     file = shot.file.model_copy(update={"sweep": None})
     made_of = {
-        "schema": SCHEMA,
         "code": code(),
         "shot": file.model_dump(mode="json", by_alias=True),
         "files": [_content(path) for path in _files(shot)],
-        "terrain": shot.world.terrain.content_hash if shot.world.terrain is not None else None,
+        "world": shot.world.content_hash,
         "to": [_exporter(exporter.name) for exporter in in_order(to)],
         "draft": draft,
     }
@@ -50,7 +45,7 @@ def is_finished(folder: Path, inputs: str) -> bool:
 
 
 def _files(shot: Shot) -> Iterable[Path]:
-    """The files a shot is made of beside its own: rigs and looks with all they refer to, clips."""
+    """The files of a shot beside its own and its world's: rigs and looks with all they refer to, clips."""
     for table in shot.file.vehicle:
         rig = shot.vehicle(table).rig
         if rig is not None:
@@ -89,11 +84,7 @@ def _hash(path: Path, changed: int, size: int) -> str:
 def code() -> str:
     """The code at work and what it stands on: another version may well give other bytes."""
     digest = hashlib.sha256(repr((__version__, platform.python_version(), platform.machine())).encode())
-    for package in PACKAGES:
-        try:
-            digest.update(f"{package} {importlib.metadata.version(package)}".encode())
-        except importlib.metadata.PackageNotFoundError:
-            continue
+    digest.update(repr([(package, version(package)) for package in PACKAGES]).encode())
     for home in (Path(__file__).parents[1], Path(str(exporters.__file__)).parent):
         for path in sorted(home.rglob("*.py")):
             digest.update(path.relative_to(home).as_posix().encode() + path.read_bytes())

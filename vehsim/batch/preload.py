@@ -13,6 +13,12 @@ import signal
 from vehsim.batch.workers import ENDING, die_with_parent
 
 MODULES = (
+    "numpy.ma",
+    "platformdirs",
+    "pxr.UsdLux",
+    "pxr.UsdPhysics",
+    "pxr.UsdShade",
+    "pxr.UsdUtils",
     "vehsim.batch.inputs",
     "vehsim.exporters.ground",
     "vehsim.exporters.npz",
@@ -21,9 +27,9 @@ MODULES = (
     "vehsim.shot",
     "vehsim.simulation",
     "vehsim.vehicles.helicopter",
+    "vehsim.world.contact",
+    "vehsim.world.wind",
     "PIL.PngImagePlugin",
-    "pxr.UsdLux",
-    "pxr.UsdShade",
 )
 """What most clips need; the rest is imported by who meets it."""
 

@@ -127,7 +127,7 @@ def _work(task: Task, tell: Tell) -> Outcome:
     shot = Shot.from_dict(task.shot, task.folder, task.source)
     if fingerprint(shot, task.to, task.draft) != task.inputs:
         raise InputError(f"{task.source}: its files or vehsim itself changed while the batch ran; export it again")
-    take = shot.solve(lambda what, done: tell(task.name, "planning", what, done))
+    take = shot.solve(lambda what, done: tell(task.name, "planning", what, done), checked=True)
     take = replace(
         take,
         render=take.render.draft() if task.draft else take.render,

@@ -5,8 +5,12 @@ What belongs here needs neither world nor vehicle to be judged; the rest is in `
 
 from __future__ import annotations
 
+import ast
+import inspect
 import re
+import textwrap
 from fractions import Fraction
+from itertools import pairwise
 from typing import Annotated, Any, Literal
 
 from annotated_types import Len
@@ -33,10 +37,35 @@ MAX_FPS = 1000
 _NTSC = Fraction(1000, 1001)
 
 
+def _describe(schema: dict[str, Any], model: type[BaseModel]) -> None:
+    """Say in a model's JSON schema what to give for each key.
+
+    Sources are read when a schema is asked for: pydantic's own ``use_attribute_docstrings`` reads them at every import.
+    """
+    for key, text in _docstrings(model).items():
+        schema["properties"][model.model_fields[key].alias or key]["description"] = text
+
+
+def _docstrings(model: type) -> dict[str, str]:
+    """Key -> the text below it in the source, those of the bases included; nothing where no sources are installed."""
+    texts: dict[str, str] = {}
+    for base in reversed(model.__mro__[: model.__mro__.index(Table)]):
+        try:
+            source = inspect.getsource(base)
+        except OSError:
+            continue
+        body = ast.parse(textwrap.dedent(source)).body[0].body  # type: ignore[attr-defined]
+        for key, below in pairwise(body):
+            match key, below:
+                case ast.AnnAssign(target=ast.Name(name)), ast.Expr(ast.Constant(str(text))):
+                    texts[name] = inspect.cleandoc(text)
+    return texts
+
+
 class Table(BaseModel):
     """A table of the file: unknown keys and values of another type are errors."""
 
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, use_attribute_docstrings=True)
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, json_schema_extra=_describe)
 
 
 def parse_fps(value: Any) -> Fraction:
