@@ -1,4 +1,5 @@
-"""What one question to the water costs: the boat's hull (286 triangles) on calm water, on waves, and MuJoCo's rays.
+"""What one question to the water costs: the boat's hull (286 triangles) on calm water and on waves, MuJoCo's rays
+or the waves' own formula saying where the water stands.
 
     python benchmarks/bench_buoyancy.py
 
@@ -11,6 +12,7 @@ from __future__ import annotations
 import statistics
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,7 +23,6 @@ from vehsim.world.buoyancy import Afloat
 from vehsim.world.hull_mesh import wetted
 from vehsim.world.sea import sea_state
 from vehsim.world.water import wave
-from vehsim.world.water_field import WaterField
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -44,30 +45,27 @@ def main() -> None:
         "calm": Water(),
         "one wave": Water(surface=wave(0.5, 15.0)),
         "sea of 96 waves": Water(surface=sea_state(0.6, 4.0)),
+        "sharp wave": Water(surface=wave(0.5, 8.0, choppiness=1.0)),
         "choppy sea": Water(surface=sea_state(0.6, 4.0, choppiness=0.3)),
     }
     for name, water in waters.items():
-        afloat = Afloat(boat, World(water=water))
-        points, faces = afloat.mesh.points, afloat.mesh.faces
+        for how, asked in (("MuJoCo", water), ("formula", replace(water, height_field=0))):
+            afloat = Afloat(boat, World(water=asked))
+            points, faces = afloat.mesh.points, afloat.mesh.faces
 
-        def buoyancy(afloat: Afloat = afloat, points: np.ndarray = points, faces: np.ndarray = faces) -> None:
-            height, _ = afloat.water.at(points, 0.0)
-            wet = wetted(np.column_stack([points, height - points[:, 2]]), faces)
-            pressure = -wet.middles[:, :, 3, None] * wet.normals[:, None]
-            (np.cross(wet.middles[:, :, :3], pressure).sum(axis=(0, 1)), pressure.sum(axis=(0, 1)), wet.volume(UP))
+            def buoyancy(afloat: Afloat = afloat, points: np.ndarray = points, faces: np.ndarray = faces) -> None:
+                height, _ = (afloat.field or afloat.water).at(points, 0.0)
+                wet = wetted(np.column_stack([points, height - points[:, 2]]), faces)
+                force = wet.middles[:, :, 3].reshape(-1, 1) * -np.repeat(wet.normals, 3, axis=0)
+                wet.middles[:, :, :3].reshape(-1, 3).T @ force, force.sum(axis=0), wet.volume(UP)
 
-        def everything(afloat: Afloat = afloat) -> object:
-            return afloat.forces(0.0, state, controls)
+            def everything(afloat: Afloat = afloat) -> object:
+                return afloat.forces(0.0, state, controls)
 
-        print(
-            f"{name:16s} {len(faces):5d} faces: buoyancy {microseconds(buoyancy):7.0f} us, "
-            f"all forces {microseconds(everything):7.0f} us"
-        )
-    field = WaterField(waters["sea of 96 waves"], size=12.0, samples=97)
-    field.update(1.0, (0, 0))
-    xy = np.random.default_rng(0).uniform(-5, 5, (145, 2))
-    print(f"MuJoCo: {microseconds(lambda: field.heights(xy), 100):.0f} us for 145 rays")
-    print(f"MuJoCo: {microseconds(lambda: field.update(1.0, (0, 0)), 20):.0f} us to write 97 x 97 heights of 96 waves")
+            print(
+                f"{name:16s} {how:8s} {len(faces):5d} faces: buoyancy {microseconds(buoyancy):5.0f} us, "
+                f"all forces {microseconds(everything):5.0f} us"
+            )
 
 
 if __name__ == "__main__":

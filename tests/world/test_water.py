@@ -7,6 +7,7 @@ import vehsim
 from vehsim.errors import InputError, SolveError
 from vehsim.vehicles import State
 from vehsim.world import Water, World
+from vehsim.world.buoyancy import Afloat
 from vehsim.world.currents import Currents, Sampled, Stream, Vortex
 from vehsim.world.sea import sea_state, spectrum
 from vehsim.world.water import GRAVITY, Waves, wave
@@ -98,9 +99,9 @@ def test_folded_and_broken_waves_are_refused():
     with pytest.raises(InputError, match="choppiness"):
         wave(0.1, 10.0, choppiness=2.0)
     with pytest.raises(InputError, match=r"water\.height_field"):
-        Water(height_field=0.0)
+        Water(height_field=-0.1)
     with pytest.raises(InputError, match="give a wider cell"):
-        Water(height_field=0.1).at(np.array([[0.0, 0, 0], [400.0, 0, 0]]), 0.0)
+        Afloat(vehsim.load_vehicle("boat"), World(water=Water(height_field=0.002))).field  # noqa: B018
     with pytest.raises(InputError, match="not a sea"):
         sea_state(-1.0)
     with pytest.raises(InputError, match="not water"):
@@ -152,16 +153,68 @@ def test_gusts_have_their_strength():
     assert speed[:, 1].std() == pytest.approx(1.6, rel=0.03) and speed[:, 0].std() == pytest.approx(1.2, rel=0.03)
 
 
+def box_around(xy):
+    """Lowest and highest x and y of points."""
+    return xy.min(axis=0), xy.max(axis=0)
+
+
 @pytest.mark.parametrize("centre", [(0.0, 0.0), (1234.5, -987.6)])
-def test_mujoco_sees_the_same_surface(centre):
-    """Vertical rays on the height field against the formula: apart by a cell's bend at most, anywhere, any time."""
-    water = Water(0.5, sea_state(0.5, 4.0, seed=1))
-    field = WaterField(water, size=12.0, samples=97)
+def test_mujoco_sees_the_same_surface(water, centre):
+    """Rays on the height field against the formula: apart by a cell's bend at most, anywhere, any time."""
+    field = WaterField(water, cell=0.1, samples=161)
+    sharp = 200 if water.curvature > 0.2 else 4  # what crests bend by, over the mean: one is about to break
     for t in (0.0, 2.7):
-        field.update(t, centre)
         xy = np.asarray(centre) + places(200, reach=5.5)
-        bend = (2 * np.pi / water.shortest) ** 2 * field.cell**2 / 8
-        np.testing.assert_allclose(field.heights(xy), water.height(xy, t), atol=3 * 0.25 * bend)
+        field.update(t, *box_around(xy))
+        bend = water.curvature * field.cell[0] ** 2 / 8
+        np.testing.assert_allclose(field.heights(xy), water.height(xy, t), rtol=0, atol=sharp * bend)
+
+
+def test_rays_from_one_far_point_are_vertical(water):
+    """One call for all rays, against a call for each that goes straight down: MuJoCo 4.0 prunes none of them."""
+    import mujoco
+
+    field, xy = WaterField(water, cell=0.25, samples=65), places(300, reach=7.0)
+    field.update(1.3, *box_around(xy))
+    down = np.array([0.0, 0.0, -1.0])
+    for found, point in zip(field.heights(xy), xy, strict=True):
+        fell = mujoco.mj_rayHfield(field.model, field.data, 0, np.array([*point, 50.0]), down, None)
+        assert found == pytest.approx(50.0 - fell, abs=5e-4)
+
+
+def test_a_grid_is_the_surface_at_its_samples(water):
+    """Heights, and where the water is at rest, from sums shared by rows and columns: against each point by itself."""
+    x, y = 300.0 + 0.3 * np.arange(23), -40.0 + 0.2 * np.arange(17)
+    xy = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    heights, rest = water.grid(x, y, 3.1)
+    steep = water.surface.choppiness == 1
+    np.testing.assert_allclose(heights.ravel(), water.height(xy, 3.1), rtol=0, atol=2e-4 if steep else 1e-6)
+    known = water.surface.rest(xy, 3.1)
+    found = xy if rest is None else rest.reshape(-1, 2)
+    np.testing.assert_allclose(found, known, rtol=0, atol=1e-3 if steep else 1e-5)
+
+
+def test_the_flow_at_a_hull_is_the_waters(water):
+    """Asked with the height field's guess of where the water is at rest, and without."""
+    points = np.column_stack([places(200, reach=4.0), np.linspace(-3.0, 1.0, 200)])
+    height, flow = WaterField(water, cell=0.1, samples=161).at(points, 2.2)
+    known, exact = water.at(points, 2.2)
+    np.testing.assert_allclose(flow, exact, rtol=0, atol=2e-3 * np.abs(exact).max())
+    np.testing.assert_allclose(height, known, rtol=0, atol=0.02)
+
+
+def test_calm_water_is_exact_and_written_once():
+    field, points = (
+        WaterField(Water(0.7), cell=4.0, samples=9),
+        np.column_stack([places(100, reach=7.0), np.zeros(100)]),
+    )
+    calls = []
+    with pytest.MonkeyPatch.context() as patch:
+        update = WaterField.update
+        patch.setattr(WaterField, "update", lambda self, *asked: (calls.append(asked), update(self, *asked)))
+        for t in range(5):
+            np.testing.assert_allclose(field.at(points + 0.01 * t, float(t))[0], 0.7, rtol=0, atol=2e-10)
+    assert len(calls) == 1
 
 
 def test_a_boat_floats_alike_on_mujocos_height_field():
@@ -171,22 +224,22 @@ def test_a_boat_floats_alike_on_mujocos_height_field():
     asked = []
     update = WaterField.update
 
-    def watched(self, t, centre, wide):
-        update(self, t, centre, wide)
-        asked.append((t, *self.centre))
-        assert self.wide.max() < 9
+    def watched(self, t, low, high):
+        update(self, t, low, high)
+        asked.append((t, *self.low))
+        assert (self.high - self.low).max() < 9
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(WaterField, "update", watched)
         seen, known = (
             vehsim.simulate(boat, World(water=water), (3000.0, 0.0), start, duration=1.0, step=1 / 48)
-            for water in (Water(0.3, waves, height_field=0.1), Water(0.3, waves))
+            for water in (Water(0.3, waves), Water(0.3, waves, height_field=0))
         )
-    assert np.abs(seen.positions - known.positions).max() < 5e-3
+    assert 0 < np.abs(seen.positions - known.positions).max() < 2e-3
     assert np.ptp([x for _, x, _ in asked]) > 6 and asked[-1][0] == pytest.approx(1.0, abs=2e-3)
 
 
-def test_a_shot_asks_for_the_height_field_in_a_word():
+def test_a_shot_chooses_the_height_field_in_a_word():
     """The same boat in the same swell, by rays and by the formula; a cell that is none is named."""
 
     def shot(**water):
@@ -197,23 +250,24 @@ def test_a_shot_asks_for_the_height_field_in_a_word():
         }
         return vehsim.Shot.from_dict(data)
 
-    seen, known = shot(height_field=0.1).solve(), shot().solve()
-    assert seen.world.water.height_field == 0.1 and known.world.water.height_field is None
-    apart = np.abs(seen.clips["boat"].positions - known.clips["boat"].positions).max()
-    assert 0 < apart < 2e-3
+    known, *seen = (shot(**given).solve() for given in ({"height_field": 0}, {}, {"height_field": 0.2}))
+    assert [take.world.water.height_field for take in (known, *seen)] == [0, None, 0.2]
+    for take in seen:
+        apart = np.abs(take.clips["boat"].positions - known.clips["boat"].positions).max()
+        assert 0 < apart < 2e-3
     with pytest.raises(InputError, match=r"world\.water\.height_field"):
-        shot(height_field=0.0)
+        shot(height_field=-0.1)
 
 
 def test_mujoco_and_a_solvers_grid_agree_exactly():
-    """Cells are split the same way: only single precision is between them."""
+    """Cells are split the same way, and are the same: only single precision is between them, to the very border."""
     random = np.random.default_rng(2)
-    grids = WaterGrids([0.0, 1.0], random.uniform(-0.3, 0.3, (2, 13, 13)), None, (-6.0, -6.0), (1.0, 1.0))
+    grids = WaterGrids([0.0, 1.0], random.uniform(-0.3, 0.3, (2, 13, 9)), None, (-6.3, -6.0), (1.5, 1.0))
     water = Water(0.2, grids)
-    field = WaterField(water, size=12.0, samples=13)
-    field.update(0.25, (0.0, 0.0))
-    xy = places(300, reach=5.99)
-    np.testing.assert_allclose(field.heights(xy), water.height(xy, 0.25), atol=1e-7)
+    field = WaterField(water, cell=1.0, samples=17)
+    points = np.column_stack([places(300, reach=1.0) * 5.99 + [-0.3, 0.0], np.zeros(300)])
+    points[:2, :2] = grids.lower, grids.upper
+    np.testing.assert_allclose(field.at(points, 0.25)[0], water.height(points[:, :2], 0.25), rtol=0, atol=5e-6)
 
 
 def test_nothing_is_asked_off_a_grid():
@@ -224,10 +278,12 @@ def test_nothing_is_asked_off_a_grid():
         water.height([[1.0, 3.5]], 0.5)
     with pytest.raises(SolveError, match=r"asked at 2.000 s, but they cover 0.000 to 1.000 s"):
         water.height([[1.0, 1.0]], 2.0)
-    field = WaterField(Water(), size=4.0, samples=9)
-    field.update(0.0, (10.0, 0.0))
-    with pytest.raises(SolveError, match="off its 4 x 4 m around"):
+    field = WaterField(Water(), cell=0.5, samples=9)
+    field.update(0.0, (10.0, 0.0), (11.0, 1.0))
+    with pytest.raises(SolveError, match=r"off its \[9.5, -0.5\] to \[11.5, 1.5\]"):
         field.heights([[0.0, 0.0]])
+    with pytest.raises(SolveError, match="13 samples a side, made for 9 at most"):
+        field.update(0.0, (10.0, 0.0), (15.0, 1.0))
 
 
 def test_grids_are_read_and_refused(tmp_path):

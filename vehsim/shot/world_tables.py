@@ -186,8 +186,9 @@ class WaterTable(Table):
     """the depth in m where the current has faded to nothing; it reaches down for ever unless given"""
     vortex: Annotated[list[VortexTable], Array, Len(0, 100)] = Field(default=[])
     """[[world.water.vortex]] tables"""
-    height_field: Annotated[Number, Field(ge=0.01, le=10)] | None = None
-    """the cell in m, such as 0.1, of a height field in MuJoCo, asked by rays; the formula is asked unless given"""
+    height_field: Annotated[Number, Field(ge=0, le=10)] | None = None
+    """the cell in m, such as 0.1, of the height field in MuJoCo that says where the water stands over a hull, or 0 to
+    ask the waves' own formula instead; as fine as the hull needs unless given"""
 
 
 class GustsTable(Table):

@@ -19,6 +19,7 @@ from vehsim.vehicles._base import State
 from vehsim.world.environment import Environment
 from vehsim.world.hull_mesh import HullMesh, Wetted, read_hull, wetted
 from vehsim.world.water import GRAVITY, Water
+from vehsim.world.water_field import MOST, WaterField
 
 if TYPE_CHECKING:
     from vehsim.vehicles.hydrodynamics import Hull
@@ -33,6 +34,9 @@ FINEST = 1 / 16
 """Share of the shortest wave that no edge need be shorter than; none is longer than that wave."""
 COARSEST = 1 / 2
 """Share of the hull's length that no edge is longer than, as its resistance differs along it where it turns."""
+FIELD = 1 / 1500
+"""Share of a hull's mean draft that a cell of the water's height field bends by in the mean, in waves as long as the
+hull or longer; more in shorter ones, as it averages out."""
 INSTANT = 1e-3
 """Time difference that gives the water's acceleration, s."""
 
@@ -74,6 +78,32 @@ class Afloat(Environment):
         fourth = self.water.curvature * (2 * np.pi / wave) ** 2  # derivative of the height
         edge = (2880 * miss / max(fourth, 1e-12)) ** 0.25
         return mesh.refined(min(COARSEST * length, float(np.clip(edge, FINEST * wave, wave))))
+
+    @cached_property
+    def field(self) -> WaterField | None:
+        """The water in MuJoCo that is asked where it stands over the hull; None: the surface itself is asked."""
+        cell, water = self.water.height_field, self.water
+        if cell == 0:
+            return None
+        corners = np.concatenate([self.mesh.points, self.data.propulsor_points, np.zeros((1, 3))])
+        reach = 2 * float(np.sqrt((corners**2).sum(axis=1).max()))
+        if cell is None:
+            miss = FIELD * self.draft * max(1.0, float(np.ptp(self.mesh.points, axis=0).max()) / water.shortest)
+            bend = np.sqrt(12 * miss / max(water.curvature, 1e-12))
+            cell = max(min(bend, water.shortest / 8, reach / 2), reach / (MOST - 6))
+        if water.grids is not None:
+            cell = min(water.grids.cell)
+        samples = int(np.ceil(reach / cell)) + 5
+        if samples > MOST:
+            message = f"{samples} samples a side for what is {reach:.0f} m wide, {MOST} at most"
+            raise InputError(str(Problem("world.water.height_field", message, "give a wider cell", cell)))
+        return WaterField(water, cell, samples)
+
+    @property
+    def draft(self) -> float:
+        """Mean of the box around the hull, m."""
+        size = np.ptp(self.mesh.points, axis=0)
+        return self.rest_volume / float(size[0] * size[1])
 
     @cached_property
     def reference_area(self) -> float:
@@ -156,7 +186,7 @@ class Afloat(Environment):
         points, faces = (self.mesh.points, self.mesh.faces) if self.water.flat else self.mesh.quadratic
         world = points @ R_wb.T + position
         places = np.concatenate([world, position[None], self.data.propulsor_points @ R_wb.T + position])
-        height, flow = self.water.at(places, t)
+        height, flow = (self.field or self.water).at(places, t)
         n = len(points)
         elsewhere = height[n:] - places[n:, 2], flow[n:]
         height, flow = height[:n], flow[:n]

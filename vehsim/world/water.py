@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from vehsim.errors import InputError, Problem
 
 if TYPE_CHECKING:
-    from vehsim.world.water_field import Rays
+    from vehsim.world.water_grids import WaterGrids
 
 Array = NDArray[np.float64]
 
@@ -30,8 +30,12 @@ SEA_WATER = 1025.0
 MAX_WAVES = 4096
 NEWTON = 60
 """Steps at most; five do it, but for crests about to break."""
-BLOCK = 192
-"""Points asked about at once."""
+CLOSE = 1e-5
+"""How near, in shortest waves, water is found to where it is looked for from a guess: what its flow is wrong by."""
+NEAR = 1e-3
+"""How near is enough before a last step without a look at where it leads: what errs goes by its square."""
+BLOCK = 20_000
+"""Phases asked about at once: points times waves."""
 
 
 class Surface(Protocol):
@@ -48,9 +52,14 @@ class Surface(Protocol):
     @property
     def content_hash(self) -> str: ...
 
-    def at(self, points: Array, level: float, t: float) -> tuple[Array, Array]:
+    def at(self, points: Array, level: float, t: float, guess: Array | None = None) -> tuple[Array, Array]:
         """Height (n,) m of the surface at ``points`` (n, 3), above the level, and the water's velocity (n, 3) there,
-        m/s; a point above the surface has the surface's."""
+        m/s; a point above the surface has the surface's. From a ``guess`` (n, 2) where that water is at rest, both are
+        good to `CLOSE`."""
+
+    def grid(self, x: Array, y: Array, t: float) -> tuple[Array, Array | None]:
+        """Heights (rows, cols) m above the level at all ``y`` (rows,) and ``x`` (cols,) m, evenly spaced, and where the
+        water there is at rest (rows, cols, 2), None: there; good to `CLOSE`."""
 
     def slope(self, xy: Array, t: float) -> Array:
         """Gradient (n, 2) of the height at ``xy`` (n, 2)."""
@@ -125,6 +134,11 @@ class Waves:
         return self._shift[:, [0, 0, 1]] * self.number[:, [0, 1, 1]]
 
     @cached_property
+    def _rise(self) -> Array:
+        """(k, 2): how much each wave's height changes along X and Y, at rest."""
+        return self.amplitude[:, None] * self.number
+
+    @cached_property
     def shortest(self) -> float:
         """Length (m) of a single wave that is as curved for its height as the whole surface."""
         power = self.amplitude**2
@@ -139,12 +153,12 @@ class Waves:
         """Where at rest (n, 2) the water is that stands at ``xy`` (n, 2): the inverse of Gerstner's horizontal map."""
         return self._solved(xy, t)[0]
 
-    def at(self, points: Array, level: float, t: float) -> tuple[Array, Array]:
+    def at(self, points: Array, level: float, t: float, guess: Array | None = None) -> tuple[Array, Array]:
         """Height (n,) m above the level at ``points`` (n, 3), and the water's velocity (n, 3) m/s there, at ``t`` s."""
         height, velocity = np.empty(len(points)), np.empty((len(points), 3))
         speed = self.amplitude * self.omega
-        for block in _blocks(len(points)):
-            _, cos, sin = self._solved(points[block, :2], t)
+        for block in self._blocks(len(points)):
+            _, cos, sin = self._solved(points[block, :2], t, None if guess is None else guess[block])
             height[block] = cos @ self.amplitude
             below = np.minimum(points[block, 2] - level - height[block], 0.0)
             decay = np.exp(below[:, None] * self._k)
@@ -154,47 +168,73 @@ class Waves:
 
     def heights(self, xy: Array, t: float) -> Array:
         """Heights (n,) m above the level at ``xy`` (n, 2) m and ``t`` s."""
-        return np.concatenate([self._solved(xy[block], t)[1] @ self.amplitude for block in _blocks(len(xy))])
+        return np.concatenate([self._solved(xy[block], t)[1] @ self.amplitude for block in self._blocks(len(xy))])
+
+    def grid(self, x: Array, y: Array, t: float) -> tuple[Array, Array | None]:
+        """See `Surface`. Sums of products of what depends on ``x`` and on ``y`` alone; where they do not tell where the
+        water is at rest, Newton's first step from there, and what more it takes point by point."""
+        across = _turns(self.number[:, 0], x)
+        along = _turns(self.number[:, 1], y) * np.exp(1j * (self.phase - self.omega * t))
+
+        def waves(share: Array) -> NDArray[np.complex128]:
+            return np.asarray((share * along) @ across.T)
+
+        if self.choppiness == 0:
+            return waves(self.amplitude).real, None
+        gap = np.stack([waves(share).imag.ravel() for share in self._shift.T], axis=1)
+        xy = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        start = xy + _newton(gap, np.stack([waves(share).real.ravel() for share in self._stretch.T], axis=1))
+        height, rest = np.empty(len(xy)), np.empty((len(xy), 2))
+        for block in self._blocks(len(xy)):
+            found, cos, sin = self._solved(xy[block], t, start[block], NEAR)
+            step = _newton(xy[block] - found + sin @ self._shift, cos @ self._stretch)
+            height[block] = cos @ self.amplitude - (step * (sin @ self._rise)).sum(axis=1)
+            rest[block] = found + step
+        return height.reshape(len(y), len(x)), rest.reshape(len(y), len(x), 2)
 
     def slope(self, xy: Array, t: float) -> Array:
         """Gradient (n, 2) of the height at ``xy`` (n, 2) m and ``t`` s."""
         _, cos, sin = self._solved(xy, t)
-        uphill = -(sin * self.amplitude) @ self.number
+        uphill = -sin @ self._rise
         if self.choppiness == 0:
             return uphill
         shift = cos * (self.choppiness * self.amplitude)
         stretch = np.eye(2) - np.einsum("nk,ki,kj->nij", shift, self._along, self.number)
         return np.asarray(np.linalg.solve(np.swapaxes(stretch, 1, 2), uphill[:, :, None])[:, :, 0])
 
-    def _solved(self, xy: Array, t: float) -> tuple[Array, Array, Array]:
-        """`rest` (n, 2), and cosine and sine (n, k) of every wave's phase there: Newton's method, guarded."""
-        rest = xy
+    def _solved(
+        self, xy: Array, t: float, guess: Array | None = None, near: float = CLOSE
+    ) -> tuple[Array, Array, Array]:
+        """`rest` (n, 2), and cosine and sine (n, k) of every wave's phase there: Newton's method, guarded, to
+        round-off; from a ``guess`` (n, 2) to ``near``."""
+        rest = xy if guess is None or self.choppiness == 0 else guess
         cos, sin = self._phases(rest, t)
         if self.choppiness == 0:
             return rest, cos, sin
-        share, close = np.ones(len(xy)), 1e-13 * (1 + _larger(xy))
-        gap = sin @ self._shift  # how far the guess lands from xy
+        share, close = np.ones((len(xy), 1)), 1e-13 * (1 + _larger(xy)) if guess is None else near * self.shortest
+        gap = xy - rest + sin @ self._shift  # how far the guess lands from xy
         for _ in range(NEWTON):
             size = _larger(gap)
             if (size <= close).all():
                 break
-            xx, yx, yy = (cos @ self._stretch).T
-            determinant = np.maximum((1 - xx) * (1 - yy) - yx**2, 1e-6)
-            along, across = gap.T * (share / determinant)
-            tried = rest + np.stack([(1 - yy) * along + yx * across, yx * along + (1 - xx) * across], axis=1)
+            tried = rest + share * _newton(gap, cos @ self._stretch)
             cos_there, sin_there = self._phases(tried, t)
             gap_there = xy - tried + sin_there @ self._shift
-            better = _larger(gap_there) < size
+            better = (_larger(gap_there) < size)[:, None]
             if better.all():
                 rest, cos, sin, gap = tried, cos_there, sin_there, gap_there
             else:
-                kept = better[:, None]
                 rest, cos, sin, gap = (
-                    np.where(kept, there, here)
+                    np.where(better, there, here)
                     for there, here in ((tried, rest), (cos_there, cos), (sin_there, sin), (gap_there, gap))
                 )
             share = np.where(better, 1.0, share / 2)
         return rest, cos, sin
+
+    def _blocks(self, count: int) -> Iterator[slice]:
+        """Slices of ``count`` rows, short enough for a processor's cache."""
+        size = max(1, BLOCK // len(self.omega))
+        return (slice(first, first + size) for first in range(0, max(count, 1), size))
 
     def _phases(self, rest: Array, t: float) -> tuple[Array, Array]:
         """Cosine and sine (n, k) of every wave's phase, from the tangent of its half, which numpy has vectorised."""
@@ -209,14 +249,24 @@ class Waves:
         return cos, half
 
 
+def _newton(gap: Array, stretch: Array) -> Array:
+    """Newton's steps (n, 2) that close gaps (n, 2), from `Waves._stretch` (n, 3) there."""
+    xx, yx, yy = stretch.T
+    determinant = np.maximum((1 - xx) * (1 - yy) - yx**2, 1e-6)
+    along, across = gap.T / determinant
+    return np.stack([(1 - yy) * along + yx * across, yx * along + (1 - xx) * across], axis=1)
+
+
+def _turns(number: Array, places: Array) -> NDArray[np.complex128]:
+    """``exp(i number place)`` (n, k) at evenly spaced ``places`` (n,): each is the one before, turned."""
+    turns = np.empty((len(places), len(number)), complex)
+    turns[0], turns[1:] = np.exp(1j * number * places[0]), np.exp(1j * number * (places[1] - places[0]))
+    return np.multiply.accumulate(turns, axis=0)
+
+
 def _larger(pairs: Array) -> Array:
     """The larger size (n,) of rows (n, 2)."""
     return np.maximum(np.abs(pairs[:, 0]), np.abs(pairs[:, 1]))
-
-
-def _blocks(count: int) -> Iterator[slice]:
-    """Slices of ``count`` rows, short enough for a processor's cache."""
-    return (slice(first, first + BLOCK) for first in range(0, max(count, 1), BLOCK))
 
 
 def wave(height: float, length: float, heading: float = 0.0, phase: float = 0.0, choppiness: float = 0.0) -> Waves:
@@ -233,8 +283,8 @@ class Water:
     """Water up to ``level`` m, and ``surface`` (`Waves`, `WaterGrids`, None: flat) and ``current`` on it (None: still).
 
     All points and velocities are in world axes, m and m/s; ``t`` s since the shot's first frame. ``density`` kg/m^3.
-    ``height_field`` m: hulls ask MuJoCo where the surface stands, by vertical rays on a height field of such cells, as
-    0.1, that follows them (`water_field.Rays`); None: they ask the surface itself.
+    ``height_field`` m: the cell of the height field in MuJoCo that follows a hull and says where the surface stands
+    over it (`water_field`); None: as fine as the hull needs; 0: none, the surface itself is asked.
     """
 
     level: float = 0.0
@@ -248,8 +298,10 @@ class Water:
             raise _wrong("water.level", "not a height", "give metres", self.level)
         if not 1 <= self.density <= 20_000:
             raise _wrong("water.density", "not a liquid's", "give kg/m^3; sea water has 1025", self.density)
-        if not (self.height_field is None or 1e-3 <= self.height_field < 100):
-            raise _wrong("water.height_field", "not a cell", "give its width in m, such as 0.1", self.height_field)
+        if not (self.height_field is None or self.height_field == 0 or 1e-3 <= self.height_field < 100):
+            raise _wrong(
+                "water.height_field", "not a cell", "give its width in m, such as 0.1, or 0", self.height_field
+            )
 
     @cached_property
     def content_hash(self) -> str:
@@ -272,6 +324,21 @@ class Water:
         """How much the surface bends, 1/m: see `Surface`."""
         return 0.0 if self.surface is None else self.surface.curvature
 
+    @property
+    def grids(self) -> WaterGrids | None:
+        """The surface where it is a liquid solver's."""
+        from vehsim.world.water_grids import WaterGrids
+
+        return self.surface if isinstance(self.surface, WaterGrids) else None
+
+    def grid(self, x: Array, y: Array, t: float = 0.0) -> tuple[Array, Array | None]:
+        """Heights (rows, cols) m of the surface at all ``y`` (rows,) and ``x`` (cols,) m, evenly spaced, and where the
+        water there is at rest (rows, cols, 2), None: there."""
+        if self.surface is None:
+            return np.full((len(y), len(x)), self.level), None
+        above, rest = self.surface.grid(x, y, t)
+        return self.level + above, rest
+
     def height(self, xy: ArrayLike, t: float = 0.0) -> Array:
         """Height (n,) m of the surface at ``xy`` (n, 2) m."""
         xy = np.asarray(xy, float).reshape(-1, 2)
@@ -291,27 +358,14 @@ class Water:
 
     def velocity(self, points: ArrayLike, t: float = 0.0) -> Array:
         """Velocity (n, 3) m/s of the water at ``points`` (n, 3) m, waves and current; above it, the surface's."""
-        return self._known(np.asarray(points, float).reshape(-1, 3), t)[1]
+        return self.at(np.asarray(points, float).reshape(-1, 3), t)[1]
 
-    def at(self, points: Array, t: float) -> tuple[Array, Array]:
-        """``(height (n,), velocity (n, 3))`` at once, for ``points`` (n, 3) m."""
-        height, velocity = self._known(points, t)
-        return (height if self._rays is None else self._rays.heights(points[:, :2], t)), velocity
-
-    @cached_property
-    def _rays(self) -> Rays | None:
-        if self.height_field is None:
-            return None
-        from vehsim.world.water_field import Rays
-
-        return Rays(self, self.height_field)
-
-    def _known(self, points: Array, t: float) -> tuple[Array, Array]:
-        """`at` as the surface itself knows it."""
+    def at(self, points: Array, t: float, guess: Array | None = None) -> tuple[Array, Array]:
+        """``(height (n,), velocity (n, 3))`` at once, for ``points`` (n, 3) m; ``guess``: see `Surface`."""
         if self.surface is None:
             height, velocity = np.full(len(points), self.level), np.zeros((len(points), 3))
         else:
-            above, velocity = self.surface.at(points, self.level, t)
+            above, velocity = self.surface.at(points, self.level, t, guess)
             height = self.level + above
         if self.current is not None:
             depth = np.minimum(points[:, 2] - height, 0.0)

@@ -1,8 +1,7 @@
-"""The water's surface inside a MuJoCo model: a height field kept in step with time and with what it follows.
+"""The water's surface inside a MuJoCo model: a height field kept in step with time and with the hull above it.
 
-MuJoCo knows triangles only, so where the surface is a formula the formula is the more accurate answer, and the flow
-needs it anyway: it is asked unless ``Water.height_field`` says that MuJoCo is, by `Rays`. The tests hold both against
-each other.
+MuJoCo says where the water stands over the hull (LIE 4.3.2). It knows triangles only: heights are off the surface's own
+by what a cell bends, and `Afloat` chooses cells by what that does to its hull. How the water flows the surface knows.
 """
 
 from __future__ import annotations
@@ -21,107 +20,108 @@ BELOW = 1.0
 """Thickness of the water below its lowest trough in MuJoCo's model, m."""
 MOST = 2049
 """Samples a side."""
+FAR = 2e4
+"""How high above the field the one point is from which all rays come, in widths of the field: they are as good as
+vertical, and one call asks them all, in a fifth of the time of a call for each."""
 
 
 class WaterField:
-    """``water`` as a height field of at most ``samples`` x ``samples`` points, ``size`` m wide.
+    """``water`` as a height field of cells of ``cell`` m and at most ``samples`` samples a side.
 
-    ``update(t, centre)`` moves it, by whole cells so that the surface does not swim, and writes its heights;
-    ``heights(xy)`` asks MuJoCo by vertical rays. A ray off the field, ``wide`` (2,) m, raises ``SolveError``.
+    ``update(t, low, high)`` moves it, by whole cells so that the surface does not swim, and writes its heights;
+    ``heights(xy)`` asks MuJoCo by rays, and raises ``SolveError`` for one off the field. ``at(points, t)`` does both.
+    Water of a liquid solver's grids keeps their own cells.
     """
 
-    def __init__(self, water: Water, size: float = 24.0, samples: int = 129):
+    def __init__(self, water: Water, cell: float, samples: int = 129):
         import mujoco
 
-        if not (size > 0 and 3 <= samples <= MOST):
-            mend = f"give a width in m and 3 to {MOST} samples a side"
-            raise InputError(str(Problem("water field", "not a grid", mend, (size, samples))))
-        self.water, self.size, self.samples, self.cell = water, size, samples, size / (samples - 1)
+        if not (np.isfinite(cell) and cell > 0 and 4 <= samples <= MOST):
+            mend = f"give a cell in m and 4 to {MOST} samples a side"
+            raise InputError(str(Problem("water field", "not a grid", mend, (cell, samples))))
+        self.water, self.samples = water, samples
+        grids = water.grids
+        self.cell = np.full(2, float(cell)) if grids is None else np.array(grids.cell)
+        self.anchor = np.zeros(2) if grids is None else grids.lower
+        size = self.cell * (samples - 1)
         spec = mujoco.MjSpec()
-        self.add_to(spec)
-        self.model = spec.compile()
-        self.data = mujoco.MjData(self.model)
-        self.centre = self.wide = np.zeros(2)  # shows nothing yet
-
-    def add_to(self, spec: Any) -> Any:
-        """Add the surface to a ``mujoco.MjSpec``; returns its geom, on a body of its own that `write` moves."""
-        import mujoco
-
-        n = self.samples
         spec.add_hfield(
-            name=NAME, size=[self.size / 2, self.size / 2, 1.0, BELOW], nrow=n, ncol=n, userdata=np.zeros(n * n)
+            name=NAME, size=[*size / 2, 1.0, BELOW], nrow=samples, ncol=samples, userdata=[0.0] * samples**2
         )
         body = spec.worldbody.add_body(name=NAME, mocap=True)
-        return body.add_geom(
+        body.add_geom(
             name=NAME, type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname=NAME, group=GROUP, contype=0, conaffinity=0
         )
+        self.model = spec.compile()
+        self.data = mujoco.MjData(self.model)
+        self.low = self.high = np.full(2, np.nan)  # shows nothing yet
+        self.shift: Array | None = None
+        self.top = float(size.max()) * FAR
 
-    def update(self, t: float, centre: Any, wide: Any = np.inf) -> None:
-        """The surface at ``t`` s, its middle within a cell of ``centre`` (2,) m; ``wide`` (2,) m of it are enough."""
-        self.write(self.model, self.data, t, centre, wide)
+    def at(self, points: Array, t: float) -> tuple[Array, Array]:
+        """Height (n,) m of the surface at ``points`` (n, 3) m and ``t`` s as MuJoCo sees it, of a field that is brought
+        there, and the water's velocity (n, 3) m/s."""
+        xy = points[:, :2]
+        low, high = xy.min(axis=0), xy.max(axis=0)
+        if not (self.water.flat and (self.low <= low).all() and (high <= self.high).all()):
+            self.update(t, low, high)
+        return self.heights(xy), self.water.at(points, t, self._rest(xy))[1]
 
-    def write(self, model: Any, data: Any, t: float, centre: Any, wide: Any = np.inf) -> None:
-        """Write the surface into any compiled model that `add_to` was asked for."""
+    def _rest(self, xy: Array) -> Array | None:
+        """About where (n, 2) the water is at rest that stands at ``xy`` (n, 2): between the samples around."""
+        if self.shift is None:
+            return None
+        place = (xy - self.low) / self.cell
+        first = np.clip(place.astype(int), 0, np.array(self.shift.shape[1::-1]) - 2)
+        u, v = (place - first).T[:, :, None]
+        col, row = first.T
+        shift = self.shift
+        return np.asarray(
+            xy
+            + (1 - v) * ((1 - u) * shift[row, col] + u * shift[row, col + 1])
+            + v * ((1 - u) * shift[row + 1, col] + u * shift[row + 1, col + 1])
+        )
+
+    def update(self, t: float, low: Any, high: Any) -> None:
+        """The surface at ``t`` s from ``low`` to ``high``, (2,) m each, and a cell more around."""
         import mujoco
 
-        self.centre = np.round(np.asarray(centre, float)[:2] / self.cell) * self.cell
-        cells = 2 * np.ceil(np.broadcast_to(np.minimum(wide, self.size), 2) / (2 * self.cell) - 1e-9)
-        self.wide = cells * self.cell
-        x, y = (c + self.cell * (np.arange(n + 1) - n / 2) for c, n in zip(self.centre, cells, strict=True))
-        heights = self.water.height(np.stack(np.meshgrid(x, y), axis=-1), t)
-        low, high = float(heights.min()), float(heights.max())
-        relief = max(high - low, 1e-3)
-        field = model.hfield(NAME).id
-        start = int(model.hfield_adr[field])
-        model.hfield_ncol[field], model.hfield_nrow[field] = len(x), len(y)
-        model.hfield_size[field, :3] = [*self.wide / 2, relief]
-        model.hfield_data[start : start + heights.size] = (heights - low) / relief
-        data.mocap_pos[model.body_mocapid[model.body(NAME).id]] = [*self.centre, low]
-        mujoco.mj_kinematics(model, data)
+        first = np.floor((np.asarray(low, float) - self.anchor) / self.cell).astype(int) - 1
+        last = np.ceil((np.asarray(high, float) - self.anchor) / self.cell).astype(int) + 1
+        if self.water.grids is not None:  # never asked off its grid
+            rows, cols = self.water.grids.heights.shape[1:]
+            first, last = np.clip(first, 0, [cols - 2, rows - 2]), np.clip(last, 1, [cols - 1, rows - 1])
+        if (last - first >= self.samples).any():
+            raise SolveError(f"water field: {(last - first).max() + 1} samples a side, made for {self.samples} at most")
+        self.low, self.high = self.anchor + self.cell * first, self.anchor + self.cell * last
+        x, y = (self.anchor[i] + self.cell[i] * np.arange(first[i], last[i] + 1) for i in range(2))
+        heights, rest = self.water.grid(x, y, t)
+        self.shift = None if rest is None else rest - np.stack(np.meshgrid(x, y), axis=-1)
+        bottom, relief = float(heights.min()), max(float(np.ptp(heights)), 1e-3)
+        model = self.model
+        model.hfield_ncol[0], model.hfield_nrow[0] = len(x), len(y)
+        model.hfield_size[0, :3] = [*(self.high - self.low) / 2, relief]
+        model.hfield_data[: heights.size] = ((heights - bottom) / relief).ravel()
+        self.data.mocap_pos[0] = [*(self.low + self.high) / 2, bottom]
+        mujoco.mj_kinematics(model, self.data)
 
     def heights(self, xy: Any) -> Array:
-        """Height (n,) m of the surface above ``xy`` (n, 2) m, found by vertical rays from above."""
+        """Height (n,) m of the surface above ``xy`` (n, 2) m, found by rays from above."""
         import mujoco
 
         points = np.asarray(xy, float).reshape(-1, 2)
-        off = (np.abs(points - self.centre) > self.wide / 2).any(axis=1)
-        if off.any():
-            x, y = points[np.flatnonzero(off)[0]]
+        middle, bottom = self.data.geom_xpos[0, :2], self.data.geom_xpos[0, 2]
+        ways = np.empty((len(points), 3))
+        ways[:, :2], ways[:, 2] = points - middle, -self.top
+        share, geoms = np.empty(len(points)), np.empty(len(points), np.int32)
+        start = np.array([*middle, bottom + self.top])
+        mujoco.mj_multiRay(
+            self.model, self.data, start, ways.ravel(), None, 1, -1, geoms, share, None, len(points), np.inf
+        )
+        if geoms.min(initial=0) < 0:
+            x, y = points[geoms.argmin()]
             raise SolveError(
-                f"water field: asked at ({x:.2f}, {y:.2f}) m, off its {self.wide[0]:g} x {self.wide[1]:g} m around "
-                f"({self.centre[0]:.2f}, {self.centre[1]:.2f}); move it with update(), or make it larger"
+                f"water field: asked at ({x:.2f}, {y:.2f}) m, off its {np.round(self.low, 2).tolist()} to "
+                f"{np.round(self.high, 2).tolist()}; move it with update()"
             )
-        geom = self.model.geom(NAME).id
-        top = float(self.data.geom_xpos[geom, 2] + self.model.hfield_size[self.model.hfield(NAME).id, 2] + 1.0)
-        down, found = np.array([0.0, 0.0, -1.0]), np.empty(len(points))
-        origin = np.array([0.0, 0.0, top])
-        for k, point in enumerate(points):
-            origin[:2] = point
-            found[k] = mujoco.mj_rayHfield(self.model, self.data, geom, origin, down, None)
-        if (found < 0).any():  # a ray along the border itself may pass by it
-            raise SolveError("water field: a ray missed it; keep its borders away from what asks")
-        return top - found
-
-
-class Rays:
-    """Where ``water`` stands as MuJoCo answers (LIE 4.3.2): by rays on a field of ``cell`` m that follows who asks.
-
-    Heights are off the formula's by a cell's bend at most. The field is as large as what asks: nothing is asked off it.
-    """
-
-    def __init__(self, water: Water, cell: float):
-        self.water, self.cell = water, cell
-        self.field: WaterField | None = None
-
-    def heights(self, xy: Array, t: float) -> Array:
-        """Height (n,) m of the surface above ``xy`` (n, 2) m at ``t`` s."""
-        low, high = xy.min(axis=0), xy.max(axis=0)
-        need = high - low + 4 * self.cell
-        if self.field is None or self.field.size < need.max():
-            samples = 2 * int(np.ceil(0.6 * need.max() / self.cell)) + 1
-            if samples > MOST:
-                message = f"{samples} samples a side for what is {need.max():.0f} m wide, {MOST} at most"
-                raise InputError(str(Problem("world.water.height_field", message, "give a wider cell", self.cell)))
-            self.field = WaterField(self.water, (samples - 1) * self.cell, samples)
-        self.field.update(t, (low + high) / 2, need)
-        return self.field.heights(xy)
+        return np.asarray(bottom + self.top * (1.0 - share))

@@ -90,7 +90,11 @@ class WaterGrids:
             digest.update(b"" if array is None else array.tobytes())
         return digest.hexdigest()
 
-    def at(self, points: Array, level: float, t: float) -> tuple[Array, Array]:
+    def grid(self, x: Array, y: Array, t: float) -> tuple[Array, Array | None]:
+        points = np.stack(np.meshgrid(x, y, 0.0), axis=-1).reshape(-1, 3)
+        return self.at(points, 0.0, t)[0].reshape(len(y), len(x)), None
+
+    def at(self, points: Array, level: float, t: float, guess: Array | None = None) -> tuple[Array, Array]:
         corners, weights = self._cells(points[:, :2])
         k, share, span = self._instant(t)
         before, after = (self.heights[i][corners] for i in (k, k + 1))
