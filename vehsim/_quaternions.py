@@ -49,6 +49,15 @@ def continuous(quaternions: Array) -> Array:
     return quaternions * signs[:, None]
 
 
+def cross(a: Array, b: Array) -> Array:
+    """Cross products (..., 3) of vectors or rows of them, several times as quick as numpy's for a few."""
+    ax, ay, az = a.T
+    bx, by, bz = b.T
+    product = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    product[..., 0], product[..., 1], product[..., 2] = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    return product
+
+
 def rotate(q: Array, v: Array) -> Array:
     """Vectors (n, 3) turned by unit quaternions (n, 4)."""
     t = 2 * np.cross(q[:, 1:], v)

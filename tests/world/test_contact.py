@@ -246,7 +246,7 @@ def test_a_boat_pushes_an_ice_floe_away(floe):
     for k in range(len(pushed.times)):
         bodies = [_at(clips[name], k) for name in ("boat", "floe")]
         pairs = scene._touching([Moving(body, state) for body, state in zip(scene.bodies, bodies, strict=True)])
-        depth += [point[0] for points in pairs.values() for point in points]
+        depth += [depth for points in pairs.values() for depth in points.depths]
     assert 0 < max(depth) < 0.02
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim._quaternions import matrices
+from vehsim._quaternions import cross, matrices
 from vehsim.errors import InputError, Problem
 from vehsim.vehicles._base import State
 from vehsim.world.environment import Environment
@@ -192,7 +192,7 @@ class Afloat(Environment):
         height, flow = height[:n], flow[:n]
         columns = np.empty((len(points), 7))
         columns[:, :3], columns[:, 3] = points, height - world[:, 2]
-        columns[:, 4:] = velocity + _cross(omega, points) - flow @ R_wb
+        columns[:, 4:] = velocity + cross(omega, points) - flow @ R_wb
         wet = wetted(columns, faces)
         up = R_wb[2]
         torque_force, volume = np.zeros(6), 0.0
@@ -263,7 +263,7 @@ class Afloat(Environment):
             x, y, turn = momentum[3], momentum[4], omega[2]
             forces.wrench[2:5] += x * through[4] - y * through[3], y * turn, -x * turn
             # the water's own acceleration drags along
-            forces.wrench[3:] += added[3:] * (change @ R_wb - _cross(omega, flow @ R_wb))
+            forces.wrench[3:] += added[3:] * (change @ R_wb - cross(omega, flow @ R_wb))
             if forces.immersion < 1 and entering > 0:  # water set in motion (von Karman); what leaves takes its own
                 forces.wrench -= entering / self.rest_volume * np.asarray(hull.added_mass, float) * through
         if self._propulsion is not None:
@@ -323,13 +323,4 @@ def _body(state: State, origin: Array) -> tuple[Array, Array, Array, Array]:
     R_wb = matrices(np.asarray(state.orientation, float))
     twist = np.zeros(6) if state.twist is None else np.asarray(state.twist, float)
     omega = twist[:3]
-    return R_wb, np.asarray(state.position, float) + R_wb @ origin, omega, twist[3:] + _cross(omega, origin)
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """Cross product of rows; ``a`` may be one row."""
-    ax, ay, az = a.T
-    bx, by, bz = b.T
-    product = np.empty(np.broadcast_shapes(a.shape, b.shape))
-    product[..., 0], product[..., 1], product[..., 2] = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-    return product
+    return R_wb, np.asarray(state.position, float) + R_wb @ origin, omega, twist[3:] + cross(omega, origin)

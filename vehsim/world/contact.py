@@ -1,6 +1,6 @@
 """Contact: what a vehicle's convex hulls touch, and the wrench that comes of it, a function of states alone.
 
-MuJoCo answers where hulls meet obstacles and each other (`mj_collision`); on terrain the hulls' corners are asked. Each
+MuJoCo answers where hulls meet obstacles and each other (`mj_collision`), `grounding.py` where they meet terrain. Each
 pair that touches pushes back as one spring and damper, as stiff as keeps the depth below `DEPTH` at the fastest
 approach, shared among its points by their depth; Coulomb friction is along the surface. Spring and damper follow from
 the mass that the contact feels, so restitution does not depend on what hits what.
@@ -17,10 +17,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim._quaternions import matrices
 from vehsim.errors import InputError, Problem
 from vehsim.vehicles._base import State
 from vehsim.world.contact_bodies import Body, Course, Led, Moving
 from vehsim.world.environment import Environment
+from vehsim.world.grounding import TOUCH, Points, Underside
 
 Array = NDArray[np.float64]
 
@@ -43,8 +45,6 @@ MARGIN = 1.0
 """Pairs nearer than this are watched, m."""
 PAUSE = 0.1
 """Contacts with the same thing within this time are one event, s."""
-TOUCH = 1e-12
-"""Less depth than this is none, m."""
 TERRAIN = "terrain"
 
 
@@ -155,6 +155,7 @@ class ContactScene:
             geom.margin = MARGIN
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
+        self._undersides: list[Underside] = []
         self.bodies = [self._body(vehicles[name], body) for name, body in bodies.items()]
         self._courses = [self._course(obstacle) for obstacle in moving]
         names = [body.name for body in self.bodies] + [f"obstacle/{obstacle.name}" for obstacle in moving]
@@ -186,10 +187,11 @@ class ContactScene:
         from vehsim.parts import collision_hulls
 
         hulls = collision_hulls(vehicle.rig.asset, vehicle.rig.root or None)
-        corners = np.concatenate(hulls)
-        reach = float(np.linalg.norm(corners - vehicle.origin, axis=1).max())
+        reach = float(max(np.linalg.norm(hull - vehicle.origin, axis=1).max() for hull in hulls))
         inverse = np.linalg.inv(np.asarray(vehicle.inertia, float))
-        return Body(body, vehicle, self._joint(body), corners, reach, inverse)
+        if self.terrain is not None:
+            self._undersides.append(Underside(hulls))
+        return Body(body, vehicle, self._joint(body), reach, inverse)
 
     def _course(self, obstacle: Any) -> Course:
         reach = float(max(np.linalg.norm(hull, axis=1).max() for hull in obstacle.hulls))
@@ -205,26 +207,23 @@ class ContactScene:
         moving += [Led(course, self._began + t) for course in self._courses]
         pairs = self._touching(moving)
         total = [np.zeros(6) for _ in moving]
-        forces: dict[tuple[int, str], list[tuple[Array, Array, float]]] = {}
+        forces: dict[tuple[int, str], tuple[Array, Array, Array]] = {}
         brisk = self._nearing
         for (a, b, name), points in pairs.items():
-            pushes, kick = self._push(moving[a], None if b is None else moving[b], points)
-            brisk = max(brisk, kick, *(closing for _, _, closing in pushes))
-            for place, force, closing in pushes:
-                total[a] += moving[a].wrench(place, force)
-                forces.setdefault((a, name), []).append((place, force, closing))
-                if b is not None and b < len(self.bodies):
-                    total[b] += moving[b].wrench(place, -force)
-                    forces.setdefault((b, _plain(self.bodies[a].name)), []).append((place, -force, closing))
+            push, closing, kick = self._push(moving[a], None if b is None else moving[b], points)
+            brisk = max(brisk, kick, float(closing.max()))
+            total[a] += moving[a].wrench(points.places, push)
+            forces[(a, name)] = points.places, push, closing
+            if b is not None and b < len(self.bodies):
+                total[b] += moving[b].wrench(points.places, -push)
+                forces[(b, _plain(self.bodies[a].name))] = points.places, -push, closing
         phase = RESOLVED / (1 + self.contact.damping) if brisk > GENTLE else RESTING
         self.next_step = max(phase / self.contact.frequency, AHEAD * self._soon)
         self._note(t, forces)
         return total[: len(self.bodies)]
 
-    def _touching(
-        self, moving: list[Moving | Led]
-    ) -> dict[tuple[int, int | None, str], list[tuple[float, Array, Array]]]:
-        """(vehicle, other vehicle or None, its name) -> (depth m, place (3,), normal (3,) towards the first) of points.
+    def _touching(self, moving: list[Moving | Led]) -> dict[tuple[int, int | None, str], Points]:
+        """(vehicle, other vehicle or None, its name) -> where they overlap.
 
         Notes when, at the earliest, what is nearest is touched, and how fast (m/s) what is a resting step away closes.
         """
@@ -259,67 +258,53 @@ class ContactScene:
             if distance < -TOUCH:
                 name = _plain(self.model.geom(second).name)
                 found.setdefault((a, b, name), []).append((-distance, contacts.pos[k].copy(), normal.copy()))
+        pairs = {
+            pair: Points(*(np.array(column) for column in zip(*points, strict=True))) for pair, points in found.items()
+        }
         if self.terrain is not None:
-            for a, m in enumerate(moving[: len(self.bodies)]):
-                gap, points = self._on_terrain(m)
+            for a, (side, m) in enumerate(zip(self._undersides, moving, strict=False)):
+                gap, points = side.on(self.terrain, matrices(m.orientation), m.position)
                 soon = min(soon, gap / max(m.fastest, 1e-6))
-                if points:
-                    found[(a, None, TERRAIN)] = points
+                if points is not None:
+                    pairs[(a, None, TERRAIN)] = points
                 elif gap < m.fastest * self.contact.step:
                     nearing = max(nearing, m.fastest)
         self._soon, self._nearing = soon, nearing
-        return found
+        return pairs
 
-    def _on_terrain(self, m: Any) -> tuple[float, list[tuple[float, Array, Array]]]:
-        """How far above the ground the lowest corner is, m, and the corners below it."""
-        corners = m.body.corners @ m.R_wr.T + m.position
-        depth = self.terrain.height(corners[:, :2]) - corners[:, 2]
-        under = np.flatnonzero(depth > TOUCH)
-        if not len(under):
-            return float(-depth.max()), []
-        normals = _normals(self.terrain, corners[under, :2])
-        return 0.0, [
-            (float(d * n[2]), corner, n) for d, corner, n in zip(depth[under], corners[under], normals, strict=True)
-        ]
-
-    def _push(
-        self, a: Moving | Led, b: Moving | Led | None, points: list[tuple[float, Array, Array]]
-    ) -> tuple[list[tuple[Array, Array, float]], float]:
-        """(place, force (3,) N on ``a``, closing speed m/s) of every point of a pair; what a spring that pushes as they
-        do together would give back, m/s."""
-        c, total = self.contact, sum(depth for depth, _, _ in points)
-        middle = np.sum([depth / total * place for depth, place, _ in points], axis=0)
-        mean = np.sum([depth / total * normal for depth, _, normal in points], axis=0)
+    def _push(self, a: Moving | Led, b: Moving | Led | None, points: Points) -> tuple[Array, Array, float]:
+        """Forces (n, 3) N on ``a`` and closing speeds (n,) m/s of a pair's points; what a spring that pushes as they do
+        together would give back, m/s."""
+        c, normals = self.contact, points.normals
+        share = points.depths / points.depths.sum()
+        middle, mean = share @ points.places, share @ normals
         length = float(np.linalg.norm(mean))
-        mean = mean / length if length > 1e-6 else points[0][2]
+        mean = mean / length if length > 1e-6 else normals[0]
         mass = 1 / (a.yielding(middle, mean) + (0.0 if b is None else b.yielding(middle, mean)))
-        made, pushing = [], 0.0
-        for depth, place, normal in points:
-            velocity = a.velocity(place) - (0.0 if b is None else b.velocity(place))
-            closing = -float(velocity @ normal)
-            stiff = c.frequency * depth + 2 * c.damping * closing
-            pressure = max(0.0, depth / total * mass * c.frequency * stiff)
-            pushing += pressure
-            slide = velocity + closing * normal
-            speed = float(np.linalg.norm(slide))
-            # a force that would turn the sliding round within a step only stops it
-            least = max(SLIP, c.friction * pressure * c.step / mass)
-            drag = -c.friction * pressure * slide / max(speed, least)
-            made.append((place, pressure * normal + drag, closing))
-        return made, pushing / (mass * c.frequency)
+        velocity = a.velocity(points.places) - (0.0 if b is None else b.velocity(points.places))
+        closing = -(velocity * normals).sum(axis=1)
+        stiff = c.frequency * points.depths + 2 * c.damping * closing
+        pressure = np.maximum(0.0, share * mass * c.frequency * stiff)
+        slide = velocity + closing[:, None] * normals
+        # a force that would turn the sliding round within a step only stops it
+        least = np.maximum(SLIP, c.friction * pressure * c.step / mass)
+        drag = c.friction * pressure / np.maximum(np.linalg.norm(slide, axis=1), least)
+        force = pressure[:, None] * normals - drag[:, None] * slide
+        return force, closing, float(pressure.sum() / (mass * c.frequency))
 
-    def _note(self, t: float, forces: dict[tuple[int, str], list[tuple[Array, Array, float]]]) -> None:
+    def _note(self, t: float, forces: dict[tuple[int, str], tuple[Array, Array, Array]]) -> None:
         """Open events, and add the impulse since the last time."""
         elapsed, self._time = max(t - self._time, 0.0), t
         for k, events in enumerate(self._events):
             live = {event.other: event for event in events if t - event.last < PAUSE}
             names = {name for owner, name in forces if owner == k}
             for name in names - set(live):
-                place, _, closing = max(forces[(k, name)], key=lambda point: float(np.linalg.norm(point[1])))
-                live[name] = Event(self.bodies[k].name, name, t, place, closing, t)
+                places, push, closing = forces[(k, name)]
+                hardest = int(np.linalg.norm(push, axis=1).argmax())
+                live[name] = Event(self.bodies[k].name, name, t, places[hardest], float(closing[hardest]), t)
                 events.append(live[name])
             for name, event in live.items():
-                now = np.sum([force for _, force, _ in forces.get((k, name), [])] or [np.zeros(3)], axis=0)
+                now = forces[(k, name)][1].sum(axis=0) if name in names else np.zeros(3)
                 event.impulse += elapsed / 2 * (event.force + now)
                 event.force = now
                 if name in names:
@@ -360,11 +345,3 @@ def _toward(a: Moving | Led, b: Moving | Led | None, place: Array, normal: Array
 def _plain(name: str) -> str:
     """ "vehicle/<name>/..." or "obstacle/<name>/..." -> its own name."""
     return name.split("/")[1] if "/" in name else name
-
-
-def _normals(terrain: Any, xy: Array, reach: float = 0.05) -> Array:
-    """Upward unit normals (n, 3) of the terrain, a hand's width about each place."""
-    offsets = reach * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
-    heights = terrain.height((xy[:, None] + offsets).reshape(-1, 2)).reshape(len(xy), 4)
-    up = np.column_stack([heights[:, 1] - heights[:, 0], heights[:, 3] - heights[:, 2], np.full(len(xy), 2 * reach)])
-    return np.asarray(up / np.linalg.norm(up, axis=1, keepdims=True))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim._interpolate import spatial
-from vehsim._quaternions import matrices
+from vehsim._quaternions import cross, matrices
 from vehsim.vehicles._base import State
 
 Array = NDArray[np.float64]
@@ -25,7 +25,6 @@ class Body:
     name: str
     vehicle: Any
     joint: int
-    corners: Array
     reach: float
     inverse_inertia: Array
 
@@ -52,17 +51,17 @@ class Moving:
         self.centre = self.position + self.R_wr @ body.vehicle.origin
         self.fastest = float(np.linalg.norm(self.v) + np.linalg.norm(self.omega) * 2 * body.reach) + 0.5
 
-    def velocity(self, place: Array) -> Array:
-        return np.asarray(self.v + cross(self.omega, place - self.position))
+    def velocity(self, places: Array) -> Array:
+        return np.asarray(self.v + cross(self.omega, places - self.position))
 
-    def wrench(self, place: Array, force: Array) -> Array:
-        """Torque and force of a force (3,) at a place, in body axes about the body frame's origin."""
-        torque = cross(place - self.centre, force)
-        return np.concatenate([self.R_wr.T @ torque, self.R_wr.T @ force])
+    def wrench(self, places: Array, forces: Array) -> Array:
+        """Torque and force of forces (n, 3) at places (n, 3), in body axes about the body frame's origin."""
+        torque = cross(places - self.centre, forces)
+        return np.concatenate([torque.sum(axis=0) @ self.R_wr, forces.sum(axis=0) @ self.R_wr])
 
     def yielding(self, place: Array, normal: Array) -> float:
         """The inverse of the mass that a push along ``normal`` feels, 1/kg."""
-        unit = self.wrench(place, normal)
+        unit = self.wrench(place[None], normal[None])
         return float(unit @ self.body.inverse_inertia @ unit)
 
 
@@ -80,15 +79,11 @@ class Led:
         self.omega = matrices(self.orientation) @ omega
         self.fastest = float(np.linalg.norm(self.v) + np.linalg.norm(self.omega) * 2 * course.reach) + 0.5
 
-    def velocity(self, place: Array) -> Array:
-        return np.asarray(self.v + cross(self.omega, place - self.position))
+    def velocity(self, places: Array) -> Array:
+        return np.asarray(self.v + cross(self.omega, places - self.position))
 
-    def wrench(self, place: Array, force: Array) -> Array:
+    def wrench(self, places: Array, forces: Array) -> Array:
         return np.zeros(6)
 
     def yielding(self, place: Array, normal: Array) -> float:
         return 0.0
-
-
-def cross(a: Array, b: Array) -> Array:
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])

@@ -1,0 +1,73 @@
+"""Hulls in the ground: the deepest place against sampling them densely, and hulls that come to rest on peaks."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from test_contact import slab
+
+import vehsim
+from vehsim.lie import SE3
+from vehsim.vehicles import Holonomic, Rig, State
+from vehsim.world import Terrain, World
+from vehsim.world.contact import Contact
+from vehsim.world.grounding import Underside
+
+BARGE = np.array([[x, y, z] for x in (-5.0, 5.0) for y in (-2.0, 2.0) for z in (-0.75, 0.75)])
+KEEL = np.array([[-3, 0, -0.5], [3, 0.2, -0.6], *[[x, y, 0.4] for x in (-3.2, 3.4) for y in (-1, 1)]])
+
+
+def rough(seed, cell=0.8, height=0.6):
+    heights = np.random.default_rng(seed).uniform(-height, 0, (60, 60))
+    return Terrain("rough", heights, (-30 * cell, -30 * cell), (cell, 1.1 * cell))
+
+
+def sampled(points, count, random):
+    """Points all over a convex hull's surface."""
+    from scipy.spatial import ConvexHull
+
+    corners = points[ConvexHull(points).simplices]
+    weights = random.dirichlet((1, 1, 1), (count, len(corners)))
+    return np.einsum("nfk,fki->nfi", weights, corners).reshape(-1, 3)
+
+
+@pytest.mark.parametrize("hull", [BARGE, KEEL], ids=["barge", "keel"])
+@pytest.mark.parametrize("seed", range(4))
+def test_nothing_of_a_hull_is_deeper_than_what_is_found(hull, seed):
+    """The gap above the ground is that of 40,000 samples of the hull, or less; it touches when they do."""
+    random, terrain = np.random.default_rng(seed), rough(seed)
+    side = Underside([hull])
+    samples = sampled(hull, 4000, random)
+    for _ in range(6):
+        turn = Rotation.from_euler("ZYX", random.normal(size=3) * [2, 0.1, 0.1])
+        position = np.array([*random.uniform(-10, 10, 2), 0.0])
+        places = turn.apply(samples) + position
+        nearest = (places[:, 2] - terrain.height(places[:, :2])).min()
+        for above in (2.0, 0.05, -0.02):  # of the nearest sample over the ground
+            gap, points = side.on(terrain, turn.as_matrix(), position + np.array([0, 0, above - nearest]))
+            assert (points is None) == (gap > 0)
+            if above < 0:  # depths are along the normals: of the ground, or of the hull's face that a peak is in
+                assert points is not None and 0.5 * -above < max(points.depths) < -above + 0.06
+                np.testing.assert_allclose(np.linalg.norm(points.normals, axis=1), 1)
+            elif points is None:
+                assert gap <= above
+            else:
+                assert above < 0.1 and max(points.depths) < 0.06  # what the samples missed
+
+
+@pytest.mark.parametrize("shape", ["cone", "ridge"])
+def test_a_barge_rests_on_a_peak_between_its_corners(tmp_path, shape):
+    """On a cone below its middle, or across a ridge, two centimetres deep at most though its corners are in the air."""
+    slab(tmp_path / "barge.usda", (10.0, 4.0, 1.5))
+    x = np.arange(-20.0, 20.5, 0.5)
+    far = np.hypot(x, x[:, None]) if shape == "cone" else np.abs(x + 0 * x[:, None])
+    terrain = Terrain(shape, 2.0 - 0.8 * far, (-20, -20), (0.5, 0.5))
+    mass, size = 5e3, np.array([10.0, 4.0, 1.5])
+    turning = mass / 12 * (size @ size - size**2)
+    barge = Holonomic(
+        name="barge", group=SE3, inertia=[*turning, *[mass] * 3], gravity=9.81, rig=Rig(tmp_path / "barge.usda", "")
+    )
+    start = State(position=(0, 0, 2.0 + 0.75 + 0.3))
+    world = World(terrain, contact=Contact(0.6, 0.1, 5.0))
+    clip = vehsim.simulate(barge, world, None, start, duration=0.8, step=1 / 60, fps=60)
+    assert clip.positions[:, 2].min() > 2.73 and clip.positions[-1, 2] == pytest.approx(2.75, abs=0.02)
+    assert clip.events[0]["with"] == "terrain" and abs(clip.twists[-1, 5]) < 0.1
