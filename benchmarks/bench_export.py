@@ -260,7 +260,7 @@ def batch(folder: Path, count: int, workers: int) -> tuple[float, dict[str, Any]
     """Seconds of a batch by the command line, and what it came to."""
     shot = write(folder, FREE_SPACE, count)
     out = folder / f"out{workers}"
-    command = [sys.executable, "-m", "vehsim.cli", "export", str(shot), "--out", str(out), "--quiet"]
+    command = [sys.executable, "-m", "vehsim", "export", str(shot), "--out", str(out), "--quiet"]
     began = time.perf_counter()
     process = subprocess.Popen([*command, "--workers", str(workers)])
     watch = Watch(process.pid)
@@ -344,7 +344,7 @@ def thousand(folder: Path, arguments: argparse.Namespace) -> None:
 
 def starting(folder: Path, arguments: argparse.Namespace) -> None:
     for what, code, wanted in (
-        ("vehsim --help", "import sys; sys.argv[1:] = ['--help']; from vehsim.cli import main; main()", 0.3),
+        ("vehsim --help", "import sys; sys.argv[1:] = ['--help']; from vehsim.__main__ import main; main()", 0.3),
         ("import vehsim", "import vehsim", 0.5),
     ):
         spent = []

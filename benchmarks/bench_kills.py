@@ -40,7 +40,7 @@ def content(folder: Path) -> dict[str, str]:
 
 
 def start(folder: Path, out: str) -> subprocess.Popen[bytes]:
-    command = [sys.executable, "-m", "vehsim.cli", "export", str(folder / "drive.toml"), "--out", str(folder / out)]
+    command = [sys.executable, "-m", "vehsim", "export", str(folder / "drive.toml"), "--out", str(folder / out)]
     options = ["--to", "usd,npz,csv", "--workers", "2", "--resume", "--quiet"]
     return subprocess.Popen([*command, *options], start_new_session=True)
 

@@ -330,7 +330,7 @@ def _options(
 
 
 def main() -> None:
-    """The console command."""
+    """Run the command that the process was started with, and end it."""
     code = FAILED
 
     def leave() -> None:
@@ -406,7 +406,3 @@ def _progress(quiet: bool) -> Iterator[Progress]:
     with Progress(*columns, console=screen, transient=True) as bar:
         task = bar.add_task("", total=1.0)
         yield lambda what, done: bar.update(task, description=what.replace("[", r"\["), completed=done)
-
-
-if __name__ == "__main__":
-    main()

@@ -20,7 +20,7 @@ from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from vehsim.errors import ExportError, InputError
 
@@ -36,9 +36,14 @@ SIGN = "report.json"
 
 
 @cache
-def entries(group: str) -> tuple[importlib.metadata.EntryPoint, ...]:
-    """The entry points of a group. To look through all that is installed takes 20 ms, and it stays as it is."""
-    return tuple(importlib.metadata.entry_points(group=group))
+def _installed() -> Any:
+    """To look through all that is installed takes 20 ms, and it stays as it is."""
+    return importlib.metadata.entry_points()
+
+
+def entries(group: str) -> list[importlib.metadata.EntryPoint]:
+    """The entry points of a group."""
+    return list(_installed().select(group=group))
 
 
 def exporter_names() -> list[str]:

@@ -169,7 +169,7 @@ def test_a_listener_that_goes_stops_no_work(write: Write, tmp_path: Path) -> Non
     import sys
 
     arguments = ["export", str(write()), "--out", str(tmp_path / "out"), "--to", "npz", "--log", "json"]
-    command = [sys.executable, "-m", "vehsim.cli", *arguments]
+    command = [sys.executable, "-m", "vehsim", *arguments]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     assert process.stdout is not None and process.stderr is not None
     process.stdout.readline()

@@ -27,7 +27,7 @@ SWEEP = '"vehicle.car.motion.duration" = {{ from = 0.25, to = 1.0, count = {} }}
 
 def start(shot: Path, out: Path, *more: str, workers: int = 2, limit: int | None = None) -> subprocess.Popen[str]:
     """A batch in a process group of its own. ``limit``: the largest file it may write, bytes."""
-    arguments = [sys.executable, "-m", "vehsim.cli", "export", str(shot), "--out", str(out), "--to", "usd,npz"]
+    arguments = [sys.executable, "-m", "vehsim", "export", str(shot), "--out", str(out), "--to", "usd,npz"]
     arguments += ["--workers", str(workers), *more]
     preparation = None
     if limit is not None:
@@ -199,7 +199,7 @@ def test_what_may_not_be_read_is_named(write: Write, tmp_path: Path) -> None:
         folder.mkdir(parents=True)
         folder.chmod(0)
     shots = [write("good"), write("taken"), write("rigged", asset="rig/car")]
-    command = [sys.executable, "-m", "vehsim.cli", "export", *map(str, shots), "--out", str(out), "--to", "npz"]
+    command = [sys.executable, "-m", "vehsim", "export", *map(str, shots), "--out", str(out), "--to", "npz"]
     answer = subprocess.run(command, capture_output=True, text=True, preexec_fn=_obey_permissions)
     for folder in (out / "taken", rig):
         folder.chmod(0o700)

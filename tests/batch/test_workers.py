@@ -57,6 +57,30 @@ def test_what_is_forked_takes_ctrl_c_in_silence(monkeypatch: pytest.MonkeyPatch)
     assert answer.stdout.split() == ["SIG_IGN", "SIG_IGN"]
 
 
+@pytest.mark.parametrize(
+    "words, early",
+    [
+        ("export a.toml --workers 2", True),
+        ("export a.toml --workers=16 --to usd", True),
+        ("export a.toml --workers 1", False),
+        ("export a.toml", False),
+        ("export a.toml --workers 2 --dry-run", False),
+        ("check a.toml", False),
+    ],
+)
+def test_what_is_forked_begins_before_the_command_is_loaded(
+    words: str, early: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from vehsim import __main__, cli
+
+    said: list[str] = []
+    monkeypatch.setattr(sys, "argv", ["vehsim", *words.split()])
+    monkeypatch.setattr(workers, "warm_up", lambda: said.append("warm"))
+    monkeypatch.setattr(cli, "main", lambda: said.append("command"))
+    __main__.main()
+    assert said == ["warm"] * early + ["command"]
+
+
 def test_a_signal_that_comes_twice_is_raised_once() -> None:
     """From the group, and from the first process: the second must not disturb what is tidied up."""
     before = signal.signal(signal.SIGTERM, raising(KeyboardInterrupt, once=True))

@@ -91,6 +91,7 @@ def code() -> str:
     return digest.hexdigest()
 
 
+@cache
 def _exporter(name: str) -> Any:
     """An exporter's name with the version of the package it comes from: a studio's own may change without us."""
     entry = next(entry for entry in entries(GROUP) if entry.name == name)

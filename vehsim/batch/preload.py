@@ -41,5 +41,6 @@ gc.disable()  # what modules make stays
 for _name in MODULES:
     importlib.import_module(_name)
 importlib.import_module("vehsim.batch.inputs").code()  # read and hashed once for all
+importlib.import_module("vehsim.delivery").exporter_names()  # what is installed is looked through as well
 gc.freeze()  # no worker need look through it, or copy it by looking
 gc.enable()

@@ -1,0 +1,27 @@
+"""``vehsim``, also as ``python -m vehsim``: what workers are forked from loads beside the command itself.
+
+Nothing else is imported here: multiprocessing has every worker import this module again.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+
+
+def main() -> None:
+    """The console command."""
+    try:
+        words = " ".join(sys.argv[1:])
+        if re.match(r"export .*--workers[ =](?!1\b)", words) and not re.search("--(dask|dry-run|help)", words):
+            from vehsim.batch.workers import warm_up
+
+            warm_up()
+        from vehsim import cli
+    except KeyboardInterrupt:
+        sys.exit(130)
+    cli.main()
+
+
+if __name__ == "__main__":
+    main()
