@@ -11,6 +11,7 @@ from contextlib import suppress
 from hashlib import sha256
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,13 +32,24 @@ def kept(kind: str, key: object, make: Callable[[], bytes]) -> bytes:
     """What ``make`` gives, kept for other processes under all that it depends on. Safe under concurrent writers, and
     made again when the entry is damaged. ``kind``: to be changed with what ``make`` does.
     """
-    file = cache_folder() / f"{kind}-{sha256(repr(key).encode()).hexdigest()[:32]}"
+    found = recalled(kind, key)
+    return keep(kind, key, make()) if found is None else found
+
+
+def recalled(kind: str, key: object) -> bytes | None:
+    """What a process was told to `keep`, None where there is nothing."""
+    file = _entry(kind, key)
     with suppress(OSError):
         content = file.read_bytes()
         if sha256(content[:-SEAL]).digest() == content[-SEAL:]:
             return content[:-SEAL]
-        warnings.warn(f"{file}: damaged cache entry, made again", stacklevel=2)
-    made = make()
+        warnings.warn(f"{file}: damaged cache entry, made again", stacklevel=3)
+    return None
+
+
+def keep(kind: str, key: object, made: bytes) -> bytes:
+    """Keep what was ``made`` for all processes, and return it."""
+    file = _entry(kind, key)
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         beside = file.with_name(f".{file.name}.{secrets.token_hex(4)}.tmp")
@@ -48,8 +60,12 @@ def kept(kind: str, key: object, make: Callable[[], bytes]) -> bytes:
             beside.unlink(missing_ok=True)
     except OSError as error:
         reason = error.strerror or type(error).__name__
-        warnings.warn(f"{file.parent}: {kind}: could not be kept ({reason}); made again each time", stacklevel=2)
+        warnings.warn(f"{file.parent}: {kind}: could not be kept ({reason}); made again each time", stacklevel=3)
     return made
+
+
+def _entry(kind: str, key: object) -> Path:
+    return cache_folder() / f"{kind}-{sha256(repr(key).encode()).hexdigest()[:32]}"
 
 
 def kept_arrays(kind: str, made_from: Sequence[Array], make: Callable[[], Sequence[Array]]) -> list[Array]:
@@ -57,13 +73,19 @@ def kept_arrays(kind: str, made_from: Sequence[Array], make: Callable[[], Sequen
     digest = sha256()
     for array in made_from:
         digest.update(repr((array.shape, array.dtype.str)).encode() + np.ascontiguousarray(array).tobytes())
+    return unpacked(kept(kind, digest.hexdigest(), lambda: packed(make())))
 
-    def packed() -> bytes:
-        buffer = BytesIO()
-        np.savez(buffer, *make())
-        return buffer.getvalue()
 
-    with np.load(BytesIO(kept(kind, digest.hexdigest(), packed)), allow_pickle=False) as arrays:
+def packed(arrays: Sequence[NDArray[Any]]) -> bytes:
+    """Arrays as bytes, to be kept; `unpacked` gives them back."""
+    buffer = BytesIO()
+    np.savez(buffer, *arrays)
+    return buffer.getvalue()
+
+
+def unpacked(content: bytes) -> list[NDArray[Any]]:
+    """Arrays that were `packed`."""
+    with np.load(BytesIO(content), allow_pickle=False) as arrays:
         return [arrays[f"arr_{k}"] for k in range(len(arrays.files))]
 
 

@@ -9,22 +9,26 @@ of units and up axis, are part of the geometry, so an animated pose multiplies e
 
 from __future__ import annotations
 
+import json
 import warnings
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
+from hashlib import file_digest
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim._cache import kept_arrays, made_of
+from vehsim._cache import keep, kept_arrays, made_of, packed, recalled, unpacked
+from vehsim._meshes import Faces, Mesh, apply, mesh_of
 from vehsim.errors import InputError
 from vehsim.vehicles._base import Rig
 
 Array = NDArray[np.float64]
-Faces = NDArray[np.int64]
 
 Y_UP_TO_Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1.0, 0], [0, 1.0, 0, 0], [0, 0, 0, 1.0]])
 QUERY_GROUP = 3
@@ -63,46 +67,62 @@ class Part:
         return tuple(_hulls(self.collision)) if self.collision else ()
 
 
+@dataclass(frozen=True)
+class Solid:
+    """What of a part can be hit: the vertices (k, 3) m of its ``hulls``; and ``T_rp`` (4, 4), the part's own frame.
+    Both in the rig root's frame."""
+
+    name: str
+    path: str
+    T_rp: Array
+    hulls: tuple[Array, ...]
+
+
 def read_parts(asset: str | Path, root: str | None = None) -> list[Part]:
     """The parts of ``asset`` below ``root`` (a prim path; the default prim when empty), parents before children.
 
     Raises ``InputError`` naming file and prim when the file or the root is missing, there is no mesh, a mesh is
     broken, or a transform cannot be inverted. Warns of geometry that is not a mesh and so is left out.
     """
-    stage, prim = _open(asset, root)  # a prim lives only as long as its stage is held
-    drafts: dict[str, _Draft] = {}
-    owner: dict[Any, _Draft | None] = {}
-    skipped = []
-    for node in _walk(prim, _to_metres_z_up(stage)):
-        parent = owner.get(node.prim.GetParent().GetPath())
-        draft = parent
-        if node.is_part:
-            draft = _Draft(node.path, parent, _rigid(asset, node), node.prim.GetName(), [], [])
-            drafts[node.path] = draft
-        owner[node.prim.GetPath()] = draft
-        if node.is_mesh:
-            mesh = _read_mesh(asset, node)
-            if mesh is not None and draft is not None:
-                (draft.look if node.is_look else draft.collision).append(mesh)
-                if node.is_look and node.collides:
-                    draft.collision.append(mesh)
-        elif node.is_gprim and node.is_look:
-            skipped.append(f"{node.prim.GetPath()} ({node.prim.GetTypeName()})")
-    if skipped:
-        warnings.warn(f"{made_of(asset)}: only meshes are read; left out: {', '.join(skipped)}", stacklevel=2)
-    parts = [draft.part() for draft in drafts.values() if draft.carries(drafts)]
-    if not parts:
-        where = f"{made_of(asset)}: {prim.GetPath()}"
-        raise InputError(f"{where}: no mesh at or below it; give the prim that holds the vehicle")
+    parts, said = _read(asset, root)
+    for message in said:
+        warnings.warn(message, stacklevel=2)
     return parts
 
 
-def collision_hulls(asset: str | Path, root: str | None = None) -> list[Array]:
-    """The vertices (n, 3) of each collision mesh's convex hull, in the rig root's frame, m.
+def solids(asset: str | Path, root: str | None = None) -> list[Solid]:
+    """What can be hit of every part: the convex hull of each collision mesh. Raises as `read_parts` does.
 
-    An asset that marks no collision mesh gets the convex hull of each part's look, with a warning.
+    An asset that marks no collision mesh gets the convex hull of each part's look, with a warning. Kept under its
+    file's content where it refers to no other: loading USD takes longer than many a plan.
     """
-    return [hull for _, hull in _named_hulls(asset, root)]
+    key = _content(asset), root
+    kept = recalled("solids", key)
+    if kept is not None:
+        return _unpacked(kept)
+    from pxr import Sdf
+
+    held = Sdf.Layer.Find(str(asset)) is not None  # by somebody, in whose hands it may differ from its file
+    parts, said = _read(asset, root)
+    meshes = [part.collision for part in parts]
+    if not any(meshes):
+        meshes = [(part.points,) * bool(len(part.points)) for part in parts]
+        said.append(
+            f"{made_of(asset)}: no mesh carries UsdPhysics.CollisionAPI; the convex hull of each part stands in, which "
+            "may be far too large; mark collision meshes for honest clearances"
+        )
+    hulls = [tuple(apply(part.T_rp, hull) for hull in _hulls(own)) for part, own in zip(parts, meshes, strict=True)]
+    found = [Solid(part.name, part.path, part.T_rp, own) for part, own in zip(parts, hulls, strict=True)]
+    for message in said:
+        warnings.warn(message, stacklevel=2)
+    if not (held or said) and _stands_alone(asset) and key == (_content(asset), root):
+        keep("solids", key, _packed(found))
+    return found
+
+
+def collision_hulls(asset: str | Path, root: str | None = None) -> list[Array]:
+    """The vertices (n, 3) of the hulls of `solids`, in the rig root's frame, m."""
+    return [hull for solid in solids(asset, root) for hull in solid.hulls]
 
 
 def read_mesh(asset: str | Path, root: str | None, path: str) -> tuple[Array, Faces]:
@@ -111,9 +131,12 @@ def read_mesh(asset: str | Path, root: str | None, path: str) -> tuple[Array, Fa
     Raises ``InputError`` naming file and prim when there is none, or it is broken.
     """
     stage, prim = _open(asset, root)
-    for node in _walk(prim, _to_metres_z_up(stage)):
+    said: list[str] = []
+    for node in _walk(prim, _to_metres_z_up(stage), said):
         if node.is_mesh and node.path == path.strip("/"):
-            mesh = _read_mesh(asset, replace(node, collides=True))
+            mesh = mesh_of(asset, replace(node, collides=True), said)
+            for message in said:
+                warnings.warn(message, stacklevel=2)
             if mesh is not None:
                 return mesh.points, mesh.faces
             return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
@@ -133,7 +156,8 @@ def add_to_spec(spec: Any, rig: Rig, name: str, free: bool = True) -> Any:
     body = spec.worldbody.add_body(name=name, mass=1.0, inertia=[1.0, 1.0, 1.0], explicitinertial=True)
     if free:
         body.add_freejoint(name=name)
-    for k, (part, hull) in enumerate(_named_hulls(rig.asset, rig.root or None)):
+    named = [(solid.name, hull) for solid in solids(rig.asset, rig.root or None) for hull in solid.hulls]
+    for k, (part, hull) in enumerate(named):
         mesh = f"{name}/{part}/{k}"
         spec.add_mesh(name=mesh, uservert=hull.ravel(), inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX)
         body.add_geom(
@@ -147,20 +171,67 @@ def add_to_spec(spec: Any, rig: Rig, name: str, free: bool = True) -> Any:
     return body
 
 
-def _named_hulls(asset: str | Path, root: str | None) -> list[tuple[str, Array]]:
-    """(part name, hull vertices in the rig root's frame) for every collision mesh."""
-    parts = read_parts(asset, root)
-    if any(part.collides for part in parts):
-        return [(part.name, _apply(part.T_rp, hull)) for part in parts for hull in part.hulls]
-    warnings.warn(
-        f"{made_of(asset)}: no mesh carries UsdPhysics.CollisionAPI; the convex hull of each part stands in, which may "
-        "be far too large; mark collision meshes for honest clearances",
-        stacklevel=3,
-    )
-    return [(part.name, _apply(part.T_rp, *_hulls([part.points]))) for part in parts if len(part.points)]
+def _content(asset: str | Path) -> str:
+    """The checksum of a file; empty where there is none."""
+    with suppress(OSError), open(asset, "rb") as file:
+        return file_digest(file, "sha256").hexdigest()
+    return ""
+
+
+def _stands_alone(asset: str | Path) -> bool:
+    """Whether all that is read of an asset stands in its file: it refers to no other."""
+    from pxr import Usd
+
+    stage = Usd.Stage.Open(str(asset))
+    files = {layer.realPath.partition("[")[0] for layer in stage.GetUsedLayers() if not layer.anonymous}
+    return len(files) == 1 and not stage.GetCompositionErrors()
+
+
+def _packed(found: Sequence[Solid]) -> bytes:
+    names = json.dumps([[solid.name, solid.path, len(solid.hulls)] for solid in found])
+    frames, hulls = np.array([solid.T_rp for solid in found]), [hull for solid in found for hull in solid.hulls]
+    return packed([np.frombuffer(names.encode(), np.uint8), frames, *hulls])
+
+
+def _unpacked(content: bytes) -> list[Solid]:
+    names, frames, *hulls = unpacked(content)
+    each = iter(hulls)
+    told = zip(json.loads(names.tobytes()), frames, strict=True)
+    return [Solid(name, path, frame, tuple(islice(each, count))) for (name, path, count), frame in told]
 
 
 # ---------------------------------------------------------------- the stage
+
+
+def _read(asset: str | Path, root: str | None) -> tuple[list[Part], list[str]]:
+    """The parts, and what is to be warned of."""
+    stage, prim = _open(asset, root)  # a prim lives only as long as its stage is held
+    drafts: dict[str, _Draft] = {}
+    owner: dict[Any, _Draft | None] = {}
+    skipped: list[str] = []
+    said: list[str] = []
+    for node in _walk(prim, _to_metres_z_up(stage), said):
+        parent = owner.get(node.prim.GetParent().GetPath())
+        draft = parent
+        if node.is_part:
+            draft = _Draft(node.path, parent, _rigid(asset, node), node.prim.GetName(), [], [])
+            drafts[node.path] = draft
+        owner[node.prim.GetPath()] = draft
+        if node.is_mesh:
+            mesh = mesh_of(asset, node, said)
+            if mesh is not None and draft is not None:
+                (draft.look if node.is_look else draft.collision).append(mesh)
+                if node.is_look and node.collides:
+                    draft.collision.append(mesh)
+        elif node.is_gprim and node.is_look:
+            skipped.append(f"{node.prim.GetPath()} ({node.prim.GetTypeName()})")
+    if skipped:
+        said.append(f"{made_of(asset)}: only meshes are read; left out: {', '.join(skipped)}")
+    parts = [draft.part() for draft in drafts.values() if draft.carries(drafts)]
+    if not parts:
+        where = f"{made_of(asset)}: {prim.GetPath()}"
+        raise InputError(f"{where}: no mesh at or below it; give the prim that holds the vehicle")
+    return parts, said
 
 
 @dataclass(frozen=True)
@@ -210,8 +281,8 @@ def _to_metres_z_up(stage: Any) -> Array:
     return turn @ np.diag([scale, scale, scale, 1.0])
 
 
-def _walk(root: Any, convert: Array) -> Iterator[_Node]:
-    """Every visible prim from ``root`` down, inside instances too, parents first."""
+def _walk(root: Any, convert: Array, said: list[str]) -> Iterator[_Node]:
+    """Every visible prim from ``root`` down, inside instances too, parents first; what is odd is ``said``."""
     from pxr import Usd, UsdGeom, UsdPhysics
 
     when = Usd.TimeCode.EarliestTime()
@@ -229,10 +300,9 @@ def _walk(root: Any, convert: Array) -> Iterator[_Node]:
             local, to_pivot = _local(xformable, when)
             if xformable.GetResetXformStack() and prim != root:
                 above = convert
-                warnings.warn(
+                said.append(
                     f"{prim.GetPath()}: !resetXformStack! detaches it from the vehicle in USD; it is read where it "
-                    "stands and moves with the vehicle here; take the reset away",
-                    stacklevel=3,
+                    "stands and moves with the vehicle here; take the reset away"
                 )
         matrices[prim.GetPath()] = above @ local
         is_mesh, is_gprim = prim.IsA(UsdGeom.Mesh), prim.IsA(UsdGeom.Gprim)
@@ -279,15 +349,6 @@ def _rigid(asset: str | Path, node: _Node) -> Array:
 # ---------------------------------------------------------------- meshes
 
 
-@dataclass(frozen=True)
-class _Mesh:
-    """A mesh in the rig root's frame."""
-
-    points: Array
-    faces: Faces
-    rgba: tuple[float, float, float, float]
-
-
 @dataclass
 class _Draft:
     """A part being gathered: meshes still in the rig root's frame."""
@@ -296,8 +357,8 @@ class _Draft:
     parent: _Draft | None
     frame: Array
     name: str
-    look: list[_Mesh]
-    collision: list[_Mesh]
+    look: list[Mesh]
+    collision: list[Mesh]
 
     def carries(self, drafts: dict[str, _Draft]) -> bool:
         """Whether this part has geometry, or another part that has rides on it. The root part needs its own."""
@@ -312,7 +373,7 @@ class _Draft:
         to_frame = np.linalg.inv(self.frame)
         offsets = np.cumsum([0] + [len(mesh.points) for mesh in self.look])
         faces = [mesh.faces + offset for mesh, offset in zip(self.look, offsets, strict=False)]
-        points = [_apply(to_frame, mesh.points) for mesh in self.look]
+        points = [apply(to_frame, mesh.points) for mesh in self.look]
         largest = max(self.look, key=lambda mesh: len(mesh.faces), default=None)
         return Part(
             name=self.name,
@@ -322,61 +383,9 @@ class _Draft:
             T_rp=self.frame,
             points=np.concatenate([np.zeros((0, 3)), *points]),
             faces=np.concatenate([np.zeros((0, 3), np.int64), *faces]),
-            collision=tuple(_apply(to_frame, mesh.points) for mesh in self.collision),
+            collision=tuple(apply(to_frame, mesh.points) for mesh in self.collision),
             rgba=largest.rgba if largest else (0.5, 0.5, 0.5, 1.0),
         )
-
-
-def _read_mesh(asset: str | Path, node: _Node) -> _Mesh | None:
-    """A mesh that is seen or collides, triangulated, in the rig root's frame; None when it is neither."""
-    from pxr import Usd, UsdGeom
-
-    if not (node.is_look or node.collides):
-        return None
-    when, mesh = Usd.TimeCode.EarliestTime(), UsdGeom.Mesh(node.prim)
-    points = np.array(mesh.GetPointsAttr().Get(when) or [], float).reshape(-1, 3)
-    counts = np.array(mesh.GetFaceVertexCountsAttr().Get(when) or [], np.int64)
-    indices = np.array(mesh.GetFaceVertexIndicesAttr().Get(when) or [], np.int64)
-    where = f"{made_of(asset)}: {node.prim.GetPath()}"
-    if not len(points) or not len(counts):
-        warnings.warn(f"{where}: an empty mesh; left out", stacklevel=3)
-        return None
-    if counts.sum() != len(indices) or indices.min() < 0 or indices.max() >= len(points):
-        raise InputError(f"{where}: its faces do not fit its {len(points)} points; export the mesh again")
-    if not np.isfinite(points).all():
-        raise InputError(f"{where}: points that are not finite numbers; export the mesh again")
-    faces = triangulate(counts, indices, np.array(mesh.GetHoleIndicesAttr().Get(when) or [], np.int64))
-    left_handed = mesh.GetOrientationAttr().Get(when) == UsdGeom.Tokens.leftHanded
-    mirrored = np.linalg.det(node.matrix[:3, :3]) < 0
-    return _Mesh(_apply(node.matrix, points), faces[:, ::-1] if left_handed != mirrored else faces, _colour(mesh, when))
-
-
-def triangulate(counts: Faces, indices: Faces, holes: Faces | None = None) -> Faces:
-    """Faces of ``counts`` corners as fans of triangles (m, 3), as Hydra draws them; ``holes`` are left out."""
-    keep = np.ones(len(counts), bool)
-    if holes is not None:
-        keep[holes] = False
-    start = np.cumsum(counts) - counts
-    fans = np.where(keep, np.maximum(counts - 2, 0), 0)
-    first = np.repeat(start, fans)
-    step = np.arange(fans.sum()) - np.repeat(np.cumsum(fans) - fans, fans)
-    return np.stack([indices[first], indices[first + step + 1], indices[first + step + 2]], axis=1)
-
-
-def _colour(mesh: Any, when: Any) -> tuple[float, float, float, float]:
-    """The linear colour and opacity of a mesh's preview surface, else its display colour, else grey."""
-    from pxr import UsdShade
-
-    rgb, alpha = mesh.GetDisplayColorAttr().Get(when), mesh.GetDisplayOpacityAttr().Get(when)
-    colour, opacity = (rgb[0] if rgb else (0.5, 0.5, 0.5)), (alpha[0] if alpha else 1.0)
-    material = UsdShade.MaterialBindingAPI(mesh.GetPrim()).ComputeBoundMaterial()[0]
-    shader = material.ComputeSurfaceSource()[0] if material else None
-    if shader:
-        inputs = {name: shader.GetInput(name) for name in ("diffuseColor", "opacity")}
-        values = {name: value.Get(when) for name, value in inputs.items() if value}
-        colour = values.get("diffuseColor") or colour
-        opacity = opacity if values.get("opacity") is None else values["opacity"]
-    return (float(colour[0]), float(colour[1]), float(colour[2]), float(opacity))
 
 
 def _hulls(clouds: Sequence[Array]) -> list[Array]:
@@ -394,7 +403,3 @@ def _hull(points: Array) -> Array:
         corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T * 5e-4
         thick = (points[:, None] + corners).reshape(-1, 3)
         return thick[ConvexHull(thick).vertices]
-
-
-def _apply(transform: Any, points: Any) -> Array:
-    return points @ transform[:3, :3].T + transform[:3, 3]

@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import math
 import time
+import warnings
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -37,6 +39,7 @@ from vehsim.planning.request import Request
 from vehsim.planning.shelf import Shelf, common
 from vehsim.planning.solver import Multipliers, Solution, Solver, Start
 from vehsim.planning.transcription import Transcription
+from vehsim.world.ground import lift as on_ground
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -117,16 +120,20 @@ class Attempt:
             self.x = along_clip(self.t, self.layout, marks, clip, self.lengths)
         self.guess = self.x
         self._look()
-        if math.isfinite(self.deadline.end) and not self.deadline.kept:
+        if math.isfinite(self.deadline.end) and not (self.deadline.kept or self.deadline.late):
             self._rehearse()
 
     def _rehearse(self) -> None:
-        """Certify the first guess on a few segments, to know how long that takes in the end."""
+        """Finish the first guess on a few segments, to know how long that takes in the end."""
         clip = self._clip()
         ends = clip.times[0], clip.times[-1]
-        self._measured(clip.at(ends))  # builds models, which takes longer
-        few = clip.at(np.linspace(*ends, REHEARSED + 1))
-        self.deadline.rehearse(lambda: (self._measured(few), self._executed()))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of a guess
+            # builds models, which takes longer
+            self._measured(clip.at(ends)), self._executed(), self.exported(clip.at(ends[:1]))
+            few = clip.at(np.linspace(*ends, REHEARSED + 1))
+            self.deadline.rehearse(lambda: (self._measured(few), self._executed()))
+            self.deadline.rehearse(lambda: self.exported(few.at(few.times[:2])), REHEARSED)
 
     def _coarse(self) -> int:
         """Segments to find a plan on: as many as asked for, halved while enough are left."""
@@ -218,6 +225,8 @@ class Attempt:
         nothing = np.zeros(0)
         self.solution = Solution(self.x, math.nan, math.inf, False, message, 0, nothing)
         self.stale, self.worst, self.clip = False, "", self._clip()
+        if self.request.hazards or self.rows is not None:
+            self.clearance = math.nan  # nobody measured it
 
     def settle(self) -> None:
         """Put free marks on whole frames, later rather than earlier."""
@@ -392,6 +401,10 @@ class Attempt:
         if self.request.vehicle.group.dim == 3:
             anchor[2] = float(np.asarray(self.request.marks[0].position)[2])
         return build_clip(self.t.mechanics, times, g, r, pi, c, anchor, fps=self.request.fps, start_frame=start)
+
+    def exported(self, clip: Clip) -> Clip:
+        """A clip of the vehicle that was given, its wheels on the terrain."""
+        return on_ground(replace(clip, vehicle=self.request.vehicle), self.request.world)
 
     def _watch(self) -> Callable[[int], None]:
         text = f"planning {self.layout.segments} segments at order {self.layout.order}"

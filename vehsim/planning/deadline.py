@@ -6,8 +6,14 @@ import math
 import time
 from collections.abc import Callable
 
+Progress = Callable[[str, float], None]
+
 MORE = 1.5
 """What is kept for certifying a plan, times what its first guess took."""
+
+
+class OutOfTime(Exception):
+    """There is no time left for what it names."""
 
 
 class Deadline:
@@ -34,11 +40,22 @@ class Deadline:
         """No time is left to solve anything more."""
         return self.over or time.monotonic() > self.solving
 
-    def rehearse(self, finish: Callable[[], object]) -> None:
-        """Learn how long it takes to ``finish``."""
+    def watched(self, progress: Progress | None) -> Progress:
+        """``progress``, which raises `OutOfTime` where it is told anything after the end."""
+
+        def tell(text: str, fraction: float) -> None:
+            if time.monotonic() > self.end:
+                raise OutOfTime(text)
+            if progress is not None:
+                progress(text, fraction)
+
+        return tell
+
+    def rehearse(self, finish: Callable[[], object], times: float = MORE) -> None:
+        """Learn how long it takes to ``finish``: so many ``times`` that is kept, beside what is kept already."""
         began = time.monotonic()
         finish()
-        self.kept = MORE * (time.monotonic() - began)
+        self.kept += times * (time.monotonic() - began)
 
     def solved(self, began: float, nodes: int, over: bool) -> None:
         """A solve over ``nodes`` that was built from ``began`` on is done, or was stopped when time was ``over``."""

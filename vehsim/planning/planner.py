@@ -21,6 +21,7 @@ from vehsim.planning import interrupts
 from vehsim.planning.attempt import EXECUTED, SLACK, TIGHTENINGS, Array, Attempt, Progress
 from vehsim.planning.certify import Executed
 from vehsim.planning.cover import AROUND, Cover, balls, sphere_cover
+from vehsim.planning.deadline import Deadline, OutOfTime
 from vehsim.planning.feasibility import refusals
 from vehsim.planning.legs import (
     bent,
@@ -41,11 +42,12 @@ from vehsim.planning.request import Request, all_marks, ask, shape
 from vehsim.planning.terms import Term
 from vehsim.planning.transcription import transcription
 from vehsim.vehicles import Vehicle
-from vehsim.world.ground import lift
 
 RETRIES = ((1.7, 0.0), (0.6, 0.08), (1.2, -0.15))
 """First guesses tried when the first fails: durations of free legs times, and how far each path bends aside, of its
 length."""
+LATE = "time limit reached before solving began{}: this is the first guess, and not checked"
+"""Said of a plan for which there was no time, and what it was needed for."""
 ROOM = 30.0
 """How far from the first path the optimiser sees the terrain, m."""
 
@@ -148,15 +150,21 @@ def plan(
 
 def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
     t = transcription(request.weighed)
-    paths = _paths(request, guess, progress)
+    hurried = Deadline(request.deadline).watched(progress)
+    try:
+        paths = _paths(request, guess, hurried)
+        cover = _cover(request, paths, hurried)
+        late = ""
+    except OutOfTime as error:
+        paths, cover, late = _straight(request), None, f" ({error})"
     if request.weights["course"]:
         faced = facing(request.marks, paths, request.aimed)
         request = replace(request, marks=faced, given=request.marks)
-    attempt = Attempt(request, t, _cover(request, paths), progress)
+    attempt = Attempt(request, t, cover, progress)
     attempt.start(paths, clip=_own(request, guess))
-    refused = refusals(request)
-    if refused:
-        attempt.give_up("; ".join(map(str, refused)))
+    refused = "; ".join(map(str, refusals(request)))
+    if refused or attempt.deadline.late:
+        attempt.give_up(refused or LATE.format(late))
         return _result(attempt)
     attempt.solve()
     if not attempt.solution.success:
@@ -230,8 +238,9 @@ def _result(attempt: Attempt) -> Plan:
         message += f"; executed, the controls end {attempt.checked.final:.2f} m off: ask for more segments"
     if not success:
         warnings.warn(f"{request.vehicle.name}: plan failed: {message}", stacklevel=4)
+    begun = attempt.iterations > 0 or not attempt.deadline.late  # or else there is no time for wheels on the ground
     return Plan(
-        clip=lift(replace(attempt.clip, vehicle=request.vehicle), request.world),
+        clip=attempt.exported(attempt.clip) if begun else replace(attempt.clip, vehicle=request.vehicle),
         success=success,
         message=message,
         cost=solution.cost,
@@ -249,7 +258,7 @@ def _result(attempt: Attempt) -> Plan:
     )
 
 
-def _cover(request: Request, paths: list[Array]) -> Any:
+def _cover(request: Request, paths: list[Array], progress: Progress) -> Any:
     """What is to be kept clear of around the paths, and the spheres that do; None where there is nothing to hit."""
     if not request.hazards:
         return None
@@ -257,12 +266,16 @@ def _cover(request: Request, paths: list[Array]) -> Any:
     points = np.vstack([path[:, :3] for path in paths])
     room = np.array([points.min(axis=0) - ROOM, points.max(axis=0) + ROOM])
     if request.world.terrain is not None and request.world.standing:  # finer than the terrain's whole
-        field = request.world.distance_field(box=room)
+        field = request.world.distance_field(progress, box=room)
     else:
-        field = request.world.distance_field(box=_airspace(request))
+        field = request.world.distance_field(progress, box=_airspace(request))
         field = None if field is None else field.crop(*room)
     around = request.clearance + float(radii.max()) + AROUND
-    return Cover(field, centres, radii, tuple((o, o.around(around)) for o in request.world.moving))
+    moving = []
+    for obstacle in request.world.moving:
+        progress(f"measuring distances to {obstacle.name}", 0.0)
+        moving.append((obstacle, obstacle.around(around)))
+    return Cover(field, centres, radii, tuple(moving))
 
 
 def _airspace(request: Request) -> Array | None:
@@ -280,29 +293,38 @@ def _airspace(request: Request) -> Array | None:
     return np.array([low, high])
 
 
-def _paths(request: Request, guess: Any, progress: Progress | None) -> list[Array]:
+def _straight(request: Request) -> list[Array]:
+    """The straight way from mark to mark, for every leg."""
+    return round_trip(request.marks) if request.loop else [np.array(leg) for leg in legs_between(request.marks)]
+
+
+def _paths(request: Request, guess: Any, progress: Progress) -> list[Array]:
     """A polyline (k, 3) for every leg between marks, or poses (k, 4) with headings in rad."""
     if guess is not None:
         points = poses_of(guess) if isinstance(guess, Clip) else np.asarray(guess, float)
         if points.ndim != 2 or points.shape[1] not in (3, 4) or len(points) < 2:
             raise InputError(f"guess: shape {points.shape}; give a Clip, or a path of (k, 3) points in metres")
         return cut(points, legs_between(request.marks))
-    straight = round_trip(request.marks) if request.loop else [np.array(leg) for leg in legs_between(request.marks)]
     kept = [request.marks[i] for i in placed_marks(request.marks)]
     if not request.hazards:
         rows = obstacle_rows(request.vehicle, request.world, request.marks)
-        return straight if rows is None else divided(rows.drive(replace(request, marks=kept)), request.marks)
+        if rows is None:
+            return _straight(request)
+        progress("seeking a way among obstacles", 0.0)
+        return divided(rows.drive(replace(request, marks=kept)), request.marks)
     box = _airspace(request)
     if request.world.distance_field(progress, box=box) is None:
-        return straight
+        return _straight(request)
     middle, roomy, tight = balls(request.vehicle)
     up = np.array([0, 0, middle[2]])
     low = request.limits.get("ceiling") + middle[2]
     ceiling = low if math.isfinite(low) else None
 
     def flown(radius: float) -> list[Array]:
-        reach = radius + request.clearance
-        ways = [request.world.route(a + up, b + up, reach, ceiling, box) for a, b in legs_between(kept)]
+        ways, legs = [], legs_between(kept)
+        for done, (a, b) in enumerate(legs):
+            progress("seeking a way", done / len(legs))
+            ways.append(request.world.route(a + up, b + up, radius + request.clearance, ceiling, box))
         return divided([np.asarray(way) - up for way in ways], request.marks)
 
     try:

@@ -283,13 +283,15 @@ def _grid(x: Array, y: Array, z: Array) -> Array:
     return np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1)
 
 
-def _slabs(count: int, to: str, progress: Progress | None) -> Iterator[NDArray[np.int64]]:
-    """Indices below ``count`` in a few lots; ``progress`` is told when one is done."""
+def _slabs(
+    count: int, to: str, progress: Progress | None, first: float = 0.0, last: float = 1.0
+) -> Iterator[NDArray[np.int64]]:
+    """Indices below ``count`` in a few lots; ``progress``, from ``first`` to ``last``, is told when one is done."""
     slabs = np.array_split(np.arange(count), min(16, count))
     for done, slab in enumerate(slabs):
         yield slab
         if progress is not None:
-            progress(f"measuring distances to {to}", (done + 1) / len(slabs))
+            progress(f"measuring distances to {to}", first + (last - first) * (done + 1) / len(slabs))
 
 
 def _around(
@@ -305,13 +307,14 @@ def _around(
     axes = [lower[k] + step * np.arange(shape[k]) for k in range(3)]
     coarse = [np.unique([*range(0, n, 2), n - 1]) for n in shape]
     wide = [axis[kept] for axis, kept in zip(axes, coarse, strict=True)]
-    found = np.concatenate([nearest(points)[None] for points in _grid(*wide)])
+    slabs = _slabs(len(wide[0]), "the terrain", progress, last=0.5)
+    found = np.concatenate([nearest(_grid(wide[0][slab], *wide[1:])) for slab in slabs])
     sides = [
         (np.searchsorted(kept, range(n), "right") - 1, np.searchsorted(kept, range(n)))
         for kept, n in zip(coarse, shape, strict=True)
     ]
     distances = np.empty(tuple(shape), dtype=np.float32)
-    for slab in _slabs(shape[0], "the terrain", progress):
+    for slab in _slabs(shape[0], "the terrain", progress, first=0.5):
         points = _grid(axes[0][slab], *axes[1:])
         away = np.full(points.shape[:3], np.inf)
         for i, j, k in product(*sides):

@@ -31,7 +31,9 @@ ARC = np.radians(np.linspace(-50.0, 50.0, 41))
 PROFILE = 7
 """Rings that stand for a tyre's profile."""
 ROUNDS = 4
-"""Iterations of a contact's height and of the body's rest; each gains the slope's square."""
+"""Iterations of a contact's height; each gains the slope's square."""
+SETTLING = 5
+"""Iterations of the body's rest, each with one of its contacts' heights."""
 TRAVEL = "travel_"
 """Channels that slide a wheel up its suspension begin so."""
 GRIP = 1.1
@@ -180,30 +182,33 @@ def _rest(terrain: Terrain, wheels: tuple[Wheel, ...], xy: Array, yaw: Array) ->
     fit = np.linalg.pinv(np.column_stack([np.ones(len(wheels)), -centres[:, 0], centres[:, 1]]), rcond=1e-6)
     pose = np.zeros((len(xy), 3))
     pose[:, 0] = terrain.height(xy)
-    for _ in range(ROUNDS):
+    for _ in range(SETTLING):
         orientations = yaw_tilt(yaw, *pose[:, 1:].T)
         positions = np.column_stack([xy, pose[:, 0]])
-        travel = np.column_stack([touch(terrain, wheel, positions, orientations) for wheel in wheels])
+        travel = np.column_stack([touch(terrain, wheel, positions, orientations, 1) for wheel in wheels])
         pose = pose + travel @ fit.T
     return pose
 
 
-def touch(terrain: Terrain, wheel: Wheel, positions: Array, orientations: Array) -> Array:
-    """How far (n,) m up the body's vertical a wheel stands from its rest when it just touches the terrain."""
+def touch(terrain: Terrain, wheel: Wheel, positions: Array, orientations: Array, rounds: int = ROUNDS) -> Array:
+    """How far (n,) m up the body's vertical a wheel stands from its rest when it just touches the terrain.
+
+    Where that is little, one of ``rounds`` does.
+    """
     level = float(terrain.heights.flat[0])
     if np.all(terrain.heights == level):
         vertical = matrices(orientations)[:, 2]
         return np.asarray(((level - positions[:, 2:] - vertical @ wheel.rim.T) / vertical[:, 2:]).max(axis=1))
-    return np.concatenate(
-        [_touch(terrain, wheel, positions[k], orientations[k]) for k in _blocks(len(positions))] or [np.zeros(0)]
-    )
+    blocks = _blocks(len(positions))
+    found = [_touch(terrain, wheel, positions[k], orientations[k], rounds) for k in blocks]
+    return np.concatenate(found or [np.zeros(0)])
 
 
-def _touch(terrain: Terrain, wheel: Wheel, positions: Array, orientations: Array) -> Array:
+def _touch(terrain: Terrain, wheel: Wheel, positions: Array, orientations: Array, rounds: int) -> Array:
     R_wr = matrices(orientations)
     points = positions[:, None] + wheel.rim @ R_wr.swapaxes(1, 2)
     up, travel = R_wr[:, None, :, 2], np.zeros(len(positions))
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         moved = points[..., :2] + travel[:, None, None] * up[..., :2]
         ground = terrain.height(moved.reshape(-1, 2)).reshape(moved.shape[:2])
         travel = ((ground - points[..., 2]) / up[..., 2]).max(axis=1)

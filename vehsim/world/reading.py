@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim._meshes import triangulate
 from vehsim.errors import InputError, Problem
-from vehsim.parts import triangulate
 from vehsim.world.terrain import MAX_POINTS, Terrain
 
 Array = NDArray[np.float64]

@@ -69,10 +69,10 @@ def swings(vehicle: Any) -> tuple[Swing, ...]:
 def _read_swings(
     asset: Path, root: str | None, changed: int, size: int, drives: Any, outline: bytes
 ) -> tuple[Swing, ...]:
-    from vehsim.parts import read_parts
+    from vehsim.parts import solids
 
     whole = np.frombuffer(outline).reshape(-1, 2)
-    parts = {part.path: part for part in read_parts(asset, root)} if drives else {}
+    parts = {solid.path: solid for solid in solids(asset, root)} if drives else {}
     groups: dict[Any, list[Array]] = {}
     for part in parts.values():
         chain = [
@@ -81,8 +81,7 @@ def _read_swings(
             if prim in parts and (part.path + "/").startswith(prim + "/") and abs(parts[prim].T_rp[2, 2]) > 0.999
         ]
         if chain and part.hulls:
-            hulls = np.vstack(part.hulls) @ part.T_rp[:3, :3].T + part.T_rp[:3, 3]
-            groups.setdefault(tuple(chain), []).append(hulls)
+            groups.setdefault(tuple(chain), []).append(np.vstack(part.hulls))
     made = []
     for chain, bodies in groups.items():
         points = np.vstack(bodies)

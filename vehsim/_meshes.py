@@ -1,0 +1,83 @@
+"""Meshes of USD prims as points and triangles, with the colour they are seen in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim._cache import made_of
+from vehsim.errors import InputError
+
+Array = NDArray[np.float64]
+Faces = NDArray[np.int64]
+
+
+def apply(transform: Any, points: Any) -> Array:
+    """``points`` (n, 3) under a ``transform`` (4, 4)."""
+    return points @ transform[:3, :3].T + transform[:3, 3]
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A mesh in the rig root's frame."""
+
+    points: Array
+    faces: Faces
+    rgba: tuple[float, float, float, float]
+
+
+def mesh_of(asset: str | Path, node: Any, said: list[str]) -> Mesh | None:
+    """A mesh that is seen or collides, triangulated, in the rig root's frame; None when it is neither, or empty, which
+    is ``said``. Raises ``InputError`` for a broken one."""
+    from pxr import Usd, UsdGeom
+
+    if not (node.is_look or node.collides):
+        return None
+    when, mesh = Usd.TimeCode.EarliestTime(), UsdGeom.Mesh(node.prim)
+    points = np.array(mesh.GetPointsAttr().Get(when) or [], float).reshape(-1, 3)
+    counts = np.array(mesh.GetFaceVertexCountsAttr().Get(when) or [], np.int64)
+    indices = np.array(mesh.GetFaceVertexIndicesAttr().Get(when) or [], np.int64)
+    where = f"{made_of(asset)}: {node.prim.GetPath()}"
+    if not len(points) or not len(counts):
+        said.append(f"{where}: an empty mesh; left out")
+        return None
+    if counts.sum() != len(indices) or indices.min() < 0 or indices.max() >= len(points):
+        raise InputError(f"{where}: its faces do not fit its {len(points)} points; export the mesh again")
+    if not np.isfinite(points).all():
+        raise InputError(f"{where}: points that are not finite numbers; export the mesh again")
+    faces = triangulate(counts, indices, np.array(mesh.GetHoleIndicesAttr().Get(when) or [], np.int64))
+    left_handed = mesh.GetOrientationAttr().Get(when) == UsdGeom.Tokens.leftHanded
+    mirrored = np.linalg.det(node.matrix[:3, :3]) < 0
+    return Mesh(apply(node.matrix, points), faces[:, ::-1] if left_handed != mirrored else faces, _colour(mesh, when))
+
+
+def triangulate(counts: Faces, indices: Faces, holes: Faces | None = None) -> Faces:
+    """Faces of ``counts`` corners as fans of triangles (m, 3), as Hydra draws them; ``holes`` are left out."""
+    keep = np.ones(len(counts), bool)
+    if holes is not None:
+        keep[holes] = False
+    start = np.cumsum(counts) - counts
+    fans = np.where(keep, np.maximum(counts - 2, 0), 0)
+    first = np.repeat(start, fans)
+    step = np.arange(fans.sum()) - np.repeat(np.cumsum(fans) - fans, fans)
+    return np.stack([indices[first], indices[first + step + 1], indices[first + step + 2]], axis=1)
+
+
+def _colour(mesh: Any, when: Any) -> tuple[float, float, float, float]:
+    """The linear colour and opacity of a mesh's preview surface, else its display colour, else grey."""
+    from pxr import UsdShade
+
+    rgb, alpha = mesh.GetDisplayColorAttr().Get(when), mesh.GetDisplayOpacityAttr().Get(when)
+    colour, opacity = (rgb[0] if rgb else (0.5, 0.5, 0.5)), (alpha[0] if alpha else 1.0)
+    material = UsdShade.MaterialBindingAPI(mesh.GetPrim()).ComputeBoundMaterial()[0]
+    shader = material.ComputeSurfaceSource()[0] if material else None
+    if shader:
+        inputs = {name: shader.GetInput(name) for name in ("diffuseColor", "opacity")}
+        values = {name: value.Get(when) for name, value in inputs.items() if value}
+        colour = values.get("diffuseColor") or colour
+        opacity = opacity if values.get("opacity") is None else values["opacity"]
+    return (float(colour[0]), float(colour[1]), float(colour[2]), float(opacity))
