@@ -421,7 +421,7 @@ def test_no_memory_is_told_in_many_words(
     from vehsim import Shot
     from vehsim.batch.task import prepare, run_task
 
-    def starve(self: Shot, progress: object = None) -> None:
+    def starve(self: Shot, *asked: object, **more: object) -> None:
         raise error
 
     (shot,) = load_shots(write())

@@ -7,6 +7,7 @@ nothing else (`preload.py`), where the system has such; they end when the proces
 
 from __future__ import annotations
 
+import mmap
 import multiprocessing
 import os
 import signal
@@ -30,7 +31,7 @@ PATIENCE = 10.0
 ENDING = (signal.SIGINT, signal.SIGTERM)
 """Signals that reach a whole group of processes; the first process decides what follows."""
 RESERVE = 16_000_000
-"""Bytes a worker keeps for its last words."""
+"""Bytes of address space that a worker keeps for its last words."""
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "LP_NUM_THREADS")
 NAME = "vehsim worker"
 """What a worker is called in the system's list of processes."""
@@ -251,12 +252,12 @@ def _work(pipe: Connection, memory: float | None, environment: Mapping[str, str]
 
 def _run(run_task: Any, task: Task, tell: Tell) -> Outcome:
     """The task's outcome, also when there was not even memory left to say so: what we set aside is free by then."""
-    aside: list[bytearray] = [bytearray(RESERVE)]
+    aside = mmap.mmap(-1, RESERVE)
     try:
         outcome: Outcome = run_task(task, tell)
         return outcome
     except MemoryError:
-        aside.clear()
+        aside.close()
         return Outcome(task.name, "failed", "MemoryError", f"it ran out of memory; {MEMORY_MEND}", retire=True)
 
 
