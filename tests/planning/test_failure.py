@@ -153,6 +153,10 @@ def test_a_deadline_keeps_time_to_certify_and_begins_nothing_it_cannot_end(monke
 
     deadline.rehearse(finish)
     assert deadline.solving == 110.0 - MORE * 2.0 and not deadline.late
+    deadline.guessed = 9.0  # building a problem may take half of it: there are 5 s
+    assert not deadline.hopeless
+    deadline.guessed = 11.0
+    assert deadline.hopeless and not deadline.late and not Deadline().hopeless
     now[0] += 1.0
     deadline.solved(now[0] - 1.0, 50, over=False)  # 20 ms a node: from a motion half that, so 4 s are enough for 400
     assert deadline.allows(390) and not deadline.cut and not deadline.allows(410) and deadline.cut

@@ -100,7 +100,7 @@ class Attempt:
 
     def start(self, paths: list[Array], stretch: float = 1.0, clip: Clip | None = None) -> None:
         """Layout, leg lengths (of free legs stretched) and first guess: along the paths, or a ``clip`` as it is."""
-        marks, self.solved = self.request.marks, None
+        marks, self.solved, began = self.request.marks, None, time.monotonic()
         fixed = fixed_durations(marks, self.request.fps)
         if clip is None:
             free = stretch * cruising(marks, paths, min(CRUISE, 0.6 * self.request.limits.get("speed")))
@@ -122,18 +122,18 @@ class Attempt:
         self._look()
         if math.isfinite(self.deadline.end) and not (self.deadline.kept or self.deadline.late):
             self._rehearse()
+            self.deadline.guessed = time.monotonic() - began
 
     def _rehearse(self) -> None:
         """Finish the first guess on a few segments, to know how long that takes in the end."""
         clip = self._clip()
-        ends = clip.times[0], clip.times[-1]
+        few = clip.at(np.linspace(0.0, clip.duration, REHEARSED + 1))
+        moment, share = (clip.at([0.0, part * clip.duration]) for part in (1e-3, 1 / REHEARSED))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of a guess
-            # builds models, which takes longer
-            self._measured(clip.at(ends)), self._executed(), self.exported(clip.at(ends[:1]))
-            few = clip.at(np.linspace(*ends, REHEARSED + 1))
+            self._measured(moment), self._executed(), self.exported(moment)  # builds models, which takes longer
             self.deadline.rehearse(lambda: (self._measured(few), self._executed()))
-            self.deadline.rehearse(lambda: self.exported(few.at(few.times[:2])), REHEARSED)
+            self.deadline.rehearse(lambda: self.exported(share), REHEARSED)
 
     def _coarse(self) -> int:
         """Segments to find a plan on: as many as asked for, halved while enough are left."""

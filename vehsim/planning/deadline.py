@@ -23,6 +23,8 @@ class Deadline:
         self.end = end
         self.kept = 0.0
         """What certifying is expected to take, s."""
+        self.guessed = 0.0
+        """What the first guess took, certified and all, s."""
         self.a_node = 0.0
         """What the last solve took, built and all, s a node."""
         self.over = False
@@ -39,6 +41,11 @@ class Deadline:
     def late(self) -> bool:
         """No time is left to solve anything more."""
         return self.over or time.monotonic() > self.solving
+
+    @property
+    def hopeless(self) -> bool:
+        """No time is left to build a problem, which cannot be stopped: that takes half as long as the first guess."""
+        return self.late or time.monotonic() + self.guessed / 2 > self.solving
 
     def watched(self, progress: Progress | None) -> Progress:
         """``progress``, which raises `OutOfTime` where it is told anything after the end."""

@@ -163,7 +163,7 @@ def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
     attempt = Attempt(request, t, cover, progress)
     attempt.start(paths, clip=_own(request, guess))
     refused = "; ".join(map(str, refusals(request)))
-    if refused or attempt.deadline.late:
+    if refused or attempt.deadline.hopeless:
         attempt.give_up(refused or LATE.format(late))
         return _result(attempt)
     attempt.solve()
@@ -238,7 +238,7 @@ def _result(attempt: Attempt) -> Plan:
         message += f"; executed, the controls end {attempt.checked.final:.2f} m off: ask for more segments"
     if not success:
         warnings.warn(f"{request.vehicle.name}: plan failed: {message}", stacklevel=4)
-    begun = attempt.iterations > 0 or not attempt.deadline.late  # or else there is no time for wheels on the ground
+    begun = attempt.iterations > 0 or not attempt.deadline.hopeless  # or else there is no time for wheels on the ground
     return Plan(
         clip=attempt.exported(attempt.clip) if begun else replace(attempt.clip, vehicle=request.vehicle),
         success=success,
