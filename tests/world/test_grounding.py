@@ -35,7 +35,7 @@ def sampled(points, count, random):
 def test_nothing_of_a_hull_is_deeper_than_what_is_found(hull, seed):
     """The gap above the ground is that of 40,000 samples of the hull, or less; it touches when they do."""
     random, terrain = np.random.default_rng(seed), rough(seed)
-    side = Underside([hull])
+    side = Underside([hull], terrain)
     samples = sampled(hull, 4000, random)
     for _ in range(6):
         turn = Rotation.from_euler("ZYX", random.normal(size=3) * [2, 0.1, 0.1])
@@ -43,7 +43,7 @@ def test_nothing_of_a_hull_is_deeper_than_what_is_found(hull, seed):
         places = turn.apply(samples) + position
         nearest = (places[:, 2] - terrain.height(places[:, :2])).min()
         for above in (2.0, 0.05, -0.02):  # of the nearest sample over the ground
-            gap, points = side.on(terrain, turn.as_matrix(), position + np.array([0, 0, above - nearest]))
+            gap, points = side.on(turn.as_matrix(), position + np.array([0, 0, above - nearest]))
             assert (points is None) == (gap > 0)
             if above < 0:  # depths are along the normals: of the ground, or of the hull's face that a peak is in
                 assert points is not None and 0.5 * -above < max(points.depths) < -above + 0.06

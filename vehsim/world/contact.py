@@ -190,7 +190,7 @@ class ContactScene:
         reach = float(max(np.linalg.norm(hull - vehicle.origin, axis=1).max() for hull in hulls))
         inverse = np.linalg.inv(np.asarray(vehicle.inertia, float))
         if self.terrain is not None:
-            self._undersides.append(Underside(hulls))
+            self._undersides.append(Underside(hulls, self.terrain))
         return Body(body, vehicle, self._joint(body), reach, inverse)
 
     def _course(self, obstacle: Any) -> Course:
@@ -263,7 +263,7 @@ class ContactScene:
         }
         if self.terrain is not None:
             for a, (side, m) in enumerate(zip(self._undersides, moving, strict=False)):
-                gap, points = side.on(self.terrain, matrices(m.orientation), m.position)
+                gap, points = side.on(matrices(m.orientation), m.position)
                 soon = min(soon, gap / max(m.fastest, 1e-6))
                 if points is not None:
                     pairs[(a, None, TERRAIN)] = points

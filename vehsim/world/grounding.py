@@ -30,26 +30,35 @@ class Points:
 
 
 class Underside:
-    """Convex hulls (n, 3) m each, in a body's frame, against a terrain below."""
+    """Convex hulls (n, 3) m each, in a body's frame, above a ``terrain``."""
 
-    def __init__(self, hulls: list[Array]) -> None:
+    def __init__(self, hulls: list[Array], terrain: Any) -> None:
         from scipy.spatial import ConvexHull
 
         shapes = [ConvexHull(hull) for hull in hulls]
-        self.hulls = hulls
-        self.corners = np.concatenate(hulls)
+        self.terrain, self.corners = terrain, np.concatenate(hulls)
         self.planes = [np.unique(shape.equations.round(9), axis=0) for shape in shapes]
         ends = [np.unique(np.sort(s.simplices[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)), axis=0) for s in shapes]
-        self.edges = np.concatenate([hull[pairs] for hull, pairs in zip(hulls, ends, strict=True)])
+        before = np.cumsum([0, *map(len, hulls[:-1])])
+        self.edges = np.concatenate([pairs + first for pairs, first in zip(ends, before, strict=True)])
+        along = [np.abs(np.diff(terrain.heights, axis=1 - i)).max() / terrain.cell[i] for i in range(2)]
+        self.steepest = float(np.hypot(*along))
 
-    def on(self, terrain: Any, R_wb: Array, position: Array) -> tuple[float, Points | None]:
+    def on(self, R_wb: Array, position: Array) -> tuple[float, Points | None]:
         """How far above the ground the body is, m, or nearer, and where it is in it."""
+        terrain = self.terrain
         corners = self.corners @ R_wb.T + position
         peaks = _within(terrain, corners[:, :2].min(axis=0), corners[:, :2].max(axis=0))
-        above = float(corners[:, 2].min() - max(peaks[:, 2].max(initial=-np.inf), terrain.height(corners[:, :2]).max()))
+        ground = terrain.height(corners[:, :2])
+        above = float(corners[:, 2].min() - max(peaks[:, 2].max(initial=-np.inf), ground.max()))
         if above > 0:
             return above, None
-        places = np.concatenate([corners, _crossings(terrain, self.edges @ R_wb.T + position)])
+        gap = max(float((corners[:, 2] - ground).min()), 0.0)
+        ends = corners[self.edges]
+        long = np.hypot(*(ends[:, 1, :2] - ends[:, 0, :2]).T)
+        # the ground between two ends is no higher than halfway between them and then up as steeply as it gets
+        near = ends[:, :, 2].min(axis=1) - ground[self.edges].mean(axis=1) - self.steepest * long / 2 < gap + TOUCH
+        places = np.concatenate([corners, _crossings(terrain, ends[near])])
         depths = terrain.height(places[:, :2]) - places[:, 2]
         gap = -float(depths.max())
         under = depths > TOUCH
