@@ -95,6 +95,10 @@ def check_delivery(names: Sequence[str], out: Path, shot: Shot) -> None:
 
     check_stage_is_there(names, shot.usd.layer_only)
     (may_hold_versions if shot.usd.versions else may_replace)(out / shot.name)
+    home = out / shot.name if shot.usd.versions else out
+    there = next(path for path in (home, *home.parents) if os.path.exists(path))
+    if not os.access(there, os.W_OK):  # known now, and not after a thousand clips were solved
+        raise InputError(f"{there}: may not be written to; export elsewhere, or mend its permissions")
 
 
 def check_stages(paths: Sequence[Path]) -> None:
