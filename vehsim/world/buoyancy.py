@@ -82,9 +82,15 @@ class Afloat(Environment):
     @cached_property
     def field(self) -> WaterField | None:
         """The water in MuJoCo that is asked where it stands over the hull; None: the surface itself is asked."""
+        cell, samples = self.samples
+        return WaterField(self.water, cell, samples) if samples else None
+
+    @property
+    def samples(self) -> tuple[float, int]:
+        """Cell (m) of that field and how many samples a side it has, 0: there is none. Raises ``InputError``."""
         cell, water = self.water.height_field, self.water
         if cell == 0:
-            return None
+            return 0.0, 0
         corners = np.concatenate([self.mesh.points, self.data.propulsor_points, np.zeros((1, 3))])
         reach = 2 * float(np.sqrt((corners**2).sum(axis=1).max()))
         if cell is None:
@@ -94,10 +100,12 @@ class Afloat(Environment):
         if water.grids is not None:
             cell = min(water.grids.cell)
         samples = int(np.ceil(reach / cell)) + 5
+        if samples > MOST and water.grids is not None:
+            return cell, 0  # they answer alike, only more slowly
         if samples > MOST:
             message = f"{samples} samples a side for what is {reach:.0f} m wide, {MOST} at most"
             raise InputError(str(Problem("world.water.height_field", message, "give a wider cell", cell)))
-        return WaterField(water, cell, samples)
+        return float(cell), samples
 
     @property
     def draft(self) -> float:
