@@ -40,6 +40,7 @@ die_with_parent()
 gc.disable()  # what modules make stays
 for _name in MODULES:
     importlib.import_module(_name)
+importlib.import_module("pxr.Work").SetConcurrencyLimit(1)  # stages are small: more threads would turn while they wait
 importlib.import_module("vehsim.batch.inputs").code()  # read and hashed once for all
 importlib.import_module("vehsim.delivery").exporter_names()  # what is installed is looked through as well
 gc.freeze()  # no worker need look through it, or copy it by looking
