@@ -6,6 +6,7 @@ import signal
 import time
 import warnings
 from contextlib import suppress
+from dataclasses import replace
 from threading import Thread
 from types import SimpleNamespace
 
@@ -15,7 +16,7 @@ import pytest
 import vehsim
 from tests.planning.test_plan import REST, tug
 from vehsim import Mark, Shot
-from vehsim.errors import ShotError
+from vehsim.errors import InputError, ShotError, SolveError
 from vehsim.planning import ranges, relax
 from vehsim.planning.deadline import MORE, Deadline
 from vehsim.planning.feasibility import refusals, strength
@@ -427,3 +428,38 @@ def test_among_obstacles_too_it_is_said_which_mark_is_too_early(monkeypatch):
             vehsim.load_vehicle("helicopter"), world, marks, segments=16, limits={"bank": np.radians(20)}
         )
     assert not plan.success and len(plan.clip)
+
+
+def test_where_no_miss_is_found_the_frame_is_nevertheless(monkeypatch):
+    """The problem with room to miss marks is not solved, that with room to be late is; what can be done is not late."""
+    monkeypatch.setattr(relax, "_missed", lambda attempt: ("", None))
+    monkeypatch.setattr("vehsim.planning.planner.RETRIES", ())
+    with pytest.warns(UserWarning, match=r": mark\[1\].frame = 25 is too early; \d+ would do$") as heard:
+        vehsim.plan(vehsim.load_vehicle("car"), None, CAR_ASIDE, segments=12)
+    frame = int(re.search(r"(\d+) would do", str(heard[0].message))[1])
+    assert vehsim.plan(
+        vehsim.load_vehicle("car"), None, [CAR_ASIDE[0], replace(CAR_ASIDE[1], frame=frame + 12)]
+    ).success
+    with pytest.warns(UserWarning, match=r"the motion at frame \d+, off by"):
+        vehsim.plan(tug(), None, TUG_ASIDE, segments=8, max_iterations=1)
+
+
+def test_marks_in_the_rock_and_without_a_way_are_named():
+    """By mark, in its own place; a way's clearance by what was asked and what the vehicle needs."""
+    x, y = np.meshgrid(np.arange(0, 120.0, 2), np.arange(0, 60.0, 2))
+    basin = (np.abs(x - 30) < 22) | (np.abs(x - 90) < 22)
+    world = vehsim.World(Terrain("basins", np.where(basin & (np.abs(y - 30) < 22), 0.0, 60.0), (0, 0), (2, 2)))
+
+    def refusal(*goal, **options):
+        marks = [Mark(1, position=(30, 30, 10), velocity=REST), Mark(97, position=goal)]
+        with pytest.raises((InputError, SolveError)) as caught:
+            vehsim.plan(vehsim.load_vehicle("helicopter"), world, marks, segments=16, **options)
+        return str(caught.value)
+
+    assert refusal(60, 30, 10).startswith("mark[1].position = [60.0, 30.0, 10.0]: lies 50.0 m inside the rock; raise")
+    lid = {"ceiling": 40}
+    assert refusal(90, 30, 50, limits=lid).startswith("mark[1].position = [90.0, 30.0, 50.0]: lies above the ceiling")
+    assert refusal(90, 30, 10, limits=lid) == (
+        "no way from mark[0] to mark[1] with 1 m clearance and 5.4 m for the helicopter itself below the ceiling of 40 "
+        "m; raise the ceiling or lower the clearance"
+    )

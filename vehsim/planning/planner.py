@@ -37,16 +37,17 @@ from vehsim.planning.legs import (
 )
 from vehsim.planning.marks import Mark
 from vehsim.planning.obstacles import obstacle_rows
-from vehsim.planning.relax import diagnose
+from vehsim.planning.relax import diagnose, too_early
 from vehsim.planning.request import Request, all_marks, ask, shape
 from vehsim.planning.terms import Term
 from vehsim.planning.transcription import transcription
 from vehsim.vehicles import Vehicle
+from vehsim.world.route import check_free
 
 RETRIES = ((1.7, 0.0), (0.6, 0.08), (1.2, -0.15))
 """First guesses tried when the first fails: durations of free legs times, and how far each path bends aside, of its
 length."""
-LATE = "time limit reached before solving began{}: this is the first guess, and not checked"
+LATE = "time limit reached before solving began{}: there is no more than a first guess, which nobody checked"
 """Said of a plan for which there was no time, and what it was needed for."""
 ROOM = 30.0
 """How far from the first path the optimiser sees the terrain, m."""
@@ -132,8 +133,10 @@ def plan(
     brings joints and controls along when it is of such a vehicle, or a path (k, 3) m to start from; ``refine`` until
     the controls, executed finely, end within 0.1 m of the plan, or say so; ``terms``: costs and constraints of one's
     own (`terms.Cost`, `terms.Constraint`, `ranges.look_at`, `ranges.stay`); ``loop``: the motion ends as it begins;
-    ``solver``: a name of `solver.SOLVERS`; ``time_limit`` s, after which the best motion so far comes back,
-    certified: from half a second on, or from one or two where vehicle and world are still to be read.
+    ``solver``: a name of `solver.SOLVERS`; ``time_limit`` s from the call on, after which the best motion so far comes
+    back, certified. Loading counts: where it takes longer, as it may below half a second, or one where terrain is near,
+    the first guess comes back, and a message that says so. Distances to a new terrain are measured once, which takes
+    seconds, and are kept.
 
     Raises ``InputError`` for what cannot be asked. What cannot be solved comes back with ``success = False`` and a
     message, and a warning.
@@ -199,15 +202,18 @@ def _again(attempt: Attempt, paths: list[Array], guess: Any) -> None:
             ways = divided(attempt.rows.drive(replace(request, marks=kept), wariness), request.marks)
         attempt.start(ways, stretch)
         attempt.solve()
-    if blocked and not attempt.solution.success and not attempt.deadline.late:  # what of it can be met the first way?
-        best = attempt.state
-        attempt.start(paths, clip=_own(request, guess))
+    if attempt.solution.success or attempt.why or attempt.deadline.late:
+        return
+    best = attempt.state  # what of it can be met the first way, and when could all be?
+    attempt.start(paths, clip=_own(request, guess))
+    if blocked:
         attempt.why, near = diagnose(attempt)
         if near is not None:
             attempt.x = near
             attempt.solve()
-        if not attempt.solution.success:
-            attempt.state = best
+    if not attempt.solution.success:
+        attempt.why = attempt.why or too_early(attempt, attempt.guess)
+        attempt.state = best
 
 
 def _finish(attempt: Attempt) -> Plan:
@@ -313,25 +319,33 @@ def _paths(request: Request, guess: Any, progress: Progress) -> list[Array]:
         progress("seeking a way among obstacles", 0.0)
         return divided(rows.drive(replace(request, marks=kept)), request.marks)
     box = _airspace(request)
-    if request.world.distance_field(progress, box=box) is None:
+    field = request.world.distance_field(progress, box=box)
+    if field is None:
         return _straight(request)
     middle, roomy, tight = balls(request.vehicle)
     up = np.array([0, 0, middle[2]])
-    low = request.limits.get("ceiling") + middle[2]
-    ceiling = low if math.isfinite(low) else None
+    ceiling = request.limits.get("ceiling")
+    lid = ceiling + middle[2] if math.isfinite(ceiling) else None
 
     def flown(radius: float) -> list[Array]:
         ways, legs = [], legs_between(kept)
         for done, (a, b) in enumerate(legs):
             progress("seeking a way", done / len(legs))
-            ways.append(request.world.route(a + up, b + up, radius + request.clearance, ceiling, box))
+            try:
+                ways.append(request.world.route(a + up, b + up, radius + request.clearance, lid, box))
+            except InputError:
+                for mark, end in ((kept[done], a), (kept[done + 1], b)):
+                    check_free(field, f"{mark.name}.position", end, request.clearance, ceiling, request.world.height)
+                raise
+            except SolveError:
+                room = f"{request.clearance:g} m clearance and {radius:.1f} m for the {request.vehicle.name} itself"
+                below = "" if lid is None else f" below the ceiling of {ceiling:g} m"
+                mend = "lower the clearance" if lid is None else "raise the ceiling or lower the clearance"
+                names = f"{kept[done].name} to {kept[done + 1].name}"
+                raise SolveError(f"no way from {names} with {room}{below}; {mend}") from None
         return divided([np.asarray(way) - up for way in ways], request.marks)
 
     try:
         return flown(roomy)
     except SolveError:  # no way for all its spheres; whether it gets through nose first, the solve says
-        pass
-    try:
         return flown(tight)
-    except SolveError as error:
-        raise SolveError(f"{error}; {tight:.1f} m of it for the {request.vehicle.name} itself") from None

@@ -34,7 +34,7 @@ def diagnose(attempt: Attempt) -> tuple[str, Array | None]:
     missed, x = _missed(attempt)
     if x is None or not missed:
         return "", x
-    late = _late(attempt, x)
+    late = too_early(attempt, x, "earliest {}")
     return f"{missed}; {late}" if late else missed, None
 
 
@@ -72,8 +72,9 @@ def _amount(label: str, off: Array) -> str:
 _UNITS = {"position": " m", "velocity": " m/s", "speed": " m/s"}
 
 
-def _late(attempt: Attempt, near: Array) -> str:
-    """The first mark that can only be later, found from a motion that misses marks."""
+def too_early(attempt: Attempt, near: Array, when: str = "{} would do") -> str:
+    """The first mark that can only be later, found from a motion that misses marks, and ``when`` it can; empty where
+    none is found."""
     layout, request = attempt.layout, attempt.request
     fixed = fixed_durations(request.marks, request.fps)
     held = np.array([mark.hold > 0 for mark in request.marks[:-1]])
@@ -91,7 +92,7 @@ def _late(attempt: Attempt, near: Array) -> str:
     arrivals = np.cumsum(x[layout.lengths] * counts) * float(request.fps) + int(request.marks[0].frame)
     for mark, frame in zip(request.marks[1:], arrivals, strict=True):
         if mark.frame != "free" and frame > int(mark.frame) + NOTHING * float(request.fps):
-            return f"{mark.name}.frame = {mark.frame} is too early; earliest {math.ceil(frame - 1e-3)}"
+            return f"{mark.name}.frame = {mark.frame} is too early; {when.format(math.ceil(frame - 1e-3))}"
     return ""
 
 

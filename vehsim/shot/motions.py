@@ -172,7 +172,8 @@ class PlanMotion(Table):
                 **self._options(),
             )
         if not result.success:
-            mend = "loosen marks, clearance or limits" if self.time_limit is None else "give it a longer time_limit"
+            late = "time limit reached" in result.message
+            mend = "give it a longer time_limit" if late else "loosen marks, clearance or limits"
             raise SolveError(f"{vehicle.name}: no plan was found: {result.message}; {mend}")
         # how long it took is left out: the same shot gives the same report
         names = ("success", "message", "cost", "duration", "iterations", "segments", "defect", "clearance")

@@ -45,7 +45,7 @@ def find_route(
     if field is None or np.ptp(ends, axis=0).max() == 0:
         return ends
     for name, end in zip(("start", "goal"), ends, strict=True):
-        _check_free(field, name, end, clearance, ceiling, height)
+        check_free(field, name, end, clearance, ceiling, height)
     highest = float(ends[:, 2].max())
     ceilings = [highest + lift for lift in LIFTS] if ceiling is None else [ceiling]
     search = _Search(field, ends, clearance)
@@ -70,7 +70,7 @@ def _point(name: str, value: ArrayLike) -> Array:
     return point
 
 
-def _check_free(
+def check_free(
     field: DistanceField,
     name: str,
     point: Array,
