@@ -1,5 +1,7 @@
 """The water's surface: waves that obey their laws, seas with their statistics, grids, and MuJoCo's picture of them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -284,6 +286,26 @@ def test_nothing_is_asked_off_a_grid():
         field.heights([[0.0, 0.0]])
     with pytest.raises(SolveError, match="13 samples a side, made for 9 at most"):
         field.update(0.0, (10.0, 0.0), (15.0, 1.0))
+
+
+def test_a_boat_rides_a_solvers_grids_from_the_first_to_the_last():
+    """A frame apart and on oblong cells, as on the waves they are of; off their border it is said in a user's words."""
+    boat, waves = vehsim.load_vehicle("boat"), wave(0.4, 12.0, 0.3)
+    times, (low, cell) = np.arange(13) / 24, ((-9.0, -6.0), (0.25, 0.4))
+    x, y = np.meshgrid(low[0] + cell[0] * np.arange(80), low[1] + cell[1] * np.arange(31))
+    places = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, np.inf)])
+    heights, flow = zip(*(waves.at(places, 0.0, t) for t in times), strict=True)
+    shape = (len(times), *x.shape)
+    water = Water(surface=WaterGrids(times, np.reshape(heights, shape), np.reshape(flow, (*shape, 3)), low, cell))
+    start = State(twist=[0, 0, 0, 5.0, 0, 0])
+    seen, known = (
+        vehsim.simulate(boat, World(water=w), (2000.0, 0.0), start, duration=0.5) for w in (water, Water(surface=waves))
+    )
+    assert np.abs(seen.positions - known.positions).max() < 0.01
+    for cell in (None, 0.0):
+        with pytest.raises(SolveError, match=r"off the grid \[-9.0, -6.0\] to \[10.75, 6.0\]; enlarge it"):
+            edge = State(position=(9.0, 0.0, 0.0))
+            vehsim.simulate(boat, World(water=replace(water, height_field=cell)), None, edge, duration=0.1)
 
 
 def test_grids_are_read_and_refused(tmp_path):

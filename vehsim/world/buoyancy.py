@@ -104,7 +104,7 @@ class Afloat(Environment):
             return cell, 0  # they answer alike, only more slowly
         if samples > MOST:
             message = f"{samples} samples a side for what is {reach:.0f} m wide, {MOST} at most"
-            raise InputError(str(Problem("world.water.height_field", message, "give a wider cell", cell)))
+            raise InputError(str(Problem("world.water.height_field", message, "give a wider cell, or 0", cell)))
         return float(cell), samples
 
     @property

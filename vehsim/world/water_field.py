@@ -65,7 +65,8 @@ class WaterField:
         low, high = xy.min(axis=0), xy.max(axis=0)
         if not (self.water.flat and (self.low <= low).all() and (high <= self.high).all()):
             self.update(t, low, high)
-        return self.heights(xy), self.water.at(points, t, self._rest(xy))[1]
+        velocity = self.water.at(points, t, self._rest(xy))[1]  # first: it says what is off a solver's grid
+        return self.heights(xy), velocity
 
     def _rest(self, xy: Array) -> Array | None:
         """About where (n, 2) the water is at rest that stands at ``xy`` (n, 2): between the samples around."""

@@ -13,6 +13,9 @@ from vehsim.errors import InputError, Problem, SolveError
 from vehsim.world.water import Array
 
 KEYS = ("times", "heights", "velocities", "origin", "cell")
+SLACK = 2e-3
+"""How long before the first grid and after the last there still is water, s, and as a share of the time between two:
+times may be rounded, and the water's acceleration is asked about a millisecond either way."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +24,7 @@ class WaterGrids:
 
     ``velocities`` (n, rows, cols, 3) m/s of the water near the surface, or None: what follows from the heights alone
     (rising and falling). ``origin`` (x, y) of the first sample and ``cell`` (dx, dy), m. Linear in time; each cell is
-    split along (r, c)-(r+1, c+1), as MuJoCo does. A question off the grid, or after its end, raises ``SolveError``.
+    split along (r, c)-(r+1, c+1), as MuJoCo does. A question off the grid, or off its times, raises ``SolveError``.
     """
 
     times: Array
@@ -118,15 +121,15 @@ class WaterGrids:
 
     def _instant(self, t: float) -> tuple[int, float, float]:
         """The grid before ``t`` s, the share of the one after it, and the seconds between."""
-        slack = 1e-9 + 1e-3 * (self.times[-1] - self.times[0]) / max(len(self.times) - 1, 1)
-        if len(self.times) < 2 or not self.times[0] - 2 * slack <= t <= self.times[-1] + 2 * slack:
+        slack = SLACK * max(1.0, (self.times[-1] - self.times[0]) / max(len(self.times) - 1, 1))
+        if len(self.times) < 2 or not self.times[0] - slack <= t <= self.times[-1] + slack:
             end = f"{self.times[0]:.3f} to {self.times[-1]:.3f} s"
             raise SolveError(
                 f"world.water.grids: asked at {t:.3f} s, but they cover {end}; simulate more of the liquid"
             )
         k = int(np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, len(self.times) - 2))
         span = float(self.times[k + 1] - self.times[k])
-        return k, float(np.clip((t - self.times[k]) / span, 0, 1)), span
+        return k, float((t - self.times[k]) / span), span
 
     def _cells(self, xy: Array) -> tuple[tuple[Array, Array], Array]:
         """Rows and columns (n, 3) of the samples around ``xy`` (n, 2), and their weights (n, 3)."""
