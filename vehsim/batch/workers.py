@@ -85,13 +85,15 @@ def run_on_processes(tasks: Sequence[Task], count: int, tell: Tell, memory: floa
 
 def _dispatch(crew: list[_Worker], jobs: Sequence[Job], tell: Tell) -> Iterator[Outcome]:
     """The outcomes of what is run. Clips whose field is being measured wait for it, others do not."""
-    waiting, deaths = deque(jobs), Counter[tuple[str, str]]()
+    waiting, deaths, ended = deque(jobs), Counter[tuple[str, str]](), list[Outcome]()
     measuring = {job.task.field for job in jobs if job.kind == "measure"}
     while True:
         for worker in crew:
             while worker.job is None and (job := _next(waiting, measuring)) is not None:
                 if not worker.give(job):
                     waiting.appendleft(job)
+        yield from ended  # told when all have work again
+        ended.clear()
         busy: dict[Any, tuple[_Worker, Job]] = {w.pipe: (w, w.job) for w in crew if w.job is not None}
         if not busy:
             return
@@ -115,7 +117,7 @@ def _dispatch(crew: list[_Worker], jobs: Sequence[Job], tell: Tell) -> Iterator[
             if message.retire:
                 worker.replace()
             if job.kind == "run":
-                yield message
+                ended.append(message)
             measuring.discard(job.task.field)  # what could not be measured is said by the clips that need it
 
 
