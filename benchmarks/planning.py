@@ -212,7 +212,7 @@ NOTES = """
   among ten obstacles 0.5 s: 0.40 to 0.51 (0.69 to 0.97 before, mostly loading), helicopter in free space 0.5 s: 0.49 to
   0.51, canyon 1 s: 0.79 to 0.99 (1.07 to 1.19 before), 2 s: 1.92 to 1.99, solved on 128 segments (32 to 128 before).
   What is left of loading: scipy for the way round obstacles (0.17 s) and through the canyon (0.25 s), MuJoCo's model
-  (0.12 s). USD (0.2 s) is no longer loaded for vehicles that are known. Where no time is left to solve, nothing is built.
+  (0.12 s). USD (0.2 s) is no longer loaded for vehicles that are known. Without time to solve, nothing is built.
 - **Fewer levels** to N=128: 32 to 128 at once as long, 128 directly 4.0 and 4.3 s for 2.5 and 2.6.
 - **Built problems shared between processes** (a thousand clips): a helicopter's is read back in 48 to 72 ms and
   built in 38; in the canyon, where the field is part of it, 367 ms and 48 MB for 70 ms; a car's in 10 for 19, without

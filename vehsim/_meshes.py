@@ -1,7 +1,8 @@
-"""Meshes of USD prims as points and triangles, with the colour they are seen in."""
+"""Meshes of USD prims as points and triangles, with the colour they are seen in, and their convex hulls."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim._cache import made_of
+from vehsim._cache import kept_arrays, made_of
 from vehsim.errors import InputError
 
 Array = NDArray[np.float64]
@@ -81,3 +82,20 @@ def _colour(mesh: Any, when: Any) -> tuple[float, float, float, float]:
         colour = values.get("diffuseColor") or colour
         opacity = opacity if values.get("opacity") is None else values["opacity"]
     return (float(colour[0]), float(colour[1]), float(colour[2]), float(opacity))
+
+
+def convex_hulls(clouds: Sequence[Array]) -> list[Array]:
+    """The vertices (k, 3) of the convex hull of each cloud of points (n, 3), kept by content."""
+    return kept_arrays("hulls", clouds, lambda: [_hull(points) for points in clouds])
+
+
+def _hull(points: Array) -> Array:
+    """The vertices of the convex hull of ``points``; what is flat is thickened to a millimetre."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        return points[ConvexHull(points).vertices]
+    except QhullError:
+        corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T * 5e-4
+        thick = (points[:, None] + corners).reshape(-1, 3)
+        return thick[ConvexHull(thick).vertices]

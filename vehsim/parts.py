@@ -23,8 +23,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim._cache import keep, kept_arrays, made_of, packed, recalled, unpacked
-from vehsim._meshes import Faces, Mesh, apply, mesh_of
+from vehsim._cache import keep, made_of, packed, recalled, unpacked
+from vehsim._meshes import Faces, Mesh, apply, convex_hulls, mesh_of
 from vehsim.errors import InputError
 from vehsim.vehicles._base import Rig
 
@@ -64,7 +64,7 @@ class Part:
     @cached_property
     def hulls(self) -> tuple[Array, ...]:
         """The vertices (k, 3) m of its collision meshes' convex hulls."""
-        return tuple(_hulls(self.collision)) if self.collision else ()
+        return tuple(convex_hulls(self.collision)) if self.collision else ()
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,9 @@ def solids(asset: str | Path, root: str | None = None) -> list[Solid]:
             f"{made_of(asset)}: no mesh carries UsdPhysics.CollisionAPI; the convex hull of each part stands in, which "
             "may be far too large; mark collision meshes for honest clearances"
         )
-    hulls = [tuple(apply(part.T_rp, hull) for hull in _hulls(own)) for part, own in zip(parts, meshes, strict=True)]
+    hulls = [
+        tuple(apply(part.T_rp, hull) for hull in convex_hulls(own)) for part, own in zip(parts, meshes, strict=True)
+    ]
     found = [Solid(part.name, part.path, part.T_rp, own) for part, own in zip(parts, hulls, strict=True)]
     for message in said:
         warnings.warn(message, stacklevel=2)
@@ -386,20 +388,3 @@ class _Draft:
             collision=tuple(apply(to_frame, mesh.points) for mesh in self.collision),
             rgba=largest.rgba if largest else (0.5, 0.5, 0.5, 1.0),
         )
-
-
-def _hulls(clouds: Sequence[Array]) -> list[Array]:
-    """`_hull` of each."""
-    return kept_arrays("hulls", clouds, lambda: [_hull(points) for points in clouds])
-
-
-def _hull(points: Array) -> Array:
-    """The vertices of the convex hull of ``points``; what is flat is thickened to a millimetre."""
-    from scipy.spatial import ConvexHull, QhullError
-
-    try:
-        return points[ConvexHull(points).vertices]
-    except QhullError:
-        corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T * 5e-4
-        thick = (points[:, None] + corners).reshape(-1, 3)
-        return thick[ConvexHull(thick).vertices]

@@ -168,16 +168,16 @@ def test_a_deadline_keeps_time_to_certify_and_begins_nothing_it_cannot_end(monke
 
 def test_what_comes_after_certifying_is_rehearsed_too(monkeypatch):
     """Wheels are put on the terrain when all is solved, which takes seconds: a share of the motion tells how long."""
-    from vehsim.planning import attempt
+    from vehsim.planning import attempt, motion
 
-    now, deadlines, lift = [0.0], [], attempt.on_ground
+    now, deadlines, lift = [0.0], [], motion.lift
 
     def slowly(clip, world):
         now[0] += clip.duration
         return lift(clip, world)
 
     monkeypatch.setattr("vehsim.planning.deadline.time", SimpleNamespace(monotonic=lambda: now[0]))
-    monkeypatch.setattr(attempt, "on_ground", slowly)
+    monkeypatch.setattr(motion, "lift", slowly)
     monkeypatch.setattr(attempt, "Deadline", lambda end: deadlines.append(Deadline(end)) or deadlines[-1])
     marks = [Mark(1, position=REST, heading=0, velocity=REST), Mark(73, position=(12, 1, 0), velocity=REST)]
     with warnings.catch_warnings(record=True) as heard:  # nothing of what the first guess would ask of tyres

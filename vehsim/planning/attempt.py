@@ -9,16 +9,13 @@ import math
 import time
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.clip import Clip
-from vehsim.integrators.integrator import build_clip
-from vehsim.planning.certify import SAMPLES, Executed, certify, certify_plane, executed
+from vehsim.planning.certify import SAMPLES, Executed, certify, certify_plane
 from vehsim.planning.cover import SLOPE, forgiven, landings
 from vehsim.planning.deadline import Deadline
 from vehsim.planning.elements import Problem
@@ -32,6 +29,7 @@ from vehsim.planning.legs import (
     split_segments,
     whole_frames,
 )
+from vehsim.planning.motion import Motion, exported
 from vehsim.planning.multipliers import carried
 from vehsim.planning.obstacles import FINEST, obstacle_rows
 from vehsim.planning.problem import build, distances, hold_adrift, parameter_values, variable_bounds
@@ -39,7 +37,6 @@ from vehsim.planning.request import Request
 from vehsim.planning.shelf import Shelf, common
 from vehsim.planning.solver import Multipliers, Solution, Solver, Start
 from vehsim.planning.transcription import Transcription
-from vehsim.world.ground import lift as on_ground
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -126,14 +123,18 @@ class Attempt:
 
     def _rehearse(self) -> None:
         """Finish the first guess on a few segments, to know how long that takes in the end."""
-        clip = self._clip()
+        clip = self.motion.clip()
         few = clip.at(np.linspace(0.0, clip.duration, REHEARSED + 1))
         moment, share = (clip.at([0.0, part * clip.duration]) for part in (1e-3, 1 / REHEARSED))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of a guess
-            self._measured(moment), self._executed(), self.exported(moment)  # builds models, which takes longer
-            self.deadline.rehearse(lambda: (self._measured(few), self._executed()))
-            self.deadline.rehearse(lambda: self.exported(share), REHEARSED)
+            (
+                self._measured(moment),
+                self.motion.executed(),
+                exported(moment, self.request),
+            )  # builds models, which takes longer
+            self.deadline.rehearse(lambda: (self._measured(few), self.motion.executed()))
+            self.deadline.rehearse(lambda: exported(share, self.request), REHEARSED)
 
     def _coarse(self) -> int:
         """Segments to find a plan on: as many as asked for, halved while enough are left."""
@@ -179,16 +180,16 @@ class Attempt:
         if not row.startswith("dynamics["):
             return row
         segment = int(row[9:-1]) // len(self.layout.fractions)
-        return f"the motion at frame {self._seconds()[segment] * float(self.request.fps):.0f}"
+        return f"the motion at frame {self.motion.seconds()[segment] * float(self.request.fps):.0f}"
 
     def parameters(self) -> Array:
         """The parameter vector: of wind, weights and marks, then of what is to be kept clear of."""
         request, layout = self.request, self.layout
         values = [parameter_values(self.t, layout, request.marks, request.wind, self.margin, request.weights)]
         if self.cover is not None:
-            values.append(self.cover.values(layout, request.marks, self.lengths, self._seconds()[0]))
+            values.append(self.cover.values(layout, request.marks, self.lengths, self.motion.seconds()[0]))
         if self.rows is not None:
-            values.append(self.rows.values(self._seconds(), request.clearance))
+            values.append(self.rows.values(self.motion.seconds(), request.clearance))
         return np.concatenate(values)
 
     def _answer(self, solver: Solver, lower: Array, upper: Array, values: Array, start: Start) -> Solution:
@@ -224,7 +225,7 @@ class Attempt:
         """End with the first guess, where nothing can be solved."""
         nothing = np.zeros(0)
         self.solution = Solution(self.x, math.nan, math.inf, False, message, 0, nothing)
-        self.stale, self.worst, self.clip = False, "", self._clip()
+        self.stale, self.worst, self.clip = False, "", self.motion.clip()
         if self.request.hazards or self.rows is not None:
             self.clearance = math.nan  # nobody measured it
 
@@ -257,7 +258,12 @@ class Attempt:
             note = self.note  # a lower order may still be in time
             self._try(asked, 2)
             self.note = note
-        self.checked = self._executed()
+        self.checked = self.motion.executed()
+
+    @property
+    def motion(self) -> Motion:
+        """What the present variables stand for."""
+        return Motion(self.request, self.t, self.layout, self.x, self.lengths)
 
     @property
     def state(self) -> tuple[Any, ...]:
@@ -278,9 +284,9 @@ class Attempt:
     def refine(self) -> None:
         """Climb the ladder of discretisations until the executed controls end where the plan does."""
         if self.resolve() or math.isinf(self.checked.final):
-            self.checked = self._executed()
+            self.checked = self.motion.executed()
         while self._too_far() and self.rung < len(LADDER) - 1 and not self.deadline.cut and self._climb():
-            self.checked = self._executed()
+            self.checked = self.motion.executed()
 
     def resolve(self) -> bool:
         """Solve again if anything changed since; True when it did. What failed for want of time has none for that."""
@@ -319,7 +325,7 @@ class Attempt:
     def _overlooked(self) -> bool:
         """Whether the present motion comes too near to what it did not see; that is seen from now on."""
         if self.rows is not None:
-            return self.rows.overlooked(*self._poses(), self._seconds(), self.request.clearance)
+            return self.rows.overlooked(*self.motion.poses(), self.motion.seconds(), self.request.clearance)
         if self.near is None:
             return False
         missed = ~self.near & (self._away() < self.margin - FINEST)
@@ -335,26 +341,13 @@ class Attempt:
         if self.lifted and self.cover is not None and self.cover.stands is not None and not everywhere:
             self.near = self._away() < self.margin + SIGHT
         if self.rows is not None:
-            positions, yaw = self._poses()
-            self.rows.look(positions, yaw, self._seconds(), self.request.clearance)
-
-    def _poses(self) -> tuple[Array, Array]:
-        """Position (n, 2) m and heading (n,) rad of the root of what drives, at its knots."""
-        g = self._knots()[0]
-        c, s = np.cos(g[:, 0]), np.sin(g[:, 0])
-        x, y = self.request.vehicle.origin[:2]
-        return g[:, 1:3] - np.column_stack([c * x - s * y, s * x + c * y]), g[:, 0]
-
-    def _seconds(self) -> Array:
-        """When it is at its knots (n,), s since frame 0."""
-        steps = np.repeat(self.lengths, self.layout.phases)
-        start = int(self.request.marks[0].frame) / float(self.request.fps)
-        return np.asarray(start + np.concatenate([[0.0], np.cumsum(steps)]))
+            positions, yaw = self.motion.poses()
+            self.rows.look(positions, yaw, self.motion.seconds(), self.request.clearance)
 
     def clear(self) -> bool:
         """Certify the clip; True when it is as far away as asked, or when nothing more can be done."""
         self.wanted = self.request.clearance if self.cover is not None or self.rows is not None else 0.0
-        self.clip = self._clip()
+        self.clip = self.motion.clip()
         self.clearance = self._measured(self.clip)
         near = self.clearance < self.wanted - (SLACK if self.rows is None else FINEST)
         return not (near and self.solution.success and self.tightenings < TIGHTENINGS and not self.deadline.late)
@@ -376,35 +369,11 @@ class Attempt:
 
     def tighten(self) -> None:
         if self.rows is not None:
-            self.rows.tighten(self.lack, *self._poses(), self._seconds(), self.request.clearance)
+            self.rows.tighten(self.lack, *self.motion.poses(), self.motion.seconds(), self.request.clearance)
         else:
             self.margin += (self.wanted - self.clearance) + 0.05
         self.tightenings += 1
         self.stale = True
-
-    def _knots(self) -> tuple[Array, Array, Array, Array, Array]:
-        layout, every = self.layout, np.arange(self.layout.segments + 1)
-        cuts = np.cumsum([0, *self.t.sizes[:3]])
-        state = self.x[layout.knot(every)]
-        g, r, pi = (np.ascontiguousarray(state[a:b].T) for a, b in pairwise(cuts))
-        c = np.ascontiguousarray((self.x[layout.control(every)] * self.t.control_scale[:, None]).T)
-        return g, r, pi * self.t.momentum_scale, c, np.repeat(self.lengths, layout.phases)
-
-    def _executed(self) -> Executed:
-        return executed(self.t.mechanics, *self._knots(), self.request.wind)
-
-    def _clip(self) -> Clip:
-        g, r, pi, c, steps = self._knots()
-        times = np.concatenate([[0.0], np.cumsum(steps)])
-        start = int(self.request.marks[0].frame)
-        anchor = np.zeros(3)
-        if self.request.vehicle.group.dim == 3:
-            anchor[2] = float(np.asarray(self.request.marks[0].position)[2])
-        return build_clip(self.t.mechanics, times, g, r, pi, c, anchor, fps=self.request.fps, start_frame=start)
-
-    def exported(self, clip: Clip) -> Clip:
-        """A clip of the vehicle that was given, its wheels on the terrain."""
-        return on_ground(replace(clip, vehicle=self.request.vehicle), self.request.world)
 
     def _watch(self) -> Callable[[int], None]:
         text = f"planning {self.layout.segments} segments at order {self.layout.order}"

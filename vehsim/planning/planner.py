@@ -36,6 +36,7 @@ from vehsim.planning.legs import (
     same_headings,
 )
 from vehsim.planning.marks import Mark
+from vehsim.planning.motion import exported
 from vehsim.planning.obstacles import obstacle_rows
 from vehsim.planning.relax import diagnose, too_early
 from vehsim.planning.request import Request, all_marks, ask, shape
@@ -246,7 +247,7 @@ def _result(attempt: Attempt) -> Plan:
         warnings.warn(f"{request.vehicle.name}: plan failed: {message}", stacklevel=4)
     begun = attempt.iterations > 0 or not attempt.deadline.hopeless  # or else there is no time for wheels on the ground
     return Plan(
-        clip=attempt.exported(attempt.clip) if begun else replace(attempt.clip, vehicle=request.vehicle),
+        clip=exported(attempt.clip, request) if begun else replace(attempt.clip, vehicle=request.vehicle),
         success=success,
         message=message,
         cost=solution.cost,

@@ -1,0 +1,71 @@
+"""The motion that a problem's variables stand for: at its knots, as a clip, and where its controls really lead."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.clip import Clip
+from vehsim.integrators.integrator import build_clip
+from vehsim.planning.certify import Executed, executed
+from vehsim.planning.layout import Layout
+from vehsim.planning.request import Request
+from vehsim.planning.transcription import Transcription
+from vehsim.world.ground import lift
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Variables ``x`` (size,) of a ``layout``, whose segments between marks take ``lengths`` (phases,) s each."""
+
+    request: Request
+    t: Transcription
+    layout: Layout
+    x: Array
+    lengths: Array
+
+    def knots(self) -> tuple[Array, Array, Array, Array, Array]:
+        """Configuration, joints, momenta and controls (n, ...), SI, at the knots, and the segments' lengths, s."""
+        layout, every = self.layout, np.arange(self.layout.segments + 1)
+        cuts = np.cumsum([0, *self.t.sizes[:3]])
+        state = self.x[layout.knot(every)]
+        g, r, pi = (np.ascontiguousarray(state[a:b].T) for a, b in pairwise(cuts))
+        c = np.ascontiguousarray((self.x[layout.control(every)] * self.t.control_scale[:, None]).T)
+        return g, r, pi * self.t.momentum_scale, c, np.repeat(self.lengths, layout.phases)
+
+    def poses(self) -> tuple[Array, Array]:
+        """Position (n, 2) m and heading (n,) rad of the root of what drives, at its knots."""
+        g = self.knots()[0]
+        c, s = np.cos(g[:, 0]), np.sin(g[:, 0])
+        x, y = self.request.vehicle.origin[:2]
+        return g[:, 1:3] - np.column_stack([c * x - s * y, s * x + c * y]), g[:, 0]
+
+    def seconds(self) -> Array:
+        """When it is at its knots (n,), s since frame 0."""
+        steps = np.repeat(self.lengths, self.layout.phases)
+        start = int(self.request.marks[0].frame) / float(self.request.fps)
+        return np.asarray(start + np.concatenate([[0.0], np.cumsum(steps)]))
+
+    def executed(self) -> Executed:
+        """Where its controls lead, run finely."""
+        return executed(self.t.mechanics, *self.knots(), self.request.wind)
+
+    def clip(self) -> Clip:
+        """The clip of the vehicle that is planned for, from 0 s on."""
+        g, r, pi, c, steps = self.knots()
+        times = np.concatenate([[0.0], np.cumsum(steps)])
+        start = int(self.request.marks[0].frame)
+        anchor = np.zeros(3)
+        if self.request.vehicle.group.dim == 3:
+            anchor[2] = float(np.asarray(self.request.marks[0].position)[2])
+        return build_clip(self.t.mechanics, times, g, r, pi, c, anchor, fps=self.request.fps, start_frame=start)
+
+
+def exported(clip: Clip, request: Request) -> Clip:
+    """A clip of the vehicle that was given, its wheels on the terrain."""
+    return lift(replace(clip, vehicle=request.vehicle), request.world)
