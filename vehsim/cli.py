@@ -5,11 +5,9 @@ Exit codes: 0 all done, 1 something failed while working, 2 wrong input and noth
 
 from __future__ import annotations
 
-import atexit
 import json
 import os
 import signal
-import sys
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
@@ -83,10 +81,6 @@ def export(
     quiet: Quiet = False,
 ) -> None:
     """Solve shots and write them: a USD stage, pictures, a film, tables. Sweeps become a clip each."""
-    from vehsim.batch.workers import warm_up
-
-    if (workers > 1 or len(shots) > 1) and dask is None and not dry_run:
-        warm_up()
     from vehsim.batch.run import run
     from vehsim.batch.screen import log_problems, watch
     from vehsim.batch.summary import write_summary
@@ -327,22 +321,6 @@ def _options(
     ] = False,
 ) -> None:
     """Options of vehsim itself."""
-
-
-def main() -> None:
-    """Run the command that the process was started with, and end it."""
-    code = FAILED
-
-    def leave() -> None:
-        """After all others: what libraries would then tear down in order takes as long as a clip."""
-        with suppress(OSError):  # whoever read it has gone
-            sys.stdout.flush()
-            sys.stderr.flush()
-        os._exit(code)
-
-    atexit.register(leave)  # first in, last out
-    code = run(sys.argv[1:])
-    sys.exit(code)
 
 
 def run(arguments: Sequence[str]) -> int:

@@ -61,24 +61,28 @@ def test_what_is_forked_takes_ctrl_c_in_silence(monkeypatch: pytest.MonkeyPatch)
     "words, early",
     [
         ("export a.toml --workers 2", True),
-        ("export a.toml --workers=16 --to usd", True),
+        ("export --workers=16 a.toml --to usd", True),
+        ("export a.toml b.toml", True),
         ("export a.toml --workers 1", False),
         ("export a.toml", False),
         ("export a.toml --workers 2 --dry-run", False),
-        ("check a.toml", False),
+        ("check a.toml b.toml", False),
     ],
 )
-def test_what_is_forked_begins_before_the_command_is_loaded(
-    words: str, early: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from vehsim import __main__, cli
+def test_what_is_forked_begins_before_the_command_is_loaded(words: str, early: bool) -> None:
+    from vehsim.__main__ import _has_workers
 
-    said: list[str] = []
-    monkeypatch.setattr(sys, "argv", ["vehsim", *words.split()])
-    monkeypatch.setattr(workers, "warm_up", lambda: said.append("warm"))
-    monkeypatch.setattr(cli, "main", lambda: said.append("command"))
-    __main__.main()
-    assert said == ["warm"] * early + ["command"]
+    assert _has_workers(words) is early
+
+
+@forked
+def test_a_command_leaves_nothing_in_the_folder_for_temporary_files(write: Write, tmp_path: Path) -> None:
+    """Not the fork server's socket either, though a command ends without tearing down what it loaded."""
+    path, temporary = write(sweep=TWO), tmp_path / "temporary"
+    temporary.mkdir()
+    command = [sys.executable, "-m", "vehsim", "export", str(path), "--out", str(tmp_path / "out"), "--to", "npz"]
+    subprocess.run([*command, "--workers", "2"], check=True, env={**os.environ, "TMPDIR": str(temporary)})
+    assert list(temporary.iterdir()) == []
 
 
 def test_a_signal_that_comes_twice_is_raised_once() -> None:
