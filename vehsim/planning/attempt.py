@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from vehsim.clip import Clip
 from vehsim.planning.certify import SAMPLES, Executed, certify, certify_plane
 from vehsim.planning.cover import SLOPE, forgiven, landings
-from vehsim.planning.deadline import Deadline
+from vehsim.planning.deadline import MORE, Deadline
 from vehsim.planning.elements import Problem
 from vehsim.planning.guess import along_clip, along_paths, clip_spans, lift
 from vehsim.planning.layout import Layout
@@ -128,13 +128,12 @@ class Attempt:
         moment, share = (clip.at([0.0, part * clip.duration]) for part in (1e-3, 1 / REHEARSED))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of a guess
-            (
-                self._measured(moment),
-                self.motion.executed(),
-                exported(moment, self.request),
-            )  # builds models, which takes longer
+            self._measured(moment)  # this and the next two build models, which takes longer
+            self.motion.executed()
+            exported(moment, self.request)
             self.deadline.rehearse(lambda: (self._measured(few), self.motion.executed()))
-            self.deadline.rehearse(lambda: exported(share, self.request), REHEARSED)
+            longer = MORE if np.any(self.free) else 1.0  # free legs may take longer than guessed
+            self.deadline.rehearse(lambda: exported(share, self.request), longer * REHEARSED)
 
     def _coarse(self) -> int:
         """Segments to find a plan on: as many as asked for, halved while enough are left."""
