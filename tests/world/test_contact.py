@@ -271,6 +271,23 @@ def test_without_contact_things_pass(block):
     assert clip.positions[-1, 2] < -1 and not clip.events
 
 
+@pytest.mark.parametrize("inside", ["terrain", "floor", "other"])
+def test_what_starts_inside_something_is_refused(block, inside):
+    """It would be shot out, from a metre's depth at a thousand metres a second; two centimetres are none."""
+    ground = Terrain("flat", np.zeros((3, 3)), (-50, -50), (50, 50)) if inside == "terrain" else None
+    world = World(ground, obstacles=[FLOOR] if inside == "floor" else [], contact=Contact())
+
+    def start(height):
+        return {
+            "block": Mover(block(), None, State(position=(0, 0, height))),
+            "other": Mover(block(), None, State(position=(0, 0, -0.2 if inside == "other" else 9.0))),
+        }
+
+    simulate_together(start(0.19), world, 1 / 60, step=1 / 60)
+    with pytest.raises(InputError, match=rf"block: start: 0.0[45] m deep in {inside} at \(.*\) m; start it clear"):
+        simulate_together(start(0.15), world, 1 / 60, step=1 / 60)
+
+
 def test_damping_ratio_gives_the_restitution():
     """Bounce of the spring and damper, integrated finely."""
     for wanted in (0.1, 0.3, 0.7):

@@ -71,3 +71,49 @@ def test_a_barge_rests_on_a_peak_between_its_corners(tmp_path, shape):
     clip = vehsim.simulate(barge, world, None, start, duration=0.8, step=1 / 60, fps=60)
     assert clip.positions[:, 2].min() > 2.73 and clip.positions[-1, 2] == pytest.approx(2.75, abs=0.02)
     assert clip.events[0]["with"] == "terrain" and abs(clip.twists[-1, 5]) < 0.1
+
+
+@pytest.mark.parametrize("cell", [0.05, 0.5])
+def test_a_cliff_is_seen_coming(tmp_path, cell):
+    """High above the ground below it, at 20 m/s, a block meets a wall of ten metres: two centimetres deep at most."""
+    slab(tmp_path / "block.usda", (1.0, 0.6, 0.4))
+    rig = Rig(tmp_path / "block.usda", "")
+    block = Holonomic(name="block", group=SE3, inertia=[4, 10, 11, *[100.0] * 3], gravity=0.0, rig=rig)
+    x = np.arange(-2.0, 4.0 + cell, cell) + np.zeros((20, 1))
+    terrain = Terrain("cliff", np.where(x > 1.0, 10.0, 0.0), (-2.0, -10 * cell), (cell, cell))
+    for place in (-0.7, -0.5):
+        start = State(position=(place, 0.1, 6.0), twist=(0, 0.5, 1, 20.0, 0, 0))
+        clip = vehsim.simulate(block, World(terrain, contact=Contact()), None, start, 0.15, step=1 / 60, fps=60)
+        side = Underside(
+            [np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.3, 0.3) for z in (-0.2, 0.2)])], terrain
+        )
+        found = [side.on(matrix[:3, :3], matrix[:3, 3])[1] for matrix in clip.matrices()]
+        assert max((points.depths.max() for points in found if points), default=0.0) < 0.02
+        assert len(clip.events) == 1 and clip.events[0]["speed"] == pytest.approx(20.0, abs=1.0)
+        assert (
+            -0.5 * 20 < clip.twists[-1, 3] < 0
+        )  # thrown back by no more than the restitution, 0.3, and what spin gives
+
+
+@pytest.mark.parametrize("shape", ["ridge", "step"])
+def test_elastic_blows_on_edges_of_the_ground_keep_the_energy(tmp_path, shape):
+    """A block's corners and edges against a ridge and a cliff's, any way round: normals are those of what meets."""
+    size, mass = np.array([1.0, 0.6, 0.4]), 100.0
+    slab(tmp_path / "block.usda", size)
+    turning = mass / 12 * (size @ size - size**2)
+    rig = Rig(tmp_path / "block.usda", "")
+    block = Holonomic(name="block", group=SE3, inertia=[*turning, *[mass] * 3], gravity=0.0, rig=rig)
+    x = np.arange(-20.0, 20.5, 0.5) + np.zeros((81, 1))
+    terrain = Terrain(
+        shape, 2 - 0.8 * np.abs(x) if shape == "ridge" else np.where(x > 0, 2.0, 0.0), (-20, -20), (0.5, 0.5)
+    )
+    for seed in range(6):
+        random = np.random.default_rng(seed)
+        turn = Rotation.random(rng=random)
+        way = np.array([random.uniform(-0.6, 0.6), random.uniform(-0.3, 0.3), -1.0])
+        way *= 10 / np.linalg.norm(way)
+        position = [random.uniform(-0.5, 0.5), random.uniform(-3, 3), 2.2] - 0.12 * way
+        start = State(position, turn.as_quat(scalar_first=True), (0, 0, 0, *turn.inv().apply(way)))
+        clip = vehsim.simulate(block, World(terrain, contact=Contact(0.0, 1.0)), None, start, 0.4, step=1 / 60, fps=60)
+        energy = clip.twists**2 @ np.diag(block.inertia) / 2
+        assert clip.events and energy[-1] == pytest.approx(energy[0], rel=0.1), seed

@@ -28,6 +28,8 @@ Array = NDArray[np.float64]
 
 DEPTH = 0.012
 """How deep hulls overlap at most when they meet at `Contact.speed`, m."""
+BURIED = 0.02
+"""Deeper than contact lets anything sink, m: what starts there would be shot out."""
 RESOLVED = 0.06
 """Phase of the contact's spring that a step may cover in an impact, rad: 50 steps from touch to parting, and more
 where the damper, which sets in at once, does most of it."""
@@ -162,6 +164,7 @@ class ContactScene:
         self._owner = {self.model.body(name).id: k for k, name in enumerate(names)}
         self._events: list[list[Event]] = [[] for _ in self.bodies]
         self._time = 0.0
+        self._begun = False
         self.next_step = self._soon = math.inf
         self._nearing = 0.0
 
@@ -202,10 +205,16 @@ class ContactScene:
         return int(self.model.jnt_qposadr[self.model.body_jntadr[self.model.body(body).id]])
 
     def wrenches(self, t: float, states: Sequence[State]) -> list[Array]:
-        """Wrench (6,) on each vehicle, in body axes about its body frame's origin, at public ``states`` at ``t`` s."""
+        """Wrench (6,) on each vehicle, in body axes about its body frame's origin, at public ``states`` at ``t`` s.
+
+        Raises ``InputError`` when the first are in something already.
+        """
         moving: list[Moving | Led] = [Moving(body, state) for body, state in zip(self.bodies, states, strict=True)]
         moving += [Led(course, self._began + t) for course in self._courses]
         pairs = self._touching(moving)
+        if not self._begun:
+            self._begun = True
+            self._refuse_buried(pairs)
         total = [np.zeros(6) for _ in moving]
         forces: dict[tuple[int, str], tuple[Array, Array, Array]] = {}
         brisk = self._nearing
@@ -221,6 +230,15 @@ class ContactScene:
         self.next_step = max(phase / self.contact.frequency, AHEAD * self._soon)
         self._note(t, forces)
         return total[: len(self.bodies)]
+
+    def _refuse_buried(self, pairs: dict[tuple[int, int | None, str], Points]) -> None:
+        for (a, _, name), points in pairs.items():
+            depth = float(points.depths.max())
+            if depth > BURIED:
+                place = tuple(points.places[points.depths.argmax()].round(2).tolist())
+                message = f"{depth:.2f} m deep in {name} at {place} m"
+                mend = "start it clear of that, or leave world.contact out"
+                raise InputError(str(Problem(f"{_plain(self.bodies[a].name)}: start", message, mend)))
 
     def _touching(self, moving: list[Moving | Led]) -> dict[tuple[int, int | None, str], Points]:
         """(vehicle, other vehicle or None, its name) -> where they overlap.

@@ -16,8 +16,10 @@ Array = NDArray[np.float64]
 
 TOUCH = 1e-12
 """Less depth than this is none, m."""
-HAND = 0.05
-"""Reach of the slope about a place, m."""
+REACH = 1.0
+"""Ground nearer than this is watched, m."""
+ASIDE = 1e-6
+"""How far beside an edge of the ground its two faces are looked up, in cells."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +29,9 @@ class Points:
     depths: Array
     places: Array
     normals: Array
+
+
+NOWHERE = Points(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)))
 
 
 class Underside:
@@ -41,30 +46,34 @@ class Underside:
         ends = [np.unique(np.sort(s.simplices[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)), axis=0) for s in shapes]
         before = np.cumsum([0, *map(len, hulls[:-1])])
         self.edges = np.concatenate([pairs + first for pairs, first in zip(ends, before, strict=True)])
-        along = [np.abs(np.diff(terrain.heights, axis=1 - i)).max() / terrain.cell[i] for i in range(2)]
-        self.steepest = float(np.hypot(*along))
 
     def on(self, R_wb: Array, position: Array) -> tuple[float, Points | None]:
-        """How far above the ground the body is, m, or nearer, and where it is in it."""
+        """How far from the ground the body is, m, or nearer, and `REACH` at most; where it is in it."""
         terrain = self.terrain
         corners = self.corners @ R_wb.T + position
-        peaks = _within(terrain, corners[:, :2].min(axis=0), corners[:, :2].max(axis=0))
-        ground = terrain.height(corners[:, :2])
-        above = float(corners[:, 2].min() - max(peaks[:, 2].max(initial=-np.inf), ground.max()))
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        heights = terrain.heights[_window(terrain, low[:2] - REACH, high[:2] + REACH)]
+        above = float(low[2] - heights.max())
         if above > 0:
-            return above, None
+            return min(above, REACH), None
+        ground = terrain.height(corners[:, :2])
         gap = max(float((corners[:, 2] - ground).min()), 0.0)
+        along = [np.abs(np.diff(heights, axis=1 - i)).max(initial=0.0) / terrain.cell[i] for i in range(2)]
+        steepest = float(np.hypot(*along))
         ends = corners[self.edges]
         long = np.hypot(*(ends[:, 1, :2] - ends[:, 0, :2]).T)
         # the ground between two ends is no higher than halfway between them and then up as steeply as it gets
-        near = ends[:, :, 2].min(axis=1) - ground[self.edges].mean(axis=1) - self.steepest * long / 2 < gap + TOUCH
-        places = np.concatenate([corners, _crossings(terrain, ends[near])])
-        depths = terrain.height(places[:, :2]) - places[:, 2]
-        gap = -float(depths.max())
-        under = depths > TOUCH
-        normals = slope_normals(terrain, places[under, :2])
-        found = [Points(depths[under] * normals[:, 2], places[under], normals)]
-        peaks = peaks[peaks[:, 2] > corners[:, 2].min() - max(gap, 0.0)]  # others are farther away
+        near = ends[:, :, 2].min(axis=1) - ground[self.edges].mean(axis=1) - steepest * long / 2 < gap + TOUCH
+        places, ways, lines = _crossings(terrain, ends[near])
+        depths, deep = ground - corners[:, 2], terrain.height(places[:, :2]) - places[:, 2]
+        gap = -float(max(depths.max(), deep.max(initial=-np.inf)))
+        under, below = depths > TOUCH, deep > TOUCH
+        found = [NOWHERE]
+        if under.any():
+            found.append(_from_faces(terrain, corners[under]))
+        if below.any():
+            found.append(_from_edges(terrain, places[below], ways[below], lines[below], deep[below]))
+        peaks = _peaks(terrain, low - max(gap, 0.0), high)
         local = (peaks - position) @ R_wb
         for planes in self.planes:
             outside = local @ planes[:, :3].T + planes[:, 3]
@@ -74,38 +83,99 @@ class Underside:
             inside = far < -TOUCH
             found.append(Points(-far[inside], peaks[inside], -planes[face[inside], :3] @ R_wb.T))
         joined = Points(*(np.concatenate([getattr(f, k) for f in found]) for k in ("depths", "places", "normals")))
-        return (max(gap, 0.0), None) if not len(joined.depths) else (0.0, joined)
+        if len(joined.depths):
+            return 0.0, joined
+        return min(max(gap, 0.0) / float(np.hypot(1.0, steepest)), REACH), None  # the ground beside may be nearer
 
 
-def _within(terrain: Any, low: Array, high: Array) -> Array:
-    """Corners (n, 3) of the ground between ``low`` and ``high`` (2,) m."""
+def _window(terrain: Any, low: Array, high: Array) -> tuple[slice, slice]:
+    """Rows and columns of all cells that reach between ``low`` and ``high`` (2,) m; the nearest, beyond the borders."""
     cell, origin = np.asarray(terrain.cell), np.asarray(terrain.origin)
-    most = np.array(terrain.heights.shape[::-1])
-    first = np.clip(np.ceil((low - origin) / cell), 0, most).astype(int)
-    last = np.clip(np.floor((high - origin) / cell) + 1, first, most).astype(int)
-    heights = terrain.heights[first[1] : last[1], first[0] : last[0]]
-    x, y = (origin[i] + cell[i] * np.arange(first[i], last[i]) for i in range(2))
-    return np.stack([*np.meshgrid(x, y), heights], axis=-1).reshape(-1, 3)
+    last = np.array(terrain.heights.shape[::-1]) - 1
+    first = np.clip(np.floor((low - origin) / cell), 0, last).astype(int)
+    end = np.clip(np.ceil((high - origin) / cell), 0, last).astype(int) + 1
+    return slice(first[1], end[1]), slice(first[0], end[0])
 
 
-def _crossings(terrain: Any, edges: Array) -> Array:
-    """Points (n, 3) on ``edges`` (e, 2, 3) above edges of the ground: along X, along Y and across cells."""
+def _peaks(terrain: Any, low: Array, high: Array) -> Array:
+    """Corners (n, 3) of the ground between ``low`` and ``high`` (3,) m, about."""
+    rows, cols = _window(terrain, low[:2], high[:2])
+    heights = terrain.heights[rows, cols]
+    row, col = np.nonzero((heights > low[2]) & (heights < high[2]))
+    x, y = (terrain.origin[i] + terrain.cell[i] * k for i, k in enumerate((col + cols.start, row + rows.start)))
+    return np.column_stack([x, y, heights[row, col]])
+
+
+def _crossings(terrain: Any, edges: Array) -> tuple[Array, Array, Array]:
+    """Points (n, 3) on ``edges`` (e, 2, 3) above edges of the ground, which run along X, along Y and across cells; the
+    ways (n, 3) of the former and, seen from above, of the latter (n, 2)."""
     grid = (edges[:, :, :2] - np.asarray(terrain.origin)) / np.asarray(terrain.cell)
-    found = [np.zeros((0, 3))]
-    for lines in (grid[:, :, 0], grid[:, :, 1], grid[:, :, 0] - grid[:, :, 1]):
+    x, y = grid[:, :, 0], grid[:, :, 1]
+    found = [(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 2)))]
+    for lines, way in ((x, (0, 1)), (y, (1, 0)), (x - y, terrain.cell)):
         low, high = lines.min(axis=1), lines.max(axis=1)
-        counts = np.maximum(np.floor(high) - np.ceil(low) + 1, 0).astype(int)
+        counts = np.where(low < high, np.maximum(np.floor(high) - np.ceil(low) + 1, 0), 0).astype(int)
         edge = np.repeat(np.arange(len(edges)), counts)
         number = np.ceil(low)[edge] + np.arange(len(edge)) - np.repeat(np.cumsum(counts) - counts, counts)
         start, end = lines[edge].T
-        share = np.divide(number - start, end - start, out=np.zeros(len(edge)), where=end != start)
-        found.append(edges[edge, 0] + share[:, None] * (edges[edge, 1] - edges[edge, 0]))
-    return np.concatenate(found)
+        along = edges[edge, 1] - edges[edge, 0]
+        places = edges[edge, 0] + ((number - start) / (end - start))[:, None] * along
+        found.append((places, along, np.tile(np.asarray(way) / np.hypot(*way), (len(edge), 1))))
+    return tuple(np.concatenate(column) for column in zip(*found, strict=True))  # type: ignore[return-value]
 
 
-def slope_normals(terrain: Any, xy: Array) -> Array:
-    """Upward unit normals (n, 3) of the terrain, a hand's width about each place."""
-    offsets = HAND * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
-    heights = terrain.height((xy[:, None] + offsets).reshape(-1, 2)).reshape(len(xy), 4)
-    up = np.column_stack([heights[:, 1] - heights[:, 0], heights[:, 3] - heights[:, 2], np.full(len(xy), 2 * HAND)])
+def _from_faces(terrain: Any, corners: Array) -> Points:
+    """Depths of ``corners`` (n, 3) in the ground: below the face above them, or below one next to it, across an edge
+    that juts out, where that is nearer."""
+    row, col, right = _cells(terrain, corners[:, :2])
+    side, n = np.where(right, 1, -1), len(corners)
+    rows, cols = (np.concatenate(k) for k in ((row, row, row - side, row), (col, col, col, col + side)))
+    sides, xy = np.concatenate([right, *3 * [~right]]), np.tile(corners[:, :2], (4, 1))
+    gradients, heights = _plane(terrain, rows, cols, sides, xy)
+    normals, heights = _upward(gradients).reshape(4, n, 3), heights.reshape(4, n)
+    depths = np.where(heights >= heights[0], (heights - corners[:, 2]) * normals[:, :, 2], np.inf)
+    nearest = depths.argmin(axis=0), np.arange(n)
+    return Points(depths[nearest], corners, normals[nearest])
+
+
+def _from_edges(terrain: Any, places: Array, ways: Array, lines: Array, below: Array) -> Points:
+    """Depths of edges of a hull that run along ``ways`` (n, 3) under edges of the ground along ``lines`` (n, 2), by
+    ``below`` (n,) m: upright to both, and no steeper than the ground on either side."""
+    across = lines[:, ::-1] * [1, -1]
+    aside = ASIDE * min(terrain.cell) * across
+    beside = np.concatenate([places[:, :2] - aside, places[:, :2] + aside])
+    sides = _plane(terrain, *_cells(terrain, beside), beside)[0].reshape(2, -1, 2)
+    along = (sides[0] * lines).sum(axis=1)
+    slopes = [(gradient * across).sum(axis=1) for gradient in sides]
+    slope = (ways[:, 2] - along * (ways[:, :2] * lines).sum(axis=1)) / (ways[:, :2] * across).sum(axis=1)
+    slope = np.clip(slope, np.minimum(*slopes), np.maximum(*slopes))
+    normals = _upward(along[:, None] * lines + slope[:, None] * across)
+    return Points(below * normals[:, 2], places, normals)
+
+
+def _cells(terrain: Any, xy: Array) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
+    """Row, column and triangle, the right one or the left, (n,) each, of the ground at ``xy`` (n, 2)."""
+    most = np.array(terrain.heights.shape[::-1]) - 2
+    grid = (xy - np.asarray(terrain.origin)) / np.asarray(terrain.cell)
+    first = np.clip(np.floor(grid), 0, most).astype(int)
+    u, v = (grid - first).T
+    return first[:, 1], first[:, 0], u >= v
+
+
+def _plane(terrain: Any, row: Any, col: Any, right: Any, xy: Array) -> tuple[Array, Array]:
+    """Gradient (n, 2) of triangles, and height (n,) m of their planes at ``xy`` (n, 2); level beyond the borders."""
+    heights, origin, cell = terrain.heights, np.asarray(terrain.origin), np.asarray(terrain.cell)
+    last = np.array(heights.shape[::-1]) - 1
+    row, col = np.clip(row, 0, last[1] - 1), np.clip(col, 0, last[0] - 1)
+    a, b, c, d = (heights[row + i, col + k] for i in (0, 1) for k in (0, 1))
+    rise = np.stack([np.where(right, b - a, d - c), np.where(right, d - b, c - a)], axis=1)
+    grid = (xy - origin) / cell
+    inside = np.clip(grid, 0, last)
+    height = a + (rise * (inside - np.stack([col, row], axis=1))).sum(axis=1)
+    return np.where(grid == inside, rise / cell, 0.0), height
+
+
+def _upward(gradients: Array) -> Array:
+    """Unit normals (n, 3) of slopes (n, 2)."""
+    up = np.column_stack([-gradients, np.ones(len(gradients))])
     return np.asarray(up / np.linalg.norm(up, axis=1, keepdims=True))
