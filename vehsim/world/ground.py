@@ -33,7 +33,7 @@ PROFILE = 7
 ROUNDS = 4
 """Iterations of a contact's height; each gains the slope's square."""
 SETTLING = 5
-"""Iterations of the body's rest, each with one of its contacts' heights."""
+"""Iterations of the body's rest, each with one of its contacts' heights: within 0.02 mm."""
 TRAVEL = "travel_"
 """Channels that slide a wheel up its suspension begin so."""
 GRIP = 1.1
