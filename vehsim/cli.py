@@ -100,7 +100,7 @@ def export(
         for shot in loaded:
             print(f"{out / shot.name}: {', '.join(names)} of {_arguments.summary(shot)}")
         raise typer.Exit(WRONG_INPUT if errors else 0)
-    tasks = [prepare(shot, out, names, quality is Quality.draft, resume) for shot in loaded]
+    tasks = [prepare(shot, out, names, quality is Quality.draft, resume, checked=True) for shot in loaded]
     outcomes = {}
     try:
         with watch(tasks, screen, log.value, quiet) as watcher:
@@ -139,7 +139,7 @@ def job(
     loaded, problems = _arguments.load_all(shots, sets or [])
     if _say(problems, quiet):
         raise typer.Exit(WRONG_INPUT)
-    tasks = [prepare(shot, out, names, quality is Quality.draft, resume=True) for shot in loaded]
+    tasks = [prepare(shot, out, names, quality is Quality.draft, resume=True, checked=True) for shot in loaded]
     path, clips = write_job(template, tasks, chunks)
     if not quiet:
         print(f"{path}: {len(tasks)} clip{'s' * (len(tasks) != 1)}, listed in {clips}")

@@ -92,6 +92,14 @@ def test_a_delivery_by_other_means_is_not_taken_for_finished(write: Write, tmp_p
     assert not is_finished(tmp_path / "out" / "drive", fingerprint(shot, ["npz"]))
 
 
+def test_a_shot_that_nobody_checked_is_checked_before_it_is_solved(write: Write, tmp_path: Path) -> None:
+    path = write()
+    path.write_text(path.read_text().replace('name = "drive"', 'name = "drive"\nhandles = 8', 1))
+    (outcome,) = export_batch(load_shots(path), tmp_path / "out", ["npz"])
+    assert (outcome.state, outcome.kind) == ("failed", "ShotError")
+    assert "handles need an end" in outcome.message
+
+
 def test_summary_and_exit_code(write: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     good, bad = write("good", sweep='"shot.start_frame" = [1, 2]'), write("bad", duration=-1)
     out = tmp_path / "out"

@@ -31,7 +31,8 @@ _ONE_AT_A_TIME = threading.Lock()
 class Task:
     """A clip to be exported to ``out/<name>/``. ``shot``: a shot file's data; ``inputs``: the hash of all it needs.
 
-    ``field``: it needs the distance field of this terrain (by hash), which is measured once for all.
+    ``field``: it needs the distance field of this terrain (by hash), which is measured once for all. ``checked``: the
+    shot was, with these inputs.
     """
 
     name: str
@@ -44,6 +45,7 @@ class Task:
     draft: bool = False
     resume: bool = False
     field: str | None = None
+    checked: bool = False
 
     @property
     def target(self) -> Path:
@@ -67,8 +69,10 @@ class Outcome:
     """the process that gave it had better end: it ran out of memory"""
 
 
-def prepare(shot: Any, out: Path, to: Sequence[str], draft: bool = False, resume: bool = False) -> Task:
-    """The task of a checked shot."""
+def prepare(
+    shot: Any, out: Path, to: Sequence[str], draft: bool = False, resume: bool = False, checked: bool = False
+) -> Task:
+    """The task of a shot; one that was not ``checked`` is before it is solved."""
     from vehsim.batch.inputs import fingerprint
 
     terrain = shot.world.terrain
@@ -83,6 +87,7 @@ def prepare(shot: Any, out: Path, to: Sequence[str], draft: bool = False, resume
         draft=draft,
         resume=resume,
         field=terrain.content_hash if terrain is not None and _measures(shot) else None,
+        checked=checked,
     )
 
 
@@ -127,7 +132,7 @@ def _work(task: Task, tell: Tell) -> Outcome:
     shot = Shot.from_dict(task.shot, task.folder, task.source)
     if fingerprint(shot, task.to, task.draft) != task.inputs:
         raise InputError(f"{task.source}: its files or vehsim itself changed while the batch ran; export it again")
-    take = shot.solve(lambda what, done: tell(task.name, "planning", what, done), checked=True)
+    take = shot.solve(lambda what, done: tell(task.name, "planning", what, done), checked=task.checked)
     take = replace(
         take,
         render=take.render.draft() if task.draft else take.render,
