@@ -138,8 +138,9 @@ def test_time_limits_are_kept():
     marks = [Mark(1, position=(0, 0, 30), velocity=REST), Mark("free", position=(90, 40, 40), velocity=REST)]
     vehsim.plan(helicopter, None, marks, segments=256, refine=False)  # built
     began = time.monotonic()
-    with pytest.warns(UserWarning, match="time limit"):
+    with pytest.warns(UserWarning, match="time limit") as heard:
         plan = vehsim.plan(helicopter, None, marks, segments=256, time_limit=1e-3)
+    assert [one.filename for one in heard] == [__file__]  # where it was asked for
     assert not plan.success and plan.iterations <= 3 and time.monotonic() - began < 20
     assert len(plan.clip) > 2
 

@@ -59,8 +59,9 @@ class Plan:
     """A planned motion and what it is worth.
 
     ``defect``: largest constraint violation, in the problem's scaled units (m, m/s, rad); ``clearance``: smallest
-    certified, m, where near a landing as much is added as less is asked for; ``executed``: how far the controls, run
-    finely and independently, lead from the plan, m; ``segments``, ``order``: of the discretisation in the end.
+    certified, m, where near a landing as much is added as less is asked for, nan where nobody measured it;
+    ``executed``: how far the controls, run finely and independently, lead from the plan, m; ``segments``, ``order``: of
+    the discretisation in the end.
     """
 
     clip: Clip
@@ -90,22 +91,27 @@ class Plan:
 
     def replan(self, marks: Sequence[Mark], progress: Progress | None = None) -> Plan:
         """The plan for other marks, started from this one: quick when they ask for the same things elsewhere."""
+        with interrupts.remembered():
+            made = self._moved(marks, progress)
+        _warn(made)
+        return made
+
+    def _moved(self, marks: Sequence[Mark], progress: Progress | None) -> Plan:
         assert self._attempt is not None
         before = self._attempt.request
         request = replace(before, marks=all_marks(marks, before.vehicle, before.world, before.terms), deadline=math.inf)
         given = before.given or before.marks
-        with interrupts.remembered():
-            if not self.success or shape(request.marks) != shape(given) or request.weighed is not before.weighed:
-                return _solve(replace(request, given=()), progress, self.clip)
-            faced = replace(request, given=request.marks, marks=same_headings(request.marks, given, before.marks))
-            attempt = self._attempt.moved(faced, progress)
-            if np.any(attempt.free):
-                attempt.solve()
-                attempt.settle()
-            attempt.resolve()
-            if not attempt.solution.success:  # from here there is no way: from its own first guess there may be one
-                return _solve(replace(request, given=()), progress, None)
-            return _finish(attempt)
+        if not self.success or shape(request.marks) != shape(given) or request.weighed is not before.weighed:
+            return _solve(replace(request, given=()), progress, self.clip)
+        faced = replace(request, given=request.marks, marks=same_headings(request.marks, given, before.marks))
+        attempt = self._attempt.moved(faced, progress)
+        if np.any(attempt.free):
+            attempt.solve()
+            attempt.settle()
+        attempt.resolve()
+        if not attempt.solution.success:  # from here there is no way: from its own first guess there may be one
+            return _solve(replace(request, given=()), progress, None)
+        return _finish(attempt)
 
 
 def plan(
@@ -149,7 +155,15 @@ def plan(
     if np.any(request.wind) and not request.vehicle.feels_wind:
         warnings.warn(f"{vehicle.name}: wind is set, but the vehicle has no drag to feel it", stacklevel=2)
     with interrupts.remembered():
-        return _solve(request, progress, guess)
+        made = _solve(request, progress, guess)
+    _warn(made)
+    return made
+
+
+def _warn(plan: Plan) -> None:
+    """Say of a failed plan, where it was asked for, that it is one."""
+    if not plan.success:
+        warnings.warn(f"{plan.clip.vehicle.name}: plan failed: {plan.message}", stacklevel=3)
 
 
 def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
@@ -243,8 +257,6 @@ def _result(attempt: Attempt) -> Plan:
     message += attempt.note
     if success and attempt.checked.final > EXECUTED and request.refine:
         message += f"; executed, the controls end {attempt.checked.final:.2f} m off: ask for more segments"
-    if not success:
-        warnings.warn(f"{request.vehicle.name}: plan failed: {message}", stacklevel=4)
     begun = attempt.iterations > 0 or not attempt.deadline.hopeless  # or else there is no time for wheels on the ground
     return Plan(
         clip=exported(attempt.clip, request) if begun else replace(attempt.clip, vehicle=request.vehicle),

@@ -110,10 +110,10 @@ PLAIN = {
     "Search_Direction_Becomes_Too_Small": "stuck: no step brings it nearer to what is asked",
     "Error_In_Step_Computation": "stuck: the equations became singular",
     "Invalid_Number_Detected": "a cost or constraint gave no number",
-    "User_Requested_Stop": "time limit reached",
-    "NonIpopt_Exception_Thrown": "time limit reached",
 }
 """What a solver's words mean."""
+STOPPED = {"User_Requested_Stop", "NonIpopt_Exception_Thrown"}
+"""What it says of itself when its callback stops it, which nobody but the time limit asks for."""
 
 
 def check_solver(name: str) -> str:
@@ -183,12 +183,18 @@ class Solver:
             cost=float(answer["f"]),
             violation=float(violations.max(initial=0.0)),
             success=bool(stats["success"]),
-            message=f"{PLAIN[status]} ({status})" if status in PLAIN else status,
+            message=_plainly(status),
             iterations=int(stats.get("iter_count", 0)),
             violations=violations,
             multipliers=Multipliers(np.asarray(answer["lam_x"]).ravel(), np.asarray(answer["lam_g"]).ravel()),
             hurried=self._callback.hurried,
         )
+
+
+def _plainly(status: str) -> str:
+    if status in STOPPED:
+        return "time limit reached"
+    return f"{PLAIN[status]} ({status})" if status in PLAIN else status
 
 
 def _whole(hessian: ca.Function) -> ca.Function:
