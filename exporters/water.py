@@ -39,6 +39,8 @@ SEEN = 30.0
 """Cameras nearer than this to a path widen the fine grid, m."""
 HORIZON = 1500.0
 """How far the surface reaches beyond the fine grid, m."""
+BEYOND = 10.0
+"""Width in which a liquid solver's water falls to its level beyond its grid, m."""
 GROWTH = 1.32
 """Ratio of neighbouring cells beyond the fine grid."""
 RESOLVED = 1.6
@@ -171,6 +173,10 @@ def _undisturbed(water: Any, xy: Array) -> Callable[[float], Array]:
     from vehsim.world.water import Waves
 
     waves = water.surface
+    if water.grids is not None:
+        inside = np.clip(xy, water.grids.lower, water.grids.upper)
+        share = np.maximum(0.0, 1.0 - np.hypot(*(xy - inside).T) / BEYOND)
+        return lambda t: np.column_stack([xy, water.level + share * (water.height(inside, t) - water.level)])
     if not isinstance(waves, Waves):
         return lambda t: np.column_stack([xy, water.height(xy, t)])
     theta = xy @ waves.number.T + waves.phase

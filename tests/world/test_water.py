@@ -308,6 +308,27 @@ def test_a_boat_rides_a_solvers_grids_from_the_first_to_the_last():
             vehsim.simulate(boat, World(water=replace(water, height_field=cell)), None, edge, duration=0.1)
 
 
+def test_a_shot_on_a_solvers_grid_has_its_water_to_the_horizon(tmp_path):
+    """As high as the grid in it, and level far beyond it, where the solver says nothing."""
+    from pxr import Usd, UsdGeom
+
+    heights = np.full((3, 30, 40), 0.3)
+    np.savez(tmp_path / "w.npz", times=np.arange(3) / 24, heights=heights, origin=(-10.0, -8.0), cell=(0.5, 0.6))
+    motion = {"method": "simulate", "start": {"position": [0, 0, 0.3]}}
+    data = {
+        "shot": {"schema": 1, "name": "liquid", "end_frame": 1003},
+        "world": {"water": {"level": 0.1, "grids": str(tmp_path / "w.npz")}},
+        "vehicle": [{"name": "boat", "asset": "boat", "motion": motion}],
+    }
+    folder = vehsim.Shot.from_dict(data).solve().export(tmp_path / "out", to=("usd",))
+    stage = Usd.Stage.Open(str(next(folder.rglob("water.usdc"))))
+    (mesh,) = (UsdGeom.Mesh(prim) for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh))
+    points = np.array(mesh.GetPointsAttr().Get(1001))
+    far = np.abs(points[:, :2]).max(axis=1)
+    assert far.max() > 1000 and np.abs(points[far > 100, 2] - 0.1).max() < 1e-3
+    assert np.median(points[(far > 5) & (far < 7), 2]) == pytest.approx(0.4, abs=0.05)
+
+
 def test_grids_are_read_and_refused(tmp_path):
     path = tmp_path / "w.npz"
     np.savez(path, times=[0.0, 1.0], heights=np.zeros((2, 3, 3)), origin=(1.0, 2.0), cell=(0.5, 0.5))
