@@ -10,8 +10,10 @@ of units and up axis, are part of the geometry, so an animated pose multiplies e
 from __future__ import annotations
 
 import json
+import time
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -93,32 +95,32 @@ def read_parts(asset: str | Path, root: str | None = None) -> list[Part]:
 def solids(asset: str | Path, root: str | None = None) -> list[Solid]:
     """What can be hit of every part: the convex hull of each collision mesh. Raises as `read_parts` does.
 
-    An asset that marks no collision mesh gets the convex hull of each part's look, with a warning. Kept under its
-    file's content where it refers to no other: loading USD takes longer than many a plan.
+    An asset that marks no collision mesh gets the convex hull of each part's look, with a warning. Kept under the
+    content of its file and of those it refers to: loading USD takes longer than many a plan.
     """
-    key = _content(asset), root
+    key, began = (str(asset), _content(asset), root), time.time()
     kept = recalled("solids", key)
-    if kept is not None:
-        return _unpacked(kept)
-    from pxr import Sdf
+    found, said = _unpacked(kept) if kept is not None else (None, [])
+    if found is None:
+        from pxr import Sdf
 
-    held = Sdf.Layer.Find(str(asset)) is not None  # by somebody, in whose hands it may differ from its file
-    parts, said = _read(asset, root)
-    meshes = [part.collision for part in parts]
-    if not any(meshes):
-        meshes = [(part.points,) * bool(len(part.points)) for part in parts]
-        said.append(
-            f"{made_of(asset)}: no mesh carries UsdPhysics.CollisionAPI; the convex hull of each part stands in, which "
-            "may be far too large; mark collision meshes for honest clearances"
-        )
-    hulls = [
-        tuple(apply(part.T_rp, hull) for hull in convex_hulls(own)) for part, own in zip(parts, meshes, strict=True)
-    ]
-    found = [Solid(part.name, part.path, part.T_rp, own) for part, own in zip(parts, hulls, strict=True)]
+        held = {layer.identifier for layer in Sdf.Layer.GetLoadedLayers()}  # they may differ from their files
+        parts, said = _read(asset, root)
+        meshes = [part.collision for part in parts]
+        if not any(meshes):
+            meshes = [(part.points,) * bool(len(part.points)) for part in parts]
+            said.append(
+                f"{made_of(asset)}: no mesh carries UsdPhysics.CollisionAPI; the convex hull of each part stands in, "
+                "which may be far too large; mark collision meshes for honest clearances"
+            )
+        found = [
+            Solid(part.name, part.path, part.T_rp, tuple(apply(part.T_rp, hull) for hull in convex_hulls(own)))
+            for part, own in zip(parts, meshes, strict=True)
+        ]
+        if files := _files(asset, held, began):
+            keep("solids", key, _packed(found, said, files))
     for message in said:
         warnings.warn(message, stacklevel=2)
-    if not (held or said) and _stands_alone(asset) and key == (_content(asset), root):
-        keep("solids", key, _packed(found))
     return found
 
 
@@ -162,14 +164,8 @@ def add_to_spec(spec: Any, rig: Rig, name: str, free: bool = True) -> Any:
     for k, (part, hull) in enumerate(named):
         mesh = f"{name}/{part}/{k}"
         spec.add_mesh(name=mesh, uservert=hull.ravel(), inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX)
-        body.add_geom(
-            name=mesh,
-            type=mujoco.mjtGeom.mjGEOM_MESH,
-            meshname=mesh,
-            group=QUERY_GROUP,
-            contype=0,
-            conaffinity=0,
-        )
+        look = {"group": QUERY_GROUP, "contype": 0, "conaffinity": 0}
+        body.add_geom(name=mesh, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh, **look)
     return body
 
 
@@ -180,26 +176,35 @@ def _content(asset: str | Path) -> str:
     return ""
 
 
-def _stands_alone(asset: str | Path) -> bool:
-    """Whether all that is read of an asset stands in its file: it refers to no other."""
+def _files(asset: str | Path, held: AbstractSet[str], began: float) -> dict[str, str]:
+    """The files that all of an asset was read from, with their checksums; none where that is not sure: where one is
+    missing, a resolver chooses them, a layer was ``held`` in memory, or a file is younger than when reading ``began``.
+    """
     from pxr import Usd
 
     stage = Usd.Stage.Open(str(asset))
-    files = {layer.realPath.partition("[")[0] for layer in stage.GetUsedLayers() if not layer.anonymous}
-    return len(files) == 1 and not stage.GetCompositionErrors()
+    layers = [layer for layer in stage.GetUsedLayers() if not layer.anonymous]
+    files = {layer.realPath.partition("[")[0] for layer in layers}
+    plain = all(layer.identifier == layer.realPath and layer.identifier not in held for layer in layers)
+    if not plain or stage.GetCompositionErrors() or any(Path(file).stat().st_mtime >= began for file in files):
+        return {}
+    return {file: _content(file) for file in sorted(files)}
 
 
-def _packed(found: Sequence[Solid]) -> bytes:
-    names = json.dumps([[solid.name, solid.path, len(solid.hulls)] for solid in found])
+def _packed(found: Sequence[Solid], said: Sequence[str], files: Mapping[str, str]) -> bytes:
+    told = json.dumps([files, said, [[solid.name, solid.path, len(solid.hulls)] for solid in found]])
     frames, hulls = np.array([solid.T_rp for solid in found]), [hull for solid in found for hull in solid.hulls]
-    return packed([np.frombuffer(names.encode(), np.uint8), frames, *hulls])
+    return packed([np.frombuffer(told.encode(), np.uint8), frames, *hulls])
 
 
-def _unpacked(content: bytes) -> list[Solid]:
-    names, frames, *hulls = unpacked(content)
-    each = iter(hulls)
-    told = zip(json.loads(names.tobytes()), frames, strict=True)
-    return [Solid(name, path, frame, tuple(islice(each, count))) for (name, path, count), frame in told]
+def _unpacked(content: bytes) -> tuple[list[Solid] | None, list[str]]:
+    """What was `_packed`, and what is to be warned of; None where a file has changed since."""
+    told, frames, *hulls = unpacked(content)
+    files, said, names = json.loads(told.tobytes())
+    if any(_content(file) != checksum for file, checksum in files.items()):
+        return None, []
+    each, rows = iter(hulls), zip(names, frames, strict=True)
+    return [Solid(name, path, frame, tuple(islice(each, count))) for (name, path, count), frame in rows], said
 
 
 # ---------------------------------------------------------------- the stage

@@ -3,11 +3,13 @@
 import subprocess
 import sys
 import warnings
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from pxr import Gf, Usd, UsdGeom
+from pxr import Ar, Gf, Usd, UsdGeom
 
 import vehsim
 from tests.parts.test_reading import CUBE, add_cube, new_stage
@@ -74,20 +76,53 @@ def test_an_asset_that_changed_is_read_again(tmp_path, reads):
     assert reach(asset) == before and len(reads) == 2
 
 
-def test_what_refers_to_other_files_is_read_each_time(tmp_path, reads):
-    """As it is now: also where the other file was missing, and where it says what is missing in its turn."""
-    stage = Usd.Stage.CreateInMemory()
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    UsdGeom.SetStageUpAxis(stage, "Z")
-    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/rig").GetPrim())
+def referring(path: Path, to: str) -> Path:
+    """A rig with a mesh of its own, and a reference."""
+    stage = new_stage()
     add_cube(stage, "/rig/own")
-    stage.GetDefaultPrim().GetReferences().AddReference("./body.usda")
-    stage.GetRootLayer().Export(str(tmp_path / "rig.usda"))
-    sizes = [reach(tmp_path / "rig.usda")]
+    stage.GetDefaultPrim().GetReferences().AddReference(to)
+    stage.GetRootLayer().Export(str(path))
+    return path
+
+
+@pytest.mark.broken_stages
+def test_what_another_file_says_is_watched(tmp_path, reads):
+    """Also where it was missing; the same file elsewhere refers to others."""
+    asset = referring(tmp_path / "rig.usda", "./body.usda")
+    sizes = [reach(asset), reach(asset)]
+    assert len(reads) == 2  # something is missing
     for size in (2.0, 4.0):
         write(tmp_path / "body.usda", size)
-        sizes.append(reach(tmp_path / "rig.usda"))
-    assert len(reads) == 3 and sizes[0] < sizes[1] < sizes[2]
+        sizes += [reach(asset), reach(asset)]
+    assert len(reads) == 4 and sizes[0] == sizes[1] < sizes[2] == sizes[3] < sizes[4] == sizes[5]
+    (tmp_path / "other").mkdir()
+    write(tmp_path / "other" / "body.usda", 2.0)
+    assert reach(referring(tmp_path / "other" / "rig.usda", "./body.usda")) == sizes[2] and len(reads) == 5
+    (tmp_path / "body.usda").unlink()
+    assert reach(asset) == sizes[0]
+
+
+@pytest.mark.broken_stages
+def test_what_a_search_finds_is_not_kept(tmp_path, reads, monkeypatch):
+    """Tomorrow it may find another file, of which nobody tells."""
+    (tmp_path / "library").mkdir()
+    write(tmp_path / "library" / "body.usda", 2.0)
+    asset, context = (
+        referring(tmp_path / "rig.usda", "body.usda"),
+        Ar.DefaultResolverContext([str(tmp_path / "library")]),
+    )
+    with Ar.ResolverContextBinder(context):
+        monkeypatch.setattr(Usd.Stage, "Open", partial(Usd.Stage.Open, pathResolverContext=context))
+        sizes = [reach(asset), reach(asset)]
+        write(tmp_path / "body.usda", 1.0)
+        sizes.append(reach(asset))
+    assert len(reads) == 3 and sizes[0] == sizes[1] > sizes[2]
+
+
+def test_what_is_written_while_it_is_read_is_not_kept(tmp_path, reads, monkeypatch):
+    asset = write(tmp_path / "rig.usda", 1.0)
+    monkeypatch.setattr(parts, "time", SimpleNamespace(time=lambda: asset.stat().st_mtime - 1.0))
+    assert reach(asset) == reach(asset) and len(reads) == 2
 
 
 def test_what_somebody_holds_is_not_kept(tmp_path, reads):
@@ -107,7 +142,7 @@ def test_warnings_are_heard_each_time(tmp_path, reads):
     for _ in range(2):
         with pytest.warns(UserWarning, match=r"no mesh carries UsdPhysics.CollisionAPI"):
             solids(tmp_path / "rig.usda")
-    assert len(reads) == 2
+    assert len(reads) == 1
 
 
 def test_a_damaged_entry_is_made_again(tmp_path, cache, reads):
