@@ -211,7 +211,7 @@ NOTES = """
 - **Time limits of the first plan of a process**, wall clock, N=128, three to five runs each, nothing else running: car
   among ten obstacles 0.5 s: 0.40 to 0.52 (0.69 to 0.97 before, mostly loading; 0.58 where the vehicle was never seen),
   helicopter in free space 0.5 s: 0.48 to 0.51, canyon 1 s: 0.79 to 1.00 (1.07 to 1.19 before), 2 s: 1.47 to 1.99,
-  solved on 32 to 128 segments as before. What is left of loading: scipy for the way round obstacles (0.17 s) and through the
+  solved on 32 to 128 segments as before. What is left of loading: scipy for the way round obstacles (0.17 s) and in the
   canyon (0.25 s), MuJoCo's model (0.12 s). USD (0.2 s) is no longer loaded for vehicles that are known. Without time to
   solve, nothing is built.
 - **Fewer levels** to N=128: 32 to 128 at once as long, 128 directly 4.0 and 4.3 s for 2.5 and 2.6.
