@@ -60,8 +60,8 @@ class Afloat(Environment):
         return water
 
     @cached_property
-    def mesh(self) -> HullMesh:
-        """The hull from the body frame's origin, fine enough for the water."""
+    def hull(self) -> HullMesh:
+        """The hull as it was given, from the body frame's origin."""
         hull, rig = self.data, self.vehicle.rig
         if hull.points is not None:
             mesh = HullMesh(hull.points, hull.faces, f"{self.vehicle.name}: hull")
@@ -69,15 +69,28 @@ class Afloat(Environment):
             mesh = read_hull(rig.asset, rig.root, hull.prim)
         else:
             raise InputError(str(Problem(f"{self.vehicle.name}: hull", "missing", "name a closed mesh of its asset")))
-        mesh = mesh.shifted(self.vehicle.origin)
-        size, wave = np.ptp(mesh.points, axis=0), self.water.shortest
-        length = float(size.max())
+        return mesh.shifted(self.vehicle.origin)
+
+    @cached_property
+    def size(self) -> Array:
+        """Of the box around the hull (3,) m, along the body's axes."""
+        return np.asarray(np.ptp(self.hull.points, axis=0))
+
+    @property
+    def draft(self) -> float:
+        """Mean of that box, m."""
+        return self.rest_volume / float(self.size[0] * self.size[1])
+
+    @cached_property
+    def mesh(self) -> HullMesh:
+        """The hull, fine enough for the water."""
+        length, wave = float(self.size.max()), self.water.shortest
         if self.water.flat:
-            return mesh.refined(COARSEST * length)
-        miss = BEND * self.rest_volume / (size[0] * size[1]) * max(1.0, length / wave) ** 2
+            return self.hull.refined(COARSEST * length)
+        miss = BEND * self.draft * max(1.0, length / wave) ** 2
         fourth = self.water.curvature * (2 * np.pi / wave) ** 2  # derivative of the height
         edge = (2880 * miss / max(fourth, 1e-12)) ** 0.25
-        return mesh.refined(min(COARSEST * length, float(np.clip(edge, FINEST * wave, wave))))
+        return self.hull.refined(min(COARSEST * length, float(np.clip(edge, FINEST * wave, wave))))
 
     @cached_property
     def field(self) -> WaterField | None:
@@ -94,7 +107,7 @@ class Afloat(Environment):
         corners = np.concatenate([self.mesh.points, self.data.propulsor_points, np.zeros((1, 3))])
         reach = 2 * float(np.sqrt((corners**2).sum(axis=1).max()))
         if cell is None:
-            miss = FIELD * self.draft * max(1.0, float(np.ptp(self.mesh.points, axis=0).max()) / water.shortest)
+            miss = FIELD * self.draft * max(1.0, float(self.size.max()) / water.shortest)
             bend = np.sqrt(12 * miss / max(water.curvature, 1e-12))
             cell = max(min(bend, water.shortest / 8, reach / 2), reach / (MOST - 6))
         if water.grids is not None:
@@ -106,12 +119,6 @@ class Afloat(Environment):
             message = f"{samples} samples a side for what is {reach:.0f} m wide, {MOST} at most"
             raise InputError(str(Problem("world.water.height_field", message, "give a wider cell, or 0", cell)))
         return float(cell), samples
-
-    @property
-    def draft(self) -> float:
-        """Mean of the box around the hull, m."""
-        size = np.ptp(self.mesh.points, axis=0)
-        return self.rest_volume / float(size[0] * size[1])
 
     @cached_property
     def reference_area(self) -> float:
@@ -173,7 +180,7 @@ class Afloat(Environment):
     @cached_property
     def _scales(self) -> tuple[float, Array, Array]:
         """Area from above, squared lever arms (6,), and inertia (6,) with a part of the added mass."""
-        size = np.ptp(self.mesh.points, axis=0)
+        size = self.size
         arms = np.array([size[1] / 2, size[0] / 2, size[0] / 2, 1, 1, 1]) ** 2
         return float(size[0] * size[1]), arms, np.diag(self.vehicle.inertia) + 0.25 * np.asarray(self.data.added_mass)
 
