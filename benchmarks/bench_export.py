@@ -57,6 +57,11 @@ seeds = {count}
 """
 
 
+PAIRS = 5
+"""Batches of one worker and of two, in turn."""
+LOOP = "x = 0\nfor k in range(30_000_000): x += k * k"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--clips", type=int, default=1000)
@@ -312,14 +317,25 @@ def family(pid: int) -> Iterator[int]:
 
 
 def scaling(folder: Path, arguments: argparse.Namespace) -> None:
-    times = {}
-    for workers in (1, 2):
-        before = load()
-        times[workers], said = batch(folder, arguments.short, workers)
-        what = f"{arguments.short} short clips, {workers} workers"
-        print(f"      {what}: {times[workers]:.1f} s, load before {before}, {said}", flush=True)
-    ratio = times[1] / times[2]
+    ratios, machine = [], []
+    for _ in range(PAIRS):
+        before, times = load(), [batch(folder, arguments.short, workers)[0] for workers in (1, 2)]
+        ratios.append(times[0] / times[1])
+        machine.append(2 * loops(1) / loops(2))
+        what = f"{arguments.short} short clips: {times[0]:.1f} s with one worker, {times[1]:.1f} s with two"
+        print(f"      {what}, load before {before}; the machine gives two loops {machine[-1]:.2f} x", flush=True)
+    ratio, gives = float(np.median(ratios)), float(np.median(machine))
     row(f"two workers beside one, {arguments.short} short clips", f"{ratio:.2f} x as fast", "1.8 x", ratio >= 1.8)
+    row("  two plain loops beside one, in the same run", f"{gives:.2f} x as fast", "-", True)
+
+
+def loops(count: int) -> float:
+    """Seconds of so many loops of plain Python side by side, each in a process of its own: what the machine gives."""
+    began = time.monotonic()
+    running = [subprocess.Popen([sys.executable, "-c", LOOP]) for _ in range(count)]
+    for process in running:
+        process.wait()
+    return time.monotonic() - began
 
 
 def thousand(folder: Path, arguments: argparse.Namespace) -> None:
