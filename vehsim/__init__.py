@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from vehsim._lazy import attach
 
 __version__ = "0.1.0"
 
@@ -27,7 +28,27 @@ _PUBLIC = {
 }
 __all__ = [*_PUBLIC, "__version__"]
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # type checkers see the names and modules, and a typo is an error
+    from vehsim import assets as assets
+    from vehsim import batch as batch
+    from vehsim import blocking as blocking
+    from vehsim import cameras as cameras
+    from vehsim import clip as clip
+    from vehsim import delivery as delivery
+    from vehsim import errors as errors
+    from vehsim import exporters as exporters  # type: ignore[attr-defined]  # not in the folder
+    from vehsim import integrators as integrators
+    from vehsim import lie as lie
+    from vehsim import parts as parts
+    from vehsim import pilots as pilots
+    from vehsim import planning as planning
+    from vehsim import rigging as rigging
+    from vehsim import shot as shot
+    from vehsim import simulation as simulation
+    from vehsim import sinusoids as sinusoids
+    from vehsim import take as take
+    from vehsim import vehicles as vehicles
+    from vehsim import world as world
     from vehsim.clip import Clip as Clip
     from vehsim.planning import Mark as Mark
     from vehsim.planning import Plan as Plan
@@ -38,10 +59,5 @@ if TYPE_CHECKING:
     from vehsim.vehicles import State as State
     from vehsim.vehicles import load_vehicle as load_vehicle
     from vehsim.world import World as World
-
-
-def __getattr__(name: str) -> Any:
-    """Import a public name when it is first asked for, so that ``import vehsim`` stays instant."""
-    if name not in _PUBLIC:
-        raise AttributeError(f"module 'vehsim' has no attribute {name!r}")
-    return getattr(importlib.import_module(_PUBLIC[name]), name)
+else:  # imported at their first use, so that ``import vehsim`` is instant
+    __getattr__, __dir__ = attach(__name__, _PUBLIC, elsewhere=("assets", "exporters"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -63,6 +64,47 @@ def test_every_command_is_explained() -> None:
 def test_every_public_name_is_in_the_reference() -> None:
     text = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
     assert [name for name in vehsim.__all__ if f"::: vehsim.{name}\n" not in text and name != "__version__"] == []
+
+
+NAMES = """
+import os, sys
+from operator import attrgetter
+
+import casadi, mujoco, numpy, pydantic, scipy  # what takes long, and is not ours
+
+import vehsim
+
+for name in sys.argv[1:]:
+    if not (child := os.fork()):  # every name in an interpreter that has imported vehsim and nothing else of it
+        code = 1
+        try:
+            attrgetter(name.removeprefix("vehsim."))(vehsim)
+            code = 0
+        except AttributeError as error:
+            print(name, error, sep=": ", flush=True)
+        finally:
+            os._exit(code)
+    os.waitpid(child, 0)
+"""
+
+
+def test_every_dotted_name_works_after_import_vehsim_alone() -> None:
+    pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "examples").glob("*.py")]
+    found = {name for page in pages for name in re.findall(r"\bvehsim(?:\.[A-Za-z]\w*)+", page.read_text("utf-8"))}
+    names = sorted(found - {"vehsim.assets.generate"})
+    assert {"vehsim.vehicles.Nonholonomic", "vehsim.integrators.forced.Forced"} <= set(names)
+    answer = subprocess.run([sys.executable, "-I", "-c", NAMES, *names], capture_output=True, text=True, check=True)
+    assert answer.stdout == ""
+
+
+def test_dir_lists_every_public_name_and_module() -> None:
+    answer = subprocess.run(
+        [sys.executable, "-I", "-c", "import vehsim; print(*dir(vehsim))"], capture_output=True, text=True, check=True
+    )
+    modules = {path.stem for path in (ROOT / "vehsim").iterdir() if path.suffix == ".py" or path.is_dir()}
+    public = {name for name in modules if not name.startswith("_") and "." not in name}
+    shown = {name for name in answer.stdout.split() if not name.startswith("__")}
+    assert shown == public | {"assets", "exporters"} | (set(vehsim.__all__) - {"__version__"})
 
 
 def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:

@@ -8,8 +8,9 @@ has what workers start with; `summary.py` says what happened; `screen.py` shows 
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from vehsim._lazy import attach
 
 _PUBLIC = {
     "Outcome": "vehsim.batch.task",
@@ -24,10 +25,5 @@ if TYPE_CHECKING:
     from vehsim.batch.sweep import load_shots as load_shots
     from vehsim.batch.task import Outcome as Outcome
     from vehsim.batch.task import Task as Task
-
-
-def __getattr__(name: str) -> Any:
-    """Import a public name when it is first asked for: workers are got ready before anything heavy is loaded."""
-    if name not in _PUBLIC:
-        raise AttributeError(f"module 'vehsim.batch' has no attribute {name!r}")
-    return getattr(importlib.import_module(_PUBLIC[name]), name)
+# at their first use: workers are started before anything heavy is loaded
+__getattr__, __dir__ = attach(__name__, _PUBLIC)

@@ -1,5 +1,6 @@
 """Planning: discrete mechanics and optimal control (DMOC) from marks to certified motion."""
 
+from vehsim._lazy import attach
 from vehsim.planning.marks import Gate as Gate
 from vehsim.planning.marks import Mark as Mark
 from vehsim.planning.planner import Plan as Plan
@@ -10,3 +11,5 @@ from vehsim.planning.terms import Constraint as Constraint
 from vehsim.planning.terms import Cost as Cost
 from vehsim.planning.terms import KnotView as KnotView
 from vehsim.planning.terms import SegmentView as SegmentView
+
+__getattr__, __dir__ = attach(__name__)

@@ -5,6 +5,9 @@
 motion; `shot.py` is the door.
 """
 
+from vehsim._lazy import attach
 from vehsim.shot.shot import Shot
 
 __all__ = ["Shot"]
+
+__getattr__, __dir__ = attach(__name__)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from vehsim._lazy import attach
 from vehsim.vehicles._base import Channel as Channel
 from vehsim.vehicles._base import Control as Control
 from vehsim.vehicles._base import Drive as Drive
@@ -20,10 +20,5 @@ if TYPE_CHECKING:
     from vehsim.vehicles.nonholonomic import Nonholonomic as Nonholonomic
 
 _SYMBOLIC = {"Holonomic": "vehsim.vehicles.holonomic", "Nonholonomic": "vehsim.vehicles.nonholonomic"}
-
-
-def __getattr__(name: str) -> Any:
-    """CasADi is imported only when a vehicle's equations are asked for."""
-    if name not in _SYMBOLIC:
-        raise AttributeError(f"module 'vehsim.vehicles' has no attribute {name!r}")
-    return getattr(importlib.import_module(_SYMBOLIC[name]), name)
+# at their first use: CasADi is loaded only when a vehicle's equations are needed
+__getattr__, __dir__ = attach(__name__, _SYMBOLIC)

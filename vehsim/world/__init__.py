@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from vehsim._lazy import attach
 from vehsim.errors import InputError, Problem
 from vehsim.world.field import DistanceField, Progress, cache_folder, distance_field
 from vehsim.world.obstacles import Moving, Obstacle, check_obstacles
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from vehsim.world.wind import Gusts
 
 __all__ = ["DistanceField", "Terrain", "Water", "World", "cache_folder"]
+__getattr__, __dir__ = attach(__name__)
 
 Array = NDArray[np.float64]
 
