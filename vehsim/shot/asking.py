@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from annotated_types import Len
-from pydantic import Field
+from pydantic import AfterValidator, Discriminator, Field, Tag
 
 from vehsim.errors import InputError, Problem
 from vehsim.shot.checks import Setting, check_names
@@ -25,8 +25,35 @@ if TYPE_CHECKING:
 Pair = Annotated[list[Number], Array, Len(2, 2)]
 Frames = Annotated[list[Frame], Array, Len(2, 2)]
 Box = Annotated[list[Metre], Array, Len(4, 4)]
-LimitTable = dict[str, Positive | dict[str, Positive | Pair]]
-"""Bounds by name; under ``joints`` and ``joint_rates`` one for each joint, or [low, high]."""
+
+
+def _rising(pair: list[float]) -> list[float]:
+    if pair[0] > pair[1]:
+        raise ValueError("the first is above the second")
+    return pair
+
+
+Range = Annotated[
+    Annotated[Positive, Tag("one")] | Annotated[Pair, AfterValidator(_rising), Tag("two")],
+    Discriminator(lambda value: "two" if isinstance(value, list | tuple) else "one"),
+    Field(description="a number above zero, the same both ways, or [low, high]"),
+]
+"""A joint's; pydantic would otherwise report what is wrong with each of the two forms."""
+
+
+class LimitTable(Table):
+    """``limits = { speed = 30, bank = 45 }``: bounds by name."""
+
+    model_config = Table.model_config | {"extra": "allow"}
+    __pydantic_extra__: dict[str, Annotated[Positive, Field(description="a number above zero")]]
+    joints: dict[str, Range] = Field(default={})
+    """a table of joints, each with a number or [low, high], in the vehicle's own units"""
+    joint_rates: dict[str, Range] = Field(default={})
+    """a table of joints, each with a number or [low, high], in the vehicle's own units a second"""
+
+    def given(self) -> dict[str, Any]:
+        """Bounds by name, as the file has them."""
+        return {name: getattr(self, name) for name in self.model_fields_set}
 
 
 class LookTable(Table):
@@ -84,13 +111,8 @@ def check_limits(limits: Mapping[str, Any], vehicle: Vehicle) -> Iterator[Proble
     from vehsim.planning.terms import LIMITS
 
     yield from check_names("limits", limits, [*LIMITS, "joints", "joint_rates"], "limit")
-    for name, value in limits.items():
-        inner = name in ("joints", "joint_rates")
-        if inner and isinstance(value, dict):
-            yield from check_names(f"limits.{name}", value, vehicle.joints, "joint")
-        elif inner or isinstance(value, dict):
-            mend = "give a table of joints" if inner else "give a number; only joints and joint_rates are tables"
-            yield Problem(f"limits.{name}", "a table of joints" if not inner else "not a table", mend, value)
+    for name in ("joints", "joint_rates"):
+        yield from check_names(f"limits.{name}", limits.get(name, {}), vehicle.joints, "joint")
 
 
 def check_asked(
@@ -103,11 +125,11 @@ def check_asked(
     try:
         request = ask(vehicle, setting.world, marks, fps=setting.fps, **options)
     except InputError as error:
-        message, _, mend = str(error).rpartition("; ")
-        key, _, rest = message.partition(": ")
+        key, _, rest = str(error).partition(": ")
         key = key.partition(" = ")[0]
         known = re.fullmatch(r"[a-z_]+(\[\d+\])?(\.\w+)*", key)
-        yield Problem(key if known else "mark", rest if known else message or str(error), mend)
+        message, _, mend = (rest if known else str(error)).rpartition("; ")
+        yield Problem(key if known else "mark", message or "not possible", mend)
         return
     for refusal in refusals(request):
         value = getattr(refusal.mark, refusal.key)

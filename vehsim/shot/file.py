@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from difflib import get_close_matches
 from functools import cache
@@ -40,6 +41,7 @@ WORDS = {
     "less_than": "it should be less than {lt:g}",
     "less_than_equal": "it should be at most {le:g}",
     "list_type": "not an array",
+    "literal_error": "it should be {expected}",
     "model_attributes_type": "not a table",
     "model_type": "not a table",
     "multiple_of": "not a multiple of {multiple_of:g}",
@@ -152,11 +154,25 @@ def _locate(root: Mapping[str, Any], location: tuple[int | str, ...]) -> tuple[t
         if isinstance(part, str) and part in node.get("discriminator", {}).get("mapping", {}):
             node = {"$ref": node["discriminator"]["mapping"][part]}
             continue
+        if "oneOf" in node and "discriminator" not in node:  # a value of several forms, whose tag pydantic names
+            node = {}
+            continue
         keys = list(node.get("properties", {}))
         place.append(part)
-        node = node.get("items", {}) if isinstance(part, int) else node.get("properties", {}).get(part, {})
+        node = node.get("items", {}) if isinstance(part, int) else _below(node, part)
         description = node.get("description", description)
-    return tuple(place), description, keys
+    return tuple(place), _asked(description), keys
+
+
+def _below(node: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+    """What a table's schema says of a key."""
+    found: Mapping[str, Any] = node.get("properties", {}).get(key) or node.get("additionalProperties") or {}
+    return found
+
+
+def _asked(description: str) -> str:
+    """A key's description on one line, without what holds when it is left out."""
+    return re.sub(r"; [^;]* unless given$", "", " ".join(description.split()))
 
 
 def _tags(root: Mapping[str, Any], place: tuple[int | str, ...]) -> str:

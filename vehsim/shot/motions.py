@@ -68,8 +68,9 @@ class PlanMotion(Table):
     """two or more [[vehicle.motion.mark]] tables"""
     marks: BlockingTable | None = None
     """instead of them, a table { usd, prim, ... }: a prim that was blocked in"""
-    limits: LimitTable = Field(default={})
-    """a table of what to stay below: speed and climb in m/s, turn_rate in deg/s, bank in degrees, ceiling in m ..."""
+    limits: LimitTable = LimitTable.model_validate({})
+    """a table of what to stay below: speed and climb in m/s, turn_rate in deg/s, bank in degrees, ceiling in m ...;
+    none unless given"""
     look: Annotated[list[LookTable], Array, Len(0, 100)] = Field(default=[])
     """[[vehicle.motion.look]] tables: where to look, and when"""
     stay: Annotated[list[StayTable], Array, Len(0, 100)] = Field(default=[])
@@ -120,7 +121,7 @@ class PlanMotion(Table):
             return
         cost = {self.cost: None} if isinstance(self.cost, str) else self.cost
         yield from check_names("cost", cost, COSTS, "cost")
-        yield from check_limits(self.limits, vehicle)
+        yield from check_limits(self.limits.given(), vehicle)
         yield from self._check_guess(vehicle)
         yield from check_order(marks, setting)
         yield from check_marks(marks, vehicle, setting.world, self.clearance)
@@ -148,7 +149,7 @@ class PlanMotion(Table):
             "segments": self.segments,
             "cost": self.cost,
             "clearance": self.clearance,
-            "limits": limits_si(self.limits),
+            "limits": limits_si(self.limits.given()),
             "terms": [*(table.term() for table in self.look), *(table.term() for table in self.stay)],
             "loop": self.loop,
             "solver": self.solver,
