@@ -180,8 +180,9 @@ def __getattr__(name: str) -> Any:
     if name in ("blend", "cycles"):
         from vehsim.take import Exporter
 
-        write = {"blend": write_blend, "cycles": write_still}[name]
-        return Exporter(name=name, suffixes=(".blend",) if name == "blend" else (), write=write, needs=("usd",))
+        if name == "blend":
+            return Exporter(name, (".blend",), write_blend, ("usd",), makes="native keys; needs Blender 5")
+        return Exporter(name, (), write_still, ("usd",), makes="a still by Cycles; needs Blender 5")
     raise AttributeError(name)
 
 

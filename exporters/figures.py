@@ -336,4 +336,4 @@ def _slug(words: str) -> str:
     return "".join(letter if letter.isalnum() else "-" for letter in words)
 
 
-exporter = Exporter(name="figures", suffixes=(".svg",), write=write_figures)
+exporter = Exporter(name="figures", suffixes=(".svg",), write=write_figures, makes="paths and curves, as SVG")

@@ -65,4 +65,6 @@ def write_film(pictures: Sequence[Path], path: Path, fps: Fraction, progress: Pr
     return path
 
 
-exporter = Exporter(name="mp4", suffixes=(".mp4",), write=write_films, needs=("usd", "png"))
+exporter = Exporter(
+    name="mp4", suffixes=(".mp4",), write=write_films, needs=("usd", "png"), makes="a film of each camera"
+)

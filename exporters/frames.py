@@ -229,4 +229,11 @@ def _checked_size(size: Sequence[int]) -> tuple[int, int]:
     return (size[0], size[1])
 
 
-exporter = Exporter(name="png", suffixes=(".png",), write=write_frames, needs=("usd",))
+exporter = Exporter(
+    name="png",
+    suffixes=(".png",),
+    write=write_frames,
+    needs=("usd",),
+    makes="a picture of every frame, a contact sheet",
+    every_frame=True,
+)

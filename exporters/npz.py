@@ -13,4 +13,4 @@ def write_npz(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
     return [clip.save(folder / f"{name}.npz") for name, clip in take.clips.items()]
 
 
-exporter = Exporter(name="npz", suffixes=(".npz",), write=write_npz)
+exporter = Exporter(name="npz", suffixes=(".npz",), write=write_npz, makes="each motion in full, for Clip.load")

@@ -56,5 +56,7 @@ def _stage(take: Take, folder: Path) -> Path:
     return path
 
 
-usdz = Exporter(name="usdz", suffixes=(".usdz",), write=write_usdz, needs=("usd",))
-flat = Exporter(name="flat", suffixes=(), write=write_flat, needs=("usd",))
+usdz = Exporter(
+    name="usdz", suffixes=(".usdz",), write=write_usdz, needs=("usd",), makes="the stage and its files, one package"
+)
+flat = Exporter(name="flat", suffixes=(), write=write_flat, needs=("usd",), makes="the stage as one flat layer")

@@ -166,4 +166,4 @@ def _write_stage(take: Take, path: Path, camera: Camera) -> None:
     layer.Save()
 
 
-exporter = Exporter(name="strobe", suffixes=(), write=write_strobe, needs=("usd",))
+exporter = Exporter(name="strobe", suffixes=(), write=write_strobe, needs=("usd",), makes="one still with many poses")

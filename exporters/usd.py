@@ -260,4 +260,10 @@ def author_camera(
     prim.GetXformOpOrderAttr().Set(["xformOp:translate", "xformOp:orient"])
 
 
-exporter = Exporter(name="usd", suffixes=(".usd", ".usda", ".usdc"), write=write_usd, latest=write_latest)
+exporter = Exporter(
+    name="usd",
+    suffixes=(".usd", ".usda", ".usdc"),
+    write=write_usd,
+    latest=write_latest,
+    makes="the shot stage, layers and assets",
+)

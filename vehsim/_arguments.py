@@ -6,6 +6,7 @@ What belongs here answers with values or raises ``InputError``; it prints nothin
 from __future__ import annotations
 
 import gc
+import math
 import os
 import re
 from collections.abc import Callable, Iterator, Sequence
@@ -17,6 +18,7 @@ from vehsim.errors import InputError, Problem, ShotError
 
 if TYPE_CHECKING:
     from vehsim.shot import Shot
+    from vehsim.world import Terrain
 
 
 @contextmanager
@@ -144,3 +146,49 @@ def size_in(text: str) -> tuple[int, int]:
     if not found or not all(16 <= int(side) <= 8192 for side in found.groups()):
         raise ShotError([Problem("--size", "not a picture's size", "write it like 960x540; 16 to 8192 a side", text)])
     return int(found[1]), int(found[2])
+
+
+def points_in(texts: Sequence[str]) -> list[tuple[float, float]]:
+    """``0 0 10 -5`` or ``0,0 10,-5`` as points (x, y) m."""
+    try:
+        numbers = [float(number) for text in texts for number in text.split(",") if number.strip()]
+    except ValueError as error:
+        raise ShotError([Problem("X Y", str(error), "give numbers in m, such as 12.5 -3")]) from None
+    if len(numbers) % 2:
+        raise ShotError([Problem("X Y", f"{len(numbers)} numbers", "give x and y of every point in m", numbers)])
+    if not all(math.isfinite(number) for number in numbers):
+        raise ShotError([Problem("X Y", "not finite", "give numbers in m, such as 12.5 -3", numbers)])
+    return list(zip(numbers[::2], numbers[1::2], strict=True))
+
+
+def heights(terrain: Terrain, points: Sequence[tuple[float, float]], water: float | None = None) -> list[str]:
+    """A line for every point: the ground's height, and how steep it rises which way. ``water``: a level, m.
+
+    Raises ``ShotError`` where a point lies outside the terrain.
+    """
+    import numpy as np
+
+    (x0, y0, _), (x1, y1, _) = terrain.lower, terrain.upper
+    near = 1e-3  # m: extents are printed rounded
+    outside = [(x, y) for x, y in points if not (x0 - near <= x <= x1 + near and y0 - near <= y <= y1 + near)]
+    extent = f"x {x0:g} to {x1:g}, y {y0:g} to {y1:g} m"
+    if outside:
+        raise ShotError(
+            [Problem("X Y", f"outside the terrain {terrain.name!r}", f"it covers {extent}", list(p)) for p in outside]
+        )
+    lines = []
+    for (x, y), z in zip(points, terrain.height(points), strict=True):
+        dx, dy = _gradient(terrain, x, y)
+        slope, uphill = np.degrees(np.arctan(np.hypot(dx, dy))), np.degrees(np.arctan2(dy, dx))
+        rise = f"slope {slope:.1f} deg, rising towards heading {uphill:.0f} deg" if slope >= 0.05 else "level"
+        below = "" if water is None else f", {water - z:.2f} m of water" if water > z else ", above the water"
+        lines.append(f"{x:g} {y:g}: {z:.3f} m, {rise}{below}")
+    return lines
+
+
+def _gradient(terrain: Terrain, x: float, y: float) -> tuple[float, float]:
+    """The ground's rise per metre along x and y, over a cell about a point and inside the terrain."""
+    (x0, y0, _), (x1, y1, _), (dx, dy) = terrain.lower, terrain.upper, terrain.cell
+    west, east, south, north = max(x - dx / 2, x0), min(x + dx / 2, x1), max(y - dy / 2, y0), min(y + dy / 2, y1)
+    a, b, c, d = terrain.height([(west, y), (east, y), (x, south), (x, north)])
+    return (b - a) / (east - west), (d - c) / (north - south)

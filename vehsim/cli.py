@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
-from vehsim import __version__, _arguments
+from vehsim import __version__, _arguments, choices
 from vehsim._ending import raising
 from vehsim.errors import InputError, Problem, ShotError, VehsimError
 
@@ -38,9 +38,20 @@ screen = Console(stderr=True, highlight=False, soft_wrap=True)
 FAILED, WRONG_INPUT, INTERRUPTED = 1, 2, 130
 STOPPED = "interrupted; nothing half-written is left, and export --resume goes on from here"
 
-Shots = Annotated[list[Path], typer.Argument(metavar="SHOT...", help="Shot files (.toml).")]
+Shots = Annotated[
+    list[Path], typer.Argument(metavar="SHOT...", help="Shot files (.toml).", autocompletion=choices.shot_file)
+]
 Sets = Annotated[
-    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a key: world.wind=[0,3,0]. Repeatable.")
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Override a key: world.wind=[0,3,0]. Repeatable.",
+        autocompletion=choices.override,
+    ),
+]
+To = Annotated[
+    str, typer.Option(metavar="LIST", help="Exporters, separated by commas.", autocompletion=choices.exporter_list)
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")]
 
@@ -59,18 +70,23 @@ class Log(StrEnum):
     json = "json"
 
 
-@app.command()
+@app.command(cls=choices.WithChoices)
 def export(
     shots: Shots,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Every clip gets its own folder here.")] = Path("out"),
-    to: Annotated[str, typer.Option(metavar="LIST", help="Exporters, separated by commas.")] = "usd",
+    to: To = "usd",
     workers: Annotated[int, typer.Option(min=1, max=1024, metavar="N", help="Processes that share the clips.")] = 1,
     dask: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help='A Dask scheduler, or "local" for N processes here.')
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Leave clips that are finished and whole.")] = False,
     sets: Sets = None,
-    only: Annotated[list[str] | None, typer.Option(metavar="VEHICLE", help="This vehicle alone. Repeatable.")] = None,
+    only: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="VEHICLE", help="This vehicle alone. Repeatable.", autocompletion=choices.vehicle_of_shots
+        ),
+    ] = None,
     quality: Annotated[Quality, typer.Option(help="draft: half the picture size, no shadows.")] = Quality.final,
     memory: Annotated[
         float | None, typer.Option(min=0.5, metavar="GB", help="A worker's address space; 1.5 is gone at once.")
@@ -124,7 +140,7 @@ def job(
     shots: Shots,
     template: Annotated[Path, typer.Option(metavar="FILE", help="The template, FILE.json; its clips go beside it.")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the farm delivers.")] = Path("out"),
-    to: Annotated[str, typer.Option(metavar="LIST", help="Exporters, separated by commas.")] = "usd",
+    to: To = "usd",
     chunks: Annotated[int, typer.Option(min=1, max=1000, help="Tasks that share a clip's frames.")] = 4,
     sets: Sets = None,
     quality: Annotated[Quality, typer.Option(help="draft: half the picture size, no shadows.")] = Quality.final,
@@ -219,7 +235,10 @@ def render(
         str | None, typer.Option(metavar="A-BxN", help="Frames: 1001-1100x10, 1001-1100 or 1001.")
     ] = None,
     size: Annotated[str, typer.Option(metavar="WxH", help="Picture size in pixels.")] = "960x540",
-    camera: Annotated[str | None, typer.Option(metavar="NAME", help="A camera of the stage.")] = None,
+    camera: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="A camera of the stage.", autocompletion=choices.camera_of_stage),
+    ] = None,
     passes: Annotated[str, typer.Option(metavar="LIST", help="depth, segmentation or both, beside the pictures.")] = "",
     burn_in: Annotated[bool, typer.Option("--burn-in", help="Write stage, camera and frame on the pictures.")] = False,
     quality: Annotated[Quality, typer.Option(help="draft: one sample a pixel, no shadows.")] = Quality.final,
@@ -288,12 +307,32 @@ def terrains() -> None:
         print(f"{file.parent.name}: " + ", ".join(f"{axis} {low:g} to {high:g} m" for axis, low, high in ranges))
 
 
+@app.command(context_settings={"ignore_unknown_options": True})  # -3.5 is a number
+def height(
+    points: Annotated[list[str], typer.Argument(metavar="X Y...", help="Points in m: x and y of each.")],
+    terrain: Annotated[
+        str, typer.Option(metavar="T", help="A terrain's name or file.", autocompletion=choices.terrain)
+    ],
+    water: Annotated[float | None, typer.Option(metavar="Z", help="Level of still water, m: prints its depth.")] = None,
+) -> None:
+    """Print the height of the ground at points, and its slope: what z a mark there needs."""
+    from vehsim.world import Terrain
+
+    for line in _arguments.heights(Terrain.load(terrain), _arguments.points_in(points), water):
+        print(line)
+
+
 @app.command()
 def schema() -> None:
-    """Print the JSON schema of shot files, for editors."""
+    """Print the JSON schema of shot files: `vehsim schema > vehsim.schema.json`, then paste the line it names.
+
+    Editors then complete and check shot files: VS Code with Even Better TOML, and others that use Taplo.
+    """
+    from vehsim.shot.file import SCHEMA_LINE
     from vehsim.shot.file import schema as shot_schema
 
     print(json.dumps(shot_schema(), indent=2))
+    screen.print(f"the first line of a shot file beside it: {SCHEMA_LINE}", markup=False)
 
 
 @app.command()

@@ -88,6 +88,10 @@ class Exporter:
     needs: tuple[str, ...] = ()
     latest: Callable[[Path, Path], None] | None = None
     """``latest(version, home)`` points what stands in ``home`` at its newest version"""
+    makes: str = ""
+    """What it makes, in a few words: shown by ``vehsim export --help``"""
+    every_frame: bool = False
+    """It renders every frame of every camera: minutes for a long shot"""
 
 
 Progress = Callable[[str, float], None]

@@ -115,7 +115,7 @@ Term = Cost | Constraint
 
 
 def _effort(s: SegmentView) -> Expr:
-    """Integral of the squared controls, exact for controls linear between knots."""
+    """Squared controls over their scale, integrated over time."""  # exact for controls linear between knots
     return s.h / 3 * (ca.sumsqr(s.c0) + ca.dot(s.c0, s.c1) + ca.sumsqr(s.c1))
 
 
@@ -132,12 +132,43 @@ def _steering(k: KnotView) -> Expr:
     return k.joint(STEERING)
 
 
-def _mean(law: Callable[[KnotView], Expr]) -> Callable[[SegmentView], Expr]:
-    return lambda s: s.h / 2 * (law(s.start) + law(s.end))
+def _mean(law: Callable[[KnotView], Expr], s: SegmentView) -> Expr:
+    return s.h / 2 * (law(s.start) + law(s.end))
+
+
+def _time(s: SegmentView) -> Expr:
+    """How long it takes, s."""
+    return s.h
+
+
+def _distance(s: SegmentView) -> Expr:
+    """Length of the path, m."""
+    return _norm(s.end.position - s.start.position)
+
+
+def _smoothness(s: SegmentView) -> Expr:
+    """Squared rates of the controls over their scale, integrated over time."""
+    return ca.sumsqr(s.c1 - s.c0) / s.h
+
+
+def _course(s: SegmentView) -> Expr:
+    """Distance moved other than along the nose, m."""
+    return _mean(_off_course, s)
+
+
+def _steered(s: SegmentView) -> Expr:
+    """Squared tangent of the steering angle, integrated over time; vehicles that steer wheels."""
+    return _mean(lambda k: _steering(k) ** 2, s)
+
+
+def _safety(s: SegmentView) -> Expr:
+    """Nearness to terrain and obstacles, integrated over time."""  # comes from what there is to hit: see `repulsion`
+    return 0 * s.h
 
 
 def _work(s: SegmentView) -> Expr:
-    """Integral of the power's size by Simpson's rule: knots alone would let force and speed take turns."""
+    """Work the controls do, of either sign, in metres that it would lift the vehicle."""
+    # Simpson's rule: knots alone would let force and speed take turns
     middle = ca.dot(s.start.push + s.end.push, s.start.rates + s.end.rates) / 4
     a, b, c = (ca.sqrt(power**2 + 0.04) - 0.2 for power in (s.start.power, middle, s.end.power))
     return s.h / 6 * (a + 4 * b + c)
@@ -149,17 +180,15 @@ def _norm(vector: Expr) -> Expr:
 
 COSTS: dict[str, Callable[[SegmentView], Expr]] = {
     "effort": _effort,
-    "time": lambda s: s.h,
-    "distance": lambda s: _norm(s.end.position - s.start.position),
-    "smoothness": lambda s: ca.sumsqr(s.c1 - s.c0) / s.h,
-    "course": _mean(_off_course),
+    "time": _time,
+    "distance": _distance,
+    "smoothness": _smoothness,
+    "course": _course,
     "energy": _work,
-    "steering": _mean(lambda k: _steering(k) ** 2),
-    "safety": lambda s: 0 * s.h,
+    "steering": _steered,
+    "safety": _safety,
 }
-"""Cost name -> its integral over a segment. ``energy``: work the controls do, of either sign, in metres it would
-lift the vehicle. ``steering``: the squared tangent of the steering angle. ``safety`` comes from what there is to hit:
-see `repulsion`."""
+"""Cost name -> its integral over a segment. The docstring of each is its one description."""
 
 PRESETS: dict[str, dict[str, float]] = {
     "energy": {"energy": 1.0, "effort": 0.1},
@@ -178,10 +207,14 @@ def repulsion(distance: Expr) -> Expr:
 
 @dataclass(frozen=True)
 class Limit:
-    """A built-in limit: the ``law`` of a knot or segment that stays below a value in ``unit``, rad for angles."""
+    """A built-in limit: the ``law`` of a knot or segment that stays below a value in ``unit``, rad for angles.
+
+    ``meaning``: what the value bounds, in a few words.
+    """
 
     law: Callable[[Any], Expr]
     unit: str
+    meaning: str
     over: Where = "knots"
     joint: str | None = None
 
@@ -194,20 +227,26 @@ STEERING = "sigma"
 """The joint of all steered vehicles: the tangent of the steering angle."""
 
 LIMITS: dict[str, Limit] = {
-    "speed": Limit(lambda k: _norm(k.velocity), "m/s"),
-    "ceiling": Limit(lambda k: k.position[2], "m"),
-    "climb": Limit(lambda k: ca.sqrt(k.velocity[2] ** 2 + 1e-8), "m/s"),
-    "turn_rate": Limit(lambda k: _norm(k.omega), "rad/s"),
-    "bank": Limit(lambda k: ca.acos(0.9999999 * k.rotation[2, 2]), "rad"),
-    "acceleration": Limit(lambda s: _norm(s.acceleration), "m/s^2", "segments"),
-    "g_load": Limit(lambda s: _norm(s.acceleration / GRAVITY + ca.DM([0, 0, 1])), "g", "segments"),
-    "steering": Limit(lambda k: ca.sqrt(ca.atan(k.joint(STEERING)) ** 2 + 1e-8), "rad", joint=STEERING),
+    "speed": Limit(lambda k: _norm(k.velocity), "m/s", "speed in any direction"),
+    "ceiling": Limit(lambda k: k.position[2], "m", "height of the root"),
+    "climb": Limit(lambda k: ca.sqrt(k.velocity[2] ** 2 + 1e-8), "m/s", "speed up or down"),
+    "turn_rate": Limit(lambda k: _norm(k.omega), "rad/s", "angular speed about any axis"),
+    "bank": Limit(lambda k: ca.acos(0.9999999 * k.rotation[2, 2]), "rad", "angle between the body's and the world's Z"),
+    "acceleration": Limit(lambda s: _norm(s.acceleration), "m/s^2", "acceleration in any direction", "segments"),
+    "g_load": Limit(
+        lambda s: _norm(s.acceleration / GRAVITY + ca.DM([0, 0, 1])), "g", "what the crew feels: 1 at rest", "segments"
+    ),
+    "steering": Limit(
+        lambda k: ca.sqrt(ca.atan(k.joint(STEERING)) ** 2 + 1e-8), "rad", "steering angle", joint=STEERING
+    ),
     "steering_rate": Limit(
-        lambda k: ca.sqrt((k.rate(STEERING) / (1 + k.joint(STEERING) ** 2)) ** 2 + 1e-8), "rad/s", joint=STEERING
+        lambda k: ca.sqrt((k.rate(STEERING) / (1 + k.joint(STEERING) ** 2)) ** 2 + 1e-8),
+        "rad/s",
+        "how fast the steering angle changes",
+        joint=STEERING,
     ),
 }
-"""Limit name -> the value that stays below it: in any direction, up or down, and between the body's and the world's Z
-(``bank``); ``g_load`` is what the crew feels, 1 at rest; ``ceiling`` the height of the root."""
+"""Limit name -> the value that stays below it."""
 
 SMOOTHNESS = 1e-3
 """Weight of smoothness unless given: it keeps any optimum unique and the controls from chattering."""

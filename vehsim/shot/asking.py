@@ -15,7 +15,7 @@ from pydantic import AfterValidator, Discriminator, Field, Tag
 
 from vehsim.errors import InputError, Problem
 from vehsim.shot.checks import Setting, check_names
-from vehsim.shot.model import Array, Frame, Metre, Number, Point, Positive, Table
+from vehsim.shot.model import Array, Frame, Metre, Number, Point, Positive, Table, describe
 
 if TYPE_CHECKING:
     from vehsim.planning import Mark
@@ -41,10 +41,22 @@ Range = Annotated[
 """A joint's; pydantic would otherwise report what is wrong with each of the two forms."""
 
 
+def _name_limits(schema: dict[str, Any], model: type[Table]) -> None:
+    """Name every limit in the JSON schema, with its unit and meaning."""
+    from vehsim.planning.terms import LIMITS
+
+    describe(schema, model)
+    number = schema["additionalProperties"]
+    for name, limit in LIMITS.items():
+        said = f"{number['description']}, in {limit.unit.replace('rad', 'deg')}: {limit.meaning}"
+        schema["properties"][name] = {**number, "description": said}
+    schema["additionalProperties"] = False
+
+
 class LimitTable(Table):
     """``limits = { speed = 30, bank = 45 }``: bounds by name."""
 
-    model_config = Table.model_config | {"extra": "allow"}
+    model_config = Table.model_config | {"extra": "allow", "json_schema_extra": _name_limits}
     __pydantic_extra__: dict[str, Annotated[Positive, Field(description="a number above zero")]]
     joints: dict[str, Range] = Field(default={})
     """a table of joints, each with a number or [low, high], in the vehicle's own units"""

@@ -23,10 +23,16 @@ from vehsim.shot.model import (
     RenderTable,
     Table,
     Text,
+    shipped_or_path,
 )
 from vehsim.shot.motions import Motion
 from vehsim.shot.world_tables import WorldTable
 
+DIALECT = "http://json-schema.org/draft-07/schema#"
+"""What editors of TOML read most widely; nothing of a later draft is needed."""
+SCHEMA_FILE = "vehsim.schema.json"
+SCHEMA_LINE = f"#:schema ./{SCHEMA_FILE}"
+"""The first line of a shot file by which an editor finds its schema beside it."""
 MAX_VEHICLES = 100
 MAX_CUTS = 1000
 
@@ -65,7 +71,7 @@ class VehicleTable(Table):
 
     name: Name
     """a name of letters, digits and underscores, one of its own for every vehicle"""
-    asset: Text
+    asset: Annotated[Text, shipped_or_path("vehicle")]
     """a shipped vehicle's name, or the path of a vehicle's folder relative to the shot file"""
     variants: dict[str, Text] = Field(default={})
     """a table of the asset's variant sets and the variants to show, such as { livery = "red" }"""
@@ -96,9 +102,19 @@ class ShotFile(Table):
     """a table [sweep]: keys of this file and the values they take, one clip for each"""
 
 
-@cache
 def schema() -> dict[str, Any]:
     """The JSON schema of a shot file, for editors."""
+    shape = _shape()
+    cameras = shape["properties"]["camera"]
+    several = {"anyOf": [cameras["items"], cameras], "description": cameras["description"]}
+    head = {"$schema": DIALECT, "$id": "urn:vehsim:shot:1", "title": "vehsim shot file"}
+    properties = {**shape["properties"], "camera": several}
+    return {**head, **shape, "title": head["title"], "properties": properties}
+
+
+@cache
+def _shape() -> dict[str, Any]:
+    """The same of what validation sees, where ``[camera]`` is a list already."""
     return ShotFile.model_json_schema(by_alias=True)
 
 
@@ -126,7 +142,7 @@ def dotted(place: tuple[int | str, ...]) -> str:
 
 def _problems(errors: Any) -> Iterator[Problem]:
     """One problem per error of pydantic's."""
-    root = schema()
+    root = _shape()
     for error in errors:
         place, description, keys = _locate(root, error["loc"])
         key, value = dotted(place), error["input"]
@@ -207,7 +223,7 @@ def _without(data: Any, errors: Any) -> Any:
     """The data without its unknown keys, and without the top tables that have other errors."""
     bad = set()
     for error in errors:
-        place, _, _ = _locate(schema(), error["loc"])
+        place, _, _ = _locate(_shape(), error["loc"])
         bad.add(place if error["type"] == "extra_forbidden" else place[:1])
 
     def keep(value: Any, place: tuple[int | str, ...]) -> Any:

@@ -14,7 +14,7 @@ from pydantic import Field
 
 from vehsim.errors import Problem
 from vehsim.shot.checks import Setting, check_names, choose
-from vehsim.shot.model import MAX_FRAMES, Number, Positive, StartTable, Table, Text
+from vehsim.shot.model import MAX_FRAMES, InSchema, Number, Positive, StartTable, Table, Text, names_in
 
 if TYPE_CHECKING:
     from vehsim.clip import Clip
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from vehsim.vehicles import Vehicle
 
 OURS = "variational"
+METHODS = "vehsim.integrators.references:METHODS"
 
 
 class IntegrateMotion(Table):
@@ -29,7 +30,7 @@ class IntegrateMotion(Table):
 
     method: Literal["integrate"]
     """plan, simulate, integrate, sinusoid or clip"""
-    integrator: Text = OURS
+    integrator: Annotated[Text, InSchema(lambda own: {"enum": [OURS, *names_in(METHODS)]})] = OURS
     """"variational" or, to compare with, "rk2", "rk4", "implicit_rk2" or "lie_newmark\""""
     start: StartTable = StartTable()
     """the state on the shot's first frame, handle included; at the origin and at rest unless given"""

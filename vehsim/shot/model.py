@@ -6,9 +6,12 @@ What belongs here needs neither world nor vehicle to be judged; the rest is in `
 from __future__ import annotations
 
 import ast
+import importlib
 import inspect
 import re
 import textwrap
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
 from typing import Annotated, Any, Literal
@@ -25,6 +28,7 @@ from pydantic import (
     WithJsonSchema,
 )
 
+from vehsim.assets import shipped
 from vehsim.cameras import CameraRig
 from vehsim.world import MAX_WIND
 
@@ -37,7 +41,7 @@ MAX_FPS = 1000
 _NTSC = Fraction(1000, 1001)
 
 
-def _describe(schema: dict[str, Any], model: type[BaseModel]) -> None:
+def describe(schema: dict[str, Any], model: type[BaseModel]) -> None:
     """Say in a model's JSON schema what to give for each key.
 
     Sources are read when a schema is asked for: pydantic's own ``use_attribute_docstrings`` reads them at every import.
@@ -65,7 +69,41 @@ def _docstrings(model: type) -> dict[str, str]:
 class Table(BaseModel):
     """A table of the file: unknown keys and values of another type are errors."""
 
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, json_schema_extra=_describe)
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, json_schema_extra=describe)
+
+
+@dataclass(frozen=True)
+class InSchema:
+    """What the JSON schema says of a value: ``shape`` takes what its type alone says.
+
+    It is called when a schema is asked for, so that names can come from where they are defined.
+    """
+
+    shape: Callable[[dict[str, Any]], dict[str, Any]]
+
+    def __get_pydantic_json_schema__(self, core: Any, handler: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        return self.shape(handler(core))
+
+
+def names_in(place: str) -> list[str]:
+    """The keys of a table of vehsim's, ``module:table``, imported now."""
+    module, _, table = place.partition(":")
+    return list(getattr(importlib.import_module(module), table))
+
+
+def one_of(place: str) -> InSchema:
+    """A text that is a key of the table at ``place``."""
+    return InSchema(lambda own: {"enum": names_in(place)})
+
+
+def shipped_or_path(kind: str) -> InSchema:
+    """A text that is the name of a shipped "vehicle" or "terrain", or a path."""
+    return InSchema(lambda own: {"anyOf": [{"enum": list(shipped(kind))}, own]})
+
+
+def table_of(keys: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """The JSON schema of a table with these keys and no others."""
+    return {"type": "object", "properties": dict(keys), "additionalProperties": False}
 
 
 def parse_fps(value: Any) -> Fraction:
@@ -239,7 +277,7 @@ class CameraTable(Table):
 
     name: Name = "chase"
     """a name of letters, digits and underscores, one of its own for every camera"""
-    rig: Text = "chase"
+    rig: Annotated[Text, one_of("vehsim.cameras:RIGS")] = "chase"
     """how the camera moves: "chase", "follow", "orbit", "static", "dolly", "crane", "fly_by" or "first_person\""""
     target: Text | None = None
     """the name of the vehicle it looks at; the first unless given"""

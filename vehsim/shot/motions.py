@@ -24,6 +24,7 @@ from vehsim.shot.integrating import IntegrateMotion
 from vehsim.shot.model import (
     MAX_FRAMES,
     Array,
+    InSchema,
     MarkTable,
     NotNegative,
     Number,
@@ -31,6 +32,9 @@ from vehsim.shot.model import (
     StartTable,
     Table,
     Text,
+    names_in,
+    one_of,
+    table_of,
 )
 from vehsim.shot.obstacles import check_marks
 from vehsim.shot.piloting import PilotTable as PilotTable
@@ -45,6 +49,7 @@ if TYPE_CHECKING:
     from vehsim.take import Progress
     from vehsim.vehicles import State, Vehicle
 
+COSTS = "vehsim.planning.terms:COSTS"
 MAX_STEPS = 10_000_000
 """More integration steps than any shot needs."""
 
@@ -57,7 +62,10 @@ class PlanMotion(Table):
     cost: Annotated[
         str | dict[str, float],
         PlainValidator(lambda v: _cost(v)),
-        WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object", "additionalProperties": {"type": "number"}}]}),
+        WithJsonSchema({"type": "number", "minimum": 0}),
+        InSchema(
+            lambda weight: {"anyOf": [{"enum": names_in(COSTS)}, table_of(dict.fromkeys(names_in(COSTS), weight))]}
+        ),
     ] = "effort"
     """what to keep small: "effort", "time" or another cost by name, or weights such as { effort = 1, time = 0.5 }"""
     segments: Annotated[int, Field(ge=2, le=2000)] = 64
@@ -77,7 +85,7 @@ class PlanMotion(Table):
     """[[vehicle.motion.stay]] tables: above, below or inside what, and when"""
     loop: bool = False
     """true: the motion ends as it begins, to be repeated"""
-    solver: Text = "ipopt"
+    solver: Annotated[Text, one_of("vehsim.planning.solver:SOLVERS")] = "ipopt"
     """the optimiser: "ipopt", "sqpmethod" or "fatrop\""""
     guess: Literal["sinusoid"] | None = None
     """where the search starts: "sinusoid", a manoeuvre that a car or truck can drive; the straight way, or one round

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
 from vehsim.errors import InputError, Problem
 from vehsim.shot.checks import check_names, choose
-from vehsim.shot.model import Table, Text
+from vehsim.shot.model import Table, Text, one_of
 
 if TYPE_CHECKING:
     from vehsim.vehicles import Vehicle
@@ -23,7 +23,7 @@ class PilotTable(Table):
     """``pilot = { name = "hover", ... }``: a feedback controller and its parameters."""
 
     model_config = Table.model_config | {"extra": "allow"}
-    name: Text
+    name: Annotated[Text, one_of("vehsim.pilots:PILOTS")]
     """a pilot's name: "hover", "fly_to" or "follow_path\""""
 
     def parameters(self) -> dict[str, Any]:

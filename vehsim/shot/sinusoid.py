@@ -18,7 +18,19 @@ from pydantic import Field
 
 from vehsim.errors import InputError, Problem, SolveError, VehsimError
 from vehsim.shot.checks import Setting, check_names, check_order
-from vehsim.shot.model import MAX_FRAMES, Array, Heading, MarkFrame, NotNegative, Number, Point, Positive, Table
+from vehsim.shot.model import (
+    MAX_FRAMES,
+    Array,
+    Heading,
+    InSchema,
+    MarkFrame,
+    NotNegative,
+    Number,
+    Point,
+    Positive,
+    Table,
+    table_of,
+)
 
 if TYPE_CHECKING:
     from vehsim.clip import Clip
@@ -73,7 +85,10 @@ class SinusoidMotion(Table):
     """where in its period the slow sinusoid begins, in degrees; several are offered unless given"""
     clearance: Annotated[NotNegative, Field(le=1000)] = 0.1
     """how far every body of the vehicle stays from obstacles, in m"""
-    limits: dict[str, Positive] = Field(default={})
+    limits: Annotated[
+        dict[str, Positive],
+        InSchema(lambda own: table_of(dict.fromkeys([*LIMITS, *FLIGHT_LIMITS], own["additionalProperties"]))),
+    ] = Field(default={})
     """speed in m/s, steering and hitch in degrees, steering_rate in deg/s; leg_rate in deg/s and stretch_rate in m/s"""
 
     def check(self, vehicle: Vehicle, setting: Setting) -> Iterator[Problem]:

@@ -23,6 +23,7 @@ from vehsim.shot.model import (
     Table,
     Text,
     Wind,
+    shipped_or_path,
 )
 
 
@@ -216,7 +217,7 @@ class ContactTable(Table):
 class WorldTable(Table):
     """``[world]``"""
 
-    terrain: Text | None = None
+    terrain: Annotated[Text, shipped_or_path("terrain")] | None = None
     """a shipped terrain's name, or the path of a mesh (OBJ, STL, PLY, GLB, USD) or height map (PNG, NPY, NPZ, GeoTIFF)
     relative to the shot file; empty space unless given"""
     wind: Wind = Field(default=[0.0, 0.0, 0.0])

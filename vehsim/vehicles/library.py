@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vehsim.assets import shipped
 from vehsim.errors import InputError
 from vehsim.vehicles._base import Control, Drive, Rig, Suspension
 from vehsim.vehicles._imported import KEYS, ready_asset
@@ -51,7 +52,7 @@ _TOP |= {"suspension"} | KEYS
 
 def available() -> list[str]:
     """Names of the vehicles that ship with vehsim."""
-    return sorted(path.parent.name for path in _shipped().glob("*/vehicle.toml"))
+    return list(shipped("vehicle"))
 
 
 def load_vehicle(name: str | Path) -> Vehicle:
@@ -61,20 +62,15 @@ def load_vehicle(name: str | Path) -> Vehicle:
     """
     if not isinstance(name, str | Path):
         raise InputError(f"vehicle = {name!r}: give a name or the path of a folder")
-    folder = Path(name)
-    if not (folder / "vehicle.toml").is_file():
-        folder = _shipped() / str(name)
-    if not (folder / "vehicle.toml").is_file():
+    path = Path(name) / "vehicle.toml"
+    if not path.is_file():
+        path = shipped("vehicle").get(str(name), path)
+    if not path.is_file():
         close = get_close_matches(str(name), available(), n=1)
         hint = f"did you mean {close[0]!r}?" if close else f"choose one of {', '.join(available())}"
         raise InputError(f"vehicle {str(name)!r}: no such vehicle, nor a folder with a vehicle.toml; {hint}")
-    path = (folder / "vehicle.toml").resolve()
+    path = path.resolve()
     return _load(path, path.stat().st_mtime_ns)
-
-
-def _shipped() -> Path:
-    assets = importlib.import_module("vehsim.assets")
-    return Path(str(assets.__file__)).parent / "vehicles"
 
 
 @lru_cache(maxsize=64)

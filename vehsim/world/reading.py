@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim._meshes import triangulate
+from vehsim.assets import shipped
 from vehsim.errors import InputError, Problem
 from vehsim.world.terrain import MAX_POINTS, Terrain
 
@@ -50,12 +51,12 @@ def refuse(file: Path | str, key: str, message: str, mend: str, value: object = 
 
 def read_terrain(source: str | Path) -> Terrain:
     """The shipped terrain called ``source``, or the terrain in the file or folder ``source``. Raises ``InputError``."""
-    path = _shipped().get(str(source), Path(os.path.expanduser(source)))
+    path = shipped("terrain").get(str(source), Path(os.path.expanduser(source)))
     if path.is_dir():
         path = path / "terrain.toml"
     if not path.is_file():
-        close = [f"did you mean {name!r}? " for name in get_close_matches(path.name, _shipped(), n=1)]
-        mend = f"{''.join(close)}give one of {', '.join(sorted(_shipped()))} or the path of a mesh or height map"
+        close = [f"did you mean {name!r}? " for name in get_close_matches(path.name, shipped("terrain"), n=1)]
+        mend = f"{''.join(close)}give one of {', '.join(shipped('terrain'))} or the path of a mesh or height map"
         raise InputError(str(Problem("terrain", "no such terrain or file", mend, str(source))))
     if path.suffix == ".toml":
         heights, placement = _read_toml(path)
@@ -64,13 +65,6 @@ def read_terrain(source: str | Path) -> Terrain:
     placement = _read_toml(beside)[1] if beside.is_file() else Placement(path)
     terrain = _read_heights(path, placement)
     return replace(terrain, look=placement.look) if placement.look else terrain
-
-
-def _shipped() -> dict[str, Path]:
-    """The terrains that ship with vehsim: name -> terrain.toml."""
-    from vehsim import assets
-
-    return {file.parent.name: file for file in Path(assets.__path__[0]).glob("terrains/*/terrain.toml")}
 
 
 def _read_heights(path: Path, placement: Placement) -> Terrain:
