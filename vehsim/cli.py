@@ -8,8 +8,9 @@ from __future__ import annotations
 import json
 import os
 import signal
+import sys
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from enum import StrEnum
 from functools import partial
@@ -105,7 +106,9 @@ def export(
     names = _arguments.exporters_in(to)
     _arguments.check_folder(out)
     overrides = [*(sets or []), *["export.layer_only=true"] * layer_only]
-    loaded, problems = _arguments.load_all(shots, overrides, only or [], partial(_arguments.check_delivery, names, out))
+    with _working("checking", quiet or log is Log.json):
+        may = partial(_arguments.check_delivery, names, out)
+        loaded, problems = _arguments.load_all(shots, overrides, only or [], may)
     _say(problems, quiet or log is Log.json)
     if log is Log.json:
         log_problems(problems)
@@ -180,7 +183,8 @@ def step(
 @app.command()
 def check(shots: Shots, sets: Sets = None, quiet: Quiet = False) -> None:
     """Say what is wrong with shot files, where, and how to mend it. Nothing is solved or written."""
-    loaded, problems = _arguments.load_all(shots, sets or [])
+    with _working("checking", quiet):
+        loaded, problems = _arguments.load_all(shots, sets or [])
     wrong = _say(problems, quiet)
     for shot in loaded:
         if not quiet:
@@ -202,7 +206,9 @@ def manoeuvres(
     loaded, problems = _arguments.load_all(shots, sets or [])
     wrong = _say(problems, quiet)
     for shot in loaded:
-        for line in paint_offers(shot, out):
+        with _working(f"{shot.name}  painting manoeuvres", quiet):
+            lines = list(paint_offers(shot, out))
+        for line in lines:
             print(line)
     raise typer.Exit(WRONG_INPUT if wrong else 0)
 
@@ -217,7 +223,8 @@ def validate(
     _arguments.check_stages(stages)
     wrong = False
     for path in stages:
-        issues = validate_stage(path)
+        with _working(f"validating {path}", quiet):
+            issues = validate_stage(path)
         wrong = wrong or any(issue.severity == "error" for issue in issues)
         for issue in issues:
             if issue.severity == "error" or not quiet:
@@ -273,7 +280,8 @@ def compare(
     from vehsim.exporters.compare import compare_folders
     from vehsim.exporters.compare_report import write_report
 
-    results = compare_folders(renders, references)
+    with _working(f"comparing {renders} with {references}"):
+        results = compare_folders(renders, references)
     bad = [comparison for comparison in results if comparison.fails(tolerance)]
     for comparison in bad:
         print(comparison)
@@ -340,7 +348,8 @@ def doctor() -> None:
     """Look at what vehsim stands on: Python, libraries, EGL, the film's codec, the cache."""
     from vehsim.doctor import examine
 
-    findings = examine()
+    with _working("examining"):
+        findings = examine()
     for finding in findings:
         mend = "" if finding.good else f"; {finding.mend}"
         print(f"{'ok ' if finding.good else 'BAD'}  {finding.what}: {finding.found}{mend}")
@@ -371,6 +380,9 @@ def run(arguments: Sequence[str]) -> int:
         return _fail(STOPPED, code) if code == INTERRUPTED else code
     except KeyboardInterrupt:
         return _fail(STOPPED, INTERRUPTED)
+    except BrokenPipeError:  # the reader of what is printed has gone, as that of `| head` does
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return FAILED
     except VehsimError as error:
         return _fail(str(error), WRONG_INPUT if isinstance(error, InputError) else FAILED)
     except Exception as error:
@@ -413,9 +425,17 @@ def _say(problems: Sequence[Problem], quiet: bool) -> bool:
 
 @contextmanager
 def _progress(quiet: bool) -> Iterator[Progress]:
-    """A progress bar on a terminal, nothing elsewhere."""
+    """A progress bar on a terminal, a plain line every few seconds elsewhere."""
     if quiet or not screen.is_terminal:
-        yield lambda what, done: None
+        at = ""
+
+        def note(what: str, done: float) -> None:
+            nonlocal at
+            at = f"{what}  {done:.0%}"
+            tick()
+
+        with _working(lambda: at, quiet) as tick:
+            yield note
         return
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
@@ -423,3 +443,15 @@ def _progress(quiet: bool) -> Iterator[Progress]:
     with Progress(*columns, console=screen, transient=True) as bar:
         task = bar.add_task("", total=1.0)
         yield lambda what, done: bar.update(task, description=what.replace("[", r"\["), completed=done)
+
+
+@contextmanager
+def _working(what: str | Callable[[], str], quiet: bool = False) -> Iterator[Callable[[], None]]:
+    """A plain line every few seconds with what is being done; nothing where it is quick."""
+    from vehsim.batch.screen import ticking
+
+    if quiet:
+        yield lambda: None
+        return
+    with ticking(lambda: ("", what if isinstance(what, str) else what())) as tick:
+        yield tick

@@ -5,16 +5,21 @@ from __future__ import annotations
 import json
 import os
 import sys
+import threading
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from typing import Any, Protocol
 
 from vehsim.batch.task import Outcome, Task
 from vehsim.errors import Problem
 
+PAUSE, CHANGE = 5.0, 1.0
+"""Seconds between two plain lines of progress: at most, and at least where the state changed."""
+AT_WORK = 3
+"""Most clips at work that a plain line names."""
 STATES = ("queued", "planning", "baking", "rendering", "done", "skipped", "failed")
 ROWS = 20
 """Most clips at work that a table shows."""
@@ -33,14 +38,49 @@ def watch(tasks: Sequence[Task], screen: Any, log: str, quiet: bool) -> Iterator
     """The watcher for a ``log`` of "text" or "json". ``screen``: a rich console for what is not an answer."""
     if log == "json":
         yield _JsonLog(tasks)
-    elif quiet or not screen.is_terminal:
+    elif quiet:
         yield _Lines(tasks, screen, quiet)
+    elif not screen.is_terminal:
+        lines = _Progress(tasks, screen)
+        with ticking(lines.line) as tick:
+            lines.tick = tick
+            yield lines
     else:
         table = _Table(tasks, screen)
         from rich.live import Live
 
         with Live(table, console=screen, refresh_per_second=8, transient=True):
             yield table
+
+
+@contextmanager
+def ticking(line: Callable[[], tuple[str, str]]) -> Iterator[Callable[[], None]]:
+    """Print on standard error what ``line`` returns, a state and a text, at a new state and every `PAUSE` seconds.
+
+    Yields what to call when there is news: a thread does so each second, but libraries may keep it from running.
+    """
+    began = last = time.monotonic()
+    before, lock, ended = "", threading.Lock(), threading.Event()
+
+    def tick() -> None:
+        nonlocal last, before
+        with lock:
+            now, (state, text) = time.monotonic(), line()
+            if text and now - last >= (PAUSE if state == before else CHANGE):
+                last, before = now, state
+                with suppress(OSError, ValueError):  # the reader has gone: the work goes on
+                    print(f"{text}  {now - began:.0f} s", file=sys.stderr, flush=True)
+
+    def keep() -> None:
+        while not ended.wait(CHANGE):
+            tick()
+
+    thread = threading.Thread(target=keep, daemon=True)
+    thread.start()
+    try:
+        yield tick
+    finally:
+        ended.set()
 
 
 class _Lines:
@@ -68,8 +108,8 @@ class _Lines:
             _answer(f"{task.target}: {', '.join(task.to)} of frames {outcome.frames[0]} to {outcome.frames[1]}")
 
 
-class _Table(_Lines):
-    """The whole batch in one bar, and a row for every clip at work; a rich renderable."""
+class _AtWork(_Lines):
+    """Keeps what every clip is doing."""
 
     def __init__(self, tasks: Sequence[Task], screen: Any) -> None:
         super().__init__(tasks, screen, quiet=False)
@@ -86,6 +126,30 @@ class _Table(_Lines):
         self._states[outcome.name] = outcome.state
         self._active.pop(outcome.name, None)
         super().end(outcome)
+
+
+class _Progress(_AtWork):
+    """Without a terminal: a plain line every few seconds, so that a log shows that the work goes on."""
+
+    tick: Callable[[], None]
+
+    def tell(self, name: str, state: str, what: str, done: float) -> None:
+        super().tell(name, state, what, done)
+        self.tick()
+
+    def line(self) -> tuple[str, str]:
+        """The states of all clips, and what is being done."""
+        active = list(self._active.items())
+        if len(self._tasks) == 1:
+            return " ".join(self._states.values()), "".join(f"{name}  {what}" for name, (_, what, _) in active)
+        ended = sum(state in ("done", "skipped", "failed") for state in self._states.values())
+        shown = [f"{name}  {what}" for name, (_, what, _) in active[:AT_WORK]]
+        more = [f"{len(active) - AT_WORK} more at work"] * (len(active) > AT_WORK)
+        return str(ended), "; ".join([f"{ended} of {len(self._tasks)} done", *shown, *more])
+
+
+class _Table(_AtWork):
+    """The whole batch in one bar, and a row for every clip at work; a rich renderable."""
 
     def __rich__(self) -> Any:
         from rich.console import Group

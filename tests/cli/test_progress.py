@@ -1,0 +1,118 @@
+"""Without a terminal: a plain line every few seconds, so that a log shows what is being done; and pipes that close."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from vehsim import _arguments, cli
+from vehsim.batch import screen
+
+SHOT = """
+[shot]
+schema = 1
+name = "{name}"
+[[vehicle]]
+name = "car"
+asset = "car"
+[vehicle.motion]
+method = "simulate"
+duration = 0.25
+"""
+
+
+@pytest.fixture
+def eager(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As if seconds passed between any two of our lines."""
+    monkeypatch.setattr(screen, "PAUSE", 0.0)
+    monkeypatch.setattr(screen, "CHANGE", 0.01)
+
+
+def write(folder: Path, name: str = "drive") -> str:
+    path = folder / f"{name}.toml"
+    path.write_text(SHOT.format(name=name))
+    return str(path)
+
+
+@pytest.mark.usefixtures("eager")
+def test_an_export_shows_what_is_being_done(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.run(["export", write(tmp_path), "--out", str(tmp_path / "out"), "--to", "usd,npz"]) == 0
+    said = capsys.readouterr().err
+    assert re.search(r"^drive  car: simulate  \d+ s$", said, re.MULTILINE)
+    assert re.search(r"^drive  usd: reading back  \d+ s$", said, re.MULTILINE)
+
+
+@pytest.mark.usefixtures("eager")
+def test_a_batch_shows_how_many_are_done(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shots = [write(tmp_path, "one"), write(tmp_path, "two")]
+    assert cli.run(["export", *shots, "--out", str(tmp_path / "out"), "--to", "npz", "--workers", "1"]) == 0
+    said = capsys.readouterr().err
+    assert re.search(r"^0 of 2 done; one  .*  \d+ s$", said, re.MULTILINE)
+    assert re.search(r"^1 of 2 done; two  .*  \d+ s$", said, re.MULTILINE)
+
+
+@pytest.mark.usefixtures("eager")
+@pytest.mark.parametrize("option", [["--quiet"], ["--log", "json"]])
+def test_nobody_who_asked_for_less_gets_lines(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], option: list[str]
+) -> None:
+    assert cli.run(["export", write(tmp_path), "--out", str(tmp_path / "out"), "--to", "npz", *option]) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    events = [json.loads(line)["event"] for line in out.splitlines()]
+    assert ("progress" in events) is ("json" in option)
+
+
+@pytest.mark.usefixtures("eager")
+def test_pictures_are_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.run(["export", write(tmp_path), "--out", str(tmp_path), "--quiet"]) == 0
+    render = ["render", str(tmp_path / "drive" / "drive.usda"), "--size", "64x36", "--frames", "1001-1002"]
+    assert cli.run([*render, "--out", str(tmp_path / "more")]) == 0
+    assert re.search(r"^frames: chase 1002  50%  \d+ s$", capsys.readouterr().err, re.MULTILINE)
+    assert cli.run([*render, "--out", str(tmp_path / "quiet"), "--quiet"]) == 0
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.usefixtures("eager")
+def test_other_commands_say_that_they_are_at_work(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A thread does: what they call tells nothing of its progress."""
+    load = _arguments.load_all
+
+    def slow(*given: Any) -> Any:
+        for _ in range(1000):
+            if said := capsys.readouterr().err:
+                break
+            threading.Event().wait(0.01)
+        assert re.fullmatch(r"(checking  \d+ s\n)+", said)
+        return load(*given)
+
+    monkeypatch.setattr(_arguments, "load_all", slow)
+    assert cli.run(["check", write(tmp_path)]) == 0
+
+
+def test_what_is_quick_says_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.run(["check", write(tmp_path)]) == 0
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("command", [["vehicles"], ["terrains"], ["schema"], ["--help"], ["check"]])
+def test_a_reader_that_leaves_sees_no_traceback(tmp_path: Path, command: list[str]) -> None:
+    """As in ``vehsim vehicles | head -1``: the pipe is closed before the first line is printed."""
+    shots = [write(tmp_path)] * (command == ["check"])
+    words = [sys.executable, "-u", "-m", "vehsim", *command, *shots]
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None and process.stderr is not None
+    process.stdout.close()
+    said = process.stderr.read()
+    process.wait()
+    process.stderr.close()
+    assert said == ""
