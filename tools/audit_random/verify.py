@@ -1,0 +1,825 @@
+"""Measure a delivery against its shot file, knowing nothing of how it was made: the stage, the TOML, and no vehsim.
+
+``python verify.py SHOT.toml STAGE.usda [--json]`` says what was asked and is not so, and exits with 1 then.
+
+Every test is one-sided: what is refuted is wrong for certain. A mean over a frame is at most the greatest value in it,
+so a mean beyond a limit proves the limit broken; a distance from a hull's corner to a mesh is at least the distance of
+the two, so one below the clearance proves that broken. Peaks between samples can pass unseen, and nothing else can.
+Velocities at a frame come from polynomials through four samples; how far those through five stand from them is taken
+twice as their error. A tolerance of 0 means 1 mm, 0.05 degrees, 1 mm/s; limits have 1 % of slack.
+
+Poses here are in metres, Z up, whatever the stage's units and axes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+import tomllib
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from fractions import Fraction
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+Array = np.ndarray
+PLACE, TURN, PACE, SPIN = 1e-3, 0.05, 1e-3, 0.05
+"""What a tolerance of zero means: m, degrees, m/s, degrees a second."""
+SLACK = 1.01
+"""How far a limit may be passed."""
+GRAVITY = 9.81
+FLIES = {"helicopter", "hopper", "tumbler"}
+ON_WHEELS = {"car": 0.004, "simple_car": 0.004, "truck": 0.006, "two_wheeled": 0.002, "snakeboard": 0.004}
+"""Asset -> how far the corners of its wheels' meshes may stand off level ground, m: they are polygons."""
+FADED = 12.0
+"""How far from a landing clearance from what it lands on is asked for in full, m."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One thing that was asked and is not so: ``value`` against ``bound`` at ``frame``."""
+
+    ask: str
+    text: str
+    value: float
+    bound: float
+    frame: float
+
+
+@dataclass
+class Findings:
+    rows: list[Row] = field(default_factory=list)
+    checks: Counter[str] = field(default_factory=Counter)
+
+    def hold(self, ask: str, value: Any, bound: float, frames: Any, text: str, unit: str = "") -> None:
+        """Record that ``value`` (n,) at ``frames`` (n,) stays at or below ``bound``; the worst is told when not."""
+        value, frames = np.atleast_1d(np.asarray(value, float)), np.atleast_1d(np.asarray(frames, float))
+        self.checks[ask] += 1
+        if not len(value):
+            return
+        worst = int(np.argmax(np.where(np.isnan(value), np.inf, value)))
+        if not value[worst] <= bound:
+            said = f"{text}: {value[worst]:.5g} for {bound:.5g} {unit} at frame {frames[worst]:g}"
+            self.rows.append(Row(ask, said, float(value[worst]), float(bound), float(frames[worst])))
+
+
+# ---------------------------------------------------------------- the stage
+
+
+class Stage:
+    """A composed stage, read in metres, Z up."""
+
+    def __init__(self, path: Path) -> None:
+        from pxr import Usd, UsdGeom
+
+        self.stage = Usd.Stage.Open(str(path))
+        self.name = self.stage.GetDefaultPrim().GetName()
+        self.unit = UsdGeom.GetStageMetersPerUnit(self.stage)
+        up = UsdGeom.GetStageUpAxis(self.stage)
+        turned = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # Y up to Z up
+        self.axes = turned if up == "Y" else np.eye(3)
+        self.first, self.last = self.stage.GetStartTimeCode(), self.stage.GetEndTimeCode()
+        self.fps = self.stage.GetTimeCodesPerSecond()
+
+    def prim(self, path: str) -> Any:
+        return self.stage.GetPrimAtPath(f"/{self.name}/{path}")
+
+    def matrices(self, prim: Any, frames: Iterable[float]) -> Array:
+        """Local to world (n, 4, 4), columns, as the stage has it."""
+        from pxr import UsdGeom
+
+        cache, found = UsdGeom.XformCache(), []
+        for frame in frames:
+            cache.SetTime(frame)
+            found.append(np.array(cache.GetLocalToWorldTransform(prim)).T)
+        return np.array(found)
+
+    def poses(self, prim: Any, frames: Iterable[float]) -> tuple[Array, Array]:
+        """Positions (n, 3) m and rotations (n, 3, 3) of a vehicle's root: its nose is X, its left side Y."""
+        found = self.matrices(prim, frames)
+        turned = self.axes @ found[:, :3, :3]
+        turned /= np.linalg.norm(turned, axis=1, keepdims=True)
+        return found[:, :3, 3] @ self.axes.T * self.unit, turned
+
+    def samples(self, prim: Any) -> Array:
+        """Time codes of the root's authored positions and orientations."""
+        from pxr import UsdGeom
+
+        times = [op.GetTimeSamples() for op in UsdGeom.Xformable(prim).GetOrderedXformOps()]
+        return np.unique(np.concatenate([np.array(t, float) for t in times] or [np.zeros(0)]))
+
+    def drive(self, prim: Any, kind: str, frames: Iterable[float]) -> Array | None:
+        """An animated scalar op's values (n,) on a prim, such as ``rotateZ``; None where none is animated."""
+        from pxr import UsdGeom
+
+        for op in UsdGeom.Xformable(prim).GetOrderedXformOps():
+            if f":{kind}" in op.GetOpName() and op.GetNumTimeSamples():
+                return np.array([op.Get(frame) for frame in frames], float)
+        return None
+
+    def meshes(self, prim: Any, wanted: Callable[[Any], bool] = lambda mesh: True) -> list[tuple[Any, Array, Array]]:
+        """(prim, points (n, 3) in its own space, triangles (m, 3)) of the meshes below a prim."""
+        from pxr import Usd, UsdGeom
+
+        found = []
+        for mesh in Usd.PrimRange(prim, Usd.TraverseInstanceProxies()) if prim else ():
+            if mesh.IsA(UsdGeom.Mesh) and wanted(mesh):
+                shape = UsdGeom.Mesh(mesh)
+                points = np.array(shape.GetPointsAttr().Get(self.first), float)
+                found.append((mesh, points, _triangles(shape)))
+        return found
+
+    def world(self, mesh: Any, points: Array, frames: Sequence[float]) -> Array:
+        """Points (n, k, 3) m of a mesh at frames."""
+        found = self.matrices(mesh, frames)
+        placed = np.einsum("fij,kj->fki", found[:, :3, :3], points) + found[:, None, :3, 3]
+        return placed @ self.axes.T * self.unit
+
+
+def _triangles(shape: Any) -> Array:
+    counts = np.array(shape.GetFaceVertexCountsAttr().Get())
+    indices = np.array(shape.GetFaceVertexIndicesAttr().Get())
+    starts, faces = np.concatenate([[0], np.cumsum(counts)[:-1]]), []
+    for k in range(1, int(counts.max()) - 1):
+        rows = starts[counts > k + 1]
+        faces.append(np.stack([indices[rows], indices[rows + k], indices[rows + k + 1]], axis=1))
+    return np.concatenate(faces).astype(np.int64)
+
+
+# ---------------------------------------------------------------- one vehicle's motion
+
+
+@dataclass
+class Motion:
+    """A vehicle as delivered: samples at ``frames`` (n,), whole ones and those between that were authored."""
+
+    stage: Stage
+    name: str
+    asset: str
+    asked: Mapping[str, Any]
+    frames: Array
+    positions: Array
+    rotations: Array
+
+    @property
+    def prim(self) -> Any:
+        return self.stage.prim(f"vehicles/{self.name}")
+
+    @property
+    def flies(self) -> bool:
+        return self.asset in FLIES or (self.asset == "boat" and self.asked["method"] != "plan")
+
+    @cached_property
+    def seconds(self) -> Array:
+        return (self.frames - self.frames[0]) / self.stage.fps
+
+    @cached_property
+    def whole(self) -> Array:
+        """Indices of whole frames."""
+        return np.flatnonzero(np.abs(self.frames - np.round(self.frames)) < 1e-6)
+
+    def at(self, frame: float) -> int:
+        """The index of a whole frame, -1 where it was not delivered."""
+        found = np.flatnonzero(np.abs(self.frames - frame) < 1e-6)
+        return int(found[0]) if len(found) else -1
+
+    def within(self, first: float, last: float) -> Array:
+        """Indices of samples in a range of frames, ends included."""
+        return np.flatnonzero((self.frames >= first - 1e-6) & (self.frames <= last + 1e-6))
+
+    @cached_property
+    def headings(self) -> Array:
+        return np.degrees(np.arctan2(self.rotations[:, 1, 0], self.rotations[:, 0, 0]))
+
+    @cached_property
+    def shown(self) -> int:
+        """How many coordinates of the position can be asked for: the ground decides the height of what drives."""
+        return 3 if self.flies else 2
+
+    def joint(self, name: str) -> Array | None:
+        """A joint's values (n,) as its rig shows them; None where the rig does not."""
+        reading = JOINTS.get((self.asset, name))
+        return None if reading is None else reading(self)
+
+    def part(self, path: str, kind: str) -> Array:
+        values = self.stage.drive(self.stage.prim(f"vehicles/{self.name}/{path}"), kind, self.frames)
+        return np.zeros(len(self.frames)) if values is None else values
+
+
+def _steered(motion: Motion) -> Array:
+    """The tangent of the steering angle: the harmonic mean of both front wheels' (Ackermann)."""
+    left, right = (np.tan(np.radians(motion.part(f"steer_{side}", "rotateZ"))) for side in ("fl", "fr"))
+    total = left + right
+    return np.where(np.abs(total) < 1e-12, 0.0, 2 * left * right / np.where(np.abs(total) < 1e-12, 1.0, total))
+
+
+def _turned(path: str, kind: str, sign: float = 1.0) -> Callable[[Motion], Array]:
+    return lambda motion: sign * np.radians(motion.part(path, kind))
+
+
+JOINTS: dict[tuple[str, str], Callable[[Motion], Array]] = {
+    **{(asset, "sigma"): _steered for asset in ("car", "simple_car", "truck")},
+    ("truck", "hitch_1"): _turned("trailer_1", "rotateZ"),
+    ("snakeboard", "psi"): _turned("torso", "rotateZ"),
+    ("snakeboard", "phi"): _turned("truck_rear", "rotateZ"),
+    ("two_wheeled", "right"): _turned("wheel_right", "rotateY"),
+    ("two_wheeled", "left"): _turned("wheel_left", "rotateY"),
+    ("hopper", "psi"): _turned("leg", "rotateY"),
+    ("hopper", "stretch"): lambda motion: -motion.part("leg/foot", "translateZ"),
+}
+
+
+def rotation_vectors(rotations: Array) -> Array:
+    """Rotation vectors (n, 3) rad of rotations (n, 3, 3), exact near none too."""
+    skew = np.stack([rotations[:, a, b] - rotations[:, b, a] for a, b in ((2, 1), (0, 2), (1, 0))], axis=1) / 2
+    sine = np.linalg.norm(skew, axis=1)
+    angle = np.arctan2(sine, (np.trace(rotations, axis1=1, axis2=2) - 1) / 2)
+    return skew * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 1.0)[:, None]
+
+
+def rates(times: Array, values: Array, i: int) -> list[tuple[Array, float]]:
+    """Derivatives of values (n, k) at sample i from windows of four samples, each with its error."""
+
+    def slope(rows: Array) -> Array:
+        h = times[rows] - times[i]
+        scale = np.abs(h).max()
+        weights = np.linalg.solve(np.vander(h / scale, increasing=True).T, np.eye(len(rows))[1]) / scale
+        return weights @ values[rows]
+
+    found, count = [], len(times)
+    for size in (4, 3):
+        for start in range(i - size + 1, i + 1):
+            rows = np.arange(start, start + size)
+            if rows[0] < 0 or rows[-1] >= count:
+                continue
+            wider = [np.append(rows, rows[-1] + 1), np.insert(rows, 0, rows[0] - 1)]
+            wider = [w for w in wider if w[0] >= 0 and w[-1] < count]
+            if wider:
+                mean = slope(rows)
+                found.append((mean, min(float(np.abs(slope(w) - mean).max()) for w in wider)))
+        if found:
+            return found
+    return [(np.zeros(values.shape[1]), math.inf)]
+
+
+def off_rate(times: Array, values: Array, i: int, wanted: Array | float) -> float:
+    """By how much, for certain, the derivative at sample i (or, with a number, its size) is not what was wanted."""
+    off = []
+    for rate, error in rates(times, values, i):
+        wrong = abs(np.linalg.norm(rate) - wanted) if np.ndim(wanted) == 0 else np.linalg.norm(rate - wanted)
+        off.append(float(wrong) - 2 * error * math.sqrt(len(rate)))
+    return max(0.0, min(off))
+
+
+# ---------------------------------------------------------------- marks
+
+
+def mark_off(motion: Motion, mark: Mapping[str, Any], frame: float) -> list[tuple[str, float, float, str]]:
+    """What of a mark is measured at a frame: (ask, how far off, how far it may be, unit)."""
+    i, rows = motion.at(frame), []
+    if i < 0:
+        return [("mark.frame", math.inf, 0.0, "")]
+    whole = motion.whole
+    near = whole[np.abs(whole - i).argsort(kind="stable")[:13]]
+    near.sort()
+    k = int(np.flatnonzero(near == i)[0])
+    times, shown = motion.seconds[near], motion.shown
+    place, turned = motion.positions[i], motion.rotations[i]
+    tolerance = mark.get("tolerance", 0.0) + PLACE
+    if "position" in mark and not mark.get("gate"):
+        off = np.abs(place - mark["position"])[:shown]
+        if mark.get("on_ground"):
+            rows.append(("mark.position", float(off[:2].max()), PLACE, "m"))
+            rows.append(("on_ground.below", float(place[2] - mark["position"][2]), 0.5 + PLACE, "m"))
+        else:
+            rows.append(("mark.position", float(off.max()), tolerance, "m"))
+    if gate := mark.get("gate"):
+        rows += _gate_off(motion, i, mark["position"], gate)
+    if "heading" in mark:
+        off = (motion.headings[i] - mark["heading"] + 180) % 360 - 180
+        rows.append(("mark.heading", abs(float(off)), TURN, "deg"))
+    if "orientation" in mark:
+        wanted = _matrix(mark["orientation"])
+        if shown == 2:
+            off = motion.headings[i] - math.degrees(math.atan2(wanted[1, 0], wanted[0, 0]))
+            rows.append(("mark.orientation", abs((off + 180) % 360 - 180), TURN, "deg"))
+        else:
+            off = np.degrees(np.linalg.norm(rotation_vectors((wanted.T @ turned)[None])))
+            rows.append(("mark.orientation", float(off), TURN, "deg"))
+    if mark.get("pitch") is not None and motion.asset == "hopper":
+        nose = math.degrees(math.atan2(-turned[2, 0], turned[2, 2]))
+        rows.append(("mark.pitch", abs((nose - mark["pitch"] + 180) % 360 - 180), TURN, "deg"))
+    velocity = mark.get("velocity")
+    if velocity is None and mark.get("on_ground") and "speed" not in mark:
+        velocity = [0.0, 0.0, 0.0]
+    if velocity is not None:
+        wrong = off_rate(times, motion.positions[near][:, :shown], k, np.array(velocity, float)[:shown])
+        rows.append(("mark.velocity", wrong, PACE, "m/s"))
+        if not any(velocity):
+            turning = rotation_vectors(turned.T @ motion.rotations[near])
+            turning = turning if motion.flies else turning[:, 2:]
+            spin = off_rate(times, turning, k, np.zeros(turning.shape[1]))
+            rows.append(("mark.rest", math.degrees(spin), SPIN, "deg/s"))
+    if "speed" in mark:
+        wrong = off_rate(times, motion.positions[near][:, :shown], k, float(mark["speed"]))
+        rows.append(("mark.speed", wrong, PACE, "m/s"))
+    if mark.get("on_ground"):
+        level = math.degrees(math.acos(min(1.0, turned[2, 2])))
+        rows.append(("on_ground.level", level, TURN, "deg"))
+    for name, value in mark.get("joints", {}).items():
+        found = motion.joint(name)
+        if found is not None:
+            rows.append(("mark.joints", abs(float(found[i]) - value), 1e-3, name))
+    if hold := mark.get("hold"):
+        rows += _hold_off(motion, mark, frame, frame + hold, tolerance)
+    return rows
+
+
+def _gate_off(motion: Motion, i: int, place: Sequence[float], gate: Mapping[str, Any]) -> list[Any]:
+    way = np.array(gate["direction"], float)
+    way /= np.linalg.norm(way)
+    level = np.cross([0.0, 0.0, 1.0], way)
+    width = level / np.linalg.norm(level) if np.linalg.norm(level) > 1e-9 else np.array([0.0, 1.0, 0.0])
+    height = np.cross(way, width)
+    off = motion.positions[i] - place
+    if motion.shown == 2:
+        off[2] = 0.0
+    rows = [("gate.plane", abs(float(off @ way)), PLACE, "m")]
+    if "radius" in gate:
+        rows.append(("gate.opening", float(np.linalg.norm(off - (off @ way) * way)), gate["radius"] + PLACE, "m"))
+    else:
+        beyond = max(abs(off @ width) - gate["size"][0] / 2, abs(off @ height) - gate["size"][1] / 2)
+        rows.append(("gate.opening", float(beyond), PLACE, "m"))
+    through = [motion.positions[k] @ way for k in (max(i - 1, 0), min(i + 1, len(motion.positions) - 1))]
+    rows.append(("gate.direction", float(through[0] - through[1]), PLACE, "m"))
+    return rows
+
+
+def _hold_off(motion: Motion, mark: Mapping[str, Any], first: float, last: float, tolerance: float) -> list[Any]:
+    rows, i = motion.within(first, last), motion.at(first)
+    if motion.at(last) < 0:
+        return [("hold.frames", math.inf, 0.0, "")]
+    place, shown = motion.positions[i], motion.shown
+    if "position" in mark and not mark.get("on_ground"):
+        place = np.array(mark["position"], float)
+    else:
+        tolerance = PLACE
+    off = np.abs(motion.positions[rows] - place)[:, :shown].max()
+    turned = np.degrees(np.linalg.norm(rotation_vectors(motion.rotations[i].T @ motion.rotations[rows]), axis=1)).max()
+    pace = (np.linalg.norm(np.diff(motion.positions[rows], axis=0), axis=1) / np.diff(motion.seconds[rows])).max()
+    found = [("hold.position", float(off), tolerance, "m"), ("hold.turn", float(turned), TURN, "deg")]
+    return [*found, ("hold.speed", float(pace), PACE, "m/s")]
+
+
+def _matrix(q: Sequence[float]) -> Array:
+    w, x, y, z = np.array(q, float) / np.linalg.norm(q)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def marks_as_rests(motion: Motion) -> list[dict[str, Any]]:
+    """Marks of a sinusoid as those of a plan: at rest, with the headings, pitches and joints it has when not told."""
+    names = [name for (asset, name) in JOINTS if asset == motion.asset and name != "stretch"]
+    return [
+        {"heading": 0.0, "velocity": [0, 0, 0]}
+        | ({"pitch": 0.0} if motion.asset == "hopper" else {})
+        | mark
+        | {"joints": dict.fromkeys(names, 0.0) | mark.get("joints", {})}
+        for mark in motion.asked["mark"]
+    ]
+
+
+def check_marks(motion: Motion, found: Findings) -> list[int]:
+    """Every mark at its frame; one at a free frame has to be met at some frame before the next. Their frames."""
+    planned = motion.asked["method"] == "plan"
+    marks = list(motion.asked["mark"]) if planned else marks_as_rests(motion)
+    if not planned and motion.asset == "hopper":  # it is in the air but at the ends, and moves there
+        marks = [{key: value for key, value in mark.items() if key != "velocity"} for mark in marks]
+    frames: list[int] = []
+    earliest = motion.stage.first
+    for n, mark in enumerate(marks):
+        if mark["frame"] != "free":
+            frame = mark["frame"]
+            measured = mark_off(motion, mark, frame)
+        else:
+            later = [m["frame"] for m in marks[n + 1 :] if m["frame"] != "free"]
+            last = (later[0] - 1 if later else motion.stage.last) - mark.get("hold", 0)
+            frame, measured = _best_frame(motion, mark, earliest, last, n == len(marks) - 1)
+        for ask, off, bound, unit in measured:
+            found.hold(ask, off, bound, frame, f"{motion.name}: mark[{n}] {ask}", unit)
+        frames.append(int(frame))
+        earliest = frame + mark.get("hold", 0) + 1
+    return frames
+
+
+def _best_frame(motion: Motion, mark: Mapping[str, Any], first: float, last: float, end: bool) -> tuple[int, list[Any]]:
+    """The frame at which a free mark is met, or is missed least in place; the last one from the end backwards."""
+    frames = np.arange(math.ceil(first), math.floor(last) + 1)
+    if "position" in mark and len(frames):
+        rows = [motion.at(f) for f in frames]
+        off = np.linalg.norm((motion.positions[rows] - mark["position"])[:, : motion.shown], axis=1)
+        frames = frames[np.argsort(off, kind="stable")[:60]]
+    best: tuple[int, list[Any]] | None = None
+    least = math.inf
+    for frame in frames[::-1] if end and "position" not in mark else frames:
+        measured = mark_off(motion, mark, float(frame))
+        wrong = max((off / max(bound, 1e-6) for _, off, bound, _ in measured), default=0.0)
+        if wrong <= 1.0:
+            return int(frame), measured
+        if wrong < least:
+            least, best = wrong, (int(frame), measured)
+    return best or (int(first), [("mark.frame", math.inf, 0.0, "")])
+
+
+# ---------------------------------------------------------------- limits, looks, stays, loops
+
+
+def check_limits(motion: Motion, first: float, last: float, found: Findings) -> None:
+    rows = motion.within(first, last)
+    if len(rows) < 3 or not (limits := motion.asked.get("limits")):
+        return
+    t, x, R, frames = motion.seconds[rows], motion.positions[rows], motion.rotations[rows], motion.frames[rows]
+    h = np.diff(t)[:, None]
+    v = np.diff(x, axis=0) / h
+    a = 2 * np.diff(v, axis=0) / (h[1:] + h[:-1])
+    turning = rotation_vectors(np.swapaxes(R[:-1], 1, 2) @ R[1:]) / h
+    flat = np.r_[1.0, 1.0, 1.0 if motion.flies else 0.0]  # what drives follows the ground up and down
+    measured: dict[str, Array] = {
+        "speed": np.linalg.norm(v, axis=1),
+        "climb": np.abs(v[:, 2]),
+        "turn_rate": np.degrees(np.linalg.norm(turning, axis=1) if motion.flies else np.abs(turning[:, 2])),
+        "bank": np.degrees(np.arccos(np.clip(R[:, 2, 2], -1, 1))),
+        "ceiling": x[:, 2],
+        "acceleration": np.linalg.norm(a * flat, axis=1),
+        "g_load": np.linalg.norm(a / GRAVITY + [0, 0, 1], axis=1),
+    }
+    sigma = motion.joint("sigma")
+    if sigma is not None:
+        measured["steering"] = np.degrees(np.abs(np.arctan(sigma[rows])))
+        measured["steering_rate"] = np.degrees(np.abs(np.diff(np.arctan(sigma[rows])))) / h[:, 0]
+    hitch = motion.joint("hitch_1")
+    if hitch is not None:
+        measured["hitch"] = np.degrees(np.abs(hitch[rows]))
+    for name, bound in limits.items():
+        if name in ("joints", "joint_rates"):
+            for joint, given in bound.items():
+                values = motion.joint(joint)
+                if values is None:
+                    continue
+                low, high = (-given, given) if not isinstance(given, list) else given
+                values = values[rows] if name == "joints" else np.diff(values[rows]) / h[:, 0]
+                middle, half = (low + high) / 2, (high - low) / 2
+                off = np.abs(values - middle)
+                found.hold(f"limit {name}", off, half * SLACK, frames[: len(off)], f"{motion.name}: {name}.{joint}")
+        elif name in measured:
+            most = bound + 0.01 if name == "ceiling" else bound * SLACK
+            found.hold(f"limit {name}", measured[name], most, frames[: len(measured[name])], f"{motion.name}: {name}")
+
+
+def check_looks(motion: Motion, first: float, last: float, found: Findings) -> None:
+    for n, look in enumerate(motion.asked.get("look", [])):
+        rows = motion.within(*look.get("frames", (first, last)))
+        axis = look.get("axis", "x")
+        nose = motion.rotations[rows][:, :, "xyz".index(axis[-1])] * (-1 if axis[0] == "-" else 1)
+        way = np.array(look["at"], float) - motion.positions[rows]
+        if look.get("level", True):
+            nose, way = nose[:, :2], way[:, :2]
+        far = np.linalg.norm(way, axis=1) > 0.1
+        dot = np.sum(nose * way, axis=1) / (np.linalg.norm(nose, axis=1) * np.linalg.norm(way, axis=1) + 1e-12)
+        off = np.degrees(np.arccos(np.clip(dot, -1, 1)))[far]
+        bound = look.get("within", 5.0) * SLACK + TURN
+        found.hold("look", off, bound, motion.frames[rows][far], f"{motion.name}: look[{n}]", "deg")
+
+
+def check_stays(motion: Motion, first: float, last: float, found: Findings) -> None:
+    for n, stay in enumerate(motion.asked.get("stay", [])):
+        rows = motion.within(*stay.get("frames", (first, last)))
+        x, frames = motion.positions[rows], motion.frames[rows]
+        over = []
+        if "above" in stay:
+            over.append(stay["above"] - x[:, 2])
+        if "below" in stay:
+            over.append(x[:, 2] - stay["below"])
+        if "inside" in stay:
+            x0, y0, x1, y1 = stay["inside"]
+            over += [x0 - x[:, 0], x[:, 0] - x1, y0 - x[:, 1], x[:, 1] - y1]
+        found.hold("stay", np.max(over, axis=0), PLACE, frames, f"{motion.name}: stay[{n}], m beyond it")
+
+
+def check_loop(motion: Motion, first: float, last: float, found: Findings) -> None:
+    if not motion.asked.get("loop"):
+        return
+    i, j = motion.at(first), motion.at(last)
+    off = np.linalg.norm((motion.positions[j] - motion.positions[i])[: motion.shown])
+    turned = np.degrees(np.linalg.norm(rotation_vectors((motion.rotations[i].T @ motion.rotations[j])[None])))
+    found.hold("loop.place", off, PLACE, last, f"{motion.name}: loop, place", "m")
+    found.hold("loop.turn", turned, TURN, last, f"{motion.name}: loop, attitude", "deg")
+    whole = motion.whole[(motion.whole >= i) & (motion.whole <= j)]
+    times, places = motion.seconds[whole], motion.positions[whole][:, : motion.shown]
+    ends = [rates(times, places, k)[0] for k in (0, len(whole) - 1)]
+    off = np.linalg.norm(ends[0][0] - ends[1][0]) - 4 * (ends[0][1] + ends[1][1])
+    found.hold("loop.velocity", off, PACE, last, f"{motion.name}: loop, velocity", "m/s")
+    for name in ("sigma", "hitch_1", "phi"):
+        values = motion.joint(name)
+        if values is not None:
+            found.hold("loop.joints", abs(values[j] - values[i]), 1e-3, last, f"{motion.name}: loop, {name}")
+
+
+# ---------------------------------------------------------------- clearance and the ground
+
+
+def _is_hull(mesh: Any) -> bool:
+    from pxr import UsdPhysics
+
+    return bool(mesh.HasAPI(UsdPhysics.CollisionAPI))
+
+
+def _counts(motion: Motion, mesh: Any) -> bool:
+    """Steered wheels, feet and riders of what drives count as they stand straight: here they are left out."""
+    path = str(mesh.GetPath()).split(f"/{motion.name}/", 1)[-1]
+    turns = ("steer_", "truck_", "outboard", "torso", "pelvis")
+    return motion.asset == "helicopter" or not path.startswith(turns) or path.startswith("truck_body")
+
+
+def _distances(points: Array, shape: tuple[Array, Array]) -> Array:
+    """Distances (n,) m of points (n, 3) to triangles; inside a closed shape they are negative."""
+    import igl
+
+    points = np.ascontiguousarray(points)
+    squared = igl.point_mesh_squared_distance(points, *shape)[0]
+    inside = igl.winding_number(*shape, points) > 0.5
+    return np.where(inside, -1, 1) * np.sqrt(squared)
+
+
+class Ground:
+    """A terrain's mesh, asked from above."""
+
+    def __init__(self, stage: Stage) -> None:
+        parts = stage.meshes(stage.prim("env/terrain"), lambda mesh: mesh.GetName() != "horizon")
+        self.points = np.zeros((0, 3))
+        self.faces = np.zeros((0, 3), np.int64)
+        for mesh, points, faces in parts:
+            self.faces = np.vstack([self.faces, faces + len(self.points)])
+            self.points = np.vstack([self.points, stage.world(mesh, points, [stage.first])[0]])
+        corners = self.points[self.faces]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) if len(corners) else corners
+        self.normals = normals * np.where(normals[:, 2:] < 0, -1, 1) if len(corners) else normals
+
+    def __bool__(self) -> bool:
+        return bool(len(self.faces))
+
+    def distances(self, points: Array) -> Array:
+        """Signed distances (n,) m: negative below."""
+        import igl
+
+        # few triangles are near: those far away need no tree
+        low, high = points.min(axis=0)[:2] - 30, points.max(axis=0)[:2] + 30
+        corners = self.points[self.faces][:, :, :2]
+        near = np.all((corners.max(axis=1) >= low) & (corners.min(axis=1) <= high), axis=1)
+        squared, which, closest = igl.point_mesh_squared_distance(
+            np.ascontiguousarray(points), self.points, np.ascontiguousarray(self.faces[near])
+        )[:3]
+        above = np.sum((points - closest) * self.normals[near][which], axis=1) >= 0
+        return np.where(above, 1, -1) * np.sqrt(squared)
+
+
+def check_clearance(
+    motion: Motion,
+    others: Mapping[str, Motion],
+    world: Mapping[str, Any],
+    marks: list[tuple[Any, int]],
+    found: Findings,
+) -> None:
+    """No hull nearer to terrain, obstacle or another vehicle than was asked, but where it lands."""
+    stage = motion.stage
+    first, last = marks[0][1], marks[-1][1] + marks[-1][0].get("hold", 0)
+    rows = motion.within(first, last)
+    rows = rows[np.isin(rows, motion.whole)]
+    rows = rows[:: max(1, len(rows) // 250)]
+    frames = motion.frames[rows]
+    asked = motion.asked.get("clearance", 1.0 if motion.asked["method"] == "plan" else 0.1)
+    hulls = [part for part in stage.meshes(motion.prim, _is_hull) if _counts(motion, part[0])]
+    placed = [stage.world(mesh, points, frames) for mesh, points, _ in hulls]
+    everything = np.concatenate(placed, axis=1)
+    landings = np.array([motion.positions[motion.at(f)] for m, f in marks if m.get("on_ground")]).reshape(-1, 3)
+    away = np.linalg.norm(motion.positions[rows][:, None] - landings, axis=2).min(axis=1, initial=math.inf)
+    wanted = np.where(away > FADED + 3 * asked, asked, 0.0) - PLACE
+
+    def nearest(distances: Array) -> Array:
+        return distances.reshape(len(frames), -1).min(axis=1)
+
+    shapes: dict[str, list[tuple[Array, Array]]] = {}
+    for mesh, points, faces in stage.meshes(stage.prim("env/obstacles")):
+        name = str(mesh.GetPath()).split("/env/obstacles/")[1].split("/")[0]
+        shapes.setdefault(name, []).append((stage.world(mesh, points, [stage.first])[0], faces))
+    for name, parts in shapes.items():
+        for shape in parts:
+            gap = nearest(_distances(everything.reshape(-1, 3), shape))
+            back = np.array([_from_other_side(shape[0], hulls, placed, k) for k in range(len(frames))])
+            gap = np.minimum(gap, back)
+            found.hold("clearance", wanted - gap, 0.0, frames, f"{motion.name}: {name}, m too near", f"of {asked:g} m")
+    for table in world.get("obstacle", []):
+        other = others.get(table.get("vehicle", ""))
+        if table["shape"] != "vehicle" or other is None or other is motion:
+            continue
+        theirs = [part for part in stage.meshes(other.prim, _is_hull) if _counts(other, part[0])]
+        gap = np.full(len(frames), math.inf)
+        for mesh, points, faces in theirs:
+            there = stage.world(mesh, points, frames)
+            for k in range(len(frames)):
+                middle, reach = there[k].mean(axis=0), np.ptp(there[k], axis=0).max()
+                if np.linalg.norm(everything[k] - middle, axis=1).min() > reach + asked:
+                    continue
+                gap[k] = min(gap[k], _distances(everything[k], (there[k], faces)).min())
+        wide = np.full(len(frames), asked - PLACE)
+        found.hold("clearance", wide - gap, 0.0, frames, f"{motion.name}: {other.name}, m too near", f"of {asked:g} m")
+    ground = Ground(stage)
+    if ground and motion.asset == "helicopter":
+        gap = nearest(ground.distances(everything.reshape(-1, 3)))
+        found.hold("clearance", wanted - gap, 0.0, frames, f"{motion.name}: terrain, m too near", f"of {asked:g} m")
+    for mark, frame in marks:
+        if not mark.get("on_ground"):
+            continue
+        points = np.concatenate([stage.world(mesh, points, [frame])[0] for mesh, points, _ in hulls])
+        gaps = [ground.distances(points).min()] if ground else []
+        gaps += [_distances(points, shape).min() for parts in shapes.values() for shape in parts]
+        found.hold("on_ground.touch", abs(min(gaps)), 0.02 if ground and np.ptp(ground.points[:, 2]) else PLACE, frame,
+                   f"{motion.name}: off what it stands on", "m")  # fmt: skip
+
+
+def _from_other_side(points: Array, hulls: list[Any], placed: list[Array], k: int) -> float:
+    """Distance of an obstacle's corners to hulls at frame k."""
+    gap = math.inf
+    for (_, _, faces), there in zip(hulls, placed, strict=True):
+        middle, reach = there[k].mean(axis=0), np.ptp(there[k], axis=0).max()
+        near = points[np.linalg.norm(points - middle, axis=1) < reach + 5]
+        if len(near):
+            gap = min(gap, float(_distances(near, (there[k], faces)).min()))
+    return gap
+
+
+def check_descent(motion: Motion, marks: list[tuple[Any, int]], found: Findings) -> None:
+    """Towards a landing: no faster than 0.5 m/s down, and 1 m/s more for every metre away."""
+    for n, (mark, frame) in enumerate(marks):
+        if not mark.get("on_ground") or n == 0:
+            continue
+        before = marks[n - 1][1] + marks[n - 1][0].get("hold", 0)
+        rows = motion.within(before, frame)
+        x, t = motion.positions[rows], motion.seconds[rows]
+        away = np.linalg.norm(x - x[-1], axis=1)
+        down = -np.diff(x[:, 2]) / np.diff(t)
+        allowed = 0.5 + np.maximum(away[1:], away[:-1])
+        text = f"{motion.name}: m/s faster down than allowed"
+        found.hold("on_ground.descent", down - allowed * SLACK, 0.0, motion.frames[rows][1:], text)
+
+
+def check_wheels(motion: Motion, found: Findings) -> None:
+    """The lowest corner of every wheel stands on the ground."""
+    ground, stage = Ground(motion.stage), motion.stage
+    rough = ON_WHEELS.get(motion.asset)
+    if not ground or rough is None:
+        return
+    if np.ptp(ground.points[:, 2]) > 1e-6:
+        rough += 0.006
+    rows = motion.whole[:: max(1, len(motion.whole) // 60)]
+    frames = motion.frames[rows]
+    wheels: dict[str, list[Array]] = {}
+    for mesh, points, _ in stage.meshes(motion.prim):
+        names = [part for part in str(mesh.GetPath()).split("/") if part.startswith("wheel_")]
+        if names and not _is_hull(mesh):
+            wheels.setdefault(names[0], []).append(stage.world(mesh, points, frames))
+    for name, parts in wheels.items():
+        points = np.concatenate(parts, axis=1)
+        reach = points[:, :, 2].min(axis=1)[:, None] + np.ptp(points[0, :, 2]) / 2
+        low = [frame[frame[:, 2] <= r] for frame, r in zip(points, reach, strict=True)]
+        gaps = ground.distances(np.concatenate(low))
+        ends = np.cumsum([len(part) for part in low])[:-1]
+        gap = np.array([part.min() for part in np.split(gaps, ends)])
+        found.hold("wheels", np.abs(gap), rough, frames, f"{motion.name}: {name} off the ground", "m")
+
+
+# ---------------------------------------------------------------- what starts somewhere and goes on
+
+
+def check_start(motion: Motion, frame: float, found: Findings) -> None:
+    """A simulation begins where and as it was told, and goes where its pilot was sent."""
+    start, i = motion.asked.get("start"), motion.at(frame)
+    if start is not None and i >= 0:
+        mark = {"frame": frame, "velocity": start.get("velocity", [0, 0, 0])}
+        mark |= {key: start[key] for key in ("position", "orientation", "joints") if key in start}
+        if "orientation" not in start:
+            mark["heading"] = start.get("heading", 0.0)
+        if start.get("spin"):
+            mark.pop("velocity")
+        for ask, off, bound, unit in mark_off(motion, mark, frame):
+            if ask != "mark.rest":  # what is at rest may set out
+                found.hold(ask.replace("mark", "start"), off, bound, frame, f"{motion.name}: {ask} of its start", unit)
+    pilot = motion.asked.get("pilot")
+    end = motion.positions[-1]
+    goal = pilot and pilot.get("position", (pilot.get("points") or [None])[-1])
+    if goal is not None:
+        off = np.linalg.norm((end - np.resize(goal, 3))[: len(goal)])
+        found.hold("pilot", off, 0.5, motion.frames[-1], f"{motion.name}: from where {pilot['name']} was sent", "m")
+    if motion.asked["method"] == "integrate":  # nothing acts on it
+        rows = motion.whole
+        bend = np.linalg.norm(np.diff(motion.positions[rows], n=2, axis=0), axis=1) * motion.stage.fps**2
+        found.hold("free flight", bend, 1e-3, motion.frames[rows][1:-1], f"{motion.name}: leaves its straight line")
+
+
+# ---------------------------------------------------------------- the whole delivery
+
+
+def rate(given: Any) -> float:
+    """Frames a second of a shot file: NTSC rates are multiples of 1000/1001."""
+    text = str(given)
+    value = float(Fraction(text))
+    whole = round(value) * 1000 / 1001
+    return whole if "/" not in text and value != round(value) and abs(value - whole) < 0.005 else value
+
+
+def verify(shot: Mapping[str, Any], path: Path) -> Findings:
+    """What is refuted of a delivery, and how often every kind of ask was measured."""
+    found, stage = Findings(), Stage(path)
+    header = shot["shot"]
+    fps, first = rate(header.get("fps", 24)), header.get("start_frame", 1001) - header.get("handles", 0)
+    found.hold("time codes", abs(stage.fps - fps), 1e-6, first, "time codes a second")
+    found.hold("time codes", abs(stage.first - first), 0.0, first, "first frame")
+    if "end_frame" in header:
+        last = header["end_frame"] + header.get("handles", 0)
+        found.hold("time codes", abs(stage.last - last), 0.0, last, "last frame")
+    wanted = shot.get("export", {})
+    found.hold("units", abs(stage.unit / wanted.get("meters_per_unit", 1.0) - 1), 1e-9, first, "metres a unit")
+    found.hold("units", float((stage.axes[1, 1] == 1) != (wanted.get("up_axis", "Z") == "Z")), 0.0, first, "up axis")
+
+    motions = {table["name"]: read_motion(stage, table) for table in shot["vehicle"]}
+    ends = [first]
+    for motion in motions.values():
+        whole = motion.frames[motion.whole]
+        gaps = np.setdiff1d(np.arange(stage.first, stage.last + 1), np.round(stage.samples(motion.prim), 6))
+        found.hold(
+            "samples", len(gaps) if len(whole) > 1 and np.ptp(motion.positions) else 0, 0, first, "frames without"
+        )
+        if "mark" in motion.asked:
+            marks = list(zip(motion.asked["mark"], check_marks(motion, found), strict=True))
+            begin, end = marks[0][1], marks[-1][1] + marks[-1][0].get("hold", 0)
+            ends.append(end)
+            check_limits(motion, begin, end, found)
+            check_looks(motion, begin, end, found)
+            check_stays(motion, begin, end, found)
+            check_loop(motion, begin, end, found)
+            check_clearance(motion, motions, shot.get("world", {}), marks, found)
+            check_descent(motion, marks, found)
+        else:
+            check_start(motion, first, found)
+            if "duration" in motion.asked:
+                ends.append(math.floor(first + motion.asked["duration"] * fps + 1e-6))
+        check_wheels(motion, found)
+    if "end_frame" not in header:
+        found.hold(
+            "time codes", abs(stage.last - max(ends)), 0.0, stage.last, f"last frame, {max(ends):g} was asked for"
+        )
+    return found
+
+
+def read_motion(stage: Stage, table: Mapping[str, Any]) -> Motion:
+    prim = stage.prim(f"vehicles/{table['name']}")
+    authored = stage.samples(prim)
+    inside = authored[(authored >= stage.first) & (authored <= stage.last)]
+    frames = np.unique(np.round(np.concatenate([np.arange(stage.first, stage.last + 1), inside]), 9))
+    positions, rotations = stage.poses(prim, frames)
+    return Motion(stage, table["name"], table["asset"], table["motion"], frames, positions, rotations)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("shot", type=Path)
+    parser.add_argument("stage", type=Path)
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args(arguments)
+    found = verify(tomllib.loads(options.shot.read_text(encoding="utf-8")), options.stage)
+    if options.json:
+        print(json.dumps({"refuted": [asdict(row) for row in found.rows], "checks": found.checks}))
+    else:
+        for line in _lines(found):
+            print(line)
+    return 1 if found.rows else 0
+
+
+def _lines(found: Findings) -> Iterator[str]:
+    yield from (row.text for row in found.rows)
+    yield f"{sum(found.checks.values())} things measured, {len(found.rows)} refuted"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
