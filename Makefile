@@ -2,7 +2,7 @@
 BIN := .venv/bin
 export MUJOCO_GL ?= egl
 
-.PHONY: help setup demo test docs assets lock clean bench-export bench-integrators bench-planning bench-collocation
+.PHONY: help setup demo test docs assets lock clean bench-export bench-integrators bench-planning bench-collocation audit-random
 
 help:
 	@echo "make demo   export examples/canyon_flight.toml to out/: a USD shot, frames and a film"
@@ -15,6 +15,7 @@ help:
 	@echo "make bench-planning  plans measured: building, free space, canyon, replanning; writes RESULTS.planning.md"
 	@echo "make bench-collocation  DMOC against collocation; writes RESULTS.collocation.md"
 	@echo "make bench-export  measure baking, pictures and batches beside their peers (ten minutes)"
+	@echo "make audit-random  a thousand random shots, measured from USD alone (hours; goes on where it stopped)"
 	@echo "make clean  remove what the other commands made"
 
 setup:
@@ -52,6 +53,9 @@ bench-collocation: setup
 
 bench-export: setup
 	$(BIN)/python benchmarks/bench_export.py
+
+audit-random: setup
+	$(BIN)/python -m tools.audit_random --seeds $(or $(SEEDS),0-999) --out $(or $(OUT),out/audit_random)
 
 clean:
 	rm -rf .venv out site build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import resource
 import shutil
 import subprocess
 import sys
@@ -62,7 +63,7 @@ def run_shot(seed: int, folder: Path, seconds: float) -> dict[str, Any]:
     draft = make_shot(seed)
     shot = write_shot(draft, folder)
     command = [sys.executable, "-m", "vehsim", "export", str(shot), "--out", str(folder / DELIVERY), "--to", "usd"]
-    start = time.monotonic()
+    start, used = time.monotonic(), _processor_seconds()
     try:
         environment = os.environ | {"PYTHONPATH": str(HERE.parents[1])}
         done = subprocess.run(command, capture_output=True, text=True, timeout=seconds, env=environment)
@@ -75,11 +76,18 @@ def run_shot(seed: int, folder: Path, seconds: float) -> dict[str, Any]:
         "words": draft.words,
         "exit": code,
         "seconds": round(time.monotonic() - start, 2),
+        "processor_seconds": round(_processor_seconds() - used, 2),
         "said": said[-2000:],
         "refuted": [],
         "overruled": "audit" in said.lower() and code != 0,
     }
     return _verified(result, folder)
+
+
+def _processor_seconds() -> float:
+    """What finished child processes have used."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def version() -> str:
