@@ -9,7 +9,7 @@ help:
 	@echo "make test   formatter, linter, type checker and all tests"
 	@echo "make setup  only make .venv"
 	@echo "make docs   the key tables of docs/shot-file.md, and the site in site/"
-	@echo "make assets regenerate the vehicles' USD assets; the same bytes on the same machine"
+	@echo "make assets regenerate the vehicles' USD assets; the same bytes on every machine"
 	@echo "make lock   bring requirements.lock up to date with pyproject.toml"
 	@echo "make bench-integrators  the claims of the papers, measured; writes benchmarks/RESULTS.md"
 	@echo "make bench-planning  plans measured: building, free space, canyon, replanning; writes RESULTS.planning.md"

@@ -21,6 +21,10 @@ Faces = NDArray[np.int64]
 Field = Callable[[Array], Array]
 """A scalar (n,) on points (n, 3); negative is inside, and near zero it is about a distance in metres."""
 
+TIE = 1e-9
+"""Added where two numbers are compared that may be equal by construction: CPUs differ in the last digits (1e-16), and
+what is decided must not."""
+
 
 @dataclass(frozen=True)
 class Surface:
@@ -68,7 +72,7 @@ def shade(points: Array, faces: Faces, crease: float = 40.0) -> Surface:
     owner = np.repeat(np.arange(len(faces)), 3)
     touches = sparse.csr_array((np.ones(len(corners)), (corners, owner)), shape=(len(points), len(faces)))
     around = touches[corners].tocoo()  # every face around every face corner
-    near = np.einsum("ij,ij->i", unit[owner[around.row]], unit[around.col]) > np.cos(np.radians(crease))
+    near = np.einsum("ij,ij->i", unit[owner[around.row]], unit[around.col]) > np.cos(np.radians(crease)) - TIE
     normals = np.zeros((len(corners), 3))
     np.add.at(normals, around.row[near], cross[around.col[near]])
     normals /= np.linalg.norm(normals, axis=1)[:, None]
@@ -108,7 +112,7 @@ def tube(path: Any, radius: Any, sides: int = 12, samples: int = 0, crease: floa
         path, radius = Akima1DInterpolator(s, path, method="makima")(t), PchipInterpolator(s, radius)(t)
     tangent = np.gradient(path, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1)[:, None]
-    across = np.cross(tangent[0], np.eye(3)[np.argmin(np.abs(tangent[0]))])
+    across = np.cross(tangent[0], np.eye(3)[np.argmin(np.round(np.abs(tangent[0]), 6))])
     rows = []
     turn = np.linspace(0, 2 * np.pi, sides, endpoint=False)
     for p, t, r in zip(path, tangent, radius, strict=True):  # parallel transport: the frame never twists
@@ -189,6 +193,7 @@ def aimed(direction: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> Array:
 
 def convex(points: Array, crease: float = 30.0) -> Surface:
     """The convex hull of ``points`` as a surface."""
+    points = np.round(points, 9)  # Qhull decides by the last digit what is flat
     hull = ConvexHull(points)
     faces = hull.simplices.astype(np.int64)
     a, b, c = points[faces[:, 0]], points[faces[:, 1]], points[faces[:, 2]]
@@ -273,7 +278,7 @@ def _roots(points: Array, value: Array, edges: Faces, field: Field) -> Array:
     sign = np.sign(value[edges[:, 0]])
     for _ in range(12):
         middle = (lower + upper) / 2
-        same = np.sign(field(start + middle[:, None] * along)) == sign if len(edges) else np.zeros(0, bool)
+        same = np.sign(field(start + middle[:, None] * along) + TIE) == sign if len(edges) else np.zeros(0, bool)
         lower, upper = np.where(same, middle, lower), np.where(same, upper, middle)
     return np.clip((lower + upper) / 2, 0.001, 0.999)
 
@@ -370,7 +375,7 @@ def curve(xs: ArrayLike, ys: ArrayLike) -> Callable[[Array], Array]:
 def outer_hull(points: Array, angle: float = 14.0) -> Surface:
     """A convex polytope of few vertices that contains ``points``: their supporting planes, ``angle`` degrees apart."""
     normals = _spread_normals(points, angle)
-    support = (points @ normals.T).max(0) + 1e-4
+    support = np.round((points @ normals.T).max(0) + 1e-4, 9)
     inner = np.append(points.min(0) / 2 + points.max(0) / 2, 0)[:3]
     corners = HalfspaceIntersection(np.column_stack([normals, -support]), inner).intersections
     corners = np.unique(np.round(corners, 5), axis=0)
@@ -379,11 +384,13 @@ def outer_hull(points: Array, angle: float = 14.0) -> Surface:
 
 def _spread_normals(points: Array, angle: float) -> Array:
     """Normals of the exact hull's facets, largest first, none nearer than ``angle`` to one already taken."""
+    points = np.round(points, 9)
     hull = ConvexHull(points)
     a, b, c = (points[hull.simplices[:, k]] for k in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     chosen = np.concatenate([np.eye(3), -np.eye(3)])
-    for normal in hull.equations[np.argsort(-area), :3]:
-        if (chosen @ normal).max() < np.cos(np.radians(angle)):
+    order = np.argsort(-np.round(area, 7), kind="stable")  # equal areas are common: mirror images
+    for normal in np.round(hull.equations[order, :3], 9):
+        if (chosen @ normal).max() < np.cos(np.radians(angle)) - TIE:
             chosen = np.vstack([chosen, normal])
     return chosen

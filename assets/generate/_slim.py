@@ -3,7 +3,11 @@
 What belongs here is decimation alone. Edges collapse onto one of their own ends, so what stays keeps its place and its
 normal; borders between materials, creases and open edges collapse along themselves only and stay shared by both sides.
 Error and order are quadrics (Garland and Heckbert, "Surface Simplification Using Quadric Error Metrics", 1997), in
-rounds of collapses that do not touch one another: the same input gives the same output.
+rounds of collapses that do not touch one another.
+
+The result is the same on every CPU. Places and normals are rounded on entry (`_GRID`), which removes the last digits in
+which CPUs differ, and all arithmetic after that is elementwise `+ - * /` and `sqrt`, which IEEE 754 rounds exactly:
+no BLAS and no `einsum`, whose order of operations and fused multiply-adds depend on the CPU.
 """
 
 from __future__ import annotations
@@ -17,6 +21,8 @@ from scipy import sparse
 from vehsim.assets.generate._shapes import Array, Faces, Surface
 
 _ROUNDS = 60
+_GRID = 2.0**-23
+"""Places (m) and components of normals are rounded to multiples of it: 1.2e-7."""
 _FACE_TURN = np.cos(np.radians(20.0))
 """How far a triangle may turn from the one it replaces, and its plane from its corners' normals."""
 _SLIVER = 0.03
@@ -45,12 +51,14 @@ class _Skin:
     def __init__(self, look: Mapping[str, Surface], shade: float) -> None:
         self.shade = shade
         self.names = list(look)
-        points, normals = (np.concatenate([getattr(s, k) for s in look.values()]) for k in ("points", "normals"))
+        points, normals = (
+            _on_grid(np.concatenate([getattr(s, k) for s in look.values()])) for k in ("points", "normals")
+        )
         owner = np.repeat(np.arange(len(look)), [len(s.points) for s in look.values()])
         offsets = np.cumsum([0, *(len(s.points) for s in look.values())])
         faces = np.concatenate([s.faces + o for s, o in zip(look.values(), offsets, strict=False)])
-        _, first, place = np.unique(np.round(points, 7), axis=0, return_index=True, return_inverse=True)
-        self.places: Array = points[first]
+        places, place = np.unique(points, axis=0, return_inverse=True)
+        self.places: Array = places
         key = np.column_stack([place.reshape(-1), owner, np.round(normals, 3)])
         _, first, vertex = np.unique(key, axis=0, return_index=True, return_inverse=True)
         self.place, self.owner, self.normals = place.reshape(-1)[first], owner[first], normals[first]
@@ -71,7 +79,7 @@ class _Skin:
         cost = np.maximum(*(_distance(q[going], self.places[staying]) for q in (self.shape, self.line)))
         cost /= tolerances[self.owner[pairs[:, :, 0]]].min(1)
         normals = self.normals[pairs]
-        alike = (np.einsum("eskj,eskj->esk", normals[:, :, :1], normals[:, :, 1:]) > self.shade).all((1, 2))
+        alike = (_dot(normals[:, :, 0], normals[:, :, 1]) > self.shade).all(1)
         keep = np.flatnonzero((cost < 1.0) & alike)
         keep = keep[self._fits(going[keep], staying[keep], pairs[keep])]
         # costs in steps, and shuffled within one: on a plane, where all are nought, neighbours else wait in a row
@@ -140,8 +148,8 @@ class _Skin:
         for side in (0, 1):
             new = np.where(old == pairs[which, side, :1], pairs[which, side, 1:], new)
         (was, fat), (now, thin) = self._facing(old), self._facing(new)
-        lean = [np.einsum("fkj,fj->fk", self.normals[f], n).min(1) for f, n in ((old, was), (new, now))]
-        good = np.einsum("ij,ij->i", was, now) > np.where(fat > _SLIVER, _FACE_TURN, 0.5)
+        lean = [_dot(self.normals[f], n[:, None]).min(1) for f, n in ((old, was), (new, now))]
+        good = _dot(was, now) > np.where(fat > _SLIVER, _FACE_TURN, 0.5)
         good &= (lean[1] > _FACE_TURN) | (lean[1] >= lean[0])
         good &= (thin > _SLIVER) | (thin >= fat)
         return np.bincount(which[~good], minlength=len(going)) == 0
@@ -150,27 +158,29 @@ class _Skin:
         """Unit normals of triangles (f, 3), and their heights as a share of their longest edge."""
         a, b, c = (self.places[self.place[faces[:, k]]] for k in range(3))
         cross = np.cross(b - a, c - a)
-        twice = np.linalg.norm(cross, axis=1)
-        longest = np.max([np.sum((p - q) ** 2, 1) for p, q in ((a, b), (b, c), (c, a))], axis=0)
+        twice = np.sqrt(_dot(cross, cross))
+        longest = np.max([_dot(p - q, p - q) for p, q in ((a, b), (b, c), (c, a))], axis=0)
         return cross / np.maximum(twice, 1e-20)[:, None], twice / longest
 
     def _quadrics(self) -> tuple[Array, Array]:
         """Per place two quadrics (4, 4) with their weight in a last row: of the planes and of the lines around it."""
         unit, _ = self._facing(self.faces)
         a, b, c = (self.places[self.place[self.faces[:, k]]] for k in range(3))
-        area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        cross = np.cross(b - a, c - a)
+        area = np.sqrt(_dot(cross, cross))
         shape, line = np.zeros((2, len(self.places), 5, 4))
-        plane = np.column_stack([unit, -np.einsum("ij,ij->i", unit, a)])
+        plane = np.column_stack([unit, -_dot(unit, a)])
         for k in range(3):
             _gather(shape, self.place[self.faces[:, k]], area, plane[:, :, None] * plane[:, None, :])
         (one, other), _, is_line, _ = self._edges()
         one, other = one[is_line], other[is_line]
         along = self.places[other] - self.places[one]
-        length = np.linalg.norm(along, axis=1)
-        across = np.eye(3) - along[:, :, None] * along[:, None, :] / (length**2)[:, None, None]
-        affine = np.concatenate([across, -across @ self.places[one][:, :, None]], 2)
+        squared = _dot(along, along)
+        across = np.eye(3) - along[:, :, None] * along[:, None, :] / squared[:, None, None]
+        affine = np.concatenate([across, -_dot(across, self.places[one][:, None])[:, :, None]], 2)
+        columns = np.swapaxes(affine, 1, 2)
         for end in (one, other):
-            _gather(line, end, length, np.swapaxes(affine, 1, 2) @ affine)
+            _gather(line, end, np.sqrt(squared), _dot(columns[:, :, None], columns[:, None]))
         return shape, line
 
 
@@ -182,5 +192,17 @@ def _gather(quadrics: Array, at: Faces, weight: Array, square: Array) -> None:
 def _distance(quadrics: Array, points: Array) -> Array:
     """The root mean square distance (n,) m of points (n, 3) from what quadrics (n, 5, 4) stand for."""
     homogeneous = np.column_stack([points, np.ones(len(points))])
-    square = np.einsum("ni,nij,nj->n", homogeneous, quadrics[:, :4], homogeneous)
+    square = _dot(_dot(quadrics[:, :4], homogeneous[:, None]), homogeneous)
     return np.sqrt(np.maximum(square, 0.0) / np.maximum(quadrics[:, 4, 0], 1e-20))
+
+
+def _dot(a: Array, b: Array) -> Array:
+    """The inner products along the last axis, added in order: the same digits on every CPU."""
+    total = a[..., 0] * b[..., 0]
+    for k in range(1, a.shape[-1]):
+        total = total + a[..., k] * b[..., k]
+    return total
+
+
+def _on_grid(values: Array) -> Array:
+    return np.rint(values / _GRID) * _GRID + 0.0  # no negative zero

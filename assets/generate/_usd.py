@@ -203,7 +203,7 @@ def _write_part(stage, path: str, part: PartShape, shaders: Mapping) -> None:
         colour = mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.constant)
         colour.Set([Gf.Vec3f(*material.colour)])
         mesh.CreateDisplayOpacityPrimvar(UsdGeom.Tokens.constant).Set([material.opacity])
-        mesh.CreateNormalsAttr([Gf.Vec3f(*n) for n in surface.normals.tolist()])
+        mesh.CreateNormalsAttr([Gf.Vec3f(*n) for n in (np.round(surface.normals, 7) + 0.0).tolist()])
         mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
         UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(shader)
     for key, surface in part.collision.items():
@@ -218,7 +218,7 @@ def _write_part(stage, path: str, part: PartShape, shaders: Mapping) -> None:
 def _write_mesh(stage, path: str, surface: Surface):
     from pxr import Gf, UsdGeom, Vt
 
-    points = np.ascontiguousarray(surface.points, np.float32)
+    points = np.ascontiguousarray(np.round(surface.points, 8) + 0.0, np.float32)
     faces = np.ascontiguousarray(surface.faces, np.int32)
     mesh = UsdGeom.Mesh.Define(stage, path)
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
