@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -37,12 +37,15 @@ if TYPE_CHECKING:
     from vehsim.shot.shot import Shot
     from vehsim.sinusoids.manoeuvres import Manoeuvre, Wish
     from vehsim.sinusoids.rigs import Rigged
+    from vehsim.sinusoids.steering import Steering
     from vehsim.take import Progress
     from vehsim.vehicles import Vehicle
 
 LIMITS = {"speed": 1.0, "steering": np.pi / 180, "steering_rate": np.pi / 180, "hitch": np.pi / 180}
 FLIGHT_LIMITS = {"leg_rate": np.pi / 180, "stretch_rate": 1.0}
 """Limit of the file -> what one of its units is in SI; those of what drives, and of what hops."""
+SLOWER = (1.1, 1.2, 1.35, 1.5, 1.75, 2.0, 2.5, 3.0)
+"""How much longer a manoeuvre may take where something that moves is in its way."""
 _STATES = {"steering": "phi", "leg_rate": "psi_rate", "stretch_rate": "l_rate"}
 
 
@@ -98,13 +101,19 @@ class SinusoidMotion(Table):
             yield Problem("method", str(error), "give it another method", "sinusoid")
             return
         yield from check_order(self.mark, setting)  # type: ignore[arg-type]
-        yield from check_names("limits", self.limits, FLIGHT_LIMITS if flies else LIMITS, "limit")
+        known = FLIGHT_LIMITS if flies else {name: 1.0 for name in LIMITS if name != "hitch" or len(vehicle.joints) > 2}
+        wrong = list(check_names("limits", self.limits, known, "limit"))
+        yield from wrong
         if flies and len(self.mark) != 2:
             yield Problem("mark", f"{len(self.mark)} marks", "a hop has two, take-off and landing", len(self.mark))
         for i, mark in enumerate(self.mark):
             yield from check_names(f"mark[{i}].joints", mark.joints, vehicle.joints, "joint")
             if mark.pitch and not flies:
                 yield Problem(f"mark[{i}].pitch", "wheels stay on the ground", "leave it out", mark.pitch)
+        if not wrong:
+            yield from self._check_joints(vehicle)
+        if not flies:
+            yield from self._check_way(vehicle, setting)
         if flies and self.mark[0].heading != self.mark[-1].heading:
             mend = f"give {self.mark[0].heading:g}: its leg turns it about its own Y alone"
             yield Problem(
@@ -114,6 +123,47 @@ class SinusoidMotion(Table):
             from vehsim.shot.obstacles import check_marks
 
             yield from check_marks(self.mark, vehicle, setting.world, self.clearance)  # type: ignore[arg-type]
+
+    def _check_joints(self, vehicle: Vehicle) -> Iterator[Problem]:
+        rig = self._rig(vehicle)
+        reach = rig.reach(self._wish(rig).limits)
+        for i, mark in enumerate(self.mark):
+            for name, value in mark.joints.items():
+                key = f"mark[{i}].joints.{name}"
+                if name in vehicle.joints and name not in reach:
+                    yield Problem(key, "follows from the way that is driven", "leave it out", value)
+                elif name in reach and not reach[name][0] <= value <= reach[name][1]:
+                    mend = f"give {reach[name][0]:.4g} to {reach[name][1]:.4g}"
+                    yield Problem(key, "beyond what its limits allow", mend, value)
+
+    def _check_way(self, vehicle: Vehicle, setting: Setting) -> Iterator[Problem]:
+        """What drives has the time for the straight way at least: without it, every manoeuvre is tried, to name frames
+        that would do. Trailers are driven in legs that have no sinusoids.
+        """
+        rig = self._rig(vehicle)
+        speed = self._wish(rig).limits.get("speed", rig.limits["speed"])
+        short = False
+        for a, b in pairwise(self.mark):
+            if a.frame == "free" or b.frame == "free" or b.frame <= a.frame + a.hold:
+                continue
+            # the axle, not the root, is what is driven
+            way = float(np.linalg.norm(self._state(b, rig)[:2] - self._state(a, rig)[:2]))
+            short = short or way / speed > float((b.frame - a.frame - a.hold) / setting.fps) * (1 + 1e-6)
+        if short:
+            try:
+                late = self._legs(vehicle, setting, lambda what, done: None)[2]
+            except SolveError as error:
+                yield Problem("mark", str(error), "move a mark, or give it another method")
+                return
+            for key, frame, why in late:
+                if not key.startswith("shot."):
+                    message, mend = why.split("; ", 1)
+                    yield Problem(key, message, mend, frame)
+        for name in ("amplitude", "cycles", "phase"):
+            value = getattr(self, name)
+            if value is not None and len(vehicle.joints) > 2:
+                message = "not used: trailers are driven in legs without sinusoids"
+                yield Problem(name, message, "leave it out", value, severity="warning")
 
     def offers(self, vehicle: Vehicle, setting: Setting) -> list[list[Manoeuvre]]:
         """Every manoeuvre between each two marks. Raises ``SolveError`` where there is none."""
@@ -128,39 +178,94 @@ class SinusoidMotion(Table):
         return found
 
     def solve(self, vehicle: Vehicle, setting: Setting, progress: Progress) -> tuple[Clip, dict[str, Any]]:
-        from vehsim.sinusoids.manoeuvres import choose_manoeuvre, clearance, joined, timed_clip
+        from vehsim.sinusoids.manoeuvres import joined
 
-        rig, wish = self._rig(vehicle), self._wish(self._rig(vehicle))
-        parts, taken, frame = [], [], int(self.mark[0].frame)
-        frame += self.mark[0].hold
-        begin = frame
-        holds = [mark.hold / float(setting.fps) for mark in self.mark]
-        for k, offers in enumerate(self.offers(vehicle, setting)):
-            progress("steering", k / (len(self.mark) - 1))
-            if setting.world.moving:
-                begun = frame / float(setting.fps)
-                offers = [replace(m, clearance=clearance(m.steering, rig, setting.world, begun)) for m in offers]
-            until = self.mark[k + 1].frame
-            seconds = None if until == "free" else float((int(until) - frame) / setting.fps)
-            try:
-                chosen = choose_manoeuvre(offers, self.manoeuvre, self.clearance)
-                steering, _ = timed_clip(rig, chosen.steering, seconds, setting.fps, frame)
-            except VehsimError as error:
-                raise SolveError(f"{vehicle.name}: mark[{k + 1}]: {error}") from None
-            gap = clearance(steering, rig, setting.world, frame / float(setting.fps))
-            if gap < self.clearance:
-                raise SolveError(
-                    f"{vehicle.name}: mark[{k + 1}]: manoeuvre {chosen.number} comes to {gap:.2f} m of "
-                    f"an obstacle, {self.clearance:g} m are asked for: choose another (vehsim manoeuvres) or frame"
-                )
-            parts.append(steering)
-            taken.append({"manoeuvre": chosen.number, "label": chosen.label, "clearance": gap, "of": len(offers)})
-            frame += round(steering.duration * float(setting.fps)) + self.mark[k + 1].hold
-        whole = joined(parts, holds[1:])
+        rig, wish, fps = self._rig(vehicle), self._wish(self._rig(vehicle)), float(setting.fps)
+        parts, taken, late = self._legs(vehicle, setting, progress)
+        if late:
+            raise SolveError(f"{vehicle.name}: {'; '.join(f'{key} = {frame}: {why}' for key, frame, why in late)}")
+        whole = joined(parts, [mark.hold / fps for mark in self.mark[1:]])
+        begin = int(self.mark[0].frame) + self.mark[0].hold
         clip = whole.clip(vehicle, fps=setting.fps, start_frame=begin, height=self.mark[0].position[2], **rig.flight)
         said = {"manoeuvres": taken, "end_error": whole.end_error, "duration": whole.duration}
         marks = [mark.model_dump(mode="json", exclude_unset=True) for mark in self.mark]
         return clip, said | {"limits": dict(wish.limits), "marks": marks}
+
+    def _legs(
+        self, vehicle: Vehicle, setting: Setting, progress: Progress
+    ) -> tuple[list[Steering], list[dict[str, Any]], list[tuple[str, int, str]]]:
+        """What is driven from mark to mark, what the report says of it, and the frames that cannot be kept: their key,
+        the frame and why, with one that would do. Where one cannot, what follows starts that much later.
+        """
+        from vehsim.sinusoids.manoeuvres import clearance
+
+        rig, fps = self._rig(vehicle), float(setting.fps)
+        parts, taken, late = [], [], []
+        frame = int(self.mark[0].frame) + self.mark[0].hold
+        for k, offers in enumerate(self.offers(vehicle, setting), 1):
+            progress("steering", (k - 1) / (len(self.mark) - 1))
+            if setting.world.moving:
+                offers = [replace(m, clearance=clearance(m.steering, rig, setting.world, frame / fps)) for m in offers]
+            mark = self.mark[k]
+            try:
+                chosen, steering, gap = self._leg(rig, offers, setting, frame, mark.frame)
+            except VehsimError as error:
+                raise SolveError(f"{vehicle.name}: mark[{k}]: {error}") from None
+            frame += round(steering.duration * fps)
+            if mark.frame not in ("free", frame):
+                why = "too early" if int(mark.frame) < frame else "too near to an obstacle that moves"
+                late.append((f"mark[{k}].frame", int(mark.frame), f"{why}; {frame} would do, with {chosen.label!r}"))
+            frame += mark.hold
+            parts.append(steering)
+            taken.append({"manoeuvre": chosen.number, "label": chosen.label, "clearance": gap, "of": len(offers)})
+        if late and setting.last is not None and frame > setting.last:
+            late.append(("shot.end_frame", setting.last, f"too early then; {frame} would do"))
+        return parts, taken, late
+
+    def _leg(
+        self, rig: Rigged, offers: list[Manoeuvre], setting: Setting, frame: int, until: Any
+    ) -> tuple[Manoeuvre, Steering, float]:
+        """The manoeuvre that is driven from ``frame`` on, timed, and how clear it keeps, m.
+
+        It ends on frame ``until``; as soon as it can when that is "free", or too early for every one.
+        """
+        from vehsim.sinusoids.manoeuvres import choose_manoeuvre, clearance, timed_clip
+
+        choose_manoeuvre(offers, self.manoeuvre, self.clearance)  # raises where none will do
+        if self.manoeuvre is None:
+            allowed = sorted((m for m in offers if m.clearance >= self.clearance), key=lambda m: m.steering.duration)
+        else:
+            allowed = [m for m in offers if m.number == self.manoeuvre]
+        reasons = []
+
+        def timed(chosen: Manoeuvre, seconds: float | None) -> tuple[Manoeuvre, Steering, float] | None:
+            try:
+                steering, _ = timed_clip(rig, chosen.steering, seconds, setting.fps, frame)
+            except SolveError as error:
+                reasons.append(f"{chosen.number}, {chosen.label}: {error}")
+                return None
+            gap = clearance(steering, rig, setting.world, frame / float(setting.fps))
+            if gap >= self.clearance:
+                return chosen, steering, gap
+            reasons.append(f"{chosen.number}, {chosen.label}: {gap:.2f} m from an obstacle, not {self.clearance:g} m")
+            return None
+
+        room = -1.0 if until == "free" else float((int(until) - frame) / setting.fps)
+        for chosen in allowed:
+            if chosen.steering.duration <= room * (1 + 1e-9) and (found := timed(chosen, room)):
+                return found
+        for chosen in allowed:
+            if found := timed(chosen, None):
+                return found
+        if setting.world.moving:  # what is in the way now may have left a little later
+            for chosen, share in product(allowed[:3], SLOWER):
+                frames = np.ceil(share * chosen.steering.duration * float(setting.fps))
+                if found := timed(chosen, float(frames / setting.fps)):
+                    return found
+        raise SolveError(
+            f"none of {len(allowed)} manoeuvres works here: {'; '.join(reasons[:4])}; choose another (vehsim "
+            "manoeuvres), ask for less clearance, or move the mark"
+        )
 
     def _rig(self, vehicle: Vehicle) -> Rigged:
         from vehsim.sinusoids.rigs import rigged

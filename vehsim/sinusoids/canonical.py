@@ -224,7 +224,8 @@ def _chained_together(n: int, z0: Array, z1: Array, a: float, phase: float = 0.0
     effect = np.array([ahead**k / factorial(k) for k in range(n - 1)]) * w @ waves.T
     free = [sum(z0[1 + i] * d ** (k - i) / factorial(k - i) for i in range(k + 1)) for k in range(n - 1)]
     wanted = z1[1:] - np.array(free)
-    scale = np.abs(effect).max(axis=1)
+    size = np.abs(effect).max(axis=1)
+    scale = np.where(size > 0, size, 1.0)  # a sweep of no amplitude moves nothing beyond z2
     b = np.linalg.lstsq(effect / scale[:, None], wanted / scale, rcond=1e-15)[0]
     b += np.linalg.lstsq(effect / scale[:, None], (wanted - effect @ b) / scale, rcond=1e-15)[0]
 

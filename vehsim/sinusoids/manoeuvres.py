@@ -15,12 +15,15 @@ import numpy as np
 
 from vehsim.errors import InputError, SolveError
 from vehsim.sinusoids.families import bodies
-from vehsim.sinusoids.steering import Stage, Steering
+from vehsim.sinusoids.steering import Stage, Steering, TooFast
 
 if TYPE_CHECKING:
     from vehsim.clip import Clip
     from vehsim.sinusoids.rigs import Rigged
     from vehsim.world import World
+
+TRIALS = 16
+"""Times tried at most until a manoeuvre is slow enough for the vehicle's controls."""
 
 Way = tuple[str, Callable[[], Steering]]
 """What a manoeuvre is called, and what makes it."""
@@ -68,7 +71,7 @@ def manoeuvres(
     limits = {**rig.limits, **wish.limits}
     of_inputs = {name: value for name, value in limits.items() if name in rig.system.inputs}
     of_states = {name: value for name, value in limits.items() if name in rig.system.states}
-    found, reasons = [], []
+    found, reasons, number = [], [], 0
     for number, (label, make) in enumerate(rig.ways(x0, x1, wish), 1):
         if only not in (None, number):
             continue
@@ -79,6 +82,8 @@ def manoeuvres(
             reasons.append(f"{number}, {label}: {error}")
             continue
         found.append(Manoeuvre(number, steering, clearance(steering, rig, world, None)))
+    if only is not None and only > number:
+        raise SolveError(f"manoeuvre = {only}: there are {number} between these marks; choose one, or leave it out")
     if not found:
         raise SolveError(f"{rig.vehicle.name}: none of {len(reasons)} manoeuvres works: {'; '.join(reasons[:4])}")
     return found
@@ -148,24 +153,36 @@ def timed_clip(
     """The steering as a clip within the vehicle's own control bounds, on whole frames.
 
     ``seconds``: how long it takes; as fast as the bounds let it, rounded up to a frame, when None. Raises
-    ``SolveError`` with the time it needs.
+    ``SolveError`` where it cannot be done in time, with the frames it needs.
     """
-    needed = steering.duration
-    for _ in range(6):
-        whole = float(np.ceil(needed * float(fps) - 1e-9)) / float(fps)
-        trial = steering.timed(whole if seconds is None else seconds)
-        clip = trial.clip(rig.vehicle, fps=fps, start_frame=start_frame, **rig.flight)
-        beyond = _overload(clip)
-        if seconds is not None and (beyond > 1 + 1e-6 or seconds < steering.duration * (1 - 1e-9)):
-            needed = max(steering.duration, seconds * beyond)
+    if seconds is not None:
+        try:
+            return _in_time(rig, steering, seconds, fps, start_frame)
+        except TooFast as error:
+            enough, _ = timed_clip(rig, steering, None, fps, start_frame)
             raise SolveError(
-                f"{rig.vehicle.name}: {seconds:.2f} s are too short for {steering.label or 'this'} within its "
-                f'limits, it takes {needed:.2f} s: give the mark a later frame, or frame = "free"'
-            )
-        if beyond <= 1 + 1e-6:
-            return trial, clip
-        needed = whole * beyond
-    raise SolveError(f"{rig.vehicle.name}: its controls' bounds cannot be met by going slower; widen them")
+                f"{rig.vehicle.name}: {seconds:.2f} s are too short for {steering.label or 'this'}: {error}; "
+                f"{round(enough.duration * float(fps))} frames ({enough.duration:.2f} s) would do"
+            ) from None
+    needed, why = steering.duration, ""
+    for _ in range(TRIALS):
+        try:
+            return _in_time(rig, steering, float(np.ceil(needed * float(fps) - 1e-9)) / float(fps), fps, start_frame)
+        except TooFast as error:
+            needed, why = error.needed, str(error)
+    raise SolveError(f"{rig.vehicle.name}: going slower does not help: {why}; widen the bounds, or take another one")
+
+
+def _in_time(rig: Rigged, steering: Steering, seconds: float, fps: Any, start_frame: int) -> tuple[Steering, Clip]:
+    """The steering in ``seconds``, or `TooFast`."""
+    if seconds < steering.duration * (1 - 1e-9):
+        raise TooFast("beyond its limits", steering.duration)
+    trial = steering.timed(seconds)
+    clip = trial.clip(rig.vehicle, fps=fps, start_frame=start_frame, **rig.flight)
+    beyond = _overload(clip)
+    if beyond > 1 + 1e-6:
+        raise TooFast("beyond its controls' bounds", seconds * beyond)
+    return trial, clip
 
 
 def _overload(clip: Clip) -> float:

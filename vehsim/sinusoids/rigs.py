@@ -7,7 +7,7 @@ A vehicle is recognised by its joints; its lengths are read off its own constrai
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 from typing import Any
@@ -25,7 +25,7 @@ from vehsim.sinusoids.canonical import steer_chained
 from vehsim.sinusoids.feedback import car_chained, car_triangular
 from vehsim.sinusoids.fourier import steer_through, steer_triangular
 from vehsim.sinusoids.manoeuvres import Way, Wish, loops
-from vehsim.sinusoids.steering import Steering
+from vehsim.sinusoids.steering import Steering, TooFast
 from vehsim.sinusoids.system import Array, DriftlessSystem
 from vehsim.sinusoids.trailers import trailer_ways
 from vehsim.vehicles import State, Vehicle
@@ -65,6 +65,12 @@ class Rigged(ABC):
     @abstractmethod
     def motion(self, steering: Steering) -> tuple[Array, Array, Array, Array]: ...
 
+    @abstractmethod
+    def reach(self, limits: Mapping[str, float]) -> dict[str, tuple[float, float]]:
+        """Joint -> lowest and highest value to begin and end with, under the ``limits`` of a `Wish`; none for joints
+        that cannot be chosen.
+        """
+
     @property
     def outlines(self) -> tuple[Array, ...]:
         return ()
@@ -74,10 +80,9 @@ class Rigged(ABC):
         return {}
 
     def bound(self, control: str, otherwise: float) -> float:
-        """The smaller bound of a control."""
-        (found,) = (c for c in self.vehicle.controls if c.name == control)
-        bound = min(found.upper, -found.lower)
-        return float(bound) if np.isfinite(bound) else otherwise
+        """The smaller bound of a control; ``otherwise`` where it has none, or the joint is moved by a force."""
+        bounds = [min(c.upper, -c.lower) for c in self.vehicle.controls if c.name == control]
+        return next((float(bound) for bound in bounds if np.isfinite(bound)), otherwise)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +118,11 @@ class Wheeled(Rigged):
     def limits(self) -> dict[str, float]:
         rate = self.bound("steering_rate", STEERING_RATE)
         return {"speed": SPEED, "steering_rate": min(STEERING_RATE, rate), "phi": self.steering}
+
+    def reach(self, limits: Mapping[str, float]) -> dict[str, tuple[float, float]]:
+        sigma = float(np.tan(min(self.steering, limits.get("phi", np.inf))))
+        hitch = min(self.hitch, limits.get("hitch", np.inf), np.pi / 2 - 1e-3)
+        return {"sigma": (-sigma, sigma)} | {joint: (-hitch, hitch) for joint in self.vehicle.joints[2:]}
 
     @cached_property
     def outlines(self) -> tuple[Array, ...]:  # type: ignore[override]
@@ -240,6 +250,10 @@ class Airborne(Rigged):
             "l_rate": self.bound("stretch_rate", 2.0) / self.leg_length,
         }
 
+    def reach(self, limits: Mapping[str, float]) -> dict[str, tuple[float, float]]:
+        lower, upper = self.system.domain["l"]
+        return {"psi": (-np.inf, np.inf), "stretch": (lower * self.leg_length, upper * self.leg_length)}
+
     @property
     def flight(self) -> dict[str, Any]:
         return {"take_off": self.take_off, "landing": self.landing, "heading": self.heading}
@@ -293,10 +307,10 @@ class Airborne(Rigged):
         share = steering.times / steering.times[-1]
         above = foot[:, 2] - (foot[0, 2] + share * (foot[-1, 2] - foot[0, 2]))
         if above.min() < -0.01:
-            raise SolveError(
-                f"{self.vehicle.name}: its foot goes {-above.min():.2f} m into the ground "
-                f"{share[above.argmin()] * steering.duration:.2f} s after take-off: give it more time in the air, or "
-                "another manoeuvre"
+            raise TooFast(
+                f"its foot goes {-above.min():.2f} m into the ground "
+                f"{share[above.argmin()] * steering.duration:.2f} s after take-off",
+                1.1 * steering.duration,
             )
 
 

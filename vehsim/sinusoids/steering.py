@@ -34,6 +34,8 @@ ACCURACY = 1e-6
 """Largest accepted difference between the goal and where the inputs lead, in the states' own units."""
 
 
+NOTHING = 1e-9
+"""A stage shorter than this, s, moves by round-off alone."""
 CRUISE = 45 / 32
 """Rate of the paces below at their fastest, where the mean is 1: from and to rest within a fifth of the time."""
 
@@ -50,6 +52,14 @@ PACES: dict[str, Callable[[Array], tuple[Array, Array]]] = {
     "both": lambda t: ((1 + _drive(2 * t - 1)[0]) / 2, _drive(2 * t - 1)[1]),
 }
 """Fraction of a stage's time (k,) -> fraction of its way and the rate: C2, from rest at its start, its end or both."""
+
+
+class TooFast(SolveError):
+    """A motion that its vehicle can make in ``needed`` s, or about that."""
+
+    def __init__(self, message: str, needed: float):
+        super().__init__(message)
+        self.needed = needed
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,7 +219,8 @@ class Steering:
         return self.timed([stage.duration * k for stage, k in zip(self.stages, stretch, strict=True)])
 
     def fastest(self, limits: Mapping[str, float]) -> Steering:
-        """The same path, every stage as short as the limits on its inputs let it; stages nothing limits stay.
+        """The same path, every stage as short as the limits on its inputs let it; stages nothing limits stay, and those
+        that take less than a nanosecond, which are round-off, are left out.
 
         ``limits`` as in `within`.
         """
@@ -217,7 +228,10 @@ class Steering:
             self._check_limit(name, limits[name])
         bounds = np.array([limits.get(name, np.inf) for name in self.system.inputs])
         need = [stage.duration * float(np.max(stage.peaks() / bounds)) for stage in self.stages]
-        return self.timed([k if k > 0 else s.duration for k, s in zip(need, self.stages, strict=True)])
+        need = [k if k > 0 else s.duration for k, s in zip(need, self.stages, strict=True)]
+        moving = [k for k, seconds in enumerate(need) if seconds > NOTHING] or [0]
+        kept = replace(self, stages=tuple(self.stages[k] for k in moving))
+        return kept.timed([max(need[k], NOTHING) for k in moving])
 
     def _check_limit(self, name: str, bound: float) -> None:
         known = (*self.system.inputs, *self.system.states)

@@ -1,0 +1,183 @@
+"""``method = "sinusoid"`` in a shot: every vehicle works or is refused by `check`, and a frame that is named works."""
+
+import re
+import warnings
+
+import numpy as np
+import pytest
+
+import vehsim
+from vehsim import simulate
+from vehsim.errors import ShotError, SolveError
+from vehsim.shot.shot import Shot
+
+VEHICLES = ("boat", "car", "helicopter", "hopper", "simple_car", "snakeboard", "truck", "tumbler", "two_wheeled")
+TOO_EARLY = re.compile(r"mark\[(\d+)\]\.frame = \d+: too early; (\d+) would do")
+
+
+def shot(asset, *marks, obstacles=(), others=(), **motion):
+    motion = {"method": "sinusoid", "mark": list(marks), **motion}
+    return {
+        "shot": {"schema": 1, "name": "s", "fps": 24},
+        "world": {"obstacle": list(obstacles)},
+        "vehicle": [{"name": "v", "asset": asset, "motion": motion}, *others],
+    }
+
+
+def errors(data):
+    return [problem for problem in Shot.from_dict(data).check() if problem.severity == "error"]
+
+
+@pytest.mark.parametrize("asset", VEHICLES)
+def test_every_vehicle_works_or_is_refused(asset):
+    heading = 0 if asset == "hopper" else 20
+    data = shot(
+        asset, {"frame": 1001, "position": [0, 0, 0]}, {"frame": "free", "position": [6, 1, 0], "heading": heading}
+    )
+    wrong = errors(data)
+    if asset in ("car", "hopper", "simple_car", "truck"):
+        assert not wrong
+        clip = Shot.from_dict(data).solve().clips["v"]
+        np.testing.assert_allclose(clip.positions[-1, :2], [6, 1], atol=1e-4)
+    else:
+        assert [problem.key for problem in wrong] == ["vehicle[0].motion.method"]
+
+
+def test_a_steering_column_is_turned_by_the_torque_that_its_motion_asks_for():
+    """simple_car has no rate to command: its column has inertia. Played back, its controls make the same motion."""
+    data = shot(
+        "simple_car",
+        {"frame": 1001, "position": [0, 0, 0]},
+        {"frame": "free", "position": [6, 1, 0], "heading": 10},
+        manoeuvre=2,
+    )
+    clip = Shot.from_dict(data).solve().clips["v"]
+    vehicle = clip.vehicle
+    for k, control in enumerate(vehicle.controls):
+        assert control.lower * (1 + 1e-6) <= clip.controls[:, k].min()
+        assert clip.controls[:, k].max() <= control.upper * (1 + 1e-6)
+
+    def controls(t, state):
+        return [np.interp(t, clip.times, clip.controls[:, k]) for k in range(2)]
+
+    played = simulate(vehicle, None, controls, duration=clip.duration, step=1 / 480)
+    np.testing.assert_allclose(played.positions[-1], clip.positions[-1], atol=0.05)
+
+
+@pytest.mark.parametrize("asset", ["truck", "car", "simple_car"])
+def test_one_place_twice_is_stayed_at(asset):
+    """No sweep of no amplitude, nor a leg of no length, may raise what no user can read."""
+    data = shot(asset, {"frame": 1001, "position": [0, 0, 0]}, {"frame": 1030, "position": [0, 0, 0]})
+    np.testing.assert_allclose(Shot.from_dict(data).solve().clips["v"].positions, 0.0, atol=1e-9)
+
+
+def test_a_leg_of_round_off_is_left_out():
+    """A quarter turn on the spot, whose legs had one of 1e-18 s: its integrals were singular."""
+    data = shot(
+        "simple_car",
+        {"frame": 1001, "position": [0, 0, 0], "heading": 180.0},
+        {"frame": "free", "position": [0, 0, 0], "heading": 90.0},
+    )
+    clip = Shot.from_dict(data).solve().clips["v"]
+    np.testing.assert_allclose(clip.positions[-1], 0.0, atol=1e-6)
+
+
+def goals(count, seed=5):
+    random = np.random.default_rng(seed)
+    for k in range(count):
+        asset = ("truck", "hopper", "car")[k % 3]
+        marks, frame = [{"frame": 1001, "position": [0, 0, 0]}], 1001
+        for _ in range(2 if asset == "truck" else 1):
+            frame += int(random.integers(2, 200))
+            mark = {"frame": frame, "position": [*random.uniform(-4, 4, 2).tolist(), 0.0]}
+            frame += mark.setdefault("hold", int(random.integers(0, 5)))
+            turn = float(random.uniform(-180, 180)) if asset != "car" else float(random.uniform(-30, 30))
+            marks.append(mark | ({"pitch": turn} if asset == "hopper" else {"heading": turn}))
+        yield pytest.param(asset, marks, id=f"{asset}-{k}")
+
+
+@pytest.mark.parametrize("asset, marks", list(goals(6)))
+def test_a_frame_that_is_named_works(asset, marks):
+    """Whether `check` names it or the export does, for every mark at once: it is true the first time."""
+    data = shot(asset, *marks, **({"manoeuvre": 6} if asset == "car" else {}))
+    said = "; ".join(map(str, errors(data)))
+    if not said:
+        try:
+            Shot.from_dict(data).solve()
+            return
+        except SolveError as error:
+            said = str(error)
+    named = TOO_EARLY.findall(said)
+    assert named, said
+    for k, frame in named:
+        data["vehicle"][0]["motion"]["mark"][int(k)]["frame"] = int(frame)
+    take = Shot.from_dict(data).solve()
+    assert take.clips["v"].end_frame == data["vehicle"][0]["motion"]["mark"][-1]["frame"] + marks[-1]["hold"]
+
+
+def test_one_that_moves_is_waited_for():
+    """A car crosses the bay for ten seconds: the frame that is named is one at which it has gone."""
+    crossing = {
+        "method": "simulate",
+        "start": {"position": [4.0, -14.0, 0], "heading": 90, "velocity": [0, 1.2, 0]},
+        "duration": 25.0,
+    }
+    data = shot(
+        "car",
+        {"frame": 1001, "position": [-8, 0, 0]},
+        {"frame": 1600, "position": [16, 0, 0]},
+        obstacles=[{"shape": "vehicle", "vehicle": "other"}],
+        others=[{"name": "other", "asset": "car", "motion": crossing}],
+        manoeuvre=1,
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        with pytest.raises(SolveError, match=r"too (near to an obstacle that moves|early); \d+") as raised:
+            Shot.from_dict(data).solve()
+        (frame,) = re.findall(r"(\d+) would do", str(raised.value))
+        data["vehicle"][0]["motion"]["mark"][1]["frame"] = int(frame)
+        assert Shot.from_dict(data).solve().clips["v"].end_frame == int(frame)
+
+
+@pytest.mark.parametrize(
+    "joints, limits, key",
+    [
+        ({"sigma": 5.0}, {}, "mark[1].joints.sigma"),
+        ({"sigma": 0.5}, {"steering": 20}, "mark[1].joints.sigma"),
+        ({"psi": 1.0}, {}, "mark[1].joints.psi"),
+        ({}, {"hitch": 30}, "limits.hitch"),
+    ],
+)
+def test_what_cannot_be_is_refused_by_check(joints, limits, key):
+    marks = {"frame": 1001, "position": [0, 0, 0]}, {"frame": "free", "position": [6, 1, 0], "joints": joints}
+    data = shot("car", *marks, limits=limits)
+    (problem,) = errors(data)
+    assert problem.key == f"vehicle[0].motion.{key}" and problem.mend
+    with pytest.raises(ShotError):
+        Shot.from_dict(data).solve()
+
+
+def test_stretches_of_a_leg_that_cannot_be_are_refused():
+    marks = {"frame": 1001, "position": [0, 0, 0], "joints": {"stretch": 2.0}}, {"frame": "free", "position": [1, 0, 0]}
+    (problem,) = errors(shot("hopper", *marks))
+    assert problem.key == "vehicle[0].motion.mark[0].joints.stretch"
+
+
+def test_a_number_beyond_those_on_offer_is_named():
+    marks = {"frame": 1001, "position": [0, 0, 0]}, {"frame": "free", "position": [6, 1, 0]}
+    with pytest.raises(SolveError, match="manoeuvre = 30: there are 3 between these marks"):
+        Shot.from_dict(shot("truck", *marks, manoeuvre=30)).solve()
+
+
+def test_what_trailers_do_not_use_is_said():
+    marks = {"frame": 1001, "position": [0, 0, 0]}, {"frame": "free", "position": [6, 0, 0]}
+    (problem,) = Shot.from_dict(shot("truck", *marks, cycles=2)).check()
+    assert (problem.key, problem.severity) == ("vehicle[0].motion.cycles", "warning")
+
+
+def test_the_shipped_cars_turn_alike():
+    """simple_car is recognised by its constraints, like the car with a rate for its steering."""
+    from vehsim.sinusoids.rigs import rigged
+
+    simple = rigged(vehsim.load_vehicle("simple_car"))
+    assert simple.limits["steering_rate"] == pytest.approx(0.7)
