@@ -3,13 +3,14 @@
 import re
 import shutil
 
+import casadi as ca
 import numpy as np
 import pytest
 
 import vehsim
 from vehsim.errors import InputError, ShotError
 from vehsim.vehicles import State
-from vehsim.vehicles.boat import boat
+from vehsim.vehicles.boat import AIR, boat
 from vehsim.world import Water, World
 from vehsim.world.currents import Stream
 from vehsim.world.wind import Gusts
@@ -89,6 +90,23 @@ def test_currents_and_wind_carry_it_away():
         BOAT, World(water=0.0, wind=(0, 10, 0), gusts=Gusts(0.4, seed=2)), duration=6.0, step=1 / 24
     )
     assert 1e-3 < abs(gusty.positions[-1, 1] - blown.positions[-1, 1]) < 1.0
+
+
+@pytest.mark.parametrize("heading", [0.0, 40.0, 90.0, 200.0])
+def test_in_the_plane_the_wind_pushes_where_it_blows(heading):
+    """Half the density, speed times velocity along either axis, times the area seen from there; none when adrift."""
+    yaw, wind, still, none = np.deg2rad(heading), np.array([-6.0, 3.0, 0.0]), np.zeros(3), np.zeros(0)
+    air = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]]) @ wind[:2]
+
+    def push(twist, wind):
+        given = (ca.SX(v) for v in ([yaw, 0.0, 0.0], none, none, twist, np.zeros(2), wind))
+        return np.ravel(np.asarray(ca.evalf(BOAT.planar.force(*given)[1])))
+
+    expected = 0.5 * AIR * np.linalg.norm(air) * air * [2.4, 5.2]
+    np.testing.assert_allclose(push(still, wind)[1:], expected, rtol=1e-5, atol=0.01)
+    adrift = np.array([0.0, *air])
+    calm = push(adrift, still)[1:] + expected  # through still air it is held back by as much
+    np.testing.assert_allclose(push(adrift, wind)[1:], calm, rtol=1e-4, atol=0.01)
 
 
 def test_docking_in_the_wind_is_planned():

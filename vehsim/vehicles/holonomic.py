@@ -94,5 +94,5 @@ def _rotation(group: Any, g: Expr) -> Expr:
 def _still(group: Any, g: Expr, velocity: Expr) -> Expr:
     """The group's velocity (d,) of a body that drifts with a world velocity (3,) and does not turn."""
     linear = _rotation(group, g).T @ velocity
-    width = group.dim - (3 if group.dim == 6 else 1)
-    return group.velocity_from_body(g, ca.vertcat(ca.SX(width, 1), linear[: group.dim - width]))
+    turning = 1 if group.planar else 3
+    return group.velocity_from_body(g, ca.vertcat(ca.SX(turning, 1), linear[: group.dim - turning]))
