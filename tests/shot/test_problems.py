@@ -149,6 +149,14 @@ def test_marks(planned: dict[str, Any], keys_of: Find, key: str, value: Any, whe
     assert says in problems[f"vehicle[0].motion.{where}"]
 
 
+def test_what_stands_on_the_ground_may_stay_there(planned: dict[str, Any], keys_of: Find) -> None:
+    """It is at rest: no velocity need be given."""
+    mark = planned["vehicle"][0]["motion"]["mark"][1]
+    mark |= {"on_ground": True, "hold": 10, "heading": 0.0}
+    mark.pop("velocity", None)
+    assert not [key for key in keys_of(planned) if "hold" in key]
+
+
 def test_mark_nearer_to_rock_than_the_clearance(planned: dict[str, Any], keys_of: Find) -> None:
     """The root is in free air, the rotor is not: only the vehicle's hulls can tell."""
     motion = planned["vehicle"][0]["motion"]

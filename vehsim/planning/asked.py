@@ -16,6 +16,7 @@ from vehsim.planning.request import Request
 from vehsim.planning.terms import Cost, KnotView, Term
 from vehsim.planning.transcription import Transcription
 from vehsim.planning.views import knot_view, root_pose
+from vehsim.vehicles import Vehicle
 from vehsim.vehicles.mechanics import conservative, project
 from vehsim.world.landing import feet
 
@@ -44,27 +45,42 @@ def mark_values(t: Transcription, mark: Mark) -> Array:
     return np.concatenate(values)
 
 
-def mark_element(t: Transcription, mark: Mark) -> Element | None:
-    """What a mark asks at its knot: (x, c0), with the wind and its values (``mark_values``) as parameters."""
+def mark_element(t: Transcription, mark: Mark, known: Mark | None = None) -> Element | None:
+    """What a mark asks at its knot: (x, c0), with the wind and its values (``mark_values``) as parameters.
+
+    ``known``: a mark whose state it has anyway, as in a loop; what that asks is not asked twice.
+    """
     x, c = ca.SX.sym("x", sum(t.sizes[:3])), ca.SX.sym("c", t.sizes[3])
     wind = ca.SX.sym("wind", 3)
     wanted = {key: ca.SX.sym(key, size) for key, size in parameter_sizes(t).items()}
     view, g = knot_view(t, x, c), t.split(x)[0]
-    # in the plane nothing follows from standing still: a boat may touch a mark with the wind at its side
-    balanced = mark.balanced and (mark.hold > 0 or t.vehicle.group.dim == 6)
-    asked = {
-        "position": _place(t, mark, view, wanted),
-        "heading" if mark.orientation is None else "orientation": _attitude(t, mark, root_pose(t.vehicle, g), wanted),
-        "velocity (balance)": _equal(imbalance(t, x, c, wind)) if balanced else [],
-        "speed" if mark.velocity is None else "velocity": _motion(t, mark, view, x, c, wanted),
-        "joints": _joints(mark, view, wanted),
-    }
+
+    def rows_of(mark: Mark) -> dict[str, list[Row]]:
+        attitude = "heading" if mark.orientation is None else "orientation"
+        return {
+            "position": _place(t, mark, view, wanted),
+            attitude: _attitude(t, mark, root_pose(t.vehicle, g), wanted),
+            "velocity (balance)": _equal(imbalance(t, x, c, wind)) if asks_balance(t.vehicle, mark) else [],
+            "speed" if mark.velocity is None else "velocity": _motion(t, mark, view, x, c, wanted),
+            "joints": _joints(mark, view, wanted),
+            "hold": [(c[k], 0.0, 0.0) for _, k in t.vehicle.driven] if mark.hold else [],
+        }
+
+    asked = rows_of(mark)
+    if known is not None:
+        asked = {key: rows for key, rows in asked.items() if key == "joints" or not rows_of(known).get(key)}
     labels = [key for key, rows in asked.items() for _ in rows]
     if not labels:
         return None
     rows, lower, upper = zip(*(row for rows in asked.values() for row in rows), strict=True)
     p = ca.vertcat(wind, *wanted.values())
     return Element("mark", ca.vertcat(x, c), p, g=ca.vertcat(*rows), lower=lower, upper=upper, labels=labels)
+
+
+def asks_balance(vehicle: Vehicle, mark: Mark) -> bool:
+    """Whether the vehicle has to be in balance at a mark."""
+    # in the plane nothing follows from standing still: a boat may touch a mark with the wind at its side
+    return mark.balanced and (mark.hold > 0 or vehicle.group.dim == 6)
 
 
 def _joints(mark: Mark, view: KnotView, wanted: dict[str, Expr]) -> list[Row]:
@@ -105,9 +121,21 @@ def landing_element(t: Transcription, upright: Array) -> Element:
 
 
 def hold_element(t: Transcription) -> Element:
+    """A state that stays as it is, at no velocity: (x, z, x1).
+
+    It stands in place of the mechanics: in balance these say the same, but twice, since controls that stay as they are
+    say it too. The balance is asked once, by the mark where the hold begins.
+    """
+    x, z, x1 = (
+        ca.SX.sym(name, size) for name, size in (("x", sum(t.sizes[:3])), ("z", t.sizes[2]), ("x1", sum(t.sizes[:3])))
+    )
+    return Element("hold", ca.vertcat(x, z, x1), ca.SX(0, 1), g=ca.vertcat(x1 - x, z))
+
+
+def held_controls_element(t: Transcription) -> Element:
     """Controls that stay as they are: (c0, c1)."""
     c0, c1 = ca.SX.sym("c0", t.sizes[3]), ca.SX.sym("c1", t.sizes[3])
-    return Element("hold", ca.vertcat(c0, c1), ca.SX(0, 1), g=c1 - c0)
+    return Element("held controls", ca.vertcat(c0, c1), ca.SX(0, 1), g=c1 - c0)
 
 
 def loop_element(t: Transcription) -> Element:

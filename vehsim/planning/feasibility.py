@@ -11,9 +11,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim.planning.balance import out_of_balance
 from vehsim.planning.marks import Mark, leeway
 from vehsim.planning.request import Request
 from vehsim.planning.terms import Constraint
+from vehsim.planning.transcription import transcription
 from vehsim.vehicles import Holonomic, Vehicle
 
 Array = NDArray[np.float64]
@@ -38,6 +40,9 @@ def refusals(request: Request) -> list[Refusal]:
     known = [i for i, mark in enumerate(request.marks) if mark.frame != "free"]
     for i, j in pairwise(known):
         found += _between(request, i, j)
+    t = transcription(request.weighed)
+    for mark, message, mend in out_of_balance(request.vehicle, t, request.marks, request.wind):
+        found.append(Refusal(mark, "hold" if mark.hold else "velocity", message, mend))
     return found
 
 

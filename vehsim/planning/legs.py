@@ -29,7 +29,9 @@ def facing(marks: Sequence[Mark], paths: Sequence[Array], aimed: Callable[[Mark]
             way -= _bearing(paths[i - 1][::-1])
         if i < len(paths):
             way += _bearing(paths[i])
-        if np.linalg.norm(way) > 1e-6:
+        if i and marks[i - 1].hold:
+            turned[i] = replace(mark, heading=turned[i - 1].heading)
+        elif np.linalg.norm(way) > 1e-6:
             turned[i] = replace(mark, heading=float(np.degrees(np.arctan2(way[1], way[0]))))
     return turned
 
@@ -193,6 +195,11 @@ def knots_within(
     at = {int(mark.frame): int(knot) for mark, knot in zip(marks, mark_knots, strict=True) if mark.frame != "free"}
     end = int(mark_knots[-1])
     return (0, end) if frames is None else (at[frames[0]], at.get(frames[1], end))
+
+
+def held_segments(phases: Sequence[int], marks: Sequence[Mark]) -> NDArray[np.bool_]:
+    """Which segments (n,) belong to a hold, of so many a phase."""
+    return np.repeat([mark.hold > 0 for mark in marks[:-1]], phases)
 
 
 def split_segments(segments: int, durations: Array, held: NDArray[np.bool_]) -> tuple[int, ...]:

@@ -160,7 +160,7 @@ def _check_numbers(i: int, mark: Mark) -> None:
         raise InputError(f"mark[{i}].speed = {mark.speed}: velocity is given too; drop one of them")
     if mark.orientation is not None and mark.heading is not None:
         raise InputError(f"mark[{i}].heading = {mark.heading}: orientation is given too; drop one of them")
-    if mark.hold and not mark.balanced:
+    if mark.hold and not (mark.balanced or mark.on_ground):
         raise InputError(
             f"mark[{i}].hold = {mark.hold}: a hold stands in balance; give velocity = [0, 0, 0], no orientation"
         )
@@ -185,8 +185,15 @@ def _with_holds(marks: Sequence[Mark]) -> list[Mark]:
     return written
 
 
+def end_of_hold(marks: Sequence[Mark], i: int) -> int:
+    """The mark at the end of what is held from mark ``i`` on; ``i`` itself where nothing is held."""
+    while marks[i].hold:
+        i += 1
+    return i
+
+
 def with_breaks(marks: Sequence[Mark], frames: Sequence[int]) -> list[Mark]:
-    """The marks and, at frames where none stands, marks that ask nothing: every such frame becomes a knot.
+    """The marks and, at frames where none stands, marks that ask nothing new: every such frame becomes a knot.
 
     Raises ``InputError`` where a frame lies among marks at free frames, which may come before or after it.
     """
@@ -210,5 +217,10 @@ def with_breaks(marks: Sequence[Mark], frames: Sequence[int]) -> list[Mark]:
             raise InputError(
                 f"frame {frame}: among the free marks after frame {written[before[-1]].frame}; give them frames"
             )
-        written.insert(before[-1] + 1, Mark(frame))
+        earlier, place, asked = written[before[-1]], before[-1] + 1, Mark(frame)
+        if earlier.hold:  # it cuts a hold in two
+            passed = frame - int(earlier.frame)
+            written[place - 1] = replace(earlier, hold=passed)
+            asked = replace(earlier, frame=frame, hold=earlier.hold - passed, place=-1)
+        written.insert(place, asked)
     return written

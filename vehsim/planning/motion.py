@@ -18,6 +18,9 @@ from vehsim.world.ground import lift
 
 Array = NDArray[np.float64]
 
+CARRIED = 1e-9
+"""For how long controls are run in a segment of a hold on the ground, s."""
+
 
 @dataclass(frozen=True, eq=False)
 class Motion:
@@ -53,7 +56,12 @@ class Motion:
 
     def executed(self) -> Executed:
         """Where its controls lead, run finely."""
-        return executed(self.t.mechanics, *self.knots(), self.request.wind)
+        g, r, pi, c, steps = self.knots()
+        marks = self.request.marks
+        carried = np.array([mark.hold > 0 and mark.on_ground for mark in marks[:-1]])
+        # what stands on the ground is carried by it: its controls lead nowhere
+        steps = np.where(np.repeat(carried, self.layout.phases), CARRIED, steps)
+        return executed(self.t.mechanics, g, r, pi, c, steps, self.request.wind)
 
     def clip(self) -> Clip:
         """The clip of the vehicle that is planned for, from 0 s on."""

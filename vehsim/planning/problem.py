@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from vehsim.planning.asked import (
     PARAMETERS,
     adrift,
+    held_controls_element,
     hold_element,
     landing_element,
     loop_element,
@@ -22,8 +23,8 @@ from vehsim.planning.asked import (
 from vehsim.planning.cover import POSE, Cover, attitude, landings, places
 from vehsim.planning.elements import Element, Problem, elastic
 from vehsim.planning.layout import Layout
-from vehsim.planning.legs import knots_within
-from vehsim.planning.marks import Mark
+from vehsim.planning.legs import held_segments, knots_within
+from vehsim.planning.marks import Mark, end_of_hold
 from vehsim.planning.request import Request
 from vehsim.planning.terms import COSTS, Cost, Term
 from vehsim.planning.transcription import MARGIN, Transcription
@@ -78,9 +79,11 @@ def _width(t: Transcription) -> int:
 
 
 def _add_motion(problem: Problem, t: Transcription, layout: Layout, request: Request) -> None:
-    """The discrete mechanics of every substep, and the costs of every segment."""
+    """The discrete mechanics of every substep, a state that stays in those of holds, and the costs of every segment."""
     steps, fractions_at = len(layout.fractions), WEIGHTS + len(COSTS)
-    node = np.arange(layout.segments * steps)
+    every = np.arange(layout.segments * steps)
+    held = held_segments(layout.phases, request.marks)
+    node = every[~held[every // steps]]
     segment, part = node // steps, node % steps
     shared = np.tile(np.arange(3)[:, None], len(node))
     problem.add(
@@ -90,7 +93,12 @@ def _add_motion(problem: Problem, t: Transcription, layout: Layout, request: Req
             layout.node(node + 1), layout.duration(segment),
         ]),
         np.vstack([shared, fractions_at + part, fractions_at + steps + part]),
+        names=[f"dynamics[{k}]" for k in node],
     )  # fmt: skip
+    if held.any():
+        still, stays = every[held[every // steps]], np.flatnonzero(held)
+        problem.add(hold_element(t), np.vstack([layout.node(still), layout.velocity(still), layout.node(still + 1)]))
+        problem.add(held_controls_element(t), np.vstack([layout.control(stays), layout.control(stays + 1)]))
     aimed = _aimed(layout, request)
     without = tuple(name for name in request.costs if name != "course")  # told where to look, it need not face its way
     for names, segments in ((request.costs, np.flatnonzero(~aimed)), (without, np.flatnonzero(aimed))):
@@ -120,10 +128,10 @@ def _segments(layout: Layout, k: Any) -> Any:
 def _add_marks(problem: Problem, t: Transcription, layout: Layout, request: Request, give: float) -> None:
     marks, first, width = request.marks, _marks_at(layout), _width(t)
     for i, (mark, knot) in enumerate(zip(marks, layout.mark_knots, strict=True)):
-        if i and marks[i - 1].hold:  # the vehicle stands in balance: unchanged controls keep it there
-            problem.add(hold_element(t), layout.control(np.array([knot - 1, knot])).T.reshape(-1, 1))
+        if i and marks[i - 1].hold:  # it is where it was
             continue
-        element = mark_element(t, mark)
+        closes = request.loop and end_of_hold(marks, i) == len(marks) - 1
+        element = mark_element(t, mark, marks[0] if closes else None)
         if element is not None:
             element.name, element.labels = mark.name, [f"{mark.name}.{key}" for key in element.labels]
             place = np.concatenate([np.arange(3), first + i * width + np.arange(width)])
@@ -133,21 +141,21 @@ def _add_marks(problem: Problem, t: Transcription, layout: Layout, request: Requ
                 element, y, problem.size = elastic(element, give), np.vstack([y, slack[:, None]]), slack[-1] + 1
             problem.add(element, y, place)
         if mark.on_ground:
-            _add_landing(problem, t, layout, i, mark, first + i * width)
+            _add_landing(problem, t, layout, request, i, first + i * width)
     if request.loop:
         ends = [np.vstack([layout.knot(k), layout.control(k)]) for k in (0, layout.segments)]
         problem.add(loop_element(t), np.vstack(ends))
 
 
-def _add_landing(problem: Problem, t: Transcription, layout: Layout, i: int, mark: Mark, first: int) -> None:
+def _add_landing(problem: Problem, t: Transcription, layout: Layout, request: Request, i: int, first: int) -> None:
     """Down (or up) a cone about mark ``i``, gently, at every knot; its parameters stand at ``first``."""
-    knots, knot = layout.mark_knots, layout.mark_knots[i]
-    beside = np.concatenate([np.arange(1, knot), np.arange(knots[i + 1 if mark.hold else i] + 1, layout.segments)])
-    if mark.hold or not len(beside):
+    knot, leaves = layout.mark_knots[[i, end_of_hold(request.marks, i)]]
+    beside = np.concatenate([np.arange(1, knot), np.arange(leaves + 1, layout.segments)])
+    if not len(beside):
         return
     p = [MARGIN, *(first + np.arange(PARAMETERS["position"]))]
     y = np.vstack([layout.knot(beside), layout.duration(beside - 1)])
-    problem.add(landing_element(t, attitude(mark)), y, np.tile(np.array(p)[:, None], len(beside)))
+    problem.add(landing_element(t, attitude(request.marks[i])), y, np.tile(np.array(p)[:, None], len(beside)))
 
 
 def _add_term(problem: Problem, t: Transcription, layout: Layout, request: Request, term: Term) -> None:

@@ -19,7 +19,7 @@ from vehsim.lie import SO3
 from vehsim.planning.cover import attitude
 from vehsim.planning.guess import stands
 from vehsim.planning.legs import knots_within, mark_positions
-from vehsim.planning.marks import Mark, check_marks, with_breaks
+from vehsim.planning.marks import Mark, check_marks, end_of_hold, with_breaks
 from vehsim.planning.obstacles import check_marks_clear
 from vehsim.planning.solver import check_solver
 from vehsim.planning.terms import Constraint, Limits, Term, check_limits, check_terms, cost_weights
@@ -71,8 +71,11 @@ class Request:
     def aimed(self, mark: Mark) -> bool:
         """A constraint says which way to head at this mark."""
         ranges = [term.frames for term in self.constraints if term.aim is not None]
-        frame = mark.frame
-        return any(r is None or (frame != "free" and r[0] <= frame <= r[1]) for r in ranges)
+        if mark.frame == "free":
+            return None in ranges
+        i = [known.frame for known in self.marks].index(mark.frame)
+        last = int(self.marks[end_of_hold(self.marks, i)].frame)
+        return any(r is None or (r[0] <= last and mark.frame <= r[1]) for r in ranges)
 
     def aims(self, mark_knots: NDArray[np.intp]) -> list[tuple[int, int, Any, float]]:
         """What constraints say of headings: (first knot, last knot, point, angle)."""

@@ -125,7 +125,8 @@ def check_mark(key: str, mark: Any, vehicle: Vehicle) -> Iterator[Problem]:
         return
     if mark.speed is not None and mark.velocity is not None:
         yield Problem(f"{key}.speed", "velocity is given too", "keep one of them", mark.speed)
-    if mark.hold and (mark.velocity is None or any(mark.velocity)):
+    landed = mark.on_ground and mark.velocity is None
+    if mark.hold and not landed and (mark.velocity is None or any(mark.velocity)):
         yield Problem(f"{key}.hold", "a hold is at rest", "give velocity = [0, 0, 0]", mark.hold)
     if mark.joints is not None:
         yield from check_names(f"{key}.joints", mark.joints, vehicle.joints, "joint")

@@ -248,7 +248,7 @@ class MarkTable(Table):
     tolerance: Annotated[NotNegative, Field(le=1e6)] = 0.0
     """how far from the position, in x, y and z, is good enough, in m"""
     hold: Annotated[int, Field(ge=0, le=MAX_FRAMES)] = 0
-    """how many frames to stay there, with velocity = [0, 0, 0]"""
+    """how many frames to stay there, with velocity = [0, 0, 0] or on_ground"""
     gate: GateTable | None = None
     """a table { direction, radius or size }: an opening about the position to pass through"""
     on_ground: bool = False
