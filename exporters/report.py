@@ -13,13 +13,19 @@ from typing import Any
 
 import numpy as np
 
+from vehsim.exporters.stage_audit import root_in_prim, stage_of, with_stage
 from vehsim.take import Take
 
 PACKAGES = ("vehsim", "mujoco", "usd-core", "casadi", "numpy", "scipy", "av", "pillow")
 
 
 def write_report(take: Take, folder: Path, files: Sequence[Path]) -> Path:
-    """Write ``folder/report.json`` about ``take`` and the ``files`` delivered; the same take gives the same bytes."""
+    """Write ``folder/report.json`` about ``take`` and the ``files`` delivered; the same take gives the same bytes.
+
+    Raises ``ExportError`` where the composed stage misses what the clips meet.
+    """
+    solved = dict(take.report)
+    audit = solved.pop("audit", {})
     report = {
         "schema": 1,
         "shot": take.name,
@@ -29,10 +35,15 @@ def write_report(take: Take, folder: Path, files: Sequence[Path]) -> Path:
         "wind": take.world.wind,
         "vehicles": {name: _clip_summary(clip) for name, clip in take.clips.items()},
         "cameras": {camera.name: {"lens_mm": _lenses(camera)} for camera in take.cameras},
-        "solved": take.report,
+        "solved": solved,
+        "audit": audit,
         "versions": {name: version(name) for name in PACKAGES},
         "files": {path.relative_to(folder).as_posix(): sha256(path) for path in sorted(files)},
     }
+    if audit and (stage := stage_of(folder, take.name)) is not None:
+        for name, clip in take.clips.items():
+            report["vehicles"][name]["T_rp"] = root_in_prim(clip)
+        report["audit"] = with_stage(stage, plain(report))
     path = folder / "report.json"
     path.write_text(json.dumps(plain(report), indent=1, sort_keys=True, allow_nan=False) + "\n", encoding="utf-8")
     return path

@@ -29,6 +29,8 @@ FLOORS = (
         "vehsim.planning",
         "vehsim.sinusoids",
     ),
+    ("vehsim.audit",),
+    ("vehsim.requests",),
     ("vehsim.integrators", "vehsim.world", "vehsim.clip", "vehsim._interpolate"),
     ("vehsim.vehicles", "vehsim.parts", "vehsim._meshes", "vehsim.rigging", "vehsim.blocking"),
     ("vehsim.lie", "vehsim._quaternions"),

@@ -235,6 +235,27 @@ def validate(
 
 
 @app.command()
+def audit(
+    deliveries: Annotated[list[Path], typer.Argument(metavar="DELIVERY...", help="Folders that export wrote.")],
+    quiet: Quiet = False,
+) -> None:
+    """Measure deliveries against everything that was asked of them, from their files alone."""
+    from vehsim.audit import missed
+    from vehsim.exporters.stage_audit import audit_delivery
+
+    wrong = False
+    for folder in deliveries:
+        for name, rows in audit_delivery(folder).items():
+            failed = missed(rows)
+            wrong = wrong or bool(failed)
+            for row in rows:
+                if not quiet or row in failed:
+                    verdict = {True: "ok    ", False: "MISSED", None: "-     "}[row.met]
+                    print(f"{verdict}  {name}: {row}")
+    raise typer.Exit(FAILED if wrong else 0)
+
+
+@app.command()
 def render(
     stage: Annotated[Path, typer.Argument(metavar="STAGE", help="A USD stage that vehsim exported.")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the pictures go.")],

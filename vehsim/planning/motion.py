@@ -54,6 +54,11 @@ class Motion:
         start = int(self.request.marks[0].frame) / float(self.request.fps)
         return np.asarray(start + np.concatenate([[0.0], np.cumsum(steps)]))
 
+    def mark_frames(self) -> list[float]:
+        """The frame of every mark, holds written out; whole where the motion has settled on frames."""
+        frames = self.seconds()[self.layout.mark_knots] * float(self.request.fps)
+        return [float(round(frame)) if abs(frame - round(frame)) < 1e-6 else float(frame) for frame in frames]
+
     def executed(self) -> Executed:
         """Where its controls lead, run finely."""
         g, r, pi, c, steps = self.knots()

@@ -15,9 +15,11 @@ from typing import Any
 
 import numpy as np
 
+from vehsim.audit import Row, WorldScene, audit, track_of_clip
 from vehsim.clip import Clip
 from vehsim.errors import InputError, SolveError
 from vehsim.planning import interrupts
+from vehsim.planning.asks import asks_of
 from vehsim.planning.attempt import EXECUTED, SLACK, TIGHTENINGS, Array, Attempt, Progress
 from vehsim.planning.certify import Executed
 from vehsim.planning.cover import AROUND, Cover, balls, sphere_cover
@@ -42,6 +44,7 @@ from vehsim.planning.relax import diagnose, too_early
 from vehsim.planning.request import Request, all_marks, ask, shape
 from vehsim.planning.terms import Term
 from vehsim.planning.transcription import transcription
+from vehsim.requests import Ask
 from vehsim.vehicles import Vehicle
 from vehsim.world.route import check_free
 
@@ -78,6 +81,10 @@ class Plan:
     segments: int
     order: int
     tightenings: int = 0
+    asks: tuple[Ask, ...] = ()
+    """Everything that was asked, as data."""
+    audit: tuple[Row, ...] = ()
+    """What the finished clip was measured to do, a row for each ask; none of a plan that failed before."""
     _attempt: Attempt | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:
@@ -258,8 +265,11 @@ def _result(attempt: Attempt) -> Plan:
     if success and attempt.checked.final > EXECUTED and request.refine:
         message += f"; executed, the controls end {attempt.checked.final:.2f} m off: ask for more segments"
     begun = attempt.iterations > 0 or not attempt.deadline.hopeless  # or else there is no time for wheels on the ground
+    clip = exported(attempt.clip, request) if begun else replace(attempt.clip, vehicle=request.vehicle)
+    asks = asks_of(request, attempt.motion.mark_frames())
+    rows = audit(track_of_clip(clip), asks, WorldScene(request.world, clip.vehicle)) if success else []
     return Plan(
-        clip=exported(attempt.clip, request) if begun else replace(attempt.clip, vehicle=request.vehicle),
+        clip=clip,
         success=success,
         message=message,
         cost=solution.cost,
@@ -273,6 +283,8 @@ def _result(attempt: Attempt) -> Plan:
         segments=attempt.layout.segments,
         order=attempt.layout.order,
         tightenings=attempt.tightenings,
+        asks=tuple(asks),
+        audit=tuple(rows),
         _attempt=attempt,
     )
 

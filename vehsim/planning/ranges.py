@@ -10,6 +10,7 @@ import numpy as np
 
 from vehsim.errors import InputError
 from vehsim.planning.terms import Constraint, Expr, KnotView
+from vehsim.requests import Ask, look_ask, stay_ask
 
 Frames = tuple[int, int] | None
 AXES = {"x": (0, 1.0), "y": (1, 1.0), "z": (2, 1.0), "-x": (0, -1.0), "-y": (1, -1.0), "-z": (2, -1.0)}
@@ -38,7 +39,11 @@ def look_at(
 
     aside = None if axis.endswith("z") else (0.0, math.pi / 2)[column] + (math.pi if sign < 0 else 0.0)
     aim = None if aside is None else (tuple(point), aside)
-    return Constraint("look_at", law, lower=math.cos(math.radians(within)), frames=frames, aim=aim)
+
+    def ask(first: float, last: float) -> Ask:
+        return look_ask("look_at", first, last, point, math.radians(within), column, sign, level)
+
+    return Constraint("look_at", law, lower=math.cos(math.radians(within)), frames=frames, aim=aim, ask=ask)
 
 
 def stay(
@@ -57,4 +62,8 @@ def stay(
     lower, upper = np.array([box[0], box[1], low]), np.array([box[2], box[3], high])
     kept = [i for i in range(3) if np.isfinite(lower[i]) or np.isfinite(upper[i])]
     law, bounds = (lambda k: k.position[kept]), (lower[kept], upper[kept])
-    return Constraint("stay", law, *bounds, over="everywhere", frames=frames, box=(lower, upper))
+
+    def ask(first: float, last: float) -> Ask:
+        return stay_ask("stay", first, last, lower.tolist(), upper.tolist())
+
+    return Constraint("stay", law, *bounds, over="everywhere", frames=frames, box=(lower, upper), ask=ask)

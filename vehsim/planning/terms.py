@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 
 from vehsim.errors import InputError
+from vehsim.requests import Ask
 
 Expr = Any
 """A CasADi expression."""
@@ -109,6 +110,8 @@ class Constraint:
     """For first guesses: it heads for a point (3,) m, turned right by an angle, rad."""
     box: Any | None = None
     """Where it keeps the root, (2, 3) m: a mark outside is refused before anything is solved."""
+    ask: Callable[[float, float], Ask] | None = None
+    """What an audit measures in its place, from a first to a last frame; None: nothing."""
 
 
 Term = Cost | Constraint

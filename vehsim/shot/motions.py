@@ -199,7 +199,7 @@ class PlanMotion(Table):
             poses = clip.matrices()
             report["blocking"] = blocking.departure(clip.frames, clip.positions, poses[:, :3, :3])
             report["blocking"]["keys"] = [mark.frame for mark in wanted]
-        return result.clip, report | {"marks": said}
+        return result.clip, report | {"marks": said, "asks": [ask.as_dict() for ask in result.asks]}
 
     def _guess(self, vehicle: Vehicle, marks: Sequence[Mark], setting: Setting) -> Any:
         """The path to start from, None for `vehsim.plan`'s own."""

@@ -16,6 +16,7 @@ import numpy as np
 
 from vehsim.errors import InputError, Problem, ShotError
 from vehsim.shot import obstacles
+from vehsim.shot.audited import audit_clips
 from vehsim.shot.blocked import blocking_of
 from vehsim.shot.checks import Setting, check_cuts, check_names, check_rig, check_variants, choose
 from vehsim.shot.file import ShotFile, VehicleTable, parse
@@ -145,12 +146,15 @@ class Shot:
             raise ShotError(errors)
         clips, vehicles = self._solve_vehicles(progress or (lambda what, done: None))
         marks = {name: report.pop("marks", []) for name, report in vehicles.items()}
+        asks = {name: report.pop("asks", []) for name, report in vehicles.items()}
         frames = self._frames(clips)
         handles = self.file.shot.handles
         clips = {name: carry_on(name, clip, *frames, handles, self.world) for name, clip in clips.items()}
         clips = {name: lift(clip, self.world) for name, clip in clips.items()}
         self._warn_off_ground(clips)
         clips = {name: lift(hold(clip, *frames), self.world) for name, clip in clips.items()}
+        avoided = self._avoided
+        worlds = {name: obstacles.with_vehicles(self.world, clips, avoided, name) for name in clips}
         return Take(
             name=self.name,
             clips=clips,
@@ -165,6 +169,7 @@ class Shot:
                 "shot": self.file.model_dump(mode="json", by_alias=True, exclude_unset=True),
                 "vehicles": vehicles,
                 "marks": marks,
+                "audit": audit_clips(clips, asks, worlds, frames),
             },
         )
 
@@ -276,7 +281,7 @@ class Shot:
     def _solve_vehicles(self, progress: Progress) -> tuple[dict[str, Clip], dict[str, Any]]:
         clips: dict[str, Clip] = {}
         reports: dict[str, Any] = {}
-        avoided = {table.vehicle for table in self.file.world.obstacle if table.shape == "vehicle"}
+        avoided = self._avoided
         meeting = self._meeting()
         together: dict[str, Clip] = {}
         # who is kept clear of moves first, the others about it
@@ -296,6 +301,11 @@ class Shot:
             reports[table.name] = {"asset": table.asset, "method": table.motion.method, **said}
         order = [table.name for table in self.file.vehicle]
         return {name: clips[name] for name in order}, {name: reports[name] for name in order}
+
+    @property
+    def _avoided(self) -> set[str]:
+        """The vehicles that the others keep clear of."""
+        return {table.vehicle for table in self.file.world.obstacle if table.shape == "vehicle"}
 
     def _meeting(self) -> dict[str, tuple[SimulateMotion, Vehicle]]:
         """The simulated vehicles that may touch each other, with their motions; none unless there are two."""

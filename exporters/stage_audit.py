@@ -1,0 +1,388 @@
+"""Audits a delivery from its files: the composed stage, and the asks that its ``report.json`` holds.
+
+Poses, collision meshes, terrain and obstacles are read from the stage at eighths of a frame. Distances come from
+libigl, between points on the vehicle's meshes and the triangles of what stands about: not from the code that planned.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields, replace
+from fractions import Fraction
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.audit import PER_FRAME, Row, Scene, Track, audit, missed, not_shown, track_of_poses
+from vehsim.errors import ExportError, InputError
+from vehsim.exporters.metadata import Units
+from vehsim.requests import Ask
+
+if TYPE_CHECKING:
+    from vehsim.clip import Clip
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+SPACING = 0.2
+"""How far apart points on a vehicle's meshes are at most, m."""
+DISTANCES = ("clearance", "stands")
+"""Measures that ask a scene."""
+CELL = 0.5
+"""Points on a vehicle's meshes are looked at in balls of this size, m."""
+
+
+def stage_of(folder: Path, name: str) -> Path | None:
+    """The stage of a delivery, in whichever form it was delivered; None without one."""
+    found = [folder / f"{name}{suffix}" for suffix in (".usda", ".flat.usdc", ".usdz")]
+    return next((path for path in found if path.is_file()), None)
+
+
+def root_in_prim(clip: Clip) -> Array:
+    """``T_rp`` (4, 4): from a vehicle's prim to its rig root's frame, with the asset's axes and units."""
+    from vehsim.exporters.readback import expected_matrices
+
+    first = replace(clip.at(clip.times[:1]), energy={})
+    return np.asarray(np.linalg.inv(first.matrices()[0]) @ expected_matrices(first)[""][0])
+
+
+class Delivered:
+    """A stage opened for auditing. Times are whole frames and eighths between ``first`` and ``last``."""
+
+    def __init__(self, path: Path, fps: Fraction, frames: tuple[int, int]) -> None:
+        from pxr import Usd, UsdGeom
+
+        self.stage = Usd.Stage.Open(str(path))
+        self.root = self.stage.GetDefaultPrim()
+        units = Units(str(UsdGeom.GetStageUpAxis(self.stage)), UsdGeom.GetStageMetersPerUnit(self.stage))
+        self.to_metres = np.linalg.inv(units.matrix)
+        self.fps, self.frames = fps, frames
+        self._cache = UsdGeom.XformCache()
+
+    def vehicle(self, name: str) -> Any:
+        """A vehicle's prim. Raises ``InputError``."""
+        prim = self.stage.GetPrimAtPath(f"{self.root.GetPath()}/vehicles/{name}")
+        if not prim:
+            raise InputError(f"{self.stage.GetRootLayer().realPath}: {name}: no such vehicle in the stage")
+        return prim
+
+    def world_matrix(self, prim: Any, frame: float) -> Array:
+        """A prim's world matrix (4, 4) at a frame, to metres, Z up, for column vectors."""
+        self._cache.SetTime(frame)
+        return np.asarray(self.to_metres @ np.array(self._cache.GetLocalToWorldTransform(prim)).T)
+
+    def track(self, name: str, T_rp: Array) -> Track:
+        """The motion of a vehicle's rig root."""
+        first, last = self.frames
+        frames = first + np.arange((last - first) * PER_FRAME + 1) / PER_FRAME
+        prim = self.vehicle(name)
+        T_wp = np.array([self.world_matrix(prim, frame) for frame in frames.tolist()])
+        return track_of_poses(frames, self.fps, T_wp @ np.linalg.inv(T_rp))
+
+    def meshes(self, scope: Any) -> Iterable[Any]:
+        """The meshes at and below a prim, instances included."""
+        from pxr import Usd, UsdGeom
+
+        for prim in Usd.PrimRange(scope, Usd.TraverseInstanceProxies()) if scope else ():
+            if prim.IsA(UsdGeom.Mesh):
+                yield prim
+
+    def triangles(self, prim: Any, frame: float) -> tuple[Array, Ints]:
+        """A mesh's points (n, 3) m in its own prim's units and its faces (m, 3), fanned."""
+        from pxr import UsdGeom
+
+        mesh = UsdGeom.Mesh(prim)
+        points = np.asarray(mesh.GetPointsAttr().Get(frame), float).reshape(-1, 3)
+        counts = np.asarray(mesh.GetFaceVertexCountsAttr().Get(frame), int)
+        corners = np.asarray(mesh.GetFaceVertexIndicesAttr().Get(frame), int)
+        starts = np.cumsum(counts) - counts
+        faces = [
+            np.column_stack([corners[s], corners[s + k], corners[s + k + 1]])
+            for k in range(1, int(counts.max(initial=2)) - 1)
+            for s in [starts[counts > k + 1]]
+        ]
+        return points, np.vstack([np.zeros((0, 3), int), *faces]).astype(np.int64)
+
+
+class StageScene(Scene):
+    """What stands about a vehicle in a stage, read from the stage alone; what moves counts where it is.
+
+    The vehicle is its collision meshes, or all its meshes where it has none, posed as the stage poses them.
+    """
+
+    def __init__(self, delivered: Delivered, name: str, moving: Sequence[str] = ()) -> None:
+        self.delivered = delivered
+        first = float(delivered.frames[0])
+        self._own = [_Cloud.of(delivered, prim) for prim in _collision(delivered, delivered.vehicle(name))]
+        self._moving = [_Body(delivered, delivered.vehicle(other)) for other in moving]
+        base = delivered.world_matrix(delivered.vehicle(name), first)[:3, 3]
+        corners = np.vstack([cloud.placed(first, cloud.points) for cloud in self._own])
+        self.reach = float(np.linalg.norm(corners - base, axis=1).max())
+        self.fastest = max((body.fastest for body in self._moving), default=0.0)
+
+    @cached_property
+    def _terrain(self) -> _Ground | None:
+        return _Ground.of(self.delivered)
+
+    @cached_property
+    def _standing(self) -> list[_Solid]:
+        scope = self.delivered.stage.GetPrimAtPath(f"{self.delivered.root.GetPath()}/env/obstacles")
+        return [_Solid.of(self.delivered, prim) for prim in self.delivered.meshes(scope)]
+
+    def away(self, track: Track, obstacles_only: bool) -> Array:
+        return np.array([self._at(frame, obstacles_only) for frame in track.frames.tolist()])
+
+    def _at(self, frame: float, obstacles_only: bool) -> float:
+        solids: list[_Solid | _Ground] = [*self._standing, *(body.at(frame) for body in self._moving)]
+        if self._terrain is not None and not obstacles_only:
+            solids.append(self._terrain)
+        if not solids:
+            return np.inf
+        centres = np.vstack([cloud.placed(frame, cloud.centres) for cloud in self._own])
+        radii = np.concatenate([cloud.radii for cloud in self._own])
+        nearest = np.inf
+        for solid in solids:
+            away = solid.away(centres)
+            near = away - radii < min(nearest, float((away + radii).min()))
+            if near.any():
+                ends = np.cumsum([len(cloud.radii) for cloud in self._own])[:-1]
+                pieces = zip(self._own, np.split(near, ends), strict=True)
+                points = np.vstack([cloud.placed(frame, cloud.within(chosen)) for cloud, chosen in pieces])
+                nearest = min(nearest, float(solid.away(points).min()))
+        return nearest
+
+
+class _Cloud:
+    """Points on a vehicle's mesh, in balls about ``centres`` (k, 3) of ``radii`` (k,) m; points in the prim's own
+    coordinates."""
+
+    def __init__(self, delivered: Delivered, prim: Any, points: Array) -> None:
+        self.delivered, self.prim = delivered, prim
+        first = delivered.world_matrix(prim, float(delivered.frames[0]))
+        cells = np.floor(_moved(first, points) / CELL).astype(int)
+        _, self.cell = np.unique(cells, axis=0, return_inverse=True)
+        self.cell = self.cell.ravel()
+        self.points = points
+        counts = np.bincount(self.cell)[:, None]
+        self.centres = np.column_stack([np.bincount(self.cell, points[:, k]) for k in range(3)]) / counts
+        scale = np.linalg.norm(first[:3, :3], axis=0).max()
+        self.radii = np.zeros(len(counts))
+        np.maximum.at(self.radii, self.cell, scale * np.linalg.norm(points - self.centres[self.cell], axis=1))
+
+    @classmethod
+    def of(cls, delivered: Delivered, prim: Any) -> _Cloud:
+        frame = float(delivered.frames[0])
+        points, faces = delivered.triangles(prim, frame)
+        scale = float(np.cbrt(abs(np.linalg.det(delivered.world_matrix(prim, frame)[:3, :3]))))
+        return cls(delivered, prim, _spread(points, faces, SPACING / max(scale, 1e-12)))
+
+    def placed(self, frame: float, points: Array) -> Array:
+        """Points (n, 3) of the prim in the world at a frame, m."""
+        return _moved(self.delivered.world_matrix(self.prim, frame), points)
+
+    def within(self, chosen: NDArray[np.bool_]) -> Array:
+        """The points in some of the balls."""
+        return self.points[chosen[self.cell]]
+
+
+class _Solid:
+    """A closed mesh."""
+
+    def __init__(self, points: Array, faces: Ints) -> None:
+        import igl
+
+        self.points, self.faces = np.ascontiguousarray(points), np.ascontiguousarray(faces)
+        self.tree = igl.AABB()
+        self.tree.init(self.points, self.faces)
+        self.low, self.high = points.min(axis=0), points.max(axis=0)
+
+    @classmethod
+    def of(cls, delivered: Delivered, prim: Any) -> _Solid:
+        frame = float(delivered.frames[0])
+        points, faces = delivered.triangles(prim, frame)
+        return cls(_moved(delivered.world_matrix(prim, frame), points), faces)
+
+    def away(self, points: Array) -> Array:
+        """Signed distances (n,) m of points (n, 3)."""
+        import igl
+
+        points = np.ascontiguousarray(points)
+        squared = np.asarray(self.tree.squared_distance(self.points, self.faces, points)[0])
+        distance = np.sqrt(np.maximum(squared, 0.0))
+        within = np.flatnonzero(((points > self.low) & (points < self.high)).all(axis=1))
+        if len(within):
+            turns = np.asarray(igl.winding_number(self.points, self.faces, np.ascontiguousarray(points[within])))
+            distance[within[np.abs(turns) > 0.5]] *= -1
+        return distance
+
+
+class _Ground:
+    """The terrain's mesh: what is below it is inside."""
+
+    def __init__(self, points: Array, faces: Ints) -> None:
+        import igl
+
+        self.points, self.faces = np.ascontiguousarray(points), np.ascontiguousarray(faces)
+        self.flat = np.ascontiguousarray(points * [1.0, 1.0, 0.0])
+        self.tree, self.plan = igl.AABB(), igl.AABB()
+        self.tree.init(self.points, self.faces)
+        self.plan.init(self.flat, self.faces)
+
+    @classmethod
+    def of(cls, delivered: Delivered) -> _Ground | None:
+        scope, frame = delivered.stage.GetPrimAtPath(f"{delivered.root.GetPath()}/env/terrain"), delivered.frames[0]
+        found, count = [], 0
+        for prim in delivered.meshes(scope):
+            points, faces = delivered.triangles(prim, float(frame))
+            found.append((_moved(delivered.world_matrix(prim, float(frame)), points), faces + count))
+            count += len(points)
+        return cls(np.vstack([p for p, _ in found]), np.vstack([f for _, f in found])) if found else None
+
+    def height(self, points: Array) -> Array:
+        """Height (n,) m of the ground below or above points (n, 3); that of the border beyond it."""
+        at = np.ascontiguousarray(points * [1.0, 1.0, 0.0])
+        _, face, place = self.plan.squared_distance(self.flat, self.faces, at)
+        a, b, c = (self.points[self.faces[np.ravel(face), k]] for k in range(3))
+        u, v, w = (b - a)[:, :2], (c - a)[:, :2], (np.asarray(place) - a)[:, :2]
+        area = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
+        safe = np.where(np.abs(area) > 1e-12, area, 1.0)
+        s = (w[:, 0] * v[:, 1] - w[:, 1] * v[:, 0]) / safe
+        t = (u[:, 0] * w[:, 1] - u[:, 1] * w[:, 0]) / safe
+        return np.asarray(a[:, 2] + s * (b - a)[:, 2] + t * (c - a)[:, 2])
+
+    def away(self, points: Array) -> Array:
+        """Signed distances (n,) m of points (n, 3): minus their depth where they are below the ground."""
+        above = points[:, 2] - self.height(points)
+        squared = np.asarray(self.tree.squared_distance(self.points, self.faces, np.ascontiguousarray(points))[0])
+        return np.where(above < 0, above, np.sqrt(np.maximum(squared, 0.0)))
+
+
+class _Body:
+    """Another vehicle, wherever the stage has it: the convex hull of each of its collision meshes."""
+
+    def __init__(self, delivered: Delivered, root: Any) -> None:
+        self.delivered, first = delivered, float(delivered.frames[0])
+        self.parts = [(prim, *_hull(delivered.triangles(prim, first)[0])) for prim in _collision(delivered, root)]
+        first, last = delivered.frames
+        places = np.array(
+            [
+                np.vstack([_moved(delivered.world_matrix(prim, frame), points) for prim, points, _ in self.parts])
+                for frame in range(first, last + 1)
+            ]
+        )
+        steps = np.linalg.norm(np.diff(places, axis=0), axis=2)
+        self.fastest = float(steps.max(initial=0.0)) * float(delivered.fps)
+
+    def at(self, frame: float) -> _Solid:
+        points, faces, count = [], [], 0
+        for prim, own, triangles in self.parts:
+            points.append(_moved(self.delivered.world_matrix(prim, frame), own))
+            faces.append(triangles + count)
+            count += len(own)
+        return _Solid(np.vstack(points), np.vstack(faces))
+
+
+def _collision(delivered: Delivered, root: Any) -> list[Any]:
+    """A vehicle's collision meshes; all its meshes where it has none."""
+    from pxr import UsdPhysics
+
+    every = list(delivered.meshes(root))
+    return [prim for prim in every if prim.HasAPI(UsdPhysics.CollisionAPI)] or every
+
+
+def _spread(points: Array, faces: Ints, spacing: float) -> Array:
+    """The points of a mesh, and more on its triangles where these are longer than ``spacing``."""
+    more = [points]
+    for a, b, c in points[faces]:
+        n = int(np.ceil(max(np.linalg.norm(b - a), np.linalg.norm(c - a), np.linalg.norm(c - b)) / spacing))
+        if n > 1:
+            i, j = np.meshgrid(np.arange(n + 1), np.arange(n + 1))
+            inside = i + j <= n
+            more.append(a + np.outer(i[inside] / n, b - a) + np.outer(j[inside] / n, c - a))
+    return np.unique(np.vstack(more), axis=0)
+
+
+def _hull(points: Array) -> tuple[Array, Ints]:
+    from scipy.spatial import ConvexHull
+
+    hull = ConvexHull(points)
+    inside = points.mean(axis=0)
+    corners = points[hull.simplices]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    flipped = np.sum(normal * (corners[:, 0] - inside), axis=1) < 0
+    faces = np.where(flipped[:, None], hull.simplices[:, ::-1], hull.simplices)
+    return points, faces.astype(np.int64)
+
+
+def _moved(matrix: Array, points: Array) -> Array:
+    return np.asarray(points @ matrix[:3, :3].T + matrix[:3, 3])
+
+
+def audit_stage(path: Path, report: Mapping[str, Any], distances: bool = True) -> dict[str, list[Row]]:
+    """Measure the stage at ``path`` against the asks of a ``report.json``; rows by vehicle.
+
+    ``distances``: those to terrain and obstacles, too; without, what asks for them has ``met`` None. Raises
+    ``InputError`` for a report that holds no asks.
+    """
+    try:
+        first, last = map(int, report["frames"])
+        delivered = Delivered(path, Fraction(report["fps"]), (first, last))
+        asked = {name: [_ask(row) for row in rows] for name, rows in report["audit"].items()}
+        roots = {name: np.array(report["vehicles"][name]["T_rp"], float) for name in asked}
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise InputError(f"{path.parent}: report.json holds no asks ({error!r}); export the shot again") from None
+    moving = [obstacle["vehicle"] for obstacle in _obstacles(report) if obstacle.get("shape") == "vehicle"]
+    rows: dict[str, list[Row]] = {}
+    for name, asks in asked.items():
+        scene, others = Scene(), [other for other in moving if other != name and other in asked]
+        if distances and any(ask.measure in DISTANCES for ask in asks):
+            scene = StageScene(delivered, name, others)
+        track = delivered.track(name, roots[name])
+        rows[name] = [
+            not_shown(ask) if ask.measure in DISTANCES and not distances else row
+            for ask, row in zip(asks, audit(track, asks, scene), strict=True)
+        ]
+    return rows
+
+
+def with_stage(path: Path, report: Mapping[str, Any]) -> dict[str, list[dict[str, Any]]]:
+    """The rows of a report's ``audit``, each with what the stage at ``path`` shows of it under ``stage``.
+
+    Distances are not measured again: whole frames have been read back, and between them the stage follows the clip.
+    Raises ``ExportError`` where the stage misses what the clip meets.
+    """
+    found, wrong = {}, []
+    for name, rows in audit_stage(path, report, distances=False).items():
+        found[name] = [
+            {**asked, "stage": {key: getattr(row, key) for key in ("value", "frame", "met")}}
+            for asked, row in zip(report["audit"][name], rows, strict=True)
+        ]
+        wrong += [f"{name}: {row}" for row in missed(rows)]
+    if wrong:
+        raise ExportError(f"{path.name}: the composed stage misses what was asked: {'; '.join(wrong[:3])}")
+    return found
+
+
+def _ask(row: Mapping[str, Any]) -> Ask:
+    return Ask(**{field.name: row[field.name] for field in fields(Ask)})
+
+
+def _obstacles(report: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
+    found: Sequence[Mapping[str, Any]] = report["solved"]["shot"].get("world", {}).get("obstacle", ())
+    return found
+
+
+def audit_delivery(folder: Path) -> dict[str, list[Row]]:
+    """Audit what lies in a delivery's folder. Raises ``InputError`` for a folder that is none."""
+    try:
+        report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+        path = stage_of(folder, report["shot"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{folder}: not a delivery: {error}; give a folder that vehsim export wrote") from None
+    if path is None:
+        raise InputError(f"{folder}: no stage in it; export with --to usd, flat or usdz")
+    return audit_stage(path, report)

@@ -1,0 +1,319 @@
+"""How each kind of ask is measured on a motion: a few lines of geometry each, none of the optimiser's.
+
+A measure takes a `Track` cut to the ask's frames, what is wanted, and the scene, and returns a value for every sample.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.audit.scene import Scene
+from vehsim.audit.track import PER_FRAME, Track
+
+Array = NDArray[np.float64]
+Wanted = Mapping[str, Any]
+
+GRAVITY = np.array([0.0, 0.0, 9.81])
+
+
+Measure = Callable[[Track, Wanted, Scene], Array]
+
+
+def _position(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """How far the root is from a place, along the axis where it is farthest, m."""
+    off = np.abs(track.positions - wanted["position"])[:, wanted["axes"]].max(axis=1)
+    return _less(off, track.blur.position)
+
+
+def _heading(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """Angle between the nose, seen from above, and a heading, rad."""
+    yaw = np.arctan2(track.rotations[:, 1, 0], track.rotations[:, 0, 0])
+    off = np.abs((yaw - wanted["heading"] + np.pi) % (2 * np.pi) - np.pi)
+    return _less(off, track.blur.angle)
+
+
+def _orientation(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """Angle of the rotation from an orientation, rad."""
+    from vehsim._quaternions import matrices
+
+    q = np.asarray(wanted["orientation"], float)
+    return _less(_angles(matrices(q / np.linalg.norm(q)), track.rotations), track.blur.angle)
+
+
+def _velocity(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """Size of the difference to a velocity, m/s."""
+    off = np.linalg.norm((track.velocities - wanted["velocity"])[:, wanted["axes"]], axis=1)
+    return _less(off, track.blur.velocity)
+
+
+def _speed_error(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """Difference to a speed, m/s."""
+    off = np.abs(np.linalg.norm(track.velocities, axis=1) - wanted["speed"])
+    return _less(off, track.blur.velocity)
+
+
+def _joint_error(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """Difference to a joint's value."""
+    return np.abs(_joint(track, wanted, scene) - wanted["value"])
+
+
+def _drift(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """How far the root has gone since the first sample, m."""
+    return np.asarray(np.linalg.norm(track.positions - track.positions[0], axis=1))
+
+
+def _turned(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """Angle turned through since the first sample, rad."""
+    return _angles(track.rotations[0], track.rotations)
+
+
+def _closure(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """How far the last sample is from the first, m; nan before."""
+    return _at_end(track, np.linalg.norm(track.positions[-1] - track.positions[0]))
+
+
+def _closure_angle(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """Angle between the first and the last orientation, rad; nan before."""
+    return _at_end(track, _angles(track.rotations[0], track.rotations[-1:])[0])
+
+
+def _closure_velocity(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """Difference between the last velocity and the first, m/s; nan before."""
+    off = np.linalg.norm(track.velocities[-1] - track.velocities[0])
+    blur = track.blur.velocity[0] + track.blur.velocity[-1]
+    return _at_end(track, max(off - blur, 0.0))
+
+
+def _gate_plane(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """Signed distance of the root from a gate's plane, m."""
+    return np.asarray(_in_gate(track, wanted)[:, 0])
+
+
+def _gate_opening(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """Where the root passes a gate: 1 is the opening's edge."""
+    along, up = (np.abs(_in_gate(track, wanted)[:, 1:]) / np.asarray(wanted["half"])).T
+    if wanted["planar"]:
+        return np.asarray(along)
+    return np.asarray(np.hypot(along, up) if wanted["round"] else np.maximum(along, up))
+
+
+def _gate_direction(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """Velocity through a gate, m/s."""
+    axis = np.array(wanted["gate"][0])
+    if wanted["planar"]:
+        axis[2] = 0.0
+    return np.asarray(track.velocities @ axis)
+
+
+def _in_gate(track: Track, wanted: Wanted) -> Array:
+    off = track.positions - wanted["position"]
+    if wanted["planar"]:
+        off[:, 2] = 0.0
+    return np.asarray(off @ np.asarray(wanted["gate"]).T)
+
+
+def _speed(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """Speed of the root, m/s."""
+    return np.asarray(np.linalg.norm(track.velocities, axis=1))
+
+
+def _ceiling(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """Height of the root, m."""
+    return track.positions[:, 2]
+
+
+def _climb(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """Vertical speed, up or down, m/s."""
+    return np.abs(track.velocities[:, 2])
+
+
+def _turn_rate(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """Size of the angular velocity, rad/s."""
+    rate = np.linalg.norm(track.omegas, axis=1)
+    return _less(rate, track.blur.omega)
+
+
+def _bank(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """Angle between the body's Z axis and the world's, rad."""
+    return np.arccos(np.clip(track.rotations[:, 2, 2], -1.0, 1.0))
+
+
+def _acceleration(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """Size of the root's mean acceleration over the frame about each sample, m/s^2; nan within half a frame of the
+    ends."""
+    return _norms(_accelerations(track))
+
+
+def _g_load(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """What the crew feels over the frame about each sample, in g; nan within half a frame of the ends."""
+    return _norms((_accelerations(track) + GRAVITY) / GRAVITY[2])
+
+
+def _accelerations(track: Track) -> Array:
+    half, n = PER_FRAME // 2, len(track.frames)
+    found = np.full((n, 3), np.nan)
+    if n > PER_FRAME:
+        change = track.velocities[PER_FRAME:] - track.velocities[:-PER_FRAME]
+        found[half : n - half] = change * float(track.fps)
+    return found
+
+
+def _steering(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """Steering angle, to either side, rad: its tangent is the joint ``sigma``."""
+    return np.abs(np.arctan(track.joints["sigma"]))
+
+
+def _steering_rate(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """How fast the steering angle changes, rad/s."""
+    return np.abs(track.joint_rates["sigma"] / (1 + track.joints["sigma"] ** 2))
+
+
+def _joint(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """A joint's value."""
+    return track.joints[wanted["joint"]]
+
+
+def _joint_rate(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """A joint's rate."""
+    return track.joint_rates[wanted["joint"]]
+
+
+def _look(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """Angle between a body axis and the direction to a point, rad."""
+    shown = slice(0, 2 if wanted["level"] else 3)
+    there = (np.asarray(wanted["at"]) - track.positions)[:, shown]
+    axis = wanted["sign"] * track.rotations[:, shown, wanted["axis"]]
+    cosine = np.sum(there * axis, axis=1) / np.maximum(_norms(there) * _norms(axis), 1e-12)
+    return _less(np.arccos(np.clip(cosine, -1.0, 1.0)), track.blur.angle)
+
+
+def _outside(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """How far the root is outside a box, m."""
+    low, high = (
+        np.array([end if x is None else x for x in side])
+        for end, side in zip((-np.inf, np.inf), wanted["box"], strict=True)
+    )
+    off = np.maximum(low - track.positions, track.positions - high).max(axis=1)
+    return _less(np.maximum(off, 0.0), track.blur.position)
+
+
+def _descent(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """How fast it comes down, less what is allowed at its distance from a landing, m/s."""
+    distance = _norms(track.positions - wanted["place"])
+    fast = -track.velocities[:, 2] - wanted["sink"] * distance
+    return _less(fast, track.blur.velocity)
+
+
+def _stands(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """Signed distance of the hulls from the ground or obstacle below, m, on whole frames; nan between."""
+    return _on_frames(track, lambda part: scene.away(part, False))
+
+
+def _clearance(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """Distance of the hulls from terrain and obstacles, m, with what a landing nearby forgives; nan where it is known
+    to be larger."""
+    least = float(wanted["clearance"])
+
+    def measured(part: Track) -> Array:
+        away = scene.away(part, wanted["obstacles_only"])
+        for place in wanted.get("landings", ()):
+            near = np.tanh(wanted["slope"] * _norms(part.positions - place) / max(least, 1e-6))
+            away = away + least * (1 - near)
+        return away + part.blur.position
+
+    found = _on_frames(track, measured)
+    known = np.flatnonzero(np.isfinite(found))
+    if not len(known):
+        return found
+    moved = np.concatenate([[0.0], np.cumsum(_norms(np.diff(track.positions, axis=0)))])
+    turned = np.concatenate([[0.0], np.cumsum(_norms(track.omegas[1:]))]) / (PER_FRAME * float(track.fps))
+    others = scene.fastest / float(track.fps)
+    for a, b in pairwise(known):
+        way = (1 + wanted["slope"]) * (moved[b] - moved[a])
+        approach = way + scene.reach * (turned[b] - turned[a]) + others * (b - a) / PER_FRAME
+        if (found[a] + found[b] - approach) / 2 < least and b > a + 1:
+            rows = np.arange(a + 1, b)
+            found[rows] = measured(track._select(rows))
+    return found
+
+
+def _on_frames(track: Track, measured: Callable[[Track], Array]) -> Array:
+    """A costly value on whole frames and at both ends; nan between."""
+    found = np.full(len(track.frames), np.nan)
+    whole = np.abs(track.frames - np.round(track.frames)) < 1e-6
+    whole[[0, -1]] = True
+    found[whole] = measured(track._select(np.flatnonzero(whole)))
+    return found
+
+
+def _angles(R: Array, others: Array) -> Array:
+    """Angles (n,) rad between a rotation (3, 3) and others (n, 3, 3); exact for small ones too."""
+    chord = np.linalg.norm(others - R, axis=(1, 2)) / np.sqrt(8.0)
+    return np.asarray(2 * np.arcsin(np.clip(chord, 0.0, 1.0)))
+
+
+def _norms(vectors: Array) -> Array:
+    return np.asarray(np.linalg.norm(vectors, axis=-1))
+
+
+def _at_end(track: Track, value: Any) -> Array:
+    found = np.full(len(track.frames), np.nan)
+    found[-1] = value
+    return found
+
+
+def _less(values: Array, blur: Array) -> Array:
+    """A difference, less what the representation hides of it."""
+    return np.maximum(values - blur, np.minimum(values, 0.0))
+
+
+def _frame(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """The frame of the sample: another than asked for where the motion does not reach it."""
+    return track.frames
+
+
+def _off_frame(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """How far the asked frame is from a whole one."""
+    return np.abs(track.frames - np.round(track.frames))
+
+
+MEASURES: dict[str, Measure] = {
+    "frame": _frame,
+    "off_frame": _off_frame,
+    "position": _position,
+    "heading": _heading,
+    "orientation": _orientation,
+    "velocity": _velocity,
+    "speed_error": _speed_error,
+    "joint_error": _joint_error,
+    "drift": _drift,
+    "turned": _turned,
+    "closure": _closure,
+    "closure_angle": _closure_angle,
+    "closure_velocity": _closure_velocity,
+    "gate_plane": _gate_plane,
+    "gate_opening": _gate_opening,
+    "gate_direction": _gate_direction,
+    "speed": _speed,
+    "ceiling": _ceiling,
+    "climb": _climb,
+    "turn_rate": _turn_rate,
+    "bank": _bank,
+    "acceleration": _acceleration,
+    "g_load": _g_load,
+    "steering": _steering,
+    "steering_rate": _steering_rate,
+    "joint": _joint,
+    "joint_rate": _joint_rate,
+    "look": _look,
+    "outside": _outside,
+    "descent": _descent,
+    "stands": _stands,
+    "clearance": _clearance,
+}
+"""Measure name -> its function."""

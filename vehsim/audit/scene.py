@@ -1,0 +1,56 @@
+"""What a motion must keep clear of, as a measure asks it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from vehsim.audit.track import Track
+
+Array = NDArray[np.float64]
+
+
+class Scene:
+    """Empty space; subclasses answer for a `World` or for a composed stage."""
+
+    reach = 0.0
+    """How far any point of the vehicle is from its root, m."""
+    fastest = 0.0
+    """The greatest speed of any point of anything else that moves, m/s."""
+
+    def away(self, track: Track, obstacles_only: bool) -> Array:
+        """Signed distance (n,) m of the vehicle to terrain and obstacles at every sample; negative inside."""
+        return np.full(len(track.frames), np.inf)
+
+
+class WorldScene(Scene):
+    """A `World` and the ``vehicle`` that moves in it, its hulls at rest."""
+
+    def __init__(self, world: Any, vehicle: Any) -> None:
+        self.world, self.vehicle = world, vehicle
+        self.reach, self.fastest = _reach(vehicle), 0.0
+        for other in () if world is None else world.moving:
+            begin = other.clip.start_frame / float(other.clip.fps)
+            _, _, velocities, omegas = other.motion_at(begin + other.clip.times)
+            speeds = np.linalg.norm(velocities, axis=1) + _reach(other.clip.vehicle) * np.linalg.norm(omegas, axis=1)
+            self.fastest = max(self.fastest, float(speeds.max(initial=0.0)))
+
+    def away(self, track: Track, obstacles_only: bool) -> Array:
+        from vehsim._quaternions import quaternions
+
+        if self.world is None:
+            return super().away(track, obstacles_only)
+        poses = track.positions, quaternions(track.rotations)
+        if obstacles_only:
+            found = self.world.clearance_by_obstacle(self.vehicle, *poses, track.seconds)
+            return np.asarray(found.min(axis=1, initial=np.inf))
+        return np.asarray(self.world.clearance(self.vehicle, *poses, track.seconds))
+
+
+def _reach(vehicle: Any) -> float:
+    from vehsim.world.obstacles import hulls_of
+
+    return max((float(np.linalg.norm(hull, axis=1).max()) for hull in hulls_of(vehicle)), default=0.0)

@@ -1,0 +1,153 @@
+"""A motion as an audit sees it: poses and velocities on an even grid of eighths of a frame, from a clip or a stage."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from vehsim.clip import Clip
+
+Array = NDArray[np.float64]
+
+PER_FRAME = 8
+"""Samples a frame: the motion is measured between frames too."""
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """A vehicle's rig root at ``frames`` (n,), eighths of a frame apart.
+
+    ``positions`` (n, 3) m; ``rotations`` (n, 3, 3), columns are the body's axes in the world; ``velocities`` (n, 3)
+    m/s, world axes; ``omegas`` (n, 3) rad/s, body axes; ``joints``, ``joint_rates``: name -> (n,); ``blur``: how far
+    this representation may be from the motion it stands for: a stage interpolates linearly between its samples.
+    """
+
+    frames: Array
+    fps: Fraction
+    positions: Array
+    rotations: Array
+    velocities: Array
+    omegas: Array
+    blur: Blur
+    joints: Mapping[str, Array] = field(default_factory=dict)
+    joint_rates: Mapping[str, Array] = field(default_factory=dict)
+
+    @property
+    def seconds(self) -> Array:
+        """When each sample is, (n,) s since frame 0."""
+        return self.frames / float(self.fps)
+
+    def between(self, first: float, last: float) -> Track:
+        """The samples from frame ``first`` to ``last``, both included; the nearest one where the motion has none."""
+        inside = (self.frames >= first - 1e-6) & (self.frames <= last + 1e-6)
+        if not inside.any():
+            inside[int(np.argmin(np.abs(self.frames - first)))] = True
+        return self._select(np.flatnonzero(inside))
+
+    def _select(self, rows: NDArray[np.intp]) -> Track:
+        return Track(
+            self.frames[rows],
+            self.fps,
+            self.positions[rows],
+            self.rotations[rows],
+            self.velocities[rows],
+            self.omegas[rows],
+            self.blur.at(rows),
+            {name: values[rows] for name, values in self.joints.items()},
+            {name: values[rows] for name, values in self.joint_rates.items()},
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Blur:
+    """What linear interpolation between a stage's samples hides: ``position`` m, ``angle`` rad, ``velocity`` m/s and
+    ``omega`` rad/s, (n,) each."""
+
+    position: Array
+    angle: Array
+    velocity: Array
+    omega: Array
+
+    @classmethod
+    def none(cls, n: int) -> Blur:
+        """A representation that hides nothing."""
+        return cls(*(np.zeros(n) for _ in range(4)))
+
+    def at(self, rows: NDArray[np.intp]) -> Blur:
+        """The same at some of the samples."""
+        return Blur(self.position[rows], self.angle[rows], self.velocity[rows], self.omega[rows])
+
+
+def track_of_clip(clip: Clip) -> Track:
+    """A clip on eighths of a frame, through its own interpolant."""
+    from vehsim._interpolate import spatial
+    from vehsim._quaternions import matrices
+
+    count = int(np.floor(float(clip.times[-1]) * float(clip.fps) * PER_FRAME + 1e-6))
+    steps = np.arange(count + 1)
+    at = clip.at(np.minimum(steps / (PER_FRAME * float(clip.fps)), clip.times[-1]))
+    omegas, velocities = spatial(at)
+    names = clip.vehicle.joints
+    return Track(
+        clip.start_frame + steps / PER_FRAME,
+        clip.fps,
+        at.positions,
+        matrices(at.orientations),
+        velocities,
+        omegas,
+        Blur.none(len(steps)),
+        {name: at.joints[:, i] for i, name in enumerate(names)},
+        {name: at.joint_rates[:, i] for i, name in enumerate(names)},
+    )
+
+
+def track_of_poses(frames: Array, fps: Fraction, T_wr: Array) -> Track:
+    """World matrices (n, 4, 4) of a rig root on eighths of a frame, as a stage composes them; velocities by
+    differences over one frame.
+
+    A stage interpolates linearly, so that the mean over a frame is all it tells of a velocity.
+    """
+    positions, rotations = T_wr[:, :3, 3], T_wr[:, :3, :3]
+    half, rate, n = PER_FRAME // 2, float(fps), len(frames)
+    centre = np.clip(np.arange(n), half, max(n - 1 - half, half))
+    ahead, behind = np.minimum(centre + half, n - 1), np.maximum(centre - half, 0)
+    span = np.maximum(ahead - behind, 1)[:, None] / (PER_FRAME * rate)
+    velocities = (positions[ahead] - positions[behind]) / span
+    relative = np.einsum("nji,njk->nik", rotations[behind], rotations[ahead])
+    omegas = _rotation_vectors(relative) / span
+    change, turning = _change(velocities), _change(omegas)
+    # a chord's sagitta is an eighth of the change of its slope over a frame; off the middle, ends are extrapolated
+    between = np.abs(frames - np.round(frames)) > 1e-6
+    off = 1.0 + np.abs(np.arange(n) - centre) / half
+    return Track(
+        frames,
+        fps,
+        positions,
+        rotations,
+        velocities,
+        omegas,
+        Blur(between * change / rate / 4, between * turning / rate / 4, off * change, off * turning),
+    )
+
+
+def _change(rates: Array) -> Array:
+    """How much a rate (n, 3) changes within the frame about each sample, (n,)."""
+    n = len(rates)
+    low, high = np.maximum(np.arange(n) - PER_FRAME, 0), np.minimum(np.arange(n) + PER_FRAME, n - 1)
+    forward = np.linalg.norm(rates[high] - rates, axis=1)
+    backward = np.linalg.norm(rates - rates[low], axis=1)
+    return np.asarray(np.maximum(forward, backward))
+
+
+def _rotation_vectors(R: Array) -> Array:
+    """Rotation vectors (n, 3) rad of rotations (n, 3, 3) by less than half a turn."""
+    axis = np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]], axis=1)
+    sine, cosine = np.linalg.norm(axis, axis=1) / 2, (np.trace(R, axis1=1, axis2=2) - 1) / 2
+    angle = np.arctan2(sine, cosine)
+    return np.asarray(axis * (angle / np.maximum(2 * sine, 1e-12))[:, None])

@@ -1,0 +1,154 @@
+"""Asks as data, and the asks that marks, limits, looks and stays stand for."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
+
+EXACT = 1e-3
+"""What a tolerance of 0 means for a position, m, and for a velocity, m/s."""
+EXACT_ANGLE = math.radians(0.05)
+"""What a tolerance of 0 means for an angle, rad, and for an angular velocity, rad/s."""
+SLACK = 0.01
+"""Share of a limit by which a finished motion may exceed it."""
+
+
+@dataclass(frozen=True)
+class Ask:
+    """One requirement on a finished motion.
+
+    ``key``: what the user wrote, such as ``mark[1].position``; ``measure``: a name of `vehsim.audit.MEASURES`;
+    ``first``, ``last``: the frames it applies to, both included; ``wanted``: what the measure compares with, SI and
+    radians; ``lower <= value <= upper`` is met, None is no bound; ``unit`` of the value; a missed ask of severity
+    ``warning`` is reported and does not fail the motion.
+    """
+
+    key: str
+    measure: str
+    first: float
+    last: float
+    wanted: Mapping[str, Any] = field(default_factory=dict)
+    lower: float | None = None
+    upper: float | None = None
+    unit: str = ""
+    severity: Literal["error", "warning"] = "error"
+
+    def as_dict(self) -> dict[str, Any]:
+        """The ask as JSON takes it; `Ask.from_dict` reads it back."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Ask:
+        """An ask from what `as_dict` wrote."""
+        return cls(**data)
+
+
+def mark_asks(
+    key: str,
+    frame: float,
+    *,
+    hold: int = 0,
+    position: Sequence[float] | None = None,
+    tolerance: float = 0.0,
+    heading: float | None = None,
+    orientation: Sequence[float] | None = None,
+    velocity: Sequence[float] | None = None,
+    speed: float | None = None,
+    joints: Mapping[str, float] | None = None,
+    planar: bool = False,
+) -> Iterator[Ask]:
+    """What a mark asks at ``frame`` and, where it is held, until ``hold`` frames later.
+
+    ``position`` (3,) m with ``tolerance`` m along each axis, ``heading`` rad, ``orientation`` (4,) w, x, y, z,
+    ``velocity`` (3,) m/s, world axes, ``speed`` m/s, ``joints`` by name in SI. ``planar``: the ground decides about
+    height and tilt.
+    """
+    until, axes = frame + hold, [0, 1] if planar else [0, 1, 2]
+    if position is not None:
+        wanted = {"position": list(map(float, position)), "axes": axes}
+        yield Ask(f"{key}.position", "position", frame, until, wanted, upper=max(tolerance, EXACT), unit="m")
+    if heading is not None:
+        yield Ask(f"{key}.heading", "heading", frame, until, {"heading": float(heading)}, **ANGLE)
+    if orientation is not None:
+        attitude = {"orientation": list(map(float, orientation))}
+        if planar:
+            w, x, y, z = attitude["orientation"]
+            yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+            yield Ask(f"{key}.orientation", "heading", frame, until, {"heading": yaw}, **ANGLE)
+        else:
+            yield Ask(f"{key}.orientation", "orientation", frame, until, attitude, **ANGLE)
+    if velocity is not None:
+        wanted = {"velocity": list(map(float, velocity)), "axes": axes}
+        yield Ask(f"{key}.velocity", "velocity", frame, until, wanted, upper=EXACT, unit="m/s")
+        if not any(velocity):
+            yield Ask(f"{key}.velocity (turning)", "turn_rate", frame, until, upper=EXACT_ANGLE, unit="rad/s")
+    if speed is not None:
+        yield Ask(f"{key}.speed", "speed_error", frame, until, {"speed": float(speed)}, upper=EXACT, unit="m/s")
+    for joint, value in (joints or {}).items():
+        wanted = {"joint": joint, "value": float(value)}
+        yield Ask(f"{key}.joints.{joint}", "joint_error", frame, until, wanted, upper=EXACT)
+    if hold:
+        yield Ask(f"{key}.hold", "drift", frame, until, upper=max(2 * tolerance, EXACT), unit="m")
+        yield Ask(f"{key}.hold (turning)", "turned", frame, until, **ANGLE)
+
+
+ANGLE: dict[str, Any] = {"upper": EXACT_ANGLE, "unit": "rad"}
+
+
+def gate_asks(
+    key: str,
+    frame: float,
+    position: Sequence[float],
+    axes: Sequence[Sequence[float]],
+    radius: float | None,
+    size: Sequence[float] | None,
+    planar: bool,
+) -> Iterator[Ask]:
+    """An opening at ``position`` (3,) m that is passed at ``frame``.
+
+    ``axes`` (3, 3): rows through it, along its width, along its height; ``radius`` m or ``size`` (width, height) m.
+    """
+    wanted = {
+        "position": list(map(float, position)),
+        "gate": [list(map(float, axis)) for axis in axes],
+        "half": [float(radius)] * 2 if radius is not None else [float(s) / 2 for s in size or ()],
+        "round": radius is not None,
+        "planar": planar,
+    }
+    yield Ask(f"{key}.gate (plane)", "gate_plane", frame, frame, wanted, lower=-EXACT, upper=EXACT, unit="m")
+    yield Ask(f"{key}.gate (opening)", "gate_opening", frame, frame, wanted, upper=1.0 + EXACT)
+    yield Ask(f"{key}.gate (direction)", "gate_direction", frame, frame, wanted, lower=-EXACT, unit="m/s")
+
+
+def limit_asks(
+    first: float,
+    last: float,
+    limits: Mapping[str, tuple[float, str]],
+    joints: Mapping[str, tuple[float, float]],
+    joint_rates: Mapping[str, tuple[float, float]],
+) -> Iterator[Ask]:
+    """Limits over a motion: name -> (value, unit), and joints and their rates by name -> (low, high), SI."""
+    for name, (value, unit) in limits.items():
+        slack = SLACK if name == "ceiling" else SLACK * value  # a height is counted from nowhere: 1 cm
+        yield Ask(f"limits.{name}", name, first, last, upper=value + slack, unit=unit)
+    for kind, ranges in (("joint", joints), ("joint_rate", joint_rates)):
+        for joint, (low, high) in ranges.items():
+            slack = SLACK * max(abs(low), abs(high))
+            bounds: dict[str, Any] = {"lower": low - slack, "upper": high + slack}
+            yield Ask(f"limits.{kind}s.{joint}", kind, first, last, {"joint": joint}, **bounds)
+
+
+def look_ask(
+    key: str, first: float, last: float, at: Sequence[float], within: float, axis: int, sign: float, level: bool
+) -> Ask:
+    """A body axis points to ``at`` (3,) m within ``within`` rad; ``level``: seen from above."""
+    wanted = {"at": list(map(float, at)), "axis": axis, "sign": sign, "level": level}
+    return Ask(key, "look", first, last, wanted, upper=within + EXACT_ANGLE, unit="rad")
+
+
+def stay_ask(key: str, first: float, last: float, lower: Sequence[float], upper: Sequence[float]) -> Ask:
+    """The root stays in a box from ``lower`` to ``upper`` (3,) m, infinite where open."""
+    box = [[None if math.isinf(x) else float(x) for x in side] for side in (lower, upper)]
+    return Ask(key, "outside", first, last, {"box": box}, upper=EXACT, unit="m")

@@ -1,0 +1,46 @@
+"""Measures the finished clips of a shot against everything that was asked of them."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from vehsim.clip import Clip
+    from vehsim.world import World
+
+NAMED = 3
+"""How many missed asks an error names."""
+
+
+def audit_clips(
+    clips: Mapping[str, Clip],
+    asks: Mapping[str, Sequence[Mapping[str, Any]]],
+    worlds: Mapping[str, World],
+    frames: tuple[int, int],
+) -> dict[str, list[dict[str, Any]]]:
+    """A row for every ask of every vehicle: the ask, and the ``value`` measured at its worst ``frame``.
+
+    ``asks``: `Ask.as_dict` by vehicle; ``worlds``: what each vehicle moves in, the others included; ``frames``: first
+    and last of the shot. Warns of missed pilots' targets; raises ``SolveError`` naming what else is missed.
+    """
+    from vehsim.audit import WorldScene, audit, missed, track_of_clip
+    from vehsim.requests import Ask
+
+    first, last = map(float, frames)
+    found, wrong = {}, []
+    for name, clip in clips.items():
+        mine = [Ask.from_dict(ask) for ask in asks.get(name, ())]
+        mine.append(Ask("shot.start_frame", "frame", first, first, lower=first, upper=first, unit="frames"))
+        mine.append(Ask("shot.end_frame", "frame", last, last, lower=last, upper=last, unit="frames"))
+        rows = audit(track_of_clip(clip), mine, WorldScene(worlds[name], clip.vehicle))
+        found[name] = [ask.as_dict() | row.as_dict() for ask, row in zip(mine, rows, strict=True)]
+        wrong += [f"{name}: {row}" for row in missed(rows)]
+        for row in rows:
+            if row.met is False and row.severity == "warning":
+                warnings.warn(f"{name}: {row}", stacklevel=3)
+    if wrong:
+        more = f" and {len(wrong) - NAMED} more" * (len(wrong) > NAMED)
+        warnings.warn(f"the finished motion misses what was asked: {'; '.join(wrong[:NAMED])}{more}", stacklevel=3)
+    return found
