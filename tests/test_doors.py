@@ -17,7 +17,7 @@ FLOORS = (
     ("vehsim.batch",),
     ("vehsim.exporters",),
     ("vehsim.shot",),
-    ("vehsim.take", "vehsim.delivery"),
+    ("vehsim.take", "vehsim.delivery", "vehsim._earlier"),
     (
         "vehsim.cameras",
         "vehsim._camera_path",

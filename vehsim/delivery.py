@@ -15,13 +15,16 @@ import re
 import secrets
 import shutil
 import time
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from vehsim._earlier import SIGN, Earlier
 from vehsim.errors import ExportError, InputError
 
 if TYPE_CHECKING:
@@ -31,8 +34,6 @@ GROUP = "vehsim.exporters"
 """Entry points of this group are `Exporter` objects; a studio's package can add its own."""
 REPORT_GROUP = "vehsim.reports"
 """Entry points of this group are functions ``(take, folder, files) -> Path`` that say what was delivered."""
-SIGN = "report.json"
-"""The file by which a folder is known to be a delivery, which the next one may replace."""
 
 
 @cache
@@ -102,8 +103,8 @@ def write_files(
     names: Sequence[str],
     progress: Progress,
     instead: Mapping[str, Exporter] = MappingProxyType({}),
-) -> list[Path]:
-    """Run the exporters in ``folder`` and return the files they were asked for; files merely needed are dropped.
+) -> dict[str, list[Path]]:
+    """Run the exporters in ``folder``: the files that each of ``names`` wrote; files merely needed are dropped.
 
     ``instead``: exporters to use in the place of those found, by name.
     """
@@ -115,15 +116,25 @@ def write_files(
             progress(what, (before + min(max(done, 0.0), 1.0)) / len(exporters))
 
         written[exporter.name] = [Path(path) for path in exporter.write(take, folder, report)]
-    asked = {path for name in names for path in written[name]}
-    for path in {path for paths in written.values() for path in paths} - asked:
+    asked = {name: sorted(set(written[name])) for name in names}
+    for path in {path for paths in written.values() for path in paths} - {p for paths in asked.values() for p in paths}:
         path.unlink(missing_ok=True)
     _drop_empty_folders(folder)
-    return sorted(asked)
+    return asked
 
 
-def write_reports(take: Take, folder: Path, files: Sequence[Path]) -> None:
-    """What was delivered, by every entry point of the group; the first one writes ``report.json``."""
+def write_reports(take: Take, folder: Path, written: Mapping[str, Sequence[Path]]) -> None:
+    """What was delivered, by every entry point of the group; the first one writes ``report.json``.
+
+    ``written``: the files of each exporter.
+    """
+    inputs = take.report.get("inputs")
+    made = {
+        name: {"inputs": inputs, "files": [path.relative_to(folder).as_posix() for path in paths]}
+        for name, paths in written.items()
+    }
+    take = replace(take, report={**take.report, "content": take.content_hash, "exporters": made})
+    files = sorted({path for paths in written.values() for path in paths})
     for entry in entries(REPORT_GROUP):
         entry.load()(take, folder, files)
 
@@ -154,24 +165,30 @@ def _make(folder: Path) -> None:
 
 
 @contextmanager
-def replacing(target: Path, overwrite: bool = True) -> Iterator[Path]:
+def replacing(target: Path, overwrite: bool = True, keep: bool = False) -> Iterator[Path]:
     """A hidden folder beside ``target`` that takes its place when the block ends well.
 
-    An earlier delivery is replaced whole; a folder that is none is never touched. Raises ``InputError`` for that, and
-    ``ExportError`` for what cannot be written.
+    An earlier delivery is replaced whole; a folder that is none is never touched. ``keep``: what the earlier one holds
+    and the new one does not stays (`Earlier`), with a warning where it shows something else and is set apart. Raises
+    ``InputError`` for what must not be replaced, and ``ExportError`` for what cannot be written.
     """
     may_replace(target, overwrite)
     with staging(target) as beside:
         _bring_back(target)
         yield beside
-        settle(beside)
-        _swap(beside, target, overwrite)
+        earlier = Earlier(beside) if keep else None
+        _swap(beside, target, overwrite, earlier)
         _sync(target.parent)
+    if earlier is not None and earlier.apart is not None:
+        place, names = earlier.apart
+        again = f"; export {', '.join(names)} again" if names else ""
+        what = f"{', '.join(names) or 'files'} show the shot as it was: moved to {target / place}"
+        warnings.warn(f"{target}: {what}{again}", stacklevel=2)
 
 
 def delivering(take: Take, target: Path, overwrite: bool = True) -> AbstractContextManager[Path]:
     """A hidden folder that takes its place when the block ends well: `replacing` ``target``, or its `new_version`."""
-    return new_version(target) if take.usd.versions else replacing(target, overwrite)
+    return new_version(target) if take.usd.versions else replacing(target, overwrite, keep=True)
 
 
 VERSION = re.compile(r"v(\d{3,})")
@@ -274,7 +291,7 @@ def _sync(path: Path) -> None:
         os.close(descriptor)
 
 
-def _swap(beside: Path, target: Path, overwrite: bool) -> None:
+def _swap(beside: Path, target: Path, overwrite: bool, earlier: Earlier | None) -> None:
     """Put ``beside`` in the place of ``target``; without locks, whoever else does the same at the same time.
 
     A rename onto a folder that is not empty fails, so nobody's delivery is lost: it is moved aside first. Should the
@@ -284,8 +301,13 @@ def _swap(beside: Path, target: Path, overwrite: bool) -> None:
         aside = target.with_name(f".{target.name}.{owner()}.replaced")
         try:
             may_replace(target, overwrite)
+            if earlier is not None:
+                earlier.bring(target)
+            settle(beside)
             if os.path.exists(target):
                 target.rename(aside)
+                if earlier is not None and not earlier.are_of(aside):
+                    raise FileExistsError(errno.EEXIST, "another export delivered meanwhile")
             beside.rename(target)
         except BaseException as error:
             with suppress(OSError):  # nothing was moved, or another export was quicker

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 import shutil
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -117,6 +118,16 @@ class Take:
     report: dict[str, Any] = field(default_factory=dict)
     blockings: dict[str, Blocking] = field(default_factory=dict)
 
+    @property
+    def content_hash(self) -> str:
+        """Names what is shown: motion, rigs, world and cameras, not how stages are written or pictures look."""
+        rigs = {clip.vehicle.name: clip.vehicle.rig for clip in self.clips.values()}
+        looks = {name: [rig.asset.read_bytes(), rig.variants] for name, rig in rigs.items() if rig is not None}
+        parts = (self.name, self.clips, looks, self.world.content_hash, self.cameras, self.fps, self.frames)
+        digest = hashlib.sha256()
+        _feed(digest, parts)
+        return digest.hexdigest()
+
     def export(
         self,
         out: str | Path,
@@ -127,7 +138,9 @@ class Take:
         """Write the take to ``out/<name>/`` through the exporters ``to``, and say in ``report.json`` what was done.
 
         Everything is written beside and moved into place at the end: an earlier delivery stays whole until then, and
-        whatever goes wrong. Raises ``InputError`` for unknown exporters, ``ExportError`` for what cannot be written.
+        whatever goes wrong. Files that other exporters delivered earlier stay; those of another motion are set apart in
+        ``earlier/``, with a warning. Raises ``InputError`` for unknown exporters, ``ExportError`` for what cannot be
+        written.
         """
         from vehsim.delivery import (
             check_stage_is_there,
@@ -143,8 +156,8 @@ class Take:
         check_stage_is_there(to, self.usd.layer_only)
         target = Path(out) / self.name
         with delivering(self, target, overwrite) as folder:
-            files = write_files(self, folder, to, progress or _silent)
-            write_reports(self, folder, files)
+            written = write_files(self, folder, to, progress or _silent)
+            write_reports(self, folder, written)
         return point_at_newest(target, in_order(to)) if self.usd.versions else target
 
 
@@ -160,10 +173,30 @@ def export_clip(clip: Clip, path: Path, to: str | Sequence[str] | None = None) -
     suffixes = {suffix for name in names for suffix in find_exporter(name).suffixes}
     take = _take_of(clip, re.sub(r"\W|^(?=\d)", "_", path.stem) or "clip")
     with staging(path) as folder:
-        files = write_files(take, folder, names, _silent)
-        moved = {file.relative_to(folder): _move(file, path.parent / file.relative_to(folder)) for file in files}
+        files = {file for paths in write_files(take, folder, names, _silent).values() for file in paths}
+        moved = {
+            file.relative_to(folder): _move(file, path.parent / file.relative_to(folder)) for file in sorted(files)
+        }
     tops = [file for relative, file in moved.items() if len(relative.parts) == 1]
     return next((file for file in tops if file.suffix in suffixes), (tops or list(moved.values()))[0])
+
+
+def _feed(digest: Any, value: Any) -> None:
+    """Add a value to a hash: arrays by their bytes, tables and dataclasses by their fields, vehicles by their name."""
+    if hasattr(value, "tobytes"):
+        digest.update(f"{value.dtype}{value.shape}".encode() + value.tobytes())
+    elif isinstance(value, Mapping):
+        _feed(digest, sorted(value.items()))
+    elif is_dataclass(value):
+        for part in fields(value):
+            inner = getattr(value, part.name)
+            _feed(digest, inner.name if part.name == "vehicle" else inner)
+    elif isinstance(value, list | tuple):
+        digest.update(f"{len(value)} of".encode())
+        for item in value:
+            _feed(digest, item)
+    else:
+        digest.update(f"{value!r};".encode())
 
 
 def _move(source: Path, target: Path) -> Path:

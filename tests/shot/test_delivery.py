@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ import pytest
 
 from vehsim import World, delivery
 from vehsim.errors import ExportError, InputError
-from vehsim.take import Exporter, Progress, Take
+from vehsim.take import Exporter, Progress, RenderSettings, Take, UsdSettings
 
 
 @dataclass
@@ -57,7 +58,8 @@ def exporters(monkeypatch: pytest.MonkeyPatch) -> dict[str, Exporter]:
 
     def report(take: Take, folder: Path, files: Sequence[Path]) -> Path:
         path = folder / "report.json"
-        path.write_text("\n".join(file.relative_to(folder).as_posix() for file in files))
+        said = {"files": {file.relative_to(folder).as_posix(): file.read_text() for file in files}}
+        path.write_text(json.dumps(said | {"solved": take.report}))
         return path
 
     def entries(group: str) -> list[Entry]:
@@ -76,11 +78,20 @@ def files(folder: Path) -> set[str]:
     return {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
 
 
+def listed(folder: Path) -> set[str]:
+    """The files that the report lists."""
+    return set(json.loads((folder / "report.json").read_text())["files"])
+
+
+A, B = {"shot/a.txt", "shot/sub/deep/a.txt"}, {"shot/b.txt"}
+REPORT = {"shot/report.json"}
+
+
 def test_files_that_were_only_needed_are_dropped(exporters: Any, take: Take, tmp_path: Path) -> None:
     folder = take.export(tmp_path, to=("b",))
     assert folder == tmp_path / "shot"
     assert files(tmp_path) == {"shot/b.txt", "shot/report.json"}
-    assert (folder / "report.json").read_text() == "b.txt"
+    assert listed(folder) == {"b.txt"}
     assert not (folder / "sub").exists()
 
 
@@ -91,10 +102,94 @@ def test_needs_run_first_and_once(exporters: Any, take: Take, tmp_path: Path) ->
     assert files(tmp_path) == {"shot/a.txt", "shot/sub/deep/a.txt", "shot/b.txt", "shot/report.json"}
 
 
-def test_a_new_delivery_replaces_the_old_one_whole(exporters: Any, take: Take, tmp_path: Path) -> None:
+def test_what_other_exporters_delivered_stays(exporters: Any, take: Take, tmp_path: Path) -> None:
     take.export(tmp_path, to=("a",))
+    assert files(take.export(tmp_path, to=("b",))) == {"a.txt", "sub/deep/a.txt", "b.txt", "report.json"}
+    assert listed(tmp_path / "shot") == {"a.txt", "sub/deep/a.txt", "b.txt"}
+    report = json.loads((tmp_path / "shot" / "report.json").read_text())
+    assert report["solved"]["exporters"].keys() == {"a", "b"}
+    take.export(tmp_path, to=("a",))
+    assert files(tmp_path) == A | B | REPORT
+
+
+def test_files_that_an_exporter_writes_no_more_are_gone(
+    exporters: dict[str, Exporter], take: Take, tmp_path: Path
+) -> None:
+    """Pictures of every second frame: those between are no part of the delivery any more."""
+    take.export(tmp_path, to=("a", "b"))
+    exporters["a"] = text("a", "a.txt")
+    take.export(tmp_path, to=("a",))
+    assert files(tmp_path) == {"shot/a.txt"} | B | REPORT
+    assert listed(tmp_path / "shot") == {"a.txt", "b.txt"}
+
+
+@pytest.mark.parametrize("change", [{"frames": (1001, 1011)}, {"fps": Fraction(25)}, {"world": World(wind=(0, 3, 0))}])
+def test_files_of_another_motion_are_set_apart_with_a_warning(
+    exporters: Any, take: Take, tmp_path: Path, change: dict[str, Any]
+) -> None:
+    take.export(tmp_path, to=("a",))
+    other = replace(take, **change)
+    with pytest.warns(UserWarning, match=r"shot: a show the shot as it was: moved to .*earlier/1; export a again"):
+        other.export(tmp_path, to=("b",))
+    apart = {f"shot/earlier/1/{name}" for name in ("a.txt", "sub/deep/a.txt", "report.json")}
+    assert files(tmp_path) == apart | B | REPORT
+    assert listed(tmp_path / "shot") == {"b.txt"}
+    assert listed(tmp_path / "shot" / "earlier" / "1") == {"a.txt", "sub/deep/a.txt"}
+    with pytest.warns(UserWarning, match="b show the shot as it was"):
+        take.export(tmp_path, to=("a",))
+    assert files(tmp_path) == A | apart | {"shot/earlier/2/b.txt", "shot/earlier/2/report.json"} | REPORT
+
+
+def test_nothing_is_set_apart_where_all_is_made_again(
+    exporters: Any, take: Take, tmp_path: Path, recwarn: pytest.WarningsRecorder
+) -> None:
+    take.export(tmp_path, to=("a", "b"))
+    replace(take, frames=(1001, 1020)).export(tmp_path, to=("b", "a"))
+    other = replace(take, frames=(1001, 1020), render=RenderSettings(size=(64, 36)), usd=UsdSettings(up_axis="Y"))
+    other.export(tmp_path, to=("b",))
+    assert files(tmp_path) == A | B | REPORT
+    assert not recwarn.list
+
+
+def test_what_people_put_into_a_delivery_stays(exporters: Any, take: Take, tmp_path: Path) -> None:
+    take.export(tmp_path, to=("a",))
+    (tmp_path / "shot" / "notes.txt").write_text("mine")
+    replace(take, frames=(1001, 1020)).export(tmp_path, to=("a",))
+    assert files(tmp_path) == A | REPORT | {"shot/notes.txt"}
+    assert listed(tmp_path / "shot") == {"a.txt", "sub/deep/a.txt"}
+
+
+@pytest.mark.parametrize("report", ["", "[]", '{"files": {"a.txt": "1"}, "solved": {}}'])
+def test_a_delivery_that_does_not_say_what_it_shows_is_set_apart(
+    exporters: Any, take: Take, tmp_path: Path, report: str
+) -> None:
+    """One of an earlier version."""
+    take.export(tmp_path, to=("a",))
+    (tmp_path / "shot" / "report.json").write_text(report)
+    with pytest.warns(UserWarning, match="earlier/1"):
+        take.export(tmp_path, to=("b",))
+    apart = {f"shot/earlier/1/{name}" for name in ("a.txt", "sub/deep/a.txt", "report.json")}
+    assert files(tmp_path) == apart | B | REPORT
+
+
+def test_an_export_that_comes_between_loses_nothing(
+    exporters: Any, take: Take, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another export delivers after ours has looked, and before it moves the old delivery aside."""
+    take.export(tmp_path, to=("a",))
+    exporters["c"] = text("c", "c.txt")
+    settle, came = delivery.settle, []
+
+    def interrupted(folder: Path) -> None:
+        settle(folder)
+        if not came:
+            came.append(folder)
+            take.export(tmp_path, to=("c",))
+
+    monkeypatch.setattr(delivery, "settle", interrupted)
     take.export(tmp_path, to=("b",))
-    assert files(tmp_path) == {"shot/b.txt", "shot/report.json"}
+    assert came and files(tmp_path) == A | B | REPORT | {"shot/c.txt"}
+    assert listed(tmp_path / "shot") == {"a.txt", "sub/deep/a.txt", "b.txt", "c.txt"}
 
 
 @pytest.mark.parametrize("error", [ExportError("no"), OSError(28, "No space left on device"), KeyboardInterrupt()])
@@ -173,7 +268,7 @@ def test_a_signal_between_the_renames_or_after_them_loses_nothing(
     monkeypatch.setattr(Path, "rename", interrupted)
     with pytest.raises(KeyboardInterrupt):
         take.export(tmp_path, to=("b",))
-    assert came and files(tmp_path) == (before if moved == ".replaced" else {"shot/b.txt", "shot/report.json"})
+    assert came and files(tmp_path) == (before if moved == ".replaced" else A | B | REPORT)
 
 
 def test_a_crash_between_the_renames_loses_nothing(exporters: dict[str, Exporter], take: Take, tmp_path: Path) -> None:

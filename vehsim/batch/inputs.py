@@ -34,13 +34,19 @@ def fingerprint(shot: Shot, to: Sequence[str], draft: bool = False) -> str:
     return hashlib.sha256(json.dumps(made_of, sort_keys=True).encode()).hexdigest()
 
 
-def is_finished(folder: Path, inputs: str) -> bool:
-    """Does ``folder`` hold the whole clip of these inputs? Every file is read and held against its hash."""
+def is_finished(folder: Path, inputs: str, to: Sequence[str] = ()) -> bool:
+    """Does ``folder`` hold the whole clip of these inputs? Every file is read and held against its hash.
+
+    ``to``: the exporters in question; what others delivered beside them is not looked at.
+    """
     try:
         report = json.loads((folder / SIGN).read_text(encoding="utf-8"))
-        files = report["files"]
-        return report["solved"]["inputs"] == inputs and all(sha256(folder / name) == files[name] for name in files)
-    except (OSError, ValueError, KeyError, TypeError):
+        files, solved = report["files"], report["solved"]
+        made = solved.get("exporters", {})
+        sources = [made[name]["inputs"] for name in to] or [solved["inputs"]]
+        others = {file for name, one in made.items() if name not in to for file in one["files"]} if to else set()
+        return set(sources) == {inputs} and all(sha256(folder / name) == files[name] for name in files.keys() - others)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return False
 
 

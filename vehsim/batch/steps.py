@@ -44,7 +44,7 @@ def run_step(name: str, clips: Path, index: int, part: tuple[int, int] = (1, 1))
     task = _read(clips, index)
     if fingerprint(_shot(task), task.to, task.draft) != task.inputs:
         raise InputError(f"{task.source}: its files or vehsim itself changed since the job was written; write it again")
-    if name == "measure" or not is_finished(newest(task.target), task.inputs):
+    if name == "measure" or not is_finished(newest(task.target), task.inputs, task.to):
         STEPS[name](task, part)
     return task.name
 
@@ -166,8 +166,8 @@ def _deliver(task: Task, part: tuple[int, int]) -> None:
 
     take = _take(task)
     with delivering(take, task.target) as folder:
-        files = write_files(take, folder, task.to, _silent, {"png": Exporter("png", (".png",), gather, ("usd",))})
-        write_reports(take, folder, files)
+        written = write_files(take, folder, task.to, _silent, {"png": Exporter("png", (".png",), gather, ("usd",))})
+        write_reports(take, folder, written)
     if take.usd.versions:
         point_at_newest(task.target, in_order(task.to))
     shutil.rmtree(_place(task, "plan").parent, ignore_errors=True)

@@ -126,7 +126,7 @@ def _work(task: Task, tell: Tell) -> Outcome:
 
     clean_up(task.target)
     clean_up(task.target / "version")
-    if task.resume and is_finished(newest(task.target), task.inputs):
+    if task.resume and is_finished(newest(task.target), task.inputs, task.to):
         return Outcome(task.name, "skipped")
     tell(task.name, "planning", "starting", 0.0)
     shot = Shot.from_dict(task.shot, task.folder, task.source)
