@@ -60,6 +60,8 @@ class Earlier:
             others = {name: one | {"files": [f for f in one["files"] if f in kept]} for name, one in made.items()}
             exporters = {name: one for name, one in others.items() if one["files"] and name not in remade}
             new["files"] |= kept
+            for key in ("vehicles", "audit"):  # what the report says of a stage that stays
+                _complete(new.get(key), old.get(key))
             new["solved"]["exporters"] = exporters | remade
             text = json.dumps(new, indent=1, sort_keys=True, allow_nan=False) + "\n"
             (self._beside / SIGN).write_text(text, encoding="utf-8")
@@ -100,6 +102,18 @@ def _record(path: Path) -> Any:
         if isinstance(report, dict) and all(isinstance(report.get(key), dict) for key in ("files", "solved")):
             return report
     return {"files": {}, "solved": {}}
+
+
+def _complete(new: Any, old: Any) -> None:
+    """Add to tables, and to lists of tables, what ``old`` has and they lack, where they agree in what both have."""
+    if isinstance(new, dict) and isinstance(old, dict):
+        for key in new.keys() & old.keys():
+            _complete(new[key], old[key])
+        if all(new[key] == old[key] for key in new.keys() & old.keys()):
+            new.update(old)
+    elif isinstance(new, list) and isinstance(old, list) and len(new) == len(old):
+        for one, other in zip(new, old, strict=True):
+            _complete(one, other)
 
 
 def _identity(folder: Path) -> Any:

@@ -91,3 +91,39 @@ def test_versions_keep_every_export_by_itself(export: Callable[..., int], tmp_pa
     export("csv", "--set", "export.versions=true")
     assert files(drive / "v001") == {"car.npz", "report.json"}
     assert files(drive / "v002") == {"car.csv", "report.json"}
+
+
+PLANNED = """
+[shot]
+schema = 1
+name = "drive"
+[[vehicle]]
+name = "car"
+asset = "car"
+[vehicle.motion]
+method = "plan"
+segments = 8
+[[vehicle.motion.mark]]
+frame = 1001
+position = [0, 0, 0]
+velocity = [0, 0, 0]
+[[vehicle.motion.mark]]
+frame = 1049
+position = [6, 0, 0]
+velocity = [0, 0, 0]
+"""
+
+
+def test_a_delivery_is_audited_whatever_was_added_last(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "drive.toml").write_text(PLANNED)
+    export = ["export", str(tmp_path / "drive.toml"), "--out", str(tmp_path), "--to"]
+    assert cli.run([*export, "usd"]) == 0
+    first = json.loads((tmp_path / "drive" / "report.json").read_text())
+    assert cli.run(["audit", str(tmp_path / "drive")]) == 0
+    rows = capsys.readouterr().out.partition("ok ")[2]
+    assert cli.run([*export, "csv"]) == 0
+    capsys.readouterr()
+    assert cli.run(["audit", str(tmp_path / "drive")]) == 0
+    assert capsys.readouterr().out.partition("ok ")[2] == rows
+    last = json.loads((tmp_path / "drive" / "report.json").read_text())
+    assert (last["audit"], last["vehicles"]) == (first["audit"], first["vehicles"])
