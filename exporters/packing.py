@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from vehsim._cache import cache_folder
 from vehsim.errors import ExportError
+from vehsim.parts import dependencies
 
 if TYPE_CHECKING:
     from vehsim.vehicles._base import Rig
@@ -57,7 +58,7 @@ class Pack:
     def _copy(self, source: Path, target: Path) -> Path:
         if not source.is_file():
             raise ExportError(f"{source}: asset not found; give back the file or the vehicle's `asset` key")
-        files, missing = _dependencies(source)
+        files, missing = dependencies(source)
         for path in missing:
             warnings.warn(f"{source}: refers to {path}, which does not exist; the copy will miss it too", stacklevel=4)
         home = source.parent
@@ -67,7 +68,7 @@ class Pack:
                 copy.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(file, copy)
                 self.written.append(copy)
-            if all(file.is_relative_to(target.resolve()) for file in _dependencies(target / source.name)[0]):
+            if all(file.is_relative_to(target.resolve()) for file in dependencies(target / source.name)[0]):
                 return target / source.name
         return self._localize(source, target)
 
@@ -81,14 +82,3 @@ class Pack:
             raise ExportError(f"{source}: its dependencies could not be gathered; see the messages of USD above")
         self.written.extend(sorted(file for file in target.rglob("*") if file.is_file()))
         return target / source.name
-
-
-def _dependencies(asset: Path) -> tuple[list[Path], list[str]]:
-    """Files that ``asset`` needs, itself included, and references that do not resolve."""
-    from pxr import UsdUtils
-
-    if asset.suffix == ".usdz":  # a package carries all it needs
-        return [asset], []
-    layers, assets, missing = UsdUtils.ComputeAllDependencies(str(asset))
-    paths = [layer.realPath for layer in layers] + [str(path) for path in assets]
-    return sorted({Path(path.split("[")[0]).resolve() for path in paths if path}), sorted(missing)

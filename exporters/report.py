@@ -6,17 +6,14 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
-from functools import cache
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from vehsim._code import PACKAGES, version
 from vehsim.exporters.stage_audit import root_in_prim, stage_of, with_stage
 from vehsim.take import Take
-
-PACKAGES = ("vehsim", "mujoco", "usd-core", "casadi", "numpy", "scipy", "av", "pillow")
 
 
 def write_report(take: Take, folder: Path, files: Sequence[Path]) -> Path:
@@ -100,12 +97,3 @@ def sha256(path: Path) -> str:
     """The SHA-256 of a file's bytes."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-@cache
-def version(package: str) -> str | None:
-    """A package's version, None where it is not installed."""
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return None

@@ -1,10 +1,12 @@
 """The base of all tests: every USD stage a test writes is validated when the test ends.
 
-A test that writes a broken stage on purpose says so with ``@pytest.mark.broken_stages``.
+A test that writes a broken stage on purpose says so with ``@pytest.mark.broken_stages``. Tests solve their motion, also
+what an earlier run solved: the cache of motion is off but where it is tested.
 """
 
 from __future__ import annotations
 
+import os
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,6 +17,7 @@ USD_SUFFIXES = {".usd", ".usda", ".usdc", ".usdz"}
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    os.environ["VEHSIM_CACHE_GB"] = "0"
     config.addinivalue_line("markers", "broken_stages: the test writes stages that do not validate, on purpose")
     # where tests run in the background of a shell, Ctrl-C is ignored, also by what they start
     signal.signal(signal.SIGINT, signal.default_int_handler)

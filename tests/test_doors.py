@@ -34,7 +34,7 @@ FLOORS = (
     ("vehsim.integrators", "vehsim.world", "vehsim.clip", "vehsim._interpolate"),
     ("vehsim.vehicles", "vehsim.parts", "vehsim._meshes", "vehsim.rigging", "vehsim.blocking"),
     ("vehsim.lie", "vehsim._quaternions"),
-    ("vehsim.errors", "vehsim.assets", "vehsim._cache", "vehsim._ending", "vehsim._lazy"),
+    ("vehsim.errors", "vehsim.assets", "vehsim._cache", "vehsim._code", "vehsim._ending", "vehsim._lazy"),
 )
 """From the roof to the cellar; the rooms of one floor may see each other."""
 

@@ -42,6 +42,8 @@ def recalled(kind: str, key: object) -> bytes | None:
     with suppress(OSError):
         content = file.read_bytes()
         if sha256(content[:-SEAL]).digest() == content[-SEAL:]:
+            with suppress(OSError):  # a cache that may only be read
+                os.utime(file)  # used now: `shrink` spares it
             return content[:-SEAL]
         warnings.warn(f"{file}: damaged cache entry, made again", stacklevel=3)
     return None
@@ -62,6 +64,23 @@ def keep(kind: str, key: object, made: bytes) -> bytes:
         reason = error.strerror or type(error).__name__
         warnings.warn(f"{file.parent}: {kind}: could not be kept ({reason}); made again each time", stacklevel=3)
     return made
+
+
+def shrink(kind: str, most: int) -> None:
+    """Remove entries of ``kind``, those not used for longest first, until they take at most ``most`` bytes."""
+    entries = []
+    with suppress(OSError):
+        for file in cache_folder().glob(f"{kind}-*"):
+            with suppress(OSError):  # another process was quicker
+                stat = file.stat()
+                entries.append((stat.st_mtime_ns, stat.st_size, file))
+    total = sum(size for _, size, _ in entries)
+    for _, size, file in sorted(entries):
+        if total <= most:
+            return
+        with suppress(OSError):
+            file.unlink(missing_ok=True)
+        total -= size
 
 
 def _entry(kind: str, key: object) -> Path:

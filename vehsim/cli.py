@@ -81,6 +81,7 @@ def export(
         str | None, typer.Option(metavar="ADDRESS", help='A Dask scheduler, or "local" for N processes here.')
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Leave clips that are finished and whole.")] = False,
+    no_cache: Annotated[bool, typer.Option("--no-cache", help="Solve motion again that was solved before.")] = False,
     sets: Sets = None,
     only: Annotated[
         list[str] | None,
@@ -119,7 +120,8 @@ def export(
         for shot in loaded:
             print(f"{out / shot.name}: {', '.join(names)} of {_arguments.summary(shot)}")
         raise typer.Exit(WRONG_INPUT if errors else 0)
-    tasks = [prepare(shot, out, names, quality is Quality.draft, resume, checked=True) for shot in loaded]
+    how = {"draft": quality is Quality.draft, "resume": resume, "cached": not no_cache}
+    tasks = [prepare(shot, out, names, checked=True, **how) for shot in loaded]
     outcomes = {}
     try:
         with watch(tasks, screen, log.value, quiet) as watcher:

@@ -13,6 +13,7 @@ import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -145,6 +146,13 @@ class Clip:
         """Write the clip as ``.npz``, beside and then into place. `Clip.load` reads it back bit for bit."""
         path = Path(path).with_suffix(".npz")
         path.parent.mkdir(parents=True, exist_ok=True)
+        beside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+        beside.write_bytes(self.to_bytes())
+        beside.replace(path)
+        return path
+
+    def to_bytes(self) -> bytes:
+        """What `save` writes; `from_bytes` reads it."""
         header = {
             "schema": 1,
             "vehicle": self.vehicle.name,
@@ -158,17 +166,24 @@ class Clip:
         arrays = {name: getattr(self, name) for name in _ARRAYS}
         arrays |= {f"channel.{name}": values for name, values in self.channels.items()}
         arrays |= {f"energy.{name}": values for name, values in self.energy.items()}
-        beside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-        with beside.open("wb") as file:
-            np.savez(file, header=np.array(json.dumps(header, sort_keys=True)), **arrays)  # type: ignore[arg-type]
-        beside.replace(path)
-        return path
+        buffer = BytesIO()
+        np.savez(buffer, header=np.array(json.dumps(header, sort_keys=True)), **arrays)  # type: ignore[arg-type]
+        return buffer.getvalue()
 
     @classmethod
     def load(cls, path: str | Path, vehicle: Vehicle | None = None) -> Clip:
         """Read a saved clip. ``vehicle``: whose clip it is, when it is neither shipped nor at its old folder."""
+        return cls._read(Path(path), vehicle, path)
+
+    @classmethod
+    def from_bytes(cls, content: bytes, vehicle: Vehicle | None = None) -> Clip:
+        """The clip that `to_bytes` wrote."""
+        return cls._read(BytesIO(content), vehicle, "clip")
+
+    @classmethod
+    def _read(cls, file: Path | BytesIO, vehicle: Vehicle | None, path: str | Path) -> Clip:
         try:
-            with np.load(Path(path), allow_pickle=False) as data:
+            with np.load(file, allow_pickle=False) as data:
                 arrays = {name: data[name] for name in data.files}
             header = json.loads(str(arrays.pop("header")))
             columns = {name: arrays[name] for name in _ARRAYS}

@@ -393,3 +393,14 @@ class _Draft:
             collision=tuple(apply(to_frame, mesh.points) for mesh in self.collision),
             rgba=largest.rgba if largest else (0.5, 0.5, 0.5, 1.0),
         )
+
+
+def dependencies(asset: Path) -> tuple[list[Path], list[str]]:
+    """Files that the USD file ``asset`` needs, itself included, and references that do not resolve."""
+    from pxr import UsdUtils
+
+    if asset.suffix == ".usdz":  # a package carries all it needs
+        return [asset], []
+    layers, assets, missing = UsdUtils.ComputeAllDependencies(str(asset))
+    paths = [layer.realPath for layer in layers] + [str(path) for path in assets]
+    return sorted({Path(path.split("[")[0]).resolve() for path in paths if path}), sorted(missing)

@@ -117,6 +117,8 @@ class Take:
     usd: UsdSettings = UsdSettings()
     report: dict[str, Any] = field(default_factory=dict)
     blockings: dict[str, Blocking] = field(default_factory=dict)
+    recalled: bool = False
+    """The motion is from the cache: it was solved before"""
 
     @property
     def content_hash(self) -> str:

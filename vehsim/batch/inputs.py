@@ -7,26 +7,26 @@ from __future__ import annotations
 
 import hashlib
 import json
-import platform
 from collections.abc import Iterable, Sequence
-from functools import cache, lru_cache
+from functools import cache
 from pathlib import Path
 from typing import Any
 
-from vehsim import __version__, exporters
+from vehsim import exporters
+from vehsim._code import VEHSIM, code
 from vehsim.delivery import GROUP, SIGN, entries, in_order
-from vehsim.exporters.packing import _dependencies
-from vehsim.exporters.report import PACKAGES, sha256, version
+from vehsim.exporters.report import sha256
 from vehsim.shot import Shot
+from vehsim.shot.inputs import content_of, motion_files, with_dependencies
 
 
 def fingerprint(shot: Shot, to: Sequence[str], draft: bool = False) -> str:
     """A hash of all that decides the bytes of a clip: shot, the files it names, exporters, and the code itself."""
     file = shot.file.model_copy(update={"sweep": None})
     made_of = {
-        "code": code(),
+        "code": code((VEHSIM, Path(str(exporters.__file__)).parent)),
         "shot": file.model_dump(mode="json", by_alias=True),
-        "files": [_content(path) for path in _files(shot)],
+        "files": [content_of(path) for path in _files(shot)],
         "world": shot.world.content_hash,
         "to": [_exporter(exporter.name) for exporter in in_order(to)],
         "draft": draft,
@@ -51,50 +51,11 @@ def is_finished(folder: Path, inputs: str, to: Sequence[str] = ()) -> bool:
 
 
 def _files(shot: Shot) -> Iterable[Path]:
-    """The files of a shot beside its own and its world's: rigs and looks with all they refer to, clips."""
-    for table in shot.file.vehicle:
-        rig = shot.vehicle(table).rig
-        if rig is not None:
-            yield (rig.folder or rig.asset.parent) / "vehicle.toml"
-            yield from _with_dependencies(rig.asset, rig.asset.stat().st_mtime_ns)
-        path = getattr(table.motion, "path", None)
-        if path is not None:
-            yield shot.folder / path
-    for blocking in shot.blockings().values():
-        yield from _with_dependencies(blocking.path, blocking.path.stat().st_mtime_ns)
+    """The files of a shot beside its own and its world's: those of its motion, and looks with all they refer to."""
+    yield from motion_files(shot)
     terrain = shot.world.terrain
     if terrain is not None and terrain.look is not None:
-        yield from _with_dependencies(terrain.look, terrain.look.stat().st_mtime_ns)
-
-
-@lru_cache(maxsize=64)
-def _with_dependencies(asset: Path, changed: int) -> tuple[Path, ...]:
-    return tuple(_dependencies(Path(asset).resolve())[0])
-
-
-def _content(path: Path) -> str | None:
-    """The hash of a file's bytes, None when it is not there; its name belongs to the file that refers to it."""
-    try:
-        stat = path.stat()
-    except OSError:
-        return None
-    return _hash(path, stat.st_mtime_ns, stat.st_size)
-
-
-@lru_cache(maxsize=1024)
-def _hash(path: Path, changed: int, size: int) -> str:
-    return sha256(path)
-
-
-@cache
-def code() -> str:
-    """The code at work and what it stands on: another version may well give other bytes."""
-    digest = hashlib.sha256(repr((__version__, platform.python_version(), platform.machine())).encode())
-    digest.update(repr([(package, version(package)) for package in PACKAGES]).encode())
-    for home in (Path(__file__).parents[1], Path(str(exporters.__file__)).parent):
-        for path in sorted(home.rglob("*.py")):
-            digest.update(path.relative_to(home).as_posix().encode() + path.read_bytes())
-    return digest.hexdigest()
+        yield from with_dependencies(terrain.look)
 
 
 @cache

@@ -25,19 +25,21 @@ def export_batch(
     dask: str | None = None,
     resume: bool = False,
     draft: bool = False,
+    cached: bool = True,
     memory: float | None = None,
     tell: Tell | None = None,
 ) -> list[Outcome]:
     """Export every shot to ``out/<name>/`` and write ``out/summary.json``. Returns the outcomes in the shots' order.
 
     ``workers`` processes, or a Dask cluster's (``dask``: its address or "local"); ``resume`` leaves finished clips;
-    ``draft``: quick pictures; ``memory``: a worker's address space, GB. One shot that fails stops no other. Scripts
+    ``draft``: quick pictures; ``cached=False`` solves motion again that was solved before; ``memory``: a
+    worker's address space, GB. One shot that fails stops no other. Scripts
     that call it keep the call below ``if __name__ == "__main__"``: workers import them. Raises ``InputError`` before
     anything is written, ``ExportError`` when the summary cannot be.
     """
     if workers > 1 and dask is None:
         warm_up()
-    tasks = [prepare(shot, Path(out), to, draft, resume) for shot in shots]
+    tasks = [prepare(shot, Path(out), to, draft, resume, cached=cached) for shot in shots]
     outcomes: dict[str, Outcome] = {}
     check_names(tasks)
     with closing(run(tasks, workers=workers, dask=dask, memory=memory, tell=tell)) as running:

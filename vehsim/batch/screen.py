@@ -105,7 +105,8 @@ class _Lines:
         elif outcome.frames is None:
             _answer(f"{task.target}: finished before")
         else:
-            _answer(f"{task.target}: {', '.join(task.to)} of frames {outcome.frames[0]} to {outcome.frames[1]}")
+            source = ", motion from the cache" * outcome.recalled
+            _answer(f"{task.target}: {', '.join(task.to)} of frames {outcome.frames[0]} to {outcome.frames[1]}{source}")
 
 
 class _AtWork(_Lines):
@@ -191,6 +192,7 @@ class _JsonLog:
             self._say("warning", clip=outcome.name, message=text)
         error = {"kind": outcome.kind, "message": outcome.message, "detail": outcome.detail}
         more = {key: value for key, value in error.items() if value} if outcome.state == "failed" else {}
+        more |= {"motion": "cache"} if outcome.recalled else {}
         seconds = round(outcome.seconds, 3)
         self._say(outcome.state, clip=outcome.name, source=self._sources[outcome.name], seconds=seconds, **more)
 

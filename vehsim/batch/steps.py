@@ -98,7 +98,7 @@ def _plan(task: Task, part: tuple[int, int]) -> None:
     with _whole(task, "plan") as folder:
         if folder is None:
             return
-        take = _shot(task).solve(checked=task.checked)
+        take = _shot(task).solve(checked=task.checked, cached=task.cached)
         for name, clip in take.clips.items():
             clip.save(folder / f"{name}.npz")
         said = {"report": _plain(take.report), "frames": list(take.frames)}

@@ -32,7 +32,7 @@ class Task:
     """A clip to be exported to ``out/<name>/``. ``shot``: a shot file's data; ``inputs``: the hash of all it needs.
 
     ``field``: it needs the distance field of this terrain (by hash), which is measured once for all. ``checked``: the
-    shot was, with these inputs.
+    shot was, with these inputs. ``cached``: motion that was solved before is taken from the cache.
     """
 
     name: str
@@ -46,6 +46,7 @@ class Task:
     resume: bool = False
     field: str | None = None
     checked: bool = False
+    cached: bool = True
 
     @property
     def target(self) -> Path:
@@ -67,10 +68,18 @@ class Outcome:
     detail: str = ""
     retire: bool = False
     """the process that gave it had better end: it ran out of memory"""
+    recalled: bool = False
+    """its motion is from the cache"""
 
 
 def prepare(
-    shot: Any, out: Path, to: Sequence[str], draft: bool = False, resume: bool = False, checked: bool = False
+    shot: Any,
+    out: Path,
+    to: Sequence[str],
+    draft: bool = False,
+    resume: bool = False,
+    checked: bool = False,
+    cached: bool = True,
 ) -> Task:
     """The task of a shot; one that was not ``checked`` is before it is solved."""
     from vehsim.batch.inputs import fingerprint
@@ -88,6 +97,7 @@ def prepare(
         resume=resume,
         field=terrain.content_hash if terrain is not None and _measures(shot) else None,
         checked=checked,
+        cached=cached,
     )
 
 
@@ -132,7 +142,9 @@ def _work(task: Task, tell: Tell) -> Outcome:
     shot = Shot.from_dict(task.shot, task.folder, task.source)
     if fingerprint(shot, task.to, task.draft) != task.inputs:
         raise InputError(f"{task.source}: its files or vehsim itself changed while the batch ran; export it again")
-    take = shot.solve(lambda what, done: tell(task.name, "planning", what, done), checked=task.checked)
+    take = shot.solve(
+        lambda what, done: tell(task.name, "planning", what, done), checked=task.checked, cached=task.cached
+    )
     take = replace(
         take,
         render=take.render.draft() if task.draft else take.render,
@@ -143,7 +155,7 @@ def _work(task: Task, tell: Tell) -> Outcome:
         tell(task.name, "rendering" if what.startswith(RENDERING) else "baking", what, done)
 
     take.export(task.out, task.to, bake)
-    return Outcome(task.name, "done", frames=take.frames)
+    return Outcome(task.name, "done", frames=take.frames, recalled=take.recalled)
 
 
 def measure(task: Task) -> None:

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from vehsim.blocking import Blocking
     from vehsim.cameras import Camera, CameraRig
     from vehsim.clip import Clip
+    from vehsim.shot.kept import Motion
     from vehsim.shot.motions import SimulateMotion
     from vehsim.take import Progress, RenderSettings, Take, UsdSettings
     from vehsim.vehicles import Vehicle
@@ -133,10 +134,11 @@ class Shot:
         """Everything wrong that can be known before solving; nothing is written. Warnings have their severity."""
         return [_place(problem, self.source, self._lines) for problem in self._check()]
 
-    def solve(self, progress: Progress | None = None, *, checked: bool = False) -> Take:
+    def solve(self, progress: Progress | None = None, *, checked: bool = False, cached: bool = True) -> Take:
         """Check, then solve every vehicle's motion and every camera. Raises ``ShotError`` and ``SolveError``.
 
-        ``checked``: this was done before, and nothing that the shot is made of has changed since.
+        ``checked``: this was done before, and nothing that the shot is made of has changed since. ``cached``: motion
+        that was solved before, on this machine and for the same vehicles, world and marks, is taken from the cache.
         """
         from vehsim.take import Take
         from vehsim.world.ground import lift
@@ -144,7 +146,8 @@ class Shot:
         errors = [] if checked else [problem for problem in self.check() if problem.severity == "error"]
         if errors:
             raise ShotError(errors)
-        clips, vehicles = self._solve_vehicles(progress or (lambda what, done: None))
+        progress = progress or (lambda what, done: None)
+        (clips, vehicles), recalled = self._motion(progress, cached)
         marks = {name: report.pop("marks", []) for name, report in vehicles.items()}
         asks = {name: report.pop("asks", []) for name, report in vehicles.items()}
         frames = self._frames(clips)
@@ -165,6 +168,7 @@ class Shot:
             render=self.render,
             usd=self.usd,
             blockings=self.blockings(),
+            recalled=recalled,
             report={
                 "shot": self.file.model_dump(mode="json", by_alias=True, exclude_unset=True),
                 "vehicles": vehicles,
@@ -277,6 +281,17 @@ class Shot:
             if camera.look_at is not None and camera.look_at == camera.position:
                 yield Problem(f"camera[{i}].look_at", "the camera stands there", "look elsewhere", camera.look_at)
         yield from check_cuts(self.file)
+
+    def _motion(self, progress: Progress, cached: bool) -> tuple[Motion, bool]:
+        """Clips and reports by vehicle, and whether they are from the cache."""
+        from vehsim.shot.kept import FROM_CACHE, recalled_or
+
+        if not cached:
+            return self._solve_vehicles(progress), False
+        motion, recalled = recalled_or(lambda: self._solve_vehicles(progress), self)
+        if recalled:
+            progress(FROM_CACHE, 1.0)
+        return motion, recalled
 
     def _solve_vehicles(self, progress: Progress) -> tuple[dict[str, Clip], dict[str, Any]]:
         clips: dict[str, Clip] = {}
