@@ -31,11 +31,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seeds", default="0-999", help="such as 0-99 or 7 or 3,5,8 [default: 0-999]")
     parser.add_argument("--out", type=Path, default=Path("audit_random"), help="folder of results")
     parser.add_argument("--seconds", type=float, default=300.0, help="time limit of one shot")
+    parser.add_argument("--only", default="", help="shots with one of these words, such as hold,loop")
+    parser.add_argument("--without", default="", help="shots without any of these words, such as canyon,map")
     parser.add_argument("--again", action="store_true", help="verify finished deliveries once more; export nothing")
     parser.add_argument("--keep", action="store_true", help="keep deliveries that were not refuted")
     parser.add_argument("--summary", action="store_true", help="only sum up what is there")
     options = parser.parse_args(arguments)
+    only, without = (set(filter(None, words.split(","))) for words in (options.only, options.without))
     for seed in () if options.summary else _seeds(options.seeds):
+        words = set(make_shot(seed).words)
+        if (only and not words & only) or words & without:
+            continue
         folder = options.out / str(seed)
         done = (folder / "result.json").is_file()
         if options.again and not (folder / DELIVERY).is_dir():

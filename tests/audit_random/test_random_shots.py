@@ -1,0 +1,34 @@
+"""Forty small random shots: what is said to be solved is measured from its USD, by a script that knows no vehsim."""
+
+from __future__ import annotations
+
+import tomllib
+import warnings
+from pathlib import Path
+
+import pytest
+
+from tests.audit_random.test_verifier import ROOT, load
+from vehsim.shot import Shot
+
+shots = load(ROOT / "tools" / "audit_random" / "shots.py")
+verify = load(ROOT / "tools" / "audit_random" / "verify.py")
+
+SEEDS = (12, 13)
+"""Quick ones of all kinds; `make audit-random` runs a thousand."""
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_success_is_not_refuted(seed: int, tmp_path: Path) -> None:
+    path = shots.write_shot(shots.make_shot(seed), tmp_path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        folder = Shot.load(path).solve().export(tmp_path / "out", to=("usd",))
+    found = verify.verify(tomllib.loads(path.read_text(encoding="utf-8")), next(folder.glob("*.usda")))
+    assert [row.text for row in found.rows if row.ask != "pilot"] == []
+    assert found.checks.total() > 5
+
+
+def test_the_same_seed_gives_the_same_shot() -> None:
+    assert shots.to_toml(shots.make_shot(7).table) == shots.to_toml(shots.make_shot(7).table)
+    assert len({shots.to_toml(shots.make_shot(seed).table) for seed in range(50)}) == 50
