@@ -371,8 +371,10 @@ def _hold_off(motion: Motion, mark: Mapping[str, Any], first: float, last: float
     else:
         tolerance = PLACE
     off = np.abs(motion.positions[rows] - place)[:, :shown].max()
-    turned = np.degrees(np.linalg.norm(rotation_vectors(motion.rotations[i].T @ motion.rotations[rows]), axis=1)).max()
-    pace = (np.linalg.norm(np.diff(motion.positions[rows], axis=0), axis=1) / np.diff(motion.seconds[rows])).max()
+    turned = np.degrees(rotation_vectors(motion.rotations[i].T @ motion.rotations[rows]))
+    turned = np.linalg.norm(turned if motion.flies else turned[:, 2:], axis=1).max()  # a car may nod on its springs
+    steps = np.diff(motion.positions[rows][:, :shown], axis=0)
+    pace = (np.linalg.norm(steps, axis=1) / np.diff(motion.seconds[rows])).max()
     found = [("hold.position", float(off), tolerance, "m"), ("hold.turn", float(turned), TURN, "deg")]
     return [*found, ("hold.speed", float(pace), PACE, "m/s")]
 
@@ -424,20 +426,22 @@ def check_marks(motion: Motion, found: Findings) -> list[int]:
 
 
 def _best_frame(motion: Motion, mark: Mapping[str, Any], first: float, last: float, end: bool) -> tuple[int, list[Any]]:
-    """The frame at which a free mark is met, or is missed least in place; the last one from the end backwards."""
+    """The frame at which a free mark is met, or is missed least: the end for the last one, else near its place."""
     frames = np.arange(math.ceil(first), math.floor(last) + 1)
     if "position" in mark and len(frames):
-        rows = [motion.at(f) for f in frames]
-        off = np.linalg.norm((motion.positions[rows] - mark["position"])[:, : motion.shown], axis=1)
-        frames = frames[np.argsort(off, kind="stable")[:60]]
+        shown = 2 if mark.get("on_ground") else motion.shown
+        off = motion.positions[[motion.at(f) for f in frames]] - mark["position"]
+        frames = frames[np.argsort(np.linalg.norm(off[:, :shown], axis=1), kind="stable")]
+    if end and len(frames):
+        frames = np.insert(frames[:200], 0, math.floor(last))
     best: tuple[int, list[Any]] | None = None
     least = math.inf
-    for frame in frames[::-1] if end and "position" not in mark else frames:
+    for frame in frames[:200]:
         measured = mark_off(motion, mark, float(frame))
         wrong = max((off / max(bound, 1e-6) for _, off, bound, _ in measured), default=0.0)
         if wrong <= 1.0:
             return int(frame), measured
-        if wrong < least:
+        if wrong < least and not (end and best):
             least, best = wrong, (int(frame), measured)
     return best or (int(first), [("mark.frame", math.inf, 0.0, "")])
 
