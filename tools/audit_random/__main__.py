@@ -80,6 +80,7 @@ def run_shot(seed: int, folder: Path, seconds: float) -> dict[str, Any]:
         "seed": seed,
         "version": version(),
         "words": draft.words,
+        "asset": draft.table["vehicle"][-1]["asset"],
         "exit": code,
         "seconds": round(time.monotonic() - start, 2),
         "processor_seconds": round(_processor_seconds() - used, 2),
@@ -124,15 +125,18 @@ def summary(results: dict[int, dict[str, Any]]) -> str:
     refuted = {seed: r for seed, r in sorted(results.items()) if r["refuted"]}
     checks: Counter[str] = Counter()
     failed: Counter[str] = Counter()
+    worst: dict[str, dict[str, Any]] = {}
     for r in solved:
         checks.update(r.get("checks", {}))
         failed.update({row["ask"] for row in r["refuted"]})
+        worst |= {row["ask"]: _worse(worst.get(row["ask"]), row) for row in r["refuted"]}
     lines = [f"{len(results)} shots: {len(solved)} delivered, {len(refuted)} of them refuted."]
     lines.append(f"{sum(r.get('overruled', False) for r in results.values())} times vehsim's own audit overruled.")
     exits = Counter(r["exit"] for r in results.values())
     lines.append("Exit codes: " + ", ".join(f"{code}: {count}" for code, count in sorted(exits.items())) + ".")
-    lines += ["", "| ask | shots measured | refuted |", "|---|---|---|"]
-    lines += [f"| {ask} | {count} | {failed[ask]} |" for ask, count in sorted(checks.items())]
+    lines += ["", "| ask | measured | shots refuted | worst |", "|---|---|---|---|"]
+    for ask, count in sorted(checks.items()):
+        lines.append(f"| {ask} | {count} | {failed[ask]} | {worst[ask]['text'] if ask in worst else ''} |")
     lines += ["", "| family | shots | delivered | refuted |", "|---|---|---|---|"]
     for family, rows in sorted(_families(results.values()).items()):
         delivered = sum(r["exit"] == 0 for r in rows)
@@ -142,13 +146,17 @@ def summary(results: dict[int, dict[str, Any]]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def _worse(one: dict[str, Any] | None, other: dict[str, Any]) -> dict[str, Any]:
+    """Of two things refuted of one ask, the one that is further beyond its bound."""
+    return other if one is None or other["value"] - other["bound"] > one["value"] - one["bound"] else one
+
+
 def _families(results: Iterable[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
     families = defaultdict(list)
     for result in results:
         for word in result["words"]:
             families[word].append(result)
-        if result["words"][0] in ("plan", "sinusoid"):
-            families[f"{result['words'][0]} {result['words'][1]}"].append(result)
+        families[f"{result['words'][0]}, {result['asset']}"].append(result)
     return families
 
 

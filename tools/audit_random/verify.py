@@ -197,6 +197,13 @@ class Motion:
     def headings(self) -> Array:
         return np.degrees(np.arctan2(self.rotations[:, 1, 0], self.rotations[:, 0, 0]))
 
+    def turning(self, i: int, rows: Array) -> Array:
+        """By how much it is turned at samples, (n, 3) rad from sample i: what drives may nod on its springs, and
+        counts by its heading alone, (n, 1)."""
+        if self.flies:
+            return rotation_vectors(self.rotations[i].T @ self.rotations[rows])
+        return np.radians((self.headings[rows] - self.headings[i] + 180) % 360 - 180)[:, None]
+
     @cached_property
     def shown(self) -> int:
         """How many coordinates of the position can be asked for: the ground decides the height of what drives."""
@@ -322,8 +329,7 @@ def mark_off(motion: Motion, mark: Mapping[str, Any], frame: float) -> list[tupl
         wrong = off_rate(times, motion.positions[near][:, :shown], k, np.array(velocity, float)[:shown])
         rows.append(("mark.velocity", wrong, PACE, "m/s"))
         if not any(velocity):
-            turning = rotation_vectors(turned.T @ motion.rotations[near])
-            turning = turning if motion.flies else turning[:, 2:]
+            turning = motion.turning(i, near)
             spin = off_rate(times, turning, k, np.zeros(turning.shape[1]))
             rows.append(("mark.rest", math.degrees(spin), SPIN, "deg/s"))
     if "speed" in mark:
@@ -371,8 +377,7 @@ def _hold_off(motion: Motion, mark: Mapping[str, Any], first: float, last: float
     else:
         tolerance = PLACE
     off = np.abs(motion.positions[rows] - place)[:, :shown].max()
-    turned = np.degrees(rotation_vectors(motion.rotations[i].T @ motion.rotations[rows]))
-    turned = np.linalg.norm(turned if motion.flies else turned[:, 2:], axis=1).max()  # a car may nod on its springs
+    turned = np.degrees(np.linalg.norm(motion.turning(i, rows), axis=1)).max()
     steps = np.diff(motion.positions[rows][:, :shown], axis=0)
     pace = (np.linalg.norm(steps, axis=1) / np.diff(motion.seconds[rows])).max()
     found = [("hold.position", float(off), tolerance, "m"), ("hold.turn", float(turned), TURN, "deg")]
@@ -457,12 +462,15 @@ def check_limits(motion: Motion, first: float, last: float, found: Findings) -> 
     h = np.diff(t)[:, None]
     v = np.diff(x, axis=0) / h
     a = 2 * np.diff(v, axis=0) / (h[1:] + h[:-1])
-    turning = rotation_vectors(np.swapaxes(R[:-1], 1, 2) @ R[1:]) / h
+    if motion.flies:
+        turning = rotation_vectors(np.swapaxes(R[:-1], 1, 2) @ R[1:]) / h
+    else:
+        turning = np.radians((np.diff(motion.headings[rows]) + 180) % 360 - 180)[:, None] / h
     flat = np.r_[1.0, 1.0, 1.0 if motion.flies else 0.0]  # what drives follows the ground up and down
     measured: dict[str, Array] = {
         "speed": np.linalg.norm(v, axis=1),
         "climb": np.abs(v[:, 2]),
-        "turn_rate": np.degrees(np.linalg.norm(turning, axis=1) if motion.flies else np.abs(turning[:, 2])),
+        "turn_rate": np.degrees(np.linalg.norm(turning, axis=1)),
         "bank": np.degrees(np.arccos(np.clip(R[:, 2, 2], -1, 1))),
         "ceiling": x[:, 2],
         "acceleration": np.linalg.norm(a * flat, axis=1),
