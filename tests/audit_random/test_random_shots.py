@@ -24,7 +24,7 @@ def test_a_success_is_not_refuted(seed: int, tmp_path: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         folder = Shot.load(path).solve().export(tmp_path / "out", to=("usd",))
-    found = verify.verify(tomllib.loads(path.read_text(encoding="utf-8")), next(folder.glob("*.usda")))
+    found = verify.verify(tomllib.loads(path.read_text(encoding="utf-8")), next(folder.glob("*.usda")), tmp_path)
     assert [row.text for row in found.rows if row.ask != "pilot"] == []
     assert found.checks.total() > 5
 

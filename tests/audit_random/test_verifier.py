@@ -160,7 +160,8 @@ def flight() -> tuple[Delivery, dict[str, Any]]:
     }
     look = {"at": [60, 0, 20], "within": 4.0}
     stay = {"above": 20.0, "below": 22.0, "inside": [-1, -1, 13, 1]}
-    return made, shot("helicopter", marks, limits=limits, look=[look], stay=[stay], clearance=0.8)
+    asked = shot("helicopter", marks, limits=limits, look=[look], stay=[stay], clearance=0.8)
+    return made, asked | {"world": {"obstacle": [{"shape": "box", "centre": [6, 9, 20], "size": [2, 2, 6]}]}}
 
 
 def _slope(frames: float) -> float:
@@ -185,7 +186,7 @@ def drive() -> tuple[Delivery, dict[str, Any]]:
         {"frame": LAST - STILL, "position": [12, 0, 0], **REST, "hold": STILL},
     ]
     limits = {"steering": 5.8, "steering_rate": 8.0, "joints": {"sigma": 0.1}, "joint_rates": {"sigma": 0.15}}
-    return made, shot("car", marks, limits=limits, clearance=0.5)
+    return made, shot("car", marks, limits=limits, clearance=0.5) | {"world": {"terrain": "flat"}}
 
 
 def landing() -> tuple[Delivery, dict[str, Any]]:
@@ -216,6 +217,19 @@ def free() -> tuple[Delivery, dict[str, Any]]:
         {"frame": "free", "position": END, **REST, "hold": STILL},
     ]
     return made, shot("helicopter", marks)
+
+
+def handles() -> tuple[Delivery, dict[str, Any]]:
+    """A cut out of a flight that goes on before and after it."""
+    made = Delivery("helicopter", START, END)
+    asked = shot("helicopter", [{"frame": FIRST + 50, "position": [*_place(-10)]}, {"frame": LAST - 50}])
+    asked["shot"] |= {"start_frame": FIRST + 50, "end_frame": LAST - 50, "handles": 50}
+    return made, asked
+
+
+def halt(made: Delivery) -> None:
+    """It stands still from the last frame of the cut on."""
+    made.x[made.frames > LAST - 50] = made.x[made.frames == LAST - 50]
 
 
 def spoil_x(k: int, width: float, size: float, centre: float = MIDDLE) -> Callable[[Delivery], None]:
@@ -306,6 +320,10 @@ SPOILS: list[tuple[str, Callable[[], Any], Callable[[Delivery], None]]] = [
     ("on_ground.level", landing, spoil_angle(0, 40, 0.1, LAST)),
     ("on_ground.descent", landing, sink),
     ("wheels", drive, spoil_x(2, 20, 0.01)),
+    ("handles", handles, halt),
+    ("obstacles", flight, set_attribute("boxes", [((6.0, 9.0, 23.0), (2.0, 2.0, 5.99))])),
+    ("obstacles", flight, set_attribute("boxes", [])),
+    ("terrain", drive, set_attribute("ground", -0.002)),
     ("samples", flight, set_attribute("dropped", [30])),
     ("time codes", flight, set_attribute("fps", 25.0)),
     ("time codes", flight, set_attribute("last", LAST + 1)),
@@ -313,7 +331,7 @@ SPOILS: list[tuple[str, Callable[[], Any], Callable[[Delivery], None]]] = [
 ]
 
 
-@pytest.mark.parametrize("case", [flight, drive, landing, circuit, free])
+@pytest.mark.parametrize("case", [flight, drive, landing, circuit, free, handles])
 def test_nothing_is_refuted_of_what_is_right(case: Callable[[], Any], tmp_path: Path) -> None:
     made, asked = case()
     found = verify.verify(asked, made.write(tmp_path))

@@ -749,6 +749,74 @@ def check_start(motion: Motion, frame: float, found: Findings) -> None:
         found.hold("free flight", bend, 1e-3, motion.frames[rows][1:-1], f"{motion.name}: leaves its straight line")
 
 
+def check_handles(motion: Motion, header: Mapping[str, Any], first: float, last: float, found: Findings) -> None:
+    """Through its handles a motion goes on as it moved: the velocities on both sides of the cut agree."""
+    for frame, end in ((first, "start_frame"), (last, "end_frame")):
+        if header.get("handles", 0) < 4 or header.get(end, 1001) != frame:
+            continue
+        i = motion.at(frame)
+        sides = [motion.whole[motion.whole <= i][-7:], motion.whole[motion.whole >= i][:7]]
+        (before, error), (after, other) = (
+            rates(motion.seconds[rows], motion.positions[rows], int(np.flatnonzero(rows == i)[0]))[0] for rows in sides
+        )
+        jump = np.linalg.norm(after - before) - 4 * (error + other)
+        found.hold("handles", jump, 0.01, frame, f"{motion.name}: its velocity jumps where a handle begins", "m/s")
+
+
+# ---------------------------------------------------------------- the world
+
+
+def check_world(stage: Stage, shot: Mapping[str, Any], folder: Path, found: Findings) -> None:
+    """Obstacles stand where they were put, as high and as wide; the ground is as high as its file says."""
+    world = shot.get("world", {})
+    standing = [table for table in world.get("obstacle", []) if table["shape"] != "vehicle"]
+    groups: dict[str, list[Array]] = {}
+    for mesh, points, _ in stage.meshes(stage.prim("env/obstacles")):
+        name = str(mesh.GetPath()).split("/env/obstacles/")[1].split("/")[0]
+        groups.setdefault(name, []).append(stage.world(mesh, points, [stage.first])[0])
+    found.hold("obstacles", abs(len(groups) - len(standing)), 0, stage.first, "standing obstacles more or less")
+    for table, (name, parts) in zip(standing, groups.items(), strict=False):
+        corners, wanted = np.concatenate(parts), np.array(_box_of(table))
+        off = np.abs([corners.min(axis=0), corners.max(axis=0)] - wanted).max()
+        round_off = 0.05 * np.ptp(wanted, axis=0).max() if table["shape"] in ("ellipse", "sphere") else 0.0
+        found.hold("obstacles", off, PLACE + round_off, stage.first, f"{name}: its box is off", "m")
+    terrain = world.get("terrain", "")
+    if terrain.endswith(".npz"):
+        file = np.load(folder / terrain)
+        rows, cols = np.indices(file["heights"].shape)
+        k = np.linspace(0, rows.size - 1, 500).astype(int)
+        x, y = (file["origin"][n] + file["cell"][n] * grid.ravel()[k] for n, grid in ((0, cols), (1, rows)))
+        gaps = Ground(stage).distances(np.column_stack([x, y, file["heights"].ravel()[k]]))
+        found.hold("terrain", np.abs(gaps), PLACE, stage.first, "the ground is off its file", "m")
+    elif terrain == "flat":
+        ground = Ground(stage).points
+        found.hold("terrain", np.abs(ground[:, 2]), PLACE, stage.first, "the ground is not at zero", "m")
+
+
+def _box_of(table: Mapping[str, Any]) -> tuple[Any, Any]:
+    """The lower and upper corner of an obstacle of a shot file."""
+    turned = math.radians(table.get("heading", 0.0))
+    if table["shape"] == "sphere":
+        centre, radius = np.array(table["centre"]), table["radius"]
+        return centre - radius, centre + radius
+    if table["shape"] == "box":
+        (x, y, low), (length, width, height) = table["centre"], table["size"]
+        reach = [abs(length * math.cos(turned)) + abs(width * math.sin(turned))]
+        reach.append(abs(length * math.sin(turned)) + abs(width * math.cos(turned)))
+        return (x - reach[0] / 2, y - reach[1] / 2, low), (x + reach[0] / 2, y + reach[1] / 2, low + height)
+    low = table.get("base", 0.0)
+    if table["shape"] == "polygon":
+        corners = np.array(table["points"])
+    else:
+        around = np.linspace(0, 2 * math.pi, 721)
+        a, b = table["radii"][0] * np.cos(around), table["radii"][1] * np.sin(around)
+        corners = np.column_stack(
+            [a * math.cos(turned) - b * math.sin(turned), a * math.sin(turned) + b * math.cos(turned)]
+        )
+        corners += table["centre"]
+    return (*corners.min(axis=0), low), (*corners.max(axis=0), low + table.get("height", 1.0))
+
+
 # ---------------------------------------------------------------- the whole delivery
 
 
@@ -760,8 +828,8 @@ def rate(given: Any) -> float:
     return whole if "/" not in text and value != round(value) and abs(value - whole) < 0.005 else value
 
 
-def verify(shot: Mapping[str, Any], path: Path) -> Findings:
-    """What is refuted of a delivery, and how often every kind of ask was measured."""
+def verify(shot: Mapping[str, Any], path: Path, folder: Path = Path()) -> Findings:
+    """What is refuted of a delivery, and how often every kind of ask was measured; ``folder`` is the shot file's."""
     found, stage = Findings(), Stage(path)
     header = shot["shot"]
     fps, first = rate(header.get("fps", 24)), header.get("start_frame", 1001) - header.get("handles", 0)
@@ -774,6 +842,7 @@ def verify(shot: Mapping[str, Any], path: Path) -> Findings:
     found.hold("units", abs(stage.unit / wanted.get("meters_per_unit", 1.0) - 1), 1e-9, first, "metres a unit")
     found.hold("units", float((stage.axes[1, 1] == 1) != (wanted.get("up_axis", "Z") == "Z")), 0.0, first, "up axis")
 
+    check_world(stage, shot, folder, found)
     motions = {table["name"]: read_motion(stage, table) for table in shot["vehicle"]}
     ends = [first]
     for motion in motions.values():
@@ -792,6 +861,7 @@ def verify(shot: Mapping[str, Any], path: Path) -> Findings:
             check_loop(motion, begin, end, found)
             check_clearance(motion, motions, shot.get("world", {}), marks, found)
             check_descent(motion, marks, found)
+            check_handles(motion, header, begin, end, found)
         else:
             check_start(motion, first, found)
             if "duration" in motion.asked:
@@ -819,7 +889,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("stage", type=Path)
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args(arguments)
-    found = verify(tomllib.loads(options.shot.read_text(encoding="utf-8")), options.stage)
+    found = verify(tomllib.loads(options.shot.read_text(encoding="utf-8")), options.stage, options.shot.parent)
     if options.json:
         print(json.dumps({"refuted": [asdict(row) for row in found.rows], "checks": found.checks}))
     else:
