@@ -313,3 +313,28 @@ def test_a_near_miss_between_frames_is_seen() -> None:
     wanted = {"clearance": 1.0, "obstacles_only": False, "slope": 0.35}
     (row,) = audit(track_of_clip(straight), [ask("clearance", 1, 25, wanted, lower=0.99)], scene)
     assert row.met is False and row.frame is not None
+
+
+def nodding(yaw_rate: float = 0.0) -> Any:
+    """The stage's poses of a car that stands on a slope and nods on its springs, turning at ``yaw_rate`` rad/s."""
+    frames = 1 + np.arange(385) / 8
+    t = (frames - 1) / 24
+    pitch, roll, yaw = 0.1 + 0.01 * np.sin(9 * t), np.full_like(t, 0.08), yaw_rate * t
+    T = np.tile(np.eye(4), (len(t), 1, 1))
+    zero = np.zeros_like(t)
+    axes = [np.column_stack(columns) for columns in ((zero, zero, yaw), (zero, pitch, zero), (roll, zero, zero))]
+    T[:, :3, :3] = matrices(product(product(from_vectors(axes[0]), from_vectors(axes[1])), from_vectors(axes[2])))
+    T[:, 2, 3] = 0.02 * np.sin(9 * t)
+    return track_of_poses(frames, Fraction(24), T)
+
+
+@pytest.mark.parametrize(("yaw_rate", "wrong"), [(0.0, set()), (0.01, {"velocity (turning)", "hold (turning)"})])
+def test_what_drives_may_nod_on_its_springs_but_not_turn(yaw_rate: float, wrong: set[str]) -> None:
+    asks = list(mark_asks("mark", 10, hold=20, position=(0, 0, 0), velocity=(0, 0, 0), planar=True))
+    rows = audit(nodding(yaw_rate), [*asks, ask("speed", wanted={"planar": True}, upper=1e-6)])
+    assert {row.key.removeprefix("mark.") for row in missed(rows)} == wrong
+
+
+def test_what_flies_may_not_nod() -> None:
+    asks = mark_asks("mark", 10, hold=20, position=(0, 0, 0), velocity=(0, 0, 0))
+    assert len(missed(audit(nodding(), asks))) == 5

@@ -1,6 +1,8 @@
 """How each kind of ask is measured on a motion: a few lines of geometry each, none of the optimiser's.
 
 A measure takes a `Track` cut to the ask's frames, what is wanted, and the scene, and returns a value for every sample.
+Where ``planar`` is wanted, a vehicle on wheels or calm water is measured from above, and its turning by its heading:
+the ground and its springs decide about the rest.
 """
 
 from __future__ import annotations
@@ -53,7 +55,7 @@ def _velocity(track: Track, wanted: Wanted, scene: Scene) -> Array:
 
 def _speed_error(track: Track, wanted: Wanted, scene: Scene) -> Array:
     """Difference to a speed, m/s."""
-    off = np.abs(np.linalg.norm(track.velocities, axis=1) - wanted["speed"])
+    off = np.abs(_norms(_shown(track.velocities, wanted)) - wanted["speed"])
     return _less(off, track.blur.velocity)
 
 
@@ -64,27 +66,27 @@ def _joint_error(track: Track, wanted: Wanted, scene: Scene) -> Array:
 
 def _drift(track: Track, wanted: Wanted, scene: Scene) -> Array:
     """How far the root has gone since the first sample, m."""
-    return np.asarray(np.linalg.norm(track.positions - track.positions[0], axis=1))
+    return _norms(_shown(track.positions - track.positions[0], wanted))
 
 
 def _turned(track: Track, wanted: Wanted, scene: Scene) -> Array:
     """Angle turned through since the first sample, rad."""
-    return _angles(track.rotations[0], track.rotations)
+    return _between(track.rotations[0], track.rotations, wanted)
 
 
 def _closure(track: Track, wanted: Wanted, scene: Scene) -> Array:
     """How far the last sample is from the first, m; nan before."""
-    return _at_end(track, np.linalg.norm(track.positions[-1] - track.positions[0]))
+    return _at_end(track, _norms(_shown(track.positions[-1] - track.positions[0], wanted)))
 
 
 def _closure_angle(track: Track, wanted: Wanted, scene: Scene) -> Array:
     """Angle between the first and the last orientation, rad; nan before."""
-    return _at_end(track, _angles(track.rotations[0], track.rotations[-1:])[0])
+    return _at_end(track, _between(track.rotations[0], track.rotations[-1:], wanted)[0])
 
 
 def _closure_velocity(track: Track, wanted: Wanted, scene: Scene) -> Array:
     """Difference between the last velocity and the first, m/s; nan before."""
-    off = np.linalg.norm(track.velocities[-1] - track.velocities[0])
+    off = _norms(_shown(track.velocities[-1] - track.velocities[0], wanted))
     blur = track.blur.velocity[0] + track.blur.velocity[-1]
     return _at_end(track, max(off - blur, 0.0))
 
@@ -119,7 +121,7 @@ def _in_gate(track: Track, wanted: Wanted) -> Array:
 
 def _speed(track: Track, wanted: Wanted, scene: Scene) -> Array:
     """Speed of the root, m/s."""
-    return np.asarray(np.linalg.norm(track.velocities, axis=1))
+    return _norms(_shown(track.velocities, wanted))
 
 
 def _ceiling(track: Track, wanted: Wanted, scene: Scene) -> Array:
@@ -134,8 +136,12 @@ def _climb(track: Track, wanted: Wanted, scene: Scene) -> Array:
 
 def _turn_rate(track: Track, wanted: Wanted, scene: Scene) -> Array:
     """Size of the angular velocity, rad/s."""
-    rate = np.linalg.norm(track.omegas, axis=1)
-    return _less(rate, track.blur.omega)
+    if not wanted.get("planar"):
+        return _less(_norms(track.omegas), track.blur.omega)
+    nose, aside, up = np.moveaxis(track.rotations, 2, 0)
+    moving = track.omegas[:, 2:] * aside - track.omegas[:, 1:2] * up  # how the nose's direction changes
+    rate = (nose[:, 0] * moving[:, 1] - nose[:, 1] * moving[:, 0]) / (nose[:, 0] ** 2 + nose[:, 1] ** 2)
+    return _less(np.abs(rate), track.blur.omega)
 
 
 def _bank(track: Track, wanted: Wanted, scene: Scene) -> Array:
@@ -146,12 +152,12 @@ def _bank(track: Track, wanted: Wanted, scene: Scene) -> Array:
 def _acceleration(track: Track, wanted: Wanted, scene: Scene) -> Array:
     """Size of the root's mean acceleration over the frame about each sample, m/s^2; nan within half a frame of the
     ends."""
-    return _norms(_accelerations(track))
+    return _norms(_shown(_accelerations(track), wanted))
 
 
 def _g_load(track: Track, wanted: Wanted, scene: Scene) -> Array:
     """What the crew feels over the frame about each sample, in g; nan within half a frame of the ends."""
-    return _norms((_accelerations(track) + GRAVITY) / GRAVITY[2])
+    return _norms((_shown(_accelerations(track), wanted) + GRAVITY) / GRAVITY[2])
 
 
 def _accelerations(track: Track) -> Array:
@@ -255,6 +261,19 @@ def _angles(R: Array, others: Array) -> Array:
     """Angles (n,) rad between a rotation (3, 3) and others (n, 3, 3); exact for small ones too."""
     chord = np.linalg.norm(others - R, axis=(1, 2)) / np.sqrt(8.0)
     return np.asarray(2 * np.arcsin(np.clip(chord, 0.0, 1.0)))
+
+
+def _between(R: Array, others: Array, wanted: Wanted) -> Array:
+    """Angles (n,) rad between a rotation and others, or where ``planar`` is wanted between their headings."""
+    if not wanted.get("planar"):
+        return _angles(R, others)
+    yaw = np.arctan2(others[:, 1, 0], others[:, 0, 0]) - np.arctan2(R[1, 0], R[0, 0])
+    return np.abs((yaw + np.pi) % (2 * np.pi) - np.pi)
+
+
+def _shown(vectors: Array, wanted: Wanted) -> Array:
+    """Vectors (..., 3), or where ``planar`` is wanted what is seen of them from above."""
+    return vectors * [1.0, 1.0, 0.0] if wanted.get("planar") else vectors
 
 
 def _norms(vectors: Array) -> Array:

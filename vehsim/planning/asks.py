@@ -31,10 +31,11 @@ def asks_of(request: Request, frames: Sequence[float]) -> list[Ask]:
         if not (i and marks[i - 1].hold and marks[i - 1].place == mark.place):  # a hold is written out as two marks
             asks += _mark(request, mark, frame, frames[i + 1] - frame if mark.hold else 0.0)
     limits = {name: (value, LIMITS[name].unit) for name, value in request.limits.values.items()}
-    asks += limit_asks(first, last, limits, request.limits.joints, request.limits.joint_rates)
+    planar = request.vehicle.group.planar
+    asks += limit_asks(first, last, limits, request.limits.joints, request.limits.joint_rates, planar)
     asks += _ranges(request, first, last)
     if request.loop:
-        asks += _loop(first, last)
+        asks += _loop(first, last, {"planar": planar})
     if request.world is not None and (request.hazards or request.world.obstacles):
         landings = [mark.position for mark in marks if mark.on_ground]
         wanted = {
@@ -91,7 +92,7 @@ def _ranges(request: Request, first: float, last: float) -> Iterator[Ask]:
             yield Ask(key, "descent", first, last, wanted, upper=GENTLE + 0.01, unit="m/s")
 
 
-def _loop(first: float, last: float) -> Iterator[Ask]:
-    yield Ask("loop (position)", "closure", first, last, upper=EXACT, unit="m")
-    yield Ask("loop (attitude)", "closure_angle", first, last, **ANGLE)
-    yield Ask("loop (velocity)", "closure_velocity", first, last, upper=EXACT, unit="m/s")
+def _loop(first: float, last: float, wanted: Mapping[str, Any]) -> Iterator[Ask]:
+    yield Ask("loop (position)", "closure", first, last, wanted, upper=EXACT, unit="m")
+    yield Ask("loop (attitude)", "closure_angle", first, last, wanted, **ANGLE)
+    yield Ask("loop (velocity)", "closure_velocity", first, last, wanted, upper=EXACT, unit="m/s")

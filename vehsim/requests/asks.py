@@ -65,7 +65,7 @@ def mark_asks(
     ``velocity`` (3,) m/s, world axes, ``speed`` m/s, ``joints`` by name in SI. ``planar``: the ground decides about
     height and tilt.
     """
-    until, axes = frame + hold, [0, 1] if planar else [0, 1, 2]
+    until, axes, level = frame + hold, [0, 1] if planar else [0, 1, 2], {"planar": planar}
     if position is not None:
         wanted = {"position": list(map(float, position)), "axes": axes}
         yield Ask(f"{key}.position", "position", frame, until, wanted, upper=max(tolerance, EXACT), unit="m")
@@ -83,15 +83,17 @@ def mark_asks(
         wanted = {"velocity": list(map(float, velocity)), "axes": axes}
         yield Ask(f"{key}.velocity", "velocity", frame, until, wanted, upper=EXACT, unit="m/s")
         if not any(velocity):
-            yield Ask(f"{key}.velocity (turning)", "turn_rate", frame, until, upper=EXACT_ANGLE, unit="rad/s")
+            turning: dict[str, Any] = {"upper": EXACT_ANGLE, "unit": "rad/s"}
+            yield Ask(f"{key}.velocity (turning)", "turn_rate", frame, until, level, **turning)
     if speed is not None:
-        yield Ask(f"{key}.speed", "speed_error", frame, until, {"speed": float(speed)}, upper=EXACT, unit="m/s")
+        wanted = {"speed": float(speed), **level}
+        yield Ask(f"{key}.speed", "speed_error", frame, until, wanted, upper=EXACT, unit="m/s")
     for joint, value in (joints or {}).items():
         wanted = {"joint": joint, "value": float(value)}
         yield Ask(f"{key}.joints.{joint}", "joint_error", frame, until, wanted, upper=EXACT)
     if hold:
-        yield Ask(f"{key}.hold", "drift", frame, until, upper=max(2 * tolerance, EXACT), unit="m")
-        yield Ask(f"{key}.hold (turning)", "turned", frame, until, **ANGLE)
+        yield Ask(f"{key}.hold", "drift", frame, until, level, upper=max(2 * tolerance, EXACT), unit="m")
+        yield Ask(f"{key}.hold (turning)", "turned", frame, until, level, **ANGLE)
 
 
 ANGLE: dict[str, Any] = {"upper": EXACT_ANGLE, "unit": "rad"}
@@ -128,11 +130,12 @@ def limit_asks(
     limits: Mapping[str, tuple[float, str]],
     joints: Mapping[str, tuple[float, float]],
     joint_rates: Mapping[str, tuple[float, float]],
+    planar: bool = False,
 ) -> Iterator[Ask]:
     """Limits over a motion: name -> (value, unit), and joints and their rates by name -> (low, high), SI."""
     for name, (value, unit) in limits.items():
         slack = SLACK if name == "ceiling" else SLACK * value  # a height is counted from nowhere: 1 cm
-        yield Ask(f"limits.{name}", name, first, last, upper=value + slack, unit=unit)
+        yield Ask(f"limits.{name}", name, first, last, {"planar": planar}, upper=value + slack, unit=unit)
     for kind, ranges in (("joint", joints), ("joint_rate", joint_rates)):
         for joint, (low, high) in ranges.items():
             slack = SLACK * max(abs(low), abs(high))
