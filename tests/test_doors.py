@@ -13,7 +13,15 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 
 FLOORS = (
-    ("vehsim", "vehsim.__main__", "vehsim.cli", "vehsim._arguments", "vehsim.choices", "vehsim.doctor"),
+    (
+        "vehsim",
+        "vehsim.__main__",
+        "vehsim.cli",
+        "vehsim._arguments",
+        "vehsim.choices",
+        "vehsim.doctor",
+        "vehsim.starting",
+    ),
     ("vehsim.batch",),
     ("vehsim.exporters",),
     ("vehsim.shot",),

@@ -90,6 +90,12 @@ def terrain(incomplete: str) -> Completions:
     return _starting(incomplete, {name: _heading(file) for name, file in shipped("terrain").items()})
 
 
+def method(incomplete: str) -> Completions:
+    from vehsim.starting import METHODS
+
+    return _starting(incomplete, {name: (make.__doc__ or "").rstrip(".") for name, make in METHODS.items()})
+
+
 def exporter_list(incomplete: str) -> Completions:
     """The last of several exporters, separated by commas; those before it are not offered again."""
     before, comma, last = incomplete.rpartition(",")

@@ -183,6 +183,35 @@ def step(
 
 
 @app.command()
+def new(
+    name: Annotated[Path, typer.Argument(metavar="NAME", help="The shot's name, and its file: NAME.toml.")],
+    vehicle: Annotated[
+        str,
+        typer.Option(
+            metavar="V", help="A shipped vehicle, or a folder with a vehicle.toml.", autocompletion=choices.vehicle
+        ),
+    ],
+    terrain: Annotated[
+        str | None,
+        typer.Option(metavar="T", help="A terrain's name or file; flat unless given.", autocompletion=choices.terrain),
+    ] = None,
+    method: Annotated[
+        str | None,
+        typer.Option(
+            metavar="M",
+            help="plan, simulate, sinusoid or integrate; what suits the vehicle unless given.",
+            autocompletion=choices.method,
+        ),
+    ] = None,
+) -> None:
+    """Write a commented shot that exports as it is: NAME.toml. No file is overwritten."""
+    from vehsim.starting import new_shot
+
+    path, chosen = new_shot(name, vehicle, terrain, method)
+    print(f"{path}: {vehicle}, method = {chosen!r}; next: vehsim export {path} --to usd,strobe,figures")
+
+
+@app.command()
 def check(shots: Shots, sets: Sets = None, quiet: Quiet = False) -> None:
     """Say what is wrong with shot files, where, and how to mend it. Nothing is solved or written."""
     with _working("checking", quiet):

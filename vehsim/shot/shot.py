@@ -355,8 +355,10 @@ class Shot:
         """What drives without wheels keeps its height: say where the ground rises or falls below it."""
         if self.world.terrain is None:
             return
+        water = self.world.water is not None
+        floating = [table.name for table in self.file.vehicle if water and self.vehicle(table).hull is not None]
         for name, clip in clips.items():
-            if clip.vehicle.group.dim != 3 or "heave" in clip.channels:
+            if clip.vehicle.group.dim != 3 or "heave" in clip.channels or name in floating:
                 continue
             off = clip.positions[:, 2] - self.world.height(clip.positions[:, :2])
             for k in np.flatnonzero(np.abs(off) > OFF_GROUND)[:1]:
