@@ -184,7 +184,7 @@ def _seconds(vehicle: Vehicle, length: float) -> float:
 
 
 def _push(vehicle: Vehicle) -> tuple[float, float]:
-    """How fast its controls speed it up, and slow it down, along its nose from rest, m/s^2; zeros where it is unknown."""
+    """How fast its controls speed it up and slow it down from rest, m/s^2; zeros where it is unknown."""
     from vehsim.vehicles import State
 
     flat = vehicle.planar or vehicle
