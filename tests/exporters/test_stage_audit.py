@@ -1,0 +1,132 @@
+"""A delivery audited from its files alone: good ones pass, spoiled ones do not."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vehsim.audit import missed
+from vehsim.errors import InputError
+from vehsim.exporters.stage_audit import audit_delivery
+from vehsim.shot import Shot
+
+SHOT: dict[str, Any] = {
+    "shot": {"schema": 1, "name": "over", "fps": "24000/1001", "start_frame": 1001},
+    "world": {
+        "terrain": "flat",
+        "obstacle": [{"shape": "box", "name": "block", "centre": [30, 0, 0], "size": [4, 4, 10]}],
+    },
+    "vehicle": [
+        {
+            "name": "heli",
+            "asset": "helicopter",
+            "motion": {
+                "method": "plan",
+                "segments": 24,
+                "clearance": 2.0,
+                "limits": {"speed": 16, "ceiling": 30},
+                "look": [{"at": [60, 0, 10], "frames": [1001, 1020], "within": 20}],
+                "stay": [{"above": 5}],
+                "mark": [
+                    {"frame": 1001, "position": [0, 0, 12], "heading": 0, "velocity": [0, 0, 0]},
+                    {"frame": 1145, "position": [60, 0, 12], "heading": 0, "velocity": [0, 0, 0], "hold": 24},
+                ],
+            },
+        }
+    ],
+}
+
+
+@pytest.fixture(scope="module")
+def delivery(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return Shot.from_dict(SHOT).solve().export(tmp_path_factory.mktemp("out"), ("usd", "usdz"))
+
+
+@pytest.fixture
+def copy(delivery: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(delivery, tmp_path / "over"))
+
+
+def edit(folder: Path, change: Callable[[float, Any], Any]) -> None:
+    """Change the root's places in the animation layer: frame, place -> place."""
+    from pxr import Gf, Sdf
+
+    layer = Sdf.Layer.FindOrOpen(str(folder / "layers" / "heli.anim.usdc"))
+    path = layer.GetPrimAtPath(f"/{layer.defaultPrim}").path.AppendProperty("xformOp:translate")
+    for frame in layer.ListTimeSamplesForPath(path):
+        place = layer.QueryTimeSample(path, frame)
+        layer.SetTimeSample(path, frame, Gf.Vec3d(*change(frame, np.array(place)).tolist()))
+    layer.Save()
+
+
+def keys(folder: Path) -> set[str]:
+    return {row.key for rows in audit_delivery(folder).values() for row in missed(rows)}
+
+
+def test_the_report_has_a_row_for_every_ask_measured_on_clip_and_stage(delivery: Path) -> None:
+    rows = json.loads((delivery / "report.json").read_text())["audit"]["heli"]
+    asked = {row["key"] for row in rows}
+    assert {"mark[0].position", "mark[1].position", "mark[1].heading", "mark[1].velocity", "mark[1].hold"} <= asked
+    assert {"limits.speed", "limits.ceiling", "look_at", "stay", "clearance", "shot.end_frame"} <= asked
+    assert all(row["met"] for row in rows)
+    assert all(row["stage"]["met"] for row in rows if row["measure"] != "clearance")
+
+
+def test_a_good_delivery_passes_from_its_files_alone(copy: Path) -> None:
+    assert keys(copy) == set()
+    (row,) = [row for row in audit_delivery(copy)["heli"] if row.key == "clearance"]
+    asked = json.loads((copy / "report.json").read_text())["audit"]["heli"]
+    (ours,) = [row for row in asked if row["key"] == "clearance"]
+    assert row.value == pytest.approx(ours["value"], abs=0.05)  # libigl on the stage's meshes against MuJoCo's hulls
+
+
+def test_a_packaged_delivery_passes_too(copy: Path) -> None:
+    (copy / "over.usda").unlink()
+    assert keys(copy) == set()
+
+
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [
+        (lambda frame, p: np.add(p, [0, 0, 0.002 * (frame == 1145)]), "mark[1].position"),
+        (lambda frame, p: p - [0, 0, 0.01 * max(0.0, frame - 1145)], "mark[1].hold"),
+        (lambda frame, p: np.add(p, [0.05 * (frame - 1001), 0, 0]), "mark[1].position"),
+        (lambda frame, p: p * [1, 1, 3], "limits.ceiling"),
+        (lambda frame, p: np.add(p, [2.0 * (frame == 1050), 0, 0]), "limits.speed"),
+        (lambda frame, p: p - [0, 0, 20.0 * (1030 < frame < 1100)], "stay"),
+        (lambda frame, p: np.array([p[0], 0.0, 9.0]) if 1030 < frame < 1120 else p, "clearance"),
+    ],
+)
+def test_a_spoiled_stage_is_refused(copy: Path, change: Callable[[float, Any], Any], key: str) -> None:
+    edit(copy, change)
+    assert key in keys(copy)
+
+
+def test_what_is_no_delivery_is_named(copy: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="not a delivery"):
+        audit_delivery(tmp_path / "nowhere")
+    report = json.loads((copy / "report.json").read_text())
+    del report["audit"]
+    (copy / "report.json").write_text(json.dumps(report))
+    with pytest.raises(InputError, match="holds no asks"):
+        audit_delivery(copy)
+    for stage in ("over.usda", "over.usdz"):
+        (copy / stage).unlink()
+    with pytest.raises(InputError, match="no stage"):
+        audit_delivery(copy)
+
+
+def test_the_command_says_what_is_missed(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from vehsim.cli import run
+
+    assert run(["audit", str(copy)]) == 0
+    assert "ok      heli: mark[1].hold" in capsys.readouterr().out
+    edit(copy, lambda frame, p: np.add(p, [0, 0, 0.01 * (frame == 1145)]))
+    assert run(["audit", str(copy), "--quiet"]) == 1
+    assert "MISSED  heli: mark[1].position: 0.01 m, 0.001 allowed, at frame 1145" in capsys.readouterr().out
