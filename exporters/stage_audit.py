@@ -31,7 +31,9 @@ Ints = NDArray[np.int64]
 SPACING = 0.2
 """How far apart points on a vehicle's meshes are at most, m."""
 DISTANCES = ("clearance", "stands")
-"""Measures that ask a scene."""
+"""Measures of distances between hulls."""
+TREAD = 0.15
+"""How far above the lowest point of a wheel the ground may touch it, m."""
 CELL = 0.5
 """Points on a vehicle's meshes are looked at in balls of this size, m."""
 
@@ -115,14 +117,31 @@ class StageScene(Scene):
     """
 
     def __init__(self, delivered: Delivered, name: str, moving: Sequence[str] = ()) -> None:
-        self.delivered = delivered
-        first = float(delivered.frames[0])
-        self._own = [_Cloud.of(delivered, prim) for prim in _collision(delivered, delivered.vehicle(name))]
-        self._moving = [_Body(delivered, delivered.vehicle(other)) for other in moving]
-        base = delivered.world_matrix(delivered.vehicle(name), first)[:3, 3]
+        self.delivered, self.name = delivered, name
+        self._others = moving
+
+    @cached_property
+    def _own(self) -> list[_Cloud]:
+        return [_Cloud.of(self.delivered, prim) for prim in _collision(self.delivered, self._root)]
+
+    @cached_property
+    def _moving(self) -> list[_Body]:
+        return [_Body(self.delivered, self.delivered.vehicle(other)) for other in self._others]
+
+    @cached_property
+    def reach(self) -> float:  # type: ignore[override]
+        first = float(self.delivered.frames[0])
+        base = self.delivered.world_matrix(self._root, first)[:3, 3]
         corners = np.vstack([cloud.placed(first, cloud.points) for cloud in self._own])
-        self.reach = float(np.linalg.norm(corners - base, axis=1).max())
-        self.fastest = max((body.fastest for body in self._moving), default=0.0)
+        return float(np.linalg.norm(corners - base, axis=1).max())
+
+    @cached_property
+    def fastest(self) -> float:  # type: ignore[override]
+        return max((body.fastest for body in self._moving), default=0.0)
+
+    @property
+    def _root(self) -> Any:
+        return self.delivered.vehicle(self.name)
 
     @cached_property
     def _terrain(self) -> _Ground | None:
@@ -132,6 +151,34 @@ class StageScene(Scene):
     def _standing(self) -> list[_Solid]:
         scope = self.delivered.stage.GetPrimAtPath(f"{self.delivered.root.GetPath()}/env/obstacles")
         return [_Solid.of(self.delivered, prim) for prim in self.delivered.meshes(scope)]
+
+    def wheel_gap(self, track: Track, prims: Sequence[str]) -> Array:
+        if self._terrain is None:
+            return super().wheel_gap(track, prims)
+        first = float(self.delivered.frames[0])
+        rims = []
+        for path in prims:
+            wheel = self._root.GetPrimAtPath(path) if path else self._root
+            meshes = [mesh for mesh in self.delivered.meshes(wheel) if not _is_guide(mesh)]
+            placed = [
+                _moved(self.delivered.world_matrix(m, first), self.delivered.triangles(m, first)[0]) for m in meshes
+            ]
+            tread = _tread(np.vstack(placed))
+            ends = np.cumsum([len(points) for points in placed])[:-1]
+            rims.append(
+                [
+                    (mesh, self.delivered.triangles(mesh, first)[0][chosen])
+                    for mesh, chosen in zip(meshes, np.split(tread, ends), strict=True)
+                    if chosen.any()
+                ]
+            )
+        found = np.zeros((len(track.frames), len(rims)))
+        for k, frame in enumerate(track.frames.tolist()):
+            for j, rim in enumerate(rims):
+                points = np.vstack([_moved(self.delivered.world_matrix(mesh, frame), own) for mesh, own in rim])
+                low = points[points[:, 2] < points[:, 2].min() + TREAD]
+                found[k, j] = (low[:, 2] - self._terrain.height(low)).min()
+        return np.asarray(np.take_along_axis(found, np.abs(found).argmax(axis=1)[:, None], axis=1)[:, 0])
 
     def away(self, track: Track, obstacles_only: bool) -> Array:
         return np.array([self._at(frame, obstacles_only) for frame in track.frames.tolist()])
@@ -154,6 +201,22 @@ class StageScene(Scene):
                 points = np.vstack([cloud.placed(frame, cloud.within(chosen)) for cloud, chosen in pieces])
                 nearest = min(nearest, float(solid.away(points).min()))
         return nearest
+
+
+def _is_guide(prim: Any) -> bool:
+    from pxr import UsdGeom
+
+    return bool(UsdGeom.Imageable(prim).ComputePurpose() == UsdGeom.Tokens.guide)
+
+
+def _tread(points: Array) -> NDArray[np.bool_]:
+    """Which points (n,) of a wheel can touch the ground: those near its largest radius, about the axis it is round
+    about."""
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    _, axes = np.linalg.eigh(np.cov((points - middle).T))
+    spread = [np.linalg.norm((points - middle) @ np.delete(axes, k, axis=1), axis=1) for k in range(3)]
+    radius = min(spread, key=lambda r: float(r.max()))
+    return np.asarray(radius > 0.85 * radius.max())
 
 
 class _Cloud:
@@ -187,6 +250,16 @@ class _Cloud:
     def within(self, chosen: NDArray[np.bool_]) -> Array:
         """The points in some of the balls."""
         return self.points[chosen[self.cell]]
+
+
+class _Blind(Scene):
+    """A scene whose distances are not asked for: they cost more than all the rest."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+
+    def wheel_gap(self, track: Track, prims: Sequence[str]) -> Array:
+        return self.scene.wheel_gap(track, prims)
 
 
 class _Solid:
@@ -338,13 +411,11 @@ def audit_stage(path: Path, report: Mapping[str, Any], distances: bool = True) -
     moving = [obstacle["vehicle"] for obstacle in _obstacles(report) if obstacle.get("shape") == "vehicle"]
     rows: dict[str, list[Row]] = {}
     for name, asks in asked.items():
-        scene, others = Scene(), [other for other in moving if other != name and other in asked]
-        if distances and any(ask.measure in DISTANCES for ask in asks):
-            scene = StageScene(delivered, name, others)
+        scene = StageScene(delivered, name, [other for other in moving if other != name and other in asked])
         track = delivered.track(name, roots[name])
         rows[name] = [
-            not_shown(ask) if ask.measure in DISTANCES and not distances else row
-            for ask, row in zip(asks, audit(track, asks, scene), strict=True)
+            row if distances or row.measure not in DISTANCES else not_shown(ask)
+            for ask, row in zip(asks, audit(track, asks, scene if distances else _Blind(scene)), strict=True)
         ]
     return rows
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any
@@ -13,7 +13,7 @@ import pytest
 
 import vehsim
 from vehsim._quaternions import from_vectors, matrices, product
-from vehsim.audit import MEASURES, Scene, WorldScene, audit, missed, track_of_clip, track_of_poses
+from vehsim.audit import MEASURES, Scene, Track, WorldScene, audit, missed, track_of_clip, track_of_poses
 from vehsim.clip import Clip
 from vehsim.requests import Ask, mark_asks
 from vehsim.world import World
@@ -206,6 +206,12 @@ CASES = {
         lambda c: moved(c, [0, 0, 6e-3], 24),
         lambda: WorldScene(World("flat"), HELICOPTER),
     ),
+    "wheels": Case(
+        ask("wheels", 1, 49, {"prims": ["wheel"]}, lower=-5e-3, upper=5e-3),
+        standing,
+        lambda c: moved(c, [0, 0, 6e-3], 24),
+        lambda: OnWheels(),
+    ),
     "clearance": Case(
         ask("clearance", 1, 49, {"clearance": 1.0, "obstacles_only": False, "slope": 0.35}, lower=1.0 - 1e-4),
         lambda: moved(standing(landed()), [0, 0, 1.0]),
@@ -213,6 +219,13 @@ CASES = {
         lambda: WorldScene(World("flat"), HELICOPTER),
     ),
 }
+
+
+class OnWheels(Scene):
+    """Wheels that stand on the ground at the height of `standing`."""
+
+    def wheel_gap(self, track: Track, prims: Sequence[str]) -> Any:
+        return track.positions[:, 2] - HEIGHT
 
 
 def landed() -> tuple[float, float, float]:

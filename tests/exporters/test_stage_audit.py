@@ -130,3 +130,31 @@ def test_the_command_says_what_is_missed(copy: Path, capsys: pytest.CaptureFixtu
     edit(copy, lambda frame, p: np.add(p, [0, 0, 0.01 * (frame == 1145)]))
     assert run(["audit", str(copy), "--quiet"]) == 1
     assert "MISSED  heli: mark[1].position: 0.01 m, 0.001 allowed, at frame 1145" in capsys.readouterr().out
+
+
+CAR: dict[str, Any] = {
+    "shot": {"schema": 1, "name": "over", "end_frame": 1049},
+    "world": {"terrain": "hills"},
+    "vehicle": [
+        {
+            "name": "heli",
+            "asset": "car",
+            "motion": {"method": "simulate", "start": {"position": [0, 0, 0], "velocity": [4, 0, 0]}},
+        }
+    ],
+}
+
+
+def test_a_car_that_floats_or_sinks_is_refused(tmp_path: Path) -> None:
+    from vehsim.world import World
+
+    height = float(World("hills").height([[0.0, 0.0]])[0])
+    CAR["vehicle"][0]["motion"]["start"]["position"][2] = height
+    folder = Shot.from_dict(CAR).solve().export(tmp_path, ("usd",))
+    assert keys(folder) == set()
+    (row,) = [row for row in audit_delivery(folder)["heli"] if row.key == "wheels"]
+    assert abs(row.value or 1.0) < 2e-3
+    edit(folder, lambda frame, p: np.add(p, [0, 0, 0.008 * (frame == 1030)]))
+    assert keys(folder) == {"wheels"}
+    edit(folder, lambda frame, p: np.add(p, [0, 0, -0.016 * (frame == 1030)]))
+    assert keys(folder) == {"wheels"}

@@ -220,6 +220,11 @@ def _stands(track: Track, wanted: Wanted, scene: Scene) -> Array:
     return _on_frames(track, lambda part: scene.away(part, False))
 
 
+def _wheels(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """How far the wheel that is farthest from the ground stands above it, or below, m, on whole frames; nan between."""
+    return _on_frames(track, lambda part: scene.wheel_gap(part, wanted["prims"]))
+
+
 def _clearance(track: Track, wanted: Wanted, scene: Scene) -> Array:
     """Distance of the hulls from terrain and obstacles, m, with what a landing nearby forgives; nan where it is known
     to be larger."""
@@ -334,5 +339,6 @@ MEASURES: dict[str, Measure] = {
     "descent": _descent,
     "stands": _stands,
     "clearance": _clearance,
+    "wheels": _wheels,
 }
 """Measure name -> its function."""

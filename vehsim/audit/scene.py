@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,6 +25,10 @@ class Scene:
     def away(self, track: Track, obstacles_only: bool) -> Array:
         """Signed distance (n,) m of the vehicle to terrain and obstacles at every sample; negative inside."""
         return np.full(len(track.frames), np.inf)
+
+    def wheel_gap(self, track: Track, prims: Sequence[str]) -> Array:
+        """Height (n,) m above the ground of the wheel farthest from it; nan where wheels are not shown."""
+        return np.full(len(track.frames), np.nan)
 
 
 class WorldScene(Scene):

@@ -12,6 +12,8 @@ if TYPE_CHECKING:
 
 NAMED = 3
 """How many missed asks an error names."""
+GROUND = 0.005
+"""How far from the ground a wheel that rolls on it may be, m."""
 
 
 def audit_clips(
@@ -34,6 +36,9 @@ def audit_clips(
         mine = [Ask.from_dict(ask) for ask in asks.get(name, ())]
         mine.append(Ask("shot.start_frame", "frame", first, first, lower=first, upper=first, unit="frames"))
         mine.append(Ask("shot.end_frame", "frame", last, last, lower=last, upper=last, unit="frames"))
+        if wheels := _wheels(clip, worlds[name]):
+            wanted = {"prims": wheels}
+            mine.append(Ask("wheels", "wheels", first, last, wanted, lower=-GROUND, upper=GROUND, unit="m"))
         rows = audit(track_of_clip(clip), mine, WorldScene(worlds[name], clip.vehicle))
         found[name] = [ask.as_dict() | row.as_dict() for ask, row in zip(mine, rows, strict=True)]
         wrong += [f"{name}: {row}" for row in missed(rows)]
@@ -44,3 +49,13 @@ def audit_clips(
         more = f" and {len(wrong) - NAMED} more" * (len(wrong) > NAMED)
         warnings.warn(f"the finished motion misses what was asked: {'; '.join(wrong[:NAMED])}{more}", stacklevel=3)
     return found
+
+
+def _wheels(clip: Clip, world: World) -> list[str]:
+    """The prims of a vehicle's wheels that follow the terrain; none where there is none or they do not."""
+    from vehsim.world.ground import wheels_of
+
+    rig = clip.vehicle.rig
+    if rig is None or world.terrain is None or "heave" not in clip.channels:
+        return []
+    return [wheel.prim for wheel in wheels_of(rig)]

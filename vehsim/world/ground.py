@@ -46,13 +46,14 @@ LARGEST_TRAVEL = 0.12
 class Wheel:
     """``centre`` (3,) m in the rig root's frame; ``rings`` (k, 2): lateral offset and radius of its profile, m.
 
-    ``travel``, ``roll``: the channels that slide and turn it, or None.
+    ``travel``, ``roll``: the channels that slide and turn it, or None; ``prim``: the path of its part below the root.
     """
 
     centre: Array
     rings: Array
     travel: str | None
     roll: str | None
+    prim: str = ""
 
     @property
     def rim(self) -> Array:
@@ -138,7 +139,7 @@ def _wheels(asset: Path, root: str | None, drives: tuple[Any, ...], changed: int
         hub = parts[spin if spin in parts else below[0]].T_rp[:3, 3]
         if spin in pivots:
             hub = (points.min(axis=0) + points.max(axis=0)) / 2 if pivots[spin] == "centre" else np.array(pivots[spin])
-        found.append(Wheel(hub, _profile(points - hub), sliding.get(prim), turning.get(spin or "")))
+        found.append(Wheel(hub, _profile(points - hub), sliding.get(prim), turning.get(spin or ""), prim))
     return tuple(found)
 
 
