@@ -1,6 +1,7 @@
 """The gait: a pilot that swings a vehicle's joints, as a rider twists hips and feet to drive a snakeboard.
 
-What belongs here is open-loop rhythm with feedback on the joints alone; it knows nothing of where the vehicle goes.
+What belongs here is rhythm, with feedback on the joints and the torques that the vehicle's equations ask for; it knows
+nothing of where the vehicle goes.
 """
 
 from __future__ import annotations
@@ -13,9 +14,12 @@ from numpy.polynomial import Polynomial
 from vehsim.errors import InputError
 from vehsim.vehicles import State, Vehicle
 from vehsim.vehicles._base import Array
+from vehsim.vehicles.states import internal
 
 _STIFFNESS = 15.0
 """Natural frequency of the feedback on every joint, rad/s, critically damped."""
+_AMPLITUDE = 0.05
+"""How far off a joint's amplitude may be, relative to it."""
 _EASE = Polynomial([0.0, 0.0, 0.0, 10.0, -15.0, 6.0])
 """From 0 to 1 on [0, 1], at rest with no acceleration at both ends."""
 
@@ -43,12 +47,13 @@ class Gait:
         self.phase = _numbers("phase", np.zeros(joints) if phase is None else phase, joints)
         self.period, self.rise = _time("period", period), _time("rise", rise)
         self.until = np.inf if until is None else _time("until", until)
+        self._joints = vehicle.joints
         self._bounds = np.array([(control.lower, control.upper) for control in vehicle.controls])
-        # at rest: linearize's last rows are the joints' accelerations
-        _, push = vehicle.linearize(State(joints=np.zeros(joints)), np.zeros(joints))
-        if np.linalg.matrix_rank(push[-joints:]) < joints:
+        self._vehicle, self._accelerations = vehicle, _accelerations(vehicle)
+        _, push = self._pushed(State(joints=np.zeros(joints)))
+        if np.linalg.matrix_rank(push) < joints:
             raise InputError(f"gait: {vehicle.name}: its controls do not move all its joints; choose another pilot")
-        self._inertia = np.linalg.inv(push[-joints:])
+        self._inertia = np.linalg.inv(push)
 
     def reset(self) -> None:
         """A gait remembers nothing."""
@@ -58,7 +63,40 @@ class Gait:
         position = np.zeros_like(at) if state.joints is None else np.asarray(state.joints, float)
         velocity = np.zeros_like(at) if state.joint_rates is None else np.asarray(state.joint_rates, float)
         wanted = change + 2 * _STIFFNESS * (rate - velocity) + _STIFFNESS**2 * (at - position)
-        return np.clip(self._inertia @ wanted, *self._bounds.T)
+        free, push = self._pushed(state)
+        return np.clip(np.linalg.solve(push, wanted - free), *self._bounds.T)
+
+    def _pushed(self, state: State) -> tuple[Array, Array]:
+        """Accelerations (s,) of the joints without torques, and what each torque adds (s, s)."""
+        free, push = self._accelerations(*internal(self._vehicle, state))
+        return np.asarray(free).ravel(), np.asarray(push)
+
+    def targets(self, duration: float) -> list[dict[str, Any]]:
+        """The amplitude of every joint within 5 %, over whole periods between rise and fall; none in a shorter time."""
+        begin, end = self.rise, min(duration, self.until)
+        if end - begin < self.period:
+            return []
+        # what the joints' inertia alone asks for at most; torque falls with the square of the period
+        peak = np.abs(self._inertia) @ np.abs(self.amplitude) * (2 * np.pi / self.period) ** 2
+        room = np.min(np.abs(self._bounds), axis=1)
+        slower = self.period * max(1.0, 1.1 * float(np.sqrt(np.max(peak / room))))
+        limits = [self._vehicle.joint_limits.get(name, (-np.inf, np.inf)) for name in self._joints]
+        beyond = any(abs(a) > min(-lower, upper) for a, (lower, upper) in zip(self.amplitude, limits, strict=True))
+        needs = {} if slower <= self.period or beyond else {"needs_period": slower}
+        return [
+            {
+                "key": "pilot.amplitude",
+                "kind": "amplitude",
+                "joint": joint,
+                "amplitude": abs(float(amplitude)),
+                "tolerance": _AMPLITUDE,
+                "from": float(begin),
+                "until": float(end),
+                **needs,
+            }
+            for joint, amplitude in zip(self._joints, self.amplitude, strict=True)
+            if amplitude
+        ]
 
     def swing(self, t: float) -> tuple[Array, Array, Array]:
         """Joints (s,) wanted at ``t``, their rates and accelerations."""
@@ -78,6 +116,22 @@ class Gait:
         """The ease and its two derivatives, ``t`` s after it begins."""
         x = float(np.clip(t / self.rise, 0.0, 1.0))
         return tuple(float(_EASE.deriv(k)(x)) / self.rise**k for k in range(3))  # type: ignore[return-value]
+
+
+def _accelerations(vehicle: Vehicle) -> Any:
+    """``(g, r, u, xi) -> (s,), (s, s)``: the joints' accelerations, which are affine in the torques."""
+    import casadi as ca
+
+    from vehsim.vehicles.mechanics import acceleration, coefficients
+
+    s = len(vehicle.joints)
+    sizes = {"g": len(vehicle.group.identity), "r": s, "u": s, "xi": vehicle.group.dim, "c": s}
+    g, r, u, xi, c = (ca.SX.sym(name, size) for name, size in sizes.items())
+    z = coefficients(vehicle, r, u, xi)
+    law = acceleration(vehicle, g, r, z, c, ca.SX.zeros(s), ca.SX.zeros(3))[-s:]
+    push = ca.densify(ca.jacobian(law, c))
+    free = ca.densify(ca.substitute(law, c, ca.SX.zeros(s)))
+    return ca.Function("accelerations", [g, r, u, xi], [free, push])
 
 
 def _numbers(key: str, values: Any, size: int) -> Array:

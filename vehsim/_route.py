@@ -11,9 +11,12 @@ from vehsim.vehicles._base import Array
 
 
 class Route:
-    """A smooth curve through points (n, d), its speed bounded by acceleration and by bends; it ends at rest."""
+    """A smooth curve through points (n, d), its speed bounded by acceleration and by bends; it ends at rest.
 
-    def __init__(self, points: Array, speed: float, *, acceleration: float, lateral: float):
+    ``ease`` s: `at` changes its acceleration no faster than over this time, so that what is flown can follow.
+    """
+
+    def __init__(self, points: Array, speed: float, *, acceleration: float, lateral: float, ease: float = 0.0):
         from scipy.interpolate import CubicSpline
 
         apart = np.linalg.norm(np.diff(points, axis=0), axis=1)
@@ -36,7 +39,12 @@ class Route:
         self._timed = self._reachable(start, acceleration)
         gaps = np.diff(self._s) / np.maximum((self._timed[1:] + self._timed[:-1]) / 2, 1e-9)
         self._t = np.concatenate([[0.0], np.cumsum(gaps)])
-        self._acceleration = acceleration
+        self._ease = max(ease, 1e-3)
+        self._slope = np.diff(self._timed) / gaps
+        parts = gaps * (self._s[:-1] + gaps * (self._timed[:-1] / 2 + gaps * self._slope / 6))
+        self._swept = np.concatenate([[0.0], np.cumsum(parts)])
+        self.duration = float(self._t[-1] + self._ease)
+        """From rest to rest, s."""
 
     def _reachable(self, limit: Array, acceleration: float) -> Array:
         v = limit**2
@@ -49,16 +57,22 @@ class Route:
 
     def at(self, t: float) -> tuple[Array, Array, Array]:
         """Position (d,) m, velocity m/s and acceleration m/s^2 at ``t`` s since the start from rest."""
-        if t >= self._t[-1]:
-            end = self._curve(self.length)
-            return end, np.zeros_like(end), np.zeros_like(end)
+        # the mean of the profile over the last `ease` seconds: as far, never faster, its acceleration continuous
+        (area, way, v), (before, left, v0) = self._profile(t), self._profile(t - self._ease)
+        s, rate, change = ((b - a) / self._ease for a, b in ((before, area), (left, way), (v0, v)))
+        along = self._curve(min(s, self.length), 1)
+        return self._curve(min(s, self.length)), rate * along, change * along + rate**2 * self._curve(s, 2)
+
+    def _profile(self, t: float) -> tuple[float, float, float]:
+        """Integral of the way, m s, the way, m, and the speed, m/s, at ``t`` s: at rest before and after."""
+        if t <= 0:
+            return 0.0, 0.0, 0.0
+        beyond = max(t - self._t[-1], 0.0)
         k = int(np.clip(np.searchsorted(self._t, t, side="right") - 1, 0, len(self._t) - 2))
-        span, since = self._t[k + 1] - self._t[k], t - self._t[k]
-        slope = (self._timed[k + 1] - self._timed[k]) / span
-        v = self._timed[k] + slope * since
-        s = self._s[k] + (self._timed[k] + slope * since / 2) * since
-        along = self._curve(s, 1)
-        return self._curve(s), v * along, slope * along + v**2 * self._curve(s, 2)
+        since = min(t, self._t[-1]) - self._t[k]
+        s, v, a = self._s[k], self._timed[k], self._slope[k]
+        area = self._swept[k] + since * (s + since * (v / 2 + since * a / 6)) + beyond * self.length
+        return float(area), float(s + since * (v + since * a / 2)), float(v + since * a) if not beyond else 0.0
 
     def speed(self, s: float) -> tuple[float, float]:
         """Speed at an arc length, and its change per metre (never asking for a standing start)."""
@@ -66,6 +80,14 @@ class Route:
         v = min(float(np.interp(s, self._s, self._v)), 1.5 * left)
         nudge = 1e-3
         return v, (float(np.interp(s + nudge, self._s, self._v)) - float(np.interp(s, self._s, self._v))) / nudge
+
+    def places(self, spacing: float = 0.5) -> Array:
+        """Points (n, d) on the curve, so far apart, m."""
+        return np.asarray(self._curve(np.linspace(0, self.length, max(2, int(np.ceil(self.length / spacing)) + 1))))
+
+    def direction(self) -> Array:
+        """Of the curve where it begins, (d,)."""
+        return np.asarray(self._curve(0.0, 1))
 
     def point(self, s: float) -> Array:
         """Point at an arc length; beyond the end the curve goes straight on."""

@@ -1,7 +1,19 @@
 """Pilots: feedback controllers ``pilot(t, state) -> controls`` that `simulate` asks at every knot.
 
 Time in s, `State` as everywhere (rig root, SI, radians), controls in SI units within their bounds. A pilot may remember
-(integrals, its route); `reset` makes it forget, and `simulate` calls that first. What belongs here: laws that need a
+(integrals, its route); `reset` makes it forget, and `simulate` calls that first. ``targets(duration)`` says what the
+pilot was asked to achieve in so many seconds, as plain data, so that a finished clip can be measured against it:
+
+- ``{"key", "kind": "reach", "position" (3,) m, "tolerance" m, "at": "end"}``: the rig's root at the last sample; None
+  in ``position`` is free; ``"needs"`` s, where known: a duration that would do;
+- ``{"key", "kind": "heading", "heading" rad, "tolerance" rad, "at": "end"}``;
+- ``{"key", "kind": "speed", "upper" m/s, "from" s}``: of the rig's root over ground, from then on;
+- ``{"key", "kind": "path", "points" (n, 3) m, "tolerance" m, "offset" (3,) m, "from" s}``: the distance of a point of
+  the vehicle, ``offset`` in its own axes, to the polyline, seen from above;
+- ``{"key", "kind": "amplitude", "joint", "amplitude" rad, "tolerance" relative, "from" s, "until" s}``: half of the
+  range that the joint swings through, and ``"needs_period"`` s, where known: a period that would do.
+
+Ask after the simulation: how long a pilot needs depends on where it started. What belongs here: laws that need a
 vehicle's numbers and its state, nothing of terrain or planning.
 """
 
@@ -26,6 +38,16 @@ _OBSERVER = 2.0
 """Speed of the estimate of wind and other forces, rad/s."""
 _TURN_RATE = 0.6
 """How fast a helicopter pilot turns the nose, rad/s."""
+_PLACE, _HEADING = 0.5, float(np.deg2rad(5.0))
+"""How near a helicopter pilot comes to its goal, m, and to its heading, rad, at the end: gusts are left."""
+_FASTER = 1.03
+"""By how much feedback may exceed a speed that is asked for."""
+_CRUISE = 0.96
+"""Share of its speed that a helicopter is planned to fly: the rest is for feedback against the wind."""
+_STOP, _BESIDE = 0.25, 0.2
+"""How near a car's root stops to the end of its path, m, and its axle stays to the path, in wheelbases."""
+_DRIVE = (1.5, 0.8)
+"""Largest acceleration of a car's pilot, m/s^2, and the share of its torque that it plans with."""
 
 
 class Hover:
@@ -46,6 +68,10 @@ class Hover:
     def __call__(self, t: float, state: State) -> Array:
         still = np.zeros(3)
         return self._law(t, state, self.position, still, still, self.heading)
+
+    def targets(self, duration: float) -> list[dict[str, Any]]:
+        """Its place within 0.5 m and its heading within 5 degrees at the end."""
+        return [_reach(self.position, _PLACE), _face(self.heading)]
 
 
 class FlyTo:
@@ -80,14 +106,32 @@ class FlyTo:
         self._law.reset()
         self._route: Route | None = None
         self._heading: float | None = None
+        self._fast = 0.0
+
+    def targets(self, duration: float) -> list[dict[str, Any]]:
+        """Its last place within 0.5 m, its heading, if given, within 5 degrees; its speed within 3 %.
+
+        A start faster than ``speed`` is slowed down first, at a tenth of gravity.
+        """
+        settling = 2.0 * self._law.ease
+        needs = {} if self._route is None else {"needs": self._route.duration + settling}
+        found = [_reach(self.waypoints[-1], _PLACE) | needs]
+        begin = self._fast / (0.1 * 9.81) + settling if self._fast else 0.0
+        found.append({"key": "pilot.speed", "kind": "speed", "upper": _FASTER * self.speed, "from": begin})
+        return found + ([] if self.heading is None else [_face(self.heading)])
 
     def __call__(self, t: float, state: State) -> Array:
         if self._route is None:
             self._begin = t
             start = np.asarray(state.position, float)
             points = np.vstack([start, self.waypoints])
-            self._route = Route(points, self.speed, acceleration=0.1 * 9.81, lateral=0.2 * 9.81)
-        position, velocity, acceleration = self._route.at(t - self._begin)
+            self._route = Route(
+                points, _CRUISE * self.speed, acceleration=0.1 * 9.81, lateral=0.2 * 9.81, ease=self._law.ease
+            )
+            moving = 0.0 if state.twist is None else float(np.linalg.norm(np.asarray(state.twist, float)[3:6]))
+            self._fast = max(0.0, moving - self.speed)
+        position, velocity, _ = self._route.at(t - self._begin)
+        acceleration = self._route.at(t - self._begin + self._law.lag)[2]  # it tilts first
         heading = self.heading
         if heading is None:
             ahead = np.hypot(*velocity[:2]) > 0.05 * self.speed
@@ -113,27 +157,64 @@ class FollowPath:
         if np.linalg.norm(np.ptp(points, axis=0)) < 1e-6:
             raise InputError(f"points: all at {points[0].tolist()}; give at least two places, m")
         self.vehicle, self.points, self.speed = vehicle, points, _positive("speed", speed)
-        self._route = Route(points, self.speed, acceleration=1.5, lateral=2.5)
         self._offset = vehicle.origin[:2]
         self._length, self._per_torque = _car_numbers(vehicle)
+        torque = vehicle.controls[vehicle.control_names.index("torque")]
+        most = _DRIVE[1] * min(torque.upper, -torque.lower) * self._per_torque(0.0)
+        self._acceleration = min(_DRIVE[0], most)
+        self._route = Route(points, self.speed, acceleration=self._acceleration, lateral=2.5)
         self.reset()
 
     def reset(self) -> None:
         """Forget what was flown or driven before: simulations call it as they begin."""
-        self._along, self._integral = 0.0, 0.0
+        self._along, self._integral, self._wanted = 0.0, 0.0, 0.0
         self._time: float | None = None
+        self._fast, self._away = 0.0, 0.0
+
+    def targets(self, duration: float) -> list[dict[str, Any]]:
+        """Its root at the end of the path within 0.25 m, its axle within a fifth of its wheelbase of the path, its
+        speed within 5 %.
+
+        From a start beside the path or too fast, these hold after a while.
+        """
+        end = [*map(float, self.points[-1]), None]
+        ahead = self._length + 0.6 * self.speed
+        beside = _BESIDE * self._length
+        joins = 0.0 if self._away < beside / 2 else 3.0 * (self._away + ahead) / self.speed
+        slows = 0.0 if self._fast <= 0 else self._fast / self._acceleration + 2.0
+        behind = self._route.point(0.0) - 3 * self._tail()
+        return [
+            _reach(end, _STOP) | {"needs": self._route.duration + 3.0 + joins},
+            {"key": "pilot.speed", "kind": "speed", "upper": 1.05 * self.speed, "from": slows},
+            {
+                "key": "pilot.path",
+                "kind": "path",
+                "points": [[*map(float, point), 0.0] for point in [behind, *self._route.places()]],
+                "tolerance": beside,
+                "offset": [*map(float, self._offset), 0.0],
+                "from": joins,
+            },
+        ]
 
     def __call__(self, t: float, state: State) -> Array:
-        dt = 0.0 if self._time is None else t - self._time
-        self._time = t
         rotation = _matrix(state.orientation)[:2, :2]
         axle = np.asarray(state.position, float)[:2] + rotation @ self._offset
         speed = float(state.twist[1]) if state.twist is not None else 0.0
+        if self._time is None:
+            self._wanted, self._fast = speed, speed - self.speed
+            before = self._route.point(0.0) - np.outer(np.linspace(3, 0, 40), self._tail())
+            self._away = float(np.linalg.norm(np.vstack([before, self._route.places(0.1)]) - axle, axis=1).min())
+        dt = 0.0 if self._time is None else t - self._time
+        self._time = t
         sigma = float(state.joints[self.vehicle.joints.index("sigma")]) if state.joints is not None else 0.0
         self._along = self._route.nearest(axle, self._along, reach=2.0 + 4 * abs(speed) * max(dt, 1 / 240))
         torque, steering = self._drive(dt, speed, sigma), self._steer(axle, rotation, speed, sigma)
         controls = {"steering_rate": steering, "torque": torque}
         return np.array([controls[name] for name in self.vehicle.control_names])
+
+    def _tail(self) -> Array:
+        """From the axle to the root, (2,) m, of a car that stands at the first point along the path."""
+        return float(np.linalg.norm(self._offset)) * self._route.direction()
 
     def _steer(self, axle: Array, rotation: Array, speed: float, sigma: float) -> float:
         """Pure pursuit: the arc through a point one look-ahead further on has curvature ``2 y / d^2``."""
@@ -148,11 +229,15 @@ class FollowPath:
     def _drive(self, dt: float, speed: float, sigma: float) -> float:
         # the rig's root, ahead of the axle, is what stops at the end
         wanted, change = self._route.speed(self._along - self._offset[0])
+        push = change * speed
+        if wanted > self._wanted + self._acceleration * dt:  # on the way up: no faster than planned
+            wanted, push = self._wanted + self._acceleration * dt, self._acceleration
+        self._wanted = wanted
         error = wanted - speed
         control = self.vehicle.controls[self.vehicle.control_names.index("torque")]
-        torque = (change * speed + 2.0 * error + self._integral) / self._per_torque(sigma)
+        torque = (push + 4.0 * error + self._integral) / self._per_torque(sigma)
         if control.lower < torque < control.upper:  # no winding up at the bounds
-            self._integral += 0.5 * error * dt
+            self._integral += 4.0 * error * dt
         return float(np.clip(torque, control.lower, control.upper))
 
 
@@ -181,6 +266,7 @@ class _Helicopter:
         tilt = np.sin(np.clip(self.upper[2:], 0.01, 0.5)).min()
         strongest = self.d_t * self.mass * self.gravity * tilt / max(self.J[0, 0], self.J[1, 1])
         self.pole = float(np.clip(np.sqrt(strongest / _FULL_TILT / 6), 0.2, 2.5))
+        self.ease, self.lag = 3.0 / self.pole, 2.0 / (3.0 * self.pole)
         self.reset()
 
     def reset(self) -> None:
@@ -269,6 +355,15 @@ class _Helicopter:
 
 PILOTS: dict[str, type] = {"hover": Hover, "fly_to": FlyTo, "follow_path": FollowPath, "gait": Gait}
 """Name in a shot file -> pilot. Parameters are the keyword arguments after ``vehicle``, in SI units and radians."""
+
+
+def _reach(position: Any, tolerance: float) -> dict[str, Any]:
+    place = [None if x is None else float(x) for x in position]
+    return {"key": "pilot.position", "kind": "reach", "position": place, "tolerance": tolerance, "at": "end"}
+
+
+def _face(heading: float) -> dict[str, Any]:
+    return {"key": "pilot.heading", "kind": "heading", "heading": heading, "tolerance": _HEADING, "at": "end"}
 
 
 def _car_numbers(vehicle: Vehicle) -> tuple[float, Any]:

@@ -250,10 +250,11 @@ class SimulateMotion(Table):
     def solve(self, vehicle: Vehicle, setting: Setting, progress: Progress) -> tuple[Clip, dict[str, Any]]:
         from vehsim.simulation import simulate
 
+        controls = self._controls(vehicle, setting)
         clip = simulate(
             vehicle,
             setting.world,
-            self._controls(vehicle, setting),
+            controls,
             start=as_state(self.start, vehicle) if self.start.model_fields_set else None,
             duration=self._duration(setting),
             step=self.step,
@@ -261,7 +262,8 @@ class SimulateMotion(Table):
             start_frame=setting.first,
             progress=progress,
         )
-        return clip, {"step": self.step, "duration": clip.duration}
+        said = {"step": self.step, "duration": clip.duration}
+        return clip, said | ({} if self.pilot is None else {"targets": controls.targets(clip.duration)})
 
     def mover(self, vehicle: Vehicle, setting: Setting) -> tuple[Mover, float]:
         """The same for vehicles that move together, and for how long, s."""

@@ -298,7 +298,7 @@ class Shot:
         reports: dict[str, Any] = {}
         avoided = self._avoided
         meeting = self._meeting()
-        together: dict[str, Clip] = {}
+        together: dict[str, tuple[Clip, dict[str, Any]]] = {}
         # who is kept clear of moves first, the others about it
         for i, table in enumerate(sorted(self.file.vehicle, key=lambda vehicle: vehicle.name not in avoided)):
             world = obstacles.with_vehicles(self.world, clips, avoided, table.name)
@@ -308,8 +308,9 @@ class Shot:
 
             if table.name in meeting:
                 together = together or self._meet(meeting, world, progress)
-                clips[table.name] = together[table.name]
-                reports[table.name] = {"asset": table.asset, "method": table.motion.method, "together": [*together]}
+                clips[table.name], said = together[table.name]
+                said |= {"together": [*together]}
+                reports[table.name] = {"asset": table.asset, "method": table.motion.method, **said}
                 continue
             setting = replace(self._setting, world=world)
             clips[table.name], said = table.motion.solve(self.vehicle(table), setting, report)
@@ -336,8 +337,8 @@ class Shot:
 
     def _meet(
         self, simulated: Mapping[str, tuple[SimulateMotion, Vehicle]], world: World, progress: Progress
-    ) -> dict[str, Clip]:
-        """Their clips, advanced together among what stands and moves in ``world``."""
+    ) -> dict[str, tuple[Clip, dict[str, Any]]]:
+        """Their clips, advanced together among what stands and moves in ``world``, and what the report says of each."""
         from vehsim.simulation import simulate_together
 
         movers, durations = {}, []
@@ -346,10 +347,13 @@ class Shot:
             durations.append(duration)
         step, first = min(motion.step for motion, _ in simulated.values()), self._setting.first
         meeting = ", ".join(simulated)
-        return simulate_together(
+        clips = simulate_together(
             movers, world, max(durations), step, self.fps, first,
             progress=lambda what, done: progress(f"{meeting}: {what}", done / len(self.file.vehicle)),
         )  # fmt: skip
+        pilots = {name: mover.controls for name, mover in movers.items() if hasattr(mover.controls, "targets")}
+        said = {name: {"targets": pilot.targets(clips[name].duration)} for name, pilot in pilots.items()}
+        return {name: (clip, said.get(name, {})) for name, clip in clips.items()}
 
     def _warn_off_ground(self, clips: Mapping[str, Clip]) -> None:
         """What drives without wheels keeps its height: say where the ground rises or falls below it."""
