@@ -865,7 +865,10 @@ def verify(shot: Mapping[str, Any], path: Path, folder: Path = Path()) -> Findin
         else:
             check_start(motion, first, found)
             if "duration" in motion.asked:
-                ends.append(math.floor(first + motion.asked["duration"] * fps + 1e-6))
+                seconds, step = motion.asked["duration"], motion.asked.get("step", 1 / 24)
+                if motion.asked["method"] == "integrate":
+                    seconds = step * math.ceil(seconds / step - 1e-9)
+                ends.append(math.floor(first + seconds * fps + 1e-6))
         check_wheels(motion, found)
     if "end_frame" not in header:
         found.hold(

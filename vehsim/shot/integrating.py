@@ -35,7 +35,7 @@ class IntegrateMotion(Table):
     start: StartTable = StartTable()
     """the state on the shot's first frame, handle included; at the origin and at rest unless given"""
     duration: Annotated[Positive, Field(le=MAX_FRAMES)]
-    """how long, in s"""
+    """how long, in s, rounded up to whole steps"""
     step: Annotated[Number, Field(ge=1e-4, le=2)] = 1 / 24
     """the integration step in s, taken as it is: frames between steps are interpolated; 1/24 unless given"""
 
