@@ -8,10 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from vehsim.clip import Clip
+    from vehsim.requests import Ask
     from vehsim.world import World
 
 NAMED = 3
 """How many missed asks an error names."""
+DEPTH = 0.05
+"""How deep a vehicle that keeps no clearance may be in rock or an obstacle before a warning says so, m."""
 GROUND = 0.005
 """How far from the ground a wheel that rolls on it may be, m."""
 
@@ -39,6 +42,8 @@ def audit_clips(
         if wheels := _wheels(clip, worlds[name]):
             wanted = {"prims": wheels}
             mine.append(Ask("wheels", "wheels", first, last, wanted, lower=-GROUND, upper=GROUND, unit="m"))
+        if not any(ask.measure == "clearance" for ask in mine):
+            mine += _untouched(clip, worlds[name], first, last)
         rows = audit(track_of_clip(clip), mine, WorldScene(worlds[name], clip.vehicle))
         found[name] = [ask.as_dict() | row.as_dict() for ask, row in zip(mine, rows, strict=True)]
         wrong += [f"{name}: {row}" for row in missed(rows)]
@@ -59,3 +64,14 @@ def _wheels(clip: Clip, world: World) -> list[str]:
     if rig is None or world.terrain is None or "heave" not in clip.channels:
         return []
     return [wheel.prim for wheel in wheels_of(rig)]
+
+
+def _untouched(clip: Clip, world: World, first: float, last: float) -> list[Ask]:
+    """A warning for what goes through rock or an obstacle, where no clearance was asked for."""
+    from vehsim.requests import Ask
+
+    planar = clip.vehicle.group.planar
+    if clip.vehicle.rig is None or not (world.obstacles or (world.terrain is not None and not planar)):
+        return []
+    wanted = {"clearance": 0.0, "obstacles_only": planar, "landings": [], "slope": 0.0}
+    return [Ask("contact", "clearance", first, last, wanted, lower=-DEPTH, unit="m", severity="warning")]

@@ -34,6 +34,7 @@ from vehsim.shot.model import (
 
 if TYPE_CHECKING:
     from vehsim.clip import Clip
+    from vehsim.requests import Ask
     from vehsim.shot.shot import Shot
     from vehsim.sinusoids.manoeuvres import Manoeuvre, Wish
     from vehsim.sinusoids.rigs import Rigged
@@ -46,6 +47,8 @@ FLIGHT_LIMITS = {"leg_rate": np.pi / 180, "stretch_rate": 1.0}
 """Limit of the file -> what one of its units is in SI; those of what drives, and of what hops."""
 SLOWER = (1.1, 1.2, 1.35, 1.5, 1.75, 2.0, 2.5, 3.0)
 """How much longer a manoeuvre may take where something that moves is in its way."""
+STEERED = ("steering", "steering_rate")
+"""Limits that an audit measures on the joint that steers."""
 _STATES = {"steering": "phi", "leg_rate": "psi_rate", "stretch_rate": "l_rate"}
 
 
@@ -189,7 +192,38 @@ class SinusoidMotion(Table):
         clip = whole.clip(vehicle, fps=setting.fps, start_frame=begin, height=self.mark[0].position[2], **rig.flight)
         said = {"manoeuvres": taken, "end_error": whole.end_error, "duration": whole.duration}
         marks = [mark.model_dump(mode="json", exclude_unset=True) for mark in self.mark]
-        return clip, said | {"limits": dict(wish.limits), "marks": marks}
+        asks = self._asks(vehicle, setting, [round(steering.duration * fps) for steering in parts])
+        asks_said = [ask.as_dict() for ask in asks]
+        return clip, said | {"limits": dict(wish.limits), "marks": marks, "asks": asks_said}
+
+    def _asks(self, vehicle: Vehicle, setting: Setting, driven: list[int]) -> Iterator[Ask]:
+        """What the marks, limits and obstacles ask of a motion whose legs take ``driven`` frames each."""
+        from vehsim._quaternions import yaw_tilt
+        from vehsim.requests import Ask, limit_asks, mark_asks
+
+        frame, planar = int(self.mark[0].frame), vehicle.group.planar
+        first = frame
+        for k, (mark, frames) in enumerate(zip(self.mark, [*driven, 0], strict=True)):
+            turn = np.deg2rad([mark.heading, mark.pitch, 0.0])
+            if mark.frame != "free":
+                yield Ask(f"mark[{k}].frame", "frame", int(mark.frame), int(mark.frame), lower=frame, upper=frame)
+            yield from mark_asks(
+                f"mark[{k}]",
+                frame,
+                hold=mark.hold,
+                position=mark.position,
+                heading=float(turn[0]) if planar else None,
+                orientation=None if planar else yaw_tilt(*turn[:, None])[0].tolist(),
+                velocity=(0.0, 0.0, 0.0) if planar else None,
+                joints=mark.joints,
+                planar=planar,
+            )
+            frame += mark.hold + frames
+        limits = {name: (value * LIMITS[name], "rad") for name, value in self.limits.items() if name in STEERED}
+        yield from limit_asks(first, frame, limits, {}, {})
+        if setting.world.obstacles:
+            wanted = {"clearance": self.clearance, "obstacles_only": planar, "landings": [], "slope": 0.0}
+            yield Ask("clearance", "clearance", first, frame, wanted, lower=self.clearance - 0.01, unit="m")
 
     def _legs(
         self, vehicle: Vehicle, setting: Setting, progress: Progress
