@@ -358,68 +358,12 @@ def _warn_limits(vehicle: Vehicle, clip: Clip) -> None:
 
 
 def _warn_targets(pilot: Any, clip: Clip) -> None:
-    """Say what a pilot missed of its ``targets``, measured on the clip: by how much, and what would do."""
-    for target in pilot.targets(clip.duration) if hasattr(pilot, "targets") else ():
-        missed = _MEASURED[target["kind"]](target, clip)
-        if missed:
-            warnings.warn(f"{clip.vehicle.name}: {target['key']}: {missed}", stacklevel=3)
+    """Say what a pilot missed of its ``targets``, as an audit measures it on the clip."""
+    from vehsim.audit import audit, track_of_clip
+    from vehsim.requests import target_asks
 
-
-def _missed_reach(target: Mapping[str, Any], clip: Clip) -> str:
-    apart = [0.0 if x is None else x - at for x, at in zip(target["position"], clip.positions[-1], strict=True)]
-    off = float(np.linalg.norm(apart))
-    needs = target.get("needs", 0.0)
-    longer = f"; {needs:.1f} s would do" if needs > clip.duration else "; give it more time, or less wind or speed"
-    return f"{off:.2f} m away after {clip.duration:.2f} s{longer}" if off > target["tolerance"] else ""
-
-
-def _missed_heading(target: Mapping[str, Any], clip: Clip) -> str:
-    nose = clip.matrices()[-1][:2, 0]
-    off = float(np.arctan2(nose[1], nose[0])) - target["heading"]
-    off = np.degrees(abs(np.arctan2(np.sin(off), np.cos(off))))
-    return f"{off:.1f} deg off at the end; give it more time" if off > np.degrees(target["tolerance"]) else ""
-
-
-def _missed_speed(target: Mapping[str, Any], clip: Clip) -> str:
-    if len(clip.times) < 2:
-        return ""
-    speeds = np.linalg.norm(np.diff(clip.positions, axis=0), axis=1) / np.diff(clip.times)
-    speeds = np.where(clip.times[:-1] >= target["from"], speeds, 0.0)
-    k = int(speeds.argmax())
-    if speeds[k] <= target["upper"]:
-        return ""
-    return f"{speeds[k]:.2f} m/s at frame {clip.frames[k]:.0f}, at most {target['upper']:.2f} were asked for"
-
-
-def _missed_path(target: Mapping[str, Any], clip: Clip) -> str:
-    points = np.array(target["points"])[:, :2]
-    at = (clip.matrices() @ [*target["offset"], 1.0])[:, :2]
-    begin, along = points[:-1], np.diff(points, axis=0)
-    share = np.einsum("kij,ij->ki", at[:, None] - begin, along) / np.maximum(np.sum(along**2, axis=1), 1e-12)
-    nearest = begin + np.clip(share, 0, 1)[:, :, None] * along
-    off = np.linalg.norm(at[:, None] - nearest, axis=2).min(axis=1) * (clip.times >= target["from"])
-    k = int(off.argmax())
-    if off[k] <= target["tolerance"]:
-        return ""
-    return f"{off[k]:.2f} m beside the path at frame {clip.frames[k]:.0f}; drive slower, or give it wider bends"
-
-
-def _missed_amplitude(target: Mapping[str, Any], clip: Clip) -> str:
-    swings = (clip.times >= target["from"]) & (clip.times <= target["until"])
-    swung = float(np.ptp(clip.joints[swings, clip.vehicle.joints.index(target["joint"])])) / 2
-    off = swung / target["amplitude"] - 1
-    if abs(off) <= target["tolerance"]:
-        return ""
-    period = target.get("needs_period")
-    longer = f"; a period of {period:.2f} s would do" if period else ""
-    return f"{target['joint']} swings {swung:.3f} rad, {off:+.0%} of the {target['amplitude']:.3f} asked for{longer}"
-
-
-_MEASURED: dict[str, Callable[[Mapping[str, Any], Clip], str]] = {
-    "reach": _missed_reach,
-    "heading": _missed_heading,
-    "speed": _missed_speed,
-    "path": _missed_path,
-    "amplitude": _missed_amplitude,
-}
-"""What is wrong with a clip, in words, for each kind of target."""
+    targets = pilot.targets(clip.duration) if hasattr(pilot, "targets") else []
+    asks = target_asks(targets, clip.start_frame, clip.end_frame, float(clip.fps))
+    for row in audit(track_of_clip(clip), asks) if asks else ():
+        if row.met is False:
+            warnings.warn(f"{clip.vehicle.name}: {row}", stacklevel=3)

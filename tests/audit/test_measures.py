@@ -119,6 +119,21 @@ CASES = {
     "position": Case(
         ask("position", 1, 1, START | {"axes": [0, 1, 2]}, upper=1e-3), flight, lambda c: moved(c, [0, 0, MM])
     ),
+    "distance": Case(
+        ask("distance", 301, 301, {"position": [RADIUS, 3.0, HEIGHT - 4.0], "axes": [1, 2]}, upper=5.0),
+        flight,
+        lambda c: moved(c, [0, 0, MM]),
+    ),
+    "off_path": Case(
+        ask("off_path", 1, 49, {"points": [[-5, 1, 0], [5, 1, 0]], "offset": [0, 0.6, 0]}, upper=0.4),
+        standing,
+        lambda c: moved(c, [0, -MM, 0], 24),
+    ),
+    "swing": Case(
+        ask("swing", 1, 49, {"joint": "sigma"}, lower=0.095, upper=0.105),
+        steered,
+        lambda c: replace(c, joints=0.9 * c.joints),
+    ),
     "heading": Case(
         ask("heading", 1, 1, {"heading": math.pi / 2}, upper=math.radians(0.05)),
         flight,

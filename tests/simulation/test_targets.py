@@ -45,7 +45,7 @@ def test_a_path_that_is_too_short_of_time_says_how_much_would_do(asset, points, 
     pilot = FollowPath(vehsim.load_vehicle(asset), points, speed=speed)
     clip, warned = said(pilot, 3.0)
     (message,) = [text for text in warned if "pilot.position" in text]
-    off = float(re.findall(r"([\d.]+) m away", message)[0])
+    off = float(re.findall(r"pilot.position: ([\d.]+) m", message)[0])
     assert off == pytest.approx(np.linalg.norm(clip.positions[-1, :2] - points[-1]), abs=0.01)
     seconds = float(re.findall(r"([\d.]+) s would do", message)[0])
     clip, warned = said(pilot, seconds)
@@ -82,14 +82,14 @@ def test_hovering_elsewhere_or_turned_away_is_said():
 
 def test_a_path_with_bends_no_car_can_drive_is_said():
     pilot = FollowPath(vehsim.load_vehicle("car"), np.array([(0, 0), (8, 0), (8, 3), (0, 3)]), speed=6)
-    assert any("beside the path" in text for text in said(pilot, 15.0)[1])
+    assert any("pilot.path" in text and "give it wider bends" in text for text in said(pilot, 15.0)[1])
 
 
 @pytest.mark.parametrize(("amplitude", "period"), [([0.9, -0.32], 0.6), ([0.3, -0.3], 0.3), ([1.1, 0.5], 0.8)])
 def test_a_gait_beyond_its_torques_says_which_period_would_do(amplitude, period):
     board = vehsim.load_vehicle("snakeboard")
     _, warned = said(Gait(board, amplitude, period, [0, -0.6]), 4.0, step=1 / 240)
-    message = next(text for text in warned if "pilot.amplitude: psi" in text)
+    message = next(text for text in warned if "pilot.amplitude.psi" in text)
     slower = float(re.findall(r"period of ([\d.]+) s", message)[0])
     gait = Gait(board, amplitude, slower, [0, -0.6])
     clip, warned = said(gait, 5.0, step=1 / 240)
@@ -107,6 +107,6 @@ def test_a_shot_reports_what_its_pilot_was_asked():
         "shot": {"schema": 1, "name": "s", "fps": 24},
         "vehicle": [{"name": "v", "asset": "helicopter", "motion": motion}],
     }
-    targets = Shot.from_dict(data).solve().report["vehicles"]["v"]["targets"]
-    assert [target["kind"] for target in targets] == ["reach", "heading"]
-    assert targets[0]["position"] == [0.0, 0.0, 9.0]
+    rows = {row["key"]: row for row in Shot.from_dict(data).solve().report["audit"]["v"]}
+    assert rows["pilot.position"]["wanted"]["position"] == [0.0, 0.0, 9.0]
+    assert rows["pilot.position"]["met"] and rows["pilot.heading"]["met"]

@@ -56,6 +56,7 @@ class Row:
     unit: str
     met: bool | None
     severity: Literal["error", "warning"] = "error"
+    remedy: str = ""
 
     def as_dict(self) -> dict[str, Any]:
         """The row as JSON takes it."""
@@ -68,8 +69,9 @@ class Row:
         factor, unit = (180 / math.pi if angle else 1.0), self.unit.replace("rad", "deg")
         above = self.upper is not None and (self.lower is None or self.value > self.upper)
         bound, verb = (self.upper, "allowed") if above else (self.lower, "asked")
+        remedy = f"; {self.remedy}" if self.remedy and self.met is False else ""
         allowed = "" if bound is None else f", {bound * factor:.4g} {verb}"
-        return f"{self.key}: {self.value * factor:.4g} {unit}".rstrip() + f"{allowed}, at frame {self.frame:g}"
+        return f"{self.key}: {self.value * factor:.4g} {unit}".rstrip() + f"{allowed}, at frame {self.frame:g}{remedy}"
 
 
 def audit(track: Track, asks: Iterable[Ask], scene: Scene = NOWHERE) -> list[Row]:
@@ -84,7 +86,7 @@ def missed(rows: Sequence[Row]) -> list[Row]:
 
 def not_shown(ask: Ask) -> Row:
     """The row of an ask that a representation says nothing about."""
-    return Row(ask.key, ask.measure, None, None, ask.lower, ask.upper, ask.unit, None, ask.severity)
+    return Row(ask.key, ask.measure, None, None, ask.lower, ask.upper, ask.unit, None, ask.severity, ask.remedy)
 
 
 def _measured(track: Track, ask: Ask, scene: Scene) -> Row:
@@ -104,4 +106,4 @@ def _measured(track: Track, ask: Ask, scene: Scene) -> Row:
     worst = int(np.nanargmax(excess))
     met = bool(excess[worst] <= 0)
     value, frame = float(values[worst]), float(part.frames[worst])
-    return Row(ask.key, ask.measure, value, frame, ask.lower, ask.upper, ask.unit, met, ask.severity)
+    return Row(ask.key, ask.measure, value, frame, ask.lower, ask.upper, ask.unit, met, ask.severity, ask.remedy)

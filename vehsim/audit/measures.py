@@ -32,6 +32,27 @@ def _position(track: Track, wanted: Wanted, scene: Scene) -> Array:
     return _less(off, track.blur.position)
 
 
+def _distance(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """How far the root is from a place, along some axes, m."""
+    off = _norms((track.positions - wanted["position"])[:, wanted["axes"]])
+    return _less(off, track.blur.position)
+
+
+def _off_path(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """How far a point of the vehicle is from a polyline, seen from above, m."""
+    points = np.array(wanted["points"], float)[:, :2]
+    at = (track.positions + track.rotations @ np.asarray(wanted["offset"], float))[:, None, :2]
+    begin, along = points[:-1], np.diff(points, axis=0)
+    share = np.sum((at - begin) * along, axis=2) / np.maximum(np.sum(along**2, axis=1), 1e-12)
+    off = _norms(at - begin - np.clip(share, 0, 1)[..., None] * along).min(axis=1)
+    return _less(off, track.blur.position)
+
+
+def _swing(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """Half of the range that a joint goes through; nan before the end."""
+    return _at_end(track, np.ptp(_joint(track, wanted, scene)) / 2)
+
+
 def _heading(track: Track, wanted: Wanted, scene: Scene) -> Array:
     """Angle between the nose, seen from above, and a heading, rad."""
     yaw = np.arctan2(track.rotations[:, 1, 0], track.rotations[:, 0, 0])
@@ -310,6 +331,9 @@ MEASURES: dict[str, Measure] = {
     "frame": _frame,
     "off_frame": _off_frame,
     "position": _position,
+    "distance": _distance,
+    "off_path": _off_path,
+    "swing": _swing,
     "heading": _heading,
     "orientation": _orientation,
     "velocity": _velocity,

@@ -6,5 +6,6 @@ Planning, steering and pilots write asks; `vehsim.audit` measures a finished mot
 """
 
 from vehsim.requests.asks import Ask, limit_asks, look_ask, mark_asks, stay_ask
+from vehsim.requests.targets import target_asks
 
-__all__ = ["Ask", "limit_asks", "look_ask", "mark_asks", "stay_ask"]
+__all__ = ["Ask", "limit_asks", "look_ask", "mark_asks", "stay_ask", "target_asks"]

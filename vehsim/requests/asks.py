@@ -22,7 +22,7 @@ class Ask:
     ``key``: what the user wrote, such as ``mark[1].position``; ``measure``: a name of `vehsim.audit.MEASURES`;
     ``first``, ``last``: the frames it applies to, both included; ``wanted``: what the measure compares with, SI and
     radians; ``lower <= value <= upper`` is met, None is no bound; ``unit`` of the value; a missed ask of severity
-    ``warning`` is reported and does not fail the motion.
+    ``warning`` is reported and does not fail the motion; ``remedy``: what to do about a miss, in words.
     """
 
     key: str
@@ -34,6 +34,7 @@ class Ask:
     upper: float | None = None
     unit: str = ""
     severity: Literal["error", "warning"] = "error"
+    remedy: str = ""
 
     def as_dict(self) -> dict[str, Any]:
         """The ask as JSON takes it; `Ask.from_dict` reads it back."""

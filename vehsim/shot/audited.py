@@ -28,7 +28,7 @@ def audit_clips(
     """A row for every ask of every vehicle: the ask, and the ``value`` measured at its worst ``frame``.
 
     ``asks``: `Ask.as_dict` by vehicle; ``worlds``: what each vehicle moves in, the others included; ``frames``: first
-    and last of the shot. Warns of missed pilots' targets; raises ``SolveError`` naming what else is missed.
+    and last of the shot. Warns of contact; raises ``SolveError`` naming what else is missed.
     """
     from vehsim.audit import WorldScene, audit, missed, track_of_clip
     from vehsim.requests import Ask
@@ -48,7 +48,7 @@ def audit_clips(
         found[name] = [ask.as_dict() | row.as_dict() for ask, row in zip(mine, rows, strict=True)]
         wrong += [f"{name}: {row}" for row in missed(rows)]
         for row in rows:
-            if row.met is False and row.severity == "warning":
+            if row.met is False and row.key == "contact":  # what pilots missed, simulation has said
                 warnings.warn(f"{name}: {row}", stacklevel=3)
     if wrong:
         more = f" and {len(wrong) - NAMED} more" * (len(wrong) > NAMED)

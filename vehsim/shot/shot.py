@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vehsim.errors import InputError, Problem, ShotError
+from vehsim.requests import target_asks
 from vehsim.shot import obstacles
 from vehsim.shot.audited import audit_clips
 from vehsim.shot.blocked import blocking_of
@@ -150,6 +151,10 @@ class Shot:
         (clips, vehicles), recalled = self._motion(progress, cached)
         marks = {name: report.pop("marks", []) for name, report in vehicles.items()}
         asks = {name: report.pop("asks", []) for name, report in vehicles.items()}
+        for name, report in vehicles.items():
+            ends = clips[name].start_frame, clips[name].end_frame
+            targets = target_asks(report.pop("targets", ()), *ends, float(self.fps))
+            asks[name] = [*asks[name], *(ask.as_dict() for ask in targets)]
         frames = self._frames(clips)
         handles = self.file.shot.handles
         clips = {name: carry_on(name, clip, *frames, handles, self.world) for name, clip in clips.items()}
