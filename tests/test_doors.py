@@ -20,6 +20,7 @@ FLOORS = (
         "vehsim._arguments",
         "vehsim.choices",
         "vehsim.doctor",
+        "vehsim.inspecting",
         "vehsim.starting",
     ),
     ("vehsim.batch",),

@@ -120,6 +120,9 @@ def export(
         for shot in loaded:
             print(f"{out / shot.name}: {', '.join(names)} of {_arguments.summary(shot)}")
         raise typer.Exit(WRONG_INPUT if errors else 0)
+    hint = _arguments.film_hint(loaded, names, quality is Quality.draft)
+    if hint and log is Log.text and not quiet:
+        screen.print(hint, markup=False)
     how = {"draft": quality is Quality.draft, "resume": resume, "cached": not no_cache}
     tasks = [prepare(shot, out, names, checked=True, **how) for shot in loaded]
     outcomes = {}
@@ -209,6 +212,26 @@ def new(
 
     path, chosen = new_shot(name, vehicle, terrain, method)
     print(f"{path}: {vehicle}, method = {chosen!r}; next: vehsim export {path} --to usd,strobe,figures")
+
+
+@app.command()
+def inspect(
+    asset: Annotated[Path, typer.Argument(metavar="ASSET", help="USD, GLB, glTF or OBJ, or a vehicle's folder.")],
+    write: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write a first vehicle.toml there; none is overwritten.")
+    ] = None,
+) -> None:
+    """Print an asset's prims, axes and sizes, what could be its wheels and rotors, and a first vehicle.toml."""
+    from vehsim.inspecting import inspect as look_at
+    from vehsim.inspecting import report, vehicle_toml, write_vehicle
+
+    found = look_at(asset)
+    print("\n".join(report(found)))
+    if write is None:
+        print(f"\nvehicle.toml beside it (--write DIR writes it):\n\n{vehicle_toml(found, found.asset.parent)}", end="")
+    else:
+        path = write_vehicle(found, write)
+        print(f"{path}: written; next: vehsim new NAME --vehicle {write}")
 
 
 @app.command()

@@ -12,8 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vehsim import choices, cli
+from vehsim import _arguments, choices, cli
 from vehsim.assets import shipped
+from vehsim.batch.sweep import load_shots
 from vehsim.delivery import exporter_names
 from vehsim.planning.terms import COSTS, LIMITS
 from vehsim.shot.file import SCHEMA_LINE, schema
@@ -157,6 +158,40 @@ def test_the_schema_tells_right_from_wrong(keys: tuple[str | int, ...], value: o
         table = table[key]
     table[keys[-1]] = value
     assert fits(data, schema(), schema()) is right
+
+
+# ---------------------------------------------------------------- long films
+
+
+@pytest.mark.parametrize(
+    "change, to, draft, says",
+    [
+        ([], "usd,mp4", False, "--to strobe,figures, or --quality draft"),
+        ([], "png", False, "about 433 pictures"),
+        ([], "usd,csv,strobe,figures", False, None),
+        ([], "mp4", True, None),  # a quarter of the pixels
+        (["render.every=8"], "mp4", False, None),
+        (["render.size=[96,54]"], "mp4", False, None),
+        (["render.size=[3840,2160]"], "mp4", True, "--to strobe,figures"),
+        (["shot.end_frame=1020"], "mp4", False, None),
+        (["vehicle.heli.motion.mark[1].frame='free'", "render.size=[1920,1080]"], "mp4", False, "pictures"),
+    ],
+)
+def test_a_film_of_minutes_is_announced(change: list[str], to: str, draft: bool, says: str | None) -> None:
+    shot = next(iter(load_shots(EXAMPLES / "canyon_flight.toml", change)))
+    hint = _arguments.film_hint([shot], to.split(","), draft)
+    assert hint is None if says is None else says in str(hint)
+
+
+def test_the_hint_is_one_line_before_the_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("vehsim.batch.run.run", lambda tasks, **options: iter(()))
+    words = ["export", str(EXAMPLES / "canyon_flight.toml"), "--out", str(tmp_path), "--to", "mp4"]
+    assert cli.run(words) == 0
+    assert capsys.readouterr().err.count("--to strobe,figures") == 1
+    assert cli.run([*words, "--quiet"]) == 0
+    assert capsys.readouterr().err == ""
 
 
 # ---------------------------------------------------------------- height

@@ -1,0 +1,190 @@
+"""`vehsim inspect`: a foreign asset's axes, sizes and wheels, held against what riggers wrote by hand."""
+
+from __future__ import annotations
+
+import shutil
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vehsim import Shot, cli, load_vehicle
+from vehsim.assets import shipped
+from vehsim.inspecting import inspect, write_vehicle
+from vehsim.starting import new_shot
+
+ELSEWHERE = Path(__file__).parents[1] / "assets_elsewhere"
+OWN = {path.parent.name: path.parent for path in sorted(ELSEWHERE.glob("*/vehicle.toml"))}
+SHIPPED = {name: shipped("vehicle")[name].parent for name in ("car", "helicopter", "two_wheeled")}
+HANDMADE = OWN | SHIPPED
+
+
+def asset_of(folder: Path) -> Path:
+    return next(path for path in sorted(folder.iterdir()) if path.stem == folder.name and path.suffix != ".mtl")
+
+
+def written(folder: Path, to: Path) -> Path:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return write_vehicle(inspect(asset_of(folder)), to).parent
+
+
+@pytest.mark.parametrize("name", HANDMADE)
+def test_it_finds_what_a_rigger_wrote(tmp_path: Path, name: str) -> None:
+    ours, theirs = load_vehicle(written(HANDMADE[name], tmp_path / name)), load_vehicle(HANDMADE[name])
+    driven = {channel for channel in theirs.rig.drives if not channel.startswith("travel_")}
+    if name == "crawler":
+        driven |= {"steer_fl", "steer_fr"}  # its author left them out
+    assert set(ours.rig.drives) == driven
+    for channel in driven & set(theirs.rig.drives):
+        mine, his = ours.rig.drives[channel], theirs.rig.drives[channel]
+        assert (mine.op, np.sign(mine.factor)) == (his.op, np.sign(his.factor))
+        assert mine.prim == his.prim or mine.prim.startswith(f"{his.prim}/")
+        assert (mine.pivot is None) == (his.pivot is None)
+    if theirs.group.dim == 3:
+        np.testing.assert_allclose(ours.rig.origin, theirs.rig.origin, atol=0.01)
+        for channel in (
+            "roll_rl",
+            "roll_fl",
+            "steer_fl",
+            "roll_left",
+        ):  # radius, wheelbase and track, as the wheels turn
+            if channel in ours.channels:
+                assert turned(ours, channel) == pytest.approx(turned(theirs, channel), rel=0.01)
+
+
+def turned(vehicle: object, channel: str) -> float:
+    """How fast, or how far, a wheel turns in a bend: ``xi`` = (yaw rate, speed), ``r`` = joints."""
+    one = vehicle.channels[channel]
+    law = one.rate or one.value
+    return float(law(0.0, [0.3, 0.4], [0.0, 0.0], [0.5, 2.0, 0.0], [0.0, 0.0]))
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_its_file_drives_as_it_is(tmp_path: Path, name: str) -> None:
+    """A shot of it, in the folder of a studio, passes its check; its wheels roll as far as it drives."""
+    shutil.copytree(OWN[name], tmp_path / "studio", ignore=shutil.ignore_patterns("vehicle.toml"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        path = write_vehicle(inspect(asset_of_copy(tmp_path / "studio", name)), tmp_path / "studio")
+        shot, _ = new_shot(tmp_path / "first", str(path.parent))
+        assert [str(problem) for problem in Shot.load(shot).check() if problem.severity == "error"] == []
+        (clip,) = Shot.load(shot).solve().clips.values()
+    assert np.linalg.norm(np.ptp(clip.positions, axis=0)) > 3 * 0.5
+    if "roll_rl" in clip.channels:
+        way = np.linalg.norm(np.diff(clip.positions[:, :2], axis=0), axis=1).sum()
+        wheel = inspect(path.parent).wheels[0].radius
+        mean = np.mean([np.ptp(clip.channels[f"roll_{at}"]) for at in ("rl", "rr")])
+        assert mean * wheel == pytest.approx(way, rel=0.05)
+    shutil.rmtree(tmp_path / "studio")  # no stage of ours
+
+
+def asset_of_copy(folder: Path, name: str) -> Path:
+    return next(path for path in sorted(folder.iterdir()) if path.stem == name and path.suffix != ".mtl")
+
+
+CAR_USD = """#usda 1.0
+(
+    defaultPrim = "thing"
+    metersPerUnit = {unit}
+    upAxis = "Z"
+)
+def Xform "thing"
+{{
+    {parts}
+}}
+"""
+
+
+def cylinder(name: str, centre: tuple[float, float, float], radius: float, width: float) -> str:
+    """A wheel that turns about its Y, as USD."""
+    angles = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+    ring = [(radius * np.sin(a), s * width / 2, radius * np.cos(a)) for s in (-1, 1) for a in angles]
+    faces = [(k, (k + 1) % 16, 16 + (k + 1) % 16, 16 + k) for k in range(16)]
+    return mesh(name, centre, ring, faces)
+
+
+def mesh(name: str, centre: tuple, points: list, faces: list) -> str:
+    rows = ", ".join(f"({x:.6f}, {y:.6f}, {z:.6f})" for x, y, z in points)
+    return f"""def Xform "{name}"
+    {{
+        double3 xformOp:translate = {tuple(map(float, centre))}
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+        def Mesh "{name}"
+        {{
+            int[] faceVertexCounts = {[len(face) for face in faces]}
+            int[] faceVertexIndices = {[k for face in faces for k in face]}
+            point3f[] points = [{rows}]
+        }}
+    }}
+    """
+
+
+def box(name: str, centre: tuple, size: tuple) -> str:
+    corners = [(x * size[0], y * size[1], z * size[2]) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]
+    faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    return mesh(name, centre, corners, faces)
+
+
+@pytest.mark.parametrize("unit", [1.0, 0.01])
+@pytest.mark.parametrize("backwards", [False, True])
+def test_units_and_a_nose_backwards(tmp_path: Path, unit: float, backwards: bool) -> None:
+    sign, scale = (-1 if backwards else 1), 1 / unit
+    wheels = {"wheel_fl": (1.2, 0.6), "wheel_fr": (1.2, -0.6), "wheel_rl": (-1.3, 0.6), "wheel_rr": (-1.3, -0.6)}
+    parts = [box("body", (0, 0, 0.9 * scale), (4 * scale, 1.6 * scale, 0.8 * scale))]
+    for name, (x, y) in wheels.items():
+        place = (sign * x * scale, sign * y * scale, 0.3 * scale)
+        parts.append(cylinder(name, place, 0.3 * scale, 0.2 * scale))
+    (tmp_path / "thing.usda").write_text(CAR_USD.format(unit=unit, parts="\n".join(parts)))
+    found = inspect(tmp_path / "thing.usda")
+    assert found.keys["forward"] == ("-X" if backwards else "+X")
+    np.testing.assert_allclose(found.bounds[1] - found.bounds[0], (4, 1.6, 1.3), atol=0.02)
+    vehicle = load_vehicle(write_vehicle(found, tmp_path / "made").parent)
+    np.testing.assert_allclose(vehicle.rig.origin, (-1.3, 0, 0), atol=1e-3)
+    factors = {drive.factor for channel, drive in vehicle.rig.drives.items() if channel.startswith("roll")}
+    assert factors == {-1.0 if backwards else 1.0}  # turned about, its own Y points to the right
+    (tmp_path / "thing.usda").unlink()
+
+
+def test_without_anything_that_turns_it_is_a_body(tmp_path: Path) -> None:
+    (tmp_path / "thing.usda").write_text(CAR_USD.format(unit=1, parts=box("crate", (0, 0, 0.5), (2, 1, 1))))
+    vehicle = load_vehicle(write_vehicle(inspect(tmp_path / "thing.usda"), tmp_path / "made").parent)
+    assert vehicle.inertia[5, 5] == pytest.approx(600.0) and not vehicle.controls
+    np.testing.assert_allclose(vehicle.rig.origin, (0, 0, 0.5), atol=1e-6)
+    (tmp_path / "thing.usda").unlink()
+
+
+def test_the_command_prints_and_writes_but_never_overwrites(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    asset = asset_of(OWN["kart"])
+    assert cli.run(["inspect", str(asset)]) == 0
+    said = capsys.readouterr().out
+    for word in (
+        "up axis   Y",
+        "0.01 m",
+        "nose      +Z",
+        "1.9 x 1.16 x 0.65 m",
+        "tyre_fl",
+        "radius 0.14 m",
+        "[physics]",
+    ):
+        assert word in said
+    assert cli.run(["inspect", str(asset), "--write", str(tmp_path / "kart")]) == 0
+    before = (tmp_path / "kart" / "vehicle.toml").read_text()
+    assert cli.run(["inspect", str(asset), "--write", str(tmp_path / "kart")]) == 2
+    assert "exists and is not overwritten" in capsys.readouterr().err
+    assert (tmp_path / "kart" / "vehicle.toml").read_text() == before
+    assert cli.run(["inspect", str(tmp_path / "kart")]) == 0  # a vehicle's folder too
+
+
+@pytest.mark.parametrize("name, content", [("a.usda", "nothing"), ("a.obj", "o a\n"), ("a.glb", "x"), ("a.txt", "x")])
+def test_what_is_no_asset_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, content: str
+) -> None:
+    (tmp_path / name).write_text(content)
+    assert cli.run(["inspect", str(tmp_path / name), "--write", str(tmp_path / "made")]) == 2
+    assert "Traceback" not in capsys.readouterr().err
+    assert not (tmp_path / "made").exists()
+    assert cli.run(["inspect", str(tmp_path / "none.usd")]) == 2
+    assert cli.run(["inspect", str(tmp_path)]) == 2
+    (tmp_path / name).unlink()
