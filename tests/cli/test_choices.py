@@ -186,7 +186,7 @@ def test_a_film_of_minutes_is_announced(change: list[str], to: str, draft: bool,
 def test_the_hint_is_one_line_before_the_work(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("vehsim.batch.run.run", lambda tasks, **options: iter(()))
+    monkeypatch.setattr("vehsim.batch.run.run", lambda tasks, **options: (None for _ in ()))
     words = ["export", str(EXAMPLES / "canyon_flight.toml"), "--out", str(tmp_path), "--to", "mp4"]
     assert cli.run(words) == 0
     assert capsys.readouterr().err.count("--to strobe,figures") == 1

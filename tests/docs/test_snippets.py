@@ -157,7 +157,11 @@ def understand(words: list[str]) -> None:
 
 
 def parse(words: list[str]) -> None:
-    commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+    whole = typer.main.get_command(app)
+    if words[0].startswith("--"):  # an option of vehsim itself
+        assert any(words[0] in param.opts for param in whole.params), f"vehsim {words[0]}: no such option"
+        return
+    commands = whole.commands  # type: ignore[attr-defined]
     assert words[0] in commands, f"vehsim {words[0]}: no such command"
     command = commands[words[0]]
     context = command.make_context(words[0], [], resilient_parsing=True)  # so far nothing need be given
