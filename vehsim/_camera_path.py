@@ -24,6 +24,10 @@ SIDESTEPS = np.radians((0.0, 12.0, -12.0, 24.0, -24.0, 38.0, -38.0))
 SCALES = (1.0, 0.85)
 LIFTS = (0.0, 0.12, 0.25, 0.4)
 """What a camera may do to see its target: go round it (rad), nearer (factor), higher (of its distance)."""
+HIGHER = (0.55, 0.7)
+"""How much higher besides, where it keeps its side of the target."""
+ASIDE = 3.0
+"""How much more a turn weighs there, which is at most 24 degrees unless obstacles stand."""
 SIGHT = np.linspace(0.0, 0.75, 14)
 """Where the line of sight is tested, from the camera (0) towards the target (1)."""
 ROUND = np.radians((55.0, -55.0, 75.0, -75.0))
@@ -34,21 +38,27 @@ RAISES = np.linspace(0.0, 1.2, 25)
 """How far it may be raised over an obstacle, of its distance."""
 
 
-def steer(positions: Array, aims: Array, world: Any, margin: float, radius: float, fps: float) -> Array:
+def steer(
+    positions: Array, aims: Array, world: Any, margin: float, radius: float, fps: float, behind: bool = False
+) -> Array:
     """Camera positions (n, 3) near the wished ``positions`` that see ``radius`` m about ``aims`` past all that stands.
 
     Every quarter second it may stand as wished or a little round the target, nearer or higher; dynamic programming
-    picks the sequence with the least blocked sight, then the least departure and change.
+    picks the sequence with the least blocked sight, then the least departure and change. One that stays ``behind`` its
+    target is raised sooner than it goes round.
     """
     count = len(positions)
     step = max(1, round(fps / 4))
     keys = np.unique(np.append(np.arange(0, count, step), count - 1))
-    turns = np.append(SIDESTEPS, ROUND) if _standing(world) else SIDESTEPS
-    choices = np.array(list(product(turns, SCALES, LIFTS)))
+    turns = SIDESTEPS[:5] if behind else SIDESTEPS
+    turns = np.append(turns, ROUND) if _standing(world) else turns
+    choices = np.array(list(product(turns, SCALES, LIFTS + HIGHER * behind)))
     moves = np.stack([_moved(positions[keys] - aims[keys], *choice) for choice in choices], axis=1)
     hidden = blocked(aims[keys][:, None] + moves, aims[keys][:, None], world, margin, radius)
     reach = np.linalg.norm(positions - aims, axis=1).mean()
-    departure = choices[:, 0] ** 2 + (2 * (1 - choices[:, 1])) ** 2 + (2 * choices[:, 2]) ** 2
+    departure = (
+        ((ASIDE if behind else 1.0) * choices[:, 0]) ** 2 + (2 * (1 - choices[:, 1])) ** 2 + (2 * choices[:, 2]) ** 2
+    )
     chosen = _cheapest(hidden / reach * 400.0 + departure, choices / (0.10, 0.12, 0.10))
     path = np.array([np.interp(np.arange(count), keys, choices[chosen, k]) for k in range(3)])
     path = smooth(path.T, 0.35 * fps)

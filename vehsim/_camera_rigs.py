@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+STEEPEST = 0.8
+"""Slope of the ground behind a target up to which a camera is raised over it."""
+
 
 @dataclass(frozen=True)
 class Move:
@@ -26,6 +29,7 @@ class Move:
 
     ``fill``: the share of the frame's height that stands for the whole shot, of those of its frames, or None: the
     distance is not the rig's to choose; ``guided``: may step aside for what stands; ``level``: keeps its horizon;
+    ``behind``: it keeps its side of the target, and is raised over the ground sooner than it goes round;
     ``side``: of rigs that are put in a place: (subject, distance) -> the azimuth, degrees, it looks along unless told.
     """
 
@@ -33,6 +37,7 @@ class Move:
     fill: Callable[[Array], Any] | None = np.median
     guided: bool = True
     level: bool = True
+    behind: bool = False
     side: Callable[[Subject, float], float] | None = None
 
 
@@ -61,13 +66,17 @@ def _tow(path: Array, heading: float, length: float) -> Array:
 
 
 def _open_way(start: Array, heading: float, length: float, world: Any) -> float:
-    """The heading rad nearest to ``heading`` that has free air for ``length`` m behind ``start`` (3,)."""
+    """The heading rad nearest to ``heading`` with nothing for ``length`` m behind ``start`` (3,) that is too steep to be
+    looked over.
+    """
     turns = np.radians(np.arange(0, 91, 5))
     headings = heading + np.concatenate([[0.0], np.stack([turns[1:], -turns[1:]], axis=1).ravel()])
-    behind = -np.stack([np.cos(headings), np.sin(headings)], axis=1)[:, None] * np.linspace(0, length, 16)[:, None]
-    ground = np.asarray(world.height((start[:2] + behind).reshape(-1, 2))).reshape(len(headings), -1).max(axis=1)
-    blocked = np.maximum(np.where(np.isfinite(ground), ground, -np.inf) - start[2], 0.0)
-    return float(headings[np.argmin(blocked + 0.1 * length * np.abs(headings - heading))])
+    along = np.linspace(0, length, 16)
+    behind = -np.stack([np.cos(headings), np.sin(headings)], axis=1)[:, None] * along[:, None]
+    ground = np.asarray(world.height((start[:2] + behind).reshape(-1, 2))).reshape(len(headings), -1)
+    above = np.where(np.isfinite(ground), ground, -np.inf) - start[2]
+    blocked = np.maximum(above - STEEPEST * along, 0.0).max(axis=1)
+    return float(headings[np.argmin(blocked + 0.5 * length * np.abs(headings - heading))])
 
 
 def _follow(rig: CameraRig, subject: Subject, distance: float, world: Any) -> tuple[Array, Array]:
@@ -150,7 +159,7 @@ def _first_person(rig: CameraRig, subject: Subject, distance: float, world: Any)
 
 
 RIGS: dict[str, Move] = {
-    "chase": Move(_chase),
+    "chase": Move(_chase, behind=True),
     "follow": Move(_follow),
     "orbit": Move(_orbit),
     "static": Move(_static, side=_half_ahead(0.5)),

@@ -77,7 +77,7 @@ class Route:
     def speed(self, s: float) -> tuple[float, float]:
         """Speed at an arc length, and its change per metre (never asking for a standing start)."""
         left = max(self.length - s, 0.0)
-        v = min(float(np.interp(s, self._s, self._v)), 1.5 * left)
+        v = min(float(np.interp(s, self._s, self._v)), 2.0 * left)
         nudge = 1e-3
         return v, (float(np.interp(s + nudge, self._s, self._v)) - float(np.interp(s, self._s, self._v))) / nudge
 

@@ -141,7 +141,7 @@ def solve_camera(
         positions, aims = move.place(placed, subject, distance, around)
         back = np.ones(len(positions))
         if move.guided and np.ptp(positions, axis=0).max() > 0:  # what stands still was put there
-            positions = steer(positions, aims, around, rig.margin, subject.size / 2, subject.fps)
+            positions = steer(positions, aims, around, rig.margin, subject.size / 2, subject.fps, move.behind)
             if framed:
                 back = _back_off(positions, aims, subject, zoom)
                 positions = aims + (positions - aims) * back[:, None]

@@ -46,7 +46,7 @@ _CRUISE = 0.96
 """Share of its speed that a helicopter is planned to fly: the rest is for feedback against the wind."""
 _STOP, _BESIDE = 0.25, 0.2
 """How near a car's root stops to the end of its path, m, and its axle stays to the path, in wheelbases."""
-_DRIVE = (1.5, 0.8)
+_DRIVE = (2.0, 0.8)
 """Largest acceleration of a car's pilot, m/s^2, and the share of its torque that it plans with."""
 
 

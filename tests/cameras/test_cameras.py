@@ -370,3 +370,30 @@ def test_frames_beyond_the_clip_hold_its_ends():
 def test_wrong_rigs_are_named_with_the_mend(rig, message):
     with pytest.raises(InputError, match=message):
         solve_camera(rig, {"cube": MOTIONS["hover"]}, World(), (1001, 1121), ASPECT)
+
+
+def rolling(seed, height):
+    """Random hills, of waves 40 to 120 m long."""
+    random = np.random.default_rng(seed)
+    x, y = np.meshgrid(np.linspace(-120, 120, 121), np.linspace(-120, 120, 121))
+    z = 0 * x
+    for _ in range(8):
+        k = random.normal(size=2) * 2 * np.pi / random.uniform(40, 120)
+        z += height * np.sin(k[0] * x + k[1] * y + random.uniform(0, 2 * np.pi))
+    return World(Terrain(f"rolling_{seed}", z, (-120.0, -120.0), (2.0, 2.0)))
+
+
+@pytest.mark.parametrize("above", [0.0, 5.0], ids=["on the ground", "flying"])
+@pytest.mark.parametrize("seed", range(8))
+def test_a_chase_starts_behind_on_hills_and_stays_there(seed, above):
+    """Raised over what rises behind the target, and not put beside it; never in the ground."""
+    world, random = rolling(seed, (1.2, 2.0)[seed % 2]), np.random.default_rng(seed + 100)
+    heading, start = random.uniform(-np.pi, np.pi), random.uniform(-40, 40, 2)
+    way = start + np.outer(8 * T, [np.cos(heading), np.sin(heading)])
+    clip = clip_along(np.column_stack([way, world.height(way) + 1.0 + above]), heading)
+    camera = solve_camera(CameraRig(), {"cube": clip}, world, (1001, 1121), ASPECT)
+    offset = clip.positions - camera.positions
+    off = np.degrees(np.arctan2(offset[:, 1], offset[:, 0]) - heading)
+    off = np.abs((off + 180) % 360 - 180)
+    assert off[0] < 25 and off.max() < 25
+    assert np.min(camera.positions[:, 2] - world.height(camera.positions[:, :2])) > 0.5
