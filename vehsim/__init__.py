@@ -30,6 +30,7 @@ __all__ = [*_PUBLIC, "__version__"]
 
 if TYPE_CHECKING:  # type checkers see the names and modules, and a typo is an error
     from vehsim import assets as assets
+    from vehsim import audit as audit
     from vehsim import batch as batch
     from vehsim import blocking as blocking
     from vehsim import cameras as cameras
@@ -42,6 +43,7 @@ if TYPE_CHECKING:  # type checkers see the names and modules, and a typo is an e
     from vehsim import parts as parts
     from vehsim import pilots as pilots
     from vehsim import planning as planning
+    from vehsim import requests as requests
     from vehsim import rigging as rigging
     from vehsim import shot as shot
     from vehsim import simulation as simulation

@@ -603,7 +603,27 @@ class Ground:
             np.ascontiguousarray(points), self.points, np.ascontiguousarray(self.faces[near])
         )[:3]
         above = np.sum((points - closest) * self.normals[near][which], axis=1) >= 0
+        # on a ridge the nearest triangle may face away from what is above it: what lies below decides
+        shapes = self.points[self.faces[near]]
+        bounds = shapes[:, :, :2].min(axis=1), shapes[:, :, :2].max(axis=1)
+        for k in np.flatnonzero(~above):
+            beneath = np.all((bounds[0] <= points[k, :2]) & (points[k, :2] <= bounds[1]), axis=1)
+            above[k] = _is_over(points[k], shapes[beneath])
         return np.where(above, 1, -1) * np.sqrt(squared)
+
+
+def _is_over(point: Array, shapes: Array) -> bool:
+    """Is a point above the triangles (n, 3, 3) that stand straight above or below it? False where none does."""
+    a, b, c = (shapes[:, k, :2] - point[:2] for k in range(3))
+
+    def cross(p: Array, q: Array) -> Array:
+        return p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]
+
+    weights = np.stack([cross(b, c), cross(c, a), cross(a, b)], axis=1)
+    total = weights.sum(axis=1)
+    inside = (total != 0) & (np.all(weights >= 0, axis=1) | np.all(weights <= 0, axis=1))
+    heights = np.sum(weights[inside] * shapes[inside][:, :, 2], axis=1) / total[inside]
+    return len(heights) > 0 and bool(point[2] >= heights.max())
 
 
 def check_clearance(
