@@ -66,9 +66,7 @@ def _tow(path: Array, heading: float, length: float) -> Array:
 
 
 def _open_way(start: Array, heading: float, length: float, world: Any) -> float:
-    """The heading rad nearest to ``heading`` with nothing for ``length`` m behind ``start`` (3,) that is too steep to be
-    looked over.
-    """
+    """The heading rad nearest to ``heading`` with nothing too steep to look over ``length`` m behind ``start`` (3,)."""
     turns = np.radians(np.arange(0, 91, 5))
     headings = heading + np.concatenate([[0.0], np.stack([turns[1:], -turns[1:]], axis=1).ravel()])
     along = np.linspace(0, length, 16)

@@ -53,12 +53,23 @@ def check_names(key: str, given: Mapping[str, Any], known: Collection[str], noun
             yield Problem(f"{key}.{name}", f"no such {noun}", choose(name, known), value)
 
 
-def check_rig(key: str, asset: str, rig: Rig | None) -> Iterator[Problem]:
-    """Every part that is driven is there and can move as a rigid part about a pivot of its own."""
+def check_asset(key: str, asset: str, rig: Rig | None) -> Iterator[Problem]:
+    """Every part that is driven is there and can move as a rigid part about a pivot of its own; the numbers of the
+    ``vehicle.toml`` are those of its asset: lengths, mass, and where its nose is.
+    """
     from vehsim.rigging import rig_problems
+    from vehsim.vehicles._fit import backwards, misfits
 
-    for channel, message, mend in rig_problems(rig) if rig is not None and rig.drives else ():
-        yield Problem(key, f"channels.{channel}: {message}" if channel else message, mend, asset)
+    turned = backwards(rig)  # first: wheels of an asset that is turned round seem to turn the wrong way
+    if turned is None and rig is not None and rig.drives:
+        broken = rig_problems(rig)
+        for channel, message, mend in broken:
+            yield Problem(key, f"channels.{channel}: {message}" if channel else message, mend, asset)
+        if broken:
+            return
+    for misfit in misfits(rig) if turned is None else [turned]:
+        said = f"{misfit.key}: " if misfit.value is None else f"{misfit.key} = {misfit.value!r}: "
+        yield Problem(key, said + misfit.message, misfit.mend, asset, severity=misfit.severity)
 
 
 def check_variants(key: str, given: Mapping[str, str], rig: Rig | None) -> Iterator[Problem]:

@@ -19,7 +19,7 @@ from vehsim.requests import target_asks
 from vehsim.shot import obstacles
 from vehsim.shot.audited import audit_clips
 from vehsim.shot.blocked import blocking_of
-from vehsim.shot.checks import Setting, check_cuts, check_names, check_rig, check_variants, choose
+from vehsim.shot.checks import Setting, check_asset, check_cuts, check_names, check_variants, choose
 from vehsim.shot.file import ShotFile, VehicleTable, parse
 from vehsim.shot.handles import carry_on
 from vehsim.shot.holding import hold, rests
@@ -238,7 +238,7 @@ class Shot:
             except InputError as error:
                 yield Problem(f"vehicle[{i}].asset", str(error), "see vehsim vehicles", table.asset)
                 continue
-            yield from check_rig(f"vehicle[{i}].asset", table.asset, vehicle.rig)
+            yield from check_asset(f"vehicle[{i}].asset", table.asset, vehicle.rig)
             yield from check_variants(f"vehicle[{i}].variants", table.variants, vehicle.rig)
             if world is None:
                 continue

@@ -1,0 +1,181 @@
+"""Whether ``vehicle.toml`` and its asset are of one vehicle: lengths, mass and nose, measured on the asset's own parts.
+
+What belongs here is measuring and comparing; who is told, and when, is in `shot/checks.py`.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from vehsim.errors import InputError
+from vehsim.vehicles._base import Array
+
+if TYPE_CHECKING:
+    from vehsim.vehicles._base import Rig
+
+OFF, GROSS = 0.15, 3.0
+"""How far off the asset a number is that is worth a warning, relative to it, and how many times that is an error."""
+DENSITY, POSSIBLE = (30.0, 2500.0), (5.0, 12000.0)
+"""Mass over the volume of a vehicle's hulls, kg/m^3: usual, and possible at all."""
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """A number of a ``vehicle.toml`` that its asset contradicts."""
+
+    key: str
+    value: Any
+    message: str
+    mend: str
+    severity: Literal["error", "warning"]
+
+
+def misfits(rig: Rig | None) -> list[Misfit]:
+    """What the physics of a vehicle and the sizes of its asset disagree about. Lengths in m, mass in kg."""
+    if rig is None or not (data := _written(rig)):
+        return []
+    shape, physics = _Shape.of(rig), data.get("physics", {})
+    return [*_lengths(rig, shape, physics), *_mass(rig, shape, physics), *_centre(rig, shape)]
+
+
+def backwards(rig: Rig | None) -> Misfit | None:
+    """Whether the nose of the asset is not along X: front wheels behind rear ones, a tail rotor or propeller ahead."""
+    if rig is None or not (data := _written(rig)):
+        return None
+    try:
+        return next(_backwards(rig, _Shape.of(rig), data), None)
+    except InputError:  # of parts that cannot be read: those who read them say so
+        return None
+
+
+def _written(rig: Rig) -> dict[str, Any]:
+    """What stands in the ``vehicle.toml``; nothing where there is none."""
+    toml = None if rig.folder is None else rig.folder / "vehicle.toml"
+    return tomllib.loads(toml.read_text(encoding="utf-8")) if toml is not None and toml.is_file() else {}
+
+
+@dataclass(frozen=True)
+class _Shape:
+    """Points (n, 3) of every part in the rig root's frame, m, by path; the volume of its hulls, m^3."""
+
+    points: dict[str, Array]
+    volume: float
+
+    @staticmethod
+    def of(rig: Rig) -> _Shape:
+        return _shape(rig.asset, rig.root or None, rig.asset.stat().st_mtime_ns)
+
+    def below(self, prim: str) -> Array:
+        """Points (n, 3) of a prim and all below it."""
+        rows = [p for path, p in self.points.items() if path == prim or path.startswith(f"{prim}/")]
+        return np.concatenate(rows) if rows else np.zeros((0, 3))
+
+    def centres(self, rig: Rig, channels: Sequence[str]) -> Array:
+        """Middles (k, 3) of what those of the ``channels`` that there are drive."""
+        sets = [self.below(rig.drives[name].prim) for name in channels if name in rig.drives]
+        return np.array([(p.min(axis=0) + p.max(axis=0)) / 2 for p in sets if len(p)]).reshape(-1, 3)
+
+
+@lru_cache(maxsize=64)
+def _shape(asset: Path, root: str | None, changed: int) -> _Shape:
+    import trimesh
+
+    from vehsim.parts import read_parts
+
+    parts = read_parts(asset, root)
+    points = {p.path: p.points @ p.T_rp[:3, :3].T + p.T_rp[:3, 3] for p in parts if len(p.points)}
+    marked = any(part.collides for part in parts)
+    volume = 0.0
+    for part in parts:
+        for hull in part.hulls if marked else ([part.points] if len(part.points) > 3 else []):
+            solid = trimesh.convex.convex_hull(hull @ part.T_rp[:3, :3].T + part.T_rp[:3, 3])
+            volume += float(solid.volume)
+    return _Shape(points, volume)
+
+
+FRONT, REAR = ("roll_fl", "roll_fr", "steer_fl", "steer_fr", "roll_front"), ("roll_rl", "roll_rr", "roll_rear")
+
+
+def _axles(rig: Rig, shape: _Shape) -> tuple[float, float] | None:
+    """x of the front and of the rear axle, m."""
+    front, rear = shape.centres(rig, FRONT), shape.centres(rig, REAR)
+    return (float(front[:, 0].mean()), float(rear[:, 0].mean())) if len(front) and len(rear) else None
+
+
+def _backwards(rig: Rig, shape: _Shape, data: dict[str, Any]) -> Iterator[Misfit]:
+    ends = []
+    if axles := _axles(rig, shape):
+        ends.append(("its front wheels", "behind its rear wheels", axles[0] - axles[1]))
+    for channel, name in (("tail_rotor", "its tail rotor"), ("propeller", "its propeller")):
+        for place in shape.centres(rig, [channel]):
+            ends.append((name, "ahead of its centre of mass", rig.origin[0] - place[0]))
+    length = np.ptp(np.concatenate(list(shape.points.values()))[:, 0]) if shape.points else 0.0
+    for what, where, ahead in ends:
+        if ahead < -0.05 * length:
+            mend = 'give the axis that its nose points along, such as forward = "-X"'
+            mend += ", or exchange the prims of its channels"
+            message = f"{what} stand{'s' if not what.endswith('s') else ''} {-ahead:.2f} m {where}: it points backwards"
+            yield Misfit("forward", data.get("forward"), message, mend, "error")
+            return
+
+
+def _lengths(rig: Rig, shape: _Shape, physics: dict[str, Any]) -> Iterator[Misfit]:
+    origin = np.asarray(rig.origin, float)
+    rolls = [shape.below(drive.prim) for name, drive in rig.drives.items() if name.startswith("roll")]
+    if sizes := [float(np.ptp(p[:, 2])) / 2 for p in rolls if len(p)]:
+        yield from _compare("wheel_radius", physics, float(np.median(sizes)), "its wheels have a radius of")
+    if axles := _axles(rig, shape):
+        yield from _compare("wheelbase", physics, axles[0] - axles[1], "its axles are apart by")
+    for key, channel, axis, sign in (("d_t", "main_rotor", 2, 1), ("d_r", "tail_rotor", 0, -1)):
+        for place in shape.centres(rig, [channel]):
+            far = float(sign * (place - origin)[axis])
+            yield from _compare(key, physics, far, f"from its origin, its {channel.replace('_', ' ')} is")
+
+
+def _compare(key: str, physics: dict[str, Any], measured: float, what: str) -> Iterator[Misfit]:
+    given = physics.get(key)
+    if not isinstance(given, int | float) or measured <= 0 or given <= 0:
+        return
+    ratio = given / measured
+    if abs(ratio - 1) <= OFF:
+        return
+    unit = next((f", as in {name}" for name, size in (("cm", 100), ("mm", 1000), ("feet", 3.281), ("inches", 39.37))
+                 if abs(ratio / size - 1) < OFF), "")  # fmt: skip
+    gross = not 1 / GROSS < ratio < GROSS
+    mend = f"give {measured:.3g}, in m, or mend the asset's meters_per_unit"
+    yield Misfit(f"physics.{key}", given, f"{what} {measured:.3g} m{unit}", mend, "error" if gross else "warning")
+
+
+def _mass(rig: Rig, shape: _Shape, physics: dict[str, Any]) -> Iterator[Misfit]:
+    mass = physics.get("mass")
+    if not isinstance(mass, int | float) or shape.volume <= 0:
+        return
+    density = mass / shape.volume
+    if DENSITY[0] <= density <= DENSITY[1]:
+        return
+    message = f"over the {shape.volume:.3g} m^3 of its hulls that is {density:.3g} kg/m^3"
+    low, high = DENSITY[0] * shape.volume, DENSITY[1] * shape.volume
+    mend = f"give kg: {low:.2g} to {high:.2g} is usual, or physics.density to have it measured"
+    possible = POSSIBLE[0] <= density <= POSSIBLE[1]
+    yield Misfit("physics.mass", mass, message, mend, "warning" if possible else "error")
+
+
+def _centre(rig: Rig, shape: _Shape) -> Iterator[Misfit]:
+    if not shape.points:
+        return
+    points = np.concatenate(list(shape.points.values()))
+    lower, upper = points.min(axis=0), points.max(axis=0)
+    beyond = np.maximum(np.maximum(lower - rig.origin, np.asarray(rig.origin) - upper), 0.0)
+    size = float(np.linalg.norm(upper - lower))
+    off = float(np.linalg.norm(beyond))
+    if off > 0.1 * size:
+        message = f"{off:.3g} m outside the asset, whose box is {', '.join(f'{x:.3g}' for x in upper - lower)} m"
+        mend = "give the place in the rig root's frame, in m"
+        yield Misfit("origin", list(rig.origin), message, mend, "error" if off > size else "warning")
