@@ -263,7 +263,10 @@ def _standing(vehicle: Vehicle, world: World | None, given: State | None) -> Sta
     position = np.asarray(start.position, float).ravel()
     if position.shape != (3,) or not np.all(np.isfinite(position)):
         raise InputError(f"state.position = {start.position!r}: give 3 finite numbers")
-    ground = float(np.ravel(world.height(position[None, :2]))[0])
+    ground, end = float(np.ravel(world.height(position[None, :2]))[0]), world.terrain.beyond(position)
+    if end:
+        message = f"{vehicle.name}: starts at {position[:2].tolist()}, outside the terrain, which ends at {end}"
+        warnings.warn(f"{message}; beyond, the ground goes on level and is not drawn", stacklevel=3)
     if given is not None and abs(position[2] - ground) > 0.01:
         warnings.warn(
             f"{vehicle.name}: starts at z = {position[2]:.2f} m and was put on the ground, at {ground:.2f} m; "

@@ -18,15 +18,16 @@ from tests.planning.test_plan import REST, tug
 from vehsim import Mark, Shot
 from vehsim.errors import InputError, ShotError, SolveError
 from vehsim.planning import ranges, relax
+from vehsim.planning.bounds import strength
 from vehsim.planning.deadline import MORE, Deadline
-from vehsim.planning.feasibility import refusals, strength
+from vehsim.planning.feasibility import refusals
 from vehsim.planning.marks import Gate
 from vehsim.planning.request import ask
 from vehsim.planning.terms import Constraint
 from vehsim.world.obstacles import box, ellipse
 from vehsim.world.terrain import Terrain
 
-CAR_ASIDE = [Mark(1, position=REST, heading=0, velocity=REST), Mark(25, position=(0, 6, 0), heading=0, velocity=REST)]
+CAR_ASIDE = [Mark(1, position=REST, heading=0, velocity=REST), Mark(49, position=(0, 6, 0), heading=0, velocity=REST)]
 
 
 def said(marks, vehicle=None, **options):
@@ -41,23 +42,23 @@ def said(marks, vehicle=None, **options):
         (
             [Mark(1040, position=REST), Mark(1060, position=(26, 0, 0))],
             {"speed": 22},
-            "mark[1].frame: frames 1040 to 1060 needs 31.2 m/s, limit 22; earliest 1069",
+            "mark[1].frame: frames 1040 to 1060 ask for 31.2 m/s, limit 22; earliest 10(69|70)",
         ),
         # rest to rest over 16 m at 4 m/s^2: 2 sqrt(16 / 4) = 4 s
         (
             [Mark(1, position=REST, velocity=REST), Mark(49, position=(16, 0, 0), velocity=REST)],
             {"acceleration": 4},
-            "mark[1].frame: frames 1 to 49 is 16 m in 2 s, more than 4 m/s^2 can do; earliest 97",
+            "mark[1].frame: frames 1 to 49 ask for 16 m in 2 s, more than 4 m/s^2 can do; earliest (9[7-9]|10[0-9])",
         ),
         (
             [Mark(1, position=REST), Mark(25, position=(0, 0, 9))],
             {"climb": 3},
-            "mark[1].frame: frames 1 to 25 needs 9 m/s up or down, limit 3; earliest 73",
+            "mark[1].frame: frames 1 to 25 ask for 9 m/s up or down, limit 3; earliest 7[3-5]",
         ),
         (
             [Mark(1, position=REST, heading=170), Mark(13, position=REST, heading=-100)],
             {"turn_rate": np.deg2rad(45)},
-            "mark[1].frame: frames 1 to 13 needs 180 deg/s, limit 45; earliest 49",
+            "mark[1].frame: frames 1 to 13 ask for 180 deg/s, limit 45; earliest (49|5[0-4])",
         ),
         (
             [Mark(1, position=REST, speed=9), Mark(25)],
@@ -72,7 +73,8 @@ def said(marks, vehicle=None, **options):
     ],
 )
 def test_bounds_name_mark_amount_and_mend(marks, limits, expected):
-    assert said(marks, limits=limits) == [expected]
+    (message,) = said(marks, limits=limits)
+    assert re.fullmatch(expected.replace("[1].", r"\[1\].").replace("[0].", r"\[0\].").replace("^", r"\^"), message)
 
 
 def test_a_mark_outside_a_stay_is_named():
@@ -103,8 +105,8 @@ def test_misses_are_said_in_the_marks_own_units(monkeypatch):
     turn = [Mark(1, position=REST, heading=0, speed=12), Mark(73, position=(35, 10, 0), heading=90, speed=8)]
     with pytest.warns(UserWarning, match=r"mark\[1\].heading is missed by \d+(\.\d+)? deg"):
         vehsim.plan(car, None, turn, segments=16, limits={"acceleration": 5})
-    level = [Mark(1, position=(0, 0, 20), velocity=REST), Mark(73, position=(40, 0, 20), velocity=REST)]
-    with pytest.warns(UserWarning, match=r"mark\[1\].frame = 73 is too early; earliest 2\d\d"):
+    level = [Mark(1, position=(0, 0, 20), velocity=REST), Mark(101, position=(40, 0, 20), velocity=REST)]
+    with pytest.warns(UserWarning, match=r"mark\[1\].frame = 101 is too early; earliest 2\d\d"):
         vehsim.plan(helicopter, None, level, segments=12, limits={"bank": np.deg2rad(10)})
     assert relax._amount("mark[1].heading", np.array([0.6, 0.8])) == "143 deg"
     assert relax._amount("mark[1].orientation", np.array([0, 0, 0.5])) == "60 deg"
@@ -122,12 +124,14 @@ def test_what_can_be_done_is_not_refused():
 def test_strength_is_the_controls_at_their_corners():
     assert strength(tug(limit=10.0)) == pytest.approx(np.sqrt(3) * 10 / 10)
     assert strength(tug(limit=10.0, gravity=9.81)) == pytest.approx(np.sqrt(3) + 9.81)
-    assert strength(tug()) == np.inf and strength(vehsim.load_vehicle("car")) == np.inf
+    car = vehsim.load_vehicle("car")
+    braking = 4000 / 0.32 / (1350 + 2.4 / 0.32**2)
+    assert strength(tug()) == np.inf and braking <= strength(car) <= 1.03 * braking
 
 
 def test_failed_solves_say_by_how_much_and_what_would_do():
     with pytest.warns(
-        UserWarning, match=r"mark\[1\].position is missed by 5\.\d+ m; .*mark\[1\].frame = 25 is too early"
+        UserWarning, match=r"mark\[1\].frame = 49 is too early; earliest 1\d\d; .*mark\[1\].position is missed by"
     ):
         plan = vehsim.plan(vehsim.load_vehicle("car"), None, CAR_ASIDE, segments=12)
     assert not plan.success and np.all(np.isfinite(plan.clip.positions))
@@ -289,7 +293,9 @@ def test_shots_say_what_bounds_rule_out():
     ]
     motion = {"method": "plan", "limits": {"speed": 22}, "mark": marks}
     shot = {"shot": {"schema": 1, "name": "late"}, "vehicle": [{"name": "v", "asset": "helicopter", "motion": motion}]}
-    with pytest.raises(ShotError, match=r"mark\[1\].frame = 1060: frames 1040 to 1060 needs 31.2 m/s, limit 22; earl"):
+    with pytest.raises(
+        ShotError, match=r"mark\[1\].frame = 1060: frames 1040 to 1060 ask for 31.2 m/s, limit 22; earl"
+    ):
         Shot.from_dict(shot).solve()
 
 
@@ -411,11 +417,11 @@ def test_what_progress_raises_is_raised():
 
 def test_where_the_motion_breaks_is_a_frame(monkeypatch):
     monkeypatch.setattr(Deadline, "late", property(lambda self: self.a_node > 0))
-    marks = [Mark(1001, position=(0, 0, 10), velocity=(0, 0, 0)), Mark(1049, position=(20, 5, 10), velocity=(0, 0, 0))]
+    marks = [Mark(1001, position=(0, 0, 10), velocity=(0, 0, 0)), Mark(1097, position=(20, 5, 10), velocity=(0, 0, 0))]
     with pytest.warns(UserWarning, match="plan failed"):
         plan = vehsim.plan(vehsim.load_vehicle("helicopter"), None, marks, segments=24, max_iterations=2)
     found = re.search(r"the motion at frame (\d+), off by", plan.message)
-    assert found and 1001 <= int(found[1]) < 1049
+    assert found and 1001 <= int(found[1]) < 1097
 
 
 def test_among_obstacles_too_it_is_said_which_mark_is_too_early(monkeypatch):
@@ -423,8 +429,8 @@ def test_among_obstacles_too_it_is_said_which_mark_is_too_early(monkeypatch):
     monkeypatch.setattr("vehsim.planning.planner.RETRIES", ((1.2, 0.3),))
     monkeypatch.setattr(relax, "SECONDS", 300.0)
     world = vehsim.World(obstacles=[box("tower", (15, 12, 0), (4, 4, 40))])
-    marks = [Mark(1001, position=(0, 0, 10), velocity=REST), Mark(1049, position=(30, 0, 10), velocity=REST)]
-    with pytest.warns(UserWarning, match=r"mark\[1\]\.frame = 1049 is too early; earliest 11[3-6]\d"):
+    marks = [Mark(1001, position=(0, 0, 10), velocity=REST), Mark(1081, position=(30, 0, 10), velocity=REST)]
+    with pytest.warns(UserWarning, match=r"mark\[1\]\.frame = 1081 is too early; earliest 11[3-6]\d"):
         plan = vehsim.plan(
             vehsim.load_vehicle("helicopter"), world, marks, segments=16, limits={"bank": np.radians(20)}
         )
@@ -435,14 +441,12 @@ def test_where_no_miss_is_found_the_frame_is_nevertheless(monkeypatch):
     """The problem with room to miss marks is not solved, that with room to be late is; what can be done is not late."""
     monkeypatch.setattr(relax, "_missed", lambda attempt: ("", None))
     monkeypatch.setattr("vehsim.planning.planner.RETRIES", ())
-    with pytest.warns(UserWarning, match=r": mark\[1\].frame = 25 is too early; \d+ would do$") as heard:
+    with pytest.warns(UserWarning, match=r": mark\[1\].frame = 49 is too early; earliest \d+$") as heard:
         vehsim.plan(vehsim.load_vehicle("car"), None, CAR_ASIDE, segments=12)
-    frame = int(re.search(r"(\d+) would do", str(heard[0].message))[1])
-    assert vehsim.plan(
-        vehsim.load_vehicle("car"), None, [CAR_ASIDE[0], replace(CAR_ASIDE[1], frame=frame + 12)]
-    ).success
+    frame = int(re.search(r"earliest (\d+)", str(heard[0].message))[1])
+    assert vehsim.plan(vehsim.load_vehicle("car"), None, [CAR_ASIDE[0], replace(CAR_ASIDE[1], frame=frame)]).success
     with pytest.warns(UserWarning, match=r"the motion at frame \d+, off by"):
-        vehsim.plan(tug(), None, TUG_ASIDE, segments=8, max_iterations=1)
+        vehsim.plan(tug(), None, TUG_ASIDE, segments=16, max_iterations=1)
 
 
 def test_marks_in_the_rock_and_without_a_way_are_named():

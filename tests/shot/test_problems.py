@@ -129,7 +129,9 @@ def test_wheels_may_touch_the_ground(planned: dict[str, Any], keys_of: Find) -> 
 @pytest.mark.parametrize(
     "key, value, where, says",
     [
-        ("position", [180.0, 300.0, 2.0], "mark[1].position", "inside rock"),
+        ("position", [180.0, 130.0, 2.0], "mark[1].position", "inside rock"),
+        ("position", [400.0, 0.0, 2.0], "mark[1].position", "outside the terrain, which ends at x = 291.8"),
+        ("position", [0.0, -300.0, 200.0], "mark[1].position", "outside the terrain, which ends at y = -101"),
         ("frame", 1001, "mark[1].frame", "not after frame 1001"),
         ("frame", 900, "mark[1].frame", "outside the shot"),
         ("frame", 1003, "mark[1].frame", "m/s"),

@@ -78,7 +78,7 @@ class Attempt:
         self.checked = Executed(np.inf, np.inf, np.inf)
         # between rocks controls are agile throughout: the first rung would not do
         self.rung, self.lifted, self.stale, self.note = -1 + (cover is not None), False, True, ""
-        self.why = ""
+        self.why = self.remark = ""
         self.solvers = Shelf()
         self.solved: tuple[Multipliers, tuple[Problem, Layout]] | None = None
         self.near: NDArray[np.bool_] | None = None
@@ -90,7 +90,7 @@ class Attempt:
         other.margin, other.rung, other.layout, other.solvers = self.margin, self.rung, self.layout, self.solvers
         other.lifted, other.solved = True, self.solved
         other.x, other.lengths, other.free = self.x.copy(), self.lengths.copy(), self.free
-        other.rows, other.near = self.rows, self.near
+        other.rows, other.near, other.paths = self.rows, self.near, self.paths
         fixed = fixed_durations(request.marks, request.fps)
         other._resize(np.where(np.isnan(fixed), other.lengths, fixed / np.array(other.layout.phases)))
         return other
@@ -98,6 +98,7 @@ class Attempt:
     def start(self, paths: list[Array], stretch: float = 1.0, clip: Clip | None = None) -> None:
         """Layout, leg lengths (of free legs stretched) and first guess: along the paths, or a ``clip`` as it is."""
         marks, self.solved, began = self.request.marks, None, time.monotonic()
+        self.paths = paths
         fixed = fixed_durations(marks, self.request.fps)
         if clip is None:
             free = stretch * cruising(marks, paths, min(CRUISE, 0.6 * self.request.limits.get("speed")))

@@ -197,6 +197,12 @@ def reach(vehicle: Any) -> float:
     return float(max((np.linalg.norm(hull, axis=1).max() for hull in hulls_of(vehicle)), default=0.0))
 
 
+def extent(vehicle: Any) -> float:
+    """The greatest side of the box about a vehicle's hulls, m; zero without any."""
+    points = np.vstack([np.zeros((1, 3)), *hulls_of(vehicle)])
+    return float(np.ptp(points, axis=0).max())
+
+
 def _path(
     times: Array, positions: Array, velocity: Array, omega: Array, pairs: NDArray[np.intp]
 ) -> tuple[Array, Array]:

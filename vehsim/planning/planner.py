@@ -21,7 +21,7 @@ from vehsim.errors import InputError, SolveError
 from vehsim.planning import interrupts
 from vehsim.planning.asks import asks_of
 from vehsim.planning.attempt import EXECUTED, SLACK, TIGHTENINGS, Array, Attempt, Progress
-from vehsim.planning.certify import Executed
+from vehsim.planning.certify import Executed, extent
 from vehsim.planning.cover import AROUND, Cover, balls, sphere_cover
 from vehsim.planning.deadline import Deadline, OutOfTime
 from vehsim.planning.feasibility import refusals
@@ -53,6 +53,18 @@ RETRIES = ((1.7, 0.0), (0.6, 0.08), (1.2, -0.15))
 length."""
 LATE = "time limit reached before solving began{}: there is no more than a first guess, which nobody checked"
 """Said of a plan for which there was no time, and what it was needed for."""
+MET = 1e-6
+"""Violations below this are none."""
+FEWEST, LEAST = 4, 16
+"""Fewer segments have fewer controls than two marks at rest ask for; and segments a leg that are tried instead of few
+on which a plan fails."""
+FINER, MOST = 4, 512
+"""Times as many segments a plan is begun again on where its controls lead elsewhere, and the most of them."""
+SHARE = 0.1
+"""How far the controls of a plan may end from it, of the vehicle's length, beyond what refining aims at: farther off,
+the motion is not one of the vehicle's, or so unstable that its controls mean nothing."""
+FASTER = 0.005
+"""By how much of a vehicle's top speed a motion may be faster before it is made again below that."""
 ROOM = 30.0
 """How far from the first path the optimiser sees the terrain, m."""
 
@@ -168,12 +180,65 @@ def plan(
 
 
 def _warn(plan: Plan) -> None:
-    """Say of a failed plan, where it was asked for, that it is one."""
+    """Say of a failed plan, where it was asked for, that it is one; and what of a plan is not as it was asked for."""
+    name = plan.clip.vehicle.name
     if not plan.success:
-        warnings.warn(f"{plan.clip.vehicle.name}: plan failed: {plan.message}", stacklevel=3)
+        warnings.warn(f"{name}: plan failed: {plan.message}", stacklevel=3)
+    elif plan._attempt is not None and (plan._attempt.remark or "the controls end" in plan.message):
+        warnings.warn(f"{name}: {plan.message}", stacklevel=3)
 
 
 def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
+    """The plan; begun again below the vehicle's top speed where it outran that, and on more segments where a few have
+    led the optimiser to a motion that their controls do not make."""
+    if request.segments < FEWEST:
+        enough = LEAST * (len(request.marks) - 1)
+        made = _solve(replace(request, segments=enough), progress, guess)
+        return _remarked(made, f"; on {enough} segments: {request.segments} are too few")
+    made = _begin(request, progress, guess)
+    if made.success and _outran(made):
+        top = request.top_speed
+        request = replace(request, limits=request.limits.below(top))
+        made = _begin(request, progress, guess)
+        own = f"the top speed of the {request.vehicle.name}, {top:g} m/s"
+        made = _remarked(made, f"; kept to {own}: give velocities, or limits.speed for another")
+    segments = request.segments
+    while _misled(made) and segments < MOST:
+        segments = min(FINER * segments, MOST)
+        again = _begin(replace(request, segments=segments), progress, guess)
+        if again._attempt.solution.success and again.executed.final < made.executed.final:  # type: ignore[union-attr]
+            made = again
+    return made
+
+
+def _remarked(plan: Plan, remark: str) -> Plan:
+    assert plan._attempt is not None
+    plan._attempt.remark += remark
+    return replace(plan, message=plan.message + remark)
+
+
+def _outran(plan: Plan) -> bool:
+    """Whether a motion is faster than its vehicle, where nothing else was asked for."""
+    assert plan._attempt is not None
+    request, velocity = plan._attempt.request, 3 if plan.clip.twists.shape[1] == 6 else 1
+    speeds = np.linalg.norm(plan.clip.twists[:, velocity:], axis=1)
+    return bool(math.isinf(request.limits.get("speed")) and speeds.max() > (1 + FASTER) * request.top_speed)
+
+
+def _misled(plan: Plan) -> bool:
+    """Whether the controls, however fine, do not lead where the motion does."""
+    assert plan._attempt is not None
+    solved, request = plan._attempt.solution.success, plan._attempt.request
+    return bool(
+        solved
+        and request.refine
+        and plan.executed.final > EXECUTED
+        and not plan._attempt.deadline.late
+        and not plan._attempt.deadline.cut
+    )
+
+
+def _begin(request: Request, progress: Progress | None, guess: Any) -> Plan:
     t = transcription(request.weighed)
     hurried = Deadline(request.deadline).watched(progress)
     try:
@@ -182,21 +247,42 @@ def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
         late = ""
     except OutOfTime as error:
         paths, cover, late = _straight(request), None, f" ({error})"
-    if request.weights["course"]:
-        faced = facing(request.marks, paths, request.aimed)
-        request = replace(request, marks=faced, given=request.marks)
-    attempt = Attempt(request, t, cover, progress)
-    attempt.start(paths, clip=_own(request, guess))
     refused = "; ".join(map(str, refusals(request)))
+    faced = facing(request.marks, paths, request.aimed) if request.weights["course"] else request.marks
+    faced_request = request if faced == request.marks else replace(request, marks=faced, given=request.marks)
+    attempt = Attempt(faced_request, t, cover, progress)
+    attempt.start(paths, clip=_own(request, guess))
     if refused or attempt.deadline.hopeless:
         attempt.give_up(refused or LATE.format(late))
         return _result(attempt)
     attempt.solve()
     if not attempt.solution.success:
+        attempt = _otherwise(attempt, request, paths, guess)
+    if not attempt.solution.success:
         _again(attempt, paths, guess)
     attempt.settle()
     attempt.approach()
     return _finish(attempt)
+
+
+def _otherwise(attempt: Attempt, request: Request, paths: list[Array], guess: Any) -> Attempt:
+    """The attempt, or a better one, at what was asked alone: marks at rest not turned along their legs, and on more
+    segments where there are few."""
+    legs, few = len(request.marks) - 1, request.segments
+    enough = max(few, LEAST * legs)
+    tries = [(few, "")] if attempt.request.given else []
+    tries += [(enough, f"; on {enough} segments: {few} are too few")] if enough > few else []
+    for segments, said in tries:
+        if attempt.deadline.late:
+            break
+        turned = "; nothing faces along its leg: there was no such motion" if attempt.request.given else ""
+        attempt = Attempt(replace(request, segments=segments), attempt.t, attempt.cover, attempt.progress)
+        attempt.start(paths, clip=_own(request, guess))
+        attempt.solve()
+        if attempt.solution.success:
+            attempt.remark = turned + said
+            break
+    return attempt
 
 
 def _own(request: Request, guess: Any) -> Clip | None:
@@ -254,16 +340,22 @@ def _result(attempt: Attempt) -> Plan:
     message, success = solution.message, solution.success
     if not success and attempt.worst:
         worst = f"worst {attempt.worst}, off by {solution.violation:.3g}"
-        message = f"{message}: {attempt.why or worst}"
+        if solution.violation < MET:
+            worst = "all that is asked is met, but not at the least cost; allow more iterations"
+        message = attempt.why or f"{message}: {worst}"
     elif success and attempt.clearance < attempt.wanted - SLACK:
         success = False
         message = (
             f"certified clearance {attempt.clearance:.3f} m is below the {attempt.wanted:g} m asked for after "
             f"{attempt.tightenings} tighter solves; ask for less clearance, more segments, or other marks"
         )
-    message += attempt.note
+    message += attempt.remark + attempt.note
     if success and attempt.checked.final > EXECUTED and request.refine:
-        message += f"; executed, the controls end {attempt.checked.final:.2f} m off: ask for more segments"
+        off, allowed = attempt.checked.final, EXECUTED + SHARE * extent(request.vehicle)
+        message += f"; executed, the controls end {off:.2f} m off"
+        if off > allowed:
+            success = False
+            message += f", more than {allowed:.2f} m: ask for more segments, more time, or slower motion"
     begun = attempt.iterations > 0 or not attempt.deadline.hopeless  # or else there is no time for wheels on the ground
     clip = exported(attempt.clip, request) if begun else replace(attempt.clip, vehicle=request.vehicle)
     asks = asks_of(request, attempt.motion.mark_frames())

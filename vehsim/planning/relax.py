@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -11,9 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.planning.attempt import Attempt
+from vehsim.planning.earliest import first_frame
 from vehsim.planning.elements import Element
 from vehsim.planning.legs import fixed_durations
 from vehsim.planning.problem import build, variable_bounds
+from vehsim.planning.request import Request
 from vehsim.planning.solver import Solver
 
 Array = NDArray[np.float64]
@@ -22,20 +26,23 @@ PRICE = 1e3
 """Cost of missing a mark by one unit, or of being late by one second: more than any effort saves."""
 ITERATIONS, SECONDS = 200, 20.0
 """What either answer may take at most."""
+MARGINS = (0.0, 0.01, 0.03, 0.1, 0.3)
+"""Shares of the time from the first mark that are added until a plan is found at whole frames."""
 NOTHING = 1e-3
 """Misses and delays below this are none, in m and s."""
 
 
 def diagnose(attempt: Attempt) -> tuple[str, Array | None]:
-    """Which marks cannot be met, by how much, and which frames would do; or, where all can, variables that meet them.
+    """Which frames are too early and what would do, and which marks are missed by how much; or, where all can be met,
+    variables that meet them.
 
     Neither where the relaxed problem is not solved either.
     """
     missed, x = _missed(attempt)
-    if x is None or not missed:
+    if x is not None and not missed:
         return "", x
-    late = too_early(attempt, x, "earliest {}")
-    return f"{missed}; {late}" if late else missed, None
+    late = too_early(attempt, attempt.guess if x is None else x) or _by_leg(attempt)
+    return "; ".join(filter(None, (late, missed))), None
 
 
 def _missed(attempt: Attempt) -> tuple[str, Array | None]:
@@ -53,9 +60,16 @@ def _missed(attempt: Attempt) -> tuple[str, Array | None]:
         for label in dict.fromkeys(use.element.labels):
             off = by[labels == label]
             if off.max() > NOTHING:
-                misses.append((float(np.linalg.norm(off)), f"{label} is missed by {_amount(label, off)}"))
+                misses.append((float(np.linalg.norm(off)), _miss(label, off)))
     misses.sort(reverse=True)
     return "; ".join(text for _, text in misses[:3]), x[:first]
+
+
+def _miss(label: str, off: Array) -> str:
+    name, _, key = label.rpartition(".")
+    if key == "velocity (balance)":
+        return f"{name}: it cannot stand in balance there"
+    return f"{label} is missed by {_amount(label, off)}"
 
 
 def _amount(label: str, off: Array) -> str:
@@ -72,9 +86,9 @@ def _amount(label: str, off: Array) -> str:
 _UNITS = {"position": " m", "velocity": " m/s", "speed": " m/s"}
 
 
-def too_early(attempt: Attempt, near: Array, when: str = "{} would do") -> str:
-    """The first mark that can only be later, found from a motion that misses marks, and ``when`` it can; empty where
-    none is found."""
+def too_early(attempt: Attempt, near: Array) -> str:
+    """The first mark that can only be later, found from a motion that misses marks, and when it can; empty where none
+    is found."""
     layout, request = attempt.layout, attempt.request
     fixed = fixed_durations(request.marks, request.fps)
     held = np.array([mark.hold > 0 for mark in request.marks[:-1]])
@@ -86,14 +100,65 @@ def too_early(attempt: Attempt, near: Array, when: str = "{} would do") -> str:
     counts = np.array(layout.phases)
     delay = ca.dot(ca.DM(asked.astype(float)), ca.DM(counts.astype(float)) * h - ca.DM(np.nan_to_num(fixed)))
     problem.add(Element("late", h, ca.SX(0, 1), f=PRICE * delay), layout.lengths)
-    x, solved = _solve(attempt, problem, late=True, start=near)
-    if x is None or not solved:
+    x, _ = _solve(attempt, problem, late=True, start=near)
+    if x is None:
         return ""
-    arrivals = np.cumsum(x[layout.lengths] * counts) * float(request.fps) + int(request.marks[0].frame)
-    for mark, frame in zip(request.marks[1:], arrivals, strict=True):
-        if mark.frame != "free" and frame > int(mark.frame) + NOTHING * float(request.fps):
-            return f"{mark.name}.frame = {mark.frame} is too early; {when.format(math.ceil(frame - 1e-3))}"
+    arrivals: Array = np.cumsum(x[layout.lengths] * counts) * float(request.fps) + int(request.marks[0].frame)
+    late = {
+        i: math.ceil(frame - 1e-3)
+        for i, (mark, frame) in enumerate(zip(request.marks[1:], arrivals, strict=True), 1)
+        if mark.frame != "free" and frame > int(mark.frame) + NOTHING * float(request.fps)
+    }
+    return _earliest(attempt, min(late), late) if late else ""
+
+
+def _is_met(attempt: Attempt, frames: dict[int, int]) -> bool:
+    """Whether a motion is found where marks stand at other ``frames``, from the first guess that a plan begins with."""
+    marks = [replace(m, frame=frames.get(i, m.frame)) for i, m in enumerate(attempt.request.marks)]
+    other = Attempt(replace(attempt.request, marks=marks, deadline=math.inf), attempt.t, attempt.cover, None)
+    other.start(attempt.paths)
+    other.deadline.end = min(attempt.deadline.end, time.monotonic() + SECONDS)
+    other.solve()
+    return other.solution.success
+
+
+def _by_leg(attempt: Attempt) -> str:
+    """The first mark that is too early for the way from the one before it alone."""
+    marks = attempt.request.marks
+    known = [i for i, mark in enumerate(marks) if mark.frame != "free"]
+    for i, j in pairwise(known):
+        here = int(marks[j].frame)
+        if marks[i].hold or attempt.deadline.late:
+            continue
+        frame = first_frame(attempt.request, i, j, here)
+        if frame is not None and frame > here:
+            later = {k: int(marks[k].frame) + frame - here for k in known if k >= j}
+            return _earliest(attempt, j, later)
     return ""
+
+
+def _earliest(attempt: Attempt, i: int, frames: dict[int, int]) -> str:
+    """That mark ``i`` is too early, and from when on a plan is found where it and those after it stand at ``frames``,
+    or a little later."""
+    marks = attempt.request.marks
+    if any(term.frames is not None for term in attempt.request.terms):  # ranges of frames stay where they are
+        own = marks[i].place >= 0
+        where = f"{marks[i].name}.frame = {marks[i].frame}" if own else f"what is asked from {marks[i].name} on"
+        return f"{where} is too early; it takes until {frames[i]} at least"
+    first, early = int(marks[0].frame), f"{marks[i].name}.frame = {marks[i].frame} is too early"
+    for margin in MARGINS:
+        later = {k: math.ceil(frame + margin * (frame - first) - 1e-3) for k, frame in frames.items()}
+        if not attempt.deadline.late and _is_met(attempt, later):
+            return f"{early}; earliest {later[i]}{_then(attempt.request, i, later)}"
+    return f"{early}; it takes until {frames[i]} at least"
+
+
+def _then(request: Request, i: int, frames: dict[int, int]) -> str:
+    """Where the marks after the late one have to go with it."""
+    place = request.marks[i].place
+    moved = {request.marks[k].name: frame for k, frame in frames.items() if k > i and request.marks[k].place > place}
+    named = [f"{name}.frame = {frame}" for name, frame in list(moved.items())[:3]]
+    return "" if not named else f", then {', '.join(named)}{' ...' if len(moved) > 3 else ''}"
 
 
 def _solve(attempt: Attempt, problem: Any, late: bool, start: Array) -> tuple[Array | None, bool]:

@@ -83,6 +83,17 @@ class Request:
         return [(*knots_within(self.marks, mark_knots, term.frames), *aim) for term, aim in aimed]
 
     @property
+    def top_speed(self) -> float:
+        """How fast it may be, m/s: its limit, or else what its vehicle can do."""
+        return self.limits.get("speed", self.vehicle.top_speed)
+
+    def speed_limit(self) -> str:
+        """That speed as messages name it, and whose it is."""
+        given = math.isfinite(self.limits.get("speed"))
+        own = f"the top speed of the {self.vehicle.name}, {self.top_speed:g}; limits.speed can allow more"
+        return f"limit {self.top_speed:g}" if given else own
+
+    @property
     def key(self) -> Any:
         """Equal for requests whose problems differ in parameters alone."""
         return (
@@ -153,6 +164,7 @@ def ask(
     if not least <= segments <= 4096:
         raise InputError(f"segments = {segments!r}: give at least two a leg between marks, {least}, and at most 4096")
     check_loop(request)
+    check_inside(request.marks, vehicle, world)
     check_marks_clear(vehicle, world, request.marks, request.clearance)
     heights = {float(np.asarray(mark.position)[2]) for mark in request.marks if mark.position is not None}
     if vehicle.group.dim == 3 and len(heights) > 1 and (world is None or world.terrain is None):
@@ -184,6 +196,7 @@ def put_down(mark: Mark, vehicle: Vehicle, world: Any) -> Mark:
     if world is None or vehicle.group.dim != 6:
         mend = "leave it out" if vehicle.group.dim != 6 else "give a terrain or obstacles to stand on"
         raise InputError(f"{key}: {vehicle.name} does not land; {mend}")
+    check_inside([mark], vehicle, world)
     q = attitude(mark)
     try:
         place = landing.put_down(world, vehicle, mark.position, q)
@@ -197,6 +210,23 @@ def put_down(mark: Mark, vehicle: Vehicle, world: Any) -> Mark:
     if np.any(world.wind):  # it stands level, but is not in balance
         mark = replace(mark, orientation=tuple(q.tolist()), heading=None)
     return replace(mark, position=tuple(place.tolist()))
+
+
+def check_inside(marks: Sequence[Mark], vehicle: Vehicle, world: Any) -> None:
+    """Raise ``InputError`` for a mark outside the terrain where it flies, since no way is sought there; warn where it
+    drives: beyond the borders the ground goes on level and is not drawn."""
+    terrain = None if world is None else world.terrain
+    if terrain is None or vehicle.hull is not None:
+        return
+    for mark in marks:
+        end = "" if mark.position is None else terrain.beyond(mark.position)
+        if not end:
+            continue
+        place = [float(x) for x in mark.position or ()]
+        said = f"{mark.name}.position = {place}: outside the terrain, which ends at {end}"
+        if vehicle.group.dim == 6:
+            raise InputError(f"{said}; move it inside")
+        warnings.warn(f"{said}; beyond, the ground goes on level and is not drawn", stacklevel=4)
 
 
 def check_loop(request: Request) -> None:

@@ -104,6 +104,8 @@ SOLVERS: dict[str, Callable[[int, Start], dict[str, Any]]] = {
 """NLP solver -> its options, from the iterations allowed and what a solve starts from."""
 
 PLAIN = {
+    "Solve_Succeeded": "solved",
+    "Solved_To_Acceptable_Level": "solved, nearly to the tolerance",
     "Maximum_Iterations_Exceeded": "no solution within the iterations allowed",
     "Infeasible_Problem_Detected": "nothing nearby meets all that is asked",
     "Restoration_Failed": "stuck: no step brings it nearer to what is asked",
@@ -194,7 +196,7 @@ class Solver:
 def _plainly(status: str) -> str:
     if status in STOPPED:
         return "time limit reached"
-    return f"{PLAIN[status]} ({status})" if status in PLAIN else status
+    return PLAIN.get(status, f"the solver ended with {status}")
 
 
 def _whole(hessian: ca.Function) -> ca.Function:

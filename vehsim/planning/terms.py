@@ -7,7 +7,7 @@ A built-in cost is a law of a `SegmentView`, a built-in limit a law of a `KnotVi
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from typing import Any, Literal
 
@@ -277,6 +277,10 @@ class Limits:
 
     def get(self, name: str, unless: float = float("inf")) -> float:
         return self.values.get(name, unless)
+
+    def below(self, speed: float) -> Limits:
+        """The same with a limit of the speed, m/s."""
+        return replace(self, values={**self.values, "speed": speed})
 
     def constraints(self) -> list[Constraint]:
         """The limits as constraints, scaled to one. Joint limits are bounds of variables and not among them."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import re
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -135,7 +136,9 @@ def check_asked(
     from vehsim.planning.request import ask
 
     try:
-        request = ask(vehicle, setting.world, marks, fps=setting.fps, **options)
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", ".*outside the terrain")  # said with its place already
+            request = ask(vehicle, setting.world, marks, fps=setting.fps, **options)
     except InputError as error:
         key, _, rest = str(error).partition(": ")
         key = key.partition(" = ")[0]

@@ -149,7 +149,10 @@ def check_free(
     """Is the vehicle clear of the rock there? With an unknown attitude only its root is asked."""
     if world.terrain is None:
         return
-    ground = float(world.height([position[:2]])[0])
+    ground, end = float(world.height([position[:2]])[0]), world.terrain.beyond(position)
+    if end and position[2] < ground:
+        yield Problem(key, outside(end), "move it inside", position)
+        return
     attitude = orientation_of(pose)
     if position[2] < ground:
         message, mend = f"inside rock: the ground is at {ground:.2f} m", f"raise z above {ground + clearance:.2f}"
@@ -161,6 +164,19 @@ def check_free(
         elif gap < clearance - 1e-6:
             mend = f"keep the clearance of {clearance:g} m, or ask for less"
             yield Problem(key, f"only {gap:.2f} m from rock", mend, position)
+
+
+def outside(end: str) -> str:
+    """What is said of a place beyond where the terrain ends."""
+    return f"outside the terrain, which ends at {end}"
+
+
+def check_inside(key: str, position: list[float], vehicle: Vehicle, world: World) -> Iterator[Problem]:
+    """A start inside the terrain; beyond, the ground goes on level and is not drawn, which is worth a warning."""
+    end = "" if world.terrain is None or vehicle.hull is not None else world.terrain.beyond(position)
+    if end:
+        mend = "beyond, the ground goes on level and is not drawn; start it inside"
+        yield Problem(key, outside(end), mend, position, severity="warning")
 
 
 def orientation_of(pose: Any) -> Any:

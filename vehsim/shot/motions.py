@@ -19,7 +19,7 @@ from vehsim._quaternions import rotate
 from vehsim.errors import InputError, Problem, SolveError
 from vehsim.shot.asking import LimitTable, LookTable, StayTable, check_asked, check_limits, limits_si
 from vehsim.shot.blocked import BlockingTable, blocking_of, marks_of
-from vehsim.shot.checks import Setting, check_free, check_mark, check_names, check_order, orientation_of
+from vehsim.shot.checks import Setting, check_free, check_inside, check_mark, check_names, check_order, orientation_of
 from vehsim.shot.integrating import IntegrateMotion
 from vehsim.shot.model import (
     MAX_FRAMES,
@@ -136,6 +136,8 @@ class PlanMotion(Table):
         for i, mark in enumerate(marks):
             key = f"mark[{i}]"
             yield from check_mark(key, mark, vehicle)
+            if mark.position is not None and _planar(vehicle):
+                yield from check_inside(f"{key}.position", mark.position, vehicle, setting.world)
             if mark.position is not None and not (_planar(vehicle) or mark.on_ground):  # wheels touch the ground
                 slack = self.clearance - mark.tolerance
                 yield from check_free(f"{key}.position", mark.position, mark, slack, vehicle, setting.world)
@@ -244,6 +246,7 @@ class SimulateMotion(Table):
         yield from self._check_commands(vehicle)
         yield from check_names("start.joints", self.start.joints, vehicle.joints, "joint")
         yield from check_mark("start", self.start, vehicle)
+        yield from check_inside("start.position", self.start.position, vehicle, setting.world)
         if not _planar(vehicle):
             yield from check_free("start.position", self.start.position, self.start, 0.0, vehicle, setting.world)
 

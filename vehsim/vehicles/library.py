@@ -47,7 +47,7 @@ ADDED_MASS = np.array([0.25, 0.9, 0.5, 0.06, 0.6, 1.0])
 """Usual added mass of a hull over its own inertia: roll, pitch, yaw, surge, sway, heave."""
 
 _TOP = {"schema", "name", "model", "asset", "root", "origin", "hull", "physics", "controls", "joints", "channels"}
-_TOP |= {"suspension"} | KEYS
+_TOP |= {"suspension", "top_speed"} | KEYS
 
 
 def available() -> list[str]:
@@ -90,6 +90,7 @@ def _load(path: Path, changed: int) -> Vehicle:
         "controls": _controls(path, vehicle, data.get("controls", {})),
         "joint_limits": _limits(path, vehicle, data.get("joints", {})),
         "rig": _rig(path, vehicle, data),
+        "top_speed": _top_speed(path, data),
     }
     planar = None if vehicle.planar is None else replace(vehicle.planar, **told | {"rig": _level(told["rig"])})
     return replace(vehicle, **told, hull=_hull(path, vehicle, data), planar=planar)
@@ -136,6 +137,13 @@ def _limits(path: Path, vehicle: Vehicle, table: dict[str, Any]) -> dict[str, tu
     for name, values in table.items():
         _known(path, f"joints.{name}.", values, {"lower", "upper"})
     return {name: (v.get("lower", -math.inf), v.get("upper", math.inf)) for name, v in table.items()}
+
+
+def _top_speed(path: Path, data: dict[str, Any]) -> float:
+    value = data.get("top_speed", math.inf)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
+        raise InputError(f"{path}: top_speed = {value!r}: give a speed above zero, in m/s")
+    return float(value)
 
 
 def _level(rig: Rig | None) -> Rig | None:

@@ -96,7 +96,8 @@ def conservative(vehicle: Vehicle, g: Expr, r: Expr) -> tuple[Expr, Expr]:
     eta = ca.SX.sym("eta", vehicle.group.dim)
     # the derivative at e does not depend on the coordinate map; cay is the cheaper one
     moved = ca.SX(vehicle.potential(vehicle.group.compose(g_, vehicle.group.cay(eta)), r_))
-    values = [-ca.gradient(moved, r_), ca.substitute(-ca.gradient(moved, eta), eta, ca.SX.zeros(eta.shape[0]))]
+    values = [-ca.gradient(moved, r_), -ca.gradient(moved, eta)]
+    values = ca.substitute(values, [eta], [ca.SX.zeros(eta.shape[0])])
     on_joints, on_group = ca.substitute(values, [g_, r_], [ca.densify(g), ca.densify(r)])
     return on_joints, on_group
 

@@ -96,6 +96,17 @@ class Terrain:
         c, d = self.heights[row + 1, col], self.heights[row + 1, col + 1]
         return np.asarray(a + np.where(u >= v, u * (b - a) + v * (d - b), v * (c - a) + u * (d - c)))
 
+    def beyond(self, place: ArrayLike) -> str:
+        """Where it ends, such as ``"x = 291.8"``, on the side of a ``place`` (x, y, ...) m outside; empty inside.
+
+        Beyond its borders the ground goes on level, at the height of the nearest border point, and is not drawn.
+        """
+        for axis, value in zip("xy", np.asarray(place, float)[:2], strict=True):
+            low, high = self.lower["xy".index(axis)], self.upper["xy".index(axis)]
+            if not low <= value <= high:
+                return f"{axis} = {low if value < low else high:g}"
+        return ""
+
     @cached_property
     def content_hash(self) -> str:
         """Names the surface by its content: the same heights at the same place have the same hash."""

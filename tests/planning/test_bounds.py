@@ -1,0 +1,203 @@
+"""What bounds rule out: never what can be done, always what is named, for every vehicle that plans."""
+
+import re
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import vehsim
+from tests.planning.test_plan import REST, tug
+from vehsim import Mark, Shot
+from vehsim.errors import InputError
+from vehsim.planning import ranges
+from vehsim.planning.bounds import Ball, push_of, slips, strength, thrust_ball
+from vehsim.planning.feasibility import refusals
+from vehsim.planning.request import ask
+
+VEHICLES = ["helicopter", "boat", "car", "simple_car", "truck", "two_wheeled", "snakeboard"]
+NAMED = [name for name in VEHICLES if name != "snakeboard"]  # which swings its way along: no frame is found for it
+
+
+def ends(name, x, frame, **last):
+    z = 30.0 * (name == "helicopter")
+    return [Mark(1001, position=(0, 0, z), velocity=REST), Mark(frame, position=(x, 0, z), **last)]
+
+
+def refused(name, marks, **options):
+    request = ask(vehsim.load_vehicle(name), None, marks, fps=24, segments=32, **options)
+    return [str(refusal) for refusal in refusals(request)]
+
+
+@pytest.mark.parametrize("name", VEHICLES)
+@pytest.mark.parametrize(("x", "frame", "last"), [(60.0, 1010, {"velocity": REST}), (200.0, 1025, {})])
+def test_too_far_in_the_time_is_refused_by_check(name, x, frame, last):
+    data = {
+        "shot": {"schema": 1, "name": "far"},
+        "vehicle": [{"name": "v", "asset": name, "motion": {"method": "plan", "mark": []}}],
+    }
+    for mark in ends(name, x, frame, **last):
+        table = {"frame": mark.frame, "position": list(mark.position)}
+        data["vehicle"][0]["motion"]["mark"].append(table | ({"velocity": [0, 0, 0]} if mark.velocity else {}))
+    (problem,) = Shot.from_dict(data).check()
+    assert problem.key == "vehicle[0].motion.mark[1].frame"
+    assert re.search(r"^(earliest|not before) 1\d\d\d$", problem.mend), problem
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_the_earliest_frame_does(name):
+    marks = ends(name, 60.0, 1010, velocity=REST)
+    (message,) = refused(name, marks)
+    frame = int(re.search(r"earliest (\d+)", message)[1])
+    plan = vehsim.plan(vehsim.load_vehicle(name), None, [marks[0], replace(marks[1], frame=frame)], segments=32)
+    assert plan.success, plan.message
+
+
+@pytest.mark.parametrize("name", VEHICLES)
+def test_what_was_planned_is_not_refused(name):
+    """The quickest motions there are, at what they have half way too."""
+    vehicle = vehsim.load_vehicle(name)
+    marks = [replace(mark, heading=0.0) for mark in ends(name, 8.0, "free", velocity=REST)]
+    segments = 64 if name == "snakeboard" else 32
+    plan = vehsim.plan(vehicle, None, marks, segments=segments, cost={"time": 1, "smoothness": 1e-3})
+    assert plan.success
+    clip = plan.clip.resample()
+    done = replace(marks[1], frame=clip.end_frame)
+    assert refused(name, [marks[0], done]) == []
+    middle = len(clip.times) // 2
+    velocity = np.gradient(clip.positions, clip.times, axis=0)[middle]
+    there = Mark(
+        int(clip.frames[middle]), position=tuple(clip.positions[middle]), speed=float(np.linalg.norm(velocity))
+    )
+    assert refused(name, [marks[0], there, done]) == []
+
+
+def test_the_ball_is_the_double_integrators():
+    """Level and rest to rest, thrust that carries its weight too; from a speed, what brakes."""
+    ball, still = thrust_ball(vehsim.load_vehicle("helicopter")), np.zeros(3)
+    level = np.sqrt(ball.radius**2 - 9.81**2)
+    quickest = 2 * np.sqrt(60 / level)
+    for share, ruled in ((0.95, True), (1.02, False)):
+        assert ball.rules_out(np.array([60.0, 0, 0]), 0.0, share * quickest, still, still) == ruled
+    free = Ball(np.zeros(3), 4.0)  # stops from 20 m/s in 50 m and 5 s
+    assert not free.rules_out(np.array([50.0, 0, 0]), 0.1, 5.0, np.array([20.0, 0, 0]), still)
+    assert free.rules_out(np.array([40.0, 0, 0]), 0.1, 4.5, np.array([20.0, 0, 0]), still)
+    assert not free.rules_out(np.array([40.0, 0, 0]), 0.1, 4.5, np.inf, np.inf)
+
+
+def test_strength_is_force_over_inertia():
+    robot, boat = vehsim.load_vehicle("two_wheeled"), vehsim.load_vehicle("boat").planar
+    assert 80 / 17.2 <= strength(robot) <= 1.1 * 80 / 17.2
+    assert push_of(boat, (0.0, 0.0, 0.0)).gain < push_of(boat, (0.0, 15.0, 0.0)).gain < 6
+    assert strength(tug()) == np.inf
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "says"),
+    [
+        ("car", {"heading": 0, "velocity": (0, 5, 0)}, "velocity: 90 degrees off its heading, .* within 19.3"),
+        ("two_wheeled", {"heading": 0, "velocity": (0, 1, 0)}, "velocity: 90 .* rolls straight ahead or back"),
+        ("car", {"joints": {"sigma": 1.5}}, "joints: sigma = 1.5, outside -0.7 to 0.7; keep it inside"),
+        ("car", {"heading": 10, "velocity": (-5, -1, 0)}, None),
+        ("boat", {"heading": 0, "velocity": (0, 1, 0)}, None),
+    ],
+)  # fmt: skip
+def test_what_a_vehicle_cannot_be_at_a_mark_is_said(name, given, says):
+    found = refused(name, ends(name, 20.0, 1200, **given))
+    assert found == [] if says is None else len(found) == 1 and re.search(says, found[0])
+
+
+def test_a_heading_away_from_where_it_has_to_look_is_said():
+    marks = [replace(mark, heading=90.0) for mark in ends("helicopter", 60.0, 1201, velocity=REST)]
+    looks = [ranges.look_at((500, 0, 0), (1190, 1201), within=3)]
+    (message,) = refused("helicopter", marks, terms=looks)
+    assert message.startswith("mark[1].heading: 90 degrees off where 'look_at' asks it to look; give heading = 0")
+    assert slips(vehsim.load_vehicle("boat").planar)[0]
+
+
+def test_a_heading_that_was_not_asked_for_is_given_up_before_the_plan_is():
+    """Moving a metre takes less time than turning about to face it."""
+    marks = [
+        Mark(1001, position=(0, 0, 30), heading=180, velocity=REST),
+        Mark(1053, position=(1, 0, 30), velocity=REST),
+        Mark(1145, position=(30, 0, 30), heading=0, velocity=REST),
+    ]
+    with pytest.warns(UserWarning, match="nothing faces along its leg"):
+        plan = vehsim.plan(vehsim.load_vehicle("helicopter"), None, marks, segments=32)
+    assert plan.success and abs(plan.clip.resample().positions[52, 0] - 1) < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("name", "frame"), [("helicopter", 1101), ("car", 1101), ("boat", "free"), ("two_wheeled", 1151)]
+)
+def test_two_segments_are_enough_to_ask_for(name, frame, capfd):
+    with pytest.warns(UserWarning, match="on 16 segments: 2 are too few"):
+        plan = vehsim.plan(vehsim.load_vehicle(name), None, ends(name, 20.0, frame, velocity=REST), segments=2)
+    assert plan.success and "overconstrained" not in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["helicopter", "car"])
+def test_nothing_outruns_its_vehicle_unless_it_is_allowed_to(name):
+    vehicle = vehsim.load_vehicle(name)
+    marks = [replace(mark, velocity=None) for mark in ends(name, 40.0, "free")]
+    with pytest.warns(UserWarning, match=f"kept to the top speed of the {name}"):
+        plan = vehsim.plan(vehicle, None, marks, segments=16)
+    speeds = np.linalg.norm(plan.clip.twists[:, -3 if name == "helicopter" else 1 :], axis=1)
+    assert plan.success and speeds.max() < 1.01 * vehicle.top_speed
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert vehsim.plan(vehicle, None, marks, segments=16, limits={"speed": 10}).duration > 3.9
+    fast = ends(name, 40.0, 1101, velocity=(1.2 * vehicle.top_speed, 0, 0))
+    assert "limits.speed can allow more" in refused(name, fast)[0]
+    assert refused(name, fast, limits={"speed": 2 * vehicle.top_speed}) == []
+
+
+WINDY = [
+    ((-3.8, 4.0, 0.0), -5.33, (-57.4, 14.1, 0.0), 80.92, 1760),
+    ((-5.0, 3.0, 0.0), 45.0, (40.0, -20.0, 0.0), 100.0, 1600),
+]
+
+
+@pytest.mark.parametrize(("wind", "away", "goal", "heading", "frame"), WINDY)
+def test_a_boat_in_wind_goes_where_its_controls_lead_or_fails(wind, away, goal, heading, frame):
+    """On 24 segments the optimiser takes advantage of the discretisation; it begins again on more."""
+    marks = [Mark(1001, position=(0, 0, 0), heading=away, velocity=REST)]
+    marks.append(Mark(frame, position=goal, heading=heading, velocity=REST))
+    plan = vehsim.plan(vehsim.load_vehicle("boat"), vehsim.World(wind=wind), marks, segments=24)
+    assert plan.success and plan.executed.final < 0.5, plan.message
+
+
+def test_controls_that_end_elsewhere_are_no_success(monkeypatch):
+    from vehsim.planning import motion
+    from vehsim.planning.certify import Executed
+
+    monkeypatch.setattr(motion, "executed", lambda *given: Executed(9.0, 28.0, 28.04))
+    marks = ends("car", 20.0, 1151, velocity=REST)
+    with pytest.warns(UserWarning, match=r"plan failed: .*the controls end 28.04 m off, more than 0\.\d+ m"):
+        plan = vehsim.plan(vehsim.load_vehicle("car"), None, marks, segments=16)
+    assert not plan.success
+    monkeypatch.setattr(motion, "executed", lambda *given: Executed(0.1, 0.2, 0.2))
+    with pytest.warns(UserWarning, match=r"the controls end 0.20 m off$"):
+        assert vehsim.plan(vehsim.load_vehicle("car"), None, marks, segments=16).success
+
+
+def test_a_mark_outside_the_terrain_is_said_to_be_there():
+    world, helicopter = vehsim.World("hills"), vehsim.load_vehicle("helicopter")
+    for goal in ((150.0, 0.0, 2.0), (150.0, 0.0, 200.0)):  # below and above what the border's height goes on at
+        marks = [Mark(1001, position=(0, 0, 90), velocity=REST), Mark(1201, position=goal)]
+        with pytest.raises(
+            InputError, match=r"mark\[1\].position = .*: outside the terrain, which ends at x = 120; move"
+        ):
+            vehsim.plan(helicopter, world, marks)
+    landing = replace(marks[1], position=(0, -200, 90), heading=0, on_ground=True)
+    with pytest.raises(InputError, match=r"outside the terrain, which ends at y = -120"):
+        vehsim.plan(helicopter, world, [marks[0], landing])
+    car = [Mark(1001, position=(110, 0, 0), heading=0, velocity=REST), Mark(1101, position=(130, 0, 0), heading=0)]
+    with pytest.warns(
+        UserWarning, match=r"mark\[1\].position = .*: outside the terrain, which ends at x = 120; beyond"
+    ):
+        ask(vehsim.load_vehicle("car"), world, car, fps=24, segments=16)
+    start = vehsim.State(position=(0, 130, float(world.height([(0.0, 130.0)])[0])))
+    with pytest.warns(UserWarning, match="outside the terrain, which ends at y = 120"):
+        vehsim.simulate(vehsim.load_vehicle("car"), world, [0.0, 0.0], start=start, duration=0.1)

@@ -1,0 +1,133 @@
+"""The first frame at which a mark can be met after the one before it: found by planning that way alone, for time."""
+
+from __future__ import annotations
+
+import math
+import time
+import warnings
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.errors import VehsimError
+from vehsim.planning.attempt import EXECUTED, Attempt
+from vehsim.planning.legs import facing, legs_between, path_length
+from vehsim.planning.request import Request
+from vehsim.planning.terms import Cost, cost_weights
+from vehsim.planning.transcription import transcription
+
+Array = NDArray[np.float64]
+
+SEGMENTS = 16
+"""Segments a leg: bang-bang controls on so few knots take a little longer than the least time, never less."""
+FINER = (1, 2, 4)
+"""Times as many of them, and one more (odd numbers are not halved), until the controls lead where the motion does or
+the time it takes has settled."""
+SHARE, SETTLED = 0.02, 0.03
+"""How far off they may end, of the way; and the change of the time, of it."""
+SECONDS = 20.0
+"""What a solve may take at most."""
+STRETCHES = (1.0, 2.5, 0.5)
+"""First guesses of how long it takes, times a cruise."""
+NEAR, MET, ITERATIONS = 1e-3, 1e-6, 100
+"""Largest violation of a motion at a free frame and at a whole one, and iterations: the very least is not asked for."""
+MARGINS = (0.01, 0.05, 0.15)
+"""Shares of the time that are added until a motion at the whole frame is found."""
+
+
+def first_frame(request: Request, i: int, j: int, least: int) -> int | None:
+    """The first frame, no earlier than ``least``, for which a motion from mark ``i`` to mark ``j`` was found.
+
+    In empty space, on the ground's slopes and in the wind, with the marks between them and the limits that always
+    hold. None where none was found.
+    """
+    wind = request.wind
+    marks = [*request.marks[i:j], replace(request.marks[j], frame="free", hold=0)]
+    terms = tuple(term for term in request.terms if term.frames is None and not isinstance(term, Cost))
+    quick = replace(
+        request,
+        marks=marks,
+        world=_Calm(wind),
+        weights=cost_weights({"time": 1.0, "smoothness": 1e-3, "effort": 3e-3}, {}),
+        segments=SEGMENTS * (len(marks) - 1),
+        clearance=0.0,
+        limits=request.limits if math.isinf(request.top_speed) else request.limits.below(request.top_speed),
+        refine=False,
+        max_iterations=ITERATIONS,
+        terms=terms,
+        loop=False,
+        deadline=math.inf,
+        given=(),
+    )
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return _found(quick, request, least)
+    except VehsimError:
+        return None
+
+
+class _Calm:
+    """A world of wind alone."""
+
+    terrain = None
+    obstacles = ()
+    moving = ()
+    standing = ()
+
+    def __init__(self, wind: object) -> None:
+        self.wind = wind
+
+
+def _found(quick: Request, request: Request, least: int) -> int | None:
+    paths, ways = [np.array(leg) for leg in legs_between(quick.marks)], [quick.marks]
+    if request.weights["course"]:
+        ways.insert(0, facing(quick.marks, paths, quick.aimed))
+    for marks in ways:
+        before, stretches = math.inf, list(STRETCHES)
+        for times in FINER:
+            finer = replace(quick, marks=marks, segments=times * quick.segments + 1)
+            attempt = _quickest(Attempt(finer, transcription(request.weighed), None, None), paths, stretches)
+            if attempt is None:
+                break
+            taken = float(attempt.motion.seconds()[-1] - attempt.motion.seconds()[0])
+            off = attempt.motion.executed().final
+            settled = abs(taken - before) < SETTLED * taken
+            if settled or off <= max(EXECUTED, SHARE * sum(path_length(path) for path in paths)):
+                frame = _whole(attempt, least)
+                if frame is not None:
+                    return frame
+            before = taken
+    return None
+
+
+def _quickest(attempt: Attempt, paths: list[Array], stretches: list[float]) -> Attempt | None:
+    """The attempt solved for time from one of these first guesses, which is the first to be tried next."""
+    for stretch in stretches:
+        attempt.start(paths, stretch)
+        attempt.deadline.end = time.monotonic() + SECONDS
+        attempt.solve()
+        if attempt.solution.violation < NEAR:
+            stretches.sort(key=lambda one: one != stretch)
+            return attempt
+    return None
+
+
+def _whole(attempt: Attempt, least: int) -> int | None:
+    """The first whole frame that the motion is found for, legs being stretched alike."""
+    marks, fps = attempt.request.marks, float(attempt.request.fps)
+    legs, lengths, state = np.array(attempt.layout.phases), attempt.lengths, attempt.state
+    held = np.array([mark.hold > 0 for mark in marks[:-1]])
+    standing, moving = (lengths * legs)[held].sum(), (lengths * legs)[~held].sum()
+    for margin in MARGINS:
+        frames = math.ceil((standing + (1 + margin) * moving) * fps - 1e-3)
+        frame = max(least, int(marks[0].frame) + frames)
+        longer = ((frame - int(marks[0].frame)) / fps - standing) / moving
+        attempt.state = state
+        attempt.x = attempt.x.copy()
+        attempt._resize(np.where(held, lengths, lengths * longer))
+        attempt.solve(free=False)
+        if attempt.solution.violation < MET:
+            return frame
+    return None
