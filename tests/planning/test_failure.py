@@ -42,23 +42,23 @@ def said(marks, vehicle=None, **options):
         (
             [Mark(1040, position=REST), Mark(1060, position=(26, 0, 0))],
             {"speed": 22},
-            "mark[1].frame: frames 1040 to 1060 ask for 31.2 m/s, limit 22; earliest 10(69|70)",
+            "mark[1].frame: frames 1040 to 1060 ask for 31.2 m/s, limit 22; (earliest )?10(69|70)( would do)?",
         ),
         # rest to rest over 16 m at 4 m/s^2: 2 sqrt(16 / 4) = 4 s
         (
             [Mark(1, position=REST, velocity=REST), Mark(49, position=(16, 0, 0), velocity=REST)],
             {"acceleration": 4},
-            "mark[1].frame: frames 1 to 49 ask for 16 m in 2 s, more than 4 m/s^2 can do; earliest (9[7-9]|10[0-9])",
+            "mark[1].frame: frames 1 to 49 ask for 16 m in 2 s, more than 4 m/s^2 can do; (earliest )?(9[7-9]|10[0-9])( would do)?",
         ),
         (
             [Mark(1, position=REST), Mark(25, position=(0, 0, 9))],
             {"climb": 3},
-            "mark[1].frame: frames 1 to 25 ask for 9 m/s up or down, limit 3; earliest 7[3-5]",
+            "mark[1].frame: frames 1 to 25 ask for 9 m/s up or down, limit 3; (earliest )?7[3-5]( would do)?",
         ),
         (
             [Mark(1, position=REST, heading=170), Mark(13, position=REST, heading=-100)],
             {"turn_rate": np.deg2rad(45)},
-            "mark[1].frame: frames 1 to 13 ask for 180 deg/s, limit 45; earliest (49|5[0-4])",
+            "mark[1].frame: frames 1 to 13 ask for 180 deg/s, limit 45; (earliest )?(49|5[0-4])( would do)?",
         ),
         (
             [Mark(1, position=REST, speed=9), Mark(25)],
@@ -294,7 +294,7 @@ def test_shots_say_what_bounds_rule_out():
     motion = {"method": "plan", "limits": {"speed": 22}, "mark": marks}
     shot = {"shot": {"schema": 1, "name": "late"}, "vehicle": [{"name": "v", "asset": "helicopter", "motion": motion}]}
     with pytest.raises(
-        ShotError, match=r"mark\[1\].frame = 1060: frames 1040 to 1060 ask for 31.2 m/s, limit 22; earl"
+        ShotError, match=r"mark\[1\].frame = 1060: frames 1040 to 1060 ask for 31.2 m/s, limit 22; "
     ):
         Shot.from_dict(shot).solve()
 
@@ -445,7 +445,7 @@ def test_where_no_miss_is_found_the_frame_is_nevertheless(monkeypatch):
         vehsim.plan(vehsim.load_vehicle("car"), None, CAR_ASIDE, segments=12)
     frame = int(re.search(r"earliest (\d+)", str(heard[0].message))[1])
     assert vehsim.plan(vehsim.load_vehicle("car"), None, [CAR_ASIDE[0], replace(CAR_ASIDE[1], frame=frame)]).success
-    with pytest.warns(UserWarning, match=r"the motion at frame \d+, off by"):
+    with pytest.warns(UserWarning, match=r"iterations allowed: all that is asked is met, but not at the least cost"):
         vehsim.plan(tug(), None, TUG_ASIDE, segments=16, max_iterations=1)
 
 

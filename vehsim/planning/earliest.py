@@ -6,13 +6,14 @@ import math
 import time
 import warnings
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.errors import VehsimError
-from vehsim.planning.attempt import EXECUTED, Attempt
-from vehsim.planning.legs import facing, legs_between, path_length
+from vehsim.planning.attempt import CRUISE, EXECUTED, Attempt
+from vehsim.planning.legs import cruising, facing, legs_between, path_length
 from vehsim.planning.request import Request
 from vehsim.planning.terms import Cost, cost_weights
 from vehsim.planning.transcription import transcription
@@ -29,15 +30,17 @@ SHARE, SETTLED = 0.02, 0.03
 SECONDS = 20.0
 """What a solve may take at most."""
 STRETCHES = (1.0, 2.5, 0.5)
-"""First guesses of how long it takes, times a cruise."""
+"""First guesses of how long it takes, times a cruise; and so many times what it takes at least."""
+LONGER = 1.3
 NEAR, MET, ITERATIONS = 1e-3, 1e-6, 100
 """Largest violation of a motion at a free frame and at a whole one, and iterations: the very least is not asked for."""
 MARGINS = (0.01, 0.05, 0.15)
 """Shares of the time that are added until a motion at the whole frame is found."""
 
 
-def first_frame(request: Request, i: int, j: int, least: int) -> int | None:
-    """The first frame, no earlier than ``least``, for which a motion from mark ``i`` to mark ``j`` was found.
+def first_frame(request: Request, i: int, j: int, least: int) -> tuple[int, bool] | None:
+    """A frame, no earlier than ``least``, for which a motion from mark ``i`` to mark ``j`` was found, and whether it is
+    the first: the quickest motion was found too.
 
     In empty space, on the ground's slopes and in the wind, with the marks between them and the limits that always
     hold. None where none was found.
@@ -80,12 +83,12 @@ class _Calm:
         self.wind = wind
 
 
-def _found(quick: Request, request: Request, least: int) -> int | None:
+def _found(quick: Request, request: Request, least: int) -> tuple[int, bool] | None:
     paths, ways = [np.array(leg) for leg in legs_between(quick.marks)], [quick.marks]
     if request.weights["course"]:
         ways.insert(0, facing(quick.marks, paths, quick.aimed))
     for marks in ways:
-        before, stretches = math.inf, list(STRETCHES)
+        before, stretches = math.inf, [_share(quick, paths, least), *STRETCHES]
         for times in FINER:
             finer = replace(quick, marks=marks, segments=times * quick.segments + 1)
             attempt = _quickest(Attempt(finer, transcription(request.weighed), None, None), paths, stretches)
@@ -93,25 +96,38 @@ def _found(quick: Request, request: Request, least: int) -> int | None:
                 break
             taken = float(attempt.motion.seconds()[-1] - attempt.motion.seconds()[0])
             off = attempt.motion.executed().final
-            settled = abs(taken - before) < SETTLED * taken
+            settled, solved = abs(taken - before) < SETTLED * taken, attempt.solution.success
             if settled or off <= max(EXECUTED, SHARE * sum(path_length(path) for path in paths)):
                 frame = _whole(attempt, least)
                 if frame is not None:
-                    return frame
+                    return frame, settled or solved
             before = taken
     return None
 
 
+def _share(quick: Request, paths: list[Array], least: int) -> float:
+    """The stretch of a cruise that takes a little longer than until the frame ``least``."""
+    cruise = float(cruising(quick.marks, paths, min(CRUISE, 0.6 * quick.limits.get("speed"))).sum())
+    return max(LONGER * (least - int(quick.marks[0].frame)) / float(quick.fps) / cruise, 0.1)
+
+
 def _quickest(attempt: Attempt, paths: list[Array], stretches: list[float]) -> Attempt | None:
-    """The attempt solved for time from one of these first guesses, which is the first to be tried next."""
+    """The attempt solved for time: from the first of these guesses it is solved from, or else where it came least."""
+    best: tuple[float, float, Any] | None = None
     for stretch in stretches:
         attempt.start(paths, stretch)
         attempt.deadline.end = time.monotonic() + SECONDS
         attempt.solve()
-        if attempt.solution.violation < NEAR:
-            stretches.sort(key=lambda one: one != stretch)
-            return attempt
-    return None
+        taken = float((attempt.lengths * attempt.layout.phases).sum())
+        if attempt.solution.violation < NEAR and (best is None or taken < best[0]):
+            best = taken, stretch, attempt.state
+        if attempt.solution.success:
+            break
+    if best is None:
+        return None
+    attempt.state = best[2]
+    stretches.sort(key=lambda one: one != best[1])
+    return attempt
 
 
 def _whole(attempt: Attempt, least: int) -> int | None:

@@ -171,11 +171,14 @@ def _between(request: Request, i: int, j: int, delay: int) -> tuple[list[Refusal
         mend = "move it nearer"
     else:
         soonest = max(math.ceil(first + held + least * fps - 1e-6), last + 1)
-        frame = first_frame(request, i, j, soonest)  # found to do, or else only known not to
-        later = (soonest if frame is None else frame) - last
+        found = first_frame(request, i, j, soonest)  # known to do, or else only that no earlier one does
+        frame, first_of_all = found or (soonest, False)
+        later = frame - last
         world = request.world
         blocked = world is not None and bool(request.hazards or world.obstacles)
-        mend = f"{'not before' if frame is None or blocked else 'earliest'} {last + delay + later}"
+        at = last + delay + later
+        mend = f"earliest {at}" if first_of_all else f"{at} would do"
+        mend = f"not before {at}" if found is None or blocked else mend
         if any(mark.frame != "free" and mark.place > b.place for mark in request.marks):
             mend += f", and what follows {delay + later} frames later"
     return [Refusal(b, "frame", f"{frames} ask for {message}", mend) for message, _ in reasons], later

@@ -58,7 +58,7 @@ MET = 1e-6
 FEWEST, LEAST = 4, 16
 """Fewer segments have fewer controls than two marks at rest ask for; and segments a leg that are tried instead of few
 on which a plan fails."""
-FINER, MOST = 4, 512
+FINER, MOST = 4, 256
 """Times as many segments a plan is begun again on where its controls lead elsewhere, and the most of them."""
 SHARE = 0.1
 """How far the controls of a plan may end from it, of the vehicle's length, beyond what refining aims at: farther off,
@@ -205,9 +205,10 @@ def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
     segments = request.segments
     while _misled(made) and segments < MOST:
         segments = min(FINER * segments, MOST)
-        again = _begin(replace(request, segments=segments), progress, guess)
-        if again._attempt.solution.success and again.executed.final < made.executed.final:  # type: ignore[union-attr]
-            made = again
+        again = _begin(replace(request, segments=segments), progress, guess, once=True)
+        if not again._attempt.solution.success:  # type: ignore[union-attr]
+            break
+        made = min(made, again, key=lambda plan: plan.executed.final)
     return made
 
 
@@ -238,7 +239,8 @@ def _misled(plan: Plan) -> bool:
     )
 
 
-def _begin(request: Request, progress: Progress | None, guess: Any) -> Plan:
+def _begin(request: Request, progress: Progress | None, guess: Any, once: bool = False) -> Plan:
+    """The plan from one discretisation on; ``once``: without seeking other ways, or why there is none."""
     t = transcription(request.weighed)
     hurried = Deadline(request.deadline).watched(progress)
     try:
@@ -256,9 +258,9 @@ def _begin(request: Request, progress: Progress | None, guess: Any) -> Plan:
         attempt.give_up(refused or LATE.format(late))
         return _result(attempt)
     attempt.solve()
-    if not attempt.solution.success:
+    if not (attempt.solution.success or once):
         attempt = _otherwise(attempt, request, paths, guess)
-    if not attempt.solution.success:
+    if not (attempt.solution.success or once):
         _again(attempt, paths, guess)
     attempt.settle()
     attempt.approach()

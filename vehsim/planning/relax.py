@@ -130,8 +130,9 @@ def _by_leg(attempt: Attempt) -> str:
         here = int(marks[j].frame)
         if marks[i].hold or attempt.deadline.late:
             continue
-        frame = first_frame(attempt.request, i, j, here)
-        if frame is not None and frame > here:
+        found = first_frame(attempt.request, i, j, here)
+        if found is not None and found[0] > here:
+            frame = found[0]
             later = {k: int(marks[k].frame) + frame - here for k in known if k >= j}
             return _earliest(attempt, j, later)
     return ""
