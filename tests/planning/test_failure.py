@@ -48,7 +48,7 @@ def said(marks, vehicle=None, **options):
         (
             [Mark(1, position=REST, velocity=REST), Mark(49, position=(16, 0, 0), velocity=REST)],
             {"acceleration": 4},
-            "mark[1].frame: frames 1 to 49 ask for 16 m in 2 s, more than 4 m/s^2 can do; (earliest )?(9[7-9]|10[0-9])( would do)?",
+            "mark[1].frame: frames 1 to 49 ask for 16 m in 2 s, more than 4 m/s^2 can do; .*(9[7-9]|10[0-9]).*",
         ),
         (
             [Mark(1, position=REST), Mark(25, position=(0, 0, 9))],
@@ -293,9 +293,7 @@ def test_shots_say_what_bounds_rule_out():
     ]
     motion = {"method": "plan", "limits": {"speed": 22}, "mark": marks}
     shot = {"shot": {"schema": 1, "name": "late"}, "vehicle": [{"name": "v", "asset": "helicopter", "motion": motion}]}
-    with pytest.raises(
-        ShotError, match=r"mark\[1\].frame = 1060: frames 1040 to 1060 ask for 31.2 m/s, limit 22; "
-    ):
+    with pytest.raises(ShotError, match=r"mark\[1\].frame = 1060: frames 1040 to 1060 ask for 31.2 m/s, limit 22; "):
         Shot.from_dict(shot).solve()
 
 
