@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import pytest
@@ -15,6 +17,9 @@ import pytest
 from vehsim import World, delivery
 from vehsim.errors import ExportError, InputError
 from vehsim.take import Exporter, Progress, RenderSettings, Take, UsdSettings
+
+NOBODY = 65534
+"""A user without rights."""
 
 
 @dataclass
@@ -282,11 +287,23 @@ def test_a_crash_between_the_renames_loses_nothing(exporters: dict[str, Exporter
     assert files(tmp_path) == before
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="nothing is read-only to root")
-def test_a_folder_that_may_not_be_written(exporters: Any, take: Take, tmp_path: Path) -> None:
-    tmp_path.chmod(0o500)
-    with pytest.raises(ExportError, match="could not be written"):
-        take.export(tmp_path, to=("a",))
+@contextmanager
+def unprivileged() -> Iterator[None]:
+    """Without root's rights, to which nothing is read-only."""
+    user = os.geteuid()
+    os.seteuid(NOBODY if user == 0 else user)
+    try:
+        yield
+    finally:
+        os.seteuid(user)
+
+
+def test_a_folder_that_may_not_be_written(exporters: Any, take: Take) -> None:
+    with TemporaryDirectory() as place:  # not below pytest's folder, which is closed to all others
+        Path(place).chmod(0o555)
+        with unprivileged(), pytest.raises(ExportError, match="could not be written"):
+            take.export(Path(place), to=("a",))
+        assert not os.listdir(place)
 
 
 def test_exporters_that_need_each_other(exporters: dict[str, Exporter], take: Take, tmp_path: Path) -> None:
