@@ -2,11 +2,15 @@
 BIN := .venv/bin
 export MUJOCO_GL ?= egl
 
-.PHONY: help setup demo test docs assets lock clean bench-export bench-integrators bench-planning bench-collocation audit-random
+.PHONY: help setup demo check test test-pythons measure-tests blender docs assets lock clean bench-export bench-integrators bench-planning bench-collocation audit-random
 
 help:
 	@echo "make demo   export examples/canyon_flight.toml to out/: a USD shot, frames and a film"
 	@echo "make test   formatter, linter, type checker and all tests"
+	@echo "make check  formatter, linter, type checker and the cheapest tests: under a minute of CPU"
+	@echo "make test-pythons  all tests on Python 3.11 and 3.13, the core on 3.12 and 3.14, as far as they can be had"
+	@echo "make measure-tests  all tests, and write what each takes, by which make check chooses"
+	@echo "make blender  Blender's Python module in .blender (400 MB), so that its tests run too"
 	@echo "make setup  only make .venv"
 	@echo "make docs   the key tables of docs/shot-file.md, and the site in site/"
 	@echo "make assets regenerate the vehicles' USD assets; the same bytes on every machine"
@@ -29,6 +33,22 @@ test: setup
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/pytest -n 2 --dist worksteal
+
+check: setup
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/pytest -q --fast
+
+test-pythons: setup
+	sh tools/test_pythons.sh
+
+measure-tests: setup
+	$(BIN)/pytest -n 2 --dist worksteal --measure
+
+blender:
+	python3.11 -m venv .blender
+	.blender/bin/python -m pip install --quiet bpy==5.0.1
 
 docs: setup
 	$(BIN)/python -m vehsim.shot.reference docs/shot-file.md
@@ -58,4 +78,4 @@ audit-random: setup
 	$(BIN)/python -m tools.audit_random --seeds $(or $(SEEDS),0-999) --out $(or $(OUT),out/audit_random)
 
 clean:
-	rm -rf .venv out site build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv .pythons .blender out site build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

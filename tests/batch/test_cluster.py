@@ -18,13 +18,21 @@ from vehsim.batch import export_batch, load_shots
 
 Content = Callable[[Path], dict[str, str]]
 Write = Callable[..., Path]
+PATIENCE = 600.0
+"""How long a busy machine may take, s: only a test that fails waits so long."""
 TEN = '"vehicle.car.motion.duration" = { from = 1.0, to = 3.0, count = 10 }'
 
 
 @pytest.fixture
 def cluster() -> Iterator[Any]:
     distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+    import dask
+
+    waits = ("distributed.comm.timeouts.connect", "distributed.comm.timeouts.tcp")
+    with (
+        dask.config.set(dict.fromkeys(waits, f"{PATIENCE:g}s")),  # nothing is lost while a machine is only busy
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+    ):
         yield cluster
 
 
@@ -45,7 +53,7 @@ def test_clips_of_lost_workers_are_made_by_others(cluster: Any, write: Write, tm
     killer = threading.Thread(target=kill, daemon=True)
     killer.start()
     outcomes = export_batch(shots, tmp_path / "there", ["usd", "npz"], dask=cluster.scheduler_address)
-    killer.join(10.0)
+    killer.join(PATIENCE)
     assert len(killed) == 2
     assert {(outcome.state, outcome.message) for outcome in outcomes} == {("done", "")}
     assert content(tmp_path / "there") == content(tmp_path / "here")

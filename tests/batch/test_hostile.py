@@ -22,6 +22,8 @@ from vehsim.batch.workers import NAME, THREADS
 Content = Callable[[Path], dict[str, str]]
 Write = Callable[..., Path]
 Undisturbed = tuple[Path, dict[str, str]]
+PATIENCE = 600.0
+"""How long a busy machine may take, s: only a test that fails waits so long."""
 SWEEP = '"vehicle.car.motion.duration" = {{ from = 0.25, to = 1.0, count = {} }}'
 
 
@@ -105,17 +107,26 @@ def test_workers_end_with_their_batch(write: Write, tmp_path: Path) -> None:
     assert process.stdout is not None
     while '"planning"' not in process.stdout.readline():
         assert process.poll() is None
-    deadline = time.monotonic() + 30
+    deadline = time.monotonic() + PATIENCE
     while len(workers := workers_of(process.pid)) < 2:  # the first may plan before the second has its name
         assert time.monotonic() < deadline
         time.sleep(0.02)
     time.sleep(1.0)
+    worked = {pid: _seconds(pid) for pid in workers}
     process.kill()
     process.wait()
-    deadline = time.monotonic() + 10
-    while any(_runs(pid) for pid in workers):
-        assert time.monotonic() < deadline
+    while left := [pid for pid in workers if _runs(pid)]:  # a busy machine may be slow to end them
+        assert all(_seconds(pid) - worked[pid] < 5.0 for pid in left)
         time.sleep(0.05)
+
+
+def _seconds(pid: int) -> float:
+    """CPU time of a process, s; none where it has ended."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return 0.0
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def _runs(pid: int) -> bool:
@@ -131,7 +142,7 @@ def test_an_interrupted_batch_tidies_up(write: Write, tmp_path: Path, number: in
     while not list((tmp_path / "out").glob("drive*")):
         time.sleep(0.02)
     os.kill(process.pid, number)
-    _, said = process.communicate(timeout=30)
+    _, said = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130
     assert "Traceback" not in said
     assert "interrupted" in said and "--resume" in said
@@ -164,7 +175,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     place.mkdir()
     mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=2500k", "tmpfs", str(place)], capture_output=True)
     if mounted.returncode != 0:
-        pytest.skip("no file system can be mounted here")
+        pytest.skip("mounting a small file system needs root")
     yield place
     subprocess.run(["umount", str(place)], check=True)
 

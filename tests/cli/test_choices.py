@@ -21,6 +21,8 @@ from vehsim.shot.file import SCHEMA_LINE, schema
 from vehsim.world import Terrain
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
+PATIENCE = 600.0
+"""How long a busy machine may take, s: only a test that fails waits so long."""
 
 
 # ---------------------------------------------------------------- help
@@ -53,7 +55,7 @@ def complete(*words: str, folder: Path | None = None) -> list[str]:
         "COMP_CWORD": str(len(words)),
     }
     command = [sys.executable, "-c", "import sys; sys.argv = ['vehsim']; from vehsim.__main__ import main; main()"]
-    answer = subprocess.run(command, env=environment, cwd=folder, capture_output=True, text=True, timeout=60)
+    answer = subprocess.run(command, env=environment, cwd=folder, capture_output=True, text=True, timeout=PATIENCE)
     assert answer.stderr == ""
     return answer.stdout.split()
 

@@ -34,6 +34,8 @@ from vehsim.exporters.stage_audit import audit_delivery
 
 ROOT = Path(vehsim.__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PATIENCE = 600.0
+"""How long a busy machine may take, s: only a test that fails waits so long."""
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.DOTALL | re.MULTILINE)
 HEADING = re.compile(r"^#+ (.*)$", re.MULTILINE)
 
@@ -325,7 +327,7 @@ def test_python_does_what_it_says(snippet: Snippet, tmp_path: Path) -> None:
     script = tmp_path / "snippet.py"
     script.write_text(snippet.text + PYTHON[f"{snippet.page.name}: {snippet.title}"], encoding="utf-8")
     command = [sys.executable, "-I", "-W", "error::UserWarning", script.name]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE)
     assert done.returncode == 0, done.stderr[-3000:]
 
 
@@ -353,7 +355,7 @@ def run(text: str, folder: Path, code: int = 0) -> str:
     environment.pop("PYTEST_ADDOPTS", None)
     text = text.replace(".venv/bin/", "")
     done = subprocess.run(
-        ["bash", "-euc", text], cwd=folder, env=environment, capture_output=True, text=True, timeout=300
+        ["bash", "-euc", text], cwd=folder, env=environment, capture_output=True, text=True, timeout=PATIENCE
     )
     assert done.returncode == code, (text, done.stdout[-1500:], done.stderr[-1500:])
     return done.stdout

@@ -13,9 +13,12 @@ import pytest
 from vehsim.exporters import blender
 from vehsim.exporters.usd import write_usd
 
-PYTHON = os.environ.get("VEHSIM_BLENDER", "")
+MADE = Path(__file__).parents[2] / ".blender" / "bin" / "python"
+"""Where `make blender` puts a Python with Blender's module."""
+PYTHON = os.environ.get("VEHSIM_BLENDER", str(MADE) if MADE.exists() else "")
 needs_blender = pytest.mark.skipif(
-    not Path(PYTHON).name.startswith("python"), reason="needs VEHSIM_BLENDER, a Python with the module bpy"
+    not Path(PYTHON).name.startswith("python"),
+    reason="needs Blender's module bpy: run make blender, or set VEHSIM_BLENDER to a Python that has it",
 )
 WHERE = """
 import json, sys

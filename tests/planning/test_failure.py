@@ -141,11 +141,11 @@ def test_time_limits_are_kept():
     helicopter = vehsim.load_vehicle("helicopter")
     marks = [Mark(1, position=(0, 0, 30), velocity=REST), Mark("free", position=(90, 40, 40), velocity=REST)]
     vehsim.plan(helicopter, None, marks, segments=256, refine=False)  # built
-    began = time.monotonic()
+    began = time.process_time()  # the machine may be busy with something else
     with pytest.warns(UserWarning, match="time limit") as heard:
         plan = vehsim.plan(helicopter, None, marks, segments=256, time_limit=1e-3)
     assert [one.filename for one in heard] == [__file__]  # where it was asked for
-    assert not plan.success and plan.iterations <= 3 and time.monotonic() - began < 20
+    assert not plan.success and plan.iterations <= 3 and time.process_time() - began < 20
     assert len(plan.clip) > 2
 
 
