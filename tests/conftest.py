@@ -32,7 +32,7 @@ def pytest_configure(config: pytest.Config) -> None:
 ROOT = Path(__file__).parents[1]
 MEASURED = ROOT / "tests" / "seconds.json"
 """File -> test function -> CPU seconds of all its cases, setup included, as `--measure` wrote them."""
-BUDGET = 8.0
+BUDGET = 5.0
 """CPU seconds of the tests that `--fast` runs, the cheapest first; their imports take as much again."""
 SECONDS: pytest.StashKey[float] = pytest.StashKey()
 

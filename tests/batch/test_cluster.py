@@ -26,13 +26,7 @@ TEN = '"vehicle.car.motion.duration" = { from = 1.0, to = 3.0, count = 10 }'
 @pytest.fixture
 def cluster() -> Iterator[Any]:
     distributed = pytest.importorskip("distributed")
-    import dask
-
-    waits = ("distributed.comm.timeouts.connect", "distributed.comm.timeouts.tcp")
-    with (
-        dask.config.set(dict.fromkeys(waits, f"{PATIENCE:g}s")),  # nothing is lost while a machine is only busy
-        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
-    ):
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
         yield cluster
 
 
