@@ -35,7 +35,7 @@ EASE = 1.5
 """At least how many times longer than with full controls all the way."""
 SHORTEST, DRIFT = 4.0, 8.0
 """How long a motion takes at least, and how long what has no controls drifts, s."""
-SETTLING = 8.0
+SETTLING = 11.0
 """What a pilot needs to set out and to come to rest, s."""
 TRIES = 4
 """How often the time is doubled that a check finds too short."""
@@ -170,6 +170,8 @@ def _course(vehicle: Vehicle, place: str | None) -> Course:
     start, ahead, top = _room(terrain, first.reach, length, level=not flies and not floats)
     if flies or floats:
         return replace(first, start=start, ahead=ahead, base=round(top + lift + 2.0 * floats, 2))
+    if vehicle.tied and np.ptp(terrain.heights) > 0.01:
+        raise InputError(f"{vehicle.name}: its trailers do not follow uneven ground; leave --terrain out")
     return replace(first, start=start, ahead=ahead, terrain=terrain)
 
 
@@ -221,9 +223,13 @@ def _room(
     if not inside.any():
         raise InputError(f"terrain {terrain.name!r}: has no {1.1 * reach:.3g} m straight on; give a larger one")
     heights = terrain.height(points.reshape(-1, 2)).reshape(points.shape[:-1])
-    steep = np.abs(np.diff(heights, axis=3)).max((2, 3)) / (along[0, 1] - along[0, 0])
+    step = along[0, 1] - along[0, 0]
+    steep = np.abs(np.diff(heights, axis=3)).max((2, 3)) / step
+    bumpy = np.abs(np.diff(heights, 2, axis=3)).max((2, 3)) / step
     middle = np.linalg.norm((grid - (low + high) / 2) / (high - low), axis=1)[:, None]
-    cost = (steep + 0.02 * middle if level else heights.max((2, 3)) + 0.01 * middle) + np.where(inside, 0, np.inf)
+    cost = (steep + 3 * bumpy + 0.02 * middle if level else heights.max((2, 3)) + 0.01 * middle) + np.where(
+        inside, 0, np.inf
+    )
     i, j = np.unravel_index(np.argmin(cost), cost.shape)
     start, ahead = grid[i].round(1), turn[j]
     return (float(start[0]), float(start[1])), (float(ahead[0]), float(ahead[1])), float(heights[i, j].max())
