@@ -207,7 +207,7 @@ def _too_far(request: Request, placed: list[Mark], seconds: float) -> list[tuple
     allowed = limited(UNBOUNDED, asked)
     if whole > allowed.reach(seconds, top, *ends):
         least = least_time(lambda t: allowed.reach(t, top, *ends), whole)
-        return refused(f"more than {asked:g} m/s^2 can do", least)
+        return refused(f"more than {asked:.3g} m/s^2 can do", least)
     if centre > push.reach(seconds, math.inf, *map(_size, own)):
         least = least_time(lambda t: push.reach(t, math.inf, *map(_size, own)), centre)
         return refused(f"more than the {request.vehicle.name}'s {push.gain:.3g} m/s^2 can do", least)

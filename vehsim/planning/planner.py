@@ -56,8 +56,8 @@ LATE = "time limit reached before solving began{}: there is no more than a first
 MET = 1e-6
 """Violations below this are none."""
 FEWEST, LEAST = 4, 16
-"""Fewer segments have fewer controls than two marks at rest ask for; and segments a leg that are tried instead of few
-on which a plan fails."""
+"""Fewer segments have fewer controls than two marks at rest ask for; and segments a leg that are tried instead of so
+few a leg on which a plan fails."""
 FINER, MOST = 4, 256
 """Times as many segments a plan is begun again on where its controls lead elsewhere, and the most of them."""
 SHARE = 0.1
@@ -271,7 +271,7 @@ def _otherwise(attempt: Attempt, request: Request, paths: list[Array], guess: An
     """The attempt, or a better one, at what was asked alone: marks at rest not turned along their legs, and on more
     segments where there are few."""
     legs, few = len(request.marks) - 1, request.segments
-    enough = max(few, LEAST * legs)
+    enough = LEAST * legs if few <= FEWEST * legs else few
     tries = [(few, "")] if attempt.request.given else []
     tries += [(enough, f"; on {enough} segments: {few} are too few")] if enough > few else []
     for segments, said in tries:
