@@ -20,10 +20,12 @@ from vehsim.planning.cover import SLOPE, forgiven, landings
 from vehsim.planning.deadline import MORE, Deadline
 from vehsim.planning.elements import Problem
 from vehsim.planning.guess import along_clip, along_paths, clip_spans, lift
+from vehsim.planning.instants import Excess, Instants
 from vehsim.planning.layout import Layout
 from vehsim.planning.legs import (
     cruising,
     fixed_durations,
+    knots_within,
     share_known_spans,
     spans_between,
     split_segments,
@@ -32,7 +34,7 @@ from vehsim.planning.legs import (
 from vehsim.planning.motion import Motion, exported
 from vehsim.planning.multipliers import carried
 from vehsim.planning.obstacles import FINEST, obstacle_rows
-from vehsim.planning.problem import build, distances, hold_adrift, parameter_values, variable_bounds
+from vehsim.planning.problem import add_instants, build, distances, hold_adrift, parameter_values, variable_bounds
 from vehsim.planning.request import Request
 from vehsim.planning.shelf import Shelf, common
 from vehsim.planning.solver import Multipliers, Solution, Solver, Start
@@ -41,8 +43,8 @@ from vehsim.planning.transcription import Transcription
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
-TIGHTENINGS = 3
-"""How often a motion that comes too near is solved again with a wider margin."""
+TIGHTENINGS = 5
+"""How often a motion that comes too near, or breaks a constraint between knots, is solved again."""
 EXECUTED = 0.1
 """Largest accepted distance between the plan's end and where its controls lead, m, before the plan is refined."""
 LADDER = ((1, 4), (1, 6), (2, 6), (4, 6))
@@ -83,6 +85,9 @@ class Attempt:
         self.solved: tuple[Multipliers, tuple[Problem, Layout]] | None = None
         self.near: NDArray[np.bool_] | None = None
         self.rows = obstacle_rows(request.vehicle, request.world, request.marks)
+        self.instants = Instants(t, request.constraints)
+        self.broken: list[Excess] = []
+        self.before: tuple[Any, ...] | None = None
 
     def moved(self, request: Request, progress: Progress | None) -> Attempt:
         """A new attempt at other marks of the same shape, from where this one ended."""
@@ -91,6 +96,7 @@ class Attempt:
         other.lifted, other.solved = True, self.solved
         other.x, other.lengths, other.free = self.x.copy(), self.lengths.copy(), self.free
         other.rows, other.near, other.paths = self.rows, self.near, self.paths
+        other.instants.segments, other.instants.places = self.instants.segments, list(self.instants.places)
         fixed = fixed_durations(request.marks, request.fps)
         other._resize(np.where(np.isnan(fixed), other.lengths, fixed / np.array(other.layout.phases)))
         return other
@@ -190,6 +196,7 @@ class Attempt:
             values.append(self.cover.values(layout, request.marks, self.lengths, self.motion.seconds()[0]))
         if self.rows is not None:
             values.append(self.rows.values(self.motion.seconds(), request.clearance))
+        values.append(self.instants.values())
         return np.concatenate(values)
 
     def _answer(self, solver: Solver, lower: Array, upper: Array, values: Array, start: Start) -> Solution:
@@ -211,14 +218,20 @@ class Attempt:
         """The built problem of the present layout; built once for every shape of marks, in free space once for all."""
         request = self.request
         near = None if self.near is None else self.near.tobytes()
-        key = (self.t, self.layout, request.key, repr(spans), near, self.rows and self.rows.key)
+        self.instants.settle(self.layout)
+        seen = self.rows and self.rows.key, self.instants.key
+        key = (self.t, self.layout, request.key, repr(spans), near, seen)
         shelf = self.solvers if self.cover is not None or request.terms else common()
         return shelf.get(key, lambda: Solver(self._problem(spans), request.solver, request.max_iterations))
 
     def _problem(self, spans: Sequence[tuple[list[int], float]]) -> Problem:
-        problem = build(self.t, self.layout, self.request, self.cover, spans, near=self.near)
+        return self.completed(build(self.t, self.layout, self.request, self.cover, spans, near=self.near))
+
+    def completed(self, problem: Problem) -> Problem:
+        """A built problem, with what was found to be in the way or broken since."""
         if self.rows is not None:
             self.rows.add(problem, self.t, self.layout)
+        add_instants(problem, self.layout, self.instants)
         return problem
 
     def give_up(self, message: str) -> None:
@@ -292,8 +305,19 @@ class Attempt:
         """Solve again if anything changed since; True when it did. What failed for want of time has none for that."""
         if self.stale and (not self.deadline.late or self.solution.success):
             self.solve(free=False)
+            if not self.solution.success and self.before is not None and np.any(self.free) and not self.deadline.late:
+                self._later()
             return True
         return False
+
+    def _later(self) -> None:
+        """What cannot be kept in the time that free legs have taken so far, in the time it takes."""
+        assert self.before is not None
+        self.state = self.before
+        self.solve()
+        if self.solution.success:
+            self.settle()
+            self.solve(free=False)
 
     def _too_far(self) -> bool:
         return self.request.refine and self.solution.success and self.checked.final > EXECUTED
@@ -312,6 +336,7 @@ class Attempt:
             self.note = f"; not refined to {segments} segments of order {order}: time limit reached"
             return False
         before = self.state
+        self._see_instants()
         self.x = lift(self.t, self.layout, fine, self.x, self.request.wind)
         self.layout, self.lengths, self.lifted = fine, self.x[fine.lengths], True
         self._look()
@@ -344,13 +369,38 @@ class Attempt:
             positions, yaw = self.motion.poses()
             self.rows.look(positions, yaw, self.motion.seconds(), self.request.clearance)
 
-    def clear(self) -> bool:
-        """Certify the clip; True when it is as far away as asked, or when nothing more can be done."""
+    def kept(self) -> bool:
+        """Certify the clip; True when it keeps its distance and all constraints at every instant, or when nothing more
+        can be done. Where the last tightening has no solution, what there was before comes back."""
+        if not self.solution.success and self.before is not None:
+            self.state, self.tightenings = self.before, TIGHTENINGS
         self.wanted = self.request.clearance if self.cover is not None or self.rows is not None else 0.0
         self.clip = self.motion.clip()
         self.clearance = self._measured(self.clip)
-        near = self.clearance < self.wanted - (SLACK if self.rows is None else FINEST)
-        return not (near and self.solution.success and self.tightenings < TIGHTENINGS and not self.deadline.late)
+        self.broken = self.instants.measure(self.clip, self._knots, self._spans) if self.solution.success else []
+        more = self._near or self.broken
+        return not (more and self.solution.success and self.tightenings < TIGHTENINGS and not self.deadline.late)
+
+    def _see_instants(self) -> None:
+        """Ask constraints where the present motion breaks them between knots."""
+        if self.instants.constraints:
+            self.instants.settle(self.layout)
+            self.instants.see(self.motion.clip(), self._knots, self._spans)
+
+    @property
+    def _near(self) -> bool:
+        return bool(self.clearance < self.wanted - (SLACK if self.rows is None else FINEST))
+
+    @property
+    def _knots(self) -> Array:
+        seconds = self.motion.seconds()
+        return np.asarray(seconds - seconds[0])
+
+    @property
+    def _spans(self) -> list[tuple[int, int]]:
+        """The first and last knot of every constraint."""
+        marks, knots = self.request.marks, self.layout.mark_knots
+        return [knots_within(marks, knots, term.frames) for term in self.instants.constraints]
 
     def _measured(self, clip: Clip) -> float:
         """The least clearance of a clip, and what it lacks where it drives."""
@@ -368,10 +418,13 @@ class Attempt:
         return certify(clip, self.request.world, SAMPLES, self.progress, less, SLOPE * bool(landings(marks)))
 
     def tighten(self) -> None:
-        if self.rows is not None:
+        """Ask for more where the certified motion gives less than was asked for."""
+        self.before = self.state
+        if self._near and self.rows is not None:
             self.rows.tighten(self.lack, *self.motion.poses(), self.motion.seconds(), self.request.clearance)
-        else:
+        elif self._near:
             self.margin += (self.wanted - self.clearance) + 0.05
+        self._see_instants()
         self.tightenings += 1
         self.stale = True
 

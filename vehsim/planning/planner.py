@@ -330,7 +330,7 @@ def _finish(attempt: Attempt) -> Plan:
     """Solve on whole frames, finely enough, far enough from the rock."""
     for _ in range(TIGHTENINGS + 1):
         attempt.refine()
-        if attempt.clear():
+        if attempt.kept():
             break
         attempt.tighten()
     return _result(attempt)
@@ -351,6 +351,11 @@ def _result(attempt: Attempt) -> Plan:
             f"certified clearance {attempt.clearance:.3f} m is below the {attempt.wanted:g} m asked for after "
             f"{attempt.tightenings} tighter solves; ask for less clearance, more segments, or other marks"
         )
+    elif success and attempt.broken:
+        success = False
+        frames = [float(request.marks[0].frame) + each.seconds * float(request.fps) for each in attempt.broken]
+        said = "; ".join(each.said(frame) for each, frame in zip(attempt.broken, frames, strict=True))
+        message = f"{said}, after {attempt.tightenings} tighter solves; loosen it, or ask for more segments"
     message += attempt.remark + attempt.note
     if success and attempt.checked.final > EXECUTED and request.refine:
         off, allowed = attempt.checked.final, EXECUTED + SHARE * extent(request.vehicle)

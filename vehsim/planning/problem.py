@@ -22,6 +22,7 @@ from vehsim.planning.asked import (
 )
 from vehsim.planning.cover import POSE, Cover, attitude, landings, places
 from vehsim.planning.elements import Element, Problem, elastic
+from vehsim.planning.instants import Instants
 from vehsim.planning.layout import Layout
 from vehsim.planning.legs import held_segments, knots_within
 from vehsim.planning.marks import Mark, end_of_hold
@@ -163,31 +164,34 @@ def _add_term(problem: Problem, t: Transcription, layout: Layout, request: Reque
     first, last = knots_within(request.marks, layout.mark_knots, term.frames)
     knots, segments = np.arange(first, last + 1), np.arange(first, last)
     if isinstance(term, Cost) or term.over == "segments":
-        _place_term(problem, t, layout, term, "segment", segments, _segments(layout, segments))
-        return
-    _place_term(problem, t, layout, term, "knot", knots, np.vstack([layout.knot(knots), layout.control(knots)]))
-    if term.over == "knots":
-        return
-    ends = [layout.control(segments), layout.control(segments + 1), layout.duration(segments)]
-    if len(layout.fractions) == 1:
-        y = np.vstack([layout.node(segments), layout.velocity(segments), *ends])
-        _place_term(problem, t, layout, term, "middle", segments, y)
-    else:  # a composition's node nearest to the middle
-        part, fraction = layout.middle
-        y = np.vstack([layout.node(segments * len(layout.fractions) + part), *ends])
-        _place_term(problem, t, layout, term, "node", segments, y, fraction)
+        element, timed = t.term(term, "segment", len(layout.phases))
+        problem.add(element, *_timed(layout, segments, _segments(layout, segments), timed))
+    elif term.over != "between" and t.accelerated(term):  # at the start of every segment, and the end of the last
+        element, timed = t.term(term, "between", len(layout.phases))
+        k, fraction = np.append(segments, last - 1), np.append(np.zeros(len(segments)), 1.0)
+        y, _, constants = _timed(layout, k, _segments(layout, k), timed)
+        problem.add(element, y, constants=fraction[None] if constants is None else np.vstack([fraction, constants]))
+    elif term.over != "between":
+        element, timed = t.term(term, "knot", len(layout.phases))
+        y = np.vstack([layout.knot(knots), layout.control(knots)])
+        problem.add(element, *_timed(layout, knots, y, timed))
 
 
-def _place_term(
-    problem: Problem, t: Transcription, layout: Layout, term: Term, place: str, k: Any, y: Any, fraction: float = 0.5
-) -> None:
-    element, timed = t.term(term, place, len(layout.phases), fraction)
+def _timed(layout: Layout, k: Any, y: Any, timed: bool) -> tuple[Any, None, Any]:
+    """Variables, parameters and constants of an element at knots ``k`` that asks for the time where it is ``timed``."""
     if not timed:
-        problem.add(element, y)
-        return
+        return y, None, None
     starts = layout.mark_knots[:-1, None]
     passed = np.clip(k - starts, 0, np.array(layout.phases)[:, None])
-    problem.add(element, np.vstack([y, np.tile(layout.lengths[:, None], len(k))]), constants=passed.astype(float))
+    return np.vstack([y, np.tile(layout.lengths[:, None], len(k))]), None, passed.astype(float)
+
+
+def add_instants(problem: Problem, layout: Layout, instants: Instants) -> None:
+    """Rows of the constraints at instants between knots; their parameters stand behind those the problem has."""
+    for element, timed, k in instants.elements(layout):
+        y, _, constants = _timed(layout, k, _segments(layout, k), timed)
+        problem.add(element, y, problem.parameters + np.arange(len(k))[None], constants)
+        problem.parameters += len(k)
 
 
 def _add_clearance(

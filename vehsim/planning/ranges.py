@@ -12,6 +12,8 @@ from vehsim.errors import InputError
 from vehsim.planning.terms import Constraint, Expr, KnotView
 from vehsim.requests import Ask, look_ask, stay_ask
 
+ANGLE, LENGTH = 0.02, 5e-4
+"""How far a motion may leave its range between knots, deg and m."""
 Frames = tuple[int, int] | None
 AXES = {"x": (0, 1.0), "y": (1, 1.0), "z": (2, 1.0), "-x": (0, -1.0), "-y": (1, -1.0), "-z": (2, -1.0)}
 """Body axes by name: column of the rotation, and sign."""
@@ -43,7 +45,11 @@ def look_at(
     def ask(first: float, last: float) -> Ask:
         return look_ask("look_at", first, last, point, math.radians(within), column, sign, level)
 
-    return Constraint("look_at", law, lower=math.cos(math.radians(within)), frames=frames, aim=aim, ask=ask)
+    lower = math.cos(math.radians(within))
+    return Constraint(
+        "look_at", law, lower=lower, frames=frames, aim=aim, slack=lower - math.cos(math.radians(within + ANGLE)),
+        shown=lambda value: f"{math.degrees(math.acos(min(1.0, value))):.3g} deg off", ask=ask,
+    )  # fmt: skip
 
 
 def stay(
@@ -66,4 +72,7 @@ def stay(
     def ask(first: float, last: float) -> Ask:
         return stay_ask("stay", first, last, lower.tolist(), upper.tolist())
 
-    return Constraint("stay", law, *bounds, over="everywhere", frames=frames, box=(lower, upper), ask=ask)
+    return Constraint(
+        "stay", law, *bounds, frames=frames, box=(lower, upper), slack=LENGTH, shown=lambda value: f"{value:.4g} m",
+        ask=ask,
+    )  # fmt: skip

@@ -165,8 +165,7 @@ def _then(request: Request, i: int, frames: dict[int, int]) -> str:
 def _solve(attempt: Attempt, problem: Any, late: bool, start: Array) -> tuple[Array | None, bool]:
     """The relaxed problem's variables, or None, and whether it is solved."""
     t, layout, request = attempt.t, attempt.layout, attempt.request
-    if attempt.rows is not None:
-        attempt.rows.add(problem, t, layout)
+    problem = attempt.completed(problem)
     fixed = fixed_durations(request.marks, request.fps) / np.array(layout.phases)
     lengths = start[layout.lengths]
     most = [8 * h if late or f else h for h, f in zip(lengths, attempt.free, strict=True)]

@@ -6,6 +6,7 @@ A built-in cost is a law of a `SegmentView`, a built-in limit a law of a `KnotVi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
@@ -27,9 +28,10 @@ GRAVITY = 9.81
 class KnotView:
     """What a law sees of an instant, all CasADi columns, SI and radians.
 
-    ``position`` (3,) of the rig's root, world; ``velocity`` (3,) world; ``omega`` (3,) body axes; ``rotation`` (3, 3)
-    root to world; ``joints, joint_rates`` (s,); ``controls`` (c,); ``push``: what the controls push with, over the
-    vehicle's weight, and ``rates``: how fast that moves; ``t`` s since the first mark.
+    ``position`` (3,) of the rig's root, world; ``velocity`` and ``acceleration`` (3,) world, where two segments meet
+    that of the later one; ``omega`` (3,) body axes; ``rotation`` (3, 3) root to world; ``joints, joint_rates`` (s,);
+    ``controls`` (c,); ``push``: what the controls push with, over the vehicle's weight, and ``rates``: how fast that
+    moves; ``t`` s since the first mark.
     """
 
     position: Expr
@@ -42,6 +44,7 @@ class KnotView:
     push: Expr
     rates: Expr
     t: Expr
+    acceleration: Expr
     names: tuple[str, ...] = ()
 
     @property
@@ -89,29 +92,40 @@ class Cost:
     frames: tuple[int, int] | None = None
 
 
-Where = Literal["knots", "segments", "everywhere"]
+Where = Literal["everywhere", "knots", "segments", "between"]
+SLACK = 0.005
+"""By how much of itself a limit may be passed between knots."""
 
 
 @dataclass(frozen=True, eq=False)
 class Constraint:
     """A constraint of one's own: ``lower <= law(view) <= upper``, component by component.
 
-    ``over``: ``"knots"``, ``"everywhere"`` (knots, and once between two of them) with a law of a `KnotView`, or
-    ``"segments"`` with a law of a `SegmentView`. ``frames`` (first, last): only there, both included.
+    ``over``: ``"everywhere"``, to within ``slack``, or ``"knots"`` alone, with a law of a `KnotView`; or ``"segments"``
+    with a law of a `SegmentView`. ``frames`` (first, last): only there, both included.
     """
 
     name: str
     law: Callable[[Any], Expr]
     lower: Any = -np.inf
     upper: Any = np.inf
-    over: Where = "knots"
+    over: Where = "everywhere"
     frames: tuple[int, int] | None = None
+    slack: float = 1e-3
+    """How far it may be passed between knots, in the law's own unit."""
+    shown: Callable[[float], str] = "{:.4g}".format
+    """A value of the law in the user's units."""
     aim: tuple[Any, float] | None = None
     """For first guesses: it heads for a point (3,) m, turned right by an angle, rad."""
     box: Any | None = None
     """Where it keeps the root, (2, 3) m: a mark outside is refused before anything is solved."""
     ask: Callable[[float, float], Ask] | None = None
     """What an audit measures in its place, from a first to a last frame; None: nothing."""
+
+    @property
+    def said(self) -> str:
+        """What messages call it."""
+        return self.name.replace("limit ", "limits.")
 
 
 Term = Cost | Constraint
@@ -210,7 +224,7 @@ def repulsion(distance: Expr) -> Expr:
 
 @dataclass(frozen=True)
 class Limit:
-    """A built-in limit: the ``law`` of a knot or segment that stays below a value in ``unit``, rad for angles.
+    """A built-in limit: the ``law`` of a `KnotView` that stays below a value in ``unit``, rad for angles.
 
     ``meaning``: what the value bounds, in a few words.
     """
@@ -218,7 +232,6 @@ class Limit:
     law: Callable[[Any], Expr]
     unit: str
     meaning: str
-    over: Where = "knots"
     joint: str | None = None
 
     @property
@@ -235,9 +248,9 @@ LIMITS: dict[str, Limit] = {
     "climb": Limit(lambda k: ca.sqrt(k.velocity[2] ** 2 + 1e-8), "m/s", "speed up or down"),
     "turn_rate": Limit(lambda k: _norm(k.omega), "rad/s", "angular speed about any axis"),
     "bank": Limit(lambda k: ca.acos(0.9999999 * k.rotation[2, 2]), "rad", "angle between the body's and the world's Z"),
-    "acceleration": Limit(lambda s: _norm(s.acceleration), "m/s^2", "acceleration in any direction", "segments"),
+    "acceleration": Limit(lambda k: _norm(k.acceleration), "m/s^2", "acceleration in any direction"),
     "g_load": Limit(
-        lambda s: _norm(s.acceleration / GRAVITY + ca.DM([0, 0, 1])), "g", "what the crew feels: 1 at rest", "segments"
+        lambda k: _norm(k.acceleration / GRAVITY + ca.DM([0, 0, 1])), "g", "what the crew feels: 1 at rest"
     ),
     "steering": Limit(
         lambda k: ca.sqrt(ca.atan(k.joint(STEERING)) ** 2 + 1e-8), "rad", "steering angle", joint=STEERING
@@ -283,18 +296,36 @@ class Limits:
         return replace(self, values={**self.values, "speed": speed})
 
     def constraints(self) -> list[Constraint]:
-        """The limits as constraints, scaled to one. Joint limits are bounds of variables and not among them."""
+        """The limits as constraints, scaled to one. At knots, joint limits are bounds of variables."""
         made: list[Constraint] = []
         for name, value in self.values.items():
             limit = LIMITS[name]
-            made.append(Constraint(f"limit {name}", _scaled(limit.law, value), upper=1.0, over=limit.over))
+            made.append(
+                Constraint(
+                    f"limit {name}", _scaled(limit.law, value), upper=1.0, slack=SLACK,
+                    shown=_in_unit(value, limit.unit),
+                )
+            )  # fmt: skip
         for name, (low, high) in self.joint_rates.items():
-            made.append(Constraint(f"limit joint_rates.{name}", _rate(name), low, high))
+            made.append(Constraint(f"limit joint_rates.{name}", _rate(name), low, high, slack=SLACK * max(-low, high)))
+        for name, (low, high) in self.joints.items():
+            slack = SLACK * max(-low, high)
+            made.append(Constraint(f"limit joints.{name}", _joint(name), low, high, over="between", slack=slack))
         return made
 
 
 def _scaled(law: Callable[[Any], Expr], value: float) -> Callable[[Any], Expr]:
     return lambda view: law(view) / value
+
+
+def _in_unit(value: float, unit: str) -> Callable[[float], str]:
+    """A law's value, scaled by ``value``, in the unit that users give it in."""
+    scale, shown = (math.degrees(value), unit.replace("rad", "deg")) if unit.startswith("rad") else (value, unit)
+    return lambda share: f"{share * scale:.4g} {shown}"
+
+
+def _joint(joint: str) -> Callable[[KnotView], Expr]:
+    return lambda view: view.joint(joint)
 
 
 def _rate(joint: str) -> Callable[[KnotView], Expr]:

@@ -22,7 +22,7 @@ from vehsim.planning.cover import POSE, ROUND, Cover, approach
 from vehsim.planning.elements import Element, Seen, second_order
 from vehsim.planning.layout import Layout as Layout
 from vehsim.planning.terms import COSTS, Cost, KnotView, SegmentView, Term, repulsion
-from vehsim.planning.views import knot_view, middle_view
+from vehsim.planning.views import UNKNOWN, between_view, knot_view, middle_view, segment_view
 from vehsim.vehicles import Vehicle
 
 Array = NDArray[np.float64]
@@ -99,39 +99,43 @@ class Transcription:
 
     def _segment_view(self, time: Any = 0.0) -> tuple[Any, Any]:
         v = self._symbols("x", "x1", "c0", "c1", "h")
-        ends = (knot_view(self, v["x"], v["c0"], time), knot_view(self, v["x1"], v["c1"], time + v["h"]))
-        return ca.vertcat(*v.values()), SegmentView(*ends, v["c0"], v["c1"], v["h"])
+        return ca.vertcat(*v.values()), segment_view(self, v, time)
 
-    def term(self, term: Term, place: str, phases: int, fraction: float = 0.5) -> tuple[Element, bool]:
-        """A term at a place: a ``knot`` (x, c0), a ``segment`` (x, x1, c0, c1, h), the ``middle`` of a segment that is
-        one substep (x, z, c0, c1, h), or a ``node`` at a ``fraction`` of its segment (x, c0, c1, h).
+    def accelerated(self, term: Term) -> bool:
+        """Whether a law of a `KnotView` asks for the acceleration, which takes a segment to know."""
+        v = self._symbols("x", "c0")
+        return bool(ca.depends_on(self.law(term, knot_view(self, v["x"], v["c0"])), UNKNOWN))
+
+    def term(self, term: Term, place: str, phases: int) -> tuple[Element, bool]:
+        """A term at a place: a ``knot`` (x, c0), a ``segment`` (x, x1, c0, c1, h), or ``between`` two knots, with the
+        same variables as a segment and the fraction of it as first parameter.
 
         When its law asks for the time, the lengths of all ``phases`` are variables too, and parameters (phases,) say
         how many of each have passed before: the second value is True.
         """
         now, lengths, passed = ca.SX.sym("t"), ca.SX.sym("lengths", phases), ca.SX.sym("passed", phases)
+        p = ca.SX(0, 1)
+        view: KnotView | SegmentView
         if place == "segment":
             y, view = self._segment_view(now)
+        elif place == "knot":
+            v = self._symbols("x", "c0")
+            y, view = ca.vertcat(*v.values()), knot_view(self, v["x"], v["c0"], now)
         else:
-            names = {"knot": ("x", "c0"), "middle": ("x", "z", "c0", "c1", "h"), "node": ("x", "c0", "c1", "h")}[place]
-            v = self._symbols(*names)
-            y = ca.vertcat(*v.values())
-            if place == "knot":
-                view = knot_view(self, v["x"], v["c0"], now)
-            else:
-                c, time = v["c0"] + fraction * (v["c1"] - v["c0"]), now + fraction * v["h"]
-                if place == "node":
-                    view = knot_view(self, v["x"], c, time)
-                else:
-                    view = middle_view(self, v["x"], v["z"], c, v["h"], time)
-        value = _law_of(term, view)
+            v, p = self._symbols("x", "x1", "c0", "c1", "h"), ca.SX.sym("fraction")
+            y, view = ca.vertcat(*v.values()), between_view(self, v, p, now + p * v["h"])
+        value = self.law(term, view)
         timed = bool(ca.depends_on(value, now))
-        p = ca.SX(0, 1)
         if timed:
-            value, y, p = ca.substitute(value, now, ca.dot(lengths, passed)), ca.vertcat(y, lengths), passed
+            value = ca.substitute(value, now, ca.dot(lengths, passed))
+            y, p = ca.vertcat(y, lengths), ca.vertcat(p, passed)
         if isinstance(term, Cost):
             return Element(term.name, y, p, f=term.weight * value), timed
         return Element(term.name, y, p, g=value, lower=term.lower, upper=term.upper), timed
+
+    def law(self, term: Term, view: KnotView | SegmentView) -> Any:
+        """A term's law of a view, a dense column."""
+        return _law_of(term, view)
 
     def _kept(self, key: Any, make: Callable[[], Element]) -> Element:
         if key not in self._elements:

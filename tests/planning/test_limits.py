@@ -1,0 +1,160 @@
+"""Limits, looks, heights and constraints of one's own bind at every instant of the clip, not at knots alone."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import vehsim
+from vehsim import Mark
+from vehsim._interpolate import rotate, spatial
+from vehsim.planning import Constraint, look_at, stay
+from vehsim.planning.transcription import transcription
+from vehsim.planning.views import between_view
+
+REST = (0.0, 0.0, 0.0)
+QUICK = {"effort": 0.02, "time": 1.0}
+WITHIN = 1.006
+
+
+def rest(frame, position, **keys):
+    return Mark(frame, position=position, velocity=REST, **keys)
+
+
+FLIGHT = [rest(1, (0, 0, 30), heading=0), rest("free", (120, 40, 45), heading=40)]
+DRIVE = [rest(1, REST, heading=0), rest("free", (20, 14, 0), heading=90)]
+
+
+def measured(clip):
+    """The largest of everything limited, by numpy on the clip, 16 times a frame; accelerations over a 64th of one."""
+    frame = 1 / float(clip.fps)
+    motion = clip.at(np.linspace(0, clip.duration, max(int(clip.duration / frame) * 16, 500)))
+    omega, velocity = spatial(motion)
+    up = rotate(motion.orientations, np.tile([0.0, 0.0, 1.0], (len(motion), 1)))[:, 2]
+    span = frame / 64
+    begins = np.linspace(0, clip.duration - span, 6000)
+    gain = (spatial(clip.at(begins + span))[1] - spatial(clip.at(begins))[1]) / span
+    found = {
+        "speed": np.linalg.norm(velocity, axis=1),
+        "climb": np.abs(velocity[:, 2]),
+        "ceiling": motion.positions[:, 2],
+        "turn_rate": np.linalg.norm(omega, axis=1),
+        "bank": np.arccos(np.clip(up, -1, 1)),
+        "acceleration": np.linalg.norm(gain, axis=1),
+        "g_load": np.linalg.norm(gain / 9.81 + [0, 0, 1], axis=1),
+    }
+    if "sigma" in clip.vehicle.joints:
+        k = clip.vehicle.joints.index("sigma")
+        found["steering"] = np.abs(np.arctan(motion.joints[:, k]))
+        found["steering_rate"] = np.abs(motion.joint_rates[:, k] / (1 + motion.joints[:, k] ** 2))
+    for k, name in enumerate(clip.vehicle.joints):
+        found[f"joint_rates.{name}"] = np.abs(motion.joint_rates[:, k])
+        found[f"joints.{name}"] = np.abs(motion.joints[:, k])
+    return {name: float(values.max()) for name, values in found.items()}
+
+
+def flat(limits):
+    """``{"joints.sigma": 0.2}`` of ``{"joints": {"sigma": 0.2}}``."""
+    return {
+        f"{key}.{name}" if name else key: bound
+        for key, value in limits.items()
+        for name, bound in (value.items() if isinstance(value, dict) else [("", value)])
+    }
+
+
+@pytest.mark.parametrize("segments", [15, 48])
+@pytest.mark.parametrize(
+    "limits",
+    [
+        {"acceleration": 3.0},
+        {"g_load": 1.15},
+        {"speed": 14.0, "climb": 2.0},
+        {"bank": 0.25, "ceiling": 45.2},
+        {"turn_rate": 0.4},
+    ],
+    ids=lambda limits: "-".join(limits),
+)
+def test_flights_keep_their_limits_at_every_instant(limits, segments):
+    plan = vehsim.plan(vehsim.load_vehicle("helicopter"), None, FLIGHT, segments=segments, cost=QUICK, limits=limits)
+    assert plan.success, plan.message
+    found = measured(plan.clip)
+    for name, bound in limits.items():
+        assert found[name] <= WITHIN * bound
+        assert found[name] >= 0.9 * bound  # it is the limit that keeps it there
+
+
+@pytest.mark.parametrize("segments", [11, 32])
+@pytest.mark.parametrize(
+    ("name", "limits"),
+    [
+        ("car", {"acceleration": 2.0, "steering": 0.25, "steering_rate": 0.3}),
+        ("simple_car", {"speed": 4.0, "steering_rate": 0.2, "joints": {"sigma": 0.3}}),
+        ("simple_car", {"joint_rates": {"sigma": 0.15}, "turn_rate": 0.4}),
+        ("boat", {"speed": 3.0, "turn_rate": 0.3}),
+    ],
+)
+def test_drives_keep_their_limits_at_every_instant(name, limits, segments):
+    cost = {"effort": 0.05, "time": 1.0}
+    plan = vehsim.plan(vehsim.load_vehicle(name), None, DRIVE, segments=segments, cost=cost, limits=limits)
+    assert plan.success, plan.message
+    found = measured(plan.clip)
+    for key, bound in flat(limits).items():
+        assert found[key] <= WITHIN * bound, key
+
+
+@pytest.mark.parametrize("segments", [13, 24])
+def test_ranges_are_kept_between_knots(segments):
+    tower = np.array([10.0, 30.0, 20.0])
+    marks = [rest(1, (-20, 0, 20)), rest(193, (40, 0, 20))]
+    terms = [look_at(tower, (49, 121), within=6.0), stay((49, 145), above=21.0, below=21.5)]
+    plan = vehsim.plan(vehsim.load_vehicle("helicopter"), None, marks, segments=segments, refine=False, terms=terms)
+    assert plan.success, plan.message
+    motion = plan.clip.at(np.linspace(48 / 24, 120 / 24, 900))
+    way = (tower - motion.positions)[:, :2]
+    nose = rotate(motion.orientations, np.tile([1.0, 0.0, 0.0], (len(motion), 1)))[:, :2]
+    cosine = np.sum(way * nose, axis=1) / np.linalg.norm(way, axis=1) / np.linalg.norm(nose, axis=1)
+    assert np.degrees(np.arccos(cosine)).max() <= 6.03
+    heights = plan.clip.at(np.linspace(48 / 24, 144 / 24, 900)).positions[:, 2]
+    assert heights.min() >= 21.0 - 1e-3 and heights.max() <= 21.5 + 1e-3
+
+
+def test_a_constraint_of_ones_own_binds_between_knots_and_in_time():
+    """A wall that moves away: kept behind at every instant, within the slack it states; and an acceleration."""
+    wall = Constraint("wall", lambda k: k.position[0] - 1.0 - 3.0 * k.t, upper=0.0, slack=1e-4)
+    ease = Constraint("ease", lambda k: k.acceleration[0], lower=-1.5, upper=1.5, slack=1e-3)
+    marks = [rest(1, REST, heading=0), rest("free", (30, 2, 0), heading=0)]
+    cost = {"effort": 0.05, "time": 1.0}
+    plan = vehsim.plan(vehsim.load_vehicle("car"), None, marks, segments=9, terms=[wall, ease], cost=cost)
+    assert plan.success, plan.message
+    times = np.linspace(0, plan.duration, 2000)
+    motion = plan.clip.at(times)
+    assert (motion.positions[:, 0] - 1 - 3 * times).max() <= 2e-4
+    speed = spatial(motion)[1][:, 0]
+    assert np.abs(np.diff(speed) / np.diff(times)).max() <= 1.5 + 3e-3
+
+
+def test_what_cannot_be_kept_is_said_in_the_users_units():
+    """A law that vanishes at all knots and that no motion can keep between them: where, how much, what was asked."""
+    ripple = Constraint("ripple", lambda k: ca.sin(4 * ca.pi * k.t), upper=0.5)
+    marks = [DRIVE[0], rest(97, (20, 4, 0))]
+    with pytest.warns(UserWarning, match=r"ripple is (1|0\.99\d*) at frame \d+\.\d, 0\.5 was asked for"):
+        assert not vehsim.plan(
+            vehsim.load_vehicle("car"), None, marks, segments=8, terms=[ripple], refine=False
+        ).success
+
+
+def test_views_between_knots_are_the_clips():
+    """What laws see between knots is what the clip's interpolant has there."""
+    plan = vehsim.plan(vehsim.load_vehicle("helicopter"), None, FLIGHT, segments=12, cost=QUICK, refine=False)
+    t, layout, x = transcription(plan.clip.vehicle), plan._attempt.layout, plan._attempt.x
+    v, s = t._symbols("x", "x1", "c0", "c1", "h"), ca.SX.sym("s")
+    view = between_view(t, v, s)
+    seen = ca.Function("seen", [*v.values(), s], [view.position, view.velocity, view.omega, view.rotation])
+    k, share = 4, 0.37
+    given = (layout.knot(k), layout.knot(k + 1), layout.control(k), layout.control(k + 1), layout.duration(k))
+    position, velocity, omega, rotation = (np.asarray(out) for out in seen(*(x[i.ravel()] for i in given), share))
+    clip = plan.clip.at([plan.clip.times[k] + share * (plan.clip.times[k + 1] - plan.clip.times[k])])
+    turning, moving = spatial(clip)
+    np.testing.assert_allclose(position.ravel(), clip.positions[0], atol=1e-9)
+    np.testing.assert_allclose(velocity.ravel(), moving[0], atol=1e-9)
+    np.testing.assert_allclose(omega.ravel(), turning[0], atol=1e-5)
+    np.testing.assert_allclose(rotation, clip.matrices()[0, :3, :3], atol=1e-6)
