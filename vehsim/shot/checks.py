@@ -23,9 +23,6 @@ if TYPE_CHECKING:
     from vehsim.vehicles._base import Rig
     from vehsim.world import World
 
-MAX_SPEED = 340.0
-"""Nothing here flies faster than sound, m/s."""
-
 
 @dataclass(frozen=True)
 class Setting:
@@ -96,12 +93,12 @@ def check_variants(key: str, given: Mapping[str, str], rig: Rig | None) -> Itera
 
 
 def check_order(marks: list[MarkTable], setting: Setting) -> Iterator[Problem]:
-    """Frames rise and lie in the shot; the first mark has a frame and a place; nobody has to fly faster than sound."""
+    """Frames rise and lie in the shot; the first mark has a frame and a place."""
     if marks[0].frame == "free":
         yield Problem("mark[0].frame", "the first mark starts the motion", "give it a whole frame", "free")
     if marks[0].position is None:
         yield Problem("mark[0].position", "missing", "say where the motion starts")
-    before: tuple[int, MarkTable] | None = None
+    leave: int | None = None
     for i, mark in enumerate(marks):
         key, frame = f"mark[{i}].frame", mark.frame
         if frame == "free":
@@ -111,18 +108,10 @@ def check_order(marks: list[MarkTable], setting: Setting) -> Iterator[Problem]:
             yield Problem(
                 key, "outside the shot", f"the shot runs from frame {setting.first}{end}, handles included", frame
             )
-        if before is not None:
-            leave, earlier = before
-            if frame <= leave:
-                yield Problem(
-                    key, f"not after frame {leave} of the mark before it", "put marks in the order of time", frame
-                )
-            elif mark.position is not None and earlier.position is not None:
-                way = np.linalg.norm(np.subtract(mark.position, earlier.position)) - mark.tolerance - earlier.tolerance
-                speed = way / float((frame - leave) / setting.fps)
-                if speed > MAX_SPEED:
-                    yield Problem(key, f"{way:.0f} m away, it asks for {speed:.0f} m/s", "give it more frames", frame)
-        before = (frame + mark.hold, mark)
+        if leave is not None and frame <= leave:
+            message = f"not after frame {leave} of the mark before it"
+            yield Problem(key, message, "put marks in the order of time", frame)
+        leave = frame + mark.hold
     frames = [mark.frame for mark in marks if mark.frame != "free"]
     if frames and max(frames) - min(frames) > MAX_FRAMES:
         yield Problem("mark", f"{max(frames) - min(frames)} frames apart", f"a shot has at most {MAX_FRAMES} frames")

@@ -141,8 +141,8 @@ class Vehicle:
     joint_limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     default_costs: Mapping[str, float] = field(default_factory=dict)
     """Weights a plan adds to whatever it is asked to minimise, so that the vehicle moves as such vehicles do."""
-    top_speed: float = np.inf
-    """The greatest speed of its root, m/s, in plans without a ``limits.speed`` of their own."""
+    top_speed: float = 340.0
+    """The greatest speed of its root, m/s, in plans without a ``limits.speed``; that of sound by default."""
     feels_wind: bool = False
     rig: Rig | None = None
     hull: Any = None

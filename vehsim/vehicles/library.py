@@ -140,7 +140,9 @@ def _limits(path: Path, vehicle: Vehicle, table: dict[str, Any]) -> dict[str, tu
 
 
 def _top_speed(path: Path, data: dict[str, Any]) -> float:
-    value = data.get("top_speed", math.inf)
+    from vehsim.vehicles._base import Vehicle
+
+    value = data.get("top_speed", Vehicle.top_speed)
     if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
         raise InputError(f"{path}: top_speed = {value!r}: give a speed above zero, in m/s")
     return float(value)
