@@ -77,7 +77,17 @@ method = "plan"
 cost = { time = 1 }
 segments = 8
 clearance = 1
-limits = { speed = 1, joints = { psi = [0, 1], phi = 1 }, joint_rates = { psi = 1 } }
+limits.speed = 1
+limits.ceiling = 1
+limits.climb = 1
+limits.turn_rate = 1
+limits.bank = 1
+limits.acceleration = 1
+limits.g_load = 1
+limits.steering = 1
+limits.steering_rate = 1
+limits.joints = { psi = [0, 1], phi = 1 }
+limits.joint_rates = { psi = 1 }
 loop = false
 solver = "ipopt"
 guess = "sinusoid"
