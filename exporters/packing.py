@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from vehsim._cache import cache_folder
 from vehsim.errors import ExportError
-from vehsim.parts import dependencies
+from vehsim.intake.usd import dependencies
 
 if TYPE_CHECKING:
     from vehsim.vehicles._base import Rig

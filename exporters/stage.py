@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim._meshes import triangulate
 from vehsim.errors import InputError
 from vehsim.exporters.surfaces import Surface as Surface
 from vehsim.exporters.surfaces import read_surface as read_surface
 from vehsim.exporters.surfaces import surfaces_of
+from vehsim.intake.usd import triangulate
 from vehsim.parts import Y_UP_TO_Z_UP
 
 Array = NDArray[np.float64]

@@ -42,6 +42,7 @@ FLOORS = (
     ("vehsim.requests",),
     ("vehsim.integrators", "vehsim.world", "vehsim.clip", "vehsim._interpolate"),
     ("vehsim.vehicles", "vehsim.parts", "vehsim._meshes", "vehsim.rigging", "vehsim.blocking"),
+    ("vehsim.intake",),
     ("vehsim.lie", "vehsim._quaternions"),
     ("vehsim.errors", "vehsim.assets", "vehsim._cache", "vehsim._code", "vehsim._ending", "vehsim._lazy"),
 )

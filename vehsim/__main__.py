@@ -19,8 +19,8 @@ def main() -> None:
     def leave() -> None:
         """After all others: what libraries would then tear down in order takes as long as a clip."""
         with suppress(OSError):  # whoever read it has gone
-            sys.stdout.flush()
-            sys.stderr.flush()
+            for stream in filter(None, (sys.stdout, sys.stderr)):  # None where it was closed from the start
+                stream.flush()
         os._exit(code)
 
     atexit.register(leave)  # first in, last out

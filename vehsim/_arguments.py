@@ -12,13 +12,16 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from vehsim.errors import InputError, Problem, ShotError
 
 if TYPE_CHECKING:
     from vehsim.shot import Shot
     from vehsim.world import Terrain
+
+
+Made = TypeVar("Made")
 
 
 @contextmanager
@@ -51,13 +54,11 @@ def load_all(
     for path in paths:
         try:
             shots = [shot.only(only) if only else shot for shot in load_shots(path, overrides)]
-            checked = [(shot, shot.check()) for shot in shots]
-        except ShotError as error:
-            problems += error.problems
+        except Exception as error:
+            problems += _problems_of(error, str(path))
             continue
-        except OSError as error:  # a rig without permissions, a cache for what is converted without room
-            problems.append(Problem(str(error.filename), str(error.strerror), "mend that", file=str(path)))
-            continue
+        checked, faults = each(shots, lambda shot: (shot, shot.check()))
+        problems += [problem for problem in faults if problem not in problems]
         for shot, found in checked:
             if (key := shot.name.casefold()) in loaded:  # a folder each, also where cases are not told apart
                 mend = "give every shot of a batch a name of its own"
@@ -71,6 +72,33 @@ def load_all(
             if all(problem.severity == "warning" for problem in found):
                 loaded[key] = shot
     return list(loaded.values()), problems
+
+
+def each(shots: Sequence[Shot], do: Callable[[Shot], Made]) -> tuple[list[Made], list[Problem]]:
+    """``do`` of every shot, and what is wrong with those that it raises an exception for: no shot stops another."""
+    made: list[Made] = []
+    problems: list[Problem] = []
+    for shot in shots:
+        try:
+            made.append(do(shot))
+        except Exception as error:
+            problems += _problems_of(error, shot.source)
+    return made, problems
+
+
+def _problems_of(error: Exception, file: str) -> list[Problem]:
+    """What an exception says of a shot's file: wrong input, or a fault of ours that is to be named as such."""
+    if isinstance(error, ShotError):
+        return error.problems
+    if isinstance(error, InputError):
+        message, _, remedy = str(error).rpartition("; ")
+        return [Problem("shot", message, remedy, file=file)]
+    if isinstance(error, OSError) and error.filename:  # an asset without permissions, a cache on a full disk
+        return [Problem(str(error.filename), str(error.strerror), "fix that", file=file)]
+    if os.environ.get("VEHSIM_DEBUG"):
+        raise error
+    said = f"{type(error).__name__}: {error}; this is a fault of vehsim"
+    return [Problem("unexpected", said, "set VEHSIM_DEBUG=1 to see where", file=file, severity="fault")]
 
 
 @_keeping()

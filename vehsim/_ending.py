@@ -1,12 +1,21 @@
-"""Signals that end a command: raised as an exception, and never where it would be lost."""
+"""Signals that end a command: raised as an exception, and never where it would be lost. Readers that end before it."""
 
 from __future__ import annotations
 
 import _thread
+import errno
+import os
 import signal
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from io import StringIO
 from typing import Any
+
+POLITE = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
+"""Signals that ask a process to end: `kill`, and a terminal that is closed. A process may have been told to ignore
+them, as `nohup` does: then it goes on."""
 
 
 def raising(error: type[BaseException], once: bool = False) -> Callable[[int, Any], None]:
@@ -38,3 +47,55 @@ def _loads_usd(frame: Any) -> bool:
 def _again(number: int) -> None:
     time.sleep(0.02)
     _thread.interrupt_main(signal.Signals(number))
+
+
+@contextmanager
+def outliving_readers() -> Iterator[Callable[[], OSError | None]]:
+    """In here nothing is raised where standard output or error cannot be written: the work goes on, in silence.
+
+    Yields a function that flushes both and returns why standard output was lost; None where it was not, or where its
+    reader had simply read enough, as `head` does.
+    """
+    before = sys.stdout, sys.stderr
+    for number, stream in enumerate(before, start=1):
+        if stream is None:  # it was closed before we began: no file of ours may take its place
+            os.dup2(os.open(os.devnull, os.O_WRONLY), number)
+    answers, messages = (_Patient(stream or StringIO()) for stream in before)
+    sys.stdout, sys.stderr = answers, messages  # type: ignore[assignment]
+
+    def lost() -> OSError | None:
+        messages.flush()
+        answers.flush()
+        return answers.lost
+
+    try:
+        yield lost
+    finally:
+        sys.stdout, sys.stderr = before
+
+
+class _Patient:
+    """A text stream whose first failure to write is kept in ``lost``, and which then writes to nowhere."""
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+        self.lost: OSError | None = None
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        return self._try(lambda: int(self._stream.write(text)), len(text))
+
+    def flush(self) -> None:
+        self._try(lambda: self._stream.flush() or 0, 0)
+
+    def _try(self, do: Callable[[], int], otherwise: int) -> int:
+        try:
+            return do()
+        except OSError as error:
+            if error.errno != errno.EPIPE:
+                self.lost = self.lost or error
+            with suppress(OSError, ValueError):  # what waits in the buffer is written on the way out
+                os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())
+            return otherwise

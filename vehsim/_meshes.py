@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim._cache import kept_arrays, made_of
-from vehsim.errors import InputError
+from vehsim.intake.usd import triangles_of
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
@@ -39,33 +39,15 @@ def mesh_of(asset: str | Path, node: Any, said: list[str]) -> Mesh | None:
     if not (node.is_look or node.collides):
         return None
     when, mesh = Usd.TimeCode.EarliestTime(), UsdGeom.Mesh(node.prim)
-    points = np.array(mesh.GetPointsAttr().Get(when) or [], float).reshape(-1, 3)
-    counts = np.array(mesh.GetFaceVertexCountsAttr().Get(when) or [], np.int64)
-    indices = np.array(mesh.GetFaceVertexIndicesAttr().Get(when) or [], np.int64)
     where = f"{made_of(asset)}: {node.prim.GetPath()}"
-    if not len(points) or not len(counts):
+    found = triangles_of(mesh, when, where)
+    if found is None:
         said.append(f"{where}: an empty mesh; left out")
         return None
-    if counts.sum() != len(indices) or indices.min() < 0 or indices.max() >= len(points):
-        raise InputError(f"{where}: its faces do not fit its {len(points)} points; export the mesh again")
-    if not np.isfinite(points).all():
-        raise InputError(f"{where}: points that are not finite numbers; export the mesh again")
-    faces = triangulate(counts, indices, np.array(mesh.GetHoleIndicesAttr().Get(when) or [], np.int64))
+    points, faces = found
     left_handed = mesh.GetOrientationAttr().Get(when) == UsdGeom.Tokens.leftHanded
     mirrored = np.linalg.det(node.matrix[:3, :3]) < 0
     return Mesh(apply(node.matrix, points), faces[:, ::-1] if left_handed != mirrored else faces, _colour(mesh, when))
-
-
-def triangulate(counts: Faces, indices: Faces, holes: Faces | None = None) -> Faces:
-    """Faces of ``counts`` corners as fans of triangles (m, 3), as Hydra draws them; ``holes`` are left out."""
-    keep = np.ones(len(counts), bool)
-    if holes is not None:
-        keep[holes] = False
-    start = np.cumsum(counts) - counts
-    fans = np.where(keep, np.maximum(counts - 2, 0), 0)
-    first = np.repeat(start, fans)
-    step = np.arange(fans.sum()) - np.repeat(np.cumsum(fans) - fans, fans)
-    return np.stack([indices[first], indices[first + step + 1], indices[first + step + 2]], axis=1)
 
 
 def _colour(mesh: Any, when: Any) -> tuple[float, float, float, float]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
@@ -21,7 +20,7 @@ import typer
 from rich.console import Console
 
 from vehsim import __version__, _arguments, choices
-from vehsim._ending import raising
+from vehsim._ending import POLITE, outliving_readers, raising
 from vehsim.errors import InputError, Problem, ShotError, VehsimError
 
 if TYPE_CHECKING:
@@ -110,21 +109,23 @@ def export(
     with _working("checking", quiet or log is Log.json):
         may = partial(_arguments.check_delivery, names, out)
         loaded, problems = _arguments.load_all(shots, overrides, only or [], may)
-    _say(problems, quiet or log is Log.json)
+    if not dry_run:
+        how = {"draft": quality is Quality.draft, "resume": resume, "cached": not no_cache}
+        tasks, wrong = _arguments.each(loaded, lambda shot: prepare(shot, out, names, checked=True, **how))
+        problems += wrong
+    code = _say(problems, quiet or log is Log.json)
     if log is Log.json:
         log_problems(problems)
-    errors = [str(problem) for problem in problems if problem.severity == "error"]
-    if errors and not loaded:
-        raise typer.Exit(WRONG_INPUT)
+    errors = [str(problem) for problem in problems if problem.severity != "warning"]
     if dry_run:
         for shot in loaded:
             print(f"{out / shot.name}: {', '.join(names)} of {_arguments.summary(shot)}")
-        raise typer.Exit(WRONG_INPUT if errors else 0)
+        raise typer.Exit(code)
+    if errors and not tasks:
+        raise typer.Exit(code)
     hint = _arguments.film_hint(loaded, names, quality is Quality.draft)
     if hint and log is Log.text and not quiet:
         screen.print(hint, markup=False)
-    how = {"draft": quality is Quality.draft, "resume": resume, "cached": not no_cache}
-    tasks = [prepare(shot, out, names, checked=True, **how) for shot in loaded]
     outcomes = {}
     try:
         with watch(tasks, screen, log.value, quiet) as watcher:
@@ -161,8 +162,8 @@ def job(
     names = _arguments.exporters_in(to)
     _arguments.check_folder(out)
     loaded, problems = _arguments.load_all(shots, sets or [])
-    if _say(problems, quiet):
-        raise typer.Exit(WRONG_INPUT)
+    if code := _say(problems, quiet):
+        raise typer.Exit(code)
     tasks = [prepare(shot, out, names, quality is Quality.draft, resume=True, checked=True) for shot in loaded]
     path, clips = write_job(template, tasks, chunks)
     if not quiet:
@@ -239,11 +240,11 @@ def check(shots: Shots, sets: Sets = None, quiet: Quiet = False) -> None:
     """Say what is wrong with shot files, where, and how to mend it. Nothing is solved or written."""
     with _working("checking", quiet):
         loaded, problems = _arguments.load_all(shots, sets or [])
-    wrong = _say(problems, quiet)
+    code = _say(problems, quiet)
     for shot in loaded:
         if not quiet:
             print(f"{shot.source}: {shot.name} is ready, {_arguments.summary(shot)}")
-    raise typer.Exit(WRONG_INPUT if wrong else 0)
+    raise typer.Exit(code)
 
 
 @app.command()
@@ -258,13 +259,13 @@ def manoeuvres(
 
     _arguments.check_folder(out)
     loaded, problems = _arguments.load_all(shots, sets or [])
-    wrong = _say(problems, quiet)
+    code = _say(problems, quiet)
     for shot in loaded:
         with _working(f"{shot.name}  painting manoeuvres", quiet):
             lines = list(paint_offers(shot, out))
         for line in lines:
             print(line)
-    raise typer.Exit(WRONG_INPUT if wrong else 0)
+    raise typer.Exit(code)
 
 
 @app.command()
@@ -450,19 +451,27 @@ def run(arguments: Sequence[str]) -> int:
     """Run a command line and return its exit code. No traceback ever reaches the user unless VEHSIM_DEBUG is set."""
     _end_like_interrupt()
     warnings.formatwarning = lambda message, *rest, **more: f"warning: {message}\n"  # no line of our sources
+    with outliving_readers() as lost:
+        code = _run(arguments)
+        missed = lost()
+        if missed is not None and not code:  # an answer that was not given is a failure, whatever else was done
+            code = _fail(f"what is printed could not be written: {missed.strerror}; nothing else failed", FAILED)
+    return code
+
+
+def _run(arguments: Sequence[str]) -> int:
     try:
         code = int(app(args=list(arguments), standalone_mode=False) or 0)
         return _fail(STOPPED, code) if code == INTERRUPTED else code
     except KeyboardInterrupt:
         return _fail(STOPPED, INTERRUPTED)
-    except BrokenPipeError:  # the reader of what is printed has gone, as that of `| head` does
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return FAILED
     except VehsimError as error:
         return _fail(str(error), WRONG_INPUT if isinstance(error, InputError) else FAILED)
     except Exception as error:
         if hasattr(error, "format_message"):  # what click raises about its command line
             return _fail(f"{error.format_message().rstrip('.')}; see vehsim --help", WRONG_INPUT)
+        if isinstance(error.__cause__, EOFError):  # click takes the end of any file for that of a dialogue
+            error = error.__cause__
         if type(error).__name__ == "Abort":
             return _fail(STOPPED, INTERRUPTED)
         if os.environ.get("VEHSIM_DEBUG"):
@@ -485,17 +494,19 @@ def _end_like_interrupt() -> None:
 
     stop = raising(_Stop)
     with suppress(ValueError):  # not the main thread: whoever called us handles signals
-        signal.signal(signal.SIGTERM, stop)
-        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # it may be ignored
-            signal.signal(signal.SIGINT, stop)
+        for number in (*POLITE, signal.SIGINT):
+            if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup has it
+                signal.signal(number, stop)
 
 
-def _say(problems: Sequence[Problem], quiet: bool) -> bool:
-    """Is anything of it an error?"""
+def _say(problems: Sequence[Problem], quiet: bool) -> int:
+    """Print them; returns the exit code that follows: 0 for warnings alone."""
     for problem in problems:
-        if problem.severity == "error" or not quiet:
-            screen.print(str(problem), markup=False, style="red" if problem.severity == "error" else "yellow")
-    return any(problem.severity == "error" for problem in problems)
+        warns = problem.severity == "warning"
+        if not (warns and quiet):
+            screen.print(str(problem), markup=False, style="yellow" if warns else "red")
+    found = {problem.severity for problem in problems}
+    return FAILED if "fault" in found else WRONG_INPUT if "error" in found else 0
 
 
 @contextmanager

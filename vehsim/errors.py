@@ -33,7 +33,8 @@ class Problem:
     value: object = None
     file: str = ""
     line: int | None = None
-    severity: Literal["error", "warning"] = "error"
+    severity: Literal["error", "warning", "fault"] = "error"
+    """a fault is vehsim's own: nothing in the input is known to be wrong"""
 
     def __str__(self) -> str:
         line = f":{self.line}" if self.line is not None else ""
@@ -44,7 +45,7 @@ class Problem:
 
 
 class ShotError(InputError):
-    """Everything wrong with a shot file, at once."""
+    """Everything wrong with a shot file, or with a file that it names, at once."""
 
     def __init__(self, problems: Sequence[Problem]):
         self.problems = list(problems)

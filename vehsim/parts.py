@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from vehsim._cache import keep, made_of, packed, recalled, unpacked
 from vehsim._meshes import Faces, Mesh, apply, convex_hulls, mesh_of
 from vehsim.errors import InputError
+from vehsim.intake.usd import open_stage
 from vehsim.vehicles._base import Rig
 
 Array = NDArray[np.float64]
@@ -258,14 +259,9 @@ class _Node:
 
 def _open(asset: str | Path, root: str | None) -> tuple[Any, Any]:
     """The stage of ``asset`` and the rig's root prim on it."""
-    from pxr import Sdf, Tf, Usd
+    from pxr import Sdf
 
-    if not Path(asset).is_file():
-        raise InputError(f"{asset}: no such file; give a USD asset (.usd, .usda, .usdc, .usdz)")
-    try:
-        stage = Usd.Stage.Open(str(asset))
-    except Tf.ErrorException as error:
-        raise InputError(f"{asset}: not readable as USD: {error}") from None
+    stage = open_stage(asset)
     if not root:
         prim = stage.GetDefaultPrim()
         if not prim:
@@ -393,14 +389,3 @@ class _Draft:
             collision=tuple(apply(to_frame, mesh.points) for mesh in self.collision),
             rgba=largest.rgba if largest else (0.5, 0.5, 0.5, 1.0),
         )
-
-
-def dependencies(asset: Path) -> tuple[list[Path], list[str]]:
-    """Files that the USD file ``asset`` needs, itself included, and references that do not resolve."""
-    from pxr import UsdUtils
-
-    if asset.suffix == ".usdz":  # a package carries all it needs
-        return [asset], []
-    layers, assets, missing = UsdUtils.ComputeAllDependencies(str(asset))
-    paths = [layer.realPath for layer in layers] + [str(path) for path in assets]
-    return sorted({Path(path.split("[")[0]).resolve() for path in paths if path}), sorted(missing)

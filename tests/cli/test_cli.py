@@ -7,8 +7,10 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -86,6 +88,65 @@ def test_a_bad_shot_does_not_stop_the_others(tmp_path: Path, capsys: pytest.Capt
     said = capsys.readouterr().err
     assert "vehicle[0].motion.duration = -1" in said
     assert "none.toml" in said
+
+
+@pytest.mark.parametrize("where", ["vehsim.shot.Shot.check", "vehsim.batch.task.prepare"])
+def test_an_unexpected_error_in_one_shot_leaves_the_others(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, where: str
+) -> None:
+    """The end of a file too: click takes it for somebody who ended a dialogue."""
+    from pydoc import locate
+
+    shots = [write(tmp_path, "good"), *(write(tmp_path, name) for name in ("odd", "ended"))]
+    name, _, last = where.rpartition(".")
+    works = locate(where)
+
+    def fails(shot: Any, *rest: Any, **more: Any) -> Any:
+        if shot.name != "good":
+            raise {"odd": AssertionError, "ended": EOFError}[shot.name]("not foreseen")
+        return works(shot, *rest, **more)
+
+    monkeypatch.setattr(locate(name), last, fails)
+    assert cli.run(["export", *shots, "--out", str(tmp_path / "out"), "--to", "npz"]) == 1
+    said = capsys.readouterr().err
+    assert f"{shots[1]}: unexpected: AssertionError: not foreseen; this is a fault of vehsim" in said
+    assert f"{shots[2]}: unexpected: EOFError" in said
+    assert (tmp_path / "out" / "good" / "car.npz").exists()
+    code = cli.run(["check", shots[1], shots[2]])
+    assert code == (1 if "check" in where else 0)
+
+
+def test_the_end_of_a_file_is_no_interrupt(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def ends() -> None:
+        raise EOFError("No data left in file")
+
+    monkeypatch.setattr("vehsim.vehicles.available", ends)
+    assert cli.run(["vehicles"]) == 1
+    assert "unexpected: EOFError: No data left in file" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("shell", "code", "says"),
+    [
+        ("{vehsim} schema | head -1", "0 0", "the first line of a shot file"),
+        ("{vehsim} vehicles >&-", "0", ""),
+        ("{vehsim} vehicles >&- 2>&-", "0", ""),
+        ("{vehsim} vehicles > /dev/full", "1", "what is printed could not be written: No space left on device"),
+        ("{vehsim} check none.toml > /dev/full", "2", "none.toml"),
+        ("{vehsim} check none.toml 2> /dev/full", "2", ""),
+    ],
+)
+def test_readers_that_have_gone(shell: str, code: str, says: str) -> None:
+    command = shell.format(vehsim=f"'{sys.executable}' -m vehsim") + '; echo "${PIPESTATUS[@]}" >&9'
+    with tempfile.TemporaryFile("w+") as codes:
+        result = subprocess.run(
+            ["bash", "-c", f"exec 9>&{codes.fileno()}; {command}"],
+            capture_output=True, text=True, timeout=120, pass_fds=[codes.fileno()],
+        )  # fmt: skip
+        codes.seek(0)
+        assert codes.read().split() == code.split()
+    assert says in result.stderr and (says or not result.stderr)
+    assert not any(word in result.stderr for word in ("Traceback", "Exception", "unexpected"))
 
 
 def test_two_shots_of_one_name_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -229,7 +290,7 @@ def test_an_interrupt_waits_for_modules_of_usd() -> None:
         signal.signal(signal.SIGINT, before)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_an_interrupted_export_leaves_nothing(tmp_path: Path, number: int) -> None:
     """Stopped in the middle of writing, while its hidden folder is there."""
     shot = write(tmp_path, duration=1)

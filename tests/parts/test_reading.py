@@ -12,8 +12,8 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 import vehsim.assets
-from vehsim._meshes import triangulate
 from vehsim.errors import InputError
+from vehsim.intake.usd import triangulate
 from vehsim.parts import add_to_spec, collision_hulls, read_parts
 from vehsim.vehicles._base import Rig
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 import threading
 import time
@@ -18,6 +17,8 @@ from vehsim.errors import Problem
 
 PAUSE, CHANGE = 5.0, 1.0
 """Seconds between two plain lines of progress: at most, and at least where the state changed."""
+EVENTS = {"error": "refused", "fault": "failed", "warning": "warning"}
+"""What the log calls problems, by their severity."""
 AT_WORK = 3
 """Most clips at work that a plain line names."""
 STATES = ("queued", "planning", "baking", "rendering", "done", "skipped", "failed")
@@ -173,7 +174,7 @@ def log_problems(problems: Sequence[Problem]) -> None:
     """Lines of the log for shots that are refused, and for what is odd about others."""
     for problem in problems:
         where = {"source": problem.file, "line": problem.line, "key": problem.key}
-        _log("refused" if problem.severity == "error" else "warning", 0.0, **where, message=str(problem))
+        _log(EVENTS[problem.severity], 0.0, **where, message=str(problem))
 
 
 class _JsonLog:
@@ -206,11 +207,7 @@ def _log(event: str, elapsed: float, **more: Any) -> None:
 
 
 def _answer(text: str) -> None:
-    """A line on standard output. Whoever listened there may be gone: the work goes on."""
-    try:
-        print(text, flush=True)
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    print(text, flush=True)
 
 
 def _where(task: Task) -> str:

@@ -21,14 +21,14 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from vehsim._ending import raising
+from vehsim._ending import POLITE, raising
 from vehsim.batch.task import MEMORY_MEND, Outcome, Task, Tell
 
 ATTEMPTS = 3
 """How often a clip is begun whose worker dies."""
 PATIENCE = 10.0
 """How long interrupted workers may take to tidy up, s."""
-ENDING = (signal.SIGINT, signal.SIGTERM)
+ENDING = (signal.SIGINT, *POLITE)
 """Signals that reach a whole group of processes; the first process decides what follows."""
 RESERVE = 16_000_000
 """Bytes of address space that a worker keeps for its last words."""
@@ -209,7 +209,8 @@ def _threads(share: int) -> Iterator[None]:
 
 def _serve(pipe: Connection, memory: float | None, environment: Mapping[str, str]) -> None:
     """The life of a worker: a job in, words of progress and an outcome out, until the pipe closes."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches us all; the first process decides
+    for number in ENDING:  # Ctrl-C and a closed terminal reach us all; the first process decides
+        signal.signal(number, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, raising(KeyboardInterrupt, once=True))  # the group's, or that of the first process
     with suppress(EOFError, OSError, KeyboardInterrupt, MemoryError):
         _work(pipe, memory, environment)

@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from vehsim._ending import POLITE
+
 
 class _Kept(threading.local):
     """Each thread's own: handlers run in the main one alone."""
@@ -86,5 +88,5 @@ def _handlers() -> dict[int, Any]:
     """Python's handlers of the signals that end a command: none outside the main thread, or where they are ignored."""
     if threading.current_thread() is not threading.main_thread():
         return {}
-    found = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    found = {number: signal.getsignal(number) for number in (signal.SIGINT, *POLITE)}
     return {number: handler for number, handler in found.items() if callable(handler)}

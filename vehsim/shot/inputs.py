@@ -8,7 +8,7 @@ from hashlib import file_digest
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vehsim.parts import dependencies
+from vehsim.intake.usd import dependencies
 
 if TYPE_CHECKING:
     from vehsim.shot.shot import Shot

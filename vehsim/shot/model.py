@@ -26,6 +26,7 @@ from pydantic import (
     PlainSerializer,
     PlainValidator,
     WithJsonSchema,
+    model_validator,
 )
 
 from vehsim.assets import shipped
@@ -226,6 +227,14 @@ class GateTable(Table):
     """a ring's radius in m"""
     size: Annotated[list[Positive], Array, Len(2, 2)] | None = None
     """instead of it, a rectangle's [width, height] in m; its width is level"""
+
+    @model_validator(mode="after")
+    def _has_one_size(self) -> GateTable:
+        if (self.radius is None) == (self.size is None):
+            raise ValueError("neither radius nor size" if self.radius is None else "both radius and size")
+        if not any(self.direction):
+            raise ValueError("no direction")
+        return self
 
 
 class MarkTable(Table):

@@ -7,10 +7,11 @@ known.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from vehsim.errors import InputError, Problem
+from vehsim.errors import InputError, Problem, ShotError
 from vehsim.shot.checks import choose
 from vehsim.shot.world_tables import VehicleObstacleTable
 
@@ -45,6 +46,9 @@ def check_obstacles(tables: Sequence[Any], folder: Path, vehicles: Sequence[str]
         else:
             try:
                 _make(i, table, folder)
+            except ShotError as error:  # of the file that it names
+                for said in error.problems:
+                    yield replace(said, key=f"{key}.path", message=f"{said.file}: {said.message}", file="")
             except InputError as error:
                 what, _, rest = str(error).partition(": ")[2].partition(": ")
                 wrong, _, mend = rest.rpartition("; ")

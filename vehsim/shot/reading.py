@@ -5,38 +5,13 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from vehsim.errors import Problem, ShotError
 
-MAX_BYTES = 50_000_000
 _HEADER = re.compile(r"^\s*(\[\[?)\s*([\w.\-\" ]+?)\s*\]")
 _KEY = re.compile(r"^\s*([\w.\-]+)\s*=")
 _STEP = re.compile(r"([A-Za-z0-9_\-]+)((?:\[\d+\])*)$")
-
-
-def read_toml(path: Path) -> tuple[dict[str, Any], str]:
-    """The file's data and text. Raises ``ShotError``."""
-
-    def refuse(message: str, mend: str) -> ShotError:
-        return ShotError([Problem("file", message, mend, file=str(path))])
-
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise refuse(f"larger than {MAX_BYTES // 1_000_000} MB", "give a shot file")
-        text = path.read_text(encoding="utf-8-sig")
-        return tomllib.loads(text), text
-    except FileNotFoundError:
-        raise refuse("no such file", "give the path of a shot file (.toml)") from None
-    except OSError as error:
-        raise refuse(f"cannot be read: {error.strerror}", "give the path of a shot file (.toml)") from None
-    except UnicodeDecodeError:
-        raise refuse("not UTF-8 text", "save it as UTF-8") from None
-    except RecursionError:
-        raise refuse("nested too deeply", "shot files have a few levels") from None
-    except ValueError as error:  # TOML errors, and integers with thousands of digits
-        raise refuse(f"not TOML: {error}", "mend the syntax there") from None
 
 
 def apply_overrides(data: Any, overrides: Sequence[str]) -> None:

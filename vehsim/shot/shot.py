@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vehsim.errors import InputError, Problem, ShotError
+from vehsim.intake.toml import read_toml, too_large
 from vehsim.requests import target_asks
 from vehsim.shot import obstacles
 from vehsim.shot.audited import audit_clips
@@ -24,7 +25,7 @@ from vehsim.shot.file import ShotFile, VehicleTable, parse
 from vehsim.shot.handles import carry_on
 from vehsim.shot.holding import hold, rests
 from vehsim.shot.model import MAX_FRAMES
-from vehsim.shot.reading import apply_overrides, line_of, lines_of, read_toml
+from vehsim.shot.reading import apply_overrides, line_of, lines_of
 from vehsim.shot.water import check_afloat, check_water, make_water
 
 if TYPE_CHECKING:
@@ -68,10 +69,12 @@ class Shot:
         lines: Mapping[str, int] | None = None,
     ) -> Shot:
         """A shot from what a shot file holds; its paths are relative to ``folder``."""
+        lines = lines or {}
+        if problem := too_large(data):
+            raise ShotError([_place(problem, source, lines)])
         if isinstance(data, Mapping):
             data = copy.deepcopy(dict(data))
             apply_overrides(data, overrides)
-        lines = lines or {}
         file, problems = parse(data)
         shot = cls(file, Path(folder), source, lines) if file else None
         if problems:

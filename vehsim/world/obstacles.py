@@ -36,6 +36,10 @@ ROUNDNESS = 3
 """Subdivisions of the icosahedron that stands for a ball: 1280 faces, 0.5 % larger than the ball."""
 
 
+THINNEST, FLATTEST = 1e-4, 1e-6
+"""The thinnest obstacle, m, and as a share of its length: of what is thinner, no convex hull can be made."""
+
+
 @dataclass(frozen=True, eq=False)
 class Obstacle:
     """``name``; ``parts``: convex shapes in the plane; ``bottom, top`` m; ``hulls``: convex point sets (n, 3) m.
@@ -51,6 +55,13 @@ class Obstacle:
     points: Array
     faces: NDArray[np.int64]
     moves: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        for hull in self.hulls:
+            thick = _thickness(hull)
+            if not thick >= max(THINNEST, FLATTEST * float(np.ptp(hull, axis=0).max())):
+                mend = f"make it at least {THINNEST:g} m thick and {FLATTEST:g} of its length"
+                raise InputError(str(Problem(f"obstacle {self.name!r}: shape", f"only {thick:.3g} m thick", mend)))
 
     def shapes_at(self, seconds: Array) -> Sequence[Shape]:
         """The parts, polygons (k, 2) or one for each time (n, k, 2); ``seconds`` (n,) since frame 0."""
@@ -197,7 +208,7 @@ def mesh(
     """A mesh file (OBJ, STL, PLY, GLB, USD), Z up: each of its connected bodies is kept clear of as its convex hull."""
     from scipy.spatial import ConvexHull, QhullError
 
-    points, faces = _read_mesh(name, Path(path))
+    points, faces = _read_mesh(Path(path))
     turn = np.eye(3)
     turn[:2, :2] = _turned(heading)
     points = scale * points @ turn.T + _numbers(name, "position", position, 3)
@@ -282,6 +293,12 @@ def check_obstacles(obstacles: Sequence[Obstacle | Moving]) -> tuple[Obstacle | 
     return tuple(obstacles)
 
 
+def _thickness(points: Array) -> float:
+    """How far points (n, 3) m reach along the direction in which they reach least."""
+    centred = points - points.mean(axis=0)
+    return float(np.ptp(centred @ np.linalg.svd(centred, full_matrices=False)[2].T, axis=0).min())
+
+
 def _prism(
     name: str, parts: tuple[Shape, ...], outline: Array, pieces: Sequence[Array], height: float, base: float
 ) -> Obstacle:
@@ -321,14 +338,12 @@ def _prism_faces(outline: Array, pieces: Sequence[Array]) -> NDArray[np.int64]:
     return np.array(faces, np.int64)
 
 
-def _read_mesh(name: str, path: Path) -> tuple[Array, NDArray[np.int64]]:
+def _read_mesh(path: Path) -> tuple[Array, NDArray[np.int64]]:
     """Vertices (n, 3) m, merged, and triangles (m, 3) of a mesh file."""
-    from vehsim.world.reading import read_mesh
+    from vehsim.intake.meshes import read_triangles
 
-    points, faces = read_mesh(path)
+    points, faces = read_triangles(path)
     unique, index = np.unique(np.round(points, 7), axis=0, return_inverse=True)
-    if len(faces) == 0:
-        raise InputError(str(Problem(f"obstacle {name!r}: mesh", "no triangles", "export its surface", path)))
     return unique, index.reshape(-1)[faces]
 
 

@@ -7,7 +7,6 @@ What belongs here is file formats. A height map's scale stands in a TOML file of
 from __future__ import annotations
 
 import os
-import tomllib
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -18,13 +17,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim._meshes import triangulate
 from vehsim.assets import shipped
 from vehsim.errors import InputError, Problem
+from vehsim.intake.arrays import read_array, read_arrays
+from vehsim.intake.gate import reading, refuse
+from vehsim.intake.images import read_picture
+from vehsim.intake.meshes import read_triangles
+from vehsim.intake.toml import read_toml
 from vehsim.world.terrain import MAX_POINTS, Terrain
 
 Array = NDArray[np.float64]
-Triangles = tuple[Array, NDArray[np.int64]]
 
 SAMPLES = 50_000
 """Heights sampled from a mesh whose file does not say ``cell``: about 1e5 triangles."""
@@ -42,11 +44,6 @@ class Placement:
     origin: tuple[float, float] | None = None
     range: tuple[float, float] | None = None
     look: Path | None = None
-
-
-def refuse(file: Path | str, key: str, message: str, mend: str, value: object = None) -> InputError:
-    """The error that says what is wrong with a terrain file."""
-    return InputError(str(Problem(key, message, mend, value, str(file))))
 
 
 def read_terrain(source: str | Path) -> Terrain:
@@ -74,21 +71,13 @@ def _read_heights(path: Path, placement: Placement) -> Terrain:
     reader = READERS.get(path.suffix.lower())
     if reader is None:
         raise refuse(path, "terrain", "unknown kind of file", f"use one of {' '.join(READERS)}", path.suffix)
-    try:
+    with reading(path, "terrain"):
         return reader(path, placement)
-    except InputError:
-        raise
-    except Exception as error:  # any of a dozen libraries' complaints about a broken file
-        kind = type(error).__name__
-        raise refuse(path, "terrain", f"cannot be read ({kind}: {error})", "export the file again") from error
 
 
 def _read_toml(path: Path) -> tuple[Path, Placement]:
     """The file of heights and the placement in a ``terrain.toml`` or in the TOML file beside a height map."""
-    try:
-        table = tomllib.loads(path.read_text())
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise refuse(path, "terrain", f"not TOML ({error})", "mend the file") from error
+    table, _ = read_toml(path)
     known = {"schema", "name", "heights", "look", "cell", "origin", "range"}
     for key in table.keys() - known:
         raise refuse(path, key, "unknown key", f"known are {', '.join(sorted(known))}", table[key])
@@ -133,18 +122,17 @@ def _grid(path: Path, heights: Array, placement: Placement) -> Terrain:
 
 
 def _read_npy(path: Path, placement: Placement) -> Terrain:
-    return _grid(path, np.load(path, allow_pickle=False), placement)
+    return _grid(path, read_array(path, "heights"), placement)
 
 
 def _read_npz(path: Path, placement: Placement) -> Terrain:
     """An archive with ``heights`` and, if it likes, ``cell`` and ``origin``."""
-    with np.load(path, allow_pickle=False) as archive:
-        if "heights" not in archive:
-            raise refuse(path, "heights", "missing", "save the array under the name heights", list(archive))
-        own: dict[str, Any] = {
-            key: tuple(np.broadcast_to(archive[key], 2).tolist()) for key in _missing(placement) if key in archive
-        }
-        return _grid(path, archive["heights"], replace(placement, **own))
+    arrays = read_arrays(path, "heights", ("heights", *_missing(placement)))
+    if "heights" not in arrays:
+        raise refuse(path, "heights", "missing", "save the array under the name heights")
+    heights = arrays.pop("heights")
+    own: dict[str, Any] = {key: tuple(np.broadcast_to(array, 2).tolist()) for key, array in arrays.items()}
+    return _grid(path, heights, replace(placement, **own))
 
 
 def _missing(placement: Placement) -> list[str]:
@@ -154,18 +142,11 @@ def _missing(placement: Placement) -> list[str]:
 
 def _read_png(path: Path, placement: Placement) -> Terrain:
     """A grey picture, 8 or 16 bits, seen from above with +Y up."""
-    from PIL import Image
-
     if placement.range is None:
         mend = f"write range = [0.0, 50.0] (heights of black and white, m) in {path.stem}.toml beside it"
         raise refuse(path, "range", "a picture does not say how high it is", mend)
-    with Image.open(path) as image:
-        if image.width * image.height > MAX_POINTS:
-            raise refuse(path, "size", f"more than {MAX_POINTS:,} pixels", "resample it", image.size)
-        if image.mode not in ("L", "I;16", "I;16B", "I"):
-            raise refuse(path, "mode", "not a grey picture", "save it as 8- or 16-bit grey", image.mode)
-        white = 255.0 if image.mode == "L" else 65535.0
-        grey = np.asarray(image, dtype=float)[::-1] / white
+    grey, mode, _ = read_picture(path, ("L", "I;16", "I;16B", "I"), MAX_POINTS, "save it as 8- or 16-bit grey")
+    grey = grey[::-1] / (255.0 if mode == "L" else 65535.0)
     low, high = placement.range
     return _grid(path, low + (high - low) * grey, placement)
 
@@ -175,15 +156,8 @@ PIXEL_SCALE, TIE_POINT = 33550, 33922
 
 def _read_geotiff(path: Path, placement: Placement) -> Terrain:
     """Heights in metres in a projected coordinate system; the first row is the northernmost."""
-    from PIL import Image
-
-    with Image.open(path) as image:
-        if image.width * image.height > MAX_POINTS:
-            raise refuse(path, "size", f"more than {MAX_POINTS:,} pixels", "crop or resample it", image.size)
-        if image.mode not in ("F", "I", "I;16", "I;16S", "L"):
-            raise refuse(path, "mode", "not a single band of heights", "export one band", image.mode)
-        tags = dict(image.tag_v2)  # type: ignore[attr-defined]
-        heights = np.asarray(image, dtype=float)[::-1]
+    heights, _, tags = read_picture(path, ("F", "I", "I;16", "I;16S", "L"), MAX_POINTS, "export one band")
+    heights = heights[::-1]
     scale, tie = tags.get(PIXEL_SCALE), tags.get(TIE_POINT)
     cell = placement.cell or ((float(scale[0]), float(scale[1])) if scale else None)
     if cell is not None and min(cell) < 1e-3:
@@ -196,75 +170,18 @@ def _read_geotiff(path: Path, placement: Placement) -> Terrain:
 
 
 def _read_trimesh(path: Path, placement: Placement) -> Terrain:
-    return _sample(path, *_trimesh_triangles(path), placement)
+    return _sample(path, *read_triangles(path, "terrain"), placement)
 
 
 def _read_usd(path: Path, placement: Placement) -> Terrain:
     """A stage's meshes from above; the stage is the look as well."""
-    return replace(_sample(path, *_usd_triangles(path), placement), look=path)
-
-
-def read_mesh(path: Path) -> Triangles:
-    """The triangles of a mesh file: vertices (n, 3) m, Z up, and faces (m, 3). Raises ``InputError``."""
-    if not path.is_file():
-        raise refuse(path, "mesh", "no such file", "give the path of a mesh")
-    reader = TRIANGLES.get(path.suffix.lower())
-    if reader is None:
-        raise refuse(path, "mesh", "not a mesh file", f"use one of {' '.join(TRIANGLES)}", path.suffix)
-    points, faces = reader(path)
-    if not np.isfinite(points).all():
-        raise refuse(path, "mesh", "points that are not finite", "export the mesh again")
-    return points, faces
-
-
-def _trimesh_triangles(path: Path) -> Triangles:
-    import trimesh
-
-    mesh = trimesh.load(path, force="mesh")
-    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
-        raise refuse(path, "terrain", "has no triangles", "export a triangle mesh")
-    points = np.asarray(mesh.vertices, dtype=float)
-    if path.suffix.lower() in (".glb", ".gltf"):  # glTF is Y up
-        points = points[:, [0, 2, 1]] * [1, -1, 1]
-    return points, np.asarray(mesh.faces, np.int64)
-
-
-def _usd_triangles(path: Path) -> Triangles:
-    """Every mesh of a stage, in metres and Z up whatever the stage's own units."""
-    from pxr import Usd, UsdGeom
-
-    stage = Usd.Stage.Open(str(path))
-    points: list[Array] = []
-    faces: list[NDArray[np.int64]] = []
-    cache = UsdGeom.XformCache()
-    for prim in stage.Traverse():
-        mesh = UsdGeom.Mesh(prim)
-        if not mesh or mesh.ComputePurpose() == UsdGeom.Tokens.guide:
-            continue
-        matrix = np.array(cache.GetLocalToWorldTransform(prim))
-        local = np.asarray(mesh.GetPointsAttr().Get() or np.zeros((0, 3)), dtype=float).reshape(-1, 3)
-        start = sum(map(len, points))
-        counts, indices = (
-            np.asarray(attribute.Get() or [], dtype=np.int64)
-            for attribute in (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr())
-        )
-        faces.append(triangulate(counts, indices) + start)
-        points.append(local @ matrix[:3, :3] + matrix[3, :3])
-    if not sum(map(len, faces)):
-        raise refuse(path, "terrain", "has no mesh", "export the terrain's mesh")
-    world = np.concatenate(points) * UsdGeom.GetStageMetersPerUnit(stage)
-    if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y:
-        world = world[:, [0, 2, 1]] * [1, -1, 1]
-    return world, np.concatenate(faces)
+    return replace(_sample(path, *read_triangles(path, "terrain"), placement), look=path)
 
 
 def _sample(path: Path, points: Array, faces: NDArray[np.int64], placement: Placement) -> Terrain:
     """Heights of a mesh seen from above: a vertical ray per grid point."""
     import igl
 
-    if not np.isfinite(points).all():
-        raise refuse(path, "points", f"{(~np.isfinite(points)).any(axis=1).sum()} not finite", "mend the mesh")
-    points, faces = np.ascontiguousarray(points), np.ascontiguousarray(faces, dtype=np.int64)
     low, high = points.min(axis=0), points.max(axis=0)
     size = high - low
     if min(size[:2]) < 1e-3 or max(size) > 1e6:
@@ -321,10 +238,6 @@ def _warn_of_overhangs(path: Path, terrain: Terrain, points: Array, faces: NDArr
         )
 
 
-TRIANGLES: dict[str, Callable[[Path], Triangles]] = {
-    **dict.fromkeys((".obj", ".stl", ".ply", ".glb", ".gltf"), _trimesh_triangles),
-    **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), _usd_triangles),
-}
 READERS: dict[str, Callable[[Path, Placement], Terrain]] = {
     ".npz": _read_npz,
     ".npy": _read_npy,

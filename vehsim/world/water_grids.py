@@ -6,10 +6,12 @@ import hashlib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from vehsim.errors import InputError, Problem, SolveError
+from vehsim.intake.arrays import read_arrays
 from vehsim.world.water import Array
 
 KEYS = ("times", "heights", "velocities", "origin", "cell")
@@ -54,11 +56,7 @@ class WaterGrids:
     @classmethod
     def load(cls, path: str | Path) -> WaterGrids:
         """Read an ``.npz`` of times, heights, origin, cell and, if there are, velocities."""
-        try:
-            with np.load(path, allow_pickle=False) as data:
-                given = {key: data[key] for key in KEYS if key in data}
-        except (OSError, ValueError) as error:
-            raise _wrong("grids", f"not readable: {error}", "give an .npz of times, heights, origin, cell") from None
+        given: dict[str, Any] = read_arrays(Path(path), "world.water.grids", KEYS)
         missing = [key for key in ("times", "heights", "origin", "cell") if key not in given]
         if missing:
             raise _wrong("grids", f"without {', '.join(missing)}", f"save {', '.join(KEYS)}", str(path))

@@ -1,0 +1,79 @@
+"""One bad shot or file never takes a batch along: it is named, with key and remedy, and the others are delivered."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from vehsim import cli
+
+sys.path.insert(0, str(Path(__file__).parent))
+from hostile import CUBE, FACES, glb, usda
+
+pytestmark = [pytest.mark.broken_stages, pytest.mark.filterwarnings("ignore")]
+
+HEAD = '[shot]\nschema = 1\nname = "{name}"\n'
+CAR = HEAD + '[[vehicle]]\nname = "car"\nasset = "car"\n[vehicle.motion]\nmethod = "simulate"\nduration = 0.1\n'
+FLIGHT = (
+    HEAD
+    + '[[vehicle]]\nname = "h"\nasset = "helicopter"\n[vehicle.motion]\nmethod = "plan"\nsegments = 8\n'
+    + "[[vehicle.motion.mark]]\nframe = 1001\nposition = [0, 0, 30]\nvelocity = [0, 0, 0]\n"
+    + "[[vehicle.motion.mark]]\nframe = 1100\nposition = [40, 0, 30]\n"
+)
+BOX = '[[world.obstacle]]\nshape = "box"\ncentre = [20, 10, 0]\nsize = [{size}]\n'
+FAR = FACES.copy()
+FAR[3] = 10**8
+
+BAD = {
+    "terrain.usda": (CAR + '[world]\nterrain = "terrain.usda"\n', "terrain.usda: /rig/mesh: its faces do not fit"),
+    "terrain.glb": (CAR + '[world]\nterrain = "terrain.glb"\n', "terrain.glb: terrain"),
+    "obstacle.glb": (
+        CAR + '[[world.obstacle]]\nshape = "mesh"\npath = "obstacle.glb"\n',
+        "world.obstacle[0].path: {folder}/obstacle.glb: ",
+    ),
+    "empty.obj": (
+        CAR + '[[world.obstacle]]\nshape = "mesh"\npath = "empty.obj"\n',
+        "world.obstacle[0].path: {folder}/empty.obj: ",
+    ),
+    "empty.npz": (CAR + '[world.water]\ngrids = "empty.npz"\n', "empty.npz: world.water.grids: cannot be read"),
+    "short.npz": (CAR + '[world]\nterrain = "short.npz"\n', "short.npz: heights: cannot be read"),
+    "thin": (
+        FLIGHT + BOX.replace("{size}", "1e-6, 1, 40"),
+        "world.obstacle[0].shape = 'box': only 1e-06 m thick",
+    ),
+    "gate": (
+        FLIGHT + "gate = { direction = [1, 0, 0] }\n" + BOX.replace("{size}", "1, 1, 1"),
+        "neither radius",
+    ),
+    "digits": (FLIGHT + f"velocity = [0, 0, {'9' * 400}]\n", "velocity[2]: a whole number of more than 64 bits"),
+    "nested": (CAR + f"[{'.'.join('a' * 2000)}]\n", "nested too deeply"),
+}
+CONTENT = {
+    "terrain.usda": usda(CUBE * 50, FAR),
+    "terrain.glb": glb(CUBE * 50, FAR),
+    "obstacle.glb": glb(CUBE, FAR),
+    "empty.obj": b"",
+    "empty.npz": b"",
+    "short.npz": b"PK\x03\x04 cut short",
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_bad_file_is_named_and_the_rest_goes_on(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text, says = BAD[name]
+    bad, good, out = tmp_path / "bad.toml", tmp_path / "good.toml", tmp_path / "out"
+    bad.write_text(text.replace("{name}", "bad"))
+    good.write_text(CAR.replace("{name}", "good"))
+    if name in CONTENT:
+        (tmp_path / name).write_bytes(CONTENT[name])
+    assert cli.run(["check", str(bad)]) == 2
+    said = capsys.readouterr().err
+    assert says.replace("{folder}", str(tmp_path)) in said and "; " in said and str(bad) in said
+    assert cli.run(["export", str(bad), "--out", str(out), "--to", "npz"]) == 2
+    assert not out.exists()
+    assert cli.run(["export", str(bad), str(good), "--out", str(out), "--to", "npz"]) == 1
+    assert (out / "good" / "car.npz").is_file() and not (out / "bad").exists()

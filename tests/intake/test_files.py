@@ -1,0 +1,106 @@
+"""Broken files are refused with file, key and remedy; what is taken is plain, finite and fits together."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vehsim.errors import InputError, ShotError
+from vehsim.intake.arrays import read_array, read_arrays
+from vehsim.intake.meshes import read_triangles
+from vehsim.intake.toml import read_toml
+from vehsim.world import Terrain
+from vehsim.world.water_grids import KEYS, WaterGrids
+
+sys.path.insert(0, str(Path(__file__).parent))
+from hostile import CUBE, FACES, WRITERS, usda, written, wrong_arrays, wrong_meshes
+
+pytestmark = [pytest.mark.broken_stages, pytest.mark.filterwarnings("ignore")]
+
+
+def says_what_to_do(error: InputError, path: Path) -> bool:
+    text = str(error)
+    return path.name in text and "; " in text and "unexpected" not in text
+
+
+@pytest.mark.parametrize("suffix", WRITERS)
+def test_whole_meshes_are_read(tmp_path: Path, suffix: str) -> None:
+    (tmp_path / f"cube{suffix}").write_bytes(WRITERS[suffix]())
+    points, faces = read_triangles(tmp_path / f"cube{suffix}")
+    assert sorted(np.ptp(points, axis=0)) == pytest.approx([1, 1, 1])
+    assert faces.shape == FACES.shape
+
+
+@pytest.mark.parametrize("read", [read_triangles, Terrain.load])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_broken_meshes_are_refused_or_sound(tmp_path: Path, read: object, seed: int) -> None:
+    refused = 0
+    for path in written(tmp_path, wrong_meshes(seed)):
+        try:
+            found = read(path)
+        except InputError as error:
+            assert says_what_to_do(error, path), error
+            refused += 1
+            continue
+        points, faces = found if isinstance(found, tuple) else (found.vertices, found.faces)
+        assert np.isfinite(points).all() and faces.min() >= 0 and faces.max() < len(points)
+        assert not path.name.startswith(("index", "point", "empty", "no_faces")), path
+    assert refused > 50
+
+
+def test_an_index_out_of_range_is_named(tmp_path: Path) -> None:
+    """A terrain of such a mesh ended the process."""
+    faces = FACES.copy()
+    faces[2] = 10**8
+    (tmp_path / "t.usda").write_bytes(usda(CUBE * 50, faces))
+    with pytest.raises(InputError, match=r"t.usda: /rig/mesh: its faces do not fit its 8 points; export"):
+        Terrain.load(tmp_path / "t.usda")
+
+
+def test_a_stage_without_a_length_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "t.usda").write_bytes(usda(head="    metersPerUnit = -1\n"))
+    with pytest.raises(InputError, match=r"t.usda: metersPerUnit = -1.0: not a length; give metres"):
+        read_triangles(tmp_path / "t.usda")
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_broken_grids_are_refused(tmp_path: Path, seed: int) -> None:
+    for path in written(tmp_path, wrong_arrays(("heights", "cell", "origin"), seed)):
+        with pytest.raises(InputError) as refused:
+            Terrain.load(path)
+        assert says_what_to_do(refused.value, path)
+    for path in written(tmp_path, wrong_arrays(KEYS, seed)):
+        with pytest.raises(InputError):
+            WaterGrids.load(path)
+
+
+def test_headers_that_promise_too_much_take_no_memory(tmp_path: Path) -> None:
+    np.save(tmp_path / "t.npy", np.zeros((4, 4)))
+    (tmp_path / "t.npy").write_bytes((tmp_path / "t.npy").read_bytes().replace(b"(4, 4)", b"(9999, 99999)"))
+    with pytest.raises(InputError, match=r"announces 7,999,120,008 bytes and holds [0-9]+;"):
+        read_array(tmp_path / "t.npy", "heights")
+    np.savez(tmp_path / "t.npz", heights=np.zeros(3))
+    assert read_arrays(tmp_path / "t.npz", "heights", ("heights", "cell"))["heights"].shape == (3,)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (f"[{'.'.join('a' * 2000)}]", "nested too deeply"),
+        (f"a = {'[' * 5000}{']' * 5000}", "nested too deeply"),
+        (f"[b]\na = {'9' * 400}", "b.a: a whole number of more than 64 bits"),
+        (f"a = {'9' * 9000}", "not TOML"),
+        ("a = ", "not TOML"),
+        ("\udce4".encode("utf-8", "surrogateescape"), "not UTF-8"),
+    ],
+)
+def test_tables_beyond_reason_are_refused(tmp_path: Path, text: str | bytes, says: str) -> None:
+    path = tmp_path / "t.toml"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(ShotError, match=says) as refused, warnings.catch_warnings():
+        read_toml(path)
+    assert says_what_to_do(refused.value, path)

@@ -1,0 +1,88 @@
+"""Triangles from OBJ, STL, PLY, GLB, glTF and USD files, in metres and Z up."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.intake.gate import reading, refuse
+from vehsim.intake.usd import SUFFIXES, open_stage, triangles_of
+
+Array = NDArray[np.float64]
+Triangles = tuple[Array, NDArray[np.int64]]
+
+MAX_FACES = 20_000_000
+"""More triangles than any mesh we take on."""
+MAX_REACH = 1e9
+"""Farther from the origin no point makes sense, m."""
+_Z_UP = ([0, 2, 1], [1, -1, 1])
+"""How axes with Y up are picked and signed to be Z up."""
+
+
+def read_triangles(path: Path, key: str = "mesh") -> Triangles:
+    """Points (n, 3) m, finite, and triangles (m, 3) whose indices fit them; at least one. Raises ``InputError``."""
+    reader = READERS.get(path.suffix.lower())
+    if reader is None:
+        raise refuse(path, key, "not a mesh file", f"use one of {' '.join(READERS)}", path.suffix)
+    with reading(path, key):
+        points, faces = reader(path, key)
+        points, faces = np.asarray(points, float), np.asarray(faces, np.int64)
+        if points.ndim != 2 or points.shape[1:] != (3,) or faces.ndim != 2 or faces.shape[1:] != (3,) or not len(faces):
+            raise refuse(path, key, "has no triangles", "export a mesh of triangles")
+        if len(faces) > MAX_FACES:
+            raise refuse(path, key, f"{len(faces):,} triangles, at most {MAX_FACES:,}", "decimate it")
+        if faces.min() < 0 or faces.max() >= len(points):
+            wrong = int(((faces < 0) | (faces >= len(points))).any(axis=1).sum())
+            said = f"{wrong} of {len(faces)} faces name corners that its {len(points)} points do not have"
+            raise refuse(path, key, said, "export the mesh again")
+        if not np.isfinite(points).all():
+            wrong = int((~np.isfinite(points)).any(axis=1).sum())
+            raise refuse(path, key, f"{wrong} of {len(points)} points are not finite", "export the mesh again")
+        if (reach := float(np.abs(points).max())) > MAX_REACH:
+            raise refuse(path, key, f"points beyond {MAX_REACH:g} m", "export it in metres", reach)
+        return np.ascontiguousarray(points), np.ascontiguousarray(faces)
+
+
+def _read_trimesh(path: Path, key: str) -> Triangles:
+    import trimesh
+
+    mesh = trimesh.load(path, force="mesh", process=False)  # as it is: repaired in silence it would be another
+    if not isinstance(mesh, trimesh.Trimesh):
+        raise refuse(path, key, "has no triangles", "export a triangle mesh")
+    points = np.asarray(mesh.vertices, dtype=float)
+    if path.suffix.lower() in (".glb", ".gltf"):  # glTF is Y up
+        points = points[:, _Z_UP[0]] * _Z_UP[1]
+    return points, np.asarray(mesh.faces, np.int64)
+
+
+def _read_usd(path: Path, key: str) -> Triangles:
+    """Every mesh of a stage, in metres and Z up whatever the stage's own units."""
+    from pxr import Usd, UsdGeom
+
+    stage = open_stage(path)
+    points, faces, count = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], 0
+    cache = UsdGeom.XformCache()
+    for prim in stage.Traverse():
+        mesh = UsdGeom.Mesh(prim)
+        if not mesh or mesh.ComputePurpose() == UsdGeom.Tokens.guide:
+            continue
+        found = triangles_of(mesh, Usd.TimeCode.Default(), f"{path}: {prim.GetPath()}")
+        if found is None:
+            continue
+        matrix = np.array(cache.GetLocalToWorldTransform(prim))
+        points.append(found[0] @ matrix[:3, :3] + matrix[3, :3])
+        faces.append(found[1] + count)
+        count += len(found[0])
+    world = np.concatenate(points) * UsdGeom.GetStageMetersPerUnit(stage)
+    if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y:
+        world = world[:, _Z_UP[0]] * _Z_UP[1]
+    return world, np.concatenate(faces)
+
+
+READERS: dict[str, Callable[[Path, str], Triangles]] = {
+    **dict.fromkeys((".obj", ".stl", ".ply", ".glb", ".gltf"), _read_trimesh),
+    **dict.fromkeys(SUFFIXES, _read_usd),
+}
