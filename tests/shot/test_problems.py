@@ -219,5 +219,5 @@ def test_files_that_are_no_shot(tmp_path: Path, content: bytes) -> None:
 
 @pytest.mark.parametrize("name", ["none.toml", "."])
 def test_missing_files_and_folders(tmp_path: Path, name: str) -> None:
-    with pytest.raises(ShotError, match="give the path of a shot file"):
+    with pytest.raises(ShotError, match="give the path of a TOML file"):
         Shot.load(tmp_path / name)

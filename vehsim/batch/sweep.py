@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from vehsim.errors import Problem, ShotError
-from vehsim.intake.toml import read_toml
+from vehsim.intake.toml import line_of, lines_of, read_toml
 from vehsim.shot import Shot
-from vehsim.shot.reading import apply_overrides, assign, line_of, lines_of
+from vehsim.shot.reading import apply_overrides, assign
 
 MAX_CLIPS = 100_000
 SPECIAL = {"seeds", "combine"}

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +13,8 @@ from vehsim.errors import Problem, ShotError
 MAX_BYTES = 50_000_000
 MAX_DEPTH = 50
 """Tables and arrays inside each other."""
+_HEADER = re.compile(r"^\s*(\[\[?)\s*([\w.\-\" ]+?)\s*\]")
+_KEY = re.compile(r"^\s*([\w.\-]+)\s*=")
 LARGEST = 2**63
 """TOML's whole numbers have 64 bits."""
 
@@ -27,9 +31,9 @@ def read_toml(path: Path) -> tuple[dict[str, Any], str]:
         text = path.read_text(encoding="utf-8-sig")
         data = tomllib.loads(text)
     except FileNotFoundError:
-        raise refuse("no such file", "give the path of a shot file (.toml)") from None
+        raise refuse("no such file", "give the path of a TOML file") from None
     except OSError as error:
-        raise refuse(f"cannot be read: {error.strerror}", "give the path of a file (.toml)") from None
+        raise refuse(f"cannot be read: {error.strerror}", "give the path of a TOML file") from None
     except UnicodeDecodeError:
         raise refuse("not UTF-8 text", "save it as UTF-8") from None
     except RecursionError:
@@ -56,3 +60,37 @@ def too_large(data: Any) -> Problem | None:
         elif isinstance(value, int) and not -LARGEST <= value < LARGEST:
             return Problem(key or "file", "a whole number of more than 64 bits", "give a smaller number")
     return None
+
+
+def lines_of(text: str) -> dict[str, int]:
+    """Line numbers by dotted key, as far as a glance at the text gives them: headers, and keys that begin a line."""
+    lines: dict[str, int] = {}
+    counts: dict[str, int] = {}
+    table = ""
+    for number, line in enumerate(text.splitlines(), start=1):
+        if header := _HEADER.match(line):
+            table = _table(header[2].replace('"', ""), header[1] == "[[", counts)
+            lines.setdefault(table, number)
+        elif key := _KEY.match(line):
+            lines.setdefault(f"{table}.{key[1]}".lstrip("."), number)
+    return lines
+
+
+def _table(name: str, is_entry: bool, counts: dict[str, int]) -> str:
+    """A header's dotted key with the places of its lists: ``vehicle.motion.mark`` is ``vehicle[0].motion.mark[2]``."""
+    place = ""
+    parts = name.split(".")
+    for i, part in enumerate(parts):
+        place = f"{place}.{part.strip()}".lstrip(".")
+        if is_entry and i == len(parts) - 1:
+            counts[place] = counts.get(place, -1) + 1
+        if place in counts:
+            place = f"{place}[{counts[place]}]"
+    return place
+
+
+def line_of(key: str, lines: Mapping[str, int]) -> int | None:
+    """The line of ``key``, or of the nearest table around it."""
+    while key and key not in lines:
+        key = key[: max(key.rfind("."), key.rfind("["), 0)]
+    return lines.get(key)

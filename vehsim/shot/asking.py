@@ -15,8 +15,9 @@ from annotated_types import Len
 from pydantic import AfterValidator, Discriminator, Field, Tag
 
 from vehsim.errors import InputError, Problem
+from vehsim.intake.tables import describe
 from vehsim.shot.checks import Setting, check_names
-from vehsim.shot.model import Array, Frame, Metre, Number, Point, Positive, Table, describe
+from vehsim.shot.model import Array, Frame, Metre, Number, Point, Positive, Table
 
 if TYPE_CHECKING:
     from vehsim.planning import Mark

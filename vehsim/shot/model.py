@@ -5,23 +5,14 @@ What belongs here needs neither world nor vehicle to be judged; the rest is in `
 
 from __future__ import annotations
 
-import ast
 import importlib
-import inspect
 import re
-import textwrap
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from fractions import Fraction
-from itertools import pairwise
 from typing import Annotated, Any, Literal
 
 from annotated_types import Len
 from pydantic import (
     AfterValidator,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
     Field,
     PlainSerializer,
     PlainValidator,
@@ -31,6 +22,7 @@ from pydantic import (
 
 from vehsim.assets import shipped
 from vehsim.cameras import CameraRig
+from vehsim.intake.tables import Array, InSchema, Metre, NotNegative, Number, Point, Positive, Table, Text
 from vehsim.world import MAX_WIND
 
 MAX_FRAMES = 100_000
@@ -40,50 +32,6 @@ MAX_PIXELS = 8192
 MAX_CAMERAS = 20
 MAX_FPS = 1000
 _NTSC = Fraction(1000, 1001)
-
-
-def describe(schema: dict[str, Any], model: type[BaseModel]) -> None:
-    """Say in a model's JSON schema what to give for each key.
-
-    Sources are read when a schema is asked for: pydantic's own ``use_attribute_docstrings`` reads them at every import.
-    """
-    for key, text in _docstrings(model).items():
-        schema["properties"][model.model_fields[key].alias or key]["description"] = text
-
-
-def _docstrings(model: type) -> dict[str, str]:
-    """Key -> the text below it in the source, those of the bases included; nothing where no sources are installed."""
-    texts: dict[str, str] = {}
-    for base in reversed(model.__mro__[: model.__mro__.index(Table)]):
-        try:
-            source = inspect.getsource(base)
-        except OSError:
-            continue
-        body = ast.parse(textwrap.dedent(source)).body[0].body  # type: ignore[attr-defined]
-        for key, below in pairwise(body):
-            match key, below:
-                case ast.AnnAssign(target=ast.Name(name)), ast.Expr(ast.Constant(str(text))):
-                    texts[name] = inspect.cleandoc(text)
-    return texts
-
-
-class Table(BaseModel):
-    """A table of the file: unknown keys and values of another type are errors."""
-
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, json_schema_extra=describe)
-
-
-@dataclass(frozen=True)
-class InSchema:
-    """What the JSON schema says of a value: ``shape`` takes what its type alone says.
-
-    It is called when a schema is asked for, so that names can come from where they are defined.
-    """
-
-    shape: Callable[[dict[str, Any]], dict[str, Any]]
-
-    def __get_pydantic_json_schema__(self, core: Any, handler: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-        return self.shape(handler(core))
 
 
 def names_in(place: str) -> list[str]:
@@ -100,11 +48,6 @@ def one_of(place: str) -> InSchema:
 def shipped_or_path(kind: str) -> InSchema:
     """A text that is the name of a shipped "vehicle" or "terrain", or a path."""
     return InSchema(lambda own: {"anyOf": [{"enum": list(shipped(kind))}, own]})
-
-
-def table_of(keys: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """The JSON schema of a table with these keys and no others."""
-    return {"type": "object", "properties": dict(keys), "additionalProperties": False}
 
 
 def parse_fps(value: Any) -> Fraction:
@@ -137,12 +80,6 @@ def parse_mark_frame(value: Any) -> Any:
     raise ValueError("neither a whole frame nor 'free'")
 
 
-def _whole(value: float) -> float:
-    if not abs(value) <= 1e9:
-        raise ValueError("beyond 1e9")
-    return value
-
-
 def _unit(value: list[float]) -> list[float]:
     if abs(sum(x * x for x in value) - 1) > 1e-3:
         raise ValueError("its length is not 1")
@@ -161,17 +98,6 @@ def _believable(wind: list[float]) -> list[float]:
     return wind
 
 
-def _from_tuple(value: Any) -> Any:
-    """Python callers may give tuples where TOML gives arrays."""
-    return list(value) if isinstance(value, tuple) else value
-
-
-Number = Annotated[float, Field(allow_inf_nan=False), AfterValidator(_whole)]
-Positive = Annotated[Number, Field(gt=0)]
-NotNegative = Annotated[Number, Field(ge=0)]
-Metre = Annotated[Number, Field(ge=-1e6, le=1e6)]
-Array = BeforeValidator(_from_tuple)
-Point = Annotated[list[Metre], Array, Len(3, 3)]
 Plane = Annotated[list[Metre], Array, Len(2, 2)]
 Velocity = Annotated[list[Annotated[Number, Field(ge=-1000, le=1000)]], Array, Len(3, 3)]
 Wind = Annotated[list[Number], Array, Len(3, 3), AfterValidator(_believable)]
@@ -181,7 +107,6 @@ Size = Annotated[list[Annotated[int, Field(ge=16, le=MAX_PIXELS, multiple_of=2)]
 Heading = Annotated[Number, Field(ge=-36_000, le=36_000)]
 Frame = Annotated[int, Field(ge=-10_000_000, le=10_000_000)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]{0,99}$")]
-Text = Annotated[str, Field(min_length=1, max_length=4096)]
 _RATE = {"anyOf": [{"type": "number", "exclusiveMinimum": 0, "maximum": MAX_FPS}, {"type": "string"}]}
 Fps = Annotated[Fraction, PlainValidator(parse_fps), PlainSerializer(str), WithJsonSchema(_RATE)]
 MarkFrame = Annotated[
@@ -267,17 +192,19 @@ class MarkTable(Table):
 class StartTable(Table):
     """``[vehicle.motion.start]``"""
 
-    position: Point = [0.0, 0.0, 0.0]
+    position: Point = Field(default=[0.0, 0.0, 0.0])
     """where the rig's root starts, [x, y, z] in m"""
     heading: Heading | None = None
     """the yaw of the vehicle's nose from world X in degrees, counter-clockwise; 0 unless given"""
     orientation: Quaternion | None = None
     """instead of heading, a unit quaternion [w, x, y, z], body to world"""
-    velocity: Velocity = [0.0, 0.0, 0.0]
+    velocity: Velocity = Field(default=[0.0, 0.0, 0.0])
     """the velocity [x, y, z] in m/s, world axes"""
-    spin: Annotated[list[Annotated[Number, Field(ge=-36_000, le=36_000)]], Array, Len(3, 3)] = [0.0, 0.0, 0.0]
+    spin: Annotated[list[Annotated[Number, Field(ge=-36_000, le=36_000)]], Array, Len(3, 3)] = Field(
+        default=[0.0, 0.0, 0.0]
+    )
     """the angular velocity [x, y, z] in deg/s, the vehicle's own axes; in the plane only z counts"""
-    joints: dict[str, Number] = {}
+    joints: dict[str, Number] = Field(default={})
     """a table of joint values, in the vehicle's own units; 0 unless given"""
 
 
@@ -358,7 +285,7 @@ class ExportTable(Table):
 class RenderTable(Table):
     """``[render]``"""
 
-    size: Size = [960, 540]
+    size: Size = Field(default=[960, 540])
     """the picture's [width, height] in pixels: even numbers, as films want them, from 16 to 8192"""
     every: Annotated[int, Field(ge=1, le=MAX_FRAMES)] = 1
     """1 to render every frame, 2 every second one, and so on"""
@@ -372,9 +299,9 @@ class RenderTable(Table):
     """"side-by-side" puts the cameras' pictures beside each other in one more film; "separate" does not"""
     mood: Literal["afternoon", "dusk"] = "afternoon"
     """the time of day, "afternoon" or "dusk": where the sun stands and what colours it has"""
-    passes: Annotated[list[Literal["depth", "segmentation"]], Array, Len(0, 2)] = []
+    passes: Annotated[list[Literal["depth", "segmentation"]], Array, Len(0, 2)] = Field(default=[])
     """"depth" (metres, 32-bit TIFF) and "segmentation" (a colour for each prim), beside every picture"""
     burn_in: bool = False
     """true or false: whether shot, camera and frame are written on the pictures"""
-    captions: dict[str, Text] = {}
+    captions: dict[str, Text] = Field(default={})
     """side-by-side: camera name = what to write below it; {NAME} is the energy left to the vehicle of that name"""

@@ -17,6 +17,7 @@ from pydantic import BeforeValidator, Field, PlainValidator, WithJsonSchema
 
 from vehsim._quaternions import rotate
 from vehsim.errors import InputError, Problem, SolveError
+from vehsim.intake.tables import table_of
 from vehsim.shot.asking import LimitTable, LookTable, StayTable, check_asked, check_limits, limits_si
 from vehsim.shot.blocked import BlockingTable, blocking_of, marks_of
 from vehsim.shot.checks import Setting, check_free, check_inside, check_mark, check_names, check_order, orientation_of
@@ -34,7 +35,6 @@ from vehsim.shot.model import (
     Text,
     names_in,
     one_of,
-    table_of,
 )
 from vehsim.shot.obstacles import check_marks
 from vehsim.shot.piloting import PilotTable as PilotTable

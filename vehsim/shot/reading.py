@@ -1,16 +1,14 @@
-"""Shot files as text: TOML in, overrides applied, and the line on which a key stands."""
+"""Overrides of a shot file: ``world.wind=[0,3,0]`` and the like, written into its data."""
 
 from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from vehsim.errors import Problem, ShotError
 
-_HEADER = re.compile(r"^\s*(\[\[?)\s*([\w.\-\" ]+?)\s*\]")
-_KEY = re.compile(r"^\s*([\w.\-]+)\s*=")
 _STEP = re.compile(r"([A-Za-z0-9_\-]+)((?:\[\d+\])*)$")
 
 
@@ -72,37 +70,3 @@ def _value(text: str) -> Any:
         return tomllib.loads(f"value = {text}")["value"]
     except (ValueError, RecursionError):
         return text.strip()
-
-
-def lines_of(text: str) -> dict[str, int]:
-    """Line numbers by dotted key, as far as a glance at the text gives them: headers, and keys that begin a line."""
-    lines: dict[str, int] = {}
-    counts: dict[str, int] = {}
-    table = ""
-    for number, line in enumerate(text.splitlines(), start=1):
-        if header := _HEADER.match(line):
-            table = _table(header[2].replace('"', ""), header[1] == "[[", counts)
-            lines.setdefault(table, number)
-        elif key := _KEY.match(line):
-            lines.setdefault(f"{table}.{key[1]}".lstrip("."), number)
-    return lines
-
-
-def _table(name: str, is_entry: bool, counts: dict[str, int]) -> str:
-    """A header's dotted key with the places of its lists: ``vehicle.motion.mark`` is ``vehicle[0].motion.mark[2]``."""
-    place = ""
-    parts = name.split(".")
-    for i, part in enumerate(parts):
-        place = f"{place}.{part.strip()}".lstrip(".")
-        if is_entry and i == len(parts) - 1:
-            counts[place] = counts.get(place, -1) + 1
-        if place in counts:
-            place = f"{place}[{counts[place]}]"
-    return place
-
-
-def line_of(key: str, lines: Mapping[str, int]) -> int | None:
-    """The line of ``key``, or of the nearest table around it."""
-    while key and key not in lines:
-        key = key[: max(key.rfind("."), key.rfind("["), 0)]
-    return lines.get(key)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vehsim.errors import InputError, Problem, ShotError
-from vehsim.intake.toml import read_toml, too_large
+from vehsim.intake.toml import line_of, lines_of, read_toml, too_large
 from vehsim.requests import target_asks
 from vehsim.shot import obstacles
 from vehsim.shot.audited import audit_clips
@@ -25,7 +25,7 @@ from vehsim.shot.file import ShotFile, VehicleTable, parse
 from vehsim.shot.handles import carry_on
 from vehsim.shot.holding import hold, rests
 from vehsim.shot.model import MAX_FRAMES
-from vehsim.shot.reading import apply_overrides, line_of, lines_of
+from vehsim.shot.reading import apply_overrides
 from vehsim.shot.water import check_afloat, check_water, make_water
 
 if TYPE_CHECKING:

@@ -17,6 +17,7 @@ from annotated_types import Len
 from pydantic import Field
 
 from vehsim.errors import InputError, Problem, SolveError, VehsimError
+from vehsim.intake.tables import table_of
 from vehsim.shot.checks import Setting, check_names, check_order
 from vehsim.shot.model import (
     MAX_FRAMES,
@@ -29,7 +30,6 @@ from vehsim.shot.model import (
     Point,
     Positive,
     Table,
-    table_of,
 )
 
 if TYPE_CHECKING:

@@ -1,0 +1,198 @@
+"""Tables of a file as models: strict, each key described below it, and what is wrong in words that a person can act on.
+
+What belongs here is common to shot files and ``vehicle.toml``; their keys are in `vehsim.shot` and `vehsim.vehicles`.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import re
+import textwrap
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from itertools import pairwise
+from typing import Annotated, Any
+
+from annotated_types import Len
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
+
+from vehsim.errors import Problem
+
+WORDS = {
+    "bool_type": "neither true nor false",
+    "dict_type": "not a table",
+    "finite_number": "not a finite number",
+    "float_type": "not a number",
+    "greater_than": "it should be greater than {gt:g}",
+    "greater_than_equal": "it should be at least {ge:g}",
+    "int_type": "not a whole number",
+    "less_than": "it should be less than {lt:g}",
+    "less_than_equal": "it should be at most {le:g}",
+    "list_type": "not an array",
+    "literal_error": "it should be {expected}",
+    "model_attributes_type": "not a table",
+    "model_type": "not a table",
+    "multiple_of": "not a multiple of {multiple_of:g}",
+    "string_pattern_mismatch": "not a name: letters, digits and _, no digit first, at most 100",
+    "string_too_long": "longer than {max_length} characters",
+    "string_too_short": "empty",
+    "string_type": "not a text",
+    "too_long": "{actual_length} given, at most {max_length} wanted",
+    "too_short": "{actual_length} given, at least {min_length} wanted",
+}
+"""What is wrong with a value, by pydantic's types of errors, in words for people who never heard of it."""
+
+
+def describe(schema: dict[str, Any], model: type[BaseModel]) -> None:
+    """Say in a model's JSON schema what to give for each key.
+
+    Sources are read when a schema is asked for: pydantic's own ``use_attribute_docstrings`` reads them at every import.
+    """
+    for key, text in _docstrings(model).items():
+        schema["properties"][model.model_fields[key].alias or key]["description"] = text
+
+
+def _docstrings(model: type) -> dict[str, str]:
+    """Key -> the text below it in the source, those of the bases included; nothing where no sources are installed."""
+    texts: dict[str, str] = {}
+    for base in reversed(model.__mro__[: model.__mro__.index(Table)]):
+        try:
+            source = inspect.getsource(base)
+        except OSError:
+            continue
+        body = ast.parse(textwrap.dedent(source)).body[0].body  # type: ignore[attr-defined]
+        for key, below in pairwise(body):
+            match key, below:
+                case ast.AnnAssign(target=ast.Name(name)), ast.Expr(ast.Constant(str(text))):
+                    texts[name] = inspect.cleandoc(text)
+    return texts
+
+
+class Table(BaseModel):
+    """A table of the file: unknown keys and values of another type are errors."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, json_schema_extra=describe)
+
+
+@dataclass(frozen=True)
+class InSchema:
+    """What the JSON schema says of a value: ``shape`` takes what its type alone says.
+
+    It is called when a schema is asked for, so that names can come from where they are defined.
+    """
+
+    shape: Callable[[dict[str, Any]], dict[str, Any]]
+
+    def __get_pydantic_json_schema__(self, core: Any, handler: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        return self.shape(handler(core))
+
+
+def table_of(keys: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """The JSON schema of a table with these keys and no others."""
+    return {"type": "object", "properties": dict(keys), "additionalProperties": False}
+
+
+def _whole(value: float) -> float:
+    if not abs(value) <= 1e9:
+        raise ValueError("beyond 1e9")
+    return value
+
+
+def _from_tuple(value: Any) -> Any:
+    """Python callers may give tuples where TOML gives arrays."""
+    return list(value) if isinstance(value, tuple) else value
+
+
+Number = Annotated[float, Field(allow_inf_nan=False), AfterValidator(_whole)]
+Positive = Annotated[Number, Field(gt=0)]
+NotNegative = Annotated[Number, Field(ge=0)]
+Metre = Annotated[Number, Field(ge=-1e6, le=1e6)]
+Array = BeforeValidator(_from_tuple)
+Point = Annotated[list[Metre], Array, Len(3, 3)]
+Text = Annotated[str, Field(min_length=1, max_length=4096)]
+
+
+def dotted(place: tuple[int | str, ...]) -> str:
+    """``("vehicle", 0, "name")`` as ``vehicle[0].name``."""
+    parts = (f"[{part}]" if isinstance(part, int) else f".{part}" for part in place)
+    return "".join(parts).lstrip(".") or "file"
+
+
+def problems_of(errors: Any, root: Mapping[str, Any]) -> Iterator[Problem]:
+    """One problem per error of pydantic's; ``root``: the JSON schema of the whole file."""
+    for error in errors:
+        place, description, keys = locate(root, error["loc"])
+        key, value = dotted(place), error["input"]
+        match error["type"]:
+            case "extra_forbidden":
+                yield Problem(key, "unknown key", _suggest(str(place[-1]), keys), value)
+            case "missing":
+                yield Problem(key, "missing", f"give {description}")
+            case "union_tag_not_found" | "union_tag_invalid":
+                tag, value = error["ctx"]["discriminator"].strip("'"), error["ctx"].get("tag")
+                message = "missing" if value is None else f"no such {tag}"
+                yield Problem(f"{key}.{tag}", message, f"give {_tags(root, place)}", value)
+            case kind:
+                text = WORDS.get(kind, error["msg"].removeprefix("Value error, ")).format_map(error.get("ctx", {}))
+                yield Problem(key, text[0].lower() + text[1:], f"give {description}", value)
+
+
+def locate(root: Mapping[str, Any], location: tuple[int | str, ...]) -> tuple[tuple[int | str, ...], str, list[str]]:
+    """Where an error is in the file (without pydantic's union tags), what belongs there, and the keys beside it."""
+    place: list[int | str] = []
+    node: Mapping[str, Any] = root
+    description, keys = "a table", list(root["properties"])
+    for part in location:
+        node = _resolve(node, root)
+        if isinstance(part, str) and part in node.get("discriminator", {}).get("mapping", {}):
+            node = {"$ref": node["discriminator"]["mapping"][part]}
+            continue
+        if "oneOf" in node and "discriminator" not in node:  # a value of several forms, whose tag pydantic names
+            node = {}
+            continue
+        keys = list(node.get("properties", {}))
+        place.append(part)
+        node = node.get("items", {}) if isinstance(part, int) else _below(node, part)
+        description = node.get("description", description)
+    return tuple(place), _asked(description), keys
+
+
+def _below(node: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+    """What a table's schema says of a key."""
+    found: Mapping[str, Any] = node.get("properties", {}).get(key) or node.get("additionalProperties") or {}
+    return found
+
+
+def _asked(description: str) -> str:
+    """A key's description on one line, without what holds when it is left out."""
+    return re.sub(r"; [^;]* unless given$", "", " ".join(description.split()))
+
+
+def _tags(root: Mapping[str, Any], place: tuple[int | str, ...]) -> str:
+    """The names a table with several forms may take: ``"plan", "simulate" or "clip"``."""
+    node: Mapping[str, Any] = root
+    for part in place:
+        node = _resolve(node, root)
+        node = node.get("items", {}) if isinstance(part, int) else node.get("properties", {}).get(part, {})
+    tags = {reference: tag for tag, reference in node["discriminator"]["mapping"].items()}
+    names = [f'"{tags[form["$ref"]]}"' for form in node["oneOf"]]
+    return f"{', '.join(names[:-1])} or {names[-1]}"
+
+
+def _resolve(node: Mapping[str, Any], root: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Follow references, and of "this or nothing" take this."""
+    while True:
+        choices = [choice for choice in node.get("anyOf", []) if choice.get("type") != "null"]
+        if "$ref" in node:
+            node = root["$defs"][node["$ref"].rpartition("/")[2]]
+        elif len(choices) == 1:
+            node = choices[0]
+        else:
+            return node
+
+
+def _suggest(key: str, known: list[str]) -> str:
+    close = get_close_matches(key, known, n=1)
+    return f"did you mean {close[0]!r}?" if close else f"known keys: {', '.join(known) or '(none)'}"
