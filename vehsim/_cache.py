@@ -19,6 +19,16 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
+Stamp = tuple[int, int, int, int]
+
+
+def stamp(path: str | Path) -> Stamp:
+    """What is another once a file was written, also by one who keeps its size and restores its date: the time at which
+    its inode changed cannot be set. For what a process remembers of files; what outlives it is kept by content."""
+    stat = os.stat(path)
+    return stat.st_mtime_ns, stat.st_ctime_ns, stat.st_size, stat.st_ino
+
+
 def cache_folder() -> Path:
     """``VEHSIM_CACHE``, or else the platform's cache folder."""
     if folder := os.environ.get("VEHSIM_CACHE"):

@@ -66,6 +66,26 @@ def _colour(mesh: Any, when: Any) -> tuple[float, float, float, float]:
     return (float(colour[0]), float(colour[1]), float(colour[2]), float(opacity))
 
 
+def hull_moments(points: Array) -> tuple[float, Array, Array]:
+    """Volume m^3, centre (3,) m, and inertia (3, 3) m^5 about it, of the convex hull of points (n, 3) at unit density.
+
+    All zero, about their mean, where points are flat.
+    """
+    from scipy.spatial import ConvexHull, QhullError
+
+    middle = points.mean(axis=0)
+    try:
+        corners = points[ConvexHull(points).simplices] - middle  # (n, 3, 3): tetrahedra whose fourth corner is 0
+    except QhullError:
+        return 0.0, middle, np.zeros((3, 3))
+    volumes, sums = np.abs(np.linalg.det(corners)) / 6, corners.sum(axis=1)
+    volume = float(volumes.sum())
+    centre = volumes @ sums / (4 * volume)
+    second = np.einsum("n,nki,nkj->ij", volumes, corners, corners) + np.einsum("n,ni,nj->ij", volumes, sums, sums)
+    second = second / 20 - volume * np.outer(centre, centre)
+    return volume, middle + centre, np.trace(second) * np.eye(3) - second
+
+
 def convex_hulls(clouds: Sequence[Array]) -> list[Array]:
     """The vertices (k, 3) of the convex hull of each cloud of points (n, 3), kept by content."""
     return kept_arrays("hulls", clouds, lambda: [_hull(points) for points in clouds])

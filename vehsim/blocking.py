@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.errors import InputError
+from vehsim.intake.usd import open_stage
 
 Array = NDArray[np.float64]
 
@@ -172,14 +173,9 @@ def _check_over(layer: Any, blocking: Blocking, frames: Array, world: Array, Usd
 
 
 def _open(path: Path, prim: str) -> tuple[Any, Any]:
-    from pxr import Sdf, Tf, Usd, UsdGeom
+    from pxr import Sdf, UsdGeom
 
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
-    try:
-        stage = Usd.Stage.Open(str(path))
-    except Tf.ErrorException as error:
-        raise InputError(f"{path}: not a USD stage: {str(error).strip().splitlines()[-1]}") from None
+    stage = open_stage(path)
     if not Sdf.Path.IsValidPathString(prim) or not Sdf.Path(prim).IsAbsolutePath():
         raise InputError(f"{path}: {prim}: not a prim's path; give one such as /World/heli")
     found = stage.GetPrimAtPath(prim)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim._cache import kept_arrays
+from vehsim._cache import Stamp, kept_arrays, stamp
 from vehsim._camera_path import Parked, Surroundings, blocked, calm, envelope, lift, smooth, steer
 from vehsim._camera_rigs import RIGS as RIGS
 from vehsim._camera_rigs import Move
@@ -298,12 +298,11 @@ def vehicle_outline(vehicle: Any) -> Array:
     """The outline (k, 3) m of a vehicle in its rig root's frame: its parts' hull; a 2 m cube without a rig."""
     if vehicle.rig is None:
         return np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (0, 2)], float)
-    stat = Path(vehicle.rig.asset).stat()
-    return _outline(Path(vehicle.rig.asset), vehicle.rig.root or None, stat.st_mtime_ns, stat.st_size)
+    return _outline(Path(vehicle.rig.asset), vehicle.rig.root or None, stamp(vehicle.rig.asset))
 
 
 @lru_cache(maxsize=16)
-def _outline(asset: Path, root: str | None, changed: int, size: int) -> Array:
+def _outline(asset: Path, root: str | None, written: Stamp) -> Array:
     from vehsim.parts import read_parts
 
     parts = read_parts(asset, root)

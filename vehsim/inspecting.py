@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import tomllib
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -20,6 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.errors import InputError
+from vehsim.intake.toml import read_toml
+from vehsim.intake.usd import open_stage
 
 if TYPE_CHECKING:
     from vehsim.parts import Part
@@ -124,7 +125,7 @@ def _of_folder(folder: Path) -> tuple[Path, dict[str, Any]]:
     toml = folder / "vehicle.toml"
     if not toml.is_file():
         raise InputError(f"{folder}: no vehicle.toml in it; give the asset's file")
-    data = tomllib.loads(toml.read_text(encoding="utf-8"))
+    data = read_toml(toml)[0]
     if "asset" not in data:
         raise InputError(f"{toml}: names no asset")
     keys = {key: data[key] for key in ("root", *KEYS) if key in data}
@@ -162,14 +163,10 @@ def _source(path: Path, keys: Mapping[str, Any]) -> Path:
 
 def _root(path: Path) -> dict[str, str]:
     """The only top prim, where the file names none itself."""
-    from pxr import Tf, Usd
 
     if path.suffix.lower() not in (".usd", ".usda", ".usdc", ".usdz"):
         return {}
-    try:
-        stage = Usd.Stage.Open(str(path), Usd.Stage.LoadNone)
-    except Tf.ErrorException as error:
-        raise InputError(f"{path}: not readable as USD: {error}") from None
+    stage = open_stage(path, load=False)
     if stage.GetDefaultPrim():
         return {}
     tops = [prim for prim in stage.GetPseudoRoot().GetChildren() if prim.GetTypeName() in ("Xform", "Mesh", "")]
@@ -180,9 +177,9 @@ def _root(path: Path) -> dict[str, str]:
 
 
 def _up_axis(path: Path, keys: Mapping[str, Any]) -> str:
-    from pxr import Usd, UsdGeom
+    from pxr import UsdGeom
 
-    return str(UsdGeom.GetStageUpAxis(Usd.Stage.Open(str(_source(path, keys)), Usd.Stage.LoadNone)))
+    return str(UsdGeom.GetStageUpAxis(open_stage(_source(path, keys), load=False)))
 
 
 def _points(part: Part) -> Array:
@@ -245,9 +242,8 @@ def _spins(part: Part, points: Array) -> Iterator[tuple[str, Array, float, Array
 
 
 def _inside_instance(asset: Path, root: str | None, path: str) -> bool:
-    from pxr import Usd
 
-    stage = Usd.Stage.Open(str(asset))
+    stage = open_stage(asset)
     top = stage.GetPrimAtPath(root if root.startswith("/") else f"/{root}") if root else stage.GetDefaultPrim()
     prim = stage.GetPrimAtPath(top.GetPath().AppendPath(path))
     return bool(prim and prim.IsInstanceProxy())
@@ -292,9 +288,9 @@ def _all_words(part: Part) -> set[str]:
 
 def report(found: Inspection) -> list[str]:
     """What was found, line by line, for people."""
-    from pxr import Usd, UsdGeom
+    from pxr import UsdGeom
 
-    stage = Usd.Stage.Open(str(_source(found.asset, found.keys)))
+    stage = open_stage(_source(found.asset, found.keys))
     scale = UsdGeom.GetStageMetersPerUnit(stage)
     authored = stage.HasAuthoredMetadata("metersPerUnit")
     up = found.keys.get("up_axis", UsdGeom.GetStageUpAxis(stage))

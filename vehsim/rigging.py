@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim._cache import made_of
+from vehsim._cache import Stamp, made_of, stamp
 from vehsim.errors import ExportError, InputError
+from vehsim.intake.usd import open_stage
 
 if TYPE_CHECKING:
     from vehsim.vehicles._base import Drive, Rig
@@ -37,9 +38,7 @@ SENSES = {
 
 def open_rig(asset: Path, rig: Rig) -> tuple[Any, Any]:
     """The asset's stage and the rig's root prim on it."""
-    from pxr import Usd
-
-    stage = Usd.Stage.Open(str(asset))
+    stage = open_stage(asset)
     path = prim_path(rig.root)
     root = stage.GetPrimAtPath(path) if path else stage.GetDefaultPrim()
     if not root:
@@ -140,14 +139,13 @@ def rig_problems(rig: Rig) -> list[tuple[str, str, str]]:
     Looked at once for all the clips of a batch, as long as the asset's file does not change; files that it refers to
     are looked at again by another process.
     """
-    stat = Path(rig.asset).stat()
-    key = (repr(rig), stat.st_mtime_ns, stat.st_size)
+    key = (repr(rig), stamp(rig.asset))
     if key not in _found:
         _found[key] = list(_problems_of(rig))
     return _found[key]
 
 
-_found: dict[tuple[str, int, int], list[tuple[str, str, str]]] = {}
+_found: dict[tuple[str, Stamp], list[tuple[str, str, str]]] = {}
 """What `rig_problems` found."""
 
 
@@ -259,12 +257,11 @@ def _own_points(rig: Rig, path: str) -> list[Array]:
 
 
 def _parts(rig: Rig) -> Any:
-    stat = Path(rig.asset).stat()
-    return _read(Path(rig.asset), rig.root or None, stat.st_mtime_ns, stat.st_size)
+    return _read(Path(rig.asset), rig.root or None, stamp(rig.asset))
 
 
 @lru_cache(maxsize=8)
-def _read(asset: Path, root: str | None, changed: int, size: int) -> Any:
+def _read(asset: Path, root: str | None, written: Stamp) -> Any:
     from vehsim.parts import read_parts
 
     return read_parts(asset, root)

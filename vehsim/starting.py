@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vehsim.errors import InputError, ShotError
+from vehsim.intake.usd import open_stage
 
 if TYPE_CHECKING:
     from vehsim.vehicles import Vehicle
@@ -290,9 +291,8 @@ def _variants(vehicle: Vehicle) -> str:
     """Its variant sets, commented out: the first choice of each."""
     if vehicle.rig is None:
         return ""
-    from pxr import Usd
 
-    stage = Usd.Stage.Open(str(vehicle.rig.asset), Usd.Stage.LoadNone)
+    stage = open_stage(vehicle.rig.asset, load=False)
     root = stage.GetPrimAtPath(f"/{vehicle.rig.root.strip('/')}") if vehicle.rig.root else stage.GetDefaultPrim()
     sets = root.GetVariantSets()
     names = {name: sets.GetVariantSet(name).GetVariantNames() for name in sets.GetNames()}

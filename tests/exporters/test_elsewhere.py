@@ -228,7 +228,7 @@ def test_scales_above_a_spin_are_named(scale, said, tmp_path):
         (('paint = "blue"', 'livery = "blue"'), r"no such variant set on its root; it has paint"),
         (("density = 160.0", "density = -1.0"), r"physics.density = -1.0"),
         (("density = 160.0", ""), r"physics.mass, physics.yaw_inertia: missing"),
-        (('op = "rotateX"', 'op = "rotateX"\nfactor = 0'), r"factor = 0: give a number"),
+        (('op = "rotateX"', 'op = "rotateX"\nfactor = 0'), r"factor = 0: nothing would move; give a number"),
     ],
 )
 def test_wrong_keys_are_named_with_their_mend(change, said, tmp_path):

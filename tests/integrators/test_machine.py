@@ -139,3 +139,33 @@ def test_a_state_from_a_step_may_be_changed_copied_and_sent(name):
     for other in (deep, sent, replace(state, position=state.position.copy()), state_moved):
         other.position[0] += 5
         np.testing.assert_array_equal(integrator.step(other, c).position, moved.position)
+
+
+@needs_compiler
+@pytest.mark.parametrize("what", ["folder", "library", "link"])
+def test_machine_code_that_others_can_write_is_not_run(what, cache, recwarn):
+    """A folder of others is left alone; a library in ours is built again."""
+    start, controls = State(twist=(0, 5.0, 0)), table("car", 10)
+    plain = Integrator(fresh("car"), H).rollout(start, controls)
+    same(Integrator(fresh("car"), H, compiled=True).rollout(start, controls), plain)
+    assert cache.stat().st_mode & 0o077 == 0
+    for path in list(cache.iterdir()):
+        evil = path.with_name("evil.so")
+        shutil.copy(path, evil)
+        path.unlink()
+        if what == "link":
+            path.symlink_to(evil)
+        else:
+            path.write_bytes(b"not what was built")
+            path.chmod(0o666 if what == "library" else 0o600)
+    before = {path: path.read_bytes() for path in cache.iterdir()}
+    cache.chmod(0o777 if what == "folder" else 0o700)
+    again = Integrator(fresh("car"), H, compiled=True)
+    same(again.rollout(start, controls), plain)
+    said = [str(w.message) for w in recwarn if "written by others" in str(w.message)]
+    if what == "folder":
+        assert len(said) == 1 and f"chmod go-w {cache}" in said[0]
+        assert {path: path.read_bytes() for path in cache.iterdir()} == before
+    else:
+        libraries = [path for path in cache.iterdir() if path.name != "evil.so"]
+        assert not said and all(not path.is_symlink() and path.stat().st_mode & 0o077 == 0 for path in libraries)

@@ -156,7 +156,7 @@ def test_a_shot_file_has_water():
     ("table", "message"),
     [
         ({"wave": [{"height": 9, "length": 10}], "choppiness": 1.0}, "folds over"),
-        ({"grids": "none.npz"}, "not readable"),
+        ({"grids": "none.npz"}, "no such file"),
         ({"grids": "none.npz", "sea": {"height": 1.0}}, "waves are given too"),
         ({"sea": {"height": -1.0}}, "world.water.sea.height"),
     ],

@@ -161,8 +161,8 @@ def locate(root: Mapping[str, Any], location: tuple[int | str, ...]) -> tuple[tu
 
 def _below(node: Mapping[str, Any], key: str) -> Mapping[str, Any]:
     """What a table's schema says of a key."""
-    found: Mapping[str, Any] = node.get("properties", {}).get(key) or node.get("additionalProperties") or {}
-    return found
+    found = node.get("properties", {}).get(key) or node.get("additionalProperties")
+    return found if isinstance(found, Mapping) else {}
 
 
 def _asked(description: str) -> str:

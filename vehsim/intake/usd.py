@@ -23,7 +23,7 @@ def open_stage(path: str | Path, load: bool = True) -> Any:
 
     with reading(path, "asset", "export it again as USD"):
         try:
-            stage = Usd.Stage.Open(str(path), Usd.Stage.LoadAll if load else Usd.Stage.LoadNone)
+            stage = Usd.Stage.Open(str(path), *[Usd.Stage.LoadNone] * (not load))
         except Exception as error:
             raise refuse(path, "asset", f"not readable as USD ({_last_line(error)})", "export it again") from error
         metres = UsdGeom.GetStageMetersPerUnit(stage)

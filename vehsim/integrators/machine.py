@@ -19,6 +19,7 @@ import tempfile
 import warnings
 from functools import cache
 from pathlib import Path
+from stat import S_ISDIR, S_ISREG, S_IWGRP, S_IWOTH
 from typing import Any
 
 import casadi as ca
@@ -74,7 +75,11 @@ def _built(function: ca.Function) -> tuple[Path, str] | None:
         return None
     source, name = _source(function, " ".join(command))
     library = cache_folder() / "machine-code" / f"{name}.so"
-    if not (library.is_file() and _loads(library)):
+    if not _is_ours(library.parent):
+        mend = f"chmod go-w {library.parent}, remove it, or give another VEHSIM_CACHE"
+        _warn_once(f"{library.parent} can be written by others: nothing of it is run; {mend}; going on without")
+        return None
+    if not (library.is_file() and _is_ours(library) and _loads(library)):
         try:
             _build(source, library, command)
         except (OSError, subprocess.SubprocessError) as error:
@@ -82,6 +87,21 @@ def _built(function: ca.Function) -> tuple[Path, str] | None:
             _warn_once(f"{command[0]} cannot build here ({words.strip()[:300]}); going on with CasADi's interpreter")
             return None
     return library, name
+
+
+def _is_ours(path: Path) -> bool:
+    """Only we, or the system's own user, may have written what stands there; a folder that is not there yet is ours.
+
+    A link is not followed: what it leads to could be changed at any time.
+    """
+    if not hasattr(os, "getuid"):  # where the platform keeps a user's cache to the user
+        return True
+    try:
+        stat = path.lstat()
+    except FileNotFoundError:
+        return True
+    plain = S_ISDIR(stat.st_mode) or S_ISREG(stat.st_mode)
+    return plain and stat.st_uid in (os.getuid(), 0) and not stat.st_mode & (S_IWGRP | S_IWOTH)
 
 
 def _source(function: ca.Function, command: str) -> tuple[str, str]:
@@ -102,7 +122,8 @@ def _source(function: ca.Function, command: str) -> tuple[str, str]:
 
 
 def _build(source: str, library: Path, command: list[str]) -> None:
-    library.parent.mkdir(parents=True, exist_ok=True)
+    library.parent.parent.mkdir(parents=True, exist_ok=True)
+    library.parent.mkdir(mode=0o700, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=library.parent) as folder:
         file, made = Path(folder, "function.c"), Path(folder, library.name)
         file.write_text(source, encoding="utf-8")
@@ -113,6 +134,7 @@ def _build(source: str, library: Path, command: list[str]) -> None:
             text=True,
             timeout=300,
         )
+        made.chmod(0o700)  # whatever the umask: what others may write is not run
         made.replace(library)
 
 

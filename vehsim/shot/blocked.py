@@ -11,6 +11,7 @@ import numpy as np
 from annotated_types import Len
 from pydantic import Field
 
+from vehsim._cache import Stamp, stamp
 from vehsim._quaternions import quaternions
 from vehsim.errors import InputError
 from vehsim.shot.model import Array, Frame, MarkTable, NotNegative, Table, Text
@@ -44,12 +45,11 @@ def blocking_of(table: BlockingTable, folder: Path, fps: Fraction) -> Blocking:
     path = path if path.is_absolute() else folder / path
     if not path.is_file():
         raise InputError(f"{table.usd}: no such file")
-    stat = path.stat()
-    return _read(path, table.prim, fps, table.forward, stat.st_mtime_ns, stat.st_size)
+    return _read(path, table.prim, fps, table.forward, stamp(path))
 
 
 @lru_cache(maxsize=16)
-def _read(path: Path, prim: str, fps: Fraction, forward: str, changed: int, size: int) -> Blocking:
+def _read(path: Path, prim: str, fps: Fraction, forward: str, written: Stamp) -> Blocking:
     from vehsim.blocking import read_blocking
 
     return read_blocking(path, prim, fps, forward)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vehsim.errors import Problem
+from vehsim.intake.usd import open_stage
 from vehsim.shot.model import MAX_FRAMES, MarkTable
 
 if TYPE_CHECKING:
@@ -71,11 +72,9 @@ def check_asset(key: str, asset: str, rig: Rig | None) -> Iterator[Problem]:
 
 def check_variants(key: str, given: Mapping[str, str], rig: Rig | None) -> Iterator[Problem]:
     """Every variant set and variant that is asked for is on the root prim of the vehicle's asset."""
-    from pxr import Usd
-
     if not given:
         return
-    stage = None if rig is None else Usd.Stage.Open(str(rig.asset))
+    stage = None if rig is None else open_stage(rig.asset)
     root = stage and (stage.GetPrimAtPath(f"/{rig.root.strip('/')}") if rig and rig.root else stage.GetDefaultPrim())
     sets = (
         {}

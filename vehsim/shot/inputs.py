@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from hashlib import file_digest
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from vehsim._cache import Stamp, stamp
 from vehsim.intake.usd import dependencies
 
 if TYPE_CHECKING:
@@ -30,25 +31,31 @@ def motion_files(shot: Shot) -> Iterator[Path]:
 
 
 def with_dependencies(asset: Path) -> tuple[Path, ...]:
-    """A USD file and all it refers to."""
-    return _with_dependencies(asset, asset.stat().st_mtime_ns)
+    """A USD file and all it refers to, looked through again once one of them was written."""
+    stamps, files = _found.get(asset, ((), ()))
+    if not files or _stamps(files) != stamps:
+        files = tuple(dependencies(asset.resolve())[0])
+        _found[asset] = (_stamps(files), files)
+    return files
 
 
-@lru_cache(maxsize=64)
-def _with_dependencies(asset: Path, changed: int) -> tuple[Path, ...]:
-    return tuple(dependencies(asset.resolve())[0])
+_found: dict[Path, tuple[tuple[Stamp | None, ...], tuple[Path, ...]]] = {}
+"""What `with_dependencies` found."""
+
+
+def _stamps(files: Iterable[Path]) -> tuple[Stamp | None, ...]:
+    return tuple(stamp(file) if file.exists() else None for file in files)
 
 
 def content_of(path: Path) -> str | None:
     """The hash of a file's bytes, None when it is not there; its name belongs to the file that refers to it."""
     try:
-        stat = path.stat()
+        return _hash(path, stamp(path))
     except OSError:
         return None
-    return _hash(path, stat.st_mtime_ns, stat.st_size)
 
 
 @lru_cache(maxsize=1024)
-def _hash(path: Path, changed: int, size: int) -> str:
+def _hash(path: Path, written: Stamp) -> str:
     with path.open("rb") as file:
         return file_digest(file, "sha256").hexdigest()

@@ -5,7 +5,6 @@ What belongs here is measuring and comparing; who is told, and when, is in `shot
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -14,7 +13,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from vehsim._cache import Stamp, stamp
 from vehsim.errors import InputError
+from vehsim.intake.toml import read_toml
 from vehsim.vehicles._base import Array
 
 if TYPE_CHECKING:
@@ -58,7 +59,7 @@ def backwards(rig: Rig | None) -> Misfit | None:
 def _written(rig: Rig) -> dict[str, Any]:
     """What stands in the ``vehicle.toml``; nothing where there is none."""
     toml = None if rig.folder is None else rig.folder / "vehicle.toml"
-    return tomllib.loads(toml.read_text(encoding="utf-8")) if toml is not None and toml.is_file() else {}
+    return read_toml(toml)[0] if toml is not None and toml.is_file() else {}
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ class _Shape:
 
     @staticmethod
     def of(rig: Rig) -> _Shape:
-        return _shape(rig.asset, rig.root or None, rig.asset.stat().st_mtime_ns)
+        return _shape(rig.asset, rig.root or None, stamp(rig.asset))
 
     def below(self, prim: str) -> Array:
         """Points (n, 3) of a prim and all below it."""
@@ -84,9 +85,8 @@ class _Shape:
 
 
 @lru_cache(maxsize=64)
-def _shape(asset: Path, root: str | None, changed: int) -> _Shape:
-    import trimesh
-
+def _shape(asset: Path, root: str | None, written: Stamp) -> _Shape:
+    from vehsim._meshes import hull_moments
     from vehsim.parts import read_parts
 
     parts = read_parts(asset, root)
@@ -94,9 +94,8 @@ def _shape(asset: Path, root: str | None, changed: int) -> _Shape:
     marked = any(part.collides for part in parts)
     volume = 0.0
     for part in parts:
-        for hull in part.hulls if marked else ([part.points] if len(part.points) > 3 else []):
-            solid = trimesh.convex.convex_hull(hull @ part.T_rp[:3, :3].T + part.T_rp[:3, 3])
-            volume += float(solid.volume)
+        for hull in part.hulls if marked else ([part.points] if len(part.points) else []):
+            volume += hull_moments(hull @ part.T_rp[:3, :3].T + part.T_rp[:3, 3])[0]
     return _Shape(points, volume)
 
 

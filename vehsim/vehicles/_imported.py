@@ -24,6 +24,7 @@ import numpy as np
 
 from vehsim._cache import SOURCE, cache_folder, is_whole, seal
 from vehsim.errors import InputError
+from vehsim.intake.usd import open_stage
 
 USD = (".usd", ".usda", ".usdc", ".usdz")
 MESHES = (".glb", ".gltf", ".obj")
@@ -81,9 +82,9 @@ def _usd_file(toml: Path, data: Mapping[str, Any]) -> tuple[Path, str, float]:
         raise InputError(f"{toml}: asset = {named!r}: not USD, GLB or OBJ; export it as one of them")
     if not KEYS & set(data):
         return path, "Z", 1.0  # whoever reads it asks the file itself
-    from pxr import Usd, UsdGeom
+    from pxr import UsdGeom
 
-    stage = Usd.Stage.Open(str(path), Usd.Stage.LoadNone)
+    stage = open_stage(path, load=False)
     return path, str(UsdGeom.GetStageUpAxis(stage)), UsdGeom.GetStageMetersPerUnit(stage)
 
 
@@ -130,7 +131,7 @@ def _wrapper(
         stage = Usd.Stage.CreateInMemory(".usda")
         UsdGeom.SetStageUpAxis(stage, "Z")
         UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-        own = Usd.Stage.Open(str(source), Usd.Stage.LoadNone)
+        own = open_stage(source, load=False)
         for name in ("timeCodesPerSecond", "framesPerSecond"):
             stage.GetRootLayer().pseudoRoot.SetInfo(name, own.GetTimeCodesPerSecond())
         xform = UsdGeom.Xform.Define(stage, f"/{_asset_root(toml, own, root).GetName()}")
@@ -164,9 +165,7 @@ def _asset_root(toml: Path, stage: Any, root: str) -> Any:
 def _check_variants(toml: Path, source: Path, root: str, variants: Any) -> None:
     if not variants:
         return
-    from pxr import Usd
-
-    stage = Usd.Stage.Open(str(source), Usd.Stage.LoadNone)
+    stage = open_stage(source, load=False)
     sets = _asset_root(toml, stage, root).GetVariantSets()
     if not isinstance(variants, Mapping):
         raise InputError(f"{toml}: variants = {variants!r}: give a table of variant set = variant")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -20,8 +21,7 @@ def weigh(toml: Path, asset: Path, root: str | None, density: Any) -> tuple[floa
     Volumes are those of the collision hulls, or of the parts' own convex hulls where the asset marks none; where they
     overlap they count twice. ``density`` kg/m^3: one number, or part path -> number with ``""`` for all others.
     """
-    import trimesh
-
+    from vehsim._meshes import hull_moments
     from vehsim.parts import read_parts
 
     by_part = density if isinstance(density, Mapping) else {"": density}
@@ -36,11 +36,16 @@ def weigh(toml: Path, asset: Path, root: str | None, density: Any) -> tuple[floa
     mass, moment, second = 0.0, np.zeros(3), np.zeros((3, 3))
     for part in parts:
         rho = float(by_part[part.path] if part.path in by_part else by_part.get("", 0.0))
-        for points in part.hulls if marked else ([part.points] if len(part.points) > 3 else []):
-            hull = trimesh.convex.convex_hull(points @ part.T_rp[:3, :3].T + part.T_rp[:3, 3])
-            m, c = rho * hull.volume, np.asarray(hull.center_mass)
+        for points in part.hulls if marked else ([part.points] if len(part.points) else []):
+            volume, c, about_c = hull_moments(points @ part.T_rp[:3, :3].T + part.T_rp[:3, 3])
+            m = rho * volume
+            if rho and not volume:
+                said = (
+                    f"{toml}: physics.density: {part.path or 'the root'} is flat: it weighs nothing; mass can say else"
+                )
+                warnings.warn(said, stacklevel=6)
             mass, moment = mass + m, moment + m * c
-            second = second + rho * np.asarray(hull.moment_inertia) + m * (c @ c * np.eye(3) - np.outer(c, c))
+            second = second + rho * about_c + m * (c @ c * np.eye(3) - np.outer(c, c))
     if not mass > 0:
         raise InputError(f"{toml}: physics.density: the parts that have one enclose no volume; give mass and inertia")
     centre = moment / mass

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import inspect
 import math
-import tomllib
 import warnings
 from dataclasses import replace
 from difflib import get_close_matches
@@ -15,10 +14,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vehsim._cache import Stamp, stamp
 from vehsim.assets import shipped
 from vehsim.errors import InputError
 from vehsim.vehicles._base import Control, Drive, Rig, Suspension
-from vehsim.vehicles._imported import KEYS, ready_asset
+from vehsim.vehicles._file import read_vehicle
+from vehsim.vehicles._imported import ready_asset
 from vehsim.vehicles._mass import fill_in, weigh
 
 if TYPE_CHECKING:
@@ -46,8 +47,8 @@ DAMPING = np.array([0.05, 0.3, 1.0])
 ADDED_MASS = np.array([0.25, 0.9, 0.5, 0.06, 0.6, 1.0])
 """Usual added mass of a hull over its own inertia: roll, pitch, yaw, surge, sway, heave."""
 
-_TOP = {"schema", "name", "model", "asset", "root", "origin", "hull", "physics", "controls", "joints", "channels"}
-_TOP |= {"suspension", "top_speed"} | KEYS
+POSITIVE = {"mass", "masses", "inertia", "inertias", "radius", "diameter", "wheelbase", "length", "hitches"}
+"""What the names of quantities end in that are nothing unless above zero."""
 
 
 def available() -> list[str]:
@@ -70,27 +71,31 @@ def load_vehicle(name: str | Path) -> Vehicle:
         hint = f"did you mean {close[0]!r}?" if close else f"choose one of {', '.join(available())}"
         raise InputError(f"vehicle {str(name)!r}: no such vehicle, nor a folder with a vehicle.toml; {hint}")
     path = path.resolve()
-    return _load(path, path.stat().st_mtime_ns)
+    data = read_vehicle(path)
+    asset = path.parent / data.get("asset", "")
+    return _load(path, stamp(path), stamp(asset) if asset.is_file() else None)
 
 
 @lru_cache(maxsize=64)
-def _load(path: Path, changed: int) -> Vehicle:
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not valid TOML: {error}") from None
-    _known(path, "", data, _TOP)
+def _load(path: Path, written: Stamp, asset_written: Stamp | None) -> Vehicle:
+    data = read_vehicle(path)
     model = data.get("model")
     if model not in MODELS:
         raise InputError(f"{path}: model = {model!r}: unknown; choose one of {', '.join(sorted(MODELS))}")
     module, _, function = MODELS[model].partition(":")
     factory = getattr(importlib.import_module(module), function)
-    vehicle: Vehicle = factory(str(data.get("name", model)), **_physics(path, factory, _weighed(path, factory, data)))
+    physics = _physics(path, factory, _weighed(path, factory, data))
+    try:
+        vehicle: Vehicle = factory(str(data.get("name", model)), **physics)
+    except InputError:
+        raise
+    except (ArithmeticError, LookupError, RuntimeError, TypeError, ValueError) as error:  # of NumPy, of CasADi
+        raise InputError(f"{path}: physics: no {model} can be made of it ({error}); compare the model's own") from error
     told: dict[str, Any] = {
         "controls": _controls(path, vehicle, data.get("controls", {})),
         "joint_limits": _limits(path, vehicle, data.get("joints", {})),
         "rig": _rig(path, vehicle, data),
-        "top_speed": _top_speed(path, data),
+        "top_speed": float(data.get("top_speed", vehicle.top_speed)),
     }
     planar = None if vehicle.planar is None else replace(vehicle.planar, **told | {"rig": _level(told["rig"])})
     return replace(vehicle, **told, hull=_hull(path, vehicle, data), planar=planar)
@@ -116,17 +121,20 @@ def _physics(path: Path, factory: Any, table: dict[str, Any]) -> dict[str, Any]:
     if missing:
         keys = ", ".join(f"physics.{key}" for key in missing)
         raise InputError(f"{path}: {keys}: missing; a {factory.__name__} has no numbers of its own; give SI units")
-    for key in parameters:
-        for number in _flat(table.get(key, 0.0)):
-            if not isinstance(number, int | float) or isinstance(number, bool) or not math.isfinite(number):
-                raise InputError(f"{path}: physics.{key} = {table[key]!r}: not a finite number; give SI units")
+    for key, value in table.items():
+        depth = str(parameters[key].annotation).count("Sequence")  # float, Sequence[float] or rows of them
+        if _depth(value) != depth:
+            kind = ("a number", "a list of numbers", "a list of rows of numbers")[depth]
+            raise InputError(f"{path}: physics.{key} = {value!r}: not {kind}; give SI units")
+        rows = value if isinstance(value, list) else [value]
+        if key.rpartition("_")[2] in POSITIVE and not all(isinstance(x, list) or x > 0 for x in rows):
+            raise InputError(f"{path}: physics.{key} = {value!r}: not above zero; give SI units")
     return table
 
 
 def _controls(path: Path, vehicle: Vehicle, table: dict[str, Any]) -> tuple[Control, ...]:
     _known(path, "controls.", table, set(vehicle.control_names))
     for name, values in table.items():
-        _known(path, f"controls.{name}.", values, {"lower", "upper", "scale", "unit"})
         if values.get("lower", -math.inf) > values.get("upper", math.inf):
             raise InputError(f"{path}: controls.{name}.lower = {values['lower']!r}: above upper; swap them")
     return tuple(replace(control, **table.get(control.name, {})) for control in vehicle.controls)
@@ -135,17 +143,17 @@ def _controls(path: Path, vehicle: Vehicle, table: dict[str, Any]) -> tuple[Cont
 def _limits(path: Path, vehicle: Vehicle, table: dict[str, Any]) -> dict[str, tuple[float, float]]:
     _known(path, "joints.", table, set(vehicle.joints))
     for name, values in table.items():
-        _known(path, f"joints.{name}.", values, {"lower", "upper"})
+        if not values.get("lower", -math.inf) < values.get("upper", math.inf):
+            raise InputError(f"{path}: joints.{name}.lower = {values['lower']!r}: not below upper; swap them")
     return {name: (v.get("lower", -math.inf), v.get("upper", math.inf)) for name, v in table.items()}
 
 
-def _top_speed(path: Path, data: dict[str, Any]) -> float:
-    from vehsim.vehicles._base import Vehicle
-
-    value = data.get("top_speed", Vehicle.top_speed)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
-        raise InputError(f"{path}: top_speed = {value!r}: give a speed above zero, in m/s")
-    return float(value)
+def _depth(value: Any) -> int:
+    """How deep lists are in each other, -1 where that differs or there is something else."""
+    if isinstance(value, list):
+        below = {_depth(row) for row in value} or {0}
+        return 1 + below.pop() if len(below) == 1 and -1 not in below else -1
+    return 0 if isinstance(value, int | float) else -1
 
 
 def _level(rig: Rig | None) -> Rig | None:
@@ -181,24 +189,15 @@ def _rig(path: Path, vehicle: Vehicle, data: dict[str, Any]) -> Rig | None:
         return None
     asset, source = ready_asset(path, data)
     origin = tuple(float(x) for x in data.get("origin", (0.0, 0.0, 0.0)))
-    if len(origin) != 3:
-        raise InputError(f"{path}: origin = {data['origin']!r}: give three numbers, m, in the rig root's frame")
     channels = data.get("channels", {})
     _known(path, "channels.", channels, set(vehicle.channels))
-    ops = {f"{kind}{axis}" for kind in ("rotate", "translate") for axis in "XYZ"}
-    for name, values in channels.items():
-        _known(path, f"channels.{name}.", values, {"prim", "op", "pivot", "factor", "disc"})
-        if not isinstance(values.get("prim"), str):
-            raise InputError(f"{path}: channels.{name}.prim = {values.get('prim')!r}: give a path below the rig root")
-        if values.get("op") not in ops:
-            raise InputError(f"{path}: channels.{name}.op = {values.get('op')!r}: choose one of {sorted(ops)}")
-    drives = {name: _drive(path, name, values) for name, values in channels.items()}
+    drives = {name: _drive(values) for name, values in channels.items()}
 
     def place(item: tuple[str, Drive]) -> tuple[bool, bool]:  # slide first, then steer, then spin
         return item[1].op.startswith("rotate"), vehicle.channels[item[0]].rate is not None
 
     drives = dict(sorted(drives.items(), key=place))
-    springs = _suspension(path, data.get("suspension", {}))
+    springs = Suspension(**{name: float(value) for name, value in data.get("suspension", {}).items()})
     root = str(data.get("root", ""))
     return Rig(
         asset=asset,
@@ -214,27 +213,11 @@ def _rig(path: Path, vehicle: Vehicle, data: dict[str, Any]) -> Rig | None:
     )
 
 
-def _drive(path: Path, name: str, values: dict[str, Any]) -> Drive:
-    pivot, factor = values.get("pivot"), values.get("factor", 1.0)
-    if isinstance(pivot, list) and len(pivot) == 3 and all(isinstance(x, int | float) for x in pivot):
+def _drive(values: dict[str, Any]) -> Drive:
+    pivot = values.get("pivot")
+    if isinstance(pivot, list):
         pivot = (float(pivot[0]), float(pivot[1]), float(pivot[2]))
-    if pivot not in (None, "centre") and not isinstance(pivot, tuple):
-        raise InputError(f'{path}: channels.{name}.pivot = {pivot!r}: give "centre" or three numbers, m')
-    if isinstance(factor, bool) or not isinstance(factor, int | float) or not math.isfinite(factor) or factor == 0:
-        raise InputError(f"{path}: channels.{name}.factor = {factor!r}: give a number such as -1")
-    disc = values.get("disc", False)
-    if not isinstance(disc, bool | str):
-        raise InputError(f"{path}: channels.{name}.disc = {disc!r}: give true, or a pattern of meshes' names")
-    return Drive(values["prim"], values["op"], pivot, float(factor), disc)
-
-
-def _suspension(path: Path, table: dict[str, Any]) -> Suspension:
-    _known(path, "suspension.", table, set(Suspension.__dataclass_fields__))
-    for name, value in table.items():
-        number = isinstance(value, int | float) and not isinstance(value, bool)
-        if not (number and math.isfinite(value) and (value > 0 or (value == 0 and name == "mass_height"))):
-            raise InputError(f"{path}: suspension.{name} = {value!r}: give a positive number, in Hz, of 1, or in m")
-    return Suspension(**{name: float(value) for name, value in table.items()})
+    return Drive(values["prim"], values["op"], pivot, float(values.get("factor", 1.0)), values.get("disc", False))
 
 
 def _known(path: Path, prefix: str, table: dict[str, Any], known: set[str]) -> None:
@@ -243,7 +226,3 @@ def _known(path: Path, prefix: str, table: dict[str, Any], known: set[str]) -> N
             close = get_close_matches(key, known, n=1)
             hint = f"did you mean {close[0]!r}?" if close else f"known keys: {', '.join(sorted(known))}"
             raise InputError(f"{path}: {prefix}{key} = {table[key]!r}: unknown key; {hint}")
-
-
-def _flat(value: Any) -> list[Any]:
-    return [x for item in value for x in _flat(item)] if isinstance(value, list) else [value]

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim._cache import Stamp, stamp
 from vehsim._quaternions import matrices, tilt_of, yaw_tilt
 from vehsim.clip import Clip
 from vehsim.vehicles._base import Rig, Suspension
@@ -110,14 +111,13 @@ def _lifted(clip: Clip, terrain: Terrain, wheels: tuple[Wheel, ...]) -> bool:
 def wheels_of(rig: Rig) -> tuple[Wheel, ...]:
     """The wheels of a rig: the parts its ``travel_*`` channels slide or, without any, those that turn about an axle
     across the vehicle, whichever of their own axes that is, and carry no joint."""
-    stat = Path(rig.asset).stat()
     pivots = {name: tuple(d.pivot) if isinstance(d.pivot, list) else d.pivot for name, d in rig.drives.items()}
     drives = tuple(sorted((name, drive.prim, drive.op, pivots[name]) for name, drive in rig.drives.items()))
-    return _wheels(Path(rig.asset), rig.root or None, drives, stat.st_mtime_ns)
+    return _wheels(Path(rig.asset), rig.root or None, drives, stamp(rig.asset))
 
 
 @lru_cache(maxsize=32)
-def _wheels(asset: Path, root: str | None, drives: tuple[Any, ...], changed: int) -> tuple[Wheel, ...]:
+def _wheels(asset: Path, root: str | None, drives: tuple[Any, ...], written: Stamp) -> tuple[Wheel, ...]:
     from vehsim.parts import read_parts
 
     parts = {part.path: part for part in read_parts(asset, root)}

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vehsim._cache import kept_arrays
+from vehsim._cache import Stamp, kept_arrays, stamp
 from vehsim._interpolate import spatial
 from vehsim.errors import InputError, Problem
 from vehsim.world.plane import Ellipse, Shape, convex_hull, convex_parts, placed, simple_polygon
@@ -250,22 +250,21 @@ def hulls_of(vehicle: Any) -> tuple[Array, ...]:
     return () if vehicle.rig is None else _read_hulls(*asset_of(vehicle))
 
 
-def asset_of(vehicle: Any) -> tuple[Path, str | None, int, int]:
+def asset_of(vehicle: Any) -> tuple[Path, str | None, Stamp]:
     """The file, its root prim, and when and how it was last written: the key of what is read from it."""
-    stat = Path(vehicle.rig.asset).stat()
-    return Path(vehicle.rig.asset), vehicle.rig.root or None, stat.st_mtime_ns, stat.st_size
+    return Path(vehicle.rig.asset), vehicle.rig.root or None, stamp(vehicle.rig.asset)
 
 
 @lru_cache(maxsize=32)
-def _read_hulls(asset: Path, root: str | None, changed: int, size: int) -> tuple[Array, ...]:
+def _read_hulls(asset: Path, root: str | None, written: Stamp) -> tuple[Array, ...]:
     from vehsim.parts import collision_hulls
 
     return tuple(collision_hulls(asset, root))
 
 
 @lru_cache(maxsize=32)
-def _read_footprint(asset: Path, root: str | None, changed: int, size: int) -> Array:
-    return seen_from_above(np.vstack(_read_hulls(asset, root, changed, size)))
+def _read_footprint(asset: Path, root: str | None, written: Stamp) -> Array:
+    return seen_from_above(np.vstack(_read_hulls(asset, root, written)))
 
 
 def seen_from_above(points: Array) -> Array:

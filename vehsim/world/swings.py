@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim._cache import Stamp
 from vehsim.world.obstacles import asset_of, footprint, seen_from_above
 from vehsim.world.plane import distance
 
@@ -66,9 +67,7 @@ def swings(vehicle: Any) -> tuple[Swing, ...]:
 
 
 @lru_cache(maxsize=32)
-def _read_swings(
-    asset: Path, root: str | None, changed: int, size: int, drives: Any, outline: bytes
-) -> tuple[Swing, ...]:
+def _read_swings(asset: Path, root: str | None, written: Stamp, drives: Any, outline: bytes) -> tuple[Swing, ...]:
     from vehsim.parts import solids
 
     whole = np.frombuffer(outline).reshape(-1, 2)

@@ -1,0 +1,186 @@
+"""A vehicle.toml with anything but a value of its key is refused with file, line, key and remedy, all of it at once."""
+
+from __future__ import annotations
+
+import os
+import random
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+from vehsim import cli
+from vehsim.assets import shipped
+from vehsim.errors import InputError, ShotError
+from vehsim.vehicles import load_vehicle
+
+pytestmark = pytest.mark.broken_stages
+
+CAR = shipped("vehicle")["car"].parent
+SHOT = """
+[shot]
+schema = 1
+name = "{name}"
+[[vehicle]]
+name = "car"
+asset = "{asset}"
+[vehicle.motion]
+method = "simulate"
+duration = 0.1
+"""
+
+
+def vehicle(folder: Path, change: tuple[str, str] = ("", ""), of: Path = CAR) -> Path:
+    """A copy of a shipped vehicle with a text of its vehicle.toml replaced."""
+    folder = folder / "it"
+    shutil.copytree(of, folder)
+    text = (folder / "vehicle.toml").read_text()
+    assert change[0] in text
+    (folder / "vehicle.toml").write_text(text.replace(*change, 1))
+    return folder
+
+
+BROKEN = {
+    "empty": b"",
+    "begun": b"#usda 1.0\n(",
+    "zeros": b"PXR-USDC" + bytes(80),
+    "ones": b"\xff" * 100,
+    "bare": b"#usda 1.0\n",
+}
+WRONG = [
+    (("origin = [-1.3, 0.0, 0.0]", "origin = [nan, 0.0, 0.0]"), r"vehicle.toml:\d+: origin\[0\] = nan: not a finite"),
+    (("origin = [-1.3, 0.0, 0.0]", 'origin = "rear"'), r"origin = 'rear': not an array; give three numbers, m"),
+    (("origin = [-1.3, 0.0, 0.0]", "origin = [1, 2]"), r"origin = \[1, 2\]: 2 given, at least 3 wanted"),
+    (("scale = 1000.0", "scale = 0"), r"controls.torque.scale = 0: it should be greater than 0"),
+    (("scale = 1000.0", "scale = nan"), r"controls.torque.scale = nan: not a finite number"),
+    (("lower = -4000.0", 'lower = "low"'), r"vehicle.toml:\d+: controls.torque.lower = 'low': not a number; give its"),
+    (("lower = -4000.0", "lower = nan"), r"controls.torque.lower = nan: not a number"),
+    (("lower = -4000.0", "lower = 9000"), r"controls.torque.lower = 9000: above upper; swap them"),
+    (("lower = -0.7", "lower = 0.8"), r"joints.sigma.lower = 0.8: not below upper; swap them"),
+    (("mass = 1350.0", "mass = 1e308"), r"physics.mass = 1e\+308: beyond 1e\+12; give SI units"),
+    (("mass = 1350.0", "mass = nan"), r"physics.mass = nan: not a finite number; give SI units"),
+    (("mass = 1350.0", "mass = -3"), r"physics.mass = -3: not above zero; give SI units"),
+    (("wheel_radius = 0.32", "wheel_radius = 0"), r"physics.wheel_radius = 0: not above zero"),
+    (("mass = 1350.0", "mass = { a = 1 }"), r"physics.mass = {'a': 1}: not a number; give"),
+    (("mass = 1350.0", f"mass = {'9' * 400}"), r"physics.mass: a whole number of more than 64 bits"),
+    (('op = "rotateY"', 'op = "rotateY"\npivot = [nan, 0, 0]'), r"channels.roll_rl.pivot = .*: neither a place nor"),
+    (('op = "rotateY"', "op = 3"), r"channels.roll_rl.op = 3: it should be 'rotateX'"),
+    (('op = "rotateY"', 'op = "rotateY"\nfactor = inf'), r"channels.roll_rl.factor = inf: not a finite number"),
+    (("frequency = 1.5", "frequency = 0"), r"suspension.frequency = 0: it should be greater than 0"),
+    (("[suspension]", "suspension = 3\n[suspensions]"), r"suspension|suspensions"),
+    (("schema = 1", "schema = 2"), r"schema = 2: it should be at most 1"),
+    (("schema = 1", "schema = 1\nvariants = 3"), r"variants = 3: not a table"),
+    (("schema = 1", "schema = 1\nforward = []"), r"forward = \[\]: it should be"),
+    (("schema = 1", "schema = 1\nroot = 3"), r"root = 3: not a text"),
+    (("top_speed = 55.0", "top_speed = 0"), r"top_speed = 0: it should be greater than 0; give a speed"),
+    (("schema = 1", "schema = 1\noffset = [1, 2, inf]"), r"offset\[2\] = inf: not a finite number"),
+    (('model = "car"', "model = 7"), r"model = 7: not a text"),
+    (('model = "car"', 'model = "cars"'), r"model = 'cars': unknown; choose one of"),
+    (('asset = "car.usdc"', 'asset = "car.usdc"\nmodle = "car"'), r"modle = 'car': unknown key; did you mean 'model'"),
+]
+
+
+@pytest.mark.parametrize(("change", "says"), WRONG, ids=[str(k) for k in range(len(WRONG))])
+def test_values_that_are_none_are_refused(change: tuple[str, str], says: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=says) as refused:
+        load_vehicle(vehicle(tmp_path, change))
+    assert "vehicle.toml" in str(refused.value) and "; " in str(refused.value)
+
+
+def test_all_that_is_wrong_is_said_at_once(tmp_path: Path) -> None:
+    folder = vehicle(tmp_path, ("mass = 1350.0", "mass = nan"))
+    text = (folder / "vehicle.toml").read_text().replace("scale = 0.3", "scale = 0")
+    (folder / "vehicle.toml").write_text(text)
+    with pytest.raises(ShotError) as refused:
+        load_vehicle(folder)
+    assert [problem.key for problem in refused.value.problems] == ["physics.mass", "controls.steering_rate.scale"]
+
+
+def test_check_refuses_it_and_the_rest_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    vehicle(tmp_path, ("mass = 1350.0", "mass = 1e308"))
+    for name, asset in (("bad", "it"), ("good", "car")):
+        (tmp_path / f"{name}.toml").write_text(SHOT.format(name=name, asset=asset))
+    assert cli.run(["check", str(tmp_path / "bad.toml")]) == 2
+    assert "physics.mass = 1e+308" in capsys.readouterr().err
+    shots = [str(tmp_path / f"{name}.toml") for name in ("bad", "good")]
+    assert cli.run(["export", *shots, "--to", "npz", "--out", str(tmp_path / "out")]) == 1
+    assert (tmp_path / "out" / "good" / "car.npz").is_file()
+
+
+@pytest.mark.parametrize("name", ["car", "helicopter", "boat", "hopper"])
+def test_odd_vehicle_files_load_or_are_refused(name: str, tmp_path: Path) -> None:
+    """A value of each key in turn replaced by another that is odd; seeded."""
+    chance = random.Random(name)
+    odd = [
+        "nan",
+        "-inf",
+        "0",
+        "-1",
+        "1e308",
+        "true",
+        '"text"',
+        "[]",
+        "[[1]]",
+        "{}",
+        "{ a = 1 }",
+        "1979-05-27",
+        "9" * 400,
+    ]
+    folder = vehicle(tmp_path, of=shipped("vehicle")[name].parent)
+    lines = (folder / "vehicle.toml").read_text().splitlines()
+    keys = [k for k, line in enumerate(lines) if re.match(r"\w+ = ", line)]
+    refused = 0
+    for k in keys:
+        key, value = lines[k].partition(" = ")[0], chance.choice(odd)
+        changed = [*lines[:k], f"{key} = {value}", *lines[k + 1 :]]
+        (folder / "vehicle.toml").write_text("\n".join(changed))
+        try:
+            load_vehicle(folder)
+        except InputError as error:
+            assert "vehicle.toml" in str(error) and "; " in str(error), (key, value, error)
+            refused += 1
+    assert refused > len(keys) / 2
+
+
+@pytest.mark.parametrize("content", BROKEN.values(), ids=BROKEN)
+@pytest.mark.parametrize("extra", ["", 'forward = "-X"\n'])
+def test_a_corrupt_asset_is_refused_and_the_rest_goes_on(
+    content: bytes, extra: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = vehicle(tmp_path, ("schema = 1\n", f"schema = 1\n{extra}"))
+    (folder / "car.usdc").write_bytes(content)
+    for name, asset in (("bad", "it"), ("good", "car")):
+        (tmp_path / f"{name}.toml").write_text(SHOT.format(name=name, asset=asset))
+    shots = [str(tmp_path / f"{name}.toml") for name in ("bad", "good")]
+    assert cli.run(["check", shots[0]]) == 2
+    said = capsys.readouterr().err
+    assert "it/" in said and "unexpected" not in said
+    assert cli.run(["export", *shots, "--to", "npz", "--out", str(tmp_path / "out")]) == 1
+    assert (tmp_path / "out" / "good" / "car.npz").is_file()
+
+
+def test_an_edit_of_the_same_size_and_date_is_seen(tmp_path: Path) -> None:
+    """In one process, where what was read before is remembered."""
+    folder = vehicle(tmp_path)
+    file = folder / "vehicle.toml"
+    before = load_vehicle(folder)
+    date = file.stat()
+    file.write_text(file.read_text().replace("upper = 2500.0", "upper = 2600.0"))
+    os.utime(file, ns=(date.st_atime_ns, date.st_mtime_ns))
+    assert file.stat().st_mtime_ns == date.st_mtime_ns and file.stat().st_size == date.st_size
+    assert before.controls[0].upper == 2500.0 and load_vehicle(folder).controls[0].upper == 2600.0
+
+
+def test_a_delivery_is_remade_after_such_an_edit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = vehicle(tmp_path)
+    (tmp_path / "shot.toml").write_text(SHOT.format(name="shot", asset="it"))
+    command = ["export", str(tmp_path / "shot.toml"), "--to", "npz", "--out", str(tmp_path / "out"), "--resume"]
+    assert cli.run(command) == cli.run(command) == 0
+    assert "finished before" in capsys.readouterr().out
+    date = (folder / "vehicle.toml").stat()
+    text = (folder / "vehicle.toml").read_text().replace("mass = 1350.0", "mass = 1360.0")
+    (folder / "vehicle.toml").write_text(text)
+    os.utime(folder / "vehicle.toml", ns=(date.st_atime_ns, date.st_mtime_ns))
+    assert cli.run(command) == 0
+    assert "npz of frames" in capsys.readouterr().out
