@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vehsim._cache import cache_folder
-from vehsim.errors import ExportError
-from vehsim.intake.usd import dependencies
+from vehsim.errors import ExportError, InputError
+from vehsim.intake.usd import beyond, dependencies
 
 if TYPE_CHECKING:
     from vehsim.vehicles._base import Rig
@@ -20,10 +20,11 @@ class Pack:
     """Copies assets to ``folder/assets/<name>/``, each source once, and remembers every file ``written``.
 
     ``keep``: vehicles' assets stay where they are, and are referenced by the path their vehicle.toml gives.
+    ``beyond``: what assets refer to outside their own folders is copied along with a warning, and not refused.
     """
 
-    def __init__(self, folder: Path, keep: bool = False) -> None:
-        self.folder, self.keep = folder, keep
+    def __init__(self, folder: Path, keep: bool = False, beyond: bool = False) -> None:
+        self.folder, self.keep, self.beyond = folder, keep, beyond
         self.written: list[Path] = []
         self._copies: dict[Path, Path] = {}
 
@@ -34,19 +35,21 @@ class Pack:
         """
         source = rig.source or rig.asset
         if not self.keep or source.is_relative_to(cache_folder()):  # what was converted exists nowhere else
-            return self.relative(self.add(source, source.stem), layer)
+            homes = [] if rig.folder is None else [rig.folder]
+            return self.relative(self.add(source, source.stem, *homes), layer)
         anchored = rig.folder is not None and (rig.folder / rig.named).is_file() and not Path(rig.named).is_absolute()
         return rig.named if rig.named and not anchored else source.resolve().as_posix()
 
-    def add(self, source: Path, name: str) -> Path:
-        """Copy ``source`` and all it depends on; returns the copy. Warns of what it refers to and cannot be found."""
+    def add(self, source: Path, name: str, *homes: Path) -> Path:
+        """Copy ``source`` and all it depends on in its own folder and in ``homes``; returns the copy. Warns of what it
+        refers to and cannot be found. Raises ``InputError`` for what lies elsewhere."""
         source = Path(source).resolve()
         if source not in self._copies:
             taken = {copy.parent for copy in self._copies.values()}
             target = self.folder / "assets" / name
             while target in taken:
                 target = target.with_name(f"{target.name}_")
-            self._copies[source] = self._copy(source, target)
+            self._copies[source] = self._copy(source, target, homes)
         return self._copies[source]
 
     @staticmethod
@@ -55,13 +58,18 @@ class Pack:
         relative = Path(os.path.relpath(path, anchor.parent)).as_posix()
         return relative if relative.startswith(".") else f"./{relative}"
 
-    def _copy(self, source: Path, target: Path) -> Path:
+    def _copy(self, source: Path, target: Path, homes: tuple[Path, ...]) -> Path:
         if not source.is_file():
             raise ExportError(f"{source}: asset not found; give back the file or the vehicle's `asset` key")
         files, missing = dependencies(source)
         for path in missing:
             warnings.warn(f"{source}: refers to {path}, which does not exist; the copy will miss it too", stacklevel=4)
         home = source.parent
+        if found := beyond(files, home, *homes):
+            said = f"{source}: refers to {', '.join(map(str, found))}, outside its own folder"
+            if not self.beyond:
+                raise InputError(f'{said}; put it there, or give export.outside = "copy"')
+            warnings.warn(f"{said}: copied along", stacklevel=4)
         if all(file.is_relative_to(home) for file in files):
             for file in files:
                 copy = target / file.relative_to(home)

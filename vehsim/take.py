@@ -60,7 +60,8 @@ class RenderSettings:
 class UsdSettings:
     """How the stage is delivered: ``up_axis`` and ``meters_per_unit`` of all that is written.
 
-    ``assets``: "copy" them along, or "keep" them where they are. ``shutter``: frames from and to which it is open; it
+    ``assets``: "copy" them along, or "keep" them where they are; ``outside``: "copy" what they refer to outside their
+    folders too, or "refuse" it. ``shutter``: frames from and to which it is open; it
     adds the samples motion blur needs. ``thin`` m: a variant with the fewest keys that stay within it.
     ``clip_frames``: value clips of that many frames. ``layer_only``: the vehicles' animation layers and nothing else.
     """
@@ -68,6 +69,7 @@ class UsdSettings:
     up_axis: str = "Z"
     meters_per_unit: float = 1.0
     assets: str = "copy"
+    outside: str = "refuse"
     shutter: tuple[float, float] | None = None
     thin: float | None = None
     clip_frames: int | None = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -73,6 +74,13 @@ def dependencies(asset: Path) -> tuple[list[Path], list[str]]:
         layers, assets, missing = UsdUtils.ComputeAllDependencies(str(asset))
         paths = [layer.realPath for layer in layers] + [str(path) for path in assets]
         return sorted({Path(path.split("[")[0]).resolve() for path in paths if path}), sorted(missing)
+
+
+def beyond(files: Iterable[Path], *homes: Path) -> list[Path]:
+    """Those of the ``files`` that lie in none of the folders ``homes``, links followed: whoever made an asset can have
+    it name any file of this machine."""
+    inside = [home.resolve() for home in homes]
+    return [file for file in files if not any(file.resolve().is_relative_to(home) for home in inside)]
 
 
 def _within(indices: Faces, count: int) -> bool:

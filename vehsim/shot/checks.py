@@ -5,7 +5,7 @@ Checks are generators of `Problem` whose keys are relative to ``[vehicle.motion]
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from fractions import Fraction
@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vehsim.errors import Problem
-from vehsim.intake.usd import open_stage
-from vehsim.shot.model import MAX_FRAMES, MarkTable
+from vehsim.intake.usd import beyond, open_stage
+from vehsim.shot.model import MAX_FRAMES, ExportTable, MarkTable
 
 if TYPE_CHECKING:
     from vehsim.shot.file import ShotFile
@@ -68,6 +68,18 @@ def check_asset(key: str, asset: str, rig: Rig | None) -> Iterator[Problem]:
     for misfit in misfits(rig) if turned is None else [turned]:
         said = f"{misfit.key}: " if misfit.value is None else f"{misfit.key} = {misfit.value!r}: "
         yield Problem(key, said + misfit.message, misfit.mend, asset, severity=misfit.severity)
+
+
+def check_copied(key: str, asset: str, file: Path, homes: Sequence[Path], export: ExportTable) -> Iterator[Problem]:
+    """What would be copied along lies in the asset's own folder, or ``homes``: it may name any file of this machine."""
+    from vehsim.shot.inputs import with_dependencies
+
+    for found in beyond(with_dependencies(file), file.parent, *homes):
+        said = f"its asset refers to {found}, outside its own folder"
+        if export.outside == "copy":
+            yield Problem(key, f"{said}: copied along", "check that it may travel", asset, severity="warning")
+        else:
+            yield Problem(key, said, 'put it there, or give export.outside = "copy" to copy it along', asset)
 
 
 def check_variants(key: str, given: Mapping[str, str], rig: Rig | None) -> Iterator[Problem]:

@@ -269,6 +269,8 @@ class ExportTable(Table):
     """the length of a unit in metres: 0.01 for centimetres"""
     assets: Literal["copy", "keep"] = "copy"
     """"copy" the vehicles' assets along, or "keep" them where they are, referenced by their path as it is given"""
+    outside: Literal["refuse", "copy"] = "refuse"
+    """"copy" files that an asset refers to outside its own folder along too, or "refuse" them"""
     shutter: Shutter | None = None
     """[open, close] in frames about each frame, such as [-0.25, 0.25]: authored on the cameras, with the samples motion
     blur needs (a millimetre of chord, at most 16 an opening); closed unless given"""

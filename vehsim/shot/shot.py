@@ -20,7 +20,7 @@ from vehsim.requests import target_asks
 from vehsim.shot import obstacles
 from vehsim.shot.audited import audit_clips
 from vehsim.shot.blocked import blocking_of
-from vehsim.shot.checks import Setting, check_asset, check_cuts, check_names, check_variants, choose
+from vehsim.shot.checks import Setting, check_asset, check_copied, check_cuts, check_names, check_variants, choose
 from vehsim.shot.file import ShotFile, VehicleTable, parse
 from vehsim.shot.handles import carry_on
 from vehsim.shot.holding import hold, rests
@@ -235,13 +235,25 @@ class Shot:
             if self.file.world.terrain is not None and not wrong:
                 said = str(error).partition("': ")[2] if str(error).startswith("terrain = ") else str(error)
                 yield Problem("world.terrain", said, "see vehsim terrains", self.file.world.terrain)
+        if world is not None and world.terrain is not None and world.terrain.look is not None:
+            name = self.file.world.terrain or ""
+            yield from check_copied("world.terrain", name, world.terrain.look, [], self.file.export)
         for i, table in enumerate(self.file.vehicle):
             try:
                 vehicle = self.vehicle(table)
+            except ShotError as error:  # all that is wrong with its vehicle.toml
+                for wrong_key in error.problems:
+                    message, _, remedy = str(wrong_key).rpartition("; ")
+                    yield Problem(f"vehicle[{i}].asset", message, remedy, table.asset)
+                continue
             except InputError as error:
                 yield Problem(f"vehicle[{i}].asset", str(error), "see vehsim vehicles", table.asset)
                 continue
             yield from check_asset(f"vehicle[{i}].asset", table.asset, vehicle.rig)
+            if (rig := vehicle.rig) is not None and self.file.export.assets == "copy":
+                homes = [] if rig.folder is None else [rig.folder]
+                key, source = f"vehicle[{i}].asset", rig.source or rig.asset
+                yield from check_copied(key, table.asset, source, homes, self.file.export)
             yield from check_variants(f"vehicle[{i}].variants", table.variants, vehicle.rig)
             if world is None:
                 continue

@@ -1,0 +1,83 @@
+"""What an asset refers to outside its own folder never travels silently: it is refused, or copied when asked for."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+import vehsim
+from vehsim import cli
+from vehsim.assets import shipped
+from vehsim.errors import InputError
+from vehsim.vehicles import load_vehicle
+
+pytestmark = pytest.mark.broken_stages
+
+SHOT = """
+[shot]
+schema = 1
+name = "shot"
+[[vehicle]]
+name = "it"
+asset = "studio/it"
+[vehicle.motion]
+method = "simulate"
+duration = 0.1
+[export]
+{export}
+"""
+
+
+@pytest.fixture(params=["relative", "absolute", "link", "payload"])
+def studio(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    """A vehicle whose asset names ``secret.txt``, which lies above its folder."""
+    from pxr import Sdf, Usd
+
+    folder = tmp_path / "studio" / "it"
+    folder.parent.mkdir()
+    shutil.copytree(shipped("vehicle")["car"].parent, folder)
+    (tmp_path / "studio" / "secret.txt").write_text("secret")
+    (tmp_path / "studio" / "secret.usda").write_text('#usda 1.0\ndef "secret" {\n}\n')
+    stage = Usd.Stage.Open(str(folder / "car.usdc"))
+    named = {"relative": "../secret.txt", "absolute": str(tmp_path / "studio" / "secret.txt"), "link": "./inside.txt"}
+    if request.param == "link":
+        (folder / "inside.txt").symlink_to("../secret.txt")
+    if request.param == "payload":
+        stage.GetDefaultPrim().GetPayloads().AddPayload("../secret.usda", "/secret")
+    else:
+        attribute = stage.GetDefaultPrim().CreateAttribute("note", Sdf.ValueTypeNames.Asset)
+        attribute.Set(Sdf.AssetPath(named[request.param]))
+    stage.Save()
+    return folder
+
+
+def export(folder: Path, more: str) -> int:
+    (folder / "shot.toml").write_text(SHOT.format(export=more))
+    return cli.run(["export", str(folder / "shot.toml"), "--to", "usd", "--out", str(folder / "out")])
+
+
+def test_it_is_refused(studio: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    home = studio.parents[1]
+    assert export(home, "") == 2
+    said = capsys.readouterr().err
+    assert "vehicle[0].asset = 'studio/it'" in said and "secret" in said
+    assert 'outside its own folder; put it there, or give export.outside = "copy"' in said
+    assert not (home / "out").exists()
+    clip = vehsim.simulate(load_vehicle(studio), None, [0.0, 0.0], duration=0.1)
+    with pytest.raises(InputError, match="outside its own folder"):
+        clip.export(home / "out" / "it.usda")
+
+
+def test_it_travels_when_asked_for(studio: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    home = studio.parents[1]
+    assert export(home, 'outside = "copy"') == 0
+    assert "warning: " in (said := capsys.readouterr().err) and "copied along" in said
+    assert any(path.name.startswith(("secret", "inside")) for path in (home / "out").rglob("*"))
+
+
+def test_kept_assets_are_referenced_where_they_are(studio: Path) -> None:
+    home = studio.parents[1]
+    assert export(home, 'assets = "keep"') == 0
+    assert not any(path.name.startswith(("secret", "inside")) for path in (home / "out").rglob("*"))
