@@ -15,7 +15,7 @@ from mkdocs.structure.pages import Page
 ROOT = Path(__file__).resolve().parents[1]
 LINK = re.compile(r"(\]\()([^)\s#:]+)(#[^)\s]*)?\)")
 FENCE = re.compile(r"^```.*?^```", re.DOTALL | re.MULTILINE)
-OUTSIDE = ("CHANGELOG.md", "LICENSE", "benchmarks/*.md", "benchmarks/figures/*", "examples/*")
+OUTSIDE = ("CHANGELOG.md", "CONTRIBUTING.md", "LICENSE", "benchmarks/*.md", "benchmarks/figures/*", "examples/*")
 """What comes along from outside docs/."""
 PAGES = {"README.md": "index.md", "examples": "examples.md"}
 """What is a page of another name: path in the repository -> path in the site."""

@@ -157,15 +157,16 @@ def test_two_shots_of_one_name_are_refused(tmp_path: Path, capsys: pytest.Captur
 
 
 def test_what_fails_while_working_exits_with_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """No helicopter is half a kilometre away, at rest again, within two seconds."""
+    """A right shot whose plan has no time to be found."""
     path = tmp_path / "far.toml"
     marks = "".join(
         f"[[vehicle.motion.mark]]\nframe = {frame}\nposition = [{x}, 0, 10]\nvelocity = [0, 0, 0]\n"
-        for frame, x in ((1001, 0), (1049, 500))
+        for frame, x in ((1001, 0), (1097, 20))
     )
     head = SHOT.format(name="far", duration=1).partition("[[vehicle]]")[0]
-    vehicle = "[[vehicle]]\nname = 'h'\nasset = 'helicopter'\n[vehicle.motion]\nmethod = 'plan'\nsegments = 8\n"
-    path.write_text(head + vehicle + marks)
+    vehicle = "[[vehicle]]\nname = 'h'\nasset = 'helicopter'\n"
+    motion = "[vehicle.motion]\nmethod = 'plan'\nsegments = 8\ntime_limit = 0.001\n"
+    path.write_text(head + vehicle + motion + marks)
     assert cli.run(["export", str(path), "--out", str(tmp_path / "out"), "--to", "npz"]) == 1
     assert "no plan was found" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

@@ -99,7 +99,11 @@ def test_other_commands_say_that_they_are_at_work(
     assert cli.run(["check", write(tmp_path)]) == 0
 
 
-def test_what_is_quick_says_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_quick_says_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for pause in ("PAUSE", "CHANGE"):  # also on a busy machine
+        monkeypatch.setattr(screen, pause, 600.0)
     assert cli.run(["check", write(tmp_path)]) == 0
     assert capsys.readouterr().err == ""
 
@@ -115,4 +119,4 @@ def test_a_reader_that_leaves_sees_no_traceback(tmp_path: Path, command: list[st
     said = process.stderr.read()
     process.wait()
     process.stderr.close()
-    assert said == ""
+    assert "Traceback" not in said and "BrokenPipe" not in said
