@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from vehsim._cache import keep, made_of, packed, recalled, unpacked
 from vehsim._meshes import Faces, Mesh, apply, convex_hulls, mesh_of
 from vehsim.errors import InputError
-from vehsim.intake.usd import open_stage
+from vehsim.intake.usd import complaints, open_stage
 from vehsim.vehicles._base import Rig
 
 Array = NDArray[np.float64]
@@ -213,6 +213,11 @@ def _unpacked(content: bytes) -> tuple[list[Solid] | None, list[str]]:
 
 def _read(asset: str | Path, root: str | None) -> tuple[list[Part], list[str]]:
     """The parts, and what is to be warned of."""
+    with complaints(asset):
+        return _read_stage(asset, root)
+
+
+def _read_stage(asset: str | Path, root: str | None) -> tuple[list[Part], list[str]]:
     stage, prim = _open(asset, root)  # a prim lives only as long as its stage is held
     drafts: dict[str, _Draft] = {}
     owner: dict[Any, _Draft | None] = {}

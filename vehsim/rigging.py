@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from vehsim._cache import Stamp, made_of, stamp
 from vehsim.errors import ExportError, InputError
-from vehsim.intake.usd import open_stage
+from vehsim.intake.usd import complaints, open_stage
 
 if TYPE_CHECKING:
     from vehsim.vehicles._base import Drive, Rig
@@ -141,7 +141,8 @@ def rig_problems(rig: Rig) -> list[tuple[str, str, str]]:
     """
     key = (repr(rig), stamp(rig.asset))
     if key not in _found:
-        _found[key] = list(_problems_of(rig))
+        with complaints(rig.asset):
+            _found[key] = list(_problems_of(rig))
     return _found[key]
 
 

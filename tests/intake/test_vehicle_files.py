@@ -10,9 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from vehsim import cli
+from vehsim import Shot, cli
 from vehsim.assets import shipped
 from vehsim.errors import InputError, ShotError
+from vehsim.parts import read_parts
 from vehsim.vehicles import load_vehicle
 
 pytestmark = pytest.mark.broken_stages
@@ -184,3 +185,30 @@ def test_a_delivery_is_remade_after_such_an_edit(tmp_path: Path, capsys: pytest.
     os.utime(folder / "vehicle.toml", ns=(date.st_atime_ns, date.st_mtime_ns))
     assert cli.run(command) == 0
     assert "npz of frames" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_changed_bytes_of_an_asset_are_no_fault_of_ours(seed: int, tmp_path: Path) -> None:
+    """USD reads values when they are asked for: what is corrupt may show long after the stage is open."""
+    chance, file = random.Random(seed), vehicle(tmp_path) / "car.usdc"
+    content = bytearray(file.read_bytes())
+    for _ in range((1, 8, 64)[seed % 3]):
+        content[chance.randrange(len(content))] = chance.randrange(256)
+    file.write_bytes(content)
+    (tmp_path / "shot.toml").write_text(SHOT.format(name="shot", asset="it"))
+    for problem in Shot.load(tmp_path / "shot.toml").check():
+        assert problem.key and problem.message and problem.mend
+
+
+def test_a_value_that_is_corrupt_is_wrong_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from pxr import Tf
+
+    def corrupt(*given: object) -> None:
+        raise Tf.ErrorException("Attempted to unpack unsupported type")
+
+    monkeypatch.setattr("vehsim.parts.mesh_of", corrupt)
+    folder = vehicle(tmp_path)
+    with pytest.raises(InputError, match=r"car.usdc: asset: not readable as USD \(.*\); export it again"):
+        read_parts(folder / "car.usdc")
+    (tmp_path / "shot.toml").write_text(SHOT.format(name="shot", asset="it"))
+    assert any("not readable as USD" in str(problem) for problem in Shot.load(tmp_path / "shot.toml").check())

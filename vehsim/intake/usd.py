@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,18 @@ def open_stage(path: str | Path, load: bool = True) -> Any:
         if not (math.isfinite(metres) and metres > 0):
             raise refuse(path, "metersPerUnit", "not a length", "give metres, such as 0.01 for centimetres", metres)
         return stage
+
+
+@contextmanager
+def complaints(path: str | Path) -> Iterator[None]:
+    """For what reads values of an open stage: USD reads them when they are asked for, and may find them corrupt only
+    then. Its complaint becomes an ``InputError`` that names ``path``."""
+    try:
+        yield
+    except Exception as error:
+        if type(error).__module__ != "pxr.Tf":  # asked this way, nobody loads USD for a shot without assets
+            raise
+        raise refuse(path, "asset", f"not readable as USD ({_last_line(error)})", "export it again") from error
 
 
 def triangles_of(mesh: Any, when: Any, where: str) -> tuple[Array, Faces] | None:

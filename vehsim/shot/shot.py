@@ -16,6 +16,7 @@ import numpy as np
 
 from vehsim.errors import InputError, Problem, ShotError
 from vehsim.intake.toml import line_of, lines_of, read_toml, too_large
+from vehsim.intake.usd import complaints
 from vehsim.requests import target_asks
 from vehsim.shot import obstacles
 from vehsim.shot.audited import audit_clips
@@ -239,32 +240,34 @@ class Shot:
             name = self.file.world.terrain or ""
             yield from check_copied("world.terrain", name, world.terrain.look, [], self.file.export)
         for i, table in enumerate(self.file.vehicle):
+            key = f"vehicle[{i}].asset"
             try:
-                vehicle = self.vehicle(table)
-            except ShotError as error:  # all that is wrong with its vehicle.toml
-                for wrong_key in error.problems:
-                    message, _, remedy = str(wrong_key).rpartition("; ")
-                    yield Problem(f"vehicle[{i}].asset", message, remedy, table.asset)
-                continue
+                with complaints(key):
+                    yield from self._check_vehicle(i, table, world)
+            except ShotError as error:  # all that is wrong with its vehicle.toml or asset
+                for problem in error.problems:
+                    message, _, remedy = str(problem).rpartition("; ")
+                    yield Problem(key, message, remedy, table.asset)
             except InputError as error:
-                yield Problem(f"vehicle[{i}].asset", str(error), "see vehsim vehicles", table.asset)
-                continue
-            yield from check_asset(f"vehicle[{i}].asset", table.asset, vehicle.rig)
-            if (rig := vehicle.rig) is not None and self.file.export.assets == "copy":
-                homes = [] if rig.folder is None else [rig.folder]
-                key, source = f"vehicle[{i}].asset", rig.source or rig.asset
-                yield from check_copied(key, table.asset, source, homes, self.file.export)
-            yield from check_variants(f"vehicle[{i}].variants", table.variants, vehicle.rig)
-            if world is None:
-                continue
-            for problem in table.motion.check(vehicle, self._setting):
-                yield replace(problem, key=f"vehicle[{i}].motion.{problem.key}")
-            for problem in check_afloat(vehicle, world):
-                yield replace(problem, key=f"vehicle[{i}].{problem.key}")
-            if world.wind.any() and not vehicle.feels_wind:
-                message = f"{table.name} does not feel it: its drag is zero"
-                mend = "give its vehicle.toml drag, or leave the wind out"
-                yield Problem("world.wind", message, mend, self.file.world.wind, severity="warning")
+                yield Problem(key, str(error), "see vehsim vehicles", table.asset)
+
+    def _check_vehicle(self, i: int, table: VehicleTable, world: World | None) -> Iterator[Problem]:
+        vehicle, key = self.vehicle(table), f"vehicle[{i}].asset"
+        yield from check_asset(key, table.asset, vehicle.rig)
+        if (rig := vehicle.rig) is not None and self.file.export.assets == "copy":
+            homes = [] if rig.folder is None else [rig.folder]
+            yield from check_copied(key, table.asset, rig.source or rig.asset, homes, self.file.export)
+        yield from check_variants(f"vehicle[{i}].variants", table.variants, vehicle.rig)
+        if world is None:
+            return
+        for problem in table.motion.check(vehicle, self._setting):
+            yield replace(problem, key=f"vehicle[{i}].motion.{problem.key}")
+        for problem in check_afloat(vehicle, world):
+            yield replace(problem, key=f"vehicle[{i}].{problem.key}")
+        if world.wind.any() and not vehicle.feels_wind:
+            message = f"{table.name} does not feel it: its drag is zero"
+            mend = "give its vehicle.toml drag, or leave the wind out"
+            yield Problem("world.wind", message, mend, self.file.world.wind, severity="warning")
 
     def _check_header(self) -> Iterator[Problem]:
         header = self.file.shot
