@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import json
 import os
-import zipfile
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -187,16 +185,19 @@ class Clip:
                 arrays = {name: data[name] for name in data.files}
             header = json.loads(str(arrays.pop("header")))
             columns = {name: arrays[name] for name in _ARRAYS}
-        except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+            events, width = tuple(header["events"]), columns["twists"].shape[-1]
+            fps, first = Fraction(header["fps"]), int(header["start_frame"])
+            known = str(header["vehicle"]), str(header["folder"])
+        except Exception as error:  # of NumPy, of zip files, of a header that is another's
             raise InputError(f"{path}: not a clip saved by vehsim: {error}; save it with clip.save") from None
         return cls(
-            vehicle=_moving(vehicle or _vehicle_of(header), columns["twists"].shape[-1], path),
+            vehicle=_moving(vehicle or _vehicle_of(*known), width, path),
             **columns,
             channels=_group(arrays, "channel."),
             energy=_group(arrays, "energy."),
-            fps=Fraction(header["fps"]),
-            start_frame=int(header["start_frame"]),
-            events=tuple(header["events"]),
+            fps=fps,
+            start_frame=first,
+            events=events,
         )
 
     def export(self, path: str | Path, to: str | Sequence[str] | None = None) -> Path:
@@ -234,10 +235,10 @@ def _moving(vehicle: Vehicle, width: int, path: str | Path) -> Vehicle:
     raise InputError(f"{path}: {wrong}; give the vehicle whose clip it is")
 
 
-def _vehicle_of(header: Mapping[str, Any]) -> Vehicle:
+def _vehicle_of(name: str, where: str) -> Vehicle:
     from vehsim.vehicles import load_vehicle
 
-    folder = Path(header["folder"]) if header["folder"] else None
+    folder = Path(where) if where else None
     if folder is not None and (folder / "vehicle.toml").is_file():
         return load_vehicle(folder)
-    return load_vehicle(header["vehicle"])
+    return load_vehicle(name)

@@ -104,3 +104,24 @@ def test_tables_beyond_reason_are_refused(tmp_path: Path, text: str | bytes, say
     with pytest.raises(ShotError, match=says) as refused, warnings.catch_warnings():
         read_toml(path)
     assert says_what_to_do(refused.value, path)
+
+
+def test_clips_of_others_are_refused(tmp_path: Path) -> None:
+    from vehsim.clip import Clip
+
+    np.savez(tmp_path / "c.npz", header=np.array('{"fps": "24"}'), twists=np.zeros((3, 3)))
+    with pytest.raises(InputError, match=r"c.npz: not a clip saved by vehsim"):
+        Clip.load(tmp_path / "c.npz")
+    for header in (
+        "[]",
+        "{}",
+        '{"fps": [], "start_frame": 1, "events": [], "vehicle": "car", "folder": ""}',
+        "nonsense",
+    ):
+        names = ("times", "positions", "orientations", "twists", "joints", "joint_rates", "controls")
+        np.savez(tmp_path / "c.npz", header=np.array(header), **{name: np.zeros((3, 3)) for name in names})
+        with pytest.raises(InputError, match=r"c.npz: not a clip saved by vehsim"):
+            Clip.load(tmp_path / "c.npz")
+    for path in written(tmp_path, wrong_arrays(("header", "twists"))):
+        with pytest.raises(InputError):
+            Clip.load(path)
