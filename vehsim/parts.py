@@ -130,6 +130,15 @@ def collision_hulls(asset: str | Path, root: str | None = None) -> list[Array]:
     return [hull for solid in solids(asset, root) for hull in solid.hulls]
 
 
+def is_animated(asset: str | Path, root: str | None = None) -> bool:
+    """Whether an asset moves prims of its own, below or at the rig's root."""
+    from pxr import Usd, UsdGeom
+
+    _, prim = _open(asset, root)
+    prims = Usd.PrimRange(prim, Usd.TraverseInstanceProxies())
+    return any(UsdGeom.Xformable(p).TransformMightBeTimeVarying() for p in prims if p.IsA(UsdGeom.Xformable))
+
+
 def read_mesh(asset: str | Path, root: str | None, path: str) -> tuple[Array, Faces]:
     """Points (n, 3) m and triangles (m, 3) of one mesh, ``path`` below the rig root, in the rig root's frame.
 

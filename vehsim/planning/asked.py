@@ -12,6 +12,7 @@ from vehsim.lie import SO3
 from vehsim.planning.cover import ROUND, approach
 from vehsim.planning.elements import Element
 from vehsim.planning.marks import Gate, Mark
+from vehsim.planning.ranges import GENTLE, SINK
 from vehsim.planning.request import Request
 from vehsim.planning.terms import Cost, KnotView, Term
 from vehsim.planning.transcription import Transcription
@@ -88,8 +89,6 @@ def _joints(mark: Mark, view: KnotView, wanted: dict[str, Expr]) -> list[Row]:
     return [(view.joints[i] - wanted["joints"][i], 0.0, 0.0) for i in np.flatnonzero(np.isfinite(given)).tolist()]
 
 
-GENTLE, SINK = 0.5, 1.0
-"""How fast it may come down where it lands, m/s, and how much faster a metre away from there, 1/s."""
 FALL, NEAR = 1.0, 4.0
 """What coming down at 1 m/s costs a second where it lands, and the distance over which that falls to 1/e, m. It keeps
 the descent off its bound, along which controls would chatter."""

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from vehsim.planning.asked import GENTLE, SINK
 from vehsim.planning.cover import SLOPE
 from vehsim.planning.marks import Mark
 from vehsim.planning.request import Request
@@ -84,12 +83,6 @@ def _ranges(request: Request, first: float, last: float) -> Iterator[Ask]:
         if term.ask is not None:
             begin, end = term.frames or (first, last)
             yield term.ask(float(begin), float(end))
-    marks = request.given or request.marks
-    for mark in marks:
-        if mark.on_ground and mark.position is not None:
-            wanted: Mapping[str, Any] = {"place": list(map(float, mark.position)), "sink": SINK}
-            key = f"{mark.name}.on_ground (descent)"
-            yield Ask(key, "descent", first, last, wanted, upper=GENTLE + 0.01, unit="m/s")
 
 
 def _loop(first: float, last: float, wanted: Mapping[str, Any]) -> Iterator[Ask]:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from vehsim.audit import Row, WorldScene, audit, track_of_clip
+from vehsim.audit import Row, WorldScene, audit, missed, track_of_clip
 from vehsim.clip import Clip
 from vehsim.errors import InputError, SolveError
 from vehsim.planning import interrupts
@@ -65,6 +65,8 @@ SHARE = 0.1
 the motion is not one of the vehicle's, or so unstable that its controls mean nothing."""
 FASTER = 0.005
 """By how much of a vehicle's top speed a motion may be faster before it is made again below that."""
+SAID = 3
+"""How many asks that the finished motion misses are named."""
 ROOM = 30.0
 """How far from the first path the optimiser sees the terrain, m."""
 
@@ -367,6 +369,9 @@ def _result(attempt: Attempt) -> Plan:
     clip = exported(attempt.clip, request) if begun else replace(attempt.clip, vehicle=request.vehicle)
     asks = asks_of(request, attempt.motion.mark_frames())
     rows = audit(track_of_clip(clip), asks, WorldScene(request.world, clip.vehicle)) if success else []
+    if wrong := missed(rows):
+        success = False
+        message = f"the finished motion misses what was asked: {'; '.join(map(str, wrong[:SAID]))}{attempt.note}"
     return Plan(
         clip=clip,
         success=success,

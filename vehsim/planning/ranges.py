@@ -9,11 +9,17 @@ import casadi as ca
 import numpy as np
 
 from vehsim.errors import InputError
+from vehsim.planning.cover import ROUND
+from vehsim.planning.marks import Mark
 from vehsim.planning.terms import Constraint, Expr, KnotView
 from vehsim.requests import Ask, look_ask, stay_ask
 
 ANGLE, LENGTH = 0.02, 5e-4
 """How far a motion may leave its range between knots, deg and m."""
+GENTLE, SINK = 0.5, 1.0
+"""How fast it may come down where it lands, m/s, and how much faster a metre away from there, 1/s."""
+BRIEF = 0.005
+"""By how much that may be passed between knots, m/s."""
 Frames = tuple[int, int] | None
 AXES = {"x": (0, 1.0), "y": (1, 1.0), "z": (2, 1.0), "-x": (0, -1.0), "-y": (1, -1.0), "-z": (2, -1.0)}
 """Body axes by name: column of the rotation, and sign."""
@@ -76,3 +82,21 @@ def stay(
         "stay", law, *bounds, frames=frames, box=(lower, upper), slack=LENGTH, shown=lambda value: f"{value:.4g} m",
         ask=ask,
     )  # fmt: skip
+
+
+def descent(mark: Mark) -> Constraint:
+    """How fast a motion may come down about a landing, between knots too: at knots `landing_element` asks it."""
+    place = [float(x) for x in np.asarray(mark.position, float)]
+
+    def law(k: KnotView) -> Expr:
+        distance = ca.sqrt(ca.sumsqr(k.position - ca.DM(place)) + ROUND**2) - ROUND
+        return k.velocity[2] + GENTLE + SINK * distance
+
+    def ask(first: float, last: float) -> Ask:
+        wanted = {"place": place, "sink": SINK}
+        return Ask(key, "descent", first, last, wanted, upper=GENTLE + 2 * BRIEF, unit="m/s")
+
+    key = f"{mark.name}.on_ground (descent)"
+    return Constraint(
+        key, law, lower=0.0, over="between", slack=BRIEF, ask=ask, shown=lambda value: f"{-value:.2g} m/s too fast"
+    )

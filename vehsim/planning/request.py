@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 from vehsim.clip import frame_rate
 from vehsim.errors import InputError
 from vehsim.lie import SO3
-from vehsim.planning.cover import attitude
+from vehsim.planning.cover import attitude, landings
 from vehsim.planning.guess import stands
 from vehsim.planning.legs import knots_within, mark_positions
 from vehsim.planning.marks import Mark, check_marks, end_of_hold, with_breaks
 from vehsim.planning.obstacles import check_marks_clear
+from vehsim.planning.ranges import descent
 from vehsim.planning.solver import check_solver
 from vehsim.planning.terms import Constraint, Limits, Term, check_limits, check_terms, cost_weights
 from vehsim.vehicles import Vehicle
@@ -65,8 +66,9 @@ class Request:
 
     @property
     def constraints(self) -> list[Constraint]:
-        """Limits and constraints of one's own."""
-        return [*self.limits.constraints(), *(term for term in self.terms if isinstance(term, Constraint))]
+        """Limits, constraints of one's own, and gentle landings."""
+        own = (term for term in self.terms if isinstance(term, Constraint))
+        return [*self.limits.constraints(), *own, *map(descent, landings(self.marks))]
 
     def aimed(self, mark: Mark) -> bool:
         """A constraint says which way to head at this mark."""
@@ -99,6 +101,7 @@ class Request:
         return (
             shape(self.marks),
             repr(self.limits),
+            tuple(mark.position for mark in landings(self.marks)),  # laws of their descents hold them
             self.costs,
             self.terms,
             self.loop,

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
+
+from vehsim.errors import SolveError
 
 if TYPE_CHECKING:
     from vehsim.clip import Clip
@@ -39,9 +41,7 @@ def audit_clips(
         mine = [Ask.from_dict(ask) for ask in asks.get(name, ())]
         mine.append(Ask("shot.start_frame", "frame", first, first, lower=first, upper=first, unit="frames"))
         mine.append(Ask("shot.end_frame", "frame", last, last, lower=last, upper=last, unit="frames"))
-        if wheels := _wheels(clip, worlds[name]):
-            wanted = {"prims": wheels}
-            mine.append(Ask("wheels", "wheels", first, last, wanted, lower=-GROUND, upper=GROUND, unit="m"))
+        mine += _wheels(clip, worlds[name], first, last)
         if not any(ask.measure == "clearance" for ask in mine):
             mine += _untouched(clip, worlds[name], first, last)
         rows = audit(track_of_clip(clip), mine, WorldScene(worlds[name], clip.vehicle))
@@ -52,18 +52,23 @@ def audit_clips(
                 warnings.warn(f"{name}: {row}", stacklevel=3)
     if wrong:
         more = f" and {len(wrong) - NAMED} more" * (len(wrong) > NAMED)
-        warnings.warn(f"the finished motion misses what was asked: {'; '.join(wrong[:NAMED])}{more}", stacklevel=3)
+        raise SolveError(f"the finished motion misses what was asked: {'; '.join(wrong[:NAMED])}{more}")
     return found
 
 
-def _wheels(clip: Clip, world: World) -> list[str]:
-    """The prims of a vehicle's wheels that follow the terrain; none where there is none or they do not."""
+def _wheels(clip: Clip, world: World, first: float, last: float) -> list[Ask]:
+    """That wheels touch the terrain they follow. An asset whose own animation moves it may lift them: a warning."""
+    from vehsim.parts import is_animated
+    from vehsim.requests import Ask
     from vehsim.world.ground import wheels_of
 
     rig = clip.vehicle.rig
     if rig is None or world.terrain is None or "heave" not in clip.channels:
         return []
-    return [wheel.prim for wheel in wheels_of(rig)]
+    prims = [wheel.prim for wheel in wheels_of(rig)]
+    severity: Literal["error", "warning"] = "warning" if is_animated(rig.asset, rig.root or None) else "error"
+    wanted = {"prims": prims}
+    return [Ask("wheels", "wheels", first, last, wanted, lower=-GROUND, upper=GROUND, unit="m", severity=severity)]
 
 
 def _untouched(clip: Clip, world: World, first: float, last: float) -> list[Ask]:
