@@ -226,13 +226,15 @@ def repulsion(distance: Expr) -> Expr:
 class Limit:
     """A built-in limit: the ``law`` of a `KnotView` that stays below a value in ``unit``, rad for angles.
 
-    ``meaning``: what the value bounds, in a few words.
+    ``meaning``: what the value bounds, in a few words; ``slack``: by how much it may be passed between knots, in its
+    unit; a share of the value by default.
     """
 
     law: Callable[[Any], Expr]
     unit: str
     meaning: str
     joint: str | None = None
+    slack: float | None = None
 
     @property
     def angular(self) -> bool:
@@ -244,7 +246,7 @@ STEERING = "sigma"
 
 LIMITS: dict[str, Limit] = {
     "speed": Limit(lambda k: _norm(k.velocity), "m/s", "speed in any direction"),
-    "ceiling": Limit(lambda k: k.position[2], "m", "height of the root"),
+    "ceiling": Limit(lambda k: k.position[2], "m", "height of the root", slack=0.005),
     "climb": Limit(lambda k: ca.sqrt(k.velocity[2] ** 2 + 1e-8), "m/s", "speed up or down"),
     "turn_rate": Limit(lambda k: _norm(k.omega), "rad/s", "angular speed about any axis"),
     "bank": Limit(lambda k: ca.acos(0.9999999 * k.rotation[2, 2]), "rad", "angle between the body's and the world's Z"),
@@ -302,7 +304,8 @@ class Limits:
             limit = LIMITS[name]
             made.append(
                 Constraint(
-                    f"limit {name}", _scaled(limit.law, value), upper=1.0, slack=SLACK,
+                    f"limit {name}", _scaled(limit.law, value), upper=1.0,
+                    slack=SLACK if limit.slack is None else limit.slack / value,
                     shown=_in_unit(value, limit.unit),
                 )
             )  # fmt: skip

@@ -103,6 +103,15 @@ def check_variants(key: str, given: Mapping[str, str], rig: Rig | None) -> Itera
             yield Problem(f"{key}.{name}", "no such variant", choose(variant, sets[name]), variant)
 
 
+def check_trailer(vehicle: Vehicle, world: World) -> Iterator[Problem]:
+    """Warn of a trailer on ground that is not level: its wheels do not follow that."""
+    from vehsim.world.swings import swings
+
+    if world.terrain is not None and np.ptp(world.terrain.heights) > 0.0 and swings(vehicle):
+        message = f"the wheels of {vehicle.name}'s trailer do not follow uneven ground, and its export fails there"
+        yield Problem("asset", message, "keep to where the ground is level", vehicle.name, severity="warning")
+
+
 def check_order(marks: list[MarkTable], setting: Setting) -> Iterator[Problem]:
     """Frames rise and lie in the shot; the first mark has a frame and a place."""
     if marks[0].frame == "free":

@@ -21,7 +21,16 @@ from vehsim.requests import target_asks
 from vehsim.shot import obstacles
 from vehsim.shot.audited import audit_clips
 from vehsim.shot.blocked import blocking_of
-from vehsim.shot.checks import Setting, check_asset, check_copied, check_cuts, check_names, check_variants, choose
+from vehsim.shot.checks import (
+    Setting,
+    check_asset,
+    check_copied,
+    check_cuts,
+    check_names,
+    check_trailer,
+    check_variants,
+    choose,
+)
 from vehsim.shot.file import ShotFile, VehicleTable, parse
 from vehsim.shot.handles import carry_on
 from vehsim.shot.holding import hold, rests
@@ -262,7 +271,7 @@ class Shot:
             return
         for problem in table.motion.check(vehicle, self._setting):
             yield replace(problem, key=f"vehicle[{i}].motion.{problem.key}")
-        for problem in check_afloat(vehicle, world):
+        for problem in (*check_afloat(vehicle, world), *check_trailer(vehicle, world)):
             yield replace(problem, key=f"vehicle[{i}].{problem.key}")
         if world.wind.any() and not vehicle.feels_wind:
             message = f"{table.name} does not feel it: its drag is zero"
