@@ -197,13 +197,13 @@ def new(
     ],
     terrain: Annotated[
         str | None,
-        typer.Option(metavar="T", help="A terrain's name or file; flat unless given.", autocompletion=choices.terrain),
+        typer.Option(metavar="T", help="A terrain's name or file. [default: flat]", autocompletion=choices.terrain),
     ] = None,
     method: Annotated[
         str | None,
         typer.Option(
             metavar="M",
-            help="plan, simulate, sinusoid or integrate; what suits the vehicle unless given.",
+            help="plan, simulate, sinusoid or integrate; by default what suits the vehicle.",
             autocompletion=choices.method,
         ),
     ] = None,

@@ -253,7 +253,7 @@ schema = 1
 name = {_quoted(path.stem)}
 fps = {FPS} # or "23.976"
 start_frame = {FIRST}
-# end_frame = {course.frame() + 24} # where the motion ends unless given
+# end_frame = {course.frame() + 24} # default: where the motion ends
 
 [world]
 {_world(vehicle, place, course)}

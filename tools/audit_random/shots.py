@@ -1,4 +1,4 @@
-"""Random shots: a seed gives a shot file that asks for a combination of things nobody thought of.
+"""Random shots: a seed gives a shot file that asks for a combination that was not thought of beforehand.
 
 What belongs here chooses what to ask, so that most shots can be solved: distances, times and bends suit the vehicle.
 Standard library and numpy only. Units are those of the shot file: metres, frames, degrees.
