@@ -104,10 +104,11 @@ speed = 1
 joints = { psi = 1 }
 tolerance = 0
 hold = 0
-gate = { direction = [1, 0, 0], radius = 1, size = [1, 1] }
+gate = { direction = [1, 0, 0], radius = 1 }
 on_ground = false
 [[vehicle.motion.mark]]
 frame = "free"
+gate = { direction = [1, 0, 0], size = [1, 1] }
 
 [[vehicle]]
 name = "blocked"
@@ -197,6 +198,7 @@ thin = 0.1
 clip_frames = 10
 layer_only = false
 versions = false
+outside = "refuse"
 """)
 """Every kind of table that a shot file may have, with nearly every key."""
 

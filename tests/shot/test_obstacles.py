@@ -116,7 +116,7 @@ def test_figures_show_path_obstacles_and_controls(delivery):
         ),
         (
             lambda d: d["world"]["obstacle"].append({"shape": "mesh", "path": "none.obj"}),
-            "world.obstacle[3].mesh",
+            "world.obstacle[3].path",
             "no such file",
         ),
         (

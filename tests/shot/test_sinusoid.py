@@ -90,7 +90,7 @@ def goals(count, seed=5):
         for _ in range(2 if asset == "truck" else 1):
             frame += int(random.integers(2, 200))
             mark = {"frame": frame, "position": [*random.uniform(-4, 4, 2).tolist(), 0.0]}
-            frame += mark.setdefault("hold", int(random.integers(0, 5)))
+            frame += mark.setdefault("hold", int(random.integers(0, 5)) * (asset != "hopper"))
             turn = float(random.uniform(-180, 180)) if asset != "car" else float(random.uniform(-30, 30))
             marks.append(mark | ({"pitch": turn} if asset == "hopper" else {"heading": turn}))
         yield pytest.param(asset, marks, id=f"{asset}-{k}")
@@ -181,3 +181,10 @@ def test_the_shipped_cars_turn_alike():
 
     simple = rigged(vehsim.load_vehicle("simple_car"))
     assert simple.limits["steering_rate"] == pytest.approx(0.7)
+
+
+def test_a_hop_is_not_held():
+    """It is in the air until it lands, and moving then."""
+    marks = {"frame": 1001, "position": [0, 0, 0]}, {"frame": "free", "position": [2, 0, 0], "hold": 3}
+    (problem,) = errors(shot("hopper", *marks))
+    assert problem.key.endswith("mark[1].hold") and "ends as it lands" in problem.message

@@ -111,6 +111,10 @@ class SinusoidMotion(Table):
             yield Problem("mark", f"{len(self.mark)} marks", "a hop has two, take-off and landing", len(self.mark))
         for i, mark in enumerate(self.mark):
             yield from check_names(f"mark[{i}].joints", mark.joints, vehicle.joints, "joint")
+            if mark.hold and flies:
+                yield Problem(
+                    f"mark[{i}].hold", "a hop ends as it lands", "leave it out; give shot.end_frame", mark.hold
+                )
             if mark.pitch and not flies:
                 yield Problem(f"mark[{i}].pitch", "wheels stay on the ground", "leave it out", mark.pitch)
         if not wrong:
