@@ -135,7 +135,7 @@ def limit_asks(
 ) -> Iterator[Ask]:
     """Limits over a motion: name -> (value, unit), and joints and their rates by name -> (low, high), SI."""
     for name, (value, unit) in limits.items():
-        slack = SLACK if name == "ceiling" else SLACK * value  # a height is counted from nowhere: 1 cm
+        slack = SLACK if unit == "m" else SLACK * value  # a share of a height depends on where zero is: 1 cm instead
         yield Ask(f"limits.{name}", name, first, last, {"planar": planar}, upper=value + slack, unit=unit)
     for kind, ranges in (("joint", joints), ("joint_rate", joint_rates)):
         for joint, (low, high) in ranges.items():
