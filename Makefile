@@ -1,26 +1,26 @@
-# `make demo` and `make test` need nothing but Python 3.11+, make and the network: tools/setup.sh does the rest.
+# `make demo` and `make test` need only Python 3.11+, make and a network connection: tools/setup.sh does the rest.
 BIN := .venv/bin
 export MUJOCO_GL ?= egl
 
 .PHONY: help setup demo check test test-pythons measure-tests blender docs assets lock clean bench-export bench-integrators bench-planning bench-collocation audit-random
 
 help:
-	@echo "make demo   export examples/canyon_flight.toml to out/: a USD shot, frames and a film"
-	@echo "make test   formatter, linter, type checker and all tests"
-	@echo "make check  formatter, linter, type checker and the cheapest tests: under a minute of CPU"
-	@echo "make test-pythons  all tests on Python 3.11 and 3.13, the core on 3.12 and 3.14, as far as they can be had"
-	@echo "make measure-tests  all tests, and write what each takes, by which make check chooses"
-	@echo "make blender  Blender's Python module in .blender (400 MB), so that its tests run too"
-	@echo "make setup  only make .venv"
-	@echo "make docs   the key tables of docs/shot-file.md, and the site in site/"
-	@echo "make assets regenerate the vehicles' USD assets; the same bytes on every machine"
-	@echo "make lock   bring requirements.lock up to date with pyproject.toml"
-	@echo "make bench-integrators  the claims of the papers, measured; writes benchmarks/RESULTS.md"
-	@echo "make bench-planning  plans measured: building, free space, canyon, replanning; writes RESULTS.planning.md"
-	@echo "make bench-collocation  DMOC against collocation; writes RESULTS.collocation.md"
-	@echo "make bench-export  measure baking, pictures and batches beside their peers (ten minutes)"
-	@echo "make audit-random  a thousand random shots, measured from USD alone (hours; goes on where it stopped)"
-	@echo "make clean  remove what the other commands made"
+	@echo "make demo               export examples/canyon_flight.toml to out/: a USD shot, frames and a film"
+	@echo "make test               run the formatter, the linter, the type checker and all tests"
+	@echo "make check              the same with the fast tests only: under a minute of CPU"
+	@echo "make test-pythons       run all tests on Python 3.11 and 3.13, and the core on 3.12 and 3.14, where available"
+	@echo "make measure-tests      run all tests and record the time of each, from which make check selects"
+	@echo "make setup              create .venv from locked dependencies"
+	@echo "make blender            install Blender's Python module in .blender (400 MB), so that its tests run too"
+	@echo "make docs               generate the key tables of docs/shot-file.md, and the site in site/"
+	@echo "make assets             generate the vehicles' USD assets; the bytes are the same on every machine"
+	@echo "make lock               update requirements.lock from pyproject.toml"
+	@echo "make bench-integrators  measure the claims of the papers; writes benchmarks/RESULTS.md"
+	@echo "make bench-planning     measure plans: building, free space, canyon, replanning; writes RESULTS.planning.md"
+	@echo "make bench-collocation  compare DMOC with collocation; writes RESULTS.collocation.md"
+	@echo "make bench-export       compare baking, pictures and batches with alternatives (ten minutes)"
+	@echo "make audit-random       export a thousand random shots and measure them from USD alone (hours; resumes)"
+	@echo "make clean              remove everything that the other commands made"
 
 setup:
 	@sh tools/setup.sh

@@ -18,11 +18,11 @@ import numpy as np
 
 import vehsim
 from vehsim.vehicles import State
-from vehsim.world import Water, World
-from vehsim.world.buoyancy import Afloat
-from vehsim.world.hull_mesh import wetted
-from vehsim.world.sea import sea_state
-from vehsim.world.water import wave
+from vehsim.world.water.buoyancy import Afloat
+from vehsim.world.water.hull_mesh import wetted
+from vehsim.world.water.sea import sea_state
+from vehsim.world.water.water import wave
+from vehsim.world.world import Water, World
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -31,9 +31,9 @@ def microseconds(question: Callable[[], object], times: int = 400) -> float:
     """Median CPU time of a question."""
     spent = []
     for _ in range(times):
-        began = time.process_time_ns()
+        begin = time.process_time_ns()
         question()
-        spent.append(time.process_time_ns() - began)
+        spent.append(time.process_time_ns() - begin)
     return statistics.median(spent) / 1000
 
 
@@ -49,8 +49,8 @@ def main() -> None:
         "choppy sea": Water(surface=sea_state(0.6, 4.0, choppiness=0.3)),
     }
     for name, water in waters.items():
-        for how, asked in (("MuJoCo", water), ("formula", replace(water, height_field=0))):
-            afloat = Afloat(boat, World(water=asked))
+        for how, variant in (("MuJoCo", water), ("formula", replace(water, height_field=0))):
+            afloat = Afloat(boat, World(water=variant))
             points, faces = afloat.mesh.points, afloat.mesh.faces
 
             def buoyancy(afloat: Afloat = afloat, points: np.ndarray = points, faces: np.ndarray = faces) -> None:

@@ -29,7 +29,7 @@ os.environ.setdefault("MUJOCO_GL", "egl")
 
 import vehsim
 from vehsim.batch.workers import NAME
-from vehsim.clip import Clip
+from vehsim.clip.clip import Clip
 
 FREE_SPACE = """
 [shot]
@@ -87,9 +87,9 @@ def cpu(work: Callable[[], Any], times: int = 5) -> float:
     """The least CPU time of this process, s."""
     best = np.inf
     for _ in range(times):
-        began = time.process_time()
+        begin = time.process_time()
         work()
-        best = min(best, time.process_time() - began)
+        best = min(best, time.process_time() - begin)
     return float(best)
 
 
@@ -116,8 +116,8 @@ def motion(frames: int) -> Clip:
 
 
 def baking(folder: Path, arguments: argparse.Namespace) -> None:
-    from vehsim.exporters.animation import write_animation
-    from vehsim.exporters.packing import Pack
+    from vehsim.exporters.usd.animation import write_animation
+    from vehsim.exporters.usd.packing import Pack
 
     clip = motion(20_000)
     prims = 1 + len(clip.channels)
@@ -170,8 +170,8 @@ def mujoco_usd(clip: Clip, folder: Path) -> None:
     from mujoco.usd.exporter import USDExporter
     from scipy.spatial.transform import Rotation
 
-    from vehsim.exporters.readback import expected_matrices
-    from vehsim.parts import read_parts
+    from vehsim.exporters.usd.readback import expected_matrices
+    from vehsim.rig.parts import read_parts
 
     spec = mujoco.MjSpec()
     poses = expected_matrices(clip)
@@ -203,8 +203,8 @@ def pictures(folder: Path, arguments: argparse.Namespace) -> None:
     os.environ["LP_NUM_THREADS"] = "0"  # Mesa's rasteriser in our own thread, as where every core has a worker
     import mujoco
 
-    from vehsim.exporters.render import StageRenderer
-    from vehsim.exporters.stage import StageReader
+    from vehsim.exporters.pictures.render import StageRenderer
+    from vehsim.exporters.usd.stage import StageReader
 
     shot = vehsim.Shot.load(write(folder, FREE_SPACE.partition("[sweep]")[0], 1))
     stage = StageReader(shot.solve().export(folder, ["usd"]) / "fly.usda")
@@ -266,11 +266,11 @@ def batch(folder: Path, count: int, workers: int) -> tuple[float, dict[str, Any]
     shot = write(folder, FREE_SPACE, count)
     out = folder / f"out{workers}"
     command = [sys.executable, "-m", "vehsim", "export", str(shot), "--out", str(out), "--quiet"]
-    began = time.perf_counter()
+    begin = time.perf_counter()
     process = subprocess.Popen([*command, "--workers", str(workers)])
     watch = Watch(process.pid)
     code = process.wait()
-    seconds = time.perf_counter() - began
+    seconds = time.perf_counter() - begin
     memory, busy = watch.end()
     clips = json.loads((out / "summary.json").read_text())["clips"]
     done = sum(clip["state"] == "done" for clip in clips)
@@ -331,20 +331,20 @@ def scaling(folder: Path, arguments: argparse.Namespace) -> None:
 
 def loops(count: int) -> float:
     """Seconds of so many loops of plain Python side by side, each in a process of its own: what the machine gives."""
-    began = time.monotonic()
+    begin = time.monotonic()
     running = [subprocess.Popen([sys.executable, "-c", LOOP]) for _ in range(count)]
     for process in running:
         process.wait()
-    return time.monotonic() - began
+    return time.monotonic() - begin
 
 
 def thousand(folder: Path, arguments: argparse.Namespace) -> None:
-    seconds, said = batch(folder, arguments.clips, 2)
-    early, late, most = said["memory"]
-    print(f"      {arguments.clips} clips: {said['cpu']} s of CPU time in all, load after {load()}", flush=True)
+    seconds, summary = batch(folder, arguments.clips, 2)
+    early, late, most = summary["memory"]
+    print(f"      {arguments.clips} clips: {summary['cpu']} s of CPU time in all, load after {load()}", flush=True)
     limit = 240 * arguments.clips / 1000
     row(
-        f"{said['done']} free-space clips planned and baked, 2 workers",
+        f"{summary['done']} free-space clips planned and baked, 2 workers",
         f"{seconds:.0f} s",
         f"{limit:.0f} s",
         seconds <= limit,
@@ -366,9 +366,9 @@ def starting(folder: Path, arguments: argparse.Namespace) -> None:
         spent = []
         for _ in range(7):
             before = resource.getrusage(resource.RUSAGE_CHILDREN)
-            began = time.perf_counter()
+            begin = time.perf_counter()
             subprocess.run([sys.executable, "-c", code], stdout=subprocess.DEVNULL, check=True)
-            wall = time.perf_counter() - began
+            wall = time.perf_counter() - begin
             after = resource.getrusage(resource.RUSAGE_CHILDREN)
             spent.append((wall, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime))
         wall, busy = min(w for w, _ in spent), min(b for _, b in spent)

@@ -64,9 +64,9 @@ def main(kills: int = 50, clips: int = 200, seed: int = 1) -> int:
     with tempfile.TemporaryDirectory(prefix="bench-") as name:
         folder = Path(name)
         (folder / "drive.toml").write_text(SHOT.format(count=clips))
-        began = time.monotonic()
+        begin = time.monotonic()
         code = start(folder, "undisturbed").wait()
-        print(f"undisturbed: exit code {code}, {time.monotonic() - began:.0f} s", flush=True)
+        print(f"undisturbed: exit code {code}, {time.monotonic() - begin:.0f} s", flush=True)
         whole = single = starts = 0
         while True:
             process, starts = start(folder, "killed"), starts + 1
@@ -85,7 +85,7 @@ def main(kills: int = 50, clips: int = 200, seed: int = 1) -> int:
             if process.wait() == 0:  # nothing is left to kill
                 break
         same = content(folder / "undisturbed") == content(folder / "killed")
-        spent, took = f"of {kills} kills {whole} of batches and {single} of workers", time.monotonic() - began
+        spent, took = f"of {kills} kills {whole} of batches and {single} of workers", time.monotonic() - begin
         print(f"{spent}, {starts} starts, {took:.0f} s in all")
         print("byte-identical to the undisturbed batch" if same else "DIFFERENT")
         return 0 if same else 1

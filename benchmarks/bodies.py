@@ -19,8 +19,8 @@ from scipy.spatial.transform import Rotation
 
 from vehsim.errors import SolveError
 from vehsim.integrators import Integrator
-from vehsim.integrators.integrator import packed
-from vehsim.integrators.loops import Loop
+from vehsim.integrators.fast.kernel import Kernel
+from vehsim.integrators.phase import packed
 from vehsim.integrators.references import reference_step
 from vehsim.lie import SE3, SO3xR3
 from vehsim.vehicles import Holonomic, State
@@ -56,8 +56,8 @@ class Body:
         return Holonomic(name="body", group=group, inertia=(*self.inertia, *[self.mass] * 3), gravity=0.0)
 
     @cache  # noqa: B019
-    def reference(self, name: str, compiled: bool) -> Loop:
-        return Loop(reference_step(self.vehicle(SE3), REFERENCES[name]), carries=True, compiled=compiled)
+    def reference(self, name: str, compiled: bool) -> Kernel:
+        return Kernel(reference_step(self.vehicle(SE3), REFERENCES[name]), compiled)
 
     def truth(self, times: np.ndarray) -> tuple[np.ndarray, Rotation]:
         """Straight line; Euler's equations by DOP853 to 1e-12."""
@@ -100,12 +100,12 @@ def _ours(body: Body, name: str, h: float, steps: int, compiled: bool) -> Track:
 
 
 def _reference(body: Body, name: str, h: float, steps: int, compiled: bool) -> Track:
-    loop, x = body.reference(name, compiled), np.empty((steps + 1, 13))
+    kernel, x = body.reference(name, compiled), np.empty((steps + 1, 13))
     x[0] = [*SE3.identity, *body.twist]
     inputs = [x[:-1], *(np.broadcast_to(a, (steps, len(a))) for a in (np.array([h]), (), (), np.zeros(3)))]
-    loop([a[: min(steps, 600)] for a in inputs], [x[1:][: min(steps, 600)]])
+    kernel.rows([a[: min(steps, 600)] for a in inputs], [x[1:][: min(steps, 600)]], carries=True)
     begin = time.process_time()
-    loop(inputs, [x[1:]])
+    kernel.rows(inputs, [x[1:]], carries=True)
     return x[:, 4:7], x[:, 0:4], x[:, 7:10], time.process_time() - begin
 
 

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from vehsim.integrators import Integrator
-from vehsim.integrators.integrator import packed
-from vehsim.integrators.loops import Loop
+from vehsim.integrators.fast.kernel import Kernel
+from vehsim.integrators.phase import packed
 from vehsim.integrators.references import reference_step
 from vehsim.vehicles import State
-from vehsim.vehicles.car import car
+from vehsim.vehicles.models.car import car
 
 STEPS = (0.2, 0.1, 0.05, 0.025, 0.0125)
 FINE = 0.0015625
@@ -28,8 +28,8 @@ def cars(runs: int) -> dict[str, Any]:
         mass=1350.0, wheel_inertia=2.4, yaw_inertia=4100.0, wheel_radius=RADIUS, wheelbase=2.6, half_track=0.77
     )
     drives = _drives(runs)
-    loops = {
-        (name, compiled): Loop(reference_step(vehicle, method), carries=True, compiled=compiled)
+    kernels = {
+        (name, compiled): Kernel(reference_step(vehicle, method), compiled)
         for name, method in REFERENCES.items()
         for compiled in (False, True)
     }
@@ -48,7 +48,7 @@ def cars(runs: int) -> dict[str, Any]:
             x[0] = [0, 0, 0, 0, 0, speed / RADIUS]
             h_, wind = np.broadcast_to(np.array([h]), (n, 1)), np.broadcast_to(np.zeros(3), (n, 3))
             begin = time.process_time()
-            loops[name, compiled]([x[:-1], h_, controls[:-1], controls[1:], wind], [x[1:]])
+            kernels[name, compiled].rows([x[:-1], h_, controls[:-1], controls[1:], wind], [x[1:]], carries=True)
         clock = time.process_time() - begin
         return x[np.round(SECONDS / h).astype(int), 1:3], clock / n
 

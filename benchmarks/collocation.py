@@ -1,8 +1,8 @@
 """DMOC against direct collocation of the same vehicles, marks, cost and solver, as SYM and NH compare them.
 
 ``python -m benchmarks.collocation`` prints a table and writes ``RESULTS.collocation.md`` beside this file. Every row is
-one solve from one first guess, neither coarser before nor finer after; *executed* is how far the controls end from the
-plan when run finely through an independent integration.
+one solve from one initial guess, neither coarser before nor finer after; *executed* is how far the controls end from
+the plan when run finely through an independent integration.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 
 import vehsim
+from benchmarks.collocated import SCHEMES, Collocation, solve
 from vehsim import Mark
-from vehsim.planning.collocation import SCHEMES, Collocation, solve
-from vehsim.planning.transcription import Transcription
+from vehsim.planning.problem.transcription import Transcription
 
 REST = (0.0, 0.0, 0.0)
 TASKS = {
@@ -26,12 +26,13 @@ TASKS = {
 }
 """(vehicle, cost) -> last frame at 24 fps, start and goal, m, from rest to rest, turned by 20 degrees."""
 
-READING = """All three come to one optimum: costs extrapolated from N = 32 and 64 agree to 0.1 % (helicopter,
-smoothness) and 0.002 % (car). There executed errors fall at order 2 (DMOC, trapezoidal) and 4 (Hermite-
-Simpson); with the helicopter's effort alone the cost still moves with N and orders do not show yet. At one N
-DMOC leads seven times nearer than the trapezoidal rule on the car, and on the helicopter no worse to three
-times nearer. Hermite-Simpson is far nearer than both in about the same time, but its quaternions drift, which
-DMOC's do not. At order 2 DMOC is no match for it: `plan` climbs to orders 4 and 6."""
+READING = """All three methods converge to one optimum: costs extrapolated from N = 32 and 64 agree to 0.1 %
+(helicopter, smoothness) and 0.002 % (car). Executed errors decrease with order 2 (DMOC, trapezoidal) and
+4 (Hermite-Simpson). For the helicopter's effort, the cost still depends on N and the orders are not yet visible.
+At the same N, DMOC
+ends seven times closer to the goal than the trapezoidal rule for the car, and as close to three times closer for the
+helicopter. Hermite-Simpson ends much closer than both in about the same time, but its quaternions drift, and
+DMOC's do not. At order 2, DMOC is less accurate than Hermite-Simpson: `plan` continues to orders 4 and 6."""
 
 
 def main() -> None:
@@ -39,7 +40,7 @@ def main() -> None:
         "# DMOC and collocation, measured",
         "",
         f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} at the start; one thread, no compiler. CPU seconds are"
-        " of a solve, building included, median of 5; `dmoc` is order 2, the first rung of the ladder `plan` climbs.",
+        " of a solve including building, median of 5; `dmoc` is of order 2, from which `plan` goes on.",
         "",
         "| vehicle, cost | way | N | cost | executed, off by (m) | quaternion drift | iterations | CPU (s) |",
         "|---|---|---|---|---|---|---|---|",

@@ -17,16 +17,16 @@ import numpy as np
 import vehsim
 from vehsim import Mark
 from vehsim.errors import VehsimError
-from vehsim.sinusoids.guess import first_guess
-from vehsim.world import World
-from vehsim.world.obstacles import box
+from vehsim.sinusoids.manoeuvres.guess import initial_guess
+from vehsim.world.obstacles.obstacles import box
+from vehsim.world.world import World
 
-HEAD = """# Sinusoids as a first guess, measured
+HEAD = """# Sinusoids as an initial guess, measured
 
-`python -m benchmarks.guesses`. *Straight*: the straight line between the marks; *own*: `plan` left to itself, which
-goes round obstacles; *sinusoid*: `vehsim.sinusoids.guess.first_guess`. Iterations and seconds are medians over the
-pairs all three solved, seconds of CPU time, the making of the guess among them; *cheaper* counts those of these pairs
-whose cost ends 1 % or more below that from the straight line.
+`python -m benchmarks.guesses` compares three initial guesses. *Straight*: the straight line between the marks; *own*:
+the default of `plan`, a path around obstacles; *sinusoid*: `vehsim.sinusoids.manoeuvres.guess`. Iterations and CPU
+seconds, including those for the guess, are medians over the pairs that all three solved. *Cheaper* counts the pairs
+among these whose final cost is at least 1 % below that from the straight line.
 
 | task | pairs | guess | solved | iterations | CPU, s | cheaper |
 |---|---|---|---|---|---|---|
@@ -44,7 +44,7 @@ def gap(rng):
     """A car's pair: from ahead of a gap 2.4 to 4.4 m longer than the car into its middle."""
     ahead = 2.1 + 2.15 + rng.uniform(1.2, 2.2)
     boxes = [box(name, (x, -2.3, 0), (4.3, 1.8, 1.2)) for name, x in (("behind", -ahead), ("ahead", ahead))]
-    return (rng.uniform(4, 9), rng.uniform(0, 2), 0), (0, -2.3, 0), 0.0, World().among(boxes)
+    return (rng.uniform(4, 9), rng.uniform(0, 2), 0), (0, -2.3, 0), 0.0, World().with_obstacles(boxes)
 
 
 def compare(vehicle, draw, count):
@@ -56,11 +56,11 @@ def compare(vehicle, draw, count):
         rest = {"velocity": (0, 0, 0), "joints": joints}
         marks = [Mark(1001, position=start, heading=0.0, **rest), Mark(1002, position=goal, heading=heading, **rest)]
         begun = time.process_time()
-        way = first_guess(vehicle, marks, world, 0.15)
+        path = initial_guess(vehicle, marks, world, 0.15)
         made = time.process_time() - begun
-        seconds = np.abs(np.hypot(*np.diff(way[:, :2], axis=0).T)).sum() / 1.0 + 5.0
+        seconds = np.abs(np.hypot(*np.diff(path[:, :2], axis=0).T)).sum() / 1.0 + 5.0
         marks[1] = Mark(1001 + round(24 * seconds), position=goal, heading=heading, **rest)
-        guesses = {"straight": np.array([start, goal], float), "own": None, "sinusoid": way}
+        guesses = {"straight": np.array([start, goal], float), "own": None, "sinusoid": path}
         row = []
         for name in GUESSES:
             begun = time.process_time()

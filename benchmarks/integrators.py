@@ -34,12 +34,12 @@ PARTS: dict[str, Callable[[], dict[str, Any]]] = {
 
 
 def main() -> None:
-    asked = [word for word in sys.argv[1:] if not word.startswith("--")]
+    requested = [word for word in sys.argv[1:] if not word.startswith("--")]
     KEPT.mkdir(parents=True, exist_ok=True)
     results = {}
     for name, measure in PARTS.items():
         file = KEPT / f"{name}.json"
-        if name in asked or "--fresh" in sys.argv or not file.is_file():
+        if name in requested or "--fresh" in sys.argv or not file.is_file():
             loads, begin = [os.getloadavg()[0]], time.perf_counter()
             result = measure()
             loads.append(os.getloadavg()[0])
@@ -67,19 +67,19 @@ def report(results: dict[str, Any]) -> list[str]:
     lines += table(["part", "took", "load before", "load after"], took)
     lines += ["", f"{results['speed']['took']['cores']} cores.", "", "## The claims of LIE 3.3", ""]
     lines += table(["claim", "held", "measured"], claims(body, car))
-    lines += ["", "## Speed against MuJoCo, and what was asked of it", "", *_speed(fast, results["speed"]["took"])]
+    lines += ["", "## Speed compared with MuJoCo, and the targets", "", *_speed(fast, results["speed"]["took"])]
     lines += ["", f"## Free rigid body, {body['minutes']:g} minutes, {body['count']} random bodies (LIE Fig. 4)"]
     for i, (what, unit) in enumerate((("position error", "m"), ("rotation error", "rad"))):
         lines += ["", f"### {what} [{unit}], mean; in brackets blow-ups of {body['count']}", ""]
         rows = [[name, *(_cell(v[i], v[3]) for v in row.values())] for name, row in body["table"].items()]
         lines += table(["method", *(f"h = {h}" for h in bodies.STEPS)], rows)
-    lines += ["", "### Microseconds a step at h = 1/64", ""]
+    lines += ["", "### Microseconds per step at h = 1/64", ""]
     rows = [[name, *(f"{t * 1e6:.2f}" for t in times)] for name, times in body["steps"].items()]
     lines += table(["method", "interpreted", "machine code"], rows)
     lines += ["", "![](figures/body_position.svg) ![](figures/body_rotation.svg)"]
     lines += ["![](figures/body_position_cost.svg) ![](figures/body_rotation_cost.svg)", ""]
     lines += [f"## Car, one minute, {car['runs']} random runs (LIE Fig. 5)", ""]
-    lines += ["Position error [m]; microseconds a step interpreted / as machine code.", ""]
+    lines += ["Position error [m]; microseconds per step interpreted / as machine code.", ""]
     rows = [
         [name, *(f"{e:.1e}; {t * 1e6:.2f} / {b * 1e6:.2f}" for e, t, b in row.values())]
         for name, row in car["table"].items()
@@ -137,7 +137,7 @@ def claims(body: dict[str, Any], car: dict[str, Any]) -> list[list[str]]:
                 f"... for half its time, {how}",
                 per_step["TLN"][i] <= 0.6 * per_step["RK2"][i],
                 f"TLN {per_step['TLN'][i] * 1e6:.2f}, exp {per_step['exp'][i] * 1e6:.2f}, "
-                f"RK2 {per_step['RK2'][i] * 1e6:.2f} us a step",
+                f"RK2 {per_step['RK2'][i] * 1e6:.2f} us per step",
             )
             for i, how in enumerate(("interpreted", "machine code"))
         ),
@@ -184,34 +184,36 @@ def _time_at_error(body: dict[str, Any], name: str, i: int, error: float = 1e-3)
 def _speed(fast: dict[str, Any], took: dict[str, Any]) -> list[str]:
     rows, euler, rk4 = fast["rows"], fast["rows"]["MuJoCo Euler"], fast["rows"]["MuJoCo RK4"]
     cells = [[name, *("" if t is None else f"{t * 1e6:.2f}" for t in row)] for name, row in rows.items()]
-    lines = ["Microseconds a step, best of 15.", ""]
+    lines = ["Microseconds per step, best of 15.", ""]
     lines += table(
         ["", "call in place", "call from state to state", "rollout of 10,000 with its clip", "its loop alone"], cells
     )
-    asked = [
+    targets = [
         (f"a call of `step` at most {most} times `mj_step` ({name})", rows[name][1] / euler[0], most)
         for name, most in (("helicopter", 4), ("car", 2))
     ]
-    asked += [
+    targets += [
         (f"rollout at most MuJoCo's RK4 rollout ({name})", rows[name][2] / rk4[3], 1) for name in ("helicopter", "car")
     ]
-    asked += [
+    targets += [
         (f"with a compiler at most its Euler rollout ({name})", rows[f"{name}, machine code"][2] / euler[3], 1)
         for name in fast["gains"]
     ]
     lines += [
         "",
-        *table(["asked", "held", "ratio"], [[w, "yes" if x <= most else "no", f"{x:.2f}"] for w, x, most in asked]),
+        *table(["target", "held", "ratio"], [[w, "yes" if x <= most else "no", f"{x:.2f}"] for w, x, most in targets]),
     ]
     for name, (one, two) in fast["gains"].items():
         held = "yes" if one / two >= 1.7 else "no"
         lines += [
             "",
-            f"1,000 vehicles side by side ({name}, machine code, wall time): {one * 1e6:.3f} us a step on one ",
+            f"1,000 vehicles in parallel ({name}, machine code, wall time): {one * 1e6:.3f} us per step on one ",
         ]
-        lines[-1] += f"thread, {two * 1e6:.3f} on two: gain {one / two:.2f} (1.7 asked: {held})."
+        lines[-1] += f"thread, {two * 1e6:.3f} on two: gain {one / two:.2f} (target 1.7: {held})."
         if took["loads"][0] > 0.5:
-            lines[-1] += f" The machine was busy (load {took['loads'][0]:.1f} on {took['cores']} cores): no evidence."
+            lines[-1] += (
+                f" The machine was busy (load {took['loads'][0]:.1f} on {took['cores']} cores), so this proves nothing."
+            )
     return lines
 
 

@@ -20,17 +20,17 @@ import vehsim
 from vehsim import Mark
 from vehsim.errors import VehsimError
 from vehsim.lie import SE2
-from vehsim.sinusoids.canonical import steer_chained, steer_first_degree
-from vehsim.sinusoids.feedback import car_chained, car_triangular
-from vehsim.sinusoids.fourier import steer_through, steer_triangular
+from vehsim.sinusoids.algebra.feedback import car_chained, car_triangular
+from vehsim.sinusoids.canonical.chained import steer_chained, steer_first_degree
+from vehsim.sinusoids.canonical.fourier import steer_through, steer_triangular
 from vehsim.vehicles import Control, Nonholonomic
 
-HEAD = """# Sinusoids against the least effort
+HEAD = """# Sinusoids compared with the least effort
 
-`python -m benchmarks.optimality`: the same random states at either end, the same time, the integral of the squared
-inputs; each stage has the share of the time that is best for it. *Least* is Brockett's optimum, and for the car
-(wheelbase 2.6 m, headings within 0.6 rad, inputs the paper's own) the cheaper of two plans of {segments} segments, from
-the sinusoids' path and from a straight line.
+`python -m benchmarks.optimality` compares the integrals of the squared inputs for the same random states at both ends
+and the same time; the time is divided optimally between the stages. *Least* is Brockett's optimum. For the car
+(wheelbase 2.6 m, headings within 0.6 rad, the paper's inputs) it is the cheaper of two plans with {segments} segments,
+from the sinusoids' path and from a straight line.
 
 | system | pairs | method | times the least effort: median | from | to |
 |---|---|---|---|---|---|
@@ -76,14 +76,14 @@ def paper_car():
     )
 
 
-def planned(vehicle, start, goal, way):
+def planned(vehicle, start, goal, path):
     """The cheapest plan's effort in unit time."""
     marks = [
         Mark(1001 + frame, position=(*q[:2], 0), heading=float(np.degrees(q[2])), joints={"phi": q[3]})
         for frame, q in ((0, start), (round(24 * SECONDS), goal))
     ]
     efforts = []
-    for guess in (way, None):
+    for guess in (path, None):
         plan = vehsim.plan(vehicle, None, marks, segments=SEGMENTS, guess=guess, refine=False)
         a, b, h = plan.clip.controls[:-1], plan.clip.controls[1:], np.diff(plan.clip.times)
         if plan.success:

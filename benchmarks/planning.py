@@ -21,13 +21,15 @@ import numpy as np
 
 import vehsim
 from vehsim import Mark
-from vehsim.planning import attempt
-from vehsim.planning.layout import Layout
-from vehsim.planning.problem import build
-from vehsim.planning.request import ask
-from vehsim.planning.solver import Solver
-from vehsim.planning.transcription import Transcription
-from vehsim.world.obstacles import ellipse, polygon
+from vehsim.planning.blocks import blocks_of
+from vehsim.planning.constraints.block import assemble
+from vehsim.planning.problem.elements import NonlinearProgram
+from vehsim.planning.problem.layout import Layout
+from vehsim.planning.problem.solver import Solver
+from vehsim.planning.problem.transcription import Transcription
+from vehsim.planning.refine import EXECUTED
+from vehsim.planning.request.request import ask
+from vehsim.world.obstacles.obstacles import ellipse, polygon
 
 REST = (0.0, 0.0, 0.0)
 CANYON = {"limits": {"speed": 30.0, "bank": np.deg2rad(45.0), "ceiling": 36.0}}
@@ -56,7 +58,7 @@ def building() -> Iterator[Row]:
         for n in (16, 64, 256):
             _, wall, cpu = _timed(_built, t, request, n)
             yield f"{name}: problem of {n} segments built", "0.1 s", [wall], [cpu], ""
-        functions = list(build(t, Layout(t.sizes, (64,)), request, None).functions().values())
+        functions = list(_assembled(t, request, 64).functions().values())
         kept = [function.serialize() for function in functions]
         _, wall, cpu = _timed(lambda files: [ca.Function.deserialize(file) for file in files], kept)
         size = f"{sum(map(len, kept)) / 1e6:.1f} MB"
@@ -70,9 +72,13 @@ def _first(vehicle: Any, request: Any) -> Transcription:
 
 
 def _built(t: Transcription, request: Any, segments: int) -> Solver:
-    solver = Solver(build(t, Layout(t.sizes, (segments,)), request, None), max_iterations=200)
+    solver = Solver(_assembled(t, request, segments), max_iterations=200)
     solver.prepare("guess")
     return solver
+
+
+def _assembled(t: Transcription, request: Any, segments: int) -> NonlinearProgram:
+    return assemble(t, Layout(t.sizes, (segments,)), blocks_of(request, t, None))
 
 
 def free_space() -> Iterator[Row]:
@@ -85,7 +91,7 @@ def free_space() -> Iterator[Row]:
             start = Mark(1, position=(0, 0, 50), heading=0, velocity=REST)
             marks = [start, Mark("free", position=goal, heading=heading, velocity=REST)]
             plan, wall, cpu = _timed(vehsim.plan, helicopter, None, marks, segments=64, refine=refine)
-            met += plan.success and (not refine or plan.executed.final < attempt.EXECUTED)
+            met += plan.success and (not refine or plan.executed.final < EXECUTED)
             walls.append(wall)
             cpus.append(cpu)
         yield f"helicopter N=64, free space, {'executed' if refine else 'planned'}", target, walls, cpus, f"{met} of 50"
@@ -183,57 +189,65 @@ def replanning() -> Iterator[Row]:
 NOTES = """
 ## What was tried
 
-- **Multipliers.** Replans start from those of the last plan at a barrier of 1e-6: 7 or 8 iterations in the canyon where
-  the motion alone takes 15 to 20, 4 where it takes 7 in free space. Where they mislead, the motion alone is tried, then
-  a plan from scratch. Carried to a finer or higher discretisation they spare a third of the iterations in free space
-  (order 4: 4 for 6); between rocks they cost (N=64: 29 for 22, N=256: 41 for 22): what pushes there lies elsewhere.
-- **Sight.** Those who refine a motion see rock within 4 m beyond the clearance of it: two places in five. What is run
-  through unseen is seen, and the solve begins again. An iteration at N=256: 63 ms for 103.
-- **Common subexpressions** found before differentiating: Hessians a fifth to a third shorter, built as quickly.
-- **MUMPS**: other orderings (AMF, PORD, METIS, QAMD, automatic), scalings and pivot tolerances: none is faster by more
-  than the noise. Mehrotra's algorithm did not converge.
-- **Barrier of first solves**: monotone from 1e-1 or 1e-2, probing and LOQO oracles against the adaptive quality
-  function we keep. Monotone from 1e-2 solved the ten fields of obstacles in 520 iterations for 605, but the easy ones
-  in more, and the canyon in 170 for 71.
-- **Coarse levels solved to 1e-3 only** save about five iterations a level, a sixth of the solves of N=128. Not taken:
-  a plan that runs out of time there would have a defect of 1e-4.
-- **Barrier of finer solves**: 1e-5 for 1e-4 takes 22 iterations for 39 to N=256, the others as many; 1e-6 the same.
-  Bounds pushed less far, other dual steps, other starts of multipliers, no refinement of steps: none is better by more
-  than the noise. Fourfold where that leads on (32 to 128 to 256): 97 iterations for 120. At loads of 8 to 20, canyon
-  N=256 took 3.3, 4.0 and 4.0 s of CPU time.
-- **Coarse levels to 1e-3 or 1e-4 with constraints to 1e-9**: one or two iterations a level; not taken.
-- **Field**: 6.3 s of CPU time were triangles sought from 1.3 million points, two thirds of them for points farther than
-  any plan looks. Now these measure to where the corners of a cell twice as wide find the surface: 2.5 s; in the air up
-  to 1 cm too far on average, in the rock up to 15, 1.5 m at worst, midway between crags. Cubic interpolation there
-  would be off by 7 to 12 cm, either way.
-- **Time limits** of 0.5 s: canyon N=64 and 256 0.52, helicopter N=256 0.49, cars 0.47 and 0.51 s of CPU time (for 0.63,
-  0.62, 1.23, 0.61 and 0.54); of 1 s at most 1.04.
-- **Time limits of the first plan of a process**, wall clock, N=128, three to five runs each, nothing else running: car
-  among ten obstacles 0.5 s: 0.40 to 0.52 (0.69 to 0.97 before, mostly loading; 0.58 where the vehicle was never seen),
-  helicopter in free space 0.5 s: 0.48 to 0.51, canyon 1 s: 0.79 to 1.00 (1.07 to 1.19 before), 2 s: 1.47 to 1.99,
-  solved on 32 to 128 segments as before. What is left of loading: scipy for the way round obstacles (0.17 s) and in the
-  canyon (0.25 s), MuJoCo's model (0.12 s). USD (0.2 s) is no longer loaded for vehicles that are known. Without time to
-  solve, nothing is built.
-- **Fewer levels** to N=128: 32 to 128 at once as long, 128 directly 4.0 and 4.3 s for 2.5 and 2.6.
-- **Built problems shared between processes** (a thousand clips): a helicopter's is read back in 48 to 72 ms and
-  built in 38; in the canyon, where the field is part of it, 367 ms and 48 MB for 70 ms; a car's in 10 for 19, without
-  the 13 ms to write it, the disk and the checks. So each worker builds its own, once a shape of marks, and keeps it.
-- **Cars among obstacles**: the median of the table's ten fields was 0.77 s of CPU time (0.45 to 0.67 since, at
-  loads of 15 to 20), of ten others 0.30 for 0.51,
-  all twenty solved and certified. Only features that can be nearest are rows, 654 to 716 for 915 to 1038 in easy
-  fields; distances enter by value, slope and bend, so that Hessians take a fifth to an eighth; certification measures
-  exactly only where bounds do not say enough: 0.03 to 0.09 s for 0.05 to 0.38. Not taken: features 1 or 3 m beyond
-  the nearest for 2, parts 4 or 5 m away for 3 (a quarter fewer iterations, as much time).
-- **What is run through unseen** is seen where it is near, not at every knot, and twice as far about the guess, along
-  which knots slide: a car between four walls in turn got stuck after 929 iterations, now it is through after 376. The
-  second solve begins at a barrier of 3e-3; A* measures only as far as its price reaches. Not taken: going on from the
-  motion that ran through (up to 99 iterations for 43), 3e-3 in every first solve (28 fields in 949 iterations for 1157
-  and a fifth less time, the same median, but cars park otherwise).
-- **Gates for helicopters** (10.8 m across the rotor): routes were sought for a ball about all spheres, 15.9 m across.
-  Where that has no way a ball as wide as the rotor looks for one: a partition with a gate of 15 m is flown through,
-  13 m is refused by the route's grid. Given a path as guess, the same eight spheres pass 13 m and 24 spheres 12.5 m,
-  banked; height is where they are coarse: 10 m passes, 9 m does not (3.3 m of helicopter), nor do 7 m with 24 spheres.
-  So no more spheres: they cost twice the time. Where there is a way round, it is still the one taken.
+Numbers compare the new version with the old one.
+
+- **Multipliers.** A replan starts from the multipliers of the last plan, at a barrier of 1e-6. It takes 7 or 8
+  iterations in the canyon instead of 15 to 20 from the motion alone, and 4 instead of 7 in free space. If they
+  mislead, the motion alone is tried, then a plan from scratch. On a finer or higher-order discretisation, they save a
+  third of the iterations in free space (order 4: 4 instead of 6). Between rocks they cost iterations (N=64: 29
+  instead of 22, N=256: 41 instead of 22), because other constraints are active there.
+- **Active set.** Refinement activates rock within 4 m beyond the motion's clearance: two fifths of the places.
+  Violated constraints are activated and the problem is solved again. An iteration at N=256 takes 63 ms instead of
+  103.
+- **Common subexpressions**, found before differentiation: Hessians are a fifth to a third shorter and take the same
+  time to build.
+- **MUMPS**: other orderings (AMF, PORD, METIS, QAMD, automatic), scalings and pivot tolerances are not faster beyond
+  the noise. Mehrotra's algorithm did not converge.
+- **Barrier of first solves**: monotone from 1e-1 or 1e-2, and the probing and LOQO oracles, were compared with the
+  adaptive quality function, which we keep. Monotone from 1e-2 solved the ten obstacle fields in 520 iterations
+  instead of 605, but the easy ones in more, and the canyon in 170 instead of 71.
+- **Coarse levels solved to 1e-3 only** save about five iterations per level, a sixth of the solve time of N=128. Not
+  adopted: a plan that runs out of time there would have a defect of 1e-4.
+- **Barrier of finer solves**: 1e-5 instead of 1e-4 takes 22 iterations instead of 39 to N=256, and the same number
+  for the other cases; 1e-6 gives the same. A smaller bound push, other dual steps, other initial multipliers and no
+  refinement of steps are not better beyond the noise. Quadrupling the segments where it succeeds (32 to 128 to 256)
+  takes 97 iterations instead of 120. At loads of 8 to 20, canyon N=256 took 3.3, 4.0 and 4.0 s of CPU time.
+- **Coarse levels to 1e-3 or 1e-4 with constraints to 1e-9** save one or two iterations per level; not adopted.
+- **Field**: building it took 6.3 s of CPU time for finding triangles from 1.3 million points, two thirds of them
+  farther away than any plan needs. These points now measure to the surface points found by the corners of a cell of
+  twice the width: 2.5 s. In the air the result is up to 1 cm too large on average; in the rock up to 15 cm on average
+  and 1.5 m at worst, midway between crags. Cubic interpolation there would be off by 7 to 12 cm in either direction.
+- **Time limits** of 0.5 s: canyon N=64 and 256 took 0.52 s, helicopter N=256 0.49 s, cars 0.47 and 0.51 s of CPU time
+  (instead of 0.63, 0.62, 1.23, 0.61 and 0.54 s). A limit of 1 s is kept within 1.04 s.
+- **Time limits of the first plan of a process**, wall clock, N=128, three to five runs each, no other load. Car among
+  ten obstacles, 0.5 s: 0.40 to 0.52 s (before: 0.69 to 0.97 s, mostly loading; 0.58 s for an unknown vehicle).
+  Helicopter in free space, 0.5 s: 0.48 to 0.51 s. Canyon, 1 s: 0.79 to 1.00 s (before: 1.07 to 1.19 s); 2 s: 1.47 to
+  1.99 s, on 32 to 128 segments as before. The remaining loading is scipy for the path around obstacles (0.17 s) and
+  in the canyon (0.25 s), and MuJoCo's model (0.12 s). USD (0.2 s) is no longer loaded for known vehicles. Without
+  time to solve, nothing is built.
+- **Fewer levels** to N=128: going from 32 to 128 at once takes as long; 128 directly takes 4.0 and 4.3 s instead of
+  2.5 and 2.6 s.
+- **Sharing built problems between processes** (a thousand clips): a helicopter's problem is read in 48 to 72 ms and
+  built in 38 ms; in the canyon, where the field is part of it, read in 367 ms (48 MB) and built in 70 ms; a car's is
+  read in 10 ms and built in 19 ms, without the 13 ms for writing it, the disk and the checks. So each worker builds
+  its own, once per shape of marks, and keeps it.
+- **Cars among obstacles**: the median of the table's ten fields was 0.77 s of CPU time (since then 0.45 to 0.67 s, at
+  loads of 15 to 20), that of ten others 0.30 instead of 0.51 s; all twenty were solved and certified. Only features
+  that can be nearest are constraints: 654 to 716 instead of 915 to 1038 in easy fields. Distances enter by value,
+  slope and curvature, so that Hessians take a fifth to an eighth of the time. Certification measures exactly only
+  where bounds are inconclusive: 0.03 to 0.09 s instead of 0.05 to 0.38 s. Not adopted: features 1 or 3 m beyond the
+  nearest instead of 2 m, parts within 4 or 5 m instead of 3 m (a quarter fewer iterations, the same time).
+- **Violated constraints** are activated near their place, not at every knot, and twice as far around the guess, along
+  which knots slide. A car between four consecutive walls got stuck after 929 iterations; now it arrives after 376.
+  The second solve starts at a barrier of 3e-3; A* measures only as far as its price reaches. Not adopted: continuing
+  from the motion with the collision (up to 99 iterations instead of 43); 3e-3 in every first solve (28 fields in 949
+  iterations instead of 1157 and a fifth less time, the same median, but cars park differently).
+- **Gates for helicopters** (10.8 m across the rotor): routes used to be sought for a ball around all spheres, 15.9 m
+  across. If there is no such route, one is now sought for a ball as wide as the rotor: a wall with a gate of 15 m is
+  passed; the route's grid refuses 13 m. With a given path as guess, the same eight spheres pass 13 m, and 24 spheres
+  pass 12.5 m, banked. They are coarse in height: a gap of 10 m is passed, 9 m is not (the helicopter is 3.3 m high),
+  nor is 7 m with 24 spheres. More spheres would take twice the time, so the number is unchanged. If there is a way
+  around, it is still preferred.
 """
 
 PARTS = {

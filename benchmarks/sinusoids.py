@@ -18,19 +18,25 @@ from scipy.integrate import solve_ivp
 
 from vehsim.errors import SolveError, VehsimError
 from vehsim.sinusoids import models
-from vehsim.sinusoids.canonical import steer_chained, steer_first_degree, steer_second_degree
-from vehsim.sinusoids.feedback import Feedback, car_chained, car_triangular, chained_from_outputs, hopper_chained
-from vehsim.sinusoids.fourier import steer_through, steer_triangular
+from vehsim.sinusoids.algebra.feedback import (
+    Feedback,
+    car_chained,
+    car_triangular,
+    chained_from_outputs,
+    hopper_chained,
+)
+from vehsim.sinusoids.canonical.chained import steer_chained, steer_first_degree, steer_second_degree
+from vehsim.sinusoids.canonical.fourier import steer_through, steer_triangular
+from vehsim.sinusoids.manoeuvres.trailers import steer_trailers
 from vehsim.sinusoids.system import DriftlessSystem
-from vehsim.sinusoids.trailers import steer_trailers
 
-HEAD = """# Steering by sinusoids, judged
+HEAD = """# Steering by sinusoids, measured
 
-`python -m benchmarks.sinusoids`. Start and goal are drawn at random (how, `benchmarks/sinusoids.py` says); the inputs
-that come back are integrated stage by stage by scipy's adaptive DOP853 (rtol 1e-11), which knows nothing of the
-method. *Steered* counts pairs whose end error is below 1e-6 there; whatever else came of a pair is listed below.
+`python -m benchmarks.sinusoids` draws random pairs of start and goal, as `benchmarks/sinusoids.py` defines. The
+resulting inputs are integrated stage by stage by scipy's adaptive DOP853 (rtol 1e-11), which is independent of the
+method. *Steered* counts pairs whose end error is then below 1e-6; other outcomes are listed below the table.
 
-| system | steered | largest end error | steering, ms CPU a pair |
+| system | steered | largest end error | steering, ms CPU per pair |
 |---|---|---|---|
 """
 

@@ -43,7 +43,7 @@ def speed() -> dict[str, Any]:
 
 
 def _times(integrator: Integrator, start: State, c: np.ndarray) -> list[float]:
-    motion, state, table = integrator.motion(start, c), integrator.step(start, c), np.tile(c, (10_001, 1))
+    motion, state, table = integrator.stepper(start, c), integrator.step(start, c), np.tile(c, (10_001, 1))
     integrator.rollout(start, table)
 
     def from_state_to_state() -> None:

@@ -1,5 +1,5 @@
-"""Exporters: a take in, files out. One file each, found through the entry points of group ``vehsim.exporters``."""
+"""Exporters: from a take to files. One file each, found through entry points of the group ``vehsim.exporters``."""
 
-from vehsim._lazy import attach
+from vehsim.runtime.lazy import attach
 
 __getattr__, __dir__ = attach(__name__)

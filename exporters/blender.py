@@ -1,8 +1,7 @@
-"""Blender opens an exported stage: bakes its motion to native keys, or renders a still with Cycles.
+"""Open an exported stage in Blender: bake its motion to native keys, or render a still with Cycles.
 
-Nothing of vehsim is needed inside Blender: this file runs where `bpy` is, in a Python that has the module or in Blender
-itself (``blender --background --python blender.py -- STAGE ...``). The exporters `blend` and `cycles` run it in a
-process of its own.
+Inside Blender, vehsim is not needed: this file runs in a Python with the module `bpy` or in Blender itself (``blender
+--background --python blender.py -- STAGE ...``). The exporters `blend` and `cycles` run it in a separate process.
 """
 
 from __future__ import annotations
@@ -19,23 +18,25 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from vehsim.take import Progress, Take
+    from vehsim.delivery.exporters import Progress
+    from vehsim.delivery.take import Take
 
 CACHED = "TRANSFORM_CACHE"
-"""What Blender's USD reader leaves on an object that moves: a constraint that reads the file, frame by frame."""
+"""The constraint that Blender's USD importer adds to a moving object: it reads the file at every frame."""
 SUN = 4.0
-"""How many times too bright Blender's USD reader makes a sun: UsdLux's normalised intensity is its irradiance."""
+"""Factor by which Blender's USD importer makes a sun too bright: UsdLux's normalised intensity is its irradiance."""
 SECONDS = 240
-"""Longest that a still may take to render; denoising follows."""
+"""Longest time for rendering a still, s, before denoising."""
 
 
 def open_stage(stage: str | Path, fps: Fraction | None = None) -> Any:
-    """A new scene with everything in ``stage``; returns the scene. ``fps``: its exact rate, where Blender rounds it."""
+    """A new scene with everything in ``stage``; returns the scene. ``fps``: its exact rate, which Blender would
+    round."""
     import bpy
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
-    scene.world = bpy.data.worlds.new("sky")  # without one the stage's dome light is left out
+    scene.world = bpy.data.worlds.new("sky")  # without a world, Blender drops the stage's dome light
     bpy.ops.wm.usd_import(filepath=str(Path(stage).resolve()), set_frame_range=True)
     for light in bpy.data.lights:
         light.energy /= SUN if light.type == "SUN" else 1.0
@@ -46,7 +47,7 @@ def open_stage(stage: str | Path, fps: Fraction | None = None) -> Any:
 
 
 def bake(scene: Any) -> None:
-    """Native keys on every frame in place of the file: location, rotation and scale, straight lines between them."""
+    """Replace the file by native keys on every frame: location, rotation and scale, with linear interpolation."""
     import bpy
 
     moving = [(found, list(_caches(found))) for found in bpy.data.objects if any(_caches(found))]
@@ -76,10 +77,10 @@ def bake(scene: Any) -> None:
 
 
 def still(scene: Any, path: str | Path, frame: int, camera: str | None, size: Sequence[int], samples: int) -> None:
-    """A picture by Cycles, denoised. ``camera``: by name, the stage's only one or its cut when None."""
+    """A picture by Cycles, denoised. ``camera``: by name; default: the stage's only one, or its cut."""
     import bpy
 
-    # Blender calls the second of a name, of whatever kind, "pad.001"
+    # Blender calls the second object of a name, of any kind, "pad.001"
     cameras = {re.sub(r"\.\d{3}$", "", found.name): found for found in bpy.data.objects if found.type == "CAMERA"}
     name = camera or ("cut" if "cut" in cameras else min(cameras, default=None))
     if name not in cameras:
@@ -134,7 +135,7 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def write_blend(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
-    """``<shot>.blend``: the stage as Blender sees it, with native keys."""
+    """``<shot>.blend``: the stage as Blender imports it, with native keys."""
     progress("blend: keys", 0.0)
     path = folder / f"{take.name}.blend"
     _run(folder / f"{take.name}.usda", "--bake", str(path), "--fps", str(take.fps))
@@ -150,25 +151,26 @@ def write_still(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
 
 
 def _run(*arguments: Any) -> None:
-    """This file, in a process of its own: Blender keeps its state in the process, and its own numpy."""
+    """Run this file in a separate process: Blender has global state, and its own numpy."""
     from vehsim.errors import ExportError
 
     command = [*_blender(), *map(str, arguments)]
     answer = subprocess.run(command, capture_output=True, text=True)
     if answer.returncode != 0:
-        last = (answer.stderr.strip() or answer.stdout.strip()).splitlines()[-1:] or ["no word of why"]
-        raise ExportError(f"Blender failed: {last[0]}; run {' '.join(command)} to see all it says")
+        last = (answer.stderr.strip() or answer.stdout.strip()).splitlines()[-1:] or ["no message"]
+        raise ExportError(f"Blender failed: {last[0]}", f"run {' '.join(command)} to see all messages")
 
 
 def _blender() -> list[str]:
-    """What runs this file: ``VEHSIM_BLENDER``, a Blender or a Python with the module bpy; else Blender on the path."""
+    """The program that runs this file: ``VEHSIM_BLENDER``, a Blender or a Python with the module bpy; else Blender on
+    the path."""
     program = os.environ.get("VEHSIM_BLENDER") or shutil.which("blender")
     if program is None:
         from vehsim.errors import InputError
 
         raise InputError(
-            "Blender is not on the path; install Blender 5.0 or newer, or set VEHSIM_BLENDER to it or to the Python of "
-            "an environment with bpy"
+            "Blender is not on the path",
+            "install Blender 5.0 or newer, or set VEHSIM_BLENDER to it or to the Python of an environment with bpy",
         )
     if Path(program).name.startswith("python"):
         return [program, __file__]
@@ -176,9 +178,9 @@ def _blender() -> list[str]:
 
 
 def __getattr__(name: str) -> Any:
-    """The exporters, made when vehsim asks for them: inside Blender there is no vehsim."""
+    """Make the exporters only when vehsim requests them, because there is no vehsim inside Blender."""
     if name in ("blend", "cycles"):
-        from vehsim.take import Exporter
+        from vehsim.delivery.exporters import Exporter
 
         if name == "blend":
             return Exporter(name, (".blend",), write_blend, ("usd",), makes="native keys; needs Blender 5")

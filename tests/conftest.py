@@ -116,7 +116,7 @@ def every_stage_validates(request: pytest.FixtureRequest) -> Iterator[None]:
 
 def assert_stages_valid(folder: Path) -> None:
     """No stage below ``folder`` has an error of any validator, USD's or ours."""
-    from vehsim.exporters.validate import validate_stage
+    from vehsim.exporters.checks.validate import validate_stage
 
     stages = [path for path in sorted(folder.rglob("*")) if path.suffix in USD_SUFFIXES]
     issues = [f"{path.relative_to(folder)}: {issue}" for path in stages for issue in validate_stage(path)]

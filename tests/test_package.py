@@ -40,7 +40,7 @@ def test_wheel_holds_vehsim_alone_with_its_assets(wheel: Path) -> None:
         for path in (ROOT / "assets" / folder).rglob("*"):
             if path.is_file() and not path.name.startswith("."):
                 assert f"vehsim/assets/{path.relative_to(ROOT / 'assets').as_posix()}" in names
-    assert "vehsim/exporters/usd.py" in names
+    assert "vehsim/exporters/usd/exporter.py" in names
     assert "vehsim/py.typed" in names
 
 
@@ -49,9 +49,9 @@ def test_wheel_works_outside_the_checkout(wheel: Path, tmp_path: Path) -> None:
     pip(["install", "--no-deps", "--no-compile", "--quiet", "--target", str(site), str(wheel)])
     assert {path.name.partition("-")[0] for path in site.iterdir()} <= {"vehsim", "bin"}
     code = (
-        "import vehsim, vehsim.assets, vehsim.exporters, vehsim.cli\n"
+        "import vehsim, vehsim.assets, vehsim.exporters, vehsim.cli.commands\n"
         f"assert all(m.__file__.startswith({str(site)!r}) for m in (vehsim, vehsim.assets, vehsim.exporters))\n"
-        "raise SystemExit(vehsim.cli.run(['vehicles']))\n"
+        "raise SystemExit(vehsim.cli.commands.run(['vehicles']))\n"
     )
     environment = {**os.environ, "PYTHONPATH": str(site)}
     answer = subprocess.run(
@@ -63,8 +63,12 @@ def test_wheel_works_outside_the_checkout(wheel: Path, tmp_path: Path) -> None:
 
 def test_every_package_is_shipped() -> None:
     listed = set(tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"])
-    inside = {path.parent.relative_to(ROOT) for path in (ROOT / "vehsim").rglob("__init__.py")}
-    assert {".".join(path.parts) for path in inside} | {"vehsim.exporters", "vehsim.assets"} == listed
+    inside = {
+        ".".join((*prefix, *path.parent.relative_to(ROOT).parts))
+        for folder, prefix in (("vehsim", ()), ("exporters", ("vehsim",)))
+        for path in (ROOT / folder).rglob("__init__.py")
+    }
+    assert inside | {"vehsim.assets"} == listed
 
 
 def test_lock_holds_every_dependency() -> None:

@@ -13,8 +13,8 @@ from pathlib import Path
 from PIL import Image
 
 from vehsim.exporters import blender
-from vehsim.exporters.frames import render_stage
-from vehsim.exporters.stage import StageReader
+from vehsim.exporters.pictures.frames import render_stage
+from vehsim.exporters.usd.stage import StageReader
 
 GALLERY = Path(__file__).parents[1] / "docs" / "gallery"
 STILLS = {

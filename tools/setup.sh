@@ -1,6 +1,6 @@
 #!/bin/sh
-# Make .venv with the locked dependencies and vehsim itself, and see that pictures can be rendered off-screen (EGL).
-# Safe to run again: it does nothing when nothing has changed. Needs only Python 3.11+ and the network.
+# Make .venv with the locked dependencies and vehsim itself, and check that pictures can be rendered off-screen (EGL).
+# It is safe to run again, and does nothing if nothing has changed. Needs only Python 3.11+ and the network.
 set -eu
 cd "$(dirname "$0")/.."
 
@@ -10,7 +10,7 @@ fail() {
     exit 1
 }
 
-# Install Debian packages when we may; otherwise say what to install, and stop.
+# Install Debian packages with permission to do so; otherwise say what to install, and stop.
 need_packages() {
     why=$1
     shift
@@ -27,7 +27,7 @@ need_packages() {
     say "$why: installing $*"
     $root DEBIAN_FRONTEND=noninteractive apt-get update -qq &&
         $root DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "$@" >/dev/null ||
-        fail "apt-get could not install them. Mend that and run make again: sudo apt-get install $*"
+        fail "apt-get could not install them. Fix that and run make again: sudo apt-get install $*"
 }
 
 find_python() {
@@ -71,8 +71,8 @@ fi
 # As pip does with what it installs: an environment may forbid Python to, and every process would compile them again.
 .venv/bin/python -m compileall -q vehsim exporters assets
 
-if ! .venv/bin/python -m vehsim.doctor --egl; then
+if ! .venv/bin/python -m vehsim.cli.doctor --egl; then
     need_packages "No EGL library that can render was found" libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri
-    .venv/bin/python -m vehsim.doctor --egl ||
+    .venv/bin/python -m vehsim.cli.doctor --egl ||
         fail "EGL is installed but offers no device. 'vehsim doctor' says more."
 fi

@@ -1,15 +1,15 @@
 #!/bin/sh
 # Run the tests on other Pythons: the whole suite on 3.11 and 3.13, the core on 3.12 and 3.14.
 #
-# An interpreter is taken from PATH, from pyenv, or by uv from the network. One that cannot be had is named and left
-# out; STRICT=1 makes that an error. Each gets an environment of its own in .pythons/, from the locked dependencies.
-# Give versions to run on these alone: tools/test_pythons.sh 3.13
+# An interpreter is taken from PATH, from pyenv, or by uv from the network. An unavailable one is reported
+# and skipped; STRICT=1 makes this an error. Each gets its own environment in .pythons/, from the locked dependencies.
+# To run only some versions: tools/test_pythons.sh 3.13
 set -eu
 cd "$(dirname "$0")/.."
 
 SUITE="3.11 3.13"
 CORE="3.12 3.14"
-CORE_TESTS="tests/lie tests/vehicles tests/integrators tests/clip tests/simulation tests/test_doors.py"
+CORE_TESTS="tests/lie tests/vehicles tests/integrators tests/clip tests/simulation tests/test_layers.py"
 
 say() { printf 'pythons: %s\n' "$*"; }
 

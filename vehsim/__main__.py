@@ -1,6 +1,6 @@
-"""``vehsim``, also as ``python -m vehsim``: what workers are forked from loads beside the command itself.
+"""The command ``vehsim``, also ``python -m vehsim``; starts the process for workers while the command loads.
 
-Nothing else is imported here: multiprocessing has every worker import this module again.
+It imports nothing else, because multiprocessing makes every worker import this module again.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ def main() -> None:
     code = 1
 
     def leave() -> None:
-        """After all others: what libraries would then tear down in order takes as long as a clip."""
-        with suppress(OSError):  # whoever read it has gone
-            for stream in filter(None, (sys.stdout, sys.stderr)):  # None where it was closed from the start
+        """Exit last, and skip the orderly teardown of libraries, which takes as long as a clip."""
+        with suppress(OSError):  # the reader of the output has exited
+            for stream in filter(None, (sys.stdout, sys.stderr)):  # None if the stream was closed from the start
                 stream.flush()
         os._exit(code)
 
-    atexit.register(leave)  # first in, last out
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small: others would turn while they wait
+    atexit.register(leave)  # registered first, runs last
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small: more threads would only wait
     try:
         if _has_workers(" ".join(sys.argv[1:])):
             from vehsim.batch.workers import warm_up
 
             warm_up()
-        from vehsim import cli
+        from vehsim.cli import commands as cli
 
         code = cli.run(sys.argv[1:])
     except KeyboardInterrupt:
@@ -39,7 +39,7 @@ def main() -> None:
 
 
 def _has_workers(words: str) -> bool:
-    """Will these words, read at a glance, have several processes at work?"""
+    """Whether these arguments lead to several processes; a quick look at the text."""
     many = words.count(".toml") > 1 or re.search(r"--workers[ =](?!1\b)", words)
     return bool(many and words.startswith("export ") and not re.search("--(dask|dry-run|help)", words))
 

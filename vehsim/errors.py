@@ -1,61 +1,169 @@
-"""Errors a user can act on. Each names what is wrong, where, and how to mend it."""
+"""Errors a user can act on. They are data: what is wrong, where, and how to fix it; `str` makes the printed line.
+
+Code that handles an error reads its fields, or moves a `Problem` elsewhere with ``dataclasses.replace`` and `below`. No
+code takes a message apart.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
-
-
-class VehsimError(Exception):
-    """Base of all errors vehsim raises on purpose."""
-
-
-class InputError(VehsimError):
-    """Wrong input: a file, key or value somebody has to mend. The CLI exits with 2 and touches nothing."""
-
-
-class SolveError(VehsimError):
-    """A motion could not be found, integrated or certified. The CLI exits with 1."""
-
-
-class ExportError(VehsimError):
-    """Something could not be written, or what was written does not read back. The CLI exits with 1."""
+from dataclasses import dataclass, replace
+from os import PathLike, fspath
+from typing import Any, Literal, Self
 
 
 @dataclass(frozen=True)
 class Problem:
-    """One thing wrong with an input: printed as ``file:line: key = value: message; mend``."""
+    """One thing that is wrong: printed as ``file:line: subject: key = value: message; remedy``, empty fields left out.
+
+    ``key``: dotted, as in a shot file, or an argument's name; ``remedy``: what to do; ``value``: what the
+    key has, None where it has nothing to show; ``subject``: what the key belongs to where no file says so, such as a
+    vehicle's name.
+    """
 
     key: str
     message: str
-    mend: str
+    remedy: str = ""
     value: object = None
     file: str = ""
     line: int | None = None
     severity: Literal["error", "warning", "fault"] = "error"
-    """a fault is vehsim's own: nothing in the input is known to be wrong"""
+    """Whether the error is vehsim's own and the input may be right."""
+    subject: str = ""
 
     def __str__(self) -> str:
-        line = f":{self.line}" if self.line is not None else ""
-        where = f"{self.file}{line}: " if self.file else ""
-        value = f" = {_short(self.value)}" if self.value is not None else ""
         warning = "warning: " if self.severity == "warning" else ""
-        return f"{warning}{where}{self.key}{value}: {self.message}; {self.mend}"
+        return f"{warning}{self._with_place(self.said)}"
+
+    @property
+    def said(self) -> str:
+        """The message and the remedy."""
+        return "; ".join(filter(None, (self.message, self.remedy)))
+
+    def below(self, key: str, **changes: Any) -> Problem:
+        """This problem where its key belongs to a table: ``below("mark[0]")`` of ``hold`` is ``mark[0].hold``."""
+        return replace(self, key=f"{key}.{self.key}" if self.key else key, **changes)
+
+    def seen_from(self, key: str, value: object = None, remedy: str = "") -> Problem:
+        """This problem, found in what ``key`` of another file names: place and key become part of the message.
+
+        ``remedy`` is taken where this problem has none.
+        """
+        return Problem(key, self._with_place(self.message), self.remedy or remedy, value, severity=self.severity)
+
+    def _with_place(self, said: str) -> str:
+        line = f":{self.line}" if self.line is not None else ""
+        value = f" = {_short(self.value)}" if self.value is not None else ""
+        return ": ".join(filter(None, (self.file and f"{self.file}{line}", self.subject, f"{self.key}{value}", said)))
+
+
+class VehsimError(Exception):
+    """Base of all errors vehsim raises on purpose. ``problems`` has all that is wrong, one or more.
+
+    ``key``, ``value``, ``message`` and ``remedy`` are those of the first `Problem`.
+    """
+
+    problems: list[Problem]
+
+    def __init__(
+        self,
+        message: str,
+        remedy: str = "",
+        *,
+        key: str = "",
+        value: object = None,
+        subject: str = "",
+        file: str | PathLike[str] = "",
+        line: int | None = None,
+    ) -> None:
+        self.problems = [Problem(key, message, remedy, value, fspath(file), line, subject=subject)]
+        super().__init__(message)
+
+    @classmethod
+    def of(cls, *problems: Problem) -> Self:
+        """The error of problems at hand."""
+        error = cls.__new__(cls)
+        error.problems = list(problems)
+        return error
+
+    def __str__(self) -> str:
+        return "\n".join(map(str, self.problems))
+
+    def __reduce__(self) -> Any:
+        return _again, (type(self), self.problems, {k: v for k, v in vars(self).items() if k != "problems"})
+
+    @property
+    def problem(self) -> Problem:
+        """The first thing wrong."""
+        return self.problems[0]
+
+    @property
+    def key(self) -> str:
+        return self.problem.key
+
+    @property
+    def value(self) -> object:
+        return self.problem.value
+
+    @property
+    def message(self) -> str:
+        return self.problem.message
+
+    @property
+    def remedy(self) -> str:
+        return self.problem.remedy
+
+
+class InputError(VehsimError):
+    """Wrong input: a file, key or value to fix. The CLI exits with 2 and touches nothing."""
+
+
+class SolveError(VehsimError):
+    """A motion could not be found, integrated or certified. The CLI exits with 1.
+
+    ``reason``: that of a failed plan, `vehsim.planning.Plan.reason`, or None.
+    """
+
+    reason: str | None = None
+
+    def __init__(self, message: str, remedy: str = "", *, reason: str | None = None, **place: Any) -> None:
+        super().__init__(message, remedy, **place)
+        if reason is not None:
+            self.reason = reason
+
+
+class FailedPlan(UserWarning):
+    """A plan came back without success."""
+
+
+class OutsideTerrain(UserWarning):
+    """A vehicle drives where the terrain has ended."""
+
+
+class ExportError(VehsimError):
+    """A file could not be written, or does not read back as written. The CLI exits with 1."""
 
 
 class ShotError(InputError):
-    """Everything wrong with a shot file, or with a file that it names, at once."""
+    """Everything that is wrong with a shot file, or with a file that it names."""
 
     def __init__(self, problems: Sequence[Problem]):
+        Exception.__init__(self)
         self.problems = list(problems)
-        super().__init__("\n".join(str(problem) for problem in self.problems))
+
+
+def _again(kind: type[VehsimError], problems: list[Problem], more: dict[str, Any]) -> VehsimError:
+    """An error that comes from another process."""
+    error = kind.of(*problems)
+    vars(error).update(more)
+    return error
 
 
 def _short(value: object, length: int = 80) -> str:
-    """A value as it is shown in a message: one line, never pages."""
+    """A value as it is shown in a message: one line, never pages; arrays as lists, paths as text."""
+    value = value.tolist() if hasattr(value, "tolist") else fspath(value) if isinstance(value, PathLike) else value
     try:
         text = repr(value)
-    except (ValueError, RecursionError):  # an integer of thousands of digits, lists nested beyond reason
+    except (ValueError, RecursionError):  # for example integers of thousands of digits, or deeply nested lists
         text = f"<{type(value).__name__}>"
     return text if len(text) <= length else f"{text[: length - 3]}..."

@@ -1,7 +1,7 @@
-"""Motion from controls: a vehicle, a world and what its controls do, integrated into a clip.
+"""Integrate a vehicle with its controls in a world into a clip.
 
-What belongs here: reading controls in all the forms people give them, stepping, and saying what looks wrong. How a step
-is made is the integrators' business, how a pilot thinks that of `pilots.py`.
+This module reads controls in all accepted forms, steps the integrator, and warns of questionable results. The
+integrators make the steps; `pilots` holds feedback laws.
 """
 
 from __future__ import annotations
@@ -17,12 +17,13 @@ import numpy as np
 
 from vehsim.errors import InputError
 from vehsim.vehicles import State, Vehicle
-from vehsim.vehicles._base import Array
+from vehsim.vehicles.definition.base import Array
 
 if TYPE_CHECKING:
-    from vehsim.clip import Clip
-    from vehsim.integrators.integrator import Integrator, Phase
-    from vehsim.world import World
+    from vehsim.clip.clip import Clip
+    from vehsim.integrators.integrator import Integrator
+    from vehsim.integrators.phase import Phase
+    from vehsim.world.world import World
 
 Progress = Callable[[str, float], None]
 MAX_STEPS = 10_000_000
@@ -55,13 +56,13 @@ def simulate(
     is rounded up to whole steps. ``world.wind`` acts through the vehicle's drag. A vehicle that moves in the plane
     keeps its start height; on a terrain its slopes pull it, and its wheels follow the ground. ``order`` 2, 4 or 6.
 
-    Raises ``InputError`` naming key, value and mend; ``SolveError`` with step, state and residual when a step fails.
+    Raises ``InputError`` naming key, value and remedy; ``SolveError`` with step, state and residual when a step fails.
     """
     from vehsim.integrators.forced import pushed, substeps
     from vehsim.integrators.integrator import Integrator
-    from vehsim.world import World
-    from vehsim.world.ground import lift
-    from vehsim.world.slope import on_terrain
+    from vehsim.world.ground.slope import on_terrain
+    from vehsim.world.ground.wheels import place_on_terrain
+    from vehsim.world.world import World
 
     rate = _frame_rate(fps)
     wanted = _positive("step", step, "a number of seconds, such as 1/240")
@@ -72,12 +73,12 @@ def simulate(
     begin = _standing(vehicle, world, start)
     _warn_windless(vehicle, world)
     weighed = on_terrain(vehicle, world, _reach(begin, steps * h))
-    environment = world.environment(vehicle, began=start_frame / float(rate)) if isinstance(world, World) else None
+    environment = world.environment(vehicle, start_time=start_frame / float(rate)) if isinstance(world, World) else None
     if environment is not None:
         cuts = substeps(h, environment)
         integrator = Integrator(vehicle, h / cuts, difference_map, order, wind=_wind(world))
-        ask = controls if table is None else _played(table, steps * h)
-        clip = pushed(integrator, environment, ask, begin, steps, cuts, rate, start_frame, progress)
+        law = controls if table is None else _played(table, steps * h)
+        clip = pushed(integrator, environment, law, begin, steps, cuts, rate, start_frame, progress)
         _warn_limits(vehicle, clip)
         _warn_targets(controls, clip)
         return clip
@@ -92,7 +93,7 @@ def simulate(
         )
     _warn_limits(vehicle, clip)
     _warn_targets(controls, clip)
-    return lift(replace(clip, vehicle=vehicle), world)
+    return place_on_terrain(replace(clip, vehicle=vehicle), world)
 
 
 @dataclass(frozen=True)
@@ -114,15 +115,15 @@ def simulate_together(
     *,
     progress: Progress | None = None,
 ) -> dict[str, Clip]:
-    """Let several vehicles move at the same time in ``world``, where its ``contact`` says how they touch.
+    """Simulate several vehicles at the same time in ``world``, whose ``contact`` says how they touch.
 
     ``movers``: name -> `Mover`; the other parameters as in `simulate`. Returns a clip for every name, with its contacts
-    among its events. Raises what `simulate` raises.
+    among its events. Raises the same errors as `simulate`.
     """
+    from vehsim.integrators.environment import Nothing
     from vehsim.integrators.forced import Course, pushed_together, substeps
     from vehsim.integrators.integrator import Integrator
-    from vehsim.world.contact import Contact, ContactScene
-    from vehsim.world.environment import Nothing
+    from vehsim.world.contact.contact import Contact, ContactScene
 
     rate = _frame_rate(fps)
     wanted = _positive("step", step, "a number of seconds, such as 1/240")
@@ -132,16 +133,16 @@ def simulate_together(
     for name, mover in movers.items():
         vehicle, start = _on_water(mover.vehicle, world, mover.start)
         table = None if callable(mover.controls) else _table(vehicle, mover.controls)
-        ask = mover.controls if table is None else _played(table, steps * h)
+        law = mover.controls if table is None else _played(table, steps * h)
         environment = world.environment(vehicle, alone=False) or Nothing(vehicle.group.dim)
-        prepared.append((name, vehicle, ask, _standing(vehicle, world, start), environment))
+        prepared.append((name, vehicle, law, _standing(vehicle, world, start), environment))
         _warn_windless(vehicle, world)
     touching = {name: vehicle for name, vehicle, *_ in prepared}
     meeting = ContactScene(touching, world, world.contact or Contact(), start_frame / float(rate))
     cuts = max(substeps(h, environment) for *_, environment in prepared)
     courses = [
-        Course(Integrator(vehicle, h / cuts, wind=_wind(world)), environment, ask, begin, cuts)
-        for _, vehicle, ask, begin, environment in prepared
+        Course(Integrator(vehicle, h / cuts, wind=_wind(world)), environment, law, begin, cuts)
+        for _, vehicle, law, begin, environment in prepared
     ]
     pushed_together(courses, meeting, steps, cuts, progress)
     clips = {}
@@ -156,7 +157,7 @@ def simulate_together(
 def _roll(
     integrator: Integrator, knots: Array, begin: State, fps: Fraction, start_frame: int, progress: Progress | None
 ) -> Clip:
-    """Controls known beforehand: the whole rollout in one go."""
+    """Controls that are known in advance: the whole rollout in one call."""
     if progress:
         progress("simulate", 0.0)
     clip = integrator.rollout(begin, knots, fps=fps, start_frame=start_frame)
@@ -174,15 +175,15 @@ def _fly(
     start_frame: int,
     progress: Progress | None,
 ) -> Clip:
-    """Controls that depend on the state: each knot's are asked for at a prediction of its state, then stepped to."""
+    """Controls that depend on the state: query each knot's controls at a predicted state, then step."""
     from vehsim.integrators.record import build_clip
-    from vehsim.vehicles.states import control_vector
+    from vehsim.vehicles.definition.states import control_vector
 
     vehicle = integrator.vehicle
     if hasattr(pilot, "reset"):
         pilot.reset()
 
-    def ask(k: int, state: State) -> Array:
+    def controls_at(k: int, state: State) -> Array:
         return control_vector(
             vehicle, pilot(k * integrator.step_size, state), f"controls(t = {k * integrator.step_size:.6g})"
         )
@@ -190,14 +191,15 @@ def _fly(
     idle = np.zeros(len(vehicle.controls))
     phase = integrator.start(begin, idle)
     anchor = integrator.anchor(begin, phase)
-    c = ask(0, integrator.state(phase, idle, anchor))  # a whole state: what the start leaves out is filled in
+    # a complete state: missing parts of the start are filled in
+    c = controls_at(0, integrator.state(phase, idle, anchor))
     phase = integrator.start(begin, c)
     phases: list[Phase] = [phase]
     controls = [c]
     for k in range(steps):
         guess = 2 * controls[-1] - controls[-2] if k else c
         predicted = integrator.advance(phase, c, guess, k)
-        after = ask(k + 1, integrator.state(predicted, guess, anchor))
+        after = controls_at(k + 1, integrator.state(predicted, guess, anchor))
         phase = integrator.advance(replace(phase, z=predicted.z), c, after, k)
         c = after
         phases.append(phase)
@@ -224,14 +226,19 @@ def _table(vehicle: Vehicle, controls: Any) -> Array:
     table = table[None] if table.ndim == 1 else table
     if table.ndim != 2 or table.shape[1] != len(names) or len(table) == 0:
         raise InputError(
-            f"controls: shape {np.shape(controls)}; give ({len(names)},) or (n, {len(names)}) numbers "
-            f"({', '.join(names) or 'none'}), a function of (t, state), or a pilot"
+            f"shape {np.shape(controls)}",
+            f"give ({len(names)},) or (n, {len(names)}) numbers ({', '.join(names) or 'none'}), a function of (t, "
+            "state), or a pilot",
+            key="controls",
         )
     bad = np.argwhere(~np.isfinite(table))
     if len(bad):
         row, column = bad[0]
         raise InputError(
-            f"controls[{row}, {column}] ({names[column]}) = {table[row, column]}: not finite; give a number"
+            f"{names[column]} is not finite",
+            "give a number",
+            key=f"controls[{row}, {column}]",
+            value=table[row, column],
         )
     return table
 
@@ -240,12 +247,14 @@ def _steps(duration: float | None, table: Array | None, wanted: float, h: float)
     """Number of steps of ``h`` that cover the duration."""
     if duration is None:
         if table is None or len(table) < 2:
-            raise InputError("duration = None: how long is not said; give seconds, or one row of controls per step")
+            raise InputError("missing", "give seconds, or one row of controls per step", key="duration")
         duration = (len(table) - 1) * wanted
     seconds = _positive("duration", duration, "a number of seconds")
     steps = math.ceil(seconds / h - 1e-6)
     if steps > MAX_STEPS:
-        raise InputError(f"duration = {duration!r}: {steps:,} steps of {h:.3g} s; shorten it, or take a longer step")
+        raise InputError(
+            f"{steps:,} steps of {h:.3g} s", "shorten it, or take a longer step", key="duration", value=duration
+        )
     return max(1, steps)
 
 
@@ -256,17 +265,17 @@ def _spread(table: Array, steps: int) -> Array:
 
 
 def _standing(vehicle: Vehicle, world: World | None, given: State | None) -> State:
-    """The start, on the ground when the vehicle moves in the plane and there is a terrain; warns when it was not."""
+    """The start, moved to the ground for a planar vehicle on a terrain; warns if it was elsewhere."""
     start = given or State()
     if world is None or world.terrain is None or not vehicle.group.planar:
         return start
     position = np.asarray(start.position, float).ravel()
     if position.shape != (3,) or not np.all(np.isfinite(position)):
-        raise InputError(f"state.position = {start.position!r}: give 3 finite numbers")
+        raise InputError("not a position", "give 3 finite numbers", key="state.position", value=start.position)
     ground, end = float(np.ravel(world.height(position[None, :2]))[0]), world.terrain.beyond(position)
     if end:
         message = f"{vehicle.name}: starts at {position[:2].tolist()}, outside the terrain, which ends at {end}"
-        warnings.warn(f"{message}; beyond, the ground goes on level and is not drawn", stacklevel=3)
+        warnings.warn(f"{message}; the ground there is level and not drawn", stacklevel=3)
     if given is not None and abs(position[2] - ground) > 0.01:
         warnings.warn(
             f"{vehicle.name}: starts at z = {position[2]:.2f} m and was put on the ground, at {ground:.2f} m; "
@@ -277,10 +286,10 @@ def _standing(vehicle: Vehicle, world: World | None, given: State | None) -> Sta
 
 
 def _on_water(vehicle: Vehicle, world: World | None, start: State | None) -> tuple[Vehicle, State | None]:
-    """What moves, and from where: afloat and at rest unless said; in a world without water, gliding in the plane."""
+    """The moving vehicle and its start: by default afloat and at rest; in a world without water, its planar form."""
     if getattr(world, "water", None) is not None and vehicle.hull is not None:
         if start is None:
-            from vehsim.world.buoyancy import Afloat
+            from vehsim.world.water.buoyancy import Afloat
 
             assert world is not None
             start = Afloat(vehicle, world).at_rest()
@@ -304,7 +313,7 @@ def _played(table: Array, duration: float) -> Callable[[float, State], Array]:
 
 
 def _reach(start: State, duration: float) -> Array:
-    """Corners (2, 2) m of where a start leads at most, at 3 m/s^2."""
+    """Corners (2, 2) m of the region that a start can reach, at 3 m/s^2."""
     speed = 0.0 if start.twist is None else float(np.linalg.norm(np.asarray(start.twist, float)))
     far = (speed + 3.0 * duration) * duration
     return np.asarray(start.position, float)[:2] + np.array([[-far], [far]])
@@ -313,7 +322,9 @@ def _reach(start: State, duration: float) -> Array:
 def _wind(world: World | None) -> Array:
     wind = np.zeros(3) if world is None else np.asarray(world.wind, float)
     if wind.shape != (3,) or not np.all(np.isfinite(wind)):
-        raise InputError(f"world.wind = {wind.tolist()!r}: give three finite numbers, m/s in world axes")
+        raise InputError(
+            "not a wind", "give three finite numbers, m/s in world axes", key="world.wind", value=wind.tolist()
+        )
     return wind
 
 
@@ -323,28 +334,28 @@ def _frame_rate(fps: Any) -> Fraction:
     except (TypeError, ValueError, ZeroDivisionError, OverflowError):
         rate = Fraction(0)
     if not 0 < rate <= 100_000:
-        raise InputError(f'fps = {fps!r}: not a frame rate; give a positive number such as 24 or "24000/1001"')
+        raise InputError("not a frame rate", 'give a positive number such as 24 or "24000/1001"', key="fps", value=fps)
     return rate
 
 
-def _positive(key: str, value: Any, mend: str) -> float:
+def _positive(key: str, value: Any, remedy: str) -> float:
     number = value if isinstance(value, int | float | np.floating | np.integer | Fraction) else math.nan
     if isinstance(value, bool) or not (math.isfinite(number) and number > 0):
-        raise InputError(f"{key} = {value!r}: must be positive and finite; give {mend}")
+        raise InputError("must be positive and finite", f"give {remedy}", key=key, value=value)
     return float(number)
 
 
 def _warn_windless(vehicle: Vehicle, world: World | None) -> None:
     if world is not None and np.any(world.wind) and not vehicle.feels_wind:
         warnings.warn(
-            f"world.wind = {list(map(float, world.wind))}: {vehicle.name} has no drag and does not feel it; "
+            f"world.wind = {list(map(float, world.wind))}: {vehicle.name} has no drag, so wind has no effect; "
             "give its vehicle.toml drag coefficients, or set the wind to zero",
             stacklevel=3,
         )
 
 
 def _warn_limits(vehicle: Vehicle, clip: Clip) -> None:
-    """Nothing is clipped silently: controls and joints are as asked, and what leaves its bounds is named."""
+    """Warn of controls and joints beyond their bounds; nothing is clipped."""
     columns = [(f"control {c.name}", clip.controls[:, i], c.lower, c.upper) for i, c in enumerate(vehicle.controls)]
     limits = vehicle.joint_limits
     columns += [(f"joint {n}", clip.joints[:, i], *limits[n]) for i, n in enumerate(vehicle.joints) if n in limits]
@@ -361,7 +372,7 @@ def _warn_limits(vehicle: Vehicle, clip: Clip) -> None:
 
 
 def _warn_targets(pilot: Any, clip: Clip) -> None:
-    """Say what a pilot missed of its ``targets``, as an audit measures it on the clip."""
+    """Warn of each of a pilot's ``targets`` that the clip misses, measured as an audit does."""
     from vehsim.audit import audit, track_of_clip
     from vehsim.requests import target_asks
 

@@ -87,7 +87,7 @@ def boot() -> dict[str, Surface]:
             (0.022, 0.036, 0.046, -0.012),
         ]
     )
-    rand: Field = lambda p: p[:, 2] + 0.064  # noqa: E731
+    rand: Field = lambda p: p[:, 2] + 0.064
     straps = [
         box([0.098, 0.036, 0.018], bevel=0.008, steps=2).turned(_pitch(angle)).moved(at)
         for angle, at in ((-0.62, (0, 0.092, -0.026)), (-0.80, (0, 0.050, 0.008)))
@@ -115,8 +115,8 @@ def shin(length: float) -> dict[str, Surface]:
             (0.108, 0.050, 0.056, -0.010),
         ]
     )
-    band: Field = lambda p: np.abs(p[:, 2] - 0.052) - 0.010  # noqa: E731
-    top: Field = lambda p: 0.094 - p[:, 2]  # noqa: E731
+    band: Field = lambda p: np.abs(p[:, 2] - 0.052) - 0.010
+    top: Field = lambda p: 0.094 - p[:, 2]
     pad = ball(0.055, [0, 0.034, length + 0.010], [0.95, 0.62, 1.2])
     return by_material({"trousers": calf}, painted(cuff, [("trim", top), ("accent", band)], "boot"), {"pad": pad})
 
@@ -167,11 +167,11 @@ def trunk() -> dict[str, Surface]:
         (0.575, 0.060, 0.060, 0.076),
     ]
     skin = loft(rows, 2.5, 56, 0.018)
-    slant: Field = lambda p: np.abs(p[:, 2] - 0.315 - 0.45 * p[:, 0]) - 0.034  # noqa: E731
-    thin: Field = lambda p: np.abs(p[:, 2] - 0.245 - 0.45 * p[:, 0]) - 0.014  # noqa: E731
-    zip_: Field = lambda p: np.maximum(np.abs(p[:, 0]) - 0.004, -p[:, 1])  # noqa: E731
-    hem: Field = lambda p: p[:, 2] - 0.118  # noqa: E731
-    collar: Field = lambda p: 0.538 - p[:, 2]  # noqa: E731
+    slant: Field = lambda p: np.abs(p[:, 2] - 0.315 - 0.45 * p[:, 0]) - 0.034
+    thin: Field = lambda p: np.abs(p[:, 2] - 0.245 - 0.45 * p[:, 0]) - 0.014
+    zip_: Field = lambda p: np.maximum(np.abs(p[:, 0]) - 0.004, -p[:, 1])
+    hem: Field = lambda p: p[:, 2] - 0.118
+    collar: Field = lambda p: 0.538 - p[:, 2]
     return painted(
         skin, [("trim", hem), ("trim", collar), ("trim", zip_), ("accent", slant), ("accent", thin)], "jacket"
     )
@@ -181,7 +181,7 @@ def arm() -> dict[str, Surface]:
     """The arm on the figure's right, held out and bent for balance, with an accent on the sleeve and a glove."""
     upper = limb([[0.165, 0.055, 0.455], [0.25, 0.045, 0.40], [0.355, 0.045, 0.30]], [0.070, 0.062, 0.050])
     lower = limb([[0.355, 0.045, 0.30], [0.41, 0.11, 0.255], [0.455, 0.20, 0.235]], [0.051, 0.047, 0.037])
-    sleeve: Field = lambda p: np.abs(p[:, 0] - 0.292 - 0.5 * (p[:, 2] - 0.36)) - 0.018  # noqa: E731
+    sleeve: Field = lambda p: np.abs(p[:, 0] - 0.292 - 0.5 * (p[:, 2] - 0.36)) - 0.018
     palm = limb([[0.462, 0.215, 0.234], [0.485, 0.265, 0.228], [0.488, 0.300, 0.222]], [0.038, 0.041, 0.030], 8)
     fingers = [
         limb([[x, 0.295, 0.228], [x + 0.004, 0.330, 0.216], [x, 0.352, 0.196]], [0.0125, 0.0115, 0.010], 1, 6)
@@ -235,7 +235,7 @@ def lens() -> Surface:
 def head() -> dict[str, Surface]:
     """Neck, face, goggles and a helmet with vents, about the base of the neck; it looks along Y."""
     shell = ball(0.106, [0, 0.004, 0.205], [0.92, 1.14, 0.92], 40)
-    brow: Field = lambda p: p[:, 2] - 0.188 - 0.20 * (p[:, 1] - 0.02)  # noqa: E731
+    brow: Field = lambda p: p[:, 2] - 0.188 - 0.20 * (p[:, 1] - 0.02)
     _, shell = split(shell, brow)
     turn = np.linspace(0, 2 * np.pi, 49)
     loop = np.stack(
@@ -251,7 +251,7 @@ def head() -> dict[str, Surface]:
         )
         for x in (-0.044, 0.0, 0.044)
     ]
-    stripe: Field = lambda p: np.abs(np.abs(p[:, 0]) - 0.022) - 0.006  # noqa: E731
+    stripe: Field = lambda p: np.abs(np.abs(p[:, 0]) - 0.022) - 0.006
     strap = join(
         *(
             tube(
@@ -273,7 +273,7 @@ def head() -> dict[str, Surface]:
 def bare_head() -> dict[str, Surface]:
     """Neck, face, dark glasses and short hair, about the base of the neck; it looks along Y."""
     scalp = ball(0.104, [0, 0.0, 0.198], [0.86, 1.13, 0.92], 32)
-    hairline: Field = lambda p: p[:, 2] - 0.165 - 0.75 * np.maximum(p[:, 1] - 0.005, -0.06)  # noqa: E731
+    hairline: Field = lambda p: p[:, 2] - 0.165 - 0.75 * np.maximum(p[:, 1] - 0.005, -0.06)
     return {"skin": face(), "hair": split(scalp, hairline)[1], "goggles": lens()}
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim.world import Terrain
+from vehsim.world.terrain.terrain import Terrain
 
 Array = NDArray[np.float64]
 

@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 from vehsim.assets.generate._canyon_rock import country, ground_colour, horizon_colour
 from vehsim.assets.generate._noise import fractal, gradient_noise, ridged
 from vehsim.assets.generate._terrain_look import horizon_sheet, sheet, sky_view, unwrap, write_look, write_picture
-from vehsim.world import Terrain
+from vehsim.world.terrain.terrain import Terrain
 
 Array = NDArray[np.float64]
 

@@ -243,9 +243,9 @@ BELT = curve([1.06, 0.7, 0.2, -0.4, -0.9, -1.4, -1.95], [0.70, 0.775, 0.80, 0.80
 def bare_cabin() -> Surface:
     """The skin of the greenhouse, open below."""
     crown = curve([1.06, 0.5, -0.3, -1.0, -1.95], [0.02, 0.05, 0.045, 0.05, 0.02])
-    zero = lambda x: 0.0  # noqa: E731
-    low = lambda x: np.minimum(SHOULDER(x) - 0.05, ROOF(x) - 0.02)  # noqa: E731
-    edge = lambda x: np.maximum(ROOF(x) - crown(x), low(x))  # noqa: E731
+    zero = lambda x: 0.0
+    low = lambda x: np.minimum(SHOULDER(x) - 0.05, ROOF(x) - 0.02)
+    edge = lambda x: np.maximum(ROOF(x) - crown(x), low(x))
     rows = [
         (zero, lambda x: low(x) - 0.15),
         (_scaled(BELT, 0.95), lambda x: low(x) - 0.12),
@@ -263,7 +263,7 @@ def bare_cabin() -> Surface:
 
 def windows() -> tuple[list[Field], list[Field]]:
     """The panes, and what their seals go round."""
-    inner = lambda p: np.abs(p[:, 1]) - RAIL(p[:, 0]) + 0.055  # noqa: E731
+    inner = lambda p: np.abs(p[:, 1]) - RAIL(p[:, 0]) + 0.055
     windscreen = both(inner, lambda p: 0.16 - p[:, 0] + 0.05 * p[:, 1] ** 2, blend=0.06)
     backlight = both(inner, lambda p: p[:, 0] + 0.95, lambda p: -1.72 - p[:, 0], blend=0.08)
     frame = curve([1.06, 0.2, -0.5, -1.0, -1.4], [0.115, 0.085, 0.07, 0.085, 0.11])

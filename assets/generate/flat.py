@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from vehsim.assets.generate._noise import fractal, gradient_noise
 from vehsim.assets.generate._terrain_look import sheet, write_look, write_picture
-from vehsim.world import Terrain
+from vehsim.world.terrain.terrain import Terrain
 
 Array = NDArray[np.float64]
 

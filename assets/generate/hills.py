@@ -25,7 +25,7 @@ from vehsim.assets.generate._terrain_look import (
     write_look,
     write_picture,
 )
-from vehsim.world import Terrain
+from vehsim.world.terrain.terrain import Terrain
 
 Array = NDArray[np.float64]
 

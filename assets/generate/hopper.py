@@ -106,11 +106,11 @@ def shell() -> dict[str, Surface]:
         rows.append(np.column_stack([flat[:, 0], np.full(120, y), flat[:, 1]]))
     skin = lattice(rows, crease=60)
     skin = refined(refined(skin, 1, np.arange(-0.2, 0.21, 0.02)), 2, np.arange(-0.22, 0.23, 0.02))
-    ahead = lambda p: 0.05 - p[:, 0]  # noqa: E731
+    ahead = lambda p: 0.05 - p[:, 0]
     visor = both(polygon([(-0.165, -0.02), (0.165, -0.02), (0.145, 0.135), (-0.145, 0.135)], 0.05, (1, 2)), ahead)
     eyes = both(both_sides(lambda p: np.hypot(p[:, 1] - 0.068, p[:, 2] - 0.06) - 0.027), ahead)
-    belt = lambda p: np.abs(p[:, 2] + 0.105) - 0.024  # noqa: E731
-    foil = lambda p: p[:, 2] + 0.129  # noqa: E731
+    belt = lambda p: np.abs(p[:, 2] + 0.105) - 0.024
+    foil = lambda p: p[:, 2] + 0.129
     hatch = both(polygon([(-0.12, -0.05), (0.12, -0.05), (0.10, 0.13), (-0.10, 0.13)], 0.03, (1, 2)), lambda p: p[:, 0])
     skin, lines = seam(skin, [hatch], 0.003)
     coats = [("eye", eyes), ("visor", visor), ("seal", grown(visor, 0.010)), ("accent", belt), ("foil", foil)]

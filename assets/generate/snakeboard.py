@@ -33,7 +33,7 @@ from vehsim.assets.generate._shapes import (
 from vehsim.assets.generate._slim import slimmed
 from vehsim.assets.generate._usd import Material, PartShape
 from vehsim.assets.generate._wheels import wheel_hull
-from vehsim.vehicles._rider import Legs
+from vehsim.vehicles.models.rider import Legs
 
 PHYSICS = tomllib.loads((Path(__file__).parents[1] / "vehicles/snakeboard/vehicle.toml").read_text())["physics"]
 HALF_LENGTH, HALF_TRACK, RADIUS = (PHYSICS[key] for key in ("half_length", "half_track", "wheel_radius"))
@@ -184,8 +184,8 @@ def wheel() -> dict[str, Surface]:
     lip = [(r - 0.007 + 0.007 * np.sin(t), h - 0.007 + 0.007 * np.cos(t)) for t in np.linspace(0, np.pi / 2, 4)]
     outer = [(core, h - 0.006), (core + 0.004, h - 0.001), *lip]
     tyre = ring([*outer, *((a, -y) for a, y in outer[::-1])], 36)
-    angle: Field = lambda p: np.abs(np.arctan2(p[:, 2], p[:, 0])) * r - 0.55 * r  # noqa: E731
-    other: Field = lambda p: np.abs(np.abs(np.arctan2(p[:, 2], p[:, 0])) - np.pi) * r - 0.16 * r  # noqa: E731
-    face: Field = lambda p: np.hypot(p[:, 0], p[:, 2]) - (r - 0.002)  # noqa: E731
+    angle: Field = lambda p: np.abs(np.arctan2(p[:, 2], p[:, 0])) * r - 0.55 * r
+    other: Field = lambda p: np.abs(np.abs(np.arctan2(p[:, 2], p[:, 0])) - np.pi) * r - 0.16 * r
+    face: Field = lambda p: np.hypot(p[:, 0], p[:, 2]) - (r - 0.002)
     hub = ring([(0.0040, h - 0.008), (0.0040, -h + 0.008), (core + 0.001, -h + 0.008), (core + 0.001, h - 0.008)], 24)
     return by_material(painted(tyre, [("mark", both(angle, face)), ("mark", both(other, face))], "wheel"), {"hub": hub})

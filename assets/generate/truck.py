@@ -100,7 +100,7 @@ def cab() -> dict[str, Surface]:
     screen = both(polygon([(-1.07, 1.74), (1.07, 1.74), (1.02, 2.66), (-1.02, 2.66)], 0.10, (1, 2)), ahead)
     side = both(polygon([(1.62, 1.78), (2.66, 1.66), (2.62, 2.58), (1.62, 2.62)], 0.07), beside)
     grille = both(polygon([(-0.78, 0.98), (0.78, 0.98), (0.84, 1.58), (-0.84, 1.58)], 0.06, (1, 2)), ahead)
-    bumper = lambda p: p[:, 2] - 0.86  # noqa: E731
+    bumper = lambda p: p[:, 2] - 0.86
     lamp = both(both_sides(polygon([(0.72, 0.68), (1.10, 0.68), (1.14, 0.83), (0.72, 0.80)], 0.02, (1, 2))), ahead)
     turn = both(both_sides(polygon([(1.02, 0.90), (1.19, 0.90), (1.19, 0.98), (1.02, 0.98)], 0.01, (1, 2))), ahead)
     step = both(polygon([(1.30, 0.5), (1.45, 0.5), (1.45, 0.9), (1.30, 0.9)]), beside)

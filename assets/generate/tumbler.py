@@ -90,9 +90,9 @@ def crossbar() -> dict[str, Surface]:
         ]
     ring += [(r, y - 0.3 * r), (0.93 * r, y - 0.07 * r), (0.7 * r, y), (0.0, y)]
     surface = revolve(ring, 48, "y", 40)
-    grip: Field = lambda p: np.abs(np.abs(p[:, 1]) - 0.0885) - 0.0375  # noqa: E731
-    left: Field = lambda p: 0.128 - p[:, 1]  # noqa: E731
-    right: Field = lambda p: p[:, 1] + 0.128  # noqa: E731
+    grip: Field = lambda p: np.abs(np.abs(p[:, 1]) - 0.0885) - 0.0375
+    left: Field = lambda p: 0.128 - p[:, 1]
+    right: Field = lambda p: p[:, 1] + 0.128
     collar = revolve([(r, -0.030), (r + 0.006, -0.027), (r + 0.006, 0.027), (r, 0.030)], 48, "y", 35)
     return by_material(painted(surface, [("cap", left), ("cap_other", right), ("grip", grip)], "bar"), {"stem": collar})
 

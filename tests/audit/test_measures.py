@@ -8,15 +8,16 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 
 import vehsim
-from vehsim._quaternions import from_vectors, matrices, product
 from vehsim.audit import MEASURES, Scene, Track, WorldScene, audit, missed, track_of_clip, track_of_poses
-from vehsim.clip import Clip
+from vehsim.clip.clip import Clip
+from vehsim.lie.quaternions import from_vectors, matrices, product
 from vehsim.requests import Ask, mark_asks
-from vehsim.world import World
+from vehsim.world.world import World
 
 RADIUS, RATE, HEIGHT = 20.0, 2 * math.pi / 12.5, 30.0
 SPEED, ACCELERATION = RADIUS * RATE, RADIUS * RATE**2
@@ -108,6 +109,14 @@ class Case:
 
 def ask(measure: str, first: float = 1, last: float = 301, wanted: Any = None, **bounds: Any) -> Ask:
     return Ask(measure, measure, first, last, wanted or {}, **bounds)
+
+
+def own_law() -> str:
+    """How far the root is from the circle's axis, as its second component."""
+    sizes = (3, 9, 3, 3, 3, len(HELICOPTER.joints), len(HELICOPTER.joints), len(HELICOPTER.controls), 1)
+    given = [ca.SX.sym("x", size) for size in sizes]
+    law: str = ca.Function("law", given, [ca.vertcat(given[-1], ca.norm_2(given[0][:2]))]).serialize()
+    return law
 
 
 MM, ANGLE = 1.01e-3, math.radians(0.0505)
@@ -205,6 +214,11 @@ CASES = {
         flight,
         lambda c: turned(c, [0, 0, ANGLE], 100),
     ),
+    "law": Case(
+        ask("law", wanted={"law": own_law(), "component": 1, "planar": False, "start": 1}, upper=RADIUS + 1e-3),
+        flight,
+        lambda c: moved(c, [MM, MM, 0], 40),
+    ),
     "outside": Case(
         ask("outside", wanted={"box": [[-RADIUS, -RADIUS, 0], [RADIUS, None, HEIGHT]]}, upper=1e-3),
         flight,
@@ -244,7 +258,7 @@ class OnWheels(Scene):
 
 
 def landed() -> tuple[float, float, float]:
-    from vehsim.world.landing import put_down
+    from vehsim.world.ground.landing import put_down
 
     return tuple(put_down(World("flat"), HELICOPTER, (0.0, 0.0, 3.0), (1.0, 0.0, 0.0, 0.0)).tolist())
 
@@ -284,6 +298,11 @@ def test_joints_that_a_stage_does_not_show_are_neither_met_nor_missed() -> None:
     track = track_of_poses(*on_eighths(clip))
     (row,) = audit(track, [CASES["joint"].ask])
     assert row.met is None and not missed([row])
+
+
+def test_a_law_of_controls_is_not_shown_by_a_stage() -> None:
+    (row,) = audit(track_of_poses(*on_eighths(flight())), [CASES["law"].ask])
+    assert row.met is None
 
 
 def on_eighths(clip: Clip) -> tuple[Any, Fraction, Any]:
@@ -326,7 +345,7 @@ def test_a_hold_that_falls_is_refused() -> None:
 
 def test_a_near_miss_between_frames_is_seen() -> None:
     """An obstacle touched between two frames, far from both."""
-    from vehsim.world.obstacles import box
+    from vehsim.world.obstacles.obstacles import box
 
     clip = flight(1.0)
     n = len(clip)
@@ -366,3 +385,21 @@ def test_what_drives_may_nod_on_its_springs_but_not_turn(yaw_rate: float, wrong:
 def test_what_flies_may_not_nod() -> None:
     asks = mark_asks("mark", 10, hold=20, position=(0, 0, 0), velocity=(0, 0, 0))
     assert len(missed(audit(nodding(), asks))) == 5
+
+
+def test_what_a_stage_shows_after_a_range_of_frames_has_no_part_in_it() -> None:
+    """A motion that is cut off at the end of its limits: it stands still from there on, at once."""
+    clip = flight(8.0)
+    still = [replace(clip.at(clip.times[-1:]), times=np.array([k / 24]), start_frame=0) for k in range(1, 25)]
+    stopped = replace(
+        clip,
+        times=np.concatenate([clip.times, clip.times[-1] + np.concatenate([part.times for part in still])]),
+        **{
+            name: np.concatenate([getattr(clip, name), *(getattr(part, name) for part in still)])
+            for name in ("positions", "orientations", "twists", "joints", "joint_rates", "controls")
+        },
+    )
+    track = track_of_poses(*on_eighths(stopped))
+    within, beyond = (replace(CASES["acceleration"].ask, first=1, last=last) for last in (193, 195))
+    assert not missed(audit(track, [within]))
+    assert missed(audit(track, [beyond]))

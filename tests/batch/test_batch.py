@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from vehsim import cli
 from vehsim.batch import export_batch, load_shots
 from vehsim.batch.inputs import fingerprint, is_finished
+from vehsim.cli import commands as cli
 
 FIVE = '"vehicle.car.motion.duration" = [0.25, 0.3, 0.35, 0.4, 0.45]'
 Content = Callable[[Path], dict[str, str]]
@@ -113,7 +113,7 @@ def test_summary_and_exit_code(write: Write, tmp_path: Path, capsys: pytest.Capt
     ]
     assert "duration = -1" in summary["refused"][0]
     assert cli.run([*arguments, "--resume"]) == 1
-    assert capsys.readouterr().out.count("finished before") == 2
+    assert capsys.readouterr().out.count("already finished") == 2
     assert json.loads((out / "summary.json").read_text()) == summary
 
 
@@ -123,10 +123,11 @@ def test_a_failed_plan_is_told_once(write: Write, tmp_path: Path, monkeypatch: p
     from types import SimpleNamespace
 
     from vehsim import planning
+    from vehsim.errors import FailedPlan
 
     def fail(*asked: object, **more: object) -> SimpleNamespace:
-        warnings.warn("car: plan failed: no way there", stacklevel=1)
-        return SimpleNamespace(success=False, message="no way there")
+        warnings.warn("car: plan failed: no way there", FailedPlan, stacklevel=1)
+        return SimpleNamespace(success=False, message="no way there", reason="not solved")
 
     path = write()
     simulated = path.read_text().partition("method")[0]
@@ -202,10 +203,11 @@ def test_nothing_about_time_is_written(write: Write, tmp_path: Path, content: Co
 
     path = write()
     code = (
-        "import sys, time, vehsim.cli\n"
+        "import sys, time\n"
+        "from vehsim.cli import commands\n"
         "offset = float(sys.argv.pop(1)); real = time.time\n"
         "time.time = lambda: real() + offset\n"
-        "sys.exit(vehsim.cli.run(sys.argv[1:]))\n"
+        "sys.exit(commands.run(sys.argv[1:]))\n"
     )
     for offset in ("-1e9", "1e8"):
         arguments = ["export", str(path), "--out", str(tmp_path / offset), "--to", "usd,npz,csv"]
@@ -234,7 +236,7 @@ def test_the_live_table_counts_states() -> None:
 
 def test_an_asset_is_read_once_for_all_clips(write: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Reading a car's meshes takes longer than driving it: no clip pays for what another has read."""
-    from vehsim import parts
+    from vehsim.rig import parts
 
     (first, second) = load_shots(write(sweep='"vehicle.car.motion.duration" = [0.25, 0.3]'))
     export_batch([first], tmp_path / "out", ["usd"])

@@ -13,8 +13,8 @@ from typing import Any
 
 import pytest
 
-from vehsim import cli
 from vehsim.batch import export_batch, load_shots
+from vehsim.cli import commands as cli
 
 Content = Callable[[Path], dict[str, str]]
 Write = Callable[..., Path]
@@ -57,5 +57,5 @@ def test_no_scheduler_at_the_address(write: Write, tmp_path: Path, capsys: pytes
     pytest.importorskip("distributed")
     shot, out = write(sweep='"shot.start_frame" = [1, 2]'), tmp_path / "out"
     assert cli.run(["export", str(shot), "--out", str(out), "--dask", "nonsense://1"]) == 2
-    assert "--dask 'nonsense://1'" in capsys.readouterr().err
+    assert "--dask = 'nonsense://1'" in capsys.readouterr().err
     assert not out.exists()

@@ -33,7 +33,7 @@ def start(shot: Path, out: Path, *more: str, workers: int = 2, limit: int | None
     arguments += ["--workers", str(workers), *more]
     preparation = None
     if limit is not None:
-        preparation = lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))  # noqa: E731
+        preparation = lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
     return subprocess.Popen(
         arguments,
         stdout=subprocess.PIPE,
@@ -154,7 +154,7 @@ def test_an_interrupted_batch_tidies_up(write: Write, tmp_path: Path, number: in
 def test_a_file_that_cannot_grow_fails_its_clip_alone(
     undisturbed: Undisturbed, tmp_path: Path, content: Content
 ) -> None:
-    """As on a disk that is full for large files: every clip says so, nothing half-written stays, --resume mends it."""
+    """As on a disk that is full for large files: every clip says so, nothing half-written stays, --resume fixes it."""
     shot, expected = undisturbed
     out = tmp_path / "out"
     process = start(shot, out, limit=20_000)
@@ -231,7 +231,7 @@ def _obey_permissions() -> None:
 
 def test_the_folder_above_dropped_by_an_export_that_failed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It made that folder, and drops it just when another is to begin in it: the other makes it again."""
-    from vehsim.delivery import staging
+    from vehsim.delivery.folders import staging
 
     make, out = Path.mkdir, tmp_path / "out"
 
@@ -257,7 +257,7 @@ def test_deliveries_swapped_by_many_at_once(tmp_path: Path) -> None:
     """Eight threads replace one delivery over and over: it is always one of theirs, whole."""
     from concurrent.futures import ThreadPoolExecutor
 
-    from vehsim.delivery import SIGN, replacing
+    from vehsim.delivery.folders import SIGN, replacing
 
     target = tmp_path / "shot"
 
@@ -274,12 +274,13 @@ def test_deliveries_swapped_by_many_at_once(tmp_path: Path) -> None:
 
 
 def test_hidden_folders_of_the_living_and_of_other_machines_stay(tmp_path: Path) -> None:
-    from vehsim.delivery import _machine, clean_up
+    from vehsim.delivery.folders import clean_up
+    from vehsim.runtime.files import machine
 
     gone = subprocess.Popen([sys.executable, "-c", ""])
     gone.wait()
-    stay = [f".shot.{_machine()}-{os.getpid()}-00.partial", f".shot.00000000-{gone.pid}-00.partial"]
-    for name in (*stay, f".shot.{_machine()}-{gone.pid}-00.partial"):
+    stay = [f".shot.{machine()}-{os.getpid()}-00.partial", f".shot.00000000-{gone.pid}-00.partial"]
+    for name in (*stay, f".shot.{machine()}-{gone.pid}-00.partial"):
         (tmp_path / name).mkdir()
     (tmp_path / "shot").mkdir()
     clean_up(tmp_path / "shot")
@@ -287,7 +288,7 @@ def test_hidden_folders_of_the_living_and_of_other_machines_stay(tmp_path: Path)
 
 
 def test_who_was_killed_is_not_alive_though_nobody_has_noticed() -> None:
-    from vehsim.delivery import _alive
+    from vehsim.delivery.folders import _alive
 
     process = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
     assert _alive(process.pid) and _alive(os.getpid())
@@ -299,7 +300,8 @@ def test_who_was_killed_is_not_alive_though_nobody_has_noticed() -> None:
 
 def test_a_cached_field_full_of_zeros_is_not_believed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A power cut may leave a file of the right size and shape whose data never reached the disk."""
-    from vehsim.world import Terrain, World
+    from vehsim.world.terrain.terrain import Terrain
+    from vehsim.world.world import World
 
     monkeypatch.setenv("VEHSIM_CACHE", str(tmp_path))
     terrain = Terrain("hill", np.add.outer(np.arange(12.0), np.arange(12.0)), (0.0, 0.0), (1.0, 1.0))
@@ -317,7 +319,7 @@ def test_a_cached_field_full_of_zeros_is_not_believed(tmp_path: Path, monkeypatc
 
 def test_what_is_kept_for_other_processes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Made once, again when it is damaged, and also where nothing can be kept."""
-    from vehsim._cache import kept
+    from vehsim.runtime.cache import kept
 
     monkeypatch.setenv("VEHSIM_CACHE", str(tmp_path / "cache"))
     made: list[int] = []
@@ -341,7 +343,7 @@ def test_what_is_kept_for_other_processes(tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def test_arrays_are_kept_under_what_they_are_made_from(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from vehsim._cache import kept_arrays
+    from vehsim.runtime.cache import kept_arrays
 
     monkeypatch.setenv("VEHSIM_CACHE", str(tmp_path))
     points, made = np.arange(12.0).reshape(4, 3), []

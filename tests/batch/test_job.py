@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from vehsim import cli
 from vehsim.batch import export_batch, load_shots
 from vehsim.batch.steps import _share, run_step
+from vehsim.cli import commands as cli
 from vehsim.errors import ExportError, InputError
 
 PICTURES = "[render]\nsize = [64, 36]\nevery = 2\nsamples = 1\n"

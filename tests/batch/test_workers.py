@@ -13,9 +13,9 @@ from typing import Any
 
 import pytest
 
-from vehsim._ending import raising
 from vehsim.batch import Outcome, Task, export_batch, load_shots, workers
 from vehsim.batch.workers import ENDING, METHODS, THREADS, Job, _dispatch
+from vehsim.runtime.signals import raising
 
 Content = Callable[[Path], dict[str, str]]
 Write = Callable[..., Path]

@@ -10,13 +10,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from vehsim import cameras
-from vehsim.cameras import CameraRig, solve_camera
-from vehsim.clip import Clip
+from vehsim.cameras.camera import CameraRig
+from vehsim.cameras.framing import JERK, solve_camera, vehicle_outline
+from vehsim.clip.clip import Clip
 from vehsim.errors import InputError
 from vehsim.lie import SE3
 from vehsim.vehicles import load_vehicle
-from vehsim.world import Terrain, World
-from vehsim.world.obstacles import box
+from vehsim.world.obstacles.obstacles import box
+from vehsim.world.terrain.terrain import Terrain
+from vehsim.world.world import World
 
 ASPECT = 16 / 9
 FPS = 24
@@ -101,7 +103,7 @@ def test_what_pitches_steeply_stays_large(pitch):
     channels = {name: np.zeros(len(T)) for name in helicopter.channels}
     clip = Clip(helicopter, still.times, positions, turns, still.twists, empty, empty, none, channels, still.fps, 1001)
     camera = solve_camera(CameraRig(), {"it": clip}, World(), (1001, 1121), ASPECT)
-    outline = cameras.vehicle_outline(helicopter)
+    outline = vehicle_outline(helicopter)
     corners = outline @ clip.matrices()[:, :3, :3].swapaxes(1, 2) + clip.positions[:, None]
     seen = (corners - camera.positions[:, None]) @ rotations(camera)
     across, along = (np.ptp(seen[..., k] / -seen[..., 2], axis=1) * 35 / 20.25 for k in (0, 1))
@@ -155,7 +157,7 @@ def test_chase_moves_smoothly(motion):
 def test_jerk_is_bounded_over_hills_too(hills, rig, motion):
     camera = solve_camera(CameraRig(rig=rig, distance=12.0), {"cube": MOTIONS[motion]}, hills, (1001, 1121), ASPECT)
     jerk = np.linalg.norm(np.diff(camera.positions, 3, axis=0), axis=1) * FPS**3
-    assert jerk.max() <= cameras.JERK * 14.0
+    assert jerk.max() <= JERK * 14.0
 
 
 BLOCKS = {  # motion -> centre (x, y) m and size (x, y, z) m of a box that stands on 24 m, beside the cube's way
@@ -183,7 +185,7 @@ def test_camera_sees_its_target_past_what_stands(rig, motion):
     assert not within(sight, motion).any(), "hidden"
     assert not within(camera.positions, motion, 0.5).any(), "in the obstacle"
     jerk = np.linalg.norm(np.diff(camera.positions, 3, axis=0), axis=1) * FPS**3
-    assert jerk.max() <= cameras.JERK * 14.0
+    assert jerk.max() <= JERK * 14.0
 
 
 def test_an_obstacle_out_of_sight_moves_no_camera():
@@ -367,7 +369,7 @@ def test_frames_beyond_the_clip_hold_its_ends():
         (CameraRig(rig="static", position=(1, 2, 3), look_at=(1.0, 2.0, 3.0)), "look elsewhere"),
     ],
 )
-def test_wrong_rigs_are_named_with_the_mend(rig, message):
+def test_wrong_rigs_are_named_with_the_remedy(rig, message):
     with pytest.raises(InputError, match=message):
         solve_camera(rig, {"cube": MOTIONS["hover"]}, World(), (1001, 1121), ASPECT)
 

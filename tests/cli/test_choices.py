@@ -12,13 +12,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vehsim import _arguments, choices, cli
 from vehsim.assets import shipped
 from vehsim.batch.sweep import load_shots
-from vehsim.delivery import exporter_names
+from vehsim.cli import arguments as _arguments
+from vehsim.cli import choices
+from vehsim.cli import commands as cli
+from vehsim.delivery.exporters import exporter_names
 from vehsim.planning.terms import COSTS, LIMITS
-from vehsim.shot.file import SCHEMA_LINE, schema
-from vehsim.world import Terrain
+from vehsim.shot.schema.shot_file import SCHEMA_LINE, schema
+from vehsim.world.terrain.terrain import Terrain
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PATIENCE = 600.0

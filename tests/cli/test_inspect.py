@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vehsim import Shot, cli, load_vehicle
+from vehsim import Shot, load_vehicle
 from vehsim.assets import shipped
-from vehsim.inspecting import inspect, write_vehicle
-from vehsim.starting import new_shot
+from vehsim.cli import commands as cli
+from vehsim.cli.inspect import inspect, write_vehicle
+from vehsim.cli.new import new_shot
 
 ELSEWHERE = Path(__file__).parents[1] / "assets_elsewhere"
 OWN = {path.parent.name: path.parent for path in sorted(ELSEWHERE.glob("*/vehicle.toml"))}

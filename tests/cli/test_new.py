@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vehsim import Shot, cli
-from vehsim.shot.file import SCHEMA_FILE, SCHEMA_LINE
-from vehsim.starting import METHODS
+from vehsim import Shot
+from vehsim.cli import commands as cli
+from vehsim.cli.new import METHODS
+from vehsim.shot.schema.shot_file import SCHEMA_FILE, SCHEMA_LINE
 from vehsim.vehicles import available
 
 ELSEWHERE = Path(__file__).parents[1] / "assets_elsewhere"
@@ -135,7 +136,7 @@ def test_an_editor_finds_the_schema_beside_it(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("method", METHODS)
 def test_the_shell_completes_its_options(method: str) -> None:
-    from vehsim import choices
+    from vehsim.cli import choices
 
     ((name, said),) = choices.method(method[:-1])
     assert name == method and said

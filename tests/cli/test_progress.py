@@ -12,8 +12,9 @@ from typing import Any
 
 import pytest
 
-from vehsim import _arguments, cli
 from vehsim.batch import screen
+from vehsim.cli import arguments as _arguments
+from vehsim.cli import commands as cli
 
 SHOT = """
 [shot]

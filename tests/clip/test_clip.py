@@ -1,5 +1,6 @@
 """A clip reads the same everywhere: exact at its knots, C1 between, bit for bit from a file."""
 
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import vehsim
-from vehsim.clip import Clip
+from vehsim.clip.clip import Clip
 from vehsim.errors import InputError
 from vehsim.integrators import Integrator
 from vehsim.lie import SE3, SO3
@@ -169,3 +170,44 @@ def test_clips_hold_finite_numbers_and_unit_quaternions():
     with pytest.raises(InputError, match="finite seconds"):
         clip.at([np.nan])
     assert len(repr(clip)) < 120
+
+
+FOLLOWING = {  # vehicle: channel -> what it shows, of the joints by name
+    "car": {
+        "steer_fl": lambda r: np.arctan2(r["sigma"], 1 - 0.77 / 2.6 * r["sigma"]),
+        "steer_fr": lambda r: np.arctan2(r["sigma"], 1 + 0.77 / 2.6 * r["sigma"]),
+    },
+    "simple_car": {"steer": lambda r: np.arctan(r["sigma"]), "roll_rear": lambda r: r["psi"]},
+    "snakeboard": {"hips": lambda r: r["psi"], "foot_rear": lambda r: r["phi"], "foot_front": lambda r: -r["phi"]},
+    "hopper": {"leg": lambda r: r["psi"], "stretch": lambda r: -r["stretch"]},
+}
+
+
+@pytest.mark.parametrize("name", FOLLOWING)
+def test_channels_follow_their_joints_between_knots(name):
+    """Joints that turn back between knots: an interpolant of the channel's own would stand still there."""
+    vehicle = vehsim.load_vehicle(name)
+    n, s = 9, len(vehicle.joints)
+    rng = np.random.default_rng(1)
+    r, u = rng.uniform(-0.5, 0.5, (n, s)), rng.uniform(-2, 2, (n, s))
+    by_name = dict(zip(vehicle.joints, r.T, strict=True))
+    clip = Clip(
+        vehicle,
+        times=np.linspace(0, 2, n),
+        positions=np.zeros((n, 3)),
+        orientations=np.eye(4)[[0] * n],
+        twists=np.zeros((n, vehicle.group.dim)),
+        joints=r,
+        joint_rates=u,
+        controls=np.zeros((n, len(vehicle.controls))),
+        channels={channel: law(by_name) for channel, law in FOLLOWING[name].items()},
+    )
+    at = clip.at(np.linspace(0, 2, 101))
+    by_name = dict(zip(vehicle.joints, at.joints.T, strict=True))
+    for channel, law in FOLLOWING[name].items():
+        np.testing.assert_allclose(at.channels[channel], law(by_name), atol=1e-12, err_msg=channel)
+
+    edited = {channel: values + 0.1 for channel, values in clip.channels.items()}  # an animator's own
+    at = replace(clip, channels=edited).at(clip.times)
+    for channel, values in edited.items():
+        np.testing.assert_allclose(at.channels[channel], values, atol=1e-12, err_msg=channel)

@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
-from scipy.spatial.transform import Rotation
 
-from vehsim import _quaternions
-from vehsim._camera_path import envelope, smooth
-from vehsim._interpolate import _monotone
+from vehsim.cameras.path import envelope, smooth
+from vehsim.clip.interpolant import monotone
 from vehsim.integrators.record import _integrals
 
 ALONE = """
@@ -33,37 +31,14 @@ def test_a_plan_needs_no_scipy(tmp_path):
     assert said.stdout.strip() == "True []", said.stdout + said.stderr
 
 
-def test_quaternions_of_matrices_and_back():
-    turns = Rotation.concatenate(
-        [Rotation.random(300, rng=1), Rotation.from_rotvec(np.pi * np.eye(3)), Rotation.identity(1)]
-    )
-    R = turns.as_matrix()
-    q = _quaternions.quaternions(R)
-    assert (
-        np.abs(
-            q - turns.as_quat(scalar_first=True) * np.sign((q * turns.as_quat(scalar_first=True)).sum(1))[:, None]
-        ).max()
-        < 1e-14
-    )
-    assert np.abs(_quaternions.matrices(q) - R).max() < 1e-14
-    assert _quaternions.quaternions(R[0]).shape == (4,)
-    vectors = np.random.default_rng(2).normal(size=(50, 3))
-    assert (
-        np.abs(
-            _quaternions.matrices(_quaternions.from_vectors(vectors)) - Rotation.from_rotvec(vectors).as_matrix()
-        ).max()
-        < 1e-14
-    )
-
-
 @pytest.mark.parametrize("count", [2, 3, 4, 10, 200])
 @pytest.mark.parametrize("shape", [(), (3,)])
 @pytest.mark.parametrize("kind", [lambda y: y, lambda y: np.cumsum(np.abs(y), axis=0), np.round])
-def test_channels_are_monotone_as_pchip(count, shape, kind):
+def test_channels_aremonotone_as_pchip(count, shape, kind):
     rng = np.random.default_rng(count)
     x, y = np.cumsum(rng.uniform(0.1, 1, count)), kind(rng.normal(size=(count, *shape)))
     at = rng.uniform(x[0], x[-1], 100)
-    assert np.abs(_monotone(x, y, at) - PchipInterpolator(x, y)(at)).max() < 1e-11
+    assert np.abs(monotone(x, y, at) - PchipInterpolator(x, y)(at)).max() < 1e-11
 
 
 @pytest.mark.parametrize("count", [1, 2, 5, 100])

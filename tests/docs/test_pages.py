@@ -11,15 +11,17 @@ from pathlib import Path
 import pytest
 
 import vehsim
-from vehsim.cameras import RIGS
-from vehsim.cli import app
+from vehsim.audit import MEASURES
+from vehsim.cameras.rigs import RIGS
+from vehsim.cli.commands import app
 from vehsim.errors import InputError
 from vehsim.integrators.references import METHODS
-from vehsim.pilots import PILOTS
-from vehsim.planning.solver import SOLVERS
+from vehsim.pilots.controllers import PILOTS
+from vehsim.planning.problem.solver import SOLVERS
 from vehsim.planning.terms import COSTS, LIMITS
 from vehsim.shot.reference import table, with_tables
 from vehsim.vehicles import available
+from vehsim.vehicles.library.library import MODELS
 
 ROOT = Path(vehsim.__file__).parents[1]
 SHOT_FILE = (ROOT / "docs" / "shot-file.md").read_text(encoding="utf-8")
@@ -32,7 +34,7 @@ def test_key_tables_are_those_of_the_models() -> None:
 def test_a_table_says_what_is_required_what_holds_otherwise_and_what_is_toml() -> None:
     rows = dict(row.split(" | ", 1) for row in table("Header").splitlines()[2:])
     assert rows["| `schema`"].endswith("| required |")
-    assert rows["| `end_frame`"].endswith("| where the longest motion ends |")
+    assert rows["| `end_frame`"].endswith("| the end of the longest motion |")
     assert rows["| `start_frame`"].endswith("| `1001` |")
     assert '`"24000/1001"`' in rows["| `fps`"]
     assert "`shape`" not in table("BoxTable", ["shape"])
@@ -59,6 +61,16 @@ def test_every_command_is_explained() -> None:
     pages = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "docs").glob("*.md"))
     names = [command.name or command.callback.__name__ for command in app.registered_commands if command.callback]
     assert [name for name in names if f"vehsim {name}" not in pages and f"`{name}`" not in pages] == []
+
+
+PATHS = re.compile(r"`((?:vehsim|exporters|tests|tools|benchmarks|assets|examples)/[\w./-]*\w/?)`")
+"""Files and folders of the repository that a page names."""
+
+
+@pytest.mark.parametrize("page", ["CONTRIBUTING.md", *(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md"))])
+def test_every_path_that_a_page_names_exists(page: str) -> None:
+    names = set(PATHS.findall((ROOT / page).read_text(encoding="utf-8"))) - {"assets/vehicles/sled/"}  # made there
+    assert [name for name in names if not (ROOT / name).exists()] == []
 
 
 def test_every_public_name_is_in_the_reference() -> None:
@@ -91,7 +103,12 @@ for name in sys.argv[1:]:
 def test_every_dotted_name_works_after_import_vehsim_alone() -> None:
     pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "examples").glob("*.py")]
     found = {name for page in pages for name in re.findall(r"\bvehsim(?:\.[A-Za-z]\w*)+", page.read_text("utf-8"))}
-    names = sorted(found - {"vehsim.assets.generate", "vehsim.schema.json"})  # a script, a file
+    groups = {
+        "vehsim.terrains",
+        "vehsim.reports",
+        *(names.group for names in (COSTS, LIMITS, PILOTS, RIGS, MODELS, MEASURES)),
+    }
+    names = sorted(found - groups - {"vehsim.assets.generate", "vehsim.schema.json"})  # entry points, a script, a file
     assert {"vehsim.vehicles.Nonholonomic", "vehsim.integrators.forced.Forced"} <= set(names)
     answer = subprocess.run([sys.executable, "-I", "-c", NAMES, *names], capture_output=True, text=True, check=True)
     assert answer.stdout == ""
@@ -118,3 +135,31 @@ def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
         assert (tmp_path / f"{page}.html").is_file()
     reference = (tmp_path / "api" / "index.html").read_text(encoding="utf-8")
     assert "Position of the rig" in reference or "vehsim.plan" in reference
+
+
+FOLDERS = ("vehsim", "exporters", "tests", "tools", "benchmarks", "examples", "assets")
+
+
+def _read(file: str) -> str:
+    return (ROOT / file).read_text(encoding="utf-8")
+
+
+def _pages() -> list[Path]:
+    return [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+
+@pytest.mark.parametrize("page", _pages(), ids=lambda page: page.name)
+def test_files_and_names_that_a_page_cites_are_there(page: Path) -> None:
+    text = " ".join(page.read_text(encoding="utf-8").split())
+    files = set(re.findall(r"`((?:vehsim|exporters|tests|tools|assets|benchmarks|examples)/[\w/.-]+?)/?`", text))
+    missing = [name for name in files if "sled" not in name and not (ROOT / name).exists()]  # a recipe makes the sled
+    modules = {path.name for folder in FOLDERS for path in (ROOT / folder).rglob("*.py")}
+    missing += [name for name in re.findall(r"`(?:\w+/)*(\w+\.py)`", text) if name not in modules]
+    cited = re.findall(r"`([A-Za-z_][\w.]*)` (?:in|of) `((?:vehsim|exporters)/[\w/]+\.py)`", text)
+    missing += [
+        f"{name} in {file}"
+        for name, file in cited
+        if (ROOT / file).is_file()
+        and not re.search(rf"(?m)^\s*(def|class) {(last := name.rpartition('.')[2])}\b|^\s*{last}\b.*=", _read(file))
+    ]
+    assert not missing

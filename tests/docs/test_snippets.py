@@ -29,8 +29,8 @@ import typer
 
 import vehsim
 from vehsim.batch import load_shots
-from vehsim.cli import app
-from vehsim.exporters.stage_audit import audit_delivery
+from vehsim.cli.commands import app
+from vehsim.exporters.checks.audit import audit_delivery
 
 ROOT = Path(vehsim.__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -195,21 +195,21 @@ def nothing_more(take: Any, delivery: Path) -> None:
 
 TOML: dict[str, Callable[[Any, Path], None]] = {
     "Cookbook": nothing_more,
-    "Arrive whenever it can, then stay for two seconds": nothing_more,
+    "Let the planner choose the arrival, then stay for two seconds": nothing_more,
     "Fly through a ring": nothing_more,
     "Keep the nose on the subject, below the clouds": nothing_more,
-    "A cycle for the background": nothing_more,
-    "Drive as fast as tyres hold": red,
+    "Make a cycle for the background": nothing_more,
+    "Drive as fast as the tyres grip": red,
     "Park in a gap": third_manoeuvre,
-    "A boat turns in a swell": turns,
+    "Turn a boat in a swell": turns,
     "Drift in gusts": drifts,
     "Bump into things": bumps,
-    "Two cameras and a cut": cameras_and_cut,
-    "For Maya: centimetres, Y up, motion blur, handles": for_maya,
-    "Forty variations, on every core, going on after a crash": clips(40),
+    "Use two cameras and a cut": cameras_and_cut,
+    "Deliver for Maya: centimetres, Y up, motion blur, handles": for_maya,
+    "Export forty variations on every core, and resume after a crash": clips(40),
     "A shot": nothing_more,
     "Sweeps": clips(200),
-    '`method = "plan"`: through marks, at the least cost': nothing_more,
+    '`method = "plan"`: through marks at the least cost': nothing_more,
     "For animators": nothing_more,
 }
 """Heading -> what the text says beside what its shot asks."""
@@ -264,7 +264,7 @@ assert plan.success and plan.clearance >= 1 - 1e-3
 assert abs(plan.clip.positions[-1] - (180, 40, 28)).max() < 1e-3
 assert Path("out/canyon.usda").is_file()
 """,
-    "cookbook.md: Marks from an animator's blocking": """
+    "cookbook.md: Take marks from an animator's blocking": """
 from pathlib import Path
 frames = take.clips["heli"].resample()
 for frame, place in {1001: (0, 0, 20), 1049: (15, 0, 22), 1097: (30, 10, 20)}.items():
@@ -274,25 +274,25 @@ assert take.report["vehicles"]["heli"]["blocking"]["keys"] == [1001, 1049, 1097]
 moved = Usd.Stage.Open(str(out / "layers" / "heli.blocking.usdc"))
 assert max(one.GetNumTimeSamples() for one in moved.GetPrimAtPath("/World/heli").GetAttributes()) == 97
 """,
-    "cookbook.md: The motion as arrays": """
+    "cookbook.md: Get the motion as arrays": """
 assert abs(clip.positions - (0, 0, 30)).max() < 0.05  # it hovers
 assert between.times.tolist() == np.linspace(0.0, 1.0, 101).tolist()
 assert (vehsim.Clip.load("hover.npz").positions == clip.positions).all()
 """,
-    "cookbook.md: A pilot of your own": """
+    "cookbook.md: Write your own pilot": """
 from pathlib import Path
 assert Path("weave/weave.usda").is_file() and clip.positions[-1, 0] > 1
 assert (np.diff(np.sign(np.diff(clip.positions[:, 1]))) != 0).any()  # to and fro
 """,
-    "cookbook.md: A mark moves: plan again from where you are": """
+    "cookbook.md: Move a mark and plan again from the last plan": """
 assert plan.success and again.success and again.executed.final < 0.1
 assert abs(again.clip.positions[-1] - (30, 12, 0)).max() < 1e-3
 """,
-    "cookbook.md: Keep clear of something, and measure it": """
+    "cookbook.md: Keep clear of obstacles, and measure the clearance": """
 assert plan.success and plan.clearance >= 0.5 - 1e-3
 assert abs(plan.clip.positions[-1] - (45, 0, 0)).max() < 1e-3
 """,
-    "cookbook.md: A vehicle in fifteen lines": """
+    "cookbook.md: Define a vehicle in fifteen lines": """
 assert abs(clip.twists[1:, 2]).max() < 1e-6  # never sideways
 assert abs(clip.energy["kinetic"] / clip.energy["kinetic"][0] - 1).max() < 1e-6
 assert abs(clip.positions[-1, :2]).max() > 1
@@ -307,7 +307,7 @@ assert [row.key for row in rows] == ["hover.position"]
     from pathlib import Path
     assert [path.name for path in Path("out").glob("*/*.usda")] == ["small.usda"] and shots
 """,
-    'shot-file.md: `method = "plan"`: through marks, at the least cost': """
+    'shot-file.md: `method = "plan"`: through marks at the least cost': """
 import numpy as np
 whole = plan.clip.resample()
 assert plan.success and (whole.positions[:, 0] <= 8 + 2 * whole.times + 1e-3).all()
@@ -378,12 +378,12 @@ SHELL: dict[str, Shell | str] = {
     "README.md: Two commands": "minutes of work; `make demo` is examples/canyon_flight.toml, `make test` these tests",
     "README.md: A shot": Shell(("out/small/small.usda", "out/small/small.chase.mp4")),
     "getting-started.md: Getting started": "the same",
-    "README.md: Your own, in ten minutes": "each of its commands is run by tests/cli: test_new, test_inspect",
+    "README.md: Your own shot in ten minutes": "each of its commands is run by tests/cli: test_new, test_inspect",
     "getting-started.md: Your own shot": Shell(
         ("out/first/first.usda", "out/first/first.strobe.png", "out/first/figures/car.*")
     ),
     "audit.md: The audit": Shell(("out/small/report.json",)),
-    "cookbook.md: A first shot of any vehicle, to change": Shell(("first.toml", "fly.toml", "drive.toml")),
+    "cookbook.md: Write a first shot of any vehicle": Shell(("first.toml", "fly.toml", "drive.toml")),
     "cookbook.md: Drive an asset of your own": Shell(
         ("vehicles/kart/vehicle.toml", "race.toml"), {"kart.obj": (ELSEWHERE / "kart" / "kart.obj").read_text("utf-8")}
     ),
@@ -391,7 +391,7 @@ SHELL: dict[str, Shell | str] = {
         ("out/a/a.usda", "out/b/*.mp4", "out/b/frames/*/*.png", "out/summary.json"),
         {f"shots/{name}.toml": SMALL.replace('"small"', f'"{name}"') for name in "ab"},
     ),
-    "cookbook.md: Only the layer, one file, keys for Blender, a still with many poses": Shell(
+    "cookbook.md: Deliver only the layer, one file, keys for Blender, or a still": Shell(
         (
             "out/small/layers/heli.anim.usdc",
             "out/small/small.usdz",
@@ -399,10 +399,10 @@ SHELL: dict[str, Shell | str] = {
             "out/small/figures/heli.*",
         )
     ),
-    "cookbook.md: Forty variations, on every core, going on after a crash": Shell(
+    "cookbook.md: Export forty variations on every core, and resume after a crash": Shell(
         ("out/small/small.usda", "out/small/*.mp4")
     ),
-    "cookbook.md: Have our pictures changed?": Shell(
+    "cookbook.md: Check whether pictures have changed": Shell(
         ("renders/*/*.1001.png", "renders/*/*.1121.png"),
         {"shot.toml": MY_SHOT.replace("0.25", "5.0")},
         "vehsim export shot.toml --out out; vehsim render out/my_shot/my_shot.usda --out references "
@@ -419,7 +419,7 @@ SHELL: dict[str, Shell | str] = {
     ),
     "shot-file.md: Overrides": Shell(("out/my_shot/my_shot.usda",), {"shot.toml": BASE}),
     "tutorial-own-vehicle.md: A vehicle of your own, from a blank page": Shell(("out/cart.usda",)),
-    "vehicles.md: Generated": "writes into the package; tests/parts holds what it generates against what is committed",
+    "vehicles.md: How the assets are made": "writes into the package; tests/parts compares what it generates",
 }
 """Page and heading -> what commands need and leave, or why they are only parsed."""
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from vehsim import Shot
-from vehsim.exporters.compare import compare_pictures, write_difference
+from vehsim.exporters.compare.compare import compare_pictures, write_difference
 
 ROOT = Path(__file__).parents[2]
 REFERENCES = ROOT / "tests" / "references"
@@ -27,7 +27,7 @@ def test_example_looks_as_it_did(example, tmp_path):
     take = shot.solve()
     middle = (take.frames[0] + take.frames[1]) // 2
     folder = take.export(tmp_path, to=("usd",))
-    from vehsim.exporters.frames import render_stage
+    from vehsim.exporters.pictures.frames import render_stage
 
     pictures = render_stage(folder / f"{take.name}.usda", tmp_path / "frames", frames=[middle], size=(320, 180))
     assert pictures

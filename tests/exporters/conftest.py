@@ -12,12 +12,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from vehsim.cameras import CameraRig, solve_camera
-from vehsim.clip import Clip
+from vehsim.cameras.camera import CameraRig
+from vehsim.cameras.framing import solve_camera
+from vehsim.clip.clip import Clip
+from vehsim.delivery.take import RenderSettings, Take
 from vehsim.lie import SE3
-from vehsim.take import RenderSettings, Take
-from vehsim.vehicles._base import Control, Drive, Rig
-from vehsim.world import Terrain, World
+from vehsim.rig.rig import Drive, Rig
+from vehsim.vehicles.definition.base import Control
+from vehsim.world.terrain.terrain import Terrain
+from vehsim.world.world import World
 
 FRAMES = (1001, 1024)
 
@@ -88,6 +91,7 @@ def toy_clip(asset: Path, spin_axis: str = "Z", still: bool = False, drives: dic
     vehicle = SimpleNamespace(
         name="toy",
         joints=(),
+        channels={},
         controls=(Control("lift", unit="N"),),
         control_names=("lift",),
         rig=rig,

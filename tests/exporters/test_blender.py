@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from vehsim.exporters import blender
-from vehsim.exporters.usd import write_usd
+from vehsim.exporters.usd.exporter import write_usd
 
 MADE = Path(__file__).parents[2] / ".blender" / "bin" / "python"
 """Where `make blender` puts a Python with Blender's module."""

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from vehsim.cli import run
+from vehsim.cli.commands import run
 from vehsim.errors import InputError
-from vehsim.exporters.compare import compare_folders, compare_pictures, write_difference
+from vehsim.exporters.compare.compare import compare_folders, compare_pictures, write_difference
 
 
 @pytest.fixture
@@ -77,7 +77,7 @@ def test_command_exits_1_and_draws_what_changed(pictures, capsys):
 )
 def test_what_is_small_may_not_vanish_or_change_its_colour(tmp_path, kind, pixels, named):
     """A prim of 14 pixels of 160000 is a hundredth of what the picture as a whole forgives."""
-    from vehsim.exporters.passes import pass_path, prim_colours, write_legend
+    from vehsim.exporters.pictures.passes import pass_path, prim_colours, write_legend
 
     paths = ["/shot/env/ground", "/shot/heli/hub"]
     ground, hub = prim_colours(paths)

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from vehsim.errors import ExportError
-from vehsim.exporters import film, frames, usd
-from vehsim.exporters.contact import write_contact_sheet
-from vehsim.exporters.csv import write_csv
-from vehsim.exporters.report import write_report
+from vehsim.exporters.pictures import film, frames
+from vehsim.exporters.pictures.contact_sheet import write_contact_sheet
+from vehsim.exporters.tables.csv import write_csv
+from vehsim.exporters.tables.report import write_report
+from vehsim.exporters.usd import exporter as usd
 
 
 @pytest.fixture
@@ -63,6 +64,20 @@ def test_contact_sheet_shows_first_and_last_with_numbers(tmp_path, pictures):
         pixels = np.asarray(sheet)
     assert (pixels == 160).all(axis=2).sum() >= 161 * 91  # the last and brightest
     assert pixels.max() > 200  # the numbers
+
+
+def test_a_contact_sheet_has_room_for_pictures_of_any_size(tmp_path):
+    """One camera's pictures beside those of all: none lies on another, or beyond the sheet."""
+    from PIL import Image
+
+    files = []
+    for k, size in enumerate([(60, 40), (160, 40), (60, 90)]):
+        files.append(tmp_path / f"shot.any.{k}.png")
+        Image.new("RGB", size, (255, 0, 60 + k)).save(files[-1])
+    with Image.open(write_contact_sheet(files, tmp_path / "contact.png")) as sheet:
+        pixels = np.asarray(sheet)
+    counts = [(pixels == (255, 0, 60 + k)).all(axis=2).sum() for k in range(3)]
+    assert counts == [60 * 40, 160 * 40, 60 * 90]
 
 
 def test_png_and_mp4_follow_usd_through_one_folder(tmp_path, toys, make_take):

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vehsim.exporters.usd import write_usd
-from vehsim.world import World
+from vehsim.exporters.usd.exporter import write_usd
+from vehsim.world.world import World
 
 pytest.importorskip("pxr")
 

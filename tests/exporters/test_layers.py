@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import vehsim
+from vehsim.delivery.take import Take, UsdSettings
 from vehsim.errors import InputError
-from vehsim.exporters.readback import world_matrices
-from vehsim.exporters.sampling import clip_at, fewest, fewest_poses
-from vehsim.exporters.usd import write_usd
-from vehsim.take import Take, UsdSettings
+from vehsim.exporters.usd.exporter import write_usd
+from vehsim.exporters.usd.readback import world_matrices
+from vehsim.exporters.usd.sampling import clip_at, fewest, fewest_poses
 from vehsim.vehicles import load_vehicle
 
 FRAMES = (1001, 1025)
@@ -177,7 +177,7 @@ def test_layers_alone(weave, tmp_path):
 
 @pytest.mark.parametrize("to", ["png", "mp4", "flat"])
 def test_layers_alone_make_no_pictures_and_say_so_before_any_work(weave, tmp_path, to):
-    with pytest.raises(InputError, match=f"(png|{to}).*layer_only leaves out"):
+    with pytest.raises(InputError, match=f"(png|{to}).*layer_only omits"):
         take_of(weave, layer_only=True).export(tmp_path, to=("usd", to))
     assert not list(tmp_path.iterdir())
 
@@ -197,7 +197,7 @@ def test_versions_are_never_overwritten_and_latest_follows(weave, tmp_path):
     with pytest.raises(InputError, match="holds versions, which stay"):
         take_of(weave).export(tmp_path)
     plain = take_of(weave).export(tmp_path / "plain")
-    with pytest.raises(InputError, match="holds something else than versions"):
+    with pytest.raises(InputError, match="contains other files than versions"):
         take.export(tmp_path / "plain")
     assert (plain / "shot.usda").is_file()
     assert not [path for path in (tmp_path / "shot").iterdir() if path.name.startswith(".")]

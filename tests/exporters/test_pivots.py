@@ -11,10 +11,10 @@ from pxr import Gf, Usd, UsdGeom
 from scipy.spatial.transform import Rotation
 
 import vehsim
-from vehsim.exporters.readback import world_matrices
-from vehsim.exporters.usd import write_usd
-from vehsim.rigging import rig_problems
-from vehsim.take import Take
+from vehsim.delivery.take import Take
+from vehsim.exporters.usd.exporter import write_usd
+from vehsim.exporters.usd.readback import world_matrices
+from vehsim.rig.ops import rig_problems
 from vehsim.vehicles import load_vehicle
 
 HUBS = {"fl": (2.6, 0.8, 0.4), "fr": (2.6, -0.8, 0.4), "rl": (0.0, 0.8, 0.4), "rr": (0.0, -0.8, 0.4)}
@@ -105,15 +105,16 @@ def test_wheels_turn_about_their_pivot_whatever_its_name(pivots, merged, tmp_pat
 def test_a_mirror_above_a_wheel_turns_its_steering_round_and_not_its_rolling(tmp_path):
     centre = {"pivot": '"centre"'}
     found = list(rig_problems(vehicle(tmp_path, mirrored=("fr",), steer_fr=centre).rig))
-    assert [(channel, mend) for channel, _, mend in found] == [("steer_fr", "factor = -1")]
-    assert "steering to the left is a turn about what points up" in found[0][1]
+    assert [(problem.key, problem.remedy) for problem in found] == [("channels.steer_fr", "factor = -1")]
+    assert "steering to the left is a turn about what points up" in found[0].message
     (again := tmp_path / "again").mkdir()
     assert not list(rig_problems(vehicle(again, mirrored=("fr",), steer_fr={"factor": -1} | centre).rig))
 
 
 def test_a_wheel_that_would_roll_backwards_is_named(tmp_path):
-    ((channel, message, mend),) = rig_problems(vehicle(tmp_path, roll_rl={"factor": -1}).rig)
-    assert channel == "roll_rl" and mend == "factor = 1" and "goes by [0, -1, 0] of the vehicle" in message
+    (problem,) = rig_problems(vehicle(tmp_path, roll_rl={"factor": -1}).rig)
+    assert (problem.key, problem.remedy) == ("channels.roll_rl", "factor = 1")
+    assert "goes by [0, -1, 0] of the vehicle" in problem.message
 
 
 def test_a_deactivated_prim_is_named(tmp_path):
@@ -121,5 +122,6 @@ def test_a_deactivated_prim_is_named(tmp_path):
     stage = Usd.Stage.Open(str(tmp_path / "mine.usda"))
     stage.GetPrimAtPath("/mine/side_rr/wheel").SetActive(False)
     stage.Save()
-    ((channel, message, _),) = rig_problems(car.rig)
-    assert channel == "roll_rr" and "prim = 'side_rr/wheel': deactivated in the asset" in message
+    (problem,) = rig_problems(car.rig)
+    assert problem.key == "channels.roll_rr"
+    assert "prim = 'side_rr/wheel': deactivated in the asset" in problem.message

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vehsim.cli import run
+from vehsim.cli.commands import run
 from vehsim.errors import InputError
-from vehsim.exporters.compare import compare_folders
-from vehsim.exporters.frames import render_stage
-from vehsim.exporters.passes import prim_colours, read_depth
-from vehsim.exporters.pytest_plugin import RenderRegression
-from vehsim.exporters.usd import write_usd
+from vehsim.exporters.compare.compare import compare_folders
+from vehsim.exporters.compare.pytest_plugin import RenderRegression
+from vehsim.exporters.pictures.frames import render_stage
+from vehsim.exporters.pictures.passes import prim_colours, read_depth
+from vehsim.exporters.usd.exporter import write_usd
 
 FRAMES, SIZE, PASSES = (1004, 1016), (320, 180), ("depth", "segmentation")
 TOY = "/shot/vehicles/toy0"
@@ -28,9 +28,10 @@ def approved(tmp_path_factory, toys, bumpy):
     """A delivered shot in ``shot/`` and its approved pictures in ``renders/``."""
     from fractions import Fraction
 
-    from vehsim.cameras import CameraRig, solve_camera
-    from vehsim.take import RenderSettings, Take
-    from vehsim.world import World
+    from vehsim.cameras.camera import CameraRig
+    from vehsim.cameras.framing import solve_camera
+    from vehsim.delivery.take import RenderSettings, Take
+    from vehsim.world.world import World
 
     folder = tmp_path_factory.mktemp("approved")
     clips, world = {"toy0": toys.clip(toys.asset(folder / "in" / "toy.usda"))}, World(bumpy)
@@ -124,7 +125,7 @@ def test_depth_is_metres_and_segmentation_says_whose_a_pixel_is(approved):
 
     from PIL import Image
 
-    from vehsim.exporters.stage import StageReader
+    from vehsim.exporters.usd.stage import StageReader
 
     name = "shot.chase.{}1004"
     depth = read_depth(approved / "renders" / "chase" / "depth" / f"{name.format('depth.')}.tif")

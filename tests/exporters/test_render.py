@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from vehsim.errors import InputError
-from vehsim.exporters.frames import render_stage
-from vehsim.exporters.render import StageRenderer
-from vehsim.exporters.stage import StageReader
-from vehsim.world import World
+from vehsim.exporters.pictures.frames import render_stage
+from vehsim.exporters.pictures.render import StageRenderer
+from vehsim.exporters.usd.stage import StageReader
+from vehsim.world.world import World
 
 SIZE = (320, 180)
 
@@ -162,7 +162,7 @@ def test_the_sun_comes_from_where_the_stage_says(new_stage):
 def test_the_sky_is_brightest_where_the_stage_puts_its_glow(new_stage, tmp_path):
     from pxr import UsdLux
 
-    from vehsim.exporters.lighting import write_sky
+    from vehsim.exporters.usd.scenery.lighting import write_sky
 
     write_sky(tmp_path / "sky.png", azimuth=90.0, elevation=10.0)
     dome = UsdLux.DomeLight.Define(new_stage, "/top/sky")
@@ -182,7 +182,7 @@ def test_the_sky_is_brightest_where_the_stage_puts_its_glow(new_stage, tmp_path)
 
 
 def test_frames_are_numbered_by_camera_and_the_same_every_time(tmp_path, toys, make_take):
-    from vehsim.exporters.usd import write_usd
+    from vehsim.exporters.usd.exporter import write_usd
 
     clip = toys.clip(toys.asset(tmp_path / "in" / "toy.usda"))
     write_usd(make_take(clip), tmp_path, toys.silent)
@@ -199,7 +199,7 @@ def test_frames_are_numbered_by_camera_and_the_same_every_time(tmp_path, toys, m
 
 
 def test_a_take_in_empty_space_is_drawn(tmp_path, toys, make_take):
-    from vehsim.exporters.usd import write_usd
+    from vehsim.exporters.usd.exporter import write_usd
 
     clip = toys.clip(toys.asset(tmp_path / "in" / "toy.usda"))
     write_usd(make_take(clip, world=World()), tmp_path, toys.silent)
@@ -304,7 +304,7 @@ def test_frames_are_the_same_from_one_process_or_two(new_stage, tmp_path):
 
 def test_a_failing_render_process_is_an_error(new_stage, tmp_path, monkeypatch):
     from vehsim.errors import ExportError
-    from vehsim.exporters import frames
+    from vehsim.exporters.pictures import frames
 
     quad(new_stage, "/top/quad", (0, 0, 0), 1.0, (0.8, 0.2, 0.1))
     new_stage.GetRootLayer().Save()
@@ -315,9 +315,9 @@ def test_a_failing_render_process_is_an_error(new_stage, tmp_path, monkeypatch):
 
 def test_past_the_edge_of_the_ground_the_horizon_goes_on(tmp_path):
     """No brown band between level ground and its horizon; the light stays as it is."""
-    from vehsim.exporters.lighting import write_sky
-    from vehsim.exporters.shading import light_for
-    from vehsim.exporters.stage import Sky
+    from vehsim.exporters.usd.scenery.lighting import write_sky
+    from vehsim.exporters.usd.scenery.shading import light_for
+    from vehsim.exporters.usd.stage import Sky
 
     write_sky(tmp_path / "sky.png", azimuth=40.0, elevation=22.0)
     sky = Sky(np.ones(3), tmp_path / "sky.png", np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]))
@@ -369,7 +369,7 @@ def test_edges_are_as_sharp_as_the_mesh_says(interpolation, new_stage, tmp_path)
 def test_the_sky_has_clouds_and_far_hills_only_where_there_is_land(tmp_path):
     from PIL import Image
 
-    from vehsim.exporters.lighting import clouds, latlong_directions, write_sky
+    from vehsim.exporters.usd.scenery.lighting import clouds, latlong_directions, write_sky
 
     directions = latlong_directions(512, 256)
     cover, light = clouds(directions, np.array([0.6, 0.6, 0.53]))
@@ -391,7 +391,7 @@ def test_concrete_lies_on_obstacles_to_scale():
 
     from PIL import Image
 
-    from vehsim.exporters.concrete import TILE, coordinates, picture
+    from vehsim.exporters.usd.scenery.concrete import TILE, coordinates, picture
 
     rng = np.random.default_rng(4)
     for axis in range(3):

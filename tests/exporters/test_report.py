@@ -7,7 +7,7 @@ import pytest
 
 import vehsim
 from vehsim import State, Take, World
-from vehsim.exporters.report import write_report
+from vehsim.exporters.tables.report import write_report
 
 
 def test_the_report_has_each_vehicles_energy_ledger(tmp_path):

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from vehsim import Shot
-from vehsim.exporters.split import NAME, caption
+from vehsim.exporters.pictures.split import NAME, caption
 
 SHOT = """
 [shot]
@@ -80,14 +80,14 @@ def test_film_of_the_pictures_side_by_side(delivery):
 
 
 @pytest.mark.parametrize(
-    ("change", "key", "mend"),
+    ("change", "key", "remedy"),
     [
         ('a = "RK4: {slow} {unknown}"', "render.captions.c", "choose one of a, b"),
         ('integrator = "rk4"', "vehicle[0].motion.integrator", "did you mean 'rk4'?"),
     ],
 )
-def test_wrong_names_are_told(tmp_path, change, key, mend):
+def test_wrong_names_are_told(tmp_path, change, key, remedy):
     text = SHOT.replace(change, {"a": 'c = "no such camera"', "i": 'integrator = "rk5"'}[change[0]])
     (tmp_path / "pair.toml").write_text(text)
     (problem,) = (p for p in Shot.load(tmp_path / "pair.toml").check() if p.severity == "error")
-    assert (problem.key, problem.mend) == (key, mend)
+    assert (problem.key, problem.remedy) == (key, remedy)

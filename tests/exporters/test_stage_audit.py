@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -13,7 +14,7 @@ import pytest
 
 from vehsim.audit import missed
 from vehsim.errors import InputError
-from vehsim.exporters.stage_audit import audit_delivery
+from vehsim.exporters.checks.audit import audit_delivery
 from vehsim.shot import Shot
 
 SHOT: dict[str, Any] = {
@@ -53,15 +54,16 @@ def copy(delivery: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(delivery, tmp_path / "over"))
 
 
-def edit(folder: Path, change: Callable[[float, Any], Any]) -> None:
-    """Change the root's places in the animation layer: frame, place -> place."""
+def edit(folder: Path, change: Callable[[float, Any], Any], below: str = ".xformOp:translate") -> None:
+    """Change the root's places in the animation layer, or another op's values: frame, value -> value."""
     from pxr import Gf, Sdf
 
     layer = Sdf.Layer.FindOrOpen(str(folder / "layers" / "heli.anim.usdc"))
-    path = layer.GetPrimAtPath(f"/{layer.defaultPrim}").path.AppendProperty("xformOp:translate")
+    path = Sdf.Path(f"/{layer.defaultPrim}{below}")
     for frame in layer.ListTimeSamplesForPath(path):
-        place = layer.QueryTimeSample(path, frame)
-        layer.SetTimeSample(path, frame, Gf.Vec3d(*change(frame, np.array(place)).tolist()))
+        value = np.array(layer.QueryTimeSample(path, frame))
+        changed = change(frame, value)
+        layer.SetTimeSample(path, frame, Gf.Vec3d(*changed.tolist()) if value.ndim else float(changed))
     layer.Save()
 
 
@@ -122,14 +124,21 @@ def test_what_is_no_delivery_is_named(copy: Path, tmp_path: Path) -> None:
         audit_delivery(copy)
 
 
-def test_the_command_says_what_is_missed(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from vehsim.cli import run
+def test_the_command_says_what_is_missed(
+    copy: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from vehsim.batch import screen
+    from vehsim.cli.commands import run
 
+    monkeypatch.setattr(screen, "PAUSE", 0.0)  # as if seconds passed between any two of our lines
     assert run(["audit", str(copy)]) == 0
-    assert "ok      heli: mark[1].hold" in capsys.readouterr().out
+    said = capsys.readouterr()
+    assert "ok      heli: mark[1].hold" in said.out
+    assert re.search(r"^heli: distances at frame \d+  \d+%  \d+ s$", said.err, re.MULTILINE)
     edit(copy, lambda frame, p: np.add(p, [0, 0, 0.01 * (frame == 1145)]))
     assert run(["audit", str(copy), "--quiet"]) == 1
-    assert "MISSED  heli: mark[1].position: 0.01 m, 0.001 allowed, at frame 1145" in capsys.readouterr().out
+    said = capsys.readouterr()
+    assert "MISSED  heli: mark[1].position: 0.01 m, 0.001 allowed, at frame 1145" in said.out and not said.err
 
 
 CAR: dict[str, Any] = {
@@ -146,7 +155,7 @@ CAR: dict[str, Any] = {
 
 
 def test_a_car_that_floats_or_sinks_is_refused(tmp_path: Path) -> None:
-    from vehsim.world import World
+    from vehsim.world.world import World
 
     height = float(World("hills").height([[0.0, 0.0]])[0])
     CAR["vehicle"][0]["motion"]["start"]["position"][2] = height
@@ -158,3 +167,47 @@ def test_a_car_that_floats_or_sinks_is_refused(tmp_path: Path) -> None:
     assert keys(folder) == {"wheels"}
     edit(folder, lambda frame, p: np.add(p, [0, 0, -0.016 * (frame == 1030)]))
     assert keys(folder) == {"wheels"}
+
+
+STEERED: dict[str, Any] = {
+    "shot": {"schema": 1, "name": "over"},
+    "vehicle": [
+        {
+            "name": "heli",
+            "asset": "car",
+            "motion": {
+                "method": "plan",
+                "segments": 24,
+                "limits": {"steering_rate": 20, "joint_rates": {"sigma": 0.3}, "joints": {"sigma": 0.3}},
+                "mark": [
+                    {"frame": 1001, "position": [0, 0, 0], "heading": 0, "joints": {"sigma": 0}},
+                    {"frame": 1097, "position": [14, 4, 0], "heading": 20, "joints": {"sigma": 0.05}},
+                ],
+            },
+        }
+    ],
+}
+
+
+def test_joints_are_measured_where_the_stage_shows_them(tmp_path: Path) -> None:
+    """Wheels steered otherwise than the plan steers: the clip's joints say nothing about that."""
+    folder = Shot.from_dict(STEERED).solve().export(tmp_path / "good", ("usd",))
+    rows = {row.key: row for row in audit_delivery(folder)["heli"]}
+    asked = {"mark[0].joints.sigma", "mark[1].joints.sigma", "limits.steering_rate", "limits.joint_rates.sigma",
+             "limits.joints.sigma"}  # fmt: skip
+    assert all(rows[key].met for key in asked)
+    ours = {row["key"]: row["value"] for row in json.loads((folder / "report.json").read_text())["audit"]["heli"]}
+    assert rows["limits.joints.sigma"].value == pytest.approx(ours["limits.joints.sigma"], abs=1e-3)
+    assert abs(rows["limits.joint_rates.sigma"].value or 0) == pytest.approx(0.3, rel=0.1)
+
+    wheel = "/steer_fl.xformOp:rotateZ:spin"
+    spoils: dict[str, Callable[[float, Any], Any]] = {
+        "limits.joint_rates.sigma": lambda frame, angle: angle + (frame == 1030) * 2.0,
+        "limits.steering_rate": lambda frame, angle: angle + (frame == 1030) * 2.0,
+        "limits.joints.sigma": lambda frame, angle: angle * 3,
+        "mark[1].joints.sigma": lambda frame, angle: angle + (frame == 1097) * 0.2,
+    }
+    for key, change in spoils.items():
+        spoiled = Path(shutil.copytree(folder, tmp_path / key / "over"))
+        edit(spoiled, change, wheel)
+        assert key in keys(spoiled)

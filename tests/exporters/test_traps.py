@@ -8,11 +8,11 @@ import struct
 import numpy as np
 import pytest
 
-from vehsim.exporters.usd import write_usd
-from vehsim.exporters.validate import validate_stage
-from vehsim.rigging import rig_problems
-from vehsim.vehicles._base import Drive, Rig
-from vehsim.vehicles._imported import ready_asset
+from vehsim.exporters.checks.validate import validate_stage
+from vehsim.exporters.usd.exporter import write_usd
+from vehsim.rig.ops import rig_problems
+from vehsim.rig.rig import Drive, Rig
+from vehsim.vehicles.library.imported import ready_asset
 
 
 def made_by_blender(stage):
@@ -61,7 +61,7 @@ def test_parts_that_follow_a_skeleton_are_refused(tmp_path):
     stage.Save()
     drives = {"a": Drive("rig/hung", "rotateZ"), "b": Drive("rig/wheel", "rotateZ"), "whole": Drive("rig", "rotateZ")}
     problems = list(rig_problems(Rig(asset=tmp_path / "skinned.usda", root="", drives=drives)))
-    assert [channel for channel, *_ in problems] == ["b"] and "is skinned to joints" in problems[0][1]
+    assert [problem.key for problem in problems] == ["channels.b"] and "is skinned to joints" in problems[0].message
 
 
 def glb(path, **more):
@@ -118,7 +118,7 @@ def test_a_root_with_a_scale_of_its_own_is_in_the_right_unit(tmp_path, toys, mak
 def test_warnings_on_the_command_line_name_no_source_of_ours(monkeypatch, capsys):
     import warnings
 
-    from vehsim import cli
+    from vehsim.cli import commands as cli
 
     monkeypatch.setattr(warnings, "formatwarning", warnings.formatwarning)
     monkeypatch.setattr(cli, "app", lambda **_: 0)

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from vehsim.errors import ExportError
-from vehsim.exporters.readback import world_matrices
-from vehsim.exporters.usd import write_usd
-from vehsim.vehicles._base import Drive
+from vehsim.exporters.usd.exporter import write_usd
+from vehsim.exporters.usd.readback import world_matrices
+from vehsim.rig.rig import Drive
 
 
 def prim_matrices(stage, path):
@@ -174,7 +174,7 @@ def test_a_part_inside_an_instance_moves(tmp_path, toys, make_take):
 
 def test_an_opinion_that_does_not_show_is_an_error(tmp_path, toys, make_take, monkeypatch):
     """Left an instance, the rotor would stand still in every other software."""
-    monkeypatch.setattr("vehsim.exporters.animation.instances_above", lambda root, prim: [])
+    monkeypatch.setattr("vehsim.exporters.usd.animation.instances_above", lambda root, prim: [])
     clip = instanced_rotor(tmp_path, toys)
     with pytest.raises(ExportError, match=r"/shot/vehicles/toy0/chassis/rotor: at frame 1002"):
         write_usd(make_take(clip), tmp_path / "out", toys.silent)

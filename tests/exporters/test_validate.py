@@ -1,11 +1,11 @@
-"""Each thing that can be wrong with a stage is found, and says how to mend it."""
+"""Each thing that can be wrong with a stage is found, and says how to fix it."""
 
 from __future__ import annotations
 
 import pytest
 
-from vehsim.exporters.usd import write_usd
-from vehsim.exporters.validate import validate_stage
+from vehsim.exporters.checks.validate import validate_stage
+from vehsim.exporters.usd.exporter import write_usd
 
 pytestmark = pytest.mark.broken_stages
 
@@ -81,7 +81,7 @@ def _flip(quaternions):
 def test_what_is_broken_is_found(shot, rule):
     issues = [issue for issue in broken(shot, BREAKS[rule]) if issue.rule == rule]
     assert issues, rule
-    assert issues[0].mend and issues[0].message and issues[0].site
+    assert issues[0].remedy and issues[0].message and issues[0].site
 
 
 def test_a_file_that_is_no_stage_is_one_issue(tmp_path):
@@ -122,7 +122,7 @@ def test_what_is_said_of_the_inside_of_an_instance_is_found(tmp_path, toys):
     Sdf.CreatePrimInLayer(layer, "/it/rotor")
     layer.Save()
     issues = [issue for issue in validate_stage(tmp_path / "shot.usda") if issue.rule == "dead over"]
-    assert "says something of rotor in an instance" in issues[0].message and "instanceable = false" in issues[0].mend
+    assert "says something of rotor in an instance" in issues[0].message and "instanceable = false" in issues[0].remedy
 
 
 def test_a_layer_of_overs_alone_is_no_fault(tmp_path):
@@ -157,7 +157,7 @@ def test_the_same_fault_at_many_places_is_told_once(shot):
 
 
 def test_nvidias_validator_is_asked_when_it_is_installed(shot, monkeypatch):
-    """A stand-in for the package, which is not among ours: its issues come through with severity, place and mend."""
+    """A stand-in for the package, which is not among ours: its issues come through with severity, place and remedy."""
     import sys
     from types import ModuleType
     from types import SimpleNamespace as Named

@@ -8,18 +8,19 @@ import pytest
 from pxr import Usd, UsdGeom, UsdShade
 
 import vehsim
-from vehsim.cameras import CameraRig, solve_camera
-from vehsim.clip import Clip
-from vehsim.exporters import water as authored
-from vehsim.exporters.passes import prim_colours
-from vehsim.exporters.render import StageRenderer
-from vehsim.exporters.stage import StageReader
-from vehsim.exporters.validate import validate_stage
-from vehsim.exporters.water_view import places_of
-from vehsim.exporters.water_wake import Floating, Foam, Wake
-from vehsim.take import RenderSettings, Take
-from vehsim.world import Water, World
-from vehsim.world.water import wave
+from vehsim.cameras.camera import CameraRig
+from vehsim.cameras.framing import solve_camera
+from vehsim.clip.clip import Clip
+from vehsim.delivery.take import RenderSettings, Take
+from vehsim.exporters.checks.validate import validate_stage
+from vehsim.exporters.pictures.passes import prim_colours
+from vehsim.exporters.pictures.render import StageRenderer
+from vehsim.exporters.pictures.water import places_of
+from vehsim.exporters.usd.scenery import water as authored
+from vehsim.exporters.usd.scenery.wake import Floating, Foam, Wake
+from vehsim.exporters.usd.stage import StageReader
+from vehsim.world.water.water import wave
+from vehsim.world.world import Water, World
 
 BOAT = vehsim.load_vehicle("boat")
 FPS = 24
@@ -125,7 +126,7 @@ def test_water_inside_a_hull_goes_down_to_its_bottom_and_not_through(roll):
 
 def test_water_itself_has_no_wet_lines(shown, monkeypatch):
     """Where MuJoCo draws the water, the picture is the same without them: far crests once were dark slivers."""
-    from vehsim.exporters import water_view
+    from vehsim.exporters.pictures import water as water_view
 
     pictures = []
     for share in (0.0, 1.0):
@@ -187,8 +188,8 @@ def test_the_preview_moves_and_its_hulls_are_wet(shown):
 
 
 def test_wet_lines_darken_what_stands_just_above_the_water(shown):
-    from vehsim.exporters.shading import light_for
-    from vehsim.exporters.water_view import WaterView
+    from vehsim.exporters.pictures.water import WaterView
+    from vehsim.exporters.usd.scenery.shading import light_for
 
     stage = StageReader(shown[1])
     view = WaterView(stage, light_for(stage.sun(), stage.sky()))
@@ -201,7 +202,7 @@ def test_wet_lines_darken_what_stands_just_above_the_water(shown):
 
 def test_any_renderer_can_whiten_foam(shown):
     """UsdPreviewSurface reads colour and roughness from primvars, which say what the preview's foam says."""
-    from vehsim.exporters.water_material import CLEAR, FOAM, ROUGH, SHADES, patches
+    from vehsim.exporters.usd.scenery.water_material import CLEAR, FOAM, ROUGH, SHADES, patches
 
     stage = Usd.Stage.Open(str(shown[1]))
     prim = stage.GetPrimAtPath("/sea/env/water/surface")
@@ -227,7 +228,7 @@ def test_ripples_are_level_on_the_whole_and_repeat():
 
     from PIL import Image
 
-    from vehsim.exporters.water_material import STEEP, ripples
+    from vehsim.exporters.usd.scenery.water_material import STEEP, ripples
 
     with Image.open(io.BytesIO(ripples())) as picture:
         normal = np.asarray(picture, float) / 127.5 - 1

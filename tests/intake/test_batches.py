@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from vehsim import cli
+from vehsim.cli import commands as cli
 
 sys.path.insert(0, str(Path(__file__).parent))
 from hostile import CUBE, FACES, glb, usda
@@ -31,11 +31,11 @@ BAD = {
     "terrain.glb": (CAR + '[world]\nterrain = "terrain.glb"\n', "terrain.glb: terrain"),
     "obstacle.glb": (
         CAR + '[[world.obstacle]]\nshape = "mesh"\npath = "obstacle.glb"\n',
-        "world.obstacle[0].path: {folder}/obstacle.glb: ",
+        "world.obstacle[0].path = 'obstacle.glb': {folder}/obstacle.glb: mesh: ",
     ),
     "empty.obj": (
         CAR + '[[world.obstacle]]\nshape = "mesh"\npath = "empty.obj"\n',
-        "world.obstacle[0].path: {folder}/empty.obj: ",
+        "world.obstacle[0].path = 'empty.obj': {folder}/empty.obj: mesh: ",
     ),
     "empty.npz": (CAR + '[world.water]\ngrids = "empty.npz"\n', "empty.npz: world.water.grids: cannot be read"),
     "short.npz": (CAR + '[world]\nterrain = "short.npz"\n', "short.npz: heights: cannot be read"),

@@ -13,8 +13,8 @@ from vehsim.errors import InputError, ShotError
 from vehsim.intake.arrays import read_array, read_arrays
 from vehsim.intake.meshes import read_triangles
 from vehsim.intake.toml import read_toml
-from vehsim.world import Terrain
-from vehsim.world.water_grids import KEYS, WaterGrids
+from vehsim.world.terrain.terrain import Terrain
+from vehsim.world.water.grids import KEYS, WaterGrids
 
 sys.path.insert(0, str(Path(__file__).parent))
 from hostile import CUBE, FACES, WRITERS, usda, written, wrong_arrays, wrong_meshes
@@ -107,7 +107,7 @@ def test_tables_beyond_reason_are_refused(tmp_path: Path, text: str | bytes, say
 
 
 def test_clips_of_others_are_refused(tmp_path: Path) -> None:
-    from vehsim.clip import Clip
+    from vehsim.clip.clip import Clip
 
     np.savez(tmp_path / "c.npz", header=np.array('{"fps": "24"}'), twists=np.zeros((3, 3)))
     with pytest.raises(InputError, match=r"c.npz: not a clip saved by vehsim"):

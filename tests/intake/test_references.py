@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 import vehsim
-from vehsim import cli
 from vehsim.assets import shipped
+from vehsim.cli import commands as cli
 from vehsim.errors import InputError
 from vehsim.vehicles import load_vehicle
 
@@ -73,7 +73,7 @@ def test_it_is_refused(studio: Path, capsys: pytest.CaptureFixture[str]) -> None
 def test_it_travels_when_asked_for(studio: Path, capsys: pytest.CaptureFixture[str]) -> None:
     home = studio.parents[1]
     assert export(home, 'outside = "copy"') == 0
-    assert "warning: " in (said := capsys.readouterr().err) and "copied along" in said
+    assert "warning: " in (said := capsys.readouterr().err) and "copied too" in said
     assert any(path.name.startswith(("secret", "inside")) for path in (home / "out").rglob("*"))
 
 

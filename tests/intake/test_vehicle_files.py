@@ -10,10 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from vehsim import Shot, cli
+from vehsim import Shot
 from vehsim.assets import shipped
+from vehsim.cli import commands as cli
 from vehsim.errors import InputError, ShotError
-from vehsim.parts import read_parts
+from vehsim.rig.parts import read_parts
 from vehsim.vehicles import load_vehicle
 
 pytestmark = pytest.mark.broken_stages
@@ -178,7 +179,7 @@ def test_a_delivery_is_remade_after_such_an_edit(tmp_path: Path, capsys: pytest.
     (tmp_path / "shot.toml").write_text(SHOT.format(name="shot", asset="it"))
     command = ["export", str(tmp_path / "shot.toml"), "--to", "npz", "--out", str(tmp_path / "out"), "--resume"]
     assert cli.run(command) == cli.run(command) == 0
-    assert "finished before" in capsys.readouterr().out
+    assert "already finished" in capsys.readouterr().out
     date = (folder / "vehicle.toml").stat()
     text = (folder / "vehicle.toml").read_text().replace("mass = 1350.0", "mass = 1360.0")
     (folder / "vehicle.toml").write_text(text)
@@ -197,7 +198,7 @@ def test_changed_bytes_of_an_asset_are_no_fault_of_ours(seed: int, tmp_path: Pat
     file.write_bytes(content)
     (tmp_path / "shot.toml").write_text(SHOT.format(name="shot", asset="it"))
     for problem in Shot.load(tmp_path / "shot.toml").check():
-        assert problem.key and problem.message and problem.mend
+        assert problem.key and problem.message and problem.remedy
 
 
 def test_a_value_that_is_corrupt_is_wrong_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -206,7 +207,7 @@ def test_a_value_that_is_corrupt_is_wrong_input(tmp_path: Path, monkeypatch: pyt
     def corrupt(*given: object) -> None:
         raise Tf.ErrorException("Attempted to unpack unsupported type")
 
-    monkeypatch.setattr("vehsim.parts.mesh_of", corrupt)
+    monkeypatch.setattr("vehsim.rig.parts.mesh_of", corrupt)
     folder = vehicle(tmp_path)
     with pytest.raises(InputError, match=r"car.usdc: asset: not readable as USD \(.*\); export it again"):
         read_parts(folder / "car.usdc")

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from vehsim.errors import InputError, SolveError
+from vehsim.integrators.environment import Combined, Environment
 from vehsim.integrators.forced import Forced
 from vehsim.integrators.integrator import Integrator
 from vehsim.lie import SE3
 from vehsim.vehicles import State
-from vehsim.vehicles.holonomic import Holonomic
-from vehsim.world.environment import Environment, Surroundings
+from vehsim.vehicles.definition.holonomic import Holonomic
 
 BODY = Holonomic(name="body", group=SE3, inertia=(1.0, 2.0, 3.0, 4.0, 4.0, 4.0), gravity=0.0)
 
@@ -40,7 +40,7 @@ START = State(position=np.array([1.0, 0.5, -0.3]), twist=np.array([0.4, -0.2, 0.
 
 
 def end(steps, *parts):
-    body = Forced(Integrator(BODY, 1.5 / steps, "tln"), Surroundings(parts), START, np.zeros(0))
+    body = Forced(Integrator(BODY, 1.5 / steps, "tln"), Combined(parts), START, np.zeros(0))
     for _ in range(steps):
         body.advance(np.zeros(0))
     return np.concatenate([body.state.position, body.state.orientation, body.state.twist])

@@ -10,7 +10,7 @@ from vehsim.integrators.continuous import execute
 from vehsim.integrators.record import flat
 from vehsim.lie import SO3
 from vehsim.vehicles import Holonomic, State
-from vehsim.vehicles.helicopter import helicopter
+from vehsim.vehicles.models.helicopter import helicopter
 
 
 def test_projectile_is_a_parabola():
@@ -194,7 +194,7 @@ def test_stepping_in_place_step_by_state_and_rollout_agree(name, order):
     controls = law(h * np.arange(n + 1))
     integrator = Integrator(vehicle, h, order=order, wind=(1.0, 0.0, 0.0))
     clip = integrator.rollout(start, controls)
-    motion, state = integrator.motion(start, controls[0]), start
+    motion, state = integrator.stepper(start, controls[0]), start
     for k in range(n):
         motion.controls[:] = controls[k + 1]
         motion.step()

@@ -10,9 +10,10 @@ import pytest
 
 import vehsim
 from vehsim.errors import InputError, SolveError
-from vehsim.integrators import Integrator, machine
+from vehsim.integrators import Integrator
+from vehsim.integrators.fast import machine
 from vehsim.vehicles import State
-from vehsim.vehicles.snakeboard import snakeboard
+from vehsim.vehicles.models.snakeboard import snakeboard
 
 H = 1 / 120
 CASES = {
@@ -56,7 +57,7 @@ def test_machine_code_is_the_same_motion_and_kept(name, cache):
     fast = Integrator(vehicle, H, compiled=True)
     assert fast.compiled and not Integrator(vehicle, H).compiled
     same(fast.rollout(start, controls), plain)
-    motion, state = fast.motion(start, controls[0]), start
+    motion, state = fast.stepper(start, controls[0]), start
     for k in range(20):
         motion.controls[:] = controls[k + 1]
         motion.step()

@@ -13,12 +13,12 @@ from pxr import Ar, Gf, Usd, UsdGeom
 
 import vehsim
 from tests.parts.test_reading import CUBE, add_cube, new_stage
-from vehsim import parts
-from vehsim.parts import solids
+from vehsim.rig import parts
+from vehsim.rig.parts import solids
 
 ALONE = """
 import sys, vehsim
-from vehsim.world.obstacles import ellipse
+from vehsim.world.obstacles.obstacles import ellipse
 vehicle, world = vehsim.load_vehicle("car"), vehsim.World(obstacles=[ellipse("e", (4, 3), (1, 1))])
 marks = [vehsim.Mark(1001, position=(0, 0, 0), heading=0), vehsim.Mark(1049, position=(8, 0, 0), heading=0)]
 plan = vehsim.plan(vehicle, world, marks, segments=16, clearance=0.3)

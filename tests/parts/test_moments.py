@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vehsim._meshes import hull_moments
+from vehsim.rig.hulls import hull_moments
 from vehsim.vehicles import State, load_vehicle
 
 CORNERS = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])

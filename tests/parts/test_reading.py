@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 import vehsim.assets
 from vehsim.errors import InputError
 from vehsim.intake.usd import triangulate
-from vehsim.parts import add_to_spec, collision_hulls, read_parts
-from vehsim.vehicles._base import Rig
+from vehsim.rig.parts import add_to_spec, collision_hulls, read_parts
+from vehsim.rig.rig import Rig
 
 VEHICLES = Path(vehsim.assets.__file__).parent / "vehicles"
 CUBE = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)

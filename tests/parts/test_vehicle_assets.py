@@ -17,9 +17,9 @@ import vehsim
 import vehsim.assets
 from vehsim.assets.generate import _shapes
 from vehsim.assets.generate._usd import write_asset
-from vehsim.parts import Part, add_to_spec, collision_hulls, read_parts
-from vehsim.vehicles._base import Rig
-from vehsim.vehicles.library import available
+from vehsim.rig.parts import Part, add_to_spec, collision_hulls, read_parts
+from vehsim.rig.rig import Rig
+from vehsim.vehicles.library.library import available
 
 VEHICLES = Path(vehsim.assets.__file__).parent / "vehicles"
 LEG = {

@@ -11,10 +11,10 @@ import vehsim
 from tests.planning.test_plan import REST, tug
 from vehsim import Mark, Shot
 from vehsim.errors import InputError
-from vehsim.planning import ranges
-from vehsim.planning.bounds import Ball, push_of, slips, strength, thrust_ball
-from vehsim.planning.feasibility import refusals
-from vehsim.planning.request import ask
+from vehsim.planning.explain.bounds import Ball, push_of, slips, strength, thrust_ball
+from vehsim.planning.explain.feasibility import refusals
+from vehsim.planning.request import ranges
+from vehsim.planning.request.request import ask
 
 VEHICLES = ["helicopter", "boat", "car", "simple_car", "truck", "two_wheeled", "snakeboard"]
 NAMED = [name for name in VEHICLES if name != "snakeboard"]  # which swings its way along: no frame is found for it
@@ -42,7 +42,7 @@ def test_too_far_in_the_time_is_refused_by_check(name, x, frame, last):
         data["vehicle"][0]["motion"]["mark"].append(table | ({"velocity": [0, 0, 0]} if mark.velocity else {}))
     (problem,) = Shot.from_dict(data).check()
     assert problem.key == "vehicle[0].motion.mark[1].frame"
-    assert re.search(r"^(earliest 1\d\d\d|not before 1\d\d\d|1\d\d\d would do)$", problem.mend), problem
+    assert re.search(r"^(earliest 1\d\d\d|not before 1\d\d\d|1\d\d\d would do)$", problem.remedy), problem
 
 
 @pytest.mark.parametrize("name", NAMED)
@@ -169,15 +169,15 @@ def test_a_boat_in_wind_goes_where_its_controls_lead_or_fails(wind, away, goal, 
 
 
 def test_controls_that_end_elsewhere_are_no_success(monkeypatch):
-    from vehsim.planning import motion
-    from vehsim.planning.certify import Executed
+    from vehsim.planning import trajectory
+    from vehsim.planning.certificates import Executed
 
-    monkeypatch.setattr(motion, "executed", lambda *given: Executed(9.0, 28.0, 28.04))
+    monkeypatch.setattr(trajectory, "executed", lambda *given: Executed(9.0, 28.0, 28.04))
     marks = ends("car", 20.0, 1151, velocity=REST)
     with pytest.warns(UserWarning, match=r"plan failed: .*the controls end 28.04 m off, more than 0\.\d+ m"):
         plan = vehsim.plan(vehsim.load_vehicle("car"), None, marks, segments=16)
     assert not plan.success
-    monkeypatch.setattr(motion, "executed", lambda *given: Executed(0.1, 0.2, 0.2))
+    monkeypatch.setattr(trajectory, "executed", lambda *given: Executed(0.1, 0.2, 0.2))
     with pytest.warns(UserWarning, match=r"the controls end 0.20 m off$"):
         assert vehsim.plan(vehsim.load_vehicle("car"), None, marks, segments=16).success
 
@@ -195,7 +195,7 @@ def test_a_mark_outside_the_terrain_is_said_to_be_there():
         vehsim.plan(helicopter, world, [marks[0], landing])
     car = [Mark(1001, position=(110, 0, 0), heading=0, velocity=REST), Mark(1101, position=(130, 0, 0), heading=0)]
     with pytest.warns(
-        UserWarning, match=r"mark\[1\].position = .*: outside the terrain, which ends at x = 120; beyond"
+        UserWarning, match=r"mark\[1\].position = .*: outside the terrain, which ends at x = 120; the ground there"
     ):
         ask(vehsim.load_vehicle("car"), world, car, fps=24, segments=16)
     start = vehsim.State(position=(0, 130, float(world.height([(0.0, 130.0)])[0])))

@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 
 import vehsim
+from tests.audit_random.test_verifier import ROOT, load
 from vehsim import Mark
-from vehsim.planning.collocation import SCHEMES, Collocation, solve
-from vehsim.planning.transcription import transcription
+from vehsim.planning.problem.transcription import transcribe
 
+collocated = load(ROOT / "benchmarks" / "collocated.py")
+SCHEMES, Collocation, solve = collocated.SCHEMES, collocated.Collocation, collocated.solve
 REST = (0.0, 0.0, 0.0)
 ORDER = {"dmoc": 2, "trapezoidal": 2, "hermite-simpson": 4}
 
@@ -15,7 +17,7 @@ ORDER = {"dmoc": 2, "trapezoidal": 2, "hermite-simpson": 4}
 def _solved(name, marks, counts, **options):
     vehicle = vehsim.load_vehicle(name)
     vehicle = vehicle.planar or vehicle
-    ways = {"dmoc": transcription(vehicle)} | {scheme: Collocation(vehicle, scheme) for scheme in SCHEMES}
+    ways = {"dmoc": transcribe(vehicle)} | {scheme: Collocation(vehicle, scheme) for scheme in SCHEMES}
     return {way: [solve(t, marks, n, **options) for n in counts] for way, t in ways.items()}
 
 

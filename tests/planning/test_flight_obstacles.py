@@ -9,14 +9,14 @@ from scipy.optimize import nnls
 import vehsim
 from vehsim import Mark, World
 from vehsim.errors import InputError, SolveError
-from vehsim.planning.certify import certify
-from vehsim.planning.cover import approach
-from vehsim.planning.ranges import stay
-from vehsim.world import landing
-from vehsim.world import obstacles as ob
-from vehsim.world.clearance import Among
-from vehsim.world.obstacles import hulls_of
-from vehsim.world.terrain import Terrain
+from vehsim.planning.certificates import certify
+from vehsim.planning.request.landing import approach
+from vehsim.planning.request.ranges import stay
+from vehsim.world.distance.clearance import ObstacleScene
+from vehsim.world.ground import landing
+from vehsim.world.obstacles import obstacles as ob
+from vehsim.world.obstacles.obstacles import hulls_of
+from vehsim.world.terrain.terrain import Terrain
 
 REST = (0.0, 0.0, 0.0)
 
@@ -119,8 +119,8 @@ def test_distances_to_obstacles_are_those_of_least_squares(helicopter):
     boxes = [ob.box(f"b{i}", rng.uniform(-9, 9, 3), rng.uniform(1, 4, 3), rng.uniform(0, 90)) for i in range(3)]
     positions, turned = rng.uniform(8, 16, (4, 3)), rng.normal(size=(4, 4))
     turned /= np.linalg.norm(turned, axis=1, keepdims=True)
-    found = Among(helicopter.rig, boxes).clearance(positions, turned, each=True)
-    point = Among(None, boxes).clearance(positions, turned, each=True)
+    found = ObstacleScene(helicopter.rig, boxes).clearance(positions, turned, each=True)
+    point = ObstacleScene(None, boxes).clearance(positions, turned, each=True)
     from vehsim.lie import SO3
 
     for k, (p, R) in enumerate(zip(positions, SO3.matrix(turned), strict=True)):
@@ -159,7 +159,7 @@ def test_what_moves_is_let_by(helicopter):
         (Mark(1, position=(40, 0, 20), heading=0, on_ground=True), "inside the ground or an obstacle; raise it"),
         (Mark(1, position=(0, 0, 20), heading=0, on_ground=True), "nothing below it to stand on"),
         (Mark(1, position=(40, 0, 80), on_ground=True), "give the position above it, and a heading"),
-        (Mark(1, position=(40, 0, 80), heading=0, on_ground=True, speed=3.0), "stands still, exactly there"),
+        (Mark(1, position=(40, 0, 80), heading=0, on_ground=True, speed=3.0), "stands still at this mark"),
     ],
 )
 def test_marks_that_cannot_be_are_refused(helicopter, mark, complaint):
@@ -267,5 +267,5 @@ def test_helicopters_take_gates_that_their_spheres_do_not_fit(helicopter):
     plan = vehsim.plan(helicopter, hall(15.0), marks, segments=32, clearance=0.5, refine=False)
     assert plan.success, plan.message
     assert plan.clearance > 0.49
-    with pytest.raises(SolveError, match=r"no way from .* 5.4 m for the helicopter itself"):
+    with pytest.raises(SolveError, match=r"no path from .* 5.4 m for the helicopter itself"):
         vehsim.plan(helicopter, hall(9.0), marks, segments=32, clearance=0.5)

@@ -10,9 +10,9 @@ import vehsim
 from vehsim import Mark, World
 from vehsim.integrators.continuous import execute
 from vehsim.planning import look_at, stay
-from vehsim.planning.balance import out_of_balance
-from vehsim.planning.request import ask
-from vehsim.planning.transcription import transcription
+from vehsim.planning.explain.balance import out_of_balance
+from vehsim.planning.problem.transcription import transcribe
+from vehsim.planning.request.request import ask
 
 REST = (0.0, 0.0, 0.0)
 PLANNED = {  # height, and how far it goes in how many frames
@@ -45,26 +45,32 @@ def journey(name, place, free):
 
 def holds(plan):
     """Of every hold: the phase's first and last knot."""
-    attempt = plan._attempt
-    knots, marks = attempt.layout.mark_knots, attempt.request.marks
+    iterate = plan._iterate
+    knots, marks = iterate.layout.mark_knots, iterate.request.marks
     return [(knots[i], knots[i + 1]) for i, mark in enumerate(marks[:-1]) if mark.hold]
 
 
 def assert_held(plan):
     """Nothing moves, turns or leans on the clip, nor when the controls are run by RK4 on the equations of motion."""
     assert plan.success, plan.message
-    attempt, found = plan._attempt, holds(plan)
+    iterate, found = plan._iterate, holds(plan)
     assert found
-    g, r, pi, c, steps = attempt.motion.knots()
+    g, r, pi, c, steps = iterate.knots()
     for first, last in found:
         still = plan.clip.at(np.linspace(plan.clip.times[first], plan.clip.times[last], 101))
         assert np.ptp(still.positions, axis=0).max() < 1e-8
         assert np.ptp(still.orientations, axis=0).max() < 1e-8
         assert np.abs(still.twists).max() < 1e-8
-        assert np.ptp(c[first : last + 1] / attempt.t.control_scale, axis=0).max(initial=0.0) < 1e-8
-        z = np.ravel(np.asarray(attempt.t.mechanics.knot_velocity_guess(r[first], pi[first], c[first])))
+        assert np.ptp(c[first : last + 1] / iterate.transcription.control_scale, axis=0).max(initial=0.0) < 1e-8
+        z = np.ravel(np.asarray(iterate.transcription.mechanics.knot_velocity_guess(r[first], pi[first], c[first])))
         run = execute(
-            attempt.t.vehicle, g[first], r[first], z, c[first : last + 1], steps[first:last], attempt.request.wind
+            iterate.transcription.vehicle,
+            g[first],
+            r[first],
+            z,
+            c[first : last + 1],
+            steps[first:last],
+            iterate.request.wind,
         )
         for coordinates in run:
             assert np.ptp(coordinates, axis=0).max(initial=0.0) < 1e-6
@@ -151,7 +157,7 @@ def test_a_car_holds_on_a_slope_and_says_where_its_brakes_are_too_weak():
     plan = vehsim.plan(car, world, journey("car", "last", True), segments=32)
     assert plan.success
     first, last = holds(plan)[0]
-    held = plan._attempt.clip
+    held = plan._iterate.clip
     assert np.ptp(held.positions[first : last + 1], axis=0).max() < 1e-8
     assert abs(held.controls[last, 0]) > 1.0  # the torque that carries its weight
     weak = replace(
@@ -162,8 +168,8 @@ def test_a_car_holds_on_a_slope_and_says_where_its_brakes_are_too_weak():
     uphill = float(np.degrees(np.arctan2(around[2] - around[3], around[0] - around[1])))
     marks = [rest(1, (*here, 0), heading=uphill, hold=12), rest("free", (30, 2, 0))]
     request = ask(weak, world, marks, fps=24, segments=8)
-    (_, message, mend), *_ = out_of_balance(weak, transcription(request.weighed), request.marks, request.wind)
-    assert "on this slope the car cannot stand still there" in message and "heading" in mend
+    (_, message, remedy), *_ = out_of_balance(weak, transcribe(request.weighed), request.marks, request.wind)
+    assert "on this slope the car cannot stand still there" in message and "heading" in remedy
 
 
 @pytest.mark.parametrize("hold", [0, 48])

@@ -6,10 +6,10 @@ import pytest
 
 import vehsim
 from vehsim import Mark
-from vehsim._interpolate import rotate, spatial
+from vehsim.clip.interpolant import rotate, spatial
 from vehsim.planning import Constraint, look_at, stay
-from vehsim.planning.transcription import transcription
-from vehsim.planning.views import between_view
+from vehsim.planning.problem.stage import between_view
+from vehsim.planning.problem.transcription import transcribe
 
 REST = (0.0, 0.0, 0.0)
 QUICK = {"effort": 0.02, "time": 1.0}
@@ -145,8 +145,8 @@ def test_what_cannot_be_kept_is_said_in_the_users_units():
 def test_views_between_knots_are_the_clips():
     """What laws see between knots is what the clip's interpolant has there."""
     plan = vehsim.plan(vehsim.load_vehicle("helicopter"), None, FLIGHT, segments=12, cost=QUICK, refine=False)
-    t, layout, x = transcription(plan.clip.vehicle), plan._attempt.layout, plan._attempt.x
-    v, s = t._symbols("x", "x1", "c0", "c1", "h"), ca.SX.sym("s")
+    t, layout, x = transcribe(plan.clip.vehicle), plan._iterate.layout, plan._iterate.x
+    v, s = t.symbols("x", "x1", "c0", "c1", "h"), ca.SX.sym("s")
     view = between_view(t, v, s)
     seen = ca.Function("seen", [*v.values(), s], [view.position, view.velocity, view.omega, view.rotation])
     k, share = 4, 0.37
@@ -158,3 +158,12 @@ def test_views_between_knots_are_the_clips():
     np.testing.assert_allclose(velocity.ravel(), moving[0], atol=1e-9)
     np.testing.assert_allclose(omega.ravel(), turning[0], atol=1e-5)
     np.testing.assert_allclose(rotation, clip.matrices()[0, :3, :3], atol=1e-6)
+
+
+@pytest.mark.parametrize("segments", [8, 32])
+def test_a_free_mark_waits_for_the_frame_that_a_limit_allows(segments):
+    """At its limit it takes 96.15 frames: frame 96 cannot be met, and 97 can."""
+    car = vehsim.load_vehicle("car")
+    marks = [Mark(0, position=(0, 0, 0), heading=0), Mark("free", position=(9.0386, 0, 0))]
+    plan = vehsim.plan(car, None, marks, segments=segments, limits={"speed": 2.256})
+    assert plan.success and plan.duration * 24 == pytest.approx(97)

@@ -5,10 +5,10 @@ import pytest
 
 import vehsim
 from vehsim import Mark
-from vehsim._quaternions import rotate
 from vehsim.errors import InputError
+from vehsim.lie.quaternions import rotate
 from vehsim.planning import Gate, look_at, stay
-from vehsim.planning.marks import check_marks, with_breaks
+from vehsim.planning.request.marks import check_marks, with_breaks
 
 REST = (0.0, 0.0, 0.0)
 
@@ -156,7 +156,7 @@ def test_a_range_makes_knots_once():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"direction": (0, 0, 0), "radius": 1}, "which way through"),
+        ({"direction": (0, 0, 0), "radius": 1}, "that point through the gate"),
         ({"direction": (1, 0, 0)}, "either a radius or a size"),
         ({"direction": (1, 0, 0), "radius": -1}, "above zero"),
     ],

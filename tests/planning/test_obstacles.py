@@ -9,21 +9,25 @@ import shapely
 import vehsim
 from vehsim import Mark, World
 from vehsim.errors import InputError, SolveError
-from vehsim.parts import read_parts
-from vehsim.planning import astar
-from vehsim.planning.astar import guess_drive, turning_radius
-from vehsim.planning.certify import certify_plane
-from vehsim.planning.elements import Problem
-from vehsim.planning.features import CORNERS, body_of, form_of, gap
-from vehsim.planning.features import element as row_of
-from vehsim.planning.layout import Layout
-from vehsim.planning.legs import divided
-from vehsim.planning.marks import Gate
-from vehsim.planning.obstacles import Rows, marks_too_near, obstacle_rows
+from vehsim.lie.quaternions import yaw_of
+from vehsim.planning.certificates import certify_plane
+from vehsim.planning.constraints.features import CORNERS, body_of, form_of, gap
+from vehsim.planning.constraints.features import element as row_of
+from vehsim.planning.constraints.obstacle_clearance import ObstacleClearance
+from vehsim.planning.guesses import astar
+from vehsim.planning.guesses.astar import guess_drive, turning_radius
 from vehsim.planning.outlines import clearances, inner_discs, simplified
-from vehsim.planning.transcription import transcription
-from vehsim.world import obstacles as ob
-from vehsim.world.plane import distance, placed
+from vehsim.planning.problem.elements import NonlinearProgram
+from vehsim.planning.problem.layout import Layout
+from vehsim.planning.problem.transcription import transcribe
+from vehsim.planning.request.legs import divided
+from vehsim.planning.request.marks import Gate
+from vehsim.planning.request.marks_near_obstacles import marks_too_near, parts_in_reach
+from vehsim.planning.request.request import ask
+from vehsim.planning.trajectory import Trajectory
+from vehsim.rig.parts import read_parts
+from vehsim.world.obstacles import obstacles as ob
+from vehsim.world.obstacles.plane import distance, placed
 
 REST = (0.0, 0.0, 0.0)
 WALLS = [  # a ring about (20, 0)
@@ -53,6 +57,10 @@ def yard(seed, count=8):
     return World(obstacles=obstacles)
 
 
+def rows_among(car, world):
+    return ObstacleClearance(car, parts_in_reach(car, world, across()), 0.5)
+
+
 def across(length=50.0, **goal):
     return [
         Mark(1001, position=REST, heading=0, velocity=REST),
@@ -63,7 +71,7 @@ def across(length=50.0, **goal):
 def gap_by_shapely(clip, world):
     """Least distance at 2000 times, footprints and obstacles as shapely sees them; ellipses as rings of 400 corners."""
     motion = clip.at(np.linspace(0, clip.times[-1], 2000))
-    yaw = ob.headings(motion.orientations)
+    yaw = yaw_of(motion.orientations)
     outlines = placed(ob.footprint(clip.vehicle), motion.positions[:, :2], yaw)
     shapes = [part for o in world.obstacles for part in o.parts]
     union = shapely.unary_union([
@@ -127,7 +135,7 @@ def test_a_moving_obstacle_is_let_by(car):
 
 def test_what_hangs_higher_or_lies_lower_does_not_matter(car):
     overhead = World(obstacles=[ob.box("bridge", (20, 0, 5), (4, 40, 1)), ob.box("drain", (30, 0, -2), (4, 40, 1))])
-    assert obstacle_rows(car, overhead, across()) is None
+    assert parts_in_reach(car, overhead, across()) == []
 
 
 @pytest.mark.parametrize(
@@ -174,7 +182,7 @@ def test_a_trailer_is_kept_clear_where_it_swings():
     trailer = next(p for p in read_parts(truck.rig.asset, truck.rig.root or None) if p.path == "trailer_1")
     corners, pin = np.vstack(trailer.hulls)[:, :2], trailer.T_rp[:2, 3]
     motion = plan.clip.at(np.linspace(0, plan.clip.times[-1], 1000))
-    yaw = ob.headings(motion.orientations)
+    yaw = yaw_of(motion.orientations)
     pins = placed(pin[None], motion.positions[:, :2], yaw)[:, 0]
     turned = placed(corners, pins, yaw + motion.channels["hitch_1"])
     seen = shapely.distance(
@@ -193,7 +201,7 @@ def test_a_way_is_divided_by_frames():
 
 def test_walled_in_is_said(car):
     marks = [Mark(1, position=(20, 0, 0), heading=0, velocity=REST), Mark("free", position=(50, 0, 0))]
-    with pytest.raises(SolveError, match=r"no way from .*obstacles close it; open a gap"):
+    with pytest.raises(SolveError, match=r"no path from .*obstacles close it; open a gap"):
         vehsim.plan(car, World(obstacles=WALLS), marks, segments=32, clearance=0.3)
 
 
@@ -246,13 +254,13 @@ def test_rows_are_the_exact_distance(car, part):
 @pytest.mark.parametrize("part", PARTS)
 def test_what_rows_hold_does_not_spoil_their_derivatives(car, part):
     """Slopes and bends, whose distances are not differentiated through, are those of the values: inside and out."""
-    t = transcription(car)
+    t = transcribe(car)
     rng, shape = np.random.default_rng(4), part.parts[0]
     kinds = {feature.kind: feature for feature in form_of(shape).features(shape, body_of(car))}
     for kind, feature in kinds.items():
         element = row_of(t, kind)
         p = np.concatenate([form_of(shape).numbers(shape)[list(feature.numbers)], [0.5], feature.constants])
-        value = lambda x, e=element, p=p: float(e.value(x, p)[1])  # noqa: E731
+        value = lambda x, e=element, p=p: float(e.value(x, p)[1])
         for _ in range(12):
             x = np.zeros(element.y.shape[0])
             x[:3] = rng.uniform(-np.pi, np.pi), *rng.uniform(-4, 6, 2)
@@ -278,14 +286,12 @@ def test_a_thin_wall_across_the_car_is_seen(car):
 def test_only_features_near_each_other_become_rows(car):
     """A part in front: the car's tail and the part's far corners are no rows, and those that are suffice."""
     world = World(obstacles=[ob.box("ahead", (7, 0, 0), (6, 3, 1))])
-    rows = obstacle_rows(car, world, across())
-    poses = np.zeros((3, 3)), np.zeros(3), np.zeros(3)
-    rows.look(*poses, 0.5)
-    seen = [feature for (_, feature), seen in zip(rows.features, rows.seen[:, 1], strict=True) if seen]
+    rows = rows_among(car, world).near((np.zeros((3, 3)), np.zeros(3), np.zeros(3)))
+    seen = [feature for (_, feature), seen in zip(rows.features, rows.active[:, 1], strict=True) if seen]
     assert 0 < len(seen) < 0.7 * len(rows.features)
     assert all(feature.constants[0] > -1 for feature in seen if feature.constants)  # of the car, no tail
     gaps = rows_of(car, world.obstacles[0].parts[0], np.zeros((1, 3)))[:, 0]
-    assert gaps[rows.seen[:, 1]].min() == gaps.min()
+    assert gaps[rows.active[:, 1]].min() == gaps.min()
 
 
 def test_the_optimiser_sees_no_less_than_the_vehicle(car):
@@ -313,25 +319,32 @@ def test_certification_finds_what_passes_between_samples(car):
 def test_what_is_run_through_unseen_is_seen_where_it_is_near(car):
     """Nothing seen, straight through the first part: it is seen about there, the far one and the start are not."""
     world = World(obstacles=[ob.ellipse("e", (20, 0), (2, 1)), ob.ellipse("far", (20, 60), (2, 1))])
-    rows = obstacle_rows(car, world, across())
     positions, yaw, seconds = np.column_stack([np.linspace(0, 40, 41), np.zeros((41, 2))]), np.zeros(41), np.zeros(41)
-    rows.look(positions + 200, yaw, seconds, 0.5)
-    assert not rows.seen.any() and rows.overlooked(positions, yaw, seconds, 0.5)
-    near, far = (rows.seen[rows.owners == part].any(axis=0) for part in (0, 1))
+    blind = rows_among(car, world).near((positions + 200, yaw, seconds))
+    assert not blind.active.any()
+    rows = blind.violated_at((positions, yaw, seconds))
+    near, far = (rows.active[rows.owners == part].any(axis=0) for part in (0, 1))
     assert near[16:25].all() and not near[:10].any() and not far.any()
-    assert not rows.overlooked(positions, yaw, seconds, 0.5)
+    assert not blind.active.any() and rows.violated_at((positions, yaw, seconds)) is rows
+
+
+def test_what_a_finer_motion_saw_is_forgotten_where_it_failed(car):
+    """Then the coarse one is solved again, for a limit that it breaks between knots, with what it has seen itself."""
+    world = World("flat", obstacles=[ob.ellipse("one", (-3.261, 21.034), (0.601, 1.577)),
+                                     ob.ellipse("two", (-6.329, 20.485), (1.916, 1.499))])  # fmt: skip
+    marks = [Mark(0, position=(1.64, 16.245, 0), heading=-163.666), Mark("free", position=(-6.77, 12.951, 0))]
+    plan = vehsim.plan(car, world, marks, segments=8, clearance=1.05, limits={"speed": 2.256})
+    assert "not refined to" in plan.message and plan.clearance >= 1.04
 
 
 def test_what_ran_through_something_looks_twice_as_far_about_its_guess(car):
     """Knots slide along a guess: those before and behind a wall are to know of it, too."""
-    rows = obstacle_rows(car, World(obstacles=[ob.box("wall", (20, 0, 0), (1, 8, 1))]), across())
     along, still = np.column_stack([np.linspace(0, 40, 41), np.zeros((41, 2))]), np.zeros(41)
-    rows.look(np.add(along, (0, 20, 0)), still, still, 0.5)
-    assert not rows.seen.any()
-    rows.look(np.add(along, (0, 8.5, 0)), still, still, 0.5)
-    before = rows.seen.any(axis=0)
-    assert rows.overlooked(along, still, still, 0.5)
-    seen = rows.seen.any(axis=0)
+    rows = rows_among(car, World(obstacles=[ob.box("wall", (20, 0, 0), (1, 8, 1))]))
+    rows = rows.near((np.add(along, (0, 20, 0)), still, still))
+    assert not rows.active.any()
+    rows = rows.near((np.add(along, (0, 8.5, 0)), still, still))
+    before, seen = (one.active.any(axis=0) for one in (rows, rows.violated_at((along, still, still))))
     assert before.any() and before.sum() + 4 < seen.sum() < 41  # of 3 m, 6 m ahead and behind
 
 
@@ -347,23 +360,25 @@ def test_cars_weave_between_walls(car):
 
 def test_rows_name_their_obstacle(car):
     """So a failure says which one is in the way, not the number of a row."""
-    rows = obstacle_rows(car, World(obstacles=[ob.box("pier", (6, 0, 0), (2, 30, 1)), *WALLS]), across())
-    rows.look(np.zeros((4, 3)), np.zeros(4), np.zeros(4), 0.4)
-    t = transcription(car)
+    rows = rows_among(car, World(obstacles=[ob.box("pier", (6, 0, 0), (2, 30, 1)), *WALLS]))
+    rows = rows.near((np.zeros((4, 3)), np.zeros(4), np.zeros(4)))
+    t = transcribe(car)
     layout = Layout(t.sizes, (3,))
-    problem = Problem(layout.size, 0)
-    rows.add(problem, t, layout)
+    problem = NonlinearProgram(layout.size)
+    rows.add_active(problem, t, layout)
     assert set(problem.names()) == {"obstacle 'pier'"}
-    assert problem.parameters == len(rows.values(np.zeros(4), 0.4))
+    request = ask(car, None, [replace(mark, frame=1001 + 8 * i) for i, mark in enumerate(across())], fps=24, segments=4)
+    values = problem.vector(rows.values(Trajectory(request, t, layout, np.ones(layout.size))))
+    assert len(values) == problem.parameters and np.isfinite(values).all()
 
 
 def test_first_guesses_look_only_as_far_as_matters(car, monkeypatch):
     """Where the car may be and what it costs there are as with exact distances everywhere."""
     ends = np.array([(0.0, 0, 0), (60, 0, 0)])
-    rows = obstacle_rows(car, yard(3), across())
-    ground = astar._Ground(car, np.zeros(2), rows.parts, ends[:, :2], 0.5, 0.5, ())
+    parts = parts_in_reach(car, yard(3), across())
+    ground = astar._Ground(car, np.zeros(2), parts, ends[:, :2], 0.5, 0.5, ())
     monkeypatch.setattr(astar, "gaps_to", lambda shape, grid, reach: distance(grid, shape))
-    exact = astar._Ground(car, np.zeros(2), rows.parts, ends[:, :2], 0.5, 0.5, ())
+    exact = astar._Ground(car, np.zeros(2), parts, ends[:, :2], 0.5, 0.5, ())
     assert np.array_equal(ground.price, exact.price) and np.array_equal(ground.demanded, exact.demanded)
     assert np.array_equal(ground.free_poses(), exact.free_poses())
     assert not np.array_equal(ground.distance, exact.distance)
@@ -371,7 +386,7 @@ def test_first_guesses_look_only_as_far_as_matters(car, monkeypatch):
 
 def test_far_parts_cost_nothing_and_are_bounded_from_below(car):
     world = yard(0)
-    parts = obstacle_rows(car, world, across()).parts
+    parts = parts_in_reach(car, world, across())
     outlines = placed(ob.footprint(car), np.array([[x, 0.0] for x in np.linspace(0, 50, 30)]), np.zeros(30))
     exact, bounded = (clearances(parts, outlines, np.zeros(30), reach) for reach in (np.inf, 2.0))
     assert np.all(bounded <= exact + 1e-9)
@@ -385,7 +400,7 @@ def test_turning_circles_follow_from_the_constraints(car):
 
 def test_guesses_drive_no_tighter_than_the_car_can(car):
     world = yard(2)
-    parts = obstacle_rows(car, world, across()).parts
+    parts = parts_in_reach(car, world, across())
     path = guess_drive(car, parts, np.array([(0, 0, 0), (50.0, 0, 0)]), (0.0, 0.0), 0.5)
     gaps = clearances(parts, placed(ob.footprint(car), path[:, :2], path[:, 3]), np.zeros(len(path)))
     assert gaps.min() > 0
@@ -396,7 +411,10 @@ def test_guesses_drive_no_tighter_than_the_car_can(car):
 
 def test_problems_are_shared_by_worlds_of_a_shape(car):
     """Where parts stand is a parameter: the same rows serve another world."""
-    one, two = (Rows(car, [(ob.box("b", (x, 3, 0), (1, 1, 1)), 0)]) for x in (10.0, 11.0))
-    for rows in (one, two):
-        rows.seen = np.ones((len(rows.features), 3), bool)
-    assert one.key == two.key and hash(one.key) == hash(two.key)
+    boxes = [ob.box("b", (x, 3, 0), (1, 1, 1)) for x in (10.0, 11.0)]
+    blocks = [ObstacleClearance(car, [(box, 0)], 0.5) for box in boxes]
+    t = transcribe(car)
+    one, two = (
+        replace(block, active=np.ones((len(block.features), 3), bool)).key(Layout(t.sizes, (2,)), t) for block in blocks
+    )
+    assert one == two and hash(one) == hash(two)

@@ -11,7 +11,8 @@ from vehsim import Mark, State
 from vehsim.errors import InputError
 from vehsim.integrators import Integrator
 from vehsim.lie import SO3xR3
-from vehsim.planning.request import ask
+from vehsim.planning.problem.elements import NonlinearProgram
+from vehsim.planning.request.request import ask
 from vehsim.vehicles import Control, Holonomic
 
 REST = (0.0, 0.0, 0.0)
@@ -144,7 +145,7 @@ def test_hold_stands_still(helicopter):
 
 def test_rest_is_in_balance(flight, helicopter):
     """No jump in acceleration where a motion sets in or ends: the knot's controls just carry the vehicle."""
-    from vehsim.planning.guess import trim
+    from vehsim.planning.trim import trim
 
     np.testing.assert_allclose(flight.clip.controls[0], trim(helicopter, (0.0, 0.0, 0.0)), atol=1e-3)
     np.testing.assert_allclose(flight.clip.orientations[0], (1, 0, 0, 0), atol=1e-8)
@@ -256,23 +257,25 @@ def test_wrong_options_are_named(options, message):
 
 def test_elements_agree_with_whole_problem_derivatives(helicopter):
     """Scattered element derivatives equal CasADi's own of the assembled problem."""
-    from vehsim.planning.elements import Element, Problem
+    from vehsim.planning.problem.elements import Element
 
     rng = np.random.default_rng(0)
     y, p = ca.SX.sym("y", 3), ca.SX.sym("p", 2)
-    one = Element("a", y, p, f=p[0] * y[0] ** 2 * y[2] + ca.sin(y[1]), g=ca.vertcat(y[0] * y[1], ca.exp(y[2])))
-    two = Element("b", y[:2], p[:1], g=y[0] * y[1] ** 2)
-    problem = Problem(9, 4)
-    problem.add(one, rng.permuted(np.tile(np.arange(9), (5, 1)), axis=1)[:, :3].T, [1, 3])
-    problem.add(two, rng.permuted(np.tile(np.arange(9), (4, 1)), axis=1)[:, :2].T, [2])
+    one = Element("a", y, {"p": p}, f=p[0] * y[0] ** 2 * y[2] + ca.sin(y[1]), g=ca.vertcat(y[0] * y[1], ca.exp(y[2])))
+    two = Element("b", y[:2], {"q": p[:1]}, g=y[0] * y[1] ** 2)
+    problem = NonlinearProgram(9)
+    own = problem.parameter("own", 2, 5)
+    problem.add(one, rng.permuted(np.tile(np.arange(9), (5, 1)), axis=1)[:, :3].T, {"p": own})
+    problem.add(two, rng.permuted(np.tile(np.arange(9), (4, 1)), axis=1)[:, :2].T)
+    assert problem.parameters == 11
     functions = problem.functions()
-    x, q = ca.MX.sym("x", 9), ca.MX.sym("q", 4)
+    x, q = ca.MX.sym("x", 9), ca.MX.sym("q", 11)
     f, g = functions["nlp"](x, q)
     lam = ca.MX.sym("lam", g.shape[0])
     whole = ca.Function(
         "w", [x, q, lam], [ca.gradient(f, x), ca.jacobian(g, x), ca.triu(ca.hessian(2 * f + ca.dot(lam, g), x)[0])]
     )
-    at = (rng.standard_normal(9), rng.standard_normal(4), rng.standard_normal(g.shape[0]))
+    at = (rng.standard_normal(9), rng.standard_normal(11), rng.standard_normal(g.shape[0]))
     expected = [np.array(e) for e in whole(*at)]
     gradient = functions["grad_f"](*at[:2])[1]
     assert gradient.is_dense()  # IPOPT's interface reads it as dense

@@ -5,10 +5,11 @@ import pytest
 
 import vehsim
 from vehsim import Mark
-from vehsim.planning.guess import along_clip, swims
-from vehsim.planning.layout import Layout
-from vehsim.planning.transcription import transcription
-from vehsim.vehicles.library import available
+from vehsim.planning.guesses.paths import along_clip
+from vehsim.planning.problem.layout import Layout
+from vehsim.planning.problem.transcription import transcribe
+from vehsim.planning.trim import swims
+from vehsim.vehicles.library.library import available
 
 REST, STRAIGHT = (0.0, 0.0, 0.0), {"psi": 0.0, "phi": 0.0}
 
@@ -45,7 +46,7 @@ def test_a_snakeboard_gets_from_rest_to_rest(board, goal, heading, frame):
 def test_a_clip_brings_its_joints_and_controls_along(board):
     """A guess that is a clip begins with its poses, joints and controls, and is drawn onto marks elsewhere."""
     clip = vehsim.plan(board, None, to((4, 0), 0, 145), segments=24, refine=False).clip
-    t = transcription(board)
+    t = transcribe(board)
     layout, marks = Layout(t.sizes, (24,)), to((4.2, 0.3), 0, 145)
     x = along_clip(t, layout, marks, clip, np.array([6 / 24]))
     states = x[layout.knot(np.arange(25))].T

@@ -1,5 +1,8 @@
 """Costs, limits and terms of one's own: against closed forms, and held by the motion that comes out."""
 
+import json
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -9,9 +12,9 @@ from tests.planning.test_plan import REST, tug
 from vehsim import Mark
 from vehsim.errors import InputError
 from vehsim.planning import Constraint, Cost
-from vehsim.planning.elements import Element, Problem, Seen, second_order
+from vehsim.planning.problem.elements import Element, NonlinearProgram, SpatialField, second_order
 from vehsim.planning.terms import check_limits
-from vehsim.world.terrain import Terrain
+from vehsim.world.terrain.terrain import Terrain
 
 UPRIGHT = (1, 0, 0, 0)
 ACROSS = [
@@ -98,7 +101,7 @@ def test_g_load_is_what_the_crew_feels():
     loads = []
     for plan in plans:
         assert plan.success
-        velocity = vehsim._interpolate.rotate(plan.clip.orientations, plan.clip.twists[:, 3:])
+        velocity = vehsim.clip.interpolant.rotate(plan.clip.orientations, plan.clip.twists[:, 3:])
         felt = np.diff(velocity, axis=0) / np.diff(plan.clip.times)[:, None] + [0, 0, 9.81]
         loads.append(np.linalg.norm(felt, axis=1).max() / 9.81)
     assert loads[1] <= 1.15 + 1e-6 < loads[0]
@@ -134,7 +137,7 @@ def test_joint_limits_of_a_shot_narrow_the_vehicles(car):
     [
         ({"steering": 0.3}, "no joint 'sigma'"),
         ({"joints": {"sgma": 0.3}}, "did you mean|choose one of"),
-        ({"joint_rates": {"psi": [3, 1]}}, r"give a bound above zero, or \[low, high\]"),
+        ({"joint_rates": {"psi": [3, 1]}}, r"not a bound; give a number above zero, or \[low, high\]"),
     ],
 )
 def test_wrong_joint_limits_are_named(limits, message):
@@ -183,14 +186,16 @@ def test_seen_functions_differentiate_as_if_written_out():
     y, q, models = ca.SX.sym("y", 3), ca.SX.sym("q"), ca.SX.sym("models", 13, 2)
     points = ca.horzcat(y + ca.sin(y), ca.vertcat(y[1] * y[2], y[0], y[2] ** 2))
     value = second_order(points, models)
-    seen = Element("seen", y, q, f=q * ca.sum1(value) ** 2, g=value * y[0], seen=Seen(points, models, bowl))
+    seen = Element(
+        "seen", y, {"q": q}, f=q * ca.sum1(value) ** 2, g=value * y[0], space=SpatialField(points, models, bowl)
+    )
     values = ca.vertcat(*(bowl(1, 2)(points[:, k])[0] for k in range(2)))
-    plain = Element("plain", y, q, f=q * ca.sum1(values) ** 2, g=values * y[0])
+    plain = Element("plain", y, {"q": q}, f=q * ca.sum1(values) ** 2, g=values * y[0])
     rng = np.random.default_rng(0)
     at, lam = (rng.standard_normal(5), [0.7]), rng.standard_normal(4)
     answers = []
     for element in (seen, plain):
-        problem = Problem(5, 1)
+        problem = NonlinearProgram(5)
         problem.add(element, np.array([[0, 4], [1, 2], [3, 0]]))
         f = problem.functions()
         answers.append(
@@ -213,3 +218,23 @@ def test_other_solvers_find_the_same(solver):
 def test_solvers_that_are_not_here_are_named():
     with pytest.raises(InputError, match="solver = 'snopt': not here; choose one of ipopt"):
         vehsim.plan(tug(), None, ACROSS, segments=8, solver="snopt")
+
+
+def test_a_constraint_of_ones_own_is_audited():
+    """By its law alone, on the finished clip; as data that a file can hold."""
+    from vehsim.audit import audit, missed, track_of_clip
+    from vehsim.requests import Ask
+
+    wall = Constraint("wall", lambda k: k.position[0] - 1.0 - 2.0 * k.t, upper=0.0)
+    pair = Constraint("pair", lambda k: [k.velocity[0], k.controls[0]], lower=(-9, -50), upper=(9, 50), frames=(5, 20))
+    free = Constraint("free", lambda k: k.power, upper=1e6)
+    plan = vehsim.plan(tug(), None, ACROSS, segments=8, terms=[wall, pair, free])
+    rows = {row.key: row for row in plan.audit if row.measure == "law"}
+    assert plan.success and list(rows) == ["wall", "pair[0]", "pair[1]"] and all(row.met for row in rows.values())
+    asks = [Ask.from_dict(ask) for ask in json.loads(json.dumps([ask.as_dict() for ask in plan.asks]))]
+    ahead = replace(plan.clip, positions=plan.clip.positions + np.array([2.0, 0, 0]))
+    assert "wall" in {row.key for row in missed(audit(track_of_clip(ahead), asks))}
+    track = track_of_clip(plan.clip)
+    assert rows["wall"].value == pytest.approx(
+        (track.positions[:, 0] - 1 - 2 * (track.frames - 1) / 24).max(), abs=1e-6
+    )

@@ -5,9 +5,9 @@ import pytest
 
 import vehsim
 from vehsim import Mark
-from vehsim.planning.certify import certify
-from vehsim.planning.cover import sphere_cover
-from vehsim.world.terrain import Terrain
+from vehsim.planning.certificates import certify
+from vehsim.planning.constraints.spheres import sphere_cover
+from vehsim.world.terrain.terrain import Terrain
 
 REST = (0.0, 0.0, 0.0)
 
@@ -52,7 +52,7 @@ def test_clearance_is_certified_on_the_exported_motion(flight, helicopter, world
 
 
 def test_cover_holds_every_hull(helicopter):
-    from vehsim.parts import collision_hulls
+    from vehsim.rig.parts import collision_hulls
 
     centres, radii = sphere_cover(helicopter)
     rng = np.random.default_rng(0)
@@ -69,7 +69,7 @@ def test_a_gap_too_narrow_is_said(helicopter, world):
         Mark(1, position=(15, 0, 12), velocity=REST),
         Mark("free", position=(105, 0, 12), velocity=REST),
     ]
-    with pytest.raises(SolveError, match="no way from"):
+    with pytest.raises(SolveError, match="no path from"):
         vehsim.plan(helicopter, world, marks, segments=16, clearance=12.0, limits={"ceiling": 20.0})
 
 

@@ -8,10 +8,11 @@ import pytest
 import vehsim
 from tests.planning.test_plan import REST, tug
 from vehsim import Mark
-from vehsim.planning import attempt
-from vehsim.planning.multipliers import carried
-from vehsim.planning.solver import Multipliers
-from vehsim.world.terrain import Terrain
+from vehsim.planning.constraints import clearance
+from vehsim.planning.constraints.clearance import Clearance
+from vehsim.planning.problem.multipliers import carried
+from vehsim.planning.problem.solver import Multipliers
+from vehsim.world.terrain.terrain import Terrain
 
 
 @pytest.fixture(scope="module")
@@ -27,13 +28,16 @@ def flight(vehicle, segments, goal=(40, 10, 35)):
     return marks, vehsim.plan(vehicle, None, marks, segments=segments, refine=False)
 
 
+def with_multipliers(plan, multipliers):
+    return replace(plan, _iterate=replace(plan._iterate, multipliers=multipliers))
+
+
 def test_multipliers_spare_a_replan_iterations(helicopter):
     """The same answer as from the motion alone, in fewer iterations."""
     marks, plan = flight(helicopter, 16)
     moved = [marks[0], replace(marks[1], position=(40.6, 9.5, 35.6))]
     told = plan.replan(moved)
-    plan._attempt.solved = None
-    untold = plan.replan(moved)
+    untold = with_multipliers(plan, None).replan(moved)
     assert told.success and untold.success and told.defect < 1e-8
     np.testing.assert_allclose(told.clip.positions, untold.clip.positions, atol=1e-6)
     assert told.iterations < untold.iterations
@@ -43,10 +47,10 @@ def test_misleading_multipliers_cost_time_and_nothing_else(helicopter):
     marks, plan = flight(helicopter, 16)
     moved = [marks[0], replace(marks[1], position=(40.6, 9.5, 35.6))]
     right = plan.replan(moved)
-    true, where = plan._attempt.solved
+    true, where = plan._iterate.multipliers
     rng = np.random.default_rng(1)
-    plan._attempt.solved = Multipliers(*(1e6 * rng.standard_normal(len(part)) for part in (true.x, true.g))), where
-    wrong = plan.replan(moved)
+    noise = Multipliers(*(1e6 * rng.standard_normal(len(part)) for part in (true.x, true.g)))
+    wrong = with_multipliers(plan, (noise, where)).replan(moved)
     assert wrong.success and wrong.iterations > right.iterations
     np.testing.assert_allclose(wrong.clip.positions, right.clip.positions, atol=1e-6)
 
@@ -59,7 +63,7 @@ def multipliers_of(name, segments, **limits):
         Mark(169, position=(40, 8, z), heading=0, velocity=REST),
     ]
     vehicle = vehsim.load_vehicle(name)
-    return vehsim.plan(vehicle, None, marks, segments=segments, refine=False, limits=limits)._attempt.solved
+    return vehsim.plan(vehicle, None, marks, segments=segments, refine=False, limits=limits)._iterate.multipliers
 
 
 @pytest.mark.parametrize(
@@ -88,12 +92,13 @@ def test_what_is_far_away_need_not_be_seen(helicopter, monkeypatch):
         Mark(193, position=(70, 0, 9), velocity=REST),
     ]
     plans = {}
-    for sight in (attempt.SIGHT, 1e6, -50.0):
-        monkeypatch.setattr(attempt, "SIGHT", sight)
+    for sight in (clearance.SIGHT, 1e6, -50.0):
+        monkeypatch.setattr(clearance, "SIGHT", sight)
         plans[sight] = vehsim.plan(helicopter, world, marks, segments=48, clearance=2.0, refine=False)
     usual, all_seen, blind = plans.values()
-    assert 0 < usual._attempt.near.mean() < 1 == all_seen._attempt.near.mean()
-    assert blind._attempt.near.mean() > 0  # what it ran through it has seen since
+    active = [plan._iterate.block(Clearance).near.mean() for plan in (usual, all_seen, blind)]
+    assert 0 < active[0] < 1 == active[1]
+    assert active[2] > 0  # what it ran through has become active
     for other in plans.values():
         assert other.success and other.clearance >= 2.0 - 0.01
         assert other.cost == pytest.approx(usual.cost, rel=1e-6)

@@ -49,7 +49,7 @@ def planned() -> dict[str, Any]:
 
 @pytest.fixture
 def keys_of() -> Callable[[dict[str, Any]], dict[str, str]]:
-    """What is wrong with a shot: key -> messages and mends."""
+    """What is wrong with a shot: key -> messages and remedies."""
     from vehsim import Shot
     from vehsim.errors import ShotError
 
@@ -60,7 +60,7 @@ def keys_of() -> Callable[[dict[str, Any]], dict[str, str]]:
             problems = error.problems
         said: dict[str, str] = {}
         for problem in problems:
-            said[problem.key] = f"{said.get(problem.key, '')} {problem.message}; {problem.mend}"
+            said[problem.key] = f"{said.get(problem.key, '')} {problem.message}; {problem.remedy}"
         return said
 
     return find

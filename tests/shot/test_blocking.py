@@ -11,8 +11,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from vehsim import Shot
-from vehsim.blocking import read_blocking, write_over
 from vehsim.errors import InputError, ShotError
+from vehsim.rig.blocking import read_blocking, write_over
 
 FPS = Fraction(24)
 KEYS = {1001: ((0.0, 0.0, 10.0), 0.0), 1050: ((10.0, 4.0, 12.0), 30.0), 1100: ((20.0, -3.0, 9.0), -45.0)}

@@ -14,9 +14,12 @@ from typing import Any
 
 import pytest
 
-from vehsim import World, delivery
+from vehsim import World
+from vehsim.delivery import folders as delivery
+from vehsim.delivery.exporters import REPORT_GROUP, Exporter, Progress
+from vehsim.delivery.take import RenderSettings, Take, UsdSettings
 from vehsim.errors import ExportError, InputError
-from vehsim.take import Exporter, Progress, RenderSettings, Take, UsdSettings
+from vehsim.runtime.files import owner
 
 NOBODY = 65534
 """A user without rights."""
@@ -68,9 +71,10 @@ def exporters(monkeypatch: pytest.MonkeyPatch) -> dict[str, Exporter]:
         return path
 
     def entries(group: str) -> list[Entry]:
-        return [Entry("json", report)] if group == delivery.REPORT_GROUP else [Entry(e.name, e) for e in found.values()]
+        return [Entry("json", report)] if group == REPORT_GROUP else [Entry(e.name, e) for e in found.values()]
 
-    monkeypatch.setattr(delivery, "entries", entries)
+    for module in ("exporters", "take"):
+        monkeypatch.setattr(f"vehsim.delivery.{module}.entries", entries)
     return found
 
 
@@ -134,13 +138,15 @@ def test_files_of_another_motion_are_set_apart_with_a_warning(
 ) -> None:
     take.export(tmp_path, to=("a",))
     other = replace(take, **change)
-    with pytest.warns(UserWarning, match=r"shot: a show the shot as it was: moved to .*earlier/1; export a again"):
+    with pytest.warns(
+        UserWarning, match=r"shot: a show an older version of the shot: moved to .*earlier/1; export a again"
+    ):
         other.export(tmp_path, to=("b",))
     apart = {f"shot/earlier/1/{name}" for name in ("a.txt", "sub/deep/a.txt", "report.json")}
     assert files(tmp_path) == apart | B | REPORT
     assert listed(tmp_path / "shot") == {"b.txt"}
     assert listed(tmp_path / "shot" / "earlier" / "1") == {"a.txt", "sub/deep/a.txt"}
-    with pytest.warns(UserWarning, match="b show the shot as it was"):
+    with pytest.warns(UserWarning, match="b show an older version of the shot"):
         take.export(tmp_path, to=("a",))
     assert files(tmp_path) == A | apart | {"shot/earlier/2/b.txt", "shot/earlier/2/report.json"} | REPORT
 
@@ -280,7 +286,7 @@ def test_a_crash_between_the_renames_loses_nothing(exporters: dict[str, Exporter
     """As if the power had gone: the old delivery stands aside, and even a failing export brings it back."""
     take.export(tmp_path, to=("a",))
     before = files(tmp_path)
-    (tmp_path / "shot").rename(tmp_path / f".shot.{delivery.owner()}.replaced")
+    (tmp_path / "shot").rename(tmp_path / f".shot.{owner()}.replaced")
     exporters["bad"] = failing(ExportError("no"))
     with pytest.raises(ExportError):
         take.export(tmp_path, to=("bad",))

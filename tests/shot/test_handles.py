@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import vehsim
+from vehsim.integrators import Integrator
 from vehsim.shot import Shot
 
 MARKS = {
@@ -57,20 +58,35 @@ def test_where_more_is_missing_than_the_handles_it_is_said():
     assert np.ptp(take.clips["it"].resample().positions[-5:], axis=0).max() == 0.0
 
 
+def test_a_boat_at_rest_leaves_its_rudder_where_it_is():
+    """Its propeller turns on at its rate; the rudder shows its control, which is held."""
+    from dataclasses import replace
+
+    from vehsim.shot.follow_through import hold
+
+    t = np.linspace(0, 1, 25)
+    boat = vehsim.load_vehicle("boat").planar
+    clip = Integrator(boat, 1 / 24).rollout(vehsim.State(), np.column_stack([1000 + 0 * t, 0.4 * t]))
+    clip = replace(clip, twists=np.where(t[:, None] == 1, 0.0, clip.twists))
+    held = hold(clip, clip.start_frame, clip.end_frame + 48)
+    assert held.channels["steer"][-1] == clip.channels["steer"][-1] != 0
+    assert held.channels["propeller"][-1] - clip.channels["propeller"][-1] > 1.0
+
+
 def test_a_car_that_stopped_settles_on_its_springs_and_its_wheels_stand():
     """The last rates of wheels and springs are no rates to go on at: they left the car on the ground without it."""
     from dataclasses import replace
 
-    from vehsim.shot.holding import hold
-    from vehsim.world.ground import lift
+    from vehsim.shot.follow_through import hold
+    from vehsim.world.ground.wheels import place_on_terrain
 
     world = vehsim.World("flat")
     clip = vehsim.simulate(vehsim.load_vehicle("car"), world, [900.0, 0.0], vehsim.State(), 0.5)
     twists = clip.twists.copy()
     twists[-1] = 0.0  # braked hard, with its nose still down
     clip = replace(clip, twists=twists)
-    with pytest.warns(UserWarning, match="no tyre holds that"):
-        held = lift(hold(clip, clip.start_frame, clip.end_frame + 96), world)
+    with pytest.warns(UserWarning, match="more than the grip of tyres"):
+        held = place_on_terrain(hold(clip, clip.start_frame, clip.end_frame + 96), world)
     after = held.frames > clip.end_frame + 1
     for wheel in ("rl", "rr", "fl", "fr"):
         assert np.ptp(held.channels[f"roll_{wheel}"][after]) < 0.02

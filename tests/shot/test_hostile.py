@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from vehsim import Shot
 from vehsim.errors import ShotError
-from vehsim.shot.file import schema
+from vehsim.shot.schema.shot_file import schema
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 SHOTS = [tomllib.loads((EXAMPLES / name).read_text()) for name in ("car_commands.toml", "canyon_flight.toml")]
@@ -40,7 +40,7 @@ def attempt(data: Any) -> None:
         shot = Shot.from_dict(data)
     except ShotError as error:
         assert error.problems
-        assert all(problem.key and problem.message and problem.mend for problem in error.problems)
+        assert all(problem.key and problem.message and problem.remedy for problem in error.problems)
     else:
         for problem in shot.check():
             assert str(problem)

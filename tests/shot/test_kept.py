@@ -14,10 +14,11 @@ import numpy as np
 import pytest
 
 import vehsim.assets
-from vehsim import Shot, cli
+from vehsim import Shot
 from vehsim.batch import export_batch, load_shots
+from vehsim.cli import commands as cli
 from vehsim.errors import InputError, SolveError
-from vehsim.shot import kept
+from vehsim.shot import cache as kept
 
 PLANNED: dict[str, Any] = {
     "shot": {"schema": 1, "name": "park"},
@@ -116,6 +117,10 @@ def test_a_lens_is_changed_without_planning_and_a_mark_is_planned(monkeypatch: p
     assert further.clips["car"].positions[-1, 0] == pytest.approx(6.5, abs=0.01)
 
 
+def key_of(shot: Shot) -> str | None:
+    return kept.motion_key(shot.file, shot.motion_files(), shot.world.content_hash)
+
+
 @pytest.mark.parametrize(
     "path, value",
     [
@@ -126,7 +131,7 @@ def test_a_lens_is_changed_without_planning_and_a_mark_is_planned(monkeypatch: p
     ],
 )
 def test_what_is_only_seen_leaves_the_key(path: tuple[str, ...], value: Any) -> None:
-    assert kept._key(Shot.from_dict(bent((path, value)))) == kept._key(Shot.from_dict(bent()))
+    assert key_of(Shot.from_dict(bent((path, value)))) == key_of(Shot.from_dict(bent()))
 
 
 @pytest.mark.parametrize(
@@ -147,7 +152,7 @@ def test_what_is_only_seen_leaves_the_key(path: tuple[str, ...], value: Any) -> 
     ],
 )
 def test_what_motion_depends_on_changes_the_key(path: tuple[str, ...], value: Any) -> None:
-    assert kept._key(Shot.from_dict(bent((path, value)))) != kept._key(Shot.from_dict(bent()))
+    assert key_of(Shot.from_dict(bent((path, value)))) != key_of(Shot.from_dict(bent()))
 
 
 def test_a_vehicle_file_or_the_code_changes_the_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -156,7 +161,7 @@ def test_a_vehicle_file_or_the_code_changes_the_key(tmp_path: Path, monkeypatch:
     data = bent((("vehicle", 0, "asset"), str(car)))
 
     def key() -> str | None:
-        return kept._key(Shot.from_dict(data))
+        return key_of(Shot.from_dict(data))
 
     keys = [key()]
     toml = (car / "vehicle.toml").read_text()
@@ -228,13 +233,13 @@ def test_warnings_are_kept_with_the_motion(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_failures_and_what_depends_on_the_machine_are_not_kept(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert kept._key(Shot.from_dict(bent((("vehicle", 0, "motion", "time_limit"), 60.0)))) is None
+    assert key_of(Shot.from_dict(bent((("vehicle", 0, "motion", "time_limit"), 60.0)))) is None
     from vehsim.planning.terms import COSTS
 
     with monkeypatch.context() as patch:
         patch.setitem(COSTS, "calm", lambda segment: segment.h)
-        assert kept._key(Shot.from_dict(bent())) is None
-    assert kept._key(Shot.from_dict(bent())) is not None
+        assert key_of(Shot.from_dict(bent())) is None
+    assert key_of(Shot.from_dict(bent())) is not None
 
     def fail(self: Shot, *given: Any) -> Any:
         warnings.warn("car: nearly there", stacklevel=1)

@@ -5,7 +5,7 @@ import pytest
 from pxr import Usd, UsdGeom
 
 from vehsim import Shot
-from vehsim.exporters.validate import validate_stage
+from vehsim.exporters.checks.validate import validate_stage
 
 
 def shot(**last):
@@ -48,12 +48,12 @@ def test_the_height_of_the_ground_itself_will_do(height):
     "wrong, complaint",
     [
         ({"position": [30, 0, 1]}, "inside the ground or an obstacle; raise it"),
-        ({"speed": 2.0}, "it stands still, exactly there; drop speed"),
+        ({"speed": 2.0}, "the vehicle stands still at this mark; drop speed"),
         ({"tolerance": 1.0}, "drop speed, tolerance and gate"),
     ],
 )
 def test_what_cannot_land_is_said(wrong, complaint):
-    assert any(complaint in f"{problem.message}; {problem.mend}" for problem in shot(**wrong).check())
+    assert any(complaint in f"{problem.message}; {problem.remedy}" for problem in shot(**wrong).check())
 
 
 def test_a_right_landing_has_no_problems():

@@ -13,7 +13,7 @@ import pytest
 
 from vehsim import Shot
 from vehsim.errors import ShotError
-from vehsim.shot.file import parse, schema
+from vehsim.shot.schema.shot_file import parse, schema
 
 SHOT = tomllib.loads("""
 [shot]
@@ -248,7 +248,7 @@ def test_messages_are_in_the_users_words_and_one_per_fault(key: str) -> None:
         ({"speed": "fast"}, "limits.speed = 'fast': not a number; give a number above zero"),
         ({"speed": {"a": 1}}, "limits.speed = {'a': 1}: not a number; give a number above zero"),
         ({"joints": 3}, "limits.joints = 3: not a table; give a table of joints"),
-        ({"joints": {"psi": 0}}, "limits.joints.psi = 0: it should be greater than 0; give a number above zero, the"),
+        ({"joints": {"psi": 0}}, "limits.joints.psi = 0: it should be greater than 0; give a number above zero, for"),
         ({"joints": {"psi": [0]}}, "limits.joints.psi = [0]: 1 given, at least 2 wanted"),
         ({"joints": {"psi": [2, 1]}}, "limits.joints.psi = [2, 1]: the first is above the second"),
         ({"joints": {"psx": 1}}, "limits.joints.psx = 1.0: no such joint; did you mean 'psi'?"),

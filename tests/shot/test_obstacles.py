@@ -10,8 +10,8 @@ from pxr import Usd, UsdGeom
 
 from vehsim import Shot, load_vehicle
 from vehsim.errors import ShotError
-from vehsim.exporters.strobe import strobe_frames
-from vehsim.exporters.validate import validate_stage
+from vehsim.exporters.checks.validate import validate_stage
+from vehsim.exporters.pictures.strobe import strobe_frames
 
 SHOT = {
     "shot": {"schema": 1, "name": "yard", "fps": 24},
@@ -54,7 +54,7 @@ def problems(change) -> dict[str, str]:
         found = Shot.from_dict(data).check()
     except ShotError as error:
         found = error.problems
-    return {problem.key: f"{problem.message}; {problem.mend}" for problem in found}
+    return {problem.key: f"{problem.message}; {problem.remedy}" for problem in found}
 
 
 def test_standing_obstacles_are_in_the_stage(delivery):
@@ -105,7 +105,7 @@ def test_figures_show_path_obstacles_and_controls(delivery):
         (
             lambda d: d["world"]["obstacle"][0].update(points=[[0, 9], [1, 10], [1, 9], [0, 11]]),
             "world.obstacle[0].points",
-            "its edges 0 and 2 cross",
+            "its edges cross or touch each other at",
         ),
         (lambda d: d["world"]["obstacle"][2].update(name="wedge"), "world.obstacle[2].name", "used twice"),
         (lambda d: d["world"]["obstacle"][2].update(radius=1), "world.obstacle[2].radius", "unknown key"),

@@ -1,4 +1,4 @@
-"""Everything wrong with a shot is said at once, with file, line, key, value and the mend, before anything is done."""
+"""Everything wrong with a shot is said at once, with file, line, key, value and the remedy, before anything is done."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def test_right_shots_have_no_problems(small: dict[str, Any], planned: dict[str, 
         ("render", {"every": 0}, "render.every", "at least 1"),
     ],
 )
-def test_one_problem_names_key_and_mend(
+def test_one_problem_names_key_and_remedy(
     small: dict[str, Any], keys_of: Find, key: str, value: Any, where: str, says: str
 ) -> None:
     problems = keys_of(put(small, key, value))
@@ -104,7 +104,7 @@ def test_one_problem_names_key_and_mend(
         ({"points": [[5, 5], [5, 5]]}, "points", "two places"),
         ({"points": [[0, 0], [9]]}, "pilot", "rows of one length"),
         ({"points": [[0, 0], [9, 0]], "speed": -1}, "speed", "positive"),
-        ({"name": "hover", "position": [0, 0, 9]}, "pilot", "no helicopter"),
+        ({"name": "hover", "position": [0, 0, 9]}, "pilot", "not a helicopter"),
     ],
 )
 def test_what_a_pilot_refuses_is_said_before(

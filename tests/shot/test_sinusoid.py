@@ -132,7 +132,7 @@ def test_one_that_moves_is_waited_for():
     )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        with pytest.raises(SolveError, match=r"too (near to an obstacle that moves|early); \d+") as raised:
+        with pytest.raises(SolveError, match=r"too (close to a moving obstacle|early); \d+") as raised:
             Shot.from_dict(data).solve()
         (frame,) = re.findall(r"(\d+) would do", str(raised.value))
         data["vehicle"][0]["motion"]["mark"][1]["frame"] = int(frame)
@@ -152,7 +152,7 @@ def test_what_cannot_be_is_refused_by_check(joints, limits, key):
     marks = {"frame": 1001, "position": [0, 0, 0]}, {"frame": "free", "position": [6, 1, 0], "joints": joints}
     data = shot("car", *marks, limits=limits)
     (problem,) = errors(data)
-    assert problem.key == f"vehicle[0].motion.{key}" and problem.mend
+    assert problem.key == f"vehicle[0].motion.{key}" and problem.remedy
     with pytest.raises(ShotError):
         Shot.from_dict(data).solve()
 
@@ -177,7 +177,7 @@ def test_what_trailers_do_not_use_is_said():
 
 def test_the_shipped_cars_turn_alike():
     """simple_car is recognised by its constraints, like the car with a rate for its steering."""
-    from vehsim.sinusoids.rigs import rigged
+    from vehsim.sinusoids.manoeuvres.rigs import rigged
 
     simple = rigged(vehsim.load_vehicle("simple_car"))
     assert simple.limits["steering_rate"] == pytest.approx(0.7)

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from vehsim import Clip, Shot, State, World, load_vehicle, simulate
-from vehsim.cameras import CameraRig
+from vehsim.cameras.camera import CameraRig
 from vehsim.errors import ShotError
-from vehsim.shot.file import schema
-from vehsim.shot.model import CameraTable, parse_fps
+from vehsim.shot.schema.shot_file import schema
+from vehsim.shot.schema.tables import CameraTable, parse_fps
 
 ROOT = Path(__file__).resolve().parents[2]
 

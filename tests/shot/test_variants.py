@@ -42,13 +42,13 @@ def test_chosen_livery_is_what_the_stage_shows(tmp_path, variants, livery):
 
 
 @pytest.mark.parametrize(
-    ("variants", "key", "mend"),
+    ("variants", "key", "remedy"),
     [
         ('{ livery = "orage" }', "vehicle[0].variants.livery", "did you mean 'orange'?"),
         ('{ coat = "red" }', "vehicle[0].variants.coat", "choose one of livery"),
     ],
 )
-def test_unknown_variants_are_named_with_a_mend(tmp_path, variants, key, mend):
+def test_unknown_variants_are_named_with_a_remedy(tmp_path, variants, key, remedy):
     (problem,) = (p for p in shot(tmp_path, variants).check() if p.severity == "error")
-    assert (problem.key, problem.mend) == (key, mend)
+    assert (problem.key, problem.remedy) == (key, remedy)
     assert problem.line

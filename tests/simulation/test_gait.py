@@ -7,7 +7,7 @@ import pytest
 
 import vehsim
 from vehsim.errors import InputError
-from vehsim.pilots import PILOTS
+from vehsim.pilots.controllers import PILOTS
 
 TWIST = {"amplitude": [0.9, -0.32], "period": 1.15, "phase": [0.0, -0.6]}
 
@@ -48,8 +48,8 @@ def test_feet_alone_or_twist_alone_do_not_drive_it(board):
 @pytest.mark.parametrize(
     ("vehicle", "change", "message"),
     [
-        ("car", {}, "gait: car has not one torque for each joint"),
-        ("helicopter", {}, "gait: helicopter has not one torque for each joint"),
+        ("car", {}, "gait: car does not have one torque per joint"),
+        ("helicopter", {}, "gait: helicopter does not have one torque per joint"),
         ("snakeboard", {"amplitude": [0.9]}, "amplitude = .0.9.: not one number per joint; give 2, rad"),
         ("snakeboard", {"period": 0.0}, "period = 0.0: not a time; give a positive number, s"),
         ("snakeboard", {"until": "now"}, "until"),

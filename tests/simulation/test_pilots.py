@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import vehsim
-from vehsim._gait import Gait
 from vehsim.errors import InputError
-from vehsim.pilots import PILOTS, FlyTo, FollowPath, Hover
+from vehsim.pilots.controllers import PILOTS, FlyTo, FollowPath, Hover
+from vehsim.pilots.gait import Gait
 from vehsim.simulation import simulate
 from vehsim.vehicles import State
-from vehsim.vehicles.helicopter import helicopter
+from vehsim.vehicles.models.helicopter import helicopter
 
 STEP = 1 / 96
 
@@ -114,8 +114,8 @@ def test_car_follows_a_path_and_stops_at_its_end(start):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda heli, car: Hover(car, (0, 0, 1)), "no helicopter"),
-        (lambda heli, car: FollowPath(heli, [(0, 0), (1, 1)]), "no car"),
+        (lambda heli, car: Hover(car, (0, 0, 1)), "not a helicopter"),
+        (lambda heli, car: FollowPath(heli, [(0, 0), (1, 1)]), "is not a car"),
         (lambda heli, car: Hover(heli, (0, 0)), "position"),
         (lambda heli, car: Hover(heli, (0, 0, np.nan)), "position"),
         (lambda heli, car: FlyTo(heli), "either position"),

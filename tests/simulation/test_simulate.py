@@ -10,8 +10,8 @@ import vehsim
 from vehsim.errors import InputError
 from vehsim.simulation import simulate
 from vehsim.vehicles import State
-from vehsim.vehicles.helicopter import helicopter
-from vehsim.world import Terrain
+from vehsim.vehicles.models.helicopter import helicopter
+from vehsim.world.terrain.terrain import Terrain
 
 HOVER = np.array([1900 * 9.81, 0.0, 0.0, 0.0])
 
@@ -129,12 +129,12 @@ def test_progress_runs_from_zero_to_one(car):
     ("changes", "message"),
     [
         ({"controls": [1, 2, 3]}, "controls: shape"),
-        ({"controls": [[1, 2, 3, np.nan]]}, r"controls\[0, 3\] \(roll\) = nan"),
+        ({"controls": [[1, 2, 3, np.nan]]}, r"controls\[0, 3\] = nan: roll is not finite"),
         ({"controls": "full ahead"}, "controls: shape"),
         ({"controls": np.zeros((2, 2, 4))}, "controls: shape"),
         ({"controls": lambda t, s: [1, 2]}, r"controls\(t = 0\)"),
         ({"controls": lambda t, s: [np.nan] * 4}, "give 4 finite numbers: collective, yaw, pitch, roll"),
-        ({"duration": None}, "duration = None"),
+        ({"duration": None}, "duration: missing"),
         ({"duration": -1}, "duration = -1"),
         ({"duration": np.inf}, "duration = inf"),
         ({"duration": "long"}, "duration = 'long'"),

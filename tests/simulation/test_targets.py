@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 import vehsim
-from vehsim.pilots import FlyTo, FollowPath, Gait, Hover
+from vehsim.pilots.controllers import FlyTo, FollowPath, Gait, Hover
 from vehsim.shot.shot import Shot
 from vehsim.simulation import simulate
 from vehsim.vehicles import State
-from vehsim.vehicles.helicopter import helicopter
+from vehsim.vehicles.models.helicopter import helicopter
 
 STEP = 1 / 96
 
@@ -55,12 +55,29 @@ def test_a_path_that_is_too_short_of_time_says_how_much_would_do(asset, points, 
     assert np.linalg.norm(np.diff(clip.positions, axis=0), axis=1).max() * 96 < 1.05 * speed
 
 
-@pytest.mark.parametrize("wind", [(0, 0, 0), (0, 8, 0), (-10, 0, 0), (10, 3, 0)])
-@pytest.mark.parametrize("speed", [5.9, 14.0])
-def test_fly_to_keeps_its_speed_over_ground_in_wind(wind, speed):
+def draggy():
     drag = {"drag_linear": (150.0, 300.0, 400.0), "drag_quadratic": (5.0, 10.0, 20.0)}
     heli = helicopter(mass=1900.0, inertia=(1300, 4700, 4200), d_t=1.61, d_r=6.35, **drag)
     object.__setattr__(heli, "controls", vehsim.load_vehicle("helicopter").controls)
+    return heli
+
+
+@pytest.mark.parametrize("wind", [(0, 0, 0), (-3.5, 9.8, 0)])
+@pytest.mark.parametrize(("goal", "speed"), [((-40, 42, 44), 7.7), ((21, 7, 30), 10.5)])
+def test_fly_to_stays_where_it_has_arrived(goal, speed, wind):
+    """Drag fades as it slows down: what trims the wind out lags behind that, and would carry it past its goal."""
+    pilot = FlyTo(draggy(), goal, speed=speed)
+    world, start = SimpleNamespace(wind=wind, terrain=None), State(position=(0, 0, 30))
+    clip, _ = said(pilot, 30.0, start, world)
+    off = np.linalg.norm(clip.positions - goal, axis=1)
+    arrived = np.argmax(off < 0.1)
+    assert 0 < arrived < len(off) - 96 and off[arrived:].max() < 0.25
+
+
+@pytest.mark.parametrize("wind", [(0, 0, 0), (0, 8, 0), (-10, 0, 0), (10, 3, 0)])
+@pytest.mark.parametrize("speed", [5.9, 14.0])
+def test_fly_to_keeps_its_speed_over_ground_in_wind(wind, speed):
+    heli = draggy()
     pilot = FlyTo(heli, (60, 20, 35), speed=speed, heading=0.3)
     world, start = SimpleNamespace(wind=wind, terrain=None), State(position=(0, 0, 30))
     _, warned = said(pilot, 2.0, start, world)

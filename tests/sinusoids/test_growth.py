@@ -6,12 +6,12 @@ import pytest
 
 from vehsim.errors import InputError, SolveError
 from vehsim.sinusoids import models
-from vehsim.sinusoids.algebra import classify, leaf
-from vehsim.sinusoids.feedback import car_triangular, chained_form_exists
-from vehsim.sinusoids.fourier import steer_triangular, triangular
+from vehsim.sinusoids.algebra.classification import classify, leaf
+from vehsim.sinusoids.algebra.feedback import car_triangular, chained_form_exists
+from vehsim.sinusoids.canonical.fourier import steer_triangular, triangular
+from vehsim.sinusoids.manoeuvres.trailers import steer_trailers
 from vehsim.sinusoids.steering import Stage, Steering
 from vehsim.sinusoids.system import DriftlessSystem, from_constraints
-from vehsim.sinusoids.trailers import steer_trailers
 
 
 def system(name, states, m, fields, **more):
@@ -257,12 +257,12 @@ def test_what_is_not_triangular_is_named():
 
 def test_zero_time_is_refused():
     steering = Steering(models.chained(3), np.zeros(3), np.zeros(3), (Stage("s", lambda s: np.zeros((len(s), 2))),))
-    with pytest.raises(InputError, match="no time"):
+    with pytest.raises(InputError, match="not times for these stages"):
         steering.timed(0.0)
 
 
 def test_goals_across_a_singularity_name_the_coordinate():
-    with pytest.raises(InputError, match=r"goal\.theta = 2: outside"):
+    with pytest.raises(InputError, match=r"goal\.theta = 2.0: outside"):
         steer_triangular(car_triangular(), [0, 0, 0, 0], [0, 0, 2.0, 0])
     with pytest.raises(InputError, match="hitch 1 is at a right angle"):
         steer_trailers([1.0], [0, 0, 0, 0, 0], [5, 0, 0, 0, 1.7])

@@ -6,8 +6,8 @@ import pytest
 import vehsim
 from vehsim import Mark
 from vehsim.errors import InputError
-from vehsim.shot.motions import PlanMotion
-from vehsim.sinusoids.guess import first_guess
+from vehsim.shot.motions.plan import PlanMotion
+from vehsim.sinusoids.manoeuvres.guess import initial_guess
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,7 @@ def bay(truck):
 
 
 def test_a_guess_leads_from_mark_to_mark_and_its_axle_does_not_slip(truck):
-    poses = first_guess(truck, bay(truck))
+    poses = initial_guess(truck, bay(truck))
     assert poses[0] == pytest.approx([20.0, 0.0, 0.0, 0.0], abs=1e-6)
     assert poses[-1] == pytest.approx([-8.0, -5.0, 0.0, np.radians(15.0)], abs=1e-5)
     x, y, _, heading = poses.T
@@ -37,7 +37,7 @@ def test_a_guess_leads_from_mark_to_mark_and_its_axle_does_not_slip(truck):
 
 def test_a_plan_comes_home_from_it(truck):
     marks = bay(truck)
-    found = vehsim.plan(truck, None, marks, guess=first_guess(truck, marks), refine=False)
+    found = vehsim.plan(truck, None, marks, guess=initial_guess(truck, marks), refine=False)
     straight = vehsim.plan(truck, None, marks, refine=False)
     assert found.success and found.iterations < straight.iterations
     assert found.cost <= straight.cost * 1.01
@@ -45,9 +45,9 @@ def test_a_plan_comes_home_from_it(truck):
 
 def test_what_sinusoids_do_not_drive_is_refused():
     with pytest.raises(InputError, match="not a system that is steered by sinusoids"):
-        first_guess(vehsim.load_vehicle("helicopter"), [])
+        initial_guess(vehsim.load_vehicle("helicopter"), [])
     with pytest.raises(InputError, match="only cars"):
-        first_guess(vehsim.load_vehicle("hopper"), [])
+        initial_guess(vehsim.load_vehicle("hopper"), [])
     table = PlanMotion(method="plan", guess="sinusoid", mark=None)
     (problem,) = table._check_guess(vehsim.load_vehicle("helicopter"))
     assert problem.key == "guess" and "wheels" in str(problem)

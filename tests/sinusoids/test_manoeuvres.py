@@ -10,15 +10,16 @@ from PIL import Image
 
 import vehsim
 from vehsim.errors import SolveError
-from vehsim.shot.sinusoid import paint_offers
+from vehsim.shot.offers import paint_offers
 from vehsim.sinusoids import models
-from vehsim.sinusoids.manoeuvres import Wish, choose_manoeuvre, clearance, joined, manoeuvres, timed_clip
-from vehsim.sinusoids.picture import FAINT, paint
-from vehsim.sinusoids.rigs import rigged
+from vehsim.sinusoids.manoeuvres.manoeuvres import choose_manoeuvre, clearance, joined, manoeuvres, timed_clip
+from vehsim.sinusoids.manoeuvres.picture import FAINT, paint
+from vehsim.sinusoids.manoeuvres.rigs import rigged
+from vehsim.sinusoids.manoeuvres.trailers import steer_trailers
+from vehsim.sinusoids.manoeuvres.wish import Wish
 from vehsim.sinusoids.steering import PACES, Stage, Steering, integrate
-from vehsim.sinusoids.trailers import steer_trailers
-from vehsim.world import World
-from vehsim.world.obstacles import box, moving
+from vehsim.world.obstacles.obstacles import box, moving
+from vehsim.world.world import World
 
 TAU = 2 * np.pi
 LIMITS = {"speed": 1.5, "steering_rate": 0.7}
@@ -48,11 +49,11 @@ def test_every_manoeuvre_has_the_same_net_motion_within_its_limits(car, parked):
 def test_the_one_chosen_keeps_clear_of_obstacles(car, parked):
     """A box across the straight way of the loops leaves only the others; one over the goal leaves none."""
     start, goal = parked[0].steering.start, parked[0].steering.goal
-    ahead = World().among([box("ahead", (6.7, -2.3, 0), (4.3, 1.8, 1.2))])
+    ahead = World().with_obstacles([box("ahead", (6.7, -2.3, 0), (4.3, 1.8, 1.2))])
     found = manoeuvres(car, start, goal, LOOP, ahead)
     chosen = choose_manoeuvre(found, None, 0.1)
     assert chosen.clearance >= 0.1 and min(m.clearance for m in found) < 0
-    over = World().among([box("over", (0.0, -2.3, 0), (1, 1, 1))])
+    over = World().with_obstacles([box("over", (0.0, -2.3, 0), (1, 1, 1))])
     with pytest.raises(SolveError, match="none of"):
         choose_manoeuvre(manoeuvres(car, start, goal, LOOP, over), None, 0.1)
 
@@ -77,7 +78,7 @@ def test_cars_park_at_any_heading_of_the_world(car):
 def test_what_moves_is_met_where_it_is_then(car, parked):
     """Another car does the same a minute later: only who comes then meets it."""
     steering, clip = timed_clip(car, parked[0].steering, None, 24, 1441)
-    world = World().among([moving("other", clip)])
+    world = World().with_obstacles([moving("other", clip)])
     assert clearance(steering, car, world, None) == np.inf
     assert clearance(steering, car, world, 1441 / 24) < -1.0
     (found,) = manoeuvres(car, steering.start, steering.goal, LOOP, world, only=parked[0].number)
@@ -113,7 +114,7 @@ def test_offers_are_told_and_painted_with_all_that_stands(tmp_path):
     """
     (tmp_path / "alley.toml").write_text(textwrap.dedent(shot))
     line, picture = paint_offers(vehsim.Shot.load(tmp_path / "alley.toml"), tmp_path)
-    assert re.fullmatch(r"alley: taxi: mark\[1\]: 6, 1 cycle, .*: \d+\.\d s, hits by \d\.\d\d m", line)
+    assert re.fullmatch(r"alley: taxi: mark\[1\]: 6, 1 cycle, .*: \d+\.\d s, collides by \d\.\d\d m", line)
     with Image.open(picture) as image:
         pixels = np.asarray(image)
     assert np.all(pixels == FAINT, axis=2).mean() > 0.01

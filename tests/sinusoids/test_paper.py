@@ -10,11 +10,11 @@ from scipy.integrate import solve_ivp
 
 from vehsim.errors import SolveError
 from vehsim.sinusoids import models
-from vehsim.sinusoids.families import bodies, boxes, choose, clearance, discs, family, outline
-from vehsim.sinusoids.feedback import car_triangular, hopper_chained
-from vehsim.sinusoids.fourier import steer_triangular
-from vehsim.sinusoids.optimal import extremal
-from vehsim.sinusoids.picture import paint, portraits
+from vehsim.sinusoids.algebra.feedback import car_triangular, hopper_chained
+from vehsim.sinusoids.canonical.fourier import steer_triangular
+from vehsim.sinusoids.canonical.optimal import extremal
+from vehsim.sinusoids.manoeuvres.families import bodies, boxes, choose, clearance, discs, family, outline
+from vehsim.sinusoids.manoeuvres.picture import paint, portraits
 
 FIG_4 = [-5.0, 1.0, 0.05, 1.0], [0.0, 0.5, 0.0, 0.0]
 """x, y, theta, phi; wheelbase 4, for the paper's constant first stage leaves the chart below 3.24."""
@@ -89,7 +89,7 @@ def test_fig_6_three_parks_share_their_net_motion(tmp_path):
 
 
 def test_the_papers_printed_inputs_integrated_as_they_stand():
-    """math.md: the sines move a car of wheelbase 1 by (0, -3.368) and (0, -3.372), the cosines by (1.58, -2.52)."""
+    """The sines move a car of wheelbase 1 by (0, -3.368) and (0, -3.372), the cosines by (1.58, -2.52)."""
     system = models.car(1.0)
     field = ca.Function("f", [system.x, u := ca.SX.sym("u", 2)], [system.G @ u])
 

@@ -10,13 +10,13 @@ from scipy.integrate import solve_ivp
 
 from vehsim.errors import SolveError
 from vehsim.sinusoids import models
-from vehsim.sinusoids.algebra import classify, growth_bound
-from vehsim.sinusoids.canonical import steer_chained, steer_first_degree, steer_second_degree
-from vehsim.sinusoids.feedback import car_triangular
-from vehsim.sinusoids.fourier import steer_triangular
+from vehsim.sinusoids.algebra.classification import classify, growth_bound
+from vehsim.sinusoids.algebra.feedback import car_triangular
+from vehsim.sinusoids.canonical.chained import steer_chained, steer_first_degree, steer_second_degree
+from vehsim.sinusoids.canonical.fourier import steer_triangular
+from vehsim.sinusoids.manoeuvres.trailers import _gain, _joined, _pull, steer_trailers
+from vehsim.sinusoids.manoeuvres.train import Pose, Train, across, straighten
 from vehsim.sinusoids.steering import Stage, integrate
-from vehsim.sinusoids.trailers import _gain, _joined, _pull, steer_trailers
-from vehsim.sinusoids.train import Pose, Train, across, straighten
 
 
 def end_error(steering):
@@ -90,7 +90,7 @@ def test_long_chains_keep_their_digits(n):
 
 
 def test_the_papers_car():
-    """SIN Fig. 4: (x, y, theta, phi) in math.md's order, wheelbase long enough for its constant first stage."""
+    """SIN Fig. 4: (x, y, theta, phi) with a wheelbase long enough for its constant first stage."""
     change = car_triangular(4.0)
     names = list(change.source.states)
     start, goal = {"x": -5.0, "y": 1.0, "theta": 0.05, "phi": 1.0}, {"x": 0.0, "y": 0.5, "theta": 0.0, "phi": 0.0}
@@ -158,8 +158,8 @@ def test_a_way_that_amplifies_less_is_preferred():
     assert _gain(steer_trailers([1.5] * 5, start, goal)) < 5e3
 
 
-def test_a_hands_breadth_of_way_mends_no_error():
-    """With five trailers to mend 1e-10 m on 30 cm would take the wheels round at 1e5 rad: the next leg does it."""
+def test_a_hands_breadth_of_way_fixes_no_error():
+    """With five trailers to fix 1e-10 m on 30 cm would take the wheels round at 1e5 rad: the next leg does it."""
     hitches = (1.5,) * 5
     poses = [Pose(0, 0, 0), Pose(40, 6, 0), Pose(40.3, 6, 0), Pose(80, 0, 0)]
     legs = [across(Train(hitches, 1.0), a, b, "drive") for a, b in pairwise(poses)]

@@ -6,9 +6,9 @@ import pytest
 import vehsim
 from vehsim.errors import InputError
 from vehsim.lie import SE2
-from vehsim.sinusoids.algebra import classify
-from vehsim.sinusoids.rigs import rigged
-from vehsim.sinusoids.symmetric import symmetric_closure
+from vehsim.sinusoids.algebra.classification import classify
+from vehsim.sinusoids.canonical.symmetric import symmetric_closure
+from vehsim.sinusoids.manoeuvres.rigs import rigged
 from vehsim.vehicles import Control, Holonomic, Nonholonomic
 
 

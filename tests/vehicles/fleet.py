@@ -3,14 +3,14 @@
 import numpy as np
 
 from vehsim.vehicles import State
-from vehsim.vehicles.car import car
-from vehsim.vehicles.car_trailer import car_trailer
-from vehsim.vehicles.chaplygin_sleigh import chaplygin_sleigh
-from vehsim.vehicles.roller_racer import roller_racer
-from vehsim.vehicles.simple_car import simple_car
-from vehsim.vehicles.snakeboard import snakeboard
-from vehsim.vehicles.suslov import suslov
-from vehsim.vehicles.two_wheeled import two_wheeled
+from vehsim.vehicles.models.car import car
+from vehsim.vehicles.models.car_trailer import car_trailer
+from vehsim.vehicles.models.chaplygin_sleigh import chaplygin_sleigh
+from vehsim.vehicles.models.roller_racer import roller_racer
+from vehsim.vehicles.models.simple_car import simple_car
+from vehsim.vehicles.models.snakeboard import snakeboard
+from vehsim.vehicles.models.suslov import suslov
+from vehsim.vehicles.models.two_wheeled import two_wheeled
 
 CAR = {"mass": 1350.0, "wheel_inertia": 2.4, "yaw_inertia": 4100.0, "wheel_radius": 0.32, "wheelbase": 2.6}
 SLOPE = (0.1, -0.05)

@@ -10,10 +10,10 @@ import pytest
 import vehsim
 from vehsim.errors import InputError, ShotError
 from vehsim.vehicles import State
-from vehsim.vehicles.boat import AIR, boat
-from vehsim.world import Water, World
-from vehsim.world.currents import Stream
+from vehsim.vehicles.models.boat import AIR, boat
+from vehsim.world.water.currents import Stream
 from vehsim.world.wind import Gusts
+from vehsim.world.world import Water, World
 
 BOAT = vehsim.load_vehicle("boat")
 
@@ -63,7 +63,7 @@ def test_at_speed_it_rides_up_and_leans_little_in_a_bend():
 
 
 def test_two_thrusters_are_lies():
-    """Each thruster at c pushing along X makes (c x e_x, e_x) = (0, c_z, -c_y, 1, 0, 0) (math.md on LIE 4.3.2)."""
+    """Each thruster at c pushing along X makes (c x e_x, e_x) = (0, c_z, -c_y, 1, 0, 0) (LIE 4.3.2)."""
     pair = boat(mass=100.0, inertia=(10, 20, 30), thrusters=((-2, -0.5, -0.2), (-2, 0.5, -0.2)), outboard=0)
     assert pair.control_names == ("right", "left")
     import casadi as ca
@@ -168,7 +168,7 @@ def test_what_is_no_water_is_said(table, message):
 
 
 def test_a_broken_hull_is_said_before_anything_moves(tmp_path):
-    """A boat whose hull is a mesh that is open: `check` names vehicle, file, prim and the mend."""
+    """A boat whose hull is a mesh that is open: `check` names vehicle, file, prim and the remedy."""
     folder = tmp_path / "boat"
     shutil.copytree(BOAT.rig.asset.parent, folder)
     toml = folder / "vehicle.toml"
@@ -181,7 +181,7 @@ def test_a_broken_hull_is_said_before_anything_moves(tmp_path):
 
 
 def test_a_boat_without_resistance_is_said_to_be_restless(tmp_path):
-    """The warning's own numbers mend it: dropped from a metre it is at rest on its waterline 15 s later."""
+    """The warning's own numbers fix it: dropped from a metre it is at rest on its waterline 15 s later."""
     folder = tmp_path / "boat"
     shutil.copytree(BOAT.rig.asset.parent, folder)
     toml = folder / "vehicle.toml"
@@ -191,9 +191,9 @@ def test_a_boat_without_resistance_is_said_to_be_restless(tmp_path):
     with pytest.warns(UserWarning, match=r"physics.damping: missing: .* damping = \[84.8, 509, 1.7e\+03\]") as said:
         vehsim.load_vehicle(folder)
     usual = str(said[0].message).split("begin with ")[1].replace("], ", "]\n").replace(", impact", "\nimpact")
-    (tmp_path / "mended").mkdir()
-    shutil.copy(BOAT.rig.asset, tmp_path / "mended")
-    (tmp_path / "mended" / "vehicle.toml").write_text(bare.replace("[physics]", f"[physics]\n{usual}"))
-    mended = vehsim.load_vehicle(tmp_path / "mended")
-    clip = vehsim.simulate(mended, World(water=0.0), start=State(position=(0, 0, 1.0)), duration=15.0, step=1 / 24)
+    (tmp_path / "fixed").mkdir()
+    shutil.copy(BOAT.rig.asset, tmp_path / "fixed")
+    (tmp_path / "fixed" / "vehicle.toml").write_text(bare.replace("[physics]", f"[physics]\n{usual}"))
+    fixed = vehsim.load_vehicle(tmp_path / "fixed")
+    clip = vehsim.simulate(fixed, World(water=0.0), start=State(position=(0, 0, 1.0)), duration=15.0, step=1 / 24)
     assert np.abs(clip.positions[-1, 2]) < 0.02 and np.abs(clip.twists[-1]).max() < 0.05

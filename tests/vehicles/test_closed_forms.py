@@ -6,11 +6,11 @@ from fleet import CAR, CONTROLS, FLEET, SUSLOV
 
 from vehsim.integrators import Integrator
 from vehsim.vehicles import State
-from vehsim.vehicles.car import car
-from vehsim.vehicles.chaplygin_sleigh import chaplygin_sleigh
-from vehsim.vehicles.simple_car import simple_car
-from vehsim.vehicles.snakeboard import snakeboard
-from vehsim.vehicles.two_wheeled import two_wheeled
+from vehsim.vehicles.models.car import car
+from vehsim.vehicles.models.chaplygin_sleigh import chaplygin_sleigh
+from vehsim.vehicles.models.simple_car import simple_car
+from vehsim.vehicles.models.snakeboard import snakeboard
+from vehsim.vehicles.models.two_wheeled import two_wheeled
 
 H, STEPS = 0.05, 60
 TIMES = H * np.arange(STEPS + 1)
@@ -75,7 +75,7 @@ def test_simple_car_in_the_reduced_scheme_of_the_paper():
 
 
 def test_snakeboard_update_of_the_paper():
-    """LIE 5.2.2: ``e_1(r_k) . (mu_k - mu_k-1) = 0`` and ``d(dl/du) = h f``, misprints of mu mended."""
+    """LIE 5.2.2: ``e_1(r_k) . (mu_k - mu_k-1) = 0`` and ``d(dl/du) = h f``, misprints of mu corrected."""
     m, l, I, J = 70.0, 0.35, 2.0, 0.1  # noqa: E741
     vehicle = snakeboard(mass=m, half_length=l, rotor_inertia=I, steering_inertia=J)
     controls = CONTROLS["snakeboard"](TIMES)

@@ -8,7 +8,7 @@ import pytest
 import vehsim
 from vehsim.assets import shipped
 from vehsim.shot.shot import Shot
-from vehsim.vehicles._fit import backwards, misfits
+from vehsim.vehicles.library.fit import backwards, misfits
 
 ELSEWHERE = sorted(path.parent for path in (Path(__file__).parents[1] / "assets_elsewhere").glob("*/vehicle.toml"))
 CARS = [shipped("vehicle")["car"].parent, *(path for path in ELSEWHERE if path.name in ("kart", "crawler", "pickup"))]
@@ -61,7 +61,7 @@ def test_lengths_are_those_of_the_asset(source, key, times, severity, tmp_path):
 def test_mass_is_that_of_something_of_its_size(mass, severity, tmp_path):
     (problem,) = problems(copied(CARS[0], tmp_path / "own", mass=mass))
     assert problem.severity == severity and f"physics.mass = {mass}" in problem.message
-    assert "kg/m^3" in problem.message and "physics.density" in problem.mend
+    assert "kg/m^3" in problem.message and "physics.density" in problem.remedy
 
 
 def test_a_rotor_elsewhere_than_the_physics_say_is_named(tmp_path):
@@ -82,7 +82,7 @@ def test_a_nose_that_points_backwards_is_refused(source, tmp_path):
         text = text.replace("[physics]", 'forward = "-X"\n[physics]', 1)
     toml.write_text(text, encoding="utf-8")
     (problem,) = problems(folder)
-    assert problem.severity == "error" and "it points backwards" in problem.message and "forward" in problem.mend
+    assert problem.severity == "error" and "it points backwards" in problem.message and "forward" in problem.remedy
 
 
 @pytest.mark.parametrize("name", ["helicopter", "boat"])

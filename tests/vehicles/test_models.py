@@ -140,7 +140,7 @@ def _log(group):
 
 
 def _momentum(m, r, z, c):
-    from vehsim.vehicles.mechanics import free_velocity
+    from vehsim.vehicles.definition.mechanics import free_velocity
 
     r_, z_, c_ = ca.SX.sym("r", len(r)), ca.SX.sym("z", len(z)), ca.SX.sym("c", len(c))
     u, xi = ca.Function("v", [r_, z_, c_], [*free_velocity(m.vehicle, r_, z_, m.driven(c_))])(r, z, c)

@@ -47,7 +47,7 @@ def test_parts_stand_where_they_were_put_and_faces_look_outwards(cart, tmp_path)
 
 
 def test_default_parts_show_every_channel_and_export_validates(cart, tmp_path):
-    from vehsim.exporters.validate import validate_stage
+    from vehsim.exporters.checks.validate import validate_stage
 
     vehicle = with_primitives(cart, tmp_path / "assets")
     assert set(vehicle.rig.drives) == set(cart.channels) <= set(default_parts(cart))

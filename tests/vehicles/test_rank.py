@@ -8,8 +8,8 @@ from vehsim.errors import InputError, SolveError
 from vehsim.integrators import Integrator
 from vehsim.lie import SE2
 from vehsim.vehicles import Control, Nonholonomic, State
-from vehsim.vehicles.roller_racer import roller_racer
-from vehsim.vehicles.snakeboard import snakeboard
+from vehsim.vehicles.models.roller_racer import roller_racer
+from vehsim.vehicles.models.snakeboard import snakeboard
 
 
 def steerable_blade(a=0.0):

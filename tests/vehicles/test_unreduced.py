@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from fleet import CONTROLS, FLEET, STARTS
 
+from benchmarks.unreduced import unreduced_rollout
 from vehsim.errors import InputError
 from vehsim.integrators import Integrator
-from vehsim.integrators.unreduced import unreduced_rollout
 
 
 @pytest.mark.parametrize("name", ["car", "simple_car", "two_wheeled", "snakeboard"])

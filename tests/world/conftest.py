@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from vehsim.vehicles._base import Rig
+from vehsim.rig.rig import Rig
 
 sys.path.insert(0, str(Path(__file__).parent))  # hulls.py, which several tests share
 

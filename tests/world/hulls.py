@@ -3,8 +3,8 @@
 import numpy as np
 
 from vehsim.lie import SE3
-from vehsim.vehicles.holonomic import Holonomic
-from vehsim.vehicles.hydrodynamics import Hull
+from vehsim.vehicles.definition.holonomic import Holonomic
+from vehsim.vehicles.definition.hydrodynamics import Hull
 
 
 def box(length, width, height, at=(0.0, 0.0, 0.0)):

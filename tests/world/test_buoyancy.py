@@ -8,11 +8,11 @@ from scipy.spatial.transform import Rotation
 import vehsim
 from vehsim.errors import InputError
 from vehsim.vehicles import State
-from vehsim.world import Water, World
-from vehsim.world.buoyancy import Afloat
-from vehsim.world.hull_mesh import HullMesh, wetted
-from vehsim.world.sea import sea_state
-from vehsim.world.water import GRAVITY, wave
+from vehsim.world.water.buoyancy import Afloat
+from vehsim.world.water.hull_mesh import HullMesh, wetted
+from vehsim.world.water.sea import sea_state
+from vehsim.world.water.water import GRAVITY, wave
+from vehsim.world.world import Water, World
 
 RHO = 1025.0
 UP = np.array([0.0, 0.0, 1.0])
@@ -220,7 +220,7 @@ def test_terminal_speed():
 
 
 def test_lie_16_has_its_totals_and_its_lift():
-    """A sunken ball is dragged by -E v whatever its tessellation; P lifts P/2 on a half-sunk one (math.md)."""
+    """A sunken ball is dragged by -E v whatever its tessellation; P lifts P/2 on a half-sunk one."""
     for splits in (2, 4):
         points, faces = sphere(1.0, splits)
         body = floating((points, faces), 1000.0, damping=(10.0, 20.0, 30.0), reference_area=4 * np.pi)
@@ -266,7 +266,7 @@ def test_a_planing_bottom_lifts_with_its_angle():
 
 
 def test_waves_push_and_surf():
-    """On a long slope the pressure under the local surface pulls downhill with weight times slope (math.md)."""
+    """On a long slope the pressure under the local surface pulls downhill with weight times slope."""
     body = floating(box(1, 1, 1), 500.0, (80.0, 80.0, 80.0))
     water = Water(surface=wave(1.0, 100.0))
     quarter = 25.0  # half way down behind the crest
@@ -389,7 +389,7 @@ def test_a_capsized_hull_rights_itself_as_its_gz_curve_says(width, ballast):
 
 
 def test_added_mass_counts_in_water_alone():
-    """In the air a dropped hull falls with g; fully in it resists like mass plus added mass (math.md)."""
+    """In the air a dropped hull falls with g; fully in it resists like mass plus added mass."""
     body = floating(box(1, 1, 1), 1025.0, (100.0, 100.0, 100.0), added_mass=(0, 0, 0, 500.0, 500.0, 500.0))
     clip = vehsim.simulate(body, World(water=0.0), start=at(9.0), duration=1.0)
     np.testing.assert_allclose(clip.positions[-1, 2], 9 - GRAVITY / 2, atol=1e-9)
@@ -405,7 +405,7 @@ BROKEN = {
     "inside out": (lambda p, f: (p, f[:, ::-1]), "inside out"),
     "flat": (lambda p, f: (p * [1, 1, 0], f), "no volume|more than two|open"),
     "nan": (lambda p, f: (np.where(p == p.max(), np.nan, p), f), "not finite"),
-    "through itself": (lambda p, f: join((p, f), (0.7 * p + [0.5, 0.11, 0.07], f)), "runs through itself at"),
+    "through itself": (lambda p, f: join((p, f), (0.7 * p + [0.5, 0.11, 0.07], f)), "intersects itself at"),
 }
 
 
@@ -418,7 +418,7 @@ def test_hulls_that_are_none(name):
 
 
 def test_a_boat_that_sinks_is_said_so():
-    with pytest.raises(InputError, match=r"displaces 1 m\^3 at most, and 1.951 m\^3 would carry it"):
+    with pytest.raises(InputError, match=r"displaces at most 1 m\^3, and needs 1.951 m\^3 to float"):
         afloat(floating(box(1, 1, 1), 2000.0)).floating()
 
 

@@ -9,14 +9,15 @@ from pxr import Usd, UsdGeom, UsdPhysics
 import vehsim
 from vehsim.errors import InputError
 from vehsim.lie import SE3, SO3xR3
-from vehsim.parts import collision_hulls
+from vehsim.rig.parts import collision_hulls
 from vehsim.simulation import Mover, simulate_together
 from vehsim.vehicles import Holonomic, Rig, State
-from vehsim.vehicles.hydrodynamics import Hull
-from vehsim.world import Terrain, World
-from vehsim.world.contact import Contact, ContactScene, damping_ratio
-from vehsim.world.contact_bodies import Moving
-from vehsim.world.obstacles import box, moving
+from vehsim.vehicles.definition.hydrodynamics import Hull
+from vehsim.world.contact.bodies import MovingBody
+from vehsim.world.contact.contact import Contact, ContactScene, damping_ratio
+from vehsim.world.obstacles.obstacles import box, moving
+from vehsim.world.terrain.terrain import Terrain
+from vehsim.world.world import World
 
 FLOOR = box("floor", (0, 0, -1), (400, 400, 1))
 SIZE = (1.0, 0.6, 0.4)
@@ -245,7 +246,7 @@ def test_a_boat_pushes_an_ice_floe_away(floe):
     scene = ContactScene({"boat": boat, "floe": ice}, world, contact)
     for k in range(len(pushed.times)):
         bodies = [_at(clips[name], k) for name in ("boat", "floe")]
-        pairs = scene._touching([Moving(body, state) for body, state in zip(scene.bodies, bodies, strict=True)])
+        pairs = scene._touching([MovingBody(body, state) for body, state in zip(scene.bodies, bodies, strict=True)])
         depth += [depth for points in pairs.values() for depth in points.depths]
     assert 0 < max(depth) < 0.02
 
@@ -284,7 +285,7 @@ def test_what_starts_inside_something_is_refused(block, inside):
         }
 
     simulate_together(start(0.19), world, 1 / 60, step=1 / 60)
-    with pytest.raises(InputError, match=rf"block: start: 0.0[45] m deep in {inside} at \(.*\) m; start it clear"):
+    with pytest.raises(InputError, match=rf"block: start: 0.0[45] m deep in {inside} at \(.*\) m; start elsewhere"):
         simulate_together(start(0.15), world, 1 / 60, step=1 / 60)
 
 

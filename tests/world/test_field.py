@@ -12,8 +12,8 @@ import pytest
 
 from vehsim.errors import InputError
 from vehsim.world import Terrain, World, cache_folder
-from vehsim.world.field import NEAR, distance_field
-from vehsim.world.scene import add_terrain, write_heights
+from vehsim.world.distance.field import NEAR, distance_field
+from vehsim.world.distance.scene import add_terrain, write_heights
 
 
 @pytest.fixture(scope="module")
@@ -138,7 +138,7 @@ def test_no_terrain_has_no_field():
 
 def test_a_field_comes_from_the_cache_bit_for_bit(monkeypatch):
     first = distance_field(valley())
-    monkeypatch.setattr("vehsim.world.field._measure", lambda *_: pytest.fail("measured again"))
+    monkeypatch.setattr("vehsim.world.distance.field._measure", lambda *_: pytest.fail("measured again"))
     np.testing.assert_array_equal(distance_field(valley()).distances, first.distances)
 
 

@@ -5,8 +5,8 @@ import numpy as np
 import trimesh
 
 from vehsim import World
-from vehsim.world import obstacles as ob
-from vehsim.world.terrain import Terrain
+from vehsim.world.obstacles import obstacles as ob
+from vehsim.world.terrain.terrain import Terrain
 
 THINGS = (ob.box("hut", (12, 8, 0), (6, 5, 9), 25), ob.sphere("ball", (28, 20, 14), 4.0))
 

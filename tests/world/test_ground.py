@@ -1,5 +1,6 @@
 """Wheels on terrain against exact distances, the body against its transfer function, slopes against energy."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,9 +8,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import vehsim
-from vehsim.parts import read_parts
-from vehsim.world import Terrain, World
-from vehsim.world.ground import lift, touch, wheels_of
+from vehsim.rig.parts import read_parts
+from vehsim.world.ground.wheels import place_on_terrain, touch, wheels_of
+from vehsim.world.terrain.terrain import Terrain
+from vehsim.world.world import World
 
 CAR = vehsim.load_vehicle("car")
 
@@ -85,8 +87,8 @@ def test_tyres_touch_between_a_coarse_clips_knots():
     clip = coasting(world, 8.0, 4.0, (-30, -25), 0.8, step=1 / 24)
     coarse = clip.at(clip.times[::12])
     bare = {name: values for name, values in coarse.channels.items() if name not in ("heave", "pitch", "roll")}
-    lifted = lift(vehsim.clip.replace(coarse, channels=bare), world).resample()
-    assert np.abs(gaps(lifted, world, range(3, len(lifted), 10))).max() < 2e-3
+    placed = place_on_terrain(replace(coarse, channels=bare), world).resample()
+    assert np.abs(gaps(placed, world, range(3, len(placed), 10))).max() < 2e-3
 
 
 @pytest.mark.parametrize("length", [6.0, 20.0])
@@ -166,12 +168,12 @@ def test_braking_dives_and_a_bend_leans_outwards():
 def test_lifting_twice_changes_nothing_and_interpolation_stays_on_the_ground():
     world = hilly()
     clip = coasting(world, 8.0, 2.0, (-30, -25), 0.8)
-    assert lift(clip, world) is clip
+    assert place_on_terrain(clip, world) is clip
     between = clip.at(clip.times[:-1] + 0.4 * np.diff(clip.times))
-    again = lift(vehsim.clip.replace(between, channels={**between.channels, "travel_rl": 0 * between.times}), world)
+    again = place_on_terrain(replace(between, channels={**between.channels, "travel_rl": 0 * between.times}), world)
     assert np.abs(again.positions - between.positions)[50:].max() < 2e-3
     assert clip.state(5).orientation[1:3] == pytest.approx([0, 0], abs=1e-15)
-    assert lift(clip, World()) is clip and lift(clip, None) is clip
+    assert place_on_terrain(clip, World()) is clip and place_on_terrain(clip, None) is clip
 
 
 @pytest.mark.parametrize("speed, held", [(15.0, False), (9.0, True)])

@@ -8,9 +8,10 @@ from test_contact import slab
 import vehsim
 from vehsim.lie import SE3
 from vehsim.vehicles import Holonomic, Rig, State
-from vehsim.world import Terrain, World
-from vehsim.world.contact import Contact
-from vehsim.world.grounding import Underside
+from vehsim.world.contact.contact import Contact
+from vehsim.world.contact.grounding import Underside
+from vehsim.world.terrain.terrain import Terrain
+from vehsim.world.world import World
 
 BARGE = np.array([[x, y, z] for x in (-5.0, 5.0) for y in (-2.0, 2.0) for z in (-0.75, 0.75)])
 KEEL = np.array([[-3, 0, -0.5], [3, 0.2, -0.6], *[[x, y, 0.4] for x in (-3.2, 3.4) for y in (-1, 1)]])

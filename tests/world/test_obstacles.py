@@ -1,4 +1,4 @@
-"""Obstacles: solids that hold what they show, refusals that name key and mend."""
+"""Obstacles: solids that hold what they show, refusals that name key and remedy."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ import trimesh
 import vehsim
 from vehsim import World
 from vehsim.errors import InputError
-from vehsim.world import obstacles as ob
+from vehsim.world.obstacles import obstacles as ob
 
 L = [(0, 0), (6, 0), (6, 7), (3.5, 7), (3.5, 2.5), (0, 2.5)]
 
@@ -44,7 +44,10 @@ def test_a_mesh_counts_as_the_hulls_of_its_bodies(tmp_path):
 @pytest.mark.parametrize(
     "make, complaint",
     [
-        (lambda: ob.polygon("p", [(0, 0), (1, 1), (1, 0), (0, 2)]), "obstacle 'p': points: its edges 0 and 2 cross"),
+        (
+            lambda: ob.polygon("p", [(0, 0), (1, 1), (1, 0), (0, 2)]),
+            "obstacle 'p': points: its edges cross or touch each other at",
+        ),
         (lambda: ob.polygon("p", L, height=0.0), "obstacle 'p': height = 0.0"),
         (lambda: ob.ellipse("e", (0, 0), (1, -1)), "obstacle 'e': radii"),
         (lambda: ob.ellipse("e", (0,), (1, 1)), "obstacle 'e': centre"),
@@ -80,8 +83,8 @@ def test_moving_obstacles_go_where_their_clip_goes():
 def test_obstacles_are_part_of_what_a_world_is():
     one, two = (World("flat", obstacles=[ob.box("a", (x, 0, 0), (1, 1, 1))]) for x in (0, 1))
     assert len({World("flat").content_hash, one.content_hash, two.content_hash}) == 3
-    assert one.among([]) is one
-    more = one.among([ob.box("b", (9, 0, 0), (1, 1, 1))])
+    assert one.with_obstacles([]) is one
+    more = one.with_obstacles([ob.box("b", (9, 0, 0), (1, 1, 1))])
     assert [o.name for o in more.obstacles] == ["a", "b"] and len(one.obstacles) == 1
     assert more.content_hash != one.content_hash
 

@@ -9,10 +9,10 @@ from scipy.spatial.transform import Rotation
 
 import vehsim
 from vehsim.vehicles import State
-from vehsim.world import Water, World
-from vehsim.world.buoyancy import Afloat
-from vehsim.world.sea import sea_state
-from vehsim.world.water import wave
+from vehsim.world.water.buoyancy import Afloat
+from vehsim.world.water.sea import sea_state
+from vehsim.world.water.water import wave
+from vehsim.world.world import Water, World
 
 ROUND = sphere(1.0, 3)
 FLEET = {

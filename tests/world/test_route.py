@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from vehsim.errors import InputError, SolveError
-from vehsim.world import Terrain, World
+from vehsim.world.terrain.terrain import Terrain
+from vehsim.world.world import World
 
 START, GOAL = (0, 0, 30), (180, 40, 28)
 
@@ -82,7 +83,7 @@ def test_ends_in_the_rock_say_how_deep_and_where_it_is_free(canyon):
     ground = float(canyon.height([GOAL[:2]])[0])
     with pytest.raises(InputError, match=r"goal.*2\.5 m inside the rock; raise it to z = "):
         canyon.route(START, (*GOAL[:2], ground - 2.5), 1.0)
-    with pytest.raises(InputError, match="beside the terrain"):
+    with pytest.raises(InputError, match="outside the terrain"):
         canyon.route(START, (5000, 0, 30), 1.0)
     with pytest.raises(InputError, match=r"start.*ceiling"):
         canyon.route(START, GOAL, 1.0, ceiling=10)

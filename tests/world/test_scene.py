@@ -11,8 +11,9 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from vehsim.errors import InputError
-from vehsim.world import Terrain, World
-from vehsim.world.scene import Scene, add_terrain, write_heights
+from vehsim.world.distance.scene import Scene, add_terrain, write_heights
+from vehsim.world.terrain.terrain import Terrain
+from vehsim.world.world import World
 
 
 class ExactDistance:
@@ -124,7 +125,7 @@ def test_a_pose_deep_in_the_rock_does_not_spoil_the_next(canyon, vehicle):
 
 
 def test_one_plain_call_of_mujoco_misses_the_nearest_rock(canyon, vehicle, poses):
-    """Why `Scene` asks again and again: should MuJoCo mend this one day, the repair can go."""
+    """Why `Scene` asks again and again: should MuJoCo fix this one day, the repair can go."""
     scene = Scene(canyon.terrain, vehicle.rig)
     errors = []
     for position, turn, true in zip(*(x[-200:] for x in poses), strict=True):

@@ -10,7 +10,8 @@ import trimesh
 from PIL import Image, TiffImagePlugin
 
 from vehsim.errors import InputError
-from vehsim.world import Terrain, World
+from vehsim.world.terrain.terrain import Terrain
+from vehsim.world.world import World
 
 RNG = np.random.default_rng(5)
 
@@ -204,7 +205,7 @@ def test_bad_heights_name_the_place(tmp_path):
 @pytest.mark.parametrize(
     ("scale", "words"),
     [
-        ({"cell": 0}, ["cell", "metres"]),
+        ({"cell": 0}, [".toml:1: cell = 0", "greater than 0"]),
         ({"cell": "nan"}, ["cell"]),
         ({"cell": "'wide'"}, ["cell", "wide"]),
         ({"cel": 1}, ["cel", "unknown key"]),

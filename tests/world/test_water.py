@@ -8,14 +8,14 @@ import pytest
 import vehsim
 from vehsim.errors import InputError, SolveError
 from vehsim.vehicles import State
-from vehsim.world import Water, World
-from vehsim.world.buoyancy import Afloat
-from vehsim.world.currents import Currents, Sampled, Stream, Vortex
-from vehsim.world.sea import sea_state, spectrum
-from vehsim.world.water import GRAVITY, Waves, wave
-from vehsim.world.water_field import WaterField
-from vehsim.world.water_grids import WaterGrids
+from vehsim.world.water.buoyancy import Afloat
+from vehsim.world.water.currents import Currents, Sampled, Stream, Vortex
+from vehsim.world.water.grids import WaterGrids
+from vehsim.world.water.height_field import WaterField
+from vehsim.world.water.sea import sea_state, spectrum
+from vehsim.world.water.water import GRAVITY, Waves, wave
 from vehsim.world.wind import Gusts
+from vehsim.world.world import Water, World
 
 SEAS = {
     "linear": wave(1.0, 15.0, 0.4, 0.3),
@@ -284,7 +284,7 @@ def test_nothing_is_asked_off_a_grid():
     field.update(0.0, (10.0, 0.0), (11.0, 1.0))
     with pytest.raises(SolveError, match=r"off its \[9.5, -0.5\] to \[11.5, 1.5\]"):
         field.heights([[0.0, 0.0]])
-    with pytest.raises(SolveError, match="13 samples a side, made for 9 at most"):
+    with pytest.raises(SolveError, match="13 samples per side, at most 9 are possible"):
         field.update(0.0, (10.0, 0.0), (15.0, 1.0))
 
 

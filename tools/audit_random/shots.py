@@ -591,7 +591,7 @@ def _delivery(draft: Draft) -> None:
             shot["handles"] = rng.choice((2, 8))
             draft.words.append("handles")
             for vehicle in draft.table["vehicle"]:
-                if "duration" in vehicle["motion"]:
+                if vehicle["motion"]["method"] == "simulate":  # goes on to the end that the shot has
                     del vehicle["motion"]["duration"]
     export: Table = {}
     if draft.chance(0.15):

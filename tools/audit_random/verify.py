@@ -764,7 +764,8 @@ def check_start(motion: Motion, frame: float, found: Findings) -> None:
         off = np.linalg.norm((end - np.resize(goal, 3))[: len(goal)])
         found.hold("pilot", off, 0.5, motion.frames[-1], f"{motion.name}: from where {pilot['name']} was sent", "m")
     if motion.asked["method"] == "integrate":  # nothing acts on it
-        rows = motion.whole
+        last = frame + _seconds(motion.asked, motion.stage.fps) * motion.stage.fps
+        rows = motion.whole[motion.frames[motion.whole] <= last + 1e-6]
         bend = np.linalg.norm(np.diff(motion.positions[rows], n=2, axis=0), axis=1) * motion.stage.fps**2
         found.hold("free flight", bend, 1e-3, motion.frames[rows][1:-1], f"{motion.name}: leaves its straight line")
 
@@ -885,16 +886,22 @@ def verify(shot: Mapping[str, Any], path: Path, folder: Path = Path()) -> Findin
         else:
             check_start(motion, first, found)
             if "duration" in motion.asked:
-                seconds, step = motion.asked["duration"], motion.asked.get("step", 1 / 24)
-                if motion.asked["method"] == "integrate":
-                    seconds = step * math.ceil(seconds / step - 1e-9)
-                ends.append(math.floor(first + seconds * fps + 1e-6))
+                ends.append(math.floor(first + _seconds(motion.asked, fps) * fps + 1e-6))
         check_wheels(motion, found)
     if "end_frame" not in header:
         found.hold(
             "time codes", abs(stage.last - max(ends)), 0.0, stage.last, f"last frame, {max(ends):g} was asked for"
         )
     return found
+
+
+def _seconds(asked: Mapping[str, Any], fps: float) -> float:
+    """How long a motion that is stepped through takes: its duration, rounded up to whole steps."""
+    if asked["method"] == "integrate":
+        step = asked.get("step", 1 / 24)
+    else:  # a whole number of steps a frame
+        step = 1 / fps / math.ceil(1 / fps / asked.get("step", 1 / 240) - 1e-9)
+    return float(step * math.ceil(asked["duration"] / step - 1e-6))
 
 
 def read_motion(stage: Stage, table: Mapping[str, Any]) -> Motion:

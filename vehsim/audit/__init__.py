@@ -1,8 +1,8 @@
-"""Measures a finished motion against everything that was asked of it, and knows nothing of how it was made.
+"""Measure a finished motion against everything that was requested, without knowing how it was made.
 
-`audit` takes a `Track`, of a clip or of a composed stage, and `Ask`s, and returns a `Row` for each. Whether a plan
-succeeded, what a command exits with and what ``report.json`` says follow from these rows, not from a solver's word.
-What belongs here is geometry; neither the optimiser nor its constraints do.
+`audit` takes a `Track` of a clip or of a composed stage, and `Ask`s, and returns a `Row` for each. A plan's success,
+exit codes and ``report.json`` follow from these rows, not from a solver's verdict. This room uses geometry only,
+nothing of the optimiser or its constraints.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import numpy as np
 from vehsim.audit.measures import MEASURES
 from vehsim.audit.scene import Scene, WorldScene
 from vehsim.audit.track import PER_FRAME, Track, track_of_clip, track_of_poses
+from vehsim.errors import InputError
 
 if TYPE_CHECKING:
     from vehsim.requests import Ask
@@ -37,14 +38,14 @@ __all__ = [
 
 NOWHERE = Scene()
 NUMERIC = 1e-6
-"""What is put down to rounding and to the tolerance of solvers, in the unit of the value."""
+"""Allowance for rounding and for the tolerance of solvers, in the unit of the value."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """One ask and what was measured: ``value`` at the worst ``frame``, against ``lower`` and ``upper``, SI.
+    """One ask and its measurement: ``value`` at the worst ``frame``, against ``lower`` and ``upper``, SI.
 
-    ``met`` is None where this representation does not show what was asked (a joint that moves no prim of a stage).
+    ``met`` is None if this representation does not show the request (a joint that moves no prim of a stage).
     """
 
     key: str
@@ -59,7 +60,7 @@ class Row:
     remedy: str = ""
 
     def as_dict(self) -> dict[str, Any]:
-        """The row as JSON takes it."""
+        """The row as JSON data."""
         return asdict(self)
 
     def __str__(self) -> str:
@@ -75,17 +76,17 @@ class Row:
 
 
 def audit(track: Track, asks: Iterable[Ask], scene: Scene = NOWHERE) -> list[Row]:
-    """Measure a motion against ``asks``; a `Row` for each, in their order."""
+    """Measure a motion against ``asks``; returns a `Row` for each, in their order. ``InputError``: unknown measure."""
     return [_measured(track, ask, scene) for ask in asks]
 
 
 def missed(rows: Sequence[Row]) -> list[Row]:
-    """The rows that make a motion fail."""
+    """The rows because of which a motion fails."""
     return [row for row in rows if row.met is False and row.severity == "error"]
 
 
 def not_shown(ask: Ask) -> Row:
-    """The row of an ask that a representation says nothing about."""
+    """The row of an ask that a representation does not show."""
     return Row(ask.key, ask.measure, None, None, ask.lower, ask.upper, ask.unit, None, ask.severity, ask.remedy)
 
 
@@ -94,6 +95,9 @@ def _measured(track: Track, ask: Ask, scene: Scene) -> Row:
     needed = ask.wanted.get("joint", "sigma" if ask.measure in ("steering", "steering_rate") else None)
     if needed is not None and needed not in part.joints:
         return not_shown(ask)
+    if ask.measure not in MEASURES:
+        remedy = "install the package that registers it in the entry point group vehsim.measures"
+        raise InputError(f"no measure {ask.measure!r} is installed", remedy, key=ask.key)
     values = MEASURES[ask.measure](part, ask.wanted, scene)
     below, above = np.full((2, len(values)), -np.inf)
     if ask.lower is not None:

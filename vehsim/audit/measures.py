@@ -1,8 +1,8 @@
-"""How each kind of ask is measured on a motion: a few lines of geometry each, none of the optimiser's.
+"""The measure of each kind of ask: a few lines of geometry each, independent of the optimiser.
 
-A measure takes a `Track` cut to the ask's frames, what is wanted, and the scene, and returns a value for every sample.
-Where ``planar`` is wanted, a vehicle on wheels or calm water is measured from above, and its turning by its heading:
-the ground and its springs decide about the rest.
+A measure takes a `Track` cut to the ask's frames, the requested values and the scene, and returns a value for every
+sample. If the request says ``planar``, a vehicle on wheels or calm water is measured from above, and its rotation by
+its heading, because the ground and its springs determine the rest.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from vehsim.audit.scene import Scene
 from vehsim.audit.track import PER_FRAME, Track
+from vehsim.runtime.registry import Registry
 
 Array = NDArray[np.float64]
 Wanted = Mapping[str, Any]
@@ -27,19 +28,19 @@ Measure = Callable[[Track, Wanted, Scene], Array]
 
 
 def _position(track: Track, wanted: Wanted, scene: Scene) -> Array:
-    """How far the root is from a place, along the axis where it is farthest, m."""
+    """Distance of the root from a place, along the axis with the largest distance, m."""
     off = np.abs(track.positions - wanted["position"])[:, wanted["axes"]].max(axis=1)
     return _less(off, track.blur.position)
 
 
 def _distance(track: Track, wanted: Wanted, scene: Scene) -> Array:
-    """How far the root is from a place, along some axes, m."""
+    """Distance of the root from a place, along some axes, m."""
     off = _norms((track.positions - wanted["position"])[:, wanted["axes"]])
     return _less(off, track.blur.position)
 
 
 def _off_path(track: Track, wanted: Wanted, scene: Scene) -> Array:
-    """How far a point of the vehicle is from a polyline, seen from above, m."""
+    """Distance of a point of the vehicle from a polyline, seen from above, m."""
     points = np.array(wanted["points"], float)[:, :2]
     at = (track.positions + track.rotations @ np.asarray(wanted["offset"], float))[:, None, :2]
     begin, along = points[:-1], np.diff(points, axis=0)
@@ -49,8 +50,9 @@ def _off_path(track: Track, wanted: Wanted, scene: Scene) -> Array:
 
 
 def _swing(track: Track, wanted: Wanted, scene: Scene) -> Array:
-    """Half of the range that a joint goes through; nan before the end."""
-    return _at_end(track, np.ptp(_joint(track, wanted, scene)) / 2)
+    """Half of the range that a joint goes through, with half of what chords cut off its peaks; nan before the end."""
+    hidden = track.blur.joints.get(wanted["joint"], np.zeros(1)).max()
+    return _at_end(track, (np.ptp(_joint(track, wanted, scene)) + hidden) / 2)
 
 
 def _heading(track: Track, wanted: Wanted, scene: Scene) -> Array:
@@ -61,42 +63,42 @@ def _heading(track: Track, wanted: Wanted, scene: Scene) -> Array:
 
 
 def _orientation(track: Track, wanted: Wanted, scene: Scene) -> Array:
-    """Angle of the rotation from an orientation, rad."""
-    from vehsim._quaternions import matrices
+    """Angle of the rotation from a requested orientation, rad."""
+    from vehsim.lie.quaternions import matrices
 
     q = np.asarray(wanted["orientation"], float)
     return _less(_angles(matrices(q / np.linalg.norm(q)), track.rotations), track.blur.angle)
 
 
 def _velocity(track: Track, wanted: Wanted, scene: Scene) -> Array:
-    """Size of the difference to a velocity, m/s."""
+    """Magnitude of the difference from a velocity, m/s."""
     off = np.linalg.norm((track.velocities - wanted["velocity"])[:, wanted["axes"]], axis=1)
     return _less(off, track.blur.velocity)
 
 
 def _speed_error(track: Track, wanted: Wanted, scene: Scene) -> Array:
-    """Difference to a speed, m/s."""
+    """Difference from a speed, m/s."""
     off = np.abs(_norms(_shown(track.velocities, wanted)) - wanted["speed"])
     return _less(off, track.blur.velocity)
 
 
 def _joint_error(track: Track, wanted: Wanted, scene: Scene) -> Array:
-    """Difference to a joint's value."""
+    """Difference from a joint's value."""
     return np.abs(_joint(track, wanted, scene) - wanted["value"])
 
 
 def _drift(track: Track, wanted: Wanted, scene: Scene) -> Array:
-    """How far the root has gone since the first sample, m."""
+    """Distance of the root from its place at the first sample, m."""
     return _norms(_shown(track.positions - track.positions[0], wanted))
 
 
 def _turned(track: Track, wanted: Wanted, scene: Scene) -> Array:
-    """Angle turned through since the first sample, rad."""
+    """Rotation angle since the first sample, rad."""
     return _between(track.rotations[0], track.rotations, wanted)
 
 
 def _closure(track: Track, wanted: Wanted, scene: Scene) -> Array:
-    """How far the last sample is from the first, m; nan before."""
+    """Distance of the last sample from the first, m; nan before."""
     return _at_end(track, _norms(_shown(track.positions[-1] - track.positions[0], wanted)))
 
 
@@ -118,7 +120,7 @@ def _gate_plane(track: Track, wanted: Wanted, scene: Scene) -> Array:
 
 
 def _gate_opening(track: Track, wanted: Wanted, scene: Scene) -> Array:
-    """Where the root passes a gate: 1 is the opening's edge."""
+    """Place of the root in a gate's opening, relative to its edge: 1 is on the edge."""
     along, up = (np.abs(_in_gate(track, wanted)[:, 1:]) / np.asarray(wanted["half"])).T
     if wanted["planar"]:
         return np.asarray(along)
@@ -156,11 +158,11 @@ def _climb(track: Track, wanted: Wanted, scene: Scene) -> Array:
 
 
 def _turn_rate(track: Track, wanted: Wanted, scene: Scene) -> Array:
-    """Size of the angular velocity, rad/s."""
+    """Magnitude of the angular velocity, rad/s."""
     if not wanted.get("planar"):
         return _less(_norms(track.omegas), track.blur.omega)
     nose, aside, up = np.moveaxis(track.rotations, 2, 0)
-    moving = track.omegas[:, 2:] * aside - track.omegas[:, 1:2] * up  # how the nose's direction changes
+    moving = track.omegas[:, 2:] * aside - track.omegas[:, 1:2] * up  # rate of change of the nose's direction
     rate = (nose[:, 0] * moving[:, 1] - nose[:, 1] * moving[:, 0]) / (nose[:, 0] ** 2 + nose[:, 1] ** 2)
     return _less(np.abs(rate), track.blur.omega)
 
@@ -171,13 +173,13 @@ def _bank(track: Track, wanted: Wanted, scene: Scene) -> Array:
 
 
 def _acceleration(track: Track, wanted: Wanted, scene: Scene) -> Array:
-    """Size of the root's mean acceleration over the frame about each sample, m/s^2; nan within half a frame of the
-    ends."""
+    """Magnitude of the root's mean acceleration over the frame around each sample, m/s^2; nan within half a frame of
+    the ends."""
     return _norms(_shown(_accelerations(track), wanted))
 
 
 def _g_load(track: Track, wanted: Wanted, scene: Scene) -> Array:
-    """What the crew feels over the frame about each sample, in g; nan within half a frame of the ends."""
+    """Acceleration felt by the crew, over the frame around each sample, in g; nan within half a frame of the ends."""
     return _norms((_shown(_accelerations(track), wanted) + GRAVITY) / GRAVITY[2])
 
 
@@ -196,7 +198,7 @@ def _steering(track: Track, wanted: Wanted, scene: Scene) -> Array:
 
 
 def _steering_rate(track: Track, wanted: Wanted, scene: Scene) -> Array:
-    """How fast the steering angle changes, rad/s."""
+    """Rate of the steering angle, rad/s."""
     return np.abs(track.joint_rates["sigma"] / (1 + track.joints["sigma"] ** 2))
 
 
@@ -220,7 +222,7 @@ def _look(track: Track, wanted: Wanted, scene: Scene) -> Array:
 
 
 def _outside(track: Track, wanted: Wanted, scene: Scene) -> Array:
-    """How far the root is outside a box, m."""
+    """Distance of the root outside a box, m."""
     low, high = (
         np.array([end if x is None else x for x in side])
         for end, side in zip((-np.inf, np.inf), wanted["box"], strict=True)
@@ -230,7 +232,7 @@ def _outside(track: Track, wanted: Wanted, scene: Scene) -> Array:
 
 
 def _descent(track: Track, wanted: Wanted, scene: Scene) -> Array:
-    """How fast it comes down, less what is allowed at its distance from a landing, m/s."""
+    """Speed of descent minus the permitted speed at its distance from a landing, m/s."""
     distance = _norms(track.positions - wanted["place"])
     fast = -track.velocities[:, 2] - wanted["sink"] * distance
     return _less(fast, track.blur.velocity)
@@ -242,13 +244,13 @@ def _stands(track: Track, wanted: Wanted, scene: Scene) -> Array:
 
 
 def _wheels(track: Track, wanted: Wanted, scene: Scene) -> Array:
-    """How far the wheel that is farthest from the ground stands above it, or below, m, on whole frames; nan between."""
+    """Height above or below the ground of the wheel with the largest gap, m, on whole frames; nan between."""
     return _on_frames(track, lambda part: scene.wheel_gap(part, wanted["prims"]))
 
 
 def _clearance(track: Track, wanted: Wanted, scene: Scene) -> Array:
-    """Distance of the hulls from terrain and obstacles, m, with what a landing nearby forgives; nan where it is known
-    to be larger."""
+    """Distance of the hulls from terrain and obstacles, m, plus the allowance near a landing; nan where it is known to
+    be larger."""
     least = float(wanted["clearance"])
 
     def measured(part: Track) -> Array:
@@ -275,7 +277,7 @@ def _clearance(track: Track, wanted: Wanted, scene: Scene) -> Array:
 
 
 def _on_frames(track: Track, measured: Callable[[Track], Array]) -> Array:
-    """A costly value on whole frames and at both ends; nan between."""
+    """An expensive value on whole frames and at both ends; nan between."""
     found = np.full(len(track.frames), np.nan)
     whole = np.abs(track.frames - np.round(track.frames)) < 1e-6
     whole[[0, -1]] = True
@@ -284,13 +286,13 @@ def _on_frames(track: Track, measured: Callable[[Track], Array]) -> Array:
 
 
 def _angles(R: Array, others: Array) -> Array:
-    """Angles (n,) rad between a rotation (3, 3) and others (n, 3, 3); exact for small ones too."""
+    """Angles (n,) rad between a rotation (3, 3) and others (n, 3, 3); accurate for small angles too."""
     chord = np.linalg.norm(others - R, axis=(1, 2)) / np.sqrt(8.0)
     return np.asarray(2 * np.arcsin(np.clip(chord, 0.0, 1.0)))
 
 
 def _between(R: Array, others: Array, wanted: Wanted) -> Array:
-    """Angles (n,) rad between a rotation and others, or where ``planar`` is wanted between their headings."""
+    """Angles (n,) rad between a rotation and others; for ``planar`` requests between their headings."""
     if not wanted.get("planar"):
         return _angles(R, others)
     yaw = np.arctan2(others[:, 1, 0], others[:, 0, 0]) - np.arctan2(R[1, 0], R[0, 0])
@@ -298,7 +300,7 @@ def _between(R: Array, others: Array, wanted: Wanted) -> Array:
 
 
 def _shown(vectors: Array, wanted: Wanted) -> Array:
-    """Vectors (..., 3), or where ``planar`` is wanted what is seen of them from above."""
+    """Vectors (..., 3); for ``planar`` requests their horizontal components."""
     return vectors * [1.0, 1.0, 0.0] if wanted.get("planar") else vectors
 
 
@@ -313,56 +315,93 @@ def _at_end(track: Track, value: Any) -> Array:
 
 
 def _less(values: Array, blur: Array) -> Array:
-    """A difference, less what the representation hides of it."""
+    """A difference minus the blur of the representation."""
     return np.maximum(values - blur, np.minimum(values, 0.0))
 
 
 def _frame(track: Track, wanted: Wanted, scene: Scene) -> Array:
-    """The frame of the sample: another than asked for where the motion does not reach it."""
+    """The frame of the sample; differs from the requested frame if the motion does not reach it."""
     return track.frames
 
 
 def _off_frame(track: Track, wanted: Wanted, scene: Scene) -> Array:
-    """How far the asked frame is from a whole one."""
+    """Distance of the requested frame from a whole frame."""
     return np.abs(track.frames - np.round(track.frames))
 
 
-MEASURES: dict[str, Measure] = {
-    "frame": _frame,
-    "off_frame": _off_frame,
-    "position": _position,
-    "distance": _distance,
-    "off_path": _off_path,
-    "swing": _swing,
-    "heading": _heading,
-    "orientation": _orientation,
-    "velocity": _velocity,
-    "speed_error": _speed_error,
-    "joint_error": _joint_error,
-    "drift": _drift,
-    "turned": _turned,
-    "closure": _closure,
-    "closure_angle": _closure_angle,
-    "closure_velocity": _closure_velocity,
-    "gate_plane": _gate_plane,
-    "gate_opening": _gate_opening,
-    "gate_direction": _gate_direction,
-    "speed": _speed,
-    "ceiling": _ceiling,
-    "climb": _climb,
-    "turn_rate": _turn_rate,
-    "bank": _bank,
-    "acceleration": _acceleration,
-    "g_load": _g_load,
-    "steering": _steering,
-    "steering_rate": _steering_rate,
-    "joint": _joint,
-    "joint_rate": _joint_rate,
-    "look": _look,
-    "outside": _outside,
-    "descent": _descent,
-    "stands": _stands,
-    "clearance": _clearance,
-    "wheels": _wheels,
-}
-"""Measure name -> its function."""
+def _law(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """A component of a law of one's own, a serialised CasADi function of position (3,), rotation (9,) by rows, velocity
+    (3,), angular velocity (3,) in body axes, acceleration (3,), joints, their rates, controls, and seconds since the
+    frame ``start``; nan where the representation shows no controls.
+
+    Where ``planar`` is wanted, the rotation is the heading alone.
+    """
+    import casadi as ca
+
+    n = len(track.frames)
+    if track.controls is None:
+        return np.full(n, np.nan)
+    rotations = track.rotations
+    if wanted["planar"]:
+        yaw = np.arctan2(rotations[:, 1, 0], rotations[:, 0, 0])
+        zero, one = np.zeros(n), np.ones(n)
+        rotations = np.array([[np.cos(yaw), -np.sin(yaw), zero], [np.sin(yaw), np.cos(yaw), zero], [zero, zero, one]])
+        rotations = np.moveaxis(rotations, 2, 0)
+    columns = [
+        track.positions,
+        rotations.reshape(n, 9),
+        track.velocities,
+        track.omegas,
+        _accelerations(track),
+        np.array([*track.joints.values()]).reshape(-1, n).T,
+        np.array([*track.joint_rates.values()]).reshape(-1, n).T,
+        track.controls,
+        (track.seconds - wanted["start"] / float(track.fps))[:, None],
+    ]
+    values = ca.Function.deserialize(wanted["law"])(*(column.T for column in columns))
+    return np.asarray(values, float)[wanted["component"]]
+
+
+MEASURES: Registry[Measure] = Registry(
+    "vehsim.measures",
+    {
+        "frame": _frame,
+        "off_frame": _off_frame,
+        "position": _position,
+        "distance": _distance,
+        "off_path": _off_path,
+        "swing": _swing,
+        "heading": _heading,
+        "orientation": _orientation,
+        "velocity": _velocity,
+        "speed_error": _speed_error,
+        "joint_error": _joint_error,
+        "drift": _drift,
+        "turned": _turned,
+        "closure": _closure,
+        "closure_angle": _closure_angle,
+        "closure_velocity": _closure_velocity,
+        "gate_plane": _gate_plane,
+        "gate_opening": _gate_opening,
+        "gate_direction": _gate_direction,
+        "speed": _speed,
+        "ceiling": _ceiling,
+        "climb": _climb,
+        "turn_rate": _turn_rate,
+        "bank": _bank,
+        "acceleration": _acceleration,
+        "g_load": _g_load,
+        "steering": _steering,
+        "steering_rate": _steering_rate,
+        "joint": _joint,
+        "joint_rate": _joint_rate,
+        "look": _look,
+        "outside": _outside,
+        "descent": _descent,
+        "stands": _stands,
+        "clearance": _clearance,
+        "wheels": _wheels,
+        "law": _law,
+    },
+)
+"""Measure name -> its function. Packages add the measures of their limits as entry points."""

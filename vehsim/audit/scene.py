@@ -1,4 +1,4 @@
-"""What a motion must keep clear of, as a measure asks it."""
+"""The surroundings from which a motion must keep clear, as measures query them."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ Array = NDArray[np.float64]
 
 
 class Scene:
-    """Empty space; subclasses answer for a `World` or for a composed stage."""
+    """Empty space; subclasses describe a `World` or a composed stage."""
 
     reach = 0.0
-    """How far any point of the vehicle is from its root, m."""
+    """Greatest distance of any point of the vehicle from its root, m."""
     fastest = 0.0
-    """The greatest speed of any point of anything else that moves, m/s."""
+    """Greatest speed of any point of any other moving object, m/s."""
 
     def away(self, track: Track, obstacles_only: bool) -> Array:
         """Signed distance (n,) m of the vehicle to terrain and obstacles at every sample; negative inside."""
         return np.full(len(track.frames), np.inf)
 
     def wheel_gap(self, track: Track, prims: Sequence[str]) -> Array:
-        """Height (n,) m above the ground of the wheel farthest from it; nan where wheels are not shown."""
+        """Height (n,) m above the ground of the wheel with the largest gap; nan if there are no wheels."""
         return np.full(len(track.frames), np.nan)
 
 
 class WorldScene(Scene):
-    """A `World` and the ``vehicle`` that moves in it, its hulls at rest."""
+    """A `World` and the ``vehicle`` that moves in it, with its hulls at rest."""
 
     def __init__(self, world: Any, vehicle: Any) -> None:
         self.world, self.vehicle = world, vehicle
@@ -44,7 +44,7 @@ class WorldScene(Scene):
             self.fastest = max(self.fastest, float(speeds.max(initial=0.0)))
 
     def away(self, track: Track, obstacles_only: bool) -> Array:
-        from vehsim._quaternions import quaternions
+        from vehsim.lie.quaternions import quaternions
 
         if self.world is None:
             return super().away(track, obstacles_only)
@@ -56,6 +56,6 @@ class WorldScene(Scene):
 
 
 def _reach(vehicle: Any) -> float:
-    from vehsim.world.obstacles import hulls_of
+    from vehsim.world.obstacles.obstacles import hulls_of
 
     return max((float(np.linalg.norm(hull, axis=1).max()) for hull in hulls_of(vehicle)), default=0.0)

@@ -1,31 +1,33 @@
-"""A motion as an audit sees it: poses and velocities on an even grid of eighths of a frame, from a clip or a stage."""
+"""A motion for an audit: poses and velocities on an even grid of eighths of a frame, from a clip or a stage."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from vehsim.clip import Clip
+    from vehsim.clip.clip import Clip
 
 Array = NDArray[np.float64]
 
 PER_FRAME = 8
-"""Samples a frame: the motion is measured between frames too."""
+"""Samples per frame, so that the motion between frames is measured too."""
 
 
 @dataclass(frozen=True, eq=False)
 class Track:
     """A vehicle's rig root at ``frames`` (n,), eighths of a frame apart.
 
-    ``positions`` (n, 3) m; ``rotations`` (n, 3, 3), columns are the body's axes in the world; ``velocities`` (n, 3)
-    m/s, world axes; ``omegas`` (n, 3) rad/s, body axes; ``joints``, ``joint_rates``: name -> (n,); ``blur``: how far
-    this representation may be from the motion it stands for: a stage interpolates linearly between its samples.
+    ``positions`` (n, 3) m; ``rotations`` (n, 3, 3), whose columns are the body's axes in the world; ``velocities`` (n,
+    3) m/s, world axes; ``omegas`` (n, 3) rad/s, body axes; ``joints``, ``joint_rates``: name -> (n,); ``blur``: the
+    possible difference between this representation and the motion, because a stage interpolates linearly between its
+    samples.
     """
 
     frames: Array
@@ -37,18 +39,29 @@ class Track:
     blur: Blur
     joints: Mapping[str, Array] = field(default_factory=dict)
     joint_rates: Mapping[str, Array] = field(default_factory=dict)
+    controls: Array | None = None
+    """(n, c), in the order of the vehicle's controls; a stage shows none."""
+    chords: bool = False
+    """The poses are a stage's, and what they say of velocities follows from them alone."""
 
     @property
     def seconds(self) -> Array:
-        """When each sample is, (n,) s since frame 0."""
+        """Time of each sample, (n,) s since frame 0."""
         return self.frames / float(self.fps)
 
     def between(self, first: float, last: float) -> Track:
-        """The samples from frame ``first`` to ``last``, both included; the nearest one where the motion has none."""
+        """The samples from frame ``first`` to ``last``, both included; the nearest one where the motion has none.
+
+        What comes before and after has no part in a stage's velocities, unless there is less than a frame.
+        """
         inside = (self.frames >= first - 1e-6) & (self.frames <= last + 1e-6)
         if not inside.any():
             inside[int(np.argmin(np.abs(self.frames - first)))] = True
-        return self._select(np.flatnonzero(inside))
+        rows = np.flatnonzero(inside)
+        if not self.chords or len(rows) in (*range(PER_FRAME + 1), len(inside)):
+            return self._select(rows)
+        joints = {name: values[rows] for name, values in self.joints.items()}
+        return _of_chords(self.frames[rows], self.fps, self.positions[rows], self.rotations[rows], joints)
 
     def _select(self, rows: NDArray[np.intp]) -> Track:
         return Track(
@@ -61,33 +74,37 @@ class Track:
             self.blur.at(rows),
             {name: values[rows] for name, values in self.joints.items()},
             {name: values[rows] for name, values in self.joint_rates.items()},
+            None if self.controls is None else self.controls[rows],
+            self.chords,
         )
 
 
 @dataclass(frozen=True, eq=False)
 class Blur:
     """What linear interpolation between a stage's samples hides: ``position`` m, ``angle`` rad, ``velocity`` m/s and
-    ``omega`` rad/s, (n,) each."""
+    ``omega`` rad/s, (n,) each; ``joints``: name -> (n,), in the joint's unit."""
 
     position: Array
     angle: Array
     velocity: Array
     omega: Array
+    joints: Mapping[str, Array] = field(default_factory=dict)
 
     @classmethod
     def none(cls, n: int) -> Blur:
-        """A representation that hides nothing."""
-        return cls(*(np.zeros(n) for _ in range(4)))
+        """No error: for a clip."""
+        return cls(np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n))
 
     def at(self, rows: NDArray[np.intp]) -> Blur:
         """The same at some of the samples."""
-        return Blur(self.position[rows], self.angle[rows], self.velocity[rows], self.omega[rows])
+        joints = {name: values[rows] for name, values in self.joints.items()}
+        return Blur(self.position[rows], self.angle[rows], self.velocity[rows], self.omega[rows], joints)
 
 
 def track_of_clip(clip: Clip) -> Track:
-    """A clip on eighths of a frame, through its own interpolant."""
-    from vehsim._interpolate import spatial
-    from vehsim._quaternions import matrices
+    """A clip at eighths of a frame, through its own interpolant."""
+    from vehsim.clip.interpolant import spatial
+    from vehsim.lie.quaternions import matrices
 
     count = int(np.floor(float(clip.times[-1]) * float(clip.fps) * PER_FRAME + 1e-6))
     steps = np.arange(count + 1)
@@ -104,16 +121,22 @@ def track_of_clip(clip: Clip) -> Track:
         Blur.none(len(steps)),
         {name: at.joints[:, i] for i, name in enumerate(names)},
         {name: at.joint_rates[:, i] for i, name in enumerate(names)},
+        at.controls,
     )
 
 
-def track_of_poses(frames: Array, fps: Fraction, T_wr: Array) -> Track:
-    """World matrices (n, 4, 4) of a rig root on eighths of a frame, as a stage composes them; velocities by
-    differences over one frame.
+def track_of_poses(
+    frames: Array, fps: Fraction, T_wr: Array, joints: Mapping[str, Array] = MappingProxyType({})
+) -> Track:
+    """World matrices (n, 4, 4) of a rig root on eighths of a frame, as a stage composes them, and the ``joints`` that
+    it shows, name -> (n,); velocities and rates by differences over one frame.
 
     A stage interpolates linearly, so that the mean over a frame is all it tells of a velocity.
     """
-    positions, rotations = T_wr[:, :3, 3], T_wr[:, :3, :3]
+    return _of_chords(frames, fps, T_wr[:, :3, 3], T_wr[:, :3, :3], joints)
+
+
+def _of_chords(frames: Array, fps: Fraction, positions: Array, rotations: Array, joints: Mapping[str, Array]) -> Track:
     half, rate, n = PER_FRAME // 2, float(fps), len(frames)
     centre = np.clip(np.arange(n), half, max(n - 1 - half, half))
     ahead, behind = np.minimum(centre + half, n - 1), np.maximum(centre - half, 0)
@@ -122,7 +145,10 @@ def track_of_poses(frames: Array, fps: Fraction, T_wr: Array) -> Track:
     relative = np.einsum("nji,njk->nik", rotations[behind], rotations[ahead])
     omegas = _rotation_vectors(relative) / span
     change, turning = _change(velocities), _change(omegas)
-    # a chord's sagitta is an eighth of the change of its slope over a frame; off the middle, ends are extrapolated
+    turned = {name: (values[ahead] - values[behind]) / span[:, 0] for name, values in joints.items()}
+    bent = {name: _change(rates[:, None]) / rate / 8 for name, rates in turned.items()}
+    inside = np.arange(n) == centre  # off the middle of its frame, a mean rate belongs to another place
+    # a chord's sagitta is an eighth of the change of its slope over a frame; the ends are extrapolated
     between = np.abs(frames - np.round(frames)) > 1e-6
     off = 1.0 + np.abs(np.arange(n) - centre) / half
     return Track(
@@ -132,12 +158,15 @@ def track_of_poses(frames: Array, fps: Fraction, T_wr: Array) -> Track:
         rotations,
         velocities,
         omegas,
-        Blur(between * change / rate / 4, between * turning / rate / 4, off * change, off * turning),
+        Blur(between * change / rate / 4, between * turning / rate / 4, off * change, off * turning, bent),
+        joints,
+        {name: np.where(inside, rates, np.nan) for name, rates in turned.items()},
+        chords=True,
     )
 
 
 def _change(rates: Array) -> Array:
-    """How much a rate (n, 3) changes within the frame about each sample, (n,)."""
+    """Change of a rate (n, 3) within the frame around each sample, (n,)."""
     n = len(rates)
     low, high = np.maximum(np.arange(n) - PER_FRAME, 0), np.minimum(np.arange(n) + PER_FRAME, n - 1)
     forward = np.linalg.norm(rates[high] - rates, axis=1)

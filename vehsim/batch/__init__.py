@@ -1,16 +1,16 @@
-"""Many clips: sweeps expanded, exported by worker processes or a Dask cluster, resumed after anything.
+"""Many clips: expand sweeps, export with worker processes or a Dask cluster, resume after any interruption.
 
-`sweep.py` turns a shot file into its clips; `task.py` is one clip's work, the same wherever it runs; `inputs.py` names
-what a clip is made of and tells finished work from half-written; `workers.py` and `cluster.py` run tasks, `preload.py`
-has what workers start with; `summary.py` says what happened; `screen.py` shows it while it does; `steps.py` and
-`job.py` cut the same work up for a render farm.
+`sweep.py` turns a shot file into its clips; `task.py` is one clip's work, the same everywhere; `inputs.py` hashes what
+a clip is made of and recognises finished work; `workers.py` and `cluster.py` run tasks; `preload.py` is loaded by the
+process from which workers are forked; `summary.py` records the outcomes; `screen.py` shows the progress; `steps.py` and
+`job.py` divide the same work for a render farm.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from vehsim._lazy import attach
+from vehsim.runtime.lazy import attach
 
 _PUBLIC = {
     "Outcome": "vehsim.batch.task",
@@ -25,5 +25,5 @@ if TYPE_CHECKING:
     from vehsim.batch.sweep import load_shots as load_shots
     from vehsim.batch.task import Outcome as Outcome
     from vehsim.batch.task import Task as Task
-# at their first use: workers are started before anything heavy is loaded
+# Loaded at first use: workers are started before anything heavy is loaded.
 __getattr__, __dir__ = attach(__name__, _PUBLIC)

@@ -1,7 +1,7 @@
-"""The same tasks on a Dask cluster: its scheduler places them, survives lost workers and begins their clips again.
+"""The same tasks on a Dask cluster: its scheduler places them, and restarts the clips of lost workers.
 
-Every worker must see the output folder and the shots' files under the same paths, and have the same vehsim installed:
-a clip whose hash differs there is refused, never written.
+Every worker must see the output folder and the shots' files under the same paths, and have the same version of vehsim:
+a worker that computes a different hash for a clip refuses it.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from vehsim.batch.task import Outcome, Task, Tell, measure, run_task
-from vehsim.delivery import clean_up
+from vehsim.delivery.folders import clean_up
 from vehsim.errors import InputError
 
 LOCAL = "local"
@@ -19,13 +19,13 @@ TOPIC = "vehsim"
 
 
 def run_on_dask(tasks: Sequence[Task], address: str, count: int, tell: Tell) -> Iterator[Outcome]:
-    """The outcomes of ``tasks``, each as soon as it is there. ``address`` of a scheduler, or "local": ``count``
-    processes here. Raises ``InputError`` when there is no such cluster."""
+    """The outcomes of ``tasks``, each as soon as it is available. ``address`` of a scheduler, or "local": ``count``
+    processes on this machine. Raises ``InputError`` if there is no such cluster."""
     with _client(address, count) as client:
         from distributed import as_completed
 
         client.subscribe_topic(TOPIC, lambda event: tell(*event[1]))
-        run = secrets.token_hex(4)  # a scheduler remembers keys; ours are new
+        run = secrets.token_hex(4)  # a scheduler remembers keys, so use new ones
         fields = {task.field: task for task in tasks if task.field is not None}
         measured = {
             field: client.submit(measure, task, key=f"vehsim-field-{run}-{field}") for field, task in fields.items()
@@ -38,12 +38,12 @@ def run_on_dask(tasks: Sequence[Task], address: str, count: int, tell: Tell) -> 
         }
         for future in as_completed(futures):
             yield _outcome(future, futures[future])
-    for task in tasks:  # what killed workers left beside clips that others have made since
+    for task in tasks:  # files that killed workers left beside clips that others have made since
         clean_up(task.target)
 
 
 def _outcome(future: Any, task: Task) -> Outcome:
-    """Waits once more for what a worker had ready and took with it when it died: the scheduler has it made again."""
+    """Wait once more for a result that was lost with its worker: the scheduler makes it again."""
     from concurrent.futures import CancelledError
 
     try:
@@ -61,7 +61,7 @@ def _run_there(task: Task, measured: Any) -> Outcome:
     states = [""]
 
     def tell(name: str, state: str, what: str, done: float) -> None:
-        if state != states[0]:  # a message to the scheduler each
+        if state != states[0]:  # one message to the scheduler each
             states[0] = state
             worker.log_event(TOPIC, (name, state, what, done))
 
@@ -72,19 +72,19 @@ def _client(address: str, count: int) -> Any:
     try:
         from distributed import Client, LocalCluster
     except ImportError:
-        raise InputError("--dask: Dask is not installed; pip install 'vehsim[dask]'") from None
+        raise InputError("Dask is not installed", "pip install 'vehsim[dask]'", key="--dask") from None
     if address == LOCAL:
         cluster = LocalCluster(n_workers=count, threads_per_worker=1, processes=True, dashboard_address=None)
         return _Closing(Client(cluster), cluster)
     try:
         return Client(address, timeout="20s")
     except (OSError, ValueError) as error:
-        mend = "give the address of a running scheduler, such as tcp://host:8786, or local"
-        raise InputError(f"--dask {address!r}: {error}; {mend}") from None
+        remedy = "give the address of a running scheduler, such as tcp://host:8786, or local"
+        raise InputError(str(error), remedy, key="--dask", value=address) from None
 
 
 class _Closing:
-    """A client that takes its own cluster with it."""
+    """A client that closes its own cluster."""
 
     def __init__(self, client: Any, cluster: Any) -> None:
         self._client, self._cluster = client, cluster

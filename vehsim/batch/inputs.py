@@ -1,6 +1,6 @@
-"""What a clip is made of, as one hash, and whether a folder holds the finished clip of that hash.
+"""The hash of everything that a clip is made of, and whether a folder contains the finished clip of that hash.
 
-Nothing here trusts a date or a file's presence: inputs are hashed, and so is every file of a delivery.
+Dates and the presence of a file prove nothing: inputs are hashed, and so is every file of a delivery.
 """
 
 from __future__ import annotations
@@ -13,15 +13,18 @@ from pathlib import Path
 from typing import Any
 
 from vehsim import exporters
-from vehsim._code import VEHSIM, code
-from vehsim.delivery import GROUP, SIGN, entries, in_order
-from vehsim.exporters.report import sha256
+from vehsim.delivery.exporters import GROUP, in_order
+from vehsim.delivery.folders import SIGN
+from vehsim.exporters.tables.report import sha256
+from vehsim.runtime.code import VEHSIM, code
+from vehsim.runtime.registry import entries
 from vehsim.shot import Shot
-from vehsim.shot.inputs import content_of, motion_files, with_dependencies
+from vehsim.shot.inputs import content_of, with_dependencies
 
 
 def fingerprint(shot: Shot, to: Sequence[str], draft: bool = False) -> str:
-    """A hash of all that decides the bytes of a clip: shot, the files it names, exporters, and the code itself."""
+    """A hash of everything that determines the bytes of a clip: shot, the files that it names, exporters, and
+    the code."""
     file = shot.file.model_copy(update={"sweep": None})
     made_of = {
         "code": code((VEHSIM, Path(str(exporters.__file__)).parent)),
@@ -35,9 +38,9 @@ def fingerprint(shot: Shot, to: Sequence[str], draft: bool = False) -> str:
 
 
 def is_finished(folder: Path, inputs: str, to: Sequence[str] = ()) -> bool:
-    """Does ``folder`` hold the whole clip of these inputs? Every file is read and held against its hash.
+    """Whether ``folder`` contains the complete clip of these inputs. Every file is read and compared with its hash.
 
-    ``to``: the exporters in question; what others delivered beside them is not looked at.
+    ``to``: the relevant exporters; files of others are ignored.
     """
     try:
         report = json.loads((folder / SIGN).read_text(encoding="utf-8"))
@@ -51,8 +54,9 @@ def is_finished(folder: Path, inputs: str, to: Sequence[str] = ()) -> bool:
 
 
 def _files(shot: Shot) -> Iterable[Path]:
-    """The files of a shot beside its own and its world's: those of its motion, and looks with all they refer to."""
-    yield from motion_files(shot)
+    """The files of a shot in addition to its own and its world's: those of its motion, and looks with their
+    references."""
+    yield from shot.motion_files()
     terrain = shot.world.terrain
     if terrain is not None and terrain.look is not None:
         yield from with_dependencies(terrain.look)
@@ -60,6 +64,6 @@ def _files(shot: Shot) -> Iterable[Path]:
 
 @cache
 def _exporter(name: str) -> Any:
-    """An exporter's name with the version of the package it comes from: a studio's own may change without us."""
+    """An exporter's name with the version of its package: a studio's package may change independently."""
     entry = next(entry for entry in entries(GROUP) if entry.name == name)
     return [name, entry.value, entry.dist.version if entry.dist else None]

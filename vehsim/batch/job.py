@@ -1,6 +1,6 @@
-"""An Open Job Description template: the batch's steps, what depends on what, and the frames in chunks.
+"""An Open Job Description template: the batch's steps, their dependencies, and the frames in chunks.
 
-Farms that speak https://github.com/OpenJobDescription run it; what each task does is in `steps.py`.
+Render farms with https://github.com/OpenJobDescription run it; `steps.py` does the work of each task.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ SUFFIX = ".clips.json"
 
 
 def write_job(path: Path, tasks: Sequence[Task], chunks: int = 4, name: str = "vehsim") -> tuple[Path, Path]:
-    """Write the template ``path`` and, beside it, the clips its tasks name by number. Returns both files.
+    """Write the template ``path`` and, beside it, the numbered list of clips for its tasks. Returns both files.
 
-    ``chunks``: how many tasks share the frames of a clip. Raises ``InputError``, ``ExportError``.
+    ``chunks``: number of tasks that share the frames of a clip. Raises ``InputError``, ``ExportError``.
     """
     if path.suffix != ".json" or path.name.endswith(SUFFIX):
-        raise InputError(f"{path}: templates are JSON here; give a name that ends in .json")
+        raise InputError("the template is JSON", "give a name that ends in .json", file=path)
     if not tasks:
-        raise InputError(f"{path}: no clips; give shots")
+        raise InputError("no clips", "give shots", file=path)
     clips = path.with_name(f"{path.stem}{SUFFIX}")
     rows = [asdict(task) | {"resume": True} for task in tasks]
     write_whole(clips, json.dumps({"clips": rows}, default=str, indent=1) + "\n")
@@ -38,7 +38,7 @@ def write_job(path: Path, tasks: Sequence[Task], chunks: int = 4, name: str = "v
 def template(tasks: Sequence[Task], clips: str, chunks: int, name: str) -> dict[str, Any]:
     """The template as data, with ``clips`` a file beside it.
 
-    Its steps: measure (where terrain is planned in), plan, bake, and with pictures render and deliver.
+    Its steps: measure (for terrains that are planned in), plan, bake, and with pictures render and deliver.
     """
     every = f"0-{len(tasks) - 1}"
     first_on = {task.field: i for i, task in reversed(list(enumerate(tasks))) if task.field is not None}
@@ -61,7 +61,7 @@ def template(tasks: Sequence[Task], clips: str, chunks: int, name: str) -> dict[
                 "objectType": "FILE",
                 "dataFlow": "IN",
                 "default": clips,
-                "description": "What vehsim job wrote beside this template.",
+                "description": "The list of clips that vehsim job wrote beside this template.",
             },
             {"name": "Vehsim", "type": "STRING", "default": "vehsim", "description": "The command on the workers."},
             {

@@ -1,7 +1,7 @@
-"""What workers start with: the process they are forked from imports this module, once for all of them.
+"""Modules for workers: the process from which they are forked imports this module once.
 
-Only `multiprocessing`'s fork server may import it: it changes how the process takes signals. Nothing is opened, solved
-or drawn here, for a process with threads cannot be forked.
+Only `multiprocessing`'s fork server may import it, because it changes the handling of signals. It opens, solves and
+draws nothing, because a process with threads cannot be forked.
 """
 
 from __future__ import annotations
@@ -20,28 +20,28 @@ MODULES = (
     "pxr.UsdShade",
     "pxr.UsdUtils",
     "vehsim.batch.inputs",
-    "vehsim.exporters.ground",
-    "vehsim.exporters.npz",
+    "vehsim.exporters.usd.scenery.ground",
+    "vehsim.exporters.tables.npz",
     "vehsim.exporters.usd",
     "vehsim.planning",
     "vehsim.shot",
     "vehsim.simulation",
-    "vehsim.vehicles.helicopter",
+    "vehsim.vehicles.models.helicopter",
     "vehsim.world.contact",
     "vehsim.world.wind",
     "PIL.PngImagePlugin",
 )
-"""What most clips need; the rest is imported by who meets it."""
+"""Modules that most clips need; the others are imported on demand."""
 
-for _number in ENDING:  # workers are told by the first process, and tidy up before they go
+for _number in ENDING:  # the first process tells the workers, which clean up before they exit
     signal.signal(_number, signal.SIG_IGN)
 signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
 die_with_parent()
-gc.disable()  # what modules make stays
+gc.disable()  # objects of loaded modules are permanent
 for _name in MODULES:
     importlib.import_module(_name)
-importlib.import_module("pxr.Work").SetConcurrencyLimit(1)  # stages are small: more threads would turn while they wait
-importlib.import_module("vehsim.batch.inputs").code()  # read and hashed once for all
-importlib.import_module("vehsim.delivery").exporter_names()  # what is installed is looked through as well
-gc.freeze()  # no worker need look through it, or copy it by looking
+importlib.import_module("pxr.Work").SetConcurrencyLimit(1)  # stages are small: more threads would only wait
+importlib.import_module("vehsim.batch.inputs").code()  # read and hash the code once for all workers
+importlib.import_module("vehsim.delivery").exporter_names()  # also look through the installed packages once
+gc.freeze()  # exclude these objects from garbage collection, which would copy their memory pages in each worker
 gc.enable()

@@ -1,4 +1,4 @@
-"""A batch from shots to summary, top-down: prepare tasks, run them somewhere, say what became of each."""
+"""A batch from shots to summary, top-down: prepare tasks, run them, record each outcome."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ def export_batch(
 ) -> list[Outcome]:
     """Export every shot to ``out/<name>/`` and write ``out/summary.json``. Returns the outcomes in the shots' order.
 
-    ``workers`` processes, or a Dask cluster's (``dask``: its address or "local"); ``resume`` leaves finished clips;
-    ``draft``: quick pictures; ``cached=False`` solves motion again that was solved before; ``memory``: a
-    worker's address space, GB. One shot that fails stops no other. Scripts
-    that call it keep the call below ``if __name__ == "__main__"``: workers import them. Raises ``InputError`` before
-    anything is written, ``ExportError`` when the summary cannot be.
+    ``workers`` processes, or a Dask cluster (``dask``: its address or "local"); ``resume`` skips finished clips;
+    ``draft``: fast pictures; ``cached=False`` does not use the cache of solved motion; ``memory``: a worker's address
+    space, GB. A shot that fails does not stop the others. Scripts call it below ``if __name__ == "__main__"``, because
+    workers import them. Raises ``InputError`` before anything is written, ``ExportError`` if the summary cannot be
+    written.
     """
     if workers > 1 and dask is None:
         warm_up()
@@ -57,7 +57,7 @@ def run(
     memory: float | None = None,
     tell: Tell | None = None,
 ) -> Generator[Outcome, None, None]:
-    """The outcomes of ``tasks`` as they come. A single clip needs no other process, unless memory is limited."""
+    """Yield the outcomes of ``tasks``. A single clip needs no other process, unless memory is limited."""
     tell = tell or (lambda name, state, what, done: None)
     if dask is not None:
         from vehsim.batch.cluster import run_on_dask
@@ -70,13 +70,16 @@ def run(
 
 
 def check_names(tasks: Iterable[Task]) -> None:
-    """No two clips write the same folder, also where the file system does not tell cases apart."""
+    """Check that no two clips write the same folder, also on file systems that ignore case."""
     seen: dict[str, Task] = {}
     for task in tasks:
         key = task.name.casefold()
         if key in seen:
             raise InputError(
-                f"{task.source}: shot.name = {task.name!r}: {seen[key].source} has it too; "
-                "give every shot of a batch a name of its own"
+                f"{seen[key].source} has it too",
+                "give every shot of a batch a name of its own",
+                key="shot.name",
+                value=task.name,
+                file=task.source,
             )
         seen[key] = task

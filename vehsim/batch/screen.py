@@ -1,4 +1,4 @@
-"""What a batch looks like while it runs: a live table on a terminal, plain lines elsewhere, or JSON for machines."""
+"""The display of a running batch: a live table on a terminal, plain lines elsewhere, or JSON for programs."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from vehsim.batch.task import Outcome, Task
 from vehsim.errors import Problem
 
 PAUSE, CHANGE = 5.0, 1.0
-"""Seconds between two plain lines of progress: at most, and at least where the state changed."""
+"""Time between two plain lines of progress, s: the longest, and the shortest if the state changed."""
 EVENTS = {"error": "refused", "fault": "failed", "warning": "warning"}
-"""What the log calls problems, by their severity."""
+"""Names of problems in the log, by severity."""
 AT_WORK = 3
-"""Most clips at work that a plain line names."""
+"""Largest number of active clips in a plain line."""
 STATES = ("queued", "planning", "baking", "rendering", "done", "skipped", "failed")
 ROWS = 20
-"""Most clips at work that a table shows."""
+"""Largest number of active clips in a table."""
 
 
 class Watcher(Protocol):
-    """Told what clips do, and how they end."""
+    """Receives the progress of clips, and their outcomes."""
 
     def tell(self, name: str, state: str, what: str, done: float) -> None: ...
 
@@ -36,7 +36,7 @@ class Watcher(Protocol):
 
 @contextmanager
 def watch(tasks: Sequence[Task], screen: Any, log: str, quiet: bool) -> Iterator[Watcher]:
-    """The watcher for a ``log`` of "text" or "json". ``screen``: a rich console for what is not an answer."""
+    """The watcher for a ``log`` of "text" or "json". ``screen``: a rich console for messages other than results."""
     if log == "json":
         yield _JsonLog(tasks)
     elif quiet:
@@ -56,9 +56,9 @@ def watch(tasks: Sequence[Task], screen: Any, log: str, quiet: bool) -> Iterator
 
 @contextmanager
 def ticking(line: Callable[[], tuple[str, str]]) -> Iterator[Callable[[], None]]:
-    """Print on standard error what ``line`` returns, a state and a text, at a new state and every `PAUSE` seconds.
+    """Print the result of ``line``, a state and a text, on standard error at a new state and every `PAUSE` seconds.
 
-    Yields what to call when there is news: a thread does so each second, but libraries may keep it from running.
+    Yields a function to call with news: a thread prints each second, but libraries may block it.
     """
     began = last = time.monotonic()
     before, lock, ended = "", threading.Lock(), threading.Event()
@@ -69,7 +69,7 @@ def ticking(line: Callable[[], tuple[str, str]]) -> Iterator[Callable[[], None]]
             now, (state, text) = time.monotonic(), line()
             if text and now - last >= (PAUSE if state == before else CHANGE):
                 last, before = now, state
-                with suppress(OSError, ValueError):  # the reader has gone: the work goes on
+                with suppress(OSError, ValueError):  # the reader has exited: the work continues
                     print(f"{text}  {now - began:.0f} s", file=sys.stderr, flush=True)
 
     def keep() -> None:
@@ -85,7 +85,7 @@ def ticking(line: Callable[[], tuple[str, str]]) -> Iterator[Callable[[], None]]
 
 
 class _Lines:
-    """One line for every clip that ended."""
+    """One line for every finished clip."""
 
     def __init__(self, tasks: Sequence[Task], screen: Any, quiet: bool) -> None:
         self._tasks = {task.name: task for task in tasks}
@@ -104,14 +104,14 @@ class _Lines:
         elif self._quiet:
             return
         elif outcome.frames is None:
-            _answer(f"{task.target}: finished before")
+            _answer(f"{task.target}: already finished")
         else:
             source = ", motion from the cache" * outcome.recalled
             _answer(f"{task.target}: {', '.join(task.to)} of frames {outcome.frames[0]} to {outcome.frames[1]}{source}")
 
 
 class _AtWork(_Lines):
-    """Keeps what every clip is doing."""
+    """Tracks the work of every clip."""
 
     def __init__(self, tasks: Sequence[Task], screen: Any) -> None:
         super().__init__(tasks, screen, quiet=False)
@@ -131,7 +131,7 @@ class _AtWork(_Lines):
 
 
 class _Progress(_AtWork):
-    """Without a terminal: a plain line every few seconds, so that a log shows that the work goes on."""
+    """Without a terminal: a plain line every few seconds, so that a log shows the progress."""
 
     tick: Callable[[], None]
 
@@ -140,18 +140,18 @@ class _Progress(_AtWork):
         self.tick()
 
     def line(self) -> tuple[str, str]:
-        """The states of all clips, and what is being done."""
+        """The states of all clips, and the current work."""
         active = list(self._active.items())
         if len(self._tasks) == 1:
             return " ".join(self._states.values()), "".join(f"{name}  {what}" for name, (_, what, _) in active)
         ended = sum(state in ("done", "skipped", "failed") for state in self._states.values())
         shown = [f"{name}  {what}" for name, (_, what, _) in active[:AT_WORK]]
-        more = [f"{len(active) - AT_WORK} more at work"] * (len(active) > AT_WORK)
+        more = [f"{len(active) - AT_WORK} more active"] * (len(active) > AT_WORK)
         return str(ended), "; ".join([f"{ended} of {len(self._tasks)} done", *shown, *more])
 
 
 class _Table(_AtWork):
-    """The whole batch in one bar, and a row for every clip at work; a rich renderable."""
+    """The whole batch in one bar, and a row for every active clip; a rich renderable."""
 
     def __rich__(self) -> Any:
         from rich.console import Group
@@ -171,14 +171,14 @@ class _Table(_AtWork):
 
 
 def log_problems(problems: Sequence[Problem]) -> None:
-    """Lines of the log for shots that are refused, and for what is odd about others."""
+    """Write lines to the log for shots that are refused, and for warnings of others."""
     for problem in problems:
         where = {"source": problem.file, "line": problem.line, "key": problem.key}
         _log(EVENTS[problem.severity], 0.0, **where, message=str(problem))
 
 
 class _JsonLog:
-    """A line of JSON on standard output for everything that happens; times are here and nowhere else."""
+    """One line of JSON on standard output per event; times appear only here."""
 
     def __init__(self, tasks: Sequence[Task]) -> None:
         self._sources = {task.name: task.source for task in tasks}
@@ -198,7 +198,7 @@ class _JsonLog:
         self._say(outcome.state, clip=outcome.name, source=self._sources[outcome.name], seconds=seconds, **more)
 
     def _say(self, event: str, **more: Any) -> None:
-        _log(event, time.monotonic() - self._began, **more)  # the clock on the wall may jump
+        _log(event, time.monotonic() - self._began, **more)  # the wall clock may jump
 
 
 def _log(event: str, elapsed: float, **more: Any) -> None:
@@ -211,7 +211,7 @@ def _answer(text: str) -> None:
 
 
 def _where(task: Task) -> str:
-    """The shot file, and the clip where a sweep made several of it."""
+    """The shot file, and the clip if a sweep made several of it."""
     from pathlib import Path
 
     return task.source if Path(task.source).stem == task.name else f"{task.source}: {task.name}"

@@ -1,7 +1,7 @@
 """A clip's work in steps, for render farms: plan, bake, render a part of the frames, deliver.
 
-Every step reads what the one before it left below ``DIR/.job/<clip>/`` and leaves its own whole, with the hash of every
-file, or not at all; done twice, it finds itself done. What is delivered in the end has the bytes of ``vehsim export``.
+Every step reads the results of the previous one below ``DIR/.job/<clip>/`` and writes its own atomically, with the hash
+of every file; a finished step is not repeated. The final delivery has the bytes of ``vehsim export``.
 """
 
 from __future__ import annotations
@@ -15,42 +15,37 @@ from typing import TYPE_CHECKING, Any
 
 from vehsim.batch.inputs import fingerprint, is_finished
 from vehsim.batch.task import Task, measure
-from vehsim.delivery import (
-    SIGN,
-    delivering,
-    in_order,
-    newest,
-    point_at_newest,
-    replacing,
-    write_files,
-    write_reports,
-)
+from vehsim.delivery.exporters import Exporter, Progress, delivering, in_order, point_at_newest, write_files
+from vehsim.delivery.folders import SIGN, newest, replacing
+from vehsim.delivery.take import Take, write_reports
 from vehsim.errors import ExportError, InputError
 from vehsim.shot import Shot
-from vehsim.take import Exporter, Progress, Take
 
 if TYPE_CHECKING:
-    from vehsim.clip import Clip
+    from vehsim.clip.clip import Clip
 
 HIDDEN = ".job"
 Step = Callable[[Task, tuple[int, int]], None]
 
 
 def run_step(name: str, clips: Path, index: int, part: tuple[int, int] = (1, 1)) -> str:
-    """Do a step of the clip at ``index`` of a file that ``vehsim job`` wrote. Returns the clip's name.
+    """Run a step of the clip at ``index`` of a file that ``vehsim job`` wrote. Returns the clip's name.
 
-    ``part``: which of how many shares of the frames to render. Raises ``InputError``, ``SolveError``, ``ExportError``.
+    ``part``: number of the share of the frames to render, and the number of shares. Raises ``InputError``,
+    ``SolveError``, ``ExportError``.
     """
     task = _read(clips, index)
     if fingerprint(_shot(task), task.to, task.draft) != task.inputs:
-        raise InputError(f"{task.source}: its files or vehsim itself changed since the job was written; write it again")
+        raise InputError(
+            "its files or vehsim itself changed since the job was written", "write it again", file=task.source
+        )
     if name == "measure" or not is_finished(newest(task.target), task.inputs, task.to):
         STEPS[name](task, part)
     return task.name
 
 
 def draws(to: Sequence[str]) -> bool:
-    """Do these exporters need pictures?"""
+    """Whether these exporters need pictures."""
     return any(exporter.name == "png" for exporter in in_order(to))
 
 
@@ -58,14 +53,14 @@ def _read(clips: Path, index: int) -> Task:
     try:
         rows = json.loads(clips.read_text(encoding="utf-8"))["clips"]
         row = rows[index]
-        return Task(**(row | {"to": tuple(row["to"])}))
+        return Task(**(row | {name: tuple(row[name]) for name in ("to", "left_out")}))
     except (OSError, ValueError, KeyError, IndexError, TypeError) as error:
-        text = f"{clips}: no clip {index} in it ({type(error).__name__}: {error}); give a file that vehsim job wrote"
-        raise InputError(text) from None
+        message = f"no clip {index} in it ({type(error).__name__}: {error})"
+        raise InputError(message, "give a file that vehsim job wrote", file=clips) from None
 
 
 def _shot(task: Task) -> Shot:
-    return Shot.from_dict(task.shot, task.folder, task.source)
+    return task.load()
 
 
 def _place(task: Task, name: str) -> Path:
@@ -74,8 +69,9 @@ def _place(task: Task, name: str) -> Path:
 
 @contextmanager
 def _whole(task: Task, name: str) -> Iterator[Path | None]:
-    """A folder for a step's files, sealed and moved into place when the block ends; None when it was done before."""
-    from vehsim.exporters.report import sha256
+    """A folder for a step's files, renamed into place with their hashes when the block ends; None if the step is
+    already done."""
+    from vehsim.exporters.tables.report import sha256
 
     target = _place(task, name)
     if is_finished(target, task.inputs):
@@ -90,7 +86,7 @@ def _whole(task: Task, name: str) -> Iterator[Path | None]:
 def _need(task: Task, name: str, step: str) -> Path:
     folder = _place(task, name)
     if not is_finished(folder, task.inputs):
-        raise ExportError(f"{folder}: not there, or not whole; run the step {step!r} of {task.name} first")
+        raise ExportError("missing or incomplete", f"run the step {step!r} of {task.name} first", file=folder)
     return folder
 
 
@@ -106,8 +102,8 @@ def _plan(task: Task, part: tuple[int, int]) -> None:
 
 
 def _take(task: Task) -> Take:
-    """The take that was planned, from its files."""
-    from vehsim.clip import Clip
+    """The planned take, from its files."""
+    from vehsim.clip.clip import Clip
 
     folder, shot = _need(task, "plan", "plan"), _shot(task)
     said = json.loads((folder / "take.json").read_text(encoding="utf-8"))
@@ -129,7 +125,7 @@ def _take(task: Task) -> Take:
 
 
 def _bake(task: Task, part: tuple[int, int]) -> None:
-    """With pictures to come, the stage they are drawn from; without, the delivery."""
+    """If pictures follow, write the stage for them; otherwise the delivery."""
     if not draws(task.to):
         _deliver(task, part)
         return
@@ -139,7 +135,7 @@ def _bake(task: Task, part: tuple[int, int]) -> None:
 
 
 def _render(task: Task, part: tuple[int, int]) -> None:
-    from vehsim.exporters.frames import look_of, render_stage
+    from vehsim.exporters.pictures.frames import look_of, render_stage
 
     stage = _need(task, "bake", "bake") / f"{task.name}.usda"
     with _whole(task, f"frames.{part[0]}of{part[1]}") as folder:
@@ -151,8 +147,8 @@ def _render(task: Task, part: tuple[int, int]) -> None:
 
 def _deliver(task: Task, part: tuple[int, int]) -> None:
     def gather(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
-        """The pictures that were rendered in parts, where one process would have put them, and their sheets."""
-        from vehsim.exporters.frames import pictures_of, shown, write_sheets
+        """The pictures that were rendered in parts, at the places of a single process, and their contact sheets."""
+        from vehsim.exporters.pictures.frames import pictures_of, shown, write_sheets
 
         written = []
         shares = [_need(task, f"frames.{k}of{part[1]}", "render") for k in range(1, part[1] + 1)]
@@ -165,13 +161,13 @@ def _deliver(task: Task, part: tuple[int, int]) -> None:
         return written + write_sheets(take, folder, pictures_of(written))
 
     take = _take(task)
-    with delivering(take, task.target) as folder:
+    with delivering(task.target, take.usd.versions) as folder:
         written = write_files(take, folder, task.to, _silent, {"png": Exporter("png", (".png",), gather, ("usd",))})
         write_reports(take, folder, written)
     if take.usd.versions:
-        point_at_newest(task.target, in_order(task.to))
+        point_at_newest(task.target)
     shutil.rmtree(_place(task, "plan").parent, ignore_errors=True)
-    with suppress(OSError):  # other clips are still at it
+    with suppress(OSError):  # other clips are still running
         (Path(task.out) / HIDDEN).rmdir()
 
 
@@ -180,24 +176,24 @@ def _frames(ends: tuple[int, int], every: int) -> list[int]:
 
 
 def _share(frames: Sequence[int], k: int, count: int) -> list[int]:
-    """The ``k``-th (from 1) of ``count`` runs of consecutive frames, as even as can be."""
+    """The ``k``-th (from 1) of ``count`` runs of consecutive frames, as even as possible."""
     return list(frames[len(frames) * (k - 1) // count : len(frames) * k // count])
 
 
 def _number(path: Path) -> int:
-    """The frame in a file's name; -1 without one."""
+    """The frame in a file's name; -1 if there is none."""
     number = path.stem.rpartition(".")[2]
     return int(number) if number.isdigit() else -1
 
 
 def _plain(value: Any) -> Any:
-    from vehsim.exporters.report import plain
+    from vehsim.exporters.tables.report import plain
 
     return plain(value)
 
 
 def _silent(what: str, done: float) -> None:
-    """Progress that nobody watches."""
+    """Ignore progress."""
 
 
 STEPS: dict[str, Step] = {

@@ -1,31 +1,30 @@
-"""``summary.json``: every clip of a batch and what became of it, for machines.
+"""``summary.json``: every clip of a batch and its outcome, for programs.
 
-The same batch gives the same bytes, however often it was interrupted: nothing in it is a time, a machine or a process.
-Those are in the log (``--log json``).
+The same batch gives the same bytes, however often it was interrupted: it contains no time, machine or process. The log
+has those (``--log json``).
 """
 
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from vehsim import __version__
 from vehsim.batch.task import Outcome, Task
-from vehsim.delivery import clean_up, owner
+from vehsim.delivery.folders import clean_up
 from vehsim.errors import ExportError
+from vehsim.runtime.code import version
+from vehsim.runtime.files import write_file
 
 NAME = "summary.json"
 
 
 def write_summary(out: Path, tasks: Sequence[Task], outcomes: Mapping[str, Outcome], refused: Sequence[str]) -> Path:
-    """Write ``out/summary.json``. ``refused``: what was wrong with shots that were never begun."""
+    """Write ``out/summary.json``. ``refused``: the errors of shots that were never started."""
     summary = {
         "schema": 1,
-        "vehsim": __version__,
+        "vehsim": version("vehsim"),
         "clips": [_clip(task, outcomes.get(task.name)) for task in tasks],
         "refused": list(refused),
     }
@@ -44,18 +43,10 @@ def _clip(task: Task, outcome: Outcome | None) -> dict[str, Any]:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write beside, have it on the disk, then move into place. Raises ``ExportError``."""
-    beside = path.with_name(f".{path.name}.{owner()}.partial")
+    """Write atomically and flush to the disk. Raises ``ExportError``."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         clean_up(path)
-        with beside.open("x", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        beside.replace(path)
+        write_file(path, text, durable=True)
     except OSError as error:
-        raise ExportError(f"{path}: could not be written: {error.strerror}; mend that and export again") from error
-    finally:
-        with suppress(OSError):
-            beside.unlink()
+        raise ExportError(f"could not be written: {error.strerror}", "fix that and export again", file=path) from error

@@ -1,7 +1,7 @@
-"""``[sweep]``: one shot file, many clips, each with a name of its own.
+"""``[sweep]``: one shot file, many clips, each with its own name.
 
-What belongs here turns a table of keys and values into shots. It knows how values are listed, spaced and drawn, and
-nothing of what they mean.
+This module turns a table of keys and values into shots: listed, evenly spaced or random values, independent of their
+meaning.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any
 from vehsim.errors import Problem, ShotError
 from vehsim.intake.toml import line_of, lines_of, read_toml
 from vehsim.shot import Shot
-from vehsim.shot.reading import apply_overrides, assign
+from vehsim.shot.overrides import apply_overrides, assign
 
 MAX_CLIPS = 100_000
 SPECIAL = {"seeds", "combine"}
@@ -27,7 +27,7 @@ _FORMS = "a list of values, { from = 0, to = 1, count = 5 }, { uniform = [0, 1] 
 def load_shots(path: str | Path, overrides: Sequence[str] = ()) -> list[Shot]:
     """The shots of a shot file: one, or one for every combination of its ``[sweep]``.
 
-    ``overrides`` are applied before the sweep. Raises ``ShotError`` with everything wrong in the first shot that is.
+    ``overrides`` are applied before the sweep. Raises ``ShotError`` with all errors of the first invalid shot.
     """
     path = Path(path)
     data, text = read_toml(path)
@@ -46,7 +46,7 @@ def load_shots(path: str | Path, overrides: Sequence[str] = ()) -> list[Shot]:
 
 
 def expand(sweep: Any) -> list[tuple[str, dict[str, Any]]]:
-    """Every clip of a sweep: what its name ends in (``wind1_seed7``), and key -> value. Raises ``ShotError``."""
+    """Every clip of a sweep: the end of its name (``wind1_seed7``), and key -> value. Raises ``ShotError``."""
     if not isinstance(sweep, Mapping) or not (set(sweep) - {"combine"}):
         raise _wrong("sweep", "nothing to sweep", f"give keys of the shot file, each with {_FORMS}", sweep)
     axes, drawn = _axes(sweep), {key: given for key, given in sweep.items() if _is_drawn(given)}
@@ -78,7 +78,7 @@ def _vary(data: Mapping[str, Any], suffix: str, values: Mapping[str, Any]) -> di
 
 
 def _axes(sweep: Mapping[str, Any]) -> dict[str, list[Any]]:
-    """Key -> its values, for the keys whose values are listed or spaced."""
+    """Key -> its values, for keys with listed or spaced values."""
     axes: dict[str, list[Any]] = {}
     for key, given in sweep.items():
         if key in SPECIAL or _is_drawn(given):
@@ -114,13 +114,13 @@ def _seeds(sweep: Mapping[str, Any], needed: bool) -> list[int]:
     whole = isinstance(seeds, list) and all(isinstance(s, int) and not isinstance(s, bool) and s >= 0 for s in seeds)
     if not whole or len(set(seeds)) < len(seeds) or ("seeds" in sweep and not (seeds and needed)):
         what = "missing" if given is None else "not seeds" if needed else "nothing is drawn"
-        mend = "give how many clips to draw, or a list of whole numbers, and a key such as { uniform = [0, 1] }"
-        raise _wrong("sweep.seeds", what, mend, given)
+        remedy = "give the number of clips, or a list of whole numbers, and a key such as { uniform = [0, 1] }"
+        raise _wrong("sweep.seeds", what, remedy, given)
     return seeds
 
 
 def _draw(drawn: Mapping[str, Any], seed: int) -> dict[str, float]:
-    """Values that depend on their key and seed alone, so that other keys and other seeds never change them."""
+    """Random values that depend only on their key and seed, so that other keys and seeds never change them."""
     import numpy as np
 
     values = {}
@@ -133,7 +133,7 @@ def _draw(drawn: Mapping[str, Any], seed: int) -> dict[str, float]:
 
 
 def _labels(keys: Mapping[str, Any]) -> dict[str, str]:
-    """A short name for every key: its last part, or as many parts as tell it from the others."""
+    """A short name for every key: its last part, or as many parts as distinguish it from the others."""
     parts = {key: ["".join(c for c in part if c.isalnum() or c == "_") for part in key.split(".")] for key in keys}
 
     def ending(key: str, length: int) -> str:
@@ -156,7 +156,7 @@ def _refuse_swept(sweep: Any, overrides: Sequence[str]) -> None:
     for override in overrides:
         key = override.partition("=")[0].strip()
         if isinstance(sweep, Mapping) and key in sweep:
-            raise _wrong(f"sweep.{key}", "the sweep gives it, and so does --set", "keep one of them", override)
+            raise _wrong(f"sweep.{key}", "both the sweep and --set give it", "keep one of them", override)
 
 
 def _place(problem: Problem, source: str, lines: Mapping[str, int]) -> Problem:
@@ -169,5 +169,5 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
-def _wrong(key: str, message: str, mend: str, value: object = None) -> ShotError:
-    return ShotError([Problem(key, message, mend, value)])
+def _wrong(key: str, message: str, remedy: str, value: object = None) -> ShotError:
+    return ShotError([Problem(key, message, remedy, value)])

@@ -1,7 +1,7 @@
-"""One clip's work: a task goes in, an outcome comes out, and the folder is whole or not there.
+"""One clip's work: from a task to an outcome; the clip's folder is either complete or absent.
 
-A task is plain data that can be sent to another process or machine. What happens here is the same wherever it runs, so
-that the bytes are too.
+A task is plain data that can be sent to another process or machine. The work, and so the bytes, are the same
+everywhere.
 """
 
 from __future__ import annotations
@@ -13,16 +13,19 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from vehsim.errors import InputError, VehsimError
 
+if TYPE_CHECKING:
+    from vehsim.shot import Shot
+
 State = Literal["queued", "planning", "baking", "rendering", "done", "skipped", "failed"]
 Tell = Callable[[str, str, str, float], None]
-"""Told a clip's name, its state, what is being done and the fraction done."""
+"""Called with a clip's name, its state, the current work and the fraction done."""
 
 RENDERING = ("frames", "film", "contact")
-"""How what pictures and films say of their progress begins."""
+"""First words of the progress of pictures and films."""
 MEMORY_MEND = "give it fewer segments or pixels, or the worker more memory"
 _ONE_AT_A_TIME = threading.Lock()
 
@@ -32,7 +35,8 @@ class Task:
     """A clip to be exported to ``out/<name>/``. ``shot``: a shot file's data; ``inputs``: the hash of all it needs.
 
     ``field``: it needs the distance field of this terrain (by hash), which is measured once for all. ``checked``: the
-    shot was, with these inputs. ``cached``: motion that was solved before is taken from the cache.
+    shot was, with these inputs. ``cached``: motion that was solved before is taken from the cache. ``left_out``: the
+    vehicles of the shot that are not exported.
     """
 
     name: str
@@ -47,16 +51,23 @@ class Task:
     field: str | None = None
     checked: bool = False
     cached: bool = True
+    left_out: tuple[str, ...] = ()
 
     @property
     def target(self) -> Path:
-        """The folder that the clip is delivered to."""
+        """The folder of the clip's delivery."""
         return Path(self.out) / self.name
+
+    def load(self) -> Shot:
+        """The shot."""
+        from vehsim.shot import Shot
+
+        return Shot.from_dict(self.shot, self.folder, self.source).without(self.left_out)
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a clip. ``kind``: the error's; ``seconds`` and ``detail`` are for logs, never for files."""
+    """The outcome of a clip. ``kind``: type of the error; ``seconds`` and ``detail`` are for logs, never for files."""
 
     name: str
     state: State
@@ -67,9 +78,9 @@ class Outcome:
     seconds: float = 0.0
     detail: str = ""
     retire: bool = False
-    """the process that gave it had better end: it ran out of memory"""
+    """whether its process should exit, because it ran out of memory"""
     recalled: bool = False
-    """its motion is from the cache"""
+    """whether its motion comes from the cache"""
 
 
 def prepare(
@@ -81,7 +92,7 @@ def prepare(
     checked: bool = False,
     cached: bool = True,
 ) -> Task:
-    """The task of a shot; one that was not ``checked`` is before it is solved."""
+    """The task of a shot; unless ``checked``, the shot is checked before it is solved."""
     from vehsim.batch.inputs import fingerprint
 
     terrain = shot.world.terrain
@@ -98,11 +109,12 @@ def prepare(
         field=terrain.content_hash if terrain is not None and _measures(shot) else None,
         checked=checked,
         cached=cached,
+        left_out=shot.left_out,
     )
 
 
 def run_task(task: Task, tell: Tell) -> Outcome:
-    """Solve and write one clip, or find it finished. Never raises: what goes wrong is in the outcome."""
+    """Solve and write one clip, or find it finished. Never raises: errors are in the outcome."""
     began, said = time.perf_counter(), []
     with _ONE_AT_A_TIME, warnings.catch_warnings():
         warnings.simplefilter("always", UserWarning)
@@ -114,7 +126,7 @@ def run_task(task: Task, tell: Tell) -> Outcome:
         except VehsimError as error:
             outcome = Outcome(task.name, "failed", type(error).__name__, str(error))
         except Exception as error:
-            message = f"unexpected: {type(error).__name__}: {error}; this is a fault of vehsim"
+            message = f"unexpected: {type(error).__name__}: {error}; this is an error in vehsim"
             outcome = Outcome(task.name, "failed", type(error).__name__, message, detail=traceback.format_exc())
             if _starved(error):
                 message = f"it ran out of memory ({type(error).__name__}: {error}); {MEMORY_MEND}"
@@ -123,25 +135,24 @@ def run_task(task: Task, tell: Tell) -> Outcome:
 
 
 def _starved(error: Exception) -> bool:
-    """Does it say in other words that there was no memory? C++ does, the loader of libraries, and extensions whose
-    results never came to be."""
+    """Whether the error means a lack of memory in other words, as those of C++, the library loader, and extensions
+    without a result."""
     words = ("bad_alloc", "annot allocate memory", "failed to map segment")
     return isinstance(error, SystemError) or any(word in str(error) for word in words)
 
 
 def _work(task: Task, tell: Tell) -> Outcome:
     from vehsim.batch.inputs import fingerprint, is_finished
-    from vehsim.delivery import clean_up, newest
-    from vehsim.shot import Shot
+    from vehsim.delivery.folders import clean_up, newest
 
     clean_up(task.target)
     clean_up(task.target / "version")
     if task.resume and is_finished(newest(task.target), task.inputs, task.to):
         return Outcome(task.name, "skipped")
     tell(task.name, "planning", "starting", 0.0)
-    shot = Shot.from_dict(task.shot, task.folder, task.source)
+    shot = task.load()
     if fingerprint(shot, task.to, task.draft) != task.inputs:
-        raise InputError(f"{task.source}: its files or vehsim itself changed while the batch ran; export it again")
+        raise InputError("its files or vehsim itself changed while the batch ran", "export it again", file=task.source)
     take = shot.solve(
         lambda what, done: tell(task.name, "planning", what, done), checked=task.checked, cached=task.cached
     )
@@ -159,10 +170,8 @@ def _work(task: Task, tell: Tell) -> Outcome:
 
 
 def measure(task: Task) -> None:
-    """Have the distance field of the task's terrain in the cache, so that no two workers measure the same."""
-    from vehsim.shot import Shot
-
-    Shot.from_dict(task.shot, task.folder, task.source).world.distance_field()
+    """Put the distance field of the task's terrain into the cache, so that only one worker measures it."""
+    task.load().world.distance_field()
 
 
 def _measures(shot: Any) -> bool:

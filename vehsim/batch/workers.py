@@ -1,8 +1,8 @@
-"""Worker processes on this machine: each does one task after another; one that dies takes nothing with it.
+"""Worker processes on this machine: each runs one task after another; a worker that dies does not affect the others.
 
-Every worker has a pipe of its own, no queue or lock is shared, so a process killed at any instant can block no other.
-Its clip is tried again by a fresh one. Workers are forked from a process that has loaded what they need and does
-nothing else (`preload.py`), where the system has such; they end when the process that asked for them does.
+Every worker has its own pipe, and no queue or lock is shared, so a process killed at any instant cannot block another.
+A new worker retries its clip. Where the system permits, workers are forked from a process that has only loaded what
+they need (`preload.py`). They exit when their parent does.
 """
 
 from __future__ import annotations
@@ -21,52 +21,52 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from vehsim._ending import POLITE, raising
 from vehsim.batch.task import MEMORY_MEND, Outcome, Task, Tell
+from vehsim.runtime.signals import POLITE, raising
 
 ATTEMPTS = 3
-"""How often a clip is begun whose worker dies."""
+"""How often a clip is started whose worker dies."""
 PATIENCE = 10.0
-"""How long interrupted workers may take to tidy up, s."""
+"""Time for interrupted workers to clean up, s."""
 ENDING = (signal.SIGINT, *POLITE)
-"""Signals that reach a whole group of processes; the first process decides what follows."""
+"""Signals that reach a whole group of processes; the first process decides what to do."""
 RESERVE = 16_000_000
-"""Bytes of address space that a worker keeps for its last words."""
+"""Bytes of address space that a worker reserves for reporting that it ran out of memory."""
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "LP_NUM_THREADS")
 NAME = "vehsim worker"
-"""What a worker is called in the system's list of processes."""
+"""The name of a worker in the system's list of processes."""
 METHODS = ["forkserver", "spawn"] if sys.platform == "linux" else ["spawn"]
-"""How workers are started; the next where one cannot be, as without room for the fork server's socket. Apple's
-frameworks, which numpy loads, must not be used after a fork, and Windows has none."""
+"""Start methods of workers, in order of preference; the first fails, for example, without room for the fork server's
+socket. Apple's frameworks, which numpy loads, must not be used after a fork, and Windows has no fork."""
 
 
 class Job(NamedTuple):
-    """A task and what to do of it: ``measure`` its terrain's distance field, or ``run`` it."""
+    """A task and its action: ``measure`` its terrain's distance field, or ``run`` it."""
 
     kind: str
     task: Task
 
 
 def warm_up() -> None:
-    """Have what workers are forked from loaded, beside whatever the caller does next."""
+    """Start loading the process from which workers are forked, in parallel with the caller's work."""
     if "forkserver" not in METHODS:
         return
     from multiprocessing import forkserver, resource_tracker
 
     forkserver.set_forkserver_preload(["vehsim.batch.preload"])
-    resource_tracker.ensure_running()  # first: it lets in what is kept out next
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)  # until it can take them in silence
+    resource_tracker.ensure_running()  # first, because it admits what is kept out next
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)  # until they can be received silently
     try:
-        with _threads(1), suppress(OSError):  # what is forked has a single thread
+        with _threads(1), suppress(OSError):  # forked processes must have a single thread
             forkserver.ensure_running()
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def run_on_processes(tasks: Sequence[Task], count: int, tell: Tell, memory: float | None = None) -> Iterator[Outcome]:
-    """The outcomes of ``tasks``, each as soon as it is there, from ``count`` processes.
+    """The outcomes of ``tasks``, each as soon as it is available, from ``count`` processes.
 
-    ``memory``: how much address space a worker may use, GB.
+    ``memory``: address space of each worker, GB.
     """
     warm_up()
     fields = {task.field: task for task in tasks if task.field is not None}
@@ -84,7 +84,7 @@ def run_on_processes(tasks: Sequence[Task], count: int, tell: Tell, memory: floa
 
 
 def _dispatch(crew: list[_Worker], jobs: Sequence[Job], tell: Tell) -> Iterator[Outcome]:
-    """The outcomes of what is run. Clips whose field is being measured wait for it, others do not."""
+    """The outcomes of the runs. Clips whose field is being measured wait for it, the others do not."""
     waiting, deaths, ended = deque(jobs), Counter[tuple[str, str]](), list[Outcome]()
     measuring = {job.task.field for job in jobs if job.kind == "measure"}
     while True:
@@ -92,7 +92,7 @@ def _dispatch(crew: list[_Worker], jobs: Sequence[Job], tell: Tell) -> Iterator[
             while worker.job is None and (job := _next(waiting, measuring)) is not None:
                 if not worker.give(job):
                     waiting.appendleft(job)
-        yield from ended  # told when all have work again
+        yield from ended  # reported when all have work again
         ended.clear()
         busy: dict[Any, tuple[_Worker, Job]] = {w.pipe: (w, w.job) for w in crew if w.job is not None}
         if not busy:
@@ -103,7 +103,7 @@ def _dispatch(crew: list[_Worker], jobs: Sequence[Job], tell: Tell) -> Iterator[
             if isinstance(message, tuple):
                 tell(*message)
                 continue
-            if message is None:  # it died
+            if message is None:  # the worker died
                 how = worker.epitaph()
                 worker.replace()
                 deaths[job.kind, job.task.name] += 1
@@ -111,18 +111,18 @@ def _dispatch(crew: list[_Worker], jobs: Sequence[Job], tell: Tell) -> Iterator[
                     tell(job.task.name, "queued", f"its worker {how}; tried again", 0.0)
                     waiting.append(job)
                     continue
-                text = f"its worker {how}, {ATTEMPTS} times; give it more memory, or ask less of it"
+                text = f"its worker {how}, {ATTEMPTS} times; give it more memory, or reduce the work"
                 message = Outcome(job.task.name, "failed", "WorkerLost", text)
             worker.job = None
             if message.retire:
                 worker.replace()
             if job.kind == "run":
                 ended.append(message)
-            measuring.discard(job.task.field)  # what could not be measured is said by the clips that need it
+            measuring.discard(job.task.field)  # clips that need an unmeasured field report the error
 
 
 def _next(waiting: deque[Job], measuring: Collection[str | None]) -> Job | None:
-    """Take the first job that can begin."""
+    """Take the first job that can start."""
     for i, job in enumerate(waiting):
         if job.kind == "measure" or job.task.field not in measuring:
             del waiting[i]
@@ -131,7 +131,7 @@ def _next(waiting: deque[Job], measuring: Collection[str | None]) -> Job | None:
 
 
 class _Worker:
-    """A process and our end of its pipe. ``job``: what it is doing."""
+    """A process and our end of its pipe. ``job``: its current job."""
 
     def __init__(self, count: int, memory: float | None) -> None:
         self._count, self._memory = count, memory
@@ -153,7 +153,7 @@ class _Worker:
                         raise
 
     def give(self, job: Job) -> bool:
-        """False when the process had ended, by itself or by another's hand; a new one has taken its place."""
+        """False if the process had ended; a new one has replaced it."""
         try:
             self.pipe.send(job)
         except OSError:
@@ -163,7 +163,7 @@ class _Worker:
         return True
 
     def receive(self) -> Any:
-        """What the process says; None when it is gone, be it in the middle of a word."""
+        """The process's message; None if it has ended, even in the middle of a message."""
         try:
             return self.pipe.recv()
         except Exception:
@@ -182,7 +182,7 @@ class _Worker:
         self._start()
 
     def stop(self) -> None:
-        """Ask it to tidy up and go: idle it ends with its pipe, at work it needs a sign."""
+        """Request it to clean up and exit: an idle one exits when its pipe closes, a busy one needs a signal."""
         self.pipe.close()
         if self.job is not None and self._process.is_alive():
             self._process.terminate()
@@ -196,7 +196,7 @@ class _Worker:
 
 @contextmanager
 def _threads(share: int) -> Iterator[None]:
-    """Processes started in here share the cores: libraries read these as they are loaded."""
+    """Processes started in this block share the cores: libraries read these variables as they are loaded."""
     before = {name: os.environ.get(name) for name in THREADS}
     os.environ.update({name: value or str(share) for name, value in before.items()})
     try:
@@ -208,17 +208,18 @@ def _threads(share: int) -> Iterator[None]:
 
 
 def _serve(pipe: Connection, memory: float | None, environment: Mapping[str, str]) -> None:
-    """The life of a worker: a job in, words of progress and an outcome out, until the pipe closes."""
-    for number in ENDING:  # Ctrl-C and a closed terminal reach us all; the first process decides
+    """The main loop of a worker: receive a job, send progress and an outcome, until the pipe closes."""
+    for number in ENDING:  # Ctrl-C and a closed terminal reach all processes; the first one decides
         signal.signal(number, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, raising(KeyboardInterrupt, once=True))  # the group's, or that of the first process
+    # a signal to the group, or from the first process
+    signal.signal(signal.SIGTERM, raising(KeyboardInterrupt, once=True))
     with suppress(EOFError, OSError, KeyboardInterrupt, MemoryError):
         _work(pipe, memory, environment)
-    os._exit(0)  # tidied up: nothing may hold up those who wait for us
+    os._exit(0)  # already cleaned up: exit at once, because others are waiting
 
 
 def _work(pipe: Connection, memory: float | None, environment: Mapping[str, str]) -> None:
-    os.environ.clear()  # what we were forked from has that of another time
+    os.environ.clear()  # the parent's value is from another time
     os.environ.update(environment)
     with suppress(OSError):
         Path("/proc/self/comm").write_text(NAME)
@@ -249,12 +250,12 @@ def _work(pipe: Connection, memory: float | None, environment: Mapping[str, str]
             continue
         outcome = _run(run_task, task, tell)
         pipe.send(outcome)
-        if outcome.retire:  # without memory not even waiting is safe
+        if outcome.retire:  # without memory, even waiting may fail
             return
 
 
 def _run(run_task: Any, task: Task, tell: Tell) -> Outcome:
-    """The task's outcome, also when there was not even memory left to say so: what we set aside is free by then."""
+    """The task's outcome. Without memory for it, free the reserve and report that."""
     aside = mmap.mmap(-1, RESERVE)
     try:
         outcome: Outcome = run_task(task, tell)
@@ -265,7 +266,7 @@ def _run(run_task: Any, task: Task, tell: Tell) -> Outcome:
 
 
 def die_with_parent() -> None:
-    """Have the kernel kill us when the parent is gone, also in the middle of a long computation (Linux)."""
+    """Have the kernel kill this process when its parent exits, even during a long computation (Linux)."""
     if sys.platform != "linux":
         return
     with suppress(OSError):
@@ -275,7 +276,7 @@ def die_with_parent() -> None:
 
 
 def _end_with_parent() -> None:
-    """The same wherever there are threads; it has to wait for a computation that holds the interpreter."""
+    """The same on other systems, by a thread; it has to wait for computations that hold the interpreter."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

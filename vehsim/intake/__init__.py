@@ -1,6 +1,6 @@
-"""The one gate for foreign files: meshes, images, arrays, USD and TOML.
+"""The only entrance for foreign files: meshes, images, arrays, USD and TOML.
 
-What comes in is bounded in size and checked before anything else sees it: plain arrays that are finite, with indices in
-range; plain tables without numbers that overflow. Whatever a library raises over a broken file becomes an
-``InputError`` that names file, key and remedy. What belongs here knows formats, and nothing of what files are used for.
+Input is bounded in size and checked before other code sees it: finite plain arrays with indices in range, plain tables
+without numbers that overflow. Any error of a library over a broken file becomes an ``InputError`` that names file, key
+and fix. This room knows formats, not the use of the files.
 """

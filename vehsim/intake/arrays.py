@@ -1,4 +1,4 @@
-"""Arrays of numbers from NPY and NPZ files: their headers are read before their numbers, and no code is executed."""
+"""Read arrays of numbers from NPY and NPZ files: headers are checked before data is read, and no code is executed."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from vehsim.intake.gate import MAX_BYTES, reading, refuse
 
 NUMBERS = "biuf"
-"""Kinds of arrays that are taken: truth values, whole numbers and real ones."""
+"""Accepted kinds of arrays: booleans, integers and real numbers."""
 
 
 def read_array(path: Path, key: str) -> NDArray[Any]:
@@ -26,7 +26,7 @@ def read_array(path: Path, key: str) -> NDArray[Any]:
 
 
 def read_arrays(path: Path, key: str, wanted: Collection[str]) -> dict[str, NDArray[Any]]:
-    """Those of the ``wanted`` arrays that an ``.npz`` file holds, by name. Raises ``InputError``."""
+    """The ``wanted`` arrays that an ``.npz`` file contains, by name. Raises ``InputError``."""
     found: dict[str, NDArray[Any]] = {}
     with reading(path, key, f"give an .npz of {', '.join(wanted)}"), zipfile.ZipFile(path) as archive:
         for name in wanted:
@@ -39,7 +39,7 @@ def read_arrays(path: Path, key: str, wanted: Collection[str]) -> dict[str, NDAr
 
 
 def _check_header(path: Path, key: str, file: Any, size: int) -> None:
-    """Raise ``InputError`` unless it announces numbers, and as many as the ``size`` of the file can hold."""
+    """Raise ``InputError`` unless the header announces numbers, at most as many as the ``size`` of the file permits."""
     shape, dtype = _header(file)
     if dtype.kind not in NUMBERS:
         raise refuse(path, key, "not an array of numbers", "save it as floats", str(dtype))

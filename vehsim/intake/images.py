@@ -1,4 +1,4 @@
-"""Pictures as arrays, their size and mode looked at before they are unpacked."""
+"""Read pictures as arrays; their size and mode are checked before they are decompressed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def read_picture(
 ) -> tuple[NDArray[np.float64], str, dict[int, Any]]:
     """A picture of one channel (rows, columns), its mode, and the tags of a TIFF. Raises ``InputError``.
 
-    ``modes``: those that are taken, of Pillow's; ``remedy``: what to do about others; ``most`` pixels.
+    ``modes``: the accepted ones of Pillow's; ``remedy``: the fix for others; ``most`` pixels.
     """
     from PIL import Image
 

@@ -1,4 +1,4 @@
-"""Triangles from OBJ, STL, PLY, GLB, glTF and USD files, in metres and Z up."""
+"""Read triangles from OBJ, STL, PLY, GLB, glTF and USD files, in metres and Z up."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ Array = NDArray[np.float64]
 Triangles = tuple[Array, NDArray[np.int64]]
 
 MAX_FACES = 20_000_000
-"""More triangles than any mesh we take on."""
+"""Largest accepted number of triangles."""
 MAX_REACH = 1e9
-"""Farther from the origin no point makes sense, m."""
+"""Largest accepted coordinate, m."""
 _Z_UP = ([0, 2, 1], [1, -1, 1])
-"""How axes with Y up are picked and signed to be Z up."""
+"""Selection and signs of axes that turn Y up into Z up."""
 
 
 def read_triangles(path: Path, key: str = "mesh") -> Triangles:
-    """Points (n, 3) m, finite, and triangles (m, 3) whose indices fit them; at least one. Raises ``InputError``."""
+    """Points (n, 3) m, finite, and triangles (m, 3) with valid indices, at least one. Raises ``InputError``."""
     reader = READERS.get(path.suffix.lower())
     if reader is None:
         raise refuse(path, key, "not a mesh file", f"use one of {' '.join(READERS)}", path.suffix)
@@ -49,7 +49,7 @@ def read_triangles(path: Path, key: str = "mesh") -> Triangles:
 def _read_trimesh(path: Path, key: str) -> Triangles:
     import trimesh
 
-    mesh = trimesh.load(path, force="mesh", process=False)  # as it is: repaired in silence it would be another
+    mesh = trimesh.load(path, force="mesh", process=False)  # unchanged: a silent repair would make another mesh
     if not isinstance(mesh, trimesh.Trimesh):
         raise refuse(path, key, "has no triangles", "export a triangle mesh")
     points = np.asarray(mesh.vertices, dtype=float)
@@ -59,7 +59,7 @@ def _read_trimesh(path: Path, key: str) -> Triangles:
 
 
 def _read_usd(path: Path, key: str) -> Triangles:
-    """Every mesh of a stage, in metres and Z up whatever the stage's own units."""
+    """All meshes of a stage, in metres and Z up, for any units of the stage."""
     from pxr import Usd, UsdGeom
 
     stage = open_stage(path)
@@ -69,7 +69,7 @@ def _read_usd(path: Path, key: str) -> Triangles:
         mesh = UsdGeom.Mesh(prim)
         if not mesh or mesh.ComputePurpose() == UsdGeom.Tokens.guide:
             continue
-        found = triangles_of(mesh, Usd.TimeCode.Default(), f"{path}: {prim.GetPath()}")
+        found = triangles_of(mesh, Usd.TimeCode.Default(), path)
         if found is None:
             continue
         matrix = np.array(cache.GetLocalToWorldTransform(prim))

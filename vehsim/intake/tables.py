@@ -1,6 +1,7 @@
 """Tables of a file as models: strict, each key described below it, and what is wrong in words that a person can act on.
 
-What belongs here is common to shot files and ``vehicle.toml``; their keys are in `vehsim.shot` and `vehsim.vehicles`.
+What belongs here is common to shot files, ``vehicle.toml`` and ``terrain.toml``; their keys are in `vehsim.shot`,
+`vehsim.vehicles` and `vehsim.world.terrain`.
 """
 
 from __future__ import annotations
@@ -10,15 +11,18 @@ import inspect
 import re
 import textwrap
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
+from functools import cache
 from itertools import pairwise
+from pathlib import Path
 from typing import Annotated, Any
 
 from annotated_types import Len
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from vehsim.errors import Problem
+from vehsim.errors import Problem, ShotError
+from vehsim.intake.toml import line_of, lines_of, read_toml
 
 WORDS = {
     "bool_type": "neither true nor false",
@@ -42,20 +46,20 @@ WORDS = {
     "too_long": "{actual_length} given, at most {max_length} wanted",
     "too_short": "{actual_length} given, at least {min_length} wanted",
 }
-"""What is wrong with a value, by pydantic's types of errors, in words for people who never heard of it."""
+"""Messages by pydantic's types of errors, without pydantic's vocabulary."""
 
 
 def describe(schema: dict[str, Any], model: type[BaseModel]) -> None:
-    """Say in a model's JSON schema what to give for each key.
+    """Describe each key in a model's JSON schema.
 
-    Sources are read when a schema is asked for: pydantic's own ``use_attribute_docstrings`` reads them at every import.
+    Sources are read when a schema is requested; pydantic's own ``use_attribute_docstrings`` reads them at every import.
     """
     for key, text in _docstrings(model).items():
         schema["properties"][model.model_fields[key].alias or key]["description"] = text
 
 
 def _docstrings(model: type) -> dict[str, str]:
-    """Key -> the text below it in the source, those of the bases included; nothing where no sources are installed."""
+    """Key -> the text below it in the source, including base classes; empty if no sources are installed."""
     texts: dict[str, str] = {}
     for base in reversed(model.__mro__[: model.__mro__.index(Table)]):
         try:
@@ -78,9 +82,9 @@ class Table(BaseModel):
 
 @dataclass(frozen=True)
 class InSchema:
-    """What the JSON schema says of a value: ``shape`` takes what its type alone says.
+    """Changes a value's JSON schema: ``shape`` receives the schema of its type.
 
-    It is called when a schema is asked for, so that names can come from where they are defined.
+    It is called when a schema is requested, so that names can come from the module that defines them.
     """
 
     shape: Callable[[dict[str, Any]], dict[str, Any]]
@@ -90,7 +94,7 @@ class InSchema:
 
 
 def table_of(keys: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """The JSON schema of a table with these keys and no others."""
+    """The JSON schema of a table with exactly these keys."""
     return {"type": "object", "properties": dict(keys), "additionalProperties": False}
 
 
@@ -101,7 +105,7 @@ def _whole(value: float) -> float:
 
 
 def _from_tuple(value: Any) -> Any:
-    """Python callers may give tuples where TOML gives arrays."""
+    """Convert tuples of Python callers to lists, as TOML gives."""
     return list(value) if isinstance(value, tuple) else value
 
 
@@ -112,6 +116,23 @@ Metre = Annotated[Number, Field(ge=-1e6, le=1e6)]
 Array = BeforeValidator(_from_tuple)
 Point = Annotated[list[Metre], Array, Len(3, 3)]
 Text = Annotated[str, Field(min_length=1, max_length=4096)]
+
+
+def read_table(path: Path, model: type[Table]) -> dict[str, Any]:
+    """The data of a TOML file that is a ``model``. Raises ``ShotError`` with everything that is wrong and its lines."""
+    data, text = read_toml(path)
+    try:
+        model.model_validate(data)
+    except ValidationError as error:
+        lines = lines_of(text)
+        found = problems_of(error.errors(include_url=False), _shape(model))
+        raise ShotError([replace(each, file=str(path), line=line_of(each.key, lines)) for each in found]) from None
+    return data
+
+
+@cache
+def _shape(model: type[Table]) -> dict[str, Any]:
+    return model.model_json_schema(by_alias=True)
 
 
 def dotted(place: tuple[int | str, ...]) -> str:
@@ -134,13 +155,15 @@ def problems_of(errors: Any, root: Mapping[str, Any]) -> Iterator[Problem]:
                 tag, value = error["ctx"]["discriminator"].strip("'"), error["ctx"].get("tag")
                 message = "missing" if value is None else f"no such {tag}"
                 yield Problem(f"{key}.{tag}", message, f"give {_tags(root, place)}", value)
-            case kind:
-                text = WORDS.get(kind, error["msg"].removeprefix("Value error, ")).format_map(error.get("ctx", {}))
+            case kind:  # a validator's own error comes along as an object
+                context = error.get("ctx", {})
+                text = str(context.get("error") or WORDS.get(kind, error["msg"]).format_map(context))
                 yield Problem(key, text[0].lower() + text[1:], f"give {description}", value)
 
 
 def locate(root: Mapping[str, Any], location: tuple[int | str, ...]) -> tuple[tuple[int | str, ...], str, list[str]]:
-    """Where an error is in the file (without pydantic's union tags), what belongs there, and the keys beside it."""
+    """The place of an error in the file (without pydantic's union tags), the expected content, and the keys
+    beside it."""
     place: list[int | str] = []
     node: Mapping[str, Any] = root
     description, keys = "a table", list(root["properties"])
@@ -149,7 +172,7 @@ def locate(root: Mapping[str, Any], location: tuple[int | str, ...]) -> tuple[tu
         if isinstance(part, str) and part in node.get("discriminator", {}).get("mapping", {}):
             node = {"$ref": node["discriminator"]["mapping"][part]}
             continue
-        if "oneOf" in node and "discriminator" not in node:  # a value of several forms, whose tag pydantic names
+        if "oneOf" in node and "discriminator" not in node:  # a value of several forms; pydantic names the tag
             node = {}
             continue
         keys = list(node.get("properties", {}))
@@ -160,18 +183,18 @@ def locate(root: Mapping[str, Any], location: tuple[int | str, ...]) -> tuple[tu
 
 
 def _below(node: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-    """What a table's schema says of a key."""
+    """A table's schema for a key."""
     found = node.get("properties", {}).get(key) or node.get("additionalProperties")
     return found if isinstance(found, Mapping) else {}
 
 
 def _asked(description: str) -> str:
-    """A key's description on one line, without what holds when it is left out."""
-    return re.sub(r"; [^;]* unless given$", "", " ".join(description.split()))
+    """A key's description on one line, without its default."""
+    return re.sub(r"; default: .*$", "", " ".join(description.split()))
 
 
 def _tags(root: Mapping[str, Any], place: tuple[int | str, ...]) -> str:
-    """The names a table with several forms may take: ``"plan", "simulate" or "clip"``."""
+    """The names that a table with several forms may have: ``"plan", "simulate" or "clip"``."""
     node: Mapping[str, Any] = root
     for part in place:
         node = _resolve(node, root)
@@ -182,7 +205,7 @@ def _tags(root: Mapping[str, Any], place: tuple[int | str, ...]) -> str:
 
 
 def _resolve(node: Mapping[str, Any], root: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Follow references, and of "this or nothing" take this."""
+    """Follow references; of "this or null" choose this."""
     while True:
         choices = [choice for choice in node.get("anyOf", []) if choice.get("type") != "null"]
         if "$ref" in node:

@@ -1,22 +1,24 @@
-"""TOML files: plain tables, nested as deeply as a person would, with numbers that a machine holds."""
+"""Read TOML files: plain tables with bounded nesting and numbers that fit a machine."""
 
 from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from vehsim.errors import Problem, ShotError
+from vehsim.errors import Problem, ShotError, VehsimError
 
 MAX_BYTES = 50_000_000
 MAX_DEPTH = 50
-"""Tables and arrays inside each other."""
+"""Largest depth of tables and arrays."""
 _HEADER = re.compile(r"^\s*(\[\[?)\s*([\w.\-\" ]+?)\s*\]")
 _KEY = re.compile(r"^\s*([\w.\-]+)\s*=")
 LARGEST = 2**63
-"""TOML's whole numbers have 64 bits."""
+"""TOML's integers have 64 bits."""
 
 
 def read_toml(path: Path) -> tuple[dict[str, Any], str]:
@@ -41,12 +43,12 @@ def read_toml(path: Path) -> tuple[dict[str, Any], str]:
     except (ValueError, TypeError, AttributeError) as error:  # TOML errors, integers with thousands of digits
         raise refuse(f"not TOML: {error}", "fix the syntax there") from None
     if problem := too_large(data):
-        raise ShotError([Problem(problem.key, problem.message, problem.mend, file=str(path))])
+        raise ShotError([replace(problem, file=str(path))])
     return data, text
 
 
 def too_large(data: Any) -> Problem | None:
-    """What is nested too deeply, or a whole number of more than 64 bits; None for all that can be worked with."""
+    """A problem if data is nested too deeply or has an integer of more than 64 bits; else None."""
     left = [("", data, 0)]
     while left:
         key, value, depth = left.pop()
@@ -63,7 +65,7 @@ def too_large(data: Any) -> Problem | None:
 
 
 def lines_of(text: str) -> dict[str, int]:
-    """Line numbers by dotted key, as far as a glance at the text gives them: headers, and keys that begin a line."""
+    """Line numbers by dotted key, from a simple scan of the text: headers, and keys at the start of a line."""
     lines: dict[str, int] = {}
     counts: dict[str, int] = {}
     table = ""
@@ -76,8 +78,22 @@ def lines_of(text: str) -> dict[str, int]:
     return lines
 
 
+@contextmanager
+def lines_in(path: Path) -> Iterator[None]:
+    """Add the lines to what is raised in here about the keys of the TOML file ``path``."""
+    try:
+        yield
+    except VehsimError as error:
+        lines = lines_of(path.read_text(encoding="utf-8-sig"))
+        error.problems = [
+            replace(each, line=line_of(each.key, lines)) if each.file == str(path) and each.line is None else each
+            for each in error.problems
+        ]
+        raise
+
+
 def _table(name: str, is_entry: bool, counts: dict[str, int]) -> str:
-    """A header's dotted key with the places of its lists: ``vehicle.motion.mark`` is ``vehicle[0].motion.mark[2]``."""
+    """A header's dotted key with list indices: ``vehicle.motion.mark`` is ``vehicle[0].motion.mark[2]``."""
     place = ""
     parts = name.split(".")
     for i, part in enumerate(parts):
@@ -90,7 +106,7 @@ def _table(name: str, is_entry: bool, counts: dict[str, int]) -> str:
 
 
 def line_of(key: str, lines: Mapping[str, int]) -> int | None:
-    """The line of ``key``, or of the nearest table around it."""
+    """The line of ``key``, or of the closest table around it."""
     while key and key not in lines:
         key = key[: max(key.rfind("."), key.rfind("["), 0)]
     return lines.get(key)

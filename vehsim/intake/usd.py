@@ -1,4 +1,4 @@
-"""USD files: stages that open, and meshes whose indices fit their points."""
+"""Read USD files: stages that open, and meshes whose indices are valid."""
 
 from __future__ import annotations
 
@@ -36,21 +36,22 @@ def open_stage(path: str | Path, load: bool = True) -> Any:
 
 @contextmanager
 def complaints(path: str | Path) -> Iterator[None]:
-    """For what reads values of an open stage: USD reads them when they are asked for, and may find them corrupt only
-    then. Its complaint becomes an ``InputError`` that names ``path``."""
+    """A context for reading values of an open stage. USD reads them on demand, and may find them corrupt only then; its
+    error becomes an ``InputError`` that names ``path``."""
     try:
         yield
     except Exception as error:
-        if type(error).__module__ != "pxr.Tf":  # asked this way, nobody loads USD for a shot without assets
+        if type(error).__module__ != "pxr.Tf":  # checked in this way, USD is not loaded for a shot without assets
             raise
         raise refuse(path, "asset", f"not readable as USD ({_last_line(error)})", "export it again") from error
 
 
-def triangles_of(mesh: Any, when: Any, where: str) -> tuple[Array, Faces] | None:
+def triangles_of(mesh: Any, when: Any, file: str | Path) -> tuple[Array, Faces] | None:
     """A mesh's points (n, 3) in its own space and units, and its triangles (m, 3), in the sense they are authored.
 
-    None for an empty one. Raises ``InputError`` that begins with ``where``: the file and the prim.
+    None for an empty one. Raises ``InputError`` that names the prim and ``file``, which holds it.
     """
+    prim = str(mesh.GetPath())
     points = np.array(mesh.GetPointsAttr().Get(when) or [], float).reshape(-1, 3)
     counts = np.array(mesh.GetFaceVertexCountsAttr().Get(when) or [], np.int64)
     indices = np.array(mesh.GetFaceVertexIndicesAttr().Get(when) or [], np.int64)
@@ -59,14 +60,14 @@ def triangles_of(mesh: Any, when: Any, where: str) -> tuple[Array, Faces] | None
         return None
     fits = counts.min() >= 0 and counts.sum() == len(indices) and _within(indices, len(points))
     if not (fits and _within(holes, len(counts))):
-        raise InputError(f"{where}: its faces do not fit its {len(points)} points; export the mesh again")
+        raise InputError(f"its faces do not fit its {len(points)} points", "export the mesh again", key=prim, file=file)
     if not np.isfinite(points).all():
-        raise InputError(f"{where}: points that are not finite numbers; export the mesh again")
+        raise InputError("points that are not finite numbers", "export the mesh again", key=prim, file=file)
     return points, triangulate(counts, indices, holes)
 
 
 def triangulate(counts: Faces, indices: Faces, holes: Faces | None = None) -> Faces:
-    """Faces of ``counts`` corners as fans of triangles (m, 3), as Hydra draws them; ``holes`` are left out."""
+    """Faces of ``counts`` corners as fans of triangles (m, 3), as Hydra draws them, without ``holes``."""
     keep = np.ones(len(counts), bool)
     if holes is not None:
         keep[holes] = False
@@ -78,10 +79,10 @@ def triangulate(counts: Faces, indices: Faces, holes: Faces | None = None) -> Fa
 
 
 def dependencies(asset: Path) -> tuple[list[Path], list[str]]:
-    """Files that the USD file ``asset`` needs, itself included, and references that do not resolve."""
+    """The files that the USD file ``asset`` needs, including itself, and references that do not resolve."""
     from pxr import UsdUtils
 
-    if asset.suffix == ".usdz":  # a package carries all it needs
+    if asset.suffix == ".usdz":  # a package contains all files that it needs
         return [asset], []
     with reading(asset, "asset"):
         layers, assets, missing = UsdUtils.ComputeAllDependencies(str(asset))
@@ -90,8 +91,8 @@ def dependencies(asset: Path) -> tuple[list[Path], list[str]]:
 
 
 def beyond(files: Iterable[Path], *homes: Path) -> list[Path]:
-    """Those of the ``files`` that lie in none of the folders ``homes``, links followed: whoever made an asset can have
-    it name any file of this machine."""
+    """The ``files`` outside all folders ``homes``, after following links: an asset could refer to any file of this
+    machine."""
     inside = [home.resolve() for home in homes]
     return [file for file in files if not any(file.resolve().is_relative_to(home) for home in inside)]
 

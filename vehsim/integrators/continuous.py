@@ -1,4 +1,4 @@
-"""The continuous equations of motion, from the same definition: what discrete motion is judged against."""
+"""The continuous equations of motion, from the same definition: the reference for the discrete motion."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import numpy as np
 
 from vehsim.integrators.discrete import DiscreteMechanics
 from vehsim.vehicles import Vehicle
-from vehsim.vehicles._base import Array
-from vehsim.vehicles.mechanics import acceleration, free_velocity
+from vehsim.vehicles.definition.base import Array
+from vehsim.vehicles.definition.mechanics import acceleration, free_velocity
 
 
 @lru_cache(maxsize=32)
 def equations_of_motion(vehicle: Vehicle) -> ca.Function:
     """``(g, r, z, c, c_rate, wind) -> (g_dot, r_dot, z_dot)`` with ``z`` the free velocity at an instant.
 
-    ``c_rate``: time derivative of the controls, felt through rate controls only.
+    ``c_rate``: time derivative of the controls, which matters for rate controls only.
     """
     m = DiscreteMechanics(vehicle)
     y = m.symbols
@@ -34,10 +34,10 @@ def equations_of_motion(vehicle: Vehicle) -> ca.Function:
 def execute(
     vehicle: Vehicle, g: Array, r: Array, z: Array, controls: Array, steps: Array, wind: Array, fine: int = 16
 ) -> tuple[Array, Array]:
-    """Run knot controls (n, c), linear between knots, through RK4 with ``fine`` steps a segment.
+    """Execute knot controls (n, c), linear between knots, with RK4 and ``fine`` steps per segment.
 
-    ``steps`` (n - 1,) s. Starts from ``g, r`` and free velocity ``z``. Returns group coordinates (n, size) and joints
-    (n, s) at the knots, to compare a plan with what its controls really do.
+    ``steps`` (n - 1,) s. Starts from ``g, r`` and the free velocity ``z``. Returns group coordinates (n, size) and
+    joints (n, s) at the knots, to compare a plan with the actual effect of its controls.
     """
     segment = _rk4_segment(vehicle, fine)
     sizes = [len(g), len(r), len(z)]

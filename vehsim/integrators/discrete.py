@@ -1,28 +1,31 @@
-"""Discrete mechanics of one segment, from a vehicle's definition: what the forward step and DMOC share.
+"""Discrete mechanics of one segment, from a vehicle's definition; the forward step and DMOC share it.
 
 The state at a knot is ``(g, r, pi)``: group element, joints, and the momentum restricted to the free velocities. A
-segment of length h has one velocity ``z`` and maps its two ends by the discrete Legendre transforms
+segment of length h has one velocity ``z``, and the discrete Legendre transforms map its two ends:
 
-    left(z)  = pi_k        the momentum at the start that the segment's velocity needs
-    right(z) = pi_k+1      the momentum it delivers at the end
+    left(z)  = pi_k        the momentum at the start that belongs to the segment's velocity
+    right(z) = pi_k+1      the momentum at the end
     next(z)  = g_k+1, r_k+1
 
 (LIE eq. 10-11 and 17-18 split at the knot, SYM eq. 10-12.) The forward step solves ``left = pi_k`` for ``z``; DMOC
-imposes all three. Midpoint shape, a symmetric difference map and mirrored force weights make the segment symmetric,
-hence second order and a base for composition. Momenta and knot velocities are second-order accurate at the knot.
+imposes all three equations. Midpoint shape, a symmetric difference map and mirrored force weights make the segment
+symmetric, hence second order and suitable for composition. Momenta and velocities at the knots are second-order
+accurate.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 
 from vehsim.errors import InputError
 from vehsim.lie import SO3, difference_map
 from vehsim.vehicles import Vehicle
-from vehsim.vehicles.mechanics import (
+from vehsim.vehicles.definition.mechanics import (
     Expr,
     coefficients,
     conservative,
@@ -38,7 +41,7 @@ from vehsim.vehicles.mechanics import (
 QUADRATURES: dict[str, tuple[float, float]] = {
     "galerkin": (1 / 3, 1 / 6),  # exact for forces linear between knots
     "trapezoidal": (1 / 2, 0.0),
-    "averaged": (1 / 4, 1 / 4),  # SYM's; blind to forces that alternate from knot to knot
+    "averaged": (1 / 4, 1 / 4),  # SYM's; does not see forces that alternate from knot to knot
 }
 """Weights of a segment's force impulse: (near end, far end) for the momentum at either end."""
 
@@ -58,7 +61,9 @@ class DiscreteMechanics:
     def __post_init__(self) -> None:
         difference_map(self.map_name, self.vehicle.group)
         if self.quadrature not in QUADRATURES:
-            raise InputError(f"quadrature = {self.quadrature!r}: unknown; choose one of {', '.join(QUADRATURES)}")
+            raise InputError(
+                "unknown", f"choose one of {', '.join(QUADRATURES)}", key="quadrature", value=self.quadrature
+            )
 
     @cached_property
     def sizes(self) -> tuple[int, int, int, int]:
@@ -80,7 +85,8 @@ class DiscreteMechanics:
     def segment(self) -> dict[str, Expr]:
         """``left, right`` (n_z,), ``g1`` (size,), ``r1`` (s,) as expressions of ``symbols``.
 
-        ``bend`` is what of ``left`` bends most with ``z``, and is cheap to differentiate; ``push`` what forces add.
+        ``bend`` is the part of ``left`` that depends most nonlinearly on ``z``, and is cheap to differentiate; ``push``
+        is the contribution of forces.
         """
         v, y = self.vehicle, self.symbols
         g, r, z, c0, c1, h, wind = (y[name] for name in ("g", "r", "z", "c0", "c1", "h", "wind"))
@@ -94,7 +100,7 @@ class DiscreteMechanics:
 
         start, end = v.force(g, r, u, xi, c0, wind), v.force(g1, r1, u, xi, c1, wind)
         near, far = QUADRATURES[self.quadrature]
-        # forces of a potential stay variational: half of each end's impulse at that end, whatever the quadrature
+        # forces of a potential stay variational: half of each end's impulse at that end, for every quadrature
         steady, steady1 = conservative(v, g, r), conservative(v, g1, r1)
         before = [h * (near * a + far * b + p / 2) for a, b, p in zip(start, end, steady, strict=True)]
         after = [h * (far * a + near * b + p / 2) for a, b, p in zip(start, end, steady1, strict=True)]
@@ -109,7 +115,7 @@ class DiscreteMechanics:
         """Shape at mid-segment and the velocity ``(u, xi)`` there."""
         u, _ = free_velocity(self.vehicle, r, z, driven)
         middle, tied = r + h / 2 * u, self.vehicle.tied
-        if tied:  # their rates depend on the shape they lead to: Newton, unrolled
+        if tied:  # the rates of tied joints depend on the shape that they produce: Newton's method, unrolled
             symbols = [ca.SX.sym(x, n.shape[0]) for x, n in (("m", r), ("r", r), ("z", z), ("driven", r), ("h", h))]
             m_, r_, z_, driven_, h_ = symbols
             gap = rows(m_ - r_ - h_ / 2 * free_velocity(self.vehicle, m_, z_, driven_)[0], tied)
@@ -135,16 +141,18 @@ class DiscreteMechanics:
 
     @cached_property
     def advance_fast(self) -> ca.Function:
-        """`advance` at a fifth of its price: from a predicted velocity, one cheap Jacobian for all iterations.
+        """`advance` at a fifth of its cost: a predicted velocity, and one cheap Jacobian for all iterations.
 
-        The Jacobian leaves out where forces act and how the map curves, which enter with h^2 only, so that at ordinary
-        steps the residual reaches round-off; it says when it did not. ``z`` is the velocity of the segment before.
+        The Jacobian omits where forces act and the curvature of the map, which enter with h^2 only. So at ordinary
+        steps the residual reaches round-off; otherwise the residual shows it. ``z`` is the velocity of the previous
+        segment.
         """
         return self._chords(1, predicted=True)
 
     @cached_property
     def advance_far(self) -> ca.Function:
-        """`advance_fast` for long steps: the Jacobian renewed twice. Still far cheaper than Newton in full."""
+        """`advance_fast` for long steps: the Jacobian is renewed twice. Still much cheaper than a full Newton
+        iteration."""
         return self._chords(3)
 
     @property
@@ -159,12 +167,13 @@ class DiscreteMechanics:
         y, given = self.symbols, self._given
         left = self.segment["left"] - y["pi"]
         exact = ca.jacobian(left, y["z"])
-        explicit = not ca.depends_on(exact, y["z"])  # LIE's car by C_TLN: one solve, from anywhere
+        explicit = not ca.depends_on(exact, y["z"])  # LIE's car with C_TLN: one solve, from any start
         jacobian = exact if explicit else ca.jacobian(self.segment["bend"], y["z"])
         slope = ca.Function("slope", given, [_inverse(jacobian), ca.densify(ca.diag(jacobian))])
         residual = ca.Function("residual", given, [left])
         z = y["z"]
-        if predicted and not explicit:  # on past the knot's velocity as far as the segment before fell short of it
+        # extrapolate past the knot's velocity by as much as the previous segment fell short of it
+        if predicted and not explicit:
             z = 2 * self.knot_velocity_guess(y["r"], y["pi"], y["c0"]) - z
         size = slope(z, *given[1:])[1]
         for _ in range(1 if explicit else rounds):
@@ -174,9 +183,9 @@ class DiscreteMechanics:
         return ca.Function("advance_chords", self._inputs, ca.cse([ca.densify(x) for x in self._finish(z, size)]))
 
     def _finish(self, z: Expr, inertia: Expr) -> list[Expr]:
-        """``g1, r1, pi1, z`` of a solved segment, and the residual it was solved to, relative to what it balances.
+        """``g1, r1, pi1, z`` of a solved segment, and its residual relative to the terms that it balances.
 
-        ``inertia`` (n_z,): about how much momentum a unit of each velocity makes.
+        ``inertia`` (n_z,): the approximate momentum of a unit of each velocity.
         """
         segment, given = self.segment, self._given
         residual = segment["left"] - self.symbols["pi"]
@@ -185,19 +194,19 @@ class DiscreteMechanics:
         g1, r1, pi1, residual, push = ca.Function("finish", given, outputs)(z, *given[1:])
         size = 1e-3 * ca.fabs(inertia) + ca.fabs(self.symbols["pi"]) + ca.fabs(push)
         error = ca.mmax(ca.fabs(residual) / size) if residual.shape[0] else ca.SX(0)
-        # what the solve left unbalanced goes along, or a million steps would add it up
+        # carry the remaining residual along; otherwise a million steps would accumulate it
         return [g1, r1, pi1 - residual, z, error]
 
     @cached_property
     def knot_momentum(self) -> ca.Function:
-        """``(r, u, xi) -> pi``: the momentum of joint rates and group velocity at a knot, restricted."""
+        """``(r, u, xi) -> pi``: the restricted momentum of joint rates and group velocity at a knot."""
         v = self.vehicle
         r, u, xi = ca.SX.sym("r", len(v.joints)), ca.SX.sym("u", len(v.joints)), ca.SX.sym("xi", v.group.dim)
         return ca.Function("knot_momentum", [r, u, xi], [project(v, r, *momentum(v, r, u, xi))])
 
     @cached_property
     def wrench_momentum(self) -> ca.Function:
-        """``(g, r, wrench) -> (n_z,)``: what a body wrench (d,) adds to the restricted momentum in a second."""
+        """``(g, r, wrench) -> (n_z,)``: the rate of the restricted momentum due to a body wrench (d,)."""
         v, y = self.vehicle, self.symbols
         wrench = ca.SX.sym("wrench", v.group.dim)
         covector = project(v, y["r"], ca.SX(len(v.joints), 1), v.group.wrench_from_body(y["g"], wrench))
@@ -218,7 +227,7 @@ class DiscreteMechanics:
 
     @cached_property
     def knot_velocity_guess(self) -> ca.Function:
-        """``(r, pi, c) -> z``: the knot's own velocity as a first guess of its segment's."""
+        """``(r, pi, c) -> z``: the knot's own velocity as the initial guess for its segment."""
         v, y = self.vehicle, self.symbols
         u, xi = self.knot_velocity(y["r"], y["pi"], y["c0"])
         return ca.Function("guess", [y["r"], y["pi"], y["c0"]], [coefficients(v, y["r"], u, xi)])
@@ -235,12 +244,29 @@ class DiscreteMechanics:
         return ca.Function("root_state", [g, y["r"], y["pi"], y["c0"]], [root, twist, y["r"], u])
 
 
+def mechanics_of(vehicle: Vehicle, map_name: str, quadrature: str) -> DiscreteMechanics:
+    """One per vehicle object and scheme: expressions are built once and live as long as the vehicle."""
+    kept = vehicle.__dict__.setdefault("_mechanics", {})
+    key = (map_name, quadrature)
+    if key not in kept:
+        kept[key] = DiscreteMechanics(vehicle, map_name, quadrature)
+    return kept[key]
+
+
+def keep(mechanics: DiscreteMechanics, key: str, build: Callable[[], Any]) -> Any:
+    """A value built once and kept as long as the mechanics."""
+    kept = mechanics.__dict__.setdefault("_kept", {})
+    if key not in kept:
+        kept[key] = build()
+    return kept[key]
+
+
 NEWTON_STEPS = 4
-"""From a warm start two reach round-off at ordinary steps; the residual says when they did not."""
+"""From a warm start two iterations reach round-off at ordinary steps; otherwise the residual shows it."""
 
 
 CHORD_STEPS = 3
-"""From a predicted start two leave less than the tolerance at ordinary steps, three round-off."""
+"""From a predicted start two iterations reach the tolerance at ordinary steps, three reach round-off."""
 
 
 def _inverse(matrix: Expr) -> Expr:

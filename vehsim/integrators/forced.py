@@ -1,8 +1,8 @@
-"""A vehicle pushed from outside: an environment's wrench enters the forward step to second order.
+"""A vehicle under external forces: an environment's wrench enters the forward step to second order.
 
-Half of a knot's impulse is given before the vehicle's own step and half after it. The wrench is asked once a knot, at
-the pose the step arrived at and at a velocity predicted with the wrench before (math.md on LIE 10-11: with the last
-segment's velocity drag would be first order), so a queried wrench never enters the Newton solve.
+Half of a knot's impulse acts before the vehicle's own step and half after it. The wrench is evaluated once per knot, at
+the pose reached and at a velocity predicted with the previous wrench; with the velocity of the last segment, drag would
+be first order. So the wrench never enters the Newton solve.
 """
 
 from __future__ import annotations
@@ -16,26 +16,27 @@ import casadi as ca
 import numpy as np
 
 from vehsim.errors import InputError, SolveError
-from vehsim.integrators.buffered import Buffered
-from vehsim.integrators.record import build_clip, keep
+from vehsim.integrators.discrete import DiscreteMechanics, keep
+from vehsim.integrators.fast.kernel import Kernel
+from vehsim.integrators.integrator import Integrator
+from vehsim.integrators.phase import Phase
+from vehsim.integrators.record import build_clip
 from vehsim.vehicles import State
-from vehsim.vehicles._base import Array
-from vehsim.vehicles.mechanics import acceleration
-from vehsim.vehicles.states import control_vector
+from vehsim.vehicles.definition.base import Array
+from vehsim.vehicles.definition.mechanics import acceleration
+from vehsim.vehicles.definition.states import control_vector
 
 if TYPE_CHECKING:
-    from vehsim.clip import Clip
-    from vehsim.integrators.discrete import DiscreteMechanics
-    from vehsim.integrators.integrator import Integrator, Phase
-    from vehsim.world.environment import Environment
+    from vehsim.clip.clip import Clip
+    from vehsim.integrators.environment import Environment
 
 
 FINEST = 4096
-"""Pieces of a step that an environment in haste may ask for."""
+"""Largest number of substeps that an environment may request."""
 
 
 class Meeting(Protocol):
-    """What several vehicles do to each other."""
+    """The forces of several vehicles on each other."""
 
     next_step: float
 
@@ -46,26 +47,28 @@ class Meeting(Protocol):
 class Forced:
     """A vehicle in an environment, advanced knot by knot.
 
-    ``advance(c1)`` does a whole step. Where several vehicles push each other, all of them ``drift`` first, then each
-    is ``push``ed by the wrench that their states together make. ``phase``, ``controls`` and ``wrench`` (d,) hold at
-    the knot reached, ``state`` is public and predicted until the push. Made for `Integrator`s of order 2.
+    ``advance(c1)`` makes a whole step. If several vehicles act on each other, all of them ``drift`` first; then each is
+    ``push``ed by the wrench that follows from all states. ``phase``, ``controls`` and ``wrench`` (d,) belong to the
+    knot reached; ``state`` is public, and predicted until the push. For `Integrator`s of order 2.
     """
 
     def __init__(
         self, integrator: Integrator, environment: Environment, start: State, controls: Array, time: float = 0.0
     ):
         if integrator.order != 2:
-            raise InputError(f"order = {integrator.order!r}: what pushes from outside is second order; take order 2")
+            raise InputError(
+                "what pushes from outside is second order", "take order 2", key="order", value=integrator.order
+            )
         self.integrator, self.environment, self.time, self.steps = integrator, environment, time, 0
-        self._calls: dict[str, tuple[DiscreteMechanics, Buffered]] = {}
+        self._calls: dict[str, tuple[DiscreteMechanics, Kernel]] = {}
         self.controls = control_vector(integrator.vehicle, controls)
         self.phase: Phase = integrator.start(start, self.controls)
         self.anchor = integrator.anchor(start, self.phase)
         self.state = integrator.state(self.phase, self.controls, self.anchor)
         self.wrench = np.zeros(integrator.vehicle.group.dim)
-        self._set_wrench(*self.ask())
+        self._set_wrench(*self.query())
 
-    def ask(self) -> tuple[Array, Array | None]:
+    def query(self) -> tuple[Array, Array | None]:
         """The environment's wrench (d,) and added mass (d, d) at the present state."""
         wrench = self.environment.wrench(self.time, self.state, self.controls)
         return wrench, self.environment.added_inertia(self.time, self.state)
@@ -73,10 +76,11 @@ class Forced:
     def advance(self, controls: Array) -> None:
         """One step to ``controls`` (c,) at its end."""
         self.drift(controls)
-        self.push(*self.ask())
+        self.push(*self.query())
 
     def carry(self, start: Array, end: Array) -> None:
-        """One step from controls ``start`` to ``end`` (c,), halved as often as the environment is in haste."""
+        """One step from controls ``start`` to ``end`` (c,), halved until it satisfies the environment's
+        ``next_step``."""
         whole, at = self.integrator, 0
         while at < FINEST:
             pieces = piece(whole.step_size, self.environment.next_step, at)
@@ -96,19 +100,19 @@ class Forced:
         return self.state
 
     def predict(self, controls: Array) -> State:
-        """The public state that a step to ``controls`` (c,) would reach, without making it."""
+        """Predict the public state after a step to ``controls`` (c,), without making the step."""
         integrator = self.integrator
         after = integrator.advance(self._kicked(self.phase), self.controls, np.asarray(controls, float), self.steps)
         return self._public(self._kicked(after), np.asarray(controls, float))
 
     def push(self, wrench: Array, added: Array | None = None) -> None:
-        """The impulse at the end of the step, of a wrench (d,) and an added mass (d, d)."""
+        """Apply the impulse at the end of the step, of a wrench (d,) and an added mass (d, d)."""
         self._set_wrench(wrench, added)
         self.phase = self._kicked(self.phase)
         self.state = self._public(self.phase, self.controls)
 
     def start_with(self, wrench: Array, added: Array | None = None) -> None:
-        """Begin with this wrench (d,) instead of the environment's own."""
+        """Start with this wrench (d,) instead of the environment's own."""
         self._set_wrench(wrench, added)
 
     def _kicked(self, phase: Phase) -> Phase:
@@ -116,26 +120,27 @@ class Forced:
         return replace(phase, pi=phase.pi + self.integrator.step_size / 2 * covector)
 
     def _public(self, phase: Phase, controls: Array) -> State:
-        """`Integrator.state`, quickly."""
+        """`Integrator.state`, fast."""
         pose, twist, r, u = self._call("state", lambda m: m.root_state)(phase.g, phase.r, phase.pi, controls)
         return State(position=pose[0:3] + self.anchor, orientation=pose[3:7], twist=twist, joints=r, joint_rates=u)
 
-    def _call(self, name: str, build: Callable[[DiscreteMechanics], ca.Function]) -> Buffered:
-        """A function of the integrator's present mechanics, which may change with its chart."""
+    def _call(self, name: str, build: Callable[[DiscreteMechanics], ca.Function]) -> Kernel:
+        """A function of the integrator's current mechanics, which may change with its chart."""
         mechanics = self.integrator.mechanics
         kept = self._calls.get(name)
         if kept is None or kept[0] is not mechanics:
-            kept = self._calls[name] = (mechanics, Buffered(build(mechanics)))
+            kept = self._calls[name] = (mechanics, Kernel(build(mechanics)))
         return kept[1]
 
     def _set_wrench(self, wrench: Array, added: Array | None) -> None:
-        """``wrench``, less what it takes to accelerate the added mass under everything that acts."""
+        """``wrench`` minus the force that accelerates the added mass."""
         vehicle = self.integrator.vehicle
         wrench = np.asarray(wrench, float)
         if wrench.shape != self.wrench.shape or not np.isfinite(wrench).all():
             raise SolveError(
-                f"{vehicle.name}: step {self.steps}: its surroundings push with {wrench.tolist()} at "
-                f"{self.state}; take a smaller step"
+                f"step {self.steps}: its surroundings push with {wrench.tolist()} at {self.state}",
+                "take a smaller step",
+                subject=vehicle.name,
             )
         if added is not None:
             inertia = np.asarray(vehicle.inertia)  # type: ignore[attr-defined]
@@ -148,22 +153,22 @@ class Forced:
 
 
 class Course:
-    """One vehicle's way through an environment: asked for its controls knot by knot, written down as a clip.
+    """One vehicle's motion through an environment, knot by knot, recorded as a clip.
 
-    ``ask(t, state)`` gives the controls (c,), linear between knots; a knot is ``cuts`` steps of the integrator.
+    ``law(t, state)`` gives the controls (c,), linear between knots; a knot is ``cuts`` steps of the integrator.
     """
 
     def __init__(
         self,
         integrator: Integrator,
         environment: Environment,
-        ask: Callable[[float, State], Any],
+        law: Callable[[float, State], Any],
         begin: State,
         cuts: int,
     ):
-        self._ask, self._cuts, self._step = ask, cuts, integrator.step_size * cuts
-        if hasattr(ask, "reset"):
-            ask.reset()
+        self._law, self._cuts, self._step = law, cuts, integrator.step_size * cuts
+        if hasattr(law, "reset"):
+            law.reset()
         idle = np.zeros(len(integrator.vehicle.controls))
         whole = integrator.state(integrator.start(begin, idle), idle)
         self._before = self._controls(integrator.vehicle, 0, replace(whole, position=np.asarray(begin.position, float)))
@@ -172,9 +177,9 @@ class Course:
         self._rows = [(self.body.phase, self._before, self.body.wrench)]
 
     def aim(self, k: int) -> None:
-        """Ask for the controls at the end of step ``k``."""
+        """Query the controls at the end of step ``k``."""
         body = self.body
-        blind = getattr(self._ask, "blind", False)  # what asks for no state needs no prediction
+        blind = getattr(self._law, "blind", False)  # a law that ignores the state needs no prediction
         state = body.state if blind or self._cuts > 1 else body.predict(self._guess)
         self._after = self._controls(body.integrator.vehicle, k + 1, state)
 
@@ -183,12 +188,12 @@ class Course:
         return np.asarray(self._before + share * (self._after - self._before))
 
     def arrive(self) -> None:
-        """The step is done."""
+        """Record the end of a step."""
         self._before, self._guess = self._after, 2 * self._after - self._before
         self._rows.append((self.body.phase, self._after, self.body.wrench))
 
     def clip(self, events: Sequence[Mapping[str, Any]], fps: Any, start_frame: int) -> Clip:
-        """What was done. The ledger's work holds what the environment puts in or takes out."""
+        """The clip so far. The ledger's work contains the work of the environment."""
         integrator = self.body.integrator
         phases, controls, wrenches = zip(*self._rows, strict=True)
         times = np.asarray(self._step * np.arange(len(phases)), float)
@@ -209,13 +214,13 @@ class Course:
 
     def _controls(self, vehicle: Any, k: int, state: State) -> Array:
         t = k * self._step
-        return control_vector(vehicle, self._ask(t, state), f"controls(t = {t:.6g})")
+        return control_vector(vehicle, self._law(t, state), f"controls(t = {t:.6g})")
 
 
 def pushed(
     integrator: Integrator,
     environment: Environment,
-    ask: Callable[[float, State], Any],
+    law: Callable[[float, State], Any],
     begin: State,
     steps: int,
     cuts: int,
@@ -223,8 +228,8 @@ def pushed(
     start_frame: int,
     progress: Callable[[str, float], None] | None = None,
 ) -> Clip:
-    """A clip of ``steps`` steps, each of ``cuts`` of the integrator's; ``ask(t, state)`` gives the controls (c,)."""
-    course = Course(integrator, environment, ask, begin, cuts)
+    """A clip of ``steps`` steps, each of ``cuts`` of the integrator's; ``law(t, state)`` gives the controls (c,)."""
+    course = Course(integrator, environment, law, begin, cuts)
     for k in range(steps):
         course.aim(k)
         for j in range(cuts):
@@ -240,11 +245,11 @@ def pushed(
 def pushed_together(
     courses: Sequence[Course], meeting: Meeting, steps: int, cuts: int, progress: Callable[[str, float], None] | None
 ) -> None:
-    """Take several vehicles ``steps`` steps on at the same time: each feels its surroundings and the ``meeting``."""
+    """Advance several vehicles by ``steps`` steps together: each feels its environment and the ``meeting``."""
     bodies = [course.body for course in courses]
     whole = [body.integrator for body in bodies]
     for body, wrench in zip(bodies, meeting.wrenches(0.0, [body.state for body in bodies]), strict=True):
-        own, added = body.ask()
+        own, added = body.query()
         body.start_with(own + wrench, added)
     for k in range(steps):
         for course in courses:
@@ -259,7 +264,7 @@ def pushed_together(
                 course.body.drift(course.between(at / end))
             wrenches = meeting.wrenches(bodies[0].time, [body.state for body in bodies])
             for body, wrench in zip(bodies, wrenches, strict=True):
-                own, added = body.ask()
+                own, added = body.query()
                 body.push(own + wrench, added)
         for course, integrator in zip(courses, whole, strict=True):
             course.body.integrator = integrator
@@ -283,7 +288,8 @@ def _work(clip: Clip, wrenches: Array) -> Array:
 
 
 def piece(step: float, longest: float, at: int) -> int:
-    """The largest power of two of `FINEST` pieces of ``step`` s that takes ``longest`` s and fits ``at`` pieces in."""
+    """The largest power of two of `FINEST` pieces of ``step`` s that takes at most ``longest`` s and divides ``at``
+    pieces."""
     pieces = FINEST
     while pieces > 1 and (at % pieces or step * pieces / FINEST > longest * (1 + 1e-9)):
         pieces //= 2
@@ -291,9 +297,7 @@ def piece(step: float, longest: float, at: int) -> int:
 
 
 def halved(integrator: Integrator, parts: int) -> Integrator:
-    """The same integrator with its step in ``parts``, kept for the next time."""
-    from vehsim.integrators.integrator import Integrator
-
+    """The same integrator with its step divided into ``parts``; kept for later."""
     if parts == 1:
         return integrator
     kept = integrator.__dict__.setdefault("_halved", {})
@@ -307,12 +311,12 @@ def halved(integrator: Integrator, parts: int) -> Integrator:
 
 
 def substeps(step: float, environment: Environment) -> int:
-    """Into how many equal parts a step must be cut to keep to the environment's longest."""
+    """The number of equal parts of a step that satisfies the environment's longest step."""
     return max(1, math.ceil(step / environment.max_step - 1e-9))
 
 
 def _free_acceleration(mechanics: DiscreteMechanics) -> ca.Function:
-    """``(g, r, pi, c, wind) -> dxi/dt`` of a body on SE(3) left to itself."""
+    """``(g, r, pi, c, wind) -> dxi/dt`` of a free body on SE(3)."""
 
     def build() -> ca.Function:
         v, y = mechanics.vehicle, mechanics.symbols

@@ -1,6 +1,7 @@
-"""What can go wrong with a vehicle's definition on the way: constraints that lose rank, kinetic energy that loses sign.
+"""Detect faults of a vehicle's definition during motion: constraints lose rank, or kinetic energy is not positive
+definite.
 
-Checked at knots and between neighbours, only for definitions whose constraints or mass change with the shape.
+Checked at knots and between neighbours, only for definitions whose constraints or mass depend on the shape.
 """
 
 from __future__ import annotations
@@ -12,28 +13,27 @@ import casadi as ca
 import numpy as np
 
 from vehsim.errors import SolveError
-from vehsim.integrators.discrete import DiscreteMechanics
-from vehsim.integrators.loops import Loop
-from vehsim.integrators.record import keep
+from vehsim.integrators.discrete import DiscreteMechanics, keep
+from vehsim.integrators.fast.kernel import Kernel
 from vehsim.vehicles import Vehicle
-from vehsim.vehicles._base import Array
-from vehsim.vehicles.mechanics import driven_rates, free_velocity
+from vehsim.vehicles.definition.base import Array
+from vehsim.vehicles.definition.mechanics import driven_rates, free_velocity
 
 _INDEFINITE = 1e-12
-"""Ratio of eigenvalues below which a mass counts as lost."""
+"""Ratio of eigenvalues below which a mass counts as singular."""
 _LOST = 1e-16
 """Squared sine of the angle between constraint rows below which they count as dependent."""
 
 
 def changes_rank(mechanics: DiscreteMechanics) -> bool:
-    """Whether the constraints depend on the shape at all."""
+    """Whether the constraints depend on the shape."""
     bound = _bound(mechanics.vehicle)
     r = mechanics.symbols["r"]
     return bound is not None and bool(ca.depends_on(bound(r), r)) if r.shape[0] else False
 
 
 def check_constraints(mechanics: DiscreteMechanics, r: Array, first: int = 0) -> None:
-    """``SolveError`` naming step and joints when constraints lose rank at or between knots ``r`` (n, s)."""
+    """Raise ``SolveError`` naming step and joints if constraints lose rank at or between knots ``r`` (n, s)."""
     if len(r) < 2 or not changes_rank(mechanics):
         return
     function = _overlap(mechanics)
@@ -46,9 +46,10 @@ def check_constraints(mechanics: DiscreteMechanics, r: Array, first: int = 0) ->
 
 
 def check_mass(mechanics: DiscreteMechanics, r: Array, compiled: bool = False) -> None:
-    """``SolveError`` naming step and joints when the kinetic energy on the free velocities is not positive definite.
+    """Raise ``SolveError`` naming step and joints if the kinetic energy on the free velocities is not positive
+    definite.
 
-    ``r`` (n, s), or (m, n, s) of vehicles side by side; ``compiled``: looked at by machine code.
+    ``r`` (n, s), or (m, n, s) for several vehicles; ``compiled``: evaluated by machine code.
     """
     function = _mass(mechanics)
     if function is None or len(r) == 0:
@@ -56,37 +57,40 @@ def check_mass(mechanics: DiscreteMechanics, r: Array, compiled: bool = False) -
     if r.ndim == 3:
         try:
             check_mass(mechanics, r.reshape(-1, r.shape[2]), compiled)
-        except SolveError:  # again one by one, so that the step is named right
+        except SolveError:  # again one by one, to name the right step
             for row in r:
                 check_mass(mechanics, row, compiled)
         return
     size = function.size1_out(0)
     masses = np.empty((len(r), size * size))
-    keep(mechanics, f"masses {compiled}", lambda: Loop(function, compiled=compiled))(
-        [np.ascontiguousarray(r)], [masses]
-    )
+    kernel = keep(mechanics, f"masses {compiled}", lambda: Kernel(function, compiled))
+    kernel.rows([np.ascontiguousarray(r)], [masses])
     smallest = _definiteness(masses.reshape(-1, size, size))
     for k in np.flatnonzero(~(smallest > _INDEFINITE)):
-        # the basis may be what is singular: ask again in one that is not
+        # the basis itself may be singular: try a regular one
         value = _on_orthonormal_basis(mechanics, r[k])
         if value > _INDEFINITE:
             continue
         raise SolveError(
-            f"{mechanics.vehicle.name}: step {k}: kinetic energy is not positive definite on the free velocities at "
-            f"joints = {np.round(r[k], 6).tolist()} (smallest eigenvalue {value:.3g} of the largest): mend it, "
-            "or keep the joints away from there"
+            f"step {k}: kinetic energy is not positive definite on the free velocities at joints = "
+            f"{np.round(r[k], 6).tolist()} (smallest eigenvalue {value:.3g} of the largest)",
+            "fix it, or keep the joints away from there",
+            subject=mechanics.vehicle.name,
         )
 
 
 def rank_lost(vehicle: Vehicle, step: int, before: Array, after: Array) -> SolveError:
     return SolveError(
-        f"{vehicle.name}: step {step}: constraints lose rank between joints = {np.round(before, 6).tolist()} and "
-        f"{np.round(after, 6).tolist()}: nothing determines the motion there; keep the joints away from it"
+        f"step {step}: constraints lose rank between joints = {np.round(before, 6).tolist()} and "
+        f"{np.round(after, 6).tolist()}: nothing determines the motion there",
+        "keep the joints away from it",
+        subject=vehicle.name,
     )
 
 
 def _definiteness(matrices: Array) -> Array:
-    """Smallest over largest eigenvalue of symmetric matrices (n, m, m), each scaled by its own diagonal first: (n,)."""
+    """Smallest divided by largest eigenvalue of symmetric matrices (n, m, m), each scaled by its own diagonal first:
+    (n,)."""
     size = np.sqrt(np.abs(np.diagonal(matrices, axis1=1, axis2=2))) + 1e-300
     scaled = matrices / size[:, :, None] / size[:, None, :]
     if matrices.shape[1] == 1:
@@ -120,7 +124,7 @@ def _on_orthonormal_basis(mechanics: DiscreteMechanics, r: Array) -> float:
 
 
 def _bound(vehicle: Vehicle) -> Callable[[Any], Any] | None:
-    """The matrix the constraints solve for, when the vehicle has any."""
+    """The matrix that the constraints solve with, if the vehicle has constraints."""
     return getattr(vehicle, "bound", None)
 
 

@@ -1,19 +1,18 @@
-"""Phases at knots written down as a clip: rig poses, twists, joints, channels and the energy ledger."""
+"""Record phases at knots as a clip: rig poses, twists, joints, channels and the energy ledger."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from vehsim._quaternions import continuous
-from vehsim.clip import Clip
-from vehsim.integrators.discrete import DiscreteMechanics
-from vehsim.integrators.loops import Loop, each_part
-from vehsim.vehicles._base import Array
-from vehsim.vehicles.mechanics import energy
+from vehsim.clip.clip import Clip
+from vehsim.integrators.discrete import DiscreteMechanics, keep
+from vehsim.integrators.fast.kernel import Kernel, each_part
+from vehsim.lie.quaternions import continuous
+from vehsim.vehicles.definition.base import Array
+from vehsim.vehicles.definition.mechanics import energy
 
 
 def build_clip(
@@ -45,23 +44,22 @@ def build_clips(
     threads: int = 1,
     **header: Any,
 ) -> list[Clip]:
-    """Clips of vehicles of one kind side by side.
+    """Clips of several vehicles of one kind.
 
     ``phases`` (m, n, .): group elements, joints, momenta and segment velocities at the knots ``times`` (n,);
-    ``controls`` (m, n, c); ``anchors`` (m, 3); ``compiled``: by machine code, and then by as many ``threads``. The
-    ledger: kinetic and potential
-    energy, work done by controls and wind, and what drag took out, each (n,) J. Work and dissipation are integrals of
-    the power at the knots (`_integrals`); ``kinetic + potential - work + dissipated`` stays constant up to the
-    integrator's error, O(h^2).
+    ``controls`` (m, n, c); ``anchors`` (m, 3); ``compiled``: use machine code, on ``threads`` threads. The ledger:
+    kinetic and potential energy, work of controls and wind, and dissipation by drag, each (n,) J. Work and dissipation
+    are integrals of the power at the knots (`_integrals`); ``kinetic + potential - work + dissipated`` stays constant
+    up to the integrator's error, O(h^2).
     """
     vehicle, (m, n) = mechanics.vehicle, phases.shape[:2]
     function = keep(mechanics, "record", lambda: _record(mechanics))
-    loop = keep(mechanics, f"record {compiled}", lambda: Loop(function, compiled=compiled))
+    kernel = keep(mechanics, f"record {compiled}", lambda: Kernel(function, compiled))
     rows = np.empty((m, n, function.size1_out(0)))
     times = np.asarray(times, float)
     clock, air = (np.broadcast_to(a, (m, n, a.shape[-1])) for a in (times[:, None], np.asarray(wind, float)))
     inputs = [phases, clock, np.ascontiguousarray(controls), air]
-    each_part(m, threads if compiled else 1, lambda part: loop([a[part] for a in inputs], [rows[part]]))
+    each_part(m, threads if compiled else 1, lambda part: kernel.rows([a[part] for a in inputs], [rows[part]]))
 
     rates = [name for name, channel in vehicle.channels.items() if channel.rate is not None]
     s, d, count = len(vehicle.joints), vehicle.group.dim, 2 + len(rates)
@@ -104,7 +102,7 @@ def build_clips(
 def _record(mechanics: DiscreteMechanics) -> ca.Function:
     """``(x, t, c, wind) -> row`` with ``x = (g, r, pi, z)``.
 
-    A row: pose (7,), twist (d,), joints, their rates, kinetic and potential energy; power put in and dissipated, the
+    A row: pose (7,), twist (d,), joints, their rates, kinetic and potential energy; power supplied and dissipated; the
     channels given by rates; the channels given by values.
     """
     v, y = mechanics.vehicle, mechanics.symbols
@@ -122,7 +120,8 @@ def _record(mechanics: DiscreteMechanics) -> ca.Function:
 
 
 def _integrals(times: Array, rates: Array) -> Array:
-    """Integrals (n, k) of knot rates (n, k) from the first knot, of the polynomials through every six neighbours."""
+    """Integrals (n, k) of rates at knots (n, k) from the first knot, by the polynomials through every six
+    neighbours."""
     if len(times) < 2:
         return np.zeros_like(rates)
     count = min(6, len(times))
@@ -135,14 +134,6 @@ def _integrals(times: Array, rates: Array) -> Array:
     return np.vstack([np.zeros((1, rates.shape[1])), np.cumsum(parts, axis=0)])
 
 
-def keep(mechanics: DiscreteMechanics, key: str, build: Callable[[], Any]) -> Any:
-    """Something built once and kept as long as the mechanics."""
-    kept = mechanics.__dict__.setdefault("_kept", {})
-    if key not in kept:
-        kept[key] = build()
-    return kept[key]
-
-
 def flat(values: Any) -> Array:
-    """A CasADi column, or anything like it, as (n,)."""
+    """A CasADi column, or an array of that size, as (n,)."""
     return np.asarray(values, float).ravel()

@@ -1,9 +1,9 @@
-"""Methods to compare with, as data: what LIE section 3.3 and everybody else integrates a rigid body and a car with.
+"""Reference methods as data: the integrators that LIE section 3.3 and common practice use for rigid bodies and cars.
 
-Explicit Runge-Kutta methods work on group coordinates and free velocities of any vehicle, with the coordinates
-normalised after every internal and external step, as LIE did with quaternions. Implicit RK2 (the midpoint rule) updates
-the velocities, then the pose explicitly; Lie-Newmark is Krysl and Endres' explicit scheme on the vehicle's group. None
-of them belongs in a shot, but beside ours to be compared.
+Explicit Runge-Kutta methods integrate group coordinates and free velocities of any vehicle; the coordinates are
+normalised after every internal and external step, as in LIE with quaternions. Implicit RK2 (the midpoint rule) updates
+the velocities, then the pose explicitly. Lie-Newmark is the explicit scheme of Krysl and Endres on the vehicle's group.
+They exist for comparison only.
 """
 
 from __future__ import annotations
@@ -17,19 +17,21 @@ import numpy as np
 
 from vehsim.errors import InputError, SolveError
 from vehsim.integrators.continuous import equations_of_motion
+from vehsim.integrators.integrator import Integrator
 from vehsim.vehicles import Vehicle
-from vehsim.vehicles._base import Array
-from vehsim.vehicles.mechanics import coefficients, driven_rates, free_velocity
+from vehsim.vehicles.definition.base import Array
+from vehsim.vehicles.definition.mechanics import coefficients, driven_rates, free_velocity
+from vehsim.vehicles.definition.states import internal
 
 if TYPE_CHECKING:
-    from vehsim.clip import Clip
+    from vehsim.clip.clip import Clip
     from vehsim.vehicles import State
 
-Step = Callable[["Problem"], Any]
+Step = Callable[["StepSymbols"], Any]
 
 
 @dataclass(frozen=True)
-class Problem:
+class StepSymbols:
     """One step of a vehicle: state ``x = (g, r, z)``, step ``h``, controls ``c0`` to ``c1``, wind; all symbols."""
 
     vehicle: Vehicle
@@ -68,50 +70,50 @@ class Tableau:
     b: tuple[float, ...]
     c: tuple[float, ...]
 
-    def __call__(self, problem: Problem) -> Any:
+    def __call__(self, step: StepSymbols) -> Any:
         slopes: list[Any] = []
         for row, time in zip(self.a, self.c, strict=True):
-            moved = problem.x + problem.h * sum((w * k for w, k in zip(row, slopes, strict=True)), ca.SX(0))
-            slopes.append(problem.slope(problem.plain(moved), time))
-        return problem.plain(problem.x + problem.h * sum(w * k for w, k in zip(self.b, slopes, strict=True)))
+            moved = step.x + step.h * sum((w * k for w, k in zip(row, slopes, strict=True)), ca.SX(0))
+            slopes.append(step.slope(step.plain(moved), time))
+        return step.plain(step.x + step.h * sum(w * k for w, k in zip(self.b, slopes, strict=True)))
 
 
-def implicit_rk2(problem: Problem) -> Any:
+def implicit_rk2(step: StepSymbols) -> Any:
     """Midpoint rule on the velocities (Newton, unrolled), then the pose by explicit RK2 with the mid-step velocity."""
-    h, (g, r, z) = problem.h, problem.split(problem.x)
-    size, s = problem.sizes
-    half = problem.plain(problem.x + h / 2 * problem.slope(ca.vertcat(g, r, z), 0.0))
+    h, (g, r, z) = step.h, step.split(step.x)
+    size, s = step.sizes
+    half = step.plain(step.x + h / 2 * step.slope(ca.vertcat(g, r, z), 0.0))
     unknown = ca.SX.sym("z1", z.shape[0])
-    gap = unknown - z - h * problem.slope(ca.vertcat(half[: size + s], (z + unknown) / 2), 0.5)[size + s :]
+    gap = unknown - z - h * step.slope(ca.vertcat(half[: size + s], (z + unknown) / 2), 0.5)[size + s :]
     update = ca.solve(ca.jacobian(gap, unknown), gap)
-    given = [unknown, problem.x, problem.h, problem.c0, problem.c1, problem.wind]
+    given = [unknown, step.x, step.h, step.c0, step.c1, step.wind]
     newton = ca.Function("newton", given, [unknown - update])
     z1 = z
     for _ in range(4):
         z1 = newton(z1, *given[1:])
-    rate = problem.slope(ca.vertcat(half[: size + s], (z + z1) / 2), 0.5)
-    return problem.plain(ca.vertcat(problem.x[: size + s] + h * rate[: size + s], z1))
+    rate = step.slope(ca.vertcat(half[: size + s], (z + z1) / 2), 0.5)
+    return step.plain(ca.vertcat(step.x[: size + s] + h * rate[: size + s], z1))
 
 
-def lie_newmark(problem: Problem) -> Any:
-    """Explicit Lie-Newmark: half a kick, a pose update by exp, half a kick with the force found there."""
-    h, group = problem.h, problem.vehicle.group
-    size, s = problem.sizes
-    g, r, z = problem.split(problem.x)
-    first = problem.slope(problem.x, 0.0)
+def lie_newmark(step: StepSymbols) -> Any:
+    """Explicit Lie-Newmark: half a kick, a pose update with exp, half a kick with the force at the new pose."""
+    h, group = step.h, step.vehicle.group
+    size, s = step.sizes
+    g, r, z = step.split(step.x)
+    first = step.slope(step.x, 0.0)
     half = z + h / 2 * first[size + s :]
-    turning = problem.slope(ca.vertcat(g, r, half), 0.5)[size : size + s]
-    g1 = group.compose(g, group.exp(h * _velocity(problem, r + h / 2 * turning, half)))
+    turning = step.slope(ca.vertcat(g, r, half), 0.5)[size : size + s]
+    g1 = group.compose(g, group.exp(h * _velocity(step, r + h / 2 * turning, half)))
     r1 = r + h * turning
-    # the far acceleration depends on the velocity it makes: two fixed-point passes from the half-step velocity
+    # the acceleration at the end depends on the velocity there: two fixed-point passes from the half-step velocity
     z1 = half
     for _ in range(2):
-        z1 = half + h / 2 * problem.slope(ca.vertcat(g1, r1, z1), 1.0)[size + s :]
-    return problem.plain(ca.vertcat(g1, r1, z1))
+        z1 = half + h / 2 * step.slope(ca.vertcat(g1, r1, z1), 1.0)[size + s :]
+    return step.plain(ca.vertcat(g1, r1, z1))
 
 
-def _velocity(problem: Problem, r: Any, z: Any) -> Any:
-    return free_velocity(problem.vehicle, r, z, driven_rates(problem.vehicle, (problem.c0 + problem.c1) / 2))[1]
+def _velocity(step: StepSymbols, r: Any, z: Any) -> Any:
+    return free_velocity(step.vehicle, r, z, driven_rates(step.vehicle, (step.c0 + step.c1) / 2))[1]
 
 
 METHODS: dict[str, Step] = {
@@ -125,19 +127,19 @@ METHODS: dict[str, Step] = {
 def reference_step(vehicle: Vehicle, method: str) -> ca.Function:
     """``(x, h, c0, c1, wind) -> x1`` with ``x = (g, r, z)``: group coordinates, joints, free velocity at the knot."""
     if method not in METHODS:
-        raise InputError(f"method = {method!r}: unknown; choose one of {', '.join(METHODS)}")
+        raise InputError("unknown", f"choose one of {', '.join(METHODS)}", key="method", value=method)
     law = equations_of_motion(vehicle)
     x = ca.SX.sym("x", sum(law.size1_in(i) for i in range(3)))
     c0, c1 = ca.SX.sym("c0", law.size1_in(3)), ca.SX.sym("c1", law.size1_in(3))
     h, wind = ca.SX.sym("h"), ca.SX.sym("wind", 3)
-    end = METHODS[method](Problem(vehicle, x, h, c0, c1, wind))
+    end = METHODS[method](StepSymbols(vehicle, x, h, c0, c1, wind))
     return ca.Function(method, [x, h, c0, c1, wind], ca.cse([ca.densify(end)]))
 
 
 def reference_rollout(
     vehicle: Vehicle, method: str, x: Array, controls: Array, step: float, wind: Any = (0.0, 0.0, 0.0)
 ) -> Array:
-    """States (n + 1, len(x)) from ``x`` under knot controls (n + 1, c); NaN from where a method blows up."""
+    """States (n + 1, len(x)) from ``x`` with knot controls (n + 1, c); NaN after a method diverges."""
     n = len(controls) - 1
     loop = reference_step(vehicle, method).mapaccum(n)
     winds = np.tile(np.asarray(wind, float)[:, None], n)
@@ -148,13 +150,10 @@ def reference_rollout(
 def reference_clip(
     vehicle: Vehicle, method: str, state: State, controls: Array, step: float, *, fps: Any = 24, start_frame: int = 1001
 ) -> Clip:
-    """The clip a method makes of a start under knot controls (n + 1, c), as `Integrator.rollout` makes ours.
+    """The clip of a method from a start with knot controls (n + 1, c), as `Integrator.rollout` makes it.
 
-    Raises ``SolveError`` saying when the method blows up.
+    Raises ``SolveError`` with the time at which the method diverges.
     """
-    from vehsim.integrators.integrator import Integrator
-    from vehsim.vehicles.states import internal
-
     integrator = Integrator(vehicle, step)
     m, (g, r, u, xi) = integrator.mechanics, internal(vehicle, state)
     start = np.concatenate([g, r, np.array(ca.evalf(coefficients(vehicle, *map(ca.SX, (r, u, xi))))).ravel()])
@@ -162,7 +161,9 @@ def reference_clip(
     lost = ~np.isfinite(x).all(axis=1)
     if lost.any():
         raise SolveError(
-            f"{vehicle.name}: {method} blows up after {lost.argmax() * step:g} s at a step of {step:g} s; shorten it"
+            f"{method} blows up after {lost.argmax() * step:g} s at a step of {step:g} s",
+            "shorten it",
+            subject=vehicle.name,
         )
     sizes = (len(r), len(start) - len(g) - len(r), controls.shape[1])
     rest, free, c = given = [ca.SX.sym(name, size) for name, size in zip("rzc", sizes, strict=True)]

@@ -1,15 +1,15 @@
-"""The groups vehicles move on, each with its own coordinates.
+"""The groups on which vehicles move, each with its own coordinates.
 
-A group states how its elements compose, its matrices, and its two coordinate maps from the algebra; everything else
-(Ad, ad, tangents) follows from the matrices. Rotations are quaternions read as homogeneous coordinates: any non-zero
-multiple is the same rotation, so no step ever has to re-project one. Algebra vectors put rotation first, as LIE does.
+A group defines the product of its elements, their matrices, and two maps from the algebra to coordinates; everything
+else (Ad, ad, tangents) follows from the matrices. Rotations are quaternions in homogeneous coordinates: any non-zero
+multiple is the same rotation, so integration steps need no normalisation. Algebra vectors have the rotation first, as
+in LIE.
 
 | group  | coordinates          | algebra (body twist)                       |
 |--------|----------------------|--------------------------------------------|
 | SO3    | (w, x, y, z)         | omega                                      |
 | SE2    | (theta, x, y)        | (omega, vx, vy), theta is never wrapped    |
 | SE3    | (w, x, y, z, px..pz) | (omega, v), both in body axes              |
-| R3     | (px, py, pz)         | v                                          |
 | SO3xR3 | (w, x, y, z, px..pz) | (omega in body axes, v in world axes)      |
 """
 
@@ -21,8 +21,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from vehsim.lie._lift import lifted
-from vehsim.lie._series import cosc, sinc, sinsc
+from vehsim.lie.series import cosc, sinc, sinsc
+from vehsim.lie.vectorized import vectorized
 
 Expr = Any
 
@@ -38,9 +38,9 @@ class Group(ABC):
     size: int
     identity: tuple[float, ...]
     planar = False
-    """Whether its elements move in the plane Z = 0 and turn about Z."""
+    """Whether its elements move in the plane Z = 0 and rotate about Z."""
     fixed = False
-    """Whether its elements only turn: the body's origin stays where it is."""
+    """Whether its elements only rotate: the body's origin stays fixed."""
 
     def __repr__(self) -> str:
         return self.name
@@ -59,15 +59,15 @@ class Group(ABC):
 
     @abstractmethod
     def hat(self, x: Expr) -> Expr:
-        """Algebra vector (dim,) to its matrix."""
+        """The matrix of an algebra vector (dim,)."""
 
     @abstractmethod
     def vee(self, matrix: Expr) -> Expr:
-        """The inverse of ``hat``, on expressions only."""
+        """The inverse of ``hat``, for expressions only."""
 
     @abstractmethod
     def angle_squared(self, x: Expr) -> Expr:
-        """Square of the angle ``x`` (dim,) turns by, rad^2: ``ad`` has the eigenvalues 0 and +-i angle."""
+        """Square of the rotation angle of ``x`` (dim,), rad^2: ``ad`` has the eigenvalues 0 and +-i angle."""
 
     @abstractmethod
     def exp(self, x: Expr) -> Expr:
@@ -77,9 +77,9 @@ class Group(ABC):
     def cay(self, x: Expr) -> Expr:
         """Cayley map ``(e - x/2)^-1 (e + x/2)`` of the group's matrices, algebra (dim,) to coordinates (size,)."""
 
-    @lifted
+    @vectorized
     def cay_ad(self, x: Expr) -> Expr:
-        """The element whose ``Ad`` is ``(I - ad/2)^-1 (I + ad/2)``; where it is not ``cay``, a group says so."""
+        """The element whose ``Ad`` is ``(I - ad/2)^-1 (I + ad/2)``. Groups override it if this is not ``cay``."""
         return self.cay(x)
 
     @abstractmethod
@@ -88,47 +88,47 @@ class Group(ABC):
 
     @abstractmethod
     def from_pose(self, pose: Expr) -> Expr:
-        """Coordinates (size,) of the element nearest to a pose (7,)."""
+        """Coordinates (size,) of the element closest to a pose (7,)."""
 
-    @lifted
+    @vectorized
     def normalize(self, g: Expr) -> Expr:
-        """The same element in its plainest coordinates (unit quaternions)."""
+        """The same element in normalised coordinates (unit quaternions)."""
         return g
 
-    @lifted
+    @vectorized
     def Ad(self, g: Expr) -> Expr:
         """Adjoint matrix (dim, dim): ``Ad(g) x = vee(g hat(x) g^-1)``."""
         forward, back = self.matrix(g), self.matrix(self.inverse(g))
         return self._columns(lambda basis: forward @ basis @ back)
 
-    @lifted
+    @vectorized
     def ad(self, x: Expr) -> Expr:
         """Matrix (dim, dim) of the bracket: ``ad(x) y = [x, y]``."""
         matrix = self.hat(x)
         return self._columns(lambda basis: matrix @ basis - basis @ matrix)
 
-    @lifted
+    @vectorized
     def velocity_to_body(self, g: Expr, xi: Expr) -> Expr:
         """The group's own velocity (dim,) as a body twist (dim,)."""
         return xi
 
-    @lifted
+    @vectorized
     def velocity_from_body(self, g: Expr, twist: Expr) -> Expr:
         """A body twist (dim,) as the group's own velocity (dim,)."""
         return twist
 
-    @lifted
+    @vectorized
     def wrench_from_body(self, g: Expr, wrench: Expr) -> Expr:
         """A body wrench (dim,) as a covector dual to the group's own velocity (dim,)."""
         return wrench
 
-    @lifted
+    @vectorized
     def shift(self, twist: Expr, offset: Expr) -> Expr:
         """A body twist (dim,) at the point ``offset`` (3,) of the same body, in the same axes."""
         return ca.vertcat(twist[0:3], twist[3:6] + ca.cross(twist[0:3], offset))
 
     def _columns(self, linear: Any) -> Expr:
-        """Matrix of a linear map of the algebra, given on the algebra's matrices."""
+        """The matrix of a linear map of the algebra, where ``linear`` acts on the algebra's matrices."""
         return ca.horzcat(*(self.vee(linear(self.hat(ca.SX(e)))) for e in np.eye(self.dim)))
 
 
@@ -136,53 +136,53 @@ class _SO3(Group):
     name, dim, size, identity = "SO3", 3, 4, (1.0, 0.0, 0.0, 0.0)
     fixed = True
 
-    @lifted
+    @vectorized
     def compose(self, a: Expr, b: Expr) -> Expr:
         vector = a[0] * b[1:4] + b[0] * a[1:4] + ca.cross(a[1:4], b[1:4])
         return ca.vertcat(a[0] * b[0] - ca.dot(a[1:4], b[1:4]), vector)
 
-    @lifted
+    @vectorized
     def inverse(self, g: Expr) -> Expr:
         return ca.vertcat(g[0], -g[1:4])
 
-    @lifted
+    @vectorized
     def normalize(self, g: Expr) -> Expr:
         return g / ca.sqrt(ca.dot(g, g))
 
-    @lifted
+    @vectorized
     def matrix(self, g: Expr) -> Expr:
         cross = self.hat(g[1:4])
         return ca.SX.eye(3) + (2 / ca.dot(g, g)) * (g[0] * cross + cross @ cross)
 
-    @lifted
+    @vectorized
     def hat(self, x: Expr) -> Expr:
         return ca.skew(x)
 
     def vee(self, matrix: Expr) -> Expr:
         return ca.vertcat(matrix[2, 1], matrix[0, 2], matrix[1, 0])
 
-    @lifted
+    @vectorized
     def angle_squared(self, x: Expr) -> Expr:
         return ca.dot(x, x)
 
-    @lifted
+    @vectorized
     def exp(self, x: Expr) -> Expr:
         quarter = ca.dot(x, x) / 4
         return ca.vertcat(cosc(quarter), sinc(quarter) / 2 * x)
 
-    @lifted
+    @vectorized
     def cay(self, x: Expr) -> Expr:
         return ca.vertcat(2, x) / ca.sqrt(4 + ca.dot(x, x))
 
-    @lifted
+    @vectorized
     def shift(self, twist: Expr, offset: Expr) -> Expr:
         return twist
 
-    @lifted
+    @vectorized
     def pose(self, g: Expr) -> Expr:
         return ca.vertcat(ca.SX.zeros(3), g)
 
-    @lifted
+    @vectorized
     def from_pose(self, pose: Expr) -> Expr:
         return pose[3:7]
 
@@ -191,71 +191,71 @@ class _SE2(Group):
     name, dim, size, identity = "SE2", 3, 3, (0.0, 0.0, 0.0)
     planar = True
 
-    @lifted
+    @vectorized
     def compose(self, a: Expr, b: Expr) -> Expr:
         return ca.vertcat(a[0] + b[0], a[1:3] + _turn(a[0]) @ b[1:3])
 
-    @lifted
+    @vectorized
     def inverse(self, g: Expr) -> Expr:
         return ca.vertcat(-g[0], -_turn(-g[0]) @ g[1:3])
 
-    @lifted
+    @vectorized
     def matrix(self, g: Expr) -> Expr:
         return _affine(_turn(g[0]), g[1:3])
 
-    @lifted
+    @vectorized
     def hat(self, x: Expr) -> Expr:
         return ca.vertcat(ca.horzcat(0, -x[0], x[1]), ca.horzcat(x[0], 0, x[2]), ca.SX(1, 3))
 
     def vee(self, matrix: Expr) -> Expr:
         return ca.vertcat(matrix[1, 0], matrix[0, 2], matrix[1, 2])
 
-    @lifted
+    @vectorized
     def angle_squared(self, x: Expr) -> Expr:
         return x[0] ** 2
 
-    @lifted
+    @vectorized
     def exp(self, x: Expr) -> Expr:
         along, across = sinc(x[0] ** 2), x[0] * _versine(x[0] ** 2)
         return ca.vertcat(x[0], along * x[1] - across * x[2], across * x[1] + along * x[2])
 
-    @lifted
+    @vectorized
     def cay(self, x: Expr) -> Expr:
         scale = 2 / (4 + x[0] ** 2)
         return ca.vertcat(2 * ca.atan(x[0] / 2), scale * (2 * x[1] - x[0] * x[2]), scale * (2 * x[2] + x[0] * x[1]))
 
-    @lifted
+    @vectorized
     def shift(self, twist: Expr, offset: Expr) -> Expr:
         return ca.vertcat(twist[0], twist[1] - twist[0] * offset[1], twist[2] + twist[0] * offset[0])
 
-    @lifted
+    @vectorized
     def pose(self, g: Expr) -> Expr:
         return ca.vertcat(g[1:3], 0, ca.cos(g[0] / 2), 0, 0, ca.sin(g[0] / 2))
 
-    @lifted
+    @vectorized
     def from_pose(self, pose: Expr) -> Expr:
         w, x, y, z = (pose[i] for i in range(3, 7))
         return ca.vertcat(ca.atan2(2 * (w * z + x * y), w**2 + x**2 - y**2 - z**2), pose[0:2])
 
 
 class _Spatial(Group):
-    """A rotation and a position, however they compose."""
+    """A rotation and a position; subclasses define how they compose."""
 
     dim, size, identity = 6, 7, (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
-    @lifted
+    @vectorized
     def normalize(self, g: Expr) -> Expr:
         return ca.vertcat(SO3.normalize(g[0:4]), g[4:7])
 
-    @lifted
+    @vectorized
     def angle_squared(self, x: Expr) -> Expr:
         return ca.dot(x[0:3], x[0:3])
 
-    @lifted
+    @vectorized
     def pose(self, g: Expr) -> Expr:
         return ca.vertcat(g[4:7], g[0:4])
 
-    @lifted
+    @vectorized
     def from_pose(self, pose: Expr) -> Expr:
         return ca.vertcat(pose[3:7], pose[0:3])
 
@@ -263,85 +263,85 @@ class _Spatial(Group):
 class _SE3(_Spatial):
     name = "SE3"
 
-    @lifted
+    @vectorized
     def compose(self, a: Expr, b: Expr) -> Expr:
         return ca.vertcat(SO3.compose(a[0:4], b[0:4]), a[4:7] + SO3.matrix(a[0:4]) @ b[4:7])
 
-    @lifted
+    @vectorized
     def inverse(self, g: Expr) -> Expr:
         return ca.vertcat(SO3.inverse(g[0:4]), -SO3.matrix(g[0:4]).T @ g[4:7])
 
-    @lifted
+    @vectorized
     def matrix(self, g: Expr) -> Expr:
         return _affine(SO3.matrix(g[0:4]), g[4:7])
 
-    @lifted
+    @vectorized
     def hat(self, x: Expr) -> Expr:
         return ca.vertcat(ca.horzcat(ca.skew(x[0:3]), x[3:6]), ca.SX(1, 4))
 
     def vee(self, matrix: Expr) -> Expr:
         return ca.vertcat(SO3.vee(matrix[0:3, 0:3]), matrix[0:3, 3])
 
-    @lifted
+    @vectorized
     def exp(self, x: Expr) -> Expr:
         squared, cross = self.angle_squared(x), ca.skew(x[0:3])
         turned = cross @ x[3:6]  # LIE eq. 14, B_exp
         translation = x[3:6] + _versine(squared) * turned + sinsc(squared) * cross @ turned
         return ca.vertcat(SO3.exp(x[0:3]), translation)
 
-    @lifted
+    @vectorized
     def cay(self, x: Expr) -> Expr:
         w, v = x[0:3], x[3:6]
         translation = 2 / (4 + ca.dot(w, w)) * (2 * v + ca.cross(w, v) + w * ca.dot(w, v) / 2)
         return ca.vertcat(SO3.cay(w), translation)
 
-    @lifted
+    @vectorized
     def cay_ad(self, x: Expr) -> Expr:
         w, v = x[0:3], x[3:6]
         return ca.vertcat(SO3.cay(w), 2 / (4 + ca.dot(w, w)) * (2 * v + ca.cross(w, v)))  # LIE eq. 14, B_cay
 
 
 class _SO3xR3(_Spatial):
-    """Rotations and translations side by side: the group SYM discretises the helicopter on."""
+    """Rotations and translations as a direct product: the group on which SYM discretises the helicopter."""
 
     name = "SO3xR3"
 
-    @lifted
+    @vectorized
     def compose(self, a: Expr, b: Expr) -> Expr:
         return ca.vertcat(SO3.compose(a[0:4], b[0:4]), a[4:7] + b[4:7])
 
-    @lifted
+    @vectorized
     def inverse(self, g: Expr) -> Expr:
         return ca.vertcat(SO3.inverse(g[0:4]), -g[4:7])
 
-    @lifted
+    @vectorized
     def matrix(self, g: Expr) -> Expr:
         return ca.diagcat(SO3.matrix(g[0:4]), _affine(ca.SX.eye(3), g[4:7]))
 
-    @lifted
+    @vectorized
     def hat(self, x: Expr) -> Expr:
         return ca.diagcat(ca.skew(x[0:3]), ca.vertcat(ca.horzcat(ca.SX(3, 3), x[3:6]), ca.SX(1, 4)))
 
     def vee(self, matrix: Expr) -> Expr:
         return ca.vertcat(SO3.vee(matrix[0:3, 0:3]), matrix[3:6, 6])
 
-    @lifted
+    @vectorized
     def exp(self, x: Expr) -> Expr:
         return ca.vertcat(SO3.exp(x[0:3]), x[3:6])
 
-    @lifted
+    @vectorized
     def cay(self, x: Expr) -> Expr:
         return ca.vertcat(SO3.cay(x[0:3]), x[3:6])
 
-    @lifted
+    @vectorized
     def velocity_to_body(self, g: Expr, xi: Expr) -> Expr:
         return ca.vertcat(xi[0:3], SO3.matrix(g[0:4]).T @ xi[3:6])
 
-    @lifted
+    @vectorized
     def velocity_from_body(self, g: Expr, twist: Expr) -> Expr:
         return ca.vertcat(twist[0:3], SO3.matrix(g[0:4]) @ twist[3:6])
 
-    @lifted
+    @vectorized
     def wrench_from_body(self, g: Expr, wrench: Expr) -> Expr:
         return ca.vertcat(wrench[0:3], SO3.matrix(g[0:4]) @ wrench[3:6])
 
@@ -357,7 +357,7 @@ def _affine(linear: Expr, translation: Expr) -> Expr:
 
 
 def _versine(squared: Expr) -> Expr:
-    """``(1 - cos x) / x^2`` of ``x^2``."""
+    """``(1 - cos x) / x^2`` as a function of ``x^2``."""
     return sinc(squared / 4) ** 2 / 2
 
 

@@ -1,9 +1,10 @@
-"""Difference maps: ``tau`` from the algebra to the group, and its tangent, as one object so nobody can mix them.
+"""Difference maps: ``tau`` from the algebra to the group and its tangent, kept in one object so that they always match.
 
-The tangent is right-trivialised: ``D tau(x).d = (dtau(x) d) tau(x)``. Integrators use its inverse, LIE's ``C_tau``;
-its dual carries momenta: ``C(x)`` at a segment's start, ``C_end(x)`` at its end. Spatial momentum is exact when
-``C_end(x) = C(x) Ad(tau(x))``; the step is symmetric, hence second order and a base for composition, when moreover
-``C_end(x) = C(-x)`` and ``tau(x) tau(-x) = e``. Measured on a tumbling body (``tests/lie``, ``tests/integrators``):
+The tangent is right-trivialised: ``D tau(x).d = (dtau(x) d) tau(x)``. Integrators use its inverse, LIE's ``C_tau``. Its
+dual transforms momenta: ``C(x)`` at the start of a segment, ``C_end(x)`` at its end. Spatial momentum is conserved
+exactly if ``C_end(x) = C(x) Ad(tau(x))``. The step is symmetric, hence second order and suitable for composition, if
+also ``C_end(x) = C(-x)`` and ``tau(x) tau(-x) = e``. Measured on a tumbling body (``tests/lie``,
+``tests/integrators``):
 
 | map             | what it is                                    | C is the tangent | momentum kept | order |
 |-----------------|-----------------------------------------------|------------------|---------------|-------|
@@ -25,15 +26,15 @@ import casadi as ca
 import numpy as np
 
 from vehsim.errors import InputError
-from vehsim.lie._lift import lifted
-from vehsim.lie._series import dexpinv2, dexpinv4
 from vehsim.lie.groups import Group
+from vehsim.lie.series import dexpinv2, dexpinv4
+from vehsim.lie.vectorized import vectorized
 
 Expr = Any
 
 
 def _exp_tangent_inverse(group: Group, x: Expr) -> Expr:
-    """Closed form of ``dexp^-1`` (SYM eq. 13 summed), for every group at once."""
+    """Closed form of ``dexp^-1`` (SYM eq. 13, summed) for all groups."""
     ad, squared = group.ad(x), group.angle_squared(x)
     ad2 = ad @ ad
     return ca.SX.eye(group.dim) - ad / 2 + dexpinv2(squared) * ad2 + dexpinv4(squared) * ad2 @ ad2
@@ -64,7 +65,7 @@ def _tln(group: Group, x: Expr) -> Expr:
 
 
 def _exp_dual(group: Group, x: Expr, covector: Expr) -> Expr:
-    """`_exp_tangent_inverse` transposed, applied without ever making the matrix."""
+    """`_exp_tangent_inverse` transposed times a covector, without forming the matrix."""
     transposed, squared = group.ad(x).T, group.angle_squared(x)
     once = transposed @ covector
     twice = transposed @ once
@@ -92,9 +93,11 @@ def _ccsk_tangent_inverse(group: Group, x: Expr) -> Expr:
 
 @dataclass(frozen=True)
 class _Law:
-    """A map as data: ``tau`` and ``C`` of (group, x), whether its step is symmetric, ``C.T`` times a covector.
+    """A map as data: ``tau`` and ``C`` as functions of (group, x), whether its step is symmetric, ``C.T`` times a
+    covector.
 
-    ``near``: the map whose simpler ``C`` agrees to second order, for Newton's slopes; its own where None.
+    ``near``: name of a map with a simpler ``C`` that agrees to second order, for the derivatives in Newton's method;
+    None: the map itself.
     """
 
     tau: Callable[[Group, Expr], Expr]
@@ -115,55 +118,56 @@ MAPS: dict[str, _Law] = {
 
 @dataclass(frozen=True, eq=False)
 class DifferenceMap:
-    """A difference map on a group. Methods take CasADi columns, or arrays ``(..., dim)``."""
+    """A difference map on a group. Methods accept CasADi columns, or arrays ``(..., dim)``."""
 
     name: str
     group: Group
 
     @property
     def symmetric(self) -> bool:
-        """Whether a step made with this map is its own inverse backwards: second order, and a base for composition."""
+        """Whether a step with this map, run backwards, is its own inverse: then it is second order and suitable for
+        composition."""
         return MAPS[self.name].symmetric
 
     @property
     def near(self) -> DifferenceMap:
-        """The map whose ``C`` is good enough, and cheaper, to differentiate in Newton's method."""
+        """A map whose ``C`` is cheaper and accurate enough to differentiate in Newton's method."""
         return DifferenceMap(MAPS[self.name].near or self.name, self.group)
 
-    @lifted
+    @vectorized
     def tau(self, x: Expr) -> Expr:
         """Group element (size,) of an algebra vector (dim,)."""
         return MAPS[self.name].tau(self.group, x)
 
-    @lifted
+    @vectorized
     def C(self, x: Expr) -> Expr:
         """Inverse of the right-trivialised tangent, (dim, dim)."""
         return MAPS[self.name].C(self.group, x)
 
-    @lifted
+    @vectorized
     def C_end(self, x: Expr) -> Expr:
-        """What carries the momentum at a segment's end, (dim, dim): ``C(-x)``, or ``C(x) Ad(tau(x))`` if asymmetric."""
+        """Transforms the momentum at a segment's end, (dim, dim): ``C(-x)``, or ``C(x) Ad(tau(x))`` if asymmetric."""
         return self.C(-x) if self.symmetric else self.C(x) @ self.group.Ad(self.tau(x))
 
-    @lifted
+    @vectorized
     def dual(self, x: Expr, covector: Expr) -> Expr:
         """``C(x).T`` times a covector (dim,)."""
         dual = MAPS[self.name].dual
         return self.C(x).T @ covector if dual is None else dual(self.group, x, covector)
 
-    @lifted
+    @vectorized
     def dual_end(self, x: Expr, covector: Expr) -> Expr:
         """``C_end(x).T`` times a covector (dim,)."""
         return self.dual(-x, covector) if self.symmetric else self.C_end(x).T @ covector
 
-    @lifted
+    @vectorized
     def dtau(self, x: Expr) -> Expr:
         """Right-trivialised tangent, (dim, dim)."""
         return ca.inv(self.C(x))
 
 
 def difference_map(name: str, group: Group) -> DifferenceMap:
-    """The map called ``name`` (a key of ``MAPS``) on ``group``; ``InputError`` when there is none of that name."""
+    """The map called ``name`` (a key of ``MAPS``) on ``group``. Raises ``InputError`` if there is no such map."""
     if name not in MAPS:
-        raise InputError(f"difference_map = {name!r}: unknown; choose one of {', '.join(sorted(MAPS))}")
+        raise InputError("unknown", f"choose one of {', '.join(sorted(MAPS))}", key="difference_map", value=name)
     return DifferenceMap(name, group)

@@ -1,4 +1,4 @@
-"""What a limited time allows: when solving has to stop for certifying to be done, and what is still worth beginning."""
+"""What a time limit allows: when solving has to stop so that certifying is done in time, and what can still begin."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Callable
 Progress = Callable[[str, float], None]
 
 MORE = 1.5
-"""What is kept for certifying a plan, times what its first guess took."""
+"""What is kept for certifying a plan, times what its initial guess took."""
 
 
 class OutOfTime(Exception):
@@ -24,7 +24,7 @@ class Deadline:
         self.kept = 0.0
         """What certifying is expected to take, s."""
         self.guessed = 0.0
-        """What the first guess took, certified and all, s."""
+        """What the initial guess took, certified and all, s."""
         self.a_node = 0.0
         """What the last solve took, built and all, s a node."""
         self.over = False
@@ -44,7 +44,7 @@ class Deadline:
 
     @property
     def hopeless(self) -> bool:
-        """No time is left to build a problem, which cannot be stopped: that takes half as long as the first guess."""
+        """No time is left to build a problem, which cannot be stopped: that takes half as long as the initial guess."""
         return self.late or time.monotonic() + self.guessed / 2 > self.solving
 
     def watched(self, progress: Progress | None) -> Progress:

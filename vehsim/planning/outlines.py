@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim.world.plane import bounding_circle, distance
+from vehsim.world.obstacles.plane import bounding_circle, distance
 
 Array = NDArray[np.float64]
 

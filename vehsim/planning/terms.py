@@ -7,7 +7,7 @@ A built-in cost is a law of a `SegmentView`, a built-in limit a law of a `KnotVi
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from typing import Any, Literal
@@ -15,8 +15,10 @@ from typing import Any, Literal
 import casadi as ca
 import numpy as np
 
+from vehsim.audit.measures import MEASURES
 from vehsim.errors import InputError
 from vehsim.requests import Ask
+from vehsim.runtime.registry import Registry
 
 Expr = Any
 """A CasADi expression."""
@@ -77,12 +79,19 @@ class SegmentView:
         return (self.end.velocity - self.start.velocity) / self.h
 
 
+@dataclass(frozen=True)
+class HazardView:
+    """What a law sees of an instant near what may be hit: ``distances`` (k,) m of the vehicle's spheres from it."""
+
+    distances: Expr
+
+
 @dataclass(frozen=True, eq=False)
 class Cost:
     """A cost of one's own: ``law`` takes a `SegmentView` and gives the cost of that segment, a scalar.
 
     ``integral=True``: the law takes a `KnotView` instead and is integrated over time (trapezoidal rule).
-    ``frames`` (first, last): only there; the whole motion unless given.
+    ``frames`` (first, last): where it applies; default: the whole motion.
     """
 
     name: str
@@ -116,14 +125,18 @@ class Constraint:
     shown: Callable[[float], str] = "{:.4g}".format
     """A value of the law in the user's units."""
     aim: tuple[Any, float] | None = None
-    """For first guesses: it heads for a point (3,) m, turned right by an angle, rad."""
+    """For initial guesses: it heads for a point (3,) m, turned right by an angle, rad."""
     box: Any | None = None
     """Where it keeps the root, (2, 3) m: a mark outside is refused before anything is solved."""
     ask: Callable[[float, float], Ask] | None = None
     """What an audit measures in its place, from a first to a last frame; None: nothing."""
+    joint: str | None = None
+    """It is a range of this joint: at knots a bound of variables, and no row."""
+    identity: Hashable = None
+    """Equal for constraints of one law and bounds; by default a constraint equals itself alone."""
 
     @property
-    def said(self) -> str:
+    def title(self) -> str:
         """What messages call it."""
         return self.name.replace("limit ", "limits.")
 
@@ -145,7 +158,7 @@ def _off_course(k: KnotView) -> Expr:
 def _steering(k: KnotView) -> Expr:
     """Tangent of the steering angle."""
     if STEERING not in k.names:
-        raise InputError(f"cost = 'steering': the vehicle steers no wheel; its joints are {list(k.names)}")
+        raise InputError("the vehicle steers no wheel", f"its joints are {list(k.names)}", key="cost", value="steering")
     return k.joint(STEERING)
 
 
@@ -178,9 +191,9 @@ def _steered(s: SegmentView) -> Expr:
     return _mean(lambda k: _steering(k) ** 2, s)
 
 
-def _safety(s: SegmentView) -> Expr:
-    """Nearness to terrain and obstacles, integrated over time."""  # comes from what there is to hit: see `repulsion`
-    return 0 * s.h
+def _safety(place: HazardView) -> Expr:
+    """Nearness to terrain and obstacles, integrated over time."""
+    return ca.sum1(ca.exp(-place.distances / REACH)) / place.distances.shape[0]
 
 
 def _work(s: SegmentView) -> Expr:
@@ -191,35 +204,49 @@ def _work(s: SegmentView) -> Expr:
     return s.h / 6 * (a + 4 * b + c)
 
 
+REACH = 4.0
+"""Distance over which the cost of being near falls to 1/e, m."""
+
+
 def _norm(vector: Expr) -> Expr:
     return ca.sqrt(ca.sumsqr(vector) + 1e-8)
 
 
-COSTS: dict[str, Callable[[SegmentView], Expr]] = {
-    "effort": _effort,
-    "time": _time,
-    "distance": _distance,
-    "smoothness": _smoothness,
-    "course": _course,
-    "energy": _work,
-    "steering": _steered,
-    "safety": _safety,
-}
-"""Cost name -> its integral over a segment. The docstring of each is its one description."""
+COSTS: Registry[Callable[[Any], Expr]] = Registry(
+    "vehsim.costs",
+    {
+        "effort": _effort,
+        "time": _time,
+        "distance": _distance,
+        "smoothness": _smoothness,
+        "course": _course,
+        "energy": _work,
+        "steering": _steered,
+        "safety": _safety,
+    },
+)
+"""Cost name -> its law. The docstring of each is its one description."""
+
+VIEWS: dict[str, type] = {"safety": HazardView}
+"""What the law of a cost takes where it is not a `SegmentView`. A law of a segment is the integral over it, a law of a
+`HazardView` what an instant costs a second."""
+
+
+def costs_of(view: type, weights: Mapping[str, float]) -> tuple[str, ...]:
+    """Names of the costs that count, of those whose laws take such a view."""
+    return tuple(name for name, weight in weights.items() if weight and VIEWS.get(name, SegmentView) is view)
+
+
+def weight_of(cost: str) -> str:
+    """The name of the parameter that is a cost's weight."""
+    return f"weight of {cost}"
+
 
 PRESETS: dict[str, dict[str, float]] = {
     "energy": {"energy": 1.0, "effort": 0.1},
     "safety": {"safety": 10.0, "effort": 1.0},
 }
 """Names that stand for several weights: alone these would leave the controls open where nothing is near or moves."""
-
-REACH = 4.0
-"""Distance over which `repulsion` falls to 1/e, m."""
-
-
-def repulsion(distance: Expr) -> Expr:
-    """What an instant at these distances (k,) m from a hazard costs a second: their mean of ``exp(-d / REACH)``."""
-    return ca.sum1(ca.exp(-distance / REACH)) / distance.shape[0]
 
 
 @dataclass(frozen=True)
@@ -244,30 +271,35 @@ class Limit:
 STEERING = "sigma"
 """The joint of all steered vehicles: the tangent of the steering angle."""
 
-LIMITS: dict[str, Limit] = {
-    "speed": Limit(lambda k: _norm(k.velocity), "m/s", "speed in any direction"),
-    "ceiling": Limit(lambda k: k.position[2], "m", "height of the root", slack=0.005),
-    "climb": Limit(lambda k: ca.sqrt(k.velocity[2] ** 2 + 1e-8), "m/s", "speed up or down"),
-    "turn_rate": Limit(lambda k: _norm(k.omega), "rad/s", "angular speed about any axis"),
-    "bank": Limit(lambda k: ca.acos(0.9999999 * k.rotation[2, 2]), "rad", "angle between the body's and the world's Z"),
-    "acceleration": Limit(lambda k: _norm(k.acceleration), "m/s^2", "acceleration in any direction"),
-    "g_load": Limit(
-        lambda k: _norm(k.acceleration / GRAVITY + ca.DM([0, 0, 1])), "g", "what the crew feels: 1 at rest"
-    ),
-    "steering": Limit(
-        lambda k: ca.sqrt(ca.atan(k.joint(STEERING)) ** 2 + 1e-8), "rad", "steering angle", joint=STEERING
-    ),
-    "steering_rate": Limit(
-        lambda k: ca.sqrt((k.rate(STEERING) / (1 + k.joint(STEERING) ** 2)) ** 2 + 1e-8),
-        "rad/s",
-        "how fast the steering angle changes",
-        joint=STEERING,
-    ),
-}
-"""Limit name -> the value that stays below it."""
+LIMITS: Registry[Limit] = Registry(
+    "vehsim.limits",
+    {
+        "speed": Limit(lambda k: _norm(k.velocity), "m/s", "speed in any direction"),
+        "ceiling": Limit(lambda k: k.position[2], "m", "height of the root", slack=0.005),
+        "climb": Limit(lambda k: ca.sqrt(k.velocity[2] ** 2 + 1e-8), "m/s", "speed up or down"),
+        "turn_rate": Limit(lambda k: _norm(k.omega), "rad/s", "angular speed about any axis"),
+        "bank": Limit(
+            lambda k: ca.acos(0.9999999 * k.rotation[2, 2]), "rad", "angle between the body's and the world's Z"
+        ),
+        "acceleration": Limit(lambda k: _norm(k.acceleration), "m/s^2", "acceleration in any direction"),
+        "g_load": Limit(
+            lambda k: _norm(k.acceleration / GRAVITY + ca.DM([0, 0, 1])), "g", "what the crew feels: 1 at rest"
+        ),
+        "steering": Limit(
+            lambda k: ca.sqrt(ca.atan(k.joint(STEERING)) ** 2 + 1e-8), "rad", "steering angle", joint=STEERING
+        ),
+        "steering_rate": Limit(
+            lambda k: ca.sqrt((k.rate(STEERING) / (1 + k.joint(STEERING) ** 2)) ** 2 + 1e-8),
+            "rad/s",
+            "how fast the steering angle changes",
+            joint=STEERING,
+        ),
+    },
+)
+"""Limit name -> the value that stays below it. The audit uses the measure of the same name."""
 
 SMOOTHNESS = 1e-3
-"""Weight of smoothness unless given: it keeps any optimum unique and the controls from chattering."""
+"""Default weight of smoothness: it keeps any optimum unique and the controls from chattering."""
 
 
 def cost_weights(cost: str | Mapping[str, float], defaults: Mapping[str, float]) -> dict[str, float]:
@@ -276,9 +308,9 @@ def cost_weights(cost: str | Mapping[str, float], defaults: Mapping[str, float])
     for name, weight in table.items():
         _known("cost", name, COSTS)
         if not (isinstance(weight, int | float) and 0 <= weight < float("inf")):
-            raise InputError(f"cost.{name} = {weight!r}: give a weight, zero or more")
+            raise InputError("not a weight", "give a number, zero or more", key=f"cost.{name}", value=weight)
     if not any(table.values()):
-        raise InputError(f"cost = {cost!r}: no weight above zero; weigh at least one of {', '.join(COSTS)}")
+        raise InputError("no weight above zero", f"weigh at least one of {', '.join(COSTS)}", key="cost", value=cost)
     return {name: 0.0 for name in COSTS} | {"smoothness": SMOOTHNESS} | dict(defaults) | table
 
 
@@ -304,16 +336,25 @@ class Limits:
             limit = LIMITS[name]
             made.append(
                 Constraint(
-                    f"limit {name}", _scaled(limit.law, value), upper=1.0,
+                    f"limit {name}", _scaled(limit.law, value), upper=1.0, identity=("limit", name, value),
                     slack=SLACK if limit.slack is None else limit.slack / value,
                     shown=_in_unit(value, limit.unit),
                 )
             )  # fmt: skip
         for name, (low, high) in self.joint_rates.items():
-            made.append(Constraint(f"limit joint_rates.{name}", _rate(name), low, high, slack=SLACK * max(-low, high)))
+            made.append(
+                Constraint(
+                    f"limit joint_rates.{name}", _rate(name), low, high, slack=SLACK * max(-low, high),
+                    identity=("limit joint_rates", name, low, high),
+                )
+            )  # fmt: skip
         for name, (low, high) in self.joints.items():
-            slack = SLACK * max(-low, high)
-            made.append(Constraint(f"limit joints.{name}", _joint(name), low, high, over="between", slack=slack))
+            made.append(
+                Constraint(
+                    f"limit joints.{name}", _joint(name), low, high, over="between", slack=SLACK * max(-low, high),
+                    joint=name, identity=("limit joints", name, low, high),
+                )
+            )  # fmt: skip
         return made
 
 
@@ -346,13 +387,20 @@ def check_limits(limits: Mapping[str, Any], joints: Sequence[str] = ()) -> Limit
                 ranges[name][joint] = _range(f"limits.{name}.{joint}", bounds)
             continue
         _known("limits", name, LIMITS)
+        if name not in MEASURES:
+            remedy = f"register its measure as {name!r} in the entry point group vehsim.measures"
+            raise InputError(
+                "nothing measures this limit in the finished motion", remedy, key=f"limits.{name}", value=value
+            )
         if not (isinstance(value, int | float) and value > 0):
-            raise InputError(f"limits.{name} = {value!r}: give a positive number")
+            raise InputError("not a bound", "give a positive number", key=f"limits.{name}", value=value)
         needed = LIMITS[name].joint
         if needed is not None and needed not in joints:
             raise InputError(
-                f"limits.{name} = {value!r}: this vehicle has no joint {needed!r} to steer with; limit its own joints: "
-                f"limits.joints of {', '.join(joints) or 'none'}"
+                f"this vehicle has no joint {needed!r} to steer with",
+                f"limit its own joints: limits.joints of {', '.join(joints) or 'none'}",
+                key=f"limits.{name}",
+                value=value,
             )
         values[name] = float(value)
     return Limits(values, ranges["joints"], ranges["joint_rates"])
@@ -361,7 +409,7 @@ def check_limits(limits: Mapping[str, Any], joints: Sequence[str] = ()) -> Limit
 def _range(key: str, bounds: Any) -> tuple[float, float]:
     low, high = (-bounds, bounds) if isinstance(bounds, int | float) else tuple(bounds)
     if not (np.isfinite(low) and np.isfinite(high) and low < high):
-        raise InputError(f"{key} = {bounds!r}: give a bound above zero, or [low, high]")
+        raise InputError("not a bound", "give a number above zero, or [low, high]", key=key, value=bounds)
     return float(low), float(high)
 
 
@@ -369,11 +417,13 @@ def check_terms(terms: Sequence[Term]) -> tuple[Term, ...]:
     """The terms; ``InputError`` for what is none."""
     for i, term in enumerate(terms):
         if not isinstance(term, Cost | Constraint):
-            raise InputError(f"terms[{i}] = {term!r}: give a vehsim.planning.Cost or Constraint")
+            raise InputError("not a term", "give a vehsim.planning.Cost or Constraint", key=f"terms[{i}]", value=term)
         if isinstance(term, Cost) and not (0 <= term.weight < float("inf")):
-            raise InputError(f"terms[{i}].weight = {term.weight!r}: give a weight, zero or more")
+            raise InputError("not a weight", "give a number, zero or more", key=f"terms[{i}].weight", value=term.weight)
         if isinstance(term, Constraint) and term.over not in ("knots", "segments", "everywhere"):
-            raise InputError(f"terms[{i}].over = {term.over!r}: choose one of knots, segments, everywhere")
+            raise InputError(
+                "unknown", "choose one of knots, segments, everywhere", key=f"terms[{i}].over", value=term.over
+            )
     return tuple(terms)
 
 
@@ -381,4 +431,4 @@ def _known(kind: str, name: str, table: Mapping[str, Any]) -> None:
     if name not in table:
         close = get_close_matches(name, table, n=1)
         hint = f"did you mean {close[0]!r}?" if close else f"choose one of {', '.join(table)}"
-        raise InputError(f"{kind} = {name!r}: unknown; {hint}")
+        raise InputError("unknown", hint, key=kind, value=name)

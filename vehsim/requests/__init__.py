@@ -1,8 +1,8 @@
-"""What can be asked of a motion, as plain data.
+"""What can be requested of a motion, as plain data.
 
-An `Ask` is one requirement: a key in the user's words, the name of a measure, the frames it applies to, and bounds.
-Planning, steering and pilots write asks; `vehsim.audit` measures a finished motion against them; a delivery's
-``report.json`` holds them, so that an audit can be repeated from the files. How a motion is made does not belong here.
+An `Ask` is one requirement: a key in the user's words, the name of a measure, the frames to which it applies, and
+bounds. Planning, steering and pilots write asks; `vehsim.audit` measures a finished motion against them. A delivery's
+``report.json`` contains them, so that an audit can be repeated from the files.
 """
 
 from vehsim.requests.asks import Ask, limit_asks, look_ask, mark_asks, stay_ask

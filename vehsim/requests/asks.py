@@ -1,4 +1,4 @@
-"""Asks as data, and the asks that marks, limits, looks and stays stand for."""
+"""Asks as data, and the asks of marks, limits, looks and stays."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 EXACT = 1e-3
-"""What a tolerance of 0 means for a position, m, and for a velocity, m/s."""
+"""Meaning of a tolerance of 0 for a position, m, and for a velocity, m/s."""
 EXACT_ANGLE = math.radians(0.05)
-"""What a tolerance of 0 means for an angle, rad, and for an angular velocity, rad/s."""
+"""Meaning of a tolerance of 0 for an angle, rad, and for an angular velocity, rad/s."""
 SLACK = 0.01
 """Share of a limit by which a finished motion may exceed it."""
 
@@ -19,10 +19,11 @@ SLACK = 0.01
 class Ask:
     """One requirement on a finished motion.
 
-    ``key``: what the user wrote, such as ``mark[1].position``; ``measure``: a name of `vehsim.audit.MEASURES`;
-    ``first``, ``last``: the frames it applies to, both included; ``wanted``: what the measure compares with, SI and
-    radians; ``lower <= value <= upper`` is met, None is no bound; ``unit`` of the value; a missed ask of severity
-    ``warning`` is reported and does not fail the motion; ``remedy``: what to do about a miss, in words.
+    ``key``: the key in the shot file, such as ``mark[1].position``; ``measure``: a name of `vehsim.audit.MEASURES`;
+    ``first``, ``last``: the frames to which it applies, inclusive; ``wanted``: the values that the measure compares
+    with, SI and radians. The ask is met if ``lower <= value <= upper``; None is no bound; ``unit`` of the value. A
+    missed ask of severity ``warning`` is reported and does not fail the motion; ``remedy``: how to fix a miss, in
+    words.
     """
 
     key: str
@@ -37,12 +38,12 @@ class Ask:
     remedy: str = ""
 
     def as_dict(self) -> dict[str, Any]:
-        """The ask as JSON takes it; `Ask.from_dict` reads it back."""
+        """The ask as JSON data; `Ask.from_dict` reads it back."""
         return asdict(self)
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Ask:
-        """An ask from what `as_dict` wrote."""
+        """The ask of data that `as_dict` wrote."""
         return cls(**data)
 
 
@@ -60,11 +61,11 @@ def mark_asks(
     joints: Mapping[str, float] | None = None,
     planar: bool = False,
 ) -> Iterator[Ask]:
-    """What a mark asks at ``frame`` and, where it is held, until ``hold`` frames later.
+    """The asks of a mark at ``frame`` and, with a hold, until ``hold`` frames later.
 
     ``position`` (3,) m with ``tolerance`` m along each axis, ``heading`` rad, ``orientation`` (4,) w, x, y, z,
-    ``velocity`` (3,) m/s, world axes, ``speed`` m/s, ``joints`` by name in SI. ``planar``: the ground decides about
-    height and tilt.
+    ``velocity`` (3,) m/s, world axes, ``speed`` m/s, ``joints`` by name in SI. ``planar``: the ground determines height
+    and tilt.
     """
     until, axes, level = frame + hold, [0, 1] if planar else [0, 1, 2], {"planar": planar}
     if position is not None:
@@ -109,9 +110,10 @@ def gate_asks(
     size: Sequence[float] | None,
     planar: bool,
 ) -> Iterator[Ask]:
-    """An opening at ``position`` (3,) m that is passed at ``frame``.
+    """The asks of a gate at ``position`` (3,) m, passed at ``frame``.
 
-    ``axes`` (3, 3): rows through it, along its width, along its height; ``radius`` m or ``size`` (width, height) m.
+    ``axes`` (3, 3): rows through the gate, along its width, along its height; ``radius`` m or ``size`` (width, height)
+    m.
     """
     wanted = {
         "position": list(map(float, position)),
@@ -135,7 +137,7 @@ def limit_asks(
 ) -> Iterator[Ask]:
     """Limits over a motion: name -> (value, unit), and joints and their rates by name -> (low, high), SI."""
     for name, (value, unit) in limits.items():
-        slack = SLACK if unit == "m" else SLACK * value  # a share of a height depends on where zero is: 1 cm instead
+        slack = SLACK if unit == "m" else SLACK * value  # a share of a height depends on its zero: use 1 cm instead
         yield Ask(f"limits.{name}", name, first, last, {"planar": planar}, upper=value + slack, unit=unit)
     for kind, ranges in (("joint", joints), ("joint_rate", joint_rates)):
         for joint, (low, high) in ranges.items():
@@ -147,12 +149,12 @@ def limit_asks(
 def look_ask(
     key: str, first: float, last: float, at: Sequence[float], within: float, axis: int, sign: float, level: bool
 ) -> Ask:
-    """A body axis points to ``at`` (3,) m within ``within`` rad; ``level``: seen from above."""
+    """A body axis points at ``at`` (3,) m within ``within`` rad; ``level``: compare horizontal directions."""
     wanted = {"at": list(map(float, at)), "axis": axis, "sign": sign, "level": level}
     return Ask(key, "look", first, last, wanted, upper=within + EXACT_ANGLE, unit="rad")
 
 
 def stay_ask(key: str, first: float, last: float, lower: Sequence[float], upper: Sequence[float]) -> Ask:
-    """The root stays in a box from ``lower`` to ``upper`` (3,) m, infinite where open."""
+    """The root stays in a box from ``lower`` to ``upper`` (3,) m, infinite on open sides."""
     box = [[None if math.isinf(x) else float(x) for x in side] for side in (lower, upper)]
     return Ask(key, "outside", first, last, {"box": box}, upper=EXACT, unit="m")

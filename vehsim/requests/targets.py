@@ -1,4 +1,4 @@
-"""The asks that a pilot's targets stand for: see `vehsim.pilots` for what a target holds."""
+"""The asks of a pilot's targets: see `vehsim.pilots` for the content of a target."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Target = Mapping[str, Any]
 
 
 def target_asks(targets: Iterable[Target], first: float, last: float, fps: float) -> list[Ask]:
-    """Asks of severity ``warning`` for a clip from frame ``first`` to ``last``: a pilot does what it can."""
+    """Asks of severity ``warning`` for a clip from frame ``first`` to ``last``: a pilot may miss its targets."""
 
     def frame(seconds: float) -> float:
         return min(first + seconds * fps, last)

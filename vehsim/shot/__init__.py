@@ -1,11 +1,11 @@
-"""The shot file: who moves, where, and which marks they must hit. Data only, it never executes code.
+"""The shot file: which vehicles move, where, and which marks they must hit. Data only, it never executes code.
 
-`reading.py` turns TOML into data, `file.py` data into a model and what is wrong with it into problems; `model.py` and
-`motions.py` are the tables; `checks.py` holds them against the world; `holding.py` stands vehicles still outside their
-motion; `shot.py` is the door.
+`schema` holds the tables as pydantic models, `motions` the methods of motion, `world` its obstacles and water.
+`checks.py` compares them with the world, `follow_through.py` keeps vehicles still outside their motion, and `shot.py`
+loads, checks and solves a shot.
 """
 
-from vehsim._lazy import attach
+from vehsim.runtime.lazy import attach
 from vehsim.shot.shot import Shot
 
 __all__ = ["Shot"]

@@ -1,4 +1,4 @@
-"""Measures the finished clips of a shot against everything that was asked of them."""
+"""Measure the finished clips of a shot against everything that was requested of them."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Any, Literal
 from vehsim.errors import SolveError
 
 if TYPE_CHECKING:
-    from vehsim.clip import Clip
+    from vehsim.clip.clip import Clip
     from vehsim.requests import Ask
-    from vehsim.world import World
+    from vehsim.world.world import World
 
 NAMED = 3
-"""How many missed asks an error names."""
+"""Number of missed asks that an error names."""
 DEPTH = 0.05
-"""How deep a vehicle that keeps no clearance may be in rock or an obstacle before a warning says so, m."""
+"""Depth of a vehicle without a clearance in rock or an obstacle above which there is a warning, m."""
 GROUND = 0.005
-"""How far from the ground a wheel that rolls on it may be, m."""
+"""Largest distance from the ground of a wheel that rolls on it, m."""
 
 
 def audit_clips(
@@ -29,8 +29,8 @@ def audit_clips(
 ) -> dict[str, list[dict[str, Any]]]:
     """A row for every ask of every vehicle: the ask, and the ``value`` measured at its worst ``frame``.
 
-    ``asks``: `Ask.as_dict` by vehicle; ``worlds``: what each vehicle moves in, the others included; ``frames``: first
-    and last of the shot. Warns of contact; raises ``SolveError`` naming what else is missed.
+    ``asks``: `Ask.as_dict` by vehicle; ``worlds``: the surroundings of each vehicle, including the others; ``frames``:
+    first and last of the shot. Warns of contact; raises ``SolveError`` naming other missed asks.
     """
     from vehsim.audit import WorldScene, audit, missed, track_of_clip
     from vehsim.requests import Ask
@@ -48,7 +48,7 @@ def audit_clips(
         found[name] = [ask.as_dict() | row.as_dict() for ask, row in zip(mine, rows, strict=True)]
         wrong += [f"{name}: {row}" for row in missed(rows)]
         for row in rows:
-            if row.met is False and row.key == "contact":  # what pilots missed, simulation has said
+            if row.met is False and row.key == "contact":  # simulation has already reported what pilots missed
                 warnings.warn(f"{name}: {row}", stacklevel=3)
     if wrong:
         more = f" and {len(wrong) - NAMED} more" * (len(wrong) > NAMED)
@@ -57,10 +57,10 @@ def audit_clips(
 
 
 def _wheels(clip: Clip, world: World, first: float, last: float) -> list[Ask]:
-    """That wheels touch the terrain they follow. An asset whose own animation moves it may lift them: a warning."""
-    from vehsim.parts import is_animated
+    """The ask that wheels touch their terrain. An asset's own animation may lift them, so then it is a warning."""
     from vehsim.requests import Ask
-    from vehsim.world.ground import wheels_of
+    from vehsim.rig.parts import is_animated
+    from vehsim.world.ground.wheels import wheels_of
 
     rig = clip.vehicle.rig
     if rig is None or world.terrain is None or "heave" not in clip.channels:
@@ -72,7 +72,7 @@ def _wheels(clip: Clip, world: World, first: float, last: float) -> list[Ask]:
 
 
 def _untouched(clip: Clip, world: World, first: float, last: float) -> list[Ask]:
-    """A warning for what goes through rock or an obstacle, where no clearance was asked for."""
+    """The ask, with a warning, that nothing passes through rock or an obstacle, if no clearance was requested."""
     from vehsim.requests import Ask
 
     planar = clip.vehicle.group.planar

@@ -1,7 +1,7 @@
-"""Motion through the handles: what still moves where its marks end goes on as physics has it, and came from there too.
+"""Motion through the handles: a vehicle that still moves at the ends of its motion continues, and came, by its physics.
 
-Beyond its ends a vehicle keeps the controls it has there. Afterwards it is simulated; before, the same discrete
-mechanics run backwards, which they can: a variational step taken with ``-h`` undoes the step with ``h``.
+Beyond its ends a vehicle keeps its controls. Afterwards it is simulated; before, the same discrete mechanics run
+backwards: a variational step with ``-h`` reverses the step with ``h``.
 """
 
 from __future__ import annotations
@@ -13,17 +13,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vehsim.errors import VehsimError
-from vehsim.shot.holding import rests
+from vehsim.shot.follow_through import rests
 
 if TYPE_CHECKING:
-    from vehsim.clip import Clip
-    from vehsim.world import World
+    from vehsim.clip.clip import Clip
+    from vehsim.world.world import World
 
 
 def carry_on(name: str, clip: Clip, first: int, last: int, handles: int, world: World) -> Clip:
-    """The clip on frames ``first`` to ``last``, where it moves at its ends and lacks no more than ``handles`` frames.
+    """The clip on frames ``first`` to ``last``, if it moves at its ends and lacks at most ``handles`` frames.
 
-    Where it rests, or lacks more, it stays as it is; warns when the motion cannot be carried on.
+    If it rests, or lacks more, it is unchanged; warns if the motion cannot be continued.
     """
     try:
         if 0 < last - clip.end_frame <= handles and not rests(clip, -1):
@@ -31,7 +31,7 @@ def carry_on(name: str, clip: Clip, first: int, last: int, handles: int, world: 
         if 0 < clip.start_frame - first <= handles and not rests(clip, 0):
             clip = _before(clip, first, world)
     except VehsimError as error:
-        warnings.warn(f"{name}: its motion cannot be carried on through the handles: {error}", stacklevel=3)
+        warnings.warn(f"{name}: its motion cannot be continued through the handles: {error}", stacklevel=3)
     return clip
 
 
@@ -46,7 +46,7 @@ def _after(clip: Clip, last: int, world: World) -> Clip:
 def _before(clip: Clip, first: int, world: World) -> Clip:
     from vehsim.integrators.integrator import Integrator
     from vehsim.integrators.record import build_clip
-    from vehsim.world.slope import on_terrain
+    from vehsim.world.ground.slope import on_terrain
 
     frames = clip.start_frame - first
     per_frame = int(np.ceil(240 / float(clip.fps)))
@@ -70,7 +70,7 @@ def _before(clip: Clip, first: int, world: World) -> Clip:
 
 
 def _joined(earlier: Clip, later: Clip) -> Clip:
-    """Two clips of one vehicle, the first sample of the later being the last of the earlier; channels run on."""
+    """Two clips of one vehicle, the first sample of the later being the last of the earlier; channels continue."""
     names = ("positions", "orientations", "twists", "joints", "joint_rates", "controls")
     sign = np.sign(earlier.orientations[-1] @ later.orientations[0]) or 1.0
     later = replace(later, orientations=later.orientations * sign)

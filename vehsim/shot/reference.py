@@ -1,7 +1,7 @@
-"""The key tables of docs/shot-file.md, made from the models: a key's docstring is its one description.
+"""Generate the key tables of docs/shot-file.md from the models: a key's docstring is its only description.
 
-The page's prose is written by hand; between ``<!-- keys: MarkTable -->`` and ``<!-- end -->`` stands what `table` says
-of that model. ``python -m vehsim.shot.reference docs/shot-file.md`` brings the page up to date.
+The page's prose is written by hand; the text between ``<!-- keys: MarkTable -->`` and ``<!-- end -->`` is the `table`
+of that model. ``python -m vehsim.shot.reference docs/shot-file.md`` updates the page.
 """
 
 from __future__ import annotations
@@ -14,26 +14,26 @@ from pathlib import Path
 from typing import Any
 
 from vehsim.errors import InputError
-from vehsim.shot.file import schema
+from vehsim.shot.schema.shot_file import schema
 
 _BLOCK = re.compile(r"(<!-- keys: (\w+)(?: without ([\w, ]+))? -->\n).*?(<!-- end -->)", re.DOTALL)
-_UNLESS = re.compile(r"(.*); (.*?) unless given")
+_DEFAULT = re.compile(r"(.*); default: (.*)")
 _CODE = re.compile(r'("[^"]*"(?:\.\.\.)?|\{[^}]*\}|\[\[[^]]*\]\]|\[[^]]*\])')
 
 
 def with_tables(page: str) -> str:
-    """The page (Markdown) with its key tables as the models are now."""
+    """The page (Markdown) with its key tables generated from the models."""
     return _BLOCK.sub(lambda m: f"{m[1]}{table(m[2], (m[3] or '').replace(' ', '').split(','))}{m[4]}", page)
 
 
 def table(model: str, without: list[str] | None = None) -> str:
-    """A model's keys as a Markdown table: key, what to give, unless given.
+    """A model's keys as a Markdown table: key, what to give, default.
 
     ``model`` is the name of a table in `vehsim schema`; ``without`` names keys to leave out. Raises ``InputError``.
     """
     known = {**schema()["$defs"], "ShotFile": schema()}
     if model not in known:
-        raise InputError(f"keys: {model}: no such table; choose one of {', '.join(sorted(known))}")
+        raise InputError("no such table", f"choose one of {', '.join(sorted(known))}", key="keys", value=model)
     required = known[model].get("required", ())
     rows = [
         f"| `{key}` | {what} | {default} |\n"
@@ -41,27 +41,27 @@ def table(model: str, without: list[str] | None = None) -> str:
         if key not in (without or ())
         for what, default in [_described(field, key in required)]
     ]
-    return "".join(["| key | what to give | unless given |\n|---|---|---|\n", *rows])
+    return "".join(["| key | what to give | default |\n|---|---|---|\n", *rows])
 
 
 def _described(field: Mapping[str, Any], required: bool) -> tuple[str, str]:
-    """What to give, and what holds unless it is given."""
+    """What to give, and the default."""
     text, default = " ".join(field.get("description", "").split()), field.get("default")
-    stated = _UNLESS.fullmatch(text)
+    stated = _DEFAULT.fullmatch(text)
     if stated:
-        return _marked(stated[1]), _marked(stated[2].rstrip(","))
+        return _marked(stated[1]), _marked(stated[2])
     if required or default is None:
-        return _marked(text), "required" if required else ""
+        return _marked(text), "required" if required else "none"
     return _marked(text), f"`{json.dumps(_plain(default))}`" if default not in ({}, []) else "none"
 
 
 def _marked(text: str) -> str:
-    """What is TOML in a description set as code."""
+    """A description with its TOML set as code."""
     return _CODE.sub(r"`\1`", text).replace("|", "\\|")
 
 
 def _plain(value: Any) -> Any:
-    """Whole numbers without their .0, as people write them."""
+    """Whole numbers without their .0."""
     if isinstance(value, list):
         return [_plain(item) for item in value]
     return int(value) if isinstance(value, float) and value.is_integer() else value

@@ -1,4 +1,4 @@
-"""A shot: loaded, checked against the world, solved into a take."""
+"""A shot: load it, check it against the world, solve it into a take."""
 
 from __future__ import annotations
 
@@ -18,53 +18,56 @@ from vehsim.errors import InputError, Problem, ShotError
 from vehsim.intake.toml import line_of, lines_of, read_toml, too_large
 from vehsim.intake.usd import complaints
 from vehsim.requests import target_asks
-from vehsim.shot import obstacles
 from vehsim.shot.audited import audit_clips
-from vehsim.shot.blocked import blocking_of
 from vehsim.shot.checks import (
     Setting,
     check_asset,
     check_copied,
-    check_cuts,
     check_names,
     check_trailer,
     check_variants,
     choose,
 )
-from vehsim.shot.file import ShotFile, VehicleTable, parse
+from vehsim.shot.cuts import check_cuts
+from vehsim.shot.follow_through import hold, rests
 from vehsim.shot.handles import carry_on
-from vehsim.shot.holding import hold, rests
-from vehsim.shot.model import MAX_FRAMES
-from vehsim.shot.reading import apply_overrides
-from vehsim.shot.water import check_afloat, check_water, make_water
+from vehsim.shot.inputs import with_dependencies
+from vehsim.shot.motions.blocking import blocking_of
+from vehsim.shot.overrides import apply_overrides
+from vehsim.shot.schema.shot_file import ShotFile, VehicleTable, parse
+from vehsim.shot.schema.tables import MAX_FRAMES
+from vehsim.shot.world.obstacle_tables import check_obstacles, standing, with_vehicles
+from vehsim.shot.world.water import check_afloat, check_water, make_water
 
 if TYPE_CHECKING:
-    from vehsim.blocking import Blocking
-    from vehsim.cameras import Camera, CameraRig
-    from vehsim.clip import Clip
-    from vehsim.shot.kept import Motion
-    from vehsim.shot.motions import SimulateMotion
-    from vehsim.take import Progress, RenderSettings, Take, UsdSettings
+    from vehsim.cameras.camera import Camera, CameraRig
+    from vehsim.clip.clip import Clip
+    from vehsim.delivery.exporters import Progress
+    from vehsim.delivery.take import RenderSettings, Take, UsdSettings
+    from vehsim.rig.blocking import Blocking
+    from vehsim.shot.cache import SolvedMotion
+    from vehsim.shot.motions.simulate import SimulateMotion
     from vehsim.vehicles import Vehicle
-    from vehsim.world import World
+    from vehsim.world.world import World
 
 OFF_GROUND = 0.05
-"""Distance of a driving vehicle from the ground that is worth a warning, m."""
+"""Distance of a driving vehicle from the ground above which there is a warning, m."""
 
 
 class Shot:
     """A shot file in memory. Make one with `Shot.load` or `Shot.from_dict`; `solve` makes the take.
 
-    Both raise ``ShotError`` with everything that is wrong at once.
+    Both raise ``ShotError`` with all errors at once.
     """
 
     def __init__(self, file: ShotFile, folder: Path, source: str = "", lines: Mapping[str, int] | None = None):
         self.file, self.folder, self.source = file, folder, source
         self._lines = lines or {}
+        self.left_out: tuple[str, ...] = ()
 
     @classmethod
     def load(cls, path: str | Path, overrides: Sequence[str] = ()) -> Shot:
-        """Read a shot file. ``overrides``: ``"world.wind=[0,3,0]"`` and the like, applied first."""
+        """Read a shot file. ``overrides``, such as ``"world.wind=[0,3,0]"``, are applied first."""
         path = Path(path)
         data, text = read_toml(path)
         return cls.from_dict(data, folder=path.parent, source=str(path), overrides=overrides, lines=lines_of(text))
@@ -78,7 +81,7 @@ class Shot:
         overrides: Sequence[str] = (),
         lines: Mapping[str, int] | None = None,
     ) -> Shot:
-        """A shot from what a shot file holds; its paths are relative to ``folder``."""
+        """A shot from the data of a shot file; its paths are relative to ``folder``."""
         lines = lines or {}
         if problem := too_large(data):
             raise ShotError([_place(problem, source, lines)])
@@ -95,16 +98,30 @@ class Shot:
 
     @property
     def name(self) -> str:
-        """The shot's name: that of its folder, its stage and the root prim."""
+        """The shot's name, which is also that of its folder, its stage and the root prim."""
         return self.file.shot.name
 
     @property
     def fps(self) -> Fraction:
-        """Frames a second, exact: 23.976 is 24000/1001."""
+        """Frames per second, exact: 23.976 is 24000/1001."""
         return self.file.shot.fps
 
+    def motion_files(self) -> Iterator[Path]:
+        """Files that determine the motion, in addition to its own and its world's: rigs and their references, clips,
+        blockings."""
+        for table in self.file.vehicle:
+            rig = self.vehicle(table).rig
+            if rig is not None:
+                yield (rig.folder or rig.asset.parent) / "vehicle.toml"
+                yield from with_dependencies(rig.asset)
+            path = getattr(table.motion, "path", None)
+            if path is not None:
+                yield self.folder / path
+        for blocking in self.blockings().values():
+            yield from with_dependencies(blocking.path)
+
     def only(self, names: Sequence[str]) -> Shot:
-        """The shot with these vehicles alone; cameras whose target is gone look at the first of them."""
+        """The shot with only these vehicles; cameras whose target is missing look at the first of them."""
         known = [vehicle.name for vehicle in self.file.vehicle]
         for name in names:
             if name not in known:
@@ -115,28 +132,35 @@ class Shot:
             for camera in self.file.camera
         ]
         file = self.file.model_copy(update={"vehicle": kept, "camera": cameras})
-        return Shot(file, self.folder, self.source, self._lines)
+        left = tuple(name for name in known if name not in names)
+        return Shot(file, self.folder, self.source, self._lines).without((*self.left_out, *left))
+
+    def without(self, names: Sequence[str]) -> Shot:
+        """The same shot, of which vehicles called ``names`` were left out: what was delivered of them stays."""
+        shot = copy.copy(self)
+        shot.left_out = tuple(names)
+        return shot
 
     @cached_property
     def world(self) -> World:
-        """What surrounds the vehicles; obstacles that move come with the motions. Raises ``InputError``."""
-        from vehsim.world import World
-        from vehsim.world.contact import Contact
+        """The surroundings of the vehicles; moving obstacles come with the motions. Raises ``InputError``."""
+        from vehsim.world.contact.contact import Contact
         from vehsim.world.wind import Gusts
+        from vehsim.world.world import World
 
         table = self.file.world
         terrain = None if table.terrain is None else self._asset(table.terrain)
         return World(
             terrain,
             table.wind,
-            obstacles.standing(table.obstacle, self.folder),
+            standing(table.obstacle, self.folder),
             water=make_water(table.water, self.folder),
             gusts=None if table.gusts is None else Gusts(**table.gusts.model_dump()),
             contact=None if table.contact is None else Contact(**table.contact.model_dump()),
         )
 
     def vehicle(self, table: VehicleTable) -> Vehicle:
-        """The vehicle that a ``[[vehicle]]`` names, in the variants asked for. Raises ``InputError``."""
+        """The vehicle of a ``[[vehicle]]`` table, with the requested variants. Raises ``InputError``."""
         from vehsim.vehicles import load_vehicle
 
         vehicle = load_vehicle(self._asset(table.asset))
@@ -145,17 +169,17 @@ class Shot:
         return vehicle
 
     def check(self) -> list[Problem]:
-        """Everything wrong that can be known before solving; nothing is written. Warnings have their severity."""
+        """All errors that can be found before solving; nothing is written. Warnings have their own severity."""
         return [_place(problem, self.source, self._lines) for problem in self._check()]
 
     def solve(self, progress: Progress | None = None, *, checked: bool = False, cached: bool = True) -> Take:
         """Check, then solve every vehicle's motion and every camera. Raises ``ShotError`` and ``SolveError``.
 
-        ``checked``: this was done before, and nothing that the shot is made of has changed since. ``cached``: motion
-        that was solved before, on this machine and for the same vehicles, world and marks, is taken from the cache.
+        ``checked``: the shot was checked before, and none of its inputs has changed since. ``cached``: take motion from
+        the cache if it was solved on this machine for the same vehicles, world and marks.
         """
-        from vehsim.take import Take
-        from vehsim.world.ground import lift
+        from vehsim.delivery.take import Take
+        from vehsim.world.ground.wheels import place_on_terrain
 
         errors = [] if checked else [problem for problem in self.check() if problem.severity == "error"]
         if errors:
@@ -171,11 +195,11 @@ class Shot:
         frames = self._frames(clips)
         handles = self.file.shot.handles
         clips = {name: carry_on(name, clip, *frames, handles, self.world) for name, clip in clips.items()}
-        clips = {name: lift(clip, self.world) for name, clip in clips.items()}
+        clips = {name: place_on_terrain(clip, self.world) for name, clip in clips.items()}
         self._warn_off_ground(clips)
-        clips = {name: lift(hold(clip, *frames), self.world) for name, clip in clips.items()}
+        clips = {name: place_on_terrain(hold(clip, *frames), self.world) for name, clip in clips.items()}
         avoided = self._avoided
-        worlds = {name: obstacles.with_vehicles(self.world, clips, avoided, name) for name in clips}
+        worlds = {name: with_vehicles(self.world, clips, avoided, name) for name in clips}
         return Take(
             name=self.name,
             clips=clips,
@@ -192,14 +216,15 @@ class Shot:
                 "vehicles": vehicles,
                 "marks": marks,
                 "audit": audit_clips(clips, asks, worlds, frames),
-            },
+            }
+            | ({"left_out": list(self.left_out)} if self.left_out else {}),
         )
 
     @property
     def render(self) -> RenderSettings:
-        """How pictures are made."""
-        from vehsim.cameras import CUT
-        from vehsim.take import RenderSettings
+        """The settings of pictures."""
+        from vehsim.cameras.cuts import CUT
+        from vehsim.delivery.take import RenderSettings
 
         table = self.file.render
         cameras = table.cameras or [CUT] * bool(self.file.cut)
@@ -208,22 +233,22 @@ class Shot:
         return RenderSettings(size, table.every, table.samples, table.shadows, *shown, burn_in=table.burn_in)
 
     def blockings(self) -> dict[str, Blocking]:
-        """What the vehicles that were blocked in follow, by vehicle."""
+        """The animator's blocking, by vehicle, for vehicles with one."""
         tables = {table.name: getattr(table.motion, "marks", None) for table in self.file.vehicle}
         return {name: blocking_of(table, self.folder, self.fps) for name, table in tables.items() if table}
 
     @property
     def usd(self) -> UsdSettings:
-        """How the USD is delivered."""
-        from vehsim.take import UsdSettings
+        """The form of the USD."""
+        from vehsim.delivery.take import UsdSettings
 
         given = self.file.export.model_dump()
         shutter = given.pop("shutter")
         return UsdSettings(**given, shutter=None if shutter is None else (shutter[0], shutter[1]))
 
     def _asset(self, name: str) -> str | Path:
-        """A path relative to the shot file when there is one, else a shipped asset's name."""
-        beside = self.folder / os.path.expanduser(name)  # Path's own raises for a user nobody knows
+        """A path relative to the shot file if it exists, else a shipped asset's name."""
+        beside = self.folder / os.path.expanduser(name)  # Path's own method raises for an unknown user
         return beside if beside.exists() else name
 
     @cached_property
@@ -235,7 +260,7 @@ class Shot:
         yield from self._check_header()
         yield from self._check_cameras()
         names = [vehicle.name for vehicle in self.file.vehicle]
-        wrong = list(obstacles.check_obstacles(self.file.world.obstacle, self.folder, names))
+        wrong = list(check_obstacles(self.file.world.obstacle, self.folder, names))
         wrong += check_water(self.file.world.water, self.folder)
         yield from wrong
         world = None
@@ -243,8 +268,8 @@ class Shot:
             world = self.world
         except InputError as error:
             if self.file.world.terrain is not None and not wrong:
-                said = str(error).partition("': ")[2] if str(error).startswith("terrain = ") else str(error)
-                yield Problem("world.terrain", said, "see vehsim terrains", self.file.world.terrain)
+                for problem in error.problems:
+                    yield problem.seen_from("world.terrain", self.file.world.terrain, "see vehsim terrains")
         if world is not None and world.terrain is not None and world.terrain.look is not None:
             name = self.file.world.terrain or ""
             yield from check_copied("world.terrain", name, world.terrain.look, [], self.file.export)
@@ -253,12 +278,9 @@ class Shot:
             try:
                 with complaints(key):
                     yield from self._check_vehicle(i, table, world)
-            except ShotError as error:  # all that is wrong with its vehicle.toml or asset
+            except InputError as error:  # all errors of its vehicle.toml or asset
                 for problem in error.problems:
-                    message, _, remedy = str(problem).rpartition("; ")
-                    yield Problem(key, message, remedy, table.asset)
-            except InputError as error:
-                yield Problem(key, str(error), "see vehsim vehicles", table.asset)
+                    yield problem.seen_from(key, table.asset, "see vehsim vehicles")
 
     def _check_vehicle(self, i: int, table: VehicleTable, world: World | None) -> Iterator[Problem]:
         vehicle, key = self.vehicle(table), f"vehicle[{i}].asset"
@@ -274,17 +296,17 @@ class Shot:
         for problem in (*check_afloat(vehicle, world), *check_trailer(vehicle, world)):
             yield replace(problem, key=f"vehicle[{i}].{problem.key}")
         if world.wind.any() and not vehicle.feels_wind:
-            message = f"{table.name} does not feel it: its drag is zero"
-            mend = "give its vehicle.toml drag, or leave the wind out"
-            yield Problem("world.wind", message, mend, self.file.world.wind, severity="warning")
+            message = f"{table.name} has no drag, so wind has no effect"
+            remedy = "add drag to its vehicle.toml, or remove the wind"
+            yield Problem("world.wind", message, remedy, self.file.world.wind, severity="warning")
 
     def _check_header(self) -> Iterator[Problem]:
         header = self.file.shot
         if self.file.sweep is not None:
-            mend = "vehsim export and vehsim.batch.load_shots make its clips"
-            yield Problem("sweep", "this is the shot without its sweep", mend, severity="warning")
+            remedy = "vehsim export and vehsim.batch.load_shots expand it"
+            yield Problem("sweep", "the sweep is ignored here", remedy, severity="warning")
         if header.handles and header.end_frame is None:
-            yield Problem("shot.handles", "handles need an end to stand after", "give shot.end_frame", header.handles)
+            yield Problem("shot.handles", "handles need an end frame", "give shot.end_frame", header.handles)
         if header.end_frame is not None and header.end_frame < header.start_frame:
             message = f"before the first frame, {header.start_frame}"
             yield Problem("shot.end_frame", message, "give a later frame", header.end_frame)
@@ -294,13 +316,14 @@ class Shot:
         for kind in ("vehicle", "camera"):
             names: list[str] = []
             for i, table in enumerate(getattr(self.file, kind)):
-                if table.name.casefold() in names:  # each names files, also where cases are not told apart
-                    mend = f"give every {kind} a name of its own, in more than its case"
-                    yield Problem(f"{kind}[{i}].name", "used twice", mend, table.name)
+                # each name becomes a file name, also on file systems that ignore case
+                if table.name.casefold() in names:
+                    remedy = f"give every {kind} a name that differs in more than its case"
+                    yield Problem(f"{kind}[{i}].name", "used twice", remedy, table.name)
                 names.append(table.name.casefold())
 
     def _check_cameras(self) -> Iterator[Problem]:
-        from vehsim.cameras import RIGS
+        from vehsim.cameras.rigs import RIGS
 
         cameras = [camera.name for camera in self.file.camera]
         yield from check_names("render.captions", self.file.render.captions, cameras, "camera")
@@ -314,13 +337,15 @@ class Shot:
                 yield Problem(f"camera[{i}].look_at", "the camera stands there", "look elsewhere", camera.look_at)
         yield from check_cuts(self.file)
 
-    def _motion(self, progress: Progress, cached: bool) -> tuple[Motion, bool]:
-        """Clips and reports by vehicle, and whether they are from the cache."""
-        from vehsim.shot.kept import FROM_CACHE, recalled_or
+    def _motion(self, progress: Progress, cached: bool) -> tuple[SolvedMotion, bool]:
+        """Clips and reports by vehicle, and whether they come from the cache."""
+        from vehsim.shot.cache import FROM_CACHE, motion_key, recalled_or
 
         if not cached:
             return self._solve_vehicles(progress), False
-        motion, recalled = recalled_or(lambda: self._solve_vehicles(progress), self)
+        vehicles = {table.name: self.vehicle(table) for table in self.file.vehicle}
+        key = motion_key(self.file, self.motion_files(), self.world.content_hash)
+        motion, recalled = recalled_or(lambda: self._solve_vehicles(progress), key, vehicles)
         if recalled:
             progress(FROM_CACHE, 1.0)
         return motion, recalled
@@ -331,9 +356,9 @@ class Shot:
         avoided = self._avoided
         meeting = self._meeting()
         together: dict[str, tuple[Clip, dict[str, Any]]] = {}
-        # who is kept clear of moves first, the others about it
+        # vehicles that are obstacles move first, the others around them
         for i, table in enumerate(sorted(self.file.vehicle, key=lambda vehicle: vehicle.name not in avoided)):
-            world = obstacles.with_vehicles(self.world, clips, avoided, table.name)
+            world = with_vehicles(self.world, clips, avoided, table.name)
 
             def report(what: str, done: float, name: str = table.name, before: int = i) -> None:
                 progress(f"{name}: {what}", (before + done) / len(self.file.vehicle))
@@ -352,12 +377,12 @@ class Shot:
 
     @property
     def _avoided(self) -> set[str]:
-        """The vehicles that the others keep clear of."""
+        """The vehicles that are obstacles for the others."""
         return {table.vehicle for table in self.file.world.obstacle if table.shape == "vehicle"}
 
     def _meeting(self) -> dict[str, tuple[SimulateMotion, Vehicle]]:
-        """The simulated vehicles that may touch each other, with their motions; none unless there are two."""
-        from vehsim.shot.motions import SimulateMotion
+        """The simulated vehicles that may touch each other, with their motions; none if there are fewer than two."""
+        from vehsim.shot.motions.simulate import SimulateMotion
 
         motions = {table.name: (table.motion, self.vehicle(table)) for table in self.file.vehicle}
         simulated = {
@@ -370,7 +395,7 @@ class Shot:
     def _meet(
         self, simulated: Mapping[str, tuple[SimulateMotion, Vehicle]], world: World, progress: Progress
     ) -> dict[str, tuple[Clip, dict[str, Any]]]:
-        """Their clips, advanced together among what stands and moves in ``world``, and what the report says of each."""
+        """Their clips, advanced together in ``world``, and the report about each."""
         from vehsim.simulation import simulate_together
 
         movers, durations = {}, []
@@ -388,7 +413,7 @@ class Shot:
         return {name: (clip, said.get(name, {})) for name, clip in clips.items()}
 
     def _warn_off_ground(self, clips: Mapping[str, Clip]) -> None:
-        """What drives without wheels keeps its height: say where the ground rises or falls below it."""
+        """Warn of a vehicle in the plane without wheels where the ground rises or falls below it."""
         if self.world.terrain is None:
             return
         water = self.world.water is not None
@@ -401,12 +426,12 @@ class Shot:
                 place = f"{abs(off[k]):.2f} m {'above' if off[k] > 0 else 'below'}"
                 warnings.warn(
                     f"{name}: {place} the ground at frame {clip.frames[k]:g}: its asset has no wheels to follow it; "
-                    "drive channels travel_* or roll_* in its vehicle.toml, or drive where it is level",
+                    "add channels travel_* or roll_* to its vehicle.toml, or stay on level ground",
                     stacklevel=3,
                 )
 
     def _frames(self, clips: Mapping[str, Clip]) -> tuple[int, int]:
-        """First and last frame of the take; warn when one of its vehicles is cut off while it moves."""
+        """First and last frame of the take; warns if a vehicle is cut off in motion."""
         first = self.file.shot.first
         last = self.file.shot.last
         last = max(clip.end_frame for clip in clips.values()) if last is None else last
@@ -415,14 +440,16 @@ class Shot:
                 if short > self.file.shot.handles and not rests(clip, index):
                     warnings.warn(
                         f"{name}: its motion covers frames {clip.start_frame} to {clip.end_frame} of {first} to {last} "
-                        "and is cut off while it moves: it stands still in the others; move its marks or its duration",
+                        "and is cut off while it moves: it stands still in the others; change marks or duration",
                         stacklevel=3,
                     )
         return first, last
 
     def cameras(self, clips: Mapping[str, Clip], frames: tuple[int, int]) -> tuple[Camera, ...]:
-        """The cameras on whole ``frames`` (first, last) of solved ``clips``."""
-        from vehsim.cameras import CUT, CameraRig, cut, solve_camera
+        """The cameras on whole ``frames`` (first, last) for solved ``clips``."""
+        from vehsim.cameras.camera import CameraRig
+        from vehsim.cameras.cuts import CUT, cut
+        from vehsim.cameras.framing import solve_camera
 
         width, height = self.render.panel(len(self.render.cameras or self.file.camera))
         rigs: list[CameraRig] = [CameraRig(**camera.model_dump(exclude_unset=True)) for camera in self.file.camera]
@@ -434,6 +461,6 @@ class Shot:
 
 
 def _place(problem: Problem, source: str, lines: Mapping[str, int]) -> Problem:
-    """The problem with the file and line it stands on."""
+    """The problem with its file and line."""
     line = problem.line or line_of(problem.key, lines)
     return replace(problem, file=problem.file or source, line=line)

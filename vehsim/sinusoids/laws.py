@@ -1,31 +1,36 @@
-"""Laws of inputs read through their values at Chebyshev points, and at an even pace."""
+"""Input laws, interpolated through Chebyshev points, and at an even pace."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
 from numpy.polynomial import Chebyshev
 
-from vehsim.sinusoids.steering import Law
 from vehsim.sinusoids.system import Array
+
+Law = Callable[[Array], Array]
+"""``s`` (k,) in 0..1 -> inputs (k, m) per unit of s."""
 
 NODES = 25
 PANELS = (2, 8, 24, 96, 384)
-"""Of one cycle: the fewest that will do are taken."""
+"""Numbers of points per cycle; the smallest sufficient one is used."""
 TOLERANCE = 1e-12
-"""Largest difference accepted, relative."""
+"""Largest accepted relative difference."""
 
 DEGREE = 64
-"""Of the polynomial that evens the pace of one cycle."""
+"""Degree of the polynomial that evens the pace of one cycle."""
 TURNING = 0.4
-"""Share of its greatest demand below which an even law slows down: where both inputs pass zero, a car stops softly."""
+"""Share of its greatest demand below which an even law slows down: where both inputs pass through zero, a car stops
+gently."""
 NEWTON = 40
-"""Steps of it at most; from the nearest of many samples three or four do."""
+"""Maximum number of Newton steps; from the nearest of many samples three or four suffice."""
 
 
 def chebyshev(law: Law, cycles: int = 1) -> Law:
-    """A smooth law through its values at Chebyshev points of as many panels as it takes, by the barycentric formula."""
+    """A smooth law through its values at Chebyshev points, in as many panels as necessary, by the barycentric
+    formula."""
     check = np.linspace(0.003, 0.997, 41)
     truth = law(check)
     nodes = (1 - np.cos(np.pi * np.arange(NODES) / (NODES - 1))) / 2
@@ -41,7 +46,7 @@ def _barycentric(nodes: Array, values: Array, s: Array) -> Array:
     panels = len(values)
     panel = np.clip((np.asarray(s) * panels).astype(int), 0, panels - 1)
     gap = (np.asarray(s) * panels - panel)[:, None] - nodes
-    hit = np.abs(gap) < 1e-15  # at a node, or so near that its reciprocal overflows
+    hit = np.abs(gap) < 1e-15  # at a node, or so close that its reciprocal overflows
     weight = np.where(np.arange(NODES) % 2, -1.0, 1.0) / np.where(hit, 1.0, gap)
     weight[:, [0, -1]] /= 2
     at = hit.any(axis=1)
@@ -53,7 +58,7 @@ def _barycentric(nodes: Array, values: Array, s: Array) -> Array:
 def even(law: Law, bounds: Array, cycles: int = 1) -> Law:
     """The same path at another pace: all along, one input or another is about equally near its bound (m,).
 
-    The pace is the reciprocal of a polynomial and its way is exact, so the path is as well. A law that asks too
+    The pace is the reciprocal of a polynomial and its integral is exact, so the path is as well. A law that asks too
     unevenly for a polynomial stays as it is.
     """
 
@@ -69,13 +74,13 @@ def even(law: Law, bounds: Array, cycles: int = 1) -> Law:
     dense = np.linspace(0, 1, 4 * DEGREE * cycles + 1)
     if need(dense).min() < np.sqrt(floor) / 2:
         return law
-    way = need.integ(lbnd=0.0)
-    total, along = way(1.0), way(dense)
+    distance = need.integ(lbnd=0.0)
+    total, along = distance(1.0), distance(dense)
 
     def evened(sigma: Array) -> Array:
         s = np.interp(total * np.asarray(sigma), along, dense)
         for _ in range(NEWTON):
-            step = (way(s) - total * sigma) / need(s)
+            step = (distance(s) - total * sigma) / need(s)
             s = np.clip(s - step, 0.0, 1.0)
             if np.abs(step).max(initial=0.0) < 1e-13:
                 break

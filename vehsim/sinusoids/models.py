@@ -13,7 +13,7 @@ from vehsim.errors import InputError
 from vehsim.sinusoids.system import DriftlessSystem, Expr
 
 _RIGHT = 1.5
-"""Angles are kept this side of a right angle, rad."""
+"""Angles stay below this, rad, which is less than a right angle."""
 
 
 def first_degree(m: int) -> DriftlessSystem:
@@ -32,7 +32,7 @@ def first_degree(m: int) -> DriftlessSystem:
 
 
 def second_degree(m: int) -> DriftlessSystem:
-    """SIN eq. 6: also ``x_ijk' = x_ij u_k`` for i < j and k >= i, which is what Jacobi's identity leaves."""
+    """SIN eq. 6: also ``x_ijk' = x_ij u_k`` for i < j and k >= i; Jacobi's identity determines the others."""
     _check_count("m", m, 2)
     pairs, triples = list(combinations(range(m), 2)), second_degree_triples(m)
 
@@ -111,7 +111,11 @@ def trailers(hitches: Sequence[float], wheelbase: float = 1.0) -> DriftlessSyste
     lengths = [float(d) for d in hitches]
     if any(not np.isfinite(d) or d <= 0 for d in [*lengths, wheelbase]):
         raise InputError(
-            f"trailers: hitches = {list(hitches)!r}, wheelbase = {wheelbase!r}: give lengths above zero, m"
+            "not lengths",
+            "give lengths above zero, m",
+            key="hitches, wheelbase",
+            value=(list(hitches), wheelbase),
+            subject="trailers",
         )
 
     def fields(q: Expr) -> Expr:
@@ -142,4 +146,4 @@ def _inputs(m: int) -> tuple[str, ...]:
 
 def _check_count(name: str, value: int, least: int) -> None:
     if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= 40:
-        raise InputError(f"{name} = {value!r}: give a whole number from {least} to 40")
+        raise InputError("out of range", f"give a whole number from {least} to 40", key=name, value=value)

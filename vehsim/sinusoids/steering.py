@@ -1,7 +1,7 @@
-"""What steering returns: stages of inputs, the motion they make, and how it is timed.
+"""The result of steering: stages of inputs, the motion that they produce, and its timing.
 
-A driftless system does not care how fast it moves: a stage is a law over ``s`` from 0 to 1, and a pace says when each
-``s`` is reached. Durations, limits and easing change the pace, never the path.
+A driftless system can move at any speed: a stage is a law over ``s`` from 0 to 1, and a pace determines when each ``s``
+is reached. Durations, limits and easing change the pace, never the path.
 """
 
 from __future__ import annotations
@@ -9,39 +9,32 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from vehsim.errors import InputError, SolveError
+from vehsim.sinusoids.laws import Law, even
 from vehsim.sinusoids.system import Array, DriftlessSystem
 
-if TYPE_CHECKING:
-    from vehsim.clip import Clip
-    from vehsim.vehicles import Vehicle
-
-Law = Callable[[Array], Array]
-"""``s`` (k,) in 0..1 -> inputs (k, m) per unit of s."""
-
 TOLERANCE = 1e-13
-"""Of the integration that makes the states, relative to them."""
+"""Relative accuracy of the integration of states."""
 SETTLED = 1e-9
-"""A change below it that halving does not bring down is round-off, which reversing trailers amplify."""
+"""A change below this that does not decrease when steps are halved is round-off, which reversing trailers amplify."""
 HALVINGS = 8
-"""How often its steps are halved at most."""
+"""Maximum number of halvings of its steps."""
 ACCURACY = 1e-6
-"""Largest accepted difference between the goal and where the inputs lead, in the states' own units."""
+"""Largest accepted difference between the goal and the end of the motion, in the states' own units."""
 
 
 NOTHING = 1e-9
-"""A stage shorter than this, s, moves by round-off alone."""
+"""A stage shorter than this, s, consists of round-off only."""
 CRUISE = 45 / 32
-"""Rate of the paces below at their fastest, where the mean is 1: from and to rest within a fifth of the time."""
+"""Peak rate of the paces below, relative to a mean of 1: start and stop within a fifth of the time."""
 
 
 def _drive(x: Array) -> tuple[Array, Array]:
-    """Way and rate ``(1 - x^4)^2`` at x in -1..1, their mean rate 1."""
+    """Path and rate ``(1 - x^4)^2`` at x in -1..1, with a mean rate of 1."""
     return CRUISE * (x - 2 * x**5 / 5 + x**9 / 9), CRUISE * (1 - x**4) ** 2
 
 
@@ -51,11 +44,12 @@ PACES: dict[str, Callable[[Array], tuple[Array, Array]]] = {
     "end": _drive,
     "both": lambda t: ((1 + _drive(2 * t - 1)[0]) / 2, _drive(2 * t - 1)[1]),
 }
-"""Fraction of a stage's time (k,) -> fraction of its way and the rate: C2, from rest at its start, its end or both."""
+"""From the fraction of a stage's time (k,) to the fraction of its path and the rate: C2, at rest at its start, its end
+or both."""
 
 
 class TooFast(SolveError):
-    """A motion that its vehicle can make in ``needed`` s, or about that."""
+    """Raised for a motion that its vehicle can make in about ``needed`` s."""
 
     def __init__(self, message: str, needed: float):
         super().__init__(message)
@@ -64,9 +58,9 @@ class TooFast(SolveError):
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """One stage: ``law(s)`` for s in 0..1, over ``duration`` s. ``cycles`` of its sinusoids; ``label`` for reading.
+    """One stage: ``law(s)`` for s in 0..1, over ``duration`` s. ``cycles`` of its sinusoids; ``label`` for readers.
 
-    ``pace``: a name of `PACES`, whether inputs rise from and fall to zero at the stage's ends, as a driver would.
+    ``pace``: a name of `PACES`: whether inputs start from and end at zero at the stage's ends.
     """
 
     label: str
@@ -89,9 +83,9 @@ class Stage:
 
 @dataclass(frozen=True, eq=False)
 class Steering:
-    """Inputs that take ``system`` from ``start`` to ``goal`` (n,), stage after stage.
+    """Inputs that move ``system`` from ``start`` to ``goal`` (n,), stage after stage.
 
-    ``times`` (k,) s, ``controls`` (k, m), ``states`` (k, n): samples, by integration of the inputs with an eighth-order
+    ``times`` (k,) s, ``controls`` (k, m), ``states`` (k, n): samples, from integrating the inputs with an eighth-order
     method to 1e-13; ``inputs(t)`` at any time. ``end_error``: largest difference of a state from its goal at the end.
     """
 
@@ -101,20 +95,20 @@ class Steering:
     stages: tuple[Stage, ...]
     label: str = ""
     rate: int = 24
-    """Samples a second of ``times``, and at least 60 a cycle."""
+    """Samples per second of ``times``, and at least 60 per cycle."""
 
     @property
     def duration(self) -> float:
-        """s"""
+        """Duration, s."""
         return float(sum(stage.duration for stage in self.stages))
 
     @property
     def knots(self) -> Array:
-        """Times (stages + 1,) s at which stages begin and end; inputs may jump there."""
+        """Times (stages + 1,) s at which stages start and end; inputs may jump there."""
         return np.concatenate([[0.0], np.cumsum([stage.duration for stage in self.stages])])
 
     def inputs(self, times: Any) -> Array:
-        """Inputs (k, m) at times (k,) s; at a knot those of the stage that ends there."""
+        """Inputs (k, m) at times (k,) s; at the end of a stage, those of that stage."""
         times = np.atleast_1d(np.asarray(times, float))
         which = np.clip(np.searchsorted(self.knots, times, side="left") - 1, 0, len(self.stages) - 1)
         out = np.zeros((len(times), self.system.m))
@@ -163,31 +157,38 @@ class Steering:
         return total
 
     def towards(self, goal: Array) -> Steering:
-        """The same motion held against another goal: angles that differ by full turns."""
+        """The same motion compared with another goal, for angles that differ by full turns."""
         other = replace(self, goal=goal)
         other.__dict__["_motion"] = self._motion
         return other
 
     def checked(self, accuracy: float = ACCURACY) -> Steering:
-        """This steering; ``SolveError`` when its inputs, integrated, end further than ``accuracy`` from the goal."""
+        """This steering. Raises ``SolveError`` if its inputs, integrated, end farther than ``accuracy`` from the
+        goal."""
         missed = np.abs(self.states[-1] - self.goal)
         if not np.all(missed <= accuracy):
             worst = int(np.nanargmax(np.where(np.isfinite(missed), missed, np.inf)))
             raise SolveError(
-                f"{self.system.name}: {self.system.states[worst]} ends {missed[worst]:.2g} from its goal "
-                f"{self.goal[worst]:.6g}, more than {accuracy:g}: go by a nearer goal, or by smaller amplitudes"
+                f"{self.system.states[worst]} ends {missed[worst]:.2g} from its goal {self.goal[worst]:.6g}, more than "
+                f"{accuracy:g}",
+                "go by a nearer goal, or by smaller amplitudes",
+                subject=self.system.name,
             )
         return self
 
     def timed(self, durations: float | Sequence[float]) -> Steering:
-        """The same path in other stage durations, s: one for each stage, or a total shared in proportion."""
+        """The same path with other stage durations, s: one for each stage, or a total that is distributed
+        proportionally."""
         given = np.atleast_1d(np.asarray(durations, float))
         if given.size == 1 and len(self.stages) != 1:
             given = given * np.diff(self.knots) / self.duration
         if len(given) != len(self.stages) or not np.all(np.isfinite(given)) or np.any(given <= 0):
             raise InputError(
-                f"{self.system.name}: durations = {durations!r}: give {len(self.stages)} times above zero, s, "
-                "or their sum: nothing gets anywhere in no time"
+                "not times for these stages",
+                f"give {len(self.stages)} times above zero, s, or their sum",
+                key="durations",
+                value=durations,
+                subject=self.system.name,
             )
         return replace(
             self, stages=tuple(replace(s, duration=float(d)) for s, d in zip(self.stages, given, strict=True))
@@ -196,21 +197,21 @@ class Steering:
     def eased(self, pace: str = "both") -> Steering:
         """The same path with every stage from rest to rest, or at another of the `PACES`."""
         if pace not in PACES:
-            raise InputError(f"{self.system.name}: pace = {pace!r}: choose one of {', '.join(PACES)}")
+            raise InputError(
+                "no such pace", f"choose one of {', '.join(PACES)}", key="pace", value=pace, subject=self.system.name
+            )
         return replace(self, stages=tuple(replace(stage, pace=pace) for stage in self.stages))
 
     def evened(self, limits: Mapping[str, float]) -> Steering:
-        """The same path, every stage as near to the ``limits`` on its inputs all along as smoothness lets it."""
-        from vehsim.sinusoids.laws import even
-
+        """The same path, with every stage as close to the ``limits`` on its inputs all along as smoothness permits."""
         bounds = np.array([limits.get(name, np.inf) for name in self.system.inputs])
         return replace(self, stages=tuple(replace(s, law=even(s.law, bounds, s.cycles)) for s in self.stages))
 
     def within(self, limits: Mapping[str, float]) -> Steering:
-        """The same path, stretched in time where an input is beyond its limit; never hurried.
+        """The same path, slowed down where an input exceeds its limit; never sped up.
 
-        ``limits``: input -> largest |value|. A state's name is a limit on its excursion, which time cannot change: then
-        ``InputError`` says how far it goes.
+        ``limits``: input -> largest |value|. The name of a state limits its excursion, which the time cannot change; if
+        it is exceeded, ``InputError`` gives the excursion.
         """
         for name in limits:
             self._check_limit(name, limits[name])
@@ -219,8 +220,8 @@ class Steering:
         return self.timed([stage.duration * k for stage, k in zip(self.stages, stretch, strict=True)])
 
     def fastest(self, limits: Mapping[str, float]) -> Steering:
-        """The same path, every stage as short as the limits on its inputs let it; stages nothing limits stay, and those
-        that take less than a nanosecond, which are round-off, are left out.
+        """The same path, with every stage as short as the limits on its inputs permit. Stages without limits stay
+        unchanged; stages of less than a nanosecond, which are round-off, are removed.
 
         ``limits`` as in `within`.
         """
@@ -236,34 +237,39 @@ class Steering:
     def _check_limit(self, name: str, bound: float) -> None:
         known = (*self.system.inputs, *self.system.states)
         if name not in known:
-            raise InputError(f"{self.system.name}: limits.{name}: no such input or state; choose of {', '.join(known)}")
+            raise InputError(
+                "no such input or state",
+                f"choose of {', '.join(known)}",
+                key=f"limits.{name}",
+                subject=self.system.name,
+            )
         if not bound > 0:
-            raise InputError(f"{self.system.name}: limits.{name} = {bound!r}: give a bound above zero")
+            raise InputError(
+                "not a bound", "give a number above zero", key=f"limits.{name}", value=bound, subject=self.system.name
+            )
         if name in self.system.states:
             reach = float(np.abs(self.states[:, self.system.states.index(name)]).max())
             if reach > bound * (1 + 1e-9):
                 raise InputError(
-                    f"{self.system.name}: limits.{name} = {bound:g}: the path reaches {reach:.4g}, and time does not "
-                    "change a path; take more cycles or another member of the family (vehsim.sinusoids.family)"
+                    f"the path reaches {reach:.4g}, and time does not change a path",
+                    "take more cycles or another member of the family (vehsim.sinusoids.family)",
+                    key=f"limits.{name}",
+                    value=bound,
+                    subject=self.system.name,
                 )
-
-    def clip(self, vehicle: Vehicle, fps: Any = 24, start_frame: int = 1001, **flight: Any) -> Clip:
-        """The motion as a clip of ``vehicle``'s rig, for vehicles that know this system (`vehsim.sinusoids.rigs`)."""
-        from vehsim.sinusoids.rigs import clip_of
-
-        return clip_of(self, vehicle, fps, start_frame, **flight)
-
-    def picture(self, path: str | Path, **options: Any) -> Path:
-        """The painted trajectory from above as a PNG (`vehsim.sinusoids.picture`)."""
-        from vehsim.sinusoids.picture import paint
-
-        return paint([self], path, **options)
 
 
 def integrate(system: DriftlessSystem, stage: Stage, x: Array, times: Array) -> Array:
-    """States (k, n) at rising ``times`` (k,) s into a stage: eighth order, steps halved until that changes no more."""
+    """States (k, n) at rising ``times`` (k,) s in a stage: eighth order, with steps halved until the result
+    converges."""
     if stage.duration <= 0:
-        raise InputError(f"{system.name}: stage {stage.label!r}: duration {stage.duration}: give a time above zero")
+        raise InputError(
+            f"stage {stage.label!r} takes no time",
+            "give a time above zero",
+            key="duration",
+            value=stage.duration,
+            subject=system.name,
+        )
     longest, change, ends = stage.duration / (24 * max(1, stage.cycles)), np.inf, times[[0, -1]]
     coarse = _finely(system, stage, x, ends, longest)[-1]
     for _ in range(HALVINGS):
@@ -275,7 +281,7 @@ def integrate(system: DriftlessSystem, stage: Stage, x: Array, times: Array) -> 
             break
     rows = _finely(system, stage, x, times, longest) if len(times) > 2 else np.array([x, fine])
     if not np.all(np.isfinite(rows)):
-        raise SolveError(f"{system.name}: stage {stage.label!r}: runs into a singularity; go by a nearer goal")
+        raise SolveError(f"stage {stage.label!r} runs into a singularity", "go by a nearer goal", subject=system.name)
     return rows
 
 

@@ -1,7 +1,7 @@
-"""Driftless control systems ``x' = g_1(x) u_1 + ... + g_m(x) u_m`` (SIN eq. 1): what all steering starts from.
+"""Driftless control systems ``x' = g_1(x) u_1 + ... + g_m(x) u_m`` (SIN eq. 1), the input of all steering.
 
-A system is written once, as a CasADi expression, or given by its Pfaffian constraints ``W(x) x' = 0``. What one finds
-out about it lives in `algebra.py`, how one steers it in `canonical.py`, `fourier.py` and `trailers.py`.
+A system is a CasADi expression, or given by its Pfaffian constraints ``W(x) x' = 0``. `algebra` analyses it;
+`canonical` and `manoeuvres` steer it.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.errors import InputError
-from vehsim.vehicles.mechanics import matrix as matrix
+from vehsim.vehicles.definition.mechanics import matrix as matrix
 
 Array = NDArray[np.float64]
 BLOCK = 32
-"""Steps of integration in one call."""
+"""Integration steps per call."""
 Expr = Any
 """A CasADi ``SX`` expression."""
 
@@ -30,9 +30,9 @@ Expr = Any
 class DriftlessSystem:
     """``x' = G(x) u`` with ``fields``: x (n,) -> G (n, m), a CasADi expression or nested lists of them.
 
-    ``domain``: state name -> (lower, upper), where the system is meant to be used: random samples are drawn from it and
-    start and goal are held against it; -1 to 1, unchecked, where a state is not named.
-    ``lengths``: of hitches, m, for systems that are seen from above.
+    ``domain``: state name -> (lower, upper), the intended range: random samples are drawn from it, and start and goal
+    are checked against it; states without a range are sampled from -1 to 1 and not checked. ``lengths``: of hitches, m,
+    for systems that are drawn from above.
     """
 
     name: str
@@ -47,11 +47,16 @@ class DriftlessSystem:
         object.__setattr__(self, "inputs", tuple(self.inputs))
         for name in self.domain:
             if name not in self.states:
-                raise InputError(f"{self.name}: domain.{name}: no such state; choose one of {', '.join(self.states)}")
+                raise InputError(
+                    "no such state", f"choose one of {', '.join(self.states)}", key=f"domain.{name}", subject=self.name
+                )
         shape = self.G.shape
         if shape != (self.n, self.m):
             raise InputError(
-                f"{self.name}: fields: shape {shape}; {self.n} states and {self.m} inputs need ({self.n}, {self.m})"
+                f"shape {shape}",
+                f"{self.n} states and {self.m} inputs need ({self.n}, {self.m})",
+                key="fields",
+                subject=self.name,
             )
 
     @property
@@ -101,7 +106,7 @@ class DriftlessSystem:
         return ca.Function("step", [x, inputs, h], [ca.densify(x + h * gained)]).mapaccum(BLOCK)
 
     def march(self, x: Array, u: Array, h: Array) -> Array:
-        """States (k + 1, n) from ``x`` (n,) by steps ``h`` (k,) with inputs ``u`` (k, 12 m) at each one's nodes."""
+        """States (k + 1, n) from ``x`` (n,) with steps ``h`` (k,) and inputs ``u`` (k, 12 m) at the nodes of each."""
         rows = [np.asarray(x, float)[None]]
         for first in range(0, len(h), BLOCK):
             size = min(BLOCK, len(h) - first)
@@ -123,16 +128,25 @@ class DriftlessSystem:
         return random.uniform(bounds[:, 0], bounds[:, 1], (count, self.n))
 
     def check_state(self, key: str, values: Any) -> Array:
-        """A state (n,) as an array; ``InputError`` when a number is missing, not finite or outside the domain."""
+        """A state (n,) as an array. Raises ``InputError`` if a number is missing, not finite or outside the domain."""
         x = np.asarray(values, float).ravel() if values is not None else np.zeros(0)
         if x.shape != (self.n,) or not np.all(np.isfinite(x)):
-            raise InputError(f"{self.name}: {key} = {values!r}: give {self.n} finite numbers: {', '.join(self.states)}")
+            raise InputError(
+                "not a state",
+                f"give {self.n} finite numbers: {', '.join(self.states)}",
+                key=key,
+                value=values,
+                subject=self.name,
+            )
         for name, value in zip(self.states, x, strict=True):
             lower, upper = self.domain.get(name, (-np.inf, np.inf))
             if not lower <= value <= upper:
                 raise InputError(
-                    f"{self.name}: {key}.{name} = {value:g}: outside {lower:g} to {upper:g}, the chart that can be "
-                    "steered in; give a value inside it"
+                    f"outside {lower:g} to {upper:g}, the chart that can be steered in",
+                    "give a value inside it",
+                    key=f"{key}.{name}",
+                    value=value,
+                    subject=self.name,
                 )
         return x
 
@@ -147,14 +161,16 @@ def from_constraints(
 ) -> DriftlessSystem:
     """The system that Pfaffian constraints ``W(x) x' = 0``, W (k, n), leave free (SIN sec. 1).
 
-    The inputs are the rates of the states that the constraints do not determine, chosen so that the rest is well
-    conditioned at ``at``, or throughout the domain. Raises ``InputError`` naming a row that follows from others.
+    The inputs are the rates of the states that the constraints do not determine, chosen so that the constraints are
+    well conditioned at ``at``, or throughout the domain. Raises ``InputError`` naming a dependent row.
     """
     x = ca.vertcat(*(ca.SX.sym(s) for s in states))
     w = matrix(constraints(x))
     rows, n = w.shape
     if n != len(states) or rows >= n:
-        raise InputError(f"{name}: constraints: shape {w.shape}; give fewer than {len(states)} rows of {len(states)}")
+        raise InputError(
+            f"shape {w.shape}", f"give fewer than {len(states)} rows of {len(states)}", key="constraints", subject=name
+        )
     bounds = np.array([(domain or {}).get(s, (-1.0, 1.0)) for s in states])
     random = np.random.default_rng(1).uniform(bounds[:, 0], bounds[:, 1], (8, n))
     points = np.vstack([bounds.mean(axis=1), random]) if at is None else np.asarray(at, float)[None]
@@ -164,8 +180,10 @@ def from_constraints(
     if not regular:
         k = next(k for k in range(rows) if np.linalg.matrix_rank(values[-1][: k + 1]) <= k)
         raise InputError(
-            f"{name}: constraints: row {k + 1} of {rows} is zero or follows from those above it at "
-            f"{np.round(points[-1], 4).tolist()}; drop it, or give another point `at`"
+            f"row {k + 1} of {rows} is zero or follows from those above it at {np.round(points[-1], 4).tolist()}",
+            "drop it, or give another point `at`",
+            key="constraints",
+            subject=name,
         )
     pivots = max(combinations(range(n), rows), key=lambda c: min(smallest_singular_value(v[:, c]) for v in regular))
     free = [i for i in range(n) if i not in pivots]

@@ -14,7 +14,9 @@ from typing import Any
 import numpy as np
 
 from vehsim.errors import InputError
-from vehsim.vehicles._base import Array, Drive, Rig, Vehicle
+from vehsim.rig.rig import Drive, Rig
+from vehsim.vehicles.definition.base import Array
+from vehsim.vehicles.definition.vehicle import Vehicle
 
 Numbers = tuple[float, float, float]
 
@@ -74,9 +76,13 @@ def with_primitives(vehicle: Vehicle, folder: str | Path, parts: Mapping[str, Bo
     for name, part in parts.items():
         if part.channel and part.channel not in vehicle.channels:
             known = ", ".join(vehicle.channels) or "none"
-            raise InputError(f"parts[{name!r}].channel = {part.channel!r}: unknown; {vehicle.name} has {known}")
+            raise InputError(
+                "unknown", f"{vehicle.name} has {known}", key=f"parts[{name!r}].channel", value=part.channel
+            )
         if part.parent and part.parent not in parts:
-            raise InputError(f"parts[{name!r}].parent = {part.parent!r}: unknown; choose one of {', '.join(parts)}")
+            raise InputError(
+                "unknown", f"choose one of {', '.join(parts)}", key=f"parts[{name!r}].parent", value=part.parent
+            )
     paths = {name: _path(name, parts) for name in parts}
     asset = Path(folder) / f"{vehicle.name}.usda"
     _write(asset, vehicle.name, parts, paths)
@@ -98,7 +104,9 @@ def default_parts(vehicle: Vehicle) -> dict[str, Box | Wheel]:
 
 def _path(name: str, parts: Mapping[str, Box | Wheel], depth: int = 0) -> str:
     if depth > len(parts):
-        raise InputError(f"parts[{name!r}].parent = {parts[name].parent!r}: parents go round in a circle; break it")
+        raise InputError(
+            "parents go round in a circle", "break it", key=f"parts[{name!r}].parent", value=parts[name].parent
+        )
     parent = parts[name].parent
     return f"{_path(parent, parts, depth + 1)}/{name}" if parent else name
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim.errors import InputError, Problem
-from vehsim.vehicles._base import State
-from vehsim.world.environment import Environment
+from vehsim.errors import InputError
+from vehsim.integrators.environment import Environment
+from vehsim.vehicles.definition.base import State
 
 Array = NDArray[np.float64]
 
@@ -20,8 +20,8 @@ COMPONENTS = 48
 
 @dataclass(frozen=True)
 class Gusts:
-    """``strength``: standard deviation along the mean wind over its speed (0.1 over open sea, 0.2 over land; across it
-    is 0.75 of that); ``period`` s, the time scale of the large gusts; ``seed``: the same seed gives the same gusts.
+    """``strength``: standard deviation along the mean wind divided by its speed (0.1 over open sea, 0.2 over land; 0.75
+    of that across it); ``period`` s, the time scale of the large gusts; ``seed``: the same seed gives the same gusts.
 
     A sum of waves with Kaimal's spectrum, ``S(f) ~ (1 + 1.5 f period)^(-5/3)``.
     """
@@ -32,8 +32,8 @@ class Gusts:
 
     def __post_init__(self) -> None:
         if not (0 <= self.strength <= 1 and 0.1 <= self.period <= 1000):
-            mend = "give a strength from 0 to 1, and a period from 0.1 to 1000 s"
-            raise InputError(str(Problem("world.gusts", "out of bounds", mend, (self.strength, self.period))))
+            remedy = "give a strength from 0 to 1, and a period from 0.1 to 1000 s"
+            raise InputError("out of bounds", remedy, key="world.gusts", value=(self.strength, self.period))
 
     @cached_property
     def _waves(self) -> tuple[Array, Array, Array]:
@@ -45,26 +45,27 @@ class Gusts:
         return 2 * np.pi * f, np.sqrt(2 * variance / variance.sum()), random.uniform(0, 2 * np.pi, (2, COMPONENTS))
 
     def at(self, wind: Array, t: float) -> Array:
-        """The wind (3,) m/s at ``t`` s whose mean is ``wind`` (3,)."""
+        """The wind (3,) m/s at ``t`` s with the mean ``wind`` (3,)."""
         omega, amplitude, phases = self._waves
         along, across = self.strength * (np.cos(omega * t + phases) @ amplitude)
         return np.asarray((1 + along) * wind + 0.75 * across * np.array([-wind[1], wind[0], 0.0]))
 
 
 class Gusty(Environment):
-    """What gusts add to the mean wind's force on one body: a difference of the vehicle's own force law."""
+    """The force of gusts on one body, in addition to that of the mean wind: a difference of the vehicle's own force
+    law."""
 
     def __init__(self, vehicle: Any, wind: Array, gusts: Gusts):
         import casadi as ca
 
-        from vehsim.vehicles.states import internal
+        from vehsim.vehicles.definition.states import internal
 
         self.vehicle, self.mean, self.gusts, self._internal = vehicle, wind, gusts, internal
         sizes = (vehicle.group.size, 0, 0, vehicle.group.dim, len(vehicle.controls), 3)
         symbols = [ca.SX.sym(name, n) for name, n in zip(("g", "r", "u", "xi", "c", "wind"), sizes, strict=True)]
         g = symbols[0]
         on_group = ca.densify(vehicle.force(*symbols)[1])
-        # a covector on the group is a body wrench through the velocities it is paired with
+        # a covector on the group is a body wrench, through the velocities that it is paired with
         v = ca.SX.sym("v", vehicle.group.dim)
         body = ca.jacobian(vehicle.group.velocity_from_body(g, v), v).T @ on_group
         self._force = ca.Function("force", symbols, [ca.densify(body)])

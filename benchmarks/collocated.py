@@ -1,0 +1,119 @@
+"""Direct collocation of the same vehicles: what DMOC is compared with, as SYM and NH do. No plan is made by it.
+
+Everything but the dynamics is DMOC's own: marks, costs, limits, initial guess, elements and solver. In place of the
+discrete mechanics stand the continuous equations of motion, discretised afterwards by the trapezoidal rule (order 2) or
+by Hermite and Simpson's (order 4; Hargraves and Paris 1987), controls linear between knots.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from vehsim.integrators.continuous import equations_of_motion
+from vehsim.planning.blocks import blocks_of
+from vehsim.planning.certificates import Executed, executed
+from vehsim.planning.constraints.block import assemble, parameter_values, variable_bounds
+from vehsim.planning.guesses.paths import along_paths
+from vehsim.planning.problem.elements import Element
+from vehsim.planning.problem.layout import Layout
+from vehsim.planning.problem.solver import Solution, Solver
+from vehsim.planning.problem.transcription import Array, Transcription
+from vehsim.planning.request.legs import legs_between
+from vehsim.planning.request.marks import Mark
+from vehsim.planning.request.request import ask
+from vehsim.planning.trajectory import Trajectory
+from vehsim.vehicles import Vehicle
+from vehsim.vehicles.definition.mechanics import free_velocity
+
+
+class Collocation(Transcription):
+    """A vehicle's elements with collocated dynamics; ``scheme``: a name of `SCHEMES`."""
+
+    def __init__(self, vehicle: Vehicle, scheme: str):
+        super().__init__(vehicle)
+        self.rule = SCHEMES[scheme]
+
+    @cached_property
+    def substep(self) -> Element:
+        """Defects of a segment, with the variables and parameters of DMOC's; the velocity ``z`` is in none of them."""
+        v = self.symbols("x", "z", "c0", "c1", "x1", "h")
+        wind, start, fraction = ca.SX.sym("wind", 3), ca.SX.sym("start"), ca.SX.sym("fraction")
+        flow = self._flow
+        c_rate = (v["c1"] - v["c0"]) / v["h"]
+
+        def slope(x: Any, s: float) -> Any:
+            return flow(x, v["c0"] + s * (v["c1"] - v["c0"]), c_rate, wind)
+
+        defect = self.rule(slope, v["x"], v["x1"], v["h"])
+        y = ca.vertcat(*v.values())
+        return Element("dynamics", y, {"wind": wind, "start": start, "fraction": fraction}, g=defect)
+
+    @property
+    def _flow(self) -> ca.Function:
+        """``(x, c, c_rate, wind) -> dx/dt`` of a node state, everything scaled as the variables are."""
+        m, v = self.mechanics, self.symbols("x", "c0")
+        c_rate, wind = ca.SX.sym("c_rate", self.sizes[3]), ca.SX.sym("wind", 3)
+        g, r, pi = self.split(v["x"])
+        c, c_dot = v["c0"] * self.control_scale, c_rate * self.control_scale
+        z = m.knot_velocity_guess(r, pi, c)
+        g_dot, r_dot, z_dot = equations_of_motion(self.vehicle)(g, r, z, c, c_dot, wind)
+        given = r_, z_, c_ = [m.symbols[name] for name in ("r", "z", "c0")]
+        momentum = m.knot_momentum(r_, *free_velocity(self.vehicle, r_, z_, m.driven(c_)))
+        rate = ca.jtimes(momentum, ca.vertcat(*given), ca.vertcat(r_dot, z_dot, c_dot))
+        pi_dot = ca.substitute([rate], given, [r, z, c])[0] / self.momentum_scale
+        return ca.Function("flow", [v["x"], v["c0"], c_rate, wind], [ca.densify(ca.vertcat(g_dot, r_dot, pi_dot))])
+
+
+def _trapezoidal(slope: Any, x: Any, x1: Any, h: Any) -> Any:
+    return x1 - x - h / 2 * (slope(x, 0.0) + slope(x1, 1.0))
+
+
+def _hermite_simpson(slope: Any, x: Any, x1: Any, h: Any) -> Any:
+    first, last = slope(x, 0.0), slope(x1, 1.0)
+    middle = slope((x + x1) / 2 + h / 8 * (first - last), 0.5)
+    return x1 - x - h / 6 * (first + 4 * middle + last)
+
+
+SCHEMES = {"trapezoidal": _trapezoidal, "hermite-simpson": _hermite_simpson}
+"""Scheme -> the defect of a segment from the slope at its fractions, the states at its ends and its length."""
+
+
+@dataclass(frozen=True, eq=False)
+class Collocated:
+    """What one solve came to: ``g`` (n, size) at the knots, ``controls`` (n, c), and where they really lead."""
+
+    solution: Solution
+    g: Array
+    controls: Array
+    executed: Executed
+
+
+def solve(transcription: Transcription, marks: Sequence[Mark], segments: int, **options: Any) -> Collocated:
+    """One solve on ``segments`` from DMOC's initial guess: neither coarser before nor finer after, in free space.
+
+    ``transcription``: a `Collocation`, or `transcribe(vehicle)` for DMOC itself; two marks at given frames;
+    ``options``: of `vehsim.plan`, such as ``fps``, ``cost``, ``limits``, ``solver``.
+    """
+    t = transcription
+    request = ask(t.vehicle, None, marks, **({"fps": 24} | options), segments=segments, refine=False)
+    layout = Layout(t.sizes, (segments,))
+    first, last = (mark.frame for mark in request.marks)
+    lengths = np.array([float((last - first) / request.fps) / segments])  # type: ignore[operator]
+    paths = [np.array(leg) for leg in legs_between(request.marks)]
+    guess = Trajectory(request, t, layout, along_paths(t, layout, request.marks, paths, lengths, request.wind))
+    blocks = blocks_of(request, t, None)
+    lower, upper = variable_bounds(guess, blocks)
+    if isinstance(t, Collocation):
+        unused = layout.velocity(np.arange(segments))
+        lower[unused] = upper[unused] = guess.x[unused]
+    problem = assemble(t, layout, blocks)
+    solver = Solver(problem, request.solver, request.max_iterations)
+    solution = solver.solve(guess.x, lower, upper, parameter_values(problem, guess, blocks))
+    g, r, pi, c, steps = Trajectory(request, t, layout, solution.x).knots()
+    return Collocated(solution, g, c, executed(t.mechanics, g, r, pi, c, steps, request.wind))

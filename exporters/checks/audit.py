@@ -1,0 +1,514 @@
+"""Audit a delivery from its files: the composed stage, and the asks in its ``report.json``.
+
+Poses, collision meshes, terrain and obstacles are read from the stage at eighths of a frame. libigl measures distances
+between points on the vehicle's meshes and the triangles of the surroundings, independently of the planner's code.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields, replace
+from fractions import Fraction
+from functools import cached_property
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.audit import PER_FRAME, Row, Scene, Track, audit, missed, not_shown, track_of_poses
+from vehsim.errors import ExportError, InputError
+from vehsim.exporters.usd.metadata import Units
+from vehsim.requests import Ask
+
+if TYPE_CHECKING:
+    from vehsim.clip.clip import Clip
+    from vehsim.delivery.exporters import Progress
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+SPACING = 0.2
+"""Largest distance between points on a vehicle's meshes, m."""
+DISTANCES = ("clearance", "stands")
+"""Measures of distances between hulls."""
+TREAD = 0.15
+"""Largest height above the lowest point of a wheel at which the ground may touch it, m."""
+CELL = 0.5
+"""Points on a vehicle's meshes are grouped into balls of this size, m."""
+
+
+def silent(what: str, done: float) -> None:
+    """Discard progress."""
+
+
+def stage_of(folder: Path, name: str) -> Path | None:
+    """The stage of a delivery in any of its forms; None if there is none."""
+    found = [folder / f"{name}{suffix}" for suffix in (".usda", ".flat.usdc", ".usdz")]
+    return next((path for path in found if path.is_file()), None)
+
+
+def root_in_prim(clip: Clip) -> Array:
+    """``T_rp`` (4, 4): from a vehicle's prim to its rig root's frame, with the asset's axes and units."""
+    from vehsim.exporters.usd.readback import expected_matrices
+
+    first = replace(clip.at(clip.times[:1]), energy={})
+    return np.asarray(np.linalg.inv(first.matrices()[0]) @ expected_matrices(first)[""][0])
+
+
+def joints_in_rig(clip: Clip) -> dict[str, dict[str, Any]]:
+    """How the rig shows a clip's joints: joint -> the ``prim`` below the root, its ``op``, the op's rising ``values``
+    (k,), and the ``joint``'s (k,) that these stand for.
+    """
+    from pxr import UsdGeom
+
+    from vehsim.rig.ops import drive_op, open_rig
+    from vehsim.vehicles.definition.joint_channels import readings
+
+    rig = clip.vehicle.rig
+    assert rig is not None
+    metres_per_unit = UsdGeom.GetStageMetersPerUnit(open_rig(rig.asset, rig)[0])
+    found = {}
+    for joint, (channel, values, at) in readings(clip.vehicle, clip.joints).items():
+        drive = rig.drives[channel]
+        op, factor = drive_op(drive.op, metres_per_unit)
+        shown = values * factor * drive.factor
+        order = np.argsort(shown)
+        found[joint] = {"prim": drive.prim, "op": op, "values": shown[order].tolist(), "joint": at[order].tolist()}
+    return found
+
+
+class Delivered:
+    """A stage opened for auditing. Times are whole frames and eighths of frames between ``first`` and ``last``."""
+
+    def __init__(self, path: Path, fps: Fraction, frames: tuple[int, int]) -> None:
+        from pxr import Usd, UsdGeom
+
+        self.stage = Usd.Stage.Open(str(path))
+        self.root = self.stage.GetDefaultPrim()
+        units = Units(str(UsdGeom.GetStageUpAxis(self.stage)), UsdGeom.GetStageMetersPerUnit(self.stage))
+        self.to_metres = np.linalg.inv(units.matrix)
+        self.fps, self.frames = fps, frames
+        self._cache = UsdGeom.XformCache()
+
+    def vehicle(self, name: str) -> Any:
+        """A vehicle's prim. Raises ``InputError``."""
+        prim = self.stage.GetPrimAtPath(f"{self.root.GetPath()}/vehicles/{name}")
+        if not prim:
+            raise InputError("no such vehicle in the stage", subject=name, file=self.stage.GetRootLayer().realPath)
+        return prim
+
+    def world_matrix(self, prim: Any, frame: float) -> Array:
+        """A prim's world matrix (4, 4) at a frame, in metres, Z up, for column vectors."""
+        self._cache.SetTime(frame)
+        return np.asarray(self.to_metres @ np.array(self._cache.GetLocalToWorldTransform(prim)).T)
+
+    def track(self, name: str, T_rp: Array, joints: Mapping[str, Mapping[str, Any]] = MappingProxyType({})) -> Track:
+        """The motion of a vehicle's rig root, and of the ``joints`` that `joints_in_rig` found in its rig."""
+        first, last = self.frames
+        frames = first + np.arange((last - first) * PER_FRAME + 1) / PER_FRAME
+        prim = self.vehicle(name)
+        T_wp = np.array([self.world_matrix(prim, frame) for frame in frames.tolist()])
+        shown = {joint: self._joint(prim, how, frames) for joint, how in joints.items()}
+        return track_of_poses(frames, self.fps, T_wp @ np.linalg.inv(T_rp), shown)
+
+    def _joint(self, root: Any, how: Mapping[str, Any], frames: Array) -> Array:
+        """A joint (n,) at ``frames``, from the op that shows it; one without values rests at zero."""
+        op = (root.GetPrimAtPath(how["prim"]) if how["prim"] else root).GetAttribute(how["op"])
+        values = np.array([op.Get(frame) if op else 0.0 for frame in frames.tolist()], float)
+        return _through(np.array(how["values"], float), np.array(how["joint"], float), values)
+
+    def meshes(self, scope: Any) -> Iterable[Any]:
+        """The meshes at and below a prim, including instances."""
+        from pxr import Usd, UsdGeom
+
+        for prim in Usd.PrimRange(scope, Usd.TraverseInstanceProxies()) if scope else ():
+            if prim.IsA(UsdGeom.Mesh):
+                yield prim
+
+    def triangles(self, prim: Any, frame: float) -> tuple[Array, Ints]:
+        """A mesh's points (n, 3) m in its own prim's units and its faces (m, 3), fanned."""
+        from pxr import UsdGeom
+
+        mesh = UsdGeom.Mesh(prim)
+        points = np.asarray(mesh.GetPointsAttr().Get(frame), float).reshape(-1, 3)
+        counts = np.asarray(mesh.GetFaceVertexCountsAttr().Get(frame), int)
+        corners = np.asarray(mesh.GetFaceVertexIndicesAttr().Get(frame), int)
+        starts = np.cumsum(counts) - counts
+        faces = [
+            np.column_stack([corners[s], corners[s + k], corners[s + k + 1]])
+            for k in range(1, int(counts.max(initial=2)) - 1)
+            for s in [starts[counts > k + 1]]
+        ]
+        return points, np.vstack([np.zeros((0, 3), int), *faces]).astype(np.int64)
+
+
+class StageScene(Scene):
+    """A vehicle's surroundings in a stage, read from the stage alone; moving obstacles count in their current pose.
+
+    The vehicle is its collision meshes, or all its meshes if it has none, in the stage's poses.
+    """
+
+    def __init__(
+        self, delivered: Delivered, name: str, moving: Sequence[str] = (), progress: Progress = silent
+    ) -> None:
+        self.delivered, self.name = delivered, name
+        self._others, self._progress = moving, progress
+
+    @cached_property
+    def _own(self) -> list[_Cloud]:
+        return [_Cloud.of(self.delivered, prim) for prim in _collision(self.delivered, self._root)]
+
+    @cached_property
+    def _moving(self) -> list[_Body]:
+        return [_Body(self.delivered, self.delivered.vehicle(other)) for other in self._others]
+
+    @cached_property
+    def reach(self) -> float:  # type: ignore[override]
+        first = float(self.delivered.frames[0])
+        base = self.delivered.world_matrix(self._root, first)[:3, 3]
+        corners = np.vstack([cloud.placed(first, cloud.points) for cloud in self._own])
+        return float(np.linalg.norm(corners - base, axis=1).max())
+
+    @cached_property
+    def fastest(self) -> float:  # type: ignore[override]
+        return max((body.fastest for body in self._moving), default=0.0)
+
+    @property
+    def _root(self) -> Any:
+        return self.delivered.vehicle(self.name)
+
+    @cached_property
+    def _terrain(self) -> _Ground | None:
+        return _Ground.of(self.delivered)
+
+    @cached_property
+    def _standing(self) -> list[_Solid]:
+        scope = self.delivered.stage.GetPrimAtPath(f"{self.delivered.root.GetPath()}/env/obstacles")
+        return [_Solid.of(self.delivered, prim) for prim in self.delivered.meshes(scope)]
+
+    def wheel_gap(self, track: Track, prims: Sequence[str]) -> Array:
+        if self._terrain is None:
+            return super().wheel_gap(track, prims)
+        first = float(self.delivered.frames[0])
+        rims = []
+        for path in prims:
+            wheel = self._root.GetPrimAtPath(path) if path else self._root
+            meshes = [mesh for mesh in self.delivered.meshes(wheel) if not _is_guide(mesh)]
+            placed = [
+                _moved(self.delivered.world_matrix(m, first), self.delivered.triangles(m, first)[0]) for m in meshes
+            ]
+            tread = _tread(np.vstack(placed))
+            ends = np.cumsum([len(points) for points in placed])[:-1]
+            rims.append(
+                [
+                    (mesh, self.delivered.triangles(mesh, first)[0][chosen])
+                    for mesh, chosen in zip(meshes, np.split(tread, ends), strict=True)
+                    if chosen.any()
+                ]
+            )
+        found = np.zeros((len(track.frames), len(rims)))
+        for k, frame in enumerate(track.frames.tolist()):
+            for j, rim in enumerate(rims):
+                points = np.vstack([_moved(self.delivered.world_matrix(mesh, frame), own) for mesh, own in rim])
+                low = points[points[:, 2] < points[:, 2].min() + TREAD]
+                found[k, j] = (low[:, 2] - self._terrain.height(low)).min()
+        return np.asarray(np.take_along_axis(found, np.abs(found).argmax(axis=1)[:, None], axis=1)[:, 0])
+
+    def away(self, track: Track, obstacles_only: bool) -> Array:
+        found = np.empty(len(track.frames))
+        for k, frame in enumerate(track.frames.tolist()):
+            self._progress(f"{self.name}: distances at frame {frame:g}", k / len(found))
+            found[k] = self._at(frame, obstacles_only)
+        return found
+
+    def _at(self, frame: float, obstacles_only: bool) -> float:
+        solids: list[_Solid | _Ground] = [*self._standing, *(body.at(frame) for body in self._moving)]
+        if self._terrain is not None and not obstacles_only:
+            solids.append(self._terrain)
+        if not solids:
+            return np.inf
+        centres = np.vstack([cloud.placed(frame, cloud.centres) for cloud in self._own])
+        radii = np.concatenate([cloud.radii for cloud in self._own])
+        nearest = np.inf
+        for solid in solids:
+            away = solid.away(centres)
+            near = away - radii < min(nearest, float((away + radii).min()))
+            if near.any():
+                ends = np.cumsum([len(cloud.radii) for cloud in self._own])[:-1]
+                pieces = zip(self._own, np.split(near, ends), strict=True)
+                points = np.vstack([cloud.placed(frame, cloud.within(chosen)) for cloud, chosen in pieces])
+                nearest = min(nearest, float(solid.away(points).min()))
+        return nearest
+
+
+def _is_guide(prim: Any) -> bool:
+    from pxr import UsdGeom
+
+    return bool(UsdGeom.Imageable(prim).ComputePurpose() == UsdGeom.Tokens.guide)
+
+
+def _tread(points: Array) -> NDArray[np.bool_]:
+    """The points (n,) of a wheel that can touch the ground: those near its largest radius, about its axis of
+    symmetry."""
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    _, axes = np.linalg.eigh(np.cov((points - middle).T))
+    spread = [np.linalg.norm((points - middle) @ np.delete(axes, k, axis=1), axis=1) for k in range(3)]
+    radius = min(spread, key=lambda r: float(r.max()))
+    return np.asarray(radius > 0.85 * radius.max())
+
+
+class _Cloud:
+    """Points on a vehicle's mesh, in balls around ``centres`` (k, 3) of ``radii`` (k,) m; points in the prim's own
+    coordinates."""
+
+    def __init__(self, delivered: Delivered, prim: Any, points: Array) -> None:
+        self.delivered, self.prim = delivered, prim
+        first = delivered.world_matrix(prim, float(delivered.frames[0]))
+        cells = np.floor(_moved(first, points) / CELL).astype(int)
+        _, self.cell = np.unique(cells, axis=0, return_inverse=True)
+        self.cell = self.cell.ravel()
+        self.points = points
+        counts = np.bincount(self.cell)[:, None]
+        self.centres = np.column_stack([np.bincount(self.cell, points[:, k]) for k in range(3)]) / counts
+        scale = np.linalg.norm(first[:3, :3], axis=0).max()
+        self.radii = np.zeros(len(counts))
+        np.maximum.at(self.radii, self.cell, scale * np.linalg.norm(points - self.centres[self.cell], axis=1))
+
+    @classmethod
+    def of(cls, delivered: Delivered, prim: Any) -> _Cloud:
+        frame = float(delivered.frames[0])
+        points, faces = delivered.triangles(prim, frame)
+        scale = float(np.cbrt(abs(np.linalg.det(delivered.world_matrix(prim, frame)[:3, :3]))))
+        return cls(delivered, prim, _spread(points, faces, SPACING / max(scale, 1e-12)))
+
+    def placed(self, frame: float, points: Array) -> Array:
+        """Points (n, 3) of the prim in the world at a frame, m."""
+        return _moved(self.delivered.world_matrix(self.prim, frame), points)
+
+    def within(self, chosen: NDArray[np.bool_]) -> Array:
+        """The points in some of the balls."""
+        return self.points[chosen[self.cell]]
+
+
+class _Blind(Scene):
+    """A scene without distances, which cost more than all other measures."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+
+    def wheel_gap(self, track: Track, prims: Sequence[str]) -> Array:
+        return self.scene.wheel_gap(track, prims)
+
+
+class _Solid:
+    """A closed mesh."""
+
+    def __init__(self, points: Array, faces: Ints) -> None:
+        import igl
+
+        self.points, self.faces = np.ascontiguousarray(points), np.ascontiguousarray(faces)
+        self.tree = igl.AABB()
+        self.tree.init(self.points, self.faces)
+        self.low, self.high = points.min(axis=0), points.max(axis=0)
+
+    @classmethod
+    def of(cls, delivered: Delivered, prim: Any) -> _Solid:
+        frame = float(delivered.frames[0])
+        points, faces = delivered.triangles(prim, frame)
+        return cls(_moved(delivered.world_matrix(prim, frame), points), faces)
+
+    def away(self, points: Array) -> Array:
+        """Signed distances (n,) m of points (n, 3)."""
+        import igl
+
+        points = np.ascontiguousarray(points)
+        squared = np.asarray(self.tree.squared_distance(self.points, self.faces, points)[0])
+        distance = np.sqrt(np.maximum(squared, 0.0))
+        within = np.flatnonzero(((points > self.low) & (points < self.high)).all(axis=1))
+        if len(within):
+            turns = np.asarray(igl.winding_number(self.points, self.faces, np.ascontiguousarray(points[within])))
+            distance[within[np.abs(turns) > 0.5]] *= -1
+        return distance
+
+
+class _Ground:
+    """The terrain's mesh; points below it are inside."""
+
+    def __init__(self, points: Array, faces: Ints) -> None:
+        import igl
+
+        self.points, self.faces = np.ascontiguousarray(points), np.ascontiguousarray(faces)
+        self.flat = np.ascontiguousarray(points * [1.0, 1.0, 0.0])
+        self.tree, self.plan = igl.AABB(), igl.AABB()
+        self.tree.init(self.points, self.faces)
+        self.plan.init(self.flat, self.faces)
+
+    @classmethod
+    def of(cls, delivered: Delivered) -> _Ground | None:
+        scope, frame = delivered.stage.GetPrimAtPath(f"{delivered.root.GetPath()}/env/terrain"), delivered.frames[0]
+        found, count = [], 0
+        for prim in delivered.meshes(scope):
+            points, faces = delivered.triangles(prim, float(frame))
+            found.append((_moved(delivered.world_matrix(prim, float(frame)), points), faces + count))
+            count += len(points)
+        return cls(np.vstack([p for p, _ in found]), np.vstack([f for _, f in found])) if found else None
+
+    def height(self, points: Array) -> Array:
+        """Height (n,) m of the ground below or above points (n, 3); beyond the border, that of the border."""
+        at = np.ascontiguousarray(points * [1.0, 1.0, 0.0])
+        _, face, place = self.plan.squared_distance(self.flat, self.faces, at)
+        a, b, c = (self.points[self.faces[np.ravel(face), k]] for k in range(3))
+        u, v, w = (b - a)[:, :2], (c - a)[:, :2], (np.asarray(place) - a)[:, :2]
+        area = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
+        safe = np.where(np.abs(area) > 1e-12, area, 1.0)
+        s = (w[:, 0] * v[:, 1] - w[:, 1] * v[:, 0]) / safe
+        t = (u[:, 0] * w[:, 1] - u[:, 1] * w[:, 0]) / safe
+        return np.asarray(a[:, 2] + s * (b - a)[:, 2] + t * (c - a)[:, 2])
+
+    def away(self, points: Array) -> Array:
+        """Signed distances (n,) m of points (n, 3): below the ground minus their depth."""
+        above = points[:, 2] - self.height(points)
+        squared = np.asarray(self.tree.squared_distance(self.points, self.faces, np.ascontiguousarray(points))[0])
+        return np.where(above < 0, above, np.sqrt(np.maximum(squared, 0.0)))
+
+
+class _Body:
+    """Another vehicle in its pose in the stage: the convex hull of each of its collision meshes."""
+
+    def __init__(self, delivered: Delivered, root: Any) -> None:
+        self.delivered, first = delivered, float(delivered.frames[0])
+        self.parts = [(prim, *_hull(delivered.triangles(prim, first)[0])) for prim in _collision(delivered, root)]
+        first, last = delivered.frames
+        places = np.array(
+            [
+                np.vstack([_moved(delivered.world_matrix(prim, frame), points) for prim, points, _ in self.parts])
+                for frame in range(first, last + 1)
+            ]
+        )
+        steps = np.linalg.norm(np.diff(places, axis=0), axis=2)
+        self.fastest = float(steps.max(initial=0.0)) * float(delivered.fps)
+
+    def at(self, frame: float) -> _Solid:
+        points, faces, count = [], [], 0
+        for prim, own, triangles in self.parts:
+            points.append(_moved(self.delivered.world_matrix(prim, frame), own))
+            faces.append(triangles + count)
+            count += len(own)
+        return _Solid(np.vstack(points), np.vstack(faces))
+
+
+def _through(x: Array, y: Array, at: Array) -> Array:
+    """The monotone curve through ``y`` (n,) at rising ``x`` (n,), straight beyond its ends."""
+    from vehsim.clip.interpolant import monotone
+
+    inside = np.clip(at, x[0], x[-1])
+    slope = np.where(at < x[0], (y[1] - y[0]) / (x[1] - x[0]), (y[-1] - y[-2]) / (x[-1] - x[-2]))
+    return np.asarray(monotone(x, y, inside) + slope * (at - inside))
+
+
+def _collision(delivered: Delivered, root: Any) -> list[Any]:
+    """A vehicle's collision meshes; all its meshes if it has none."""
+    from pxr import UsdPhysics
+
+    every = list(delivered.meshes(root))
+    return [prim for prim in every if prim.HasAPI(UsdPhysics.CollisionAPI)] or every
+
+
+def _spread(points: Array, faces: Ints, spacing: float) -> Array:
+    """The points of a mesh, and additional ones on triangles longer than ``spacing``."""
+    more = [points]
+    for a, b, c in points[faces]:
+        n = int(np.ceil(max(np.linalg.norm(b - a), np.linalg.norm(c - a), np.linalg.norm(c - b)) / spacing))
+        if n > 1:
+            i, j = np.meshgrid(np.arange(n + 1), np.arange(n + 1))
+            inside = i + j <= n
+            more.append(a + np.outer(i[inside] / n, b - a) + np.outer(j[inside] / n, c - a))
+    return np.unique(np.vstack(more), axis=0)
+
+
+def _hull(points: Array) -> tuple[Array, Ints]:
+    from scipy.spatial import ConvexHull
+
+    hull = ConvexHull(points)
+    inside = points.mean(axis=0)
+    corners = points[hull.simplices]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    flipped = np.sum(normal * (corners[:, 0] - inside), axis=1) < 0
+    faces = np.where(flipped[:, None], hull.simplices[:, ::-1], hull.simplices)
+    return points, faces.astype(np.int64)
+
+
+def _moved(matrix: Array, points: Array) -> Array:
+    return np.asarray(points @ matrix[:3, :3].T + matrix[:3, 3])
+
+
+def audit_stage(
+    path: Path, report: Mapping[str, Any], distances: bool = True, progress: Progress = silent
+) -> dict[str, list[Row]]:
+    """Measure the stage at ``path`` against the asks of a ``report.json``; rows by vehicle.
+
+    ``distances``: also measure those to terrain and obstacles; otherwise rows that need them have ``met`` None. Raises
+    ``InputError`` for a report without asks.
+    """
+    try:
+        first, last = map(int, report["frames"])
+        delivered = Delivered(path, Fraction(report["fps"]), (first, last))
+        asked = {name: [_ask(row) for row in rows] for name, rows in report["audit"].items()}
+        roots = {name: np.array(report["vehicles"][name]["T_rp"], float) for name in asked}
+        joints = {name: report["vehicles"][name].get("joints", {}) for name in asked}
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise InputError(f"report.json holds no asks ({error!r})", "export the shot again", file=path.parent) from None
+    moving = [obstacle["vehicle"] for obstacle in _obstacles(report) if obstacle.get("shape") == "vehicle"]
+    rows: dict[str, list[Row]] = {}
+    for name, asks in asked.items():
+        others = [other for other in moving if other != name and other in asked]
+        scene = StageScene(delivered, name, others, progress)
+        progress(f"{name}: reading the stage", 0.0)
+        track = delivered.track(name, roots[name], joints[name])
+        rows[name] = [
+            row if distances or row.measure not in DISTANCES else not_shown(ask)
+            for ask, row in zip(asks, audit(track, asks, scene if distances else _Blind(scene)), strict=True)
+        ]
+    return rows
+
+
+def with_stage(path: Path, report: Mapping[str, Any]) -> dict[str, list[dict[str, Any]]]:
+    """The rows of a report's ``audit``, each with the measurement on the stage at ``path`` under ``stage``.
+
+    Distances are not measured again: whole frames have been read back, and between them the stage follows the clip.
+    Raises ``ExportError`` if the stage misses what the clip meets.
+    """
+    found, wrong = {}, []
+    for name, rows in audit_stage(path, report, distances=False).items():
+        found[name] = [
+            {**asked, "stage": {key: getattr(row, key) for key in ("value", "frame", "met")}}
+            for asked, row in zip(report["audit"][name], rows, strict=True)
+        ]
+        wrong += [f"{name}: {row}" for row in missed(rows)]
+    if wrong:
+        raise ExportError(f"the composed stage misses requests: {'; '.join(wrong[:3])}", file=path.name)
+    return found
+
+
+def _ask(row: Mapping[str, Any]) -> Ask:
+    return Ask(**{field.name: row[field.name] for field in fields(Ask)})
+
+
+def _obstacles(report: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
+    found: Sequence[Mapping[str, Any]] = report["solved"]["shot"].get("world", {}).get("obstacle", ())
+    return found
+
+
+def audit_delivery(folder: Path, progress: Progress = silent) -> dict[str, list[Row]]:
+    """Audit the content of a delivery's folder. Raises ``InputError`` for a folder that is not a delivery."""
+    try:
+        report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+        path = stage_of(folder, report["shot"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"not a delivery: {error}", "give a folder that vehsim export wrote", file=folder) from None
+    if path is None:
+        raise InputError("no stage in it", "export with --to usd, flat or usdz", file=folder)
+    return audit_stage(path, report, progress=progress)

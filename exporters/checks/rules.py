@@ -1,0 +1,274 @@
+"""Our own rules for stages: time, motion, units and composition; each issue has a fix.
+
+A rule is a function of the composed stage that yields issues. `validate.py` runs USD's and other validators.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Issue:
+    """A fault of a stage. ``severity`` is "error" or "warning"; ``site`` a prim, property or layer."""
+
+    severity: str
+    rule: str
+    site: str
+    message: str
+    remedy: str
+
+    def __str__(self) -> str:
+        return f"{self.severity}: {self.site}: {self.message} [{self.rule}]; {self.remedy}"
+
+
+def _time_metadata(stage: Any) -> Iterator[Issue]:
+    """A moving stage has a time range, and plays at the rate for which it was made."""
+    layer = stage.GetRootLayer()
+    if not any(attribute.GetNumTimeSamples() for attribute in _animated(stage)):
+        return
+    for key in ("timeCodesPerSecond", "framesPerSecond", "startTimeCode", "endTimeCode"):
+        if not layer.pseudoRoot.HasInfo(key):
+            yield Issue("error", "time", layer.identifier, f"{key} is not authored", f"set {key} on the root layer")
+    if stage.GetTimeCodesPerSecond() != stage.GetFramesPerSecond():
+        message = f"timeCodesPerSecond {stage.GetTimeCodesPerSecond():g} is not framesPerSecond "
+        remedy = "author the same value for both, so that a time code is a frame"
+        yield Issue("warning", "time", layer.identifier, f"{message}{stage.GetFramesPerSecond():g}", remedy)
+
+
+def _sample_range(stage: Any) -> Iterator[Issue]:
+    """No sample is farther outside the playback range than a shutter opens; reported once per layer."""
+    if not stage.HasAuthoredTimeCodeRange():
+        return
+    start, end = stage.GetStartTimeCode(), stage.GetEndTimeCode()
+    outside: dict[str, list[Any]] = defaultdict(list)
+    for attribute in _animated(stage):
+        times = attribute.GetTimeSamples()
+        if times and (times[0] < start - 1 or times[-1] > end + 1):
+            layer = attribute.GetPropertyStack(times[0])[0].layer
+            outside[layer.GetDisplayName()].append((attribute.GetPath(), times[0], times[-1]))
+    for layer, found in outside.items():
+        path, first, last = found[0]
+        more = f" and {len(found) - 1} more" if len(found) > 1 else ""
+        message = f"samples {first:g}..{last:g} of {layer} leave the stage's {start:g}..{end:g}"
+        remedy = "widen startTimeCode and endTimeCode, offset the layer, or cut the samples"
+        yield Issue("warning", "range", f"{path}{more}", message, remedy)
+
+
+def _finite_values(stage: Any) -> Iterator[Issue]:
+    """No transform, point or lens is NaN or infinite."""
+    for attribute in _animated(stage):
+        times = attribute.GetTimeSamples() or [None]
+        for time in times:
+            value = attribute.Get() if time is None else attribute.Get(time)
+            if value is not None and not np.isfinite(_numbers(value)).all():
+                at = "" if time is None else f" at time code {time:g}"
+                remedy = "export it again from finite motion"
+                yield Issue("error", "finite", str(attribute.GetPath()), f"not a finite number{at}", remedy)
+                break
+
+
+def _quaternion_signs(stage: Any) -> Iterator[Issue]:
+    """Neighbouring quaternions lie in one hemisphere: software that interpolates linearly would rotate them the long
+    way."""
+    for attribute in _animated(stage):
+        if not str(attribute.GetTypeName()).startswith("quat"):
+            continue
+        times = attribute.GetTimeSamples()
+        if len(times) > 1:
+            values = np.array([_numbers(attribute.Get(time)) for time in times])
+            flips = np.flatnonzero((values[1:] * values[:-1]).sum(axis=1) < 0)
+            if len(flips):
+                message = f"changes sign after time code {times[flips[0]]:g}"
+                remedy = "negate the quaternions after it"
+                yield Issue("warning", "sign", str(attribute.GetPath()), message, remedy)
+
+
+def _backward_spins(stage: Any) -> Iterator[Issue]:
+    """No wheel or rotor turns backwards between samples: angles are unwrapped, and no spin is left to slerp."""
+    for attribute in _animated(stage):
+        name, times = attribute.GetName(), attribute.GetTimeSamples()
+        if len(times) < 3:
+            continue
+        if name.startswith(("xformOp:rotateX", "xformOp:rotateY", "xformOp:rotateZ")) and len(name.split(":")[1]) == 7:
+            steps = np.diff([float(attribute.Get(time)) for time in times])
+            ways = np.sign(steps * np.median(steps))
+            # a wrapped angle jumps back between forward steps; a reversed propeller continues to turn back
+            alone = np.concatenate([[1], ways[:-1]]) + np.concatenate([ways[1:], [1]]) > 0
+            back = np.flatnonzero((np.abs(steps) > 180) & (ways < 0) & alone)
+            if len(back):
+                message = f"turns back by {abs(steps[back[0]]):.4g} degrees after time code {times[back[0]]:g}"
+                remedy = "unwrap its angles: let them continue beyond 360"
+                yield Issue("error", "spin", str(attribute.GetPath()), message, remedy)
+        elif str(attribute.GetTypeName()).startswith("quat"):
+            q = np.array([_numbers(attribute.Get(time)) for time in times])
+            q /= np.linalg.norm(q, axis=1, keepdims=True)
+            turns = 2 * np.degrees(np.arccos(np.clip(np.abs((q[1:] * q[:-1]).sum(axis=1)), 0, 1)))
+            if (fast := np.flatnonzero(turns > 150)).size > 1:
+                message = f"turns {turns[fast[0]]:.0f} degrees from time code {times[fast[0]]:g} to the next"
+                remedy = "spin by a scalar rotate op with running degrees: slerp goes the short way round"
+                yield Issue("warning", "spin", str(attribute.GetPath()), message, remedy)
+
+
+def _invertible(stage: Any) -> Iterator[Issue]:
+    """No transform is singular: its content could not be placed, lit or picked."""
+    from pxr import UsdGeom
+
+    for prim in stage.Traverse():
+        if prim.IsA(UsdGeom.Xformable) and prim.GetAuthoredPropertyNames():
+            matrix = np.array(UsdGeom.Xformable(prim).GetLocalTransformation(stage.GetStartTimeCode()))[:3, :3]
+            if not np.isfinite(matrix).all():
+                continue  # the rule of finite values reports it
+            sizes = np.linalg.svd(matrix, compute_uv=False)
+            if not sizes[-1] > 1e-9 * max(sizes[0], 1e-30):
+                yield Issue("error", "scale", str(prim.GetPath()), "its transform cannot be inverted", "fix its scale")
+
+
+def _op_orders(stage: Any) -> Iterator[Issue]:
+    """Every op in an xformOpOrder exists: USD skips missing ones, with a warning at every evaluation."""
+    for prim in stage.Traverse():
+        order = prim.GetAttribute("xformOpOrder")
+        for name in (order.Get() if order else None) or []:
+            op = name.removeprefix("!invert!")
+            if op != "!resetXformStack!" and not prim.HasAttribute(op):
+                remedy = "author the op, or take it out of the order"
+                yield Issue(
+                    "error", "ops", str(prim.GetPath()), f"xformOpOrder names {op}, which does not exist", remedy
+                )
+
+
+def _believable_sizes(stage: Any) -> Iterator[Issue]:
+    """A model is between a centimetre and a hundred kilometres large; otherwise its unit is wrong."""
+    from pxr import Kind, Usd, UsdGeom
+
+    metres = UsdGeom.GetStageMetersPerUnit(stage)
+    cache = UsdGeom.BBoxCache(Usd.TimeCode(stage.GetStartTimeCode()), [UsdGeom.Tokens.default_], useExtentsHint=True)
+    prims = iter(stage.Traverse())
+    for prim in prims:
+        if not Kind.Registry.IsA(Usd.ModelAPI(prim).GetKind(), Kind.Tokens.component):
+            continue
+        prims.PruneChildren()
+        bound = cache.ComputeWorldBound(prim).ComputeAlignedRange()
+        size = 0.0 if bound.IsEmpty() else metres * max(bound.GetSize())
+        if size and not 0.01 <= size <= 1e5:
+            remedy = "fix metersPerUnit where it was made, or scale the prim"
+            yield Issue("warning", "scale", str(prim.GetPath()), f"{size:.3g} m large", remedy)
+
+
+def _dead_overs(stage: Any) -> Iterator[Issue]:
+    """Every opinion is visible: none on a prim that nothing defines, none below an instance.
+
+    A layer that consists only of overs is meant for sublayering, and is checked there.
+    """
+    from pxr import Usd
+
+    if not any(prim.IsDefined() for prim in stage.GetPseudoRoot().GetAllChildren()):
+        return
+    prims = iter(Usd.PrimRange.Stage(stage, Usd.PrimAllPrimsPredicate))
+    for prim in prims:
+        if not prim.IsDefined() and not prim.IsAbstract():
+            prims.PruneChildren()
+            layer = prim.GetPrimStack()[0].layer.GetDisplayName() if prim.GetPrimStack() else "no layer"
+            remedy = "fix its path, or the reference that should define it"
+            yield Issue(
+                "error",
+                "dead over",
+                str(prim.GetPath()),
+                f"{layer} has an opinion on it, but nothing defines it",
+                remedy,
+            )
+        elif prim.IsInstance():
+            for node in _nodes_above(prim):
+                for layer in node.layerStack.layers:
+                    spec = layer.GetPrimAtPath(node.path)
+                    if spec and spec.nameChildren:
+                        what = f"{layer.GetDisplayName()} says something of {spec.nameChildren[0].name} in an instance"
+                        remedy = "set instanceable = false on it, or author the opinion in the referenced layer"
+                        yield Issue("error", "dead over", str(prim.GetPath()), what, remedy)
+
+
+def _nodes_above(instance: Any) -> Iterator[Any]:
+    """The places of opinions on an instance that its prototype does not share: its own, and those of its ancestors."""
+
+    from pxr import Pcp
+
+    def walk(node: Any) -> Iterator[Any]:
+        if node.arcType == Pcp.ArcTypeRoot or node.IsDueToAncestor():
+            yield node
+        for child in node.children:
+            yield from walk(child)
+
+    yield from walk(instance.GetPrimIndex().rootNode)
+
+
+def _foreign_units(stage: Any) -> Iterator[Issue]:
+    """A referenced layer in other units is scaled by the prim that references it, because USD does not convert."""
+    from pxr import Usd
+
+    for prim in stage.Traverse():
+        if not prim.HasAuthoredReferences():
+            continue
+        for arc in Usd.PrimCompositionQuery.GetDirectReferences(prim).GetCompositionArcs():
+            theirs, ours = arc.GetTargetLayer(), arc.GetIntroducingLayer()
+            if not all(layer and layer.pseudoRoot.HasInfo("metersPerUnit") for layer in (theirs, ours)):
+                continue
+            ratio = theirs.pseudoRoot.GetInfo("metersPerUnit") / ours.pseudoRoot.GetInfo("metersPerUnit")
+            if np.isclose(ratio, 1.0):
+                continue
+            source = Usd.Stage.Open(theirs)  # a prim is valid only while its stage is held
+            scale = _scale(prim) / _scale(source.GetPrimAtPath(arc.GetTargetPrimPath()))
+            if not np.isclose([scale, scale * _scale(prim.GetParent())], ratio, rtol=1e-3).any():
+                message = (
+                    f"references {theirs.GetDisplayName()}, whose unit is {ratio:g} times ours, scaled by {scale:g}"
+                )
+                yield Issue("warning", "units", str(prim.GetPath()), message, f"scale the prim by {ratio:g}")
+
+
+def _scale(prim: Any) -> float:
+    from pxr import UsdGeom
+
+    if not prim or not prim.IsA(UsdGeom.Xformable):
+        return 1.0
+    return (
+        float(abs(np.linalg.det(np.array(UsdGeom.Xformable(prim).GetLocalTransformation())[:3, :3])) ** (1 / 3)) or 1.0
+    )
+
+
+OWN_RULES: tuple[Callable[[Any], Iterator[Issue]], ...] = (
+    _time_metadata,
+    _sample_range,
+    _finite_values,
+    _quaternion_signs,
+    _backward_spins,
+    _invertible,
+    _op_orders,
+    _believable_sizes,
+    _dead_overs,
+    _foreign_units,
+)
+
+
+def _animated(stage: Any) -> Iterator[Any]:
+    """The attributes that determine motion and shape."""
+    from pxr import UsdGeom
+
+    for prim in stage.Traverse():
+        for attribute in prim.GetAuthoredAttributes():
+            name = attribute.GetName()
+            if name.startswith("xformOp:") or name == "points" or (prim.IsA(UsdGeom.Camera) and ":" not in name):
+                yield attribute
+
+
+def _numbers(value: Any) -> Any:
+    """Any USD value as an array of numbers; empty if it is not numeric."""
+    if hasattr(value, "imaginary"):
+        return np.array([value.real, *value.imaginary], float)
+    try:
+        return np.asarray(value, float).ravel()
+    except (TypeError, ValueError):
+        return np.empty(0)

@@ -1,0 +1,115 @@
+"""An off-screen OpenGL context with MuJoCo's renderer: from scenes to colour, depth and geoms per pixel.
+
+This module draws; `render.py` decides what to draw, and from where.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.errors import ExportError
+from vehsim.exporters.pictures.water import WaterView
+
+Picture = NDArray[np.uint8]
+
+INSTALL_EGL = (
+    "install libegl1 and libgl1-mesa-dri (Debian, Ubuntu), mesa-libEGL and mesa-dri-drivers (Fedora), or a GPU driver "
+    "with EGL"
+)
+OPAQUE, TRANSLUCENT = 0, 1
+"""Geom groups."""
+
+
+class Canvas:
+    """An off-screen OpenGL context with MuJoCo's renderer and one scene. Raises ``ExportError`` without EGL."""
+
+    def __init__(self, model: Any, width: int, height: int) -> None:
+        import mujoco
+
+        try:
+            self._gl: Any = mujoco.GLContext(width, height)
+            self._gl.make_current()
+        except Exception as error:  # MuJoCo and PyOpenGL may raise anything
+            raise ExportError(f"no off-screen OpenGL (EGL): {_first_line(error)}", INSTALL_EGL) from error
+        try:
+            self._context: Any = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        except Exception as error:
+            self._gl.free()
+            message = f"OpenGL cannot draw {width} x {height} px off-screen here ({_first_line(error)})"
+            raise ExportError(message, "ask for a smaller render.size or fewer render.samples") from error
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
+        self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
+        self._model = model
+        self.scene = mujoco.MjvScene(model, model.ngeom + 100)
+        self.glass = mujoco.MjvScene(model, model.ngeom + 100)
+        self.solid = mujoco.MjvScene(model, model.ngeom + 100)
+
+    @property
+    def cameras(self) -> Iterator[Any]:
+        """The cameras of all scenes; each has two eyes, drawn as their mean."""
+        for scene in (self.scene, self.glass, self.solid):
+            yield from scene.camera
+
+    def update(self, data: Any) -> None:
+        """Take geoms and lights from ``data``: all into ``scene``, translucent ones also into the other scenes."""
+        import mujoco
+
+        everything, free, option = mujoco.mjtCatBit.mjCAT_ALL, mujoco.MjvCamera(), mujoco.MjvOption()
+        mujoco.mjv_updateScene(self._model, data, option, None, free, everything, self.scene)
+        for scene, hidden in ((self.glass, OPAQUE), (self.solid, TRANSLUCENT)):
+            option.geomgroup[:] = np.arange(len(option.geomgroup)) != hidden
+            mujoco.mjv_updateScene(self._model, data, option, None, free, everything, scene)
+
+    def draw_water(self, water: WaterView, data: Any, frame: float) -> None:
+        """Update the water to a frame, as seen from the camera's current place."""
+        self._gl.make_current()
+        water.draw(self._model, data, self._context, frame, np.array(self.scene.camera[0].pos, float))
+
+    def draw(self, scene: Any, size: tuple[int, int], **flags: bool) -> Picture:
+        """Colour (h, w, 3) from the bottom row up.
+
+        ``size`` (w, h) px, within the context's; ``flags``: those of the renderer (SHADOW, FOG, SKYBOX, ...); others
+        are off.
+        """
+        import mujoco
+
+        for k, name in enumerate(mujoco.mjtRndFlag.__members__):
+            if k < len(scene.flags):
+                scene.flags[k] = flags.get(name.removeprefix("mjRND_"), name == "mjRND_CULL_FACE")
+        rect, colour = mujoco.MjrRect(0, 0, *size), np.empty((*size[::-1], 3), np.uint8)
+        self._gl.make_current()
+        mujoco.mjr_render(rect, scene, self._context)
+        mujoco.mjr_readPixels(colour, None, rect, self._context)
+        return colour
+
+    def depth(self, size: tuple[int, int]) -> NDArray[np.float32]:
+        """Depth of the last drawing (h, w), 0 where there is nothing opaque, from the bottom row up."""
+        import mujoco
+
+        depth = np.empty(size[::-1], np.float32)
+        mujoco.mjr_readPixels(None, depth, mujoco.MjrRect(0, 0, *size), self._context)
+        return depth
+
+    def draw_ids(self, size: tuple[int, int]) -> NDArray[np.int64]:
+        """The visible opaque geom (h, w), -1 for none, from the bottom row up."""
+        colour = self.draw(self.solid, size, SEGMENT=True, IDCOLOR=True).astype(np.int32)
+        # 0 is the background, then in the scene's order
+        drawn = colour[..., 0] + 256 * colour[..., 1] + 65536 * colour[..., 2]
+        geoms = np.full(self.solid.ngeom + 1, -1)
+        for geom in self.solid.geoms[: self.solid.ngeom]:
+            geoms[geom.segid + 1] = geom.objid
+        geoms[0] = -1
+        return geoms[drawn]
+
+    def close(self) -> None:
+        self._gl.make_current()
+        self._context.free()
+        self._gl.free()
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).strip().split("\n")[0]

@@ -1,0 +1,76 @@
+"""Depth and segmentation in addition to a picture: for compositing, and for checks that are independent of light.
+
+Depth is metres along the view as 32-bit TIFF, 0 for the background. Segmentation is a colour for each prim, computed
+from its path, so that it does not change when other prims do; ``legend.json`` maps colours to prims. Both have the
+picture's size, no anti-aliasing, and see through translucent surfaces. This module writes and reads their files.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.errors import InputError
+
+SUFFIXES = {"depth": ".tif", "segmentation": ".png"}
+"""Pass -> suffix of its files."""
+LEGEND = "legend.json"
+
+
+def pass_path(picture: Path, kind: str) -> Path:
+    """The file of a ``picture``'s pass: ``<camera>/depth/<shot>.<camera>.depth.1001.tif``."""
+    name, _, frame = picture.stem.rpartition(".")
+    return picture.parent / kind / f"{name}.{kind}.{frame}{SUFFIXES[kind]}"
+
+
+def prim_colours(paths: Sequence[str]) -> NDArray[np.uint8]:
+    """A unique colour (n, 3) for each prim path, never black."""
+    taken: dict[bytes, str] = {bytes(3): ""}
+    for path in paths:
+        colour, salt = hashlib.sha256(path.encode()).digest()[:3], 0
+        while taken.setdefault(colour, path) != path:
+            salt += 1
+            colour = hashlib.sha256(f"{path}#{salt}".encode()).digest()[:3]
+    of_path = {path: colour for colour, path in taken.items()}
+    return np.array([list(of_path[path]) for path in paths], np.uint8).reshape(-1, 3)
+
+
+def write_legend(paths: Sequence[str], folder: Path) -> Path:
+    """The legend: ``#rrggbb`` -> prim path."""
+    colours = prim_colours(paths)
+    legend = {f"#{bytes(colour).hex()}": path for colour, path in zip(colours, paths, strict=True)}
+    target = folder / LEGEND
+    target.write_text(json.dumps(dict(sorted(legend.items(), key=lambda item: item[1])), indent=1), encoding="utf-8")
+    return target
+
+
+def read_legend(folder: Path) -> dict[str, str]:
+    """``#rrggbb`` -> prim path, of the segmentation in ``folder``; empty if there is none."""
+    legend = folder / LEGEND
+    return dict(json.loads(legend.read_text(encoding="utf-8"))) if legend.is_file() else {}
+
+
+def segmentation_of(path: Path, kind: str) -> Path:
+    """The segmentation of a picture, or of its pass ``kind``."""
+    if kind in SUFFIXES:  # <camera>/<kind>/<shot>.<camera>.<kind>.1001.tif
+        path = path.parent.parent / path.name.replace(f".{kind}.", ".")
+    return pass_path(path, "segmentation")
+
+
+def read_depth(path: Path) -> NDArray[np.float32]:
+    """Metres (h, w) along the view; 0: background. Raises ``InputError`` for a file that is not a depth pass."""
+    from PIL import Image
+
+    try:
+        with Image.open(path) as image:
+            depth = np.asarray(image, np.float32)
+    except OSError as error:
+        raise InputError(f"not a depth that can be read ({error})", "render it again", file=path) from None
+    if depth.ndim != 2:
+        raise InputError(f"has {depth.shape[-1]} channels, depth has one", "give 32-bit metres", file=path)
+    return depth

@@ -1,0 +1,326 @@
+"""Draw a stage with MuJoCo's renderer over EGL: one rigid body per moving group, the camera exactly as in USD.
+
+This module makes the MuJoCo model of a stage and a frame's picture. `stage.py` reads the stage, `shading.py` determines
+the look, `frames.py` and `film.py` write files.
+"""
+
+from __future__ import annotations
+
+import os
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.exporters.pictures.canvas import OPAQUE, TRANSLUCENT, Canvas, Picture
+from vehsim.exporters.pictures.passes import prim_colours
+from vehsim.exporters.pictures.water import WaterView, places_of
+from vehsim.exporters.usd.scenery.shading import author_material, author_skybox, light_for
+from vehsim.exporters.usd.stage import Shape, StageReader
+
+Array = NDArray[np.float64]
+
+SHADOW_MAP = 3072
+SHADOW_REACH = (20.0, 115.0)
+"""Half the width of the ground that the shadow map covers, m, minimum and maximum; it moves with the camera."""
+SHADOW_DEPTH = 17_000.0
+"""Far plane in units of the shadow map's reach. MuJoCo biases shadows by steps of the depth range; a long range
+prevents slopes under grazing light from casting jagged shadows on themselves."""
+SUPERSAMPLE = 4
+"""Largest number of drawn pixels per delivered pixel, along each side; 2 for the usual four samples. Supersampling
+smooths shadow edges and texture, which multisampling cannot."""
+LARGEST = 16_000
+"""Longest side of an off-screen buffer, px; 16384 is refused."""
+NEAREST, BILINEAR = 0, 2
+"""Pillow's `Resampling`."""
+HAZE = (10.0, 760.0)
+"""Distances at which haze starts and at which it hides everything, m."""
+
+
+class StageRenderer:
+    """Renders frames of a stage as 8-bit RGB. A context manager: it holds an OpenGL context.
+
+    ``size`` (width, height) px. Raises ``ExportError`` if there is no EGL.
+    """
+
+    def __init__(self, stage: StageReader, size: tuple[int, int], shadows: bool = True, samples: int = 4) -> None:
+        os.environ.setdefault("MUJOCO_GL", "egl")
+        import mujoco
+
+        self.stage, self.size = stage, size
+        self._shadows = shadows
+        grounded = stage.water is None and any(not shape.group for shape in stage.shapes)
+        self._light = light_for(stage.sun(), stage.sky(), grounded)
+        self._water = None if stage.water is None else WaterView(stage, self._light, shadows)
+        self._bounds = _bounds(stage)
+        self._reach = _shadow_reach(stage, self._bounds)
+        self._shadow_axes = _across(self._light.direction)
+        self._supersample = max(1, min(SUPERSAMPLE, round(samples**0.5), LARGEST // max(size)))
+        width, height = self._supersample * size[0], self._supersample * size[1]
+        self._model = self._spec(width, height).compile()
+        self._data = mujoco.MjData(self._model)
+        self._mocap = {
+            group: self._model.body_mocapid[self._model.body(f"group{k}").id] for k, group in enumerate(stage.groups)
+        }
+        self._size = width, height
+        self._canvas = Canvas(self._model, width, height)
+
+    def __enter__(self) -> StageRenderer:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Release the OpenGL context."""
+        self._canvas.close()
+
+    def render(self, camera: str, frame: float) -> Picture:
+        """The picture (height, width, 3) of ``camera`` at a time code."""
+        from PIL import Image
+
+        self._pose(camera, frame)
+        self._place_lights()
+        canvas, side = self._canvas, self._supersample
+        if self._water is not None:
+            canvas.draw_water(self._water, self._data, frame)
+        colour = canvas.draw(canvas.scene, self._size, SHADOW=self._shadows, FOG=True)
+        depth = canvas.depth(self._size)
+        if self._water is not None:
+            colour = self._wet(colour, depth, camera, frame)
+        colour, opaque = colour[::-1], depth[::-1] > 0
+        if opaque.all():
+            return np.asarray(Image.fromarray(colour).reduce(side))
+        # Haze would hide the sky, so it is drawn separately with the translucent geoms in front of it, at half the
+        # size.
+        half = (-(-self._size[0] // 2), -(-self._size[1] // 2))
+        sky = Image.fromarray(canvas.draw(canvas.glass, half, SKYBOX=True)[::-1])
+        sky = sky.resize(self.size, BILINEAR)
+        left, top, right, bottom = box = _box(opaque, side)
+        behind = sky.crop(tuple(edge // side for edge in box)).resize((right - left, bottom - top), NEAREST)
+        part = slice(top, bottom), slice(left, right)
+        behind.paste(Image.fromarray(colour[part]), mask=Image.fromarray(opaque[part]))
+        sky.paste(behind.reduce(side), (left // side, top // side))
+        return np.asarray(sky)
+
+    def passes(self, camera: str, frame: float) -> tuple[NDArray[np.float32], Picture]:
+        """Depth (height, width) m along the view, 0 for the background, and the prims' colours (height, width, 3).
+
+        Translucent surfaces are ignored. Prims are those of `prims`, coloured by `passes.prim_colours`.
+        """
+        self._pose(camera, frame)
+        if self._water is not None:
+            self._canvas.draw_water(self._water, self._data, frame)
+        of_geom, depth = self._canvas.draw_ids(self.size), self._canvas.depth(self.size)
+        near, far = self._drawn(self.stage.camera(camera, frame)[3])
+        away = near * far / (depth * (far - near) + near)
+        colours = np.vstack([prim_colours(self.prims), np.zeros((1, 3), np.uint8)])  # the last one, -1: background
+        return np.where(of_geom < 0, 0.0, away).astype(np.float32)[::-1], colours[of_geom][::-1]
+
+    @property
+    def prims(self) -> list[str]:
+        """The paths of the drawn prims, in the order of the model's geoms."""
+        names = {f"shape{k}": shape.name for k, shape in enumerate(self.stage.shapes)} | {"water": self.stage.water}
+        return [str(names[self._model.geom(k).name]) for k in range(self._model.ngeom)]
+
+    def _pose(self, camera: str, frame: float) -> None:
+        """Set all moving groups, and the camera, to a time code."""
+        import mujoco
+
+        for group, T_wg in self.stage.matrices(frame).items():
+            place = self._mocap[group]
+            self._data.mocap_pos[place] = T_wg[:3, 3]
+            mujoco.mju_mat2Quat(self._data.mocap_quat[place], T_wg[:3, :3].ravel())
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_camlight(self._model, self._data)
+        self._canvas.update(self._data)
+        self._place_camera(camera, frame)
+
+    def _drawn(self, clip: tuple[float, float]) -> tuple[float, float]:
+        """Near and far plane for drawing, m, if the stage requests ``clip``."""
+        return clip[0], max(clip[1], SHADOW_DEPTH * self._reach)
+
+    def _place_camera(self, name: str, frame: float) -> None:
+        pose, half_width, _, clip = self.stage.camera(name, frame)
+        near, far = self._drawn(clip)
+        half_height = half_width * self.size[1] / self.size[0]  # pixels are square
+        for camera in self._canvas.cameras:
+            camera.pos = pose[:3, 3]
+            camera.forward = -pose[:3, 2]
+            camera.up = pose[:3, 1]
+            camera.orthographic = 0
+            camera.frustum_near, camera.frustum_far = near, far
+            camera.frustum_center = 0.0
+            camera.frustum_width = half_width * near
+            camera.frustum_bottom, camera.frustum_top = -half_height * near, half_height * near
+
+    def _wet(self, colour: Picture, depth: NDArray[np.float32], camera: str, frame: float) -> Picture:
+        """Dark lines on hulls, piles and rocks at the waterline."""
+        assert self._water is not None
+        standing = (depth > 0) & (self._canvas.draw_ids(self._size) != self._model.geom("water").id)
+        left, low, right, high = _box(standing, 1)
+        part = slice(low, high + 1), slice(left, right + 1)  # one more pixel: slopes need the next one
+        pose, half_width, _, clip = self.stage.camera(camera, frame)
+        half = (half_width, half_width * self.size[1] / self.size[0])
+        eye, forward, up = pose[:3, 3], -pose[:3, 2], pose[:3, 1]
+        places, distance = places_of(depth, eye, forward, up, half, self._drawn(clip), part)
+        colour[part] = self._water.wet(colour[part], places, np.where(standing[part], distance, np.inf))
+        return colour
+
+    def _place_lights(self) -> None:
+        """Place the sun's shadow map over the camera's view, aligned to whole texels so that shadow edges do not
+        flicker."""
+        scene = self._canvas.scene
+        eye = scene.camera[0]
+        lower, upper = self._bounds
+        centre = np.clip(eye.pos + 0.6 * self._reach * eye.forward, lower, upper)
+        direction, texel = self._light.direction, 2 * self._reach / SHADOW_MAP
+        across = sum(np.round(centre @ axis / texel) * texel * axis for axis in self._shadow_axes)
+        size = float(np.linalg.norm(upper - lower))
+        scene.lights[SUN].pos = across + (centre @ direction - size) * direction
+        scene.lights[SUN].dir = direction
+
+    def _spec(self, width: int, height: int) -> Any:
+        import mujoco
+
+        spec = mujoco.MjSpec()
+        light, vis = self._light, spec.visual
+        vis.global_.offwidth, vis.global_.offheight = width, height
+        vis.quality.shadowsize, vis.quality.offsamples = SHADOW_MAP, 0
+        lower, upper = self._bounds
+        extent = max(float(np.linalg.norm((upper - lower)[:2])), 1.0)
+        spec.stat.extent, spec.stat.center = extent, ((lower + upper) / 2).tolist()
+        vis.map.shadowclip = self._reach / extent
+        vis.map.fogstart, vis.map.fogend = HAZE[0] / extent, _haze_end(self.stage, self._bounds) / extent
+        vis.rgba.fog = [*light.haze.tolist(), 1.0]
+        vis.headlight.ambient = light.ambient.tolist()
+        vis.headlight.diffuse = vis.headlight.specular = [0.0, 0.0, 0.0]
+        directional = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+        for name, direction, colour, cast in (
+            ("sun", light.direction, light.sun, True),
+            ("sky", (0.0, 0.0, -1.0), light.sky, False),
+            ("bounce", (0.0, 0.0, 1.0), light.bounce, False),
+        ):
+            body = spec.worldbody
+            body.add_light(
+                name=name,
+                type=directional,
+                dir=list(direction),
+                diffuse=list(colour),
+                specular=list(colour) if cast else [0, 0, 0],
+                castshadow=cast and self._shadows,
+            )
+        author_skybox(spec, light.skybox)
+        if self._water is not None:
+            self._water.author(spec)
+        bodies = {"": spec.worldbody}
+        for k, group in enumerate(self.stage.groups):
+            bodies[group] = spec.worldbody.add_body(name=f"group{k}", mocap=True)
+        textures: dict[Any, str] = {}
+        materials: dict[Any, str] = {}
+        for k, shape in enumerate(self.stage.shapes):
+            if shape.surface not in materials:
+                materials[shape.surface] = f"material{len(materials)}"
+                author_material(spec, materials[shape.surface], shape.surface, textures)
+            _author_mesh(spec, f"shape{k}", shape)
+            bodies[shape.group].add_geom(
+                name=f"shape{k}",
+                type=mujoco.mjtGeom.mjGEOM_MESH,
+                meshname=f"shape{k}",
+                material=materials[shape.surface],
+                group=OPAQUE if shape.surface.opacity == 1 else TRANSLUCENT,
+                contype=0,
+                conaffinity=0,
+                mass=0.0,
+                castshadow=_casts_shadow(shape, lower),
+            )
+        return spec
+
+
+SUN = 1
+"""Index of the sun among the scene's lights, after the headlight."""
+
+
+def _author_mesh(spec: Any, name: str, shape: Shape) -> None:
+    """A MuJoCo mesh with the stage's own normals and texture coordinates; open two-sided shapes get a back."""
+    import mujoco
+
+    points, faces = shape.points, shape.faces
+    normals, face_normals, face_uvs = shape.normals, shape.face_normals, shape.face_uvs
+    if not shape.closed and shape.surface.opacity == 1:  # MuJoCo draws both sides of translucent geoms
+        face_normals = np.concatenate([face_normals, face_normals[:, ::-1] + len(normals)])
+        normals = np.concatenate([normals, -normals])
+        faces = np.concatenate([faces, faces[:, ::-1]])
+        face_uvs = None if face_uvs is None else np.concatenate([face_uvs, face_uvs[:, ::-1]])
+    # one vertex per normal at a point: MuJoCo 4.0 does not read userfacenormal
+    used, faces = np.unique(np.stack([faces, face_normals], axis=-1).reshape(-1, 2), axis=0, return_inverse=True)
+    points, normals = points[used[:, 0]], normals[used[:, 1]]
+    if len(points) < 4:  # MuJoCo requires at least four vertices
+        points, normals = (
+            np.concatenate([each, np.repeat(each[:1], 4 - len(each), axis=0)]) for each in (points, normals)
+        )
+    mesh = spec.add_mesh(name=name, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
+    mesh.uservert = points.astype(np.float32).ravel()
+    mesh.userface = faces.astype(np.int32).ravel()
+    mesh.usernormal = normals.astype(np.float32).ravel()
+    if shape.uvs is not None and face_uvs is not None:
+        mesh.usertexcoord = shape.uvs.astype(np.float32).ravel()
+        mesh.userfacetexcoord = face_uvs.astype(np.int32).ravel()
+
+
+def _box(mask: NDArray[np.bool_], side: int) -> tuple[int, int, int, int]:
+    """Left, top, right, bottom of the true pixels, on multiples of ``side``."""
+    rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+    low = [int(places[0]) // side * side if len(places) else 0 for places in (columns, rows)]
+    high = [-(-(int(places[-1]) + 1) // side) * side if len(places) else side for places in (columns, rows)]
+    return low[0], low[1], high[0], high[1]
+
+
+def _casts_shadow(shape: Shape, lower: Array) -> bool:
+    """Whether a geom casts shadows: not a blurred rotor, and not level ground, which has nothing below it."""
+    level_ground = not shape.group and float(shape.points[:, 2].max()) < lower[2] + 1e-3
+    return shape.surface.opacity > 0.5 and not level_ground
+
+
+def _bounds(stage: StageReader) -> tuple[Array, Array]:
+    """The box (lower, upper) (3,) m of all standing shapes, or of the movers at the start."""
+    poses = {"": np.eye(4), **stage.matrices(stage.frames[0])}
+    still = [shape for shape in stage.shapes if not shape.group] or list(stage.shapes)
+    if not still:
+        return np.full(3, -10.0), np.full(3, 10.0)
+    corners = []
+    for shape in still:
+        pose = poses[shape.group]
+        points = shape.points @ pose[:3, :3].T + pose[:3, 3]
+        corners += [points.min(axis=0), points.max(axis=0)]
+    return np.min(corners, axis=0), np.max(corners, axis=0)
+
+
+def _haze_end(stage: StageReader, bounds: tuple[Array, Array]) -> float:
+    """Distance at which haze hides everything, m: before the ground's edge; in empty space there is no edge to hide."""
+    if stage.water is not None or all(shape.group for shape in stage.shapes):
+        return HAZE[1]
+    edge = 0.6 * float((bounds[1] - bounds[0])[:2].min())
+    return min(HAZE[1], max(edge, 60.0))
+
+
+def _across(direction: Array) -> tuple[Array, Array]:
+    """Two unit vectors (3,) perpendicular to a unit ``direction`` and to each other, the first of them horizontal."""
+    side = np.cross(direction, (0.0, 0.0, 1.0) if abs(direction[2]) < 0.999 else (0.0, 1.0, 0.0))
+    side /= np.linalg.norm(side)
+    return side, np.cross(side, direction)
+
+
+def _shadow_reach(stage: StageReader, bounds: tuple[Array, Array]) -> float:
+    """Half the width of the shadow map, m: four times the typical distance of the movers from the cameras."""
+    whole = float(np.linalg.norm(bounds[1] - bounds[0])) / 2 + 1.0
+    distances = []
+    for frame in np.linspace(stage.frames[0], stage.frames[1], 5):
+        places = [pose[:3, 3] for pose in stage.matrices(frame).values()]
+        eyes = [stage.camera(name, frame)[0][:3, 3] for name in stage.cameras]
+        distances += [min(np.linalg.norm(place - eye) for place in places) for eye in eyes if places]
+    usual = 4.0 * float(np.median(distances)) if distances else whole
+    return float(np.clip(min(usual, whole), *SHADOW_REACH))

@@ -1,0 +1,254 @@
+"""A vehicle's animation layer: only what moves, as overs on the asset's own prims.
+
+The layer's default prim is the vehicle's root and references the asset, so the layer works referenced (as in the shot)
+and sublayered. Translate and orient pose the root. A channel becomes one scalar op with accumulated degrees (or asset
+units) on the prim that it drives: as a quaternion, a rotor would turn backwards.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.errors import ExportError
+from vehsim.exporters.usd.metadata import Z_UP_METRES, Units, author_stage_metadata, samples, unit_corrections
+from vehsim.exporters.usd.packing import Pack
+from vehsim.exporters.usd.rotors import author_rotors
+from vehsim.exporters.usd.sampling import PLACE, TURN, Shutter, clip_at, fewest_together
+from vehsim.rig.ops import drive_op as drive_op
+from vehsim.rig.ops import driven_prim, instances_above, op_order, pivot_of, pivot_op, prim_path
+from vehsim.rig.ops import insert_op as insert_op
+from vehsim.rig.ops import open_rig as open_rig
+
+if TYPE_CHECKING:
+    from vehsim.clip.clip import Clip
+    from vehsim.rig.rig import Rig
+
+Array = NDArray[np.float64]
+RESET = "!resetXformStack!"
+
+
+@dataclass(frozen=True)
+class RigOps:
+    """Where motion enters an asset: op orders per prim path below the root ("" is the root), and op names.
+
+    ``orders[path]``: the prim's new xformOpOrder. ``channels``: channel -> (path, op name, factor from SI to op units).
+    ``translate`` and ``orient`` are the root's pose ops; ``constants[path]`` its constant ops: the root's corrections
+    for foreign units, pivots of drives; ``freed``: the instances whose instancing is switched off so that their parts
+    can move.
+    """
+
+    orders: Mapping[str, list[str]]
+    channels: Mapping[str, tuple[str, str, float]]
+    translate: str
+    orient: str
+    constants: Mapping[str, list[tuple[str, Any]]]
+    freed: tuple[str, ...] = ()
+
+    @property
+    def corrections(self) -> list[tuple[str, Any]]:
+        return self.constants.get("", [])
+
+
+def write_animation(
+    clip: Clip,
+    name: str,
+    pack: Pack,
+    path: Path,
+    fps: Fraction,
+    frames: tuple[int, int],
+    units: Units = Z_UP_METRES,
+    shutter: tuple[float, float] | None = None,
+    thin: float | None = None,
+) -> Path:
+    """Write ``clip`` as the animation layer ``path`` of a vehicle called ``name``.
+
+    Samples are on whole frames; an open ``shutter`` (frames from, to) adds those for motion blur; ``thin`` (m) omits
+    all samples that linear interpolation between the others replaces.
+    """
+    from pxr import Sdf, Tf
+
+    rig = clip.vehicle.rig
+    if rig is None:
+        raise ExportError(
+            "has no rig (USD asset) to animate", "give it one in its vehicle.toml", subject=f"vehicle {name!r}"
+        )
+    if not Tf.IsValidIdentifier(name):
+        raise ExportError("not a USD prim name", "use letters, digits and _ only", key="vehicle.name", value=name)
+    # other channels rest as in the asset
+    moving = [channel for channel in rig.drives if np.any(clip.channels[channel])]
+    ops = rig_ops(rig.asset, rig, units, moving)
+    reference = pack.reference(rig, path)
+    motion = _Motion(clip, name, frames, shutter, thin)
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    layer = Sdf.Layer.CreateNew(str(path))
+    with Sdf.ChangeBlock():
+        author_stage_metadata(layer, fps, frames, units)
+        layer.defaultPrim = name
+        root = Sdf.PrimSpec(layer, name, Sdf.SpecifierDef, "Xform")
+        target = prim_path(rig.root if rig.source is None else rig.source_root)
+        root.referenceList.prependedItems = [Sdf.Reference(reference, target or Sdf.Path())]
+        for variant_set, variant in rig.variants.items():
+            root.variantSelections[variant_set] = variant
+        motion.author_pose(root, ops, units)
+        for channel, (below, op, factor) in ops.channels.items():
+            spec = Sdf.CreatePrimInLayer(layer, root.path.AppendPath(below)) if below else root
+            motion.author_channel(spec, channel, op, factor)
+            _author_constants(spec, ops.constants.get(below, []))
+            _author_order(spec, ops.orders[below])
+        author_rotors(root, rig)
+        for below in ops.freed:
+            spec = Sdf.CreatePrimInLayer(layer, root.path.AppendPath(below)) if below else root
+            spec.instanceable = False
+        _keep_root_in_blender(layer, rig)
+    layer.Save()
+    return path
+
+
+def _keep_root_in_blender(layer: Any, rig: Rig) -> None:
+    """Add a second root beside one that Blender saved: Blender's importer skips a lone root marked as its own, even if
+    it moves, and no stronger opinion removes the mark."""
+    from pxr import Sdf
+
+    stage, prim = open_rig(rig.asset, rig)
+    if stage and prim.HasCustomDataKey("Blender:generated"):
+        beside = Sdf.PrimSpec(layer, "blender_keeps_the_root", Sdf.SpecifierDef)
+        beside.documentation = "a second root: Blender leaves out a lone one that it wrote itself, and its motion"
+
+
+def rig_ops(asset: Path, rig: Rig, units: Units, moving: Sequence[str]) -> RigOps:
+    """Fit the motion into the asset's own op orders, so that its pivots, scales and resets survive.
+
+    ``moving``: the channels with motion. An order never names an op without values.
+    """
+    from pxr import UsdGeom
+
+    stage, root = open_rig(asset, rig)
+    scale = UsdGeom.GetStageMetersPerUnit(stage)
+    own = op_order(root)
+    reset, own = ([RESET], own[1:]) if own[:1] == [RESET] else ([], own)
+    translate, orient = (_free_name(root, name) for name in ("xformOp:translate", "xformOp:orient"))
+    standing = _wrapped(rig, root)  # the layer references the asset itself, so it repeats the wrapper's ops
+    corrections = unit_corrections(asset, units)
+    constants: dict[str, list[tuple[str, Any]]] = {"": [*corrections, *standing]}
+    orders = {"": [*reset, translate, orient, *(name for name, _ in corrections), *own]}
+    channels, freed = {}, []
+    for channel in moving:
+        drive = rig.drives[channel]
+        prim = driven_prim(rig, root, channel)
+        op, factor = drive_op(drive.op, scale)
+        order = orders.get(drive.prim, op_order(prim))
+        if op in order and drive.prim in orders:
+            raise ExportError(
+                f"{drive.op} on {drive.prim!r} is driven twice", key=f"channels.{channel}", file=rig.asset
+            )
+        pivot = pivot_of(rig, channel, root, scale)
+        if pivot is not None:
+            constants.setdefault(drive.prim, []).append((pivot_op(channel), pivot.tolist()))
+        inserted = insert_op(order, op, None if pivot is None else pivot_op(channel))
+        orders[drive.prim] = order if op in order else inserted
+        channels[channel] = (drive.prim, op, factor * drive.factor)
+        freed += [path for path in instances_above(root, prim) if path not in freed]
+    return RigOps(orders, channels, translate, orient, constants, tuple(freed))
+
+
+class _Motion:
+    """A clip as attributes: the frames of each of them, and their values."""
+
+    def __init__(
+        self, clip: Clip, name: str, frames: tuple[int, int], shutter: tuple[float, float] | None, thin: float | None
+    ) -> None:
+        self.clip, self.name = clip, name
+        first, last = max(frames[0], clip.start_frame), min(frames[1], clip.end_frame)
+        self.whole = np.arange(first, last + 1, dtype=float)
+        self.on_whole = clip_at(clip, self.whole)
+        self.shutter = None if shutter is None else Shutter(clip, shutter, (first, last))
+        self.reach = _reaches(clip.vehicle.rig) if shutter is not None or thin is not None else {}
+        self.few = (
+            {} if thin is None else fewest_together(self.whole, self.on_whole, clip.vehicle.rig, self.reach, thin)
+        )
+
+    def _at(self, frames: Array) -> Clip:
+        return self.on_whole if frames is self.whole else clip_at(self.clip, frames)
+
+    def author_pose(self, root: Any, ops: RigOps, units: Units) -> None:
+        from pxr import Sdf
+
+        frames = self.whole if self.shutter is None else self.shutter.pose_frames(self.reach[""], self.name)
+        at = self._at(frames)
+        positions, orientations = units.points(at.positions), units.poses(at.orientations)
+        some, other = (self.few.get(what, slice(None)) for what in (PLACE, TURN))
+        samples(root, ops.translate, Sdf.ValueTypeNames.Double3, frames[some], positions[some])
+        samples(root, ops.orient, Sdf.ValueTypeNames.Quatd, frames[other], orientations[other])
+        _author_constants(root, ops.constants.get("", []))
+        _author_order(root, ops.orders[""])
+
+    def author_channel(self, spec: Any, channel: str, op: str, factor: float) -> None:
+        from pxr import Sdf
+
+        turns = ":rotate" in op
+        reach = self.reach.get(channel, 1.0)
+        frames = self.whole
+        if self.shutter is not None:
+            frames = self.shutter.channel_frames(channel, 1.0, reach, turns, self.name)
+        values, some = self._at(frames).channels[channel], self.few.get(channel, slice(None))
+        samples(spec, op, Sdf.ValueTypeNames.Double, frames[some], values[some] * factor)
+
+
+def _reaches(rig: Any) -> dict[str, float]:
+    """Distance, m, of the outermost point from the rig's root ("") and from each channel's axis or pivot."""
+    from vehsim.rig.parts import read_parts
+
+    parts = {part.path: part for part in read_parts(rig.asset, rig.root or None)}
+    clouds = {path: p.points @ p.T_rp[:3, :3].T + p.T_rp[:3, 3] for path, p in parts.items() if len(p.points)}
+    reaches = {"": max((float(np.linalg.norm(cloud, axis=1).max()) for cloud in clouds.values()), default=1.0)}
+    for channel, drive in rig.drives.items():
+        below = [c for path, c in clouds.items() if path == drive.prim or path.startswith(f"{drive.prim}/")]
+        if not below:
+            continue
+        cloud = np.concatenate(below)
+        part = parts.get(drive.prim)
+        hub = part.T_rp[:3, 3] if part is not None and drive.pivot is None else (cloud.min(0) + cloud.max(0)) / 2
+        axis = np.eye(3)["XYZ".index(drive.op[-1])] if part is None else part.T_rp[:3, "XYZ".index(drive.op[-1])]
+        off = cloud - hub
+        reaches[channel] = float(np.linalg.norm(off - (off @ axis)[:, None] * axis, axis=1).max())
+    return reaches
+
+
+def _wrapped(rig: Rig, root: Any) -> list[tuple[str, Any]]:
+    """The constant ops with which a foreign asset's wrapper turns it upright."""
+    if rig.source is None:
+        return []
+    spec = root.GetStage().GetRootLayer().GetPrimAtPath(root.GetPath())
+    return [(p.name, p.default) for p in spec.properties if p.name.startswith("xformOp:")]
+
+
+def _author_constants(prim: Any, ops: list[tuple[str, Any]]) -> None:
+    from pxr import Gf, Sdf
+
+    for op, value in ops:
+        vector = not isinstance(value, float | int)
+        kind = Sdf.ValueTypeNames.Double3 if vector else Sdf.ValueTypeNames.Double
+        if op not in prim.attributes:
+            Sdf.AttributeSpec(prim, op, kind).default = Gf.Vec3d(*value) if vector else value
+
+
+def _author_order(prim: Any, order: list[str]) -> None:
+    from pxr import Sdf, Vt
+
+    spec = prim.attributes.get("xformOpOrder")
+    if spec is None:
+        spec = Sdf.AttributeSpec(prim, "xformOpOrder", Sdf.ValueTypeNames.TokenArray, Sdf.VariabilityUniform)
+    spec.default = Vt.TokenArray(order)
+
+
+def _free_name(prim: Any, name: str) -> str:
+    """An op name that the asset's root does not use itself."""
+    return f"{name}:motion" if prim.HasAttribute(name) else name

@@ -1,0 +1,63 @@
+"""The shot as one file: ``usdz``, a package with all dependencies, and ``flat``, one layer without composition arcs.
+
+Both are made from the stage that the usd exporter wrote and checked.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from vehsim.delivery.exporters import Exporter, Progress
+from vehsim.delivery.take import Take
+from vehsim.errors import ExportError
+
+LAYERS = (".usd", ".usda", ".usdc", ".usdz")
+
+
+def write_usdz(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
+    """``<shot>.usdz``: the stage, its layers, assets and textures in one uncompressed package."""
+    from pxr import UsdUtils
+
+    progress("usdz: packing", 0.0)
+    path = folder / f"{take.name}.usdz"
+    if not UsdUtils.CreateNewUsdzPackage(str(_stage(take, folder)), str(path)):
+        raise ExportError("could not be packed", "see the messages of USD above", file=path.name)
+    return [path]
+
+
+def write_flat(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
+    """``<shot>.flat.usdc`` and the textures that it refers to."""
+    from pxr import Usd, UsdUtils
+
+    progress("flat: flattening", 0.0)
+    path = folder / f"{take.name}.flat.usdc"
+    layer = Usd.Stage.Open(str(_stage(take, folder))).Flatten(addSourceFileComment=False)
+    needed: set[Path] = set()
+
+    def relative(found: str) -> str:
+        file = Path(found)
+        if not file.is_absolute() or not file.is_relative_to(folder.resolve()):
+            return found
+        if file.suffix in LAYERS:
+            return ""  # it names the source of a prim, which does not exist any more
+        needed.add(file)
+        return f"./{Path(os.path.relpath(file, folder.resolve())).as_posix()}"
+
+    UsdUtils.ModifyAssetPaths(layer, relative)
+    layer.Export(str(path))
+    return [path, *sorted(needed)]
+
+
+def _stage(take: Take, folder: Path) -> Path:
+    path = folder / f"{take.name}.usda"
+    if not path.is_file():
+        raise ExportError("there is no shot stage to make one file of", "leave out export.layer_only", file=path.name)
+    return path
+
+
+usdz = Exporter(
+    name="usdz", suffixes=(".usdz",), write=write_usdz, needs=("usd",), makes="the stage and its files, one package"
+)
+flat = Exporter(name="flat", suffixes=(), write=write_flat, needs=("usd",), makes="the stage as one flat layer")

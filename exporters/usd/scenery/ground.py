@@ -1,0 +1,154 @@
+"""A look for terrain without one: a smooth-shaded mesh coloured by slope and height.
+
+Shipped terrains have their own look; this is for a studio's height maps and meshes, and for bare ground.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.exporters.usd.metadata import author_stage_metadata
+from vehsim.exporters.usd.scenery.lighting import encode_srgb
+
+if TYPE_CHECKING:
+    from vehsim.world.terrain.terrain import Terrain
+
+Array = NDArray[np.float64]
+
+TEXTURE = 2048
+TEXELS_PER_CELL = 12
+TILE = 48.0
+"""Width of the repeated texture of level ground, m."""
+SAND = ((0.36, 0.28, 0.19), (0.42, 0.33, 0.23))
+ROCK = ((0.24, 0.17, 0.12), (0.33, 0.24, 0.17))
+"""Linear colours at the lowest and the highest point."""
+
+
+def write_ground(terrain: Terrain, folder: Path) -> tuple[Path, list[Path]]:
+    """Write ``folder/<name>/<name>.usdc`` and its texture; returns the asset and every file written."""
+    from pxr import Kind, Sdf, Tf, Usd, UsdGeom, UsdShade
+
+    name = Tf.MakeValidIdentifier(terrain.name)
+    asset = folder / name / f"{name}.usdc"
+    texture = asset.with_suffix(".png")
+    asset.parent.mkdir(parents=True, exist_ok=True)
+    level = float(np.ptp(terrain.heights)) < 1e-6
+    _write_texture(texture, _level_colours() if level else _relief_colours(terrain))
+
+    stage = Usd.Stage.CreateNew(str(asset))
+    author_stage_metadata(stage.GetRootLayer())
+    root = UsdGeom.Xform.Define(stage, f"/{name}")
+    stage.SetDefaultPrim(root.GetPrim())
+    Usd.ModelAPI(root).SetKind(Kind.Tokens.component)
+    mesh = UsdGeom.Mesh.Define(stage, f"/{name}/{name}")
+    _author_mesh(mesh, terrain, TILE if level else None)
+    material = _author_material(stage, f"/{name}/materials/ground", Sdf.AssetPath(f"./{texture.name}"))
+    UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
+    stage.GetRootLayer().Save()
+    return asset, [asset, texture]
+
+
+def _author_mesh(mesh: Any, terrain: Terrain, tile: float | None) -> None:
+    from pxr import Gf, Sdf, UsdGeom, Vt
+
+    vertices = terrain.vertices
+    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(vertices.astype(np.float32)))
+    mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(terrain.faces), 3, np.int32)))
+    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(terrain.faces.astype(np.int32).ravel()))
+    mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(_normals(terrain).reshape(-1, 3).astype(np.float32)))
+    mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+    lower, upper = terrain.lower, terrain.upper
+    mesh.CreateExtentAttr([Gf.Vec3f(*lower.tolist()), Gf.Vec3f(*upper.tolist())])
+    span = upper[:2] - lower[:2] if tile is None else np.array([tile, tile])
+    st = ((vertices[:, :2] - lower[:2]) / span).astype(np.float32)
+    primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex)
+    primvar.Set(Vt.Vec2fArray.FromNumpy(st))
+
+
+def _author_material(stage: Any, path: str, texture: Any) -> Any:
+    from pxr import Gf, Sdf, UsdGeom, UsdShade
+
+    types = Sdf.ValueTypeNames
+    UsdGeom.Scope.Define(stage, Sdf.Path(path).GetParentPath())
+    material = UsdShade.Material.Define(stage, path)
+    st = UsdShade.Shader.Define(stage, f"{path}/st")
+    st.CreateIdAttr("UsdPrimvarReader_float2")
+    st.CreateInput("varname", types.String).Set("st")
+    image = UsdShade.Shader.Define(stage, f"{path}/colour")
+    image.CreateIdAttr("UsdUVTexture")
+    image.CreateInput("file", types.Asset).Set(texture)
+    image.CreateInput("sourceColorSpace", types.Token).Set("sRGB")
+    image.CreateInput("wrapS", types.Token).Set("repeat")
+    image.CreateInput("wrapT", types.Token).Set("repeat")
+    image.CreateInput("st", types.Float2).ConnectToSource(st.CreateOutput("result", types.Float2))
+    surface = UsdShade.Shader.Define(stage, f"{path}/surface")
+    surface.CreateIdAttr("UsdPreviewSurface")
+    surface.CreateInput("roughness", types.Float).Set(0.95)
+    surface.CreateInput("specularColor", types.Color3f).Set(Gf.Vec3f(0.0))
+    surface.CreateInput("useSpecularWorkflow", types.Int).Set(1)
+    diffuse = surface.CreateInput("diffuseColor", types.Color3f)
+    diffuse.ConnectToSource(image.CreateOutput("rgb", types.Float3))
+    material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", types.Token))
+    return material
+
+
+def _normals(terrain: Terrain) -> Array:
+    """Unit normals (rows, cols, 3) by central differences."""
+    dx, dy = terrain.cell
+    slope_y, slope_x = np.gradient(terrain.heights, dy, dx)
+    normals = np.stack([-slope_x, -slope_y, np.ones_like(slope_x)], axis=-1)
+    return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
+
+
+def _relief_colours(terrain: Terrain) -> Array:
+    """Linear colours (h, w, 3), row 0 at the far end (+Y), by slope, height and noise."""
+    from scipy.ndimage import zoom
+
+    rows, cols = terrain.heights.shape
+    extent = np.array([terrain.cell[1] * (rows - 1), terrain.cell[0] * (cols - 1)])
+    longest = min(TEXTURE, TEXELS_PER_CELL * max(rows, cols))
+    shape = np.maximum((longest * extent / extent.max()).astype(int), 16)
+    factor = shape / (rows, cols)
+    heights = zoom(terrain.heights, factor, order=1, grid_mode=True, mode="nearest")
+    upright = zoom(_normals(terrain)[..., 2], factor, order=1, grid_mode=True, mode="nearest")
+    noise = _noise(heights.shape, wrap=False)
+    steep = np.clip((0.92 - upright + 0.08 * noise) / 0.25, 0, 1)[..., None]
+    rise = ((heights - heights.min()) / max(float(np.ptp(heights)), 1e-9))[..., None]
+    bands = 1 + 0.10 * np.sin(heights * 2.1 + 2 * noise)[..., None] * steep
+    sand, rock = (np.array(pair[0]) + rise * (np.array(pair[1]) - np.array(pair[0])) for pair in (SAND, ROCK))
+    colours = ((1 - steep) * sand + steep * rock) * bands * (1 + 0.22 * noise[..., None])
+    return colours[::-1]
+
+
+def _level_colours() -> Array:
+    """Linear colours (n, n, 3) of dusty hard ground, repeating seamlessly."""
+    noise, patches = _noise((TEXTURE, TEXTURE)), _noise((TEXTURE, TEXTURE), coarse=2, octaves=4, seed=7)
+    dust = np.clip(0.5 + patches, 0, 1)[..., None]
+    dark, bright = np.array((0.17, 0.15, 0.13)), np.array((0.30, 0.25, 0.20))
+    return (dark + dust * (bright - dark)) * (1 + 0.30 * noise[..., None])
+
+
+def _noise(shape: tuple[int, ...], coarse: int = 8, octaves: int = 8, seed: int = 3, wrap: bool = True) -> Array:
+    """Fractal value noise (h, w) of about -1 to 1; the same every time."""
+    from scipy.ndimage import zoom
+
+    rng = np.random.default_rng(seed)
+    noise = np.zeros(shape)
+    for octave in range(octaves):
+        cells = np.minimum(np.array(shape), coarse * 2**octave)
+        grid = rng.uniform(-1, 1, cells)
+        factor = np.array(shape) / cells
+        mode = "grid-wrap" if wrap else "nearest"
+        noise += zoom(grid, factor, order=1, grid_mode=True, mode=mode)[: shape[0], : shape[1]] * 0.62**octave
+    return noise / np.abs(noise).max()
+
+
+def _write_texture(path: Path, linear: Array) -> None:
+    from PIL import Image
+
+    Image.fromarray(encode_srgb(linear)).save(path)

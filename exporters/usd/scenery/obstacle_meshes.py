@@ -1,0 +1,73 @@
+"""Standing obstacles in the stage: one mesh each below ``env``, in alternating colours, visible to any renderer.
+
+Moving obstacles are vehicles of the shot and have their own layers.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vehsim.delivery.take import Take
+from vehsim.exporters.usd.packing import Pack
+from vehsim.exporters.usd.scenery.concrete import author_material, coordinates
+
+if TYPE_CHECKING:
+    from vehsim.world.obstacles.obstacles import Obstacle
+
+PAINTS = {
+    "concrete": (0.42, 0.40, 0.37),
+    "terracotta": (0.42, 0.17, 0.09),
+    "ochre": (0.50, 0.33, 0.10),
+    "slate": (0.13, 0.19, 0.26),
+}
+"""Linear colours, used in turn."""
+
+
+def author_obstacles(stage: Any, scope: str, take: Take, pack: Pack) -> None:
+    """Author every standing obstacle of the take's world as ``<scope>/<name>``, and their shared materials."""
+    from pxr import Kind, Tf, Usd, UsdGeom, UsdShade
+
+    from vehsim.world.obstacles.obstacles import Obstacle
+
+    standing = [obstacle for obstacle in take.world.obstacles if isinstance(obstacle, Obstacle)]
+    if not standing:
+        return
+    group = UsdGeom.Xform.Define(stage, scope)
+    Usd.ModelAPI(group).SetKind(Kind.Tokens.group)
+    UsdGeom.Scope.Define(stage, f"{scope}/materials")
+    layer = Path(stage.GetRootLayer().realPath)
+    materials = []
+    for name, colour in list(PAINTS.items())[: len(standing)]:
+        file = pack.folder / "assets" / "obstacles" / f"{name}.png"
+        materials.append(author_material(stage, f"{scope}/materials/{name}", file, pack.relative(file, layer), colour))
+        pack.written.append(file)
+    for k, obstacle in enumerate(standing):
+        name = Tf.MakeValidIdentifier(obstacle.name)
+        path = f"{scope}/{name}"
+        xform = UsdGeom.Xform.Define(stage, path)
+        Usd.ModelAPI(xform).SetKind(Kind.Tokens.component)
+        mesh = UsdGeom.Mesh.Define(stage, f"{path}/{name}")  # Blender merges both into one object with the mesh's name
+        _author_mesh(mesh, obstacle)
+        UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(materials[k % len(materials)])
+
+
+def _author_mesh(mesh: Any, obstacle: Obstacle) -> None:
+    from pxr import Gf, Sdf, UsdGeom, Vt
+
+    points, faces = obstacle.points, obstacle.faces
+    corners = points[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points.astype(np.float32)))
+    mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(faces), 3, np.int32)))
+    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(faces.astype(np.int32).ravel()))
+    mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(normals.astype(np.float32)))
+    mesh.SetNormalsInterpolation(UsdGeom.Tokens.uniform)
+    st = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.faceVarying)
+    st.Set(Vt.Vec2fArray.FromNumpy(coordinates(corners, normals).reshape(-1, 2).astype(np.float32)))
+    lower, upper = points.min(axis=0), points.max(axis=0)
+    mesh.CreateExtentAttr([Gf.Vec3f(*lower.tolist()), Gf.Vec3f(*upper.tolist())])

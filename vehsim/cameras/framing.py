@@ -1,0 +1,231 @@
+"""Solve cameras: from a rig (data) and a take's motion to a camera per frame. The same camera is exported and rendered.
+
+A rig is a `CameraRig` and an entry of `RIGS` (`rigs.py`), which gives the desired places and aims. The rest is common
+to all cameras: a distance that gives the requested fill, ground and obstacles out of the way, smooth motion, a level
+horizon. A cut list joins cameras into one more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.cameras.camera import Camera, CameraRig, Subject
+from vehsim.cameras.path import Parked, Surroundings, blocked, calm, envelope, raise_camera, smooth, steer
+from vehsim.cameras.rigs import RIGS, Move
+from vehsim.errors import InputError
+from vehsim.lie.quaternions import continuous, from_vectors, matrices, quaternions
+from vehsim.runtime.cache import Stamp, kept_arrays, stamp
+
+if TYPE_CHECKING:
+    from vehsim.clip.clip import Clip
+
+Array = NDArray[np.float64]
+
+JERK = 6.0
+"""Largest jerk of a camera, in units of its distance per cubed second."""
+FILL_RANGE = (0.09, 0.34)
+"""Permitted range of the target's share of the frame's height, measured on the upright target."""
+SIDES = np.array([0.0, 180.0, 60.0, -60.0, 120.0, -120.0])
+"""Other azimuths for a camera at a fixed place, degrees from its own choice."""
+STEP_ASIDE = 0.02
+"""Cost of standing on the other side, as a mean depth of obstructions in front of the target, in distances."""
+STILL = 0.05
+"""Largest movement of a parked vehicle, m."""
+TILTED = 0.55
+"""Largest share of the frame's height for the target with its pitch: a steeply pitched vehicle is tall, and would
+otherwise be shown small and far away."""
+
+
+def solve_camera(
+    rig: CameraRig, clips: Mapping[str, Clip], world: Any, frames: tuple[int, int], aspect: float = 16 / 9
+) -> Camera:
+    """The camera of ``rig`` for whole ``frames`` (first, last); ``aspect`` is width divided by height of the picture.
+
+    Raises ``InputError`` for an unknown rig or target.
+    """
+    _check(rig, clips)
+    every = np.arange(frames[0], frames[1] + 1, dtype=float)
+    subject = _subject(clips[rig.target or next(iter(clips))], every)
+    aperture = (rig.aperture_width_mm, rig.aperture_width_mm / aspect)
+    move = RIGS[rig.rig]
+    framed = move.fill is not None and rig.distance is None
+    distance = rig.distance or subject.size / (2 * rig.fill)
+    zoom = rig.lens_mm / aperture[1]
+    level = move.level if rig.level is None else rig.level
+    around = Surroundings.of(world, _parked(clips, rig.target or next(iter(clips)), every))
+    ups = np.broadcast_to((0.0, 0.0, 1.0), subject.centre.shape) if level else subject.matrices[:, :3, 2]
+    for _ in range(5 if framed else 1):
+        placed = _on_the_open_side(rig, move, subject, distance, around)
+        positions, aims = move.place(placed, subject, distance, around)
+        back = np.ones(len(positions))
+        if move.guided and np.ptp(positions, axis=0).max() > 0:  # a standing camera was given its place
+            positions = steer(positions, aims, around, rig.margin, subject.size / 2, subject.fps, move.behind)
+            if framed:
+                back = _back_off(positions, aims, subject, zoom)
+                positions = aims + (positions - aims) * back[:, None]
+        if move.fill is not None:
+            positions = raise_camera(positions, aims, around, rig.margin, subject.fps)
+            apart = float(np.linalg.norm(positions - aims, axis=1).mean())
+            positions = calm(positions, aims, around, rig.margin, subject.fps, JERK * apart)
+        rotations = look_at(positions, aims, ups)
+        if rig.framing is not None:
+            rotations = _framed(rotations, rig.framing, aperture, rig.lens_mm, ups)
+        if framed:
+            fills = projected_heights(positions, rotations, subject.upright, zoom)
+            # some frames farther back do not make the others nearer
+            distance *= _rescale(fills * back, rig.fill, move.fill)
+    return Camera(rig.name, every, positions, continuous(quaternions(rotations)), rig.lens_mm, aperture)
+
+
+def look_at(positions: Array, aims: Array, ups: Array | None = None) -> Array:
+    """Rotations R_wc (n, 3, 3) that look from ``positions`` to ``aims`` (n, 3), upright along ``ups``.
+
+    Without ``ups`` X is horizontal: a level horizon.
+    """
+    forward = aims - positions
+    forward /= np.linalg.norm(forward, axis=1, keepdims=True)
+    right = np.cross(forward, np.broadcast_to((0.0, 0.0, 1.0), forward.shape) if ups is None else ups)
+    flat = np.linalg.norm(right, axis=1, keepdims=True)
+    right = np.where(flat > 1e-9, right / np.maximum(flat, 1e-9), (0.0, -1.0, 0.0))
+    return np.stack([right, np.cross(right, forward), -forward], axis=2)
+
+
+def _framed(
+    rotations: Array, framing: tuple[float, float], aperture: tuple[float, float], lens: float, ups: Array
+) -> Array:
+    """``rotations`` (n, 3, 3) turned so that the centre of the picture moves to ``framing``."""
+    across, along = (share * side / (2 * lens) for share, side in zip(framing, aperture, strict=True))
+    return look_at(np.zeros(rotations.shape[:2]), rotations @ (-across, -along, -1.0), ups)
+
+
+def projected_heights(positions: Array, rotations: Array, corners: Array, zoom: float) -> Array:
+    """Share of the frame's height (n,) that ``corners`` (n, k, 3) occupy; ``zoom``: focal length divided by aperture
+    height."""
+    seen = (corners - positions[:, None]) @ rotations
+    depth = np.maximum(-seen[..., 2], 1e-3)
+    return zoom * np.ptp(seen[..., 1] / depth, axis=1)
+
+
+def _back_off(positions: Array, aims: Array, subject: Subject, zoom: float) -> Array:
+    """Factor (n,) on the distance, ahead of time, where the target would fill too much of the frame."""
+    rotations = look_at(positions, aims)
+    upright, tilted = (projected_heights(positions, rotations, c, zoom) for c in (subject.upright, subject.corners))
+    excess = np.maximum(upright / FILL_RANGE[1], tilted / TILTED) / 0.97
+    return envelope(np.clip(excess, 1.0, 2.0), subject.fps)
+
+
+# ---------------------------------------------------------------- what all cameras share
+
+
+def _on_the_open_side(rig: CameraRig, move: Move, subject: Subject, distance: float, around: Surroundings) -> CameraRig:
+    """A still rig, placed where least hides the target, preferably on its own side; the shot may place it instead."""
+    placed = rig.azimuth is not None or rig.position is not None
+    if move.side is None or placed or (around.terrain is None and not around.standing):
+        return rig
+    options = move.side(subject, distance) + SIDES
+
+    def hidden(azimuth: float) -> float:
+        places = move.place(replace(rig, azimuth=azimuth), subject, distance, around)
+        return float(blocked(*places, around, rig.margin, subject.size / 2).mean())
+
+    costs = [hidden(azimuth) / distance for azimuth in options.tolist()] + STEP_ASIDE * np.abs(SIDES) / 180.0
+    return replace(rig, azimuth=float(options[costs.argmin()])) if costs.argmin() else rig
+
+
+def _parked(clips: Mapping[str, Clip], target: str, frames: Array) -> tuple[Parked, ...]:
+    """The other vehicles that stand still on ``frames``: they may hide the target."""
+    others = [_subject(clip, frames) for name, clip in clips.items() if name != target]
+    return tuple(Parked((s.corners[0],)) for s in others if np.ptp(s.corners, axis=0).max() < STILL)
+
+
+def _rescale(fills: Array, wanted: float, measure: Any = np.median) -> float:
+    """Factor on the distance that brings the typical fill to ``wanted`` and its extremes into `FILL_RANGE`."""
+    usual = float(measure(fills)) / wanted
+    if measure is np.max:  # the far end of a pass may be small
+        return float(np.clip(usual, 0.3, 3.0))
+    nearest, farthest = float(fills.max()) / FILL_RANGE[1], float(fills.min()) / FILL_RANGE[0]
+    return float(np.clip(min(max(usual, nearest), max(farthest, nearest)), 0.3, 3.0))
+
+
+def _subject(clip: Clip, frames: Array) -> Subject:
+    """Outline, centre and heading of a vehicle on ``frames``, constant before and after its clip."""
+    fps = float(clip.fps)
+    times = np.clip((frames - clip.start_frame) / fps, clip.times[0], clip.times[-1])
+    times, sample = np.unique(times, return_inverse=True)
+    matrices = clip.at(times).matrices()[sample]
+    outline = vehicle_outline(clip.vehicle)
+    attitudes = (matrices[:, :3, :3], _upright(matrices[:, :3, :3]))
+    corners, upright = (outline @ R_wr.swapaxes(1, 2) + matrices[:, None, :3, 3] for R_wr in attitudes)
+    centre = matrices[:, :3, 3] + (outline.max(axis=0) + outline.min(axis=0)) / 2 * (0.0, 0.0, 1.0)
+    return Subject(matrices, outline, corners, upright, centre, _headings(matrices, fps), fps)
+
+
+def _upright(R_wr: Array) -> Array:
+    """Rotations (n, 3, 3) of vehicles without their tilt, so that their Z axis is vertical."""
+    tilt = np.cross(R_wr[:, :, 2], (0.0, 0.0, 1.0))
+    sine = np.linalg.norm(tilt, axis=1, keepdims=True)
+    angle = np.arctan2(sine[:, 0], R_wr[:, 2, 2])[:, None]
+    return matrices(from_vectors(tilt * angle / np.maximum(sine, 1e-9))) @ R_wr
+
+
+def _headings(matrices: Array, fps: float) -> Array:
+    """Headings (n,) rad of the smoothed path; while the target hovers, that of its body."""
+    path = smooth(matrices[:, :2, 3], 0.5 * fps)
+    velocity = np.gradient(path, axis=0) * fps if len(path) > 1 else np.zeros((1, 2))
+    course = velocity + 0.5 * matrices[:, :2, 0]
+    return np.unwrap(np.arctan2(course[:, 1], course[:, 0]))
+
+
+def vehicle_outline(vehicle: Any) -> Array:
+    """The outline (k, 3) m of a vehicle in its rig root's frame: its parts' hull; a 2 m cube without a rig."""
+    if vehicle.rig is None:
+        return np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (0, 2)], float)
+    return _outline(Path(vehicle.rig.asset), vehicle.rig.root or None, stamp(vehicle.rig.asset))
+
+
+@lru_cache(maxsize=16)
+def _outline(asset: Path, root: str | None, written: Stamp) -> Array:
+    from vehsim.rig.parts import read_parts
+
+    parts = read_parts(asset, root)
+    points = np.concatenate([part.points @ part.T_rp[:3, :3].T + part.T_rp[:3, 3] for part in parts])
+
+    def hull() -> list[Array]:
+        from scipy.spatial import ConvexHull
+
+        return [points[ConvexHull(points, qhull_options="QJ").vertices]]
+
+    return kept_arrays("outline", [points], hull)[0]
+
+
+def _check(rig: CameraRig, clips: Mapping[str, Clip]) -> None:
+    if rig.rig not in RIGS:
+        raise InputError(
+            "unknown",
+            f"choose one of {', '.join(sorted(RIGS))}",
+            key="rig",
+            value=rig.rig,
+            subject=f"camera {rig.name!r}",
+        )
+    if not clips:
+        raise InputError("there is no vehicle to look at", "add a [[vehicle]]", subject=f"camera {rig.name!r}")
+    if rig.target is not None and rig.target not in clips:
+        names = ", ".join(clips)
+        raise InputError(
+            "no such vehicle", f"choose one of {names}", key="target", value=rig.target, subject=f"camera {rig.name!r}"
+        )
+    if rig.look_at is not None and rig.position is not None and tuple(rig.look_at) == tuple(rig.position):
+        raise InputError(
+            "the camera stands there",
+            "look elsewhere",
+            key="look_at",
+            value=rig.look_at,
+            subject=f"camera {rig.name!r}",
+        )

@@ -1,0 +1,257 @@
+"""Where a camera can be: guide a desired path around obstructions, then raise it over the remaining ones, smoothly.
+
+This module finds the camera's path past terrain and standing obstacles; `framing.py` provides the desired path.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import product
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from vehsim.world.obstacles.obstacles import Obstacle
+
+Array = NDArray[np.float64]
+
+SIDESTEPS = np.radians((0.0, 12.0, -12.0, 24.0, -24.0, 38.0, -38.0))
+SCALES = (1.0, 0.85)
+LIFTS = (0.0, 0.12, 0.25, 0.4)
+"""Deviations that let a camera see its target: around it (rad), nearer (factor), higher (relative to its distance)."""
+HIGHER = (0.55, 0.7)
+"""Additional heights for a camera that keeps its side of the target."""
+ASIDE = 3.0
+"""Additional weight of turning in that case, which is at most 24 degrees unless there are obstacles."""
+SIGHT = np.linspace(0.0, 0.75, 14)
+"""Points at which the line of sight is tested, from the camera (0) towards the target (1)."""
+ROUND = np.radians((55.0, -55.0, 75.0, -75.0))
+"""Additional angles around the target if there are obstacles: they may hide a target at close range."""
+THROUGH = 0.2
+"""Weight of a metre of sight inside an obstacle, in metres of the ground's mean depth along the sight."""
+RAISES = np.linspace(0.0, 1.2, 25)
+"""Largest raise over an obstacle, relative to its distance."""
+
+
+def steer(
+    positions: Array, aims: Array, world: Any, margin: float, radius: float, fps: float, behind: bool = False
+) -> Array:
+    """Camera positions (n, 3) close to the desired ``positions`` with a clear view of ``radius`` m around ``aims``.
+
+    Every quarter second the camera may stay, move around the target, approach or rise; dynamic programming chooses the
+    sequence with the least obstructed view, then the least deviation and change. A camera that stays ``behind`` its
+    target is raised rather than moved around it.
+    """
+    count = len(positions)
+    step = max(1, round(fps / 4))
+    keys = np.unique(np.append(np.arange(0, count, step), count - 1))
+    turns = SIDESTEPS[:5] if behind else SIDESTEPS
+    turns = np.append(turns, ROUND) if _standing(world) else turns
+    choices = np.array(list(product(turns, SCALES, LIFTS + HIGHER * behind)))
+    moves = np.stack([_moved(positions[keys] - aims[keys], *choice) for choice in choices], axis=1)
+    hidden = blocked(aims[keys][:, None] + moves, aims[keys][:, None], world, margin, radius)
+    reach = np.linalg.norm(positions - aims, axis=1).mean()
+    departure = (
+        ((ASIDE if behind else 1.0) * choices[:, 0]) ** 2 + (2 * (1 - choices[:, 1])) ** 2 + (2 * choices[:, 2]) ** 2
+    )
+    chosen = _cheapest(hidden / reach * 400.0 + departure, choices / (0.10, 0.12, 0.10))
+    path = np.array([np.interp(np.arange(count), keys, choices[chosen, k]) for k in range(3)])
+    path = smooth(path.T, 0.35 * fps)
+    calm = smooth(aims, 0.5 * fps)
+    return calm + _moved(positions - calm, path[:, 0], path[:, 1], path[:, 2])
+
+
+def raise_camera(positions: Array, aims: Array, world: Any, margin: float, fps: float) -> Array:
+    """Raise the camera, ahead of time, until it sees its aim and keeps ``margin`` m from the ground.
+
+    A camera at a fixed place is raised permanently, and over the ground only.
+    """
+    sight = _sight(positions, aims)
+    # its line of sight rises less than the camera
+    need = (_ground(sight, world, 0.5 * margin) - sight[..., 2]) / (1.0 - SIGHT)
+    need[:, 0] = _ground(sight[:, 0], world, margin) + margin - sight[:, 0, 2]
+    need = need.max(axis=1)
+    need = np.maximum(np.where(np.isfinite(need), need, 0.0), 0.0)
+    still = np.ptp(positions, axis=0).max() < 1e-9
+    raised = np.full(len(need), need.max()) if still else envelope(need, fps)
+    if not still and _standing(world):  # blocks have steeper sides than the ground: start earlier
+        raised = raised + envelope(_over_obstacles(positions, aims, world, margin), fps, 0.8)
+    return positions + raised[:, None] * (0.0, 0.0, 1.0)
+
+
+def calm(positions: Array, aims: Array, world: Any, margin: float, fps: float, limit: float) -> Array:
+    """The path (n, 3) smoothed only until its jerk (m/s^3) is below ``limit``, and still above the ground."""
+    path = positions
+    for sigma in (0.15, 0.25, 0.4, 0.6, 0.9, 1.3):
+        if jerk(path, fps) <= limit:
+            break
+        path = raise_camera(smooth(positions, sigma * fps), aims, world, margin, fps)
+    return path
+
+
+def jerk(positions: Array, fps: float) -> float:
+    """Largest third difference of ``positions`` (n, 3), m/s^3."""
+    if len(positions) < 4:
+        return 0.0
+    return float(np.linalg.norm(np.diff(positions, n=3, axis=0), axis=1).max()) * fps**3
+
+
+def smooth(values: Array, sigma: float) -> Array:
+    """Gaussian-filtered along the first axis, extrapolated linearly beyond both ends; ``sigma`` in samples."""
+    pad = min(int(4 * sigma) + 1, len(values) - 1)
+    if pad < 1:
+        return np.array(values, float)
+    before = 2 * values[:1] - values[pad:0:-1]
+    after = 2 * values[-1:] - values[-2 : -pad - 2 : -1]
+    return _blurred(np.concatenate([before, values, after]), sigma, 4.0)[pad : pad + len(values)]
+
+
+def envelope(values: Array, fps: float, ahead: float = 0.4) -> Array:
+    """A smooth curve (n,) that is nowhere below ``values``; it starts to rise three times ``ahead`` s before them."""
+    sigma = ahead * fps
+    reach = int(3 * sigma + 0.5)
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(values, reach, mode="edge"), 2 * reach + 1)
+    return _blurred(around.max(axis=1), sigma, 3.0)
+
+
+def _blurred(values: Array, sigma: float, cut: float) -> Array:
+    """Weighted mean with a Gaussian of ``sigma`` samples, truncated at ``cut`` times that, along the first axis."""
+    reach = int(cut * sigma + 0.5)  # in numpy only: scipy's filters take half a second to load
+    bell = np.exp(-((np.arange(-reach, reach + 1) / sigma) ** 2) / 2)
+    rows = np.pad(values.reshape(len(values), -1), ((reach, reach), (0, 0)), mode="edge").T
+    found = [np.convolve(row, bell / bell.sum(), mode="valid") for row in rows]
+    return np.column_stack(found).reshape(values.shape)
+
+
+def _moved(offsets: Array, turn: Any, scale: Any, rise: Any) -> Array:
+    """Offsets (n, 3) from the target, rotated about the vertical (rad), scaled, raised by ``rise`` of their length."""
+    x, y, z = offsets.T * scale
+    cos, sin = np.cos(turn), np.sin(turn)
+    return np.stack([x * cos - y * sin, x * sin + y * cos, z + rise * np.linalg.norm(offsets, axis=1)], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Parked:
+    """A vehicle that stands still, as an obstacle for cameras. ``hulls``: convex, vertices (n, 3) m."""
+
+    hulls: tuple[Array, ...]
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """Objects that may hide a target: the ground and all standing obstacles, including vehicles."""
+
+    terrain: Any
+    height: Callable[[Array], Any]
+    standing: tuple[Obstacle | Parked, ...]
+
+    @staticmethod
+    def of(world: Any, parked: tuple[Parked, ...]) -> Surroundings:
+        return Surroundings(getattr(world, "terrain", world), world.height, (*_standing(world), *parked))
+
+
+def blocked(positions: Array, aims: Array, world: Any, margin: float, radius: float) -> Array:
+    """Length (...,), m, of obstructions in front of the target, its left and right; those near the camera weigh
+    more."""
+    if getattr(world, "terrain", world) is None and not _standing(world):
+        return np.zeros(positions.shape[:-1])
+    ray = aims - positions
+    side = np.stack([-ray[..., 1], ray[..., 0], np.zeros_like(ray[..., 0])], axis=-1)
+    side *= radius / np.maximum(np.linalg.norm(side, axis=-1, keepdims=True), 1e-9)
+    total = np.zeros(positions.shape[:-1])
+    for weight, aim in ((1.0, aims + 0 * side), (0.5, aims + side), (0.5, aims - side)):
+        sight = _sight(positions, aim)
+        depth = np.maximum(_ground(sight, world, margin) + margin * (1.0 - SIGHT) - sight[..., 2], 0.0)
+        depth = np.where(np.isfinite(depth), depth, 0.0)
+        total += weight * (depth.mean(axis=-1) + 1.5 * depth[..., 0])
+        if _standing(world):
+            total += weight * THROUGH * _through_obstacles(positions, aim, world, margin)
+    return total
+
+
+def _sight(positions: Array, aims: Array) -> Array:
+    return positions[..., None, :] + SIGHT[:, None] * (aims - positions)[..., None, :]
+
+
+def _over_obstacles(positions: Array, aims: Array, world: Any, margin: float) -> Array:
+    """The smallest raise (n,) m of each camera with a clear view past every obstacle; 0 if there is none."""
+    apart = np.linalg.norm(aims - positions, axis=1)[:, None]
+
+    def free(raises: Array) -> Any:
+        raised = positions[:, None] + (apart * raises)[..., None] * (0.0, 0.0, 1.0)
+        return _through_obstacles(raised, aims[:, None], world, margin) <= 0.0
+
+    enough = RAISES[free(np.tile(RAISES, (len(apart), 1))).argmax(axis=1)][:, None]
+    short = np.maximum(enough - RAISES[1], 0.0)
+    for _ in range(8):
+        middle = (short + enough) / 2
+        seen = free(middle)
+        short, enough = np.where(seen, short, middle), np.where(seen, middle, enough)
+    return np.asarray((apart * enough)[:, 0])
+
+
+def _through_obstacles(positions: Array, aims: Array, world: Any, margin: float) -> Array:
+    """Length (...,), m, of the sight from ``positions`` to ``aims`` (..., 3) inside or close to obstacles, plus the
+    missing part of half the ``margin`` between camera and obstacles."""
+    start, end = (np.reshape(ends, (-1, 3)) for ends in np.broadcast_arrays(positions, aims))
+    ray = end - start
+    reach = np.linalg.norm(ray, axis=1)
+    total = np.zeros(len(start))
+    for centre, radius, planes in (solid for obstacle in _standing(world) for solid in _solids(obstacle)):
+        nearest = np.clip(((centre - start) * ray).sum(axis=1) / np.maximum(reach**2, 1e-9), 0.0, 1.0)
+        close = np.linalg.norm(start + nearest[:, None] * ray - centre, axis=1) < radius + margin
+        if not close.any():
+            continue
+        over = start[close] @ planes[:, :3].T + planes[:, 3]  # distance outside each face at which the sight starts
+        lacking = np.maximum(0.5 * margin - over.max(axis=1), 0.0)
+        rate = ray[close] @ planes[:, :3].T + 0.1 * margin  # a little space around the sight, less towards the target
+        rate[np.abs(rate) < 1e-12] = -1e-12  # parallel to a face: inside on the whole way or never
+        crossing = (0.1 * margin - over) / rate
+        enters = np.where(rate < 0, crossing, -np.inf).max(axis=1)
+        leaves = np.where(rate > 0, crossing, np.inf).min(axis=1)
+        inside = np.clip(leaves, 0.0, 1.0) - np.clip(enters, 0.0, 1.0)
+        total[close] += np.maximum(inside, 0.0) * reach[close] + lacking
+    return total.reshape(np.broadcast_shapes(np.shape(positions), np.shape(aims))[:-1])
+
+
+@lru_cache(maxsize=256)
+def _solids(obstacle: Obstacle | Parked) -> list[tuple[Array, float, Array]]:
+    """An obstacle's hulls: centre (3,) m, radius m, faces (m, 4), unit normals outwards and offsets."""
+    from scipy.spatial import ConvexHull
+
+    centres = [hull.mean(axis=0) for hull in obstacle.hulls]
+    spread = [hull - centre for hull, centre in zip(obstacle.hulls, centres, strict=True)]
+    radii = [float(np.linalg.norm(offsets, axis=1).max()) for offsets in spread]
+    planes = [np.unique(ConvexHull(hull).equations.round(9), axis=0) for hull in obstacle.hulls]
+    return list(zip(centres, radii, planes, strict=True))
+
+
+def _standing(world: Any) -> tuple[Obstacle | Parked, ...]:
+    return getattr(world, "standing", ())
+
+
+def _ground(points: Array, world: Any, margin: float) -> Array:
+    """The highest ground (...,) within ``margin`` of ``points`` (..., 3)."""
+    if getattr(world, "terrain", world) is None:
+        return np.full(points.shape[:-1], -np.inf)
+    around = margin * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]], float)
+    footprint = points[..., None, :2] + around
+    return np.asarray(world.height(footprint.reshape(-1, 2))).reshape(footprint.shape[:-1]).max(axis=-1)
+
+
+def _cheapest(costs: Array, places: Array) -> NDArray[np.int64]:
+    """The row of ``places`` (m, d) for each step (k,) with the least sum of ``costs`` (k, m) and squared changes."""
+    change = ((places[:, None] - places[None]) ** 2).sum(axis=2)
+    best, came = costs[0], []
+    for cost in costs[1:]:
+        reached = best[:, None] + change
+        came.append(reached.argmin(axis=0))
+        best = reached.min(axis=0) + cost
+    chosen = [int(best.argmin())]
+    for back in reversed(came):
+        chosen.append(int(back[chosen[-1]]))
+    return np.array(chosen[::-1])

@@ -1,0 +1,94 @@
+"""Check this machine: Python, libraries, EGL, the film codec, the cache. Standard library only at the top.
+
+``tools/setup.sh`` calls ``python -m vehsim.cli.doctor --egl``, whose exit code tells whether pictures can be rendered.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import importlib.metadata
+import platform
+import sys
+from dataclasses import dataclass
+
+LIBRARIES = ("mujoco", "casadi", "numpy", "scipy", "usd-core", "trimesh", "libigl", "pydantic", "pillow", "av")
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line of the report: what was checked, whether it is good, what was found, and how to fix it."""
+
+    what: str
+    good: bool
+    found: str
+    remedy: str = ""
+
+
+def egl_devices() -> int:
+    """Number of devices on which EGL can render without a screen; Mesa's software renderer counts as one."""
+    try:
+        ctypes.CDLL("libGL.so.1")  # MuJoCo renders through PyOpenGL, which loads this library in addition to EGL.
+        egl = ctypes.CDLL("libEGL.so.1")
+    except OSError:
+        return 0
+    egl.eglGetProcAddress.restype = ctypes.c_void_p
+    address = egl.eglGetProcAddress(b"eglQueryDevicesEXT")
+    if not address:
+        return 0
+    query = ctypes.CFUNCTYPE(ctypes.c_uint, ctypes.c_int, ctypes.c_void_p, ctypes.POINTER(ctypes.c_int))(address)
+    count = ctypes.c_int(0)
+    return count.value if query(0, None, ctypes.byref(count)) else 0
+
+
+def _python() -> Finding:
+    return Finding("Python", sys.version_info >= (3, 11), platform.python_version(), "use Python 3.11 or newer")
+
+
+def _library(name: str) -> Finding:
+    try:
+        return Finding(name, True, importlib.metadata.version(name))
+    except importlib.metadata.PackageNotFoundError:
+        return Finding(name, False, "not installed", f"pip install {name}")
+
+
+def _egl() -> Finding:
+    count = egl_devices()
+    remedy = "sudo apt-get install libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri"
+    return Finding("EGL", count > 0, f"{count} device(s)" if count else "no device", remedy)
+
+
+def _codec() -> Finding:
+    remedy = "pip install --force-reinstall av"
+    try:
+        import av
+
+        codec = av.Codec("libx264", "w")
+    except Exception as error:  # A broken PyAV build may raise anything: report it, never crash.
+        return Finding("H.264", False, f"no libx264 encoder ({error})", remedy)
+    return Finding("H.264", True, codec.long_name)
+
+
+def _cache() -> Finding:
+    from vehsim.runtime.cache import cache_folder
+
+    folder = cache_folder()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe = folder / ".doctor"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        return Finding("cache", False, str(error), "set VEHSIM_CACHE to a writable folder")
+    return Finding("cache", True, str(folder))
+
+
+def examine() -> list[Finding]:
+    """Check everything that vehsim needs."""
+    return [_python(), *map(_library, LIBRARIES), _egl(), _codec(), _cache()]
+
+
+if __name__ == "__main__":
+    if sys.argv[1:] == ["--egl"]:
+        sys.exit(0 if egl_devices() else 1)
+    for finding in examine():
+        print(f"{'ok ' if finding.good else 'BAD'}  {finding.what}: {finding.found}")

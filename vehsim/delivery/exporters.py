@@ -1,0 +1,153 @@
+"""Exporters: their definition, their discovery through entry points, and their order."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from vehsim.delivery.earlier import SIGN, Keep, record
+from vehsim.delivery.folders import drop_empty_folders, new_version, newest, replacing, versions
+from vehsim.errors import ExportError, InputError
+from vehsim.runtime.registry import entries
+
+Progress = Callable[[str, float], None]
+"""Called with a description of the work and the fraction done, 0 to 1."""
+
+
+@dataclass(frozen=True)
+class Exporter:
+    """Writes a take. ``write(take, folder, progress)`` returns the files that it wrote below ``folder``.
+
+    ``needs`` names exporters whose files this one reads from ``folder`` (for example, pictures are rendered from the
+    USD). The take runs them first, and deletes their files afterwards if they were not requested.
+    """
+
+    name: str
+    suffixes: tuple[str, ...]
+    write: Callable[[Any, Path, Progress], Sequence[Path]]
+    needs: tuple[str, ...] = ()
+    latest: Callable[[Path, Path], None] | None = None
+    """``latest(version, home)`` updates the link files in ``home`` to its newest version"""
+    keep: Keep | None = None
+    """``keep(earlier, new, vehicles)``: files of a new delivery and what they hold with vehicles of an earlier one"""
+    makes: str = ""
+    """The product in a few words: shown by ``vehsim export --help``"""
+    every_frame: bool = False
+    """Whether it renders every frame of every camera, which takes minutes for a long shot"""
+
+
+GROUP = "vehsim.exporters"
+"""Entry points of this group are `Exporter` objects; a studio's package can add its own."""
+REPORT_GROUP = "vehsim.reports"
+"""Entry points of this group are functions ``(take, folder, files) -> Path`` that report what was delivered."""
+
+
+def exporter_names() -> list[str]:
+    return sorted({entry.name for entry in entries(GROUP)})
+
+
+def find_exporter(name: str) -> Exporter:
+    """The exporter called ``name``. Raises ``InputError``."""
+    for entry in entries(GROUP):
+        if entry.name == name:
+            exporter: Exporter = entry.load()
+            return exporter
+    raise InputError("no such exporter", f"choose from {', '.join(exporter_names())}", key="to", value=name)
+
+
+def exporter_for(path: Path) -> Exporter:
+    """The exporter that writes files with ``path``'s suffix. Raises ``InputError``."""
+    for name in exporter_names():
+        exporter = find_exporter(name)
+        if path.suffix in exporter.suffixes:
+            return exporter
+    raise InputError(
+        f"no exporter writes {path.suffix!r} files", f"name one with to=: {', '.join(exporter_names())}", file=path
+    )
+
+
+def in_order(names: Sequence[str]) -> list[Exporter]:
+    """The exporters called ``names``, each after those that it needs. Raises ``InputError``."""
+    ordered: dict[str, Exporter] = {}
+
+    def add(name: str, on_the_way: tuple[str, ...]) -> None:
+        if name in on_the_way:
+            raise ExportError(f"exporters need each other in a circle: {' -> '.join((*on_the_way, name))}")
+        exporter = find_exporter(name)
+        for needed in exporter.needs:
+            add(needed, (*on_the_way, name))
+        ordered.setdefault(name, exporter)
+
+    for name in names:
+        add(name, ())
+    return list(ordered.values())
+
+
+def check_stage_is_there(names: Sequence[str], layer_only: bool) -> None:
+    """Raise ``InputError`` if exporters need the shot's stage but only the layers will be written."""
+    for exporter in in_order(names) if layer_only else ():
+        if exporter.needs:
+            raise InputError(
+                "made from the shot's stage, which export.layer_only omits",
+                "leave out one",
+                key="to",
+                value=exporter.name,
+            )
+
+
+def write_files(
+    take: Any,
+    folder: Path,
+    names: Sequence[str],
+    progress: Progress,
+    instead: Mapping[str, Exporter] = MappingProxyType({}),
+) -> dict[str, list[Path]]:
+    """Run the exporters in ``folder``; return the files of each of ``names``, and delete those that were only needed.
+
+    ``instead``: exporters to use in place of those found, by name.
+    """
+    exporters = [instead.get(exporter.name, exporter) for exporter in in_order(names)]
+    written: dict[str, list[Path]] = {}
+    for i, exporter in enumerate(exporters):
+
+        def report(what: str, done: float, before: int = i) -> None:
+            progress(what, (before + min(max(done, 0.0), 1.0)) / len(exporters))
+
+        written[exporter.name] = [Path(path) for path in exporter.write(take, folder, report)]
+    asked = {name: sorted(set(written[name])) for name in names}
+    for path in {path for paths in written.values() for path in paths} - {p for paths in asked.values() for p in paths}:
+        path.unlink(missing_ok=True)
+    drop_empty_folders(folder)
+    return asked
+
+
+def delivering(target: Path, versioned: bool, overwrite: bool = True) -> AbstractContextManager[Path]:
+    """A hidden folder that is renamed when the block ends without an error: `replacing` ``target``, or its
+    `new_version`."""
+    if versioned:
+        return new_version(target)
+    exporters = map(find_exporter, exporter_names())
+    return replacing(target, overwrite, {exporter.name: exporter.keep for exporter in exporters if exporter.keep})
+
+
+def point_at_newest(home: Path) -> Path:
+    """Have every exporter point at the newest version in ``home`` that it wrote into; returns the newest of all.
+
+    Warns where that shows another motion than the newest of all does.
+    """
+    found = versions(home)
+    reports = {version: record(version / SIGN)["solved"] for version in found}
+    for exporter in map(find_exporter, exporter_names()):
+        mine = [version for version in found if exporter.name in reports[version].get("exporters", ())]
+        if exporter.latest is None or not mine:
+            continue
+        exporter.latest(mine[-1], home)
+        if reports[mine[-1]].get("content") != reports[found[-1]].get("content"):
+            said = f"latest still shows {mine[-1].name}: {found[-1].name} holds another motion, without {exporter.name}"
+            warnings.warn(f"{home}: {said}; export {exporter.name} again", stacklevel=3)
+    return newest(home)

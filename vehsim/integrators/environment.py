@@ -1,0 +1,76 @@
+"""The interface through which a world acts on a vehicle during integration.
+
+An environment returns a wrench as a function of time, state and controls, independent of steps;
+`vehsim.integrators.forced` applies it to second order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.vehicles.definition.base import State
+
+Array = NDArray[np.float64]
+
+
+class Environment:
+    """Base class of everything that acts on a vehicle from outside. An instance belongs to one vehicle in one world.
+
+    ``max_step`` s: the longest permitted integration step; simulation takes substeps if necessary. ``next_step`` s: the
+    longest step from the last evaluated state, for short events such as contact.
+    """
+
+    max_step: float = np.inf
+    next_step: float = np.inf
+
+    def wrench(self, t: float, state: State, controls: Array) -> Array:
+        """Wrench (d,) in body axes about the body frame's origin, torque [N m] then force [N] (SE(2): yaw, x, y).
+
+        ``state`` is public (the rig root's pose and twist) at ``t`` s; its velocity is predicted to first order.
+        """
+        raise NotImplementedError
+
+    def added_inertia(self, t: float, state: State) -> Array | None:
+        """Added mass (d, d), kg m^2 and kg, about the body frame's origin; None: no added mass. It resists the
+        acceleration by all forces together, including contacts."""
+        return None
+
+    def events(self) -> list[dict[str, Any]]:
+        """Events so far, for clip and report: ``{"time": s, "kind": ..., ...}``, in order."""
+        return []
+
+
+class Nothing(Environment):
+    """Empty space around a vehicle on a group of dimension ``size``."""
+
+    def __init__(self, size: int):
+        self._size = size
+
+    def wrench(self, t: float, state: State, controls: Array) -> Array:
+        return np.zeros(self._size)
+
+
+class Combined(Environment):
+    """Several environments as one: wrenches and added masses add up; the shortest step applies."""
+
+    def __init__(self, parts: Sequence[Environment]):
+        self.parts = tuple(parts)
+        self.max_step = min((part.max_step for part in self.parts), default=np.inf)
+
+    @property
+    def next_step(self) -> float:  # type: ignore[override]
+        return min((part.next_step for part in self.parts), default=np.inf)
+
+    def wrench(self, t: float, state: State, controls: Array) -> Array:
+        return np.sum([part.wrench(t, state, controls) for part in self.parts], axis=0)
+
+    def added_inertia(self, t: float, state: State) -> Array | None:
+        added = [a for part in self.parts if (a := part.added_inertia(t, state)) is not None]
+        return np.sum(added, axis=0) if added else None
+
+    def events(self) -> list[dict[str, Any]]:
+        return sorted((event for part in self.parts for event in part.events()), key=lambda event: event["time"])

@@ -1,0 +1,48 @@
+"""Write an expression once in CasADi and evaluate it on arrays too."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+
+def vectorized(method: Callable[..., Any]) -> Callable[..., Any]:
+    """Let ``method(self, x, y, ...)``, written for column expressions, also accept arrays of shape ``(..., n)``.
+
+    Symbolic arguments are passed on unchanged. Arrays broadcast over their leading axes; the expression is built once
+    per instance and set of argument sizes. A column is returned as ``(..., n)``, a scalar as ``(...)``, a matrix as
+    ``(..., m, n)``.
+    """
+
+    @functools.wraps(method)
+    def call(self: Any, *arguments: Any) -> Any:
+        if any(isinstance(a, ca.SX | ca.MX) for a in arguments):
+            return method(self, *arguments)
+        arrays = [np.asarray(a, float) for a in arguments]
+        lead = np.broadcast_shapes(*(a.shape[:-1] for a in arrays))
+        function = _function(self, method, tuple(a.shape[-1] for a in arrays))
+        columns = [np.broadcast_to(a, (*lead, a.shape[-1])).reshape(-1, a.shape[-1]).T for a in arrays]
+        count = int(np.prod(lead, dtype=int))
+        rows, width = function.size_out(0)
+        if count == 0:
+            values = np.zeros((rows, 0))
+        else:
+            values = np.asarray(function.map(count)(*columns) if count > 1 else function(*columns))
+        stacked = values.reshape(rows, count, width).transpose(1, 0, 2)
+        shape = (rows, width) if width > 1 else (rows,) if rows > 1 else ()
+        return stacked.reshape(*lead, *shape)
+
+    return call
+
+
+def _function(owner: Any, method: Callable[..., Any], sizes: tuple[int, ...]) -> ca.Function:
+    cache = owner.__dict__.setdefault("_functions", {})
+    key = (method.__name__, sizes)
+    if key not in cache:
+        symbols = [ca.SX.sym(f"x{i}", n) for i, n in enumerate(sizes)]
+        cache[key] = ca.Function(method.__name__.strip("_"), symbols, [ca.densify(ca.SX(method(owner, *symbols)))])
+    return cache[key]

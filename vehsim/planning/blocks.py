@@ -1,0 +1,42 @@
+"""The blocks of a plan's problem, in the order in which they stand there."""
+
+from __future__ import annotations
+
+from vehsim.planning.constraints.block import Block
+from vehsim.planning.constraints.clearance import Clearance, SphereCover
+from vehsim.planning.constraints.dynamics import Dynamics, UnconstrainedJoints, UnitQuaternion
+from vehsim.planning.constraints.landing import Landing
+from vehsim.planning.constraints.marks import Loop, MarkRows, closes_loop
+from vehsim.planning.constraints.obstacle_clearance import ObstacleClearance
+from vehsim.planning.constraints.terms import TermRows
+from vehsim.planning.constraints.timing import Timing
+from vehsim.planning.costs import OwnCost, RunningCosts
+from vehsim.planning.problem.transcription import Transcription
+from vehsim.planning.request.marks_near_obstacles import parts_in_reach
+from vehsim.planning.request.request import Request
+from vehsim.planning.terms import Cost
+
+
+def blocks_of(request: Request, transcription: Transcription, cover: SphereCover | None) -> tuple[Block, ...]:
+    """Everything that a request asks for, as blocks; ``cover``: what is to be kept off terrain and obstacles in flight,
+    None in free space."""
+    marks, constraints = request.marks, request.constraints
+    blocks: list[Block] = [Dynamics(marks)]
+    blocks.append(RunningCosts(request.weights, [term for term in constraints if term.aim is not None], marks))
+    blocks.append(UnitQuaternion())
+    for i, mark in enumerate(marks):
+        blocks.append(MarkRows(marks, i, closes_loop(marks, i, request.loop)))
+        if mark.on_ground and not (i and marks[i - 1].hold):
+            blocks.append(Landing(marks, i))
+    if request.loop:
+        blocks.append(Loop())
+    parts = parts_in_reach(request.vehicle, request.world, marks)
+    if parts:
+        blocks.append(ObstacleClearance(request.vehicle, parts, request.clearance))
+    blocks += [TermRows(term, marks, number) for number, term in enumerate(constraints)]
+    blocks += [OwnCost(term, marks) for term in request.terms if isinstance(term, Cost)]
+    if not request.vehicle.group.planar:
+        blocks.append(Clearance(request, cover, request.clearance))
+    blocks.append(Timing(marks, request.fps))
+    blocks.append(UnconstrainedJoints(request, transcription))
+    return tuple(blocks)

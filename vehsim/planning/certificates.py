@@ -1,0 +1,239 @@
+"""Certificates of a plan: its clearance on the exported motion, and the place where its controls lead."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.clip.clip import Clip
+from vehsim.clip.interpolant import spatial
+from vehsim.integrators import DiscreteMechanics
+from vehsim.integrators.continuous import execute
+from vehsim.lie.quaternions import yaw_of
+from vehsim.planning.outlines import bounds_to, gaps_to
+from vehsim.world.obstacles.articulated import articulated_footprint
+from vehsim.world.obstacles.obstacles import Moving, footprint, hulls_of
+from vehsim.world.obstacles.plane import distance, placed
+
+Array = NDArray[np.float64]
+
+SAMPLES = 4
+"""Poses looked at per segment before looking closer, ends included once."""
+FINEST = 1e-3
+"""How exactly the least clearance is found, m."""
+HALVINGS = 14
+"""How often the time between two poses is halved at most."""
+LEAN = 1.2
+"""How much more a body may turn between two poses than at the faster one's rate throughout."""
+
+
+@dataclass(frozen=True)
+class Executed:
+    """How far the rig's root is from the plan when its controls are run through a fine independent integration, m."""
+
+    mean: float
+    largest: float
+    final: float
+
+
+def certify(
+    clip: Clip,
+    world: Any,
+    samples: int = SAMPLES,
+    progress: Callable[[str, float], None] | None = None,
+    less: Callable[[Array], Array] | None = None,
+    slope: float = 0.0,
+) -> float:
+    """Smallest distance (m) of the vehicle's hulls to terrain and obstacles on the clip's own interpolant; inf if none.
+
+    Exact, through MuJoCo, at ``samples`` poses a segment and then between those where the way from one to the next
+    leaves room for a smaller distance, until the least is known to `FINEST`. ``less``: root positions (n, 3) -> what is
+    added to the distance there, where less is asked; it changes by ``slope`` a metre at most.
+    """
+    if world is None or (world.terrain is None and not world.obstacles) or len(clip) < 2:
+        return float("inf")
+    add = less or (lambda positions: np.zeros(len(positions)))
+    return _nearest(_Hulls(clip, world, add, slope), samples, progress)[0]
+
+
+def certify_plane(
+    clip: Clip, parts: Sequence[tuple[Any, int]], wanted: float = 0.0, samples: int = SAMPLES
+) -> tuple[float, Array]:
+    """Least signed distance (m) of a clip's vehicle to the parts, between knots too; and by part and segment.
+
+    On the clip's interpolant: where two samples and the way between them leave room for a smaller distance, there are
+    more, until the least one is known to `FINEST`. By segment, the least of the samples; those beyond it and beyond
+    ``wanted`` m are lower bounds.
+    """
+    if not parts or len(clip) < 2:
+        return float("inf"), np.full((len(parts), max(len(clip) - 1, 1)), np.inf)
+    turned = {name for part in articulated_footprint(clip.vehicle) for name, _, _ in part.pivots}
+    channels = {name: values for name, values in clip.channels.items() if name in turned}
+    bare = replace(clip, channels=channels, energy={})  # nothing but its motion is asked of it
+    return _nearest(_Outlines(bare, parts, wanted), samples)
+
+
+def _nearest(
+    measure: _Measure, samples: int, progress: Callable[[str, float], None] | None = None
+) -> tuple[float, Array]:
+    """The least of what is measured, and the least by row and segment (rows, segments)."""
+    knots = measure.clip.times
+    fine = np.linspace(0, 1, samples, endpoint=False)
+    times = np.append((knots[:-1, None] + np.diff(knots)[:, None] * fine).ravel(), knots[-1])
+    times = np.union1d(times, measure.breaks)
+    pairs = np.column_stack([np.arange(len(times) - 1), np.arange(1, len(times))])
+    nearest, by_segment = np.inf, np.zeros((0, len(knots) - 1))
+    for round_ in range(HALVINGS):
+        gaps, moved = measure(times, pairs, nearest)
+        nearest = min(nearest, float(gaps.min()))
+        by_segment = np.vstack([by_segment, np.full((len(gaps) - len(by_segment), len(knots) - 1), np.inf)])
+        for side in ("left", "right"):  # a knot belongs to the segments on both its sides
+            segment = np.clip(np.searchsorted(knots, times, side) - 1, 0, len(knots) - 2)
+            np.minimum.at(by_segment.T, segment, gaps.T)
+        if progress is not None:
+            progress("certifying clearance", 1 - 0.5 ** (round_ + 1))
+        # no point comes nearer than the sum of what both ends allow
+        least = (gaps[:, pairs[:, 0]] + gaps[:, pairs[:, 1]] - moved) / 2
+        left, right = times[pairs[least.min(axis=0) < nearest - FINEST]].T
+        if not len(left):
+            break
+        middle = (left + right) / 2
+        times, place = np.unique(np.concatenate([left, middle, middle, right]), return_inverse=True)
+        pairs = place.reshape(2, 2, -1).transpose(0, 2, 1).reshape(-1, 2)
+    return nearest, by_segment
+
+
+class _Measure(ABC):
+    """Distances along a clip, and how far anything may move between two poses of it."""
+
+    def __init__(self, clip: Clip, moving: Sequence[Moving], around: float) -> None:
+        self.clip, self.moving, self.around = clip, moving, around
+        self.start = clip.start_frame / float(clip.fps)
+        knots = [o.clip.start_frame / float(o.clip.fps) + o.clip.times - self.start for o in moving]
+        inside = np.concatenate([np.zeros(0), *knots])
+        self.breaks = inside[(inside > clip.times[0]) & (inside < clip.times[-1])]
+
+    def travel(self, times: Array, motion: Clip, pairs: NDArray[np.intp]) -> tuple[Array, Array, list[Array]]:
+        """Between ``pairs`` (m, 2) of poses: how far the root goes (m,) m, any point of it by turning (m,) m, and any
+        point of each that moves, (m,) m."""
+        omega, velocity = spatial(motion)
+        way, turn = _path(times, motion.positions, velocity, omega, pairs)
+        others = [(o, _path(*o.motion_at(self.start + times), pairs)) for o in self.moving]
+        return way, self.around * turn, [w + reach(o.clip.vehicle) * t for o, (w, t) in others]
+
+    @abstractmethod
+    def __call__(self, times: Array, pairs: NDArray[np.intp], nearest: float) -> tuple[Array, Array]:
+        """Distances (rows, n) m at ``times``, exact below ``nearest`` m, and the most that any two points can approach
+        between ``pairs`` (m, 2), (rows, m) m."""
+
+
+class _Hulls(_Measure):
+    """Of hulls to all there is in a world, in one row; each pose is measured once."""
+
+    def __init__(self, clip: Clip, world: Any, less: Callable[[Array], Array], slope: float) -> None:
+        super().__init__(clip, [o for o in world.obstacles if o.moves], reach(clip.vehicle))
+        self.world, self.less, self.slope = world, less, slope
+        self.known: dict[float, float] = {}
+
+    def __call__(self, times: Array, pairs: NDArray[np.intp], nearest: float) -> tuple[Array, Array]:
+        motion = self.clip.at(times)
+        new = np.array([k for k, t in enumerate(times.tolist()) if t not in self.known], int)
+        if len(new):
+            poses = motion.positions[new], motion.orientations[new]
+            found = self.world.clearance(self.clip.vehicle, *poses, self.start + times[new]) + self.less(poses[0])
+            self.known.update(zip(times[new].tolist(), found.tolist(), strict=True))
+        way, turn, others = self.travel(times, motion, pairs)
+        moved = (1 + self.slope) * way + turn + np.max(others, axis=0, initial=0.0)
+        return np.array([[self.known[t] for t in times.tolist()]]), moved[None]
+
+
+class _Outlines(_Measure):
+    """Of outlines in the plane, the whole vehicle's at rest and what swings out of it, to parts of obstacles, a row
+    each."""
+
+    def __init__(self, clip: Clip, parts: Sequence[tuple[Any, int]], wanted: float) -> None:
+        self.outline, self.articulated = footprint(clip.vehicle), articulated_footprint(clip.vehicle)
+        around = [float(np.linalg.norm(self.outline, axis=1).max())]
+        around += [float(np.linalg.norm(swing.pivots[0][2])) + swing.reach for swing in self.articulated]
+        super().__init__(clip, [o for o, _ in parts if o.moves], max(around))
+        self.parts, self.wanted, height = parts, wanted, float(clip.positions[0, 2])
+        self.meets = [
+            [s for s in self.articulated if o.bottom < height + s.top and o.top > height + s.bottom] for o, _ in parts
+        ]
+
+    def __call__(self, times: Array, pairs: NDArray[np.intp], nearest: float) -> tuple[Array, Array]:
+        motion = self.clip.at(times)
+        way, turn, others = self.travel(times, motion, pairs)
+        places, yaw = motion.positions[:, :2], yaw_of(motion.orientations)
+        outlines, swung = placed(self.outline, places, yaw), np.zeros(len(pairs))
+        turned = {}
+        for swing in self.articulated:
+            turned[id(swing)] = placed(swing.at(motion.channels), places, yaw)
+            steps = [np.abs(np.diff(motion.channels[name][pairs], axis=1))[:, 0] for name, _, _ in swing.pivots]
+            swung = np.maximum(swung, LEAN * swing.reach * np.sum(steps, axis=0))
+        their = iter(others)
+        moved = np.array([way + turn + swung + (next(their) if o.moves else 0.0) for o, _ in self.parts])
+        shapes = [o.shapes_at(self.start + times)[number] for o, number in self.parts]
+        bounds = np.array([bounds_to(shape, outlines) for shape in shapes])
+        # what is nearest is no farther than what the bounds call nearest
+        row, column = np.unravel_index(int(bounds.argmin()), bounds.shape)
+        here = shapes[row] if np.ndim(shapes[row]) < 3 else shapes[row][[column]]
+        nearest = min(nearest, float(distance(outlines[[column]], here)[0]))
+        enough = max(nearest, self.wanted) + float(moved.max())
+        gaps = [
+            np.min([gaps_to(shape, each, enough) for each in (outlines, *(turned[id(s)] for s in meets))], axis=0)
+            for shape, meets in zip(shapes, self.meets, strict=True)
+        ]
+        return np.array(gaps), moved
+
+
+def reach(vehicle: Any) -> float:
+    """How far any point of a vehicle's hulls is from its rig's root, m."""
+    return float(max((np.linalg.norm(hull, axis=1).max() for hull in hulls_of(vehicle)), default=0.0))
+
+
+def extent(vehicle: Any) -> float:
+    """The greatest side of the box about a vehicle's hulls, m; zero without any."""
+    points = np.vstack([np.zeros((1, 3)), *hulls_of(vehicle)])
+    return float(np.ptp(points, axis=0).max())
+
+
+def _path(
+    times: Array, positions: Array, velocity: Array, omega: Array, pairs: NDArray[np.intp]
+) -> tuple[Array, Array]:
+    """How far a root goes (m,) m and turns (m,) rad, at most, between ``pairs`` (m, 2) of poses without a knot inside.
+
+    Positions are cubic there: no longer than their control polygon.
+    """
+    a, b = pairs.T
+    third = ((times[b] - times[a]) / 3)[:, None]
+    start, end = positions[a], positions[b]
+    corners = [start, start + third * velocity[a], end - third * velocity[b], end]
+    way = sum(np.linalg.norm(q - p, axis=1) for p, q in pairwise(corners))
+    rate = np.linalg.norm(omega, axis=1)
+    return np.asarray(way), LEAN * 3 * third[:, 0] * np.maximum(rate[a], rate[b])
+
+
+def executed(
+    mechanics: DiscreteMechanics, g: Array, r: Array, pi: Array, c: Array, steps: Array, wind: Array
+) -> Executed:
+    """Run knot controls (n, c) from the first knot through RK4 on the continuous equations and compare (m)."""
+    z = np.ravel(np.asarray(mechanics.knot_velocity_guess(r[0], pi[0], c[0])))
+    g_real, _ = execute(mechanics.vehicle, g[0], r[0], z, c, steps, wind)
+    group, origin = mechanics.vehicle.group, mechanics.vehicle.origin
+    planned, real = (_root(group, origin, x) for x in (g, g_real))
+    errors = np.linalg.norm(planned - real, axis=1)
+    return Executed(mean=float(errors.mean()), largest=float(errors.max()), final=float(errors[-1]))
+
+
+def _root(group: Any, origin: Array, g: Array) -> Array:
+    from vehsim.lie import SO3
+
+    pose = group.pose(g)
+    return pose[:, 0:3] - np.einsum("nij,j->ni", SO3.matrix(pose[:, 3:7]), origin)

@@ -1,0 +1,153 @@
+"""The equations of motion: discrete mechanics of every substep, and a state that stays where a mark holds it."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.planning.constraints.block import Block
+from vehsim.planning.problem.elements import Element, NonlinearProgram, Use
+from vehsim.planning.problem.layout import Layout
+from vehsim.planning.problem.stage import evaluate, knot_view, segment_view
+from vehsim.planning.problem.transcription import Transcription
+from vehsim.planning.request.legs import held_segments
+from vehsim.planning.request.marks import Mark
+from vehsim.planning.request.request import Request
+from vehsim.planning.terms import Cost, Term
+from vehsim.planning.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Dynamics(Block):
+    """The discrete mechanics of every substep outside of holds; in holds the state and the controls stay as they are.
+
+    Controls and joints stay within the vehicle's bounds.
+    """
+
+    marks: Sequence[Mark]
+
+    def key(self, layout: Layout, transcription: Transcription) -> Hashable:
+        return "dynamics", tuple(mark.hold > 0 for mark in self.marks)
+
+    def _substeps(self, layout: Layout) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Substeps that move, and those that are held."""
+        every = np.arange(layout.segments * len(layout.fractions))
+        held = held_segments(layout.phases, self.marks)[every // len(layout.fractions)]
+        return every[~held], every[held]
+
+    def add(self, problem: NonlinearProgram, transcription: Transcription, layout: Layout) -> None:
+        moving, still = self._substeps(layout)
+        segment, part = np.divmod(moving, len(layout.fractions))
+        y = [
+            layout.node(moving), layout.velocity(moving), layout.control(segment), layout.control(segment + 1),
+            layout.node(moving + 1), layout.duration(segment),
+        ]  # fmt: skip
+        starts, fractions = np.cumsum([0.0, *layout.fractions[:-1]]), np.array(layout.fractions)
+        constants = {"start": starts[part][None], "fraction": fractions[part][None]}
+        problem.add(transcription.substep, np.vstack(y), constants=constants)
+        if len(still):
+            state = [layout.node(still), layout.velocity(still), layout.node(still + 1)]
+            problem.add(hold_element(transcription), np.vstack(state))
+            held = np.unique(still // len(layout.fractions))
+            controls = np.vstack([layout.control(held), layout.control(held + 1)])
+            problem.add(held_controls_element(transcription), controls)
+
+    def bound(self, trajectory: Trajectory, lower: Array, upper: Array) -> None:
+        transcription, layout = trajectory.transcription, trajectory.layout
+        knots = layout.control(np.arange(layout.segments + 1))
+        lower[knots] = (np.array([c.lower for c in transcription.vehicle.controls]) / transcription.control_scale)[
+            :, None
+        ]
+        upper[knots] = (np.array([c.upper for c in transcription.vehicle.controls]) / transcription.control_scale)[
+            :, None
+        ]
+        bound_joints(trajectory, transcription.vehicle.joint_limits, lower, upper)
+
+    def describe(self, use: Use, occurrence: int, row: int, trajectory: Trajectory) -> str:
+        if use.element.name != "dynamics":
+            return super().describe(use, occurrence, row, trajectory)
+        layout = trajectory.layout
+        segment = int(self._substeps(layout)[0][occurrence]) // len(layout.fractions)
+        return f"the motion at frame {trajectory.seconds()[segment] * float(trajectory.request.fps):.0f}"
+
+
+def bound_joints(trajectory: Trajectory, ranges: Mapping[str, tuple[float, float]], lower: Array, upper: Array) -> None:
+    """Keep joints within ranges by name at every node."""
+    transcription, layout = trajectory.transcription, trajectory.layout
+    nodes = layout.node(np.arange(layout.nodes))
+    for joint, (low, high) in ranges.items():
+        row = nodes[transcription.sizes[0] + transcription.vehicle.joints.index(joint)]
+        lower[row], upper[row] = np.maximum(lower[row], low), np.minimum(upper[row], high)
+
+
+def hold_element(transcription: Transcription) -> Element:
+    """A state that stays as it is, at no velocity: (x, z, x1).
+
+    It stands in place of the mechanics: in balance these say the same, but twice, since controls that stay as they are
+    say it too. The balance is asked once, by the mark where the hold begins.
+    """
+    v = transcription.symbols("x", "z", "x1")
+    return Element("hold", ca.vertcat(*v.values()), g=ca.vertcat(v["x1"] - v["x"], v["z"]))
+
+
+def held_controls_element(transcription: Transcription) -> Element:
+    """Controls that stay as they are: (c0, c1)."""
+    v = transcription.symbols("c0", "c1")
+    return Element("held controls", ca.vertcat(*v.values()), g=v["c1"] - v["c0"])
+
+
+class UnitQuaternion(Block):
+    """Unit norm of the first knot's quaternion; the steps keep it. Nothing where the group has none."""
+
+    def add(self, problem: NonlinearProgram, transcription: Transcription, layout: Layout) -> None:
+        group = transcription.vehicle.group
+        if group.size > group.dim:
+            problem.add(transcription.kept("gauge", lambda: _unit_norm(transcription)), layout.knot(0))
+
+
+def _unit_norm(transcription: Transcription) -> Element:
+    x = transcription.symbols("x")["x"]
+    q = transcription.split(x)[0][0:4]
+    return Element("gauge", x, g=ca.dot(q, q) - 1)
+
+
+@dataclass(frozen=True, eq=False)
+class UnconstrainedJoints(Block):
+    """Joints that neither motion, limit, term nor mark constrains, such as a wheel's roll, begin where the guess has
+    them: a solver that is free to choose ends up anywhere."""
+
+    request: Request
+    transcription: Transcription
+
+    @cached_property
+    def joints(self) -> list[int]:
+        """Numbers of the joints that nothing constrains."""
+        request, transcription = self.request, self.transcription
+        rows = [np.asarray(mark.joints, float) for mark in request.marks if mark.joints is not None]
+        return [
+            i
+            for i, name in enumerate(transcription.vehicle.joints)
+            if i in transcription.idle
+            and name not in request.limits.joints
+            and not any(np.isfinite(row[i]) for row in rows)
+            and not any(_reads(transcription, term, i) for term in request.terms)
+        ]
+
+    def bound(self, trajectory: Trajectory, lower: Array, upper: Array) -> None:
+        begins = trajectory.layout.node(0)[[self.transcription.sizes[0] + joint for joint in self.joints]]
+        lower[begins] = upper[begins] = trajectory.x[begins]
+
+
+def _reads(transcription: Transcription, term: Term, joint: int) -> bool:
+    """A term's law depends on the joint."""
+    v = transcription.symbols("x", "x1", "c0", "c1", "h")
+    whole = isinstance(term, Cost) or term.over == "segments"
+    view = segment_view(transcription, v) if whole else knot_view(transcription, v["x"], v["c0"])
+    return bool(ca.depends_on(evaluate(term, view), v["x"][transcription.sizes[0] + joint]))

@@ -1,0 +1,230 @@
+"""What of a convex shape and of a vehicle seen from above can be nearest to each other: one smooth row for each.
+
+Two convex shapes are d apart exactly when the corners of each are d from the other, and where an ellipse is one, when
+its outermost points towards the other's edges are, too. Discs within the vehicle see what crosses it between corners.
+A shape is numbers, parameters of the problem; forms of shapes are data (`FORMS`). Only the distance of a point from a
+shape has branches: it enters by value, slope and bend where the point is, so nothing differentiates the branches.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.planning.outlines import inner_discs, simplified
+from vehsim.planning.problem.elements import Element
+from vehsim.planning.problem.transcription import Transcription
+from vehsim.vehicles import Vehicle
+from vehsim.world.obstacles.obstacles import footprint
+from vehsim.world.obstacles.plane import Ellipse
+
+Array = NDArray[np.float64]
+Expr = Any
+Body = tuple[tuple[float, float], ...]
+"""A vehicle from above as the optimiser sees it: corners in the rig root's frame, m."""
+Model = tuple[Expr, Expr, Expr]
+"""Of the distance of a point from a shape: its value, slope (2,) and bend (xx, yy, xy)."""
+Law = Callable[[Expr, Expr, Expr, Body], tuple[Expr, Expr, Model]]
+"""Of the root's pose (yaw, x, y), a shape's numbers, a feature's constants and the body: what is taken off the
+distance, the point it is measured from, and the model there."""
+
+CORNERS = 8
+"""Corners of the polygon the optimiser sees a vehicle as, at most; it contains the footprint."""
+ROUND = 1e-12
+"""Added under square roots, m^2."""
+ROUNDS = 5
+"""Newton steps to the foot of a point on an ellipse."""
+
+
+@dataclass(frozen=True)
+class Feature:
+    """One row: its ``law``, which of its shape's ``numbers`` it takes, and its own ``constants``."""
+
+    law: Law
+    numbers: tuple[int, ...]
+    constants: tuple[float, ...]
+
+    @property
+    def kind(self) -> tuple[Law, int, int]:
+        """Equal for features that one element serves."""
+        return self.law, len(self.numbers), len(self.constants)
+
+
+@dataclass(frozen=True)
+class Form:
+    """Shapes of one kind: ``numbers`` of one, and its ``features`` beside a body."""
+
+    numbers: Callable[[Any], Array]
+    features: Callable[[Any, Body], list[Feature]]
+
+
+def form_of(shape: Any) -> Form:
+    """The form of a shape of `world.plane`."""
+    return FORMS[type(shape)]
+
+
+@lru_cache(maxsize=64)
+def body_of(vehicle: Vehicle) -> Body:
+    """The vehicle as the optimiser sees it: a convex polygon of a few corners about its footprint, or a point."""
+    return tuple((float(x), float(y)) for x, y in simplified(footprint(vehicle), CORNERS))
+
+
+@lru_cache(maxsize=256)
+def gap(kind: tuple[Law, int, int], body: Body) -> ca.Function:
+    """``(pose (3,), numbers, constants) -> m``: yaw and place of the root; distance of features of a kind."""
+    pose, numbers, constants = _symbols(kind)
+    less, _, (value, _, _) = kind[0](pose, numbers, constants, body)
+    return ca.Function("gap", [pose, numbers, constants], [value - less])
+
+
+@lru_cache(maxsize=256)
+def element(transcription: Transcription, kind: tuple[Law, int, int]) -> Element:
+    """The row of features of a kind at a knot: (x); parameters: ``numbers`` of the shape, the ``clearance`` asked for,
+    and the features' ``constants``."""
+    x, asked = transcription.symbols("x")["x"], ca.SX.sym("clearance")
+    _, numbers, constants = _symbols(kind)
+    g = transcription.split(x)[0]
+    pose = ca.vertcat(g[0], g[1:3] - _turn(g[0]) @ ca.DM(transcription.vehicle.origin[:2]))
+    less, point, (value, slope, bend) = kind[0](pose, numbers, constants, body_of(transcription.vehicle))
+    at, height, rise, curve = (ca.SX.sym(name, k) for name, k in (("at", 2), ("value", 1), ("slope", 2), ("bend", 3)))
+    off = point - at
+    squares = ca.vertcat(off[0] ** 2 / 2, off[1] ** 2 / 2, off[0] * off[1])
+    row = height + ca.dot(rise, off) + ca.dot(curve, squares) - less - asked
+    frozen = (ca.vertcat(at, height, rise, curve), ca.vertcat(point, value, slope, bend))
+    parameters = {"numbers": numbers, "clearance": asked, "constants": constants}
+    return Element("obstacle", x, parameters, g=row, upper=np.inf, frozen=frozen)
+
+
+def _symbols(kind: tuple[Law, int, int]) -> tuple[Expr, Expr, Expr]:
+    return ca.SX.sym("pose", 3), ca.SX.sym("numbers", kind[1]), ca.SX.sym("constants", kind[2])
+
+
+def _turn(angle: Expr) -> Expr:
+    c, s = ca.cos(angle), ca.sin(angle)
+    return ca.vertcat(ca.horzcat(c, -s), ca.horzcat(s, c))
+
+
+# ------------------------------------------------------------ laws
+
+
+def _point_from_polygon(pose: Expr, numbers: Expr, constants: Expr, body: Body) -> tuple[Expr, Expr, Model]:
+    """A point of the body, or a disc about it, from a polygon; constants: x, y, radius."""
+    point = pose[1:] + _turn(pose[0]) @ constants[:2]
+    corners = [numbers[2 * k : 2 * k + 2] for k in range(numbers.shape[0] // 2)]
+    return constants[2], point, from_polygon(point, corners)
+
+
+def _corner_from_body(pose: Expr, numbers: Expr, constants: Expr, body: Body) -> tuple[Expr, Expr, Model]:
+    """A polygon's corner from the body."""
+    point = _turn(pose[0]).T @ (numbers - pose[1:])
+    return 0.0, point, from_polygon(point, [ca.DM(corner) for corner in body])
+
+
+def _point_from_ellipse(pose: Expr, numbers: Expr, constants: Expr, body: Body) -> tuple[Expr, Expr, Model]:
+    """A point of the body, or a disc about it, from an ellipse; constants: x, y, radius."""
+    centre, radii, R_we = _ellipse(numbers)
+    point = R_we.T @ (pose[1:] + _turn(pose[0]) @ constants[:2] - centre)
+    return constants[2], point, from_ellipse(point, radii)
+
+
+def _ellipse_from_body(pose: Expr, numbers: Expr, constants: Expr, body: Body) -> tuple[Expr, Expr, Model]:
+    """The point of an ellipse that is outermost towards an edge of the body, from the body; constants: inwards."""
+    centre, radii, R_we = _ellipse(numbers)
+    R_wb = _turn(pose[0])
+    inwards = R_we.T @ R_wb @ constants
+    outermost = radii**2 * inwards / ca.sqrt(ca.sumsqr(radii * inwards) + ROUND)
+    point = R_wb.T @ (centre + R_we @ outermost - pose[1:])
+    return 0.0, point, from_polygon(point, [ca.DM(corner) for corner in body])
+
+
+def _ellipse(numbers: Expr) -> tuple[Expr, Expr, Expr]:
+    """Centre, radii, and own axes to world."""
+    axis = numbers[4:6]
+    return numbers[:2], numbers[2:4], ca.horzcat(axis, ca.vertcat(-axis[1], axis[0]))
+
+
+# ------------------------------------------------------------ forms
+
+
+def _points(law: Law, count: int, body: Body) -> list[Feature]:
+    """The body's corners and inner discs, beside a shape of ``count`` numbers."""
+    discs = inner_discs(np.array(body))
+    points = [(*corner, 0.0) for corner in body] + [(*map(float, centre), radius) for centre, radius in discs]
+    return [Feature(law, tuple(range(count)), point) for point in points]
+
+
+def _of_polygon(shape: Array, body: Body) -> list[Feature]:
+    own = range(len(shape)) if len(body) > 2 else ()
+    corners = [Feature(_corner_from_body, (2 * k, 2 * k + 1), ()) for k in own]
+    return _points(_point_from_polygon, shape.size, body) + corners
+
+
+def _of_ellipse(shape: Ellipse, body: Body) -> list[Feature]:
+    corners = np.array(body)
+    steps = np.roll(corners, -1, axis=0) - corners if len(body) > 2 else np.zeros((0, 2))
+    edges = [Feature(_ellipse_from_body, tuple(range(6)), (float(-y), float(x))) for x, y in steps]
+    return _points(_point_from_ellipse, 6, body) + edges
+
+
+FORMS: dict[type, Form] = {
+    np.ndarray: Form(np.ravel, _of_polygon),
+    Ellipse: Form(lambda shape: np.concatenate([shape.centre, shape.radii, shape.R[:, 0]]), _of_ellipse),
+}
+"""Type of a shape -> how the optimiser knows it: corners of a polygon; centre, radii and first axis of an ellipse."""
+
+
+# ------------------------------------------------------------ a point from a shape
+
+
+def from_polygon(point: Expr, corners: Sequence[Expr]) -> Model:
+    """Signed distance of a point from a convex polygon, counter-clockwise, with slope and bend; C1 outside."""
+    farthest, squared = ca.SX(-np.inf), ca.SX(np.inf)
+    normal, off, corner = ca.SX.zeros(2), ca.SX.zeros(2), ca.SX(0)
+    for a, b in zip(corners, [*corners[1:], corners[0]], strict=True):
+        step, offset = b - a, point - a
+        length = ca.sumsqr(step) + ROUND
+        outward = ca.vertcat(step[1], -step[0]) / ca.sqrt(length)
+        beyond, share = ca.dot(offset, outward), ca.dot(offset, step) / length
+        foot = offset - ca.fmin(ca.fmax(share, 0), 1) * step
+        away = ca.sumsqr(foot)
+        normal, farthest = ca.if_else(beyond > farthest, outward, normal), ca.fmax(beyond, farthest)
+        nearer, beside = away < squared, ca.logic_and(share > 0, share < 1)
+        off, corner = ca.if_else(nearer, foot, off), ca.if_else(nearer, ca.if_else(beside, 0, 1), corner)
+        squared = ca.fmin(away, squared)
+    outside, distance = farthest > 0, ca.sqrt(squared + ROUND)
+    slope = ca.if_else(outside, off / distance, normal)
+    bend = ca.if_else(outside, corner / distance, 0)  # about a corner the distance is a cone
+    return ca.if_else(outside, distance, farthest), slope, _across(slope, bend)
+
+
+def from_ellipse(point: Expr, radii: Expr) -> Model:
+    """Signed distance of a point from an ellipse about the origin, along the axes; inside, of its own measure."""
+    squared, t = radii**2, ca.SX(0)
+    for _ in range(ROUNDS):
+        ratio = radii * point / (t + squared)
+        size = ca.sqrt(ca.sumsqr(ratio) + ROUND)
+        t = ca.fmax(t + (size - 1) * size**2 / (ca.dot(ratio, ratio / (t + squared)) + ROUND), 0)
+    foot = squared * point / (t + squared)
+    distance, steep = ca.sqrt(ca.sumsqr(point - foot) + ROUND), ca.sumsqr(foot / squared) + ROUND
+    normal = foot / squared / ca.sqrt(steep)
+    curved = _across(normal, 1 / (distance + ca.fmax(squared[0] * squared[1] * steep**1.5, ROUND)))
+    least, far = ca.fmin(radii[0], radii[1]), ca.sqrt(ca.sumsqr(point / radii) + ROUND)
+    inner = point / squared / far
+    cupped = (ca.vertcat(1 / squared, 0) - ca.vertcat(inner**2, inner[0] * inner[1])) / far
+    outside = far > 1
+    return (
+        ca.if_else(outside, distance, (far - 1) * least),
+        ca.if_else(outside, normal, least * inner),
+        ca.if_else(outside, curved, least * cupped),
+    )
+
+
+def _across(normal: Expr, bend: Expr) -> Expr:
+    """The bend (xx, yy, xy) of what curves across ``normal`` alone."""
+    return bend * ca.vertcat(normal[1] ** 2, normal[0] ** 2, -normal[0] * normal[1])

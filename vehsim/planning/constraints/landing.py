@@ -1,0 +1,72 @@
+"""Standing on the ground: down (or up) a cone about the place, gently, at every knot beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.lie import SO3
+from vehsim.planning.constraints.block import Block
+from vehsim.planning.problem.elements import Element, NonlinearProgram
+from vehsim.planning.problem.layout import Layout
+from vehsim.planning.problem.stage import knot_view
+from vehsim.planning.problem.transcription import Transcription
+from vehsim.planning.request.landing import GENTLE, SINK, approach, attitude, rounded_distance
+from vehsim.planning.request.marks import Mark, end_of_hold
+from vehsim.world.ground.landing import feet
+
+Array = NDArray[np.float64]
+
+FALL, NEAR = 1.0, 4.0
+"""What coming down at 1 m/s costs a second where it lands, and the distance over which that falls to 1/e, m. It keeps
+the descent off its bound, along which controls would chatter."""
+FADE = 10.0
+"""How far from a landing its cone counts half, m: there it may be as much below the place."""
+
+
+@dataclass(frozen=True, eq=False)
+class Landing(Block):
+    """The way to and from mark ``number``; where the mark is, is a parameter of its `marks.MarkRows`, and the clearance
+    asked for one of `clearance.Clearance`."""
+
+    marks: Sequence[Mark]
+    number: int
+
+    def key(self, layout: Layout, transcription: Transcription) -> Hashable:
+        return "landing", self.number, tuple(attitude(self.marks[self.number]))
+
+    def add(self, problem: NonlinearProgram, transcription: Transcription, layout: Layout) -> None:
+        knot, leaves = layout.mark_knots[[self.number, end_of_hold(self.marks, self.number)]]
+        beside = np.concatenate([np.arange(1, knot), np.arange(leaves + 1, layout.segments)])
+        if len(beside):
+            element = landing_element(transcription, attitude(self.marks[self.number]))
+            y = np.vstack([layout.knot(beside), layout.duration(beside - 1)])
+            problem.add(element, y, {"place": problem.parameter(f"mark[{self.number}].position", 3)})
+
+
+def landing_element(transcription: Transcription, upright: Array) -> Element:
+    """What stands on the ground above the cone about its landing, and gently down, at a knot: (x, h).
+
+    ``upright`` (4,): its attitude there. Parameters: the ``clearance`` asked for beyond, and the ``place`` (3,).
+    """
+    v = transcription.symbols("x", "h")
+    asked, place = ca.SX.sym("clearance"), ca.SX.sym("place", 3)
+    view = knot_view(transcription, v["x"], ca.SX.zeros(transcription.sizes[3]))
+    distance = rounded_distance(view.position, place)
+    counts = 1 / (1 + (distance / FADE) ** 4)
+    above = approach(distance, asked, 0.0, ca.tanh)
+    below = feet(transcription.vehicle)
+    flat = below @ SO3.matrix(upright).T
+    rise = [
+        (view.rotation @ ca.DM(foot))[2] - float(z) + view.position[2] - place[2]
+        for foot, z in zip(below, flat[:, 2], strict=True)
+    ]
+    down = view.velocity[2] + GENTLE + SINK * distance
+    g = ca.vertcat(counts * (ca.vertcat(*rise) - above) + (1 - counts) * FADE, down)
+    cost = FALL * v["h"] * view.velocity[2] ** 2 * ca.exp(-((distance / NEAR) ** 2))
+    parameters = {"clearance": asked, "place": place}
+    return Element("landing", ca.vertcat(*v.values()), parameters, f=cost, g=g, lower=0.0, upper=np.inf)

@@ -1,0 +1,255 @@
+"""What marks and loops ask of the knots they stand on, as blocks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.lie import SO3
+from vehsim.planning.constraints.block import Block
+from vehsim.planning.problem.elements import Element, NonlinearProgram, elastic
+from vehsim.planning.problem.layout import Layout
+from vehsim.planning.problem.stage import knot_view, root_pose
+from vehsim.planning.problem.transcription import Transcription
+from vehsim.planning.request.marks import Gate, Mark, end_of_hold, shape
+from vehsim.planning.terms import KnotView
+from vehsim.planning.trajectory import Trajectory
+from vehsim.vehicles import Vehicle
+from vehsim.vehicles.definition.mechanics import conservative, project
+
+Array = NDArray[np.float64]
+Expr = Any
+Row = tuple[Expr, float, float]
+"""An expression and its bounds."""
+
+PARAMETERS = {"position": 3, "heading": 1, "orientation": 4, "velocity": 3, "speed": 1, "gate": 11}
+"""What a mark may give, and how many numbers it is; joints, too."""
+
+
+@dataclass(frozen=True, eq=False)
+class MarkRows(Block):
+    """What mark ``number`` asks at its knot, where it is not what the mark before it holds.
+
+    ``closes``: it ends a loop, and is not asked again what the first mark asks. ``price``: above zero the mark may be
+    missed at this price for each unit, see `elements.elastic`.
+    """
+
+    marks: Sequence[Mark]
+    number: int
+    closes: bool = False
+    price: float = 0.0
+
+    @property
+    def mark(self) -> Mark:
+        return self.marks[self.number]
+
+    def key(self, layout: Layout, transcription: Transcription) -> Hashable:
+        known = shape(self.marks[:1]) if self.closes else ()
+        return self.number, shape([self.mark]), self._given, known, self.price
+
+    @property
+    def _given(self) -> bool:
+        """Its state is that of the mark before it, which is held."""
+        return self.number > 0 and self.marks[self.number - 1].hold > 0
+
+    def add(self, problem: NonlinearProgram, transcription: Transcription, layout: Layout) -> None:
+        if self._given:
+            return
+        mark, known = self.mark, self.marks[0] if self.closes else None
+        element = mark_element(transcription, mark, known)
+        if element is None:
+            return
+        knot = layout.mark_knots[self.number]
+        y, element.name = np.vstack([layout.knot(knot), layout.control(knot)]), mark.name
+        element.labels = [f"{mark.name}.{key}" for key in element.labels]
+        if self.price:
+            y = np.vstack([y, problem.variables(2 * len(element.labels))[:, None]])
+            element = elastic(element, self.price)
+        own = {key: size for key, size in element.sizes.items() if key != "wind"}
+        problem.add(element, y, {key: problem.parameter(self._parameter(key), size) for key, size in own.items()})
+
+    def values(self, trajectory: Trajectory) -> Mapping[str, Any]:
+        return {self._parameter(key): value for key, value in mark_values(self.mark).items()}
+
+    def _parameter(self, key: str) -> str:
+        return f"mark[{self.number}].{key}"
+
+    def missed(self, label: str, off: Array) -> str:
+        """What to say of rows (n,) of a label that are off by so much in elastic mode."""
+        name, _, key = label.rpartition(".")
+        if key == "velocity (balance)":
+            return f"{name}: it cannot stand in balance there"
+        return f"{label} is missed by {_amount(key, off)}"
+
+
+def _amount(key: str, off: Array) -> str:
+    """How much is missed, in the mark's own unit, by what its rows are off."""
+    norm = float(np.linalg.norm(off))
+    if key == "heading":  # its sine, and what its cosine is below zero
+        cosine = -off[1] if off[1] > 0 else math.sqrt(max(0.0, 1 - off[0] ** 2))
+        return f"{math.degrees(math.atan2(off[0], cosine)):.3g} deg"
+    if key == "orientation":
+        return f"{math.degrees(2 * math.asin(min(1.0, norm))):.3g} deg"
+    return f"{norm:.3g}{_UNITS.get(key, '')}"
+
+
+_UNITS = {"position": " m", "velocity": " m/s", "speed": " m/s"}
+
+
+def mark_values(mark: Mark) -> dict[str, Array]:
+    """The values of what a mark gives, SI and radians; joints that it leaves free are zero."""
+    values = {}
+    for key in [*PARAMETERS, "joints"]:
+        given: Any = getattr(mark, key)
+        if isinstance(given, Gate):
+            given = np.concatenate([given.axes.ravel(), given.size or (2 * (given.radius or 0.0),) * 2])
+        if given is not None:
+            numbers = np.nan_to_num(np.atleast_1d(np.asarray(given, float)))
+            values[key] = np.deg2rad(numbers) if key == "heading" else numbers
+    return values
+
+
+def mark_element(transcription: Transcription, mark: Mark, known: Mark | None = None) -> Element | None:
+    """What a mark asks at its knot: (x, c0); parameters: the wind, and what it gives by its keys (see `mark_values`).
+
+    ``known``: a mark whose state it has anyway, as in a loop; what that asks is not asked twice.
+    """
+    v = transcription.symbols("x", "c0")
+    x, c, wind = v["x"], v["c0"], ca.SX.sym("wind", 3)
+    sizes = {**PARAMETERS, "joints": transcription.sizes[1]}
+    wanted = {key: ca.SX.sym(key, size) for key, size in sizes.items()}
+    view, g = knot_view(transcription, x, c), transcription.split(x)[0]
+
+    def rows_of(mark: Mark) -> dict[str, list[Row]]:
+        attitude = "heading" if mark.orientation is None else "orientation"
+        balance = asks_balance(transcription.vehicle, mark)
+        return {
+            "position": _place(transcription, mark, view, wanted),
+            attitude: _attitude(transcription, mark, root_pose(transcription.vehicle, g), wanted),
+            "velocity (balance)": _equal(imbalance(transcription, x, c, wind)) if balance else [],
+            "speed" if mark.velocity is None else "velocity": _motion(transcription, mark, view, x, c, wanted),
+            "joints": _joints(mark, view, wanted),
+            "hold": [(c[k], 0.0, 0.0) for _, k in transcription.vehicle.driven] if mark.hold else [],
+        }
+
+    asked = rows_of(mark)
+    if known is not None:
+        asked = {key: rows for key, rows in asked.items() if key == "joints" or not rows_of(known).get(key)}
+    labels = [key for key, rows in asked.items() for _ in rows]
+    if not labels:
+        return None
+    rows, lower, upper = zip(*(row for rows in asked.values() for row in rows), strict=True)
+    y, given = ca.vertcat(*v.values()), {key: wanted[key] for key in sizes if getattr(mark, key) is not None}
+    return Element("mark", y, {"wind": wind, **given}, g=ca.vertcat(*rows), lower=lower, upper=upper, labels=labels)
+
+
+def asks_balance(vehicle: Vehicle, mark: Mark) -> bool:
+    """Whether the vehicle has to be in balance at a mark."""
+    # in the plane nothing follows from standing still: a boat may touch a mark with the wind at its side
+    return mark.balanced and (mark.hold > 0 or vehicle.group.dim == 6)
+
+
+def _joints(mark: Mark, view: KnotView, wanted: dict[str, Expr]) -> list[Row]:
+    given = np.asarray(() if mark.joints is None else mark.joints, float)
+    return [(view.joints[i] - wanted["joints"][i], 0.0, 0.0) for i in np.flatnonzero(np.isfinite(given)).tolist()]
+
+
+class Loop(Block):
+    """The motion ends as it begins."""
+
+    def add(self, problem: NonlinearProgram, transcription: Transcription, layout: Layout) -> None:
+        ends = [np.vstack([layout.knot(k), layout.control(k)]) for k in (0, layout.segments)]
+        problem.add(loop_element(transcription), np.vstack(ends))
+
+
+def closes_loop(marks: Sequence[Mark], i: int, loop: bool) -> bool:
+    """Whether mark ``i`` is where a ``loop`` ends."""
+    return loop and end_of_hold(marks, i) == len(marks) - 1
+
+
+def loop_element(transcription: Transcription) -> Element:
+    """A last knot (x1, c1) that repeats the first (x, c): pose, momentum, controls and every joint that matters.
+
+    Joints that nothing depends on, as a wheel's roll, go on turning.
+    """
+    size, s, n, count = transcription.sizes
+    x, x1, c, c1 = (
+        ca.SX.sym(name, k) for name, k in (("x", size + s + n), ("x1", size + s + n), ("c", count), ("c1", count))
+    )
+    (g, r, pi), (g1, r1, pi1) = transcription.split(x), transcription.split(x1)
+    group = transcription.vehicle.group
+    relative = group.pose(group.compose(group.inverse(g), g1))
+    turn, way = relative[4:7], relative[0:3]
+    shown = {"SE2": ca.vertcat(way[0:2], turn[2]), "SO3": turn}.get(group.name, ca.vertcat(way, turn))
+    kept = [i for i in range(s) if i not in transcription.idle]
+    rows = [shown, *(r1[i] - r[i] for i in kept), (pi1 - pi) / transcription.momentum_scale, c1 - c]
+    return Element("loop", ca.vertcat(x, c, x1, c1), g=ca.vertcat(*rows))
+
+
+def imbalance(transcription: Transcription, x: Expr, c: Expr, wind: Expr) -> Expr:
+    """Acceleration along the free velocities of a vehicle that stands still, (n_z,)."""
+    vehicle, (g, r, _) = transcription.vehicle, transcription.split(x)
+    still = (ca.SX.zeros(len(vehicle.joints)), ca.SX.zeros(vehicle.group.dim))
+    forces = vehicle.force(g, r, *still, c * transcription.control_scale, wind)
+    weight = conservative(vehicle, g, r)
+    total = [a + b for a, b in zip(forces, weight, strict=True)]
+    return project(vehicle, r, *total) / transcription.momentum_scale
+
+
+def _equal(expression: Expr, slack: float = 0.0) -> list[Row]:
+    return [(row, -slack, slack) for row in ca.vertsplit(expression)]
+
+
+def _place(transcription: Transcription, mark: Mark, view: KnotView, wanted: dict[str, Expr]) -> list[Row]:
+    shown = 3 if transcription.vehicle.group.dim == 6 else 2
+    off = (view.position - wanted["position"])[:shown]
+    if mark.position is None or transcription.vehicle.group.fixed:
+        return []
+    if mark.gate is None:
+        return _equal(off, mark.tolerance)
+    axes = [wanted["gate"][3 * i : 3 * i + 3][:shown] for i in range(3)]
+    through, along, up = (ca.dot(axis, off) for axis in axes)
+    width, height = wanted["gate"][9], wanted["gate"][10]
+    rows: list[Row] = [(through, 0.0, 0.0), (ca.dot(axes[0], view.velocity[:shown]), 0.0, np.inf)]
+    if mark.gate.radius is not None:
+        return [*rows, (4 * (along**2 + up**2) / (width * height), 0.0, 1.0)]
+    return [*rows, (2 * along / width, -1.0, 1.0), *([(2 * up / height, -1.0, 1.0)] if shown == 3 else [])]
+
+
+def _attitude(transcription: Transcription, mark: Mark, root: Expr, wanted: dict[str, Expr]) -> list[Row]:
+    rotation = SO3.matrix(root[3:7])
+    if mark.orientation is not None:
+        # the vector part of a quaternion: it vanishes at the attitude alone
+        off = SO3.compose(SO3.inverse(wanted["orientation"]), root[3:7])
+        return _equal(off[3 if transcription.vehicle.group.planar else 1 : 4])
+    if mark.heading is not None:
+        c, s = ca.cos(wanted["heading"]), ca.sin(wanted["heading"])
+        return [
+            (c * rotation[1, 0] - s * rotation[0, 0], 0.0, 0.0),
+            (c * rotation[0, 0] + s * rotation[1, 0], 0.0, np.inf),
+        ]
+    return []
+
+
+def _motion(
+    transcription: Transcription, mark: Mark, view: KnotView, x: Expr, c: Expr, wanted: dict[str, Expr]
+) -> list[Row]:
+    spatial, rolls = transcription.vehicle.group.dim == 6, transcription.sizes[2] == 1
+    if mark.at_rest:  # every free velocity; where rolling leaves one way to go, that is one
+        _, r, pi = transcription.split(x)
+        return _equal(transcription.mechanics.knot_velocity_guess(r, pi, c * transcription.control_scale))
+    if mark.velocity is not None:
+        error = view.velocity - wanted["velocity"]
+        return _equal(error if spatial else error[0:2])
+    if mark.speed == 0:
+        along = view.rotation[0:2, 0].T @ view.velocity[0:2]
+        return _equal(view.velocity if spatial else along if rolls else view.velocity[0:2])
+    if mark.speed is not None:
+        return _equal(ca.sqrt(ca.sumsqr(view.velocity) + 1e-10) - wanted["speed"])
+    return []

@@ -1,0 +1,233 @@
+"""What drives keeps clear of obstacles: polygons and ellipses seen from above, exactly (NH IV.B).
+
+Which parts, and which `features` of theirs, the problem has rows for at which knot is the active set: what is near the
+guess, and what a solved motion violates. Where parts stand is a parameter of the problem, one for every knot when they
+move, so problems are built once for all worlds of a shape.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.clip.clip import Clip
+from vehsim.lie.quaternions import yaw_of
+from vehsim.planning.certificates import FINEST, certify_plane
+from vehsim.planning.constraints.block import Block, Finding, Progress
+from vehsim.planning.constraints.features import CORNERS, Feature, body_of, element, form_of, gap
+from vehsim.planning.outlines import bounds_to, simplified
+from vehsim.planning.problem.elements import NonlinearProgram
+from vehsim.planning.problem.layout import Layout
+from vehsim.planning.problem.transcription import Transcription
+from vehsim.planning.trajectory import Trajectory
+from vehsim.vehicles import Vehicle
+from vehsim.world.obstacles.articulated import articulated_footprint
+from vehsim.world.obstacles.plane import placed
+
+Array = NDArray[np.float64]
+Active = NDArray[np.bool_]
+Poses = tuple[Array, Array, Array]
+"""Positions (knots, 2 or 3) m, headings (knots,) rad and seconds (knots,) since frame 0."""
+
+SIGHT = 3.0
+"""How far from the guess a part is active at a knot, beyond the clearance asked for, m. What comes too near without
+being active is found when the problem is solved, and is active from then on."""
+SPREAD = 2.0
+"""How much farther away than the nearest feature of a part others of it are active, m."""
+BETWEEN = 0.005
+"""What knots demand beyond the clearance asked for, m, since the way between them bends; more where that is not enough.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class ObstacleClearance(Block):
+    """``clearance`` m from ``parts``, (obstacle, part number), for one vehicle on one discretisation.
+
+    ``active`` (features, knots): which `features` are rows of the problem where; ``extra`` (parts, knots): what each
+    demands beyond the clearance, m; ``sight`` m, see `SIGHT`; ``guess``: the poses that the discretisation began with.
+    """
+
+    vehicle: Vehicle
+    parts: Sequence[tuple[Any, int]]
+    clearance: float
+    active: Active = field(default_factory=lambda: np.zeros((0, 0), bool))
+    extra: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    sight: float = SIGHT
+    guess: Poses | None = None
+    features: Any = ()
+    """All that may be nearest: the number of its part, and the feature."""
+    owners: Any = None
+    """The part (features,) that each feature belongs to."""
+
+    def __post_init__(self) -> None:
+        if self.owners is None:
+            shapes, body = [_shape_of(*part) for part in self.parts], body_of(self.vehicle)
+            pairs = [(row, one) for row, shape in enumerate(shapes) for one in form_of(shape).features(shape, body)]
+            object.__setattr__(self, "features", pairs)
+            object.__setattr__(self, "owners", np.array([row for row, _ in pairs], np.intp))
+
+    def key(self, layout: Layout, transcription: Transcription) -> Hashable:
+        kinds = tuple((self.parts[row][0].name, row, self.parts[row][0].moves, one) for row, one in self.features)
+        return kinds, self.active.tobytes()
+
+    def activate(self, guess: Trajectory) -> ObstacleClearance:
+        return self.near(poses_of(guess))
+
+    def prolongate(self, coarse: Trajectory, fine: Trajectory) -> ObstacleClearance:
+        return self.near(poses_of(fine))
+
+    def near(self, poses: Poses) -> ObstacleClearance:
+        """Active too near the poses that a discretisation begins with; what was active on it already stays."""
+        block, shape = replace(self, guess=poses), (len(self.features), len(poses[0]))
+        if self.active.shape != shape:
+            knots = (len(self.parts), len(poses[0]))
+            extra = _stretched(self.extra, knots) if self.extra.size else np.full(knots, BETWEEN)
+            block = replace(block, extra=extra, active=np.zeros(shape, bool), sight=SIGHT)
+        return block._activated(block._gaps(poses))
+
+    def violated(self, solved: Trajectory) -> ObstacleClearance:
+        return self.violated_at(poses_of(solved))
+
+    def violated_at(self, poses: Poses) -> ObstacleClearance:
+        """Active too where solved poses come too near to what is not: all near them, and twice as far about the guess,
+        since knots slide along it. Itself where there is nothing."""
+        gaps = self._gaps(poses)
+        if not np.any(~self.active & (gaps < self.clearance - FINEST)):
+            return self
+        block = self._activated(gaps)
+        block = replace(block, sight=2 * block.sight)
+        return block if block.guess is None else block._activated(block._gaps(block.guess))
+
+    def _activated(self, gaps: Array) -> ObstacleClearance:
+        nearest = np.full((len(self.parts), gaps.shape[1]), np.inf)
+        np.minimum.at(nearest, self.owners, gaps)
+        reach = np.minimum(self.clearance + self.sight, np.maximum(nearest, self.clearance)[self.owners] + SPREAD)
+        return replace(self, active=self.active | (gaps < reach))
+
+    def _gaps(self, poses: Poses) -> Array:
+        """How far every feature is at poses, (features, knots) m; inf beyond sight and where the motion starts."""
+        (positions, yaw, seconds), features = poses, self.features
+        body, out = body_of(self.vehicle), np.full((len(features), len(yaw)), np.inf)
+        outlines = placed(np.array(body), positions[:, :2], yaw)
+        owners = self.owners
+        near = np.array(
+            [bounds_to(o.shapes_at(seconds)[k], outlines) < self.clearance + self.sight for o, k in self.parts]
+        )
+        near[:, 0] = False  # where it starts is given
+        placing, numbers = np.vstack([yaw, positions[:, :2].T]), [_numbers(*part, seconds) for part in self.parts]
+        for kind in dict.fromkeys(feature.kind for _, feature in features):
+            of_kind = [n for n, (_, feature) in enumerate(features) if feature.kind == kind]
+            where = [(n, np.flatnonzero(near[owners[n]])) for n in of_kind]
+            columns = [_columns(features[n][1], numbers[owners[n]], placing, knots) for n, knots in where]
+            rows, at = np.repeat(of_kind, [len(knots) for _, knots in where]), np.concatenate([k for _, k in where])
+            if len(rows):
+                found = gap(kind, body)(*map(np.hstack, zip(*columns, strict=True)))
+                out[rows, at] = np.asarray(found).ravel()
+        return out
+
+    def add_active(self, problem: NonlinearProgram, transcription: Transcription, layout: Layout) -> None:
+        uses: dict[Any, list[tuple[Any, ...]]] = {}
+        names: dict[Any, list[str]] = {}
+        features, owners = self.features, self.owners
+        for part, knots in self._active_at():
+            obstacle, number = self.parts[part]
+            width = len(_numbers(obstacle, number, np.zeros(1)))
+            numbers = problem.parameter(_place(part), width, len(knots) if obstacle.moves else 1)
+            asked = problem.parameter(_asked(part), 1, len(knots))
+            for n in np.flatnonzero((owners == part) & self.active.any(axis=1)):
+                feature, here = features[n][1], self.active[n, knots]
+                own = np.broadcast_to(numbers, (width, len(knots)))[list(feature.numbers)][:, here]
+                constants = np.tile(np.array(feature.constants)[:, None], np.sum(here))
+                uses.setdefault(feature.kind, []).append((layout.knot(knots[here]), own, asked[:, here], constants))
+                names.setdefault(feature.kind, []).extend([f"obstacle {obstacle.name!r}"] * int(here.sum()))
+        for kind, found in uses.items():
+            variables, own, asked, constants = map(np.hstack, zip(*found, strict=True))
+            parameters = {"numbers": own, "clearance": asked}
+            problem.add(element(transcription, kind), variables, parameters, {"constants": constants}, names[kind])
+
+    def values(self, trajectory: Trajectory) -> Mapping[str, Any]:
+        seconds, values = trajectory.seconds(), {}
+        for part, knots in self._active_at():
+            values[_place(part)] = _numbers(*self.parts[part], seconds[knots])
+            values[_asked(part)] = self.clearance + self.extra[part, knots][None]
+        return values
+
+    def _active_at(self) -> Iterator[tuple[int, NDArray[np.intp]]]:
+        """Every part that is active anywhere, and the knots at which any feature of it is."""
+        owners = self.owners
+        for part in range(len(self.parts)):
+            knots = np.flatnonzero(self.active[owners == part].any(axis=0))
+            if len(knots):
+                yield part, knots
+
+    def measure(self, trajectory: Trajectory, clip: Clip, progress: Progress | None) -> Finding:
+        """The least clearance, and by part and segment what it lacks."""
+        nearest, by_segment = certify_plane(clip, self.parts, self.clearance)
+        lack = np.maximum(self.clearance - by_segment, 0.0)
+        return Finding(nearest, self.clearance, bool(nearest >= self.clearance - FINEST), lack)
+
+    def tighten(self, trajectory: Trajectory, finding: Finding) -> ObstacleClearance:
+        """Demand more at both knots of the segments that lack clearance. What swings out comes nearer than the rest, of
+        which rows know: that has to give way from where it is."""
+        if finding.met:
+            return self
+        extra, beside = self.extra.copy(), np.zeros_like(self.extra)
+        beside[:, :-1] = finding.lack
+        beside[:, 1:] = np.maximum(beside[:, 1:], finding.lack)
+        beside[:, 0] = 0.0
+        if articulated_footprint(self.vehicle):
+            gaps = np.full_like(extra, np.inf)
+            np.minimum.at(gaps, self.owners, self._gaps(poses_of(trajectory)))
+            given = (beside > 0) & np.isfinite(gaps)
+            extra[given] = np.maximum(extra, gaps - self.clearance)[given]
+        for part, knots in self._active_at():  # what is not active need only become so
+            extra[part, knots] += np.where(beside[part, knots] > 0, beside[part, knots] + FINEST, 0.0)
+            beside[part, knots] = 0.0
+        return replace(self, extra=extra, active=self.active | (beside[self.owners] > 0))
+
+    def resume(self, earlier: ObstacleClearance) -> ObstacleClearance:
+        return earlier
+
+
+def _place(part: int) -> str:
+    return f"obstacle[{part}].numbers"
+
+
+def _asked(part: int) -> str:
+    return f"obstacle[{part}].clearance"
+
+
+def poses_of(trajectory: Trajectory) -> Poses:
+    """The poses of what drives at its knots."""
+    return *trajectory.poses(), trajectory.seconds()
+
+
+def _shape_of(obstacle: Any, number: int) -> Any:
+    """A part as the optimiser sees it; a vehicle's in its root's frame."""
+    return simplified(obstacle.outline, CORNERS) if obstacle.moves else obstacle.parts[number]
+
+
+def _numbers(obstacle: Any, number: int, seconds: Array) -> Array:
+    """The numbers (width, 1) of a part as the optimiser sees it; where it moves, (width, knots) at ``seconds``."""
+    shape = _shape_of(obstacle, number)
+    if not obstacle.moves:
+        return form_of(shape).numbers(shape)[:, None]
+    positions, orientations = obstacle.poses_at(seconds)
+    return placed(shape, positions[:, :2], yaw_of(orientations)).reshape(len(seconds), -1).T
+
+
+def _columns(feature: Feature, numbers: Array, poses: Array, knots: NDArray[np.intp]) -> tuple[Array, Array, Array]:
+    """Pose, numbers and constants of a feature at knots, a column each."""
+    own = numbers[list(feature.numbers)]
+    own = np.tile(own, len(knots)) if own.shape[1] == 1 else own[:, knots]
+    return poses[:, knots], own, np.tile(np.array(feature.constants)[:, None], len(knots))
+
+
+def _stretched(values: Array, shape: tuple[int, int]) -> Array:
+    """Rows of ``values`` on another number of knots."""
+    old, new = np.linspace(0, 1, values.shape[1]), np.linspace(0, 1, shape[1])
+    return np.array([np.interp(new, old, row) for row in values])

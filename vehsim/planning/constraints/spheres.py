@@ -1,0 +1,88 @@
+"""A few spheres that hold a vehicle's hulls: what the optimiser keeps off rock and obstacles when the vehicle flies.
+
+The cover contains every hull, so clear spheres are a clear vehicle; how near the vehicle really comes is certified
+afterwards with the hulls themselves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.runtime.cache import kept_arrays
+from vehsim.vehicles import Vehicle
+from vehsim.world.obstacles.obstacles import hulls_of
+
+Array = NDArray[np.float64]
+
+SPHERES = 8
+"""More follow the hull more closely and cost the optimiser more."""
+_SPACING = 0.6
+
+
+@lru_cache(maxsize=32)
+def sphere_cover(vehicle: Vehicle, count: int = SPHERES) -> tuple[Array, Array]:
+    """Centres (k, 3) in the rig root's frame and radii (k,), m; one point without a rig."""
+    if vehicle.rig is None:
+        return np.zeros((1, 3)), np.zeros(1)
+    hulls = hulls_of(vehicle)
+    centres, radii = kept_arrays("cover", [*hulls, np.array([_SPACING, count])], lambda: _covering(hulls, count))
+    return centres, radii
+
+
+def _covering(hulls: Sequence[Array], count: int) -> tuple[Array, Array]:
+    points = np.vstack([_surface(hull) for hull in hulls])
+    centres = _spread(points, min(count, len(points)))
+    for _ in range(10):  # Lloyd's algorithm with enclosing balls instead of means: it shrinks the largest radius
+        nearest = np.argmin(np.linalg.norm(points[:, None] - centres, axis=2), axis=1)
+        centres = np.array([_ball(points[nearest == k], centres[k]) for k in range(len(centres))])
+    distance = np.linalg.norm(points[:, None] - centres, axis=2)
+    nearest = np.argmin(distance, axis=1)
+    radii = np.array([distance[nearest == k, k].max(initial=0.0) for k in range(len(centres))])
+    return centres, radii + _SPACING / np.sqrt(3)
+
+
+def balls(vehicle: Vehicle) -> tuple[Array, float, float]:
+    """The middle (3,) of a vehicle's spheres in the rig root's frame, and radii of two balls about it, m: of one that
+    holds all spheres, and of the least that may get through where the vehicle does, nose first."""
+    centres, radii = sphere_cover(vehicle)
+    middle = (centres.max(axis=0) + centres.min(axis=0)) / 2
+    corners = np.vstack(hulls_of(vehicle) or [np.zeros((1, 3))])
+    spheres = float(np.max(np.linalg.norm(centres - middle, axis=1) + radii))
+    return middle, spheres, float(np.ptp(corners, axis=0)[1:].max()) / 2
+
+
+def _surface(hull: Array) -> Array:
+    """Points on a convex hull's surface, none further than ``_SPACING`` / sqrt(3) from its triangles' every point."""
+    from scipy.spatial import ConvexHull
+
+    points = []
+    for a, b, c in hull[ConvexHull(hull).simplices]:
+        n = int(np.ceil(max(np.linalg.norm(b - a), np.linalg.norm(c - a), np.linalg.norm(c - b)) / _SPACING))
+        i, j = np.meshgrid(np.arange(n + 1), np.arange(n + 1))
+        inside = i + j <= n
+        points.append(a + np.outer(i[inside] / n, b - a) + np.outer(j[inside] / n, c - a))
+    return np.unique(np.round(np.vstack(points), 6), axis=0)
+
+
+def _spread(points: Array, count: int) -> Array:
+    """Farthest-point sampling."""
+    chosen = [points[np.argmax(np.linalg.norm(points - points.mean(axis=0), axis=1))]]
+    distance = np.linalg.norm(points - chosen[0], axis=1)
+    while len(chosen) < count:
+        chosen.append(points[np.argmax(distance)])
+        distance = np.minimum(distance, np.linalg.norm(points - chosen[-1], axis=1))
+    return np.array(chosen)
+
+
+def _ball(points: Array, start: Array) -> Array:
+    """Centre of a ball that nearly is the smallest around the points (Badoiu and Clarkson's iteration)."""
+    if not len(points):
+        return start
+    centre = points.mean(axis=0)
+    for k in range(1, 30):
+        centre = centre + (points[np.argmax(np.linalg.norm(points - centre, axis=1))] - centre) / (k + 1)
+    return centre

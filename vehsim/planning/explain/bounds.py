@@ -1,0 +1,322 @@
+"""What a vehicle's controls can do at most: bounds of its acceleration that hold for every motion, and what follows.
+
+A free rigid body in the air without drag: its centre of mass accelerates within a ball about gravity (`thrust_ball`).
+Any vehicle: the root of twice its kinetic energy grows no faster than the controls' forces, measured in the inverse
+inertia, and bounds the speed of its body frame (`push_of`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import product
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.lie.quaternions import from_yaw
+from vehsim.vehicles import Holonomic, Vehicle
+from vehsim.vehicles.definition.mechanics import free_size, free_velocity, project
+
+Array = NDArray[np.float64]
+
+SAMPLING_FACTOR = 1.02
+"""Bounds found by sampling are widened by this factor."""
+SAMPLES = 600
+"""Random joints, controls and velocities that forces are sampled at."""
+SPEEDS = np.concatenate([[0.0], np.geomspace(0.01, 200.0, 25)])
+"""Speeds at which drag and damping are sampled, m/s."""
+LEVELS = 5
+"""Values of each control on the grid that its forces are sampled on."""
+
+
+@dataclass(frozen=True)
+class Push:
+    """Bounds of how a vehicle's speed can change: ``gain`` m/s^2 by its controls (and wind), and ``loss`` (k,) m/s^2 by
+    controls, drag and damping together at the speeds `SPEEDS` (k,) m/s."""
+
+    gain: float
+    loss: Array
+
+    def reach(self, seconds: float, top: float, leave: float, arrive: float) -> float:
+        """The furthest that can be gone, m, at speeds up to ``top``, from ``leave`` to ``arrive`` m/s at most."""
+        if seconds <= 0:
+            return 0.0
+        if math.isinf(self.gain):
+            return top * seconds if math.isfinite(top) else math.inf
+        t = np.linspace(0.0, seconds, 2001)
+        braked = self._braking(arrive, leave + self.gain * seconds, t)[::-1]
+        speed = np.minimum(np.minimum(leave + self.gain * t, braked), top)
+        return float(np.trapezoid(speed, t)) * (1 + 1e-6)
+
+    def _braking(self, arrive: float, fastest: float, t: Array) -> Array:
+        """The greatest speeds (n,) m/s from which ``t`` (n,) s suffice to come down to ``arrive``."""
+        if math.isinf(arrive):
+            return np.full(len(t), math.inf)
+        if np.allclose(self.loss, self.loss[0]):
+            return arrive + float(self.loss[0]) * t
+        high = min(max(fastest, arrive) + 1e-3, float(SPEEDS[-1]))
+        speed = np.linspace(arrive, max(high, arrive + 1e-3), 2001)
+        rate = 1 / np.interp(speed, SPEEDS, self.loss)
+        taken = np.concatenate([[0.0], np.cumsum((rate[1:] + rate[:-1]) / 2 * np.diff(speed))])
+        return np.where(t <= taken[-1], np.interp(t, taken, speed), math.inf)
+
+
+UNBOUNDED = Push(math.inf, np.full(len(SPEEDS), math.inf))
+
+
+def limited(push: Push, most: float) -> Push:
+    """The same bounds, with no acceleration above ``most`` m/s^2."""
+    return push if math.isinf(most) else Push(min(push.gain, most), np.minimum(push.loss, most))
+
+
+@dataclass(frozen=True)
+class Ball:
+    """Accelerations (3,) m/s^2 within ``radius`` about ``centre``."""
+
+    centre: Array
+    radius: float
+
+    def rules_out(self, way: Array, room: float, seconds: float, leave: Any, arrive: Any) -> bool:
+        """Whether no such accelerations lead ``way`` (3,) m, to within ``room`` m, in ``seconds``.
+
+        ``leave``, ``arrive``: velocities (3,) m/s, a greatest speed, or inf where they are free. By duality: proven by
+        one linear function of the motion's ends that no acceleration can bring about, sought by a simplex search.
+        """
+        if not (math.isfinite(self.radius) and seconds > 0):
+            return False
+        t = np.linspace(0.0, seconds, 65)
+
+        def gap(values: Array) -> float:
+            along, final = values[:3], values[3:].copy()
+            size = np.linalg.norm(along)
+            if size < 1e-9:
+                return 1.0
+            along = along / size
+            if np.ndim(arrive) == 0 and math.isinf(arrive):
+                final[:] = 0.0
+            if np.ndim(leave) == 0 and math.isinf(leave):
+                final = -along * seconds
+                if np.ndim(arrive) == 0 and math.isinf(arrive):
+                    return 1.0
+            first = along * seconds + final
+            ends = _most(first, leave) + _most(-final, arrive)
+            weights = along[None] * (seconds - t)[:, None] + final
+            done = self.radius * np.linalg.norm(weights, axis=1) + weights @ self.centre
+            # the norm is convex along the way: the trapezoidal rule is never too small
+            return float(ends + np.trapezoid(done, t) + room - along @ way)
+
+        from scipy.optimize import minimize
+
+        direction = way / max(float(np.linalg.norm(way)), 1e-9)
+        start = np.concatenate([direction, -direction * seconds / 2])
+        for lift in (0.0, 0.3 * seconds, -0.3 * seconds):
+            begin = start + np.array([0, 0, 0, 0, 0, lift])
+            found = minimize(gap, begin, method="Nelder-Mead", options={"maxfev": 600, "fatol": 1e-6, "xatol": 1e-6})
+            if found.fun < -1e-6 * max(1.0, float(np.linalg.norm(way))):
+                return True
+        return False
+
+
+def _most(weight: Array, velocity: Any) -> float:
+    """The most that ``weight`` (3,) times a velocity can be: a given one, or any up to a speed."""
+    if np.ndim(velocity):
+        return float(weight @ velocity)
+    return float(velocity * np.linalg.norm(weight)) if np.linalg.norm(weight) > 1e-12 else 0.0
+
+
+@lru_cache(maxsize=64)
+def thrust_ball(vehicle: Vehicle) -> Ball | None:
+    """Accelerations of a free rigid body's centre of mass without drag; None for any other vehicle."""
+    free = isinstance(vehicle, Holonomic) and vehicle.group.dim == 6 and vehicle.hull is None
+    if not free or vehicle.drag is not None or vehicle.resistance is not None:  # type: ignore[attr-defined]
+        return None
+    assert isinstance(vehicle, Holonomic)
+    linear = vehicle.inertia[3:, 3:]
+    mass = float(np.linalg.eigvalsh(linear).min())
+    if np.ptp(np.diag(linear)) > 1e-9 * mass or np.any(vehicle.inertia[:3, 3:]):
+        return None
+    c = ca.SX.sym("c", len(vehicle.controls))
+    wrench: Any = ca.SX.zeros(6) if vehicle.wrench is None else ca.vertcat(vehicle.wrench(c))
+    most = _largest(ca.Function("force", [c], [ca.densify(wrench[3:6])]), vehicle)
+    weight = vehicle.gravity * (mass if vehicle.mass is None else vehicle.mass)
+    return Ball(np.array([0.0, 0.0, -weight / mass]), most / mass)
+
+
+def strength(vehicle: Vehicle) -> float:
+    """A bound of a vehicle's acceleration in any direction, m/s^2, from those of its controls; infinite where none is
+    known."""
+    ball = thrust_ball(vehicle)
+    if ball is not None:
+        return float(np.linalg.norm(ball.centre)) + ball.radius
+    return push_of(vehicle, (0.0, 0.0, 0.0)).gain
+
+
+def _largest(force: ca.Function, vehicle: Vehicle) -> float:
+    """The largest norm of a force of the controls over their bounds; infinite where these are."""
+    bounds = np.array([[control.lower, control.upper] for control in vehicle.controls]).reshape(-1, 2)
+    if not np.all(np.isfinite(bounds)):
+        return math.inf
+    points = _grid(bounds)
+    norms = np.linalg.norm(np.array(force.map(len(points))(points.T)), axis=0)
+    corners = {tuple(point) for point in product(*bounds)} if len(bounds) <= 6 else set()
+    exact = tuple(points[int(np.argmax(norms))]) in corners
+    return float(norms.max()) * (1.0 if exact else SAMPLING_FACTOR)
+
+
+def _grid(bounds: Array) -> Array:
+    """Points (n, k) of a box (k, 2): a grid where that is small, else its corners in part and random ones."""
+    if not len(bounds):
+        return np.zeros((1, 0))
+    if len(bounds) <= 4:
+        return np.array(list(product(*(np.linspace(low, high, LEVELS) for low, high in bounds))))
+    random = np.random.default_rng(0)
+    corner = random.integers(0, 2, (2000, len(bounds)))
+    inside = random.uniform(size=(500, len(bounds)))
+    return np.asarray(bounds[:, 0] + np.vstack([corner, inside]) * (bounds[:, 1] - bounds[:, 0]))
+
+
+@lru_cache(maxsize=64)
+def push_of(vehicle: Vehicle, wind: tuple[float, ...], slope: float = 0.0) -> Push:
+    """How fast a vehicle's body frame can change its speed in a ``wind`` (3,) m/s on ground that rises by ``slope``.
+
+    With ``q`` the root of twice its kinetic energy, ``dq/dt`` is the forces' power over ``q``: at most their norm in
+    the inverse inertia. Forces are sampled over the controls' and joints' bounds, with `SAMPLING_FACTOR`. The bound is
+    unknown, and so infinite, where joints driven at a rate bring in energy, or springs, or controls without bounds.
+    """
+    bounds = np.array([[control.lower, control.upper] for control in vehicle.controls]).reshape(-1, 2)
+    forces = [i for i, control in enumerate(vehicle.controls) if control.name not in vehicle.rate_controls]
+    if vehicle.group.fixed or not np.all(np.isfinite(bounds[forces])) or _other_energy(vehicle):
+        return UNBOUNDED
+    laws = _laws(vehicle)
+    random = np.random.default_rng(0)
+    grid = np.zeros((len(_grid(bounds[forces])), len(bounds)))
+    grid[:, forces] = _grid(bounds[forces])
+    joints = _joints(vehicle, random, 64)
+    inverse_roots, fastest = [], 0.0
+    for r in joints:
+        inertia, moves = (np.array(value) for value in laws["inertia"](r))
+        values, vectors = np.linalg.eigh((inertia + inertia.T) / 2)
+        if not len(values) or values.min() <= 1e-12 * values.max():
+            return UNBOUNDED
+        inverse_roots.append(vectors / np.sqrt(values) @ vectors.T)
+        fastest = max(fastest, float(np.linalg.norm(moves @ inverse_roots[-1], 2)))
+
+    n, here = len(inverse_roots[0]), _turned(vehicle, 0.0)
+    still, calm = np.zeros(n), np.zeros(3)
+    most = 0.0
+    for r, root in zip(joints, inverse_roots, strict=True):
+        pushes = np.array(laws["force"].map(len(grid))(here, r, still, grid.T, calm))
+        most = max(most, float(np.linalg.norm(root @ pushes, axis=0).max()))
+
+    gains, losses = np.zeros(len(SPEEDS)), np.zeros(len(SPEEDS))
+    picks = random.integers(0, len(joints), SAMPLES)
+    facing = np.array([_turned(vehicle, angle) for angle in random.uniform(-np.pi, np.pi, SAMPLES)])
+    controls = grid[random.integers(0, len(grid), SAMPLES)]
+    rays = random.normal(size=(SAMPLES, n))
+    rays[: 2 * n] = np.vstack([np.eye(n), -np.eye(n)])[: min(2 * n, SAMPLES)]
+    rays /= np.linalg.norm(rays, axis=1)[:, None]
+    force, r = laws["force"].map(SAMPLES), np.array([joints[k] for k in picks]).T.reshape(-1, SAMPLES)
+    rest = np.array(force(facing.T, r, np.zeros((n, SAMPLES)), controls.T, calm))
+    ways = np.array([inverse_roots[k] @ ray for k, ray in zip(picks, rays, strict=True)])
+    for k, speed in enumerate(SPEEDS):
+        q = max(speed, 1e-6) / fastest
+        power = ((np.array(force(facing.T, r, q * ways.T, controls.T, np.array(wind))) - rest) * ways.T).sum(axis=0)
+        gains[k], losses[k] = max(0.0, float(power.max())), max(0.0, float(-power.min()))
+    gain = (most + gains.max()) * fastest * SAMPLING_FACTOR + 9.81 * slope
+    loss = gain + np.maximum.accumulate(losses) * fastest * SAMPLING_FACTOR
+    return Push(gain, loss)
+
+
+def _other_energy(vehicle: Vehicle) -> bool:
+    """Joints driven at a rate bring in energy, or some is stored: in springs, or in the air where it flies."""
+    s, d = len(vehicle.joints), vehicle.group.dim
+    r, u, xi = ca.SX.sym("r", s), ca.SX.sym("u", s), ca.SX.sym("xi", d)
+    lagrangian = ca.SX(vehicle.reduced_lagrangian(r, u, xi))
+    if ca.depends_on(vehicle.reduced_lagrangian(r, ca.SX.zeros(s), ca.SX.zeros(d)) + ca.SX(0), r):
+        return True
+    if d == 6 and not (isinstance(vehicle, Holonomic) and not vehicle.gravity):
+        return True
+    driven = [joint for joint, _ in vehicle.driven]
+    if not driven:
+        return False
+    ties = vehicle.connection(r)[:, driven]
+    on_them = ca.vertcat(*(ca.vertcat(r[i], u[i]) for i in driven))
+    return bool(ca.depends_on(lagrangian, on_them) or not ca.SX(ties).is_zero())
+
+
+def _laws(vehicle: Vehicle) -> dict[str, ca.Function]:
+    """``twist``: joints -> the body's twist by free velocities; ``inertia``: joints -> inertia of these, and the body
+    frame's velocity by them; ``force``: the forces on them, of a pose, joints, free velocities, controls and wind."""
+    s, n = len(vehicle.joints), free_size(vehicle)
+    g, r, z = ca.SX.sym("g", vehicle.group.size), ca.SX.sym("r", s), ca.SX.sym("z", n)
+    c, wind = ca.SX.sym("c", len(vehicle.controls)), ca.SX.sym("wind", 3)
+    u, xi = free_velocity(vehicle, r, z, ca.SX(s, 1))
+    inertia = ca.hessian(vehicle.reduced_lagrangian(r, u, xi), z)[0]
+    turning = {6: 3, 3: 1}[vehicle.group.dim]
+    moves = ca.jacobian(xi[turning:], z)
+    forces = project(vehicle, r, *vehicle.force(g, r, u, xi, c, wind))
+    return {
+        "twist": ca.Function("twist", [r], [ca.densify(ca.jacobian(xi, z))]),
+        "inertia": ca.Function("inertia", [r], [ca.densify(inertia), ca.densify(moves)]),
+        "force": ca.Function("force", [g, r, z, c, wind], [ca.densify(forces)]),
+    }
+
+
+def _joints(vehicle: Vehicle, random: Any, count: int) -> list[Array]:
+    """Joint values (s,): all zero, at their limits, and between them; those without limits turn once."""
+    limits = [vehicle.joint_limits.get(joint, (-np.inf, np.inf)) for joint in vehicle.joints]
+    ends = [(a, b) if np.isfinite([a, b]).all() else (-np.pi, np.pi) for a, b in limits]
+    if not ends:
+        return [np.zeros(0)]
+    corners = [np.array(point) for point in product(*ends)][:64]
+    inside = [np.array([random.uniform(a, b) for a, b in ends]) for _ in range(count)]
+    return [np.zeros(len(ends)), *corners, *inside]
+
+
+def _turned(vehicle: Vehicle, angle: float) -> Array:
+    """The group element of a body at the origin, turned about Z."""
+    if vehicle.group.planar:
+        return np.array([angle, 0.0, 0.0])
+    pose = np.concatenate([np.zeros(3), from_yaw(angle)])
+    return np.ravel(np.asarray(vehicle.group.from_pose(pose[None])))
+
+
+@lru_cache(maxsize=64)
+def slips(vehicle: Vehicle) -> tuple[bool, float]:
+    """Whether a vehicle in the plane may move in any direction, and by how many degrees at most its root moves aside
+    of ahead or back, over its joints' limits."""
+    moves = _laws(vehicle)["twist"]
+    x, y = vehicle.origin[:2]
+    most = 0.0
+    for r in _joints(vehicle, np.random.default_rng(0), 400):
+        twists = np.array(moves(r))
+        roots = np.array([twists[1] + twists[0] * y, twists[2] - twists[0] * x])
+        if np.linalg.matrix_rank(roots, tol=1e-6) != 1:
+            return True, 180.0
+        way = roots[:, int(np.argmax(np.linalg.norm(roots, axis=0)))]
+        most = max(most, math.degrees(math.atan2(abs(way[1]), abs(way[0]))))
+    return False, most
+
+
+def least_time(reach: Callable[[float], float], way: float, high: float = 1e5) -> float:
+    """The smallest time, s, in which a rising ``reach`` is ``way`` m; infinite beyond ``high``."""
+    low, top = 0.0, 1.0
+    while reach(top) < way:
+        low, top = top, 2 * top
+        if top > high:
+            return math.inf
+    for _ in range(50):
+        middle = (low + top) / 2
+        low, top = (middle, top) if reach(middle) < way else (low, middle)
+    return top
+
+
+def polyline(points: Sequence[Any]) -> float:
+    """The length, m, of the straight ways from place to place."""
+    places = np.asarray(points, float)
+    return float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())

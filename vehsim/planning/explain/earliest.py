@@ -1,0 +1,155 @@
+"""The first frame at which a mark can be met after the one before it: found by planning that way alone, for time."""
+
+from __future__ import annotations
+
+import math
+import time
+import warnings
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.errors import VehsimError
+from vehsim.planning.iterate import Iterate, Run
+from vehsim.planning.problem.transcription import Transcription, transcribe
+from vehsim.planning.refine import EXECUTED
+from vehsim.planning.request.legs import cruising, facing, legs_between, path_length
+from vehsim.planning.request.request import Request
+from vehsim.planning.solve import CRUISE, begin, solve
+from vehsim.planning.terms import Cost, cost_weights
+
+Array = NDArray[np.float64]
+
+SEGMENTS = 16
+"""Segments a leg: bang-bang controls on so few knots take a little longer than the least time, never less."""
+FINER = (1, 2, 4)
+"""Times as many of them, and one more (odd numbers are not halved), until the controls lead where the motion does or
+the time it takes has settled."""
+SHARE, SETTLED = 0.02, 0.03
+"""How far off they may end, of the way; and the change of the time, of it."""
+SECONDS = 20.0
+"""What a solve may take at most."""
+STRETCHES = (1.0, 2.5, 0.5)
+"""Initial guesses of how long it takes, times a cruise; and so many times what it takes at least."""
+LONGER = 1.3
+NEAR, MET, ITERATIONS = 1e-3, 1e-6, 100
+"""Largest violation of a motion at a free frame and at a whole one, and iterations: the very least is not asked for."""
+LATER = (0.01, 0.05, 0.15)
+"""Shares of the time that are added until a motion at the whole frame is found."""
+
+
+def first_frame(request: Request, i: int, j: int, least: int) -> tuple[int, bool] | None:
+    """A frame, no earlier than ``least``, for which a motion from mark ``i`` to mark ``j`` was found, and whether it is
+    the first: the quickest motion was found too.
+
+    In empty space, on the ground's slopes and in the wind, with the marks between them and the limits that always
+    hold. None where none was found.
+    """
+    wind = request.wind
+    marks = [*request.marks[i:j], replace(request.marks[j], frame="free", hold=0)]
+    terms = tuple(term for term in request.terms if term.frames is None and not isinstance(term, Cost))
+    quick = replace(
+        request,
+        marks=marks,
+        world=_Calm(wind),
+        weights=cost_weights({"time": 1.0, "smoothness": 1e-3, "effort": 3e-3}, {}),
+        segments=SEGMENTS * (len(marks) - 1),
+        clearance=0.0,
+        limits=request.limits if math.isinf(request.top_speed) else request.limits.below(request.top_speed),
+        refine=False,
+        max_iterations=ITERATIONS,
+        terms=terms,
+        loop=False,
+        deadline=math.inf,
+        given=(),
+    )
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return _found(quick, request, least)
+    except VehsimError:
+        return None
+
+
+class _Calm:
+    """A world of wind alone."""
+
+    terrain = None
+    obstacles = ()
+    moving = ()
+    standing = ()
+
+    def __init__(self, wind: object) -> None:
+        self.wind = wind
+
+
+def _found(quick: Request, request: Request, least: int) -> tuple[int, bool] | None:
+    paths, choices = [np.array(leg) for leg in legs_between(quick.marks)], [quick.marks]
+    if request.weights["course"]:
+        choices.insert(0, facing(quick.marks, paths, quick.aimed))
+    for marks in choices:
+        before, stretches = math.inf, [_share(quick, paths, least), *STRETCHES]
+        for times in FINER:
+            finer = replace(quick, marks=marks, segments=times * quick.segments + 1)
+            run, finer = Run(quick), replace(quick, marks=marks, segments=times * quick.segments + 1)
+            iterate = _quickest(run, finer, transcribe(request.weighed), paths, stretches)
+            if iterate is None:
+                break
+            taken = float(iterate.seconds()[-1] - iterate.seconds()[0])
+            off = iterate.run_controls().final
+            settled, solved = abs(taken - before) < SETTLED * taken, iterate.success
+            if settled or off <= max(EXECUTED, SHARE * sum(path_length(path) for path in paths)):
+                frame = _whole(run, iterate, least)
+                if frame is not None:
+                    return frame, settled or solved
+            before = taken
+    return None
+
+
+def _share(quick: Request, paths: list[Array], least: int) -> float:
+    """The stretch of a cruise that takes a little longer than until the frame ``least``."""
+    cruise = float(cruising(quick.marks, paths, min(CRUISE, 0.6 * quick.limits.get("speed"))).sum())
+    return max(LONGER * (least - int(quick.marks[0].frame)) / float(quick.fps) / cruise, 0.1)
+
+
+def _quickest(
+    run: Run, request: Request, transcription: Transcription, paths: list[Array], stretches: list[float]
+) -> Iterate | None:
+    """The iterate solved for time: from the first of these guesses it is solved from, or else where it came least."""
+    best: tuple[float, float, Iterate] | None = None
+    for stretch in stretches:
+        guess = begin(run, request, transcription, None, paths, stretch=stretch)
+        run.deadline.end = time.monotonic() + SECONDS
+        iterate = solve(run, guess)
+        taken = float((iterate.lengths * iterate.layout.phases).sum())
+        if _violation(iterate) < NEAR and (best is None or taken < best[0]):
+            best = taken, stretch, iterate
+        if iterate.success:
+            break
+    if best is None:
+        return None
+    stretches.sort(key=lambda one: one != best[1])
+    return best[2]
+
+
+def _violation(iterate: Iterate) -> float:
+    assert iterate.solution is not None
+    return iterate.solution.violation
+
+
+def _whole(run: Run, iterate: Iterate, least: int) -> int | None:
+    """The first whole frame that the motion is found for, legs being stretched alike."""
+    marks, fps = iterate.request.marks, float(iterate.request.fps)
+    legs, lengths = np.array(iterate.layout.phases), iterate.lengths
+    held = np.array([mark.hold > 0 for mark in marks[:-1]])
+    standing, moving = (lengths * legs)[held].sum(), (lengths * legs)[~held].sum()
+    for margin in LATER:
+        frames = math.ceil((standing + (1 + margin) * moving) * fps - 1e-3)
+        frame = max(least, int(marks[0].frame) + frames)
+        longer = ((frame - int(marks[0].frame)) / fps - standing) / moving
+        x = iterate.stretched(np.where(held, lengths, lengths * longer))
+        whole = solve(run, replace(iterate, x=x).with_timing(iterate.timing.settled()))
+        if _violation(whole) < MET:
+            return frame
+    return None

@@ -1,0 +1,190 @@
+"""Why a plan failed: the same problem with room to miss marks, and with room to be late, says which and by how much."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.planning.constraints.block import Block, assemble, parameter_values, variable_bounds
+from vehsim.planning.constraints.marks import MarkRows
+from vehsim.planning.constraints.timing import Timing
+from vehsim.planning.explain.earliest import first_frame
+from vehsim.planning.iterate import Iterate, Run
+from vehsim.planning.problem.elements import Element, NonlinearProgram
+from vehsim.planning.problem.layout import Layout
+from vehsim.planning.problem.solver import LOOSEN, Solution, Solver
+from vehsim.planning.problem.transcription import Transcription
+from vehsim.planning.request.request import Request
+from vehsim.planning.solve import begin, solve
+from vehsim.planning.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+
+PRICE = 1e3
+"""Cost of missing a mark by one unit, or of being late by one second: more than any effort saves."""
+ITERATIONS, SECONDS = 200, 20.0
+"""What either answer may take at most."""
+SLACKS = (0.0, 0.01, 0.03, 0.1, 0.3)
+"""Shares of the time from the first mark that are added until a plan is found at whole frames."""
+NOTHING = 1e-3
+"""Misses and delays below this are none, in m and s."""
+
+
+@dataclass(frozen=True, eq=False)
+class LooseTiming(Timing):
+    """Legs to free marks vary one by one; with a ``price`` of a second, all but holds may be late."""
+
+    price: float = 0.0
+
+    @property
+    def spans(self) -> list[tuple[list[int], float]]:
+        return []
+
+    def key(self, layout: Layout, transcription: Transcription) -> Hashable:
+        return "loose timing", self.price
+
+    def add(self, problem: NonlinearProgram, transcription: Transcription, layout: Layout) -> None:
+        if not self.price:
+            return
+        durations, counts = self.durations, np.array(layout.phases, float)
+        held = np.array([mark.hold > 0 for mark in self.marks[:-1]])
+        asked = np.isfinite(durations) & ~held
+        h = ca.SX.sym("h", len(durations))
+        delay = ca.dot(ca.DM(asked.astype(float)), ca.DM(counts) * h - ca.DM(np.nan_to_num(durations)))
+        problem.add(Element("late", h, f=self.price * delay), layout.lengths)
+
+    def bound(self, trajectory: Trajectory, lower: Array, upper: Array) -> None:
+        super().bound(trajectory, lower, upper)
+        held = np.array([mark.hold > 0 for mark in self.marks[:-1]])
+        varies = (self.free | (self.price > 0)) & ~held
+        upper[trajectory.layout.lengths] = np.where(varies, trajectory.lengths * 8, trajectory.lengths)
+
+
+def diagnose(run: Run, guess: Iterate) -> tuple[str, Array | None]:
+    """Which frames are too early and what would do, and which marks are missed by how much; or, where all can be met,
+    variables that meet them.
+
+    Neither where the relaxed problem is not solved either.
+    """
+    missed, x = _missed(run, guess)
+    if x is not None and not missed:
+        return "", x
+    late = too_early(run, guess if x is None else replace(guess, x=x)) or _by_leg(run, guess)
+    return "; ".join(filter(None, (late, missed, LOOSEN if missed and not late else ""))), None
+
+
+def _missed(run: Run, guess: Iterate) -> tuple[str, Array | None]:
+    """Which marks are missed by how much, in elastic mode, and the variables that do; None where it is not solved."""
+    loose = _loosened(guess.blocks, 0.0)
+    blocks = [replace(b, price=PRICE) if isinstance(b, MarkRows) and b.number else b for b in loose]
+    problem = assemble(guess.transcription, guess.layout, blocks)
+    answer = _solved(run, guess, problem, blocks)
+    if not answer.success:
+        return "", None
+    x, misses = answer.x, []
+    for use in problem.uses:
+        block, rows = blocks[use.owner], use.rows
+        if not (isinstance(block, MarkRows) and block.price):
+            continue
+        slack, labels = x[use.variables[-2 * rows :, 0]], np.array(use.element.labels)
+        by = np.abs(slack[:rows] - slack[rows:])
+        for label in dict.fromkeys(use.element.labels):
+            off = by[labels == label]
+            if off.max() > NOTHING:
+                misses.append((float(np.linalg.norm(off)), block.missed(label, off)))
+    misses.sort(reverse=True)
+    return "; ".join(text for _, text in misses[:3]), x[: guess.layout.size]
+
+
+def _loosened(blocks: Sequence[Block], price: float) -> list[Block]:
+    """The blocks with room to be late at a price, or at zero without."""
+    return [LooseTiming(b.marks, b.fps, price=price) if isinstance(b, Timing) else b for b in blocks]
+
+
+def too_early(run: Run, near: Iterate) -> str:
+    """The first mark that can only be later, found from a motion that misses marks, and when it can; empty where none
+    is found."""
+    request, layout = near.request, near.layout
+    held = np.array([mark.hold > 0 for mark in request.marks[:-1]])
+    if not np.any(~near.timing.free & ~held):
+        return ""
+    blocks = _loosened(near.blocks, PRICE)
+    answer = _solved(run, near, assemble(near.transcription, layout, blocks), blocks)
+    if not (answer.success or answer.violation < NOTHING):
+        return ""
+    durations = answer.x[layout.lengths] * np.array(layout.phases)
+    arrivals: Array = np.cumsum(durations) * float(request.fps) + int(request.marks[0].frame)
+    late = {
+        i: math.ceil(frame - 1e-3)
+        for i, (mark, frame) in enumerate(zip(request.marks[1:], arrivals, strict=True), 1)
+        if mark.frame != "free" and frame > int(mark.frame) + NOTHING * float(request.fps)
+    }
+    return _earliest(run, near, min(late), late) if late else ""
+
+
+def _is_met(run: Run, guess: Iterate, frames: dict[int, int]) -> bool:
+    """Whether a motion is found where marks stand at other ``frames``, from the paths that a plan begins with."""
+    marks = [replace(m, frame=frames.get(i, m.frame)) for i, m in enumerate(guess.request.marks)]
+    request = replace(guess.request, marks=marks, deadline=math.inf)
+    other = Run(request)
+    iterate = begin(other, request, guess.transcription, guess.cover, guess.paths)
+    other.deadline.end = min(run.deadline.end, time.monotonic() + SECONDS)
+    return solve(other, iterate).success
+
+
+def _by_leg(run: Run, guess: Iterate) -> str:
+    """The first mark that is too early for the way from the one before it alone."""
+    request, marks = guess.request, guess.request.marks
+    known = [i for i, mark in enumerate(marks) if mark.frame != "free"]
+    for i, j in pairwise(known):
+        here = int(marks[j].frame)
+        if marks[i].hold or run.deadline.late:
+            continue
+        found = first_frame(request, i, j, here)
+        if found is not None and found[0] > here:
+            frame = found[0]
+            later = {k: int(marks[k].frame) + frame - here for k in known if k >= j}
+            return _earliest(run, guess, j, later)
+    return ""
+
+
+def _earliest(run: Run, guess: Iterate, i: int, frames: dict[int, int]) -> str:
+    """That mark ``i`` is too early, and from when on a plan is found where it and those after it stand at ``frames``,
+    or a little later."""
+    request, marks = guess.request, guess.request.marks
+    if any(term.frames is not None for term in request.terms):  # ranges of frames stay where they are
+        own = marks[i].place >= 0
+        where = f"{marks[i].name}.frame = {marks[i].frame}" if own else f"what is asked from {marks[i].name} on"
+        return f"{where} is too early; it takes until {frames[i]} at least"
+    first, early = int(marks[0].frame), f"{marks[i].name}.frame = {marks[i].frame} is too early"
+    for margin in SLACKS:
+        later = {k: math.ceil(frame + margin * (frame - first) - 1e-3) for k, frame in frames.items()}
+        if not run.deadline.late and _is_met(run, guess, later):
+            return f"{early}; earliest {later[i]}{_then(request, i, later)}"
+    return f"{early}; it takes until {frames[i]} at least"
+
+
+def _then(request: Request, i: int, frames: dict[int, int]) -> str:
+    """Where the marks after the late one have to go with it."""
+    place = request.marks[i].place
+    moved = {request.marks[k].name: frame for k, frame in frames.items() if k > i and request.marks[k].place > place}
+    named = [f"{name}.frame = {frame}" for name, frame in list(moved.items())[:3]]
+    return "" if not named else f", then {', '.join(named)}{' ...' if len(moved) > 3 else ''}"
+
+
+def _solved(run: Run, start: Iterate, problem: NonlinearProgram, blocks: Sequence[Block]) -> Solution:
+    """A relaxed problem, solved from a start with all its slack variables at one."""
+    extra = problem.size - start.layout.size
+    lower, upper = variable_bounds(start, blocks)
+    lower, upper = np.append(lower, np.zeros(extra)), np.append(upper, np.full(extra, np.inf))
+    values = parameter_values(problem, start, blocks)
+    deadline = min(run.deadline.solving, time.monotonic() + SECONDS)
+    solver = Solver(problem, max_iterations=ITERATIONS)
+    return solver.solve(np.append(start.x, np.ones(extra)), lower, upper, values, deadline)

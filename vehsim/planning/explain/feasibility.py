@@ -1,0 +1,291 @@
+"""What bounds prove impossible before anything is solved: which marks, by how much, and what would do."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.lie import SO3
+from vehsim.planning.explain.balance import out_of_balance
+from vehsim.planning.explain.bounds import (
+    SPEEDS,
+    UNBOUNDED,
+    Ball,
+    Push,
+    least_time,
+    limited,
+    polyline,
+    push_of,
+    slips,
+    thrust_ball,
+)
+from vehsim.planning.explain.earliest import first_frame
+from vehsim.planning.problem.transcription import transcribe
+from vehsim.planning.request.marks import Mark, leeway
+from vehsim.planning.request.request import Request
+from vehsim.planning.terms import GRAVITY, Constraint
+from vehsim.vehicles.definition.mechanics import free_size
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """Why a mark cannot be met: its ``key``, what is wrong, and what would do."""
+
+    mark: Mark
+    key: str
+    message: str
+    remedy: str
+
+    def __str__(self) -> str:
+        return f"{self.mark.name}.{self.key}: {self.message}; {self.remedy}"
+
+
+def refusals(request: Request) -> list[Refusal]:
+    """Everything that the limits, and the vehicle's own strength, rule out; empty when nothing is proven."""
+    found = [refusal for mark in request.marks for refusal in _alone(request, mark)]
+    known = [i for i, mark in enumerate(request.marks) if mark.frame != "free"]
+    delay = 0
+    for i, j in pairwise(known):
+        refused, later = _between(request, i, j, delay)
+        found, delay = found + refused, delay + later
+    weighed = transcribe(request.weighed)
+    for mark, message, remedy in out_of_balance(request.vehicle, weighed, request.marks, request.wind):
+        found.append(Refusal(mark, "hold" if mark.hold else "velocity", message, remedy))
+    return found
+
+
+def _alone(request: Request, mark: Mark) -> list[Refusal]:
+    limits, found = request.limits, []
+    speed = mark.speed if mark.velocity is None else float(np.linalg.norm(mark.velocity))
+    top = request.top_speed
+    if speed is not None and speed > top:
+        key = "speed" if mark.velocity is None else "velocity"
+        message = f"{speed:.3g} m/s, {request.speed_limit()}"
+        found.append(Refusal(mark, key, message, f"ask for at most {top:g} m/s, or raise it"))
+    ceiling = limits.get("ceiling")
+    if mark.position is not None and mark.position[2] - mark.tolerance > ceiling and request.vehicle.group.dim == 6:
+        message = f"{mark.position[2]:g} m high, ceiling {ceiling:g}"
+        found.append(Refusal(mark, "position", message, f"put it below {ceiling:g} m, or raise the ceiling"))
+    climb = limits.get("climb")
+    if mark.velocity is not None and abs(mark.velocity[2]) > climb:
+        message = f"{abs(mark.velocity[2]):g} m/s up or down, limit {climb:g}"
+        found.append(Refusal(mark, "velocity", message, f"ask for at most {climb:g} m/s"))
+    found += _bent_too_far(request, mark) + _sideways(request, mark)
+    for term in request.constraints:
+        found += _outside(request, mark, term) + _looks_elsewhere(mark, term)
+    return found
+
+
+def _bent_too_far(request: Request, mark: Mark) -> list[Refusal]:
+    """Joints beyond the vehicle's own bounds and those asked for."""
+    values = () if mark.joints is None else np.asarray(mark.joints, float)
+    found = []
+    for name, value in zip(request.vehicle.joints, values, strict=False):
+        for bounds in (request.vehicle.joint_limits.get(name), request.limits.joints.get(name)):
+            if bounds is not None and not (bounds[0] - 1e-9 <= value <= bounds[1] + 1e-9 or math.isnan(value)):
+                message = f"{name} = {value:g}, outside {bounds[0]:g} to {bounds[1]:g}"
+                found.append(Refusal(mark, "joints", message, "keep it inside, or leave it free"))
+    return found
+
+
+def _sideways(request: Request, mark: Mark) -> list[Refusal]:
+    """A velocity that wheels do not let the vehicle have at the heading."""
+    vehicle = request.vehicle
+    if mark.heading is None or mark.velocity is None or mark.at_rest or not vehicle.group.planar:
+        return []
+    slip = math.degrees(math.atan2(mark.velocity[1], mark.velocity[0])) - mark.heading
+    anywhere, most = slips(vehicle)
+    off = min(abs((slip - turn + 180) % 360 - 180) for turn in (0, 180))
+    if anywhere or off <= most + 0.5:
+        return []
+    way = "straight ahead or back" if most < 0.5 else f"within {most:.3g} degrees of ahead or back"
+    message = f"{off:.3g} degrees off its heading, the {vehicle.name} rolls {way}"
+    return [Refusal(mark, "velocity", message, "turn the heading or the velocity")]
+
+
+def _looks_elsewhere(mark: Mark, term: Constraint) -> list[Refusal]:
+    """A heading that is not where a look asks it to point."""
+    there = term.frames is None or (mark.frame != "free" and term.frames[0] <= mark.frame <= term.frames[1])
+    if term.aim is None or not there or mark.heading is None or mark.position is None or leeway(mark):
+        return []
+    (point, aside), within = term.aim, math.degrees(math.acos(float(np.clip(term.lower, -1, 1))))
+    way = np.subtract(point, mark.position)
+    if np.linalg.norm(way[:2]) < 1e-3 or not mark.balanced:
+        return []
+    wanted = math.degrees(math.atan2(way[1], way[0]) - aside)
+    off = abs((mark.heading - wanted + 180) % 360 - 180)
+    if off <= within + 0.1:
+        return []
+    remedy = f"give heading = {(wanted + 180) % 360 - 180:.3g}, or leave it free"
+    return [Refusal(mark, "heading", f"{off:.3g} degrees off where {term.name!r} asks it to look", remedy)]
+
+
+def _outside(request: Request, mark: Mark, term: Constraint) -> list[Refusal]:
+    """A mark where a constraint does not let it be."""
+    there = term.frames is None or (mark.frame != "free" and term.frames[0] <= mark.frame <= term.frames[1])
+    if term.box is None or mark.position is None or not there:
+        return []
+    room = mark.tolerance if mark.gate is None else leeway(mark)
+    shown = 3 if request.vehicle.group.dim == 6 else 2
+    low, high = term.box
+    place = np.asarray(mark.position, float)
+    off = max(max(low[i] - place[i], place[i] - high[i]) for i in range(shown)) - room
+    if off <= 1e-9:
+        return []
+    when = "" if term.frames is None else f" for frames {term.frames[0]} to {term.frames[1]}"
+    remedy = f"move it by {off:.3g} m, or loosen {term.name!r}"
+    return [Refusal(mark, "position", f"{off:.3g} m outside what {term.name!r} asks{when}", remedy)]
+
+
+def _between(request: Request, i: int, j: int, delay: int) -> tuple[list[Refusal], int]:
+    """What rules out the way from mark ``i`` to mark ``j``, the next with a frame, in the frames between them, where
+    ``i`` has to be ``delay`` frames later itself; and how many frames more ``j`` has to be."""
+    a, b, fps, limits = request.marks[i], request.marks[j], float(request.fps), request.limits
+    first, last = int(a.frame), int(b.frame)
+    held = sum(mark.hold for mark in request.marks[i:j])
+    seconds = (last - first - held) / fps
+    frames = f"frames {first} to {last}"
+    reasons: list[tuple[str, float]] = []
+    placed = [mark for mark in request.marks[i : j + 1] if mark.position is not None]
+    if len(placed) > 1 and placed[0] is a and placed[-1] is b:
+        reasons += _too_far(request, placed, seconds)
+        up = abs(float(b.position[2] - a.position[2])) - leeway(a) - leeway(b)  # type: ignore[index]
+        climb = limits.get("climb")
+        if request.vehicle.group.dim == 6 and up > climb * seconds:
+            reasons.append((f"{up / seconds:.3g} m/s up or down, limit {climb:g}", up / climb))
+    if a.heading is not None and b.heading is not None:
+        turn, rate = abs((b.heading - a.heading + 180) % 360 - 180), math.degrees(limits.get("turn_rate"))
+        if turn > rate * seconds:
+            reasons.append((f"{turn / seconds:.3g} deg/s, limit {rate:.3g}", turn / rate))
+    if not reasons:
+        return [], 0
+    least, later = max(least for _, least in reasons), 0
+    if math.isinf(least):
+        remedy = "move it nearer"
+    else:
+        soonest = max(math.ceil(first + held + least * fps - 1e-6), last + 1)
+        found = first_frame(request, i, j, soonest)  # known to do, or else only that no earlier one does
+        frame, first_of_all = found or (soonest, False)
+        later = frame - last
+        world = request.world
+        blocked = world is not None and bool(request.hazards or world.obstacles)
+        at = last + delay + later
+        remedy = f"earliest {at}" if first_of_all else f"{at} would do"
+        remedy = f"not before {at}" if found is None or blocked else remedy
+        if any(mark.frame != "free" and mark.place > b.place for mark in request.marks):
+            remedy += f", and what follows {delay + later} frames later"
+    return [Refusal(b, "frame", f"{frames} ask for {message}", remedy) for message, _ in reasons], later
+
+
+def _too_far(request: Request, placed: list[Mark], seconds: float) -> list[tuple[str, float]]:
+    """Why it cannot be at these marks, the first and the last with a frame, in ``seconds``, and the least it takes."""
+    limits, spatial = request.limits, request.vehicle.group.dim == 6
+    top, a, b = request.top_speed, placed[0], placed[-1]
+    shown = 3 if spatial else 2
+    room = leeway(a) + 2 * sum(leeway(mark) for mark in placed[1:-1]) + leeway(b)
+    whole = max(polyline([np.asarray(mark.position, float)[:shown] for mark in placed]) - room, 0.0)
+    slack = _swing(request, a, b) if len(placed) == 2 else 2 * (len(placed) - 1) * _lever(request)
+    centre = max(whole - slack, 0.0)
+    ends, own = (_pace(a), _pace(b)), (_own_pace(request, a), _own_pace(request, b))
+    if whole > top * seconds:
+        return [(f"{whole / seconds:.3g} m/s, {request.speed_limit()}", whole / top)]
+    wind = tuple(float(x) for x in request.wind)
+    push = push_of(request.vehicle, wind, _steepest(request))
+    ball = thrust_ball(request.vehicle)
+    asked = limits.get("acceleration")
+
+    def refused(text: str, t: float) -> list[tuple[str, float]]:
+        return [(f"{whole:.3g} m in {max(seconds, 0.0):.3g} s, {text}", t)]
+
+    allowed = limited(UNBOUNDED, asked)
+    if whole > allowed.reach(seconds, top, *ends):
+        least = least_time(lambda t: allowed.reach(t, top, *ends), whole)
+        return refused(f"more than {asked:.3g} m/s^2 can do", least)
+    if centre > push.reach(seconds, math.inf, *map(_size, own)):
+        least = least_time(lambda t: push.reach(t, math.inf, *map(_size, own)), centre)
+        return refused(f"more than the {request.vehicle.name}'s {push.gain:.3g} m/s^2 can do", least)
+    if ball is None or not spatial:
+        return []
+    way = np.subtract(b.position, a.position)  # type: ignore[arg-type]
+    room, speeds = leeway(a) + leeway(b), (_speed(a), _speed(b))
+    balls: list[tuple[Ball, float, tuple[Any, Any], str]] = [
+        (ball, room + slack, own, f"the {request.vehicle.name}'s thrust can do")
+    ]
+    if math.isfinite(limits.get("g_load")):
+        felt = Ball(np.array([0.0, 0.0, -GRAVITY]), GRAVITY * limits.get("g_load"))
+        balls.append((felt, room, speeds, f"a g-load of {limits.get('g_load'):g} can do"))
+    for bound, around, (leave, arrive), text in balls:
+        if bound.rules_out(way, around, seconds, leave, arrive):
+            return refused(f"more than {text}", max(seconds, _least(bound, way, around, a, b)))
+    return []
+
+
+def _least(ball: Ball, way: Array, room: float, a: Mark, b: Mark) -> float:
+    """A time, s, below which the way between two marks is too long: that of its greatest acceleration throughout."""
+    most = np.full(len(SPEEDS), float(np.linalg.norm(ball.centre)) + ball.radius)
+    push, far = Push(float(most[0]), most), max(float(np.linalg.norm(way)) - room, 0.0)
+    return least_time(lambda t: push.reach(t, math.inf, _pace(a), _pace(b)), far)
+
+
+def _swing(request: Request, a: Mark, b: Mark) -> float:
+    """How much less than the rig's root the body frame may have to go, m: it stands elsewhere in the root's frame."""
+    offsets = [_offset(request, mark) for mark in (a, b)]
+    if offsets[0] is None or offsets[1] is None:
+        return 2 * _lever(request)
+    return float(np.linalg.norm(offsets[1] - offsets[0]))
+
+
+def _offset(request: Request, mark: Mark) -> Array | None:
+    """Where the body frame stands from the root at a mark (3,) m, where the mark says which way it is turned."""
+    origin = request.vehicle.origin
+    if mark.orientation is not None:
+        q = np.asarray(mark.orientation, float)
+        return np.asarray(SO3.matrix(q / np.linalg.norm(q)) @ origin)
+    level = request.vehicle.group.planar or (mark.balanced and not np.any(request.wind))
+    if not level or (mark.heading is None and np.any(origin[:2])):
+        return None
+    angle = math.radians(mark.heading or 0.0)
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([c * origin[0] - s * origin[1], s * origin[0] + c * origin[1], origin[2]])
+
+
+def _lever(request: Request) -> float:
+    return float(np.linalg.norm(request.vehicle.origin))
+
+
+def _steepest(request: Request) -> float:
+    """How steeply the ground rises at most, m/m, where it pulls what drives on it."""
+    terrain = None if request.world is None else request.world.terrain
+    if terrain is None or request.vehicle.group.dim != 3:
+        return 0.0
+    steps = [np.abs(np.diff(terrain.heights, axis=axis)).max(initial=0.0) for axis in (1, 0)]
+    return float(math.hypot(steps[0] / terrain.cell[0], steps[1] / terrain.cell[1]))
+
+
+def _pace(mark: Mark) -> float:
+    """The speed a mark allows in any direction, m/s."""
+    return _size(_speed(mark))
+
+
+def _size(speed: Any) -> float:
+    return float(np.linalg.norm(speed)) if np.ndim(speed) else float(speed)
+
+
+def _own_pace(request: Request, mark: Mark) -> Any:
+    """The same of the body frame: what turns may have another speed there than at its root, unless it only rolls."""
+    rolls = free_size(request.vehicle) == 1
+    return _speed(mark) if mark.at_rest or not _lever(request) else _pace(mark) if rolls else math.inf
+
+
+def _speed(mark: Mark) -> Any:
+    """The velocity (3,) m/s of a mark, or the speed it allows."""
+    if mark.velocity is not None:
+        return np.asarray(mark.velocity, float)
+    return math.inf if mark.speed is None else float(mark.speed)

@@ -1,0 +1,227 @@
+"""Variables of a motion along a path at an even pace, or along a clip."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.clip.clip import Clip
+from vehsim.lie import SO3
+from vehsim.lie.quaternions import from_yaw
+from vehsim.planning.problem.layout import Layout
+from vehsim.planning.problem.transcription import Transcription
+from vehsim.planning.request.legs import cuts_of, legs_between, mark_positions, poses_of
+from vehsim.planning.request.marks import Mark
+from vehsim.planning.trim import swims, trim
+from vehsim.vehicles import Vehicle
+
+Array = NDArray[np.float64]
+
+SWING, SWINGS, LAG = 1.1, 0.6, 0.6
+"""Of an initial guess that swings: period, s; share of the joints' limits; lag of each joint behind the last, rad."""
+
+
+def along_paths(
+    transcription: Transcription,
+    layout: Layout,
+    marks: Sequence[Mark],
+    paths: Sequence[Array],
+    lengths: Array,
+    wind: Any,
+    aims: Sequence[tuple[int, int, Any, float]] = (),
+) -> Array:
+    """Variables (size,) of a motion along ``paths`` (one a phase), level, at trim controls.
+
+    A path is a polyline (k, 3) m, or of poses (k, 4) with headings in rad. ``aims``: (first, last) knots between which
+    it heads for a point (3,) m, and by how much to the right of it, rad.
+    """
+    fraction, phase = _node_fractions(layout)
+    pace = [_pace(marks[j].at_rest, marks[j + 1].at_rest) for j in range(len(paths))]
+    s = np.array([np.polyval(pace[j], f) for f, j in zip(fraction, phase, strict=True)])
+    positions = np.array([_along(paths[j], f)[:3] for f, j in zip(s, phase, strict=True)])
+    headings = _headings(marks, paths, s, phase)
+    for first, last, point, offset in aims:
+        nodes = np.arange(first, last + 1) * len(layout.fractions)
+        way = np.asarray(point, float)[:2] - positions[nodes, :2]
+        headings[nodes] = np.arctan2(way[:, 1], way[:, 0]) - offset
+    headings = np.unwrap(headings) if len(aims) else headings
+    trimmed = trim(transcription.vehicle, tuple(wind))
+    return from_poses(transcription, layout, positions, from_yaw(headings), headings, lengths, trimmed)
+
+
+def along_clip(
+    transcription: Transcription, layout: Layout, marks: Sequence[Mark], clip: Clip, lengths: Array
+) -> Array:
+    """Variables (size,) of a clip of the same vehicle, with its joints and controls, drawn onto the marks' places."""
+    fraction, phase = _node_fractions(layout)
+    begins, ends = clip_spans(clip, marks)
+    motion = clip.at(begins[phase] + fraction * (ends - begins)[phase])
+    off = mark_positions(marks) - clip.at(np.append(begins, ends[-1])).positions
+    positions = motion.positions + (1 - fraction)[:, None] * off[phase] + fraction[:, None] * off[phase + 1]
+    headings = poses_of(motion)[:, 3]
+    knots = np.arange(layout.segments + 1) * len(layout.fractions)
+    return from_poses(
+        transcription, layout, positions, motion.orientations, headings, lengths, motion.controls[knots], motion.joints
+    )
+
+
+def clip_spans(clip: Clip, marks: Sequence[Mark]) -> tuple[Array, Array]:
+    """When a clip begins and ends every leg between marks, (legs,) s each."""
+    times = clip.times[cuts_of(clip.positions, legs_between(marks))]
+    return times[:-1], times[1:]
+
+
+def from_poses(
+    transcription: Transcription,
+    layout: Layout,
+    positions: Array,
+    quaternions: Array,
+    headings: Array,
+    lengths: Array,
+    c: Array,
+    joints: Array | None = None,
+) -> Array:
+    """Variables of poses (nodes, ...) of the rig root; velocities by differences, ``c`` controls (c,) or at knots
+    (segments + 1, c), ``joints`` (nodes, s), where they are not given such as go with the motion."""
+    vehicle, group, m = transcription.vehicle, transcription.vehicle.group, transcription.mechanics
+    _, s, n, _ = transcription.sizes
+    body = positions + np.einsum("nij,j->ni", SO3.matrix(quaternions), vehicle.origin)
+    g = group.from_pose(np.hstack([body, quaternions]))
+    if group.planar:
+        g[:, 0] = headings
+    h = _substep_lengths(layout, lengths)
+    xi = _difference(group, g[:-1], g[1:]) / h[:, None]
+    if joints is not None:
+        r, u = joints, np.diff(joints, axis=0) / h[:, None]
+    else:
+        r, u = _joints(vehicle, xi, h) if s else (np.zeros((layout.nodes, 0)), np.zeros((layout.nodes - 1, 0)))
+    at_knots = np.broadcast_to(c, (layout.segments + 1, len(transcription.control_scale)))
+    x = np.zeros(layout.size)
+    momenta, velocities = np.zeros((layout.nodes, n)), np.zeros((layout.nodes - 1, n))
+    for k in range(layout.nodes - 1):
+        pi = np.ravel(np.asarray(m.knot_momentum(r[k], u[k], xi[k])))
+        control = at_knots[k // len(layout.fractions)]
+        momenta[k], velocities[k] = pi, np.ravel(np.asarray(m.knot_velocity_guess(r[k], pi, control)))
+    momenta[-1] = momenta[-2]
+    x[layout.node(np.arange(layout.nodes))] = np.hstack([g, r, momenta / transcription.momentum_scale]).T
+    x[layout.velocity(np.arange(layout.nodes - 1))] = velocities.T
+    x[layout.control(np.arange(layout.segments + 1))] = (at_knots / transcription.control_scale).T
+    x[layout.lengths] = lengths
+    return x
+
+
+def _node_fractions(layout: Layout) -> tuple[Array, NDArray[np.intp]]:
+    """Fraction of its phase (0 to 1) and phase of every node."""
+    inner = np.concatenate([[0.0], np.cumsum(layout.fractions)[:-1]])
+    fraction, phase = [], []
+    for j, count in enumerate(layout.phases):
+        fraction.append(((np.arange(count)[:, None] + inner) / count).ravel())
+        phase.append(np.full(count * len(inner), j))
+    fraction.append(np.ones(1))
+    phase.append(np.full(1, len(layout.phases) - 1))
+    return np.concatenate(fraction), np.concatenate(phase).astype(np.intp)
+
+
+def _substep_lengths(layout: Layout, lengths: Array) -> Array:
+    per_segment = np.repeat(lengths, layout.phases)
+    return (per_segment[:, None] * np.asarray(layout.fractions)).ravel()
+
+
+def _pace(rest_before: bool, rest_after: bool) -> Array:
+    """Cubic 0 to 1 that starts and ends at rest where the marks do."""
+    a, b = 0.0 if rest_before else 1.0, 0.0 if rest_after else 1.0
+    return np.array([a + b - 2, 3 - 2 * a - b, a, 0.0])
+
+
+def _along(path: Array, fraction: float) -> Array:
+    steps = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path[:, :3], axis=0), axis=1))])
+    at = fraction * steps[-1]
+    return np.array([np.interp(at, steps, column) for column in path.T])
+
+
+def _headings(marks: Sequence[Mark], paths: Sequence[Array], s: Array, phase: NDArray[np.intp]) -> Array:
+    """Headings (nodes,) rad, along the path, eased into the marks' own at either end of a phase."""
+    out = np.zeros(len(s))
+    for i, (f, j) in enumerate(zip(s, phase, strict=True)):
+        if paths[j].shape[1] == 4:  # a path of poses
+            out[i] = _along(paths[j], f)[3]
+            continue
+        ahead = _along(paths[j], min(1.0, f + 0.03)) - _along(paths[j], max(0.0, f - 0.03))
+        flat = float(np.hypot(ahead[0], ahead[1]))
+        out[i] = np.arctan2(ahead[1], ahead[0]) if flat > 1e-6 else (out[i - 1] if i else 0.0)
+        for mark, weight in ((marks[j], 1 - f / 0.15), (marks[j + 1], 1 - (1 - f) / 0.15)):
+            wanted = _mark_heading(mark)
+            if wanted is not None and weight > 0:
+                out[i] += weight * _wrap(wanted - out[i])
+    return np.unwrap(out)
+
+
+def _mark_heading(mark: Mark) -> float | None:
+    if mark.heading is not None:
+        return float(np.deg2rad(mark.heading))
+    if mark.orientation is None:
+        return None
+    w, x, y, z = np.asarray(mark.orientation, float)
+    return float(np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z))
+
+
+def _wrap(angle: float) -> float:
+    return float((angle + np.pi) % (2 * np.pi) - np.pi)
+
+
+def _difference(group: Any, a: Array, b: Array) -> Array:
+    """Algebra vectors (n, d) whose Cayley map takes ``a`` to ``b``."""
+    step = group.matrix(group.compose(group.inverse(a), b))
+    one = np.eye(step.shape[-1])
+    # (e - x/2)^-1 (e + x/2) = g, so x = 2 (g - e) (g + e)^-1
+    x = 2 * np.linalg.solve(np.swapaxes(step + one, 1, 2), np.swapaxes(step - one, 1, 2))
+    basis = np.array([group.hat(e) for e in np.eye(group.dim)]).reshape(group.dim, -1)
+    return np.swapaxes(x, 1, 2).reshape(len(a), -1) @ np.linalg.pinv(basis)
+
+
+def _swing(vehicle: Vehicle, h: Array) -> tuple[Array, Array]:
+    """Joints (n + 1, s) and rates (n, s) that swing in time, each after the one before it, growing and dying away."""
+    t = np.concatenate([[0.0], np.cumsum(h)])
+    share = t / t[-1]
+    wave = 2 * np.pi * max(1, round(t[-1] / SWING)) * share
+    most = np.array([min(-low, high) for low, high in (vehicle.joint_limits[joint] for joint in vehicle.joints)])
+    r = SWINGS * most * (1 - (2 * share - 1) ** 4)[:, None] * np.sin(wave[:, None] - LAG * np.arange(len(most)))
+    return r, np.diff(r, axis=0) / h[:, None]
+
+
+def _joints(vehicle: Vehicle, xi: Array, h: Array) -> tuple[Array, Array]:
+    """Joints (n + 1, s) and rates (n, s) that let the vehicle move with twists ``xi`` (n, d), as nearly as they can.
+
+    A joint with limits is set (a steered wheel), the others turn along (a rolling one). What gets about by its joints
+    alone swings them: straight and still it is stuck, an optimiser finds no way out of that.
+    """
+    if swims(vehicle):
+        return _swing(vehicle, h)
+    s, d, b = len(vehicle.joints), vehicle.group.dim, vehicle.basis(ca.SX.zeros(len(vehicle.joints))).shape[1]
+    symbol: Any = ca.SX.sym("r", s)
+    free: Any = ca.horzcat(vehicle.basis(symbol), -vehicle.connection(symbol))
+    moves = ca.Function("moves", [symbol], [ca.densify(free[:d, :])])
+    r = np.zeros((len(xi) + 1, s))
+    for joint, (low, high) in vehicle.joint_limits.items():
+        place, values = vehicle.joints.index(joint), np.linspace(max(low, -2.0), min(high, 2.0), 81)
+        rays = [np.array(moves(np.eye(s)[place] * value)) for value in values]
+        missed = np.array([((xi - xi @ np.linalg.pinv(M).T @ M.T) ** 2).sum(axis=1) for M in rays])
+        missed += 1e-6 * (values[:, None] ** 2) * (xi**2).sum(axis=1)
+        chosen = values[np.argmin(missed, axis=0)]
+        # at rest any value will do: the next one that matters
+        moving = (xi**2).sum(axis=1) > 1e-4 * (xi**2).sum(axis=1).max()
+        chosen = np.interp(np.arange(len(xi)), np.flatnonzero(moving), chosen[moving]) if moving.any() else chosen
+        kernel = np.array([1.0, 2.0, 3.0, 2.0, 1.0]) / 9
+        r[:-1, place] = np.convolve(np.pad(chosen, 2, mode="edge"), kernel, mode="valid")
+        r[-1, place] = r[-2, place]
+    u = np.array([np.linalg.pinv(np.array(moves(row))) @ v for row, v in zip(r[:-1], xi, strict=True)])[:, b:]
+    for place, joint in enumerate(vehicle.joints):
+        if joint in vehicle.joint_limits:
+            u[:, place] = np.diff(r[:, place]) / h
+        else:
+            r[1:, place] = np.cumsum(u[:, place] * h)
+    return r, u

@@ -1,0 +1,44 @@
+"""A solved motion on a finer discretisation: the initial guess of the next solve."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.planning.problem.layout import Layout
+from vehsim.planning.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+
+
+def prolongate(trajectory: Trajectory, fine: Layout) -> Array:
+    """Variables (size,) on a finer layout: every coarse segment's controls are run forward from its own first knot."""
+    transcription, coarse, x = trajectory.transcription, trajectory.layout, trajectory.x
+    m, split = transcription.mechanics, fine.segments // coarse.segments
+    k = np.arange(coarse.segments)
+    state, z = x[coarse.knot(k)], x[coarse.velocity(k * len(coarse.fractions))]
+    cuts = np.cumsum([0, *transcription.sizes[:3]])
+    g, r, pi = (state[a:b] for a, b in pairwise(cuts))
+    pi = pi * transcription.momentum_scale[:, None]
+    c0, c1 = (x[coarse.control(k + e)] * transcription.control_scale[:, None] for e in (0, 1))
+    h = x[coarse.duration(k)] / split
+    air = np.tile(trajectory.request.wind[:, None], len(k))
+
+    y = np.zeros(fine.size)
+    advance = m.advance.map(len(k)) if len(k) > 1 else m.advance
+    for j in range(split):
+        y[fine.control(k * split + j)] = (c0 + j / split * (c1 - c0)) / transcription.control_scale[:, None]
+        done = 0.0
+        for part, fraction in enumerate(fine.fractions):
+            node = (k * split + j) * len(fine.fractions) + part
+            y[fine.node(node)] = np.vstack([g, r, pi / transcription.momentum_scale[:, None]])
+            ends = [c0 + (j + f) / split * (c1 - c0) for f in (done, done + fraction)]
+            g, r, pi, z, _ = (np.asarray(v) for v in advance(g, r, pi, z, *ends, h * fraction, air))
+            y[fine.velocity(node)] = z
+            done += fraction
+    y[fine.node(fine.nodes - 1)] = x[coarse.node(coarse.nodes - 1)]
+    y[fine.control(fine.segments)] = x[coarse.control(coarse.segments)]
+    y[fine.lengths] = x[coarse.lengths] / split
+    return y

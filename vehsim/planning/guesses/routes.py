@@ -1,0 +1,83 @@
+"""Paths for initial guesses: what was given, a route through free space, a drive among obstacles, or straight lines."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.clip.clip import Clip
+from vehsim.errors import InputError, SolveError
+from vehsim.planning.constraints.spheres import balls
+from vehsim.planning.guesses.drive import drive
+from vehsim.planning.request.legs import cut, divided, legs_between, placed_marks, poses_of, round_trip
+from vehsim.planning.request.marks_near_obstacles import parts_in_reach
+from vehsim.planning.request.request import Request, airspace
+from vehsim.world.distance.route import check_free
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+
+
+def find_paths(request: Request, guess: Any, progress: Progress) -> list[Array]:
+    """A polyline (k, 3) for every leg between marks, or poses (k, 4) with headings in rad."""
+    if guess is not None:
+        points = poses_of(guess) if isinstance(guess, Clip) else np.asarray(guess, float)
+        if points.ndim != 2 or points.shape[1] not in (3, 4) or len(points) < 2:
+            raise InputError(f"shape {points.shape}", "give a Clip, or a path of (k, 3) points in metres", key="guess")
+        return cut(points, legs_between(request.marks))
+    kept = [request.marks[i] for i in placed_marks(request.marks)]
+    if not request.hazards:
+        parts = parts_in_reach(request.vehicle, request.world, request.marks)
+        if not parts:
+            return straight(request)
+        progress("seeking a path among obstacles", 0.0)
+        return divided(drive(replace(request, marks=kept), parts), request.marks)
+    box = airspace(request)
+    field = request.world.distance_field(progress, box=box)
+    if field is None:
+        return straight(request)
+    middle, roomy, tight = balls(request.vehicle)
+    up = np.array([0, 0, middle[2]])
+    ceiling = request.limits.get("ceiling")
+    lid = ceiling + middle[2] if math.isfinite(ceiling) else None
+
+    def flown(radius: float) -> list[Array]:
+        found, legs = [], legs_between(kept)
+        for done, (a, b) in enumerate(legs):
+            progress("seeking a path", done / len(legs))
+            try:
+                found.append(request.world.route(a + up, b + up, radius + request.clearance, lid, box))
+            except InputError:
+                for mark, end in ((kept[done], a), (kept[done + 1], b)):
+                    check_free(field, f"{mark.name}.position", end, request.clearance, ceiling, request.world.height)
+                raise
+            except SolveError:
+                room = f"{request.clearance:g} m clearance and {radius:.1f} m for the {request.vehicle.name} itself"
+                below = "" if lid is None else f" below the ceiling of {ceiling:g} m"
+                remedy = "lower the clearance" if lid is None else "raise the ceiling or lower the clearance"
+                names = f"{kept[done].name} to {kept[done + 1].name}"
+                raise SolveError(f"no path from {names} with {room}{below}", remedy) from None
+        return divided([np.asarray(path) - up for path in found], request.marks)
+
+    try:
+        return flown(roomy)
+    except SolveError:  # too narrow for all its spheres; solving tells whether it gets through nose first
+        return flown(tight)
+
+
+def straight(request: Request) -> list[Array]:
+    """A straight path from mark to mark, for every leg."""
+    return round_trip(request.marks) if request.loop else [np.array(leg) for leg in legs_between(request.marks)]
+
+
+def as_clip(request: Request, guess: Any) -> Clip | None:
+    """A guess that is a clip of such a vehicle: it brings joints and controls along."""
+    if not isinstance(guess, Clip):
+        return None
+    names = [[*v.joints, *(control.name for control in v.controls)] for v in (request.vehicle, guess.vehicle)]
+    return guess if names[0] == names[1] and request.vehicle.group.name == guess.vehicle.group.name else None

@@ -1,0 +1,66 @@
+"""Multipliers carried from a solved problem to another one of the same motion: elsewhere, finer, or of another order.
+
+A solver that starts from a solved motion finds out anew which constraints push, and how hard, unless it is told. Those
+of the mechanics are costates: functions of time, whatever the discretisation. Those of inequalities are forces spread
+over time, of which each of more instants has less.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.planning.problem.elements import NonlinearProgram
+from vehsim.planning.problem.layout import Layout
+from vehsim.planning.problem.solver import Multipliers
+
+Array = NDArray[np.float64]
+
+
+def carried(
+    multipliers: Multipliers, old: tuple[NonlinearProgram, Layout], new: tuple[NonlinearProgram, Layout]
+) -> Multipliers:
+    """The multipliers of ``old`` as an initial guess of those of ``new``; zeros where it asks what was not asked."""
+    (problem, coarse), (other, fine) = old, new
+    if problem is other:
+        return multipliers
+    share = coarse.segments / fine.segments
+    known, first = defaultdict(list), 0
+    for use in problem.uses:
+        rows = multipliers.g[first : first + use.rows * use.count].reshape(use.count, use.rows)
+        known[use.element.name, use.rows].append((coarse.instants(use.variables[0]), rows))
+        first += rows.size
+    g = [np.zeros(0)]
+    for use in other.uses:
+        found = known[use.element.name, use.rows]
+        rows = np.zeros((use.count, use.rows))
+        if found and use.count:
+            rows = _at(fine.instants(use.variables[0]), *found.pop(0))
+            if use.count > 1:
+                rows[:, use.element.lower < use.element.upper] *= share
+        g.append(rows.ravel())
+    x = np.zeros(fine.size)
+    for here, there in _both(coarse, fine):
+        if len(here):
+            x[there] = share * _at(fine.instants(there[0]), coarse.instants(here[0]), multipliers.x[here].T).T
+    x[fine.lengths] = multipliers.x[coarse.lengths]
+    return Multipliers(x, np.concatenate(g))
+
+
+def _both(coarse: Layout, fine: Layout) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+    """Where bounded variables stand in both: those of nodes and of controls."""
+    return [
+        (coarse.node(np.arange(coarse.nodes)), fine.node(np.arange(fine.nodes))),
+        (coarse.control(np.arange(coarse.segments + 1)), fine.control(np.arange(fine.segments + 1))),
+    ]
+
+
+def _at(new: Array, old: Array, rows: Array) -> Array:
+    """Rows (n, k) at instants ``old`` (n,), linear between them, at ``new`` ones."""
+    order = np.argsort(old, kind="stable")
+    out = np.empty((len(new), rows.shape[1]))
+    for k, column in enumerate(rows[order].T):
+        out[:, k] = np.interp(new, old[order], column)
+    return out

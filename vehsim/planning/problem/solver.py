@@ -1,0 +1,254 @@
+"""A built problem handed to an NLP solver: options, interrupts, and what comes back."""
+
+from __future__ import annotations
+
+import math
+import time
+import weakref
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.errors import InputError
+from vehsim.planning.problem import interrupts
+from vehsim.planning.problem.elements import NonlinearProgram
+
+Array = NDArray[np.float64]
+
+HURRIED = "time limit reached"
+"""Status of a solve that its deadline ended."""
+LOOSEN, LONGER = "loosen marks, clearance or limits", "give it a longer time_limit"
+"""What to do about a failed plan where nothing more specific is known, and where time was short."""
+
+
+@dataclass(frozen=True)
+class Multipliers:
+    """Lagrange multipliers of the variables' bounds ``x`` (size,) and of the constraints ``g`` (rows,), signed as
+    CasADi does: positive at an upper bound."""
+
+    x: Array
+    g: Array
+
+
+@dataclass(frozen=True)
+class Solution:
+    """What a solver returned: ``x`` (size,), its cost, largest constraint violation and whether it met tolerances."""
+
+    x: Array
+    cost: float
+    violation: float
+    success: bool
+    message: str
+    iterations: int
+    violations: Array
+    multipliers: Multipliers | None = None
+    hurried: bool = False
+    """It was stopped by its deadline."""
+
+
+Start = Literal["guess", "again", "motion", "multipliers"]
+"""What a solve starts from: anything; the same again, with more seen of what is in the way; a solved motion of another
+discretisation; and its multipliers too."""
+
+NEARBY = 60
+"""Iterations from multipliers, at most: where these lead nowhere, the motion alone is the better start."""
+_WARM = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
+_BARRIERS: dict[Start, dict[str, Any]] = {
+    "guess": {"mu_strategy": "adaptive"},
+    "again": {"mu_strategy": "monotone", "mu_init": 3e-3},
+    "motion": {"mu_strategy": "monotone", "mu_init": 1e-5},
+    "multipliers": {
+        "mu_strategy": "monotone",
+        "mu_init": 1e-6,
+        "warm_start_init_point": "yes",
+        **{f"warm_start_{name}": 1e-9 for name in _WARM},
+    },
+}
+
+
+def ipopt_options(max_iterations: int = 400, start: Start = "guess") -> dict[str, Any]:
+    """IPOPT with exact Hessians and MUMPS, silent."""
+    return {
+        "ipopt": {
+            "max_iter": min(max_iterations, NEARBY) if start == "multipliers" else max_iterations,
+            "tol": 1e-8,
+            "constr_viol_tol": 1e-9,
+            "mumps_pivot_order": 0,
+            "print_level": 0,
+            "sb": "yes",
+            **_BARRIERS[start],
+        }
+    }
+
+
+def sqp_options(max_iterations: int = 400, start: Start = "guess") -> dict[str, Any]:
+    """CasADi's own SQP over the sparse QP solver it ships, convexified; silent."""
+    quiet = {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False}
+    return {
+        "max_iter": max_iterations,
+        "tol_pr": 1e-9,
+        "tol_du": 1e-6,
+        "convexify_strategy": "regularize",
+        "qpsol": "qrqp",
+        "qpsol_options": quiet | {"print_time": False},
+        "print_header": False,
+        "print_iteration": False,
+        "print_status": False,
+    }
+
+
+SOLVERS: dict[str, Callable[[int, Start], dict[str, Any]]] = {
+    "ipopt": ipopt_options,
+    "sqpmethod": sqp_options,
+    "fatrop": lambda iterations, start: {"fatrop": {"max_iter": iterations, "print_level": 0, "tol": 1e-8}},
+}
+"""NLP solver -> its options, from the iterations allowed and what a solve starts from."""
+
+PLAIN = {
+    "Solve_Succeeded": "solved",
+    "Solved_To_Acceptable_Level": "solved, nearly to the tolerance",
+    "Maximum_Iterations_Exceeded": "no solution within the iterations allowed",
+    "Infeasible_Problem_Detected": "nothing nearby meets all that is asked",
+    "Restoration_Failed": "stuck: no step brings it nearer to what is asked",
+    "Search_Direction_Becomes_Too_Small": "stuck: no step brings it nearer to what is asked",
+    "Error_In_Step_Computation": "stuck: the equations became singular",
+    "Invalid_Number_Detected": "a cost or constraint gave no number",
+}
+"""What a solver's words mean."""
+STOPPED = {"User_Requested_Stop", "NonIpopt_Exception_Thrown"}
+"""The solver's status when its callback stops it, which only the time limit does."""
+
+
+def check_solver(name: str) -> str:
+    """The name of a solver that this CasADi has, else ``InputError``."""
+    known = [solver for solver in SOLVERS if ca.has_nlpsol(solver)]
+    if name not in known:
+        raise InputError("not here", f"choose one of {', '.join(known)}", key="solver", value=name)
+    return name
+
+
+class Solver:
+    """A built problem, solved as often as wanted from different starts, bounds and parameters.
+
+    ``watch``: called with the number of iterations done; may be changed between solves.
+    """
+
+    def __init__(self, problem: NonlinearProgram, plugin: str = "ipopt", max_iterations: int = 400):
+        self.problem, self.plugin, self.max_iterations = problem, plugin, max_iterations
+        self.watch: Callable[[int], None] | None = None
+        self._bounds = problem.bounds
+        functions = problem.functions()
+        self._nlp = functions.pop("nlp")
+        self._callback = _Callback(self, problem.size, len(self._bounds[0]), problem.parameters)
+        taken = {"ipopt": functions, "sqpmethod": {"hess_lag": _whole(functions["hess_lag"])}}
+        self._own = taken.get(plugin, {})  # the others differentiate for themselves
+        self._solvers: dict[Start, ca.Function] = {}
+
+    def prepare(self, start: Start) -> ca.Function:
+        """CasADi's solver for such a start, made when first asked for: milliseconds, the functions are shared."""
+        if start not in self._solvers:
+            settings: dict[str, Any] = {
+                **self._own,
+                **SOLVERS[self.plugin](self.max_iterations, start),
+                "iteration_callback": self._callback,
+                "print_time": False,
+                "error_on_fail": False,
+                "calc_lam_p": False,
+                "show_eval_warnings": False,
+            }
+            self._solvers[start] = ca.nlpsol("plan", self.plugin, self._nlp, settings)
+        return self._solvers[start]
+
+    def solve(
+        self,
+        x0: Array,
+        lower: Array,
+        upper: Array,
+        parameters: Array,
+        deadline: float = math.inf,
+        start: Start = "guess",
+        multipliers: Multipliers | None = None,
+    ) -> Solution:
+        """Solve from ``x0``, and ``multipliers`` where there are any, until ``deadline`` s on `time.monotonic`'s
+        clock."""
+        g_lower, g_upper = self._bounds
+        solver = self.prepare("multipliers" if multipliers else start)
+        given = {} if multipliers is None else {"lam_x0": multipliers.x, "lam_g0": multipliers.g}
+        self._callback.begin(deadline)
+        with interrupts.silent():
+            answer = solver(x0=x0, lbx=lower, ubx=upper, lbg=g_lower, ubg=g_upper, p=parameters, **given)
+        stats = solver.stats()
+        x, g = np.asarray(answer["x"]).ravel(), np.asarray(answer["g"]).ravel()
+        violations = np.maximum.reduce([g_lower - g, g - g_upper, np.zeros_like(g)])
+        status = str(stats["return_status"])
+        return Solution(
+            x=x,
+            cost=float(answer["f"]),
+            violation=float(violations.max(initial=0.0)),
+            success=bool(stats["success"]),
+            message=_plainly(status),
+            iterations=int(stats.get("iter_count", 0)),
+            violations=violations,
+            multipliers=Multipliers(np.asarray(answer["lam_x"]).ravel(), np.asarray(answer["lam_g"]).ravel()),
+            hurried=self._callback.hurried,
+        )
+
+
+def _plainly(status: str) -> str:
+    if status in STOPPED:
+        return HURRIED
+    return PLAIN.get(status, f"the solver ended with {status}")
+
+
+def _whole(hessian: ca.Function) -> ca.Function:
+    """The Hessian with both its triangles."""
+    arguments = [ca.MX.sym(name, *hessian.size_in(i)) for i, name in enumerate(hessian.name_in())]
+    full = ca.triu2symm(hessian(*arguments))
+    return ca.Function("hess_lag", arguments, [full], hessian.name_in(), ["hess_gamma_x_x"])
+
+
+class _Callback(ca.Callback):
+    """IPOPT's iteration callback: tells the solver's watcher how many iterations are done."""
+
+    def __init__(self, solver: Solver, x: int, g: int, p: int):
+        super().__init__()
+        self._sizes = {"x": x, "f": 1, "g": g, "lam_x": x, "lam_g": g, "lam_p": p}
+        self._solver = weakref.ref(solver)
+        self.begin(math.inf)
+        self.construct("watch", {})
+
+    def begin(self, deadline: float) -> None:
+        """Count from nothing; stop where another iteration like the last would end after ``deadline``."""
+        self.count, self.deadline, self.before, self.hurried = 0, deadline, time.monotonic(), False
+
+    def get_n_in(self) -> int:
+        return int(ca.nlpsol_n_out())
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_name_in(self, i: int) -> str:
+        return str(ca.nlpsol_out(i))
+
+    def get_name_out(self, i: int) -> str:
+        return "ret"
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        return ca.Sparsity.dense(self._sizes.get(ca.nlpsol_out(i), 0), 1)
+
+    def eval(self, arguments: Any) -> list[int]:
+        self.count += 1
+        solver = self._solver()
+        try:
+            if solver is not None and solver.watch is not None and not interrupts.came():
+                solver.watch(self.count)
+        except BaseException as error:
+            interrupts.keep(error)
+        now = time.monotonic()
+        another, self.before = now - self.before, now
+        self.hurried = now + another > self.deadline
+        return [int(interrupts.came() or self.hurried)]

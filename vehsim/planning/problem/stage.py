@@ -1,0 +1,183 @@
+"""Stage variables: what the laws of costs and constraints read, as expressions of a problem's variables.
+
+A knot's view comes from its state, or from a segment's velocity half way along; a segment's has two of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+
+from vehsim.errors import InputError
+from vehsim.lie import SO3, difference_map
+from vehsim.planning.problem.transcription import Transcription
+from vehsim.planning.terms import GRAVITY, Cost, KnotView, SegmentView, Term
+from vehsim.vehicles import Vehicle
+from vehsim.vehicles.definition.mechanics import free_velocity
+from vehsim.vehicles.definition.states import shift_twist
+
+Expr = Any
+
+UNKNOWN = ca.SX.sym("acceleration", 3)
+"""Stands for the acceleration at a knot, which no knot knows alone: laws that ask for it are asked of segments."""
+
+
+def knot_view(transcription: Transcription, x: Expr, c: Expr, time: Expr = 0.0) -> KnotView:
+    """The view of a node state ``x`` with controls ``c`` over their scale."""
+    g, r, pi = transcription.split(x)
+    c = c * transcription.control_scale
+    u, xi = transcription.mechanics.knot_velocity(r, pi, c)
+    return _view(transcription.vehicle, transcription.vehicle.group.normalize(g), r, u, xi, c, time)
+
+
+def middle_view(transcription: Transcription, x: Expr, z: Expr, c: Expr, h: Expr, time: Expr = 0.0) -> KnotView:
+    """The view half way along a substep of length ``h``, from its velocity ``z``; ``c``: its mean controls, scaled."""
+    vehicle, (g, r, _) = transcription.vehicle, transcription.split(x)
+    c = c * transcription.control_scale
+    u, xi = free_velocity(vehicle, r, z, transcription.mechanics.driven(c))
+    tau = difference_map(transcription.mechanics.map_name, vehicle.group).tau
+    return _view(vehicle, vehicle.group.compose(g, tau(h / 2 * xi)), r + h / 2 * u, u, xi, c, time)
+
+
+def between_view(transcription: Transcription, segment: dict[str, Expr], s: Expr, time: Expr = 0.0) -> KnotView:
+    """The view at a fraction ``s`` of a segment (x, x1, c0, c1, h) on the clip's interpolant: positions, joints and
+    rotation vectors are cubic there, controls linear."""
+    x, x1, c0, c1, h = (segment[name] for name in ("x", "x1", "c0", "c1", "h"))
+    a, b = knot_view(transcription, x, c0), knot_view(transcription, x1, c1)
+    position, velocity = _cubic(s, h, a.position, b.position, a.velocity, b.velocity)
+    acceleration = _bend(s, h, a, b)
+    joints, rates = _cubic(s, h, a.joints, b.joints, a.joint_rates, b.joint_rates)
+    turn = _rotation_vector(a.rotation.T @ b.rotation)
+    turned, slope = _cubic(s, h, ca.SX.zeros(3), turn, a.omega, _unturned(turn, b.omega))
+    return KnotView(
+        position, velocity, _turning(turned, slope), a.rotation @ _rotation(turned), joints, rates,
+        (c0 + s * (c1 - c0)) * transcription.control_scale, a.push + s * (b.push - a.push),
+        a.rates + s * (b.rates - a.rates), ca.SX(time), acceleration, transcription.vehicle.joints,
+    )  # fmt: skip
+
+
+def segment_view(transcription: Transcription, segment: dict[str, Expr], time: Expr = 0.0) -> SegmentView:
+    """The view of a segment (x, x1, c0, c1, h)."""
+    x, x1, c0, c1, h = (segment[name] for name in ("x", "x1", "c0", "c1", "h"))
+    a, b = knot_view(transcription, x, c0, time), knot_view(transcription, x1, c1, time + h)
+    a, b = (replace(view, acceleration=_bend(s, h, a, b)) for s, view in ((0, a), (1, b)))
+    return SegmentView(a, b, c0, c1, h)
+
+
+def clip_view(
+    vehicle: Vehicle, pose: Expr, twist: Expr, acceleration: Expr, r: Expr, u: Expr, c: Expr, time: Expr
+) -> KnotView:
+    """The view of a clip's sample: pose (7,) and body twist (d,) of the rig's root, its acceleration (3,) in the world,
+    joints, their rates, and controls, SI."""
+    group = vehicle.group
+    body = ca.vertcat(pose[0:3] + SO3.matrix(pose[3:7]) @ ca.DM(vehicle.origin), pose[3:7])
+    g = group.from_pose(body)
+    xi = group.velocity_from_body(g, group.shift(twist, ca.DM(vehicle.origin)))
+    view = _view(vehicle, g, r, u, xi, c, time)
+    return replace(view, position=pose[0:3], rotation=SO3.matrix(pose[3:7]), acceleration=acceleration)
+
+
+def _cubic(s: Expr, h: Expr, a: Expr, b: Expr, da: Expr, db: Expr) -> tuple[Expr, Expr]:
+    """The cubic from ``a`` to ``b`` with slopes ``da, db`` over ``h``, and its slope, at ``s`` in 0..1."""
+    rise = b - a
+    value = a + s * h * da + s**2 * (3 * rise - h * (2 * da + db)) + s**3 * (h * (da + db) - 2 * rise)
+    return value, da + 2 * s * (3 * rise / h - 2 * da - db) + 3 * s**2 * (da + db - 2 * rise / h)
+
+
+def _bend(s: Expr, h: Expr, a: KnotView, b: KnotView) -> Expr:
+    """Second derivative of the cubic from ``a`` to ``b``: linear in ``s``."""
+    way = 6 * (b.position - a.position) / h
+    first, last = way - 4 * a.velocity - 2 * b.velocity, 2 * a.velocity + 4 * b.velocity - way
+    return (first + s * (last - first)) / h
+
+
+TURN = 1e-6
+"""Keeps the length of a rotation vector differentiable where there is none, rad."""
+
+
+def _length(vector: Expr) -> Expr:
+    return ca.sqrt(ca.sumsqr(vector) + TURN**2)
+
+
+def _rotation_vector(rotation: Expr) -> Expr:
+    """Of a rotation (3, 3) by less than half a turn, (3,) rad."""
+    twice = ca.vertcat(
+        rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]
+    )
+    sine = _length(twice / 2)
+    return ca.atan2(sine, (ca.trace(rotation) - 1) / 2) / sine * twice / 2
+
+
+def _rotation(vector: Expr) -> Expr:
+    half = _length(vector) / 2
+    return SO3.matrix(ca.vertcat(ca.cos(half), ca.sin(half) / (2 * half) * vector))
+
+
+def _turning(vector: Expr, slope: Expr) -> Expr:
+    """Body angular velocity of a rotation vector that changes by ``slope``."""
+    a, across = _length(vector) + 1e-3, ca.cross(vector, slope)  # a little longer, or its powers lose their digits
+    return slope - (1 - ca.cos(a)) / a**2 * across + (1 - ca.sin(a) / a) / a**2 * ca.cross(vector, across)
+
+
+def _unturned(vector: Expr, omega: Expr) -> Expr:
+    """How a rotation vector changes at a body angular velocity."""
+    a, across = _length(vector) + 1e-3, ca.cross(vector, omega)
+    return omega + across / 2 + (1 - a / 2 / ca.tan(a / 2)) / a**2 * ca.cross(vector, across)
+
+
+def root_pose(vehicle: Vehicle, g: Expr) -> Expr:
+    """Pose (7,) of the rig's root."""
+    pose = vehicle.group.pose(g)
+    return ca.vertcat(pose[0:3] - SO3.matrix(pose[3:7]) @ ca.DM(vehicle.origin), pose[3:7])
+
+
+def _view(vehicle: Vehicle, g: Expr, r: Expr, u: Expr, xi: Expr, c: Expr, time: Expr) -> KnotView:
+    root = root_pose(vehicle, g)
+    rotation = SO3.matrix(root[3:7])
+    twist = vehicle.group.velocity_to_body(g, xi)
+    if vehicle.group.fixed:
+        omega, body = twist, ca.SX.zeros(3)
+    else:
+        twist = shift_twist(twist, -vehicle.origin)
+        flat = vehicle.group.dim == 3
+        omega = ca.vertcat(0, 0, twist[0]) if flat else twist[0:3]
+        body = ca.vertcat(twist[1:3], 0) if flat else twist[3:6]
+    push, rates = _push(vehicle, g, r, u, xi, c), ca.vertcat(u, xi)
+    return KnotView(
+        root[0:3], rotation @ body, omega, rotation, r, u, c, push, rates, ca.SX(time), UNKNOWN, vehicle.joints
+    )
+
+
+def _push(vehicle: Vehicle, g: Expr, r: Expr, u: Expr, xi: Expr, c: Expr) -> Expr:
+    """Forces of the controls on the joints (s,) and the group (d,) over its weight; rate controls have none."""
+    still = ca.SX.zeros(3)
+    given = vehicle.force(g, r, u, xi, c, still)
+    rest = vehicle.force(g, r, u, xi, ca.SX.zeros(c.shape[0]), still)
+    force = ca.vertcat(*(a - b for a, b in zip(given, rest, strict=True)))
+    speed = ca.SX.sym("speed")
+    along = ca.vertcat(ca.SX.zeros(vehicle.group.dim - 1), speed)
+    kinetic = ca.SX(vehicle.reduced_lagrangian(ca.SX.zeros(r.shape[0]), ca.SX.zeros(u.shape[0]), along))
+    mass = float(ca.evalf(ca.substitute(ca.hessian(kinetic, speed)[0], speed, 0)))
+    return force / (max(mass, 1e-9) * GRAVITY)
+
+
+def evaluate(term: Term, view: KnotView | SegmentView) -> Expr:
+    """A term's law of a view, a dense column; an error in it is raised as ``InputError`` that names the term."""
+    try:
+        law = term.law
+        if isinstance(term, Cost) and term.integral:
+            assert isinstance(view, SegmentView)
+            value = view.h / 2 * (law(view.start) + law(view.end))
+        else:
+            value = law(view)
+        value = ca.vertcat(*value) if isinstance(value, list | tuple) else ca.SX(value)
+    except Exception as error:
+        raise InputError(
+            f"its law cannot be evaluated: {error}", "see vehsim.planning.KnotView", subject=f"term {term.name!r}"
+        ) from error
+    if value.shape[1] != 1 or (isinstance(term, Cost) and value.shape[0] != 1):
+        wanted = "a scalar" if isinstance(term, Cost) else "a column"
+        raise InputError(f"its law gives shape {value.shape}", f"give {wanted}", subject=f"term {term.name!r}")
+    return ca.densify(value)

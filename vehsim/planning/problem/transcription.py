@@ -1,0 +1,95 @@
+"""A vehicle's discrete mechanics as the optimiser knows them: variables of a node and a segment, and their scales.
+
+Variables, knot by knot: node states ``(g, r, pi)``, segment velocities ``z``, knot controls, and a segment length for
+every leg between two marks. At order 4 a segment is five symmetric substeps (Suzuki), each with a node of its own.
+Momenta and controls are scaled to the size of velocities and of typical controls.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from functools import cached_property, lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.integrators import DiscreteMechanics
+from vehsim.integrators.discrete import mechanics_of
+from vehsim.planning.problem.elements import Element
+from vehsim.vehicles import Vehicle
+
+Array = NDArray[np.float64]
+
+
+class Transcription:
+    """A vehicle, its mechanics, the scales of its variables, and the elements that its problems of any length share."""
+
+    def __init__(self, vehicle: Vehicle):
+        self.vehicle = vehicle
+        self.mechanics: DiscreteMechanics = mechanics_of(vehicle, "cay", "galerkin")
+        self.sizes = self.mechanics.sizes
+        self.control_scale = np.array([c.scale for c in vehicle.controls])
+        self.momentum_scale = self._mass()
+        self._elements: dict[Hashable, Element] = {}
+
+    def _mass(self) -> Array:
+        m = self.mechanics
+        r, n = np.zeros(self.sizes[1]), self.sizes[2]
+        c = np.zeros(self.sizes[3])
+        zero = np.ravel(np.asarray(m.knot_velocity_guess(r, np.zeros(n), c)))
+        mobility = np.array([np.ravel(np.asarray(m.knot_velocity_guess(r, e, c))) - zero for e in np.eye(n)])
+        return 1 / np.abs(np.diag(mobility)) if n else np.zeros(0)
+
+    def symbols(self, *names: str) -> dict[str, Any]:
+        """Symbols of a segment's variables by name: states ``x, x1``, velocity ``z``, controls ``c0, c1``, length ``h``
+        (controls over their scale)."""
+        size, s, n, c = self.sizes
+        shapes = {"x": size + s + n, "x1": size + s + n, "z": n, "c0": c, "c1": c, "h": 1}
+        return {name: ca.SX.sym(name, shapes[name]) for name in names}
+
+    def split(self, x: Any) -> tuple[Any, Any, Any]:
+        """``g, r`` and the unscaled ``pi`` of a node state."""
+        size, s, n = self.sizes[:3]
+        g, r, pi = ca.vertsplit(x, [0, size, size + s, size + s + n])
+        return g, r, pi * self.momentum_scale
+
+    @cached_property
+    def idle(self) -> list[int]:
+        """Joints that nothing depends on, neither the motion nor a limit: a wheel's roll."""
+        y, step = self.mechanics.symbols, self.mechanics.segment
+        moved = ca.vertcat(step["left"], step["right"], step["g1"])
+        named = enumerate(self.vehicle.joints)
+        return [i for i, name in named if name not in self.vehicle.joint_limits and not ca.depends_on(moved, y["r"][i])]
+
+    @cached_property
+    def substep(self) -> Element:
+        """The three discrete equations of a substep: (x, z, c0, c1, x1, h); parameters ``wind`` (3,) m/s, where in its
+        segment it starts (``start``) and what ``fraction`` of it it takes."""
+        v = self.symbols("x", "z", "c0", "c1", "x1", "h")
+        wind, start, fraction = ca.SX.sym("wind", 3), ca.SX.sym("start"), ca.SX.sym("fraction")
+        g, r, pi = self.split(v["x"])
+        g1, r1, pi1 = self.split(v["x1"])
+        ca_, cb = v["c0"] * self.control_scale, v["c1"] * self.control_scale
+        step = self.mechanics
+        expressions = [step.segment[name] for name in ("left", "right", "g1", "r1")]
+        inputs = [step.symbols[name] for name in ("g", "r", "z", "c0", "c1", "h", "wind")]
+        segment = ca.Function("segment", inputs, expressions)
+        ends = (ca_ + start * (cb - ca_), ca_ + (start + fraction) * (cb - ca_))
+        left, right, next_g, next_r = segment(g, r, v["z"], *ends, v["h"] * fraction, wind)
+        residuals = ((left - pi) / self.momentum_scale, (right - pi1) / self.momentum_scale, next_g - g1, next_r - r1)
+        parameters = {"wind": wind, "start": start, "fraction": fraction}
+        return Element("dynamics", ca.vertcat(*v.values()), parameters, g=ca.vertcat(*residuals))
+
+    def kept(self, key: Hashable, make: Callable[[], Element]) -> Element:
+        """The element kept under ``key``, else the one that ``make`` builds: it is differentiated once."""
+        if key not in self._elements:
+            self._elements[key] = make()
+        return self._elements[key]
+
+
+@lru_cache(maxsize=32)
+def transcribe(vehicle: Vehicle) -> Transcription:
+    """The vehicle's transcription, built once."""
+    return Transcription(vehicle)

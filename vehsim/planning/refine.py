@@ -1,0 +1,116 @@
+"""From a coarse plan to the one asked for: onto whole frames, to more segments and higher order."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from vehsim.planning.constraints.timing import EARLY
+from vehsim.planning.guesses.prolongate import prolongate
+from vehsim.planning.iterate import Iterate, Run
+from vehsim.planning.problem.layout import Layout
+from vehsim.planning.problem.solver import HURRIED
+from vehsim.planning.solve import solve
+from vehsim.planning.trajectory import Trajectory
+
+EXECUTED = 0.1
+"""Largest accepted distance between the plan's end and where its controls lead, m, before the plan is refined."""
+LADDER = ((1, 4), (1, 6), (2, 6), (4, 6))
+"""Discretisations a plan climbs through: times the segments asked for, and order. Higher order is cheaper than more
+segments."""
+
+
+def settle_on_frames(run: Run, iterate: Iterate) -> Iterate:
+    """Solved with free marks on whole frames; their timing is fixed from here on."""
+    return resolve(run, _on_frames(iterate), iterate) if np.any(iterate.timing.free) else iterate
+
+
+def _on_frames(iterate: Iterate, early: float = EARLY) -> Iterate:
+    """The same motion with free marks on whole frames, ``early`` of a frame too early at most."""
+    x = iterate.stretched(iterate.timing.on_frames(iterate, early))
+    return replace(iterate, x=x, stale=True).with_timing(iterate.timing.settled())
+
+
+def approach(run: Run, iterate: Iterate) -> Iterate:
+    """From the coarse discretisation a plan was found on to the one asked for, in steps on the way."""
+    asked, refined = iterate.request.segments, iterate.request.refine
+    found = True
+    while found and iterate.success and 4 * iterate.layout.segments <= asked:
+        iterate, found = _step(run, iterate, asked)
+    if iterate.success and (refined or iterate.layout.segments < asked):
+        iterate, climbed = _climb(run, iterate)
+        if not climbed and run.deadline.cut and iterate.layout.segments < asked:  # a lower order may still be in time
+            lower, _ = _solved_on(run, iterate, asked, 2)
+            iterate = replace(lower, note=iterate.note)
+    return replace(iterate, executed=iterate.run_controls())
+
+
+def refine(run: Run, iterate: Iterate, before: Iterate | None = None) -> Iterate:
+    """Climb the ladder of discretisations until the executed controls end where the plan does; ``before``: what there
+    was before a tightening."""
+    if iterate.stale or math.isinf(iterate.executed.final):
+        iterate = resolve(run, iterate, before)
+        iterate = replace(iterate, executed=iterate.run_controls())
+    climbed = True
+    while climbed and _too_far(iterate) and iterate.rung < len(LADDER) - 1 and not run.deadline.cut:
+        iterate, climbed = _climb(run, iterate)
+        if climbed:
+            iterate = replace(iterate, executed=iterate.run_controls())
+    return iterate
+
+
+def resolve(run: Run, iterate: Iterate, before: Iterate | None = None) -> Iterate:
+    """Solve again if anything changed since; an iterate that failed for want of time stays as it is.
+
+    Where that fails because free legs are fixed, solve from ``before`` with free legs again, and settle them later.
+    """
+    if not iterate.stale or (run.deadline.late and not iterate.success):
+        return iterate
+    solved = solve(run, iterate)
+    if solved.success or before is None or not np.any(iterate.timing.free) or run.deadline.late:
+        return solved
+    again = replace(before, blocks=solved.blocks, tightenings=solved.tightenings)
+    later = solve(run, again.with_timing(iterate.timing.opened()))
+    return solve(run, _on_frames(later, early=0.0)) if later.success else later
+
+
+def _too_far(iterate: Iterate) -> bool:
+    return iterate.request.refine and iterate.success and iterate.executed.final > EXECUTED
+
+
+def _step(run: Run, iterate: Iterate, asked: int) -> tuple[Iterate, bool]:
+    """The iterate on four times the segments, or twice as many, below those ``asked`` for; and whether it is solved."""
+    few = iterate.layout.segments
+    for times in (4, 2):
+        if 2 * times * few <= asked:
+            iterate, found = _solved_on(run, iterate, times * few, 2)
+            if found:
+                return replace(iterate, note=""), True
+    return iterate, False
+
+
+def _climb(run: Run, iterate: Iterate) -> tuple[Iterate, bool]:
+    """The iterate on the next rung of the ladder, and whether it was solved there."""
+    rung = iterate.rung + 1
+    times, order = LADDER[rung] if iterate.request.refine else (1, 2)
+    return _solved_on(run, replace(iterate, rung=rung), times * iterate.request.segments, order)
+
+
+def _solved_on(run: Run, iterate: Iterate, segments: int, order: int) -> tuple[Iterate, bool]:
+    """The iterate on a finer discretisation and True, or as it is, with a note, and False where that is not solved."""
+    layout = iterate.layout
+    split = segments // layout.segments
+    fine = Layout(iterate.transcription.sizes, tuple(split * n for n in layout.phases), order)
+    note = f"; not refined to {segments} segments of order {order}: "
+    if not run.deadline.allows(fine.nodes):
+        return replace(iterate, note=f"{note}{HURRIED}"), False
+    finer = Trajectory(iterate.request, iterate.transcription, fine, prolongate(iterate, fine))
+    blocks = tuple(block.prolongate(iterate, finer) for block in iterate.blocks)
+    start = replace(iterate, layout=fine, x=finer.x, blocks=blocks, prolongated=True)
+    solved = solve(run, start)
+    if solved.success:
+        return solved, True
+    assert solved.solution is not None
+    return replace(iterate, note=f"{note}{solved.solution.message}", prolongated=True), False

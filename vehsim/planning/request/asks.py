@@ -1,0 +1,123 @@
+"""Everything a plan was asked for, as plain data for an audit that knows nothing of how the plan was made."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from vehsim.planning.problem.stage import evaluate
+from vehsim.planning.request.landing import SLOPE
+from vehsim.planning.request.marks import Mark
+from vehsim.planning.request.request import Request
+from vehsim.planning.terms import LIMITS, Constraint, KnotView
+from vehsim.requests import Ask, limit_asks, mark_asks
+from vehsim.requests.asks import ANGLE, EXACT, gate_asks
+from vehsim.vehicles import Vehicle
+
+NEAR_ENOUGH = 0.01
+"""How far below the clearance asked for a motion may come, m."""
+STANDS = 5e-3
+"""How far from the ground what stands on it may be, m."""
+
+
+def asks_of(request: Request, frames: Sequence[float]) -> list[Ask]:
+    """The asks of a request whose marks (`Request.given`, or its marks) stand at ``frames``."""
+    marks = list(request.given or request.marks)
+    first, last = float(frames[0]), float(frames[-1])
+    asks: list[Ask] = []
+    for i, (mark, frame) in enumerate(zip(marks, frames, strict=True)):
+        if not (i and marks[i - 1].hold and marks[i - 1].place == mark.place):  # a hold is written out as two marks
+            asks += _mark(request, mark, frame, frames[i + 1] - frame if mark.hold else 0.0)
+    limits = {name: (value, LIMITS[name].unit) for name, value in request.limits.values.items()}
+    planar = request.vehicle.group.planar
+    asks += limit_asks(first, last, limits, request.limits.joints, request.limits.joint_rates, planar)
+    asks += _ranges(request, first, last)
+    if request.loop:
+        asks += _loop(first, last, {"planar": planar})
+    if request.world is not None and (request.hazards or request.world.obstacles):
+        landings = [mark.position for mark in marks if mark.on_ground]
+        wanted = {
+            "clearance": request.clearance,
+            "obstacles_only": request.vehicle.group.dim != 6,
+            "landings": [list(map(float, place)) for place in landings if place is not None],
+            "slope": SLOPE,
+        }
+        asks.append(Ask("clearance", "clearance", first, last, wanted, lower=request.clearance - NEAR_ENOUGH, unit="m"))
+    return asks
+
+
+def _mark(request: Request, mark: Mark, frame: float, hold: float) -> Iterator[Ask]:
+    """What one mark asks at ``frame``, and for ``hold`` frames."""
+    vehicle, key = request.vehicle, mark.name
+    if mark.frame == "free":
+        yield Ask(f"{key}.frame", "off_frame", frame, frame, upper=EXACT, unit="frames")
+    elif mark.place >= 0:
+        yield Ask(f"{key}.frame", "frame", int(mark.frame), int(mark.frame), lower=mark.frame, upper=mark.frame)
+    planar = vehicle.group.planar
+    given = np.asarray(() if mark.joints is None else mark.joints, float)
+    placed = None if vehicle.group.fixed or mark.gate is not None else mark.position
+    yield from mark_asks(
+        key,
+        frame,
+        hold=round(hold),
+        position=placed,
+        tolerance=mark.tolerance,
+        heading=None if mark.heading is None else math.radians(mark.heading),
+        orientation=mark.orientation,
+        velocity=mark.velocity,
+        speed=mark.speed,
+        joints={vehicle.joints[j]: float(given[j]) for j in np.flatnonzero(np.isfinite(given))},
+        planar=planar,
+    )
+    if mark.gate is not None and mark.position is not None:
+        gate = mark.gate
+        yield from gate_asks(key, frame, mark.position, gate.axes.tolist(), gate.radius, gate.size, planar)
+    if mark.on_ground and mark.position is not None:
+        yield Ask(f"{key}.on_ground", "stands", frame, frame + hold, lower=-STANDS, upper=STANDS, unit="m")
+
+
+def _ranges(request: Request, first: float, last: float) -> Iterator[Ask]:
+    """What looks, stays and landings ask over frames."""
+    for term in request.constraints:
+        begin, end = term.frames or (first, last)
+        if term.ask is not None:
+            yield term.ask(float(begin), float(end))
+        elif term in request.terms and term.over == "everywhere":
+            yield from _law(request.vehicle, term, float(begin), float(end), first)
+
+
+def _law(vehicle: Vehicle, term: Constraint, begin: float, end: float, first: float) -> Iterator[Ask]:
+    """A constraint of one's own, component by component; none of one that asks for power, or on the plane for a height:
+    the finished motion does not say what the plan's were."""
+    sizes = {"position": 3, "rotation": 9, "velocity": 3, "omega": 3, "acceleration": 3, "joints": len(vehicle.joints)}
+    sizes |= {"joint_rates": len(vehicle.joints), "controls": len(vehicle.controls), "t": 1}
+    given = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
+    hidden = {name: ca.SX.sym(name, 6) for name in ("push", "rates")}
+    rotation = ca.reshape(given["rotation"], 3, 3).T
+    value = evaluate(term, KnotView(**(given | hidden | {"rotation": rotation}), names=vehicle.joints))
+    planar = vehicle.group.planar
+    unseen = [*hidden.values(), given["position"][2]] if planar else [*hidden.values()]
+    if ca.depends_on(value, ca.vertcat(*unseen)):
+        return
+    law = ca.Function("law", [*given.values()], [value]).serialize()
+    lower, upper = (np.broadcast_to(np.asarray(b, float).ravel(), value.shape[0]) for b in (term.lower, term.upper))
+    for i, (low, high) in enumerate(zip(lower.tolist(), upper.tolist(), strict=True)):
+        yield Ask(
+            f"{term.title}[{i}]" if value.shape[0] > 1 else term.title,
+            "law",
+            begin,
+            end,
+            {"law": law, "component": i, "planar": planar, "start": first},
+            lower=low - term.slack if math.isfinite(low) else None,
+            upper=high + term.slack if math.isfinite(high) else None,
+        )
+
+
+def _loop(first: float, last: float, wanted: Mapping[str, Any]) -> Iterator[Ask]:
+    yield Ask("loop (position)", "closure", first, last, wanted, upper=EXACT, unit="m")
+    yield Ask("loop (attitude)", "closure_angle", first, last, wanted, **ANGLE)
+    yield Ask("loop (velocity)", "closure_velocity", first, last, wanted, upper=EXACT, unit="m/s")

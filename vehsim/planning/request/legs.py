@@ -1,0 +1,165 @@
+"""Legs: what lies between two marks, in frames, seconds, metres and segments."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.clip.clip import Clip
+from vehsim.lie.quaternions import yaw_of
+from vehsim.planning.request.marks import Mark
+
+Array = NDArray[np.float64]
+
+
+def facing(marks: Sequence[Mark], paths: Sequence[Array], aimed: Callable[[Mark], bool]) -> list[Mark]:
+    """The marks; those at rest without an attitude face along their legs, where nothing else aims them."""
+    turned = list(marks)
+    for i, mark in enumerate(marks):
+        if not mark.balanced or mark.heading is not None or aimed(mark):
+            continue
+        ahead = np.zeros(2)  # away from where it comes from, towards where it goes
+        if i > 0:
+            ahead -= _bearing(paths[i - 1][::-1])
+        if i < len(paths):
+            ahead += _bearing(paths[i])
+        if i and marks[i - 1].hold:
+            turned[i] = replace(mark, heading=turned[i - 1].heading)
+        elif np.linalg.norm(ahead) > 1e-6:
+            turned[i] = replace(mark, heading=float(np.degrees(np.arctan2(ahead[1], ahead[0]))))
+    return turned
+
+
+def same_headings(marks: Sequence[Mark], given: Sequence[Mark], turned: Sequence[Mark]) -> list[Mark]:
+    """The marks, turned where `facing` turned those ``given`` before."""
+    return [
+        replace(mark, heading=after.heading) if before.heading is None else mark
+        for mark, before, after in zip(marks, given, turned, strict=True)
+    ]
+
+
+def _bearing(path: Array) -> Array:
+    """Horizontal direction (2,) from a path's first point to a place some way along it; zero for a vertical one."""
+    steps = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    at = min(steps[-1], max(5.0, 0.05 * steps[-1]))
+    ahead = np.array([np.interp(at, steps, path[:, k]) - path[0, k] for k in (0, 1)])
+    length = float(np.linalg.norm(ahead))
+    return ahead / length if length > 1e-3 else np.zeros(2)
+
+
+def bent(path: Array, share: float) -> Array:
+    """A path that swings aside by a share of its length, half way along, ends where they were."""
+    if not share or path_length(path) < 1e-6:
+        return path
+    steps = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    at = np.unique(np.concatenate([steps, np.linspace(0, steps[-1], 17)]))
+    points = np.column_stack([np.interp(at, steps, path[:, k]) for k in range(3)])
+    chord = path[-1] - path[0]
+    aside = np.array([-chord[1], chord[0], 0.0])
+    aside = aside / np.linalg.norm(aside) if np.linalg.norm(aside) > 1e-6 else np.array([1.0, 0.0, 0.0])
+    return np.asarray(points + share * steps[-1] * np.sin(np.pi * at / steps[-1])[:, None] * aside)
+
+
+def cut(points: Array, legs: list[tuple[Array, Array]]) -> list[Array]:
+    """One path cut into legs at its points nearest to the marks, in order."""
+    cuts = cuts_of(points, legs)
+    spans = zip(legs, cuts[:-1], cuts[1:], strict=True)
+    return [np.vstack([[*a, *points[i, 3:]], points[i : j + 1], [*b, *points[j, 3:]]]) for (a, b), i, j in spans]
+
+
+def cuts_of(points: Array, legs: list[tuple[Array, Array]]) -> list[int]:
+    """Which of a path's points (k, ...) stand for the marks: its ends, and those nearest to the others, in order."""
+    cuts = [0]
+    for _, end in legs[:-1]:
+        later = np.linalg.norm(points[cuts[-1] :, :3] - end, axis=1)
+        cuts.append(cuts[-1] + int(np.argmin(later)))
+    return [*cuts, len(points) - 1]
+
+
+def poses_of(clip: Clip) -> Array:
+    """Positions and headings (k, 4) m, rad along a clip, to start another plan from."""
+    return np.column_stack([clip.positions, np.unwrap(yaw_of(clip.orientations))])
+
+
+def legs_between(marks: Sequence[Mark]) -> list[tuple[Array, Array]]:
+    """Start and end (3,) m of the leg from each mark to the next."""
+    return list(pairwise(mark_positions(marks)))
+
+
+def placed_marks(marks: Sequence[Mark]) -> list[int]:
+    """Which marks say where they are, and the ends: paths are sought between these."""
+    return [i for i, mark in enumerate(marks) if mark.position is not None or i in (0, len(marks) - 1)]
+
+
+def divided(paths: Sequence[Array], marks: Sequence[Mark]) -> list[Array]:
+    """Paths (k, ...) between `placed_marks` as one for every leg: marks between stand along them by their frames."""
+    legs: list[Array] = []
+    for path, (i, j) in zip(paths, pairwise(placed_marks(marks)), strict=True):
+        frames = [math.nan if mark.frame == "free" else float(mark.frame) for mark in marks[i : j + 1]]
+        at = np.array(frames) if np.all(np.isfinite(frames)) else np.arange(j - i + 1.0)
+        steps = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path[:, :3], axis=0), axis=1))])
+        cuts = (at - at[0]) / (at[-1] - at[0]) * steps[-1]
+        for a, b in pairwise(cuts):
+            ends = [[np.interp(x, steps, column) for column in path.T] for x in (a, b)]
+            legs.append(np.vstack([ends[0], path[(steps > a) & (steps < b)], ends[1]]) if j > i + 1 else path)
+    return legs
+
+
+def round_trip(marks: Sequence[Mark]) -> list[Array]:
+    """Paths (k, 3) m of all legs along one smooth closed curve that starts and ends at the first mark."""
+    from scipy.interpolate import CubicSpline
+
+    points = mark_positions([*marks[:-1], replace(marks[-1], position=marks[0].position)])
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    if len(points) < 4 or steps.min() < 1e-6:
+        return [np.array(leg) for leg in pairwise(points)]
+    at = np.concatenate([[0.0], np.cumsum(steps)])
+    curve = CubicSpline(at, points, bc_type="periodic")
+    return [np.asarray(curve(np.linspace(a, b, 17))) for a, b in pairwise(at)]
+
+
+def mark_positions(marks: Sequence[Mark]) -> Array:
+    """A position for every mark; those that leave it open stand evenly between their neighbours."""
+    known = [i for i, mark in enumerate(marks) if mark.position is not None]
+    values = np.array([marks[i].position for i in known], float)
+    return np.column_stack([np.interp(np.arange(len(marks)), known, values[:, k]) for k in range(3)])
+
+
+def cruising(marks: Sequence[Mark], paths: Sequence[Array], speed: float) -> Array:
+    """How long the legs (m,) along ``paths`` take at a ``speed`` m/s, with time to start and to stop, s."""
+    rests = np.array([a.at_rest + b.at_rest for a, b in pairwise(marks)])
+    return np.array([path_length(path) for path in paths]) / speed + 1.5 * rests + 0.5
+
+
+def path_length(path: Array) -> float:
+    return float(np.sum(np.linalg.norm(np.diff(path[:, :3], axis=0), axis=1)))
+
+
+def knots_within(
+    marks: Sequence[Mark], mark_knots: NDArray[np.intp], frames: tuple[int, int] | None
+) -> tuple[int, int]:
+    """First and last knot of a range of frames that `with_breaks` made knots of; all of them for None."""
+    at = {int(mark.frame): int(knot) for mark, knot in zip(marks, mark_knots, strict=True) if mark.frame != "free"}
+    end = int(mark_knots[-1])
+    return (0, end) if frames is None else (at[frames[0]], at.get(frames[1], end))
+
+
+def held_segments(phases: Sequence[int], marks: Sequence[Mark]) -> NDArray[np.bool_]:
+    """Which segments (n,) belong to a hold, of so many a phase."""
+    return np.repeat([mark.hold > 0 for mark in marks[:-1]], phases)
+
+
+def split_segments(segments: int, durations: Array, held: NDArray[np.bool_]) -> tuple[int, ...]:
+    """Segments a leg, by duration, at least two each; a hold is one."""
+    counts = np.where(held, 1, 2)
+    moving = np.where(held, 0.0, durations)
+    share = moving / moving.sum() * max(0, segments - counts.sum())
+    counts = counts + np.floor(share).astype(int)
+    for i in np.argsort(np.floor(share) - share)[: max(0, segments - counts.sum())]:
+        counts[i] += 1
+    return tuple(int(n) for n in counts)

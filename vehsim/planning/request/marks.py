@@ -1,0 +1,283 @@
+"""Marks: what an animator asks of a motion, at a frame or at a frame the planner chooses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.errors import InputError
+
+
+@dataclass(frozen=True)
+class Gate:
+    """An opening to pass through, about a mark's position: a ring of ``radius`` m, or ``size`` (width, height) m.
+
+    ``direction`` (3,): which way through, world axes, of any length. A rectangle's width is level.
+    """
+
+    direction: Sequence[float]
+    radius: float | None = None
+    size: Sequence[float] | None = None
+
+    @property
+    def axes(self) -> NDArray[np.float64]:
+        """Unit vectors (3, 3), rows: through, along the width, along the height."""
+        through = np.asarray(self.direction, float) / np.linalg.norm(self.direction)
+        level = np.cross([0.0, 0.0, 1.0], through)
+        width = level / np.linalg.norm(level) if np.linalg.norm(level) > 1e-9 else np.array([0.0, 1.0, 0.0])
+        return np.array([through, width, np.cross(through, width)])
+
+    def check(self, key: str) -> None:
+        """Raises ``InputError`` naming ``key`` and what is wrong."""
+        direction = np.asarray(self.direction, float)
+        if direction.shape != (3,) or not np.all(np.isfinite(direction)) or not np.any(direction):
+            raise InputError(
+                "not a direction",
+                "give three numbers that point through the gate",
+                key=f"{key}.direction",
+                value=self.direction,
+            )
+        if (self.radius is None) == (self.size is None):
+            raise InputError(
+                "neither radius nor size, or both", "give either a radius or a size (width, height), in metres", key=key
+            )
+        sizes = [self.radius] if self.size is None else list(self.size)
+        if (self.size is not None and len(sizes) != 2) or not all(s is not None and 0 < s < math.inf for s in sizes):
+            raise InputError(
+                "not above zero",
+                "give metres above zero",
+                key=f"{key}.{'radius' if self.size is None else 'size'}",
+                value=self.radius if self.size is None else self.size,
+            )
+
+
+@dataclass(frozen=True)
+class Mark:
+    """Where the rig's root has to be, and how it moves there. What is ``None`` is free.
+
+    ``frame``: a whole frame, or ``"free"``; ``position`` (3,) m; ``heading`` deg, yaw of the body's X axis from world
+    X, counter-clockwise; ``orientation`` (4,) w, x, y, z; ``velocity`` (3,) m/s in world axes; ``speed`` m/s;
+    ``joints`` (s,), nan where free, or a table of some joints by name; ``tolerance`` m, half the side of the box the
+    position may lie in; ``hold``: frames to stay at rest there; ``gate``: an opening about the position; ``on_ground``:
+    what flies stands there, at rest and level, put down from ``position`` on the terrain or obstacle below.
+
+    A mark with ``velocity = (0, 0, 0)`` is at rest: the body does not turn either, and when its attitude is not given
+    it stands in balance, as it must to stay there (a helicopter level, or leaning into the wind), so that motion sets
+    in and ends smoothly; without a heading, what flies nose first faces along its leg. ``speed = 0`` leaves the
+    attitude free.
+    """
+
+    frame: int | Literal["free"]
+    _: KW_ONLY
+    position: Sequence[float] | None = None
+    heading: float | None = None
+    orientation: Sequence[float] | None = None
+    velocity: Sequence[float] | None = None
+    speed: float | None = None
+    joints: Sequence[float] | Mapping[str, float] | None = None
+    tolerance: float = 0.0
+    hold: int = 0
+    gate: Gate | None = None
+    on_ground: bool = False
+    place: int = field(default=-1, repr=False, compare=False)
+    """Its place among the marks that were given; a plan writes it."""
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        return f"mark[{self.place}]" if self.place >= 0 else f"frame {self.frame}"
+
+    @property
+    def at_rest(self) -> bool:
+        """Standing still is asked for."""
+        return self.velocity is not None and not np.any(self.velocity)
+
+    @property
+    def balanced(self) -> bool:
+        """At rest with no attitude asked for: roll and pitch follow from standing still."""
+        return self.at_rest and self.orientation is None
+
+
+def shape(marks: Sequence[Mark]) -> tuple[Any, ...]:
+    """What marks ask for, but not where: equal shapes share one built problem."""
+    return tuple(_shape(mark) for mark in marks)
+
+
+def _shape(mark: Mark) -> tuple[Any, ...]:
+    keys = ("position", "heading", "orientation", "velocity", "speed", "joints")
+    return (
+        tuple(getattr(mark, key) is not None for key in keys),
+        (mark.balanced, mark.at_rest, mark.speed == 0, mark.hold > 0, mark.on_ground),
+        (mark.frame == "free", mark.tolerance),
+        None if mark.joints is None else tuple(np.isfinite(np.asarray(mark.joints, float))),
+        mark.gate and mark.gate.radius is None,
+    )
+
+
+def leeway(mark: Any) -> float:
+    """How far from its position a mark lets the root be, m: to the corners of its box or, where it has one, gate."""
+    gate = getattr(mark, "gate", None)
+    if gate is not None:
+        return float(gate.radius or math.hypot(*gate.size) / 2)
+    return float(mark.tolerance * math.sqrt(3))
+
+
+_SIZES = {"position": 3, "orientation": 4, "velocity": 3}
+
+
+def check_marks(marks: Sequence[Mark], joints: Sequence[str]) -> list[Mark]:
+    """The marks, holds and joints written out; ``InputError`` names mark, key, value and the remedy."""
+    if len(marks) < 2:
+        raise InputError(f"{len(marks)} given", "a plan needs at least two, a start and a goal", key="marks")
+    if marks[0].frame == "free":
+        raise InputError("the first mark starts the clip", "give it a whole frame", key="mark[0].frame", value="free")
+    if marks[0].position is None:
+        raise InputError("missing", "the first mark must say where the motion starts", key="mark[0].position")
+    marks = [_at_rest(replace(mark, joints=_joint_row(i, mark, joints), place=i)) for i, mark in enumerate(marks)]
+    last: int | None = None
+    for i, mark in enumerate(marks):
+        _check_numbers(i, mark)
+        if mark.frame == "free":
+            continue
+        if last is not None and mark.frame <= last:
+            raise InputError(
+                f"not after frame {last} before it", "put marks in order", key=f"mark[{i}].frame", value=mark.frame
+            )
+        last = mark.frame + mark.hold
+    return _with_holds(marks)
+
+
+def _at_rest(mark: Mark) -> Mark:
+    """A mark on the ground is at rest."""
+    unsaid = mark.on_ground and mark.velocity is None and mark.speed is None
+    return replace(mark, velocity=(0.0, 0.0, 0.0)) if unsaid else mark
+
+
+def _joint_row(i: int, mark: Mark, joints: Sequence[str]) -> tuple[float, ...] | None:
+    """Joint values (s,), nan where free."""
+    given: Any = mark.joints
+    if given is None:
+        return None
+    if isinstance(given, Mapping):
+        unknown = [name for name in given if name not in joints]
+        if unknown:
+            raise InputError(
+                "no such joint", f"choose one of {', '.join(joints)}", key=f"mark[{i}].joints.{unknown[0]}"
+            )
+        given = [given.get(name, math.nan) for name in joints]
+    if np.shape(given) != (len(joints),) or np.any(np.isinf(np.asarray(given, float))):
+        raise InputError(
+            "not one number per joint",
+            f"give {len(joints)} numbers, nan where free",
+            key=f"mark[{i}].joints",
+            value=mark.joints,
+        )
+    return tuple(float(value) for value in given)
+
+
+def _check_numbers(i: int, mark: Mark) -> None:
+    if mark.frame != "free" and (isinstance(mark.frame, bool) or not isinstance(mark.frame, int | np.integer)):
+        raise InputError("not a frame", "give a whole frame, or 'free'", key=f"mark[{i}].frame", value=mark.frame)
+    for key, size in _SIZES.items():
+        values = getattr(mark, key)
+        if values is not None and (np.shape(values) != (size,) or not np.all(np.isfinite(values))):
+            raise InputError(
+                "of the wrong shape or not finite", f"give {size} finite numbers", key=f"mark[{i}].{key}", value=values
+            )
+    for key in ("heading", "speed", "tolerance"):
+        value = getattr(mark, key)
+        if value is not None and not math.isfinite(value):
+            raise InputError("not a number", "give a finite number", key=f"mark[{i}].{key}", value=value)
+    for key in ("speed", "tolerance", "hold"):
+        if (getattr(mark, key) or 0) < 0:
+            raise InputError("negative", "give zero or more", key=f"mark[{i}].{key}", value=getattr(mark, key))
+    if mark.speed is not None and mark.velocity is not None:
+        raise InputError("velocity is given too", "drop one of them", key=f"mark[{i}].speed", value=mark.speed)
+    if mark.orientation is not None and mark.heading is not None:
+        raise InputError("orientation is given too", "drop one of them", key=f"mark[{i}].heading", value=mark.heading)
+    if mark.hold and not (mark.balanced or mark.on_ground):
+        raise InputError(
+            "a hold stands in balance",
+            "give velocity = [0, 0, 0], no orientation",
+            key=f"mark[{i}].hold",
+            value=mark.hold,
+        )
+    if mark.on_ground and (mark.position is None or (mark.heading is None and mark.orientation is None)):
+        raise InputError(
+            "where it stands is not given", "give the position above it, and a heading", key=f"mark[{i}].on_ground"
+        )
+    if mark.on_ground and (not mark.at_rest or mark.tolerance or mark.gate is not None):
+        raise InputError(
+            "the vehicle stands still at this mark", "drop speed, tolerance and gate", key=f"mark[{i}].on_ground"
+        )
+    if mark.gate is not None:
+        mark.gate.check(f"mark[{i}].gate")
+        if mark.position is None or mark.tolerance:
+            raise InputError("a gate stands about a position", "give it, and no tolerance", key=f"mark[{i}].gate")
+
+
+def _with_holds(marks: Sequence[Mark]) -> list[Mark]:
+    """Held marks twice, at both ends of their hold; the first keeps the number of frames."""
+    written: list[Mark] = []
+    for mark in marks:
+        written.append(mark)
+        if mark.hold:
+            frame = mark.frame if mark.frame == "free" else int(mark.frame) + mark.hold
+            written.append(replace(mark, frame=frame, hold=0))
+    return written
+
+
+def end_of_hold(marks: Sequence[Mark], i: int) -> int:
+    """The mark at the end of what is held from mark ``i`` on; ``i`` itself where nothing is held."""
+    while marks[i].hold:
+        i += 1
+    return i
+
+
+def with_breaks(marks: Sequence[Mark], frames: Sequence[int]) -> list[Mark]:
+    """The marks and, at frames where none stands, marks that ask nothing new: every such frame becomes a knot.
+
+    Raises ``InputError`` where a frame lies among marks at free frames, which may come before or after it.
+    """
+    written = list(marks)
+    for frame in sorted(set(frames)):
+        known = [i for i, mark in enumerate(written) if mark.frame != "free"]
+        if any(written[i].frame == frame for i in known):
+            continue
+        before = [i for i in known if int(written[i].frame) < frame]
+        after = [i for i in known if int(written[i].frame) > frame]
+        if not before:
+            raise InputError(
+                f"before the first mark, at frame {written[0].frame}", "give a later one", key="frames", value=frame
+            )
+        if after and after[0] > before[-1] + 1:
+            raise InputError(
+                f"free marks stand between frames {written[before[-1]].frame} and {written[after[0]].frame}, before "
+                "or after it",
+                "give them frames",
+                key="frames",
+                value=frame,
+            )
+        if not after and before[-1] + 1 == len(written):
+            raise InputError(
+                f"after the last mark, at frame {written[-1].frame}", "give an earlier one", key="frames", value=frame
+            )
+        if not after and before[-1] + 2 < len(written):
+            raise InputError(
+                f"among the free marks after frame {written[before[-1]].frame}",
+                "give them frames",
+                key="frames",
+                value=frame,
+            )
+        earlier, place, asked = written[before[-1]], before[-1] + 1, Mark(frame)
+        if earlier.hold:  # it cuts a hold in two
+            passed = frame - int(earlier.frame)
+            written[place - 1] = replace(earlier, hold=passed)
+            asked = replace(earlier, frame=frame, hold=earlier.hold - passed, place=-1)
+        written.insert(place, asked)
+    return written

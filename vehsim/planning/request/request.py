@@ -1,0 +1,258 @@
+"""What a plan was asked for, in one place."""
+
+from __future__ import annotations
+
+import math
+import time
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.clip.samples import frame_rate
+from vehsim.errors import InputError, OutsideTerrain, Problem
+from vehsim.lie import SO3
+from vehsim.planning.problem.solver import check_solver
+from vehsim.planning.request.landing import attitude, descent, landings
+from vehsim.planning.request.legs import knots_within, mark_positions
+from vehsim.planning.request.marks import Mark, check_marks, end_of_hold, with_breaks
+from vehsim.planning.request.marks_near_obstacles import check_marks_clear
+from vehsim.planning.terms import Constraint, Limits, Term, check_limits, check_terms, cost_weights
+from vehsim.planning.trim import stands
+from vehsim.vehicles import Vehicle
+from vehsim.world.ground import landing
+from vehsim.world.ground.slope import on_terrain
+
+Array = NDArray[np.float64]
+
+ROOM = 30.0
+"""How far about marks and paths terrain and obstacles are looked at, m."""
+UNEVEN = 0.02
+"""How high a part of what stands on the ground may be above it, m, before there is a warning."""
+
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """All that a plan was asked for; ``deadline`` on `time.monotonic`'s clock, s."""
+
+    vehicle: Vehicle
+    world: Any
+    marks: list[Mark]
+    fps: Fraction
+    segments: int
+    weights: dict[str, float]
+    clearance: float
+    limits: Limits
+    refine: bool
+    max_iterations: int
+    terms: tuple[Term, ...] = ()
+    loop: bool = False
+    solver: str = "ipopt"
+    deadline: float = math.inf
+    given: Sequence[Mark] = ()
+    """The marks before those at rest were turned along their legs."""
+
+    @property
+    def wind(self) -> Array:
+        return np.zeros(3) if self.world is None else np.asarray(self.world.wind, float)
+
+    @property
+    def costs(self) -> tuple[str, ...]:
+        """Names of the costs that count."""
+        return tuple(name for name, weight in self.weights.items() if weight)
+
+    @property
+    def constraints(self) -> list[Constraint]:
+        """Limits, constraints of one's own, and gentle landings."""
+        own = (term for term in self.terms if isinstance(term, Constraint))
+        return [*self.limits.constraints(), *own, *map(descent, landings(self.marks))]
+
+    def aimed(self, mark: Mark) -> bool:
+        """A constraint says which way to head at this mark."""
+        ranges = [term.frames for term in self.constraints if term.aim is not None]
+        if mark.frame == "free":
+            return None in ranges
+        i = [known.frame for known in self.marks].index(mark.frame)
+        last = int(self.marks[end_of_hold(self.marks, i)].frame)
+        return any(r is None or (r[0] <= last and mark.frame <= r[1]) for r in ranges)
+
+    def aims(self, mark_knots: NDArray[np.intp]) -> list[tuple[int, int, Any, float]]:
+        """What constraints say of headings: (first knot, last knot, point, angle)."""
+        aimed = [(term, term.aim) for term in self.constraints if term.aim is not None]
+        return [(*knots_within(self.marks, mark_knots, term.frames), *aim) for term, aim in aimed]
+
+    @property
+    def top_speed(self) -> float:
+        """How fast it may be, m/s: its limit, or else what its vehicle can do."""
+        return self.limits.get("speed", self.vehicle.top_speed)
+
+    def speed_limit(self) -> str:
+        """That speed as messages name it, and whose it is."""
+        given = math.isfinite(self.limits.get("speed"))
+        own = f"the top speed of the {self.vehicle.name}, {self.top_speed:g}; limits.speed can allow more"
+        return f"limit {self.top_speed:g}" if given else own
+
+    @property
+    def weighed(self) -> Vehicle:
+        """The vehicle as slopes pull it."""
+        return on_terrain(self.vehicle, self.world, mark_positions(self.marks))
+
+    @property
+    def hazards(self) -> bool:
+        """It flies, and there is something to hit."""
+        about = self.world is not None and (self.world.terrain is not None or self.world.obstacles)
+        return bool(about) and self.vehicle.group.dim == 6
+
+
+def ask(
+    vehicle: Vehicle,
+    world: Any,
+    marks: Sequence[Mark],
+    *,
+    fps: Any,
+    segments: int,
+    cost: str | Mapping[str, float] = "effort",
+    clearance: float = 1.0,
+    limits: Mapping[str, Any] | None = None,
+    refine: bool = True,
+    terms: Sequence[Term] = (),
+    loop: bool = False,
+    solver: str = "ipopt",
+    max_iterations: int = 200,
+    time_limit: float | None = None,
+) -> Request:
+    """What `vehsim.plan` is asked for, checked; raises ``InputError`` naming key, value and remedy."""
+    if not isinstance(vehicle, Vehicle):
+        raise InputError("not a vehicle", "give what vehsim.load_vehicle returns", key="vehicle", value=vehicle)
+    vehicle = vehicle.planar or vehicle
+    if not (math.isfinite(clearance) and clearance >= 0):
+        raise InputError("not a distance", "give metres, zero or more", key="clearance", value=clearance)
+    if time_limit is not None and not time_limit > 0:
+        raise InputError("not a time", "give seconds, more than zero", key="time_limit", value=time_limit)
+    kept = check_terms(terms)
+    request = Request(
+        vehicle=vehicle,
+        world=world,
+        marks=all_marks(marks, vehicle, world, kept),
+        fps=frame_rate(fps),
+        segments=int(segments),
+        weights=cost_weights(cost, default_costs(vehicle, marks)),
+        clearance=float(clearance),
+        limits=check_limits(limits or {}, vehicle.joints),
+        refine=refine,
+        max_iterations=max_iterations,
+        terms=kept,
+        loop=loop,
+        solver=check_solver(solver),
+        deadline=math.inf if time_limit is None else time.monotonic() + time_limit,
+    )
+    least = 2 * (len(request.marks) - 1)
+    if not least <= segments <= 4096:
+        raise InputError(
+            "out of range",
+            f"give at least 2 per leg between marks, {least}, and at most 4096",
+            key="segments",
+            value=segments,
+        )
+    check_loop(request)
+    check_inside(request.marks, vehicle, world)
+    check_marks_clear(vehicle, world, request.marks, request.clearance)
+    heights = {float(np.asarray(mark.position)[2]) for mark in request.marks if mark.position is not None}
+    if vehicle.group.dim == 3 and len(heights) > 1 and (world is None or world.terrain is None):
+        raise InputError(
+            f"heights {sorted(heights)} m", f"{vehicle.name} keeps its height, give one z to all", key="mark.position"
+        )
+    return request
+
+
+def default_costs(vehicle: Vehicle, marks: Sequence[Mark]) -> dict[str, float]:
+    """The vehicle's own, and time where it may take as long as it likes and standing costs no effort: effort alone
+    would crawl for ever."""
+    patient = len(marks) > 0 and marks[-1].frame == "free" and stands(vehicle)
+    return ({"time": 1.0} if patient else {}) | dict(vehicle.default_costs)
+
+
+def all_marks(marks: Sequence[Mark], vehicle: Vehicle, world: Any, terms: Sequence[Term]) -> list[Mark]:
+    """The marks, holds written out, put down where they shall be, and a knot where a term's frames begin or end."""
+    standing = [put_down(mark, vehicle, world) for mark in check_marks(marks, vehicle.joints)]
+    return with_breaks(standing, [frame for term in terms for frame in term.frames or ()])
+
+
+def put_down(mark: Mark, vehicle: Vehicle, world: Any) -> Mark:
+    """A mark on the ground where the vehicle touches it; warns where it stands uneven. Raises ``InputError``."""
+    if not mark.on_ground:
+        return mark
+    assert mark.position is not None
+    key = f"{mark.name}.on_ground"
+    if world is None or vehicle.group.dim != 6:
+        remedy = "leave it out" if vehicle.group.dim != 6 else "give a terrain or obstacles to stand on"
+        raise InputError(f"{vehicle.name} does not land", remedy, key=key)
+    check_inside([mark], vehicle, world)
+    q = attitude(mark)
+    try:
+        place = landing.put_down(world, vehicle, mark.position, q)
+    except InputError as error:
+        raise InputError.of(error.problem.seen_from(key)) from None
+    below = place + landing.feet(vehicle) @ SO3.matrix(q).T
+    hollow = float(np.max(below[:, 2] - landing.height_below(world, below)))
+    if hollow > UNEVEN:
+        message = f"{key}: it touches the ground, but stands up to {hollow:.2f} m above it elsewhere"
+        warnings.warn(f"{message}; land on level ground or on a pad (an obstacle)", stacklevel=5)
+    if np.any(world.wind):  # it stands level, but is not in balance
+        mark = replace(mark, orientation=tuple(q.tolist()), heading=None)
+    return replace(mark, position=tuple(place.tolist()))
+
+
+def check_inside(marks: Sequence[Mark], vehicle: Vehicle, world: Any) -> None:
+    """Raise ``InputError`` if a flying vehicle has a mark outside the terrain; warn if a driving vehicle has one.
+
+    Routes are searched inside the terrain only. Outside, the ground is level and not drawn.
+    """
+    terrain = None if world is None else world.terrain
+    if terrain is None or vehicle.hull is not None:
+        return
+    for mark in marks:
+        end = "" if mark.position is None else terrain.beyond(mark.position)
+        if not end:
+            continue
+        place = [float(x) for x in mark.position or ()]
+        problem = Problem(f"{mark.name}.position", f"outside the terrain, which ends at {end}", "move it inside", place)
+        if vehicle.group.dim == 6:
+            raise InputError.of(problem)
+        level = replace(problem, remedy="the ground there is level and not drawn")
+        warnings.warn(str(level), OutsideTerrain, stacklevel=4)
+
+
+def check_loop(request: Request) -> None:
+    """Raise ``InputError`` where a loop is asked to end elsewhere than it begins."""
+    first, last = request.marks[0], request.marks[-1]
+    if not request.loop:
+        return
+    for key in ("position", "heading", "orientation", "velocity"):
+        a, b = getattr(first, key), getattr(last, key)
+        if a is not None and b is not None and not np.allclose(a, b, atol=1e-9):
+            raise InputError(
+                f"a loop ends as it begins, with {a!r}",
+                "leave it out of the last mark",
+                key=f"{last.name}.{key}",
+                value=b,
+            )
+
+
+def airspace(request: Request) -> Array | None:
+    """A box (2, 3) m about the marks and what stands near them, to look for a way in; None: the terrain's."""
+    world = request.world
+    if world.terrain is not None or not world.standing:
+        return None
+    places = mark_positions(request.marks)
+    low, high = places.min(axis=0) - ROOM, places.max(axis=0) + ROOM
+    for obstacle in world.standing:
+        corners = np.vstack(obstacle.hulls)
+        a, b = corners.min(axis=0), corners.max(axis=0)
+        if (a < high).all() and (b > low).all():
+            low, high = np.minimum(low, a - ROOM), np.maximum(high, b + ROOM)
+    return np.array([low, high])

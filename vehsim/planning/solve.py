@@ -1,0 +1,196 @@
+"""Solving: from an initial guess to a solved iterate, with constraints activated as the solver runs through them."""
+
+from __future__ import annotations
+
+import math
+import time
+import warnings
+from collections.abc import Hashable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.clip.clip import Clip
+from vehsim.planning.blocks import blocks_of
+from vehsim.planning.constraints.block import Block, assemble, parameter_values, variable_bounds
+from vehsim.planning.constraints.clearance import Clearance, SphereCover
+from vehsim.planning.constraints.obstacle_clearance import ObstacleClearance
+from vehsim.planning.constraints.timing import fixed_durations, share_known_spans
+from vehsim.planning.deadline import MORE
+from vehsim.planning.guesses.paths import along_clip, along_paths, clip_spans
+from vehsim.planning.iterate import Certificate, Finding, Iterate, Run
+from vehsim.planning.problem.layout import Layout
+from vehsim.planning.problem.multipliers import carried
+from vehsim.planning.problem.solver import Solution, Solver, Start
+from vehsim.planning.problem.solver_cache import common
+from vehsim.planning.problem.transcription import Transcription
+from vehsim.planning.request.landing import landings
+from vehsim.planning.request.legs import cruising, split_segments
+from vehsim.planning.request.request import Request
+from vehsim.planning.trajectory import Trajectory, exported
+
+Array = NDArray[np.float64]
+
+COARSE = 24
+"""A plan is first found on at least as many segments, a half or a quarter of those asked for where that goes."""
+CLOSE = 48
+"""The same among obstacles, and to land: between knots farther apart they could be jumped over."""
+LOOKS = 3
+"""How often a solve begins again because it violated what was not active."""
+REHEARSED = 8
+"""Segments the initial guess is certified on to learn how long that takes, where time is limited: it looks closer where
+it has to, so that their number matters little."""
+CRUISE = 12.0
+"""Guess of a free leg's speed, m/s, when no speed limit is lower."""
+
+
+def begin(
+    run: Run,
+    request: Request,
+    transcription: Transcription,
+    cover: SphereCover | None,
+    paths: Sequence[Array],
+    clip: Clip | None = None,
+    *,
+    stretch: float = 1.0,
+    blocks: Sequence[Block] | None = None,
+) -> Iterate:
+    """The initial guess: along ``paths``, one per leg, or a ``clip`` as it is.
+
+    Free legs take ``stretch`` times as long as a cruise. ``blocks``: of an earlier guess at the same request, whose
+    active sets stay.
+    """
+    marks, began = request.marks, time.monotonic()
+    blocks = blocks_of(request, transcription, cover) if blocks is None else blocks
+    fixed = fixed_durations(marks, request.fps)
+    if clip is None:
+        free = stretch * cruising(marks, paths, min(CRUISE, 0.6 * request.limits.get("speed")))
+    else:
+        free = np.maximum(-np.subtract(*clip_spans(clip, marks)), 0.1)
+    durations = np.where(np.isnan(fixed), free, fixed)
+    share_known_spans(durations, marks, request.fps)
+    held = np.array([mark.hold > 0 for mark in marks[:-1]])
+    close = any(isinstance(block, ObstacleClearance) for block in blocks) or bool(landings(marks))
+    segments = _coarse(request, CLOSE if close else COARSE)
+    layout = Layout(transcription.sizes, split_segments(segments, durations, held))
+    lengths = durations / np.array(layout.phases)
+    if clip is None:
+        aims = request.aims(layout.mark_knots)
+        x = along_paths(transcription, layout, marks, paths, lengths, request.wind, aims)
+    else:
+        x = along_clip(transcription, layout, marks, clip, lengths)
+    guess = Trajectory(request, transcription, layout, x)
+    active = tuple(block.activate(guess) for block in blocks)
+    # between rocks controls are agile throughout: the first rung would not do
+    iterate = Iterate(request, transcription, layout, x, active, paths, rung=-1 + (cover is not None))
+    if math.isfinite(run.deadline.end) and not (run.deadline.kept or run.deadline.late):
+        _rehearse(run, iterate)
+        run.deadline.guessed = time.monotonic() - began
+    return iterate
+
+
+def _coarse(request: Request, enough: int) -> int:
+    """Segments to find a plan on: as many as asked for, halved while ``enough`` are left."""
+    segments, least = request.segments, max(enough, 2 * len(request.marks))
+    while segments % 2 == 0 and segments // 2 >= least:
+        segments //= 2
+    return segments
+
+
+def _rehearse(run: Run, iterate: Iterate) -> None:
+    """Finish the initial guess on a few segments, to know how long that takes in the end."""
+    clip = iterate.clip
+    few = clip.at(np.linspace(0.0, clip.duration, REHEARSED + 1))
+    moment, share = (clip.at([0.0, part * clip.duration]) for part in (1e-3, 1 / REHEARSED))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of a guess
+        measured(run, iterate, moment)  # this and the next two build models, which takes longer
+        iterate.run_controls()
+        exported(moment, iterate.request)
+        run.deadline.rehearse(lambda: (measured(run, iterate, few), iterate.run_controls()))
+        longer = MORE if np.any(iterate.timing.free) else 1.0  # free legs may take longer than guessed
+        run.deadline.rehearse(lambda: exported(share, iterate.request), longer * REHEARSED)
+
+
+def measured(run: Run, iterate: Iterate, clip: Clip) -> Certificate:
+    """What a clip of an iterate is worth to its blocks."""
+    return Certificate(tuple(block.measure(iterate, clip, run.progress) for block in iterate.blocks))
+
+
+def give_up(iterate: Iterate, message: str) -> Iterate:
+    """End with the initial guess, where nothing can be solved."""
+    solution = Solution(iterate.x, math.nan, math.inf, False, message, 0, np.zeros(0))
+    hazards = iterate.request.hazards or iterate.block(ObstacleClearance) is not None
+    unmeasured = Certificate((Finding(math.nan if hazards else math.inf),))
+    return replace(iterate, solution=solution, stale=False, certificate=unmeasured)
+
+
+def solve(run: Run, iterate: Iterate) -> Iterate:
+    """Solve from the iterate's variables; legs to free marks vary while their timing is open.
+
+    A motion that violates what was not active is solved again, from the same start.
+    """
+    solved = _solve_active(run, iterate, "guess")
+    for _ in range(LOOKS):
+        if run.deadline.late:
+            break
+        blocks = tuple(block.violated(solved) for block in iterate.blocks)
+        if all(new is old for new, old in zip(blocks, iterate.blocks, strict=True)):
+            break
+        iterate = replace(iterate, blocks=blocks)
+        solved = _solve_active(run, iterate, "again")
+    return solved
+
+
+def _solve_active(run: Run, iterate: Iterate, start: Start) -> Iterate:
+    """One solve with the present active sets."""
+    began = time.monotonic()
+    solver = _solver(run, iterate)
+    clearance = iterate.block(Clearance)
+    text = f"planning {iterate.layout.segments} segments at order {iterate.layout.order}"
+    if iterate.tightenings and clearance is not None:
+        text += f", margin {clearance.asked:.2f} m"
+    solver.watch = run.watcher(text)
+    built = time.monotonic()
+    run.build_seconds += built - began
+    solution = _answer(run, iterate, solver, start)
+    run.solve_seconds += time.monotonic() - built
+    run.deadline.solved(began, iterate.layout.nodes, solution.hurried)
+    multipliers = iterate.multipliers
+    if solution.success and solution.multipliers is not None:
+        multipliers = solution.multipliers, (solver.problem, iterate.layout)
+    return replace(
+        iterate, x=solution.x, solution=solution, problem=solver.problem, multipliers=multipliers, stale=False,
+        certificate=None,
+    )  # fmt: skip
+
+
+def _solver(run: Run, iterate: Iterate) -> Solver:
+    """The built problem of an iterate; built once for every shape of marks, in free space once for all plans."""
+    request, layout, transcription = iterate.request, iterate.layout, iterate.transcription
+    keys: tuple[Hashable, ...] = tuple(block.key(layout, transcription) for block in iterate.blocks)
+    key = transcription, layout, keys, request.solver, request.max_iterations
+    cache = run.solvers if iterate.cover is not None or request.terms else common()
+
+    def make() -> Solver:
+        return Solver(assemble(transcription, layout, iterate.blocks), request.solver, request.max_iterations)
+
+    return cache.get(key, make)
+
+
+def _answer(run: Run, iterate: Iterate, solver: Solver, start: Start) -> Solution:
+    """From the multipliers of the last solve, where there was one; from the motion alone where these mislead."""
+    bounds = variable_bounds(iterate, iterate.blocks)
+    values = parameter_values(solver.problem, iterate, iterate.blocks)
+    deadline, answer, last = run.deadline.solving, None, iterate.multipliers
+    # finer, what is in the way pushes elsewhere
+    if last is not None and not (iterate.blocked and last[1][1] != iterate.layout):
+        given = carried(*last, (solver.problem, iterate.layout))
+        answer = solver.solve(iterate.x, *bounds, values, deadline, multipliers=given)
+        run.iterations += answer.iterations
+    if answer is None or not (answer.success or answer.hurried or run.deadline.late):
+        start = "motion" if iterate.prolongated else start
+        answer = solver.solve(iterate.x, *bounds, values, deadline, start)
+        run.iterations += answer.iterations
+    return answer

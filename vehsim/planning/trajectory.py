@@ -1,0 +1,105 @@
+"""What a problem's variables stand for: a motion at its knots, as a clip, and where its controls really lead."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.clip.clip import Clip
+from vehsim.integrators.record import build_clip
+from vehsim.planning.certificates import Executed, executed
+from vehsim.planning.problem.layout import Layout
+from vehsim.planning.problem.transcription import Transcription
+from vehsim.planning.request.request import Request
+from vehsim.world.ground.wheels import place_on_terrain
+
+Array = NDArray[np.float64]
+
+CARRIED = 1e-9
+"""For how long controls are run in a segment of a hold on the ground, s."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """A discretised motion: variables ``x`` (size,) of a ``layout``."""
+
+    request: Request
+    transcription: Transcription
+    layout: Layout
+    x: Array
+
+    @property
+    def lengths(self) -> Array:
+        """Seconds a segment takes, by leg (legs,)."""
+        return self.x[self.layout.lengths]
+
+    def knots(self) -> tuple[Array, Array, Array, Array, Array]:
+        """Configuration, joints, momenta and controls (n, ...), SI, at the knots, and the segments' lengths, s."""
+        layout, every = self.layout, np.arange(self.layout.segments + 1)
+        cuts = np.cumsum([0, *self.transcription.sizes[:3]])
+        state = self.x[layout.knot(every)]
+        g, r, pi = (np.ascontiguousarray(state[a:b].T) for a, b in pairwise(cuts))
+        c = np.ascontiguousarray((self.x[layout.control(every)] * self.transcription.control_scale[:, None]).T)
+        return g, r, pi * self.transcription.momentum_scale, c, np.repeat(self.lengths, layout.phases)
+
+    def poses(self) -> tuple[Array, Array]:
+        """Position (n, 2) m and heading (n,) rad of the root of what drives, at its knots."""
+        g = self.knots()[0]
+        c, s = np.cos(g[:, 0]), np.sin(g[:, 0])
+        x, y = self.request.vehicle.origin[:2]
+        return g[:, 1:3] - np.column_stack([c * x - s * y, s * x + c * y]), g[:, 0]
+
+    def seconds(self) -> Array:
+        """When it is at its knots (n,), s since frame 0."""
+        steps = np.repeat(self.lengths, self.layout.phases)
+        start = int(self.request.marks[0].frame) / float(self.request.fps)
+        return np.asarray(start + np.concatenate([[0.0], np.cumsum(steps)]))
+
+    def mark_frames(self) -> list[float]:
+        """The frame of every mark, holds written out; whole where the motion has settled on frames."""
+        frames = self.seconds()[self.layout.mark_knots] * float(self.request.fps)
+        return [float(round(frame)) if abs(frame - round(frame)) < 1e-6 else float(frame) for frame in frames]
+
+    def stretched(self, lengths: Array) -> Array:
+        """Variables (size,) of the same motion at other segment ``lengths`` (legs,) s.
+
+        Velocities and momenta scale with the pace.
+        """
+        x, layout, ratio = self.x.copy(), self.layout, self.lengths / lengths
+        per_substep = np.repeat(ratio, np.array(layout.phases) * len(layout.fractions))
+        momenta = layout.node(np.arange(layout.nodes))[sum(self.transcription.sizes[:2]) :]
+        x[momenta] *= np.append(per_substep, per_substep[-1])
+        x[layout.velocity(np.arange(layout.nodes - 1))] *= per_substep
+        x[layout.lengths] = lengths
+        return x
+
+    def run_controls(self) -> Executed:
+        """Where its controls lead, run finely."""
+        g, r, pi, c, steps = self.knots()
+        marks = self.request.marks
+        carried = np.array([mark.hold > 0 and mark.on_ground for mark in marks[:-1]])
+        # what stands on the ground is carried by it: its controls lead nowhere
+        steps = np.where(np.repeat(carried, self.layout.phases), CARRIED, steps)
+        return executed(self.transcription.mechanics, g, r, pi, c, steps, self.request.wind)
+
+    @cached_property
+    def clip(self) -> Clip:
+        """The clip of the vehicle that is planned for, from 0 s on."""
+        g, r, pi, c, steps = self.knots()
+        times = np.concatenate([[0.0], np.cumsum(steps)])
+        start = int(self.request.marks[0].frame)
+        anchor = np.zeros(3)
+        if self.request.vehicle.group.dim == 3:
+            anchor[2] = float(np.asarray(self.request.marks[0].position)[2])
+        return build_clip(
+            self.transcription.mechanics, times, g, r, pi, c, anchor, fps=self.request.fps, start_frame=start
+        )
+
+
+def exported(clip: Clip, request: Request) -> Clip:
+    """A clip of the vehicle that was given, its wheels on the terrain."""
+    return place_on_terrain(replace(clip, vehicle=request.vehicle), request.world)

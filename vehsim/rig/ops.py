@@ -1,0 +1,310 @@
+"""How motion enters a rig: which op on which prim, and whether the prim can take it.
+
+This module knows USD prims and op orders, not motion: the exporter writes ops with it, and checks use it before
+solving. A channel becomes one scalar op with a suffix in the prim's own ``xformOpOrder``, after the prim's placement
+and before the ops that shape its mesh, with values in the prim's own units.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from difflib import get_close_matches
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.errors import ExportError, InputError, Problem
+from vehsim.intake.usd import complaints, open_stage
+from vehsim.runtime.cache import Stamp, made_of, stamp
+
+if TYPE_CHECKING:
+    from vehsim.rig.rig import Drive, Rig
+
+Array = NDArray[np.float64]
+
+SHEAR = 1e-3
+"""Largest relative difference of scale perpendicular to a spin's axis."""
+PIVOT = "_vehsim_pivot"
+SENSES = {
+    "roll_": ("rolling forward is a turn about what points left", (0.0, 1.0, 0.0)),
+    "steer_": ("steering to the left is a turn about what points up", (0.0, 0.0, 1.0)),
+    "travel_": ("a wheel's travel goes up", (0.0, 0.0, 1.0)),
+}
+"""Direction of positive values of such channels in every model: the axis (3,) in the rig root's frame."""
+
+
+def open_rig(asset: Path, rig: Rig) -> tuple[Any, Any]:
+    """The asset's stage and the rig's root prim on it."""
+    stage = open_stage(asset)
+    path = prim_path(rig.root)
+    root = stage.GetPrimAtPath(path) if path else stage.GetDefaultPrim()
+    if not root:
+        raise ExportError(
+            f"no {path or 'defaultPrim'}", "author it or fix the vehicle's `root` key", file=made_of(rig.asset)
+        )
+    return stage, root
+
+
+def prim_path(root: str) -> str:
+    return root if not root or root.startswith("/") else f"/{root}"
+
+
+def driven_prim(rig: Rig, root: Any, channel: str) -> Any:
+    """The prim that ``channel`` drives. Raises ``ExportError`` with the names of existing prims."""
+    from pxr import Sdf, UsdGeom
+
+    name = rig.drives[channel].prim
+    valid = Sdf.Path.IsValidPathString(name) and not name.startswith("/")
+    prim = root.GetPrimAtPath(name) if valid else None
+    place: Any = {"key": f"channels.{channel}.prim", "value": name, "file": made_of(rig.asset)}
+    if prim and not prim.IsActive():
+        raise ExportError("deactivated in the asset", "activate it, or leave the channel out", **place)
+    if prim and prim.IsA(UsdGeom.Xformable):
+        return prim
+    known = xformables(root)
+    close = [path for path in known if path.rpartition("/")[2] == name.rpartition("/")[2]]
+    close = close or get_close_matches(name, known, n=1)
+    hint = f"did you mean {close[0]!r}?" if close else f"choose one of {', '.join(known[:20])}"
+    raise ExportError("no such Xform below the rig root", hint, **place)
+
+
+def xformables(root: Any) -> list[str]:
+    """Paths of the Xforms below ``root``, also inside instances."""
+    from pxr import Usd, UsdGeom
+
+    skip = len(str(root.GetPath())) + 1
+    prims = Usd.PrimRange(root, Usd.TraverseInstanceProxies())
+    return [name for prim in prims if prim.IsA(UsdGeom.Xform) and (name := str(prim.GetPath())[skip:])]
+
+
+def instances_above(root: Any, prim: Any) -> list[str]:
+    """Paths below ``root`` ("" is the root) of the instances that contain ``prim``: USD drops overs below them."""
+    found = []
+    above = prim.GetParent()
+    while above and above.GetPath().HasPrefix(root.GetPath()):
+        if above.IsInstance():
+            found.append(str(above.GetPath())[len(str(root.GetPath())) + 1 :])
+        above = above.GetParent()
+    return found[::-1]
+
+
+def op_order(prim: Any) -> list[str]:
+    from pxr import UsdGeom
+
+    return list(UsdGeom.Xformable(prim).GetXformOpOrderAttr().Get() or [])
+
+
+def drive_op(op: str, metres_per_unit: float = 1.0) -> tuple[str, float]:
+    """The full op name of a drive ("rotateZ" -> "xformOp:rotateZ:spin") and the factor from rad or m to its unit."""
+    if op.startswith("rotate"):
+        return f"xformOp:{op}:spin", 180.0 / np.pi
+    return f"xformOp:{op}:slide", 1.0 / metres_per_unit
+
+
+def pivot_op(channel: str) -> str:
+    """The op of a drive's own pivot, with a name that no asset uses."""
+    return f"xformOp:translate:{channel}{PIVOT}"
+
+
+def insert_op(order: list[str], op: str, pivot: str | None = None) -> list[str]:
+    """``order`` with ``op`` after the prim's placement: inside its pivot, and before the scale that shapes its mesh.
+
+    USD applies the last op first, so an op behind a scale would turn the unscaled shape and shear it. ``pivot``: an op
+    for the centre of rotation, inserted around ``op``.
+    """
+    own_pivots = [k for k, name in enumerate(order) if name.startswith("!invert!") and not name.endswith(PIVOT)]
+    end = own_pivots[0] if own_pivots else len(order)
+    while end > 0 and order[end - 1].split(":")[1:2] == ["scale"]:
+        end -= 1
+    return [*order[:end], *([op] if pivot is None else [pivot, op, f"!invert!{pivot}"]), *order[end:]]
+
+
+def pivot_of(rig: Rig, channel: str, root: Any, metres_per_unit: float) -> Array | None:
+    """The drive's pivot (3,) in the space and units of its op; None: the prim's own pivot."""
+    drive = rig.drives[channel]
+    if drive.pivot is None:
+        return None
+    prim = root.GetPrimAtPath(drive.prim)
+    T_ra = _to_op_space(root, prim, drive, metres_per_unit)
+    point = _bounds(rig, drive.prim).mean(axis=0) if drive.pivot == "centre" else np.asarray(drive.pivot, float)
+    return np.asarray((np.linalg.inv(T_ra) @ [*point, 1.0])[:3])
+
+
+def rig_problems(rig: Rig) -> list[Problem]:
+    """A problem, of key ``channels.NAME``, for every drive that cannot move its prim as a rigid part.
+
+    Looked at once for all the clips of a batch, as long as the asset's file does not change; files that it refers to
+    are looked at again by another process.
+    """
+    key = (repr(rig), stamp(rig.asset))
+    if key not in _found:
+        with complaints(rig.asset):
+            _found[key] = list(_problems_of(rig))
+    return _found[key]
+
+
+_found: dict[tuple[str, Stamp], list[Problem]] = {}
+"""Find the `rig_problems`."""
+
+
+def _problems_of(rig: Rig) -> Iterator[Problem]:
+    from pxr import UsdGeom
+
+    try:
+        stage, root = open_rig(rig.asset, rig)
+    except ExportError as error:
+        yield error.problem
+        return
+    metres = UsdGeom.GetStageMetersPerUnit(stage)
+    for channel, drive in rig.drives.items():
+        try:
+            prim = driven_prim(rig, root, channel)
+            if skinned := _skinned_from_elsewhere(prim):
+                message = (
+                    f"{drive.prim}: its mesh {skinned} is skinned to joints, which what moves the prim does not move"
+                )
+                remedy = "hang the part on its bone (parent type Bone) instead of skinning it to it"
+                yield Problem(f"channels.{channel}", message, remedy)
+                continue
+            T_ra = _to_op_space(root, prim, drive, metres)
+            linear = T_ra[:3, :3]
+            sizes = np.linalg.norm(linear, axis=0)
+            if np.linalg.matrix_rank(linear / max(sizes.max(), 1e-30), tol=1e-6) < 3:
+                message = f"{drive.prim}: its transform cannot be inverted"
+                yield Problem(f"channels.{channel}", message, "fix the scale of it and its parents")
+                continue
+            yield from _wrong_way(channel, drive, linear / sizes)
+            if drive.op.startswith("rotate"):
+                yield from _turning(rig, channel, drive, T_ra)
+        except (ExportError, InputError) as error:
+            yield error.problem.seen_from(f"channels.{channel}", remedy="fix its vehicle.toml or the asset")
+
+
+def _skinned_from_elsewhere(prim: Any) -> str:
+    """The first mesh at or below ``prim`` that is bound to a skeleton elsewhere: skinning overrides its transform."""
+    from pxr import Usd, UsdGeom, UsdSkel
+
+    for below in Usd.PrimRange(prim, Usd.TraverseInstanceProxies()):
+        if below.IsA(UsdGeom.Mesh) and below.HasAttribute("primvars:skel:jointIndices"):
+            skeleton = UsdSkel.BindingAPI(below).GetInheritedSkeleton()
+            if skeleton and not skeleton.GetPath().HasPrefix(prim.GetPath()):
+                return str(below.GetName())
+    return ""
+
+
+def _turning(rig: Rig, channel: str, drive: Drive, T_ra: Array) -> Iterator[Problem]:
+    """Check that a spin keeps its part's shape and that its axis passes through the part; ``T_ra`` (4, 4): from the
+    op's space."""
+    axis = "XYZ".index(drive.op[-1])
+    j, k = (axis + 1) % 3, (axis + 2) % 3
+    sizes = np.linalg.norm(T_ra[:3, :3], axis=0)
+    unit = T_ra[:3, :3] / sizes
+    skew = max(abs(unit[:, j] @ unit[:, k]), abs(unit[:, axis] @ unit[:, j]), abs(unit[:, axis] @ unit[:, k]))
+    if abs(sizes[j] / sizes[k] - 1) > SHEAR or skew > SHEAR:
+        scales = ", ".join(f"{size:.4g}" for size in sizes)
+        yield Problem(
+            f"channels.{channel}",
+            f"{drive.prim}: turned about {drive.op[-1]} it would shear: a scale of {scales} stands above the spin",
+            "apply that scale to the meshes, or move it behind the rotation, last in xformOpOrder",
+        )
+        return
+    low, high = _bounds(rig, drive.prim)
+    if drive.pivot is not None or not np.isfinite(low).all():
+        return
+    direction = unit[:, axis]
+    middle, half = (low + high) / 2, (high - low) / 2
+    off = middle - T_ra[:3, 3]
+    off = off - direction * (off @ direction)
+    if np.linalg.norm(off) > max(1.2 * float(np.linalg.norm(half)), 1e-6):
+        yield Problem(
+            f"channels.{channel}",
+            f"{drive.prim}: no pivot: it would swing about an axis {np.linalg.norm(off):.3g} m from its middle",
+            'give the channel pivot = "centre", or a point [x, y, z] in m, or set the pivot in the asset',
+        )
+
+
+def _wrong_way(channel: str, drive: Drive, axes: Array) -> Iterator[Problem]:
+    """Check for a wheel that would roll backwards, steer the wrong way or sink; ``axes`` (3, 3): the op's space, unit
+    columns."""
+    axis = axes[:, "XYZ".index(drive.op[-1])] * np.sign(drive.factor)
+    if drive.op.startswith("rotate"):
+        axis = axis * np.sign(np.linalg.det(axes))  # a mirror reverses rotations
+    for prefix, (meaning, wanted) in SENSES.items():
+        along = float(axis @ np.asarray(wanted))
+        if channel.startswith(prefix) and along < 0.5:
+            remedy = f"factor = {-drive.factor:g}" if along < -0.5 else "choose the op along its axle, or fix forward"
+            goes = ", ".join(f"{x:.2g}" for x in np.round(axis, 2) + 0.0)
+            yield Problem(
+                f"channels.{channel}",
+                f"{drive.prim}: {drive.op} goes by [{goes}] of the vehicle; {meaning}, {list(wanted)}",
+                remedy,
+            )
+
+
+def _bounds(rig: Rig, path: str) -> Array:
+    """Lower and upper corner (2, 3) of a part and all parts that it carries, in the rig root's frame, m."""
+    inside = [part for part in _parts(rig) if part.path == path or part.path.startswith(f"{path}/")]
+    points = [part.points @ part.T_rp[:3, :3].T + part.T_rp[:3, 3] for part in inside]
+    points = [cloud for cloud in points if len(cloud)] or _own_points(rig, path)
+    if not points:
+        return np.full((2, 3), np.nan)
+    cloud = np.concatenate(points)
+    return np.stack([cloud.min(axis=0), cloud.max(axis=0)])
+
+
+def _own_points(rig: Rig, path: str) -> list[Array]:
+    """The points (n, 3) of a mesh that is driven directly and has no transform of its own."""
+    from vehsim.rig.parts import read_mesh
+
+    try:
+        return [read_mesh(rig.asset, rig.root or None, path)[0]]
+    except InputError:
+        return []
+
+
+def _parts(rig: Rig) -> Any:
+    return _read(Path(rig.asset), rig.root or None, stamp(rig.asset))
+
+
+@lru_cache(maxsize=8)
+def _read(asset: Path, root: str | None, written: Stamp) -> Any:
+    from vehsim.rig.parts import read_parts
+
+    return read_parts(asset, root)
+
+
+def _to_op_space(root: Any, prim: Any, drive: Drive, metres_per_unit: float) -> Array:
+    """(4, 4) from the space of a drive's op to the rig root's frame, at the asset's first time."""
+    from pxr import Usd, UsdGeom
+
+    from vehsim.rig.parts import Y_UP_TO_Z_UP
+
+    stage = root.GetStage()
+    turn = Y_UP_TO_Z_UP if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y else np.eye(4)
+    matrix = turn @ np.diag([metres_per_unit] * 3 + [1.0])
+    chain = [prim]
+    while chain[-1] != root:
+        chain.append(chain[-1].GetParent())
+    when = Usd.TimeCode.EarliestTime()
+    for step in chain[:0:-1]:
+        matrix = matrix @ np.array(UsdGeom.Xformable(step).GetLocalTransformation(when)).T if _moves(step) else matrix
+    op, _ = drive_op(drive.op)
+    own = {o.GetOpName(): np.array(o.GetOpTransform(when)).T for o in UsdGeom.Xformable(prim).GetOrderedXformOps()}
+    order = op_order(prim)
+    for name in order[: order.index(op)] if op in order else _before(order, op):
+        matrix = matrix @ own.get(name, np.eye(4))
+    return np.asarray(matrix)
+
+
+def _before(order: list[str], op: str) -> list[str]:
+    inserted = insert_op(order, op)
+    return inserted[: inserted.index(op)]
+
+
+def _moves(prim: Any) -> bool:
+    from pxr import UsdGeom
+
+    return bool(prim.IsA(UsdGeom.Xformable))

@@ -1,0 +1,414 @@
+"""Read a vehicle's USD asset as a list of parts, and as convex hulls in a MuJoCo spec.
+
+Any asset, ours or another, becomes rigid parts with geometry in metres, Z up. The exporters write USD and draw it;
+`world` queries the hulls.
+
+The rig root's frame is the space *above* the root prim: transforms on the root prim itself, and the change of units and
+up axis, are part of the geometry, so an animated pose multiplies everything from the left.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cached_property
+from hashlib import file_digest
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.errors import InputError
+from vehsim.intake.usd import complaints, open_stage
+from vehsim.rig.hulls import Faces, Mesh, apply, convex_hulls, mesh_of
+from vehsim.rig.rig import Rig
+from vehsim.runtime.cache import keep, made_of, packed, recalled, unpacked
+
+Array = NDArray[np.float64]
+
+Y_UP_TO_Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1.0, 0], [0, 1.0, 0, 0], [0, 0, 0, 1.0]])
+QUERY_GROUP = 3
+"""MuJoCo geom group of the hulls: not drawn by default."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """A rigid part: an Xform prim with meshes below it, its geometry expressed in a rigid frame at its pivot.
+
+    ``path`` is the prim's path below the rig root ("" for the root itself), ``parent`` that of its parent part (None
+    for the root). ``T_pr`` (4, 4) maps the part's frame to its parent part's at rest, ``T_rp`` to the rig root's.
+    ``points`` (n, 3) m and ``faces`` (m, 3), counter-clockwise from outside, are the visible geometry, empty for a part
+    that only carries others; ``collision`` are the points (k, 3) of its collision meshes. ``rgba`` (4,) is the linear
+    colour of its largest mesh.
+    """
+
+    name: str
+    path: str
+    parent: str | None
+    T_pr: Array
+    T_rp: Array
+    points: Array
+    faces: Faces
+    collision: tuple[Array, ...]
+    rgba: tuple[float, float, float, float]
+
+    @property
+    def collides(self) -> bool:
+        """Whether it has collision meshes."""
+        return bool(self.collision)
+
+    @cached_property
+    def hulls(self) -> tuple[Array, ...]:
+        """The vertices (k, 3) m of its collision meshes' convex hulls."""
+        return tuple(convex_hulls(self.collision)) if self.collision else ()
+
+
+@dataclass(frozen=True)
+class Solid:
+    """The collision geometry of a part: the vertices (k, 3) m of its ``hulls``; and ``T_rp`` (4, 4), the part's own
+    frame.
+
+    Both in the rig root's frame.
+    """
+
+    name: str
+    path: str
+    T_rp: Array
+    hulls: tuple[Array, ...]
+
+
+def read_parts(asset: str | Path, root: str | None = None) -> list[Part]:
+    """The parts of ``asset`` below ``root`` (a prim path; the default prim if empty), parents before children.
+
+    Raises ``InputError`` naming file and prim if the file or the root is missing, there is no mesh, a mesh is broken,
+    or a transform cannot be inverted. Warns of geometry other than meshes, which is skipped.
+    """
+    parts, said = _read(asset, root)
+    for message in said:
+        warnings.warn(message, stacklevel=2)
+    return parts
+
+
+def solids(asset: str | Path, root: str | None = None) -> list[Solid]:
+    """The collision geometry of every part: the convex hull of each collision mesh. Raises as `read_parts` does.
+
+    An asset without collision meshes gets the convex hull of each part's visible mesh, with a warning. Cached by the
+    content of the file and the files that it refers to, because loading USD takes longer than many a plan.
+    """
+    key, began = (str(asset), _content(asset), root), time.time()
+    kept = recalled("solids", key)
+    found, said = _unpacked(kept) if kept is not None else (None, [])
+    if found is None:
+        from pxr import Sdf
+
+        # layers in memory may differ from their files
+        held = {layer.identifier for layer in Sdf.Layer.GetLoadedLayers()}
+        parts, said = _read(asset, root)
+        meshes = [part.collision for part in parts]
+        if not any(meshes):
+            meshes = [(part.points,) * bool(len(part.points)) for part in parts]
+            said.append(
+                f"{made_of(asset)}: no mesh carries UsdPhysics.CollisionAPI; the convex hull of each part stands in, "
+                "which may be far too large; mark collision meshes for honest clearances"
+            )
+        found = [
+            Solid(part.name, part.path, part.T_rp, tuple(apply(part.T_rp, hull) for hull in convex_hulls(own)))
+            for part, own in zip(parts, meshes, strict=True)
+        ]
+        if files := _files(asset, held, began):
+            keep("solids", key, _packed(found, said, files))
+    for message in said:
+        warnings.warn(message, stacklevel=2)
+    return found
+
+
+def collision_hulls(asset: str | Path, root: str | None = None) -> list[Array]:
+    """The vertices (n, 3) of the hulls of `solids`, in the rig root's frame, m."""
+    return [hull for solid in solids(asset, root) for hull in solid.hulls]
+
+
+def is_animated(asset: str | Path, root: str | None = None) -> bool:
+    """Whether an asset animates prims of its own, at or below the rig's root."""
+    from pxr import Usd, UsdGeom
+
+    _, prim = _open(asset, root)
+    prims = Usd.PrimRange(prim, Usd.TraverseInstanceProxies())
+    return any(UsdGeom.Xformable(p).TransformMightBeTimeVarying() for p in prims if p.IsA(UsdGeom.Xformable))
+
+
+def read_mesh(asset: str | Path, root: str | None, path: str) -> tuple[Array, Faces]:
+    """Points (n, 3) m and triangles (m, 3) of one mesh, ``path`` below the rig root, in the rig root's frame.
+
+    Raises ``InputError`` naming file and prim if the mesh is missing or broken.
+    """
+    stage, prim = _open(asset, root)
+    said: list[str] = []
+    for node in _walk(prim, _to_metres_z_up(stage), said):
+        if node.is_mesh and node.path == path.strip("/"):
+            mesh = mesh_of(asset, replace(node, collides=True), said)
+            for message in said:
+                warnings.warn(message, stacklevel=2)
+            if mesh is not None:
+                return mesh.points, mesh.faces
+            return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
+    place = f"{prim.GetPath()}/{path.strip('/')}"
+    raise InputError("no such mesh", "name one below the rig's root", key=place, file=made_of(asset))
+
+
+def add_to_spec(spec: Any, rig: Rig, name: str, free: bool = True) -> Any:
+    """Add a vehicle's hulls to a ``mujoco.MjSpec``; returns its body, whose frame is the rig root's.
+
+    The body has unit mass and, if ``free``, a free joint of the same name: it is placed and queried, not simulated.
+    Each hull is a mesh geom ``<name>/<part>/<k>`` in group 3 that collides with nothing; MuJoCo's distance and ray
+    queries still see it. MuJoCo recentres meshes: read the body's pose, not a geom's.
+    """
+    import mujoco
+
+    body = spec.worldbody.add_body(name=name, mass=1.0, inertia=[1.0, 1.0, 1.0], explicitinertial=True)
+    if free:
+        body.add_freejoint(name=name)
+    named = [(solid.name, hull) for solid in solids(rig.asset, rig.root or None) for hull in solid.hulls]
+    for k, (part, hull) in enumerate(named):
+        mesh = f"{name}/{part}/{k}"
+        spec.add_mesh(name=mesh, uservert=hull.ravel(), inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX)
+        look = {"group": QUERY_GROUP, "contype": 0, "conaffinity": 0}
+        body.add_geom(name=mesh, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh, **look)
+    return body
+
+
+def _content(asset: str | Path) -> str:
+    """The checksum of a file; empty if the file does not exist."""
+    with suppress(OSError), open(asset, "rb") as file:
+        return file_digest(file, "sha256").hexdigest()
+    return ""
+
+
+def _files(asset: str | Path, held: AbstractSet[str], began: float) -> dict[str, str]:
+    """All files from which an asset was read, with their checksums. None if this is uncertain: a file is missing, a
+    resolver chooses the files, a layer was ``held`` in memory, or a file is newer than ``began``."""
+    from pxr import Usd
+
+    stage = Usd.Stage.Open(str(asset))
+    layers = [layer for layer in stage.GetUsedLayers() if not layer.anonymous]
+    files = {layer.realPath.partition("[")[0] for layer in layers}
+    plain = all(layer.identifier == layer.realPath and layer.identifier not in held for layer in layers)
+    if not plain or stage.GetCompositionErrors() or any(Path(file).stat().st_mtime >= began for file in files):
+        return {}
+    return {file: _content(file) for file in sorted(files)}
+
+
+def _packed(found: Sequence[Solid], said: Sequence[str], files: Mapping[str, str]) -> bytes:
+    told = json.dumps([files, said, [[solid.name, solid.path, len(solid.hulls)] for solid in found]])
+    frames, hulls = np.array([solid.T_rp for solid in found]), [hull for solid in found for hull in solid.hulls]
+    return packed([np.frombuffer(told.encode(), np.uint8), frames, *hulls])
+
+
+def _unpacked(content: bytes) -> tuple[list[Solid] | None, list[str]]:
+    """The result of `_packed`, and its warnings; None if a file has changed since."""
+    told, frames, *hulls = unpacked(content)
+    files, said, names = json.loads(told.tobytes())
+    if any(_content(file) != checksum for file, checksum in files.items()):
+        return None, []
+    each, rows = iter(hulls), zip(names, frames, strict=True)
+    return [Solid(name, path, frame, tuple(islice(each, count))) for (name, path, count), frame in rows], said
+
+
+# ---------------------------------------------------------------- the stage
+
+
+def _read(asset: str | Path, root: str | None) -> tuple[list[Part], list[str]]:
+    """The parts, and the warnings."""
+    with complaints(asset):
+        return _read_stage(asset, root)
+
+
+def _read_stage(asset: str | Path, root: str | None) -> tuple[list[Part], list[str]]:
+    stage, prim = _open(asset, root)  # a prim is valid only while its stage is held
+    drafts: dict[str, _Draft] = {}
+    owner: dict[Any, _Draft | None] = {}
+    skipped: list[str] = []
+    said: list[str] = []
+    for node in _walk(prim, _to_metres_z_up(stage), said):
+        parent = owner.get(node.prim.GetParent().GetPath())
+        draft = parent
+        if node.is_part:
+            draft = _Draft(node.path, parent, _rigid(asset, node), node.prim.GetName(), [], [])
+            drafts[node.path] = draft
+        owner[node.prim.GetPath()] = draft
+        if node.is_mesh:
+            mesh = mesh_of(asset, node, said)
+            if mesh is not None and draft is not None:
+                (draft.look if node.is_look else draft.collision).append(mesh)
+                if node.is_look and node.collides:
+                    draft.collision.append(mesh)
+        elif node.is_gprim and node.is_look:
+            skipped.append(f"{node.prim.GetPath()} ({node.prim.GetTypeName()})")
+    if skipped:
+        said.append(f"{made_of(asset)}: only meshes are read; left out: {', '.join(skipped)}")
+    parts = [draft.part() for draft in drafts.values() if draft.carries(drafts)]
+    if not parts:
+        place, remedy = str(prim.GetPath()), "give the prim that holds the vehicle"
+        raise InputError("no mesh at or below it", remedy, key=place, file=made_of(asset))
+    return parts, said
+
+
+@dataclass(frozen=True)
+class _Node:
+    """A prim below the rig root and ``matrix`` (4, 4), its local space to the rig root's frame."""
+
+    prim: Any
+    path: str
+    matrix: Array
+    pivot: Array
+    is_part: bool
+    is_mesh: bool
+    is_gprim: bool
+    is_look: bool
+    collides: bool
+
+
+def _open(asset: str | Path, root: str | None) -> tuple[Any, Any]:
+    """The stage of ``asset`` and the rig's root prim on it."""
+    from pxr import Sdf
+
+    stage = open_stage(asset)
+    if not root:
+        prim = stage.GetDefaultPrim()
+        if not prim:
+            raise InputError("no defaultPrim", "author one or name the rig's root prim", file=made_of(asset))
+        return stage, prim
+    prim = (
+        stage.GetPrimAtPath(root if root.startswith("/") else f"/{root}") if Sdf.Path.IsValidPathString(root) else None
+    )
+    if not prim:
+        tops = ", ".join(str(child.GetPath()) for child in stage.GetPseudoRoot().GetChildren())
+        raise InputError(
+            "no such prim", f"the file holds {tops or 'nothing'}", key="root", value=root, file=made_of(asset)
+        )
+    return stage, prim
+
+
+def _to_metres_z_up(stage: Any) -> Array:
+    from pxr import UsdGeom
+
+    scale = UsdGeom.GetStageMetersPerUnit(stage)
+    turn = Y_UP_TO_Z_UP if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y else np.eye(4)
+    return turn @ np.diag([scale, scale, scale, 1.0])
+
+
+def _walk(root: Any, convert: Array, said: list[str]) -> Iterator[_Node]:
+    """Every visible prim from ``root`` down, also inside instances, parents first; warnings are added to ``said``."""
+    from pxr import Usd, UsdGeom, UsdPhysics
+
+    when = Usd.TimeCode.EarliestTime()
+    matrices: dict[Any, Array] = {}
+    prims = iter(Usd.PrimRange(root, Usd.TraverseInstanceProxies()))
+    for prim in prims:
+        imageable = UsdGeom.Imageable(prim)
+        if imageable and imageable.ComputeVisibility(when) == UsdGeom.Tokens.invisible:
+            prims.PruneChildren()
+            continue
+        above = matrices.get(prim.GetParent().GetPath(), convert)
+        xformable = UsdGeom.Xformable(prim)
+        local, to_pivot = np.eye(4), np.eye(4)
+        if xformable:
+            local, to_pivot = _local(xformable, when)
+            if xformable.GetResetXformStack() and prim != root:
+                above = convert
+                said.append(
+                    f"{prim.GetPath()}: !resetXformStack! detaches it from the vehicle in USD; it is read where it "
+                    "stands and moves with the vehicle here; take the reset away"
+                )
+        matrices[prim.GetPath()] = above @ local
+        is_mesh, is_gprim = prim.IsA(UsdGeom.Mesh), prim.IsA(UsdGeom.Gprim)
+        # transform and shape in one prim
+        placed = is_mesh and (prim == root or len(xformable.GetOrderedXformOps()) > 0)
+        collider: Any = UsdPhysics.CollisionAPI(prim) if prim.HasAPI(UsdPhysics.CollisionAPI) else None
+        yield _Node(
+            prim=prim,
+            path=str(prim.GetPath())[len(str(root.GetPath())) + 1 :],
+            matrix=above @ local,
+            pivot=(above @ to_pivot)[:3, 3],
+            is_part=bool(xformable) and (placed or not is_gprim),
+            is_mesh=is_mesh,
+            is_gprim=is_gprim,
+            is_look=bool(imageable) and imageable.ComputePurpose() in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render),
+            collides=collider is not None and collider.GetCollisionEnabledAttr().Get(when) is not False,
+        )
+
+
+def _local(xformable: Any, when: Any) -> tuple[Array, Array]:
+    """A prim's local transform, and its leading ops through the pivot (all ops if there is no pivot op)."""
+    whole, to_pivot, ops = np.eye(4), None, xformable.GetOrderedXformOps()
+    # a pivot is a translation that is undone later, whatever its name
+    taken_back = {op.GetName() for op in ops if op.IsInverseOp()}
+    for op in ops:
+        whole = whole @ np.array(op.GetOpTransform(when)).T
+        if to_pivot is None and op.GetName() in taken_back and not op.IsInverseOp():
+            to_pivot = whole
+    return whole, whole if to_pivot is None else to_pivot
+
+
+def _rigid(asset: str | Path, node: _Node) -> Array:
+    """The rigid frame of a part: at its pivot, with its rotation, without scale, shear or mirroring."""
+    linear = node.matrix[:3, :3]
+    u, stretch, v = np.linalg.svd(linear)
+    if stretch[-1] <= 1e-9 * max(stretch[0], 1e-30):
+        raise InputError(
+            "its transform cannot be inverted", "fix its scale", key=str(node.prim.GetPath()), file=made_of(asset)
+        )
+    rotation = u @ v
+    if np.linalg.det(rotation) < 0:
+        rotation = rotation @ np.diag([-1.0, 1.0, 1.0])
+    frame = np.eye(4)
+    frame[:3, :3], frame[:3, 3] = rotation, node.pivot
+    return frame
+
+
+# ---------------------------------------------------------------- meshes
+
+
+@dataclass
+class _Draft:
+    """A part under construction: its meshes are still in the rig root's frame."""
+
+    path: str
+    parent: _Draft | None
+    frame: Array
+    name: str
+    look: list[Mesh]
+    collision: list[Mesh]
+
+    def carries(self, drafts: dict[str, _Draft]) -> bool:
+        """Whether this part, or a part that it carries, has geometry. The root part needs its own."""
+        if self.look or self.collision:
+            return True
+        return self.path != "" and any(d.parent is self and d.carries(drafts) for d in drafts.values())
+
+    def part(self) -> Part:
+        parent = self.parent
+        while parent is not None and parent.path == "" and not (parent.look or parent.collision):
+            parent = None
+        to_frame = np.linalg.inv(self.frame)
+        offsets = np.cumsum([0] + [len(mesh.points) for mesh in self.look])
+        faces = [mesh.faces + offset for mesh, offset in zip(self.look, offsets, strict=False)]
+        points = [apply(to_frame, mesh.points) for mesh in self.look]
+        largest = max(self.look, key=lambda mesh: len(mesh.faces), default=None)
+        return Part(
+            name=self.name,
+            path=self.path,
+            parent=None if parent is None else parent.path,
+            T_pr=self.frame if parent is None else np.linalg.inv(parent.frame) @ self.frame,
+            T_rp=self.frame,
+            points=np.concatenate([np.zeros((0, 3)), *points]),
+            faces=np.concatenate([np.zeros((0, 3), np.int64), *faces]),
+            collision=tuple(apply(to_frame, mesh.points) for mesh in self.collision),
+            rgba=largest.rgba if largest else (0.5, 0.5, 0.5, 1.0),
+        )

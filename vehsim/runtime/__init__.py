@@ -1,0 +1,1 @@
+"""A cache, signals and lazy imports; independent of vehicles."""

@@ -1,0 +1,144 @@
+"""The cache for results that can be computed again: distance fields, converted assets. Safe to delete at any time."""
+
+from __future__ import annotations
+
+import json
+import os
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from hashlib import sha256
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.runtime.files import write_file
+
+Array = NDArray[np.float64]
+
+
+Stamp = tuple[int, int, int, int]
+
+
+def stamp(path: str | Path) -> Stamp:
+    """Changes whenever a file is written, even if its size and date are restored, because the change time of its inode
+    cannot be set. For what a process remembers about files; persistent results are cached by content."""
+    stat = os.stat(path)
+    return stat.st_mtime_ns, stat.st_ctime_ns, stat.st_size, stat.st_ino
+
+
+def cache_folder() -> Path:
+    """``VEHSIM_CACHE``, or the platform's cache folder."""
+    if folder := os.environ.get("VEHSIM_CACHE"):
+        return Path(folder).expanduser()
+    import platformdirs
+
+    return Path(platformdirs.user_cache_dir("vehsim", appauthor=False))
+
+
+def kept(kind: str, key: object, make: Callable[[], bytes]) -> bytes:
+    """The result of ``make``, cached for other processes under everything that it depends on. Safe under concurrent
+    writers; a damaged entry is made again. ``kind``: change it when ``make`` changes."""
+    found = recalled(kind, key)
+    return keep(kind, key, make()) if found is None else found
+
+
+def recalled(kind: str, key: object) -> bytes | None:
+    """The result that a process has stored with `keep`; None if there is none."""
+    file = _entry(kind, key)
+    with suppress(OSError):
+        content = file.read_bytes()
+        if sha256(content[:-SEAL]).digest() == content[-SEAL:]:
+            with suppress(OSError):  # the cache may be read-only
+                os.utime(file)  # mark as used, so that `shrink` spares it
+            return content[:-SEAL]
+        warnings.warn(f"{file}: damaged cache entry, made again", stacklevel=3)
+    return None
+
+
+def keep(kind: str, key: object, made: bytes) -> bytes:
+    """Store what was ``made`` for all processes, and return it."""
+    file = _entry(kind, key)
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_file(file, made + sha256(made).digest())
+    except OSError as error:
+        reason = error.strerror or type(error).__name__
+        warnings.warn(f"{file.parent}: {kind}: could not be kept ({reason}); made again each time", stacklevel=3)
+    return made
+
+
+def shrink(kind: str, most: int) -> None:
+    """Remove the least recently used entries of ``kind``, until they take at most ``most`` bytes."""
+    entries = []
+    with suppress(OSError):
+        for file in cache_folder().glob(f"{kind}-*"):
+            with suppress(OSError):  # another process was faster
+                stat = file.stat()
+                entries.append((stat.st_mtime_ns, stat.st_size, file))
+    total = sum(size for _, size, _ in entries)
+    for _, size, file in sorted(entries):
+        if total <= most:
+            return
+        with suppress(OSError):
+            file.unlink(missing_ok=True)
+        total -= size
+
+
+def _entry(kind: str, key: object) -> Path:
+    return cache_folder() / f"{kind}-{sha256(repr(key).encode()).hexdigest()[:32]}"
+
+
+def kept_arrays(kind: str, made_from: Sequence[Array], make: Callable[[], Sequence[Array]]) -> list[Array]:
+    """Arrays that follow from others, cached by `kept`: for example convex hulls, whose library takes half a second to
+    load."""
+    digest = sha256()
+    for array in made_from:
+        digest.update(repr((array.shape, array.dtype.str)).encode() + np.ascontiguousarray(array).tobytes())
+    return unpacked(kept(kind, digest.hexdigest(), lambda: packed(make())))
+
+
+def packed(arrays: Sequence[NDArray[Any]]) -> bytes:
+    """Arrays as bytes; `unpacked` reads them."""
+    buffer = BytesIO()
+    np.savez(buffer, *arrays)
+    return buffer.getvalue()
+
+
+def unpacked(content: bytes) -> list[NDArray[Any]]:
+    """Arrays from bytes of `packed`."""
+    with np.load(BytesIO(content), allow_pickle=False) as arrays:
+        return [arrays[f"arr_{k}"] for k in range(len(arrays.files))]
+
+
+SEAL = 32
+"""Length of the checksum at the end of `kept` entries."""
+
+
+def seal(at: Path, holds: Mapping[str, bytes]) -> None:
+    """Write checksums of the files to ``at`` before the files themselves; otherwise other processes would consider them
+    damaged."""
+    write_file(at, json.dumps({name: sha256(content).hexdigest() for name, content in holds.items()}))
+
+
+def is_whole(at: Path) -> bool:
+    """Whether the files match ``at``. After a power cut, a file may have the right size but lost content."""
+    try:
+        holds = json.loads(at.read_text())
+        return all(sha256((at.parent / name).read_bytes()).hexdigest() == digest for name, digest in holds.items())
+    except (OSError, ValueError, AttributeError):
+        return False
+
+
+SOURCE = "vehsim:source"
+"""Key of a cached layer's custom data: the file from which it was made."""
+
+
+def made_of(asset: str | Path) -> str:
+    """The user's own file: the source of a layer in the cache, or the file itself."""
+    from pxr import Sdf
+
+    return str(Sdf.Layer.FindOrOpen(str(asset)).customLayerData.get(SOURCE, asset))

@@ -1,0 +1,49 @@
+"""Files that are written beside their place and then moved into it: a reader finds a whole file or none."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from functools import cache
+from pathlib import Path
+
+
+@contextmanager
+def replacing_file(path: Path, durable: bool = False) -> Iterator[Path]:
+    """Yield a hidden path beside ``path``. The file written there takes the place of ``path`` when the block ends well.
+
+    ``durable``: the file is on the disk before it moves, so that a power cut leaves the old file or the new one.
+    """
+    beside = path.with_name(f".{path.name}.{owner()}.partial")
+    try:
+        yield beside
+        if durable:
+            with beside.open("rb") as file:
+                os.fsync(file.fileno())
+        beside.replace(path)
+    finally:
+        with suppress(OSError):
+            beside.unlink()
+
+
+def write_file(path: Path, content: bytes | str, durable: bool = False) -> None:
+    """Write a whole file; a text is written in UTF-8. ``durable`` as in `replacing_file`."""
+    with replacing_file(path, durable) as beside:
+        beside.write_bytes(content.encode() if isinstance(content, str) else content)
+
+
+def owner() -> str:
+    """A name for what this process writes beside a file or folder; no other process, on any machine, uses it."""
+    return f"{machine()}-{os.getpid()}-{secrets.token_hex(4)}"
+
+
+@cache
+def machine() -> str:
+    """A hash of this machine and of the space in which its process ids are unique."""
+    space = Path("/proc/self/ns/pid")
+    name = f"{platform.node()} {space.readlink() if space.is_symlink() else ''}"
+    return hashlib.sha256(name.encode()).hexdigest()[:8]

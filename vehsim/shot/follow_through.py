@@ -1,0 +1,79 @@
+"""A vehicle before and after its motion: it stands where it starts and ends, while its rotors continue to turn."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.vehicles import Nonholonomic
+
+if TYPE_CHECKING:
+    from vehsim.clip.clip import Clip
+
+Array = NDArray[np.float64]
+
+_STILL = 1e-2
+"""A twist below this counts as standing still, rad/s and m/s."""
+
+
+def rests(clip: Clip, index: int) -> bool:
+    """Whether the vehicle stands still at that sample."""
+    return bool(np.abs(clip.twists[index]).max(initial=0.0) < _STILL)
+
+
+def hold(clip: Clip, first: int, last: int) -> Clip:
+    """The clip on frames ``first`` to ``last`` at least: standing still in those it does not cover.
+
+    Channels given by a rate go on at it where the vehicle is at rest in the air or on water (a hovering helicopter's
+    rotor), else they stop too, as those do that follow joints and controls. A body that stood on its springs
+    loses its height: `place_on_terrain` lets it settle.
+    """
+    before = np.arange(first, clip.start_frame, dtype=float)
+    after = np.arange(clip.end_frame + 1, last + 1, dtype=float)
+    if not len(before) and not len(after):
+        return clip
+    start = min(first, clip.start_frame)
+    seconds = 1 / float(clip.fps)
+    shift = (clip.start_frame - start) * seconds
+    times = np.concatenate([(before - start) * seconds, clip.times + shift, (after - start) * seconds])
+
+    def same(values: Array) -> Array:
+        return np.concatenate([np.repeat(values[:1], len(before), 0), values, np.repeat(values[-1:], len(after), 0)])
+
+    def zero(values: Array) -> Array:
+        width = values.shape[1:]
+        return np.concatenate([np.zeros((len(before), *width)), values, np.zeros((len(after), *width))])
+
+    def onwards(values: Array) -> Array:
+        held = same(values)
+        for index, beyond in ((0, slice(0, len(before))), (-1, slice(len(times) - len(after), None))):
+            if len(clip) > 1 and not isinstance(clip.vehicle, Nonholonomic) and rests(clip, index):
+                a, b = (0, 1) if index == 0 else (-2, -1)
+                rate = (values[b] - values[a]) / (clip.times[b] - clip.times[a])
+                held[beyond] += rate * (times[beyond] - (clip.times[index] + shift))
+        return held
+
+    sprung = ("heave", "pitch", "roll") if "heave" in clip.channels else ()
+    laws = clip.vehicle.channels
+    follows = {name for name in clip.channels if name in laws and laws[name].rate is None}
+    channels = {
+        name: same(values) if name in follows else onwards(values)
+        for name, values in clip.channels.items()
+        if name not in sprung
+    }
+    return replace(
+        clip,
+        times=times,
+        positions=same(clip.positions),
+        orientations=same(clip.orientations),
+        twists=zero(clip.twists),
+        joints=same(clip.joints),
+        joint_rates=zero(clip.joint_rates),
+        controls=same(clip.controls),
+        channels=channels,
+        energy={name: same(values) for name, values in clip.energy.items()},
+        start_frame=start,
+    )

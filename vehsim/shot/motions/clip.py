@@ -1,0 +1,50 @@
+"""``method = "clip"``: a motion saved before, as it is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, Literal
+
+from vehsim.errors import InputError, Problem
+from vehsim.shot.checks import Setting
+from vehsim.shot.schema.tables import Table, Text
+
+if TYPE_CHECKING:
+    from vehsim.clip.clip import Clip
+    from vehsim.delivery.exporters import Progress
+    from vehsim.vehicles import Vehicle
+
+
+class ClipMotion(Table):
+    """``method = "clip"``: a motion saved before, as it is."""
+
+    method: Literal["clip"]
+    """plan, simulate, integrate, sinusoid or clip"""
+    path: Text
+    """a clip saved by vehsim (.npz), relative to the shot file"""
+
+    def check(self, vehicle: Vehicle, setting: Setting) -> Iterator[Problem]:
+        try:
+            clip = self._load(vehicle, setting)
+        except InputError as error:
+            yield error.problem.seen_from("path", self.path, "give a file written by clip.save or the npz exporter")
+            return
+        if clip.fps != setting.fps:
+            remedy = f"set shot.fps = {str(clip.fps)!r}, or bake the clip at the shot's rate"
+            yield Problem(
+                "path", f"the clip runs at {clip.fps} frames per second, the shot at {setting.fps}", remedy, self.path
+            )
+
+    def solve(self, vehicle: Vehicle, setting: Setting, progress: Progress) -> tuple[Clip, dict[str, Any]]:
+        return self._load(vehicle, setting), {"path": self.path}
+
+    def _load(self, vehicle: Vehicle, setting: Setting) -> Clip:
+        from vehsim.clip.clip import Clip
+
+        path = setting.folder / self.path
+        if not path.is_file():
+            raise InputError("no such file")
+        clip = Clip.load(path, vehicle)
+        if clip.controls.shape[1] != len(vehicle.controls) or clip.joints.shape[1] != len(vehicle.joints):
+            raise InputError(f"a clip of another vehicle than {vehicle.name!r}")
+        return clip

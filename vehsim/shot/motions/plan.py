@@ -1,0 +1,213 @@
+"""``method = "plan"``: the table of a planned motion, its checks in a world, and its solution."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+from annotated_types import Len
+from pydantic import Field, PlainValidator, WithJsonSchema
+
+from vehsim.errors import FailedPlan, InputError, Problem, SolveError
+from vehsim.intake.tables import table_of
+from vehsim.shot.checks import Setting, check_free, check_inside, check_mark, check_names, check_order
+from vehsim.shot.motions.blocking import BlockingTable, blocking_of, marks_of
+from vehsim.shot.motions.limits import LimitTable, LookTable, StayTable, check_asked, check_limits, limits_si
+from vehsim.shot.motions.pilots import is_numeric
+from vehsim.shot.motions.state import is_planar
+from vehsim.shot.schema.tables import (
+    Array,
+    InSchema,
+    MarkTable,
+    NotNegative,
+    Positive,
+    Table,
+    Text,
+    names_in,
+    one_of,
+)
+from vehsim.shot.world.obstacle_tables import check_marks
+
+if TYPE_CHECKING:
+    from vehsim.clip.clip import Clip
+    from vehsim.delivery.exporters import Progress
+    from vehsim.planning import Mark
+    from vehsim.rig.blocking import Blocking
+    from vehsim.vehicles import Vehicle
+
+COSTS = "vehsim.planning.terms:COSTS"
+
+
+class PlanMotion(Table):
+    """``method = "plan"``: the motion through the marks at the least cost."""
+
+    method: Literal["plan"]
+    """plan, simulate, integrate, sinusoid or clip"""
+    cost: Annotated[
+        str | dict[str, float],
+        PlainValidator(lambda v: _cost(v)),
+        WithJsonSchema({"type": "number", "minimum": 0}),
+        InSchema(
+            lambda weight: {"anyOf": [{"enum": names_in(COSTS)}, table_of(dict.fromkeys(names_in(COSTS), weight))]}
+        ),
+    ] = "effort"
+    """the cost to minimise: "effort", "time" or another name, or weights such as { effort = 1, time = 0.5 }"""
+    segments: Annotated[int, Field(ge=2, le=2000)] = 64
+    """the number of segments of the motion, 2 to 2000; fast manoeuvres need more"""
+    clearance: Annotated[NotNegative, Field(le=1000)] = 1.0
+    """the least distance from obstacles and, for flying vehicles, from the terrain, in m"""
+    mark: Annotated[list[MarkTable], Array, Len(2, 1000)] | None = None
+    """two or more [[vehicle.motion.mark]] tables"""
+    marks: BlockingTable | None = None
+    """instead of mark, a table { usd, prim, ... } that names a prim animated by an artist"""
+    limits: LimitTable = LimitTable.model_validate({})
+    """a table of upper limits: speed and climb in m/s, turn_rate in deg/s, bank in degrees, ceiling in m ...; default:
+    none"""
+    look: Annotated[list[LookTable], Array, Len(0, 100)] = Field(default=[])
+    """[[vehicle.motion.look]] tables: where to look, and when"""
+    stay: Annotated[list[StayTable], Array, Len(0, 100)] = Field(default=[])
+    """[[vehicle.motion.stay]] tables: the region to stay in, and when"""
+    loop: bool = False
+    """true: the motion ends as it starts, so that it can be repeated"""
+    solver: Annotated[Text, one_of("vehsim.planning.problem.solver:SOLVERS")] = "ipopt"
+    """the optimiser: "ipopt", "sqpmethod" or "fatrop\""""
+    guess: Literal["sinusoid"] | None = None
+    """the initial guess: "sinusoid", a manoeuvre for a car or truck; default: the straight path, or a path around
+    obstacles"""
+    time_limit: Annotated[Positive, Field(le=1e5)] | None = None
+    """seconds after which the best motion so far is used; the result then depends on the machine"""
+
+    def blocking(self, setting: Setting) -> Blocking | None:
+        """The animator's blocking, None if the marks are given one by one. Raises ``InputError``."""
+        return None if self.marks is None else blocking_of(self.marks, setting.folder, setting.fps)
+
+    def all_marks(self, setting: Setting) -> list[MarkTable]:
+        """The marks from either source. Raises ``InputError``."""
+        blocking = self.blocking(setting)
+        if blocking is not None and self.marks is not None:
+            return marks_of(self.marks, blocking, setting.fps)
+        return self.mark or []
+
+    def check(self, vehicle: Vehicle, setting: Setting) -> Iterator[Problem]:
+        wrong = list(self._check_each(vehicle, setting))
+        yield from wrong
+        if not any(problem.severity == "error" for problem in wrong):  # each is valid: check them together
+            try:
+                marks, options = [_as_mark(mark, vehicle) for mark in self.all_marks(setting)], self._options()
+            except InputError as error:
+                yield error.problem.seen_from("look" if self.look else "stay", remedy="see docs/shot-file.md")
+                return
+            yield from check_asked(vehicle, setting, marks, options)
+
+    def _check_each(self, vehicle: Vehicle, setting: Setting) -> Iterator[Problem]:
+        from vehsim.planning.terms import COSTS
+
+        if (self.mark is None) == (self.marks is None):
+            remedy = "give two or more [[vehicle.motion.mark]], or marks = { usd = ..., prim = ... }, not both"
+            yield Problem("mark", "missing" if self.mark is None else "marks are given too", remedy)
+            return
+        try:
+            marks = self.all_marks(setting)
+        except InputError as error:
+            yield error.problem.seen_from("marks", remedy="fix the blocking or this table")
+            return
+        cost = {self.cost: None} if isinstance(self.cost, str) else self.cost
+        yield from check_names("cost", cost, COSTS, "cost")
+        yield from check_limits(self.limits.given(), vehicle)
+        yield from self._check_guess(vehicle)
+        yield from check_order(marks, setting)
+        yield from check_marks(marks, vehicle, setting.world, self.clearance)
+        for i, mark in enumerate(marks):
+            key = f"mark[{i}]"
+            yield from check_mark(key, mark, vehicle)
+            if mark.position is not None and is_planar(vehicle):
+                yield from check_inside(f"{key}.position", mark.position, vehicle, setting.world)
+            if mark.position is not None and not (is_planar(vehicle) or mark.on_ground):  # wheels touch the ground
+                slack = self.clearance - mark.tolerance
+                yield from check_free(f"{key}.position", mark.position, mark, slack, vehicle, setting.world)
+
+    def _check_guess(self, vehicle: Vehicle) -> Iterator[Problem]:
+        if self.guess == "sinusoid":
+            from vehsim.sinusoids.manoeuvres.rigs import rigged
+
+            try:
+                if not is_planar(vehicle):
+                    raise InputError("does not drive on wheels", subject=vehicle.name)
+                rigged(vehicle)
+            except InputError as error:
+                yield error.problem.seen_from("guess", self.guess, "remove guess")
+
+    def _options(self) -> dict[str, Any]:
+        """Arguments of `vehsim.plan` in addition to the marks."""
+        return {
+            "segments": self.segments,
+            "cost": self.cost,
+            "clearance": self.clearance,
+            "limits": limits_si(self.limits.given()),
+            "terms": [*(table.term() for table in self.look), *(table.term() for table in self.stay)],
+            "loop": self.loop,
+            "solver": self.solver,
+        }
+
+    def solve(self, vehicle: Vehicle, setting: Setting, progress: Progress) -> tuple[Clip, dict[str, Any]]:
+        from vehsim.planning import plan
+
+        wanted = self.all_marks(setting)
+        marks = [_as_mark(mark, vehicle) for mark in wanted]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", FailedPlan)  # it is raised below
+            result = plan(
+                vehicle,
+                setting.world,
+                marks=marks,
+                fps=setting.fps,
+                guess=self._guess(vehicle, marks, setting),
+                time_limit=self.time_limit,
+                progress=progress,
+                **self._options(),
+            )
+        if not result.success:
+            raise SolveError(f"no plan was found: {result.message}", reason=result.reason, subject=vehicle.name)
+        # the duration of the solve is omitted: the same shot gives the same report
+        names = ("success", "message", "cost", "duration", "iterations", "segments", "defect", "clearance")
+        report = {name: getattr(result, name) for name in names} | {"executed": asdict(result.executed)}
+        places = {mark.place: mark.position for mark in result.marks}
+        said = [
+            mark.model_dump(mode="json", exclude_unset=True) | {"position": list(places[i] or mark.position)}
+            for i, mark in enumerate(wanted)
+            if mark.position
+        ]
+        blocking = self.blocking(setting)
+        if blocking is not None:
+            clip = result.clip.resample()
+            poses = clip.matrices()
+            report["blocking"] = blocking.departure(clip.frames, clip.positions, poses[:, :3, :3])
+            report["blocking"]["keys"] = [mark.frame for mark in wanted]
+        return result.clip, report | {"marks": said, "asks": [ask.as_dict() for ask in result.asks]}
+
+    def _guess(self, vehicle: Vehicle, marks: Sequence[Mark], setting: Setting) -> Any:
+        """The path to start from; None: the default of `vehsim.plan`."""
+        if self.guess is None:
+            return None
+        from vehsim.sinusoids.manoeuvres.guess import initial_guess
+
+        return initial_guess(vehicle, marks, setting.world, self.clearance)
+
+
+def _cost(value: Any) -> Any:
+    weights = list(value.values()) if isinstance(value, dict) else [1.0]
+    if not isinstance(value, str | dict) or not all(np.ndim(w) == 0 and is_numeric(w) and w >= 0 for w in weights):
+        raise ValueError("neither a cost's name nor a table of weights")
+    if not any(weights):
+        raise ValueError("no weight above zero")
+    return value
+
+
+def _as_mark(mark: MarkTable, vehicle: Vehicle) -> Mark:
+    from vehsim.planning import Gate, Mark
+
+    gate = None if mark.gate is None else Gate(**mark.gate.model_dump())
+    return Mark(**(mark.model_dump() | {"gate": gate}))

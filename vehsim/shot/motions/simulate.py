@@ -1,0 +1,127 @@
+"""``method = "simulate"``: the table of a simulated motion, its checks in a world, and its solution."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+from annotated_types import Len
+from pydantic import BeforeValidator, Field
+
+from vehsim.errors import Problem
+from vehsim.shot.checks import Setting, check_free, check_inside, check_mark, check_names
+from vehsim.shot.motions.pilots import PilotTable
+from vehsim.shot.motions.state import as_state, is_planar, to_si
+from vehsim.shot.schema.tables import MAX_FRAMES, Array, Number, Positive, StartTable, Table
+
+if TYPE_CHECKING:
+    from vehsim.clip.clip import Clip
+    from vehsim.delivery.exporters import Progress
+    from vehsim.simulation import Mover
+    from vehsim.vehicles import Vehicle
+
+MAX_STEPS = 10_000_000
+"""Largest number of integration steps of a shot."""
+
+
+class SimulateMotion(Table):
+    """``method = "simulate"``: forward simulation from a start, with commands or a pilot."""
+
+    method: Literal["simulate"]
+    """plan, simulate, integrate, sinusoid or clip"""
+    start: StartTable = StartTable()
+    """the state on the shot's first frame, including handles; default: at rest at the origin"""
+    duration: Annotated[Positive, Field(le=MAX_FRAMES)] | None = None
+    """the duration in s; default: until the shot's end_frame"""
+    step: Annotated[Number, Field(ge=1e-5, le=0.1)] = 1 / 240
+    """the integration step in s, 0.00001 to 0.1; default: 1/240"""
+    commands: (
+        Annotated[list[Annotated[dict[str, Number], BeforeValidator(lambda v: _command(v))]], Array, Len(1, MAX_FRAMES)]
+        | None
+    ) = None
+    """a list of { frame = ..., control = value, ... }: linear between rows, constant before and after, angles in
+    degrees; default: no controls"""
+    pilot: PilotTable | None = None
+    """a table { name = ..., parameters }, instead of commands"""
+
+    def check(self, vehicle: Vehicle, setting: Setting) -> Iterator[Problem]:
+        if self.duration is None and setting.last is None:
+            yield Problem("duration", "missing", "give the duration in seconds, or shot.end_frame")
+        seconds = self._duration(setting)
+        if seconds * setting.fps > MAX_FRAMES or seconds / self.step > MAX_STEPS:
+            yield Problem("duration", f"more than {MAX_FRAMES} frames or {MAX_STEPS} steps", "shorten it", seconds)
+        if self.commands is not None and self.pilot is not None:
+            yield Problem("pilot", "commands are given too", "keep one of them", self.pilot.name)
+        if self.pilot is not None:
+            wrong = list(self.pilot.check(vehicle))
+            yield from wrong or filter(None, [self.pilot.refusal(vehicle)])
+        yield from self._check_commands(vehicle)
+        yield from check_names("start.joints", self.start.joints, vehicle.joints, "joint")
+        yield from check_mark("start", self.start, vehicle)
+        yield from check_inside("start.position", self.start.position, vehicle, setting.world)
+        if not is_planar(vehicle):
+            yield from check_free("start.position", self.start.position, self.start, 0.0, vehicle, setting.world)
+
+    def solve(self, vehicle: Vehicle, setting: Setting, progress: Progress) -> tuple[Clip, dict[str, Any]]:
+        from vehsim.simulation import simulate
+
+        controls = self._controls(vehicle, setting)
+        clip = simulate(
+            vehicle,
+            setting.world,
+            controls,
+            start=as_state(self.start, vehicle) if self.start.model_fields_set else None,
+            duration=self._duration(setting),
+            step=self.step,
+            fps=setting.fps,
+            start_frame=setting.first,
+            progress=progress,
+        )
+        said = {"step": self.step, "duration": clip.duration}
+        return clip, said | ({} if self.pilot is None else {"targets": controls.targets(clip.duration)})
+
+    def mover(self, vehicle: Vehicle, setting: Setting) -> tuple[Mover, float]:
+        """The same for vehicles that move together, and the duration, s."""
+        from vehsim.simulation import Mover
+
+        start = as_state(self.start, vehicle) if self.start.model_fields_set else None
+        return Mover(vehicle, self._controls(vehicle, setting), start), self._duration(setting)
+
+    def _duration(self, setting: Setting) -> float:
+        if self.duration is not None:
+            return self.duration
+        return setting.seconds(setting.last if setting.last is not None else setting.first)
+
+    def _check_commands(self, vehicle: Vehicle) -> Iterator[Problem]:
+        last = -np.inf
+        for i, row in enumerate(self.commands or ()):
+            names = {name: value for name, value in row.items() if name != "frame"}
+            yield from check_names(f"commands[{i}]", names, vehicle.control_names, "control")
+            for name, value in to_si(names, vehicle).items():
+                control = vehicle.controls[vehicle.control_names.index(name)]
+                if not control.lower - 1e-9 <= value <= control.upper + 1e-9:
+                    remedy = f"this vehicle takes {control.lower:g} to {control.upper:g} {control.unit}".rstrip()
+                    yield Problem(f"commands[{i}].{name}", "beyond the vehicle's bounds", remedy, names[name])
+            if row["frame"] <= last:
+                yield Problem(f"commands[{i}].frame", "not after the one before it", "put them in order", row["frame"])
+            last = row["frame"]
+
+    def _controls(self, vehicle: Vehicle, setting: Setting) -> Any:
+        """The controls for `vehsim.simulate`: a pilot, or a function of time."""
+        if self.pilot is not None:
+            from vehsim.pilots.controllers import PILOTS
+
+            return PILOTS[self.pilot.name](vehicle, **self.pilot.parameters())
+        rows = self.commands or []
+        curves = []
+        for name in vehicle.control_names:
+            knots = [(setting.seconds(row["frame"]), to_si(row, vehicle)[name]) for row in rows if name in row]
+            curves.append(np.array(knots or [(0.0, 0.0)]).T)
+        return lambda t, state: np.array([np.interp(t, times, values) for times, values in curves])
+
+
+def _command(value: Any) -> Any:
+    if isinstance(value, dict) and "frame" not in value:
+        raise ValueError("no frame")
+    return value

@@ -1,0 +1,77 @@
+"""The obstacles of a shot file: made from ``[[world.obstacle]]`` tables, and their checks.
+
+Geometry and its messages are in `vehsim.world.obstacles`; a vehicle that is an obstacle joins once its motion is known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from vehsim.errors import InputError, Problem
+from vehsim.shot.checks import choose
+from vehsim.shot.schema.world import VehicleObstacleTable
+
+if TYPE_CHECKING:
+    from vehsim.clip.clip import Clip
+    from vehsim.shot.schema.tables import MarkTable
+    from vehsim.vehicles import Vehicle
+    from vehsim.world.obstacles.obstacles import Obstacle
+    from vehsim.world.world import World
+
+
+def standing(tables: Sequence[Any], folder: Path) -> list[Obstacle]:
+    """All standing obstacles. Raises ``InputError``."""
+    return [_make(i, table, folder) for i, table in enumerate(tables) if not isinstance(table, VehicleObstacleTable)]
+
+
+def with_vehicles(world: World, clips: Mapping[str, Clip], names: Collection[str], but: str) -> World:
+    """The world with the moving vehicles ``names``, except ``but``."""
+    from vehsim.world.obstacles.obstacles import moving
+
+    return world.with_obstacles([moving(name, clip) for name, clip in clips.items() if name in names and name != but])
+
+
+def check_obstacles(tables: Sequence[Any], folder: Path, vehicles: Sequence[str]) -> Iterator[Problem]:
+    """Shapes are valid, names differ, vehicles exist."""
+    names: list[str] = []
+    for i, table in enumerate(tables):
+        key = f"world.obstacle[{i}]"
+        if isinstance(table, VehicleObstacleTable):
+            if table.vehicle not in vehicles:
+                yield Problem(f"{key}.vehicle", "no such vehicle", choose(table.vehicle, vehicles), table.vehicle)
+        else:
+            try:
+                _make(i, table, folder)
+            except InputError as error:
+                for problem in error.problems:
+                    if problem.file:  # of the file that it names
+                        yield problem.seen_from(f"{key}.path", table.path)
+                    else:
+                        yield problem.below(key, value=getattr(table, problem.key, None), subject="")
+        if _name(i, table) in names:
+            yield Problem(f"{key}.name", "used twice", "give every obstacle a name of its own", _name(i, table))
+        names.append(_name(i, table))
+
+
+def check_marks(marks: Sequence[MarkTable], vehicle: Vehicle, world: World, clearance: float) -> Iterator[Problem]:
+    """Marks at which the vehicle would be in an obstacle, or too close to one."""
+    from vehsim.planning.request.marks_near_obstacles import marks_too_near
+
+    for i, message, remedy in marks_too_near(vehicle, world, marks, clearance):
+        yield Problem(f"mark[{i}].position", message, remedy, marks[i].position)
+
+
+def _name(i: int, table: Any) -> str:
+    return table.name or f"{table.shape}_{i}"
+
+
+def _make(i: int, table: Any, folder: Path) -> Obstacle:
+    from vehsim.world.obstacles import obstacles
+
+    given = table.model_dump(exclude={"shape", "name"})
+    if "path" in given:
+        given["path"] = folder / Path(given["path"]).expanduser()
+    made: Obstacle = getattr(obstacles, table.shape)(_name(i, table), **given)
+    return made

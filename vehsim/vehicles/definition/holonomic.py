@@ -1,0 +1,105 @@
+"""Vehicles that are one actuated rigid body: an inertia, a wrench of the controls, drag and gravity (LIE section 4)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from vehsim.errors import InputError
+from vehsim.vehicles.definition.base import Expr
+from vehsim.vehicles.definition.vehicle import Vehicle
+
+GRAVITY = 9.81
+"""m/s^2, LIE's value."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Holonomic(Vehicle):
+    """A rigid body on ``group`` with the Lagrangian ``1/2 xi^T inertia xi`` (LIE eq. 9).
+
+    ``inertia``: (d, d) or its diagonal (d,), rotation first, kg m^2 and kg, about the body frame's origin. ``wrench``:
+    controls (c,) -> body wrench (d,), N m and N; None: no actuators. ``drag``: body twist relative to the air (d,) ->
+    body wrench (d,), which must not add power; None: no drag. ``resistance``: body twist (d,) and controls (c,) -> body
+    wrench (d,) of a medium at rest in the world, such as calm water; None: no resistance. ``gravity``: m/s^2, acts on
+    ``mass`` along -Z; ``mass`` defaults to the translational inertia and is necessary with added mass.
+
+    Raises ``InputError`` if the inertia has the wrong shape or is not symmetric and positive definite.
+    """
+
+    inertia: Any
+    wrench: Callable[[Expr], Expr] | None = None
+    drag: Callable[[Expr], Expr] | None = None
+    resistance: Callable[[Expr, Expr], Expr] | None = None
+    mass: float | None = None
+    gravity: float = GRAVITY
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        inertia = np.asarray(self.inertia, float)
+        inertia = np.diag(inertia) if inertia.ndim == 1 else inertia
+        d = self.group.dim
+        if inertia.shape != (d, d):
+            raise InputError(
+                f"of shape {inertia.shape}",
+                f"{self.group} needs ({d}, {d}) or ({d},)",
+                key="inertia",
+                subject=self.name,
+            )
+        if not np.allclose(inertia, inertia.T) or np.linalg.eigvalsh(inertia).min() <= 0:
+            raise InputError(
+                "inertia must be symmetric and positive definite", f"got {inertia.tolist()}", subject=self.name
+            )
+        object.__setattr__(self, "inertia", inertia)
+        object.__setattr__(self, "feels_wind", self.feels_wind or self.drag is not None)
+
+    def reduced_lagrangian(self, r: Expr, u: Expr, xi: Expr) -> Expr:
+        return ca.dot(xi, ca.DM(self.inertia) @ xi) / 2
+
+    def basis(self, r: Expr) -> Expr:
+        return ca.SX.eye(self.group.dim)
+
+    def connection(self, r: Expr) -> Expr:
+        return ca.SX(self.group.dim, 0)
+
+    def force(self, g: Expr, r: Expr, u: Expr, xi: Expr, c: Expr, wind: Expr) -> tuple[Expr, Expr]:
+        d, group = self.group.dim, self.group
+        body = ca.SX(d, 1) if self.wrench is None else ca.vertcat(self.wrench(c))
+        if self.drag is not None:
+            air = group.velocity_to_body(g, xi - _still(group, g, wind))
+            body = body + ca.vertcat(self.drag(air))
+        if self.resistance is not None:
+            body = body + ca.vertcat(self.resistance(group.velocity_to_body(g, xi), c))
+        return ca.SX(0, 1), group.wrench_from_body(g, body)
+
+    def potential(self, g: Expr, r: Expr) -> Expr:
+        if self.group.dim != 6:
+            return 0.0
+        mass = self.inertia[5, 5] if self.mass is None else self.mass
+        return self.gravity * mass * self.group.pose(g)[2]
+
+    def dissipation(self, g: Expr, r: Expr, u: Expr, xi: Expr, wind: Expr) -> Expr:
+        lost = 0.0
+        if self.drag is not None:
+            air = self.group.velocity_to_body(g, xi - _still(self.group, g, wind))
+            lost -= ca.dot(ca.vertcat(self.drag(air)), air)
+        if self.resistance is not None:
+            body = self.group.velocity_to_body(g, xi)
+            lost -= ca.dot(ca.vertcat(self.resistance(body, ca.SX(len(self.controls), 1))), body)
+        return lost
+
+
+def _rotation(group: Any, g: Expr) -> Expr:
+    from vehsim.lie import SO3
+
+    return SO3.matrix(group.pose(g)[3:7])
+
+
+def _still(group: Any, g: Expr, velocity: Expr) -> Expr:
+    """The group's velocity (d,) of a body that drifts with a world velocity (3,) and does not rotate."""
+    linear = _rotation(group, g).T @ velocity
+    turning = 1 if group.planar else 3
+    return group.velocity_from_body(g, ca.vertcat(ca.SX(turning, 1), linear[: group.dim - turning]))

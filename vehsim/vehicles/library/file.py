@@ -1,0 +1,146 @@
+"""The keys of a ``vehicle.toml`` as strict tables; the docstring below a key says what to give.
+
+This module checks what needs neither model nor asset: the names of controls, joints and channels are checked in
+`library.py`, those of prims in `vehsim.rig.ops`. All numbers are in SI units.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal
+
+from annotated_types import Len
+from pydantic import AfterValidator, BeforeValidator, Field
+
+from vehsim.intake.tables import Array, Metre, Number, Point, Positive, Table, Text
+
+LARGEST = 1e12
+"""Upper bound of every quantity of a vehicle, in SI units."""
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _bound(value: Any) -> float:
+    if not _is_number(value) or math.isnan(value):
+        raise ValueError("not a number")
+    return float(value)
+
+
+def _not_zero(value: float) -> float:
+    if value == 0:
+        raise ValueError("nothing would move")
+    return value
+
+
+def _pivot(value: Any) -> Any:
+    place = isinstance(value, list | tuple) and len(value) == 3
+    if value != "centre" and not (place and all(_is_number(x) and abs(x) <= 1e6 for x in value)):
+        raise ValueError("neither a place nor the middle of the part")
+    return value
+
+
+def _quantity(value: Any) -> Any:
+    """Numbers, lists of them, and tables of them by part."""
+    for number in _flat(value):
+        if not _is_number(number) or not math.isfinite(number):
+            raise ValueError("not a finite number")
+        if abs(number) > LARGEST:
+            raise ValueError(f"beyond {LARGEST:g}")
+    return value
+
+
+def _flat(value: Any) -> list[Any]:
+    rows = value.values() if isinstance(value, dict) else value if isinstance(value, list | tuple) else None
+    return [value] if rows is None else [x for row in rows for x in _flat(row)]
+
+
+Bound = Annotated[Any, BeforeValidator(_bound)]
+Quantity = Annotated[Any, AfterValidator(_quantity)]
+Op = Literal["rotateX", "rotateY", "rotateZ", "translateX", "translateY", "translateZ"]
+
+
+class Limits(Table):
+    """``[joints.NAME]``"""
+
+    lower: Bound = -math.inf
+    """its least value, in SI units"""
+    upper: Bound = math.inf
+    """its greatest value, in SI units"""
+
+
+class ControlTable(Limits):
+    """``[controls.NAME]``"""
+
+    scale: Annotated[Positive, Field(ge=1e-9)] = 1.0
+    """the size of a typical value, above zero"""
+    unit: str = ""
+    """its unit, such as "N m\""""
+
+
+class ChannelTable(Table):
+    """``[channels.NAME]``"""
+
+    prim: Text
+    """a path below the rig root"""
+    op: Op
+    """"rotateX", "rotateY", "rotateZ", "translateX", "translateY" or "translateZ\""""
+    pivot: Annotated[Any, AfterValidator(_pivot)] = None
+    """"centre" or three numbers, m"""
+    factor: Annotated[Number, AfterValidator(_not_zero)] = 1.0
+    """a number such as -1"""
+    disc: bool | str = False
+    """true, or a pattern of meshes' names"""
+
+
+class SuspensionTable(Table):
+    """``[suspension]``"""
+
+    frequency: Annotated[Positive, Field(le=100)] = 1.5
+    """a positive number, in Hz"""
+    damping: Annotated[Positive, Field(le=100)] = 0.5
+    """a positive damping ratio, 1 for critical damping"""
+    mass_height: Annotated[Number, Field(ge=0, le=100)] = 0.5
+    """a height, in m"""
+
+
+class VehicleFile(Table):
+    """A ``vehicle.toml``."""
+
+    version: Annotated[int, Field(alias="schema", ge=1, le=1)] = 1
+    """1, the version of this file format"""
+    name: Text | None = None
+    """a name"""
+    model: Text
+    """the name of a model"""
+    asset: Text | None = None
+    """a USD, GLB or OBJ file, relative to this one"""
+    root: str = ""
+    """the path of the asset's prim that is the vehicle"""
+    origin: Point = Field(default=[0.0, 0.0, 0.0])
+    """three numbers, m, in the rig root's frame"""
+    hull: Text | None = None
+    """the closed mesh that displaces water, a path below the root"""
+    top_speed: Annotated[Bound, Field(gt=0)] = math.inf
+    """a speed above zero, in m/s"""
+    physics: dict[str, Quantity] = Field(default={})
+    """SI units"""
+    controls: dict[str, ControlTable] = Field(default={})
+    """tables of controls with lower, upper, scale and unit"""
+    joints: dict[str, Limits] = Field(default={})
+    """tables of joints with lower and upper"""
+    channels: dict[str, ChannelTable] = Field(default={})
+    """tables of channels with prim, op, pivot, factor and disc"""
+    suspension: SuspensionTable = SuspensionTable()
+    """a table with frequency, damping and mass_height"""
+    up_axis: Literal["Y", "Z"] | None = None
+    """"Y" or "Z\""""
+    meters_per_unit: Annotated[Positive, Field(ge=1e-6, le=1e6)] | None = None
+    """metres, such as 0.01 for centimetres"""
+    forward: Literal["+X", "-X", "+Y", "-Y", "+Z", "-Z"] | None = None
+    """the axis that the asset's nose points along"""
+    offset: Annotated[list[Metre], Array, Len(3, 3)] = Field(default=[0.0, 0.0, 0.0])
+    """three numbers, m, along the nose, to the left and up"""
+    variants: dict[str, Text] = Field(default={})
+    """a table of variant set = variant"""

@@ -1,0 +1,247 @@
+"""Vehicles by name or folder: ``vehicle.toml`` gives the physics and the rig, a model gives the equations."""
+
+from __future__ import annotations
+
+import inspect
+import math
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from difflib import get_close_matches
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vehsim.assets import described, description
+from vehsim.errors import InputError, Problem
+from vehsim.intake.tables import read_table
+from vehsim.intake.toml import lines_in
+from vehsim.rig.rig import Drive, Rig, Suspension
+from vehsim.runtime.cache import Stamp, stamp
+from vehsim.runtime.registry import Registry
+from vehsim.vehicles.definition.base import Control
+from vehsim.vehicles.library.file import VehicleFile
+from vehsim.vehicles.library.imported import ready_asset
+from vehsim.vehicles.library.mass import fill_in, weigh
+
+if TYPE_CHECKING:
+    from vehsim.vehicles.definition.vehicle import Vehicle
+
+MODELS: Registry[Callable[..., Vehicle]] = Registry(
+    "vehsim.models",
+    {
+        "helicopter": "vehsim.vehicles.models.helicopter:helicopter",
+        "boat": "vehsim.vehicles.models.boat:boat",
+        "car": "vehsim.vehicles.models.car:car",
+        "truck": "vehsim.vehicles.models.truck:truck",
+        "hopper": "vehsim.vehicles.models.hopper:hopper",
+        "simple_car": "vehsim.vehicles.models.simple_car:simple_car",
+        "two_wheeled": "vehsim.vehicles.models.two_wheeled:two_wheeled",
+        "snakeboard": "vehsim.vehicles.models.snakeboard:snakeboard",
+        "chaplygin_sleigh": "vehsim.vehicles.models.chaplygin_sleigh:chaplygin_sleigh",
+        "roller_racer": "vehsim.vehicles.models.roller_racer:roller_racer",
+        "car_trailer": "vehsim.vehicles.models.car_trailer:car_trailer",
+        "suslov": "vehsim.vehicles.models.suslov:suslov",
+        "rigid_body": "vehsim.vehicles.models.rigid_body:rigid_body",
+    },
+)
+"""Model name -> the function that makes its vehicle from ``[physics]``. Packages add theirs as entry points."""
+
+DAMPING = np.array([0.05, 0.3, 1.0])
+"""Usual damping of a hull divided by its mass, along body X, Y, Z, 1/s."""
+ADDED_MASS = np.array([0.25, 0.9, 0.5, 0.06, 0.6, 1.0])
+"""Usual added mass of a hull divided by its own inertia: roll, pitch, yaw, surge, sway, heave."""
+
+POSITIVE = {"mass", "masses", "inertia", "inertias", "radius", "diameter", "wheelbase", "length", "hitches"}
+"""Quantities whose names end in these words must be above zero."""
+
+
+def available() -> list[str]:
+    """Names of the vehicles that ship with vehsim or that an installed package registers."""
+    return list(described("vehicle"))
+
+
+def load_vehicle(name: str | Path) -> Vehicle:
+    """A shipped vehicle by name, or the vehicle in a folder with a ``vehicle.toml``.
+
+    Raises ``InputError`` naming file, key, value and the fix.
+    """
+    if not isinstance(name, str | Path):
+        raise InputError("not a vehicle's name", "give a name or the path of a folder", key="vehicle", value=name)
+    path = Path(name) / "vehicle.toml"
+    if not path.is_file():
+        path = description("vehicle", str(name)) or path
+    if not path.is_file():
+        close = get_close_matches(str(name), available(), n=1)
+        hint = f"did you mean {close[0]!r}?" if close else f"choose one of {', '.join(available())}"
+        raise InputError("no such vehicle, nor a folder with a vehicle.toml", hint, key="vehicle", value=str(name))
+    path = path.resolve()
+    data = read_table(path, VehicleFile)
+    asset = path.parent / data.get("asset", "")
+    with lines_in(path):
+        return _load(path, stamp(path), stamp(asset) if asset.is_file() else None)
+
+
+@lru_cache(maxsize=64)
+def _load(path: Path, written: Stamp, asset_written: Stamp | None) -> Vehicle:
+    data = read_table(path, VehicleFile)
+    model = str(data.get("model"))
+    if model not in MODELS:
+        raise InputError("unknown", f"choose one of {', '.join(sorted(MODELS))}", key="model", value=model, file=path)
+    factory = MODELS[model]
+    physics = _physics(path, factory, _weighed(path, factory, data))
+    try:
+        vehicle: Vehicle = factory(str(data.get("name", model)), **physics)
+    except InputError:
+        raise
+    except (ArithmeticError, LookupError, RuntimeError, TypeError, ValueError) as error:  # raised by NumPy or CasADi
+        raise InputError(
+            f"no {model} can be made of it ({error})", "compare the model's own", key="physics", file=path
+        ) from error
+    told: dict[str, Any] = {
+        "controls": _controls(path, vehicle, data.get("controls", {})),
+        "joint_limits": _limits(path, vehicle, data.get("joints", {})),
+        "rig": _rig(path, vehicle, data),
+        "top_speed": float(data.get("top_speed", vehicle.top_speed)),
+    }
+    planar = None if vehicle.planar is None else replace(vehicle.planar, **told | {"rig": _level(told["rig"])})
+    return replace(vehicle, **told, hull=_hull(path, vehicle, data), planar=planar)
+
+
+def _weighed(path: Path, factory: Any, data: dict[str, Any]) -> dict[str, Any]:
+    """``[physics]``; if it has a density, mass and inertia are measured on the asset."""
+    physics: dict[str, Any] = data.get("physics", {})
+    if "density" not in physics:
+        return physics
+    if "asset" not in data:
+        raise InputError(
+            "there is no asset to measure", "give mass", key="physics.density", value=physics["density"], file=path
+        )
+    asset, source = ready_asset(path, data)
+    weighed = weigh(path, asset, None if asset != source else str(data.get("root", "")) or None, physics["density"])
+    data.setdefault("origin", [float(x) for x in weighed[1]])
+    return fill_in(physics, set(inspect.signature(factory).parameters), weighed, np.asarray(data["origin"], float))
+
+
+def _physics(path: Path, factory: Any, table: dict[str, Any]) -> dict[str, Any]:
+    parameters = {p.name: p for p in inspect.signature(factory).parameters.values() if p.kind is p.KEYWORD_ONLY}
+    _known(path, "physics.", table, set(parameters))
+    missing = [key for key, one in parameters.items() if one.default is one.empty and key not in table]
+    if missing:
+        remedy = f"give it in SI units: a {factory.__name__} has no default"
+        raise InputError.of(*(Problem(f"physics.{key}", "missing", remedy, file=str(path)) for key in missing))
+    for key, value in table.items():
+        depth = str(parameters[key].annotation).count("Sequence")  # float, Sequence[float], or a sequence of them
+        if _depth(value) != depth:
+            kind = ("a number", "a list of numbers", "a list of rows of numbers")[depth]
+            raise InputError(f"not {kind}", "give SI units", key=f"physics.{key}", value=value, file=path)
+        rows = value if isinstance(value, list) else [value]
+        if key.rpartition("_")[2] in POSITIVE and not all(isinstance(x, list) or x > 0 for x in rows):
+            raise InputError("not above zero", "give SI units", key=f"physics.{key}", value=value, file=path)
+    return table
+
+
+def _controls(path: Path, vehicle: Vehicle, table: dict[str, Any]) -> tuple[Control, ...]:
+    _known(path, "controls.", table, set(vehicle.control_names))
+    for name, values in table.items():
+        if values.get("lower", -math.inf) > values.get("upper", math.inf):
+            raise InputError("above upper", "swap them", key=f"controls.{name}.lower", value=values["lower"], file=path)
+    return tuple(replace(control, **table.get(control.name, {})) for control in vehicle.controls)
+
+
+def _limits(path: Path, vehicle: Vehicle, table: dict[str, Any]) -> dict[str, tuple[float, float]]:
+    _known(path, "joints.", table, set(vehicle.joints))
+    for name, values in table.items():
+        if not values.get("lower", -math.inf) < values.get("upper", math.inf):
+            raise InputError(
+                "not below upper", "swap them", key=f"joints.{name}.lower", value=values["lower"], file=path
+            )
+    return {name: (v.get("lower", -math.inf), v.get("upper", math.inf)) for name, v in table.items()}
+
+
+def _depth(value: Any) -> int:
+    """Nesting depth of lists; -1 if it varies or an entry is no number."""
+    if isinstance(value, list):
+        below = {_depth(row) for row in value} or {0}
+        return 1 + below.pop() if len(below) == 1 and -1 not in below else -1
+    return 0 if isinstance(value, int | float) else -1
+
+
+def _level(rig: Rig | None) -> Rig | None:
+    """The rig of a vehicle that keeps its height: its body frame is at the root's height."""
+    return None if rig is None else replace(rig, origin=(*rig.origin[:2], 0.0))
+
+
+def _hull(path: Path, vehicle: Vehicle, data: dict[str, Any]) -> Any:
+    prim = data.get("hull")
+    if vehicle.hull is None and prim is not None:
+        raise InputError(f"{vehicle.name} does not float", "leave it out", key="hull", value=prim, file=path)
+    if vehicle.hull is not None and not isinstance(prim, str):
+        raise InputError(
+            "missing",
+            "name the closed mesh that displaces water, a path below the root",
+            key="hull",
+            value=prim,
+            file=path,
+        )
+    if prim is None:
+        return None
+    if not any(np.any(law) for law in (vehicle.hull.damping, vehicle.hull.quadratic, vehicle.hull.impact)):
+        _warn_restless(path, vehicle)
+    return replace(vehicle.hull, prim=prim)
+
+
+def _warn_restless(path: Path, vehicle: Any) -> None:
+    """Suggest usual damping and added mass for a hull without damping, from its mass and inertia."""
+    usual = {"damping": DAMPING * vehicle.mass, "added_mass": ADDED_MASS * np.diag(vehicle.inertia)}
+    remedy = ", ".join(f"{key} = [{', '.join(f'{x:.3g}' for x in row)}]" for key, row in usual.items())
+    warnings.warn(
+        f"{path}: physics.damping: missing: without it a boat never comes to rest; begin with {remedy}, impact = 1",
+        stacklevel=5,
+    )
+
+
+def _rig(path: Path, vehicle: Vehicle, data: dict[str, Any]) -> Rig | None:
+    if "asset" not in data:
+        return None
+    asset, source = ready_asset(path, data)
+    origin = tuple(float(x) for x in data.get("origin", (0.0, 0.0, 0.0)))
+    channels = data.get("channels", {})
+    _known(path, "channels.", channels, set(vehicle.channels))
+    drives = {name: _drive(values) for name, values in channels.items()}
+
+    def place(item: tuple[str, Drive]) -> tuple[bool, bool]:  # order: slide, steer, spin
+        return item[1].op.startswith("rotate"), vehicle.channels[item[0]].rate is not None
+
+    drives = dict(sorted(drives.items(), key=place))
+    springs = Suspension(**{name: float(value) for name, value in data.get("suspension", {}).items()})
+    root = str(data.get("root", ""))
+    return Rig(
+        asset=asset,
+        root=root if asset == source else "",
+        origin=origin,  # type: ignore[arg-type]
+        drives=drives,
+        suspension=springs,
+        variants=dict(data.get("variants", {})),
+        source=None if asset == source else source,
+        source_root=root,
+        folder=path.parent,
+        named=str(data["asset"]),
+    )
+
+
+def _drive(values: dict[str, Any]) -> Drive:
+    pivot = values.get("pivot")
+    if isinstance(pivot, list):
+        pivot = (float(pivot[0]), float(pivot[1]), float(pivot[2]))
+    return Drive(values["prim"], values["op"], pivot, float(values.get("factor", 1.0)), values.get("disc", False))
+
+
+def _known(path: Path, prefix: str, table: dict[str, Any], known: set[str]) -> None:
+    for key in table:
+        if key not in known:
+            close = get_close_matches(key, known, n=1)
+            hint = f"did you mean {close[0]!r}?" if close else f"known keys: {', '.join(sorted(known))}"
+            raise InputError("unknown key", hint, key=f"{prefix}{key}", value=table[key], file=path)

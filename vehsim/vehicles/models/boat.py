@@ -1,0 +1,166 @@
+"""The boat of LIE 4.3.2: a hull in water, pushed by thrusters or an outboard that steers, and the wind.
+
+On SE(3) it is a rigid body under gravity, and the world's water does the rest (`Hull`). Its ``planar`` self glides on
+calm water on SE(2), with the same thrusters, rudder, wind, added mass and resistance in closed form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import casadi as ca
+
+from vehsim.errors import InputError
+from vehsim.lie import SE2, SE3
+from vehsim.rig.rig import Channel
+from vehsim.vehicles.definition.base import Control, Expr
+from vehsim.vehicles.definition.holonomic import Holonomic
+from vehsim.vehicles.definition.hydrodynamics import Hull
+
+SEA_WATER = 1025.0
+AIR = 1.225
+"""kg/m^3"""
+ANSWER = 0.5
+"""Response time of a motor and its steering, s. Plans weigh the rate of the controls with its square, so that no plan
+goes from full ahead to astern faster. Without this cost, a turn on the spot is a series of bursts ahead and astern."""
+
+
+def boat(
+    name: str = "boat",
+    *,
+    mass: float,
+    inertia: Sequence[float],
+    thrusters: Sequence[Sequence[float]],
+    outboard: float = 1.0,
+    propeller_diameter: float = 0.35,
+    propeller_speed: float = 200.0,
+    full_thrust: float = 5000.0,
+    rudder: Sequence[float] = (0.0, 0.0, 0.0),
+    rudder_area: float = 0.0,
+    rudder_slope: float = 4.0,
+    damping: Sequence[float] = (0.0, 0.0, 0.0),
+    damping_quadratic: Sequence[float] = (0.0, 0.0, 0.0),
+    wetted_centre: float = 0.0,
+    wetted_radius: float = 0.0,
+    reference_area: float = 0.0,
+    normal_force: float = 0.0,
+    impact: float = 0.0,
+    planing: float = 0.0,
+    impact_drag: Sequence[float] = (0.0, 0.0),
+    added_mass: Sequence[float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+    wind_area: Sequence[float] = (0.0, 0.0),
+    wind_centre: Sequence[float] = (0.0, 0.0, 0.0),
+    wind_coefficient: float = 1.0,
+) -> Holonomic:
+    """A boat. Positions are in the body frame, m from the centre of mass.
+
+    ``mass`` kg, ``inertia`` (3,) principal, kg m^2. ``thrusters`` (p, 3): one outboard that steers (``outboard`` 1:
+    controls thrust [N] and steering [rad], positive to port) or thrusters fixed along X (``outboard`` 0:
+    LIE's controls, a thrust each [N], named right and left when they are two, and a steering when there is a rudder).
+    Thrust fades as the propeller, ``propeller_diameter`` m, comes out of the water; at ``full_thrust`` N it turns at
+    ``propeller_speed`` rad/s (channel ``propeller``). ``rudder``: a fin, or the outboard's leg, of ``rudder_area``
+    m^2 and lift slope ``rudder_slope`` 1/rad, turned by the steering. ``damping`` N s/m, ``damping_quadratic``,
+    ``reference_area``, ``normal_force``, ``impact``, ``planing`` and ``added_mass``: see `Hull`; ``wetted_centre`` (x,
+    m) and ``wetted_radius`` (root mean square of x, m) of the wetted surface carry the resistance over to ``planar``,
+    and ``impact_drag`` (2,) N s^2/m^2, ahead and across, what ``impact`` and ``planing`` add to it.
+    Wind: ``wind_area`` seen from ahead and from the side, m^2, pushed at ``wind_centre``, ``wind_coefficient``.
+    """
+    places = [tuple(map(float, place)) for place in thrusters]
+    if outboard and len(places) != 1:
+        raise InputError(
+            "an outboard is one thruster", "or set outboard = 0", key="physics.thrusters", value=places, subject=name
+        )
+    steered = bool(outboard) or rudder_area > 0
+    pushes = ("thrust",) if len(places) == 1 else ("right", "left") if len(places) == 2 else None
+    names = pushes or tuple(f"thrust_{k + 1}" for k in range(len(places)))
+    controls = tuple(Control(n, -full_thrust, full_thrust, full_thrust / 2, "N") for n in names)
+    if steered:
+        controls += (Control("steering", -0.5236, 0.5236, 0.2, "rad"),)
+    along = ca.DM([*map(float, rudder)])
+
+    def propulsion(c: Expr, flow: Expr, immersion: Expr) -> Expr:
+        """Thrust of every propeller as far as it is in the water, and the rudder's lift in the flow."""
+        angle = c[len(places)] if steered else 0.0
+        turn = angle if outboard else 0.0
+        wrench = ca.SX(6, 1)
+        for k, place in enumerate(places):
+            force = immersion[k] * c[k] * ca.vertcat(ca.cos(turn), -ca.sin(turn), 0)
+            wrench += ca.vertcat(ca.cross(ca.DM(list(place)), force), force)
+        if rudder_area > 0:
+            depth = sum((immersion[k] for k in range(len(places))), ca.SX(0)) / len(places)
+            local = flow[3:6] + ca.cross(flow[0:3], along)
+            # lift across the fin, area times slope times speed times the speed across it; no stall, no drag of its own
+            fin = ca.vertcat(ca.sin(angle), ca.cos(angle), 0)
+            speed = ca.sqrt(local[0] ** 2 + local[1] ** 2 + 1e-4)
+            force = -0.5 * SEA_WATER * rudder_area * rudder_slope * depth * speed * ca.dot(local, fin) * fin
+            wrench += ca.vertcat(ca.cross(along, force), force)
+        return wrench
+
+    def windage(air: Expr) -> Expr:
+        at = ca.DM([*map(float, wind_centre)])
+        local = air[3:6] + ca.cross(air[0:3], at)
+        speed = ca.sqrt(local[0] ** 2 + local[1] ** 2 + 1e-4)
+        force = -0.5 * AIR * wind_coefficient * speed * ca.vertcat(wind_area[0] * local[0], wind_area[1] * local[1], 0)
+        return ca.vertcat(ca.cross(at, force), force)
+
+    def resistance(twist: Expr) -> Expr:
+        """`Hull`'s, of the upright hull: what turns about Z meets the water sideways, at its distance."""
+        speed = ca.sqrt(twist[1] ** 2 + twist[2] ** 2 + (wetted_radius * twist[0]) ** 2 + 1e-6)
+        ahead, across = (damping[i] + speed * (damping_quadratic[i] + impact_drag[i]) for i in (0, 1))
+        side = -across * (twist[2] + wetted_centre * twist[0])
+        yaw = -across * (wetted_centre * twist[2] + wetted_radius**2 * twist[0])
+        return ca.vertcat(yaw, -ahead * twist[1], side)
+
+    hull = Hull(
+        damping=damping,
+        quadratic=damping_quadratic,
+        reference_area=reference_area or None,
+        normal_force=normal_force,
+        impact=impact,
+        planing=planing,
+        added_mass=added_mass,
+        propulsion=propulsion,
+        propulsors=places,
+        propulsor_size=propeller_diameter,
+        windage=windage if any(wind_area) else None,
+    )
+    channels = {"propeller": Channel(rate=_spin(len(places), propeller_speed, full_thrust))}
+    if steered:
+        channels["steer"] = Channel(value=lambda t, r, u, xi, c: -c[len(places)])
+    common: dict[str, Any] = {"name": name, "controls": controls, "channels": channels, "feels_wind": any(wind_area)}
+    common["default_costs"] = {"smoothness": ANSWER**2}
+    a = [*map(float, added_mass)]
+
+    def on_calm_water(twist: Expr, c: Expr) -> Expr:
+        return resistance(twist) + _flat(propulsion(c, _level(twist), ca.SX.ones(len(places))))
+
+    planar = Holonomic(
+        group=SE2,
+        inertia=(float(inertia[2]) + a[2], mass + a[3], mass + a[4]),
+        resistance=on_calm_water,
+        drag=(lambda air: _flat(windage(_level(air)))) if any(wind_area) else None,
+        mass=mass,
+        **common,
+    )
+    return Holonomic(group=SE3, inertia=(*inertia, mass, mass, mass), mass=mass, hull=hull, planar=planar, **common)
+
+
+def _spin(count: int, speed: float, full: float) -> Callable[..., Expr]:
+    """Propeller speed (rad/s) of the mean thrust: thrust grows with its square."""
+
+    def rate(t: Expr, r: Expr, u: Expr, xi: Expr, c: Expr) -> Expr:
+        thrust = ca.sum1(c[:count]) / count / full
+        return speed * thrust / (thrust**2 + 1e-6) ** 0.25
+
+    return rate
+
+
+def _level(twist: Expr) -> Expr:
+    """The twist (6,) of a body that moves in the plane with (yaw rate, x, y)."""
+    return ca.vertcat(0, 0, twist, 0)
+
+
+def _flat(wrench: Expr) -> Expr:
+    """What of a wrench (6,) acts in the plane: (yaw, x, y)."""
+    return wrench[2:5]

@@ -1,0 +1,91 @@
+"""The bodies of contact: vehicles, which yield, and moving obstacles, which do not, at an instant.
+
+This module gives the place, velocity and compliance of their points; `contact.py` finds what they touch.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.clip.interpolant import spatial
+from vehsim.lie.quaternions import cross, matrices
+from vehsim.vehicles.definition.base import State
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Body:
+    """A vehicle in the scene: the indices of its joint and body in the model, its inertia and body frame."""
+
+    name: str
+    vehicle: Any
+    joint: int
+    reach: float
+    inverse_inertia: Array
+
+
+@dataclass(frozen=True)
+class Course:
+    """A moving obstacle, whose motion does not depend on contact: the index of its joint in the model, and its
+    motion."""
+
+    joint: int
+    reach: float
+    obstacle: Any
+
+
+class MovingBody:
+    """A vehicle at a public state; gives its points in world axes."""
+
+    def __init__(self, body: Body, state: State) -> None:
+        self.body = body
+        self.position = np.asarray(state.position, float)
+        self.orientation = np.asarray(state.orientation, float)
+        twist = np.asarray(state.twist, float)
+        self.R_wr = matrices(self.orientation)
+        self.omega, self.v = self.R_wr @ twist[:3], self.R_wr @ twist[3:]
+        self.centre = self.position + self.R_wr @ body.vehicle.origin
+        self.fastest = float(np.linalg.norm(self.v) + np.linalg.norm(self.omega) * 2 * body.reach) + 0.5
+
+    def velocity(self, places: Array) -> Array:
+        return np.asarray(self.v + cross(self.omega, places - self.position))
+
+    def wrench(self, places: Array, forces: Array) -> Array:
+        """Torque and force of forces (n, 3) at places (n, 3), in body axes about the body frame's origin."""
+        torque = cross(places - self.centre, forces)
+        return np.concatenate([torque.sum(axis=0) @ self.R_wr, forces.sum(axis=0) @ self.R_wr])
+
+    def yielding(self, place: Array, normal: Array) -> float:
+        """The inverse of the effective mass for a push along ``normal``, 1/kg."""
+        unit = self.wrench(place[None], normal[None])
+        return float(unit @ self.body.inverse_inertia @ unit)
+
+
+class Led:
+    """A moving obstacle at a time, s since frame 0; it counts as infinitely heavy."""
+
+    def __init__(self, course: Course, seconds: float) -> None:
+        self.body = course
+        clip = course.obstacle.clip
+        first, last = clip.times[[0, -1]]
+        since = seconds - clip.start_frame / float(clip.fps)
+        motion = clip.at(np.array([np.clip(since, first, last)]))
+        # otherwise it stands
+        omega, v = (rows[0] if first <= since <= last else np.zeros(3) for rows in spatial(motion))
+        self.position, self.orientation, self.v = motion.positions[0], motion.orientations[0], v
+        self.omega = matrices(self.orientation) @ omega
+        self.fastest = float(np.linalg.norm(self.v) + np.linalg.norm(self.omega) * 2 * course.reach) + 0.5
+
+    def velocity(self, places: Array) -> Array:
+        return np.asarray(self.v + cross(self.omega, places - self.position))
+
+    def wrench(self, places: Array, forces: Array) -> Array:
+        return np.zeros(6)
+
+    def yielding(self, place: Array, normal: Array) -> float:
+        return 0.0

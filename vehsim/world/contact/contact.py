@@ -1,0 +1,369 @@
+"""Contact: where a vehicle's convex hulls touch something, and the resulting wrench, a function of states alone.
+
+MuJoCo finds where hulls meet obstacles and each other (`mj_collision`), `grounding.py` where they meet terrain. Each
+touching pair acts as one spring and damper, whose stiffness keeps the depth below `DEPTH` at the fastest approach. Its
+force is distributed over the contact points by their depth; Coulomb friction acts along the surface. Spring and damper
+follow from the effective mass of the contact, so restitution does not depend on the bodies.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.errors import InputError
+from vehsim.integrators.environment import Environment
+from vehsim.lie.quaternions import matrices
+from vehsim.vehicles.definition.base import State
+from vehsim.world.contact.bodies import Body, Course, Led, MovingBody
+from vehsim.world.contact.grounding import TOUCH, Points, Underside
+
+Array = NDArray[np.float64]
+
+DEPTH = 0.012
+"""Largest depth of hulls that meet at `Contact.speed`, m."""
+BURIED = 0.02
+"""A start deeper than this is refused, m: contact would shoot the vehicle out."""
+RESOLVED = 0.06
+"""Phase of the contact's spring covered by one step in an impact, rad: 50 steps from touch to parting, and more where
+the damper, which starts suddenly, dominates."""
+RESTING = 0.25
+"""The same if nothing closes or rebounds faster than `GENTLE`."""
+GENTLE = 0.3
+"""m/s"""
+SLIP = 0.02
+"""Below this speed, friction is proportional to speed instead of sticking, m/s."""
+ROOM = 1.0
+"""Assumed increase of speeds until then, m/s."""
+AHEAD = 0.5
+"""Largest step, as a share of the time to the next contact."""
+MONITORED = 1.0
+"""Pairs closer than this are monitored, m."""
+PAUSE = 0.1
+"""Contacts with the same object within this time are one event, s."""
+TERRAIN = "terrain"
+
+
+@dataclass(frozen=True)
+class Contact:
+    """How hulls touch: ``friction`` (Coulomb's coefficient), ``restitution`` (speed after over before, 0.02 to 1).
+
+    ``speed`` m/s: the fastest approach at which hulls sink in by less than `DEPTH`; a lower value computes faster.
+    """
+
+    friction: float = 0.4
+    restitution: float = 0.3
+    speed: float = 20.0
+
+    def __post_init__(self) -> None:
+        for name, low, high in (("friction", 0.0, 10.0), ("restitution", 0.02, 1.0), ("speed", 0.1, 200.0)):
+            value = getattr(self, name)
+            if not (isinstance(value, int | float) and low <= value <= high):
+                remedy = f"give a number from {low:g} to {high:g}"
+                raise InputError("out of range", remedy, key=f"world.contact.{name}", value=value)
+
+    @property
+    def frequency(self) -> float:
+        """Angular frequency of the contact's spring, rad/s."""
+        return self.speed / DEPTH
+
+    @property
+    def step(self) -> float:
+        """The longest step during contact, s."""
+        return RESTING / self.frequency
+
+    @property
+    def damping(self) -> float:
+        """The damping ratio that gives the restitution."""
+        return damping_ratio(float(self.restitution))
+
+
+@lru_cache(maxsize=64)
+def damping_ratio(restitution: float) -> float:
+    """Damping ratio of a spring and damper that cannot pull, whose bounce keeps ``restitution`` of the speed.
+
+    They separate when the force is zero, before the spring is relaxed (Schwager and Poeschel 2007, eq. 23-24).
+    """
+    from scipy.optimize import brentq
+
+    def bounce(zeta: float) -> float:
+        if zeta < 1:
+            omega = math.sqrt(1 - zeta**2)
+            return math.exp(-zeta / omega * math.atan2(2 * zeta * omega, 2 * zeta**2 - 1))
+        if zeta == 1:
+            return math.exp(-2.0)
+        root = math.sqrt(zeta**2 - 1)
+        return math.exp(-zeta / root * math.log((zeta + root) / (zeta - root)))
+
+    if restitution >= 1.0:
+        return 0.0
+    return float(brentq(lambda zeta: bounce(zeta) - restitution, 0.0, 50.0))
+
+
+@dataclass
+class Event:
+    """A contact, from the first touch until `PAUSE` after the last."""
+
+    vehicle: str
+    other: str
+    time: float
+    place: Array
+    speed: float
+    last: float
+    impulse: Array = field(default_factory=lambda: np.zeros(3))
+    force: Array = field(default_factory=lambda: np.zeros(3))
+
+    def report(self) -> dict[str, Any]:
+        """The event for clips and reports: place of the first touch (m, world), its closing speed (m/s), impulse
+        (N s)."""
+        return {
+            "kind": "contact",
+            "with": self.other,
+            "time": round(self.time, 9),
+            "duration": round(self.last - self.time, 9),
+            "place": [round(float(x), 6) for x in self.place],
+            "speed": round(self.speed, 6),
+            "impulse": round(float(np.linalg.norm(self.impulse)), 6),
+        }
+
+
+class ContactScene:
+    """Several vehicles' hulls, a world's obstacles and its terrain in one MuJoCo model.
+
+    ``start_time``: when ``t`` is 0, in s since frame 0, which is how moving obstacles tell the time.
+    """
+
+    def __init__(self, vehicles: dict[str, Any], world: Any, contact: Contact, start_time: float = 0.0) -> None:
+        import mujoco
+
+        from vehsim.rig.parts import add_to_spec
+
+        self.contact, self.terrain, self._start_time = contact, world.terrain, start_time
+        spec = mujoco.MjSpec()
+        bodies = {name: self._add_vehicle(spec, name, vehicle, add_to_spec) for name, vehicle in vehicles.items()}
+        moving = [obstacle for obstacle in world.obstacles if hasattr(obstacle, "motion_at")]
+        for obstacle in world.obstacles:
+            body = spec.worldbody.add_body(name=f"obstacle/{obstacle.name}")
+            if obstacle in moving:
+                body.mass, body.inertia, body.explicitinertial = 1.0, [1.0, 1.0, 1.0], True
+                body.add_freejoint()
+            self._add_hulls(spec, body, obstacle)
+        for geom in spec.geoms:  # before compiling: bodies of several geoms are sorted by a box that contains them
+            geom.margin = MONITORED
+        self.model = spec.compile()
+        self.data = mujoco.MjData(self.model)
+        self._undersides: list[Underside] = []
+        self.bodies = [self._body(vehicles[name], body) for name, body in bodies.items()]
+        self._courses = [self._course(obstacle) for obstacle in moving]
+        names = [body.name for body in self.bodies] + [f"obstacle/{obstacle.name}" for obstacle in moving]
+        self._owner = {self.model.body(name).id: k for k, name in enumerate(names)}
+        self._events: list[list[Event]] = [[] for _ in self.bodies]
+        self._time = 0.0
+        self._begun = False
+        self.next_step = self._soon = math.inf
+        self._nearing = 0.0
+
+    def _add_vehicle(self, spec: Any, name: str, vehicle: Any, add: Any) -> str:
+        if vehicle.rig is None or vehicle.group.dim != 6 or not hasattr(vehicle, "inertia"):
+            remedy = "contact needs vehicles that move in space and have an asset with hulls; remove world.contact"
+            raise InputError("nothing to touch with", remedy, key="contact", subject=name)
+        body = add(spec, vehicle.rig, f"vehicle/{name}")
+        for geom in body.geoms:
+            geom.contype, geom.conaffinity = 1, 3
+        return str(body.name)
+
+    def _add_hulls(self, spec: Any, body: Any, obstacle: Any) -> None:
+        import mujoco
+
+        for k, hull in enumerate(obstacle.hulls):
+            mesh = f"obstacle/{obstacle.name}/{k}"
+            spec.add_mesh(name=mesh, uservert=np.ravel(hull), inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX)
+            kind = mujoco.mjtGeom.mjGEOM_MESH
+            body.add_geom(name=mesh, type=kind, meshname=mesh, contype=2, conaffinity=1)
+
+    def _body(self, vehicle: Any, body: str) -> Body:
+        from vehsim.rig.parts import collision_hulls
+
+        hulls = collision_hulls(vehicle.rig.asset, vehicle.rig.root or None)
+        reach = float(max(np.linalg.norm(hull - vehicle.origin, axis=1).max() for hull in hulls))
+        inverse = np.linalg.inv(np.asarray(vehicle.inertia, float))
+        if self.terrain is not None:
+            self._undersides.append(Underside(hulls, self.terrain))
+        return Body(body, vehicle, self._joint(body), reach, inverse)
+
+    def _course(self, obstacle: Any) -> Course:
+        reach = float(max(np.linalg.norm(hull, axis=1).max() for hull in obstacle.hulls))
+        return Course(self._joint(f"obstacle/{obstacle.name}"), reach, obstacle)
+
+    def _joint(self, body: str) -> int:
+        """Index of the first position of a body's free joint in the model."""
+        return int(self.model.jnt_qposadr[self.model.body_jntadr[self.model.body(body).id]])
+
+    def wrenches(self, t: float, states: Sequence[State]) -> list[Array]:
+        """Wrench (6,) on each vehicle, in body axes about its body frame's origin, at public ``states`` at ``t`` s.
+
+        Raises ``InputError`` if a vehicle starts inside something.
+        """
+        moving: list[MovingBody | Led] = [
+            MovingBody(body, state) for body, state in zip(self.bodies, states, strict=True)
+        ]
+        moving += [Led(course, self._start_time + t) for course in self._courses]
+        pairs = self._touching(moving)
+        if not self._begun:
+            self._begun = True
+            self._refuse_buried(pairs)
+        total = [np.zeros(6) for _ in moving]
+        forces: dict[tuple[int, str], tuple[Array, Array, Array]] = {}
+        brisk = self._nearing
+        for (a, b, name), points in pairs.items():
+            push, closing, kick = self._push(moving[a], None if b is None else moving[b], points)
+            brisk = max(brisk, kick, float(closing.max()))
+            total[a] += moving[a].wrench(points.places, push)
+            forces[(a, name)] = points.places, push, closing
+            if b is not None and b < len(self.bodies):
+                total[b] += moving[b].wrench(points.places, -push)
+                forces[(b, _plain(self.bodies[a].name))] = points.places, -push, closing
+        phase = RESOLVED / (1 + self.contact.damping) if brisk > GENTLE else RESTING
+        self.next_step = max(phase / self.contact.frequency, AHEAD * self._soon)
+        self._note(t, forces)
+        return total[: len(self.bodies)]
+
+    def _refuse_buried(self, pairs: dict[tuple[int, int | None, str], Points]) -> None:
+        for (a, _, name), points in pairs.items():
+            depth = float(points.depths.max())
+            if depth > BURIED:
+                place = tuple(points.places[points.depths.argmax()].round(2).tolist())
+                message = f"{depth:.2f} m deep in {name} at {place} m"
+                remedy = "start elsewhere, or remove world.contact"
+                raise InputError(message, remedy, key="start", subject=_plain(self.bodies[a].name))
+
+    def _touching(self, moving: list[MovingBody | Led]) -> dict[tuple[int, int | None, str], Points]:
+        """(vehicle, other vehicle or None, its name) -> the overlaps.
+
+        Records the earliest time of the next touch, and the closing speed (m/s) of pairs that are one resting step
+        apart.
+        """
+        import mujoco
+
+        for m in moving:
+            self.data.qpos[m.body.joint : m.body.joint + 3] = m.position
+            self.data.qpos[m.body.joint + 3 : m.body.joint + 7] = m.orientation
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_collision(self.model, self.data)
+        found: dict[tuple[int, int | None, str], list[tuple[float, Array, Array]]] = {}
+        # pairs that are not reported are farther apart than the margin, and both may move
+        soon = MONITORED / max(2 * max(m.fastest for m in moving), 1e-6)
+        nearing = 0.0
+        contacts = self.data.contact
+        for k in range(self.data.ncon):
+            first, second = (int(g) for g in contacts.geom[k])
+            a, b = (self._owner.get(int(self.model.geom_bodyid[g])) for g in (first, second))
+            normal, distance = contacts.frame[k][:3], float(contacts.dist[k])
+            if a is None or (b is not None and b < a):
+                (a, b), first, second = (b, a), second, first
+            else:
+                normal = -normal  # MuJoCo's normals point from the first to the second
+            assert a is not None
+            fast = 2 * (moving[a].fastest + (0.0 if b is None else moving[b].fastest)) + ROOM
+            if distance > fast * max(soon, self.contact.step):  # the other bodies come first
+                continue
+            closing, most = _toward(moving[a], None if b is None else moving[b], contacts.pos[k], normal)
+            soon = min(soon, max(distance, 0.0) / most)
+            if -TOUCH <= distance < closing * self.contact.step:
+                nearing = max(nearing, closing)
+            if distance < -TOUCH:
+                name = _plain(self.model.geom(second).name)
+                found.setdefault((a, b, name), []).append((-distance, contacts.pos[k].copy(), normal.copy()))
+        pairs = {
+            pair: Points(*(np.array(column) for column in zip(*points, strict=True))) for pair, points in found.items()
+        }
+        if self.terrain is not None:
+            for a, (side, m) in enumerate(zip(self._undersides, moving, strict=False)):
+                gap, points = side.on(matrices(m.orientation), m.position)
+                soon = min(soon, gap / max(m.fastest, 1e-6))
+                if points is not None:
+                    pairs[(a, None, TERRAIN)] = points
+                elif gap < m.fastest * self.contact.step:
+                    nearing = max(nearing, m.fastest)
+        self._soon, self._nearing = soon, nearing
+        return pairs
+
+    def _push(self, a: MovingBody | Led, b: MovingBody | Led | None, points: Points) -> tuple[Array, Array, float]:
+        """Forces (n, 3) N on ``a`` and closing speeds (n,) m/s of a pair's points; and the rebound speed of a spring
+        with their combined push, m/s."""
+        c, normals = self.contact, points.normals
+        share = points.depths / points.depths.sum()
+        middle, mean = share @ points.places, share @ normals
+        length = float(np.linalg.norm(mean))
+        mean = mean / length if length > 1e-6 else normals[0]
+        mass = 1 / (a.yielding(middle, mean) + (0.0 if b is None else b.yielding(middle, mean)))
+        velocity = a.velocity(points.places) - (0.0 if b is None else b.velocity(points.places))
+        closing = -(velocity * normals).sum(axis=1)
+        stiff = c.frequency * points.depths + 2 * c.damping * closing
+        pressure = np.maximum(0.0, share * mass * c.frequency * stiff)
+        slide = velocity + closing[:, None] * normals
+        # a force that would reverse the sliding within a step only stops it
+        least = np.maximum(SLIP, c.friction * pressure * c.step / mass)
+        drag = c.friction * pressure / np.maximum(np.linalg.norm(slide, axis=1), least)
+        force = pressure[:, None] * normals - drag[:, None] * slide
+        return force, closing, float(pressure.sum() / (mass * c.frequency))
+
+    def _note(self, t: float, forces: dict[tuple[int, str], tuple[Array, Array, Array]]) -> None:
+        """Open events, and add the impulse since the last time."""
+        elapsed, self._time = max(t - self._time, 0.0), t
+        for k, events in enumerate(self._events):
+            live = {event.other: event for event in events if t - event.last < PAUSE}
+            names = {name for owner, name in forces if owner == k}
+            for name in names - set(live):
+                places, push, closing = forces[(k, name)]
+                hardest = int(np.linalg.norm(push, axis=1).argmax())
+                live[name] = Event(self.bodies[k].name, name, t, places[hardest], float(closing[hardest]), t)
+                events.append(live[name])
+            for name, event in live.items():
+                now = forces[(k, name)][1].sum(axis=0) if name in names else np.zeros(3)
+                event.impulse += elapsed / 2 * (event.force + now)
+                event.force = now
+                if name in names:
+                    event.last = t
+
+    def events(self, k: int = 0) -> list[dict[str, Any]]:
+        """The contacts of the ``k``-th vehicle, in order of time."""
+        return [event.report() for event in self._events[k]]
+
+
+class Touching(Environment):
+    """One vehicle among a world's obstacles and on its terrain."""
+
+    def __init__(self, vehicle: Any, world: Any, contact: Contact, start_time: float = 0.0) -> None:
+        self._scene = ContactScene({vehicle.name: vehicle}, world, contact, start_time)
+
+    @property
+    def next_step(self) -> float:  # type: ignore[override]
+        return self._scene.next_step
+
+    def wrench(self, t: float, state: State, controls: Array) -> Array:
+        return self._scene.wrenches(t, [state])[0]
+
+    def events(self) -> list[dict[str, Any]]:
+        return self._scene.events()
+
+
+def _toward(a: MovingBody | Led, b: MovingBody | Led | None, place: Array, normal: Array) -> tuple[float, float]:
+    """The speed at which two convex hulls close along the ``normal`` between them at a ``place``, m/s, and the greatest
+    closing speed of any of their points, with an allowance for pushes."""
+    velocity, turning, reach = a.velocity(place), a.omega, a.body.reach
+    if b is not None:
+        velocity, turning, reach = velocity - b.velocity(place), turning - b.omega, min(reach, b.body.reach)
+    closing = max(-float(velocity @ normal), 0.0)
+    return closing, closing + 2 * reach * float(np.linalg.norm(turning)) + ROOM
+
+
+def _plain(name: str) -> str:
+    """The name in "vehicle/<name>/..." or "obstacle/<name>/..."."""
+    return name.split("/")[1] if "/" in name else name

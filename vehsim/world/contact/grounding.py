@@ -1,0 +1,184 @@
+"""Where convex hulls sink into terrain, exactly. Both consist of flat pieces, so the deepest point is a corner of a
+hull, a corner of the ground, or a crossing, seen from above, of an edge of the hull and an edge of the ground.
+
+MuJoCo's own contacts of a height field are not used: their normals include those of the sides of its prisms (see
+docs/derivations.md).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+TOUCH = 1e-12
+"""Depths below this count as zero, m."""
+REACH = 1.0
+"""Ground closer than this is monitored, m."""
+ASIDE = 1e-6
+"""Distance from an edge of the ground at which its two faces are looked up, in cells."""
+
+
+@dataclass(frozen=True)
+class Points:
+    """The overlap of two bodies: ``depths`` (n,) m, ``places`` (n, 3) m, unit ``normals`` (n, 3) towards the first."""
+
+    depths: Array
+    places: Array
+    normals: Array
+
+
+NOWHERE = Points(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)))
+
+
+class Underside:
+    """Convex hulls (n, 3) m each, in a body's frame, above a ``terrain``."""
+
+    def __init__(self, hulls: list[Array], terrain: Any) -> None:
+        from scipy.spatial import ConvexHull
+
+        shapes = [ConvexHull(hull) for hull in hulls]
+        self.terrain, self.corners = terrain, np.concatenate(hulls)
+        self.planes = [np.unique(shape.equations.round(9), axis=0) for shape in shapes]
+        ends = [np.unique(np.sort(s.simplices[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)), axis=0) for s in shapes]
+        before = np.cumsum([0, *map(len, hulls[:-1])])
+        self.edges = np.concatenate([pairs + first for pairs, first in zip(ends, before, strict=True)])
+
+    def on(self, R_wb: Array, position: Array) -> tuple[float, Points | None]:
+        """A lower bound of the distance from the body to the ground, m, at most `REACH`; and the overlap."""
+        terrain = self.terrain
+        corners = self.corners @ R_wb.T + position
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        heights = terrain.heights[_window(terrain, low[:2] - REACH, high[:2] + REACH)]
+        above = float(low[2] - heights.max())
+        if above > 0:
+            return min(above, REACH), None
+        ground = terrain.height(corners[:, :2])
+        gap = max(float((corners[:, 2] - ground).min()), 0.0)
+        along = [np.abs(np.diff(heights, axis=1 - i)).max(initial=0.0) / terrain.cell[i] for i in range(2)]
+        steepest = float(np.hypot(*along))
+        ends = corners[self.edges]
+        long = np.hypot(*(ends[:, 1, :2] - ends[:, 0, :2]).T)
+        # the ground between two ends is at most as high as their mean plus a rise at the steepest slope
+        near = ends[:, :, 2].min(axis=1) - ground[self.edges].mean(axis=1) - steepest * long / 2 < gap + TOUCH
+        places, directions, lines = _crossings(terrain, ends[near])
+        depths, deep = ground - corners[:, 2], terrain.height(places[:, :2]) - places[:, 2]
+        gap = -float(max(depths.max(), deep.max(initial=-np.inf)))
+        under, below = depths > TOUCH, deep > TOUCH
+        found = [NOWHERE]
+        if under.any():
+            found.append(_from_faces(terrain, corners[under]))
+        if below.any():
+            found.append(_from_edges(terrain, places[below], directions[below], lines[below], deep[below]))
+        peaks = _peaks(terrain, low - max(gap, 0.0), high)
+        local = (peaks - position) @ R_wb
+        for planes in self.planes:
+            outside = local @ planes[:, :3].T + planes[:, 3]
+            face = outside.argmax(axis=1)
+            far = outside.max(axis=1, initial=-np.inf)
+            gap = min(gap, float(far.min(initial=np.inf)))
+            inside = far < -TOUCH
+            found.append(Points(-far[inside], peaks[inside], -planes[face[inside], :3] @ R_wb.T))
+        joined = Points(*(np.concatenate([getattr(f, k) for f in found]) for k in ("depths", "places", "normals")))
+        if len(joined.depths):
+            return 0.0, joined
+        return min(max(gap, 0.0) / float(np.hypot(1.0, steepest)), REACH), None  # a neighbouring face may be closer
+
+
+def _window(terrain: Any, low: Array, high: Array) -> tuple[slice, slice]:
+    """Rows and columns of all cells between ``low`` and ``high`` (2,) m; beyond the borders, the closest cells."""
+    cell, origin = np.asarray(terrain.cell), np.asarray(terrain.origin)
+    last = np.array(terrain.heights.shape[::-1]) - 1
+    first = np.clip(np.floor((low - origin) / cell), 0, last).astype(int)
+    end = np.clip(np.ceil((high - origin) / cell), 0, last).astype(int) + 1
+    return slice(first[1], end[1]), slice(first[0], end[0])
+
+
+def _peaks(terrain: Any, low: Array, high: Array) -> Array:
+    """Corners (n, 3) of the ground approximately between ``low`` and ``high`` (3,) m."""
+    rows, cols = _window(terrain, low[:2], high[:2])
+    heights = terrain.heights[rows, cols]
+    row, col = np.nonzero((heights > low[2]) & (heights < high[2]))
+    x, y = (terrain.origin[i] + terrain.cell[i] * k for i, k in enumerate((col + cols.start, row + rows.start)))
+    return np.column_stack([x, y, heights[row, col]])
+
+
+def _crossings(terrain: Any, edges: Array) -> tuple[Array, Array, Array]:
+    """Points (n, 3) on ``edges`` (e, 2, 3) above edges of the ground, which run along X, along Y and across cells; the
+    directions (n, 3) of the former and, seen from above, of the latter (n, 2)."""
+    grid = (edges[:, :, :2] - np.asarray(terrain.origin)) / np.asarray(terrain.cell)
+    x, y = grid[:, :, 0], grid[:, :, 1]
+    found = [(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 2)))]
+    for lines, direction in ((x, (0, 1)), (y, (1, 0)), (x - y, terrain.cell)):
+        low, high = lines.min(axis=1), lines.max(axis=1)
+        counts = np.where(low < high, np.maximum(np.floor(high) - np.ceil(low) + 1, 0), 0).astype(int)
+        edge = np.repeat(np.arange(len(edges)), counts)
+        number = np.ceil(low)[edge] + np.arange(len(edge)) - np.repeat(np.cumsum(counts) - counts, counts)
+        start, end = lines[edge].T
+        along = edges[edge, 1] - edges[edge, 0]
+        places = edges[edge, 0] + ((number - start) / (end - start))[:, None] * along
+        found.append((places, along, np.tile(np.asarray(direction) / np.hypot(*direction), (len(edge), 1))))
+    return tuple(np.concatenate(column) for column in zip(*found, strict=True))  # type: ignore[return-value]
+
+
+def _from_faces(terrain: Any, corners: Array) -> Points:
+    """Depths of ``corners`` (n, 3) in the ground: below the face above them, or below an adjacent face across a convex
+    edge if that is closer."""
+    row, col, right = _cells(terrain, corners[:, :2])
+    side, n = np.where(right, 1, -1), len(corners)
+    rows, cols = (np.concatenate(k) for k in ((row, row, row - side, row), (col, col, col, col + side)))
+    sides, xy = np.concatenate([right, *3 * [~right]]), np.tile(corners[:, :2], (4, 1))
+    gradients, heights = _plane(terrain, rows, cols, sides, xy)
+    normals, heights = _upward(gradients).reshape(4, n, 3), heights.reshape(4, n)
+    depths = np.where(heights >= heights[0], (heights - corners[:, 2]) * normals[:, :, 2], np.inf)
+    nearest = depths.argmin(axis=0), np.arange(n)
+    return Points(depths[nearest], corners, normals[nearest])
+
+
+def _from_edges(terrain: Any, places: Array, directions: Array, lines: Array, below: Array) -> Points:
+    """Depths of edges of a hull with directions ``directions`` (n, 3) under edges of the ground with directions
+    ``lines`` (n, 2), by ``below`` (n,) m: perpendicular to both, and no steeper than the ground on either side."""
+    across = lines[:, ::-1] * [1, -1]
+    aside = ASIDE * min(terrain.cell) * across
+    beside = np.concatenate([places[:, :2] - aside, places[:, :2] + aside])
+    sides = _plane(terrain, *_cells(terrain, beside), beside)[0].reshape(2, -1, 2)
+    along = (sides[0] * lines).sum(axis=1)
+    slopes = [(gradient * across).sum(axis=1) for gradient in sides]
+    slope = (directions[:, 2] - along * (directions[:, :2] * lines).sum(axis=1)) / (directions[:, :2] * across).sum(
+        axis=1
+    )
+    slope = np.clip(slope, np.minimum(*slopes), np.maximum(*slopes))
+    normals = _upward(along[:, None] * lines + slope[:, None] * across)
+    return Points(below * normals[:, 2], places, normals)
+
+
+def _cells(terrain: Any, xy: Array) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
+    """Row, column and triangle (the right or the left one), (n,) each, of the ground at ``xy`` (n, 2)."""
+    most = np.array(terrain.heights.shape[::-1]) - 2
+    grid = (xy - np.asarray(terrain.origin)) / np.asarray(terrain.cell)
+    first = np.clip(np.floor(grid), 0, most).astype(int)
+    u, v = (grid - first).T
+    return first[:, 1], first[:, 0], u >= v
+
+
+def _plane(terrain: Any, row: Any, col: Any, right: Any, xy: Array) -> tuple[Array, Array]:
+    """Gradient (n, 2) of triangles, and height (n,) m of their planes at ``xy`` (n, 2); level beyond the borders."""
+    heights, origin, cell = terrain.heights, np.asarray(terrain.origin), np.asarray(terrain.cell)
+    last = np.array(heights.shape[::-1]) - 1
+    row, col = np.clip(row, 0, last[1] - 1), np.clip(col, 0, last[0] - 1)
+    a, b, c, d = (heights[row + i, col + k] for i in (0, 1) for k in (0, 1))
+    rise = np.stack([np.where(right, b - a, d - c), np.where(right, d - b, c - a)], axis=1)
+    grid = (xy - origin) / cell
+    inside = np.clip(grid, 0, last)
+    height = a + (rise * (inside - np.stack([col, row], axis=1))).sum(axis=1)
+    return np.where(grid == inside, rise / cell, 0.0), height
+
+
+def _upward(gradients: Array) -> Array:
+    """Unit normals (n, 3) of slopes (n, 2)."""
+    up = np.column_stack([-gradients, np.ones(len(gradients))])
+    return np.asarray(up / np.linalg.norm(up, axis=1, keepdims=True))

@@ -1,0 +1,104 @@
+"""Exact distances between a vehicle's convex hulls and obstacles, standing and moving, by MuJoCo.
+
+`scene.py` measures the distance to terrain. The optimiser uses the smooth field of `field.py` instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.rig.parts import add_to_spec
+from vehsim.rig.rig import Rig
+from vehsim.world.obstacles.obstacles import Moving, Obstacle
+
+Array = NDArray[np.float64]
+
+POINT = 1e-6
+"""Radius of the ball that represents a vehicle without an asset, m."""
+
+
+class ObstacleScene:
+    """One vehicle's hulls and a world's obstacles in a MuJoCo model, for distance queries."""
+
+    def __init__(self, rig: Rig | None, obstacles: Sequence[Obstacle | Moving]) -> None:
+        import mujoco
+
+        spec = mujoco.MjSpec()
+        self.obstacles = list(obstacles)
+        bodies = [_add_point(spec) if rig is None else add_to_spec(spec, rig, "vehicle")]
+        for k, obstacle in enumerate(self.obstacles):
+            body = spec.worldbody.add_body(name=f"obstacle/{k}")
+            if isinstance(obstacle, Moving):
+                body.add_freejoint()
+            for n, hull in enumerate(obstacle.hulls):
+                mesh = f"obstacle/{k}/{n}"
+                spec.add_mesh(name=mesh, uservert=np.ravel(hull), inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX)
+                body.add_geom(name=mesh, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh)
+            bodies.append(body)
+        geoms = [[geom.name for geom in body.geoms] for body in bodies]
+        names = [body.name for body in bodies]
+        self.model = spec.compile()
+        self.data = mujoco.MjData(self.model)
+        self._own, *self._theirs = [[self.model.geom(name).id for name in group] for group in geoms]
+        joints = [int(self.model.body_jntadr[self.model.body(name).id]) for name in names]
+        self._places = [int(self.model.jnt_qposadr[joint]) if joint >= 0 else -1 for joint in joints]
+
+    def clearance(
+        self, positions: Array, orientations: Array, seconds: Array | None = None, each: bool = False
+    ) -> Array:
+        """Signed distances m at rig-root poses (n, 3) m, (n, 4) w, x, y, z: (n, 1) to the nearest, or to ``each``.
+
+        ``seconds`` (n,) since frame 0; without them, moving obstacles are ignored. Negative: the depth of the overlap.
+        """
+        moving = {k: o for k, o in enumerate(self.obstacles) if isinstance(o, Moving)}
+        shown = [k for k in range(len(self.obstacles)) if k not in moving or seconds is not None]
+        poses = {} if seconds is None else {k: o.poses_at(seconds) for k, o in moving.items()}
+        groups = [self._theirs[k] for k in shown] if each else [[geom for k in shown for geom in self._theirs[k]]]
+        columns = shown if each else [0]
+        result = np.full((len(positions), len(self.obstacles) if each else 1), np.inf)
+        for n, (position, orientation) in enumerate(zip(positions, orientations, strict=True)):
+            self._place(0, position, orientation)
+            for k, (there, turned) in poses.items():
+                self._place(k + 1, there[n], turned[n])
+            self._update()
+            result[n, columns] = [self._nearest(group) for group in groups]
+        return result
+
+    def _nearest(self, others: Sequence[int]) -> float:
+        """Smallest signed distance of the vehicle's geoms to ``others`` in their current poses, m."""
+        import mujoco
+
+        best, centres, radii = np.inf, self.data.geom_xpos, self.model.geom_rbound
+        apart = np.linalg.norm(centres[self._own][:, None] - centres[others][None], axis=2)
+        least = apart - radii[self._own][:, None] - radii[others][None]
+        for pair in np.argsort(least, axis=None):
+            i, j = np.unravel_index(pair, least.shape)
+            if least[i, j] >= best:
+                break
+            cap = min(best, float(apart[i, j]) + 1.0)  # the centres lie within the bounds of their hulls
+            found = mujoco.mj_geomDistance(self.model, self.data, self._own[i], others[j], cap, None)
+            best = min(best, found) if found < cap else best
+        return float(best)
+
+    def _place(self, body: int, position: Any, orientation: Any) -> None:
+        at = self._places[body]
+        self.data.qpos[at : at + 3], self.data.qpos[at + 3 : at + 7] = position, orientation
+
+    def _update(self) -> None:
+        import mujoco
+
+        mujoco.mj_kinematics(self.model, self.data)
+
+
+def _add_point(spec: Any) -> Any:
+    """The position of a vehicle without an asset: its root."""
+    import mujoco
+
+    body = spec.worldbody.add_body(name="vehicle", mass=1.0, inertia=[1.0, 1.0, 1.0], explicitinertial=True)
+    body.add_freejoint()
+    body.add_geom(name="vehicle", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[POINT, 0, 0])
+    return body

@@ -1,0 +1,192 @@
+"""The MuJoCo model of a terrain and a vehicle's hulls, and the exact distance between them.
+
+This module knows MuJoCo's models, poses and geometric queries.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from vehsim.errors import InputError, SolveError
+from vehsim.lie.quaternions import matrices
+from vehsim.rig.parts import add_to_spec
+from vehsim.rig.rig import Rig
+from vehsim.world.terrain.terrain import Terrain
+
+Array = NDArray[np.float64]
+
+BASE = 50.0
+"""Thickness of the rock below the lowest height in MuJoCo's model, m."""
+SLACK = 1e-9
+"""Results within this distance of the cap confirm it, m."""
+CAP_SLACK = 1e-3
+"""Added to an expected distance to make a cap, m, so that a result below it is certain."""
+TOUCHING = 1e-9
+"""Reported depth of a pose that only touches the rock, m."""
+
+
+def add_terrain(spec: Any, terrain: Terrain, name: str = "terrain") -> Any:
+    """Add ``terrain`` to a ``mujoco.MjSpec`` as a height field; returns its geom.
+
+    The compiler rescales elevations and loses their unit: call `write_heights` on the compiled model.
+    """
+    import mujoco
+
+    rows, cols = terrain.heights.shape
+    lower, upper = terrain.lower, terrain.upper
+    half = 0.5 * (upper - lower)[:2]
+    relief = max(upper[2] - lower[2], 1e-3)
+    spec.add_hfield(name=name, size=[*half, relief, BASE], nrow=rows, ncol=cols, userdata=np.zeros(rows * cols))
+    centre = [*(lower[:2] + half), lower[2]]
+    return spec.worldbody.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname=name, pos=centre)
+
+
+def write_heights(model: Any, terrain: Terrain, name: str = "terrain") -> None:
+    """Write the heights of ``terrain`` into the compiled ``model``."""
+    field = model.hfield(name)
+    start, size = int(model.hfield_adr[field.id]), terrain.heights.size
+    relief = float(model.hfield_size[field.id, 2])
+    model.hfield_data[start : start + size] = ((terrain.heights - terrain.heights.min()) / relief).ravel()
+
+
+class Scene:
+    """A terrain and one vehicle's hulls in a MuJoCo model, for distance queries."""
+
+    def __init__(self, terrain: Terrain, rig: Rig) -> None:
+        import igl
+        import mujoco
+
+        spec = mujoco.MjSpec()
+        add_terrain(spec, terrain)
+        body = add_to_spec(spec, rig, "vehicle")
+        geoms, name = [geom.name for geom in body.geoms], body.name
+        self.terrain = terrain
+        self.model = spec.compile()
+        write_heights(self.model, terrain)
+        self.data = mujoco.MjData(self.model)
+        self._ground, self._body = self.model.geom("terrain").id, self.model.body(name).id
+        self._hulls = [self.model.geom(name).id for name in geoms]
+        # With the body at the origin, a geom's pose is its pose in the rig root's frame.
+        self._place(np.zeros(3), np.array([1.0, 0, 0, 0]))
+        self._corners = [self._vertices(hull) for hull in self._hulls]
+        self._centres = np.array([0.5 * (c.min(axis=0) + c.max(axis=0)) for c in self._corners])
+        self._radii = np.array(
+            [np.linalg.norm(c - m, axis=1).max() for c, m in zip(self._corners, self._centres, strict=True)]
+        )
+        self._reach = max(float(np.linalg.norm(c, axis=1).max()) for c in self._corners)
+        self._mesh = (np.ascontiguousarray(terrain.vertices), np.ascontiguousarray(terrain.faces))
+        self._tree = igl.AABB()
+        self._tree.init(*self._mesh)
+
+    def clearance(self, positions: ArrayLike, orientations: ArrayLike) -> Array:
+        """Signed distance (n,) m from the hulls to the terrain at rig-root poses (n, 3) m, (n, 4) w, x, y, z.
+
+        Exact in the air. A pose that touches the rock gives minus its depth, measured vertically at the hulls' corners.
+        Beyond the borders the ground continues level, and the result is at most the height above it.
+        """
+        positions, orientations = _poses(positions, orientations)
+        bounds = self._centre_distances(positions, orientations)
+        result = np.empty(len(positions))
+        for k, (position, orientation) in enumerate(zip(positions, orientations, strict=True)):
+            expected = np.inf  # at most the distance of the previous pose, plus the greatest displacement since
+            if k:
+                moved = self._motion(positions[k - 1 : k + 1], orientations[k - 1 : k + 1])
+                expected = max(result[k - 1], 0.0) + moved
+            self._place(position, orientation)
+            result[k] = self._nearest(bounds[k], expected)
+            if result[k] > 0 and self._beyond(position):
+                result[k] = min(result[k], self._gap())
+        return result
+
+    def _nearest(self, centre_distances: Array, expected: float) -> float:
+        """Signed distance of the placed hulls, m, given the distances of their centres and the ``expected`` distance,
+        m."""
+        if centre_distances.min() <= 0:
+            return min(-TOUCHING, self._gap())
+        sure = float(centre_distances.min()) + CAP_SLACK  # a hull is at most as far away as its centre
+        for cap in (min(expected + CAP_SLACK, sure), sure):
+            best = cap
+            # A hull is at least as far away as its centre minus its radius: check near hulls first, far ones never.
+            lower = centre_distances - self._radii
+            for k in np.argsort(lower):
+                if lower[k] >= best:
+                    break
+                best = self._shrink(self._hulls[k], best)
+                if best <= 0:
+                    return min(-TOUCHING, self._gap())
+            if best < cap:
+                return best
+        raise SolveError("MuJoCo and the terrain's triangles disagree", "please report this terrain", key="clearance")
+
+    def _shrink(self, hull: int, cap: float) -> float:
+        """The distance of ``hull`` if it is below ``cap``, else ``cap``, m.
+
+        `mj_geomDistance` checks at most 50 cells of a height field, in scan order: a large cap hides the nearest ones.
+        A result below the cap is a true distance to some cell, so it is the cap of the next query; a result equal to
+        the cap proves that no cell is nearer, and is exact.
+        """
+        import mujoco
+
+        while True:
+            answer = mujoco.mj_geomDistance(self.model, self.data, hull, self._ground, cap, None)
+            if answer <= 0 or answer >= cap - SLACK:
+                return float(min(answer, cap))
+            cap = answer
+
+    def _gap(self) -> float:
+        """The smallest height of the placed hulls' corners above the surface, m; negative if one lies below it."""
+        corners = np.concatenate(self._corners) @ self.data.xmat[self._body].reshape(3, 3).T
+        corners += self.data.xpos[self._body]
+        return float((corners[:, 2] - self.terrain.height(corners[:, :2])).min())
+
+    def _centre_distances(self, positions: Array, orientations: Array) -> Array:
+        """Signed distance (n, hulls) m of every hull's centre from the surface."""
+        rotation = matrices(np.asarray(orientations, float))
+        centres = positions[:, None] + np.einsum("nij,hj->nhi", rotation, self._centres)
+        points = np.ascontiguousarray(centres.reshape(-1, 3))
+        squared, _, _ = self._tree.squared_distance(*self._mesh, points)
+        above = points[:, 2] > self.terrain.height(points[:, :2])
+        return np.asarray((np.where(above, 1, -1) * np.sqrt(squared)).reshape(centres.shape[:2]))
+
+    def _beyond(self, position: Array) -> bool:
+        """Whether hulls at ``position`` may reach beyond the terrain's borders."""
+        low, high = self.terrain.lower[:2] + self._reach, self.terrain.upper[:2] - self._reach
+        return bool((position[:2] < low).any() or (position[:2] > high).any())
+
+    def _motion(self, positions: Array, orientations: Array) -> float:
+        """An upper bound of the displacement of any point of the hulls between two poses, m."""
+        turn = 2 * np.arccos(min(1.0, abs(float(orientations[0] @ orientations[1]))))
+        return float(np.linalg.norm(positions[1] - positions[0]) + turn * self._reach)
+
+    def _place(self, position: Array, orientation: Array) -> None:
+        import mujoco
+
+        self.data.qpos[:3], self.data.qpos[3:7] = position, orientation
+        mujoco.mj_kinematics(self.model, self.data)
+
+    def _vertices(self, geom: int) -> Array:
+        """The vertices (n, 3) m of a mesh geom in its current pose."""
+        mesh = self.model.geom_dataid[geom]
+        start, count = self.model.mesh_vertadr[mesh], self.model.mesh_vertnum[mesh]
+        points = self.model.mesh_vert[start : start + count].astype(float)
+        return np.asarray(points @ self.data.geom_xmat[geom].reshape(3, 3).T + self.data.geom_xpos[geom])
+
+
+def _poses(positions: ArrayLike, orientations: ArrayLike) -> tuple[Array, Array]:
+    """Positions (n, 3) and unit quaternions (n, 4). Raises ``InputError``."""
+    points, quaternions = np.atleast_2d(np.asarray(positions, float)), np.atleast_2d(np.asarray(orientations, float))
+    wanted = {"positions": (points, 3, "x, y, z in metres"), "orientations": (quaternions, 4, "w, x, y, z")}
+    for key, (array, width, remedy) in wanted.items():
+        if array.ndim != 2 or array.shape != (len(points), width):
+            raise InputError("has the wrong shape", f"give one row of {remedy} per pose", key=key, value=array.shape)
+        if not np.isfinite(array).all():
+            row = int(np.argwhere(~np.isfinite(array))[0, 0])
+            raise InputError("not finite", f"give {remedy}", key=f"{key}[{row}]", value=array[row].tolist())
+    norm = np.linalg.norm(quaternions, axis=1, keepdims=True)
+    if (norm < 1e-9).any():
+        row = int(np.argmin(norm))
+        raise InputError("no rotation", "give a unit quaternion w, x, y, z", key=f"orientations[{row}]")
+    return points, quaternions / norm

@@ -1,0 +1,94 @@
+"""The articulated part of a footprint: what turns out of it as the vehicle moves, such as trailers, seen from above."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.runtime.cache import Stamp
+from vehsim.world.obstacles.obstacles import asset_of, footprint, seen_from_above
+from vehsim.world.obstacles.plane import distance
+
+Array = NDArray[np.float64]
+
+ASIDE = 0.3
+"""A part that leaves the footprint by less than this, m, when it turns by a radian, counts in its rest pose: a steered
+wheel. A part that leaves it farther is measured in its actual pose: a trailer."""
+
+
+@dataclass(frozen=True)
+class ArticulatedPart:
+    """A part that turns about vertical pivots as the vehicle moves, such as a trailer, seen from above.
+
+    ``outline`` (k, 2) m at rest, convex, ``bottom`` and ``top`` m; ``pivots``: channel, factor and place (2,) m,
+    parents before children. All in the rig root's frame.
+    """
+
+    outline: Array
+    bottom: float
+    top: float
+    pivots: tuple[tuple[str, float, Array], ...]
+
+    @property
+    def reach(self) -> float:
+        """Upper bound of the distance of any of its points from any of its pivots, m, in all poses of the others."""
+        places = np.array([place for _, _, place in self.pivots])
+        last = float(np.linalg.norm(self.outline - places[-1], axis=1).max())
+        return last + float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
+
+    def at(self, channels: Mapping[str, Array]) -> Array:
+        """Outlines (n, k, 2) m in the root's frame for values (n,) of the channels, rad."""
+        found = self.outline[None]
+        for channel, factor, place in reversed(self.pivots):
+            angle = factor * np.asarray(channels[channel], float)
+            c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
+            x, y = (found - place)[..., 0], (found - place)[..., 1]
+            found = np.stack([c * x - s * y, s * x + c * y], axis=-1) + place
+        return found
+
+
+def articulated_footprint(vehicle: Any) -> tuple[ArticulatedPart, ...]:
+    """The parts that a vehicle's channels turn about vertical axes by more than `ASIDE` out of its footprint; none
+    without an asset."""
+    if vehicle.rig is None:
+        return ()
+    drives = tuple(
+        (drive.prim, channel, drive.factor, drive.pivot if isinstance(drive.pivot, tuple) else None)
+        for channel, drive in vehicle.rig.drives.items()
+        if drive.op == "rotateZ" and channel in vehicle.channels
+    )
+    return _read_articulated(*asset_of(vehicle), drives, footprint(vehicle).tobytes())
+
+
+@lru_cache(maxsize=32)
+def _read_articulated(
+    asset: Path, root: str | None, written: Stamp, drives: Any, outline: bytes
+) -> tuple[ArticulatedPart, ...]:
+    from vehsim.rig.parts import solids
+
+    whole = np.frombuffer(outline).reshape(-1, 2)
+    parts = {solid.path: solid for solid in solids(asset, root)} if drives else {}
+    groups: dict[Any, list[Array]] = {}
+    for part in parts.values():
+        chain = [
+            (channel, factor * parts[prim].T_rp[2, 2], tuple((pivot or parts[prim].T_rp[:3, 3])[:2]))
+            for prim, channel, factor, pivot in sorted(drives)
+            if prim in parts and (part.path + "/").startswith(prim + "/") and abs(parts[prim].T_rp[2, 2]) > 0.999
+        ]
+        if chain and part.hulls:
+            groups.setdefault(tuple(chain), []).append(np.vstack(part.hulls))
+    made = []
+    for chain, bodies in groups.items():
+        points = np.vstack(bodies)
+        pivots = tuple((name, float(factor), np.array(place)) for name, factor, place in chain)
+        moved = ArticulatedPart(seen_from_above(points), float(points[:, 2].min()), float(points[:, 2].max()), pivots)
+        turned = moved.at({name: np.array([-1.0, 1.0]) for name, _, _ in pivots}).reshape(-1, 1, 2)
+        if distance(turned, whole).max() > ASIDE:
+            made.append(moved)
+    return tuple(made)

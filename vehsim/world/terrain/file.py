@@ -1,0 +1,43 @@
+"""The keys of a ``terrain.toml``, and of the TOML file beside a height map, as a strict table."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from annotated_types import Len
+from pydantic import Discriminator, Field, Tag
+
+from vehsim.intake.tables import Array, Number, Positive, Table, Text
+
+Pair = Annotated[list[Number], Array, Len(2, 2)]
+Cell = Annotated[
+    Annotated[Positive, Tag("one")] | Annotated[list[Positive], Array, Len(2, 2), Tag("two")],
+    Discriminator(lambda value: "two" if isinstance(value, list | tuple) else "one"),
+    Field(description="the spacing of the heights in m, above zero: a number, or [x, y]"),
+]
+
+
+class TerrainFile(Table):
+    """A ``terrain.toml``, or the TOML file beside a height map."""
+
+    version: Annotated[int, Field(alias="schema", ge=1, le=1)] = 1
+    """1, the version of this file format"""
+    name: Text | None = None
+    """a name"""
+    heights: Text | None = None
+    """a mesh or height map, relative to this file, such as "heights.npz\""""
+    look: Text | None = None
+    """a USD file that is drawn, relative to this file"""
+    cell: Cell | None = None
+    """the spacing of the heights in m, above zero: a number, or [x, y]"""
+    origin: Pair | None = None
+    """[x, y] of the first height, in m"""
+    range: Pair | None = None
+    """[low, high]: the heights of black and white in a picture, in m"""
+
+
+class TerrainFolder(TerrainFile):
+    """A ``terrain.toml``, which has to name its heights."""
+
+    heights: Text
+    """a mesh or height map, relative to this file, such as "heights.npz\""""

@@ -1,0 +1,131 @@
+"""Terrain: heights on a grid, and the triangles on which MuJoCo, USD and the distance field agree.
+
+This module holds the surface itself: its vertices, its faces, its height anywhere. `reading.py` reads files.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from vehsim.errors import InputError
+
+Array = NDArray[np.float64]
+
+MAX_POINTS = 4_000_000
+"""Largest permitted number of heights."""
+MAX_HEIGHT = 20_000.0
+"""Largest plausible magnitude of a height, m: beyond it, a file has other units or no-data values."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeightGrid:
+    """A height field: ``heights`` (rows, cols) m, row = +Y, column = +X.
+
+    ``origin`` (x, y) of ``heights[0, 0]`` and ``cell`` (dx, dy), m. ``look``: a USD file with the mesh, material and
+    texture of this terrain, or None. Each cell is split along (r, c)-(r+1, c+1), as in MuJoCo.
+    """
+
+    name: str
+    heights: Array
+    origin: tuple[float, float] = (0.0, 0.0)
+    cell: tuple[float, float] = (1.0, 1.0)
+    look: Path | None = None
+
+    def __post_init__(self) -> None:
+        heights = np.array(self.heights, dtype=np.float64)  # our own read-only copy, so that caches stay valid
+        heights.flags.writeable = False
+        object.__setattr__(self, "heights", heights)
+        object.__setattr__(self, "origin", (float(self.origin[0]), float(self.origin[1])))
+        object.__setattr__(self, "cell", (float(self.cell[0]), float(self.cell[1])))
+        _check(self)
+
+    @property
+    def lower(self) -> Array:
+        """(3,) m: the smallest x, y and height."""
+        return np.array([*self.origin, self.heights.min()])
+
+    @property
+    def upper(self) -> Array:
+        """(3,) m: the largest x, y and height."""
+        rows, cols = self.heights.shape
+        x, y = self.origin[0] + self.cell[0] * (cols - 1), self.origin[1] + self.cell[1] * (rows - 1)
+        return np.array([x, y, self.heights.max()])
+
+    @cached_property
+    def vertices(self) -> Array:
+        """Vertices (n, 3) m, row after row."""
+        rows, cols = self.heights.shape
+        x = self.origin[0] + self.cell[0] * np.arange(cols)
+        y = self.origin[1] + self.cell[1] * np.arange(rows)
+        grid = np.broadcast_arrays(x[None, :], y[:, None], self.heights)
+        return np.stack(grid, axis=-1).reshape(-1, 3)
+
+    @cached_property
+    def faces(self) -> NDArray[np.int64]:
+        """(m, 3) vertex indices, counter-clockwise from above; two faces per cell."""
+        rows, cols = self.heights.shape
+        index = np.arange(rows * cols).reshape(rows, cols)
+        a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
+        return np.stack([a, b, d, a, d, c], axis=-1).reshape(-1, 3)
+
+    def height(self, xy: ArrayLike) -> Array:
+        """Height (n,) m of the surface at ``xy`` (n, 2) m; beyond the borders, that of the closest border point."""
+        xy = np.asarray(xy, dtype=float).reshape(-1, 2)
+        rows, cols = self.heights.shape
+        u = np.clip((xy[:, 0] - self.origin[0]) / self.cell[0], 0, cols - 1)
+        v = np.clip((xy[:, 1] - self.origin[1]) / self.cell[1], 0, rows - 1)
+        col, row = np.minimum(u.astype(int), cols - 2), np.minimum(v.astype(int), rows - 2)
+        u, v = u - col, v - row
+        a, b = self.heights[row, col], self.heights[row, col + 1]
+        c, d = self.heights[row + 1, col], self.heights[row + 1, col + 1]
+        return np.asarray(a + np.where(u >= v, u * (b - a) + v * (d - b), v * (c - a) + u * (d - c)))
+
+    def beyond(self, place: ArrayLike) -> str:
+        """The border, such as ``"x = 291.8"``, on the side of a ``place`` (x, y, ...) m outside; empty inside.
+
+        Beyond its borders the ground continues level, at the height of the closest border point, and is not drawn.
+        """
+        for axis, value in zip("xy", np.asarray(place, float)[:2], strict=True):
+            low, high = self.lower["xy".index(axis)], self.upper["xy".index(axis)]
+            if not low <= value <= high:
+                return f"{axis} = {low if value < low else high:g}"
+        return ""
+
+    @cached_property
+    def content_hash(self) -> str:
+        """A hash of the surface: the same heights at the same place have the same hash."""
+        digest = hashlib.sha256(repr((self.heights.shape, self.origin, self.cell)).encode())
+        digest.update(self.heights.tobytes())
+        return digest.hexdigest()
+
+
+def _check(terrain: HeightGrid) -> None:
+    """Raise ``InputError`` for heights that cannot be a terrain."""
+
+    def refuse(key: str, message: str, remedy: str, value: object = None) -> None:
+        raise InputError(message, remedy, key=key, value=value, file=terrain.name)
+
+    heights = terrain.heights
+    if heights.ndim != 2 or min(heights.shape) < 2:
+        refuse("heights", "not a grid of at least 2 x 2", "give one height per (row, column)", heights.shape)
+    if heights.size > MAX_POINTS:
+        refuse("heights", f"more than {MAX_POINTS:,} points", "crop or resample it", heights.shape)
+    bad = np.argwhere(~np.isfinite(heights))
+    if len(bad):
+        row, col = bad[0]
+        remedy = "fill the holes before loading"
+        refuse(f"heights[{row}, {col}]", f"{len(bad)} not finite", remedy, float(heights[row, col]))
+    if np.abs(heights).max() > MAX_HEIGHT:
+        row, col = np.unravel_index(np.abs(heights).argmax(), heights.shape)
+        remedy = "heights are metres; replace no-data values"
+        refuse(f"heights[{row}, {col}]", f"beyond {MAX_HEIGHT:g} m", remedy, float(heights[row, col]))
+    if not (np.isfinite(terrain.cell).all() and min(terrain.cell) >= 1e-3 and max(terrain.cell) <= 1e4):
+        refuse("cell", "not between 0.001 and 10000 m", "give the spacing of the heights in metres", terrain.cell)
+    if not np.isfinite(terrain.origin).all():
+        refuse("origin", "not finite", "give x and y of heights[0, 0] in metres", terrain.origin)

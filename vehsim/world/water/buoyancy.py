@@ -1,0 +1,355 @@
+"""The effect of water on a hull: buoyancy by exact integration over the wetted surface, and the resistance of LIE eq.
+16.
+
+`Afloat` is the `Environment` of one vehicle: pressure under the local surface, so that waves push and boats surf;
+resistance of every wetted patch with the local velocity through the water; slamming, added mass, propulsors and wind.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.errors import InputError
+from vehsim.integrators.environment import Environment
+from vehsim.lie.quaternions import cross, matrices
+from vehsim.vehicles.definition.base import State
+from vehsim.world.water.height_field import MOST, WaterField
+from vehsim.world.water.hull_mesh import HullMesh, Wetted, read_hull, wetted
+from vehsim.world.water.water import GRAVITY, Water
+
+if TYPE_CHECKING:
+    from vehsim.vehicles.definition.hydrodynamics import Hull
+
+Array = NDArray[np.float64]
+
+BEND = 1 / 5000
+"""Error of the surface by Simpson's rule along an edge, as a share of the hull's mean draft, in waves as long as the
+hull or longer. For shorter waves it may be larger, because it averages out along the hull."""
+FINEST = 1 / 16
+"""Edges need not be shorter than this share of the shortest wave; none is longer than that wave."""
+COARSEST = 1 / 2
+"""No edge is longer than this share of the hull's length, because the resistance varies along it when the hull
+turns."""
+FIELD = 1 / 1500
+"""Mean deviation of a cell of the water's height field from the surface, as a share of the hull's mean draft, in waves
+as long as the hull or longer; larger in shorter ones, because it averages out."""
+INSTANT = 1e-3
+"""Time difference for the water's acceleration, s."""
+
+
+class Weather(Protocol):
+    """The water and wind of a world."""
+
+    water: Water | None
+
+    def wind_at(self, t: float) -> Array:
+        """Wind (3,) m/s, world axes, ``t`` s since the first frame."""
+
+
+@dataclass(eq=False)
+class Afloat(Environment):
+    """One vehicle in a world's water. Raises ``InputError`` if its hull is not valid."""
+
+    vehicle: Any
+    world: Weather
+    _last: tuple[State, Forces] | None = None
+
+    @property
+    def data(self) -> Hull:
+        return self.vehicle.hull
+
+    @property
+    def water(self) -> Water:
+        water = self.world.water
+        assert water is not None
+        return water
+
+    @cached_property
+    def hull(self) -> HullMesh:
+        """The hull as given, relative to the body frame's origin."""
+        hull, rig = self.data, self.vehicle.rig
+        if hull.points is not None:
+            mesh = HullMesh(hull.points, hull.faces, f"{self.vehicle.name}: hull")
+        elif hull.prim and rig is not None:
+            mesh = read_hull(rig.asset, rig.root, hull.prim)
+        else:
+            raise InputError("missing", "name a closed mesh of its asset", key="hull", subject=self.vehicle.name)
+        return mesh.shifted(self.vehicle.origin)
+
+    @cached_property
+    def size(self) -> Array:
+        """Size of the box around the hull (3,) m, along the body's axes."""
+        return np.asarray(np.ptp(self.hull.points, axis=0))
+
+    @property
+    def draft(self) -> float:
+        """Mean draft: the volume at rest divided by the area of that box from above, m."""
+        return self.rest_volume / float(self.size[0] * self.size[1])
+
+    @cached_property
+    def mesh(self) -> HullMesh:
+        """The hull with edges fine enough for the water."""
+        length, wave = float(self.size.max()), self.water.shortest
+        if self.water.flat:
+            return self.hull.refined(COARSEST * length)
+        miss = BEND * self.draft * max(1.0, length / wave) ** 2
+        fourth = self.water.curvature * (2 * np.pi / wave) ** 2  # derivative of the height
+        edge = (2880 * miss / max(fourth, 1e-12)) ** 0.25
+        return self.hull.refined(min(COARSEST * length, float(np.clip(edge, FINEST * wave, wave))))
+
+    @cached_property
+    def field(self) -> WaterField | None:
+        """The height field in MuJoCo for the water over the hull; None: the surface's formula is used."""
+        cell, samples = self.samples
+        return WaterField(self.water, cell, samples) if samples else None
+
+    @property
+    def samples(self) -> tuple[float, int]:
+        """Cell (m) and samples per side of that field; 0 samples: no field. Raises ``InputError``."""
+        cell, water = self.water.height_field, self.water
+        if cell == 0:
+            return 0.0, 0
+        corners = np.concatenate([self.mesh.points, self.data.propulsor_points, np.zeros((1, 3))])
+        reach = 2 * float(np.sqrt((corners**2).sum(axis=1).max()))
+        if cell is None:
+            miss = FIELD * self.draft * max(1.0, float(self.size.max()) / water.shortest)
+            bend = np.sqrt(12 * miss / max(water.curvature, 1e-12))
+            cell = max(min(bend, water.shortest / 8, reach / 2), reach / (MOST - 6))
+        if water.grids is not None:
+            cell = min(water.grids.cell)
+        samples = int(np.ceil(reach / cell)) + 5
+        if samples > MOST and water.grids is not None:
+            return cell, 0  # same results, but slower
+        if samples > MOST:
+            message = f"{samples} samples per side for a width of {reach:.0f} m, at most {MOST} are possible"
+            raise InputError(message, "give a wider cell, or 0", key="world.water.height_field", value=cell)
+        return float(cell), samples
+
+    @cached_property
+    def reference_area(self) -> float:
+        """Wetted area (m^2) to which the hull's resistance refers; default: as the hull floats upright at rest."""
+        if self.data.reference_area:
+            return float(self.data.reference_area)
+        return self.floating()[1].area
+
+    @cached_property
+    def rest_volume(self) -> float:
+        """The volume that the vehicle displaces when it floats, m^3."""
+        return self.mass / self.water.density
+
+    @property
+    def mass(self) -> float:
+        return float(self.vehicle.inertia[5, 5] if self.vehicle.mass is None else self.vehicle.mass)
+
+    def floating(self) -> tuple[float, Wetted]:
+        """Height (m) of the body frame's origin above calm water when the vehicle floats upright, and the wetted
+        part."""
+        from scipy.optimize import brentq
+
+        up, points = np.array([0.0, 0.0, 1.0]), self.mesh.points
+        if self.mesh.volume <= self.rest_volume:
+            message = f"displaces at most {self.mesh.volume:.4g} m^3, and needs {self.rest_volume:.4g} m^3 to float"
+            raise InputError(message, "lower physics.mass, or give it a larger hull", key=self.mesh.name)
+
+        def cut(height: float) -> Wetted:
+            return wetted(np.column_stack([points, -height - points[:, 2]]), self.mesh.faces)
+
+        low, high = -float(points[:, 2].max()), -float(points[:, 2].min())
+        height = brentq(lambda z: cut(z).volume(up) - self.rest_volume, low, high, xtol=1e-13)
+        return float(height), cut(height)
+
+    def at_rest(self) -> State:
+        """The state afloat at the origin, upright on the local surface, at rest."""
+        height = self.floating()[0] + float(self.water.height(np.zeros((1, 2)), 0.0)[0]) - self.vehicle.origin[2]
+        return State(position=np.array([0.0, 0.0, height]))
+
+    @cached_property
+    def max_step(self) -> float:  # type: ignore[override]
+        """A quarter of a radian of the fastest heave, pitch or roll, and half of the fastest linear decay."""
+        plan, arms, inertia = self._scales
+        stiff = np.array([1 / 3, 1 / 3, 0, 0, 0, 1]) * self.water.density * GRAVITY * plan * arms
+        decay = arms * np.array([1 / 3, 1 / 3, 1, 1, 1, 1]) * float(np.max(self.data.damping))
+        return float(min(0.25 / np.sqrt((stiff / inertia).max()), 0.5 / max((decay / inertia).max(), 1e-9)))
+
+    @property
+    def next_step(self) -> float:  # type: ignore[override]
+        """Half of the decay time due to the speed of the surface into the water: short during slamming."""
+        if self._last is None:
+            return np.inf
+        plan, arms, inertia = self._scales
+        into, through = self._last[1].speeds
+        rate = self.data.impact * self.water.density * plan * into + float(np.max(self.data.quadratic)) * through
+        rate += 0.5 * self.data.planing * self.water.density * plan * through
+        share = arms * np.array([1 / 3, 1 / 3, 1 / 3, 0, 0, 1]) / inertia
+        return float(0.5 / max(rate * share.max(), 1e-9))
+
+    @cached_property
+    def _scales(self) -> tuple[float, Array, Array]:
+        """Area from above, squared lever arms (6,), and inertia (6,) with a part of the added mass."""
+        size = self.size
+        arms = np.array([size[1] / 2, size[0] / 2, size[0] / 2, 1, 1, 1]) ** 2
+        return float(size[0] * size[1]), arms, np.diag(self.vehicle.inertia) + 0.25 * np.asarray(self.data.added_mass)
+
+    def wrench(self, t: float, state: State, controls: Array) -> Array:
+        return self.forces(t, state, controls).wrench
+
+    def added_inertia(self, t: float, state: State) -> Array | None:
+        if not np.any(self.data.added_mass):
+            return None
+        if self._last is None or self._last[0] is not state:
+            self.forces(t, state, np.zeros(len(self.vehicle.controls)))
+        assert self._last is not None
+        return self._last[1].immersion * np.diag(np.asarray(self.data.added_mass, float))
+
+    def forces(self, t: float, state: State, controls: Array) -> Forces:
+        """All effects of water and wind on the vehicle in ``state`` at ``t`` s."""
+        R_wb, position, omega, velocity = _body(state, self.vehicle.origin)
+        points, faces = (self.mesh.points, self.mesh.faces) if self.water.flat else self.mesh.quadratic
+        world = points @ R_wb.T + position
+        places = np.concatenate([world, position[None], self.data.propulsor_points @ R_wb.T + position])
+        height, flow = (self.field or self.water).at(places, t)
+        n = len(points)
+        elsewhere = height[n:] - places[n:, 2], flow[n:]
+        height, flow = height[:n], flow[:n]
+        columns = np.empty((len(points), 7))
+        columns[:, :3], columns[:, 3] = points, height - world[:, 2]
+        columns[:, 4:] = velocity + cross(omega, points) - flow @ R_wb
+        wet = wetted(columns, faces)
+        up = R_wb[2]
+        torque_force, volume = np.zeros(6), 0.0
+        immersion = entering = 0.0
+        fastest = float(np.sqrt((columns[:, 4:] ** 2).sum(axis=1).max()))
+        speeds = (0.0 if len(wet.normals) else fastest, fastest)  # in the air, any part may hit the water next
+        if len(wet.normals):
+            volume = wet.volume(up)
+            immersion = min(1.0, max(0.0, volume / self.rest_volume))
+            torque_force, entering, into = self._surface(wet)
+            speeds = (into, fastest)
+        forces = Forces(torque_force, volume, immersion, speeds)
+        self._couple(forces, t, controls, (R_wb, position, omega, velocity), elsewhere, entering)
+        self._last = (state, forces)
+        return forces
+
+    def _surface(self, wet: Wetted) -> tuple[Array, float, float]:
+        """Body wrench (6,) of pressure and resistance on the wetted surface; its volume rate (m^3/s) and speed (m/s)
+        into the water."""
+        hull, rho = self.data, self.water.density
+        middles, normals = wet.middles, wet.normals
+        area = np.sqrt(np.einsum("ki,ki->k", normals, normals))
+        through = middles[:, :, 4:]
+        pressure = rho * GRAVITY * middles[:, :, 3]
+        if hull.normal_force:
+            pressure = pressure + hull.normal_force / self.reference_area
+        into = np.einsum("kqi,ki->kq", through, normals)  # times the area
+        fastest = 0.0
+        if hull.impact or hull.planing:
+            speed = np.maximum(into, 0.0) / np.maximum(area, 1e-300)[:, None]
+            fastest = float(np.maximum(into, 0.0).sum()) / 3 / self._scales[0]
+            along = np.sqrt(np.einsum("kqi,kqi->kq", through, through)) if hull.planing else 0.0
+            pressure = pressure + 0.5 * rho * speed * (hull.impact * speed + hull.planing * along)
+        force = -pressure[:, :, None] * normals[:, None]
+        if np.any(hull.damping) or np.any(hull.quadratic):
+            rate = np.asarray(hull.damping, float)
+            if np.any(hull.quadratic):
+                size = np.sqrt(np.einsum("kqi,kqi->kq", through, through))
+                rate = rate + size[:, :, None] * np.asarray(hull.quadratic, float)
+            force -= (area / self.reference_area)[:, None, None] * rate * through
+        force, arms = force.reshape(-1, 3) / 3, middles[:, :, :3].reshape(-1, 3)
+        (_, xy, xz), (yx, _, yz), (zx, zy, _) = arms.T @ force
+        wrench = np.array([yz - zy, zx - xz, xy - yx, *(np.ones(len(force)) @ force)])
+        return wrench, float(into.sum() / 3), fastest
+
+    def _couple(
+        self,
+        forces: Forces,
+        t: float,
+        controls: Array,
+        body: tuple[Array, ...],
+        water: tuple[Array, Array],
+        entering: float,
+    ) -> None:
+        """Added mass in moving water, propulsion and wind: effects on the body as a whole.
+
+        ``water``: its depth (1 + p,) and velocity (1 + p, 3) at the body's origin and at its propulsors.
+        """
+        hull = self.data
+        R_wb, position, omega, velocity = body
+        depths, flows = water
+        if np.any(hull.added_mass):
+            flow, change = flows[0], self._change(position, t)
+            added = forces.immersion * np.asarray(hull.added_mass, float)
+            through = np.concatenate([omega, velocity - flow @ R_wb])
+            momentum = added * through
+            # Kirchhoff's equations in the waterplane, for the motion through the water. Perpendicular to it they would
+            # pitch a fast hull out of the water; in reality its stern sheds the flow.
+            x, y, turn = momentum[3], momentum[4], omega[2]
+            forces.wrench[2:5] += x * through[4] - y * through[3], y * turn, -x * turn
+            # the water's own acceleration carries the hull along
+            forces.wrench[3:] += added[3:] * (change @ R_wb - cross(omega, flow @ R_wb))
+            # water set in motion (von Karman); a hull that leaves takes its water along
+            if forces.immersion < 1 and entering > 0:
+                forces.wrench -= entering / self.rest_volume * np.asarray(hull.added_mass, float) * through
+        if self._propulsion is not None:
+            depth = depths[1:] / hull.propulsor_size + 0.5
+            flow = flows[1:].mean(axis=0) if len(flows) > 1 else np.zeros(3)
+            through = np.concatenate([omega, velocity - flow @ R_wb])
+            forces.wrench += self._propulsion(controls, through, np.clip(depth, 0, 1))[0]
+        if self._windage is not None:
+            air = self.world.wind_at(t) @ R_wb
+            forces.wrench += self._windage(np.concatenate([omega, velocity - air]))[0]
+
+    def _change(self, position: Array, t: float) -> Array:
+        """The water's acceleration (3,) below the body frame's origin, world axes."""
+        if self.water.flat:
+            return np.zeros(3)
+        after, before = (self.water.velocity(position[None], t + s * INSTANT)[0] for s in (1, -1))
+        return np.asarray((after - before) / (2 * INSTANT))
+
+    @cached_property
+    def _propulsion(self) -> Any:
+        if self.data.propulsion is None:
+            return None
+        import casadi as ca
+
+        from vehsim.integrators.fast.kernel import Kernel
+
+        sizes = (len(self.vehicle.controls), 6, len(self.data.propulsor_points))
+        c, flow, immersion = (ca.SX.sym(name, n) for name, n in zip(("c", "flow", "immersion"), sizes, strict=True))
+        law = ca.densify(self.data.propulsion(c, flow, immersion))
+        return Kernel(ca.Function("propulsion", [c, flow, immersion], [law]))
+
+    @cached_property
+    def _windage(self) -> Any:
+        if self.data.windage is None:
+            return None
+        import casadi as ca
+
+        from vehsim.integrators.fast.kernel import Kernel
+
+        air = ca.SX.sym("air", 6)
+        return Kernel(ca.Function("windage", [air], [ca.densify(self.data.windage(air))]))
+
+
+@dataclass
+class Forces:
+    """The effect of water and wind at an instant: body ``wrench`` (6,), displaced ``volume`` m^3, ``immersion`` 0 to 1,
+    and ``speeds`` m/s of the hull's surface: into the water, averaged over its area from above, and the greatest
+    through it."""
+
+    wrench: Array
+    volume: float
+    immersion: float
+    speeds: tuple[float, float] = (0.0, 0.0)
+
+
+def _body(state: State, origin: Array) -> tuple[Array, Array, Array, Array]:
+    """Rotation body to world, position of the body frame's origin, angular and linear velocity in body axes."""
+    R_wb = matrices(np.asarray(state.orientation, float))
+    twist = np.zeros(6) if state.twist is None else np.asarray(state.twist, float)
+    omega = twist[:3]
+    return R_wb, np.asarray(state.position, float) + R_wb @ origin, omega, twist[3:] + cross(omega, origin)

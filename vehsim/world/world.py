@@ -1,0 +1,228 @@
+"""The world: terrain, wind, obstacles and water, with answers to vehicles' queries by MuJoCo and exact geometry.
+
+A `World` owns no motion. Heights and meshes are in `terrain`, obstacles in `obstacles`; clearances, the distance field
+and routes through free space in `distance`.
+"""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+from collections.abc import Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from vehsim.errors import InputError
+from vehsim.world.distance.field import DistanceField, Progress, distance_field
+from vehsim.world.obstacles.obstacles import Moving, Obstacle, check_obstacles
+from vehsim.world.terrain.terrain import Terrain
+from vehsim.world.water.water import Water
+
+if TYPE_CHECKING:
+    from vehsim.integrators.environment import Environment
+    from vehsim.world.contact.contact import Contact
+    from vehsim.world.distance.clearance import ObstacleScene
+    from vehsim.world.distance.scene import Scene
+    from vehsim.world.wind import Gusts
+
+Array = NDArray[np.float64]
+
+MAX_WIND = 150.0
+"""Largest plausible wind, m/s."""
+
+
+class World:
+    """The surroundings of the vehicles: ``terrain`` (`Terrain` or None, empty space), ``wind`` (3,) m/s, world axes,
+    and ``obstacles``, made by the functions of `vehsim.world.obstacles`.
+
+    ``terrain`` is a `Terrain`, the name of a shipped one ("canyon", "flat") or a path; ``water`` a `Water`, the level
+    of calm water in m, or None; ``gusts`` make the wind change with time; ``contact``: how hulls touch obstacles,
+    ground and each other; None: they pass through. Raises ``InputError``.
+    """
+
+    def __init__(
+        self,
+        terrain: Terrain | str | Path | None = None,
+        wind: ArrayLike = (0.0, 0.0, 0.0),
+        obstacles: Sequence[Obstacle | Moving] = (),
+        water: Water | float | None = None,
+        gusts: Gusts | None = None,
+        contact: Contact | None = None,
+    ) -> None:
+        self.obstacles = check_obstacles(obstacles)
+        self.terrain = terrain if isinstance(terrain, Terrain) or terrain is None else Terrain.load(terrain)
+        self.wind = _wind(wind)
+        self.water, self.gusts, self.contact = _water(water), gusts, contact
+        self._fields: dict[Any, DistanceField] = {}
+        self._scenes: dict[Any, Scene] = {}
+        self._obstacle_scenes: dict[Any, ObstacleScene] = {}
+
+    def __repr__(self) -> str:
+        name = None if self.terrain is None else self.terrain.name
+        about = f", {len(self.obstacles)} obstacles" if self.obstacles else ""
+        return f"World(terrain={name!r}, wind={tuple(self.wind.tolist())}{about})"
+
+    @cached_property
+    def content_hash(self) -> str:
+        """A hash of the world's content."""
+        ground = "" if self.terrain is None else self.terrain.content_hash
+        content = (ground, self.wind.tolist(), *(obstacle.content_hash for obstacle in self.obstacles))
+        content += () if self.water is None else (self.water.content_hash,)
+        content += () if self.gusts is None else (repr(self.gusts),)
+        return hashlib.sha256(repr(content).encode()).hexdigest()
+
+    def with_obstacles(self, obstacles: Sequence[Obstacle | Moving]) -> World:
+        """This world with more obstacles in it."""
+        if not obstacles:
+            return self
+        other = copy.copy(self)
+        other.__dict__.pop("content_hash", None)
+        other.obstacles = check_obstacles((*self.obstacles, *obstacles))
+        other._fields, other._scenes, other._obstacle_scenes = {}, {}, {}
+        return other
+
+    @property
+    def standing(self) -> tuple[Obstacle, ...]:
+        """The obstacles that never move."""
+        return tuple(obstacle for obstacle in self.obstacles if isinstance(obstacle, Obstacle))
+
+    @property
+    def moving(self) -> tuple[Moving, ...]:
+        """The obstacles that move."""
+        return tuple(obstacle for obstacle in self.obstacles if isinstance(obstacle, Moving))
+
+    def height(self, xy: ArrayLike) -> Array:
+        """Height (n,) m of the ground at ``xy`` (n, 2) m; -inf without terrain."""
+        points = np.atleast_2d(np.asarray(xy, dtype=float))
+        if points.ndim != 2 or points.shape[1] != 2:
+            raise InputError(
+                f"shape {np.shape(xy)}", "give (n, 2) m: positions[:, :2] of points with a height", key="xy"
+            )
+        return np.full(len(points), -np.inf) if self.terrain is None else self.terrain.height(points)
+
+    def wind_at(self, t: float) -> Array:
+        """The wind (3,) m/s at ``t`` s, including gusts."""
+        return self.wind if self.gusts is None else self.gusts.at(self.wind, t)
+
+    def environment(self, vehicle: Any, alone: bool = True, start_time: float = 0.0) -> Environment | None:
+        """All in this world that pushes ``vehicle`` from outside, None when nothing does; without contact unless
+        ``alone``: what touches each other is asked together (`vehsim.world.contact.ContactScene`). ``start_time``:
+        when its time is 0, s since frame 0."""
+        from vehsim.integrators.environment import Combined
+
+        parts: list[Environment] = []
+        if self.water is not None and vehicle.hull is not None:
+            from vehsim.world.water.buoyancy import Afloat
+
+            parts.append(Afloat(vehicle, self))
+        elif self.gusts is not None and getattr(vehicle, "drag", None) is not None:
+            from vehsim.world.wind import Gusty
+
+            parts.append(Gusty(vehicle, self.wind, self.gusts))
+        if alone and self.contact is not None and vehicle.group.dim == 6 and vehicle.rig is not None:
+            from vehsim.world.contact.contact import Touching
+
+            parts.append(Touching(vehicle, self, self.contact, start_time))
+        return Combined(parts) if parts else None
+
+    def distance_field(
+        self, progress: Progress | None = None, *, spacing: float | None = None, box: ArrayLike | None = None
+    ) -> DistanceField | None:
+        """The smooth field of signed distances to the terrain and to standing obstacles, None if there is neither.
+
+        See `distance_field`; without terrain it is open, and by default extends a little beyond the obstacles; ``box``
+        (2, 3) m changes this.
+        """
+        if self.terrain is None and not self.standing:
+            return None
+        key = (spacing, None if box is None else tuple(np.ravel(np.asarray(box, dtype=float)).tolist()))
+        if key not in self._fields:
+            self._fields[key] = distance_field(self.terrain, spacing, box, progress, self.standing)
+        return self._fields[key]
+
+    def clearance(
+        self, vehicle: Any, positions: ArrayLike, orientations: ArrayLike, seconds: ArrayLike | None = None
+    ) -> Array:
+        """Signed distance (n,) m from the vehicle's hulls to terrain and obstacles at rig-root poses; +inf without any.
+
+        ``positions`` (n, 3) m, ``orientations`` (n, 4) w, x, y, z (T_wr). It is exact in the air; a pose that touches
+        rock gives minus its vertical depth. Moving obstacles are placed at ``seconds`` (n,) since frame 0, and ignored
+        without them.
+        """
+        least = self._from_obstacles(vehicle, positions, orientations, seconds).min(axis=1)
+        return np.minimum(least, self.clearance_from_terrain(vehicle, positions, orientations))
+
+    def clearance_from_terrain(self, vehicle: Any, positions: ArrayLike, orientations: ArrayLike) -> Array:
+        """`clearance` from the terrain only, (n,) m."""
+        if self.terrain is None or vehicle.rig is None:
+            return np.full(len(np.asarray(positions, dtype=float).reshape(-1, 3)), np.inf)
+        asset = str(vehicle.rig.asset)
+        if asset not in self._scenes:
+            from vehsim.world.distance.scene import Scene
+
+            self._scenes[asset] = Scene(self.terrain, vehicle.rig)
+        return self._scenes[asset].clearance(positions, orientations)
+
+    def clearance_by_obstacle(
+        self, vehicle: Any, positions: ArrayLike, orientations: ArrayLike, seconds: ArrayLike | None = None
+    ) -> Array:
+        """`clearance` from each of the ``obstacles``, (n, obstacles) m."""
+        return self._from_obstacles(vehicle, positions, orientations, seconds, each=True)
+
+    def _from_obstacles(
+        self, vehicle: Any, positions: ArrayLike, orientations: ArrayLike, seconds: ArrayLike | None, each: bool = False
+    ) -> Array:
+        """Distances (n, obstacles) m from each, or (n, 1) from the nearest."""
+        points = np.asarray(positions, dtype=float).reshape(-1, 3)
+        if not self.obstacles:
+            return np.full((len(points), 0 if each else 1), np.inf)
+        key = vehicle.rig and str(vehicle.rig.asset)
+        if key not in self._obstacle_scenes:
+            from vehsim.world.distance.clearance import ObstacleScene
+
+            self._obstacle_scenes[key] = ObstacleScene(vehicle.rig, self.obstacles)
+        turned = np.asarray(orientations, dtype=float).reshape(-1, 4)
+        when = None if seconds is None else np.atleast_1d(np.asarray(seconds, float))
+        return self._obstacle_scenes[key].clearance(points, turned, when, each)
+
+    def route(
+        self,
+        start: ArrayLike,
+        goal: ArrayLike,
+        clearance: float,
+        ceiling: float | None = None,
+        box: ArrayLike | None = None,
+    ) -> Array:
+        """A path (k, 3) m from ``start`` to ``goal`` (3,) through free space, ``clearance`` m from all that stands.
+
+        ``box`` (2, 3) m: where to look. ``ceiling`` m bounds its height; by default it may fly a little higher than
+        start and goal, so that it follows the valleys. Raises ``InputError`` (an end in the rock) and ``SolveError``
+        (no path).
+        """
+        from vehsim.world.distance.route import find_route
+
+        return find_route(self.distance_field(box=box), start, goal, clearance, ceiling, self.height)
+
+
+def _water(water: Water | float | None) -> Water | None:
+    if water is None or isinstance(water, Water):
+        return water
+    if isinstance(water, bool) or not isinstance(water, int | float):
+        raise InputError("not water", "give a Water, or calm water's level in m", key="world.water", value=water)
+    return Water(level=float(water))
+
+
+def _wind(wind: ArrayLike) -> Array:
+    try:
+        values = np.array(wind, dtype=float)
+    except (TypeError, ValueError):
+        values = np.empty(0)
+    if values.shape != (3,) or not np.isfinite(values).all() or np.linalg.norm(values) > MAX_WIND:
+        remedy = f"give x, y, z in m/s, at most {MAX_WIND:g} in all"
+        raise InputError("not a wind", remedy, key="world.wind", value=wind)
+    values.flags.writeable = False
+    return values
