@@ -169,8 +169,8 @@ def _swap(beside: Path, target: Path, overwrite: bool, earlier: Earlier | None) 
     A rename onto a non-empty folder fails, so no delivery is lost: the old one is moved aside first. If the second
     rename fails, or a signal arrives in between, the first is undone.
     """
+    aside = target.with_name(f".{target.name}.{owner()}.replaced")  # of all tries: no try leaves a folder of its own
     for _ in range(100):
-        aside = target.with_name(f".{target.name}.{owner()}.replaced")
         try:
             may_replace(target, overwrite)
             if earlier is not None:
@@ -185,14 +185,22 @@ def _swap(beside: Path, target: Path, overwrite: bool, earlier: Earlier | None) 
             with suppress(OSError):  # nothing was moved, or another export was faster
                 aside.rename(target)
             if os.path.exists(target):
-                shutil.rmtree(aside, ignore_errors=True)
+                _discard(aside)
             came_between = isinstance(error, OSError) and error.errno in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOENT)
             if came_between and beside.exists():
                 continue
             raise
-        shutil.rmtree(aside, ignore_errors=True)
+        _discard(aside)
         return
     raise ExportError("other exports keep replacing it", "let one of them finish, then export again", file=target)
+
+
+def _discard(aside: Path) -> None:
+    """Delete a replaced delivery under a name from which no other export brings it back half deleted."""
+    discarded = aside.with_suffix(".partial")
+    with suppress(OSError):  # it was never moved aside, or another export brought it back
+        aside.rename(discarded)
+    shutil.rmtree(discarded, ignore_errors=True)
 
 
 def _bring_back(target: Path) -> None:
