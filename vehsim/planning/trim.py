@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim.planning.problem.nlpsol import nlpsol
 from vehsim.vehicles import Vehicle
 from vehsim.vehicles.definition.mechanics import conservative
 
@@ -27,7 +28,7 @@ def trim(vehicle: Vehicle, wind: tuple[float, ...]) -> Array:
     size = max(1.0, float(np.abs(np.asarray(law(np.zeros(len(scale)))[0])).max(initial=0.0)))
     missed = ca.sumsqr(law(v * scale)[0] / size) + 1e-12 * ca.sumsqr(v)
     options: Any = {"ipopt": {"tol": 1e-12, "print_level": 0, "sb": "yes"}, "print_time": False}
-    solver = ca.nlpsol("trim", "ipopt", {"x": v, "f": missed}, options)
+    solver = nlpsol("trim", "ipopt", {"x": v, "f": missed}, options)
     bounded = np.isfinite(lower) & np.isfinite(upper)
     middle = (np.nan_to_num(lower) + np.nan_to_num(upper)) / 2
     start = np.where(bounded, middle, np.clip(0.0, lower + 1e-6, upper - 1e-6))

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from vehsim.lie.quaternions import from_yaw
 from vehsim.planning.constraints.marks import asks_balance, mark_element, mark_values
 from vehsim.planning.problem.elements import Element
+from vehsim.planning.problem.nlpsol import nlpsol
 from vehsim.planning.problem.transcription import Transcription
 from vehsim.planning.request.marks import Mark
 from vehsim.planning.trim import trim
@@ -107,7 +108,7 @@ def _solver(transcription: Transcription, element: Element) -> tuple[ca.Function
     nlp = {"x": element.y, "p": element.p, "f": ca.sumsqr(element.g[balance]), "g": g}
     quiet = {"print_level": 0, "sb": "yes", "tol": 1e-14, "max_iter": 100}
     options: Any = {"ipopt": quiet, "print_time": False, "error_on_fail": False, "show_eval_warnings": False}
-    solver = ca.nlpsol("balance", "ipopt", nlp, options)
+    solver = nlpsol("balance", "ipopt", nlp, options)
     return solver, ca.Function("rows", [element.y, element.p], [element.g[balance]])
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from vehsim.errors import InputError
 from vehsim.planning.problem import interrupts
 from vehsim.planning.problem.elements import NonlinearProgram
+from vehsim.planning.problem.nlpsol import nlpsol
 
 Array = NDArray[np.float64]
 
@@ -160,7 +161,7 @@ class Solver:
                 "calc_lam_p": False,
                 "show_eval_warnings": False,
             }
-            self._solvers[start] = ca.nlpsol("plan", self.plugin, self._nlp, settings)
+            self._solvers[start] = nlpsol("plan", self.plugin, self._nlp, settings)
         return self._solvers[start]
 
     def solve(
