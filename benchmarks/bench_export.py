@@ -28,8 +28,8 @@ import numpy as np
 os.environ.setdefault("MUJOCO_GL", "egl")
 
 import vehsim
-from vehsim.batch.workers import NAME
 from vehsim.clip.clip import Clip
+from vehsim.runtime.processes import NAME
 
 FREE_SPACE = """
 [shot]

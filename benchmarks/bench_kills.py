@@ -17,7 +17,7 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-from vehsim.batch.workers import NAME
+from vehsim.runtime.processes import NAME
 
 CLOSE = 0.6
 """Seconds between kills, at most, while clips are at work: some four are finished meanwhile."""

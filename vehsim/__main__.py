@@ -1,7 +1,4 @@
-"""The command ``vehsim``, also ``python -m vehsim``; starts the process for workers while the command loads.
-
-It imports nothing else, because multiprocessing makes every worker import this module again.
-"""
+"""The command ``vehsim``, also ``python -m vehsim``; starts the process for workers while the command loads."""
 
 from __future__ import annotations
 

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import json
-import multiprocessing
 import os
-import subprocess
-import sys
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +22,7 @@ from vehsim.exporters.pictures.render import StageRenderer
 from vehsim.exporters.pictures.split import write_split
 from vehsim.exporters.usd.stage import StageReader
 from vehsim.runtime.files import replacing_file
+from vehsim.runtime.processes import Worker, end, may_start_workers, start_server
 
 MAX_SIDE = 8192
 """Largest side of a picture, px: larger off-screen buffers are refused."""
@@ -99,11 +97,9 @@ def render_stage(
     wanted = _wanted(stage, frames)
     look = {"size": size, "shadows": shadows, "samples": samples, "passes": list(passes), "burn_in": burn_in}
     count = _processes(len(chosen) * len(wanted)) if processes is None else processes
-    shares = [wanted[k::count] for k in range(count)]
-    with _others(stage_path, out, chosen, shares[1:], look) as others:
-        _render(stage, Path(out), chosen, shares[0], look, progress)
-        for other in others:
-            _finish(other)
+    share = {"stage_path": stage_path, "out": out, "camera": chosen, "processes": 1, **look}
+    with _on_workers([{**share, "frames": wanted[k::count]} for k in range(1, count)]):
+        _render(stage, Path(out), chosen, wanted[::count], look, progress)
     pictures = [_path(stage, Path(out), name, frame) for name in chosen for frame in wanted]
     legends = [Path(out) / name / "segmentation" / LEGEND for name in chosen if "segmentation" in passes]
     return pictures + [pass_path(picture, kind) for kind in passes for picture in pictures] + legends
@@ -146,46 +142,37 @@ def _path(stage: StageReader, out: Path, camera: str, frame: int) -> Path:
 
 
 def _processes(pictures: int) -> int:
-    """One per core if each has enough work to be worth its start; one within another process."""
-    if multiprocessing.parent_process() is not None:
-        return 1
-    return max(1, min(os.cpu_count() or 1, pictures // 16))
+    """One per core if each has enough work to be worth its start."""
+    return max(1, min(os.cpu_count() or 1, pictures // 16)) if may_start_workers() else 1
 
 
 @contextmanager
-def _others(
-    stage: str | Path, out: str | Path, cameras: Sequence[str], shares: Sequence[Sequence[int]], look: dict[str, Any]
-) -> Iterator[list[subprocess.Popen[str]]]:
-    """Processes that render the other shares of the frames: separate interpreters, independent of the calling
-    script."""
-    program = (
-        "import json, sys; from vehsim.exporters.pictures.frames import render_stage; "
-        "render_stage(**json.loads(sys.argv[1]))"
-    )
-    work = {"stage_path": str(stage), "out": str(out), "camera": list(cameras), "processes": 1, **look}
-    started = [
-        subprocess.Popen(
-            [sys.executable, "-c", program, json.dumps({**work, "frames": list(share)})],
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        for share in shares
-    ]
+def _on_workers(shares: Sequence[dict[str, Any]]) -> Iterator[None]:
+    """Render ``shares``, each the arguments of `render_stage`, on workers during this block; it ends when they have
+    finished."""
+    if shares:
+        start_server()
+    workers = [Worker(_serve, len(shares) + 1) for _ in shares]
     try:
-        yield started
+        for worker, share in zip(workers, shares, strict=True):
+            worker.give(share)
+        yield
+        for worker in workers:
+            failure = worker.receive()
+            if failure != "":
+                what = failure or f"it {worker.epitaph()}"
+                raise ExportError(f"a render process failed: {what}", "render again, or with fewer frames at once")
+            worker.job = None
     finally:
-        for process in started:
-            if process.returncode is None:
-                process.kill()
-                process.communicate()
+        end(workers)
 
 
-def _finish(process: subprocess.Popen[str]) -> None:
-    _, complaint = process.communicate()
-    if process.returncode != 0:
-        last = complaint.strip().splitlines()[-1:] or [f"exit code {process.returncode}"]
-        raise ExportError(f"a render process failed: {last[0]}", "render again, or with fewer frames at once")
+def _serve(pipe: Connection) -> None:
+    try:
+        render_stage(**pipe.recv())
+        pipe.send("")
+    except Exception as error:
+        pipe.send(f"{type(error).__name__}: {error}")
 
 
 def _save(picture: NDArray[Any], path: Path, words: tuple[str, str, str] | None = None) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from vehsim.batch import export_batch, load_shots
-from vehsim.batch.workers import NAME, THREADS
+from vehsim.runtime.processes import NAME, THREADS
 
 Content = Callable[[Path], dict[str, str]]
 Write = Callable[..., Path]

@@ -14,7 +14,9 @@ from typing import Any
 import pytest
 
 from vehsim.batch import Outcome, Task, export_batch, load_shots, workers
-from vehsim.batch.workers import ENDING, METHODS, THREADS, Job, _dispatch
+from vehsim.batch.workers import Job, _dispatch
+from vehsim.runtime import processes
+from vehsim.runtime.processes import ENDING, METHODS, THREADS
 from vehsim.runtime.signals import raising
 
 Content = Callable[[Path], dict[str, str]]
@@ -44,7 +46,7 @@ def test_what_is_forked_takes_ctrl_c_in_silence(monkeypatch: pytest.MonkeyPatch)
     assert blocked[0] >= set(ENDING)
     assert not signal.pthread_sigmask(signal.SIG_BLOCK, ()) & set(ENDING)
     code = (
-        "import signal, vehsim.batch.preload; from vehsim.batch.workers import ENDING\n"
+        "import signal, vehsim.batch.preload; from vehsim.runtime.processes import ENDING\n"
         "print(*(signal.getsignal(number).name for number in ENDING), *signal.pthread_sigmask(signal.SIG_BLOCK, ()))"
     )
     answer = subprocess.run(
@@ -127,12 +129,25 @@ def test_workers_start_without_a_fork_server(
         workers.warm_up()
         monkeypatch.setattr(workers, "warm_up", lambda: os.kill(_server(), signal.SIGKILL))
     else:
-        monkeypatch.setattr(workers, "METHODS", ["nowhere", "spawn"])
+        monkeypatch.setattr(processes, "METHODS", ["nowhere", "spawn"])
         contexts = {"nowhere": _Nowhere(), "spawn": multiprocessing.get_context("spawn")}
         monkeypatch.setattr(multiprocessing, "get_context", contexts.__getitem__)
     outcomes = export_batch(shots, tmp_path / "again", ["npz"], workers=2)
     assert [outcome.state for outcome in outcomes] == ["done", "done"], outcomes
     assert content(tmp_path / "again") == expected
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_script_without_a_guard_exports_a_batch(write: Write, tmp_path: Path, method: str) -> None:
+    """Workers do not import the calling script, which would start the batch again."""
+    script = tmp_path / "script.py"
+    script.write_text(
+        "from vehsim.runtime import processes\nfrom vehsim.batch import export_batch, load_shots\nprint('once')\n"
+        f"processes.METHODS = [{method!r}]\nshots = load_shots({str(write(sweep=TWO))!r})\n"
+        f"print(*(outcome.state for outcome in export_batch(shots, {str(tmp_path / 'out')!r}, ['npz'], workers=2)))\n"
+    )
+    answer = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=True)
+    assert answer.stdout == "once\ndone done\n" and not answer.stderr
 
 
 class _Nowhere:

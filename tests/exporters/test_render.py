@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+from operator import methodcaller
+
 import numpy as np
 import pytest
 
@@ -302,15 +306,34 @@ def test_frames_are_the_same_from_one_process_or_two(new_stage, tmp_path):
     assert all(a.read_bytes() == b.read_bytes() for a, b in zip(one, two, strict=True))
 
 
-def test_a_failing_render_process_is_an_error(new_stage, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("serve", "message"),
+    [(methodcaller("close"), "ended with code 0"), (methodcaller("send", "ValueError: no"), "ValueError: no")],
+    ids=["it ends", "it fails"],
+)
+def test_a_failing_render_process_is_an_error(new_stage, tmp_path, monkeypatch, serve, message):
     from vehsim.errors import ExportError
     from vehsim.exporters.pictures import frames
 
     quad(new_stage, "/top/quad", (0, 0, 0), 1.0, (0.8, 0.2, 0.1))
     new_stage.GetRootLayer().Save()
-    monkeypatch.setattr(frames.sys, "executable", "/bin/false")
-    with pytest.raises(ExportError, match="render process failed"):
+    monkeypatch.setattr(frames, "_serve", serve)
+    with pytest.raises(ExportError, match=f"render process failed: .*{message}"):
         frames.render_stage(new_stage.GetRootLayer().realPath, tmp_path / "two", size=(64, 36), processes=2)
+
+
+def test_a_script_without_a_guard_renders_on_several_processes(new_stage, tmp_path):
+    """Processes do not import the calling script, which would render again."""
+    quad(new_stage, "/top/quad", (0, 0, 0), 1.0, (0.8, 0.2, 0.1))
+    new_stage.GetRootLayer().Save()
+    script = tmp_path / "script.py"
+    script.write_text(
+        "from vehsim.exporters.pictures.frames import render_stage\nprint('once')\n"
+        f"render_stage({new_stage.GetRootLayer().realPath!r}, {str(tmp_path / 'out')!r}, size=(64, 36), processes=2)\n"
+    )
+    answer = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=True)
+    assert answer.stdout == "once\n" and not answer.stderr
+    assert len(list((tmp_path / "out").rglob("*.png"))) == 3
 
 
 def test_past_the_edge_of_the_ground_the_horizon_goes_on(tmp_path):

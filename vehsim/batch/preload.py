@@ -10,7 +10,7 @@ import gc
 import importlib
 import signal
 
-from vehsim.batch.workers import ENDING, die_with_parent
+from vehsim.runtime.processes import ENDING, die_with_parent
 
 MODULES = (
     "numpy.ma",

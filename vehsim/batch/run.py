@@ -33,9 +33,9 @@ def export_batch(
 
     ``workers`` processes, or a Dask cluster (``dask``: its address or "local"); ``resume`` skips finished clips;
     ``draft``: fast pictures; ``cached=False`` does not use the cache of solved motion; ``memory``: a worker's address
-    space, GB. A shot that fails does not stop the others. Scripts call it below ``if __name__ == "__main__"``, because
-    workers import them. Raises ``InputError`` before anything is written, ``ExportError`` if the summary cannot be
-    written.
+    space, GB. A shot that fails does not stop the others.
+
+    Raises ``InputError`` before anything is written, ``ExportError`` if the summary cannot be written.
     """
     if workers > 1 and dask is None:
         warm_up()
