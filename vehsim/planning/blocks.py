@@ -1,4 +1,4 @@
-"""The blocks of a plan's problem, in the order in which they stand there."""
+"""The blocks of a planning problem, in the order in which they are assembled."""
 
 from __future__ import annotations
 
@@ -18,8 +18,10 @@ from vehsim.planning.terms import Cost
 
 
 def blocks_of(request: Request, transcription: Transcription, cover: SphereCover | None) -> tuple[Block, ...]:
-    """Everything that a request asks for, as blocks; ``cover``: what is to be kept off terrain and obstacles in flight,
-    None in free space."""
+    """The costs and constraints of a request, as blocks.
+
+    ``cover``: the spheres that flight keeps away from terrain and obstacles; None in free space.
+    """
     marks, constraints = request.marks, request.constraints
     blocks: list[Block] = [Dynamics(marks)]
     blocks.append(RunningCosts(request.weights, [term for term in constraints if term.aim is not None], marks))

@@ -1,4 +1,4 @@
-"""Certificates of a plan: its clearance on the exported motion, and the place where its controls lead."""
+"""Certificates of a plan: the clearance of the exported motion, and where its controls lead when they are executed."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ from vehsim.world.obstacles.plane import distance, placed
 Array = NDArray[np.float64]
 
 SAMPLES = 4
-"""Poses looked at per segment before looking closer, ends included once."""
+"""Poses per segment, counting one of its ends, at which the distance is measured first."""
 FINEST = 1e-3
-"""How exactly the least clearance is found, m."""
+"""Accuracy of the smallest clearance, m."""
 HALVINGS = 14
-"""How often the time between two poses is halved at most."""
+"""Maximum number of times that the interval between two poses is halved."""
 LEAN = 1.2
-"""How much more a body may turn between two poses than at the faster one's rate throughout."""
+"""Safety factor: an upper bound on the rotation between two poses is this times the larger angular speed of the two."""
 
 
 @dataclass(frozen=True)
 class Executed:
-    """How far the rig's root is from the plan when its controls are run through a fine independent integration, m."""
+    """Distance (m) of the rig's root from the plan when a fine, independent integration executes the controls."""
 
     mean: float
     largest: float
@@ -50,11 +50,12 @@ def certify(
     less: Callable[[Array], Array] | None = None,
     slope: float = 0.0,
 ) -> float:
-    """Smallest distance (m) of the vehicle's hulls to terrain and obstacles on the clip's own interpolant; inf if none.
+    """Smallest distance (m) between the vehicle's hulls and terrain or obstacles along the clip; inf without any.
 
-    Exact, through MuJoCo, at ``samples`` poses a segment and then between those where the way from one to the next
-    leaves room for a smaller distance, until the least is known to `FINEST`. ``less``: root positions (n, 3) -> what is
-    added to the distance there, where less is asked; it changes by ``slope`` a metre at most.
+    MuJoCo measures exact distances at ``samples`` poses per segment. Intervals in which the motion could come nearer
+    than the smallest distance so far are halved until that distance is known to `FINEST`. ``less`` maps root positions
+    (n, 3) to an allowance (n,), m, that is added to the distance, for example near a landing; it changes by at most
+    ``slope`` per metre of motion.
     """
     if world is None or (world.terrain is None and not world.obstacles) or len(clip) < 2:
         return float("inf")
@@ -65,24 +66,24 @@ def certify(
 def certify_plane(
     clip: Clip, parts: Sequence[tuple[Any, int]], wanted: float = 0.0, samples: int = SAMPLES
 ) -> tuple[float, Array]:
-    """Least signed distance (m) of a clip's vehicle to the parts, between knots too; and by part and segment.
+    """Smallest signed distance (m) between a clip's vehicle and the parts, and the same per part and segment.
 
-    On the clip's interpolant: where two samples and the way between them leave room for a smaller distance, there are
-    more, until the least one is known to `FINEST`. By segment, the least of the samples; those beyond it and beyond
+    Intervals in which the motion could come nearer than the smallest distance so far are halved until that distance is
+    known to `FINEST`. The values per segment are the smallest of the samples; values above both that distance and
     ``wanted`` m are lower bounds.
     """
     if not parts or len(clip) < 2:
         return float("inf"), np.full((len(parts), max(len(clip) - 1, 1)), np.inf)
     turned = {name for part in articulated_footprint(clip.vehicle) for name, _, _ in part.pivots}
     channels = {name: values for name, values in clip.channels.items() if name in turned}
-    bare = replace(clip, channels=channels, energy={})  # nothing but its motion is asked of it
+    bare = replace(clip, channels=channels, energy={})  # keep only what the outlines depend on
     return _nearest(_Outlines(bare, parts, wanted), samples)
 
 
 def _nearest(
     measure: _Measure, samples: int, progress: Callable[[str, float], None] | None = None
 ) -> tuple[float, Array]:
-    """The least of what is measured, and the least by row and segment (rows, segments)."""
+    """The smallest measured distance, and the smallest per row and segment (rows, segments)."""
     knots = measure.clip.times
     fine = np.linspace(0, 1, samples, endpoint=False)
     times = np.append((knots[:-1, None] + np.diff(knots)[:, None] * fine).ravel(), knots[-1])
@@ -93,12 +94,12 @@ def _nearest(
         gaps, moved = measure(times, pairs, nearest)
         nearest = min(nearest, float(gaps.min()))
         by_segment = np.vstack([by_segment, np.full((len(gaps) - len(by_segment), len(knots) - 1), np.inf)])
-        for side in ("left", "right"):  # a knot belongs to the segments on both its sides
+        for side in ("left", "right"):  # a knot belongs to the segments on both sides
             segment = np.clip(np.searchsorted(knots, times, side) - 1, 0, len(knots) - 2)
             np.minimum.at(by_segment.T, segment, gaps.T)
         if progress is not None:
             progress("certifying clearance", 1 - 0.5 ** (round_ + 1))
-        # no point comes nearer than the sum of what both ends allow
+        # lower bound on the distance between two samples, from the distances at both and the motion between them
         least = (gaps[:, pairs[:, 0]] + gaps[:, pairs[:, 1]] - moved) / 2
         left, right = times[pairs[least.min(axis=0) < nearest - FINEST]].T
         if not len(left):
@@ -110,7 +111,7 @@ def _nearest(
 
 
 class _Measure(ABC):
-    """Distances along a clip, and how far anything may move between two poses of it."""
+    """Distances along a clip, and bounds on the motion between two of its poses."""
 
     def __init__(self, clip: Clip, moving: Sequence[Moving], around: float) -> None:
         self.clip, self.moving, self.around = clip, moving, around
@@ -120,8 +121,11 @@ class _Measure(ABC):
         self.breaks = inside[(inside > clip.times[0]) & (inside < clip.times[-1])]
 
     def travel(self, times: Array, motion: Clip, pairs: NDArray[np.intp]) -> tuple[Array, Array, list[Array]]:
-        """Between ``pairs`` (m, 2) of poses: how far the root goes (m,) m, any point of it by turning (m,) m, and any
-        point of each that moves, (m,) m."""
+        """Bounds on the motion between ``pairs`` (m, 2) of poses.
+
+        Returns the distance travelled by the root (m,), the distance that any point travels by rotation (m,), and for
+        each moving obstacle the distance that any of its points travels (m,), all in m.
+        """
         omega, velocity = spatial(motion)
         way, turn = _path(times, motion.positions, velocity, omega, pairs)
         others = [(o, _path(*o.motion_at(self.start + times), pairs)) for o in self.moving]
@@ -129,12 +133,14 @@ class _Measure(ABC):
 
     @abstractmethod
     def __call__(self, times: Array, pairs: NDArray[np.intp], nearest: float) -> tuple[Array, Array]:
-        """Distances (rows, n) m at ``times``, exact below ``nearest`` m, and the most that any two points can approach
-        between ``pairs`` (m, 2), (rows, m) m."""
+        """Distances (rows, n) m at ``times``, and bounds (rows, m) m on how much they shrink between ``pairs`` (m, 2).
+
+        Distances above ``nearest`` m may be lower bounds.
+        """
 
 
 class _Hulls(_Measure):
-    """Of hulls to all there is in a world, in one row; each pose is measured once."""
+    """Distances of hulls to everything in a world, in one row; each pose is measured once."""
 
     def __init__(self, clip: Clip, world: Any, less: Callable[[Array], Array], slope: float) -> None:
         super().__init__(clip, [o for o in world.obstacles if o.moves], reach(clip.vehicle))
@@ -154,8 +160,10 @@ class _Hulls(_Measure):
 
 
 class _Outlines(_Measure):
-    """Of outlines in the plane, the whole vehicle's at rest and what swings out of it, to parts of obstacles, a row
-    each."""
+    """Distances of outlines in the plane to parts of obstacles, one row per part.
+
+    The outlines are those of the whole vehicle with its joints at rest, and of each articulated part.
+    """
 
     def __init__(self, clip: Clip, parts: Sequence[tuple[Any, int]], wanted: float) -> None:
         self.outline, self.articulated = footprint(clip.vehicle), articulated_footprint(clip.vehicle)
@@ -181,7 +189,7 @@ class _Outlines(_Measure):
         moved = np.array([way + turn + swung + (next(their) if o.moves else 0.0) for o, _ in self.parts])
         shapes = [o.shapes_at(self.start + times)[number] for o, number in self.parts]
         bounds = np.array([bounds_to(shape, outlines) for shape in shapes])
-        # what is nearest is no farther than what the bounds call nearest
+        # the exact distance to the part with the smallest bound is an upper bound on the smallest distance
         row, column = np.unravel_index(int(bounds.argmin()), bounds.shape)
         here = shapes[row] if np.ndim(shapes[row]) < 3 else shapes[row][[column]]
         nearest = min(nearest, float(distance(outlines[[column]], here)[0]))
@@ -194,12 +202,12 @@ class _Outlines(_Measure):
 
 
 def reach(vehicle: Any) -> float:
-    """How far any point of a vehicle's hulls is from its rig's root, m."""
+    """Largest distance of any point of a vehicle's hulls from its rig's root, m."""
     return float(max((np.linalg.norm(hull, axis=1).max() for hull in hulls_of(vehicle)), default=0.0))
 
 
 def extent(vehicle: Any) -> float:
-    """The greatest side of the box about a vehicle's hulls, m; zero without any."""
+    """Longest side of the bounding box of a vehicle's hulls, m; zero without hulls."""
     points = np.vstack([np.zeros((1, 3)), *hulls_of(vehicle)])
     return float(np.ptp(points, axis=0).max())
 
@@ -207,9 +215,10 @@ def extent(vehicle: Any) -> float:
 def _path(
     times: Array, positions: Array, velocity: Array, omega: Array, pairs: NDArray[np.intp]
 ) -> tuple[Array, Array]:
-    """How far a root goes (m,) m and turns (m,) rad, at most, between ``pairs`` (m, 2) of poses without a knot inside.
+    """Upper bounds on how far a root moves (m,) m and turns (m,) rad between ``pairs`` (m, 2) of poses.
 
-    Positions are cubic there: no longer than their control polygon.
+    There must be no knot between the two poses of a pair. Positions are cubic there, and therefore no longer than their
+    control polygon.
     """
     a, b = pairs.T
     third = ((times[b] - times[a]) / 3)[:, None]
@@ -223,7 +232,7 @@ def _path(
 def executed(
     mechanics: DiscreteMechanics, g: Array, r: Array, pi: Array, c: Array, steps: Array, wind: Array
 ) -> Executed:
-    """Run knot controls (n, c) from the first knot through RK4 on the continuous equations and compare (m)."""
+    """Distance (m) between a plan and its knot controls (n, c) integrated from the first knot with RK4."""
     z = np.ravel(np.asarray(mechanics.knot_velocity_guess(r[0], pi[0], c[0])))
     g_real, _ = execute(mechanics.vehicle, g[0], r[0], z, c, steps, wind)
     group, origin = mechanics.vehicle.group, mechanics.vehicle.origin

@@ -1,4 +1,4 @@
-"""Certifying: what the finished clip is worth between its knots, and asking for more where it is not enough."""
+"""Certify the finished clip between its knots, and tighten constraints that it violates there."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from vehsim.planning.refine import refine
 from vehsim.planning.solve import measured
 
 TIGHTENINGS = 5
-"""How often a motion that comes too near, or breaks a constraint between knots, is solved again."""
+"""Maximum number of tighter solves for a motion that comes too near or violates a constraint between knots."""
 
 
 def certify(run: Run, iterate: Iterate) -> Iterate:
-    """The iterate with what its clip was measured to be worth."""
+    """The iterate with the certificate of its clip."""
     return replace(iterate, certificate=measured(run, iterate, iterate.clip))
 
 
 def tighten(iterate: Iterate) -> Iterate:
-    """The iterate that asks for more where its certificate says that it gives too little."""
+    """The iterate with tighter constraints where its certificate finds too little clearance or a violation."""
     assert iterate.certificate is not None
     findings = zip(iterate.blocks, iterate.certificate.findings, strict=True)
     blocks = tuple(block.tighten(iterate, finding) for block, finding in findings)
@@ -26,9 +26,9 @@ def tighten(iterate: Iterate) -> Iterate:
 
 
 def refine_and_certify(run: Run, iterate: Iterate) -> Iterate:
-    """Refined until its controls lead where it does, and tightened until it keeps what was asked between its knots.
+    """Refine until the executed controls end where the plan does, and tighten until constraints hold between knots.
 
-    Where a tightening has no solution, the iterate there was before it stands.
+    If a tighter problem has no solution, the previous iterate is returned.
     """
     iterate = certify(run, refine(run, iterate))
     while _unmet(iterate) and iterate.tightenings < TIGHTENINGS and not run.deadline.late:

@@ -1,4 +1,4 @@
-"""What a plan costs: the weighted laws of `terms.COSTS`, and costs of one's own, as blocks of the problem."""
+"""The cost of a plan: the weighted laws of `terms.COSTS` and the user's own costs, as blocks of the problem."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from vehsim.planning.trajectory import Trajectory
 
 @dataclass(frozen=True, eq=False)
 class RunningCosts(Block):
-    """The costs of every segment, at their ``weights`` by name; ``aims``: constraints that say which way to head."""
+    """The costs of every segment, at their ``weights`` by name; ``aims``: constraints that set the heading."""
 
     weights: Mapping[str, float]
     aims: Sequence[Constraint]
@@ -32,14 +32,14 @@ class RunningCosts(Block):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The laws of a segment that count."""
+        """Names of the costs per segment with a weight above zero."""
         return costs_of(SegmentView, self.weights)
 
     def key(self, layout: Layout, transcription: Transcription) -> Hashable:
         return "costs", self.names, self._aimed(layout).tobytes()
 
     def _aimed(self, layout: Layout) -> NDArray[np.bool_]:
-        """Segments (n,) where a constraint says which way to head."""
+        """Segments (n,) on which a constraint sets the heading."""
         aimed = np.zeros(layout.segments, bool)
         for term in self.aims:
             first, last = knots_within(self.marks, layout.mark_knots, term.frames)
@@ -48,7 +48,8 @@ class RunningCosts(Block):
 
     def add(self, problem: NonlinearProgram, transcription: Transcription, layout: Layout) -> None:
         aimed, names = self._aimed(layout), self.names
-        without = tuple(name for name in names if name != "course")  # where it is aimed, it need not face its way
+        # `course` does not apply where a constraint sets the heading
+        without = tuple(name for name in names if name != "course")
         for some, segments in ((names, np.flatnonzero(~aimed)), (without, np.flatnonzero(aimed))):
             if len(segments) and some:
                 problem.add(cost_element(transcription, some), layout.segment(segments))
@@ -72,7 +73,7 @@ def cost_element(transcription: Transcription, names: tuple[str, ...]) -> Elemen
 
 @dataclass(frozen=True, eq=False)
 class OwnCost(Block):
-    """A cost of the user's own, within its frames."""
+    """A user's cost, within its range of frames."""
 
     cost: Cost
     marks: Sequence[Mark]

@@ -1,4 +1,4 @@
-"""What a time limit allows: when solving has to stop so that certifying is done in time, and what can still begin."""
+"""Time limits: when solving must stop so that certification finishes in time, and which steps can still start."""
 
 from __future__ import annotations
 
@@ -9,46 +9,49 @@ from collections.abc import Callable
 Progress = Callable[[str, float], None]
 
 MORE = 1.5
-"""What is kept for certifying a plan, times what its initial guess took."""
+"""Safety factor: time reserved for certifying a plan, over the time that certifying its initial guess took."""
 
 
 class OutOfTime(Exception):
-    """There is no time left for what it names."""
+    """The time limit is reached; the message names the step that was running."""
 
 
 class Deadline:
-    """An ``end`` on `time.monotonic`'s clock, s, and what was measured on the way to it."""
+    """An ``end`` on the clock of `time.monotonic`, s, and the durations measured before it."""
 
     def __init__(self, end: float = math.inf) -> None:
         self.end = end
         self.kept = 0.0
-        """What certifying is expected to take, s."""
+        """Time reserved for certification, s."""
         self.guessed = 0.0
-        """What the initial guess took, certified and all, s."""
+        """Time that the initial guess took, including its certification, s."""
         self.a_node = 0.0
-        """What the last solve took, built and all, s a node."""
+        """Time per node of the last solve, including the time to build its problem, s."""
         self.over = False
-        """A solver was stopped."""
+        """Whether a solver was stopped."""
         self.cut = False
-        """Something was not begun for want of time."""
+        """Whether a step was skipped for lack of time."""
 
     @property
     def solving(self) -> float:
-        """When solving has to stop, on `time.monotonic`'s clock, s."""
+        """When solving must stop, on the clock of `time.monotonic`, s."""
         return self.end - self.kept
 
     @property
     def late(self) -> bool:
-        """No time is left to solve anything more."""
+        """Whether there is no time left for another solve."""
         return self.over or time.monotonic() > self.solving
 
     @property
     def hopeless(self) -> bool:
-        """No time is left to build a problem, which cannot be stopped: that takes half as long as the initial guess."""
+        """Whether there is no time left to build a problem.
+
+        Building cannot be interrupted; it is estimated to take half as long as the initial guess.
+        """
         return self.late or time.monotonic() + self.guessed / 2 > self.solving
 
     def watched(self, progress: Progress | None) -> Progress:
-        """``progress``, which raises `OutOfTime` where it is told anything after the end."""
+        """A wrapper of ``progress`` that raises `OutOfTime` if it is called after the end."""
 
         def tell(text: str, fraction: float) -> None:
             if time.monotonic() > self.end:
@@ -59,19 +62,20 @@ class Deadline:
         return tell
 
     def rehearse(self, finish: Callable[[], object], times: float = MORE) -> None:
-        """Learn how long it takes to ``finish``: so many ``times`` that is kept, beside what is kept already."""
+        """Measure how long ``finish`` takes, and reserve ``times`` that in addition to what is reserved already."""
         began = time.monotonic()
         finish()
         self.kept += times * (time.monotonic() - began)
 
     def solved(self, began: float, nodes: int, over: bool) -> None:
-        """A solve over ``nodes`` that was built from ``began`` on is done, or was stopped when time was ``over``."""
+        """Record a solve over ``nodes`` nodes that started to build at ``began``; ``over``: the deadline stopped it."""
         self.a_node, self.over = (time.monotonic() - began) / nodes, self.over or over
 
     def allows(self, nodes: int) -> bool:
-        """Whether it is worth beginning a solve over ``nodes`` from a solved motion: that takes half as long, a node.
+        """Whether there is time for a solve over ``nodes`` nodes from a solved motion.
 
-        What is begun too late is lost, and while it builds it cannot be stopped.
+        It is estimated at half the time per node of the last solve. A solve that does not finish in time is lost, and
+        building it cannot be interrupted.
         """
         fits = not self.late and time.monotonic() + self.a_node * nodes / 2 <= self.solving
         self.cut |= not fits

@@ -1,4 +1,4 @@
-"""What is tried when a plan's first solve fails: fewer demands, more segments, other initial guesses."""
+"""Fallbacks after the first solve fails: fewer requirements, more segments, other initial guesses."""
 
 from __future__ import annotations
 
@@ -22,16 +22,18 @@ from vehsim.planning.solve import begin, solve
 Array = NDArray[np.float64]
 
 RETRIES = ((1.7, 0.0), (0.6, 0.08), (1.2, -0.15))
-"""Initial guesses tried when the first fails: durations of free legs times, and how far each path bends aside, of its
-length."""
+"""Initial guesses to try when the first fails: factor on the duration of free legs, and how far each path is bent
+sideways, relative to its length."""
 FEWEST, LEAST = 4, 16
-"""Fewer segments have fewer controls than two marks at rest ask for; and segments a leg that are tried instead of so
-few a leg on which a plan fails."""
+"""Below `FEWEST` segments, a leg has fewer controls than two marks at rest need; a plan that fails on so few per leg is
+tried on `LEAST` per leg."""
 
 
 def as_asked(run: Run, iterate: Iterate, request: Request, paths: Sequence[Array], guess: Any) -> tuple[Run, Iterate]:
-    """The iterate, or one solved with fewer demands: marks at rest not turned along their legs, and more segments where
-    there are few."""
+    """The iterate solved without headings along the legs at marks at rest, and with more segments if there are few.
+
+    Returns the last iterate that was tried; it may have failed.
+    """
     legs, few, turned = len(request.marks) - 1, request.segments, bool(iterate.request.given)
     enough = LEAST * legs if few <= FEWEST * legs else few
     tries = [(few, "")] if turned else []
@@ -51,10 +53,10 @@ def as_asked(run: Run, iterate: Iterate, request: Request, paths: Sequence[Array
 
 
 def from_other_guesses(run: Run, failed: Iterate, paths: Sequence[Array], guess: Any) -> Iterate:
-    """Solved from other initial guesses, or failed, with the reason why.
+    """The iterate solved from other initial guesses, or the failed one with the reason.
 
-    In free space, find out first whether the marks can be met together at all; among obstacles last, since relaxed
-    problems take longer there.
+    In free space, a relaxed problem first finds out whether the marks can be met together at all. Near obstacles this
+    comes last, since relaxed problems take longer there.
     """
     iterate = failed
     if not failed.blocked and not run.deadline.late:
@@ -76,7 +78,8 @@ def from_other_guesses(run: Run, failed: Iterate, paths: Sequence[Array], guess:
 
 
 def _diagnosed(run: Run, failed: Iterate, paths: Sequence[Array], guess: Any) -> Iterate:
-    """Solved from a motion that meets all marks where a relaxed problem finds one, or failed, with the reason why."""
+    """The iterate solved from a motion that meets all marks if a relaxed problem finds one, else failed, with the
+    reason."""
     first = _again(run, failed, paths, as_clip(failed.request, guess))
     why, near = diagnose(run, first)
     return replace(failed, why=why) if near is None else solve(run, replace(first, x=near))
@@ -85,13 +88,13 @@ def _diagnosed(run: Run, failed: Iterate, paths: Sequence[Array], guess: Any) ->
 def _again(
     run: Run, iterate: Iterate, paths: Sequence[Array], clip: Clip | None = None, stretch: float = 1.0
 ) -> Iterate:
-    """Another initial guess at the same request; what was active stays active."""
+    """Another initial guess for the same request; active sets are kept."""
     request, transcription, blocks = iterate.request, iterate.transcription, iterate.blocks
     return begin(run, request, transcription, iterate.cover, paths, clip, stretch=stretch, blocks=blocks)
 
 
 def _other_paths(iterate: Iterate, paths: Sequence[Array], guess: Any, wariness: int, bend: float) -> Sequence[Array]:
-    """Paths bent aside, or among obstacles with more room, unless a path was given."""
+    """Paths bent sideways, or near obstacles paths with a wider berth; given paths are not changed there."""
     request, obstacles = iterate.request, iterate.block(ObstacleClearance)
     if obstacles is None:
         return [bent(path, bend) for path in paths]

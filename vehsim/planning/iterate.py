@@ -1,4 +1,4 @@
-"""`Iterate`: the state of a plan between its steps, immutable; `Run`: what one run of the planner uses and counts."""
+"""`Iterate`: the immutable state of a plan between steps; `Run`: the resources and counters of one planner run."""
 
 from __future__ import annotations
 
@@ -27,72 +27,74 @@ Progress = Callable[[str, float], None]
 B = TypeVar("B", bound=Block)
 
 NOT_RUN = Executed(np.inf, np.inf, np.inf)
-"""Where the controls lead, before they are run."""
+"""The value of `Iterate.executed` before the controls are executed."""
 
 
 @dataclass(frozen=True)
 class Certificate:
-    """What the finished clip of an iterate was measured to be worth, a finding for each block."""
+    """What the finished clip of an iterate was measured to achieve: one finding per block."""
 
     findings: tuple[Finding, ...]
 
     @property
     def clearance(self) -> float:
-        """The least clearance, m; inf where there is nothing to hit, nan where it was not measured."""
+        """The smallest clearance, m; inf without terrain and obstacles, nan if it was not measured."""
         return float(min((finding.clearance for finding in self.findings), default=np.inf))
 
     @property
     def wanted(self) -> float:
-        """The clearance asked for, m; zero where there is nothing to hit."""
+        """The requested clearance, m; zero without terrain and obstacles."""
         return max((finding.wanted for finding in self.findings), default=0.0)
 
     @property
     def met(self) -> bool:
-        """Whether nothing asks for another, tighter solve."""
+        """Whether no finding requires a tighter solve."""
         return all(finding.met for finding in self.findings)
 
     @property
     def messages(self) -> list[str]:
-        """What is not kept, in the user's words."""
+        """The requirements that are not met, as messages to the user."""
         return [finding.message for finding in self.findings if finding.message]
 
 
 @dataclass(frozen=True, eq=False)
 class Iterate(Trajectory):
-    """A trajectory, the blocks of its problem, and what is known of it. A step takes one and returns another."""
+    """A trajectory, the blocks of its problem, and the results so far. Each step takes an iterate and returns a new
+    one."""
 
     blocks: tuple[Block, ...]
     paths: Sequence[Array] = ()
-    """The paths that it began with, one per leg."""
+    """The initial paths, one per leg."""
     solution: Solution | None = None
-    """What the last solve came to; None before the first."""
+    """The result of the last solve; None before the first."""
     problem: NonlinearProgram | None = None
     """The problem that was solved."""
     multipliers: tuple[Multipliers, tuple[NonlinearProgram, Layout]] | None = None
-    """Those of the last solve that succeeded, for the next one to start from."""
+    """The multipliers of the last successful solve, with its problem and layout, to start the next solve from."""
     stale: bool = True
-    """Something has changed since it was solved."""
+    """Whether it has changed since the last solve."""
     prolongated: bool = False
-    """Its variables come from a coarser discretisation, or an earlier plan, rather than from an initial guess."""
+    """Whether its variables come from a coarser discretisation or an earlier plan, rather than from an initial
+    guess."""
     rung: int = -1
-    """The discretisation of `refine.LADDER` that it is on."""
+    """Index of its discretisation in `refine.LADDER`."""
     executed: Executed = NOT_RUN
     certificate: Certificate | None = None
     tightenings: int = 0
     why: str = ""
     """Why it was not solved."""
     remark: str = ""
-    """What is not as it was asked for."""
+    """In which way the plan differs from the request, for the message."""
     note: str = ""
-    """What was left out."""
+    """Which step was left out, for the message."""
 
     @property
     def success(self) -> bool:
-        """It is solved."""
+        """Whether the last solve succeeded."""
         return self.solution is not None and self.solution.success
 
     def block(self, kind: type[B]) -> B | None:
-        """The first block of a kind."""
+        """The first block of a kind, or None."""
         return next((block for block in self.blocks if isinstance(block, kind)), None)
 
     @property
@@ -103,29 +105,29 @@ class Iterate(Trajectory):
 
     @property
     def cover(self) -> SphereCover | None:
-        """What is kept off terrain and obstacles in flight."""
+        """The spheres that flight keeps away from terrain and obstacles."""
         found = self.block(Clearance)
         return None if found is None else found.cover
 
     @property
     def blocked(self) -> bool:
-        """There is something to hit."""
+        """Whether there is terrain or an obstacle to hit."""
         return self.cover is not None or self.block(ObstacleClearance) is not None
 
     def with_timing(self, timing: Timing) -> Self:
-        """The same with another timing."""
+        """The same iterate with another timing."""
         blocks = tuple(timing if isinstance(block, Timing) else block for block in self.blocks)
         return replace(self, blocks=blocks)
 
     def worst(self) -> str:
-        """What messages call the constraint row that is violated most."""
+        """The name of the constraint row with the largest violation, for messages."""
         assert self.solution is not None and self.problem is not None
         use, occurrence, row = self.problem.row(int(np.argmax(self.solution.violations)))
         return self.blocks[use.owner].describe(use, occurrence, row, self)
 
 
 class Run:
-    """What one run of the planner uses and counts: its clock, its built solvers, and where progress is reported."""
+    """The resources and counters of one planner run: its deadline, its solver cache, and its progress callback."""
 
     def __init__(self, request: Request, progress: Progress | None = None, solvers: SolverCache | None = None) -> None:
         self.deadline = Deadline(request.deadline)
@@ -135,7 +137,7 @@ class Run:
         self.build_seconds = self.solve_seconds = 0.0
 
     def watcher(self, text: str) -> Callable[[int], None] | None:
-        """A solver's watcher that reports progress; None where no report is wanted."""
+        """A callback for the solver that reports progress; None if no progress is wanted."""
         progress: Any = self.progress
         if progress is None:
             return None

@@ -1,6 +1,7 @@
-"""Vehicles and obstacles seen from above: how far outlines are from shapes, and simpler outlines to reckon with.
+"""Vehicles and obstacles in plan view: distances from outlines to shapes, and simplified outlines.
 
-What belongs here is measured with numpy; the optimiser's rows are in `features.py`, exact distances in `world.plane`.
+This module computes with numpy. The rows of the optimisation problem are in `features.py`, exact distances in
+`world.obstacles.plane`.
 """
 
 from __future__ import annotations
@@ -19,16 +20,16 @@ Array = NDArray[np.float64]
 def clearances(parts: Sequence[tuple[Any, int]], outlines: Array, seconds: Array, reach: float = np.inf) -> Array:
     """Signed distances (parts, n) m of outlines (n, k, 2) at ``seconds`` (n,) since frame 0.
 
-    Those beyond ``reach`` m are lower bounds, beyond it too.
+    Distances above ``reach`` m are lower bounds, also above ``reach``.
     """
     found = [gaps_to(obstacle.shapes_at(seconds)[number], outlines, reach) for obstacle, number in parts]
     return np.reshape(found, (len(parts), len(outlines)))
 
 
 def gaps_to(shape: Any, outlines: Array, reach: float = np.inf) -> Array:
-    """Signed distances (n,) m of outlines (n, k, 2) to one shape, or to one each (n, m, 2).
+    """Signed distances (n,) m of outlines (n, k, 2) to one shape, or to one shape each (n, m, 2).
 
-    Those beyond ``reach`` m are lower bounds, beyond it too.
+    Distances above ``reach`` m are lower bounds, also above ``reach``.
     """
     out = bounds_to(shape, outlines)
     near = out < reach
@@ -38,13 +39,13 @@ def gaps_to(shape: Any, outlines: Array, reach: float = np.inf) -> Array:
 
 
 def bounds_to(shape: Any, outlines: Array) -> Array:
-    """No more than the distances (n,) m of outlines (n, k, 2) to one shape, or to one each (n, m, 2)."""
+    """Lower bounds (n,) m on the distances of outlines (n, k, 2) to one shape, or to one shape each (n, m, 2)."""
     (centres, radii), (middle, radius) = bounding_circle(outlines), bounding_circle(shape)
     return np.asarray(np.linalg.norm(centres - middle, axis=-1) - radii - radius)
 
 
 def simplified(polygon: Array, count: int) -> Array:
-    """A convex polygon of at most ``count`` corners that contains ``polygon`` (k, 2) and little more."""
+    """A convex polygon of at most ``count`` corners that contains ``polygon`` (k, 2) with little added area."""
     while len(polygon) > count:
         added = [_without_edge(polygon, i) for i in range(len(polygon))]
         best = min(range(len(polygon)), key=lambda i: added[i][0])
@@ -55,7 +56,10 @@ def simplified(polygon: Array, count: int) -> Array:
 
 
 def _without_edge(polygon: Array, i: int) -> tuple[float, Array]:
-    """The area added when edge ``i`` goes and its neighbours are drawn on until they meet; inf where they do not."""
+    """The area added when edge ``i`` is removed and its neighbours are extended until they meet, and the new polygon.
+
+    The area is inf if the neighbours do not meet.
+    """
     n = len(polygon)
     before, a, b, after = (polygon[k % n] for k in (i - 1, i, i + 1, i + 2))
     u, v = a - before, b - after
@@ -71,7 +75,7 @@ def _without_edge(polygon: Array, i: int) -> tuple[float, Array]:
 
 
 def inner_discs(polygon: Array) -> list[tuple[Array, float]]:
-    """Discs (centre (2,), radius m) within a convex polygon, from end to end, about a radius apart."""
+    """Discs (centre (2,), radius m) inside a convex polygon, from one end to the other, about one radius apart."""
     if len(polygon) < 3:
         return []
     low, high = polygon.min(axis=0), polygon.max(axis=0)
@@ -83,6 +87,6 @@ def inner_discs(polygon: Array) -> list[tuple[Array, float]]:
     along = grid[deep, int(np.argmax(high - low))]
     count = int(np.ceil(np.ptp(along) / depth.max())) + 1
     places = np.linspace(along.min(), along.max(), count)
-    # where several are as near, the deepest
+    # of several discs that are equally near, choose the deepest
     chosen = {int(deep[np.argmin(np.abs(along - place) - 1e-3 * depth[deep])]) for place in places}
     return [(grid[n], float(depth[n])) for n in sorted(chosen)]

@@ -1,8 +1,8 @@
-"""`plan`: marks in, the best motion the vehicle can make through them out.
+"""`plan`: from marks to the vehicle's best motion through them.
 
-Top-down: check what is asked, find a path through free space, solve coarsely, settle on whole frames, solve to higher
-order until the controls lead where the plan says, certify the motion that will be exported, tighten and repeat if it
-comes too near.
+Top-down: check the request, find a path through free space, solve on few segments, move free marks to whole frames,
+solve at higher order until the executed controls end where the plan does, certify the motion that will be exported, and
+tighten and repeat if it comes too near.
 """
 
 from __future__ import annotations
@@ -46,32 +46,34 @@ from vehsim.vehicles import Vehicle
 Array = NDArray[np.float64]
 
 LATE = f"{HURRIED} before solving began{{}}: the motion is the unverified initial guess; {LONGER}"
-"""The message of a plan without time to solve it, and what the time went to."""
+"""The message of a plan that ran out of time before the first solve, and the step that used the time."""
 MET = 1e-6
-"""Violations below this are none."""
+"""Violations below this count as zero."""
 FINER, MOST = 4, 256
-"""Times as many segments a plan is begun again on where its controls lead elsewhere, and the most of them."""
+"""Factor by which the number of segments grows if the controls lead elsewhere, and the largest number."""
 SHARE = 0.1
-"""How far the controls of a plan may end from it, of the vehicle's length, beyond what refining aims at: farther off,
-the motion is not one of the vehicle's, or so unstable that its controls mean nothing."""
+"""How far from the plan its executed controls may end in addition to `EXECUTED`, relative to the vehicle's length.
+
+If they end farther away, the motion is not one of the vehicle, or so unstable that its controls mean nothing.
+"""
 FASTER = 0.005
-"""By how much of a vehicle's top speed a motion may be faster before it is made again below that."""
+"""By how much, relative to the vehicle's top speed, a motion may exceed it before it is planned again with that
+limit."""
 Reason = Literal["refused", "time limit", "not solved", "clearance", "between knots", "execution", "audit"]
-"""Why a plan failed. In turn: its marks contradict each other or the vehicle; the time limit came first; the solver
+"""Why a plan failed. In turn: its marks contradict each other or the vehicle; the time limit was reached; the solver
 found no motion; the certified clearance is too small; a constraint is violated between knots; the controls end
 elsewhere than the plan; the finished motion misses a request."""
 NAMED = 3
-"""How many asks that the finished motion misses are named."""
+"""Maximum number of missed requests that the message names."""
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """A planned motion and what it is worth.
+    """A planned motion with its certificates.
 
     ``defect``: largest constraint violation, in the problem's scaled units (m, m/s, rad); ``clearance``: smallest
-    certified, m, plus the allowance near a landing; nan where it was not measured;
-    ``executed``: how far the controls, run finely and independently, lead from the plan, m; ``segments``, ``order``: of
-    the discretisation in the end.
+    certified distance, m, plus the allowance near a landing; nan if it was not measured; ``executed``: distance from
+    the plan, m, of a fine, independent execution of its controls; ``segments``, ``order``: the final discretisation.
     """
 
     clip: Clip
@@ -89,11 +91,12 @@ class Plan:
     order: int
     tightenings: int = 0
     reason: Reason | None = None
-    """Why it failed, None where it did not."""
+    """Why it failed; None for a successful plan."""
     asks: tuple[Ask, ...] = ()
-    """Everything that was asked, as data."""
+    """Everything that was requested, as data."""
     audit: tuple[Row, ...] = ()
-    """What the finished clip was measured to do, a row for each ask; none of a plan that failed before."""
+    """What the finished clip was measured to achieve, one row per request; empty if the plan failed before the
+    audit."""
     _iterate: Iterate | None = field(default=None, repr=False)
     _run: Run | None = field(default=None, repr=False)
 
@@ -103,11 +106,12 @@ class Plan:
 
     @property
     def marks(self) -> list[Mark]:
-        """The marks it was made for, holds written out and those on the ground put down."""
+        """The marks of the plan, with holds as two marks and marks on the ground placed on the terrain or obstacle."""
         return [] if self._iterate is None else list(self._iterate.request.given or self._iterate.request.marks)
 
     def replan(self, marks: Sequence[Mark], progress: Progress | None = None) -> Plan:
-        """The plan for other marks, started from this one: quick when they ask for the same things elsewhere."""
+        """The plan for other marks, started from this one: fast if the marks fix the same quantities at other
+        values."""
         with interrupts.remembered():
             made = self._moved(marks, progress)
         _warn(made)
@@ -123,7 +127,7 @@ class Plan:
         faced = replace(request, given=request.marks, marks=same_headings(request.marks, given, before.marks))
         run = Run(faced, progress, self._run.solvers)
         iterate = settle_on_frames(run, solve(run, _at_marks(self._iterate, faced)))
-        if not iterate.success:  # from here there is no way: from its own initial guess there may be one
+        if not iterate.success:  # no solution from here; its own initial guess may lead to one
             return _solve(replace(request, given=()), progress, None)
         return _result(run, refine_and_certify(run, iterate))
 
@@ -147,21 +151,21 @@ def plan(
     time_limit: float | None = None,
     progress: Progress | None = None,
 ) -> Plan:
-    """The motion through ``marks`` that costs least, certified.
+    """The motion through ``marks`` with the least cost, certified.
 
-    ``fps``: frames a second; ``segments``: in all, with every mark on a knot; ``cost``: a name of `terms.COSTS`, or
-    weights by name; ``clearance``: m from terrain and obstacles; ``limits``: bounds by name of `terms.LIMITS`;
-    ``guess``: a path (k, 3) m to start from, or a `Clip`, which brings its joints and controls along if its vehicle has
-    the same; ``refine``: until the controls, executed finely, end within 0.1 m of the plan; ``terms``: costs and
-    constraints of one's own (`Cost`, `Constraint`, `look_at`, `stay`); ``loop``: the motion ends as it begins;
-    ``solver``: a name of `problem.solver.SOLVERS`.
+    ``fps``: frames per second; ``segments``: their total number, with every mark on a knot; ``cost``: a name of
+    `terms.COSTS`, or weights by name; ``clearance``: m from terrain and obstacles; ``limits``: bounds by name of
+    `terms.LIMITS`; ``guess``: a path (k, 3) m to start from, or a `Clip`, whose joints and controls are also used if
+    its vehicle has the same ones; ``refine``: refine until the controls, executed finely, end within 0.1 m of the plan;
+    ``terms``: your own costs and constraints (`Cost`, `Constraint`, `look_at`, `stay`); ``loop``: the motion ends as it
+    begins; ``solver``: a name of `problem.solver.SOLVERS`.
 
-    ``time_limit``: s from the call on, after which the best motion so far comes back, certified. It includes loading:
+    ``time_limit``: seconds after the call at which the best motion so far is returned, certified. It includes loading:
     below about 0.5 s, or 1 s near terrain, you may get only the initial guess, and a message that says so. Distances to
     a new terrain are measured once, which takes seconds, and are cached.
 
-    Raises ``InputError`` for what cannot be asked. What cannot be solved comes back with ``success = False`` and a
-    message, and a warning.
+    Raises ``InputError`` for an invalid request. A request without a solution returns a plan with ``success = False``
+    and a message, and warns.
     """
     request = ask(
         vehicle, world, marks, fps=fps, segments=segments, cost=cost, clearance=clearance, limits=limits,
@@ -178,7 +182,7 @@ def plan(
 
 
 def _warn(plan: Plan) -> None:
-    """Say of a failed plan, where it was asked for, that it is one; and what of a plan is not as it was asked for."""
+    """Warn, at the caller's line, if a plan failed or differs from the request."""
     name = plan.clip.vehicle.name
     if not plan.success:
         warnings.warn(f"{name}: plan failed: {plan.message}", FailedPlan, stacklevel=3)
@@ -187,8 +191,11 @@ def _warn(plan: Plan) -> None:
 
 
 def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
-    """The plan; begun again below the vehicle's top speed where it outran that, and on more segments where a few have
-    led the optimiser to a motion that their controls do not make, or to none."""
+    """The plan, if necessary planned again with fewer freedoms or more segments.
+
+    A motion faster than the vehicle's top speed is planned again with that limit. If the controls do not lead where the
+    motion does, or no motion is found for an unknown reason, the plan is repeated on more segments.
+    """
     if request.segments < FEWEST:
         enough = LEAST * (len(request.marks) - 1)
         made = _solve(replace(request, segments=enough), progress, guess)
@@ -222,32 +229,32 @@ def _remarked(plan: Plan, remark: str) -> Plan:
 
 
 def _outran(plan: Plan, request: Request) -> bool:
-    """Whether a motion is faster than its vehicle, where nothing else was asked for."""
+    """Whether a motion exceeds the vehicle's top speed and the request sets no speed limit."""
     velocity = 3 if plan.clip.twists.shape[1] == 6 else 1
     speeds = np.linalg.norm(plan.clip.twists[:, velocity:], axis=1)
     return bool(math.isinf(request.limits.get("speed")) and speeds.max() > (1 + FASTER) * request.top_speed)
 
 
 def _misled(plan: Plan) -> bool:
-    """Whether the controls, however fine, do not lead where the motion does."""
+    """Whether the executed controls end elsewhere than the motion even after refinement."""
     assert plan._iterate is not None and plan._run is not None
     deadline = plan._run.deadline
     return _ends_elsewhere(plan._iterate) and not deadline.late and not deadline.cut
 
 
 def _unexplained(plan: Plan) -> bool:
-    """Whether a plan has failed for no reason that was found: on more segments it may succeed."""
+    """Whether a plan failed without a known reason: on more segments it may succeed."""
     assert plan._iterate is not None and plan._run is not None
     return not (plan.success or plan._iterate.why or plan._run.deadline.late) and plan.iterations > 0
 
 
 def _ends_elsewhere(iterate: Iterate) -> bool:
-    """Whether the controls of a solved iterate, as fine as it was refined, end elsewhere than it does."""
+    """Whether the executed controls of a solved and refined iterate end elsewhere than it does."""
     return iterate.success and iterate.request.refine and iterate.executed.final > EXECUTED
 
 
 def _attempt(request: Request, progress: Progress | None, guess: Any, once: bool = False) -> Plan:
-    """The plan of one request; ``once``: without other guesses, or an explanation, where it is not solved."""
+    """The plan of one request; ``once``: on failure, do not try other guesses and do not diagnose."""
     transcription, run = transcribe(request.weighed), Run(request, progress)
     watched = run.deadline.watched(progress)
     try:
@@ -273,7 +280,7 @@ def _attempt(request: Request, progress: Progress | None, guess: Any, once: bool
 
 
 def _facing(request: Request, paths: Sequence[Array]) -> Request:
-    """The request with marks at rest turned along their legs, where headings off the course cost something."""
+    """The request with marks at rest turned along their legs, if the cost includes `course`."""
     turned = facing(request.marks, paths, request.aimed) if request.weights["course"] else request.marks
     return request if turned == request.marks else replace(request, marks=turned, given=request.marks)
 
@@ -299,7 +306,7 @@ def _at_marks(iterate: Iterate, request: Request) -> Iterate:
 
 
 def _result(run: Run, iterate: Iterate, reason: Reason | None = None) -> Plan:
-    """What an iterate came to; ``reason``: why it was not solved, where it was given up."""
+    """The finished plan of an iterate; ``reason``: why it was not solved, if planning stopped early."""
     request, solution, certificate = iterate.request, iterate.solution, iterate.certificate
     assert solution is not None and certificate is not None
     message, success = solution.message, solution.success
@@ -328,7 +335,7 @@ def _result(run: Run, iterate: Iterate, reason: Reason | None = None) -> Plan:
         if off > allowed:
             success, reason = False, "execution"
             message += f", more than {allowed:.2f} m: ask for more segments, more time, or slower motion"
-    begun = run.iterations > 0 or not run.deadline.hopeless  # or else there is no time for wheels on the ground
+    begun = run.iterations > 0 or not run.deadline.hopeless  # otherwise there is no time to place wheels on the ground
     clip = exported(iterate.clip, request) if begun else replace(iterate.clip, vehicle=request.vehicle)
     asks = asks_of(request, iterate.mark_frames())
     rows = audit(track_of_clip(clip), asks, WorldScene(request.world, clip.vehicle)) if success else []

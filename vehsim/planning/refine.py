@@ -1,4 +1,4 @@
-"""From a coarse plan to the one asked for: onto whole frames, to more segments and higher order."""
+"""From a coarse plan to the requested one: move marks to whole frames, then use more segments and higher order."""
 
 from __future__ import annotations
 
@@ -16,40 +16,44 @@ from vehsim.planning.solve import solve
 from vehsim.planning.trajectory import Trajectory
 
 EXECUTED = 0.1
-"""Largest accepted distance between the plan's end and where its controls lead, m, before the plan is refined."""
+"""Largest accepted distance between the end of the plan and the end of its executed controls, m; above it the plan is
+refined."""
 LADDER = ((1, 4), (1, 6), (2, 6), (4, 6))
-"""Discretisations a plan climbs through: times the segments asked for, and order. Higher order is cheaper than more
-segments."""
+"""Discretisations of a plan in turn: factor on the requested number of segments, and order. Higher order is cheaper
+than more segments."""
 
 
 def settle_on_frames(run: Run, iterate: Iterate) -> Iterate:
-    """Solved with free marks on whole frames; their timing is fixed from here on."""
+    """The iterate solved with free marks on whole frames; their timing is fixed from then on."""
     return resolve(run, _on_frames(iterate), iterate) if np.any(iterate.timing.free) else iterate
 
 
 def _on_frames(iterate: Iterate, early: float = EARLY) -> Iterate:
-    """The same motion with free marks on whole frames, ``early`` of a frame too early at most."""
+    """The same motion with free marks on whole frames, at most ``early`` of a frame too early."""
     x = iterate.stretched(iterate.timing.on_frames(iterate, early))
     return replace(iterate, x=x, stale=True).with_timing(iterate.timing.settled())
 
 
 def approach(run: Run, iterate: Iterate) -> Iterate:
-    """From the coarse discretisation a plan was found on to the one asked for, in steps on the way."""
+    """From the coarse discretisation of the first solve to the requested one, in steps."""
     asked, refined = iterate.request.segments, iterate.request.refine
     found = True
     while found and iterate.success and 4 * iterate.layout.segments <= asked:
         iterate, found = _step(run, iterate, asked)
     if iterate.success and (refined or iterate.layout.segments < asked):
         iterate, climbed = _climb(run, iterate)
-        if not climbed and run.deadline.cut and iterate.layout.segments < asked:  # a lower order may still be in time
+        # a lower order may still finish in time
+        if not climbed and run.deadline.cut and iterate.layout.segments < asked:
             lower, _ = _solved_on(run, iterate, asked, 2)
             iterate = replace(lower, note=iterate.note)
     return replace(iterate, executed=iterate.run_controls())
 
 
 def refine(run: Run, iterate: Iterate, before: Iterate | None = None) -> Iterate:
-    """Climb the ladder of discretisations until the executed controls end where the plan does; ``before``: what there
-    was before a tightening."""
+    """Refine the discretisation until the executed controls end where the plan does.
+
+    ``before``: the iterate before a tightening.
+    """
     if iterate.stale or math.isinf(iterate.executed.final):
         iterate = resolve(run, iterate, before)
         iterate = replace(iterate, executed=iterate.run_controls())
@@ -62,9 +66,9 @@ def refine(run: Run, iterate: Iterate, before: Iterate | None = None) -> Iterate
 
 
 def resolve(run: Run, iterate: Iterate, before: Iterate | None = None) -> Iterate:
-    """Solve again if anything changed since; an iterate that failed for want of time stays as it is.
+    """Solve again if anything changed since the last solve; an iterate that ran out of time stays as it is.
 
-    Where that fails because free legs are fixed, solve from ``before`` with free legs again, and settle them later.
+    If this fails because free legs are fixed, solve from ``before`` with free legs and fix them again afterwards.
     """
     if not iterate.stale or (run.deadline.late and not iterate.success):
         return iterate
@@ -81,7 +85,8 @@ def _too_far(iterate: Iterate) -> bool:
 
 
 def _step(run: Run, iterate: Iterate, asked: int) -> tuple[Iterate, bool]:
-    """The iterate on four times the segments, or twice as many, below those ``asked`` for; and whether it is solved."""
+    """The iterate on four times or twice as many segments, fewer than the requested ``asked``, and whether it is
+    solved."""
     few = iterate.layout.segments
     for times in (4, 2):
         if 2 * times * few <= asked:
@@ -92,14 +97,15 @@ def _step(run: Run, iterate: Iterate, asked: int) -> tuple[Iterate, bool]:
 
 
 def _climb(run: Run, iterate: Iterate) -> tuple[Iterate, bool]:
-    """The iterate on the next rung of the ladder, and whether it was solved there."""
+    """The iterate on the next discretisation of the ladder, and whether it was solved there."""
     rung = iterate.rung + 1
     times, order = LADDER[rung] if iterate.request.refine else (1, 2)
     return _solved_on(run, replace(iterate, rung=rung), times * iterate.request.segments, order)
 
 
 def _solved_on(run: Run, iterate: Iterate, segments: int, order: int) -> tuple[Iterate, bool]:
-    """The iterate on a finer discretisation and True, or as it is, with a note, and False where that is not solved."""
+    """The iterate on a finer discretisation and True; if that is not solved, the unchanged iterate, with a note, and
+    False."""
     layout = iterate.layout
     split = segments // layout.segments
     fine = Layout(iterate.transcription.sizes, tuple(split * n for n in layout.phases), order)

@@ -1,4 +1,4 @@
-"""Solving: from an initial guess to a solved iterate, with constraints activated as the solver runs through them."""
+"""Solve: from an initial guess to a solved iterate, activating constraints that a solution violates."""
 
 from __future__ import annotations
 
@@ -33,16 +33,17 @@ from vehsim.planning.trajectory import Trajectory, exported
 Array = NDArray[np.float64]
 
 COARSE = 24
-"""A plan is first found on at least as many segments, a half or a quarter of those asked for where that goes."""
+"""Smallest number of segments of the first solve, in free space: the requested number is halved while this many
+remain."""
 CLOSE = 48
-"""The same among obstacles, and to land: between knots farther apart they could be jumped over."""
+"""The same among obstacles and for landings: with fewer segments, an obstacle could lie between two knots."""
 LOOKS = 3
-"""How often a solve begins again because it violated what was not active."""
+"""Maximum number of times a solve is repeated because it violated inactive constraints."""
 REHEARSED = 8
-"""Segments the initial guess is certified on to learn how long that takes, where time is limited: it looks closer where
-it has to, so that their number matters little."""
+"""Segments on which the initial guess is certified to measure how long that takes, if time is limited. Certification
+adds samples where necessary, so this number matters little."""
 CRUISE = 12.0
-"""Guess of a free leg's speed, m/s, when no speed limit is lower."""
+"""Initial guess of the speed on a free leg, m/s, unless a lower speed limit is set."""
 
 
 def begin(
@@ -56,10 +57,10 @@ def begin(
     stretch: float = 1.0,
     blocks: Sequence[Block] | None = None,
 ) -> Iterate:
-    """The initial guess: along ``paths``, one per leg, or a ``clip`` as it is.
+    """The initial guess: along ``paths``, one per leg, or an unchanged ``clip``.
 
-    Free legs take ``stretch`` times as long as a cruise. ``blocks``: of an earlier guess at the same request, whose
-    active sets stay.
+    ``stretch``: factor on the duration of free legs at cruising speed; ``blocks``: those of an earlier guess for the
+    same request, whose active sets are kept.
     """
     marks, began = request.marks, time.monotonic()
     blocks = blocks_of(request, transcription, cover) if blocks is None else blocks
@@ -82,7 +83,7 @@ def begin(
         x = along_clip(transcription, layout, marks, clip, lengths)
     guess = Trajectory(request, transcription, layout, x)
     active = tuple(block.activate(guess) for block in blocks)
-    # between rocks controls are agile throughout: the first rung would not do
+    # near terrain and obstacles controls change quickly, so the first discretisation of the ladder is too coarse
     iterate = Iterate(request, transcription, layout, x, active, paths, rung=-1 + (cover is not None))
     if math.isfinite(run.deadline.end) and not (run.deadline.kept or run.deadline.late):
         _rehearse(run, iterate)
@@ -91,7 +92,7 @@ def begin(
 
 
 def _coarse(request: Request, enough: int) -> int:
-    """Segments to find a plan on: as many as asked for, halved while ``enough`` are left."""
+    """Number of segments for the first solve: the requested number, halved while at least ``enough`` remain."""
     segments, least = request.segments, max(enough, 2 * len(request.marks))
     while segments % 2 == 0 and segments // 2 >= least:
         segments //= 2
@@ -99,13 +100,13 @@ def _coarse(request: Request, enough: int) -> int:
 
 
 def _rehearse(run: Run, iterate: Iterate) -> None:
-    """Finish the initial guess on a few segments, to know how long that takes in the end."""
+    """Certify the initial guess on a few segments, to estimate how long that will take for the final motion."""
     clip = iterate.clip
     few = clip.at(np.linspace(0.0, clip.duration, REHEARSED + 1))
     moment, share = (clip.at([0.0, part * clip.duration]) for part in (1e-3, 1 / REHEARSED))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of a guess
-        measured(run, iterate, moment)  # this and the next two build models, which takes longer
+        warnings.simplefilter("ignore")  # warnings about a guess are of no use
+        measured(run, iterate, moment)  # this and the next two lines build models, whose time must not count
         iterate.run_controls()
         exported(moment, iterate.request)
         run.deadline.rehearse(lambda: (measured(run, iterate, few), iterate.run_controls()))
@@ -114,12 +115,12 @@ def _rehearse(run: Run, iterate: Iterate) -> None:
 
 
 def measured(run: Run, iterate: Iterate, clip: Clip) -> Certificate:
-    """What a clip of an iterate is worth to its blocks."""
+    """The certificate of a clip of an iterate."""
     return Certificate(tuple(block.measure(iterate, clip, run.progress) for block in iterate.blocks))
 
 
 def give_up(iterate: Iterate, message: str) -> Iterate:
-    """End with the initial guess, where nothing can be solved."""
+    """Stop and return the initial guess, without solving."""
     solution = Solution(iterate.x, math.nan, math.inf, False, message, 0, np.zeros(0))
     hazards = iterate.request.hazards or iterate.block(ObstacleClearance) is not None
     unmeasured = Certificate((Finding(math.nan if hazards else math.inf),))
@@ -127,9 +128,9 @@ def give_up(iterate: Iterate, message: str) -> Iterate:
 
 
 def solve(run: Run, iterate: Iterate) -> Iterate:
-    """Solve from the iterate's variables; legs to free marks vary while their timing is open.
+    """Solve from the iterate's variables; the durations of legs to free marks vary until they are fixed.
 
-    A motion that violates what was not active is solved again, from the same start.
+    A solution that violates inactive constraints activates them, and is solved again from the same start.
     """
     solved = _solve_active(run, iterate, "guess")
     for _ in range(LOOKS):
@@ -144,7 +145,7 @@ def solve(run: Run, iterate: Iterate) -> Iterate:
 
 
 def _solve_active(run: Run, iterate: Iterate, start: Start) -> Iterate:
-    """One solve with the present active sets."""
+    """One solve with the current active sets."""
     began = time.monotonic()
     solver = _solver(run, iterate)
     clearance = iterate.block(Clearance)
@@ -167,7 +168,7 @@ def _solve_active(run: Run, iterate: Iterate, start: Start) -> Iterate:
 
 
 def _solver(run: Run, iterate: Iterate) -> Solver:
-    """The built problem of an iterate; built once for every shape of marks, in free space once for all plans."""
+    """The solver of an iterate's problem, built once per shape of marks and, in free space, shared by all plans."""
     request, layout, transcription = iterate.request, iterate.layout, iterate.transcription
     keys: tuple[Hashable, ...] = tuple(block.key(layout, transcription) for block in iterate.blocks)
     key = transcription, layout, keys, request.solver, request.max_iterations
@@ -180,11 +181,12 @@ def _solver(run: Run, iterate: Iterate) -> Solver:
 
 
 def _answer(run: Run, iterate: Iterate, solver: Solver, start: Start) -> Solution:
-    """From the multipliers of the last solve, where there was one; from the motion alone where these mislead."""
+    """The solution, started from the multipliers of the last solve if it has any; if that fails, from the motion
+    alone."""
     bounds = variable_bounds(iterate, iterate.blocks)
     values = parameter_values(solver.problem, iterate, iterate.blocks)
     deadline, answer, last = run.deadline.solving, None, iterate.multipliers
-    # finer, what is in the way pushes elsewhere
+    # multipliers of obstacle constraints do not carry over to another discretisation
     if last is not None and not (iterate.blocked and last[1][1] != iterate.layout):
         given = carried(*last, (solver.problem, iterate.layout))
         answer = solver.solve(iterate.x, *bounds, values, deadline, multipliers=given)

@@ -1,7 +1,7 @@
-"""Costs, limits and terms of one's own, as data: each is one expression of a knot or of a segment.
+"""Costs, limits and the user's own terms, as data: each is one expression of a knot or of a segment.
 
-A built-in cost is a law of a `SegmentView`, a built-in limit a law of a `KnotView` or `SegmentView`, and so are the
-`Cost` and `Constraint` that users write: one protocol, evaluated once in CasADi symbols and differentiated from there.
+A built-in cost is a law of a `SegmentView`, and a built-in limit a law of a `KnotView` or `SegmentView`; the same holds
+for a user's `Cost` and `Constraint`. A law is evaluated once in CasADi symbols and differentiated from there.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from vehsim.runtime.registry import Registry
 Expr = Any
 """A CasADi expression."""
 GRAVITY = 9.81
-"""m/s^2: what a g-load is counted in."""
+"""The unit of g-loads, m/s^2."""
 
 
 @dataclass(frozen=True)
 class KnotView:
-    """What a law sees of an instant, all CasADi columns, SI and radians.
+    """The quantities of one instant that a law can use: CasADi columns, SI units and radians.
 
-    ``position`` (3,) of the rig's root, world; ``velocity`` and ``acceleration`` (3,) world, where two segments meet
-    that of the later one; ``omega`` (3,) body axes; ``rotation`` (3, 3) root to world; ``joints, joint_rates`` (s,);
-    ``controls`` (c,); ``push``: what the controls push with, over the vehicle's weight, and ``rates``: how fast that
-    moves; ``t`` s since the first mark.
+    ``position`` (3,) of the rig's root, world; ``velocity`` and ``acceleration`` (3,), world axes, at a knot those of
+    the later segment; ``omega`` (3,) body axes; ``rotation`` (3, 3) root to world; ``joints, joint_rates`` (s,);
+    ``controls`` (c,); ``push``: the generalised force of the controls over the vehicle's weight; ``rates``: the
+    velocity along ``push``; ``t``: s since the first mark.
     """
 
     position: Expr
@@ -51,21 +51,24 @@ class KnotView:
 
     @property
     def power(self) -> Expr:
-        """What the controls put in, over the vehicle's weight: m/s of climb."""
+        """Power of the controls over the vehicle's weight: the climb rate, m/s, that it would sustain."""
         return ca.dot(self.push, self.rates)
 
     def joint(self, name: str) -> Expr:
-        """A joint's value by its name."""
+        """The value of a joint by name."""
         return self.joints[self.names.index(name)]
 
     def rate(self, name: str) -> Expr:
-        """A joint's rate by its name."""
+        """The rate of a joint by name."""
         return self.joint_rates[self.names.index(name)]
 
 
 @dataclass(frozen=True)
 class SegmentView:
-    """What a law sees of a segment: the knots at its ends, ``c0, c1`` controls over their scale, ``h`` s."""
+    """The quantities of one segment that a law can use.
+
+    Its two knots; ``c0, c1``: controls at both ends over their scale; ``h``: duration, s.
+    """
 
     start: KnotView
     end: KnotView
@@ -81,14 +84,17 @@ class SegmentView:
 
 @dataclass(frozen=True)
 class HazardView:
-    """What a law sees of an instant near what may be hit: ``distances`` (k,) m of the vehicle's spheres from it."""
+    """The quantities of one instant near terrain or obstacles.
+
+    ``distances`` (k,) m: from the vehicle's spheres to the nearest terrain or obstacle.
+    """
 
     distances: Expr
 
 
 @dataclass(frozen=True, eq=False)
 class Cost:
-    """A cost of one's own: ``law`` takes a `SegmentView` and gives the cost of that segment, a scalar.
+    """A user's cost: ``law`` takes a `SegmentView` and returns the cost of that segment, a scalar.
 
     ``integral=True``: the law takes a `KnotView` instead and is integrated over time (trapezoidal rule).
     ``frames`` (first, last): where it applies; default: the whole motion.
@@ -103,15 +109,16 @@ class Cost:
 
 Where = Literal["everywhere", "knots", "segments", "between"]
 SLACK = 0.005
-"""By how much of itself a limit may be passed between knots."""
+"""Default tolerance of a limit between knots, relative to its value."""
 
 
 @dataclass(frozen=True, eq=False)
 class Constraint:
-    """A constraint of one's own: ``lower <= law(view) <= upper``, component by component.
+    """A user's constraint: ``lower <= law(view) <= upper``, component by component.
 
-    ``over``: ``"everywhere"``, to within ``slack``, or ``"knots"`` alone, with a law of a `KnotView`; or ``"segments"``
-    with a law of a `SegmentView`. ``frames`` (first, last): only there, both included.
+    ``over``: ``"everywhere"`` enforces it at knots and, to within ``slack``, between them; ``"knots"`` only at knots.
+    Both take a law of a `KnotView`; ``"segments"`` takes a law of a `SegmentView`. ``frames`` (first, last): where it
+    applies, both included.
     """
 
     name: str
@@ -121,23 +128,23 @@ class Constraint:
     over: Where = "everywhere"
     frames: tuple[int, int] | None = None
     slack: float = 1e-3
-    """How far it may be passed between knots, in the law's own unit."""
+    """Tolerance between knots, in the unit of the law."""
     shown: Callable[[float], str] = "{:.4g}".format
-    """A value of the law in the user's units."""
+    """Format a value of the law in the user's units."""
     aim: tuple[Any, float] | None = None
-    """For initial guesses: it heads for a point (3,) m, turned right by an angle, rad."""
+    """For initial guesses: head for a point (3,) m, plus an angle to the right, rad."""
     box: Any | None = None
-    """Where it keeps the root, (2, 3) m: a mark outside is refused before anything is solved."""
+    """Box (2, 3) m in which it keeps the root: a mark outside is refused before anything is solved."""
     ask: Callable[[float, float], Ask] | None = None
-    """What an audit measures in its place, from a first to a last frame; None: nothing."""
+    """The request that the audit measures for it, from a first to a last frame; None: the audit measures nothing."""
     joint: str | None = None
-    """It is a range of this joint: at knots a bound of variables, and no row."""
+    """The joint whose range it is, if any: at knots it is then a bound on variables, not a row."""
     identity: Hashable = None
-    """Equal for constraints of one law and bounds; by default a constraint equals itself alone."""
+    """Equal for constraints with the same law and bounds; by default a constraint equals only itself."""
 
     @property
     def title(self) -> str:
-        """What messages call it."""
+        """Its name in messages."""
         return self.name.replace("limit ", "limits.")
 
 
@@ -150,7 +157,7 @@ def _effort(s: SegmentView) -> Expr:
 
 
 def _off_course(k: KnotView) -> Expr:
-    """Horizontal speed less its part along the nose, m/s: zero in forward flight, twice the speed backwards."""
+    """Horizontal speed minus its component along the nose, m/s: zero in forward flight, twice the speed backwards."""
     across = ca.sqrt(ca.sumsqr(k.velocity[0:2]) + 0.01)
     return across - ca.dot(k.rotation[0:2, 0], k.velocity[0:2])
 
@@ -167,7 +174,7 @@ def _mean(law: Callable[[KnotView], Expr], s: SegmentView) -> Expr:
 
 
 def _time(s: SegmentView) -> Expr:
-    """How long it takes, s."""
+    """Duration, s."""
     return s.h
 
 
@@ -197,15 +204,15 @@ def _safety(place: HazardView) -> Expr:
 
 
 def _work(s: SegmentView) -> Expr:
-    """Work the controls do, of either sign, in metres that it would lift the vehicle."""
-    # Simpson's rule: knots alone would let force and speed take turns
+    """Absolute work of the controls over the vehicle's weight, m."""
+    # Simpson's rule: sampled at knots only, force and velocity could alternate to make the work appear zero
     middle = ca.dot(s.start.push + s.end.push, s.start.rates + s.end.rates) / 4
     a, b, c = (ca.sqrt(power**2 + 0.04) - 0.2 for power in (s.start.power, middle, s.end.power))
     return s.h / 6 * (a + 4 * b + c)
 
 
 REACH = 4.0
-"""Distance over which the cost of being near falls to 1/e, m."""
+"""Distance over which the cost of proximity falls to 1/e, m."""
 
 
 def _norm(vector: Expr) -> Expr:
@@ -225,20 +232,20 @@ COSTS: Registry[Callable[[Any], Expr]] = Registry(
         "safety": _safety,
     },
 )
-"""Cost name -> its law. The docstring of each is its one description."""
+"""Cost name -> its law. The first line of a law's docstring is the cost's description."""
 
 VIEWS: dict[str, type] = {"safety": HazardView}
-"""What the law of a cost takes where it is not a `SegmentView`. A law of a segment is the integral over it, a law of a
-`HazardView` what an instant costs a second."""
+"""The view that the law of a cost takes if it is not a `SegmentView`. A law of a `SegmentView` returns the integral
+over the segment, a law of a `HazardView` the cost per second."""
 
 
 def costs_of(view: type, weights: Mapping[str, float]) -> tuple[str, ...]:
-    """Names of the costs that count, of those whose laws take such a view."""
+    """Names of the costs with a weight above zero whose laws take a given view."""
     return tuple(name for name, weight in weights.items() if weight and VIEWS.get(name, SegmentView) is view)
 
 
 def weight_of(cost: str) -> str:
-    """The name of the parameter that is a cost's weight."""
+    """The parameter name of a cost's weight."""
     return f"weight of {cost}"
 
 
@@ -246,15 +253,15 @@ PRESETS: dict[str, dict[str, float]] = {
     "energy": {"energy": 1.0, "effort": 0.1},
     "safety": {"safety": 10.0, "effort": 1.0},
 }
-"""Names that stand for several weights: alone these would leave the controls open where nothing is near or moves."""
+"""Names for several weights: alone, these costs would leave the controls undetermined at rest or far from obstacles."""
 
 
 @dataclass(frozen=True)
 class Limit:
-    """A built-in limit: the ``law`` of a `KnotView` that stays below a value in ``unit``, rad for angles.
+    """A built-in limit: an upper bound, in ``unit`` (rad for angles), on the ``law`` of a `KnotView`.
 
-    ``meaning``: what the value bounds, in a few words; ``slack``: by how much it may be passed between knots, in its
-    unit; a share of the value by default.
+    ``meaning``: what is bounded, in a few words; ``slack``: tolerance between knots, in its unit; by default `SLACK` of
+    the value.
     """
 
     law: Callable[[Any], Expr]
@@ -269,7 +276,7 @@ class Limit:
 
 
 STEERING = "sigma"
-"""The joint of all steered vehicles: the tangent of the steering angle."""
+"""The joint of all steered vehicles; its value is the tangent of the steering angle."""
 
 LIMITS: Registry[Limit] = Registry(
     "vehsim.limits",
@@ -296,14 +303,14 @@ LIMITS: Registry[Limit] = Registry(
         ),
     },
 )
-"""Limit name -> the value that stays below it. The audit uses the measure of the same name."""
+"""Limit name -> the bounded quantity. The audit uses the measure of the same name."""
 
 SMOOTHNESS = 1e-3
-"""Default weight of smoothness: it keeps any optimum unique and the controls from chattering."""
+"""Default weight of smoothness: it makes the optimum unique and prevents chattering controls."""
 
 
 def cost_weights(cost: str | Mapping[str, float], defaults: Mapping[str, float]) -> dict[str, float]:
-    """Weights by cost name, from a name or a table; ``defaults`` are the vehicle's own and yield to the table."""
+    """Weights by cost name, from a name or a table; the table overrides ``defaults``, which are the vehicle's own."""
     table = PRESETS.get(cost, {cost: 1.0}) if isinstance(cost, str) else dict(cost)
     for name, weight in table.items():
         _known("cost", name, COSTS)
@@ -316,7 +323,7 @@ def cost_weights(cost: str | Mapping[str, float], defaults: Mapping[str, float])
 
 @dataclass(frozen=True)
 class Limits:
-    """What stays below what: ``values`` by name of `LIMITS`; ``joints``, ``joint_rates`` (low, high) by joint name."""
+    """The limits: ``values`` by name of `LIMITS`; ``joints``, ``joint_rates`` (low, high) by joint name."""
 
     values: Mapping[str, float] = field(default_factory=dict)
     joints: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -326,7 +333,7 @@ class Limits:
         return self.values.get(name, unless)
 
     def below(self, speed: float) -> Limits:
-        """The same with a limit of the speed, m/s."""
+        """The same limits, with a limit of the speed, m/s."""
         return replace(self, values={**self.values, "speed": speed})
 
     def constraints(self) -> list[Constraint]:
@@ -363,7 +370,7 @@ def _scaled(law: Callable[[Any], Expr], value: float) -> Callable[[Any], Expr]:
 
 
 def _in_unit(value: float, unit: str) -> Callable[[float], str]:
-    """A law's value, scaled by ``value``, in the unit that users give it in."""
+    """Format a law's value, scaled by ``value``, in the unit of the shot file."""
     scale, shown = (math.degrees(value), unit.replace("rad", "deg")) if unit.startswith("rad") else (value, unit)
     return lambda share: f"{share * scale:.4g} {shown}"
 
@@ -377,7 +384,7 @@ def _rate(joint: str) -> Callable[[KnotView], Expr]:
 
 
 def check_limits(limits: Mapping[str, Any], joints: Sequence[str] = ()) -> Limits:
-    """The limits, every one known and positive; ``joints`` and ``joint_rates`` are tables of a bound or (low, high)."""
+    """The limits, checked; ``joints`` and ``joint_rates`` are tables of a bound or (low, high)."""
     values: dict[str, float] = {}
     ranges: dict[str, dict[str, tuple[float, float]]] = {"joints": {}, "joint_rates": {}}
     for name, value in limits.items():
@@ -414,7 +421,7 @@ def _range(key: str, bounds: Any) -> tuple[float, float]:
 
 
 def check_terms(terms: Sequence[Term]) -> tuple[Term, ...]:
-    """The terms; ``InputError`` for what is none."""
+    """The terms, checked; raises ``InputError`` for an invalid term."""
     for i, term in enumerate(terms):
         if not isinstance(term, Cost | Constraint):
             raise InputError("not a term", "give a vehsim.planning.Cost or Constraint", key=f"terms[{i}]", value=term)

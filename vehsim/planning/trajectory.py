@@ -1,4 +1,4 @@
-"""What a problem's variables stand for: a motion at its knots, as a clip, and where its controls really lead."""
+"""The motion that a problem's variables describe: at its knots, as a clip, and as its controls execute it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from vehsim.world.ground.wheels import place_on_terrain
 Array = NDArray[np.float64]
 
 CARRIED = 1e-9
-"""For how long controls are run in a segment of a hold on the ground, s."""
+"""Duration for which controls are executed in each segment of a hold on the ground, s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,11 +34,12 @@ class Trajectory:
 
     @property
     def lengths(self) -> Array:
-        """Seconds a segment takes, by leg (legs,)."""
+        """Duration of a segment, s, per leg (legs,)."""
         return self.x[self.layout.lengths]
 
     def knots(self) -> tuple[Array, Array, Array, Array, Array]:
-        """Configuration, joints, momenta and controls (n, ...), SI, at the knots, and the segments' lengths, s."""
+        """Configurations, joints, momenta and controls (n, ...), SI, at the knots, and the durations of the segments,
+        s."""
         layout, every = self.layout, np.arange(self.layout.segments + 1)
         cuts = np.cumsum([0, *self.transcription.sizes[:3]])
         state = self.x[layout.knot(every)]
@@ -47,27 +48,27 @@ class Trajectory:
         return g, r, pi * self.transcription.momentum_scale, c, np.repeat(self.lengths, layout.phases)
 
     def poses(self) -> tuple[Array, Array]:
-        """Position (n, 2) m and heading (n,) rad of the root of what drives, at its knots."""
+        """Position (n, 2) m and heading (n,) rad at the knots of a driving vehicle's root."""
         g = self.knots()[0]
         c, s = np.cos(g[:, 0]), np.sin(g[:, 0])
         x, y = self.request.vehicle.origin[:2]
         return g[:, 1:3] - np.column_stack([c * x - s * y, s * x + c * y]), g[:, 0]
 
     def seconds(self) -> Array:
-        """When it is at its knots (n,), s since frame 0."""
+        """Times of the knots (n,), s since frame 0."""
         steps = np.repeat(self.lengths, self.layout.phases)
         start = int(self.request.marks[0].frame) / float(self.request.fps)
         return np.asarray(start + np.concatenate([[0.0], np.cumsum(steps)]))
 
     def mark_frames(self) -> list[float]:
-        """The frame of every mark, holds written out; whole where the motion has settled on frames."""
+        """The frame of every mark, with holds as two marks; whole once free marks are moved to frames."""
         frames = self.seconds()[self.layout.mark_knots] * float(self.request.fps)
         return [float(round(frame)) if abs(frame - round(frame)) < 1e-6 else float(frame) for frame in frames]
 
     def stretched(self, lengths: Array) -> Array:
-        """Variables (size,) of the same motion at other segment ``lengths`` (legs,) s.
+        """Variables (size,) of the same motion with other segment ``lengths`` (legs,) s.
 
-        Velocities and momenta scale with the pace.
+        Velocities and momenta scale inversely with the lengths.
         """
         x, layout, ratio = self.x.copy(), self.layout, self.lengths / lengths
         per_substep = np.repeat(ratio, np.array(layout.phases) * len(layout.fractions))
@@ -78,17 +79,17 @@ class Trajectory:
         return x
 
     def run_controls(self) -> Executed:
-        """Where its controls lead, run finely."""
+        """How far the executed controls lead from the plan."""
         g, r, pi, c, steps = self.knots()
         marks = self.request.marks
         carried = np.array([mark.hold > 0 and mark.on_ground for mark in marks[:-1]])
-        # what stands on the ground is carried by it: its controls lead nowhere
+        # the ground carries what stands on it, so its controls would lead elsewhere
         steps = np.where(np.repeat(carried, self.layout.phases), CARRIED, steps)
         return executed(self.transcription.mechanics, g, r, pi, c, steps, self.request.wind)
 
     @cached_property
     def clip(self) -> Clip:
-        """The clip of the vehicle that is planned for, from 0 s on."""
+        """The clip of the planned vehicle, starting at 0 s."""
         g, r, pi, c, steps = self.knots()
         times = np.concatenate([[0.0], np.cumsum(steps)])
         start = int(self.request.marks[0].frame)
@@ -101,5 +102,5 @@ class Trajectory:
 
 
 def exported(clip: Clip, request: Request) -> Clip:
-    """A clip of the vehicle that was given, its wheels on the terrain."""
+    """A clip of the given vehicle, with its wheels on the terrain."""
     return place_on_terrain(replace(clip, vehicle=request.vehicle), request.world)

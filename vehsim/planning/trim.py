@@ -1,4 +1,4 @@
-"""How a vehicle stands still by its controls, and whether it can move by its joints alone."""
+"""The controls that keep a vehicle in balance, and whether joints alone propel it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 @lru_cache(maxsize=64)
 def trim(vehicle: Vehicle, wind: tuple[float, ...]) -> Array:
-    """Controls (c,) that hold the vehicle still and level in the wind, as nearly as their bounds allow."""
+    """Controls (c,) that keep the vehicle at rest and level in the wind, as nearly as their bounds allow."""
     if not vehicle.controls:
         return np.zeros(0)
     scale = np.array([control.scale for control in vehicle.controls])
@@ -36,13 +36,13 @@ def trim(vehicle: Vehicle, wind: tuple[float, ...]) -> Array:
 
 
 def stands(vehicle: Vehicle) -> bool:
-    """Whether it stands still and level with its controls at zero."""
+    """Whether the vehicle stays at rest and level with its controls at zero."""
     force = _standing(vehicle, (0.0, 0.0, 0.0))(np.zeros(len(vehicle.controls)))[0]
     return bool(np.abs(np.asarray(force)).max(initial=0.0) < 1e-9)
 
 
 def _standing(vehicle: Vehicle, wind: tuple[float, ...]) -> ca.Function:
-    """Controls (c,) -> the force on it where it stands level in the wind, and its derivative."""
+    """A function of the controls (c,): the force on the vehicle at rest and level in the wind, and its derivative."""
     s, d = len(vehicle.joints), vehicle.group.dim
     c = ca.SX.sym("c", len(vehicle.controls))
     still = ca.SX(list(vehicle.group.identity))
@@ -53,7 +53,7 @@ def _standing(vehicle: Vehicle, wind: tuple[float, ...]) -> ca.Function:
 
 
 def swims(vehicle: Vehicle) -> bool:
-    """Whether it has nothing to drive it but torques on joints that swing, as a snakeboard."""
+    """Whether the only controls are torques on joints that swing, as on a snakeboard."""
     s = len(vehicle.joints)
     pushed = s > 0 and len(vehicle.dynamic) == s == len(vehicle.controls) == len(vehicle.joint_limits)
     return bool(pushed and vehicle.basis(ca.SX.zeros(s)).shape[1])

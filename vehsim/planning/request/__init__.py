@@ -1,1 +1,1 @@
-"""What a plan is asked for, checked: marks, ranges, legs between marks, and all of it as asks for the audit."""
+"""A checked planning request: marks, ranges, legs between marks, and the requests for the audit."""

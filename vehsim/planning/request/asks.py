@@ -1,4 +1,4 @@
-"""Everything a plan was asked for, as plain data for an audit that knows nothing of how the plan was made."""
+"""The requests of a plan, as plain data for an audit that does not know how the plan was made."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from vehsim.requests.asks import ANGLE, EXACT, gate_asks
 from vehsim.vehicles import Vehicle
 
 NEAR_ENOUGH = 0.01
-"""How far below the clearance asked for a motion may come, m."""
+"""Tolerance of the requested clearance, m."""
 STANDS = 5e-3
-"""How far from the ground what stands on it may be, m."""
+"""Tolerance of the distance from the ground of a vehicle that stands on it, m."""
 
 
 def asks_of(request: Request, frames: Sequence[float]) -> list[Ask]:
-    """The asks of a request whose marks (`Request.given`, or its marks) stand at ``frames``."""
+    """The audit requests of a plan whose marks (`Request.given`, or `Request.marks`) are at ``frames``."""
     marks = list(request.given or request.marks)
     first, last = float(frames[0]), float(frames[-1])
     asks: list[Ask] = []
     for i, (mark, frame) in enumerate(zip(marks, frames, strict=True)):
-        if not (i and marks[i - 1].hold and marks[i - 1].place == mark.place):  # a hold is written out as two marks
+        if not (i and marks[i - 1].hold and marks[i - 1].place == mark.place):  # a hold appears as two marks
             asks += _mark(request, mark, frame, frames[i + 1] - frame if mark.hold else 0.0)
     limits = {name: (value, LIMITS[name].unit) for name, value in request.limits.values.items()}
     planar = request.vehicle.group.planar
@@ -51,7 +51,7 @@ def asks_of(request: Request, frames: Sequence[float]) -> list[Ask]:
 
 
 def _mark(request: Request, mark: Mark, frame: float, hold: float) -> Iterator[Ask]:
-    """What one mark asks at ``frame``, and for ``hold`` frames."""
+    """The requests of one mark at ``frame``, held for ``hold`` frames."""
     vehicle, key = request.vehicle, mark.name
     if mark.frame == "free":
         yield Ask(f"{key}.frame", "off_frame", frame, frame, upper=EXACT, unit="frames")
@@ -81,7 +81,7 @@ def _mark(request: Request, mark: Mark, frame: float, hold: float) -> Iterator[A
 
 
 def _ranges(request: Request, first: float, last: float) -> Iterator[Ask]:
-    """What looks, stays and landings ask over frames."""
+    """The requests of ranges and landings over frames."""
     for term in request.constraints:
         begin, end = term.frames or (first, last)
         if term.ask is not None:
@@ -91,8 +91,11 @@ def _ranges(request: Request, first: float, last: float) -> Iterator[Ask]:
 
 
 def _law(vehicle: Vehicle, term: Constraint, begin: float, end: float, first: float) -> Iterator[Ask]:
-    """A constraint of one's own, component by component; none of one that asks for power, or on the plane for a height:
-    the finished motion does not say what the plan's were."""
+    """The requests of a user's constraint, one per component.
+
+    There are none for a constraint of power, or of a height on the plane: the finished motion does not contain what the
+    plan's values were.
+    """
     sizes = {"position": 3, "rotation": 9, "velocity": 3, "omega": 3, "acceleration": 3, "joints": len(vehicle.joints)}
     sizes |= {"joint_rates": len(vehicle.joints), "controls": len(vehicle.controls), "t": 1}
     given = {name: ca.SX.sym(name, size) for name, size in sizes.items()}

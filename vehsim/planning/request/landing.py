@@ -1,6 +1,7 @@
-"""Landing and taking off: what a mark on the ground asks of the way there, besides standing on it.
+"""Landing and take-off: the constraints that a mark on the ground puts on the approach and departure.
 
-The clearance asked for falls along a cone towards the place, and so does the speed at which the vehicle may come down.
+Near the mark, the requested clearance decreases along a cone to zero, and so does the allowed descent speed to
+`GENTLE`.
 """
 
 from __future__ import annotations
@@ -20,17 +21,17 @@ from vehsim.requests import Ask
 Array = NDArray[np.float64]
 
 SLOPE = 0.35
-"""How steeply the clearance asked for falls towards a landing: metres a metre, an approach of 20 degrees."""
+"""Slope of the requested clearance towards a landing: metres per metre, an approach of 20 degrees."""
 ROUND = 0.1
-"""Rounds the tip of that cone, m."""
+"""Radius, m, over which the tip of that cone is rounded."""
 GENTLE, SINK = 0.5, 1.0
-"""How fast it may come down where it lands, m/s, and how much faster a metre away from there, 1/s."""
+"""Allowed descent speed at the landing, m/s, and its increase per metre of distance from it, 1/s."""
 BRIEF = 0.005
-"""By how much that may be passed between knots, m/s."""
+"""Tolerance of the descent speed between knots, m/s."""
 
 
 def landings(marks: Sequence[Mark]) -> list[Mark]:
-    """The marks where it stands on the ground, each once."""
+    """The marks on the ground, each once even if it is held."""
     return [mark for mark in marks if mark.on_ground and not mark.hold]
 
 
@@ -42,18 +43,19 @@ def attitude(mark: Mark) -> Array:
 
 
 def approach(distance: Any, asked: Any, touching: Any, tanh: Any = np.tanh) -> Any:
-    """The clearance asked for, m, ``distance`` m from a landing where it is ``touching`` m: it falls along a cone."""
+    """The requested clearance, m, at ``distance`` m from a landing, where it is ``touching`` m: a rounded cone."""
     lack = asked - touching
     return asked - lack * (1 - tanh(SLOPE * distance / lack))
 
 
 def rounded_distance(position: Expr, place: Expr) -> Expr:
-    """How far a position (3,) is from a landing, m, smooth there."""
+    """Distance of a position (3,) from a landing, m, smooth at the landing."""
     return ca.sqrt(ca.sumsqr(position - place) + ROUND**2) - ROUND
 
 
 def forgiven(marks: Sequence[Mark], wanted: float) -> Callable[[Array], Array]:
-    """Positions (n, 3) -> how much less than the clearance ``wanted`` is asked there (n,), m: all, on a landing."""
+    """A function of positions (n, 3): by how much the clearance ``wanted`` is reduced there (n,), m; fully at a
+    landing."""
     places = [np.asarray(mark.position, float) for mark in landings(marks)]
 
     def less(positions: Array) -> Array:
@@ -64,7 +66,7 @@ def forgiven(marks: Sequence[Mark], wanted: float) -> Callable[[Array], Array]:
 
 
 def descent(mark: Mark) -> Constraint:
-    """How fast a motion may come down about a landing, between knots too: at knots `constraints.landing` asks it."""
+    """The descent speed around a landing, as a constraint between knots; `constraints.landing` enforces it at knots."""
     place = [float(x) for x in np.asarray(mark.position, float)]
 
     def law(k: KnotView) -> Expr:

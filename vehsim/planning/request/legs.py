@@ -1,4 +1,4 @@
-"""Legs: what lies between two marks, in frames, seconds, metres and segments."""
+"""Legs: the path between two marks, in frames, seconds, metres and segments."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ Array = NDArray[np.float64]
 
 
 def facing(marks: Sequence[Mark], paths: Sequence[Array], aimed: Callable[[Mark], bool]) -> list[Mark]:
-    """The marks; those at rest without an attitude face along their legs, where nothing else aims them."""
+    """The marks; those at rest without an attitude face along their legs unless a constraint sets their heading."""
     turned = list(marks)
     for i, mark in enumerate(marks):
         if not mark.balanced or mark.heading is not None or aimed(mark):
             continue
-        ahead = np.zeros(2)  # away from where it comes from, towards where it goes
+        ahead = np.zeros(2)  # mean of the directions of arrival and departure
         if i > 0:
             ahead -= _bearing(paths[i - 1][::-1])
         if i < len(paths):
@@ -36,7 +36,7 @@ def facing(marks: Sequence[Mark], paths: Sequence[Array], aimed: Callable[[Mark]
 
 
 def same_headings(marks: Sequence[Mark], given: Sequence[Mark], turned: Sequence[Mark]) -> list[Mark]:
-    """The marks, turned where `facing` turned those ``given`` before."""
+    """The marks, with the headings that `facing` gave to the marks ``given`` before."""
     return [
         replace(mark, heading=after.heading) if before.heading is None else mark
         for mark, before, after in zip(marks, given, turned, strict=True)
@@ -44,7 +44,7 @@ def same_headings(marks: Sequence[Mark], given: Sequence[Mark], turned: Sequence
 
 
 def _bearing(path: Array) -> Array:
-    """Horizontal direction (2,) from a path's first point to a place some way along it; zero for a vertical one."""
+    """Horizontal direction (2,) of the start of a path; zero if the path is vertical there."""
     steps = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     at = min(steps[-1], max(5.0, 0.05 * steps[-1]))
     ahead = np.array([np.interp(at, steps, path[:, k]) - path[0, k] for k in (0, 1)])
@@ -53,7 +53,7 @@ def _bearing(path: Array) -> Array:
 
 
 def bent(path: Array, share: float) -> Array:
-    """A path that swings aside by a share of its length, half way along, ends where they were."""
+    """A path bent sideways by a share of its length: by the full amount halfway, by nothing at its ends."""
     if not share or path_length(path) < 1e-6:
         return path
     steps = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
@@ -66,14 +66,15 @@ def bent(path: Array, share: float) -> Array:
 
 
 def cut(points: Array, legs: list[tuple[Array, Array]]) -> list[Array]:
-    """One path cut into legs at its points nearest to the marks, in order."""
+    """One path divided into legs at the points nearest to the marks, in order."""
     cuts = cuts_of(points, legs)
     spans = zip(legs, cuts[:-1], cuts[1:], strict=True)
     return [np.vstack([[*a, *points[i, 3:]], points[i : j + 1], [*b, *points[j, 3:]]]) for (a, b), i, j in spans]
 
 
 def cuts_of(points: Array, legs: list[tuple[Array, Array]]) -> list[int]:
-    """Which of a path's points (k, ...) stand for the marks: its ends, and those nearest to the others, in order."""
+    """Indices of a path's points (k, ...) that represent the marks: its ends, and those nearest to the others, in
+    order."""
     cuts = [0]
     for _, end in legs[:-1]:
         later = np.linalg.norm(points[cuts[-1] :, :3] - end, axis=1)
@@ -92,12 +93,12 @@ def legs_between(marks: Sequence[Mark]) -> list[tuple[Array, Array]]:
 
 
 def placed_marks(marks: Sequence[Mark]) -> list[int]:
-    """Which marks say where they are, and the ends: paths are sought between these."""
+    """Indices of the marks with a position, and of both ends: paths are searched between these."""
     return [i for i, mark in enumerate(marks) if mark.position is not None or i in (0, len(marks) - 1)]
 
 
 def divided(paths: Sequence[Array], marks: Sequence[Mark]) -> list[Array]:
-    """Paths (k, ...) between `placed_marks` as one for every leg: marks between stand along them by their frames."""
+    """Paths (k, ...) between `placed_marks`, divided into one per leg: the marks between are placed by their frames."""
     legs: list[Array] = []
     for path, (i, j) in zip(paths, pairwise(placed_marks(marks)), strict=True):
         frames = [math.nan if mark.frame == "free" else float(mark.frame) for mark in marks[i : j + 1]]
@@ -124,14 +125,14 @@ def round_trip(marks: Sequence[Mark]) -> list[Array]:
 
 
 def mark_positions(marks: Sequence[Mark]) -> Array:
-    """A position for every mark; those that leave it open stand evenly between their neighbours."""
+    """A position for every mark; marks without one are spaced evenly between their neighbours."""
     known = [i for i, mark in enumerate(marks) if mark.position is not None]
     values = np.array([marks[i].position for i in known], float)
     return np.column_stack([np.interp(np.arange(len(marks)), known, values[:, k]) for k in range(3)])
 
 
 def cruising(marks: Sequence[Mark], paths: Sequence[Array], speed: float) -> Array:
-    """How long the legs (m,) along ``paths`` take at a ``speed`` m/s, with time to start and to stop, s."""
+    """Durations (m,) s of the legs along ``paths`` at a ``speed`` in m/s, with time to start and to stop."""
     rests = np.array([a.at_rest + b.at_rest for a, b in pairwise(marks)])
     return np.array([path_length(path) for path in paths]) / speed + 1.5 * rests + 0.5
 
@@ -143,19 +144,19 @@ def path_length(path: Array) -> float:
 def knots_within(
     marks: Sequence[Mark], mark_knots: NDArray[np.intp], frames: tuple[int, int] | None
 ) -> tuple[int, int]:
-    """First and last knot of a range of frames that `with_breaks` made knots of; all of them for None."""
+    """First and last knot of a range of frames for which `with_breaks` added knots; all knots for None."""
     at = {int(mark.frame): int(knot) for mark, knot in zip(marks, mark_knots, strict=True) if mark.frame != "free"}
     end = int(mark_knots[-1])
     return (0, end) if frames is None else (at[frames[0]], at.get(frames[1], end))
 
 
 def held_segments(phases: Sequence[int], marks: Sequence[Mark]) -> NDArray[np.bool_]:
-    """Which segments (n,) belong to a hold, of so many a phase."""
+    """Which segments (n,) belong to a hold; ``phases``: the number of segments of each leg."""
     return np.repeat([mark.hold > 0 for mark in marks[:-1]], phases)
 
 
 def split_segments(segments: int, durations: Array, held: NDArray[np.bool_]) -> tuple[int, ...]:
-    """Segments a leg, by duration, at least two each; a hold is one."""
+    """Number of segments per leg, proportional to duration, at least two each; a hold is one segment."""
     counts = np.where(held, 1, 2)
     moving = np.where(held, 0.0, durations)
     share = moving / moving.sum() * max(0, segments - counts.sum())

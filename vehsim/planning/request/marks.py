@@ -1,4 +1,4 @@
-"""Marks: what an animator asks of a motion, at a frame or at a frame the planner chooses."""
+"""Marks: what an animator requests of a motion at a given frame, or at a frame that the planner chooses."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from vehsim.errors import InputError
 
 @dataclass(frozen=True)
 class Gate:
-    """An opening to pass through, about a mark's position: a ring of ``radius`` m, or ``size`` (width, height) m.
+    """An opening to pass through, around a mark's position: a ring of ``radius`` m, or ``size`` (width, height) m.
 
-    ``direction`` (3,): which way through, world axes, of any length. A rectangle's width is level.
+    ``direction`` (3,): the direction of passage, world axes, of any length. A rectangle's width is horizontal.
     """
 
     direction: Sequence[float]
@@ -26,14 +26,14 @@ class Gate:
 
     @property
     def axes(self) -> NDArray[np.float64]:
-        """Unit vectors (3, 3), rows: through, along the width, along the height."""
+        """Unit vectors (3, 3), as rows: the direction of passage, the width, the height."""
         through = np.asarray(self.direction, float) / np.linalg.norm(self.direction)
         level = np.cross([0.0, 0.0, 1.0], through)
         width = level / np.linalg.norm(level) if np.linalg.norm(level) > 1e-9 else np.array([0.0, 1.0, 0.0])
         return np.array([through, width, np.cross(through, width)])
 
     def check(self, key: str) -> None:
-        """Raises ``InputError`` naming ``key`` and what is wrong."""
+        """Raise ``InputError`` with the faulty key, a part of ``key``."""
         direction = np.asarray(self.direction, float)
         if direction.shape != (3,) or not np.all(np.isfinite(direction)) or not np.any(direction):
             raise InputError(
@@ -58,18 +58,18 @@ class Gate:
 
 @dataclass(frozen=True)
 class Mark:
-    """Where the rig's root has to be, and how it moves there. What is ``None`` is free.
+    """The position of the rig's root at a frame, and its motion there. What is ``None`` is free.
 
     ``frame``: a whole frame, or ``"free"``; ``position`` (3,) m; ``heading`` deg, yaw of the body's X axis from world
     X, counter-clockwise; ``orientation`` (4,) w, x, y, z; ``velocity`` (3,) m/s in world axes; ``speed`` m/s;
     ``joints`` (s,), nan where free, or a table of some joints by name; ``tolerance`` m, half the side of the box the
-    position may lie in; ``hold``: frames to stay at rest there; ``gate``: an opening about the position; ``on_ground``:
-    what flies stands there, at rest and level, put down from ``position`` on the terrain or obstacle below.
+    position may lie in; ``hold``: frames to stay at rest there; ``gate``: an opening around the position;
+    ``on_ground``: a flying vehicle stands there, at rest and level, on the terrain or obstacle below ``position``.
 
-    A mark with ``velocity = (0, 0, 0)`` is at rest: the body does not turn either, and when its attitude is not given
-    it stands in balance, as it must to stay there (a helicopter level, or leaning into the wind), so that motion sets
-    in and ends smoothly; without a heading, what flies nose first faces along its leg. ``speed = 0`` leaves the
-    attitude free.
+    At a mark with ``velocity = (0, 0, 0)`` the vehicle is at rest: its body does not turn either. Without a given
+    attitude it is in balance, as it must be to stay there (a helicopter level, or leaning into the wind), so that the
+    motion starts and ends smoothly; without a heading, a vehicle that flies nose first faces along its leg. ``speed =
+    0`` leaves the attitude free.
     """
 
     frame: int | Literal["free"]
@@ -85,26 +85,26 @@ class Mark:
     gate: Gate | None = None
     on_ground: bool = False
     place: int = field(default=-1, repr=False, compare=False)
-    """Its place among the marks that were given; a plan writes it."""
+    """Its index among the given marks; set by the planner."""
 
     @property
     def name(self) -> str:
-        """What messages call it."""
+        """Its name in messages."""
         return f"mark[{self.place}]" if self.place >= 0 else f"frame {self.frame}"
 
     @property
     def at_rest(self) -> bool:
-        """Standing still is asked for."""
+        """Whether the vehicle is at rest there."""
         return self.velocity is not None and not np.any(self.velocity)
 
     @property
     def balanced(self) -> bool:
-        """At rest with no attitude asked for: roll and pitch follow from standing still."""
+        """Whether it is at rest without a given attitude: roll and pitch then follow from balance."""
         return self.at_rest and self.orientation is None
 
 
 def shape(marks: Sequence[Mark]) -> tuple[Any, ...]:
-    """What marks ask for, but not where: equal shapes share one built problem."""
+    """Which quantities the marks fix, without their values: marks of equal shape share one built problem."""
     return tuple(_shape(mark) for mark in marks)
 
 
@@ -120,7 +120,7 @@ def _shape(mark: Mark) -> tuple[Any, ...]:
 
 
 def leeway(mark: Any) -> float:
-    """How far from its position a mark lets the root be, m: to the corners of its box or, where it has one, gate."""
+    """Largest distance of the root from the mark's position, m: to the corners of its box, or of its gate."""
     gate = getattr(mark, "gate", None)
     if gate is not None:
         return float(gate.radius or math.hypot(*gate.size) / 2)
@@ -131,7 +131,8 @@ _SIZES = {"position": 3, "orientation": 4, "velocity": 3}
 
 
 def check_marks(marks: Sequence[Mark], joints: Sequence[str]) -> list[Mark]:
-    """The marks, holds and joints written out; ``InputError`` names mark, key, value and the remedy."""
+    """The marks, with holds as two marks and joints as rows; ``InputError`` has the mark's key, value and the
+    remedy."""
     if len(marks) < 2:
         raise InputError(f"{len(marks)} given", "a plan needs at least two, a start and a goal", key="marks")
     if marks[0].frame == "free":
@@ -222,7 +223,7 @@ def _check_numbers(i: int, mark: Mark) -> None:
 
 
 def _with_holds(marks: Sequence[Mark]) -> list[Mark]:
-    """Held marks twice, at both ends of their hold; the first keeps the number of frames."""
+    """The marks with each held mark twice, at both ends of its hold; the first keeps the number of frames."""
     written: list[Mark] = []
     for mark in marks:
         written.append(mark)
@@ -233,16 +234,16 @@ def _with_holds(marks: Sequence[Mark]) -> list[Mark]:
 
 
 def end_of_hold(marks: Sequence[Mark], i: int) -> int:
-    """The mark at the end of what is held from mark ``i`` on; ``i`` itself where nothing is held."""
+    """The index of the mark at the end of a hold that starts at mark ``i``; ``i`` itself without a hold."""
     while marks[i].hold:
         i += 1
     return i
 
 
 def with_breaks(marks: Sequence[Mark], frames: Sequence[int]) -> list[Mark]:
-    """The marks and, at frames where none stands, marks that ask nothing new: every such frame becomes a knot.
+    """The marks, with an unconstrained mark at each of ``frames`` that has none: every such frame becomes a knot.
 
-    Raises ``InputError`` where a frame lies among marks at free frames, which may come before or after it.
+    Raises ``InputError`` if a frame lies among marks at free frames, which may come before or after it.
     """
     written = list(marks)
     for frame in sorted(set(frames)):
@@ -275,7 +276,7 @@ def with_breaks(marks: Sequence[Mark], frames: Sequence[int]) -> list[Mark]:
                 value=frame,
             )
         earlier, place, asked = written[before[-1]], before[-1] + 1, Mark(frame)
-        if earlier.hold:  # it cuts a hold in two
+        if earlier.hold:  # it divides a hold in two
             passed = frame - int(earlier.frame)
             written[place - 1] = replace(earlier, hold=passed)
             asked = replace(earlier, frame=frame, hold=earlier.hold - passed, place=-1)

@@ -1,4 +1,4 @@
-"""Obstacles that a vehicle can touch on its way, and marks that stand in one or too near."""
+"""Obstacles that a vehicle can touch on its path, and marks in or too near to an obstacle."""
 
 from __future__ import annotations
 
@@ -18,11 +18,12 @@ from vehsim.world.obstacles.obstacles import footprint, vertical_reach
 from vehsim.world.obstacles.plane import placed
 
 TURNS = 180
-"""Headings tried at a mark that leaves it open."""
+"""Number of headings to try at a mark without a heading."""
 
 
 def parts_in_reach(vehicle: Vehicle, world: Any, marks: Sequence[Any]) -> list[tuple[Any, int]]:
-    """The obstacles of ``world``, and numbers of their parts, that a vehicle driving at the marks' height can touch."""
+    """The obstacles of ``world``, with indices of their parts, that a vehicle driving at the height of the marks can
+    touch."""
     if world is None or not vehicle.group.planar:
         return []
     height = 0.0 if marks[0].position is None else float(marks[0].position[2])
@@ -36,7 +37,7 @@ def parts_in_reach(vehicle: Vehicle, world: Any, marks: Sequence[Any]) -> list[t
 
 
 def check_marks_clear(vehicle: Vehicle, world: Any, marks: Sequence[Mark], clearance: float) -> None:
-    """Raise ``InputError`` for a mark whose vehicle stands in an obstacle, or nearer than ``clearance`` m to one."""
+    """Raise ``InputError`` if the vehicle, at a mark, would be in an obstacle or nearer than ``clearance`` m to one."""
     for i, message, remedy in marks_too_near(vehicle, world, marks, clearance):
         raise InputError(message, remedy, key=f"mark[{i}].position", value=list(marks[i].position or ()))
 
@@ -44,10 +45,10 @@ def check_marks_clear(vehicle: Vehicle, world: Any, marks: Sequence[Mark], clear
 def marks_too_near(
     vehicle: Vehicle, world: Any, marks: Sequence[Any], clearance: float
 ) -> Iterator[tuple[int, str, str]]:
-    """Number, message and remedy of every mark whose vehicle stands in an obstacle or too near to one.
+    """Index, message and remedy of every mark at which the vehicle is in an obstacle or too near to one.
 
-    A mark without a heading may have any, what flies without an attitude is asked for its root alone; one with a
-    tolerance or a gate may give way by that.
+    For a mark without a heading, the best heading counts. For a flying vehicle without an attitude, only the root is
+    checked. The tolerance or gate of a mark is taken off the required clearance.
     """
     if vehicle.group.dim == 6:
         yield from _flown_too_near(vehicle, world, marks, clearance)
@@ -71,7 +72,7 @@ def marks_too_near(
 def _flown_too_near(
     vehicle: Vehicle, world: Any, marks: Sequence[Any], clearance: float
 ) -> Iterator[tuple[int, str, str]]:
-    """The same for what flies: by its hulls where the attitude is given, else by its root."""
+    """The same for flying vehicles: with their hulls if the attitude is given, otherwise with the root."""
     for i, mark in enumerate(marks if world is not None and world.standing else ()):
         if mark.position is None or mark.on_ground:
             continue

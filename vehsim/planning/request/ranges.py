@@ -1,4 +1,4 @@
-"""Constraints over a range of frames, as an animator asks for them: look there, stay above or below."""
+"""Constraints over a range of frames: look at a point, stay above or below a height, stay inside a rectangle."""
 
 from __future__ import annotations
 
@@ -13,18 +13,20 @@ from vehsim.planning.terms import Constraint, Expr, KnotView
 from vehsim.requests import Ask, look_ask, stay_ask
 
 ANGLE, LENGTH = 0.02, 5e-4
-"""How far a motion may leave its range between knots, deg and m."""
+"""Tolerances of such a range between knots, deg and m."""
 Frames = tuple[int, int] | None
 AXES = {"x": (0, 1.0), "y": (1, 1.0), "z": (2, 1.0), "-x": (0, -1.0), "-y": (1, -1.0), "-z": (2, -1.0)}
-"""Body axes by name: column of the rotation, and sign."""
+"""Body axes by name: column of the rotation matrix, and sign."""
 
 
 def look_at(
     point: Sequence[float], frames: Frames = None, *, within: float = 5.0, axis: str = "x", level: bool = True
 ) -> Constraint:
-    """A body axis (the nose, ``"x"``) points to ``point`` (3,) m, ``within`` degrees, over ``frames`` (first, last).
+    """A body axis (the nose, ``"x"``) points at ``point`` (3,) m to within ``within`` degrees over ``frames`` (first,
+    last).
 
-    ``level``: seen from above, so that the vehicle may pitch and bank; else in space. Raises ``InputError``.
+    ``level``: the angle is measured in plan view, so that the vehicle may pitch and bank; otherwise in space. Raises
+    ``InputError``.
     """
     if np.shape(point) != (3,) or not np.all(np.isfinite(point)):
         raise InputError("not a point", "give [x, y, z] in metres", key="point", value=point, subject="look_at")
@@ -65,7 +67,7 @@ def stay(
 ) -> Constraint:
     """The root stays between the heights ``above`` and ``below``, m, and inside ``within`` (x0, y0, x1, y1), m.
 
-    Between knots too. Raises ``InputError``.
+    It applies between knots too. Raises ``InputError``.
     """
     low, high = -math.inf if above is None else float(above), math.inf if below is None else float(below)
     box = np.array(within, float) if len(within) else np.array([-np.inf, -np.inf, np.inf, np.inf])

@@ -1,4 +1,4 @@
-"""What a plan was asked for, in one place."""
+"""`Request`: everything that a plan has to achieve, checked."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ from vehsim.world.ground.slope import on_terrain
 Array = NDArray[np.float64]
 
 ROOM = 30.0
-"""How far about marks and paths terrain and obstacles are looked at, m."""
+"""Margin around marks and paths within which terrain and obstacles are considered, m."""
 UNEVEN = 0.02
-"""How high a part of what stands on the ground may be above it, m, before there is a warning."""
+"""Largest height above the ground, m, of a part of a standing vehicle without a warning."""
 
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """All that a plan was asked for; ``deadline`` on `time.monotonic`'s clock, s."""
+    """Everything that a plan has to achieve; ``deadline``: on the clock of `time.monotonic`, s."""
 
     vehicle: Vehicle
     world: Any
@@ -62,17 +62,17 @@ class Request:
 
     @property
     def costs(self) -> tuple[str, ...]:
-        """Names of the costs that count."""
+        """Names of the costs with a weight above zero."""
         return tuple(name for name, weight in self.weights.items() if weight)
 
     @property
     def constraints(self) -> list[Constraint]:
-        """Limits, constraints of one's own, and gentle landings."""
+        """The limits, the user's constraints, and the descent speeds of landings."""
         own = (term for term in self.terms if isinstance(term, Constraint))
         return [*self.limits.constraints(), *own, *map(descent, landings(self.marks))]
 
     def aimed(self, mark: Mark) -> bool:
-        """A constraint says which way to head at this mark."""
+        """Whether a constraint sets the heading at this mark."""
         ranges = [term.frames for term in self.constraints if term.aim is not None]
         if mark.frame == "free":
             return None in ranges
@@ -81,29 +81,29 @@ class Request:
         return any(r is None or (r[0] <= last and mark.frame <= r[1]) for r in ranges)
 
     def aims(self, mark_knots: NDArray[np.intp]) -> list[tuple[int, int, Any, float]]:
-        """What constraints say of headings: (first knot, last knot, point, angle)."""
+        """The constraints that set headings: (first knot, last knot, point, angle)."""
         aimed = [(term, term.aim) for term in self.constraints if term.aim is not None]
         return [(*knots_within(self.marks, mark_knots, term.frames), *aim) for term, aim in aimed]
 
     @property
     def top_speed(self) -> float:
-        """How fast it may be, m/s: its limit, or else what its vehicle can do."""
+        """The largest allowed speed, m/s: the limit, or otherwise the vehicle's top speed."""
         return self.limits.get("speed", self.vehicle.top_speed)
 
     def speed_limit(self) -> str:
-        """That speed as messages name it, and whose it is."""
+        """That speed and its origin, for messages."""
         given = math.isfinite(self.limits.get("speed"))
         own = f"the top speed of the {self.vehicle.name}, {self.top_speed:g}; limits.speed can allow more"
         return f"limit {self.top_speed:g}" if given else own
 
     @property
     def weighed(self) -> Vehicle:
-        """The vehicle as slopes pull it."""
+        """The vehicle with the force of gravity on slopes."""
         return on_terrain(self.vehicle, self.world, mark_positions(self.marks))
 
     @property
     def hazards(self) -> bool:
-        """It flies, and there is something to hit."""
+        """Whether the vehicle flies and there is terrain or an obstacle to hit."""
         about = self.world is not None and (self.world.terrain is not None or self.world.obstacles)
         return bool(about) and self.vehicle.group.dim == 6
 
@@ -125,7 +125,7 @@ def ask(
     max_iterations: int = 200,
     time_limit: float | None = None,
 ) -> Request:
-    """What `vehsim.plan` is asked for, checked; raises ``InputError`` naming key, value and remedy."""
+    """The checked request of `vehsim.plan`; raises ``InputError`` with key, value and remedy."""
     if not isinstance(vehicle, Vehicle):
         raise InputError("not a vehicle", "give what vehsim.load_vehicle returns", key="vehicle", value=vehicle)
     vehicle = vehicle.planar or vehicle
@@ -170,20 +170,25 @@ def ask(
 
 
 def default_costs(vehicle: Vehicle, marks: Sequence[Mark]) -> dict[str, float]:
-    """The vehicle's own, and time where it may take as long as it likes and standing costs no effort: effort alone
-    would crawl for ever."""
+    """The vehicle's own costs.
+
+    Time is added if the duration is free and standing still costs no effort: otherwise the slowest motion would be
+    optimal.
+    """
     patient = len(marks) > 0 and marks[-1].frame == "free" and stands(vehicle)
     return ({"time": 1.0} if patient else {}) | dict(vehicle.default_costs)
 
 
 def all_marks(marks: Sequence[Mark], vehicle: Vehicle, world: Any, terms: Sequence[Term]) -> list[Mark]:
-    """The marks, holds written out, put down where they shall be, and a knot where a term's frames begin or end."""
+    """The marks, with holds as two marks, marks on the ground placed there, and marks where a term's frames begin or
+    end."""
     standing = [put_down(mark, vehicle, world) for mark in check_marks(marks, vehicle.joints)]
     return with_breaks(standing, [frame for term in terms for frame in term.frames or ()])
 
 
 def put_down(mark: Mark, vehicle: Vehicle, world: Any) -> Mark:
-    """A mark on the ground where the vehicle touches it; warns where it stands uneven. Raises ``InputError``."""
+    """A mark on the ground at the height where the vehicle touches it; warns on uneven ground. Raises
+    ``InputError``."""
     if not mark.on_ground:
         return mark
     assert mark.position is not None
@@ -202,7 +207,7 @@ def put_down(mark: Mark, vehicle: Vehicle, world: Any) -> Mark:
     if hollow > UNEVEN:
         message = f"{key}: it touches the ground, but stands up to {hollow:.2f} m above it elsewhere"
         warnings.warn(f"{message}; land on level ground or on a pad (an obstacle)", stacklevel=5)
-    if np.any(world.wind):  # it stands level, but is not in balance
+    if np.any(world.wind):  # it stands level, which in wind is not in balance
         mark = replace(mark, orientation=tuple(q.tolist()), heading=None)
     return replace(mark, position=tuple(place.tolist()))
 
@@ -228,7 +233,7 @@ def check_inside(marks: Sequence[Mark], vehicle: Vehicle, world: Any) -> None:
 
 
 def check_loop(request: Request) -> None:
-    """Raise ``InputError`` where a loop is asked to end elsewhere than it begins."""
+    """Raise ``InputError`` if a loop would end elsewhere than it begins."""
     first, last = request.marks[0], request.marks[-1]
     if not request.loop:
         return
@@ -244,7 +249,7 @@ def check_loop(request: Request) -> None:
 
 
 def airspace(request: Request) -> Array | None:
-    """A box (2, 3) m about the marks and what stands near them, to look for a way in; None: the terrain's."""
+    """A box (2, 3) m around the marks and nearby obstacles, in which paths are searched; None: the terrain's box."""
     world = request.world
     if world.terrain is not None or not world.standing:
         return None
