@@ -1,1 +1,1 @@
-"""What a planned motion has to meet: each constraint is one block, see `block.Block`; `build.blocks_of` lists them."""
+"""The constraints of a planned motion: each is one block, see `block.Block`; `blocks.blocks_of` lists them."""

@@ -1,8 +1,8 @@
-"""`Block`: one cost or constraint of a plan, from its rows in the problem to the words for what it cannot meet.
+"""`Block`: one cost or constraint of a plan, from its rows in the problem to its messages.
 
-A plan's problem is a list of blocks. Each declares its parameters by name and adds its elements; the problem decides
-where both stand. Blocks are immutable: a block that becomes active elsewhere, or asks for more, is a new block, and the
-iterate that holds the old one stays as it was.
+A planning problem is a list of blocks. Each declares its parameters by name and adds its elements; the problem
+allocates both. Blocks are immutable: a block with another active set, or a tighter one, is a new block, and the iterate
+with the old one does not change.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Finding:
-    """What a block measures on a finished clip.
+    """The result of measuring a block on a finished clip.
 
-    ``clearance``: the least distance from what may be hit, and what was ``wanted``, m; ``met``: no tighter solve is
-    needed; ``lack``: by how much it is not met, in the block's own terms, for `Block.tighten`.
+    ``clearance``: the smallest distance from terrain and obstacles, and the one ``wanted``, m; ``met``: no tighter
+    solve is needed; ``lack``: the shortfall, in the block's own terms, for `Block.tighten`.
     """
 
     clearance: float = np.inf
@@ -37,35 +37,36 @@ class Finding:
     met: bool = True
     lack: Any = None
     message: str = ""
-    """What to tell the user if tighter solves do not help; empty where the clearance says it."""
+    """The message to the user if tighter solves do not help; empty if ``clearance`` says it."""
 
 
 class Block:
     """One cost or constraint. By default it adds no variables, parameters, rows or bounds, and measures nothing."""
 
     def key(self, layout: Layout, transcription: Transcription) -> Hashable:
-        """Equal for blocks that add the same rows to a problem of a layout, whatever their parameters' values."""
+        """A key that is equal for blocks that add the same rows to a problem of the same layout, whatever the parameter
+        values."""
         return type(self).__name__
 
     def add(self, problem: NonlinearProgram, transcription: Transcription, layout: Layout) -> None:
-        """Declare the parameters, and add the elements that are always there."""
+        """Declare the parameters, and add the elements that do not depend on the active set."""
 
     def add_active(self, problem: NonlinearProgram, transcription: Transcription, layout: Layout) -> None:
-        """Add the elements of the active set, behind those of all blocks that are always there."""
+        """Add the elements of the active set, after the other elements of all blocks."""
 
     def values(self, trajectory: Trajectory) -> Mapping[str, Any]:
-        """The values of its parameters by name; of ``trajectory`` only timing counts."""
+        """The values of its parameters by name; only the timing of ``trajectory`` matters."""
         return {}
 
     def bound(self, trajectory: Trajectory, lower: Array, upper: Array) -> None:
         """Narrow the bounds (size,) of variables, in place."""
 
     def describe(self, use: Use, occurrence: int, row: int, trajectory: Trajectory) -> str:
-        """What messages call a row of one of its uses."""
+        """The name of a row of one of its uses, in messages."""
         return use.name(occurrence, row)
 
     def activate(self, guess: Trajectory) -> Self:
-        """The block before a first solve from ``guess``: what is near it becomes active."""
+        """The block before a first solve from ``guess``: constraints near the guess become active."""
         return self
 
     def prolongate(self, coarse: Trajectory, fine: Trajectory) -> Self:
@@ -73,24 +74,24 @@ class Block:
         return self
 
     def violated(self, solved: Trajectory) -> Self:
-        """The block with what a solved motion violates and is not active yet; itself where there is nothing."""
+        """The block with the constraints that a solution violates added to its active set; itself if there are none."""
         return self
 
     def measure(self, trajectory: Trajectory, clip: Clip, progress: Progress | None) -> Finding:
-        """What the finished clip of a trajectory is worth to it."""
+        """The finding of this block on the finished clip of a trajectory."""
         return Finding()
 
     def tighten(self, trajectory: Trajectory, finding: Finding) -> Self:
-        """The block that asks for more where a finished motion gives too little."""
+        """A tighter block where the finished motion falls short."""
         return self
 
     def resume(self, earlier: Self) -> Self:
-        """The block at other marks, with the active set of the same block of an earlier plan."""
+        """The block at other marks, with the active set that the same block had in an earlier plan."""
         return self
 
 
 def assemble(transcription: Transcription, layout: Layout, blocks: Sequence[Block]) -> NonlinearProgram:
-    """The problem of a list of blocks on a layout; the uses of its elements are owned by their numbers."""
+    """The problem of a list of blocks on a layout; every use of an element is owned by the index of its block."""
     problem = NonlinearProgram(layout.size)
     for number, block in enumerate(blocks):
         with problem.owned_by(number):
@@ -102,7 +103,7 @@ def assemble(transcription: Transcription, layout: Layout, blocks: Sequence[Bloc
 
 
 def parameter_values(problem: NonlinearProgram, trajectory: Trajectory, blocks: Sequence[Block]) -> Array:
-    """The parameter vector of a problem, from the blocks it was assembled of."""
+    """The parameter vector of a problem, from the blocks it was assembled from."""
     values = {"wind": trajectory.request.wind}
     for block in blocks:
         values.update(block.values(trajectory))

@@ -1,8 +1,8 @@
-"""What flies keeps clear of terrain and obstacles: spheres about its hulls stay out of distance fields.
+"""Clearance in flight: spheres around the vehicle's hulls stay out of distance fields of terrain and obstacles.
 
-What stands is one field; what moves has one in its own frame, and its pose at every place is a parameter. Where the
-vehicle lands the clearance asked for tapers, see `landing.approach`. The finished motion is certified with the hulls
-themselves; where it comes too near, the problem asks for more.
+Everything at rest is one field. Each moving obstacle has a field in its own frame, and its poses are parameters. Near a
+landing the requested clearance decreases, see `landing.approach`. The finished motion is certified with the hulls
+themselves; if it comes too near, the requested clearance is increased.
 """
 
 from __future__ import annotations
@@ -35,19 +35,20 @@ from vehsim.world.obstacles.obstacles import Moving
 Array = NDArray[np.float64]
 
 AROUND = 4.0
-"""How far from what moves its field reaches beyond what keeps its distance, m."""
+"""Margin of a moving obstacle's field beyond the clearance and the largest sphere, m."""
 SIGHT = 4.0
-"""How far from a motion found on fewer segments terrain is active for those that refine it, beyond the clearance asked
-for, m."""
+"""Distance beyond the requested clearance, m, within which terrain stays active on a finer discretisation of a
+motion."""
 SLACK = 0.01
-"""How far below the asked clearance a certified motion may be, m."""
+"""Tolerance of a certified clearance, m."""
 MORE = 0.05
-"""How much more than it lacks is asked for where a certified motion comes too near, m."""
+"""How much more than the shortfall a tighter solve adds to the clearance, m."""
 
 
 @dataclass(frozen=True, eq=False)
 class Hazard:
-    """What may be hit: a distance field, in its own frame where it ``moves``; its name begins its parameters' names."""
+    """A distance field to keep clear of, in its own frame if it ``moves``; ``name``: prefix of its parameters'
+    names."""
 
     name: str
     field: DistanceField
@@ -56,8 +57,10 @@ class Hazard:
 
 @dataclass(frozen=True)
 class Site:
-    """A kind of place where clearance is asked: the ``variables`` of a segment that say where the vehicle is there, and
-    its ``view`` from their symbols."""
+    """A kind of place at which clearance is enforced.
+
+    ``variables``: those of a segment that determine the vehicle's pose there; ``view``: computed from their symbols.
+    """
 
     name: str
     variables: tuple[str, ...]
@@ -65,19 +68,23 @@ class Site:
 
 
 def _none(transcription: Transcription) -> Any:
-    """No controls: where a vehicle is does not depend on them."""
+    """Zero controls: the pose does not depend on them."""
     return ca.SX.zeros(transcription.sizes[3])
 
 
 NODES = Site("nodes", ("x", "h"), lambda t, v: knot_view(t, v["x"], _none(t)))
 MIDDLES = Site("middles", ("x", "z", "h"), lambda t, v: middle_view(t, v["x"], v["z"], _none(t), v["h"]))
-"""At nodes, and half way along segments."""
+"""The places: nodes, and midpoints of segments."""
 
 
 @dataclass(eq=False)
 class SphereCover:
-    """Spheres ``centres`` (k, 3) m and ``radii`` (k,) m that hold a vehicle, the distance field of what ``stands`` (or
-    None), what moves with its own, and the elements made of them for all discretisations."""
+    """A sphere cover of a vehicle, and the distance fields it keeps clear of.
+
+    ``centres`` (k, 3) m and ``radii`` (k,) m of spheres that contain the vehicle; ``stands``: the distance field of
+    everything at rest, or None; ``moving``: each moving obstacle with its field; ``elements``: shared by all
+    discretisations.
+    """
 
     stands: DistanceField | None
     centres: Array
@@ -86,7 +93,7 @@ class SphereCover:
     elements: dict[Any, Element] = field(default_factory=dict)
 
     def hazards(self) -> Iterator[Hazard]:
-        """What stands, then everything that moves."""
+        """Everything at rest, then each moving obstacle."""
         if self.stands is not None:
             yield Hazard("standing", self.stands)
         for i, (_, own) in enumerate(self.moving):
@@ -95,10 +102,10 @@ class SphereCover:
 
 @dataclass(frozen=True, eq=False)
 class Clearance(Block):
-    """``asked`` m from terrain and obstacles, for spheres at the knots after the first and at one place between two.
+    """``asked`` m from terrain and obstacles, for the spheres at every knot but the first and at one place per segment.
 
-    ``cover``: None in free space. ``near`` (places,): where what stands is active; None is everywhere. Costs that are
-    laws of a `HazardView` count here, everywhere.
+    ``cover``: None in free space. ``near`` (places,): where the field of everything at rest is active; None:
+    everywhere. This block also adds the costs whose laws take a `HazardView`, everywhere.
     """
 
     request: Request
@@ -108,7 +115,7 @@ class Clearance(Block):
 
     @property
     def costs(self) -> tuple[str, ...]:
-        """Names of the costs of what may be hit that count."""
+        """Names of the costs of proximity with a weight above zero."""
         return costs_of(HazardView, self.request.weights)
 
     def key(self, layout: Layout, transcription: Transcription) -> Hashable:
@@ -145,14 +152,14 @@ class Clearance(Block):
         return values
 
     def _landings(self) -> dict[int, Mark]:
-        """The marks where it stands on the ground by number, each once; none where nothing stands."""
+        """The marks on the ground by index, each once even if held; empty if nothing is at rest."""
         assert self.cover is not None
         if self.cover.stands is None:
             return {}
         return {i: mark for i, mark in enumerate(self.request.marks) if mark.on_ground and not mark.hold}
 
     def _touching(self, mark: Mark) -> Array:
-        """Where a mark's root is (3,) m, and how far its spheres are from what stands there, (k,) m."""
+        """The position (3,) m of a mark's root, and the distances (k,) m of its spheres from everything at rest."""
         assert self.cover is not None and self.cover.stands is not None
         place = np.asarray(mark.position, float)
         centres = place + self.cover.centres @ SO3.matrix(attitude(mark)).T
@@ -168,7 +175,7 @@ class Clearance(Block):
         return self.cover.elements[key]
 
     def distances(self, trajectory: Trajectory) -> Array:
-        """How far the nearest sphere is from what stands at every place, m."""
+        """Distance of the nearest sphere from everything at rest at every place, m."""
         assert self.cover is not None and self.cover.stands is not None
         standing, out = next(self.cover.hazards()), [np.zeros(0)]
         for site, y in _places(trajectory.layout, self.request.marks).items():
@@ -191,7 +198,7 @@ class Clearance(Block):
         return replace(self, near=self.near | missed) if missed.any() else self
 
     def measure(self, trajectory: Trajectory, clip: Clip, progress: Progress | None) -> Finding:
-        """The least clearance; near a landing, as much is added as less is asked for."""
+        """The smallest clearance; near a landing the reduction of the requested clearance is added to it."""
         request, wanted = self.request, self.request.clearance if self.cover is not None else 0.0
         if not request.hazards:
             return Finding()
@@ -209,13 +216,13 @@ class Clearance(Block):
 
 
 def cover_for(request: Request, paths: Sequence[Array], progress: Progress) -> SphereCover | None:
-    """What is to be kept clear of around the paths, and the spheres that do; None where there is nothing to hit."""
+    """The spheres and the distance fields around the paths; None without terrain and obstacles."""
     if not request.hazards:
         return None
     centres, radii = sphere_cover(request.vehicle)
     points = np.vstack([path[:, :3] for path in paths])
     room = np.array([points.min(axis=0) - ROOM, points.max(axis=0) + ROOM])
-    if request.world.terrain is not None and request.world.standing:  # finer than the terrain's whole
+    if request.world.terrain is not None and request.world.standing:  # finer than the field of the whole terrain
         field = request.world.distance_field(progress, box=room)
     else:
         field = request.world.distance_field(progress, box=airspace(request))
@@ -235,11 +242,11 @@ def _touching(i: int) -> str:
 def clearance_element(
     transcription: Transcription, cover: SphereCover, hazard: Hazard, site: Site, landed: int, costs: Sequence[str]
 ) -> Element:
-    """Spheres off a hazard at a site.
+    """The constraint that spheres keep clear of a hazard at a site.
 
-    Parameters: the ``clearance`` asked for and the weights of ``costs``; of what stands, ``landings``: of each of the
-    ``landed`` marks where its root is (3,) m and how far its spheres are from what stands there (k,) m; of what moves,
-    its ``pose``: position (3,) m and columns of its rotation (9,).
+    Parameters: the requested ``clearance`` and the weights of ``costs``. For everything at rest also ``landings``: for
+    each of the ``landed`` marks, its root position (3,) m and the distances of its spheres from everything at rest (k,)
+    m. For a moving obstacle also its ``pose``: position (3,) m and columns of its rotation (9,).
     """
     v, radii = transcription.symbols(*site.variables), ca.DM(cover.radii)
     view = site.view(transcription, v)
@@ -274,11 +281,11 @@ def clearance_element(
 
 
 def _free_places(layout: Layout, marks: Sequence[Mark]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Nodes where clearance is asked, and segments half way along which it is, too: not where marks leave no choice."""
+    """Nodes, and segments at whose midpoint, clearance is enforced: not at the start, nor where marks fix the pose."""
     steps, knots = len(layout.fractions), layout.mark_knots
     free, between = np.arange(layout.nodes) > 0, np.full(layout.segments, steps == 1)
     for i, mark in enumerate(marks):
-        if mark.on_ground:  # to the end of its hold
+        if mark.on_ground:  # until the end of its hold
             last = knots[i + 1] if mark.hold else knots[i]
             free[knots[i] * steps : last * steps + 1] = between[knots[i] : last] = False
     asked = np.isin(np.arange(layout.nodes) % steps, (0, layout.middle[0]))
@@ -286,7 +293,7 @@ def _free_places(layout: Layout, marks: Sequence[Mark]) -> tuple[NDArray[np.intp
 
 
 def _places(layout: Layout, marks: Sequence[Mark]) -> dict[Site, NDArray[np.intp]]:
-    """Variables (n, count) of the places by site."""
+    """Indices of the variables (n, count) of the places by site."""
     node, half = _free_places(layout, marks)
     return {
         NODES: np.vstack([layout.node(node), layout.duration((node - 1) // len(layout.fractions))]),
@@ -301,7 +308,7 @@ def _split(values: NDArray[Any], layout: Layout, marks: Sequence[Mark]) -> dict[
 
 
 def _seconds(trajectory: Trajectory) -> Array:
-    """When it is at the places (places,), s since frame 0."""
+    """Times of the places (places,), s since frame 0."""
     layout, lengths = trajectory.layout, trajectory.lengths
     node, half = _free_places(layout, trajectory.request.marks)
     steps = np.repeat(lengths, layout.phases)

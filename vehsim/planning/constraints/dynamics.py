@@ -1,4 +1,4 @@
-"""The equations of motion: discrete mechanics of every substep, and a state that stays where a mark holds it."""
+"""The equations of motion: discrete mechanics of every substep, and constant states during holds."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Dynamics(Block):
-    """The discrete mechanics of every substep outside of holds; in holds the state and the controls stay as they are.
+    """The discrete mechanics of every substep outside of holds; during holds state and controls are constant.
 
     Controls and joints stay within the vehicle's bounds.
     """
@@ -37,7 +37,7 @@ class Dynamics(Block):
         return "dynamics", tuple(mark.hold > 0 for mark in self.marks)
 
     def _substeps(self, layout: Layout) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Substeps that move, and those that are held."""
+        """Substeps outside of holds, and those during holds."""
         every = np.arange(layout.segments * len(layout.fractions))
         held = held_segments(layout.phases, self.marks)[every // len(layout.fractions)]
         return every[~held], every[held]
@@ -79,7 +79,7 @@ class Dynamics(Block):
 
 
 def bound_joints(trajectory: Trajectory, ranges: Mapping[str, tuple[float, float]], lower: Array, upper: Array) -> None:
-    """Keep joints within ranges by name at every node."""
+    """Bound joints by name at every node."""
     transcription, layout = trajectory.transcription, trajectory.layout
     nodes = layout.node(np.arange(layout.nodes))
     for joint, (low, high) in ranges.items():
@@ -88,23 +88,23 @@ def bound_joints(trajectory: Trajectory, ranges: Mapping[str, tuple[float, float
 
 
 def hold_element(transcription: Transcription) -> Element:
-    """A state that stays as it is, at no velocity: (x, z, x1).
+    """A constant state at zero velocity: (x, z, x1).
 
-    It stands in place of the mechanics: in balance these say the same, but twice, since controls that stay as they are
-    say it too. The balance is asked once, by the mark where the hold begins.
+    During a hold it replaces the mechanics. In balance, the mechanics would repeat what constant controls already
+    imply. Balance itself is required once, by the mark at which the hold begins.
     """
     v = transcription.symbols("x", "z", "x1")
     return Element("hold", ca.vertcat(*v.values()), g=ca.vertcat(v["x1"] - v["x"], v["z"]))
 
 
 def held_controls_element(transcription: Transcription) -> Element:
-    """Controls that stay as they are: (c0, c1)."""
+    """Constant controls: (c0, c1)."""
     v = transcription.symbols("c0", "c1")
     return Element("held controls", ca.vertcat(*v.values()), g=v["c1"] - v["c0"])
 
 
 class UnitQuaternion(Block):
-    """Unit norm of the first knot's quaternion; the steps keep it. Nothing where the group has none."""
+    """Unit norm of the first knot's quaternion, which the steps preserve; no rows if the group has no quaternion."""
 
     def add(self, problem: NonlinearProgram, transcription: Transcription, layout: Layout) -> None:
         group = transcription.vehicle.group
@@ -120,15 +120,18 @@ def _unit_norm(transcription: Transcription) -> Element:
 
 @dataclass(frozen=True, eq=False)
 class UnconstrainedJoints(Block):
-    """Joints that neither motion, limit, term nor mark constrains, such as a wheel's roll, begin where the guess has
-    them: a solver that is free to choose ends up anywhere."""
+    """Fix joints that neither motion, limit, term nor mark constrains, such as a wheel's roll, at the guess's first
+    value.
+
+    A solver that is free to choose them may end up anywhere.
+    """
 
     request: Request
     transcription: Transcription
 
     @cached_property
     def joints(self) -> list[int]:
-        """Numbers of the joints that nothing constrains."""
+        """Indices of the unconstrained joints."""
         request, transcription = self.request, self.transcription
         rows = [np.asarray(mark.joints, float) for mark in request.marks if mark.joints is not None]
         return [
@@ -146,7 +149,7 @@ class UnconstrainedJoints(Block):
 
 
 def _reads(transcription: Transcription, term: Term, joint: int) -> bool:
-    """A term's law depends on the joint."""
+    """Whether a term's law depends on the joint."""
     v = transcription.symbols("x", "x1", "c0", "c1", "h")
     whole = isinstance(term, Cost) or term.over == "segments"
     view = segment_view(transcription, v) if whole else knot_view(transcription, v["x"], v["c0"])

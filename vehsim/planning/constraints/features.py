@@ -1,9 +1,10 @@
-"""What of a convex shape and of a vehicle seen from above can be nearest to each other: one smooth row for each.
+"""The pairs of features by which a convex shape and a vehicle in plan view can be nearest: one smooth row for each.
 
-Two convex shapes are d apart exactly when the corners of each are d from the other, and where an ellipse is one, when
-its outermost points towards the other's edges are, too. Discs within the vehicle see what crosses it between corners.
-A shape is numbers, parameters of the problem; forms of shapes are data (`FORMS`). Only the distance of a point from a
-shape has branches: it enters by value, slope and bend where the point is, so nothing differentiates the branches.
+Two convex shapes are at least d apart exactly if the corners of each are at least d from the other; for an ellipse,
+its outermost points towards the other shape's edges count as well. Discs inside the vehicle detect shapes that cross it
+between its corners. The numbers of a shape are parameters of the problem; forms of shapes are data (`FORMS`). Only the
+distance of a point from a shape has branches: it enters through its value, slope and curvature at the current point, so
+nothing differentiates the branches.
 """
 
 from __future__ import annotations
@@ -27,24 +28,24 @@ from vehsim.world.obstacles.plane import Ellipse
 Array = NDArray[np.float64]
 Expr = Any
 Body = tuple[tuple[float, float], ...]
-"""A vehicle from above as the optimiser sees it: corners in the rig root's frame, m."""
+"""A vehicle in plan view, as the optimiser models it: corners in the rig root's frame, m."""
 Model = tuple[Expr, Expr, Expr]
-"""Of the distance of a point from a shape: its value, slope (2,) and bend (xx, yy, xy)."""
+"""The distance of a point from a shape to second order: value, slope (2,) and second derivatives (xx, yy, xy)."""
 Law = Callable[[Expr, Expr, Expr, Body], tuple[Expr, Expr, Model]]
-"""Of the root's pose (yaw, x, y), a shape's numbers, a feature's constants and the body: what is taken off the
-distance, the point it is measured from, and the model there."""
+"""A function of the root's pose (yaw, x, y), a shape's numbers, a feature's constants and the body. It returns the
+radius to subtract from the distance, the point from which it is measured, and the model at that point."""
 
 CORNERS = 8
-"""Corners of the polygon the optimiser sees a vehicle as, at most; it contains the footprint."""
+"""Maximum number of corners of the polygon that models a vehicle; it contains the footprint."""
 ROUND = 1e-12
 """Added under square roots, m^2."""
 ROUNDS = 5
-"""Newton steps to the foot of a point on an ellipse."""
+"""Number of Newton steps towards the nearest point of an ellipse."""
 
 
 @dataclass(frozen=True)
 class Feature:
-    """One row: its ``law``, which of its shape's ``numbers`` it takes, and its own ``constants``."""
+    """One row: its ``law``, the indices of the shape's ``numbers`` that it uses, and its own ``constants``."""
 
     law: Law
     numbers: tuple[int, ...]
@@ -52,13 +53,13 @@ class Feature:
 
     @property
     def kind(self) -> tuple[Law, int, int]:
-        """Equal for features that one element serves."""
+        """A key that is equal for features that share one element."""
         return self.law, len(self.numbers), len(self.constants)
 
 
 @dataclass(frozen=True)
 class Form:
-    """Shapes of one kind: ``numbers`` of one, and its ``features`` beside a body."""
+    """A kind of shape: the ``numbers`` of a shape, and its ``features`` next to a body."""
 
     numbers: Callable[[Any], Array]
     features: Callable[[Any, Body], list[Feature]]
@@ -71,13 +72,13 @@ def form_of(shape: Any) -> Form:
 
 @lru_cache(maxsize=64)
 def body_of(vehicle: Vehicle) -> Body:
-    """The vehicle as the optimiser sees it: a convex polygon of a few corners about its footprint, or a point."""
+    """The vehicle as the optimiser models it: a convex polygon with few corners around its footprint, or a point."""
     return tuple((float(x), float(y)) for x, y in simplified(footprint(vehicle), CORNERS))
 
 
 @lru_cache(maxsize=256)
 def gap(kind: tuple[Law, int, int], body: Body) -> ca.Function:
-    """``(pose (3,), numbers, constants) -> m``: yaw and place of the root; distance of features of a kind."""
+    """Distance of a feature: ``(pose (3,), numbers, constants) -> m``; the pose is yaw and position of the root."""
     pose, numbers, constants = _symbols(kind)
     less, _, (value, _, _) = kind[0](pose, numbers, constants, body)
     return ca.Function("gap", [pose, numbers, constants], [value - less])
@@ -85,8 +86,10 @@ def gap(kind: tuple[Law, int, int], body: Body) -> ca.Function:
 
 @lru_cache(maxsize=256)
 def element(transcription: Transcription, kind: tuple[Law, int, int]) -> Element:
-    """The row of features of a kind at a knot: (x); parameters: ``numbers`` of the shape, the ``clearance`` asked for,
-    and the features' ``constants``."""
+    """The row of features of a kind at a knot: (x).
+
+    Parameters: the ``numbers`` of the shape, the requested ``clearance``, and the features' ``constants``.
+    """
     x, asked = transcription.symbols("x")["x"], ca.SX.sym("clearance")
     _, numbers, constants = _symbols(kind)
     g = transcription.split(x)[0]
@@ -114,27 +117,28 @@ def _turn(angle: Expr) -> Expr:
 
 
 def _point_from_polygon(pose: Expr, numbers: Expr, constants: Expr, body: Body) -> tuple[Expr, Expr, Model]:
-    """A point of the body, or a disc about it, from a polygon; constants: x, y, radius."""
+    """Distance of a point of the body, or of a disc around it, from a polygon; constants: x, y, radius."""
     point = pose[1:] + _turn(pose[0]) @ constants[:2]
     corners = [numbers[2 * k : 2 * k + 2] for k in range(numbers.shape[0] // 2)]
     return constants[2], point, from_polygon(point, corners)
 
 
 def _corner_from_body(pose: Expr, numbers: Expr, constants: Expr, body: Body) -> tuple[Expr, Expr, Model]:
-    """A polygon's corner from the body."""
+    """Distance of a polygon's corner from the body."""
     point = _turn(pose[0]).T @ (numbers - pose[1:])
     return 0.0, point, from_polygon(point, [ca.DM(corner) for corner in body])
 
 
 def _point_from_ellipse(pose: Expr, numbers: Expr, constants: Expr, body: Body) -> tuple[Expr, Expr, Model]:
-    """A point of the body, or a disc about it, from an ellipse; constants: x, y, radius."""
+    """Distance of a point of the body, or of a disc around it, from an ellipse; constants: x, y, radius."""
     centre, radii, R_we = _ellipse(numbers)
     point = R_we.T @ (pose[1:] + _turn(pose[0]) @ constants[:2] - centre)
     return constants[2], point, from_ellipse(point, radii)
 
 
 def _ellipse_from_body(pose: Expr, numbers: Expr, constants: Expr, body: Body) -> tuple[Expr, Expr, Model]:
-    """The point of an ellipse that is outermost towards an edge of the body, from the body; constants: inwards."""
+    """Distance from the body of an ellipse's outermost point towards an edge of the body; constants: the edge's inner
+    normal."""
     centre, radii, R_we = _ellipse(numbers)
     R_wb = _turn(pose[0])
     inwards = R_we.T @ R_wb @ constants
@@ -144,7 +148,7 @@ def _ellipse_from_body(pose: Expr, numbers: Expr, constants: Expr, body: Body) -
 
 
 def _ellipse(numbers: Expr) -> tuple[Expr, Expr, Expr]:
-    """Centre, radii, and own axes to world."""
+    """Centre, radii, and rotation from its own axes to the world."""
     axis = numbers[4:6]
     return numbers[:2], numbers[2:4], ca.horzcat(axis, ca.vertcat(-axis[1], axis[0]))
 
@@ -153,7 +157,7 @@ def _ellipse(numbers: Expr) -> tuple[Expr, Expr, Expr]:
 
 
 def _points(law: Law, count: int, body: Body) -> list[Feature]:
-    """The body's corners and inner discs, beside a shape of ``count`` numbers."""
+    """The features of the body's corners and inner discs next to a shape of ``count`` numbers."""
     discs = inner_discs(np.array(body))
     points = [(*corner, 0.0) for corner in body] + [(*map(float, centre), radius) for centre, radius in discs]
     return [Feature(law, tuple(range(count)), point) for point in points]
@@ -176,14 +180,14 @@ FORMS: dict[type, Form] = {
     np.ndarray: Form(np.ravel, _of_polygon),
     Ellipse: Form(lambda shape: np.concatenate([shape.centre, shape.radii, shape.R[:, 0]]), _of_ellipse),
 }
-"""Type of a shape -> how the optimiser knows it: corners of a polygon; centre, radii and first axis of an ellipse."""
+"""Type of a shape -> its form. The numbers are the corners of a polygon; centre, radii and first axis of an ellipse."""
 
 
 # ------------------------------------------------------------ a point from a shape
 
 
 def from_polygon(point: Expr, corners: Sequence[Expr]) -> Model:
-    """Signed distance of a point from a convex polygon, counter-clockwise, with slope and bend; C1 outside."""
+    """Signed distance of a point from a convex, counter-clockwise polygon, to second order; C1 outside."""
     farthest, squared = ca.SX(-np.inf), ca.SX(np.inf)
     normal, off, corner = ca.SX.zeros(2), ca.SX.zeros(2), ca.SX(0)
     for a, b in zip(corners, [*corners[1:], corners[0]], strict=True):
@@ -199,12 +203,12 @@ def from_polygon(point: Expr, corners: Sequence[Expr]) -> Model:
         squared = ca.fmin(away, squared)
     outside, distance = farthest > 0, ca.sqrt(squared + ROUND)
     slope = ca.if_else(outside, off / distance, normal)
-    bend = ca.if_else(outside, corner / distance, 0)  # about a corner the distance is a cone
+    bend = ca.if_else(outside, corner / distance, 0)  # around a corner the distance is a cone
     return ca.if_else(outside, distance, farthest), slope, _across(slope, bend)
 
 
 def from_ellipse(point: Expr, radii: Expr) -> Model:
-    """Signed distance of a point from an ellipse about the origin, along the axes; inside, of its own measure."""
+    """Signed distance of a point from an axis-aligned ellipse at the origin; inside, a measure of its own."""
     squared, t = radii**2, ca.SX(0)
     for _ in range(ROUNDS):
         ratio = radii * point / (t + squared)
@@ -226,5 +230,5 @@ def from_ellipse(point: Expr, radii: Expr) -> Model:
 
 
 def _across(normal: Expr, bend: Expr) -> Expr:
-    """The bend (xx, yy, xy) of what curves across ``normal`` alone."""
+    """Second derivatives (xx, yy, xy) of a function that curves only across ``normal``."""
     return bend * ca.vertcat(normal[1] ** 2, normal[0] ** 2, -normal[0] * normal[1])

@@ -1,4 +1,4 @@
-"""Standing on the ground: down (or up) a cone about the place, gently, at every knot beside it."""
+"""Landing and take-off at knots: stay inside a cone above the mark, and descend gently."""
 
 from __future__ import annotations
 
@@ -22,16 +22,19 @@ from vehsim.world.ground.landing import feet
 Array = NDArray[np.float64]
 
 FALL, NEAR = 1.0, 4.0
-"""What coming down at 1 m/s costs a second where it lands, and the distance over which that falls to 1/e, m. It keeps
-the descent off its bound, along which controls would chatter."""
+"""Cost per second of descending at 1 m/s at the landing, and the distance over which it falls to 1/e, m. It keeps the
+descent speed off its bound, along which controls would chatter."""
 FADE = 10.0
-"""How far from a landing its cone counts half, m: there it may be as much below the place."""
+"""Distance from a landing, m, at which its cone is halved: there the vehicle may be as much below the mark."""
 
 
 @dataclass(frozen=True, eq=False)
 class Landing(Block):
-    """The way to and from mark ``number``; where the mark is, is a parameter of its `marks.MarkRows`, and the clearance
-    asked for one of `clearance.Clearance`."""
+    """The approach to and departure from mark ``number``.
+
+    The mark's position is a parameter of its `marks.MarkRows`, and the requested clearance one of
+    `clearance.Clearance`.
+    """
 
     marks: Sequence[Mark]
     number: int
@@ -49,9 +52,10 @@ class Landing(Block):
 
 
 def landing_element(transcription: Transcription, upright: Array) -> Element:
-    """What stands on the ground above the cone about its landing, and gently down, at a knot: (x, h).
+    """The constraint and cost of a landing vehicle at a knot: inside the cone above the landing, gently down: (x, h).
 
-    ``upright`` (4,): its attitude there. Parameters: the ``clearance`` asked for beyond, and the ``place`` (3,).
+    ``upright`` (4,): its attitude at the mark. Parameters: the requested ``clearance`` farther away, and the ``place``
+    (3,).
     """
     v = transcription.symbols("x", "h")
     asked, place = ca.SX.sym("clearance"), ca.SX.sym("place", 3)

@@ -1,4 +1,4 @@
-"""What marks and loops ask of the knots they stand on, as blocks."""
+"""The constraints of marks and loops at their knots, as blocks."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ Row = tuple[Expr, float, float]
 """An expression and its bounds."""
 
 PARAMETERS = {"position": 3, "heading": 1, "orientation": 4, "velocity": 3, "speed": 1, "gate": 11}
-"""What a mark may give, and how many numbers it is; joints, too."""
+"""The quantities a mark can fix besides joints, and their sizes."""
 
 
 @dataclass(frozen=True, eq=False)
 class MarkRows(Block):
-    """What mark ``number`` asks at its knot, where it is not what the mark before it holds.
+    """The constraints of mark ``number`` at its knot, unless it is the end of a hold.
 
-    ``closes``: it ends a loop, and is not asked again what the first mark asks. ``price``: above zero the mark may be
-    missed at this price for each unit, see `elements.elastic`.
+    ``closes``: it ends a loop, and does not repeat what the first mark fixes. ``price``: above zero the mark may be
+    missed at this price per unit, see `elements.elastic`.
     """
 
     marks: Sequence[Mark]
@@ -55,7 +55,7 @@ class MarkRows(Block):
 
     @property
     def _given(self) -> bool:
-        """Its state is that of the mark before it, which is held."""
+        """Whether its state is that of the previous mark, which is held."""
         return self.number > 0 and self.marks[self.number - 1].hold > 0
 
     def add(self, problem: NonlinearProgram, transcription: Transcription, layout: Layout) -> None:
@@ -81,7 +81,7 @@ class MarkRows(Block):
         return f"mark[{self.number}].{key}"
 
     def missed(self, label: str, off: Array) -> str:
-        """What to say of rows (n,) of a label that are off by so much in elastic mode."""
+        """The message for rows (n,) of a label that elastic mode misses by ``off``."""
         name, _, key = label.rpartition(".")
         if key == "velocity (balance)":
             return f"{name}: it cannot stand in balance there"
@@ -89,9 +89,9 @@ class MarkRows(Block):
 
 
 def _amount(key: str, off: Array) -> str:
-    """How much is missed, in the mark's own unit, by what its rows are off."""
+    """The amount that is missed, in the mark's own unit."""
     norm = float(np.linalg.norm(off))
-    if key == "heading":  # its sine, and what its cosine is below zero
+    if key == "heading":  # its sine, and how far its cosine is below zero
         cosine = -off[1] if off[1] > 0 else math.sqrt(max(0.0, 1 - off[0] ** 2))
         return f"{math.degrees(math.atan2(off[0], cosine)):.3g} deg"
     if key == "orientation":
@@ -103,7 +103,7 @@ _UNITS = {"position": " m", "velocity": " m/s", "speed": " m/s"}
 
 
 def mark_values(mark: Mark) -> dict[str, Array]:
-    """The values of what a mark gives, SI and radians; joints that it leaves free are zero."""
+    """The values of what a mark fixes, SI and radians; joints that it leaves free are zero."""
     values = {}
     for key in [*PARAMETERS, "joints"]:
         given: Any = getattr(mark, key)
@@ -116,9 +116,10 @@ def mark_values(mark: Mark) -> dict[str, Array]:
 
 
 def mark_element(transcription: Transcription, mark: Mark, known: Mark | None = None) -> Element | None:
-    """What a mark asks at its knot: (x, c0); parameters: the wind, and what it gives by its keys (see `mark_values`).
+    """The constraints of a mark at its knot: (x, c0).
 
-    ``known``: a mark whose state it has anyway, as in a loop; what that asks is not asked twice.
+    Parameters: the wind, and the mark's values by key (see `mark_values`). ``known``: a mark whose state holds anyway,
+    as in a loop; its constraints are not repeated.
     """
     v = transcription.symbols("x", "c0")
     x, c, wind = v["x"], v["c0"], ca.SX.sym("wind", 3)
@@ -150,8 +151,8 @@ def mark_element(transcription: Transcription, mark: Mark, known: Mark | None = 
 
 
 def asks_balance(vehicle: Vehicle, mark: Mark) -> bool:
-    """Whether the vehicle has to be in balance at a mark."""
-    # in the plane nothing follows from standing still: a boat may touch a mark with the wind at its side
+    """Whether the vehicle must be in balance at a mark."""
+    # in the plane, rest does not imply balance: a boat may be at rest at a mark for an instant in a side wind
     return mark.balanced and (mark.hold > 0 or vehicle.group.dim == 6)
 
 
@@ -169,14 +170,14 @@ class Loop(Block):
 
 
 def closes_loop(marks: Sequence[Mark], i: int, loop: bool) -> bool:
-    """Whether mark ``i`` is where a ``loop`` ends."""
+    """Whether mark ``i`` is the end of a ``loop``."""
     return loop and end_of_hold(marks, i) == len(marks) - 1
 
 
 def loop_element(transcription: Transcription) -> Element:
     """A last knot (x1, c1) that repeats the first (x, c): pose, momentum, controls and every joint that matters.
 
-    Joints that nothing depends on, as a wheel's roll, go on turning.
+    Joints that influence nothing, such as a wheel's roll, are not reset.
     """
     size, s, n, count = transcription.sizes
     x, x1, c, c1 = (
@@ -193,7 +194,7 @@ def loop_element(transcription: Transcription) -> Element:
 
 
 def imbalance(transcription: Transcription, x: Expr, c: Expr, wind: Expr) -> Expr:
-    """Acceleration along the free velocities of a vehicle that stands still, (n_z,)."""
+    """Acceleration along the free velocities of a vehicle at rest, (n_z,)."""
     vehicle, (g, r, _) = transcription.vehicle, transcription.split(x)
     still = (ca.SX.zeros(len(vehicle.joints)), ca.SX.zeros(vehicle.group.dim))
     forces = vehicle.force(g, r, *still, c * transcription.control_scale, wind)
@@ -225,7 +226,7 @@ def _place(transcription: Transcription, mark: Mark, view: KnotView, wanted: dic
 def _attitude(transcription: Transcription, mark: Mark, root: Expr, wanted: dict[str, Expr]) -> list[Row]:
     rotation = SO3.matrix(root[3:7])
     if mark.orientation is not None:
-        # the vector part of a quaternion: it vanishes at the attitude alone
+        # the vector part of the quaternion vanishes only at the requested attitude
         off = SO3.compose(SO3.inverse(wanted["orientation"]), root[3:7])
         return _equal(off[3 if transcription.vehicle.group.planar else 1 : 4])
     if mark.heading is not None:
@@ -241,7 +242,7 @@ def _motion(
     transcription: Transcription, mark: Mark, view: KnotView, x: Expr, c: Expr, wanted: dict[str, Expr]
 ) -> list[Row]:
     spatial, rolls = transcription.vehicle.group.dim == 6, transcription.sizes[2] == 1
-    if mark.at_rest:  # every free velocity; where rolling leaves one way to go, that is one
+    if mark.at_rest:  # all free velocities vanish; with one rolling direction there is only one
         _, r, pi = transcription.split(x)
         return _equal(transcription.mechanics.knot_velocity_guess(r, pi, c * transcription.control_scale))
     if mark.velocity is not None:

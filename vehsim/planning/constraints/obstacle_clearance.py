@@ -1,8 +1,8 @@
-"""What drives keeps clear of obstacles: polygons and ellipses seen from above, exactly (NH IV.B).
+"""Clearance of driving vehicles from obstacles: polygons and ellipses in plan view, exactly (NH IV.B).
 
-Which parts, and which `features` of theirs, the problem has rows for at which knot is the active set: what is near the
-guess, and what a solved motion violates. Where parts stand is a parameter of the problem, one for every knot when they
-move, so problems are built once for all worlds of a shape.
+The active set says which `features` of which parts have rows at which knots: those near the guess, and those that a
+solution violates. The positions of parts are parameters, one per knot for moving parts, so that one built problem
+serves all worlds with the same shapes.
 """
 
 from __future__ import annotations
@@ -34,21 +34,20 @@ Poses = tuple[Array, Array, Array]
 """Positions (knots, 2 or 3) m, headings (knots,) rad and seconds (knots,) since frame 0."""
 
 SIGHT = 3.0
-"""How far from the guess a part is active at a knot, beyond the clearance asked for, m. What comes too near without
-being active is found when the problem is solved, and is active from then on."""
+"""Distance from the guess beyond the requested clearance, m, within which a part is active at a knot. If an inactive
+part comes too near, this is found after the solve, and the part becomes active."""
 SPREAD = 2.0
-"""How much farther away than the nearest feature of a part others of it are active, m."""
+"""Features of a part are active up to this much farther away than its nearest feature, m."""
 BETWEEN = 0.005
-"""What knots demand beyond the clearance asked for, m, since the way between them bends; more where that is not enough.
-"""
+"""Margin added to the requested clearance at knots, m, since the path between them curves; it grows where necessary."""
 
 
 @dataclass(frozen=True, eq=False)
 class ObstacleClearance(Block):
-    """``clearance`` m from ``parts``, (obstacle, part number), for one vehicle on one discretisation.
+    """``clearance`` m from ``parts``, (obstacle, part index), for one vehicle on one discretisation.
 
-    ``active`` (features, knots): which `features` are rows of the problem where; ``extra`` (parts, knots): what each
-    demands beyond the clearance, m; ``sight`` m, see `SIGHT`; ``guess``: the poses that the discretisation began with.
+    ``active`` (features, knots): which `features` have rows at which knots; ``extra`` (parts, knots): margin added to
+    the clearance, m; ``sight`` m, see `SIGHT`; ``guess``: the poses at which the discretisation started.
     """
 
     vehicle: Vehicle
@@ -59,7 +58,7 @@ class ObstacleClearance(Block):
     sight: float = SIGHT
     guess: Poses | None = None
     features: Any = ()
-    """All that may be nearest: the number of its part, and the feature."""
+    """All features: the index of the part, and the feature."""
     owners: Any = None
     """The part (features,) that each feature belongs to."""
 
@@ -81,7 +80,7 @@ class ObstacleClearance(Block):
         return self.near(poses_of(fine))
 
     def near(self, poses: Poses) -> ObstacleClearance:
-        """Active too near the poses that a discretisation begins with; what was active on it already stays."""
+        """The block with features active near the initial poses of a discretisation; active features stay active."""
         block, shape = replace(self, guess=poses), (len(self.features), len(poses[0]))
         if self.active.shape != shape:
             knots = (len(self.parts), len(poses[0]))
@@ -93,8 +92,10 @@ class ObstacleClearance(Block):
         return self.violated_at(poses_of(solved))
 
     def violated_at(self, poses: Poses) -> ObstacleClearance:
-        """Active too where solved poses come too near to what is not: all near them, and twice as far about the guess,
-        since knots slide along it. Itself where there is nothing."""
+        """The block with features active that come too near at solved poses; itself if there are none.
+
+        It activates all features near these poses, and twice as far around the guess, since knots slide along the path.
+        """
         gaps = self._gaps(poses)
         if not np.any(~self.active & (gaps < self.clearance - FINEST)):
             return self
@@ -109,7 +110,8 @@ class ObstacleClearance(Block):
         return replace(self, active=self.active | (gaps < reach))
 
     def _gaps(self, poses: Poses) -> Array:
-        """How far every feature is at poses, (features, knots) m; inf beyond sight and where the motion starts."""
+        """Distance of every feature at poses, (features, knots) m; inf beyond `sight` and at the start of the
+        motion."""
         (positions, yaw, seconds), features = poses, self.features
         body, out = body_of(self.vehicle), np.full((len(features), len(yaw)), np.inf)
         outlines = placed(np.array(body), positions[:, :2], yaw)
@@ -117,7 +119,7 @@ class ObstacleClearance(Block):
         near = np.array(
             [bounds_to(o.shapes_at(seconds)[k], outlines) < self.clearance + self.sight for o, k in self.parts]
         )
-        near[:, 0] = False  # where it starts is given
+        near[:, 0] = False  # the start of the motion is fixed
         placing, numbers = np.vstack([yaw, positions[:, :2].T]), [_numbers(*part, seconds) for part in self.parts]
         for kind in dict.fromkeys(feature.kind for _, feature in features):
             of_kind = [n for n, (_, feature) in enumerate(features) if feature.kind == kind]
@@ -157,7 +159,7 @@ class ObstacleClearance(Block):
         return values
 
     def _active_at(self) -> Iterator[tuple[int, NDArray[np.intp]]]:
-        """Every part that is active anywhere, and the knots at which any feature of it is."""
+        """Every part with an active feature, and the knots at which it has one."""
         owners = self.owners
         for part in range(len(self.parts)):
             knots = np.flatnonzero(self.active[owners == part].any(axis=0))
@@ -165,14 +167,17 @@ class ObstacleClearance(Block):
                 yield part, knots
 
     def measure(self, trajectory: Trajectory, clip: Clip, progress: Progress | None) -> Finding:
-        """The least clearance, and by part and segment what it lacks."""
+        """The smallest clearance, and the shortfall per part and segment."""
         nearest, by_segment = certify_plane(clip, self.parts, self.clearance)
         lack = np.maximum(self.clearance - by_segment, 0.0)
         return Finding(nearest, self.clearance, bool(nearest >= self.clearance - FINEST), lack)
 
     def tighten(self, trajectory: Trajectory, finding: Finding) -> ObstacleClearance:
-        """Demand more at both knots of the segments that lack clearance. What swings out comes nearer than the rest, of
-        which rows know: that has to give way from where it is."""
+        """The block with a larger margin at both knots of segments that lack clearance.
+
+        An articulated part comes nearer than the rest of the vehicle, which is all that the rows model: its margin
+        counts from its present distance.
+        """
         if finding.met:
             return self
         extra, beside = self.extra.copy(), np.zeros_like(self.extra)
@@ -184,7 +189,7 @@ class ObstacleClearance(Block):
             np.minimum.at(gaps, self.owners, self._gaps(poses_of(trajectory)))
             given = (beside > 0) & np.isfinite(gaps)
             extra[given] = np.maximum(extra, gaps - self.clearance)[given]
-        for part, knots in self._active_at():  # what is not active need only become so
+        for part, knots in self._active_at():  # inactive parts only need to become active
             extra[part, knots] += np.where(beside[part, knots] > 0, beside[part, knots] + FINEST, 0.0)
             beside[part, knots] = 0.0
         return replace(self, extra=extra, active=self.active | (beside[self.owners] > 0))
@@ -202,17 +207,17 @@ def _asked(part: int) -> str:
 
 
 def poses_of(trajectory: Trajectory) -> Poses:
-    """The poses of what drives at its knots."""
+    """The poses at a driving vehicle's knots."""
     return *trajectory.poses(), trajectory.seconds()
 
 
 def _shape_of(obstacle: Any, number: int) -> Any:
-    """A part as the optimiser sees it; a vehicle's in its root's frame."""
+    """A part as the optimiser models it; that of a vehicle in its root's frame."""
     return simplified(obstacle.outline, CORNERS) if obstacle.moves else obstacle.parts[number]
 
 
 def _numbers(obstacle: Any, number: int, seconds: Array) -> Array:
-    """The numbers (width, 1) of a part as the optimiser sees it; where it moves, (width, knots) at ``seconds``."""
+    """The numbers (width, 1) of a part, or (width, knots) at ``seconds`` if it moves."""
     shape = _shape_of(obstacle, number)
     if not obstacle.moves:
         return form_of(shape).numbers(shape)[:, None]
@@ -221,13 +226,13 @@ def _numbers(obstacle: Any, number: int, seconds: Array) -> Array:
 
 
 def _columns(feature: Feature, numbers: Array, poses: Array, knots: NDArray[np.intp]) -> tuple[Array, Array, Array]:
-    """Pose, numbers and constants of a feature at knots, a column each."""
+    """Pose, numbers and constants of a feature at knots, one column each."""
     own = numbers[list(feature.numbers)]
     own = np.tile(own, len(knots)) if own.shape[1] == 1 else own[:, knots]
     return poses[:, knots], own, np.tile(np.array(feature.constants)[:, None], len(knots))
 
 
 def _stretched(values: Array, shape: tuple[int, int]) -> Array:
-    """Rows of ``values`` on another number of knots."""
+    """Rows of ``values`` resampled to another number of knots."""
     old, new = np.linspace(0, 1, values.shape[1]), np.linspace(0, 1, shape[1])
     return np.array([np.interp(new, old, row) for row in values])

@@ -1,7 +1,7 @@
-"""A few spheres that hold a vehicle's hulls: what the optimiser keeps off rock and obstacles when the vehicle flies.
+"""A few spheres that contain a vehicle's hulls: the optimiser keeps them off terrain and obstacles in flight.
 
-The cover contains every hull, so clear spheres are a clear vehicle; how near the vehicle really comes is certified
-afterwards with the hulls themselves.
+Since the spheres contain every hull, a vehicle is clear if its spheres are; its actual distance is certified afterwards
+with the hulls themselves.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from vehsim.world.obstacles.obstacles import hulls_of
 Array = NDArray[np.float64]
 
 SPHERES = 8
-"""More follow the hull more closely and cost the optimiser more."""
+"""Number of spheres: more of them follow the hull more closely but make the problem larger."""
 _SPACING = 0.6
 
 
 @lru_cache(maxsize=32)
 def sphere_cover(vehicle: Vehicle, count: int = SPHERES) -> tuple[Array, Array]:
-    """Centres (k, 3) in the rig root's frame and radii (k,), m; one point without a rig."""
+    """Centres (k, 3) in the rig root's frame and radii (k,), m; a single point without a rig."""
     if vehicle.rig is None:
         return np.zeros((1, 3)), np.zeros(1)
     hulls = hulls_of(vehicle)
@@ -36,7 +36,7 @@ def sphere_cover(vehicle: Vehicle, count: int = SPHERES) -> tuple[Array, Array]:
 def _covering(hulls: Sequence[Array], count: int) -> tuple[Array, Array]:
     points = np.vstack([_surface(hull) for hull in hulls])
     centres = _spread(points, min(count, len(points)))
-    for _ in range(10):  # Lloyd's algorithm with enclosing balls instead of means: it shrinks the largest radius
+    for _ in range(10):  # Lloyd's algorithm with enclosing balls instead of means: it reduces the largest radius
         nearest = np.argmin(np.linalg.norm(points[:, None] - centres, axis=2), axis=1)
         centres = np.array([_ball(points[nearest == k], centres[k]) for k in range(len(centres))])
     distance = np.linalg.norm(points[:, None] - centres, axis=2)
@@ -46,8 +46,10 @@ def _covering(hulls: Sequence[Array], count: int) -> tuple[Array, Array]:
 
 
 def balls(vehicle: Vehicle) -> tuple[Array, float, float]:
-    """The middle (3,) of a vehicle's spheres in the rig root's frame, and radii of two balls about it, m: of one that
-    holds all spheres, and of the least that may get through where the vehicle does, nose first."""
+    """The centre (3,) of a vehicle's spheres in the rig root's frame, and the radii of two balls around it, m.
+
+    The first ball contains all spheres. The second is the smallest that may pass where the vehicle does, nose first.
+    """
     centres, radii = sphere_cover(vehicle)
     middle = (centres.max(axis=0) + centres.min(axis=0)) / 2
     corners = np.vstack(hulls_of(vehicle) or [np.zeros((1, 3))])
@@ -56,7 +58,8 @@ def balls(vehicle: Vehicle) -> tuple[Array, float, float]:
 
 
 def _surface(hull: Array) -> Array:
-    """Points on a convex hull's surface, none further than ``_SPACING`` / sqrt(3) from its triangles' every point."""
+    """Points on a convex hull's surface: none of its points is farther than ``_SPACING`` / sqrt(3) from the nearest of
+    them."""
     from scipy.spatial import ConvexHull
 
     points = []
@@ -79,7 +82,7 @@ def _spread(points: Array, count: int) -> Array:
 
 
 def _ball(points: Array, start: Array) -> Array:
-    """Centre of a ball that nearly is the smallest around the points (Badoiu and Clarkson's iteration)."""
+    """Centre of an approximately smallest ball around the points (Badoiu and Clarkson's iteration)."""
     if not len(points):
         return start
     centre = points.mean(axis=0)

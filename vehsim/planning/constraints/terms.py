@@ -1,7 +1,7 @@
-"""Limits and constraints of one's own: rows at knots or segments, and at instants between knots where they are broken.
+"""Limits and users' constraints: rows at knots or segments, and at instants between knots where they are violated.
 
-A finished motion is measured between its knots; an instant where it breaks a constraint becomes a row of the problem,
-which is solved again: the exchange method of semi-infinite programming (Hettich and Kortanek 1993).
+A finished motion is measured between its knots; an instant of violation becomes a row of the problem, which is solved
+again: the exchange method of semi-infinite programming (Hettich and Kortanek 1993).
 """
 
 from __future__ import annotations
@@ -31,20 +31,20 @@ Array = NDArray[np.float64]
 Place = Literal["knot", "segment", "between"]
 
 FINE = 8
-"""Instants a frame at which a motion is measured."""
+"""Number of instants per frame at which a motion is measured."""
 LEAST = 5
-"""And a segment, at least."""
+"""Minimum number of them per segment."""
 END = 1e-4
-"""How near to a segment's end it is measured last, of its length."""
+"""Distance of the last instant from the end of its segment, relative to the segment's duration."""
 SHARE = 0.25
-"""An instant becomes a row where this share of a constraint's slack is used up, once another uses more than all."""
+"""Once one instant exceeds a constraint's slack, every instant that uses this share of it becomes a row."""
 APART = 0.08
-"""Instants of a segment are as far apart as this, of its length; a nearer one moves."""
+"""Minimum distance between instants of a segment, relative to its duration; a nearer instant replaces the old one."""
 
 
 @dataclass(frozen=True)
 class Excess:
-    """The worst instant of a constraint: its law's value there, the bound it passes, and when (s)."""
+    """The worst instant of a constraint: its law's value there, the violated bound, and the time (s)."""
 
     constraint: Constraint
     value: float
@@ -52,15 +52,17 @@ class Excess:
     seconds: float
 
     def message(self, frame: float) -> str:
-        """In the user's words and units."""
+        """A message in the user's terms and units."""
         shown = self.constraint.shown
         return f"{self.constraint.title} is {shown(self.value)} at frame {frame:.1f}, {shown(self.bound)} was asked for"
 
 
 @dataclass(frozen=True, eq=False)
 class TermRows(Block):
-    """A constraint's rows: at every knot or segment of its frames, and at ``instants`` (k,) between knots, in segments
-    since the start, which are its active set."""
+    """A constraint's rows: at every knot or segment of its frames, and at ``instants`` (k,) between knots.
+
+    ``instants`` are counted in segments since the start; they are its active set.
+    """
 
     constraint: Constraint
     marks: Sequence[Mark]
@@ -69,12 +71,12 @@ class TermRows(Block):
     _laws: dict[Transcription, ca.Function] = field(default_factory=dict)
 
     def _knots(self, layout: Layout) -> tuple[int, int]:
-        """The first and last knot that it is about."""
+        """The first and last knot to which it applies."""
         return knots_within(self.marks, layout.mark_knots, self.constraint.frames)
 
     @property
     def _instants(self) -> str:
-        """The parameter of where in their segments the instants are."""
+        """The name of the parameter for the instants' fractions of their segments."""
         return f"constraint[{self.number}].instants"
 
     def key(self, layout: Layout, transcription: Transcription) -> Hashable:
@@ -87,7 +89,7 @@ class TermRows(Block):
         if term.over == "segments":
             add_term(problem, transcription, layout, term, "segment", segments)
         elif term.over != "between" and accelerated(transcription, term):
-            # at the start of every segment, and the end of the last
+            # at the start of every segment, and at the end of the last
             fractions = np.append(np.zeros(len(segments)), 1.0)[None]
             add_term(problem, transcription, layout, term, "between", np.append(segments, last - 1), fractions)
         elif term.over != "between":
@@ -129,7 +131,7 @@ class TermRows(Block):
         return Finding(met=False, message=found.message(frame))
 
     def worst(self, trajectory: Trajectory) -> Excess | None:
-        """The worst instant where a trajectory's clip breaks the constraint by more than its slack."""
+        """The worst instant at which a trajectory's clip violates the constraint by more than its slack."""
         excess, values, times = self._excess(trajectory)
         if not self._broken(excess):
             return None
@@ -143,7 +145,7 @@ class TermRows(Block):
         return bool(excess.size and excess.max() > self.constraint.slack)
 
     def _activated(self, trajectory: Trajectory) -> TermRows:
-        """The same with rows where a trajectory's clip breaks the constraint."""
+        """The block with rows added where a trajectory's clip violates the constraint."""
         excess, _, times = self._excess(trajectory)
         if not self._broken(excess):
             return self
@@ -162,7 +164,7 @@ class TermRows(Block):
         return replace(self, instants=np.sort(np.array(places)))
 
     def _excess(self, trajectory: Trajectory) -> tuple[Array, Array, Array]:
-        """By how much a clip breaks the constraint (rows, n), its values (rows, n), and at which times (n,) s."""
+        """The violation (rows, n) of a constraint along a clip, its values (rows, n), and the times (n,) s."""
         term, clip = self.constraint, trajectory.clip
         first, last = self._knots(trajectory.layout)
         seconds = trajectory.seconds()
@@ -171,7 +173,7 @@ class TermRows(Block):
             return np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0)
         frame = 1 / float(clip.fps)
         counts = np.maximum(np.ceil(np.diff(knots) / frame * FINE - 1e-9), LEAST).astype(int)
-        steps = [np.linspace(0, 1 - END, n) for n in counts]  # to just before the next knot, where a jump may be
+        steps = [np.linspace(0, 1 - END, n) for n in counts]  # to just before the next knot, where the law may jump
         spans = zip(knots[:-1], np.diff(knots), steps, strict=True)
         times = np.append(np.concatenate([a + h * share for a, h, share in spans]), knots[-1])
         columns = samples(clip, times)
@@ -186,7 +188,7 @@ class TermRows(Block):
 
 
 def accelerated(transcription: Transcription, term: Term) -> bool:
-    """Whether a law of a `KnotView` asks for the acceleration, which takes a segment to know."""
+    """Whether a law of a `KnotView` uses the acceleration, which is known on a segment only."""
     v = transcription.symbols("x", "c0")
     return bool(ca.depends_on(evaluate(term, knot_view(transcription, v["x"], v["c0"])), UNKNOWN))
 
@@ -201,8 +203,10 @@ def add_term(
     fractions: Array | None = None,
     active: NDArray[np.intp] | None = None,
 ) -> None:
-    """A term at knots or segments ``k`` (n,), or ``between`` the knots of segments, at ``fractions`` (1, n) of them or
-    where the parameter says that ``active`` (1, n) holds."""
+    """Add a term at knots or segments ``k`` (n,), or ``between`` the knots of segments.
+
+    Between knots, at ``fractions`` (1, n) of the segments, or at those in the parameter with indices ``active`` (1, n).
+    """
     element = term_element(transcription, term, place, len(layout.phases), active is not None)
     y = np.vstack([layout.knot(k), layout.control(k)]) if place == "knot" else layout.segment(k)
     constants = {} if fractions is None else {"fraction": fractions}
@@ -216,11 +220,12 @@ def add_term(
 def term_element(
     transcription: Transcription, term: Term, place: Place, phases: int, between_knots: bool = False
 ) -> Element:
-    """A term at a place: a ``knot`` (x, c0), a ``segment`` (x, x1, c0, c1, h), or ``between`` two knots, with the same
-    variables as a segment and the ``fraction`` of it as a parameter.
+    """A term at a place.
 
-    When its law asks for the time, the lengths of all ``phases`` are variables too, and the parameter ``passed``
-    (phases,) says how many segments of each have passed before.
+    The places are a ``knot`` (x, c0), a ``segment`` (x, x1, c0, c1, h), or ``between`` two knots, with the same
+    variables as a segment and the ``fraction`` of it as a parameter. If its law uses the time, the durations of all
+    ``phases`` are variables too, and the parameter ``passed`` (phases,) counts the segments of each phase that have
+    passed.
     """
     now, lengths, passed = ca.SX.sym("t"), ca.SX.sym("lengths", phases), ca.SX.sym("passed", phases)
     parameters: dict[str, Any] = {}
@@ -253,7 +258,7 @@ def law_of_clip(transcription: Transcription, term: Constraint) -> ca.Function:
 
 
 def samples(clip: Clip, times: Array) -> list[Array]:
-    """What `stage.clip_view` takes, columns (k, n) at ``times`` (n,) s."""
+    """The arguments of `stage.clip_view`, columns (k, n) at ``times`` (n,) s."""
     motion = clip.at(times)
     _, velocity = spatial(clip)
     k = np.clip(np.searchsorted(clip.times, times, side="right") - 1, 0, len(clip) - 2)

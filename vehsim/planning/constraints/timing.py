@@ -1,4 +1,4 @@
-"""How long every leg takes: frames of marks, and marks at free frames, from the solver to whole frames."""
+"""The durations of legs: fixed between marks at frames, free otherwise until they are rounded to whole frames."""
 
 from __future__ import annotations
 
@@ -24,15 +24,18 @@ from vehsim.planning.trajectory import Trajectory
 Array = NDArray[np.float64]
 
 EARLY = 0.25
-"""How much earlier than a motion takes a free mark may stand, in frames: most can be a little faster."""
+"""How much earlier than its optimal time, in frames, a free mark may be placed: most motions can be slightly faster."""
 LONGEST = 8.0
-"""How much longer or shorter than guessed a leg of a free mark may become, as a factor."""
+"""How much longer or shorter than the guess a free leg may become, as a factor."""
 
 
 @dataclass(frozen=True, eq=False)
 class Timing(Block):
-    """The lengths of segments, one variable a leg. Those of legs to free marks vary while it is ``open``, and between
-    two marks at frames add up to what lies between; once settled on whole frames they are fixed."""
+    """The durations of segments, one variable per leg.
+
+    Those of legs to free marks vary while it is ``open``; between two marks at frames they add up to the time between
+    them. Once free marks are on whole frames, all are fixed.
+    """
 
     marks: Sequence[Mark]
     fps: Fraction
@@ -40,7 +43,7 @@ class Timing(Block):
 
     @property
     def durations(self) -> Array:
-        """How long every leg takes, s; nan where the planner chooses."""
+        """Duration of every leg, s; nan where the planner chooses it."""
         return fixed_durations(self.marks, self.fps)
 
     @property
@@ -50,7 +53,7 @@ class Timing(Block):
 
     @property
     def spans(self) -> list[tuple[list[int], float]]:
-        """Runs of legs that have to add up, s."""
+        """Runs of legs whose durations have a given sum, s."""
         return spans_between(self.marks, self.fps) if self.open else []
 
     def key(self, layout: Layout, transcription: Transcription) -> Hashable:
@@ -72,16 +75,18 @@ class Timing(Block):
         upper[trajectory.layout.lengths] = np.where(varies, lengths * LONGEST, lengths)
 
     def settled(self) -> Timing:
-        """The same with all lengths fixed."""
+        """The same block with all durations fixed."""
         return replace(self, open=False)
 
     def opened(self) -> Timing:
-        """The same with lengths of legs to free marks varying."""
+        """The same block with free durations of legs to free marks."""
         return replace(self, open=True)
 
     def on_frames(self, trajectory: Trajectory, early: float = EARLY) -> Array:
-        """Segment lengths (legs,) s near a trajectory's that put free marks on whole frames, ``early`` of a frame too
-        early at most."""
+        """Segment durations (legs,) s near a trajectory's that put free marks on whole frames.
+
+        A free mark is at most ``early`` of a frame too early.
+        """
         segments = np.array(trajectory.layout.phases)
         return np.asarray(whole_frames(trajectory.lengths * segments, self.marks, self.fps, early) / segments)
 
@@ -91,14 +96,14 @@ def _duration(legs: Sequence[int]) -> str:
 
 
 def fixed_durations(marks: Sequence[Mark], fps: Fraction) -> Array:
-    """Seconds of each leg between two marks at frames, and of holds; NaN where the planner chooses."""
+    """Seconds of each leg between two marks at frames, and of holds; nan where the planner chooses."""
     frames = [math.nan if mark.frame == "free" else float(mark.frame) for mark in marks]
     spans = [float(a.hold) if a.hold else y - x for a, x, y in zip(marks[:-1], frames[:-1], frames[1:], strict=True)]
     return np.array(spans) / float(fps)
 
 
 def spans_between(marks: Sequence[Mark], fps: Fraction) -> list[tuple[list[int], float]]:
-    """Runs of legs between two marks at frames with free ones between: their phases and what they add up to, s."""
+    """Runs of legs between two marks at frames with free marks between: their indices and total duration, s."""
     fixed = [i for i, mark in enumerate(marks) if mark.frame != "free"]
     spans = []
     for a, b in pairwise(fixed):
@@ -108,7 +113,7 @@ def spans_between(marks: Sequence[Mark], fps: Fraction) -> list[tuple[list[int],
 
 
 def share_known_spans(durations: Array, marks: Sequence[Mark], fps: Fraction) -> None:
-    """Stretch the guessed durations of free legs so that they fill what lies between marks at frames."""
+    """Scale the guessed durations of free legs so that they fill the time between marks at frames."""
     free = np.isnan(fixed_durations(marks, fps))
     for phases, total in spans_between(marks, fps):
         open_ = [j for j in phases if free[j]]
@@ -124,7 +129,8 @@ def share_known_spans(durations: Array, marks: Sequence[Mark], fps: Fraction) ->
 
 
 def whole_frames(lengths: Array, marks: Sequence[Mark], fps: Fraction, early: float = EARLY) -> Array:
-    """Durations (legs,) s near ``lengths`` s that put marks on whole frames, free ones ``early`` of one at most."""
+    """Durations (legs,) s near ``lengths`` s that put marks on whole frames, free ones at most ``early`` of a frame
+    early."""
     frames, at = [0], 0.0
     for length, leave, mark in zip(lengths, marks[:-1], marks[1:], strict=True):
         at += length * float(fps)

@@ -1,1 +1,1 @@
-"""Why marks cannot be met: what bounds rule out before solving, and what relaxed problems say afterwards."""
+"""Why marks cannot be met: bounds before solving, and relaxed problems afterwards."""

@@ -1,4 +1,4 @@
-"""Whether a vehicle can stand still where it shall: against the wind and on a slope, within its controls' bounds."""
+"""Whether a vehicle can stand still at marks, against wind and slope, within its controls' bounds."""
 
 from __future__ import annotations
 
@@ -23,19 +23,20 @@ from vehsim.vehicles import Vehicle
 Array = NDArray[np.float64]
 
 BALANCE = "velocity (balance)"
-"""The rows of a mark's element that say what pushes the vehicle, as an acceleration of its free velocities."""
+"""The rows of a mark's element that contain the residual acceleration along the vehicle's free velocities."""
 STILL = 1e-5
-"""What is left of them in balance, m/s^2 and rad/s^2."""
+"""Tolerance of the residual in balance, m/s^2 and rad/s^2."""
 HEADINGS = (0.0, 90.0, 180.0, 270.0)
-"""Headings the search for a balance starts from where a mark leaves it open, deg."""
+"""Headings from which the search for a balance starts if the mark leaves it free, deg."""
 
 
 def out_of_balance(
     vehicle: Vehicle, transcription: Transcription, marks: Sequence[Mark], wind: Any
 ) -> list[tuple[Mark, str, str]]:
-    """Marks where ``vehicle`` shall stand still and cannot, what is wrong, and what would do.
+    """Marks at which ``vehicle`` should stand still and cannot, with message and remedy.
 
-    ``transcription``: of the vehicle as slopes pull it. Nothing is looked for where neither wind nor slope acts.
+    ``transcription``: that of the vehicle with the force of gravity on slopes. Without wind and slope nothing is
+    checked.
     """
     windy = bool(np.any(wind)) and vehicle.feels_wind
     if not windy and transcription.vehicle is vehicle:
@@ -62,7 +63,7 @@ def _remedy(transcription: Transcription, mark: Mark, wind: Any, windy: bool) ->
 
 
 def least_push(transcription: Transcription, mark: Mark, wind: Any) -> tuple[float, float]:
-    """The least push, m/s^2 and rad/s^2, that any controls leave at a mark, and the heading of that, deg."""
+    """The smallest residual, m/s^2 and rad/s^2, that any controls leave at a mark, and the heading for it, deg."""
     element = mark_element(transcription, mark)
     assert element is not None
     solver, rows = _solver(transcription, element)
@@ -95,13 +96,13 @@ def least_push(transcription: Transcription, mark: Mark, wind: Any) -> tuple[flo
 
 
 def _gauge(transcription: Transcription, element: Element) -> list[Any]:
-    """The squared norm of the quaternion, where there is one."""
+    """The squared norm of the quaternion, if the state has one."""
     group = transcription.vehicle.group
     return [ca.sumsqr(element.y[:4])] if group.size > group.dim else []
 
 
 def _solver(transcription: Transcription, element: Element) -> tuple[ca.Function, ca.Function]:
-    """The least squares of a mark's balance, under all else it asks; and the rows of the balance."""
+    """The solver of a mark's balance as least squares under its other constraints; and the rows of the balance."""
     balance = [i for i, label in enumerate(element.labels) if label == BALANCE]
     kept = [i for i, label in enumerate(element.labels) if label != BALANCE]
     g = ca.vertcat(*(element.g[i] for i in kept), *_gauge(transcription, element))
@@ -113,7 +114,7 @@ def _solver(transcription: Transcription, element: Element) -> tuple[ca.Function
 
 
 def _start(transcription: Transcription, mark: Mark, heading: float, wind: Any) -> Array:
-    """A knot (x, c0) that stands level at a mark, its controls as nearly in trim as they go."""
+    """A knot (x, c0) at rest and level at a mark, with its controls as near to trim as possible."""
     pose = np.concatenate([mark.position or (0.0, 0.0, 0.0), from_yaw(np.deg2rad(heading))])
     g = np.asarray(transcription.vehicle.group.from_pose(pose)).ravel()
     rest = np.zeros(transcription.sizes[1] + transcription.sizes[2])

@@ -1,8 +1,8 @@
-"""What a vehicle's controls can do at most: bounds of its acceleration that hold for every motion, and what follows.
+"""Upper bounds on the acceleration that a vehicle's controls can cause in any motion, and what follows from them.
 
-A free rigid body in the air without drag: its centre of mass accelerates within a ball about gravity (`thrust_ball`).
-Any vehicle: the root of twice its kinetic energy grows no faster than the controls' forces, measured in the inverse
-inertia, and bounds the speed of its body frame (`push_of`).
+A free rigid body in the air without drag: the acceleration of its centre of mass lies in a ball around gravity
+(`thrust_ball`). Any vehicle: the square root of twice its kinetic energy grows no faster than the norm of the controls'
+forces in the inverse inertia, and it bounds the speed of the body frame (`push_of`).
 """
 
 from __future__ import annotations
@@ -25,25 +25,29 @@ from vehsim.vehicles.definition.mechanics import free_size, free_velocity, proje
 Array = NDArray[np.float64]
 
 SAMPLING_FACTOR = 1.02
-"""Bounds found by sampling are widened by this factor."""
+"""Safety factor for bounds found by sampling."""
 SAMPLES = 600
-"""Random joints, controls and velocities that forces are sampled at."""
+"""Number of random joints, controls and velocities at which forces are sampled."""
 SPEEDS = np.concatenate([[0.0], np.geomspace(0.01, 200.0, 25)])
 """Speeds at which drag and damping are sampled, m/s."""
 LEVELS = 5
-"""Values of each control on the grid that its forces are sampled on."""
+"""Number of values of each control on the grid at which its forces are sampled."""
 
 
 @dataclass(frozen=True)
 class Push:
-    """Bounds of how a vehicle's speed can change: ``gain`` m/s^2 by its controls (and wind), and ``loss`` (k,) m/s^2 by
-    controls, drag and damping together at the speeds `SPEEDS` (k,) m/s."""
+    """Bounds on the change of a vehicle's speed.
+
+    ``gain`` m/s^2: by its controls (and wind); ``loss`` (k,) m/s^2: by controls, drag and damping together at the
+    speeds `SPEEDS` (k,) m/s.
+    """
 
     gain: float
     loss: Array
 
     def reach(self, seconds: float, top: float, leave: float, arrive: float) -> float:
-        """The furthest that can be gone, m, at speeds up to ``top``, from ``leave`` to ``arrive`` m/s at most."""
+        """Upper bound on the distance, m, covered at speeds up to ``top``, from at most ``leave`` to at most ``arrive``
+        m/s."""
         if seconds <= 0:
             return 0.0
         if math.isinf(self.gain):
@@ -54,7 +58,7 @@ class Push:
         return float(np.trapezoid(speed, t)) * (1 + 1e-6)
 
     def _braking(self, arrive: float, fastest: float, t: Array) -> Array:
-        """The greatest speeds (n,) m/s from which ``t`` (n,) s suffice to come down to ``arrive``."""
+        """The largest speeds (n,) m/s from which ``t`` (n,) s suffice to slow down to ``arrive``."""
         if math.isinf(arrive):
             return np.full(len(t), math.inf)
         if np.allclose(self.loss, self.loss[0]):
@@ -70,22 +74,23 @@ UNBOUNDED = Push(math.inf, np.full(len(SPEEDS), math.inf))
 
 
 def limited(push: Push, most: float) -> Push:
-    """The same bounds, with no acceleration above ``most`` m/s^2."""
+    """The same bounds, with accelerations limited to ``most`` m/s^2."""
     return push if math.isinf(most) else Push(min(push.gain, most), np.minimum(push.loss, most))
 
 
 @dataclass(frozen=True)
 class Ball:
-    """Accelerations (3,) m/s^2 within ``radius`` about ``centre``."""
+    """Accelerations (3,) m/s^2 within ``radius`` of ``centre``."""
 
     centre: Array
     radius: float
 
     def rules_out(self, way: Array, room: float, seconds: float, leave: Any, arrive: Any) -> bool:
-        """Whether no such accelerations lead ``way`` (3,) m, to within ``room`` m, in ``seconds``.
+        """Whether no such accelerations lead along ``displacement`` (3,) m, to within ``room`` m of its end, in
+        ``seconds``.
 
-        ``leave``, ``arrive``: velocities (3,) m/s, a greatest speed, or inf where they are free. By duality: proven by
-        one linear function of the motion's ends that no acceleration can bring about, sought by a simplex search.
+        ``leave``, ``arrive``: velocities (3,) m/s, a largest speed, or inf if free. The proof is by duality: a simplex
+        search looks for a linear function of the motion's ends that no such acceleration can reach.
         """
         if not (math.isfinite(self.radius) and seconds > 0):
             return False
@@ -107,7 +112,7 @@ class Ball:
             ends = _most(first, leave) + _most(-final, arrive)
             weights = along[None] * (seconds - t)[:, None] + final
             done = self.radius * np.linalg.norm(weights, axis=1) + weights @ self.centre
-            # the norm is convex along the way: the trapezoidal rule is never too small
+            # the norm is convex in time, so the trapezoidal rule is an upper bound
             return float(ends + np.trapezoid(done, t) + room - along @ way)
 
         from scipy.optimize import minimize
@@ -123,7 +128,7 @@ class Ball:
 
 
 def _most(weight: Array, velocity: Any) -> float:
-    """The most that ``weight`` (3,) times a velocity can be: a given one, or any up to a speed."""
+    """Largest product of ``weight`` (3,) with a velocity: a given one, or any up to a speed."""
     if np.ndim(velocity):
         return float(weight @ velocity)
     return float(velocity * np.linalg.norm(weight)) if np.linalg.norm(weight) > 1e-12 else 0.0
@@ -131,7 +136,7 @@ def _most(weight: Array, velocity: Any) -> float:
 
 @lru_cache(maxsize=64)
 def thrust_ball(vehicle: Vehicle) -> Ball | None:
-    """Accelerations of a free rigid body's centre of mass without drag; None for any other vehicle."""
+    """Possible accelerations of a free rigid body's centre of mass without drag; None for any other vehicle."""
     free = isinstance(vehicle, Holonomic) and vehicle.group.dim == 6 and vehicle.hull is None
     if not free or vehicle.drag is not None or vehicle.resistance is not None:  # type: ignore[attr-defined]
         return None
@@ -148,8 +153,7 @@ def thrust_ball(vehicle: Vehicle) -> Ball | None:
 
 
 def strength(vehicle: Vehicle) -> float:
-    """A bound of a vehicle's acceleration in any direction, m/s^2, from those of its controls; infinite where none is
-    known."""
+    """Upper bound on a vehicle's acceleration in any direction, m/s^2, from its controls; inf if none is known."""
     ball = thrust_ball(vehicle)
     if ball is not None:
         return float(np.linalg.norm(ball.centre)) + ball.radius
@@ -157,7 +161,7 @@ def strength(vehicle: Vehicle) -> float:
 
 
 def _largest(force: ca.Function, vehicle: Vehicle) -> float:
-    """The largest norm of a force of the controls over their bounds; infinite where these are."""
+    """The largest norm of a force of the controls within their bounds; inf if these are infinite."""
     bounds = np.array([[control.lower, control.upper] for control in vehicle.controls]).reshape(-1, 2)
     if not np.all(np.isfinite(bounds)):
         return math.inf
@@ -169,7 +173,7 @@ def _largest(force: ca.Function, vehicle: Vehicle) -> float:
 
 
 def _grid(bounds: Array) -> Array:
-    """Points (n, k) of a box (k, 2): a grid where that is small, else its corners in part and random ones."""
+    """Points (n, k) of a box (k, 2): a grid if that is small, otherwise some corners and random points."""
     if not len(bounds):
         return np.zeros((1, 0))
     if len(bounds) <= 4:
@@ -182,11 +186,11 @@ def _grid(bounds: Array) -> Array:
 
 @lru_cache(maxsize=64)
 def push_of(vehicle: Vehicle, wind: tuple[float, ...], slope: float = 0.0) -> Push:
-    """How fast a vehicle's body frame can change its speed in a ``wind`` (3,) m/s on ground that rises by ``slope``.
+    """Bounds on the change of speed of a vehicle's body frame in a ``wind`` (3,) m/s on ground of a ``slope``, m/m.
 
-    With ``q`` the root of twice its kinetic energy, ``dq/dt`` is the forces' power over ``q``: at most their norm in
-    the inverse inertia. Forces are sampled over the controls' and joints' bounds, with `SAMPLING_FACTOR`. The bound is
-    unknown, and so infinite, where joints driven at a rate bring in energy, or springs, or controls without bounds.
+    With ``q`` the square root of twice its kinetic energy, ``dq/dt`` is the forces' power over ``q``: at most their
+    norm in the inverse inertia. Forces are sampled over the controls' and joints' bounds, with `SAMPLING_FACTOR`. The
+    bound is infinite if joints driven at a rate, springs or controls without bounds add energy.
     """
     bounds = np.array([[control.lower, control.upper] for control in vehicle.controls]).reshape(-1, 2)
     forces = [i for i, control in enumerate(vehicle.controls) if control.name not in vehicle.rate_controls]
@@ -233,7 +237,7 @@ def push_of(vehicle: Vehicle, wind: tuple[float, ...], slope: float = 0.0) -> Pu
 
 
 def _other_energy(vehicle: Vehicle) -> bool:
-    """Joints driven at a rate bring in energy, or some is stored: in springs, or in the air where it flies."""
+    """Whether joints driven at a rate add energy, or energy is stored in springs or, in flight, in height."""
     s, d = len(vehicle.joints), vehicle.group.dim
     r, u, xi = ca.SX.sym("r", s), ca.SX.sym("u", s), ca.SX.sym("xi", d)
     lagrangian = ca.SX(vehicle.reduced_lagrangian(r, u, xi))
@@ -250,8 +254,12 @@ def _other_energy(vehicle: Vehicle) -> bool:
 
 
 def _laws(vehicle: Vehicle) -> dict[str, ca.Function]:
-    """``twist``: joints -> the body's twist by free velocities; ``inertia``: joints -> inertia of these, and the body
-    frame's velocity by them; ``force``: the forces on them, of a pose, joints, free velocities, controls and wind."""
+    """The vehicle's kinematics and forces, as functions.
+
+    ``twist``: joints -> the body's twist per free velocity; ``inertia``: joints -> inertia of these, and the body
+    frame's velocity per free velocity; ``force``: forces along them, from pose, joints, free velocities, controls and
+    wind.
+    """
     s, n = len(vehicle.joints), free_size(vehicle)
     g, r, z = ca.SX.sym("g", vehicle.group.size), ca.SX.sym("r", s), ca.SX.sym("z", n)
     c, wind = ca.SX.sym("c", len(vehicle.controls)), ca.SX.sym("wind", 3)
@@ -268,7 +276,7 @@ def _laws(vehicle: Vehicle) -> dict[str, ca.Function]:
 
 
 def _joints(vehicle: Vehicle, random: Any, count: int) -> list[Array]:
-    """Joint values (s,): all zero, at their limits, and between them; those without limits turn once."""
+    """Joint values (s,): all zero, at their limits, and between; joints without limits cover one turn."""
     limits = [vehicle.joint_limits.get(joint, (-np.inf, np.inf)) for joint in vehicle.joints]
     ends = [(a, b) if np.isfinite([a, b]).all() else (-np.pi, np.pi) for a, b in limits]
     if not ends:
@@ -279,7 +287,7 @@ def _joints(vehicle: Vehicle, random: Any, count: int) -> list[Array]:
 
 
 def _turned(vehicle: Vehicle, angle: float) -> Array:
-    """The group element of a body at the origin, turned about Z."""
+    """The group element of a body at the origin, rotated about Z."""
     if vehicle.group.planar:
         return np.array([angle, 0.0, 0.0])
     pose = np.concatenate([np.zeros(3), from_yaw(angle)])
@@ -288,8 +296,8 @@ def _turned(vehicle: Vehicle, angle: float) -> Array:
 
 @lru_cache(maxsize=64)
 def slips(vehicle: Vehicle) -> tuple[bool, float]:
-    """Whether a vehicle in the plane may move in any direction, and by how many degrees at most its root moves aside
-    of ahead or back, over its joints' limits."""
+    """Whether a planar vehicle may move in any direction; and the largest angle, deg, between its root's velocity and
+    the body's X axis, forwards or backwards, over its joints' limits."""
     moves = _laws(vehicle)["twist"]
     x, y = vehicle.origin[:2]
     most = 0.0
@@ -304,7 +312,7 @@ def slips(vehicle: Vehicle) -> tuple[bool, float]:
 
 
 def least_time(reach: Callable[[float], float], way: float, high: float = 1e5) -> float:
-    """The smallest time, s, in which a rising ``reach`` is ``way`` m; infinite beyond ``high``."""
+    """The smallest time, s, at which an increasing ``reach`` equals ``distance`` m; inf beyond ``high``."""
     low, top = 0.0, 1.0
     while reach(top) < way:
         low, top = top, 2 * top
@@ -317,6 +325,6 @@ def least_time(reach: Callable[[float], float], way: float, high: float = 1e5) -
 
 
 def polyline(points: Sequence[Any]) -> float:
-    """The length, m, of the straight ways from place to place."""
+    """The length, m, of the straight lines between consecutive places."""
     places = np.asarray(points, float)
     return float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())

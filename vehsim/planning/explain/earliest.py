@@ -1,4 +1,5 @@
-"""The first frame at which a mark can be met after the one before it: found by planning that way alone, for time."""
+"""The first frame at which a mark can be met after the previous one: found by planning only this leg, for least
+time."""
 
 from __future__ import annotations
 
@@ -22,29 +23,31 @@ from vehsim.planning.terms import Cost, cost_weights
 Array = NDArray[np.float64]
 
 SEGMENTS = 16
-"""Segments a leg: bang-bang controls on so few knots take a little longer than the least time, never less."""
+"""Segments per leg: with bang-bang controls on so few knots a motion takes slightly more than the least time, never
+less."""
 FINER = (1, 2, 4)
-"""Times as many of them, and one more (odd numbers are not halved), until the controls lead where the motion does or
-the time it takes has settled."""
+"""Factors on the number of segments (one is added, as odd numbers are not halved), tried until the controls lead where
+the motion does or its duration has settled."""
 SHARE, SETTLED = 0.02, 0.03
-"""How far off they may end, of the way; and the change of the time, of it."""
+"""Tolerance of the end of the executed controls, relative to the distance; and of the change of the duration,
+relative."""
 SECONDS = 20.0
-"""What a solve may take at most."""
+"""Time limit of a solve, s."""
 STRETCHES = (1.0, 2.5, 0.5)
-"""Initial guesses of how long it takes, times a cruise; and so many times what it takes at least."""
+"""Initial guesses of the duration, as factors on a cruise, and on the lower bound of the duration."""
 LONGER = 1.3
 NEAR, MET, ITERATIONS = 1e-3, 1e-6, 100
-"""Largest violation of a motion at a free frame and at a whole one, and iterations: the very least is not asked for."""
+"""Largest violation of a motion at a free frame and at a whole one, and maximum number of iterations: the exact optimum
+is not needed."""
 LATER = (0.01, 0.05, 0.15)
-"""Shares of the time that are added until a motion at the whole frame is found."""
+"""Shares of the duration that are added until a motion at a whole frame is found."""
 
 
 def first_frame(request: Request, i: int, j: int, least: int) -> tuple[int, bool] | None:
-    """A frame, no earlier than ``least``, for which a motion from mark ``i`` to mark ``j`` was found, and whether it is
-    the first: the quickest motion was found too.
+    """A frame, at least ``least``, for which a motion from mark ``i`` to mark ``j`` was found; None if none was found.
 
-    In empty space, on the ground's slopes and in the wind, with the marks between them and the limits that always
-    hold. None where none was found.
+    The second value says whether it is the first such frame: then the fastest motion was found as well. The search is
+    in empty space, with the ground's slopes, the wind, the marks between, and the limits that always apply.
     """
     wind = request.wind
     marks = [*request.marks[i:j], replace(request.marks[j], frame="free", hold=0)]
@@ -73,7 +76,7 @@ def first_frame(request: Request, i: int, j: int, least: int) -> tuple[int, bool
 
 
 class _Calm:
-    """A world of wind alone."""
+    """A world with wind only."""
 
     terrain = None
     obstacles = ()
@@ -108,7 +111,7 @@ def _found(quick: Request, request: Request, least: int) -> tuple[int, bool] | N
 
 
 def _share(quick: Request, paths: list[Array], least: int) -> float:
-    """The stretch of a cruise that takes a little longer than until the frame ``least``."""
+    """The factor on a cruise that takes slightly longer than until the frame ``least``."""
     cruise = float(cruising(quick.marks, paths, min(CRUISE, 0.6 * quick.limits.get("speed"))).sum())
     return max(LONGER * (least - int(quick.marks[0].frame)) / float(quick.fps) / cruise, 0.1)
 
@@ -116,7 +119,7 @@ def _share(quick: Request, paths: list[Array], least: int) -> float:
 def _quickest(
     run: Run, request: Request, transcription: Transcription, paths: list[Array], stretches: list[float]
 ) -> Iterate | None:
-    """The iterate solved for time: from the first of these guesses it is solved from, or else where it came least."""
+    """The iterate solved for least time: guesses are tried until one succeeds, and the shortest valid motion counts."""
     best: tuple[float, float, Iterate] | None = None
     for stretch in stretches:
         guess = begin(run, request, transcription, None, paths, stretch=stretch)
@@ -139,7 +142,7 @@ def _violation(iterate: Iterate) -> float:
 
 
 def _whole(run: Run, iterate: Iterate, least: int) -> int | None:
-    """The first whole frame that the motion is found for, legs being stretched alike."""
+    """The first whole frame for which a motion is found, with all legs stretched alike."""
     marks, fps = iterate.request.marks, float(iterate.request.fps)
     legs, lengths = np.array(iterate.layout.phases), iterate.lengths
     held = np.array([mark.hold > 0 for mark in marks[:-1]])

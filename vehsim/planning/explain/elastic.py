@@ -1,4 +1,4 @@
-"""Why a plan failed: the same problem with room to miss marks, and with room to be late, says which and by how much."""
+"""Why a plan failed: relaxed problems in which marks may be missed or late show which ones, and by how much."""
 
 from __future__ import annotations
 
@@ -28,18 +28,19 @@ from vehsim.planning.trajectory import Trajectory
 Array = NDArray[np.float64]
 
 PRICE = 1e3
-"""Cost of missing a mark by one unit, or of being late by one second: more than any effort saves."""
+"""Cost of missing a mark by one unit, or of being late by one second: more than any effort it could save."""
 ITERATIONS, SECONDS = 200, 20.0
-"""What either answer may take at most."""
+"""Maximum number of iterations and seconds for either question."""
 SLACKS = (0.0, 0.01, 0.03, 0.1, 0.3)
-"""Shares of the time from the first mark that are added until a plan is found at whole frames."""
+"""Shares of the time since the first mark that are added until a plan at whole frames is found."""
 NOTHING = 1e-3
-"""Misses and delays below this are none, in m and s."""
+"""Misses and delays below this count as zero, in m and s."""
 
 
 @dataclass(frozen=True, eq=False)
 class LooseTiming(Timing):
-    """Legs to free marks vary one by one; with a ``price`` of a second, all but holds may be late."""
+    """Timing in which legs to free marks vary one by one and, with a ``price`` per second, all legs but holds may be
+    late."""
 
     price: float = 0.0
 
@@ -68,10 +69,10 @@ class LooseTiming(Timing):
 
 
 def diagnose(run: Run, guess: Iterate) -> tuple[str, Array | None]:
-    """Which frames are too early and what would do, and which marks are missed by how much; or, where all can be met,
-    variables that meet them.
+    """Which frames are too early and which would do; which marks are missed and by how much; or variables that meet
+    all.
 
-    Neither where the relaxed problem is not solved either.
+    Neither if the relaxed problem is not solved either.
     """
     missed, x = _missed(run, guess)
     if x is not None and not missed:
@@ -81,7 +82,7 @@ def diagnose(run: Run, guess: Iterate) -> tuple[str, Array | None]:
 
 
 def _missed(run: Run, guess: Iterate) -> tuple[str, Array | None]:
-    """Which marks are missed by how much, in elastic mode, and the variables that do; None where it is not solved."""
+    """Which marks are missed in elastic mode and by how much, and the variables; None if it is not solved."""
     loose = _loosened(guess.blocks, 0.0)
     blocks = [replace(b, price=PRICE) if isinstance(b, MarkRows) and b.number else b for b in loose]
     problem = assemble(guess.transcription, guess.layout, blocks)
@@ -104,13 +105,15 @@ def _missed(run: Run, guess: Iterate) -> tuple[str, Array | None]:
 
 
 def _loosened(blocks: Sequence[Block], price: float) -> list[Block]:
-    """The blocks with room to be late at a price, or at zero without."""
+    """The blocks with timing that may be late at a price; at price zero without delays."""
     return [LooseTiming(b.marks, b.fps, price=price) if isinstance(b, Timing) else b for b in blocks]
 
 
 def too_early(run: Run, near: Iterate) -> str:
-    """The first mark that can only be later, found from a motion that misses marks, and when it can; empty where none
-    is found."""
+    """The first mark that can only be met later, and when; empty if none is found.
+
+    ``near``: a motion that misses marks.
+    """
     request, layout = near.request, near.layout
     held = np.array([mark.hold > 0 for mark in request.marks[:-1]])
     if not np.any(~near.timing.free & ~held):
@@ -130,7 +133,7 @@ def too_early(run: Run, near: Iterate) -> str:
 
 
 def _is_met(run: Run, guess: Iterate, frames: dict[int, int]) -> bool:
-    """Whether a motion is found where marks stand at other ``frames``, from the paths that a plan begins with."""
+    """Whether a motion is found with marks at other ``frames``, from the initial paths of the plan."""
     marks = [replace(m, frame=frames.get(i, m.frame)) for i, m in enumerate(guess.request.marks)]
     request = replace(guess.request, marks=marks, deadline=math.inf)
     other = Run(request)
@@ -140,7 +143,7 @@ def _is_met(run: Run, guess: Iterate, frames: dict[int, int]) -> bool:
 
 
 def _by_leg(run: Run, guess: Iterate) -> str:
-    """The first mark that is too early for the way from the one before it alone."""
+    """The first mark that is too early for its own leg."""
     request, marks = guess.request, guess.request.marks
     known = [i for i, mark in enumerate(marks) if mark.frame != "free"]
     for i, j in pairwise(known):
@@ -156,10 +159,12 @@ def _by_leg(run: Run, guess: Iterate) -> str:
 
 
 def _earliest(run: Run, guess: Iterate, i: int, frames: dict[int, int]) -> str:
-    """That mark ``i`` is too early, and from when on a plan is found where it and those after it stand at ``frames``,
-    or a little later."""
+    """The message that mark ``i`` is too early, and the first frame for which a plan is found.
+
+    The marks from ``i`` on are tried at ``frames``, or a little later.
+    """
     request, marks = guess.request, guess.request.marks
-    if any(term.frames is not None for term in request.terms):  # ranges of frames stay where they are
+    if any(term.frames is not None for term in request.terms):  # ranges of frames cannot move
         own = marks[i].place >= 0
         where = f"{marks[i].name}.frame = {marks[i].frame}" if own else f"what is asked from {marks[i].name} on"
         return f"{where} is too early; it takes until {frames[i]} at least"
@@ -172,7 +177,7 @@ def _earliest(run: Run, guess: Iterate, i: int, frames: dict[int, int]) -> str:
 
 
 def _then(request: Request, i: int, frames: dict[int, int]) -> str:
-    """Where the marks after the late one have to go with it."""
+    """The frames of the marks that have to move with the late one."""
     place = request.marks[i].place
     moved = {request.marks[k].name: frame for k, frame in frames.items() if k > i and request.marks[k].place > place}
     named = [f"{name}.frame = {frame}" for name, frame in list(moved.items())[:3]]
@@ -180,7 +185,7 @@ def _then(request: Request, i: int, frames: dict[int, int]) -> str:
 
 
 def _solved(run: Run, start: Iterate, problem: NonlinearProgram, blocks: Sequence[Block]) -> Solution:
-    """A relaxed problem, solved from a start with all its slack variables at one."""
+    """The solution of a relaxed problem from a start with all its slack variables at one."""
     extra = problem.size - start.layout.size
     lower, upper = variable_bounds(start, blocks)
     lower, upper = np.append(lower, np.zeros(extra)), np.append(upper, np.full(extra, np.inf))

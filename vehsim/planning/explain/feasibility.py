@@ -1,4 +1,4 @@
-"""What bounds prove impossible before anything is solved: which marks, by how much, and what would do."""
+"""Marks that bounds prove impossible before anything is solved: which, by how much, and what would do."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Refusal:
-    """Why a mark cannot be met: its ``key``, what is wrong, and what would do."""
+    """Why a mark cannot be met: its ``key``, the message and the remedy."""
 
     mark: Mark
     key: str
@@ -48,7 +48,7 @@ class Refusal:
 
 
 def refusals(request: Request) -> list[Refusal]:
-    """Everything that the limits, and the vehicle's own strength, rule out; empty when nothing is proven."""
+    """Everything that limits and the vehicle's own strength rule out; empty if nothing is proven."""
     found = [refusal for mark in request.marks for refusal in _alone(request, mark)]
     known = [i for i, mark in enumerate(request.marks) if mark.frame != "free"]
     delay = 0
@@ -84,7 +84,7 @@ def _alone(request: Request, mark: Mark) -> list[Refusal]:
 
 
 def _bent_too_far(request: Request, mark: Mark) -> list[Refusal]:
-    """Joints beyond the vehicle's own bounds and those asked for."""
+    """Joints outside the vehicle's own bounds or the requested limits."""
     values = () if mark.joints is None else np.asarray(mark.joints, float)
     found = []
     for name, value in zip(request.vehicle.joints, values, strict=False):
@@ -96,7 +96,7 @@ def _bent_too_far(request: Request, mark: Mark) -> list[Refusal]:
 
 
 def _sideways(request: Request, mark: Mark) -> list[Refusal]:
-    """A velocity that wheels do not let the vehicle have at the heading."""
+    """A velocity that the wheels do not allow at the heading."""
     vehicle = request.vehicle
     if mark.heading is None or mark.velocity is None or mark.at_rest or not vehicle.group.planar:
         return []
@@ -111,7 +111,7 @@ def _sideways(request: Request, mark: Mark) -> list[Refusal]:
 
 
 def _looks_elsewhere(mark: Mark, term: Constraint) -> list[Refusal]:
-    """A heading that is not where a look asks it to point."""
+    """A heading that contradicts a constraint to look at a point."""
     there = term.frames is None or (mark.frame != "free" and term.frames[0] <= mark.frame <= term.frames[1])
     if term.aim is None or not there or mark.heading is None or mark.position is None or leeway(mark):
         return []
@@ -128,7 +128,7 @@ def _looks_elsewhere(mark: Mark, term: Constraint) -> list[Refusal]:
 
 
 def _outside(request: Request, mark: Mark, term: Constraint) -> list[Refusal]:
-    """A mark where a constraint does not let it be."""
+    """A mark outside the box of a constraint."""
     there = term.frames is None or (mark.frame != "free" and term.frames[0] <= mark.frame <= term.frames[1])
     if term.box is None or mark.position is None or not there:
         return []
@@ -145,8 +145,10 @@ def _outside(request: Request, mark: Mark, term: Constraint) -> list[Refusal]:
 
 
 def _between(request: Request, i: int, j: int, delay: int) -> tuple[list[Refusal], int]:
-    """What rules out the way from mark ``i`` to mark ``j``, the next with a frame, in the frames between them, where
-    ``i`` has to be ``delay`` frames later itself; and how many frames more ``j`` has to be."""
+    """Reasons why the leg from mark ``i`` to ``j``, the next mark with a frame, takes more frames; and how many more.
+
+    ``delay``: how many frames later mark ``i`` itself has to be.
+    """
     a, b, fps, limits = request.marks[i], request.marks[j], float(request.fps), request.limits
     first, last = int(a.frame), int(b.frame)
     held = sum(mark.hold for mark in request.marks[i:j])
@@ -171,7 +173,8 @@ def _between(request: Request, i: int, j: int, delay: int) -> tuple[list[Refusal
         remedy = "move it nearer"
     else:
         soonest = max(math.ceil(first + held + least * fps - 1e-6), last + 1)
-        found = first_frame(request, i, j, soonest)  # known to do, or else only that no earlier one does
+        # a motion was found for this frame; otherwise it is only a lower bound
+        found = first_frame(request, i, j, soonest)
         frame, first_of_all = found or (soonest, False)
         later = frame - last
         world = request.world
@@ -185,7 +188,8 @@ def _between(request: Request, i: int, j: int, delay: int) -> tuple[list[Refusal
 
 
 def _too_far(request: Request, placed: list[Mark], seconds: float) -> list[tuple[str, float]]:
-    """Why it cannot be at these marks, the first and the last with a frame, in ``seconds``, and the least it takes."""
+    """Why the motion between the first and the last of ``placed`` takes longer than ``seconds``; each with its least
+    time."""
     limits, spatial = request.limits, request.vehicle.group.dim == 6
     top, a, b = request.top_speed, placed[0], placed[-1]
     shown = 3 if spatial else 2
@@ -228,14 +232,14 @@ def _too_far(request: Request, placed: list[Mark], seconds: float) -> list[tuple
 
 
 def _least(ball: Ball, way: Array, room: float, a: Mark, b: Mark) -> float:
-    """A time, s, below which the way between two marks is too long: that of its greatest acceleration throughout."""
+    """A lower bound, s, on the time between two marks: with the largest acceleration all the time."""
     most = np.full(len(SPEEDS), float(np.linalg.norm(ball.centre)) + ball.radius)
     push, far = Push(float(most[0]), most), max(float(np.linalg.norm(way)) - room, 0.0)
     return least_time(lambda t: push.reach(t, math.inf, _pace(a), _pace(b)), far)
 
 
 def _swing(request: Request, a: Mark, b: Mark) -> float:
-    """How much less than the rig's root the body frame may have to go, m: it stands elsewhere in the root's frame."""
+    """How much shorter the body frame's path may be than the root's, m, because of its offset from the root."""
     offsets = [_offset(request, mark) for mark in (a, b)]
     if offsets[0] is None or offsets[1] is None:
         return 2 * _lever(request)
@@ -243,7 +247,8 @@ def _swing(request: Request, a: Mark, b: Mark) -> float:
 
 
 def _offset(request: Request, mark: Mark) -> Array | None:
-    """Where the body frame stands from the root at a mark (3,) m, where the mark says which way it is turned."""
+    """Position of the body frame relative to the root at a mark (3,) m, if the mark fixes the orientation; otherwise
+    None."""
     origin = request.vehicle.origin
     if mark.orientation is not None:
         q = np.asarray(mark.orientation, float)
@@ -261,7 +266,7 @@ def _lever(request: Request) -> float:
 
 
 def _steepest(request: Request) -> float:
-    """How steeply the ground rises at most, m/m, where it pulls what drives on it."""
+    """Largest slope of the ground, m/m, if the vehicle's motion depends on slopes."""
     terrain = None if request.world is None else request.world.terrain
     if terrain is None or request.vehicle.group.dim != 3:
         return 0.0
@@ -270,7 +275,7 @@ def _steepest(request: Request) -> float:
 
 
 def _pace(mark: Mark) -> float:
-    """The speed a mark allows in any direction, m/s."""
+    """The largest speed that a mark allows, m/s."""
     return _size(_speed(mark))
 
 
@@ -279,13 +284,14 @@ def _size(speed: Any) -> float:
 
 
 def _own_pace(request: Request, mark: Mark) -> Any:
-    """The same of the body frame: what turns may have another speed there than at its root, unless it only rolls."""
+    """The same for the body frame: a turning vehicle may have another speed there than at its root, unless it only
+    rolls."""
     rolls = free_size(request.vehicle) == 1
     return _speed(mark) if mark.at_rest or not _lever(request) else _pace(mark) if rolls else math.inf
 
 
 def _speed(mark: Mark) -> Any:
-    """The velocity (3,) m/s of a mark, or the speed it allows."""
+    """The velocity (3,) m/s of a mark, or the largest speed that it allows."""
     if mark.velocity is not None:
         return np.asarray(mark.velocity, float)
     return math.inf if mark.speed is None else float(mark.speed)

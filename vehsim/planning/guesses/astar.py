@@ -1,8 +1,8 @@
-"""Initial guesses for wheels: A* over places, and over poses for what cannot turn where it stands.
+"""Initial guesses for driving vehicles: A* over positions, or over poses for vehicles that cannot turn on the spot.
 
-The ground is a grid of exact distances to the obstacles. What turns in place follows the cheapest path over it; what
-has a turning circle follows arcs, forwards and backwards, from pose to pose (hybrid A*), guided by that path's length.
-A guess, not a motion: the optimiser bends it, and certification judges the result.
+The ground is a grid of exact distances to the obstacles. A vehicle that turns in place follows the cheapest path over
+it. One with a turning circle follows arcs, forwards and backwards, from pose to pose (hybrid A*), guided by that path's
+length. The result is only a guess: the optimiser changes it, and certification judges the final motion.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from vehsim.world.obstacles.obstacles import footprint
 Array = NDArray[np.float64]
 
 CELLS = 150
-"""Cells of the grid along its longer side, fewer where they would be finer than needed."""
+"""Cells of the grid along its longer side; fewer if they would be finer than needed."""
 FINEST = 0.05
 """Smallest cell, m."""
 TURNS = 48
-"""Headings told apart by the search over poses."""
+"""Number of headings that the search over poses distinguishes."""
 SHY = 0.5
-"""A metre along the clearance asked for costs 1 + SHY metres in the open."""
+"""A metre at exactly the requested clearance costs 1 + SHY metres in the open."""
 BACK, SHIFT, STEER = 1.5, 2.0, 0.05
-"""Costs: a metre backwards; a change of direction, m; a change of steering, m."""
+"""Costs: of a metre backwards; of a change of direction, m; of a change of steering, m."""
 EAGER = 1.3
-"""How much more than its length is assumed of the remaining path: fewer poses are looked at."""
+"""Factor on the estimated length of the remaining path: above 1, fewer poses are expanded."""
 POSES = 30_000
-"""Poses looked at, at most."""
+"""Maximum number of expanded poses."""
 
 
 def guess_drive(
@@ -51,13 +51,13 @@ def guess_drive(
 ) -> Array:
     """A path (k, 4) of x, y, z m and heading rad from ``ends[0]`` to ``ends[1]`` (2, 3) m, clear of standing ``parts``.
 
-    ``asked``: headings at either end in rad, or None. Each step of ``wariness`` makes narrow gaps dearer. ``met``:
-    outlines (n, k, 2) to go round if possible. Raises ``SolveError`` when there is no path.
+    ``asked``: headings at either end in rad, or None. Each step of ``wariness`` makes narrow gaps more expensive.
+    ``met``: outlines (n, k, 2) to avoid if possible. Raises ``SolveError`` if there is no path.
     """
     radius = turning_radius(vehicle)
     bearing = float(np.arctan2(*(ends[1] - ends[0])[[1, 0]]))
     nose = [bearing if heading is None else heading for heading in asked]
-    # what has a turning circle is led by its body frame's origin (a car's rear axle), the rest by its root
+    # the search moves the body frame's origin (a car's rear axle) if there is a turning circle, otherwise the root
     lead = np.asarray(vehicle.origin[:2], float) if radius > 0 else np.zeros(2)
     ground = _Ground(
         vehicle, lead, parts, ends[:, :2] + _turned(np.array(nose), lead), clearance, SHY * 4**wariness, met
@@ -77,7 +77,7 @@ def guess_drive(
 
 
 def turning_radius(vehicle: Vehicle) -> float:
-    """The smallest circle the vehicle's body frame can drive, m; 0 when it can turn on the spot."""
+    """Radius of the smallest circle that the vehicle's body frame can drive, m; 0 if it can turn on the spot."""
     r: Any = ca.SX.sym("r", len(vehicle.joints))
     free: Any = ca.horzcat(vehicle.basis(r), vehicle.connection(r))
     moves = ca.Function("moves", [r], [free[:3, :]])
@@ -94,7 +94,8 @@ def turning_radius(vehicle: Vehicle) -> float:
 
 
 class _Ground:
-    """Distances on a grid about two places ``ends`` (2, 2) of a vehicle's point ``lead`` (2,), and where it may be."""
+    """Distances on a grid around two places ``ends`` (2, 2) of a vehicle's reference point ``lead`` (2,), and its free
+    cells."""
 
     def __init__(
         self,
@@ -118,7 +119,7 @@ class _Ground:
         points = np.vstack([ends, *corners])
         room = 4 * size + 2 * clearance
         lower, upper = points.min(axis=0) - room, points.max(axis=0) + room
-        # what lies far from both ends need not be gone round
+        # obstacles far from both ends can be ignored
         reach = 3 * float(np.linalg.norm(ends[1] - ends[0])) + 10 * size
         lower, upper = np.maximum(lower, ends.min(axis=0) - reach), np.minimum(upper, ends.max(axis=0) + reach)
         self.cell = max(FINEST, min(float((upper - lower).max()) / CELLS, max(self.radius / 2, FINEST)))
@@ -127,13 +128,14 @@ class _Ground:
         self.shape = tuple(np.ceil((upper - lower) / self.cell).astype(int) + 1)
         axes = [lower[k] + self.cell * np.arange(self.shape[k]) for k in (0, 1)]
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 1, 2)
-        far, enough = np.full(len(grid), np.inf), 3 * (self.radius + clearance) + FINEST  # `over` is 1 from there
+        # `over` is 1 beyond this distance
+        far, enough = np.full(len(grid), np.inf), 3 * (self.radius + clearance) + FINEST
         for shape in still:
             far = np.minimum(far, gaps_to(shape, grid, enough))
         self.distance = far.reshape(self.shape)
         near = np.linalg.norm(grid[:, 0, None] - ends, axis=2)
         own = np.array([max(0.0, self.distance[self.index(end)] - self.cell) for end in ends])
-        # near an end that is itself closer, only what it has
+        # near an end with less clearance, require only what the end has
         self.demanded = np.minimum(self.radius + clearance, (own + 0.5 * near).min(axis=1)).reshape(self.shape)
         over = np.clip((self.distance - self.demanded) / (2 * self.radius + 2 * clearance + 1e-9), 0, 1)
         self.price = 1 + shy * (1 - over) ** 2
@@ -143,7 +145,7 @@ class _Ground:
         return int(i), int(j)
 
     def lengths_to(self, end: int) -> tuple[Array, NDArray[np.int64]]:
-        """Cost (nx, ny) of the cheapest path to an end from every cell, inf where there is none; and the next cells."""
+        """Cost (nx, ny) of the cheapest path to an end from every cell, inf if there is none; and the next cells."""
         from scipy.sparse import coo_matrix
         from scipy.sparse.csgraph import dijkstra
 
@@ -179,7 +181,7 @@ class _Ground:
         return np.vstack([path[:-1] if len(path) > 1 else path, self.ends[1]])
 
     def pull(self, path: Array) -> Array:
-        """The path with its corners cut where the straight line is free and not dearer, and rounded."""
+        """The path with its corners cut where the straight line is free and not more expensive, and rounded."""
         kept = [0]
         while kept[-1] < len(path) - 1:
             here, there = kept[-1], len(path) - 1
@@ -209,7 +211,7 @@ class _Ground:
         return bool(length * self.price[cells].mean() <= before * self.price[old].mean() * 1.02)
 
     def free_poses(self) -> NDArray[np.bool_]:
-        """(TURNS, nx, ny): whether the vehicle's discs are free at a cell and heading."""
+        """Which poses (TURNS, nx, ny) are free: the vehicle's discs keep clear at a heading and cell."""
         free = np.ones((TURNS, *self.shape), bool)
         for turn in range(TURNS):
             angle = 2 * np.pi * turn / TURNS
@@ -221,7 +223,7 @@ class _Ground:
                 c, d = (slice(max(0, k), n - max(0, -k)) for k, n in zip((i, j), self.shape, strict=True))
                 moved[a, b] = self.distance[c, d]
                 free[turn] &= moved >= radius + self.clearance
-        for end in self.ends:  # an end may itself be nearer than asked
+        for end in self.ends:  # an end may itself be nearer than requested
             grid = np.indices(self.shape) * self.cell
             about = np.hypot(*(grid - (end - self.lower)[:, None, None])) < 2 * self.cell
             free[:, about] = True
@@ -238,9 +240,9 @@ class _Arc:
 
 
 class _Search:
-    """Hybrid A*: poses joined by arcs of one length; each cell and heading keeps its cheapest pose.
+    """Hybrid A*: poses connected by arcs of equal length; each cell and heading keeps its cheapest pose.
 
-    It sets out from the end that has less room about it: a path out of a gap is found quickly, a path into it is not.
+    The search starts from the end with less free space: a path out of a gap is found sooner than a path into it.
     """
 
     def __init__(self, ground: _Ground, radius: float) -> None:
@@ -252,20 +254,20 @@ class _Search:
         ]
 
     def find(self, heading: float, wanted: float | None) -> Array | None:
-        """Poses (k, 3) x, y m and heading rad from start to goal, or None when none was found."""
+        """Poses (k, 3) x, y m and heading rad from start to goal, or None if none was found."""
         if wanted is None or self._room(0) <= self._room(1):
             return self._from(0, heading, wanted, 1)
         found = self._from(1, wanted, heading, -1)
         return None if found is None else found[::-1]
 
     def _room(self, end: int) -> float:
-        """Share of the poses about an end that are free."""
+        """Share of free poses around an end."""
         i, j = self.ground.index(self.ground.ends[end])
         n = int(np.ceil(2 * self.radius / self.ground.cell))
         return float(self.free[:, max(0, i - n) : i + n, max(0, j - n) : j + n].mean())
 
     def _from(self, end: int, heading: float, wanted: float | None, ahead: int) -> Array | None:
-        """Poses from one end to the other; ``ahead`` is the cheap gear, 1 or -1."""
+        """Poses from one end to the other; ``ahead``: the preferred gear, 1 or -1."""
         ground, free, price = self.ground, self.free, self.ground.price
         start, goal = ground.ends[end], ground.ends[1 - end]
         lengths, _ = ground.lengths_to(1 - end)
@@ -313,7 +315,7 @@ class _Search:
         return i, j, round(angle * TURNS / (2 * math.pi)) % TURNS, gear
 
     def _back(self, k: int, poses: Any, parents: Any, goal: Array, wanted: float) -> Array:
-        """The path to pose ``k``, drawn onto the goal itself over its last steps."""
+        """The path to pose ``k``, with its last steps shifted so that it ends at the goal."""
         found = []
         while k >= 0:
             found.append(poses[k])
@@ -329,13 +331,13 @@ class _Search:
 
 
 def _turned(angle: Array, point: Array) -> Array:
-    """``point`` (2,) turned by angles (n,) rad: (n, 2)."""
+    """``point`` (2,) rotated by angles (n,) rad: (n, 2)."""
     c, s = np.cos(angle), np.sin(angle)
     return np.column_stack([c * point[0] - s * point[1], s * point[0] + c * point[1]])
 
 
 def _facing(path: Array, asked: Sequence[float | None]) -> Array:
-    """The path (k, 2) with headings along it, eased into those asked for at its ends: (k, 3)."""
+    """The path (k, 2) with headings along it, blended into the requested headings at its ends: (k, 3)."""
     step = np.gradient(path, axis=0)
     yaw = np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
     share = np.linspace(0, 1, len(path))

@@ -1,4 +1,4 @@
-"""Paths among obstacles for what drives, leg by leg, clear of what moves at the time it is there."""
+"""Paths of driving vehicles among obstacles, leg by leg, clear of moving obstacles at the time of passing."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from vehsim.world.obstacles.plane import placed
 
 Array = NDArray[np.float64]
 Parts = Sequence[tuple[Any, int]]
-"""Obstacles and numbers of their parts."""
+"""Obstacles and indices of their parts."""
 
 DODGES = 4
-"""How often a path is sought that is not in the way of what moves."""
+"""Maximum number of searches for a path that avoids moving obstacles."""
 BRISK = 5.0
-"""Guess of how fast a leg between free marks is driven, m/s."""
+"""Guessed speed on a leg between free marks, m/s."""
 
 
 def drive(request: Request, parts: Parts, wariness: int = 0) -> list[Array]:
-    """A path (k, 4) x, y, z m and heading rad for every leg between two marks, by A*; the greater ``wariness``, the
-    more room it looks for.
+    """A path (k, 4) x, y, z m and heading rad for every leg between two marks, by A*.
 
-    Where a path meets something that moves, it is sought again about the places where that was met.
+    A larger ``wariness`` keeps more distance. If a path meets a moving obstacle, it is searched again around the places
+    where they met.
     """
     nose = [None if mark.heading is None else float(np.deg2rad(mark.heading)) for mark in request.marks]
     seconds = float(int(request.marks[0].frame) / request.fps)
@@ -54,7 +54,7 @@ def drive(request: Request, parts: Parts, wariness: int = 0) -> list[Array]:
 
 
 def _met(request: Request, parts: Parts, path: Array, start: float, duration: float) -> list[Array]:
-    """Outlines (k, 2) of what moves, where an even pace along a path (k, 4) meets it."""
+    """Outlines (k, 2) of moving obstacles where a motion at constant speed along a path (k, 4) meets them."""
     moving = [(o, k) for o, k in parts if o.moves and not o.stands]
     if not moving:
         return []

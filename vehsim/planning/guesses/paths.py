@@ -1,4 +1,4 @@
-"""Variables of a motion along a path at an even pace, or along a clip."""
+"""Variables of a motion along a path at a smooth pace, or along a clip."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ from vehsim.vehicles import Vehicle
 Array = NDArray[np.float64]
 
 SWING, SWINGS, LAG = 1.1, 0.6, 0.6
-"""Of an initial guess that swings: period, s; share of the joints' limits; lag of each joint behind the last, rad."""
+"""Initial guess for vehicles that swing joints: period, s; share of the joints' limits; phase lag between joints,
+rad."""
 
 
 def along_paths(
@@ -34,10 +35,10 @@ def along_paths(
     wind: Any,
     aims: Sequence[tuple[int, int, Any, float]] = (),
 ) -> Array:
-    """Variables (size,) of a motion along ``paths`` (one a phase), level, at trim controls.
+    """Variables (size,) of a motion along ``paths`` (one per phase), level, at trim controls.
 
-    A path is a polyline (k, 3) m, or of poses (k, 4) with headings in rad. ``aims``: (first, last) knots between which
-    it heads for a point (3,) m, and by how much to the right of it, rad.
+    A path is a polyline (k, 3) m, or of poses (k, 4) with headings in rad. ``aims``: (first knot, last knot, point (3,)
+    m, angle rad): between these knots the vehicle heads for the point, plus the angle to the right.
     """
     fraction, phase = _node_fractions(layout)
     pace = [_pace(marks[j].at_rest, marks[j + 1].at_rest) for j in range(len(paths))]
@@ -56,7 +57,8 @@ def along_paths(
 def along_clip(
     transcription: Transcription, layout: Layout, marks: Sequence[Mark], clip: Clip, lengths: Array
 ) -> Array:
-    """Variables (size,) of a clip of the same vehicle, with its joints and controls, drawn onto the marks' places."""
+    """Variables (size,) of a clip of the same vehicle, with its joints and controls, moved onto the marks'
+    positions."""
     fraction, phase = _node_fractions(layout)
     begins, ends = clip_spans(clip, marks)
     motion = clip.at(begins[phase] + fraction * (ends - begins)[phase])
@@ -70,7 +72,7 @@ def along_clip(
 
 
 def clip_spans(clip: Clip, marks: Sequence[Mark]) -> tuple[Array, Array]:
-    """When a clip begins and ends every leg between marks, (legs,) s each."""
+    """Times at which a clip begins and ends every leg between marks, (legs,) s each."""
     times = clip.times[cuts_of(clip.positions, legs_between(marks))]
     return times[:-1], times[1:]
 
@@ -85,8 +87,10 @@ def from_poses(
     c: Array,
     joints: Array | None = None,
 ) -> Array:
-    """Variables of poses (nodes, ...) of the rig root; velocities by differences, ``c`` controls (c,) or at knots
-    (segments + 1, c), ``joints`` (nodes, s), where they are not given such as go with the motion."""
+    """Variables from poses (nodes, ...) of the rig root; velocities are differences.
+
+    ``c``: controls (c,), or (segments + 1, c) at knots; ``joints`` (nodes, s): by default values that fit the motion.
+    """
     vehicle, group, m = transcription.vehicle, transcription.vehicle.group, transcription.mechanics
     _, s, n, _ = transcription.sizes
     body = positions + np.einsum("nij,j->ni", SO3.matrix(quaternions), vehicle.origin)
@@ -132,7 +136,7 @@ def _substep_lengths(layout: Layout, lengths: Array) -> Array:
 
 
 def _pace(rest_before: bool, rest_after: bool) -> Array:
-    """Cubic 0 to 1 that starts and ends at rest where the marks do."""
+    """A cubic from 0 to 1 whose ends are at rest where the marks are."""
     a, b = 0.0 if rest_before else 1.0, 0.0 if rest_after else 1.0
     return np.array([a + b - 2, 3 - 2 * a - b, a, 0.0])
 
@@ -144,10 +148,10 @@ def _along(path: Array, fraction: float) -> Array:
 
 
 def _headings(marks: Sequence[Mark], paths: Sequence[Array], s: Array, phase: NDArray[np.intp]) -> Array:
-    """Headings (nodes,) rad, along the path, eased into the marks' own at either end of a phase."""
+    """Headings (nodes,) rad along the path, blended into the marks' own headings at both ends of a phase."""
     out = np.zeros(len(s))
     for i, (f, j) in enumerate(zip(s, phase, strict=True)):
-        if paths[j].shape[1] == 4:  # a path of poses
+        if paths[j].shape[1] == 4:  # the path has headings
             out[i] = _along(paths[j], f)[3]
             continue
         ahead = _along(paths[j], min(1.0, f + 0.03)) - _along(paths[j], max(0.0, f - 0.03))
@@ -184,7 +188,8 @@ def _difference(group: Any, a: Array, b: Array) -> Array:
 
 
 def _swing(vehicle: Vehicle, h: Array) -> tuple[Array, Array]:
-    """Joints (n + 1, s) and rates (n, s) that swing in time, each after the one before it, growing and dying away."""
+    """Joints (n + 1, s) and rates (n, s) that swing with a phase lag from joint to joint, with growing and decaying
+    amplitude."""
     t = np.concatenate([[0.0], np.cumsum(h)])
     share = t / t[-1]
     wave = 2 * np.pi * max(1, round(t[-1] / SWING)) * share
@@ -194,10 +199,10 @@ def _swing(vehicle: Vehicle, h: Array) -> tuple[Array, Array]:
 
 
 def _joints(vehicle: Vehicle, xi: Array, h: Array) -> tuple[Array, Array]:
-    """Joints (n + 1, s) and rates (n, s) that let the vehicle move with twists ``xi`` (n, d), as nearly as they can.
+    """Joints (n + 1, s) and rates (n, s) that fit twists ``xi`` (n, d) of the vehicle as well as possible.
 
-    A joint with limits is set (a steered wheel), the others turn along (a rolling one). What gets about by its joints
-    alone swings them: straight and still it is stuck, an optimiser finds no way out of that.
+    A joint with limits is set directly (a steered wheel); other joints turn along (a rolling wheel). For a vehicle that
+    propels itself by its joints, they swing: from straight, resting joints an optimiser finds no motion.
     """
     if swims(vehicle):
         return _swing(vehicle, h)
@@ -212,7 +217,7 @@ def _joints(vehicle: Vehicle, xi: Array, h: Array) -> tuple[Array, Array]:
         missed = np.array([((xi - xi @ np.linalg.pinv(M).T @ M.T) ** 2).sum(axis=1) for M in rays])
         missed += 1e-6 * (values[:, None] ** 2) * (xi**2).sum(axis=1)
         chosen = values[np.argmin(missed, axis=0)]
-        # at rest any value will do: the next one that matters
+        # at rest any value is valid: use the next one that matters
         moving = (xi**2).sum(axis=1) > 1e-4 * (xi**2).sum(axis=1).max()
         chosen = np.interp(np.arange(len(xi)), np.flatnonzero(moving), chosen[moving]) if moving.any() else chosen
         kernel = np.array([1.0, 2.0, 3.0, 2.0, 1.0]) / 9

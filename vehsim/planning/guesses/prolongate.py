@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 
 def prolongate(trajectory: Trajectory, fine: Layout) -> Array:
-    """Variables (size,) on a finer layout: every coarse segment's controls are run forward from its own first knot."""
+    """Variables (size,) on a finer layout: every coarse segment's controls are executed from its own first knot."""
     transcription, coarse, x = trajectory.transcription, trajectory.layout, trajectory.x
     m, split = transcription.mechanics, fine.segments // coarse.segments
     k = np.arange(coarse.segments)

@@ -1,4 +1,4 @@
-"""Paths for initial guesses: what was given, a route through free space, a drive among obstacles, or straight lines."""
+"""Paths for initial guesses: a given path, a route through free space, a drive among obstacles, or straight lines."""
 
 from __future__ import annotations
 
@@ -66,17 +66,17 @@ def find_paths(request: Request, guess: Any, progress: Progress) -> list[Array]:
 
     try:
         return flown(roomy)
-    except SolveError:  # too narrow for all its spheres; solving tells whether it gets through nose first
+    except SolveError:  # too narrow for all its spheres; solving shows whether it passes nose first
         return flown(tight)
 
 
 def straight(request: Request) -> list[Array]:
-    """A straight path from mark to mark, for every leg."""
+    """A straight path for every leg."""
     return round_trip(request.marks) if request.loop else [np.array(leg) for leg in legs_between(request.marks)]
 
 
 def as_clip(request: Request, guess: Any) -> Clip | None:
-    """A guess that is a clip of such a vehicle: it brings joints and controls along."""
+    """The guess if it is a clip of such a vehicle, to use its joints and controls too; otherwise None."""
     if not isinstance(guess, Clip):
         return None
     names = [[*v.joints, *(control.name for control in v.controls)] for v in (request.vehicle, guess.vehicle)]

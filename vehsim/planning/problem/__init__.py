@@ -1,1 +1,1 @@
-"""The nonlinear programme: variables, named parameters, sparse assembly and the solver that is handed it."""
+"""The nonlinear program: variables, named parameters, sparse assembly, and the solver interface."""

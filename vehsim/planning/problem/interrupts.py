@@ -1,5 +1,7 @@
-"""What is raised while CasADi works: by handlers of signals (Ctrl-C), by callbacks. It loses exceptions of Python code
-that it calls, to look at what it was given or to tell how far it is: they are kept here and raised when it is done."""
+"""Defer exceptions that are raised while CasADi works, by signal handlers (Ctrl-C) or by callbacks.
+
+CasADi swallows exceptions of the Python code that it calls. They are kept here and raised when CasADi returns.
+"""
 
 from __future__ import annotations
 
@@ -13,12 +15,12 @@ from vehsim.runtime.signals import POLITE
 
 
 class _Kept(threading.local):
-    """Each thread's own: handlers run in the main one alone."""
+    """The state of one thread; signal handlers run in the main thread only."""
 
     error: BaseException | None = None
     planning = False
     silent = False
-    """Nothing may be raised now."""
+    """Whether nothing may be raised at the moment."""
 
 
 _kept = _Kept()
@@ -26,7 +28,7 @@ _kept = _Kept()
 
 @contextmanager
 def remembered() -> Iterator[None]:
-    """Handlers of signals do as ever; what they raise is remembered until the outermost of these ends, and raised."""
+    """Keep what signal handlers raise, and raise it when the outermost of these contexts ends."""
     if _kept.planning:
         yield
         return
@@ -46,7 +48,7 @@ def remembered() -> Iterator[None]:
             signal.signal(number, note)
         yield
     finally:
-        _kept.silent = True  # a signal that comes now does not stop us here
+        _kept.silent = True  # a signal that arrives now must not interrupt this code
         for number, handler in handlers.items():
             signal.signal(number, handler)
         error, _kept.error, _kept.planning, _kept.silent = _kept.error, None, False, False
@@ -56,7 +58,7 @@ def remembered() -> Iterator[None]:
 
 @contextmanager
 def silent() -> Iterator[None]:
-    """Handlers raise nothing within: it is raised behind."""
+    """Within this context signal handlers raise nothing; it is raised afterwards."""
     with remembered():
         check()
         before, _kept.silent = _kept.silent, True
@@ -79,13 +81,14 @@ def came() -> bool:
 
 
 def check() -> None:
-    """Raise what was kept."""
+    """Raise the kept error, if any."""
     if _kept.error is not None:
         raise _kept.error
 
 
 def _handlers() -> dict[int, Any]:
-    """Python's handlers of the signals that end a command: none outside the main thread, or where they are ignored."""
+    """Python's handlers of the signals that end a command; empty outside the main thread; ignored signals are left
+    out."""
     if threading.current_thread() is not threading.main_thread():
         return {}
     found = {number: signal.getsignal(number) for number in (signal.SIGINT, *POLITE)}

@@ -1,4 +1,4 @@
-"""Where everything stands in a plan's variable vector."""
+"""The layout of a plan's variable vector."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from vehsim.integrators.composition import COMPOSITIONS
 
 @dataclass(frozen=True)
 class Layout:
-    """Where everything stands in the variable vector: ``phases`` segments between consecutive marks, at ``order``."""
+    """The layout of the variable vector: ``phases`` segments between consecutive marks, at ``order``."""
 
     sizes: tuple[int, int, int, int]
     phases: tuple[int, ...]
@@ -66,7 +66,7 @@ class Layout:
         return self._controls + np.arange(self.sizes[3])[:, None] + self.sizes[3] * np.atleast_1d(k)
 
     def duration(self, segment: Any) -> NDArray[np.intp]:
-        """Index (1, count) of the length of segments ``segment``."""
+        """Index (1, count) of the duration of segments ``segment``."""
         phase = np.repeat(np.arange(len(self.phases)), self.phases)
         return self._durations + phase[np.atleast_1d(segment)][None]
 
@@ -77,11 +77,11 @@ class Layout:
 
     @property
     def lengths(self) -> NDArray[np.intp]:
-        """Indices (phases,) of the segment lengths."""
+        """Indices (phases,) of the segment durations."""
         return self._durations + np.arange(len(self.phases))
 
     def instants(self, variables: Any) -> NDArray[np.float64]:
-        """When variables (n,) of nodes, velocities or controls stand, in phases since the start; lengths at zero."""
+        """Times of variables (n,) of nodes, velocities or controls, in phases since the start; zero for durations."""
         places, steps = np.asarray(variables), len(self.fractions)
         node = np.zeros(len(places), np.intp)
         for first, last, width, every in (
@@ -97,7 +97,8 @@ class Layout:
 
     @property
     def middle(self) -> tuple[int, float]:
-        """The substep whose start is nearest to the middle of a segment, and the fraction where it starts."""
+        """The substep whose start is nearest to the middle of a segment, and the fraction of the segment at its
+        start."""
         starts = np.concatenate([[0.0], np.cumsum(self.fractions)[:-1]])
         part = int(np.argmin(np.abs(starts - 0.5)))
         return part, float(starts[part])

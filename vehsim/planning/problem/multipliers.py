@@ -1,8 +1,8 @@
-"""Multipliers carried from a solved problem to another one of the same motion: elsewhere, finer, or of another order.
+"""Transfer multipliers from a solved problem to a similar one: at other marks, finer, or of another order.
 
-A solver that starts from a solved motion finds out anew which constraints push, and how hard, unless it is told. Those
-of the mechanics are costates: functions of time, whatever the discretisation. Those of inequalities are forces spread
-over time, of which each of more instants has less.
+Without multipliers, a solver that starts from a solved motion has to find again which constraints are active and how
+strongly. Multipliers of the mechanics are costates: functions of time, independent of the discretisation. Multipliers
+of inequalities are impulses distributed over the instants, so with more instants each of them has a smaller share.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 def carried(
     multipliers: Multipliers, old: tuple[NonlinearProgram, Layout], new: tuple[NonlinearProgram, Layout]
 ) -> Multipliers:
-    """The multipliers of ``old`` as an initial guess of those of ``new``; zeros where it asks what was not asked."""
+    """The multipliers of ``old`` as an initial guess for ``new``; zero for rows that ``old`` does not have."""
     (problem, coarse), (other, fine) = old, new
     if problem is other:
         return multipliers
@@ -50,7 +50,7 @@ def carried(
 
 
 def _both(coarse: Layout, fine: Layout) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
-    """Where bounded variables stand in both: those of nodes and of controls."""
+    """Indices of corresponding bounded variables in both layouts: those of nodes and of controls."""
     return [
         (coarse.node(np.arange(coarse.nodes)), fine.node(np.arange(fine.nodes))),
         (coarse.control(np.arange(coarse.segments + 1)), fine.control(np.arange(fine.segments + 1))),
@@ -58,7 +58,7 @@ def _both(coarse: Layout, fine: Layout) -> list[tuple[NDArray[np.intp], NDArray[
 
 
 def _at(new: Array, old: Array, rows: Array) -> Array:
-    """Rows (n, k) at instants ``old`` (n,), linear between them, at ``new`` ones."""
+    """Rows (n, k) at instants ``old`` (n,), interpolated linearly at instants ``new``."""
     order = np.argsort(old, kind="stable")
     out = np.empty((len(new), rows.shape[1]))
     for k, column in enumerate(rows[order].T):

@@ -1,4 +1,4 @@
-"""CasADi's solvers of nonlinear programs, whose answers must not depend on the number of processors."""
+"""CasADi's NLP solvers, with results that do not depend on the number of processors."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ SETTERS = ("openblas_set_num_threads", "MKL_Set_Num_Threads")
 
 
 def nlpsol(name: str, plugin: str, nlp: Any, options: dict[str, Any]) -> ca.Function:
-    """``casadi.nlpsol``, with linear algebra on one thread: rounding then has one order.
+    """``casadi.nlpsol`` with single-threaded linear algebra, which fixes the order of rounding.
 
-    An ill-conditioned problem otherwise has another answer on another number of processors.
+    Otherwise an ill-conditioned problem can have another solution on another number of processors.
     """
     _one_thread()
     return ca.nlpsol(name, plugin, nlp, options)
@@ -24,13 +24,15 @@ def nlpsol(name: str, plugin: str, nlp: Any, options: dict[str, Any]) -> ca.Func
 
 @cache
 def _one_thread() -> None:
-    """Set the BLAS below IPOPT to one thread, for the rest of the process: in CasADi's wheel it serves CasADi alone.
+    """Set the BLAS library that IPOPT uses to one thread, for the rest of the process.
 
-    Environment variables do not suffice: a BLAS reads them once, and a script may have loaded CasADi before vehsim.
+    In CasADi's wheel only CasADi uses this library. Environment variables do not suffice: a BLAS library reads them
+    once, and a script may have loaded CasADi before vehsim.
     """
     folder = Path(ca.GlobalOptions.getCasadiPath())
     plugins = [folder / f"libcasadi_nlpsol_ipopt.{suffix}" for suffix in ("so", "dylib")]
-    windows = folder / "libcasadi-tp-openblas.dll"  # where a library's symbols do not include those of its dependencies
+    # on Windows a library's symbols do not include those of its dependencies
+    windows = folder / "libcasadi-tp-openblas.dll"
     for path in (*plugins, windows):
         if path.is_file():
             library = ctypes.CDLL(str(path))

@@ -1,4 +1,4 @@
-"""A built problem handed to an NLP solver: options, interrupts, and what comes back."""
+"""The interface to NLP solvers: options, interrupts, and results."""
 
 from __future__ import annotations
 
@@ -21,15 +21,17 @@ from vehsim.planning.problem.nlpsol import nlpsol
 Array = NDArray[np.float64]
 
 HURRIED = "time limit reached"
-"""Status of a solve that its deadline ended."""
+"""Status of a solve that was stopped by its deadline."""
 LOOSEN, LONGER = "loosen marks, clearance or limits", "give it a longer time_limit"
-"""What to do about a failed plan where nothing more specific is known, and where time was short."""
+"""Remedies for a failed plan: the general one, and the one for a short time limit."""
 
 
 @dataclass(frozen=True)
 class Multipliers:
-    """Lagrange multipliers of the variables' bounds ``x`` (size,) and of the constraints ``g`` (rows,), signed as
-    CasADi does: positive at an upper bound."""
+    """Lagrange multipliers of the variables' bounds ``x`` (size,) and of the constraints ``g`` (rows,).
+
+    Their sign is CasADi's: positive at an upper bound.
+    """
 
     x: Array
     g: Array
@@ -37,7 +39,7 @@ class Multipliers:
 
 @dataclass(frozen=True)
 class Solution:
-    """What a solver returned: ``x`` (size,), its cost, largest constraint violation and whether it met tolerances."""
+    """The result of a solve: ``x`` (size,), its cost, largest constraint violation, and whether it met tolerances."""
 
     x: Array
     cost: float
@@ -48,15 +50,15 @@ class Solution:
     violations: Array
     multipliers: Multipliers | None = None
     hurried: bool = False
-    """It was stopped by its deadline."""
+    """Whether its deadline stopped it."""
 
 
 Start = Literal["guess", "again", "motion", "multipliers"]
-"""What a solve starts from: anything; the same again, with more seen of what is in the way; a solved motion of another
-discretisation; and its multipliers too."""
+"""What a solve starts from: an initial guess; the same guess with a larger active set; a solved motion of another
+discretisation; such a motion with its multipliers."""
 
 NEARBY = 60
-"""Iterations from multipliers, at most: where these lead nowhere, the motion alone is the better start."""
+"""Maximum number of iterations from multipliers: if these mislead, the motion alone is the better start."""
 _WARM = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
 _BARRIERS: dict[Start, dict[str, Any]] = {
     "guess": {"mu_strategy": "adaptive"},
@@ -72,7 +74,7 @@ _BARRIERS: dict[Start, dict[str, Any]] = {
 
 
 def ipopt_options(max_iterations: int = 400, start: Start = "guess") -> dict[str, Any]:
-    """IPOPT with exact Hessians and MUMPS, silent."""
+    """Options of IPOPT with exact Hessians and MUMPS, without output."""
     return {
         "ipopt": {
             "max_iter": min(max_iterations, NEARBY) if start == "multipliers" else max_iterations,
@@ -87,7 +89,7 @@ def ipopt_options(max_iterations: int = 400, start: Start = "guess") -> dict[str
 
 
 def sqp_options(max_iterations: int = 400, start: Start = "guess") -> dict[str, Any]:
-    """CasADi's own SQP over the sparse QP solver it ships, convexified; silent."""
+    """Options of CasADi's own SQP method over the sparse QP solver it ships, convexified, without output."""
     quiet = {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False}
     return {
         "max_iter": max_iterations,
@@ -107,7 +109,7 @@ SOLVERS: dict[str, Callable[[int, Start], dict[str, Any]]] = {
     "sqpmethod": sqp_options,
     "fatrop": lambda iterations, start: {"fatrop": {"max_iter": iterations, "print_level": 0, "tol": 1e-8}},
 }
-"""NLP solver -> its options, from the iterations allowed and what a solve starts from."""
+"""NLP solver -> its options, as a function of the maximum number of iterations and the kind of start."""
 
 PLAIN = {
     "Solve_Succeeded": "solved",
@@ -119,13 +121,13 @@ PLAIN = {
     "Error_In_Step_Computation": "stuck: the equations became singular",
     "Invalid_Number_Detected": "a cost or constraint gave no number",
 }
-"""What a solver's words mean."""
+"""Solver status -> its explanation."""
 STOPPED = {"User_Requested_Stop", "NonIpopt_Exception_Thrown"}
-"""The solver's status when its callback stops it, which only the time limit does."""
+"""The solver's status when its callback stops it; the callback does so only at the time limit."""
 
 
 def check_solver(name: str) -> str:
-    """The name of a solver that this CasADi has, else ``InputError``."""
+    """The name of a solver that this CasADi build has; raises ``InputError`` for others."""
     known = [solver for solver in SOLVERS if ca.has_nlpsol(solver)]
     if name not in known:
         raise InputError("not here", f"choose one of {', '.join(known)}", key="solver", value=name)
@@ -133,9 +135,9 @@ def check_solver(name: str) -> str:
 
 
 class Solver:
-    """A built problem, solved as often as wanted from different starts, bounds and parameters.
+    """A built problem that can be solved repeatedly from different starts, bounds and parameters.
 
-    ``watch``: called with the number of iterations done; may be changed between solves.
+    ``watch``: called with the number of completed iterations; it may be changed between solves.
     """
 
     def __init__(self, problem: NonlinearProgram, plugin: str = "ipopt", max_iterations: int = 400):
@@ -146,11 +148,11 @@ class Solver:
         self._nlp = functions.pop("nlp")
         self._callback = _Callback(self, problem.size, len(self._bounds[0]), problem.parameters)
         taken = {"ipopt": functions, "sqpmethod": {"hess_lag": _whole(functions["hess_lag"])}}
-        self._own = taken.get(plugin, {})  # the others differentiate for themselves
+        self._own = taken.get(plugin, {})  # the other plugins differentiate themselves
         self._solvers: dict[Start, ca.Function] = {}
 
     def prepare(self, start: Start) -> ca.Function:
-        """CasADi's solver for such a start, made when first asked for: milliseconds, the functions are shared."""
+        """CasADi's solver for this kind of start, created on first use in milliseconds, since functions are shared."""
         if start not in self._solvers:
             settings: dict[str, Any] = {
                 **self._own,
@@ -174,8 +176,7 @@ class Solver:
         start: Start = "guess",
         multipliers: Multipliers | None = None,
     ) -> Solution:
-        """Solve from ``x0``, and ``multipliers`` where there are any, until ``deadline`` s on `time.monotonic`'s
-        clock."""
+        """Solve from ``x0`` and optional ``multipliers`` until ``deadline`` s on the clock of `time.monotonic`."""
         g_lower, g_upper = self._bounds
         solver = self.prepare("multipliers" if multipliers else start)
         given = {} if multipliers is None else {"lam_x0": multipliers.x, "lam_g0": multipliers.g}
@@ -206,14 +207,14 @@ def _plainly(status: str) -> str:
 
 
 def _whole(hessian: ca.Function) -> ca.Function:
-    """The Hessian with both its triangles."""
+    """The Hessian with both triangles."""
     arguments = [ca.MX.sym(name, *hessian.size_in(i)) for i, name in enumerate(hessian.name_in())]
     full = ca.triu2symm(hessian(*arguments))
     return ca.Function("hess_lag", arguments, [full], hessian.name_in(), ["hess_gamma_x_x"])
 
 
 class _Callback(ca.Callback):
-    """IPOPT's iteration callback: tells the solver's watcher how many iterations are done."""
+    """IPOPT's iteration callback: it reports the number of completed iterations."""
 
     def __init__(self, solver: Solver, x: int, g: int, p: int):
         super().__init__()
@@ -223,7 +224,7 @@ class _Callback(ca.Callback):
         self.construct("watch", {})
 
     def begin(self, deadline: float) -> None:
-        """Count from nothing; stop where another iteration like the last would end after ``deadline``."""
+        """Reset the counter; stop when another iteration as long as the last would end after ``deadline``."""
         self.count, self.deadline, self.before, self.hurried = 0, deadline, time.monotonic(), False
 
     def get_n_in(self) -> int:

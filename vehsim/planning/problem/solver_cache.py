@@ -1,4 +1,4 @@
-"""Built problems kept for plans to come: building one takes as long as solving it."""
+"""A cache of built problems for later plans: building one takes as long as solving it."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from typing import Any
 from vehsim.planning.problem.solver import Solver
 
 KEPT = 16
-"""Built problems kept for plans in free space."""
+"""Number of built problems that are kept for plans in free space."""
 
 
 class SolverCache:
-    """Solvers by what their problems are made of; beyond ``most`` the oldest goes."""
+    """Solvers by the key of their problem; beyond ``most`` the oldest is dropped."""
 
     def __init__(self, most: float = math.inf) -> None:
         self._most = most
         self._solvers: dict[Any, Solver] = {}
 
     def get(self, key: Any, make: Callable[[], Solver]) -> Solver:
-        """The solver kept under ``key``, else the one ``make`` builds."""
+        """The solver stored under ``key``, or the one that ``make`` builds."""
         if key not in self._solvers:
             self._solvers[key] = make()
             while len(self._solvers) > self._most:
@@ -38,5 +38,5 @@ _own = _Own()
 
 
 def common() -> SolverCache:
-    """Problems in free space, solved again by every plan of the same shape; a thread keeps its own."""
+    """This thread's cache of problems in free space, which all plans of the same shape share."""
     return _own.cache

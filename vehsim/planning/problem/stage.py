@@ -1,6 +1,7 @@
-"""Stage variables: what the laws of costs and constraints read, as expressions of a problem's variables.
+"""Stage variables: the quantities that laws of costs and constraints use, as expressions of a problem's variables.
 
-A knot's view comes from its state, or from a segment's velocity half way along; a segment's has two of them.
+A knot's view is computed from its state, or from a segment's velocity at its midpoint; a segment's view has two of
+them.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from vehsim.vehicles.definition.states import shift_twist
 Expr = Any
 
 UNKNOWN = ca.SX.sym("acceleration", 3)
-"""Stands for the acceleration at a knot, which no knot knows alone: laws that ask for it are asked of segments."""
+"""Placeholder for the acceleration, which is unknown at a single knot: laws that use it are evaluated on segments."""
 
 
 def knot_view(transcription: Transcription, x: Expr, c: Expr, time: Expr = 0.0) -> KnotView:
@@ -33,7 +34,8 @@ def knot_view(transcription: Transcription, x: Expr, c: Expr, time: Expr = 0.0) 
 
 
 def middle_view(transcription: Transcription, x: Expr, z: Expr, c: Expr, h: Expr, time: Expr = 0.0) -> KnotView:
-    """The view half way along a substep of length ``h``, from its velocity ``z``; ``c``: its mean controls, scaled."""
+    """The view at the midpoint of a substep of length ``h``, from its velocity ``z``; ``c``: its mean controls,
+    scaled."""
     vehicle, (g, r, _) = transcription.vehicle, transcription.split(x)
     c = c * transcription.control_scale
     u, xi = free_velocity(vehicle, r, z, transcription.mechanics.driven(c))
@@ -42,8 +44,10 @@ def middle_view(transcription: Transcription, x: Expr, z: Expr, c: Expr, h: Expr
 
 
 def between_view(transcription: Transcription, segment: dict[str, Expr], s: Expr, time: Expr = 0.0) -> KnotView:
-    """The view at a fraction ``s`` of a segment (x, x1, c0, c1, h) on the clip's interpolant: positions, joints and
-    rotation vectors are cubic there, controls linear."""
+    """The view at a fraction ``s`` of a segment (x, x1, c0, c1, h) on the clip's interpolant.
+
+    Positions, joints and rotation vectors are cubic there, controls linear.
+    """
     x, x1, c0, c1, h = (segment[name] for name in ("x", "x1", "c0", "c1", "h"))
     a, b = knot_view(transcription, x, c0), knot_view(transcription, x1, c1)
     position, velocity = _cubic(s, h, a.position, b.position, a.velocity, b.velocity)
@@ -69,8 +73,11 @@ def segment_view(transcription: Transcription, segment: dict[str, Expr], time: E
 def clip_view(
     vehicle: Vehicle, pose: Expr, twist: Expr, acceleration: Expr, r: Expr, u: Expr, c: Expr, time: Expr
 ) -> KnotView:
-    """The view of a clip's sample: pose (7,) and body twist (d,) of the rig's root, its acceleration (3,) in the world,
-    joints, their rates, and controls, SI."""
+    """The view of a sample of a clip.
+
+    ``pose`` (7,) and body ``twist`` (d,) of the rig's root, its ``acceleration`` (3,) in the world, joints, their
+    rates, and controls, SI.
+    """
     group = vehicle.group
     body = ca.vertcat(pose[0:3] + SO3.matrix(pose[3:7]) @ ca.DM(vehicle.origin), pose[3:7])
     g = group.from_pose(body)
@@ -94,7 +101,7 @@ def _bend(s: Expr, h: Expr, a: KnotView, b: KnotView) -> Expr:
 
 
 TURN = 1e-6
-"""Keeps the length of a rotation vector differentiable where there is none, rad."""
+"""Keeps the norm of a rotation vector differentiable at zero, rad."""
 
 
 def _length(vector: Expr) -> Expr:
@@ -102,7 +109,7 @@ def _length(vector: Expr) -> Expr:
 
 
 def _rotation_vector(rotation: Expr) -> Expr:
-    """Of a rotation (3, 3) by less than half a turn, (3,) rad."""
+    """The rotation vector (3,) rad of a rotation (3, 3) by less than half a turn."""
     twice = ca.vertcat(
         rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]
     )
@@ -116,13 +123,13 @@ def _rotation(vector: Expr) -> Expr:
 
 
 def _turning(vector: Expr, slope: Expr) -> Expr:
-    """Body angular velocity of a rotation vector that changes by ``slope``."""
-    a, across = _length(vector) + 1e-3, ca.cross(vector, slope)  # a little longer, or its powers lose their digits
+    """Body angular velocity of a rotation vector that changes at the rate ``slope``."""
+    a, across = _length(vector) + 1e-3, ca.cross(vector, slope)  # avoids cancellation at small angles
     return slope - (1 - ca.cos(a)) / a**2 * across + (1 - ca.sin(a) / a) / a**2 * ca.cross(vector, across)
 
 
 def _unturned(vector: Expr, omega: Expr) -> Expr:
-    """How a rotation vector changes at a body angular velocity."""
+    """The rate of change of a rotation vector at a body angular velocity."""
     a, across = _length(vector) + 1e-3, ca.cross(vector, omega)
     return omega + across / 2 + (1 - a / 2 / ca.tan(a / 2)) / a**2 * ca.cross(vector, across)
 
@@ -151,7 +158,7 @@ def _view(vehicle: Vehicle, g: Expr, r: Expr, u: Expr, xi: Expr, c: Expr, time: 
 
 
 def _push(vehicle: Vehicle, g: Expr, r: Expr, u: Expr, xi: Expr, c: Expr) -> Expr:
-    """Forces of the controls on the joints (s,) and the group (d,) over its weight; rate controls have none."""
+    """Forces of the controls on the joints (s,) and the group (d,) over the weight; rate controls have none."""
     still = ca.SX.zeros(3)
     given = vehicle.force(g, r, u, xi, c, still)
     rest = vehicle.force(g, r, u, xi, ca.SX.zeros(c.shape[0]), still)
@@ -164,7 +171,7 @@ def _push(vehicle: Vehicle, g: Expr, r: Expr, u: Expr, xi: Expr, c: Expr) -> Exp
 
 
 def evaluate(term: Term, view: KnotView | SegmentView) -> Expr:
-    """A term's law of a view, a dense column; an error in it is raised as ``InputError`` that names the term."""
+    """A term's law evaluated on a view, as a dense column; raises ``InputError`` with the term's name if it fails."""
     try:
         law = term.law
         if isinstance(term, Cost) and term.integral:

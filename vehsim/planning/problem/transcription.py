@@ -1,7 +1,7 @@
-"""A vehicle's discrete mechanics as the optimiser knows them: variables of a node and a segment, and their scales.
+"""A vehicle's discrete mechanics in the optimisation problem: variables of a node and a segment, and their scales.
 
-Variables, knot by knot: node states ``(g, r, pi)``, segment velocities ``z``, knot controls, and a segment length for
-every leg between two marks. At order 4 a segment is five symmetric substeps (Suzuki), each with a node of its own.
+Variables, knot by knot: node states ``(g, r, pi)``, segment velocities ``z``, knot controls, and a segment duration for
+every leg between two marks. At order 4 a segment consists of five symmetric substeps (Suzuki), each with its own node.
 Momenta and controls are scaled to the size of velocities and of typical controls.
 """
 
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 
 class Transcription:
-    """A vehicle, its mechanics, the scales of its variables, and the elements that its problems of any length share."""
+    """A vehicle, its mechanics, the scales of its variables, and the elements shared by its problems of any length."""
 
     def __init__(self, vehicle: Vehicle):
         self.vehicle = vehicle
@@ -57,7 +57,7 @@ class Transcription:
 
     @cached_property
     def idle(self) -> list[int]:
-        """Joints that nothing depends on, neither the motion nor a limit: a wheel's roll."""
+        """Joints that influence neither the motion nor a limit, such as a wheel's roll."""
         y, step = self.mechanics.symbols, self.mechanics.segment
         moved = ca.vertcat(step["left"], step["right"], step["g1"])
         named = enumerate(self.vehicle.joints)
@@ -65,8 +65,11 @@ class Transcription:
 
     @cached_property
     def substep(self) -> Element:
-        """The three discrete equations of a substep: (x, z, c0, c1, x1, h); parameters ``wind`` (3,) m/s, where in its
-        segment it starts (``start``) and what ``fraction`` of it it takes."""
+        """The three discrete equations of a substep: (x, z, c0, c1, x1, h).
+
+        Parameters: ``wind`` (3,) m/s; ``start``: where in its segment the substep starts; ``fraction``: its share of
+        the segment.
+        """
         v = self.symbols("x", "z", "c0", "c1", "x1", "h")
         wind, start, fraction = ca.SX.sym("wind", 3), ca.SX.sym("start"), ca.SX.sym("fraction")
         g, r, pi = self.split(v["x"])
@@ -83,7 +86,7 @@ class Transcription:
         return Element("dynamics", ca.vertcat(*v.values()), parameters, g=ca.vertcat(*residuals))
 
     def kept(self, key: Hashable, make: Callable[[], Element]) -> Element:
-        """The element kept under ``key``, else the one that ``make`` builds: it is differentiated once."""
+        """The element stored under ``key``, or the one that ``make`` builds; it is differentiated only once."""
         if key not in self._elements:
             self._elements[key] = make()
         return self._elements[key]
@@ -91,5 +94,5 @@ class Transcription:
 
 @lru_cache(maxsize=32)
 def transcribe(vehicle: Vehicle) -> Transcription:
-    """The vehicle's transcription, built once."""
+    """The vehicle's transcription, built once and cached."""
     return Transcription(vehicle)
