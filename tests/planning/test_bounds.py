@@ -112,7 +112,7 @@ def test_a_heading_away_from_where_it_has_to_look_is_said():
     marks = [replace(mark, heading=90.0) for mark in ends("helicopter", 60.0, 1201, velocity=REST)]
     looks = [ranges.look_at((500, 0, 0), (1190, 1201), within=3)]
     (message,) = refused("helicopter", marks, terms=looks)
-    assert message.startswith("mark[1].heading: 90 degrees off where 'look_at' asks it to look; give heading = 0")
+    assert message.startswith("mark[1].heading: 90 degrees off the direction that 'look_at' requires; give heading = 0")
     assert slips(vehsim.load_vehicle("boat").planar)[0]
 
 
@@ -123,7 +123,7 @@ def test_a_heading_that_was_not_asked_for_is_given_up_before_the_plan_is():
         Mark(1053, position=(1, 0, 30), velocity=REST),
         Mark(1145, position=(30, 0, 30), heading=0, velocity=REST),
     ]
-    with pytest.warns(UserWarning, match="nothing faces along its leg"):
+    with pytest.warns(UserWarning, match="marks at rest do not face along their legs"):
         plan = vehsim.plan(vehsim.load_vehicle("helicopter"), None, marks, segments=32)
     assert plan.success and abs(plan.clip.resample().positions[52, 0] - 1) < 1e-3
 
@@ -141,7 +141,7 @@ def test_two_segments_are_enough_to_ask_for(name, frame, capfd):
 def test_nothing_outruns_its_vehicle_unless_it_is_allowed_to(name):
     vehicle = vehsim.load_vehicle(name)
     marks = [replace(mark, velocity=None) for mark in ends(name, 40.0, "free")]
-    with pytest.warns(UserWarning, match=f"kept to the top speed of the {name}"):
+    with pytest.warns(UserWarning, match=f"limited to the top speed of the {name}"):
         plan = vehsim.plan(vehicle, None, marks, segments=16)
     speeds = np.linalg.norm(plan.clip.twists[:, -3 if name == "helicopter" else 1 :], axis=1)
     assert plan.success and speeds.max() < 1.01 * vehicle.top_speed

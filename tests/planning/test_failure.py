@@ -85,10 +85,11 @@ def test_a_mark_outside_a_stay_is_named():
     stays = (ranges.stay((1050, 1150), above=25), ranges.stay(within=(-5, -5, 45, 5)))
     ends = [Mark(1001, position=(0, 0, 30), velocity=REST), Mark(1201, position=(40, 0, 30), velocity=REST)]
     expected = [
-        ({"frame": 1101}, ["mark[1].position: 5 m outside what 'stay' asks for frames 1050 to 1150; "
+        ({"frame": 1101}, ["mark[1].position: 5 m outside what 'stay' allows for frames 1050 to 1150; "
                            "move it by 5 m, or loosen 'stay'"]),
-        ({"frame": 1101, "tolerance": 2.0}, ["mark[1].position: 3 m outside what 'stay' asks for frames 1050 to 1150; "
-                                             "move it by 3 m, or loosen 'stay'"]),
+        ({"frame": 1101, "tolerance": 2.0},
+         ["mark[1].position: 3 m outside what 'stay' allows for frames 1050 to 1150; "
+          "move it by 3 m, or loosen 'stay'"]),
         ({"frame": 1101, "gate": Gate((1, 0, 0), radius=6)}, []),
         ({"frame": 1160}, []),
     ]  # fmt: skip
@@ -98,7 +99,7 @@ def test_a_mark_outside_a_stay_is_named():
         assert [str(refusal) for refusal in found] == messages
     aside = [ends[0], Mark(1201, position=(40, 9, 30), velocity=REST)]
     found = refusals(ask(helicopter, None, aside, fps=24, segments=64, terms=stays[1:]))
-    assert str(found[0]).startswith("mark[1].position: 4 m outside what 'stay' asks; move")
+    assert str(found[0]).startswith("mark[1].position: 4 m outside what 'stay' allows; move")
 
 
 def test_misses_are_said_in_the_marks_own_units(monkeypatch):
@@ -453,7 +454,9 @@ def test_where_no_miss_is_found_the_frame_is_nevertheless(monkeypatch):
         vehsim.plan(vehsim.load_vehicle("car"), None, CAR_ASIDE, segments=12)
     frame = int(re.search(r"earliest (\d+)", str(heard[0].message))[1])
     assert vehsim.plan(vehsim.load_vehicle("car"), None, [CAR_ASIDE[0], replace(CAR_ASIDE[1], frame=frame)]).success
-    with pytest.warns(UserWarning, match=r"iterations allowed: all that is asked is met, but not at the least cost"):
+    with pytest.warns(
+        UserWarning, match=r"iterations allowed: all constraints are met, but the cost is not minimal yet"
+    ):
         vehsim.plan(tug(), None, TUG_ASIDE, segments=16, max_iterations=1)
 
 

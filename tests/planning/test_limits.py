@@ -136,7 +136,7 @@ def test_what_cannot_be_kept_is_said_in_the_users_units():
     """A law that vanishes at all knots and that no motion can keep between them: where, how much, what was asked."""
     ripple = Constraint("ripple", lambda k: ca.sin(4 * ca.pi * k.t), upper=0.5)
     marks = [DRIVE[0], rest(97, (20, 4, 0))]
-    with pytest.warns(UserWarning, match=r"ripple is (1|0\.99\d*) at frame \d+\.\d, 0\.5 was asked for"):
+    with pytest.warns(UserWarning, match=r"ripple is (1|0\.99\d*) at frame \d+\.\d, requested 0\.5"):
         assert not vehsim.plan(
             vehsim.load_vehicle("car"), None, marks, segments=8, terms=[ripple], refine=False
         ).success

@@ -86,7 +86,7 @@ def run_shot(seed: int, folder: Path, seconds: float) -> dict[str, Any]:
         "processor_seconds": round(_processor_seconds() - used, 2),
         "said": said[-2000:],
         "refuted": [],
-        "overruled": "misses what was asked" in said and code != 0,
+        "overruled": "misses what was requested" in said and code != 0,
     }
     return _verified(result, folder)
 

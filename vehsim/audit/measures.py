@@ -330,11 +330,11 @@ def _off_frame(track: Track, wanted: Wanted, scene: Scene) -> Array:
 
 
 def _law(track: Track, wanted: Wanted, scene: Scene) -> Array:
-    """A component of a law of one's own, a serialised CasADi function of position (3,), rotation (9,) by rows, velocity
-    (3,), angular velocity (3,) in body axes, acceleration (3,), joints, their rates, controls, and seconds since the
-    frame ``start``; nan where the representation shows no controls.
+    """A component of a user's law; nan where the representation shows no controls.
 
-    Where ``planar`` is wanted, the rotation is the heading alone.
+    The law is a serialised CasADi function of position (3,), rotation (9,) by rows, velocity (3,), angular velocity
+    (3,) in body axes, acceleration (3,), joints, their rates, controls, and seconds since the frame ``start``. For
+    ``planar`` requests the rotation is the heading alone.
     """
     import casadi as ca
 

@@ -42,7 +42,7 @@ class Track:
     controls: Array | None = None
     """(n, c), in the order of the vehicle's controls; a stage shows none."""
     chords: bool = False
-    """The poses are a stage's, and what they say of velocities follows from them alone."""
+    """Whether the poses come from a stage, so that velocities are differences of them."""
 
     @property
     def seconds(self) -> Array:
@@ -50,9 +50,9 @@ class Track:
         return self.frames / float(self.fps)
 
     def between(self, first: float, last: float) -> Track:
-        """The samples from frame ``first`` to ``last``, both included; the nearest one where the motion has none.
+        """The samples from frame ``first`` to ``last``, both included; the nearest one if there is none.
 
-        What comes before and after has no part in a stage's velocities, unless there is less than a frame.
+        Samples outside do not affect a stage's velocities, unless the range is shorter than a frame.
         """
         inside = (self.frames >= first - 1e-6) & (self.frames <= last + 1e-6)
         if not inside.any():
@@ -147,7 +147,7 @@ def _of_chords(frames: Array, fps: Fraction, positions: Array, rotations: Array,
     change, turning = _change(velocities), _change(omegas)
     turned = {name: (values[ahead] - values[behind]) / span[:, 0] for name, values in joints.items()}
     bent = {name: _change(rates[:, None]) / rate / 8 for name, rates in turned.items()}
-    inside = np.arange(n) == centre  # off the middle of its frame, a mean rate belongs to another place
+    inside = np.arange(n) == centre  # if the frame is not centred on the sample, its mean rate belongs to another time
     # a chord's sagitta is an eighth of the change of its slope over a frame; the ends are extrapolated
     between = np.abs(frames - np.round(frames)) > 1e-6
     off = 1.0 + np.abs(np.arange(n) - centre) / half

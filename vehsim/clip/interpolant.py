@@ -4,7 +4,9 @@ Positions are cubic in the world with the knot velocities as slopes. Orientation
 cubic whose end slopes make the body's angular velocity that of both knots. Joints are cubic with their rates, controls
 linear (as the integrators take them). A channel that follows joints alone follows them between knots too; the others
 are monotone where their knots are: no wheel turns back between frames.
-What drives in the plane is interpolated there; height and tilt, where terrain gave it some, ride on top like channels.
+
+Planar vehicles are interpolated in the plane; the height and tilt that terrain gave them are interpolated like
+channels.
 """
 
 from __future__ import annotations
@@ -75,8 +77,8 @@ def interpolate(clip: S, times: Array) -> S:
 def _channels(clip: Samples, times: Array, joints: Array) -> dict[str, Array]:
     """Channels (m,) at ``times``, where the joints are ``joints`` (m, s).
 
-    A channel that follows joints is its law at the joints, and what its knots differ from that: nothing, but where a
-    knot was edited.
+    A channel that follows joints is its law at the joints, plus the interpolated difference of its knots from that law;
+    this is zero unless a knot was edited.
     """
     from vehsim.vehicles.definition.joint_channels import joint_channels
 

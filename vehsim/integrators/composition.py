@@ -1,4 +1,4 @@
-"""A step composed of symmetric second-order substeps, as one function: what makes orders 4 and 6."""
+"""A step composed of symmetric second-order substeps, as one function; this gives orders 4 and 6."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def _part_of_a_step(mechanics: DiscreteMechanics, solve: str) -> ca.Function:
         done, fraction, ratio = (ca.SX.sym(name) for name in ("done", "fraction", "ratio"))
         a, b = c0 + done * (c1 - c0), c0 + (done + fraction) * (c1 - c0)
         knot = mechanics.knot_velocity_guess(r, pi, a)
-        before = knot + ratio * (z - knot)  # half a segment back, were that segment as long as this one
+        before = knot + ratio * (z - knot)  # half a segment back, if that segment had the length of this one
         *after, residual = getattr(mechanics, solve)(g, r, pi, before, a, b, fraction * h, wind)
         outputs = ca.cse([ca.densify(ca.vertcat(*after)), residual])
         return ca.Function("part", [x, c0, c1, h, wind, done, fraction, ratio], outputs)

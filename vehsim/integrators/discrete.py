@@ -41,7 +41,7 @@ from vehsim.vehicles.definition.mechanics import (
 QUADRATURES: dict[str, tuple[float, float]] = {
     "galerkin": (1 / 3, 1 / 6),  # exact for forces linear between knots
     "trapezoidal": (1 / 2, 0.0),
-    "averaged": (1 / 4, 1 / 4),  # SYM's; does not see forces that alternate from knot to knot
+    "averaged": (1 / 4, 1 / 4),  # SYM's; blind to forces that alternate from knot to knot
 }
 """Weights of a segment's force impulse: (near end, far end) for the momentum at either end."""
 

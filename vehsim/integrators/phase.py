@@ -1,4 +1,4 @@
-"""What an integrator carries from knot to knot."""
+"""The state that an integrator carries from knot to knot."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Phases advanced by fixed steps: what `Integrator`, steppers and fleets share."""
+"""Advance phases by fixed steps: the common part of `Integrator`, steppers and fleets."""
 
 from __future__ import annotations
 

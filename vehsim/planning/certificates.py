@@ -127,9 +127,9 @@ class _Measure(ABC):
         each moving obstacle the distance that any of its points travels (m,), all in m.
         """
         omega, velocity = spatial(motion)
-        way, turn = _path(times, motion.positions, velocity, omega, pairs)
+        moved, turn = _path(times, motion.positions, velocity, omega, pairs)
         others = [(o, _path(*o.motion_at(self.start + times), pairs)) for o in self.moving]
-        return way, self.around * turn, [w + reach(o.clip.vehicle) * t for o, (w, t) in others]
+        return moved, self.around * turn, [w + reach(o.clip.vehicle) * t for o, (w, t) in others]
 
     @abstractmethod
     def __call__(self, times: Array, pairs: NDArray[np.intp], nearest: float) -> tuple[Array, Array]:
@@ -154,8 +154,8 @@ class _Hulls(_Measure):
             poses = motion.positions[new], motion.orientations[new]
             found = self.world.clearance(self.clip.vehicle, *poses, self.start + times[new]) + self.less(poses[0])
             self.known.update(zip(times[new].tolist(), found.tolist(), strict=True))
-        way, turn, others = self.travel(times, motion, pairs)
-        moved = (1 + self.slope) * way + turn + np.max(others, axis=0, initial=0.0)
+        travelled, turn, others = self.travel(times, motion, pairs)
+        moved = (1 + self.slope) * travelled + turn + np.max(others, axis=0, initial=0.0)
         return np.array([[self.known[t] for t in times.tolist()]]), moved[None]
 
 
@@ -177,7 +177,7 @@ class _Outlines(_Measure):
 
     def __call__(self, times: Array, pairs: NDArray[np.intp], nearest: float) -> tuple[Array, Array]:
         motion = self.clip.at(times)
-        way, turn, others = self.travel(times, motion, pairs)
+        travelled, turn, others = self.travel(times, motion, pairs)
         places, yaw = motion.positions[:, :2], yaw_of(motion.orientations)
         outlines, swung = placed(self.outline, places, yaw), np.zeros(len(pairs))
         turned = {}
@@ -186,7 +186,7 @@ class _Outlines(_Measure):
             steps = [np.abs(np.diff(motion.channels[name][pairs], axis=1))[:, 0] for name, _, _ in swing.pivots]
             swung = np.maximum(swung, LEAN * swing.reach * np.sum(steps, axis=0))
         their = iter(others)
-        moved = np.array([way + turn + swung + (next(their) if o.moves else 0.0) for o, _ in self.parts])
+        moved = np.array([travelled + turn + swung + (next(their) if o.moves else 0.0) for o, _ in self.parts])
         shapes = [o.shapes_at(self.start + times)[number] for o, number in self.parts]
         bounds = np.array([bounds_to(shape, outlines) for shape in shapes])
         # the exact distance to the part with the smallest bound is an upper bound on the smallest distance
@@ -224,9 +224,9 @@ def _path(
     third = ((times[b] - times[a]) / 3)[:, None]
     start, end = positions[a], positions[b]
     corners = [start, start + third * velocity[a], end - third * velocity[b], end]
-    way = sum(np.linalg.norm(q - p, axis=1) for p, q in pairwise(corners))
+    length = sum(np.linalg.norm(q - p, axis=1) for p, q in pairwise(corners))
     rate = np.linalg.norm(omega, axis=1)
-    return np.asarray(way), LEAN * 3 * third[:, 0] * np.maximum(rate[a], rate[b])
+    return np.asarray(length), LEAN * 3 * third[:, 0] * np.maximum(rate[a], rate[b])
 
 
 def executed(

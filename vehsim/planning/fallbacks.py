@@ -41,7 +41,9 @@ def as_asked(run: Run, iterate: Iterate, request: Request, paths: Sequence[Array
     for segments, remark in tries:
         if run.deadline.late:
             break
-        unturned = "; nothing faces along its leg: there was no such motion" if iterate.request.given else ""
+        unturned = (
+            "; marks at rest do not face along their legs: no such motion was found" if iterate.request.given else ""
+        )
         asked = replace(request, segments=segments)
         run = Run(asked, run.progress)
         again = begin(run, asked, iterate.transcription, iterate.cover, paths, as_clip(request, guess))

@@ -206,7 +206,7 @@ def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
         request = replace(request, limits=request.limits.below(top))
         made = _attempt(request, progress, guess)
         own = f"the top speed of the {request.vehicle.name}, {top:g} m/s"
-        made = _remarked(made, f"; kept to {own}: give velocities, or limits.speed for another")
+        made = _remarked(made, f"; limited to {own}: to change this, give velocities or limits.speed")
     segments = request.segments
     while _misled(made) and segments < MOST:
         segments = min(FINER * segments, MOST)
@@ -315,26 +315,26 @@ def _result(run: Run, iterate: Iterate, reason: Reason | None = None) -> Plan:
         reason = "time limit" if solution.hurried else "not solved"
         worst = f"worst {iterate.worst()}, off by {solution.violation:.3g}"
         if solution.violation < MET:
-            worst = "all that is asked is met, but not at the least cost; allow more iterations"
+            worst = "all constraints are met, but the cost is not minimal yet; allow more iterations"
         else:
             worst += f"; {LONGER if solution.hurried else LOOSEN}"
         message = iterate.why or f"{message}: {worst}"
     elif success and certificate.clearance < certificate.wanted - SLACK:
         success, reason = False, "clearance"
         message = (
-            f"certified clearance {certificate.clearance:.3f} m is below the {certificate.wanted:g} m asked for "
-            f"{times}; ask for less clearance, more segments, or other marks"
+            f"certified clearance {certificate.clearance:.3f} m is below the requested {certificate.wanted:g} m "
+            f"{times}; request less clearance, more segments, or other marks"
         )
     elif success and certificate.messages:
         success, reason = False, "between knots"
-        message = f"{'; '.join(certificate.messages)}, {times}; loosen it, or ask for more segments"
+        message = f"{'; '.join(certificate.messages)}, {times}; loosen it, or use more segments"
     message += iterate.remark + iterate.note
     if success and _ends_elsewhere(iterate):
         off, allowed = iterate.executed.final, EXECUTED + SHARE * extent(request.vehicle)
-        message += f"; executed, the controls end {off:.2f} m off"
+        message += f"; when executed, the controls end {off:.2f} m off"
         if off > allowed:
             success, reason = False, "execution"
-            message += f", more than {allowed:.2f} m: ask for more segments, more time, or slower motion"
+            message += f", more than {allowed:.2f} m: use more segments, more time, or a slower motion"
     begun = run.iterations > 0 or not run.deadline.hopeless  # otherwise there is no time to place wheels on the ground
     clip = exported(iterate.clip, request) if begun else replace(iterate.clip, vehicle=request.vehicle)
     asks = asks_of(request, iterate.mark_frames())
@@ -344,7 +344,7 @@ def _result(run: Run, iterate: Iterate, reason: Reason | None = None) -> Plan:
         hurried = run.deadline.over or run.deadline.cut
         remedy = "" if any(row.remedy for row in wrong[:NAMED]) else f"; {LONGER if hurried else LOOSEN}"
         missing = "; ".join(map(str, wrong[:NAMED]))
-        message = f"the finished motion misses what was asked: {missing}{iterate.note}{remedy}"
+        message = f"the finished motion misses what was requested: {missing}{iterate.note}{remedy}"
     return Plan(
         clip=clip,
         success=success,

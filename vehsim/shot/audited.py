@@ -52,7 +52,7 @@ def audit_clips(
                 warnings.warn(f"{name}: {row}", stacklevel=3)
     if wrong:
         more = f" and {len(wrong) - NAMED} more" * (len(wrong) > NAMED)
-        raise SolveError(f"the finished motion misses what was asked: {'; '.join(wrong[:NAMED])}{more}")
+        raise SolveError(f"the finished motion misses what was requested: {'; '.join(wrong[:NAMED])}{more}")
     return found
 
 

@@ -84,7 +84,7 @@ class MarkRows(Block):
         """The message for rows (n,) of a label that elastic mode misses by ``off``."""
         name, _, key = label.rpartition(".")
         if key == "velocity (balance)":
-            return f"{name}: it cannot stand in balance there"
+            return f"{name}: the vehicle cannot be in balance there"
         return f"{label} is missed by {_amount(key, off)}"
 
 
@@ -186,8 +186,8 @@ def loop_element(transcription: Transcription) -> Element:
     (g, r, pi), (g1, r1, pi1) = transcription.split(x), transcription.split(x1)
     group = transcription.vehicle.group
     relative = group.pose(group.compose(group.inverse(g), g1))
-    turn, way = relative[4:7], relative[0:3]
-    shown = {"SE2": ca.vertcat(way[0:2], turn[2]), "SO3": turn}.get(group.name, ca.vertcat(way, turn))
+    turn, offset = relative[4:7], relative[0:3]
+    shown = {"SE2": ca.vertcat(offset[0:2], turn[2]), "SO3": turn}.get(group.name, ca.vertcat(offset, turn))
     kept = [i for i in range(s) if i not in transcription.idle]
     rows = [shown, *(r1[i] - r[i] for i in kept), (pi1 - pi) / transcription.momentum_scale, c1 - c]
     return Element("loop", ca.vertcat(x, c, x1, c1), g=ca.vertcat(*rows))

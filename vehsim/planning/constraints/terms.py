@@ -54,7 +54,7 @@ class Excess:
     def message(self, frame: float) -> str:
         """A message in the user's terms and units."""
         shown = self.constraint.shown
-        return f"{self.constraint.title} is {shown(self.value)} at frame {frame:.1f}, {shown(self.bound)} was asked for"
+        return f"{self.constraint.title} is {shown(self.value)} at frame {frame:.1f}, requested {shown(self.bound)}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,8 +263,8 @@ def samples(clip: Clip, times: Array) -> list[Array]:
     _, velocity = spatial(clip)
     k = np.clip(np.searchsorted(clip.times, times, side="right") - 1, 0, len(clip) - 2)
     h = np.diff(clip.times)[k, None]
-    way, share = 6 * np.diff(clip.positions, axis=0)[k] / h, (times - clip.times[k])[:, None] / h
-    first, last = way - 4 * velocity[k] - 2 * velocity[k + 1], 2 * velocity[k] + 4 * velocity[k + 1] - way
+    slope, share = 6 * np.diff(clip.positions, axis=0)[k] / h, (times - clip.times[k])[:, None] / h
+    first, last = slope - 4 * velocity[k] - 2 * velocity[k + 1], 2 * velocity[k] + 4 * velocity[k + 1] - slope
     acceleration = (first + share * (last - first)) / h
     pose = np.hstack([motion.positions, motion.orientations])
     kept = (pose, motion.twists, acceleration, motion.joints, motion.joint_rates, motion.controls, times[:, None])

@@ -49,7 +49,9 @@ def out_of_balance(
         if left > STILL:
             speed = float(np.linalg.norm(wind))
             cause = f"in {speed:.3g} m/s of wind" if windy else "on this slope"
-            message = f"{cause} the {vehicle.name} cannot stand still there: {left:.2g} m/s^2 of push are left"
+            message = (
+                f"{cause} the {vehicle.name} cannot stand still there: an acceleration of {left:.2g} m/s^2 remains"
+            )
             found.append((mark, message, _remedy(transcription, mark, wind, windy)))
     return found
 

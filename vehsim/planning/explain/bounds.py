@@ -85,7 +85,7 @@ class Ball:
     centre: Array
     radius: float
 
-    def rules_out(self, way: Array, room: float, seconds: float, leave: Any, arrive: Any) -> bool:
+    def rules_out(self, displacement: Array, room: float, seconds: float, leave: Any, arrive: Any) -> bool:
         """Whether no such accelerations lead along ``displacement`` (3,) m, to within ``room`` m of its end, in
         ``seconds``.
 
@@ -113,16 +113,16 @@ class Ball:
             weights = along[None] * (seconds - t)[:, None] + final
             done = self.radius * np.linalg.norm(weights, axis=1) + weights @ self.centre
             # the norm is convex in time, so the trapezoidal rule is an upper bound
-            return float(ends + np.trapezoid(done, t) + room - along @ way)
+            return float(ends + np.trapezoid(done, t) + room - along @ displacement)
 
         from scipy.optimize import minimize
 
-        direction = way / max(float(np.linalg.norm(way)), 1e-9)
+        direction = displacement / max(float(np.linalg.norm(displacement)), 1e-9)
         start = np.concatenate([direction, -direction * seconds / 2])
         for lift in (0.0, 0.3 * seconds, -0.3 * seconds):
             begin = start + np.array([0, 0, 0, 0, 0, lift])
             found = minimize(gap, begin, method="Nelder-Mead", options={"maxfev": 600, "fatol": 1e-6, "xatol": 1e-6})
-            if found.fun < -1e-6 * max(1.0, float(np.linalg.norm(way))):
+            if found.fun < -1e-6 * max(1.0, float(np.linalg.norm(displacement))):
                 return True
         return False
 
@@ -306,21 +306,21 @@ def slips(vehicle: Vehicle) -> tuple[bool, float]:
         roots = np.array([twists[1] + twists[0] * y, twists[2] - twists[0] * x])
         if np.linalg.matrix_rank(roots, tol=1e-6) != 1:
             return True, 180.0
-        way = roots[:, int(np.argmax(np.linalg.norm(roots, axis=0)))]
-        most = max(most, math.degrees(math.atan2(abs(way[1]), abs(way[0]))))
+        velocity = roots[:, int(np.argmax(np.linalg.norm(roots, axis=0)))]
+        most = max(most, math.degrees(math.atan2(abs(velocity[1]), abs(velocity[0]))))
     return False, most
 
 
-def least_time(reach: Callable[[float], float], way: float, high: float = 1e5) -> float:
+def least_time(reach: Callable[[float], float], distance: float, high: float = 1e5) -> float:
     """The smallest time, s, at which an increasing ``reach`` equals ``distance`` m; inf beyond ``high``."""
     low, top = 0.0, 1.0
-    while reach(top) < way:
+    while reach(top) < distance:
         low, top = top, 2 * top
         if top > high:
             return math.inf
     for _ in range(50):
         middle = (low + top) / 2
-        low, top = (middle, top) if reach(middle) < way else (low, middle)
+        low, top = (middle, top) if reach(middle) < distance else (low, middle)
     return top
 
 

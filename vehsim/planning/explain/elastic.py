@@ -166,7 +166,7 @@ def _earliest(run: Run, guess: Iterate, i: int, frames: dict[int, int]) -> str:
     request, marks = guess.request, guess.request.marks
     if any(term.frames is not None for term in request.terms):  # ranges of frames cannot move
         own = marks[i].place >= 0
-        where = f"{marks[i].name}.frame = {marks[i].frame}" if own else f"what is asked from {marks[i].name} on"
+        where = f"{marks[i].name}.frame = {marks[i].frame}" if own else f"{marks[i].name} (an end of a range of frames)"
         return f"{where} is too early; it takes until {frames[i]} at least"
     first, early = int(marks[0].frame), f"{marks[i].name}.frame = {marks[i].frame} is too early"
     for margin in SLACKS:

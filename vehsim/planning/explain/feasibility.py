@@ -105,8 +105,8 @@ def _sideways(request: Request, mark: Mark) -> list[Refusal]:
     off = min(abs((slip - turn + 180) % 360 - 180) for turn in (0, 180))
     if anywhere or off <= most + 0.5:
         return []
-    way = "straight ahead or back" if most < 0.5 else f"within {most:.3g} degrees of ahead or back"
-    message = f"{off:.3g} degrees off its heading, the {vehicle.name} rolls {way}"
+    allowed = "straight ahead or back" if most < 0.5 else f"within {most:.3g} degrees of ahead or back"
+    message = f"{off:.3g} degrees off its heading, the {vehicle.name} rolls {allowed}"
     return [Refusal(mark, "velocity", message, "turn the heading or the velocity")]
 
 
@@ -116,15 +116,15 @@ def _looks_elsewhere(mark: Mark, term: Constraint) -> list[Refusal]:
     if term.aim is None or not there or mark.heading is None or mark.position is None or leeway(mark):
         return []
     (point, aside), within = term.aim, math.degrees(math.acos(float(np.clip(term.lower, -1, 1))))
-    way = np.subtract(point, mark.position)
-    if np.linalg.norm(way[:2]) < 1e-3 or not mark.balanced:
+    displacement = np.subtract(point, mark.position)
+    if np.linalg.norm(displacement[:2]) < 1e-3 or not mark.balanced:
         return []
-    wanted = math.degrees(math.atan2(way[1], way[0]) - aside)
+    wanted = math.degrees(math.atan2(displacement[1], displacement[0]) - aside)
     off = abs((mark.heading - wanted + 180) % 360 - 180)
     if off <= within + 0.1:
         return []
     remedy = f"give heading = {(wanted + 180) % 360 - 180:.3g}, or leave it free"
-    return [Refusal(mark, "heading", f"{off:.3g} degrees off where {term.name!r} asks it to look", remedy)]
+    return [Refusal(mark, "heading", f"{off:.3g} degrees off the direction that {term.name!r} requires", remedy)]
 
 
 def _outside(request: Request, mark: Mark, term: Constraint) -> list[Refusal]:
@@ -141,7 +141,7 @@ def _outside(request: Request, mark: Mark, term: Constraint) -> list[Refusal]:
         return []
     when = "" if term.frames is None else f" for frames {term.frames[0]} to {term.frames[1]}"
     remedy = f"move it by {off:.3g} m, or loosen {term.name!r}"
-    return [Refusal(mark, "position", f"{off:.3g} m outside what {term.name!r} asks{when}", remedy)]
+    return [Refusal(mark, "position", f"{off:.3g} m outside what {term.name!r} allows{when}", remedy)]
 
 
 def _between(request: Request, i: int, j: int, delay: int) -> tuple[list[Refusal], int]:
@@ -217,7 +217,7 @@ def _too_far(request: Request, placed: list[Mark], seconds: float) -> list[tuple
         return refused(f"more than the {request.vehicle.name}'s {push.gain:.3g} m/s^2 can do", least)
     if ball is None or not spatial:
         return []
-    way = np.subtract(b.position, a.position)  # type: ignore[arg-type]
+    displacement = np.subtract(b.position, a.position)  # type: ignore[arg-type]
     room, speeds = leeway(a) + leeway(b), (_speed(a), _speed(b))
     balls: list[tuple[Ball, float, tuple[Any, Any], str]] = [
         (ball, room + slack, own, f"the {request.vehicle.name}'s thrust can do")
@@ -226,15 +226,15 @@ def _too_far(request: Request, placed: list[Mark], seconds: float) -> list[tuple
         felt = Ball(np.array([0.0, 0.0, -GRAVITY]), GRAVITY * limits.get("g_load"))
         balls.append((felt, room, speeds, f"a g-load of {limits.get('g_load'):g} can do"))
     for bound, around, (leave, arrive), text in balls:
-        if bound.rules_out(way, around, seconds, leave, arrive):
-            return refused(f"more than {text}", max(seconds, _least(bound, way, around, a, b)))
+        if bound.rules_out(displacement, around, seconds, leave, arrive):
+            return refused(f"more than {text}", max(seconds, _least(bound, displacement, around, a, b)))
     return []
 
 
-def _least(ball: Ball, way: Array, room: float, a: Mark, b: Mark) -> float:
+def _least(ball: Ball, displacement: Array, room: float, a: Mark, b: Mark) -> float:
     """A lower bound, s, on the time between two marks: with the largest acceleration all the time."""
     most = np.full(len(SPEEDS), float(np.linalg.norm(ball.centre)) + ball.radius)
-    push, far = Push(float(most[0]), most), max(float(np.linalg.norm(way)) - room, 0.0)
+    push, far = Push(float(most[0]), most), max(float(np.linalg.norm(displacement)) - room, 0.0)
     return least_time(lambda t: push.reach(t, math.inf, _pace(a), _pace(b)), far)
 
 

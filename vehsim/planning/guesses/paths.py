@@ -47,8 +47,8 @@ def along_paths(
     headings = _headings(marks, paths, s, phase)
     for first, last, point, offset in aims:
         nodes = np.arange(first, last + 1) * len(layout.fractions)
-        way = np.asarray(point, float)[:2] - positions[nodes, :2]
-        headings[nodes] = np.arctan2(way[:, 1], way[:, 0]) - offset
+        to_point = np.asarray(point, float)[:2] - positions[nodes, :2]
+        headings[nodes] = np.arctan2(to_point[:, 1], to_point[:, 0]) - offset
     headings = np.unwrap(headings) if len(aims) else headings
     trimmed = trim(transcription.vehicle, tuple(wind))
     return from_poses(transcription, layout, positions, from_yaw(headings), headings, lengths, trimmed)

@@ -115,9 +115,9 @@ PLAIN = {
     "Solve_Succeeded": "solved",
     "Solved_To_Acceptable_Level": "solved, nearly to the tolerance",
     "Maximum_Iterations_Exceeded": "no solution within the iterations allowed",
-    "Infeasible_Problem_Detected": "nothing nearby meets all that is asked",
-    "Restoration_Failed": "stuck: no step brings it nearer to what is asked",
-    "Search_Direction_Becomes_Too_Small": "stuck: no step brings it nearer to what is asked",
+    "Infeasible_Problem_Detected": "no motion nearby meets all constraints",
+    "Restoration_Failed": "stuck: no step reduces the violations",
+    "Search_Direction_Becomes_Too_Small": "stuck: no step reduces the violations",
     "Error_In_Step_Computation": "stuck: the equations became singular",
     "Invalid_Number_Detected": "a cost or constraint gave no number",
 }

@@ -95,8 +95,8 @@ def _cubic(s: Expr, h: Expr, a: Expr, b: Expr, da: Expr, db: Expr) -> tuple[Expr
 
 def _bend(s: Expr, h: Expr, a: KnotView, b: KnotView) -> Expr:
     """Second derivative of the cubic from ``a`` to ``b``: linear in ``s``."""
-    way = 6 * (b.position - a.position) / h
-    first, last = way - 4 * a.velocity - 2 * b.velocity, 2 * a.velocity + 4 * b.velocity - way
+    slope = 6 * (b.position - a.position) / h
+    first, last = slope - 4 * a.velocity - 2 * b.velocity, 2 * a.velocity + 4 * b.velocity - slope
     return (first + s * (last - first)) / h
 
 

@@ -203,7 +203,7 @@ def _check_numbers(i: int, mark: Mark) -> None:
         raise InputError("orientation is given too", "drop one of them", key=f"mark[{i}].heading", value=mark.heading)
     if mark.hold and not (mark.balanced or mark.on_ground):
         raise InputError(
-            "a hold stands in balance",
+            "a held vehicle is in balance",
             "give velocity = [0, 0, 0], no orientation",
             key=f"mark[{i}].hold",
             value=mark.hold,

@@ -46,8 +46,8 @@ def look_at(
     shown = slice(0, 2 if level else 3)
 
     def law(k: KnotView) -> Expr:
-        way, nose = (ca.DM(list(point)) - k.position)[shown], sign * k.rotation[shown, column]
-        return ca.dot(way, nose) / ca.sqrt((ca.sumsqr(way) + 1e-6) * (ca.sumsqr(nose) + 1e-9))
+        offset, nose = (ca.DM(list(point)) - k.position)[shown], sign * k.rotation[shown, column]
+        return ca.dot(offset, nose) / ca.sqrt((ca.sumsqr(offset) + 1e-6) * (ca.sumsqr(nose) + 1e-9))
 
     aside = None if axis.endswith("z") else (0.0, math.pi / 2)[column] + (math.pi if sign < 0 else 0.0)
     aim = None if aside is None else (tuple(point), aside)
