@@ -10,7 +10,7 @@ from contextlib import suppress
 
 
 def main() -> None:
-    """The console command."""
+    """The entry point of the console command."""
     code = 1
 
     def leave() -> None:
@@ -36,7 +36,7 @@ def main() -> None:
 
 
 def _has_workers(words: str) -> bool:
-    """Whether these arguments lead to several processes; a quick look at the text."""
+    """Whether these arguments need several processes; a quick check of the text."""
     many = words.count(".toml") > 1 or re.search(r"--workers[ =](?!1\b)", words)
     return bool(many and words.startswith("export ") and not re.search("--(dask|dry-run|help)", words))
 

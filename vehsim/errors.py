@@ -1,7 +1,7 @@
 """Errors a user can act on. They are data: what is wrong, where, and how to fix it; `str` makes the printed line.
 
-Code that handles an error reads its fields, or moves a `Problem` elsewhere with ``dataclasses.replace`` and `below`. No
-code takes a message apart.
+Code that handles an error reads its fields, or moves a `Problem` to another key with ``dataclasses.replace`` and
+`below`. Messages are never parsed.
 """
 
 from __future__ import annotations
@@ -16,9 +16,8 @@ from typing import Any, Literal, Self
 class Problem:
     """One thing that is wrong: printed as ``file:line: subject: key = value: message; remedy``, empty fields left out.
 
-    ``key``: dotted, as in a shot file, or an argument's name; ``remedy``: what to do; ``value``: what the
-    key has, None where it has nothing to show; ``subject``: what the key belongs to where no file says so, such as a
-    vehicle's name.
+    ``key``: dotted, as in a shot file, or an argument's name; ``remedy``: what to do; ``value``: the key's value, None
+    if there is none to show; ``subject``: what the key belongs to if there is no file, such as a vehicle's name.
     """
 
     key: str
@@ -28,7 +27,7 @@ class Problem:
     file: str = ""
     line: int | None = None
     severity: Literal["error", "warning", "fault"] = "error"
-    """Whether the error is vehsim's own and the input may be right."""
+    """"fault" means an error of vehsim itself: the input may be right."""
     subject: str = ""
 
     def __str__(self) -> str:
@@ -41,14 +40,12 @@ class Problem:
         return "; ".join(filter(None, (self.message, self.remedy)))
 
     def below(self, key: str, **changes: Any) -> Problem:
-        """This problem where its key belongs to a table: ``below("mark[0]")`` of ``hold`` is ``mark[0].hold``."""
+        """This problem with its key below another: ``below("mark[0]")`` of ``hold`` is ``mark[0].hold``."""
         return replace(self, key=f"{key}.{self.key}" if self.key else key, **changes)
 
     def seen_from(self, key: str, value: object = None, remedy: str = "") -> Problem:
-        """This problem, found in what ``key`` of another file names: place and key become part of the message.
-
-        ``remedy`` is taken where this problem has none.
-        """
+        """This problem as seen from ``key``, which names the file in which it was found: its own place and key become
+        part of the message. ``remedy`` is used if it has none."""
         return Problem(key, self._with_place(self.message), self.remedy or remedy, value, severity=self.severity)
 
     def _with_place(self, said: str) -> str:
@@ -58,7 +55,7 @@ class Problem:
 
 
 class VehsimError(Exception):
-    """Base of all errors vehsim raises on purpose. ``problems`` has all that is wrong, one or more.
+    """Base class of all errors that vehsim raises on purpose. ``problems``: everything that is wrong, one or more.
 
     ``key``, ``value``, ``message`` and ``remedy`` are those of the first `Problem`.
     """
@@ -81,7 +78,7 @@ class VehsimError(Exception):
 
     @classmethod
     def of(cls, *problems: Problem) -> Self:
-        """The error of problems at hand."""
+        """The error of existing problems."""
         error = cls.__new__(cls)
         error.problems = list(problems)
         return error
@@ -94,7 +91,7 @@ class VehsimError(Exception):
 
     @property
     def problem(self) -> Problem:
-        """The first thing wrong."""
+        """The first problem."""
         return self.problems[0]
 
     @property
@@ -137,7 +134,7 @@ class FailedPlan(UserWarning):
 
 
 class OutsideTerrain(UserWarning):
-    """A vehicle drives where the terrain has ended."""
+    """A vehicle drives beyond the borders of the terrain."""
 
 
 class ExportError(VehsimError):
@@ -153,14 +150,14 @@ class ShotError(InputError):
 
 
 def _again(kind: type[VehsimError], problems: list[Problem], more: dict[str, Any]) -> VehsimError:
-    """An error that comes from another process."""
+    """The error received from another process."""
     error = kind.of(*problems)
     vars(error).update(more)
     return error
 
 
 def _short(value: object, length: int = 80) -> str:
-    """A value as it is shown in a message: one line, never pages; arrays as lists, paths as text."""
+    """A value as shown in a message: one short line; arrays as lists, paths as text."""
     value = value.tolist() if hasattr(value, "tolist") else fspath(value) if isinstance(value, PathLike) else value
     try:
         text = repr(value)

@@ -1,7 +1,7 @@
-"""Integrate a vehicle with its controls in a world into a clip.
+"""Simulate a vehicle with its controls in a world; the result is a clip.
 
-This module reads controls in all accepted forms, steps the integrator, and warns of questionable results. The
-integrators make the steps; `pilots` holds feedback laws.
+This module accepts controls in several forms, runs the integrator, and warns of questionable results. `integrators`
+make the steps; `pilots` holds feedback laws.
 """
 
 from __future__ import annotations
@@ -43,20 +43,20 @@ def simulate(
     order: int = 2,
     progress: Progress | None = None,
 ) -> Clip:
-    """Let ``vehicle`` move for ``duration`` s under ``controls`` in ``world``; returns a `Clip` with a sample per step.
+    """Simulate ``vehicle`` for ``duration`` s under ``controls`` in ``world``; returns a `Clip` with a sample per step.
 
     ``controls``, in SI units and the order of ``vehicle.control_names``:
 
-    - (c,): held throughout; None for a vehicle without controls, or all zeros;
+    - (c,): constant; None for a vehicle without controls, or all zeros;
     - (n, c): knot values evenly spaced over the duration, linear between (``duration`` None: one row per ``step``);
-    - a function ``f(t, state) -> (c,)`` of time [s] and `State`, or a pilot (`vehsim.pilots`): asked once at every
-      knot, in order, with the state predicted there; its answers are linear between knots. ``reset()`` comes first.
+    - a function ``f(t, state) -> (c,)`` of time [s] and `State`, or a pilot (`vehsim.pilots`): called once at every
+      knot, in
+      order, with the state predicted there; its results are linear between knots. ``reset()`` is called first.
 
-    ``step`` s is shortened, if need be, to a whole fraction of a frame so that every frame is a knot; the duration
-    is rounded up to whole steps. ``world.wind`` acts through the vehicle's drag. A vehicle that moves in the plane
-    keeps its start height; on a terrain its slopes pull it, and its wheels follow the ground. ``order`` 2, 4 or 6.
-
-    Raises ``InputError`` naming key, value and remedy; ``SolveError`` with step, state and residual when a step fails.
+    ``step`` s is shortened, if necessary, to a whole fraction of a frame so that every frame is a knot; the duration is
+    rounded up to whole steps. ``world.wind`` acts through the vehicle's drag. A planar vehicle keeps its start height;
+    on a terrain, gravity pulls it along slopes, and its wheels follow the ground. ``order`` 2, 4 or 6. Raises
+    ``InputError`` naming key, value and remedy; ``SolveError`` with step, state and residual if a step fails.
     """
     from vehsim.integrators.forced import pushed, substeps
     from vehsim.integrators.integrator import Integrator
@@ -157,7 +157,7 @@ def simulate_together(
 def _roll(
     integrator: Integrator, knots: Array, begin: State, fps: Fraction, start_frame: int, progress: Progress | None
 ) -> Clip:
-    """Controls that are known in advance: the whole rollout in one call."""
+    """Simulate with known controls: the whole rollout in one call."""
     if progress:
         progress("simulate", 0.0)
     clip = integrator.rollout(begin, knots, fps=fps, start_frame=start_frame)
@@ -175,7 +175,7 @@ def _fly(
     start_frame: int,
     progress: Progress | None,
 ) -> Clip:
-    """Controls that depend on the state: query each knot's controls at a predicted state, then step."""
+    """Simulate with controls that depend on the state: evaluate them at each knot's predicted state, then step."""
     from vehsim.integrators.record import build_clip
     from vehsim.vehicles.definition.states import control_vector
 
@@ -313,7 +313,7 @@ def _played(table: Array, duration: float) -> Callable[[float, State], Array]:
 
 
 def _reach(start: State, duration: float) -> Array:
-    """Corners (2, 2) m of the region that a start can reach, at 3 m/s^2."""
+    """Corners (2, 2) m of the region that the vehicle can reach from its start, at 3 m/s^2."""
     speed = 0.0 if start.twist is None else float(np.linalg.norm(np.asarray(start.twist, float)))
     far = (speed + 3.0 * duration) * duration
     return np.asarray(start.position, float)[:2] + np.array([[-far], [far]])

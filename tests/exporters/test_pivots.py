@@ -106,7 +106,7 @@ def test_a_mirror_above_a_wheel_turns_its_steering_round_and_not_its_rolling(tmp
     centre = {"pivot": '"centre"'}
     found = list(rig_problems(vehicle(tmp_path, mirrored=("fr",), steer_fr=centre).rig))
     assert [(problem.key, problem.remedy) for problem in found] == [("channels.steer_fr", "factor = -1")]
-    assert "steering to the left is a turn about what points up" in found[0].message
+    assert "steering to the left is a rotation about the axis up" in found[0].message
     (again := tmp_path / "again").mkdir()
     assert not list(rig_problems(vehicle(again, mirrored=("fr",), steer_fr={"factor": -1} | centre).rig))
 
@@ -114,7 +114,7 @@ def test_a_mirror_above_a_wheel_turns_its_steering_round_and_not_its_rolling(tmp
 def test_a_wheel_that_would_roll_backwards_is_named(tmp_path):
     (problem,) = rig_problems(vehicle(tmp_path, roll_rl={"factor": -1}).rig)
     assert (problem.key, problem.remedy) == ("channels.roll_rl", "factor = 1")
-    assert "goes by [0, -1, 0] of the vehicle" in problem.message
+    assert "acts along [0, -1, 0] of the vehicle" in problem.message
 
 
 def test_a_deactivated_prim_is_named(tmp_path):

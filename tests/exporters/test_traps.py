@@ -92,7 +92,7 @@ def test_names_keep_their_letters(tmp_path):
 
 
 def test_motion_in_a_glb_is_said_to_be_left_out(tmp_path):
-    with pytest.warns(UserWarning, match="has 1 animations and 2 skins, read is how it stands at rest"):
+    with pytest.warns(UserWarning, match="has 1 animations and 2 skins; only its rest pose is read"):
         ready_asset(tmp_path / "vehicle.toml", glb(tmp_path / "bobbing.glb", animations=[{}], skins=[{}, {}]))
 
 

@@ -70,5 +70,5 @@ def test_what_cannot_be():
         def wrench(self, t, state, controls):
             return np.full(6, np.nan)
 
-    with pytest.raises(SolveError, match="body: step 0: its surroundings push with"):
+    with pytest.raises(SolveError, match="body: step 0: the environment's wrench is"):
         Forced(Integrator(BODY, 0.01), Broken(), START, np.zeros(0))

@@ -1,8 +1,8 @@
-"""What earlier exports delivered to a folder: kept beside the new files, or set apart where it shows something else.
+"""Files of earlier deliveries: keep them beside the new files, or set them apart if they show another motion.
 
-``report.json`` holds what decides: what is shown (``solved.content``, `Take.content_hash`), and for each exporter the
-files it wrote and the hash of its inputs (``solved.exporters``). Vehicles that an export left out (``solved.left_out``,
-``--only``) stay as they were delivered.
+The decision follows from ``report.json``: what is shown (``solved.content``, `Take.content_hash`), and for each
+exporter the files it wrote and the hash of its inputs (``solved.exporters``). Vehicles that an export left out
+(``solved.left_out``, ``--only``) stay as they were delivered.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from types import MappingProxyType
 from typing import Any
 
 Keep = Callable[[Path, Path, Sequence[str]], Mapping[Path, bytes]]
-"""``keep(earlier, new, vehicles)``: files of the new delivery with what they have to hold so that the vehicles stay."""
+"""``keep(earlier, new, vehicles)``: files of the new delivery, with the content that also shows the kept vehicles."""
 
 SIGN = "report.json"
 """The file that identifies a folder as a delivery."""
@@ -39,14 +39,14 @@ class Earlier:
         self._linked: list[Path] = []
         self._seen: Any = None
         self.apart: tuple[str, list[str]] | None = None
-        """the folder with the files that were set apart, and the exporters that made them"""
+        """the folder with the files that were set apart, and the exporters that wrote them"""
 
     def bring(self, target: Path) -> None:
-        """Link into the new delivery what ``target`` holds and it does not, and list it in its report.
+        """Link files of ``target`` that the new delivery lacks into it, and list them in its report.
 
-        Files of an exporter that ran again are left out; files that show something else go to ``earlier/1``, ``2``, ...
-        with their report. Those of vehicles that the new one leaves out stay, also in the stage. A second call begins
-        anew. Raises ``OSError``, also when ``target`` is replaced meanwhile.
+        Files of an exporter that ran again are left out; files that show another motion go to ``earlier/1``, ``2``, ...
+        with their report. Files of vehicles that the new delivery leaves out stay, also in the stage. A second call
+        starts over. Raises ``OSError``, also when ``target`` is replaced meanwhile.
         """
         self._undo()
         self._seen = _identity(target)
@@ -85,7 +85,7 @@ class Earlier:
             (self._beside / SIGN).write_text(text, encoding="utf-8")
 
     def _keep_vehicles(self, left: set[str], target: Path, old: Any, new: Any) -> None:
-        """Have what the exporters made again show the vehicles that were left out, and the report speak of them."""
+        """Make the new files of exporters, and the report, also contain the vehicles that were left out."""
         for name in new["solved"]["exporters"].keys() & self._keepers.keys():
             for path, content in self._keepers[name](target, self._beside, sorted(left)).items():
                 self._changed.setdefault(path, path.read_bytes())
@@ -136,8 +136,10 @@ def record(path: Path) -> Any:
 
 
 def _left_out(old: Any, new: Any) -> set[str]:
-    """The vehicles of an earlier delivery that a new one leaves out and that still fit: world, frame rate, the
-    way of the stage and assets that both have are the same."""
+    """The vehicles of an earlier delivery that a new one leaves out and that still fit into it.
+
+    They fit if world, frame rate, form of the stage, and the assets that both deliveries have are the same.
+    """
 
     def setting(report: Any) -> Any:
         shot = report["solved"].get("shot", {})
@@ -150,7 +152,7 @@ def _left_out(old: Any, new: Any) -> set[str]:
 
 
 def _is_of(file: str, vehicles: set[str]) -> bool:
-    """Is a delivered file one of these vehicles' own, or an asset, which any of them may need?"""
+    """Whether a delivered file belongs to one of these vehicles, or is an asset, which any of them may need."""
     folder, _, name = file.rpartition("/")
     return bool(vehicles) and (
         folder.startswith("assets") or (folder in ("", "layers") and name.split(".")[0] in vehicles)
@@ -170,7 +172,7 @@ def _complete(new: Any, old: Any) -> None:
 
 
 def _identity(folder: Path) -> Any:
-    """Identifies a delivery, to notice a replacement; None if there is none."""
+    """A value that changes when a delivery is replaced; None if there is none."""
     with suppress(FileNotFoundError, NotADirectoryError):
         stat = (folder / SIGN).stat()
         return stat.st_ino, stat.st_mtime_ns, stat.st_size

@@ -34,7 +34,8 @@ class Exporter:
     latest: Callable[[Path, Path], None] | None = None
     """``latest(version, home)`` updates the link files in ``home`` to its newest version"""
     keep: Keep | None = None
-    """``keep(earlier, new, vehicles)``: files of a new delivery and what they hold with vehicles of an earlier one"""
+    """``keep(earlier, new, vehicles)``: files of a new delivery, with the content that also shows an earlier one's
+    vehicles"""
     makes: str = ""
     """The product in a few words: shown by ``vehsim export --help``"""
     every_frame: bool = False
@@ -136,9 +137,9 @@ def delivering(target: Path, versioned: bool, overwrite: bool = True) -> Abstrac
 
 
 def point_at_newest(home: Path) -> Path:
-    """Have every exporter point at the newest version in ``home`` that it wrote into; returns the newest of all.
+    """Update every exporter's link files in ``home`` to the newest version that it wrote; returns the newest of all.
 
-    Warns where that shows another motion than the newest of all does.
+    Warns if that version shows another motion than the newest of all.
     """
     found = versions(home)
     reports = {version: record(version / SIGN)["solved"] for version in found}
@@ -148,6 +149,8 @@ def point_at_newest(home: Path) -> Path:
             continue
         exporter.latest(mine[-1], home)
         if reports[mine[-1]].get("content") != reports[found[-1]].get("content"):
-            said = f"latest still shows {mine[-1].name}: {found[-1].name} holds another motion, without {exporter.name}"
-            warnings.warn(f"{home}: {said}; export {exporter.name} again", stacklevel=3)
+            said = f"latest still shows {mine[-1].name}: {found[-1].name} has another motion"
+            warnings.warn(
+                f"{home}: {said}, not exported to {exporter.name}; export {exporter.name} again", stacklevel=3
+            )
     return newest(home)

@@ -196,7 +196,7 @@ def _swap(beside: Path, target: Path, overwrite: bool, earlier: Earlier | None) 
 
 
 def _discard(aside: Path) -> None:
-    """Delete a replaced delivery under a name from which no other export brings it back half deleted."""
+    """Delete a replaced delivery, under a name that no other export restores."""
     discarded = aside.with_suffix(".partial")
     with suppress(OSError):  # it was never moved aside, or another export brought it back
         aside.rename(discarded)
@@ -214,7 +214,8 @@ def _bring_back(target: Path) -> None:
 
 
 def clean_up(target: Path) -> None:
-    """Delete what killed exports of ``target`` left on this machine, and restore what they hid."""
+    """Delete the hidden folders of killed exports of ``target`` on this machine, and restore deliveries that they
+    moved."""
     _bring_back(target)
     for path, host, pid, _ in _hidden(target):
         if host != machine() or _alive(int(pid)):  # processes of other machines may be alive

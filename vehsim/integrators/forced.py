@@ -138,7 +138,7 @@ class Forced:
         wrench = np.asarray(wrench, float)
         if wrench.shape != self.wrench.shape or not np.isfinite(wrench).all():
             raise SolveError(
-                f"step {self.steps}: its surroundings push with {wrench.tolist()} at {self.state}",
+                f"step {self.steps}: the environment's wrench is {wrench.tolist()} at {self.state}",
                 "take a smaller step",
                 subject=vehicle.name,
             )

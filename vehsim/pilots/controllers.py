@@ -47,7 +47,7 @@ _FASTER = 1.03
 _CRUISE = 0.96
 """Share of the requested speed at which a helicopter's flight is planned; the rest is for feedback against the wind."""
 _STOP, _BESIDE = 0.25, 0.2
-"""Tolerance of a car's root at the end of its path, m, and of its axle from the path, in wheelbases."""
+"""Tolerance of a car's root at the end of its path, m, and of its axle's distance from the path, in wheelbases."""
 _DRIVE = (2.0, 0.8)
 """Largest acceleration of a car's pilot, m/s^2, and the share of its torque that it plans with."""
 
@@ -254,9 +254,9 @@ class _Helicopter:
     """Geometric tracking: desired force, attitude, torque, then controls through the inverse of LIE's F(gamma).
 
     Gains place the four poles of the hover at one frequency, as fast as the weaker of roll and pitch allows. An
-    observer finds the force that is not its own (wind), so that steady wind leaves no error. It would lag behind drag,
-    which changes with the speed: that of still air is reckoned with beforehand. Tilting the thrust pushes
-    sideways too: the point that does not feel it, ``J / (m d_t)`` below the centre of mass, is what is steered.
+    observer estimates forces other than the vehicle's own (wind), so that steady wind leaves no error. It would lag
+    behind drag, which changes with the speed, so drag in still air is a feed-forward term. Tilting the thrust also
+    pushes sideways; therefore the steered point is ``J / (m d_t)`` below the centre of mass, where this has no effect.
     """
 
     def __init__(self, vehicle: Vehicle):
@@ -299,7 +299,7 @@ class _Helicopter:
     def __call__(
         self, t: float, state: State, goal: Array, velocity: Array, acceleration: Array, heading: float
     ) -> Array:
-        """Controls for a reference: ``acceleration`` is what thrust and wind are to give, that of drag apart."""
+        """Controls for a reference: ``acceleration`` is that due to thrust and wind, without drag."""
         dt = 0.0 if self._time is None else t - self._time
         self._time = t
         R = _matrix(state.orientation)

@@ -58,13 +58,13 @@ class Route:
     def at(self, t: float) -> tuple[Array, Array, Array]:
         """Position (d,) m, velocity m/s and acceleration m/s^2 at ``t`` s since the start from rest."""
         # the mean of the profile over the last `ease` seconds: the same length, never faster, continuous acceleration
-        (area, way, v), (before, left, v0) = self._profile(t), self._profile(t - self._ease)
-        s, rate, change = ((b - a) / self._ease for a, b in ((before, area), (left, way), (v0, v)))
+        (area, travelled, v), (before, earlier, v0) = self._profile(t), self._profile(t - self._ease)
+        s, rate, change = ((b - a) / self._ease for a, b in ((before, area), (earlier, travelled), (v0, v)))
         along = self._curve(min(s, self.length), 1)
         return self._curve(min(s, self.length)), rate * along, change * along + rate**2 * self._curve(s, 2)
 
     def _profile(self, t: float) -> tuple[float, float, float]:
-        """Integral of the path, m s, the path, m, and the speed, m/s, at ``t`` s: at rest before and after."""
+        """Integral of the distance, m s, the distance, m, and the speed, m/s, at ``t`` s: at rest before and after."""
         if t <= 0:
             return 0.0, 0.0, 0.0
         beyond = max(t - self._t[-1], 0.0)

@@ -32,8 +32,10 @@ class Mesh:
 
 
 def mesh_of(asset: str | Path, node: Any, said: list[str]) -> Mesh | None:
-    """A mesh that is visible or collides, triangulated, in the rig root's frame. None if it is neither, or empty;
-    warnings are added to ``said``. Raises ``InputError`` for a broken mesh."""
+    """A mesh that is visible or collides, triangulated, in the rig root's frame; None if it is neither, or empty.
+
+    Warnings are added to ``said``. Raises ``InputError`` for a broken mesh.
+    """
     from pxr import Usd, UsdGeom
 
     if not (node.is_look or node.collides):

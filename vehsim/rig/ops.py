@@ -1,4 +1,4 @@
-"""How motion enters a rig: which op on which prim, and whether the prim can take it.
+"""The op on a prim through which a channel moves a rig, and checks that the prim can take it.
 
 This module knows USD prims and op orders, not motion: the exporter writes ops with it, and checks use it before
 solving. A channel becomes one scalar op with a suffix in the prim's own ``xformOpOrder``, after the prim's placement
@@ -29,11 +29,12 @@ SHEAR = 1e-3
 """Largest relative difference of scale perpendicular to a spin's axis."""
 PIVOT = "_vehsim_pivot"
 SENSES = {
-    "roll_": ("rolling forward is a turn about what points left", (0.0, 1.0, 0.0)),
-    "steer_": ("steering to the left is a turn about what points up", (0.0, 0.0, 1.0)),
-    "travel_": ("a wheel's travel goes up", (0.0, 0.0, 1.0)),
+    "roll_": ("rolling forward is a rotation about the axis to the left", (0.0, 1.0, 0.0)),
+    "steer_": ("steering to the left is a rotation about the axis up", (0.0, 0.0, 1.0)),
+    "travel_": ("positive travel of a wheel is up", (0.0, 0.0, 1.0)),
 }
-"""Direction of positive values of such channels in every model: the axis (3,) in the rig root's frame."""
+"""Prefix of a channel -> the meaning of its positive values in every model, and their axis (3,) in the rig root's
+frame."""
 
 
 def open_rig(asset: Path, rig: Rig) -> tuple[Any, Any]:
@@ -110,9 +111,9 @@ def pivot_op(channel: str) -> str:
 
 
 def insert_op(order: list[str], op: str, pivot: str | None = None) -> list[str]:
-    """``order`` with ``op`` after the prim's placement: inside its pivot, and before the scale that shapes its mesh.
+    """``order`` with ``op`` after the prim's placement and before the scale that shapes its mesh.
 
-    USD applies the last op first, so an op behind a scale would turn the unscaled shape and shear it. ``pivot``: an op
+    USD applies the last op first, so an op after a scale would rotate the unscaled shape and shear it. ``pivot``: an op
     for the centre of rotation, inserted around ``op``.
     """
     own_pivots = [k for k, name in enumerate(order) if name.startswith("!invert!") and not name.endswith(PIVOT)]
@@ -134,10 +135,10 @@ def pivot_of(rig: Rig, channel: str, root: Any, metres_per_unit: float) -> Array
 
 
 def rig_problems(rig: Rig) -> list[Problem]:
-    """A problem, of key ``channels.NAME``, for every drive that cannot move its prim as a rigid part.
+    """The problems, under keys ``channels.NAME``, of drives that cannot move their prim as a rigid part.
 
-    Looked at once for all the clips of a batch, as long as the asset's file does not change; files that it refers to
-    are looked at again by another process.
+    The result is kept as long as the asset's file does not change, for all the clips of a batch. Only another process
+    notices changes in files that the asset refers to.
     """
     key = (repr(rig), stamp(rig.asset))
     if key not in _found:
@@ -147,7 +148,7 @@ def rig_problems(rig: Rig) -> list[Problem]:
 
 
 _found: dict[tuple[str, Stamp], list[Problem]] = {}
-"""Find the `rig_problems`."""
+"""The results of `rig_problems`."""
 
 
 def _problems_of(rig: Rig) -> Iterator[Problem]:
@@ -163,9 +164,7 @@ def _problems_of(rig: Rig) -> Iterator[Problem]:
         try:
             prim = driven_prim(rig, root, channel)
             if skinned := _skinned_from_elsewhere(prim):
-                message = (
-                    f"{drive.prim}: its mesh {skinned} is skinned to joints, which what moves the prim does not move"
-                )
+                message = f"{drive.prim}: its mesh {skinned} is skinned to joints, which do not follow the prim"
                 remedy = "hang the part on its bone (parent type Bone) instead of skinning it to it"
                 yield Problem(f"channels.{channel}", message, remedy)
                 continue
@@ -196,8 +195,10 @@ def _skinned_from_elsewhere(prim: Any) -> str:
 
 
 def _turning(rig: Rig, channel: str, drive: Drive, T_ra: Array) -> Iterator[Problem]:
-    """Check that a spin keeps its part's shape and that its axis passes through the part; ``T_ra`` (4, 4): from the
-    op's space."""
+    """Check that a spin does not shear its part and that its axis passes through the part.
+
+    ``T_ra`` (4, 4): from the op's space to the rig root's frame.
+    """
     axis = "XYZ".index(drive.op[-1])
     j, k = (axis + 1) % 3, (axis + 2) % 3
     sizes = np.linalg.norm(T_ra[:3, :3], axis=0)
@@ -207,7 +208,7 @@ def _turning(rig: Rig, channel: str, drive: Drive, T_ra: Array) -> Iterator[Prob
         scales = ", ".join(f"{size:.4g}" for size in sizes)
         yield Problem(
             f"channels.{channel}",
-            f"{drive.prim}: turned about {drive.op[-1]} it would shear: a scale of {scales} stands above the spin",
+            f"{drive.prim}: rotated about {drive.op[-1]}, it would shear: a scale of {scales} follows the spin",
             "apply that scale to the meshes, or move it behind the rotation, last in xformOpOrder",
         )
         return
@@ -227,8 +228,10 @@ def _turning(rig: Rig, channel: str, drive: Drive, T_ra: Array) -> Iterator[Prob
 
 
 def _wrong_way(channel: str, drive: Drive, axes: Array) -> Iterator[Problem]:
-    """Check for a wheel that would roll backwards, steer the wrong way or sink; ``axes`` (3, 3): the op's space, unit
-    columns."""
+    """Check for a wheel that would roll backwards, steer the wrong way or sink.
+
+    ``axes`` (3, 3): the axes of the op's space in the rig root's frame, as unit columns.
+    """
     axis = axes[:, "XYZ".index(drive.op[-1])] * np.sign(drive.factor)
     if drive.op.startswith("rotate"):
         axis = axis * np.sign(np.linalg.det(axes))  # a mirror reverses rotations
@@ -239,7 +242,7 @@ def _wrong_way(channel: str, drive: Drive, axes: Array) -> Iterator[Problem]:
             goes = ", ".join(f"{x:.2g}" for x in np.round(axis, 2) + 0.0)
             yield Problem(
                 f"channels.{channel}",
-                f"{drive.prim}: {drive.op} goes by [{goes}] of the vehicle; {meaning}, {list(wanted)}",
+                f"{drive.prim}: {drive.op} acts along [{goes}] of the vehicle; {meaning}, {list(wanted)}",
                 remedy,
             )
 

@@ -99,8 +99,9 @@ def read_parts(asset: str | Path, root: str | None = None) -> list[Part]:
 def solids(asset: str | Path, root: str | None = None) -> list[Solid]:
     """The collision geometry of every part: the convex hull of each collision mesh. Raises as `read_parts` does.
 
-    An asset without collision meshes gets the convex hull of each part's visible mesh, with a warning. Cached by the
-    content of the file and the files that it refers to, because loading USD takes longer than many a plan.
+    An asset without collision meshes gets the convex hull of each part's visible mesh, with a warning. The result is
+    cached by the content of the file and the files that it refers to, because loading USD takes longer than many a
+    plan.
     """
     key, began = (str(asset), _content(asset), root), time.time()
     kept = recalled("solids", key)

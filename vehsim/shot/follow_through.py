@@ -1,4 +1,4 @@
-"""A vehicle before and after its motion: it stands where it starts and ends, while its rotors continue to turn."""
+"""A vehicle before and after its motion: it rests at the start and end poses, while its rotors continue to turn."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ def rests(clip: Clip, index: int) -> bool:
 
 
 def hold(clip: Clip, first: int, last: int) -> Clip:
-    """The clip on frames ``first`` to ``last`` at least: standing still in those it does not cover.
+    """The clip on frames ``first`` to ``last`` at least; it stands still in frames that it did not cover.
 
-    Channels given by a rate go on at it where the vehicle is at rest in the air or on water (a hovering helicopter's
-    rotor), else they stop too, as those do that follow joints and controls. A body that stood on its springs
-    loses its height: `place_on_terrain` lets it settle.
+    Where the vehicle rests in the air or on water (a hovering helicopter), channels given by a rate continue at that
+    rate; otherwise they stop, as do channels that follow joints and controls. The height of a body on springs is
+    removed, so that `place_on_terrain` lets it settle.
     """
     before = np.arange(first, clip.start_frame, dtype=float)
     after = np.arange(clip.end_frame + 1, last + 1, dtype=float)

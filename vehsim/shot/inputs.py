@@ -21,7 +21,7 @@ def with_dependencies(asset: Path) -> tuple[Path, ...]:
 
 
 _found: dict[Path, tuple[tuple[Stamp | None, ...], tuple[Path, ...]]] = {}
-"""Compute `with_dependencies`."""
+"""The results of `with_dependencies`."""
 
 
 def _stamps(files: Iterable[Path]) -> tuple[Stamp | None, ...]:

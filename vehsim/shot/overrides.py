@@ -26,9 +26,9 @@ def apply_overrides(data: Any, overrides: Sequence[str]) -> None:
 
 def assign(data: Any, key: str, value: Any) -> None:
     """Write ``value`` under a key such as ``vehicle.heli.motion.cost``. Raises ``ShotError``."""
-    *way, last = _steps(key)
+    *parents, last = _steps(key)
     table: Any = data
-    for step in way:
+    for step in parents:
         table = _enter(table, step, key)
     try:
         table[last if isinstance(table, dict) else int(last)] = value

@@ -136,7 +136,7 @@ class Shot:
         return Shot(file, self.folder, self.source, self._lines).without((*self.left_out, *left))
 
     def without(self, names: Sequence[str]) -> Shot:
-        """The same shot, of which vehicles called ``names`` were left out: what was delivered of them stays."""
+        """The same shot, recording that vehicles called ``names`` were left out: their delivered files stay."""
         shot = copy.copy(self)
         shot.left_out = tuple(names)
         return shot

@@ -22,7 +22,7 @@ TOLERANCE = 1e-12
 DEGREE = 64
 """Degree of the polynomial that evens the pace of one cycle."""
 TURNING = 0.4
-"""Share of its greatest demand below which an even law slows down: where both inputs pass through zero, a car stops
+"""Share of its largest rate below which an evened law slows down: where both inputs pass through zero, a car stops
 gently."""
 NEWTON = 40
 """Maximum number of Newton steps; from the nearest of many samples three or four suffice."""
@@ -56,10 +56,10 @@ def _barycentric(nodes: Array, values: Array, s: Array) -> Array:
 
 
 def even(law: Law, bounds: Array, cycles: int = 1) -> Law:
-    """The same path at another pace: all along, one input or another is about equally near its bound (m,).
+    """The same path at a more even pace: at all times some input is about equally near its bound (m,).
 
-    The pace is the reciprocal of a polynomial and its integral is exact, so the path is as well. A law that asks too
-    unevenly for a polynomial stays as it is.
+    The pace is the reciprocal of a polynomial and its integral is exact, so the path is as well. A law too uneven for a
+    polynomial is returned unchanged.
     """
 
     def demand(s: Array) -> Array:

@@ -1,7 +1,7 @@
-"""Boxes and wheels as a USD asset, for a vehicle that has none yet: enough to see it move and to rig it further.
+"""Boxes and wheels as a USD asset, for a vehicle without one: enough to see it move and to rig it further.
 
 `with_primitives(vehicle, folder, parts)` writes the asset and returns the vehicle rigged to it; without ``parts`` it
-makes a box with a wheel for every channel. A real asset takes its place through a ``vehicle.toml`` or a `Rig`.
+makes a box with a wheel for every channel. A ``vehicle.toml`` or a `Rig` can later refer to a real asset instead.
 """
 
 from __future__ import annotations
@@ -145,7 +145,10 @@ def _material(stage: Any, root: str, colour: Numbers) -> Any:
 
 
 def _write_mesh(stage: Any, path: str, points: Array, faces: Array, colour: Numbers, material: Any) -> None:
-    """Flat-shaded: a point and a normal for every corner of every face. A repeated last corner makes a triangle."""
+    """Write a flat-shaded mesh: a point and a normal for every corner of every face.
+
+    A repeated last corner makes a triangle.
+    """
     from pxr import Gf, UsdGeom, UsdShade, Vt
 
     corners = [list(dict.fromkeys(face.tolist())) for face in faces]

@@ -109,9 +109,11 @@ class World:
         return self.wind if self.gusts is None else self.gusts.at(self.wind, t)
 
     def environment(self, vehicle: Any, alone: bool = True, start_time: float = 0.0) -> Environment | None:
-        """All in this world that pushes ``vehicle`` from outside, None when nothing does; without contact unless
-        ``alone``: what touches each other is asked together (`vehsim.world.contact.ContactScene`). ``start_time``:
-        when its time is 0, s since frame 0."""
+        """Everything in this world that pushes ``vehicle`` from outside; None without any such force.
+
+        Contact is included only if the vehicle is ``alone``: vehicles that touch each other share one
+        `vehsim.world.contact.ContactScene`. ``start_time``: the time at which ``t`` is 0, s since frame 0.
+        """
         from vehsim.integrators.environment import Combined
 
         parts: list[Environment] = []
@@ -197,11 +199,12 @@ class World:
         ceiling: float | None = None,
         box: ArrayLike | None = None,
     ) -> Array:
-        """A path (k, 3) m from ``start`` to ``goal`` (3,) through free space, ``clearance`` m from all that stands.
+        """A path (k, 3) m from ``start`` to ``goal`` (3,) m through free space, ``clearance`` m from terrain and
+        obstacles.
 
-        ``box`` (2, 3) m: where to look. ``ceiling`` m bounds its height; by default it may fly a little higher than
-        start and goal, so that it follows the valleys. Raises ``InputError`` (an end in the rock) and ``SolveError``
-        (no path).
+        ``box`` (2, 3) m: the region to search. ``ceiling`` m bounds its height; by default it may be a little higher
+        than start and goal, so that it follows the valleys. Raises ``InputError`` (an end in the rock) and
+        ``SolveError`` (no path).
         """
         from vehsim.world.distance.route import find_route
 

@@ -119,7 +119,7 @@ class SinusoidMotion(Table):
         if not wrong:
             yield from self._check_joints(vehicle)
         if not flies:
-            yield from self._check_way(vehicle, setting)
+            yield from self._check_durations(vehicle, setting)
         if flies and self.mark[0].heading != self.mark[-1].heading:
             remedy = f"give {self.mark[0].heading:g}: its leg turns it about its own Y axis only"
             yield Problem(
@@ -142,7 +142,7 @@ class SinusoidMotion(Table):
                     remedy = f"give {reach[name][0]:.4g} to {reach[name][1]:.4g}"
                     yield Problem(key, "beyond its limits", remedy, value)
 
-    def _check_way(self, vehicle: Vehicle, setting: Setting) -> Iterator[Problem]:
+    def _check_durations(self, vehicle: Vehicle, setting: Setting) -> Iterator[Problem]:
         """A vehicle on wheels has at least the time for the straight path; otherwise every manoeuvre is tried, to find
         possible frames. Trailers use legs that contain no sinusoids."""
         rig = self._rig(vehicle)
@@ -152,8 +152,8 @@ class SinusoidMotion(Table):
             if a.frame == "free" or b.frame == "free" or b.frame <= a.frame + a.hold:
                 continue
             # the axle, not the root, is steered
-            way = float(np.linalg.norm(self._state(b, rig)[:2] - self._state(a, rig)[:2]))
-            short = short or way / speed > float((b.frame - a.frame - a.hold) / setting.fps) * (1 + 1e-6)
+            distance = float(np.linalg.norm(self._state(b, rig)[:2] - self._state(a, rig)[:2]))
+            short = short or distance / speed > float((b.frame - a.frame - a.hold) / setting.fps) * (1 + 1e-6)
         if short:
             try:
                 late = self._legs(vehicle, setting, lambda what, done: None)[2]

@@ -1,5 +1,7 @@
-"""Routes of a train between straight poses of its last axle, as poses in a row: at once, past the goal and back, round
-bends. Geometry alone: the legs between the poses are `train.py`'s, which route is taken is chosen in `trailers.py`.
+"""Routes of a train between straight poses of its last axle, as sequences of poses.
+
+A route is direct, goes past the goal and back, or around bends. This module is geometry only: `train.py` makes the legs
+between the poses, and `trailers.py` chooses a route.
 """
 
 from __future__ import annotations
@@ -24,7 +26,8 @@ Step = tuple[Pose, Pose, str]
 
 
 def crossings(train: Train, a: Pose, b: Pose) -> Iterator[list[Step]]:
-    """Routes between straight poses: at once, round bends forwards, or by a turning point in line with one of them."""
+    """Routes between straight poses: direct, around bends forwards, or through a turning point in line with one of
+    them."""
     dx, dy, _ = b.within(a)
     turn = float((b.heading - a.heading + np.pi) % TAU - np.pi)
     if np.hypot(dx, dy) < 1e-9 and abs(turn) < 1e-9:
@@ -50,7 +53,7 @@ def span(a: Pose, b: Pose) -> float:
 
 
 def _direct(train: Train, steps: list[Step]) -> Iterator[list[Step]]:
-    """The steps; none if one is too short for a train."""
+    """The steps as one route; no route if one of them is too short for a train."""
     if all(abs(span(a, b)) > 0.3 * train.length for a, b, _ in steps):
         yield steps
 

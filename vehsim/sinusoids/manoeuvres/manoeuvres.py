@@ -29,9 +29,8 @@ TRIALS = 16
 
 @dataclass(frozen=True, eq=False)
 class Manoeuvre:
-    """One alternative from start to goal: ``number`` from 1, as fast as the limits let it; ``clearance`` m, inf in the
-    open.
-    """
+    """One alternative from start to goal, as fast as the limits permit: its ``number``, from 1, and ``clearance`` m,
+    inf without obstacles."""
 
     number: int
     steering: Steering

@@ -27,17 +27,17 @@ TAU = 2 * np.pi
 SHARPEST = 1.3
 """Hitch and steering angles of a chosen path stay below this, rad; a right angle is singular."""
 AMPLIFIED = 3e3
-"""How much reversing may amplify errors on a chosen route."""
+"""Largest amplification of errors by reversing on a chosen route."""
 GAIN = 4e3
-"""How much all of a route may, its length among it, where another does less."""
+"""Largest amplification of errors by a whole route, unless every alternative has more."""
 FOLDED = 20.0
 """Largest ratio between the path lengths of the car and the last axle."""
 FAR = 15
-"""A route of this many train lengths costs twice its length: what the steering is off by grows with its square."""
+"""A route of this many train lengths costs twice its length, because errors of the steering grow with its square."""
 SHORT = 0.3
-"""A leg of fewer lengths of the train is no place to fix what those before it are off by."""
+"""On legs shorter than this many train lengths, errors of earlier legs are not corrected."""
 CHUNK = 24
-"""Routes whose angles are looked at together."""
+"""Number of routes whose angles are computed together."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,10 +72,10 @@ def steer_trailers(
 ) -> Steering:
     """Steer a car with ``len(hitches)`` trailers from ``start`` to ``goal``: x, y, phi, theta0, .. (`models.trailers`).
 
-    ``speed`` of the front wheels, m/s, where legs join; ``via``: straight poses of the last axle on the way;
-    ``steering``, ``hitch``: largest angles on the way, rad. The goal's headings are determined up to full turns;
-    `Steering.goal` gives them. Raises ``InputError`` naming a hitch at a right angle, where the system is singular, and
-    ``SolveError`` if no choice of legs avoids right angles.
+    ``speed`` of the front wheels, m/s, where legs join; ``via``: intermediate straight poses of the last axle;
+    ``steering``, ``hitch``: largest angles, rad. The goal's headings are determined up to full turns; `Steering.goal`
+    gives them. Raises ``InputError`` naming a hitch at a right angle, where the system is singular, and ``SolveError``
+    if no choice of legs avoids right angles.
     """
     (route,) = trailer_routes(
         hitches, start, goal, wheelbase=wheelbase, speed=speed, via=via, steering=steering, hitch=hitch, count=1
@@ -106,7 +106,7 @@ def trailer_routes(
     limits = (min(SHARPEST, steering or np.inf), min(SHARPEST, hitch or np.inf))
     # an error in steering alone grows to D^2 / 2 wheelbases at a goal D m away
     gain = max(GAIN, float(np.sum((q1[:2] - q0[:2]) ** 2)) / wheelbase)
-    for kinds in (count, count + 6):  # gentle routes, and where all of those miss or amplify errors, others
+    for kinds in (count, count + 6):  # gentle routes first; if all of them miss the goal or amplify errors, others
         choices = _choose(system, train, q0, q1, via, limits, kinds)
         routes, missed = _driven(system, q0, q1, choices, speed, count, gain)
         if routes and _gain(routes[0]) < gain:
@@ -126,7 +126,10 @@ def _driven(
     count: int,
     most: float,
 ) -> tuple[list[Steering], SolveError | None]:
-    """The first ``count`` routes that end at the goal, any that amplify errors too much last; why another does not."""
+    """The first ``count`` routes that end at the goal, and the error of one that does not.
+
+    Routes that amplify errors by more than ``most`` come last.
+    """
     found: list[tuple[float, Steering]] = []
     missed = None
     for legs in choices:
@@ -144,9 +147,9 @@ def _driven(
 
 
 def _gain(route: Steering) -> float:
-    """The largest growth of an error of one state, anywhere on the way, into an error of another at the end.
+    """The largest factor by which an error of one state at any time grows into an error of another at the end.
 
-    From the motion linearised halfway between samples.
+    It is computed from the motion linearised halfway between samples.
     """
     x, t = route.states, route.times
     h, u = np.diff(t), route.inputs((t[:-1] + t[1:]) / 2)
@@ -263,9 +266,9 @@ def _pull(system: DriftlessSystem, q: Array, length: float) -> _Pull:
 
 
 def _joined(system: DriftlessSystem, q: Array, legs: Sequence[Leg | _Pull]) -> list[Leg | _Pull]:
-    """Every leg from where those before it lead, to the last digit: what round-off adds is not carried on.
+    """The legs, each starting exactly where those before it lead, so that round-off does not accumulate.
 
-    Short ones only pass it on: to fix it there takes high derivatives times powers of one over their length.
+    Short legs only pass an offset on: correcting it there takes high derivatives times negative powers of their length.
     """
     joined: list[Leg | _Pull] = []
     for k, leg in enumerate(legs):
@@ -282,7 +285,7 @@ def _length(poses: Sequence[Pose]) -> float:
 
 
 def _bending(route: Sequence[Leg | _Pull], limits: tuple[float, float]) -> float:
-    """What the sharp angles of a route cost, m; infinite beyond the ``limits`` of steering and hitches."""
+    """Cost of the sharp angles of a route, m; inf beyond the ``limits`` of steering and hitches."""
     return float(_bendings([[leg for leg in route if isinstance(leg, Leg)]], limits)[0])
 
 
@@ -300,9 +303,10 @@ def _bendings(routes: Sequence[Sequence[Leg]], limits: tuple[float, float]) -> A
 
 
 def _least(train: Train, spans: Sequence[float]) -> float:
-    """What a route of legs over ``spans`` m costs however gentle it is, m: its length and its reversing.
+    """Lower bound, m, on the cost of a route of legs over ``spans`` m, from its length and its reversing.
 
-    Reversing a distance r multiplies errors by about ``e^(r/d) (r/d)^(N-1) / (N-1)!``, infinite beyond `AMPLIFIED`.
+    Reversing a distance r multiplies errors by about ``e^(r/d) (r/d)^(N-1) / (N-1)!``; the cost is inf beyond
+    `AMPLIFIED`.
     """
     total, back = sum(abs(x) for x in spans), -sum(x for x in spans if x < 0)
     total += total**2 / (FAR * train.length)

@@ -28,9 +28,8 @@ SAMPLES = 49
 PACE = 12
 """Degree of the polynomial that evens the pace on a leg; a higher degree oscillates."""
 TURNED = 0.5
-"""Wheelbases of path on which a straightening leg turns the wheels no further than its largest angle: else they quiver,
-and an integrator of the highest order may step over it.
-"""
+"""Wheelbases of path over which a straightening leg may turn the wheels by at most its largest angle: otherwise they
+oscillate, and an integrator of the highest order may step over it."""
 IN_LINE = 1e-11
 """Poses with a smaller lateral offset, m and rad, are in line: round-off would otherwise turn the wheels on a short
 leg."""
@@ -254,9 +253,9 @@ def sharpness(legs: Sequence[Leg]) -> Array:
 def straighten(train: Train, q: Array, spans: Sequence[float], label: str) -> list[Leg]:
     """Legs from state ``q`` over ``spans`` m (backwards if negative) to a straight train.
 
-    In the axes of the last trailer: the polynomial with the derivatives of ``q`` at one end, and vanishing derivatives
-    from the second to the (N + 3)rd at the other, whose largest angles are smallest to first order, turned gently
-    (`TURNED`).
+    In the axes of the last trailer, a leg is a polynomial with the derivatives of ``q`` at one end, and vanishing
+    derivatives from the second to the (N + 3)rd at the other. Of these, it has the smallest largest angles to first
+    order, with slowly turning wheels (`TURNED`).
     """
     frame = last_axle(train, q)
     known = derivatives(train, q, frame)
@@ -344,10 +343,10 @@ def _sampled(degree: int, order: int) -> Array:
 
 @lru_cache
 def _linear_angles(train: Train) -> Array:
-    """Hitch angles from the last, the steering angle and its change over `TURNED`, as combinations (N + 2, N + 4) of
-    ``y .. y^(N+3)``, for small ones.
+    """Hitch angles from the last, the steering angle and its change over `TURNED`, linearised.
 
-    An axle ``d`` ahead is at ``y + d y'``, so every one multiplies by ``1 + d D``.
+    They are combinations (N + 2, N + 4) of ``y .. y^(N+3)``. An axle ``d`` ahead is at ``y + d y'``, so each axle
+    multiplies by ``1 + d D``.
     """
     ahead, rows = np.array([1.0]), []
     for d in (*train.hitches[::-1], train.wheelbase):

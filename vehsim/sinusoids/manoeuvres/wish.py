@@ -1,4 +1,4 @@
-"""What an animator can ask of the sinusoids, and the alternatives that a vehicle offers."""
+"""The options of steering by sinusoids, and the alternatives that a vehicle offers."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ Alternative = tuple[str, Callable[[], Steering]]
 
 @dataclass(frozen=True)
 class Wish:
-    """What an animator asks of the sinusoids; for what is None there are several alternatives.
+    """The user's options for the sinusoids; an option that is None leaves several alternatives.
 
-    ``amplitude``: of the slow sinusoid, m driven to and fro, or rad the leg swings, its sign the side it begins on;
-    ``cycles``: how often; ``phase``: rad, where it begins. ``limits``: input or state -> largest size, SI.
+    ``amplitude`` of the slow sinusoid: m driven to and fro, or rad by which the leg swings; its sign is the initial
+    direction. ``cycles``: the number of its periods; ``phase``: its start, rad. ``limits``: input or state -> largest
+    absolute value, SI.
     """
 
     amplitude: float | None = None

@@ -1,6 +1,6 @@
-"""Channels that follow the joints alone, such as a steered wheel's angle: what they show of them, and how to read it.
+"""Channels that depend only on joints, such as a steered wheel's angle: their values, and joints computed from them.
 
-What belongs here knows laws and arrays, and no clip and no stage.
+This module knows laws and arrays, but neither clips nor stages.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 POINTS = 33
-"""Samples of a law that is not linear."""
+"""Number of samples of a law that is not linear."""
 BEYOND = 0.1
-"""How far samples go on beyond the range that is needed, as a share of it."""
+"""How far samples extend beyond the needed range, as a share of it."""
 
 
 def joint_channels(vehicle: Vehicle, joints: Array) -> dict[str, Array]:
-    """Values (n,) of the channels whose laws depend on nothing but the joints (n, s), rad or m."""
+    """Values (n,) of the channels whose laws depend only on the joints (n, s), rad or m."""
     names, function, _ = _kept_laws(vehicle)
     values = np.asarray(function(joints.T), float).reshape(len(names), len(joints)) if names else ()
     return dict(zip(names, values, strict=True))
 
 
 def readings(vehicle: Vehicle, joints: Array) -> dict[str, tuple[str, Array, Array]]:
-    """How the joints of a motion (n, s) can be read from driven channels: joint -> (channel, values, joint's values).
+    """Tables from which the joints of a motion (n, s) can be read: joint -> (channel, values, joint's values).
 
-    The channel rises or falls strictly with that joint alone. Values (k,) rise: linear laws need two, others are
-    sampled over the joint's range. A joint without such a channel is left out.
+    The channel rises or falls strictly with that joint and depends on no other. Values (k,) increase: linear laws need
+    two samples, others are sampled over the joint's range. A joint without such a channel is left out.
     """
     if vehicle.rig is None:
         return {}
@@ -58,7 +58,7 @@ def readings(vehicle: Vehicle, joints: Array) -> dict[str, tuple[str, Array, Arr
 
 
 def _kept_laws(vehicle: Vehicle) -> tuple[list[str], Any, list[list[int]]]:
-    """`_laws`, built once."""
+    """`_laws`, built once and cached."""
     built = vehicle.__dict__.setdefault("_functions", {})
     if "joint channels" not in built:
         built["joint channels"] = _laws(vehicle)
@@ -67,7 +67,8 @@ def _kept_laws(vehicle: Vehicle) -> tuple[list[str], Any, list[list[int]]]:
 
 
 def _laws(vehicle: Vehicle) -> tuple[list[str], Any, list[list[int]]]:
-    """Names of the channels that follow joints, their laws as one function of the joints, and which joints each has."""
+    """Names of the channels that follow joints, their laws as one function of the joints, and the joints in each
+    law."""
     r = ca.SX.sym("r", len(vehicle.joints))
     t, u, xi = ca.SX.sym("t"), ca.SX.sym("u", len(vehicle.joints)), ca.SX.sym("xi", vehicle.group.dim)
     c = ca.SX.sym("c", len(vehicle.controls))

@@ -72,7 +72,7 @@ class Nonholonomic(Vehicle):
         return charts[pivots]
 
     def soundness(self, r: Any) -> float:
-        """How far the eliminated columns are from singular at joints ``r`` (s,), from 0 (singular) to 1."""
+        """Distance of the eliminated columns from singularity at joints ``r`` (s,), from 0 (singular) to 1."""
         w = _numeric(self.bound, np.asarray(r, float))
         if not self.pivots or w.shape[1] == len(w) + 1:
             return 1.0

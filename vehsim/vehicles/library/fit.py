@@ -1,7 +1,6 @@
-"""Check that ``vehicle.toml`` and its asset describe one vehicle: lengths, mass and nose, measured on the asset's
-parts.
+"""Check that ``vehicle.toml`` and its asset describe one vehicle: lengths, mass and direction of the nose.
 
-This module measures and compares; `shot/checks.py` reports.
+This module measures the asset's parts and compares; `shot/checks.py` reports.
 """
 
 from __future__ import annotations
@@ -122,7 +121,7 @@ def _lengths(rig: Rig, shape: _Shape, physics: dict[str, Any]) -> Iterator[Probl
     if sizes := [float(np.ptp(p[:, 2])) / 2 for p in rolls if len(p)]:
         yield from _compare("wheel_radius", physics, float(np.median(sizes)), "its wheels have a radius of")
     if axles := _axles(rig, shape):
-        yield from _compare("wheelbase", physics, axles[0] - axles[1], "its axles are apart by")
+        yield from _compare("wheelbase", physics, axles[0] - axles[1], "its axles have a distance of")
     for key, channel, axis, sign in (("d_t", "main_rotor", 2, 1), ("d_r", "tail_rotor", 0, -1)):
         for place in shape.centres(rig, [channel]):
             far = float(sign * (place - origin)[axis])
@@ -151,7 +150,7 @@ def _mass(rig: Rig, shape: _Shape, physics: dict[str, Any]) -> Iterator[Problem]
     density = mass / shape.volume
     if DENSITY[0] <= density <= DENSITY[1]:
         return
-    message = f"over the {shape.volume:.3g} m^3 of its hulls that is {density:.3g} kg/m^3"
+    message = f"divided by the {shape.volume:.3g} m^3 of its hulls, this is {density:.3g} kg/m^3"
     low, high = DENSITY[0] * shape.volume, DENSITY[1] * shape.volume
     remedy = f"give kg: {low:.2g} to {high:.2g} is usual, or physics.density to have it measured"
     possible = POSSIBLE[0] <= density <= POSSIBLE[1]

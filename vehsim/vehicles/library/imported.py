@@ -249,7 +249,7 @@ def _warn_of_motion(path: Path, data: bytes) -> None:
     found = [f"{len(scene[key])} {key}" for key in ("animations", "skins") if scene.get(key)]
     if found:
         remedy = "export the asset as USD to keep its motion"
-        warnings.warn(f"{path}: has {' and '.join(found)}, read is how it stands at rest; {remedy}", stacklevel=2)
+        warnings.warn(f"{path}: has {' and '.join(found)}; only its rest pose is read; {remedy}", stacklevel=2)
 
 
 def _read_obj(path: Path) -> Any:

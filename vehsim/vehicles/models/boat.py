@@ -1,7 +1,7 @@
-"""The boat of LIE 4.3.2: a hull in water, pushed by thrusters or an outboard that steers, and the wind.
+"""The boat of LIE 4.3.2: a hull in water with thrusters or a steered outboard, and wind.
 
-On SE(3) it is a rigid body under gravity, and the world's water does the rest (`Hull`). Its ``planar`` self glides on
-calm water on SE(2), with the same thrusters, rudder, wind, added mass and resistance in closed form.
+On SE(3) it is a rigid body under gravity, and the world's water acts on it (`Hull`). Its ``planar`` form glides on calm
+water on SE(2), with the same thrusters, rudder, wind, added mass and resistance in closed form.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def boat(
     along = ca.DM([*map(float, rudder)])
 
     def propulsion(c: Expr, flow: Expr, immersion: Expr) -> Expr:
-        """Thrust of every propeller as far as it is in the water, and the rudder's lift in the flow."""
+        """Thrust of every propeller, reduced when it comes out of the water, and the rudder's lift in the flow."""
         angle = c[len(places)] if steered else 0.0
         turn = angle if outboard else 0.0
         wrench = ca.SX(6, 1)
@@ -90,7 +90,7 @@ def boat(
         if rudder_area > 0:
             depth = sum((immersion[k] for k in range(len(places))), ca.SX(0)) / len(places)
             local = flow[3:6] + ca.cross(flow[0:3], along)
-            # lift across the fin, area times slope times speed times the speed across it; no stall, no drag of its own
+            # lift across the fin: area times slope times speed times the lateral speed; no stall and no drag
             fin = ca.vertcat(ca.sin(angle), ca.cos(angle), 0)
             speed = ca.sqrt(local[0] ** 2 + local[1] ** 2 + 1e-4)
             force = -0.5 * SEA_WATER * rudder_area * rudder_slope * depth * speed * ca.dot(local, fin) * fin
@@ -105,7 +105,8 @@ def boat(
         return ca.vertcat(ca.cross(at, force), force)
 
     def resistance(twist: Expr) -> Expr:
-        """`Hull`'s, of the upright hull: what turns about Z meets the water sideways, at its distance."""
+        """`Hull`'s resistance for the upright hull; in a rotation about Z, patches move sideways in proportion to their
+        distance."""
         speed = ca.sqrt(twist[1] ** 2 + twist[2] ** 2 + (wetted_radius * twist[0]) ** 2 + 1e-6)
         ahead, across = (damping[i] + speed * (damping_quadratic[i] + impact_drag[i]) for i in (0, 1))
         side = -across * (twist[2] + wetted_centre * twist[0])
@@ -162,5 +163,5 @@ def _level(twist: Expr) -> Expr:
 
 
 def _flat(wrench: Expr) -> Expr:
-    """What of a wrench (6,) acts in the plane: (yaw, x, y)."""
+    """The planar components (yaw, x, y) of a wrench (6,)."""
     return wrench[2:5]

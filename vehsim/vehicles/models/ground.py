@@ -1,4 +1,4 @@
-"""What vehicles on the plane share: gravity along a slope, and the wheels of a car."""
+"""Parts shared by vehicles on the plane: gravity along a slope, and the wheels of a car."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def slope_energy(mass: float, slope: Sequence[float], ahead: float = 0.0) -> Cal
     rise_x, rise_y = (float(x) for x in slope)
     if rise_x == rise_y == 0:
         return None
-    # along the plane, of which the vehicle's coordinates are lengths
+    # component along the plane; the vehicle's coordinates are lengths along it
     weight = mass * GRAVITY / (1 + rise_x**2 + rise_y**2) ** 0.5
 
     def potential(g: Expr, r: Expr) -> Expr:

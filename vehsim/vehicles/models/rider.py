@@ -1,6 +1,6 @@
-"""A rider's legs: the angles at ankle and knee that bring each leg from a foot that turns to a hip that turns.
+"""A rider's legs: angles at ankle and knee that connect each turning foot to the turning hips.
 
-What belongs here is kinematics alone, in closed form, for channels and for the assets that are driven by them.
+This module is kinematics in closed form, for channels and for the assets that they drive.
 """
 
 from __future__ import annotations
@@ -27,10 +27,11 @@ class Legs:
     stance: float
 
     def angles(self, end: float, pelvis: Expr, foot: Expr) -> tuple[Expr, Expr, Expr]:
-        """(leg, shin, knee) [rad] of the front (``end`` = 1) or rear (-1) leg, pelvis and foot turned as given.
+        """(leg, shin, knee) [rad] of the front (``end`` = 1) or rear (-1) leg, for given rotations of pelvis and foot.
 
-        In the foot's frame the leg's plane is turned about Y by ``leg``, in it the shin about X by ``shin``, and the
-        thigh about the shin's X by ``knee``, so that the thigh ends in the hip joint and the knee bends over the toes.
+        In the foot's frame, ``leg`` rotates the leg's plane about Y; in that plane, ``shin`` rotates the shin about X,
+        and ``knee`` the thigh about the shin's X, so that the thigh ends at the hip joint and the knee bends over the
+        toes.
         """
         x = end * (self.spread * ca.cos(pelvis) - self.stance)
         y = end * self.spread * ca.sin(pelvis)

@@ -1,4 +1,4 @@
-"""A free rigid body: an inertia, gravity if asked for, and nothing that acts on it otherwise (LIE 3.3)."""
+"""A free rigid body: an inertia, optional gravity, and no other forces (LIE 3.3)."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ def snakeboard(
     legs = Legs(shin, thigh, hip_rise, hip_spread, half_length)
 
     def leg(end: float, which: int) -> Callable[..., Expr]:
-        """An angle of a leg, less what it is at rest."""
+        """An angle of a leg, relative to its value at rest."""
         rest = legs.angles(end, 0.0, 0.0)[which]
         return lambda t, r, u, xi, c: legs.angles(end, PELVIS * r[0], -end * r[1])[which] - rest
 

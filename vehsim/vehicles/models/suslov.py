@@ -1,4 +1,4 @@
-"""Suslov's problem: a rigid body about a fixed point that may not turn about one of its own axes."""
+"""Suslov's problem: a rigid body about a fixed point, which cannot rotate about one of its own axes."""
 
 from __future__ import annotations
 

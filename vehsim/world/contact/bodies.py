@@ -1,4 +1,4 @@
-"""The bodies of contact: vehicles, which yield, and moving obstacles, which do not, at an instant.
+"""The bodies of contact at an instant: vehicles, which yield, and moving obstacles, which do not.
 
 This module gives the place, velocity and compliance of their points; `contact.py` finds what they touch.
 """
@@ -75,7 +75,7 @@ class Led:
         first, last = clip.times[[0, -1]]
         since = seconds - clip.start_frame / float(clip.fps)
         motion = clip.at(np.array([np.clip(since, first, last)]))
-        # otherwise it stands
+        # before and after its motion it stands still
         omega, v = (rows[0] if first <= since <= last else np.zeros(3) for rows in spatial(motion))
         self.position, self.orientation, self.v = motion.positions[0], motion.orientations[0], v
         self.omega = matrices(self.orientation) @ omega

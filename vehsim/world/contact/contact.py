@@ -136,7 +136,7 @@ class Event:
 class ContactScene:
     """Several vehicles' hulls, a world's obstacles and its terrain in one MuJoCo model.
 
-    ``start_time``: when ``t`` is 0, in s since frame 0, which is how moving obstacles tell the time.
+    ``start_time``: the time at which ``t`` is 0, in s since frame 0, for moving obstacles.
     """
 
     def __init__(self, vehicles: dict[str, Any], world: Any, contact: Contact, start_time: float = 0.0) -> None:

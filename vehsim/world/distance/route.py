@@ -37,9 +37,9 @@ def find_route(
 ) -> Array:
     """A path (k, 3) m from ``start`` to ``goal`` (3,) m that keeps ``clearance`` m from the rock of ``field``.
 
-    Where an end itself is nearer to the rock, the path leaves it as far away as it is. ``ceiling`` m bounds the height;
-    when None the lowest of `LIFTS` that has a path is taken. ``height`` (xy -> m) is used to explain errors. Raises
-    ``InputError`` when an end is in the rock, ``SolveError`` when there is no path.
+    Near an end that is closer to the rock, the path keeps only the clearance of that end. ``ceiling`` m bounds the
+    height; if None, the lowest of `LIFTS` with a path is used. ``height`` (xy -> m) is used to explain errors. Raises
+    ``InputError`` if an end is in the rock, ``SolveError`` if there is no path.
     """
     ends = np.stack([_point("start", start), _point("goal", goal)])
     if field is None or np.ptp(ends, axis=0).max() == 0:

@@ -1,4 +1,4 @@
-"""Vehicles on terrain: wheels, slopes, and what stands on what."""
+"""Vehicles on terrain: wheels, slopes, and landing."""
 
 from __future__ import annotations
 

@@ -64,7 +64,7 @@ def put_down(world: World, vehicle: Any, position: ArrayLike, orientation: Array
 
 
 def feet(vehicle: Any, count: int = 6) -> Array:
-    """Points (k, 3) m in the root's frame on which a vehicle stands, as far apart as possible."""
+    """Points (k, 3) m of the hulls, in the root's frame, on which a vehicle stands, as far apart as possible."""
     corners = np.vstack([np.zeros((0, 3)), *hulls_of(vehicle)])
     if not len(corners):
         return np.zeros((1, 3))

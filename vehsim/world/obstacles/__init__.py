@@ -1,4 +1,4 @@
-"""What stands or moves in the world, in three dimensions and seen from above."""
+"""Standing and moving obstacles, in three dimensions and in plan view."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""The articulated part of a footprint: what turns out of it as the vehicle moves, such as trailers, seen from above."""
+"""The articulated part of a footprint: parts such as trailers that turn out of it as the vehicle moves, in plan
+view."""
 
 from __future__ import annotations
 
@@ -18,8 +19,8 @@ from vehsim.world.obstacles.plane import distance
 Array = NDArray[np.float64]
 
 ASIDE = 0.3
-"""A part that leaves the footprint by less than this, m, when it turns by a radian, counts in its rest pose: a steered
-wheel. A part that leaves it farther is measured in its actual pose: a trailer."""
+"""Threshold, m per radian, of how far a part moves out of the footprint when it turns. Below it, the part counts in its
+rest pose: a steered wheel. Above it, it is measured in its actual pose: a trailer."""
 
 
 @dataclass(frozen=True)

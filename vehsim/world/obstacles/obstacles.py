@@ -129,7 +129,7 @@ class Moving:
         return Obstacle(self.name, (self.outline,), low, high, self.hulls, corners, np.zeros((0, 3), np.int64))
 
     def _times(self, seconds: Array) -> Array:
-        """Times of its clip (n,) s, at ``seconds`` (n,) since frame 0."""
+        """Times of its clip (n,) s at ``seconds`` (n,) since frame 0."""
         first = self.clip.start_frame / float(self.clip.fps)
         return np.asarray(np.clip(seconds - first, *self.clip.times[[0, -1]]))
 
