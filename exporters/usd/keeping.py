@@ -9,8 +9,9 @@ from typing import Any
 
 
 def keep_vehicles(earlier: Path, new: Path, names: Sequence[str]) -> Mapping[Path, bytes]:
-    """What the stage and the guides of the delivery ``new`` have to hold so that the vehicles ``names`` of the
-    ``earlier`` one stay; their layers are brought along by others.
+    """The content of those files of the delivery ``new`` that must also show the vehicles ``names`` of ``earlier``.
+
+    These are the stage and the guides. The vehicles' layers are brought along by other code.
     """
     shot = earlier.name
     with TemporaryDirectory() as folder:

@@ -276,13 +276,13 @@ def test_nothing_is_asked_off_a_grid():
     grids = WaterGrids([0.0, 1.0], np.zeros((2, 4, 4)), np.ones((2, 4, 4, 3)), (0.0, 0.0), (1.0, 1.0))
     water = Water(surface=grids)
     np.testing.assert_allclose(water.velocity([[1.5, 1.2, 0.0]], 0.5), 1)
-    with pytest.raises(SolveError, match=r"off the grid \[0.0, 0.0\] to \[3.0, 3.0\]"):
+    with pytest.raises(SolveError, match=r"outside the grid, \[0.0, 0.0\] to \[3.0, 3.0\]"):
         water.height([[1.0, 3.5]], 0.5)
-    with pytest.raises(SolveError, match=r"asked at 2.000 s, but they cover 0.000 to 1.000 s"):
+    with pytest.raises(SolveError, match=r"queried at 2.000 s, but they cover 0.000 to 1.000 s"):
         water.height([[1.0, 1.0]], 2.0)
     field = WaterField(Water(), cell=0.5, samples=9)
     field.update(0.0, (10.0, 0.0), (11.0, 1.0))
-    with pytest.raises(SolveError, match=r"off its \[9.5, -0.5\] to \[11.5, 1.5\]"):
+    with pytest.raises(SolveError, match=r"outside its \[9.5, -0.5\] to \[11.5, 1.5\]"):
         field.heights([[0.0, 0.0]])
     with pytest.raises(SolveError, match="13 samples per side, at most 9 are possible"):
         field.update(0.0, (10.0, 0.0), (15.0, 1.0))
@@ -303,7 +303,7 @@ def test_a_boat_rides_a_solvers_grids_from_the_first_to_the_last():
     )
     assert np.abs(seen.positions - known.positions).max() < 0.01
     for cell in (None, 0.0):
-        with pytest.raises(SolveError, match=r"off the grid \[-9.0, -6.0\] to \[10.75, 6.0\]; enlarge it"):
+        with pytest.raises(SolveError, match=r"outside the grid, \[-9.0, -6.0\] to \[10.75, 6.0\]; enlarge it"):
             edge = State(position=(9.0, 0.0, 0.0))
             vehsim.simulate(boat, World(water=replace(water, height_field=cell)), None, edge, duration=0.1)
 

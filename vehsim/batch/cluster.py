@@ -38,7 +38,7 @@ def run_on_dask(tasks: Sequence[Task], address: str, count: int, tell: Tell) -> 
         }
         for future in as_completed(futures):
             yield _outcome(future, futures[future])
-    for task in tasks:  # files that killed workers left beside clips that others have made since
+    for task in tasks:  # delete files that killed workers left beside clips that other workers have finished since
         clean_up(task.target)
 
 

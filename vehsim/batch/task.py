@@ -26,17 +26,18 @@ Tell = Callable[[str, str, str, float], None]
 
 RENDERING = ("frames", "film", "contact")
 """First words of the progress of pictures and films."""
-MEMORY_MEND = "give it fewer segments or pixels, or the worker more memory"
+MEMORY_REMEDY = "give it fewer segments or pixels, or the worker more memory"
 _ONE_AT_A_TIME = threading.Lock()
 
 
 @dataclass(frozen=True)
 class Task:
-    """A clip to be exported to ``out/<name>/``. ``shot``: a shot file's data; ``inputs``: the hash of all it needs.
+    """A clip to be exported to ``out/<name>/``.
 
-    ``field``: it needs the distance field of this terrain (by hash), which is measured once for all. ``checked``: the
-    shot was, with these inputs. ``cached``: motion that was solved before is taken from the cache. ``left_out``: the
-    vehicles of the shot that are not exported.
+    ``shot``: a shot file's data; ``inputs``: the hash of everything that determines the clip. ``field``: the hash of a
+    terrain whose distance field the clip needs, and which is measured once for all clips. ``checked``: whether the shot
+    was checked with these inputs. ``cached``: whether motion may come from the cache. ``left_out``: the vehicles of the
+    shot that are not exported.
     """
 
     name: str
@@ -122,21 +123,23 @@ def run_task(task: Task, tell: Tell) -> Outcome:
         try:
             outcome = _work(task, tell)
         except MemoryError:
-            outcome = Outcome(task.name, "failed", "MemoryError", f"it ran out of memory; {MEMORY_MEND}", retire=True)
+            outcome = Outcome(task.name, "failed", "MemoryError", f"it ran out of memory; {MEMORY_REMEDY}", retire=True)
         except VehsimError as error:
             outcome = Outcome(task.name, "failed", type(error).__name__, str(error))
         except Exception as error:
             message = f"unexpected: {type(error).__name__}: {error}; this is an error in vehsim"
             outcome = Outcome(task.name, "failed", type(error).__name__, message, detail=traceback.format_exc())
             if _starved(error):
-                message = f"it ran out of memory ({type(error).__name__}: {error}); {MEMORY_MEND}"
+                message = f"it ran out of memory ({type(error).__name__}: {error}); {MEMORY_REMEDY}"
                 outcome = replace(outcome, message=message, kind="MemoryError", retire=True)
     return replace(outcome, seconds=time.perf_counter() - began, warnings=tuple(dict.fromkeys(said)))
 
 
 def _starved(error: Exception) -> bool:
-    """Whether the error means a lack of memory in other words, as those of C++, the library loader, and extensions
-    without a result."""
+    """Whether the error means a lack of memory without being a `MemoryError`.
+
+    C++, the library loader, and extensions that return no result report it in other words.
+    """
     words = ("bad_alloc", "annot allocate memory", "failed to map segment")
     return isinstance(error, SystemError) or any(word in str(error) for word in words)
 

@@ -10,11 +10,11 @@ from functools import partial
 from multiprocessing.connection import Connection, wait
 from typing import Any, NamedTuple
 
-from vehsim.batch.task import MEMORY_MEND, Outcome, Task, Tell
+from vehsim.batch.task import MEMORY_REMEDY, Outcome, Task, Tell
 from vehsim.runtime.processes import Worker, end, start_server
 
 ATTEMPTS = 3
-"""How often a clip is started whose worker dies."""
+"""How often a clip is started if its workers die."""
 RESERVE = 16_000_000
 """Bytes of address space that a worker reserves for reporting that it ran out of memory."""
 
@@ -133,7 +133,7 @@ def _run(run_task: Any, task: Task, tell: Tell) -> Outcome:
         return outcome
     except MemoryError:
         aside.close()
-        return Outcome(task.name, "failed", "MemoryError", f"it ran out of memory; {MEMORY_MEND}", retire=True)
+        return Outcome(task.name, "failed", "MemoryError", f"it ran out of memory; {MEMORY_REMEDY}", retire=True)
 
 
 def _limit(gigabytes: float) -> None:

@@ -63,12 +63,12 @@ class Round:
 
 @dataclass(frozen=True)
 class Inspection:
-    """The result: ``keys`` of a vehicle.toml that turn the asset upright, ``said``: the reasons; all else in that
+    """The result: ``keys`` of a vehicle.toml that turn the asset upright, ``reasons``: the reasons; all else in that
     frame."""
 
     asset: Path
     keys: dict[str, Any]
-    said: dict[str, str]
+    reasons: dict[str, str]
     parts: list[Part]
     ready: Path
     wheels: list[Round]
@@ -85,21 +85,21 @@ def inspect(path: Path) -> Inspection:
     """Inspect a USD, GLB, glTF or OBJ file, or the asset of a vehicle's folder. Raises ``InputError``."""
     folder = path if path.is_dir() else None
     keys: dict[str, Any] = {}
-    said: dict[str, str] = {}
+    reasons: dict[str, str] = {}
     if folder is not None:
         path, keys = _of_folder(folder)
-        said = dict.fromkeys(keys, "vehicle.toml")
+        reasons = dict.fromkeys(keys, "vehicle.toml")
     if not path.is_file():
         raise InputError("no such file", "give a USD, GLB, glTF or OBJ file, or a vehicle's folder", file=path)
     if path.suffix.lower() == ".obj" and "up_axis" not in keys:
-        unit, why = _unit_of_obj(path), "an OBJ gives none: guessed from its"
-        said |= {"up_axis": f"{why} wheels", "meters_per_unit": f"{why} size"}
-        ways = [_stood(path, keys | {"up_axis": up, "meters_per_unit": unit}, said) for up in ("Y", "Z")]
-        return next((found for found in ways if found.wheels or found.rotors), ways[0])
-    return _stood(path, keys if "root" in keys else keys | _root(path), said)
+        unit, why = _unit_of_obj(path), "not given in an OBJ; guessed from its"
+        reasons |= {"up_axis": f"{why} wheels", "meters_per_unit": f"{why} size"}
+        options = [_stood(path, keys | {"up_axis": up, "meters_per_unit": unit}, reasons) for up in ("Y", "Z")]
+        return next((found for found in options if found.wheels or found.rotors), options[0])
+    return _stood(path, keys if "root" in keys else keys | _root(path), reasons)
 
 
-def _stood(path: Path, keys: dict[str, Any], said: dict[str, str]) -> Inspection:
+def _stood(path: Path, keys: dict[str, Any], reasons: dict[str, str]) -> Inspection:
     """The asset turned upright with its nose along X, and its parts that could turn."""
     from vehsim.rig.parts import read_parts
 
@@ -111,10 +111,10 @@ def _stood(path: Path, keys: dict[str, Any], said: dict[str, str]) -> Inspection
             parts = read_parts(asset, root)
             wheels, _ = _turning(parts, asset, root)
             forward, why = _forward(parts, up, sum((np.abs(wheel.axis) for wheel in wheels), np.zeros(3)))
-            keys, said = keys | {"forward": forward}, said | {"forward": why}
+            keys, reasons = keys | {"forward": forward}, reasons | {"forward": why}
         ready, root = _read(path, keys)
         parts = read_parts(ready, root)
-        return Inspection(path, keys, said, parts, ready, *_turning(parts, ready, root))
+        return Inspection(path, keys, reasons, parts, ready, *_turning(parts, ready, root))
 
 
 # ---------------------------------------------------------------- reading
@@ -255,25 +255,25 @@ def _words(path: str) -> set[str]:
 
 
 def _forward(parts: Sequence[Part], up: str, axles: Array) -> tuple[str, str]:
-    """Direction of the nose in the asset's own axes, and the reason; ``parts`` are upright, but not rotated otherwise.
+    """Direction of the nose in the asset's own axes, and the reason.
 
-    ``axles`` (3,): along which axes wheels turn, zeros if there are none.
+    ``parts`` are upright, but not rotated otherwise. ``axles`` (3,): the axes along which wheels turn; zeros without
+    wheels.
     """
     named = [(_all_words(part), _points(part).mean(0)) for part in parts if len(part.points)]
     front = [centre for words, centre in named if words & FRONT and not words & REAR]
     rear = [centre for words, centre in named if words & REAR and not words & FRONT]
     middle = np.mean([centre for _, centre in named], axis=0) if named else np.zeros(3)
     extent = np.ptp(np.concatenate([_points(part) for part in parts]), axis=0)[:2]
-    way = (np.mean(front, axis=0) if front else middle) - (np.mean(rear, axis=0) if rear else middle)
+    forward = (np.mean(front, axis=0) if front else middle) - (np.mean(rear, axis=0) if rear else middle)
     why = "parts are named front or rear"
-    if not (front or rear) or np.abs(way[:2]).max() < 0.05 * extent.max():
+    if not (front or rear) or np.abs(forward[:2]).max() < 0.05 * extent.max():
         long = int(np.argmin(axles[:2])) if axles.any() else int(np.argmax(extent))
-        way = AXES[long] * (-1 if up == "Y" and long == 1 else 1)
-        why = (
-            f"{'across its axles' if axles.any() else 'its longest side'}; no name says front or rear: may be the tail"
-        )
-    axis = int(np.argmax(np.abs(way[:2])))
-    positive = bool(way[axis] > 0)
+        forward = AXES[long] * (-1 if up == "Y" and long == 1 else 1)
+        side = "across its axles" if axles.any() else "its longest side"
+        why = f"{side}; no part is named front or rear: may be the tail"
+    axis = int(np.argmax(np.abs(forward[:2])))
+    positive = bool(forward[axis] > 0)
     letter = "X" if axis == 0 else "Y" if up == "Z" else "Z"
     if up == "Y" and axis == 1:  # after the asset is turned upright, +Z points along -Y
         positive = not positive
@@ -298,7 +298,7 @@ def report(found: Inspection) -> list[str]:
     scale = float(found.keys.get("meters_per_unit", scale))
     low, high = found.bounds
     size = " x ".join(f"{side:.3g}" for side in high - low)
-    unit = f"{scale:g} m" + ("" if authored else ", which nothing in the file says: USD's default")
+    unit = f"{scale:g} m" + ("" if authored else ", USD's default: the file gives no unit")
     lines = [
         f"{found.asset}",
         f"up axis   {up}{_because(found, 'up_axis')}",
@@ -318,12 +318,12 @@ def report(found: Inspection) -> list[str]:
 
 
 def _because(found: Inspection, key: str) -> str:
-    return f" ({found.said[key]})" if key in found.said else ""
+    return f" ({found.reasons[key]})" if key in found.reasons else ""
 
 
 def _turns(one: Round) -> str:
     centre = ", ".join(f"{x:.3g}" for x in one.centre + 0.0)
-    pivot = "" if one.pivoted else "; its prim has no pivot there"
+    pivot = "" if one.pivoted else "; the prim's own pivot is elsewhere"
     steer = "" if one.steer == one.spin else f"; steers at {one.steer}"
     return f"{one.spin}: centre ({centre}) m, radius {one.radius:.3g} m, about its own {one.op}{pivot}{steer}"
 
@@ -384,13 +384,13 @@ def vehicle_toml(found: Inspection, folder: Path) -> str:
     asset = Path(os.path.relpath(found.asset.resolve(), folder.resolve())).as_posix()
     name = re.sub(r"\W|^(?=\d)", "_", found.asset.stem, flags=re.ASCII)
     keys = {key: value for key, value in found.keys.items() if not (key == "forward" and value == "+X")}
-    stands = [f"{key} = {_toml(value)}{_comment(found.said.get(key))}" for key, value in keys.items() if value != ""]
+    stands = [f"{key} = {_toml(value)}{_comment(found.reasons.get(key))}" for key, value in keys.items() if value != ""]
     lowest = float(found.bounds[0, 2])
     if found.wheels and abs(lowest) > 0.01 * found.wheels[0].radius and "offset" not in keys:
         stands.append(f"offset = [0.0, 0.0, {_digits(-lowest)}]  # m: its wheels stand on the ground")
     head = [
-        f"# {name}: made by `vehsim inspect`, which took it for a {kind}. Lengths are measured on the asset;",
-        "# numbers with a question mark are usual for its size and worth correcting. Keys: docs/riggers-guide.md.",
+        f"# {name}: made by `vehsim inspect`, which identified a {kind}. Lengths are measured on the asset;",
+        "# numbers with a question mark are only typical for its size: correct them. Keys: docs/riggers-guide.md.",
         "schema = 1",
         f"name = {_toml(name)}",
         f"model = {_toml(model)}",
@@ -528,7 +528,7 @@ def _body(found: Inspection) -> tuple[str, str]:
         "rigid_body",
         f"""\
 origin = [{", ".join(_digits(x) for x in centre)}]  # centre of mass of its parts at one density, m ?
-# nothing was found that turns on the ground or above it: choose a model yourself, such as "boat" (docs/vehicles.md)
+# no wheels or rotors were found: choose a model yourself, such as "boat" (docs/vehicles.md)
 
 [physics]
 mass = {_digits(mass)}  # kg ?
@@ -588,7 +588,7 @@ def _channel(name: str, one: Round, steer: bool = False, up: bool = False) -> st
         letter, axis = one.up
     lines.append(f'op = "rotate{letter}"')
     if not one.pivoted:
-        lines.append(f"pivot = [{', '.join(_digits(x) for x in one.centre)}]  # m: the prim has none of its own there")
+        lines.append(f"pivot = [{', '.join(_digits(x) for x in one.centre)}]  # m: the prim's own pivot is elsewhere")
     if axis @ aim < 0:
         lines.append("factor = -1")
     return "\n".join(lines) + "\n"

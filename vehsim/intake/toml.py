@@ -80,7 +80,7 @@ def lines_of(text: str) -> dict[str, int]:
 
 @contextmanager
 def lines_in(path: Path) -> Iterator[None]:
-    """Add the lines to what is raised in here about the keys of the TOML file ``path``."""
+    """Add line numbers to the problems raised in this context about keys of the TOML file ``path``."""
     try:
         yield
     except VehsimError as error:

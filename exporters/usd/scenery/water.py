@@ -182,11 +182,11 @@ def _undisturbed(water: Any, xy: Array) -> Callable[[float], Array]:
         return lambda t: np.column_stack([xy, water.height(xy, t)])
     theta = xy @ waves.number.T + waves.phase
     cos, sin = np.cos(theta), np.sin(theta)
-    way = waves.number / np.hypot(*waves.number.T)[:, None]
+    direction = waves.number / np.hypot(*waves.number.T)[:, None]
 
     def at(t: float) -> Array:
         turn = np.exp(1j * waves.omega * t) * waves.amplitude  # cos(theta - w t), sin(theta - w t)
-        shift = waves.choppiness * way
+        shift = waves.choppiness * direction
         z = cos @ turn.real + sin @ turn.imag
         drift = sin @ (turn.real[:, None] * shift) - cos @ (turn.imag[:, None] * shift)
         return np.column_stack([xy - drift, water.level + z])

@@ -125,7 +125,7 @@ class WaterGrids:
         if len(self.times) < 2 or not self.times[0] - slack <= t <= self.times[-1] + slack:
             end = f"{self.times[0]:.3f} to {self.times[-1]:.3f} s"
             raise SolveError(
-                f"asked at {t:.3f} s, but they cover {end}", "simulate more of the liquid", key="world.water.grids"
+                f"queried at {t:.3f} s, but they cover {end}", "simulate more of the liquid", key="world.water.grids"
             )
         k = int(np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, len(self.times) - 2))
         span = float(self.times[k + 1] - self.times[k])
@@ -140,7 +140,9 @@ class WaterGrids:
             x, y = xy[np.flatnonzero(out)[0]]
             low, high = self.lower.round(3).tolist(), self.upper.round(3).tolist()
             raise SolveError(
-                f"asked at ({x:.2f}, {y:.2f}) m, off the grid {low} to {high}", "enlarge it", key="world.water.grids"
+                f"queried at ({x:.2f}, {y:.2f}) m, outside the grid, {low} to {high}",
+                "enlarge it",
+                key="world.water.grids",
             )
         col, row = (np.clip(a.astype(int), 0, n - 2) for a, n in ((u, cols), (v, rows)))
         u, v = u - col, v - row

@@ -127,7 +127,7 @@ class WaterField:
         if geoms.min(initial=0) < 0:
             x, y = points[geoms.argmin()]
             raise SolveError(
-                f"asked at ({x:.2f}, {y:.2f}) m, off its {np.round(self.low, 2).tolist()} to "
+                f"queried at ({x:.2f}, {y:.2f}) m, outside its {np.round(self.low, 2).tolist()} to "
                 f"{np.round(self.high, 2).tolist()}",
                 "move it with update()",
                 subject="water field",
