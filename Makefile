@@ -51,7 +51,7 @@ blender:
 	.blender/bin/python -m pip install --quiet bpy==5.0.1
 
 docs: setup
-	$(BIN)/python -m vehsim.shot.reference docs/shot-file.md
+	$(BIN)/python -m vehsim.shot.reference docs/shot-file.md docs/character.md
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 assets: setup

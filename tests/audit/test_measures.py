@@ -70,6 +70,14 @@ def steered() -> Clip:
     )
 
 
+def pulled() -> Clip:
+    """A car that stands while its first control rises by a tenth a second."""
+    clip = steered()
+    controls = clip.controls.copy()
+    controls[:, 0] = clip.times / 10
+    return replace(clip, controls=controls)
+
+
 def moved(clip: Clip, by: Any, sample: int | slice = slice(None)) -> Clip:
     positions = clip.positions.copy()
     positions[sample] += by
@@ -208,6 +216,11 @@ CASES = {
         ask("joint_rate", 1, 49, {"joint": "sigma"}, lower=0.099, upper=0.101),
         steered,
         lambda c: replace(c, joint_rates=1.05 * c.joint_rates),
+    ),
+    "control_rate": Case(
+        ask("control_rate", 1, 49, {"control": 0}, upper=0.101),
+        pulled,
+        lambda c: replace(c, controls=1.05 * c.controls),
     ),
     "look": Case(
         ask("look", wanted={"at": [0, 0, HEIGHT], "axis": 1, "sign": 1.0, "level": True}, upper=math.radians(0.05)),

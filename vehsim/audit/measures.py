@@ -212,6 +212,14 @@ def _joint_rate(track: Track, wanted: Wanted, scene: Scene) -> Array:
     return track.joint_rates[wanted["joint"]]
 
 
+def _control_rate(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """Rate of a control, either way, in its unit per second; nan where there are no controls, as on a stage."""
+    if track.controls is None or len(track.frames) < 2:
+        return np.full(len(track.frames), np.nan)
+    rates = np.abs(np.diff(track.controls[:, wanted["control"]]) / np.diff(track.seconds))
+    return np.append(rates, rates[-1])
+
+
 def _look(track: Track, wanted: Wanted, scene: Scene) -> Array:
     """Angle between a body axis and the direction to a point, rad."""
     shown = slice(0, 2 if wanted["level"] else 3)
@@ -395,6 +403,7 @@ MEASURES: Registry[Measure] = Registry(
         "steering_rate": _steering_rate,
         "joint": _joint,
         "joint_rate": _joint_rate,
+        "control_rate": _control_rate,
         "look": _look,
         "outside": _outside,
         "descent": _descent,

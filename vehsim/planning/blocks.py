@@ -5,6 +5,7 @@ from __future__ import annotations
 from vehsim.planning.constraints.block import Block
 from vehsim.planning.constraints.clearance import Clearance, SphereCover
 from vehsim.planning.constraints.dynamics import Dynamics, UnconstrainedJoints, UnitQuaternion
+from vehsim.planning.constraints.easing import Easing
 from vehsim.planning.constraints.landing import Landing
 from vehsim.planning.constraints.marks import Loop, MarkRows, closes_loop
 from vehsim.planning.constraints.obstacle_clearance import ObstacleClearance
@@ -24,7 +25,10 @@ def blocks_of(request: Request, transcription: Transcription, cover: SphereCover
     """
     marks, constraints = request.marks, request.constraints
     blocks: list[Block] = [Dynamics(marks)]
-    blocks.append(RunningCosts(request.weights, [term for term in constraints if term.aim is not None], marks))
+    aims, manner = [term for term in constraints if term.aim is not None], request.manner
+    weights, limits = manner.weights(request.weights), manner.without(request.limits)
+    blocks.append(RunningCosts(weights, aims, marks, limits, manner.control_rates, manner.price))
+    blocks.append(Easing(weights, manner, marks))
     blocks.append(UnitQuaternion())
     for i, mark in enumerate(marks):
         blocks.append(MarkRows(marks, i, closes_loop(marks, i, request.loop)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import casadi as ca
@@ -18,7 +18,7 @@ from vehsim.planning.problem.stage import segment_view
 from vehsim.planning.problem.transcription import Transcription
 from vehsim.planning.request.legs import knots_within
 from vehsim.planning.request.marks import Mark
-from vehsim.planning.terms import COSTS, Constraint, Cost, SegmentView, costs_of, weight_of
+from vehsim.planning.terms import COSTS, LIMITS, Constraint, Cost, SegmentView, costs_of, weight_of
 from vehsim.planning.trajectory import Trajectory
 
 
@@ -29,6 +29,13 @@ class RunningCosts(Block):
     weights: Mapping[str, float]
     aims: Sequence[Constraint]
     marks: Sequence[Mark]
+    limits: Mapping[str, float] = field(default_factory=dict)
+    """Limits that may be exceeded at a price, by name, SI."""
+    control_rates: Mapping[str, float] = field(default_factory=dict)
+    """The same of the rates of controls."""
+    price: float = 1.0
+    restrained: bool = False
+    """They count: a motion is found without them first, which most initial guesses are far from."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -36,7 +43,12 @@ class RunningCosts(Block):
         return costs_of(SegmentView, self.weights)
 
     def key(self, layout: Layout, transcription: Transcription) -> Hashable:
-        return "costs", self.names, self._aimed(layout).tobytes()
+        return "costs", self.names, self._exceeded, self._aimed(layout).tobytes()
+
+    @property
+    def _exceeded(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Names of limits, and of controls whose rates are limited."""
+        return (tuple(self.limits), tuple(self.control_rates)) if self.restrained else ((), ())
 
     def _aimed(self, layout: Layout) -> NDArray[np.bool_]:
         """Segments (n,) on which a constraint sets the heading."""
@@ -52,23 +64,54 @@ class RunningCosts(Block):
         without = tuple(name for name in names if name != "course")
         for some, segments in ((names, np.flatnonzero(~aimed)), (without, np.flatnonzero(aimed))):
             if len(segments) and some:
-                problem.add(cost_element(transcription, some), layout.segment(segments))
+                problem.add(cost_element(transcription, some, *self._exceeded), layout.segment(segments))
 
     def values(self, trajectory: Trajectory) -> Mapping[str, Any]:
-        return {weight_of(name): self.weights[name] for name in self.names}
+        values: dict[str, Any] = {weight_of(name): self.weights[name] for name in self.names}
+        values |= {_most(name): value for name, value in {**self.limits, **self.control_rates}.items()}
+        return values | {PRICE: self.price}
+
+    def resume(self, earlier: RunningCosts) -> RunningCosts:
+        return replace(self, restrained=earlier.restrained)
 
 
-def cost_element(transcription: Transcription, names: tuple[str, ...]) -> Element:
-    """The weighted costs of one segment: (x, x1, c0, c1, h)."""
+PRICE = "price of the character"
+EXCESS = 100.0
+"""What it costs to exceed a limit of a character by all of itself, a second, over the price of the character. Effort
+gains from it by a per cent or so; where the marks demand it, a motion goes as far as they do."""
+
+
+def _most(name: str) -> str:
+    """The name of the parameter that is a limit of the character."""
+    return f"character.{name}"
+
+
+def cost_element(
+    transcription: Transcription, names: tuple[str, ...], limits: tuple[str, ...] = (), rates: tuple[str, ...] = ()
+) -> Element:
+    """The weighted costs of a segment, and of exceeding ``limits`` and control ``rates`` in it: (x, x1, c0, c1, h)."""
 
     def make() -> Element:
         v = transcription.symbols("x", "x1", "c0", "c1", "h")
-        view, weights = segment_view(transcription, v), ca.SX.sym("weights", len(names))
-        total = ca.dot(weights, ca.vertcat(*(COSTS[name](view) for name in names)))
-        parameters = {weight_of(name): weights[i] for i, name in enumerate(names)}
+        view, vehicle = segment_view(transcription, v), transcription.vehicle
+        parameters = {weight_of(name): ca.SX.sym(name) for name in names}
+        total = sum((parameters[weight_of(name)] * COSTS[name](view) for name in names), ca.SX(0))
+        most = {name: ca.SX.sym(name) for name in (*limits, *rates)}
+        excess = ca.SX(0)
+        for name in limits:
+            for knot in (view.start, view.end):
+                seen = replace(knot, acceleration=view.acceleration)  # a cubic's own would swing from knot to knot
+                excess += v["h"] / 2 * ca.fmax(LIMITS[name].law(seen) / most[name] - 1, 0) ** 2
+        for name in rates:
+            k = vehicle.control_names.index(name)
+            share = (v["c1"][k] - v["c0"][k]) * transcription.control_scale[k] / (v["h"] * most[name])
+            excess += v["h"] * (ca.fmax(share - 1, 0) ** 2 + ca.fmax(-share - 1, 0) ** 2)
+        if most:
+            parameters |= {_most(name): symbol for name, symbol in most.items()} | {PRICE: ca.SX.sym("price")}
+            total += EXCESS * parameters[PRICE] * excess
         return Element("cost", ca.vertcat(*v.values()), parameters, f=total)
 
-    return transcription.kept(("cost", *names), make)
+    return transcription.kept(("cost", names, limits, rates), make)
 
 
 @dataclass(frozen=True, eq=False)

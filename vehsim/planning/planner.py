@@ -33,15 +33,18 @@ from vehsim.planning.problem import interrupts
 from vehsim.planning.problem.solver import HURRIED, LONGER, LOOSEN
 from vehsim.planning.problem.transcription import transcribe
 from vehsim.planning.refine import EXECUTED, approach, settle_on_frames
-from vehsim.planning.request.asks import asks_of
+from vehsim.planning.request.asks import BEYOND, asks_of
+from vehsim.planning.request.character import NO_MANNER
 from vehsim.planning.request.legs import facing, same_headings
 from vehsim.planning.request.marks import Mark, shape
 from vehsim.planning.request.request import Request, all_marks, ask
+from vehsim.planning.restraint import in_character, plainly, restrain
 from vehsim.planning.solve import begin, give_up, solve
 from vehsim.planning.terms import Term
 from vehsim.planning.trajectory import exported
 from vehsim.requests import Ask
 from vehsim.vehicles import Vehicle
+from vehsim.vehicles.definition.character import STUNT
 
 Array = NDArray[np.float64]
 
@@ -142,6 +145,7 @@ def plan(
     cost: str | Mapping[str, float] = "effort",
     clearance: float = 1.0,
     limits: Mapping[str, float] | None = None,
+    character: str = STUNT,
     guess: Clip | Any = None,
     refine: bool = True,
     terms: Sequence[Term] = (),
@@ -155,10 +159,11 @@ def plan(
 
     ``fps``: frames per second; ``segments``: their total number, with every mark on a knot; ``cost``: a name of
     `terms.COSTS`, or weights by name; ``clearance``: m from terrain and obstacles; ``limits``: bounds by name of
-    `terms.LIMITS`; ``guess``: a path (k, 3) m to start from, or a `Clip`, whose joints and controls are also used if
-    its vehicle has the same ones; ``refine``: refine until the controls, executed finely, end within 0.1 m of the plan;
-    ``terms``: your own costs and constraints (`Cost`, `Constraint`, `look_at`, `stay`); ``loop``: the motion ends as it
-    begins; ``solver``: a name of `problem.solver.SOLVERS`.
+    `terms.LIMITS`; ``character``: "calm", "normal", "brisk" or "stunt", how the vehicle is driven; ``guess``: a path
+    (k, 3) m to start from, or a `Clip`, whose joints and controls are also used if its vehicle has the same ones;
+    ``refine``: refine until the controls, executed finely, end within 0.1 m of the plan; ``terms``: your own costs and
+    constraints (`Cost`, `Constraint`, `look_at`, `stay`); ``loop``: the motion ends as it begins; ``solver``: a name of
+    `problem.solver.SOLVERS`.
 
     ``time_limit``: seconds after the call at which the best motion so far is returned, certified. It includes loading:
     below about 0.5 s, or 1 s near terrain, you may get only the initial guess, and a message that says so. Distances to
@@ -169,7 +174,8 @@ def plan(
     """
     request = ask(
         vehicle, world, marks, fps=fps, segments=segments, cost=cost, clearance=clearance, limits=limits,
-        refine=refine, terms=terms, loop=loop, solver=solver, max_iterations=max_iterations, time_limit=time_limit,
+        character=character, refine=refine, terms=terms, loop=loop, solver=solver, max_iterations=max_iterations,
+        time_limit=time_limit,
     )  # fmt: skip
     if np.any(request.wind) and not request.vehicle.feels_wind:
         warnings.warn(
@@ -186,8 +192,13 @@ def _warn(plan: Plan) -> None:
     name = plan.clip.vehicle.name
     if not plan.success:
         warnings.warn(f"{name}: plan failed: {plan.message}", FailedPlan, stacklevel=3)
-    elif plan._iterate is not None and (plan._iterate.remark or _ends_elsewhere(plan._iterate)):
+    elif plan._iterate is not None and (plan._iterate.remark or _ends_elsewhere(plan._iterate) or _beyond(plan.audit)):
         warnings.warn(f"{name}: {plan.message}", stacklevel=3)
+
+
+def _beyond(rows: Sequence[Row]) -> list[str]:
+    """What a motion exceeds its character by."""
+    return [str(row) for row in rows if row.met is False and row.key.startswith(BEYOND)]
 
 
 def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
@@ -269,11 +280,15 @@ def _attempt(request: Request, progress: Progress | None, guess: Any, once: bool
         reason: Reason = "refused" if refused else "time limit"
         return _result(run, give_up(iterate, refused or LATE.format(late)), reason)
     iterate = solve(run, iterate)
+    if not (iterate.success or once) and request.manner.name != STUNT:  # any motion first: then in its character
+        iterate, asked = plainly(run, iterate, paths, as_clip(request, guess)), replace(request, manner=NO_MANNER)
+    else:
+        asked = request
     if not (iterate.success or once):
-        run, iterate = as_asked(run, iterate, request, paths, guess)
+        run, iterate = as_asked(run, iterate, asked, paths, guess)
     if not (iterate.success or once):
         iterate = from_other_guesses(run, iterate, paths, guess)
-    iterate = settle_on_frames(run, iterate)
+    iterate = settle_on_frames(run, restrain(run, in_character(run, iterate, request.manner)))
     iterate = approach(run, iterate)
     iterate = refine_and_certify(run, iterate)
     return _result(run, iterate)
@@ -339,6 +354,8 @@ def _result(run: Run, iterate: Iterate, reason: Reason | None = None) -> Plan:
     clip = exported(iterate.clip, request) if begun else replace(iterate.clip, vehicle=request.vehicle)
     asks = asks_of(request, iterate.mark_frames())
     rows = audit(track_of_clip(clip), asks, WorldScene(request.world, clip.vehicle)) if success else []
+    if beyond := _beyond(rows):
+        message += f"; beyond {request.manner.name}: {'; '.join(beyond)}"
     if wrong := missed(rows):
         success, reason = False, "audit"
         hurried = run.deadline.over or run.deadline.cut

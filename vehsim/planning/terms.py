@@ -83,6 +83,17 @@ class SegmentView:
 
 
 @dataclass(frozen=True)
+class BendView:
+    """What a law sees of two segments that meet: controls ``c0, c1, c2`` over their scale, lengths ``h0, h1`` s."""
+
+    c0: Expr
+    c1: Expr
+    c2: Expr
+    h0: Expr
+    h1: Expr
+
+
+@dataclass(frozen=True)
 class HazardView:
     """The quantities of one instant near terrain or obstacles.
 
@@ -188,6 +199,11 @@ def _smoothness(s: SegmentView) -> Expr:
     return ca.sumsqr(s.c1 - s.c0) / s.h
 
 
+def _easing(b: BendView) -> Expr:
+    """Squared change of the rates of the controls over their scale, per second, integrated over time."""
+    return ca.sumsqr((b.c2 - b.c1) / b.h1 - (b.c1 - b.c0) / b.h0) * 2 / (b.h0 + b.h1)
+
+
 def _course(s: SegmentView) -> Expr:
     """Distance moved other than along the nose, m."""
     return _mean(_off_course, s)
@@ -226,6 +242,7 @@ COSTS: Registry[Callable[[Any], Expr]] = Registry(
         "time": _time,
         "distance": _distance,
         "smoothness": _smoothness,
+        "easing": _easing,
         "course": _course,
         "energy": _work,
         "steering": _steered,
@@ -234,9 +251,10 @@ COSTS: Registry[Callable[[Any], Expr]] = Registry(
 )
 """Cost name -> its law. The first line of a law's docstring is the cost's description."""
 
-VIEWS: dict[str, type] = {"safety": HazardView}
+VIEWS: dict[str, type] = {"safety": HazardView, "easing": BendView}
 """The view that the law of a cost takes if it is not a `SegmentView`. A law of a `SegmentView` returns the integral
-over the segment, a law of a `HazardView` the cost per second."""
+over the segment, a law of a `BendView` that around the knot in its middle, a law of a `HazardView` the cost per
+second."""
 
 
 def costs_of(view: type, weights: Mapping[str, float]) -> tuple[str, ...]:
@@ -319,6 +337,12 @@ def cost_weights(cost: str | Mapping[str, float], defaults: Mapping[str, float])
     if not any(table.values()):
         raise InputError("no weight above zero", f"weigh at least one of {', '.join(COSTS)}", key="cost", value=cost)
     return {name: 0.0 for name in COSTS} | {"smoothness": SMOOTHNESS} | dict(defaults) | table
+
+
+def heaviest(cost: str | Mapping[str, float]) -> float:
+    """The greatest of the weights that a cost's name or table stands for; 1 where that is not known to be one."""
+    table = PRESETS.get(cost, {cost: 1.0}) if isinstance(cost, str) else cost
+    return max((float(w) for w in table.values() if isinstance(w, int | float) and w > 0), default=1.0)
 
 
 @dataclass(frozen=True)

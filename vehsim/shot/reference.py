@@ -1,12 +1,14 @@
-"""Generate the key tables of docs/shot-file.md from the models: a key's docstring is its only description.
+"""Generate tables of the documentation from what they describe: keys of shot files, and characters of vehicles.
 
-The page's prose is written by hand; the text between ``<!-- keys: MarkTable -->`` and ``<!-- end -->`` is the `table`
-of that model. ``python -m vehsim.shot.reference docs/shot-file.md`` updates the page.
+The prose of a page is written by hand; the text between ``<!-- keys: MarkTable -->`` and ``<!-- end -->`` is the
+`table` of that model, and after ``<!-- character: helicopter -->`` stand the `traits` of that vehicle.
+``python -m vehsim.shot.reference docs/shot-file.md docs/character.md`` updates these pages.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import re
 import sys
 from collections.abc import Mapping
@@ -17,13 +19,33 @@ from vehsim.errors import InputError
 from vehsim.shot.schema.shot_file import schema
 
 _BLOCK = re.compile(r"(<!-- keys: (\w+)(?: without ([\w, ]+))? -->\n).*?(<!-- end -->)", re.DOTALL)
+_TRAITS = re.compile(r"(<!-- character: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 _DEFAULT = re.compile(r"(.*); default: (.*)")
 _CODE = re.compile(r'("[^"]*"(?:\.\.\.)?|\{[^}]*\}|\[\[[^]]*\]\]|\[[^]]*\])')
 
 
 def with_tables(page: str) -> str:
     """The page (Markdown) with its key tables generated from the models."""
+    page = _TRAITS.sub(lambda m: f"{m[1]}{traits(m[2])}{m[3]}", page)
     return _BLOCK.sub(lambda m: f"{m[1]}{table(m[2], (m[3] or '').replace(' ', '').split(','))}{m[4]}", page)
+
+
+def traits(vehicle: str) -> str:
+    """The characters of a vehicle as a Markdown table, angles in degrees."""
+    from vehsim.planning.terms import LIMITS
+    from vehsim.vehicles import load_vehicle
+
+    loaded = load_vehicle(vehicle)
+    units = {control.name: f"{control.unit}/s" for control in loaded.controls}
+    rows = [("response", "s", loaded.character.response)]
+    rows += [(name, LIMITS[name].unit, trait) for name, trait in loaded.character.limits.items()]
+    rows += [(f"rate of {name}", units[name], trait) for name, trait in loaded.character.control_rates.items()]
+    text = "| | calm | normal | brisk | unit | source |\n|---|---|---|---|---|---|\n"
+    for name, unit, trait in rows:
+        factor = 180 / math.pi if unit.startswith("rad") else 1.0
+        values = " | ".join(f"{factor * value:.4g}" for value in (trait.calm, trait.normal, trait.brisk))
+        text += f"| {name} | {values} | {unit.replace('rad', 'deg')} | {trait.source} |\n"
+    return text
 
 
 def table(model: str, without: list[str] | None = None) -> str:

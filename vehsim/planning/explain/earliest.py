@@ -15,6 +15,7 @@ from vehsim.errors import VehsimError
 from vehsim.planning.iterate import Iterate, Run
 from vehsim.planning.problem.transcription import Transcription, transcribe
 from vehsim.planning.refine import EXECUTED
+from vehsim.planning.request.character import NO_MANNER
 from vehsim.planning.request.legs import cruising, facing, legs_between, path_length
 from vehsim.planning.request.request import Request
 from vehsim.planning.solve import CRUISE, begin, solve
@@ -65,6 +66,7 @@ def first_frame(request: Request, i: int, j: int, least: int) -> tuple[int, bool
         terms=terms,
         loop=False,
         deadline=math.inf,
+        manner=NO_MANNER,  # a character gives way
         given=(),
     )
     try:

@@ -9,7 +9,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from vehsim.audit import PER_FRAME
 from vehsim.planning.problem.stage import evaluate
+from vehsim.planning.request.character import control_rates, eased
 from vehsim.planning.request.landing import SLOPE
 from vehsim.planning.request.marks import Mark
 from vehsim.planning.request.request import Request
@@ -20,6 +22,12 @@ from vehsim.vehicles import Vehicle
 
 NEAR_ENOUGH = 0.01
 """Tolerance of the requested clearance, m."""
+BEYOND = "character."
+"""What the keys of asks of a character begin with."""
+ROOM = 0.1
+"""Share of a character's limit by which a motion may exceed it without a warning: limits of a character are prices."""
+GENTLE = 0.01
+"""Share of its greatest rate that a control may have where a motion eases into rest or out of it."""
 STANDS = 5e-3
 """Tolerance of the distance from the ground of a vehicle that stands on it, m."""
 
@@ -35,6 +43,7 @@ def asks_of(request: Request, frames: Sequence[float]) -> list[Ask]:
     limits = {name: (value, LIMITS[name].unit) for name, value in request.limits.values.items()}
     planar = request.vehicle.group.planar
     asks += limit_asks(first, last, limits, request.limits.joints, request.limits.joint_rates, planar)
+    asks += [*_character(request, first, last), *_ease(request, marks, frames)]
     asks += _ranges(request, first, last)
     if request.loop:
         asks += _loop(first, last, {"planar": planar})
@@ -78,6 +87,32 @@ def _mark(request: Request, mark: Mark, frame: float, hold: float) -> Iterator[A
         yield from gate_asks(key, frame, mark.position, gate.axes.tolist(), gate.radius, gate.size, planar)
     if mark.on_ground and mark.position is not None:
         yield Ask(f"{key}.on_ground", "stands", frame, frame + hold, lower=-STANDS, upper=STANDS, unit="m")
+
+
+def _character(request: Request, first: float, last: float) -> Iterator[Ask]:
+    """What a motion exceeds its character by, with a warning."""
+    manner, vehicle = request.manner, request.vehicle
+    wanted = {"planar": vehicle.group.planar}
+    for name, value in manner.without(request.limits).items():
+        upper, unit = (1 + ROOM) * value, LIMITS[name].unit
+        yield Ask(f"{BEYOND}{name}", name, first, last, wanted, None, upper, unit, "warning")
+    for name, value in manner.control_rates.items():
+        k = vehicle.control_names.index(name)
+        unit, upper = f"{vehicle.controls[k].unit}/s", (1 + ROOM) * value
+        key, which = f"{BEYOND}control_rates.{name}", {"control": k}
+        yield Ask(key, "control_rate", first, last, which, None, upper, unit, "warning")
+
+
+def _ease(request: Request, marks: Sequence[Mark], frames: Sequence[float]) -> Iterator[Ask]:
+    """Rates of controls where a motion eases out of rest and into it, with a warning."""
+    vehicle, rates = request.vehicle, control_rates(request.manner, request.vehicle)
+    for i, comes, leaves in eased(request.manner, marks):
+        for side, there in ((-1, comes), (1, leaves)):
+            first, last = sorted((frames[i], frames[i] + side / PER_FRAME))
+            for k, control in enumerate(vehicle.controls if there else ()):
+                key, unit = f"{marks[i].name}.ease.{control.name}", f"{control.unit}/s"
+                upper = GENTLE * float(rates[k])
+                yield Ask(key, "control_rate", first, last, {"control": k}, None, upper, unit, "warning")
 
 
 def _ranges(request: Request, first: float, last: float) -> Iterator[Ask]:

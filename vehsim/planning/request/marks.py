@@ -64,7 +64,8 @@ class Mark:
     X, counter-clockwise; ``orientation`` (4,) w, x, y, z; ``velocity`` (3,) m/s in world axes; ``speed`` m/s;
     ``joints`` (s,), nan where free, or a table of some joints by name; ``tolerance`` m, half the side of the box the
     position may lie in; ``hold``: frames to stay at rest there; ``gate``: an opening around the position;
-    ``on_ground``: a flying vehicle stands there, at rest and level, on the terrain or obstacle below ``position``.
+    ``on_ground``: a flying vehicle stands there, at rest and level, on the terrain or obstacle below ``position``;
+    ``ease``: at rest, the controls start and end gently; None: as the character of the plan says.
 
     At a mark with ``velocity = (0, 0, 0)`` the vehicle is at rest: its body does not turn either. Without a given
     attitude it is in balance, as it must be to stay there (a helicopter level, or leaning into the wind), so that the
@@ -84,6 +85,7 @@ class Mark:
     hold: int = 0
     gate: Gate | None = None
     on_ground: bool = False
+    ease: bool | None = None
     place: int = field(default=-1, repr=False, compare=False)
     """Its index among the given marks; set by the planner."""
 

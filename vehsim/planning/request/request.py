@@ -17,6 +17,7 @@ from vehsim.clip.samples import frame_rate
 from vehsim.errors import InputError, OutsideTerrain, Problem
 from vehsim.lie import SO3
 from vehsim.planning.problem.solver import check_solver
+from vehsim.planning.request.character import NO_MANNER, Manner, manner_of
 from vehsim.planning.request.landing import attitude, descent, landings
 from vehsim.planning.request.legs import knots_within, mark_positions
 from vehsim.planning.request.marks import Mark, check_marks, end_of_hold, with_breaks
@@ -24,6 +25,7 @@ from vehsim.planning.request.marks_near_obstacles import check_marks_clear
 from vehsim.planning.terms import Constraint, Limits, Term, check_limits, check_terms, cost_weights
 from vehsim.planning.trim import stands
 from vehsim.vehicles import Vehicle
+from vehsim.vehicles.definition.character import STUNT
 from vehsim.world.ground import landing
 from vehsim.world.ground.slope import on_terrain
 
@@ -53,6 +55,8 @@ class Request:
     loop: bool = False
     solver: str = "ipopt"
     deadline: float = math.inf
+    manner: Manner = NO_MANNER
+    """What its character comes to."""
     given: Sequence[Mark] = ()
     """The marks before those at rest were turned along their legs."""
 
@@ -118,6 +122,7 @@ def ask(
     cost: str | Mapping[str, float] = "effort",
     clearance: float = 1.0,
     limits: Mapping[str, Any] | None = None,
+    character: str = STUNT,
     refine: bool = True,
     terms: Sequence[Term] = (),
     loop: bool = False,
@@ -134,6 +139,7 @@ def ask(
     if time_limit is not None and not time_limit > 0:
         raise InputError("not a time", "give seconds, more than zero", key="time_limit", value=time_limit)
     kept = check_terms(terms)
+    manner = manner_of(vehicle, character, cost)
     request = Request(
         vehicle=vehicle,
         world=world,
@@ -148,6 +154,7 @@ def ask(
         terms=kept,
         loop=loop,
         solver=check_solver(solver),
+        manner=manner,
         deadline=math.inf if time_limit is None else time.monotonic() + time_limit,
     )
     least = 2 * (len(request.marks) - 1)

@@ -66,6 +66,8 @@ class PlanMotion(Table):
     limits: LimitTable = LimitTable.model_validate({})
     """a table of upper limits: speed and climb in m/s, turn_rate in deg/s, bank in degrees, ceiling in m ...; default:
     none"""
+    character: Literal["calm", "normal", "brisk", "stunt"] = "stunt"
+    """how it is driven: "calm", "normal", "brisk" or "stunt", as hard as its model allows"""
     look: Annotated[list[LookTable], Array, Len(0, 100)] = Field(default=[])
     """[[vehicle.motion.look]] tables: where to look, and when"""
     stay: Annotated[list[StayTable], Array, Len(0, 100)] = Field(default=[])
@@ -147,6 +149,7 @@ class PlanMotion(Table):
             "cost": self.cost,
             "clearance": self.clearance,
             "limits": limits_si(self.limits.given()),
+            "character": self.character,
             "terms": [*(table.term() for table in self.look), *(table.term() for table in self.stay)],
             "loop": self.loop,
             "solver": self.solver,

@@ -187,6 +187,8 @@ class MarkTable(Table):
     """a table { direction, radius or size }: an opening around the position to pass through"""
     on_ground: bool = False
     """true: a flying vehicle stands level and at rest on the ground or obstacle below the position"""
+    ease: bool | None = None
+    """at rest, true: the controls set in and end gently; default: as the character of the motion says"""
 
 
 class StartTable(Table):

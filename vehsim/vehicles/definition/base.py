@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from vehsim.errors import InputError
 from vehsim.rig.rig import Channel, Rig
+from vehsim.vehicles.definition.character import Character
 
 if TYPE_CHECKING:
     from vehsim.lie import Group
@@ -78,6 +79,8 @@ class Definition:
     joint_limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     default_costs: Mapping[str, float] = field(default_factory=dict)
     """Cost weights that every plan of this vehicle adds, so that it moves as such vehicles do."""
+    character: Character = field(default_factory=Character)
+    """How it is driven: calmly, normally or briskly."""
     top_speed: float = 340.0
     """The greatest speed of the root, m/s, in plans without a ``limits.speed``; default: the speed of sound."""
     feels_wind: bool = False

@@ -105,6 +105,30 @@ class SuspensionTable(Table):
     """a height, in m"""
 
 
+class TraitTable(Table):
+    """A quantity of ``[character]``."""
+
+    calm: Positive
+    """its value when driven calmly"""
+    normal: Positive
+    """its value when driven normally"""
+    brisk: Positive
+    """its value when driven briskly"""
+    source: Text
+    """where the numbers come from"""
+
+
+class CharacterTable(Table):
+    """``[character]``"""
+
+    response: TraitTable | None = None
+    """how fast the controls change their mind, s"""
+    limits: dict[str, TraitTable] = Field(default={})
+    """limits of plans by name, in SI units"""
+    control_rates: dict[str, TraitTable] = Field(default={})
+    """the greatest rates of controls by name, in their units per second"""
+
+
 class VehicleFile(Table):
     """A ``vehicle.toml``."""
 
@@ -132,6 +156,8 @@ class VehicleFile(Table):
     """tables of joints with lower and upper"""
     channels: dict[str, ChannelTable] = Field(default={})
     """tables of channels with prim, op, pivot, factor and disc"""
+    character: CharacterTable = CharacterTable()
+    """how it is driven: a table with response, limits and control_rates"""
     suspension: SuspensionTable = SuspensionTable()
     """a table with frequency, damping and mass_height"""
     up_axis: Literal["Y", "Z"] | None = None

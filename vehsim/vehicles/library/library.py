@@ -22,6 +22,7 @@ from vehsim.rig.rig import Drive, Rig, Suspension
 from vehsim.runtime.cache import Stamp, stamp
 from vehsim.runtime.registry import Registry
 from vehsim.vehicles.definition.base import Control
+from vehsim.vehicles.definition.character import Character, Trait
 from vehsim.vehicles.library.file import VehicleFile
 from vehsim.vehicles.library.imported import ready_asset
 from vehsim.vehicles.library.mass import fill_in, weigh
@@ -103,6 +104,7 @@ def _load(path: Path, written: Stamp, asset_written: Stamp | None) -> Vehicle:
     told: dict[str, Any] = {
         "controls": _controls(path, vehicle, data.get("controls", {})),
         "joint_limits": _limits(path, vehicle, data.get("joints", {})),
+        "character": _character(path, vehicle, data.get("character", {})),
         "rig": _rig(path, vehicle, data),
         "top_speed": float(data.get("top_speed", vehicle.top_speed)),
     }
@@ -159,6 +161,15 @@ def _limits(path: Path, vehicle: Vehicle, table: dict[str, Any]) -> dict[str, tu
                 "not below upper", "swap them", key=f"joints.{name}.lower", value=values["lower"], file=path
             )
     return {name: (v.get("lower", -math.inf), v.get("upper", math.inf)) for name, v in table.items()}
+
+
+def _character(path: Path, vehicle: Vehicle, table: dict[str, Any]) -> Character:
+    _known(path, "character.control_rates.", table.get("control_rates", {}), set(vehicle.control_names))
+    traits = {
+        key: {name: Trait(**row) for name, row in table.get(key, {}).items()} for key in ("limits", "control_rates")
+    }
+    response = Trait(**table["response"]) if table.get("response") else vehicle.character.response
+    return replace(vehicle.character, response=response, **traits)
 
 
 def _depth(value: Any) -> int:

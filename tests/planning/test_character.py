@@ -1,0 +1,150 @@
+"""The character of a plan: what it costs, what gives way, and how a motion eases in and out of rest."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import vehsim
+from vehsim.errors import InputError
+from vehsim.planning import Mark, Plan
+from vehsim.planning.blocks import blocks_of
+from vehsim.planning.costs import RunningCosts
+from vehsim.planning.request.character import control_rates, manner_of
+from vehsim.planning.request.request import ask
+from vehsim.vehicles.definition.character import CHARACTERS, Character, Trait
+
+CAR, HELICOPTER = vehsim.load_vehicle("car"), vehsim.load_vehicle("helicopter")
+STILL = (0.0, 0.0, 0.0)
+
+
+def drive(character: str = "normal", last: int = 220, ease: bool | None = None, **options: object) -> Plan:
+    """A car from rest to rest over 40 m."""
+    marks = [
+        Mark(1, position=(0, 0, 0), heading=0, velocity=STILL, ease=ease),
+        Mark(last, position=(40, 0, 0), heading=0, velocity=STILL, ease=ease),
+    ]
+    return vehsim.plan(CAR, marks=marks, segments=32, character=character, **options)  # type: ignore[arg-type]
+
+
+def fly(character: str, last: int = 400, **options: object) -> Plan:
+    """A helicopter from hover to hover over 100 m."""
+    ends = [(1, (0, 0, 20)), (last, (100, 0, 25))]
+    marks = [Mark(frame, position=place, velocity=STILL) for frame, place in ends]
+    return vehsim.plan(HELICOPTER, marks=marks, segments=32, character=character, **options)  # type: ignore[arg-type]
+
+
+def rates_at_ends(plan: Plan, character: str) -> float:
+    """The greatest rate of a control in an eighth of a frame at either end, over its greatest."""
+    clip = plan.clip
+    seconds = 1 / float(clip.fps) / 8
+    at = clip.at([0, seconds, clip.duration - seconds, clip.duration]).controls
+    most = control_rates(manner_of(clip.vehicle, character, "effort"), clip.vehicle)
+    return float(np.abs(np.array([at[1] - at[0], at[3] - at[2]]) / seconds / most).max())
+
+
+def tilt(plan: Plan) -> float:
+    """The greatest tilt, deg."""
+    q = plan.clip.orientations
+    return math.degrees(np.arccos(1 - 2 * (q[:, 1] ** 2 + q[:, 2] ** 2)).max())
+
+
+@pytest.mark.parametrize("character", ["calm", "normal", "brisk"])
+def test_controls_are_in_balance_and_at_no_rate_where_a_car_rests(character: str) -> None:
+    made = drive(character, last=320)
+    assert made.success and not [row for row in made.audit if row.met is False]
+    assert rates_at_ends(made, character) < 0.01
+    assert np.abs(made.clip.controls[[0, -1], 0]).max() < 0.01 * CAR.controls[0].upper
+
+
+def test_a_helicopter_eases_in_and_out_of_hover_within_its_character() -> None:
+    made = fly("normal")
+    assert made.success and not [row for row in made.audit if row.met is False]
+    assert rates_at_ends(made, "normal") < 0.01
+    assert tilt(made) < 25 * 1.1
+
+
+def test_a_stunt_does_not_ease() -> None:
+    assert rates_at_ends(drive("stunt"), "normal") > 0.01
+    assert abs(drive("stunt").clip.controls[0, 0]) > 500
+
+
+def test_ease_of_a_mark_overrides_its_character() -> None:
+    assert rates_at_ends(drive("stunt", ease=True), "stunt") < 0.01
+    abrupt = drive("normal", ease=False)
+    assert abrupt.success and abs(abrupt.clip.controls[0, 0]) > 100
+
+
+def test_what_only_a_stunt_can_do_succeeds_in_every_character_and_says_how_far_it_goes() -> None:
+    frame = 130
+    assert drive("stunt", frame).success
+    with pytest.warns(UserWarning, match=r"beyond normal: .*character.acceleration: [\d.]+ m/s\^2, 3.74 allowed"):
+        made = drive("normal", frame)
+    assert made.success
+    (row,) = (row for row in made.audit if row.key == "character.acceleration")
+    assert row.met is False and row.severity == "warning" and row.value is not None and row.value > 3.74
+
+
+def test_the_earliest_frame_is_the_same_in_every_character() -> None:
+    said = []
+    for character in CHARACTERS:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            made = drive(character, 60)
+        assert not made.success and made.reason == "refused"
+        said.append(made.message)
+    assert len(set(said)) == 1
+
+
+def test_a_limit_of_the_users_own_stands_in_place_of_the_characters_and_holds() -> None:
+    made = fly("normal", 400, limits={"bank": math.radians(12)})
+    assert made.success and tilt(made) < 12.1
+    assert not [row for row in made.audit if row.key == "character.bank"]
+
+
+def test_costs_of_the_users_own_stand_in_place_of_the_characters() -> None:
+    marks = [Mark(1, position=(0, 0, 0)), Mark(99, position=(9, 0, 0))]
+    request = ask(CAR, None, marks, fps=24, segments=8, cost={"effort": 4, "easing": 0}, character="normal")
+    (costs,) = (b for b in blocks_of(request, None, None) if isinstance(b, RunningCosts))  # type: ignore[arg-type]
+    assert costs.weights["easing"] == 0
+    assert costs.weights["smoothness"] == 4 * CAR.character.response.normal**2
+
+
+def test_a_name_that_is_no_character_is_refused() -> None:
+    with pytest.raises(InputError, match="character = 'norml': unknown; did you mean 'normal'"):
+        drive("norml")
+
+
+def test_a_limit_that_no_plan_knows_is_refused() -> None:
+    odd = replace(CAR, character=Character(limits={"wobble": Trait(1, 2, 3, "nowhere")}))
+    with pytest.raises(InputError, match=r"character.limits.wobble"):
+        manner_of(odd, "normal", "effort")
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ("[character.control_rates]\nthrottle = { calm = 1.0, normal = 2.0, brisk = 3.0, source = 'a' }", "throttle"),
+        ("[character]\nresponse = { calm = 1.0, normal = -2.0, brisk = 3.0, source = 'a' }", "response.normal"),
+        ("[character.limits]\nspeed = { calm = 1.0, normal = 2.0, brisk = 3.0 }", "speed.source"),
+    ],
+)
+def test_a_wrong_character_of_a_vehicle_is_refused(tmp_path: Path, table: str, message: str) -> None:
+    physics = "mass = 1000.0\nwheel_inertia = 2.0\nyaw_inertia = 2000.0\nwheel_radius = 0.3\nwheelbase = 2.5\n"
+    text = f'schema = 1\nmodel = "car"\n[physics]\n{physics}half_track = 0.7\n{table}\n'
+    (tmp_path / "vehicle.toml").write_text(text)
+    with pytest.raises(InputError, match=message):
+        vehsim.load_vehicle(tmp_path)
+
+
+def test_traits_of_shipped_vehicles_rise_from_calm_to_brisk() -> None:
+    for name in ("helicopter", "car", "simple_car", "truck", "boat", "two_wheeled"):
+        traits = vehsim.load_vehicle(name).character
+        for trait in (*traits.limits.values(), *traits.control_rates.values()):
+            assert 0 < trait.calm < trait.normal < trait.brisk and trait.source
+        assert traits.response.calm > traits.response.normal > traits.response.brisk > 0

@@ -1,0 +1,117 @@
+"""How controls set in and end: no faster than a vehicle answers, and from balance to balance where it rests."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.planning.constraints.block import Block
+from vehsim.planning.constraints.marks import asks_balance, imbalance
+from vehsim.planning.problem.elements import Element, NonlinearProgram
+from vehsim.planning.problem.layout import Layout
+from vehsim.planning.problem.transcription import Transcription
+from vehsim.planning.request.character import Manner, control_rates, eased
+from vehsim.planning.request.marks import Mark
+from vehsim.planning.terms import COSTS, BendView, costs_of, weight_of
+from vehsim.planning.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+
+REST = 1e3
+"""Price of controls out of balance where a vehicle rests, by m/s^2 squared, and of their rates there, by the square of
+the greatest rate: high enough that a thousandth is left of what the rest of the motion would gain."""
+
+
+@dataclass(frozen=True, eq=False)
+class Easing(Block):
+    """The costs of how fast the rates of controls change, at their ``weights`` by name, and of marks at rest.
+
+    Where a motion eases out of a mark at rest, its controls start in balance and at no rate; likewise where it comes.
+    """
+
+    weights: Mapping[str, float]
+    manner: Manner
+    marks: Sequence[Mark]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The laws of two segments that count."""
+        return costs_of(BendView, self.weights)
+
+    def key(self, layout: Layout, transcription: Transcription) -> Hashable:
+        return "easing", self.names, tuple(eased(self.manner, self.marks)), self._rates(transcription).tobytes()
+
+    def _rates(self, transcription: Transcription) -> Array:
+        """The greatest rates of the controls, over their scale, 1/s."""
+        return np.asarray(control_rates(self.manner, transcription.vehicle) / transcription.control_scale)
+
+    def add(self, problem: NonlinearProgram, transcription: Transcription, layout: Layout) -> None:
+        if not transcription.sizes[3]:
+            return
+        if self.names:
+            k = np.arange(1, layout.segments)
+            controls = [layout.control(k + i) for i in (-1, 0, 1)]
+            variables = np.vstack([*controls, layout.duration(k - 1), layout.duration(k)])
+            problem.add(bend_element(transcription, self.names), variables)
+        for i, comes, leaves in eased(self.manner, self.marks):
+            knot = layout.mark_knots[i]
+            element = rest_element(transcription, self.names, self._rates(transcription), self.manner.price)
+            for side, there in ((-1, comes), (1, leaves)):
+                if there:
+                    segment = knot - 1 if side < 0 else knot
+                    here = [layout.control(knot), layout.control(knot + side), layout.duration(segment)]
+                    problem.add(element, np.vstack(here))
+            held = i > 0 and self.marks[i - 1].hold
+            if not (asks_balance(transcription.vehicle, self.marks[i]) or held):
+                element = balance_element(transcription, self.manner.price)
+                problem.add(element, np.vstack([layout.knot(knot), layout.control(knot)]))
+
+    def values(self, trajectory: Trajectory) -> Mapping[str, Any]:
+        return {weight_of(name): self.weights[name] for name in self.names}
+
+
+def bend_element(transcription: Transcription, names: tuple[str, ...]) -> Element:
+    """The weighted costs of two segments that meet: (c0, c1, c2, h0, h1)."""
+
+    def make() -> Element:
+        size = transcription.sizes[3]
+        c, h = [ca.SX.sym(f"c{i}", size) for i in range(3)], [ca.SX.sym(f"h{i}") for i in range(2)]
+        f, parameters = _weighted(names, BendView(*c, *h))
+        return Element("easing", ca.vertcat(*c, *h), parameters, f=f)
+
+    return transcription.kept(("easing", *names), make)
+
+
+def rest_element(transcription: Transcription, names: tuple[str, ...], rates: Array, price: float) -> Element:
+    """The costs of a segment that begins or ends at rest, and of the controls' rates there: (c at rest, c, h)."""
+
+    def make() -> Element:
+        size = transcription.sizes[3]
+        rest, c, h = ca.SX.sym("rest", size), ca.SX.sym("c", size), ca.SX.sym("h")
+        f, parameters = _weighted(names, BendView(rest, rest, c, h, h))
+        f += price * REST * ca.sumsqr((c - rest) / (h * rates))
+        return Element("ease", ca.vertcat(rest, c, h), parameters, f=f)
+
+    return transcription.kept(("ease", *names, rates.tobytes(), price), make)
+
+
+def balance_element(transcription: Transcription, price: float) -> Element:
+    """The cost of what pushes a vehicle at rest: (x, c)."""
+
+    def make() -> Element:
+        v, wind = transcription.symbols("x", "c0"), ca.SX.sym("wind", 3)
+        f = price * REST * ca.sumsqr(imbalance(transcription, v["x"], v["c0"], wind))
+        return Element("balance", ca.vertcat(*v.values()), {"wind": wind}, f=f)
+
+    return transcription.kept(("balance", price), make)
+
+
+def _weighted(names: tuple[str, ...], view: BendView) -> tuple[Any, dict[str, Any]]:
+    """The sum of the costs ``names``, and the parameters that are their weights."""
+    parameters = {weight_of(name): ca.SX.sym(name) for name in names}
+    return sum((parameters[weight_of(n)] * COSTS[n](view) for n in names), ca.SX(0)), parameters

@@ -1,0 +1,92 @@
+"""The character of a plan: what it costs to exceed a vehicle's traits, and which marks it eases in and out of.
+
+Nothing of a character can make a plan fail. Its limits are prices: a motion exceeds them where its marks leave no other
+way, and what it exceeds is measured on the finished motion. Limits of the user's own stand in their place, and hold.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.errors import InputError
+from vehsim.planning.request.marks import Mark
+from vehsim.planning.terms import LIMITS, Limits, heaviest
+from vehsim.vehicles import Vehicle
+from vehsim.vehicles.definition.character import CHARACTERS, STUNT
+
+
+@dataclass(frozen=True)
+class Manner:
+    """The traits of one character, SI: see `vehsim.vehicles.definition.character.Character`; none of a stunt.
+
+    ``costs``: weights of costs by name that make controls answer as slowly as ``response``, where the user gives none:
+    with effort, a low-pass filter of that time. ``price``: the greatest weight that the user gives; all costs of the
+    character are multiples of it.
+    """
+
+    name: str = STUNT
+    limits: Mapping[str, float] = field(default_factory=dict)
+    control_rates: Mapping[str, float] = field(default_factory=dict)
+    costs: Mapping[str, float] = field(default_factory=dict)
+    price: float = 1.0
+
+    def without(self, limits: Limits) -> Mapping[str, float]:
+        """The limits of the character that the user gives none for."""
+        return {name: value for name, value in self.limits.items() if name not in limits.values}
+
+    def weights(self, weights: Mapping[str, float]) -> dict[str, float]:
+        """Weights of costs, with those of the character where they are higher."""
+        return {**weights, **{name: max(weight, weights.get(name, 0.0)) for name, weight in self.costs.items()}}
+
+    def eases(self, mark: Mark) -> bool:
+        """Whether the motion eases in and out of a mark."""
+        return mark.at_rest and (self.name != STUNT if mark.ease is None else mark.ease)
+
+
+NO_MANNER = Manner()
+"""That of a stunt."""
+
+
+def manner_of(vehicle: Vehicle, name: str, cost: str | Mapping[str, float]) -> Manner:
+    """What a character means for a vehicle beside the ``cost`` of a user; ``InputError`` for a name that is none."""
+    if name not in CHARACTERS:
+        close = get_close_matches(str(name), CHARACTERS, n=1)
+        hint = f"did you mean {close[0]!r}?" if close else f"choose one of {', '.join(CHARACTERS)}"
+        raise InputError("unknown", hint, key="character", value=name)
+    price = heaviest(cost)
+    if name == STUNT:
+        return Manner(price=price)
+    traits = vehicle.character
+    time = traits.response.of(name)
+    costs = {"smoothness": price * time**2, "easing": price * time**4}
+    for limit in traits.limits:
+        if limit not in LIMITS:
+            remedy = f"choose one of {', '.join(LIMITS)}"
+            raise InputError("unknown", remedy, key=f"character.limits.{limit}", subject=vehicle.name)
+    return Manner(
+        name,
+        {key: trait.of(name) for key, trait in traits.limits.items()},
+        {key: trait.of(name) for key, trait in traits.control_rates.items()},
+        {key: weight for key, weight in costs.items() if isinstance(cost, str) or key not in cost},
+        price,
+    )
+
+
+def control_rates(manner: Manner, vehicle: Vehicle) -> NDArray[np.float64]:
+    """The greatest rates of the controls (c,), SI; their scale in a second where a character gives none."""
+    return np.array([manner.control_rates.get(control.name, control.scale) for control in vehicle.controls])
+
+
+def eased(manner: Manner, marks: Sequence[Mark]) -> list[tuple[int, bool, bool]]:
+    """Marks that are eased in and out of: their number, and whether the motion comes there and leaves there."""
+    found = []
+    for i, mark in enumerate(marks):
+        comes, leaves = i > 0 and not marks[i - 1].hold, i + 1 < len(marks) and not mark.hold
+        if manner.eases(mark) and (comes or leaves):
+            found.append((i, comes, leaves))
+    return found

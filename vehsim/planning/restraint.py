@@ -1,0 +1,52 @@
+"""The character of a plan on the way to its motion: what gives way, and in which order.
+
+A motion is found with the character's costs of fast controls, and then within its limits, which are prices. Where the
+first is not found, any motion is looked for; it takes on the character from there, or goes without, and says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.clip.clip import Clip
+from vehsim.planning.blocks import blocks_of
+from vehsim.planning.costs import RunningCosts
+from vehsim.planning.iterate import Iterate, Run
+from vehsim.planning.request.character import NO_MANNER, Manner
+from vehsim.planning.solve import begin, solve
+
+Array = NDArray[np.float64]
+
+
+def plainly(run: Run, failed: Iterate, paths: Sequence[Array], clip: Clip | None) -> Iterate:
+    """Solved from the same guess without a character, or failed."""
+    request = replace(failed.request, manner=NO_MANNER)
+    return solve(run, begin(run, request, failed.transcription, failed.cover, paths, clip))
+
+
+def in_character(run: Run, iterate: Iterate, manner: Manner) -> Iterate:
+    """A solved iterate that was found without its character, solved with it; as it is, with a remark, where none is
+    found."""
+    if not iterate.success or iterate.request.manner is manner or run.deadline.late:
+        return iterate
+    request = replace(iterate.request, manner=manner)
+    fresh = blocks_of(request, iterate.transcription, iterate.cover)
+    blocks = tuple(new.resume(old) for new, old in zip(fresh, iterate.blocks, strict=True))
+    again = replace(iterate, request=request, blocks=blocks, multipliers=None, prolongated=True)
+    solved = solve(run, again)
+    remark = f"; not {manner.name}: no such motion was found"
+    return solved if solved.success else replace(iterate, remark=iterate.remark + remark)
+
+
+def restrain(run: Run, iterate: Iterate) -> Iterate:
+    """A solved iterate within the limits of its character, as far as its marks allow; as it is where none is found."""
+    costs = iterate.block(RunningCosts)
+    if costs is None or not (costs.limits or costs.control_rates) or not iterate.success or run.deadline.late:
+        return iterate
+    blocks = tuple(replace(b, restrained=True) if b is costs else b for b in iterate.blocks)
+    within = solve(run, replace(iterate, blocks=blocks, multipliers=None, prolongated=True))
+    return within if within.success else iterate

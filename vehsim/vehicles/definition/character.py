@@ -1,0 +1,45 @@
+"""How a vehicle is driven: calmly, normally, briskly, or as hard as its model allows. Data, each number with a source.
+
+A character is part of a vehicle's definition, and plans read it: see `vehsim.planning.request.character`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+STUNT = "stunt"
+"""The character without numbers: as hard as the model allows."""
+CHARACTERS = ("calm", "normal", "brisk", STUNT)
+"""The characters of every vehicle."""
+
+
+@dataclass(frozen=True)
+class Trait:
+    """One quantity of each character, SI, and where the numbers come from."""
+
+    calm: float
+    normal: float
+    brisk: float
+    source: str
+
+    def of(self, character: str) -> float:
+        """The quantity of one character."""
+        return {"calm": self.calm, "normal": self.normal, "brisk": self.brisk}[character]
+
+
+RESPONSE = Trait(1.0, 0.5, 0.25, "McRuer and Jex 1967: operators close their loops at 1 to 4 rad/s")
+"""The response of vehicles that give none, s."""
+
+
+@dataclass(frozen=True)
+class Character:
+    """The characters of a vehicle.
+
+    ``response``: s, how fast the controls change their mind. ``limits``: by name of a plan's limits, SI, such as
+    ``bank`` in rad. ``control_rates``: the greatest rate by name of a control, in its unit per second.
+    """
+
+    response: Trait = RESPONSE
+    limits: Mapping[str, Trait] = field(default_factory=dict)
+    control_rates: Mapping[str, Trait] = field(default_factory=dict)
