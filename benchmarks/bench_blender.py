@@ -1,8 +1,8 @@
-"""Does Blender stand everything where the stage says, at every frame and half way between?
+"""Check that Blender places everything where the stage does, at every frame and halfway between frames.
 
 ``python benchmarks/bench_blender.py STAGE...`` opens exported stages in Blender (`VEHSIM_BLENDER`: a Python with bpy),
-takes the world matrix of everything with a transform, and holds it against OpenUSD's own. Prints a table for
-docs/blender.md; ends with 1 where something is 1e-5 off or missing.
+reads the world matrix of everything with a transform, and compares it with OpenUSD's own. It prints a table for
+docs/blender.md; the exit code is 1 if a matrix differs by 1e-5 or a prim is missing.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 TOLERANCE = 1e-5
-"""Of what a matrix holds, relative to the place's distance from the origin: Blender keeps single precision."""
+"""Tolerance of matrix entries, relative to the distance from the origin: Blender stores single precision."""
 INSIDE = """
 import json, re, sys
 import numpy as np
@@ -65,10 +65,10 @@ def in_blender(stage: Path) -> dict[str, np.ndarray]:
 
 
 def find(stage: Any, path: str, kind: str) -> Any:
-    """The prim that an object stands for. Of an Xform and its only mesh Blender makes one, called as the mesh."""
+    """The prim of an object. Blender merges an Xform and its only mesh into one object with the mesh's name."""
     from pxr import Usd, UsdGeom
 
-    def inside(prim: Any) -> Any:  # Blender leaves guides out
+    def inside(prim: Any) -> Any:  # Blender omits guides
         children = prim.GetFilteredChildren(Usd.TraverseInstanceProxies())
         return [child for child in children if UsdGeom.Imageable(child).ComputePurpose() != UsdGeom.Tokens.guide]
 
@@ -81,7 +81,7 @@ def find(stage: Any, path: str, kind: str) -> Any:
 
 
 def compare(stage_path: Path) -> tuple[str, bool]:
-    """A row of the table, and whether all is as it should be."""
+    """A row of the table, and whether everything agrees."""
     from pxr import Usd, UsdGeom
 
     seen = in_blender(stage_path)

@@ -1,10 +1,11 @@
-"""What one question to the water costs: the boat's hull (286 triangles) on calm water and on waves, MuJoCo's rays
-or the waves' own formula saying where the water stands.
+"""Cost of one evaluation of the water: the boat's hull (286 triangles) on calm water and on waves.
+
+The height of the water comes from MuJoCo's rays or from the waves' own formula.
 
     python benchmarks/bench_buoyancy.py
 
-CPU time of one core, median of many questions; set OMP_NUM_THREADS=1. Issue 4 asks for 200 us at 272 faces with
-nothing but wheels installed.
+CPU time of one core, median of many evaluations; set OMP_NUM_THREADS=1. Target: 200 us at 272 faces with only the
+wheels installed.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 def microseconds(question: Callable[[], object], times: int = 400) -> float:
-    """Median CPU time of a question."""
+    """Median CPU time of a call."""
     spent = []
     for _ in range(times):
         begin = time.process_time_ns()

@@ -1,8 +1,8 @@
-"""What a batch costs, every figure beside its peer, in one run: ``make bench-export`` (some ten minutes on two cores).
+"""Cost of a batch, every figure next to its peer, in one run: ``make bench-export`` (about ten minutes on two cores).
 
-Baking is measured in CPU time of one core, best of several, against MuJoCo's ``USDExporter`` and against bare ``Sdf``
-calls on the same motion; pictures in CPU time of one core, the median of pairs, against a bare ``mujoco.Renderer`` loop
-over the same model; batches on the clock, which wants a machine that does nothing else.
+Baking is measured in CPU time of one core, best of several, and compared with MuJoCo's ``USDExporter`` and with bare
+``Sdf`` calls on the same motion; pictures in CPU time of one core, the median of pairs, compared with a bare
+``mujoco.Renderer`` loop over the same model; batches in wall time, which needs an otherwise idle machine.
 ``--clips N`` and ``--short N`` make the batches smaller, ``--only NAME`` runs a part.
 """
 
@@ -58,7 +58,7 @@ seeds = {count}
 
 
 PAIRS = 5
-"""Batches of one worker and of two, in turn."""
+"""Number of pairs of batches, with one worker and with two, in turn."""
 LOOP = "x = 0\nfor k in range(30_000_000): x += k * k"
 
 
@@ -84,7 +84,7 @@ def load() -> str:
 
 
 def cpu(work: Callable[[], Any], times: int = 5) -> float:
-    """The least CPU time of this process, s."""
+    """The smallest CPU time of this process, s."""
     best = np.inf
     for _ in range(times):
         begin = time.process_time()
@@ -97,7 +97,7 @@ def cpu(work: Callable[[], Any], times: int = 5) -> float:
 
 
 def motion(frames: int) -> Clip:
-    """A helicopter on a climbing bend, rotors turning, a sample for every frame."""
+    """A helicopter in a climbing bend, rotors turning, with a sample for every frame."""
     from scipy.spatial.transform import Rotation
 
     heli = vehsim.load_vehicle("helicopter")
@@ -141,7 +141,7 @@ def baking(folder: Path, arguments: argparse.Namespace) -> None:
 
 
 def bare_sdf(clip: Clip, path: Path) -> None:
-    """The least anybody can do: the same samples, straight into a layer."""
+    """The minimum: the same samples, written straight into a layer."""
     from pxr import Sdf, Vt
 
     layer = Sdf.Layer.CreateNew(str(path))
@@ -165,7 +165,7 @@ def bare_sdf(clip: Clip, path: Path) -> None:
 
 
 def mujoco_usd(clip: Clip, folder: Path) -> None:
-    """The same motion through MuJoCo: a mocap body for the hull and one for each rotor, a frame at a time."""
+    """The same motion through MuJoCo: a mocap body for the hull and one for each rotor, frame by frame."""
     import mujoco
     from mujoco.usd.exporter import USDExporter
     from scipy.spatial.transform import Rotation
@@ -200,7 +200,7 @@ def mujoco_usd(clip: Clip, folder: Path) -> None:
 
 def pictures(folder: Path, arguments: argparse.Namespace) -> None:
     """The same pictures by a bare loop over the same model, poses, lenses and lights; ours also reads the stage."""
-    os.environ["LP_NUM_THREADS"] = "0"  # Mesa's rasteriser in our own thread, as where every core has a worker
+    os.environ["LP_NUM_THREADS"] = "0"  # run Mesa's rasteriser in this thread, as when every core has a worker
     import mujoco
 
     from vehsim.exporters.pictures.render import StageRenderer
@@ -245,7 +245,7 @@ def pictures(folder: Path, arguments: argparse.Namespace) -> None:
 
 
 def _view(ours: Any, frame: int) -> tuple[Any, Any, list[Any], Any]:
-    """Where everything stands in a frame of ours: movers, both eyes of the camera, the sun."""
+    """Poses in a frame of our renderer: movers, both eyes of the camera, the sun."""
     ours.render("chase", frame)
     scene, data = ours._canvas.scene, ours._data
     eyes = [[np.copy(getattr(eye, key)) for key in LENS] for eye in scene.camera]
@@ -262,7 +262,7 @@ def write(folder: Path, text: str, count: int) -> Path:
 
 
 def batch(folder: Path, count: int, workers: int) -> tuple[float, dict[str, Any]]:
-    """Seconds of a batch by the command line, and what it came to."""
+    """Seconds of a batch by the command line, and its summary."""
     shot = write(folder, FREE_SPACE, count)
     out = folder / f"out{workers}"
     command = [sys.executable, "-m", "vehsim", "export", str(shot), "--out", str(out), "--quiet"]
@@ -278,7 +278,7 @@ def batch(folder: Path, count: int, workers: int) -> tuple[float, dict[str, Any]
 
 
 class Watch(threading.Thread):
-    """Watches a process and all below it: their CPU time, s, and the resident memory of the largest worker, MB."""
+    """Monitors a process and its descendants: their CPU time, s, and the resident memory of the largest worker, MB."""
 
     def __init__(self, pid: int) -> None:
         super().__init__(daemon=True)
@@ -301,7 +301,7 @@ class Watch(threading.Thread):
             time.sleep(0.1)
 
     def end(self) -> tuple[tuple[float, float, float], float]:
-        """Memory a quarter through, at the end, and the most; and the CPU time of all."""
+        """Memory after a quarter of the time, at the end, and at its peak; and the total CPU time."""
         self._going = False
         self.join()
         sizes = self._sizes or [0.0]
@@ -309,7 +309,7 @@ class Watch(threading.Thread):
 
 
 def family(pid: int) -> Iterator[int]:
-    """A process and all below it."""
+    """A process and its descendants."""
     yield pid
     with suppress(OSError):
         for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
@@ -330,7 +330,7 @@ def scaling(folder: Path, arguments: argparse.Namespace) -> None:
 
 
 def loops(count: int) -> float:
-    """Seconds of so many loops of plain Python side by side, each in a process of its own: what the machine gives."""
+    """Seconds of several loops of plain Python in parallel, each in its own process: the machine's own speed-up."""
     begin = time.monotonic()
     running = [subprocess.Popen([sys.executable, "-c", LOOP]) for _ in range(count)]
     for process in running:

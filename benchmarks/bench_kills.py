@@ -1,7 +1,7 @@
-"""Fifty kills in a batch of two hundred clips: ``python benchmarks/bench_kills.py [kills] [clips] [seed]``.
+"""Fifty kills in a batch of 200 clips: ``python benchmarks/bench_kills.py [kills] [clips] [seed]``.
 
 A batch is killed (kill -9, itself or one of its workers, at random instants) and resumed until it ends; its folder must
-then hold the bytes of an undisturbed batch, and nothing else. Kills follow so close that they are spent before that.
+then contain the bytes of an undisturbed batch, and nothing else. Kills are so frequent that all happen before the end.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pathlib import Path
 from vehsim.runtime.processes import NAME
 
 CLOSE = 0.6
-"""Seconds between kills, at most, while clips are at work: some four are finished meanwhile."""
+"""Largest time between kills while clips are running, s: about four clips finish in that time."""
 SHOT = """
 [shot]
 schema = 1
@@ -48,7 +48,7 @@ def start(folder: Path, out: str) -> subprocess.Popen[bytes]:
 
 
 def workers_of(process: subprocess.Popen[bytes]) -> list[int]:
-    """Its worker processes, without what they are forked from and multiprocessing's own helper."""
+    """The batch's worker processes, without the fork server and multiprocessing's helper."""
     found, above = [], [process.pid]
     while above:
         pid = above.pop()
@@ -71,7 +71,7 @@ def main(kills: int = 50, clips: int = 200, seed: int = 1) -> int:
         while True:
             process, starts = start(folder, "killed"), starts + 1
             while process.poll() is None and whole + single < kills:
-                if chance.random() < 0.9:  # most strike while clips are at work, some while the batch begins
+                if chance.random() < 0.9:  # most kills happen while clips are running, some while the batch starts
                     while process.poll() is None and not workers_of(process):
                         time.sleep(0.02)
                 time.sleep(chance.uniform(0.0, CLOSE))
@@ -82,7 +82,7 @@ def main(kills: int = 50, clips: int = 200, seed: int = 1) -> int:
                 elif process.poll() is None:
                     os.killpg(process.pid, signal.SIGKILL)
                     whole += 1
-            if process.wait() == 0:  # nothing is left to kill
+            if process.wait() == 0:  # the batch ended before the kill
                 break
         same = content(folder / "undisturbed") == content(folder / "killed")
         spent, took = f"of {kills} kills {whole} of batches and {single} of workers", time.monotonic() - begin

@@ -1,8 +1,8 @@
 """Free rigid bodies: LIE Fig. 4 (errors and run times over steps), Fig. 3 (one large step), and a million steps.
 
-Errors are means over runs and over one sample a second; a run whose state is not finite, or that strays a hundred times
-too far, counts as a blow-up. Times are CPU times of one thread. All methods run in CasADi's interpreter, and, for one
-body, as machine code too: never one side compiled and the other not.
+Errors are means over runs and over one sample per second; a run whose state is not finite, or that strays a hundred
+times too far, counts as a blow-up. Times are CPU times of one thread. All methods run in CasADi's interpreter and, for
+one body, as machine code too: never one side compiled and the other not.
 """
 
 from __future__ import annotations
@@ -77,14 +77,14 @@ def random_bodies(count: int) -> list[Body]:
     rng, bodies = np.random.default_rng(2009), []
     while len(bodies) < count:
         inertia = rng.uniform(0.5, 2.0, 3)
-        if 2 * inertia.max() < inertia.sum():  # a body that can exist
-            twist = rng.standard_normal(6) * np.repeat([2.0, 1.0], 3)  # up to a turn a second
+        if 2 * inertia.max() < inertia.sum():  # a physically possible body
+            twist = rng.standard_normal(6) * np.repeat([2.0, 1.0], 3)  # up to a turn per second
             bodies.append(Body(inertia, rng.uniform(0.5, 2.0), twist))
     return bodies
 
 
 def run(body: Body, name: str, h: float, steps: int, compiled: bool = False) -> Track:
-    """``SolveError`` where one of ours cannot solve a step."""
+    """Run one method. Raises ``SolveError`` if one of our integrators cannot solve a step."""
     which = _ours if name in OURS else _reference if name in REFERENCES else _mujoco
     return which(body, name, h, steps, compiled)
 
@@ -93,7 +93,7 @@ def _ours(body: Body, name: str, h: float, steps: int, compiled: bool) -> Track:
     group, difference_map, order = OURS[name]
     integrator = Integrator(body.vehicle(group), h, difference_map, order, compiled=compiled)
     start, controls = packed(integrator.start(State(twist=body.twist), ())), np.zeros((steps + 1, 0))
-    integrator.history(start, controls[:2000])  # expressions are built outside the clock
+    integrator.history(start, controls[:2000])  # build the expressions before measuring time
     begin = time.process_time()
     x = integrator.history(start, controls)
     return x[:, 4:7], x[:, 0:4], x[:, 7:10] / body.inertia, time.process_time() - begin
@@ -134,12 +134,12 @@ def _mujoco(body: Body, name: str, h: float, steps: int, compiled: bool) -> Trac
             begin = time.process_time()
             mujoco.mj_step(model, data, every)
             clock += time.process_time() - begin
-    q = np.repeat(np.array(rows), every, axis=0)[: steps + 1]  # samples are taken once a second only
+    q = np.repeat(np.array(rows), every, axis=0)[: steps + 1]  # only one sample per second is taken
     return q[:, 0:3], q[:, 3:7], q[:, 7:10], clock
 
 
 def free_bodies(minutes: float, count: int) -> dict[str, Any]:
-    """LIE Fig. 4: method -> step -> (position error m, rotation error rad, seconds a step, blow-ups)."""
+    """LIE Fig. 4: method -> step -> (position error m, rotation error rad, seconds per step, blow-ups)."""
     bodies, seconds = random_bodies(count), np.arange(1, int(minutes * 60) + 1, dtype=float)
     truths = [body.truth(seconds) for body in bodies]
     table: dict[str, Any] = {}
@@ -157,11 +157,11 @@ def free_bodies(minutes: float, count: int) -> dict[str, Any]:
 
 
 def _errors(body: Body, truth: Any, name: str, h: float, seconds: np.ndarray) -> tuple[float, float, float]:
-    """Mean position error m and rotation error rad at whole seconds, and seconds a step; infinite after a blow-up."""
+    """Mean position error m and rotation error rad at whole seconds, and seconds per step; inf after a blow-up."""
     steps = round(seconds[-1] / h)
     try:
         position, quaternion, _, clock = run(body, name, h, steps)
-    except SolveError:  # ours says so instead of blowing up: counted alike
+    except SolveError:  # our integrators raise this instead of blowing up: it counts the same
         return np.inf, np.inf, np.nan
     at = np.minimum(np.round(seconds / h).astype(int), steps)
     p, q = position[at], quaternion[at]
@@ -173,7 +173,7 @@ def _errors(body: Body, truth: Any, name: str, h: float, seconds: np.ndarray) ->
 
 
 def _step_times(body: Body) -> dict[str, list[float]]:
-    """Seconds a step at h = 1/64: interpreted and as machine code, the best of five runs of 4096 steps."""
+    """Seconds per step at h = 1/64: interpreted and as machine code, the best of five runs of 4096 steps."""
 
     def best(name: str, compiled: bool) -> float:
         return min(run(body, name, 1 / 64, 4096, compiled)[3] for _ in range(5)) / 4096
@@ -182,7 +182,7 @@ def _step_times(body: Body) -> dict[str, list[float]]:
 
 
 def _newton() -> dict[str, float]:
-    """Step -> relative residual that one Newton iteration leaves, TLN, the worst of ten bodies."""
+    """Step -> relative residual after one Newton iteration, TLN, the worst of ten bodies."""
     worst: dict[str, float] = {}
     for h in (1 / 24, 1 / 240, 1 / 1000):
         left = []
@@ -201,7 +201,7 @@ def _newton() -> dict[str, float]:
 
 
 def orbits(minutes: float) -> dict[str, Any]:
-    """LIE Fig. 3, as numbers: one body at h = 0.5 s, energy and angular momentum at the end over those at the start."""
+    """LIE Fig. 3, as numbers: one body at h = 0.5 s, final energy and angular momentum over the initial ones."""
     body = Body(np.array([0.8, 1.4, 2.0]), 1.0, np.array([1.0, 2.5, 0.5, 0.5, 0.2, 0.1]))
     ends: dict[str, Any] = {}
     for name in METHODS:
@@ -213,7 +213,7 @@ def orbits(minutes: float) -> dict[str, Any]:
 
 
 def long_runs(steps: int) -> dict[str, Any]:
-    """Method -> relative swing and trend of energy, drift of angular momentum, over steps of 0.02 s."""
+    """Method -> relative oscillation and trend of energy, drift of angular momentum, over steps of 0.02 s."""
     body, rows = random_bodies(1)[0], {}
     for name, (group, difference_map, order) in OURS.items():
         integrator = Integrator(body.vehicle(group), 0.02, difference_map, order)
@@ -222,7 +222,7 @@ def long_runs(steps: int) -> dict[str, Any]:
         energy = np.sum(pi * pi / np.array([*body.inertia, *[body.mass] * 3]), axis=1) / 2
         R = Rotation.from_quat(g[:, [1, 2, 3, 0]])
         spin = R.apply(pi[:, :3])
-        if group is SE3:  # there the whole of it, about the world's origin, is what is conserved
+        if group is SE3:  # on SE3 the whole momentum, about the world's origin, is conserved
             spin = spin + np.cross(g[:, 4:7], R.apply(pi[:, 3:]))
         trend = np.polyfit(np.arange(steps + 1), energy / energy[0], 1)[0] * steps
         drift = np.abs(spin - spin[0]).max() / np.linalg.norm(spin[0])

@@ -23,7 +23,7 @@ SECONDS = np.arange(1, 61)
 
 
 def cars(runs: int) -> dict[str, Any]:
-    """Method -> step -> (position error m, seconds a step interpreted, as machine code)."""
+    """Method -> step -> (position error m, seconds per step interpreted, as machine code)."""
     vehicle = car(
         mass=1350.0, wheel_inertia=2.4, yaw_inertia=4100.0, wheel_radius=RADIUS, wheelbase=2.6, half_track=0.77
     )
@@ -68,7 +68,8 @@ def cars(runs: int) -> dict[str, Any]:
 
 
 def _drives(count: int) -> list[tuple[float, np.ndarray]]:
-    """Speed m/s at the start, and controls at knots of the coarsest step, linear between, the same for all."""
+    """Speed m/s at the start, and controls at the knots of the coarsest step, linear between, the same for all
+    methods."""
     rng, knots, drives = np.random.default_rng(521), np.arange(round(60 / STEPS[0]) + 1) * STEPS[0], []
     for _ in range(count):
         a, b, w1, w2, p = rng.uniform((200, 0.05, 0.3, 0.3, 0), (1500, 0.5, 1.5, 1.5, 6.28))

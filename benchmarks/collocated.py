@@ -1,8 +1,8 @@
-"""Direct collocation of the same vehicles: what DMOC is compared with, as SYM and NH do. No plan is made by it.
+"""Direct collocation of the same vehicles, for comparison with DMOC as in SYM and NH. No plan uses it.
 
-Everything but the dynamics is DMOC's own: marks, costs, limits, initial guess, elements and solver. In place of the
-discrete mechanics stand the continuous equations of motion, discretised afterwards by the trapezoidal rule (order 2) or
-by Hermite and Simpson's (order 4; Hargraves and Paris 1987), controls linear between knots.
+Everything but the dynamics is the same as in DMOC: marks, costs, limits, initial guess, elements and solver. The
+discrete mechanics are replaced by the continuous equations of motion, discretised by the trapezoidal rule (order 2) or
+by the Hermite-Simpson rule (order 4; Hargraves and Paris 1987), with controls linear between knots.
 """
 
 from __future__ import annotations
@@ -41,7 +41,8 @@ class Collocation(Transcription):
 
     @cached_property
     def substep(self) -> Element:
-        """Defects of a segment, with the variables and parameters of DMOC's; the velocity ``z`` is in none of them."""
+        """Defects of a segment, with the variables and parameters of DMOC; the velocity ``z`` does not occur in
+        them."""
         v = self.symbols("x", "z", "c0", "c1", "x1", "h")
         wind, start, fraction = ca.SX.sym("wind", 3), ca.SX.sym("start"), ca.SX.sym("fraction")
         flow = self._flow
@@ -56,7 +57,7 @@ class Collocation(Transcription):
 
     @property
     def _flow(self) -> ca.Function:
-        """``(x, c, c_rate, wind) -> dx/dt`` of a node state, everything scaled as the variables are."""
+        """``(x, c, c_rate, wind) -> dx/dt`` of a node state, scaled like the variables."""
         m, v = self.mechanics, self.symbols("x", "c0")
         c_rate, wind = ca.SX.sym("c_rate", self.sizes[3]), ca.SX.sym("wind", 3)
         g, r, pi = self.split(v["x"])
@@ -81,12 +82,12 @@ def _hermite_simpson(slope: Any, x: Any, x1: Any, h: Any) -> Any:
 
 
 SCHEMES = {"trapezoidal": _trapezoidal, "hermite-simpson": _hermite_simpson}
-"""Scheme -> the defect of a segment from the slope at its fractions, the states at its ends and its length."""
+"""Scheme -> the defect of a segment, from the slopes at its fractions, the states at its ends and its duration."""
 
 
 @dataclass(frozen=True, eq=False)
 class Collocated:
-    """What one solve came to: ``g`` (n, size) at the knots, ``controls`` (n, c), and where they really lead."""
+    """The result of one solve: ``g`` (n, size) at the knots, ``controls`` (n, c), and where they lead when executed."""
 
     solution: Solution
     g: Array
@@ -95,7 +96,7 @@ class Collocated:
 
 
 def solve(transcription: Transcription, marks: Sequence[Mark], segments: int, **options: Any) -> Collocated:
-    """One solve on ``segments`` from DMOC's initial guess: neither coarser before nor finer after, in free space.
+    """One solve on ``segments`` from DMOC's initial guess, without coarser or finer levels, in free space.
 
     ``transcription``: a `Collocation`, or `transcribe(vehicle)` for DMOC itself; two marks at given frames;
     ``options``: of `vehsim.plan`, such as ``fps``, ``cost``, ``limits``, ``solver``.

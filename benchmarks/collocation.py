@@ -1,8 +1,8 @@
-"""DMOC against direct collocation of the same vehicles, marks, cost and solver, as SYM and NH compare them.
+"""DMOC compared with direct collocation of the same vehicles, marks, cost and solver, as in SYM and NH.
 
 ``python -m benchmarks.collocation`` prints a table and writes ``RESULTS.collocation.md`` beside this file. Every row is
-one solve from one initial guess, neither coarser before nor finer after; *executed* is how far the controls end from
-the plan when run finely through an independent integration.
+one solve from one initial guess, without coarser or finer levels; *executed* is the distance from the plan when an
+independent, fine integration executes the controls.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ TASKS = {
     ("helicopter", "effort"): (121, (0, 0, 30), (40, 10, 35)),
     ("car", "effort"): (145, (0, 0, 0), (25, 6, 0)),
 }
-"""(vehicle, cost) -> last frame at 24 fps, start and goal, m, from rest to rest, turned by 20 degrees."""
+"""(vehicle, cost) -> last frame at 24 fps, start and goal, m, from rest to rest, rotated by 20 degrees."""
 
 READING = """All three methods converge to one optimum: costs extrapolated from N = 32 and 64 agree to 0.1 %
 (helicopter, smoothness) and 0.002 % (car). Executed errors decrease with order 2 (DMOC, trapezoidal) and
@@ -42,7 +42,7 @@ def main() -> None:
         f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} at the start; one thread, no compiler. CPU seconds are"
         " of a solve including building, median of 5; `dmoc` is of order 2, from which `plan` goes on.",
         "",
-        "| vehicle, cost | way | N | cost | executed, off by (m) | quaternion drift | iterations | CPU (s) |",
+        "| vehicle, cost | method | N | cost | executed, off by (m) | quaternion drift | iterations | CPU (s) |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for (name, cost), (frame, start, goal) in TASKS.items():
@@ -52,8 +52,8 @@ def main() -> None:
             Mark(1, position=start, heading=0, velocity=REST),
             Mark(frame, position=goal, heading=20, velocity=REST),
         ]
-        ways = {"dmoc": Transcription(vehicle)} | {scheme: Collocation(vehicle, scheme) for scheme in SCHEMES}
-        for way, t in ways.items():
+        methods = {"dmoc": Transcription(vehicle)} | {scheme: Collocation(vehicle, scheme) for scheme in SCHEMES}
+        for method, t in methods.items():
             for n in (16, 32, 64):
                 answer, spent = solve(t, marks, n, cost=cost), []
                 for _ in range(5):
@@ -64,7 +64,7 @@ def main() -> None:
                 drift = "" if flat else f"{np.abs(np.linalg.norm(answer.g[:, :4], axis=1) - 1).max():.0e}"
                 solution = answer.solution
                 lines.append(
-                    f"| {name}, {cost} | {way} | {n} | {solution.cost:.4f} | {answer.executed.final:.1e} | {drift} "
+                    f"| {name}, {cost} | {method} | {n} | {solution.cost:.4f} | {answer.executed.final:.1e} | {drift} "
                     f"| {solution.iterations if solution.success else solution.message} | {np.median(spent):.2f} |"
                 )
                 print(lines[-1], flush=True)

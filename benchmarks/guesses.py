@@ -1,8 +1,8 @@
-"""Plans started from sinusoids against plans started from a straight line, over random pairs.
+"""Plans started from sinusoids compared with plans started from a straight line, over random pairs.
 
 ``python -m benchmarks.guesses [--trucks 20] [--parks 20]`` prints a table and writes ``RESULTS.guesses.md`` beside this
-file: a truck reverses its trailer into a bay, a car parks in a gap between two others, each in the time the sinusoids
-take, with joints straight at both ends and effort the cost.
+file: a truck reverses its trailer into a bay, and a car parks in a gap between two others. Each plan has the duration
+of the sinusoids, joints straight at both ends, and effort as its cost.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ GUESSES = ("straight", "own", "sinusoid")
 
 
 def bay(rng):
-    """A truck's pair: from the street into a bay behind it, turned by up to 90 degrees."""
+    """A truck's pair: from the street into a bay behind it, rotated by up to 90 degrees."""
     start, goal = (20 + rng.uniform(-5, 5), 0, 0), (-8 + rng.uniform(-4, 4), rng.uniform(-12, 12), 0)
     return start, goal, rng.uniform(-90, 90), None
 

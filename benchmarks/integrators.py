@@ -1,9 +1,9 @@
-"""The integrators against their peers: LIE Figs. 3, 4 and 5, long runs, and speed against MuJoCo.
+"""The integrators compared with their peers: LIE Figs. 3, 4 and 5, long runs, and speed against MuJoCo.
 
 ``python -m benchmarks.integrators [PART ...] [--quick] [--fresh]`` writes ``RESULTS.md`` and figures beside this file.
-Parts are ``bodies``, ``cars``, ``orbits``, ``long``, ``speed``; each is kept in ``build/bench-integrators`` when it is
-done, so that an interrupted run goes on where it stopped, and a part named is measured again. ``--quick`` takes a tenth
-of everything, ``--fresh`` forgets what was kept.
+Parts are ``bodies``, ``cars``, ``orbits``, ``long``, ``speed``. Finished parts are stored in
+``build/bench-integrators``, so that an interrupted run continues where it stopped; a named part is measured again.
+``--quick`` takes a tenth of everything, ``--fresh`` ignores stored parts.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def report(results: dict[str, Any]) -> list[str]:
 
 
 def claims(body: dict[str, Any], car: dict[str, Any]) -> list[list[str]]:
-    """Every claim of LIE 3.3: held, how far."""
+    """Every claim of LIE 3.3: whether it holds, and the measurement."""
     rows, times, coarse = body["table"], body["steps"], str(bodies.STEPS[0])
     lost = {name: sum(v[3] for v in row.values()) for name, row in rows.items()}
     newmark, ours = rows["Lie-Newmark"]["0.125"][0], rows["TLN"]["0.125"][0]
@@ -158,7 +158,7 @@ def _efficiency(times: dict[str, list[float]]) -> list[tuple[str, bool, str]]:
 
 
 def _order_four(body: dict[str, Any]) -> list[tuple[str, bool, str]]:
-    """Run times at an error of 1e-3, read off the log-log lines, interpreted."""
+    """Run times at an error of 1e-3, interpolated on the log-log lines, interpreted."""
     made = []
     for i, what in enumerate(("position 1e-3 m", "rotation 1e-3 rad")):
         ours = {n: _time_at_error(body, n, i) for n in ("order 4", "order 4 TLN", "SO(3)xR3 order 4")}
@@ -175,7 +175,7 @@ def _order_four(body: dict[str, Any]) -> list[tuple[str, bool, str]]:
 
 
 def _time_at_error(body: dict[str, Any], name: str, i: int, error: float = 1e-3) -> float:
-    """Run time s at which a method reaches an error; its least where all errors are smaller."""
+    """Run time s at which a method reaches an error; its smallest run time if all errors are smaller."""
     seconds = body["minutes"] * 60
     points = [(v[i], v[2] * seconds / float(h)) for h, v in body["table"][name].items() if v[i] is not None]
     return float(np.exp(np.interp(np.log(error), *np.log(np.array(sorted(points)).T)))) if points else np.inf

@@ -1,9 +1,9 @@
-"""How far sinusoids are from the least effort between the same states in the same time, over random pairs.
+"""Effort of sinusoids compared with the least effort between the same states in the same time, over random pairs.
 
 ``python -m benchmarks.optimality [--pairs 40]`` prints a table and writes ``RESULTS.optimality.md`` beside this file.
-Effort is the integral of the squared inputs over unit time, every stage given the share of the time that makes it
-least. Brockett's systems are held against their optimal inputs; the paper's car against `vehsim.plan` on the same car,
-a vehicle whose two controls are the paper's two inputs, started from the sinusoids' path and from a straight line.
+Effort is the integral of the squared inputs over unit time, which is divided optimally between the stages. Brockett's
+systems are compared with their optimal inputs, the paper's car with `vehsim.plan` on the same car: a vehicle whose two
+controls are the paper's two inputs, started from the sinusoids' path and from a straight line.
 """
 
 from __future__ import annotations
@@ -40,12 +40,13 @@ AMPLITUDES = (1.3, 2.6, -2.6, 4.0, -4.0)
 
 
 def shares(steering):
-    """The square roots of what each stage costs in unit time: the best shares of time are in proportion to them."""
+    """The square roots of each stage's cost in unit time: the optimal shares of time are proportional to them."""
     return np.array([np.sqrt(replace(steering, stages=(replace(s, duration=1.0),)).effort) for s in steering.stages])
 
 
 def least(steer, choices):
-    """The cheapest of what works: its effort in unit time, and the steering so timed, over ``SECONDS``."""
+    """The cheapest steering that works: its effort in unit time, and the steering with this timing, over
+    ``SECONDS``."""
     found = []
     for choice in choices:
         try:

@@ -1,8 +1,8 @@
-"""Planning measured: building, free space, canyon, obstacles, replanning, random goals.
+"""Measurements of planning: building, free space, canyon, obstacles, replanning, random goals.
 
 ``python -m benchmarks.planning [PART ...]`` prints a table and writes ``RESULTS.planning.md`` beside this file. Every
-row says wall and CPU seconds (on a busy machine only the second means anything), what came out, and its target; the
-load of the machine stands above.
+row has wall and CPU seconds (on a busy machine only the latter are meaningful), the outcome, and the target; the load
+of the machine is given above the table.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _CANYON_MARKS = [
     Mark(1433, position=(180, 40, 28), velocity=REST),
 ]
 Row = tuple[str, str, Sequence[float], Sequence[float], str]
-"""What, target, wall s, CPU s, what came out."""
+"""What was measured, target, wall s, CPU s, outcome."""
 
 
 def _timed(work: Callable[..., Any], *arguments: Any, **options: Any) -> tuple[Any, float, float]:
@@ -48,7 +48,7 @@ def _timed(work: Callable[..., Any], *arguments: Any, **options: Any) -> tuple[A
 
 
 def building() -> Iterator[Row]:
-    """A vehicle differentiated, and problems built from it at any length."""
+    """Differentiating a vehicle, and building problems of any length from it."""
     for name in ("helicopter", "car"):
         vehicle = vehsim.load_vehicle(name)
         marks = [Mark(1, position=REST, heading=0, velocity=REST), Mark(97, position=(20, 4, 0), velocity=REST)]
@@ -82,7 +82,7 @@ def _assembled(t: Transcription, request: Any, segments: int) -> NonlinearProgra
 
 
 def free_space() -> Iterator[Row]:
-    """The helicopter to random goals from a straight line: as asked, and refined until its controls lead there."""
+    """The helicopter to random goals from a straight line: unrefined, and refined until its controls lead there."""
     helicopter, rng = vehsim.load_vehicle("helicopter"), np.random.default_rng(7)
     goals = [(rng.uniform([-100, -100, 30], [100, 100, 90]), rng.uniform(-180, 180)) for _ in range(50)]
     for refine, target in ((False, "0.2 s median, 50 of 50"), (True, "")):
@@ -110,7 +110,7 @@ def canyon() -> Iterator[Row]:
 
 
 def cold() -> Iterator[Row]:
-    """The canyon with nothing cached: the field measured, the way sought, the plan made."""
+    """The canyon with an empty cache: measuring the field, finding the route, planning."""
     kept = os.environ.get("VEHSIM_CACHE")
     with tempfile.TemporaryDirectory() as empty:
         os.environ["VEHSIM_CACHE"] = empty
@@ -157,12 +157,12 @@ def _yard(seed: int) -> list[Any]:
 
 
 def _replans(name: str, plan: Any, marks: list[Mark], target: str, count: int) -> Iterator[Row]:
-    """Warm answers to a last mark moved by a metre in some direction."""
+    """Replans after the last mark moves by a metre in some direction."""
     rng, walls, cpus, met, defect = np.random.default_rng(3), [], [], 0, 0.0
     flat = plan.clip.vehicle.group.dim == 3
     for _ in range(count + 1):
-        way = rng.standard_normal(3) * [1, 1, not flat]
-        goal = np.asarray(marks[-1].position) + way / np.linalg.norm(way)
+        direction = rng.standard_normal(3) * [1, 1, not flat]
+        goal = np.asarray(marks[-1].position) + direction / np.linalg.norm(direction)
         moved = [*marks[:-1], Mark(marks[-1].frame, position=goal, heading=marks[-1].heading, velocity=REST)]
         again, wall, cpu = _timed(plan.replan, moved)
         walls.append(wall)
@@ -173,7 +173,7 @@ def _replans(name: str, plan: Any, marks: list[Mark], target: str, count: int) -
 
 
 def replanning() -> Iterator[Row]:
-    """A mark moved by a metre; the first answer, which builds, is left out."""
+    """A mark moves by a metre; the first replan, which builds the problem, is left out."""
     for name, n, frame, goal, target in (
         ("helicopter", 16, 121, (40, 10, 35), "40 ms at the 90th percentile"),
         ("car", 64, 193, (40, 10, 0), "40 ms median"),

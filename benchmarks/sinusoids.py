@@ -1,8 +1,8 @@
-"""Random start and goal pairs for every system steered by sinusoids, judged by an integrator of another house.
+"""Random start and goal pairs for every system steered by sinusoids, judged by an independent integrator.
 
 ``python -m benchmarks.sinusoids [--pairs 1000] [--seconds 60] [--only trailers]`` prints a table and, for all systems,
-writes ``RESULTS.sinusoids.md`` beside this file: how many pairs were steered, the largest end error when the returned
-inputs are integrated by scipy's adaptive DOP853, and CPU time a pair. What could not be steered counts as such.
+writes ``RESULTS.sinusoids.md`` beside this file: the number of pairs that were steered, the largest end error when
+scipy's adaptive DOP853 integrates the returned inputs, and CPU time per pair. Failures are counted as such.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def pair(rng, *bounds):
 
 
 def trailer_pair(rng, count):
-    """Within 10 m, any car heading to 60 degrees, hitches to 30, steering to 23."""
+    """Within 10 m, any car heading, hitches up to 30 degrees and steering up to 23."""
     ends = np.zeros((2, 4 + count))
     ends[:, :2], ends[:, 2] = rng.uniform(-10, 10, (2, 2)), rng.uniform(-0.4, 0.4, 2)
     ends[:, 3] = rng.uniform(-1.05, 1.05, 2)
@@ -82,7 +82,7 @@ def unicycle() -> Feedback:
 
 
 def through(change: Feedback):
-    """Steered through chained form, with a wider sweep where the first leaves the chart."""
+    """Steer through chained form, with a larger amplitude if the first leaves the chart."""
 
     def steer(start, goal):
         for amplitude in (None, 1.0, -1.0, 2.0, -2.0, 4.0, -4.0, 8.0, -8.0):
@@ -140,7 +140,7 @@ SYSTEMS = {
 
 
 def measure(name: str, pairs: int, seconds: float) -> tuple[str, list[str]]:
-    """A row of the table, and what went wrong; no more pairs are drawn once ``seconds`` of CPU time are spent."""
+    """A row of the table, and the failures; no more pairs are drawn once ``seconds`` of CPU time are used."""
     draw, steer = SYSTEMS[name]
     rng, errors, spent, wrong, done = np.random.default_rng(0), [], 0.0, Counter(), 0
     until = time.process_time() + seconds

@@ -1,4 +1,5 @@
-"""Time of a step against MuJoCo's `mj_step` of a free body, in one run: called from Python, and 10,000 in one go."""
+"""Time of a step compared with MuJoCo's `mj_step` of a free body, in one run: called from Python, and 10,000 at
+once."""
 
 from __future__ import annotations
 
@@ -20,7 +21,8 @@ VEHICLES = {
 
 
 def speed() -> dict[str, Any]:
-    """Rows of CPU seconds a step: called in place, from state to state, in rollouts (a clip included), in its loop."""
+    """Rows of CPU seconds per step: called in place, from state to state, in rollouts (including a clip), in its
+    loop."""
     import mujoco
 
     rows: dict[str, Any] = {}
@@ -61,10 +63,10 @@ def _times(integrator: Integrator, start: State, c: np.ndarray) -> list[float]:
 
 
 def _two_threads(integrator: Integrator, start: State, c: np.ndarray) -> list[float]:
-    """Wall seconds a step of 1,000 vehicles side by side, 240 steps each, on one thread and on two."""
+    """Wall seconds per step of 1,000 vehicles side by side, 240 steps each, on one thread and on two."""
     fleets = [integrator.fleet([start] * 1000, c, threads=threads) for threads in (1, 2)]
     controls, walls = np.tile(c, (240, 1)), [np.inf, np.inf]
-    for _ in range(15):  # in turns: on a shared machine, the best of each
+    for _ in range(15):  # in turns: on a shared machine, take the best of each
         for i, fleet in enumerate(fleets):
             begin = time.perf_counter()
             fleet.advance(controls)

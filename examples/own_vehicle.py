@@ -1,4 +1,4 @@
-"""A vehicle from a blank page: a pushed cart on two free wheels, from its Lagrangian to a rigged, animated clip."""
+"""A vehicle defined from scratch: a pushed cart on two free wheels, from its Lagrangian to a rigged, animated clip."""
 
 import sys
 from pathlib import Path
@@ -19,12 +19,12 @@ def lagrangian(r, u, xi):
 
 
 def constraints(r):
-    """W_r u + W_xi xi = 0: either wheel rolls, neither slips sideways."""
+    """W_r u + W_xi xi = 0: both wheels roll, and neither slips sideways."""
     return [[-RADIUS, 0], [0, -RADIUS], [0, 0]], [[-TRACK, 1, 0], [TRACK, 1, 0], [0, 0, 1]]
 
 
 def forces(r, u, xi, c):
-    """Friction in the bearings, and what pushes: a body wrench (torque, force along, force across)."""
+    """Friction in the bearings, and the push: a body wrench (torque, force along, force across)."""
     return [-0.5 * u[0], -0.5 * u[1]], [c[1], c[0], 0]
 
 
@@ -44,7 +44,7 @@ cart = Nonholonomic(
 
 
 def push(t, state):
-    """Controls at a time [s] and `State`: push off, then swing from side to side."""
+    """Controls at a time [s] and `State`: push, then steer from side to side."""
     return [60.0 if t < 2 else 15.0, 12.0 * np.sin(2 * t)]
 
 

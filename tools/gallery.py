@@ -1,6 +1,6 @@
-"""The gallery's pictures, from exported stages alone: of every example a film in forty frames, and a still by Cycles.
+"""Pictures of the gallery from exported stages: for every example a film of forty frames, and a still by Cycles.
 
-``python tools/gallery.py STAGES [NAME...]``: STAGES is a folder that ``vehsim export`` wrote the examples to. Writes
+``python tools/gallery.py STAGES [NAME...]``: STAGES is a folder to which ``vehsim export`` wrote the examples. Writes
 docs/gallery/NAME.webp and still_NAME.jpg; stills need Blender (`VEHSIM_BLENDER`) and take two CPU minutes each.
 """
 
@@ -37,15 +37,15 @@ STILLS = {
     "truck_reverses_trailer": (1250, "chase"),
     "tumbling_body": (1145, "left"),
 }
-"""Stage -> the frame and the camera of its still; the film is that camera's too."""
+"""Stage -> the frame and the camera of its still; the film uses the same camera."""
 FRAMES, SIZE, SMALLER, SECONDS = 40, (480, 270), (384, 216), 5.0
-"""A sea, where everything moves, is smaller rather than blurred."""
+"""A sea, where every pixel changes, gets a smaller picture rather than a blurred one."""
 LARGEST = 250_000
-"""Bytes a picture may have."""
+"""Largest size of a picture, bytes."""
 
 
 def film(stage: Path, camera: str, path: Path) -> None:
-    """An animated WebP of about ``FRAMES`` frames, as good as fits."""
+    """Write an animated WebP of about ``FRAMES`` frames, with the best quality that fits."""
     first, last = StageReader(stage).frames
     frames = range(first, last + 1, max(1, (last - first) // FRAMES))
     with tempfile.TemporaryDirectory() as folder:
@@ -62,7 +62,7 @@ def film(stage: Path, camera: str, path: Path) -> None:
 
 
 def still(stage: Path, camera: str, frame: int, path: Path) -> None:
-    """1920 x 1080 by Cycles, as JPEG as good as fits."""
+    """Render 1920 x 1080 by Cycles, as JPEG with the best quality that fits."""
     with tempfile.TemporaryDirectory() as folder:
         picture = Path(folder) / "still.png"
         blender._run(stage, "--still", picture, "--frame", frame, "--camera", camera)
@@ -70,7 +70,7 @@ def still(stage: Path, camera: str, frame: int, path: Path) -> None:
 
 
 def compress(picture: Path, path: Path) -> None:
-    """A picture as JPEG, as good as fits."""
+    """Write a picture as JPEG, with the best quality that fits."""
     for quality in (90, 82, 74, 66, 55):
         Image.open(picture).convert("RGB").save(path, quality=quality, optimize=True, progressive=True)
         if path.stat().st_size <= LARGEST:

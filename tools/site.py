@@ -1,6 +1,6 @@
-"""The site's hooks: what is written once, elsewhere in the repository, becomes a page; links follow.
+"""Hooks of the documentation site: texts elsewhere in the repository become pages, and links are adapted.
 
-README.md is the front page, examples/ one page of shots, and what pages link to outside docs/ comes along.
+README.md is the front page, examples/ becomes one page of shots, and files outside docs/ to which pages link are added.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ ROOT = Path(__file__).resolve().parents[1]
 LINK = re.compile(r"(\]\()([^)\s#:]+)(#[^)\s]*)?\)")
 FENCE = re.compile(r"^```.*?^```", re.DOTALL | re.MULTILINE)
 OUTSIDE = ("CHANGELOG.md", "CONTRIBUTING.md", "LICENSE", "benchmarks/*.md", "benchmarks/figures/*", "examples/*")
-"""What comes along from outside docs/."""
+"""Files outside docs/ that the site contains."""
 PAGES = {"README.md": "index.md", "examples": "examples.md"}
-"""What is a page of another name: path in the repository -> path in the site."""
+"""Pages with another name: path in the repository -> path in the site."""
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -31,7 +31,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Links as they are in the repository become links within the site; snippets stay as they are."""
+    """Convert links within the repository to links within the site; snippets stay unchanged."""
     pieces, end = [], 0
     for fence in FENCE.finditer(markdown):
         pieces += [_linked(markdown[end : fence.start()], page.file.src_uri, files), fence[0]]
@@ -45,10 +45,10 @@ def _linked(text: str, page: str, files: Files) -> str:
     def follow(match: re.Match[str]) -> str:
         target = (folder / match[2]).resolve()
         if not target.is_relative_to(ROOT) or not target.exists():
-            return match[0]  # MkDocs says what is wrong with it
+            return match[0]  # MkDocs reports what is wrong with it
         where = target.relative_to(ROOT).as_posix()
         where = PAGES.get(where, where.removeprefix("docs/"))
-        if files.get_file_from_path(where) is None:  # in the repository alone
+        if files.get_file_from_path(where) is None:  # only in the repository, not in the site
             return f"{match[1]}#)" if target.is_dir() else match[0]
         up = "../" * page.count("/")
         return f"{match[1]}{up}{where}{match[3] or ''})"
@@ -57,12 +57,12 @@ def _linked(text: str, page: str, files: Files) -> str:
 
 
 def _source(page: str) -> Path:
-    """Where a page of the site lies in the repository."""
+    """The path in the repository of a page of the site."""
     return ROOT / "docs" / page if (ROOT / "docs" / page).exists() else ROOT / page
 
 
 def _examples() -> str:
-    """Every shot and script of examples/, as it stands."""
+    """Every shot and script of examples/, unchanged."""
     said = ["# Examples\n\nEvery shot as it stands: `vehsim export examples/NAME.toml --out out`.\n"]
     for path in sorted(ROOT.glob("examples/*")):
         if path.suffix in (".toml", ".py"):

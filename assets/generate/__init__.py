@@ -1,1 +1,1 @@
-"""Scripts that generate the assets vehsim ships. Run one after changing it and commit what it writes."""
+"""Scripts that generate the shipped assets. After a change, run the script and commit the files that it writes."""

@@ -1,6 +1,6 @@
-"""`python -m vehsim.assets.generate [NAME...]` writes the vehicles' assets again, all of them unless named.
+"""`python -m vehsim.assets.generate [NAME...]` regenerates the named vehicles' assets; default: all.
 
-The same scripts on the same libraries write the same bytes, on every CPU.
+The same scripts with the same libraries write the same bytes on every CPU.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""The canyon's colours, computed where each texel lies in space, and the mesas on its horizon.
+"""The canyon's colours, computed at each texel's place in space, and the mesas on its horizon.
 
-Beds of sandstone, shale and limestone follow each other with height; cliffs carry desert varnish and joints, slopes
-carry dust and boulders, flats sand and scrub. What a point sees of the sky darkens its crevices.
+Beds of sandstone, shale and limestone alternate with height; cliffs carry desert varnish and joints, slopes dust and
+boulders, flats sand and scrub. Crevices, which see less of the sky, are darker.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from vehsim.assets.generate._terrain_look import Sheet, at_texels, texels
 
 Array = NDArray[np.float64]
 
-# The column from the river up: top of the bed (m) and its colour as seen (sRGB).
+# the column from the river up: top of each bed (m) and its visible colour (sRGB)
 BEDS = [
     (0.0, (0.60, 0.44, 0.33)), (6.0, (0.66, 0.42, 0.30)), (9.0, (0.75, 0.46, 0.31)), (12.0, (0.80, 0.50, 0.34)),
     (13.2, (0.87, 0.66, 0.48)), (13.9, (0.77, 0.45, 0.30)), (18.0, (0.71, 0.40, 0.27)), (20.0, (0.58, 0.34, 0.26)),
@@ -31,7 +31,7 @@ WATER = np.array([0.36, 0.45, 0.41])
 SCRUB = np.array([0.42, 0.39, 0.27])
 VARNISH = np.array([0.36, 0.22, 0.18])
 SHADE = np.array([0.60, 0.48, 0.45])
-"""What is left of each colour where no sky is seen: shade keeps the red that walls throw at each other."""
+"""Factor on each colour where no sky is visible: shade stays reddish, because canyon walls light each other."""
 
 
 def mix(a: Array, b: Array, share: Array) -> Array:
@@ -46,7 +46,7 @@ def smoothstep(low: float, high: float, x: Array) -> Array:
 
 
 def rock(points: Array, level: Array) -> Array:
-    """Colour (n, 3) of bare rock at ``points`` (n, 3) m whose place in the column is ``level`` (n,) m."""
+    """Colour (n, 3) of bare rock at ``points`` (n, 3) m with the position ``level`` (n,) m in the column of beds."""
     top, colour = np.array([bed[0] for bed in BEDS]), np.array([bed[1] for bed in BEDS])
     wavy = level + 0.55 * fractal(points / [9, 9, 4], 2, 101)
     edge = np.clip((wavy[:, None] - top[None, 1:]) / 0.5 + 0.5, 0, 1)  # beds change within half a metre
@@ -59,7 +59,8 @@ def rock(points: Array, level: Array) -> Array:
 
 
 def ground_colour(ground: Sheet, sky: Array, river: Array, size: int) -> Array:
-    """Colours (size^2, 3) of the canyon's picture; ``sky`` (rows, cols) as seen, ``river`` (k, 2) m its course."""
+    """Colours (size^2, 3) of the canyon's picture; ``sky`` (rows, cols): visible share of the sky; ``river`` (k, 2)
+    m."""
     from scipy.spatial import cKDTree
 
     colours = []
@@ -78,13 +79,13 @@ def ground_colour(ground: Sheet, sky: Array, river: Array, size: int) -> Array:
 def _texel_colour(points: Array, normals: Array, seen: Array, bank: Array) -> Array:
     """Colour (n, 3) of texels at ``points`` with ``normals`` (n, 3).
 
-    They see a share ``seen`` (n,) of the sky and lie ``bank`` (n,) m from the middle of the river.
+    ``seen`` (n,): visible share of the sky; ``bank`` (n,) m: distance from the middle of the river.
     """
     x, y, z = points.T
     steep = 1 - normals[:, 2]
     fine = fractal(points / 0.9, 3, 111)
     coarse = fractal(points[:, :2] / 14, 3, 112)
-    # The strata are tilted like the ground they were cut from: the dip of the walls, see `canyon.py`.
+    # the strata are tilted like the ground from which they were cut: the dip of the walls, see `canyon.py`
     level = z - 1.8 - 1.2 * fractal(points[:, :2] / 90, 2, 31) - 0.010 * (x - 90)
     colour = rock(points, level)
 

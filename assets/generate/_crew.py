@@ -1,7 +1,6 @@
-"""Whoever sits in our vehicles, what they wear, and what a cabin behind glass shows: lining, seats, steering wheel.
+"""Drivers and pilots, their clothes, and what is visible of a cabin through glass: lining, seats, steering wheel.
 
-What belongs here is what several vehicles share; where it stands is said in each vehicle's script. The figures
-themselves are shaped in `_figure.py`.
+This module holds what several vehicles share; each vehicle's script places it. `_figure.py` shapes the figures.
 """
 
 from __future__ import annotations
@@ -17,9 +16,9 @@ from vehsim.assets.generate._slim import slimmed
 from vehsim.assets.generate._usd import Material
 
 DRIVER = "driver_"
-"""What the names of a figure's materials begin with."""
+"""Prefix of the names of a figure's materials."""
 ABOARD = MappingProxyType({"driver": {"aboard": "", "none": DRIVER}})
-"""A variant set -> its variants -> what the names of the materials begin with that are left out."""
+"""A variant set -> its variants -> the prefix of the names of materials that the variant leaves out."""
 
 _DARK = {
     "belt": Material((0.02, 0.02, 0.021), roughness=0.6),
@@ -58,7 +57,7 @@ _FEET = ("boot", "sole", "strap")
 
 
 def driver_materials(wear: dict[str, Material]) -> dict[str, Material]:
-    """The materials of a figure dressed in ``wear``, as an asset names them."""
+    """The materials of a figure with the clothes ``wear``, by their names in an asset."""
     return {f"{DRIVER}{name}": material for name, material in wear.items()}
 
 
@@ -71,9 +70,9 @@ def driver(
     helmet: bool = True,
     close: bool = True,
 ) -> dict[str, Surface]:
-    """A figure at ``hips`` (3,), the middle between its hip joints, m, facing X; the rest is `seated`'s.
+    """A figure at ``hips`` (3,), the middle between its hip joints, m, facing X; other arguments as in `seated`.
 
-    ``close``: seen from near by; else through glass, above its feet: coarser, without them.
+    ``close``: for near views; otherwise, for views through glass, it is coarser and has no feet.
     """
     ahead = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])  # the figure's X is to its right, its Y ahead
     figure = seated(hands, ankles, lean, left_hand, head() if helmet else bare_head())
@@ -83,12 +82,12 @@ def driver(
 
 
 def lining(skin: Surface, depth: float) -> Surface:
-    """The inside of a cabin: ``skin`` ``depth`` m further in, seen from within."""
+    """The inside of a cabin: ``skin`` moved inwards by ``depth`` m and facing inwards."""
     return Surface(skin.points - depth * skin.normals, -skin.normals, skin.faces[:, ::-1])
 
 
 def seat(hips: ArrayLike, recline: float, width: float = 0.50, headrest: bool = True) -> Surface:
-    """A bucket seat for a figure with its ``hips`` there, its back ``recline`` rad from upright."""
+    """A bucket seat for a figure with its hips at ``hips``, with its back ``recline`` rad from upright."""
     lean = aimed([np.cos(recline), 0.0, np.sin(recline)])
     back = box([0.13, width - 0.02, 0.58], bevel=0.05, steps=2).turned(lean)
     up, at = lean @ [0.0, 0.0, 1.0], np.asarray(hips, float)
@@ -103,7 +102,7 @@ def seat(hips: ArrayLike, recline: float, width: float = 0.50, headrest: bool = 
 
 
 def steering_wheel(at: ArrayLike, tilt: float, radius: float = 0.18) -> Surface:
-    """A wheel with three spokes on its column, its face turned up from the driver by ``tilt`` rad."""
+    """A wheel with three spokes on its column, with its face tilted up by ``tilt`` rad."""
     hoop = torus(radius, 0.015, 28, "x", 6)
     ends = [[0.0, radius * np.cos(t), radius * np.sin(t)] for t in (0.15, np.pi - 0.15, -1.57)]
     spokes = [tube([[0.0, 0, 0], end], 0.013, 6) for end in ends]

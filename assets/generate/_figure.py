@@ -1,7 +1,7 @@
-"""The snakeboard's rider, and whoever sits at a helm: a smooth figure in sportswear, in parts about their joints.
+"""A smooth figure in sportswear, as parts about their joints: the snakeboard's rider, drivers and pilots.
 
-Every function gives surfaces in its part's frame: the joint is the origin, Z up at rest, Y ahead of the figure, X to
-its right. What belongs here is shape; which part hangs on which stands in the vehicle's script.
+Every function returns surfaces in its part's frame: the joint is the origin, Z up at rest, Y ahead of the figure, X to
+its right. This module holds shapes; each vehicle's script assembles them.
 """
 
 from __future__ import annotations
@@ -67,7 +67,8 @@ def limb(path: ArrayLike, radii: ArrayLike, samples: int = 10, sides: int = 18) 
 
 
 def boot() -> dict[str, Surface]:
-    """A left or right boot alike below the ankle, which is the origin: sole 0.107 lower, upper, and two straps."""
+    """A boot, the same left and right, below the ankle, which is the origin: sole 0.107 m lower, upper, and two
+    straps."""
     sole = loft(
         [
             (-0.107, 0.040, 0.122, 0.035),
@@ -101,7 +102,7 @@ def _pitch(angle: float) -> Array:
 
 
 def shin(length: float) -> dict[str, Surface]:
-    """From the ankle up to the knee, calf behind: the boot's cuff, which leans with it, and a pad over the knee."""
+    """From the ankle up to the knee, calf behind: the boot's cuff, which leans with it, and a knee pad."""
     calf = limb(
         [[0, -0.006, 0.06], [0, -0.012, 0.13], [0, -0.018, 0.25], [0, 0.0, length - 0.04], [0, 0.004, length]],
         [0.050, 0.054, 0.064, 0.058, 0.060],
@@ -286,8 +287,8 @@ def seated(
 ) -> dict[str, Surface]:
     """The figure on a seat, about the middle between its hip joints; its trunk leans forward by ``lean`` rad.
 
-    ``hands`` and ``ankles`` (3,): where those on its right are, m; the left ones mirror them, unless ``left_hand`` is
-    given. ``top`` is its head, about the base of the neck; `head` unless given.
+    ``hands`` and ``ankles`` (3,): places of those on its right, m; the left ones mirror them, unless ``left_hand`` is
+    given. ``top``: its head, about the base of the neck; default: `head`.
     """
     upright = _pitch(-lean)
     hip, ankle, hand = np.array([0.10, 0.0, 0.0]), np.asarray(ankles, float), np.asarray(hands, float)
@@ -316,11 +317,12 @@ def _reaching(upright: Array, hand: Array) -> dict[str, Surface]:
     return {"jacket": sleeve, "glove": ball(0.052, hand, [0.8, 1.1, 0.9], 20)}
 
 
-def _bend(root: Array, tip: Array, upper: float, lower: float, way: Array) -> Array:
-    """The joint (3,) of a limb of two lengths from ``root`` to ``tip``, bent towards ``way``; stretched if short."""
+def _bend(root: Array, tip: Array, upper: float, lower: float, direction: Array) -> Array:
+    """The joint (3,) of a limb with two lengths from ``root`` to ``tip``, bent towards ``direction``; straight if the
+    tip is too far."""
     along = tip - root
     reach = float(np.linalg.norm(along))
     along /= reach
     foot = min((reach**2 + upper**2 - lower**2) / (2 * reach), upper)
-    aside = way - (way @ along) * along
+    aside = direction - (direction @ along) * along
     return root + foot * along + np.sqrt(max(upper**2 - foot**2, 0.0)) * aside / np.linalg.norm(aside)

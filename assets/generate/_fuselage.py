@@ -1,6 +1,6 @@
-"""The helicopter's cabin and tail boom: their skin, where its glass and doors are cut, and what the glass shows.
+"""The helicopter's cabin and tail boom: the skin, the outlines of glass and doors, and the visible interior.
 
-What belongs here is the lines and the inside; coats, rotors, gear and hulls stand in `helicopter.py`.
+This module holds lines and interior; coats, rotors, landing gear and hulls are in `helicopter.py`.
 """
 
 from __future__ import annotations
@@ -115,13 +115,13 @@ def doors() -> list[Field]:
 
 
 FLOOR, BULKHEAD = 0.80, -0.05
-"""Height of the cabin's floor, and where the cabin ends, m."""
+"""Height of the cabin's floor, and x of its rear end, m."""
 HIPS = np.array([1.60, -0.42, 1.10])
-"""The pilot's, in the seat on the right."""
+"""The pilot's hips, in the seat on the right."""
 
 
 def cabin() -> dict[str, Surface]:
-    """What the glass shows: lining, floor and bulkhead, two seats and a bench, instrument panel, stick and lever."""
+    """The visible interior: lining, floor and bulkhead, two seats and a bench, instrument panel, stick and lever."""
     skin, _ = split(bare_hull(), lambda p: BULKHEAD - p[:, 0])
     for pane in windows():
         _, skin = split(skin, pane)
@@ -143,7 +143,7 @@ def cabin() -> dict[str, Surface]:
 
 
 def below_hull(p: Array) -> Array:
-    """Negative more than a hand below the hull's top: what would hang from the cabin's ceiling."""
+    """Negative more than 0.1 m below the hull's top: excludes what would hang from the cabin's ceiling."""
     share = np.abs(p[:, 1] / HULL_WIDTH(p[:, 0])).clip(0, 1) ** HULL_POWER(p[:, 0])
     low, high = HULL_BOTTOM(p[:, 0]), HULL_TOP(p[:, 0])
     waist = low + 0.42 * (high - low)
@@ -151,7 +151,7 @@ def below_hull(p: Array) -> Array:
 
 
 def half_width(x: float, z: float) -> float:
-    """Of the cabin's lining at height ``z`` (`superellipses`, a little further in)."""
+    """Half width of the cabin's lining at height ``z`` (that of `superellipses`, moved slightly inwards)."""
     low, high = HULL_BOTTOM(x), HULL_TOP(x)
     waist = low + 0.42 * (high - low)
     up = (z - waist) / (high - waist if z > waist else waist - low)

@@ -1,6 +1,6 @@
 """The boat's outboard motor: cowling, leg and gear case about the steering axis, and its propeller.
 
-What belongs here turns about the motor's pivot, whose place on the boat is `PIVOT`.
+Everything here turns about the motor's pivot, at `PIVOT` on the boat.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ BLADE_RADIUS, PITCH = 0.19, 0.43
 
 
 def outboard() -> tuple[dict[str, Surface], PartShape]:
-    """What steers, in the pivot's frame, and the propeller that rides on it."""
+    """The steered part, in the pivot's frame, and the propeller that it carries."""
     look = by_material(cowling(), leg(), gear_case())
     disc = [(0.0, -0.10), (BLADE_RADIUS, -0.10), (BLADE_RADIUS, 0.09), (0.0, 0.09)]
     turn = revolve([(r * 1.02, x) for r, x in disc], 20, "x", 180.0)
@@ -116,7 +116,7 @@ def gear_case() -> dict[str, Surface]:
 
 
 def propeller() -> dict[str, Surface]:
-    """Three blades on a hub, right-handed: turning about +X they screw forward. One blade's tip is marked."""
+    """Three blades on a right-handed hub: positive rotation about +X drives ahead. The tip of one blade is marked."""
     hub = revolve(
         [
             (0.0, 0.095),

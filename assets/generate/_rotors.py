@@ -1,4 +1,4 @@
-"""The helicopter's rotors: blades, heads, the blur of their turning, and the hulls that hold them at every angle."""
+"""The helicopter's rotors: blades, heads, blurred discs, and hulls that contain them at every angle."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def about_z(turn: float) -> Array:
 
 
 def main_rotor() -> dict[str, Surface]:
-    """Three blades on a star-plate head, coned, leading edges counter-clockwise, and the blur of their turning."""
+    """Three blades on a star-plate head, coned, leading edges counter-clockwise, and their blurred disc."""
     blades, tips, cuffs, links = [], [], [], []
     for k in range(BLADES):  # mirrored: seen from above this rotor turns counter-clockwise
         turn = about_z(2 * np.pi * k / BLADES)
@@ -79,7 +79,7 @@ def blade() -> tuple[Surface, Surface]:
 
 
 def blur(radii: list[float], coning: float, sides: int = 72, axis: str = "z", height: float = 0.012) -> Surface:
-    """A ring between two ``radii`` standing for blades in motion: a thin closed shell, so it shows from both sides."""
+    """A ring between two ``radii`` that represents moving blades: a thin closed shell, visible from both sides."""
     profile = [(r, r * np.tan(coning) + height / 2) for r in radii] + [
         (r, r * np.tan(coning) - height / 2) for r in radii[::-1]
     ]
@@ -113,7 +113,7 @@ def tail_rotor() -> dict[str, Surface]:
 
 
 def rotor_hulls(look: dict[str, Surface]) -> dict[str, Surface]:
-    """The main rotor at every angle: the coned disc of its blades, and the shaft with its links below it."""
+    """Hulls of the main rotor at every angle: the coned disc of its blades, and the shaft with its links below it."""
     everything = join(*look.values())
     low = everything.faces[(everything.points[everything.faces][:, :, 2] < -0.1).any(1)]
     turns = [about_z(turn) for turn in np.linspace(0, 2 * np.pi, 24, endpoint=False)]

@@ -1,7 +1,6 @@
 """Surfaces for generated vehicles: lofts, tubes, wings, hulls, and cutting a surface along a field's zero line.
 
-What belongs here is geometry alone, in metres; which shapes make which vehicle stands in that vehicle's script, and
-how they become USD in `_usd.py`.
+This module holds geometry only, in metres. Each vehicle's script combines shapes, and `_usd.py` writes them as USD.
 """
 
 from __future__ import annotations
@@ -19,11 +18,11 @@ from scipy.spatial import ConvexHull, HalfspaceIntersection
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
 Field = Callable[[Array], Array]
-"""A scalar (n,) on points (n, 3); negative is inside, and near zero it is about a distance in metres."""
+"""A scalar (n,) on points (n, 3); negative inside, and near zero approximately a distance in metres."""
 
 TIE = 1e-9
-"""Added where two numbers are compared that may be equal by construction: CPUs differ in the last digits (1e-16), and
-what is decided must not."""
+"""Added when comparing two numbers that may be equal by construction: CPUs differ in the last digits (1e-16), and the
+outcome must not depend on them."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +102,7 @@ def lattice(rows: Any, wrap: bool = True, caps: bool = True, crease: float = 40.
 
 
 def tube(path: Any, radius: Any, sides: int = 12, samples: int = 0, crease: float = 50.0) -> Surface:
-    """A round tube along ``path`` (m, 3), splined to ``samples`` points if given, ``radius`` a number or (m,)."""
+    """A round tube along ``path`` (m, 3), optionally splined to ``samples`` points; ``radius``: a number or (m,)."""
     path = np.asarray(path, float)
     radius = np.broadcast_to(np.asarray(radius, float), len(path))
     if samples:
@@ -149,7 +148,7 @@ def _octant(steps: int) -> Array:
 
 
 def sheet(rows: Any, facing: ArrayLike, crease: float = 40.0) -> Surface:
-    """An open skin over ``rows`` (m, n, 3) that faces ``facing`` (3,) on the whole."""
+    """An open skin over ``rows`` (m, n, 3) that faces ``facing`` (3,) on average."""
     surface = lattice(rows, wrap=False, crease=crease)
     a, b, c = (surface.points[surface.faces[:, k]] for k in range(3))
     away = np.cross(b - a, c - a).sum(0) @ np.asarray(facing, float) < 0
@@ -171,7 +170,8 @@ def ring(profile: ArrayLike, sides: int, axis: str = "y", crease: float = 40.0) 
 
 
 def superellipse(length: float, width: float, power: float, around: int) -> Array:
-    """A closed curve (around, 2) with half axes ``length`` and ``width``: 2 is an ellipse, more is squarer."""
+    """A closed curve (around, 2) with half axes ``length`` and ``width``: ``power`` 2 is an ellipse, more is
+    squarer."""
     turn = np.linspace(0, 2 * np.pi, around, endpoint=False)
     c, s = np.cos(turn), np.sin(turn)
     return np.stack([length * np.sign(c) * np.abs(c) ** (2 / power), width * np.sign(s) * np.abs(s) ** (2 / power)], 1)
@@ -184,7 +184,7 @@ def torus(radius: float, thickness: float, sides: int = 32, axis: str = "z", aro
 
 
 def aimed(direction: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> Array:
-    """A rotation (3, 3) that takes X to ``direction`` and keeps Z as near ``up`` as can be."""
+    """A rotation (3, 3) that maps X to ``direction`` and keeps Z as close to ``up`` as possible."""
     x = np.asarray(direction, float) / np.linalg.norm(direction)
     y = np.cross(np.asarray(up, float), x)
     y /= np.linalg.norm(y)
@@ -193,7 +193,7 @@ def aimed(direction: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> Array:
 
 def convex(points: Array, crease: float = 30.0) -> Surface:
     """The convex hull of ``points`` as a surface."""
-    points = np.round(points, 9)  # Qhull decides by the last digit what is flat
+    points = np.round(points, 9)  # Qhull decides by the last digit whether a face is flat
     hull = ConvexHull(points)
     faces = hull.simplices.astype(np.int64)
     a, b, c = points[faces[:, 0]], points[faces[:, 1]], points[faces[:, 2]]
@@ -247,7 +247,7 @@ def split(surface: Surface, field: Field) -> tuple[Surface, Surface]:
         if within.all() or not within.any():
             sides[0 if within[0] else 1].append(face)
             continue
-        lone = int(np.argmax(within == (within.sum() == 1)))  # the corner alone on its side
+        lone = int(np.argmax(within == (within.sum() == 1)))  # the single corner on its side
         a, b, c = (int(face[(lone + k) % 3]) for k in range(3))
         ab, ac = cut[min(a, b), max(a, b)], cut[min(a, c), max(a, c)]
         sides[0 if inside[a] else 1].append((a, ab, ac))
@@ -263,7 +263,8 @@ def refined(surface: Surface, axis: int, at: ArrayLike) -> Surface:
 
 
 def sharpened(surface: Surface, region: Field, size: float, axes: tuple[int, int] = (1, 2)) -> Surface:
-    """``surface`` with triangles of ``size`` across ``axes`` in and around a ``region``: what is cut there is crisp."""
+    """``surface`` with triangles of ``size`` across ``axes`` in and around a ``region``, so that cuts there are
+    sharp."""
     near, surface = split(surface, grown(region, 0.015))
     for axis in axes:
         low, high = near.points[:, axis].min(), near.points[:, axis].max()
@@ -272,7 +273,7 @@ def sharpened(surface: Surface, region: Field, size: float, axes: tuple[int, int
 
 
 def _roots(points: Array, value: Array, edges: Faces, field: Field) -> Array:
-    """Where along each edge ``field`` vanishes, by bisection kept to the chord."""
+    """The points at which ``field`` vanishes along each edge, by bisection on the chord."""
     lower, upper = np.zeros(len(edges)), np.ones(len(edges))
     start, along = points[edges[:, 0]], points[edges[:, 1]] - points[edges[:, 0]]
     sign = np.sign(value[edges[:, 0]])
@@ -298,7 +299,7 @@ def by_material(*looks: Mapping[str, Surface]) -> dict[str, Surface]:
 
 
 def painted(surface: Surface, coats: Iterable[tuple[str, Field]], rest: str) -> dict[str, Surface]:
-    """``surface`` cut into materials: each coat takes what is inside its field, ``rest`` what no coat took."""
+    """``surface`` cut into materials: each coat covers the inside of its field, ``rest`` the remainder."""
     looks = []
     for name, region in coats:
         inside, surface = split(surface, region)
@@ -373,7 +374,7 @@ def curve(xs: ArrayLike, ys: ArrayLike) -> Callable[[Array], Array]:
 
 
 def outer_hull(points: Array, angle: float = 14.0) -> Surface:
-    """A convex polytope of few vertices that contains ``points``: their supporting planes, ``angle`` degrees apart."""
+    """A convex polytope with few vertices that contains ``points``; its planes are ``angle`` degrees apart."""
     normals = _spread_normals(points, angle)
     support = np.round((points @ normals.T).max(0) + 1e-4, 9)
     inner = np.append(points.min(0) / 2 + points.max(0) / 2, 0)[:3]
@@ -383,7 +384,7 @@ def outer_hull(points: Array, angle: float = 14.0) -> Surface:
 
 
 def _spread_normals(points: Array, angle: float) -> Array:
-    """Normals of the exact hull's facets, largest first, none nearer than ``angle`` to one already taken."""
+    """Normals of the exact hull's facets, largest first, none closer than ``angle`` to a previous one."""
     points = np.round(points, 9)
     hull = ConvexHull(points)
     a, b, c = (points[hull.simplices[:, k]] for k in range(3))

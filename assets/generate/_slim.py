@@ -1,13 +1,13 @@
-"""Fewer triangles for a skin cut into materials: the vertices that shape, shading and borders can spare go.
+"""Decimate a skin cut into materials: remove vertices that matter little for shape, shading and borders.
 
-What belongs here is decimation alone. Edges collapse onto one of their own ends, so what stays keeps its place and its
-normal; borders between materials, creases and open edges collapse along themselves only and stay shared by both sides.
-Error and order are quadrics (Garland and Heckbert, "Surface Simplification Using Quadric Error Metrics", 1997), in
-rounds of collapses that do not touch one another.
+This module holds decimation only. Edges collapse onto one of their own ends, so remaining vertices keep their place and
+normal; borders between materials, creases and open edges collapse only along themselves and stay shared by both sides.
+Errors are quadrics (Garland and Heckbert, "Surface Simplification Using Quadric Error Metrics", 1997); collapses that
+do not touch each other are made in rounds.
 
 The result is the same on every CPU. Places and normals are rounded on entry (`_GRID`), which removes the last digits in
-which CPUs differ, and all arithmetic after that is elementwise `+ - * /` and `sqrt`, which IEEE 754 rounds exactly:
-no BLAS and no `einsum`, whose order of operations and fused multiply-adds depend on the CPU.
+which CPUs differ, and all later arithmetic is elementwise `+ - * /` and `sqrt`, which IEEE 754 rounds exactly: no BLAS
+and no `einsum`, whose order of operations and fused multiply-adds depend on the CPU.
 """
 
 from __future__ import annotations
@@ -24,19 +24,20 @@ _ROUNDS = 60
 _GRID = 2.0**-23
 """Places (m) and components of normals are rounded to multiples of it: 1.2e-7."""
 _FACE_TURN = np.cos(np.radians(20.0))
-"""How far a triangle may turn from the one it replaces, and its plane from its corners' normals."""
+"""Cosine of the largest angle between a triangle and the one it replaces, and between its plane and its corners'
+normals."""
 _SLIVER = 0.03
-"""The least height of a new triangle as a share of its longest edge, unless the one it replaces was thinner."""
+"""Smallest height of a new triangle as a share of its longest edge, unless the one it replaces was thinner."""
 
 Flags = NDArray[np.bool_]
 
 
 def slimmed(look: Mapping[str, Surface], tolerance: float, shade: float = 6.0, **of: float) -> dict[str, Surface]:
-    """``look`` without the vertices whose loss moves the skin, or a line on it, by less than about ``tolerance`` m.
+    """``look`` without the vertices whose removal moves the skin, or a line on it, by less than about ``tolerance`` m.
 
-    ``of``: tolerances of single materials, m; where materials meet the least holds. Vertices of several surfaces in one
-    place stay in one place; lines are borders, creases and open edges. ``shade``: how far the normal of a vertex that
-    goes may be from the one that takes its place, degrees: highlights keep their shape.
+    ``of``: tolerances of single materials, m; where materials meet, the smallest applies. Vertices of several surfaces
+    at one place stay together; lines are borders, creases and open edges. ``shade``: largest angle, degrees, between
+    the normals of a removed vertex and of the one that replaces it, so that highlights keep their shape.
     """
     skin = _Skin(look, np.cos(np.radians(shade)))
     for _ in range(_ROUNDS):
@@ -46,7 +47,8 @@ def slimmed(look: Mapping[str, Surface], tolerance: float, shade: float = 6.0, *
 
 
 class _Skin:
-    """All surfaces of a look as one mesh: ``faces`` (m, 3) of vertices, a vertex: a place, a normal, a material."""
+    """All surfaces of a look as one mesh: ``faces`` (m, 3) of vertices; a vertex has a place, a normal and a
+    material."""
 
     def __init__(self, look: Mapping[str, Surface], shade: float) -> None:
         self.shade = shade
@@ -74,7 +76,7 @@ class _Skin:
         return surfaces
 
     def collapse(self, tolerances: Array) -> int:
-        """One round of collapses, cheapest first, within ``tolerances`` by material, m; how many there were."""
+        """Make one round of collapses, cheapest first, within ``tolerances`` by material, m; returns their number."""
         (going, staying), pairs, edge = self._candidates()
         cost = np.maximum(*(_distance(q[going], self.places[staying]) for q in (self.shape, self.line)))
         cost /= tolerances[self.owner[pairs[:, :, 0]]].min(1)
@@ -82,7 +84,8 @@ class _Skin:
         alike = (_dot(normals[:, :, 0], normals[:, :, 1]) > self.shade).all(1)
         keep = np.flatnonzero((cost < 1.0) & alike)
         keep = keep[self._fits(going[keep], staying[keep], pairs[keep])]
-        # costs in steps, and shuffled within one: on a plane, where all are nought, neighbours else wait in a row
+        # costs in steps, shuffled within each: otherwise neighbours on a plane, where all costs are zero, wait for each
+        # other
         order = keep[np.lexsort([cost[keep], self.shuffle[going[keep]], np.floor(8 * cost[keep])])]
         rank = np.full(len(self.places), len(order))
         np.minimum.at(rank, going[order], np.arange(len(order)))
@@ -102,7 +105,8 @@ class _Skin:
         return faces[(a != b) & (b != c) & (c != a)]
 
     def _edges(self) -> tuple[Faces, Faces, Flags, NDArray[np.int64]]:
-        """Edges: places (2, e), vertices of both their sides (e, side, end), which are lines, and faces on each."""
+        """Edges: places (2, e), vertices on both sides (e, side, end), which of them are lines, and the faces on
+        each."""
         vertices = self.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
         vertices = np.where(np.diff(self.place[vertices]) < 0, vertices[:, ::-1], vertices)
         low, high = self.place[vertices].T
@@ -114,12 +118,15 @@ class _Skin:
         return np.stack([low[first], high[first]]), sides, (count != 2) | (sides[:, 0] != sides[:, 1]).any(1), count
 
     def _candidates(self) -> tuple[Faces, Faces, Faces]:
-        """Collapses that keep topology and lines: places (2, c) going and staying, the vertices on both sides of the
-        edge (c, side, 2), going and staying; and all edges (2, e)."""
+        """Collapses that keep topology and lines.
+
+        Returns removed and remaining places (2, c); removed and remaining vertices on both sides of the edge (c, side,
+        2); and all edges (2, e).
+        """
         edge, sides, line, count = self._edges()
         size = len(self.places)
         lines = np.bincount(edge[:, line].ravel(), minlength=size)
-        lines[edge[:, count > 2].ravel()] = 3  # never goes
+        lines[edge[:, count > 2].ravel()] = 3  # never removed
         normals = np.bincount(self.place[np.unique(self.faces)], minlength=size)
         joined = sparse.csr_array((np.ones(len(line)), (edge[0], edge[1])), shape=(size, size))
         joined = (joined + joined.T).tocsr()
@@ -134,7 +141,7 @@ class _Skin:
         return np.concatenate([p for p, _ in found], 1), np.concatenate([s for _, s in found]), edge
 
     def _fits(self, going: Faces, staying: Faces, pairs: Faces) -> Flags:
-        """Whether every triangle that stays keeps its facing and is no sliver."""
+        """Whether every remaining triangle keeps its facing and is no sliver."""
         corners = self.faces.ravel()
         order = np.argsort(self.place[corners], kind="stable")
         start = np.searchsorted(self.place[corners][order], np.arange(len(self.places) + 1))
@@ -163,7 +170,7 @@ class _Skin:
         return cross / np.maximum(twice, 1e-20)[:, None], twice / longest
 
     def _quadrics(self) -> tuple[Array, Array]:
-        """Per place two quadrics (4, 4) with their weight in a last row: of the planes and of the lines around it."""
+        """Two quadrics (4, 4) per place, with their weight in a last row: of the planes and of the lines around it."""
         unit, _ = self._facing(self.faces)
         a, b, c = (self.places[self.place[self.faces[:, k]]] for k in range(3))
         cross = np.cross(b - a, c - a)
@@ -190,14 +197,14 @@ def _gather(quadrics: Array, at: Faces, weight: Array, square: Array) -> None:
 
 
 def _distance(quadrics: Array, points: Array) -> Array:
-    """The root mean square distance (n,) m of points (n, 3) from what quadrics (n, 5, 4) stand for."""
+    """Root mean square distance (n,) m of points (n, 3) from the planes or lines of quadrics (n, 5, 4)."""
     homogeneous = np.column_stack([points, np.ones(len(points))])
     square = _dot(_dot(quadrics[:, :4], homogeneous[:, None]), homogeneous)
     return np.sqrt(np.maximum(square, 0.0) / np.maximum(quadrics[:, 4, 0], 1e-20))
 
 
 def _dot(a: Array, b: Array) -> Array:
-    """The inner products along the last axis, added in order: the same digits on every CPU."""
+    """Inner products along the last axis, added in a fixed order: the same digits on every CPU."""
     total = a[..., 0] * b[..., 0]
     for k in range(1, a.shape[-1]):
         total = total + a[..., k] * b[..., k]

@@ -1,6 +1,6 @@
-"""What a generated terrain looks like: texture coordinates, texels in the world, and the USD file that binds them.
+"""The look of a generated terrain: texture coordinates, places of texels, and the USD file with the materials.
 
-What belongs here is the same for every terrain; what a rock or a road is coloured like stands in the terrain's script.
+This module holds what all terrains share; the colours of rocks and roads are in each terrain's script.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ def sheet(points: Array, faces: NDArray[np.int64], st: Array) -> Sheet:
 
 RINGS = 26
 FAR = 1500.0
-"""How far the country around a terrain reaches, m."""
+"""Extent of the country around a terrain, m."""
 
 
 def horizon_sheet(terrain: Terrain, country: Callable[[Array], Array]) -> Sheet:
-    """What surrounds a terrain: rings that begin hidden below its border and end far away.
+    """The surroundings of a terrain: rings that start hidden below its border and end far away.
 
-    ``country``: heights (...,) m at places (..., 2) m, reached 90 m from the border.
+    ``country``: heights (...,) m at places (..., 2) m, fully reached 90 m from the border.
     """
     low, high = terrain.lower[:2], terrain.upper[:2]
     centre, half = 0.5 * (low + high), 0.5 * (high - low)
@@ -74,8 +74,8 @@ def horizon_sheet(terrain: Terrain, country: Callable[[Array], Array]) -> Sheet:
 def unwrap(terrain: Terrain) -> Array:
     """Texture coordinates (n, 2) in the unit square that give cliffs their share of the picture.
 
-    A map from above would smear a cliff over a few texels. This is Tutte's embedding of the grid with springs of
-    stiffness 1 / length: one to one whatever the heights, and edges come out nearly as long as they are in space.
+    A projection from above would smear a cliff over a few texels. This is Tutte's embedding of the grid with springs of
+    stiffness 1 / length: one to one for any heights, with edges nearly as long as they are in space.
     """
     from scipy.sparse import coo_matrix
     from scipy.sparse.linalg import spsolve
@@ -120,13 +120,13 @@ def texels(surface: Sheet, size: int) -> tuple[NDArray[np.int64], Array]:
 
 
 def at_texels(values: Array, surface: Sheet, face: NDArray[np.int64], weights: Array) -> Array:
-    """Values (n, ...) at the vertices, at the texels."""
+    """Values (n, ...) at the vertices, interpolated at the texels."""
     corners = values[surface.faces[face]]
     return np.asarray(np.einsum("tk,tk...->t...", weights, corners))
 
 
 def sky_view(heights: Array, cell: float, reach: float = 60.0, directions: int = 16) -> Array:
-    """How much of the sky each point (rows, cols) sees, 0 to 1: from its horizon in ``directions``."""
+    """Visible share of the sky at each point (rows, cols), 0 to 1, from its horizon in ``directions``."""
     from scipy.ndimage import shift
 
     seen = np.zeros_like(heights)
@@ -140,7 +140,7 @@ def sky_view(heights: Array, cell: float, reach: float = 60.0, directions: int =
 
 
 def write_picture(file: Path, colour: Array, size: int, quality: int = 88) -> None:
-    """Colours (size^2, 3), 0 to 1, as seen (sRGB), as a JPEG."""
+    """Write colours (size^2, 3), 0 to 1, in sRGB, as a JPEG."""
     from PIL import Image
 
     pixels = (np.clip(colour, 0, 1) * 255).round().astype(np.uint8).reshape(size, size, 3)

@@ -1,6 +1,6 @@
-"""Surfaces, materials and pivots written as a USD vehicle asset: the same form for every vehicle we generate.
+"""Surfaces, materials and pivots written as a USD vehicle asset, in the same form for every generated vehicle.
 
-What belongs here is USD alone: stage metadata, parts as Xform prims with their pivot as rest translate, one mesh per
+This module holds USD only: stage metadata, parts as Xform prims with their pivot as rest translate, one mesh per
 material, UsdPreviewSurface materials, liveries as a variant set, and collision meshes with purpose `guide`.
 """
 
@@ -18,7 +18,7 @@ from vehsim.assets.generate._shapes import Surface
 
 @dataclass(frozen=True)
 class Material:
-    """A UsdPreviewSurface: linear colours, the rest from 0 to 1."""
+    """A UsdPreviewSurface: linear colours; other values are from 0 to 1."""
 
     colour: tuple[float, float, float]
     roughness: float = 0.5
@@ -33,9 +33,8 @@ class Material:
 class PartShape:
     """A moving part: its pivot in its parent part's frame, m, its rest rotation, and its surfaces in its own frame.
 
-    ``turn``: degrees about X, then Y, then Z.
-    ``look`` has one surface per material name, ``collision`` surfaces by name ("" is called like the part), ``parts``
-    parts that ride on it.
+    ``turn``: degrees about X, then Y, then Z. ``look`` has one surface per material name, ``collision`` surfaces by
+    name ("" stands for the part's name), ``parts`` the parts that it carries.
     """
 
     pivot: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -46,11 +45,11 @@ class PartShape:
 
 
 Liveries = Mapping[str, Mapping[str, Material]]
-"""Livery name -> the materials it changes. The first is what shows unless another is chosen."""
+"""Livery name -> the materials it changes. The first is the default."""
 PLAIN: Liveries = MappingProxyType({})
 Absent = Mapping[str, Mapping[str, str]]
-"""Variant set -> its variants -> what the names of the materials begin with whose meshes it leaves out; "": none. The
-first variant is what shows unless another is chosen."""
+"""Variant set -> its variants -> the prefix of the names of materials whose meshes the variant leaves out; "": none.
+The first variant is the default."""
 WHOLE: Absent = MappingProxyType({})
 
 
@@ -94,12 +93,12 @@ def write_asset(
 
 
 def triangles(parts: Mapping[str, PartShape]) -> int:
-    """How many triangles the look of ``parts`` has, parts on parts included."""
+    """Number of triangles in the look of ``parts``, including the parts that they carry."""
     return sum(sum(len(s.faces) for s in p.look.values()) + triangles(p.parts) for p in parts.values())
 
 
 def _write_materials(stage, root: str, materials: Mapping[str, Material]) -> dict:
-    """Materials by name; what liveries change is written by them: a value of the asset's own would be stronger."""
+    """Author the materials; those that liveries change are written by them, because a local value would be stronger."""
     from pxr import Sdf, UsdGeom, UsdShade
 
     UsdGeom.Scope.Define(stage, f"{root}/materials")
@@ -128,7 +127,7 @@ def _author_surface(shader, material: Material) -> None:
 
 
 def _write_liveries(stage, root, liveries: Liveries) -> None:
-    """The variant set "livery": each variant authors the surfaces it changes and the display colours that go with them.
+    """The variant set "livery": each variant authors the surfaces that it changes and their display colours.
 
     Local opinions are stronger than a variant's, so what a livery changes is cleared outside the variants.
     """

@@ -1,4 +1,4 @@
-"""Wheels: the car's, spoked ones of any size, and the hulls that hold them at every angle of roll and steering."""
+"""Wheels: the car's, spoked wheels of any size, and hulls that contain them at every angle of roll and steering."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def wheel() -> dict[str, Surface]:
         )
     )
     disc = revolve([(0.0, 0.0), (0.155, 0.0), (0.155, 0.022), (0.0, 0.022)], 32, "y")
-    # letters on the sidewall, in two arcs of unlike length: they show the wheel turning
+    # letters on the sidewall, in two arcs of different lengths: they make the rotation visible
     letters = [
         _letter(a, r) for start, count in ((0.35, 7), (0.35 + np.pi, 4)) for a in start + 0.13 * np.arange(count)
     ]
@@ -105,8 +105,8 @@ def spoked_wheel(
 ) -> dict[str, Surface]:
     """A left wheel about its own centre, Y outboard: a round-shouldered "tyre", a "rim" with spokes, a "hub".
 
-    ``rim``: its share of ``radius``; ``sides`` of the tyre's outline. ``marked`` spokes, side by side, are the surface
-    "mark": they show rotation.
+    ``rim``: its share of ``radius``; ``sides`` of the tyre's outline. The first ``marked`` spokes are the surface
+    "mark", which makes the rotation visible.
     """
     h, r, b = width / 2, rim * radius, 0.16 * width
     shoulder = [(radius - b + b * np.sin(t), h - b + b * np.cos(t)) for t in np.linspace(0, np.pi / 2, 5)]
@@ -140,7 +140,7 @@ def spoked_wheel(
 
 
 def wheel_hull(steer: float, radius: float = RADIUS, width: float = WIDTH) -> Surface:
-    """A wheel as a prism about it; swept over its steering angles when it steers, for the hulls do not move."""
+    """A prism around a wheel, swept over its steering angles if it steers, because hulls do not move."""
     r, h, sides = radius, width / 2 + 0.002, 16
     turn = (np.arange(sides) + 0.5) * 2 * np.pi / sides
     ring = np.stack([np.cos(turn), np.zeros(sides), np.sin(turn)], 1) * r / np.cos(np.pi / sides)

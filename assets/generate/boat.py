@@ -1,9 +1,9 @@
 """The motor boat: `python -m vehsim.assets.generate boat` writes `assets/vehicles/boat/boat.usdc`.
 
 An open runabout with a deep-V planing hull: 6.3 m long, 2.4 m in the beam, 150 hp outboard. X forward, Y left, Z up;
-the root stands midships on the still waterline. The outboard steers about Z at its bracket, its propeller turns about
-X; seen from astern it turns clockwise when it drives ahead. The guide mesh `hull` is closed and watertight: buoyancy
-is integrated over it.
+the root is midships on the still waterline. The outboard steers about Z at its bracket, its propeller turns about X;
+seen from astern it turns clockwise when it drives ahead. The guide mesh `hull` is closed and watertight: buoyancy is
+integrated over it.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ LIVERIES = {
 
 
 def build() -> dict[str, PartShape]:
-    """The boat's parts by name: hull with all that stands on it, outboard, and the propeller that rides on that."""
+    """The boat's parts by name: the hull with everything fixed to it, the outboard, and its propeller."""
     look = by_material(shell(), deck(), cockpit(), windscreen(), helm(), seats(), rails(), fittings())
     engine, propeller = outboard()
     crew = driver([0.16, -0.585, 0.635], hands=[0.15, 0.50, 0.05], ankles=[0.17, 0.46, SOLE + 0.107 - 0.635], lean=0.22)
@@ -94,7 +94,8 @@ def build() -> dict[str, PartShape]:
 
 
 def swept(engine: dict[str, Surface], propeller: PartShape) -> dict[str, Surface]:
-    """Hulls of the outboard's cowling and of its leg with the propeller, over 30 degrees of steering to either side."""
+    """Hulls of the outboard's cowling and of its leg with the propeller, swept over 30 degrees of steering to either
+    side."""
     everything = join(*engine.values(), *(s.moved(propeller.pivot) for s in propeller.collision.values()))
     high = everything.points[everything.faces].mean(1)[:, 2] > 0.1
     turns = [aimed([np.cos(t), np.sin(t), 0.0]) for t in np.radians(np.linspace(-30, 30, 9))]
@@ -137,7 +138,8 @@ def half_section(x: float, bottom: int = 7, side: int = 8) -> Array:
     t = np.linspace(0, 1, bottom)
     low = np.stack([(w - flat) * t, KEEL(x) + (z - KEEL(x)) * (t - 0.10 * t * (1 - t))], 1)
     up = np.linspace(0, 1, side)
-    flare = 0.55 * np.clip((x - 0.2) / 2.4, 0, 1)  # forward the side is hollow, so that it throws spray out
+    # towards the bow the side is hollow, so that it throws spray outwards
+    flare = 0.55 * np.clip((x - 0.2) / 2.4, 0, 1)
     out = (1 - flare) * (1 - (1 - up) ** 1.6) + flare * up**1.7
     top = np.stack([w + (SHEER_WIDTH(x) - w) * out, z - 0.008 + (SHEER(x) - z + 0.008) * up], 1)
     return np.concatenate([low, top])
@@ -318,7 +320,7 @@ def windscreen() -> dict[str, Surface]:
 
 
 def helm() -> dict[str, Surface]:
-    """The two consoles below the screen; to starboard wheel, instruments and throttle."""
+    """The two consoles below the screen; the starboard one with wheel, instruments and throttle."""
     consoles, tops = [], []
     for y in (0.60, -0.60):
         consoles.append(box([0.46, 0.54, 0.50], [1.06, y * 0.97, 0.43], 0.06, 3))
@@ -437,7 +439,7 @@ def fittings() -> dict[str, Surface]:
 
 
 def outer_hulls(look: dict[str, Surface]) -> dict[str, Surface]:
-    """Few convex hulls that together hold every triangle that is seen of the hull and what stands on it."""
+    """A few convex hulls that together contain every visible triangle of the hull and everything fixed to it."""
     everything = join(*look.values())
     x, _, z = everything.points[everything.faces].mean(1).T
     forward, low = x > 0.55, z < SHEER(np.clip(x, TRANSOM, BOW)) + 0.11

@@ -1,8 +1,8 @@
 """Generate the canyon: a meandering river cut through layered rock, as a height field of about 1e5 triangles.
 
 The shape follows the process. A river's course and its side gullies give every point a distance from the nearest
-channel; a column of strata turns that distance into height: hard beds stand as cliffs, soft beds as slopes, the foot is
-talus. Noise bends the walls into buttresses and alcoves, mesas of the same column stand on the plateau and close the
+channel; a column of strata converts that distance to a height: hard beds stand as cliffs, soft beds as slopes, the foot
+is talus. Noise bends the walls into buttresses and alcoves; mesas of the same column stand on the plateau and close the
 horizon. Run from the repository: ``python -m vehsim.assets.generate.canyon``.
 """
 
@@ -29,14 +29,14 @@ SHAPE = (174, 288)
 ORIGIN = (-110.0, -101.0)
 PICTURE = 2048
 FINE = 3
-"""Heights are made this many times finer and filtered down, so that cliffs do not alias into saw teeth."""
+"""Oversampling factor of the heights; they are filtered down, so that cliffs do not alias into saw teeth."""
 
 RIVER = np.array([
     (-97, 58), (-92, 40), (-72, 26), (-45, 15), (-22, 2), (0, -1), (22, 6), (35, 26), (42, 54), (64, 72), (88, 60),
     (97, 28), (104, -8), (124, -30), (149, -22), (160, 6), (180, 40), (206, 56), (230, 44), (241, 14), (254, -14),
     (272, -22),
 ])  # fmt: skip
-"""The river's course, m. A shot from (0, 0, 30) to (180, 40, 28) has four bends to fly."""
+"""The river's course, m. A flight from (0, 0, 30) to (180, 40, 28) has four bends."""
 
 GULLIES = [
     [(36, 20), (58, 8), (70, -8), (74, -32), (60, -56)],
@@ -53,7 +53,7 @@ GULLIES = [
 ]
 """Side gullies, from their mouths up."""
 
-# Strata from the river up: (thickness m, slope). Hard beds stand steep, soft beds lie back.
+# strata from the river up: (thickness m, slope); hard beds are steep, soft beds less so
 STRATA = [
     (0.6, 0.25), (5.4, 0.95), (14.0, 9.0), (1.8, 0.45), (13.0, 9.0), (2.6, 0.5), (10.0, 9.0), (3.6, 0.6), (6.0, 8.0),
     (1.2, 0.25), (1.6, 0.06),
@@ -75,7 +75,8 @@ def polyline(points: Array, spacing: float = 0.5) -> tuple[Array, Array]:
 
 
 def channel_distance(xy: Array) -> tuple[Array, Array]:
-    """Distance beyond the foot of the walls of the nearest channel, and the floor's height there, both (...,) m."""
+    """Distance from the foot of the walls of the nearest channel, positive outside, and the height of its floor, (...,)
+    m."""
     river, along = polyline(RIVER.astype(float))
     distance, nearest = cKDTree(river).query(xy)
     station = along[nearest]
@@ -87,7 +88,7 @@ def channel_distance(xy: Array) -> tuple[Array, Array]:
         gully, up = polyline(np.array(points, dtype=float))
         distance, nearest = cKDTree(gully).query(xy)
         climb = np.maximum(0, up[nearest] - 10) / (up[-1] - 10)
-        # A gully narrows and climbs through the beds to the plateau: it starts ever further up the column.
+        # a gully narrows and climbs through the beds to the plateau: its bottom lies ever higher in the column
         rise = 2.0 + 25.0 * climb**0.8 + 0.8 * number % 3
         beyond = smooth_minimum(beyond, distance * (1.05 + 0.35 * climb) - 3.2 * (1 - climb) + rise, 3.0)
     return beyond, floor
@@ -108,7 +109,7 @@ def canyon_heights(x: Array, y: Array) -> Array:
     buttress = 3.6 * (ridged(xy / 19, 2, 21) - 0.55) + 1.3 * (ridged(xy / 7.5, 2, 22) - 0.5)
     beyond = np.minimum(beyond + wall * buttress, 70)
     distance, height = profile(STRATA)
-    # Each bed weathers back by its own amount: the wall is made once to know which bed a point belongs to.
+    # each bed weathers back differently: build the wall once to find the bed to which a point belongs
     bed = np.interp(np.maximum(beyond, 0), distance, height)
     recess = 1.8 * fractal(np.stack([x / 13, y / 13, bed / 9], axis=-1), 3, 23)
     beyond = beyond + np.clip((beyond - 6) / 4, 0, 1) * recess
@@ -117,7 +118,7 @@ def canyon_heights(x: Array, y: Array) -> Array:
     ground += 6.0 * np.clip((beyond - 28) / 14, 0, 1) * (0.5 + fractal(xy / 60, 4, 33))
     ground += mesas(xy, beyond)
     bars = 0.35 * fractal(xy / 7, 3, 41) * (1 - wall) - 0.5 * np.clip(-beyond / 5, 0, 1)
-    # Rubble below the cliffs, steps worn into the ledges.
+    # rubble below the cliffs, steps worn into the ledges
     rough = 0.30 * fractal(xy / 4.2, 2, 42) * (0.4 + wall)
     return np.asarray(ground + bars + rough)
 

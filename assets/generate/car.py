@@ -1,7 +1,7 @@
 """The car: `python -m vehsim.assets.generate car` writes `assets/vehicles/car/car.usdc`.
 
-A compact two-door coupe: 4.3 m long, 1.8 m wide, 1.35 m high, wheelbase 2.6 m. X forward, Y left, Z up; the root
-stands on the ground midway between the axles. Wheels turn about Y; the front ones ride on parts that steer about Z.
+A compact two-door coupe: 4.3 m long, 1.8 m wide, 1.35 m high, wheelbase 2.6 m. X forward, Y left, Z up; the root is on
+the ground midway between the axles. Wheels turn about Y; the front ones are children of parts that steer about Z.
 """
 
 from __future__ import annotations
@@ -83,7 +83,8 @@ LIVERIES = {
 def build() -> dict[str, PartShape]:
     """The car's parts by name: body, rear wheels, and steered front wheels."""
     skins, rest = (shell(), cabin()), (wheel_wells(), fittings())
-    whole = by_material(*skins, *rest)  # hulls from all of it: what it clears does not hang on how finely it is drawn
+    # hulls from the full-resolution surfaces, so that they do not depend on the decimation
+    whole = by_material(*skins, *rest)
     look = by_material(*(slimmed(skin, 0.0003, trim=0.001) for skin in skins), *rest, interior(), whoever_drives())
     parts = {"body": PartShape(look=look, collision=body_hulls(whole))}
     for side, y in (("l", HALF_TRACK), ("r", -HALF_TRACK)):
@@ -170,7 +171,7 @@ def facing(end: float, corners: list[tuple[float, float]], radius: float) -> Fie
 
 
 def shell() -> dict[str, Surface]:
-    """The painted body below the glass, with wheel arches cut out, lamps, grilles, seams and sills cut in."""
+    """The painted body below the glass, with wheel arches, lamps, grilles, seams and sills cut into it."""
     ends = 0.25 * (1 - np.cos(np.linspace(0, np.pi / 2, 9)))
     xs = np.concatenate([2.15 - ends, np.arange(1.85, -1.86, -0.072), (-2.15 + ends)[::-1]])
     skin = lattice(shell_sections(xs), crease=50)
@@ -262,7 +263,7 @@ def bare_cabin() -> Surface:
 
 
 def windows() -> tuple[list[Field], list[Field]]:
-    """The panes, and what their seals go round."""
+    """The panes, and the outlines of their seals."""
     inner = lambda p: np.abs(p[:, 1]) - RAIL(p[:, 0]) + 0.055
     windscreen = both(inner, lambda p: 0.16 - p[:, 0] + 0.05 * p[:, 1] ** 2, blend=0.06)
     backlight = both(inner, lambda p: p[:, 0] + 0.95, lambda p: -1.72 - p[:, 0], blend=0.08)
@@ -295,11 +296,11 @@ OPENING: Field = both(
     lambda p: -1.76 - p[:, 0],
     lambda p: 0.7 - p[:, 2],
 )
-"""What the shell leaves open below the greenhouse."""
+"""The openings of the shell below the greenhouse."""
 
 
 def interior() -> dict[str, Surface]:
-    """What the glass shows: roof lining, tub, dashboard, shelf, seats and steering wheel."""
+    """The visible interior: roof lining, tub, dashboard, shelf, seats and steering wheel."""
     skin = bare_cabin()
     for pane in windows()[0]:
         _, skin = split(skin, pane)
@@ -389,7 +390,7 @@ def fittings() -> dict[str, Surface]:
 
 
 def body_hulls(look: dict[str, Surface]) -> dict[str, Surface]:
-    """Few hulls that together hold every triangle of the body: each goes whole to one region."""
+    """A few hulls that together contain every triangle of the body; no triangle is split between regions."""
     everything = join(*look.values())
     x, y, z = everything.points[everything.faces].mean(1).T
     mirror = (x > 0.5) & (z > 0.86) & (np.abs(y) > 0.80)

@@ -1,8 +1,7 @@
-"""Generate the flat ground: concrete apron in slabs of 10 m, whose joints let motion be read.
+"""Generate the flat ground: a concrete apron in slabs of 10 m, whose joints make motion visible.
 
-Rigs have 600 m of it to drive on; what is seen goes on to where haze hides all.
-
-Run from the repository: ``python -m vehsim.assets.generate.flat``.
+Vehicles have 600 m of it to drive on; the visible ground extends to where haze hides everything. Run from the
+repository: ``python -m vehsim.assets.generate.flat``.
 """
 
 from __future__ import annotations
@@ -21,21 +20,21 @@ Array = NDArray[np.float64]
 FOLDER = Path(__file__).parents[1] / "terrains" / "flat"
 HALF, CELL = 300.0, 10.0
 BEYOND = np.array([320.0, 360.0, 440.0, 600.0, 900.0, 1500.0, 3000.0])
-"""How far what is seen goes on, m from the middle, in ever longer slabs."""
+"""Borders of the ever longer slabs of the visible ground, m from the middle."""
 SLAB, SLABS = 10.0, 4
-"""Size of a slab, m, and slabs along the side of the picture, which repeats: the joints hide its seams."""
+"""Size of a slab, m, and number of slabs along the side of the repeating picture: the joints hide its seams."""
 PICTURE = 1024
 CONCRETE = np.array([0.53, 0.52, 0.50])
 
 
 def apron_colour(size: int) -> Array:
-    """Colours (size^2, 3) of a few slabs: each its own tone, joints between, aggregate, stains and wear."""
+    """Colours (size^2, 3) of a few slabs, each with its own tone, with joints, aggregate, stains and wear."""
     side = SLAB * SLABS
     u = (np.arange(size) + 0.5) / size * side
     xy = np.stack(np.meshgrid(u, u[::-1]), axis=-1).reshape(-1, 2)
     slab = np.floor(xy / SLAB).astype(int)
     tone = np.random.default_rng(4).normal(0, 0.035, (SLABS, SLABS))[slab[:, 0], slab[:, 1]]
-    own = xy + 57.0 * slab  # every slab has stains of its own
+    own = xy + 57.0 * slab  # every slab has its own stains
     stain = 0.06 * fractal(own / 3.5, 4, 1) + 0.05 * fractal(own / 0.45, 2, 2) + 0.05 * gradient_noise(own / 0.09, 3)
     brushed = 0.02 * gradient_noise(own / [2.5, 0.12], 4)
     inside = np.min(np.minimum(xy % SLAB, SLAB - xy % SLAB), axis=1)

@@ -1,8 +1,8 @@
 """The light helicopter: `python -m vehsim.assets.generate helicopter` writes its `helicopter.usdc`.
 
 A single-engine machine of the five- to six-seat class: rotor 10.7 m across, fuselage 10.9 m long. X forward, Y left,
-Z up; the root stands on the ground between the skids, below the mast. Seen from above the main rotor turns
-counter-clockwise, so its torque turns the nose right and the tail rotor, on the left, pushes the tail to the right.
+Z up; the root is on the ground between the skids, below the mast. Seen from above the main rotor turns
+counter-clockwise, so its torque turns the nose right, and the tail rotor, on the left, pushes the tail to the right.
 """
 
 from __future__ import annotations
@@ -82,13 +82,14 @@ LIVERIES = {
 }
 
 TOLERANCES = ((0.001, 0.002), (0.001, 0.001), (0.0002, 0.0002), (0.0002, 0.0002))
-"""How far hull, cowling, fin and landing gear may be from their fine shape, m, and where they are blue."""
+"""Decimation tolerances of hull, cowling, fin and landing gear, m: elsewhere, and where they are blue."""
 
 
 def build() -> dict[str, PartShape]:
     """The helicopter's parts by name: fuselage, main rotor, tail rotor."""
     slim, rest = (hull(), cowling(), fin(), landing_gear()), (stabiliser(), mast(), fittings())
-    whole = by_material(*slim, *rest)  # hulls from all of it: what it clears does not hang on how finely it is drawn
+    # hulls from the full-resolution surfaces, so that they do not depend on the decimation
+    whole = by_material(*slim, *rest)
     inside = cabin(), pilot()
     slim = (slim[0], {name: split(s, below_hull)[1] for name, s in slim[1].items()}, *slim[2:])
     look = by_material(*(slimmed(s, t, blue=b) for s, (t, b) in zip(slim, TOLERANCES, strict=True)), *rest, *inside)
@@ -107,7 +108,7 @@ STRIPE = curve([3.5, 2.4, 1.0, -0.2, -1.2, -2.2, -3.2, -4.4], [0.97, 1.03, 1.08,
 
 
 def livery(surface: Surface, coats: list[tuple[str, Field]]) -> dict[str, Surface]:
-    """``coats``, then blue below the cheat line, the gold stripe along it, white above."""
+    """The ``coats``, then blue below the cheat line, the gold stripe along it, white above."""
     lines: list[tuple[str, Field]] = [
         ("blue", lambda p: p[:, 2] - STRIPE(p[:, 0])),
         ("gold", lambda p: p[:, 2] - STRIPE(p[:, 0]) - 0.075),
@@ -223,7 +224,7 @@ def landing_gear() -> dict[str, Surface]:
 
 
 def mast() -> dict[str, Surface]:
-    """What stands still below the rotor head: the mast fairing and the fixed swash plate with its servo rods."""
+    """The fixed parts below the rotor head: the mast fairing and the fixed swash plate with its servo rods."""
     fairing = revolve([(0.0, 2.60), (0.34, 2.62), (0.30, 2.70), (0.20, 2.76), (0.12, 2.78), (0.0, 2.785)], 28)
     plate = revolve([(0.0, 2.795), (0.17, 2.795), (0.185, 2.805), (0.185, 2.825), (0.17, 2.835), (0.0, 2.835)], 28)
     rods = []
@@ -234,7 +235,7 @@ def mast() -> dict[str, Surface]:
 
 
 def fittings() -> dict[str, Surface]:
-    """The small things: handles, pitot tube, aerials, beacon, landing light, tail gearbox and drive shaft cover."""
+    """Small fittings: handles, pitot tube, aerials, beacon, landing light, tail gearbox and drive shaft cover."""
     handles = [box([0.16, 0.03, 0.035], [x, HULL_WIDTH(x) - 0.002, 1.13], 0.008).pair() for x in (1.42, 0.2)]
     pitot = tube(
         [[3.28, 0.0, 1.45], [3.40, 0.0, 1.50], [3.52, 0, 1.50], [3.66, 0, 1.50]], [0.014, 0.013, 0.011, 0.009], 8, 10
@@ -269,7 +270,7 @@ def fittings() -> dict[str, Surface]:
 
 
 def fuselage_hulls(look: dict[str, Surface]) -> dict[str, Surface]:
-    """Few convex hulls that together hold every triangle of the fuselage: each triangle goes whole to one region."""
+    """A few convex hulls that together contain every triangle of the fuselage; no triangle is split between regions."""
     everything = join(*look.values())
     centre = everything.points[everything.faces].mean(1)
     x, y, z = centre.T

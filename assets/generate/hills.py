@@ -1,9 +1,8 @@
 """Generate the hills: grassy downs with a dirt track over them, as a height field of about 6e4 triangles.
 
-Heights are smooth noise, so that curvature is that of hills and not of cells; a rim of higher ground stands
-before the downs beyond, which are only looked at. The track is a curve that a car can follow at a good pace. Run from
-the repository:
-``python -m vehsim.assets.generate.hills``.
+Heights are smooth noise, so that curvature is that of hills and not of cells; a rim of higher ground hides the start of
+the downs beyond, which are only visible. A car can follow the curve of the track at a good pace. Run from the
+repository: ``python -m vehsim.assets.generate.hills``.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ PICTURE = 3072
 TRACK = np.array([
     (-92, -34), (-66, -30), (-42, -12), (-24, 14), (2, 24), (24, 8), (38, -18), (64, -26), (92, -8),
 ], dtype=float)  # fmt: skip
-"""The dirt track, m: what `examples/car_over_hills.toml` drives along."""
+"""The dirt track, m: the path of `examples/car_over_hills.toml`."""
 
 
 def heights(x: Array, y: Array) -> Array:
@@ -52,14 +51,14 @@ def heights(x: Array, y: Array) -> Array:
 
 
 def country(xy: Array) -> Array:
-    """Heights (...,) m of the downs beyond: longer with the distance, low enough to leave some sky."""
+    """Heights (...,) m of the downs beyond: rising slowly with the distance, low enough to leave some sky."""
     far = np.clip((np.hypot(xy[..., 0], xy[..., 1]) - 120) / 900, 0, 1)
     rolling = gradient_noise(xy / 260, 11) + 0.4 * gradient_noise(xy / 90, 12)
     return np.asarray(6 + 6 * far + (8 + 13 * far) * rolling)
 
 
 def grass(place: Array, fine: Array) -> Array:
-    """Grass (n, 3) at ``place`` (n, 3) m, drier on the tops; ``fine`` (n,) what single tufts add."""
+    """Grass (n, 3) at ``place`` (n, 3) m, drier on the tops; ``fine`` (n,): the contribution of single tufts."""
     xy = place[:, :2]
     dry = np.clip(0.45 + 0.07 * place[:, 2] + 0.9 * fractal(xy / 14, 3, 23), 0, 1)[:, None]
     colour = (1 - dry) * np.array([0.29, 0.335, 0.15]) + dry * np.array([0.50, 0.455, 0.235])
@@ -67,7 +66,7 @@ def grass(place: Array, fine: Array) -> Array:
 
 
 def far_colours(surface: Sheet, size: int) -> Array:
-    """The downs beyond, (size^2, 3): grass in fields and dark copses, without detail that nobody sees."""
+    """The downs beyond, (size^2, 3): grass in fields and dark copses, without invisible detail."""
     face, weights = texels(surface, size)
     place = at_texels(surface.points, surface, face, weights)
     xy = place[:, :2]
@@ -78,7 +77,7 @@ def far_colours(surface: Sheet, size: int) -> Array:
 
 
 def colours(surface: Sheet, terrain: Terrain) -> Array:
-    """Grass and two ruts of earth: (PICTURE^2, 3), 0 to 1, as seen."""
+    """Grass and two ruts of earth: (PICTURE^2, 3), 0 to 1, in sRGB."""
     face, weights = texels(surface, PICTURE)
     place = at_texels(terrain.vertices, surface, face, weights)
     xy = place[:, :2]

@@ -1,8 +1,8 @@
 """The hopper: `python -m vehsim.assets.generate hopper` writes `assets/vehicles/hopper/hopper.usdc`.
 
 A scout that hops about the Moon on one telescoping leg: a pod with an eye, and a forked leg hinged at the pod's centre
-of mass that passes outside it, so that it may swing right round. X forward, Y left, Z up; the root is the hinge. The
-leg turns about Y; its middle tubes and its foot slide along Z.
+of mass. The fork passes outside the pod, so that the leg can make a full turn. X forward, Y left, Z up; the root is the
+hinge. The leg turns about Y; its middle tubes and its foot slide along Z.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ from vehsim.assets.generate._usd import Material, PartShape
 LENGTH = 0.90
 """From the hinge to the sole of the foot at rest, m."""
 FORK = 0.30
-"""Of the leg's tubes from the middle plane, m."""
+"""Distance of the leg's tubes from the middle plane, m."""
 SHORTEST, LONGEST = -0.36, 0.42
-"""How far the leg draws in and stretches, m."""
+"""Smallest and largest extension of the leg, m."""
 
 DOC = "Lunar hopper. X forward, Y left, Z up; root at the hip hinge, the pod's centre of mass."
 
@@ -57,8 +57,8 @@ MATERIALS = {
 
 
 def build() -> dict[str, PartShape]:
-    """The hopper's parts by name: its pod, and the leg with what slides on it."""
-    points = points_of(by_material(shell(), fittings()))  # hulls from all of it, however finely it is drawn
+    """The hopper's parts by name: its pod, and the leg with its sliding parts."""
+    points = points_of(by_material(shell(), fittings()))  # hulls from the full-resolution surfaces
     pod = by_material(slimmed(shell(), 0.0001), fittings())
     upper, middle, foot = leg()
     return {
@@ -143,7 +143,8 @@ def fittings() -> dict[str, Surface]:
 
 
 def leg() -> tuple[dict[str, Surface], dict[str, Surface], dict[str, Surface]]:
-    """Upper tubes with their hips, the tubes that slide half the way, and the foot with its cross bar and pad."""
+    """The upper tubes with their hips, the tubes that slide by half the extension, and the foot with its cross bar and
+    pad."""
     hip = revolve([(0.0, -0.03), (0.075, -0.03), (0.085, -0.02), (0.085, 0.025), (0.07, 0.04), (0.0, 0.04)], 40, "y")
     bolt = join(
         *(

@@ -1,8 +1,8 @@
 """The snakeboard and its rider: `python -m vehsim.assets.generate snakeboard` writes its `snakeboard.usdc`.
 
-A board of 0.54 m between its trucks and a figure of 1.75 m on it. X forward, Y left, Z up; the root stands on the
-ground below the middle of the board. The trucks turn about Z with the feet strapped to them, wheels about Y; legs hang
-between truck and pelvis, torso and pelvis turn about Z. At rest every driven angle is zero.
+A board of 0.54 m between its trucks and a figure of 1.75 m on it. X forward, Y left, Z up; the root is on the ground
+below the middle of the board. The trucks turn about Z with the feet strapped to them, wheels about Y; the legs connect
+trucks and pelvis; torso and pelvis turn about Z. At rest every driven angle is zero.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ def board() -> dict[str, Surface]:
 
 
 def truck(name: str, end: float) -> PartShape:
-    """A truck about its pivot, on the ground below it: plate, axle, wheels, the boot strapped on, and the leg in it."""
+    """A truck about its pivot, on the ground below it: plate, axle, wheels, the boot strapped on, and the leg."""
     look = by_material(
         slimmed(foot_plate(), 0.0002), hanger(), {n: s.moved([0, 0, ANKLE]) for n, s in figure.boot().items()}
     )
@@ -133,7 +133,7 @@ def _yaw(angle: float) -> Array:
 
 
 def leg(name: str, end: float) -> PartShape:
-    """The leg's plane about the ankle, in it the shin, and on the shin's end the thigh; turned as they are at rest."""
+    """The leg's plane about the ankle, in it the shin, and at its end the thigh; with their rest rotations."""
     across, lean, bend = (float(np.degrees(float(angle))) for angle in LEGS.angles(end, 0.0, 0.0))
     low, high = slimmed(figure.shin(LEGS.shin), 0.0004), slimmed(figure.thigh(LEGS.thigh), 0.0004)
     thigh = PartShape((0, 0, LEGS.shin), high, {"bounds": held(high)}, turn=(bend, 0.0, 0.0))
@@ -159,7 +159,7 @@ def foot_plate() -> dict[str, Surface]:
 
 
 def hanger() -> dict[str, Surface]:
-    """What carries the axle below the plate."""
+    """The support of the axle below the plate."""
     stem = revolve([(0.0, 0.034), (0.022, 0.034), (0.024, 0.040), (0.024, PLATE - 0.014), (0.0, PLATE - 0.014)], 24)
     base = box([0.075, 0.10, 0.010], [0, 0, PLATE - 0.020], 0.004, 2)
     y = HALF_TRACK - 0.5 * WIDTH - 0.004

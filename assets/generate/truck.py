@@ -1,8 +1,9 @@
 """The truck: `python -m vehsim.assets.generate truck` writes `assets/vehicles/truck/truck.usdc`.
 
-A two-axle tractor, wheelbase 3.6 m, with a city semi-trailer: one axle 6.2 m behind the king pin, which sits right over
-the tractor's rear axle. X forward, Y left, Z up; the root stands on the ground midway between the tractor's axles.
-Wheels turn about Y, the front ones ride on parts that steer about Z, and the trailer turns about Z on its king pin.
+A two-axle tractor, wheelbase 3.6 m, with a city semi-trailer: one axle 6.2 m behind the king pin, which is directly
+above the tractor's rear axle. X forward, Y left, Z up; the root is on the ground midway between the tractor's axles.
+Wheels turn about Y, the front ones are children of parts that steer about Z, and the trailer turns about Z on its king
+pin.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ MATERIALS = {
 
 def build() -> dict[str, PartShape]:
     """The truck's parts by name: tractor, its wheels, and the trailer with its own."""
-    tractor = by_material(cab(), chassis(), mudguards())  # hulls from all of it, however finely it is drawn
+    tractor = by_material(cab(), chassis(), mudguards())  # hulls from the full-resolution surfaces
     look = by_material(slimmed(cab(), 0.0005), slimmed(chassis(), 0.0005), mudguards())
     parts = {"tractor": PartShape(look=look, collision=tractor_hulls(tractor))}
     left = slimmed(spoked_wheel(RADIUS, WIDTH, rim=0.56, spokes=8, sides=40), 0.0012)
@@ -85,7 +86,7 @@ HALF_WIDTH = curve([0.62, 1.0, 2.0, 3.0, 3.4, 3.55], [1.20, 1.235, 1.235, 1.19, 
 
 
 def cab() -> dict[str, Surface]:
-    """The painted cab with windows, grille, bumper and lamps cut into it, visor and mirrors set on."""
+    """The painted cab with windows, grille, bumper and lamps cut into it, with visor and mirrors."""
     zs = np.concatenate([np.linspace(0.62, 3.2, 22), np.linspace(3.25, 3.55, 8)])
     rows = []
     for z in zs:
@@ -122,7 +123,7 @@ def below_x(value: float):
 
 
 def front_arch(skin: Surface) -> tuple[Surface, Surface]:
-    """The cab without its wheel arches, and what was cut out."""
+    """The cab without its wheel arches, and the removed part."""
     from vehsim.assets.generate._shapes import split
 
     inside, rest = split(skin, both(lambda p: np.hypot(p[:, 0] - AXLE, p[:, 2] - RADIUS) - 0.62, below_side(0.6)))
@@ -130,7 +131,7 @@ def front_arch(skin: Surface) -> tuple[Surface, Surface]:
 
 
 def below_side(value: float):
-    """The region further than ``value`` from the middle plane."""
+    """The region farther than ``value`` from the middle plane."""
     return lambda p: value - np.abs(p[:, 1])
 
 
@@ -203,7 +204,7 @@ def _rails_at(x: float) -> np.ndarray:
 
 
 FRONT_END, TAIL, ROOF, FLOOR = 1.15, -8.55, 2.62, 0.02
-"""Of the box, m from the king pin: ahead, behind, and heights above the fifth wheel."""
+"""Dimensions of the box, m from the king pin: ahead, behind, and heights above the fifth wheel."""
 
 
 def trailer(wheel: dict[str, Surface]) -> PartShape:

@@ -1,7 +1,7 @@
 """The tumbler: `python -m vehsim.assets.generate tumbler` writes its `tumbler.usdc`.
 
-A T-handle such as astronauts spin: a steel crossbar of 0.30 m with a brass stem, whose three moments of inertia
-differ. X along the stem, Y along the crossbar; the root stands at the centre of mass, axes along the principal ones.
+A T-handle as astronauts spin it: a steel crossbar of 0.30 m with a brass stem, whose three moments of inertia differ. X
+along the stem, Y along the crossbar; the root is at the centre of mass, axes along the principal ones.
 """
 
 from __future__ import annotations

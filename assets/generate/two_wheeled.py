@@ -1,7 +1,7 @@
 """The two-wheeled robot: `python -m vehsim.assets.generate two_wheeled` writes its `two_wheeled.usdc`.
 
 A delivery robot for corridors: 0.5 m long, two driven wheels of 0.2 m diameter 0.38 m apart, a ball caster behind.
-X forward, Y left, Z up; the root stands on the ground between the wheels. Wheels turn about Y.
+X forward, Y left, Z up; the root is on the ground between the wheels. Wheels turn about Y.
 """
 
 from __future__ import annotations

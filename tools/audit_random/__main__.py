@@ -1,8 +1,8 @@
-"""Export random shots and have a verifier that knows nothing of vehsim measure what was delivered.
+"""Export random shots, and measure the deliveries with a verifier that does not use vehsim.
 
-``python -m tools.audit_random --seeds 0-999 --out audit_random``: every seed has a folder of its own, with the shot,
-the delivery and ``result.json``; finished ones are left alone, so that a run goes on where it was stopped. ``--again``
-verifies the deliveries once more. A summary is printed and written to ``summary.md``.
+``python -m tools.audit_random --seeds 0-999 --out audit_random``: every seed has its own folder with the shot, the
+delivery and ``result.json``; finished ones are skipped, so that an interrupted run continues where it stopped.
+``--again`` verifies existing deliveries again. A summary is printed and written to ``summary.md``.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def run_shot(seed: int, folder: Path, seconds: float) -> dict[str, Any]:
-    """Export one shot in a process of its own, verify it in another, and write ``result.json``."""
+    """Export one shot in a separate process, verify it in another, and write ``result.json``."""
     shutil.rmtree(folder, ignore_errors=True)
     draft = make_shot(seed)
     shot = write_shot(draft, folder)
@@ -92,19 +92,20 @@ def run_shot(seed: int, folder: Path, seconds: float) -> dict[str, Any]:
 
 
 def _processor_seconds() -> float:
-    """What finished child processes have used."""
+    """CPU seconds used by finished child processes."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
 
 
 def version() -> str:
-    """The commit that is measured, where git knows it."""
+    """The measured commit, if git knows it."""
     command = ["git", "-C", str(HERE), "rev-parse", "--short", "HEAD"]
     return subprocess.run(command, capture_output=True, text=True).stdout.strip()
 
 
 def _verified(result: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """The result with what a verifier in another process refutes of its delivery, written beside the shot."""
+    """The result, with everything in its delivery that a verifier in another process refutes, written beside the
+    shot."""
     if result["exit"] == 0:
         stage = next((folder / DELIVERY).glob("*/*.usda"))
         command = [sys.executable, str(HERE / "verify.py"), str(folder / "shot.toml"), str(stage), "--json"]
@@ -113,14 +114,14 @@ def _verified(result: dict[str, Any], folder: Path) -> dict[str, Any]:
             result |= {"refuted": [{"ask": "verifier", "text": done.stderr[-1500:]}], "checks": {}}
         else:
             result |= json.loads(done.stdout)
-            if "warning: " in result["said"]:  # what a pilot is reported to have missed is no word broken
+            if "warning: " in result["said"]:  # a miss that a pilot has reported as a warning is not a false promise
                 result["refuted"] = [row for row in result["refuted"] if row["ask"] != "pilot"]
     (folder / "result.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     return result
 
 
 def summary(results: dict[int, dict[str, Any]]) -> str:
-    """How many were solved, which successes were refuted, by how much; a table by family."""
+    """The number of solved shots and of refuted successes, by how much they were refuted, and a table by family."""
     solved = [r for r in results.values() if r["exit"] == 0]
     refuted = {seed: r for seed, r in sorted(results.items()) if r["refuted"]}
     checks: Counter[str] = Counter()
@@ -147,7 +148,7 @@ def summary(results: dict[int, dict[str, Any]]) -> str:
 
 
 def _worse(one: dict[str, Any] | None, other: dict[str, Any]) -> dict[str, Any]:
-    """Of two things refuted of one ask, the one that is further beyond its bound."""
+    """Of two refutations of the same ask, the one farther beyond its bound."""
     return other if one is None or other["value"] - other["bound"] > one["value"] - one["bound"] else one
 
 

@@ -1,7 +1,7 @@
-"""Random shots: a seed gives a shot file that asks for a combination that was not thought of beforehand.
+"""Random shots: a seed gives a shot file with a combination that was not designed beforehand.
 
-What belongs here chooses what to ask, so that most shots can be solved: distances, times and bends suit the vehicle.
-Standard library and numpy only. Units are those of the shot file: metres, frames, degrees.
+This module chooses requests such that most shots can be solved: distances, times and bends suit the vehicle. It uses
+the standard library and numpy only. Units are those of the shot file: metres, frames, degrees.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ FPS: tuple[Any, ...] = (24, 24, 24, 25, 30, "23.976", "30000/1001", 48, 60, 120)
 
 @dataclass(frozen=True)
 class Kind:
-    """What suits a vehicle: legs in m, a comfortable acceleration in m/s^2, its tightest bend in m, half its width."""
+    """Numbers that suit a vehicle: legs in m, a comfortable acceleration in m/s^2, its tightest bend in m, half its
+    width."""
 
     legs: tuple[float, float]
     acceleration: float
@@ -49,7 +50,7 @@ WEIGHTS = {"helicopter": 9, "car": 6, "boat": 4, "two_wheeled": 4, "simple_car":
 
 @dataclass
 class Draft:
-    """A shot being made: its file as a table, its vehicles' tracks, files beside it, and words that describe it."""
+    """A shot under construction: its file as a table, its vehicles' tracks, additional files, and descriptive words."""
 
     rng: random.Random
     table: Table
@@ -94,7 +95,7 @@ def make_shot(seed: int) -> Draft:
 
 
 def write_shot(draft: Draft, folder: Path) -> Path:
-    """The shot file in a folder, with the files it names beside it."""
+    """Write the shot file to a folder, with the files that it names beside it; returns its path."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, arrays in draft.files.items():
         np.savez(folder / name, **arrays)
@@ -108,7 +109,7 @@ def write_shot(draft: Draft, folder: Path) -> Path:
 
 @dataclass
 class Track:
-    """Where a vehicle goes: places and headings it can drive or fly through, seconds for every leg."""
+    """The course of a vehicle: places and headings that it can drive or fly through, and the seconds for every leg."""
 
     places: list[list[float]]
     headings: list[float]
@@ -132,7 +133,7 @@ def _plan(draft: Draft) -> None:
 
 
 def _two_plans(draft: Draft) -> None:
-    """A vehicle that goes its way, and another that keeps clear of it."""
+    """One planned vehicle, and another that avoids it."""
     name = draft.rng.choice(("helicopter", "car", "boat"))
     draft.words += [name, "moving obstacle"]
     world = {} if name == "boat" else {"terrain": "flat"}
@@ -142,7 +143,7 @@ def _two_plans(draft: Draft) -> None:
     middle = ((x0 + x1) / 2, (y0 + y1) / 2)
     across = math.atan2(y1 - y0, x1 - x0) + math.pi / 2
     reach = math.dist((x0, y0), (x1, y1)) / 2 + PLANNED[name].half_width + 3
-    shift = draft.between(0.0, 6.0)  # it passes the crossing a little later, or not quite there
+    shift = draft.between(0.0, 6.0)  # it passes the crossing a little later, or not exactly there
     ends = [
         [
             round(middle[0] + s * reach * math.cos(across) + shift, 3),
@@ -178,10 +179,10 @@ def _track(draft: Draft, name: str, legs: int) -> Track:
         bend = math.degrees(min(1.2, length / kind.radius)) if kind.radius else 60.0
         turn = 0.0 if canyon or rng.random() < 0.25 else rng.uniform(-bend, bend)
         back = kind.radius and name not in ("boat", "truck", "snakeboard") and rng.random() < 0.12
-        way = math.radians(yaw + turn / 2) + (math.pi if back else 0.0)
+        course = math.radians(yaw + turn / 2) + (math.pi if back else 0.0)
         half = math.radians(turn) / 2
         chord = length * (math.sin(half) / half if abs(half) > 1e-6 else 1.0)
-        x, y = x + chord * math.cos(way), y + chord * math.sin(way)
+        x, y = x + chord * math.cos(course), y + chord * math.sin(course)
         yaw += -turn if back else turn
         if kind.flies:
             z += rng.uniform(-2.5, 2.5)
@@ -298,7 +299,7 @@ def _mark(
 
 
 def _limits(draft: Draft, name: str, track: Track, motion: Table) -> None:
-    """Limits about as tight as the comfortable motion needs them."""
+    """Limits about as tight as a comfortable motion needs."""
     kind, rng = PLANNED[name], draft.rng
     if draft.chance(0.45):
         return
@@ -394,7 +395,7 @@ def _world(draft: Draft, name: str) -> Table:
     if terrain == "map":
         world["terrain"] = _height_map(draft, steep=0.35 if kind.flies else 0.12)
     if kind.flies and draft.chance(0.3):
-        world["wind"] = [draft.between(-6, 6), draft.between(-6, 6), 0]  # no drag of its own: it must not matter
+        world["wind"] = [draft.between(-6, 6), draft.between(-6, 6), 0]  # without drag, wind must have no effect
         draft.words.append("wind")
     return world
 
@@ -403,10 +404,10 @@ def _height_map(draft: Draft, steep: float) -> str:
     """Waves of hills on a grid of a metre, as an archive beside the shot; slopes of about ``steep``."""
     rng, waves = draft.rng, []
     for _ in range(3):
-        length, way = rng.uniform(25, 70), rng.uniform(0, 2 * math.pi)
+        length, course = rng.uniform(25, 70), rng.uniform(0, 2 * math.pi)
         height = steep / 2 * length / (2 * math.pi)
         k = 2 * math.pi / length
-        waves.append((height, k * math.cos(way), k * math.sin(way), rng.uniform(0, 2 * math.pi)))
+        waves.append((height, k * math.cos(course), k * math.sin(course), rng.uniform(0, 2 * math.pi)))
 
     def height(x: Any, y: Any) -> Any:
         return sum(h * np.sin(a * x + b * y + c) for h, a, b, c in waves)
@@ -419,7 +420,7 @@ def _height_map(draft: Draft, steep: float) -> str:
 
 
 def _obstacles(draft: Draft, name: str, track: Track) -> list[Table]:
-    """Beside the way, near enough to matter; for what flies also in it."""
+    """Obstacles beside the path, close enough to matter; for flying vehicles also on it."""
     kind, rng, made = PLANNED[name], draft.rng, []
     for _ in range(rng.choice((1, 1, 2, 3))):
         leg = rng.randrange(len(track.seconds))
@@ -591,7 +592,7 @@ def _delivery(draft: Draft) -> None:
             shot["handles"] = rng.choice((2, 8))
             draft.words.append("handles")
             for vehicle in draft.table["vehicle"]:
-                if vehicle["motion"]["method"] == "simulate":  # goes on to the end that the shot has
+                if vehicle["motion"]["method"] == "simulate":  # continue to the last frame of the shot
                     del vehicle["motion"]["duration"]
     export: Table = {}
     if draft.chance(0.15):
@@ -613,7 +614,7 @@ def _word(draft: Draft, word: str) -> None:
 
 
 def to_toml(table: Table) -> str:
-    """A table as TOML, nested ones inline."""
+    """A table as TOML, with nested tables inline."""
     lines = []
     for key, value in table.items():
         for row in value if key == "vehicle" else [value]:

@@ -1,12 +1,13 @@
-"""Measure a delivery against its shot file, knowing nothing of how it was made: the stage, the TOML, and no vehsim.
+"""Measure a delivery against its shot file from the stage and the TOML alone, without vehsim.
 
-``python verify.py SHOT.toml STAGE.usda [--json]`` says what was asked and is not so, and exits with 1 then.
+``python verify.py SHOT.toml STAGE.usda [--json]`` lists unmet requests; its exit code is then 1.
 
-Every test is one-sided: what is refuted is wrong for certain. A mean over a frame is at most the greatest value in it,
-so a mean beyond a limit proves the limit broken; a distance from a hull's corner to a mesh is at least the distance of
-the two, so one below the clearance proves that broken. Peaks between samples can pass unseen, and nothing else can.
-Velocities at a frame come from polynomials through four samples; how far those through five stand from them is taken
-twice as their error. A tolerance of 0 means 1 mm, 0.05 degrees, 1 mm/s; limits have 1 % of slack.
+Every test is one-sided: a refuted delivery is certainly wrong. A mean over a frame is at most the greatest value in it,
+so a mean beyond a limit proves that the limit was exceeded; a distance from a hull's corner to a mesh is at least the
+distance of the two, so one below the clearance proves a violation. Only peaks between samples can pass unnoticed.
+
+Velocities at a frame come from polynomials through four samples; twice their difference from polynomials through five
+counts as their error. A tolerance of 0 means 1 mm, 0.05 degrees, 1 mm/s; limits have 1 % of slack.
 
 Poses here are in metres, Z up, whatever the stage's units and axes.
 """
@@ -30,20 +31,20 @@ import numpy as np
 
 Array = np.ndarray
 PLACE, TURN, PACE, SPIN = 1e-3, 0.05, 1e-3, 0.05
-"""What a tolerance of zero means: m, degrees, m/s, degrees a second."""
+"""Meaning of a tolerance of zero: m, degrees, m/s, degrees per second."""
 SLACK = 1.01
-"""How far a limit may be passed."""
+"""Factor by which a limit may be exceeded."""
 GRAVITY = 9.81
 FLIES = {"helicopter", "hopper", "tumbler"}
 ON_WHEELS = {"car": 0.004, "simple_car": 0.004, "truck": 0.006, "two_wheeled": 0.002, "snakeboard": 0.004}
-"""Asset -> how far the corners of its wheels' meshes may stand off level ground, m: they are polygons."""
+"""Asset -> largest distance of the corners of its wheels' meshes from level ground, m: they are polygons."""
 FADED = 12.0
-"""How far from a landing clearance from what it lands on is asked for in full, m."""
+"""Distance from a landing beyond which the full clearance from the ground is required, m."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """One thing that was asked and is not so: ``value`` against ``bound`` at ``frame``."""
+    """One unmet request: ``value`` exceeds ``bound`` at ``frame``."""
 
     ask: str
     text: str
@@ -58,7 +59,8 @@ class Findings:
     checks: Counter[str] = field(default_factory=Counter)
 
     def hold(self, ask: str, value: Any, bound: float, frames: Any, text: str, unit: str = "") -> None:
-        """Record that ``value`` (n,) at ``frames`` (n,) stays at or below ``bound``; the worst is told when not."""
+        """Record that ``value`` (n,) at ``frames`` (n,) must not exceed ``bound``; if it does, the worst is
+        reported."""
         value, frames = np.atleast_1d(np.asarray(value, float)), np.atleast_1d(np.asarray(frames, float))
         self.checks[ask] += 1
         if not len(value):
@@ -91,7 +93,7 @@ class Stage:
         return self.stage.GetPrimAtPath(f"/{self.name}/{path}")
 
     def matrices(self, prim: Any, frames: Iterable[float]) -> Array:
-        """Local to world (n, 4, 4), columns, as the stage has it."""
+        """Local to world matrices (n, 4, 4) for column vectors, as the stage composes them."""
         from pxr import UsdGeom
 
         cache, found = UsdGeom.XformCache(), []
@@ -115,7 +117,7 @@ class Stage:
         return np.unique(np.concatenate([np.array(t, float) for t in times] or [np.zeros(0)]))
 
     def drive(self, prim: Any, kind: str, frames: Iterable[float]) -> Array | None:
-        """An animated scalar op's values (n,) on a prim, such as ``rotateZ``; None where none is animated."""
+        """The values (n,) of an animated scalar op on a prim, such as ``rotateZ``; None if it is not animated."""
         from pxr import UsdGeom
 
         for op in UsdGeom.Xformable(prim).GetOrderedXformOps():
@@ -157,7 +159,7 @@ def _triangles(shape: Any) -> Array:
 
 @dataclass
 class Motion:
-    """A vehicle as delivered: samples at ``frames`` (n,), whole ones and those between that were authored."""
+    """A vehicle's delivered motion: samples at ``frames`` (n,), whole ones and authored ones between them."""
 
     stage: Stage
     name: str
@@ -185,7 +187,7 @@ class Motion:
         return np.flatnonzero(np.abs(self.frames - np.round(self.frames)) < 1e-6)
 
     def at(self, frame: float) -> int:
-        """The index of a whole frame, -1 where it was not delivered."""
+        """The index of a whole frame, -1 if it was not delivered."""
         found = np.flatnonzero(np.abs(self.frames - frame) < 1e-6)
         return int(found[0]) if len(found) else -1
 
@@ -198,19 +200,22 @@ class Motion:
         return np.degrees(np.arctan2(self.rotations[:, 1, 0], self.rotations[:, 0, 0]))
 
     def turning(self, i: int, rows: Array) -> Array:
-        """By how much it is turned at samples, (n, 3) rad from sample i: what drives may nod on its springs, and
-        counts by its heading alone, (n, 1)."""
+        """Rotation of samples relative to sample i, (n, 3) rad; for driving vehicles only the heading, (n, 1).
+
+        The body of a driving vehicle may nod on its springs.
+        """
         if self.flies:
             return rotation_vectors(self.rotations[i].T @ self.rotations[rows])
         return np.radians((self.headings[rows] - self.headings[i] + 180) % 360 - 180)[:, None]
 
     @cached_property
     def shown(self) -> int:
-        """How many coordinates of the position can be asked for: the ground decides the height of what drives."""
+        """Number of coordinates of the position that can be requested: the ground determines the height of driving
+        vehicles."""
         return 3 if self.flies else 2
 
     def joint(self, name: str) -> Array | None:
-        """A joint's values (n,) as its rig shows them; None where the rig does not."""
+        """A joint's values (n,) as its rig shows them; None if it does not."""
         reading = JOINTS.get((self.asset, name))
         return None if reading is None else reading(self)
 
@@ -220,7 +225,7 @@ class Motion:
 
 
 def _steered(motion: Motion) -> Array:
-    """The tangent of the steering angle: the harmonic mean of both front wheels' (Ackermann)."""
+    """The tangent of the steering angle: from the harmonic mean of both front wheels (Ackermann)."""
     left, right = (np.tan(np.radians(motion.part(f"steer_{side}", "rotateZ"))) for side in ("fl", "fr"))
     total = left + right
     return np.where(np.abs(total) < 1e-12, 0.0, 2 * left * right / np.where(np.abs(total) < 1e-12, 1.0, total))
@@ -243,7 +248,7 @@ JOINTS: dict[tuple[str, str], Callable[[Motion], Array]] = {
 
 
 def rotation_vectors(rotations: Array) -> Array:
-    """Rotation vectors (n, 3) rad of rotations (n, 3, 3), exact near none too."""
+    """Rotation vectors (n, 3) rad of rotations (n, 3, 3), accurate also near zero."""
     skew = np.stack([rotations[:, a, b] - rotations[:, b, a] for a, b in ((2, 1), (0, 2), (1, 0))], axis=1) / 2
     sine = np.linalg.norm(skew, axis=1)
     angle = np.arctan2(sine, (np.trace(rotations, axis1=1, axis2=2) - 1) / 2)
@@ -276,7 +281,8 @@ def rates(times: Array, values: Array, i: int) -> list[tuple[Array, float]]:
 
 
 def off_rate(times: Array, values: Array, i: int, wanted: Array | float) -> float:
-    """By how much, for certain, the derivative at sample i (or, with a number, its size) is not what was wanted."""
+    """Lower bound on the difference of the derivative at sample i (or, for a number, of its norm) from the wanted
+    value."""
     off = []
     for rate, error in rates(times, values, i):
         wrong = abs(np.linalg.norm(rate) - wanted) if np.ndim(wanted) == 0 else np.linalg.norm(rate - wanted)
@@ -288,7 +294,7 @@ def off_rate(times: Array, values: Array, i: int, wanted: Array | float) -> floa
 
 
 def mark_off(motion: Motion, mark: Mapping[str, Any], frame: float) -> list[tuple[str, float, float, str]]:
-    """What of a mark is measured at a frame: (ask, how far off, how far it may be, unit)."""
+    """What can be measured of a mark at a frame: (ask, difference, tolerance, unit)."""
     i, rows = motion.at(frame), []
     if i < 0:
         return [("mark.frame", math.inf, 0.0, "")]
@@ -348,21 +354,21 @@ def mark_off(motion: Motion, mark: Mapping[str, Any], frame: float) -> list[tupl
 
 
 def _gate_off(motion: Motion, i: int, place: Sequence[float], gate: Mapping[str, Any]) -> list[Any]:
-    way = np.array(gate["direction"], float)
-    way /= np.linalg.norm(way)
-    level = np.cross([0.0, 0.0, 1.0], way)
+    axis = np.array(gate["direction"], float)
+    axis /= np.linalg.norm(axis)
+    level = np.cross([0.0, 0.0, 1.0], axis)
     width = level / np.linalg.norm(level) if np.linalg.norm(level) > 1e-9 else np.array([0.0, 1.0, 0.0])
-    height = np.cross(way, width)
+    height = np.cross(axis, width)
     off = motion.positions[i] - place
     if motion.shown == 2:
         off[2] = 0.0
-    rows = [("gate.plane", abs(float(off @ way)), PLACE, "m")]
+    rows = [("gate.plane", abs(float(off @ axis)), PLACE, "m")]
     if "radius" in gate:
-        rows.append(("gate.opening", float(np.linalg.norm(off - (off @ way) * way)), gate["radius"] + PLACE, "m"))
+        rows.append(("gate.opening", float(np.linalg.norm(off - (off @ axis) * axis)), gate["radius"] + PLACE, "m"))
     else:
         beyond = max(abs(off @ width) - gate["size"][0] / 2, abs(off @ height) - gate["size"][1] / 2)
         rows.append(("gate.opening", float(beyond), PLACE, "m"))
-    through = [motion.positions[k] @ way for k in (max(i - 1, 0), min(i + 1, len(motion.positions) - 1))]
+    through = [motion.positions[k] @ axis for k in (max(i - 1, 0), min(i + 1, len(motion.positions) - 1))]
     rows.append(("gate.direction", float(through[0] - through[1]), PLACE, "m"))
     return rows
 
@@ -396,7 +402,7 @@ def _matrix(q: Sequence[float]) -> Array:
 
 
 def marks_as_rests(motion: Motion) -> list[dict[str, Any]]:
-    """Marks of a sinusoid as those of a plan: at rest, with the headings, pitches and joints it has when not told."""
+    """The marks of a sinusoid as those of a plan: at rest, with their headings, pitches and joints, or the defaults."""
     names = [name for (asset, name) in JOINTS if asset == motion.asset and name != "stretch"]
     return [
         {"heading": 0.0, "velocity": [0, 0, 0]}
@@ -408,10 +414,10 @@ def marks_as_rests(motion: Motion) -> list[dict[str, Any]]:
 
 
 def check_marks(motion: Motion, found: Findings) -> list[int]:
-    """Every mark at its frame; one at a free frame has to be met at some frame before the next. Their frames."""
+    """Check every mark at its frame; a mark at a free frame must be met before the next one. Returns their frames."""
     planned = motion.asked["method"] == "plan"
     marks = list(motion.asked["mark"]) if planned else marks_as_rests(motion)
-    if not planned and motion.asset == "hopper":  # it is in the air but at the ends, and moves there
+    if not planned and motion.asset == "hopper":  # except at the ends it is in the air and moves
         marks = [{key: value for key, value in mark.items() if key != "velocity"} for mark in marks]
     frames: list[int] = []
     earliest = motion.stage.first
@@ -431,7 +437,7 @@ def check_marks(motion: Motion, found: Findings) -> list[int]:
 
 
 def _best_frame(motion: Motion, mark: Mapping[str, Any], first: float, last: float, end: bool) -> tuple[int, list[Any]]:
-    """The frame at which a free mark is met, or is missed least: the end for the last one, else near its place."""
+    """The frame at which a free mark is met or missed least: the end for the last mark, otherwise near its place."""
     frames = np.arange(math.ceil(first), math.floor(last) + 1)
     if "position" in mark and len(frames):
         shown = 2 if mark.get("on_ground") else motion.shown
@@ -466,7 +472,7 @@ def check_limits(motion: Motion, first: float, last: float, found: Findings) -> 
         turning = rotation_vectors(np.swapaxes(R[:-1], 1, 2) @ R[1:]) / h
     else:
         turning = np.radians((np.diff(motion.headings[rows]) + 180) % 360 - 180)[:, None] / h
-    flat = np.r_[1.0, 1.0, 1.0 if motion.flies else 0.0]  # what drives follows the ground up and down
+    flat = np.r_[1.0, 1.0, 1.0 if motion.flies else 0.0]  # driving vehicles follow the ground up and down
     measured: dict[str, Array] = {
         "speed": np.linalg.norm(v, axis=1),
         "climb": np.abs(v[:, 2]),
@@ -504,11 +510,11 @@ def check_looks(motion: Motion, first: float, last: float, found: Findings) -> N
         rows = motion.within(*look.get("frames", (first, last)))
         axis = look.get("axis", "x")
         nose = motion.rotations[rows][:, :, "xyz".index(axis[-1])] * (-1 if axis[0] == "-" else 1)
-        way = np.array(look["at"], float) - motion.positions[rows]
+        offset = np.array(look["at"], float) - motion.positions[rows]
         if look.get("level", True):
-            nose, way = nose[:, :2], way[:, :2]
-        far = np.linalg.norm(way, axis=1) > 0.1
-        dot = np.sum(nose * way, axis=1) / (np.linalg.norm(nose, axis=1) * np.linalg.norm(way, axis=1) + 1e-12)
+            nose, offset = nose[:, :2], offset[:, :2]
+        far = np.linalg.norm(offset, axis=1) > 0.1
+        dot = np.sum(nose * offset, axis=1) / (np.linalg.norm(nose, axis=1) * np.linalg.norm(offset, axis=1) + 1e-12)
         off = np.degrees(np.arccos(np.clip(dot, -1, 1)))[far]
         bound = look.get("within", 5.0) * SLACK + TURN
         found.hold("look", off, bound, motion.frames[rows][far], f"{motion.name}: look[{n}]", "deg")
@@ -558,14 +564,15 @@ def _is_hull(mesh: Any) -> bool:
 
 
 def _counts(motion: Motion, mesh: Any) -> bool:
-    """Steered wheels, feet and riders of what drives count as they stand straight: here they are left out."""
+    """Whether a mesh counts: steered wheels, feet and riders of driving vehicles count in their rest pose, so not
+    here."""
     path = str(mesh.GetPath()).split(f"/{motion.name}/", 1)[-1]
     turns = ("steer_", "truck_", "outboard", "torso", "pelvis")
     return motion.asset == "helicopter" or not path.startswith(turns) or path.startswith("truck_body")
 
 
 def _distances(points: Array, shape: tuple[Array, Array]) -> Array:
-    """Distances (n,) m of points (n, 3) to triangles; inside a closed shape they are negative."""
+    """Distances (n,) m of points (n, 3) to triangles; negative inside a closed shape."""
     import igl
 
     points = np.ascontiguousarray(points)
@@ -575,7 +582,7 @@ def _distances(points: Array, shape: tuple[Array, Array]) -> Array:
 
 
 class Ground:
-    """A terrain's mesh, asked from above."""
+    """A terrain's mesh, queried from above."""
 
     def __init__(self, stage: Stage) -> None:
         parts = stage.meshes(stage.prim("env/terrain"), lambda mesh: mesh.GetName() != "horizon")
@@ -595,7 +602,7 @@ class Ground:
         """Signed distances (n,) m: negative below."""
         import igl
 
-        # few triangles are near: those far away need no tree
+        # few triangles are close: distant ones need no tree
         low, high = points.min(axis=0)[:2] - 30, points.max(axis=0)[:2] + 30
         corners = self.points[self.faces][:, :, :2]
         near = np.all((corners.max(axis=1) >= low) & (corners.min(axis=1) <= high), axis=1)
@@ -603,7 +610,7 @@ class Ground:
             np.ascontiguousarray(points), self.points, np.ascontiguousarray(self.faces[near])
         )[:3]
         above = np.sum((points - closest) * self.normals[near][which], axis=1) >= 0
-        # on a ridge the nearest triangle may face away from what is above it: what lies below decides
+        # on a ridge the nearest triangle may face away from a point above it: the triangle below decides
         shapes = self.points[self.faces[near]]
         bounds = shapes[:, :, :2].min(axis=1), shapes[:, :, :2].max(axis=1)
         for k in np.flatnonzero(~above):
@@ -613,7 +620,7 @@ class Ground:
 
 
 def _is_over(point: Array, shapes: Array) -> bool:
-    """Is a point above the triangles (n, 3, 3) that stand straight above or below it? False where none does."""
+    """Whether a point is above the triangles (n, 3, 3) vertically above or below it; False if there are none."""
     a, b, c = (shapes[:, k, :2] - point[:2] for k in range(3))
 
     def cross(p: Array, q: Array) -> Array:
@@ -633,7 +640,7 @@ def check_clearance(
     marks: list[tuple[Any, int]],
     found: Findings,
 ) -> None:
-    """No hull nearer to terrain, obstacle or another vehicle than was asked, but where it lands."""
+    """Check that no hull comes nearer to terrain, obstacle or another vehicle than requested, except at landings."""
     stage = motion.stage
     first, last = marks[0][1], marks[-1][1] + marks[-1][0].get("hold", 0)
     rows = motion.within(first, last)
@@ -702,7 +709,7 @@ def _from_other_side(points: Array, hulls: list[Any], placed: list[Array], k: in
 
 
 def check_descent(motion: Motion, marks: list[tuple[Any, int]], found: Findings) -> None:
-    """Towards a landing: no faster than 0.5 m/s down, and 1 m/s more for every metre away."""
+    """Check the descent towards a landing: at most 0.5 m/s, and 1 m/s more per metre of distance."""
     for n, (mark, frame) in enumerate(marks):
         if not mark.get("on_ground") or n == 0:
             continue
@@ -717,7 +724,7 @@ def check_descent(motion: Motion, marks: list[tuple[Any, int]], found: Findings)
 
 
 def check_wheels(motion: Motion, found: Findings) -> None:
-    """The lowest corner of every wheel stands on the ground."""
+    """Check that the lowest corner of every wheel touches the ground."""
     ground, stage = Ground(motion.stage), motion.stage
     rough = ON_WHEELS.get(motion.asset)
     if not ground or rough is None:
@@ -745,7 +752,7 @@ def check_wheels(motion: Motion, found: Findings) -> None:
 
 
 def check_start(motion: Motion, frame: float, found: Findings) -> None:
-    """A simulation begins where and as it was told, and goes where its pilot was sent."""
+    """Check that a simulation starts in the requested state and ends where its pilot was sent."""
     start, i = motion.asked.get("start"), motion.at(frame)
     if start is not None and i >= 0:
         mark = {"frame": frame, "velocity": start.get("velocity", [0, 0, 0])}
@@ -755,7 +762,7 @@ def check_start(motion: Motion, frame: float, found: Findings) -> None:
         if start.get("spin"):
             mark.pop("velocity")
         for ask, off, bound, unit in mark_off(motion, mark, frame):
-            if ask != "mark.rest":  # what is at rest may set out
+            if ask != "mark.rest":  # a vehicle at rest may start to move
                 found.hold(ask.replace("mark", "start"), off, bound, frame, f"{motion.name}: {ask} of its start", unit)
     pilot = motion.asked.get("pilot")
     end = motion.positions[-1]
@@ -763,7 +770,7 @@ def check_start(motion: Motion, frame: float, found: Findings) -> None:
     if goal is not None:
         off = np.linalg.norm((end - np.resize(goal, 3))[: len(goal)])
         found.hold("pilot", off, 0.5, motion.frames[-1], f"{motion.name}: from where {pilot['name']} was sent", "m")
-    if motion.asked["method"] == "integrate":  # nothing acts on it
+    if motion.asked["method"] == "integrate":  # no forces act on it
         last = frame + _seconds(motion.asked, motion.stage.fps) * motion.stage.fps
         rows = motion.whole[motion.frames[motion.whole] <= last + 1e-6]
         bend = np.linalg.norm(np.diff(motion.positions[rows], n=2, axis=0), axis=1) * motion.stage.fps**2
@@ -771,7 +778,7 @@ def check_start(motion: Motion, frame: float, found: Findings) -> None:
 
 
 def check_handles(motion: Motion, header: Mapping[str, Any], first: float, last: float, found: Findings) -> None:
-    """Through its handles a motion goes on as it moved: the velocities on both sides of the cut agree."""
+    """Check that a motion continues through its handles: velocities on both sides of the cut agree."""
     for frame, end in ((first, "start_frame"), (last, "end_frame")):
         if header.get("handles", 0) < 4 or header.get(end, 1001) != frame:
             continue
@@ -788,7 +795,7 @@ def check_handles(motion: Motion, header: Mapping[str, Any], first: float, last:
 
 
 def check_world(stage: Stage, shot: Mapping[str, Any], folder: Path, found: Findings) -> None:
-    """Obstacles stand where they were put, as high and as wide; the ground is as high as its file says."""
+    """Check that obstacles have the requested place, height and width, and the ground the heights of its file."""
     world = shot.get("world", {})
     standing = [table for table in world.get("obstacle", []) if table["shape"] != "vehicle"]
     groups: dict[str, list[Array]] = {}
@@ -842,7 +849,7 @@ def _box_of(table: Mapping[str, Any]) -> tuple[Any, Any]:
 
 
 def rate(given: Any) -> float:
-    """Frames a second of a shot file: NTSC rates are multiples of 1000/1001."""
+    """Frames per second of a shot file: NTSC rates are multiples of 1000/1001."""
     text = str(given)
     value = float(Fraction(text))
     whole = round(value) * 1000 / 1001
@@ -850,7 +857,8 @@ def rate(given: Any) -> float:
 
 
 def verify(shot: Mapping[str, Any], path: Path, folder: Path = Path()) -> Findings:
-    """What is refuted of a delivery, and how often every kind of ask was measured; ``folder`` is the shot file's."""
+    """What is refuted of a delivery, and the number of measurements of each kind of ask; ``folder``: the shot
+    file's."""
     found, stage = Findings(), Stage(path)
     header = shot["shot"]
     fps, first = rate(header.get("fps", 24)), header.get("start_frame", 1001) - header.get("handles", 0)
@@ -889,17 +897,15 @@ def verify(shot: Mapping[str, Any], path: Path, folder: Path = Path()) -> Findin
                 ends.append(math.floor(first + _seconds(motion.asked, fps) * fps + 1e-6))
         check_wheels(motion, found)
     if "end_frame" not in header:
-        found.hold(
-            "time codes", abs(stage.last - max(ends)), 0.0, stage.last, f"last frame, {max(ends):g} was asked for"
-        )
+        found.hold("time codes", abs(stage.last - max(ends)), 0.0, stage.last, f"last frame, requested {max(ends):g}")
     return found
 
 
 def _seconds(asked: Mapping[str, Any], fps: float) -> float:
-    """How long a motion that is stepped through takes: its duration, rounded up to whole steps."""
+    """Duration of a motion that is computed in steps: rounded up to whole steps."""
     if asked["method"] == "integrate":
         step = asked.get("step", 1 / 24)
-    else:  # a whole number of steps a frame
+    else:  # a whole number of steps per frame
         step = 1 / fps / math.ceil(1 / fps / asked.get("step", 1 / 240) - 1e-9)
     return float(step * math.ceil(asked["duration"] / step - 1e-6))
 
