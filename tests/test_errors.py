@@ -71,7 +71,7 @@ def plan(limits: Any = None, **changed: Any) -> Any:
         ({"max_iterations": 1}, "not solved"),
     ],
 )
-def test_plans_that_fail_say_why_as_data(changed: dict[str, Any], reason: str | None) -> None:
+def test_failed_plans_give_the_reason_as_data(changed: dict[str, Any], reason: str | None) -> None:
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         made = plan(**changed)
@@ -79,7 +79,7 @@ def test_plans_that_fail_say_why_as_data(changed: dict[str, Any], reason: str | 
     assert any(warning.category is FailedPlan for warning in said) is not made.success
 
 
-def test_a_shot_hands_on_why_its_plan_failed(tmp_path: Path) -> None:
+def test_a_shot_passes_on_the_reason_of_its_failed_plan(tmp_path: Path) -> None:
     marks = "".join(
         f"[[vehicle.motion.mark]]\nframe = {frame}\nposition = [{x}, 0, 0]\n" for frame, x in ((1001, 0), (1049, 9))
     )
@@ -159,7 +159,7 @@ CALLS: dict[str, tuple[Callable[[], Any], str, Any, str, str]] = {
 
 
 @pytest.mark.parametrize("name", CALLS)
-def test_calls_say_what_is_wrong_as_data(name: str) -> None:
+def test_calls_report_errors_as_data(name: str) -> None:
     call, key, value, message, remedy = CALLS[name]
     error = caught(call)
     assert isinstance(error, InputError)
@@ -205,7 +205,7 @@ commands = [{ frame = 1001, torque = 500 }]
 
 
 @pytest.mark.parametrize("name", SHOTS)
-def test_shot_files_say_what_is_wrong_as_data(name: str, tmp_path: Path) -> None:
+def test_shot_files_report_errors_as_data(name: str, tmp_path: Path) -> None:
     before, after, key, value, message, remedy = SHOTS[name]
     path = tmp_path / "shot.toml"
     path.write_text(SHOT.replace(before, after))
@@ -229,7 +229,7 @@ def test_shot_files_say_what_is_wrong_as_data(name: str, tmp_path: Path) -> None
         ("[physics]", "[physics]\nwings = 2", "physics.wings", 2, "unknown key", "known keys"),
     ],
 )
-def test_vehicle_files_say_what_is_wrong_as_data(
+def test_vehicle_files_report_errors_as_data(
     tmp_path: Path, before: str, after: str, key: str, value: Any, message: str, remedy: str
 ) -> None:
     source = described("vehicle")["car"].parent
@@ -260,7 +260,7 @@ def test_vehicle_files_say_what_is_wrong_as_data(
     ],
 )
 @pytest.mark.parametrize("beside", [False, True])
-def test_terrain_files_say_what_is_wrong_as_data(
+def test_terrain_files_report_errors_as_data(
     tmp_path: Path, beside: bool, line: str, key: str, value: Any, message: str, remedy: str
 ) -> None:
     np.save(tmp_path / "a.npy", np.zeros((4, 4)))
@@ -279,7 +279,7 @@ def test_a_terrain_file_names_its_heights(tmp_path: Path) -> None:
     assert (error.key, error.message) == ("heights", "missing") and "heights.npz" in error.remedy
 
 
-def test_everything_wrong_with_a_file_is_in_one_error(tmp_path: Path) -> None:
+def test_one_error_contains_all_problems_of_a_file(tmp_path: Path) -> None:
     (tmp_path / "terrain.toml").write_text("schema = 1\nheights = 3\ncell = -1\n")
     error = caught(lambda: World(terrain=str(tmp_path)))
     assert [(problem.key, problem.line) for problem in error.problems] == [("heights", 2), ("cell", 3)]
@@ -301,12 +301,12 @@ FULL = Problem("mark[0].hold", "a hold requires rest", "give velocity = [0, 0, 0
         (Problem("n", "too many", value=[1] * 100), f"n = [{'1, ' * 25}1...: too many"),
     ],
 )
-def test_the_printed_line_is_made_of_what_there_is(problem: Problem, line: str) -> None:
+def test_the_printed_line_omits_empty_fields(problem: Problem, line: str) -> None:
     assert str(problem) == line
     assert str(InputError.of(problem, problem)) == f"{line}\n{line}"
 
 
-def test_a_problem_moves_to_where_it_is_asked_for() -> None:
+def test_a_problem_moves_to_another_key() -> None:
     hold = Problem("hold", "a hold requires rest", "give velocity = [0, 0, 0]", 5)
     assert hold.below("mark[0]") == Problem("mark[0].hold", hold.message, hold.remedy, 5)
     assert Problem("", "wrong").below("mark[0]").key == "mark[0]"
@@ -326,7 +326,7 @@ def test_a_problem_moves_to_where_it_is_asked_for() -> None:
         TooFast("beyond its limits", 2.5),
     ],
 )
-def test_errors_survive_the_way_between_processes(error: VehsimError) -> None:
+def test_errors_can_be_sent_between_processes(error: VehsimError) -> None:
     other = pickle.loads(pickle.dumps(error))
     assert type(other) is type(error) and other.problems == error.problems and str(other) == str(error)
     assert vars(other) == vars(error)

@@ -175,7 +175,7 @@ def test_a_shot_names_what_a_package_registers(site: Path, tmp_path: Path) -> No
     assert "quarry" in run(site, "terrains").stdout
 
 
-def test_a_limit_that_nothing_measures_is_refused(site: Path, tmp_path: Path) -> None:
+def test_a_limit_without_a_measure_is_refused(site: Path, tmp_path: Path) -> None:
     entries = next(site.glob("*.dist-info")) / "entry_points.txt"
     entries.write_text(ENTRY_POINTS.partition("[vehsim.measures]")[0])
     (tmp_path / "yard.toml").write_text(SHOT)
@@ -205,7 +205,7 @@ def test_a_package_that_does_not_load_stops_no_other_shot(site: Path, tmp_path: 
         assert run(site, command).returncode == 0
 
 
-def test_a_delivery_with_a_limit_of_a_missing_package_is_not_called_good(site: Path, tmp_path: Path) -> None:
+def test_a_delivery_with_a_limit_of_a_missing_package_does_not_pass(site: Path, tmp_path: Path) -> None:
     (tmp_path / "yard.toml").write_text(SHOT)
     done = run(site, "export", str(tmp_path / "yard.toml"), "--out", str(tmp_path / "out"), "--to", "usd")
     assert done.returncode == 0, done.stderr

@@ -32,7 +32,7 @@ def pip(arguments: list[str]) -> None:
     subprocess.run([sys.executable, "-m", "pip", "--disable-pip-version-check", *arguments], check=True)
 
 
-def test_wheel_holds_vehsim_alone_with_its_assets(wheel: Path) -> None:
+def test_the_wheel_contains_only_vehsim_and_its_assets(wheel: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
     assert {name.partition("/")[0].partition("-")[0] for name in names} == {"vehsim"}
     assert not [name for name in names if "/test" in name or name.endswith((".pyc", ".orig"))]

@@ -389,18 +389,18 @@ def nodding(yaw_rate: float = 0.0) -> Any:
 
 
 @pytest.mark.parametrize(("yaw_rate", "wrong"), [(0.0, set()), (0.01, {"velocity (turning)", "hold (turning)"})])
-def test_what_drives_may_nod_on_its_springs_but_not_turn(yaw_rate: float, wrong: set[str]) -> None:
+def test_driving_vehicles_may_nod_on_their_springs_but_not_turn(yaw_rate: float, wrong: set[str]) -> None:
     asks = list(mark_asks("mark", 10, hold=20, position=(0, 0, 0), velocity=(0, 0, 0), planar=True))
     rows = audit(nodding(yaw_rate), [*asks, ask("speed", wanted={"planar": True}, upper=1e-6)])
     assert {row.key.removeprefix("mark.") for row in missed(rows)} == wrong
 
 
-def test_what_flies_may_not_nod() -> None:
+def test_flying_vehicles_may_not_nod() -> None:
     asks = mark_asks("mark", 10, hold=20, position=(0, 0, 0), velocity=(0, 0, 0))
     assert len(missed(audit(nodding(), asks))) == 5
 
 
-def test_what_a_stage_shows_after_a_range_of_frames_has_no_part_in_it() -> None:
+def test_samples_after_a_range_of_frames_do_not_affect_it() -> None:
     """A motion that is cut off at the end of its limits: it stands still from there on, at once."""
     clip = flight(8.0)
     still = [replace(clip.at(clip.times[-1:]), times=np.array([k / 24]), start_frame=0) for k in range(1, 25)]

@@ -22,7 +22,7 @@ SEEDS = (
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_a_success_is_not_refuted(seed: int, tmp_path: Path) -> None:
+def test_successful_shots_are_not_refuted(seed: int, tmp_path: Path) -> None:
     path = shots.write_shot(shots.make_shot(seed), tmp_path)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

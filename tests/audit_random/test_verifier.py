@@ -332,21 +332,21 @@ SPOILS: list[tuple[str, Callable[[], Any], Callable[[Delivery], None]]] = [
 
 
 @pytest.mark.parametrize("case", [flight, drive, landing, circuit, free, handles])
-def test_nothing_is_refuted_of_what_is_right(case: Callable[[], Any], tmp_path: Path) -> None:
+def test_correct_deliveries_are_not_refuted(case: Callable[[], Any], tmp_path: Path) -> None:
     made, asked = case()
     found = verify.verify(asked, made.write(tmp_path))
     assert [row.text for row in found.rows] == []
 
 
 @pytest.mark.parametrize(("ask", "case", "spoil"), SPOILS, ids=[f"{s[0]}-{n}" for n, s in enumerate(SPOILS)])
-def test_what_is_spoiled_is_refuted(ask: str, case: Any, spoil: Any, tmp_path: Path) -> None:
+def test_spoiled_deliveries_are_refuted(ask: str, case: Any, spoil: Any, tmp_path: Path) -> None:
     made, asked = case()
     spoil(made)
     found = verify.verify(asked, made.write(tmp_path))
     assert ask in {row.ask for row in found.rows} or (ask == "mark.frame" and found.rows)
 
 
-def test_it_knows_nothing_of_vehsim() -> None:
+def test_the_verifier_does_not_import_vehsim() -> None:
     imported = {
         name.split(".")[0]
         for node in ast.walk(ast.parse(TOOL.read_text()))

@@ -28,7 +28,7 @@ def test_one_worker_two_workers_and_dask_give_the_same_bytes(write: Write, tmp_p
     assert len([path for path in content(tmp_path / "one") if path.endswith("report.json")]) == 5
 
 
-def test_finished_clips_are_left_and_others_made_again(write: Write, tmp_path: Path, content: Content) -> None:
+def test_finished_clips_are_kept_and_others_made_again(write: Write, tmp_path: Path, content: Content) -> None:
     shots, out = load_shots(write(sweep=FIVE)), tmp_path / "out"
     export_batch(shots, out, ["npz", "csv"], workers=2)
     before, dates = content(out), {path: path.stat().st_ino for path in out.iterdir()}
@@ -44,7 +44,7 @@ def test_finished_clips_are_left_and_others_made_again(write: Write, tmp_path: P
 
 
 @pytest.mark.parametrize("year", [1971, 2099])
-def test_clocks_may_jump(write: Write, tmp_path: Path, content: Content, year: int) -> None:
+def test_clock_changes_do_not_affect_resuming(write: Write, tmp_path: Path, content: Content, year: int) -> None:
     """What is finished is told by content: dates long gone or still to come neither spare nor cost any work."""
     shot, out = write(sweep=FIVE), tmp_path / "out"
     export_batch(load_shots(shot), out, ["npz"])
@@ -58,7 +58,7 @@ def test_clocks_may_jump(write: Write, tmp_path: Path, content: Content, year: i
     assert content(out) == before
 
 
-def test_whatever_a_clip_is_made_of_is_in_its_hash(write: Write, tmp_path: Path) -> None:
+def test_every_input_of_a_clip_is_in_its_hash(write: Write, tmp_path: Path) -> None:
     import shutil
 
     from vehsim.vehicles import load_vehicle
@@ -86,13 +86,13 @@ def test_an_obstacles_mesh_is_in_the_hash(write: Write, tmp_path: Path) -> None:
     assert len(seen) == 2
 
 
-def test_a_delivery_by_other_means_is_not_taken_for_finished(write: Write, tmp_path: Path) -> None:
+def test_a_delivery_by_other_exporters_does_not_count_as_finished(write: Write, tmp_path: Path) -> None:
     (shot,) = load_shots(write())
     shot.solve().export(tmp_path / "out", ["npz"])
     assert not is_finished(tmp_path / "out" / "drive", fingerprint(shot, ["npz"]))
 
 
-def test_a_shot_that_nobody_checked_is_checked_before_it_is_solved(write: Write, tmp_path: Path) -> None:
+def test_an_unchecked_shot_is_checked_before_it_is_solved(write: Write, tmp_path: Path) -> None:
     path = write()
     path.write_text(path.read_text().replace('name = "drive"', 'name = "drive"\nhandles = 8', 1))
     (outcome,) = export_batch(load_shots(path), tmp_path / "out", ["npz"])
@@ -117,7 +117,7 @@ def test_summary_and_exit_code(write: Write, tmp_path: Path, capsys: pytest.Capt
     assert json.loads((out / "summary.json").read_text()) == summary
 
 
-def test_a_failed_plan_is_told_once(write: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_plan_is_reported_once(write: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As the error it is, not as a warning before it."""
     import warnings
     from types import SimpleNamespace
@@ -139,7 +139,7 @@ def test_a_failed_plan_is_told_once(write: Write, tmp_path: Path, monkeypatch: p
     assert outcome.warnings == ()
 
 
-def test_the_log_for_machines(write: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_json_log(write: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = write(sweep='"shot.start_frame" = [1, 2]')
     assert cli.run(["export", str(path), "--out", str(tmp_path / "out"), "--to", "usd", "--log", "json"]) == 0
     said = capsys.readouterr()
@@ -154,9 +154,7 @@ def test_the_log_for_machines(write: Write, tmp_path: Path, capsys: pytest.Captu
     assert said.err == ""
 
 
-def test_the_log_for_machines_has_what_is_refused(
-    write: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_json_log_contains_refused_shots(write: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """With the line to look at; and a folder of somebody else's stops its own shot alone."""
     out = tmp_path / "out"
     (out / "taken").mkdir(parents=True)
@@ -172,7 +170,7 @@ def test_the_log_for_machines_has_what_is_refused(
     assert (out / "taken" / "notes.txt").read_text() == "mine"
 
 
-def test_a_listener_that_goes_stops_no_work(write: Write, tmp_path: Path) -> None:
+def test_the_batch_survives_its_log_reader_exiting(write: Write, tmp_path: Path) -> None:
     """As in ``vehsim export ... --log json | head -1``."""
     import subprocess
     import sys
@@ -188,7 +186,7 @@ def test_a_listener_that_goes_stops_no_work(write: Write, tmp_path: Path) -> Non
     assert (tmp_path / "out" / "drive" / "car.npz").exists()
 
 
-def test_one_right_shot_among_wrong_ones_has_a_summary(write: Write, tmp_path: Path) -> None:
+def test_one_valid_shot_among_invalid_ones_has_a_summary(write: Write, tmp_path: Path) -> None:
     out = tmp_path / "out"
     arguments = ["export", str(write("good")), str(write("bad", duration=-1)), "--out", str(out), "--to", "npz"]
     assert cli.run(arguments) == 1
@@ -196,7 +194,7 @@ def test_one_right_shot_among_wrong_ones_has_a_summary(write: Write, tmp_path: P
     assert [clip["name"] for clip in summary["clips"]] == ["good"] and len(summary["refused"]) == 1
 
 
-def test_nothing_about_time_is_written(write: Write, tmp_path: Path, content: Content) -> None:
+def test_deliveries_contain_no_time(write: Write, tmp_path: Path, content: Content) -> None:
     """Clocks that run elsewhere, or back, change no byte."""
     import subprocess
     import sys

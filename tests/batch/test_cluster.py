@@ -30,7 +30,9 @@ def cluster() -> Iterator[Any]:
         yield cluster
 
 
-def test_clips_of_lost_workers_are_made_by_others(cluster: Any, write: Write, tmp_path: Path, content: Content) -> None:
+def test_clips_of_lost_workers_are_made_by_other_workers(
+    cluster: Any, write: Write, tmp_path: Path, content: Content
+) -> None:
     shots = load_shots(write(sweep=TEN))
     export_batch(shots, tmp_path / "here", ["usd", "npz"])
     killed: list[int] = []

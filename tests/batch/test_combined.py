@@ -29,7 +29,7 @@ def files(folder: Path) -> set[str]:
     return {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
 
 
-def test_a_table_added_later_leaves_stage_and_pictures(
+def test_adding_a_table_later_keeps_stage_and_pictures(
     export: Callable[..., int], tmp_path: Path, content: Content, capsys: pytest.CaptureFixture[str]
 ) -> None:
     drive = tmp_path / "out" / "drive"
@@ -68,7 +68,7 @@ def test_resume_knows_what_each_exporter_delivered(
     assert "frames 1001 to 1007" in capsys.readouterr().out
 
 
-def test_another_motion_sets_the_old_one_apart(
+def test_files_of_an_older_motion_are_set_apart(
     export: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     drive = tmp_path / "out" / "drive"
@@ -88,7 +88,7 @@ def test_another_motion_sets_the_old_one_apart(
     assert np.allclose(Clip.load(drive / "car.npz").resample().positions[:, 0], table["worldpositionx_m"], atol=1e-6)
 
 
-def test_versions_keep_every_export_by_itself(export: Callable[..., int], tmp_path: Path) -> None:
+def test_versions_keep_every_export_separate(export: Callable[..., int], tmp_path: Path) -> None:
     drive = tmp_path / "out" / "drive"
     export("npz", "--set", "export.versions=true")
     export("csv", "--set", "export.versions=true")
@@ -140,7 +140,7 @@ def place(stage: Any, vehicle: str, frame: float) -> Any:
     return UsdGeom.XformCache(frame).GetLocalToWorldTransform(prim).ExtractTranslation()
 
 
-def test_one_vehicle_again_leaves_the_others_as_they_were(
+def test_exporting_one_vehicle_again_keeps_the_others(
     tmp_path: Path, content: Content, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "drive.toml").write_text(PAIR)
@@ -197,7 +197,7 @@ velocity = [0, 0, 0]
 """
 
 
-def test_a_delivery_is_audited_whatever_was_added_last(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_delivery_is_audited_after_any_later_export(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "drive.toml").write_text(PLANNED)
     export = ["export", str(tmp_path / "drive.toml"), "--out", str(tmp_path), "--to"]
     assert cli.run([*export, "usd"]) == 0

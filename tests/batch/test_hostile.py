@@ -137,7 +137,7 @@ def _runs(pid: int) -> bool:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupted_batch_tidies_up(write: Write, tmp_path: Path, number: int) -> None:
+def test_an_interrupted_batch_cleans_up(write: Write, tmp_path: Path, number: int) -> None:
     process = start(write(sweep=SWEEP.format(30)), tmp_path / "out")
     while not list((tmp_path / "out").glob("drive*")):
         time.sleep(0.02)
@@ -151,7 +151,7 @@ def test_an_interrupted_batch_tidies_up(write: Write, tmp_path: Path, number: in
     assert "unfinished" in states and states <= {"done", "unfinished"}  # the last delivery may go unrecorded
 
 
-def test_a_file_that_cannot_grow_fails_its_clip_alone(
+def test_a_file_that_cannot_grow_fails_only_its_clip(
     undisturbed: Undisturbed, tmp_path: Path, content: Content
 ) -> None:
     """As on a disk that is full for large files: every clip says so, nothing half-written stays, --resume fixes it."""
@@ -194,7 +194,7 @@ def test_a_full_disk(undisturbed: Undisturbed, small_disk: Path, content: Conten
     assert content(small_disk / "out") == expected
 
 
-def test_an_output_that_may_only_be_read(write: Write, small_disk: Path) -> None:
+def test_a_read_only_output_folder(write: Write, small_disk: Path) -> None:
     subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True)
     process = start(write(sweep=SWEEP.format(2)), small_disk / "out")
     _, said = process.communicate()
@@ -203,7 +203,7 @@ def test_an_output_that_may_only_be_read(write: Write, small_disk: Path) -> None
     assert "Traceback" not in said
 
 
-def test_what_may_not_be_read_is_named(write: Write, tmp_path: Path) -> None:
+def test_unreadable_files_are_named(write: Write, tmp_path: Path) -> None:
     """A folder or a rig without permissions stops its own shot, by a message that says which."""
     out, rig = tmp_path / "out", tmp_path / "rig"
     for folder in (out / "taken", rig):
@@ -229,7 +229,9 @@ def _obey_permissions() -> None:
         ctypes.CDLL(None).prctl(24, capability, 0, 0, 0)  # PR_CAPBSET_DROP
 
 
-def test_the_folder_above_dropped_by_an_export_that_failed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_export_may_delete_the_parent_folder_of_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """It made that folder, and drops it just when another is to begin in it: the other makes it again."""
     from vehsim.delivery.folders import staging
 
@@ -253,7 +255,7 @@ def test_two_exports_into_one_folder(undisturbed: Undisturbed, tmp_path: Path, c
         assert content(tmp_path / "out") == expected
 
 
-def test_deliveries_swapped_by_many_at_once(tmp_path: Path) -> None:
+def test_many_exports_replace_one_delivery_at_once(tmp_path: Path) -> None:
     """Eight threads replace one delivery over and over: it is always one of theirs, whole."""
     from concurrent.futures import ThreadPoolExecutor
 
@@ -273,7 +275,7 @@ def test_deliveries_swapped_by_many_at_once(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["shot"]
 
 
-def test_hidden_folders_of_the_living_and_of_other_machines_stay(tmp_path: Path) -> None:
+def test_hidden_folders_of_running_processes_and_other_machines_stay(tmp_path: Path) -> None:
     from vehsim.delivery.folders import clean_up
     from vehsim.runtime.files import machine
 
@@ -287,7 +289,7 @@ def test_hidden_folders_of_the_living_and_of_other_machines_stay(tmp_path: Path)
     assert {path.name for path in tmp_path.iterdir()} == {*stay, "shot"}
 
 
-def test_who_was_killed_is_not_alive_though_nobody_has_noticed() -> None:
+def test_a_killed_process_is_not_alive_before_its_parent_waits_for_it() -> None:
     from vehsim.delivery.folders import _alive
 
     process = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
@@ -298,7 +300,7 @@ def test_who_was_killed_is_not_alive_though_nobody_has_noticed() -> None:
     assert not _alive(process.pid)
 
 
-def test_a_cached_field_full_of_zeros_is_not_believed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cached_field_full_of_zeros_is_measured_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A power cut may leave a file of the right size and shape whose data never reached the disk."""
     from vehsim.world.terrain.terrain import Terrain
     from vehsim.world.world import World
@@ -317,7 +319,7 @@ def test_a_cached_field_full_of_zeros_is_not_believed(tmp_path: Path, monkeypatc
     assert file.read_bytes() == body
 
 
-def test_what_is_kept_for_other_processes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_results_are_cached_for_other_processes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Made once, again when it is damaged, and also where nothing can be kept."""
     from vehsim.runtime.cache import kept
 
@@ -342,7 +344,7 @@ def test_what_is_kept_for_other_processes(tmp_path: Path, monkeypatch: pytest.Mo
         assert kept("sky", 7, make) == b"a sky"
 
 
-def test_arrays_are_kept_under_what_they_are_made_from(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_arrays_are_cached_by_their_inputs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from vehsim.runtime.cache import kept_arrays
 
     monkeypatch.setenv("VEHSIM_CACHE", str(tmp_path))
@@ -363,7 +365,7 @@ def test_arrays_are_kept_under_what_they_are_made_from(tmp_path: Path, monkeypat
 
 @pytest.mark.parametrize("damage", [lambda body: body[:-9], lambda body: body[:99] + bytes(len(body) - 99)])
 @pytest.mark.parametrize("what", ["gyro-*/gyro.usdc", "gyro-*.usda"])
-def test_a_converted_vehicle_cut_short_or_full_of_zeros_is_not_believed(
+def test_a_truncated_or_zeroed_converted_vehicle_is_made_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: Content, what: str, damage: Callable[[bytes], bytes]
 ) -> None:
     """What stands in the cache of a GLB is held against its seal, and made again."""
@@ -389,7 +391,7 @@ def _load_anew(folder: Path) -> None:
     load_vehicle(folder)
 
 
-def test_a_clip_without_memory_fails_alone(
+def test_a_clip_without_memory_fails_without_affecting_others(
     write: Write, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its motion does not fit into the worker's share of address space; the clips before and after do."""
@@ -406,7 +408,7 @@ def test_a_clip_without_memory_fails_alone(
     assert "Traceback" not in capfd.readouterr().err
 
 
-def test_a_picture_too_large_for_opengl_fails_alone(write: Write, tmp_path: Path) -> None:
+def test_a_picture_too_large_for_opengl_fails_without_affecting_others(write: Write, tmp_path: Path) -> None:
     small = "[render]\nsize = [64, 36]\nevery = 10\n"
     large = "[render]\nsize = [8192, 8192]\nsamples = 16\nevery = 10\n"
     shots = load_shots(write("small", more=small)) + load_shots(write("large", more=large))
@@ -429,7 +431,7 @@ def test_missing_pictures_are_rendered_again(write: Write, tmp_path: Path, conte
 
 
 @pytest.mark.parametrize("error", [RuntimeError("std::bad_alloc"), SystemError("returned NULL"), MemoryError()])
-def test_no_memory_is_told_in_many_words(
+def test_lack_of_memory_is_recognised_in_many_error_messages(
     write: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
 ) -> None:
     from vehsim import Shot

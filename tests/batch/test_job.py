@@ -53,7 +53,7 @@ def test_the_farm_delivers_what_export_does(write: Callable[..., Path], tmp_path
     assert content(tmp_path / "farm") == expected
 
 
-def test_steps_want_what_comes_before_whole(write: Callable[..., Path], tmp_path: Path) -> None:
+def test_steps_require_complete_previous_steps(write: Callable[..., Path], tmp_path: Path) -> None:
     clips = write_job(write(more=PICTURES), tmp_path / "job.json", "png")
     with pytest.raises(ExportError, match="run the step 'plan'"):
         run_step("bake", clips, 0)
@@ -85,14 +85,14 @@ def test_steps_make_versions_as_export_does(write: Callable[..., Path], tmp_path
     assert "./v002/drive.usda" in (home / "latest.usda").read_text()
 
 
-def test_steps_refuse_clips_that_are_not_there(write: Callable[..., Path], tmp_path: Path) -> None:
+def test_steps_refuse_missing_clips(write: Callable[..., Path], tmp_path: Path) -> None:
     clips = write_job(write(), tmp_path / "job.json", "npz")
     with pytest.raises(InputError, match="no clip 1"):
         run_step("plan", clips, 1)
 
 
 @pytest.mark.parametrize("count", [1, 3, 7])
-def test_chunks_share_out_every_frame_in_order(count: int) -> None:
+def test_chunks_cover_every_frame_in_order(count: int) -> None:
     frames = list(range(1001, 1020, 2))
     shares = [_share(frames, k, count) for k in range(1, count + 1)]
     assert [frame for share in shares for frame in share] == frames

@@ -30,12 +30,12 @@ def test_even_spacing_has_both_ends() -> None:
     assert values == [-1, -0.5, 0, 0.5, 1]
 
 
-def test_keys_of_one_ending_are_told_apart() -> None:
+def test_keys_with_the_same_ending_get_different_labels() -> None:
     names = [name for name, _ in expand({"mark[0].position": [1], "mark[1].position": [1], "x[2]": [1]})]
     assert names == ["mark0_position0_mark1_position0_x2_0"]
 
 
-def test_a_seed_draws_the_same_whatever_else_is_swept() -> None:
+def test_values_drawn_from_a_seed_do_not_depend_on_other_swept_keys() -> None:
     """A clip's values hang on its seed and their keys alone: sweeping more never changes the clips there were."""
     alone = dict(expand({"a.x": {"uniform": [2, 3]}, "seeds": 4}))
     more = expand({"a.x": {"uniform": [2, 3]}, "a.y": {"normal": [0, 1]}, "seeds": [7, 2]})
@@ -65,7 +65,7 @@ def test_a_seed_draws_the_same_whatever_else_is_swept() -> None:
         ({"a.b": {"from": 0, "to": 1, "count": 1000}, "a.c": {"from": 0, "to": 1, "count": 1000}}, "sweep"),
     ],
 )
-def test_what_cannot_be_swept_is_said(sweep: dict[str, Any], key: str) -> None:
+def test_invalid_sweeps_are_reported(sweep: dict[str, Any], key: str) -> None:
     with pytest.raises(ShotError) as error:
         expand(sweep)
     assert error.value.problems[0].key == key
@@ -104,7 +104,7 @@ def test_dry_run_lists_the_clips(
     assert not (tmp_path / "out").exists()
 
 
-def test_the_shot_without_its_sweep_says_so(write: Callable[..., Path]) -> None:
+def test_a_shot_without_its_sweep_expanded_warns(write: Callable[..., Path]) -> None:
     from vehsim import Shot
 
     (problem,) = Shot.load(write(sweep='"vehicle.car.motion.duration" = [0.25]')).check()

@@ -26,7 +26,7 @@ forked = pytest.mark.skipif("forkserver" not in METHODS, reason="workers are not
 
 
 @forked
-def test_what_is_forked_has_all_modules_and_a_single_thread() -> None:
+def test_the_fork_server_has_all_modules_and_a_single_thread() -> None:
     code = "import os, vehsim.batch.preload; print(len(os.listdir('/proc/self/task')))"
     one = {**os.environ, **dict.fromkeys(THREADS, "1")}
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=one)
@@ -34,7 +34,7 @@ def test_what_is_forked_has_all_modules_and_a_single_thread() -> None:
 
 
 @forked
-def test_what_is_forked_takes_ctrl_c_in_silence(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_forked_workers_handle_ctrl_c_silently(monkeypatch: pytest.MonkeyPatch) -> None:
     """It reaches the whole group: kept out while the process begins, then ignored, and nobody inherits the mask."""
     from multiprocessing import forkserver
 
@@ -71,14 +71,14 @@ def test_what_is_forked_takes_ctrl_c_in_silence(monkeypatch: pytest.MonkeyPatch)
         ("check a.toml b.toml", False),
     ],
 )
-def test_what_is_forked_begins_before_the_command_is_loaded(words: str, early: bool) -> None:
+def test_the_fork_server_starts_before_the_command_is_loaded(words: str, early: bool) -> None:
     from vehsim.__main__ import _has_workers
 
     assert _has_workers(words) is early
 
 
 @forked
-def test_a_command_leaves_nothing_in_the_folder_for_temporary_files(write: Write, tmp_path: Path) -> None:
+def test_a_command_leaves_no_temporary_files(write: Write, tmp_path: Path) -> None:
     """Not the fork server's socket either, though a command ends without tearing down what it loaded."""
     path, temporary = write(sweep=TWO), tmp_path / "temporary"
     temporary.mkdir()
@@ -87,7 +87,7 @@ def test_a_command_leaves_nothing_in_the_folder_for_temporary_files(write: Write
     assert list(temporary.iterdir()) == []
 
 
-def test_a_signal_that_comes_twice_is_raised_once() -> None:
+def test_a_repeated_signal_is_raised_once() -> None:
     """From the group, and from the first process: the second must not disturb what is tidied up."""
     before = signal.signal(signal.SIGTERM, raising(KeyboardInterrupt, once=True))
     try:
@@ -99,7 +99,7 @@ def test_a_signal_that_comes_twice_is_raised_once() -> None:
 
 
 @forked
-def test_workers_have_the_environment_of_who_asks(
+def test_workers_have_the_environment_of_their_caller(
     write: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Not that of the process they are forked from, which may have been started long before."""

@@ -93,7 +93,7 @@ def test_target_fills_its_share_of_the_frame(rig, motion):
 
 
 @pytest.mark.parametrize("pitch", [40, 60, -60])
-def test_what_pitches_steeply_stays_large(pitch):
+def test_steeply_pitched_targets_stay_large(pitch):
     """Seen from behind, a helicopter of 13 m stands 3 m high, and 10 m when it dives: no reason to run from it."""
     dive = np.radians(pitch) * np.clip(np.minimum(T - 1, 4 - T), 0, 1)
     positions = np.stack([25 * T, 0 * T, 60 + 0 * T], 1)
@@ -176,7 +176,7 @@ def within(points, motion, more=0.0):
 
 @pytest.mark.parametrize("motion", BLOCKS)
 @pytest.mark.parametrize("rig", ["chase", "follow", "orbit", "dolly"])
-def test_camera_sees_its_target_past_what_stands(rig, motion):
+def test_camera_sees_its_target_past_obstacles(rig, motion):
     clip, (centre, size) = MOTIONS[motion], BLOCKS[motion]
     world = World(obstacles=[box("block", (*centre, 24.0), size)])
     rows = CameraRig(rig=rig, distance=14.0, height=2.0)
@@ -188,7 +188,7 @@ def test_camera_sees_its_target_past_what_stands(rig, motion):
     assert jerk.max() <= JERK * 14.0
 
 
-def test_an_obstacle_out_of_sight_moves_no_camera():
+def test_an_obstacle_outside_the_view_does_not_move_the_camera():
     far = World(obstacles=[box("block", (0.0, 300.0, 24.0), (5.0, 5.0, 9.0))])
     for rig in ("chase", "follow", "dolly", "static"):
         alone, beside = (
@@ -223,14 +223,14 @@ def hidden_frames(camera, clip, centre, size):
 
 @pytest.mark.parametrize("rig", ["dolly", "crane", "static", "fly_by"])
 @pytest.mark.parametrize("side", [1, -1])
-def test_a_camera_nobody_placed_stands_on_the_open_side_of_a_wall(rig, side):
+def test_an_unplaced_camera_stands_on_the_open_side_of_a_wall(rig, side):
     clip, wall = MOTIONS["straight"], ((40.0, 4.5 * side, 0.0), (200.0, 1.0, 60.0))
     world = World(obstacles=[box("wall", *wall)])
     camera = solve_camera(CameraRig(rig=rig), {"cube": clip}, world, (1001, 1121), ASPECT)
     assert (camera.positions[:, 1] * side < 4.0).all() and hidden_frames(camera, clip, *wall) == 0
 
 
-def test_parked_vehicles_are_seen_past_as_obstacles_are():
+def test_cameras_avoid_parked_vehicles_like_obstacles():
     clip = MOTIONS["start and stop"]
     alone = solve_camera(CameraRig(rig="follow"), {"cube": clip}, World(), (1001, 1121), ASPECT)
     place = (clip.positions + alone.positions)[60] / 2
@@ -245,7 +245,7 @@ def test_parked_vehicles_are_seen_past_as_obstacles_are():
     assert np.array_equal(moved.positions, alone.positions)
 
 
-def test_a_crane_rises_from_rest_to_rest_as_far_as_asked():
+def test_a_crane_rises_by_the_requested_amount_from_rest_to_rest():
     clip, rig = MOTIONS["straight"], CameraRig(rig="crane", position=(30.0, -25.0, 31.0), rise=8.0)
     camera = solve_camera(rig, {"cube": clip}, World(), (1001, 1121), ASPECT)
     assert np.abs(camera.positions[:, :2] - rig.position[:2]).max() < 1e-9
@@ -254,7 +254,7 @@ def test_a_crane_rises_from_rest_to_rest_as_far_as_asked():
     assert height[1] - height[0] < 1e-3 and height[-1] - height[-2] < 1e-3
 
 
-def test_a_fly_by_is_passed_close_and_pans_along():
+def test_a_fly_by_camera_is_close_and_pans_with_its_target():
     clip = MOTIONS["straight"]
     camera = solve_camera(CameraRig(rig="fly_by"), {"cube": clip}, World(), (1001, 1121), ASPECT)
     assert np.ptp(camera.positions, axis=0).max() < 1e-9
@@ -263,7 +263,7 @@ def test_a_fly_by_is_passed_close_and_pans_along():
     assert 60 < heights.argmax() < 100
 
 
-def test_first_person_is_fixed_to_its_vehicle_and_banks_unless_level():
+def test_first_person_is_fixed_to_its_vehicle_and_banks_by_default():
     clip = MOTIONS["jittery"]
     rig = CameraRig(rig="first_person", eye=(0.5, 0.2, 1.8))
     camera = solve_camera(rig, {"cube": clip}, World(), (1001, 1121), ASPECT)
@@ -276,13 +276,13 @@ def test_first_person_is_fixed_to_its_vehicle_and_banks_unless_level():
 
 @pytest.mark.parametrize("framing", [(1 / 3, 0.0), (-0.5, 0.25), (0.0, -1 / 3)])
 @pytest.mark.parametrize("rig", ["chase", "static", "orbit"])
-def test_the_target_stands_where_framing_says(rig, framing):
+def test_framing_places_the_target_in_the_picture(rig, framing):
     clip = MOTIONS["hover"]
     camera = solve_camera(CameraRig(rig=rig, framing=framing), {"cube": clip}, World(), (1001, 1121), ASPECT)
     assert np.abs(on_screen(camera, clip).mean(axis=1) - framing).max() < 0.06
 
 
-def test_a_cut_is_each_of_its_cameras_in_turn_and_jumps_between_frames():
+def test_a_cut_equals_each_camera_in_turn_and_jumps_between_frames():
     clip = MOTIONS["straight"]
     rigs = [CameraRig(name="near"), CameraRig(name="far", rig="static", lens_mm=85.0)]
     both = {rig.name: solve_camera(rig, {"cube": clip}, World(), (1001, 1121), ASPECT) for rig in rigs}
@@ -312,7 +312,7 @@ def test_a_cut_is_each_of_its_cameras_in_turn_and_jumps_between_frames():
         ([(1001, "near"), (1010, "wide")], "film backs"),
     ],
 )
-def test_cuts_that_cannot_be_are_named(cuts, message):
+def test_invalid_cuts_are_named(cuts, message):
     rigs = [CameraRig(name="near"), CameraRig(name="wide", aperture_width_mm=24.0)]
     both = {rig.name: solve_camera(rig, {"cube": MOTIONS["hover"]}, World(), (1001, 1121), ASPECT) for rig in rigs}
     with pytest.raises(InputError, match=message):
@@ -356,7 +356,7 @@ def test_distance_and_lens_are_obeyed():
     assert camera.aperture_mm == pytest.approx((36.0, 20.25))
 
 
-def test_frames_beyond_the_clip_hold_its_ends():
+def test_the_subject_is_constant_beyond_the_clips_ends():
     camera = solve_camera(CameraRig(), {"cube": MOTIONS["straight"]}, World(), (990, 1130), ASPECT)
     assert camera.frames[0] == 990 and len(camera.frames) == len(camera.positions) == 141
 
@@ -387,7 +387,7 @@ def rolling(seed, height):
 
 @pytest.mark.parametrize("above", [0.0, 5.0], ids=["on the ground", "flying"])
 @pytest.mark.parametrize("seed", range(8))
-def test_a_chase_starts_behind_on_hills_and_stays_there(seed, above):
+def test_a_chase_camera_stays_behind_its_target_on_hills(seed, above):
     """Raised over what rises behind the target, and not put beside it; never in the ground."""
     world, random = rolling(seed, (1.2, 2.0)[seed % 2]), np.random.default_rng(seed + 100)
     heading, start = random.uniform(-np.pi, np.pi), random.uniform(-40, 40, 2)

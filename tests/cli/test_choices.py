@@ -30,7 +30,9 @@ PATIENCE = 600.0
 # ---------------------------------------------------------------- help
 
 
-def test_help_of_export_lists_all_there_is(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_help_of_export_lists_all_exporters_costs_and_limits(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("COLUMNS", "160")
     assert cli.run(["export", "--help"]) == 0
     said = capsys.readouterr().out
@@ -62,7 +64,7 @@ def complete(*words: str, folder: Path | None = None) -> list[str]:
     return answer.stdout.split()
 
 
-def test_exporters_are_completed_one_after_the_other() -> None:
+def test_exporters_are_completed_in_a_list() -> None:
     assert complete("export", "--to", "fi") == ["figures"]
     assert complete("export", "--to", "usd,m") == ["usd,mp4"]
     assert "usd,usd" not in complete("job", "--to", "usd,")
@@ -155,7 +157,9 @@ def test_examples_fit_the_schema(path: Path) -> None:
         (("shot", "fsp"), 24, False),
     ],
 )
-def test_the_schema_tells_right_from_wrong(keys: tuple[str | int, ...], value: object, right: bool) -> None:
+def test_the_schema_distinguishes_valid_from_invalid_shots(
+    keys: tuple[str | int, ...], value: object, right: bool
+) -> None:
     data: dict = tomllib.loads((EXAMPLES / "car_obstacles.toml").read_text())
     table = data
     for key in keys[:-1]:
@@ -181,13 +185,13 @@ def test_the_schema_tells_right_from_wrong(keys: tuple[str | int, ...], value: o
         (["vehicle.heli.motion.mark[1].frame='free'", "render.size=[1920,1080]"], "mp4", False, "pictures"),
     ],
 )
-def test_a_film_of_minutes_is_announced(change: list[str], to: str, draft: bool, says: str | None) -> None:
+def test_a_long_render_is_announced(change: list[str], to: str, draft: bool, says: str | None) -> None:
     shot = next(iter(load_shots(EXAMPLES / "canyon_flight.toml", change)))
     hint = _arguments.film_hint([shot], to.split(","), draft)
     assert hint is None if says is None else says in str(hint)
 
 
-def test_the_hint_is_one_line_before_the_work(
+def test_the_hint_is_one_line_printed_before_the_work(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("vehsim.batch.run.run", lambda tasks, **options: (None for _ in ()))
@@ -228,6 +232,6 @@ def test_heights_are_the_terrain_s_own(capsys: pytest.CaptureFixture[str]) -> No
         (["0", "0", "--terrain", "hill"], "did you mean 'hills'"),
     ],
 )
-def test_height_refuses_what_is_no_point(words: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_height_refuses_invalid_points(words: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.run(["height", *words]) == 2
     assert says in capsys.readouterr().err

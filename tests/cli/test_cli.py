@@ -116,7 +116,7 @@ def test_an_unexpected_error_in_one_shot_leaves_the_others(
     assert code == (1 if "check" in where else 0)
 
 
-def test_the_end_of_a_file_is_no_interrupt(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_end_of_file_is_not_an_interrupt(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     def ends() -> None:
         raise EOFError("No data left in file")
 
@@ -136,7 +136,7 @@ def test_the_end_of_a_file_is_no_interrupt(monkeypatch: pytest.MonkeyPatch, caps
         ("{vehsim} check none.toml 2> /dev/full", "2", ""),
     ],
 )
-def test_readers_that_have_gone(shell: str, code: str, says: str) -> None:
+def test_output_readers_may_exit(shell: str, code: str, says: str) -> None:
     command = shell.format(vehsim=f"'{sys.executable}' -m vehsim") + '; echo "${PIPESTATUS[@]}" >&9'
     with tempfile.TemporaryFile("w+") as codes:
         result = subprocess.run(
@@ -149,14 +149,14 @@ def test_readers_that_have_gone(shell: str, code: str, says: str) -> None:
     assert not any(word in result.stderr for word in ("Traceback", "Exception", "unexpected"))
 
 
-def test_two_shots_of_one_name_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_two_shots_with_one_name_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "copies").mkdir()
     shots = [write(tmp_path), write(tmp_path / "copies")]
     assert cli.run(["check", *shots]) == 2
     assert "a name of its own" in capsys.readouterr().err
 
 
-def test_what_fails_while_working_exits_with_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_failures_during_the_work_exit_with_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A right shot whose plan has no time to be found."""
     path = tmp_path / "far.toml"
     marks = "".join(
@@ -172,14 +172,14 @@ def test_what_fails_while_working_exits_with_1(tmp_path: Path, capsys: pytest.Ca
     assert not (tmp_path / "out").exists()
 
 
-def test_folders_of_others_are_refused_before_any_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_foreign_folders_are_refused_before_any_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "out" / "drive").mkdir(parents=True)
     (tmp_path / "out" / "drive" / "mine.txt").touch()
     assert cli.run(["export", write(tmp_path), "--out", str(tmp_path / "out"), "--to", "npz"]) == 2
     assert "was not written by vehsim" in capsys.readouterr().err
 
 
-def test_quiet_says_nothing_but_errors(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_quiet_prints_only_errors(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shot = write(tmp_path, more="[world]\nwind = [0, 3, 0]\n")
     assert cli.run(["export", shot, "--out", str(tmp_path), "--to", "npz", "--quiet"]) == 0
     assert cli.run(["check", shot, "--quiet"]) == 0
@@ -195,7 +195,7 @@ def test_dry_run_writes_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[st
 
 
 @pytest.mark.parametrize("command", ["vehicles", "terrains", "schema", "--version"])
-def test_what_there_is(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_listings_of_vehicles_and_terrains(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.run([command]) == 0
     assert capsys.readouterr().out
 
@@ -241,7 +241,7 @@ def test_missing_stages(tmp_path: Path, command: list[str]) -> None:
 
 @pytest.mark.parametrize("command", [["validate"], ["render", "--out", "out"]])
 @pytest.mark.parametrize("name, says", [("shot.toml", "not USD"), ("folder", "a folder"), ("empty.usda", "not USD")])
-def test_what_is_no_stage_is_said_in_a_line(
+def test_an_invalid_stage_is_reported_in_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], command: list[str], name: str, says: str
 ) -> None:
     (tmp_path / "shot.toml").write_text("[shot]")
@@ -260,7 +260,7 @@ def test_out_must_be_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert "is a file; give a folder" in capsys.readouterr().err
 
 
-def test_an_interrupt_has_our_exit_code_wherever_it_strikes(tmp_path: Path) -> None:
+def test_an_interrupt_anywhere_has_our_exit_code(tmp_path: Path) -> None:
     """Under ``python -m`` a KeyboardInterrupt that crossed an ``exec`` ends Python by signal, though it was caught."""
     (tmp_path / "struck.py").write_text(
         "import os, signal, sys\n"
@@ -276,7 +276,7 @@ def test_an_interrupt_has_our_exit_code_wherever_it_strikes(tmp_path: Path) -> N
     assert (result.returncode, "Traceback" in result.stderr) == (130, False)
 
 
-def test_an_interrupt_waits_for_modules_of_usd() -> None:
+def test_an_interrupt_waits_until_usd_modules_are_loaded() -> None:
     """They print what is raised while they load, and go on half made: the command would never hear of it."""
     from vehsim.runtime.signals import raising
 

@@ -32,7 +32,7 @@ def written(folder: Path, to: Path) -> Path:
 
 
 @pytest.mark.parametrize("name", HANDMADE)
-def test_it_finds_what_a_rigger_wrote(tmp_path: Path, name: str) -> None:
+def test_inspect_agrees_with_the_riggers_vehicle_toml(tmp_path: Path, name: str) -> None:
     ours, theirs = load_vehicle(written(HANDMADE[name], tmp_path / name)), load_vehicle(HANDMADE[name])
     driven = {channel for channel in theirs.rig.drives if not channel.startswith("travel_")}
     if name == "crawler":
@@ -67,7 +67,7 @@ def turned(vehicle: object, channel: str) -> float:
 
 
 @pytest.mark.parametrize("name", OWN)
-def test_its_file_drives_as_it_is(tmp_path: Path, name: str) -> None:
+def test_the_written_vehicle_toml_works_unchanged(tmp_path: Path, name: str) -> None:
     """A shot of it, in the folder of a studio, passes its check; its wheels roll as far as it drives."""
     shutil.copytree(OWN[name], tmp_path / "studio", ignore=shutil.ignore_patterns("vehicle.toml"))
     with warnings.catch_warnings():
@@ -134,7 +134,7 @@ def box(name: str, centre: tuple, size: tuple) -> str:
 
 @pytest.mark.parametrize("unit", [1.0, 0.01])
 @pytest.mark.parametrize("backwards", [False, True])
-def test_units_and_a_nose_backwards(tmp_path: Path, unit: float, backwards: bool) -> None:
+def test_units_and_reversed_noses_are_found(tmp_path: Path, unit: float, backwards: bool) -> None:
     sign, scale = (-1 if backwards else 1), 1 / unit
     wheels = {"wheel_fl": (1.2, 0.6), "wheel_fr": (1.2, -0.6), "wheel_rl": (-1.3, 0.6), "wheel_rr": (-1.3, -0.6)}
     parts = [box("body", (0, 0, 0.9 * scale), (4 * scale, 1.6 * scale, 0.8 * scale))]
@@ -152,7 +152,7 @@ def test_units_and_a_nose_backwards(tmp_path: Path, unit: float, backwards: bool
     (tmp_path / "thing.usda").unlink()
 
 
-def test_without_anything_that_turns_it_is_a_body(tmp_path: Path) -> None:
+def test_an_asset_without_turning_parts_is_a_rigid_body(tmp_path: Path) -> None:
     (tmp_path / "thing.usda").write_text(CAR_USD.format(unit=1, parts=box("crate", (0, 0, 0.5), (2, 1, 1))))
     vehicle = load_vehicle(write_vehicle(inspect(tmp_path / "thing.usda"), tmp_path / "made").parent)
     assert vehicle.inertia[5, 5] == pytest.approx(600.0) and not vehicle.controls
@@ -160,7 +160,7 @@ def test_without_anything_that_turns_it_is_a_body(tmp_path: Path) -> None:
     (tmp_path / "thing.usda").unlink()
 
 
-def test_the_command_prints_and_writes_but_never_overwrites(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_inspect_prints_and_writes_but_never_overwrites(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     asset = asset_of(OWN["kart"])
     assert cli.run(["inspect", str(asset)]) == 0
     said = capsys.readouterr().out
@@ -183,7 +183,7 @@ def test_the_command_prints_and_writes_but_never_overwrites(tmp_path: Path, caps
 
 
 @pytest.mark.parametrize("name, content", [("a.usda", "nothing"), ("a.obj", "o a\n"), ("a.glb", "x"), ("a.txt", "x")])
-def test_what_is_no_asset_is_refused(
+def test_invalid_assets_are_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, content: str
 ) -> None:
     (tmp_path / name).write_text(content)

@@ -62,7 +62,7 @@ def test_every_vehicle_gets_a_shot_that_hits_its_marks(tmp_path: Path, vehicle: 
         ("tumbler", "integrate"),
     ],
 )
-def test_every_method_that_suits_it(tmp_path: Path, vehicle: str, method: str) -> None:
+def test_every_suitable_method_gives_a_valid_shot(tmp_path: Path, vehicle: str, method: str) -> None:
     path = new(tmp_path, "--vehicle", vehicle, "--method", method)
     assert tomllib.loads(path.read_text())["vehicle"][0]["motion"]["method"] == method
     solved(path)
@@ -70,7 +70,7 @@ def test_every_method_that_suits_it(tmp_path: Path, vehicle: str, method: str) -
 
 @pytest.mark.parametrize("vehicle", ["car", "helicopter", "boat", "hopper", "two_wheeled"])
 @pytest.mark.parametrize("terrain", ["hills", "canyon"])
-def test_it_finds_room_on_a_terrain(tmp_path: Path, vehicle: str, terrain: str) -> None:
+def test_a_new_shot_finds_room_on_a_terrain(tmp_path: Path, vehicle: str, terrain: str) -> None:
     path = new(tmp_path, "--vehicle", vehicle, "--terrain", terrain)
     shot = Shot.load(path)
     assert [str(problem) for problem in shot.check()] == []
@@ -109,7 +109,7 @@ def test_nothing_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[st
         (["a"], "--vehicle"),
     ],
 )
-def test_what_cannot_be_is_refused(
+def test_invalid_requests_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: list[str], says: str
 ) -> None:
     monkeypatch.chdir(tmp_path)

@@ -43,7 +43,7 @@ def write(folder: Path, name: str = "drive") -> str:
 
 
 @pytest.mark.usefixtures("eager")
-def test_an_export_shows_what_is_being_done(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_export_shows_its_current_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.run(["export", write(tmp_path), "--out", str(tmp_path / "out"), "--to", "usd,npz"]) == 0
     said = capsys.readouterr().err
     assert re.search(r"^drive  car: simulate  \d+ s$", said, re.MULTILINE)
@@ -61,7 +61,7 @@ def test_a_batch_shows_how_many_are_done(tmp_path: Path, capsys: pytest.CaptureF
 
 @pytest.mark.usefixtures("eager")
 @pytest.mark.parametrize("option", [["--quiet"], ["--log", "json"]])
-def test_nobody_who_asked_for_less_gets_lines(
+def test_quiet_and_json_print_no_progress_lines(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], option: list[str]
 ) -> None:
     assert cli.run(["export", write(tmp_path), "--out", str(tmp_path / "out"), "--to", "npz", *option]) == 0
@@ -82,7 +82,7 @@ def test_pictures_are_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]
 
 
 @pytest.mark.usefixtures("eager")
-def test_other_commands_say_that_they_are_at_work(
+def test_other_commands_show_their_progress(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A thread does: what they call tells nothing of its progress."""
@@ -100,7 +100,7 @@ def test_other_commands_say_that_they_are_at_work(
     assert cli.run(["check", write(tmp_path)]) == 0
 
 
-def test_what_is_quick_says_nothing(
+def test_short_work_prints_no_progress(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for pause in ("PAUSE", "CHANGE"):  # also on a busy machine
@@ -110,7 +110,7 @@ def test_what_is_quick_says_nothing(
 
 
 @pytest.mark.parametrize("command", [["vehicles"], ["terrains"], ["schema"], ["--help"], ["check"]])
-def test_a_reader_that_leaves_sees_no_traceback(tmp_path: Path, command: list[str]) -> None:
+def test_no_traceback_if_the_output_reader_exits(tmp_path: Path, command: list[str]) -> None:
     """As in ``vehsim vehicles | head -1``: the pipe is closed before the first line is printed."""
     shots = [write(tmp_path)] * (command == ["check"])
     words = [sys.executable, "-u", "-m", "vehsim", *command, *shots]

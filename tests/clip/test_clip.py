@@ -100,7 +100,7 @@ def test_save_and_load_bit_for_bit(name, tmp_path):
     assert (back.fps, back.start_frame, back.vehicle.name) == (clip.fps, clip.start_frame, clip.vehicle.name)
 
 
-def test_a_boat_that_glides_in_the_plane_comes_back_as_one(tmp_path):
+def test_a_planar_boats_clip_loads_as_a_planar_boat(tmp_path):
     """Its twists have three columns: read as the floating boat's they would be rolls, pitches and yaws."""
     boat = vehsim.load_vehicle("boat")
     t = np.linspace(0, 2, 25)

@@ -34,7 +34,7 @@ def test_a_plan_needs_no_scipy(tmp_path):
 @pytest.mark.parametrize("count", [2, 3, 4, 10, 200])
 @pytest.mark.parametrize("shape", [(), (3,)])
 @pytest.mark.parametrize("kind", [lambda y: y, lambda y: np.cumsum(np.abs(y), axis=0), np.round])
-def test_channels_aremonotone_as_pchip(count, shape, kind):
+def test_channels_are_monotone_like_pchip(count, shape, kind):
     rng = np.random.default_rng(count)
     x, y = np.cumsum(rng.uniform(0.1, 1, count)), kind(rng.normal(size=(count, *shape)))
     at = rng.uniform(x[0], x[-1], 100)

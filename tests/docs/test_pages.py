@@ -28,12 +28,12 @@ SHOT_FILE = (ROOT / "docs" / "shot-file.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("name", ["shot-file.md", "character.md"])
-def test_key_tables_are_those_of_the_models(name: str) -> None:
+def test_key_tables_match_the_models(name: str) -> None:
     page = (ROOT / "docs" / name).read_text(encoding="utf-8")
     assert with_tables(page) == page, "run make docs"
 
 
-def test_a_table_says_what_is_required_what_holds_otherwise_and_what_is_toml() -> None:
+def test_a_table_marks_required_keys_defaults_and_toml() -> None:
     rows = dict(row.split(" | ", 1) for row in table("Header").splitlines()[2:])
     assert rows["| `schema`"].endswith("| required |")
     assert rows["| `end_frame`"].endswith("| the end of the longest motion |")
@@ -70,7 +70,7 @@ PATHS = re.compile(r"`((?:vehsim|exporters|tests|tools|benchmarks|assets|example
 
 
 @pytest.mark.parametrize("page", ["CONTRIBUTING.md", *(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md"))])
-def test_every_path_that_a_page_names_exists(page: str) -> None:
+def test_every_path_named_by_a_page_exists(page: str) -> None:
     names = set(PATHS.findall((ROOT / page).read_text(encoding="utf-8"))) - {"assets/vehicles/sled/"}  # made there
     assert [name for name in names if not (ROOT / name).exists()] == []
 
@@ -151,7 +151,7 @@ def _pages() -> list[Path]:
 
 
 @pytest.mark.parametrize("page", _pages(), ids=lambda page: page.name)
-def test_files_and_names_that_a_page_cites_are_there(page: Path) -> None:
+def test_files_and_names_cited_by_a_page_exist(page: Path) -> None:
     text = " ".join(page.read_text(encoding="utf-8").split())
     files = set(re.findall(r"`((?:vehsim|exporters|tests|tools|assets|benchmarks|examples)/[\w/.-]+?)/?`", text))
     missing = [name for name in files if "sled" not in name and not (ROOT / name).exists()]  # a recipe makes the sled

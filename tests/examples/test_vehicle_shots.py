@@ -52,7 +52,7 @@ def test_car_steers_through_the_gates_and_stops_at_the_end():
     assert apart.min() > 1.2 and apart.max() < 3.0
 
 
-def test_at_the_same_large_step_rk4_loses_what_ours_keeps():
+def test_rk4_loses_energy_at_a_large_step_that_ours_conserves():
     clips = solved("tumbling_body").clips
     inertia = np.diag(clips["ours"].vehicle.inertia)[:3]
     assert clips["rk4"].times[1] == clips["ours"].times[1] == 1 / 6

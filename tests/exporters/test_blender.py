@@ -57,7 +57,7 @@ def shot(tmp_path, toys, make_take):
 
 @needs_blender
 @pytest.mark.parametrize("baked", [False, True])
-def test_matrices_in_blender_are_those_of_the_stage(shot, tmp_path, toys, baked):
+def test_matrices_in_blender_match_the_stage(shot, tmp_path, toys, baked):
     from pxr import Usd, UsdGeom
 
     take, path = shot
@@ -78,7 +78,7 @@ def test_matrices_in_blender_are_those_of_the_stage(shot, tmp_path, toys, baked)
 
 
 @needs_blender
-def test_a_layer_over_what_blender_wrote_moves_in_blender(tmp_path, toys, make_take):
+def test_a_layer_over_a_blender_asset_moves_in_blender(tmp_path, toys, make_take):
     """Its reader leaves out a lone root that it wrote itself."""
 
     def marked(stage):
@@ -113,7 +113,7 @@ def test_cycles_renders_the_stage_alone(shot, tmp_path):
 
 
 @needs_blender
-def test_the_suns_strength_in_blender_is_its_irradiance(shot):
+def test_the_suns_strength_in_blender_equals_its_irradiance(shot):
     """Blender's own reader multiplies by four."""
     program = f"import sys; sys.path.insert(0, {str(Path(blender.__file__).parent)!r}); import blender, bpy; "
     program += f"blender.open_stage({str(shot[1])!r}); print('SAYS', bpy.data.objects['sun'].data.energy)"
@@ -126,7 +126,7 @@ def test_the_suns_strength_in_blender_is_its_irradiance(shot):
     assert float(said.split()[1]) == pytest.approx(sun.GetIntensityAttr().Get(), rel=1e-6)
 
 
-def test_without_blender_its_exporters_say_how_to_get_it(shot, tmp_path, toys, monkeypatch):
+def test_without_blender_its_exporters_name_the_remedy(shot, tmp_path, toys, monkeypatch):
     from vehsim.errors import InputError
 
     monkeypatch.delenv("VEHSIM_BLENDER", raising=False)
@@ -135,7 +135,7 @@ def test_without_blender_its_exporters_say_how_to_get_it(shot, tmp_path, toys, m
         blender.write_blend(shot[0], tmp_path, toys.silent)
 
 
-def test_the_sun_lights_as_much_however_small_it_is(shot):
+def test_the_suns_light_does_not_depend_on_its_size(shot):
     """Renderers take a sun's intensity for that of its disc unless it is normalised: Cycles drew dusk."""
     from pxr import Usd, UsdLux
 

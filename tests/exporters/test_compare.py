@@ -31,7 +31,7 @@ def test_equal_pictures_are_equal(pictures):
     assert [c.changed for c in compare_folders(root / "renders", root / "references")] == [0.0]
 
 
-def test_one_bit_of_noise_is_no_change(pictures):
+def test_one_bit_of_noise_is_not_a_change(pictures):
     assert replace(pictures, lambda p: p + 1).changed == 0.0
 
 
@@ -75,7 +75,7 @@ def test_command_exits_1_and_draws_what_changed(pictures, capsys):
     ("kind", "pixels", "named"),
     [("segmentation", 14, True), ("segmentation", 10, False), ("colour", 14, True), ("colour", 10, False)],
 )
-def test_what_is_small_may_not_vanish_or_change_its_colour(tmp_path, kind, pixels, named):
+def test_small_prims_may_not_vanish_or_change_their_colour(tmp_path, kind, pixels, named):
     """A prim of 14 pixels of 160000 is a hundredth of what the picture as a whole forgives."""
     from vehsim.exporters.pictures.passes import pass_path, prim_colours, write_legend
 

@@ -52,7 +52,7 @@ def about(point, axis, angle):
 
 @pytest.mark.broken_stages  # the crawler's skeleton has no SkelRoot: so Blender saves it
 @pytest.mark.parametrize("name", CARS)
-def test_wheels_of_anybodys_car_turn_about_their_axles(name, tmp_path):
+def test_wheels_of_foreign_cars_turn_about_their_axles(name, tmp_path):
     """Each wheel stands at its rest pose, rolled about the axle, steered, and moved with the body: nothing else."""
     from pxr import Usd
 
@@ -106,7 +106,7 @@ def test_wheels_roll_forward_and_touch_the_ground(name, radius):
     assert (points[:, 0] < 0).all() and (points[:, 1] > 0).all()  # rear, left
 
 
-def test_all_of_them_can_be_driven():
+def test_all_foreign_vehicles_can_be_driven():
     for name in (*CARS, "gyro"):
         assert list(rig_problems(load_vehicle(ELSEWHERE / name).rig)) == []
 
@@ -153,7 +153,7 @@ def test_deliveries_in_other_units_and_up_axes(up, metres, tmp_path):
         assert np.allclose(np.linalg.norm(first[:3, :3], axis=0), 1.0)
 
 
-def test_kept_assets_are_named_as_their_toml_names_them(tmp_path):
+def test_kept_assets_are_referenced_by_their_path_in_the_toml(tmp_path):
     from pxr import Sdf
 
     write(drive("pickup"), tmp_path, assets="keep")
@@ -242,7 +242,7 @@ def test_an_obj_must_say_its_unit(tmp_path):
 
 
 @pytest.mark.broken_stages
-def test_motion_of_the_assets_own_goes_on_below_ours(tmp_path):
+def test_an_assets_own_animation_continues_below_ours(tmp_path):
     """The crawler bobs by itself: its wheels turn on moving parents' places, in its own time codes."""
     from pxr import Usd, UsdGeom
 
@@ -262,7 +262,7 @@ def test_motion_of_the_assets_own_goes_on_below_ours(tmp_path):
 
 
 @pytest.mark.broken_stages
-def test_a_driven_prim_that_hides_our_opinion_is_an_error(tmp_path, monkeypatch):
+def test_a_driven_prim_with_a_stronger_opinion_is_an_error(tmp_path, monkeypatch):
     monkeypatch.setattr("vehsim.exporters.usd.animation.instances_above", lambda root, prim: [])
     folder = vehicle_with(
         tmp_path,
@@ -276,7 +276,7 @@ def test_a_driven_prim_that_hides_our_opinion_is_an_error(tmp_path, monkeypatch)
 
 
 @pytest.mark.broken_stages
-def test_what_is_wrong_inside_an_asset_names_the_users_file_and_not_our_cache(tmp_path):
+def test_errors_in_an_asset_name_the_users_file_instead_of_the_cache(tmp_path):
     from pxr import Usd, UsdGeom
 
     folder = vehicle_with(tmp_path, "pickup")

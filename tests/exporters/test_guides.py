@@ -36,7 +36,7 @@ def test_all_guides_are_of_purpose_guide(tmp_path, toys, make_take):
     assert {UsdGeom.Imageable(prim).ComputePurpose() for prim in prims.values()} == {"guide"}
 
 
-def test_controls_and_speed_ride_on_the_path(tmp_path, toys, make_take):
+def test_controls_and_speed_are_attributes_of_the_path(tmp_path, toys, make_take):
     clip, _, prims = write(tmp_path, toys, make_take)
     lift = prims["toy0_path"].GetAttribute("vehsim:controls:lift")
     assert [lift.Get(frame) for frame in clip.frames] == pytest.approx(clip.controls[:, 0])
@@ -58,7 +58,7 @@ def test_the_force_arrow_points_into_the_bend_and_carries_the_weight(tmp_path, t
     assert np.allclose(tip - root, expected, atol=0.02)
 
 
-def test_contacts_tell_where_when_and_how_hard(tmp_path, toys, make_take):
+def test_contacts_have_place_frame_and_impulse(tmp_path, toys, make_take):
     from pxr import UsdGeom
 
     event = {"kind": "contact", "with": "dock", "time": 0.5, "place": [1.0, 2.0, 3.0], "speed": 1.0, "impulse": 40.0}
@@ -78,7 +78,7 @@ def test_wind_arrows_are_as_long_as_half_a_second_of_it(tmp_path, toys, make_tak
     assert np.allclose(points[:, 1] - points[:, 0], (0.0, 1.5, 0.0), atol=1e-5)
 
 
-def test_extents_are_usds_own_to_the_bit_and_no_samples_stand_in_the_text_layer(tmp_path, toys, make_take):
+def test_extents_equal_usds_to_the_bit_and_the_text_layer_has_no_samples(tmp_path, toys, make_take):
     from pxr import Sdf, UsdGeom
 
     event = {"kind": "contact", "with": "dock", "time": 0.5, "place": [1.1, 2.3, 3.7], "speed": 1.0, "impulse": 40.0}

@@ -67,7 +67,7 @@ def test_no_wheel_turns_backwards_between_samples(weave, tmp_path):
         assert (np.diff([spin.Get(time) for time in spin.GetTimeSamples()]) > 0).all()
 
 
-def test_a_rotor_too_fast_for_its_samples_is_warned_of(tmp_path):
+def test_a_rotor_too_fast_for_its_samples_warns(tmp_path):
     heli = load_vehicle("helicopter")
     clip = vehsim.simulate(heli, None, [18639.0, 0, 0, 0], vehsim.State(position=(0, 0, 20)), 1.0)
     with pytest.warns(UserWarning, match="main_rotor: .* mm off its path .* as its disc"):
@@ -139,7 +139,7 @@ def test_few_orientations_slerp_within_their_angle():
     assert error <= 0.01 and len(chosen) < 40
 
 
-def test_beyond_its_ends_a_clip_goes_on_as_it_moves(weave):
+def test_a_clip_is_extrapolated_beyond_its_ends(weave):
     before, first = clip_at(weave, np.array([1000.75, 1001.0])), weave.at(0.0)
     assert before.positions[0, 0] == pytest.approx(first.positions[0, 0] - 12.0 * 0.25 / 24, abs=1e-3)
     assert np.diff(before.channels["roll_rl"])[0] == pytest.approx(12.0 / 0.32 * 0.25 / 24, rel=0.02)
@@ -169,14 +169,14 @@ def test_rational_rates_are_kept_exactly(weave, tmp_path):
     assert stage.GetRootLayer().customLayerData["frameRate"] == "24000/1001"
 
 
-def test_layers_alone(weave, tmp_path):
+def test_layers_only(weave, tmp_path):
     write_usd(take_of(weave, layer_only=True), tmp_path, lambda what, done: None)
     assert not (tmp_path / "shot.usda").exists()
     assert (tmp_path / "layers" / "it.anim.usdc").is_file()
 
 
 @pytest.mark.parametrize("to", ["png", "mp4", "flat"])
-def test_layers_alone_make_no_pictures_and_say_so_before_any_work(weave, tmp_path, to):
+def test_layers_only_refuses_pictures_before_any_work(weave, tmp_path, to):
     with pytest.raises(InputError, match=f"(png|{to}).*layer_only omits"):
         take_of(weave, layer_only=True).export(tmp_path, to=("usd", to))
     assert not list(tmp_path.iterdir())
@@ -203,7 +203,7 @@ def test_versions_are_never_overwritten_and_latest_follows(weave, tmp_path):
     assert not [path for path in (tmp_path / "shot").iterdir() if path.name.startswith(".")]
 
 
-def test_one_file_holds_the_same_shot(weave, tmp_path):
+def test_packaged_and_flat_files_contain_the_same_shot(weave, tmp_path):
     from pxr import Usd
 
     folder = take_of(weave).export(tmp_path, to=("usd", "usdz", "flat"))

@@ -80,7 +80,7 @@ def vehicle(folder: Path, pivots=("rotatePivotTranslate", "rotatePivot"), merged
 
 @pytest.mark.parametrize("merged", [False, True])
 @pytest.mark.parametrize("pivots", [("rotatePivotTranslate", "rotatePivot"), ("my_pivot",), ("hub",)])
-def test_wheels_turn_about_their_pivot_whatever_its_name(pivots, merged, tmp_path):
+def test_wheels_turn_about_their_pivot_with_any_name(pivots, merged, tmp_path):
     """Every point stands at T_wr (hub + R_y(roll) (rest - hub)), written out here from the clip's own numbers."""
     car = vehicle(tmp_path, pivots, merged)
     assert list(rig_problems(car.rig)) == []
@@ -102,7 +102,7 @@ def test_wheels_turn_about_their_pivot_whatever_its_name(pivots, merged, tmp_pat
             assert np.abs(points @ matrix[:3, :3].T + matrix[:3, 3] - expected).max() < 1e-9, name
 
 
-def test_a_mirror_above_a_wheel_turns_its_steering_round_and_not_its_rolling(tmp_path):
+def test_a_mirror_above_a_wheel_reverses_its_steering_but_not_its_rolling(tmp_path):
     centre = {"pivot": '"centre"'}
     found = list(rig_problems(vehicle(tmp_path, mirrored=("fr",), steer_fr=centre).rig))
     assert [(problem.key, problem.remedy) for problem in found] == [("channels.steer_fr", "factor = -1")]

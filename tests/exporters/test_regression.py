@@ -103,14 +103,14 @@ def brighten(stage: Any) -> None:
     ],
     ids=["1 cm ahead", "1 cm aside", "1 cm up", "missing part", "wrong colour", "one frame late", "brighter sun"],
 )
-def test_damage_is_seen_by_the_passes_that_it_concerns(approved, tmp_path, damage, seen):
+def test_damage_fails_the_affected_passes(approved, tmp_path, damage, seen):
     found = changed(approved, tmp_path, damage)
     assert found >= seen
     if seen == {"colour"}:
         assert found == seen, "depth and segmentation know no light"
 
 
-def test_rendering_again_changes_nothing_not_one_byte(approved, tmp_path):
+def test_rendering_again_gives_the_same_bytes(approved, tmp_path):
     shutil.copytree(approved / "shot", tmp_path / "elsewhere")
     stage = tmp_path / "elsewhere" / "shot.usda"
     render_stage(stage, tmp_path / "again", frames=FRAMES, size=SIZE, passes=PASSES, processes=2)
@@ -119,7 +119,7 @@ def test_rendering_again_changes_nothing_not_one_byte(approved, tmp_path):
         assert comparison.changed == 0.0
 
 
-def test_depth_is_metres_and_segmentation_says_whose_a_pixel_is(approved):
+def test_depth_is_in_metres_and_segmentation_identifies_prims(approved):
     """Against rays by hand: the ground's height and the camera's pose give the depth of every ground pixel."""
     import json
 
@@ -151,19 +151,19 @@ def test_depth_is_metres_and_segmentation_says_whose_a_pixel_is(approved):
     assert body.sum() > 100 and abs(np.median(depth[body]) + centre @ pose[:3, 2]) < 2.5
 
 
-def test_a_prim_keeps_its_colour_whoever_else_is_there():
+def test_a_prims_colour_does_not_depend_on_other_prims():
     paths = [f"/shot/part{k}" for k in range(3000)]
     colours = prim_colours(paths)
     assert len(np.unique(colours, axis=0)) == 3000 and colours.any(axis=1).all()
     assert (prim_colours(paths[:7]) == colours[:7]).all()
 
 
-def test_passes_that_are_none_are_named(approved, tmp_path):
+def test_unknown_passes_are_named(approved, tmp_path):
     with pytest.raises(InputError, match="choose from depth, segmentation"):
         render_stage(approved / "shot" / "shot.usda", tmp_path, frames=[1004], passes=["albedo"])
 
 
-def test_burned_in_words_stand_in_the_upper_band_alone(approved, tmp_path):
+def test_burned_in_text_is_only_in_the_upper_band(approved, tmp_path):
     from PIL import Image
 
     stage, name = approved / "shot" / "shot.usda", "chase/shot.chase.1004.png"
@@ -190,7 +190,7 @@ def test_report_shows_before_after_difference_and_flicker(approved, tmp_path):
     assert len(shown) == 10 and all((tmp_path / "report" / name).is_file() for name in shown)
 
 
-def test_a_depth_that_is_none_is_named(tmp_path):
+def test_an_invalid_depth_file_is_named(tmp_path):
     (tmp_path / "a.tif").write_bytes(b"not a picture")
     with pytest.raises(InputError, match="render it again"):
         read_depth(tmp_path / "a.tif")
@@ -213,13 +213,13 @@ def pytest_in(project: Path, capsys: Any, *options: str) -> tuple[int, str]:
     return int(code), capsys.readouterr().out
 
 
-def test_plugin_is_there_for_a_project_that_knows_nothing_of_it(tmp_path):
+def test_the_plugin_is_available_without_configuration(tmp_path):
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--fixtures", str(tmp_path)]
     answer = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
     assert "render_regression" in answer.stdout, answer.stdout + answer.stderr
 
 
-def test_plugin_in_a_project_of_its_own(approved, tmp_path, capsys):
+def test_the_plugin_works_in_a_separate_project(approved, tmp_path, capsys):
     """Nothing approved: red. Approved: green. Damaged: red, and shown. Approved again: green."""
     from pxr import Usd
 
@@ -252,7 +252,7 @@ def test_plugin_in_a_project_of_its_own(approved, tmp_path, capsys):
     assert {path.name for path in before if before[path] != after[path]} == {"shot.chase.1004.png"}
 
 
-def test_what_is_no_longer_rendered_fails_and_goes_with_the_update(approved, tmp_path):
+def test_missing_renders_fail_and_are_removed_by_an_update(approved, tmp_path):
     def check(update: bool) -> RenderRegression:
         return RenderRegression(tmp_path / "references", tmp_path / "report", tmp_path / "renders", update)
 
@@ -267,7 +267,7 @@ def test_what_is_no_longer_rendered_fails_and_goes_with_the_update(approved, tmp
     check(False)(tmp_path / "pictures")
 
 
-def test_allowed_loosens_colour_alone(approved, tmp_path):
+def test_allowed_applies_to_colour_only(approved, tmp_path):
     shutil.copytree(approved / "renders", tmp_path / "pictures")
     check = RenderRegression(tmp_path / "references", tmp_path / "report", tmp_path / "renders", update=True)
     check(tmp_path / "pictures")

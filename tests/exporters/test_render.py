@@ -84,7 +84,7 @@ def centroid(mask):
 
 
 @pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (3.0, 2.0, -1.5), (-4.0, 5.0, 2.0)])
-def test_a_point_lands_on_the_pixel_that_usd_says(new_stage, place):
+def test_a_point_is_drawn_at_the_pixel_that_usd_computes(new_stage, place):
     from pxr import Gf, UsdGeom
 
     quad(new_stage, "/top/spot", place, 0.3, (1, 0, 0))
@@ -96,7 +96,7 @@ def test_a_point_lands_on_the_pixel_that_usd_says(new_stage, place):
     assert np.allclose(centroid(red), expected, atol=0.5)
 
 
-def test_what_moves_in_the_stage_moves_in_the_picture(new_stage):
+def test_motion_in_the_stage_is_visible_in_the_picture(new_stage):
     from pxr import Gf, UsdGeom
 
     mover = UsdGeom.Xform.Define(new_stage, "/top/mover")
@@ -142,7 +142,7 @@ def test_guides_and_hidden_prims_are_not_drawn(new_stage):
     assert (picture(new_stage) == empty).all()
 
 
-def test_the_sun_comes_from_where_the_stage_says(new_stage):
+def test_the_sun_shines_from_the_stages_direction(new_stage):
     """Two slopes facing west and east; the low sun in the east (+X) lights the one that faces it."""
     from pxr import Gf, UsdGeom, UsdLux
 
@@ -163,7 +163,7 @@ def test_the_sun_comes_from_where_the_stage_says(new_stage):
     assert east > 1.4 * west
 
 
-def test_the_sky_is_brightest_where_the_stage_puts_its_glow(new_stage, tmp_path):
+def test_the_sky_is_brightest_at_the_stages_glow(new_stage, tmp_path):
     from pxr import UsdLux
 
     from vehsim.exporters.usd.scenery.lighting import write_sky
@@ -213,7 +213,7 @@ def test_a_take_in_empty_space_is_drawn(tmp_path, toys, make_take):
     assert 50 < red.sum() < SIZE[0] * SIZE[1] / 4
 
 
-def test_haze_in_empty_space_is_that_of_wide_ground(new_stage):
+def test_haze_in_empty_space_equals_that_of_wide_ground(new_stage):
     """A small red mover 40 m away stays red: no ground's edge has to fade."""
     from pxr import Gf, UsdGeom
 
@@ -228,7 +228,7 @@ def test_haze_in_empty_space_is_that_of_wide_ground(new_stage):
     assert red > 2.0 * green
 
 
-def test_a_picture_is_whole_or_not_there(new_stage, tmp_path, monkeypatch):
+def test_a_picture_is_complete_or_absent(new_stage, tmp_path, monkeypatch):
     from PIL import Image
 
     def half(self, path, **options):
@@ -251,7 +251,7 @@ def test_a_picture_is_whole_or_not_there(new_stage, tmp_path, monkeypatch):
         ({"frames": [3, 4]}, "1 to 3"),
     ],
 )
-def test_what_cannot_be_drawn_is_refused(new_stage, tmp_path, options, message):
+def test_invalid_render_requests_are_refused(new_stage, tmp_path, options, message):
     new_stage.GetRootLayer().Save()
     with pytest.raises(InputError, match=message):
         render_stage(tmp_path / "plain.usda", tmp_path / "out", **options)
@@ -278,7 +278,7 @@ def test_glass_and_blur_let_the_sun_through(new_stage):
     assert casts == {"/top/solid": True, "/top/blur": False}
 
 
-def test_glass_is_seen_against_the_sky_and_only_where_nothing_hides_it(new_stage):
+def test_glass_is_visible_against_the_sky_unless_hidden(new_stage):
     """What is translucent leaves no depth: a sky put wherever there is none wiped rotors' blur out."""
     from pxr import Sdf
 
@@ -336,7 +336,7 @@ def test_a_script_without_a_guard_renders_on_several_processes(new_stage, tmp_pa
     assert len(list((tmp_path / "out").rglob("*.png"))) == 3
 
 
-def test_past_the_edge_of_the_ground_the_horizon_goes_on(tmp_path):
+def test_the_horizon_continues_past_the_edge_of_the_ground(tmp_path):
     """No brown band between level ground and its horizon; the light stays as it is."""
     from vehsim.exporters.usd.scenery.lighting import write_sky
     from vehsim.exporters.usd.scenery.shading import light_for
@@ -358,7 +358,7 @@ def test_past_the_edge_of_the_ground_the_horizon_goes_on(tmp_path):
 
 
 @pytest.mark.parametrize("interpolation", ["faceVarying", "uniform"])
-def test_edges_are_as_sharp_as_the_mesh_says(interpolation, new_stage, tmp_path):
+def test_edges_follow_the_meshs_normals(interpolation, new_stage, tmp_path):
     """A box as Blender writes it: eight points, a normal at each corner of each face. MuJoCo 4.0 drops those."""
     from pxr import Gf, Sdf, Usd, UsdGeom
 

@@ -63,7 +63,7 @@ def test_each_panel_is_its_cameras_picture_above_the_caption(delivery):
         assert not wide[:, 160:164].any()
 
 
-def test_caption_says_the_energy_left(delivery):
+def test_captions_show_the_remaining_energy(delivery):
     take, _ = delivery
     energy = take.clips["slow"].energy["kinetic"]
     assert caption(take, "a", 1001) == "RK4: 100% {unknown}"
@@ -86,7 +86,7 @@ def test_film_of_the_pictures_side_by_side(delivery):
         ('integrator = "rk4"', "vehicle[0].motion.integrator", "did you mean 'rk4'?"),
     ],
 )
-def test_wrong_names_are_told(tmp_path, change, key, remedy):
+def test_wrong_camera_names_are_reported(tmp_path, change, key, remedy):
     text = SHOT.replace(change, {"a": 'c = "no such camera"', "i": 'integrator = "rk5"'}[change[0]])
     (tmp_path / "pair.toml").write_text(text)
     (problem,) = (p for p in Shot.load(tmp_path / "pair.toml").check() if p.severity == "error")

@@ -110,7 +110,7 @@ def test_a_spoiled_stage_is_refused(copy: Path, change: Callable[[float, Any], A
     assert key in keys(copy)
 
 
-def test_what_is_no_delivery_is_named(copy: Path, tmp_path: Path) -> None:
+def test_invalid_deliveries_are_named(copy: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="not a delivery"):
         audit_delivery(tmp_path / "nowhere")
     report = json.loads((copy / "report.json").read_text())
@@ -124,7 +124,7 @@ def test_what_is_no_delivery_is_named(copy: Path, tmp_path: Path) -> None:
         audit_delivery(copy)
 
 
-def test_the_command_says_what_is_missed(
+def test_the_audit_command_lists_missed_requests(
     copy: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from vehsim.batch import screen
@@ -189,7 +189,7 @@ STEERED: dict[str, Any] = {
 }
 
 
-def test_joints_are_measured_where_the_stage_shows_them(tmp_path: Path) -> None:
+def test_joints_are_measured_from_the_stage(tmp_path: Path) -> None:
     """Wheels steered otherwise than the plan steers: the clip's joints say nothing about that."""
     folder = Shot.from_dict(STEERED).solve().export(tmp_path / "good", ("usd",))
     rows = {row.key: row for row in audit_delivery(folder)["heli"]}

@@ -20,7 +20,7 @@ def made_by_blender(stage):
     stage.GetDefaultPrim().SetCustomDataByKey("Blender:generated", True)
 
 
-def test_a_layer_over_what_blender_wrote_is_not_a_lone_root(tmp_path, toys, make_take):
+def test_a_layer_over_a_blender_asset_has_a_second_root(tmp_path, toys, make_take):
     """Blender's reader leaves out lone roots with its mark, with the motion on them; any value of the mark will do."""
     from pxr import Usd
 
@@ -35,7 +35,7 @@ def test_a_layer_over_what_blender_wrote_is_not_a_lone_root(tmp_path, toys, make
     assert not [prim for prim in shot.Traverse() if prim.GetName() == "blender_keeps_the_root"]
 
 
-def test_parts_that_follow_a_skeleton_are_refused(tmp_path):
+def test_skinned_parts_are_refused(tmp_path):
     """Skinning overrules the transform of a mesh's prim: an op there would turn nothing that is seen."""
     from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
@@ -91,12 +91,12 @@ def test_names_keep_their_letters(tmp_path):
     assert "/Käfer_1/Körper_Haupt/Rad__vorn__1_" in names, names
 
 
-def test_motion_in_a_glb_is_said_to_be_left_out(tmp_path):
+def test_animation_in_a_glb_is_ignored_with_a_warning(tmp_path):
     with pytest.warns(UserWarning, match="has 1 animations and 2 skins; only its rest pose is read"):
         ready_asset(tmp_path / "vehicle.toml", glb(tmp_path / "bobbing.glb", animations=[{}], skins=[{}, {}]))
 
 
-def test_a_root_with_a_scale_of_its_own_is_in_the_right_unit(tmp_path, toys, make_take):
+def test_a_scaled_root_has_the_right_unit(tmp_path, toys, make_take):
     """Blender writes centimetres as a scale of 100 on the root: 0.01 of ours makes up for it."""
     from pxr import Gf, UsdGeom
 
@@ -115,7 +115,7 @@ def test_a_root_with_a_scale_of_its_own_is_in_the_right_unit(tmp_path, toys, mak
     assert [str(issue) for issue in validate_stage(tmp_path / "shot.usda")] == []
 
 
-def test_warnings_on_the_command_line_name_no_source_of_ours(monkeypatch, capsys):
+def test_warnings_on_the_command_line_show_no_source_lines(monkeypatch, capsys):
     import warnings
 
     from vehsim.cli import commands as cli

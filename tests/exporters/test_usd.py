@@ -48,7 +48,7 @@ def test_root_and_spinning_part_stand_where_the_clip_says(tmp_path, toys, make_t
     assert np.abs(prim_matrices(stage, "/shot/vehicles/toy0/rotor") - rotor).max() < 1e-6
 
 
-def test_rotation_between_frames_goes_the_right_way_round(tmp_path, toys, make_take):
+def test_rotation_between_frames_has_the_right_direction(tmp_path, toys, make_take):
     """At 400 rad/s, 955 degrees a frame, a quaternion would turn backwards between frames; a scalar does not."""
     clip = toys.clip(toys.asset(tmp_path / "in" / "toy.usdc"))
     clip.channels["rotor"][:] *= 10
@@ -89,7 +89,7 @@ def test_sliding_channel_is_authored_in_the_assets_units(tmp_path, toys, make_ta
     assert np.abs(prim_matrices(stage, "/shot/vehicles/toy0/body")[:, :3, 3] - origin[:, :3, 0]).max() < 1e-5
 
 
-def test_pivot_scale_and_reset_of_the_asset_survive(tmp_path, toys, make_take):
+def test_pivot_scale_and_reset_of_the_asset_are_kept(tmp_path, toys, make_take):
     from pxr import Gf, UsdGeom
 
     def rig(stage):
@@ -117,7 +117,7 @@ def test_pivot_scale_and_reset_of_the_asset_survive(tmp_path, toys, make_take):
     assert np.abs(np.ptp(np.linalg.norm(pivot[:, :3, :3], axis=1), axis=0)).max() < 1e-9
 
 
-def test_reset_xform_stack_on_a_part_survives(tmp_path, toys, make_take):
+def test_reset_xform_stack_on_a_part_is_kept(tmp_path, toys, make_take):
     from pxr import UsdGeom
 
     def rig(stage):
@@ -131,7 +131,7 @@ def test_reset_xform_stack_on_a_part_survives(tmp_path, toys, make_take):
     assert UsdGeom.Xformable(prim).GetXformOpOrderAttr().Get()[0] == "!resetXformStack!"
 
 
-def test_ops_of_the_assets_own_root_survive(tmp_path, toys, make_take):
+def test_ops_of_the_assets_root_are_kept(tmp_path, toys, make_take):
     from pxr import Gf, UsdGeom
 
     def rig(stage):
@@ -172,7 +172,7 @@ def test_a_part_inside_an_instance_moves(tmp_path, toys, make_take):
     assert np.abs(turned[0] - turned[5]).max() > 0.1
 
 
-def test_an_opinion_that_does_not_show_is_an_error(tmp_path, toys, make_take, monkeypatch):
+def test_a_hidden_opinion_is_an_error(tmp_path, toys, make_take, monkeypatch):
     """Left an instance, the rotor would stand still in every other software."""
     monkeypatch.setattr("vehsim.exporters.usd.animation.instances_above", lambda root, prim: [])
     clip = instanced_rotor(tmp_path, toys)
@@ -209,7 +209,7 @@ def test_animation_layer_works_sublayered_and_referenced(tmp_path, toys, make_ta
     assert np.abs(a[:, :3, 3] - (clip.matrices() @ [0.2, 0, 1.2, 1])[:, :3]).max() < 1e-9
 
 
-def test_the_folder_travels(tmp_path, toys, make_take):
+def test_the_delivery_can_be_moved(tmp_path, toys, make_take):
     from pxr import UsdUtils
 
     clip = toys.clip(toys.asset(tmp_path / "in" / "toy.usda"))
@@ -233,7 +233,7 @@ def test_the_same_take_gives_the_same_bytes(tmp_path, toys, make_take):
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes(), file
 
 
-def test_stage_says_what_it_is(tmp_path, toys, make_take):
+def test_the_stage_has_model_metadata(tmp_path, toys, make_take):
     from pxr import Usd, UsdGeom, UsdLux
 
     clip = toys.clip(toys.asset(tmp_path / "in" / "toy.usda"))
@@ -264,7 +264,7 @@ def test_not_a_number_is_refused_with_prim_and_frame(tmp_path, toys, make_take):
 
 
 @pytest.mark.broken_stages
-def test_a_channel_on_a_prim_that_is_not_there_names_those_that_are(tmp_path, toys, make_take):
+def test_a_channel_on_a_missing_prim_lists_the_existing_ones(tmp_path, toys, make_take):
     clip = toys.clip(toys.asset(tmp_path / "in" / "toy.usda"), drives={"rotor": Drive("propeller", "rotateZ")})
     with pytest.raises(ExportError, match=r"propeller.*choose one of body, rotor"):
         write_usd(make_take(clip), tmp_path / "out", toys.silent)

@@ -26,7 +26,7 @@ def broken(shot, edit):
     return validate_stage(shot)
 
 
-def test_a_shot_we_wrote_has_no_issue_at_all(shot):
+def test_an_exported_shot_has_no_issue(shot):
     assert [str(issue) for path in shot.parent.rglob("*.usd*") for issue in validate_stage(path)] == []
 
 
@@ -78,7 +78,7 @@ def _flip(quaternions):
 
 
 @pytest.mark.parametrize("rule", BREAKS)
-def test_what_is_broken_is_found(shot, rule):
+def test_broken_stages_are_found(shot, rule):
     issues = [issue for issue in broken(shot, BREAKS[rule]) if issue.rule == rule]
     assert issues, rule
     assert issues[0].remedy and issues[0].message and issues[0].site
@@ -106,7 +106,7 @@ def test_a_wrapped_angle_and_a_slerped_spin_are_found(tmp_path):
     assert found == {"/wrapped", "/slerped"}
 
 
-def test_what_is_said_of_the_inside_of_an_instance_is_found(tmp_path, toys):
+def test_opinions_inside_an_instance_are_found(tmp_path, toys):
     from pxr import Usd, UsdGeom
 
     toys.asset(tmp_path / "toy.usda")
@@ -125,7 +125,7 @@ def test_what_is_said_of_the_inside_of_an_instance_is_found(tmp_path, toys):
     assert "says something of rotor in an instance" in issues[0].message and "instanceable = false" in issues[0].remedy
 
 
-def test_a_layer_of_overs_alone_is_no_fault(tmp_path):
+def test_a_layer_of_overs_only_is_valid(tmp_path):
     from pxr import Usd, UsdGeom
 
     stage = Usd.Stage.CreateNew(str(tmp_path / "over.usda"))
@@ -147,7 +147,7 @@ def test_a_model_in_the_wrong_unit_is_found(tmp_path, toys):
     assert [issue.message for issue in validate_stage(tmp_path / "toy.usda") if issue.rule == "scale"]
 
 
-def test_the_same_fault_at_many_places_is_told_once(shot):
+def test_the_same_fault_at_many_places_is_reported_once(shot):
     def lengthen(stage):
         stage.SetStartTimeCode(1010)
 
@@ -156,7 +156,7 @@ def test_the_same_fault_at_many_places_is_told_once(shot):
     assert any("more" in issue.site for issue in issues)
 
 
-def test_nvidias_validator_is_asked_when_it_is_installed(shot, monkeypatch):
+def test_nvidias_validator_runs_when_it_is_installed(shot, monkeypatch):
     """A stand-in for the package, which is not among ours: its issues come through with severity, place and remedy."""
     import sys
     from types import ModuleType

@@ -88,7 +88,7 @@ def test_foam_lies_behind_and_fades():
     assert white[xy[:, 0] > 28.0 + 2.5].max() == 0  # the bow's end; beside the way too
 
 
-def test_in_the_air_nothing_is_left_on_the_water():
+def test_a_vehicle_in_the_air_leaves_no_wake():
     clip = straight(7.0, 2.0, (0.0, 0.0, 3.0))
     frames = clip.frames.astype(float)
     take = Take("sea", {"boat": clip}, World(water=0.0), (), Fraction(FPS), (1001, 1049))
@@ -99,7 +99,7 @@ def test_in_the_air_nothing_is_left_on_the_water():
 
 
 @pytest.mark.parametrize("roll", [0.0, 0.35])
-def test_water_inside_a_hull_goes_down_to_its_bottom_and_not_through(roll):
+def test_water_inside_a_hull_is_lowered_to_its_bottom_but_not_through_it(roll):
     clip = straight(6.0, 1.0, (-3.0, 0.0, 0.0))
     lying = np.tile([np.cos(roll / 2), np.sin(roll / 2), 0, 0], (len(clip), 1))
     take = Take("sea", {"boat": replace(clip, orientations=lying)}, World(water=0.0), (), Fraction(FPS), (1001, 1025))
@@ -140,7 +140,7 @@ def test_water_itself_has_no_wet_lines(shown, monkeypatch):
     assert changed.sum() > 50
 
 
-def test_points_are_the_waters_own(shown):
+def test_points_lie_on_the_waters_surface(shown):
     """Ahead of the wake, every point stands on the water's surface at its time, and its normal is the water's."""
     take, path = shown
     stage = StageReader(path)
@@ -168,7 +168,7 @@ def test_it_is_small_and_valid_and_reaches_the_horizon(shown):
     assert mesh.GetNormalsInterpolation() == UsdGeom.Tokens.vertex
 
 
-def test_fast_frames_cost_no_more():
+def test_the_size_does_not_depend_on_the_frame_rate():
     clip = straight(6.0, 1.0)
     take = Take("sea", {"boat": clip}, World(water=0.0), (), Fraction(24), (1001, 1025))
     fast = authored.lay_grid(replace(take, fps=Fraction(120)))
@@ -187,7 +187,7 @@ def test_the_preview_moves_and_its_hulls_are_wet(shown):
     assert blue[2] > blue[0]
 
 
-def test_wet_lines_darken_what_stands_just_above_the_water(shown):
+def test_wet_lines_darken_objects_just_above_the_water(shown):
     from vehsim.exporters.pictures.water import WaterView
     from vehsim.exporters.usd.scenery.shading import light_for
 
@@ -200,7 +200,7 @@ def test_wet_lines_darken_what_stands_just_above_the_water(shown):
     assert wet[0, 0, 0] == wet[0, 2, 0] == 200 and wet[0, 1, 0] < 150
 
 
-def test_any_renderer_can_whiten_foam(shown):
+def test_foam_is_in_primvars_that_any_renderer_reads(shown):
     """UsdPreviewSurface reads colour and roughness from primvars, which say what the preview's foam says."""
     from vehsim.exporters.usd.scenery.water_material import CLEAR, FOAM, ROUGH, SHADES, patches
 
@@ -223,7 +223,7 @@ def test_any_renderer_can_whiten_foam(shown):
         assert primvars.HasPrimvar(source.GetInput("varname").Get())
 
 
-def test_ripples_are_level_on_the_whole_and_repeat():
+def test_ripples_have_zero_mean_and_repeat():
     import io
 
     from PIL import Image
@@ -277,7 +277,7 @@ def test_the_sea_is_darker_than_the_sky_at_its_horizon(tmp_path):
     assert sea[2] > sea[0] + 4  # blue, where it was the sky's grey
 
 
-def test_depth_becomes_places():
+def test_depth_is_converted_to_world_places():
     """A plane ten metres ahead, seen by a camera that looks along X."""
     near, far = 0.5, 1000.0
     depth = np.full((3, 5), near * (far - 10.0) / (10.0 * (far - near)))
@@ -288,7 +288,7 @@ def test_depth_becomes_places():
     assert places[2, 4] == pytest.approx([11.0, 2.0 - 0.8 * 5.0, 3.0 + 2 / 3 * 3.0])
 
 
-def test_the_surface_says_its_extent_at_every_frame_and_has_a_rest(shown):
+def test_the_surface_has_an_extent_at_every_frame_and_a_rest_pose(shown):
     """Readers that ask at no time get still water, not an empty mesh."""
     stage = Usd.Stage.Open(str(shown[1]))  # a prim lives only as long as its stage is held
     mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/sea/env/water/surface"))

@@ -61,7 +61,7 @@ CONTENT = {
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_a_bad_file_is_named_and_the_rest_goes_on(
+def test_a_bad_file_is_named_and_the_other_shots_continue(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     text, says = BAD[name]

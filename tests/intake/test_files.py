@@ -37,7 +37,7 @@ def test_whole_meshes_are_read(tmp_path: Path, suffix: str) -> None:
 
 @pytest.mark.parametrize("read", [read_triangles, Terrain.load])
 @pytest.mark.parametrize("seed", [1, 2])
-def test_broken_meshes_are_refused_or_sound(tmp_path: Path, read: object, seed: int) -> None:
+def test_broken_meshes_are_refused_or_read_as_valid_arrays(tmp_path: Path, read: object, seed: int) -> None:
     refused = 0
     for path in written(tmp_path, wrong_meshes(seed)):
         try:
@@ -78,7 +78,7 @@ def test_broken_grids_are_refused(tmp_path: Path, seed: int) -> None:
             WaterGrids.load(path)
 
 
-def test_headers_that_promise_too_much_take_no_memory(tmp_path: Path) -> None:
+def test_oversized_headers_take_no_memory(tmp_path: Path) -> None:
     np.save(tmp_path / "t.npy", np.zeros((4, 4)))
     (tmp_path / "t.npy").write_bytes((tmp_path / "t.npy").read_bytes().replace(b"(4, 4)", b"(9999, 99999)"))
     with pytest.raises(InputError, match=r"announces 7,999,120,008 bytes and holds [0-9]+;"):
@@ -98,7 +98,7 @@ def test_headers_that_promise_too_much_take_no_memory(tmp_path: Path) -> None:
         ("\udce4".encode("utf-8", "surrogateescape"), "not UTF-8"),
     ],
 )
-def test_tables_beyond_reason_are_refused(tmp_path: Path, text: str | bytes, says: str) -> None:
+def test_excessive_tables_are_refused(tmp_path: Path, text: str | bytes, says: str) -> None:
     path = tmp_path / "t.toml"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     with pytest.raises(ShotError, match=says) as refused, warnings.catch_warnings():
@@ -106,7 +106,7 @@ def test_tables_beyond_reason_are_refused(tmp_path: Path, text: str | bytes, say
     assert says_what_to_do(refused.value, path)
 
 
-def test_clips_of_others_are_refused(tmp_path: Path) -> None:
+def test_foreign_clip_files_are_refused(tmp_path: Path) -> None:
     from vehsim.clip.clip import Clip
 
     np.savez(tmp_path / "c.npz", header=np.array('{"fps": "24"}'), twists=np.zeros((3, 3)))

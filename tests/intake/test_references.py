@@ -58,7 +58,7 @@ def export(folder: Path, more: str) -> int:
     return cli.run(["export", str(folder / "shot.toml"), "--to", "usd", "--out", str(folder / "out")])
 
 
-def test_it_is_refused(studio: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_files_outside_the_assets_folder_are_refused(studio: Path, capsys: pytest.CaptureFixture[str]) -> None:
     home = studio.parents[1]
     assert export(home, "") == 2
     said = capsys.readouterr().err
@@ -70,7 +70,9 @@ def test_it_is_refused(studio: Path, capsys: pytest.CaptureFixture[str]) -> None
         clip.export(home / "out" / "it.usda")
 
 
-def test_it_travels_when_asked_for(studio: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_files_outside_the_assets_folder_are_copied_on_request(
+    studio: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     home = studio.parents[1]
     assert export(home, 'outside = "copy"') == 0
     assert "warning: " in (said := capsys.readouterr().err) and "copied too" in said

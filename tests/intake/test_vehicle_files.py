@@ -84,13 +84,13 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("change", "says"), WRONG, ids=[str(k) for k in range(len(WRONG))])
-def test_values_that_are_none_are_refused(change: tuple[str, str], says: str, tmp_path: Path) -> None:
+def test_invalid_values_are_refused(change: tuple[str, str], says: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=says) as refused:
         load_vehicle(vehicle(tmp_path, change))
     assert "vehicle.toml" in str(refused.value) and "; " in str(refused.value)
 
 
-def test_all_that_is_wrong_is_said_at_once(tmp_path: Path) -> None:
+def test_all_problems_are_reported_at_once(tmp_path: Path) -> None:
     folder = vehicle(tmp_path, ("mass = 1350.0", "mass = nan"))
     text = (folder / "vehicle.toml").read_text().replace("scale = 0.3", "scale = 0")
     (folder / "vehicle.toml").write_text(text)
@@ -99,7 +99,7 @@ def test_all_that_is_wrong_is_said_at_once(tmp_path: Path) -> None:
     assert [problem.key for problem in refused.value.problems] == ["physics.mass", "controls.steering_rate.scale"]
 
 
-def test_check_refuses_it_and_the_rest_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_refuses_it_and_other_shots_continue(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     vehicle(tmp_path, ("mass = 1350.0", "mass = 1e308"))
     for name, asset in (("bad", "it"), ("good", "car")):
         (tmp_path / f"{name}.toml").write_text(SHOT.format(name=name, asset=asset))
@@ -147,7 +147,7 @@ def test_odd_vehicle_files_load_or_are_refused(name: str, tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("content", BROKEN.values(), ids=BROKEN)
 @pytest.mark.parametrize("extra", ["", 'forward = "-X"\n'])
-def test_a_corrupt_asset_is_refused_and_the_rest_goes_on(
+def test_a_corrupt_asset_is_refused_and_other_shots_continue(
     content: bytes, extra: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = vehicle(tmp_path, ("schema = 1\n", f"schema = 1\n{extra}"))
@@ -162,7 +162,7 @@ def test_a_corrupt_asset_is_refused_and_the_rest_goes_on(
     assert (tmp_path / "out" / "good" / "car.npz").is_file()
 
 
-def test_an_edit_of_the_same_size_and_date_is_seen(tmp_path: Path) -> None:
+def test_an_edit_with_the_same_size_and_date_is_noticed(tmp_path: Path) -> None:
     """In one process, where what was read before is remembered."""
     folder = vehicle(tmp_path)
     file = folder / "vehicle.toml"
@@ -189,7 +189,7 @@ def test_a_delivery_is_remade_after_such_an_edit(tmp_path: Path, capsys: pytest.
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_changed_bytes_of_an_asset_are_no_fault_of_ours(seed: int, tmp_path: Path) -> None:
+def test_changed_bytes_of_an_asset_are_wrong_input(seed: int, tmp_path: Path) -> None:
     """USD reads values when they are asked for: what is corrupt may show long after the stage is open."""
     chance, file = random.Random(seed), vehicle(tmp_path) / "car.usdc"
     content = bytearray(file.read_bytes())
@@ -201,7 +201,7 @@ def test_changed_bytes_of_an_asset_are_no_fault_of_ours(seed: int, tmp_path: Pat
         assert problem.key and problem.message and problem.remedy
 
 
-def test_a_value_that_is_corrupt_is_wrong_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_corrupt_value_is_wrong_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from pxr import Tf
 
     def corrupt(*given: object) -> None:

@@ -62,7 +62,7 @@ def test_predictions_are_not_steps():
     np.testing.assert_allclose(body.state.twist, seen.twist, atol=1e-2)
 
 
-def test_what_cannot_be():
+def test_wrong_options_and_wrenches_are_refused():
     with pytest.raises(InputError, match="is second order; take order 2"):
         Forced(Integrator(BODY, 0.01, order=4), Spring(), START, np.zeros(0))
 

@@ -127,7 +127,7 @@ def test_symmetric_top_against_the_closed_form(group, name, order, steps):
     assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.35)
 
 
-def test_a_top_whose_rig_stands_elsewhere_turns_as_it_does():
+def test_a_tops_rotation_does_not_depend_on_its_rigs_origin():
     """On SO(3) a twist is an angular velocity, wherever the rig's root is."""
     from dataclasses import replace
     from pathlib import Path

@@ -51,7 +51,7 @@ def same(clip, other, atol=1e-11):
 
 @needs_compiler
 @pytest.mark.parametrize("name", CASES)
-def test_machine_code_is_the_same_motion_and_kept(name, cache):
+def test_machine_code_gives_the_same_motion_and_is_cached(name, cache):
     vehicle, (start, _), controls = fresh(name), CASES[name], table(name, 300)
     plain = Integrator(vehicle, H).rollout(start, controls)
     fast = Integrator(vehicle, H, compiled=True)
@@ -82,7 +82,7 @@ def test_a_spoilt_library_is_built_again_and_long_steps_fall_back(cache):
             path.write_bytes(b"\x7fELF cut short")
 
 
-def test_no_compiler_and_a_broken_one_are_said(monkeypatch, tmp_path):
+def test_missing_and_broken_compilers_warn(monkeypatch, tmp_path):
     start, controls = CASES["car"][0], table("car", 20)
     plain = Integrator(fresh("car"), H).rollout(start, controls)
     monkeypatch.setattr(machine, "compiler", lambda: None)
@@ -99,7 +99,7 @@ def test_no_compiler_and_a_broken_one_are_said(monkeypatch, tmp_path):
 
 @pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=needs_compiler)])
 @pytest.mark.parametrize("name", CASES)
-def test_side_by_side_is_one_by_one(name, compiled):
+def test_vehicles_side_by_side_move_as_they_do_one_by_one(name, compiled):
     vehicle, n, m = fresh(name), 300, 5
     integrator = Integrator(vehicle, H, compiled=compiled)
     states = [replace(CASES[name][0], position=(float(j), 2.0, 3.0)) for j in range(m)]
@@ -116,7 +116,7 @@ def test_side_by_side_is_one_by_one(name, compiled):
         np.testing.assert_allclose(state.twist, clip.twists[-1], atol=1e-10)
 
 
-def test_fleets_watch_rank_and_say_which_controls_are_wrong():
+def test_fleets_check_ranks_and_name_wrong_controls():
     board = snakeboard(mass=70.0, half_length=0.35, rotor_inertia=2.0, steering_inertia=0.1)
     integrator = Integrator(board, 0.015)
     through = State(twist=(0, 1.0, 0), joints=(0, 1.2), joint_rates=(0, 1.0))

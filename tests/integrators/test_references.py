@@ -46,7 +46,7 @@ def test_an_unknown_method_is_named():
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_clip_of_a_reference_shows_its_states(name):
+def test_clip_of_a_reference_method_contains_its_states(name):
     vehicle, start, law = CASES[name]
     controls = law(np.linspace(0, 1, 129))
     clip = reference_clip(vehicle, "rk4", start, controls, 1 / 128)
@@ -56,7 +56,7 @@ def test_clip_of_a_reference_shows_its_states(name):
     assert np.allclose(clip.energy["kinetic"], exact.energy["kinetic"], rtol=1e-6)
 
 
-def test_blown_up_reference_says_when():
+def test_a_diverging_reference_method_reports_the_time():
     fast = State(twist=(400.0, 100.0, 300.0, 0.0, 0.0, 0.0))
     with pytest.raises(SolveError, match=r"body: rk2 blows up after [\d.]+ s at a step of 0.5 s; shorten it"):
         reference_clip(BODY, "rk2", fast, np.zeros((200, 0)), 0.5)

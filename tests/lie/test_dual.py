@@ -19,7 +19,7 @@ def test_duals_are_transposes(name, group):
 
 
 @pytest.mark.parametrize("name", MAPS)
-def test_the_map_that_stands_in_for_slopes_agrees_to_second_order(name):
+def test_the_map_used_for_derivatives_agrees_to_second_order(name):
     group, direction = GROUPS["SE3"], np.array([0.3, -0.5, 0.4, 1.0, 0.2, -0.7])
     tau = difference_map(name, group)
     apart = [np.abs(tau.C(s * direction) - tau.near.C(s * direction)).max() for s in (0.1, 0.05)]

@@ -66,7 +66,7 @@ def test_yaw_and_tilt(lead):
     np.testing.assert_allclose(yaw_of(turns(lead)), scipys(turns(lead)).as_euler("ZYX")[:, 0].reshape(lead), atol=1e-13)
 
 
-def test_yaw_pitch_and_roll_are_put_together_and_taken_apart():
+def test_yaw_pitch_and_roll_round_trip():
     yaw, pitch, roll = angles = np.random.default_rng(5).uniform(-1.5, 1.5, (3, 40))
     same(yaw_tilt(*angles), Rotation.from_euler("ZYX", np.column_stack([yaw, pitch, roll])))
     np.testing.assert_allclose(tilt_of(yaw_tilt(*angles)), angles, atol=1e-13)

@@ -56,7 +56,7 @@ def reach(asset: Path) -> float:
     return max(float(np.abs(hull).max()) for solid in solids(asset) for hull in solid.hulls)
 
 
-def test_what_is_kept_is_what_was_read(tmp_path, reads):
+def test_cached_solids_equal_those_read(tmp_path, reads):
     asset = write(tmp_path / "rig.usda", 1.0)
     fresh, kept = solids(asset), solids(asset)
     assert len(reads) == 1 and [s.path for s in fresh] == ["body", "body/wheel"]
@@ -86,7 +86,7 @@ def referring(path: Path, to: str) -> Path:
 
 
 @pytest.mark.broken_stages
-def test_what_another_file_says_is_watched(tmp_path, reads):
+def test_referenced_files_are_part_of_the_key(tmp_path, reads):
     """Also where it was missing; the same file elsewhere refers to others."""
     asset = referring(tmp_path / "rig.usda", "./body.usda")
     sizes = [reach(asset), reach(asset)]
@@ -103,7 +103,7 @@ def test_what_another_file_says_is_watched(tmp_path, reads):
 
 
 @pytest.mark.broken_stages
-def test_what_a_search_finds_is_not_kept(tmp_path, reads, monkeypatch):
+def test_files_found_by_a_resolver_are_not_cached(tmp_path, reads, monkeypatch):
     """Tomorrow it may find another file, of which nobody tells."""
     (tmp_path / "library").mkdir()
     write(tmp_path / "library" / "body.usda", 2.0)
@@ -119,13 +119,13 @@ def test_what_a_search_finds_is_not_kept(tmp_path, reads, monkeypatch):
     assert len(reads) == 3 and sizes[0] == sizes[1] > sizes[2]
 
 
-def test_what_is_written_while_it_is_read_is_not_kept(tmp_path, reads, monkeypatch):
+def test_files_written_during_reading_are_not_cached(tmp_path, reads, monkeypatch):
     asset = write(tmp_path / "rig.usda", 1.0)
     monkeypatch.setattr(parts, "time", SimpleNamespace(time=lambda: asset.stat().st_mtime - 1.0))
     assert reach(asset) == reach(asset) and len(reads) == 2
 
 
-def test_what_somebody_holds_is_not_kept(tmp_path, reads):
+def test_layers_open_in_memory_are_not_cached(tmp_path, reads):
     """A layer being edited is not its file."""
     asset = write(tmp_path / "rig.usda", 1.0)
     stage = Usd.Stage.Open(str(asset))
@@ -135,7 +135,7 @@ def test_what_somebody_holds_is_not_kept(tmp_path, reads):
     assert reach(asset) < edited and len(reads) == 2
 
 
-def test_warnings_are_heard_each_time(tmp_path, reads):
+def test_warnings_are_repeated_from_the_cache(tmp_path, reads):
     stage = new_stage()
     add_cube(stage, "/rig/box", collides=False)
     stage.GetRootLayer().Export(str(tmp_path / "rig.usda"))
@@ -156,7 +156,7 @@ def test_a_damaged_entry_is_made_again(tmp_path, cache, reads):
         assert reach(asset) == before and len(reads) == 2
 
 
-def test_a_plan_of_a_vehicle_that_is_known_needs_no_usd():
+def test_a_plan_with_a_cached_vehicle_does_not_load_usd():
     for known in (False, True):
         said = subprocess.run([sys.executable, "-c", ALONE], capture_output=True, text=True, check=True)
         assert said.stdout.startswith("True ["), said.stdout + said.stderr

@@ -153,7 +153,7 @@ def test_polygons_become_fans_and_holes_are_left_out():
     assert triangulate(counts, indices, np.array([2])).tolist() == [[0, 1, 2], [3, 4, 5], [3, 5, 6], [3, 6, 7]]
 
 
-def test_guides_collide_but_are_not_seen_and_the_unseen_is_left_out(tmp_path):
+def test_guides_collide_invisibly_and_hidden_prims_are_left_out(tmp_path):
     stage = new_stage()
     UsdGeom.Xform.Define(stage, "/rig/part")
     add_cube(stage, "/rig/part/look", collides=False)
@@ -178,7 +178,7 @@ def test_reset_xform_stack_is_read_where_it_stands_with_a_warning(tmp_path):
     assert np.allclose(in_root(part), world_points(stage, "/rig/body/loose/mesh"))
 
 
-def test_what_is_not_a_mesh_is_left_out_with_a_warning(tmp_path):
+def test_geometry_other_than_meshes_is_left_out_with_a_warning(tmp_path):
     stage = new_stage()
     add_cube(stage, "/rig/mesh")
     UsdGeom.Sphere.Define(stage, "/rig/ball")
@@ -186,7 +186,7 @@ def test_what_is_not_a_mesh_is_left_out_with_a_warning(tmp_path):
         read_parts(saved(stage, tmp_path))
 
 
-def test_without_collision_meshes_the_look_stands_in_with_a_warning(tmp_path):
+def test_without_collision_meshes_the_visible_meshes_are_used_with_a_warning(tmp_path):
     stage = new_stage()
     add_cube(stage, "/rig/mesh", collides=False)
     with pytest.warns(UserWarning, match="CollisionAPI"):

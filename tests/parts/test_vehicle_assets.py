@@ -112,7 +112,7 @@ def rotation(axis: int, angle: float) -> np.ndarray:
 
 
 @every
-def test_every_usd_validator_finds_nothing(name):
+def test_no_usd_validator_finds_an_issue(name):
     validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
     assert len(validators) > 20
     found = UsdValidation.ValidationContext(validators).Validate(Usd.Stage.Open(str(asset(name))))
@@ -193,7 +193,7 @@ def test_parts_face_outward(name):
 
 
 @every
-def test_hulls_hold_every_triangle_that_is_seen(name):
+def test_hulls_contain_every_visible_triangle(name):
     hulls = collision_hulls(asset(name))
     for p in read_parts(asset(name)):
         corners = in_root(p)[p.faces]
@@ -203,7 +203,7 @@ def test_hulls_hold_every_triangle_that_is_seen(name):
 
 
 @every
-def test_hulls_are_no_more_than_a_hand_too_large(name):
+def test_hulls_are_at_most_a_hands_width_too_large(name):
     hulls = collision_hulls(asset(name))
     seen = np.concatenate([in_root(p) for p in read_parts(asset(name))] + [steered(name)])
     rng = np.random.default_rng(3)
@@ -305,7 +305,7 @@ def test_the_script_generates_the_committed_asset(name, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("name", LIVERIES)
-def test_liveries_change_what_is_seen_and_nothing_else(name):
+def test_liveries_change_only_the_look(name):
     stage = Usd.Stage.Open(str(asset(name)))
     liveries = stage.GetDefaultPrim().GetVariantSet("livery")
     seen = {}
@@ -321,7 +321,7 @@ def test_liveries_change_what_is_seen_and_nothing_else(name):
 
 
 @pytest.mark.parametrize("name", ["boat", "car", "helicopter"])
-def test_whoever_drives_may_be_left_out(name):
+def test_the_driver_can_be_left_out(name):
     """The variant set `driver`: `none` leaves the figure out, and nothing else; what collides stays."""
     stage = Usd.Stage.Open(str(asset(name)))
     choice = stage.GetDefaultPrim().GetVariantSet("driver")
@@ -342,7 +342,7 @@ def test_whoever_drives_may_be_left_out(name):
         ("helicopter", [(8.0, -0.6, 2.0), (1.6, -6.0, 1.8)]),
     ],
 )
-def test_whoever_drives_is_seen_through_the_glass(name, eyes):
+def test_the_driver_is_visible_through_the_glass(name, eyes):
     """From in front and from the side, glass is all that stands between the eye and the driver's face."""
     stage = Usd.Stage.Open(str(asset(name)))
     glass = stage.GetPrimAtPath(f"/{name}/materials/glass/surface")

@@ -104,7 +104,7 @@ def contents(iterate):
     return {name: array.copy() for name, array in arrays.items()}
 
 
-def test_steps_leave_the_iterates_they_take_as_they_were():
+def test_steps_do_not_change_their_input_iterates():
     """So going back is keeping the old one: through solving, settling, certifying and tightening."""
     run, iterate = guessed(drive())
     steps = [
@@ -138,7 +138,7 @@ def short(iterate):
     return replace(certificate, findings=tuple(findings))
 
 
-def test_a_tightened_clearance_asks_for_what_was_lacking_and_more():
+def test_a_tightened_clearance_adds_the_shortfall_and_a_margin():
     _, iterate = guessed(flight())
     block = iterate.block(Clearance)
     finding = replace(block.measure(iterate, iterate.clip, None), clearance=0.4, wanted=1.0, met=False)

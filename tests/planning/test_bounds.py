@@ -32,7 +32,7 @@ def refused(name, marks, **options):
 
 @pytest.mark.parametrize("name", VEHICLES)
 @pytest.mark.parametrize(("x", "frame", "last"), [(60.0, 1010, {"velocity": REST}), (200.0, 1025, {})])
-def test_too_far_in_the_time_is_refused_by_check(name, x, frame, last):
+def test_check_refuses_marks_that_are_too_far_apart_in_time(name, x, frame, last):
     data = {
         "shot": {"schema": 1, "name": "far"},
         "vehicle": [{"name": "v", "asset": name, "motion": {"method": "plan", "mark": []}}],
@@ -46,7 +46,7 @@ def test_too_far_in_the_time_is_refused_by_check(name, x, frame, last):
 
 
 @pytest.mark.parametrize("name", NAMED)
-def test_the_earliest_frame_does(name):
+def test_the_suggested_frame_works(name):
     marks = ends(name, 60.0, 1010, velocity=REST)
     (message,) = refused(name, marks)
     frame = int(re.search(r"earliest (\d+)$|; (\d+) would do$", message).expand(r"\1\2"))
@@ -55,7 +55,7 @@ def test_the_earliest_frame_does(name):
 
 
 @pytest.mark.parametrize("name", VEHICLES)
-def test_what_was_planned_is_not_refused(name):
+def test_planned_motions_are_not_refused(name):
     """The quickest motions there are, at what they have half way too."""
     vehicle = vehsim.load_vehicle(name)
     marks = [replace(mark, heading=0.0) for mark in ends(name, 8.0, "free", velocity=REST)]
@@ -73,7 +73,7 @@ def test_what_was_planned_is_not_refused(name):
     assert refused(name, [marks[0], there, done]) == []
 
 
-def test_the_ball_is_the_double_integrators():
+def test_the_ball_bound_is_that_of_the_double_integrator():
     """Level and rest to rest, thrust that carries its weight too; from a speed, what brakes."""
     ball, still = thrust_ball(vehsim.load_vehicle("helicopter")), np.zeros(3)
     level = np.sqrt(ball.radius**2 - 9.81**2)
@@ -103,12 +103,12 @@ def test_strength_is_force_over_inertia():
         ("boat", {"heading": 0, "velocity": (0, 1, 0)}, None),
     ],
 )  # fmt: skip
-def test_what_a_vehicle_cannot_be_at_a_mark_is_said(name, given, says):
+def test_impossible_states_at_a_mark_are_reported(name, given, says):
     found = refused(name, ends(name, 20.0, 1200, **given))
     assert found == [] if says is None else len(found) == 1 and re.search(says, found[0])
 
 
-def test_a_heading_away_from_where_it_has_to_look_is_said():
+def test_a_heading_that_contradicts_a_look_is_reported():
     marks = [replace(mark, heading=90.0) for mark in ends("helicopter", 60.0, 1201, velocity=REST)]
     looks = [ranges.look_at((500, 0, 0), (1190, 1201), within=3)]
     (message,) = refused("helicopter", marks, terms=looks)
@@ -116,7 +116,7 @@ def test_a_heading_away_from_where_it_has_to_look_is_said():
     assert slips(vehsim.load_vehicle("boat").planar)[0]
 
 
-def test_a_heading_that_was_not_asked_for_is_given_up_before_the_plan_is():
+def test_a_default_heading_is_dropped_before_the_plan_fails():
     """Moving a metre takes less time than turning about to face it."""
     marks = [
         Mark(1001, position=(0, 0, 30), heading=180, velocity=REST),
@@ -131,14 +131,14 @@ def test_a_heading_that_was_not_asked_for_is_given_up_before_the_plan_is():
 @pytest.mark.parametrize(
     ("name", "frame"), [("helicopter", 1101), ("car", 1101), ("boat", "free"), ("two_wheeled", 1151)]
 )
-def test_two_segments_are_enough_to_ask_for(name, frame, capfd):
+def test_two_segments_are_replaced_by_enough(name, frame, capfd):
     with pytest.warns(UserWarning, match="on 16 segments: 2 are too few"):
         plan = vehsim.plan(vehsim.load_vehicle(name), None, ends(name, 20.0, frame, velocity=REST), segments=2)
     assert plan.success and "overconstrained" not in capfd.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["helicopter", "car"])
-def test_nothing_outruns_its_vehicle_unless_it_is_allowed_to(name):
+def test_plans_keep_the_top_speed_unless_a_limit_allows_more(name):
     vehicle = vehsim.load_vehicle(name)
     marks = [replace(mark, velocity=None) for mark in ends(name, 40.0, "free")]
     with pytest.warns(UserWarning, match=f"limited to the top speed of the {name}"):
@@ -168,7 +168,7 @@ def test_a_boat_in_wind_goes_where_its_controls_lead_or_fails(wind, away, goal, 
     assert plan.success and plan.executed.final < 0.5, plan.message
 
 
-def test_controls_that_end_elsewhere_are_no_success(monkeypatch):
+def test_controls_that_end_elsewhere_are_a_failure(monkeypatch):
     from vehsim.planning import trajectory
     from vehsim.planning.certificates import Executed
 
@@ -182,7 +182,7 @@ def test_controls_that_end_elsewhere_are_no_success(monkeypatch):
         assert vehsim.plan(vehsim.load_vehicle("car"), None, marks, segments=16).success
 
 
-def test_a_mark_outside_the_terrain_is_said_to_be_there():
+def test_a_mark_outside_the_terrain_is_reported():
     world, helicopter = vehsim.World("hills"), vehsim.load_vehicle("helicopter")
     for goal in ((150.0, 0.0, 2.0), (150.0, 0.0, 200.0)):  # below and above what the border's height goes on at
         marks = [Mark(1001, position=(0, 0, 90), velocity=REST), Mark(1201, position=goal)]

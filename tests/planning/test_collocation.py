@@ -28,7 +28,7 @@ def _solved(name, marks, counts, **options):
         ("helicopter", "smoothness", 121, (0, 0, 30), (40, 10, 35), (32, 64), 1e-3),
     ],
 )
-def test_collocation_and_dmoc_come_to_the_same_optimum(name, cost, frame, start, goal, counts, near):
+def test_collocation_and_dmoc_find_the_same_optimum(name, cost, frame, start, goal, counts, near):
     marks = [
         Mark(1, position=start, heading=0, velocity=REST),
         Mark(frame, position=goal, heading=20, velocity=REST),

@@ -102,7 +102,7 @@ def test_a_mark_outside_a_stay_is_named():
     assert str(found[0]).startswith("mark[1].position: 4 m outside what 'stay' allows; move")
 
 
-def test_misses_are_said_in_the_marks_own_units(monkeypatch):
+def test_misses_are_reported_in_the_marks_units(monkeypatch):
     """Too short a bend: degrees; and a solve that hardly ends still finds the frame that would do."""
     monkeypatch.setattr(elastic, "SECONDS", 600.0)
     car, helicopter = vehsim.load_vehicle("car"), vehsim.load_vehicle("helicopter")
@@ -122,7 +122,7 @@ def test_misses_are_said_in_the_marks_own_units(monkeypatch):
     assert _amount("orientation", np.array([0, 0, 0.5])) == "60 deg"
 
 
-def test_what_can_be_done_is_not_refused():
+def test_feasible_marks_are_not_refused():
     """Just inside every bound, and free marks, which have no frame to be late for."""
     assert not said([Mark(1, position=REST), Mark(30, position=(26, 0, 0))], limits={"speed": 22})
     assert not said([Mark(1, position=REST), Mark("free", position=(999, 0, 0))], limits={"speed": 22})
@@ -139,7 +139,7 @@ def test_strength_is_the_controls_at_their_corners():
     assert strength(tug()) == np.inf and braking <= strength(car) <= 1.03 * braking
 
 
-def test_failed_solves_say_by_how_much_and_what_would_do():
+def test_failed_solves_report_the_violation_and_the_remedy():
     with pytest.warns(
         UserWarning, match=r"mark\[1\].frame = 49 is too early; earliest 1\d\d; .*mark\[1\].position is missed by"
     ):
@@ -159,7 +159,7 @@ def test_time_limits_are_kept():
     assert len(plan.clip) > 2
 
 
-def test_a_deadline_keeps_time_to_certify_and_begins_nothing_it_cannot_end(monkeypatch):
+def test_a_deadline_reserves_time_to_certify_and_starts_nothing_too_long(monkeypatch):
     now = [100.0]
     monkeypatch.setattr("vehsim.planning.deadline.time", SimpleNamespace(monotonic=lambda: now[0]))
     deadline = Deadline(110.0)
@@ -181,7 +181,7 @@ def test_a_deadline_keeps_time_to_certify_and_begins_nothing_it_cannot_end(monke
     assert deadline.late and not deadline.allows(1) and not Deadline().late and Deadline().allows(10**9)
 
 
-def test_what_comes_after_certifying_is_rehearsed_too(monkeypatch):
+def test_work_after_certification_is_measured_too(monkeypatch):
     """Wheels are put on the terrain when all is solved, which takes seconds: a share of the motion tells how long."""
     from vehsim.planning import iterate, trajectory
 
@@ -202,7 +202,7 @@ def test_what_comes_after_certifying_is_rehearsed_too(monkeypatch):
 
 
 @pytest.mark.parametrize("hills", [False, True])
-def test_out_of_time_while_loading_it_gives_the_first_guess_and_says_what_took_it(tmp_path, monkeypatch, hills):
+def test_out_of_time_while_loading_returns_the_initial_guess_and_the_cause(tmp_path, monkeypatch, hills):
     """Neither a way nor distances are sought: it ends with the straight way, which nobody measured."""
     monkeypatch.setenv("VEHSIM_CACHE", str(tmp_path))
     monkeypatch.setattr("vehsim.planning.guesses.astar.guess_drive", lambda *asked: pytest.fail("sought a path"))
@@ -238,7 +238,7 @@ def test_a_solver_stops_before_an_iteration_that_would_end_too_late(monkeypatch)
     assert len(stops) == 4 and callback.hurried
 
 
-def test_short_of_time_it_comes_back_at_a_lower_order(monkeypatch):
+def test_with_little_time_a_plan_has_a_lower_order(monkeypatch):
     """No time for higher orders: all the segments asked for, at order 2; and the message says what was left out."""
 
     def allows(self, nodes):
@@ -280,7 +280,7 @@ def test_nothing_is_solved_again_after_the_time_limit(monkeypatch):
     assert not plan.success and len(solves) == 1
 
 
-def test_a_refinement_out_of_time_leaves_the_plan_there_was(monkeypatch):
+def test_a_refinement_out_of_time_keeps_the_coarser_plan(monkeypatch):
     """The finer solve fails: the coarser one comes back, and the message says so."""
     from vehsim.planning import refine
 
@@ -297,7 +297,7 @@ def test_a_refinement_out_of_time_leaves_the_plan_there_was(monkeypatch):
     assert plan.success and plan.order == 2 and "not refined to 8 segments of order 4" in plan.message
 
 
-def test_shots_say_what_bounds_rule_out():
+def test_shots_report_what_bounds_rule_out():
     marks = [
         {"frame": 1040, "position": [0, 0, 30], "velocity": [0, 0, 0]},
         {"frame": 1060, "position": [26, 0, 30]},
@@ -363,7 +363,7 @@ def interrupting():
     return Constraint("here", law, -100.0, 100.0)
 
 
-def test_an_interrupt_that_casadi_swallows_is_raised_nevertheless(stopping):
+def test_an_interrupt_that_casadi_swallows_is_raised_later(stopping):
     """As its handler raised it; before the next solve, or at the end."""
     with pytest.raises(Stop):
         vehsim.plan(tug(), None, TUG_ASIDE, segments=8, terms=[interrupting()])
@@ -396,7 +396,7 @@ def test_an_interrupt_whose_handler_returns_stops_nothing():
     assert plan.success and len(came) >= 2
 
 
-def test_a_plan_in_another_thread_neither_sees_nor_forgets_an_interrupt(stopping):
+def test_a_plan_in_another_thread_does_not_affect_an_interrupt(stopping):
     """It is the main thread's."""
     plans = []
 
@@ -414,7 +414,7 @@ def test_a_plan_in_another_thread_neither_sees_nor_forgets_an_interrupt(stopping
     assert plans and all(plan.success for plan in plans)
 
 
-def test_what_progress_raises_is_raised():
+def test_exceptions_of_the_progress_callback_are_raised():
     """And is no time limit."""
 
     def progress(text, fraction):
@@ -424,7 +424,7 @@ def test_what_progress_raises_is_raised():
         vehsim.plan(tug(), None, TUG_ASIDE, segments=8, progress=progress)
 
 
-def test_where_the_motion_breaks_is_a_frame(monkeypatch):
+def test_a_broken_motion_is_reported_with_its_frame(monkeypatch):
     monkeypatch.setattr(Deadline, "late", property(lambda self: self.a_node > 0))
     marks = [Mark(1001, position=(0, 0, 10), velocity=(0, 0, 0)), Mark(1097, position=(20, 5, 10), velocity=(0, 0, 0))]
     with pytest.warns(UserWarning, match="plan failed"):
@@ -433,7 +433,7 @@ def test_where_the_motion_breaks_is_a_frame(monkeypatch):
     assert found and 1001 <= int(found[1]) < 1097
 
 
-def test_among_obstacles_too_it_is_said_which_mark_is_too_early(monkeypatch):
+def test_marks_that_are_too_early_are_named_among_obstacles_too(monkeypatch):
     """Retries end elsewhere; what the first way misses is what an animator can fix."""
     monkeypatch.setattr("vehsim.planning.fallbacks.RETRIES", ((1.2, 0.3),))
     monkeypatch.setattr(elastic, "SECONDS", 300.0)
@@ -446,7 +446,7 @@ def test_among_obstacles_too_it_is_said_which_mark_is_too_early(monkeypatch):
     assert not plan.success and len(plan.clip)
 
 
-def test_where_no_miss_is_found_the_frame_is_nevertheless(monkeypatch):
+def test_the_earliest_frame_is_found_without_a_missed_mark(monkeypatch):
     """The problem with room to miss marks is not solved, that with room to be late is; what can be done is not late."""
     monkeypatch.setattr(elastic, "_missed", lambda run, guess: ("", None))
     monkeypatch.setattr("vehsim.planning.fallbacks.RETRIES", ())
@@ -460,7 +460,7 @@ def test_where_no_miss_is_found_the_frame_is_nevertheless(monkeypatch):
         vehsim.plan(tug(), None, TUG_ASIDE, segments=16, max_iterations=1)
 
 
-def test_marks_in_the_rock_and_without_a_way_are_named():
+def test_marks_in_rock_and_without_a_route_are_named():
     """By mark, in its own place; a way's clearance by what was asked and what the vehicle needs."""
     x, y = np.meshgrid(np.arange(0, 120.0, 2), np.arange(0, 60.0, 2))
     basin = (np.abs(x - 30) < 22) | (np.abs(x - 90) < 22)

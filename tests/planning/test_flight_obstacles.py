@@ -83,7 +83,7 @@ def flight(helicopter):
     return vehsim.plan(helicopter, World(obstacles=TOWN), marks, segments=48, clearance=1.5)
 
 
-def test_flies_round_what_stands(flight, helicopter):
+def test_flies_around_obstacles_at_rest(flight, helicopter):
     """As near as certified and no nearer, by libigl's distances; straight on it would have flown into the tower."""
     assert flight.success and flight.clearance >= 1.5 - 0.01
     hulls = hulls_in(World(obstacles=TOWN))
@@ -94,7 +94,7 @@ def test_flies_round_what_stands(flight, helicopter):
     assert seen_by_igl(straight, hulls, straight.times).min() < 0
 
 
-def test_frames_of_a_range_are_on_the_way_round(helicopter):
+def test_a_range_may_begin_on_the_path_around_an_obstacle(helicopter):
     """Where a stay begins no mark says a place: half way between its neighbours stands the tower."""
     marks = [
         Mark(1, position=(0, 0, 30), heading=0, velocity=REST),
@@ -113,7 +113,7 @@ def test_certification_finds_what_samples_miss(flight):
     assert certify(flight.clip, world, samples=1) == pytest.approx(exact, abs=2e-3)
 
 
-def test_distances_to_obstacles_are_those_of_least_squares(helicopter):
+def test_distances_to_obstacles_agree_with_least_squares(helicopter):
     """MuJoCo's answers for hulls in any pose against another method, also where the vehicle is a mere point."""
     rng = np.random.default_rng(1)
     boxes = [ob.box(f"b{i}", rng.uniform(-9, 9, 3), rng.uniform(1, 4, 3), rng.uniform(0, 90)) for i in range(3)]
@@ -130,7 +130,7 @@ def test_distances_to_obstacles_are_those_of_least_squares(helicopter):
             assert point[k, n] == pytest.approx(apart(p[None], box.hulls[0]), abs=1e-4)
 
 
-def test_what_moves_is_let_by(helicopter):
+def test_moving_obstacles_are_avoided(helicopter):
     """Two helicopters on crossing ways, at the crossing together: they would touch, and keep 2 m apart."""
     crossing = [
         Mark(1, position=(60, -60, 30), heading=90, velocity=(0, 12, 0)),
@@ -162,7 +162,7 @@ def test_what_moves_is_let_by(helicopter):
         (Mark(1, position=(40, 0, 80), heading=0, on_ground=True, speed=3.0), "stands still at this mark"),
     ],
 )
-def test_marks_that_cannot_be_are_refused(helicopter, mark, complaint):
+def test_impossible_marks_are_refused(helicopter, mark, complaint):
     with pytest.raises(InputError, match=complaint):
         vehsim.plan(helicopter, World(obstacles=TOWN), [mark, Mark(99, position=(120, 0, 30))], clearance=1.5)
 
@@ -222,7 +222,7 @@ def test_comes_down_gently_and_never_into_the_ground(touchdown, helicopter):
     assert np.sqrt(squared.min()) > 1.0 - 0.02
 
 
-def test_takes_off_and_lands_on_rough_ground_and_says_so(helicopter):
+def test_landing_on_rough_ground_warns(helicopter):
     """From the pad to bare ground, not level: it stands on its highest point; how high elsewhere is said."""
     world = World(hilly(), obstacles=[PAD])
     marks = [
@@ -253,7 +253,7 @@ def test_put_down_is_exact(helicopter):
     np.testing.assert_allclose(landing.height_below(flat, points), [ground, 12, 12, ground], atol=1e-9)
 
 
-def test_helicopters_take_gates_that_their_spheres_do_not_fit(helicopter):
+def test_helicopters_pass_gates_narrower_than_their_spheres(helicopter):
     """A hall in two by walls: 15 m between them, 10.8 m across the rotor, 15.9 m across all spheres. A metre less than
     fits is said, and how much of that is the helicopter."""
 

@@ -79,13 +79,13 @@ def assert_held(plan):
 @pytest.mark.parametrize("free", [False, True], ids=["framed", "free"])
 @pytest.mark.parametrize("place", ["first", "middle", "last"])
 @pytest.mark.parametrize("name", PLANNED)
-def test_holds_stand_still(name, place, free):
+def test_held_vehicles_stand_still(name, place, free):
     assert_held(vehsim.plan(vehsim.load_vehicle(name), None, journey(name, place, free), segments=48))
 
 
 @pytest.mark.parametrize("segments", [9, 16, 27, 64, 96])
 @pytest.mark.parametrize("name", ["helicopter", "car"])
-def test_holds_stand_still_on_any_number_of_segments(name, segments):
+def test_held_vehicles_stand_still_on_any_number_of_segments(name, segments):
     plan = vehsim.plan(vehsim.load_vehicle(name), None, journey(name, "last", True), segments=segments)
     assert_held(plan)
 
@@ -117,7 +117,7 @@ def test_a_loop_may_begin_and_end_with_a_hold():
     np.testing.assert_allclose(plan.clip.controls[-1], plan.clip.controls[0], rtol=1e-8, atol=1e-6)
 
 
-def test_a_replan_holds_too():
+def test_holds_are_kept_by_a_replan():
     plan = vehsim.plan(vehsim.load_vehicle("helicopter"), None, journey("helicopter", "last", False), segments=32)
     moved = plan.replan([plan.marks[0], rest(150, (34, 6, 22), hold=60)])
     assert_held(moved)
@@ -141,7 +141,7 @@ def test_holds_lean_into_the_wind(name, wind):
     assert plan.executed.final < 0.1
 
 
-def test_a_boat_that_cannot_stay_broadside_to_the_wind_says_so():
+def test_a_boat_that_cannot_hold_broadside_to_the_wind_is_reported():
     boat = vehsim.load_vehicle("boat")
     marks = [rest(1, REST), rest("free", (40, 5, 0), heading=90, hold=48)]
     with pytest.warns(UserWarning, match=r"mark\[1\].hold: in 6 m/s of wind the boat cannot.*heading = 0 would do"):
@@ -152,7 +152,7 @@ def test_a_boat_that_cannot_stay_broadside_to_the_wind_says_so():
         assert not vehsim.plan(boat, World(wind=(-60, 5, 0)), gale, segments=32).success
 
 
-def test_a_car_holds_on_a_slope_and_says_where_its_brakes_are_too_weak():
+def test_a_car_holds_on_a_slope_unless_its_brakes_are_too_weak():
     car, world = vehsim.load_vehicle("car"), World("hills")
     plan = vehsim.plan(car, world, journey("car", "last", True), segments=32)
     assert plan.success
@@ -173,7 +173,7 @@ def test_a_car_holds_on_a_slope_and_says_where_its_brakes_are_too_weak():
 
 
 @pytest.mark.parametrize("hold", [0, 48])
-def test_it_lands_as_gently_to_stay(hold):
+def test_landing_for_a_hold_is_as_gentle(hold):
     helicopter = vehsim.load_vehicle("helicopter")
     marks = [rest(1, (0, 0, 30), heading=0), Mark(265, position=(60, 10, 20), heading=0, on_ground=True, hold=hold)]
     plan = vehsim.plan(helicopter, World("flat"), marks, segments=48, refine=False)
@@ -187,7 +187,7 @@ def test_it_lands_as_gently_to_stay(hold):
         assert_held(plan)
 
 
-def test_it_takes_off_from_a_hold_on_the_ground_in_wind():
+def test_takes_off_from_a_hold_on_the_ground_in_wind():
     """The ground carries it, level as it stands there: what the wind would do to it in the air does not count."""
     marks = [
         Mark(1, position=(0, 0, 5), heading=0, on_ground=True, hold=36),

@@ -20,7 +20,7 @@ def test_wheels_begin_where_the_guess_has_them(cost: str) -> None:
     assert 0.9 * way < 0.3 * rolled[-1] < 1.3 * way  # a wheel of some 0.3 m
 
 
-def test_a_mark_may_still_say_where_they_are() -> None:
+def test_a_mark_can_still_fix_idle_joints() -> None:
     marks = [vehsim.Mark(1001, position=(0, 0, 0), **REST), vehsim.Mark("free", position=(10, 0, 0), **REST)]
     marks[1] = vehsim.Mark("free", position=(10, 0, 0), joints=(5.0, np.nan), **REST)
     plan = vehsim.plan(vehsim.load_vehicle("car"), vehsim.World(), marks, segments=16)

@@ -117,7 +117,7 @@ def test_ranges_are_kept_between_knots(segments):
     assert heights.min() >= 21.0 - 1e-3 and heights.max() <= 21.5 + 1e-3
 
 
-def test_a_constraint_of_ones_own_binds_between_knots_and_in_time():
+def test_a_users_constraint_binds_between_knots_and_in_time():
     """A wall that moves away: kept behind at every instant, within the slack it states; and an acceleration."""
     wall = Constraint("wall", lambda k: k.position[0] - 1.0 - 3.0 * k.t, upper=0.0, slack=1e-4)
     ease = Constraint("ease", lambda k: k.acceleration[0], lower=-1.5, upper=1.5, slack=1e-3)
@@ -132,7 +132,7 @@ def test_a_constraint_of_ones_own_binds_between_knots_and_in_time():
     assert np.abs(np.diff(speed) / np.diff(times)).max() <= 1.5 + 3e-3
 
 
-def test_what_cannot_be_kept_is_said_in_the_users_units():
+def test_violations_are_reported_in_the_users_units():
     """A law that vanishes at all knots and that no motion can keep between them: where, how much, what was asked."""
     ripple = Constraint("ripple", lambda k: ca.sin(4 * ca.pi * k.t), upper=0.5)
     marks = [DRIVE[0], rest(97, (20, 4, 0))]
@@ -142,7 +142,7 @@ def test_what_cannot_be_kept_is_said_in_the_users_units():
         ).success
 
 
-def test_views_between_knots_are_the_clips():
+def test_views_between_knots_equal_the_clips():
     """What laws see between knots is what the clip's interpolant has there."""
     plan = vehsim.plan(vehsim.load_vehicle("helicopter"), None, FLIGHT, segments=12, cost=QUICK, refine=False)
     t, layout, x = transcribe(plan.clip.vehicle), plan._iterate.layout, plan._iterate.x

@@ -51,7 +51,7 @@ def test_a_gate_is_flown_through(helicopter, gate):
     assert np.linalg.norm(np.cross(centre - [0, 0, 30], [1, 0, 0])) > 5
 
 
-def test_the_nose_points_where_it_shall(helicopter):
+def test_the_nose_points_at_the_requested_place(helicopter):
     tower = np.array([10.0, 30.0, 20.0])
     marks = [Mark(1, position=(-20, 0, 20), velocity=REST), Mark(169, position=(40, 0, 20), velocity=REST)]
     plan = vehsim.plan(
@@ -110,7 +110,7 @@ def test_a_loop_ends_as_it_begins(car):
     np.testing.assert_allclose(frames.positions[-1], frames.positions[0], atol=1e-6)
 
 
-def test_a_loop_ends_nowhere_else(car):
+def test_a_loop_with_other_ends_is_refused(car):
     with pytest.raises(InputError, match=r"mark\[1\].position.*ends as it begins"):
         vehsim.plan(car, None, [Mark(1, position=REST), Mark(50, position=(9, 0, 0))], segments=8, loop=True)
 
@@ -141,7 +141,7 @@ def test_rest_stops_every_free_velocity():
     ("frame", "message"),
     [(0, "before the first mark"), (50, "free marks stand between"), (90, "after the last mark")],
 )
-def test_ranges_that_have_no_place_are_named(frame, message):
+def test_invalid_ranges_are_named(frame, message):
     marks = check_marks([Mark(1, position=REST), Mark("free"), Mark(80)], ())
     with pytest.raises(InputError, match=message):
         with_breaks(marks, [frame])

@@ -81,7 +81,7 @@ def gap_by_shapely(clip, world):
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_a_car_finds_its_way_and_keeps_its_distance(car, seed):
+def test_a_car_finds_a_path_and_keeps_its_clearance(car, seed):
     world = yard(seed)
     plan = vehsim.plan(car, world, across(), segments=48, clearance=0.5)
     assert plan.success, plan.message
@@ -117,7 +117,7 @@ def test_a_car_parks_between_two_others(car):
     assert plan.clip.twists[:, 1].min() < -0.3 and plan.clip.twists[:, 1].max() > 0.3  # it went both ways
 
 
-def test_a_moving_obstacle_is_let_by(car):
+def test_a_moving_obstacle_is_avoided(car):
     """Another car crosses where the first would meet it: without an eye on it they collide, with it they do not."""
     start = vehsim.State(position=(20, -24, 0), orientation=(np.sqrt(0.5), 0, 0, np.sqrt(0.5)), twist=(0, 6.0, 0))
     other = vehsim.simulate(car, World(), start=start, duration=8.0, fps=24, start_frame=1001)
@@ -133,7 +133,7 @@ def test_a_moving_obstacle_is_let_by(car):
     assert certify_plane(seeing.clip, [(crossing, 0)])[0] >= 0.5 - 2e-3
 
 
-def test_what_hangs_higher_or_lies_lower_does_not_matter(car):
+def test_obstacles_above_or_below_the_vehicle_do_not_matter(car):
     overhead = World(obstacles=[ob.box("bridge", (20, 0, 5), (4, 40, 1)), ob.box("drain", (30, 0, -2), (4, 40, 1))])
     assert parts_in_reach(car, overhead, across()) == []
 
@@ -169,7 +169,7 @@ def test_a_mark_that_no_heading_clears_is_refused(car):
     assert not complaints(best + 0.1, replace(mark, gate=Gate((1, 0, 0), radius=2)))  # it may pass elsewhere
 
 
-def test_a_trailer_is_kept_clear_where_it_swings():
+def test_a_swinging_trailer_keeps_its_clearance():
     """Round a block: the trailer, turned about its king pin by hand, keeps the clearance by shapely's word."""
     truck = vehsim.load_vehicle("truck")
     world = World(obstacles=[ob.box("silo", (30, -1, 0), (8, 8, 6), heading=45)])
@@ -191,7 +191,7 @@ def test_a_trailer_is_kept_clear_where_it_swings():
     assert plan.clearance - 1e-3 <= seen.min() <= plan.clearance + 0.05
 
 
-def test_a_way_is_divided_by_frames():
+def test_a_path_is_divided_by_frames():
     path = np.array([[0.0, 0, 0], [0, 30, 0], [10, 30, 0]])
     marks = [Mark(1, position=(0, 0, 0)), Mark(11), Mark(37), Mark(41, position=(10, 30, 0))]
     legs = divided([path], marks)
@@ -199,13 +199,13 @@ def test_a_way_is_divided_by_frames():
     np.testing.assert_allclose([leg[-1] for leg in legs], [(0, 10, 0), (6, 30, 0), (10, 30, 0)])
 
 
-def test_walled_in_is_said(car):
+def test_a_walled_in_vehicle_is_reported(car):
     marks = [Mark(1, position=(20, 0, 0), heading=0, velocity=REST), Mark("free", position=(50, 0, 0))]
     with pytest.raises(SolveError, match=r"no path from .*obstacles close it; open a gap"):
         vehsim.plan(car, World(obstacles=WALLS), marks, segments=32, clearance=0.3)
 
 
-def test_a_way_out_of_the_walls_is_found(car):
+def test_a_path_out_of_the_walls_is_found(car):
     """The same ring with its east wall moved away: overlapping corners are no trouble."""
     marks = [
         Mark(1, position=(19, 0, 0), heading=180, velocity=REST),
@@ -217,7 +217,7 @@ def test_a_way_out_of_the_walls_is_found(car):
     assert gap_by_shapely(plan.clip, world) >= 0.3 - 2e-3
 
 
-def test_a_motion_of_another_planner_is_a_guess(car):
+def test_a_motion_from_another_planner_can_be_the_guess(car):
     world = yard(1)
     first = vehsim.plan(car, world, across(), segments=48, clearance=0.5, refine=False)
     again = vehsim.plan(car, world, across(), segments=48, clearance=0.5, guess=first.clip, refine=False)
@@ -240,7 +240,7 @@ def rows_of(vehicle, shape, poses):
 
 
 @pytest.mark.parametrize("part", PARTS)
-def test_rows_are_the_exact_distance(car, part):
+def test_rows_equal_the_exact_distance(car, part):
     """Outside each other, the least row is the distance of the polygon the optimiser sees from the part."""
     rng = np.random.default_rng(2)
     poses = np.column_stack([rng.uniform(-np.pi, np.pi, 300), rng.uniform(-7, 9, (300, 2))])
@@ -252,7 +252,7 @@ def test_rows_are_the_exact_distance(car, part):
 
 
 @pytest.mark.parametrize("part", PARTS)
-def test_what_rows_hold_does_not_spoil_their_derivatives(car, part):
+def test_frozen_expressions_do_not_change_derivatives(car, part):
     """Slopes and bends, whose distances are not differentiated through, are those of the values: inside and out."""
     t = transcribe(car)
     rng, shape = np.random.default_rng(4), part.parts[0]
@@ -277,7 +277,7 @@ def test_what_rows_hold_does_not_spoil_their_derivatives(car, part):
             assert way @ bend @ way == pytest.approx((found[3] - 2 * found[2] + found[1]) / 1e-8, abs=3e-2, rel=2e-2)
 
 
-def test_a_thin_wall_across_the_car_is_seen(car):
+def test_a_thin_wall_across_the_car_is_detected(car):
     """None of its corners lies in the car, nor any of the car's in it."""
     wall = ob.polygon("wall", [(-0.1, -9), (0.1, -9), (0.1, 9), (-0.1, 9)])
     assert rows_of(car, wall.parts[0], np.zeros((1, 3))).min() < -0.5
@@ -294,7 +294,7 @@ def test_only_features_near_each_other_become_rows(car):
     assert gaps[rows.active[:, 1]].min() == gaps.min()
 
 
-def test_the_optimiser_sees_no_less_than_the_vehicle(car):
+def test_the_optimisers_outline_contains_the_vehicle(car):
     hull = ob.footprint(car)
     seen = simplified(hull, CORNERS)
     assert len(seen) <= CORNERS and shapely.Polygon(seen).buffer(1e-9).contains(shapely.Polygon(hull))
@@ -303,7 +303,7 @@ def test_the_optimiser_sees_no_less_than_the_vehicle(car):
         assert shapely.Polygon(seen).contains(shapely.Point(centre).buffer(0.98 * radius))
 
 
-def test_certification_finds_what_passes_between_samples(car):
+def test_certification_finds_the_closest_approach_between_samples(car):
     """A post beside a fast car: the nearest moment lies between any two of few samples."""
     clip = vehsim.simulate(car, World(), start=vehsim.State(twist=(0, 15.0, 0)), duration=2.0, fps=24)
     few = np.linspace(0, len(clip) - 1, 5).astype(int)  # 7.5 m apart
@@ -316,7 +316,7 @@ def test_certification_finds_what_passes_between_samples(car):
     assert by_segment.shape == (1, len(clip) - 1)
 
 
-def test_what_is_run_through_unseen_is_seen_where_it_is_near(car):
+def test_violated_obstacles_are_activated_near_the_violation(car):
     """Nothing seen, straight through the first part: it is seen about there, the far one and the start are not."""
     world = World(obstacles=[ob.ellipse("e", (20, 0), (2, 1)), ob.ellipse("far", (20, 60), (2, 1))])
     positions, yaw, seconds = np.column_stack([np.linspace(0, 40, 41), np.zeros((41, 2))]), np.zeros(41), np.zeros(41)
@@ -328,7 +328,7 @@ def test_what_is_run_through_unseen_is_seen_where_it_is_near(car):
     assert not blind.active.any() and rows.violated_at((positions, yaw, seconds)) is rows
 
 
-def test_what_a_finer_motion_saw_is_forgotten_where_it_failed(car):
+def test_active_sets_of_a_failed_refinement_are_dropped(car):
     """Then the coarse one is solved again, for a limit that it breaks between knots, with what it has seen itself."""
     world = World("flat", obstacles=[ob.ellipse("one", (-3.261, 21.034), (0.601, 1.577)),
                                      ob.ellipse("two", (-6.329, 20.485), (1.916, 1.499))])  # fmt: skip
@@ -337,7 +337,7 @@ def test_what_a_finer_motion_saw_is_forgotten_where_it_failed(car):
     assert "not refined to" in plan.message and plan.clearance >= 1.04
 
 
-def test_what_ran_through_something_looks_twice_as_far_about_its_guess(car):
+def test_a_violation_doubles_the_active_range_around_the_guess(car):
     """Knots slide along a guess: those before and behind a wall are to know of it, too."""
     along, still = np.column_stack([np.linspace(0, 40, 41), np.zeros((41, 2))]), np.zeros(41)
     rows = rows_among(car, World(obstacles=[ob.box("wall", (20, 0, 0), (1, 8, 1))]))
@@ -372,7 +372,7 @@ def test_rows_name_their_obstacle(car):
     assert len(values) == problem.parameters and np.isfinite(values).all()
 
 
-def test_first_guesses_look_only_as_far_as_matters(car, monkeypatch):
+def test_initial_guesses_measure_distances_only_where_needed(car, monkeypatch):
     """Where the car may be and what it costs there are as with exact distances everywhere."""
     ends = np.array([(0.0, 0, 0), (60, 0, 0)])
     parts = parts_in_reach(car, yard(3), across())
@@ -409,7 +409,7 @@ def test_guesses_drive_no_tighter_than_the_car_can(car):
     assert np.median(turn / np.maximum(way, 1e-9)) < 1 / turning_radius(car) + 1e-3
 
 
-def test_problems_are_shared_by_worlds_of_a_shape(car):
+def test_worlds_of_the_same_shapes_share_a_problem(car):
     """Where parts stand is a parameter: the same rows serve another world."""
     boxes = [ob.box("b", (x, 3, 0), (1, 1, 1)) for x in (10.0, 11.0)]
     blocks = [ObstacleClearance(car, [(box, 0)], 0.5) for box in boxes]

@@ -316,14 +316,14 @@ def test_free_heading_is_nose_first(helicopter):
 
 
 @pytest.mark.parametrize(("name", "away", "seconds"), [("car", 75, 25), ("truck", 60, 35), ("two_wheeled", 5, 15)])
-def test_a_free_drive_does_not_crawl(name, away, seconds):
+def test_a_drive_of_free_duration_does_not_crawl(name, away, seconds):
     """Where standing costs no effort, time counts too."""
     marks = [Mark(1, position=REST, heading=0, velocity=REST), Mark("free", position=(away, 0, 0), velocity=REST)]
     plan = vehsim.plan(vehsim.load_vehicle(name), None, marks, segments=32, refine=False)
     assert plan.success and plan.duration < seconds
 
 
-def test_time_counts_where_nobody_else_says_when():
+def test_time_has_a_cost_if_the_duration_is_free():
     """Not for what has to hold itself up, nor between marks at frames; who names it says how much."""
     free, fixed = [Mark(1, position=REST), Mark("free", position=(9, 0, 0))], [Mark(1, position=REST), Mark(9)]
     boat, helicopter = vehsim.load_vehicle("boat"), vehsim.load_vehicle("helicopter")

@@ -43,7 +43,7 @@ def test_a_snakeboard_gets_from_rest_to_rest(board, goal, heading, frame):
         assert np.abs(slip).max() < 1e-6
 
 
-def test_a_clip_brings_its_joints_and_controls_along(board):
+def test_a_clip_as_guess_provides_joints_and_controls(board):
     """A guess that is a clip begins with its poses, joints and controls, and is drawn onto marks elsewhere."""
     clip = vehsim.plan(board, None, to((4, 0), 0, 145), segments=24, refine=False).clip
     t = transcribe(board)
@@ -59,5 +59,5 @@ def test_a_clip_brings_its_joints_and_controls_along(board):
     assert nearby.success
 
 
-def test_who_swims():
+def test_swimming_vehicles_are_recognised():
     assert [name for name in available() if swims(vehsim.load_vehicle(name))] == ["snakeboard"]

@@ -28,7 +28,7 @@ def car():
     return vehsim.load_vehicle("car")
 
 
-def test_a_cost_of_ones_own_is_the_built_in_one():
+def test_a_users_effort_cost_equals_the_built_in_one():
     """Effort written by hand, as a law of a segment: the same optimum to the last digit."""
     effort = Cost("mine", lambda s: s.h / 3 * (ca.sumsqr(s.c0) + ca.dot(s.c0, s.c1) + ca.sumsqr(s.c1)))
     mine = vehsim.plan(tug(), None, ACROSS, segments=8, cost={"smoothness": 1e-3}, terms=[effort], refine=False)
@@ -37,7 +37,7 @@ def test_a_cost_of_ones_own_is_the_built_in_one():
     np.testing.assert_allclose(mine.clip.positions, ours.clip.positions, atol=1e-8)
 
 
-def test_time_is_seen_by_laws():
+def test_laws_can_use_the_time():
     """Integral of t over the motion is T^2/2, whatever it does; with free legs T varies."""
     clock = Cost("clock", lambda k: k.t, integral=True)
     marks = [
@@ -51,7 +51,7 @@ def test_time_is_seen_by_laws():
 
 
 @pytest.mark.parametrize("over", ["knots", "everywhere"])
-def test_a_moving_wall_is_kept_behind(over):
+def test_the_vehicle_stays_behind_a_moving_wall(over):
     """A constraint of time and place: x stays below a wall that moves away at constant speed."""
     wall = Constraint("wall", lambda k: k.position[0] - 1.0 - 2.0 * k.t, upper=0.0, over=over)
     straight = Constraint("straight", lambda k: k.position[0] - 1.0 - 2.0 * k.t, upper=50.0)
@@ -62,7 +62,7 @@ def test_a_moving_wall_is_kept_behind(over):
     assert bound.success and ahead[0].max() <= 1e-7 < 0.5 < ahead[1].max()
 
 
-def test_frames_of_a_constraint_are_its_frames():
+def test_a_constraint_applies_only_in_its_frames():
     slow = Constraint("slow", lambda k: k.velocity[0], upper=1.0, frames=(25, 49))
     plan = vehsim.plan(tug(), None, ACROSS, segments=12, terms=[slow], refine=False)
     inside = (plan.clip.frames >= 25 - 1e-6) & (plan.clip.frames <= 49 + 1e-6)
@@ -157,7 +157,7 @@ def test_energy_is_work_over_weight():
     assert (costs[1] - costs[0]) / 1e-3 == pytest.approx(4.0 * (np.sqrt(3.0**2 + 0.04) - 0.2), rel=1e-3)
 
 
-def test_models_of_a_distance_field_are_its_derivatives():
+def test_models_of_a_distance_field_equal_its_derivatives():
     """Value, gradient and Hessian against CasADi's own of the spline, inside the box and beyond it."""
     x, y = np.meshgrid(np.arange(0, 41, 2.0), np.arange(0, 31, 2.0))
     field = vehsim.World(
@@ -173,7 +173,7 @@ def test_models_of_a_distance_field_are_its_derivatives():
     assert np.array(field.models(60, 1)(points.T))[4:].any() == False  # noqa: E712
 
 
-def test_seen_functions_differentiate_as_if_written_out():
+def test_second_order_models_differentiate_like_the_function():
     """An element of a function's second-order models has the derivatives of the element with the function inside."""
 
     def bowl(count, order):
@@ -215,12 +215,12 @@ def test_other_solvers_find_the_same(solver):
     np.testing.assert_allclose(plans[1].clip.positions, plans[0].clip.positions, atol=1e-4)
 
 
-def test_solvers_that_are_not_here_are_named():
+def test_missing_solvers_are_named():
     with pytest.raises(InputError, match="solver = 'snopt': not here; choose one of ipopt"):
         vehsim.plan(tug(), None, ACROSS, segments=8, solver="snopt")
 
 
-def test_a_constraint_of_ones_own_is_audited():
+def test_a_users_constraint_is_audited():
     """By its law alone, on the finished clip; as data that a file can hold."""
     from vehsim.audit import audit, missed, track_of_clip
     from vehsim.requests import Ask

@@ -62,7 +62,7 @@ def test_cover_holds_every_hull(helicopter):
         assert distance.min(axis=1).max() <= 0
 
 
-def test_a_gap_too_narrow_is_said(helicopter, world):
+def test_a_gap_that_is_too_narrow_is_reported(helicopter, world):
     from vehsim.errors import SolveError
 
     marks = [
@@ -73,7 +73,7 @@ def test_a_gap_too_narrow_is_said(helicopter, world):
         vehsim.plan(helicopter, world, marks, segments=16, clearance=12.0, limits={"ceiling": 20.0})
 
 
-def test_safety_keeps_further_off(helicopter, world):
+def test_the_safety_cost_increases_the_distance(helicopter, world):
     """Along the wall, with room to go wide: repulsion does, effort alone does not."""
     marks = [
         Mark(1, position=(40, -45, 12), heading=90, velocity=(0, 8, 0)),

@@ -81,7 +81,7 @@ def test_carried_multipliers_are_nearly_those_of_the_finer_problem(name, limits,
         assert guess.g[rows].sum() == pytest.approx(true.g[rows].sum(), rel=0.1)
 
 
-def test_what_is_far_away_need_not_be_seen(helicopter, monkeypatch):
+def test_distant_rock_need_not_be_active(helicopter, monkeypatch):
     """Who sees all the rock, some, or none of it at first, comes to the same motion, as clear as was asked."""
     x, y = np.meshgrid(np.arange(0, 81, 4.0), np.arange(-24, 25, 4.0))
     world = vehsim.World(

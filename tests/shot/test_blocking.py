@@ -96,7 +96,7 @@ def test_keys_and_holds_are_found_in_baked_motion(tmp_path: Path) -> None:
     assert read_blocking(path, "/World/heli", FPS).keys == ((1001, 0), (1031, 24), (1076, 0), (1100, 0))
 
 
-def test_stepped_blocking_is_poses_to_reach_and_not_to_stay_in(tmp_path: Path) -> None:
+def test_stepped_blocking_has_poses_without_holds(tmp_path: Path) -> None:
     x = np.repeat([0.0, 10.0, 25.0], [40, 40, 20])
     path = stage_with(tmp_path / "in.usda", keys=baked(np.stack([x, 0 * x, 0 * x + 8], axis=1)))
     assert read_blocking(path, "/World/heli", FPS).keys == ((1001, 0), (1041, 0), (1081, 0))
@@ -113,7 +113,7 @@ def over(folder: Path, up: str, metres: float, layer: Path) -> None:
 
 @pytest.mark.parametrize(("up", "metres"), [("Z", 1.0), ("Y", 0.01)])
 @pytest.mark.parametrize("parent", [False, True])
-def test_motion_written_over_the_prim_shows_there(tmp_path: Path, up: str, metres: float, parent: bool) -> None:
+def test_motion_written_over_the_prim_is_visible(tmp_path: Path, up: str, metres: float, parent: bool) -> None:
     from pxr import Usd, UsdGeom
 
     blocking = read_blocking(stage_with(tmp_path / "in.usda", up, metres, parent=parent), "/World/heli", FPS)
@@ -142,7 +142,7 @@ def test_motion_written_over_the_prim_shows_there(tmp_path: Path, up: str, metre
         ({"use": ["place"]}, "position"),
     ],
 )
-def test_what_cannot_be_read_is_named(tmp_path: Path, change: dict[str, Any], says: str) -> None:
+def test_unreadable_blockings_are_named(tmp_path: Path, change: dict[str, Any], says: str) -> None:
     stage_with(tmp_path / "in.usda")
     with pytest.raises(ShotError, match=says):
         Shot.from_dict(shot_with(change), tmp_path).solve()
@@ -162,7 +162,7 @@ def shot_with(change: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def test_a_shot_hits_what_was_blocked_and_says_where_it_left_it(tmp_path: Path) -> None:
+def test_a_shot_hits_its_blocking_and_reports_departures(tmp_path: Path) -> None:
     stage_with(tmp_path / "in.usda", "Y", 0.01)
     take = Shot.from_dict(shot_with({"tolerance": 0.2}), tmp_path).solve()
     clip = take.clips["heli"].resample()

@@ -96,7 +96,7 @@ A, B = {"shot/a.txt", "shot/sub/deep/a.txt"}, {"shot/b.txt"}
 REPORT = {"shot/report.json"}
 
 
-def test_files_that_were_only_needed_are_dropped(exporters: Any, take: Take, tmp_path: Path) -> None:
+def test_files_needed_only_by_other_exporters_are_dropped(exporters: Any, take: Take, tmp_path: Path) -> None:
     folder = take.export(tmp_path, to=("b",))
     assert folder == tmp_path / "shot"
     assert files(tmp_path) == {"shot/b.txt", "shot/report.json"}
@@ -111,7 +111,7 @@ def test_needs_run_first_and_once(exporters: Any, take: Take, tmp_path: Path) ->
     assert files(tmp_path) == {"shot/a.txt", "shot/sub/deep/a.txt", "shot/b.txt", "shot/report.json"}
 
 
-def test_what_other_exporters_delivered_stays(exporters: Any, take: Take, tmp_path: Path) -> None:
+def test_files_of_other_exporters_stay(exporters: Any, take: Take, tmp_path: Path) -> None:
     take.export(tmp_path, to=("a",))
     assert files(take.export(tmp_path, to=("b",))) == {"a.txt", "sub/deep/a.txt", "b.txt", "report.json"}
     assert listed(tmp_path / "shot") == {"a.txt", "sub/deep/a.txt", "b.txt"}
@@ -121,7 +121,7 @@ def test_what_other_exporters_delivered_stays(exporters: Any, take: Take, tmp_pa
     assert files(tmp_path) == A | B | REPORT
 
 
-def test_files_that_an_exporter_writes_no_more_are_gone(
+def test_files_that_an_exporter_no_longer_writes_are_removed(
     exporters: dict[str, Exporter], take: Take, tmp_path: Path
 ) -> None:
     """Pictures of every second frame: those between are no part of the delivery any more."""
@@ -151,7 +151,7 @@ def test_files_of_another_motion_are_set_apart_with_a_warning(
     assert files(tmp_path) == A | apart | {"shot/earlier/2/b.txt", "shot/earlier/2/report.json"} | REPORT
 
 
-def test_nothing_is_set_apart_where_all_is_made_again(
+def test_nothing_is_set_apart_if_all_exporters_run_again(
     exporters: Any, take: Take, tmp_path: Path, recwarn: pytest.WarningsRecorder
 ) -> None:
     take.export(tmp_path, to=("a", "b"))
@@ -162,7 +162,7 @@ def test_nothing_is_set_apart_where_all_is_made_again(
     assert not recwarn.list
 
 
-def test_what_people_put_into_a_delivery_stays(exporters: Any, take: Take, tmp_path: Path) -> None:
+def test_users_files_in_a_delivery_stay(exporters: Any, take: Take, tmp_path: Path) -> None:
     take.export(tmp_path, to=("a",))
     (tmp_path / "shot" / "notes.txt").write_text("mine")
     replace(take, frames=(1001, 1020)).export(tmp_path, to=("a",))
@@ -171,7 +171,7 @@ def test_what_people_put_into_a_delivery_stays(exporters: Any, take: Take, tmp_p
 
 
 @pytest.mark.parametrize("report", ["", "[]", '{"files": {"a.txt": "1"}, "solved": {}}'])
-def test_a_delivery_that_does_not_say_what_it_shows_is_set_apart(
+def test_a_delivery_without_a_content_hash_is_set_apart(
     exporters: Any, take: Take, tmp_path: Path, report: str
 ) -> None:
     """One of an earlier version."""
@@ -183,7 +183,7 @@ def test_a_delivery_that_does_not_say_what_it_shows_is_set_apart(
     assert files(tmp_path) == apart | B | REPORT
 
 
-def test_an_export_that_comes_between_loses_nothing(
+def test_a_concurrent_export_loses_nothing(
     exporters: Any, take: Take, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Another export delivers after ours has looked, and before it moves the old delivery aside."""
@@ -229,7 +229,7 @@ def test_an_unknown_exporter_touches_nothing(exporters: Any, take: Take, tmp_pat
     assert list(tmp_path.iterdir()) == []
 
 
-def test_folders_of_other_people_are_never_replaced(exporters: Any, take: Take, tmp_path: Path) -> None:
+def test_foreign_folders_are_never_replaced(exporters: Any, take: Take, tmp_path: Path) -> None:
     (tmp_path / "shot").mkdir()
     (tmp_path / "shot" / "notes.txt").write_text("mine")
     with pytest.raises(InputError, match="not written by vehsim"):
@@ -304,7 +304,7 @@ def unprivileged() -> Iterator[None]:
         os.seteuid(user)
 
 
-def test_a_folder_that_may_not_be_written(exporters: Any, take: Take) -> None:
+def test_an_unwritable_folder(exporters: Any, take: Take) -> None:
     with TemporaryDirectory() as place:  # not below pytest's folder, which is closed to all others
         Path(place).chmod(0o555)
         with unprivileged(), pytest.raises(ExportError, match="could not be written"):

@@ -30,7 +30,7 @@ def solve(asset, handles=8, end=1049):
 
 
 @pytest.mark.parametrize("asset", MARKS)
-def test_motion_goes_on_physically_through_handles(asset):
+def test_motion_continues_by_its_physics_through_handles(asset):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         take = solve(asset)
@@ -52,13 +52,13 @@ def test_motion_goes_on_physically_through_handles(asset):
             assert np.abs(np.diff(values, 2)).max() < 0.1 * np.abs(np.diff(values)).max(), name
 
 
-def test_where_more_is_missing_than_the_handles_it_is_said():
+def test_motion_shorter_than_the_shot_without_handles_warns():
     with pytest.warns(UserWarning, match="cut off while it moves"):
         take = solve("car", end=1060)
     assert np.ptp(take.clips["it"].resample().positions[-5:], axis=0).max() == 0.0
 
 
-def test_a_boat_at_rest_leaves_its_rudder_where_it_is():
+def test_a_boat_at_rest_keeps_its_rudder_angle():
     """Its propeller turns on at its rate; the rudder shows its control, which is held."""
     from dataclasses import replace
 
@@ -73,7 +73,7 @@ def test_a_boat_at_rest_leaves_its_rudder_where_it_is():
     assert held.channels["propeller"][-1] - clip.channels["propeller"][-1] > 1.0
 
 
-def test_a_car_that_stopped_settles_on_its_springs_and_its_wheels_stand():
+def test_a_stopped_car_settles_on_its_springs_with_its_wheels_at_rest():
     """The last rates of wheels and springs are no rates to go on at: they left the car on the ground without it."""
     from dataclasses import replace
 

@@ -54,7 +54,7 @@ def test_any_data(data: Any) -> None:
 
 @settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.sampled_from(SHOTS), st.data())
-def test_right_shots_with_one_thing_replaced(shot: dict[str, Any], draw: st.DataObject) -> None:
+def test_valid_shots_with_one_value_replaced(shot: dict[str, Any], draw: st.DataObject) -> None:
     data = copy.deepcopy(shot)
     table: Any = data
     while True:
@@ -69,7 +69,7 @@ def test_right_shots_with_one_thing_replaced(shot: dict[str, Any], draw: st.Data
 
 @settings(max_examples=150, deadline=None)
 @given(st.sampled_from(SHOTS), KEYS, VALUES, st.integers(0, 3))
-def test_right_shots_with_a_key_added(shot: dict[str, Any], key: str, value: Any, depth: int) -> None:
+def test_valid_shots_with_a_key_added(shot: dict[str, Any], key: str, value: Any, depth: int) -> None:
     data = copy.deepcopy(shot)
     tables = [data, data["shot"], data["vehicle"][0], data["vehicle"][0]["motion"]]
     tables[depth][key] = value

@@ -97,7 +97,7 @@ def content(folder: Path) -> dict[str, str]:
     return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
 
 
-def test_a_lens_is_changed_without_planning_and_a_mark_is_planned(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_changing_a_lens_needs_no_planning_but_changing_a_mark_does(monkeypatch: pytest.MonkeyPatch) -> None:
     planned: list[Any] = []
     plan = vehsim.plan
     monkeypatch.setattr("vehsim.planning.plan", lambda *given, **more: planned.append(more) or plan(*given, **more))
@@ -130,7 +130,7 @@ def key_of(shot: Shot) -> str | None:
         (("shot", "name"), "another"),
     ],
 )
-def test_what_is_only_seen_leaves_the_key(path: tuple[str, ...], value: Any) -> None:
+def test_changes_of_the_look_keep_the_key(path: tuple[str, ...], value: Any) -> None:
     assert key_of(Shot.from_dict(bent((path, value)))) == key_of(Shot.from_dict(bent()))
 
 
@@ -151,7 +151,7 @@ def test_what_is_only_seen_leaves_the_key(path: tuple[str, ...], value: Any) -> 
         (("shot", "end_frame"), 1060),
     ],
 )
-def test_what_motion_depends_on_changes_the_key(path: tuple[str, ...], value: Any) -> None:
+def test_changes_that_affect_motion_change_the_key(path: tuple[str, ...], value: Any) -> None:
     assert key_of(Shot.from_dict(bent((path, value)))) != key_of(Shot.from_dict(bent()))
 
 
@@ -188,7 +188,7 @@ def test_deliveries_have_the_same_bytes_from_the_cache_or_not(tmp_path: Path, so
     assert len(solved) == 2
 
 
-def test_vehicles_that_touch_and_follow_handles_are_kept_whole(tmp_path: Path, solved: list[str]) -> None:
+def test_contacts_and_handles_are_cached_with_the_motion(tmp_path: Path, solved: list[str]) -> None:
     motion = {"method": "simulate", "duration": 0.5}
     boats = [
         {"name": name, "asset": "boat", "motion": {**motion, "start": {"position": [x, 0, 0], "velocity": [v, 0, 0]}}}
@@ -218,7 +218,7 @@ def test_a_damaged_entry_is_solved_again(folder: Path, solved: list[str]) -> Non
     assert Shot.from_dict(bent()).solve().recalled
 
 
-def test_warnings_are_kept_with_the_motion(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_warnings_are_cached_with_the_motion(monkeypatch: pytest.MonkeyPatch) -> None:
     solve = Shot._solve_vehicles
 
     def warned(self: Shot, *given: Any) -> Any:
@@ -232,7 +232,7 @@ def test_warnings_are_kept_with_the_motion(monkeypatch: pytest.MonkeyPatch) -> N
         assert len(said) == 1
 
 
-def test_failures_and_what_depends_on_the_machine_are_not_kept(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failures_and_machine_dependent_motion_are_not_cached(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert key_of(Shot.from_dict(bent((("vehicle", 0, "motion", "time_limit"), 60.0)))) is None
     from vehsim.planning.terms import COSTS
 
@@ -252,7 +252,7 @@ def test_failures_and_what_depends_on_the_machine_are_not_kept(folder: Path, mon
     assert entries(folder) == []
 
 
-def test_the_cache_is_bounded_and_spares_what_was_used(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_cache_is_bounded_and_keeps_recently_used_entries(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def drive(duration: float) -> bool:
         motion = {"method": "simulate", "duration": duration}
         return Shot.from_dict(bent((("vehicle", 0, "motion"), motion))).solve().recalled
@@ -272,7 +272,7 @@ def test_the_cache_is_bounded_and_spares_what_was_used(folder: Path, monkeypatch
         drive(0.25)
 
 
-def test_export_says_where_motion_comes_from(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_export_reports_motion_from_the_cache(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "drive.toml"
     path.write_text(TOML)
 

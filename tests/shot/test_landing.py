@@ -39,7 +39,7 @@ def test_a_landing_from_file_to_stage(tmp_path):
 
 
 @pytest.mark.parametrize("height", [2.0, 1.6])
-def test_the_height_of_the_ground_itself_will_do(height):
+def test_a_landing_mark_may_be_at_the_height_of_the_ground(height):
     """Given as an animator gives it: the pad's own height, or a little less."""
     assert not shot(position=[30, 0, height]).check()
 
@@ -52,9 +52,9 @@ def test_the_height_of_the_ground_itself_will_do(height):
         ({"tolerance": 1.0}, "drop speed, tolerance and gate"),
     ],
 )
-def test_what_cannot_land_is_said(wrong, complaint):
+def test_impossible_landings_are_reported(wrong, complaint):
     assert any(complaint in f"{problem.message}; {problem.remedy}" for problem in shot(**wrong).check())
 
 
-def test_a_right_landing_has_no_problems():
+def test_a_valid_landing_has_no_problems():
     assert not shot().check()

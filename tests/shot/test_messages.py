@@ -230,7 +230,7 @@ def test_the_shot_has_the_keys_of_the_schema() -> None:
 
 
 @pytest.mark.parametrize("key", SHOT)
-def test_messages_are_in_the_users_words_and_one_per_fault(key: str) -> None:
+def test_messages_use_the_users_terms_once_per_fault(key: str) -> None:
     assert said_of((key,), SHOT[key]) == []
     for place in places(SHOT[key], (key,)):
         for value in (*SCALARS, *TABLES):
@@ -267,7 +267,7 @@ def test_a_wrong_limit_is_one_plain_message(limits: dict[str, Any], says: str) -
     assert str(problem).startswith(f"vehicle[0].motion.{says}")
 
 
-def test_right_limits_are_kept() -> None:
+def test_valid_limits_are_kept() -> None:
     limits = {"speed": 3, "joints": {"psi": [-0.5, 1], "phi": 1}}
     motion = {"method": "plan", "limits": limits, "mark": [{"frame": 1001}, {"frame": 1100}]}
     vehicle = {"name": "car", "asset": "car", "motion": motion}

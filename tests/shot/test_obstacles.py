@@ -68,7 +68,7 @@ def test_standing_obstacles_are_in_the_stage(delivery):
     assert not validate_stage(delivery / "yard.usda")
 
 
-def test_the_strobe_is_a_picture_and_leaves_nothing_behind(delivery):
+def test_the_strobe_is_one_picture_without_temporary_files(delivery):
     from PIL import Image
 
     with Image.open(delivery / "yard.strobe.png") as picture:
@@ -77,7 +77,7 @@ def test_the_strobe_is_a_picture_and_leaves_nothing_behind(delivery):
     assert not list(delivery.glob(".*"))
 
 
-def test_no_two_poses_of_a_strobe_stand_in_one_another():
+def test_poses_of_a_strobe_do_not_overlap():
     """From rest to rest over 60 m: evenly in time, those of the first and last second are left out."""
     times = np.linspace(0, 10, 241)
     positions = np.column_stack([30 * (1 - np.cos(np.pi * times / 10)), *np.zeros((2, 241))])
@@ -126,16 +126,16 @@ def test_figures_show_path_obstacles_and_controls(delivery):
         ),
     ],
 )
-def test_what_is_wrong_is_said_in_its_place(change, key, words):
+def test_problems_are_reported_at_their_key(change, key, words):
     found = problems(change)
     assert words in found.get(key, ""), found
 
 
-def test_a_right_shot_has_no_problems():
+def test_a_valid_shot_has_no_problems():
     assert problems(lambda data: None) == {}
 
 
-def test_a_vehicle_is_kept_clear_of_on_its_way():
+def test_another_vehicle_on_the_path_is_avoided():
     """Another car stands in the way; it is no mesh of the world, and the plan goes round it."""
     data = copy.deepcopy(SHOT)
     data["world"]["obstacle"] = [{"shape": "vehicle", "vehicle": "parked"}]

@@ -25,7 +25,7 @@ def put(data: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
     return data
 
 
-def test_right_shots_have_no_problems(small: dict[str, Any], planned: dict[str, Any], keys_of: Find) -> None:
+def test_valid_shots_have_no_problems(small: dict[str, Any], planned: dict[str, Any], keys_of: Find) -> None:
     assert keys_of(small) == {}
     assert keys_of(planned) == {}
 
@@ -107,7 +107,7 @@ def test_one_problem_names_key_and_remedy(
         ({"name": "hover", "position": [0, 0, 9]}, "pilot", "not a helicopter"),
     ],
 )
-def test_what_a_pilot_refuses_is_said_before(
+def test_a_pilots_objections_are_reported_by_check(
     small: dict[str, Any], keys_of: Find, pilot: dict[str, Any], key: str, says: str
 ) -> None:
     small["vehicle"][0]["motion"] = {"method": "simulate", "duration": 1.0, "pilot": {"name": "follow_path"} | pilot}
@@ -151,7 +151,7 @@ def test_marks(planned: dict[str, Any], keys_of: Find, key: str, value: Any, whe
     assert says in problems[f"vehicle[0].motion.{where}"]
 
 
-def test_what_stands_on_the_ground_may_stay_there(planned: dict[str, Any], keys_of: Find) -> None:
+def test_a_vehicle_on_the_ground_may_hold_without_a_velocity(planned: dict[str, Any], keys_of: Find) -> None:
     """It is at rest: no velocity need be given."""
     mark = planned["vehicle"][0]["motion"]["mark"][1]
     mark |= {"on_ground": True, "hold": 10, "heading": 0.0}
@@ -174,7 +174,7 @@ def test_costs_and_limits_are_known(planned: dict[str, Any], keys_of: Find, key:
     assert "did you mean" in keys_of(planned)[f"vehicle[0].motion.{name}"]
 
 
-def test_wind_too_strong_is_said_once_where_it_stands(tmp_path: Path) -> None:
+def test_excessive_wind_is_reported_once_at_its_key(tmp_path: Path) -> None:
     path = tmp_path / "windy.toml"
     path.write_text(
         "[shot]\nschema = 1\nname = 'windy'\n[world]\nterrain = 'flat'\nwind = [0, 160, 0]\n[[vehicle]]\n"
@@ -185,7 +185,7 @@ def test_wind_too_strong_is_said_once_where_it_stands(tmp_path: Path) -> None:
     assert [(problem.key, problem.line) for problem in error.value.problems] == [("world.wind", 6)]
 
 
-def test_wind_that_nobody_feels_is_a_warning(small: dict[str, Any]) -> None:
+def test_wind_without_drag_is_a_warning(small: dict[str, Any]) -> None:
     (problem,) = Shot.from_dict(put(small, "world.wind", [0, 3, 0])).check()
     assert (problem.key, problem.severity) == ("world.wind", "warning")
 
@@ -209,7 +209,7 @@ def test_all_problems_at_once_with_file_and_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [b"\xff\xfe", b"a = ", b"a = [" * 2000, b"a = " + b"9" * 5000, b""])
-def test_files_that_are_no_shot(tmp_path: Path, content: bytes) -> None:
+def test_invalid_shot_files(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "bad.toml"
     path.write_bytes(content)
     with pytest.raises(ShotError) as error:

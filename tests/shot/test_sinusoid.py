@@ -43,7 +43,7 @@ def test_every_vehicle_works_or_is_refused(asset):
         assert [problem.key for problem in wrong] == ["vehicle[0].motion.method"]
 
 
-def test_a_steering_column_is_turned_by_the_torque_that_its_motion_asks_for():
+def test_a_steering_column_is_turned_by_the_torque_of_its_motion():
     """simple_car has no rate to command: its column has inertia. Played back, its controls make the same motion."""
     data = shot(
         "simple_car",
@@ -65,7 +65,7 @@ def test_a_steering_column_is_turned_by_the_torque_that_its_motion_asks_for():
 
 
 @pytest.mark.parametrize("asset", ["truck", "car", "simple_car"])
-def test_one_place_twice_is_stayed_at(asset):
+def test_two_equal_marks_are_a_stop(asset):
     """No sweep of no amplitude, nor a leg of no length, may raise what no user can read."""
     data = shot(asset, {"frame": 1001, "position": [0, 0, 0]}, {"frame": 1030, "position": [0, 0, 0]})
     np.testing.assert_allclose(Shot.from_dict(data).solve().clips["v"].positions, 0.0, atol=1e-9)
@@ -97,7 +97,7 @@ def goals(count, seed=5):
 
 
 @pytest.mark.parametrize("asset, marks", list(goals(6)))
-def test_a_frame_that_is_named_works(asset, marks):
+def test_a_suggested_frame_works(asset, marks):
     """Whether `check` names it or the export does, for every mark at once: it is true the first time."""
     data = shot(asset, *marks, **({"manoeuvre": 6} if asset == "car" else {}))
     said = "; ".join(map(str, errors(data)))
@@ -115,7 +115,7 @@ def test_a_frame_that_is_named_works(asset, marks):
     assert take.clips["v"].end_frame == data["vehicle"][0]["motion"]["mark"][-1]["frame"] + marks[-1]["hold"]
 
 
-def test_one_that_moves_is_waited_for():
+def test_a_moving_obstacle_is_waited_for():
     """A car crosses the bay for ten seconds: the frame that is named is one at which it has gone."""
     crossing = {
         "method": "simulate",
@@ -148,7 +148,7 @@ def test_one_that_moves_is_waited_for():
         ({}, {"hitch": 30}, "limits.hitch"),
     ],
 )
-def test_what_cannot_be_is_refused_by_check(joints, limits, key):
+def test_check_refuses_impossible_marks(joints, limits, key):
     marks = {"frame": 1001, "position": [0, 0, 0]}, {"frame": "free", "position": [6, 1, 0], "joints": joints}
     data = shot("car", *marks, limits=limits)
     (problem,) = errors(data)
@@ -157,19 +157,19 @@ def test_what_cannot_be_is_refused_by_check(joints, limits, key):
         Shot.from_dict(data).solve()
 
 
-def test_stretches_of_a_leg_that_cannot_be_are_refused():
+def test_impossible_leg_extensions_are_refused():
     marks = {"frame": 1001, "position": [0, 0, 0], "joints": {"stretch": 2.0}}, {"frame": "free", "position": [1, 0, 0]}
     (problem,) = errors(shot("hopper", *marks))
     assert problem.key == "vehicle[0].motion.mark[0].joints.stretch"
 
 
-def test_a_number_beyond_those_on_offer_is_named():
+def test_an_unknown_manoeuvre_number_is_named():
     marks = {"frame": 1001, "position": [0, 0, 0]}, {"frame": "free", "position": [6, 1, 0]}
     with pytest.raises(SolveError, match="manoeuvre = 30: there are 3 between these marks"):
         Shot.from_dict(shot("truck", *marks, manoeuvre=30)).solve()
 
 
-def test_what_trailers_do_not_use_is_said():
+def test_options_that_trailers_ignore_warn():
     marks = {"frame": 1001, "position": [0, 0, 0]}, {"frame": "free", "position": [6, 0, 0]}
     (problem,) = Shot.from_dict(shot("truck", *marks, cycles=2)).check()
     assert (problem.key, problem.severity) == ("vehicle[0].motion.cycles", "warning")

@@ -81,7 +81,7 @@ def test_a_pilot_takes_degrees(small: dict[str, Any]) -> None:
     assert len(shot.solve().clips["car"]) > 12
 
 
-def test_a_saved_clip_comes_back_as_it_was(small: dict[str, Any], tmp_path: Path) -> None:
+def test_a_saved_clip_is_used_unchanged(small: dict[str, Any], tmp_path: Path) -> None:
     clip = Shot.from_dict(small).solve().clips["car"]
     clip.save(tmp_path / "drive.npz")
     small["vehicle"][0]["motion"] = {"method": "clip", "path": "drive.npz"}

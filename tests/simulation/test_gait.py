@@ -17,7 +17,7 @@ def board():
     return vehsim.load_vehicle("snakeboard")
 
 
-def test_swing_has_the_rates_and_accelerations_it_says(board):
+def test_the_swings_rates_and_accelerations_are_its_derivatives(board):
     gait = PILOTS["gait"](board, **TWIST, rise=0.8, until=2.0)
     for t in (0.0, 0.3, 0.8, 1.5, 2.3, 2.7, 3.5):
         before, at, after = (gait.swing(t + d) for d in (-1e-5, 0.0, 1e-5))

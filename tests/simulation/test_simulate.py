@@ -93,7 +93,7 @@ def test_every_frame_falls_on_a_knot(car, fps, step):
     assert clip.duration < 1.1 + np.diff(clip.times).max()
 
 
-def test_wind_acts_and_its_absence_is_said():
+def test_wind_acts_and_warns_without_drag():
     drifting = helicopter(mass=1900.0, inertia=(1300, 4700, 4200), d_t=1.61, d_r=6.35, drag_linear=(200.0,) * 3)
     clip = simulate(drifting, Field(wind=(3, 0, 0)), HOVER, duration=2.0)
     assert clip.twists[-1, 3] == pytest.approx(3 * (1 - np.exp(-200 / 1900 * 2)), rel=1e-4)
@@ -110,7 +110,7 @@ def test_planar_vehicles_keep_their_height_or_stand_on_the_ground(car):
     np.testing.assert_allclose(clip.positions[:, 2], 6, atol=0.02)
 
 
-def test_leaving_bounds_is_said_not_clipped(car):
+def test_leaving_bounds_warns_without_clipping(car):
     with pytest.warns(UserWarning, match=r"control torque = 9000 at frame 1001 is outside \[-4000, 2500\]"):
         clip = simulate(car, None, [9000, 0], duration=0.2)
     assert clip.controls.max() == 9000

@@ -41,7 +41,7 @@ def paths(count):
 
 
 @pytest.mark.parametrize(("asset", "points", "speed"), list(paths(6)))
-def test_a_path_that_is_too_short_of_time_says_how_much_would_do(asset, points, speed):
+def test_a_path_with_too_little_time_reports_a_sufficient_time(asset, points, speed):
     pilot = FollowPath(vehsim.load_vehicle(asset), points, speed=speed)
     clip, warned = said(pilot, 3.0)
     (message,) = [text for text in warned if "pilot.position" in text]
@@ -64,7 +64,7 @@ def draggy():
 
 @pytest.mark.parametrize("wind", [(0, 0, 0), (-3.5, 9.8, 0)])
 @pytest.mark.parametrize(("goal", "speed"), [((-40, 42, 44), 7.7), ((21, 7, 30), 10.5)])
-def test_fly_to_stays_where_it_has_arrived(goal, speed, wind):
+def test_fly_to_stays_at_its_goal(goal, speed, wind):
     """Drag fades as it slows down: what trims the wind out lags behind that, and would carry it past its goal."""
     pilot = FlyTo(draggy(), goal, speed=speed)
     world, start = SimpleNamespace(wind=wind, terrain=None), State(position=(0, 0, 30))
@@ -89,7 +89,7 @@ def test_fly_to_keeps_its_speed_over_ground_in_wind(wind, speed):
     assert np.linalg.norm(clip.positions[-1] - [60, 20, 35]) < 0.5
 
 
-def test_hovering_elsewhere_or_turned_away_is_said():
+def test_hovering_elsewhere_or_with_another_heading_warns():
     pilot = Hover(vehsim.load_vehicle("helicopter"), (0, 0, 30), heading=2.0)
     _, warned = said(pilot, 1.0, State(position=(20, 0, 30)))
     assert any("pilot.position" in text for text in warned) and any("pilot.heading" in text for text in warned)
@@ -97,13 +97,13 @@ def test_hovering_elsewhere_or_turned_away_is_said():
     assert not warned
 
 
-def test_a_path_with_bends_no_car_can_drive_is_said():
+def test_a_path_with_too_sharp_bends_warns():
     pilot = FollowPath(vehsim.load_vehicle("car"), np.array([(0, 0), (8, 0), (8, 3), (0, 3)]), speed=6)
     assert any("pilot.path" in text and "give it wider bends" in text for text in said(pilot, 15.0)[1])
 
 
 @pytest.mark.parametrize(("amplitude", "period"), [([0.9, -0.32], 0.6), ([0.3, -0.3], 0.3), ([1.1, 0.5], 0.8)])
-def test_a_gait_beyond_its_torques_says_which_period_would_do(amplitude, period):
+def test_a_gait_beyond_its_torques_reports_a_sufficient_period(amplitude, period):
     board = vehsim.load_vehicle("snakeboard")
     _, warned = said(Gait(board, amplitude, period, [0, -0.6]), 4.0, step=1 / 240)
     message = next(text for text in warned if "pilot.amplitude.psi" in text)
@@ -117,7 +117,7 @@ def test_a_gait_beyond_its_torques_says_which_period_would_do(amplitude, period)
     assert np.abs(clip.joints - wanted).max() < 2e-3
 
 
-def test_a_shot_reports_what_its_pilot_was_asked():
+def test_a_shot_reports_its_pilots_targets():
     motion = {"method": "simulate", "duration": 1.0, "step": 0.02, "pilot": {"name": "hover", "position": [0, 0, 9]}}
     motion["start"] = {"position": [0, 0, 9]}
     data = {

@@ -170,7 +170,7 @@ def test_growth_of_systems_not_in_the_paper(which, growth):
     assert (found.levels, found.brackets) == (len(growth), len(growth) - 1)
 
 
-def test_chained_form_asks_for_growth_by_one():
+def test_chained_form_requires_growth_by_one():
     """Goursat: the car's flag grows by one a step, Cartan's 2-3-5 does not."""
     assert chained_form_exists(models.car())
     assert not chained_form_exists(next(which for which, _ in KNOWN if which.name == "Cartan"))
@@ -238,19 +238,19 @@ def test_leaf_of_a_system_that_keeps_a_sphere():
         classify(sphere, at).require_controllable()
 
 
-def test_steering_where_no_bracket_leads_names_the_direction():
+def test_steering_in_an_unreachable_direction_names_it():
     """``z - x y`` never changes: no loop moves it, and why is said instead of which loops were tried."""
     kept = system("kept", "xyz", 2, lambda q: [[1, 0], [0, 1], [q[1], q[0]]])
     with pytest.raises(InputError, match=r"kept: not controllable.* no bracket reaches dz"):
         steer_triangular(kept, [0, 0, 0], [0, 0, 1])
 
 
-def test_nowhere_to_go_is_a_rest():
+def test_steering_to_the_start_is_a_rest():
     steering = steer_triangular(models.hopper(), [0.1, 0, 0], [0.1, 0, 0])
     assert [stage.label for stage in steering.stages] == ["rest"] and steering.end_error == 0.0
 
 
-def test_what_is_not_triangular_is_named():
+def test_non_triangular_systems_are_named():
     with pytest.raises(InputError, match="not triangular"):
         triangular(models.trailers([1.0]))
 

@@ -35,7 +35,7 @@ def test_a_guess_leads_from_mark_to_mark_and_its_axle_does_not_slip(truck):
     assert np.abs(slip).max() < 2e-3 * np.abs(step).max()
 
 
-def test_a_plan_comes_home_from_it(truck):
+def test_a_plan_converges_from_a_sinusoid(truck):
     marks = bay(truck)
     found = vehsim.plan(truck, None, marks, guess=initial_guess(truck, marks), refine=False)
     straight = vehsim.plan(truck, None, marks, refine=False)
@@ -43,7 +43,7 @@ def test_a_plan_comes_home_from_it(truck):
     assert found.cost <= straight.cost * 1.01
 
 
-def test_what_sinusoids_do_not_drive_is_refused():
+def test_vehicles_that_sinusoids_do_not_drive_are_refused():
     with pytest.raises(InputError, match="not a system that is steered by sinusoids"):
         initial_guess(vehsim.load_vehicle("helicopter"), [])
     with pytest.raises(InputError, match="only cars"):

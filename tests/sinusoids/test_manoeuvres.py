@@ -75,7 +75,7 @@ def test_cars_park_at_any_heading_of_the_world(car):
     assert round_it.label == "round the bend" and np.abs(round_it.steering.states[:, 3]).max() < car.steering
 
 
-def test_what_moves_is_met_where_it_is_then(car, parked):
+def test_moving_obstacles_are_checked_at_the_time_of_passing(car, parked):
     """Another car does the same a minute later: only who comes then meets it."""
     steering, clip = timed_clip(car, parked[0].steering, None, 24, 1441)
     world = World().with_obstacles([moving("other", clip)])
@@ -85,7 +85,7 @@ def test_what_moves_is_met_where_it_is_then(car, parked):
     assert found.clearance == np.inf
 
 
-def test_offers_are_told_and_painted_with_all_that_stands(tmp_path):
+def test_manoeuvres_are_listed_and_drawn_with_obstacles(tmp_path):
     """`vehsim manoeuvres`: a line each, and a pillar, an ellipse, in the picture as dark as a box."""
     shot = """
         [shot]
@@ -120,7 +120,7 @@ def test_offers_are_told_and_painted_with_all_that_stands(tmp_path):
     assert np.all(pixels == FAINT, axis=2).mean() > 0.01
 
 
-def test_nobody_idles(parked):
+def test_manoeuvres_stay_near_a_limit_throughout(parked):
     """From and to rest within a fifth of a stage, and not far from a limit in between."""
     for m in parked:
         for stage in m.steering.stages:
@@ -128,7 +128,7 @@ def test_nobody_idles(parked):
             assert np.mean(share < 0.1) < 0.12 and np.mean(share) > 0.5, m.label
 
 
-def test_an_even_pace_changes_no_path():
+def test_an_even_pace_does_not_change_the_path():
     """The car ends where its own pace led it, sooner."""
     system = models.car(2.0)
     stage = Stage("out", lambda s: np.column_stack([3 * np.sin(TAU * s) ** 4, 0.5 * np.cos(TAU * s) * s]))
@@ -140,7 +140,7 @@ def test_an_even_pace_changes_no_path():
         assert np.abs(evened.eased(pace).states[-1] - steering.states[-1]).max() < 1e-11
 
 
-def test_too_early_a_frame_says_what_it_takes(car, parked):
+def test_a_frame_that_is_too_early_reports_a_sufficient_one(car, parked):
     with pytest.raises(SolveError, match=r"too short .* would do"):
         timed_clip(car, parked[0].steering, 2.0, 24, 1001)
 

@@ -88,7 +88,7 @@ def test_fig_6_three_parks_share_their_net_motion(tmp_path):
         choose(parks, discs([(0.0, -3.368, 1.0)]), hulls)
 
 
-def test_the_papers_printed_inputs_integrated_as_they_stand():
+def test_the_papers_printed_inputs_integrated_unchanged():
     """The sines move a car of wheelbase 1 by (0, -3.368) and (0, -3.372), the cosines by (1.58, -2.52)."""
     system = models.car(1.0)
     field = ca.Function("f", [system.x, u := ca.SX.sym("u", 2)], [system.G @ u])

@@ -117,7 +117,7 @@ def test_trains_between_random_states(count):
     assert end_error(steer_trailers([1.5] * count, *ends)) < 1e-6
 
 
-def test_a_leg_begun_elsewhere_ends_where_it_did():
+def test_a_leg_started_nearby_ends_at_the_same_place():
     """To the last digits of the steering, a seventh derivative: rounded coefficients of the path keep half of them."""
     train, goal = Train((1.5,) * 5, 1.0), np.array([1.0, 2.0, -0.3, 0.7, 0.4, 0.5, 0.1, -0.2, -0.6])
     for span in (5.1, -5.1):
@@ -129,7 +129,7 @@ def test_a_leg_begun_elsewhere_ends_where_it_did():
 
 
 @pytest.mark.parametrize("span", [8.5, 13.6])
-def test_straightening_does_not_quiver(span):
+def test_straightening_does_not_oscillate(span):
     """Bent by 0.1 rad, five trailers need no larger angles; for the least of these alone wheels turn 2 rad a metre."""
     state = np.array([0.0, 0.0, 0.1, 0.1, 0.0, 0.1, 0.05, 0.0, -0.1])
     (leg,) = straighten(Train((1.5,) * 5, 1.0), state, [span], "straighten")
@@ -146,19 +146,19 @@ def test_a_pull_is_smooth_enough_for_any_steps():
         assert np.abs(end - pull.end).max() < 1e-11
 
 
-def test_the_gain_of_a_straight_way_is_half_its_square():
+def test_the_gain_of_a_straight_path_is_half_its_squared_length():
     """Wheels off by a hair for D m at a wheelbase of 1 m: D^2 / 2 to the side."""
     assert _gain(steer_trailers([], [0, 0, 0, 0], [40, 0, 0, 0])) == pytest.approx(800, rel=1e-6)
 
 
-def test_a_way_that_amplifies_less_is_preferred():
+def test_a_route_that_amplifies_errors_less_is_preferred():
     """The gentlest way by its legs alone reverses fifteen metres and multiplies errors 45,000 times."""
     start = [5.76, 2.24, 0.24, 0.61, 1.03, 1.23, 1.5, 1.42, 1.05]
     goal = [7.62, 7.81, -0.22, 0.09, -0.15, -0.36, -0.67, -0.69, -0.19]
     assert _gain(steer_trailers([1.5] * 5, start, goal)) < 5e3
 
 
-def test_a_hands_breadth_of_way_fixes_no_error():
+def test_short_legs_do_not_correct_errors():
     """With five trailers to fix 1e-10 m on 30 cm would take the wheels round at 1e5 rad: the next leg does it."""
     hitches = (1.5,) * 5
     poses = [Pose(0, 0, 0), Pose(40, 6, 0), Pose(40.3, 6, 0), Pose(80, 0, 0)]
@@ -170,14 +170,14 @@ def test_a_hands_breadth_of_way_fixes_no_error():
 
 
 @pytest.mark.parametrize("heading", [-2.5, 0.3, 1.1, 2.86])
-def test_a_hands_breadth_straight_on_turns_no_wheel(heading):
+def test_a_short_straight_leg_does_not_turn_the_wheels(heading):
     """Round-off beside the line counts by the seventh power of one over the way: on 15 cm it once made 0.4 rad."""
     start = Pose(-7.3, 21.7, heading)
     leg = across(Train((1.5,) * 5, 1.0), start.ahead(9.7), start.ahead(9.9), "round the bend")
     assert np.abs(leg.inputs(np.linspace(0, 1, 101))[:, 1]).max() < 1e-12
 
 
-def test_a_leg_bent_beyond_all_measure_is_a_named_error():
+def test_an_excessively_bent_leg_is_a_named_error():
     leg = across(Train((1.5,) * 5, 1.0), Pose(0, 0, 0), Pose(40, 6, 0), "drive")
     with pytest.raises(SolveError, match="leg 'drive': bends beyond"):
         _ = replace(leg, right=leg.right * 1e300).law

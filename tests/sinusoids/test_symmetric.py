@@ -71,7 +71,7 @@ def test_wheels_on_rails_reach_no_pose_beside_them():
     assert free.unreached == 0 and free.controllable
 
 
-def test_what_is_not_in_balance_is_refused():
+def test_unbalanced_states_are_refused():
     with pytest.raises(InputError, match="do not balance it"):
         symmetric_closure(vehsim.load_vehicle("helicopter"), controls=[0.0, 0.0, 0.0, 0.0])
     with pytest.raises(InputError, match=r"-9\.81\]; the water .* not in its equations: ask for `vehicle\.planar`"):

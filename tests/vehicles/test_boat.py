@@ -62,7 +62,7 @@ def test_at_speed_it_rides_up_and_leans_little_in_a_bend():
     assert bend.twists[-1, 2] > 0.15 and abs(lean) < 1.5
 
 
-def test_two_thrusters_are_lies():
+def test_two_thrusters_match_the_paper_of_lie():
     """Each thruster at c pushing along X makes (c x e_x, e_x) = (0, c_z, -c_y, 1, 0, 0) (LIE 4.3.2)."""
     pair = boat(mass=100.0, inertia=(10, 20, 30), thrusters=((-2, -0.5, -0.2), (-2, 0.5, -0.2)), outboard=0)
     assert pair.control_names == ("right", "left")
@@ -161,13 +161,13 @@ def test_a_shot_file_has_water():
         ({"sea": {"height": -1.0}}, "world.water.sea.height"),
     ],
 )
-def test_what_is_no_water_is_said(table, message):
+def test_invalid_water_is_reported(table, message):
     data = SHOT | {"world": {"water": table}}
     with pytest.raises(ShotError, match=message):
         vehsim.Shot.from_dict(data).solve()
 
 
-def test_a_broken_hull_is_said_before_anything_moves(tmp_path):
+def test_a_broken_hull_is_reported_before_simulating(tmp_path):
     """A boat whose hull is a mesh that is open: `check` names vehicle, file, prim and the remedy."""
     folder = tmp_path / "boat"
     shutil.copytree(BOAT.rig.asset.parent, folder)
@@ -180,7 +180,7 @@ def test_a_broken_hull_is_said_before_anything_moves(tmp_path):
     assert re.search(r"boat.usdc: hull/hull_deck: not a hull: open: \d+ edges", str(found[0]))
 
 
-def test_a_boat_without_resistance_is_said_to_be_restless(tmp_path):
+def test_a_boat_without_resistance_warns(tmp_path):
     """The warning's own numbers fix it: dropped from a metre it is at rest on its waterline 15 s later."""
     folder = tmp_path / "boat"
     shutil.copytree(BOAT.rig.asset.parent, folder)

@@ -36,7 +36,7 @@ def problems(folder):
 
 
 @pytest.mark.parametrize("source", [*shipped("vehicle"), *ELSEWHERE], ids=lambda source: Path(source).name)
-def test_what_fits_is_not_warned_of(source):
+def test_matching_numbers_do_not_warn(source):
     rig = vehsim.load_vehicle(source).rig
     assert misfits(rig) == [] and backwards(rig) is None
 
@@ -58,13 +58,13 @@ def test_lengths_are_those_of_the_asset(source, key, times, severity, tmp_path):
 
 
 @pytest.mark.parametrize(("mass", "severity"), [(0.9, "error"), (1.35, "error"), (100.0, "warning"), (1350e3, "error")])
-def test_mass_is_that_of_something_of_its_size(mass, severity, tmp_path):
+def test_implausible_masses_are_reported(mass, severity, tmp_path):
     (problem,) = problems(copied(CARS[0], tmp_path / "own", mass=mass))
     assert problem.severity == severity and f"physics.mass = {mass}" in problem.message
     assert "kg/m^3" in problem.message and "physics.density" in problem.remedy
 
 
-def test_a_rotor_elsewhere_than_the_physics_say_is_named(tmp_path):
+def test_a_rotor_away_from_its_physics_position_is_named(tmp_path):
     (problem,) = problems(copied(shipped("vehicle")["helicopter"].parent, tmp_path / "own", d_r=63.5))
     assert problem.severity == "error" and "tail rotor" in problem.message
 
@@ -86,7 +86,7 @@ def test_a_nose_that_points_backwards_is_refused(source, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["helicopter", "boat"])
-def test_what_flies_or_floats_backwards_is_refused(name, tmp_path):
+def test_aircraft_and_boats_that_point_backwards_are_refused(name, tmp_path):
     folder = copied(shipped("vehicle")[name].parent, tmp_path / "own")
     toml = folder / "vehicle.toml"
     text = toml.read_text(encoding="utf-8")

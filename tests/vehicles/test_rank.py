@@ -34,7 +34,7 @@ def steerable_blade(a=0.0):
 
 @pytest.mark.parametrize("a", [0.0, 0.4])
 @pytest.mark.parametrize("h", [np.pi / 200, 0.01])
-def test_motion_goes_on_where_the_first_choice_of_columns_is_singular(a, h):
+def test_motion_continues_where_the_first_choice_of_columns_is_singular(a, h):
     """The blade turns right round, through the angles where vy, then vx, cannot be eliminated; energy and the
     constraint tell that nothing broke, a small step and another start tell that it is the same motion."""
     vehicle = steerable_blade(a)
@@ -107,7 +107,7 @@ def test_constraints_on_joints_alone_tie_them():
     np.testing.assert_allclose(clip.joints[:, 0], clip.times**2 / 2 / (1 + 2 / 9), atol=1e-12)
 
 
-def test_mass_that_loses_its_sign_on_the_way_is_named():
+def test_mass_that_becomes_indefinite_during_motion_is_named():
     vehicle = Nonholonomic(
         name="odd",
         group=SE2,

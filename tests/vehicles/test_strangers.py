@@ -184,7 +184,7 @@ def sled(**changed):
     return Nonholonomic(**{**given, **changed})
 
 
-def test_no_joints_and_no_controls_are_fine():
+def test_a_vehicle_may_have_no_joints_and_no_controls():
     """Turning and gliding at once: a circle; simulated, copied and written as anybody's vehicle."""
     clip = vehsim.simulate(sled(), vehsim.World(), (), State(twist=(0.5, 2.0, 0.0)), duration=END, step=0.01)
     np.testing.assert_allclose(np.hypot(clip.positions[:, 0], clip.positions[:, 1] - 4.0), 4.0, atol=3e-4)
@@ -208,12 +208,12 @@ def test_no_joints_and_no_controls_are_fine():
         ({"rate_controls": {"spin": "wheel"}}, "rate_controls"),
     ],
 )
-def test_what_cannot_move_is_said_when_it_is_made(changed, message):
+def test_a_vehicle_that_cannot_move_is_refused_when_it_is_made(changed, message):
     with pytest.raises(InputError, match=message):
         sled(**changed)
 
 
-def test_a_linkage_that_locks_on_the_way_is_named_with_its_step():
+def test_a_linkage_that_locks_during_motion_is_named_with_its_step():
     """Two skates that swing towards each other's line: independent at the start, dependent at ``phi = 0``."""
     vehicle = Nonholonomic(
         name="scissors",

@@ -10,7 +10,7 @@ from vehsim.integrators import Integrator
 
 
 @pytest.mark.parametrize("name", ["car", "simple_car", "two_wheeled", "snakeboard"])
-def test_unreduced_and_reduced_schemes_meet_with_order_two(name):
+def test_unreduced_and_reduced_schemes_converge_with_order_two(name):
     vehicle, end, errors = FLEET[name], 0.8, []
     fine = Integrator(vehicle, end / 640, order=4).rollout(STARTS[name], CONTROLS[name](np.linspace(0, end, 641)))
     q0 = np.concatenate([[0.0, *fine.positions[0, :2]], fine.joints[0]])
@@ -21,6 +21,6 @@ def test_unreduced_and_reduced_schemes_meet_with_order_two(name):
     assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.4), errors
 
 
-def test_it_says_where_it_does_not_apply():
+def test_the_unreduced_scheme_refuses_other_groups():
     with pytest.raises(InputError, match="SE2"):
         unreduced_rollout(FLEET["suslov"], np.zeros(3), np.zeros(3), np.zeros((2, 3)), 0.1)

@@ -336,7 +336,7 @@ def test_waves_against_a_fine_hull(name, surface):
     [(wave(0.5, 8.0, 0.3), 2000), (sea_state(0.3, 2.5, seed=5), 8000), (sea_state(2.0, 7.0, seed=5), 2000)],
     ids=["wave", "chop", "sea"],
 )
-def test_hulls_of_strangers_are_cut_as_fine_as_waves_ask(surface, most):
+def test_foreign_hulls_are_refined_as_waves_require(surface, most):
     """A barge with a moon pool and a catamaran: within 0.5 % of finer ones, closed, and of few faces even in a chop."""
     import trimesh
 
@@ -410,14 +410,14 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("name", BROKEN)
-def test_hulls_that_are_none(name):
+def test_invalid_hulls_are_refused(name):
     break_it, message = BROKEN[name]
     points, faces = break_it(*box(2.0, 1.0, 0.5))
     with pytest.raises(InputError, match=message):
         HullMesh(points, faces, "boat.usda: hull")
 
 
-def test_a_boat_that_sinks_is_said_so():
+def test_a_boat_that_sinks_is_reported():
     with pytest.raises(InputError, match=r"displaces at most 1 m\^3, and needs 1.951 m\^3 to float"):
         afloat(floating(box(1, 1, 1), 2000.0)).floating()
 

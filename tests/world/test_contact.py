@@ -90,7 +90,7 @@ def test_friction_slows_as_coulomb_says_and_then_holds(block, restitution):
     assert 0.2 - clip.positions[:, 2].min() < 2e-3  # g / frequency^2
 
 
-def test_depth_stays_below_two_centimetres_however_it_lands(block):
+def test_depth_stays_below_two_centimetres_in_any_landing(block):
     """Corner, edge and face first at 20 m/s, a frame every sixtieth of a second: asked of MuJoCo's contacts."""
     from scipy.spatial.transform import Rotation
 
@@ -105,7 +105,7 @@ def test_depth_stays_below_two_centimetres_however_it_lands(block):
         assert clip.events
 
 
-def test_only_what_closes_or_is_thrown_back_takes_small_steps(block):
+def test_only_impacts_take_small_steps(block):
     """What slides by or parts, its damper stronger than its spring, is at rest as far as steps are concerned."""
     contact = Contact(0.3, 0.1, 20.0)
     scene = ContactScene({"block": block()}, World(obstacles=[FLOOR], contact=contact), contact)
@@ -119,7 +119,7 @@ def test_only_what_closes_or_is_thrown_back_takes_small_steps(block):
 
 
 @pytest.mark.parametrize("speed", [20.0, 2.0])
-def test_hulls_of_several_parts_are_seen_coming(tmp_path, speed):
+def test_hulls_of_several_parts_are_detected_before_contact(tmp_path, speed):
     """Two floats side by side, bows on to a quay: watched before they touch, they bounce as one block does."""
     path = tmp_path / "floats.usda"
     slab(path, (4.0, 0.5, 0.6), places=(-1.0, 1.0))
@@ -163,7 +163,7 @@ def momenta(clips, k):
     return total
 
 
-def test_one_alone_moves_as_together(block):
+def test_a_vehicle_alone_moves_as_in_a_group(block):
     contact = Contact(0.3, 0.4, 5.0)
     world = World(obstacles=[FLOOR], contact=contact)
     start = State(position=(0, 0, 0.5), twist=(0.5, 0.2, 0, 1.0, 0, -3.0))
@@ -173,7 +173,7 @@ def test_one_alone_moves_as_together(block):
     assert together.events == alone.events
 
 
-def test_shore_is_touched_too(block):
+def test_contact_with_terrain_works_too(block):
     """On a slope steeper than its friction it slides, with g (sin - mu cos) along it; on a flat one it stays."""
     x = np.arange(-60.0, 61.0, 2.0)
     beach = Terrain("beach", np.tile(0.4 * x, (len(x), 1)), (-60, -60), (2, 2))
@@ -189,7 +189,7 @@ def test_shore_is_touched_too(block):
         assert slid == pytest.approx(expected, rel=0.05) if moves else abs(slid) < 0.03
 
 
-def test_a_moving_obstacle_hits_like_a_wall_that_comes(block):
+def test_a_moving_obstacle_hits_like_a_moving_wall(block):
     """v (1 + e) for what it meets at rest, though the obstacle's clip begins on another frame."""
     for restitution in (0.1, 0.5):
         contact = Contact(0.3, restitution, 10.0)
@@ -273,7 +273,7 @@ def test_without_contact_things_pass(block):
 
 
 @pytest.mark.parametrize("inside", ["terrain", "floor", "other"])
-def test_what_starts_inside_something_is_refused(block, inside):
+def test_a_start_inside_something_is_refused(block, inside):
     """It would be shot out, from a metre's depth at a thousand metres a second; two centimetres are none."""
     ground = Terrain("flat", np.zeros((3, 3)), (-50, -50), (50, 50)) if inside == "terrain" else None
     world = World(ground, obstacles=[FLOOR] if inside == "floor" else [], contact=Contact())
@@ -300,6 +300,6 @@ def test_damping_ratio_gives_the_restitution():
 
 
 @pytest.mark.parametrize("wrong", [{"friction": -1.0}, {"restitution": 1.5}, {"speed": 0.0}, {"friction": "ice"}])
-def test_what_is_no_contact_is_said(wrong):
+def test_invalid_contact_settings_are_reported(wrong):
     with pytest.raises(InputError, match=f"world.contact.{next(iter(wrong))}"):
         Contact(**wrong)

@@ -86,7 +86,7 @@ def test_derivatives_are_those_of_the_values(field):
         np.testing.assert_allclose(curvature, (ahead - behind) / 2e-4, atol=1e-3)
 
 
-def test_near_the_ground_it_is_exact_and_farther_away_never_too_near():
+def test_the_field_is_exact_near_the_ground_and_never_too_small_farther_away():
     """By libigl, at every grid point: exact where `NEAR`; beyond a few centimetres too far at most, on average."""
     rng = np.random.default_rng(4)
     x, y = np.meshgrid(np.arange(0, 61, 3.0), np.arange(0, 41, 3.0))
@@ -120,7 +120,7 @@ def test_above_the_box_the_value_is_a_safe_bound(canyon, field):
     assert value[1] == pytest.approx(value[0])
 
 
-def test_sign_says_which_side(canyon, field):
+def test_the_sign_is_that_of_the_side(canyon, field):
     points = np.random.default_rng(4).uniform(field.lower, field.upper, (3000, 3))
     over = points[:, 2] - canyon.height(points[:, :2])
     value = field.value(points)
@@ -142,7 +142,7 @@ def test_a_field_comes_from_the_cache_bit_for_bit(monkeypatch):
     np.testing.assert_array_equal(distance_field(valley()).distances, first.distances)
 
 
-def test_another_terrain_or_spacing_is_another_field():
+def test_another_terrain_or_spacing_gives_another_field():
     before = set(cache_folder().iterdir())
     distance_field(valley(), spacing=1.5)
     distance_field(valley(), spacing=1.25)

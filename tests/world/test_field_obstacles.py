@@ -36,7 +36,7 @@ def test_obstacles_alone_are_an_open_field():
     assert field.value([[12, 8, 4]])[0] < -2
 
 
-def test_with_terrain_it_is_the_least_of_both():
+def test_with_terrain_the_field_is_the_smaller_distance():
     x, y = np.meshgrid(np.arange(0, 61, 2.0), np.arange(0, 41, 2.0))
     terrain = Terrain("waves", 2 * np.sin(x / 9) * np.cos(y / 7), (0.0, 0.0), (2.0, 2.0))
     field = World(terrain, obstacles=THINGS).distance_field()
@@ -46,7 +46,7 @@ def test_with_terrain_it_is_the_least_of_both():
     assert np.abs(off).max() < 0.3 and np.sqrt(np.mean(off**2)) < 0.04
 
 
-def test_its_functions_agree_inside_and_beyond():
+def test_the_fields_functions_agree_inside_and_outside_the_box():
     """numpy, CasADi and the models handed to the optimiser say the same; where it is open nothing is subtracted."""
     field = World(obstacles=THINGS).distance_field()
     points = np.random.default_rng(2).uniform(field.lower - 20, field.upper + 20, (60, 3))

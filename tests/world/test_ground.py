@@ -134,7 +134,7 @@ def test_constant_slope_accelerates_as_an_inclined_plane():
     assert clip.channels["pitch"][0] == pytest.approx(-np.arctan(0.05), abs=0.01)
 
 
-def test_plan_weighs_the_slope_and_is_what_its_controls_do():
+def test_a_plan_includes_the_slope_and_agrees_with_its_executed_controls():
     """A plan over a hill, executed by the independent integrator with the same weight; without it, it misses."""
     world = hilly(height=1.0)
     marks = [
@@ -165,7 +165,7 @@ def test_braking_dives_and_a_bend_leans_outwards():
     assert np.abs(turning.channels["travel_rl"] + turning.channels["travel_rr"]).max() < 2e-3
 
 
-def test_lifting_twice_changes_nothing_and_interpolation_stays_on_the_ground():
+def test_placing_twice_changes_nothing_and_interpolation_stays_on_the_ground():
     world = hilly()
     clip = coasting(world, 8.0, 2.0, (-30, -25), 0.8)
     assert place_on_terrain(clip, world) is clip
@@ -177,7 +177,7 @@ def test_lifting_twice_changes_nothing_and_interpolation_stays_on_the_ground():
 
 
 @pytest.mark.parametrize("speed, held", [(15.0, False), (9.0, True)])
-def test_bends_that_no_tyre_holds_are_told(speed, held, recwarn):
+def test_bends_beyond_the_grip_of_tyres_warn(speed, held, recwarn):
     """On a circle the tyres hold v^2 / R: 2.3 g at 15 m/s on 10 m, 0.8 g at 9 m/s."""
     start = vehsim.State(twist=(speed / 10, speed, 0.0), joints=(0.0, 2.6 / 10))
     vehsim.simulate(CAR, vehsim.World(terrain="flat"), [0.0, 0.0], start=start, duration=0.5)

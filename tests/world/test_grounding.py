@@ -33,7 +33,7 @@ def sampled(points, count, random):
 
 @pytest.mark.parametrize("hull", [BARGE, KEEL], ids=["barge", "keel"])
 @pytest.mark.parametrize("seed", range(4))
-def test_nothing_of_a_hull_is_deeper_than_what_is_found(hull, seed):
+def test_no_point_of_a_hull_is_deeper_than_the_deepest_found(hull, seed):
     """The gap above the ground is that of 40,000 samples of the hull, or less; it touches when they do."""
     random, terrain = np.random.default_rng(seed), rough(seed)
     side = Underside([hull], terrain)
@@ -75,7 +75,7 @@ def test_a_barge_rests_on_a_peak_between_its_corners(tmp_path, shape):
 
 
 @pytest.mark.parametrize("cell", [0.05, 0.5])
-def test_a_cliff_is_seen_coming(tmp_path, cell):
+def test_a_cliff_is_detected_before_contact(tmp_path, cell):
     """High above the ground below it, at 20 m/s, a block meets a wall of ten metres: two centimetres deep at most."""
     slab(tmp_path / "block.usda", (1.0, 0.6, 0.4))
     rig = Rig(tmp_path / "block.usda", "")

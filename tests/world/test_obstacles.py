@@ -30,7 +30,7 @@ def test_meshes_are_closed_face_outwards_and_lie_in_their_hulls(obstacle):
     assert mesh.volume <= volume + 1e-9 and mesh.volume > 0.9 * volume  # less by the bevel
 
 
-def test_a_mesh_counts_as_the_hulls_of_its_bodies(tmp_path):
+def test_a_mesh_is_replaced_by_the_hulls_of_its_bodies(tmp_path):
     two = trimesh.util.concatenate([trimesh.creation.box((1, 1, 1)), trimesh.creation.box((1, 1, 1))])
     two.vertices[8:] += (5, 0, 0)
     two.export(tmp_path / "two.ply")
@@ -57,7 +57,7 @@ def test_a_mesh_counts_as_the_hulls_of_its_bodies(tmp_path):
         (lambda: World(obstacles=["rock"]), "not an obstacle"),
     ],
 )
-def test_what_is_no_obstacle_is_refused(make, complaint):
+def test_invalid_obstacles_are_refused(make, complaint):
     with pytest.raises(InputError, match=complaint):
         make()
 
@@ -80,7 +80,7 @@ def test_moving_obstacles_go_where_their_clip_goes():
     assert not moving.stands
 
 
-def test_obstacles_are_part_of_what_a_world_is():
+def test_obstacles_are_part_of_a_worlds_hash():
     one, two = (World("flat", obstacles=[ob.box("a", (x, 0, 0), (1, 1, 1))]) for x in (0, 1))
     assert len({World("flat").content_hash, one.content_hash, two.content_hash}) == 3
     assert one.with_obstacles([]) is one

@@ -23,7 +23,7 @@ def blob(rng, centre=(0, 0), corners=8, size=1.0):
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_polygons_are_as_far_apart_as_shapely_says(seed):
+def test_polygon_distances_agree_with_shapely(seed):
     rng = np.random.default_rng(seed)
     a, b = blob(rng), blob(rng, rng.normal(size=2) * 3, 7, rng.uniform(0.3, 2))
     d, s = distance(a[None], b)[0], shapely.Polygon(a).distance(shapely.Polygon(b))
@@ -63,7 +63,7 @@ def test_points_keep_their_distance_too():
     np.testing.assert_allclose(distance(points[:1], circle), [np.sqrt(10) - 2])
 
 
-def test_foot_on_an_ellipse_stands_upright():
+def test_the_line_to_the_foot_is_normal_to_the_ellipse():
     """The line to the nearest point is normal to the ellipse, however long and thin it is."""
     rng = np.random.default_rng(0)
     for radii in ([3.0, 1.0], [10.0, 0.05], [1.0, 1.0]):
@@ -100,7 +100,7 @@ def test_parts_are_convex_and_are_the_polygon(corners):
         ("round", "not a list of corners"),
     ],
 )
-def test_what_is_no_polygon_says_why(corners, complaint):
+def test_invalid_polygons_are_explained(corners, complaint):
     with pytest.raises(ValueError, match=complaint):
         simple_polygon(corners)
 

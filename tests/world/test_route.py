@@ -64,7 +64,7 @@ def test_a_start_on_the_ground_can_be_left():
     assert route[:, 2].min() >= 0.3
 
 
-def test_no_way_is_said_clearly(canyon):
+def test_a_missing_route_is_reported(canyon):
     with pytest.raises(SolveError, match="clearance"):
         canyon.route(START, GOAL, 40.0, ceiling=35)
 

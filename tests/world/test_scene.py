@@ -176,7 +176,7 @@ def test_the_height_field_in_mujoco_is_the_terrain(canyon):
     np.testing.assert_allclose(200 - np.array(depth), canyon.height(xy), atol=2e-5)
 
 
-def test_beyond_the_borders_the_ground_goes_on(vehicle):
+def test_beyond_the_borders_the_ground_continues(vehicle):
     world = World(Terrain("plate", np.full((11, 11), 2.0)))
     inside, outside, below = world.clearance(vehicle, [[5, 5, 10], [500, 5, 10], [500, 5, 1]], [[1, 0, 0, 0]] * 3)
     assert inside == pytest.approx(8, abs=1e-5)
@@ -184,7 +184,7 @@ def test_beyond_the_borders_the_ground_goes_on(vehicle):
     assert below == pytest.approx(-1, abs=1e-5)
 
 
-def test_empty_space_is_endlessly_clear(vehicle):
+def test_clearance_in_empty_space_is_infinite(vehicle):
     assert World().clearance(vehicle, np.zeros((2, 3)), [[1, 0, 0, 0]] * 2).tolist() == [np.inf, np.inf]
 
 

@@ -51,7 +51,7 @@ def test_content_hash_follows_content_alone():
     assert Terrain("a", heights).content_hash != Terrain("a", heights + 1e-9).content_hash
 
 
-def test_heights_cannot_be_changed_behind_the_caches():
+def test_heights_cannot_be_changed_after_loading():
     heights = np.zeros((3, 3))
     terrain = Terrain("a", heights)
     heights[1, 1] = 5
@@ -97,7 +97,7 @@ def test_png_runs_from_black_to_white_with_up_as_y(tmp_path, dtype, white):
     assert terrain.height([[0, 0]])[0] == 10
 
 
-def test_geotiff_places_itself_with_north_as_y(tmp_path):
+def test_geotiff_has_its_own_origin_with_north_as_y(tmp_path):
     heights = np.zeros((3, 4), np.float32)
     heights[0, 0] = 7.0
     tags = TiffImagePlugin.ImageFileDirectory_v2()
@@ -179,7 +179,7 @@ def test_unknown_names_list_the_shipped_terrains():
 
 
 @pytest.mark.broken_stages
-def test_files_that_are_no_terrain_name_themselves(tmp_path):
+def test_invalid_terrain_files_are_named(tmp_path):
     for name in ("t.obj", "t.stl", "t.glb", "t.png", "t.npy", "t.npz", "t.tif", "t.usda"):
         (tmp_path / name).write_bytes(b"nonsense")
         refused(tmp_path / name, name)
@@ -219,7 +219,7 @@ def test_bad_scales_name_file_and_key(tmp_path, scale, words):
     refused(write(tmp_path, "t.npy", np.zeros((4, 4)), **scale), "t.", *words)
 
 
-def test_a_picture_must_say_how_high_it_is(tmp_path):
+def test_a_picture_needs_a_range_of_heights(tmp_path):
     refused(write(tmp_path, "t.png", np.zeros((4, 4), np.uint8), cell=1), "range")
 
 
@@ -279,7 +279,7 @@ def test_every_texture_coordinate_of_the_canyon_is_used_once():
     assert area.min() > 0
 
 
-def test_the_canyon_is_worth_flying():
+def test_the_canyon_suits_a_flight():
     """About 1e5 triangles; free ends, a floor near z = 0 below them, and rock on the straight line between them."""
     terrain = Terrain.load("canyon")
     assert 9e4 < len(terrain.faces) < 1.1e5
@@ -290,14 +290,14 @@ def test_the_canyon_is_worth_flying():
     assert terrain.heights.max() - terrain.heights.min() > 60
 
 
-def test_shipped_terrain_files_are_whole():
+def test_shipped_terrain_files_are_complete():
     for name in ("canyon", "flat"):
         terrain = Terrain.load(name)
         table = tomllib.loads((terrain.look.parent / "terrain.toml").read_text())
         assert table["name"] == name
 
 
-def test_heights_are_asked_at_points_of_the_plane():
+def test_heights_are_queried_at_points_of_the_plane():
     """Points in space would be read as half as many more points of the plane."""
     for world in (World(), World("flat")):
         assert world.height((1.0, 2.0)).shape == (1,) and world.height(np.zeros((4, 2))).shape == (4,)

@@ -124,7 +124,7 @@ def test_a_sea_has_its_height_and_its_peak(height, period, peakedness):
     assert abs((np.argmax(bins) + 0.5) * width - 1 / period) <= 1.5 * width
 
 
-def test_a_seed_is_a_sea_and_directions_spread_as_asked():
+def test_a_seed_determines_the_sea_and_directions_have_the_requested_spread():
     one, same, other = (sea_state(1.0, 5.0, seed=s, heading=0.5, spread=0.4, components=512) for s in (1, 1, 2))
     assert one.content_hash == same.content_hash != other.content_hash
     angle = np.arctan2(*one.number.T[::-1])
@@ -161,7 +161,7 @@ def box_around(xy):
 
 
 @pytest.mark.parametrize("centre", [(0.0, 0.0), (1234.5, -987.6)])
-def test_mujoco_sees_the_same_surface(water, centre):
+def test_mujocos_rays_find_the_same_surface(water, centre):
     """Rays on the height field against the formula: apart by a cell's bend at most, anywhere, any time."""
     field = WaterField(water, cell=0.1, samples=161)
     sharp = 200 if water.curvature > 0.2 else 4  # what crests bend by, over the mean: one is about to break
@@ -196,7 +196,7 @@ def test_a_grid_is_the_surface_at_its_samples(water):
     np.testing.assert_allclose(found, known, rtol=0, atol=1e-3 if steep else 1e-5)
 
 
-def test_the_flow_at_a_hull_is_the_waters(water):
+def test_the_flow_at_a_hull_equals_the_waters(water):
     """Asked with the height field's guess of where the water is at rest, and without."""
     points = np.column_stack([places(200, reach=4.0), np.linspace(-3.0, 1.0, 200)])
     height, flow = WaterField(water, cell=0.1, samples=161).at(points, 2.2)
@@ -241,7 +241,7 @@ def test_a_boat_floats_alike_on_mujocos_height_field():
     assert np.ptp([x for _, x, _ in asked]) > 6 and asked[-1][0] == pytest.approx(1.0, abs=2e-3)
 
 
-def test_a_shot_chooses_the_height_field_in_a_word():
+def test_a_shot_selects_the_height_field_with_one_key():
     """The same boat in the same swell, by rays and by the formula; a cell that is none is named."""
 
     def shot(**water):
@@ -272,7 +272,7 @@ def test_mujoco_and_a_solvers_grid_agree_exactly():
     np.testing.assert_allclose(field.at(points, 0.25)[0], water.height(points[:, :2], 0.25), rtol=0, atol=5e-6)
 
 
-def test_nothing_is_asked_off_a_grid():
+def test_queries_outside_a_grid_are_refused():
     grids = WaterGrids([0.0, 1.0], np.zeros((2, 4, 4)), np.ones((2, 4, 4, 3)), (0.0, 0.0), (1.0, 1.0))
     water = Water(surface=grids)
     np.testing.assert_allclose(water.velocity([[1.5, 1.2, 0.0]], 0.5), 1)
@@ -329,7 +329,7 @@ def test_a_shot_on_a_solvers_grid_has_its_water_to_the_horizon(tmp_path):
     assert np.median(points[(far > 5) & (far < 7), 2]) == pytest.approx(0.4, abs=0.05)
 
 
-def test_grids_are_read_and_refused(tmp_path):
+def test_grids_are_read_and_invalid_ones_refused(tmp_path):
     path = tmp_path / "w.npz"
     np.savez(path, times=[0.0, 1.0], heights=np.zeros((2, 3, 3)), origin=(1.0, 2.0), cell=(0.5, 0.5))
     assert WaterGrids.load(path).upper.tolist() == [2.0, 3.0]
