@@ -1,7 +1,7 @@
-"""The base of all tests: every USD stage a test writes is validated when the test ends.
+"""The base of all tests: every USD stage that a test writes is validated when the test ends.
 
-A test that writes a broken stage on purpose says so with ``@pytest.mark.broken_stages``. Tests solve their motion, also
-what an earlier run solved: the cache of motion is off but where it is tested.
+A test that writes a broken stage on purpose is marked with ``@pytest.mark.broken_stages``. Tests solve all their
+motion: the cache of motion is off except where it is tested.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def pytest_configure(config: pytest.Config) -> None:
     if config.getoption("--measure") and not hasattr(config, "workerinput"):  # the first process writes for all
         config.pluginmanager.register(Recorder())
     config.addinivalue_line("markers", "broken_stages: the test writes stages that do not validate, on purpose")
-    # where tests run in the background of a shell, Ctrl-C is ignored, also by what they start
+    # where tests run in the background of a shell, Ctrl-C is ignored, also by processes that they start
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
@@ -33,7 +33,7 @@ ROOT = Path(__file__).parents[1]
 MEASURED = ROOT / "tests" / "seconds.json"
 """File -> test function -> CPU seconds of all its cases, setup included, as `--measure` wrote them."""
 BUDGET = 5.0
-"""CPU seconds of the tests that `--fast` runs, the cheapest first; their imports take as much again."""
+"""CPU seconds of the tests that `--fast` runs, the cheapest first; their imports take the same time again."""
 SECONDS: pytest.StashKey[float] = pytest.StashKey()
 
 
@@ -48,7 +48,7 @@ def measured() -> dict[str, dict[str, float]]:
 
 @cache
 def fast_tests() -> frozenset[tuple[str, str]]:
-    """File and function of the tests that `--fast` runs. What was never measured is not among them."""
+    """File and function of the tests that `--fast` runs, without tests that were never measured."""
     total, chosen = 0.0, set()
     for seconds, *test in sorted((s, file, name) for file, tests in measured().items() for name, s in tests.items()):
         total += seconds
@@ -84,12 +84,12 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[Any]) -> None:
-    if call.when == "call":  # also where a worker process reports it
+    if call.when == "call":  # also if a worker process reports it
         item.user_properties.append(("cpu_seconds", sum(os.times()[:4]) - item.stash[SECONDS]))
 
 
 class Recorder:
-    """Gathers what the tests of a session take, and writes it."""
+    """Collects the times of a session's tests, and writes them."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))
@@ -115,7 +115,7 @@ def every_stage_validates(request: pytest.FixtureRequest) -> Iterator[None]:
 
 
 def assert_stages_valid(folder: Path) -> None:
-    """No stage below ``folder`` has an error of any validator, USD's or ours."""
+    """Assert that no stage below ``folder`` has an error of any validator, USD's or ours."""
     from vehsim.exporters.checks.validate import validate_stage
 
     stages = [path for path in sorted(folder.rglob("*")) if path.suffix in USD_SUFFIXES]

@@ -1,4 +1,4 @@
-"""Errors are data: each carries key, value, message and remedy, and its printed line is composed of them."""
+"""Errors are data: each has key, value, message and remedy, and its printed line is composed of them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ HELICOPTER = load_vehicle("helicopter")
 
 
 def line_of(problem: Problem) -> str:
-    """The printed line, composed by another hand than that of `Problem`."""
+    """The printed line, composed independently of `Problem`."""
     line = problem.message
     value = "" if problem.value is None else f" = {problem.value!r}"
     if problem.key:
@@ -56,7 +56,7 @@ def caught(call: Callable[[], Any]) -> VehsimError:
 
 
 def plan(limits: Any = None, **changed: Any) -> Any:
-    """A short drive, which ``changed`` arguments or marks spoil."""
+    """A short drive that ``changed`` arguments or marks spoil."""
     mark = {key: changed.pop(key) for key in ("hold", "frame") if key in changed}
     marks = [Mark(1001, position=(0, 0, 0), heading=0.0), Mark(**{"frame": 1049, "position": (9, 0, 0)} | mark)]
     return vehsim.plan(CAR, None, marks, limits=limits, **{"segments": 16} | changed)

@@ -133,7 +133,7 @@ target = "planned"
 
 @pytest.fixture
 def site(tmp_path: Path) -> Path:
-    """A folder of installed packages with the studio's one."""
+    """A folder of installed packages that includes the studio's package."""
     site = tmp_path / "site"
     package = site / "studio_kit"
     package.mkdir(parents=True)

@@ -1,4 +1,4 @@
-"""The layers of the house: an import goes down only, and no two modules import each other in a circle.
+"""The layers of the code: imports go down only, and no two modules import each other in a circle.
 
 Type-only and lazy imports count: a reader follows them as well as the interpreter does.
 """
@@ -36,14 +36,14 @@ LAYERS = (
     ("runtime",),
     ("errors",),
 )
-"""Rooms from top to bottom, as docs/architecture.md has them; rooms on one layer do not import each other."""
+"""Rooms from top to bottom, as in docs/architecture.md; rooms on one layer do not import each other."""
 
 HEAVY = {"mujoco", "pxr", "casadi", "scipy", "trimesh", "igl", "shapely", "PIL", "av"}
 
 
 @cache
 def modules() -> dict[str, Path]:
-    found = {"vehsim.assets": ROOT / "assets" / "__init__.py"}  # what generates them are scripts
+    found = {"vehsim.assets": ROOT / "assets" / "__init__.py"}  # the generators are scripts
     for folder, package in (("vehsim", "vehsim"), ("exporters", "vehsim.exporters")):
         for path in sorted((ROOT / folder).rglob("*.py")):
             parts = path.relative_to(ROOT / folder).with_suffix("").parts
@@ -53,7 +53,7 @@ def modules() -> dict[str, Path]:
 
 @cache
 def imports(module: str) -> frozenset[str]:
-    """Modules of ours that a module imports, wherever in its file."""
+    """Our modules that a module imports, anywhere in its file."""
     found = set()
     for node in ast.walk(ast.parse(modules()[module].read_text(encoding="utf-8"))):
         if isinstance(node, ast.ImportFrom):

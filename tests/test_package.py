@@ -1,4 +1,4 @@
-"""The package as others install it: a wheel with its assets, and nothing else of ours in site-packages."""
+"""The package as users install it: a wheel with its assets, and nothing else of ours in site-packages."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Built from what is committed to the package, outside the checkout."""
+    """The wheel, built from the committed package outside the checkout."""
     place = tmp_path_factory.mktemp("wheel")
     source = place / "source"
     names = ("pyproject.toml", "README.md", "LICENSE", "vehsim", "exporters", "assets")

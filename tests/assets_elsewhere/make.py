@@ -1,13 +1,13 @@
-"""Saves the assets of this folder with Blender (bpy 5.0): vehicles as other people's scenes come, each with its traps.
+"""Save the assets of this folder with Blender (bpy 5.0): vehicles as in other people's scenes, each with its traps.
 
-Run it with a Python that has bpy, then with one that has usd-core: ``python tests/assets_elsewhere/make.py``. What it
-writes is committed.
+Run it with a Python that has bpy, then with one that has usd-core: ``python tests/assets_elsewhere/make.py``. Its files
+are committed.
 
 - ``pickup``: USD, Y up, centimetres, nose along +Z; wheels are instances of one asset, nested below axles, the chassis
   comes by payload; a variant set ``paint``.
 - ``gyro``: GLB, a tree of nodes, nose along Blender's -Y; a rotor on a mast, one on the tail.
-- ``kart``: OBJ in centimetres, every vertex in the world's coordinates, so that no wheel has a pivot.
-- ``crawler``: USD, Z up, a scene whose parts hang on the bones of an armature, with a bobbing animation of their own.
+- ``kart``: OBJ in centimetres, every vertex in world coordinates, so that no wheel has a pivot.
+- ``crawler``: USD, Z up, a scene whose parts hang on the bones of an armature, with their own bobbing animation.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def box(name: str, at, size, material, parent=None, bevel: float = 0.0):
 
 
 def wheel(name: str, at, radius: float, width: float, material, parent=None, vertices: int = 24):
-    """A tyre with a spoke that shows how it turns; its axle is its own Z, turned to lie along Blender's X."""
+    """A tyre with a spoke that makes its rotation visible; its axle is its own Z, aligned with Blender's X."""
     bpy.ops.mesh.primitive_cylinder_add(vertices=vertices, radius=radius, depth=width, location=at)
     made = finish(name, material, parent)
     made.rotation_euler = (0.0, math.pi / 2, 0.0)
@@ -163,7 +163,7 @@ def kart(folder: Path) -> None:
 
 
 def crawler(folder: Path) -> None:
-    """A rover whose wheels ride on bones; the body bone bobs by itself, the wheels hang below it."""
+    """A rover whose wheels ride on bones; the body bone bobs by its own animation, the wheels hang below it."""
     fresh()
     scene = bpy.context.scene
     scene.frame_start, scene.frame_end, scene.render.fps = 1, 48, 24

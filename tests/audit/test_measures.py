@@ -1,4 +1,4 @@
-"""Each measure against motions known in closed form, and a spoiled motion for each kind of ask."""
+"""Each measure on motions known in closed form, and a spoiled motion for each kind of ask."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ HELICOPTER, CAR = vehsim.load_vehicle("helicopter"), vehsim.load_vehicle("car")
 
 
 def flight(end: float = 12.5) -> Clip:
-    """A level circle, nose first: all that is measured follows from its radius and rate; it closes after 12.5 s."""
+    """A level circle, nose first: every measured value follows from its radius and rate; it closes after 12.5 s."""
     fps = 24
     t = np.arange(round(end * fps) + 1) / fps
     angle, zero, one = RATE * t, np.zeros_like(t), np.ones_like(t)
@@ -71,7 +71,7 @@ def steered() -> Clip:
 
 
 def pulled() -> Clip:
-    """A car that stands while its first control rises by a tenth a second."""
+    """A car that stands still while its first control rises by 0.1 per second."""
     clip = steered()
     controls = clip.controls.copy()
     controls[:, 0] = clip.times / 10
@@ -92,7 +92,7 @@ def turned(clip: Clip, by: Any, sample: int | slice = slice(None)) -> Clip:
 
 
 def hurried(clip: Clip, by: float, columns: slice = slice(3, 6)) -> Clip:
-    """Velocities that are larger by a share at every knot."""
+    """Velocities that are larger by a share at every knot, without a change of the poses."""
     twists = clip.twists.copy()
     twists[:, columns] *= 1 + by
     return replace(clip, twists=twists)
@@ -120,7 +120,7 @@ def ask(measure: str, first: float = 1, last: float = 301, wanted: Any = None, *
 
 
 def own_law() -> str:
-    """How far the root is from the circle's axis, as its second component."""
+    """A law: the distance of the root from the circle's axis, as its second component."""
     sizes = (3, 9, 3, 3, 3, len(HELICOPTER.joints), len(HELICOPTER.joints), len(HELICOPTER.controls), 1)
     given = [ca.SX.sym("x", size) for size in sizes]
     law: str = ca.Function("law", given, [ca.vertcat(given[-1], ca.norm_2(given[0][:2]))]).serialize()
@@ -335,7 +335,7 @@ def on_eighths(clip: Clip) -> tuple[Any, Fraction, Any]:
 @pytest.mark.parametrize("name", ["position", "heading", "orientation", "velocity", "speed_error", "speed", "turn_rate",
                                   "acceleration", "g_load", "look", "outside", "bank", "ceiling", "climb"])  # fmt: skip
 def test_a_stage_of_a_good_motion_passes_too(name: str) -> None:
-    """What linear interpolation hides of a motion is no fault of the motion."""
+    """The part of a motion that linear interpolation hides does not fail it."""
     (row,) = audit(track_of_poses(*on_eighths(flight())), [CASES[name].ask])
     assert row.met, row
 
@@ -347,7 +347,7 @@ def test_a_stage_of_a_spoiled_motion_is_refused(name: str) -> None:
 
 
 def test_a_hold_that_falls_is_refused() -> None:
-    """The motion that began this module: 11 m below its mark, and called a success."""
+    """The motion that led to this module: 11 m below its mark, and reported as a success."""
     clip = standing()
     fall = moved(clip, np.column_stack([0 * clip.times, 0 * clip.times, -0.5 * 9.81 * clip.times**2]))
     asks = list(mark_asks("mark[1]", 1, hold=48, position=(0, 0, HEIGHT), velocity=(0, 0, 0)))
@@ -376,7 +376,7 @@ def test_a_near_miss_between_frames_is_seen() -> None:
 
 
 def nodding(yaw_rate: float = 0.0) -> Any:
-    """The stage's poses of a car that stands on a slope and nods on its springs, turning at ``yaw_rate`` rad/s."""
+    """The stage's poses of a car that stands on a slope, nods on its springs, and turns at ``yaw_rate`` rad/s."""
     frames = 1 + np.arange(385) / 8
     t = (frames - 1) / 24
     pitch, roll, yaw = 0.1 + 0.01 * np.sin(9 * t), np.full_like(t, 0.08), yaw_rate * t
@@ -401,7 +401,7 @@ def test_flying_vehicles_may_not_nod() -> None:
 
 
 def test_samples_after_a_range_of_frames_do_not_affect_it() -> None:
-    """A motion that is cut off at the end of its limits: it stands still from there on, at once."""
+    """A motion that is cut off at the end of its limits: from there on it suddenly stands still."""
     clip = flight(8.0)
     still = [replace(clip.at(clip.times[-1:]), times=np.array([k / 24]), start_frame=0) for k in range(1, 25)]
     stopped = replace(

@@ -1,4 +1,4 @@
-"""Forty small random shots: what is said to be solved is measured from its USD, by a script that knows no vehsim."""
+"""Forty small random shots: a script without vehsim measures the USD of those reported as solved."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SEEDS = (
     1, 3, 4, 5, 6, 8, 11, 12, 13, 16, 22, 23, 27, 28, 29, 30, 35, 36, 44, 94,
     100, 101, 102, 108, 110, 111, 112, 113, 114, 115, 120, 124, 128, 130, 133, 137, 138, 140, 142, 143,
 )  # fmt: skip
-"""Quick ones of all vehicles and methods that can be solved; `make audit-random` runs a thousand."""
+"""Fast ones of all vehicles and methods that can be solved; `make audit-random` runs a thousand."""
 
 
 @pytest.mark.parametrize("seed", SEEDS)

@@ -1,6 +1,6 @@
-"""The verifier of random shots refutes what is spoiled, ask by ask, and nothing of what is right.
+"""The verifier of random shots refutes spoiled deliveries, ask by ask, and no correct one.
 
-Deliveries are authored here with USD alone: smooth motions whose positions, speeds and attitudes are known formulas.
+Deliveries are authored here with USD only: smooth motions whose positions, speeds and attitudes are known formulas.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def load(path: Path) -> ModuleType:
     spec = importlib.util.spec_from_file_location(path.stem, path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules[path.stem] = module  # dataclasses ask for it
+    sys.modules[path.stem] = module  # dataclasses need it
     spec.loader.exec_module(module)
     return module
 
@@ -38,13 +38,14 @@ pytestmark = pytest.mark.broken_stages  # time codes and units are spoiled, and 
 
 
 def ease(frames: np.ndarray) -> np.ndarray:
-    """From 0 to 1 between the holds, at rest with no acceleration at both ends."""
+    """From 0 to 1 between the holds, at rest without acceleration at both ends."""
     s = np.clip((frames - FIRST - STILL) / (LAST - FIRST - 2 * STILL), 0, 1)
     return s**3 * (10 - 15 * s + 6 * s**2)
 
 
 class Delivery:
-    """Samples to be spoiled: ``x`` (n, 3) m, ``angles`` (n, 3) roll, pitch, yaw in degrees, driven parts in theirs."""
+    """Samples to be spoiled: ``x`` (n, 3) m, ``angles`` (n, 3) roll, pitch, yaw in degrees, driven parts in their
+    units."""
 
     def __init__(self, asset: str, start: Any, end: Any) -> None:
         self.asset = asset
@@ -119,12 +120,12 @@ REST = {"velocity": [0, 0, 0]}
 SECONDS = (LAST - FIRST - 2 * STILL) / FPS
 START, END = (0.0, 0.0, 20.0), (12.0, 0.0, 22.0)
 PEAK = 1.875 / SECONDS
-"""Over the distance: the speed half way."""
+"""Speed at the midpoint over the distance."""
 PUSH = 10 / math.sqrt(3) / SECONDS**2
-"""Over the distance: the largest acceleration."""
+"""Largest acceleration over the distance."""
 WAY = math.hypot(12, 2)
 FASTEST = round(FIRST + STILL + 0.2113 * SECONDS * FPS)
-"""Where the acceleration is largest."""
+"""The frame with the largest acceleration."""
 
 
 def shot(asset: str, marks: list[dict[str, Any]], **motion: Any) -> dict[str, Any]:
@@ -134,7 +135,8 @@ def shot(asset: str, marks: list[dict[str, Any]], **motion: Any) -> dict[str, An
 
 
 def flight() -> tuple[Delivery, dict[str, Any]]:
-    """A helicopter that stays, flies through a gate half way, looks ahead, and stays; everything it can be asked."""
+    """A helicopter that stays, flies through a gate at the midpoint, looks ahead, and stays; with every possible
+    request."""
     made = Delivery("helicopter", START, END)
     made.boxes = [((6.0, 9.0, 23.0), (2.0, 2.0, 6.0))]
     marks = [
@@ -174,7 +176,7 @@ def _place(frames: float) -> np.ndarray:
 
 
 def drive() -> tuple[Delivery, dict[str, Any]]:
-    """A car straight on over level ground, whose steered wheels turn a little on the way."""
+    """A car straight ahead over level ground, whose steered wheels turn slightly."""
     made = Delivery("car", (0, 0, 0), (12, 0, 0))
     made.ground = 0.0
     sigma = 0.1 * made.bump(30)
@@ -190,7 +192,7 @@ def drive() -> tuple[Delivery, dict[str, Any]]:
 
 
 def landing() -> tuple[Delivery, dict[str, Any]]:
-    """Down to a pad, gently; its skids stand 0.0 m below its root."""
+    """A gentle landing on a pad; its skids are 0.0 m below its root."""
     made = Delivery("helicopter", (0, 0, 2.0), (0, 0, 0.0))
     made.ground = 0.0
     marks = [
@@ -201,7 +203,7 @@ def landing() -> tuple[Delivery, dict[str, Any]]:
 
 
 def circuit() -> tuple[Delivery, dict[str, Any]]:
-    """A loop: up and down again at rest at its ends."""
+    """A loop: up and down again, at rest at its ends."""
     made = Delivery("helicopter", START, START)
     made.x[:, 2] += 2 * made.bump(40)
     marks = [{"frame": FIRST, "position": START}, {"frame": MIDDLE, "position": [0, 0, 22]}, {"frame": LAST}]
@@ -209,7 +211,7 @@ def circuit() -> tuple[Delivery, dict[str, Any]]:
 
 
 def free() -> tuple[Delivery, dict[str, Any]]:
-    """Marks at frames the planner chose."""
+    """Marks at frames chosen by the planner."""
     made = Delivery("helicopter", START, END)
     marks = [
         {"frame": FIRST, "position": START, **REST},
@@ -220,7 +222,7 @@ def free() -> tuple[Delivery, dict[str, Any]]:
 
 
 def handles() -> tuple[Delivery, dict[str, Any]]:
-    """A cut out of a flight that goes on before and after it."""
+    """A cut out of a flight that continues before and after it."""
     made = Delivery("helicopter", START, END)
     asked = shot("helicopter", [{"frame": FIRST + 50, "position": [*_place(-10)]}, {"frame": LAST - 50}])
     asked["shot"] |= {"start_frame": FIRST + 50, "end_frame": LAST - 50, "handles": 50}
@@ -228,7 +230,7 @@ def handles() -> tuple[Delivery, dict[str, Any]]:
 
 
 def halt(made: Delivery) -> None:
-    """It stands still from the last frame of the cut on."""
+    """The motion stops at the last frame of the cut."""
     made.x[made.frames > LAST - 50] = made.x[made.frames == LAST - 50]
 
 
@@ -247,7 +249,7 @@ def spoil_angle(k: int, width: float, size: float, centre: float = MIDDLE) -> Ca
 
 
 def wave(k: int, centre: float, size: float, angle: bool = False) -> Callable[[Delivery], None]:
-    """It is where it should be at a frame, and moves there."""
+    """A vehicle at its place at a frame, but moving there."""
 
     def spoil(made: Delivery) -> None:
         values = made.angles if angle else made.x
@@ -278,7 +280,7 @@ def drift(made: Delivery) -> None:
 
 
 def sink(made: Delivery) -> None:
-    """As far down at the same frame, in half a second."""
+    """The same descent in half a second."""
     s = np.clip((made.frames - (LAST - STILL - 12)) / 12, 0, 1)
     made.x[:, 2] = 2 - 2 * s**2 * (3 - 2 * s)
 

@@ -55,7 +55,7 @@ def content() -> Callable[[Path], dict[str, str]]:
 
 @pytest.fixture(scope="session")
 def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, str]]:
-    """A shot file of twelve clips, and what its batch (usd, npz) is when nothing happens."""
+    """A shot file of twelve clips, and the content of its undisturbed batch (usd, npz)."""
     folder = tmp_path_factory.mktemp("undisturbed")
     shot = write_shot(folder, sweep='"vehicle.car.motion.duration" = { from = 0.25, to = 1.0, count = 12 }')
     outcomes = export_batch(load_shots(shot), folder / "out", ["usd", "npz"])

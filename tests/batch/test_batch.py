@@ -1,4 +1,4 @@
-"""Batches by the command line: same bytes from any number of workers, resumed by content, told to machines."""
+"""Batches by the command line: the same bytes from any number of workers, resuming by content, and the JSON log."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_finished_clips_are_kept_and_others_made_again(write: Write, tmp_path: P
 
 @pytest.mark.parametrize("year", [1971, 2099])
 def test_clock_changes_do_not_affect_resuming(write: Write, tmp_path: Path, content: Content, year: int) -> None:
-    """What is finished is told by content: dates long gone or still to come neither spare nor cost any work."""
+    """Finished clips are recognised by content: dates in the distant past or future neither save nor cause work."""
     shot, out = write(sweep=FIVE), tmp_path / "out"
     export_batch(load_shots(shot), out, ["npz"])
     before = content(out)
@@ -118,7 +118,7 @@ def test_summary_and_exit_code(write: Write, tmp_path: Path, capsys: pytest.Capt
 
 
 def test_a_failed_plan_is_reported_once(write: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As the error it is, not as a warning before it."""
+    """It is reported as an error, without a warning before it."""
     import warnings
     from types import SimpleNamespace
 
@@ -155,7 +155,7 @@ def test_the_json_log(write: Write, tmp_path: Path, capsys: pytest.CaptureFixtur
 
 
 def test_the_json_log_contains_refused_shots(write: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """With the line to look at; and a folder of somebody else's stops its own shot alone."""
+    """With the line in the file; a foreign folder stops only its own shot."""
     out = tmp_path / "out"
     (out / "taken").mkdir(parents=True)
     (out / "taken" / "notes.txt").write_text("mine")
@@ -195,7 +195,7 @@ def test_one_valid_shot_among_invalid_ones_has_a_summary(write: Write, tmp_path:
 
 
 def test_deliveries_contain_no_time(write: Write, tmp_path: Path, content: Content) -> None:
-    """Clocks that run elsewhere, or back, change no byte."""
+    """Clocks with another time, or running backwards, change no byte."""
     import subprocess
     import sys
 
@@ -233,7 +233,7 @@ def test_the_live_table_counts_states() -> None:
 
 
 def test_an_asset_is_read_once_for_all_clips(write: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Reading a car's meshes takes longer than driving it: no clip pays for what another has read."""
+    """Reading a car's meshes takes longer than driving it: no clip reads what another has read."""
     from vehsim.rig import parts
 
     (first, second) = load_shots(write(sweep='"vehicle.car.motion.duration" = [0.25, 0.3]'))

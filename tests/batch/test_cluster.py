@@ -1,4 +1,4 @@
-"""A Dask cluster of somebody else's, by its address: same bytes, also when its workers are killed at work."""
+"""An external Dask cluster, by its address: the same bytes, also when its workers are killed while working."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from vehsim.cli import commands as cli
 Content = Callable[[Path], dict[str, str]]
 Write = Callable[..., Path]
 PATIENCE = 600.0
-"""How long a busy machine may take, s: only a test that fails waits so long."""
+"""Time limit on a busy machine, s: only a failing test waits that long."""
 TEN = '"vehicle.car.motion.duration" = { from = 1.0, to = 3.0, count = 10 }'
 
 
@@ -38,7 +38,7 @@ def test_clips_of_lost_workers_are_made_by_other_workers(
     killed: list[int] = []
 
     def kill() -> None:
-        """Each worker once, while clips are being written."""
+        """Kill each worker once, while clips are being written."""
         for k, worker in enumerate(list(cluster.workers.values())):
             while len(list((tmp_path / "there").glob("drive*"))) < 2 * (k + 1):
                 time.sleep(0.01)

@@ -1,4 +1,5 @@
-"""One shot exported by several commands: what each delivered stays, and no file disagrees with another in silence."""
+"""One shot exported by several commands: the files of each stay, and files that disagree are set apart with a
+warning."""
 
 from __future__ import annotations
 
@@ -36,7 +37,7 @@ def test_adding_a_table_later_keeps_stage_and_pictures(
     small = ["--set", "render.size=[64,36]", "--set", "render.every=3"]
     assert export("usd,png", *small) == 0
     before = content(drive)
-    assert export("csv") == 0  # the look of pictures is no matter of the motion
+    assert export("csv") == 0  # render settings do not affect the motion
     after = content(drive)
     assert {name: after[name] for name in before if name != "report.json"} == {
         name: before[name] for name in before if name != "report.json"
@@ -80,7 +81,7 @@ def test_files_of_an_older_motion_are_set_apart(
     assert "npz, usd show an older version of the shot: moved to" in said and said.count("older version") == 1
     assert files(drive) == {"car.csv", "report.json"} | {f"earlier/1/{name}" for name in old}
     assert (drive / "earlier" / "1" / "drive.usda").read_bytes() == stage
-    assert cli.run(["validate", str(drive / "earlier" / "1" / "drive.usda")]) == 0  # it travelled as a whole
+    assert cli.run(["validate", str(drive / "earlier" / "1" / "drive.usda")]) == 0  # it was moved as a whole
     assert export("usd,npz", "--set", "vehicle.car.motion.duration=0.5") == 0
     assert "as it was" not in capsys.readouterr().err
     assert files(drive) == {"car.csv"} | old | {f"earlier/1/{name}" for name in old}
@@ -99,7 +100,7 @@ def test_versions_keep_every_export_separate(export: Callable[..., int], tmp_pat
 def test_latest_is_the_newest_version_with_a_stage(
     export: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A version of tables alone has none to point at: `latest` shows the same motion, or a warning says otherwise."""
+    """A version with tables only has no stage: `latest` then shows the same motion, or a warning says otherwise."""
     drive, versions = tmp_path / "out" / "drive", ["--set", "export.versions=true"]
     export("usd", *versions)
     export("csv", *versions)
@@ -170,7 +171,7 @@ def test_exporting_one_vehicle_again_keeps_the_others(
     assert report["files"].keys() == {name for name in files(drive) if not name.startswith(("report", "earlier"))}
     assert all(after[name] == digest for name, digest in report["files"].items())
 
-    slow = ["--set", "world.wind=[0,3,0]"]  # another world: they no longer belong together
+    slow = ["--set", "world.wind=[0,3,0]"]  # another world: the deliveries no longer belong together
     assert cli.run([*export, "usd", "--only", "one", *slow]) == 0
     assert not Usd.Stage.Open(str(drive / "drive.usda")).GetPrimAtPath("/drive/vehicles/two")
     assert (drive / "earlier" / "2" / "two.npz").is_file()

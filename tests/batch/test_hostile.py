@@ -1,4 +1,4 @@
-"""Nothing is lost and nothing half-written is believed: kills, full disks, other exports, broken caches, no memory."""
+"""No work is lost and no partial file is used: kills, full disks, other exports, broken caches, no memory."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ Content = Callable[[Path], dict[str, str]]
 Write = Callable[..., Path]
 Undisturbed = tuple[Path, dict[str, str]]
 PATIENCE = 600.0
-"""How long a busy machine may take, s: only a test that fails waits so long."""
+"""Time limit on a busy machine, s: only a failing test waits that long."""
 SWEEP = '"vehicle.car.motion.duration" = {{ from = 0.25, to = 1.0, count = {} }}'
 
 
 def start(shot: Path, out: Path, *more: str, workers: int = 2, limit: int | None = None) -> subprocess.Popen[str]:
-    """A batch in a process group of its own. ``limit``: the largest file it may write, bytes."""
+    """Start a batch in its own process group. ``limit``: the largest file it may write, bytes."""
     arguments = [sys.executable, "-m", "vehsim", "export", str(shot), "--out", str(out), "--to", "usd,npz"]
     arguments += ["--workers", str(workers), *more]
     preparation = None
@@ -45,7 +45,7 @@ def start(shot: Path, out: Path, *more: str, workers: int = 2, limit: int | None
 
 
 def workers_of(pid: int) -> list[int]:
-    """The workers below a process; none yet while its batch begins."""
+    """The workers below a process; none while its batch starts."""
     return [child for child in descendants(pid) if comm(child) == NAME]
 
 
@@ -60,7 +60,7 @@ def descendants(pid: int) -> Iterator[int]:
 
 
 def comm(pid: int) -> str:
-    """What the system calls a process."""
+    """The system's name of a process."""
     try:
         return Path(f"/proc/{pid}/comm").read_text().strip()
     except OSError:
@@ -68,10 +68,11 @@ def comm(pid: int) -> str:
 
 
 def test_killed_at_random_again_and_again(undisturbed: Undisturbed, tmp_path: Path, content: Content) -> None:
-    """kill -9 for a worker, then for the whole batch, in the middle of clips; in the end there is what there was.
+    """kill -9 for a worker, then for the whole batch, in the middle of clips; the final result is that of an
+    undisturbed batch.
 
-    Every kill waits for another clip, not for a time, so that it strikes work on slow machines and on fast ones;
-    `benchmarks/bench_kills.py` strikes at any instant, fifty times in two hundred clips.
+    Every kill waits for another clip, not for a time, so that it happens during work on slow and on fast machines;
+    `benchmarks/bench_kills.py` kills at random instants, fifty times in 200 clips.
     """
     shot, expected = undisturbed
     chance, out = random.Random(1), tmp_path / "out"
@@ -94,13 +95,13 @@ def test_killed_at_random_again_and_again(undisturbed: Undisturbed, tmp_path: Pa
 
 
 def done(out: Path) -> int:
-    """How many clips stand there."""
+    """Number of delivered clips."""
     return len(list(out.glob("drive*")))
 
 
 @pytest.mark.broken_stages
 def test_workers_end_with_their_batch(write: Write, tmp_path: Path) -> None:
-    """At once, also in the middle of millions of steps that never come back to the interpreter."""
+    """They end at once, also in the middle of millions of steps that never return to the interpreter."""
     shot = write(sweep='"shot.start_frame" = [1, 2]', duration=90.0)
     shot.write_text(shot.read_text().replace("duration = 90.0", "duration = 90.0\nstep = 0.00001"))
     process = start(shot, tmp_path / "out", "--log", "json")
@@ -121,7 +122,7 @@ def test_workers_end_with_their_batch(write: Write, tmp_path: Path) -> None:
 
 
 def _seconds(pid: int) -> float:
-    """CPU time of a process, s; none where it has ended."""
+    """CPU time of a process, s; zero if it has ended."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     except OSError:
@@ -154,7 +155,8 @@ def test_an_interrupted_batch_cleans_up(write: Write, tmp_path: Path, number: in
 def test_a_file_that_cannot_grow_fails_only_its_clip(
     undisturbed: Undisturbed, tmp_path: Path, content: Content
 ) -> None:
-    """As on a disk that is full for large files: every clip says so, nothing half-written stays, --resume fixes it."""
+    """As on a disk that is full for large files: every clip reports it, no partial file remains, and --resume fixes
+    it."""
     shot, expected = undisturbed
     out = tmp_path / "out"
     process = start(shot, out, limit=20_000)
@@ -204,7 +206,7 @@ def test_a_read_only_output_folder(write: Write, small_disk: Path) -> None:
 
 
 def test_unreadable_files_are_named(write: Write, tmp_path: Path) -> None:
-    """A folder or a rig without permissions stops its own shot, by a message that says which."""
+    """A folder or a rig without permissions stops only its own shot, with a message that names it."""
     out, rig = tmp_path / "out", tmp_path / "rig"
     for folder in (out / "taken", rig):
         folder.mkdir(parents=True)
@@ -222,7 +224,7 @@ def test_unreadable_files_are_named(write: Write, tmp_path: Path) -> None:
 
 
 def _obey_permissions() -> None:
-    """Also root does, without CAP_DAC_OVERRIDE and CAP_DAC_READ_SEARCH (Linux)."""
+    """Make permissions apply to root too, by dropping CAP_DAC_OVERRIDE and CAP_DAC_READ_SEARCH (Linux)."""
     import ctypes
 
     for capability in (1, 2):
@@ -232,7 +234,7 @@ def _obey_permissions() -> None:
 def test_a_failed_export_may_delete_the_parent_folder_of_another(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It made that folder, and drops it just when another is to begin in it: the other makes it again."""
+    """The failed export made that folder, and deletes it just when another starts in it: the other makes it again."""
     from vehsim.delivery.folders import staging
 
     make, out = Path.mkdir, tmp_path / "out"
@@ -249,14 +251,14 @@ def test_a_failed_export_may_delete_the_parent_folder_of_another(
 
 def test_two_exports_into_one_folder(undisturbed: Undisturbed, tmp_path: Path, content: Content) -> None:
     shot, expected = undisturbed
-    for _ in range(2):  # into an empty folder, then over what is there
+    for _ in range(2):  # into an empty folder, then over the earlier delivery
         both = [start(shot, tmp_path / "out", workers=1) for _ in range(2)]
         assert [process.communicate() and process.returncode for process in both] == [0, 0]
         assert content(tmp_path / "out") == expected
 
 
 def test_many_exports_replace_one_delivery_at_once(tmp_path: Path) -> None:
-    """Eight threads replace one delivery over and over: it is always one of theirs, whole."""
+    """Eight threads replace one delivery repeatedly: at any time it is a complete one of theirs."""
     from concurrent.futures import ThreadPoolExecutor
 
     from vehsim.delivery.folders import SIGN, replacing
@@ -295,7 +297,7 @@ def test_a_killed_process_is_not_alive_before_its_parent_waits_for_it() -> None:
     process = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
     assert _alive(process.pid) and _alive(os.getpid())
     process.kill()
-    assert not _alive(process.pid)  # at once: not yet gone, or gone and not yet waited for
+    assert not _alive(process.pid)  # immediately after the kill: perhaps still running, or ended but not yet waited for
     process.wait()
     assert not _alive(process.pid)
 
@@ -320,7 +322,7 @@ def test_a_cached_field_full_of_zeros_is_measured_again(tmp_path: Path, monkeypa
 
 
 def test_results_are_cached_for_other_processes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Made once, again when it is damaged, and also where nothing can be kept."""
+    """It is made once, made again when it is damaged, and also returned if nothing can be stored."""
     from vehsim.runtime.cache import kept
 
     monkeypatch.setenv("VEHSIM_CACHE", str(tmp_path / "cache"))
@@ -368,7 +370,7 @@ def test_arrays_are_cached_by_their_inputs(tmp_path: Path, monkeypatch: pytest.M
 def test_a_truncated_or_zeroed_converted_vehicle_is_made_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: Content, what: str, damage: Callable[[bytes], bytes]
 ) -> None:
-    """What stands in the cache of a GLB is held against its seal, and made again."""
+    """The cache entry of a converted GLB is compared with its checksum, and made again if it differs."""
     import shutil
 
     monkeypatch.setenv("VEHSIM_CACHE", str(tmp_path / "cache"))
@@ -383,7 +385,7 @@ def test_a_truncated_or_zeroed_converted_vehicle_is_made_again(
 
 
 def _load_anew(folder: Path) -> None:
-    """As another process would: what this one remembers of a vehicle goes by its toml's date."""
+    """Load as another process would: this process remembers a vehicle by the date of its toml."""
     from vehsim.vehicles import load_vehicle
 
     toml = folder / "vehicle.toml"
@@ -394,8 +396,8 @@ def _load_anew(folder: Path) -> None:
 def test_a_clip_without_memory_fails_without_affecting_others(
     write: Write, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its motion does not fit into the worker's share of address space; the clips before and after do."""
-    for name in THREADS:  # each thread of theirs reserves address space
+    """Its motion does not fit into the worker's share of address space; the clips before and after it do."""
+    for name in THREADS:  # each of their threads reserves address space
         monkeypatch.setenv(name, "1")
     names = {"before": 0.25, "long": 400.0, "after": 0.25}
     shots = [shot for name, duration in names.items() for shot in load_shots(write(name, duration=duration))]
@@ -414,7 +416,7 @@ def test_a_picture_too_large_for_opengl_fails_without_affecting_others(write: Wr
     shots = load_shots(write("small", more=small)) + load_shots(write("large", more=large))
     outcomes = export_batch(shots, tmp_path / "out", ["png"], workers=1, memory=2.6)
     assert [outcome.state for outcome in outcomes] == ["done", "failed"]
-    said = outcomes[1].message  # OpenGL's memory is short, or ours: that depends on what threads reserve
+    said = outcomes[1].message  # OpenGL's memory or ours runs out first, depending on what threads reserve
     assert "render.size" in said or "fewer segments or pixels" in said
     assert {path.name for path in (tmp_path / "out").iterdir() if path.name[0] != "."} == {"small", "summary.json"}
 

@@ -1,4 +1,4 @@
-"""Jobs for render farms: templates that check, steps in any order of accidents, the bytes of ``vehsim export``."""
+"""Render-farm jobs: valid templates, steps that survive accidents, and the bytes of ``vehsim export``."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_templates_check(write: Callable[..., Path], tmp_path: Path, to: str, st
 
 
 def test_the_farm_delivers_what_export_does(write: Callable[..., Path], tmp_path: Path, content: Callable) -> None:  # type: ignore[type-arg]
-    """Run by an engine of Open Job Description itself: frames in three chunks, films and all."""
+    """Run by an engine of Open Job Description: frames in three chunks, and films."""
     pytest.importorskip("openjd.cli")
     shot, to = write(more=PICTURES), "usd,png,mp4,npz"
     write_job(shot, tmp_path / "job.json", to, "--chunks", "3")

@@ -1,4 +1,4 @@
-"""One shot file, many clips: which, with what values, under what names."""
+"""One shot file, many clips: their number, values and names."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_keys_with_the_same_ending_get_different_labels() -> None:
 
 
 def test_values_drawn_from_a_seed_do_not_depend_on_other_swept_keys() -> None:
-    """A clip's values hang on its seed and their keys alone: sweeping more never changes the clips there were."""
+    """A clip's values depend only on its seed and their keys: sweeping more keys never changes existing clips."""
     alone = dict(expand({"a.x": {"uniform": [2, 3]}, "seeds": 4}))
     more = expand({"a.x": {"uniform": [2, 3]}, "a.y": {"normal": [0, 1]}, "seeds": [7, 2]})
     assert alone["seed2"]["a.x"] == more[1][1]["a.x"]

@@ -1,4 +1,4 @@
-"""Worker processes: what they begin with, what they wait for, and that they begin again whatever becomes of them."""
+"""Worker processes: their initial state, what they wait for, and their replacement after they end."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_the_fork_server_has_all_modules_and_a_single_thread() -> None:
 
 @forked
 def test_forked_workers_handle_ctrl_c_silently(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It reaches the whole group: kept out while the process begins, then ignored, and nobody inherits the mask."""
+    """It reaches the whole group: blocked while the process starts, then ignored; workers do not inherit the mask."""
     from multiprocessing import forkserver
 
     blocked = []
@@ -79,7 +79,7 @@ def test_the_fork_server_starts_before_the_command_is_loaded(words: str, early: 
 
 @forked
 def test_a_command_leaves_no_temporary_files(write: Write, tmp_path: Path) -> None:
-    """Not the fork server's socket either, though a command ends without tearing down what it loaded."""
+    """Not even the fork server's socket, although a command ends without the usual teardown."""
     path, temporary = write(sweep=TWO), tmp_path / "temporary"
     temporary.mkdir()
     command = [sys.executable, "-m", "vehsim", "export", str(path), "--out", str(tmp_path / "out"), "--to", "npz"]
@@ -88,7 +88,7 @@ def test_a_command_leaves_no_temporary_files(write: Write, tmp_path: Path) -> No
 
 
 def test_a_repeated_signal_is_raised_once() -> None:
-    """From the group, and from the first process: the second must not disturb what is tidied up."""
+    """From the group, and from the first process: the second must not disturb the cleanup."""
     before = signal.signal(signal.SIGTERM, raising(KeyboardInterrupt, once=True))
     try:
         with pytest.raises(KeyboardInterrupt):
@@ -102,7 +102,7 @@ def test_a_repeated_signal_is_raised_once() -> None:
 def test_workers_have_the_environment_of_their_caller(
     write: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Not that of the process they are forked from, which may have been started long before."""
+    """Not that of the fork server, which may have been started long before."""
     import shutil
 
     from vehsim.vehicles import load_vehicle
@@ -151,7 +151,7 @@ def test_a_script_without_a_guard_exports_a_batch(write: Write, tmp_path: Path, 
 
 
 class _Nowhere:
-    """A way to start processes whose socket has no room."""
+    """A way to start processes that has no room for its socket."""
 
     def Process(self, **what: Any) -> Any:
         class Refused:
@@ -162,14 +162,14 @@ class _Nowhere:
 
 
 def _server() -> int:
-    """The process that ours are forked from."""
+    """The process from which ours are forked."""
     children = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text().split()
     (server,) = [pid for pid in children if b"forkserver" in Path(f"/proc/{pid}/cmdline").read_bytes()]
     return int(server)
 
 
 class _Hand:
-    """A worker that tells of each job, and ends the jobs it is told to end."""
+    """A worker that records each job, and ends the jobs it is told to end."""
 
     def __init__(self, given: list[tuple[str, str]], when: dict[str, list[_Hand]]) -> None:
         self.pipe, self._theirs = multiprocessing.Pipe()

@@ -1,4 +1,4 @@
-"""Every rig keeps its target framed and its horizon level, over the ground, moving smoothly."""
+"""Every rig keeps its target framed and its horizon level, stays above the ground and moves smoothly."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 def clip_along(positions, yaw, bank=0.0):
-    """A vehicle of a 2 m cube on ``positions`` (n, 3), one a frame, turned to ``yaw`` and rolled by ``bank``."""
+    """A vehicle of a 2 m cube on ``positions`` (n, 3), one per frame, rotated to ``yaw`` and rolled by ``bank``."""
     n = len(positions)
     euler = np.stack([np.broadcast_to(yaw, n), np.zeros(n), np.broadcast_to(bank, n)], axis=1)
     orientations = Rotation.from_euler("ZYX", euler).as_quat(scalar_first=True)
@@ -94,7 +94,8 @@ def test_target_fills_its_share_of_the_frame(rig, motion):
 
 @pytest.mark.parametrize("pitch", [40, 60, -60])
 def test_steeply_pitched_targets_stay_large(pitch):
-    """Seen from behind, a helicopter of 13 m stands 3 m high, and 10 m when it dives: no reason to run from it."""
+    """From behind, a helicopter of 13 m appears 3 m high, and 10 m when it dives: this is no reason to move far
+    away."""
     dive = np.radians(pitch) * np.clip(np.minimum(T - 1, 4 - T), 0, 1)
     positions = np.stack([25 * T, 0 * T, 60 + 0 * T], 1)
     helicopter, still = load_vehicle("helicopter"), clip_along(positions, 0.0)
@@ -144,7 +145,7 @@ def test_camera_stays_above_the_ground_and_sees_its_target(hills, rig, motion):
 
 @pytest.mark.parametrize("motion", ["straight", "jittery", "shaking", "circle", "start and stop"])
 def test_chase_moves_smoothly(motion):
-    """Its jerk is of the order of the path's own, whatever the body does, and in hover it does not move at all."""
+    """Its jerk is of the order of the path's own for any motion of the body, and in hover it does not move at all."""
     camera = solve_camera(CameraRig(), {"cube": MOTIONS[motion]}, World(), (1001, 1121), ASPECT)
     jerk = np.linalg.norm(np.diff(camera.positions, 3, axis=0), axis=1) * FPS**3
     assert jerk.max() < 60.0  # m/s^3; an unfiltered circle has 20, the jittery body 14,000
@@ -213,7 +214,7 @@ def test_a_dolly_rides_its_rail_abreast_of_the_target():
 
 
 def hidden_frames(camera, clip, centre, size):
-    """On how many frames the line to the middle of the cube runs through a box, ``centre`` that of its bottom."""
+    """Number of frames on which the line to the middle of the cube intersects a box; ``centre``: that of its bottom."""
     half = np.array([*size[:2], 0.0]) / 2
     low, high = np.subtract(centre, half), np.add(centre, half) + np.array([0.0, 0.0, size[2]])
     along = np.linspace(0, 0.9, 200)[:, None, None]
@@ -294,7 +295,7 @@ def test_a_cut_equals_each_camera_in_turn_and_jumps_between_frames():
     assert np.allclose(cut.lens_mm[whole], expected)
     far = expected == 85.0
     assert np.allclose(cut.positions[whole], np.where(far[:, None], both["far"].positions, both["near"].positions))
-    # whatever a shutter sees within half a frame of a frame belongs to that frame's camera
+    # everything that a shutter shows within half a frame of a frame belongs to that frame's camera
     for frame in (1040.0, 1041.0):
         for shutter in (-0.49, 0.49):
             seen = np.array([np.interp(frame + shutter, cut.frames, column) for column in cut.positions.T])
@@ -388,7 +389,7 @@ def rolling(seed, height):
 @pytest.mark.parametrize("above", [0.0, 5.0], ids=["on the ground", "flying"])
 @pytest.mark.parametrize("seed", range(8))
 def test_a_chase_camera_stays_behind_its_target_on_hills(seed, above):
-    """Raised over what rises behind the target, and not put beside it; never in the ground."""
+    """It is raised over ground that rises behind the target, and not moved beside it; it is never in the ground."""
     world, random = rolling(seed, (1.2, 2.0)[seed % 2]), np.random.default_rng(seed + 100)
     heading, start = random.uniform(-np.pi, np.pi), random.uniform(-40, 40, 2)
     way = start + np.outer(8 * T, [np.cos(heading), np.sin(heading)])

@@ -1,4 +1,4 @@
-"""What the command line tells a newcomer: help, completion, the schema and the height of the ground."""
+"""What the command line tells a new user: help, completion, the schema and the height of the ground."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from vehsim.world.terrain.terrain import Terrain
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PATIENCE = 600.0
-"""How long a busy machine may take, s: only a test that fails waits so long."""
+"""Time limit on a busy machine, s: only a failing test waits that long."""
 
 
 # ---------------------------------------------------------------- help
@@ -51,7 +51,7 @@ def test_help_of_export_lists_all_exporters_costs_and_limits(
 
 
 def complete(*words: str, folder: Path | None = None) -> list[str]:
-    """What a shell would offer for the last of these words."""
+    """The completions that a shell would offer for the last of these words."""
     typed = " ".join(("vehsim", *words)).rstrip() + (" " if not words[-1] else "")
     environment = os.environ | {
         "_VEHSIM_COMPLETE": "complete_bash",
@@ -95,7 +95,7 @@ def test_cameras_of_a_stage_are_completed(tmp_path: Path) -> None:
     assert complete("render", "shot.usda", "--camera", "", folder=tmp_path) == ["wide", "close"]
     (tmp_path / "shot.usda").write_text("nothing")
     assert complete("render", "shot.usda", "--camera", "", folder=tmp_path) == []
-    (tmp_path / "shot.usda").unlink()  # no stage of ours
+    (tmp_path / "shot.usda").unlink()  # not one of our stages
 
 
 # ---------------------------------------------------------------- the schema
@@ -109,7 +109,7 @@ def test_the_schema_names_its_dialect_and_the_line_to_paste(capsys: pytest.Captu
 
 
 def fits(value: object, shape: dict, root: dict) -> bool:
-    """Does a value fit a JSON schema? As much of draft 7 as ours has."""
+    """Whether a value fits a JSON schema; it supports the part of draft 7 that ours uses."""
     if "$ref" in shape:
         return fits(value, root["$defs"][shape["$ref"].rpartition("/")[2]], root)
     for word, some in (("anyOf", any), ("oneOf", lambda each: sum(each) == 1)):

@@ -1,4 +1,4 @@
-"""The command line: exit codes, one message per problem, no traceback, nothing touched by wrong input."""
+"""The command line: exit codes, one message per problem, no traceback, and no files changed by wrong input."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from vehsim.cli import commands as cli
 from vehsim.cli.arguments import frames_in
 
 PATIENCE = 600.0
-"""How long a busy machine may take, s: only a test that fails waits so long."""
+"""Time limit on a busy machine, s: only a failing test waits that long."""
 SHOT = """
 [shot]
 schema = 1
@@ -94,7 +94,7 @@ def test_a_bad_shot_does_not_stop_the_others(tmp_path: Path, capsys: pytest.Capt
 def test_an_unexpected_error_in_one_shot_leaves_the_others(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, where: str
 ) -> None:
-    """The end of a file too: click takes it for somebody who ended a dialogue."""
+    """End of file too, which click treats as the end of a dialogue."""
     from pydoc import locate
 
     shots = [write(tmp_path, "good"), *(write(tmp_path, name) for name in ("odd", "ended"))]
@@ -157,7 +157,7 @@ def test_two_shots_with_one_name_are_refused(tmp_path: Path, capsys: pytest.Capt
 
 
 def test_failures_during_the_work_exit_with_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A right shot whose plan has no time to be found."""
+    """A valid shot without enough time to find a plan."""
     path = tmp_path / "far.toml"
     marks = "".join(
         f"[[vehicle.motion.mark]]\nframe = {frame}\nposition = [{x}, 0, 10]\nvelocity = [0, 0, 0]\n"
@@ -261,7 +261,8 @@ def test_out_must_be_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]
 
 
 def test_an_interrupt_anywhere_has_our_exit_code(tmp_path: Path) -> None:
-    """Under ``python -m`` a KeyboardInterrupt that crossed an ``exec`` ends Python by signal, though it was caught."""
+    """Under ``python -m``, a KeyboardInterrupt that passed through an ``exec`` ends Python by signal, even if
+    caught."""
     (tmp_path / "struck.py").write_text(
         "import os, signal, sys\n"
         "from vehsim.cli import arguments, commands\n"
@@ -277,7 +278,7 @@ def test_an_interrupt_anywhere_has_our_exit_code(tmp_path: Path) -> None:
 
 
 def test_an_interrupt_waits_until_usd_modules_are_loaded() -> None:
-    """They print what is raised while they load, and go on half made: the command would never hear of it."""
+    """They print exceptions raised while they load, and continue half loaded: the command would never see them."""
     from vehsim.runtime.signals import raising
 
     module = {"__name__": "pxr.Something"}
@@ -293,7 +294,7 @@ def test_an_interrupt_waits_until_usd_modules_are_loaded() -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_an_interrupted_export_leaves_nothing(tmp_path: Path, number: int) -> None:
-    """Stopped in the middle of writing, while its hidden folder is there."""
+    """It is stopped while writing, when its hidden folder exists."""
     shot = write(tmp_path, duration=1)
     code = (
         "import sys, time, pathlib, vehsim.delivery.take as d\n"

@@ -1,4 +1,4 @@
-"""`vehsim inspect`: a foreign asset's axes, sizes and wheels, held against what riggers wrote by hand."""
+"""`vehsim inspect`: a foreign asset's axes, sizes and wheels, compared with what riggers wrote by hand."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_inspect_agrees_with_the_riggers_vehicle_toml(tmp_path: Path, name: str)
             "roll_fl",
             "steer_fl",
             "roll_left",
-        ):  # radius, wheelbase and track, as the wheels turn
+        ):  # radius, wheelbase and track, from the rotation of the wheels
             if channel in ours.channels:
                 assert turned(ours, channel) == pytest.approx(turned(theirs, channel), rel=0.003)
 
@@ -68,7 +68,7 @@ def turned(vehicle: object, channel: str) -> float:
 
 @pytest.mark.parametrize("name", OWN)
 def test_the_written_vehicle_toml_works_unchanged(tmp_path: Path, name: str) -> None:
-    """A shot of it, in the folder of a studio, passes its check; its wheels roll as far as it drives."""
+    """A shot of the vehicle, in a studio's folder, passes its check; its wheels roll as far as it drives."""
     shutil.copytree(OWN[name], tmp_path / "studio", ignore=shutil.ignore_patterns("vehicle.toml"))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -179,7 +179,7 @@ def test_inspect_prints_and_writes_but_never_overwrites(tmp_path: Path, capsys: 
     assert cli.run(["inspect", str(asset), "--write", str(tmp_path / "kart")]) == 2
     assert "exists and is not overwritten" in capsys.readouterr().err
     assert (tmp_path / "kart" / "vehicle.toml").read_text() == before
-    assert cli.run(["inspect", str(tmp_path / "kart")]) == 0  # a vehicle's folder too
+    assert cli.run(["inspect", str(tmp_path / "kart")]) == 0  # also accepts a vehicle's folder
 
 
 @pytest.mark.parametrize("name, content", [("a.usda", "nothing"), ("a.obj", "o a\n"), ("a.glb", "x"), ("a.txt", "x")])

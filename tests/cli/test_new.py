@@ -1,4 +1,4 @@
-"""`vehsim new`: a first shot of any vehicle, which exports as it is and hits its marks."""
+"""`vehsim new`: a first shot of any vehicle, which exports unchanged and hits its marks."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def new(folder: Path, *words: str, code: int = 0) -> Path:
 
 
 def solved(path: Path) -> Shot:
-    """The take of a file that passes its check without a word, every mark of it measured."""
+    """The take of a file that passes its check without warnings, with every mark of it measured."""
     shot = Shot.load(path)
     assert [str(problem) for problem in shot.check()] == []
     with warnings.catch_warnings():

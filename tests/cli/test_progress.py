@@ -1,4 +1,4 @@
-"""Without a terminal: a plain line every few seconds, so that a log shows what is being done; and pipes that close."""
+"""Without a terminal: a plain line every few seconds, so that a log shows the current work; and pipes that close."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ duration = 0.25
 
 @pytest.fixture
 def eager(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As if seconds passed between any two of our lines."""
+    """Make every line appear as if seconds had passed since the last one."""
     monkeypatch.setattr(screen, "PAUSE", 0.0)
     monkeypatch.setattr(screen, "CHANGE", 0.01)
 
@@ -85,7 +85,7 @@ def test_pictures_are_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]
 def test_other_commands_show_their_progress(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A thread does: what they call tells nothing of its progress."""
+    """A thread prints it, because the functions that they call report no progress."""
     load = _arguments.load_all
 
     def slow(*given: Any) -> Any:

@@ -1,4 +1,4 @@
-"""A clip reads the same everywhere: exact at its knots, C1 between, bit for bit from a file."""
+"""A clip reads the same everywhere: exact at its knots, C1 between them, bit for bit from a file."""
 
 from dataclasses import replace
 from fractions import Fraction
@@ -101,7 +101,7 @@ def test_save_and_load_bit_for_bit(name, tmp_path):
 
 
 def test_a_planar_boats_clip_loads_as_a_planar_boat(tmp_path):
-    """Its twists have three columns: read as the floating boat's they would be rolls, pitches and yaws."""
+    """Its twists have three columns: as those of the floating boat they would be rolls, pitches and yaws."""
     boat = vehsim.load_vehicle("boat")
     t = np.linspace(0, 2, 25)
     gliding = Integrator(boat.planar, 1 / 12).rollout(State(), np.column_stack([2000 + 0 * t, 0.2 * np.sin(t)]))
@@ -139,7 +139,7 @@ def test_one_sample_is_a_clip():
 
 @pytest.mark.parametrize("damage", [b"", b"PK\x03\x04half", None])
 def test_damaged_files_are_named(tmp_path, damage):
-    """Empty, truncated and bit-flipped files are wrong input, not a fault of vehsim."""
+    """Empty, truncated and bit-flipped files are wrong input, not an error of vehsim."""
     import vehsim
     from vehsim.errors import InputError
 
@@ -172,7 +172,7 @@ def test_clips_hold_finite_numbers_and_unit_quaternions():
     assert len(repr(clip)) < 120
 
 
-FOLLOWING = {  # vehicle: channel -> what it shows, of the joints by name
+FOLLOWING = {  # vehicle: channel -> the value that it shows, from the joints by name
     "car": {
         "steer_fl": lambda r: np.arctan2(r["sigma"], 1 - 0.77 / 2.6 * r["sigma"]),
         "steer_fr": lambda r: np.arctan2(r["sigma"], 1 + 0.77 / 2.6 * r["sigma"]),
@@ -185,7 +185,7 @@ FOLLOWING = {  # vehicle: channel -> what it shows, of the joints by name
 
 @pytest.mark.parametrize("name", FOLLOWING)
 def test_channels_follow_their_joints_between_knots(name):
-    """Joints that turn back between knots: an interpolant of the channel's own would stand still there."""
+    """Joints that turn back between knots: an interpolant of the channel alone would stand still there."""
     vehicle = vehsim.load_vehicle(name)
     n, s = 9, len(vehicle.joints)
     rng = np.random.default_rng(1)

@@ -1,4 +1,4 @@
-"""What we do in numpy alone, to start quickly, is what scipy does."""
+"""Functions that we wrote in numpy, for a fast start, agree with scipy's."""
 
 import os
 import subprocess
@@ -23,7 +23,7 @@ print(plan.success, [name for name in sys.modules if name.split(".")[0] == "scip
 
 
 def test_a_plan_needs_no_scipy(tmp_path):
-    """But for the convex hulls of a vehicle, which are kept: the first plan of all makes them."""
+    """Except for the convex hulls of a vehicle, which are cached: the very first plan computes them."""
     environment = {**os.environ, "VEHSIM_CACHE": str(tmp_path)}
     for _ in range(2):
         command = [sys.executable, "-c", ALONE]

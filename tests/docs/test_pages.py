@@ -1,4 +1,4 @@
-"""The pages beside their snippets: tables as the models are, nothing left out, and a site without a dead link."""
+"""Properties of the pages besides their snippets: tables match the models, nothing is left out, no link is dead."""
 
 from __future__ import annotations
 
@@ -127,7 +127,8 @@ def test_dir_lists_every_public_name_and_module() -> None:
 
 
 def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
-    """MkDocs holds every link and anchor, mkdocstrings every name of the reference; strict makes a warning an error."""
+    """MkDocs checks every link and anchor, mkdocstrings every name of the reference; strict turns warnings into
+    errors."""
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)]
     done = subprocess.run(
         command, cwd=ROOT, env=os.environ | {"NO_MKDOCS_2_WARNING": "1"}, capture_output=True, text=True

@@ -1,11 +1,11 @@
 """Every snippet of every page runs alone, in an empty folder, and does what its text says.
 
-Pages are README.md and docs/*.md. A fence says its language: ``toml`` (a whole shot, a piece of one, or a
-vehicle.toml), ``python``, ``sh``, or ``text`` for what is no code. A piece of a shot is put into the cookbook's first
-shot, as its reader does, solved and exported; what is delivered is measured by what knows only the stage and the shot
-file (``tools/audit_random/verify.py``) and by ``vehsim audit``. Python runs in an interpreter of its own, followed by
-what should then be so; commands run in a shell. `TOML`, `PYTHON` and `SHELL` hold what else each text promises: a
-snippet that is not there fails.
+Pages are README.md and docs/*.md. A fence names its language: ``toml`` (a whole shot, a piece of one, or a
+vehicle.toml), ``python``, ``sh``, or ``text`` for anything that is not code. A piece of a shot is put into the
+cookbook's first shot, as its reader would do, solved and exported; ``tools/audit_random/verify.py``, which reads only
+the stage and the shot file, and ``vehsim audit`` then measure the delivery. Python runs in a separate interpreter,
+followed by assertions; commands run in a shell. `TOML`, `PYTHON` and `SHELL` contain the other promises of each text:
+an entry without a snippet fails.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ ROOT = Path(vehsim.__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 ELSEWHERE = ROOT / "tests" / "assets_elsewhere"
 PATIENCE = 600.0
-"""How long a busy machine may take, s: only a test that fails waits so long."""
+"""Time limit on a busy machine, s: only a failing test waits that long."""
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.DOTALL | re.MULTILINE)
 HEADING = re.compile(r"^#+ (.*)$", re.MULTILINE)
 
@@ -57,7 +57,7 @@ size = [96, 64]
 samples = 0
 shadows = false
 """
-"""The shot that commands and scripts call shot.toml: there so that they have one to load."""
+"""The shot that commands and scripts call shot.toml; they need one to load."""
 
 
 class Snippet(NamedTuple):
@@ -106,7 +106,7 @@ verify = load(ROOT / "tools" / "audit_random" / "verify.py")
 
 
 def whole(piece: str) -> str:
-    """A piece put into the cookbook's first shot, in the place of what it gives anew."""
+    """A piece put into the cookbook's first shot, in place of the values that it gives."""
     given = tomllib.loads(piece)
     if "shot" in given:
         return piece
@@ -120,7 +120,7 @@ def whole(piece: str) -> str:
 
 
 def examine(delivery: Path, shot: Path) -> None:
-    """A delivery measured against everything that was asked of it: by what knows only its files."""
+    """Measure a delivery against everything that was requested, from its files alone."""
     (stage,) = delivery.glob("*.usda")
     assert [row.text for row in verify.verify(tomllib.loads(shot.read_text()), stage).rows] == []
     if not list(delivery.glob("v*")):
@@ -161,7 +161,7 @@ def red(take: Any, delivery: Path) -> None:
 
 
 def third_manoeuvre(take: Any, delivery: Path) -> None:
-    """``vehsim manoeuvres`` lists at least three, and the third may be chosen."""
+    """``vehsim manoeuvres`` lists at least three, and the third can be chosen."""
     third = (delivery.parents[1] / "shot.toml").read_text().replace('"sinusoid"', '"sinusoid"\nmanoeuvre = 3')
     third_shot = vehsim.Shot.from_dict(tomllib.loads(third))
     assert [str(problem) for problem in third_shot.check() if problem.severity == "error"] == []
@@ -190,7 +190,7 @@ def clips(count: int) -> Callable[[Any, Path], None]:
 
 
 def nothing_more(take: Any, delivery: Path) -> None:
-    """What was asked is all that the text says."""
+    """The request is all that the text promises."""
 
 
 TOML: dict[str, Callable[[Any, Path], None]] = {
@@ -212,7 +212,7 @@ TOML: dict[str, Callable[[Any, Path], None]] = {
     '`method = "plan"`: through marks at the least cost': nothing_more,
     "For animators": nothing_more,
 }
-"""Heading -> what the text says beside what its shot asks."""
+"""Heading -> what the text promises in addition to its shot's requests."""
 
 
 @pytest.mark.parametrize("snippet", [s for s in written("toml") if "model" not in tomllib.loads(s.values[0].text)])
@@ -236,7 +236,7 @@ def test_shots_do_what_they_say(snippet: Snippet, tmp_path: Path, recwarn: pytes
 
 @pytest.mark.parametrize("snippet", [s for s in written("toml") if "model" in tomllib.loads(s.values[0].text)])
 def test_vehicle_tomls_move_their_rigs(snippet: Snippet, tmp_path: Path) -> None:
-    """The vehicle of that name, shipped or from elsewhere, with this vehicle.toml."""
+    """Use this vehicle.toml for the vehicle of that name, shipped or foreign."""
     name = tomllib.loads(snippet.text)["name"]
     homes = [ROOT / "assets" / "vehicles" / name, ROOT / "tests" / "assets_elsewhere" / name]
     shutil.copytree(next(home for home in homes if home.is_dir()), tmp_path / name)
@@ -319,7 +319,7 @@ assert (np.degrees(np.arccos(cosines))[48:121] <= 30 * 1.01).all()
 assert found.growth == (2, 3, 4) and found.brackets == 2 and found.levels == 3
 """,
 }
-"""Page and heading -> what is so when the script has run, in Python."""
+"""Page and heading -> assertions after the script, in Python."""
 
 
 @pytest.mark.parametrize("snippet", [s for s in written("python") if "def test_" not in s.values[0].text])
@@ -345,7 +345,7 @@ def test_pictures_are_guarded_by_the_fixture(tmp_path: Path) -> None:
     (tmp_path / "test_renders.py").write_text(code.replace("1117, 1217", "1003, 1005"), encoding="utf-8")
     run(commands.replace("pytest", "pytest -p no:cacheprovider"), tmp_path)
     picture = next((tmp_path / "renders" / "comp").rglob("*.png"))
-    picture.write_bytes(b"")  # no picture any more
+    picture.write_bytes(b"")  # no longer a picture
     assert run("pytest -p no:cacheprovider", tmp_path, code=1)
 
 
@@ -353,7 +353,7 @@ def test_pictures_are_guarded_by_the_fixture(tmp_path: Path) -> None:
 
 
 def run(text: str, folder: Path, code: int = 0) -> str:
-    """What a shell answers in ``folder``, with this interpreter's commands."""
+    """The output of a shell in ``folder``, with this interpreter's commands."""
     environment = os.environ | {"PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
     environment.pop("PYTEST_ADDOPTS", None)
     text = text.replace(".venv/bin/", "")
@@ -365,7 +365,7 @@ def run(text: str, folder: Path, code: int = 0) -> str:
 
 
 class Shell(NamedTuple):
-    """What a command needs beside ``shot.toml``: files by name; and the patterns of what is there when it has run."""
+    """What a command needs beside ``shot.toml``: files by name; and patterns of the files that it leaves."""
 
     leaves: tuple[str, ...] = ()
     files: dict[str, str] = {}  # noqa: RUF012
@@ -429,7 +429,7 @@ def test_commands_do_what_they_say(snippet: Snippet, tmp_path: Path) -> None:
     for line in snippet.text.replace("\\\n", " ").splitlines():
         if words := shlex.split(line, comments=True):
             understand(words)
-    if snippet.text.startswith("pytest"):  # run above, with the tests they are for
+    if snippet.text.startswith("pytest"):  # run above, with the tests that they belong to
         return
     text = snippet.text
     if "blend" in text and shutil.which("blender") is None:
@@ -464,7 +464,7 @@ def test_commands_in_prose_exist(page: Path) -> None:
 
 
 def understand(words: list[str]) -> None:
-    """The command of a line: that it exists, and takes these options."""
+    """Parse the command of a line: it must exist and accept these options."""
     name, rest = words[0].removeprefix(".venv/bin/"), words[1:]
     if name == "vehsim":
         parse(rest)
@@ -489,6 +489,6 @@ def parse(words: list[str]) -> None:
     commands = whole.commands  # type: ignore[attr-defined]
     assert words[0] in commands, f"vehsim {words[0]}: no such command"
     command = commands[words[0]]
-    context = command.make_context(words[0], [], resilient_parsing=True)  # so far nothing need be given
-    context.resilient_parsing = False  # but what is given must be known
+    context = command.make_context(words[0], [], resilient_parsing=True)  # nothing is required yet
+    context.resilient_parsing = False  # but every given option must be known
     command.make_parser(context).parse_args(words[1:])

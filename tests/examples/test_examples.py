@@ -1,7 +1,7 @@
-"""Every example exports, validates, and looks as it did when somebody last looked at it.
+"""Every example exports, validates, and looks as it did when its reference was approved.
 
-The references were rendered at 320 x 180 and looked at. After a change that is meant to show, look at the new pictures,
-then write them with ``VEHSIM_WRITE_REFERENCES=1 pytest tests/examples``.
+The references were rendered at 320 x 180 and inspected. After a change that should be visible, inspect the new
+pictures, then write them with ``VEHSIM_WRITE_REFERENCES=1 pytest tests/examples``.
 """
 
 import os
@@ -16,7 +16,7 @@ from vehsim.exporters.compare.compare import compare_pictures, write_difference
 ROOT = Path(__file__).parents[2]
 REFERENCES = ROOT / "tests" / "references"
 TOLERANCE = 0.02
-"""Share of pixels that may differ visibly: another Mesa or CPU moves edges; a lost shadow or vehicle is more."""
+"""Share of pixels that may differ visibly: another Mesa or CPU moves edges; a missing shadow or vehicle is more."""
 
 EXAMPLES = sorted((ROOT / "examples").glob("*.toml"))
 

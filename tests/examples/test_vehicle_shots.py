@@ -1,4 +1,4 @@
-"""What the vehicles' own shots promise in their first line, measured."""
+"""The promises in the first lines of the vehicles' own shots, measured."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_rider_picks_up_speed_and_the_wheels_roll_where_they_point():
             speed = np.sum(np.gradient(pivot + side * 0.075 * aside, t, axis=0) * ahead, axis=1)
             assert np.abs(0.032 * np.gradient(clip.channels[wheel], t) - speed).max() < 5e-3
         lead = np.correlate(clip.channels["hips"], -end * clip.channels[truck], "full")
-        assert np.argmax(np.abs(lead)) < len(t) - 1  # the feet follow the twist
+        assert np.argmax(np.abs(lead)) < len(t) - 1  # the feet lag behind the twist
 
 
 def test_car_steers_through_the_gates_and_stops_at_the_end():
@@ -63,7 +63,7 @@ def test_rk4_loses_energy_at_a_large_step_that_ours_conserves():
     assert np.abs(momentum["ours"] - momentum["ours"][0]).max() < 1e-9 * size
     assert energy["rk4"][-1] < 0.55 and np.all(np.diff(energy["rk4"]) < 0)
     assert np.linalg.norm(momentum["rk4"][-1]) < 0.85 * size
-    # it stops turning over: its axis of rotation comes to rest in the body, ours goes on through it
+    # RK4's body stops turning over: its axis of rotation comes to rest in the body, ours continues through it
     wander = {name: np.ptp((inertia * clip.twists[-18:, :3])[:, 0]) / size for name, clip in clips.items()}
     assert wander["rk4"] < 0.5 * wander["ours"]
 

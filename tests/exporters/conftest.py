@@ -1,4 +1,4 @@
-"""Toys for tests: a two-part vehicle asset in any units, smooth motion with a fast rotor, a bumpy terrain."""
+"""Small fixtures: a two-part vehicle asset in any units, smooth motion with a fast rotor, a bumpy terrain."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ FRAMES = (1001, 1024)
 
 
 def silent(what: str, done: float) -> None:
-    """Progress nobody watches."""
+    """Ignore progress."""
 
 
 def write_asset(path: Path, metres: float = 1.0, up: str = "Z", edit: Callable[[Any], None] | None = None) -> Path:
@@ -115,7 +115,7 @@ def toy_clip(asset: Path, spin_axis: str = "Z", still: bool = False, drives: dic
 
 @pytest.fixture(scope="session")
 def toys() -> SimpleNamespace:
-    """``asset(path, ...)`` and ``clip(asset, ...)`` make toys; ``silent`` is progress nobody watches."""
+    """``asset(path, ...)`` and ``clip(asset, ...)`` make toys; ``silent`` ignores progress."""
     return SimpleNamespace(asset=write_asset, clip=toy_clip, silent=silent, frames=FRAMES)
 
 

@@ -1,4 +1,4 @@
-"""Blender shows what was exported, at every frame and between: opened as it is, and baked to its own keys."""
+"""Blender shows the exported motion at every frame and between frames: opened as it is, and baked to its own keys."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from vehsim.exporters import blender
 from vehsim.exporters.usd.exporter import write_usd
 
 MADE = Path(__file__).parents[2] / ".blender" / "bin" / "python"
-"""Where `make blender` puts a Python with Blender's module."""
+"""The Python with Blender's module that `make blender` installs."""
 PYTHON = os.environ.get("VEHSIM_BLENDER", str(MADE) if MADE.exists() else "")
 needs_blender = pytest.mark.skipif(
     not Path(PYTHON).name.startswith("python"),
@@ -72,14 +72,14 @@ def test_matrices_in_blender_match_the_stage(shot, tmp_path, toys, baked):
         cache = UsdGeom.XformCache(time)
         for name, prim in NAMES.items():
             expected = np.array(cache.GetLocalToWorldTransform(stage.GetPrimAtPath(prim))).T
-            size = max(1.0, np.abs(expected[:3, 3]).max())  # Blender keeps single precision
-            tolerance = 1e-5 if not baked or time % 1 == 0 else 2e-2  # keys turn along other chords than the reader
+            size = max(1.0, np.abs(expected[:3, 3]).max())  # Blender stores single precision
+            tolerance = 1e-5 if not baked or time % 1 == 0 else 2e-2  # keys rotate along other chords than the reader
             assert np.abs(found[f"{name} {time}"] - expected).max() < tolerance * size, (name, time)
 
 
 @needs_blender
 def test_a_layer_over_a_blender_asset_moves_in_blender(tmp_path, toys, make_take):
-    """Its reader leaves out a lone root that it wrote itself."""
+    """Blender's importer leaves out a lone root that Blender wrote."""
 
     def marked(stage):
         stage.GetDefaultPrim().SetCustomDataByKey("Blender:generated", True)
@@ -114,7 +114,7 @@ def test_cycles_renders_the_stage_alone(shot, tmp_path):
 
 @needs_blender
 def test_the_suns_strength_in_blender_equals_its_irradiance(shot):
-    """Blender's own reader multiplies by four."""
+    """Blender's own importer multiplies it by four."""
     program = f"import sys; sys.path.insert(0, {str(Path(blender.__file__).parent)!r}); import blender, bpy; "
     program += f"blender.open_stage({str(shot[1])!r}); print('SAYS', bpy.data.objects['sun'].data.energy)"
     answer = subprocess.run([PYTHON, "-c", program], capture_output=True, text=True)
@@ -136,7 +136,7 @@ def test_without_blender_its_exporters_name_the_remedy(shot, tmp_path, toys, mon
 
 
 def test_the_suns_light_does_not_depend_on_its_size(shot):
-    """Renderers take a sun's intensity for that of its disc unless it is normalised: Cycles drew dusk."""
+    """Renderers take a sun's intensity for that of its disc unless it is normalised: Cycles then rendered dusk."""
     from pxr import Usd, UsdLux
 
     stage = Usd.Stage.Open(str(shot[1]))

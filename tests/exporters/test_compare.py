@@ -1,4 +1,4 @@
-"""What counts as a changed picture."""
+"""The definition of a changed picture."""
 
 import numpy as np
 import pytest
@@ -76,7 +76,7 @@ def test_command_exits_1_and_draws_what_changed(pictures, capsys):
     [("segmentation", 14, True), ("segmentation", 10, False), ("colour", 14, True), ("colour", 10, False)],
 )
 def test_small_prims_may_not_vanish_or_change_their_colour(tmp_path, kind, pixels, named):
-    """A prim of 14 pixels of 160000 is a hundredth of what the picture as a whole forgives."""
+    """A prim of 14 pixels of 160000 is a hundredth of the permitted change of the whole picture."""
     from vehsim.exporters.pictures.passes import pass_path, prim_colours, write_legend
 
     paths = ["/shot/env/ground", "/shot/heli/hub"]

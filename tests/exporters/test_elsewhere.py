@@ -1,4 +1,4 @@
-"""Vehicles that others made, saved by Blender: every trap of a foreign asset, and motion that lands where it should."""
+"""Foreign vehicles, saved by Blender: every trap of such an asset, and motion that ends at the right place."""
 
 from __future__ import annotations
 
@@ -50,10 +50,10 @@ def about(point, axis, angle):
     return matrices
 
 
-@pytest.mark.broken_stages  # the crawler's skeleton has no SkelRoot: so Blender saves it
+@pytest.mark.broken_stages  # the crawler's skeleton has no SkelRoot: Blender saves it like this
 @pytest.mark.parametrize("name", CARS)
 def test_wheels_of_foreign_cars_turn_about_their_axles(name, tmp_path):
-    """Each wheel stands at its rest pose, rolled about the axle, steered, and moved with the body: nothing else."""
+    """Each wheel is at its rest pose, rolled about the axle, steered, and moved with the body, and nothing else."""
     from pxr import Usd
 
     clip = drive(name)
@@ -67,7 +67,7 @@ def test_wheels_of_foreign_cars_turn_about_their_axles(name, tmp_path):
         path = next(path for path in rest if path == prim or path.startswith(f"{prim}/"))
         part = before.GetPrimAtPath(f"{before.GetDefaultPrim().GetPath()}/{path}")
         first, at_rest = world_matrices(part, np.array([1.0, whole.frames[0]]))
-        hub = resting[path] + (at_rest - first)[:3, 3]  # the crawler bobs by itself
+        hub = resting[path] + (at_rest - first)[:3, 3]  # the crawler bobs by its own animation
         turned = about(hub, left, whole.channels[f"roll_{corner}"])
         if f"steer_{corner}" in clip.vehicle.rig.drives:
             turned = about(hub, up, whole.channels[f"steer_{corner}"]) @ turned
@@ -142,7 +142,7 @@ def test_deliveries_in_other_units_and_up_axes(up, metres, tmp_path):
         a, b = (world_matrices(stage.GetPrimAtPath(path), frames) for stage in (ours, theirs))
         assert np.abs(change @ a - b).max() < 1e-9 / metres, path
     first = world_matrices(theirs.GetPrimAtPath("/shot/vehicles/it"), frames[:1])[0]
-    if (up, metres) == ("Y", 0.01):  # as the asset itself: no correction is left, the pose alone
+    if (up, metres) == ("Y", 0.01):  # same axes and units as the asset: no correction, only the pose
         order = UsdGeom.Xformable(theirs.GetPrimAtPath("/shot/vehicles/it")).GetXformOpOrderAttr().Get()
         assert [name for name in order if "nits" in name or "Axis" in name] == [
             "xformOp:rotateX:upAxis",
@@ -206,7 +206,7 @@ def test_rigs_that_cannot_be_driven_are_named(name, change, said, tmp_path):
     [((0.0, 1.0, 1.0), "cannot be inverted"), ((1.0, 2.0, 1.0), "would shear"), ((3.0, 1.0, 1.0), None)],
 )
 def test_scales_above_a_spin_are_named(scale, said, tmp_path):
-    """A scale along the axle is harmless, one across it would shear the turning wheel."""
+    """A scale along the axle is harmless; one across it would shear the turning wheel."""
     from pxr import Gf, Usd, UsdGeom
 
     folder = vehicle_with(tmp_path, "pickup")
@@ -214,7 +214,7 @@ def test_scales_above_a_spin_are_named(scale, said, tmp_path):
     UsdGeom.Xformable(stage.GetPrimAtPath("/pickup/geo/axle_rear")).AddScaleOp().Set(Gf.Vec3f(*scale))
     stage.Save()
     text = (folder / "vehicle.toml").read_text().replace("density = 160.0", "mass = 900.0\nyaw_inertia = 3000.0")
-    (folder / "vehicle.toml").write_text(text)  # to weigh it would trip over the scale before
+    (folder / "vehicle.toml").write_text(text)  # weighing the asset would fail at the scale first
     found = [p.message for p in rig_problems(load_vehicle(folder).rig) if p.key == "channels.roll_rl"]
     assert (found == []) if said is None else any(said in message for message in found), found
 
@@ -243,7 +243,7 @@ def test_an_obj_must_say_its_unit(tmp_path):
 
 @pytest.mark.broken_stages
 def test_an_assets_own_animation_continues_below_ours(tmp_path):
-    """The crawler bobs by itself: its wheels turn on moving parents' places, in its own time codes."""
+    """The crawler bobs by its own animation: its wheels turn on moving parents, in the asset's own time codes."""
     from pxr import Usd, UsdGeom
 
     folder = vehicle_with(tmp_path, "crawler")
@@ -292,7 +292,7 @@ def test_errors_in_an_asset_name_the_users_file_instead_of_the_cache(tmp_path):
 
 @pytest.mark.parametrize(("name", "start"), [("gyro", "blades"), ("helicopter", "")])
 def test_rotors_as_blades_or_disc(name, start, tmp_path):
-    """A ring is made where the asset has none; either way one of both is seen, and the disc turns with the rotor."""
+    """A ring is made if the asset has no disc; either way one of both is visible, and the disc turns with the rotor."""
     from pxr import UsdGeom
 
     folder = ELSEWHERE / name if name == "gyro" else name

@@ -1,4 +1,4 @@
-"""Films play anywhere, tables read back to the same numbers, the report names every file by its hash."""
+"""Films play anywhere, tables read back to the same numbers, the report lists every file with its hash."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_contact_sheet_shows_first_and_last_with_numbers(tmp_path, pictures):
 
 
 def test_a_contact_sheet_has_room_for_pictures_of_any_size(tmp_path):
-    """One camera's pictures beside those of all: none lies on another, or beyond the sheet."""
+    """One camera's pictures next to combined ones: none overlaps another or exceeds the sheet."""
     from PIL import Image
 
     files = []

@@ -1,4 +1,4 @@
-"""Guides say what the motion was: forces, controls, contacts and wind, for eyes and never for pictures."""
+"""Guides show properties of the motion: forces, controls, contacts and wind. They are not rendered."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Samples for motion blur, few keys, value clips, versions and single files: each reads as the motion it came from."""
+"""Samples for motion blur, few keys, value clips, versions and single files: each reads as the same motion."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def write(clip, folder, **settings):
 
 
 def chord_error(stage, clip, path, frames, point):
-    """How far a point of a prim stands from its path when matrices at its samples are joined by straight lines, m."""
+    """Distance, m, of a point of a prim from its path when matrices at its samples are interpolated linearly."""
     prim = stage.GetPrimAtPath(path)
     exact = world_matrices(prim, frames)[:, :3] @ point
     moved = (prim, stage.GetPrimAtPath("/shot/vehicles/it"))
@@ -95,7 +95,7 @@ def test_thinned_keys_stay_within_their_tolerance(weave, tmp_path):
     rims = np.array([[x, 0.0, z, 1.0] for x, z in ((0.32, 0), (-0.32, 0), (0, 0.32), (0, -0.32))])
 
     def points():
-        """Of the body's corners, and of the rims of a wheel that slides and one that steers too: (p, n, 3)."""
+        """Points (p, n, 3) of the body's corners, and of the rims of a sliding wheel and of one that steers too."""
         corners = np.array([[x, y, z, 1.0] for x in (-0.8, 3.4) for y in (-0.9, 0.9) for z in (0.0, 1.3)])
         of = {"": corners, "/wheel_rr": rims, "/steer_fl/wheel_fl": rims}
         matrices = {p: world_matrices(stage.GetPrimAtPath(f"{prim.GetPath()}{p}"), frames)[:, :3] for p in of}
@@ -108,7 +108,7 @@ def test_thinned_keys_stay_within_their_tolerance(weave, tmp_path):
 
 
 def fewest_by_force(frames, values, tolerance):
-    """The smallest number of samples whose chords hold, by trying all subsets."""
+    """The smallest number of samples whose chords are valid, by trying all subsets."""
     from itertools import combinations
 
     n = len(frames)
@@ -219,7 +219,7 @@ def test_packaged_and_flat_files_contain_the_same_shot(weave, tmp_path):
 
 
 def test_cameras_see_the_same_in_any_units(toys, make_take, tmp_path):
-    """Lens over distance is the same, and what it looks at stands where the vehicle does."""
+    """Lens over distance is the same, and the camera's target is where the vehicle is."""
     from dataclasses import replace
 
     from pxr import Usd, UsdGeom

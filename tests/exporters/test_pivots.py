@@ -1,4 +1,4 @@
-"""Wheels modelled in their place, whose pivots other software named: they turn about their own middle, and forward."""
+"""Wheels modelled in place, with pivots named by other software: they turn about their own centres, and forwards."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def wheel(stage, path, hub):
 
 
 def vehicle(folder: Path, pivots=("rotatePivotTranslate", "rotatePivot"), merged=False, mirrored=(), **more):
-    """A car whose wheels lie in their place in a prim each, which may be the mesh itself, or below a mirror."""
+    """A car whose wheels are each a prim in place, which may be the mesh itself, or below a mirror."""
     stage = Usd.Stage.CreateNew(str(folder / "mine.usda"))
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
@@ -59,7 +59,7 @@ def vehicle(folder: Path, pivots=("rotatePivotTranslate", "rotatePivot"), merged
         place = np.array(hub) * [1, -1, 1] if name in mirrored else np.array(hub)
         if name in mirrored:
             side.AddScaleOp().Set((1, -1, 1))
-            side.AddTranslateOp().Set((0, 0, 0))  # a mirror last in the order would stand below the steering
+            side.AddTranslateOp().Set((0, 0, 0))  # a mirror last in the order would be applied below the steering
         if not merged:
             UsdGeom.Xform.Define(stage, f"/mine/{path}")
         prim = UsdGeom.Xformable(wheel(stage, f"/mine/{path}{'' if merged else '/tyre'}", place).GetPrim())
@@ -81,7 +81,7 @@ def vehicle(folder: Path, pivots=("rotatePivotTranslate", "rotatePivot"), merged
 @pytest.mark.parametrize("merged", [False, True])
 @pytest.mark.parametrize("pivots", [("rotatePivotTranslate", "rotatePivot"), ("my_pivot",), ("hub",)])
 def test_wheels_turn_about_their_pivot_with_any_name(pivots, merged, tmp_path):
-    """Every point stands at T_wr (hub + R_y(roll) (rest - hub)), written out here from the clip's own numbers."""
+    """Every point is at T_wr (hub + R_y(roll) (rest - hub)), computed here from the clip's numbers."""
     car = vehicle(tmp_path, pivots, merged)
     assert list(rig_problems(car.rig)) == []
     clip = vehsim.simulate(car, None, [0.0, 0.0], vehsim.State(twist=(0.0, 8.0, 0.0)), 0.5)

@@ -1,4 +1,4 @@
-"""The regression check sees damage as a supervisor would, sees none in a re-rendering, and shows what it saw."""
+"""The regression check detects damage as a supervisor would, passes a re-rendering, and shows the changes."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def approved(tmp_path_factory, toys, bumpy):
 
 
 def changed(approved: Path, folder: Path, damage: Any) -> set[str]:
-    """The passes that fail after ``damage`` was done to a copy of the stage."""
+    """The passes that fail after ``damage`` is applied to a copy of the stage."""
     from pxr import Usd
 
     shutil.copytree(approved / "shot", folder / "shot")
@@ -120,7 +120,7 @@ def test_rendering_again_gives_the_same_bytes(approved, tmp_path):
 
 
 def test_depth_is_in_metres_and_segmentation_identifies_prims(approved):
-    """Against rays by hand: the ground's height and the camera's pose give the depth of every ground pixel."""
+    """Compared with rays: the ground's height and the camera's pose give the depth of every ground pixel."""
     import json
 
     from PIL import Image
@@ -208,7 +208,7 @@ def test_pictures_of_another_renderer(render_regression):
 
 
 def pytest_in(project: Path, capsys: Any, *options: str) -> tuple[int, str]:
-    """Runs the project's tests, in this process: its plugins and configuration are its own."""
+    """Run the project's tests in this process, with the project's own plugins and configuration."""
     code = pytest.main(["-q", "-p", "no:cacheprovider", "--rootdir", str(project), *options, str(project / "tests")])
     return int(code), capsys.readouterr().out
 
@@ -220,7 +220,7 @@ def test_the_plugin_is_available_without_configuration(tmp_path):
 
 
 def test_the_plugin_works_in_a_separate_project(approved, tmp_path, capsys):
-    """Nothing approved: red. Approved: green. Damaged: red, and shown. Approved again: green."""
+    """Nothing approved: fails. Approved: passes. Damaged: fails, with a report. Approved again: passes."""
     from pxr import Usd
 
     project, stage, pictures = tmp_path / "project", tmp_path / "shot", tmp_path / "pictures"

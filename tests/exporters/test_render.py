@@ -1,4 +1,5 @@
-"""Pictures show the stage: the camera is USD's to the pixel, light and materials are its own, guides stay unseen."""
+"""Pictures show the stage: the camera equals USD's to the pixel, with the stage's light and materials, without
+guides."""
 
 from __future__ import annotations
 
@@ -143,7 +144,7 @@ def test_guides_and_hidden_prims_are_not_drawn(new_stage):
 
 
 def test_the_sun_shines_from_the_stages_direction(new_stage):
-    """Two slopes facing west and east; the low sun in the east (+X) lights the one that faces it."""
+    """Two slopes facing west and east; the low sun in the east (+X) lights the one facing it."""
     from pxr import Gf, UsdGeom, UsdLux
 
     for x in (-2.0, 2.0):
@@ -181,7 +182,7 @@ def test_the_sky_is_brightest_at_the_stages_glow(new_stage, tmp_path):
     turned = new_stage.GetPrimAtPath("/top/main")
     turned.GetAttribute("xformOpOrder").Set(["xformOp:translate", "xformOp:rotateZ", "xformOp:rotateX"])
     turned.CreateAttribute("xformOp:rotateZ", turned.GetAttribute("xformOp:rotateX").GetTypeName()).Set(30.0)
-    image = picture(new_stage).sum(axis=2)  # turned left by 30 degrees: the glow is on the right now
+    image = picture(new_stage).sum(axis=2)  # rotated left by 30 degrees: the glow is on the right now
     assert image[row, -5:].mean() > image[row, :5].mean() + 20
 
 
@@ -214,7 +215,7 @@ def test_a_take_in_empty_space_is_drawn(tmp_path, toys, make_take):
 
 
 def test_haze_in_empty_space_equals_that_of_wide_ground(new_stage):
-    """A small red mover 40 m away stays red: no ground's edge has to fade."""
+    """A small red mover 40 m away stays red: there is no edge of the ground to hide."""
     from pxr import Gf, UsdGeom
 
     mover = UsdGeom.Xform.Define(new_stage, "/top/mover")
@@ -279,7 +280,7 @@ def test_glass_and_blur_let_the_sun_through(new_stage):
 
 
 def test_glass_is_visible_against_the_sky_unless_hidden(new_stage):
-    """What is translucent leaves no depth: a sky put wherever there is none wiped rotors' blur out."""
+    """Translucent surfaces write no depth: a sky drawn wherever there is none would erase rotors' blur."""
     from pxr import Sdf
 
     plain = picture(new_stage)
@@ -296,7 +297,7 @@ def test_glass_is_visible_against_the_sky_unless_hidden(new_stage):
 
 
 def test_frames_are_the_same_from_one_process_or_two(new_stage, tmp_path):
-    """Frames shared out to another interpreter come back bit for bit as from one."""
+    """Frames rendered in another interpreter are bit for bit those of one process."""
     quad(new_stage, "/top/quad", (0, 0, 0), 1.0, (0.8, 0.2, 0.1))
     new_stage.GetRootLayer().Save()
     path = new_stage.GetRootLayer().realPath
@@ -337,7 +338,7 @@ def test_a_script_without_a_guard_renders_on_several_processes(new_stage, tmp_pa
 
 
 def test_the_horizon_continues_past_the_edge_of_the_ground(tmp_path):
-    """No brown band between level ground and its horizon; the light stays as it is."""
+    """There is no brown band between level ground and its horizon; the light does not change."""
     from vehsim.exporters.usd.scenery.lighting import write_sky
     from vehsim.exporters.usd.scenery.shading import light_for
     from vehsim.exporters.usd.stage import Sky
@@ -359,7 +360,7 @@ def test_the_horizon_continues_past_the_edge_of_the_ground(tmp_path):
 
 @pytest.mark.parametrize("interpolation", ["faceVarying", "uniform"])
 def test_edges_follow_the_meshs_normals(interpolation, new_stage, tmp_path):
-    """A box as Blender writes it: eight points, a normal at each corner of each face. MuJoCo 4.0 drops those."""
+    """A box as Blender writes it: eight points, a normal at each corner of each face. MuJoCo 4.0 ignores those."""
     from pxr import Gf, Sdf, Usd, UsdGeom
 
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float) * (0.6, 1.8, 0.5)
@@ -409,7 +410,7 @@ def test_the_sky_has_clouds_and_far_hills_only_where_there_is_land(tmp_path):
 
 
 def test_concrete_lies_on_obstacles_to_scale():
-    """Texture coordinates are metres over the tile's side, on every side of a box; joints come every metre."""
+    """Texture coordinates are metres divided by the tile's side, on every side of a box; joints are a metre apart."""
     import io
 
     from PIL import Image

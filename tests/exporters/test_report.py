@@ -1,4 +1,4 @@
-"""The energy ledger in ``report.json``: the clip's own, and it balances."""
+"""The energy ledger in ``report.json`` equals the clip's, and it balances."""
 
 import json
 

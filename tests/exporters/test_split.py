@@ -1,4 +1,4 @@
-"""Pictures side by side: each camera's own, whole, with its caption; and the film of them."""
+"""Pictures side by side: each camera's own picture, complete, with its caption; and the film of them."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_each_panel_is_its_cameras_picture_above_the_caption(delivery):
             assert alone.shape == (120, 160, 3)
             panel = wide[:, 164 * k : 164 * k + 160]
             assert np.array_equal(panel[:98], alone[:98])
-            assert np.array_equal(panel, alone) == (camera == "b")  # which has no caption
+            assert np.array_equal(panel, alone) == (camera == "b")  # camera b has no caption
         assert not wide[:, 160:164].any()
 
 

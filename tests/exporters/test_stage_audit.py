@@ -1,4 +1,4 @@
-"""A delivery audited from its files alone: good ones pass, spoiled ones do not."""
+"""A delivery audited from its files alone: correct ones pass, spoiled ones fail."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def copy(delivery: Path, tmp_path: Path) -> Path:
 
 
 def edit(folder: Path, change: Callable[[float, Any], Any], below: str = ".xformOp:translate") -> None:
-    """Change the root's places in the animation layer, or another op's values: frame, value -> value."""
+    """Change the root's positions in the animation layer, or another op's values: frame, value -> value."""
     from pxr import Gf, Sdf
 
     layer = Sdf.Layer.FindOrOpen(str(folder / "layers" / "heli.anim.usdc"))
@@ -190,7 +190,7 @@ STEERED: dict[str, Any] = {
 
 
 def test_joints_are_measured_from_the_stage(tmp_path: Path) -> None:
-    """Wheels steered otherwise than the plan steers: the clip's joints say nothing about that."""
+    """The wheels are steered differently from the plan: the clip's joints cannot show that."""
     folder = Shot.from_dict(STEERED).solve().export(tmp_path / "good", ("usd",))
     rows = {row.key: row for row in audit_delivery(folder)["heli"]}
     asked = {"mark[0].joints.sigma", "mark[1].joints.sigma", "limits.steering_rate", "limits.joint_rates.sigma",

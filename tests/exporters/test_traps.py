@@ -1,4 +1,4 @@
-"""Traps that assets set by being what they are, and readers by what they do with them."""
+"""Traps of assets, and of software that reads them."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from vehsim.vehicles.library.imported import ready_asset
 
 
 def made_by_blender(stage):
-    """Its exporter marks the root prim that it adds."""
+    """Mark the root prim as Blender's exporter does."""
     stage.GetDefaultPrim().SetCustomDataByKey("Blender:generated", True)
 
 
 def test_a_layer_over_a_blender_asset_has_a_second_root(tmp_path, toys, make_take):
-    """Blender's reader leaves out lone roots with its mark, with the motion on them; any value of the mark will do."""
+    """Blender's importer leaves out lone roots with its mark, and their motion; the mark may have any value."""
     from pxr import Usd
 
     write_usd(
@@ -36,7 +36,7 @@ def test_a_layer_over_a_blender_asset_has_a_second_root(tmp_path, toys, make_tak
 
 
 def test_skinned_parts_are_refused(tmp_path):
-    """Skinning overrules the transform of a mesh's prim: an op there would turn nothing that is seen."""
+    """Skinning overrides the transform of a mesh's prim: an op there would have no visible effect."""
     from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
     stage = Usd.Stage.CreateNew(str(tmp_path / "skinned.usda"))
@@ -65,7 +65,7 @@ def test_skinned_parts_are_refused(tmp_path):
 
 
 def glb(path, **more):
-    """A cart with a wheel, as glTF names its nodes; ``more``: what else its JSON holds."""
+    """A cart with a wheel, with node names as in glTF; ``more``: further content of its JSON."""
     import trimesh
 
     scene = trimesh.Scene()
@@ -97,7 +97,7 @@ def test_animation_in_a_glb_is_ignored_with_a_warning(tmp_path):
 
 
 def test_a_scaled_root_has_the_right_unit(tmp_path, toys, make_take):
-    """Blender writes centimetres as a scale of 100 on the root: 0.01 of ours makes up for it."""
+    """Blender writes centimetres as a scale of 100 on the root: our factor of 0.01 compensates it."""
     from pxr import Gf, UsdGeom
 
     def as_blender_does(stage):

@@ -1,4 +1,4 @@
-"""What the usd exporter writes holds what the clip says, in any asset's units, and travels."""
+"""The usd exporter's files contain the clip's motion, in any asset's units, and can be moved."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_root_and_spinning_part_stand_where_the_clip_says(tmp_path, toys, make_t
 
 
 def test_rotation_between_frames_has_the_right_direction(tmp_path, toys, make_take):
-    """At 400 rad/s, 955 degrees a frame, a quaternion would turn backwards between frames; a scalar does not."""
+    """At 400 rad/s, 955 degrees per frame, a quaternion would turn backwards between frames; a scalar does not."""
     clip = toys.clip(toys.asset(tmp_path / "in" / "toy.usdc"))
     clip.channels["rotor"][:] *= 10
     write_usd(make_take(clip), tmp_path, toys.silent)
@@ -164,7 +164,7 @@ def instanced_rotor(tmp_path, toys):
 
 
 def test_a_part_inside_an_instance_moves(tmp_path, toys, make_take):
-    """An over below an instance is ignored by USD, so the layer makes it an instance no more."""
+    """USD ignores an over below an instance, so the layer makes the prim no longer an instance."""
     write_usd(make_take(instanced_rotor(tmp_path, toys)), tmp_path / "out", toys.silent)
     stage = open_shot(tmp_path / "out")
     assert not stage.GetPrimAtPath("/shot/vehicles/toy0/chassis").IsInstance()
@@ -173,7 +173,7 @@ def test_a_part_inside_an_instance_moves(tmp_path, toys, make_take):
 
 
 def test_a_hidden_opinion_is_an_error(tmp_path, toys, make_take, monkeypatch):
-    """Left an instance, the rotor would stand still in every other software."""
+    """If it stayed an instance, the rotor would stand still in all other software."""
     monkeypatch.setattr("vehsim.exporters.usd.animation.instances_above", lambda root, prim: [])
     clip = instanced_rotor(tmp_path, toys)
     with pytest.raises(ExportError, match=r"/shot/vehicles/toy0/chassis/rotor: at frame 1002"):

@@ -1,4 +1,4 @@
-"""Each thing that can be wrong with a stage is found, and says how to fix it."""
+"""Each possible fault of a stage is found, with its fix."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ def test_the_same_fault_at_many_places_is_reported_once(shot):
 
 
 def test_nvidias_validator_runs_when_it_is_installed(shot, monkeypatch):
-    """A stand-in for the package, which is not among ours: its issues come through with severity, place and remedy."""
+    """A stand-in for the package, which is no dependency: its issues are reported with severity, place and remedy."""
     import sys
     from types import ModuleType
     from types import SimpleNamespace as Named
@@ -174,7 +174,7 @@ def test_nvidias_validator_runs_when_it_is_installed(shot, monkeypatch):
         )
 
     stage = Usd.Stage.Open(str(shot))
-    hull = UsdGeom.Mesh.Define(stage, "/shot/hull")  # a guide, which nobody shades
+    hull = UsdGeom.Mesh.Define(stage, "/shot/hull")  # a guide, which is never shaded
     hull.CreatePurposeAttr(UsdGeom.Tokens.guide)
     stage.Save()
     found_by_them = [unshaded("/shot"), unshaded("/shot/hull")]

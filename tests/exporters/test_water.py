@@ -1,4 +1,4 @@
-"""Water for animators: wakes against Kelvin, the mesh against the water it shows, size, foam, and the preview."""
+"""Water for animators: wakes compared with Kelvin's, the mesh with the water, size, foam, and the preview."""
 
 from dataclasses import replace
 from fractions import Fraction
@@ -60,7 +60,7 @@ def test_a_vehicle_at_rest_makes_no_waves():
 
 
 def test_a_wake_has_kelvins_wavelength_and_wedge():
-    """Transverse waves behind it are 2 pi U^2 / g long, and outside 19.5 degrees there is hardly anything."""
+    """Transverse waves behind it are 2 pi U^2 / g long, and beyond 19.5 degrees there is hardly any wave."""
     speed = 4.0
     clip = straight(speed, 12.0, (-24.0, 0.0, 0.0))
     wake = Wake(afloat(clip), 0.0, clip.frames, FPS)
@@ -85,7 +85,7 @@ def test_foam_lies_behind_and_fades():
     white = [foam.step(k, calm, calm) for k in range(len(clip))][-1]
     ahead, near, far = (white[np.abs(xy[:, 0] - x).argmin()] for x in (35.0, 22.0, 4.0))
     assert ahead == 0 and near > 0.5 and 0 < far < near
-    assert white[xy[:, 0] > 28.0 + 2.5].max() == 0  # the bow's end; beside the way too
+    assert white[xy[:, 0] > 28.0 + 2.5].max() == 0  # the bow's end; also beside the path
 
 
 def test_a_vehicle_in_the_air_leaves_no_wake():
@@ -125,7 +125,8 @@ def test_water_inside_a_hull_is_lowered_to_its_bottom_but_not_through_it(roll):
 
 
 def test_water_itself_has_no_wet_lines(shown, monkeypatch):
-    """Where MuJoCo draws the water, the picture is the same without them: far crests once were dark slivers."""
+    """Where MuJoCo draws the water, the picture is the same without wet lines: distant crests once were dark
+    slivers."""
     from vehsim.exporters.pictures import water as water_view
 
     pictures = []
@@ -141,7 +142,7 @@ def test_water_itself_has_no_wet_lines(shown, monkeypatch):
 
 
 def test_points_lie_on_the_waters_surface(shown):
-    """Ahead of the wake, every point stands on the water's surface at its time, and its normal is the water's."""
+    """Ahead of the wake, every point is on the water's surface at its time, with the water's normal."""
     take, path = shown
     stage = StageReader(path)
     for frame in (1001, 1019):
@@ -201,7 +202,7 @@ def test_wet_lines_darken_objects_just_above_the_water(shown):
 
 
 def test_foam_is_in_primvars_that_any_renderer_reads(shown):
-    """UsdPreviewSurface reads colour and roughness from primvars, which say what the preview's foam says."""
+    """UsdPreviewSurface reads colour and roughness from primvars, which agree with the preview's foam."""
     from vehsim.exporters.usd.scenery.water_material import CLEAR, FOAM, ROUGH, SHADES, patches
 
     stage = Usd.Stage.Open(str(shown[1]))
@@ -242,7 +243,7 @@ def test_ripples_have_zero_mean_and_repeat():
 
 
 def calm(tmp_path):
-    """A calm sea, seen to its horizon."""
+    """A calm sea with a view to its horizon."""
     clip = straight(0.0, 0.1, (-60.0, 0.0, 0.0))
     world = World(water=Water(0.0))
     camera = solve_camera(
@@ -265,7 +266,8 @@ def test_water_is_as_bright_with_shadows_as_without(tmp_path):
 
 
 def test_the_sea_is_darker_than_the_sky_at_its_horizon(tmp_path):
-    """Waves too far away to be told apart show the sky higher up, not its rim; nothing is clipped to grey."""
+    """Waves too distant to be distinguished mirror the sky higher up, not at its horizon; nothing is clipped to
+    grey."""
     with StageRenderer(calm(tmp_path), (320, 180)) as renderer:
         picture = renderer.render("low", 1001).astype(float)
         depth, _ = renderer.passes("low", 1001)
@@ -289,8 +291,8 @@ def test_depth_is_converted_to_world_places():
 
 
 def test_the_surface_has_an_extent_at_every_frame_and_a_rest_pose(shown):
-    """Readers that ask at no time get still water, not an empty mesh."""
-    stage = Usd.Stage.Open(str(shown[1]))  # a prim lives only as long as its stage is held
+    """Readers that query without a time get calm water, not an empty mesh."""
+    stage = Usd.Stage.Open(str(shown[1]))  # a prim is valid only while its stage is held
     mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/sea/env/water/surface"))
     for when in (Usd.TimeCode.Default(), 1001, 1013, 1025):
         points, extent = (np.array(attribute.Get(when)) for attribute in (mesh.GetPointsAttr(), mesh.GetExtentAttr()))

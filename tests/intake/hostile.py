@@ -1,4 +1,4 @@
-"""Seeded generators of files that are broken in some way: each yields a name and what stands in it."""
+"""Seeded generators of broken files: each yields a name and the content."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ WRITERS = {".usda": usda, ".glb": glb, ".obj": obj, ".ply": ply, ".stl": stl}
 
 
 def wrong_meshes(seed: int = 0) -> Iterator[tuple[str, bytes]]:
-    """Indices out of range by little and by much, points that are none, and files cut and changed at random."""
+    """Indices slightly and far out of range, points that are not finite, and files cut and changed at random."""
     chance = random.Random(seed)
     nothing = np.array([np.nan, np.inf, 1e30])
     for suffix, write in WRITERS.items():
@@ -102,7 +102,7 @@ def wrong_meshes(seed: int = 0) -> Iterator[tuple[str, bytes]]:
 
 
 def wrong_arrays(keys: tuple[str, ...], seed: int = 0) -> Iterator[tuple[str, bytes]]:
-    """NPZ files cut, changed, foreign, of text, of objects, and whose headers promise what no machine holds."""
+    """NPZ files cut, changed, foreign, with text, with objects, and with headers that announce excessive sizes."""
     chance = random.Random(seed)
     arrays = {key: np.zeros((3, 3)) for key in keys}
     buffer = io.BytesIO()

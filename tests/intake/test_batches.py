@@ -1,4 +1,4 @@
-"""One bad shot or file never takes a batch along: it is named, with key and remedy, and the others are delivered."""
+"""One bad shot or file never stops a batch: it is named, with key and remedy, and the others are delivered."""
 
 from __future__ import annotations
 

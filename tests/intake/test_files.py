@@ -1,4 +1,4 @@
-"""Broken files are refused with file, key and remedy; what is taken is plain, finite and fits together."""
+"""Broken files are refused with file, key and remedy; accepted data is plain, finite and consistent."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_broken_meshes_are_refused_or_read_as_valid_arrays(tmp_path: Path, read:
 
 
 def test_an_index_out_of_range_is_named(tmp_path: Path) -> None:
-    """A terrain of such a mesh ended the process."""
+    """A terrain with such a mesh once ended the process."""
     faces = FACES.copy()
     faces[2] = 10**8
     (tmp_path / "t.usda").write_bytes(usda(CUBE * 50, faces))

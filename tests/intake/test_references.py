@@ -1,4 +1,4 @@
-"""What an asset refers to outside its own folder never travels silently: it is refused, or copied when asked for."""
+"""Files outside an asset's own folder are never copied silently: they are refused, or copied on request."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ duration = 0.1
 
 @pytest.fixture(params=["relative", "absolute", "link", "payload"])
 def studio(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
-    """A vehicle whose asset names ``secret.txt``, which lies above its folder."""
+    """A vehicle whose asset refers to ``secret.txt``, above its folder."""
     from pxr import Sdf, Usd
 
     folder = tmp_path / "studio" / "it"

@@ -1,4 +1,4 @@
-"""A vehicle.toml with anything but a value of its key is refused with file, line, key and remedy, all of it at once."""
+"""Invalid values in a vehicle.toml are refused with file, line, key and remedy, all at once."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ duration = 0.1
 
 
 def vehicle(folder: Path, change: tuple[str, str] = ("", ""), of: Path = CAR) -> Path:
-    """A copy of a shipped vehicle with a text of its vehicle.toml replaced."""
+    """A copy of a shipped vehicle with some text of its vehicle.toml replaced."""
     folder = folder / "it"
     shutil.copytree(of, folder)
     text = (folder / "vehicle.toml").read_text()
@@ -112,7 +112,7 @@ def test_check_refuses_it_and_other_shots_continue(tmp_path: Path, capsys: pytes
 
 @pytest.mark.parametrize("name", ["car", "helicopter", "boat", "hopper"])
 def test_odd_vehicle_files_load_or_are_refused(name: str, tmp_path: Path) -> None:
-    """A value of each key in turn replaced by another that is odd; seeded."""
+    """Each key in turn gets an odd value; seeded."""
     chance = random.Random(name)
     odd = [
         "nan",
@@ -163,7 +163,7 @@ def test_a_corrupt_asset_is_refused_and_other_shots_continue(
 
 
 def test_an_edit_with_the_same_size_and_date_is_noticed(tmp_path: Path) -> None:
-    """In one process, where what was read before is remembered."""
+    """Within one process, which remembers what it has read."""
     folder = vehicle(tmp_path)
     file = folder / "vehicle.toml"
     before = load_vehicle(folder)
@@ -190,7 +190,7 @@ def test_a_delivery_is_remade_after_such_an_edit(tmp_path: Path, capsys: pytest.
 
 @pytest.mark.parametrize("seed", range(8))
 def test_changed_bytes_of_an_asset_are_wrong_input(seed: int, tmp_path: Path) -> None:
-    """USD reads values when they are asked for: what is corrupt may show long after the stage is open."""
+    """USD reads values on demand: corruption may appear long after the stage was opened."""
     chance, file = random.Random(seed), vehicle(tmp_path) / "car.usdc"
     content = bytearray(file.read_bytes())
     for _ in range((1, 8, 64)[seed % 3]):

@@ -1,4 +1,4 @@
-"""What pushes from outside enters the step to second order, drag and added mass too."""
+"""External forces, drag and added mass enter the step to second order."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ BODY = Holonomic(name="body", group=SE3, inertia=(1.0, 2.0, 3.0, 4.0, 4.0, 4.0),
 
 
 class Spring(Environment):
-    """A spring to the origin, drag linear and quadratic, a push that changes with time."""
+    """A spring to the origin, linear and quadratic drag, and a force that changes with time."""
 
     def wrench(self, t, state, controls):
         twist = np.asarray(state.twist)

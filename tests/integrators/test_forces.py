@@ -45,7 +45,7 @@ def draughty(**drag):
 
 
 def test_drag_carries_a_body_to_the_wind():
-    """Linear drag, level and trimmed: ``v = w (1 - exp(-k t / m))``; at the wind's velocity it feels nothing."""
+    """Linear drag, level and trimmed: ``v = w (1 - exp(-k t / m))``; at the wind's velocity there is no drag."""
     vehicle = draughty(drag_linear=(200.0,) * 3)
     wind, hover = np.array([3.0, -2.0, 0.0]), (1900 * 9.81, 0, 0, 0)
     clip = Integrator(vehicle, 0.05, wind=wind).rollout(State(), np.tile(hover, (401, 1)))
@@ -188,7 +188,7 @@ def test_wrong_states_are_named(state, message):
 @pytest.mark.parametrize("name", CASES)
 @pytest.mark.parametrize("order", [2, 4])
 def test_stepping_in_place_step_by_state_and_rollout_agree(name, order):
-    """Three ways to the same motion: `Motion` in place, `step` from state to state, and the compiled loop."""
+    """Three methods, the same motion: a `Stepper` in place, `step` from state to state, and the compiled loop."""
     vehicle, start, law = CASES[name]
     h, n = 0.01, 600  # more than one chunk of the loop
     controls = law(h * np.arange(n + 1))
@@ -207,7 +207,7 @@ def test_stepping_in_place_step_by_state_and_rollout_agree(name, order):
 
 
 def test_a_long_step_is_solved_in_full_where_the_short_solve_does_not_suffice():
-    """At h = 0.2 and 3 rad/s the one-Jacobian solve stops short; momentum is exact all the same."""
+    """At h = 0.2 and 3 rad/s the solve with one Jacobian does not converge; momentum is exact nevertheless."""
     body = Holonomic(name="body", group=SO3, inertia=(1.0, 2.0, 2.6), gravity=0.0)
     integrator = Integrator(body, 0.2)
     phase = integrator.start(State(twist=(0.4, 3.0, 0.3)), [])

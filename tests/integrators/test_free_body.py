@@ -80,7 +80,7 @@ def test_momentum_from_poses_energy_and_orthonormality_over_100_000_steps(group,
     body = free_body(group)
     covector = np.einsum("nij,nj->ni", np.swapaxes(difference_map(name, group).C(h * xi), 1, 2), xi @ body.inertia)
     spatial = np.einsum("nji,nj->ni", group.Ad(group.inverse(g[:-1])), covector)
-    # g carries 16 digits and is divided by h: that is the noise poses themselves allow
+    # g has 16 digits and is divided by h: this is the noise of the poses themselves
     assert np.abs(spatial - spatial[0]).max() < 1e-10 * max(1.0, np.abs(clip.positions).max()) * np.linalg.norm(spatial)
 
     kinetic = clip.energy["kinetic"]
@@ -128,7 +128,7 @@ def test_symmetric_top_against_the_closed_form(group, name, order, steps):
 
 
 def test_a_tops_rotation_does_not_depend_on_its_rigs_origin():
-    """On SO(3) a twist is an angular velocity, wherever the rig's root is."""
+    """On SO(3) a twist is an angular velocity, independent of the rig's root."""
     from dataclasses import replace
     from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Machine code, fleets and rows kept by states: each the same motion as the plain way, one step at a time."""
+"""Machine code, fleets, and states that share rows: each gives the same motion as one step at a time."""
 
 import copy
 import pickle
@@ -31,7 +31,7 @@ def cache(tmp_path, monkeypatch):
 
 
 def fresh(name):
-    """A vehicle that keeps no functions yet."""
+    """A vehicle without cached functions."""
     return replace(vehsim.load_vehicle(name))
 
 
@@ -131,7 +131,7 @@ def test_fleets_check_ranks_and_name_wrong_controls():
 
 @pytest.mark.parametrize("name", CASES)
 def test_a_state_from_a_step_may_be_changed_copied_and_sent(name):
-    """`step` hands out states whose fields share a row; what is done to them counts."""
+    """`step` returns states whose fields share a row; changes of them must take effect."""
     integrator, c = Integrator(fresh(name), H), table(name, 0)[0]
     state = integrator.step(integrator.step(CASES[name][0], c), c)
     plain = State(*(np.array(getattr(state, f)) for f in ("position", "orientation", "twist", "joints", "joint_rates")))
@@ -145,7 +145,7 @@ def test_a_state_from_a_step_may_be_changed_copied_and_sent(name):
 @needs_compiler
 @pytest.mark.parametrize("what", ["folder", "library", "link"])
 def test_machine_code_that_others_can_write_is_not_run(what, cache, recwarn):
-    """A folder of others is left alone; a library in ours is built again."""
+    """A folder of other users is not used; a library in ours is built again."""
     start, controls = State(twist=(0, 5.0, 0)), table("car", 10)
     plain = Integrator(fresh("car"), H).rollout(start, controls)
     same(Integrator(fresh("car"), H, compiled=True).rollout(start, controls), plain)

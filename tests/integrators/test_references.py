@@ -1,4 +1,4 @@
-"""The methods we compare with have the order they claim, on a body and on a constrained vehicle."""
+"""The methods for comparison have their theoretical order, on a body and on a constrained vehicle."""
 
 import numpy as np
 import pytest

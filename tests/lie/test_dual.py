@@ -1,4 +1,4 @@
-"""What carries momenta without a matrix is the matrix's transpose, for every map on every group."""
+"""The duals, computed without a matrix, equal the matrix's transpose, for every map on every group."""
 
 import numpy as np
 import pytest

@@ -178,7 +178,7 @@ def test_closed_forms_of_the_papers():
 
 @groups
 def test_shifted_twists_are_velocities_of_the_shifted_point(group):
-    """Against poses: a body and a point fixed to it, moved by ``exp(t x)``."""
+    """Compared with poses: a body and a point fixed to it, moved by ``exp(t x)``."""
     if group.name == "SO3":  # nothing to move
         np.testing.assert_array_equal(group.shift(np.array([1.0, 2, 3]), np.array([4.0, 5, 6])), [1, 2, 3])
         return

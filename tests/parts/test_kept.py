@@ -1,4 +1,4 @@
-"""What can be hit of an asset is kept by its content: never what another file, or nobody's file, says."""
+"""The solids of an asset are cached by content, and never taken from another file or a layer without a file."""
 
 import subprocess
 import sys
@@ -42,7 +42,7 @@ def reads(monkeypatch):
 
 
 def write(path: Path, size: float, inner: float = 1.0) -> Path:
-    """A rig of a body and a wheel, by a layer that nobody holds afterwards."""
+    """A rig of a body and a wheel, in a layer that is closed afterwards."""
     stage = new_stage()
     UsdGeom.Xform.Define(stage, "/rig/body").AddRotateXYZOp().Set((10, 20, 30))
     add_cube(stage, "/rig/body/skin", size=size)
@@ -64,7 +64,7 @@ def test_cached_solids_equal_those_read(tmp_path, reads):
         assert (a.name, a.path, a.T_rp.tolist(), len(a.hulls)) == (b.name, b.path, b.T_rp.tolist(), len(b.hulls))
         assert all(np.array_equal(x, y) for x, y in zip(a.hulls, b.hulls, strict=True))
     with pytest.raises(vehsim.errors.InputError, match="no such prim"):
-        solids(asset, "/other")  # what is kept for one root is not another's
+        solids(asset, "/other")  # the entry for one root is not used for another
 
 
 def test_an_asset_that_changed_is_read_again(tmp_path, reads):
@@ -77,7 +77,7 @@ def test_an_asset_that_changed_is_read_again(tmp_path, reads):
 
 
 def referring(path: Path, to: str) -> Path:
-    """A rig with a mesh of its own, and a reference."""
+    """A rig with its own mesh, and a reference."""
     stage = new_stage()
     add_cube(stage, "/rig/own")
     stage.GetDefaultPrim().GetReferences().AddReference(to)
@@ -87,7 +87,7 @@ def referring(path: Path, to: str) -> Path:
 
 @pytest.mark.broken_stages
 def test_referenced_files_are_part_of_the_key(tmp_path, reads):
-    """Also where it was missing; the same file elsewhere refers to others."""
+    """Also if it was missing; the same file elsewhere refers to other files."""
     asset = referring(tmp_path / "rig.usda", "./body.usda")
     sizes = [reach(asset), reach(asset)]
     assert len(reads) == 2  # something is missing
@@ -104,7 +104,7 @@ def test_referenced_files_are_part_of_the_key(tmp_path, reads):
 
 @pytest.mark.broken_stages
 def test_files_found_by_a_resolver_are_not_cached(tmp_path, reads, monkeypatch):
-    """Tomorrow it may find another file, of which nobody tells."""
+    """It may find another file later, without notice."""
     (tmp_path / "library").mkdir()
     write(tmp_path / "library" / "body.usda", 2.0)
     asset, context = (
@@ -126,7 +126,7 @@ def test_files_written_during_reading_are_not_cached(tmp_path, reads, monkeypatc
 
 
 def test_layers_open_in_memory_are_not_cached(tmp_path, reads):
-    """A layer being edited is not its file."""
+    """A layer being edited differs from its file."""
     asset = write(tmp_path / "rig.usda", 1.0)
     stage = Usd.Stage.Open(str(asset))
     stage.GetPrimAtPath("/rig/body/skin").GetAttribute("points").Set([10 * Gf.Vec3f(*p) for p in CUBE.tolist()])

@@ -1,4 +1,4 @@
-"""Volume, centre and inertia of convex hulls against closed forms, and vehicles that are weighed."""
+"""Volume, centre and inertia of convex hulls compared with closed forms, and vehicles that are weighed."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_what_is_flat_has_no_volume(points):
 
 @pytest.mark.broken_stages
 def test_a_vehicle_with_a_flat_part_is_weighed(tmp_path):
-    """A decal without thickness weighs nothing, and is said to."""
+    """A decal without thickness has no mass, with a warning."""
     from pxr import Gf, Usd, UsdGeom
 
     stage = Usd.Stage.CreateNew(str(tmp_path / "it.usda"))

@@ -46,7 +46,7 @@ def saved(stage: Usd.Stage, tmp_path: Path) -> Path:
 
 
 def world_points(stage: Usd.Stage, path: str) -> np.ndarray:
-    """What USD itself says of a mesh's points."""
+    """A mesh's points as USD itself computes them."""
     mesh = UsdGeom.Mesh(stage.GetPrimAtPath(path))
     matrix = UsdGeom.XformCache(Usd.TimeCode.EarliestTime()).GetLocalToWorldTransform(mesh.GetPrim())
     return np.array([matrix.Transform(Gf.Vec3d(p)) for p in mesh.GetPointsAttr().Get()])
@@ -67,7 +67,7 @@ def same_points(a: np.ndarray, b: np.ndarray, tolerance: float) -> bool:
 
 @pytest.fixture
 def intricate() -> Usd.Stage:
-    """Nesting, pivots, non-uniform scale, a mirror and a mesh with a transform of its own."""
+    """Nesting, pivots, non-uniform scale, a mirror, and a mesh with its own transform."""
     stage = new_stage()
     body = UsdGeom.Xform.Define(stage, "/rig/body")
     body.AddTranslateOp().Set((1, 2, 3))

@@ -1,4 +1,4 @@
-"""Decimation of generated skins: fewer triangles, the same shape, borders closed and where they were."""
+"""Decimation of generated skins: fewer triangles, the same shape, closed borders in the same places."""
 
 from __future__ import annotations
 

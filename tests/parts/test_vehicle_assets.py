@@ -1,4 +1,4 @@
-"""The shipped vehicles: clean USD, real dimensions, faces outward, and hulls that hold everything that is seen."""
+"""The shipped vehicles: valid USD, real dimensions, faces outward, and hulls that contain everything visible."""
 
 from __future__ import annotations
 
@@ -45,11 +45,11 @@ PARTS = {
     | {f"truck_{end}{below}" for end in ("front", "rear") for below in ("", *(f"/{part}" for part in LEG[end]))},
 }
 TRIANGLES = (8000, 33000)
-"""Of a vehicle's look, at least and at most."""
+"""Minimum and maximum number of triangles of a vehicle's look."""
 STEERED = {"car": {"steer_fl": 40, "steer_fr": 40}, "truck": {"steer_fl": 40, "steer_fr": 40}, "boat": {"outboard": 30}}
-"""Part -> degrees to either side: hulls do not move, so they hold what steers at every angle."""
+"""Part -> degrees to either side: hulls do not move, so they contain steered parts at every angle."""
 LOWEST = {"boat": -0.8401, "tumbler": -0.0221, "hopper": -0.9}
-"""Where a vehicle does not stand on the ground: its lowest point, m."""
+"""The lowest point, m, of vehicles that do not stand on the ground."""
 WHEELS = [
     ("car", "wheel_rl"),
     ("car", "steer_fr/wheel_fr"),
@@ -81,7 +81,7 @@ def in_root(p: Part) -> np.ndarray:
 
 
 def steered(name: str) -> np.ndarray:
-    """The points (n, 3) of what steers, at full lock to either side, in the root's frame."""
+    """The points (n, 3) of the steered parts, at full lock to either side, in the root's frame."""
     points = [np.zeros((0, 3))]
     for path, limit in STEERED.get(name, {}).items():
         pivot = part(name, path).T_rp[:3, 3]
@@ -228,7 +228,7 @@ def test_blades_lead_with_their_nose_and_lift_the_right_way(path, spin, axis, th
     stage = Usd.Stage.Open(str(asset("helicopter")))
     mesh = UsdGeom.Mesh(stage.GetPrimAtPath(f"/helicopter/{path}/{path}_blade"))
     points = np.array(mesh.GetPointsAttr().Get(), float)
-    forward = np.cross(spin, axis)  # where a point of this blade goes
+    forward = np.cross(spin, axis)  # the direction in which a point of this blade moves
     blade = points[(points @ axis > 0.4 * (points @ axis).max()) & (np.abs(points @ forward) < 0.4)]
     ahead = blade @ forward
     assert 2.5 < -ahead.min() / ahead.max() < 3.5  # the nose is a quarter chord ahead of the axis
@@ -322,7 +322,7 @@ def test_liveries_change_only_the_look(name):
 
 @pytest.mark.parametrize("name", ["boat", "car", "helicopter"])
 def test_the_driver_can_be_left_out(name):
-    """The variant set `driver`: `none` leaves the figure out, and nothing else; what collides stays."""
+    """The variant set `driver`: `none` leaves out only the figure; collision meshes stay."""
     stage = Usd.Stage.Open(str(asset(name)))
     choice = stage.GetDefaultPrim().GetVariantSet("driver")
     assert choice.GetVariantSelection() == "aboard"
@@ -343,7 +343,7 @@ def test_the_driver_can_be_left_out(name):
     ],
 )
 def test_the_driver_is_visible_through_the_glass(name, eyes):
-    """From in front and from the side, glass is all that stands between the eye and the driver's face."""
+    """From in front and from the side, only glass is between the eye and the driver's face."""
     stage = Usd.Stage.Open(str(asset(name)))
     glass = stage.GetPrimAtPath(f"/{name}/materials/glass/surface")
     assert 0.1 < glass.GetAttribute("inputs:opacity").Get() < 0.5

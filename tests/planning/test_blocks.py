@@ -1,4 +1,4 @@
-"""Blocks of a plan's problem: parameters by name, immutable states, and problems shared where only numbers differ."""
+"""Blocks of a planning problem: named parameters, immutable states, and problems shared if only numbers differ."""
 
 from dataclasses import replace
 
@@ -28,11 +28,11 @@ REST = (0.0, 0.0, 0.0)
 
 
 def silent(text, fraction):
-    """No progress."""
+    """Ignore progress."""
 
 
 def flight():
-    """Terrain, something that moves, landings, a look, a free mark between marks at frames: blocks of many kinds."""
+    """Terrain, a moving obstacle, landings, a look, a free mark between marks at frames: blocks of many kinds."""
     helicopter = vehsim.load_vehicle("helicopter")
     marks = [Mark(1, position=(30, -20, 8), velocity=REST), Mark(145, position=(30, 20, 8), velocity=REST)]
     other = vehsim.plan(helicopter, None, marks, segments=8, refine=False).clip
@@ -64,7 +64,8 @@ def guessed(request):
 
 @pytest.mark.parametrize("asked", [flight, drive])
 def test_every_parameter_has_one_owner_that_gives_its_value(asked):
-    """All values are finite and of their parameter's shape; without the block that owns one the problem names it."""
+    """All values are finite and have their parameter's shape; without the block that owns a parameter an error names
+    it."""
     _, iterate = guessed(asked())
     problem = assemble(iterate.transcription, iterate.layout, iterate.blocks)
     vector = parameter_values(problem, iterate, iterate.blocks)
@@ -91,7 +92,7 @@ def test_parameters_keep_their_shape_and_constants_come_last():
     with pytest.raises(ValueError, match="'typo'"):
         problem.add(element, [0, 1], {"typo": problem.parameter("p", 1)})
     problem.add(element, [0, 1], constants={"q": [3.0]})
-    assert list(problem.places) == ["p"]  # shared under its name; a constant is no parameter
+    assert list(problem.places) == ["p"]  # shared by name; a constant is not a parameter
     f = problem.functions()["nlp"]([2.0, 0.0], problem.vector({"p": 5.0}))[0]
     assert float(f) == 60.0
 
@@ -105,7 +106,7 @@ def contents(iterate):
 
 
 def test_steps_do_not_change_their_input_iterates():
-    """So going back is keeping the old one: through solving, settling, certifying and tightening."""
+    """Steps can therefore be undone by keeping the old iterate: solving, settling, certifying and tightening."""
     run, iterate = guessed(drive())
     steps = [
         lambda it: solve(run, it),
@@ -127,7 +128,7 @@ def test_steps_do_not_change_their_input_iterates():
 
 
 def short(iterate):
-    """A certificate that lacks clearance everywhere."""
+    """A certificate with too little clearance everywhere."""
     certificate = iterate.certificate
     findings = [
         replace(finding, met=False, lack=np.full((len(block.parts), iterate.layout.segments), 0.05))

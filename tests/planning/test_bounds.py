@@ -1,4 +1,4 @@
-"""What bounds rule out: never what can be done, always what is named, for every vehicle that plans."""
+"""What bounds rule out: never a feasible motion, always the named one, for every vehicle that can be planned."""
 
 import re
 import warnings
@@ -17,7 +17,8 @@ from vehsim.planning.request import ranges
 from vehsim.planning.request.request import ask
 
 VEHICLES = ["helicopter", "boat", "car", "simple_car", "truck", "two_wheeled", "snakeboard"]
-NAMED = [name for name in VEHICLES if name != "snakeboard"]  # which swings its way along: no frame is found for it
+# the snakeboard swings its joints: no frame is found for it
+NAMED = [name for name in VEHICLES if name != "snakeboard"]
 
 
 def ends(name, x, frame, **last):
@@ -56,7 +57,7 @@ def test_the_suggested_frame_works(name):
 
 @pytest.mark.parametrize("name", VEHICLES)
 def test_planned_motions_are_not_refused(name):
-    """The quickest motions there are, at what they have half way too."""
+    """The fastest possible motions, also with the velocities at their midpoints."""
     vehicle = vehsim.load_vehicle(name)
     marks = [replace(mark, heading=0.0) for mark in ends(name, 8.0, "free", velocity=REST)]
     segments = 64 if name == "snakeboard" else 32
@@ -74,7 +75,7 @@ def test_planned_motions_are_not_refused(name):
 
 
 def test_the_ball_bound_is_that_of_the_double_integrator():
-    """Level and rest to rest, thrust that carries its weight too; from a speed, what brakes."""
+    """Level, from rest to rest, with thrust that also carries the weight; from a speed, the braking distance."""
     ball, still = thrust_ball(vehsim.load_vehicle("helicopter")), np.zeros(3)
     level = np.sqrt(ball.radius**2 - 9.81**2)
     quickest = 2 * np.sqrt(60 / level)
@@ -117,7 +118,7 @@ def test_a_heading_that_contradicts_a_look_is_reported():
 
 
 def test_a_default_heading_is_dropped_before_the_plan_fails():
-    """Moving a metre takes less time than turning about to face it."""
+    """Moving a metre takes less time than turning to face it."""
     marks = [
         Mark(1001, position=(0, 0, 30), heading=180, velocity=REST),
         Mark(1053, position=(1, 0, 30), velocity=REST),
@@ -161,7 +162,7 @@ WINDY = [
 
 @pytest.mark.parametrize(("wind", "away", "goal", "heading", "frame"), WINDY)
 def test_a_boat_in_wind_goes_where_its_controls_lead_or_fails(wind, away, goal, heading, frame):
-    """On 24 segments the optimiser takes advantage of the discretisation; it begins again on more."""
+    """On 24 segments the optimiser exploits the discretisation; the plan starts again on more."""
     marks = [Mark(1001, position=(0, 0, 0), heading=away, velocity=REST)]
     marks.append(Mark(frame, position=goal, heading=heading, velocity=REST))
     plan = vehsim.plan(vehsim.load_vehicle("boat"), vehsim.World(wind=wind), marks, segments=24)

@@ -1,4 +1,4 @@
-"""The character of a plan: what it costs, what gives way, and how a motion eases in and out of rest."""
+"""The character of a plan: its costs, which defaults give way, and how a motion eases in and out of rest."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def fly(character: str, last: int = 400, **options: object) -> Plan:
 
 
 def rates_at_ends(plan: Plan, character: str) -> float:
-    """The greatest rate of a control in an eighth of a frame at either end, over its greatest."""
+    """The largest rate of a control in an eighth of a frame at either end, over its largest rate."""
     clip = plan.clip
     seconds = 1 / float(clip.fps) / 8
     at = clip.at([0, seconds, clip.duration - seconds, clip.duration]).controls
@@ -49,7 +49,7 @@ def rates_at_ends(plan: Plan, character: str) -> float:
 
 
 def tilt(plan: Plan) -> float:
-    """The greatest tilt, deg."""
+    """The largest tilt, deg."""
     q = plan.clip.orientations
     return math.degrees(np.arccos(1 - 2 * (q[:, 1] ** 2 + q[:, 2] ** 2)).max())
 

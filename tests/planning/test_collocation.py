@@ -1,4 +1,4 @@
-"""DMOC against direct collocation of the same vehicle: two discretisations that must come to one optimum."""
+"""DMOC compared with direct collocation of the same vehicle: two discretisations with the same optimum."""
 
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ def test_collocation_and_dmoc_find_the_same_optimum(name, cost, frame, start, go
     limits = {}
     for way, (coarse, fine) in solved.items():
         assert coarse.solution.success and fine.solution.success
-        # where the controls really lead converges at the order of the rule
+        # the end of the executed controls converges at the order of the rule
         measured = np.log2(coarse.executed.final / fine.executed.final)
         assert measured > ORDER[way] - 0.3, (way, measured)
         assert np.isclose(measured, ORDER[way], atol=0.3) or way == "hermite-simpson"

@@ -1,4 +1,5 @@
-"""Failure is a result: which mark, by how much, what would do; time limits kept; refinements that fail are left out."""
+"""Failure is a result: which mark, by how much, and the remedy; time limits are kept; failed refinements are left
+out."""
 
 import os
 import re
@@ -103,7 +104,7 @@ def test_a_mark_outside_a_stay_is_named():
 
 
 def test_misses_are_reported_in_the_marks_units(monkeypatch):
-    """Too short a bend: degrees; and a solve that hardly ends still finds the frame that would do."""
+    """Too short a bend: degrees; and a solve that hardly converges still finds the frame that would do."""
     monkeypatch.setattr(elastic, "SECONDS", 600.0)
     car, helicopter = vehsim.load_vehicle("car"), vehsim.load_vehicle("helicopter")
     turn = [Mark(1, position=REST, heading=0, speed=12), Mark(73, position=(35, 10, 0), heading=90, speed=8)]
@@ -123,7 +124,7 @@ def test_misses_are_reported_in_the_marks_units(monkeypatch):
 
 
 def test_feasible_marks_are_not_refused():
-    """Just inside every bound, and free marks, which have no frame to be late for."""
+    """Slightly inside every bound, and free marks, which have no frame that could be too early."""
     assert not said([Mark(1, position=REST), Mark(30, position=(26, 0, 0))], limits={"speed": 22})
     assert not said([Mark(1, position=REST), Mark("free", position=(999, 0, 0))], limits={"speed": 22})
     assert not said([Mark(1, position=REST), Mark(25, position=(23, 0, 0), tolerance=1.5)], limits={"speed": 22})
@@ -150,11 +151,11 @@ def test_failed_solves_report_the_violation_and_the_remedy():
 def test_time_limits_are_kept():
     helicopter = vehsim.load_vehicle("helicopter")
     marks = [Mark(1, position=(0, 0, 30), velocity=REST), Mark("free", position=(90, 40, 40), velocity=REST)]
-    vehsim.plan(helicopter, None, marks, segments=256, refine=False)  # built
-    began = time.process_time()  # the machine may be busy with something else
+    vehsim.plan(helicopter, None, marks, segments=256, refine=False)  # builds the problem
+    began = time.process_time()  # CPU time, because the machine may be busy
     with pytest.warns(UserWarning, match="time limit") as heard:
         plan = vehsim.plan(helicopter, None, marks, segments=256, time_limit=1e-3)
-    assert [one.filename for one in heard] == [__file__]  # where it was asked for
+    assert [one.filename for one in heard] == [__file__]  # at the line of the caller
     assert not plan.success and plan.iterations <= 3 and time.process_time() - began < 20
     assert len(plan.clip) > 2
 
@@ -169,12 +170,13 @@ def test_a_deadline_reserves_time_to_certify_and_starts_nothing_too_long(monkeyp
 
     deadline.rehearse(finish)
     assert deadline.solving == 110.0 - MORE * 2.0 and not deadline.late
-    deadline.guessed = 9.0  # building a problem may take half of it: there are 5 s
+    deadline.guessed = 9.0  # building a problem may take half of it, and 5 s remain
     assert not deadline.hopeless
     deadline.guessed = 11.0
     assert deadline.hopeless and not deadline.late and not Deadline().hopeless
     now[0] += 1.0
-    deadline.solved(now[0] - 1.0, 50, over=False)  # 20 ms a node: from a motion half that, so 4 s are enough for 400
+    # 20 ms per node; from a motion half of that, so 4 s are enough for 400
+    deadline.solved(now[0] - 1.0, 50, over=False)
     assert deadline.allows(390) and not deadline.cut and not deadline.allows(410) and deadline.cut
     assert not deadline.late
     deadline.solved(now[0], 50, over=True)
@@ -182,7 +184,8 @@ def test_a_deadline_reserves_time_to_certify_and_starts_nothing_too_long(monkeyp
 
 
 def test_work_after_certification_is_measured_too(monkeypatch):
-    """Wheels are put on the terrain when all is solved, which takes seconds: a share of the motion tells how long."""
+    """Wheels are placed on the terrain at the end, which takes seconds: a share of the motion is used to estimate
+    it."""
     from vehsim.planning import iterate, trajectory
 
     now, deadlines, place = [0.0], [], trajectory.place_on_terrain
@@ -195,7 +198,7 @@ def test_work_after_certification_is_measured_too(monkeypatch):
     monkeypatch.setattr(trajectory, "place_on_terrain", slowly)
     monkeypatch.setattr(iterate, "Deadline", lambda end: deadlines.append(Deadline(end)) or deadlines[-1])
     marks = [Mark(1, position=REST, heading=0, velocity=REST), Mark(73, position=(12, 1, 0), velocity=REST)]
-    with warnings.catch_warnings(record=True) as heard:  # nothing of what the initial guess would ask of tyres
+    with warnings.catch_warnings(record=True) as heard:  # no warnings about the tyres of the initial guess
         vehsim.plan(vehsim.load_vehicle("car"), vehsim.World("hills"), marks, segments=16, time_limit=1e6)
     assert len([one for one in heard if "tyre" in str(one.message)]) <= 1
     assert deadlines[0].kept == pytest.approx(3.0)  # a second on a clip of a second: three here
@@ -203,7 +206,7 @@ def test_work_after_certification_is_measured_too(monkeypatch):
 
 @pytest.mark.parametrize("hills", [False, True])
 def test_out_of_time_while_loading_returns_the_initial_guess_and_the_cause(tmp_path, monkeypatch, hills):
-    """Neither a way nor distances are sought: it ends with the straight way, which nobody measured."""
+    """Neither a route nor distances are computed: the result is the straight path, whose clearance was not measured."""
     monkeypatch.setenv("VEHSIM_CACHE", str(tmp_path))
     monkeypatch.setattr("vehsim.planning.guesses.astar.guess_drive", lambda *asked: pytest.fail("sought a path"))
     if hills:
@@ -222,7 +225,7 @@ def test_out_of_time_while_loading_returns_the_initial_guess_and_the_cause(tmp_p
 
 
 def test_a_solver_stops_before_an_iteration_that_would_end_too_late(monkeypatch):
-    """Iterations of a second each and 4.5 seconds: four are done, the fifth is not begun."""
+    """Iterations of one second each and 4.5 seconds: four are completed, the fifth is not started."""
     from vehsim.planning.problem.solver import _Callback
 
     class Watched:
@@ -239,7 +242,7 @@ def test_a_solver_stops_before_an_iteration_that_would_end_too_late(monkeypatch)
 
 
 def test_with_little_time_a_plan_has_a_lower_order(monkeypatch):
-    """No time for higher orders: all the segments asked for, at order 2; and the message says what was left out."""
+    """No time for higher orders: all requested segments, at order 2; and the message says what was left out."""
 
     def allows(self, nodes):
         self.cut |= nodes > 500
@@ -253,7 +256,7 @@ def test_with_little_time_a_plan_has_a_lower_order(monkeypatch):
 
 
 def test_nothing_is_built_after_the_time_limit(monkeypatch):
-    """Found just before its deadline, a plan is not taken to a finer discretisation: it comes back as it is."""
+    """A plan found just before its deadline is not refined: it is returned unchanged."""
     from vehsim.planning import refine
 
     made = []
@@ -265,7 +268,7 @@ def test_nothing_is_built_after_the_time_limit(monkeypatch):
 
 
 def test_nothing_is_solved_again_after_the_time_limit(monkeypatch):
-    """Out of time: neither for what it ran through unseen, nor on whole frames, which a free mark asks for."""
+    """Out of time: neither for violated inactive constraints nor to move free marks to whole frames."""
     from vehsim.planning import solve
     from vehsim.planning.constraints.obstacle_clearance import ObstacleClearance
 
@@ -281,7 +284,7 @@ def test_nothing_is_solved_again_after_the_time_limit(monkeypatch):
 
 
 def test_a_refinement_out_of_time_keeps_the_coarser_plan(monkeypatch):
-    """The finer solve fails: the coarser one comes back, and the message says so."""
+    """The finer solve fails: the coarser plan is returned, and the message says so."""
     from vehsim.planning import refine
 
     solve = refine.solve
@@ -333,7 +336,7 @@ def test_wrong_tables_of_shots_are_named(extra, message):
 
 
 class Stop(KeyboardInterrupt):
-    """What a program of its own raises at a signal."""
+    """An exception that a user's program raises at a signal."""
 
 
 def stop(number, frame):
@@ -352,7 +355,7 @@ TUG_ASIDE = [Mark(1, position=REST, velocity=REST), Mark(73, position=(6, 2, 0),
 
 
 def interrupting():
-    """A law that is interrupted, and loses it as CasADi's wrappers do, which clear what is raised in them."""
+    """A law that is interrupted, and loses the exception as CasADi's wrappers do, which clear it."""
 
     def law(knot):
         with suppress(Stop):
@@ -367,7 +370,7 @@ def test_an_interrupt_that_casadi_swallows_is_raised_later(stopping):
     """As its handler raised it; before the next solve, or at the end."""
     with pytest.raises(Stop):
         vehsim.plan(tug(), None, TUG_ASIDE, segments=8, terms=[interrupting()])
-    assert vehsim.plan(tug(), None, TUG_ASIDE, segments=8, refine=False).success  # and is forgotten then
+    assert vehsim.plan(tug(), None, TUG_ASIDE, segments=8, refine=False).success  # afterwards it is forgotten
 
 
 def test_an_interrupt_in_a_plan_within_a_plan_ends_both(stopping):
@@ -397,7 +400,7 @@ def test_an_interrupt_whose_handler_returns_stops_nothing():
 
 
 def test_a_plan_in_another_thread_does_not_affect_an_interrupt(stopping):
-    """It is the main thread's."""
+    """It belongs to the main thread."""
     plans = []
 
     def law(knot):
@@ -415,7 +418,7 @@ def test_a_plan_in_another_thread_does_not_affect_an_interrupt(stopping):
 
 
 def test_exceptions_of_the_progress_callback_are_raised():
-    """And is no time limit."""
+    """It is not reported as a time limit."""
 
     def progress(text, fraction):
         raise ValueError(text)
@@ -434,7 +437,7 @@ def test_a_broken_motion_is_reported_with_its_frame(monkeypatch):
 
 
 def test_marks_that_are_too_early_are_named_among_obstacles_too(monkeypatch):
-    """Retries end elsewhere; what the first way misses is what an animator can fix."""
+    """Retries end elsewhere; what the first path misses is what an animator can fix."""
     monkeypatch.setattr("vehsim.planning.fallbacks.RETRIES", ((1.2, 0.3),))
     monkeypatch.setattr(elastic, "SECONDS", 300.0)
     world = vehsim.World(obstacles=[box("tower", (15, 12, 0), (4, 4, 40))])
@@ -447,7 +450,8 @@ def test_marks_that_are_too_early_are_named_among_obstacles_too(monkeypatch):
 
 
 def test_the_earliest_frame_is_found_without_a_missed_mark(monkeypatch):
-    """The problem with room to miss marks is not solved, that with room to be late is; what can be done is not late."""
+    """The problem that may miss marks is not solved, the one that may be late is; feasible marks are not reported as
+    late."""
     monkeypatch.setattr(elastic, "_missed", lambda run, guess: ("", None))
     monkeypatch.setattr("vehsim.planning.fallbacks.RETRIES", ())
     with pytest.warns(UserWarning, match=r": mark\[1\].frame = 49 is too early; earliest \d+$") as heard:
@@ -461,7 +465,7 @@ def test_the_earliest_frame_is_found_without_a_missed_mark(monkeypatch):
 
 
 def test_marks_in_rock_and_without_a_route_are_named():
-    """By mark, in its own place; a way's clearance by what was asked and what the vehicle needs."""
+    """By mark, at its own key; the clearance of a route is that requested plus what the vehicle needs."""
     x, y = np.meshgrid(np.arange(0, 120.0, 2), np.arange(0, 60.0, 2))
     basin = (np.abs(x - 30) < 22) | (np.abs(x - 90) < 22)
     world = vehsim.World(Terrain("basins", np.where(basin & (np.abs(y - 30) < 22), 0.0, 60.0), (0, 0), (2, 2)))

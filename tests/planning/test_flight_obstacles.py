@@ -1,4 +1,4 @@
-"""What flies among obstacles: clear by another library's word, between knots too; and where it lands it stands."""
+"""Flight among obstacles: clear according to another library, between knots too; and landings."""
 
 import igl
 import numpy as np
@@ -36,16 +36,16 @@ def apart(a, b):
 
 
 def strewn(vehicle):
-    """Points (n, 3) m all over a vehicle's hulls, a few centimetres apart at their corners."""
+    """Points (n, 3) m spread over a vehicle's hulls, a few centimetres apart at their corners."""
     rng = np.random.default_rng(0)
     meshes = [trimesh.convex.convex_hull(hull) for hull in hulls_of(vehicle)]
     return np.vstack([np.vstack([m.vertices, trimesh.sample.sample_surface(m, 300, seed=rng)[0]]) for m in meshes])
 
 
 def seen_by_igl(clip, hulls, times, frame=lambda t: np.eye(4)):
-    """Signed distances (times,) m of points strewn over the vehicle to convex ``hulls``, which ``frame`` (4, 4) moves.
+    """Signed distances (times,) m from points on the vehicle to convex ``hulls`` that ``frame`` (4, 4) moves.
 
-    Upper bounds of the true ones, larger by what lies between the points.
+    Upper bounds of the true distances; the difference is due to the spacing of the points.
     """
     shapes = [trimesh.convex.convex_hull(hull) for hull in hulls]
     points, out = strewn(clip.vehicle), []
@@ -84,7 +84,7 @@ def flight(helicopter):
 
 
 def test_flies_around_obstacles_at_rest(flight, helicopter):
-    """As near as certified and no nearer, by libigl's distances; straight on it would have flown into the tower."""
+    """As near as certified and no nearer, by libigl's distances; on a straight line it would hit the tower."""
     assert flight.success and flight.clearance >= 1.5 - 0.01
     hulls = hulls_in(World(obstacles=TOWN))
     seen = seen_by_igl(flight.clip, hulls, np.linspace(0, flight.duration, 200)).min()
@@ -95,7 +95,7 @@ def test_flies_around_obstacles_at_rest(flight, helicopter):
 
 
 def test_a_range_may_begin_on_the_path_around_an_obstacle(helicopter):
-    """Where a stay begins no mark says a place: half way between its neighbours stands the tower."""
+    """The mark at the start of a stay has no position: the tower is halfway between its neighbours."""
     marks = [
         Mark(1, position=(0, 0, 30), heading=0, velocity=REST),
         Mark(289, position=(80, 0, 30), heading=0, velocity=REST),
@@ -106,7 +106,7 @@ def test_a_range_may_begin_on_the_path_around_an_obstacle(helicopter):
 
 
 def test_certification_finds_what_samples_miss(flight):
-    """Between samples too: with two poses a segment it finds what sixteen times as many do, to a millimetre."""
+    """Between samples too: with two poses per segment it finds the same minimum as with 32, to a millimetre."""
     world = World(obstacles=TOWN)
     fine = flight.clip.at(np.linspace(0, flight.duration, 32 * (len(flight.clip) - 1) + 1))
     exact = world.clearance(flight.clip.vehicle, fine.positions, fine.orientations).min()
@@ -114,7 +114,7 @@ def test_certification_finds_what_samples_miss(flight):
 
 
 def test_distances_to_obstacles_agree_with_least_squares(helicopter):
-    """MuJoCo's answers for hulls in any pose against another method, also where the vehicle is a mere point."""
+    """MuJoCo's results for hulls in any pose compared with another method, also for a vehicle that is a point."""
     rng = np.random.default_rng(1)
     boxes = [ob.box(f"b{i}", rng.uniform(-9, 9, 3), rng.uniform(1, 4, 3), rng.uniform(0, 90)) for i in range(3)]
     positions, turned = rng.uniform(8, 16, (4, 3)), rng.normal(size=(4, 4))
@@ -131,7 +131,7 @@ def test_distances_to_obstacles_agree_with_least_squares(helicopter):
 
 
 def test_moving_obstacles_are_avoided(helicopter):
-    """Two helicopters on crossing ways, at the crossing together: they would touch, and keep 2 m apart."""
+    """Two helicopters on crossing paths reach the crossing together: they would touch, but keep 2 m apart."""
     crossing = [
         Mark(1, position=(60, -60, 30), heading=90, velocity=(0, 12, 0)),
         Mark(241, position=(60, 60, 30), heading=90, velocity=(0, 12, 0)),
@@ -144,7 +144,7 @@ def test_moving_obstacles_are_avoided(helicopter):
     world = World(obstacles=[ob.moving("other", other)])
     seeing = vehsim.plan(helicopter, world, marks, segments=24, clearance=2.0)
     assert seeing.success and seeing.clearance >= 2.0 - 0.01
-    assert seeing.tightenings == 0  # it knows where the other is, and when
+    assert seeing.tightenings == 0  # the plan knows where the other one is, and when
     assert certify(vehsim.plan(helicopter, None, marks, segments=24).clip, world) < 0
     times = np.linspace(0, other.times[-1], 81)
     seen = seen_by_igl(seeing.clip, hulls_of(helicopter), times, lambda t: other.at([t]).matrices()[0]).min()
@@ -189,7 +189,7 @@ def touchdown(helicopter):
 
 
 def test_lands_on_the_mark_at_its_frame(touchdown):
-    """Skids on the pad to a tenth of a millimetre, level and still, at the frame asked for."""
+    """Skids on the pad to a tenth of a millimetre, level and at rest, at the requested frame."""
     _, plan = touchdown
     assert plan.success and plan.clip.end_frame == 241
     last = plan.clip.at([plan.duration])
@@ -213,7 +213,7 @@ def test_comes_down_gently_and_never_into_the_ground(touchdown, helicopter):
     gaps = world.clearance(helicopter, motion.positions, motion.orientations)
     assert gaps.min() > -1e-3
     assert (gaps >= approach(away, 1.0, 0.0) - 0.02).all()
-    # by libigl: never in the pad, and over bare ground a metre off
+    # by libigl: never in the pad, and a metre from bare ground
     some = times[::30]
     assert seen_by_igl(plan.clip, PAD.hulls, some).min() > -1e-3
     points, matrices = strewn(helicopter), plan.clip.at(some).matrices()
@@ -223,7 +223,7 @@ def test_comes_down_gently_and_never_into_the_ground(touchdown, helicopter):
 
 
 def test_landing_on_rough_ground_warns(helicopter):
-    """From the pad to bare ground, not level: it stands on its highest point; how high elsewhere is said."""
+    """From the pad to uneven bare ground: it stands on its highest point; the height elsewhere is reported."""
     world = World(hilly(), obstacles=[PAD])
     marks = [
         Mark(1, position=(70, 5, 30), heading=180, on_ground=True),
@@ -242,7 +242,7 @@ def test_landing_on_rough_ground_warns(helicopter):
 
 
 def test_put_down_is_exact(helicopter):
-    """On level ground the skids' lowest point is at the ground's height; under a bridge it stands below it."""
+    """On level ground the skids' lowest point is at the ground's height; under a bridge it stands below the bridge."""
     flat = World("flat", obstacles=[ob.box("bridge", (0, 0, 10), (20, 20, 2))])
     level = np.array([1.0, 0, 0, 0])
     lowest = min(hull[:, 2].min() for hull in hulls_of(helicopter))
@@ -254,8 +254,10 @@ def test_put_down_is_exact(helicopter):
 
 
 def test_helicopters_pass_gates_narrower_than_their_spheres(helicopter):
-    """A hall in two by walls: 15 m between them, 10.8 m across the rotor, 15.9 m across all spheres. A metre less than
-    fits is said, and how much of that is the helicopter."""
+    """A hall divided by walls: 15 m between them, 10.8 m across the rotor, 15.9 m across all spheres.
+
+    If the gap is a metre too narrow, the message says so, and how much of the required width is the helicopter.
+    """
 
     def hall(gate):
         walls = [ob.box(f"wall{s}", (40, s * (gate / 2 + 12), 0), (3, 24, 40)) for s in (1, -1)]

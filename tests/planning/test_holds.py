@@ -1,4 +1,4 @@
-"""Holds: the vehicle stays where it is, in balance, on any number of segments, and so do its controls when run."""
+"""Holds: the vehicle stays where it is, in balance, on any number of segments, also when its controls are executed."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ from vehsim.planning.problem.transcription import transcribe
 from vehsim.planning.request.request import ask
 
 REST = (0.0, 0.0, 0.0)
-PLANNED = {  # height, and how far it goes in how many frames
+PLANNED = {  # height, distance, and number of frames
     "helicopter": (20.0, 30.0, 144),
     "boat": (0.0, 15.0, 216),
     "car": (0.0, 15.0, 144),
@@ -44,14 +44,14 @@ def journey(name, place, free):
 
 
 def holds(plan):
-    """Of every hold: the phase's first and last knot."""
+    """The first and last knot of the phase of every hold."""
     iterate = plan._iterate
     knots, marks = iterate.layout.mark_knots, iterate.request.marks
     return [(knots[i], knots[i + 1]) for i, mark in enumerate(marks[:-1]) if mark.hold]
 
 
 def assert_held(plan):
-    """Nothing moves, turns or leans on the clip, nor when the controls are run by RK4 on the equations of motion."""
+    """Assert that nothing moves, turns or leans on the clip, nor when RK4 executes the controls."""
     assert plan.success, plan.message
     iterate, found = plan._iterate, holds(plan)
     assert found
@@ -98,7 +98,7 @@ def test_short_and_long_holds(hold):
 
 
 def test_a_range_may_begin_within_a_hold():
-    """The hold is cut in two there, and still is one."""
+    """The hold is divided there, and still is one hold."""
     marks = [rest(1, (0, 0, 20)), rest(145, (30, 10, 20), hold=72), rest(361, (80, 0, 20))]
     tower = (30.0, 60.0, 10.0)
     terms = [look_at(tower, (160, 190), within=6.0), stay((130, 180), above=15.0)]
@@ -124,7 +124,7 @@ def test_holds_are_kept_by_a_replan():
 
 
 def windy(name):
-    """A helicopter with a fuselage that feels the wind; the boat does as it is."""
+    """A helicopter with a fuselage that has drag; the boat as it is."""
     vehicle = vehsim.load_vehicle(name)
     if name == "boat":
         return vehicle
@@ -188,7 +188,7 @@ def test_landing_for_a_hold_is_as_gentle(hold):
 
 
 def test_takes_off_from_a_hold_on_the_ground_in_wind():
-    """The ground carries it, level as it stands there: what the wind would do to it in the air does not count."""
+    """The ground carries it, level: the wind's effect in the air does not matter there."""
     marks = [
         Mark(1, position=(0, 0, 5), heading=0, on_ground=True, hold=36),
         rest(265, (60, 10, 20), heading=0),

@@ -1,4 +1,4 @@
-"""Joints that nothing depends on, such as a wheel's roll: no equation says where they begin, so the plan has to."""
+"""Joints that influence nothing, such as a wheel's roll: no equation fixes their initial values, so the plan must."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ REST = {"heading": 0, "velocity": (0, 0, 0)}
 
 @pytest.mark.parametrize("cost", ["time", "effort"])
 def test_wheels_begin_where_the_guess_has_them(cost: str) -> None:
-    """Left to the solver, they began at -1e14 rad: there a wheel turns in steps of a degree."""
+    """Left to the solver, they started at -1e14 rad, where a wheel turns in steps of a degree."""
     marks = [vehsim.Mark(1001, position=(0, 0, 0), **REST), vehsim.Mark("free", position=(40, 20, 0), **REST)]
     plan = vehsim.plan(vehsim.load_vehicle("car"), vehsim.World(terrain="flat"), marks, cost=cost, segments=32)
     rolled = plan.clip.joints[:, plan.clip.vehicle.joints.index("psi")]

@@ -1,4 +1,4 @@
-"""Limits, looks, heights and constraints of one's own bind at every instant of the clip, not at knots alone."""
+"""Limits, looks, heights and users' constraints apply at every instant of the clip, not only at knots."""
 
 import casadi as ca
 import numpy as np
@@ -25,7 +25,10 @@ DRIVE = [rest(1, REST, heading=0), rest("free", (20, 14, 0), heading=90)]
 
 
 def measured(clip):
-    """The largest of everything limited, by numpy on the clip, 16 times a frame; accelerations over a 64th of one."""
+    """The largest values of all limited quantities, by numpy on the clip, 16 times per frame.
+
+    Accelerations are differences over a 64th of a frame.
+    """
     frame = 1 / float(clip.fps)
     motion = clip.at(np.linspace(0, clip.duration, max(int(clip.duration / frame) * 16, 500)))
     omega, velocity = spatial(motion)
@@ -79,7 +82,7 @@ def test_flights_keep_their_limits_at_every_instant(limits, segments):
     found = measured(plan.clip)
     for name, bound in limits.items():
         assert found[name] <= WITHIN * bound
-        assert found[name] >= 0.9 * bound  # it is the limit that keeps it there
+        assert found[name] >= 0.9 * bound  # the limit is active
 
 
 @pytest.mark.parametrize("segments", [11, 32])
@@ -118,7 +121,7 @@ def test_ranges_are_kept_between_knots(segments):
 
 
 def test_a_users_constraint_binds_between_knots_and_in_time():
-    """A wall that moves away: kept behind at every instant, within the slack it states; and an acceleration."""
+    """A wall that moves away: the vehicle stays behind it at every instant, within the slack; and an acceleration."""
     wall = Constraint("wall", lambda k: k.position[0] - 1.0 - 3.0 * k.t, upper=0.0, slack=1e-4)
     ease = Constraint("ease", lambda k: k.acceleration[0], lower=-1.5, upper=1.5, slack=1e-3)
     marks = [rest(1, REST, heading=0), rest("free", (30, 2, 0), heading=0)]
@@ -133,7 +136,7 @@ def test_a_users_constraint_binds_between_knots_and_in_time():
 
 
 def test_violations_are_reported_in_the_users_units():
-    """A law that vanishes at all knots and that no motion can keep between them: where, how much, what was asked."""
+    """A law that vanishes at all knots and that no motion can satisfy between them: where, by how much, the bound."""
     ripple = Constraint("ripple", lambda k: ca.sin(4 * ca.pi * k.t), upper=0.5)
     marks = [DRIVE[0], rest(97, (20, 4, 0))]
     with pytest.warns(UserWarning, match=r"ripple is (1|0\.99\d*) at frame \d+\.\d, requested 0\.5"):
@@ -143,7 +146,7 @@ def test_violations_are_reported_in_the_users_units():
 
 
 def test_views_between_knots_equal_the_clips():
-    """What laws see between knots is what the clip's interpolant has there."""
+    """The values that laws receive between knots are those of the clip's interpolant."""
     plan = vehsim.plan(vehsim.load_vehicle("helicopter"), None, FLIGHT, segments=12, cost=QUICK, refine=False)
     t, layout, x = transcribe(plan.clip.vehicle), plan._iterate.layout, plan._iterate.x
     v, s = t.symbols("x", "x1", "c0", "c1", "h"), ca.SX.sym("s")
@@ -162,7 +165,7 @@ def test_views_between_knots_equal_the_clips():
 
 @pytest.mark.parametrize("segments", [8, 32])
 def test_a_free_mark_waits_for_the_frame_that_a_limit_allows(segments):
-    """At its limit it takes 96.15 frames: frame 96 cannot be met, and 97 can."""
+    """At its limit it takes 96.15 frames: frame 96 is infeasible, and 97 is feasible."""
     car = vehsim.load_vehicle("car")
     marks = [Mark(0, position=(0, 0, 0), heading=0), Mark("free", position=(9.0386, 0, 0))]
     plan = vehsim.plan(car, None, marks, segments=segments, limits={"speed": 2.256})

@@ -1,4 +1,4 @@
-"""What animators ask beside positions: gates, looks, heights, holds, loops, joints; each met on the exported clip."""
+"""Requests beside positions: gates, looks, heights, holds, loops, joints; each met on the exported clip."""
 
 import numpy as np
 import pytest
@@ -47,7 +47,7 @@ def test_a_gate_is_flown_through(helicopter, gate):
         assert np.linalg.norm(off) <= gate.radius + 1e-6
     else:
         assert abs(off @ width) <= 1.5 + 1e-6 and abs(off @ height) <= 0.5 + 1e-6
-    # the straight way passes outside: the gate, not chance, brings it there
+    # the straight path passes outside, so the gate has an effect
     assert np.linalg.norm(np.cross(centre - [0, 0, 30], [1, 0, 0])) > 5
 
 
@@ -90,7 +90,7 @@ def test_a_free_mark_is_held(car):
 
 
 def test_a_loop_ends_as_it_begins(car):
-    """Pose, velocity, steering and controls; only the wheels' roll, which nothing depends on, has gone on."""
+    """Pose, velocity, steering and controls; only the wheels' roll, which influences nothing, differs."""
     marks = [
         Mark(1, position=REST, speed=6),
         Mark("free", position=(12, 12, 0)),
@@ -129,7 +129,7 @@ def test_some_joints_at_a_mark(car):
 
 
 def test_rest_stops_every_free_velocity():
-    """A robot that can turn on the spot does not, at rest."""
+    """A robot that can turn on the spot does not turn at rest."""
     robot = vehsim.load_vehicle("two_wheeled")
     marks = [Mark(1, position=REST, heading=0, velocity=REST), Mark(121, position=(2, 1, 0), heading=90, velocity=REST)]
     plan = vehsim.plan(robot, None, marks, segments=16)

@@ -1,4 +1,4 @@
-"""Cars among obstacles: clear by an independent library's word, between knots too; what cannot be done is named."""
+"""Cars among obstacles: clear according to an independent library, between knots too; infeasible marks are named."""
 
 from dataclasses import replace
 
@@ -69,7 +69,7 @@ def across(length=50.0, **goal):
 
 
 def gap_by_shapely(clip, world):
-    """Least distance at 2000 times, footprints and obstacles as shapely sees them; ellipses as rings of 400 corners."""
+    """Smallest distance at 2000 times, with footprints and obstacles in shapely; ellipses as rings of 400 corners."""
     motion = clip.at(np.linspace(0, clip.times[-1], 2000))
     yaw = yaw_of(motion.orientations)
     outlines = placed(ob.footprint(clip.vehicle), motion.positions[:, :2], yaw)
@@ -87,7 +87,7 @@ def test_a_car_finds_a_path_and_keeps_its_clearance(car, seed):
     assert plan.success, plan.message
     checked = gap_by_shapely(plan.clip, world)
     assert checked >= 0.5 - 2e-3
-    assert plan.clearance == pytest.approx(checked, abs=2e-3)  # the certificate says no more than is so
+    assert plan.clearance == pytest.approx(checked, abs=2e-3)  # the certificate is not optimistic
     np.testing.assert_allclose(plan.clip.positions[-1, :2], (50, 0), atol=1e-6)
     assert np.abs(plan.clip.joints[:, car.joints.index("sigma")]).max() <= 0.7 + 1e-6
 
@@ -104,7 +104,7 @@ def test_other_vehicles_drive_among_obstacles_too(name):
 
 
 def test_a_car_parks_between_two_others(car):
-    """In a gap two metres longer than itself: no way but backwards."""
+    """In a gap two metres longer than itself: possible only in reverse."""
     world = World(obstacles=[ob.box("behind", (-5.4, -3, 0), (4.3, 1.9, 1.4)), ob.box("ahead", (5.4, -3, 0),
                   (4.3, 1.9, 1.4)), ob.box("kerb", (0, -4.75, 0), (26, 0.8, 0.15))])  # fmt: skip
     marks = [
@@ -118,7 +118,7 @@ def test_a_car_parks_between_two_others(car):
 
 
 def test_a_moving_obstacle_is_avoided(car):
-    """Another car crosses where the first would meet it: without an eye on it they collide, with it they do not."""
+    """Another car crosses where the first would meet it: ignoring it leads to a collision, considering it does not."""
     start = vehsim.State(position=(20, -24, 0), orientation=(np.sqrt(0.5), 0, 0, np.sqrt(0.5)), twist=(0, 6.0, 0))
     other = vehsim.simulate(car, World(), start=start, duration=8.0, fps=24, start_frame=1001)
     crossing = ob.moving("crossing", other)
@@ -153,7 +153,8 @@ def test_marks_in_obstacles_are_refused(car, obstacles, complaint):
 
 
 def test_a_mark_that_no_heading_clears_is_refused(car):
-    """Shapely turns the car about the mark: 5 cm less than the best heading leaves is planned, 5 cm more refused."""
+    """Shapely rotates the car about the mark: 5 cm below the clearance of the best heading is planned, 5 cm above
+    refused."""
     walls = [ob.box("wall", (50, 2.5, 0), (30, 0.5, 3)), ob.box("rail", (50, -3.5, 0), (30, 0.5, 3))]
     union = shapely.unary_union([shapely.Polygon(part) for wall in walls for part in wall.parts])
     yaw = np.linspace(0, 2 * np.pi, 3601)
@@ -166,11 +167,12 @@ def test_a_mark_that_no_heading_clears_is_refused(car):
 
     assert not complaints(best - 0.05)
     assert complaints(best + 0.1) == [f"only {best:.2f} m from obstacle 'wall' at any heading"]
-    assert not complaints(best + 0.1, replace(mark, gate=Gate((1, 0, 0), radius=2)))  # it may pass elsewhere
+    # it may pass elsewhere in the gate
+    assert not complaints(best + 0.1, replace(mark, gate=Gate((1, 0, 0), radius=2)))
 
 
 def test_a_swinging_trailer_keeps_its_clearance():
-    """Round a block: the trailer, turned about its king pin by hand, keeps the clearance by shapely's word."""
+    """Around a block: the trailer, rotated about its king pin here, keeps the clearance according to shapely."""
     truck = vehsim.load_vehicle("truck")
     world = World(obstacles=[ob.box("silo", (30, -1, 0), (8, 8, 6), heading=45)])
     marks = [
@@ -206,7 +208,7 @@ def test_a_walled_in_vehicle_is_reported(car):
 
 
 def test_a_path_out_of_the_walls_is_found(car):
-    """The same ring with its east wall moved away: overlapping corners are no trouble."""
+    """The same ring with its east wall moved away: overlapping corners are no problem."""
     marks = [
         Mark(1, position=(19, 0, 0), heading=180, velocity=REST),
         Mark("free", position=(50, 0, 0), velocity=REST),
@@ -241,7 +243,7 @@ def rows_of(vehicle, shape, poses):
 
 @pytest.mark.parametrize("part", PARTS)
 def test_rows_equal_the_exact_distance(car, part):
-    """Outside each other, the least row is the distance of the polygon the optimiser sees from the part."""
+    """Outside, the smallest row is the distance of the optimiser's polygon from the part."""
     rng = np.random.default_rng(2)
     poses = np.column_stack([rng.uniform(-np.pi, np.pi, 300), rng.uniform(-7, 9, (300, 2))])
     body = np.array(body_of(car))
@@ -253,7 +255,7 @@ def test_rows_equal_the_exact_distance(car, part):
 
 @pytest.mark.parametrize("part", PARTS)
 def test_frozen_expressions_do_not_change_derivatives(car, part):
-    """Slopes and bends, whose distances are not differentiated through, are those of the values: inside and out."""
+    """Slopes and curvatures, although frozen, are the derivatives of the values: inside and outside."""
     t = transcribe(car)
     rng, shape = np.random.default_rng(4), part.parts[0]
     kinds = {feature.kind: feature for feature in form_of(shape).features(shape, body_of(car))}
@@ -284,12 +286,12 @@ def test_a_thin_wall_across_the_car_is_detected(car):
 
 
 def test_only_features_near_each_other_become_rows(car):
-    """A part in front: the car's tail and the part's far corners are no rows, and those that are suffice."""
+    """A part in front: the car's tail and the part's far corners have no rows, and the others suffice."""
     world = World(obstacles=[ob.box("ahead", (7, 0, 0), (6, 3, 1))])
     rows = rows_among(car, world).near((np.zeros((3, 3)), np.zeros(3), np.zeros(3)))
     seen = [feature for (_, feature), seen in zip(rows.features, rows.active[:, 1], strict=True) if seen]
     assert 0 < len(seen) < 0.7 * len(rows.features)
-    assert all(feature.constants[0] > -1 for feature in seen if feature.constants)  # of the car, no tail
+    assert all(feature.constants[0] > -1 for feature in seen if feature.constants)  # of the car, not its tail
     gaps = rows_of(car, world.obstacles[0].parts[0], np.zeros((1, 3)))[:, 0]
     assert gaps[rows.active[:, 1]].min() == gaps.min()
 
@@ -304,7 +306,7 @@ def test_the_optimisers_outline_contains_the_vehicle(car):
 
 
 def test_certification_finds_the_closest_approach_between_samples(car):
-    """A post beside a fast car: the nearest moment lies between any two of few samples."""
+    """A post beside a fast car: the closest approach lies between any two of few samples."""
     clip = vehsim.simulate(car, World(), start=vehsim.State(twist=(0, 15.0, 0)), duration=2.0, fps=24)
     few = np.linspace(0, len(clip) - 1, 5).astype(int)  # 7.5 m apart
     arrays = ("times", "positions", "orientations", "twists", "joints", "joint_rates", "controls")
@@ -317,7 +319,8 @@ def test_certification_finds_the_closest_approach_between_samples(car):
 
 
 def test_violated_obstacles_are_activated_near_the_violation(car):
-    """Nothing seen, straight through the first part: it is seen about there, the far one and the start are not."""
+    """With no active part, straight through the first part: it becomes active there, the far part and the start do
+    not."""
     world = World(obstacles=[ob.ellipse("e", (20, 0), (2, 1)), ob.ellipse("far", (20, 60), (2, 1))])
     positions, yaw, seconds = np.column_stack([np.linspace(0, 40, 41), np.zeros((41, 2))]), np.zeros(41), np.zeros(41)
     blind = rows_among(car, world).near((positions + 200, yaw, seconds))
@@ -329,7 +332,7 @@ def test_violated_obstacles_are_activated_near_the_violation(car):
 
 
 def test_active_sets_of_a_failed_refinement_are_dropped(car):
-    """Then the coarse one is solved again, for a limit that it breaks between knots, with what it has seen itself."""
+    """The coarse problem is then solved again, for a limit that it violates between knots, with its own active set."""
     world = World("flat", obstacles=[ob.ellipse("one", (-3.261, 21.034), (0.601, 1.577)),
                                      ob.ellipse("two", (-6.329, 20.485), (1.916, 1.499))])  # fmt: skip
     marks = [Mark(0, position=(1.64, 16.245, 0), heading=-163.666), Mark("free", position=(-6.77, 12.951, 0))]
@@ -338,7 +341,7 @@ def test_active_sets_of_a_failed_refinement_are_dropped(car):
 
 
 def test_a_violation_doubles_the_active_range_around_the_guess(car):
-    """Knots slide along a guess: those before and behind a wall are to know of it, too."""
+    """Knots slide along a guess: those before and behind a wall must have rows too."""
     along, still = np.column_stack([np.linspace(0, 40, 41), np.zeros((41, 2))]), np.zeros(41)
     rows = rows_among(car, World(obstacles=[ob.box("wall", (20, 0, 0), (1, 8, 1))]))
     rows = rows.near((np.add(along, (0, 20, 0)), still, still))
@@ -349,7 +352,7 @@ def test_a_violation_doubles_the_active_range_around_the_guess(car):
 
 
 def test_cars_weave_between_walls(car):
-    """Four walls from either side in turn: knots may not jump over those they do not see."""
+    """Four walls from either side in turn: knots may not jump over inactive walls."""
     walls = [ob.box(f"w{k}", (10 + 8 * k, 5.5 if k % 2 else -5.5, 0), (0.6, 14, 1)) for k in range(4)]
     ends = [ob.box("top", (22, 14, 0), (50, 0.5, 1)), ob.box("bottom", (22, -14, 0), (50, 0.5, 1))]
     world = World(obstacles=walls + ends)
@@ -359,7 +362,7 @@ def test_cars_weave_between_walls(car):
 
 
 def test_rows_name_their_obstacle(car):
-    """So a failure says which one is in the way, not the number of a row."""
+    """A failure therefore names the obstacle in the way, not the number of a row."""
     rows = rows_among(car, World(obstacles=[ob.box("pier", (6, 0, 0), (2, 30, 1)), *WALLS]))
     rows = rows.near((np.zeros((4, 3)), np.zeros(4), np.zeros(4)))
     t = transcribe(car)
@@ -373,7 +376,7 @@ def test_rows_name_their_obstacle(car):
 
 
 def test_initial_guesses_measure_distances_only_where_needed(car, monkeypatch):
-    """Where the car may be and what it costs there are as with exact distances everywhere."""
+    """Free cells and costs equal those with exact distances everywhere."""
     ends = np.array([(0.0, 0, 0), (60, 0, 0)])
     parts = parts_in_reach(car, yard(3), across())
     ground = astar._Ground(car, np.zeros(2), parts, ends[:, :2], 0.5, 0.5, ())
@@ -410,7 +413,7 @@ def test_guesses_drive_no_tighter_than_the_car_can(car):
 
 
 def test_worlds_of_the_same_shapes_share_a_problem(car):
-    """Where parts stand is a parameter: the same rows serve another world."""
+    """The positions of parts are parameters: the same rows serve another world."""
     boxes = [ob.box("b", (x, 3, 0), (1, 1, 1)) for x in (10.0, 11.0)]
     blocks = [ObstacleClearance(car, [(box, 0)], 0.5) for box in boxes]
     t = transcribe(car)

@@ -1,4 +1,4 @@
-"""Plans against closed forms, replays, independent execution and certified clearance."""
+"""Plans compared with closed forms, replays, independent execution and certified clearance."""
 
 import warnings
 
@@ -19,7 +19,7 @@ REST = (0.0, 0.0, 0.0)
 
 
 def tug(gravity=0.0, limit=np.inf):
-    """A body pushed along its own axes and turned by three torques."""
+    """A body with forces along its own axes and three torques."""
     names = ("tx", "ty", "tz", "fx", "fy", "fz")
     return Holonomic(
         name="tug",
@@ -38,7 +38,7 @@ def helicopter():
 
 @pytest.fixture(scope="module")
 def flight(helicopter):
-    """The helicopter in free space, rest to rest, with a free goal frame: solved once, looked at by many tests."""
+    """The helicopter in free space, rest to rest, with a free goal frame: solved once, used by many tests."""
     marks = [
         Mark(1001, position=(0, 0, 30), heading=0, velocity=REST),
         Mark("free", position=(120, 40, 35), heading=40, velocity=REST),
@@ -49,7 +49,7 @@ def flight(helicopter):
 def test_least_effort_between_rests_is_the_cubic():
     """Closed form: position 3s^2 - 2s^3 with force linear in time, and cost 12 m^2 d^2 / T^3."""
     distance, T = 6.0, 3.0
-    upright = (1, 0, 0, 0)  # an attitude of its own, so that a rest need not be in balance
+    upright = (1, 0, 0, 0)  # a given attitude, so that rest does not require balance
     marks = [
         Mark(1, position=REST, orientation=upright, velocity=REST),
         Mark(73, position=(distance, 0, 0), orientation=upright, velocity=REST),
@@ -94,10 +94,10 @@ def test_controls_stay_in_their_bounds(flight, helicopter):
 
 
 def test_plan_replays_through_the_integrator(flight, helicopter):
-    """One definition: the forward step from the first state under the plan's controls gives the plan."""
+    """One definition: the forward step from the first state under the plan's controls reproduces the plan."""
     step = flight.clip.times[1]
     replay = Integrator(helicopter, step, order=flight.order).rollout(flight.clip.state(0), flight.clip.controls)
-    # an unstable vehicle amplifies the solver's tolerance along the way: compare one second, then step by step
+    # an unstable vehicle amplifies the solver's tolerance with time: compare one second, then step by step
     first = int(1 / step)
     np.testing.assert_allclose(replay.positions[:first], flight.clip.positions[:first], atol=1e-8)
     integrator = Integrator(helicopter, step, order=flight.order)
@@ -144,7 +144,7 @@ def test_hold_stands_still(helicopter):
 
 
 def test_rest_is_in_balance(flight, helicopter):
-    """No jump in acceleration where a motion sets in or ends: the knot's controls just carry the vehicle."""
+    """No jump in acceleration where a motion starts or ends: the knot's controls just carry the vehicle."""
     from vehsim.planning.trim import trim
 
     np.testing.assert_allclose(flight.clip.controls[0], trim(helicopter, (0.0, 0.0, 0.0)), atol=1e-3)
@@ -169,7 +169,7 @@ def test_replan_is_the_plan_of_the_new_marks(flight):
 
 
 def test_replans_of_marks_that_face_along_their_legs_start_warm(helicopter, monkeypatch):
-    """Marks at rest are given headings along their legs: their replan must not take them for other marks."""
+    """Marks at rest get headings along their legs: a replan must not treat them as other marks."""
     from vehsim.planning import planner
 
     marks = [Mark(1, position=(0, 0, 30), velocity=REST), Mark(121, position=(40, 0, 30), velocity=REST)]
@@ -182,7 +182,7 @@ def test_replans_of_marks_that_face_along_their_legs_start_warm(helicopter, monk
 
 
 def test_car_plans_too():
-    """The same transcription for a nonholonomic vehicle: no wheel slips, the mark is hit."""
+    """The same transcription for a nonholonomic vehicle: no wheel slips, the mark is met."""
     car = vehsim.load_vehicle("car")
     marks = [
         Mark(1, position=REST, heading=0, velocity=REST, joints=None),
@@ -285,7 +285,7 @@ def test_elements_agree_with_whole_problem_derivatives(helicopter):
 
 
 def test_state_is_untouched_by_planning(helicopter):
-    """The first state of a plan is a state the integrator accepts and gives back."""
+    """The first state of a plan is a state that the integrator accepts and returns."""
     state = State(position=(1, 2, 3), twist=np.arange(6) / 10)
     integrator = Integrator(helicopter, 0.01)
     phase = integrator.start(state, np.zeros(4))
@@ -317,14 +317,15 @@ def test_free_heading_is_nose_first(helicopter):
 
 @pytest.mark.parametrize(("name", "away", "seconds"), [("car", 75, 25), ("truck", 60, 35), ("two_wheeled", 5, 15)])
 def test_a_drive_of_free_duration_does_not_crawl(name, away, seconds):
-    """Where standing costs no effort, time counts too."""
+    """If standing costs no effort, time has a cost too."""
     marks = [Mark(1, position=REST, heading=0, velocity=REST), Mark("free", position=(away, 0, 0), velocity=REST)]
     plan = vehsim.plan(vehsim.load_vehicle(name), None, marks, segments=32, refine=False)
     assert plan.success and plan.duration < seconds
 
 
 def test_time_has_a_cost_if_the_duration_is_free():
-    """Not for what has to hold itself up, nor between marks at frames; who names it says how much."""
+    """Not for vehicles that must carry their weight, nor between marks at frames; an explicit weight applies
+    instead."""
     free, fixed = [Mark(1, position=REST), Mark("free", position=(9, 0, 0))], [Mark(1, position=REST), Mark(9)]
     boat, helicopter = vehsim.load_vehicle("boat"), vehsim.load_vehicle("helicopter")
     weights = [ask(v, None, m, fps=24, segments=8).weights["time"] for v in (boat, helicopter) for m in (free, fixed)]
@@ -333,7 +334,7 @@ def test_time_has_a_cost_if_the_duration_is_free():
 
 
 def test_interrupt_stops_the_solve_and_is_raised(helicopter):
-    """Ctrl-C within IPOPT: raised at once, not swallowed and not turned into a result."""
+    """Ctrl-C within IPOPT: raised at once, neither swallowed nor turned into a result."""
     import os
     import signal
 

@@ -1,4 +1,4 @@
-"""The same request has the same plan, whatever the machine and its load."""
+"""The same request has the same plan on any machine under any load."""
 
 import os
 import subprocess
@@ -22,11 +22,11 @@ plan = vehsim.plan(vehsim.load_vehicle("boat"), world, marks, fps="30000/1001", 
 arrays = plan.clip.positions, plan.clip.orientations, plan.clip.twists, plan.clip.joints, plan.clip.controls
 print(plan.message, hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest())
 """
-"""An ill-conditioned plan: a little rounding in its linear algebra leads its last solve elsewhere."""
+"""An ill-conditioned plan: slightly different rounding in its linear algebra leads its last solve elsewhere."""
 
 
 def test_a_plan_does_not_depend_on_the_number_of_threads():
-    """Nor on the order in which sets are walked."""
+    """Nor on the iteration order of sets."""
     runs = []
     for number in ("1", "2"):
         threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), number)

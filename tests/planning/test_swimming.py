@@ -1,4 +1,4 @@
-"""What has nothing but its joints to drive it: from rest to rest, without being told how."""
+"""Vehicles propelled only by their joints: from rest to rest, without a given gait."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def to(goal, heading, frame):
 
 @pytest.mark.parametrize("goal, heading, frame", [((4, 0), 0, 145), ((3.4, 1.7), 28, 125), ((5, 1.5), 40, 169)])
 def test_a_snakeboard_gets_from_rest_to_rest(board, goal, heading, frame):
-    """At the mark, in time, at rest; the controls alone lead there; no wheel slips sideways on the way."""
+    """At the mark, in time, at rest; the controls alone lead there; no wheel slips sideways."""
     plan = vehsim.plan(board, None, to(goal, heading, frame), segments=48)
     assert plan.success and plan.clip.end_frame == frame
     assert plan.executed.final < 0.02
@@ -44,7 +44,7 @@ def test_a_snakeboard_gets_from_rest_to_rest(board, goal, heading, frame):
 
 
 def test_a_clip_as_guess_provides_joints_and_controls(board):
-    """A guess that is a clip begins with its poses, joints and controls, and is drawn onto marks elsewhere."""
+    """A clip as initial guess provides its poses, joints and controls, and is moved onto marks elsewhere."""
     clip = vehsim.plan(board, None, to((4, 0), 0, 145), segments=24, refine=False).clip
     t = transcribe(board)
     layout, marks = Layout(t.sizes, (24,)), to((4.2, 0.3), 0, 145)

@@ -1,4 +1,4 @@
-"""Costs, limits and terms of one's own: against closed forms, and held by the motion that comes out."""
+"""Costs, limits and users' terms: compared with closed forms, and satisfied by the resulting motion."""
 
 import json
 from dataclasses import replace
@@ -38,7 +38,7 @@ def test_a_users_effort_cost_equals_the_built_in_one():
 
 
 def test_laws_can_use_the_time():
-    """Integral of t over the motion is T^2/2, whatever it does; with free legs T varies."""
+    """The integral of t over the motion is T^2/2 for any motion; with free legs T varies."""
     clock = Cost("clock", lambda k: k.t, integral=True)
     marks = [
         ACROSS[0],
@@ -83,7 +83,7 @@ def test_laws_that_fail_are_named(law, message):
 
 
 def test_least_acceleration_limit_is_the_trapezoid():
-    """Closed form: from rest to rest, d in T, needs 4 d / T^2 at least; just above it the force switches once."""
+    """Closed form: from rest to rest, d in T, needs at least 4 d / T^2; slightly above, the force switches once."""
     need = 4 * 6.0 / 3.0**2
     plan = vehsim.plan(tug(), None, ACROSS, segments=24, limits={"acceleration": 1.05 * need}, refine=False)
     assert plan.success
@@ -158,7 +158,7 @@ def test_energy_is_work_over_weight():
 
 
 def test_models_of_a_distance_field_equal_its_derivatives():
-    """Value, gradient and Hessian against CasADi's own of the spline, inside the box and beyond it."""
+    """Value, gradient and Hessian compared with CasADi's derivatives of the spline, inside the box and beyond it."""
     x, y = np.meshgrid(np.arange(0, 41, 2.0), np.arange(0, 31, 2.0))
     field = vehsim.World(
         terrain=Terrain("waves", 3 * np.sin(x / 5) * np.cos(y / 4), (0.0, 0.0), (2.0, 2.0))
@@ -174,7 +174,7 @@ def test_models_of_a_distance_field_equal_its_derivatives():
 
 
 def test_second_order_models_differentiate_like_the_function():
-    """An element of a function's second-order models has the derivatives of the element with the function inside."""
+    """An element with a function's second-order models has the derivatives of the element with the function inside."""
 
     def bowl(count, order):
         p = ca.SX.sym("p", 3)

@@ -1,4 +1,4 @@
-"""Plans around rock: through the gap, as far off as asked, certified on the motion that is exported."""
+"""Plans near rock: through the gap, at the requested distance, certified on the exported motion."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def helicopter():
 
 @pytest.fixture(scope="module")
 def world():
-    """A wall 40 m high across the way, with a gap at y = 25."""
+    """A wall 40 m high across the path, with a gap at y = 25."""
     x, y = np.meshgrid(np.arange(0, 121, 3.0), np.arange(-60, 61, 3.0))
     wall = 40 * np.exp(-(((x - 60) / 8) ** 2)) * (1 - np.exp(-(((y - 25) / 14) ** 4)))
     return vehsim.World(terrain=Terrain("gap", wall, (0.0, -60.0), (3.0, 3.0)))
@@ -42,7 +42,7 @@ def test_flies_through_the_gap(flight):
 
 
 def test_clearance_is_certified_on_the_exported_motion(flight, helicopter, world):
-    """An independent, finer look at the clip finds nothing nearer than the plan says, and it is what was asked."""
+    """An independent, finer check of the clip finds no smaller distance than the plan, and it is the requested one."""
     assert flight.clearance >= 1.5 - 0.01
     times = np.linspace(0, flight.duration, 1500)
     motion = flight.clip.at(times)
@@ -74,7 +74,7 @@ def test_a_gap_that_is_too_narrow_is_reported(helicopter, world):
 
 
 def test_the_safety_cost_increases_the_distance(helicopter, world):
-    """Along the wall, with room to go wide: repulsion does, effort alone does not."""
+    """Along the wall, with room to keep away: repulsion does so, effort alone does not."""
     marks = [
         Mark(1, position=(40, -45, 12), heading=90, velocity=(0, 8, 0)),
         Mark(97, position=(40, -13, 12), velocity=(0, 8, 0)),

@@ -1,4 +1,4 @@
-"""Warm starts: multipliers say what pushes, and rock far from a motion already found need not be seen."""
+"""Warm starts: multipliers give the active constraints, and rock far from a known motion need not be active."""
 
 from dataclasses import replace
 
@@ -33,7 +33,7 @@ def with_multipliers(plan, multipliers):
 
 
 def test_multipliers_spare_a_replan_iterations(helicopter):
-    """The same answer as from the motion alone, in fewer iterations."""
+    """The same solution as from the motion alone, in fewer iterations."""
     marks, plan = flight(helicopter, 16)
     moved = [marks[0], replace(marks[1], position=(40.6, 9.5, 35.6))]
     told = plan.replan(moved)
@@ -70,7 +70,8 @@ def multipliers_of(name, segments, **limits):
     ("name", "limits", "part"), [("helicopter", {}, "dynamics"), ("car", {"speed": 7.5}, "limit speed")]
 )
 def test_carried_multipliers_are_nearly_those_of_the_finer_problem(name, limits, part):
-    """Costates are functions of time, and limits push with as much in all, however many instants they are spread on."""
+    """Costates are functions of time, and the sum of a limit's multipliers does not depend on the number of
+    instants."""
     coarse, (true, where) = multipliers_of(name, 24, **limits), multipliers_of(name, 48, **limits)
     guess = carried(*coarse, where)
     assert guess.x.shape == true.x.shape and guess.g.shape == true.g.shape
@@ -82,7 +83,7 @@ def test_carried_multipliers_are_nearly_those_of_the_finer_problem(name, limits,
 
 
 def test_distant_rock_need_not_be_active(helicopter, monkeypatch):
-    """Who sees all the rock, some, or none of it at first, comes to the same motion, as clear as was asked."""
+    """With all, some, or none of the rock active at first, the motion is the same, with the requested clearance."""
     x, y = np.meshgrid(np.arange(0, 81, 4.0), np.arange(-24, 25, 4.0))
     world = vehsim.World(
         terrain=Terrain("ridge", 20 * np.exp(-(((x - 40) / 7) ** 2)) + 0 * y, (0.0, -24.0), (4.0, 4.0))
@@ -98,7 +99,7 @@ def test_distant_rock_need_not_be_active(helicopter, monkeypatch):
     usual, all_seen, blind = plans.values()
     active = [plan._iterate.block(Clearance).near.mean() for plan in (usual, all_seen, blind)]
     assert 0 < active[0] < 1 == active[1]
-    assert active[2] > 0  # what it ran through has become active
+    assert active[2] > 0  # the violated rock has become active
     for other in plans.values():
         assert other.success and other.clearance >= 2.0 - 0.01
         assert other.cost == pytest.approx(usual.cost, rel=1e-6)
@@ -107,7 +108,7 @@ def test_distant_rock_need_not_be_active(helicopter, monkeypatch):
 
 @pytest.mark.parametrize("solver", ["ipopt", "sqpmethod", "fatrop"])
 def test_every_solver_replans(solver):
-    """Where a warm start is no help, as to those that take no multipliers, from scratch."""
+    """If a warm start does not help, as with solvers that take no multipliers, from scratch."""
     vehicle, upright = tug(), (1.0, 0.0, 0.0, 0.0)
     marks = [
         Mark(1, position=REST, orientation=upright, velocity=REST),

@@ -1,4 +1,4 @@
-"""A small right shot that tests bend."""
+"""A small valid shot that tests change."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def planned() -> dict[str, Any]:
 
 @pytest.fixture
 def keys_of() -> Callable[[dict[str, Any]], dict[str, str]]:
-    """What is wrong with a shot: key -> messages and remedies."""
+    """The problems of a shot: key -> messages and remedies."""
     from vehsim import Shot
     from vehsim.errors import ShotError
 

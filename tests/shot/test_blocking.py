@@ -1,4 +1,4 @@
-"""Blocking in, motion out: an animator's prim becomes marks, and physical motion shows over the same prim."""
+"""Blocking in, motion out: an animator's prim becomes marks, and physical motion is written over the same prim."""
 
 from __future__ import annotations
 
@@ -19,8 +19,10 @@ KEYS = {1001: ((0.0, 0.0, 10.0), 0.0), 1050: ((10.0, 4.0, 12.0), 30.0), 1100: ((
 
 
 def stage_with(path: Path, up: str = "Z", metres: float = 1.0, keys: Any = KEYS, parent: bool = False) -> Path:
-    """A prim /World/heli keyed at world places (m, Z up) and headings (deg), whatever the stage's own axes; with
-    ``parent`` what it stands in turns and moves all the time."""
+    """A prim /World/heli keyed at world positions (m, Z up) and headings (deg), for any axes of the stage.
+
+    With ``parent``, the prim above it rotates and moves all the time.
+    """
     from pxr import Gf, Usd, UsdGeom
 
     stage = Usd.Stage.CreateNew(str(path))
@@ -88,7 +90,7 @@ def baked(places: np.ndarray) -> dict[int, Any]:
 
 
 def test_keys_and_holds_are_found_in_baked_motion(tmp_path: Path) -> None:
-    """Straight, held for a second, then round a corner: the corner and both ends of the hold are keys."""
+    """Straight, held for a second, then around a corner: the corner and both ends of the hold are keys."""
     t = np.arange(100)
     x = np.interp(t, [0, 30, 54, 75, 99], [0, 15, 15, 30, 30])
     y = np.interp(t, [0, 30, 54, 75, 99], [0, 0, 0, 0, 18])

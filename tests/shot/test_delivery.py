@@ -1,4 +1,4 @@
-"""Deliveries are whole or not there: the old one stays until the new one is complete, whatever happens."""
+"""Deliveries are complete or absent: the old one stays until the new one is complete, whatever happens."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Entry:
 
 
 def text(name: str, *files: str, needs: tuple[str, ...] = ()) -> Exporter:
-    """An exporter that writes its name into files, after checking that what it needs is there."""
+    """An exporter that writes its name into files, after checking that the files it needs exist."""
 
     def write(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
         assert all((folder / f"{need}.txt").exists() for need in needs)
@@ -124,7 +124,7 @@ def test_files_of_other_exporters_stay(exporters: Any, take: Take, tmp_path: Pat
 def test_files_that_an_exporter_no_longer_writes_are_removed(
     exporters: dict[str, Exporter], take: Take, tmp_path: Path
 ) -> None:
-    """Pictures of every second frame: those between are no part of the delivery any more."""
+    """Pictures of every second frame: the others are no longer part of the delivery."""
     take.export(tmp_path, to=("a", "b"))
     exporters["a"] = text("a", "a.txt")
     take.export(tmp_path, to=("a",))
@@ -174,7 +174,7 @@ def test_users_files_in_a_delivery_stay(exporters: Any, take: Take, tmp_path: Pa
 def test_a_delivery_without_a_content_hash_is_set_apart(
     exporters: Any, take: Take, tmp_path: Path, report: str
 ) -> None:
-    """One of an earlier version."""
+    """One of an earlier version of vehsim."""
     take.export(tmp_path, to=("a",))
     (tmp_path / "shot" / "report.json").write_text(report)
     with pytest.warns(UserWarning, match="earlier/1"):
@@ -186,7 +186,7 @@ def test_a_delivery_without_a_content_hash_is_set_apart(
 def test_a_concurrent_export_loses_nothing(
     exporters: Any, take: Take, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Another export delivers after ours has looked, and before it moves the old delivery aside."""
+    """Another export delivers after ours has checked, and before it moves the old delivery aside."""
     take.export(tmp_path, to=("a",))
     exporters["c"] = text("c", "c.txt")
     settle, came = delivery.settle, []
@@ -283,7 +283,7 @@ def test_a_signal_between_the_renames_or_after_them_loses_nothing(
 
 
 def test_a_crash_between_the_renames_loses_nothing(exporters: dict[str, Exporter], take: Take, tmp_path: Path) -> None:
-    """As if the power had gone: the old delivery stands aside, and even a failing export brings it back."""
+    """As after a power cut: the old delivery was moved aside, and even a failing export restores it."""
     take.export(tmp_path, to=("a",))
     before = files(tmp_path)
     (tmp_path / "shot").rename(tmp_path / f".shot.{owner()}.replaced")
@@ -295,7 +295,7 @@ def test_a_crash_between_the_renames_loses_nothing(exporters: dict[str, Exporter
 
 @contextmanager
 def unprivileged() -> Iterator[None]:
-    """Without root's rights, to which nothing is read-only."""
+    """Run without root's rights, to which nothing is read-only."""
     user = os.geteuid()
     os.seteuid(NOBODY if user == 0 else user)
     try:

@@ -1,4 +1,4 @@
-"""Through its handles a vehicle moves as physics has it, forwards and backwards with the controls at its ends."""
+"""Through its handles a vehicle moves by its physics, forwards and backwards, with the controls at its ends."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ def test_motion_continues_by_its_physics_through_handles(asset):
     assert take.frames == (993, 1057) and (clip.start_frame, clip.end_frame) == (993, 1057)
     marked = clip.at([8 / 24, 56 / 24])
     assert marked.positions == pytest.approx(np.array([MARKS[asset][0][0], MARKS[asset][1][0]], float), abs=1e-6)
-    # what came before leads to the first mark, by the forward integrator
+    # the motion before the first mark leads to it, by the forward integrator
     again = vehsim.simulate(clip.vehicle, take.world, clip.controls[0], clip.state(0), 8 / 24)
     k = np.argmin(np.abs(clip.times - 8 / 24))
     assert np.abs(again.positions[-1] - clip.positions[k]).max() < 1e-9
     assert np.abs(again.twists[-1] - clip.twists[k]).max() < 1e-9
-    # nothing jumps: not the velocity, not a wheel's or a rotor's speed
+    # nothing jumps: neither the velocity nor the speed of a wheel or rotor
     whole = clip.resample()
     steps = np.diff(whole.positions, axis=0)
     assert np.linalg.norm(np.diff(steps, axis=0), axis=1).max() * 24**2 < 15
@@ -59,7 +59,7 @@ def test_motion_shorter_than_the_shot_without_handles_warns():
 
 
 def test_a_boat_at_rest_keeps_its_rudder_angle():
-    """Its propeller turns on at its rate; the rudder shows its control, which is held."""
+    """Its propeller continues at its rate; the rudder follows its control, which is constant."""
     from dataclasses import replace
 
     from vehsim.shot.follow_through import hold
@@ -74,7 +74,7 @@ def test_a_boat_at_rest_keeps_its_rudder_angle():
 
 
 def test_a_stopped_car_settles_on_its_springs_with_its_wheels_at_rest():
-    """The last rates of wheels and springs are no rates to go on at: they left the car on the ground without it."""
+    """The last rates of wheels and springs must not continue: they once moved the car off its wheels."""
     from dataclasses import replace
 
     from vehsim.shot.follow_through import hold

@@ -1,4 +1,4 @@
-"""Whatever stands in a shot file: a right shot or a ``ShotError``, never another exception."""
+"""For any data in a shot file: a valid shot or a ``ShotError``, never another exception."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from vehsim.shot.schema.shot_file import schema
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 SHOTS = [tomllib.loads((EXAMPLES / name).read_text()) for name in ("car_commands.toml", "canyon_flight.toml")]
 for shot in SHOTS:
-    shot["world"] = {"wind": [0.0, 3.0, 0.0]}  # empty space, which is quick to check
+    shot["world"] = {"wind": [0.0, 3.0, 0.0]}  # empty space, which is fast to check
 
 SCALARS = st.one_of(
     st.none(),

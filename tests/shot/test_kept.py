@@ -1,4 +1,4 @@
-"""Solved motion is kept by content: pictures change without solving, and what decides motion is a reason to solve."""
+"""Solved motion is cached by content: pictures change without solving, and inputs of the motion cause a solve."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ MARK = ("vehicle", 0, "motion", "mark", 1)
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty cache that keeps motion."""
+    """A new cache that stores motion."""
     cache = tmp_path / "cache"
     monkeypatch.setenv("VEHSIM_CACHE", str(cache))
     monkeypatch.setenv("VEHSIM_CACHE_GB", "1")
@@ -65,7 +65,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def solved(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Grows by a name for every shot whose vehicles are solved."""
+    """A list that gets a name for every shot whose vehicles are solved."""
     names: list[str] = []
     solve = Shot._solve_vehicles
 
@@ -287,7 +287,7 @@ def test_export_reports_motion_from_the_cache(tmp_path: Path, capsys: pytest.Cap
 
 
 def test_a_batch_has_the_same_bytes_from_the_cache(tmp_path: Path) -> None:
-    """Workers, a lens swept over one motion, and resuming a delivery whose motion is kept."""
+    """With workers, a lens swept over one motion, and resuming a delivery whose motion is cached."""
     path = tmp_path / "drive.toml"
     path.write_text(TOML + '[sweep]\n"camera.lens_mm" = [20, 35, 50]\n')
     shots = load_shots(path)

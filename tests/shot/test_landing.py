@@ -1,4 +1,4 @@
-"""Landings in shot files: on a pad, at the frame; the stage shows the pad, the report says where it stands."""
+"""Landings in shot files: on a pad, at the frame; the stage contains the pad, the report the position."""
 
 import numpy as np
 import pytest
@@ -40,7 +40,7 @@ def test_a_landing_from_file_to_stage(tmp_path):
 
 @pytest.mark.parametrize("height", [2.0, 1.6])
 def test_a_landing_mark_may_be_at_the_height_of_the_ground(height):
-    """Given as an animator gives it: the pad's own height, or a little less."""
+    """As an animator gives it: the pad's own height, or slightly less."""
     assert not shot(position=[30, 0, height]).check()
 
 

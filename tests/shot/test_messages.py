@@ -1,4 +1,4 @@
-"""What is said of a wrong value: the user's words, once for each fault, whatever the key and whatever the value."""
+"""Messages about wrong values: in the user's terms, once for each fault, for any key and value."""
 
 from __future__ import annotations
 
@@ -200,7 +200,7 @@ layer_only = false
 versions = false
 outside = "refuse"
 """)
-"""Every kind of table that a shot file may have, with nearly every key."""
+"""Every kind of table of a shot file, with nearly every key."""
 
 SCALARS = (-3, 1e12, 10**400, math.nan, "word", "", True, None)
 TABLES: tuple[Any, ...] = ([], [-1, "a"], [math.nan] * 3, {}, {"a": {"b": -1}}, {"psi": [3, "x"]})

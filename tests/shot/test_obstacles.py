@@ -1,4 +1,4 @@
-"""Obstacles from the shot file to stage, strobe and figures; what is wrong with a table is said in its place."""
+"""Obstacles from the shot file to stage, strobe and figures; problems of a table are reported at its key."""
 
 import copy
 from pathlib import Path
@@ -78,7 +78,7 @@ def test_the_strobe_is_one_picture_without_temporary_files(delivery):
 
 
 def test_poses_of_a_strobe_do_not_overlap():
-    """From rest to rest over 60 m: evenly in time, those of the first and last second are left out."""
+    """From rest to rest over 60 m: evenly in time, without those of the first and last second."""
     times = np.linspace(0, 10, 241)
     positions = np.column_stack([30 * (1 - np.cos(np.pi * times / 10)), *np.zeros((2, 241))])
     clip = SimpleNamespace(
@@ -136,7 +136,7 @@ def test_a_valid_shot_has_no_problems():
 
 
 def test_another_vehicle_on_the_path_is_avoided():
-    """Another car stands in the way; it is no mesh of the world, and the plan goes round it."""
+    """Another car stands in the way; it is not a mesh of the world, and the plan goes around it."""
     data = copy.deepcopy(SHOT)
     data["world"]["obstacle"] = [{"shape": "vehicle", "vehicle": "parked"}]
     start = {"position": [12.0, 0.2, 0.0], "heading": 90.0}

@@ -1,4 +1,4 @@
-"""Everything wrong with a shot is said at once, with file, line, key, value and the remedy, before anything is done."""
+"""All problems of a shot are reported at once, with file, line, key, value and remedy, before any work."""
 
 from __future__ import annotations
 
@@ -152,7 +152,7 @@ def test_marks(planned: dict[str, Any], keys_of: Find, key: str, value: Any, whe
 
 
 def test_a_vehicle_on_the_ground_may_hold_without_a_velocity(planned: dict[str, Any], keys_of: Find) -> None:
-    """It is at rest: no velocity need be given."""
+    """It is at rest: no velocity is necessary."""
     mark = planned["vehicle"][0]["motion"]["mark"][1]
     mark |= {"on_ground": True, "hold": 10, "heading": 0.0}
     mark.pop("velocity", None)
@@ -160,7 +160,7 @@ def test_a_vehicle_on_the_ground_may_hold_without_a_velocity(planned: dict[str, 
 
 
 def test_mark_nearer_to_rock_than_the_clearance(planned: dict[str, Any], keys_of: Find) -> None:
-    """The root is in free air, the rotor is not: only the vehicle's hulls can tell."""
+    """The root is in free air, the rotor is not: only the vehicle's hulls show it."""
     motion = planned["vehicle"][0]["motion"]
     ground = float(Shot.from_dict(planned).world.height([(0.0, 0.0)])[0])
     motion["mark"][0]["position"] = [0.0, 0.0, ground + 0.5]

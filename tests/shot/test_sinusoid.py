@@ -1,4 +1,4 @@
-"""``method = "sinusoid"`` in a shot: every vehicle works or is refused by `check`, and a frame that is named works."""
+"""``method = "sinusoid"`` in a shot: every vehicle works or is refused by `check`, and suggested frames work."""
 
 import re
 import warnings
@@ -44,7 +44,7 @@ def test_every_vehicle_works_or_is_refused(asset):
 
 
 def test_a_steering_column_is_turned_by_the_torque_of_its_motion():
-    """simple_car has no rate to command: its column has inertia. Played back, its controls make the same motion."""
+    """simple_car has no rate control: its column has inertia. Replayed, its controls give the same motion."""
     data = shot(
         "simple_car",
         {"frame": 1001, "position": [0, 0, 0]},
@@ -66,13 +66,13 @@ def test_a_steering_column_is_turned_by_the_torque_of_its_motion():
 
 @pytest.mark.parametrize("asset", ["truck", "car", "simple_car"])
 def test_two_equal_marks_are_a_stop(asset):
-    """No sweep of no amplitude, nor a leg of no length, may raise what no user can read."""
+    """A sweep of zero amplitude, or a leg of zero length, must not raise an unreadable error."""
     data = shot(asset, {"frame": 1001, "position": [0, 0, 0]}, {"frame": 1030, "position": [0, 0, 0]})
     np.testing.assert_allclose(Shot.from_dict(data).solve().clips["v"].positions, 0.0, atol=1e-9)
 
 
 def test_a_leg_of_round_off_is_left_out():
-    """A quarter turn on the spot, whose legs had one of 1e-18 s: its integrals were singular."""
+    """A quarter turn on the spot, with a leg of 1e-18 s: its integrals were singular."""
     data = shot(
         "simple_car",
         {"frame": 1001, "position": [0, 0, 0], "heading": 180.0},
@@ -98,7 +98,7 @@ def goals(count, seed=5):
 
 @pytest.mark.parametrize("asset, marks", list(goals(6)))
 def test_a_suggested_frame_works(asset, marks):
-    """Whether `check` names it or the export does, for every mark at once: it is true the first time."""
+    """Whether `check` or the export suggests it, for every mark at once: it works the first time."""
     data = shot(asset, *marks, **({"manoeuvre": 6} if asset == "car" else {}))
     said = "; ".join(map(str, errors(data)))
     if not said:
@@ -116,7 +116,7 @@ def test_a_suggested_frame_works(asset, marks):
 
 
 def test_a_moving_obstacle_is_waited_for():
-    """A car crosses the bay for ten seconds: the frame that is named is one at which it has gone."""
+    """A car crosses the bay for ten seconds: at the suggested frame it has gone."""
     crossing = {
         "method": "simulate",
         "start": {"position": [4.0, -14.0, 0], "heading": 90, "velocity": [0, 1.2, 0]},
@@ -184,7 +184,7 @@ def test_the_shipped_cars_turn_alike():
 
 
 def test_a_hop_is_not_held():
-    """It is in the air until it lands, and moving then."""
+    """It is in the air until it lands, and moves then."""
     marks = {"frame": 1001, "position": [0, 0, 0]}, {"frame": "free", "position": [2, 0, 0], "hold": 3}
     (problem,) = errors(shot("hopper", *marks))
     assert problem.key.endswith("mark[1].hold") and "ends as it lands" in problem.message

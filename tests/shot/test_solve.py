@@ -1,4 +1,4 @@
-"""A shot solved: what the file says in frames and degrees arrives as physics in seconds and radians."""
+"""A shot solved: frames and degrees of the file become seconds and radians of the physics."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ def test_several_vehicles_and_cameras(small: dict[str, Any]) -> None:
 
 
 def test_a_plan_hits_its_marks(small: dict[str, Any]) -> None:
-    """From the file through the planner: frames, degrees and the marks that the stage shows."""
+    """From the file through the planner: frames, degrees and the marks in the stage."""
     marks = [
         {"frame": 1001, "position": [0, 0, 10], "heading": 30, "velocity": [0, 0, 0]},
         {"frame": 1097, "position": [10, 5, 12], "velocity": [0, 0, 0]},
@@ -193,7 +193,7 @@ def test_examples_are_ready(path: Path) -> None:
 
 
 def test_wheels_follow_the_ground_that_a_shot_stands_on(small: dict[str, Any], tmp_path: Path) -> None:
-    """Ground that rises one in five: the root rises with it and pitches as it does."""
+    """On ground with a slope of one in five, the root rises with it and has its pitch."""
     heights = 0.2 * np.tile(np.arange(41.0), (41, 1))
     np.savez(tmp_path / "slope.npz", heights=heights, origin=(-10.0, -20.0), cell=(1.0, 1.0))
     small["world"] = {"terrain": str(tmp_path / "slope.npz")}
@@ -217,7 +217,8 @@ def test_wheels_on_level_ground_are_no_warning(small: dict[str, Any], recwarn: p
 
 
 def test_simulated_vehicles_meet_where_there_is_contact() -> None:
-    """Two boats drift into each other: advanced together, each tells of the other, and they do not pass through."""
+    """Two boats drift into each other: advanced together, each has an event for the other, and they do not
+    penetrate."""
 
     def boat(name: str, x: float, vx: float) -> dict[str, Any]:
         start = {"position": [x, 0.0, 0.0], "velocity": [vx, 0.0, 0.0], "heading": 90.0}
@@ -238,7 +239,7 @@ def test_simulated_vehicles_meet_where_there_is_contact() -> None:
 
 
 def test_a_vehicle_that_is_an_obstacle_pushes_those_that_are_simulated(tmp_path: Path) -> None:
-    """A ram's saved motion meets a boat at rest on the water: pushed, and the ram goes on as it was."""
+    """A ram's saved motion meets a boat at rest on the water: the boat is pushed, and the ram does not change."""
     boat = load_vehicle("boat")
     there = State(position=(-7.0, 0.0, 0.0), twist=(0, 0, 0, 4.0, 0, 0))
     ram = simulate(boat, World(water=0.0), (4000.0, 0.0), there, duration=0.8, step=1 / 48, start_frame=1001)

@@ -1,4 +1,4 @@
-"""Variants of an asset, chosen in the shot file and seen in the stage."""
+"""Variants of an asset, chosen in the shot file and visible in the stage."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The gait drives the snakeboard from rest, and says what it cannot drive."""
+"""The gait drives the snakeboard from rest, and refuses other vehicles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pilots arrive where they are sent, from disturbed and upset starts, in wind, within their bounds."""
+"""Pilots reach their targets, from disturbed and upset starts, in wind, within their bounds."""
 
 from types import SimpleNamespace
 
@@ -55,7 +55,7 @@ def test_hover_trims_out_steady_wind():
 @pytest.mark.parametrize("angle", [np.pi / 2, -np.pi / 2, np.pi])
 @pytest.mark.parametrize("axis", [1, 2])
 def test_hover_recovers_from_any_attitude(angle, axis):
-    """Nose straight down or up, on its side, upside down: no NaN, and it comes back."""
+    """Nose straight down or up, on its side, upside down: no NaN, and it recovers."""
     heli = vehsim.load_vehicle("helicopter")
     orientation = np.zeros(4)
     orientation[0], orientation[axis] = np.cos(angle / 2), np.sin(angle / 2)

@@ -18,7 +18,7 @@ HOVER = np.array([1900 * 9.81, 0.0, 0.0, 0.0])
 
 @dataclass
 class Field:
-    """What simulate asks of a world."""
+    """The part of a world that simulate uses."""
 
     wind: tuple = (0.0, 0.0, 0.0)
     terrain: object = None

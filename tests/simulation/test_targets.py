@@ -1,4 +1,4 @@
-"""Pilots declare what they are asked to achieve, achieve it in the time they name, and say when they do not."""
+"""Pilots declare their targets, reach them in the time they name, and report when they do not."""
 
 import json
 import re
@@ -19,7 +19,7 @@ STEP = 1 / 96
 
 
 def said(pilot, duration, start=None, world=None, step=STEP):
-    """The clip, and what was warned."""
+    """The clip, and its warnings."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         clip = simulate(pilot_vehicle(pilot), world, pilot, start, duration=duration, step=step)
@@ -65,7 +65,7 @@ def draggy():
 @pytest.mark.parametrize("wind", [(0, 0, 0), (-3.5, 9.8, 0)])
 @pytest.mark.parametrize(("goal", "speed"), [((-40, 42, 44), 7.7), ((21, 7, 30), 10.5)])
 def test_fly_to_stays_at_its_goal(goal, speed, wind):
-    """Drag fades as it slows down: what trims the wind out lags behind that, and would carry it past its goal."""
+    """Drag decreases as it slows down: the wind trim lags behind that, and would carry it past its goal."""
     pilot = FlyTo(draggy(), goal, speed=speed)
     world, start = SimpleNamespace(wind=wind, terrain=None), State(position=(0, 0, 30))
     clip, _ = said(pilot, 30.0, start, world)

@@ -171,7 +171,7 @@ def test_growth_of_systems_not_in_the_paper(which, growth):
 
 
 def test_chained_form_requires_growth_by_one():
-    """Goursat: the car's flag grows by one a step, Cartan's 2-3-5 does not."""
+    """Goursat: the car's flag grows by one per step, Cartan's 2-3-5 does not."""
     assert chained_form_exists(models.car())
     assert not chained_form_exists(next(which for which, _ in KNOWN if which.name == "Cartan"))
 
@@ -186,8 +186,10 @@ def test_singular_states_of_martinets_distribution():
 
 
 def test_states_where_much_deeper_brackets_are_needed():
-    """``z' = x^5 u2`` takes six fields at x = 0; of unicycles with two and three trailers, Jean (1996) knows when: a
-    first trailer at a right angle, and the bound is a Fibonacci number."""
+    """``z' = x^5 u2`` takes six fields at x = 0; for unicycles with two and three trailers, see Jean (1996).
+
+    The first trailer is at a right angle, and the bound is a Fibonacci number.
+    """
     flat = system("flat", "xyz", 2, lambda q: [[1, 0], [0, 1], [0, q[0] ** 5]])
     assert classify(flat, [0.0, 0.3, 0.0]).growth_at == (2, 2, 2, 2, 2, 3)
 
@@ -206,7 +208,7 @@ def test_states_where_much_deeper_brackets_are_needed():
 
 
 def test_two_balls_of_one_size_roll_on_a_leaf():
-    """Then, and only then, rolling is integrable: growth (2,)."""
+    """Only then is rolling integrable: growth (2,)."""
     found = classify(rolling_balls(1.0))
     assert found.growth == (2,) and found.certain
     with pytest.raises(InputError, match="span 2 of 5 directions"):
@@ -239,7 +241,8 @@ def test_leaf_of_a_system_that_keeps_a_sphere():
 
 
 def test_steering_in_an_unreachable_direction_names_it():
-    """``z - x y`` never changes: no loop moves it, and why is said instead of which loops were tried."""
+    """``z - x y`` never changes: no loop moves it, and the error gives this reason instead of the loops that were
+    tried."""
     kept = system("kept", "xyz", 2, lambda q: [[1, 0], [0, 1], [q[1], q[0]]])
     with pytest.raises(InputError, match=r"kept: not controllable.* no bracket reaches dz"):
         steer_triangular(kept, [0, 0, 0], [0, 0, 1])

@@ -1,4 +1,4 @@
-"""First guesses for plans: drivable from mark to mark, and plans come home from them sooner."""
+"""Sinusoids as initial guesses: drivable from mark to mark, and plans converge faster from them."""
 
 import numpy as np
 import pytest

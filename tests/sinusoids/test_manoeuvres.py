@@ -1,4 +1,4 @@
-"""Vehicles steered to marks: what shots drive lands, keeps its limits, its wheels do not slip, and momentum stays."""
+"""Vehicles steered to marks: they arrive, keep limits, wheels do not slip, and momentum is conserved."""
 
 import re
 import textwrap
@@ -47,7 +47,7 @@ def test_every_manoeuvre_has_the_same_net_motion_within_its_limits(car, parked):
 
 
 def test_the_one_chosen_keeps_clear_of_obstacles(car, parked):
-    """A box across the straight way of the loops leaves only the others; one over the goal leaves none."""
+    """A box across the direct path of the loops leaves only the others; one over the goal leaves none."""
     start, goal = parked[0].steering.start, parked[0].steering.goal
     ahead = World().with_obstacles([box("ahead", (6.7, -2.3, 0), (4.3, 1.8, 1.2))])
     found = manoeuvres(car, start, goal, LOOP, ahead)
@@ -70,13 +70,13 @@ def test_cars_park_at_any_heading_of_the_world(car):
     whole = joined(ways, [0.0, 1.0])
     assert np.degrees(whole.goal[2]) == pytest.approx(200.0) and whole.end_error < 1e-8
     assert np.degrees(np.ptp(whole.states[:, 2])) < 300.0
-    # too far a turn for loops: round a bend, wide enough for wheels that steer by 35 degrees
+    # too large a turn for loops: around a bend wide enough for wheels that steer by 35 degrees
     (round_it,) = manoeuvres(car, poses[0], facing(car, 6, 5, -150), LOOP, only=7)
     assert round_it.label == "round the bend" and np.abs(round_it.steering.states[:, 3]).max() < car.steering
 
 
 def test_moving_obstacles_are_checked_at_the_time_of_passing(car, parked):
-    """Another car does the same a minute later: only who comes then meets it."""
+    """Another car does the same a minute later: only a motion at that time meets it."""
     steering, clip = timed_clip(car, parked[0].steering, None, 24, 1441)
     world = World().with_obstacles([moving("other", clip)])
     assert clearance(steering, car, world, None) == np.inf
@@ -86,7 +86,7 @@ def test_moving_obstacles_are_checked_at_the_time_of_passing(car, parked):
 
 
 def test_manoeuvres_are_listed_and_drawn_with_obstacles(tmp_path):
-    """`vehsim manoeuvres`: a line each, and a pillar, an ellipse, in the picture as dark as a box."""
+    """`vehsim manoeuvres`: one line each, and an elliptic pillar in the picture as dark as a box."""
     shot = """
         [shot]
         schema = 1
@@ -121,7 +121,7 @@ def test_manoeuvres_are_listed_and_drawn_with_obstacles(tmp_path):
 
 
 def test_manoeuvres_stay_near_a_limit_throughout(parked):
-    """From and to rest within a fifth of a stage, and not far from a limit in between."""
+    """Start and stop take a fifth of a stage, and in between an input is close to its limit."""
     for m in parked:
         for stage in m.steering.stages:
             share = (np.abs(stage.inputs(np.linspace(0, stage.duration, 401))) / [1.5, 0.7]).max(axis=1)
@@ -129,7 +129,7 @@ def test_manoeuvres_stay_near_a_limit_throughout(parked):
 
 
 def test_an_even_pace_does_not_change_the_path():
-    """The car ends where its own pace led it, sooner."""
+    """The car ends at the same place, sooner."""
     system = models.car(2.0)
     stage = Stage("out", lambda s: np.column_stack([3 * np.sin(TAU * s) ** 4, 0.5 * np.cos(TAU * s) * s]))
     steering = Steering(system, np.zeros(4), np.zeros(4), (stage,))
@@ -146,7 +146,7 @@ def test_a_frame_that_is_too_early_reports_a_sufficient_one(car, parked):
 
 
 def test_clips_meet_the_constraints(car, parked):
-    """No slip: the body's sideways velocity at the rear axle is zero, its path is where the states went."""
+    """No slip: the lateral velocity at the rear axle is zero, and its path is that of the states."""
     steering, clip = timed_clip(car, parked[0].steering, None, 24, 1001)
     axle = clip.positions[:, :2] - 1.3 * np.column_stack([np.cos(steering.states[:, 2]), np.sin(steering.states[:, 2])])
     assert np.abs(axle - steering.states[:, :2]).max() < 1e-9

@@ -17,11 +17,11 @@ from vehsim.sinusoids.manoeuvres.families import bodies, boxes, choose, clearanc
 from vehsim.sinusoids.manoeuvres.picture import paint, portraits
 
 FIG_4 = [-5.0, 1.0, 0.05, 1.0], [0.0, 0.5, 0.0, 0.0]
-"""x, y, theta, phi; wheelbase 4, for the paper's constant first stage leaves the chart below 3.24."""
+"""x, y, theta, phi; wheelbase 4, because the paper's constant first stage leaves the chart below 3.24."""
 
 
 def turns(line):
-    """How often a closed curve (k, 2) goes round in its own direction: the sum of what its tangent turns, / 2 pi."""
+    """Turning number of a closed curve (k, 2): the total rotation of its tangent divided by 2 pi."""
     tangent = np.diff(line, axis=0)
     angle = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
     return (angle[-1] - angle[0]) / (2 * np.pi)
@@ -59,7 +59,7 @@ def test_fig_4_lissajous_figures(stages):
 
 
 def test_fig_6_three_parks_share_their_net_motion(tmp_path):
-    """Wide, narrow with five cycles, and cosines: (0, -3.37) m of all three; the printed cosine pair goes elsewhere."""
+    """Wide, narrow with five cycles, and cosines: all three move by (0, -3.37) m; the printed cosine pair does not."""
     change, start, goal = car_triangular(1.0), [0.0, 0.0, 0.0, 0.0], [0.0, -3.368, 0.0, 0.0]
     parks = [
         *family(change, start, goal, amplitudes=(2.5,), cycles=(1,), phases=(0.0,)),
@@ -78,7 +78,7 @@ def test_fig_6_three_parks_share_their_net_motion(tmp_path):
     assert (x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2 == pytest.approx(1.6 * 0.8)
     assert len(np.unique(corners.round(9), axis=0)) == len(corners)
     assert bodies(parks[0])[-1, 0] == pytest.approx([0.0, -3.368, 0.0], abs=1e-9)
-    # a kerb where the wide one swings: of those that clear it, the one of least effort
+    # a kerb in the path of the wide one: of those that clear it, choose the one with the least effort
     kerb, hulls = boxes([(5.5, -1.0, 0.0, 0.5, 6.0)]), [corners]
     rooms = [clearance(park, kerb, hulls) for park in parks]
     assert min(rooms) < 0.0 < max(rooms)
@@ -107,7 +107,7 @@ def test_the_papers_printed_inputs_integrated_unchanged():
 
 
 def test_hopper_turns_by_what_its_leg_sweeps(tmp_path):
-    """Figs. 1 and 2: leg and length come back, the body has turned by the area its loop encloses (Stokes)."""
+    """Figs. 1 and 2: leg and length return, and the body has turned by the area that their loop encloses (Stokes)."""
     system = models.hopper()
     steering = steer_triangular(system, [0.0, 0.0, 0.0], [0.0, 0.0, 0.3])
     psi, reach, theta = steering.states.T

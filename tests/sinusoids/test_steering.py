@@ -1,4 +1,4 @@
-"""Growth vectors against the paper's and by hand; steering judged by an integrator that knows nothing of the method."""
+"""Growth vectors compared with the paper's and manual ones; steering judged by an independent integrator."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -82,7 +82,7 @@ def test_chained_form_is_steered_exactly(n, method):
 
 @pytest.mark.parametrize("n", [8, 14])
 def test_long_chains_keep_their_digits(n):
-    """Swinging to both sides: from one side alone, n = 14 ends 1e-5 off and takes a hundred times the effort."""
+    """With swings to both sides; with swings to one side, n = 14 ends 1e-5 off and takes a hundred times the effort."""
     ends = np.random.default_rng(n).uniform(-1, 1, (2, n))
     steering = steer_chained(n, *ends)
     assert steering.end_error < 1e-9 and end_error(steering) < 1e-6
@@ -130,7 +130,8 @@ def test_a_leg_started_nearby_ends_at_the_same_place():
 
 @pytest.mark.parametrize("span", [8.5, 13.6])
 def test_straightening_does_not_oscillate(span):
-    """Bent by 0.1 rad, five trailers need no larger angles; for the least of these alone wheels turn 2 rad a metre."""
+    """Bent by 0.1 rad, five trailers need no larger angles; minimising these alone turns the wheels by 2 rad per
+    metre."""
     state = np.array([0.0, 0.0, 0.1, 0.1, 0.0, 0.1, 0.05, 0.0, -0.1])
     (leg,) = straighten(Train((1.5,) * 5, 1.0), state, [span], "straighten")
     speed, rate = leg.inputs(np.linspace(0, 1, 801)).T
@@ -138,7 +139,7 @@ def test_straightening_does_not_oscillate(span):
 
 
 def test_a_pull_is_smooth_enough_for_any_steps():
-    """Where wheels stop turning in its middle: a jump of the law's second derivative cost 1e-8 rad of steering."""
+    """Where wheels stop turning in its middle: a jump of the law's second derivative caused 1e-8 rad of steering."""
     system, q = models.trailers((1.5,) * 5), np.array([5.0, 3.0, 0.4, -0.4, 0.1, 0.0, 0.3, -0.2, -0.5])
     pull = _pull(system, q, 6.0)
     for count in (49, 98, 143):
@@ -147,19 +148,19 @@ def test_a_pull_is_smooth_enough_for_any_steps():
 
 
 def test_the_gain_of_a_straight_path_is_half_its_squared_length():
-    """Wheels off by a hair for D m at a wheelbase of 1 m: D^2 / 2 to the side."""
+    """A small steering error over D m at a wheelbase of 1 m: D^2 / 2 to the side."""
     assert _gain(steer_trailers([], [0, 0, 0, 0], [40, 0, 0, 0])) == pytest.approx(800, rel=1e-6)
 
 
 def test_a_route_that_amplifies_errors_less_is_preferred():
-    """The gentlest way by its legs alone reverses fifteen metres and multiplies errors 45,000 times."""
+    """The route with the gentlest legs reverses fifteen metres and multiplies errors by 45,000."""
     start = [5.76, 2.24, 0.24, 0.61, 1.03, 1.23, 1.5, 1.42, 1.05]
     goal = [7.62, 7.81, -0.22, 0.09, -0.15, -0.36, -0.67, -0.69, -0.19]
     assert _gain(steer_trailers([1.5] * 5, start, goal)) < 5e3
 
 
 def test_short_legs_do_not_correct_errors():
-    """With five trailers to fix 1e-10 m on 30 cm would take the wheels round at 1e5 rad: the next leg does it."""
+    """With five trailers, correcting 1e-10 m on 30 cm would need wheel angles of 1e5 rad: the next leg does it."""
     hitches = (1.5,) * 5
     poses = [Pose(0, 0, 0), Pose(40, 6, 0), Pose(40.3, 6, 0), Pose(80, 0, 0)]
     legs = [across(Train(hitches, 1.0), a, b, "drive") for a, b in pairwise(poses)]
@@ -171,7 +172,7 @@ def test_short_legs_do_not_correct_errors():
 
 @pytest.mark.parametrize("heading", [-2.5, 0.3, 1.1, 2.86])
 def test_a_short_straight_leg_does_not_turn_the_wheels(heading):
-    """Round-off beside the line counts by the seventh power of one over the way: on 15 cm it once made 0.4 rad."""
+    """Round-off beside the line counts with the seventh power of one over the length: on 15 cm it once gave 0.4 rad."""
     start = Pose(-7.3, 21.7, heading)
     leg = across(Train((1.5,) * 5, 1.0), start.ahead(9.7), start.ahead(9.9), "round the bend")
     assert np.abs(leg.inputs(np.linspace(0, 1, 101))[:, 1]).max() < 1e-12
@@ -184,7 +185,7 @@ def test_an_excessively_bent_leg_is_a_named_error():
 
 
 def test_wheels_are_straightened_for_loops_that_leave_the_chart():
-    """A goal with turned wheels: loops round it would turn the car across its axes."""
+    """A goal with turned wheels: loops around it would turn the car across its axes."""
     steering = steer_triangular(car_triangular(2.6), [4.0, 1.0, -0.3, 0.4], [-4.0, -1.5, 0.55, 0.5], amplitude=2.6)
     assert [steering.stages[0].label, steering.stages[-1].label] == ["release", "set"]
     assert end_error(steering) < 1e-6

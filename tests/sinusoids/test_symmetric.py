@@ -17,7 +17,7 @@ def ranks(found):
 
 
 def pushed(*forces):
-    """A planar body, m = 2, J = 1, pushed by body-fixed forces: (torque, fx, fy) per unit of each control."""
+    """A planar body, m = 2, J = 1, with body-fixed forces: (torque, fx, fy) per unit of each control."""
     controls = tuple(Control(f"f{i + 1}") for i in range(len(forces)))
 
     def wrench(c):
@@ -34,13 +34,13 @@ def test_helicopter_reaches_what_its_four_controls_do_not_push():
 
 
 def test_hovercraft_is_controllable_by_a_force_ahead_and_one_abeam_off_its_centre():
-    """<f2 : f2> is bad but along f1, which does not count against it; <f1 : f2> is the direction that is missing."""
+    """<f2 : f2> is bad, but along f1, so it does not count; <f1 : f2> is the missing direction."""
     found = symmetric_closure(pushed((0.0, 1.0, 0.0), (-0.4, 0.0, 1.0)))
     assert ranks(found) == [2, 3] and found.bad == () and found.controllable and not found.linear
 
 
 def test_one_force_off_the_centre_pushes_one_way_only():
-    """Accessible, but its product with itself is bad: locally it cannot come back."""
+    """Accessible, but its product with itself is bad: locally it cannot return."""
     found = symmetric_closure(pushed((-0.4, 0.0, 1.0)))
     assert found.bad[0] == "<f1 : f1>" and not found.controllable
 
@@ -56,7 +56,7 @@ def test_a_boat_with_its_engine_idle_has_no_steering():
 
 
 def test_wheels_on_rails_reach_no_pose_beside_them():
-    """All velocities, one of them, are reached, and two directions of the pose are not."""
+    """Its single velocity is reached, but two directions of the pose are not."""
     rail = Nonholonomic(
         name="rail",
         group=SE2,
@@ -81,7 +81,7 @@ def test_unbalanced_states_are_refused():
 
 
 def test_a_vehicle_moved_by_rates_alone_has_brackets_instead():
-    """The hopper's leg is set by its rates: no force to multiply, and brackets answer (SIN: growth (2, 3))."""
+    """Rates set the hopper's leg: there is no force to multiply, and brackets apply (SIN: growth (2, 3))."""
     hopper = vehsim.load_vehicle("hopper")
     with pytest.raises(InputError, match="psi_rate, stretch_rate set rates and push nothing"):
         symmetric_closure(hopper)

@@ -1,4 +1,4 @@
-"""Makes the fleet of wheeled vehicles importable from the tests of this folder."""
+"""Make the fleet of wheeled vehicles importable from the tests of this folder."""
 
 import sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Wheeled vehicles with ordinary numbers, a start and smooth controls for each, shared by several tests."""
+"""Wheeled vehicles with ordinary numbers, with a start and smooth controls for each; shared by several tests."""
 
 import numpy as np
 

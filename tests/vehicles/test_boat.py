@@ -1,4 +1,4 @@
-"""The boat: afloat on the world's water, and its planar self that plans are made of."""
+"""The boat afloat on the world's water, and its planar form, with which plans are made."""
 
 import re
 import shutil
@@ -19,14 +19,14 @@ BOAT = vehsim.load_vehicle("boat")
 
 
 def test_it_floats_at_its_waterline():
-    """The asset's root stands on the still waterline: there the boat displaces its weight, on an even keel."""
+    """The asset's root is on the still waterline: there the boat displaces its weight, on an even keel."""
     clip = vehsim.simulate(BOAT, World(water=2.0), duration=3.0, step=1 / 60)
     assert np.abs(clip.positions[:, 2] - 2.0).max() < 2e-3
     assert clip.orientations[-1, 0] > 1 - 1e-6
 
 
 def test_planar_and_afloat_drive_alike():
-    """The same boat, hull and closed form: speed on a straight course, drift and rate in a turn."""
+    """The same boat, with its hull and in closed form: speed on a straight course, drift and rate in a turn."""
     for controls, names in (((4500.0, 0.0), ("u",)), ((3000.0, 0.25), ("u", "r"))):
         wet = vehsim.simulate(BOAT, World(water=0.0), controls, duration=12.0, step=1 / 48).twists[-1]
         flat = vehsim.simulate(BOAT, World(), controls, duration=12.0, step=1 / 48).twists[-1]
@@ -36,7 +36,7 @@ def test_planar_and_afloat_drive_alike():
 
 
 def test_terminal_speed_of_the_planar_boat():
-    """Thrust = (damping + (quadratic + impact's) u) u, and the air's drag on what stands above the water."""
+    """Thrust = (damping + (quadratic + impact's) u) u + the air's drag on the part above the water."""
     clip = vehsim.simulate(BOAT, None, (2000.0, 0.0), duration=60.0, step=1 / 24)
     u = clip.twists[-1, 1]
     air = 0.5 * 1.225 * 2.4
@@ -54,7 +54,8 @@ def test_steering_turns_to_port_and_the_rudder_needs_flow():
 
 
 def test_at_speed_it_rides_up_and_leans_little_in_a_bend():
-    """Its bottom lifts it by centimetres and keeps a gentle bend upright, where weight alone would lean it outwards."""
+    """Its bottom lifts it by centimetres and keeps it upright in a gentle bend, in which its weight would lean it
+    outwards."""
     straight = vehsim.simulate(BOAT, World(water=0.0), (4500.0, 0.0), duration=10.0, step=1 / 48)
     assert 0.08 < straight.positions[-1, 2] < 0.3 and straight.twists[-1, 3] > 9.5
     bend = vehsim.simulate(BOAT, World(water=0.0), (4500.0, 0.1), duration=10.0, step=1 / 48)
@@ -94,7 +95,7 @@ def test_currents_and_wind_carry_it_away():
 
 @pytest.mark.parametrize("heading", [0.0, 40.0, 90.0, 200.0])
 def test_in_the_plane_the_wind_pushes_where_it_blows(heading):
-    """Half the density, speed times velocity along either axis, times the area seen from there; none when adrift."""
+    """Half the density, speed times velocity along either axis, times the area in that direction; zero when adrift."""
     yaw, wind, still, none = np.deg2rad(heading), np.array([-6.0, 3.0, 0.0]), np.zeros(3), np.zeros(0)
     air = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]]) @ wind[:2]
 
@@ -105,12 +106,12 @@ def test_in_the_plane_the_wind_pushes_where_it_blows(heading):
     expected = 0.5 * AIR * np.linalg.norm(air) * air * [2.4, 5.2]
     np.testing.assert_allclose(push(still, wind)[1:], expected, rtol=1e-5, atol=0.01)
     adrift = np.array([0.0, *air])
-    calm = push(adrift, still)[1:] + expected  # through still air it is held back by as much
+    calm = push(adrift, still)[1:] + expected  # the drag in still air has the same size
     np.testing.assert_allclose(push(adrift, wind)[1:], calm, rtol=1e-4, atol=0.01)
 
 
 def test_docking_in_the_wind_is_planned():
-    """From rest to rest, the wind at its side: plans are made of the planar boat (LIE Fig. 10)."""
+    """From rest to rest, with the wind abeam: plans use the planar boat (LIE Fig. 10)."""
     marks = [
         vehsim.Mark(1001, position=(0, 0, 0), heading=0, velocity=(0, 0, 0)),
         vehsim.Mark(1481, position=(30, 12, 0), heading=90, velocity=(0, 0, 0)),
@@ -119,7 +120,7 @@ def test_docking_in_the_wind_is_planned():
     assert plan.success and plan.defect < 1e-6
     np.testing.assert_allclose(plan.clip.positions[-1], [30, 12, 0], atol=1e-6)
     thrust, steering = np.abs(np.diff(plan.clip.controls, axis=0) / np.diff(plan.clip.times)[:, None]).max(axis=0)
-    assert thrust < 2000 and steering < 0.5  # N/s, rad/s: no bursts ahead and astern, which would be least effort
+    assert thrust < 2000 and steering < 0.5  # N/s, rad/s: no bursts ahead and astern, which would be the least effort
     replay = vehsim.simulate(
         BOAT, World(wind=(0, 6, 0)), plan.clip.controls, start=State(), duration=plan.duration, step=1 / 24
     )
@@ -168,7 +169,7 @@ def test_invalid_water_is_reported(table, message):
 
 
 def test_a_broken_hull_is_reported_before_simulating(tmp_path):
-    """A boat whose hull is a mesh that is open: `check` names vehicle, file, prim and the remedy."""
+    """A boat whose hull is an open mesh: `check` names vehicle, file, prim and the remedy."""
     folder = tmp_path / "boat"
     shutil.copytree(BOAT.rig.asset.parent, folder)
     toml = folder / "vehicle.toml"

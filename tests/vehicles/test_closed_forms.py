@@ -1,4 +1,4 @@
-"""The papers' closed-form updates fall out of the general scheme with C_TLN; oracles with known motion."""
+"""The papers' closed-form updates follow from the general scheme with C_TLN; known motions as references."""
 
 import numpy as np
 import pytest
@@ -102,7 +102,7 @@ def segment_velocity(clip):
 
 
 def test_snakeboard_with_locked_trucks_runs_on_an_arc():
-    """LIE 5.2.2: trucks turned and still: a circle about a fixed centre, the momentum about it constant."""
+    """LIE 5.2.2: trucks turned and fixed: a circle about a fixed centre, with constant momentum about it."""
     vehicle = snakeboard(mass=70.0, half_length=0.35, rotor_inertia=2.0, steering_inertia=1e9)
     state = State(twist=(0, 1.5, 0), joints=(0, 0.4), joint_rates=(0, 0))
     clip = Integrator(vehicle, H, "exp").rollout(state, np.zeros((200, 2)))
@@ -152,7 +152,8 @@ def test_a_car_coasts_down_a_slope():
 
 @pytest.mark.parametrize("name", ["car", "two_wheeled"])
 def test_damping_does_not_depend_on_the_step(name):
-    """Speed left after two seconds of coasting at h = 1/24 within 1 % of h = 1/480, and near the exponential."""
+    """The speed after two seconds of coasting at h = 1/24 is within 1 % of that at h = 1/480, and near the
+    exponential."""
     vehicle = {
         "car": car(**CAR, half_track=0.77, rolling_damping=80.0),
         "two_wheeled": two_wheeled(

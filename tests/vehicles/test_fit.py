@@ -1,4 +1,4 @@
-"""A vehicle.toml whose numbers are not those of its asset is refused, or warned of, with both numbers."""
+"""A vehicle.toml whose numbers do not match its asset is refused, or warns, with both numbers."""
 
 import re
 from pathlib import Path

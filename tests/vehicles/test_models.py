@@ -1,4 +1,4 @@
-"""The shipped models against the papers and against geometry: F(gamma), rolling without slip, energy and momentum."""
+"""The shipped models compared with the papers and with geometry: F(gamma), rolling without slip, energy, momentum."""
 
 import casadi as ca
 import numpy as np
@@ -43,7 +43,7 @@ def test_car_connection_is_the_printed_one():
 
 @pytest.mark.parametrize("difference_map", ["exp", "cay"])
 def test_every_wheel_rolls_without_slipping(difference_map):
-    """Each contact's velocity, by differences of the wheel hub's path, is the wheel's roll along its own heading."""
+    """The velocity of each contact, by differences of the hub's path, is the wheel's roll along its own heading."""
     car = vehsim.load_vehicle("car")
     radius, wheelbase, b = 0.32, 2.6, 0.77
     h = 1 / 480
@@ -81,7 +81,7 @@ def test_energy_and_momentum_against_hand_formulas():
 
 @pytest.mark.parametrize("name", ["helicopter", "car"])
 def test_linearisation_predicts_small_changes(name):
-    """One fine step from a disturbed state and controls, less one from the undisturbed, against ``h (A d + B du)``."""
+    """One fine step from a disturbed state and controls, minus one from the undisturbed, against ``h (A d + B du)``."""
     vehicle = vehsim.load_vehicle(name)
     d, s, c = vehicle.group.dim, len(vehicle.joints), len(vehicle.controls)
     rng = np.random.default_rng(3)
@@ -90,7 +90,7 @@ def test_linearisation_predicts_small_changes(name):
     twist = rng.standard_normal(d)
     twist = twist if name == "helicopter" else np.array([0.0, 5.0, 0.0])
     state = State(position=(0, 0, 0), orientation=(1, 0, 0, 0), twist=twist, joints=joints)
-    state = Integrator(vehicle, 1e-9).step(state, controls)  # onto the constraints
+    state = Integrator(vehicle, 1e-9).step(state, controls)  # project onto the constraints
     A, B = vehicle.linearize(state, controls)
     assert A.shape == (len(A), len(A)) and B.shape == (len(A), c)
 

@@ -1,4 +1,4 @@
-"""Every wheeled vehicle against a model that shares nothing with it: maximal coordinates and Lagrange multipliers.
+"""Every wheeled vehicle compared with an independent model: maximal coordinates and Lagrange multipliers.
 
 Kinetic energy is built from the world positions of the parts, constraints from the world velocities of the wheels'
 contacts, and the accelerations with the multipliers from one linear system, integrated by DOP853.
@@ -17,7 +17,7 @@ END, KNOTS = 1.2, 12
 
 
 class Model:
-    """Energies, constraints and forces in coordinates ``q = (theta, x, y, r...)``, gathered part by part."""
+    """Energies, constraints and forces in coordinates ``q = (theta, x, y, r...)``, added part by part."""
 
     def __init__(self, joints):
         self.q = ca.SX.sym("q", 3 + joints)
@@ -50,7 +50,7 @@ class Model:
         self.rows.append(ca.dot(self.direction(angle + np.pi / 2), self.dot(where)))
 
     def drive(self, joint, control):
-        """A joint whose rate is a control."""
+        """Make a control the rate of a joint."""
         self.rows.append(self.u[joint] - self.c[control])
 
     def accelerations(self):
@@ -110,7 +110,7 @@ def two_wheeled():
 
 def snakeboard():
     model, half, m, rotor, truck = Model(2), 0.35, 70.0, 2.0, 0.1
-    # board and trucks turn with what m half^2 leaves beside rotor and trucks; trucks turn by -phi and +phi
+    # board and trucks have what m half^2 leaves beside rotor and trucks; trucks turn by -phi and +phi
     model.body(m, m * half**2 - rotor - 2 * truck, model.at, model.theta)
     model.kinetic += rotor * (model.v[0] + model.u[0]) ** 2 / 2
     model.kinetic += truck * ((model.v[0] + model.u[1]) ** 2 + (model.v[0] - model.u[1]) ** 2) / 2
@@ -234,6 +234,6 @@ def test_order_with_constraints_and_forces(name, difference_map, order, counts):
 
     exact = end(480, order=6)
     errors = [np.abs(end(count, order=order, difference_map=difference_map) - exact).max() for count in counts]
-    if errors[1] < 1e-10:  # below what the solves leave
+    if errors[1] < 1e-10:  # below the tolerance of the solves
         return
     assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.5), errors

@@ -1,4 +1,4 @@
-"""A vehicle without an asset gets one: parts where they were put, driven by its channels, valid USD."""
+"""A vehicle without an asset gets one: parts at the given places, driven by its channels, valid USD."""
 
 import runpy
 from pathlib import Path
@@ -21,7 +21,7 @@ def cart():
 def test_the_tutorial_fits_in_sixty_lines_and_its_cart_rolls(cart):
     assert len((ROOT / "examples" / "own_vehicle.py").read_text().splitlines()) < 60
     clip = vehsim.simulate(cart, None, [20.0, 3.0], duration=2.0)
-    # both wheels' angles and the yaw say the same: theta = rho (right - left) / (2 b)
+    # both wheels' angles and the yaw agree: theta = rho (right - left) / (2 b)
     yaw = np.unwrap(2 * np.arctan2(clip.orientations[:, 3], clip.orientations[:, 0]))
     rolled = 0.25 / 0.8 * (clip.channels["roll_right"] - clip.channels["roll_left"])
     np.testing.assert_allclose(yaw, rolled, atol=2e-3)

@@ -1,4 +1,4 @@
-"""Constraints that lose rank, charts that turn singular though the rank is full, and mass that loses its sign."""
+"""Constraints that lose rank, charts that become singular at full rank, and mass that becomes indefinite."""
 
 import casadi as ca
 import numpy as np
@@ -13,7 +13,7 @@ from vehsim.vehicles.models.snakeboard import snakeboard
 
 
 def steerable_blade(a=0.0):
-    """A sleigh whose blade, ``a`` ahead of the centre, is turned: two free directions, whichever way it points."""
+    """A sleigh whose blade, ``a`` ahead of the centre, can turn: two free directions for any blade angle."""
 
     def lagrangian(r, u, xi):
         return (3 * (xi[1] ** 2 + xi[2] ** 2) + 0.5 * xi[0] ** 2 + 0.2 * (xi[0] + u[0]) ** 2) / 2
@@ -35,8 +35,10 @@ def steerable_blade(a=0.0):
 @pytest.mark.parametrize("a", [0.0, 0.4])
 @pytest.mark.parametrize("h", [np.pi / 200, 0.01])
 def test_motion_continues_where_the_first_choice_of_columns_is_singular(a, h):
-    """The blade turns right round, through the angles where vy, then vx, cannot be eliminated; energy and the
-    constraint tell that nothing broke, a small step and another start tell that it is the same motion."""
+    """The blade makes a full turn, through the angles where vy, then vx, cannot be eliminated.
+
+    Energy and the constraint show that the motion is valid; a small step and another start give the same motion.
+    """
     vehicle = steerable_blade(a)
     phi = 0.0
     start = State(twist=(0.3, 1.0, -a * 0.3), joints=(phi,), joint_rates=(1.0 if a == 0 else 2.0,))
@@ -49,7 +51,7 @@ def test_motion_continues_where_the_first_choice_of_columns_is_singular(a, h):
 
 
 def test_motion_does_not_depend_on_the_columns_eliminated():
-    """One step in another chart is the same step; a start where the first choice is singular is as good as any."""
+    """One step in another chart is the same step; a start where the first choice is singular works too."""
     vehicle = steerable_blade(0.4)
     integrator, c = Integrator(vehicle, 0.02), np.ones(1)
     phase = integrator.start(State(twist=(0.3, 1.0, 0.8), joints=(1.1,), joint_rates=(1.0,)), c)
@@ -91,7 +93,7 @@ def test_rank_loss_at_a_step_is_named(steps):
 
 
 def test_constraints_on_joints_alone_tie_them():
-    """Two wheels geared together: the second follows the first, and its inertia is felt."""
+    """Two wheels geared together: the second follows the first, and adds its inertia."""
     geared = Nonholonomic(
         name="geared",
         group=SE2,

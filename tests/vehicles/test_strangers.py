@@ -1,6 +1,6 @@
-"""Vehicles that are not in the repository, written against the public surface, judged by models of maximal coordinates.
+"""Vehicles outside the repository, written with the public API, compared with models in maximal coordinates.
 
-The judges know nothing of groups or connections: coordinates of the world, constraints with Lagrange multipliers
+These models know nothing of groups or connections: world coordinates, constraints with Lagrange multipliers
 differentiated once, one linear system for the accelerations, DOP853 at 1e-12.
 """
 
@@ -19,7 +19,7 @@ END = 1.5
 
 
 def judge(kinetic, rows, force, q, v, q0, v0, t):
-    """``q(END), v(END)`` of ``d/dt dT/dv - dT/dq = force + rows^T lambda``, ``rows v = 0``; all of them expressions."""
+    """``q(END), v(END)`` of ``d/dt dT/dv - dT/dq = force + rows^T lambda``, ``rows v = 0``; all are expressions."""
     n, m = q.shape[0], rows.shape[0]
     mass, momentum = ca.hessian(kinetic, v)[0], ca.gradient(kinetic, v)
     rest = force + ca.gradient(kinetic, q) - ca.jtimes(momentum, q, v)
@@ -36,7 +36,7 @@ def knots(h, law):
 
 
 def end_by_refinement(vehicle, start, law, h=END / 240):
-    """The last state, and how the second-order scheme's error falls towards the sixth-order one's answer."""
+    """The last state, and the convergence of the second-order scheme to the sixth-order solution."""
     clips = [
         Integrator(vehicle, step, order=o).rollout(start, knots(step, law))
         for step, o in ((h, 6), (4 * h, 2), (2 * h, 2))
@@ -47,7 +47,7 @@ def end_by_refinement(vehicle, start, law, h=END / 240):
 
 
 def test_a_tractor_with_two_trailers_all_with_inertia():
-    """Wheels of three axles do not slip sideways; both hitches are tied joints the constraints find themselves."""
+    """Wheels of three axles do not slip sideways; both hitches are tied joints, found from the constraints."""
     m, J, L, b = (900.0, 500.0, 300.0), (800.0, 400.0, 150.0), (2.4, 1.8, 1.5), 0.4
     steer = 0.25
 
@@ -132,7 +132,7 @@ def test_an_upright_disc_that_rolls_and_is_turned():
 
 
 def test_arms_with_a_spring_between_them():
-    """Springs in the Lagrangian, joints alone (no constraints), inertia that changes with them: against Lagrange."""
+    """Springs in the Lagrangian, joints only (no constraints), inertia that depends on them: compared with Lagrange."""
     k, a = 30.0, 0.7
 
     def lagrangian(r, u, xi):
@@ -148,7 +148,7 @@ def test_arms_with_a_spring_between_them():
     clip, order = end_by_refinement(vehicle, start, lambda t: np.zeros(0))
     assert order == pytest.approx(2, abs=0.2)
     q, v, t = ca.SX.sym("q", 5), ca.SX.sym("v", 5), ca.SX.sym("t")
-    full = lagrangian(q[3:], v[3:], v[:3])  # planar translation is isotropic: world velocities do as well
+    full = lagrangian(q[3:], v[3:], v[:3])  # planar translation is isotropic, so world velocities can be used
     end, _ = judge(full, ca.SX(0, 5), ca.SX(5, 1), q, v, [0, 0, 0, 0.2, -0.1], [1.0, 0.4, -0.3, 0.5, 2.0], t)
     yaw = 2 * np.arctan2(clip.orientations[-1, 3], clip.orientations[-1, 0])
     np.testing.assert_allclose([yaw, *clip.positions[-1, :2], *clip.joints[-1]], end, atol=1e-9)
@@ -157,7 +157,7 @@ def test_arms_with_a_spring_between_them():
 
 
 def test_a_dart_in_space():
-    """It may only go along its own X, and turn as it likes: it keeps its speed and turns as a free top does."""
+    """It can only move along its own X, and rotate freely: it keeps its speed and rotates as a free top does."""
     inertia = np.diag([1.0, 2.0, 2.5, 3.0, 3.0, 3.0])
     dart = Nonholonomic(
         name="dart",
@@ -185,7 +185,7 @@ def sled(**changed):
 
 
 def test_a_vehicle_may_have_no_joints_and_no_controls():
-    """Turning and gliding at once: a circle; simulated, copied and written as anybody's vehicle."""
+    """Turning and gliding at once: a circle; simulated, copied and written like any vehicle."""
     clip = vehsim.simulate(sled(), vehsim.World(), (), State(twist=(0.5, 2.0, 0.0)), duration=END, step=0.01)
     np.testing.assert_allclose(np.hypot(clip.positions[:, 0], clip.positions[:, 1] - 4.0), 4.0, atol=3e-4)
     assert clip.joints.shape == (len(clip), 0) and clip.controls.shape == (len(clip), 0)

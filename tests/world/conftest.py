@@ -1,4 +1,4 @@
-"""A vehicle of two plain hulls, a body and a rotor disc, and a cache of this run's own."""
+"""A vehicle of two plain hulls, a body and a rotor disc, and a separate cache for this run."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def hulls():
 
 @pytest.fixture(scope="session")
 def vehicle(tmp_path_factory):
-    """What `World.clearance` needs of a vehicle: a rig whose asset holds the hulls."""
+    """The part of a vehicle that `World.clearance` uses: a rig whose asset contains the hulls."""
     from pxr import Usd, UsdGeom, UsdPhysics
     from scipy.spatial import ConvexHull
 

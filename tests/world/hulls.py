@@ -1,4 +1,4 @@
-"""Hulls with closed forms, and a body to put them on."""
+"""Hulls with closed forms, and a body for them."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Contact against closed forms: restitution, friction, momentum, depth; a block, a helicopter's skids, two bodies."""
+"""Contact compared with closed forms: restitution, friction, momentum, depth; a block, skids, two bodies."""
 
 from dataclasses import replace
 
@@ -39,7 +39,7 @@ def block(tmp_path_factory):
 
 
 def slab(path, size, places=(0.0,)):
-    """A box about its root, as USD; or several, side by side at ``places``."""
+    """A box around its root, as USD; or several, side by side at ``places``."""
     stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
@@ -80,7 +80,7 @@ def test_restitution_at_any_speed(block, restitution, speed, group):
 
 @pytest.mark.parametrize("restitution", [0.1, 0.5])
 def test_friction_slows_as_coulomb_says_and_then_holds(block, restitution):
-    """mu g while it slides; v / (mu g) to rest; and nothing creeps by more than the slip."""
+    """mu g while it slides; v / (mu g) until rest; and no creep faster than the slip speed."""
     clip = thrown(block(), Contact(0.3, restitution, 1.0), (0, 0, 0.2), (0, 0, 0, 3.0, 0, 0), 1.3)
     slides = clip.times < 0.9
     slope = np.polyfit(clip.times[slides], clip.twists[slides, 3], 1)[0]
@@ -91,7 +91,7 @@ def test_friction_slows_as_coulomb_says_and_then_holds(block, restitution):
 
 
 def test_depth_stays_below_two_centimetres_in_any_landing(block):
-    """Corner, edge and face first at 20 m/s, a frame every sixtieth of a second: asked of MuJoCo's contacts."""
+    """Corner, edge and face first at 20 m/s, a frame every sixtieth of a second: measured by MuJoCo's contacts."""
     from scipy.spatial.transform import Rotation
 
     corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.3, 0.3) for z in (-0.2, 0.2)])
@@ -106,7 +106,7 @@ def test_depth_stays_below_two_centimetres_in_any_landing(block):
 
 
 def test_only_impacts_take_small_steps(block):
-    """What slides by or parts, its damper stronger than its spring, is at rest as far as steps are concerned."""
+    """A body that slides or separates, with its damper stronger than its spring, needs no small steps."""
     contact = Contact(0.3, 0.1, 20.0)
     scene = ContactScene({"block": block()}, World(obstacles=[FLOOR], contact=contact), contact)
 
@@ -120,7 +120,7 @@ def test_only_impacts_take_small_steps(block):
 
 @pytest.mark.parametrize("speed", [20.0, 2.0])
 def test_hulls_of_several_parts_are_detected_before_contact(tmp_path, speed):
-    """Two floats side by side, bows on to a quay: watched before they touch, they bounce as one block does."""
+    """Two floats side by side, bows towards a quay: monitored before they touch, they bounce as one block does."""
     path = tmp_path / "floats.usda"
     slab(path, (4.0, 0.5, 0.6), places=(-1.0, 1.0))
     inertia = (100.0, 150.0, 200.0, 300.0, 300.0, 300.0)
@@ -174,7 +174,7 @@ def test_a_vehicle_alone_moves_as_in_a_group(block):
 
 
 def test_contact_with_terrain_works_too(block):
-    """On a slope steeper than its friction it slides, with g (sin - mu cos) along it; on a flat one it stays."""
+    """On a slope steeper than its friction it slides with g (sin - mu cos); on a flatter one it stays."""
     x = np.arange(-60.0, 61.0, 2.0)
     beach = Terrain("beach", np.tile(0.4 * x, (len(x), 1)), (-60, -60), (2, 2))
     angle = np.arctan(0.4)
@@ -190,12 +190,12 @@ def test_contact_with_terrain_works_too(block):
 
 
 def test_a_moving_obstacle_hits_like_a_moving_wall(block):
-    """v (1 + e) for what it meets at rest, though the obstacle's clip begins on another frame."""
+    """v (1 + e) for a body at rest, although the obstacle's clip starts at another frame."""
     for restitution in (0.1, 0.5):
         contact = Contact(0.3, restitution, 10.0)
         start = State(position=(-2, 0, 0), twist=(0, 0, 0, 3.0, 0, 0))
         ram = vehsim.simulate(block(gravity=0.0), None, None, start, duration=0.6, step=1 / 60, fps=60)
-        ram = replace(ram, start_frame=1007)  # stands for a tenth of a second
+        ram = replace(ram, start_frame=1007)  # it stands still for a tenth of a second
         world = World(obstacles=[moving("ram", ram)], contact=contact)
         clip = vehsim.simulate(block(gravity=0.0), world, None, duration=0.6, step=1 / 60, fps=60, start_frame=1001)
         (event,) = clip.events
@@ -225,7 +225,8 @@ def test_a_helicopter_that_falls_sinks_in_by_less_than_two_centimetres():
 
 
 def test_a_boat_pushes_an_ice_floe_away(floe):
-    """Ice floats with a tenth above the water; rammed, it takes what the boat gives, and neither sinks in."""
+    """Ice floats with a tenth above the water; rammed, it receives the boat's impulse, and neither penetrates the
+    other."""
     ice, thickness = floe
     contact, boat = Contact(0.05, 0.1, 2.5), vehsim.load_vehicle("boat")
     world = World(water=0.0, contact=contact)
@@ -239,7 +240,7 @@ def test_a_boat_pushes_an_ice_floe_away(floe):
     pushed = clips["floe"]
     assert pushed.twists[-1, 3] > 0.1 and clips["boat"].twists[-1, 3] < 1.8
     momentum = ice.inertia[5, 5] * pushed.twists[:, 3].max()
-    assert momentum < sum(e["impulse"] for e in pushed.events) < 3 * momentum  # the rest the water and the lift took
+    assert momentum < sum(e["impulse"] for e in pushed.events) < 3 * momentum  # water and lift took the rest
     before = pushed.times < event["time"]
     assert np.abs(pushed.positions[before, 2] - pushed.positions[0, 2]).max() < 1e-3  # Archimedes
     depth = []
@@ -274,7 +275,7 @@ def test_without_contact_things_pass(block):
 
 @pytest.mark.parametrize("inside", ["terrain", "floor", "other"])
 def test_a_start_inside_something_is_refused(block, inside):
-    """It would be shot out, from a metre's depth at a thousand metres a second; two centimetres are none."""
+    """From a metre's depth it would be shot out at a thousand metres per second; two centimetres are tolerated."""
     ground = Terrain("flat", np.zeros((3, 3)), (-50, -50), (50, 50)) if inside == "terrain" else None
     world = World(ground, obstacles=[FLOOR] if inside == "floor" else [], contact=Contact())
 

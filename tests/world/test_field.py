@@ -1,4 +1,4 @@
-"""The distance field against MuJoCo's distances, its derivatives, its borders and its cache."""
+"""The distance field compared with MuJoCo's distances; its derivatives, borders and cache."""
 
 from __future__ import annotations
 
@@ -87,7 +87,8 @@ def test_derivatives_are_those_of_the_values(field):
 
 
 def test_the_field_is_exact_near_the_ground_and_never_too_small_farther_away():
-    """By libigl, at every grid point: exact where `NEAR`; beyond a few centimetres too far at most, on average."""
+    """By libigl, at every grid point: exact within `NEAR`; beyond, too large by at most a few centimetres on
+    average."""
     rng = np.random.default_rng(4)
     x, y = np.meshgrid(np.arange(0, 61, 3.0), np.arange(0, 41, 3.0))
     terrain = Terrain("crags", 25 * np.sin(x / 7) * np.cos(y / 5) + rng.uniform(0, 4, x.shape), (0.0, 0.0), (3.0, 3.0))

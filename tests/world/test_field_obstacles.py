@@ -1,4 +1,4 @@
-"""The distance field with obstacles in it: the least of two exact distances, in one spline; open without ground."""
+"""The distance field with obstacles: the smaller of two exact distances, in one spline; open without terrain."""
 
 import igl
 import numpy as np
@@ -25,7 +25,7 @@ def exact(points, terrain=None):
 
 
 def test_obstacles_alone_are_an_open_field():
-    """Near them the distance to a few centimetres; beyond the box never more than it is."""
+    """Near them accurate to a few centimetres; beyond the box never too large."""
     field = World(obstacles=THINGS).distance_field()
     rng = np.random.default_rng(0)
     points = rng.uniform(field.lower, field.upper, (600, 3))
@@ -47,7 +47,7 @@ def test_with_terrain_the_field_is_the_smaller_distance():
 
 
 def test_the_fields_functions_agree_inside_and_outside_the_box():
-    """numpy, CasADi and the models handed to the optimiser say the same; where it is open nothing is subtracted."""
+    """numpy, CasADi and the optimiser's models agree; in an open field nothing is subtracted."""
     field = World(obstacles=THINGS).distance_field()
     points = np.random.default_rng(2).uniform(field.lower - 20, field.upper + 20, (60, 3))
     values = field.value(points)

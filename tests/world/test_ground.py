@@ -1,4 +1,4 @@
-"""Wheels on terrain against exact distances, the body against its transfer function, slopes against energy."""
+"""Wheels on terrain compared with exact distances, the body with its transfer function, slopes with energy."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +24,7 @@ def hilly(name="hills", height=1.5, length=100.0, cell=1.0, size=120.0):
 
 
 def washboard(amplitude, length, cell=0.1):
-    """Waves along X, as long as the test drives."""
+    """Waves along X, as long as the test's drive."""
     x, y = np.arange(-20, 140 + cell / 2, cell), np.array([-10.0, 0.0, 10.0])
     heights = np.tile(amplitude * np.sin(2 * np.pi * x / length), (3, 1))
     return World(Terrain("washboard", heights, (x[0], y[0]), (cell, 10.0)))
@@ -40,7 +40,7 @@ def coasting(world, speed, duration, position=(0, 0, 0), heading=0.0, step=1 / 2
 
 
 def gaps(clip, world, frames):
-    """Smallest signed height (m) above the terrain of each tyre's own mesh, posed as USD poses it."""
+    """Smallest signed height (m) of each tyre's own mesh above the terrain, posed as USD poses it."""
     parts = {part.path: part for part in read_parts(CAR.rig.asset)}
     found = []
     for k in frames:
@@ -67,7 +67,7 @@ def test_tyres_touch_the_ground_they_roll_on():
 
 
 def test_level_ground_is_ground():
-    """Level terrain takes a shorter way to the same touch, whatever the pose."""
+    """Level terrain uses a faster computation with the same result, for any pose."""
     heights = np.full((41, 41), 1.5)
     level = Terrain("level", heights, (-20.0, -20.0), (1.0, 1.0))
     heights = heights.copy()
@@ -102,7 +102,7 @@ def test_heave_follows_the_oscillators_transfer_function(length):
     damped = omega0**2 + 2j * springs.damping * omega0 * omega
     gain = abs(damped / (damped - omega**2))
     wheelbase = 2.6
-    heard = abs(np.cos(np.pi * wheelbase / length))  # the mean of the axles' two places on the wave
+    heard = abs(np.cos(np.pi * wheelbase / length))  # the mean of both axles' heights on the wave
     late = clip.times > 2.5
     acceleration = np.gradient(np.gradient(clip.positions[:, 2], clip.times), clip.times)[late]
     tone = np.exp(-1j * omega * clip.times[late])
@@ -113,7 +113,8 @@ def test_heave_follows_the_oscillators_transfer_function(length):
 
 
 def test_slope_is_rolled_down_without_losing_energy():
-    """Released on a hill, kinetic energy is weight times the fall: the spline is the terrain, the scheme symplectic."""
+    """Released on a hill, kinetic energy is weight times the descent: the spline is the terrain, the scheme
+    symplectic."""
     world = hilly()
     clip = coasting(world, 0.0, 8.0, (12, 3), 0.0)
     total = clip.energy["kinetic"] + clip.energy["potential"]
@@ -135,7 +136,7 @@ def test_constant_slope_accelerates_as_an_inclined_plane():
 
 
 def test_a_plan_includes_the_slope_and_agrees_with_its_executed_controls():
-    """A plan over a hill, executed by the independent integrator with the same weight; without it, it misses."""
+    """A plan over a hill, executed by the independent integrator with gravity on the slope; without it, it misses."""
     world = hilly(height=1.0)
     marks = [
         vehsim.Mark(1001, position=(-20, 0, 0), heading=0, velocity=(0, 0, 0)),
@@ -178,7 +179,7 @@ def test_placing_twice_changes_nothing_and_interpolation_stays_on_the_ground():
 
 @pytest.mark.parametrize("speed, held", [(15.0, False), (9.0, True)])
 def test_bends_beyond_the_grip_of_tyres_warn(speed, held, recwarn):
-    """On a circle the tyres hold v^2 / R: 2.3 g at 15 m/s on 10 m, 0.8 g at 9 m/s."""
+    """On a circle the tyres need v^2 / R: 2.3 g at 15 m/s on 10 m, 0.8 g at 9 m/s."""
     start = vehsim.State(twist=(speed / 10, speed, 0.0), joints=(0.0, 2.6 / 10))
     vehsim.simulate(CAR, vehsim.World(terrain="flat"), [0.0, 0.0], start=start, duration=0.5)
     said = [str(warning.message) for warning in recwarn]
@@ -201,7 +202,7 @@ ELSEWHERE = Path(__file__).parents[1] / "assets_elsewhere"
     ("name", "radius", "base"), [("pickup", 0.38, 3.0), ("kart", 0.14, 1.3), ("crawler", 0.35, 1.8)]
 )
 def test_wheels_of_foreign_cars_stand_on_uneven_ground(name, radius, base):
-    """Their axles are their own X or Z, one asset has no pivots: all four wheels are found, and touch."""
+    """Their axles are their own X or Z, one asset has no pivots: all four wheels are found, and touch the ground."""
     car = vehsim.load_vehicle(ELSEWHERE / name)
     wheels = wheels_of(car.rig)
     assert {wheel.roll for wheel in wheels} == {"roll_rl", "roll_rr", "roll_fl", "roll_fr"}
@@ -217,5 +218,5 @@ def test_wheels_of_foreign_cars_stand_on_uneven_ground(name, radius, base):
     for wheel in wheels:
         rim = np.einsum("nij,kj->nki", clip.matrices()[:, :3, :3], wheel.rim) + clip.positions[:, None]
         lowest.append((rim[..., 2] - world.height(rim[..., :2].reshape(-1, 2)).reshape(rim.shape[:2])).min(axis=1))
-    # no suspension of its own: a rigid body on four wheels stands on three, the fourth is near
+    # without suspension, a rigid body stands on three of its four wheels, and the fourth is near the ground
     assert np.abs(np.mean(lowest, axis=0)).max() < 0.03

@@ -1,4 +1,4 @@
-"""Hulls in the ground: the deepest place against sampling them densely, and hulls that come to rest on peaks."""
+"""Hulls in the ground: the deepest point compared with dense samples, and hulls that come to rest on peaks."""
 
 import numpy as np
 import pytest
@@ -34,7 +34,7 @@ def sampled(points, count, random):
 @pytest.mark.parametrize("hull", [BARGE, KEEL], ids=["barge", "keel"])
 @pytest.mark.parametrize("seed", range(4))
 def test_no_point_of_a_hull_is_deeper_than_the_deepest_found(hull, seed):
-    """The gap above the ground is that of 40,000 samples of the hull, or less; it touches when they do."""
+    """The gap to the ground is at most that of 40,000 samples of the hull; it touches when they do."""
     random, terrain = np.random.default_rng(seed), rough(seed)
     side = Underside([hull], terrain)
     samples = sampled(hull, 4000, random)
@@ -43,7 +43,7 @@ def test_no_point_of_a_hull_is_deeper_than_the_deepest_found(hull, seed):
         position = np.array([*random.uniform(-10, 10, 2), 0.0])
         places = turn.apply(samples) + position
         nearest = (places[:, 2] - terrain.height(places[:, :2])).min()
-        for above in (2.0, 0.05, -0.02):  # of the nearest sample over the ground
+        for above in (2.0, 0.05, -0.02):  # height of the lowest sample above the ground
             gap, points = side.on(turn.as_matrix(), position + np.array([0, 0, above - nearest]))
             assert (points is None) == (gap > 0)
             if above < 0:  # depths are along the normals: of the ground, or of the hull's face that a peak is in
@@ -52,12 +52,13 @@ def test_no_point_of_a_hull_is_deeper_than_the_deepest_found(hull, seed):
             elif points is None:
                 assert gap <= above
             else:
-                assert above < 0.1 and max(points.depths) < 0.06  # what the samples missed
+                assert above < 0.1 and max(points.depths) < 0.06  # missed by the samples
 
 
 @pytest.mark.parametrize("shape", ["cone", "ridge"])
 def test_a_barge_rests_on_a_peak_between_its_corners(tmp_path, shape):
-    """On a cone below its middle, or across a ridge, two centimetres deep at most though its corners are in the air."""
+    """On a cone below its middle, or across a ridge: at most two centimetres deep, although its corners are in the
+    air."""
     slab(tmp_path / "barge.usda", (10.0, 4.0, 1.5))
     x = np.arange(-20.0, 20.5, 0.5)
     far = np.hypot(x, x[:, None]) if shape == "cone" else np.abs(x + 0 * x[:, None])
@@ -76,7 +77,7 @@ def test_a_barge_rests_on_a_peak_between_its_corners(tmp_path, shape):
 
 @pytest.mark.parametrize("cell", [0.05, 0.5])
 def test_a_cliff_is_detected_before_contact(tmp_path, cell):
-    """High above the ground below it, at 20 m/s, a block meets a wall of ten metres: two centimetres deep at most."""
+    """High above the ground, at 20 m/s, a block meets a wall of ten metres: at most two centimetres deep."""
     slab(tmp_path / "block.usda", (1.0, 0.6, 0.4))
     rig = Rig(tmp_path / "block.usda", "")
     block = Holonomic(name="block", group=SE3, inertia=[4, 10, 11, *[100.0] * 3], gravity=0.0, rig=rig)
@@ -98,7 +99,7 @@ def test_a_cliff_is_detected_before_contact(tmp_path, cell):
 
 @pytest.mark.parametrize("shape", ["ridge", "step"])
 def test_elastic_blows_on_edges_of_the_ground_keep_the_energy(tmp_path, shape):
-    """A block's corners and edges against a ridge and a cliff's, any way round: normals are those of what meets."""
+    """A block's corners and edges against a ridge and a cliff's edge, in any orientation, with the right normals."""
     size, mass = np.array([1.0, 0.6, 0.4]), 100.0
     slab(tmp_path / "block.usda", size)
     turning = mass / 12 * (size @ size - size**2)

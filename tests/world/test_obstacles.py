@@ -1,4 +1,4 @@
-"""Obstacles: solids that hold what they show, refusals that name key and remedy."""
+"""Obstacles: solids that contain their meshes, and errors with key and remedy."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Plane geometry against shapely, and what is no polygon."""
+"""Plane geometry compared with shapely, and invalid polygons."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Hulls that are not the boat's, dropped and thrown about: what stays finite, comes to rest, keeps its energy."""
+"""Hulls other than the boat's, dropped and thrown about: they stay finite, come to rest, and conserve energy."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ FLEET = {
 
 
 def afloat(name):
-    """A hull of the fleet, its mass spread over its box, with resistance and added mass of its size."""
+    """A hull of the fleet, its mass spread over its box, with resistance and added mass to match its size."""
     (points, faces), mass = FLEET[name]
     size = np.ptp(points, axis=0)
     inertia = mass / 12 * (size @ size - size**2)
@@ -36,7 +36,7 @@ def afloat(name):
 
 @pytest.mark.parametrize("name", [*FLEET, "boat"])
 def test_dropped_from_five_metres(name):
-    """Falls as bodies fall, hits the water askew, only loses energy there, and floats where Archimedes says."""
+    """It falls freely, hits the water askew, only loses energy there, and floats where Archimedes says."""
     body = vehsim.load_vehicle("boat") if name == "boat" else afloat(name)
     world = World(water=0.0)
     rest = Afloat(body, world).floating()[0] - body.origin[2]
@@ -49,13 +49,13 @@ def test_dropped_from_five_metres(name):
     assert body.mass is not None or height == pytest.approx(-9.81, rel=0.03)  # the boat's wind brakes it
     assert np.linalg.norm(clip.twists[:, 3:], axis=1).max() < np.hypot(2.0, np.sqrt(2 * 9.81 * 5.5)) + 1.0
     assert clip.positions[-1, 2] == pytest.approx(rest, abs=0.06)
-    assert np.abs(np.delete(clip.twists[-1], 3)).max() < 0.3  # what is left of its way ahead aside
-    assert clip.matrices()[-1, 2, 2] > 0.95  # the right way up
+    assert np.abs(np.delete(clip.twists[-1], 3)).max() < 0.3  # the remaining horizontal motion is ignored
+    assert clip.matrices()[-1, 2, 2] > 0.95  # upright
 
 
 @pytest.mark.parametrize("name", ["trimaran", "raft of planks"])
 def test_steep_waves_leave_it_finite(name):
-    """Waves near to breaking, about as long as the hull: it stays on them."""
+    """Waves near breaking, about as long as the hull: it stays on them."""
     water = Water(surface=wave(1.0, 8.0, 0.5, choppiness=0.7))
     clip = vehsim.simulate(afloat(name), World(water=water), None, duration=4.0, step=1 / 24)
     above = clip.positions[:, 2] - np.array(
@@ -65,7 +65,7 @@ def test_steep_waves_leave_it_finite(name):
 
 
 def test_a_boat_under_way_in_a_six_metre_sea():
-    """A part of what is measured over ten minutes (docs/derivations.md): no gap, no flight, no dive, upright."""
+    """A part of the ten-minute measurement (docs/derivations.md): no gap, no flight, no dive, upright."""
     boat, water = vehsim.load_vehicle("boat"), Water(surface=sea_state(6.0, seed=11, choppiness=0.4))
     clip = vehsim.simulate(boat, World(water=water), (1800.0, 0.0), duration=6.0, step=1 / 24)
     above = np.array([p[2] - water.height(p[None, :2], t)[0] for p, t in zip(clip.positions, clip.times, strict=True)])

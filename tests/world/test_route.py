@@ -1,4 +1,4 @@
-"""Routes: free, short, through the valley unless told otherwise; and honest when there is none."""
+"""Routes: free, short, through the valley by default; and an error if there is none."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Clearances through MuJoCo against elementary geometry."""
+"""Clearances by MuJoCo compared with elementary geometry."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def test_clearance_does_not_depend_on_the_pose_before(canyon, vehicle, poses):
 
 
 def test_a_pose_deep_in_the_rock_does_not_spoil_the_next(canyon, vehicle):
-    """Depth is measured vertically: below a plateau it is larger than the way out through the cliff."""
+    """Depth is measured vertically: below a plateau it is larger than the horizontal distance to the cliff's face."""
     free = (180.0, 40.0, 28.0)
     inside = (free[0], free[1] + 30.0, 10.0)
     level = [[1, 0, 0, 0]] * 2
@@ -125,7 +125,7 @@ def test_a_pose_deep_in_the_rock_does_not_spoil_the_next(canyon, vehicle):
 
 
 def test_one_plain_call_of_mujoco_misses_the_nearest_rock(canyon, vehicle, poses):
-    """Why `Scene` asks again and again: should MuJoCo fix this one day, the repair can go."""
+    """The reason for the repeated queries of `Scene`: if MuJoCo fixes this, they can be removed."""
     scene = Scene(canyon.terrain, vehicle.rig)
     errors = []
     for position, turn, true in zip(*(x[-200:] for x in poses), strict=True):
@@ -136,7 +136,7 @@ def test_one_plain_call_of_mujoco_misses_the_nearest_rock(canyon, vehicle, poses
 
 
 def test_a_pose_in_the_rock_is_negative(canyon, vehicle, hulls):
-    """Inside means: some corner of a hull lies below the surface, or the surface pierces a hull."""
+    """Inside means: a corner of a hull lies below the surface, or the surface pierces a hull."""
     rng = np.random.default_rng(3)
     xy = rng.uniform([-60, -40], [230, 80], (300, 2))
     positions = np.column_stack([xy, canyon.height(xy) + rng.uniform(-30, 3, 300)])
@@ -151,7 +151,7 @@ def test_a_pose_in_the_rock_is_negative(canyon, vehicle, hulls):
 
 
 def test_a_spike_through_the_rotor_disc_is_inside(vehicle):
-    """No corner of a hull is in the rock, and yet it touches."""
+    """No corner of a hull is in the rock, but it touches."""
     heights = np.zeros((41, 41))
     heights[20, 20] = 6.0
     world = World(Terrain("spike", heights, origin=(-20, -20), cell=(1, 1)))

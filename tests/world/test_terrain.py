@@ -1,4 +1,4 @@
-"""Terrains: the surface, the files it is read from, and what shipped terrains promise."""
+"""Terrains: the surface, the files from which it is read, and the promises of shipped terrains."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def test_a_mesh_comes_back_as_the_heights_it_was_made_from(tmp_path, suffix):
 
 
 def write_usd(file, terrain):
-    """In centimetres and Y up, below a translated Xform: a stranger's stage."""
+    """A foreign stage: in centimetres and Y up, below a translated Xform."""
     from pxr import Usd, UsdGeom
 
     stage = Usd.Stage.CreateNew(str(file))
@@ -266,7 +266,7 @@ def test_the_look_passes_every_validator_of_usd(name):
 
 
 def test_every_texture_coordinate_of_the_canyon_is_used_once():
-    """No triangle of the unwrapped canyon is turned over or collapsed in the picture."""
+    """No triangle of the unwrapped canyon is flipped or collapsed in the picture."""
     from pxr import Usd, UsdGeom
 
     terrain = Terrain.load("canyon")
@@ -298,7 +298,7 @@ def test_shipped_terrain_files_are_complete():
 
 
 def test_heights_are_queried_at_points_of_the_plane():
-    """Points in space would be read as half as many more points of the plane."""
+    """Points in space would be read as 1.5 times as many points of the plane."""
     for world in (World(), World("flat")):
         assert world.height((1.0, 2.0)).shape == (1,) and world.height(np.zeros((4, 2))).shape == (4,)
         for wrong in (np.zeros((2, 3)), np.zeros((2, 2, 2)), 3.0):

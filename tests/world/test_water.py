@@ -1,4 +1,4 @@
-"""The water's surface: waves that obey their laws, seas with their statistics, grids, and MuJoCo's picture of them."""
+"""The water's surface: waves that obey their laws, seas with their statistics, grids, and MuJoCo's height field."""
 
 from dataclasses import replace
 
@@ -35,7 +35,7 @@ def places(n=200, seed=0, reach=300.0):
 
 
 def test_the_surface_is_where_its_particles_are(water):
-    """Gerstner's horizontal map and its inverse undo each other, far from the origin and near to breaking too."""
+    """Gerstner's horizontal map and its inverse cancel, far from the origin and near breaking too."""
     s, t = water.surface, 7.3
     rest = places()
     theta = rest @ s.number.T - s.omega * t + s.phase
@@ -53,7 +53,7 @@ def test_water_does_not_leave_the_surface(name):
     normal = water.normal(xy, t)
     slope = -normal[:, :2] / normal[:, 2:]
     v = water.velocity(np.column_stack([xy, water.height(xy, t)]), t)
-    steep = np.abs(slope).max(axis=1) > 4  # where differences say nothing
+    steep = np.abs(slope).max(axis=1) > 4  # where differences are meaningless
     np.testing.assert_allclose((rate + (v[:, :2] * slope).sum(axis=1) - v[:, 2])[~steep], 0, atol=2e-4)
 
 
@@ -112,7 +112,7 @@ def test_folded_and_broken_waves_are_refused():
 
 @pytest.mark.parametrize(("height", "period", "peakedness"), [(0.6, 4.0, 3.3), (3.0, 9.0, 1.0), (6.0, 12.0, 3.3)])
 def test_a_sea_has_its_height_and_its_peak(height, period, peakedness):
-    """4 sigma of the sampled surface within 2 %, the peak of its spectrum within a bin (LIE's boat, issue 4)."""
+    """4 sigma of the sampled surface within 2 %, the peak of its spectrum within a bin."""
     water = Water(surface=sea_state(height, period, seed=5, peakedness=peakedness))
     step, n = period / 20, 16384
     series = np.array([water.height(np.zeros((1, 2)), step * k)[0] for k in range(n)])
@@ -162,9 +162,10 @@ def box_around(xy):
 
 @pytest.mark.parametrize("centre", [(0.0, 0.0), (1234.5, -987.6)])
 def test_mujocos_rays_find_the_same_surface(water, centre):
-    """Rays on the height field against the formula: apart by a cell's bend at most, anywhere, any time."""
+    """Rays on the height field compared with the formula: they differ at most by the curvature of a cell, at any
+    time."""
     field = WaterField(water, cell=0.1, samples=161)
-    sharp = 200 if water.curvature > 0.2 else 4  # what crests bend by, over the mean: one is about to break
+    sharp = 200 if water.curvature > 0.2 else 4  # the ratio of the crests' curvature to the mean: one is about to break
     for t in (0.0, 2.7):
         xy = np.asarray(centre) + places(200, reach=5.5)
         field.update(t, *box_around(xy))
@@ -173,7 +174,7 @@ def test_mujocos_rays_find_the_same_surface(water, centre):
 
 
 def test_rays_from_one_far_point_are_vertical(water):
-    """One call for all rays, against a call for each that goes straight down: MuJoCo 4.0 prunes none of them."""
+    """One call for all rays, compared with a call for each vertical ray: MuJoCo 4.0 discards none of them."""
     import mujoco
 
     field, xy = WaterField(water, cell=0.25, samples=65), places(300, reach=7.0)
@@ -185,7 +186,7 @@ def test_rays_from_one_far_point_are_vertical(water):
 
 
 def test_a_grid_is_the_surface_at_its_samples(water):
-    """Heights, and where the water is at rest, from sums shared by rows and columns: against each point by itself."""
+    """Heights and rest positions, from sums shared by rows and columns, compared with each point by itself."""
     x, y = 300.0 + 0.3 * np.arange(23), -40.0 + 0.2 * np.arange(17)
     xy = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     heights, rest = water.grid(x, y, 3.1)
@@ -197,7 +198,7 @@ def test_a_grid_is_the_surface_at_its_samples(water):
 
 
 def test_the_flow_at_a_hull_equals_the_waters(water):
-    """Asked with the height field's guess of where the water is at rest, and without."""
+    """Queried with the height field's guess of the rest positions, and without."""
     points = np.column_stack([places(200, reach=4.0), np.linspace(-3.0, 1.0, 200)])
     height, flow = WaterField(water, cell=0.1, samples=161).at(points, 2.2)
     known, exact = water.at(points, 2.2)
@@ -220,7 +221,7 @@ def test_calm_water_is_exact_and_written_once():
 
 
 def test_a_boat_floats_alike_on_mujocos_height_field():
-    """LIE's way: rays on a field that lives in MuJoCo, follows the boat far off its first place, and is never left."""
+    """LIE's method: rays on a field in MuJoCo, which follows the boat far from its start and always contains it."""
     boat, waves = vehsim.load_vehicle("boat"), wave(0.4, 9.0, 0.4, choppiness=0.5)
     start = State(twist=[0, 0, 0, 8.0, 0, 0])
     asked = []
@@ -242,7 +243,7 @@ def test_a_boat_floats_alike_on_mujocos_height_field():
 
 
 def test_a_shot_selects_the_height_field_with_one_key():
-    """The same boat in the same swell, by rays and by the formula; a cell that is none is named."""
+    """The same boat in the same swell, by rays and by the formula; an invalid cell is named."""
 
     def shot(**water):
         data = {
