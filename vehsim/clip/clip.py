@@ -50,7 +50,7 @@ class Clip(Samples):
         if times.min() < self.times[0] - slack or times.max() > self.times[-1] + slack:
             raise InputError(
                 f"time {times.min():.6g}..{times.max():.6g} s is outside {self.times[0]:.6g}..{self.times[-1]:.6g} s",
-                "ask for times within the clip",
+                "use times within the clip",
                 key="clip",
             )
         return interpolate(self, np.clip(times, self.times[0], self.times[-1]))

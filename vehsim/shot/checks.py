@@ -170,7 +170,7 @@ def check_free(
         if gap < min(clearance - 1e-6, 0.0):
             yield Problem(key, f"the vehicle reaches {-gap:.2f} m into rock", "move it out of the terrain", position)
         elif gap < clearance - 1e-6:
-            remedy = f"keep the clearance of {clearance:g} m, or ask for less"
+            remedy = f"keep the clearance of {clearance:g} m, or reduce it"
             yield Problem(key, f"only {gap:.2f} m from rock", remedy, position)
 
 

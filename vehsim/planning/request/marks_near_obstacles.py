@@ -88,5 +88,5 @@ def _nearness(gap: float, name: str, clearance: float, heading: str = "") -> tup
     """Message and remedy of a mark at ``gap`` m from an obstacle."""
     if gap <= 0:
         return f"in obstacle {name!r}{heading}", "move the mark or the obstacle"
-    remedy = f"keep the clearance of {clearance:g} m, or ask for less"
+    remedy = f"keep the clearance of {clearance:g} m, or reduce it"
     return f"only {gap:.2f} m from obstacle {name!r}{heading}", remedy
