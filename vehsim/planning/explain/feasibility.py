@@ -98,9 +98,9 @@ def _bent_too_far(request: Request, mark: Mark) -> list[Refusal]:
 def _sideways(request: Request, mark: Mark) -> list[Refusal]:
     """A velocity that the wheels do not allow at the heading."""
     vehicle = request.vehicle
-    if mark.heading is None or mark.velocity is None or mark.at_rest or not vehicle.group.planar:
+    if mark.yaw is None or mark.velocity is None or mark.at_rest or not vehicle.group.planar:
         return []
-    slip = math.degrees(math.atan2(mark.velocity[1], mark.velocity[0])) - mark.heading
+    slip = math.degrees(math.atan2(mark.velocity[1], mark.velocity[0]) - mark.yaw)
     anywhere, most = slips(vehicle)
     off = min(abs((slip - turn + 180) % 360 - 180) for turn in (0, 180))
     if anywhere or off <= most + 0.5:
