@@ -198,7 +198,7 @@ def _warn(plan: Plan) -> None:
 
 
 def _beyond(rows: Sequence[Row]) -> list[str]:
-    """What a motion exceeds its character by."""
+    """The soft limits of the character that a motion exceeds."""
     return [str(row) for row in rows if row.met is False and row.key.startswith(BEYOND)]
 
 
@@ -276,7 +276,8 @@ def _attempt(request: Request, progress: Progress | None, guess: Any, once: bool
         reason: Reason = "refused" if refused else "time limit"
         return _result(run, give_up(iterate, refused or LATE.format(late)), reason)
     iterate = solve(run, iterate)
-    if not (iterate.success or once) and request.manner.name != STUNT:  # any motion first: then in its character
+    # first find any motion, then apply the character
+    if not (iterate.success or once) and request.manner.name != STUNT:
         iterate, asked = plainly(run, iterate, paths, as_clip(request, guess)), replace(request, manner=NO_MANNER)
     else:
         asked = request

@@ -67,7 +67,7 @@ def first_frame(request: Request, i: int, j: int, least: int) -> tuple[int, bool
         terms=terms,
         loop=False,
         deadline=math.inf,
-        manner=NO_MANNER,  # a character gives way
+        manner=NO_MANNER,  # a character may be exceeded
         given=(),
     )
     try:

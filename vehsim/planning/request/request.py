@@ -58,7 +58,7 @@ class Request:
     solver: str = "ipopt"
     deadline: float = math.inf
     manner: Manner = NO_MANNER
-    """What its character comes to."""
+    """The traits of its character."""
     given: Sequence[Mark] = ()
     """The marks before those at rest were turned along their legs."""
 

@@ -115,14 +115,14 @@ class TraitTable(Table):
     brisk: Positive
     """its value when driven briskly"""
     source: Text
-    """where the numbers come from"""
+    """the source of the numbers"""
 
 
 class CharacterTable(Table):
     """``[character]``"""
 
     response: TraitTable | None = None
-    """how fast the controls change their mind, s"""
+    """the response time of the controls, s"""
     limits: dict[str, TraitTable] = Field(default={})
     """limits of plans by name, in SI units"""
     control_rates: dict[str, TraitTable] = Field(default={})
