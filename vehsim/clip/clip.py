@@ -75,6 +75,7 @@ class Clip(Samples):
             "schema": 1,
             "vehicle": self.vehicle.name,
             "folder": _folder(self.vehicle),
+            **({"parameters": dict(self.vehicle.parameters)} if self.vehicle.parameters else {}),
             "fps": str(self.fps),
             "start_frame": self.start_frame,
             "joints": list(self.vehicle.joints),
@@ -107,7 +108,7 @@ class Clip(Samples):
             columns = {name: arrays[name] for name in ARRAYS}
             events, width = tuple(header["events"]), columns["twists"].shape[-1]
             fps, first = Fraction(header["fps"]), int(header["start_frame"])
-            known = str(header["vehicle"]), str(header["folder"])
+            known = str(header["vehicle"]), str(header["folder"]), dict(header.get("parameters", {}))
         except Exception as error:  # raised by NumPy, by zip files, or by a foreign header
             raise InputError(f"not a clip saved by vehsim: {error}", "save it with clip.save", file=path) from None
         return cls(
@@ -147,10 +148,10 @@ def _moving(vehicle: Vehicle, width: int, path: str | Path) -> Vehicle:
     raise InputError(wrong, "give the vehicle whose clip it is", file=path)
 
 
-def _vehicle_of(name: str, where: str) -> Vehicle:
+def _vehicle_of(name: str, where: str, parameters: Mapping[str, Any]) -> Vehicle:
     from vehsim.vehicles import load_vehicle
 
     folder = Path(where) if where else None
     if folder is not None and (folder / "vehicle.toml").is_file():
-        return load_vehicle(folder)
-    return load_vehicle(name)
+        return load_vehicle(folder, parameters)
+    return load_vehicle(name, parameters)

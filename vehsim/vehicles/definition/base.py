@@ -85,6 +85,8 @@ class Definition:
     """The greatest speed of the root, m/s, in plans without a ``limits.speed``; default: the speed of sound."""
     feels_wind: bool = False
     rig: Rig | None = None
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    """Numbers given in place of those of its ``vehicle.toml``; see `vehsim.load_vehicle`."""
     hull: Any = None
     """The effect of water, a `vehsim.vehicles.definition.hydrodynamics.Hull`; None: water has no effect."""
 

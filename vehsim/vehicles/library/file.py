@@ -57,7 +57,8 @@ def _flat(value: Any) -> list[Any]:
 
 
 Bound = Annotated[Any, BeforeValidator(_bound)]
-Quantity = Annotated[Any, AfterValidator(_quantity)]
+IN_RANGE = AfterValidator(_quantity)
+Quantity = Annotated[Any, IN_RANGE]
 Op = Literal["rotateX", "rotateY", "rotateZ", "translateX", "translateY", "translateZ"]
 
 
