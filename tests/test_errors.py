@@ -125,7 +125,7 @@ CALLS: dict[str, tuple[Callable[[], Any], str, Any, str, str]] = {
         "clip",
         None,
         "is outside",
-        "use times",
+        "ask for times",
     ),
     "group": (
         lambda: vehsim.vehicles.Holonomic(

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from vehsim.audit import PER_FRAME, Row, Scene, Track, audit, missed, not_shown, track_of_poses
 from vehsim.errors import ExportError, InputError
 from vehsim.exporters.usd.metadata import Units
+from vehsim.intake.usd import dependencies
 from vehsim.requests import Ask
 
 if TYPE_CHECKING:
@@ -511,4 +512,5 @@ def audit_delivery(folder: Path, progress: Progress = silent) -> dict[str, list[
         raise InputError(f"not a delivery: {error}", "give a folder that vehsim export wrote", file=folder) from None
     if path is None:
         raise InputError("no stage in it", "export with --to usd, flat or usdz", file=folder)
+    dependencies(path)
     return audit_stage(path, report, progress=progress)

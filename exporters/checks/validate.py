@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import astuple
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 from vehsim.exporters.checks.rules import OWN_RULES
 from vehsim.exporters.checks.rules import Issue as Issue
 from vehsim.exporters.usd.stage import reason_of
+from vehsim.intake.reader import Answer, apart
 
 REMEDIES = {
     "MissingDefaultPrim": "set defaultPrim on the root layer to its top prim",
@@ -25,7 +27,17 @@ REMEDIES = {
 
 
 def validate_stage(path: str | Path) -> list[Issue]:
-    """All issues of the stage at ``path``; a fault at many places is reported once. Empty if the stage is valid."""
+    """All issues of the stage at ``path``; a fault at many places is reported once. Empty if the stage is valid. Raises
+    ``InputError`` for a file that USD's validators do not survive, or not within the limits."""
+    return [Issue(*row) for row in apart(issues_of, Path(path), "STAGE")[0]]
+
+
+def issues_of(path: Path) -> Answer:
+    """The fields of each issue of a stage. It runs in the reader process."""
+    return [astuple(issue) for issue in _issues(path)], []
+
+
+def _issues(path: Path) -> list[Issue]:
     from pxr import Tf, Usd
 
     try:
@@ -77,16 +89,9 @@ def _is_guide(stage: Any, site: Any) -> bool:
 
 
 def _usd_issues(stage: Any) -> Iterator[Issue]:
-    from pxr import Tf, Usd
+    from pxr import UsdValidation
 
-    try:
-        from pxr import UsdValidation
-
-        validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
-    except (ImportError, Tf.ErrorException):  # a host application may bring an older USD
-        message = f"USD {'.'.join(map(str, Usd.GetVersion()[1:]))} has no validators: its own rules are not checked"
-        yield Issue("warning", "validators", "pxr", message, "validate with USD 25.11 or newer")
-        return
+    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
     for error in UsdValidation.ValidationContext(validators).Validate(stage):
         if error.HasNoError():
             continue

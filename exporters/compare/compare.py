@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from vehsim.errors import InputError
 from vehsim.exporters.pictures.passes import SUFFIXES, read_depth, read_legend, segmentation_of
+from vehsim.intake.images import read_frame
 
 VISIBLE = 8
 """A pixel has changed if a channel differs by more than this, of 255: above the noise between OpenGL
@@ -197,13 +198,7 @@ def difference(comparison: Comparison) -> NDArray[np.uint8]:
 
 
 def _read(path: Path) -> NDArray[np.uint8]:
-    from PIL import Image
-
-    try:
-        with Image.open(path) as image:
-            return np.asarray(image.convert("RGB"))
-    except OSError as error:
-        raise InputError(f"not a picture that can be read ({error})", "render it again", file=path) from None
+    return read_frame(path, "RGB")
 
 
 RULES: dict[str, Rule] = {

@@ -21,6 +21,7 @@ from vehsim.exporters.pictures.passes import LEGEND, SUFFIXES, pass_path, write_
 from vehsim.exporters.pictures.render import StageRenderer
 from vehsim.exporters.pictures.split import write_split
 from vehsim.exporters.usd.stage import StageReader
+from vehsim.intake.usd import dependencies
 from vehsim.runtime.files import replacing_file
 from vehsim.runtime.processes import Worker, end, may_start_workers, start_server
 
@@ -31,7 +32,7 @@ MAX_SIDE = 8192
 def write_frames(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
     """Write ``frames/<camera>/<shot>.<camera>.<frame>.png`` and ``contact.png``; returns every file written."""
     frames = range(take.frames[0], take.frames[1] + 1, take.render.every)
-    written = render_stage(
+    written = draw_stage(
         folder / f"{take.name}.usda", folder / "frames", frames=frames, progress=progress, **look_of(take)
     )
     return written + write_sheets(take, folder, pictures_of(written))
@@ -49,7 +50,7 @@ def shown(take: Take) -> list[str]:
 
 
 def look_of(take: Take) -> dict[str, Any]:
-    """Arguments of `render_stage` for a take's render settings."""
+    """Arguments of `draw_stage` for a take's render settings."""
     settings, names = take.render, shown(take)
     size = settings.panel(len(names))
     look = {"shadows": settings.shadows, "samples": settings.samples, "burn_in": settings.burn_in}
@@ -67,7 +68,14 @@ def write_sheets(take: Take, folder: Path, pictures: Sequence[Path]) -> list[Pat
     return written
 
 
-def render_stage(
+def render_stage(stage_path: str | Path, out: str | Path, **how: Any) -> list[Path]:
+    """`draw_stage` for a stage from anywhere: the reader process has read it before. Raises ``InputError`` also for a
+    stage that cannot be read within the limits."""
+    dependencies(stage_path)
+    return draw_stage(stage_path, out, **how)
+
+
+def draw_stage(
     stage_path: str | Path,
     out: str | Path,
     camera: str | Sequence[str] | None = None,
@@ -148,7 +156,7 @@ def _processes(pictures: int) -> int:
 
 @contextmanager
 def _on_workers(shares: Sequence[dict[str, Any]]) -> Iterator[None]:
-    """Render ``shares``, each the arguments of `render_stage`, on workers during this block; it ends when they have
+    """Render ``shares``, each the arguments of `draw_stage`, on workers during this block; it ends when they have
     finished."""
     if shares:
         start_server()
@@ -169,7 +177,7 @@ def _on_workers(shares: Sequence[dict[str, Any]]) -> Iterator[None]:
 
 def _serve(pipe: Connection) -> None:
     try:
-        render_stage(**pipe.recv())
+        draw_stage(**pipe.recv())
         pipe.send("")
     except Exception as error:
         pipe.send(f"{type(error).__name__}: {error}")

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.errors import InputError
+from vehsim.intake.images import read_frame
 
 SUFFIXES = {"depth": ".tif", "segmentation": ".png"}
 """Pass -> suffix of its files."""
@@ -64,13 +65,7 @@ def segmentation_of(path: Path, kind: str) -> Path:
 
 def read_depth(path: Path) -> NDArray[np.float32]:
     """Metres (h, w) along the view; 0: background. Raises ``InputError`` for a file that is not a depth pass."""
-    from PIL import Image
-
-    try:
-        with Image.open(path) as image:
-            depth = np.asarray(image, np.float32)
-    except OSError as error:
-        raise InputError(f"not a depth that can be read ({error})", "render it again", file=path) from None
+    depth = read_frame(path).astype(np.float32)
     if depth.ndim != 2:
         raise InputError(f"has {depth.shape[-1]} channels, depth has one", "give 32-bit metres", file=path)
     return depth

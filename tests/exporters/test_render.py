@@ -260,7 +260,7 @@ def test_invalid_render_requests_are_refused(new_stage, tmp_path, options, messa
 
 
 def test_a_missing_stage_is_named(tmp_path):
-    with pytest.raises(InputError, match=r"gone\.usda: no such file"):
+    with pytest.raises(InputError, match=r"gone\.usda: asset: no such file"):
         render_stage(tmp_path / "gone.usda", tmp_path)
 
 

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import pytest
 
+from tools.hostile_files.writers import CUBE, FACES, glb, usda
 from vehsim.cli import commands as cli
-
-sys.path.insert(0, str(Path(__file__).parent))
-from hostile import CUBE, FACES, glb, usda
 
 pytestmark = [pytest.mark.broken_stages, pytest.mark.filterwarnings("ignore")]
 

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import sys
 import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tools.hostile_files.writers import CUBE, FACES, WRITERS, usda, written, wrong_arrays, wrong_meshes
 from vehsim.errors import InputError, ShotError
 from vehsim.intake.arrays import read_array, read_arrays
 from vehsim.intake.meshes import read_triangles
-from vehsim.intake.toml import read_toml
+from vehsim.intake.toml import lines_of, read_toml
 from vehsim.world.terrain.terrain import Terrain
 from vehsim.world.water.grids import KEYS, WaterGrids
-
-sys.path.insert(0, str(Path(__file__).parent))
-from hostile import CUBE, FACES, WRITERS, usda, written, wrong_arrays, wrong_meshes
 
 pytestmark = [pytest.mark.broken_stages, pytest.mark.filterwarnings("ignore")]
 
@@ -94,6 +91,9 @@ def test_oversized_headers_take_no_memory(tmp_path: Path) -> None:
         (f"a = {'[' * 5000}{']' * 5000}", "nested too deeply"),
         (f"[b]\na = {'9' * 400}", "b.a: a whole number of more than 64 bits"),
         (f"a = {'9' * 9000}", "not TOML"),
+        (f"a = 1\n\n{' . '.join(['b', *['c'] * 300_000])} = 1", "a key of more than 50 parts in line 3; nest"),
+        (f"b = {{ {'.'.join(['c'] * 100_000)} = 1 }}", "a key of more than 50 parts in line 1; nest"),
+        ("a = 1\n" * 1_000_000, "larger than 5 MB; give a smaller file"),
         ("a = ", "not TOML"),
         ("\udce4".encode("utf-8", "surrogateescape"), "not UTF-8"),
     ],
@@ -104,6 +104,15 @@ def test_excessive_tables_are_refused(tmp_path: Path, text: str | bytes, says: s
     with pytest.raises(ShotError, match=says) as refused, warnings.catch_warnings():
         read_toml(path)
     assert says_what_to_do(refused.value, path)
+
+
+def test_lines_that_look_like_headers_take_no_time(tmp_path: Path) -> None:
+    """The search for lines took minutes for spaces in a text, and years for these."""
+    text = f"""a = '''\n[{" " * 1_000_000}\n[[{"b " * 100_000}\n'''\n[ c . "d" ]\ne = 0.{"1" * 100_000}\n"""
+    (tmp_path / "t.toml").write_text(text)
+    data, said = read_toml(tmp_path / "t.toml")
+    assert data["c"]["d"]["e"] == pytest.approx(1 / 9)
+    assert lines_of(said)["c.d.e"] == 6
 
 
 def test_foreign_clip_files_are_refused(tmp_path: Path) -> None:

@@ -16,10 +16,11 @@ from vehsim import exporters
 from vehsim.delivery.exporters import GROUP, in_order
 from vehsim.delivery.folders import SIGN
 from vehsim.exporters.tables.report import sha256
+from vehsim.intake.usd import dependencies
+from vehsim.runtime.cache import content_of
 from vehsim.runtime.code import VEHSIM, code
 from vehsim.runtime.registry import entries
 from vehsim.shot import Shot
-from vehsim.shot.inputs import content_of, with_dependencies
 
 
 def fingerprint(shot: Shot, to: Sequence[str], draft: bool = False) -> str:
@@ -59,7 +60,7 @@ def _files(shot: Shot) -> Iterable[Path]:
     yield from shot.motion_files()
     terrain = shot.world.terrain
     if terrain is not None and terrain.look is not None:
-        yield from with_dependencies(terrain.look)
+        yield from dependencies(terrain.look)[0]
 
 
 @cache

@@ -135,14 +135,14 @@ def _bake(task: Task, part: tuple[int, int]) -> None:
 
 
 def _render(task: Task, part: tuple[int, int]) -> None:
-    from vehsim.exporters.pictures.frames import look_of, render_stage
+    from vehsim.exporters.pictures.frames import draw_stage, look_of
 
     stage = _need(task, "bake", "bake") / f"{task.name}.usda"
     with _whole(task, f"frames.{part[0]}of{part[1]}") as folder:
         if folder is not None:
             take = _take(task)
             frames = _frames(take.frames, take.render.every)
-            render_stage(stage, folder, frames=_share(frames, *part), **look_of(take))
+            draw_stage(stage, folder, frames=_share(frames, *part), **look_of(take))
 
 
 def _deliver(task: Task, part: tuple[int, int]) -> None:

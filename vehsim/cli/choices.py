@@ -14,6 +14,8 @@ from typing import Any
 
 from typer.core import TyperCommand
 
+from vehsim.errors import InputError
+
 Completions = list[tuple[str, str]]
 """A completion function: returns values and short descriptions. If there are none, the shell completes file names."""
 
@@ -131,11 +133,13 @@ def vehicle_of_shots(incomplete: str) -> Completions:
 
 def camera_of_stage(incomplete: str) -> Completions:
     """Names of the cameras of the stages on the command line."""
-    from pxr import Tf, Usd, UsdGeom
+    from pxr import UsdGeom
+
+    from vehsim.intake.usd import SUFFIXES, open_stage
 
     try:
-        stages = [Usd.Stage.Open(str(path), Usd.Stage.LoadNone) for path in _typed(".usd", ".usda", ".usdc", ".usdz")]
-    except Tf.ErrorException:  # not a stage: offer nothing
+        stages = [open_stage(path, load=False) for path in _typed(*SUFFIXES)]
+    except InputError:  # not a stage: offer nothing
         return []
     cameras = [prim for stage in stages for prim in stage.Traverse() if prim.IsA(UsdGeom.Camera)]
     return _starting(incomplete, {prim.GetName(): str(prim.GetPath()) for prim in cameras})

@@ -12,6 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.intake.gate import MAX_BYTES, reading, refuse
+from vehsim.intake.reader import Answer, once
+
+Arrays = dict[str, NDArray[Any]]
 
 NUMBERS = "biuf"
 """Accepted kinds of arrays: booleans, integers and real numbers."""
@@ -19,29 +22,43 @@ NUMBERS = "biuf"
 
 def read_array(path: Path, key: str) -> NDArray[Any]:
     """The array of an ``.npy`` file. Raises ``InputError``."""
-    with reading(path, key), path.open("rb") as file:
-        _check_header(path, key, file, path.stat().st_size)
+    return once(array, path, key, key)[1][0]
+
+
+def read_arrays(path: Path, key: str, wanted: Collection[str] | None = None, kinds: str = NUMBERS) -> Arrays:
+    """The ``wanted`` arrays that an ``.npz`` file contains, by name; by default all. ``kinds``: those accepted. Raises
+    ``InputError``."""
+    names, found = once(arrays, path, key, key, None if wanted is None else list(wanted), kinds)
+    return dict(zip(names, found, strict=True))
+
+
+def array(path: Path, key: str) -> Answer:
+    """The array of an ``.npy`` file. It runs in the reader process."""
+    with path.open("rb") as file:
+        _check_header(path, key, file, path.stat().st_size, NUMBERS)
         file.seek(0)
-        return np.asarray(np.lib.format.read_array(file, allow_pickle=False))
+        return {}, [np.asarray(np.lib.format.read_array(file, allow_pickle=False))]
 
 
-def read_arrays(path: Path, key: str, wanted: Collection[str]) -> dict[str, NDArray[Any]]:
-    """The ``wanted`` arrays that an ``.npz`` file contains, by name. Raises ``InputError``."""
-    found: dict[str, NDArray[Any]] = {}
-    with reading(path, key, f"give an .npz of {', '.join(wanted)}"), zipfile.ZipFile(path) as archive:
-        for name in wanted:
-            if f"{name}.npy" in archive.namelist():
-                with archive.open(f"{name}.npy") as member:
-                    _check_header(path, name, member, archive.getinfo(f"{name}.npy").file_size)
-                with archive.open(f"{name}.npy") as member:
-                    found[name] = np.asarray(np.lib.format.read_array(member, allow_pickle=False))
-    return found
+def arrays(path: Path, key: str, wanted: Collection[str] | None, kinds: str) -> Answer:
+    """Names and arrays of an ``.npz`` file. It runs in the reader process."""
+    names, found = [], []
+    remedy = "export it again" if wanted is None else f"give an .npz of {', '.join(wanted)}"
+    with reading(path, key, remedy), zipfile.ZipFile(path) as archive:
+        there = [name.removesuffix(".npy") for name in archive.namelist() if name.endswith(".npy")]
+        for name in there if wanted is None else [name for name in wanted if name in there]:
+            with archive.open(f"{name}.npy") as member:
+                _check_header(path, name, member, archive.getinfo(f"{name}.npy").file_size, kinds)
+            with archive.open(f"{name}.npy") as member:
+                found.append(np.asarray(np.lib.format.read_array(member, allow_pickle=False)))
+            names.append(name)
+    return names, found
 
 
-def _check_header(path: Path, key: str, file: Any, size: int) -> None:
+def _check_header(path: Path, key: str, file: Any, size: int, kinds: str) -> None:
     """Raise ``InputError`` unless the header announces numbers, at most as many as the ``size`` of the file permits."""
     shape, dtype = _header(file)
-    if dtype.kind not in NUMBERS:
+    if dtype.kind not in kinds:
         raise refuse(path, key, "not an array of numbers", "save it as floats", str(dtype))
     if (needed := math.prod(shape) * dtype.itemsize) > min(size, MAX_BYTES):
         raise refuse(path, key, f"announces {needed:,} bytes and holds {size:,}", "save it again", shape)

@@ -1,7 +1,10 @@
-"""How files are refused, and two rules for all of them: size is bounded, and no reader's exception escapes."""
+"""How files are refused, and three rules for all of them: size, time and memory are bounded, no reader's exception
+escapes, and a library that crashes takes only the reader process along (`reader.py`)."""
 
 from __future__ import annotations
 
+import math
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,6 +13,30 @@ from vehsim.errors import InputError
 
 MAX_BYTES = 4_000_000_000
 """The largest accepted file."""
+LIMITS = {"VEHSIM_READ_SECONDS": 15.0, "VEHSIM_READ_GB": 8.0, "VEHSIM_READ_PRIMS": 200_000.0}
+"""Default limits for reading one file, by the environment variable that changes them: processor time, s; address space
+of the reader process, GB; prims of a stage, instances included."""
+
+
+def limit(variable: str) -> float:
+    """The value of a limit of `LIMITS`. Raises ``InputError`` if the environment's is not a number above zero."""
+    given = os.environ.get(variable)
+    if given is None:
+        return LIMITS[variable]
+    try:
+        value = float(given)
+    except ValueError:
+        value = math.nan
+    if not 0 < value < math.inf:
+        raise InputError(
+            "not a number above zero", f"give one, such as {LIMITS[variable]:g}", key=variable, value=given
+        )
+    return value
+
+
+def raise_limit(variable: str, instead: str = "give a smaller file") -> str:
+    """The remedy for a file beyond a limit."""
+    return f"{instead}, or raise the limit: {variable}={4 * limit(variable):g}"
 
 
 def refuse(file: Path | str, key: str, message: str, remedy: str, value: object = None) -> InputError:
@@ -31,6 +58,9 @@ def reading(path: Path | str, key: str, remedy: str = "export the file again") -
         yield
     except InputError:
         raise
+    except MemoryError as error:
+        said = f"takes more than {limit('VEHSIM_READ_GB'):g} GB to read"
+        raise refuse(path, key, said, raise_limit("VEHSIM_READ_GB")) from error
     except Exception as error:
         lines = str(error).strip().splitlines()
         said = f"{type(error).__name__}: {lines[-1][:300]}" if lines else type(error).__name__

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.intake.gate import reading, refuse
+from vehsim.intake.reader import Answer, apart, once
 from vehsim.intake.usd import SUFFIXES, open_stage, triangles_of
 
 Array = NDArray[np.float64]
 Triangles = tuple[Array, NDArray[np.int64]]
 
+MESHES = (".obj", ".stl", ".ply", ".glb", ".gltf")
+READABLE = (*MESHES, *SUFFIXES)
 MAX_FACES = 20_000_000
 """Largest accepted number of triangles."""
 MAX_REACH = 1e9
@@ -24,29 +26,19 @@ _Z_UP = ([0, 2, 1], [1, -1, 1])
 
 def read_triangles(path: Path, key: str = "mesh") -> Triangles:
     """Points (n, 3) m, finite, and triangles (m, 3) with valid indices, at least one. Raises ``InputError``."""
-    reader = READERS.get(path.suffix.lower())
-    if reader is None:
-        raise refuse(path, key, "not a mesh file", f"use one of {' '.join(READERS)}", path.suffix)
-    with reading(path, key):
-        points, faces = reader(path, key)
-        points, faces = np.asarray(points, float), np.asarray(faces, np.int64)
-        if points.ndim != 2 or points.shape[1:] != (3,) or faces.ndim != 2 or faces.shape[1:] != (3,) or not len(faces):
-            raise refuse(path, key, "has no triangles", "export a mesh of triangles")
-        if len(faces) > MAX_FACES:
-            raise refuse(path, key, f"{len(faces):,} triangles, at most {MAX_FACES:,}", "decimate it")
-        if faces.min() < 0 or faces.max() >= len(points):
-            wrong = int(((faces < 0) | (faces >= len(points))).any(axis=1).sum())
-            said = f"{wrong} of {len(faces)} faces name corners that its {len(points)} points do not have"
-            raise refuse(path, key, said, "export the mesh again")
-        if not np.isfinite(points).all():
-            wrong = int((~np.isfinite(points)).any(axis=1).sum())
-            raise refuse(path, key, f"{wrong} of {len(points)} points are not finite", "export the mesh again")
-        if (reach := float(np.abs(points).max())) > MAX_REACH:
-            raise refuse(path, key, f"points beyond {MAX_REACH:g} m", "export it in metres", reach)
-        return np.ascontiguousarray(points), np.ascontiguousarray(faces)
+    suffix = path.suffix.lower()
+    if suffix in SUFFIXES:
+        with reading(path, key):
+            return _checked(path, key, *_read_usd(path))
+    if suffix not in MESHES:
+        raise refuse(path, key, "not a mesh file", f"use one of {' '.join(READABLE)}", path.suffix)
+    read = apart if suffix == ".gltf" else once  # its points are in other files
+    _, (points, faces) = read(triangles, path, key, key)
+    return points, faces
 
 
-def _read_trimesh(path: Path, key: str) -> Triangles:
+def triangles(path: Path, key: str) -> Answer:
+    """Points and triangles of a file in a format other than USD. It runs in the reader process."""
     import trimesh
 
     mesh = trimesh.load(path, force="mesh", process=False)  # unchanged: a silent repair would make another mesh
@@ -55,10 +47,28 @@ def _read_trimesh(path: Path, key: str) -> Triangles:
     points = np.asarray(mesh.vertices, dtype=float)
     if path.suffix.lower() in (".glb", ".gltf"):  # glTF is Y up
         points = points[:, _Z_UP[0]] * _Z_UP[1]
-    return points, np.asarray(mesh.faces, np.int64)
+    return {}, list(_checked(path, key, points, np.asarray(mesh.faces, np.int64)))
 
 
-def _read_usd(path: Path, key: str) -> Triangles:
+def _checked(path: Path, key: str, points: Array, faces: NDArray[np.int64]) -> Triangles:
+    """The same, contiguous; raises ``InputError`` for what is no mesh."""
+    if points.ndim != 2 or points.shape[1:] != (3,) or faces.ndim != 2 or faces.shape[1:] != (3,) or not len(faces):
+        raise refuse(path, key, "has no triangles", "export a mesh of triangles")
+    if len(faces) > MAX_FACES:
+        raise refuse(path, key, f"{len(faces):,} triangles, at most {MAX_FACES:,}", "decimate it")
+    if faces.min() < 0 or faces.max() >= len(points):
+        wrong = int(((faces < 0) | (faces >= len(points))).any(axis=1).sum())
+        said = f"{wrong} of {len(faces)} faces name corners that its {len(points)} points do not have"
+        raise refuse(path, key, said, "export the mesh again")
+    if not np.isfinite(points).all():
+        wrong = int((~np.isfinite(points)).any(axis=1).sum())
+        raise refuse(path, key, f"{wrong} of {len(points)} points are not finite", "export the mesh again")
+    if (reach := float(np.abs(points).max())) > MAX_REACH:
+        raise refuse(path, key, f"points beyond {MAX_REACH:g} m", "export it in metres", reach)
+    return np.ascontiguousarray(points), np.ascontiguousarray(faces)
+
+
+def _read_usd(path: Path) -> Triangles:
     """All meshes of a stage, in metres and Z up, for any units of the stage."""
     from pxr import Usd, UsdGeom
 
@@ -80,9 +90,3 @@ def _read_usd(path: Path, key: str) -> Triangles:
     if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y:
         world = world[:, _Z_UP[0]] * _Z_UP[1]
     return world, np.concatenate(faces)
-
-
-READERS: dict[str, Callable[[Path, str], Triangles]] = {
-    **dict.fromkeys((".obj", ".stl", ".ply", ".glb", ".gltf"), _read_trimesh),
-    **dict.fromkeys(SUFFIXES, _read_usd),
-}

@@ -12,10 +12,14 @@ from typing import Any
 
 from vehsim.errors import Problem, ShotError, VehsimError
 
-MAX_BYTES = 50_000_000
+MAX_BYTES = 5_000_000
+"""The largest accepted file: one of this size, full of whole numbers, takes 5 s to read."""
 MAX_DEPTH = 50
 """Largest depth of tables and arrays."""
-_HEADER = re.compile(r"^\s*(\[\[?)\s*([\w.\-\" ]+?)\s*\]")
+_HEADER = re.compile(r"^\s*(\[\[?)([\w.\-\" \t]+)\]")
+_PART = r"""(?:[\w\-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+"""
+_LONG_KEY = re.compile(rf"""(?<![\w.\-"'])(?:{_PART}){{{MAX_DEPTH + 1}}}""")
+"""The start of a key of too many parts: the time to read it grows with their square."""
 _KEY = re.compile(r"^\s*([\w.\-]+)\s*=")
 LARGEST = 2**63
 """TOML's integers have 64 bits."""
@@ -31,6 +35,10 @@ def read_toml(path: Path) -> tuple[dict[str, Any], str]:
         if path.stat().st_size > MAX_BYTES:
             raise refuse(f"larger than {MAX_BYTES // 1_000_000} MB", "give a smaller file")
         text = path.read_text(encoding="utf-8-sig")
+        if found := _LONG_KEY.search(text):
+            line = text.count("\n", 0, found.start()) + 1
+            said = f"nested too deeply: a key of more than {MAX_DEPTH} parts in line {line}"
+            raise refuse(said, f"nest at most {MAX_DEPTH} tables and arrays")
         data = tomllib.loads(text)
     except FileNotFoundError:
         raise refuse("no such file", "give the path of a TOML file") from None
@@ -71,7 +79,7 @@ def lines_of(text: str) -> dict[str, int]:
     table = ""
     for number, line in enumerate(text.splitlines(), start=1):
         if header := _HEADER.match(line):
-            table = _table(header[2].replace('"', ""), header[1] == "[[", counts)
+            table = _table(header[2].replace('"', "").strip(), header[1] == "[[", counts)
             lines.setdefault(table, number)
         elif key := _KEY.match(line):
             lines.setdefault(f"{table}.{key[1]}".lstrip("."), number)

@@ -1,10 +1,16 @@
-"""Read USD files: stages that open, and meshes whose indices are valid."""
+"""Read USD files: stages that open, and meshes whose indices are valid.
+
+USD reads its files in this process, because deliveries are composed of them. The reader process has opened and read
+each of them before, once for its content.
+"""
 
 from __future__ import annotations
 
+import json
 import math
+from collections import deque
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.errors import InputError
-from vehsim.intake.gate import reading, refuse
+from vehsim.intake.gate import limit, raise_limit, reading, refuse
+from vehsim.intake.reader import Answer, apart
+from vehsim.runtime.cache import Stamp, content_of, keep, recalled, stamp
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
@@ -24,6 +32,7 @@ def open_stage(path: str | Path, load: bool = True) -> Any:
     from pxr import Usd, UsdGeom
 
     with reading(path, "asset", "export it again as USD"):
+        dependencies(path)
         try:
             stage = Usd.Stage.Open(str(path), *[Usd.Stage.LoadNone] * (not load))
         except Exception as error:
@@ -78,16 +87,99 @@ def triangulate(counts: Faces, indices: Faces, holes: Faces | None = None) -> Fa
     return np.stack([indices[first], indices[first + step + 1], indices[first + step + 2]], axis=1)
 
 
-def dependencies(asset: Path) -> tuple[list[Path], list[str]]:
-    """The files that the USD file ``asset`` needs, including itself, and references that do not resolve."""
-    from pxr import UsdUtils
+def dependencies(asset: str | Path) -> tuple[tuple[Path, ...], tuple[str, ...]]:
+    """The files that the USD file ``asset`` needs, including itself, and references that do not resolve.
 
-    if asset.suffix == ".usdz":  # a package contains all files that it needs
-        return [asset], []
+    They are known once the reader process has read every value of every layer, so that nothing broken is opened here;
+    again once one of them was written. Raises ``InputError`` for a stage that cannot be read within the limits.
+    """
     with reading(asset, "asset"):
-        layers, assets, missing = UsdUtils.ComputeAllDependencies(str(asset))
-        paths = [layer.realPath for layer in layers] + [str(path) for path in assets]
-        return sorted({Path(path.split("[")[0]).resolve() for path in paths if path}), sorted(missing)
+        asset = Path(asset).resolve()
+        known = _known.get(asset)
+        if known is None or known[0] != (_stamps(known[1]), limit("VEHSIM_READ_PRIMS")):
+            files, missing = _screened(asset)
+            _known[asset] = known = ((_stamps(files), limit("VEHSIM_READ_PRIMS")), files, missing)
+        return known[1:]
+
+
+_known: dict[Path, tuple[Any, tuple[Path, ...], tuple[str, ...]]] = {}
+"""Results of `dependencies` in this process."""
+
+
+def _stamps(files: Iterable[Path]) -> tuple[Stamp | None, ...]:
+    return tuple(stamp(file) if file.exists() else None for file in files)
+
+
+def _screened(asset: Path) -> tuple[tuple[Path, ...], tuple[str, ...]]:
+    """The answer of `examine`, or as it was kept while its files have the same content."""
+    most = limit("VEHSIM_READ_PRIMS")
+    made_of = (1, str(asset), content_of(asset))
+    kept = recalled("screened", made_of)
+    facts = None if kept is None else json.loads(kept)
+    if facts is None or facts["prims"] > most or any(content_of(name) != said for name, said in facts["files"].items()):
+        facts = apart(examine, asset, "asset", most)[0]
+        keep("screened", made_of, json.dumps(facts).encode())
+    return tuple(map(Path, facts["files"])), tuple(facts["missing"])
+
+
+def examine(asset: Path, most: float) -> Answer:
+    """The content of each file of a stage, references that do not resolve, and the number of prims, after all has been
+    read: every value of every layer, and what composition, transforms and materials make of it.
+
+    Raises ``InputError`` beyond ``most`` prims. It runs in the reader process.
+    """
+    from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdUtils
+
+    files, missing, layers = [asset], [], [Sdf.Layer.FindOrOpen(str(asset))]
+    written = _read_layers(layers, asset, most)  # first: to look for files in a million prims takes long
+    if asset.suffix != ".usdz":  # a package contains all files that it needs
+        layers, assets, missing = UsdUtils.ComputeAllDependencies(str(asset))  # the first layer is this one
+        named = [layer.realPath for layer in layers] + [str(path) for path in assets]
+        files = [Path(path.split("[")[0]).resolve() for path in named if path]
+    stage = Usd.Stage.Open(str(asset))
+    others = [layer for layer in {*layers, *stage.GetUsedLayers()} if layer != stage.GetRootLayer()]
+    written += _read_layers(others, asset, most)
+    cache = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
+    prims = 0
+    for prim in Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies(Usd.PrimAllPrimsPredicate)):
+        prims += 1
+        if prims > most:
+            raise _too_many(asset, most)
+        cache.GetLocalToWorldTransform(prim)
+        imageable = UsdGeom.Imageable(prim)
+        if imageable:
+            imageable.ComputeVisibility(Usd.TimeCode.EarliestTime())
+            imageable.ComputePurpose()
+            UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()
+    contents = {str(file): content_of(file) for file in sorted(set(files))}
+    return {"files": contents, "missing": sorted(missing), "prims": max(prims, written)}, []
+
+
+def _read_layers(layers: Iterable[Any], asset: Path, most: float) -> int:
+    """Read every value of every spec: USD reads them on demand, and may find them corrupt only then. Returns the number
+    of prims, those of all variants included."""
+    prims = 0
+    for layer in layers:
+        left = deque([layer.pseudoRoot])
+        while left:
+            spec = left.popleft()
+            below = [*spec.nameChildren, *(one.primSpec for kind in spec.variantSets for one in kind.variants)]
+            left += below
+            prims += len(below)
+            if prims > most:
+                raise _too_many(asset, most)
+            for each in (spec, *spec.properties):
+                for key in each.ListInfoKeys():
+                    with suppress(TypeError):  # a type that Python does not know, such as those of layer offsets
+                        each.GetInfo(key)
+                for time in layer.ListTimeSamplesForPath(each.path):
+                    layer.QueryTimeSample(each.path, time)
+    return prims
+
+
+def _too_many(asset: Path, most: float) -> InputError:
+    remedy = raise_limit("VEHSIM_READ_PRIMS", "give a stage of the vehicle or terrain alone")
+    return refuse(asset, "asset", f"more than {most:,.0f} prims", remedy)
 
 
 def beyond(files: Iterable[Path], *homes: Path) -> list[Path]:

@@ -1,7 +1,7 @@
-"""Apply a character to a plan, step by step.
+"""The character of a plan on the way to its motion: what gives way, and in which order.
 
-A motion is found with the character's costs of fast controls, and then within its soft limits. If the first step fails,
-a motion is found without a character; the character is applied to it afterwards, or dropped with a remark.
+A motion is found with the character's costs of fast controls, and then within its limits, which are prices. Where the
+first is not found, any motion is looked for; it takes on the character from there, or goes without, and says so.
 """
 
 from __future__ import annotations
@@ -23,13 +23,14 @@ Array = NDArray[np.float64]
 
 
 def plainly(run: Run, failed: Iterate, paths: Sequence[Array], clip: Clip | None) -> Iterate:
-    """The iterate solved from the same guess without a character, or the failed one."""
+    """Solved from the same guess without a character, or failed."""
     request = replace(failed.request, manner=NO_MANNER)
     return solve(run, begin(run, request, failed.transcription, failed.cover, paths, clip))
 
 
 def in_character(run: Run, iterate: Iterate, manner: Manner) -> Iterate:
-    """An iterate that was solved without its character, solved with it; if this fails, unchanged with a remark."""
+    """A solved iterate that was found without its character, solved with it; as it is, with a remark, where none is
+    found."""
     if not iterate.success or iterate.request.manner is manner or run.deadline.late:
         return iterate
     request = replace(iterate.request, manner=manner)
@@ -42,8 +43,7 @@ def in_character(run: Run, iterate: Iterate, manner: Manner) -> Iterate:
 
 
 def restrain(run: Run, iterate: Iterate) -> Iterate:
-    """An iterate solved within the soft limits of its character, as far as its marks allow; if this fails,
-    unchanged."""
+    """A solved iterate within the limits of its character, as far as its marks allow; as it is where none is found."""
     costs = iterate.block(RunningCosts)
     if costs is None or not (costs.limits or costs.control_rates) or not iterate.success or run.deadline.late:
         return iterate

@@ -84,10 +84,7 @@ class SegmentView:
 
 @dataclass(frozen=True)
 class BendView:
-    """The quantities of two consecutive segments that a law can use.
-
-    ``c0, c1, c2``: controls over their scale; ``h0, h1``: durations, s.
-    """
+    """What a law sees of two segments that meet: controls ``c0, c1, c2`` over their scale, lengths ``h0, h1`` s."""
 
     c0: Expr
     c1: Expr

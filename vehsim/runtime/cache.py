@@ -7,7 +7,8 @@ import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from hashlib import sha256
+from functools import lru_cache
+from hashlib import file_digest, sha256
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,20 @@ def stamp(path: str | Path) -> Stamp:
     cannot be set. For what a process remembers about files; persistent results are cached by content."""
     stat = os.stat(path)
     return stat.st_mtime_ns, stat.st_ctime_ns, stat.st_size, stat.st_ino
+
+
+def content_of(path: str | Path) -> str | None:
+    """The hash of a file's bytes, None if it does not exist; its name belongs to the file that refers to it."""
+    try:
+        return _content(str(path), stamp(path))
+    except OSError:
+        return None
+
+
+@lru_cache(maxsize=1024)
+def _content(path: str, written: Stamp) -> str:
+    with open(path, "rb") as file:
+        return file_digest(file, "sha256").hexdigest()
 
 
 def cache_folder() -> Path:

@@ -19,10 +19,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vehsim.errors import InputError
-from vehsim.runtime.cache import keep, packed, recalled, shrink, unpacked
+from vehsim.runtime.cache import content_of, keep, packed, recalled, shrink, unpacked
 from vehsim.runtime.code import code
 from vehsim.runtime.registry import Registry
-from vehsim.shot.inputs import content_of
 
 if TYPE_CHECKING:
     from vehsim.clip.clip import Clip

@@ -16,7 +16,7 @@ import numpy as np
 
 from vehsim.errors import InputError, Problem, ShotError
 from vehsim.intake.toml import line_of, lines_of, read_toml, too_large
-from vehsim.intake.usd import complaints
+from vehsim.intake.usd import complaints, dependencies
 from vehsim.requests import target_asks
 from vehsim.shot.audited import audit_clips
 from vehsim.shot.checks import (
@@ -31,7 +31,6 @@ from vehsim.shot.checks import (
 from vehsim.shot.cuts import check_cuts
 from vehsim.shot.follow_through import hold, rests
 from vehsim.shot.handles import carry_on
-from vehsim.shot.inputs import with_dependencies
 from vehsim.shot.motions.blocking import blocking_of
 from vehsim.shot.overrides import apply_overrides
 from vehsim.shot.schema.shot_file import ShotFile, VehicleTable, parse
@@ -113,12 +112,12 @@ class Shot:
             rig = self.vehicle(table).rig
             if rig is not None:
                 yield (rig.folder or rig.asset.parent) / "vehicle.toml"
-                yield from with_dependencies(rig.asset)
+                yield from dependencies(rig.asset)[0]
             path = getattr(table.motion, "path", None)
             if path is not None:
                 yield self.folder / path
         for blocking in self.blockings().values():
-            yield from with_dependencies(blocking.path)
+            yield from dependencies(blocking.path)[0]
 
     def only(self, names: Sequence[str]) -> Shot:
         """The shot with only these vehicles; cameras whose target is missing look at the first of them."""
@@ -163,7 +162,7 @@ class Shot:
         """The vehicle of a ``[[vehicle]]`` table, with the requested variants. Raises ``InputError``."""
         from vehsim.vehicles import load_vehicle
 
-        vehicle = load_vehicle(self._asset(table.asset), table.parameters)
+        vehicle = load_vehicle(self._asset(table.asset))
         if table.variants and vehicle.rig is not None:
             vehicle = replace(vehicle, rig=replace(vehicle.rig, variants={**vehicle.rig.variants, **table.variants}))
         return vehicle
@@ -280,14 +279,11 @@ class Shot:
                     yield from self._check_vehicle(i, table, world)
             except InputError as error:  # all errors of its vehicle.toml or asset
                 for problem in error.problems:
-                    if problem.key.startswith("parameters."):
-                        yield replace(problem, key=f"vehicle[{i}].{problem.key}")
-                    else:
-                        yield problem.seen_from(key, table.asset, "see vehsim vehicles")
+                    yield problem.seen_from(key, table.asset, "see vehsim vehicles")
 
     def _check_vehicle(self, i: int, table: VehicleTable, world: World | None) -> Iterator[Problem]:
         vehicle, key = self.vehicle(table), f"vehicle[{i}].asset"
-        yield from check_asset(key, table.asset, vehicle)
+        yield from check_asset(key, table.asset, vehicle.rig)
         if (rig := vehicle.rig) is not None and self.file.export.assets == "copy":
             homes = [] if rig.folder is None else [rig.folder]
             yield from check_copied(key, table.asset, rig.source or rig.asset, homes, self.file.export)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from vehsim.exporters.usd.scenery.lighting import encode_srgb, to_linear, to_srgb
 from vehsim.exporters.usd.stage import Sky, Sun, Surface
+from vehsim.intake.images import read_colours
 
 Array = NDArray[np.float64]
 
@@ -82,13 +83,10 @@ def _display(linear: Array) -> Array:
 
 def sky_image(sky: Sky | None) -> Array:
     """The dome as a linear latitude-longitude image (h, w, 3), light intensity included."""
-    from PIL import Image
-
     if sky is None or sky.texture is None:
         colour = DEFAULT_SKY if sky is None else sky.colour
         return np.broadcast_to(colour, (64, 128, 3)).astype(float)
-    with Image.open(sky.texture) as image:
-        return to_linear(np.asarray(image.convert("RGB")) / 255.0) * sky.colour
+    return to_linear(read_colours(sky.texture) / 255.0) * sky.colour
 
 
 def dome_mean(image: Array) -> Array:
@@ -143,10 +141,8 @@ def author_material(spec: Any, name: str, surface: Surface, textures: dict[Path,
 
 def _author_texture(spec: Any, name: str, path: Path) -> None:
     import mujoco
-    from PIL import Image
 
-    with Image.open(path) as image:
-        pixels = np.asarray(image.convert("RGB"))[::-1]  # USD counts v from the bottom
+    pixels = read_colours(path)[::-1]  # USD counts v from the bottom
     texture = spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, nchannel=3)
     texture.height, texture.width = pixels.shape[:2]
     texture.data = pixels.tobytes()

@@ -33,8 +33,6 @@ Array = NDArray[np.float64]
 
 ROOM = 30.0
 """Margin around marks and paths within which terrain and obstacles are considered, m."""
-MOST_SEGMENTS = 4096
-"""Largest number of segments of a plan."""
 UNEVEN = 0.02
 """Largest height above the ground, m, of a part of a standing vehicle without a warning."""
 
@@ -58,7 +56,7 @@ class Request:
     solver: str = "ipopt"
     deadline: float = math.inf
     manner: Manner = NO_MANNER
-    """The traits of its character."""
+    """What its character comes to."""
     given: Sequence[Mark] = ()
     """The marks before those at rest were turned along their legs."""
 
@@ -160,10 +158,10 @@ def ask(
         deadline=math.inf if time_limit is None else time.monotonic() + time_limit,
     )
     least = 2 * (len(request.marks) - 1)
-    if not least <= segments <= MOST_SEGMENTS:
+    if not least <= segments <= 4096:
         raise InputError(
             "out of range",
-            f"give at least 2 per leg between marks, {least}, and at most {MOST_SEGMENTS}",
+            f"give at least 2 per leg between marks, {least}, and at most 4096",
             key="segments",
             value=segments,
         )

@@ -57,8 +57,7 @@ def _flat(value: Any) -> list[Any]:
 
 
 Bound = Annotated[Any, BeforeValidator(_bound)]
-IN_RANGE = AfterValidator(_quantity)
-Quantity = Annotated[Any, IN_RANGE]
+Quantity = Annotated[Any, AfterValidator(_quantity)]
 Op = Literal["rotateX", "rotateY", "rotateZ", "translateX", "translateY", "translateZ"]
 
 
@@ -116,14 +115,14 @@ class TraitTable(Table):
     brisk: Positive
     """its value when driven briskly"""
     source: Text
-    """the source of the numbers"""
+    """where the numbers come from"""
 
 
 class CharacterTable(Table):
     """``[character]``"""
 
     response: TraitTable | None = None
-    """the response time of the controls, s"""
+    """how fast the controls change their mind, s"""
     limits: dict[str, TraitTable] = Field(default={})
     """limits of plans by name, in SI units"""
     control_rates: dict[str, TraitTable] = Field(default={})

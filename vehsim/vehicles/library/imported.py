@@ -22,6 +22,8 @@ from typing import Any
 import numpy as np
 
 from vehsim.errors import InputError
+from vehsim.intake.gate import reading
+from vehsim.intake.reader import Answer, apart, once
 from vehsim.intake.usd import open_stage
 from vehsim.runtime.cache import SOURCE, cache_folder, is_whole, seal
 from vehsim.runtime.files import write_file
@@ -204,21 +206,22 @@ def _check_variants(toml: Path, source: Path, root: str, variants: Any) -> None:
 
 def _converted(path: Path, up: str, metres: float) -> Path:
     """A GLB, glTF or OBJ file as USD in the cache, keyed by content: nodes become Xforms, in the file's own units."""
-    data = path.read_bytes()
-    _warn_of_motion(path, data)
-    digest = hashlib.sha256(f"6 {path.name} {up} {metres}".encode() + data).hexdigest()[:24]
+    with reading(path, "asset"):
+        data = path.read_bytes()
+    if path.suffix.lower() != ".obj" and (found := once(motions, path, "asset")[0]):
+        remedy = "export the asset as USD to keep its motion"
+        warnings.warn(f"{path}: has {' and '.join(found)}; only its rest pose is read; {remedy}", stacklevel=2)
+    digest = hashlib.sha256(f"7 {path.name} {up} {metres}".encode() + data).hexdigest()[:24]
     folder = cache_folder() / "vehicles" / f"{path.stem}-{digest}"
     file = folder / f"{path.stem}.usdc"
     if _is_whole(folder, folder / "seal"):
         return file
-    import trimesh
-
-    try:
-        scene = _read_obj(path) if path.suffix.lower() == ".obj" else trimesh.load(path, force="scene", process=False)
-    except Exception as error:  # trimesh's readers may raise anything
-        raise InputError(f"not readable: {error}", "export it again, or as USD", file=path) from None
     beside = folder.with_name(f".{folder.name}.{secrets.token_hex(4)}")
-    _write_scene(scene, beside / file.name, path, up, metres)
+    try:
+        apart(convert, path, "asset", str(beside / file.name), up, metres)
+    except InputError:
+        shutil.rmtree(beside, ignore_errors=True)
+        raise
     made = [each for each in beside.rglob("*") if each.is_file()]
     seal(beside / "seal", {each.relative_to(beside).as_posix(): each.read_bytes() for each in made})
     if folder.exists() and not is_whole(folder / "seal"):
@@ -230,6 +233,15 @@ def _converted(path: Path, up: str, metres: float) -> Path:
     return file
 
 
+def convert(path: Path, file: str, up: str, metres: float) -> Answer:
+    """Write a GLB, glTF or OBJ file as the USD ``file``, with its textures beside it. It runs in the reader process."""
+    import trimesh
+
+    scene = _read_obj(path) if path.suffix.lower() == ".obj" else trimesh.load(path, force="scene", process=False)
+    _write_scene(scene, Path(file), path, up, metres)
+    return None, []
+
+
 def _is_whole(made: Path, by: Path) -> bool:
     """Whether ``made`` is in the cache and matches its checksum."""
     if not made.exists() or is_whole(by):
@@ -238,18 +250,13 @@ def _is_whole(made: Path, by: Path) -> bool:
     return False
 
 
-def _warn_of_motion(path: Path, data: bytes) -> None:
-    """Warn if a glTF contains animation or skins: only its nodes and meshes at rest are read."""
-    if path.suffix.lower() == ".glb" and len(data) > 20:  # 12 bytes of header, then length, type and text of the JSON
+def motions(path: Path) -> Answer:
+    """What a glTF contains of animation and skins, such as "2 skins". It runs in the reader process."""
+    data = path.read_bytes()
+    if path.suffix.lower() == ".glb":  # 12 bytes of header, then length, type and text of the JSON
         data = data[20 : 20 + struct.unpack_from("<I", data, 12)[0]]
-    try:
-        scene = json.loads(data) if path.suffix.lower() != ".obj" else {}
-    except ValueError:
-        return  # the reader reports what is wrong
-    found = [f"{len(scene[key])} {key}" for key in ("animations", "skins") if scene.get(key)]
-    if found:
-        remedy = "export the asset as USD to keep its motion"
-        warnings.warn(f"{path}: has {' and '.join(found)}; only its rest pose is read; {remedy}", stacklevel=2)
+    scene = json.loads(data)
+    return [f"{len(scene[key])} {key}" for key in ("animations", "skins") if scene.get(key)], []
 
 
 def _read_obj(path: Path) -> Any:

@@ -24,6 +24,7 @@ from vehsim.intake.gate import reading, refuse
 from vehsim.intake.images import read_picture
 from vehsim.intake.meshes import read_triangles
 from vehsim.intake.toml import lines_in
+from vehsim.intake.usd import dependencies
 from vehsim.world.terrain.grid import MAX_POINTS, HeightGrid
 
 Array = NDArray[np.float64]
@@ -85,6 +86,8 @@ def _read_toml(path: Path) -> tuple[Path, Placement]:
     if look is not None and not look.is_file():
         with lines_in(path):
             raise refuse(path, "look", "no such file", "put the USD file there or fix the path", table["look"])
+    if look is not None:
+        dependencies(look)
     pairs = {key: _pair(table.get(key)) for key in ("cell", "origin", "range")}
     return path.parent / table.get("heights", ""), Placement(path, look=look, **pairs)
 

@@ -1,4 +1,4 @@
-"""Seeded generators of broken files: each yields a name and the content."""
+"""Small files of every kind, and seeded generators of broken ones: each yields a name and its content."""
 
 from __future__ import annotations
 
@@ -110,14 +110,14 @@ def wrong_arrays(keys: tuple[str, ...], seed: int = 0) -> Iterator[tuple[str, by
     whole = buffer.getvalue()
     yield "empty.npz", b""
     yield "text.npz", b"heights"
-    yield "foreign.npz", _zip({"readme.txt": b"hello"})
-    yield "broken_array.npz", _zip({f"{key}.npy": b"hello" for key in keys})
-    vast = _npy(np.zeros((3, 3))).replace(b"(3, 3)", b"(9999999, 999999)")
-    yield "vast.npz", _zip({f"{key}.npy": vast for key in keys})
-    yield "words.npz", _zip({f"{key}.npy": _npy(np.array(["a", "b"])) for key in keys})
+    yield "foreign.npz", zipped({"readme.txt": b"hello"})
+    yield "broken_array.npz", zipped({f"{key}.npy": b"hello" for key in keys})
+    vast = npy(np.zeros((3, 3))).replace(b"(3, 3)", b"(9999999, 999999)")
+    yield "vast.npz", zipped({f"{key}.npy": vast for key in keys})
+    yield "words.npz", zipped({f"{key}.npy": npy(np.array(["a", "b"])) for key in keys})
     objects = io.BytesIO()
     np.save(objects, np.array([object]), allow_pickle=True)
-    yield "objects.npz", _zip({f"{key}.npy": objects.getvalue() for key in keys})
+    yield "objects.npz", zipped({f"{key}.npy": objects.getvalue() for key in keys})
     for k in range(6):
         yield f"cut_{k}.npz", whole[: chance.randrange(len(whole))]
         changed = bytearray(whole)
@@ -126,17 +126,22 @@ def wrong_arrays(keys: tuple[str, ...], seed: int = 0) -> Iterator[tuple[str, by
         yield f"changed_{k}.npz", bytes(changed)
 
 
-def _npy(array: np.ndarray) -> bytes:
+def npy(array: np.ndarray) -> bytes:
     buffer = io.BytesIO()
     np.save(buffer, array)
     return buffer.getvalue()
 
 
-def _zip(members: dict[str, bytes]) -> bytes:
+def zipped(members: dict[str, bytes], deflated: bool = False, align: int = 1) -> bytes:
+    """An archive; ``align``: where its members begin, as packages of USD need it."""
     buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w") as archive:
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED if deflated else zipfile.ZIP_STORED) as archive:
         for name, content in members.items():
-            archive.writestr(name, content)
+            info = zipfile.ZipInfo(name)
+            info.compress_type = archive.compression
+            pad = -(archive.fp.tell() + 30 + len(name.encode()) + 4) % align
+            info.extra = b"\x86\x19" + pad.to_bytes(2, "little") + bytes(pad) if align > 1 else b""
+            archive.writestr(info, content)
     return buffer.getvalue()
 
 

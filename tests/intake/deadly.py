@@ -1,0 +1,38 @@
+"""Functions that read nothing and do to their process what a hostile file may do."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+
+def crashes(path: Path) -> Any:
+    ctypes.string_at(0)
+
+
+def aborts(path: Path) -> Any:
+    os.abort()
+
+
+def never_ends(path: Path) -> Any:
+    while True:
+        pass
+
+
+def sleeps(path: Path) -> Any:
+    time.sleep(3600)
+
+
+def takes_memory(path: Path) -> Any:
+    return {}, [np.zeros(10**10)]
+
+
+def prints(path: Path) -> Any:
+    os.write(1, b"from a library\n")
+    print("from Python")
+    return {"size": path.stat().st_size, "process": os.getpid()}, [np.zeros((0, 3)), np.array("text"), np.eye(2).T]
