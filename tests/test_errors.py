@@ -330,3 +330,23 @@ def test_errors_can_be_sent_between_processes(error: VehsimError) -> None:
     other = pickle.loads(pickle.dumps(error))
     assert type(other) is type(error) and other.problems == error.problems and str(other) == str(error)
     assert vars(other) == vars(error)
+
+
+@pytest.mark.parametrize(
+    ("value", "plain"),
+    [(3, 3), (2.5, 2.5), ("x", "x"), (True, True), (0, 0), (float("nan"), "nan"), ([1, 2], "[1, 2]"), ({}, "{}")],
+)
+def test_a_problem_is_json_data(value: object, plain: object) -> None:
+    import json
+
+    data = Problem("mark[0].frame", "too early", "give a later frame", value, file="a.toml", line=3).as_dict()
+    assert json.loads(json.dumps(data, allow_nan=False)) == {
+        "key": "mark[0].frame",
+        "value": plain,
+        "message": "too early",
+        "remedy": "give a later frame",
+        "file": "a.toml",
+        "line": 3,
+        "severity": "error",
+    }
+    assert "value" not in Problem("key", "missing").as_dict()

@@ -6,6 +6,7 @@ Code that handles an error reads its fields, or moves a `Problem` to another key
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from os import PathLike, fspath
@@ -38,6 +39,15 @@ class Problem:
     def said(self) -> str:
         """The message and the remedy."""
         return "; ".join(filter(None, (self.message, self.remedy)))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Its fields as JSON data, without the empty ones; a value that JSON does not have as text."""
+        fields = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        plain = self.value if isinstance(self.value, bool | int | str) else _short(self.value)
+        if isinstance(self.value, float) and math.isfinite(self.value):
+            plain = self.value
+        kept = {name: value for name, value in fields.items() if value not in ("", None)}
+        return kept | ({} if self.value is None else {"value": plain})
 
     def below(self, key: str, **changes: Any) -> Problem:
         """This problem with its key below another: ``below("mark[0]")`` of ``hold`` is ``mark[0].hold``."""

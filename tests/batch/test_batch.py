@@ -165,6 +165,8 @@ def test_the_json_log_contains_refused_shots(write: Write, tmp_path: Path, capsy
     refused = {Path(event["source"]).stem: event for event in events if event["event"] == "refused"}
     assert set(refused) == {"bad", "taken"}
     assert (refused["bad"]["line"], refused["bad"]["key"]) == (10, "vehicle[0].motion.duration")
+    problem = refused["bad"]["problem"]
+    assert (problem["value"], problem["line"]) == (-1, 10) and "0" in problem["message"] and problem["remedy"]
     assert "was not written by vehsim" in refused["taken"]["message"]
     assert [event["clip"] for event in events if event["event"] == "done"] == ["good"]
     assert (out / "taken" / "notes.txt").read_text() == "mine"

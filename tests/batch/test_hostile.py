@@ -166,6 +166,7 @@ def test_a_file_that_cannot_grow_fails_only_its_clip(
     assert {path.name for path in out.iterdir()} == {"summary.json"}
     clips = json.loads((out / "summary.json").read_text())["clips"]
     assert {(clip["state"], clip["error"]["kind"]) for clip in clips} == {("failed", "ExportError")}
+    assert all(clip["error"]["problems"][0]["remedy"] for clip in clips)
     assert start(shot, out, "--resume").wait() == 0
     assert content(out) == expected
 

@@ -174,7 +174,7 @@ def log_problems(problems: Sequence[Problem]) -> None:
     """Write lines to the log for shots that are refused, and for warnings of others."""
     for problem in problems:
         where = {"source": problem.file, "line": problem.line, "key": problem.key}
-        _log(EVENTS[problem.severity], 0.0, **where, message=str(problem))
+        _log(EVENTS[problem.severity], 0.0, **where, message=str(problem), problem=problem.as_dict())
 
 
 class _JsonLog:
@@ -191,7 +191,8 @@ class _JsonLog:
     def end(self, outcome: Outcome) -> None:
         for text in outcome.warnings:
             self._say("warning", clip=outcome.name, message=text)
-        error = {"kind": outcome.kind, "message": outcome.message, "detail": outcome.detail}
+        problems = list(outcome.problems)
+        error = {"kind": outcome.kind, "message": outcome.message, "problems": problems, "detail": outcome.detail}
         more = {key: value for key, value in error.items() if value} if outcome.state == "failed" else {}
         more |= {"motion": "cache"} if outcome.recalled else {}
         seconds = round(outcome.seconds, 3)

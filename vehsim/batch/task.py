@@ -74,6 +74,8 @@ class Outcome:
     state: State
     kind: str = ""
     message: str = ""
+    problems: tuple[Mapping[str, Any], ...] = ()
+    """everything that is wrong, as `vehsim.errors.Problem.as_dict`"""
     frames: tuple[int, int] | None = None
     warnings: tuple[str, ...] = ()
     seconds: float = 0.0
@@ -125,7 +127,8 @@ def run_task(task: Task, tell: Tell) -> Outcome:
         except MemoryError:
             outcome = Outcome(task.name, "failed", "MemoryError", f"it ran out of memory; {MEMORY_REMEDY}", retire=True)
         except VehsimError as error:
-            outcome = Outcome(task.name, "failed", type(error).__name__, str(error))
+            problems = tuple(problem.as_dict() for problem in error.problems)
+            outcome = Outcome(task.name, "failed", type(error).__name__, str(error), problems)
         except Exception as error:
             message = f"unexpected: {type(error).__name__}: {error}; this is an error in vehsim"
             outcome = Outcome(task.name, "failed", type(error).__name__, message, detail=traceback.format_exc())
