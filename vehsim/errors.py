@@ -43,9 +43,10 @@ class Problem:
     def as_dict(self) -> dict[str, Any]:
         """Its fields as JSON data, without the empty ones; a value that JSON does not have as text."""
         fields = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        plain = self.value if isinstance(self.value, bool | int | str) else _short(self.value)
-        if isinstance(self.value, float) and math.isfinite(self.value):
-            plain = self.value
+        is_json = isinstance(self.value, bool | int | str) or (
+            isinstance(self.value, float) and math.isfinite(self.value)
+        )
+        plain = self.value if is_json else _short(self.value)
         kept = {name: value for name, value in fields.items() if value not in ("", None)}
         return kept | ({} if self.value is None else {"value": plain})
 

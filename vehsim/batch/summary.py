@@ -38,7 +38,7 @@ def _clip(task: Task, outcome: Outcome | None) -> dict[str, Any]:
     if outcome is None:
         return clip | {"state": "unfinished"}
     if outcome.state == "failed":
-        error = {"kind": outcome.kind, "message": outcome.message}
+        error: dict[str, Any] = {"kind": outcome.kind, "message": outcome.message}
         error |= {"problems": list(outcome.problems)} if outcome.problems else {}
         return clip | {"state": "failed", "error": error}
     return clip | {"state": "done", "folder": task.name, "to": list(task.to)}
