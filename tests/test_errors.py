@@ -125,7 +125,7 @@ CALLS: dict[str, tuple[Callable[[], Any], str, Any, str, str]] = {
         "clip",
         None,
         "is outside",
-        "ask for times",
+        "use times",
     ),
     "group": (
         lambda: vehsim.vehicles.Holonomic(

@@ -61,6 +61,37 @@ def test_wheel_works_outside_the_checkout(wheel: Path, tmp_path: Path) -> None:
     assert "helicopter" in answer.stdout
 
 
+def test_an_sdist_gives_the_same_wheel(wheel: Path, tmp_path: Path) -> None:
+    """What PyPI offers as source has every file of the wheel."""
+    code = "from setuptools.build_meta import build_sdist; build_sdist('dist')"
+    subprocess.run([sys.executable, "-c", code], cwd=wheel.parent / "source", check=True, capture_output=True)
+    (sdist,) = (wheel.parent / "source" / "dist").glob("vehsim-*.tar.gz")
+    pip(["wheel", "--no-deps", "--no-build-isolation", "--quiet", "--wheel-dir", str(tmp_path), str(sdist)])
+    (again,) = tmp_path.glob("vehsim-*.whl")
+    before, after = (sorted(zipfile.ZipFile(path).namelist()) for path in (wheel, again))
+    assert before == after
+
+
+def test_every_module_loads_without_what_only_unix_has() -> None:
+    code = (
+        "import importlib, pkgutil, sys\n"
+        "sys.modules.update(dict.fromkeys(('fcntl', 'grp', 'pwd', 'resource', 'termios')))\n"
+        "import vehsim, vehsim.exporters\n"
+        "for package in (vehsim, vehsim.exporters):\n"
+        "    for found in pkgutil.walk_packages(package.__path__, package.__name__ + '.'):\n"
+        "        if not found.name.endswith(('.__main__', '.preload')):\n"
+        "            importlib.import_module(found.name)\n"
+    )
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert answer.returncode == 0, answer.stderr
+
+
+def test_every_dependency_has_an_upper_bound() -> None:
+    """The next major version of a library may break an installed vehsim."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert [text for text in project["dependencies"] if "<" not in text] == []
+
+
 def test_every_package_is_shipped() -> None:
     listed = set(tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"])
     inside = {

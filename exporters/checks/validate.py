@@ -89,9 +89,16 @@ def _is_guide(stage: Any, site: Any) -> bool:
 
 
 def _usd_issues(stage: Any) -> Iterator[Issue]:
-    from pxr import UsdValidation
+    from pxr import Tf, Usd
 
-    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    try:
+        from pxr import UsdValidation
+
+        validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    except (ImportError, Tf.ErrorException):  # a host application may bring an older USD
+        message = f"USD {'.'.join(map(str, Usd.GetVersion()[1:]))} has no validators: its own rules are not checked"
+        yield Issue("warning", "validators", "pxr", message, "validate with USD 25.11 or newer")
+        return
     for error in UsdValidation.ValidationContext(validators).Validate(stage):
         if error.HasNoError():
             continue

@@ -57,6 +57,7 @@ def _clip_summary(clip: Any) -> dict[str, Any]:
     speeds = np.linalg.norm(clip.twists[:, -3:] if clip.twists.shape[1] == 6 else clip.twists[:, 1:], axis=1)
     return {
         "vehicle": clip.vehicle.name,
+        **({"parameters": clip.vehicle.parameters} if clip.vehicle.parameters else {}),
         "frames": [clip.start_frame, clip.end_frame],
         "samples": len(clip.times),
         "duration_s": float(clip.times[-1] - clip.times[0]),

@@ -153,6 +153,12 @@ def for_maya(take: Any, delivery: Path) -> None:
     assert cameras and all(camera.GetShutterOpenAttr().Get() == -0.25 for camera in cameras)
 
 
+def heavy(take: Any, delivery: Path) -> None:
+    """At the same torque the acceleration is F / (m + I / r^2)."""
+    reached = float(take.clips["car"].positions[-1, 0])
+    assert reached == pytest.approx(1800 / 0.32 / (1500 + 2.4 / 0.32**2) * 3.0**2 / 2, rel=1e-3)
+
+
 def red(take: Any, delivery: Path) -> None:
     from pxr import Usd
 
@@ -194,6 +200,7 @@ def nothing_more(take: Any, delivery: Path) -> None:
 
 
 TOML: dict[str, Callable[[Any, Path], None]] = {
+    "Parameters": heavy,
     "Cookbook": nothing_more,
     "Let the planner choose the arrival, then stay for two seconds": nothing_more,
     "Fly through a ring": nothing_more,

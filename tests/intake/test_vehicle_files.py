@@ -62,8 +62,14 @@ WRONG = [
     (("lower = -0.7", "lower = 0.8"), r"joints.sigma.lower = 0.8: not below upper; swap them"),
     (("mass = 1350.0", "mass = 1e308"), r"physics.mass = 1e\+308: beyond 1e\+12; give SI units"),
     (("mass = 1350.0", "mass = nan"), r"physics.mass = nan: not a finite number; give SI units"),
-    (("mass = 1350.0", "mass = -3"), r"physics.mass = -3: not above zero; give SI units"),
-    (("wheel_radius = 0.32", "wheel_radius = 0"), r"physics.wheel_radius = 0: not above zero"),
+    (
+        ("mass = 1350.0", "mass = -3"),
+        r"physics.mass = -3: it should be greater than 0; give a number above zero, in kg",
+    ),
+    (
+        ("wheel_radius = 0.32", "wheel_radius = 0"),
+        r"physics.wheel_radius = 0: it should be greater than 0; give a number above zero, in m",
+    ),
     (("mass = 1350.0", "mass = { a = 1 }"), r"physics.mass = {'a': 1}: not a number; give"),
     (("mass = 1350.0", f"mass = {'9' * 400}"), r"physics.mass: a whole number of more than 64 bits"),
     (('op = "rotateY"', 'op = "rotateY"\npivot = [nan, 0, 0]'), r"channels.roll_rl.pivot = .*: neither a place nor"),

@@ -46,28 +46,28 @@ def said(marks, vehicle=None, **options):
         (
             [Mark(1040, position=REST), Mark(1060, position=(26, 0, 0))],
             {"speed": 22},
-            "mark[1].frame: frames 1040 to 1060 ask for 31.2 m/s, limit 22; (earliest )?10(69|70)( would do)?",
+            "mark[1].frame: frames 1040 to 1060 need 31.2 m/s, limit 22; (earliest )?10(69|70)( would do)?",
         ),
         # rest to rest over 16 m at 4 m/s^2: 2 sqrt(16 / 4) = 4 s
         (
             [Mark(1, position=REST, velocity=REST), Mark(49, position=(16, 0, 0), velocity=REST)],
             {"acceleration": 4},
-            "mark[1].frame: frames 1 to 49 ask for 16 m in 2 s, more than 4 m/s^2 can do; .*(9[7-9]|10[0-9]).*",
+            "mark[1].frame: frames 1 to 49 need 16 m in 2 s, more than 4 m/s^2 can do; .*(9[7-9]|10[0-9]).*",
         ),
         (
             [Mark(1, position=REST), Mark(25, position=(0, 0, 9))],
             {"climb": 3},
-            "mark[1].frame: frames 1 to 25 ask for 9 m/s up or down, limit 3; (earliest )?7[3-5]( would do)?",
+            "mark[1].frame: frames 1 to 25 need 9 m/s up or down, limit 3; (earliest )?7[3-5]( would do)?",
         ),
         (
             [Mark(1, position=REST, heading=170), Mark(13, position=REST, heading=-100)],
             {"turn_rate": np.deg2rad(45)},
-            "mark[1].frame: frames 1 to 13 ask for 180 deg/s, limit 45; (earliest )?(49|5[0-4])( would do)?",
+            "mark[1].frame: frames 1 to 13 need 180 deg/s, limit 45; (earliest )?(49|5[0-4])( would do)?",
         ),
         (
             [Mark(1, position=REST, speed=9), Mark(25)],
             {"speed": 8},
-            "mark[0].speed: 9 m/s, limit 8; ask for at most 8 m/s, or raise it",
+            "mark[0].speed: 9 m/s, limit 8; use at most 8 m/s, or raise it",
         ),
         (
             [Mark(1, position=REST), Mark(25, position=(0, 0, 9))],
@@ -307,7 +307,7 @@ def test_shots_report_what_bounds_rule_out():
     ]
     motion = {"method": "plan", "limits": {"speed": 22}, "mark": marks}
     shot = {"shot": {"schema": 1, "name": "late"}, "vehicle": [{"name": "v", "asset": "helicopter", "motion": motion}]}
-    with pytest.raises(ShotError, match=r"mark\[1\].frame = 1060: frames 1040 to 1060 ask for 31.2 m/s, limit 22; "):
+    with pytest.raises(ShotError, match=r"mark\[1\].frame = 1060: frames 1040 to 1060 need 31.2 m/s, limit 22; "):
         Shot.from_dict(shot).solve()
 
 

@@ -208,7 +208,7 @@ def test_unreachable_mark_fails_with_a_message():
     with pytest.warns(UserWarning, match="plan failed"):
         plan = vehsim.plan(tug(limit=10.0), None, marks, segments=16, max_iterations=60)
     assert not plan.success
-    assert "mark[1].frame: frames 1 to 25 ask for 500 m" in plan.message and "would do" in plan.message
+    assert "mark[1].frame: frames 1 to 25 need 500 m" in plan.message and "would do" in plan.message
 
 
 def test_wind_without_drag_warns(helicopter):

@@ -88,7 +88,7 @@ def test_least_acceleration_limit_is_the_trapezoid():
     plan = vehsim.plan(tug(), None, ACROSS, segments=24, limits={"acceleration": 1.05 * need}, refine=False)
     assert plan.success
     assert np.abs(np.diff(plan.clip.twists[:, 3]) / np.diff(plan.clip.times)).max() <= 1.05 * need + 1e-6
-    with pytest.warns(UserWarning, match=r"frames 1 to 73 ask for 6 m in 3 s, more than 2.53 m/s\^2.* 7[5-7]"):
+    with pytest.warns(UserWarning, match=r"frames 1 to 73 need 6 m in 3 s, more than 2.53 m/s\^2.* 7[5-7]"):
         assert not vehsim.plan(tug(), None, ACROSS, segments=24, limits={"acceleration": 0.95 * need}).success
 
 

@@ -213,7 +213,7 @@ def _joint_rate(track: Track, wanted: Wanted, scene: Scene) -> Array:
 
 
 def _control_rate(track: Track, wanted: Wanted, scene: Scene) -> Array:
-    """Rate of a control, either way, in its unit per second; nan where there are no controls, as on a stage."""
+    """Rate of a control, of either sign, in its unit per second; nan without controls, as on a stage."""
     if track.controls is None or len(track.frames) < 2:
         return np.full(len(track.frames), np.nan)
     rates = np.abs(np.diff(track.controls[:, wanted["control"]]) / np.diff(track.seconds))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Iterable, Sequence
 from contextlib import closing
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -58,6 +59,8 @@ def run(
     tell: Tell | None = None,
 ) -> Generator[Outcome, None, None]:
     """Yield the outcomes of ``tasks``. A single clip needs no other process, unless memory is limited."""
+    if memory is not None and find_spec("resource") is None:
+        raise InputError("this system cannot limit memory", "leave it out", key="memory", value=memory)
     tell = tell or (lambda name, state, what, done: None)
     if dask is not None:
         from vehsim.batch.cluster import run_on_dask

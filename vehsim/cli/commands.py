@@ -378,10 +378,25 @@ def compare(
 
 
 @app.command()
-def vehicles() -> None:
-    """List the vehicles that ship with vehsim."""
+def vehicles(
+    name: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[VEHICLE]",
+            help="List the parameters of this one, a name or a folder.",
+            autocompletion=choices.vehicle,
+        ),
+    ] = None,
+) -> None:
+    """List the vehicles that ship with vehsim, or the parameters of one, with their units."""
     from vehsim.vehicles import available, load_vehicle
 
+    if name is not None:
+        from vehsim.vehicles.library.library import parameters_of
+
+        for key, value, what in parameters_of(name):
+            print(f"{key} = {list(value) if isinstance(value, tuple) else value}  # {what}")
+        return
     for name in available():
         vehicle = load_vehicle(name)
         print(f"{name}: controls {', '.join(map(_arguments.bounds, vehicle.controls))}")

@@ -11,7 +11,7 @@ import platform
 import sys
 from dataclasses import dataclass
 
-LIBRARIES = ("mujoco", "casadi", "numpy", "scipy", "usd-core", "trimesh", "libigl", "pydantic", "pillow", "av")
+LIBRARIES = ("mujoco", "casadi", "numpy", "scipy", "trimesh", "libigl", "pydantic", "pillow", "av")
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,20 @@ def _library(name: str) -> Finding:
         return Finding(name, False, "not installed", f"pip install {name}")
 
 
+def _usd() -> Finding:
+    """USD from PyPI or from the host application that runs this interpreter."""
+    try:
+        from pxr import Usd
+    except ImportError as error:
+        return Finding("USD", False, str(error), "pip install usd-core")
+    version, oldest = Usd.GetVersion()[1:], (25, 2)  # the first with translateX, Y and Z
+    text = f"{version[0]}.{version[1]}"
+    return Finding("USD", version >= oldest, text, f"use USD {oldest[0]}.{oldest[1]} or newer")
+
+
 def _egl() -> Finding:
+    if sys.platform != "linux":
+        return Finding("OpenGL", True, "MuJoCo's own for this system; pictures are tested on Linux with EGL")
     count = egl_devices()
     remedy = "sudo apt-get install libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri"
     return Finding("EGL", count > 0, f"{count} device(s)" if count else "no device", remedy)
@@ -84,7 +97,7 @@ def _cache() -> Finding:
 
 def examine() -> list[Finding]:
     """Check everything that vehsim needs."""
-    return [_python(), *map(_library, LIBRARIES), _egl(), _codec(), _cache()]
+    return [_python(), *map(_library, LIBRARIES), _usd(), _egl(), _codec(), _cache()]
 
 
 if __name__ == "__main__":

@@ -51,7 +51,7 @@ class Clip(Samples):
         if times.min() < self.times[0] - slack or times.max() > self.times[-1] + slack:
             raise InputError(
                 f"time {times.min():.6g}..{times.max():.6g} s is outside {self.times[0]:.6g}..{self.times[-1]:.6g} s",
-                "ask for times within the clip",
+                "use times within the clip",
                 key="clip",
             )
         return interpolate(self, np.clip(times, self.times[0], self.times[-1]))
@@ -76,6 +76,7 @@ class Clip(Samples):
             "schema": 1,
             "vehicle": self.vehicle.name,
             "folder": _folder(self.vehicle),
+            **({"parameters": dict(self.vehicle.parameters)} if self.vehicle.parameters else {}),
             "fps": str(self.fps),
             "start_frame": self.start_frame,
             "joints": list(self.vehicle.joints),
@@ -111,7 +112,7 @@ class Clip(Samples):
             columns = {name: arrays[name] for name in ARRAYS}
             events, width = tuple(header["events"]), columns["twists"].shape[-1]
             fps, first = Fraction(header["fps"]), int(header["start_frame"])
-            known = str(header["vehicle"]), str(header["folder"])
+            known = str(header["vehicle"]), str(header["folder"]), dict(header.get("parameters", {}))
         except InputError as error:
             raise InputError(f"not a clip saved by vehsim: {error.message}", error.remedy, file=path) from None
         except Exception as error:  # raised by NumPy, by zip files, or by a foreign header
@@ -153,10 +154,10 @@ def _moving(vehicle: Vehicle, width: int, path: str | Path) -> Vehicle:
     raise InputError(wrong, "give the vehicle whose clip it is", file=path)
 
 
-def _vehicle_of(name: str, where: str) -> Vehicle:
+def _vehicle_of(name: str, where: str, parameters: Mapping[str, Any]) -> Vehicle:
     from vehsim.vehicles import load_vehicle
 
     folder = Path(where) if where else None
     if folder is not None and (folder / "vehicle.toml").is_file():
-        return load_vehicle(folder)
-    return load_vehicle(name)
+        return load_vehicle(folder, parameters)
+    return load_vehicle(name, parameters)

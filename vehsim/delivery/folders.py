@@ -153,6 +153,8 @@ def settle(folder: Path) -> None:
 
 
 def _sync(path: Path) -> None:
+    if os.name == "nt" and path.is_dir():  # Windows cannot open folders
+        return
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -234,6 +236,8 @@ def _hidden(target: Path) -> list[tuple[Path, str, str, str]]:
 
 
 def _alive(pid: int) -> bool:
+    if os.name == "nt":  # a signal would end the process: leave the files of others
+        return True
     try:
         os.kill(pid, 0)
     except ProcessLookupError:

@@ -30,12 +30,13 @@ class RunningCosts(Block):
     aims: Sequence[Constraint]
     marks: Sequence[Mark]
     limits: Mapping[str, float] = field(default_factory=dict)
-    """Limits that may be exceeded at a price, by name, SI."""
+    """Soft limits by name, SI: exceeding them has a price."""
     control_rates: Mapping[str, float] = field(default_factory=dict)
-    """The same of the rates of controls."""
+    """Soft limits of the rates of controls, by control name."""
     price: float = 1.0
     restrained: bool = False
-    """They count: a motion is found without them first, which most initial guesses are far from."""
+    """Whether the soft limits are active: a motion is found without them first, because most initial guesses exceed
+    them."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -47,7 +48,7 @@ class RunningCosts(Block):
 
     @property
     def _exceeded(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Names of limits, and of controls whose rates are limited."""
+        """Names of the active soft limits, and of controls with one."""
         return (tuple(self.limits), tuple(self.control_rates)) if self.restrained else ((), ())
 
     def _aimed(self, layout: Layout) -> NDArray[np.bool_]:
@@ -77,12 +78,12 @@ class RunningCosts(Block):
 
 PRICE = "price of the character"
 EXCESS = 100.0
-"""What it costs to exceed a limit of a character by all of itself, a second, over the price of the character. Effort
-gains from it by a per cent or so; where the marks demand it, a motion goes as far as they do."""
+"""Cost per second of exceeding a soft limit by 100 %, relative to the price of the character. Effort makes a motion
+exceed it by about one per cent; marks may require more."""
 
 
 def _most(name: str) -> str:
-    """The name of the parameter that is a limit of the character."""
+    """The parameter name of a soft limit."""
     return f"character.{name}"
 
 
@@ -100,7 +101,8 @@ def cost_element(
         excess = ca.SX(0)
         for name in limits:
             for knot in (view.start, view.end):
-                seen = replace(knot, acceleration=view.acceleration)  # a cubic's own would swing from knot to knot
+                # the cubic's own acceleration would oscillate from knot to knot
+                seen = replace(knot, acceleration=view.acceleration)
                 excess += v["h"] / 2 * ca.fmax(LIMITS[name].law(seen) / most[name] - 1, 0) ** 2
         for name in rates:
             k = vehicle.control_names.index(name)

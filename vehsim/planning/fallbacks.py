@@ -13,10 +13,11 @@ from vehsim.clip.clip import Clip
 from vehsim.planning.constraints.obstacle_clearance import ObstacleClearance
 from vehsim.planning.explain.elastic import diagnose, too_early
 from vehsim.planning.guesses.drive import drive
+from vehsim.planning.guesses.pace import fewest_segments
 from vehsim.planning.guesses.routes import as_clip
 from vehsim.planning.iterate import Iterate, Run
-from vehsim.planning.request.legs import bent, divided, placed_marks
-from vehsim.planning.request.request import Request
+from vehsim.planning.request.legs import bent, divided, legs_between, path_length, placed_marks
+from vehsim.planning.request.request import MOST_SEGMENTS, Request
 from vehsim.planning.solve import begin, solve
 
 Array = NDArray[np.float64]
@@ -27,6 +28,13 @@ sideways, relative to its length."""
 FEWEST, LEAST = 4, 16
 """Below `FEWEST` segments, a leg has fewer controls than two marks at rest need; a plan that fails on so few per leg is
 tried on `LEAST` per leg."""
+
+
+def enough_segments(request: Request) -> int:
+    """Segments that a plan takes whatever it was asked for."""
+    few = LEAST * (len(request.marks) - 1) if request.segments < FEWEST else 0
+    length = sum(map(path_length, map(np.array, legs_between(request.marks))))
+    return min(max(few, fewest_segments(request.vehicle, length)), MOST_SEGMENTS)
 
 
 def as_asked(run: Run, iterate: Iterate, request: Request, paths: Sequence[Array], guess: Any) -> tuple[Run, Iterate]:

@@ -26,13 +26,13 @@ from vehsim.planning.constraints.clearance import SLACK, cover_for
 from vehsim.planning.constraints.timing import fixed_durations
 from vehsim.planning.deadline import OutOfTime
 from vehsim.planning.explain.feasibility import refusals
-from vehsim.planning.fallbacks import FEWEST, LEAST, as_asked, from_other_guesses
+from vehsim.planning.fallbacks import as_asked, enough_segments, from_other_guesses
 from vehsim.planning.guesses.routes import as_clip, find_paths, straight
 from vehsim.planning.iterate import Iterate, Progress, Run
 from vehsim.planning.problem import interrupts
 from vehsim.planning.problem.solver import HURRIED, LONGER, LOOSEN
 from vehsim.planning.problem.transcription import transcribe
-from vehsim.planning.refine import EXECUTED, approach, settle_on_frames
+from vehsim.planning.refine import approach, ends_elsewhere, execution_tolerance, settle_on_frames
 from vehsim.planning.request.asks import BEYOND, asks_of
 from vehsim.planning.request.character import NO_MANNER
 from vehsim.planning.request.legs import facing, same_headings
@@ -55,7 +55,7 @@ MET = 1e-6
 FINER, MOST = 4, 256
 """Factor by which the number of segments grows if the controls lead elsewhere, and the largest number."""
 SHARE = 0.1
-"""How far from the plan its executed controls may end in addition to `EXECUTED`, relative to the vehicle's length.
+"""How far from the plan its executed controls may end in addition to `execution_tolerance`, as a share of its length.
 
 If they end farther away, the motion is not one of the vehicle, or so unstable that its controls mean nothing.
 """
@@ -161,7 +161,8 @@ def plan(
     `terms.COSTS`, or weights by name; ``clearance``: m from terrain and obstacles; ``limits``: bounds by name of
     `terms.LIMITS`; ``character``: "calm", "normal", "brisk" or "stunt", how the vehicle is driven; ``guess``: a path
     (k, 3) m to start from, or a `Clip`, whose joints and controls are also used if its vehicle has the same ones;
-    ``refine``: refine until the controls, executed finely, end within 0.1 m of the plan; ``terms``: your own costs and
+    ``refine``: refine until the controls, executed finely, end within 0.1 m of the plan,
+    a fortieth of the vehicle's length and half the clearance from obstacles; ``terms``: your own costs and
     constraints (`Cost`, `Constraint`, `look_at`, `stay`); ``loop``: the motion ends as it begins; ``solver``: a name of
     `problem.solver.SOLVERS`.
 
@@ -192,12 +193,12 @@ def _warn(plan: Plan) -> None:
     name = plan.clip.vehicle.name
     if not plan.success:
         warnings.warn(f"{name}: plan failed: {plan.message}", FailedPlan, stacklevel=3)
-    elif plan._iterate is not None and (plan._iterate.remark or _ends_elsewhere(plan._iterate) or _beyond(plan.audit)):
+    elif plan._iterate is not None and (plan._iterate.remark or ends_elsewhere(plan._iterate) or _beyond(plan.audit)):
         warnings.warn(f"{name}: {plan.message}", stacklevel=3)
 
 
 def _beyond(rows: Sequence[Row]) -> list[str]:
-    """What a motion exceeds its character by."""
+    """The soft limits of the character that a motion exceeds."""
     return [str(row) for row in rows if row.met is False and row.key.startswith(BEYOND)]
 
 
@@ -207,8 +208,8 @@ def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
     A motion faster than the vehicle's top speed is planned again with that limit. If the controls do not lead where the
     motion does, or no motion is found for an unknown reason, the plan is repeated on more segments.
     """
-    if request.segments < FEWEST:
-        enough = LEAST * (len(request.marks) - 1)
+    enough = enough_segments(request)
+    if request.segments < enough:
         made = _solve(replace(request, segments=enough), progress, guess)
         return _remarked(made, f"; on {enough} segments: {request.segments} are too few")
     made = _attempt(request, progress, guess)
@@ -250,18 +251,13 @@ def _misled(plan: Plan) -> bool:
     """Whether the executed controls end elsewhere than the motion even after refinement."""
     assert plan._iterate is not None and plan._run is not None
     deadline = plan._run.deadline
-    return _ends_elsewhere(plan._iterate) and not deadline.late and not deadline.cut
+    return ends_elsewhere(plan._iterate) and not deadline.late and not deadline.cut
 
 
 def _unexplained(plan: Plan) -> bool:
     """Whether a plan failed without a known reason: on more segments it may succeed."""
     assert plan._iterate is not None and plan._run is not None
     return not (plan.success or plan._iterate.why or plan._run.deadline.late) and plan.iterations > 0
-
-
-def _ends_elsewhere(iterate: Iterate) -> bool:
-    """Whether the executed controls of a solved and refined iterate end elsewhere than it does."""
-    return iterate.success and iterate.request.refine and iterate.executed.final > EXECUTED
 
 
 def _attempt(request: Request, progress: Progress | None, guess: Any, once: bool = False) -> Plan:
@@ -280,7 +276,8 @@ def _attempt(request: Request, progress: Progress | None, guess: Any, once: bool
         reason: Reason = "refused" if refused else "time limit"
         return _result(run, give_up(iterate, refused or LATE.format(late)), reason)
     iterate = solve(run, iterate)
-    if not (iterate.success or once) and request.manner.name != STUNT:  # any motion first: then in its character
+    # first find any motion, then apply the character
+    if not (iterate.success or once) and request.manner.name != STUNT:
         iterate, asked = plainly(run, iterate, paths, as_clip(request, guess)), replace(request, manner=NO_MANNER)
     else:
         asked = request
@@ -344,12 +341,12 @@ def _result(run: Run, iterate: Iterate, reason: Reason | None = None) -> Plan:
         success, reason = False, "between knots"
         message = f"{'; '.join(certificate.messages)}, {times}; loosen it, or use more segments"
     message += iterate.remark + iterate.note
-    if success and _ends_elsewhere(iterate):
-        off, allowed = iterate.executed.final, EXECUTED + SHARE * extent(request.vehicle)
-        message += f"; when executed, the controls end {off:.2f} m off"
+    if success and ends_elsewhere(iterate):
+        off, allowed = iterate.executed.final, execution_tolerance(request) + SHARE * extent(request.vehicle)
+        message += f"; when executed, the controls end {off:.3g} m off"
         if off > allowed:
             success, reason = False, "execution"
-            message += f", more than {allowed:.2f} m: use more segments, more time, or a slower motion"
+            message += f", more than {allowed:.2g} m: use more segments, more time, or a slower motion"
     begun = run.iterations > 0 or not run.deadline.hopeless  # otherwise there is no time to place wheels on the ground
     clip = exported(iterate.clip, request) if begun else replace(iterate.clip, vehicle=request.vehicle)
     asks = asks_of(request, iterate.mark_frames())

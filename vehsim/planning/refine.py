@@ -7,20 +7,29 @@ from dataclasses import replace
 
 import numpy as np
 
+from vehsim.planning.certificates import extent
 from vehsim.planning.constraints.timing import EARLY
 from vehsim.planning.guesses.prolongate import prolongate
 from vehsim.planning.iterate import Iterate, Run
 from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.solver import HURRIED
+from vehsim.planning.request.request import Request
 from vehsim.planning.solve import solve
 from vehsim.planning.trajectory import Trajectory
 
-EXECUTED = 0.1
-"""Largest accepted distance between the end of the plan and the end of its executed controls, m; above it the plan is
-refined."""
+EXECUTED, OF_SIZE, OF_CLEARANCE = 0.1, 0.025, 0.5
+"""Largest accepted distance between the end of the plan and the end of its executed controls: m, and fractions of the
+vehicle's greatest length and of the clearance; the least of them applies. Above it the plan is refined."""
 LADDER = ((1, 4), (1, 6), (2, 6), (4, 6))
 """Discretisations of a plan in turn: factor on the requested number of segments, and order. Higher order is cheaper
 than more segments."""
+
+
+def execution_tolerance(request: Request) -> float:
+    """The largest accepted distance between a plan's end and where its controls lead, m."""
+    size = extent(request.vehicle)
+    near = request.clearance if request.world is not None and (request.world.obstacles or request.hazards) else 0.0
+    return min(EXECUTED, OF_SIZE * size or EXECUTED, OF_CLEARANCE * near or EXECUTED)
 
 
 def settle_on_frames(run: Run, iterate: Iterate) -> Iterate:
@@ -58,7 +67,7 @@ def refine(run: Run, iterate: Iterate, before: Iterate | None = None) -> Iterate
         iterate = resolve(run, iterate, before)
         iterate = replace(iterate, executed=iterate.run_controls())
     climbed = True
-    while climbed and _too_far(iterate) and iterate.rung < len(LADDER) - 1 and not run.deadline.cut:
+    while climbed and ends_elsewhere(iterate) and iterate.rung < len(LADDER) - 1 and not run.deadline.cut:
         iterate, climbed = _climb(run, iterate)
         if climbed:
             iterate = replace(iterate, executed=iterate.run_controls())
@@ -80,8 +89,10 @@ def resolve(run: Run, iterate: Iterate, before: Iterate | None = None) -> Iterat
     return solve(run, _on_frames(later, early=0.0)) if later.success else later
 
 
-def _too_far(iterate: Iterate) -> bool:
-    return iterate.request.refine and iterate.success and iterate.executed.final > EXECUTED
+def ends_elsewhere(iterate: Iterate) -> bool:
+    """Whether the executed controls of a solved and refined iterate end elsewhere than it does."""
+    within = execution_tolerance(iterate.request)
+    return iterate.success and iterate.request.refine and iterate.executed.final > within
 
 
 def _step(run: Run, iterate: Iterate, asked: int) -> tuple[Iterate, bool]:

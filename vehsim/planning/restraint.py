@@ -1,7 +1,7 @@
-"""The character of a plan on the way to its motion: what gives way, and in which order.
+"""Apply a character to a plan, step by step.
 
-A motion is found with the character's costs of fast controls, and then within its limits, which are prices. Where the
-first is not found, any motion is looked for; it takes on the character from there, or goes without, and says so.
+A motion is found with the character's costs of fast controls, and then within its soft limits. If the first step fails,
+a motion is found without a character; the character is applied to it afterwards, or dropped with a remark.
 """
 
 from __future__ import annotations
@@ -23,14 +23,13 @@ Array = NDArray[np.float64]
 
 
 def plainly(run: Run, failed: Iterate, paths: Sequence[Array], clip: Clip | None) -> Iterate:
-    """Solved from the same guess without a character, or failed."""
+    """The iterate solved from the same guess without a character, or the failed one."""
     request = replace(failed.request, manner=NO_MANNER)
     return solve(run, begin(run, request, failed.transcription, failed.cover, paths, clip))
 
 
 def in_character(run: Run, iterate: Iterate, manner: Manner) -> Iterate:
-    """A solved iterate that was found without its character, solved with it; as it is, with a remark, where none is
-    found."""
+    """An iterate that was solved without its character, solved with it; if this fails, unchanged with a remark."""
     if not iterate.success or iterate.request.manner is manner or run.deadline.late:
         return iterate
     request = replace(iterate.request, manner=manner)
@@ -43,7 +42,8 @@ def in_character(run: Run, iterate: Iterate, manner: Manner) -> Iterate:
 
 
 def restrain(run: Run, iterate: Iterate) -> Iterate:
-    """A solved iterate within the limits of its character, as far as its marks allow; as it is where none is found."""
+    """An iterate solved within the soft limits of its character, as far as its marks allow; if this fails,
+    unchanged."""
     costs = iterate.block(RunningCosts)
     if costs is None or not (costs.limits or costs.control_rates) or not iterate.success or run.deadline.late:
         return iterate

@@ -18,6 +18,7 @@ from vehsim.planning.constraints.clearance import Clearance, SphereCover
 from vehsim.planning.constraints.obstacle_clearance import ObstacleClearance
 from vehsim.planning.constraints.timing import fixed_durations, share_known_spans
 from vehsim.planning.deadline import MORE
+from vehsim.planning.guesses.pace import cruising, fewest_segments
 from vehsim.planning.guesses.paths import along_clip, along_paths, clip_spans
 from vehsim.planning.iterate import Certificate, Finding, Iterate, Run
 from vehsim.planning.problem.layout import Layout
@@ -26,7 +27,7 @@ from vehsim.planning.problem.solver import Solution, Solver, Start
 from vehsim.planning.problem.solver_cache import common
 from vehsim.planning.problem.transcription import Transcription
 from vehsim.planning.request.landing import landings
-from vehsim.planning.request.legs import cruising, split_segments
+from vehsim.planning.request.legs import path_length, split_segments
 from vehsim.planning.request.request import Request
 from vehsim.planning.trajectory import Trajectory, exported
 
@@ -42,8 +43,6 @@ LOOKS = 3
 REHEARSED = 8
 """Segments on which the initial guess is certified to measure how long that takes, if time is limited. Certification
 adds samples where necessary, so this number matters little."""
-CRUISE = 12.0
-"""Initial guess of the speed on a free leg, m/s, unless a lower speed limit is set."""
 
 
 def begin(
@@ -66,14 +65,14 @@ def begin(
     blocks = blocks_of(request, transcription, cover) if blocks is None else blocks
     fixed = fixed_durations(marks, request.fps)
     if clip is None:
-        free = stretch * cruising(marks, paths, min(CRUISE, 0.6 * request.limits.get("speed")))
+        free = stretch * cruising(request, paths)
     else:
         free = np.maximum(-np.subtract(*clip_spans(clip, marks)), 0.1)
     durations = np.where(np.isnan(fixed), free, fixed)
     share_known_spans(durations, marks, request.fps)
     held = np.array([mark.hold > 0 for mark in marks[:-1]])
     close = any(isinstance(block, ObstacleClearance) for block in blocks) or bool(landings(marks))
-    segments = _coarse(request, CLOSE if close else COARSE)
+    segments = _coarse(request, paths, CLOSE if close else COARSE)
     layout = Layout(transcription.sizes, split_segments(segments, durations, held))
     lengths = durations / np.array(layout.phases)
     if clip is None:
@@ -91,9 +90,10 @@ def begin(
     return iterate
 
 
-def _coarse(request: Request, enough: int) -> int:
+def _coarse(request: Request, paths: Sequence[Array], enough: int) -> int:
     """Number of segments for the first solve: the requested number, halved while at least ``enough`` remain."""
-    segments, least = request.segments, max(enough, 2 * len(request.marks))
+    length = sum(path_length(path) for path in paths)
+    segments, least = request.segments, max(enough, 2 * len(request.marks), fewest_segments(request.vehicle, length))
     while segments % 2 == 0 and segments // 2 >= least:
         segments //= 2
     return segments

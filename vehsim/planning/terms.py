@@ -84,7 +84,10 @@ class SegmentView:
 
 @dataclass(frozen=True)
 class BendView:
-    """What a law sees of two segments that meet: controls ``c0, c1, c2`` over their scale, lengths ``h0, h1`` s."""
+    """The quantities of two consecutive segments that a law can use.
+
+    ``c0, c1, c2``: controls over their scale; ``h0, h1``: durations, s.
+    """
 
     c0: Expr
     c1: Expr

@@ -6,7 +6,7 @@ Checks are generators of `Problem` whose keys are relative to ``[vehicle.motion]
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from fractions import Fraction
 from pathlib import Path
@@ -51,20 +51,22 @@ def check_names(key: str, given: Mapping[str, Any], known: Collection[str], noun
             yield Problem(f"{key}.{name}", f"no such {noun}", choose(name, known), value)
 
 
-def check_asset(key: str, asset: str, rig: Rig | None) -> Iterator[Problem]:
-    """Every driven part exists and can move as a rigid part about its own pivot; the numbers of the ``vehicle.toml``
-    match the asset: lengths, mass, and direction of the nose."""
+def check_asset(key: str, asset: str, vehicle: Vehicle) -> Iterator[Problem]:
+    """Every driven part exists and can move as a rigid part about its own pivot; the numbers of the ``vehicle.toml``,
+    or those given in their place, match the asset: lengths, mass, and direction of the nose."""
     from vehsim.rig.ops import rig_problems
     from vehsim.vehicles.library.fit import backwards, misfits
 
+    rig = vehicle.rig
     turned = backwards(rig)  # first: the wheels of a reversed asset seem to turn the wrong way
     if turned is None and rig is not None and rig.drives:
         broken = rig_problems(rig)
         yield from (problem.seen_from(key, asset) for problem in broken)
         if broken:
             return
-    for misfit in misfits(rig) if turned is None else [turned]:
-        yield misfit.seen_from(key, asset)
+    for misfit in misfits(rig, vehicle.parameters) if turned is None else [turned]:
+        own = misfit.key.startswith("parameters.")
+        yield replace(misfit, key=f"{key.removesuffix('.asset')}.{misfit.key}") if own else misfit.seen_from(key, asset)
 
 
 def check_copied(key: str, asset: str, file: Path, homes: Sequence[Path], export: ExportTable) -> Iterator[Problem]:
@@ -168,7 +170,7 @@ def check_free(
         if gap < min(clearance - 1e-6, 0.0):
             yield Problem(key, f"the vehicle reaches {-gap:.2f} m into rock", "move it out of the terrain", position)
         elif gap < clearance - 1e-6:
-            remedy = f"keep the clearance of {clearance:g} m, or ask for less"
+            remedy = f"keep the clearance of {clearance:g} m, or reduce it"
             yield Problem(key, f"only {gap:.2f} m from rock", remedy, position)
 
 

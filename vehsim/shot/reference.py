@@ -1,8 +1,8 @@
-"""Generate tables of the documentation from what they describe: keys of shot files, and characters of vehicles.
+"""Generate tables of the documentation from their definitions: keys of shot files, and characters of vehicles.
 
-The prose of a page is written by hand; the text between ``<!-- keys: MarkTable -->`` and ``<!-- end -->`` is the
-`table` of that model, and after ``<!-- character: helicopter -->`` stand the `traits` of that vehicle.
-``python -m vehsim.shot.reference docs/shot-file.md docs/character.md`` updates these pages.
+The prose of a page is written by hand. The text between ``<!-- keys: MarkTable -->`` and ``<!-- end -->`` is the
+`table` of that model; the text after ``<!-- character: helicopter -->`` is the `traits` of that vehicle. ``python -m
+vehsim.shot.reference docs/shot-file.md docs/character.md`` updates these pages.
 """
 
 from __future__ import annotations

@@ -162,7 +162,7 @@ class Shot:
         """The vehicle of a ``[[vehicle]]`` table, with the requested variants. Raises ``InputError``."""
         from vehsim.vehicles import load_vehicle
 
-        vehicle = load_vehicle(self._asset(table.asset))
+        vehicle = load_vehicle(self._asset(table.asset), table.parameters)
         if table.variants and vehicle.rig is not None:
             vehicle = replace(vehicle, rig=replace(vehicle.rig, variants={**vehicle.rig.variants, **table.variants}))
         return vehicle
@@ -279,11 +279,14 @@ class Shot:
                     yield from self._check_vehicle(i, table, world)
             except InputError as error:  # all errors of its vehicle.toml or asset
                 for problem in error.problems:
-                    yield problem.seen_from(key, table.asset, "see vehsim vehicles")
+                    if problem.key.startswith("parameters."):
+                        yield replace(problem, key=f"vehicle[{i}].{problem.key}")
+                    else:
+                        yield problem.seen_from(key, table.asset, "see vehsim vehicles")
 
     def _check_vehicle(self, i: int, table: VehicleTable, world: World | None) -> Iterator[Problem]:
         vehicle, key = self.vehicle(table), f"vehicle[{i}].asset"
-        yield from check_asset(key, table.asset, vehicle.rig)
+        yield from check_asset(key, table.asset, vehicle)
         if (rig := vehicle.rig) is not None and self.file.export.assets == "copy":
             homes = [] if rig.folder is None else [rig.folder]
             yield from check_copied(key, table.asset, rig.source or rig.asset, homes, self.file.export)

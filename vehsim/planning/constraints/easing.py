@@ -1,4 +1,4 @@
-"""How controls set in and end: no faster than a vehicle answers, and from balance to balance where it rests."""
+"""Easing: controls change smoothly, and start and end in balance, without rates, at marks where the vehicle rests."""
 
 from __future__ import annotations
 
@@ -23,15 +23,16 @@ from vehsim.planning.trajectory import Trajectory
 Array = NDArray[np.float64]
 
 REST = 1e3
-"""Price of controls out of balance where a vehicle rests, by m/s^2 squared, and of their rates there, by the square of
-the greatest rate: high enough that a thousandth is left of what the rest of the motion would gain."""
+"""Price of imbalance at rest, per (m/s^2)^2, and of the controls' rates there, per square of their largest rate: so
+high that a thousandth remains of what the rest of the motion would gain."""
 
 
 @dataclass(frozen=True, eq=False)
 class Easing(Block):
-    """The costs of how fast the rates of controls change, at their ``weights`` by name, and of marks at rest.
+    """The costs of changing rates of controls, at their ``weights`` by name, and of marks at rest.
 
-    Where a motion eases out of a mark at rest, its controls start in balance and at no rate; likewise where it comes.
+    Where a motion eases out of a mark at rest, its controls start in balance and without rates; the same holds for its
+    arrival.
     """
 
     weights: Mapping[str, float]
@@ -40,14 +41,14 @@ class Easing(Block):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The laws of two segments that count."""
+        """Names of the costs of two consecutive segments with a weight above zero."""
         return costs_of(BendView, self.weights)
 
     def key(self, layout: Layout, transcription: Transcription) -> Hashable:
         return "easing", self.names, tuple(eased(self.manner, self.marks)), self._rates(transcription).tobytes()
 
     def _rates(self, transcription: Transcription) -> Array:
-        """The greatest rates of the controls, over their scale, 1/s."""
+        """The largest rates of the controls over their scale, 1/s."""
         return np.asarray(control_rates(self.manner, transcription.vehicle) / transcription.control_scale)
 
     def add(self, problem: NonlinearProgram, transcription: Transcription, layout: Layout) -> None:
@@ -76,7 +77,7 @@ class Easing(Block):
 
 
 def bend_element(transcription: Transcription, names: tuple[str, ...]) -> Element:
-    """The weighted costs of two segments that meet: (c0, c1, c2, h0, h1)."""
+    """The weighted costs of two consecutive segments: (c0, c1, c2, h0, h1)."""
 
     def make() -> Element:
         size = transcription.sizes[3]
@@ -88,7 +89,7 @@ def bend_element(transcription: Transcription, names: tuple[str, ...]) -> Elemen
 
 
 def rest_element(transcription: Transcription, names: tuple[str, ...], rates: Array, price: float) -> Element:
-    """The costs of a segment that begins or ends at rest, and of the controls' rates there: (c at rest, c, h)."""
+    """The costs of a segment that starts or ends at rest, and of the controls' rates there: (c at rest, c, h)."""
 
     def make() -> Element:
         size = transcription.sizes[3]
@@ -101,7 +102,7 @@ def rest_element(transcription: Transcription, names: tuple[str, ...], rates: Ar
 
 
 def balance_element(transcription: Transcription, price: float) -> Element:
-    """The cost of what pushes a vehicle at rest: (x, c)."""
+    """The cost of imbalance of a vehicle at rest: (x, c)."""
 
     def make() -> Element:
         v, wind = transcription.symbols("x", "c0"), ca.SX.sym("wind", 3)

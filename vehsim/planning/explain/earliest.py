@@ -12,13 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.errors import VehsimError
+from vehsim.planning.guesses.pace import cruising
 from vehsim.planning.iterate import Iterate, Run
 from vehsim.planning.problem.transcription import Transcription, transcribe
-from vehsim.planning.refine import EXECUTED
+from vehsim.planning.refine import execution_tolerance
 from vehsim.planning.request.character import NO_MANNER
-from vehsim.planning.request.legs import cruising, facing, legs_between, path_length
+from vehsim.planning.request.legs import facing, legs_between, path_length
 from vehsim.planning.request.request import Request
-from vehsim.planning.solve import CRUISE, begin, solve
+from vehsim.planning.solve import begin, solve
 from vehsim.planning.terms import Cost, cost_weights
 
 Array = NDArray[np.float64]
@@ -66,7 +67,7 @@ def first_frame(request: Request, i: int, j: int, least: int) -> tuple[int, bool
         terms=terms,
         loop=False,
         deadline=math.inf,
-        manner=NO_MANNER,  # a character gives way
+        manner=NO_MANNER,  # a character may be exceeded
         given=(),
     )
     try:
@@ -104,7 +105,7 @@ def _found(quick: Request, request: Request, least: int) -> tuple[int, bool] | N
             taken = float(iterate.seconds()[-1] - iterate.seconds()[0])
             off = iterate.run_controls().final
             settled, solved = abs(taken - before) < SETTLED * taken, iterate.success
-            if settled or off <= max(EXECUTED, SHARE * sum(path_length(path) for path in paths)):
+            if settled or off <= max(execution_tolerance(request), SHARE * sum(path_length(path) for path in paths)):
                 frame = _whole(run, iterate, least)
                 if frame is not None:
                     return frame, settled or solved
@@ -114,7 +115,7 @@ def _found(quick: Request, request: Request, least: int) -> tuple[int, bool] | N
 
 def _share(quick: Request, paths: list[Array], least: int) -> float:
     """The factor on a cruise that takes slightly longer than until the frame ``least``."""
-    cruise = float(cruising(quick.marks, paths, min(CRUISE, 0.6 * quick.limits.get("speed"))).sum())
+    cruise = float(cruising(quick, paths).sum())
     return max(LONGER * (least - int(quick.marks[0].frame)) / float(quick.fps) / cruise, 0.1)
 
 

@@ -68,7 +68,7 @@ def _alone(request: Request, mark: Mark) -> list[Refusal]:
     if speed is not None and speed > top:
         key = "speed" if mark.velocity is None else "velocity"
         message = f"{speed:.3g} m/s, {request.speed_limit()}"
-        found.append(Refusal(mark, key, message, f"ask for at most {top:g} m/s, or raise it"))
+        found.append(Refusal(mark, key, message, f"use at most {top:g} m/s, or raise it"))
     ceiling = limits.get("ceiling")
     if mark.position is not None and mark.position[2] - mark.tolerance > ceiling and request.vehicle.group.dim == 6:
         message = f"{mark.position[2]:g} m high, ceiling {ceiling:g}"
@@ -76,7 +76,7 @@ def _alone(request: Request, mark: Mark) -> list[Refusal]:
     climb = limits.get("climb")
     if mark.velocity is not None and abs(mark.velocity[2]) > climb:
         message = f"{abs(mark.velocity[2]):g} m/s up or down, limit {climb:g}"
-        found.append(Refusal(mark, "velocity", message, f"ask for at most {climb:g} m/s"))
+        found.append(Refusal(mark, "velocity", message, f"use at most {climb:g} m/s"))
     found += _bent_too_far(request, mark) + _sideways(request, mark)
     for term in request.constraints:
         found += _outside(request, mark, term) + _looks_elsewhere(mark, term)
@@ -98,9 +98,9 @@ def _bent_too_far(request: Request, mark: Mark) -> list[Refusal]:
 def _sideways(request: Request, mark: Mark) -> list[Refusal]:
     """A velocity that the wheels do not allow at the heading."""
     vehicle = request.vehicle
-    if mark.heading is None or mark.velocity is None or mark.at_rest or not vehicle.group.planar:
+    if mark.yaw is None or mark.velocity is None or mark.at_rest or not vehicle.group.planar:
         return []
-    slip = math.degrees(math.atan2(mark.velocity[1], mark.velocity[0])) - mark.heading
+    slip = math.degrees(math.atan2(mark.velocity[1], mark.velocity[0]) - mark.yaw)
     anywhere, most = slips(vehicle)
     off = min(abs((slip - turn + 180) % 360 - 180) for turn in (0, 180))
     if anywhere or off <= most + 0.5:
@@ -184,7 +184,7 @@ def _between(request: Request, i: int, j: int, delay: int) -> tuple[list[Refusal
         remedy = f"not before {at}" if found is None or blocked else remedy
         if any(mark.frame != "free" and mark.place > b.place for mark in request.marks):
             remedy += f", and what follows {delay + later} frames later"
-    return [Refusal(b, "frame", f"{frames} ask for {message}", remedy) for message, _ in reasons], later
+    return [Refusal(b, "frame", f"{frames} need {message}", remedy) for message, _ in reasons], later
 
 
 def _too_far(request: Request, placed: list[Mark], seconds: float) -> list[tuple[str, float]]:

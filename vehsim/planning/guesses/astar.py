@@ -11,6 +11,7 @@ import heapq
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import casadi as ca
@@ -76,6 +77,7 @@ def guess_drive(
     return np.column_stack([root, np.linspace(ends[0, 2], ends[1, 2], len(poses)), poses[:, 2]])
 
 
+@lru_cache(maxsize=64)
 def turning_radius(vehicle: Vehicle) -> float:
     """Radius of the smallest circle that the vehicle's body frame can drive, m; 0 if it can turn on the spot."""
     r: Any = ca.SX.sym("r", len(vehicle.joints))

@@ -32,7 +32,7 @@ def drive(request: Request, parts: Parts, wariness: int = 0) -> list[Array]:
     A larger ``wariness`` keeps more distance. If a path meets a moving obstacle, it is searched again around the places
     where they met.
     """
-    nose = [None if mark.heading is None else float(np.deg2rad(mark.heading)) for mark in request.marks]
+    nose = [mark.yaw for mark in request.marks]
     seconds = float(int(request.marks[0].frame) / request.fps)
     fixed = fixed_durations(request.marks, request.fps)
     paths = []

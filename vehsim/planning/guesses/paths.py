@@ -158,19 +158,9 @@ def _headings(marks: Sequence[Mark], paths: Sequence[Array], s: Array, phase: ND
         flat = float(np.hypot(ahead[0], ahead[1]))
         out[i] = np.arctan2(ahead[1], ahead[0]) if flat > 1e-6 else (out[i - 1] if i else 0.0)
         for mark, weight in ((marks[j], 1 - f / 0.15), (marks[j + 1], 1 - (1 - f) / 0.15)):
-            wanted = _mark_heading(mark)
-            if wanted is not None and weight > 0:
-                out[i] += weight * _wrap(wanted - out[i])
+            if mark.yaw is not None and weight > 0:
+                out[i] += weight * _wrap(mark.yaw - out[i])
     return np.unwrap(out)
-
-
-def _mark_heading(mark: Mark) -> float | None:
-    if mark.heading is not None:
-        return float(np.deg2rad(mark.heading))
-    if mark.orientation is None:
-        return None
-    w, x, y, z = np.asarray(mark.orientation, float)
-    return float(np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z))
 
 
 def _wrap(angle: float) -> float:

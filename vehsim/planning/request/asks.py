@@ -23,11 +23,11 @@ from vehsim.vehicles import Vehicle
 NEAR_ENOUGH = 0.01
 """Tolerance of the requested clearance, m."""
 BEYOND = "character."
-"""What the keys of asks of a character begin with."""
+"""Prefix of the keys of a character's requests."""
 ROOM = 0.1
-"""Share of a character's limit by which a motion may exceed it without a warning: limits of a character are prices."""
+"""Share of a character's limit by which a motion may exceed it without a warning: these limits are soft."""
 GENTLE = 0.01
-"""Share of its greatest rate that a control may have where a motion eases into rest or out of it."""
+"""Share of its largest rate that a control may have at the start or end of a motion that eases."""
 STANDS = 5e-3
 """Tolerance of the distance from the ground of a vehicle that stands on it, m."""
 
@@ -90,7 +90,7 @@ def _mark(request: Request, mark: Mark, frame: float, hold: float) -> Iterator[A
 
 
 def _character(request: Request, first: float, last: float) -> Iterator[Ask]:
-    """What a motion exceeds its character by, with a warning."""
+    """The soft limits of the character, with severity `warning`."""
     manner, vehicle = request.manner, request.vehicle
     wanted = {"planar": vehicle.group.planar}
     for name, value in manner.without(request.limits).items():
@@ -104,7 +104,7 @@ def _character(request: Request, first: float, last: float) -> Iterator[Ask]:
 
 
 def _ease(request: Request, marks: Sequence[Mark], frames: Sequence[float]) -> Iterator[Ask]:
-    """Rates of controls where a motion eases out of rest and into it, with a warning."""
+    """The rates of controls at the start and end of a motion that eases, with severity `warning`."""
     vehicle, rates = request.vehicle, control_rates(request.manner, request.vehicle)
     for i, comes, leaves in eased(request.manner, marks):
         for side, there in ((-1, comes), (1, leaves)):

@@ -1,7 +1,7 @@
-"""The character of a plan: what it costs to exceed a vehicle's traits, and which marks it eases in and out of.
+"""The character of a plan: the prices of exceeding a vehicle's traits, and the marks at which controls ease.
 
-Nothing of a character can make a plan fail. Its limits are prices: a motion exceeds them where its marks leave no other
-way, and what it exceeds is measured on the finished motion. Limits of the user's own stand in their place, and hold.
+A character never makes a plan fail. Its limits are soft: a motion exceeds them if its marks leave no alternative, and
+the audit reports the excess. The user's own limits replace them and are strict.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from vehsim.vehicles.definition.character import CHARACTERS, STUNT
 
 @dataclass(frozen=True)
 class Manner:
-    """The traits of one character, SI: see `vehsim.vehicles.definition.character.Character`; none of a stunt.
+    """The traits of one character, SI: see `vehsim.vehicles.definition.character.Character`; a stunt has none.
 
-    ``costs``: weights of costs by name that make controls answer as slowly as ``response``, where the user gives none:
-    with effort, a low-pass filter of that time. ``price``: the greatest weight that the user gives; all costs of the
-    character are multiples of it.
+    ``costs``: weights of costs by name that make the response time of the controls ``response``, unless the user gives
+    them: with effort, they act as a low-pass filter of that time. ``price``: the largest weight that the user gives;
+    all costs of the character are multiples of it.
     """
 
     name: str = STUNT
@@ -36,24 +36,25 @@ class Manner:
     price: float = 1.0
 
     def without(self, limits: Limits) -> Mapping[str, float]:
-        """The limits of the character that the user gives none for."""
+        """The limits of the character that the user does not set."""
         return {name: value for name, value in self.limits.items() if name not in limits.values}
 
     def weights(self, weights: Mapping[str, float]) -> dict[str, float]:
-        """Weights of costs, with those of the character where they are higher."""
+        """The weights of costs, raised to those of the character."""
         return {**weights, **{name: max(weight, weights.get(name, 0.0)) for name, weight in self.costs.items()}}
 
     def eases(self, mark: Mark) -> bool:
-        """Whether the motion eases in and out of a mark."""
+        """Whether the controls start and end gently at a mark."""
         return mark.at_rest and (self.name != STUNT if mark.ease is None else mark.ease)
 
 
 NO_MANNER = Manner()
-"""That of a stunt."""
+"""The manner of a stunt."""
 
 
 def manner_of(vehicle: Vehicle, name: str, cost: str | Mapping[str, float]) -> Manner:
-    """What a character means for a vehicle beside the ``cost`` of a user; ``InputError`` for a name that is none."""
+    """The traits of a character for a vehicle, with the ``cost`` of the user; raises ``InputError`` for an unknown
+    name."""
     if name not in CHARACTERS:
         close = get_close_matches(str(name), CHARACTERS, n=1)
         hint = f"did you mean {close[0]!r}?" if close else f"choose one of {', '.join(CHARACTERS)}"
@@ -78,12 +79,13 @@ def manner_of(vehicle: Vehicle, name: str, cost: str | Mapping[str, float]) -> M
 
 
 def control_rates(manner: Manner, vehicle: Vehicle) -> NDArray[np.float64]:
-    """The greatest rates of the controls (c,), SI; their scale in a second where a character gives none."""
+    """The largest rates of the controls (c,), SI; by default, their scale per second."""
     return np.array([manner.control_rates.get(control.name, control.scale) for control in vehicle.controls])
 
 
 def eased(manner: Manner, marks: Sequence[Mark]) -> list[tuple[int, bool, bool]]:
-    """Marks that are eased in and out of: their number, and whether the motion comes there and leaves there."""
+    """The marks at which controls start or end gently: index, whether the motion arrives there, and whether it
+    departs."""
     found = []
     for i, mark in enumerate(marks):
         comes, leaves = i > 0 and not marks[i - 1].hold, i + 1 < len(marks) and not mark.hold

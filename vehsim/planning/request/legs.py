@@ -131,12 +131,6 @@ def mark_positions(marks: Sequence[Mark]) -> Array:
     return np.column_stack([np.interp(np.arange(len(marks)), known, values[:, k]) for k in range(3)])
 
 
-def cruising(marks: Sequence[Mark], paths: Sequence[Array], speed: float) -> Array:
-    """Durations (m,) s of the legs along ``paths`` at a ``speed`` in m/s, with time to start and to stop."""
-    rests = np.array([a.at_rest + b.at_rest for a, b in pairwise(marks)])
-    return np.array([path_length(path) for path in paths]) / speed + 1.5 * rests + 0.5
-
-
 def path_length(path: Array) -> float:
     return float(np.sum(np.linalg.norm(np.diff(path[:, :3], axis=0), axis=1)))
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.errors import InputError
+from vehsim.lie.quaternions import yaw_of
 
 
 @dataclass(frozen=True)
@@ -93,6 +94,13 @@ class Mark:
     def name(self) -> str:
         """Its name in messages."""
         return f"mark[{self.place}]" if self.place >= 0 else f"frame {self.frame}"
+
+    @property
+    def yaw(self) -> float | None:
+        """Where its nose points, rad from world X: by its heading or its orientation; None where neither is given."""
+        if self.orientation is not None:
+            return float(yaw_of(np.asarray(self.orientation, float) / np.linalg.norm(self.orientation)))
+        return None if self.heading is None else math.radians(self.heading)
 
     @property
     def at_rest(self) -> bool:

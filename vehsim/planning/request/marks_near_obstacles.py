@@ -39,7 +39,8 @@ def parts_in_reach(vehicle: Vehicle, world: Any, marks: Sequence[Any]) -> list[t
 def check_marks_clear(vehicle: Vehicle, world: Any, marks: Sequence[Mark], clearance: float) -> None:
     """Raise ``InputError`` if the vehicle, at a mark, would be in an obstacle or nearer than ``clearance`` m to one."""
     for i, message, remedy in marks_too_near(vehicle, world, marks, clearance):
-        raise InputError(message, remedy, key=f"mark[{i}].position", value=list(marks[i].position or ()))
+        place = np.asarray(marks[i].position, float).tolist()
+        raise InputError(message, remedy, key=f"mark[{i}].position", value=place)
 
 
 def marks_too_near(
@@ -58,8 +59,8 @@ def marks_too_near(
         if mark.position is None:
             continue
         outline, place = footprint(vehicle), np.array([mark.position[:2]], float)
-        faced = mark.heading is not None
-        yaw = np.deg2rad([mark.heading] if faced else np.arange(TURNS) * 360 / TURNS)
+        faced = mark.yaw is not None
+        yaw = np.array([mark.yaw]) if faced else np.arange(TURNS) * 2 * np.pi / TURNS
         between = 0.0 if faced else np.pi / TURNS * float(np.linalg.norm(outline, axis=1).max())
         seconds = np.zeros(len(yaw))
         near = clearances(still, placed(outline, np.repeat(place, len(yaw), axis=0), yaw), seconds)
@@ -76,7 +77,7 @@ def _flown_too_near(
     for i, mark in enumerate(marks if world is not None and world.standing else ()):
         if mark.position is None or mark.on_ground:
             continue
-        turned = mark.orientation is not None or mark.heading is not None
+        turned = mark.yaw is not None
         body = vehicle if turned else replace(vehicle, rig=None)
         gaps = world.clearance_by_obstacle(body, mark.position, attitude(mark))[0]
         gap, name = float(gaps.min()), world.obstacles[int(gaps.argmin())].name
@@ -88,5 +89,5 @@ def _nearness(gap: float, name: str, clearance: float, heading: str = "") -> tup
     """Message and remedy of a mark at ``gap`` m from an obstacle."""
     if gap <= 0:
         return f"in obstacle {name!r}{heading}", "move the mark or the obstacle"
-    remedy = f"keep the clearance of {clearance:g} m, or ask for less"
+    remedy = f"keep the clearance of {clearance:g} m, or reduce it"
     return f"only {gap:.2f} m from obstacle {name!r}{heading}", remedy

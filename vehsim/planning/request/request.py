@@ -33,6 +33,8 @@ Array = NDArray[np.float64]
 
 ROOM = 30.0
 """Margin around marks and paths within which terrain and obstacles are considered, m."""
+MOST_SEGMENTS = 4096
+"""Largest number of segments of a plan."""
 UNEVEN = 0.02
 """Largest height above the ground, m, of a part of a standing vehicle without a warning."""
 
@@ -56,7 +58,7 @@ class Request:
     solver: str = "ipopt"
     deadline: float = math.inf
     manner: Manner = NO_MANNER
-    """What its character comes to."""
+    """The traits of its character."""
     given: Sequence[Mark] = ()
     """The marks before those at rest were turned along their legs."""
 
@@ -158,10 +160,10 @@ def ask(
         deadline=math.inf if time_limit is None else time.monotonic() + time_limit,
     )
     least = 2 * (len(request.marks) - 1)
-    if not least <= segments <= 4096:
+    if not least <= segments <= MOST_SEGMENTS:
         raise InputError(
             "out of range",
-            f"give at least 2 per leg between marks, {least}, and at most 4096",
+            f"give at least 2 per leg between marks, {least}, and at most {MOST_SEGMENTS}",
             key="segments",
             value=segments,
         )

@@ -55,6 +55,8 @@ class VehicleTable(Table):
     """a shipped vehicle's name, or the path of a vehicle's folder relative to the shot file"""
     variants: dict[str, Text] = Field(default={})
     """a table of variant sets of the asset and the variants to show, such as { livery = "red" }"""
+    parameters: dict[str, Any] = Field(default={})
+    """a table of numbers in place of those of its vehicle.toml, in SI units, such as { mass = 1500 }"""
     motion: MotionTable
     """a table [vehicle.motion] with method = "plan", "simulate", "integrate", "sinusoid" or "clip\""""
 

@@ -188,7 +188,7 @@ class MarkTable(Table):
     on_ground: bool = False
     """true: a flying vehicle stands level and at rest on the ground or obstacle below the position"""
     ease: bool | None = None
-    """at rest, true: the controls set in and end gently; default: as the character of the motion says"""
+    """at rest, true: the controls start and end gently; default: depends on the character of the motion"""
 
 
 class StartTable(Table):

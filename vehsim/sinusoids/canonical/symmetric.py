@@ -72,7 +72,7 @@ def symmetric_closure(
     if set(vehicle.control_names) == set(vehicle.rate_controls):
         raise InputError(
             f"{', '.join(vehicle.control_names)} set rates and push nothing: no force for a symmetric product",
-            "ask for the brackets of its driftless system, algebra.classify(rigged(vehicle).system)",
+            "use the brackets of its driftless system, algebra.classify(rigged(vehicle).system)",
             subject=vehicle.name,
         )
     law = equations_of_motion(vehicle)
@@ -130,7 +130,7 @@ def _unreached(vehicle: Vehicle, x: Expr, fields: Expr, at: Array) -> int:
 
 def _remedy(vehicle: Vehicle, controls: Sequence[float] | None) -> str:
     if vehicle.hull is not None and vehicle.planar is not None:
-        return "the water that carries it is not in its equations: ask for `vehicle.planar`, which glides on it"
+        return "its equations do not include the water that carries it: use `vehicle.planar`, which glides on it"
     return "give controls that do" if controls is not None else "none within their bounds do: it cannot rest here"
 
 

@@ -92,7 +92,7 @@ def choose_manoeuvre(found: Sequence[Manoeuvre], number: int | None = None, marg
         raise SolveError(
             f"none of {len(found)} manoeuvres keeps {margin:g} m clear; the best, {best.number} ({best.label}), comes "
             f"to {best.clearance:.2f} m",
-            "ask for less clearance, move a mark or an obstacle, or add a mark on the way",
+            "reduce the clearance, move a mark or an obstacle, or add an intermediate mark",
         )
     return min(clear, key=lambda m: m.steering.duration)
 

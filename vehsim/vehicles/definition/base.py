@@ -80,11 +80,13 @@ class Definition:
     default_costs: Mapping[str, float] = field(default_factory=dict)
     """Cost weights that every plan of this vehicle adds, so that it moves as such vehicles do."""
     character: Character = field(default_factory=Character)
-    """How it is driven: calmly, normally or briskly."""
+    """The numbers for driving it calmly, normally or briskly."""
     top_speed: float = 340.0
     """The greatest speed of the root, m/s, in plans without a ``limits.speed``; default: the speed of sound."""
     feels_wind: bool = False
     rig: Rig | None = None
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    """Numbers given in place of those of its ``vehicle.toml``; see `vehsim.load_vehicle`."""
     hull: Any = None
     """The effect of water, a `vehsim.vehicles.definition.hydrodynamics.Hull`; None: water has no effect."""
 

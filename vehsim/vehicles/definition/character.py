@@ -1,6 +1,7 @@
-"""How a vehicle is driven: calmly, normally, briskly, or as hard as its model allows. Data, each number with a source.
+"""The characters in which a vehicle is driven: calm, normal, brisk, or as hard as its model allows.
 
-A character is part of a vehicle's definition, and plans read it: see `vehsim.planning.request.character`.
+They are data, each number with a source. A character is part of a vehicle's definition, and plans read it: see
+`vehsim.planning.request.character`.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ CHARACTERS = ("calm", "normal", "brisk", STUNT)
 
 @dataclass(frozen=True)
 class Trait:
-    """One quantity of each character, SI, and where the numbers come from."""
+    """One quantity for each character, SI, and the source of the numbers."""
 
     calm: float
     normal: float
@@ -29,15 +30,15 @@ class Trait:
 
 
 RESPONSE = Trait(1.0, 0.5, 0.25, "McRuer and Jex 1967: operators close their loops at 1 to 4 rad/s")
-"""The response of vehicles that give none, s."""
+"""The default response, s."""
 
 
 @dataclass(frozen=True)
 class Character:
     """The characters of a vehicle.
 
-    ``response``: s, how fast the controls change their mind. ``limits``: by name of a plan's limits, SI, such as
-    ``bank`` in rad. ``control_rates``: the greatest rate by name of a control, in its unit per second.
+    ``response``: response time of the controls, s. ``limits``: soft limits by name of a plan's limits, SI, such as
+    ``bank`` in rad. ``control_rates``: the largest rate by name of a control, in its unit per second.
     """
 
     response: Trait = RESPONSE

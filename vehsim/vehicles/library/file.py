@@ -57,7 +57,8 @@ def _flat(value: Any) -> list[Any]:
 
 
 Bound = Annotated[Any, BeforeValidator(_bound)]
-Quantity = Annotated[Any, AfterValidator(_quantity)]
+IN_RANGE = AfterValidator(_quantity)
+Quantity = Annotated[Any, IN_RANGE]
 Op = Literal["rotateX", "rotateY", "rotateZ", "translateX", "translateY", "translateZ"]
 
 
@@ -115,14 +116,14 @@ class TraitTable(Table):
     brisk: Positive
     """its value when driven briskly"""
     source: Text
-    """where the numbers come from"""
+    """the source of the numbers"""
 
 
 class CharacterTable(Table):
     """``[character]``"""
 
     response: TraitTable | None = None
-    """how fast the controls change their mind, s"""
+    """the response time of the controls, s"""
     limits: dict[str, TraitTable] = Field(default={})
     """limits of plans by name, in SI units"""
     control_rates: dict[str, TraitTable] = Field(default={})

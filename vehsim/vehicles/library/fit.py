@@ -5,7 +5,7 @@ This module measures the asset's parts and compares; `shot/checks.py` reports.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -17,6 +17,7 @@ from vehsim.errors import InputError, Problem
 from vehsim.intake.toml import read_toml
 from vehsim.runtime.cache import Stamp, stamp
 from vehsim.vehicles.definition.base import Array
+from vehsim.vehicles.library.parameters import blamed, replaced
 
 if TYPE_CHECKING:
     from vehsim.rig.rig import Rig
@@ -28,12 +29,15 @@ DENSITY, POSSIBLE = (30.0, 2500.0), (5.0, 12000.0)
 """Mass divided by the volume of a vehicle's hulls, kg/m^3: the usual range, and the possible range."""
 
 
-def misfits(rig: Rig | None) -> list[Problem]:
-    """Numbers of a ``vehicle.toml`` that its asset contradicts: lengths in m, mass in kg, the centre."""
+def misfits(rig: Rig | None, parameters: Mapping[str, Any] | None = None) -> list[Problem]:
+    """Numbers of a ``vehicle.toml``, or ``parameters`` in their place, that the asset contradicts: lengths in m, mass
+    in kg, the centre."""
     if rig is None or not (data := _written(rig)):
         return []
-    shape, physics = _Shape.of(rig), data.get("physics", {})
-    return [*_lengths(rig, shape, physics), *_mass(rig, shape, physics), *_centre(rig, shape)]
+    given = parameters or {}
+    shape, physics = _Shape.of(rig), replaced(data, given).get("physics", {})
+    found = [*_lengths(rig, shape, physics), *_mass(rig, shape, physics), *_centre(rig, shape)]
+    return [blamed(problem, given) for problem in found]
 
 
 def backwards(rig: Rig | None) -> Problem | None:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import inspect
+import json
 import math
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from difflib import get_close_matches
 from functools import lru_cache
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vehsim.assets import described, description
-from vehsim.errors import InputError, Problem
+from vehsim.errors import InputError
 from vehsim.intake.tables import read_table
 from vehsim.intake.toml import lines_in
 from vehsim.rig.rig import Drive, Rig, Suspension
@@ -23,9 +24,17 @@ from vehsim.runtime.cache import Stamp, stamp
 from vehsim.runtime.registry import Registry
 from vehsim.vehicles.definition.base import Control
 from vehsim.vehicles.definition.character import Character, Trait
-from vehsim.vehicles.library.file import VehicleFile
+from vehsim.vehicles.library.file import SuspensionTable, VehicleFile
 from vehsim.vehicles.library.imported import ready_asset
 from vehsim.vehicles.library.mass import fill_in, weigh
+from vehsim.vehicles.library.parameters import (
+    blamed,
+    check_parameters,
+    check_physics,
+    physics_table,
+    replaced,
+    words_of,
+)
 
 if TYPE_CHECKING:
     from vehsim.vehicles.definition.vehicle import Vehicle
@@ -55,20 +64,54 @@ DAMPING = np.array([0.05, 0.3, 1.0])
 ADDED_MASS = np.array([0.25, 0.9, 0.5, 0.06, 0.6, 1.0])
 """Usual added mass of a hull divided by its own inertia: roll, pitch, yaw, surge, sway, heave."""
 
-POSITIVE = {"mass", "masses", "inertia", "inertias", "radius", "diameter", "wheelbase", "length", "hitches"}
-"""Quantities whose names end in these words must be above zero."""
-
 
 def available() -> list[str]:
     """Names of the vehicles that ship with vehsim or that an installed package registers."""
     return list(described("vehicle"))
 
 
-def load_vehicle(name: str | Path) -> Vehicle:
+def load_vehicle(name: str | Path, parameters: Mapping[str, Any] | None = None) -> Vehicle:
     """A shipped vehicle by name, or the vehicle in a folder with a ``vehicle.toml``.
 
+    ``parameters`` replace numbers of the file: those of ``[physics]`` by their names, such as ``{"mass": 1500.0}``, and
+    tables ``controls``, ``joints`` and ``suspension`` and ``top_speed`` as they stand in the file; SI units.
     Raises ``InputError`` naming file, key, value and the fix.
     """
+    path = _file(name)
+    data = read_table(path, VehicleFile)
+    asset = path.parent / data.get("asset", "")
+    given = _as_data(parameters or {})
+    text = json.dumps(given, sort_keys=True, default=str)
+    try:
+        with lines_in(path):
+            return _load(path, stamp(path), stamp(asset) if asset.is_file() else None, text)
+    except InputError as error:
+        if not given:
+            raise
+        raise type(error).of(*(blamed(problem, given) for problem in error.problems)) from None
+
+
+def parameters_of(name: str | Path) -> Iterator[tuple[str, Any, str]]:
+    """Dotted key, value and description with unit of every parameter of a vehicle. Raises ``InputError``."""
+    path = _file(name)
+    data, vehicle = read_table(path, VehicleFile), load_vehicle(name)
+    factory = MODELS[data["model"]]
+    physics = _weighed(path, factory, data)
+    for key, field in physics_table(factory).model_fields.items():
+        yield key, physics.get(key, field.default), str(field.description)
+    for control in vehicle.controls:
+        for bound in ("lower", "upper", "scale"):
+            yield f"controls.{control.name}.{bound}", getattr(control, bound), f"in {control.unit or 'SI units'}"
+    for joint, bounds in vehicle.joint_limits.items():
+        for bound, value in zip(("lower", "upper"), bounds, strict=True):
+            yield f"joints.{joint}.{bound}", value, "in SI units"
+    for key, field in SuspensionTable.model_fields.items() if "suspension" in data else ():
+        yield f"suspension.{key}", data["suspension"].get(key, field.default), words_of(SuspensionTable, key)
+    yield "top_speed", vehicle.top_speed, words_of(VehicleFile, "top_speed")
+
+
+def _file(name: str | Path) -> Path:
+    """The ``vehicle.toml`` of a vehicle."""
     if not isinstance(name, str | Path):
         raise InputError("not a vehicle's name", "give a name or the path of a folder", key="vehicle", value=name)
     path = Path(name) / "vehicle.toml"
@@ -78,21 +121,33 @@ def load_vehicle(name: str | Path) -> Vehicle:
         close = get_close_matches(str(name), available(), n=1)
         hint = f"did you mean {close[0]!r}?" if close else f"choose one of {', '.join(available())}"
         raise InputError("no such vehicle, nor a folder with a vehicle.toml", hint, key="vehicle", value=str(name))
-    path = path.resolve()
-    data = read_table(path, VehicleFile)
-    asset = path.parent / data.get("asset", "")
-    with lines_in(path):
-        return _load(path, stamp(path), stamp(asset) if asset.is_file() else None)
+    return path.resolve()
 
 
-@lru_cache(maxsize=64)
-def _load(path: Path, written: Stamp, asset_written: Stamp | None) -> Vehicle:
-    data = read_table(path, VehicleFile)
+def _as_data(parameters: Any) -> Any:
+    """Parameters as TOML would give them."""
+    if isinstance(parameters, Mapping):
+        return {str(key): _as_data(value) for key, value in parameters.items()}
+    if isinstance(parameters, np.ndarray | np.generic):
+        return parameters.tolist()
+    return [_as_data(value) for value in parameters] if isinstance(parameters, list | tuple) else parameters
+
+
+@lru_cache(maxsize=256)
+def _load(path: Path, written: Stamp, asset_written: Stamp | None, parameters: str) -> Vehicle:
+    data, given = read_table(path, VehicleFile), json.loads(parameters)
     model = str(data.get("model"))
     if model not in MODELS:
         raise InputError("unknown", f"choose one of {', '.join(sorted(MODELS))}", key="model", value=model, file=path)
     factory = MODELS[model]
-    physics = _physics(path, factory, _weighed(path, factory, data))
+    if given:
+        check_parameters(factory, given)
+        data = replaced(data, given)
+    physics = _weighed(path, factory, data)
+    try:
+        check_physics(factory, physics)
+    except InputError as error:
+        raise InputError.of(*(replace(each, file=str(path)) for each in error.problems)) from None
     try:
         vehicle: Vehicle = factory(str(data.get("name", model)), **physics)
     except InputError:
@@ -107,6 +162,7 @@ def _load(path: Path, written: Stamp, asset_written: Stamp | None) -> Vehicle:
         "character": _character(path, vehicle, data.get("character", {})),
         "rig": _rig(path, vehicle, data),
         "top_speed": float(data.get("top_speed", vehicle.top_speed)),
+        "parameters": given,
     }
     planar = None if vehicle.planar is None else replace(vehicle.planar, **told | {"rig": _level(told["rig"])})
     return replace(vehicle, **told, hull=_hull(path, vehicle, data), planar=planar)
@@ -125,24 +181,6 @@ def _weighed(path: Path, factory: Any, data: dict[str, Any]) -> dict[str, Any]:
     weighed = weigh(path, asset, None if asset != source else str(data.get("root", "")) or None, physics["density"])
     data.setdefault("origin", [float(x) for x in weighed[1]])
     return fill_in(physics, set(inspect.signature(factory).parameters), weighed, np.asarray(data["origin"], float))
-
-
-def _physics(path: Path, factory: Any, table: dict[str, Any]) -> dict[str, Any]:
-    parameters = {p.name: p for p in inspect.signature(factory).parameters.values() if p.kind is p.KEYWORD_ONLY}
-    _known(path, "physics.", table, set(parameters))
-    missing = [key for key, one in parameters.items() if one.default is one.empty and key not in table]
-    if missing:
-        remedy = f"give it in SI units: a {factory.__name__} has no default"
-        raise InputError.of(*(Problem(f"physics.{key}", "missing", remedy, file=str(path)) for key in missing))
-    for key, value in table.items():
-        depth = str(parameters[key].annotation).count("Sequence")  # float, Sequence[float], or a sequence of them
-        if _depth(value) != depth:
-            kind = ("a number", "a list of numbers", "a list of rows of numbers")[depth]
-            raise InputError(f"not {kind}", "give SI units", key=f"physics.{key}", value=value, file=path)
-        rows = value if isinstance(value, list) else [value]
-        if key.rpartition("_")[2] in POSITIVE and not all(isinstance(x, list) or x > 0 for x in rows):
-            raise InputError("not above zero", "give SI units", key=f"physics.{key}", value=value, file=path)
-    return table
 
 
 def _controls(path: Path, vehicle: Vehicle, table: dict[str, Any]) -> tuple[Control, ...]:
@@ -170,14 +208,6 @@ def _character(path: Path, vehicle: Vehicle, table: dict[str, Any]) -> Character
     }
     response = Trait(**table["response"]) if table.get("response") else vehicle.character.response
     return replace(vehicle.character, response=response, **traits)
-
-
-def _depth(value: Any) -> int:
-    """Nesting depth of lists; -1 if it varies or an entry is no number."""
-    if isinstance(value, list):
-        below = {_depth(row) for row in value} or {0}
-        return 1 + below.pop() if len(below) == 1 and -1 not in below else -1
-    return 0 if isinstance(value, int | float) else -1
 
 
 def _level(rig: Rig | None) -> Rig | None:

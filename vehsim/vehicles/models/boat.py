@@ -7,9 +7,10 @@ water on SE(2), with the same thrusters, rudder, wind, added mass and resistance
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import casadi as ca
+from annotated_types import Len
 
 from vehsim.errors import InputError
 from vehsim.lie import SE2, SE3
@@ -17,6 +18,21 @@ from vehsim.rig.rig import Channel
 from vehsim.vehicles.definition.base import Control, Expr
 from vehsim.vehicles.definition.holonomic import Holonomic
 from vehsim.vehicles.definition.hydrodynamics import Hull
+from vehsim.vehicles.definition.quantities import (
+    AddedMass,
+    AngularRate,
+    Area,
+    Coefficient,
+    Coordinate,
+    Distance,
+    Force,
+    Length,
+    LinearDamping,
+    Mass,
+    Place,
+    PrincipalInertia,
+    QuadraticDamping,
+)
 
 SEA_WATER = 1025.0
 AIR = 1.225
@@ -29,29 +45,29 @@ goes from full ahead to astern faster. Without this cost, a turn on the spot is 
 def boat(
     name: str = "boat",
     *,
-    mass: float,
-    inertia: Sequence[float],
-    thrusters: Sequence[Sequence[float]],
-    outboard: float = 1.0,
-    propeller_diameter: float = 0.35,
-    propeller_speed: float = 200.0,
-    full_thrust: float = 5000.0,
-    rudder: Sequence[float] = (0.0, 0.0, 0.0),
-    rudder_area: float = 0.0,
-    rudder_slope: float = 4.0,
-    damping: Sequence[float] = (0.0, 0.0, 0.0),
-    damping_quadratic: Sequence[float] = (0.0, 0.0, 0.0),
-    wetted_centre: float = 0.0,
-    wetted_radius: float = 0.0,
-    reference_area: float = 0.0,
-    normal_force: float = 0.0,
-    impact: float = 0.0,
-    planing: float = 0.0,
-    impact_drag: Sequence[float] = (0.0, 0.0),
-    added_mass: Sequence[float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-    wind_area: Sequence[float] = (0.0, 0.0),
-    wind_centre: Sequence[float] = (0.0, 0.0, 0.0),
-    wind_coefficient: float = 1.0,
+    mass: Mass,
+    inertia: PrincipalInertia,
+    thrusters: Sequence[Place],
+    outboard: Coefficient = 1.0,
+    propeller_diameter: Length = 0.35,
+    propeller_speed: AngularRate = 200.0,
+    full_thrust: Force = 5000.0,
+    rudder: Place = (0.0, 0.0, 0.0),
+    rudder_area: Area = 0.0,
+    rudder_slope: Coefficient = 4.0,
+    damping: Annotated[Sequence[LinearDamping], Len(3, 3)] = (0.0, 0.0, 0.0),
+    damping_quadratic: Annotated[Sequence[QuadraticDamping], Len(3, 3)] = (0.0, 0.0, 0.0),
+    wetted_centre: Coordinate = 0.0,
+    wetted_radius: Distance = 0.0,
+    reference_area: Area = 0.0,
+    normal_force: Coefficient = 0.0,
+    impact: Coefficient = 0.0,
+    planing: Coefficient = 0.0,
+    impact_drag: Annotated[Sequence[QuadraticDamping], Len(2, 2)] = (0.0, 0.0),
+    added_mass: Annotated[Sequence[AddedMass], Len(6, 6)] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+    wind_area: Annotated[Sequence[Area], Len(2, 2)] = (0.0, 0.0),
+    wind_centre: Place = (0.0, 0.0, 0.0),
+    wind_coefficient: Coefficient = 1.0,
 ) -> Holonomic:
     """A boat. Positions are in the body frame, m from the centre of mass.
 

@@ -2,31 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 
 from vehsim.lie import SE2
 from vehsim.rig.rig import Channel
 from vehsim.vehicles.definition.base import Control, Expr
 from vehsim.vehicles.definition.nonholonomic import Nonholonomic
+from vehsim.vehicles.definition.quantities import Coordinate, Inertia, JointDamping, Length, Mass, Slope
 from vehsim.vehicles.models.ground import slope_energy
 
 
 def car_trailer(
     name: str = "car_trailer",
     *,
-    mass: float,
-    wheel_inertia: float,
-    yaw_inertia: float,
-    wheel_radius: float,
-    wheelbase: float,
-    hitch_behind: float,
-    trailer_mass: float,
-    trailer_inertia: float,
-    trailer_length: float,
-    slope: Sequence[float] = (0.0, 0.0),
-    hitch_damping: float = 0.0,
+    mass: Mass,
+    wheel_inertia: Inertia,
+    yaw_inertia: Inertia,
+    wheel_radius: Length,
+    wheelbase: Length,
+    hitch_behind: Coordinate,
+    trailer_mass: Mass,
+    trailer_inertia: Inertia,
+    trailer_length: Length,
+    slope: Slope = (0.0, 0.0),
+    hitch_damping: JointDamping = 0.0,
 ) -> Nonholonomic:
     """A car whose body frame stands on the rear axle, its hitch ``hitch_behind`` m behind, and a one-axle trailer.
 

@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 
 from vehsim.lie import SE2
 from vehsim.vehicles.definition.base import Control, Expr
 from vehsim.vehicles.definition.nonholonomic import Nonholonomic
+from vehsim.vehicles.definition.quantities import Coordinate, Inertia, LinearDamping, Mass, Slope
 from vehsim.vehicles.models.ground import slope_energy
 
 
 def chaplygin_sleigh(
     name: str = "chaplygin_sleigh",
     *,
-    mass: float,
-    yaw_inertia: float,
-    ahead: float,
-    slope: Sequence[float] = (0.0, 0.0),
-    runner_damping: float = 0.0,
+    mass: Mass,
+    yaw_inertia: Inertia,
+    ahead: Coordinate,
+    slope: Slope = (0.0, 0.0),
+    runner_damping: LinearDamping = 0.0,
 ) -> Nonholonomic:
     """A sleigh whose body frame stands on the knife edge, which lies along X and does not slip sideways.
 

@@ -3,27 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Annotated
 
 import casadi as ca
+from annotated_types import Len
 
 from vehsim.lie import SO3xR3
 from vehsim.rig.rig import Channel
 from vehsim.vehicles.definition.base import Control, Expr
 from vehsim.vehicles.definition.holonomic import Holonomic
+from vehsim.vehicles.definition.quantities import (
+    AngularRate,
+    Coordinate,
+    JointDamping,
+    LinearDamping,
+    Mass,
+    PrincipalInertia,
+    QuadraticDamping,
+)
 
 
 def helicopter(
     name: str = "helicopter",
     *,
-    mass: float,
-    inertia: Sequence[float],
-    d_t: float,
-    d_r: float,
-    drag_linear: Sequence[float] = (0.0, 0.0, 0.0),
-    drag_quadratic: Sequence[float] = (0.0, 0.0, 0.0),
-    drag_angular: Sequence[float] = (0.0, 0.0, 0.0),
-    main_rotor_speed: float = 40.0,
-    tail_rotor_speed: float = 200.0,
+    mass: Mass,
+    inertia: PrincipalInertia,
+    d_t: Coordinate,
+    d_r: Coordinate,
+    drag_linear: Annotated[Sequence[LinearDamping], Len(3, 3)] = (0.0, 0.0, 0.0),
+    drag_quadratic: Annotated[Sequence[QuadraticDamping], Len(3, 3)] = (0.0, 0.0, 0.0),
+    drag_angular: Annotated[Sequence[JointDamping], Len(3, 3)] = (0.0, 0.0, 0.0),
+    main_rotor_speed: AngularRate = 40.0,
+    tail_rotor_speed: AngularRate = 200.0,
 ) -> Holonomic:
     """A rigid fuselage carried by a tilting thrust and a tail force.
 

@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 
 from vehsim.lie import SE3, SO3
 from vehsim.rig.rig import Channel
 from vehsim.vehicles.definition.base import Control, Expr
 from vehsim.vehicles.definition.nonholonomic import Nonholonomic
+from vehsim.vehicles.definition.quantities import Acceleration, Length, Mass, PrincipalInertia
 
 
 def hopper(
     name: str = "hopper",
     *,
-    mass: float,
-    inertia: Sequence[float],
-    foot_mass: float,
-    leg_length: float,
-    gravity: float = 9.81,
+    mass: Mass,
+    inertia: PrincipalInertia,
+    foot_mass: Mass,
+    leg_length: Length,
+    gravity: Acceleration = 9.81,
 ) -> Nonholonomic:
     """A rigid body whose frame stands at its centre of mass, where the leg is hinged about the body's Y axis.
 

@@ -2,29 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 
 from vehsim.lie import SE2
 from vehsim.rig.rig import Channel
 from vehsim.vehicles.definition.base import Control, Expr
 from vehsim.vehicles.definition.nonholonomic import Nonholonomic
+from vehsim.vehicles.definition.quantities import Coordinate, Inertia, JointDamping, Length, Mass, Slope
 from vehsim.vehicles.models.ground import slope_energy
 
 
 def roller_racer(
     name: str = "roller_racer",
     *,
-    mass: float,
-    yaw_inertia: float,
-    pivot_ahead: float,
-    bar_mass: float,
-    bar_inertia: float,
-    bar_length: float,
-    wheel_radius: float = 0.06,
-    slope: Sequence[float] = (0.0, 0.0),
-    damping: float = 0.0,
+    mass: Mass,
+    yaw_inertia: Inertia,
+    pivot_ahead: Coordinate,
+    bar_mass: Mass,
+    bar_inertia: Inertia,
+    bar_length: Length,
+    wheel_radius: Length = 0.06,
+    slope: Slope = (0.0, 0.0),
+    damping: JointDamping = 0.0,
 ) -> Nonholonomic:
     """A seat on an unsteered axle and a handlebar with an axle of its own.
 

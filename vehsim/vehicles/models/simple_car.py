@@ -2,30 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 
 from vehsim.lie import SE2
 from vehsim.rig.rig import Channel
 from vehsim.vehicles.definition.base import Control, Expr
 from vehsim.vehicles.definition.nonholonomic import Nonholonomic
+from vehsim.vehicles.definition.quantities import Distance, Inertia, JointDamping, Length, Mass, Slope
 from vehsim.vehicles.models.ground import ackermann_channels, slope_energy
 
 
 def simple_car(
     name: str = "simple_car",
     *,
-    mass: float,
-    wheel_inertia: float,
-    yaw_inertia: float,
-    steering_inertia: float,
-    wheel_radius: float,
-    wheelbase: float,
-    half_track: float = 0.0,
-    slope: Sequence[float] = (0.0, 0.0),
-    rolling_damping: float = 0.0,
-    steering_damping: float = 0.0,
+    mass: Mass,
+    wheel_inertia: Inertia,
+    yaw_inertia: Inertia,
+    steering_inertia: Inertia,
+    wheel_radius: Length,
+    wheelbase: Length,
+    half_track: Distance = 0.0,
+    slope: Slope = (0.0, 0.0),
+    rolling_damping: JointDamping = 0.0,
+    steering_damping: JointDamping = 0.0,
 ) -> Nonholonomic:
     """A bicycle model whose body frame stands on the rear axle.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import casadi as ca
 
@@ -10,6 +10,7 @@ from vehsim.lie import SE2
 from vehsim.rig.rig import Channel
 from vehsim.vehicles.definition.base import Control, Expr
 from vehsim.vehicles.definition.nonholonomic import Nonholonomic
+from vehsim.vehicles.definition.quantities import Distance, Inertia, JointDamping, Length, Mass, Slope
 from vehsim.vehicles.models.ground import slope_energy
 from vehsim.vehicles.models.rider import Legs
 
@@ -20,18 +21,18 @@ PELVIS, GAZE = 0.5, -0.7
 def snakeboard(
     name: str = "snakeboard",
     *,
-    mass: float,
-    half_length: float,
-    rotor_inertia: float,
-    steering_inertia: float,
-    wheel_radius: float = 0.03,
-    half_track: float = 0.1,
-    shin: float = 0.43,
-    thigh: float = 0.43,
-    hip_rise: float = 0.68,
-    hip_spread: float = 0.09,
-    slope: Sequence[float] = (0.0, 0.0),
-    damping: float = 0.0,
+    mass: Mass,
+    half_length: Length,
+    rotor_inertia: Inertia,
+    steering_inertia: Inertia,
+    wheel_radius: Length = 0.03,
+    half_track: Distance = 0.1,
+    shin: Length = 0.43,
+    thigh: Length = 0.43,
+    hip_rise: Length = 0.68,
+    hip_spread: Distance = 0.09,
+    slope: Slope = (0.0, 0.0),
+    damping: JointDamping = 0.0,
 ) -> Nonholonomic:
     """A board whose body frame stands at its centre, between two trucks turned by opposite angles.
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
 
@@ -11,11 +9,10 @@ from vehsim.errors import InputError
 from vehsim.lie import SO3
 from vehsim.vehicles.definition.base import Control, Expr
 from vehsim.vehicles.definition.nonholonomic import Nonholonomic
+from vehsim.vehicles.definition.quantities import Direction, InertiaMatrix
 
 
-def suslov(
-    name: str = "suslov", *, inertia: Sequence[Sequence[float]], axis: Sequence[float] = (0.0, 0.0, 1.0)
-) -> Nonholonomic:
+def suslov(name: str = "suslov", *, inertia: InertiaMatrix, axis: Direction = (0.0, 0.0, 1.0)) -> Nonholonomic:
     """A body on SO(3) with ``inertia`` (3, 3) kg m^2 about the fixed point and ``axis . omega = 0``, axis (3,) in body.
 
     When the axis is no principal axis the motion ends in a steady turn whatever its start. Controls: ``torque_x``,

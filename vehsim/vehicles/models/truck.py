@@ -11,20 +11,21 @@ from vehsim.lie import SE2
 from vehsim.rig.rig import Channel
 from vehsim.vehicles.definition.base import Control, Expr
 from vehsim.vehicles.definition.nonholonomic import Nonholonomic
+from vehsim.vehicles.definition.quantities import Distance, Inertia, Length, Mass
 
 
 def truck(
     name: str = "truck",
     *,
-    mass: float,
-    wheel_inertia: float,
-    yaw_inertia: float,
-    wheel_radius: float,
-    wheelbase: float,
-    half_track: float,
-    hitches: Sequence[float] = (),
-    trailer_masses: Sequence[float] = (),
-    trailer_inertias: Sequence[float] = (),
+    mass: Mass,
+    wheel_inertia: Inertia,
+    yaw_inertia: Inertia,
+    wheel_radius: Length,
+    wheelbase: Length,
+    half_track: Distance,
+    hitches: Sequence[Length] = (),
+    trailer_masses: Sequence[Mass] = (),
+    trailer_inertias: Sequence[Inertia] = (),
 ) -> Nonholonomic:
     """A tractor whose body frame stands on the rear axle, on the ground, and its trailers.
 

@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from vehsim.lie import SE2
 from vehsim.rig.rig import Channel
 from vehsim.vehicles.definition.base import Control, Expr
 from vehsim.vehicles.definition.nonholonomic import Nonholonomic
+from vehsim.vehicles.definition.quantities import Distance, Inertia, JointDamping, Length, Mass, Slope
 from vehsim.vehicles.models.ground import slope_energy
 
 
 def two_wheeled(
     name: str = "two_wheeled",
     *,
-    mass: float,
-    yaw_inertia: float,
-    wheel_inertia: float,
-    wheel_radius: float,
-    half_track: float,
-    slope: Sequence[float] = (0.0, 0.0),
-    rolling_damping: float = 0.0,
+    mass: Mass,
+    yaw_inertia: Inertia,
+    wheel_inertia: Inertia,
+    wheel_radius: Length,
+    half_track: Distance,
+    slope: Slope = (0.0, 0.0),
+    rolling_damping: JointDamping = 0.0,
 ) -> Nonholonomic:
     """A robot whose body frame, and centre of mass, stands between its wheels.
 

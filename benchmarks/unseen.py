@@ -1,0 +1,241 @@
+"""Problems that were made by a seed alone: how many plans are certified, by family, and why the others are not.
+
+``python -m benchmarks.unseen [--families docking,parking] [--seeds 0-19] [--seconds 20]`` prints a line per problem,
+slowest first within its family, and writes ``RESULTS.unseen.md`` beside this file where all families are run. A plan
+counts when it succeeds within so many seconds of CPU time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import vehsim
+from vehsim import Mark
+from vehsim.errors import VehsimError
+from vehsim.lie.quaternions import from_yaw
+from vehsim.world.obstacles.obstacles import box, ellipse, polygon
+from vehsim.world.terrain.terrain import Terrain
+
+REST = (0.0, 0.0, 0.0)
+FPS = 24
+HEAD = """# Unseen problems, measured
+
+`python -m benchmarks.unseen` plans problems that a seed makes: helicopters above random hills, wheels among random
+obstacles and into parking gaps, snakeboards from rest to rest, boats that dock in wind. *Certified* counts the plans
+that succeed within {seconds:g} s of CPU time, first loads and distances to a new terrain included.
+
+| family | problems | certified | CPU, median s | 90 % | slowest |
+|---|---|---|---|---|---|
+"""
+
+
+@dataclass
+class Problem:
+    """What `vehsim.plan` is asked for."""
+
+    vehicle: str
+    marks: list[Mark]
+    world: Any = None
+    asked: dict[str, Any] = field(default_factory=dict)
+
+    def plan(self) -> Any:
+        return vehsim.plan(vehsim.load_vehicle(self.vehicle), self.world, self.marks, **self.asked)
+
+
+def docking(seed: int) -> Problem:
+    """A boat comes alongside a jetty in wind, port or starboard to, from any side and heading."""
+    rng = np.random.default_rng(seed)
+    yaw, side, gap = rng.uniform(-np.pi, np.pi), rng.choice([-1, 1]), rng.uniform(0.6, 1.5)
+    berth = rng.uniform(-10, 10, 2)
+    ahead, left = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
+    jetty = berth + side * (1.2 + gap + 1.2) * left + rng.uniform(-3, 3) * ahead
+    bearing = yaw + side * -np.pi / 2 + rng.uniform(-1.2, 1.2)  # from the open water
+    distance = rng.uniform(20, 60)
+    start = berth + distance * np.array([np.cos(bearing), np.sin(bearing)])
+    blowing, wind = rng.uniform(-np.pi, np.pi), rng.uniform(0, 8)
+    first = rng.uniform(-np.pi, np.pi)
+    seconds = distance / rng.uniform(1.2, 2.5) + rng.uniform(8, 16)
+    world = vehsim.World(
+        wind=(wind * np.cos(blowing), wind * np.sin(blowing), 0.0),
+        obstacles=[box("jetty", (*jetty, -0.9), (16, 2.4, 1.5), heading=math.degrees(yaw))],
+        water=0.0,
+    )
+    marks = [_posed(rng, 1, start, first), _posed(rng, 1 + round(FPS * seconds), berth, yaw)]
+    return Problem("boat", marks, world, {"clearance": 0.5})
+
+
+def _posed(rng: Any, frame: Any, place: Any, yaw: float) -> Mark:
+    """A mark at rest that gives its attitude as a heading or as an orientation."""
+    if rng.random() < 0.5:
+        return Mark(frame, position=(*place, 0.0), heading=math.degrees(yaw), velocity=REST)
+    return Mark(frame, position=(*place, 0.0), orientation=tuple(from_yaw(np.array([yaw]))[0]), velocity=REST)
+
+
+def hills(seed: int) -> Problem:
+    """A helicopter from rest to rest, low above random hills."""
+    rng = np.random.default_rng(seed // 5)  # five problems on each terrain
+    terrain = _hills(rng, seed // 5)
+    rng = np.random.default_rng([seed, 1])
+    while True:
+        a, b = rng.uniform(-85, 85, (2, 2))
+        if np.linalg.norm(b - a) > 40:
+            break
+    places = [np.append(p, terrain.height(p[None])[0] + rng.uniform(7, 20)) for p in (a, b)]
+    bearing = math.degrees(math.atan2(*(b - a)[::-1]))
+    seconds = np.linalg.norm(places[1] - places[0]) / rng.uniform(5, 9) + rng.uniform(4, 8)
+    end: Any = "free" if rng.random() < 0.3 else 1 + round(FPS * seconds)
+    heading = [None if rng.random() < 0.5 else bearing + rng.uniform(-90, 90) for _ in range(2)]
+    marks = [Mark(f, position=p, heading=h, velocity=REST) for f, p, h in zip((1, end), places, heading, strict=True)]
+    return Problem("helicopter", marks, vehsim.World(terrain), {"clearance": float(rng.uniform(0.5, 2.0))})
+
+
+def _hills(rng: Any, number: int) -> Terrain:
+    """Heights over 240 x 240 m whose spectrum falls with the wave number, 20 to 60 m between lowest and highest."""
+    n, cell = 81, 3.0
+    k = np.hypot(*np.meshgrid(np.fft.fftfreq(n), np.fft.fftfreq(n)))
+    k[0, 0] = np.inf
+    noise = np.fft.fft2(rng.standard_normal((n, n))) * k ** -rng.uniform(1.6, 2.2)
+    heights = np.real(np.fft.ifft2(noise * np.exp(-((k / 0.12) ** 2))))
+    heights = (heights - heights.min()) / np.ptp(heights) * rng.uniform(20, 60)
+    return Terrain(f"hills {number}", heights, (-120.0, -120.0), (cell, cell))
+
+
+def wheels(seed: int) -> Problem:
+    """A car, a truck or a two-wheeled robot among random obstacles."""
+    rng = np.random.default_rng(seed)
+    name = str(rng.choice(["car", "simple_car", "two_wheeled", "truck"], p=[0.4, 0.2, 0.3, 0.1]))
+    size = {"car": 1.0, "simple_car": 1.0, "two_wheeled": 0.15, "truck": 1.5}[name]
+    length = size * rng.uniform(30, 70)
+    yaw = rng.uniform(-1, 1, 2) * (np.pi if name == "two_wheeled" else 0.8)
+    goal = np.array([length, rng.uniform(-0.3, 0.3) * length])
+    found: list[Any] = []
+    for i in range(int(rng.integers(4, 13))):
+        centre, radius = rng.uniform([0.1 * length, -0.35 * length], [0.9 * length, 0.35 * length]), size
+        radius = size * rng.uniform(0.8, 3.0)
+        if min(np.linalg.norm(centre), np.linalg.norm(centre - goal)) < radius + 7 * size:
+            continue
+        if rng.random() < 0.5:
+            found.append(ellipse(f"e{i}", centre, (radius, 0.6 * radius), heading=rng.uniform(0, 180)))
+        else:
+            angles = np.sort(rng.uniform(0, 2 * np.pi, 5))
+            ring = centre + radius * np.column_stack([np.cos(angles), np.sin(angles)])
+            found.append(polygon(f"p{i}", ring))
+    pace = {"car": 6.0, "simple_car": 6.0, "two_wheeled": 0.7, "truck": 4.0}[name]
+    end: Any = "free" if rng.random() < 0.3 else 1 + round(FPS * (1.4 * length / pace + 4))
+    marks = [
+        Mark(1, position=REST, heading=math.degrees(yaw[0]), velocity=REST),
+        Mark(end, position=(*goal, 0.0), heading=math.degrees(yaw[1]), velocity=REST),
+    ]
+    return Problem(name, marks, vehsim.World(obstacles=found), {"clearance": 0.4 * size})
+
+
+def parking(seed: int) -> Problem:
+    """A car into a gap between two others, along the street or across it, nose or tail first, or out of it."""
+    rng = np.random.default_rng(seed)
+    along, out, turned = rng.random() < 0.6, rng.random() < 0.25, rng.random() < 0.3
+    if along:
+        ahead = 2.15 + 2.15 + rng.uniform(0.9, 2.0)
+        boxes = [box(name, (x, -2.4, 0), (4.3, 1.8, 1.2)) for name, x in (("behind", -ahead), ("ahead", ahead))]
+        boxes.append(box("kerb", (0, -4.2, 0), (30, 0.4, 0.3)))
+        yaw = np.pi if turned and rng.random() < 0.3 else 0.0
+        slot = np.array([0.0, -2.4])
+    else:
+        aside = 0.9 + 0.9 + rng.uniform(0.6, 1.2)
+        boxes = [box(name, (x, -5.5, 0), (1.8, 4.3, 1.2)) for name, x in (("left", -aside), ("right", aside))]
+        boxes.append(box("wall", (0, -9.0, 0), (30, 0.4, 2)))
+        yaw = np.pi / 2 if turned else -np.pi / 2
+        slot = np.array([0.0, -5.5])
+    street = np.array([rng.choice([-1, 1]) * rng.uniform(7, 14), rng.uniform(0.0, 1.5)])
+    way = 0.0 if rng.random() < 0.8 else np.pi
+    ends = [(slot, yaw), (street, way)] if out else [(street, way), (slot, yaw)]
+    boxes.append(box("houses", (0, 8.5, 0), (60, 1.0, 4)))
+    seconds = rng.uniform(18, 30)
+    end: Any = "free" if rng.random() < 0.3 else 1 + round(FPS * seconds)
+    marks = [
+        Mark(frame, position=(*place, 0.0), heading=math.degrees(angle), velocity=REST)
+        for frame, (place, angle) in zip((1, end), ends, strict=True)
+    ]
+    return Problem("car", marks, vehsim.World(obstacles=boxes), {"clearance": 0.15})
+
+
+def snakeboard(seed: int) -> Problem:
+    """A snakeboard from rest to rest, ahead and aside, turned a little or a lot."""
+    rng = np.random.default_rng(seed)
+    distance, bearing, turn = rng.uniform(1, 6), rng.uniform(-0.6, 0.6), rng.uniform(-90, 90)
+    place = (distance * math.cos(bearing), distance * math.sin(bearing), 0.0)
+    seconds = 3 + 2.2 * math.sqrt(distance) * rng.uniform(1.0, 1.6) + abs(turn) / 30
+    marks = [Mark(1, position=REST, heading=0, velocity=REST)]
+    marks.append(Mark(1 + round(FPS * seconds), position=place, heading=turn, velocity=REST))
+    return Problem("snakeboard", marks)
+
+
+FAMILIES: dict[str, Callable[[int], Problem]] = {
+    "docking": docking, "hills": hills, "wheels": wheels, "parking": parking, "snakeboard": snakeboard,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of one problem: CPU time s, and the message where it has no certified plan."""
+
+    family: str
+    seed: int
+    seconds: float
+    success: bool
+    message: str
+    iterations: int = 0
+
+    def line(self) -> str:
+        verdict = "certified" if self.success else f"FAILED: {self.message}"
+        return f"{self.family} {self.seed}: {self.seconds:.1f} s, {self.iterations} iterations, {verdict}"
+
+
+def attempt(family: str, seed: int) -> Outcome:
+    """Plan one problem; errors that vehsim raises are messages too."""
+    begun = time.process_time()
+    try:
+        plan = FAMILIES[family](seed).plan()
+    except VehsimError as error:
+        return Outcome(family, seed, time.process_time() - begun, False, str(error))
+    return Outcome(family, seed, time.process_time() - begun, plan.success, plan.message, plan.iterations)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--families", default=",".join(FAMILIES), help="some of: %(default)s")
+    parser.add_argument("--seeds", default="0-19", help="such as 0-19 or 3,5,8 [default: 0-19]")
+    parser.add_argument("--seconds", type=float, default=20.0, help="CPU time a plan may take [default: 20]")
+    options = parser.parse_args()
+    warnings.simplefilter("ignore")
+    first, _, last = options.seeds.partition("-")
+    seeds = range(int(first), int(last) + 1) if last else [int(seed) for seed in options.seeds.split(",")]
+    lines, failures = [], []
+    for family in options.families.split(","):
+        found = []
+        for seed in seeds:
+            found.append(attempt(family, seed))
+            print(found[-1].line(), flush=True)
+        found.sort(key=lambda one: -one.seconds)
+        met = sum(one.success and one.seconds <= options.seconds for one in found)
+        times = [one.seconds for one in found]
+        middle, most = np.median(times), np.quantile(times, 0.9)
+        slowest = f"seed {found[0].seed}: {times[0]:.1f} s"
+        lines.append(f"| {family} | {len(found)} | {met} | {middle:.1f} | {most:.1f} | {slowest} |")
+        failures += [f"- {one.line()}" for one in found if not one.success or one.seconds > options.seconds]
+    text = HEAD.format(seconds=options.seconds) + "\n".join([*lines, "", *failures]) + "\n"
+    print(text)
+    if set(options.families.split(",")) == set(FAMILIES):
+        Path(__file__).with_name("RESULTS.unseen.md").write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

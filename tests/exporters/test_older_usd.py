@@ -1,0 +1,30 @@
+"""A host application may bring a USD without validators: the rest of `validate_stage` goes on."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+
+import pytest
+
+from vehsim.exporters.checks.validate import validate_stage
+
+
+@pytest.mark.broken_stages
+def test_without_usds_validators_our_own_rules_are_still_checked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import pxr
+    from pxr import Usd, UsdGeom
+
+    monkeypatch.setitem(sys.modules, "pxr.UsdValidation", None)
+    if hasattr(pxr, "UsdValidation"):
+        monkeypatch.delattr(pxr, "UsdValidation")
+    path = tmp_path / "empty.usda"
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.Xform.Define(stage, "/top").AddTranslateOp().Set((math.nan, 0.0, 0.0))
+    stage.Save()
+    issues = validate_stage(path)
+    assert [issue.message for issue in issues if issue.rule == "validators"]
+    assert [issue for issue in issues if issue.severity == "error"], "our own rules refuse NaN"

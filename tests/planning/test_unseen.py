@@ -1,0 +1,75 @@
+"""Problems that a seed or a table of failures made, rather than the examples: they are solved, or refused truly."""
+
+import math
+
+import numpy as np
+import pytest
+
+import vehsim
+from benchmarks.unseen import FAMILIES
+from vehsim import Mark
+from vehsim.planning.certificates import extent
+from vehsim.planning.refine import execution_tolerance
+from vehsim.world.obstacles.obstacles import box
+
+REST = (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("seed", [4, 6, 13])
+def test_a_boat_docks_in_wind_at_an_orientation(seed):
+    """The initial guess has to end as the orientation says: from one turned the other way, nothing was found."""
+    problem = FAMILIES["docking"](seed)
+    assert problem.marks[1].orientation is not None and np.linalg.norm(problem.world.wind) > 0
+    plan = problem.plan()
+    assert plan.success, plan.message
+    assert plan.clearance > 0.49
+    np.testing.assert_allclose(plan.clip.positions[-1, :2], problem.marks[1].position[:2], atol=1e-6)
+    assert abs(plan.clip.orientations[-1] @ problem.marks[1].orientation) == pytest.approx(1, abs=1e-9)
+
+
+def test_an_orientation_says_where_the_nose_points():
+    turned = Mark(1, position=REST, orientation=(2 * math.cos(0.4), 0, 0, 2 * math.sin(0.4)))
+    assert turned.yaw == pytest.approx(0.8)
+    assert Mark(1, position=REST, heading=90.0).yaw == pytest.approx(math.pi / 2)
+    assert Mark(1, position=REST).yaw is None
+
+
+def test_a_car_drives_three_kilometres_straight():
+    """On segments of 90 m a zigzag costs less than a straight line, and from 12 m/s the optimiser leaps too far."""
+    marks = [Mark(1, position=REST, heading=0, velocity=REST)]
+    marks.append(Mark("free", position=(3000, 0, 0), heading=0, velocity=REST))
+    plan = vehsim.plan(vehsim.load_vehicle("car"), None, marks)
+    assert plan.success, plan.message
+    assert plan.iterations < 50
+    np.testing.assert_allclose(plan.clip.positions[:, 1], 0.0, atol=1e-6)
+    # least effort over d in T costs w / T^3, and time 1: at the optimum a quarter of the cost is effort
+    assert plan.cost == pytest.approx(4 / 3 * plan.duration, rel=1e-3)
+
+
+def test_a_way_too_long_for_few_segments_takes_more():
+    marks = [Mark(1, position=REST, heading=0, velocity=REST), Mark(1 + 24 * 250, position=(8000, 0, 0), velocity=REST)]
+    with pytest.warns(UserWarning, match="16 are too few"):
+        plan = vehsim.plan(vehsim.load_vehicle("car"), None, marks, segments=16, refine=False)
+    assert plan.success and plan.segments > 120
+
+
+def test_what_is_small_is_refined_more():
+    """Ten centimetres are a fifth of the two-wheeled robot, and more than the clearance that it may be asked for."""
+    robot, car = vehsim.load_vehicle("two_wheeled"), vehsim.load_vehicle("car")
+    marks = [Mark(1, position=REST, heading=0, velocity=REST)]
+    marks.append(Mark(61, position=(1.2, 0.9, 0), heading=150, velocity=REST))
+    plan = vehsim.plan(robot, None, marks, segments=24)
+    assert plan.success and plan.executed.final < 0.025 * extent(robot)
+    coarse = vehsim.plan(robot, None, marks, segments=24, refine=False)
+    assert 0.025 * extent(robot) < coarse.executed.final < 0.1  # what used to be enough
+
+    def tolerance(vehicle, clearance, *obstacles):
+        request = vehsim.planning.request.request.ask(
+            vehicle, vehsim.World(obstacles=obstacles), marks, fps=24, segments=16, clearance=clearance
+        )
+        return execution_tolerance(request)
+
+    post = box("post", (20, 20, 0), (1, 1, 1))
+    assert tolerance(robot, 0.01) == pytest.approx(0.025 * extent(robot))
+    assert tolerance(robot, 0.01, post) == pytest.approx(0.005)
+    assert tolerance(car, 0.5, post) == pytest.approx(0.1)

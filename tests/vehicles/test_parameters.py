@@ -1,0 +1,180 @@
+"""Parameters: every number of a vehicle has a unit and a range, and a shot can give its own in its place."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import pytest
+from annotated_types import Ge
+
+import vehsim
+from vehsim.batch import export_batch, load_shots
+from vehsim.clip.clip import Clip
+from vehsim.errors import InputError, ShotError
+from vehsim.shot import Shot
+from vehsim.vehicles import State, available, load_vehicle
+from vehsim.vehicles.definition.quantities import Unit
+from vehsim.vehicles.library.library import MODELS, parameters_of
+from vehsim.vehicles.library.parameters import check_physics, physics_table
+
+SHOT = """
+[shot]
+schema = 1
+name = "drive"
+[[vehicle]]
+name = "car"
+asset = "car"
+parameters = {parameters}
+[vehicle.motion]
+method = "simulate"
+duration = 0.5
+commands = [{{ frame = 1001, torque = 500 }}]
+"""
+
+
+def shot(folder: Path, parameters: str) -> Path:
+    path = folder / "drive.toml"
+    path.write_text(SHOT.format(parameters=parameters))
+    return path
+
+
+@pytest.mark.parametrize("model", sorted(MODELS))
+def test_every_parameter_of_a_shipped_model_has_a_unit(model: str) -> None:
+    for key, field in physics_table(MODELS[model]).model_fields.items():
+        assert "SI units" not in str(field.description), key
+
+
+@pytest.mark.parametrize("name", available())
+def test_parameters_equal_to_the_file_change_nothing(name: str) -> None:
+    """The listed values, given back as parameters, give the same vehicle."""
+    given: dict[str, Any] = {}
+    for key, value, _ in parameters_of(name):
+        node = given
+        *tables, last = key.split(".")
+        for table in tables:
+            node = node.setdefault(table, {})
+        node[last] = value
+    own, again = load_vehicle(name), load_vehicle(name, given)
+    assert again.controls == own.controls and again.joint_limits == own.joint_limits
+    assert again.top_speed == own.top_speed
+    state = State(twist=np.linspace(0.1, 0.6, own.group.dim), joints=[0.1] * len(own.joints))
+    assert again.energy(state) == own.energy(state)
+
+
+@pytest.mark.parametrize(
+    ("name", "key", "power"),
+    [("car", "mass", 1), ("helicopter", "mass", 1), ("boat", "mass", 1), ("hopper", "mass", 1)],
+)
+def test_twice_the_mass_has_twice_the_kinetic_energy(name: str, key: str, power: int) -> None:
+    """Of a translation, in which moments of inertia play no part; a hopper's foot adds its own mass."""
+    own = load_vehicle(name)
+    value = next(value for this, value, _ in parameters_of(name) if this == key)
+    heavy = load_vehicle(name, {key: 2 * value})
+    twist = np.zeros(own.group.dim)
+    twist[own.group.dim // 2 if own.group.dim == 6 else 1] = 3.0
+    state = State(twist=twist)
+    assert heavy.energy(state)[0] - own.energy(state)[0] == pytest.approx(value * 3.0**2 / 2, rel=1e-9)
+
+
+def test_parameters_come_as_numpy_arrays_too() -> None:
+    inertia = np.array([1000.0, 2000.0, 3000.0])
+    heli = load_vehicle("helicopter", {"mass": np.float64(1500), "inertia": inertia})
+    assert heli.parameters == {"mass": 1500.0, "inertia": inertia.tolist()}
+
+
+@pytest.mark.parametrize(
+    ("parameters", "key", "message", "remedy"),
+    [
+        ({"mass": -1}, "mass", "greater than 0", "in kg"),
+        ({"mas": 3}, "mas", "unknown key", "'mass'"),
+        ({"mass": "1500 kg"}, "mass", "not a number", "in kg"),
+        ({"mass": True}, "mass", "not a number", "in kg"),
+        ({"mass": math.nan}, "mass", "not a finite number", "in kg"),
+        ({"mass": math.inf}, "mass", "not a finite number", "in kg"),
+        ({"mass": 1e14}, "mass", "beyond 1e", "in kg"),
+        ({"slope": [0.1]}, "slope", "at least 2", "two numbers"),
+        ({"rolling_damping": -2}, "rolling_damping", "at least 0", "N m s/rad"),
+        ({"controls": {"torque": {"lower": 1e5}}}, "controls.torque.lower", "above upper", "swap"),
+        ({"controls": {"thrust": {}}}, "controls.thrust", "unknown key", "torque"),
+        ({"joints": {"sigma": {"lower": 3}}}, "joints.sigma.lower", "not below upper", "swap"),
+        ({"suspension": {"frequency": -1}}, "suspension.frequency", "greater than 0", "Hz"),
+        ({"top_speed": -4}, "top_speed", "greater than 0", "m/s"),
+    ],
+)
+def test_a_wrong_parameter_is_named_with_its_unit(
+    parameters: dict[str, Any], key: str, message: str, remedy: str
+) -> None:
+    with pytest.raises(InputError) as raised:
+        load_vehicle("car", parameters)
+    (problem,) = raised.value.problems
+    assert problem.key == f"parameters.{key}" and not problem.file
+    assert message in problem.message and remedy in problem.remedy
+
+
+def test_everything_that_is_wrong_is_listed_at_once() -> None:
+    with pytest.raises(InputError) as raised:
+        load_vehicle("car", {"mass": -1, "wheelbase": "long", "color": 3})
+    assert sorted(problem.key for problem in raised.value.problems) == [
+        "parameters.color",
+        "parameters.mass",
+        "parameters.wheelbase",
+    ]
+
+
+def test_a_model_of_another_package_may_use_its_own_units_or_none() -> None:
+    def kite(name: str = "kite", *, pull: Annotated[float, Unit("N"), Ge(0)], drag: float = 0.0) -> None: ...
+
+    kite.__annotations__ = {"pull": Annotated[float, Unit("N"), Ge(0)], "drag": float}  # a local function's are texts
+    words = {key: field.description for key, field in physics_table(kite).model_fields.items()}
+    assert words == {"pull": "a number of at least zero, in N", "drag": "a number, in SI units"}
+    check_physics(kite, {"pull": 3})
+    with pytest.raises(InputError, match=r"physics.pull = -3: .* in N"):
+        check_physics(kite, {"pull": -3})
+
+
+def test_a_clip_remembers_its_vehicle(tmp_path: Path) -> None:
+    car = load_vehicle("car", {"mass": 2000.0})
+    clip = vehsim.simulate(car, None, [500.0, 0.0], State(), duration=0.25)
+    again = Clip.load(clip.save(tmp_path / "drive.npz"))
+    assert again.vehicle.parameters == {"mass": 2000.0}
+    assert np.array_equal(again.positions, clip.positions)
+
+
+def test_a_shot_drives_a_heavier_car_less_far(tmp_path: Path) -> None:
+    """At the same torque the acceleration is F / (m + I / r^2), from rest."""
+    reached = {}
+    for mass in (1350.0, 2700.0):
+        take = Shot.load(shot(tmp_path, f"{{ mass = {mass} }}")).solve()
+        reached[mass] = float(take.clips["car"].positions[-1, 0])
+    car = {key: value for key, value, _ in parameters_of("car")}
+    spin = car["wheel_inertia"] / car["wheel_radius"] ** 2
+    assert reached[1350.0] / reached[2700.0] == pytest.approx((2700.0 + spin) / (1350.0 + spin), rel=1e-6)
+
+
+def test_a_shot_names_its_wrong_parameters_with_their_line(tmp_path: Path) -> None:
+    with pytest.raises(ShotError) as raised:
+        Shot.load(shot(tmp_path, "{ mass = -1, gravity = 3 }")).solve()
+    assert [problem.key for problem in raised.value.problems] == [
+        "vehicle[0].parameters.mass",
+        "vehicle[0].parameters.gravity",
+    ]
+    assert {problem.line for problem in raised.value.problems} == {8}
+
+
+def test_a_parameter_that_contradicts_the_asset_is_reported(tmp_path: Path) -> None:
+    (problem,) = Shot.load(shot(tmp_path, "{ wheel_radius = 0.5 }")).check()
+    assert problem.key == "vehicle[0].parameters.wheel_radius" and "its wheels have a radius" in problem.message
+
+
+def test_a_sweep_over_a_parameter_is_in_its_reports(tmp_path: Path) -> None:
+    path = shot(tmp_path, "{ top_speed = 40 }")
+    path.write_text(path.read_text() + '[sweep]\n"vehicle.car.parameters.mass" = [1200, 1600]\n')
+    outcomes = export_batch(load_shots(path), tmp_path / "out", ["usd"])
+    assert [outcome.state for outcome in outcomes] == ["done", "done"], outcomes
+    reports = [json.loads(path.read_text()) for path in sorted((tmp_path / "out").glob("*/report.json"))]
+    found = [report["vehicles"]["car"]["parameters"] for report in reports]
+    assert found == [{"mass": 1200, "top_speed": 40}, {"mass": 1600, "top_speed": 40}]

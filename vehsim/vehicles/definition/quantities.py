@@ -1,0 +1,42 @@
+"""Types of a model's parameters, with their units and ranges.
+
+From these annotations follow the checks of ``[physics]`` and ``[vehicle.parameters]``, their messages, and the tables
+in the documentation. A package's model may use them, or write its own: ``Annotated[float, Unit("N"), Ge(0)]``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
+
+from annotated_types import Ge, Gt, Len
+
+
+@dataclass(frozen=True)
+class Unit:
+    """An SI unit, such as "kg m^2"; empty: a pure number."""
+
+    name: str
+
+
+Mass = Annotated[float, Unit("kg"), Gt(0)]
+Inertia = Annotated[float, Unit("kg m^2"), Gt(0)]
+Length = Annotated[float, Unit("m"), Gt(0)]
+Distance = Annotated[float, Unit("m"), Ge(0)]
+Coordinate = Annotated[float, Unit("m")]
+Area = Annotated[float, Unit("m^2"), Ge(0)]
+Force = Annotated[float, Unit("N"), Gt(0)]
+Acceleration = Annotated[float, Unit("m/s^2")]
+AngularRate = Annotated[float, Unit("rad/s")]
+AddedMass = Annotated[float, Unit("kg, kg m^2"), Ge(0)]
+Coefficient = Annotated[float, Unit(""), Ge(0)]
+JointDamping = Annotated[float, Unit("N m s/rad"), Ge(0)]
+LinearDamping = Annotated[float, Unit("N s/m"), Ge(0)]
+QuadraticDamping = Annotated[float, Unit("N s^2/m^2"), Ge(0)]
+
+Place = Annotated[Sequence[Coordinate], Len(3, 3)]
+PrincipalInertia = Annotated[Sequence[Inertia], Len(3, 3)]
+Slope = Annotated[Sequence[Annotated[float, Unit("")]], Len(2, 2)]
+Direction = Annotated[Sequence[Annotated[float, Unit("")]], Len(3, 3)]
+InertiaMatrix = Annotated[Sequence[Annotated[Sequence[Annotated[float, Unit("kg m^2")]], Len(3, 3)]], Len(3, 3)]

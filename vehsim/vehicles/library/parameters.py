@@ -1,0 +1,148 @@
+"""The parameters of a vehicle: what its model takes, checked by the types of the model's function.
+
+A table gives numbers in place of those of a ``vehicle.toml``: ``load_vehicle(name, parameters)`` and
+``[vehicle.parameters]`` of a shot file.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
+
+from annotated_types import Ge, Gt, Len
+from pydantic import Field, ValidationError, create_model
+
+from vehsim.errors import InputError, Problem
+from vehsim.intake.tables import Array, Table, problems_of
+from vehsim.vehicles.definition.quantities import Unit
+from vehsim.vehicles.library.file import IN_RANGE, ControlTable, Limits, Quantity, SuspensionTable, VehicleFile
+
+COUNTS = {1: "one number", 2: "two numbers", 3: "three numbers"}
+PHYSICS = "physics"
+BESIDE = ("controls", "joints", "suspension", "top_speed")
+"""Keys of a ``vehicle.toml`` beside ``physics`` whose numbers can be replaced, under the same names."""
+
+
+@cache
+def physics_table(factory: Callable[..., Any]) -> type[Table]:
+    """The table ``[physics]`` of a model's function: a key for every keyword, with its range and unit."""
+    hints = get_type_hints(factory, include_extras=True)
+    fields: dict[str, Any] = {}
+    for key, one in inspect.signature(factory).parameters.items():
+        if one.kind is one.KEYWORD_ONLY:
+            hint = hints.get(key, Any)
+            required = one.default is one.empty
+            fields[key] = (
+                Annotated[_checked(hint), Field(description=_words(hint))],
+                Field() if required else Field(default=one.default),
+            )
+    return create_model("Physics", __base__=Table, **fields)
+
+
+def check_physics(factory: Callable[..., Any], table: Mapping[str, Any]) -> None:
+    """Raise ``InputError`` with everything that is wrong with a complete ``[physics]``."""
+    _check(physics_table(factory), table, f"{PHYSICS}.")
+
+
+def check_parameters(factory: Callable[..., Any], parameters: Mapping[str, Any]) -> None:
+    """Raise ``InputError`` with everything that is wrong with numbers that replace those of a ``vehicle.toml``."""
+    _check(_replacing(factory), parameters, "parameters.")
+
+
+def replaced(data: Mapping[str, Any], parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """The data of a ``vehicle.toml`` with ``parameters`` in place of its own."""
+    beside = {key: value for key, value in parameters.items() if key in BESIDE}
+    physics = {key: value for key, value in parameters.items() if key not in BESIDE}
+    return _merged(data, {**beside, **({PHYSICS: physics} if physics else {})})
+
+
+def blamed(problem: Problem, parameters: Mapping[str, Any]) -> Problem:
+    """A problem of a ``vehicle.toml``; if the value was one of ``parameters``, it is a problem of those."""
+    path = problem.key.removeprefix(f"{PHYSICS}.").split(".")
+    node: Any = parameters
+    for name in path[:2] if path[0] in BESIDE else path[:1]:
+        if not isinstance(node, Mapping) or name not in node:
+            return problem
+        node = node[name]
+    return replace(problem, key=".".join(("parameters", *path)), file="", line=None)
+
+
+def _merged(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
+    both = {key: _merged(old[key], value) for key, value in new.items() if isinstance(value, Mapping) and key in old}
+    return {**old, **new, **both}
+
+
+@cache
+def _replacing(factory: Callable[..., Any]) -> type[Table]:
+    """The table of parameters: the keys of ``[physics]`` and the tables beside it, none of them required."""
+    shape = physics_table(factory)
+    fields: dict[str, Any] = {
+        key: (Annotated[field.annotation, *field.metadata, Field(description=field.description)], None)
+        for key, field in shape.model_fields.items()
+    }
+    fields["density"] = (Annotated[Quantity, Field(description="kg/m^3, or a table of part = kg/m^3")], None)
+    fields["controls"] = (Annotated[dict[str, ControlTable], Field(description=words_of(VehicleFile, "controls"))], {})
+    fields["joints"] = (Annotated[dict[str, Limits], Field(description=words_of(VehicleFile, "joints"))], {})
+    fields["suspension"] = (
+        Annotated[SuspensionTable, Field(description=words_of(VehicleFile, "suspension"))],
+        SuspensionTable(),
+    )
+    speed = VehicleFile.model_fields["top_speed"]
+    fields["top_speed"] = (
+        Annotated[speed.annotation, *speed.metadata, Field(description=words_of(VehicleFile, "top_speed"))],
+        None,
+    )
+    return create_model("Parameters", __base__=Table, **fields)
+
+
+def words_of(table: type[Table], key: str) -> str:
+    """The description of a table's key."""
+    return str(table.model_json_schema()["properties"][key]["description"])
+
+
+def _check(shape: type[Table], table: Mapping[str, Any], prefix: str) -> None:
+    try:
+        shape.model_validate(table)
+    except ValidationError as error:
+        found = problems_of(error.errors(include_url=False), shape.model_json_schema())
+        raise InputError.of(*(_prefixed(each, prefix) for each in found)) from None
+
+
+def _prefixed(problem: Problem, prefix: str) -> Problem:
+    return replace(problem, key=f"{prefix}{problem.key}")
+
+
+def _checked(hint: Any) -> Any:
+    """The type that pydantic checks: lists as TOML and Python give them, finite numbers, their ranges."""
+    base, ranges = _parts(hint)
+    if get_origin(base) is Sequence or get_origin(base) is list:
+        (entry,) = get_args(base)
+        return Annotated[list[_checked(entry)], Array, *ranges]  # type: ignore[misc]
+    return Annotated[float, Field(allow_inf_nan=False), IN_RANGE, *ranges] if base is float else Quantity
+
+
+def _parts(hint: Any) -> tuple[Any, list[Any]]:
+    """A type and its annotations."""
+    return (get_args(hint)[0], list(get_args(hint)[1:])) if get_origin(hint) is Annotated else (hint, [])
+
+
+def _words(hint: Any) -> str:
+    """A type in words: "a number above zero, in kg"."""
+    base, ranges = _parts(hint)
+    if get_origin(base) in (Sequence, list):
+        (entry,) = get_args(base)
+        what, _, rest = _words(entry).partition(",")
+        length = next((one.min_length for one in ranges if isinstance(one, Len)), 0)
+        if get_origin(_parts(entry)[0]) in (Sequence, list):
+            text = f"a list of rows, each of {what}"
+        else:
+            text = what.replace("a number", COUNTS.get(length, f"{length} numbers" if length else "a list of numbers"))
+        return f"{text},{rest}"
+    limit = "".join(
+        " above zero" if isinstance(one, Gt) else " of at least zero" if isinstance(one, Ge) else "" for one in ranges
+    )
+    unit = next((one.name for one in ranges if isinstance(one, Unit)), None)
+    return f"a number{limit}, {'in SI units' if unit is None else f'in {unit}' if unit else 'without a unit'}"
