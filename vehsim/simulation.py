@@ -60,8 +60,8 @@ def simulate(
     """
     from vehsim.integrators.forced import pushed, substeps
     from vehsim.integrators.integrator import Integrator
+    from vehsim.world.ground.placing import place_on_terrain
     from vehsim.world.ground.slope import on_terrain
-    from vehsim.world.ground.wheels import place_on_terrain
     from vehsim.world.world import World
 
     rate = _frame_rate(fps)

@@ -101,7 +101,6 @@ def test_nothing_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[st
         (["a", "--vehicle", "cra"], "did you mean 'car'"),
         (["a", "--vehicle", "car", "--terrain", "hill"], "did you mean 'hills'"),
         (["a", "--vehicle", "car", "--method", "fly"], "choose one of plan"),
-        (["a", "--vehicle", "truck", "--terrain", "hills"], "do not follow uneven ground"),
         (["a", "--vehicle", "tumbler", "--method", "plan"], "has no controls; choose simulate"),
         (["a", "--vehicle", "hopper", "--method", "plan"], "choose sinusoid"),
         (["a", "--vehicle", "helicopter", "--method", "sinusoid"], "not a system that is steered by sinusoids"),

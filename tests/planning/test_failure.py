@@ -8,6 +8,7 @@ import time
 import warnings
 from contextlib import suppress
 from dataclasses import replace
+from itertools import count
 from threading import Thread
 from types import SimpleNamespace
 
@@ -103,9 +104,8 @@ def test_a_mark_outside_a_stay_is_named():
     assert str(found[0]).startswith("mark[1].position: 4 m outside what 'stay' allows; move")
 
 
-def test_misses_are_reported_in_the_marks_units(monkeypatch):
+def test_misses_are_reported_in_the_marks_units():
     """Too short a bend: degrees; and a solve that hardly converges still finds the frame that would do."""
-    monkeypatch.setattr(elastic, "SECONDS", 600.0)
     car, helicopter = vehsim.load_vehicle("car"), vehsim.load_vehicle("helicopter")
     turn = [Mark(1, position=REST, heading=0, speed=12), Mark(73, position=(35, 10, 0), heading=90, speed=8)]
     with pytest.warns(UserWarning, match=r"mark\[1\].heading is missed by \d+(\.\d+)? deg$"):
@@ -138,6 +138,18 @@ def test_strength_is_the_controls_at_their_corners():
     car = vehsim.load_vehicle("car")
     braking = 4000 / 0.32 / (1350 + 2.4 / 0.32**2)
     assert strength(tug()) == np.inf and braking <= strength(car) <= 1.03 * braking
+
+
+def test_a_failure_is_explained_in_the_same_words_however_slow_the_machine_is(monkeypatch):
+    """Without a time limit no clock decides: on one that advances ten minutes per look, the message is the same."""
+
+    def message():
+        with pytest.warns(UserWarning, match="plan failed"):
+            return vehsim.plan(vehsim.load_vehicle("car"), None, CAR_ASIDE, segments=12).message
+
+    said, clock = message(), count(0.0, 600.0)
+    monkeypatch.setattr(time, "monotonic", lambda: next(clock))
+    assert message() == said and "earliest" in said
 
 
 def test_failed_solves_report_the_violation_and_the_remedy():
@@ -439,7 +451,6 @@ def test_a_broken_motion_is_reported_with_its_frame(monkeypatch):
 def test_marks_that_are_too_early_are_named_among_obstacles_too(monkeypatch):
     """Retries end elsewhere; what the first path misses is what an animator can fix."""
     monkeypatch.setattr("vehsim.planning.fallbacks.RETRIES", ((1.2, 0.3),))
-    monkeypatch.setattr(elastic, "SECONDS", 300.0)
     world = vehsim.World(obstacles=[box("tower", (15, 12, 0), (4, 4, 40))])
     marks = [Mark(1001, position=(0, 0, 10), velocity=REST), Mark(1081, position=(30, 0, 10), velocity=REST)]
     with pytest.warns(UserWarning, match=r"mark\[1\]\.frame = 1081 is too early; earliest 11[3-6]\d"):

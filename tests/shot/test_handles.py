@@ -78,7 +78,7 @@ def test_a_stopped_car_settles_on_its_springs_with_its_wheels_at_rest():
     from dataclasses import replace
 
     from vehsim.shot.follow_through import hold
-    from vehsim.world.ground.wheels import place_on_terrain
+    from vehsim.world.ground.placing import place_on_terrain
 
     world = vehsim.World("flat")
     clip = vehsim.simulate(vehsim.load_vehicle("car"), world, [900.0, 0.0], vehsim.State(), 0.5)

@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 
 import vehsim
 from vehsim.rig.parts import read_parts
-from vehsim.world.ground.wheels import place_on_terrain, touch, wheels_of
+from vehsim.world.ground.placing import place_on_terrain
+from vehsim.world.ground.wheels import touch, wheels_of
 from vehsim.world.terrain.terrain import Terrain
 from vehsim.world.world import World
 

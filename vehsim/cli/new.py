@@ -175,8 +175,11 @@ def _course(vehicle: Vehicle, place: str | None) -> Course:
     start, ahead, top = _room(terrain, first.reach, length, level=not flies and not floats)
     if flies or floats:
         return replace(first, start=start, ahead=ahead, base=round(top + lift + 2.0 * floats, 2))
-    if vehicle.tied and np.ptp(terrain.heights) > 0.01:
-        raise InputError("its trailers do not follow uneven ground", "leave --terrain out", subject=vehicle.name)
+    from vehsim.world.ground.trailers import follows_ground
+
+    if np.ptp(terrain.heights) > 0.01 and not follows_ground(vehicle):
+        remedy = "add channels hitch_pitch* and hitch_roll* to its vehicle.toml, or leave --terrain out"
+        raise InputError("its trailers do not follow uneven ground", remedy, subject=vehicle.name)
     return replace(first, start=start, ahead=ahead, terrain=terrain)
 
 

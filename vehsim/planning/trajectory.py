@@ -15,7 +15,7 @@ from vehsim.planning.certificates import Executed, executed
 from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.transcription import Transcription
 from vehsim.planning.request.request import Request
-from vehsim.world.ground.wheels import place_on_terrain
+from vehsim.world.ground.placing import place_on_terrain
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ and before the ops that shape its mesh, with values in the prim's own units.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
@@ -18,9 +18,11 @@ from numpy.typing import NDArray
 
 from vehsim.errors import ExportError, InputError, Problem
 from vehsim.intake.usd import complaints, open_stage
+from vehsim.rig.rig import HITCH_PITCH, HITCH_ROLL
 from vehsim.runtime.cache import Stamp, made_of, stamp
 
 if TYPE_CHECKING:
+    from vehsim.rig.parts import Part
     from vehsim.rig.rig import Drive, Rig
 
 Array = NDArray[np.float64]
@@ -32,6 +34,8 @@ SENSES = {
     "roll_": ("rolling forward is a rotation about the axis to the left", (0.0, 1.0, 0.0)),
     "steer_": ("steering to the left is a rotation about the axis up", (0.0, 0.0, 1.0)),
     "travel_": ("positive travel of a wheel is up", (0.0, 0.0, 1.0)),
+    HITCH_PITCH: ("nose down is a rotation about the axis to the left", (0.0, 1.0, 0.0)),
+    HITCH_ROLL: ("left side up is a rotation about the axis ahead", (1.0, 0.0, 0.0)),
 }
 """Prefix of a channel -> the meaning of its positive values in every model, and their axis (3,) in the rig root's
 frame."""
@@ -130,7 +134,7 @@ def pivot_of(rig: Rig, channel: str, root: Any, metres_per_unit: float) -> Array
         return None
     prim = root.GetPrimAtPath(drive.prim)
     T_ra = _to_op_space(root, prim, drive, metres_per_unit)
-    point = _bounds(rig, drive.prim).mean(axis=0) if drive.pivot == "centre" else np.asarray(drive.pivot, float)
+    point = bounds(rig, drive.prim).mean(axis=0) if drive.pivot == "centre" else np.asarray(drive.pivot, float)
     return np.asarray((np.linalg.inv(T_ra) @ [*point, 1.0])[:3])
 
 
@@ -212,7 +216,7 @@ def _turning(rig: Rig, channel: str, drive: Drive, T_ra: Array) -> Iterator[Prob
             "apply that scale to the meshes, or move it behind the rotation, last in xformOpOrder",
         )
         return
-    low, high = _bounds(rig, drive.prim)
+    low, high = bounds(rig, drive.prim)
     if drive.pivot is not None or not np.isfinite(low).all():
         return
     direction = unit[:, axis]
@@ -247,9 +251,9 @@ def _wrong_way(channel: str, drive: Drive, axes: Array) -> Iterator[Problem]:
             )
 
 
-def _bounds(rig: Rig, path: str) -> Array:
+def bounds(rig: Rig, path: str) -> Array:
     """Lower and upper corner (2, 3) of a part and all parts that it carries, in the rig root's frame, m."""
-    inside = [part for part in _parts(rig) if part.path == path or part.path.startswith(f"{path}/")]
+    inside = [part for part in parts_of(rig) if part.path == path or part.path.startswith(f"{path}/")]
     points = [part.points @ part.T_rp[:3, :3].T + part.T_rp[:3, 3] for part in inside]
     points = [cloud for cloud in points if len(cloud)] or _own_points(rig, path)
     if not points:
@@ -268,8 +272,10 @@ def _own_points(rig: Rig, path: str) -> list[Array]:
         return []
 
 
-def _parts(rig: Rig) -> Any:
-    return _read(Path(rig.asset), rig.root or None, stamp(rig.asset))
+def parts_of(rig: Rig) -> Sequence[Part]:
+    """The parts of a rig's asset, read once."""
+    found: Sequence[Part] = _read(Path(rig.asset), rig.root or None, stamp(rig.asset))
+    return found
 
 
 @lru_cache(maxsize=8)

@@ -7,6 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+HITCH_PITCH, HITCH_ROLL = "hitch_pitch", "hitch_roll"
+"""Prefixes of channels that tilt a trailer on its hitch, so that its wheels follow the ground."""
+
 
 @dataclass(frozen=True)
 class Channel:

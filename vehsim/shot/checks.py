@@ -104,11 +104,12 @@ def check_variants(key: str, given: Mapping[str, str], rig: Rig | None) -> Itera
 
 def check_trailer(vehicle: Vehicle, world: World) -> Iterator[Problem]:
     """Warn of a trailer on ground that is not level, which its wheels do not follow."""
-    from vehsim.world.obstacles.articulated import articulated_footprint
+    from vehsim.world.ground.trailers import follows_ground
 
-    if world.terrain is not None and np.ptp(world.terrain.heights) > 0.0 and articulated_footprint(vehicle):
+    if world.terrain is not None and np.ptp(world.terrain.heights) > 0.0 and not follows_ground(vehicle):
         message = f"the wheels of {vehicle.name}'s trailer do not follow uneven ground, and the export fails there"
-        yield Problem("asset", message, "stay on level ground", vehicle.name, severity="warning")
+        remedy = "add channels hitch_pitch* and hitch_roll* to its vehicle.toml, or stay on level ground"
+        yield Problem("asset", message, remedy, vehicle.name, severity="warning")
 
 
 def check_order(marks: list[MarkTable], setting: Setting) -> Iterator[Problem]:

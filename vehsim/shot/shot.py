@@ -178,7 +178,7 @@ class Shot:
         the cache if it was solved on this machine for the same vehicles, world and marks.
         """
         from vehsim.delivery.take import Take
-        from vehsim.world.ground.wheels import place_on_terrain
+        from vehsim.world.ground.placing import place_on_terrain
 
         errors = [] if checked else [problem for problem in self.check() if problem.severity == "error"]
         if errors:

@@ -4,7 +4,6 @@ time."""
 from __future__ import annotations
 
 import math
-import time
 import warnings
 from dataclasses import replace
 
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.errors import VehsimError
+from vehsim.planning.explain.work import affordable
 from vehsim.planning.guesses.pace import cruising
 from vehsim.planning.iterate import Iterate, Run
 from vehsim.planning.problem.transcription import Transcription, transcribe
@@ -33,8 +33,6 @@ the motion does or its duration has settled."""
 SHARE, SETTLED = 0.02, 0.03
 """Tolerance of the end of the executed controls, relative to the distance; and of the change of the duration,
 relative."""
-SECONDS = 20.0
-"""Time limit of a solve, s."""
 STRETCHES = (1.0, 2.5, 0.5)
 """Initial guesses of the duration, as factors on a cruise, and on the lower bound of the duration."""
 LONGER = 1.3
@@ -66,7 +64,6 @@ def first_frame(request: Request, i: int, j: int, least: int) -> tuple[int, bool
         max_iterations=ITERATIONS,
         terms=terms,
         loop=False,
-        deadline=math.inf,
         manner=NO_MANNER,  # a character may be exceeded
         given=(),
     )
@@ -98,7 +95,7 @@ def _found(quick: Request, request: Request, least: int) -> tuple[int, bool] | N
         before, stretches = math.inf, [_share(quick, paths, least), *STRETCHES]
         for times in FINER:
             finer = replace(quick, marks=marks, segments=times * quick.segments + 1)
-            run, finer = Run(quick), replace(quick, marks=marks, segments=times * quick.segments + 1)
+            run = Run(replace(quick, deadline=math.inf))
             iterate = _quickest(run, finer, transcribe(request.weighed), paths, stretches)
             if iterate is None:
                 break
@@ -125,9 +122,11 @@ def _quickest(
     """The iterate solved for least time: guesses are tried until one succeeds, and the shortest valid motion counts."""
     best: tuple[float, float, Iterate] | None = None
     for stretch in stretches:
+        run.deadline.end = math.inf
         guess = begin(run, request, transcription, None, paths, stretch=stretch)
-        run.deadline.end = time.monotonic() + SECONDS
-        iterate = solve(run, guess)
+        run.deadline.end = request.deadline
+        finite = replace(request, max_iterations=affordable(guess.layout.size, request.max_iterations))
+        iterate = solve(run, replace(guess, request=finite))
         taken = float((iterate.lengths * iterate.layout.phases).sum())
         if _violation(iterate) < NEAR and (best is None or taken < best[0]):
             best = taken, stretch, iterate

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -16,6 +15,7 @@ from vehsim.planning.constraints.block import Block, assemble, parameter_values,
 from vehsim.planning.constraints.marks import MarkRows
 from vehsim.planning.constraints.timing import Timing
 from vehsim.planning.explain.earliest import first_frame
+from vehsim.planning.explain.work import affordable
 from vehsim.planning.iterate import Iterate, Run
 from vehsim.planning.problem.elements import Element, NonlinearProgram
 from vehsim.planning.problem.layout import Layout
@@ -29,8 +29,8 @@ Array = NDArray[np.float64]
 
 PRICE = 1e3
 """Cost of missing a mark by one unit, or of being late by one second: more than any effort it could save."""
-ITERATIONS, SECONDS = 200, 20.0
-"""Maximum number of iterations and seconds for either question."""
+ITERATIONS = 200
+"""Maximum number of iterations for either question."""
 SLACKS = (0.0, 0.01, 0.03, 0.1, 0.3)
 """Shares of the time since the first mark that are added until a plan at whole frames is found."""
 NOTHING = 1e-3
@@ -136,9 +136,10 @@ def _is_met(run: Run, guess: Iterate, frames: dict[int, int]) -> bool:
     """Whether a motion is found with marks at other ``frames``, from the initial paths of the plan."""
     marks = [replace(m, frame=frames.get(i, m.frame)) for i, m in enumerate(guess.request.marks)]
     request = replace(guess.request, marks=marks, deadline=math.inf)
+    request = replace(request, max_iterations=affordable(guess.layout.size, request.max_iterations))
     other = Run(request)
     iterate = begin(other, request, guess.transcription, guess.cover, guess.paths)
-    other.deadline.end = min(run.deadline.end, time.monotonic() + SECONDS)
+    other.deadline.end = run.deadline.end
     return solve(other, iterate).success
 
 
@@ -190,6 +191,5 @@ def _solved(run: Run, start: Iterate, problem: NonlinearProgram, blocks: Sequenc
     lower, upper = variable_bounds(start, blocks)
     lower, upper = np.append(lower, np.zeros(extra)), np.append(upper, np.full(extra, np.inf))
     values = parameter_values(problem, start, blocks)
-    deadline = min(run.deadline.solving, time.monotonic() + SECONDS)
-    solver = Solver(problem, max_iterations=ITERATIONS)
-    return solver.solve(np.append(start.x, np.ones(extra)), lower, upper, values, deadline)
+    solver = Solver(problem, max_iterations=affordable(problem.size, ITERATIONS))
+    return solver.solve(np.append(start.x, np.ones(extra)), lower, upper, values, run.deadline.solving)

@@ -19,7 +19,7 @@ from vehsim.assets import described, description
 from vehsim.errors import InputError
 from vehsim.intake.tables import read_table
 from vehsim.intake.toml import lines_in
-from vehsim.rig.rig import Drive, Rig, Suspension
+from vehsim.rig.rig import HITCH_PITCH, HITCH_ROLL, Drive, Rig, Suspension
 from vehsim.runtime.cache import Stamp, stamp
 from vehsim.runtime.registry import Registry
 from vehsim.vehicles.definition.base import Control
@@ -253,8 +253,10 @@ def _rig(path: Path, vehicle: Vehicle, data: dict[str, Any]) -> Rig | None:
     _known(path, "channels.", channels, set(vehicle.channels))
     drives = {name: _drive(values) for name, values in channels.items()}
 
-    def place(item: tuple[str, Drive]) -> tuple[bool, bool]:  # order: slide, steer, spin
-        return item[1].op.startswith("rotate"), vehicle.channels[item[0]].rate is not None
+    def place(item: tuple[str, Drive]) -> tuple[bool, bool, int]:  # order: slide, steer, pitch, roll, spin
+        name, drive = item
+        tilt = 1 * name.startswith(HITCH_PITCH) + 2 * name.startswith(HITCH_ROLL)
+        return drive.op.startswith("rotate"), vehicle.channels[name].rate is not None, tilt
 
     drives = dict(sorted(drives.items(), key=place))
     springs = Suspension(**{name: float(value) for name, value in data.get("suspension", {}).items()})

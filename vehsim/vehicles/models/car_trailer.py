@@ -34,7 +34,8 @@ def car_trailer(
     ``slope`` (2,) rise per metre along world X and Y (felt by the car); ``hitch_damping`` N m s/rad.
     Joints: ``psi`` roll of the rear wheels, ``sigma = tan(steering angle)``, ``hitch``, the trailer's angle against the
     car [rad]. Controls: ``torque`` on the rear axle [N m] and ``steering_rate`` of sigma [1/s].
-    Channels: ``roll_rear``, ``roll_front``, ``steer``, ``hitch``, ``roll_trailer`` [rad].
+    Channels: ``roll_rear``, ``roll_front``, ``steer``, ``hitch``, ``roll_trailer`` [rad];
+    ``hitch_pitch`` and ``hitch_roll`` rest until a terrain tilts the trailer.
     """
     rho, length = wheel_radius, wheelbase
 
@@ -73,6 +74,8 @@ def car_trailer(
             "roll_rear": Channel(value=lambda t, r, u, xi, c: r[0]),
             "roll_front": Channel(rate=lambda t, r, u, xi, c: xi[1] / rho * ca.sqrt(1 + r[1] ** 2)),
             "steer": Channel(value=lambda t, r, u, xi, c: ca.atan(r[1])),
+            "hitch_pitch": Channel(value=lambda t, r, u, xi, c: 0.0),
+            "hitch_roll": Channel(value=lambda t, r, u, xi, c: 0.0),
             "hitch": Channel(value=lambda t, r, u, xi, c: r[2]),
             "roll_trailer": Channel(rate=lambda t, r, u, xi, c: trailer(r, u, xi)[1] / rho),
         },

@@ -36,7 +36,8 @@ def truck(
     angle against what pulls it [rad]. Controls: ``torque`` on the driven axle [N m] and ``steering_rate`` of sigma
     [1/s].
     Channels: ``roll_*`` and Ackermann ``steer_*`` of the tractor's wheels, ``hitch_k``, ``roll_tk_l`` and
-    ``roll_tk_r``.
+    ``roll_tk_r``. ``travel_*`` [m] of the same wheels, and ``hitch_pitch_k`` and ``hitch_roll_k`` of the trailers, rest
+    until a terrain moves them (`vehsim.world.ground`).
     """
     rho, length, count = wheel_radius, wheelbase, len(hitches)
     if len(trailer_masses) != count or len(trailer_inertias) != count:
@@ -94,6 +95,9 @@ def truck(
     channels |= {f"steer_f{n}": steer(side) for n, side in sides.items()}
     channels |= {f"hitch_{k + 1}": hitch(k) for k in range(count)}
     channels |= {f"roll_t{k + 1}_{n}": roll(k + 1, side) for k in range(count) for n, side in sides.items()}
+    still = Channel(value=lambda t, r, u, xi, c: 0.0)
+    channels |= {name.replace("roll", "travel"): still for name in [*channels] if name.startswith("roll_")}
+    channels |= {f"hitch_{tilt}_{k + 1}": still for tilt in ("pitch", "roll") for k in range(count)}
     return Nonholonomic(
         name=name,
         group=SE2,

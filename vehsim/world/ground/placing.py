@@ -1,0 +1,166 @@
+"""Lift planar motion onto a terrain, with every tyre touching it, the body on its springs and trailers behind it.
+
+The body follows its wheels (heave, pitch and roll) through springs and dampers, and leans with acceleration
+(`springs`); trailers tilt on their hitches (`trailers`). This is geometry after the simulation; the pull of slopes is
+in `slope.py`.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.clip.clip import Clip
+from vehsim.lie.quaternions import matrices, tilt_of, yaw_tilt
+from vehsim.rig.rig import Rig
+from vehsim.world.ground.springs import deflections, lean_of
+from vehsim.world.ground.trailers import poses, tilted
+from vehsim.world.ground.wheels import Wheel, touch, wheels_of
+from vehsim.world.terrain.terrain import Terrain
+
+Array = NDArray[np.float64]
+
+SAMPLES = 8
+"""Samples per frame for coarser clips, so that wheels also touch between knots."""
+SETTLING = 5
+"""Iterations of the body's rest pose, each with one iteration of its contacts: within 0.02 mm."""
+GRIP = 1.1
+"""Grip of dry tyres, in g."""
+LARGEST_TRAVEL = 0.12
+"""Travel beyond which a wheel leaves its arch, m."""
+
+
+def place_on_terrain(clip: Clip, world: Any) -> Clip:
+    """The clip of a vehicle with wheels on ``world``'s terrain: height, pitch and roll of its root, travel of wheels.
+
+    Adds the channels ``heave`` (of the body above its rest on its wheels, m), ``pitch`` (nose down) and ``roll`` (left
+    side up, rad); fills ``travel_*`` (m, upwards), and ``hitch_pitch*`` and ``hitch_roll*`` of trailers, as ``pitch``
+    and ``roll``; wheels turn by the length of the slope. The planar motion does not change. Other clips, and clips
+    without terrain, are returned unchanged.
+    """
+    terrain = None if world is None else world.terrain
+    rig = clip.vehicle.rig
+    if terrain is None or rig is None or not clip.vehicle.group.planar:
+        return clip
+    wheels = wheels_of(rig)
+    own = tuple(wheel for wheel in wheels if not wheel.carrier)
+    if not own:
+        return clip
+    if _is_on_terrain(clip, terrain, wheels):
+        return clip
+    clip = _dense(clip)
+    yaw = tilt_of(clip.orientations)[0]
+    rest = _rest(terrain, own, clip.positions[:, :2], yaw)
+    held = _held(clip, rest)
+    deflection = np.zeros_like(rest)
+    if any(wheel.travel for wheel in own) and len(clip) > 1:
+        deflection = deflections(clip.times, rest, lean_of(*held, own, rig.suspension), rig.suspension)
+    z, pitch, roll = (rest + deflection).T
+    there = np.column_stack([clip.positions[:, :2], z]), yaw_tilt(yaw, pitch, roll)
+    channels = {**clip.channels, "heave": deflection[:, 0], "pitch": pitch, "roll": roll}
+    channels |= tilted(rig, terrain, channels, clip.times, *there)
+    channels |= _wheel_channels(rig, terrain, wheels, channels, *there)
+    _warn_strain(clip, held, {wheel.travel: channels[wheel.travel] for wheel in wheels if wheel.travel})
+    return replace(clip, positions=there[0], orientations=there[1], channels=channels)
+
+
+def _is_on_terrain(clip: Clip, terrain: Terrain, wheels: tuple[Wheel, ...]) -> bool:
+    """Whether the clip stands on this terrain already."""
+    if "heave" not in clip.channels:
+        return False
+    some = slice(None, None, max(1, len(clip) // 200))
+    there, channels = (clip.positions[some], clip.orientations[some]), {n: v[some] for n, v in clip.channels.items()}
+    return all(
+        np.allclose(_travel(clip.vehicle.rig, terrain, wheel, channels, *there), channels[wheel.travel], atol=1e-4)
+        for wheel in wheels
+        if wheel.travel is not None
+    )
+
+
+def _travel(rig: Any, terrain: Terrain, wheel: Wheel, channels: Any, positions: Array, orientations: Array) -> Array:
+    """Travel (n,) m at which a wheel touches, on the vehicle's own body or on a trailer."""
+    return touch(terrain, wheel, *poses(rig, wheel.carrier, channels, positions, orientations))
+
+
+def _dense(clip: Clip) -> Clip:
+    """The clip with samples so close that motion between them is negligible."""
+    step = 1 / (SAMPLES * float(clip.fps))
+    if len(clip) < 2 or np.diff(clip.times).max() < 1.5 * step:
+        return clip
+    count = int(np.floor((clip.times[-1] - clip.times[0]) / step + 1e-6))
+    times = clip.times[0] + np.array([float(k / (SAMPLES * clip.fps)) for k in range(count + 1)])
+    times = np.minimum(times, clip.times[-1])
+    return clip.at(times if clip.times[-1] - times[-1] < 1e-9 else np.append(times, clip.times[-1]))
+
+
+def _rest(terrain: Terrain, wheels: tuple[Wheel, ...], xy: Array, yaw: Array) -> Array:
+    """Height, pitch and roll (n, 3) at which the body rests on equal springs, for any slope."""
+    centres = np.array([wheel.centre for wheel in wheels])
+    # derivatives of a wheel's travel with respect to height, pitch and roll
+    fit = np.linalg.pinv(np.column_stack([np.ones(len(wheels)), -centres[:, 0], centres[:, 1]]), rcond=1e-6)
+    pose = np.zeros((len(xy), 3))
+    pose[:, 0] = terrain.height(xy)
+    for _ in range(SETTLING):
+        orientations = yaw_tilt(yaw, *pose[:, 1:].T)
+        positions = np.column_stack([xy, pose[:, 0]])
+        travel = np.column_stack([touch(terrain, wheel, positions, orientations, 1) for wheel in wheels])
+        pose = pose + travel @ fit.T
+    return pose
+
+
+def _held(clip: Clip, rest: Array) -> tuple[Array, Array]:
+    """The force that tyres must hold for a vehicle at rest on its springs (n, 3), per mass: (n,) m/s^2 along and across
+    it."""
+    from vehsim.vehicles.definition.holonomic import GRAVITY
+
+    if len(clip) < 2:
+        return np.zeros(len(clip)), np.zeros(len(clip))
+    turn, vx, vy = clip.twists.T
+    along = np.gradient(vx, clip.times) - turn * vy - GRAVITY * np.sin(rest[:, 1])
+    return along, np.gradient(vy, clip.times) + turn * vx + GRAVITY * np.sin(rest[:, 2])
+
+
+def _warn_strain(clip: Clip, held: tuple[Array, Array], travels: dict[str, Array]) -> None:
+    """Warn if tyres, or else springs, exceed their limits."""
+    from vehsim.vehicles.definition.holonomic import GRAVITY
+
+    needed = np.hypot(*held) / GRAVITY
+    name, travel = max(travels.items(), key=lambda item: np.abs(item[1]).max(), default=("", np.zeros(len(clip))))
+    if needed.max() > GRIP:
+        frame = clip.frames[int(needed.argmax())]
+        message = (
+            f"{needed.max():.1f} g at frame {frame:.0f}: more than the grip of tyres, but wheels never slip here; "
+        )
+        remedy = "go slower, or plan with limits = { acceleration = 8 }"
+    elif np.abs(travel).max() > LARGEST_TRAVEL:
+        k = int(np.abs(travel).argmax())
+        message = f"{name} = {travel[k]:.2f} m at frame {clip.frames[k]:.0f}: too rough a ground or too fast a drive "
+        remedy = "for the wheels to stay in their arches; go slower, or smooth the ground"
+    else:
+        return
+    warnings.warn(f"{clip.vehicle.name}: {message}{remedy}", stacklevel=3)
+
+
+def _wheel_channels(
+    rig: Rig, terrain: Terrain, wheels: tuple[Wheel, ...], channels: Any, positions: Array, orientations: Array
+) -> dict[str, Array]:
+    """Travel of every wheel that has a channel for it, and its rotation, by the true path of its hub."""
+    made = {}
+    for wheel in wheels:
+        there, turned = poses(rig, wheel.carrier, channels, positions, orientations)
+        travel = np.zeros(len(there))
+        if wheel.travel is not None:
+            travel = made[wheel.travel] = touch(terrain, wheel, there, turned)
+        if wheel.roll is not None and len(there) > 1:
+            R_wb = matrices(turned)
+            hub = there + R_wb @ wheel.centre + travel[:, None] * R_wb[:, :, 2]
+            path = np.diff(hub, axis=0)
+            level = np.linalg.norm(path[:, :2], axis=1)
+            longer = np.where(level > 1e-6, np.linalg.norm(path, axis=1) / np.maximum(level, 1e-6), 1.0)
+            spun = channels[wheel.roll]
+            made[wheel.roll] = spun[0] + np.concatenate([[0.0], np.cumsum(np.diff(spun) * longer)])
+    return made

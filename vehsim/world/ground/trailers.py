@@ -1,0 +1,126 @@
+"""Trailers on the ground: each hangs on its hitch, and pitches and rolls there until its wheels touch the terrain."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.lie.quaternions import matrices, quaternions, tilt_of
+from vehsim.rig.linkage import moved, screws
+from vehsim.rig.rig import HITCH_PITCH, HITCH_ROLL, Rig
+from vehsim.vehicles import Vehicle
+from vehsim.vehicles.definition.holonomic import GRAVITY
+from vehsim.world.ground.springs import deflections, lean_of
+from vehsim.world.ground.wheels import Wheel, touch, wheels_of
+from vehsim.world.terrain.terrain import Terrain
+
+Array = NDArray[np.float64]
+Channels = Mapping[str, Array]
+
+SETTLING = 8
+"""Iterations of a trailer's rest pose, each with one iteration of its contacts: within 0.01 mm."""
+
+
+@dataclass(frozen=True)
+class Trailer:
+    """The part at ``path`` below the root, which ``tilts`` (channel, column of (heave, pitch, roll)) turn about its
+    hitch at ``pivot`` (3,) m, in the rig root's frame."""
+
+    path: str
+    pivot: Array
+    tilts: tuple[tuple[str, int], ...]
+    wheels: tuple[Wheel, ...]
+
+
+def trailers_of(rig: Rig) -> tuple[Trailer, ...]:
+    """The trailers whose channels ``hitch_pitch*`` and ``hitch_roll*`` a rig drives, the one that is coupled first
+    first."""
+    found: dict[str, list[tuple[str, int]]] = {}
+    for name, drive in rig.drives.items():
+        for prefix, column in ((HITCH_PITCH, 1), (HITCH_ROLL, 2)):
+            if name.startswith(prefix):
+                found.setdefault(drive.prim, []).append((name, column))
+    wheels = wheels_of(rig)
+    return tuple(
+        Trailer(path, _pivot(rig, path, tilts[0][0]), tuple(tilts), tuple(w for w in wheels if w.carrier == path))
+        for path, tilts in sorted(found.items(), key=lambda item: item[0].count("/"))
+    )
+
+
+def _pivot(rig: Rig, path: str, channel: str) -> Array:
+    return next(screw.pivot for screw in screws(rig, path) if screw.channel == channel)
+
+
+def follows_ground(vehicle: Vehicle) -> bool:
+    """Whether all that is hitched to a vehicle can follow uneven ground."""
+    if vehicle.rig is None:
+        return True
+    tilting = [drive.prim for name, drive in vehicle.rig.drives.items() if name.startswith((HITCH_PITCH, HITCH_ROLL))]
+    hitched = [drive.prim for name, drive in vehicle.rig.drives.items() if name.startswith("hitch")]
+    return all(any(f"{tilt}/".startswith(f"{prim}/") for tilt in tilting) for prim in hitched)
+
+
+def poses(rig: Rig, path: str, channels: Channels, positions: Array, orientations: Array) -> tuple[Array, Array]:
+    """Poses (n, 3) m and (n, 4) that carry the part at ``path`` from its rest in the root's frame into the world, at
+    poses of the root."""
+    if not path:
+        return positions, orientations
+    R, p = moved(rig, path, channels, len(positions))
+    R_wr = matrices(orientations)
+    return positions + (R_wr @ p[..., None])[..., 0], quaternions(R_wr @ R)
+
+
+def tilted(
+    rig: Rig, terrain: Terrain, channels: Channels, times: Array, positions: Array, orientations: Array
+) -> dict[str, Array]:
+    """The tilt channels (n,) rad of all trailers on ``terrain``, at poses of the root (n, 3) m, (n, 4)."""
+    made: dict[str, Array] = {}
+    for trailer in trailers_of(rig):
+        if trailer.wheels:
+            known = {**channels, **made}
+            made |= _tilted(rig, trailer, terrain, known, times, positions, orientations)
+    return made
+
+
+def _tilted(
+    rig: Rig,
+    trailer: Trailer,
+    terrain: Terrain,
+    channels: Channels,
+    times: Array,
+    positions: Array,
+    orientations: Array,
+) -> dict[str, Array]:
+    """The tilt channels of one trailer behind others."""
+    columns = [column for _, column in trailer.tilts]
+    away = np.array([wheel.centre for wheel in trailer.wheels]) - trailer.pivot
+    # derivatives of a wheel's height with respect to heave, pitch and roll about the hitch
+    fit = np.linalg.pinv(np.column_stack([0 * away[:, 0], -away[:, 0], away[:, 1]])[:, columns], rcond=1e-6)
+    tilt = np.zeros((len(times), len(columns)))
+
+    def placed() -> tuple[Array, Array]:
+        values = {name: tilt[:, k] for k, (name, _) in enumerate(trailer.tilts)}
+        return poses(rig, trailer.path, {**channels, **values}, positions, orientations)
+
+    for _ in range(SETTLING):
+        there = placed()
+        travel = np.column_stack([touch(terrain, wheel, *there, 1) for wheel in trailer.wheels])
+        tilt = tilt + travel @ fit.T
+    if any(wheel.travel for wheel in trailer.wheels) and len(times) > 2:
+        rest = np.column_stack([np.zeros(len(times)), *tilt_of(placed()[1])[1:]])
+        lean = lean_of(*_held(times, trailer, *placed()), trailer.wheels, rig.suspension)
+        tilt = tilt + deflections(times, rest[:, columns], lean[:, columns], rig.suspension)
+    return {name: tilt[:, k] for k, (name, _) in enumerate(trailer.tilts)}
+
+
+def _held(times: Array, trailer: Trailer, positions: Array, orientations: Array) -> tuple[Array, Array]:
+    """The force that a trailer's tyres and hitch hold, per mass: (n,) m/s^2 along and across it."""
+    axle = np.mean([wheel.centre for wheel in trailer.wheels], axis=0)
+    yaw, pitch, roll = tilt_of(orientations)
+    path = (positions + matrices(orientations) @ axle)[:, :2]
+    x, y = np.gradient(np.gradient(path, times, axis=0), times, axis=0).T
+    along = np.cos(yaw) * x + np.sin(yaw) * y - GRAVITY * np.sin(pitch)
+    return along, np.cos(yaw) * y - np.sin(yaw) * x + GRAVITY * np.sin(roll)
