@@ -7,7 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import vehsim
-from vehsim.rig.parts import read_parts
+from vehsim.rig.parts import read_parts, solids
+from vehsim.world.obstacles.obstacles import box
 from vehsim.world.terrain.terrain import Terrain
 from vehsim.world.world import World
 
@@ -187,3 +188,26 @@ def test_a_road_train_of_ones_own_follows_the_ground(tmp_path):
         ops[f"first/second/wheel_t2_{side}"] = [*two, (f"roll_t2_{side}", "Y", np.array([-9.0, y, 0.5]))]
     assert np.abs(gaps(clip, world, ops, range(0, len(clip), 8))).max() < 2e-3
     assert np.ptp(clip.channels["hitch_roll_2"]) > 0.03
+
+
+def test_clearances_see_the_trailer_where_it_turns_and_tilts():
+    """A wall along Y beside a truck in a bend on hills: its distance is that of the nearest corner of all hulls."""
+    world = hilly()
+    clip = driven(TRUCK, world, sigma=0.2, hitch_1=0.3).resample()
+    wall = box("wall", (0.0, -60.0, -10.0), (300.0, 10.0, 30.0))
+    seen = clip.at(clip.times[::24])
+    placed = world.with_obstacles([wall]).clearance_by_obstacle(
+        TRUCK, seen.positions, seen.orientations, channels=seen.channels
+    )
+    pin = np.array([-1.8, 0.0, 1.2])
+    for k, found in enumerate(placed[:, 0]):
+        angles = [seen.channels[name][k] for name in ("hitch_1", "hitch_pitch_1", "hitch_roll_1")]
+        turn = Rotation.from_euler("ZYX", angles).as_matrix()
+        corners = []
+        for solid in solids(TRUCK.rig.asset, TRUCK.rig.root or None):
+            for hull in solid.hulls:
+                here = (hull - pin) @ turn.T + pin if solid.path.startswith("trailer_1") else hull
+                corners.append(here @ seen.matrices()[k][:3, :3].T + seen.matrices()[k][:3, 3])
+        assert found == pytest.approx(np.vstack(corners)[:, 1].min() + 55.0, abs=1e-5)
+    straight = world.with_obstacles([wall]).clearance_by_obstacle(TRUCK, seen.positions, seen.orientations)
+    assert np.abs(straight - placed).max() > 0.1

@@ -32,7 +32,7 @@ class Scene:
 
 
 class WorldScene(Scene):
-    """A `World` and the ``vehicle`` that moves in it, with its hulls at rest."""
+    """A `World` and the ``vehicle`` that moves in it: its hulls at rest, those of trailers where they turn and tilt."""
 
     def __init__(self, world: Any, vehicle: Any) -> None:
         self.world, self.vehicle = world, vehicle
@@ -50,7 +50,7 @@ class WorldScene(Scene):
             return super().away(track, obstacles_only)
         poses = track.positions, quaternions(track.rotations)
         if obstacles_only:
-            found = self.world.clearance_by_obstacle(self.vehicle, *poses, track.seconds)
+            found = self.world.clearance_by_obstacle(self.vehicle, *poses, track.seconds, track.channels)
             return np.asarray(found.min(axis=1, initial=np.inf))
         return np.asarray(self.world.clearance(self.vehicle, *poses, track.seconds))
 

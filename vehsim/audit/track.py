@@ -41,6 +41,8 @@ class Track:
     joint_rates: Mapping[str, Array] = field(default_factory=dict)
     controls: Array | None = None
     """(n, c), in the order of the vehicle's controls; a stage shows none."""
+    channels: Mapping[str, Array] = field(default_factory=dict)
+    """Channels of the rig, name -> (n,); a stage's poses contain them."""
     chords: bool = False
     """Whether the poses come from a stage, so that velocities are differences of them."""
 
@@ -75,6 +77,7 @@ class Track:
             {name: values[rows] for name, values in self.joints.items()},
             {name: values[rows] for name, values in self.joint_rates.items()},
             None if self.controls is None else self.controls[rows],
+            {name: values[rows] for name, values in self.channels.items()},
             self.chords,
         )
 
@@ -122,6 +125,7 @@ def track_of_clip(clip: Clip) -> Track:
         {name: at.joints[:, i] for i, name in enumerate(names)},
         {name: at.joint_rates[:, i] for i, name in enumerate(names)},
         at.controls,
+        at.channels,
     )
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim.lie.quaternions import matrices, quaternions
 from vehsim.rig.ops import bounds, parts_of
 from vehsim.rig.rig import Rig
 
@@ -69,3 +70,15 @@ def moved(rig: Rig, path: str, channels: Mapping[str, Array], count: int) -> Mot
         turn, slide = screw.at(np.asarray(channels.get(screw.channel, np.zeros(count)), float))
         R, p = R @ turn, p + (R @ slide[..., None])[..., 0]
     return R, p
+
+
+def carried(
+    rig: Rig, path: str, channels: Mapping[str, Array], positions: Array, orientations: Array
+) -> tuple[Array, Array]:
+    """Poses (n, 3) m and (n, 4) that carry the part at ``path`` from its rest in the root's frame into the world, at
+    poses of the root."""
+    if not path:
+        return positions, orientations
+    R, p = moved(rig, path, channels, len(positions))
+    R_wr = matrices(orientations)
+    return positions + (R_wr @ p[..., None])[..., 0], quaternions(R_wr @ R)

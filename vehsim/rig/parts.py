@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import time
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -163,8 +163,9 @@ def read_mesh(asset: str | Path, root: str | None, path: str) -> tuple[Array, Fa
     raise InputError("no such mesh", "name one below the rig's root", key=place, file=made_of(asset))
 
 
-def add_to_spec(spec: Any, rig: Rig, name: str, free: bool = True) -> Any:
-    """Add a vehicle's hulls to a ``mujoco.MjSpec``; returns its body, whose frame is the rig root's.
+def add_to_spec(spec: Any, rig: Rig, name: str, free: bool = True, only: Collection[str] | None = None) -> Any:
+    """Add a vehicle's hulls to a ``mujoco.MjSpec``; returns its body, whose frame is the rig root's. ``only``: paths of
+    the parts, all by default.
 
     The body has unit mass and, if ``free``, a free joint of the same name: it is placed and queried, not simulated.
     Each hull is a mesh geom ``<name>/<part>/<k>`` in group 3 that collides with nothing; MuJoCo's distance and ray
@@ -175,7 +176,8 @@ def add_to_spec(spec: Any, rig: Rig, name: str, free: bool = True) -> Any:
     body = spec.worldbody.add_body(name=name, mass=1.0, inertia=[1.0, 1.0, 1.0], explicitinertial=True)
     if free:
         body.add_freejoint(name=name)
-    named = [(solid.name, hull) for solid in solids(rig.asset, rig.root or None) for hull in solid.hulls]
+    chosen = [solid for solid in solids(rig.asset, rig.root or None) if only is None or solid.path in only]
+    named = [(solid.name, hull) for solid in chosen for hull in solid.hulls]
     for k, (part, hull) in enumerate(named):
         mesh = f"{name}/{part}/{k}"
         spec.add_mesh(name=mesh, uservert=hull.ravel(), inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX)

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import copy
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from vehsim.errors import InputError
 from vehsim.world.distance.field import DistanceField, Progress, distance_field
+from vehsim.world.obstacles.articulated import carriers_of
 from vehsim.world.obstacles.obstacles import Moving, Obstacle, check_obstacles
 from vehsim.world.terrain.terrain import Terrain
 from vehsim.world.water.water import Water
@@ -170,26 +172,39 @@ class World:
         return self._scenes[asset].clearance(positions, orientations)
 
     def clearance_by_obstacle(
-        self, vehicle: Any, positions: ArrayLike, orientations: ArrayLike, seconds: ArrayLike | None = None
+        self,
+        vehicle: Any,
+        positions: ArrayLike,
+        orientations: ArrayLike,
+        seconds: ArrayLike | None = None,
+        channels: Mapping[str, Array] = MappingProxyType({}),
     ) -> Array:
-        """`clearance` from each of the ``obstacles``, (n, obstacles) m."""
-        return self._from_obstacles(vehicle, positions, orientations, seconds, each=True)
+        """`clearance` from each of the ``obstacles``, (n, obstacles) m. ``channels`` (n,): with them, trailers are
+        where they turn and tilt; otherwise they are as at rest."""
+        return self._from_obstacles(vehicle, positions, orientations, seconds, each=True, channels=channels)
 
     def _from_obstacles(
-        self, vehicle: Any, positions: ArrayLike, orientations: ArrayLike, seconds: ArrayLike | None, each: bool = False
+        self,
+        vehicle: Any,
+        positions: ArrayLike,
+        orientations: ArrayLike,
+        seconds: ArrayLike | None,
+        each: bool = False,
+        channels: Mapping[str, Array] = MappingProxyType({}),
     ) -> Array:
         """Distances (n, obstacles) m from each, or (n, 1) from the nearest."""
         points = np.asarray(positions, dtype=float).reshape(-1, 3)
         if not self.obstacles:
             return np.full((len(points), 0 if each else 1), np.inf)
-        key = vehicle.rig and str(vehicle.rig.asset)
+        carriers = carriers_of(vehicle)
+        key = vehicle.rig and (str(vehicle.rig.asset), carriers)
         if key not in self._obstacle_scenes:
             from vehsim.world.distance.clearance import ObstacleScene
 
-            self._obstacle_scenes[key] = ObstacleScene(vehicle.rig, self.obstacles)
+            self._obstacle_scenes[key] = ObstacleScene(vehicle.rig, self.obstacles, carriers)
         turned = np.asarray(orientations, dtype=float).reshape(-1, 4)
         when = None if seconds is None else np.atleast_1d(np.asarray(seconds, float))
-        return self._obstacle_scenes[key].clearance(points, turned, when, each)
+        return self._obstacle_scenes[key].clearance(points, turned, when, each, channels)
 
     def route(
         self,

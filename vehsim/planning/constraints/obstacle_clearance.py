@@ -7,6 +7,7 @@ serves all worlds with the same shapes.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -25,6 +26,7 @@ from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.transcription import Transcription
 from vehsim.planning.trajectory import Trajectory
 from vehsim.vehicles import Vehicle
+from vehsim.world.ground.placing import place_on_terrain
 from vehsim.world.obstacles.articulated import articulated_footprint
 from vehsim.world.obstacles.plane import placed
 
@@ -37,6 +39,8 @@ SIGHT = 3.0
 """Distance from the guess beyond the requested clearance, m, within which a part is active at a knot. If an inactive
 part comes too near, this is found after the solve, and the part becomes active."""
 SPREAD = 2.0
+LEANS = 0.005
+"""What leaning may take from the clearance without another solve, m."""
 """Features of a part are active up to this much farther away than its nearest feature, m."""
 BETWEEN = 0.005
 """Margin added to the requested clearance at knots, m, since the path between them curves; it grows where necessary."""
@@ -169,8 +173,31 @@ class ObstacleClearance(Block):
     def measure(self, trajectory: Trajectory, clip: Clip, progress: Progress | None) -> Finding:
         """The smallest clearance, and the shortfall per part and segment."""
         nearest, by_segment = certify_plane(clip, self.parts, self.clearance)
+        leaning = self._leaning(trajectory, clip)
+        nearest, by_segment = min(nearest, float(leaning.min(initial=np.inf))), np.minimum(by_segment, leaning)
         lack = np.maximum(self.clearance - by_segment, 0.0)
         return Finding(nearest, self.clearance, bool(nearest >= self.clearance - FINEST), lack)
+
+    def _leaning(self, trajectory: Trajectory, clip: Clip) -> Array:
+        """Distances (parts, segments) m of the hulls that lean on terrain, on whole frames; inf where they do not lean,
+        or by less than `LEANS`, which the audit allows."""
+        request, apart = trajectory.request, np.full((len(self.parts), max(len(clip) - 1, 1)), np.inf)
+        world, vehicle = request.world, request.vehicle
+        if world.terrain is None or vehicle.rig is None or len(clip) < 2:
+            return apart
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the finished motion warns
+            placed = place_on_terrain(replace(clip, vehicle=vehicle), world, samples=1)
+        seconds = placed.start_frame / float(placed.fps) + placed.times
+        poses = placed.positions, placed.orientations
+        gaps = world.clearance_by_obstacle(vehicle, *poses, seconds, placed.channels)
+        segment = np.clip(np.searchsorted(clip.times, placed.times, "right") - 1, 0, len(clip) - 2)
+        columns = {id(obstacle): k for k, obstacle in enumerate(world.obstacles)}
+        for row, (obstacle, _) in enumerate(self.parts):
+            here = gaps[:, columns[id(obstacle)]]
+            near = here < self.clearance - LEANS
+            np.minimum.at(apart[row], segment[near], here[near])
+        return apart
 
     def tighten(self, trajectory: Trajectory, finding: Finding) -> ObstacleClearance:
         """The block with a larger margin at both knots of segments that lack clearance.

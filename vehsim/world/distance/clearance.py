@@ -5,13 +5,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim.rig.parts import add_to_spec
+from vehsim.rig.linkage import carried
+from vehsim.rig.parts import add_to_spec, solids
 from vehsim.rig.rig import Rig
 from vehsim.world.obstacles.obstacles import Moving, Obstacle
 
@@ -22,14 +24,25 @@ POINT = 1e-6
 
 
 class ObstacleScene:
-    """One vehicle's hulls and a world's obstacles in a MuJoCo model, for distance queries."""
+    """One vehicle's hulls and a world's obstacles in a MuJoCo model, for distance queries.
 
-    def __init__(self, rig: Rig | None, obstacles: Sequence[Obstacle | Moving]) -> None:
+    ``carriers``: paths of the parts that swing out of the vehicle with all that they carry, such as trailers, parents
+    before children; the other parts stay as they are at rest.
+    """
+
+    def __init__(self, rig: Rig | None, obstacles: Sequence[Obstacle | Moving], carriers: Sequence[str] = ()) -> None:
         import mujoco
 
         spec = mujoco.MjSpec()
-        self.obstacles = list(obstacles)
-        bodies = [_add_point(spec) if rig is None else add_to_spec(spec, rig, "vehicle")]
+        self.obstacles, self.rig, self.carriers = list(obstacles), rig, ("", *carriers)
+        if rig is None:
+            bodies = [_add_point(spec)]
+        else:
+            paths = [solid.path for solid in solids(rig.asset, rig.root or None)]
+            bodies = [
+                add_to_spec(spec, rig, f"vehicle{k or ''}", only=[p for p in paths if self._carrier(p) == carrier])
+                for k, carrier in enumerate(self.carriers)
+            ]
         for k, obstacle in enumerate(self.obstacles):
             body = spec.worldbody.add_body(name=f"obstacle/{k}")
             if isinstance(obstacle, Moving):
@@ -43,27 +56,41 @@ class ObstacleScene:
         names = [body.name for body in bodies]
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
-        self._own, *self._theirs = [[self.model.geom(name).id for name in group] for group in geoms]
+        numbers = [[self.model.geom(name).id for name in group] for group in geoms]
+        self._theirs = numbers[len(self.carriers) :]
+        self._own = [geom for group in numbers[: len(self.carriers)] for geom in group]
         joints = [int(self.model.body_jntadr[self.model.body(name).id]) for name in names]
         self._places = [int(self.model.jnt_qposadr[joint]) if joint >= 0 else -1 for joint in joints]
 
+    def _carrier(self, path: str) -> str:
+        """The part in ``carriers`` that carries the one at ``path``."""
+        return max((c for c in self.carriers if not c or f"{path}/".startswith(f"{c}/")), key=len)
+
     def clearance(
-        self, positions: Array, orientations: Array, seconds: Array | None = None, each: bool = False
+        self,
+        positions: Array,
+        orientations: Array,
+        seconds: Array | None = None,
+        each: bool = False,
+        channels: Mapping[str, Array] = MappingProxyType({}),
     ) -> Array:
         """Signed distances m at rig-root poses (n, 3) m, (n, 4) w, x, y, z: (n, 1) to the nearest, or to ``each``.
 
-        ``seconds`` (n,) since frame 0; without them, moving obstacles are ignored. Negative: the depth of the overlap.
+        ``seconds`` (n,) since frame 0; without them, moving obstacles are ignored. ``channels`` (n,): those that move
+        the ``carriers``; at rest without. Negative: the depth of the overlap.
         """
+        own = [(positions, orientations)]
+        if self.rig is not None:
+            own = [carried(self.rig, path, channels, positions, orientations) for path in self.carriers]
         moving = {k: o for k, o in enumerate(self.obstacles) if isinstance(o, Moving)}
         shown = [k for k in range(len(self.obstacles)) if k not in moving or seconds is not None]
         poses = {} if seconds is None else {k: o.poses_at(seconds) for k, o in moving.items()}
         groups = [self._theirs[k] for k in shown] if each else [[geom for k in shown for geom in self._theirs[k]]]
         columns = shown if each else [0]
         result = np.full((len(positions), len(self.obstacles) if each else 1), np.inf)
-        for n, (position, orientation) in enumerate(zip(positions, orientations, strict=True)):
-            self._place(0, position, orientation)
-            for k, (there, turned) in poses.items():
-                self._place(k + 1, there[n], turned[n])
+        for n in range(len(positions)):
+            for k, (there, turned) in [*enumerate(own), *((k + len(own), pose) for k, pose in poses.items())]:
+                self._place(k, there[n], turned[n])
             self._update()
             result[n, columns] = [self._nearest(group) for group in groups]
         return result

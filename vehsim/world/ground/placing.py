@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from vehsim.clip.clip import Clip
 from vehsim.lie.quaternions import matrices, tilt_of, yaw_tilt
+from vehsim.rig.linkage import carried
 from vehsim.rig.rig import Rig
 from vehsim.world.ground.springs import deflections, lean_of
-from vehsim.world.ground.trailers import poses, tilted
+from vehsim.world.ground.trailers import tilted
 from vehsim.world.ground.wheels import Wheel, touch, wheels_of
 from vehsim.world.terrain.terrain import Terrain
 
@@ -34,13 +35,13 @@ LARGEST_TRAVEL = 0.12
 """Travel beyond which a wheel leaves its arch, m."""
 
 
-def place_on_terrain(clip: Clip, world: Any) -> Clip:
+def place_on_terrain(clip: Clip, world: Any, samples: int = SAMPLES) -> Clip:
     """The clip of a vehicle with wheels on ``world``'s terrain: height, pitch and roll of its root, travel of wheels.
 
     Adds the channels ``heave`` (of the body above its rest on its wheels, m), ``pitch`` (nose down) and ``roll`` (left
     side up, rad); fills ``travel_*`` (m, upwards), and ``hitch_pitch*`` and ``hitch_roll*`` of trailers, as ``pitch``
     and ``roll``; wheels turn by the length of the slope. The planar motion does not change. Other clips, and clips
-    without terrain, are returned unchanged.
+    without terrain, are returned unchanged. ``samples``: per frame, at least.
     """
     terrain = None if world is None else world.terrain
     rig = clip.vehicle.rig
@@ -52,7 +53,7 @@ def place_on_terrain(clip: Clip, world: Any) -> Clip:
         return clip
     if _is_on_terrain(clip, terrain, wheels):
         return clip
-    clip = _dense(clip)
+    clip = _dense(clip, samples)
     yaw = tilt_of(clip.orientations)[0]
     rest = _rest(terrain, own, clip.positions[:, :2], yaw)
     held = _held(clip, rest)
@@ -83,16 +84,16 @@ def _is_on_terrain(clip: Clip, terrain: Terrain, wheels: tuple[Wheel, ...]) -> b
 
 def _travel(rig: Any, terrain: Terrain, wheel: Wheel, channels: Any, positions: Array, orientations: Array) -> Array:
     """Travel (n,) m at which a wheel touches, on the vehicle's own body or on a trailer."""
-    return touch(terrain, wheel, *poses(rig, wheel.carrier, channels, positions, orientations))
+    return touch(terrain, wheel, *carried(rig, wheel.carrier, channels, positions, orientations))
 
 
-def _dense(clip: Clip) -> Clip:
+def _dense(clip: Clip, samples: int) -> Clip:
     """The clip with samples so close that motion between them is negligible."""
-    step = 1 / (SAMPLES * float(clip.fps))
+    step = 1 / (samples * float(clip.fps))
     if len(clip) < 2 or np.diff(clip.times).max() < 1.5 * step:
         return clip
     count = int(np.floor((clip.times[-1] - clip.times[0]) / step + 1e-6))
-    times = clip.times[0] + np.array([float(k / (SAMPLES * clip.fps)) for k in range(count + 1)])
+    times = clip.times[0] + np.array([float(k / (samples * clip.fps)) for k in range(count + 1)])
     times = np.minimum(times, clip.times[-1])
     return clip.at(times if clip.times[-1] - times[-1] < 1e-9 else np.append(times, clip.times[-1]))
 
@@ -151,7 +152,7 @@ def _wheel_channels(
     """Travel of every wheel that has a channel for it, and its rotation, by the true path of its hub."""
     made = {}
     for wheel in wheels:
-        there, turned = poses(rig, wheel.carrier, channels, positions, orientations)
+        there, turned = carried(rig, wheel.carrier, channels, positions, orientations)
         travel = np.zeros(len(there))
         if wheel.travel is not None:
             travel = made[wheel.travel] = touch(terrain, wheel, there, turned)

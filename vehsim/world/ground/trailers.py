@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim.lie.quaternions import matrices, quaternions, tilt_of
-from vehsim.rig.linkage import moved, screws
+from vehsim.lie.quaternions import matrices, tilt_of
+from vehsim.rig.linkage import carried, screws
 from vehsim.rig.rig import HITCH_PITCH, HITCH_ROLL, Rig
 from vehsim.vehicles import Vehicle
 from vehsim.vehicles.definition.holonomic import GRAVITY
@@ -63,16 +63,6 @@ def follows_ground(vehicle: Vehicle) -> bool:
     return all(any(f"{tilt}/".startswith(f"{prim}/") for tilt in tilting) for prim in hitched)
 
 
-def poses(rig: Rig, path: str, channels: Channels, positions: Array, orientations: Array) -> tuple[Array, Array]:
-    """Poses (n, 3) m and (n, 4) that carry the part at ``path`` from its rest in the root's frame into the world, at
-    poses of the root."""
-    if not path:
-        return positions, orientations
-    R, p = moved(rig, path, channels, len(positions))
-    R_wr = matrices(orientations)
-    return positions + (R_wr @ p[..., None])[..., 0], quaternions(R_wr @ R)
-
-
 def tilted(
     rig: Rig, terrain: Terrain, channels: Channels, times: Array, positions: Array, orientations: Array
 ) -> dict[str, Array]:
@@ -103,7 +93,7 @@ def _tilted(
 
     def placed() -> tuple[Array, Array]:
         values = {name: tilt[:, k] for k, (name, _) in enumerate(trailer.tilts)}
-        return poses(rig, trailer.path, {**channels, **values}, positions, orientations)
+        return carried(rig, trailer.path, {**channels, **values}, positions, orientations)
 
     for _ in range(SETTLING):
         there = placed()

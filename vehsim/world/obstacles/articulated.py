@@ -67,6 +67,13 @@ def articulated_footprint(vehicle: Any) -> tuple[ArticulatedPart, ...]:
     return _read_articulated(*asset_of(vehicle), drives, footprint(vehicle).tobytes())
 
 
+def carriers_of(vehicle: Any) -> tuple[str, ...]:
+    """Paths of the parts that carry the `articulated_footprint`, such as trailers, parents before children."""
+    turning = {channel for part in articulated_footprint(vehicle) for channel, _, _ in part.pivots}
+    found = {vehicle.rig.drives[channel].prim for channel in turning}
+    return tuple(sorted(found, key=lambda path: path.count("/")))
+
+
 @lru_cache(maxsize=32)
 def _read_articulated(
     asset: Path, root: str | None, written: Stamp, drives: Any, outline: bytes
