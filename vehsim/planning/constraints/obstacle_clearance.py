@@ -39,9 +39,9 @@ SIGHT = 3.0
 """Distance from the guess beyond the requested clearance, m, within which a part is active at a knot. If an inactive
 part comes too near, this is found after the solve, and the part becomes active."""
 SPREAD = 2.0
-LEANS = 0.005
-"""What leaning may take from the clearance without another solve, m."""
 """Features of a part are active up to this much farther away than its nearest feature, m."""
+LEANS = 0.005
+"""Leaning may reduce the clearance by this much without another solve, m; the audit allows twice as much."""
 BETWEEN = 0.005
 """Margin added to the requested clearance at knots, m, since the path between them curves; it grows where necessary."""
 
@@ -179,8 +179,8 @@ class ObstacleClearance(Block):
         return Finding(nearest, self.clearance, bool(nearest >= self.clearance - FINEST), lack)
 
     def _leaning(self, trajectory: Trajectory, clip: Clip) -> Array:
-        """Distances (parts, segments) m of the hulls that lean on terrain, on whole frames; inf where they do not lean,
-        or by less than `LEANS`, which the audit allows."""
+        """Distances (parts, segments) m of the hulls as they lean on terrain, at whole frames; inf unless they are
+        smaller than the clearance by more than `LEANS`."""
         request, apart = trajectory.request, np.full((len(self.parts), max(len(clip) - 1, 1)), np.inf)
         world, vehicle = request.world, request.vehicle
         if world.terrain is None or vehicle.rig is None or len(clip) < 2:
