@@ -68,7 +68,7 @@ def test_every_suitable_method_gives_a_valid_shot(tmp_path: Path, vehicle: str, 
     solved(path)
 
 
-@pytest.mark.parametrize("vehicle", ["car", "helicopter", "boat", "hopper", "two_wheeled"])
+@pytest.mark.parametrize("vehicle", ["car", "helicopter", "boat", "hopper", "truck", "two_wheeled"])
 @pytest.mark.parametrize("terrain", ["hills", "canyon"])
 def test_a_new_shot_finds_room_on_a_terrain(tmp_path: Path, vehicle: str, terrain: str) -> None:
     path = new(tmp_path, "--vehicle", vehicle, "--terrain", terrain)
@@ -79,7 +79,7 @@ def test_a_new_shot_finds_room_on_a_terrain(tmp_path: Path, vehicle: str, terrai
     for mark in table["vehicle"][0]["motion"]["mark"]:
         ground = float(shot.world.height([mark["position"][:2]])[0])
         above = table["world"].get("water", {}).get("level", mark["position"][2]) - ground
-        assert above > -1e-3 and (vehicle not in ("car", "two_wheeled") or above < 2e-3)
+        assert above > -1e-3 and (vehicle not in ("car", "truck", "two_wheeled") or above < 2e-3)
 
 
 def test_nothing_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
