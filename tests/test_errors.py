@@ -221,7 +221,14 @@ def test_shot_files_report_errors_as_data(name: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("before", "after", "key", "value", "message", "remedy"),
     [
-        ("mass = ", "mass = -", "physics.mass", -1350.0, "not above zero", "give SI units"),
+        (
+            "mass = ",
+            "mass = -",
+            "physics.mass",
+            -1350.0,
+            "it should be greater than 0",
+            "give a number above zero, in kg",
+        ),
         ('model = "car"', 'model = "cra"', "model", "cra", "unknown", "choose one of"),
         ("[physics]", 'modle = "car"\n[physics]', "modle", "car", "unknown key", "did you mean 'model'?"),
         ('op = "rotateY"', 'op = "rotateY"\nfactor = 0', "channels.", 0, "nothing would move", "give a number"),

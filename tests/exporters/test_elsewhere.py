@@ -227,7 +227,10 @@ def test_scales_above_a_spin_are_named(scale, said, tmp_path):
         (('paint = "blue"', 'paint = "green"'), r"variants.paint = 'green': no such variant; choose one of blue, red"),
         (('paint = "blue"', 'livery = "blue"'), r"no such variant set on its root; it has paint"),
         (("density = 160.0", "density = -1.0"), r"physics.density = -1.0"),
-        (("density = 160.0", ""), r"physics.mass: missing; (?s:.)*physics.yaw_inertia: missing; give it in SI units"),
+        (
+            ("density = 160.0", ""),
+            r"physics.mass: missing; (?s:.)*physics.yaw_inertia: missing; give a number above zero, in kg m\^2",
+        ),
         (('op = "rotateX"', 'op = "rotateX"\nfactor = 0'), r"factor = 0: nothing would move; give a number"),
     ],
 )
