@@ -10,6 +10,7 @@ from benchmarks.unseen import FAMILIES
 from vehsim import Mark
 from vehsim.planning.certificates import extent
 from vehsim.planning.refine import execution_tolerance
+from vehsim.planning.request.marks import heading_of
 from vehsim.world.obstacles.obstacles import box
 
 REST = (0.0, 0.0, 0.0)
@@ -29,9 +30,9 @@ def test_a_boat_docks_in_wind_at_an_orientation(seed):
 
 def test_an_orientation_says_where_the_nose_points():
     turned = Mark(1, position=REST, orientation=(2 * math.cos(0.4), 0, 0, 2 * math.sin(0.4)))
-    assert turned.yaw == pytest.approx(0.8)
-    assert Mark(1, position=REST, heading=90.0).yaw == pytest.approx(math.pi / 2)
-    assert Mark(1, position=REST).yaw is None
+    assert heading_of(turned) == pytest.approx(0.8)
+    assert heading_of(Mark(1, position=REST, heading=90.0)) == pytest.approx(math.pi / 2)
+    assert heading_of(Mark(1, position=REST)) is None
 
 
 def test_a_car_drives_three_kilometres_straight():
@@ -73,3 +74,11 @@ def test_what_is_small_is_refined_more():
     assert tolerance(robot, 0.01) == pytest.approx(0.025 * extent(robot))
     assert tolerance(robot, 0.01, post) == pytest.approx(0.005)
     assert tolerance(car, 0.5, post) == pytest.approx(0.1)
+
+
+def test_a_shot_file_checks_marks_with_orientations_near_obstacles():
+    """Tables of a shot file are measured before they are marks, at the orientation that they give."""
+    ahead = ["world.obstacle.jetty.centre=[33.8, -19.4, -0.9]", "world.obstacle.jetty.heading=70"]
+    assert not list(vehsim.Shot.load("examples/boat_docking.toml").check())
+    problems = list(vehsim.Shot.load("examples/boat_docking.toml", ahead).check())
+    assert [problem.message for problem in problems] == ["in obstacle 'jetty'"]

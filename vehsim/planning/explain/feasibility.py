@@ -26,7 +26,7 @@ from vehsim.planning.explain.bounds import (
 )
 from vehsim.planning.explain.earliest import first_frame
 from vehsim.planning.problem.transcription import transcribe
-from vehsim.planning.request.marks import Mark, leeway
+from vehsim.planning.request.marks import Mark, heading_of, leeway
 from vehsim.planning.request.request import Request
 from vehsim.planning.terms import GRAVITY, Constraint
 from vehsim.vehicles.definition.mechanics import free_size
@@ -98,9 +98,10 @@ def _bent_too_far(request: Request, mark: Mark) -> list[Refusal]:
 def _sideways(request: Request, mark: Mark) -> list[Refusal]:
     """A velocity that the wheels do not allow at the heading."""
     vehicle = request.vehicle
-    if mark.yaw is None or mark.velocity is None or mark.at_rest or not vehicle.group.planar:
+    nose = heading_of(mark)
+    if nose is None or mark.velocity is None or mark.at_rest or not vehicle.group.planar:
         return []
-    slip = math.degrees(math.atan2(mark.velocity[1], mark.velocity[0]) - mark.yaw)
+    slip = math.degrees(math.atan2(mark.velocity[1], mark.velocity[0]) - nose)
     anywhere, most = slips(vehicle)
     off = min(abs((slip - turn + 180) % 360 - 180) for turn in (0, 180))
     if anywhere or off <= most + 0.5:

@@ -12,6 +12,7 @@ from vehsim.planning.constraints.timing import fixed_durations
 from vehsim.planning.guesses import astar
 from vehsim.planning.outlines import clearances
 from vehsim.planning.request.legs import legs_between, path_length
+from vehsim.planning.request.marks import heading_of
 from vehsim.planning.request.request import Request
 from vehsim.world.obstacles.obstacles import footprint
 from vehsim.world.obstacles.plane import placed
@@ -32,7 +33,7 @@ def drive(request: Request, parts: Parts, wariness: int = 0) -> list[Array]:
     A larger ``wariness`` keeps more distance. If a path meets a moving obstacle, it is searched again around the places
     where they met.
     """
-    nose = [mark.yaw for mark in request.marks]
+    nose = [heading_of(mark) for mark in request.marks]
     seconds = float(int(request.marks[0].frame) / request.fps)
     fixed = fixed_durations(request.marks, request.fps)
     paths = []

@@ -15,7 +15,7 @@ from vehsim.lie.quaternions import from_yaw
 from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.transcription import Transcription
 from vehsim.planning.request.legs import cuts_of, legs_between, mark_positions, poses_of
-from vehsim.planning.request.marks import Mark
+from vehsim.planning.request.marks import Mark, heading_of
 from vehsim.planning.trim import swims, trim
 from vehsim.vehicles import Vehicle
 
@@ -158,8 +158,9 @@ def _headings(marks: Sequence[Mark], paths: Sequence[Array], s: Array, phase: ND
         flat = float(np.hypot(ahead[0], ahead[1]))
         out[i] = np.arctan2(ahead[1], ahead[0]) if flat > 1e-6 else (out[i - 1] if i else 0.0)
         for mark, weight in ((marks[j], 1 - f / 0.15), (marks[j + 1], 1 - (1 - f) / 0.15)):
-            if mark.yaw is not None and weight > 0:
-                out[i] += weight * _wrap(mark.yaw - out[i])
+            wanted = heading_of(mark)
+            if wanted is not None and weight > 0:
+                out[i] += weight * _wrap(wanted - out[i])
     return np.unwrap(out)
 
 

@@ -96,13 +96,6 @@ class Mark:
         return f"mark[{self.place}]" if self.place >= 0 else f"frame {self.frame}"
 
     @property
-    def yaw(self) -> float | None:
-        """Where its nose points, rad from world X: by its heading or its orientation; None where neither is given."""
-        if self.orientation is not None:
-            return float(yaw_of(np.asarray(self.orientation, float) / np.linalg.norm(self.orientation)))
-        return None if self.heading is None else math.radians(self.heading)
-
-    @property
     def at_rest(self) -> bool:
         """Whether the vehicle is at rest there."""
         return self.velocity is not None and not np.any(self.velocity)
@@ -111,6 +104,16 @@ class Mark:
     def balanced(self) -> bool:
         """Whether it is at rest without a given attitude: roll and pitch then follow from balance."""
         return self.at_rest and self.orientation is None
+
+
+def heading_of(mark: Any) -> float | None:
+    """Where a mark points the nose, rad from world X: by its heading or its orientation; None where it gives neither.
+
+    ``mark``: a `Mark`, or a table of a shot file.
+    """
+    if mark.orientation is not None:
+        return float(yaw_of(np.asarray(mark.orientation, float) / np.linalg.norm(mark.orientation)))
+    return None if mark.heading is None else math.radians(mark.heading)
 
 
 def shape(marks: Sequence[Mark]) -> tuple[Any, ...]:

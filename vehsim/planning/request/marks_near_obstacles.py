@@ -12,7 +12,7 @@ from vehsim.errors import InputError
 from vehsim.planning.certificates import FINEST
 from vehsim.planning.outlines import clearances
 from vehsim.planning.request.landing import attitude
-from vehsim.planning.request.marks import Mark, leeway
+from vehsim.planning.request.marks import Mark, heading_of, leeway
 from vehsim.vehicles import Vehicle
 from vehsim.world.obstacles.obstacles import footprint, vertical_reach
 from vehsim.world.obstacles.plane import placed
@@ -59,8 +59,9 @@ def marks_too_near(
         if mark.position is None:
             continue
         outline, place = footprint(vehicle), np.array([mark.position[:2]], float)
-        faced = mark.yaw is not None
-        yaw = np.array([mark.yaw]) if faced else np.arange(TURNS) * 2 * np.pi / TURNS
+        nose = heading_of(mark)
+        faced = nose is not None
+        yaw = np.array([nose]) if faced else np.arange(TURNS) * 2 * np.pi / TURNS
         between = 0.0 if faced else np.pi / TURNS * float(np.linalg.norm(outline, axis=1).max())
         seconds = np.zeros(len(yaw))
         near = clearances(still, placed(outline, np.repeat(place, len(yaw), axis=0), yaw), seconds)
@@ -77,7 +78,7 @@ def _flown_too_near(
     for i, mark in enumerate(marks if world is not None and world.standing else ()):
         if mark.position is None or mark.on_ground:
             continue
-        turned = mark.yaw is not None
+        turned = heading_of(mark) is not None
         body = vehicle if turned else replace(vehicle, rig=None)
         gaps = world.clearance_by_obstacle(body, mark.position, attitude(mark))[0]
         gap, name = float(gaps.min()), world.obstacles[int(gaps.argmin())].name
