@@ -258,7 +258,7 @@ PARTS = {
 
 def main() -> None:
     warnings.simplefilter("ignore")
-    asked = sys.argv[1:] or list(PARTS)
+    wanted = sys.argv[1:] or list(PARTS)
     lines = [
         "# Planning, measured",
         "",
@@ -267,7 +267,7 @@ def main() -> None:
         "| what | wall, median (90 %) | CPU, median (90 %) | target | |",
         "|---|---|---|---|---|",
     ]
-    for part in asked:
+    for part in wanted:
         for what, target, walls, cpus, out in PARTS[part]():
             cells = [f"{np.median(v):.3f} ({np.quantile(v, 0.9):.3f})" for v in (walls, cpus)]
             lines.append(f"| {what} | {cells[0]} | {cells[1]} | {target} | {out} |")

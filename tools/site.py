@@ -63,9 +63,9 @@ def _source(page: str) -> Path:
 
 def _examples() -> str:
     """Every shot and script of examples/, unchanged."""
-    said = ["# Examples\n\nEvery shot as it stands: `vehsim export examples/NAME.toml --out out`.\n"]
+    parts = ["# Examples\n\nEvery shot as it stands: `vehsim export examples/NAME.toml --out out`.\n"]
     for path in sorted(ROOT.glob("examples/*")):
         if path.suffix in (".toml", ".py"):
             language = "toml" if path.suffix == ".toml" else "python"
-            said.append(f"\n## {path.name}\n```{language}\n{path.read_text(encoding='utf-8')}```\n")
-    return "".join(said)
+            parts.append(f"\n## {path.name}\n```{language}\n{path.read_text(encoding='utf-8')}```\n")
+    return "".join(parts)

@@ -457,15 +457,15 @@ def audit_stage(
     try:
         first, last = map(int, report["frames"])
         delivered = Delivered(path, Fraction(report["fps"]), (first, last))
-        asked = {name: [_ask(row) for row in rows] for name, rows in report["audit"].items()}
-        roots = {name: np.array(report["vehicles"][name]["T_rp"], float) for name in asked}
-        joints = {name: report["vehicles"][name].get("joints", {}) for name in asked}
+        requests = {name: [_ask(row) for row in rows] for name, rows in report["audit"].items()}
+        roots = {name: np.array(report["vehicles"][name]["T_rp"], float) for name in requests}
+        joints = {name: report["vehicles"][name].get("joints", {}) for name in requests}
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise InputError(f"report.json holds no asks ({error!r})", "export the shot again", file=path.parent) from None
     moving = [obstacle["vehicle"] for obstacle in _obstacles(report) if obstacle.get("shape") == "vehicle"]
     rows: dict[str, list[Row]] = {}
-    for name, asks in asked.items():
-        others = [other for other in moving if other != name and other in asked]
+    for name, asks in requests.items():
+        others = [other for other in moving if other != name and other in requests]
         scene = StageScene(delivered, name, others, progress)
         progress(f"{name}: reading the stage", 0.0)
         track = delivered.track(name, roots[name], joints[name])
@@ -485,8 +485,8 @@ def with_stage(path: Path, report: Mapping[str, Any]) -> dict[str, list[dict[str
     found, wrong = {}, []
     for name, rows in audit_stage(path, report, distances=False).items():
         found[name] = [
-            {**asked, "stage": {key: getattr(row, key) for key in ("value", "frame", "met")}}
-            for asked, row in zip(report["audit"][name], rows, strict=True)
+            {**request, "stage": {key: getattr(row, key) for key in ("value", "frame", "met")}}
+            for request, row in zip(report["audit"][name], rows, strict=True)
         ]
         wrong += [f"{name}: {row}" for row in missed(rows)]
     if wrong:

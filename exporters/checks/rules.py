@@ -97,10 +97,10 @@ def _backward_spins(stage: Any) -> Iterator[Issue]:
             continue
         if name.startswith(("xformOp:rotateX", "xformOp:rotateY", "xformOp:rotateZ")) and len(name.split(":")[1]) == 7:
             steps = np.diff([float(attribute.Get(time)) for time in times])
-            ways = np.sign(steps * np.median(steps))
+            signs = np.sign(steps * np.median(steps))
             # a wrapped angle jumps back between forward steps; a reversed propeller continues to turn back
-            alone = np.concatenate([[1], ways[:-1]]) + np.concatenate([ways[1:], [1]]) > 0
-            back = np.flatnonzero((np.abs(steps) > 180) & (ways < 0) & alone)
+            alone = np.concatenate([[1], signs[:-1]]) + np.concatenate([signs[1:], [1]]) > 0
+            back = np.flatnonzero((np.abs(steps) > 180) & (signs < 0) & alone)
             if len(back):
                 message = f"turns back by {abs(steps[back[0]]):.4g} degrees after time code {times[back[0]]:g}"
                 remedy = "unwrap its angles: let them continue beyond 360"

@@ -143,8 +143,8 @@ def test_a_tightened_clearance_adds_the_shortfall_and_a_margin():
     _, iterate = guessed(flight())
     block = iterate.block(Clearance)
     finding = replace(block.measure(iterate, iterate.clip, None), clearance=0.4, wanted=1.0, met=False)
-    assert block.tighten(iterate, finding).asked == pytest.approx(1.0 + 0.6 + 0.05)
-    assert block.asked == 1.0 and block.tighten(iterate, replace(finding, met=True)) is block
+    assert block.tighten(iterate, finding).required == pytest.approx(1.0 + 0.6 + 0.05)
+    assert block.required == 1.0 and block.tighten(iterate, replace(finding, met=True)) is block
 
 
 @pytest.mark.parametrize(

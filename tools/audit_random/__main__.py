@@ -73,9 +73,9 @@ def run_shot(seed: int, folder: Path, seconds: float) -> dict[str, Any]:
     try:
         environment = os.environ | {"PYTHONPATH": str(HERE.parents[1])}
         done = subprocess.run(command, capture_output=True, text=True, timeout=seconds, env=environment)
-        code, said = done.returncode, (done.stdout + done.stderr).strip()
+        code, output = done.returncode, (done.stdout + done.stderr).strip()
     except subprocess.TimeoutExpired:
-        code, said = 124, f"no end after {seconds:g} s"
+        code, output = 124, f"no end after {seconds:g} s"
     result = {
         "seed": seed,
         "version": version(),
@@ -84,9 +84,9 @@ def run_shot(seed: int, folder: Path, seconds: float) -> dict[str, Any]:
         "exit": code,
         "seconds": round(time.monotonic() - start, 2),
         "processor_seconds": round(_processor_seconds() - used, 2),
-        "said": said[-2000:],
+        "said": output[-2000:],
         "refuted": [],
-        "overruled": "misses what was requested" in said and code != 0,
+        "overruled": "misses what was requested" in output and code != 0,
     }
     return _verified(result, folder)
 

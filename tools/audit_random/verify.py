@@ -67,8 +67,8 @@ class Findings:
             return
         worst = int(np.argmax(np.where(np.isnan(value), np.inf, value)))
         if not value[worst] <= bound:
-            said = f"{text}: {value[worst]:.5g} for {bound:.5g} {unit} at frame {frames[worst]:g}"
-            self.rows.append(Row(ask, said, float(value[worst]), float(bound), float(frames[worst])))
+            message = f"{text}: {value[worst]:.5g} for {bound:.5g} {unit} at frame {frames[worst]:g}"
+            self.rows.append(Row(ask, message, float(value[worst]), float(bound), float(frames[worst])))
 
 
 # ---------------------------------------------------------------- the stage

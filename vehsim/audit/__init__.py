@@ -69,7 +69,7 @@ class Row:
         angle = self.unit.startswith("rad")
         factor, unit = (180 / math.pi if angle else 1.0), self.unit.replace("rad", "deg")
         above = self.upper is not None and (self.lower is None or self.value > self.upper)
-        bound, verb = (self.upper, "allowed") if above else (self.lower, "asked")
+        bound, verb = (self.upper, "allowed") if above else (self.lower, "required")
         remedy = f"; {self.remedy}" if self.remedy and self.met is False else ""
         allowed = "" if bound is None else f", {bound * factor:.4g} {verb}"
         return f"{self.key}: {self.value * factor:.4g} {unit}".rstrip() + f"{allowed}, at frame {self.frame:g}{remedy}"

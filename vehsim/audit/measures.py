@@ -276,8 +276,8 @@ def _clearance(track: Track, wanted: Wanted, scene: Scene) -> Array:
     turned = np.concatenate([[0.0], np.cumsum(_norms(track.omegas[1:]))]) / (PER_FRAME * float(track.fps))
     others = scene.fastest / float(track.fps)
     for a, b in pairwise(known):
-        way = (1 + wanted["slope"]) * (moved[b] - moved[a])
-        approach = way + scene.reach * (turned[b] - turned[a]) + others * (b - a) / PER_FRAME
+        travelled = (1 + wanted["slope"]) * (moved[b] - moved[a])
+        approach = travelled + scene.reach * (turned[b] - turned[a]) + others * (b - a) / PER_FRAME
         if (found[a] + found[b] - approach) / 2 < least and b > a + 1:
             rows = np.arange(a + 1, b)
             found[rows] = measured(track._select(rows))

@@ -97,8 +97,8 @@ def _plan(task: Task, part: tuple[int, int]) -> None:
         take = _shot(task).solve(checked=task.checked, cached=task.cached)
         for name, clip in take.clips.items():
             clip.save(folder / f"{name}.npz")
-        said = {"report": _plain(take.report), "frames": list(take.frames)}
-        (folder / "take.json").write_text(json.dumps(said), encoding="utf-8")
+        planned = {"report": _plain(take.report), "frames": list(take.frames)}
+        (folder / "take.json").write_text(json.dumps(planned), encoding="utf-8")
 
 
 def _take(task: Task) -> Take:
@@ -106,7 +106,7 @@ def _take(task: Task) -> Take:
     from vehsim.clip.clip import Clip
 
     folder, shot = _need(task, "plan", "plan"), _shot(task)
-    said = json.loads((folder / "take.json").read_text(encoding="utf-8"))
+    planned = json.loads((folder / "take.json").read_text(encoding="utf-8"))
     clips: dict[str, Clip] = {
         table.name: Clip.load(folder / f"{table.name}.npz", shot.vehicle(table)) for table in shot.file.vehicle
     }
@@ -114,11 +114,11 @@ def _take(task: Task) -> Take:
         name=shot.name,
         clips=clips,
         world=shot.world,
-        cameras=shot.cameras(clips, tuple(said["frames"])),
+        cameras=shot.cameras(clips, tuple(planned["frames"])),
         fps=shot.fps,
-        frames=tuple(said["frames"]),
+        frames=tuple(planned["frames"]),
         render=shot.render.draft() if task.draft else shot.render,
-        report={**said["report"], "inputs": task.inputs},
+        report={**planned["report"], "inputs": task.inputs},
         usd=shot.usd,
         blockings=shot.blockings(),
     )

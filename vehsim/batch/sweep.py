@@ -54,7 +54,9 @@ def expand(sweep: Any) -> list[tuple[str, dict[str, Any]]]:
     combine = sweep.get("combine", "grid")
     lengths = {len(values) for values in axes.values()} | ({len(seeds)} if seeds else set())
     if combine not in ("grid", "zip"):
-        raise _wrong("sweep.combine", "no such way", 'give "grid" (every combination) or "zip" (side by side)', combine)
+        raise _wrong(
+            "sweep.combine", "unknown combination", 'give "grid" (every combination) or "zip" (side by side)', combine
+        )
     if combine == "zip" and len(lengths) > 1:
         raise _wrong("sweep.combine", f"lists of {sorted(lengths)} values", "give lists of one length", combine)
     count = max(lengths) if combine == "zip" else math.prod(map(len, axes.values())) * len(seeds or [0])

@@ -118,10 +118,10 @@ def prepare(
 
 def run_task(task: Task, tell: Tell) -> Outcome:
     """Solve and write one clip, or find it finished. Never raises: errors are in the outcome."""
-    began, said = time.perf_counter(), []
+    began, texts = time.perf_counter(), []
     with _ONE_AT_A_TIME, warnings.catch_warnings():
         warnings.simplefilter("always", UserWarning)
-        warnings.showwarning = lambda message, *rest, **more: said.append(str(message))  # type: ignore[assignment]
+        warnings.showwarning = lambda message, *rest, **more: texts.append(str(message))  # type: ignore[assignment]
         try:
             outcome = _work(task, tell)
         except MemoryError:
@@ -135,7 +135,7 @@ def run_task(task: Task, tell: Tell) -> Outcome:
             if _starved(error):
                 message = f"it ran out of memory ({type(error).__name__}: {error}); {MEMORY_REMEDY}"
                 outcome = replace(outcome, message=message, kind="MemoryError", retire=True)
-    return replace(outcome, seconds=time.perf_counter() - began, warnings=tuple(dict.fromkeys(said)))
+    return replace(outcome, seconds=time.perf_counter() - began, warnings=tuple(dict.fromkeys(texts)))
 
 
 def _starved(error: Exception) -> bool:

@@ -100,8 +100,8 @@ def _problems_of(error: Exception, file: str) -> list[Problem]:
         return [Problem(str(error.filename), str(error.strerror), "fix that", file=file)]
     if os.environ.get("VEHSIM_DEBUG"):
         raise error
-    said = f"{type(error).__name__}: {error}; this is an error in vehsim"
-    return [Problem("unexpected", said, "set VEHSIM_DEBUG=1 to see the traceback", file=file, severity="fault")]
+    message = f"{type(error).__name__}: {error}; this is an error in vehsim"
+    return [Problem("unexpected", message, "set VEHSIM_DEBUG=1 to see the traceback", file=file, severity="fault")]
 
 
 @_keeping()

@@ -115,7 +115,7 @@ def override(incomplete: str) -> Completions:
         return []
     values = {"cost": lambda: dict(costs()), "terrain": lambda: dict(terrain("")), "asset": lambda: dict(vehicle(""))}
     find = values.get(key.rpartition(".")[2])
-    return [(f"{key}={name}", said) for name, said in _starting(value, find())] if find else []
+    return [(f"{key}={name}", meaning) for name, meaning in _starting(value, find())] if find else []
 
 
 def shot_file(incomplete: str) -> Completions:
@@ -156,7 +156,7 @@ def _typed(*suffixes: str) -> list[Path]:
 
 
 def _starting(incomplete: str, names: Mapping[str, str]) -> Completions:
-    return [(name, said) for name, said in names.items() if name.startswith(incomplete)]
+    return [(name, meaning) for name, meaning in names.items() if name.startswith(incomplete)]
 
 
 def _folder(incomplete: str) -> tuple[Path, str]:

@@ -94,12 +94,12 @@ def inspect(path: Path) -> Inspection:
     if path.suffix.lower() == ".obj" and "up_axis" not in keys:
         unit, why = _unit_of_obj(path), "not given in an OBJ; guessed from its"
         reasons |= {"up_axis": f"{why} wheels", "meters_per_unit": f"{why} size"}
-        options = [_stood(path, keys | {"up_axis": up, "meters_per_unit": unit}, reasons) for up in ("Y", "Z")]
+        options = [_upright_asset(path, keys | {"up_axis": up, "meters_per_unit": unit}, reasons) for up in ("Y", "Z")]
         return next((found for found in options if found.wheels or found.rotors), options[0])
-    return _stood(path, keys if "root" in keys else keys | _root(path), reasons)
+    return _upright_asset(path, keys if "root" in keys else keys | _root(path), reasons)
 
 
-def _stood(path: Path, keys: dict[str, Any], reasons: dict[str, str]) -> Inspection:
+def _upright_asset(path: Path, keys: dict[str, Any], reasons: dict[str, str]) -> Inspection:
     """The asset turned upright with its nose along X, and its parts that could turn."""
     from vehsim.rig.parts import read_parts
 

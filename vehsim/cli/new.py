@@ -308,8 +308,8 @@ def _variants(vehicle: Vehicle) -> str:
     if not names:
         return ""
     chosen = ", ".join(f"{name} = {_quoted(found[0])}" for name, found in names.items())
-    said = "; ".join(f"{name}: {', '.join(found)}" for name, found in names.items())
-    return f"# variants = {{ {chosen} }} # {said}\n"
+    choices = "; ".join(f"{name}: {', '.join(found)}" for name, found in names.items())
+    return f"# variants = {{ {chosen} }} # {choices}\n"
 
 
 def _plan(vehicle: Vehicle, course: Course) -> str:
@@ -463,17 +463,17 @@ def _commanded(vehicle: Vehicle, course: Course) -> str:
     alike = [c for c in vehicle.controls if (c.lower, c.upper, c.unit) == (first.lower, first.upper, first.unit)]
     steers = [c for c in vehicle.controls if c not in alike]
     rows = [(0.0, 0.3, 0.0), (0.3, 0.3, 1.0), (0.6, 0.15, -1.0), (0.9, 0.0, 0.0)]  # when, push and turn
-    said = []
+    lines = []
     for share, push, turn in rows:
         values = {c.name: push * _top(c) for c in alike} | {
             c.name: turn * _top(c) * (0.3 if c.unit == "rad" else 0.02) for c in steers
         }
         if not steers:
             values[first.name] += 0.06 * turn * _top(first)
-        told = ", ".join(f"{name} = {_number(float(f'{value:.3g}'))}" for name, value in values.items())
-        said.append(f"    {{ frame = {course.frame(share)}, {told} }},")
+        assignments = ", ".join(f"{name} = {_number(float(f'{value:.3g}'))}" for name, value in values.items())
+        lines.append(f"    {{ frame = {course.frame(share)}, {assignments} }},")
     units = ", ".join(f"{c.name} {'deg' if c.unit == 'rad' else c.unit}".strip() for c in vehicle.controls)
-    return "\n".join([f"commands = [ # linear between them; {units}", *said, "]"])
+    return "\n".join([f"commands = [ # linear between them; {units}", *lines, "]"])
 
 
 def _top(control: Any) -> float:

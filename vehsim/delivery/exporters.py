@@ -120,11 +120,11 @@ def write_files(
             progress(what, (before + min(max(done, 0.0), 1.0)) / len(exporters))
 
         written[exporter.name] = [Path(path) for path in exporter.write(take, folder, report)]
-    asked = {name: sorted(set(written[name])) for name in names}
-    for path in {path for paths in written.values() for path in paths} - {p for paths in asked.values() for p in paths}:
+    kept = {name: sorted(set(written[name])) for name in names}
+    for path in {path for paths in written.values() for path in paths} - {p for paths in kept.values() for p in paths}:
         path.unlink(missing_ok=True)
     drop_empty_folders(folder)
-    return asked
+    return kept
 
 
 def delivering(target: Path, versioned: bool, overwrite: bool = True) -> AbstractContextManager[Path]:
@@ -144,13 +144,13 @@ def point_at_newest(home: Path) -> Path:
     found = versions(home)
     reports = {version: record(version / SIGN)["solved"] for version in found}
     for exporter in map(find_exporter, exporter_names()):
-        mine = [version for version in found if exporter.name in reports[version].get("exporters", ())]
-        if exporter.latest is None or not mine:
+        own = [version for version in found if exporter.name in reports[version].get("exporters", ())]
+        if exporter.latest is None or not own:
             continue
-        exporter.latest(mine[-1], home)
-        if reports[mine[-1]].get("content") != reports[found[-1]].get("content"):
-            said = f"latest still shows {mine[-1].name}: {found[-1].name} has another motion"
+        exporter.latest(own[-1], home)
+        if reports[own[-1]].get("content") != reports[found[-1]].get("content"):
+            message = f"latest still shows {own[-1].name}: {found[-1].name} has another motion"
             warnings.warn(
-                f"{home}: {said}, not exported to {exporter.name}; export {exporter.name} again", stacklevel=3
+                f"{home}: {message}, not exported to {exporter.name}; export {exporter.name} again", stacklevel=3
             )
     return newest(home)

@@ -63,5 +63,5 @@ def reading(path: Path | str, key: str, remedy: str = "export the file again") -
         raise refuse(path, key, said, raise_limit("VEHSIM_READ_GB")) from error
     except Exception as error:
         lines = str(error).strip().splitlines()
-        said = f"{type(error).__name__}: {lines[-1][:300]}" if lines else type(error).__name__
-        raise refuse(path, key, f"cannot be read ({said})", remedy) from error
+        reason = f"{type(error).__name__}: {lines[-1][:300]}" if lines else type(error).__name__
+        raise refuse(path, key, f"cannot be read ({reason})", remedy) from error

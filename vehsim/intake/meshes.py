@@ -58,8 +58,8 @@ def _checked(path: Path, key: str, points: Array, faces: NDArray[np.int64]) -> T
         raise refuse(path, key, f"{len(faces):,} triangles, at most {MAX_FACES:,}", "decimate it")
     if faces.min() < 0 or faces.max() >= len(points):
         wrong = int(((faces < 0) | (faces >= len(points))).any(axis=1).sum())
-        said = f"{wrong} of {len(faces)} faces name corners that its {len(points)} points do not have"
-        raise refuse(path, key, said, "export the mesh again")
+        message = f"{wrong} of {len(faces)} faces name corners that its {len(points)} points do not have"
+        raise refuse(path, key, message, "export the mesh again")
     if not np.isfinite(points).all():
         wrong = int((~np.isfinite(points)).any(axis=1).sum())
         raise refuse(path, key, f"{wrong} of {len(points)} points are not finite", "export the mesh again")

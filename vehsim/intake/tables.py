@@ -179,7 +179,7 @@ def locate(root: Mapping[str, Any], location: tuple[int | str, ...]) -> tuple[tu
         place.append(part)
         node = node.get("items", {}) if isinstance(part, int) else _below(node, part)
         description = node.get("description", description)
-    return tuple(place), _asked(description), keys
+    return tuple(place), _one_line(description), keys
 
 
 def _below(node: Mapping[str, Any], key: str) -> Mapping[str, Any]:
@@ -188,7 +188,7 @@ def _below(node: Mapping[str, Any], key: str) -> Mapping[str, Any]:
     return found if isinstance(found, Mapping) else {}
 
 
-def _asked(description: str) -> str:
+def _one_line(description: str) -> str:
     """A key's description on one line, without its default."""
     return re.sub(r"; default: .*$", "", " ".join(description.split()))
 

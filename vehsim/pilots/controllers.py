@@ -79,8 +79,8 @@ class Hover:
 class FlyTo:
     """Flies a helicopter's rig root to ``position`` (3,) m, or through ``waypoints`` (n, 3) m, and hovers there.
 
-    ``speed`` m/s on the way, slower in bends; ``heading`` rad at all times, or None: the nose points along the flight
-    and keeps its heading at the end. The route is a smooth curve from the start.
+    ``speed`` m/s along the path, slower in bends; ``heading`` rad at all times, or None: the nose points along the
+    flight and keeps its heading at the end. The route is a smooth curve from the start.
     """
 
     def __init__(
@@ -151,8 +151,8 @@ class FlyTo:
 class FollowPath:
     """Drives a car's rear axle along the smooth curve through ``points`` (n, 2) m; its root stops at the last one.
 
-    ``speed`` m/s on the way, less in bends (2.5 m/s^2 sideways). Pure pursuit with a rate-limited steering wheel. The
-    car may start anywhere near the first point.
+    ``speed`` m/s along the path, less in bends (2.5 m/s^2 sideways). Pure pursuit with a rate-limited steering wheel.
+    The car may start anywhere near the first point.
     """
 
     def __init__(self, vehicle: Vehicle, points: Any, speed: float = 8.0):

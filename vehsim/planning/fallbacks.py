@@ -37,7 +37,9 @@ def enough_segments(request: Request) -> int:
     return min(max(few, fewest_segments(request.vehicle, length)), MOST_SEGMENTS)
 
 
-def as_asked(run: Run, iterate: Iterate, request: Request, paths: Sequence[Array], guess: Any) -> tuple[Run, Iterate]:
+def with_fewer_requirements(
+    run: Run, iterate: Iterate, request: Request, paths: Sequence[Array], guess: Any
+) -> tuple[Run, Iterate]:
     """The iterate solved without headings along the legs at marks at rest, and with more segments if there are few.
 
     Returns the last iterate that was tried; it may have failed.
@@ -52,9 +54,9 @@ def as_asked(run: Run, iterate: Iterate, request: Request, paths: Sequence[Array
         unturned = (
             "; marks at rest do not face along their legs: no such motion was found" if iterate.request.given else ""
         )
-        asked = replace(request, segments=segments)
-        run = Run(asked, run.progress)
-        again = begin(run, asked, iterate.transcription, iterate.cover, paths, as_clip(request, guess))
+        changed = replace(request, segments=segments)
+        run = Run(changed, run.progress)
+        again = begin(run, changed, iterate.transcription, iterate.cover, paths, as_clip(request, guess))
         iterate = solve(run, again)
         if iterate.success:
             iterate = replace(iterate, remark=unturned + remark)

@@ -26,7 +26,7 @@ from vehsim.planning.constraints.clearance import SLACK, cover_for
 from vehsim.planning.constraints.timing import fixed_durations
 from vehsim.planning.deadline import OutOfTime
 from vehsim.planning.explain.feasibility import refusals
-from vehsim.planning.fallbacks import as_asked, enough_segments, from_other_guesses
+from vehsim.planning.fallbacks import enough_segments, from_other_guesses, with_fewer_requirements
 from vehsim.planning.guesses.routes import as_clip, find_paths, straight
 from vehsim.planning.iterate import Iterate, Progress, Run
 from vehsim.planning.problem import interrupts
@@ -38,7 +38,7 @@ from vehsim.planning.request.character import NO_MANNER
 from vehsim.planning.request.legs import facing, same_headings
 from vehsim.planning.request.marks import Mark, shape
 from vehsim.planning.request.request import Request, all_marks, ask
-from vehsim.planning.restraint import in_character, plainly, restrain
+from vehsim.planning.restraint import in_character, restrain, without_character
 from vehsim.planning.solve import begin, give_up, solve
 from vehsim.planning.terms import Term
 from vehsim.planning.trajectory import exported
@@ -278,11 +278,14 @@ def _attempt(request: Request, progress: Progress | None, guess: Any, once: bool
     iterate = solve(run, iterate)
     # first find any motion, then apply the character
     if not (iterate.success or once) and request.manner.name != STUNT:
-        iterate, asked = plainly(run, iterate, paths, as_clip(request, guess)), replace(request, manner=NO_MANNER)
+        iterate, relaxed = (
+            without_character(run, iterate, paths, as_clip(request, guess)),
+            replace(request, manner=NO_MANNER),
+        )
     else:
-        asked = request
+        relaxed = request
     if not (iterate.success or once):
-        run, iterate = as_asked(run, iterate, asked, paths, guess)
+        run, iterate = with_fewer_requirements(run, iterate, relaxed, paths, guess)
     if not (iterate.success or once):
         iterate = from_other_guesses(run, iterate, paths, guess)
     iterate = settle_on_frames(run, restrain(run, in_character(run, iterate, request.manner)))

@@ -45,15 +45,15 @@ def _on_frames(iterate: Iterate, early: float = EARLY) -> Iterate:
 
 def approach(run: Run, iterate: Iterate) -> Iterate:
     """From the coarse discretisation of the first solve to the requested one, in steps."""
-    asked, refined = iterate.request.segments, iterate.request.refine
+    requested, refined = iterate.request.segments, iterate.request.refine
     found = True
-    while found and iterate.success and 4 * iterate.layout.segments <= asked:
-        iterate, found = _step(run, iterate, asked)
-    if iterate.success and (refined or iterate.layout.segments < asked):
+    while found and iterate.success and 4 * iterate.layout.segments <= requested:
+        iterate, found = _step(run, iterate, requested)
+    if iterate.success and (refined or iterate.layout.segments < requested):
         iterate, climbed = _climb(run, iterate)
         # a lower order may still finish in time
-        if not climbed and run.deadline.cut and iterate.layout.segments < asked:
-            lower, _ = _solved_on(run, iterate, asked, 2)
+        if not climbed and run.deadline.cut and iterate.layout.segments < requested:
+            lower, _ = _solved_on(run, iterate, requested, 2)
             iterate = replace(lower, note=iterate.note)
     return replace(iterate, executed=iterate.run_controls())
 
@@ -95,12 +95,12 @@ def ends_elsewhere(iterate: Iterate) -> bool:
     return iterate.success and iterate.request.refine and iterate.executed.final > within
 
 
-def _step(run: Run, iterate: Iterate, asked: int) -> tuple[Iterate, bool]:
-    """The iterate on four times or twice as many segments, fewer than the requested ``asked``, and whether it is
+def _step(run: Run, iterate: Iterate, requested: int) -> tuple[Iterate, bool]:
+    """The iterate on four times or twice as many segments, fewer than the requested ``requested``, and whether it is
     solved."""
     few = iterate.layout.segments
     for times in (4, 2):
-        if 2 * times * few <= asked:
+        if 2 * times * few <= requested:
             iterate, found = _solved_on(run, iterate, times * few, 2)
             if found:
                 return replace(iterate, note=""), True

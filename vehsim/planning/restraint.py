@@ -22,7 +22,7 @@ from vehsim.planning.solve import begin, solve
 Array = NDArray[np.float64]
 
 
-def plainly(run: Run, failed: Iterate, paths: Sequence[Array], clip: Clip | None) -> Iterate:
+def without_character(run: Run, failed: Iterate, paths: Sequence[Array], clip: Clip | None) -> Iterate:
     """The iterate solved from the same guess without a character, or the failed one."""
     request = replace(failed.request, manner=NO_MANNER)
     return solve(run, begin(run, request, failed.transcription, failed.cover, paths, clip))

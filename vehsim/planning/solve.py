@@ -151,7 +151,7 @@ def _solve_active(run: Run, iterate: Iterate, start: Start) -> Iterate:
     clearance = iterate.block(Clearance)
     text = f"planning {iterate.layout.segments} segments at order {iterate.layout.order}"
     if iterate.tightenings and clearance is not None:
-        text += f", margin {clearance.asked:.2f} m"
+        text += f", margin {clearance.required:.2f} m"
     solver.watch = run.watcher(text)
     built = time.monotonic()
     run.build_seconds += built - began

@@ -31,10 +31,10 @@ class Mesh:
     rgba: tuple[float, float, float, float]
 
 
-def mesh_of(asset: str | Path, node: Any, said: list[str]) -> Mesh | None:
+def mesh_of(asset: str | Path, node: Any, messages: list[str]) -> Mesh | None:
     """A mesh that is visible or collides, triangulated, in the rig root's frame; None if it is neither, or empty.
 
-    Warnings are added to ``said``. Raises ``InputError`` for a broken mesh.
+    Warnings are added to ``messages``. Raises ``InputError`` for a broken mesh.
     """
     from pxr import Usd, UsdGeom
 
@@ -43,7 +43,7 @@ def mesh_of(asset: str | Path, node: Any, said: list[str]) -> Mesh | None:
     when, mesh = Usd.TimeCode.EarliestTime(), UsdGeom.Mesh(node.prim)
     found = triangles_of(mesh, when, made_of(asset))
     if found is None:
-        said.append(f"{made_of(asset)}: {node.prim.GetPath()}: an empty mesh; left out")
+        messages.append(f"{made_of(asset)}: {node.prim.GetPath()}: an empty mesh; left out")
         return None
     points, faces = found
     left_handed = mesh.GetOrientationAttr().Get(when) == UsdGeom.Tokens.leftHanded

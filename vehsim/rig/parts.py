@@ -90,8 +90,8 @@ def read_parts(asset: str | Path, root: str | None = None) -> list[Part]:
     Raises ``InputError`` naming file and prim if the file or the root is missing, there is no mesh, a mesh is broken,
     or a transform cannot be inverted. Warns of geometry other than meshes, which is skipped.
     """
-    parts, said = _read(asset, root)
-    for message in said:
+    parts, messages = _read(asset, root)
+    for message in messages:
         warnings.warn(message, stacklevel=2)
     return parts
 
@@ -105,17 +105,17 @@ def solids(asset: str | Path, root: str | None = None) -> list[Solid]:
     """
     key, began = (str(asset), _content(asset), root), time.time()
     kept = recalled("solids", key)
-    found, said = _unpacked(kept) if kept is not None else (None, [])
+    found, messages = _unpacked(kept) if kept is not None else (None, [])
     if found is None:
         from pxr import Sdf
 
         # layers in memory may differ from their files
         held = {layer.identifier for layer in Sdf.Layer.GetLoadedLayers()}
-        parts, said = _read(asset, root)
+        parts, messages = _read(asset, root)
         meshes = [part.collision for part in parts]
         if not any(meshes):
             meshes = [(part.points,) * bool(len(part.points)) for part in parts]
-            said.append(
+            messages.append(
                 f"{made_of(asset)}: no mesh carries UsdPhysics.CollisionAPI; the convex hull of each part stands in, "
                 "which may be far too large; mark collision meshes for honest clearances"
             )
@@ -124,8 +124,8 @@ def solids(asset: str | Path, root: str | None = None) -> list[Solid]:
             for part, own in zip(parts, meshes, strict=True)
         ]
         if files := _files(asset, held, began):
-            keep("solids", key, _packed(found, said, files))
-    for message in said:
+            keep("solids", key, _packed(found, messages, files))
+    for message in messages:
         warnings.warn(message, stacklevel=2)
     return found
 
@@ -150,11 +150,11 @@ def read_mesh(asset: str | Path, root: str | None, path: str) -> tuple[Array, Fa
     Raises ``InputError`` naming file and prim if the mesh is missing or broken.
     """
     stage, prim = _open(asset, root)
-    said: list[str] = []
-    for node in _walk(prim, _to_metres_z_up(stage), said):
+    messages: list[str] = []
+    for node in _walk(prim, _to_metres_z_up(stage), messages):
         if node.is_mesh and node.path == path.strip("/"):
-            mesh = mesh_of(asset, replace(node, collides=True), said)
-            for message in said:
+            mesh = mesh_of(asset, replace(node, collides=True), messages)
+            for message in messages:
                 warnings.warn(message, stacklevel=2)
             if mesh is not None:
                 return mesh.points, mesh.faces
@@ -207,20 +207,20 @@ def _files(asset: str | Path, held: AbstractSet[str], began: float) -> dict[str,
     return {file: _content(file) for file in sorted(files)}
 
 
-def _packed(found: Sequence[Solid], said: Sequence[str], files: Mapping[str, str]) -> bytes:
-    told = json.dumps([files, said, [[solid.name, solid.path, len(solid.hulls)] for solid in found]])
+def _packed(found: Sequence[Solid], messages: Sequence[str], files: Mapping[str, str]) -> bytes:
+    header = json.dumps([files, messages, [[solid.name, solid.path, len(solid.hulls)] for solid in found]])
     frames, hulls = np.array([solid.T_rp for solid in found]), [hull for solid in found for hull in solid.hulls]
-    return packed([np.frombuffer(told.encode(), np.uint8), frames, *hulls])
+    return packed([np.frombuffer(header.encode(), np.uint8), frames, *hulls])
 
 
 def _unpacked(content: bytes) -> tuple[list[Solid] | None, list[str]]:
     """The result of `_packed`, and its warnings; None if a file has changed since."""
-    told, frames, *hulls = unpacked(content)
-    files, said, names = json.loads(told.tobytes())
+    header, frames, *hulls = unpacked(content)
+    files, messages, names = json.loads(header.tobytes())
     if any(_content(file) != checksum for file, checksum in files.items()):
         return None, []
     each, rows = iter(hulls), zip(names, frames, strict=True)
-    return [Solid(name, path, frame, tuple(islice(each, count))) for (name, path, count), frame in rows], said
+    return [Solid(name, path, frame, tuple(islice(each, count))) for (name, path, count), frame in rows], messages
 
 
 # ---------------------------------------------------------------- the stage
@@ -237,8 +237,8 @@ def _read_stage(asset: str | Path, root: str | None) -> tuple[list[Part], list[s
     drafts: dict[str, _Draft] = {}
     owner: dict[Any, _Draft | None] = {}
     skipped: list[str] = []
-    said: list[str] = []
-    for node in _walk(prim, _to_metres_z_up(stage), said):
+    messages: list[str] = []
+    for node in _walk(prim, _to_metres_z_up(stage), messages):
         parent = owner.get(node.prim.GetParent().GetPath())
         draft = parent
         if node.is_part:
@@ -246,7 +246,7 @@ def _read_stage(asset: str | Path, root: str | None) -> tuple[list[Part], list[s
             drafts[node.path] = draft
         owner[node.prim.GetPath()] = draft
         if node.is_mesh:
-            mesh = mesh_of(asset, node, said)
+            mesh = mesh_of(asset, node, messages)
             if mesh is not None and draft is not None:
                 (draft.look if node.is_look else draft.collision).append(mesh)
                 if node.is_look and node.collides:
@@ -254,12 +254,12 @@ def _read_stage(asset: str | Path, root: str | None) -> tuple[list[Part], list[s
         elif node.is_gprim and node.is_look:
             skipped.append(f"{node.prim.GetPath()} ({node.prim.GetTypeName()})")
     if skipped:
-        said.append(f"{made_of(asset)}: only meshes are read; left out: {', '.join(skipped)}")
+        messages.append(f"{made_of(asset)}: only meshes are read; left out: {', '.join(skipped)}")
     parts = [draft.part() for draft in drafts.values() if draft.carries(drafts)]
     if not parts:
         place, remedy = str(prim.GetPath()), "give the prim that holds the vehicle"
         raise InputError("no mesh at or below it", remedy, key=place, file=made_of(asset))
-    return parts, said
+    return parts, messages
 
 
 @dataclass(frozen=True)
@@ -306,8 +306,8 @@ def _to_metres_z_up(stage: Any) -> Array:
     return turn @ np.diag([scale, scale, scale, 1.0])
 
 
-def _walk(root: Any, convert: Array, said: list[str]) -> Iterator[_Node]:
-    """Every visible prim from ``root`` down, also inside instances, parents first; warnings are added to ``said``."""
+def _walk(root: Any, convert: Array, messages: list[str]) -> Iterator[_Node]:
+    """Every visible prim from ``root`` down, also inside instances, parents first; adds warnings to ``messages``."""
     from pxr import Usd, UsdGeom, UsdPhysics
 
     when = Usd.TimeCode.EarliestTime()
@@ -325,7 +325,7 @@ def _walk(root: Any, convert: Array, said: list[str]) -> Iterator[_Node]:
             local, to_pivot = _local(xformable, when)
             if xformable.GetResetXformStack() and prim != root:
                 above = convert
-                said.append(
+                messages.append(
                     f"{prim.GetPath()}: !resetXformStack! detaches it from the vehicle in USD; it is read where it "
                     "stands and moves with the vehicle here; take the reset away"
                 )

@@ -58,8 +58,8 @@ def recalled_or(
     if content is None:
         content = keep(KIND, key, _solved(solve))
         shrink(KIND, most)
-    motion, said = _unpacked(content, vehicles)
-    for text in said:
+    motion, texts = _unpacked(content, vehicles)
+    for text in texts:
         warnings.warn(text, stacklevel=4)
     return motion, found is not None
 
@@ -83,10 +83,10 @@ def motion_key(file: ShotFile, files: Iterable[Path], world: str) -> str | None:
         return None
     if any(getattr(motion, "time_limit", None) is not None for motion in motions) or _extended():
         return None
-    asked = file.model_dump(mode="json", by_alias=True, include={"shot", "world", "vehicle"})
-    del asked["shot"]["name"]
+    request = file.model_dump(mode="json", by_alias=True, include={"shot", "world", "vehicle"})
+    del request["shot"]["name"]
     contents = [content_of(path) for path in files]
-    made_of = {"code": code(), "asked": asked, "files": contents, "world": world}
+    made_of = {"code": code(), "asked": request, "files": contents, "world": world}
     return sha256(json.dumps(made_of, sort_keys=True).encode()).hexdigest()
 
 
@@ -110,9 +110,9 @@ def _solved(solve: Callable[[], SolvedMotion]) -> bytes:
     except BaseException:
         _issue(caught)
         raise
-    said = [w for w in caught if issubclass(w.category, UserWarning)]
-    _issue([w for w in caught if w not in said])  # a library's warning on this occasion
-    header = {"clips": list(clips), "reports": reports, "warnings": [str(w.message) for w in said]}
+    ours = [w for w in caught if issubclass(w.category, UserWarning)]
+    _issue([w for w in caught if w not in ours])  # a library's warning on this occasion
+    header = {"clips": list(clips), "reports": reports, "warnings": [str(w.message) for w in ours]}
     parts = [json.dumps(header, default=_plain).encode(), *(clip.to_bytes() for clip in clips.values())]
     return packed([np.frombuffer(part, np.uint8) for part in parts])
 

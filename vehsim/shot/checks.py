@@ -72,13 +72,13 @@ def check_asset(key: str, asset: str, vehicle: Vehicle) -> Iterator[Problem]:
 def check_copied(key: str, asset: str, file: Path, homes: Sequence[Path], export: ExportTable) -> Iterator[Problem]:
     """Copied files are in the asset's own folder, or in ``homes``: an asset could name any file of this machine."""
     for found in beyond(dependencies(file)[0], file.parent, *homes):
-        said = f"its asset refers to {found}, outside its own folder"
+        message = f"its asset refers to {found}, outside its own folder"
         if export.outside == "copy":
             yield Problem(
-                key, f"{said}: it is copied too", "check that copying it is intended", asset, severity="warning"
+                key, f"{message}: it is copied too", "check that copying it is intended", asset, severity="warning"
             )
         else:
-            yield Problem(key, said, 'put it there, or give export.outside = "copy" to copy it', asset)
+            yield Problem(key, message, 'put it there, or give export.outside = "copy" to copy it', asset)
 
 
 def check_variants(key: str, given: Mapping[str, str], rig: Rig | None) -> Iterator[Problem]:

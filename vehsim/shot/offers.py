@@ -28,15 +28,15 @@ def paint_offers(shot: Shot, folder: Path) -> Iterator[str]:
         vehicle = shot.vehicle(table)
         outlines = table.motion._rig(vehicle).outlines
         for k, offers in enumerate(table.motion.offers(vehicle, shot._setting), 1):
-            told = [_told(m) for m in offers]
-            yield from (f"{shot.name}: {table.name}: mark[{k}]: {line}" for line in told)
+            lines = [_line(m) for m in offers]
+            yield from (f"{shot.name}: {table.name}: mark[{k}]: {line}" for line in lines)
             if outlines:
                 path = folder / f"{shot.name}.{table.name}.{k}.png"
-                painted = [replace(m.steering, label=line) for m, line in zip(offers, told, strict=True)]
+                painted = [replace(m.steering, label=line) for m, line in zip(offers, lines, strict=True)]
                 yield str(paint(painted, path, footprints=outlines, obstacles=corners))
 
 
-def _told(m: Manoeuvre) -> str:
+def _line(m: Manoeuvre) -> str:
     """A manoeuvre as text, such as ``7, one sweep: 12.1 s, 0.31 m clear``."""
     room = f", {m.clearance:.2f} m clear" if m.clearance >= 0 else f", collides by {-m.clearance:.2f} m"
     return f"{m.number}, {m.label}: {m.steering.duration:.1f} s{room if np.isfinite(m.clearance) else ''}"

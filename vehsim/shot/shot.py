@@ -367,13 +367,13 @@ class Shot:
 
             if table.name in meeting:
                 together = together or self._meet(meeting, world, progress)
-                clips[table.name], said = together[table.name]
-                said |= {"together": [*together]}
-                reports[table.name] = {"asset": table.asset, "method": table.motion.method, **said}
+                clips[table.name], details = together[table.name]
+                details |= {"together": [*together]}
+                reports[table.name] = {"asset": table.asset, "method": table.motion.method, **details}
                 continue
             setting = replace(self._setting, world=world)
-            clips[table.name], said = table.motion.solve(self.vehicle(table), setting, report)
-            reports[table.name] = {"asset": table.asset, "method": table.motion.method, **said}
+            clips[table.name], details = table.motion.solve(self.vehicle(table), setting, report)
+            reports[table.name] = {"asset": table.asset, "method": table.motion.method, **details}
         order = [table.name for table in self.file.vehicle]
         return {name: clips[name] for name in order}, {name: reports[name] for name in order}
 
@@ -411,8 +411,8 @@ class Shot:
             progress=lambda what, done: progress(f"{meeting}: {what}", done / len(self.file.vehicle)),
         )  # fmt: skip
         pilots = {name: mover.controls for name, mover in movers.items() if hasattr(mover.controls, "targets")}
-        said = {name: {"targets": pilot.targets(clips[name].duration)} for name, pilot in pilots.items()}
-        return {name: (clip, said.get(name, {})) for name, clip in clips.items()}
+        details = {name: {"targets": pilot.targets(clips[name].duration)} for name, pilot in pilots.items()}
+        return {name: (clip, details.get(name, {})) for name, clip in clips.items()}
 
     def _warn_off_ground(self, clips: Mapping[str, Clip]) -> None:
         """Warn of a vehicle in the plane without wheels where the ground rises or falls below it."""

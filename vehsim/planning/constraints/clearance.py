@@ -102,7 +102,7 @@ class SphereCover:
 
 @dataclass(frozen=True, eq=False)
 class Clearance(Block):
-    """``asked`` m from terrain and obstacles, for the spheres at every knot but the first and at one place per segment.
+    """``required`` m from terrain and obstacles, for the spheres at every knot but the first and once per segment.
 
     ``cover``: None in free space. ``near`` (places,): where the field of everything at rest is active; None:
     everywhere. This block also adds the costs whose laws take a `HazardView`, everywhere.
@@ -110,7 +110,7 @@ class Clearance(Block):
 
     request: Request
     cover: SphereCover | None
-    asked: float
+    required: float
     near: NDArray[np.bool_] | None = None
 
     @property
@@ -138,7 +138,7 @@ class Clearance(Block):
                     problem.add(self._element(transcription, hazard, site), y, parameters)
 
     def values(self, trajectory: Trajectory) -> Mapping[str, Any]:
-        values: dict[str, Any] = {"clearance": self.asked}
+        values: dict[str, Any] = {"clearance": self.required}
         if self.cover is None:
             return values
         values |= {weight_of(name): self.request.weights[name] for name in self.costs}
@@ -189,12 +189,12 @@ class Clearance(Block):
     def prolongate(self, coarse: Trajectory, fine: Trajectory) -> Clearance:
         if self.cover is None or self.cover.stands is None or self.costs:
             return replace(self, near=None)
-        return replace(self, near=self.distances(fine) < self.asked + SIGHT)
+        return replace(self, near=self.distances(fine) < self.required + SIGHT)
 
     def violated(self, solved: Trajectory) -> Clearance:
         if self.near is None:
             return self
-        missed = ~self.near & (self.distances(solved) < self.asked - FINEST)
+        missed = ~self.near & (self.distances(solved) < self.required - FINEST)
         return replace(self, near=self.near | missed) if missed.any() else self
 
     def measure(self, trajectory: Trajectory, clip: Clip, progress: Progress | None) -> Finding:
@@ -209,10 +209,10 @@ class Clearance(Block):
     def tighten(self, trajectory: Trajectory, finding: Finding) -> Clearance:
         if finding.met:
             return self
-        return replace(self, asked=self.asked + (finding.wanted - finding.clearance) + MORE)
+        return replace(self, required=self.required + (finding.wanted - finding.clearance) + MORE)
 
     def resume(self, earlier: Clearance) -> Clearance:
-        return replace(self, asked=earlier.asked, near=earlier.near)
+        return replace(self, required=earlier.required, near=earlier.near)
 
 
 def cover_for(request: Request, paths: Sequence[Array], progress: Progress) -> SphereCover | None:
@@ -250,10 +250,10 @@ def clearance_element(
     """
     v, radii = transcription.symbols(*site.variables), ca.DM(cover.radii)
     view = site.view(transcription, v)
-    asked, weights = ca.SX.sym("clearance"), {weight_of(name): ca.SX.sym("weight") for name in costs}
-    parameters = {"clearance": asked, **weights}
+    clearance, weights = ca.SX.sym("clearance"), {weight_of(name): ca.SX.sym("weight") for name in costs}
+    parameters = {"clearance": clearance, **weights}
     points = [view.position + view.rotation @ ca.DM(c) for c in cover.centres]
-    wanted = ca.repmat(asked, len(points), 1)
+    wanted = ca.repmat(clearance, len(points), 1)
     if hazard.moves:
         pose = parameters["pose"] = ca.SX.sym("pose", 12)
         R_wo = ca.reshape(pose[3:], 3, 3)
@@ -263,8 +263,8 @@ def clearance_element(
         given = parameters["landings"] = ca.SX.sym("landings", landed * width)
         for landing in ca.vertsplit(given, width) if landed else []:
             distance = rounded_distance(view.position, landing[:3])
-            touching = ca.fmin(landing[3:], asked - ROUND)
-            wanted = ca.fmin(wanted, approach(distance, asked, touching, ca.tanh))
+            touching = ca.fmin(landing[3:], clearance - ROUND)
+            wanted = ca.fmin(wanted, approach(distance, clearance, touching, ca.tanh))
     met, models = ca.horzcat(*points), ca.SX.sym("models", 13, len(points))
     free = second_order(met, models) - radii
     rates = [COSTS[name](HazardView(free)) for name in costs]
@@ -288,8 +288,8 @@ def _free_places(layout: Layout, marks: Sequence[Mark]) -> tuple[NDArray[np.intp
         if mark.on_ground:  # until the end of its hold
             last = knots[i + 1] if mark.hold else knots[i]
             free[knots[i] * steps : last * steps + 1] = between[knots[i] : last] = False
-    asked = np.isin(np.arange(layout.nodes) % steps, (0, layout.middle[0]))
-    return np.flatnonzero(free & asked), np.flatnonzero(between)
+    enforced = np.isin(np.arange(layout.nodes) % steps, (0, layout.middle[0]))
+    return np.flatnonzero(free & enforced), np.flatnonzero(between)
 
 
 def _places(layout: Layout, marks: Sequence[Mark]) -> dict[Site, NDArray[np.intp]]:

@@ -90,7 +90,7 @@ def element(transcription: Transcription, kind: tuple[Law, int, int]) -> Element
 
     Parameters: the ``numbers`` of the shape, the requested ``clearance``, and the features' ``constants``.
     """
-    x, asked = transcription.symbols("x")["x"], ca.SX.sym("clearance")
+    x, clearance = transcription.symbols("x")["x"], ca.SX.sym("clearance")
     _, numbers, constants = _symbols(kind)
     g = transcription.split(x)[0]
     pose = ca.vertcat(g[0], g[1:3] - _turn(g[0]) @ ca.DM(transcription.vehicle.origin[:2]))
@@ -98,9 +98,9 @@ def element(transcription: Transcription, kind: tuple[Law, int, int]) -> Element
     at, height, rise, curve = (ca.SX.sym(name, k) for name, k in (("at", 2), ("value", 1), ("slope", 2), ("bend", 3)))
     off = point - at
     squares = ca.vertcat(off[0] ** 2 / 2, off[1] ** 2 / 2, off[0] * off[1])
-    row = height + ca.dot(rise, off) + ca.dot(curve, squares) - less - asked
+    row = height + ca.dot(rise, off) + ca.dot(curve, squares) - less - clearance
     frozen = (ca.vertcat(at, height, rise, curve), ca.vertcat(point, value, slope, bend))
-    parameters = {"numbers": numbers, "clearance": asked, "constants": constants}
+    parameters = {"numbers": numbers, "clearance": clearance, "constants": constants}
     return Element("obstacle", x, parameters, g=row, upper=np.inf, frozen=frozen)
 
 

@@ -58,11 +58,11 @@ def landing_element(transcription: Transcription, upright: Array) -> Element:
     (3,).
     """
     v = transcription.symbols("x", "h")
-    asked, place = ca.SX.sym("clearance"), ca.SX.sym("place", 3)
+    clearance, place = ca.SX.sym("clearance"), ca.SX.sym("place", 3)
     view = knot_view(transcription, v["x"], ca.SX.zeros(transcription.sizes[3]))
     distance = rounded_distance(view.position, place)
     counts = 1 / (1 + (distance / FADE) ** 4)
-    above = approach(distance, asked, 0.0, ca.tanh)
+    above = approach(distance, clearance, 0.0, ca.tanh)
     below = feet(transcription.vehicle)
     flat = below @ SO3.matrix(upright).T
     rise = [
@@ -72,5 +72,5 @@ def landing_element(transcription: Transcription, upright: Array) -> Element:
     down = view.velocity[2] + GENTLE + SINK * distance
     g = ca.vertcat(counts * (ca.vertcat(*rise) - above) + (1 - counts) * FADE, down)
     cost = FALL * v["h"] * view.velocity[2] ** 2 * ca.exp(-((distance / NEAR) ** 2))
-    parameters = {"clearance": asked, "place": place}
+    parameters = {"clearance": clearance, "place": place}
     return Element("landing", ca.vertcat(*v.values()), parameters, f=cost, g=g, lower=0.0, upper=np.inf)

@@ -139,13 +139,13 @@ def mark_element(transcription: Transcription, mark: Mark, known: Mark | None = 
             "hold": [(c[k], 0.0, 0.0) for _, k in transcription.vehicle.driven] if mark.hold else [],
         }
 
-    asked = rows_of(mark)
+    fixed = rows_of(mark)
     if known is not None:
-        asked = {key: rows for key, rows in asked.items() if key == "joints" or not rows_of(known).get(key)}
-    labels = [key for key, rows in asked.items() for _ in rows]
+        fixed = {key: rows for key, rows in fixed.items() if key == "joints" or not rows_of(known).get(key)}
+    labels = [key for key, rows in fixed.items() for _ in rows]
     if not labels:
         return None
-    rows, lower, upper = zip(*(row for rows in asked.values() for row in rows), strict=True)
+    rows, lower, upper = zip(*(row for rows in fixed.values() for row in rows), strict=True)
     y, given = ca.vertcat(*v.values()), {key: wanted[key] for key in sizes if getattr(mark, key) is not None}
     return Element("mark", y, {"wind": wind, **given}, g=ca.vertcat(*rows), lower=lower, upper=upper, labels=labels)
 

@@ -143,23 +143,23 @@ class ObstacleClearance(Block):
             obstacle, number = self.parts[part]
             width = len(_numbers(obstacle, number, np.zeros(1)))
             numbers = problem.parameter(_place(part), width, len(knots) if obstacle.moves else 1)
-            asked = problem.parameter(_asked(part), 1, len(knots))
+            needed = problem.parameter(_clearance_of(part), 1, len(knots))
             for n in np.flatnonzero((owners == part) & self.active.any(axis=1)):
                 feature, here = features[n][1], self.active[n, knots]
                 own = np.broadcast_to(numbers, (width, len(knots)))[list(feature.numbers)][:, here]
                 constants = np.tile(np.array(feature.constants)[:, None], np.sum(here))
-                uses.setdefault(feature.kind, []).append((layout.knot(knots[here]), own, asked[:, here], constants))
+                uses.setdefault(feature.kind, []).append((layout.knot(knots[here]), own, needed[:, here], constants))
                 names.setdefault(feature.kind, []).extend([f"obstacle {obstacle.name!r}"] * int(here.sum()))
         for kind, found in uses.items():
-            variables, own, asked, constants = map(np.hstack, zip(*found, strict=True))
-            parameters = {"numbers": own, "clearance": asked}
+            variables, own, needed, constants = map(np.hstack, zip(*found, strict=True))
+            parameters = {"numbers": own, "clearance": needed}
             problem.add(element(transcription, kind), variables, parameters, {"constants": constants}, names[kind])
 
     def values(self, trajectory: Trajectory) -> Mapping[str, Any]:
         seconds, values = trajectory.seconds(), {}
         for part, knots in self._active_at():
             values[_place(part)] = _numbers(*self.parts[part], seconds[knots])
-            values[_asked(part)] = self.clearance + self.extra[part, knots][None]
+            values[_clearance_of(part)] = self.clearance + self.extra[part, knots][None]
         return values
 
     def _active_at(self) -> Iterator[tuple[int, NDArray[np.intp]]]:
@@ -229,7 +229,7 @@ def _place(part: int) -> str:
     return f"obstacle[{part}].numbers"
 
 
-def _asked(part: int) -> str:
+def _clearance_of(part: int) -> str:
     return f"obstacle[{part}].clearance"
 
 

@@ -226,10 +226,11 @@ def push_of(vehicle: Vehicle, wind: tuple[float, ...], slope: float = 0.0) -> Pu
     rays /= np.linalg.norm(rays, axis=1)[:, None]
     force, r = laws["force"].map(SAMPLES), np.array([joints[k] for k in picks]).T.reshape(-1, SAMPLES)
     rest = np.array(force(facing.T, r, np.zeros((n, SAMPLES)), controls.T, calm))
-    ways = np.array([inverse_roots[k] @ ray for k, ray in zip(picks, rays, strict=True)])
+    velocities = np.array([inverse_roots[k] @ ray for k, ray in zip(picks, rays, strict=True)])
     for k, speed in enumerate(SPEEDS):
         q = max(speed, 1e-6) / fastest
-        power = ((np.array(force(facing.T, r, q * ways.T, controls.T, np.array(wind))) - rest) * ways.T).sum(axis=0)
+        change = np.array(force(facing.T, r, q * velocities.T, controls.T, np.array(wind))) - rest
+        power = (change * velocities.T).sum(axis=0)
         gains[k], losses[k] = max(0.0, float(power.max())), max(0.0, float(-power.min()))
     gain = (most + gains.max()) * fastest * SAMPLING_FACTOR + 9.81 * slope
     loss = gain + np.maximum.accumulate(losses) * fastest * SAMPLING_FACTOR

@@ -56,9 +56,9 @@ class LooseTiming(Timing):
             return
         durations, counts = self.durations, np.array(layout.phases, float)
         held = np.array([mark.hold > 0 for mark in self.marks[:-1]])
-        asked = np.isfinite(durations) & ~held
+        fixed = np.isfinite(durations) & ~held
         h = ca.SX.sym("h", len(durations))
-        delay = ca.dot(ca.DM(asked.astype(float)), ca.DM(counts) * h - ca.DM(np.nan_to_num(durations)))
+        delay = ca.dot(ca.DM(fixed.astype(float)), ca.DM(counts) * h - ca.DM(np.nan_to_num(durations)))
         problem.add(Element("late", h, f=self.price * delay), layout.lengths)
 
     def bound(self, trajectory: Trajectory, lower: Array, upper: Array) -> None:

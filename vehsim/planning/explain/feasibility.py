@@ -204,15 +204,15 @@ def _too_far(request: Request, placed: list[Mark], seconds: float) -> list[tuple
     wind = tuple(float(x) for x in request.wind)
     push = push_of(request.vehicle, wind, _steepest(request))
     ball = thrust_ball(request.vehicle)
-    asked = limits.get("acceleration")
+    acceleration = limits.get("acceleration")
 
     def refused(text: str, t: float) -> list[tuple[str, float]]:
         return [(f"{whole:.3g} m in {max(seconds, 0.0):.3g} s, {text}", t)]
 
-    allowed = limited(UNBOUNDED, asked)
+    allowed = limited(UNBOUNDED, acceleration)
     if whole > allowed.reach(seconds, top, *ends):
         least = least_time(lambda t: allowed.reach(t, top, *ends), whole)
-        return refused(f"more than {asked:.3g} m/s^2 can do", least)
+        return refused(f"more than {acceleration:.3g} m/s^2 can do", least)
     if centre > push.reach(seconds, math.inf, *map(_size, own)):
         least = least_time(lambda t: push.reach(t, math.inf, *map(_size, own)), centre)
         return refused(f"more than the {request.vehicle.name}'s {push.gain:.3g} m/s^2 can do", least)

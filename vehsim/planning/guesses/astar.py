@@ -45,19 +45,19 @@ def guess_drive(
     vehicle: Vehicle,
     parts: Sequence[tuple[Any, int]],
     ends: Array,
-    asked: Sequence[float | None],
+    headings: Sequence[float | None],
     clearance: float,
     wariness: int = 0,
     met: Sequence[Array] = (),
 ) -> Array:
     """A path (k, 4) of x, y, z m and heading rad from ``ends[0]`` to ``ends[1]`` (2, 3) m, clear of standing ``parts``.
 
-    ``asked``: headings at either end in rad, or None. Each step of ``wariness`` makes narrow gaps more expensive.
+    ``headings``: headings at either end in rad, or None. Each step of ``wariness`` makes narrow gaps more expensive.
     ``met``: outlines (n, k, 2) to avoid if possible. Raises ``SolveError`` if there is no path.
     """
     radius = turning_radius(vehicle)
     bearing = float(np.arctan2(*(ends[1] - ends[0])[[1, 0]]))
-    nose = [bearing if heading is None else heading for heading in asked]
+    nose = [bearing if heading is None else heading for heading in headings]
     # the search moves the body frame's origin (a car's rear axle) if there is a turning circle, otherwise the root
     lead = np.asarray(vehicle.origin[:2], float) if radius > 0 else np.zeros(2)
     ground = _Ground(
@@ -70,9 +70,9 @@ def guess_drive(
         raise SolveError(f"no path from {places} with {clearance:g} m clearance: obstacles close it", remedy)
     poses = None
     if radius > 0:
-        poses = _Search(ground, radius).find(nose[0], asked[1])
+        poses = _Search(ground, radius).find(nose[0], headings[1])
     if poses is None:
-        poses = _facing(ground.pull(path), asked)
+        poses = _facing(ground.pull(path), headings)
     root = poses[:, :2] - _turned(poses[:, 2], lead)
     return np.column_stack([root, np.linspace(ends[0, 2], ends[1, 2], len(poses)), poses[:, 2]])
 
@@ -338,12 +338,12 @@ def _turned(angle: Array, point: Array) -> Array:
     return np.column_stack([c * point[0] - s * point[1], s * point[0] + c * point[1]])
 
 
-def _facing(path: Array, asked: Sequence[float | None]) -> Array:
+def _facing(path: Array, headings: Sequence[float | None]) -> Array:
     """The path (k, 2) with headings along it, blended into the requested headings at its ends: (k, 3)."""
     step = np.gradient(path, axis=0)
     yaw = np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
     share = np.linspace(0, 1, len(path))
-    for wanted, weight in ((asked[0], 1 - share / 0.1), (asked[1], 1 - (1 - share) / 0.1)):
+    for wanted, weight in ((headings[0], 1 - share / 0.1), (headings[1], 1 - (1 - share) / 0.1)):
         if wanted is not None:
             yaw = yaw + np.clip(weight, 0, 1) * ((wanted - yaw + np.pi) % (2 * np.pi) - np.pi)
     return np.column_stack([path, yaw])

@@ -42,10 +42,10 @@ def attitude(mark: Mark) -> Array:
     return from_yaw(np.deg2rad(mark.heading or 0.0))
 
 
-def approach(distance: Any, asked: Any, touching: Any, tanh: Any = np.tanh) -> Any:
+def approach(distance: Any, clearance: Any, touching: Any, tanh: Any = np.tanh) -> Any:
     """The requested clearance, m, at ``distance`` m from a landing, where it is ``touching`` m: a rounded cone."""
-    lack = asked - touching
-    return asked - lack * (1 - tanh(SLOPE * distance / lack))
+    lack = clearance - touching
+    return clearance - lack * (1 - tanh(SLOPE * distance / lack))
 
 
 def rounded_distance(position: Expr, place: Expr) -> Expr:

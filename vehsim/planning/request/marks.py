@@ -288,10 +288,10 @@ def with_breaks(marks: Sequence[Mark], frames: Sequence[int]) -> list[Mark]:
                 key="frames",
                 value=frame,
             )
-        earlier, place, asked = written[before[-1]], before[-1] + 1, Mark(frame)
+        earlier, place, added = written[before[-1]], before[-1] + 1, Mark(frame)
         if earlier.hold:  # it divides a hold in two
             passed = frame - int(earlier.frame)
             written[place - 1] = replace(earlier, hold=passed)
-            asked = replace(earlier, frame=frame, hold=earlier.hold - passed, place=-1)
-        written.insert(place, asked)
+            added = replace(earlier, frame=frame, hold=earlier.hold - passed, place=-1)
+        written.insert(place, added)
     return written

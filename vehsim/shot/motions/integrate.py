@@ -62,5 +62,5 @@ class IntegrateMotion(Table):
         else:
             clip = reference_clip(vehicle, self.integrator, state, controls, self.step, **timing)
         energy = clip.energy["kinetic"] + clip.energy["potential"]
-        said = {"integrator": self.integrator, "step": self.step, "duration": clip.duration}
-        return clip, said | {"energy": [float(energy[0]), float(energy[-1])]}
+        details = {"integrator": self.integrator, "step": self.step, "duration": clip.duration}
+        return clip, details | {"energy": [float(energy[0]), float(energy[-1])]}

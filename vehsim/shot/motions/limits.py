@@ -49,8 +49,8 @@ def _name_limits(schema: dict[str, Any], model: type[Table]) -> None:
     describe(schema, model)
     number = schema["additionalProperties"]
     for name, limit in LIMITS.loadable():
-        said = f"{number['description']}, in {limit.unit.replace('rad', 'deg')}: {limit.meaning}"
-        schema["properties"][name] = {**number, "description": said}
+        description = f"{number['description']}, in {limit.unit.replace('rad', 'deg')}: {limit.meaning}"
+        schema["properties"][name] = {**number, "description": description}
     schema["additionalProperties"] = False
 
 
@@ -129,7 +129,7 @@ def check_limits(limits: Mapping[str, Any], vehicle: Vehicle) -> Iterator[Proble
         yield from check_names(f"limits.{name}", limits.get(name, {}), vehicle.joints, "joint")
 
 
-def check_asked(
+def check_request(
     vehicle: Vehicle, setting: Setting, marks: Sequence[Mark], options: Mapping[str, Any]
 ) -> Iterator[Problem]:
     """The planner's errors about marks and options together, and what bounds prove impossible."""

@@ -15,7 +15,7 @@ from vehsim.errors import FailedPlan, InputError, Problem, SolveError
 from vehsim.intake.tables import table_of
 from vehsim.shot.checks import Setting, check_free, check_inside, check_mark, check_names, check_order
 from vehsim.shot.motions.blocking import BlockingTable, blocking_of, marks_of
-from vehsim.shot.motions.limits import LimitTable, LookTable, StayTable, check_asked, check_limits, limits_si
+from vehsim.shot.motions.limits import LimitTable, LookTable, StayTable, check_limits, check_request, limits_si
 from vehsim.shot.motions.pilots import is_numeric
 from vehsim.shot.motions.state import is_planar
 from vehsim.shot.schema.tables import (
@@ -102,7 +102,7 @@ class PlanMotion(Table):
             except InputError as error:
                 yield error.problem.seen_from("look" if self.look else "stay", remedy="see docs/shot-file.md")
                 return
-            yield from check_asked(vehicle, setting, marks, options)
+            yield from check_request(vehicle, setting, marks, options)
 
     def _check_each(self, vehicle: Vehicle, setting: Setting) -> Iterator[Problem]:
         from vehsim.planning.terms import COSTS
@@ -178,7 +178,7 @@ class PlanMotion(Table):
         names = ("success", "message", "cost", "duration", "iterations", "segments", "defect", "clearance")
         report = {name: getattr(result, name) for name in names} | {"executed": asdict(result.executed)}
         places = {mark.place: mark.position for mark in result.marks}
-        said = [
+        marks_found = [
             mark.model_dump(mode="json", exclude_unset=True) | {"position": list(places[i] or mark.position)}
             for i, mark in enumerate(wanted)
             if mark.position
@@ -189,7 +189,7 @@ class PlanMotion(Table):
             poses = clip.matrices()
             report["blocking"] = blocking.departure(clip.frames, clip.positions, poses[:, :3, :3])
             report["blocking"]["keys"] = [mark.frame for mark in wanted]
-        return result.clip, report | {"marks": said, "asks": [ask.as_dict() for ask in result.asks]}
+        return result.clip, report | {"marks": marks_found, "asks": [ask.as_dict() for ask in result.asks]}
 
     def _guess(self, vehicle: Vehicle, marks: Sequence[Mark], setting: Setting) -> Any:
         """The path to start from; None: the default of `vehsim.plan`."""

@@ -78,8 +78,8 @@ class SimulateMotion(Table):
             start_frame=setting.first,
             progress=progress,
         )
-        said = {"step": self.step, "duration": clip.duration}
-        return clip, said | ({} if self.pilot is None else {"targets": controls.targets(clip.duration)})
+        details = {"step": self.step, "duration": clip.duration}
+        return clip, details | ({} if self.pilot is None else {"targets": controls.targets(clip.duration)})
 
     def mover(self, vehicle: Vehicle, setting: Setting) -> tuple[Mover, float]:
         """The same for vehicles that move together, and the duration, s."""

@@ -190,11 +190,11 @@ class SinusoidMotion(Table):
         whole = joined(parts, [mark.hold / fps for mark in self.mark[1:]])
         begin = int(self.mark[0].frame) + self.mark[0].hold
         clip = clip_of(whole, vehicle, setting.fps, begin, height=self.mark[0].position[2], **rig.flight)
-        said = {"manoeuvres": taken, "end_error": whole.end_error, "duration": whole.duration}
+        details = {"manoeuvres": taken, "end_error": whole.end_error, "duration": whole.duration}
         marks = [mark.model_dump(mode="json", exclude_unset=True) for mark in self.mark]
         asks = self._asks(vehicle, setting, [round(steering.duration * fps) for steering in parts])
         asks_said = [ask.as_dict() for ask in asks]
-        return clip, said | {"limits": dict(wish.limits), "marks": marks, "asks": asks_said}
+        return clip, details | {"limits": dict(wish.limits), "marks": marks, "asks": asks_said}
 
     def _asks(self, vehicle: Vehicle, setting: Setting, driven: list[int]) -> Iterator[Ask]:
         """The asks of marks, limits and obstacles for a motion whose legs take ``driven`` frames each."""

@@ -235,7 +235,7 @@ def _loop_stage(t: Triangular, amplitude: float, cycles: int, phase: float, h: A
         a *= 1.25
     raise SolveError(
         f"no loop moves it by {wanted:.4g} inside the domain from here",
-        "take more cycles, or a goal on the way",
+        "take more cycles, or add an intermediate goal",
         key=t.system.states[i],
         subject=t.system.name,
     )

@@ -17,7 +17,7 @@ from vehsim.sinusoids.system import Array
 
 TAU = 2 * np.pi
 CORNER = 1.75
-"""Largest turn of one leg on the way around a bend, rad."""
+"""Largest turn of one leg of a path around a bend, rad."""
 CHART = 2.0
 """Largest turn of any leg, rad: the leg is a graph over the mean of its headings."""
 

@@ -214,7 +214,7 @@ class Leg:
 
     @property
     def angles(self) -> tuple[float, float]:
-        """The largest steering and hitch angle on the way, rad."""
+        """The largest steering and hitch angle of the leg, rad."""
         steering, hitch, _, _ = sharpness([self])[0]
         return float(steering), float(hitch)
 

@@ -130,7 +130,7 @@ def _wrapper(
 ) -> Path:
     """A layer in the cache, keyed by content, that references ``source`` and turns it upright; messages name
     ``named``."""
-    said = {
+    inputs = {
         "source": str(source.resolve()),
         "named": str(named),
         "root": root,
@@ -138,7 +138,7 @@ def _wrapper(
         "variants": variants,
         "made": 5,
     }
-    key = hashlib.sha256(json.dumps(said, sort_keys=True, default=str).encode()).hexdigest()[:24]
+    key = hashlib.sha256(json.dumps(inputs, sort_keys=True, default=str).encode()).hexdigest()[:24]
     file = cache_folder() / "vehicles" / f"{toml.parent.name}-{key}.usda"
     _check_variants(toml, source, root, variants)
     if not _is_whole(file, file.with_suffix(".seal")):

@@ -156,7 +156,7 @@ def _load(path: Path, written: Stamp, asset_written: Stamp | None, parameters: s
         raise InputError(
             f"no {model} can be made of it ({error})", "compare the model's own", key="physics", file=path
         ) from error
-    told: dict[str, Any] = {
+    settings: dict[str, Any] = {
         "controls": _controls(path, vehicle, data.get("controls", {})),
         "joint_limits": _limits(path, vehicle, data.get("joints", {})),
         "character": _character(path, vehicle, data.get("character", {})),
@@ -164,8 +164,8 @@ def _load(path: Path, written: Stamp, asset_written: Stamp | None, parameters: s
         "top_speed": float(data.get("top_speed", vehicle.top_speed)),
         "parameters": given,
     }
-    planar = None if vehicle.planar is None else replace(vehicle.planar, **told | {"rig": _level(told["rig"])})
-    return replace(vehicle, **told, hull=_hull(path, vehicle, data), planar=planar)
+    planar = None if vehicle.planar is None else replace(vehicle.planar, **settings | {"rig": _level(settings["rig"])})
+    return replace(vehicle, **settings, hull=_hull(path, vehicle, data), planar=planar)
 
 
 def _weighed(path: Path, factory: Any, data: dict[str, Any]) -> dict[str, Any]:

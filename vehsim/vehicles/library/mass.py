@@ -46,8 +46,8 @@ def weigh(toml: Path, asset: Path, root: str | None, density: Any) -> tuple[floa
             volume, c, about_c = hull_moments(points @ part.T_rp[:3, :3].T + part.T_rp[:3, 3])
             m = rho * volume
             if rho and not volume:
-                said = f"{toml}: physics.density: {part.path or 'the root'} is flat: no mass; set mass to override"
-                warnings.warn(said, stacklevel=6)
+                message = f"{toml}: physics.density: {part.path or 'the root'} is flat: no mass; set mass to override"
+                warnings.warn(message, stacklevel=6)
             mass, moment = mass + m, moment + m * c
             second = second + rho * about_c + m * (c @ c * np.eye(3) - np.outer(c, c))
     if not mass > 0:
