@@ -2,7 +2,7 @@
 BIN := .venv/bin
 export MUJOCO_GL ?= egl
 
-.PHONY: help setup demo check test test-pythons measure-tests blender docs assets lock clean bench-export bench-integrators bench-planning bench-collocation audit-random
+.PHONY: help setup demo check test test-pythons measure-tests blender docs assets lock clean bench-export bench-integrators bench-planning bench-collocation audit-random hostile-files
 
 help:
 	@echo "make demo               export examples/canyon_flight.toml to out/: a USD shot, frames and a film"
@@ -20,6 +20,7 @@ help:
 	@echo "make bench-collocation  compare DMOC with collocation; writes RESULTS.collocation.md"
 	@echo "make bench-export       compare baking, pictures and batches with alternatives (ten minutes)"
 	@echo "make audit-random       export a thousand random shots and measure them from USD alone (hours; resumes)"
+	@echo "make hostile-files      give 20,000 broken or hostile files to all commands (hours; resumes)"
 	@echo "make clean              remove everything that the other commands made"
 
 setup:
@@ -76,6 +77,9 @@ bench-export: setup
 
 audit-random: setup
 	$(BIN)/python -m tools.audit_random --seeds $(or $(SEEDS),0-999) --out $(or $(OUT),out/audit_random)
+
+hostile-files: setup
+	$(BIN)/python -m tools.hostile_files --seeds $(or $(SEEDS),0-19999) --out $(or $(OUT),out/hostile_files)
 
 clean:
 	rm -rf .venv .pythons .blender out site build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -190,6 +190,35 @@ def test_a_package_that_does_not_load_is_named(site: Path, tmp_path: Path) -> No
     assert done.returncode == 2 and "studio-kit" in done.stderr and "Traceback" not in done.stderr
 
 
+@pytest.mark.parametrize(
+    ("healthy", "broken", "says"),
+    [
+        ("return np.maximum(", "return 1 / 0 * np.maximum(", "vehsim.measures 'spin'"),
+        ("return np.array([self.push, 0.0])", "return self.gone", "vehsim.pilots 'coast'"),
+        ("return segment.h *", "return [][0] *", "vehsim.costs 'gentle'"),
+    ],
+)
+def test_an_error_in_a_package_is_not_called_one_of_vehsim(
+    site: Path, tmp_path: Path, healthy: str, broken: str, says: str
+) -> None:
+    assert healthy in PACKAGE
+    (site / "studio_kit" / "__init__.py").write_text(PACKAGE.replace(healthy, broken))
+    planned, _, coasting = SHOT.partition('[[vehicle]]\nname = "coasting"')
+    coasting = (
+        planned.partition("[[vehicle]]")[0] + '[[vehicle]]\nname = "coasting"' + coasting.partition("[camera]")[0]
+    )
+    (tmp_path / "yard.toml").write_text(coasting if "pilots" in says else planned)  # planning takes longer
+    (tmp_path / "good.toml").write_text(
+        '[shot]\nschema = 1\nname = "good"\n[[vehicle]]\nname = "car"\nasset = "car"\n'
+        '[vehicle.motion]\nmethod = "simulate"\nduration = 0.1\n'
+    )
+    shots = [str(tmp_path / name) for name in ("yard.toml", "good.toml")]
+    done = run(site, "export", *shots, "--out", str(tmp_path / "out"), "--to", "csv")
+    assert done.returncode == 1
+    assert "this is an error in the package studio-kit, which registers" in done.stderr and says in done.stderr
+    assert "error in vehsim" not in done.stderr and (tmp_path / "out" / "good" / "car.csv").is_file()
+
+
 def test_a_package_that_does_not_load_stops_no_other_shot(site: Path, tmp_path: Path) -> None:
     (site / "studio_kit" / "__init__.py").write_text("import nothing_of_this_name\n")
     limited = (

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from vehsim.errors import InputError, VehsimError
+from vehsim.runtime.registry import whose_error
 
 if TYPE_CHECKING:
     from vehsim.shot import Shot
@@ -130,7 +131,7 @@ def run_task(task: Task, tell: Tell) -> Outcome:
             problems = tuple(problem.as_dict() for problem in error.problems)
             outcome = Outcome(task.name, "failed", type(error).__name__, str(error), problems)
         except Exception as error:
-            message = f"unexpected: {type(error).__name__}: {error}; this is an error in vehsim"
+            message = f"unexpected: {type(error).__name__}: {error}; this is {whose_error(error)}"
             outcome = Outcome(task.name, "failed", type(error).__name__, message, detail=traceback.format_exc())
             if _starved(error):
                 message = f"it ran out of memory ({type(error).__name__}: {error}); {MEMORY_REMEDY}"

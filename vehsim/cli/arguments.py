@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from vehsim.errors import InputError, Problem, ShotError
+from vehsim.runtime.registry import whose_error
 
 if TYPE_CHECKING:
     from vehsim.shot import Shot
@@ -100,7 +101,7 @@ def _problems_of(error: Exception, file: str) -> list[Problem]:
         return [Problem(str(error.filename), str(error.strerror), "fix that", file=file)]
     if os.environ.get("VEHSIM_DEBUG"):
         raise error
-    message = f"{type(error).__name__}: {error}; this is an error in vehsim"
+    message = f"{type(error).__name__}: {error}; this is {whose_error(error)}"
     return [Problem("unexpected", message, "set VEHSIM_DEBUG=1 to see the traceback", file=file, severity="fault")]
 
 

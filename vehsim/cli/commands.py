@@ -23,6 +23,7 @@ from vehsim.cli import arguments as _arguments
 from vehsim.cli import choices
 from vehsim.errors import InputError, Problem, VehsimError
 from vehsim.runtime.code import version
+from vehsim.runtime.registry import whose_error
 from vehsim.runtime.signals import POLITE, outliving_readers, raising
 
 if TYPE_CHECKING:
@@ -502,7 +503,9 @@ def _run(arguments: Sequence[str]) -> int:
         if os.environ.get("VEHSIM_DEBUG"):
             raise
         what = f"{type(error).__name__}: {error}"
-        return _fail(f"unexpected: {what}; this is an error in vehsim: set VEHSIM_DEBUG=1 to see the traceback", FAILED)
+        return _fail(
+            f"unexpected: {what}; this is {whose_error(error)}: set VEHSIM_DEBUG=1 to see the traceback", FAILED
+        )
 
 
 def _fail(message: str, code: int) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import importlib.metadata
 import importlib.util
+import traceback
 import warnings
 from collections.abc import Iterator, Mapping, MutableMapping
 from functools import cache
@@ -34,6 +35,22 @@ def extensions() -> list[Path]:
     specs = [importlib.util.find_spec(name) for name in sorted(names)]
     origins = [Path(spec.origin) for spec in specs if spec is not None and spec.origin is not None]
     return [origin.parent if origin.name == "__init__.py" else origin for origin in origins]
+
+
+def whose_error(error: BaseException) -> str:
+    """Whose error an unexpected exception is: that of the installed package through whose code it came, with its entry
+    points there, else vehsim's own."""
+    added = [entry for group in _installed().groups if group.startswith("vehsim.") for entry in entries(group)]
+    added = [entry for entry in added if entry.module.partition(".")[0] != "vehsim"]
+    for frame, _ in traceback.walk_tb(error.__traceback__):
+        package = str(frame.f_globals.get("__name__")).partition(".")[0]
+        if own := [entry for entry in added if entry.module.partition(".")[0] == package]:
+            called = frame.f_code.co_qualname
+            exact = [entry for entry in own if called == entry.attr or called.startswith(f"{entry.attr}.")]
+            names = ", ".join(f"{entry.group} {entry.name!r}" for entry in exact or own)
+            name = own[0].dist.name if own[0].dist else package
+            return f"an error in the package {name}, which registers {names}"
+    return "an error in vehsim"
 
 
 class Registry(MutableMapping[str, T], Generic[T]):

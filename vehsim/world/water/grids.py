@@ -50,9 +50,11 @@ class WaterGrids:
             raise _wrong("heights", "not finite", "fill the holes")
         if not (np.isfinite(times).all() and (np.diff(times) > 0).all()):
             raise _wrong("times", "do not rise", "give seconds in order, each once")
-        object.__setattr__(self, "origin", tuple(map(float, self.origin)))
-        object.__setattr__(self, "cell", tuple(map(float, self.cell)))
-        if not (len(self.cell) == 2 and min(self.cell) > 0 and np.isfinite([*self.cell, *self.origin]).all()):
+        for name in ("origin", "cell"):
+            if np.shape(getattr(self, name)) != (2,):
+                raise _wrong(name, "not two numbers", "give x and y in m", np.shape(getattr(self, name)))
+            object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
+        if not (min(self.cell) > 0 and np.isfinite([*self.cell, *self.origin]).all()):
             raise _wrong("cell", "not a spacing", "give (dx, dy) in m", self.cell)
 
     @classmethod

@@ -1,0 +1,102 @@
+"""Give thousands of hostile files to the commands of vehsim, and report what a user must never see.
+
+``python -m tools.hostile_files --seeds 0-19999 --out hostile_files``: every seed makes files and runs a command with
+them. Finished seeds are listed in ``results.jsonl`` and are not run again, so an interrupted run continues. The folders
+of seeds with a finding stay. Findings are: a traceback, an error of vehsim itself, an exit code other than 0, 1 and 2,
+more than 20 s of processor time, a process that died, files outside ``--out``, and a good shot that was not delivered.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import threading
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[2]
+SLOW = 20.0
+"""Processor time, s, from which a command counts as hanging."""
+PATIENCE = 300.0
+"""Time, s, after which it is ended."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", default="0-19999", help="such as 0-99 or 7 or 3,5,8 [default: 0-19999]")
+    parser.add_argument("--out", type=Path, default=Path("hostile_files"), help="folder of results")
+    parser.add_argument("--again", action="store_true", help="run finished seeds again")
+    parser.add_argument("--summary", action="store_true", help="only summarise the results")
+    options = parser.parse_args(arguments)
+    options.out.mkdir(parents=True, exist_ok=True)
+    results = options.out / "results.jsonl"
+    seeds = _seeds(options.seeds)
+    done = {result["seed"] for result in read(results)}
+    left = [] if options.summary else [seed for seed in seeds if options.again or seed not in done]
+    with results.open("a", encoding="utf-8") as file:
+        for result in run(left, options.out):
+            file.write(json.dumps(result) + "\n")
+            file.flush()
+            if result["findings"]:
+                print(f"{result['seed']}: {'; '.join(result['findings'])} ({', '.join(result['words'])})", flush=True)
+    found = {result["seed"]: result for result in read(results)}  # the last of each seed
+    print(summary([found[seed] for seed in seeds if seed in found]))
+    return 1 if any(found[seed]["findings"] for seed in seeds if seed in found) else 0
+
+
+def read(results: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in results.read_text().splitlines()] if results.is_file() else []
+
+
+def run(seeds: Sequence[int], out: Path) -> Any:
+    """Yield the result of each seed. One process runs them one after another; a new one replaces one that dies."""
+    left = list(seeds)
+    while left:
+        program = [sys.executable, "-m", "tools.hostile_files.runner", str(out.resolve()), *map(str, left[:200])]
+        environment = os.environ | {"VEHSIM_CACHE": str(out.resolve() / "cache"), "VEHSIM_CACHE_GB": "0"}
+        process = subprocess.Popen(program, stdout=subprocess.PIPE, text=True, cwd=ROOT, env=environment)
+        assert process.stdout is not None
+        count = 0
+        while True:
+            watch = threading.Timer(PATIENCE, process.kill)
+            watch.start()
+            line = process.stdout.readline()
+            watch.cancel()
+            if not line:
+                break
+            left.pop(0)
+            count += 1
+            yield json.loads(line)
+        code = process.wait()
+        if code or not count:  # it died of this seed
+            what = "no end" if code == -9 else f"the process died with code {code}"
+            yield {"seed": left.pop(0), "findings": [what], "words": [], "exit": code, "seconds": 0.0}
+        shutil.rmtree(out / "cache", ignore_errors=True)
+
+
+def summary(results: Sequence[dict[str, Any]]) -> str:
+    exits = Counter(result["exit"] for result in results)
+    found = Counter(finding.partition(":")[0] for result in results for finding in result["findings"])
+    slow = sorted((result["seconds"] for result in results), reverse=True)[:5]
+    lines = [f"{len(results)} cases: {sum(bool(result['findings']) for result in results)} with findings."]
+    lines.append("Exit codes: " + ", ".join(f"{code}: {count}" for code, count in sorted(exits.items())) + ".")
+    lines.append(f"Longest, processor seconds: {', '.join(f'{seconds:.1f}' for seconds in slow)}.")
+    return "\n".join([*lines, *(f"{finding}: {count}" for finding, count in found.most_common())])
+
+
+def _seeds(text: str) -> list[int]:
+    seeds = []
+    for part in text.split(","):
+        first, _, last = part.partition("-")
+        seeds += range(int(first), int(last or first) + 1)
+    return seeds
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
