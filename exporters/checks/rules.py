@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from vehsim.intake.usd import key_times
+
 
 @dataclass(frozen=True)
 class Issue:
@@ -30,7 +32,7 @@ class Issue:
 def _time_metadata(stage: Any) -> Iterator[Issue]:
     """A moving stage has a time range, and plays at the rate for which it was made."""
     layer = stage.GetRootLayer()
-    if not any(attribute.GetNumTimeSamples() for attribute in _animated(stage)):
+    if not any(key_times(attribute) for attribute in _animated(stage)):
         return
     for key in ("timeCodesPerSecond", "framesPerSecond", "startTimeCode", "endTimeCode"):
         if not layer.pseudoRoot.HasInfo(key):
@@ -48,22 +50,26 @@ def _sample_range(stage: Any) -> Iterator[Issue]:
     start, end = stage.GetStartTimeCode(), stage.GetEndTimeCode()
     outside: dict[str, list[Any]] = defaultdict(list)
     for attribute in _animated(stage):
-        times = attribute.GetTimeSamples()
+        times = key_times(attribute)
         if times and (times[0] < start - 1 or times[-1] > end + 1):
             layer = attribute.GetPropertyStack(times[0])[0].layer
-            outside[layer.GetDisplayName()].append((attribute.GetPath(), times[0], times[-1]))
+            outside[layer].append((attribute.GetPath(), times[0], times[-1]))
     for layer, found in outside.items():
         path, first, last = found[0]
         more = f" and {len(found) - 1} more" if len(found) > 1 else ""
-        message = f"samples {first:g}..{last:g} of {layer} leave the stage's {start:g}..{end:g}"
-        remedy = "widen startTimeCode and endTimeCode, offset the layer, or cut the samples"
+        message = f"keys {first:g}..{last:g} of {layer.GetDisplayName()} leave the stage's {start:g}..{end:g}"
+        remedy = "widen startTimeCode and endTimeCode, offset the layer, or cut the keys"
+        if (rate := _rate(layer)) and rate != stage.GetTimeCodesPerSecond():
+            message += f": USD scales the layer's {rate:g} time codes per second to the stage's "
+            message += f"{stage.GetTimeCodesPerSecond():g}"
+            remedy = "export the layer again at the stage's rate, or fix the timeCodesPerSecond that is wrong"
         yield Issue("warning", "range", f"{path}{more}", message, remedy)
 
 
 def _finite_values(stage: Any) -> Iterator[Issue]:
     """No transform, point or lens is NaN or infinite."""
     for attribute in _animated(stage):
-        times = attribute.GetTimeSamples() or [None]
+        times = key_times(attribute) or [None]
         for time in times:
             value = attribute.Get() if time is None else attribute.Get(time)
             if value is not None and not np.isfinite(_numbers(value)).all():
@@ -79,7 +85,7 @@ def _quaternion_signs(stage: Any) -> Iterator[Issue]:
     for attribute in _animated(stage):
         if not str(attribute.GetTypeName()).startswith("quat"):
             continue
-        times = attribute.GetTimeSamples()
+        times = key_times(attribute)
         if len(times) > 1:
             values = np.array([_numbers(attribute.Get(time)) for time in times])
             flips = np.flatnonzero((values[1:] * values[:-1]).sum(axis=1) < 0)
@@ -92,7 +98,7 @@ def _quaternion_signs(stage: Any) -> Iterator[Issue]:
 def _backward_spins(stage: Any) -> Iterator[Issue]:
     """No wheel or rotor turns backwards between samples: angles are unwrapped, and no spin is left to slerp."""
     for attribute in _animated(stage):
-        name, times = attribute.GetName(), attribute.GetTimeSamples()
+        name, times = attribute.GetName(), key_times(attribute)
         if len(times) < 3:
             continue
         if name.startswith(("xformOp:rotateX", "xformOp:rotateY", "xformOp:rotateZ")) and len(name.split(":")[1]) == 7:
@@ -229,6 +235,46 @@ def _foreign_units(stage: Any) -> Iterator[Issue]:
                 yield Issue("warning", "units", str(prim.GetPath()), message, f"scale the prim by {ratio:g}")
 
 
+def _foreign_sublayers(stage: Any) -> Iterator[Issue]:
+    """A sublayer has the unit and up axis of the stage, because USD converts neither, and its rate, to keep frames."""
+    from pxr import UsdGeom
+
+    root = stage.GetRootLayer()
+    ours = {
+        "metersPerUnit": UsdGeom.GetStageMetersPerUnit(stage),
+        "upAxis": str(UsdGeom.GetStageUpAxis(stage)),
+        "timeCodesPerSecond": stage.GetTimeCodesPerSecond(),
+    }
+    remedies = {
+        "metersPerUnit": "export the layer again in the stage's unit, or reference it below a prim that scales it",
+        "upAxis": "export the layer again with the stage's up axis, or reference it below a prim that turns it",
+        "timeCodesPerSecond": "export the layer again at the stage's rate, unless its motion should keep its duration",
+    }
+    for layer in stage.GetLayerStack(includeSessionLayers=False):
+        if layer == root:
+            continue
+        for key, own in ours.items():
+            if not layer.pseudoRoot.HasInfo(key) or (theirs := layer.pseudoRoot.GetInfo(key)) == own:
+                continue
+            if key != "upAxis" and np.isclose(theirs, own):
+                continue
+            scaled = (
+                f": USD moves its keys to {own / theirs:.6g} times their time codes"
+                if key == "timeCodesPerSecond"
+                else ""
+            )
+            message = f"sublayer {layer.GetDisplayName()} has {key} {_word(theirs)}, the stage {_word(own)}{scaled}"
+            yield Issue("warning", "sublayer", root.GetDisplayName(), message, remedies[key])
+
+
+def _word(value: Any) -> str:
+    return value if isinstance(value, str) else f"{value:.6g}"
+
+
+def _rate(layer: Any) -> float | None:
+    return layer.timeCodesPerSecond if layer.HasTimeCodesPerSecond() else None
+
+
 def _scale(prim: Any) -> float:
     from pxr import UsdGeom
 
@@ -250,6 +296,7 @@ OWN_RULES: tuple[Callable[[Any], Iterator[Issue]], ...] = (
     _believable_sizes,
     _dead_overs,
     _foreign_units,
+    _foreign_sublayers,
 )
 
 

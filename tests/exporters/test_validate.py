@@ -106,6 +106,84 @@ def test_a_wrapped_angle_and_a_slerped_spin_are_found(tmp_path):
     assert found == {"/wrapped", "/slerped"}
 
 
+@pytest.mark.parametrize(
+    ("rotate", "stop", "rules"),
+    [
+        ([0, 300, 20, 320], 4, {"spin"}),  # wrapped after 360 degrees
+        ([0, 300, 600, 900], 4, set()),
+        ([0, 300, 600, 900], 2, {"range"}),
+    ],
+)
+def test_the_rules_apply_to_splines(tmp_path, rotate, stop, rules):
+    from pxr import Ts, Usd, UsdGeom
+
+    stage = Usd.Stage.CreateNew(str(tmp_path / "spline.usda"))
+    stage.SetFramesPerSecond(24)
+    stage.SetTimeCodesPerSecond(24)
+    stage.SetStartTimeCode(1)
+    stage.SetEndTimeCode(stop)
+    spline = Ts.Spline("float")
+    for time, value in enumerate(rotate, start=1):
+        knot = Ts.Knot("float", time=float(time), value=float(value), nextInterp=Ts.InterpLinear)
+        spline.SetKnot(knot)
+    UsdGeom.Xform.Define(stage, "/wheel").AddRotateYOp().GetAttr().SetSpline(spline)
+    stage.Save()
+    found = {issue.rule for issue in validate_stage(tmp_path / "spline.usda")}
+    assert found & {"time", "range", "finite", "sign", "spin"} == rules
+
+
+@pytest.mark.parametrize(
+    ("key", "theirs", "message"),
+    [
+        ("metersPerUnit", 1.0, "has metersPerUnit 1, the stage 0.01"),
+        ("upAxis", "Z", "has upAxis Z, the stage Y"),
+        ("timeCodesPerSecond", 24.0, "has timeCodesPerSecond 24, the stage 25: USD moves its keys to 1.04167 times"),
+    ],
+)
+@pytest.mark.parametrize("deep", [False, True])
+def test_a_sublayer_of_another_unit_axis_or_rate_is_named(tmp_path, key, theirs, message, deep):
+    from pxr import Sdf, Usd, UsdGeom
+
+    layer = Sdf.Layer.CreateNew(str(tmp_path / "anim.usda"))
+    layer.pseudoRoot.SetInfo(key, theirs)
+    layer.Save()
+    if deep:
+        between = Sdf.Layer.CreateNew(str(tmp_path / "between.usda"))
+        between.subLayerPaths.append("./anim.usda")
+        between.Save()
+    stage = Usd.Stage.CreateNew(str(tmp_path / "shot.usda"))
+    UsdGeom.SetStageMetersPerUnit(stage, 0.01)
+    UsdGeom.SetStageUpAxis(stage, "Y")
+    stage.SetTimeCodesPerSecond(25)
+    stage.SetFramesPerSecond(25)
+    stage.GetRootLayer().subLayerPaths.append("./between.usda" if deep else "./anim.usda")
+    stage.GetRootLayer().Save()
+    (issue,) = [issue for issue in validate_stage(tmp_path / "shot.usda") if issue.rule == "sublayer"]
+    assert "anim.usda" in issue.message and message in issue.message
+
+
+def test_a_layer_at_another_rate_explains_keys_outside_the_range(tmp_path):
+    from pxr import Sdf, Usd, UsdGeom
+
+    source = Usd.Stage.CreateNew(str(tmp_path / "anim.usda"))
+    source.SetTimeCodesPerSecond(24)
+    source.SetFramesPerSecond(24)
+    op = UsdGeom.Xform.Define(source, "/car").AddTranslateOp()
+    for frame in range(1001, 1101):
+        op.Set((frame, 0.0, 0.0), frame)
+    source.Save()
+    stage = Usd.Stage.Open(Sdf.Layer.CreateNew(str(tmp_path / "shot.usda")))
+    stage.SetTimeCodesPerSecond(25)
+    stage.SetFramesPerSecond(25)
+    stage.SetStartTimeCode(1001)
+    stage.SetEndTimeCode(1100)
+    stage.GetRootLayer().subLayerPaths.append("./anim.usda")
+    stage.GetRootLayer().Save()
+    (issue,) = [issue for issue in validate_stage(tmp_path / "shot.usda") if issue.rule == "range"]
+    assert "24 time codes per second" in issue.message and "stage's 25" in issue.message
+    assert "rate" in issue.remedy
+
+
 def test_opinions_inside_an_instance_are_found(tmp_path, toys):
     from pxr import Usd, UsdGeom
 

@@ -87,6 +87,14 @@ def triangulate(counts: Faces, indices: Faces, holes: Faces | None = None) -> Fa
     return np.stack([indices[first], indices[first + step + 1], indices[first + step + 2]], axis=1)
 
 
+def key_times(attribute: Any) -> list[float]:
+    """Time codes of an attribute's keys: its time samples, or the knots of its spline."""
+    times = [float(time) for time in attribute.GetTimeSamples()]
+    if not times and hasattr(attribute, "HasSpline") and attribute.HasSpline():  # USD has splines since 24.11
+        times = [float(time) for time in attribute.GetSpline().GetKnots().keys()]  # noqa: SIM118
+    return times
+
+
 def dependencies(asset: str | Path) -> tuple[tuple[Path, ...], tuple[str, ...]]:
     """The files that the USD file ``asset`` needs, including itself, and references that do not resolve.
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.errors import InputError
-from vehsim.intake.usd import open_stage
+from vehsim.intake.usd import key_times, open_stage
 
 Array = NDArray[np.float64]
 
@@ -248,10 +248,7 @@ def _key_times(xformable: Any) -> list[float]:
     while prim and not prim.IsPseudoRoot():
         if prim.IsA(UsdGeom.Xformable):
             for op in UsdGeom.Xformable(prim).GetOrderedXformOps():
-                attribute = op.GetAttr()
-                times.update(op.GetTimeSamples())
-                if hasattr(attribute, "HasSpline") and attribute.HasSpline():
-                    times.update(float(time) for time in attribute.GetSpline().GetKnots().keys())  # noqa: SIM118
+                times.update(key_times(op.GetAttr()))
             if UsdGeom.Xformable(prim).GetResetXformStack():
                 break
         prim = prim.GetParent()
