@@ -48,7 +48,7 @@ def _sample_range(stage: Any) -> Iterator[Issue]:
     if not stage.HasAuthoredTimeCodeRange():
         return
     start, end = stage.GetStartTimeCode(), stage.GetEndTimeCode()
-    outside: dict[str, list[Any]] = defaultdict(list)
+    outside: dict[Any, list[Any]] = defaultdict(list)
     for attribute in _animated(stage):
         times = key_times(attribute)
         if times and (times[0] < start - 1 or times[-1] > end + 1):
@@ -69,7 +69,7 @@ def _sample_range(stage: Any) -> Iterator[Issue]:
 def _finite_values(stage: Any) -> Iterator[Issue]:
     """No transform, point or lens is NaN or infinite."""
     for attribute in _animated(stage):
-        times = key_times(attribute) or [None]
+        times: list[float | None] = [*key_times(attribute)] or [None]
         for time in times:
             value = attribute.Get() if time is None else attribute.Get(time)
             if value is not None and not np.isfinite(_numbers(value)).all():
