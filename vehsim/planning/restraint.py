@@ -48,5 +48,5 @@ def restrain(run: Run, iterate: Iterate) -> Iterate:
     if costs is None or not (costs.limits or costs.control_rates) or not iterate.success or run.deadline.late:
         return iterate
     blocks = tuple(replace(b, restrained=True) if b is costs else b for b in iterate.blocks)
-    within = solve(run, replace(iterate, blocks=blocks, multipliers=None, prolongated=True))
+    within = solve(run, replace(iterate, blocks=blocks, multipliers=None))
     return within if within.success else iterate
