@@ -195,6 +195,12 @@ def clips(count: int) -> Callable[[Any, Path], None]:
     return counted
 
 
+def eases(take: Any, delivery: Path) -> None:
+    """The torque is zero on the first and the last frame."""
+    clip = clip_of(take)
+    assert np.abs(clip.controls[[0, -1], 0]).max() < 0.01 * np.abs(clip.controls[:, 0]).max()
+
+
 def nothing_more(take: Any, delivery: Path) -> None:
     """The request is all that the text promises."""
 
@@ -218,6 +224,7 @@ TOML: dict[str, Callable[[Any, Path], None]] = {
     "Sweeps": clips(200),
     '`method = "plan"`: through marks at the least cost': nothing_more,
     "For animators": nothing_more,
+    "The character of a motion": eases,
 }
 """Heading -> what the text promises in addition to its shot's requests."""
 
