@@ -1,8 +1,8 @@
-"""Problems that were made by a seed alone: how many plans are certified, by family, and why the others are not.
+"""Random problems: how many plans are certified in each family, and why the others are not.
 
 ``python -m benchmarks.unseen [--families docking,parking] [--seeds 0-19] [--seconds 20]`` prints a line per problem,
-slowest first within its family, and writes ``RESULTS.unseen.md`` beside this file where all families are run. A plan
-counts when it succeeds within so many seconds of CPU time.
+slowest first within its family, and writes ``RESULTS.unseen.md`` beside this file if all families are run. A plan
+counts if it succeeds within ``--seconds`` of CPU time.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ that succeed within {seconds:g} s of CPU time, first loads and distances to a ne
 
 @dataclass
 class Problem:
-    """What `vehsim.plan` is asked for."""
+    """The arguments of `vehsim.plan`."""
 
     vehicle: str
     marks: list[Mark]
@@ -52,7 +52,7 @@ class Problem:
 
 
 def docking(seed: int) -> Problem:
-    """A boat comes alongside a jetty in wind, port or starboard to, from any side and heading."""
+    """A boat comes alongside a jetty in wind, with its port or starboard side, from any side and heading."""
     rng = np.random.default_rng(seed)
     yaw, side, gap = rng.uniform(-np.pi, np.pi), rng.choice([-1, 1]), rng.uniform(0.6, 1.5)
     berth = rng.uniform(-10, 10, 2)
@@ -168,7 +168,7 @@ def parking(seed: int) -> Problem:
 
 
 def snakeboard(seed: int) -> Problem:
-    """A snakeboard from rest to rest, ahead and aside, turned a little or a lot."""
+    """A snakeboard from rest to rest: ahead and sideways, with small and large turns."""
     rng = np.random.default_rng(seed)
     distance, bearing, turn = rng.uniform(1, 6), rng.uniform(-0.6, 0.6), rng.uniform(-90, 90)
     place = (distance * math.cos(bearing), distance * math.sin(bearing), 0.0)
@@ -179,7 +179,7 @@ def snakeboard(seed: int) -> Problem:
 
 
 def gaps(seed: int) -> Problem:
-    """A helicopter, 10.8 m wide, through a gap of 14 to 20 m between walls, which stands aside and askew."""
+    """A helicopter, 10.8 m wide, through a gap of 14 to 20 m between walls, off-centre and turned."""
     rng = np.random.default_rng(seed)
     width, thick, yaw = rng.uniform(14, 20), rng.uniform(2, 20), rng.uniform(-0.5, 0.5)
     middle = np.array([60.0, rng.uniform(-15, 15)])
@@ -209,7 +209,7 @@ FAMILIES: dict[str, Callable[[int], Problem]] = {
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of one problem: CPU time s, and the message where it has no certified plan."""
+    """The result of one problem: CPU time s, and the message if it has no certified plan."""
 
     family: str
     seed: int
@@ -224,7 +224,7 @@ class Outcome:
 
 
 def attempt(family: str, seed: int) -> Outcome:
-    """Plan one problem; errors that vehsim raises are messages too."""
+    """Plan one problem; an error that vehsim raises becomes the message."""
     begun = time.process_time()
     try:
         plan = FAMILIES[family](seed).plan()

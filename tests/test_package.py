@@ -62,7 +62,7 @@ def test_wheel_works_outside_the_checkout(wheel: Path, tmp_path: Path) -> None:
 
 
 def test_an_sdist_gives_the_same_wheel(wheel: Path, tmp_path: Path) -> None:
-    """What PyPI offers as source has every file of the wheel."""
+    """The source distribution contains every file of the wheel."""
     code = "from setuptools.build_meta import build_sdist; build_sdist('dist')"
     subprocess.run([sys.executable, "-c", code], cwd=wheel.parent / "source", check=True, capture_output=True)
     (sdist,) = (wheel.parent / "source" / "dist").glob("vehsim-*.tar.gz")
@@ -72,7 +72,7 @@ def test_an_sdist_gives_the_same_wheel(wheel: Path, tmp_path: Path) -> None:
     assert before == after
 
 
-def test_every_module_loads_without_what_only_unix_has() -> None:
+def test_every_module_loads_without_unix_only_modules() -> None:
     code = (
         "import importlib, pkgutil, sys\n"
         "sys.modules.update(dict.fromkeys(('fcntl', 'grp', 'pwd', 'resource', 'termios')))\n"

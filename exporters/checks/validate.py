@@ -28,7 +28,7 @@ REMEDIES = {
 
 def validate_stage(path: str | Path) -> list[Issue]:
     """All issues of the stage at ``path``; a fault at many places is reported once. Empty if the stage is valid. Raises
-    ``InputError`` for a file that USD's validators do not survive, or not within the limits."""
+    ``InputError`` for a file that crashes USD's validators, or exceeds the limits."""
     return [Issue(*row) for row in apart(issues_of, Path(path), "STAGE")[0]]
 
 
@@ -95,7 +95,7 @@ def _usd_issues(stage: Any) -> Iterator[Issue]:
         from pxr import UsdValidation
 
         validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
-    except (ImportError, Tf.ErrorException):  # a host application may bring an older USD
+    except (ImportError, Tf.ErrorException):  # a host application may contain an older USD
         message = f"USD {'.'.join(map(str, Usd.GetVersion()[1:]))} has no validators: its own rules are not checked"
         yield Issue("warning", "validators", "pxr", message, "validate with USD 25.11 or newer")
         return

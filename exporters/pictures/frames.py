@@ -69,8 +69,8 @@ def write_sheets(take: Take, folder: Path, pictures: Sequence[Path]) -> list[Pat
 
 
 def render_stage(stage_path: str | Path, out: str | Path, **how: Any) -> list[Path]:
-    """`draw_stage` for a stage from anywhere: the reader process has read it before. Raises ``InputError`` also for a
-    stage that cannot be read within the limits."""
+    """`draw_stage` for any stage, which the reader process reads first. Raises ``InputError`` also for a stage that
+    cannot be read within the limits."""
     dependencies(stage_path)
     return draw_stage(stage_path, out, **how)
 

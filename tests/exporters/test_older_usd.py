@@ -1,4 +1,4 @@
-"""A host application may bring a USD without validators: the rest of `validate_stage` goes on."""
+"""Without USD's validators, as in some host applications, `validate_stage` runs its other checks."""
 
 from __future__ import annotations
 

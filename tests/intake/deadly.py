@@ -1,4 +1,4 @@
-"""Functions that read nothing and do to their process what a hostile file may do."""
+"""Functions that read nothing but crash or block their process as a hostile file may."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ def test_broken_meshes_are_refused_or_read_as_valid_arrays(tmp_path: Path, read:
 
 
 def test_an_index_out_of_range_is_named(tmp_path: Path) -> None:
-    """A terrain with such a mesh once ended the process."""
+    """A terrain with such a mesh once crashed the process."""
     faces = FACES.copy()
     faces[2] = 10**8
     (tmp_path / "t.usda").write_bytes(usda(CUBE * 50, faces))
@@ -107,7 +107,7 @@ def test_excessive_tables_are_refused(tmp_path: Path, text: str | bytes, says: s
 
 
 def test_lines_that_look_like_headers_take_no_time(tmp_path: Path) -> None:
-    """The search for lines took minutes for spaces in a text, and years for these."""
+    """The search for line numbers once took minutes for spaces in a text, and years for these lines."""
     text = f"""a = '''\n[{" " * 1_000_000}\n[[{"b " * 100_000}\n'''\n[ c . "d" ]\ne = 0.{"1" * 100_000}\n"""
     (tmp_path / "t.toml").write_text(text)
     data, said = read_toml(tmp_path / "t.toml")

@@ -1,4 +1,4 @@
-"""What a file does to the process that reads it never reaches the process that asks."""
+"""A file can crash or block only the reader process, never the process that requested it."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def process_of(file: Path) -> int:
         (deadly.takes_memory, r"takes more than 8 GB to read; .*VEHSIM_READ_GB=32"),
     ],
 )
-def test_what_kills_the_reader_is_a_refused_file(file: Path, read: reader.Read, says: str) -> None:
+def test_a_file_that_crashes_the_reader_is_refused(file: Path, read: reader.Read, says: str) -> None:
     for _ in range(2):
         with pytest.raises(InputError, match=rf"a.bin: key: {says}"):
             apart(read, file, "key")
@@ -50,7 +50,7 @@ def test_what_kills_the_reader_is_a_refused_file(file: Path, read: reader.Read, 
 
 
 @pytest.mark.parametrize(("read", "patience"), [(deadly.never_ends, 100.0), (deadly.sleeps, 0.5)])
-def test_what_never_ends_is_a_refused_file(
+def test_a_file_that_takes_forever_is_refused(
     file: Path, read: reader.Read, patience: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("VEHSIM_READ_SECONDS", "1")
@@ -84,7 +84,7 @@ def test_an_interrupt_does_not_mix_up_answers(file: Path, monkeypatch: pytest.Mo
     assert process_of(file) != before
 
 
-def test_threads_and_forks_have_answers_of_their_own(file: Path, tmp_path: Path) -> None:
+def test_threads_and_forks_get_their_own_answers(file: Path, tmp_path: Path) -> None:
     for k in range(8):
         (tmp_path / str(k)).write_bytes(bytes(k))
     sizes: dict[int, int] = {}
@@ -143,7 +143,7 @@ def test_limits_are_numbers_above_zero(file: Path, variable: str, value: str, mo
 
 
 def test_a_stage_of_many_prims_is_refused_with_the_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also where they come from instances of instances, or stand in a variant that is not selected."""
+    """Also if they are in nested instances, or in a variant that is not selected."""
     from vehsim.intake.usd import open_stage
 
     monkeypatch.setenv("VEHSIM_CACHE", str(tmp_path / "cache"))
@@ -175,9 +175,7 @@ def test_a_stage_of_many_prims_is_refused_with_the_limit(tmp_path: Path, monkeyp
                 open_stage(path)
 
 
-def test_a_stage_is_screened_again_once_what_it_refers_to_changes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_stage_is_read_again_when_a_referenced_file_changes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from vehsim.intake.usd import dependencies
 
     monkeypatch.setenv("VEHSIM_CACHE", str(tmp_path / "cache"))

@@ -118,7 +118,7 @@ def test_check_refuses_it_and_other_shots_continue(tmp_path: Path, capsys: pytes
 
 @pytest.mark.parametrize("name", ["car", "helicopter", "boat", "hopper"])
 def test_odd_vehicle_files_load_or_are_refused(name: str, tmp_path: Path) -> None:
-    """Each key in turn gets an odd value; seeded."""
+    """Each key in turn gets an unusual value; seeded."""
     chance = random.Random(name)
     odd = [
         "nan",

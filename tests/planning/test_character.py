@@ -1,4 +1,4 @@
-"""The character of a plan: its costs, which defaults give way, and how a motion eases in and out of rest."""
+"""The character of a plan: its costs, defaults that may be exceeded, and how a motion eases in and out of rest."""
 
 from __future__ import annotations
 

@@ -141,7 +141,7 @@ def test_strength_is_the_controls_at_their_corners():
 
 
 def test_a_failure_is_explained_in_the_same_words_however_slow_the_machine_is(monkeypatch):
-    """Without a time limit no clock decides: on one that advances ten minutes per look, the message is the same."""
+    """Without a time limit the clock has no influence: if it advances ten minutes per call, the message is the same."""
 
     def message():
         with pytest.warns(UserWarning, match="plan failed"):

@@ -1,4 +1,4 @@
-"""Problems that a seed or a table of failures made, rather than the examples: they are solved, or refused truly."""
+"""Random problems and earlier failures, none of them examples: they are solved, or refused for a true reason."""
 
 import math
 
@@ -18,7 +18,7 @@ REST = (0.0, 0.0, 0.0)
 
 @pytest.mark.parametrize("seed", [4, 6, 13])
 def test_a_boat_docks_in_wind_at_an_orientation(seed):
-    """The initial guess has to end as the orientation says: from one turned the other way, nothing was found."""
+    """The initial guess must end at the mark's orientation: from a guess turned the other way, no plan was found."""
     problem = FAMILIES["docking"](seed)
     assert problem.marks[1].orientation is not None and np.linalg.norm(problem.world.wind) > 0
     plan = problem.plan()
@@ -36,7 +36,7 @@ def test_an_orientation_says_where_the_nose_points():
 
 
 def test_a_car_drives_three_kilometres_straight():
-    """On segments of 90 m a zigzag costs less than a straight line, and from 12 m/s the optimiser leaps too far."""
+    """With segments of 90 m a zigzag costs less than a straight line, and from 12 m/s the solver steps too far."""
     marks = [Mark(1, position=REST, heading=0, velocity=REST)]
     marks.append(Mark("free", position=(3000, 0, 0), heading=0, velocity=REST))
     plan = vehsim.plan(vehsim.load_vehicle("car"), None, marks)
@@ -54,15 +54,15 @@ def test_a_way_too_long_for_few_segments_takes_more():
     assert plan.success and plan.segments > 120
 
 
-def test_what_is_small_is_refined_more():
-    """Ten centimetres are a fifth of the two-wheeled robot, and more than the clearance that it may be asked for."""
+def test_small_vehicles_are_refined_more():
+    """Ten centimetres are a fifth of the two-wheeled robot's size, and may be more than its required clearance."""
     robot, car = vehsim.load_vehicle("two_wheeled"), vehsim.load_vehicle("car")
     marks = [Mark(1, position=REST, heading=0, velocity=REST)]
     marks.append(Mark(61, position=(1.2, 0.9, 0), heading=150, velocity=REST))
     plan = vehsim.plan(robot, None, marks, segments=24)
     assert plan.success and plan.executed.final < 0.025 * extent(robot)
     coarse = vehsim.plan(robot, None, marks, segments=24, refine=False)
-    assert 0.025 * extent(robot) < coarse.executed.final < 0.1  # what used to be enough
+    assert 0.025 * extent(robot) < coarse.executed.final < 0.1  # the earlier, coarser tolerance
 
     def tolerance(vehicle, clearance, *obstacles):
         request = vehsim.planning.request.request.ask(
@@ -77,7 +77,7 @@ def test_what_is_small_is_refined_more():
 
 
 def test_a_shot_file_checks_marks_with_orientations_near_obstacles():
-    """Tables of a shot file are measured before they are marks, at the orientation that they give."""
+    """Clearance at a mark of a shot file is measured with the orientation in its table."""
     ahead = ["world.obstacle.jetty.centre=[33.8, -19.4, -0.9]", "world.obstacle.jetty.heading=70"]
     assert not list(vehsim.Shot.load("examples/boat_docking.toml").check())
     problems = list(vehsim.Shot.load("examples/boat_docking.toml", ahead).check())

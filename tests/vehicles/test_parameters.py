@@ -1,4 +1,4 @@
-"""Parameters: every number of a vehicle has a unit and a range, and a shot can give its own in its place."""
+"""Parameters: every number of a vehicle has a unit and a range, and a shot can replace it."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_parameters_equal_to_the_file_change_nothing(name: str) -> None:
     [("car", "mass", 1), ("helicopter", "mass", 1), ("boat", "mass", 1), ("hopper", "mass", 1)],
 )
 def test_twice_the_mass_has_twice_the_kinetic_energy(name: str, key: str, power: int) -> None:
-    """Of a translation, in which moments of inertia play no part; a hopper's foot adds its own mass."""
+    """In pure translation, where moments of inertia have no effect; a hopper's foot adds its own mass."""
     own = load_vehicle(name)
     value = next(value for this, value, _ in parameters_of(name) if this == key)
     heavy = load_vehicle(name, {key: 2 * value})
@@ -128,7 +128,10 @@ def test_everything_that_is_wrong_is_listed_at_once() -> None:
 def test_a_model_of_another_package_may_use_its_own_units_or_none() -> None:
     def kite(name: str = "kite", *, pull: Annotated[float, Unit("N"), Ge(0)], drag: float = 0.0) -> None: ...
 
-    kite.__annotations__ = {"pull": Annotated[float, Unit("N"), Ge(0)], "drag": float}  # a local function's are texts
+    kite.__annotations__ = {
+        "pull": Annotated[float, Unit("N"), Ge(0)],
+        "drag": float,
+    }  # in a local function, annotations are strings
     words = {key: field.description for key, field in physics_table(kite).model_fields.items()}
     assert words == {"pull": "a number of at least zero, in N", "drag": "a number, in SI units"}
     check_physics(kite, {"pull": 3})

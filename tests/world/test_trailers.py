@@ -78,7 +78,7 @@ def test_every_wheel_of_a_truck_on_hills_touches_the_ground():
 
 @pytest.mark.parametrize("hitch", [0.0, 0.5])
 def test_on_an_inclined_plane_a_truck_is_as_straight_as_on_level_ground(hitch):
-    """All wheels in one plane: whatever the hitch's angle, the trailer tilts not at all against the tractor."""
+    """All wheels are in one plane: the trailer does not tilt relative to the tractor at any hitch angle."""
     world = world_of(lambda x, y: 0.08 * x - 0.05 * y)
     clip = driven(TRUCK, world, speed=0.0, seconds=1 / 24, hitch_1=hitch)
     assert abs(clip.channels["pitch"][0]) > 0.02
@@ -106,7 +106,7 @@ half_track = 1.0
 hitches = [5.0, 4.0]
 trailer_masses = [6000.0, 5000.0]
 trailer_inertias = [40000.0, 30000.0]
-[channels.hitch_roll_1]            # in no particular order
+[channels.hitch_roll_1]            # channels in any order
 prim = "first"
 op = "rotateX"
 [channels.hitch_pitch_1]
@@ -128,7 +128,7 @@ op = "rotateX"
 
 
 def road_train(folder):
-    """A tractor with two trailers, coupled axle on axle, on wheels of their own."""
+    """A tractor with two trailers, each hitched at an axle, with their own wheels."""
     from pxr import Gf, Usd, UsdGeom
 
     stage = Usd.Stage.CreateNew(str(folder / "train.usda"))
@@ -175,8 +175,8 @@ def road_train(folder):
     return vehsim.load_vehicle(folder)
 
 
-def test_a_road_train_of_ones_own_follows_the_ground(tmp_path):
-    """Two trailers, one hung on the other, and no springs of their own: they tilt until their wheels touch."""
+def test_a_custom_road_train_follows_the_ground(tmp_path):
+    """Two trailers, one behind the other, without springs: they tilt until their wheels touch."""
     world, train = hilly(), road_train(tmp_path)
     clip = driven(train, world, sigma=0.15, hitch_1=0.2, hitch_2=-0.3).resample()
     first, second = np.array([[0.0, 0.0, 1.0], [-5.0, 0.0, 1.0]])

@@ -133,7 +133,7 @@ def npy(array: np.ndarray) -> bytes:
 
 
 def zipped(members: dict[str, bytes], deflated: bool = False, align: int = 1) -> bytes:
-    """An archive; ``align``: where its members begin, as packages of USD need it."""
+    """An archive; ``align``: the alignment of its members in bytes, which packages of USD need."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED if deflated else zipfile.ZIP_STORED) as archive:
         for name, content in members.items():

@@ -32,7 +32,7 @@ class Scene:
 
 
 class WorldScene(Scene):
-    """A `World` and the ``vehicle`` that moves in it: its hulls at rest, those of trailers where they turn and tilt."""
+    """A `World` and the ``vehicle`` that moves in it: trailers turn and tilt, all other hulls are as at rest."""
 
     def __init__(self, world: Any, vehicle: Any) -> None:
         self.world, self.vehicle = world, vehicle

@@ -1,5 +1,5 @@
 """How files are refused, and three rules for all of them: size, time and memory are bounded, no reader's exception
-escapes, and a library that crashes takes only the reader process along (`reader.py`)."""
+escapes, and a library that crashes ends only the reader process (`reader.py`)."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ def one_channel(path: Path, modes: Collection[str], most: int, remedy: str) -> A
 
 
 def _tags(image: Any) -> dict[int, tuple[Any, ...]]:
-    """The tags of a TIFF that are several numbers."""
+    """The tags of a TIFF that contain several numbers."""
     numbers = dict(getattr(image, "tag_v2", {})).items()
     return {tag: value for tag, value in numbers if isinstance(value, tuple) and not isinstance(value[0], str | bytes)}
 

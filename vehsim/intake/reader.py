@@ -2,7 +2,7 @@
 
 Each interpreter starts one reader process at its first file of unknown content, keeps it, and replaces it when it dies.
 It is no `vehsim.runtime.processes.Worker`, because workers read files too and have no workers of their own.
-Answers are plain data and arrays, never objects, so nothing that a file could contain is executed here. They are kept
+Answers are plain data and arrays, never objects, so nothing that a file could contain is executed here. They are cached
 by content: a file is read once, and known files need no other process.
 """
 
@@ -40,7 +40,7 @@ Read = Callable[..., Answer]
 KEPT, MOST_KEPT = 50_000_000, 1_000_000_000
 """Bytes of the largest answer that is kept for other processes, and of all of them."""
 MADE = 1
-"""Change it when a function that reads changes what it answers: kept answers are then made again."""
+"""Change it whenever the answers of a reading function change: cached answers are then made again."""
 PATIENCE = 10.0
 """Time that a file may take, in multiples of the limit for the processor: other programs use the machine too."""
 READY = b"ready"
@@ -79,25 +79,25 @@ def apart(read: Read, path: Path, key: str, *more: Any) -> Answer:
 
 
 _refused: dict[Any, tuple[Stamp, InputError]] = {}
-"""Files that this process has refused: to wait again for one that never ends would be wasted time."""
+"""Files that this process has refused, so that it does not wait again for one that never ends."""
 
 
 def _name(read: Read) -> str:
     return f"{read.__module__}:{read.__qualname__}"
 
 
-# ---------------------------------------------------------------- this side
+# ---------------------------------------------------------------- in the main process
 
 
 def _ask(request: dict[str, Any]) -> Answer:
-    """The reader process's answer; what kills it is the file's fault."""
+    """The reader process's answer. If the process dies, the file is refused."""
     with _Process.at_work:
         process = _Process.current()
         try:
             told, arrays = process.ask(request)
-        except BaseException as error:  # also an interrupt: the next answer would be that of another question
+        except BaseException as error:  # also an interrupt: the next answer would belong to this request
             if isinstance(error, EOFError | OSError | ValueError):
-                raise process.epitaph(Path(request["path"]), request["key"]) from None
+                raise process.failure(Path(request["path"]), request["key"]) from None
             process.end()
             raise
     for message in told["warnings"]:
@@ -137,7 +137,7 @@ class _Process:
 
     @classmethod
     def current(cls) -> _Process:
-        """The process that is there, or a new one."""
+        """The running process, or a new one."""
         if cls._kept is None or cls._kept.made_for != _circumstances() or cls._kept._process.poll() is not None:
             if cls._kept is not None and cls._kept.made_for[0] == os.getpid():
                 cls._kept.end()
@@ -171,8 +171,8 @@ class _Process:
             with suppress(OSError):
                 pipe.close()
 
-    def epitaph(self, path: Path, key: str) -> InputError:
-        """What its death says of the file that it read."""
+    def failure(self, path: Path, key: str) -> InputError:
+        """The error for the file that it read when it died, by its exit code."""
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(PATIENCE)
         self.end()
@@ -188,8 +188,8 @@ class _Process:
 
 
 def _circumstances() -> tuple[int, frozenset[tuple[str, str]]]:
-    """What a reader process is started for: the interpreter, which may have been forked, and what the environment says
-    about limits and about USD."""
+    """What a reader process depends on: the interpreter, which may have been forked, and the environment variables for
+    limits and for USD."""
     said = ((name, value) for name, value in os.environ.items() if name.startswith(("VEHSIM_", "PXR_")))
     return os.getpid(), frozenset(said)
 
@@ -201,14 +201,14 @@ def _python() -> str:
     return os.fsdecode(spawn.get_executable())
 
 
-# ---------------------------------------------------------------- its side
+# ---------------------------------------------------------------- in the reader process
 
 
 def serve() -> None:
     """The reader process: answer questions until there are no more."""
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # libraries print
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes; the first one decides
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes; the main one handles it
     _bound("RLIMIT_AS", limit("VEHSIM_READ_GB") * 1e9)
     _bound("RLIMIT_CORE", 0)
     with suppress(OSError):
@@ -240,7 +240,7 @@ def _answer(request: dict[str, Any]) -> Answer:
 
 
 def _bound(name: str, most: float) -> None:
-    """Bound a resource of this process, where the system can; a stricter bound stays."""
+    """Limit a resource of this process, if the system supports it; a stricter limit stays."""
     with suppress(ImportError, AttributeError, OSError, ValueError):
         import resource
 
@@ -250,7 +250,7 @@ def _bound(name: str, most: float) -> None:
         resource.setrlimit(kind, (soft, hard))
 
 
-# ---------------------------------------------------------------- between them
+# ---------------------------------------------------------------- messages
 
 
 def _packed(told: Any, arrays: Sequence[NDArray[Any]]) -> Iterator[bytes | memoryview]:

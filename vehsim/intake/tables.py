@@ -1,6 +1,6 @@
-"""Tables of a file as models: strict, each key described below it, and what is wrong in words that a person can act on.
+"""Tables of a file as strict models: each key is described below it, and each message says how to fix the error.
 
-What belongs here is common to shot files, ``vehicle.toml`` and ``terrain.toml``; their keys are in `vehsim.shot`,
+This module is common to shot files, ``vehicle.toml`` and ``terrain.toml``; their keys are in `vehsim.shot`,
 `vehsim.vehicles` and `vehsim.world.terrain`.
 """
 

@@ -56,7 +56,7 @@ def complaints(path: str | Path) -> Iterator[None]:
 
 
 def triangles_of(mesh: Any, when: Any, file: str | Path) -> tuple[Array, Faces] | None:
-    """A mesh's points (n, 3) in its own space and units, and its triangles (m, 3), in the sense they are authored.
+    """A mesh's points (n, 3) in its own space and units, and its triangles (m, 3), in the authored winding order.
 
     None for an empty one. Raises ``InputError`` that names the prim and ``file``, which holds it.
     """
@@ -98,8 +98,8 @@ def key_times(attribute: Any) -> list[float]:
 def dependencies(asset: str | Path) -> tuple[tuple[Path, ...], tuple[str, ...]]:
     """The files that the USD file ``asset`` needs, including itself, and references that do not resolve.
 
-    They are known once the reader process has read every value of every layer, so that nothing broken is opened here;
-    again once one of them was written. Raises ``InputError`` for a stage that cannot be read within the limits.
+    The reader process reads every value of every layer first, so that nothing broken is opened here; again if one of
+    the files was written. Raises ``InputError`` for a stage that cannot be read within the limits.
     """
     with reading(asset, "asset"):
         asset = Path(asset).resolve()
@@ -119,7 +119,7 @@ def _stamps(files: Iterable[Path]) -> tuple[Stamp | None, ...]:
 
 
 def _screened(asset: Path) -> tuple[tuple[Path, ...], tuple[str, ...]]:
-    """The answer of `examine`, or as it was kept while its files have the same content."""
+    """The answer of `examine`, cached as long as its files have the same content."""
     most = limit("VEHSIM_READ_PRIMS")
     made_of = (1, str(asset), content_of(asset))
     kept = recalled("screened", made_of)

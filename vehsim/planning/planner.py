@@ -278,10 +278,8 @@ def _attempt(request: Request, progress: Progress | None, guess: Any, once: bool
     iterate = solve(run, iterate)
     # first find any motion, then apply the character
     if not (iterate.success or once) and request.manner.name != STUNT:
-        iterate, relaxed = (
-            without_character(run, iterate, paths, as_clip(request, guess)),
-            replace(request, manner=NO_MANNER),
-        )
+        iterate = without_character(run, iterate, paths, as_clip(request, guess))
+        relaxed = replace(request, manner=NO_MANNER)
     else:
         relaxed = request
     if not (iterate.success or once):

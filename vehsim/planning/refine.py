@@ -96,8 +96,7 @@ def ends_elsewhere(iterate: Iterate) -> bool:
 
 
 def _step(run: Run, iterate: Iterate, requested: int) -> tuple[Iterate, bool]:
-    """The iterate on four times or twice as many segments, fewer than the requested ``requested``, and whether it is
-    solved."""
+    """The iterate on four times or twice as many segments, fewer than ``requested``, and whether it is solved."""
     few = iterate.layout.segments
     for times in (4, 2):
         if 2 * times * few <= requested:

@@ -1,4 +1,4 @@
-"""Where a rig's parts go as its channels turn and slide them: forward kinematics, in the rig root's frame.
+"""Poses of a rig's parts for values of its channels: forward kinematics, in the rig root's frame.
 
 Each drive is a screw at rest. A part moves by the product of the screws of all drives on it and on the parts that carry
 it, those nearest the root first (the product of exponentials).
@@ -23,7 +23,7 @@ Motions = tuple[Array, Array]
 
 @dataclass(frozen=True, eq=False)
 class Screw:
-    """A drive at rest, in the rig root's frame: what the ``channel`` does to all that hangs on ``prim``.
+    """A drive at rest, in the rig root's frame: how the ``channel`` moves ``prim`` and all parts below it.
 
     A turn about ``axis`` (3,) through ``pivot`` (3,) m, or a slide along ``axis``, which has the length of the drive's
     factor.

@@ -116,8 +116,8 @@ def solids(asset: str | Path, root: str | None = None) -> list[Solid]:
         if not any(meshes):
             meshes = [(part.points,) * bool(len(part.points)) for part in parts]
             messages.append(
-                f"{made_of(asset)}: no mesh carries UsdPhysics.CollisionAPI; the convex hull of each part stands in, "
-                "which may be far too large; mark collision meshes for honest clearances"
+                f"{made_of(asset)}: no mesh carries UsdPhysics.CollisionAPI; the convex hull of each part is used, "
+                "which may be far too large; mark collision meshes for accurate clearances"
             )
         found = [
             Solid(part.name, part.path, part.T_rp, tuple(apply(part.T_rp, hull) for hull in convex_hulls(own)))

@@ -179,8 +179,8 @@ class World:
         seconds: ArrayLike | None = None,
         channels: Mapping[str, Array] = MappingProxyType({}),
     ) -> Array:
-        """`clearance` from each of the ``obstacles``, (n, obstacles) m. ``channels`` (n,): with them, trailers are
-        where they turn and tilt; otherwise they are as at rest."""
+        """`clearance` from each of the ``obstacles``, (n, obstacles) m. ``channels`` (n,): with them, trailers turn
+        and tilt; otherwise they are as at rest."""
         return self._from_obstacles(vehicle, positions, orientations, seconds, each=True, channels=channels)
 
     def _from_obstacles(

@@ -1,4 +1,4 @@
-"""Why a plan failed: relaxed problems in which marks may be missed or late show which ones, and by how much."""
+"""Explain a failed plan: relaxed problems, in which marks may be missed or late, show which marks, and by how much."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 PRICE = 1e3
 """Cost of missing a mark by one unit, or of being late by one second: more than any effort it could save."""
 ITERATIONS = 200
-"""Maximum number of iterations for either question."""
+"""Maximum number of iterations for each relaxed problem."""
 SLACKS = (0.0, 0.01, 0.03, 0.1, 0.3)
 """Shares of the time since the first mark that are added until a plan at whole frames is found."""
 NOTHING = 1e-3

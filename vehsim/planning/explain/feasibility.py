@@ -1,4 +1,4 @@
-"""Marks that bounds prove impossible before anything is solved: which, by how much, and what would do."""
+"""Find marks that bounds prove impossible before solving: by how much, and what would be possible."""
 
 from __future__ import annotations
 
@@ -184,7 +184,7 @@ def _between(request: Request, i: int, j: int, delay: int) -> tuple[list[Refusal
         remedy = f"earliest {at}" if first_of_all else f"{at} would do"
         remedy = f"not before {at}" if found is None or blocked else remedy
         if any(mark.frame != "free" and mark.place > b.place for mark in request.marks):
-            remedy += f", and what follows {delay + later} frames later"
+            remedy += f", with all later marks moved by {delay + later} frames"
     return [Refusal(b, "frame", f"{frames} need {message}", remedy) for message, _ in reasons], later
 
 

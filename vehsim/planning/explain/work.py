@@ -1,11 +1,11 @@
-"""How much work explaining a failed plan may take: counted, not timed, so that no machine's load changes the words."""
+"""Limits on the work of explaining a failed plan: counted, not timed, so that a slow machine gives the same message."""
 
 from __future__ import annotations
 
 WORK = 600_000
 """Iterations times variables of one solve: about 20 s of a core in 2025."""
 FEWEST = 20
-"""Iterations that a problem of any size gets."""
+"""Minimum number of iterations, for a problem of any size."""
 
 
 def affordable(size: int, most: int) -> int:

@@ -1,4 +1,4 @@
-"""How fast legs are gone and how finely they are divided at first, guessed from lengths and what the vehicle can do."""
+"""Initial guesses of legs' durations and numbers of segments, from their lengths and the vehicle's strength."""
 
 from __future__ import annotations
 
@@ -18,18 +18,19 @@ from vehsim.vehicles import Vehicle
 Array = NDArray[np.float64]
 
 CRUISE, SHARE = 12.0, 0.6
-"""Guess of a free leg's speed, m/s, faster on long ones; and the share of the top speed that it is at most."""
+"""Guessed speed on a free leg, m/s, more on long legs; and its upper bound as a share of the top speed."""
 STARTING, EACH = 1.5, 0.5
-"""Time added for a start from rest or a stop, and for every leg, s."""
+"""Time added for each start or stop, and for each leg, s."""
 BENDS = 14.0
-"""A segment is at most so many turning circles' radii long: on longer ones a zigzag costs less than a straight line,
-which no real vehicle would find."""
+"""Largest length of a segment, in turning radii: on longer segments the discretised zigzag costs less than a straight
+line."""
 
 
 def cruising(request: Request, paths: Sequence[Array]) -> Array:
-    """How long legs (m,) along ``paths`` take at an easy pace, with time to start and to stop, s.
+    """Durations (m,) of legs along ``paths`` at moderate acceleration, with time to start and to stop, s.
 
-    From rest to rest over ``d`` m in ``t`` s takes ``6 d / t^2`` m/s^2: on a long way, half the vehicle's strength.
+    A motion from rest to rest over ``d`` m in ``t`` s needs ``6 d / t^2`` m/s^2: half the vehicle's strength on long
+    legs.
     """
     marks, lengths = request.marks, np.array([path_length(path) for path in paths])
     rests = np.array([a.at_rest + b.at_rest for a, b in pairwise(marks)])
@@ -39,6 +40,6 @@ def cruising(request: Request, paths: Sequence[Array]) -> Array:
 
 
 def fewest_segments(vehicle: Vehicle, length: float) -> int:
-    """How many segments a way of ``length`` m takes at least."""
+    """The least number of segments for a leg of ``length`` m."""
     radius = turning_radius(vehicle) if vehicle.group.planar else 0.0
     return math.ceil(length / (BENDS * radius)) if 0 < radius < math.inf else 0

@@ -107,7 +107,7 @@ class Mark:
 
 
 def heading_of(mark: Any) -> float | None:
-    """Where a mark points the nose, rad from world X: by its heading or its orientation; None where it gives neither.
+    """The yaw of the nose at a mark, rad from world X, from its heading or its orientation; None without either.
 
     ``mark``: a `Mark`, or a table of a shot file.
     """

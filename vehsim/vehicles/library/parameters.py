@@ -60,7 +60,7 @@ def replaced(data: Mapping[str, Any], parameters: Mapping[str, Any]) -> dict[str
 
 
 def blamed(problem: Problem, parameters: Mapping[str, Any]) -> Problem:
-    """A problem of a ``vehicle.toml``; if the value was one of ``parameters``, it is a problem of those."""
+    """A problem of a ``vehicle.toml``, under the key of ``parameters`` if its value is from there."""
     path = problem.key.removeprefix(f"{PHYSICS}.").split(".")
     node: Any = parameters
     for name in path[:2] if path[0] in BESIDE else path[:1]:

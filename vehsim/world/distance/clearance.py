@@ -26,7 +26,7 @@ POINT = 1e-6
 class ObstacleScene:
     """One vehicle's hulls and a world's obstacles in a MuJoCo model, for distance queries.
 
-    ``carriers``: paths of the parts that swing out of the vehicle with all that they carry, such as trailers, parents
+    ``carriers``: paths of the parts that swing out of the vehicle, with all parts below them, such as trailers, parents
     before children; the other parts stay as they are at rest.
     """
 
@@ -77,7 +77,7 @@ class ObstacleScene:
         """Signed distances m at rig-root poses (n, 3) m, (n, 4) w, x, y, z: (n, 1) to the nearest, or to ``each``.
 
         ``seconds`` (n,) since frame 0; without them, moving obstacles are ignored. ``channels`` (n,): those that move
-        the ``carriers``; at rest without. Negative: the depth of the overlap.
+        the ``carriers``; without them, all parts are at rest. Negative: the depth of the overlap.
         """
         own = [(positions, orientations)]
         if self.rig is not None:

@@ -41,7 +41,7 @@ def place_on_terrain(clip: Clip, world: Any, samples: int = SAMPLES) -> Clip:
     Adds the channels ``heave`` (of the body above its rest on its wheels, m), ``pitch`` (nose down) and ``roll`` (left
     side up, rad); fills ``travel_*`` (m, upwards), and ``hitch_pitch*`` and ``hitch_roll*`` of trailers, as ``pitch``
     and ``roll``; wheels turn by the length of the slope. The planar motion does not change. Other clips, and clips
-    without terrain, are returned unchanged. ``samples``: per frame, at least.
+    without terrain, are returned unchanged. ``samples``: at least so many per frame.
     """
     terrain = None if world is None else world.terrain
     rig = clip.vehicle.rig
@@ -114,8 +114,8 @@ def _rest(terrain: Terrain, wheels: tuple[Wheel, ...], xy: Array, yaw: Array) ->
 
 
 def _held(clip: Clip, rest: Array) -> tuple[Array, Array]:
-    """The force that tyres must hold for a vehicle at rest on its springs (n, 3), per mass: (n,) m/s^2 along and across
-    it."""
+    """The force per mass that tyres must provide for a vehicle at rest on its springs (n, 3): (n,) m/s^2 along and
+    across it."""
     from vehsim.vehicles.definition.holonomic import GRAVITY
 
     if len(clip) < 2:

@@ -26,8 +26,8 @@ SETTLING = 8
 
 @dataclass(frozen=True)
 class Trailer:
-    """The part at ``path`` below the root, which ``tilts`` (channel, column of (heave, pitch, roll)) turn about its
-    hitch at ``pivot`` (3,) m, in the rig root's frame."""
+    """The part at ``path`` below the root, and its ``tilts``: (channel, column of (heave, pitch, roll)). They turn it
+    about its hitch at ``pivot`` (3,) m, in the rig root's frame."""
 
     path: str
     pivot: Array
@@ -36,8 +36,7 @@ class Trailer:
 
 
 def trailers_of(rig: Rig) -> tuple[Trailer, ...]:
-    """The trailers whose channels ``hitch_pitch*`` and ``hitch_roll*`` a rig drives, the one that is coupled first
-    first."""
+    """The trailers whose channels ``hitch_pitch*`` and ``hitch_roll*`` a rig drives, in order of coupling."""
     found: dict[str, list[tuple[str, int]]] = {}
     for name, drive in rig.drives.items():
         for prefix, column in ((HITCH_PITCH, 1), (HITCH_ROLL, 2)):
@@ -55,7 +54,7 @@ def _pivot(rig: Rig, path: str, channel: str) -> Array:
 
 
 def follows_ground(vehicle: Vehicle) -> bool:
-    """Whether all that is hitched to a vehicle can follow uneven ground."""
+    """Whether all trailers of a vehicle can follow uneven ground."""
     if vehicle.rig is None:
         return True
     tilting = [drive.prim for name, drive in vehicle.rig.drives.items() if name.startswith((HITCH_PITCH, HITCH_ROLL))]
@@ -107,7 +106,7 @@ def _tilted(
 
 
 def _held(times: Array, trailer: Trailer, positions: Array, orientations: Array) -> tuple[Array, Array]:
-    """The force that a trailer's tyres and hitch hold, per mass: (n,) m/s^2 along and across it."""
+    """The force per mass that a trailer's tyres and hitch must provide: (n,) m/s^2 along and across it."""
     axle = np.mean([wheel.centre for wheel in trailer.wheels], axis=0)
     yaw, pitch, roll = tilt_of(orientations)
     path = (positions + matrices(orientations) @ axle)[:, :2]

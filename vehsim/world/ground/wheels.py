@@ -99,7 +99,7 @@ def _wheels(asset: Path, root: str | None, drives: tuple[Any, ...], written: Sta
 
 
 def _below(path: str, prim: str) -> bool:
-    """Whether a part is ``prim`` or hangs on it."""
+    """Whether a part is ``prim`` or below it."""
     return not prim or f"{path}/".startswith(f"{prim}/")
 
 
