@@ -22,7 +22,16 @@ from vehsim.exporters.usd.packing import Pack
 from vehsim.exporters.usd.rotors import author_rotors
 from vehsim.exporters.usd.sampling import PLACE, TURN, Shutter, clip_at, fewest_together
 from vehsim.rig.ops import drive_op as drive_op
-from vehsim.rig.ops import driven_prim, instances_above, op_order, pivot_of, pivot_op, prim_path
+from vehsim.rig.ops import (
+    driven_prim,
+    drives_by_prim,
+    instances_above,
+    op_order,
+    pivot_of,
+    pivot_op,
+    prim_path,
+    replaced_ops,
+)
 from vehsim.rig.ops import insert_op as insert_op
 from vehsim.rig.ops import open_rig as open_rig
 
@@ -40,8 +49,8 @@ class RigOps:
 
     ``orders[path]``: the prim's new xformOpOrder. ``channels``: channel -> (path, op name, factor from SI to op units).
     ``translate`` and ``orient`` are the root's pose ops; ``constants[path]`` its constant ops: the root's corrections
-    for foreign units, pivots of drives; ``freed``: the instances whose instancing is switched off so that their parts
-    can move.
+    for foreign units, pivots of drives; ``replaced[path]``: its animated ops (name, type, value), which keep their
+    first value; ``freed``: the instances whose instancing is switched off so that their parts can move.
     """
 
     orders: Mapping[str, list[str]]
@@ -49,6 +58,7 @@ class RigOps:
     translate: str
     orient: str
     constants: Mapping[str, list[tuple[str, Any]]]
+    replaced: Mapping[str, list[tuple[str, Any, Any]]]
     freed: tuple[str, ...] = ()
 
     @property
@@ -102,6 +112,7 @@ def write_animation(
             spec = Sdf.CreatePrimInLayer(layer, root.path.AppendPath(below)) if below else root
             motion.author_channel(spec, channel, op, factor)
             _author_constants(spec, ops.constants.get(below, []))
+            _author_first_values(spec, ops.replaced.get(below, []))
             _author_order(spec, ops.orders[below])
         author_rotors(root, rig)
         for below in ops.freed:
@@ -156,7 +167,12 @@ def rig_ops(asset: Path, rig: Rig, units: Units, moving: Sequence[str]) -> RigOp
         orders[drive.prim] = order if op in order else inserted
         channels[channel] = (drive.prim, op, factor * drive.factor)
         freed += [path for path in instances_above(root, prim) if path not in freed]
-    return RigOps(orders, channels, translate, orient, constants, tuple(freed))
+    replaced = {
+        path: _first_values(replaced_ops(root.GetPrimAtPath(path) if path else root, moved))
+        for path, drives in drives_by_prim(rig).items()
+        if (moved := [drive for channel, drive in drives.items() if channel in channels])
+    }
+    return RigOps(orders, channels, translate, orient, constants, replaced, tuple(freed))
 
 
 class _Motion:
@@ -238,6 +254,23 @@ def _author_constants(prim: Any, ops: list[tuple[str, Any]]) -> None:
         kind = Sdf.ValueTypeNames.Double3 if vector else Sdf.ValueTypeNames.Double
         if op not in prim.attributes:
             Sdf.AttributeSpec(prim, op, kind).default = Gf.Vec3d(*value) if vector else value
+
+
+def _first_values(ops: Sequence[Any]) -> list[tuple[str, Any, Any]]:
+    """Name, type and first value of each op."""
+    from pxr import Usd
+
+    attributes = [op.GetAttr() for op in ops]
+    return [(a.GetName(), a.GetTypeName(), a.Get(Usd.TimeCode.EarliestTime())) for a in attributes]
+
+
+def _author_first_values(prim: Any, ops: Sequence[tuple[str, Any, Any]]) -> None:
+    """Hide the asset's keys below a default, which is their first value."""
+    from pxr import Sdf
+
+    for name, kind, value in ops:
+        if name not in prim.attributes:
+            Sdf.AttributeSpec(prim, name, kind).default = value
 
 
 def _author_order(prim: Any, order: list[str]) -> None:

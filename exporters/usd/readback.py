@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -124,7 +124,8 @@ def _local_matrices(prim: Any, driven: list[tuple[str, Array]], codes: Array) ->
     from pxr import UsdGeom
 
     xformable = UsdGeom.Xformable(prim)
-    own = {op.GetOpName(): _own_matrices(op, codes) for op in xformable.GetOrderedXformOps()}
+    replaced = {name.split(":")[1][:-1] for name, _ in driven}  # what rotates or slides does not do so by itself
+    own = {op.GetOpName(): _own_matrices(op, codes, replaced) for op in xformable.GetOrderedXformOps()}
     order = [name for name in xformable.GetXformOpOrderAttr().Get() or [] if name in own]
     moving = {}
     for name, matrices in driven:
@@ -136,9 +137,15 @@ def _local_matrices(prim: Any, driven: list[tuple[str, Array]], codes: Array) ->
     return matrix
 
 
-def _own_matrices(op: Any, codes: Array) -> Array:
+def _own_matrices(op: Any, codes: Array, replaced: Collection[str]) -> Array:
+    from pxr import Usd
+
     if not op.MightBeTimeVarying():
         return np.array(op.GetOpTransform(0)).T
+    kind = op.GetOpName().split(":")[1]
+    turns, slides = kind.startswith(("rotate", "orient", "transform")), kind.startswith(("translate", "transform"))
+    if ("rotate" in replaced and turns) or ("translate" in replaced and slides):
+        return np.array(op.GetOpTransform(Usd.TimeCode.EarliestTime())).T
     return np.array([np.array(op.GetOpTransform(code)).T for code in codes.tolist()])
 
 

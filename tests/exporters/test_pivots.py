@@ -102,6 +102,45 @@ def test_wheels_turn_about_their_pivot_with_any_name(pivots, merged, tmp_path):
             assert np.abs(points @ matrix[:3, :3].T + matrix[:3, 3] - expected).max() < 1e-9, name
 
 
+@pytest.mark.parametrize("kind", ["rotateXYZ", "rotateY", "orient"])
+def test_a_wheels_own_keys_are_replaced_with_a_warning(kind, tmp_path):
+    """The wheel turns as in an asset whose wheel stands still at its first key."""
+    car = vehicle(tmp_path)
+    stage = Usd.Stage.Open(str(tmp_path / "mine.usda"))
+    prim = UsdGeom.Xformable(stage.GetPrimAtPath("/mine/side_rl/wheel"))
+    for set_time in (stage.SetFramesPerSecond, stage.SetTimeCodesPerSecond):
+        set_time(24)
+    stage.SetStartTimeCode(1001)
+    stage.SetEndTimeCode(1013)
+    own = prim.GetOrderedXformOps()
+    if kind == "rotateXYZ":
+        (op,) = [op for op in own if op.GetOpName() == "xformOp:rotateXYZ"]
+        keys = [(0, 12, 0), (9, 200, 3), (0, 400, 0)]
+    else:
+        op = prim.AddRotateYOp() if kind == "rotateY" else prim.AddOrientOp()
+        keys = [0.0, 200.0, 400.0]
+        prim.SetXformOpOrder([own[0], op, *own[1:]])
+    for frame, value in zip((1001, 1007, 1013), keys, strict=True):
+        op.Set(value if kind != "orient" else Gf.Quatf(np.cos(value), 0, np.sin(value), 0), frame)
+    stage.Save()
+    (problem,) = rig_problems(car.rig)
+    assert problem.severity == "warning" and f"animation of xformOp:{kind} is replaced" in problem.message
+
+    clip = vehsim.simulate(car, None, [0.0, 0.0], vehsim.State(twist=(0.0, 8.0, 0.0)), 0.5)
+    take = Take("shot", {"it": clip}, vehsim.World(), (), Fraction(24), (1001, 1013))
+    write_usd(take, tmp_path / "keyed", lambda what, done: None)
+    op.GetAttr().Clear()
+    op.Set(keys[0] if kind != "orient" else Gf.Quatf(1, 0, 0, 0))
+    stage.Save()
+    write_usd(take, tmp_path / "still", lambda what, done: None)
+    frames = clip.resample().frames
+    keyed, still = (Usd.Stage.Open(str(tmp_path / name / "shot.usda")) for name in ("keyed", "still"))
+    found, expected = (
+        world_matrices(stage.GetPrimAtPath("/shot/vehicles/it/side_rl/wheel"), frames) for stage in (keyed, still)
+    )
+    assert np.abs(found - expected).max() < 1e-9
+
+
 def test_a_mirror_above_a_wheel_reverses_its_steering_but_not_its_rolling(tmp_path):
     centre = {"pivot": '"centre"'}
     found = list(rig_problems(vehicle(tmp_path, mirrored=("fr",), steer_fr=centre).rig))

@@ -7,7 +7,7 @@ and before the ops that shape its mesh, with values in the prim's own units.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
@@ -114,6 +114,24 @@ def pivot_op(channel: str) -> str:
     return f"xformOp:translate:{channel}{PIVOT}"
 
 
+def replaced_ops(prim: Any, drives: Iterable[Drive]) -> list[Any]:
+    """The prim's own animated ops that move it as one of its ``drives`` does: ours replaces their motion, and they keep
+    their first value."""
+    from pxr import UsdGeom
+
+    kinds = {"rotate": ("rotate", "orient", "transform"), "translate": ("translate", "transform")}
+    moved = tuple(kind for drive in drives for kind in kinds[drive.op[:-1]])
+    ours = {drive_op(drive.op)[0] for drive in drives}
+    return [
+        op
+        for op in UsdGeom.Xformable(prim).GetOrderedXformOps()
+        if op.MightBeTimeVarying()
+        and op.GetOpName().split(":")[1].startswith(moved)
+        and op.GetOpName() not in ours
+        and not op.IsInverseOp()
+    ]
+
+
 def insert_op(order: list[str], op: str, pivot: str | None = None) -> list[str]:
     """``order`` with ``op`` after the prim's placement and before the scale that shapes its mesh.
 
@@ -164,6 +182,7 @@ def _problems_of(rig: Rig) -> Iterator[Problem]:
         yield error.problem
         return
     metres = UsdGeom.GetStageMetersPerUnit(stage)
+    yield from _replaced(rig, root)
     for channel, drive in rig.drives.items():
         try:
             prim = driven_prim(rig, root, channel)
@@ -184,6 +203,24 @@ def _problems_of(rig: Rig) -> Iterator[Problem]:
                 yield from _turning(rig, channel, drive, T_ra)
         except (ExportError, InputError) as error:
             yield error.problem.seen_from(f"channels.{channel}", remedy="fix its vehicle.toml or the asset")
+
+
+def _replaced(rig: Rig, root: Any) -> Iterator[Problem]:
+    """Warn of the asset's own animation of driven prims."""
+    for path, drives in drives_by_prim(rig).items():
+        prim = root.GetPrimAtPath(path) if path else root
+        for op in replaced_ops(prim, drives.values()) if prim else ():
+            message = f"{path}: its own animation of {op.GetOpName()} is replaced: it stays at its first value"
+            remedy = "remove its keys, or drive another prim"
+            yield Problem(f"channels.{next(iter(drives))}", message, remedy, severity="warning")
+
+
+def drives_by_prim(rig: Rig) -> dict[str, dict[str, Drive]]:
+    """Path of a driven prim -> its channels with their drives."""
+    found: dict[str, dict[str, Drive]] = {}
+    for channel, drive in rig.drives.items():
+        found.setdefault(drive.prim, {})[channel] = drive
+    return found
 
 
 def _skinned_from_elsewhere(prim: Any) -> str:

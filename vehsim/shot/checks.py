@@ -62,7 +62,7 @@ def check_asset(key: str, asset: str, vehicle: Vehicle) -> Iterator[Problem]:
     if turned is None and rig is not None and rig.drives:
         broken = rig_problems(rig)
         yield from (problem.seen_from(key, asset) for problem in broken)
-        if broken:
+        if any(problem.severity == "error" for problem in broken):
             return
     for misfit in misfits(rig, vehicle.parameters) if turned is None else [turned]:
         own = misfit.key.startswith("parameters.")
