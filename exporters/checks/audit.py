@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from vehsim.audit import PER_FRAME, Row, Scene, Track, audit, missed, not_shown, track_of_poses
 from vehsim.errors import ExportError, InputError
 from vehsim.exporters.usd.metadata import Units
+from vehsim.intake.gate import reading
 from vehsim.intake.usd import dependencies
 from vehsim.requests import Ask
 
@@ -505,12 +506,12 @@ def _obstacles(report: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
 
 def audit_delivery(folder: Path, progress: Progress = silent) -> dict[str, list[Row]]:
     """Audit the content of a delivery's folder. Raises ``InputError`` for a folder that is not a delivery."""
-    try:
+    if not (folder / "report.json").is_file():
+        raise InputError("not a delivery: no report.json in it", "give a folder that vehsim export wrote", file=folder)
+    with reading(folder / "report.json", "report", "export the shot again"):  # a report may contain anything
         report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
         path = stage_of(folder, report["shot"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"not a delivery: {error}", "give a folder that vehsim export wrote", file=folder) from None
-    if path is None:
-        raise InputError("no stage in it", "export with --to usd, flat or usdz", file=folder)
-    dependencies(path)
-    return audit_stage(path, report, progress=progress)
+        if path is None:
+            raise InputError("no stage in it", "export with --to usd, flat or usdz", file=folder)
+        dependencies(path)
+        return audit_stage(path, report, progress=progress)

@@ -14,6 +14,7 @@ from vehsim.assets import shipped
 from vehsim.cli import commands as cli
 from vehsim.cli.inspect import inspect, write_vehicle
 from vehsim.cli.new import new_shot
+from vehsim.errors import InputError
 
 ELSEWHERE = Path(__file__).parents[1] / "assets_elsewhere"
 OWN = {path.parent.name: path.parent for path in sorted(ELSEWHERE.glob("*/vehicle.toml"))}
@@ -193,3 +194,9 @@ def test_invalid_assets_are_refused(
     assert cli.run(["inspect", str(tmp_path / "none.usd")]) == 2
     assert cli.run(["inspect", str(tmp_path)]) == 2
     (tmp_path / name).unlink()
+
+
+def test_an_obj_whose_vertices_are_no_numbers_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 50.0v 0\nf 1 2 3\n")
+    with pytest.raises(InputError, match=r"a.obj: asset: cannot be read \(ValueError: could not convert"):
+        inspect(tmp_path / "a.obj")

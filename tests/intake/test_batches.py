@@ -74,3 +74,42 @@ def test_a_bad_file_is_named_and_the_other_shots_continue(
     assert not out.exists()
     assert cli.run(["export", str(bad), str(good), "--out", str(out), "--to", "npz"]) == 1
     assert (out / "good" / "car.npz").is_file() and not (out / "bad").exists()
+
+
+def test_one_bad_stage_or_delivery_does_not_stop_the_others(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also an exception of our own does not."""
+    from vehsim.exporters.checks import audit, validate
+
+    (tmp_path / "good.toml").write_text(CAR.replace("{name}", "good"))
+    assert cli.run(["export", str(tmp_path / "good.toml"), "--out", str(tmp_path / "out")]) == 0
+    good, bad = tmp_path / "out" / "good", tmp_path / "out" / "bad"
+    bad.mkdir()
+    (bad / "report.json").write_text('{"shot": "bad", "audit": []}')
+    (bad / "bad.usda").write_bytes(usda(CUBE * 50, FAR)[:-20])
+    capsys.readouterr()
+    assert cli.run(["audit", str(bad), str(tmp_path), str(good)]) == 2
+    said = capsys.readouterr()
+    assert f"{bad}/bad.usda: asset: cannot be read" in said.err and f"{tmp_path}: not a delivery" in said.err
+    assert "car: " in said.out and "MISSED" not in said.out
+    (bad / "bad.usda").write_bytes((good / "good.usda").read_bytes())
+    assert cli.run(["audit", str(bad), str(good)]) == 2
+    said = capsys.readouterr()
+    assert f"{bad}: report.json holds no asks" in said.err and "car: " in said.out
+    for module, name, command, items in (
+        (validate, "validate_stage", "validate", (bad / "bad.usda", good / "good.usda")),
+        (audit, "audit_delivery", "audit", (bad, good)),
+    ):
+        whole = getattr(module, name)
+
+        def fails(path: Path, *more: object, whole: object = whole) -> object:
+            if "bad" in path.name:
+                raise RuntimeError("of our own")
+            return whole(path, *more)
+
+        monkeypatch.setattr(module, name, fails)
+        assert cli.run([command, *map(str, items)]) == 1
+        said = capsys.readouterr()
+        assert f"{items[0]}: unexpected: RuntimeError: of our own; this is an error in vehsim" in said.err
+        assert "good" in said.out or "car: " in said.out

@@ -12,10 +12,11 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from vehsim.errors import InputError, Problem, ShotError
+from vehsim.errors import InputError, Problem, ShotError, VehsimError
 from vehsim.runtime.registry import whose_error
 
 if TYPE_CHECKING:
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from vehsim.world.terrain.terrain import Terrain
 
 
+Item = TypeVar("Item")
 Made = TypeVar("Made")
 
 
@@ -77,16 +79,18 @@ def load_all(
     return list(loaded.values()), problems
 
 
-def each(shots: Sequence[Shot], do: Callable[[Shot], Made]) -> tuple[list[Made], list[Problem]]:
-    """Apply ``do`` to every shot; return the results and the problems. An exception in one shot does not stop the
-    others."""
+def each(
+    items: Sequence[Item], do: Callable[[Item], Made], file: Callable[[Item], str] = attrgetter("source")
+) -> tuple[list[Made], list[Problem]]:
+    """Apply ``do`` to every shot, or to other items with a ``file``; return the results and the problems. An exception
+    in one does not stop the others."""
     made: list[Made] = []
     problems: list[Problem] = []
-    for shot in shots:
+    for item in items:
         try:
-            made.append(do(shot))
+            made.append(do(item))
         except Exception as error:
-            problems += _problems_of(error, shot.source)
+            problems += _problems_of(error, file(item))
     return made, problems
 
 
@@ -95,7 +99,9 @@ def _problems_of(error: Exception, file: str) -> list[Problem]:
     if isinstance(error, ShotError):
         return error.problems
     if isinstance(error, InputError):
-        return [replace(p if p.key and not p.file else p.seen_from("shot"), file=file) for p in error.problems]
+        return [_seen_in(file, problem) for problem in error.problems]
+    if isinstance(error, VehsimError):
+        return [replace(_seen_in(file, problem), severity="fault") for problem in error.problems]
     # For example an asset without read permission, or a cache on a full disk.
     if isinstance(error, OSError) and error.filename:
         return [Problem(str(error.filename), str(error.strerror), "fix that", file=file)]
@@ -103,6 +109,13 @@ def _problems_of(error: Exception, file: str) -> list[Problem]:
         raise error
     message = f"{type(error).__name__}: {error}; this is {whose_error(error)}"
     return [Problem("unexpected", message, "set VEHSIM_DEBUG=1 to see the traceback", file=file, severity="fault")]
+
+
+def _seen_in(file: str, problem: Problem) -> Problem:
+    """A problem of what ``file`` names, or of the file itself."""
+    if problem.file.startswith(file):
+        return problem
+    return replace(problem if problem.key and not problem.file else problem.seen_from("shot"), file=file)
 
 
 @_keeping()

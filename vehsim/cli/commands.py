@@ -171,7 +171,10 @@ def job(
     loaded, problems = _arguments.load_all(shots, sets or [])
     if code := _say(problems, quiet):
         raise typer.Exit(code)
-    tasks = [prepare(shot, out, names, quality is Quality.draft, resume=True, checked=True) for shot in loaded]
+    draft = quality is Quality.draft
+    tasks, problems = _arguments.each(loaded, lambda shot: prepare(shot, out, names, draft, resume=True, checked=True))
+    if code := _say(problems, quiet):
+        raise typer.Exit(code)
     path, clips = write_job(template, tasks, chunks)
     if not quiet:
         print(f"{path}: {len(tasks)} clip{'s' * (len(tasks) != 1)}, listed in {clips}")
@@ -266,13 +269,15 @@ def manoeuvres(
 
     _arguments.check_folder(out)
     loaded, problems = _arguments.load_all(shots, sets or [])
-    code = _say(problems, quiet)
-    for shot in loaded:
+
+    def draw(shot: Any) -> None:
         with _working(f"{shot.name}  drawing manoeuvres", quiet):
             lines = list(paint_offers(shot, out))
         for line in lines:
             print(line)
-    raise typer.Exit(code)
+
+    code = _say(problems, quiet)
+    raise typer.Exit(_say(_arguments.each(loaded, draw)[1], quiet) or code)
 
 
 @app.command()
@@ -283,17 +288,19 @@ def validate(
     from vehsim.exporters.checks.validate import validate_stage
 
     _arguments.check_stages(stages)
-    wrong = False
-    for path in stages:
+
+    def validated(path: Path) -> bool:
         with _working(f"validating {path}", quiet):
             issues = validate_stage(path)
-        wrong = wrong or any(issue.severity == "error" for issue in issues)
         for issue in issues:
             if issue.severity == "error" or not quiet:
                 screen.print(f"{path}: {issue}", markup=False)
         if not issues and not quiet:
             print(f"{path}: valid")
-    raise typer.Exit(FAILED if wrong else 0)
+        return not any(issue.severity == "error" for issue in issues)
+
+    valid, problems = _arguments.each(stages, validated, str)
+    raise typer.Exit(_say(problems, quiet) or (0 if all(valid) else FAILED))
 
 
 @app.command()
@@ -305,18 +312,18 @@ def audit(
     from vehsim.audit import missed
     from vehsim.exporters.checks.audit import audit_delivery
 
-    wrong = False
-    for folder in deliveries:
+    def audited(folder: Path) -> bool:
         with _progress(quiet) as progress:
             measured = audit_delivery(folder, progress)
         for name, rows in measured.items():
-            failed = missed(rows)
-            wrong = wrong or bool(failed)
             for row in rows:
-                if not quiet or row in failed:
+                if not quiet or row in missed(rows):
                     verdict = {True: "ok    ", False: "MISSED", None: "-     "}[row.met]
                     print(f"{verdict}  {name}: {row}")
-    raise typer.Exit(FAILED if wrong else 0)
+        return not any(missed(rows) for rows in measured.values())
+
+    met, problems = _arguments.each(deliveries, audited, str)
+    raise typer.Exit(_say(problems, quiet) or (0 if all(met) else FAILED))
 
 
 @app.command()

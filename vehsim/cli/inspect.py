@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.errors import InputError
+from vehsim.intake.reader import Answer, once
 from vehsim.intake.toml import read_toml
 from vehsim.intake.usd import open_stage
 
@@ -135,12 +136,17 @@ def _of_folder(folder: Path) -> tuple[Path, dict[str, Any]]:
 
 def _unit_of_obj(path: Path) -> float:
     """The unit, m, that gives a plausible size of a vehicle."""
+    extent = float(once(extent_of_obj, path, "asset")[0])
+    return next((unit for least, unit in UNITS if extent > least), 1.0)
+
+
+def extent_of_obj(path: Path) -> Answer:
+    """The longest side of an OBJ file, in its own unit. It runs in the reader process."""
     lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
     points = [line.split()[1:4] for line in lines if line.startswith("v ")]
     if not points:
         raise InputError("no vertex in it", "export it again, or as USD", file=path)
-    extent = float(np.ptp(np.array(points, float), axis=0).max())
-    return next((unit for least, unit in UNITS if extent > least), 1.0)
+    return float(np.ptp(np.array(points, float), axis=0).max()), []
 
 
 def _data(path: Path, keys: Mapping[str, Any]) -> dict[str, Any]:
