@@ -115,7 +115,7 @@ class StageRenderer:
         if self._water is not None:
             self._canvas.draw_water(self._water, self._data, frame)
         of_geom, depth = self._canvas.draw_ids(self.size), self._canvas.depth(self.size)
-        near, far = self._drawn(self.stage.camera(camera, frame)[3])
+        near, far = self._drawn(self.stage.camera(camera, frame).clip)
         away = near * far / (depth * (far - near) + near)
         colours = np.vstack([prim_colours(self.prims), np.zeros((1, 3), np.uint8)])  # the last one, -1: background
         return np.where(of_geom < 0, 0.0, away).astype(np.float32)[::-1], colours[of_geom][::-1]
@@ -144,7 +144,7 @@ class StageRenderer:
         return clip[0], max(clip[1], SHADOW_DEPTH * self._reach)
 
     def _place_camera(self, name: str, frame: float) -> None:
-        pose, half_width, _, clip = self.stage.camera(name, frame)
+        pose, half_width, shift, clip = self.stage.camera(name, frame)
         near, far = self._drawn(clip)
         half_height = half_width * self.size[1] / self.size[0]  # pixels are square
         for camera in self._canvas.cameras:
@@ -153,9 +153,10 @@ class StageRenderer:
             camera.up = pose[:3, 1]
             camera.orthographic = 0
             camera.frustum_near, camera.frustum_far = near, far
-            camera.frustum_center = 0.0
+            camera.frustum_center = shift[0] * near
             camera.frustum_width = half_width * near
-            camera.frustum_bottom, camera.frustum_top = -half_height * near, half_height * near
+            camera.frustum_bottom = (shift[1] - half_height) * near
+            camera.frustum_top = (shift[1] + half_height) * near
 
     def _wet(self, colour: Picture, depth: NDArray[np.float32], camera: str, frame: float) -> Picture:
         """Dark lines on hulls, piles and rocks at the waterline."""
@@ -163,10 +164,10 @@ class StageRenderer:
         standing = (depth > 0) & (self._canvas.draw_ids(self._size) != self._model.geom("water").id)
         left, low, right, high = _box(standing, 1)
         part = slice(low, high + 1), slice(left, right + 1)  # one more pixel: slopes need the next one
-        pose, half_width, _, clip = self.stage.camera(camera, frame)
+        pose, half_width, shift, clip = self.stage.camera(camera, frame)
         half = (half_width, half_width * self.size[1] / self.size[0])
         eye, forward, up = pose[:3, 3], -pose[:3, 2], pose[:3, 1]
-        places, distance = places_of(depth, eye, forward, up, half, self._drawn(clip), part)
+        places, distance = places_of(depth, eye, forward, up, half, self._drawn(clip), part, shift)
         colour[part] = self._water.wet(colour[part], places, np.where(standing[part], distance, np.inf))
         return colour
 
@@ -320,7 +321,7 @@ def _shadow_reach(stage: StageReader, bounds: tuple[Array, Array]) -> float:
     distances = []
     for frame in np.linspace(stage.frames[0], stage.frames[1], 5):
         places = [pose[:3, 3] for pose in stage.matrices(frame).values()]
-        eyes = [stage.camera(name, frame)[0][:3, 3] for name in stage.cameras]
+        eyes = [stage.camera(name, frame).T_wc[:3, 3] for name in stage.cameras]
         distances += [min(np.linalg.norm(place - eye) for place in places) for eye in eyes if places]
     usual = 4.0 * float(np.median(distances)) if distances else whole
     return float(np.clip(min(usual, whole), *SHADOW_REACH))

@@ -241,11 +241,12 @@ def places_of(
     half: tuple[float, float],
     clip: tuple[float, float],
     part: tuple[slice, slice] = (slice(None), slice(None)),
+    shift: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[Array, Array]:
     """World places (h, w, 3) m of pixels, bottom row first, and their distance (h, w) along the view; inf: background.
 
     ``depth`` (h, w): 1 at the near plane, 0 at the far one; ``half``: width and height of the view at distance 1;
-    ``part``: rows and columns of the requested pixels.
+    ``part``: rows and columns of the requested pixels; ``shift``: of the view to the right and up at distance 1.
     """
     (near, far), (h, w) = clip, depth.shape
     x = (np.arange(w)[part[1]] + 0.5) / w * 2 - 1
@@ -253,6 +254,6 @@ def places_of(
     share = depth[part].astype(float)
     distance = np.where(share > 0, near * far / np.maximum(share * (far - near) + near, 1e-12), np.inf)
     side = np.cross(forward, up)
-    ray = forward + half[0] * x[None, :, None] * side + half[1] * y[:, None, None] * up
+    ray = forward + (shift[0] + half[0] * x[None, :, None]) * side + (shift[1] + half[1] * y[:, None, None]) * up
     reach = np.where(np.isfinite(distance), distance, 0.0)[..., None]
     return np.asarray(eye) + reach * ray, distance

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +49,16 @@ class Shape:
     face_uvs: Ints | None
     surface: Surface
     closed: bool = True
+
+
+class View(NamedTuple):
+    """A camera's view: its pose ``T_wc`` (4, 4), half its width and its ``shift`` to the right and up at distance 1, and
+    (near, far) m."""
+
+    T_wc: Array
+    half_width: float
+    shift: tuple[float, float]
+    clip: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -120,8 +130,8 @@ class StageReader:
             poses[group] = pose
         return poses
 
-    def camera(self, name: str, frame: float) -> tuple[Array, float, float, tuple[float, float]]:
-        """Pose T_wc (4, 4), half width and half height of the view at distance 1, and (near, far) m of a camera."""
+    def camera(self, name: str, frame: float) -> View:
+        """What a camera sees at a time code."""
         from pxr import UsdGeom
 
         prim = self._stage.GetPrimAtPath(self.cameras[name])
@@ -129,9 +139,9 @@ class StageReader:
         self._cache.SetTime(frame)
         pose = self._world(str(prim.GetPath()))
         pose[:3, :3] /= np.linalg.norm(pose[:3, :3], axis=0)
-        half = np.array([lens.horizontalAperture, lens.verticalAperture]) / (2 * lens.focalLength)
-        clip = lens.clippingRange
-        return pose, float(half[0]), float(half[1]), (clip.min * self._metres, clip.max * self._metres)
+        shift = lens.horizontalApertureOffset / lens.focalLength, lens.verticalApertureOffset / lens.focalLength
+        clip = lens.clippingRange.min * self._metres, lens.clippingRange.max * self._metres
+        return View(pose, lens.horizontalAperture / (2 * lens.focalLength), shift, clip)
 
     def water_grid(self) -> tuple[int, int]:
         """Rows and columns of points of the water's surface."""

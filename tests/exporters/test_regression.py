@@ -135,7 +135,7 @@ def test_depth_is_in_metres_and_segmentation_identifies_prims(approved):
     of_path = {path: tuple(bytes.fromhex(colour[1:])) for colour, path in legend.items()}
     assert {tuple(colour) for colour in colours.reshape(-1, 3).tolist()} <= {*of_path.values(), (0, 0, 0)}
     stage = StageReader(approved / "shot" / "shot.usda")
-    pose, half, _, _ = stage.camera("chase", 1004)
+    pose, half, *_ = stage.camera("chase", 1004)
     ground = next(colour for path, colour in of_path.items() if path.startswith("/shot/env/terrain"))
     rows, columns = np.nonzero((colours == ground).all(axis=2))
     x = ((columns + 0.5) / SIZE[0] * 2 - 1) * half

@@ -85,9 +85,14 @@ def centroid(mask):
 
 
 @pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (3.0, 2.0, -1.5), (-4.0, 5.0, 2.0)])
-def test_a_point_is_drawn_at_the_pixel_that_usd_computes(new_stage, place):
+@pytest.mark.parametrize("offset", [(0.0, 0.0), (0.05, -0.02)])
+def test_a_point_is_drawn_at_the_pixel_that_usd_computes(new_stage, place, offset):
+    """Also if the film back is shifted."""
     from pxr import Gf, UsdGeom
 
+    camera = UsdGeom.Camera(new_stage.GetPrimAtPath("/top/main"))
+    camera.CreateHorizontalApertureOffsetAttr(offset[0])
+    camera.CreateVerticalApertureOffsetAttr(offset[1])
     quad(new_stage, "/top/spot", place, 0.3, (1, 0, 0))
     image = picture(new_stage)
     red = (image[..., 0] > 120) & (image[..., 1] < 60)

@@ -288,6 +288,8 @@ def test_depth_is_converted_to_world_places():
     assert distance == pytest.approx(np.full((3, 5), 10.0))
     assert places[1, 2] == pytest.approx([11.0, 2.0, 3.0])
     assert places[2, 4] == pytest.approx([11.0, 2.0 - 0.8 * 5.0, 3.0 + 2 / 3 * 3.0])
+    shifted, _ = places_of(depth, eye, forward, up, (0.5, 0.3), (near, far), shift=(0.1, -0.2))
+    assert shifted - places == pytest.approx(np.broadcast_to([0.0, -1.0, -2.0], places.shape))  # right is -Y
 
 
 def test_the_surface_has_an_extent_at_every_frame_and_a_rest_pose(shown):
