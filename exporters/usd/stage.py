@@ -52,8 +52,8 @@ class Shape:
 
 
 class View(NamedTuple):
-    """A camera's view: its pose ``T_wc`` (4, 4), half its width and its ``shift`` to the right and up at distance 1, and
-    (near, far) m."""
+    """A camera's view: its pose ``T_wc`` (4, 4), half its width and its ``shift`` to the right and up at distance 1,
+    and (near, far) m."""
 
     T_wc: Array
     half_width: float
