@@ -72,11 +72,11 @@ def plan(limits: Any = None, **changed: Any) -> Any:
     ],
 )
 def test_failed_plans_give_the_reason_as_data(changed: dict[str, Any], reason: str | None) -> None:
-    with warnings.catch_warnings(record=True) as said:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         made = plan(**changed)
     assert made.reason == reason and made.success is (reason is None)
-    assert any(warning.category is FailedPlan for warning in said) is not made.success
+    assert any(warning.category is FailedPlan for warning in caught) is not made.success
 
 
 def test_a_shot_passes_on_the_reason_of_its_failed_plan(tmp_path: Path) -> None:

@@ -59,10 +59,10 @@ class Problem:
         part of the message. ``remedy`` is used if it has none."""
         return Problem(key, self._with_place(self.message), self.remedy or remedy, value, severity=self.severity)
 
-    def _with_place(self, said: str) -> str:
+    def _with_place(self, text: str) -> str:
         line = f":{self.line}" if self.line is not None else ""
         value = f" = {_short(self.value)}" if self.value is not None else ""
-        return ": ".join(filter(None, (self.file and f"{self.file}{line}", self.subject, f"{self.key}{value}", said)))
+        return ": ".join(filter(None, (self.file and f"{self.file}{line}", self.subject, f"{self.key}{value}", text)))
 
 
 class VehsimError(Exception):

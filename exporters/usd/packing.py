@@ -68,10 +68,10 @@ class Pack:
             )
         home = source.parent
         if found := beyond(files, home, *homes):
-            said = f"refers to {', '.join(map(str, found))}, outside its own folder"
+            message = f"refers to {', '.join(map(str, found))}, outside its own folder"
             if not self.beyond:
-                raise InputError(said, 'put it there, or give export.outside = "copy"', file=source)
-            warnings.warn(f"{source}: {said}: it is copied too", stacklevel=4)
+                raise InputError(message, 'put it there, or give export.outside = "copy"', file=source)
+            warnings.warn(f"{source}: {message}: it is copied too", stacklevel=4)
         if all(file.is_relative_to(home) for file in files):
             for file in files:
                 copy = target / file.relative_to(home)

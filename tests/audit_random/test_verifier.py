@@ -162,8 +162,8 @@ def flight() -> tuple[Delivery, dict[str, Any]]:
     }
     look = {"at": [60, 0, 20], "within": 4.0}
     stay = {"above": 20.0, "below": 22.0, "inside": [-1, -1, 13, 1]}
-    asked = shot("helicopter", marks, limits=limits, look=[look], stay=[stay], clearance=0.8)
-    return made, asked | {"world": {"obstacle": [{"shape": "box", "centre": [6, 9, 20], "size": [2, 2, 6]}]}}
+    requested = shot("helicopter", marks, limits=limits, look=[look], stay=[stay], clearance=0.8)
+    return made, requested | {"world": {"obstacle": [{"shape": "box", "centre": [6, 9, 20], "size": [2, 2, 6]}]}}
 
 
 def _slope(frames: float) -> float:
@@ -224,9 +224,9 @@ def free() -> tuple[Delivery, dict[str, Any]]:
 def handles() -> tuple[Delivery, dict[str, Any]]:
     """A cut out of a flight that continues before and after it."""
     made = Delivery("helicopter", START, END)
-    asked = shot("helicopter", [{"frame": FIRST + 50, "position": [*_place(-10)]}, {"frame": LAST - 50}])
-    asked["shot"] |= {"start_frame": FIRST + 50, "end_frame": LAST - 50, "handles": 50}
-    return made, asked
+    requested = shot("helicopter", [{"frame": FIRST + 50, "position": [*_place(-10)]}, {"frame": LAST - 50}])
+    requested["shot"] |= {"start_frame": FIRST + 50, "end_frame": LAST - 50, "handles": 50}
+    return made, requested
 
 
 def halt(made: Delivery) -> None:
@@ -335,16 +335,16 @@ SPOILS: list[tuple[str, Callable[[], Any], Callable[[Delivery], None]]] = [
 
 @pytest.mark.parametrize("case", [flight, drive, landing, circuit, free, handles])
 def test_correct_deliveries_are_not_refuted(case: Callable[[], Any], tmp_path: Path) -> None:
-    made, asked = case()
-    found = verify.verify(asked, made.write(tmp_path))
+    made, requested = case()
+    found = verify.verify(requested, made.write(tmp_path))
     assert [row.text for row in found.rows] == []
 
 
 @pytest.mark.parametrize(("ask", "case", "spoil"), SPOILS, ids=[f"{s[0]}-{n}" for n, s in enumerate(SPOILS)])
 def test_spoiled_deliveries_are_refuted(ask: str, case: Any, spoil: Any, tmp_path: Path) -> None:
-    made, asked = case()
+    made, requested = case()
     spoil(made)
-    found = verify.verify(asked, made.write(tmp_path))
+    found = verify.verify(requested, made.write(tmp_path))
     assert ask in {row.ask for row in found.rows} or (ask == "mark.frame" and found.rows)
 
 

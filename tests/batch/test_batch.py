@@ -125,7 +125,7 @@ def test_a_failed_plan_is_reported_once(write: Write, tmp_path: Path, monkeypatc
     from vehsim import planning
     from vehsim.errors import FailedPlan
 
-    def fail(*asked: object, **more: object) -> SimpleNamespace:
+    def fail(*args: object, **more: object) -> SimpleNamespace:
         warnings.warn("car: plan failed: no way there", FailedPlan, stacklevel=1)
         return SimpleNamespace(success=False, message="no way there", reason="not solved")
 
@@ -142,8 +142,8 @@ def test_a_failed_plan_is_reported_once(write: Write, tmp_path: Path, monkeypatc
 def test_the_json_log(write: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = write(sweep='"shot.start_frame" = [1, 2]')
     assert cli.run(["export", str(path), "--out", str(tmp_path / "out"), "--to", "usd", "--log", "json"]) == 0
-    said = capsys.readouterr()
-    events = [json.loads(line) for line in said.out.splitlines()]
+    output = capsys.readouterr()
+    events = [json.loads(line) for line in output.out.splitlines()]
     assert events[0]["event"] == "batch"
     assert [event["clip"] for event in events if event["event"] == "done"] == [
         "drive_start_frame0",
@@ -151,7 +151,7 @@ def test_the_json_log(write: Write, tmp_path: Path, capsys: pytest.CaptureFixtur
     ]
     assert {"planning", "baking"} <= {event["state"] for event in events if event["event"] == "progress"}
     assert all("time" in event and "elapsed" in event for event in events)
-    assert said.err == ""
+    assert output.err == ""
 
 
 def test_the_json_log_contains_refused_shots(write: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -241,7 +241,7 @@ def test_an_asset_is_read_once_for_all_clips(write: Write, tmp_path: Path, monke
     (first, second) = load_shots(write(sweep='"vehicle.car.motion.duration" = [0.25, 0.3]'))
     export_batch([first], tmp_path / "out", ["usd"])
     reads: list[object] = []
-    monkeypatch.setattr(parts, "read_parts", lambda *asked: reads.append(asked))
+    monkeypatch.setattr(parts, "read_parts", lambda *args: reads.append(args))
     second.check()
     assert export_batch([second], tmp_path / "out", ["usd"])[0].state == "done"
     assert reads == []

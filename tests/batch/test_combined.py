@@ -77,8 +77,8 @@ def test_files_of_an_older_motion_are_set_apart(
     old = files(drive)
     stage = (drive / "drive.usda").read_bytes()
     assert export("csv", "--set", "vehicle.car.motion.duration=0.5") == 0
-    said = capsys.readouterr().err
-    assert "npz, usd show an older version of the shot: moved to" in said and said.count("older version") == 1
+    output = capsys.readouterr().err
+    assert "npz, usd show an older version of the shot: moved to" in output and output.count("older version") == 1
     assert files(drive) == {"car.csv", "report.json"} | {f"earlier/1/{name}" for name in old}
     assert (drive / "earlier" / "1" / "drive.usda").read_bytes() == stage
     assert cli.run(["validate", str(drive / "earlier" / "1" / "drive.usda")]) == 0  # it was moved as a whole
@@ -150,9 +150,9 @@ def test_exporting_one_vehicle_again_keeps_the_others(
     before = content(drive)
     faster = ["--set", "vehicle.one.motion.start.velocity=[6,0,0]"]
     assert cli.run([*export, "usd,npz", "--only", "one", *faster]) == 0
-    said = capsys.readouterr().err
+    output = capsys.readouterr().err
     after = content(drive)
-    assert "csv show an older version of the shot" in said and "npz" not in said  # the old table of the first
+    assert "csv show an older version of the shot" in output and "npz" not in output  # the old table of the first
     changed = {name for name in before if after.get(name) != before[name]}
     assert changed == {"report.json", "layers/one.anim.usdc", "layers/cameras.usdc",
                        "layers/guides.usdc", "one.npz", "one.csv"}  # fmt: skip

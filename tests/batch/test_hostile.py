@@ -143,10 +143,10 @@ def test_an_interrupted_batch_cleans_up(write: Write, tmp_path: Path, number: in
     while not list((tmp_path / "out").glob("drive*")):
         time.sleep(0.02)
     os.kill(process.pid, number)
-    _, said = process.communicate(timeout=PATIENCE)
+    _, output = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130
-    assert "Traceback" not in said
-    assert "interrupted" in said and "--resume" in said
+    assert "Traceback" not in output
+    assert "interrupted" in output and "--resume" in output
     assert not list((tmp_path / "out").glob(".*"))
     states = {clip["state"] for clip in json.loads((tmp_path / "out" / "summary.json").read_text())["clips"]}
     assert "unfinished" in states and states <= {"done", "unfinished"}  # the last delivery may go unrecorded
@@ -160,9 +160,9 @@ def test_a_file_that_cannot_grow_fails_only_its_clip(
     shot, expected = undisturbed
     out = tmp_path / "out"
     process = start(shot, out, limit=20_000)
-    _, said = process.communicate()
+    _, output = process.communicate()
     assert process.returncode == 1
-    assert "could not be written" in said
+    assert "could not be written" in output
     assert {path.name for path in out.iterdir()} == {"summary.json"}
     clips = json.loads((out / "summary.json").read_text())["clips"]
     assert {(clip["state"], clip["error"]["kind"]) for clip in clips} == {("failed", "ExportError")}
@@ -186,8 +186,8 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 def test_a_full_disk(undisturbed: Undisturbed, small_disk: Path, content: Content) -> None:
     shot, expected = undisturbed
     process = start(shot, small_disk / "out")
-    _, said = process.communicate()
-    assert process.returncode == 1, said
+    _, output = process.communicate()
+    assert process.returncode == 1, output
     found = content(small_disk / "out")
     whole = {path: digest for path, digest in found.items() if path != "summary.json"}
     assert whole.items() <= expected.items()  # what is there is whole
@@ -200,10 +200,10 @@ def test_a_full_disk(undisturbed: Undisturbed, small_disk: Path, content: Conten
 def test_a_read_only_output_folder(write: Write, small_disk: Path) -> None:
     subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True)
     process = start(write(sweep=SWEEP.format(2)), small_disk / "out")
-    _, said = process.communicate()
+    _, output = process.communicate()
     assert process.returncode == 2  # before anything is solved
-    assert said.count("may not be written to") == 1
-    assert "Traceback" not in said
+    assert output.count("may not be written to") == 1
+    assert "Traceback" not in output
 
 
 def test_unreadable_files_are_named(write: Write, tmp_path: Path) -> None:
@@ -417,8 +417,8 @@ def test_a_picture_too_large_for_opengl_fails_without_affecting_others(write: Wr
     shots = load_shots(write("small", more=small)) + load_shots(write("large", more=large))
     outcomes = export_batch(shots, tmp_path / "out", ["png"], workers=1, memory=2.6)
     assert [outcome.state for outcome in outcomes] == ["done", "failed"]
-    said = outcomes[1].message  # OpenGL's memory or ours runs out first, depending on what threads reserve
-    assert "render.size" in said or "fewer segments or pixels" in said
+    output = outcomes[1].message  # OpenGL's memory or ours runs out first, depending on what threads reserve
+    assert "render.size" in output or "fewer segments or pixels" in output
     assert {path.name for path in (tmp_path / "out").iterdir() if path.name[0] != "."} == {"small", "summary.json"}
 
 
@@ -440,11 +440,11 @@ def test_lack_of_memory_is_recognised_in_many_error_messages(
     from vehsim import Shot
     from vehsim.batch.task import prepare, run_task
 
-    def starve(self: Shot, *asked: object, **more: object) -> None:
+    def starve(self: Shot, *args: object, **more: object) -> None:
         raise error
 
     (shot,) = load_shots(write())
     monkeypatch.setattr(Shot, "solve", starve)
-    outcome = run_task(prepare(shot, tmp_path, ["npz"]), lambda *said: None)
+    outcome = run_task(prepare(shot, tmp_path, ["npz"]), lambda *args: None)
     assert (outcome.state, outcome.kind, outcome.retire) == ("failed", "MemoryError", True)
     assert "ran out of memory" in outcome.message

@@ -200,7 +200,7 @@ def test_only_clips_that_need_a_field_wait_for_it() -> None:
     crew = [_Hand(given, when), _Hand(given, when)]
     when["free2"] = [crew[0]]  # by then the field is measured
     jobs = [Job("measure", tasks[0]), *(Job("run", task) for task in tasks)]
-    outcomes = list(_dispatch(crew, jobs, lambda *said: None))  # type: ignore[arg-type]
+    outcomes = list(_dispatch(crew, jobs, lambda *args: None))  # type: ignore[arg-type]
     assert given[:3] == [("measure", "canyon1"), ("run", "free1"), ("run", "free2")]
     assert sorted(given[3:]) == [("run", "canyon1"), ("run", "canyon2")]
     assert sorted(outcome.name for outcome in outcomes) == sorted(FIELDS)

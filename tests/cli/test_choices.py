@@ -35,14 +35,14 @@ def test_help_of_export_lists_all_exporters_costs_and_limits(
 ) -> None:
     monkeypatch.setenv("COLUMNS", "160")
     assert cli.run(["export", "--help"]) == 0
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     for name, makes, needs in choices.exporters():
         assert makes and name in exporter_names()
-        assert f"{name} " in said and makes in said and needs in said
+        assert f"{name} " in output and makes in output and needs in output
     for name, meaning in choices.costs():
-        assert name in COSTS and meaning and meaning in said
+        assert name in COSTS and meaning and meaning in output
     for name, unit, meaning in choices.limits():
-        assert name in LIMITS and meaning and "rad" not in unit and f" {unit} " in said and meaning in said
+        assert name in LIMITS and meaning and "rad" not in unit and f" {unit} " in output and meaning in output
     assert {name for name, _, _ in choices.exporters()} == set(exporter_names())
     assert {name for name, _ in choices.costs()} == set(COSTS)
 
@@ -103,9 +103,9 @@ def test_cameras_of_a_stage_are_completed(tmp_path: Path) -> None:
 
 def test_the_schema_names_its_dialect_and_the_line_to_paste(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.run(["schema"]) == 0
-    said = capsys.readouterr()
-    assert list(json.loads(said.out))[:3] == ["$schema", "$id", "title"]
-    assert SCHEMA_LINE in said.err
+    output = capsys.readouterr()
+    assert list(json.loads(output.out))[:3] == ["$schema", "$id", "title"]
+    assert SCHEMA_LINE in output.err
 
 
 def fits(value: object, shape: dict, root: dict) -> bool:
@@ -175,7 +175,7 @@ def test_the_schema_distinguishes_valid_from_invalid_shots(
     "change, to, draft, says",
     [
         ([], "usd,mp4", False, "--to strobe,figures, or --quality draft"),
-        ([], "png", False, "about 433 pictures"),
+        ([], "png", False, "about 649 pictures"),
         ([], "usd,csv,strobe,figures", False, None),
         ([], "mp4", True, None),  # a quarter of the pixels
         (["render.every=8"], "mp4", False, None),
@@ -218,8 +218,8 @@ def test_height_and_slope_of_a_plane(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 def test_heights_are_the_terrain_s_own(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.run(["height", "12.5,-33", "-7,20.25", "--terrain", "hills"]) == 0
-    said = [float(line.partition(": ")[2].partition(" ")[0]) for line in capsys.readouterr().out.splitlines()]
-    assert said == pytest.approx(Terrain.load("hills").height([(12.5, -33), (-7, 20.25)]), abs=5e-4)
+    output = [float(line.partition(": ")[2].partition(" ")[0]) for line in capsys.readouterr().out.splitlines()]
+    assert output == pytest.approx(Terrain.load("hills").height([(12.5, -33), (-7, 20.25)]), abs=5e-4)
 
 
 @pytest.mark.parametrize(

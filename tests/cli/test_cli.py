@@ -74,9 +74,9 @@ def test_wrong_input_exits_with_2_and_touches_nothing(
 ) -> None:
     shot = write(tmp_path)
     assert cli.run(["export", shot, "--out", str(tmp_path / "out"), *arguments]) == 2
-    said = capsys.readouterr().err
-    assert says in said
-    assert "Traceback" not in said
+    output = capsys.readouterr().err
+    assert says in output
+    assert "Traceback" not in output
     assert [path.name for path in tmp_path.iterdir()] == ["drive.toml"]
 
 
@@ -85,9 +85,9 @@ def test_a_bad_shot_does_not_stop_the_others(tmp_path: Path, capsys: pytest.Capt
     arguments = ["export", bad, write(tmp_path, "good"), str(tmp_path / "none.toml"), "--to", "npz"]
     assert cli.run([*arguments, "--out", str(tmp_path / "out")]) == 1
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["good", "summary.json"]
-    said = capsys.readouterr().err
-    assert "vehicle[0].motion.duration = -1" in said
-    assert "none.toml" in said
+    output = capsys.readouterr().err
+    assert "vehicle[0].motion.duration = -1" in output
+    assert "none.toml" in output
 
 
 @pytest.mark.parametrize("where", ["vehsim.shot.Shot.check", "vehsim.batch.task.prepare"])
@@ -108,9 +108,9 @@ def test_an_unexpected_error_in_one_shot_leaves_the_others(
 
     monkeypatch.setattr(locate(name), last, fails)
     assert cli.run(["export", *shots, "--out", str(tmp_path / "out"), "--to", "npz"]) == 1
-    said = capsys.readouterr().err
-    assert f"{shots[1]}: unexpected: AssertionError: not foreseen; this is an error in vehsim" in said
-    assert f"{shots[2]}: unexpected: EOFError" in said
+    output = capsys.readouterr().err
+    assert f"{shots[1]}: unexpected: AssertionError: not foreseen; this is an error in vehsim" in output
+    assert f"{shots[2]}: unexpected: EOFError" in output
     assert (tmp_path / "out" / "good" / "car.npz").exists()
     code = cli.run(["check", shots[1], shots[2]])
     assert code == (1 if "check" in where else 0)
@@ -209,9 +209,9 @@ def test_unexpected_errors_are_short(monkeypatch: pytest.MonkeyPatch, capsys: py
     monkeypatch.delenv("VEHSIM_DEBUG", raising=False)
     monkeypatch.setattr("vehsim.cli.doctor.examine", lambda: 1 / 0)
     assert cli.run(["doctor"]) == 1
-    said = capsys.readouterr().err
-    assert "ZeroDivisionError" in said
-    assert "VEHSIM_DEBUG=1" in said
+    output = capsys.readouterr().err
+    assert "ZeroDivisionError" in output
+    assert "VEHSIM_DEBUG=1" in output
     monkeypatch.setenv("VEHSIM_DEBUG", "1")
     with pytest.raises(ZeroDivisionError):
         cli.run(["doctor"])
@@ -248,8 +248,8 @@ def test_an_invalid_stage_is_reported_in_one_line(
     (tmp_path / "folder").mkdir()
     (tmp_path / "empty.usda").touch()
     assert cli.run([*command, str(tmp_path / name)]) == 2
-    said = capsys.readouterr().err
-    assert says in said and said.count("\n") == 1
+    output = capsys.readouterr().err
+    assert says in output and output.count("\n") == 1
     (tmp_path / "empty.usda").unlink()
 
 
@@ -316,7 +316,7 @@ def test_an_interrupted_export_leaves_nothing(tmp_path: Path, number: int) -> No
         time.sleep(0.05)
     assert any((tmp_path / "out").iterdir())
     os.kill(process.pid, number)
-    _, said = process.communicate(timeout=PATIENCE)
+    _, output = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130
-    assert "Traceback" not in said
+    assert "Traceback" not in output
     assert not (tmp_path / "out").exists()

@@ -164,7 +164,7 @@ def test_an_asset_without_turning_parts_is_a_rigid_body(tmp_path: Path) -> None:
 def test_inspect_prints_and_writes_but_never_overwrites(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     asset = asset_of(OWN["kart"])
     assert cli.run(["inspect", str(asset)]) == 0
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     for word in (
         "up axis   Y",
         "0.01 m",
@@ -174,7 +174,7 @@ def test_inspect_prints_and_writes_but_never_overwrites(tmp_path: Path, capsys: 
         "radius 0.14 m",
         "[physics]",
     ):
-        assert word in said
+        assert word in output
     assert cli.run(["inspect", str(asset), "--write", str(tmp_path / "kart")]) == 0
     before = (tmp_path / "kart" / "vehicle.toml").read_text()
     assert cli.run(["inspect", str(asset), "--write", str(tmp_path / "kart")]) == 2

@@ -113,8 +113,8 @@ def test_invalid_requests_are_refused(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert cli.run(["new", *words]) == 2
-    said = capsys.readouterr().err
-    assert says in said and "Traceback" not in said
+    output = capsys.readouterr().err
+    assert says in output and "Traceback" not in output
     assert list(tmp_path.iterdir()) == []
 
 
@@ -137,8 +137,8 @@ def test_an_editor_finds_the_schema_beside_it(tmp_path: Path) -> None:
 def test_the_shell_completes_its_options(method: str) -> None:
     from vehsim.cli import choices
 
-    ((name, said),) = choices.method(method[:-1])
-    assert name == method and said
+    ((name, output),) = choices.method(method[:-1])
+    assert name == method and output
     assert "snakeboard" in dict(choices.vehicle(""))
 
 

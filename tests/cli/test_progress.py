@@ -45,18 +45,20 @@ def write(folder: Path, name: str = "drive") -> str:
 @pytest.mark.usefixtures("eager")
 def test_an_export_shows_its_current_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.run(["export", write(tmp_path), "--out", str(tmp_path / "out"), "--to", "usd,npz"]) == 0
-    said = capsys.readouterr().err
-    assert re.search(r"^drive  car: simulate  \d+ s$", said, re.MULTILINE)
-    assert re.search(r"^drive  usd: reading back  \d+ s$", said, re.MULTILINE)
+    output = capsys.readouterr().err
+    assert re.search(r"^drive  car: simulate  \d+ s$", output, re.MULTILINE)
+    assert re.search(r"^drive  usd: reading back  \d+ s$", output, re.MULTILINE)
 
 
 @pytest.mark.usefixtures("eager")
 def test_a_batch_shows_how_many_are_done(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shots = [write(tmp_path, "one"), write(tmp_path, "two")]
     assert cli.run(["export", *shots, "--out", str(tmp_path / "out"), "--to", "npz", "--workers", "1"]) == 0
-    said = capsys.readouterr().err
-    assert re.search(r"^0 of 2 done; one  .*  \d+ s$", said, re.MULTILINE)
-    assert re.search(r"^1 of 2 done(; two  .*)?  \d+ s$", said, re.MULTILINE)  # the second may be done too soon to say
+    output = capsys.readouterr().err
+    assert re.search(r"^0 of 2 done; one  .*  \d+ s$", output, re.MULTILINE)
+    assert re.search(
+        r"^1 of 2 done(; two  .*)?  \d+ s$", output, re.MULTILINE
+    )  # the second may be done too soon to say
 
 
 @pytest.mark.usefixtures("eager")
@@ -90,10 +92,10 @@ def test_other_commands_show_their_progress(
 
     def slow(*given: Any) -> Any:
         for _ in range(1000):
-            if said := capsys.readouterr().err:
+            if output := capsys.readouterr().err:
                 break
             threading.Event().wait(0.01)
-        assert re.fullmatch(r"(checking  \d+ s\n)+", said)
+        assert re.fullmatch(r"(checking  \d+ s\n)+", output)
         return load(*given)
 
     monkeypatch.setattr(_arguments, "load_all", slow)
@@ -117,7 +119,7 @@ def test_no_traceback_if_the_output_reader_exits(tmp_path: Path, command: list[s
     process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stdout is not None and process.stderr is not None
     process.stdout.close()
-    said = process.stderr.read()
+    output = process.stderr.read()
     process.wait()
     process.stderr.close()
-    assert "Traceback" not in said and "BrokenPipe" not in said
+    assert "Traceback" not in output and "BrokenPipe" not in output

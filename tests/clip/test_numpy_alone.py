@@ -27,8 +27,8 @@ def test_a_plan_needs_no_scipy(tmp_path):
     environment = {**os.environ, "VEHSIM_CACHE": str(tmp_path)}
     for _ in range(2):
         command = [sys.executable, "-c", ALONE]
-        said = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
-    assert said.stdout.strip() == "True []", said.stdout + said.stderr
+        output = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
+    assert output.stdout.strip() == "True []", output.stdout + output.stderr
 
 
 @pytest.mark.parametrize("count", [2, 3, 4, 10, 200])

@@ -473,8 +473,8 @@ def test_commands_do_what_they_say(snippet: Snippet, tmp_path: Path) -> None:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_commands_in_prose_exist(page: Path) -> None:
     prose = FENCE.sub("", page.read_text(encoding="utf-8"))
-    for said in re.findall(r"`((?:vehsim|make) [^`]+)`", prose):
-        understand(shlex.split(said))
+    for command in re.findall(r"`((?:vehsim|make) [^`]+)`", prose):
+        understand(shlex.split(command))
 
 
 def understand(words: list[str]) -> None:

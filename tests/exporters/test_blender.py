@@ -42,9 +42,9 @@ def poses(scene: str) -> tuple[dict[str, np.ndarray], float, int, int]:
     folder = str(Path(blender.__file__).parent)
     program = WHERE.format(folder=folder, scene=scene, times=TIMES, names=list(NAMES))
     answer = subprocess.run([PYTHON, "-c", program], capture_output=True, text=True)
-    said = [line for line in answer.stdout.splitlines() if line.startswith("SAYS")]
-    assert said, answer.stdout[-2000:] + answer.stderr[-2000:]
-    found, rate, first, last = json.loads(said[0][4:])
+    lines = [line for line in answer.stdout.splitlines() if line.startswith("SAYS")]
+    assert lines, answer.stdout[-2000:] + answer.stderr[-2000:]
+    found, rate, first, last = json.loads(lines[0][4:])
     return {key: np.array(matrix) for key, matrix in found.items()}, rate, first, last
 
 
@@ -91,8 +91,8 @@ scene, found = blender.open_stage({layer!r}), bpy.data.objects["rotor"]
 for frame in (1001, 1024):
     scene.frame_set(frame)
     print("SAYS", *found.matrix_world.translation)"""
-    said = subprocess.run([PYTHON, "-c", program], capture_output=True, text=True).stdout
-    first, last = (np.array(line.split()[1:], float) for line in said.splitlines() if line.startswith("SAYS"))
+    output = subprocess.run([PYTHON, "-c", program], capture_output=True, text=True).stdout
+    first, last = (np.array(line.split()[1:], float) for line in output.splitlines() if line.startswith("SAYS"))
     assert np.linalg.norm(last - first) > 5
 
 
@@ -118,12 +118,12 @@ def test_the_suns_strength_in_blender_equals_its_irradiance(shot):
     program = f"import sys; sys.path.insert(0, {str(Path(blender.__file__).parent)!r}); import blender, bpy; "
     program += f"blender.open_stage({str(shot[1])!r}); print('SAYS', bpy.data.objects['sun'].data.energy)"
     answer = subprocess.run([PYTHON, "-c", program], capture_output=True, text=True)
-    said = next(line for line in answer.stdout.splitlines() if line.startswith("SAYS"))
+    line = next(line for line in answer.stdout.splitlines() if line.startswith("SAYS"))
     from pxr import Usd, UsdLux
 
     stage = Usd.Stage.Open(str(shot[1]))
     sun = UsdLux.DistantLight(stage.GetPrimAtPath("/shot/lights/sun"))
-    assert float(said.split()[1]) == pytest.approx(sun.GetIntensityAttr().Get(), rel=1e-6)
+    assert float(line.split()[1]) == pytest.approx(sun.GetIntensityAttr().Get(), rel=1e-6)
 
 
 def test_without_blender_its_exporters_name_the_remedy(shot, tmp_path, toys, monkeypatch):

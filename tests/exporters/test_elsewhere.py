@@ -184,7 +184,7 @@ def vehicle_with(tmp_path, name, *changes):
 
 @pytest.mark.broken_stages
 @pytest.mark.parametrize(
-    ("name", "change", "said"),
+    ("name", "change", "expected"),
     [
         (
             "kart",
@@ -195,17 +195,17 @@ def vehicle_with(tmp_path, name, *changes):
         ("pickup", ("geo/axle_rear/left/wheel", "wheel"), "did you mean 'geo/axle_front/left/wheel'"),
     ],
 )
-def test_rigs_that_cannot_be_driven_are_named(name, change, said, tmp_path):
+def test_rigs_that_cannot_be_driven_are_named(name, change, expected, tmp_path):
     found = list(rig_problems(load_vehicle(vehicle_with(tmp_path, name, change)).rig))
-    assert any(said in str(problem) for problem in found), found
+    assert any(expected in str(problem) for problem in found), found
 
 
 @pytest.mark.broken_stages
 @pytest.mark.parametrize(
-    ("scale", "said"),
+    ("scale", "expected"),
     [((0.0, 1.0, 1.0), "cannot be inverted"), ((1.0, 2.0, 1.0), "would shear"), ((3.0, 1.0, 1.0), None)],
 )
-def test_scales_above_a_spin_are_named(scale, said, tmp_path):
+def test_scales_above_a_spin_are_named(scale, expected, tmp_path):
     """A scale along the axle is harmless; one across it would shear the turning wheel."""
     from pxr import Gf, Usd, UsdGeom
 
@@ -216,12 +216,12 @@ def test_scales_above_a_spin_are_named(scale, said, tmp_path):
     text = (folder / "vehicle.toml").read_text().replace("density = 160.0", "mass = 900.0\nyaw_inertia = 3000.0")
     (folder / "vehicle.toml").write_text(text)  # weighing the asset would fail at the scale first
     found = [p.message for p in rig_problems(load_vehicle(folder).rig) if p.key == "channels.roll_rl"]
-    assert (found == []) if said is None else any(said in message for message in found), found
+    assert (found == []) if expected is None else any(expected in message for message in found), found
 
 
 @pytest.mark.broken_stages
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "expected"),
     [
         (('forward = "+Z"', 'forward = "+Y"'), r"forward = '\+Y': unknown; choose one of"),
         (('paint = "blue"', 'paint = "green"'), r"variants.paint = 'green': no such variant; choose one of blue, red"),
@@ -234,8 +234,8 @@ def test_scales_above_a_spin_are_named(scale, said, tmp_path):
         (('op = "rotateX"', 'op = "rotateX"\nfactor = 0'), r"factor = 0: nothing would move; give a number"),
     ],
 )
-def test_wrong_keys_are_named_with_their_remedy(change, said, tmp_path):
-    with pytest.raises(InputError, match=said):
+def test_wrong_keys_are_named_with_their_remedy(change, expected, tmp_path):
+    with pytest.raises(InputError, match=expected):
         load_vehicle(vehicle_with(tmp_path, "pickup", change))
 
 

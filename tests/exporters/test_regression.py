@@ -231,23 +231,23 @@ def test_the_plugin_works_in_a_separate_project(approved, tmp_path, capsys):
     (project / "tests" / "test_look.py").write_text(text)
     (project / "pytest.ini").write_text("[pytest]\n")
 
-    code, said = pytest_in(project, capsys)
-    assert code == 1 and said.count("no reference pictures") >= 2 and "--update-renders" in said
-    code, said = pytest_in(project, capsys, "--update-renders")
-    assert code == 0 and "9 reference pictures written" in said  # three passes of one frame; two frames of three
+    code, output = pytest_in(project, capsys)
+    assert code == 1 and output.count("no reference pictures") >= 2 and "--update-renders" in output
+    code, output = pytest_in(project, capsys, "--update-renders")
+    assert code == 0 and "9 reference pictures written" in output  # three passes of one frame; two frames of three
     references = project / "tests" / "render_references" / "test_look" / "test_looks" / "shot"
     before = {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in references.rglob("*.*")}
-    code, said = pytest_in(project, capsys)
-    assert code == 0 and "2 passed" in said and not (project / "render_report").exists()
+    code, output = pytest_in(project, capsys)
+    assert code == 0 and "2 passed" in output and not (project / "render_report").exists()
 
     usd = Usd.Stage.Open(str(stage / "shot.usda"))
     repaint(usd)
     usd.GetRootLayer().Save()
-    code, said = pytest_in(project, capsys, "--render-report", str(tmp_path / "shown"))
+    code, output = pytest_in(project, capsys, "--render-report", str(tmp_path / "shown"))
     page = tmp_path / "shown" / "test_look" / "test_looks" / "shot" / "index.html"
-    assert code == 1 and "1 failed, 1 passed" in said and str(page) in said and page.is_file()
-    code, said = pytest_in(project, capsys, "--update-renders")
-    assert code == 0 and "1 reference pictures written" in said
+    assert code == 1 and "1 failed, 1 passed" in output and str(page) in output and page.is_file()
+    code, output = pytest_in(project, capsys, "--update-renders")
+    assert code == 0 and "1 reference pictures written" in output
     after = {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in references.rglob("*.*")}
     assert {path.name for path in before if before[path] != after[path]} == {"shot.chase.1004.png"}
 

@@ -73,9 +73,9 @@ def keys(folder: Path) -> set[str]:
 
 def test_the_report_has_a_row_for_every_ask_measured_on_clip_and_stage(delivery: Path) -> None:
     rows = json.loads((delivery / "report.json").read_text())["audit"]["heli"]
-    asked = {row["key"] for row in rows}
-    assert {"mark[0].position", "mark[1].position", "mark[1].heading", "mark[1].velocity", "mark[1].hold"} <= asked
-    assert {"limits.speed", "limits.ceiling", "look_at", "stay", "clearance", "shot.end_frame"} <= asked
+    requested = {row["key"] for row in rows}
+    assert {"mark[0].position", "mark[1].position", "mark[1].heading", "mark[1].velocity", "mark[1].hold"} <= requested
+    assert {"limits.speed", "limits.ceiling", "look_at", "stay", "clearance", "shot.end_frame"} <= requested
     assert all(row["met"] for row in rows)
     assert all(row["stage"]["met"] for row in rows if row["measure"] != "clearance")
 
@@ -83,8 +83,8 @@ def test_the_report_has_a_row_for_every_ask_measured_on_clip_and_stage(delivery:
 def test_a_good_delivery_passes_from_its_files_alone(copy: Path) -> None:
     assert keys(copy) == set()
     (row,) = [row for row in audit_delivery(copy)["heli"] if row.key == "clearance"]
-    asked = json.loads((copy / "report.json").read_text())["audit"]["heli"]
-    (ours,) = [row for row in asked if row["key"] == "clearance"]
+    rows = json.loads((copy / "report.json").read_text())["audit"]["heli"]
+    (ours,) = [row for row in rows if row["key"] == "clearance"]
     assert row.value == pytest.approx(ours["value"], abs=0.05)  # libigl on the stage's meshes against MuJoCo's hulls
 
 
@@ -132,13 +132,13 @@ def test_the_audit_command_lists_missed_requests(
 
     monkeypatch.setattr(screen, "PAUSE", 0.0)  # as if seconds passed between any two of our lines
     assert run(["audit", str(copy)]) == 0
-    said = capsys.readouterr()
-    assert "ok      heli: mark[1].hold" in said.out
-    assert re.search(r"^heli: distances at frame \d+  \d+%  \d+ s$", said.err, re.MULTILINE)
+    output = capsys.readouterr()
+    assert "ok      heli: mark[1].hold" in output.out
+    assert re.search(r"^heli: distances at frame \d+  \d+%  \d+ s$", output.err, re.MULTILINE)
     edit(copy, lambda frame, p: np.add(p, [0, 0, 0.01 * (frame == 1145)]))
     assert run(["audit", str(copy), "--quiet"]) == 1
-    said = capsys.readouterr()
-    assert "MISSED  heli: mark[1].position: 0.01 m, 0.001 allowed, at frame 1145" in said.out and not said.err
+    output = capsys.readouterr()
+    assert "MISSED  heli: mark[1].position: 0.01 m, 0.001 allowed, at frame 1145" in output.out and not output.err
 
 
 CAR: dict[str, Any] = {
@@ -193,9 +193,9 @@ def test_joints_are_measured_from_the_stage(tmp_path: Path) -> None:
     """The wheels are steered differently from the plan: the clip's joints cannot show that."""
     folder = Shot.from_dict(STEERED).solve().export(tmp_path / "good", ("usd",))
     rows = {row.key: row for row in audit_delivery(folder)["heli"]}
-    asked = {"mark[0].joints.sigma", "mark[1].joints.sigma", "limits.steering_rate", "limits.joint_rates.sigma",
+    requested = {"mark[0].joints.sigma", "mark[1].joints.sigma", "limits.steering_rate", "limits.joint_rates.sigma",
              "limits.joints.sigma"}  # fmt: skip
-    assert all(rows[key].met for key in asked)
+    assert all(rows[key].met for key in requested)
     ours = {row["key"]: row["value"] for row in json.loads((folder / "report.json").read_text())["audit"]["heli"]}
     assert rows["limits.joints.sigma"].value == pytest.approx(ours["limits.joints.sigma"], abs=1e-3)
     assert abs(rows["limits.joint_rates.sigma"].value or 0) == pytest.approx(0.3, rel=0.1)

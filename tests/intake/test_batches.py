@@ -68,8 +68,8 @@ def test_a_bad_file_is_named_and_the_other_shots_continue(
     if name in CONTENT:
         (tmp_path / name).write_bytes(CONTENT[name])
     assert cli.run(["check", str(bad)]) == 2
-    said = capsys.readouterr().err
-    assert says.replace("{folder}", str(tmp_path)) in said and "; " in said and str(bad) in said
+    output = capsys.readouterr().err
+    assert says.replace("{folder}", str(tmp_path)) in output and "; " in output and str(bad) in output
     assert cli.run(["export", str(bad), "--out", str(out), "--to", "npz"]) == 2
     assert not out.exists()
     assert cli.run(["export", str(bad), str(good), "--out", str(out), "--to", "npz"]) == 1

@@ -110,9 +110,9 @@ def test_lines_that_look_like_headers_take_no_time(tmp_path: Path) -> None:
     """The search for line numbers once took minutes for spaces in a text, and years for these lines."""
     text = f"""a = '''\n[{" " * 1_000_000}\n[[{"b " * 100_000}\n'''\n[ c . "d" ]\ne = 0.{"1" * 100_000}\n"""
     (tmp_path / "t.toml").write_text(text)
-    data, said = read_toml(tmp_path / "t.toml")
+    data, content = read_toml(tmp_path / "t.toml")
     assert data["c"]["d"]["e"] == pytest.approx(1 / 9)
-    assert lines_of(said)["c.d.e"] == 6
+    assert lines_of(content)["c.d.e"] == 6
 
 
 def test_foreign_clip_files_are_refused(tmp_path: Path) -> None:

@@ -57,18 +57,18 @@ def test_a_file_that_takes_forever_is_refused(
     monkeypatch.setattr(reader, "PATIENCE", patience)
     with pytest.raises(InputError, match=r"takes more than 1 s to read; .*raise the limit: VEHSIM_READ_SECONDS=4"):
         apart(read, file, "key")
-    asked: list[object] = []
-    monkeypatch.setattr(reader, "_ask", asked.append)
+    requests: list[object] = []
+    monkeypatch.setattr(reader, "_ask", requests.append)
     with pytest.raises(InputError, match="takes more than 1 s"):  # without waiting again
         apart(read, file, "key")
     file.write_bytes(b"other")
     apart(read, file, "key")
-    assert len(asked) == 1
+    assert len(requests) == 1
 
 
 def test_answers_are_plain_and_whole(file: Path) -> None:
-    told, (empty, text, matrix) = apart(deadly.prints, file, "key")
-    assert told["size"] == 7 and empty.shape == (0, 3) and text == "text" and np.array_equal(matrix, np.eye(2))
+    facts, (empty, text, matrix) = apart(deadly.prints, file, "key")
+    assert facts["size"] == 7 and empty.shape == (0, 3) and text == "text" and np.array_equal(matrix, np.eye(2))
 
 
 def test_an_interrupt_does_not_mix_up_answers(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -61,9 +61,9 @@ def export(folder: Path, more: str) -> int:
 def test_files_outside_the_assets_folder_are_refused(studio: Path, capsys: pytest.CaptureFixture[str]) -> None:
     home = studio.parents[1]
     assert export(home, "") == 2
-    said = capsys.readouterr().err
-    assert "vehicle[0].asset = 'studio/it'" in said and "secret" in said
-    assert 'outside its own folder; put it there, or give export.outside = "copy"' in said
+    output = capsys.readouterr().err
+    assert "vehicle[0].asset = 'studio/it'" in output and "secret" in output
+    assert 'outside its own folder; put it there, or give export.outside = "copy"' in output
     assert not (home / "out").exists()
     clip = vehsim.simulate(load_vehicle(studio), None, [0.0, 0.0], duration=0.1)
     with pytest.raises(InputError, match="outside its own folder"):
@@ -75,7 +75,7 @@ def test_files_outside_the_assets_folder_are_copied_on_request(
 ) -> None:
     home = studio.parents[1]
     assert export(home, 'outside = "copy"') == 0
-    assert "warning: " in (said := capsys.readouterr().err) and "copied too" in said
+    assert "warning: " in (output := capsys.readouterr().err) and "copied too" in output
     assert any(path.name.startswith(("secret", "inside")) for path in (home / "out").rglob("*"))
 
 

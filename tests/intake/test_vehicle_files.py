@@ -162,8 +162,8 @@ def test_a_corrupt_asset_is_refused_and_other_shots_continue(
         (tmp_path / f"{name}.toml").write_text(SHOT.format(name=name, asset=asset))
     shots = [str(tmp_path / f"{name}.toml") for name in ("bad", "good")]
     assert cli.run(["check", shots[0]]) == 2
-    said = capsys.readouterr().err
-    assert "it/" in said and "unexpected" not in said
+    output = capsys.readouterr().err
+    assert "it/" in output and "unexpected" not in output
     assert cli.run(["export", *shots, "--to", "npz", "--out", str(tmp_path / "out")]) == 1
     assert (tmp_path / "out" / "good" / "car.npz").is_file()
 

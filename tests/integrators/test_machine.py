@@ -163,10 +163,10 @@ def test_machine_code_that_others_can_write_is_not_run(what, cache, recwarn):
     cache.chmod(0o777 if what == "folder" else 0o700)
     again = Integrator(fresh("car"), H, compiled=True)
     same(again.rollout(start, controls), plain)
-    said = [str(w.message) for w in recwarn if "written by others" in str(w.message)]
+    texts = [str(w.message) for w in recwarn if "written by others" in str(w.message)]
     if what == "folder":
-        assert len(said) == 1 and f"chmod go-w {cache}" in said[0]
+        assert len(texts) == 1 and f"chmod go-w {cache}" in texts[0]
         assert {path: path.read_bytes() for path in cache.iterdir()} == before
     else:
         libraries = [path for path in cache.iterdir() if path.name != "evil.so"]
-        assert not said and all(not path.is_symlink() and path.stat().st_mode & 0o077 == 0 for path in libraries)
+        assert not texts and all(not path.is_symlink() and path.stat().st_mode & 0o077 == 0 for path in libraries)

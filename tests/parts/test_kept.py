@@ -37,7 +37,7 @@ def cache(tmp_path, monkeypatch):
 def reads(monkeypatch):
     """The assets that were opened."""
     opened, read = [], parts._read
-    monkeypatch.setattr(parts, "_read", lambda *asked: (opened.append(asked), read(*asked))[1])
+    monkeypatch.setattr(parts, "_read", lambda *args: (opened.append(args), read(*args))[1])
     return opened
 
 
@@ -158,6 +158,6 @@ def test_a_damaged_entry_is_made_again(tmp_path, cache, reads):
 
 def test_a_plan_with_a_cached_vehicle_does_not_load_usd():
     for known in (False, True):
-        said = subprocess.run([sys.executable, "-c", ALONE], capture_output=True, text=True, check=True)
-        assert said.stdout.startswith("True ["), said.stdout + said.stderr
-        assert known <= (said.stdout.strip() == "True []")
+        output = subprocess.run([sys.executable, "-c", ALONE], capture_output=True, text=True, check=True)
+        assert output.stdout.startswith("True ["), output.stdout + output.stderr
+        assert known <= (output.stdout.strip() == "True []")

@@ -62,11 +62,11 @@ def guessed(request):
     return run, begin(run, request, transcription, cover_for(request, paths, silent), paths)
 
 
-@pytest.mark.parametrize("asked", [flight, drive])
-def test_every_parameter_has_one_owner_that_gives_its_value(asked):
+@pytest.mark.parametrize("make_request", [flight, drive])
+def test_every_parameter_has_one_owner_that_gives_its_value(make_request):
     """All values are finite and have their parameter's shape; without the block that owns a parameter an error names
     it."""
-    _, iterate = guessed(asked())
+    _, iterate = guessed(make_request())
     problem = assemble(iterate.transcription, iterate.layout, iterate.blocks)
     vector = parameter_values(problem, iterate, iterate.blocks)
     assert len(vector) == problem.parameters and np.isfinite(vector).all()

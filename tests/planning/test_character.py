@@ -91,14 +91,14 @@ def test_what_only_a_stunt_can_do_succeeds_in_every_character_and_says_how_far_i
 
 
 def test_the_earliest_frame_is_the_same_in_every_character() -> None:
-    said = []
+    messages = []
     for character in CHARACTERS:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             made = drive(character, 60)
         assert not made.success and made.reason == "refused"
-        said.append(made.message)
-    assert len(set(said)) == 1
+        messages.append(made.message)
+    assert len(set(messages)) == 1
 
 
 def test_a_limit_of_the_users_own_stands_in_place_of_the_characters_and_holds() -> None:

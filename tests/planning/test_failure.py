@@ -35,7 +35,7 @@ from vehsim.world.terrain.terrain import Terrain
 CAR_ASIDE = [Mark(1, position=REST, heading=0, velocity=REST), Mark(49, position=(0, 6, 0), heading=0, velocity=REST)]
 
 
-def said(marks, vehicle=None, **options):
+def messages_of(marks, vehicle=None, **options):
     request = ask(vehicle or tug(), None, marks, fps=24, segments=16, **options)
     return [str(refusal) for refusal in refusals(request)]
 
@@ -78,7 +78,7 @@ def said(marks, vehicle=None, **options):
     ],
 )
 def test_bounds_name_mark_amount_and_remedy(marks, limits, expected):
-    (message,) = said(marks, limits=limits)
+    (message,) = messages_of(marks, limits=limits)
     assert re.fullmatch(expected.replace("[1].", r"\[1\].").replace("[0].", r"\[0\].").replace("^", r"\^"), message)
 
 
@@ -125,10 +125,10 @@ def test_misses_are_reported_in_the_marks_units():
 
 def test_feasible_marks_are_not_refused():
     """Slightly inside every bound, and free marks, which have no frame that could be too early."""
-    assert not said([Mark(1, position=REST), Mark(30, position=(26, 0, 0))], limits={"speed": 22})
-    assert not said([Mark(1, position=REST), Mark("free", position=(999, 0, 0))], limits={"speed": 22})
-    assert not said([Mark(1, position=REST), Mark(25, position=(23, 0, 0), tolerance=1.5)], limits={"speed": 22})
-    assert not said([Mark(1, position=REST, velocity=REST), Mark(97, position=(15.9, 0, 0), velocity=REST)],
+    assert not messages_of([Mark(1, position=REST), Mark(30, position=(26, 0, 0))], limits={"speed": 22})
+    assert not messages_of([Mark(1, position=REST), Mark("free", position=(999, 0, 0))], limits={"speed": 22})
+    assert not messages_of([Mark(1, position=REST), Mark(25, position=(23, 0, 0), tolerance=1.5)], limits={"speed": 22})
+    assert not messages_of([Mark(1, position=REST, velocity=REST), Mark(97, position=(15.9, 0, 0), velocity=REST)],
                     limits={"acceleration": 4})  # fmt: skip
 
 
@@ -147,9 +147,9 @@ def test_a_failure_is_explained_in_the_same_words_however_slow_the_machine_is(mo
         with pytest.warns(UserWarning, match="plan failed"):
             return vehsim.plan(vehsim.load_vehicle("car"), None, CAR_ASIDE, segments=12).message
 
-    said, clock = message(), count(0.0, 600.0)
+    expected, clock = message(), count(0.0, 600.0)
     monkeypatch.setattr(time, "monotonic", lambda: next(clock))
-    assert message() == said and "earliest" in said
+    assert message() == expected and "earliest" in expected
 
 
 def test_failed_solves_report_the_violation_and_the_remedy():
@@ -220,7 +220,7 @@ def test_work_after_certification_is_measured_too(monkeypatch):
 def test_out_of_time_while_loading_returns_the_initial_guess_and_the_cause(tmp_path, monkeypatch, hills):
     """Neither a route nor distances are computed: the result is the straight path, whose clearance was not measured."""
     monkeypatch.setenv("VEHSIM_CACHE", str(tmp_path))
-    monkeypatch.setattr("vehsim.planning.guesses.astar.guess_drive", lambda *asked: pytest.fail("sought a path"))
+    monkeypatch.setattr("vehsim.planning.guesses.astar.guess_drive", lambda *args: pytest.fail("sought a path"))
     if hills:
         bumps = Terrain("bumps", np.random.default_rng(0).uniform(0, 3, (30, 30)))
         vehicle, world, took = vehsim.load_vehicle("helicopter"), vehsim.World(bumps), "measuring distances to the ter"
@@ -396,11 +396,11 @@ def test_an_interrupt_in_a_plan_within_a_plan_ends_both(stopping):
 
 
 def test_an_interrupt_whose_handler_returns_stops_nothing():
-    came, told = [], []
+    came, texts = [], []
 
     def progress(text, fraction):
-        told.append(text)
-        if len(told) == 3:
+        texts.append(text)
+        if len(texts) == 3:
             os.kill(os.getpid(), signal.SIGINT)
 
     before = signal.signal(signal.SIGINT, lambda number, frame: came.append(number))

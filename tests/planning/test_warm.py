@@ -36,11 +36,11 @@ def test_multipliers_spare_a_replan_iterations(helicopter):
     """The same solution as from the motion alone, in fewer iterations."""
     marks, plan = flight(helicopter, 16)
     moved = [marks[0], replace(marks[1], position=(40.6, 9.5, 35.6))]
-    told = plan.replan(moved)
-    untold = with_multipliers(plan, None).replan(moved)
-    assert told.success and untold.success and told.defect < 1e-8
-    np.testing.assert_allclose(told.clip.positions, untold.clip.positions, atol=1e-6)
-    assert told.iterations < untold.iterations
+    warm = plan.replan(moved)
+    cold = with_multipliers(plan, None).replan(moved)
+    assert warm.success and cold.success and warm.defect < 1e-8
+    np.testing.assert_allclose(warm.clip.positions, cold.clip.positions, atol=1e-6)
+    assert warm.iterations < cold.iterations
 
 
 def test_misleading_multipliers_cost_time_and_nothing_else(helicopter):

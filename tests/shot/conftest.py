@@ -58,9 +58,9 @@ def keys_of() -> Callable[[dict[str, Any]], dict[str, str]]:
             problems = Shot.from_dict(data).check()
         except ShotError as error:
             problems = error.problems
-        said: dict[str, str] = {}
+        texts: dict[str, str] = {}
         for problem in problems:
-            said[problem.key] = f"{said.get(problem.key, '')} {problem.message}; {problem.remedy}"
-        return said
+            texts[problem.key] = f"{texts.get(problem.key, '')} {problem.message}; {problem.remedy}"
+        return texts
 
     return find

@@ -173,11 +173,11 @@ def test_a_shot_hits_its_blocking_and_reports_departures(tmp_path: Path) -> None
         assert np.abs(clip.positions[k] - place).max() <= 0.2 + 1e-6
         nose = clip.matrices()[k, :3, 0]
         assert np.degrees(np.arctan2(nose[1], nose[0])) == pytest.approx(heading, abs=1e-3)
-    said = take.report["vehicles"]["heli"]["blocking"]
-    assert said["keys"] == [1001, 1050, 1100]
+    report = take.report["vehicles"]["heli"]["blocking"]
+    assert report["keys"] == [1001, 1050, 1100]
     own = read_blocking(tmp_path / "in.usda", "/World/heli", FPS)
     off = np.linalg.norm(clip.positions - own.positions, axis=1)
-    assert said["largest"] == pytest.approx(off.max()) and said["largest_frame"] == 1001 + off.argmax()
+    assert report["largest"] == pytest.approx(off.max()) and report["largest_frame"] == 1001 + off.argmax()
     folder = take.export(tmp_path / "out")
     over(tmp_path, "Y", 0.01, folder / "layers" / "heli.blocking.usdc")
     shown = read_blocking(tmp_path / "both.usda", "/World/heli", FPS)

@@ -66,8 +66,8 @@ def exporters(monkeypatch: pytest.MonkeyPatch) -> dict[str, Exporter]:
 
     def report(take: Take, folder: Path, files: Sequence[Path]) -> Path:
         path = folder / "report.json"
-        said = {"files": {file.relative_to(folder).as_posix(): file.read_text() for file in files}}
-        path.write_text(json.dumps(said | {"solved": take.report}))
+        content = {"files": {file.relative_to(folder).as_posix(): file.read_text() for file in files}}
+        path.write_text(json.dumps(content | {"solved": take.report}))
         return path
 
     def entries(group: str) -> list[Entry]:
@@ -105,9 +105,9 @@ def test_files_needed_only_by_other_exporters_are_dropped(exporters: Any, take: 
 
 
 def test_needs_run_first_and_once(exporters: Any, take: Take, tmp_path: Path) -> None:
-    said: list[tuple[str, float]] = []
-    take.export(tmp_path, to=("b", "a"), progress=lambda what, done: said.append((what, done)))
-    assert said == [("a", 0.5), ("b", 1.0)]
+    steps: list[tuple[str, float]] = []
+    take.export(tmp_path, to=("b", "a"), progress=lambda what, done: steps.append((what, done)))
+    assert steps == [("a", 0.5), ("b", 1.0)]
     assert files(tmp_path) == {"shot/a.txt", "shot/sub/deep/a.txt", "shot/b.txt", "shot/report.json"}
 
 

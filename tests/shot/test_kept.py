@@ -101,15 +101,15 @@ def test_changing_a_lens_needs_no_planning_but_changing_a_mark_does(monkeypatch:
     planned: list[Any] = []
     plan = vehsim.plan
     monkeypatch.setattr("vehsim.planning.plan", lambda *given, **more: planned.append(more) or plan(*given, **more))
-    said: list[str] = []
+    steps: list[str] = []
 
     def progress(what: str, done: float) -> None:
-        said.append(what)
+        steps.append(what)
 
     first = Shot.from_dict(bent()).solve(progress)
-    assert (len(planned), first.recalled) == (1, False) and kept.FROM_CACHE not in said
+    assert (len(planned), first.recalled) == (1, False) and kept.FROM_CACHE not in steps
     longer = Shot.from_dict(bent((("camera",), {"lens_mm": 85.0}))).solve(progress)
-    assert (len(planned), longer.recalled) == (1, True) and kept.FROM_CACHE in said
+    assert (len(planned), longer.recalled) == (1, True) and kept.FROM_CACHE in steps
     assert longer.cameras[0].lens_mm != pytest.approx(first.cameras[0].lens_mm)
     assert np.array_equal(longer.clips["car"].positions, first.clips["car"].positions)
     further = Shot.from_dict(bent(((*MARK, "position"), [6.5, 0.0, 0.0]))).solve()
@@ -227,9 +227,9 @@ def test_warnings_are_cached_with_the_motion(monkeypatch: pytest.MonkeyPatch) ->
 
     monkeypatch.setattr(Shot, "_solve_vehicles", warned)
     for recalled in (False, True):
-        with pytest.warns(UserWarning, match="car: slides") as said:
+        with pytest.warns(UserWarning, match="car: slides") as caught:
             assert Shot.from_dict(bent()).solve().recalled is recalled
-        assert len(said) == 1
+        assert len(caught) == 1
 
 
 def test_failures_and_machine_dependent_motion_are_not_cached(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

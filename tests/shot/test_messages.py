@@ -234,11 +234,11 @@ def test_messages_use_the_users_terms_once_per_fault(key: str) -> None:
     assert said_of((key,), SHOT[key]) == []
     for place in places(SHOT[key], (key,)):
         for value in (*SCALARS, *TABLES):
-            said = said_of(place, value)
-            assert not [text for text in said if INTERNALS.search(text)], (place, value)
-            wheres = [re.split(r" = |: ", text)[0] for text in said]
-            assert len(set(wheres)) == len(wheres), (place, value, said)
-            assert len(said) <= 1 or isinstance(value, dict | list), (place, value, said)
+            texts = said_of(place, value)
+            assert not [text for text in texts if INTERNALS.search(text)], (place, value)
+            wheres = [re.split(r" = |: ", text)[0] for text in texts]
+            assert len(set(wheres)) == len(wheres), (place, value, texts)
+            assert len(texts) <= 1 or isinstance(value, dict | list), (place, value, texts)
 
 
 @pytest.mark.parametrize(

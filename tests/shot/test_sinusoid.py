@@ -100,15 +100,15 @@ def goals(count, seed=5):
 def test_a_suggested_frame_works(asset, marks):
     """Whether `check` or the export suggests it, for every mark at once: it works the first time."""
     data = shot(asset, *marks, **({"manoeuvre": 6} if asset == "car" else {}))
-    said = "; ".join(map(str, errors(data)))
-    if not said:
+    messages = "; ".join(map(str, errors(data)))
+    if not messages:
         try:
             Shot.from_dict(data).solve()
             return
         except SolveError as error:
-            said = str(error)
-    named = TOO_EARLY.findall(said)
-    assert named, said
+            messages = str(error)
+    named = TOO_EARLY.findall(messages)
+    assert named, messages
     for k, frame in named:
         data["vehicle"][0]["motion"]["mark"][int(k)]["frame"] = int(frame)
     take = Shot.from_dict(data).solve()

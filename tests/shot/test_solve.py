@@ -201,13 +201,13 @@ def test_wheels_follow_the_ground_that_a_shot_stands_on(small: dict[str, Any], t
     small["vehicle"][0]["motion"] = {"method": "simulate", "duration": 0.5, "start": start}
     with pytest.warns(UserWarning) as warned:
         take = Shot.from_dict(small).solve()
-    said = [str(warning.message) for warning in warned]
-    assert any("car: starts at z = 0.00 m and was put on the ground, at 2.00 m" in text for text in said)
+    texts = [str(warning.message) for warning in warned]
+    assert any("car: starts at z = 0.00 m and was put on the ground, at 2.00 m" in text for text in texts)
     clip = take.clips["car"]
     # a wheel stands on a slope with its side, so its centre is a little nearer to it than its radius, seen upwards
     assert np.abs(clip.positions[:, 2] - 2.0 - 0.2 * clip.positions[:, 0]).max() < 0.01
     assert np.abs(clip.channels["pitch"] + np.arctan(0.2)).max() < 0.02
-    assert not any("ground at frame" in text for text in said), said
+    assert not any("ground at frame" in text for text in texts), texts
 
 
 def test_wheels_on_level_ground_are_no_warning(small: dict[str, Any], recwarn: pytest.WarningsRecorder) -> None:

@@ -57,19 +57,19 @@ def test_a_function_of_time_replays_as_knot_controls(car):
     np.testing.assert_allclose(flown.controls[:, 0], 500 * np.cos(flown.times), atol=1e-9)
 
 
-def test_feedback_is_second_order_and_asked_once_a_knot_in_order(heli):
+def test_feedback_is_second_order_and_called_once_a_knot_in_order(heli):
     """A spring and damper on height, against the closed form of the damped oscillator."""
-    mass, asked = 1900.0, []
+    mass, times = 1900.0, []
 
     def law(t, state):
-        asked.append(t)
+        times.append(t)
         return [mass * (9.81 - 4 * state.position[2] - 1 * state.twist[5]), 0, 0, 0]
 
     errors = []
     for step in (1 / 48, 1 / 96):
-        asked.clear()
+        times.clear()
         clip = simulate(heli, None, law, State(position=(0, 0, 1)), duration=3.0, step=step)
-        np.testing.assert_allclose(asked, clip.times, atol=1e-12)
+        np.testing.assert_allclose(times, clip.times, atol=1e-12)
         w, t = np.sqrt(4 - 0.25), clip.times
         exact = np.exp(-t / 2) * (np.cos(w * t) + 0.5 / w * np.sin(w * t))
         errors.append(np.abs(clip.positions[:, 2] - exact).max())

@@ -18,7 +18,7 @@ from vehsim.vehicles.models.helicopter import helicopter
 STEP = 1 / 96
 
 
-def said(pilot, duration, start=None, world=None, step=STEP):
+def simulated(pilot, duration, start=None, world=None, step=STEP):
     """The clip, and its warnings."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -43,12 +43,12 @@ def paths(count):
 @pytest.mark.parametrize(("asset", "points", "speed"), list(paths(6)))
 def test_a_path_with_too_little_time_reports_a_sufficient_time(asset, points, speed):
     pilot = FollowPath(vehsim.load_vehicle(asset), points, speed=speed)
-    clip, warned = said(pilot, 3.0)
+    clip, warned = simulated(pilot, 3.0)
     (message,) = [text for text in warned if "pilot.position" in text]
     off = float(re.findall(r"pilot.position: ([\d.]+) m", message)[0])
     assert off == pytest.approx(np.linalg.norm(clip.positions[-1, :2] - points[-1]), abs=0.01)
     seconds = float(re.findall(r"([\d.]+) s would do", message)[0])
-    clip, warned = said(pilot, seconds)
+    clip, warned = simulated(pilot, seconds)
     assert not warned
     assert np.linalg.norm(clip.positions[-1, :2] - points[-1]) < 0.25
     assert np.linalg.norm(clip.twists[-1]) < 0.2
@@ -68,7 +68,7 @@ def test_fly_to_stays_at_its_goal(goal, speed, wind):
     """Drag decreases as it slows down: the wind trim lags behind that, and would carry it past its goal."""
     pilot = FlyTo(draggy(), goal, speed=speed)
     world, start = SimpleNamespace(wind=wind, terrain=None), State(position=(0, 0, 30))
-    clip, _ = said(pilot, 30.0, start, world)
+    clip, _ = simulated(pilot, 30.0, start, world)
     off = np.linalg.norm(clip.positions - goal, axis=1)
     arrived = np.argmax(off < 0.1)
     assert 0 < arrived < len(off) - 96 and off[arrived:].max() < 0.25
@@ -80,10 +80,10 @@ def test_fly_to_keeps_its_speed_over_ground_in_wind(wind, speed):
     heli = draggy()
     pilot = FlyTo(heli, (60, 20, 35), speed=speed, heading=0.3)
     world, start = SimpleNamespace(wind=wind, terrain=None), State(position=(0, 0, 30))
-    _, warned = said(pilot, 2.0, start, world)
+    _, warned = simulated(pilot, 2.0, start, world)
     (message,) = [text for text in warned if "pilot.position" in text]
     seconds = float(re.findall(r"([\d.]+) s would do", message)[0])
-    clip, warned = said(pilot, seconds, start, world)
+    clip, warned = simulated(pilot, seconds, start, world)
     assert not warned
     assert np.linalg.norm(np.diff(clip.positions, axis=0), axis=1).max() * 96 < 1.03 * speed
     assert np.linalg.norm(clip.positions[-1] - [60, 20, 35]) < 0.5
@@ -91,25 +91,25 @@ def test_fly_to_keeps_its_speed_over_ground_in_wind(wind, speed):
 
 def test_hovering_elsewhere_or_with_another_heading_warns():
     pilot = Hover(vehsim.load_vehicle("helicopter"), (0, 0, 30), heading=2.0)
-    _, warned = said(pilot, 1.0, State(position=(20, 0, 30)))
+    _, warned = simulated(pilot, 1.0, State(position=(20, 0, 30)))
     assert any("pilot.position" in text for text in warned) and any("pilot.heading" in text for text in warned)
-    _, warned = said(pilot, 15.0, State(position=(2, 0, 30)))
+    _, warned = simulated(pilot, 15.0, State(position=(2, 0, 30)))
     assert not warned
 
 
 def test_a_path_with_too_sharp_bends_warns():
     pilot = FollowPath(vehsim.load_vehicle("car"), np.array([(0, 0), (8, 0), (8, 3), (0, 3)]), speed=6)
-    assert any("pilot.path" in text and "give it wider bends" in text for text in said(pilot, 15.0)[1])
+    assert any("pilot.path" in text and "give it wider bends" in text for text in simulated(pilot, 15.0)[1])
 
 
 @pytest.mark.parametrize(("amplitude", "period"), [([0.9, -0.32], 0.6), ([0.3, -0.3], 0.3), ([1.1, 0.5], 0.8)])
 def test_a_gait_beyond_its_torques_reports_a_sufficient_period(amplitude, period):
     board = vehsim.load_vehicle("snakeboard")
-    _, warned = said(Gait(board, amplitude, period, [0, -0.6]), 4.0, step=1 / 240)
+    _, warned = simulated(Gait(board, amplitude, period, [0, -0.6]), 4.0, step=1 / 240)
     message = next(text for text in warned if "pilot.amplitude.psi" in text)
     slower = float(re.findall(r"period of ([\d.]+) s", message)[0])
     gait = Gait(board, amplitude, slower, [0, -0.6])
-    clip, warned = said(gait, 5.0, step=1 / 240)
+    clip, warned = simulated(gait, 5.0, step=1 / 240)
     assert not warned
     late = clip.times > 1.0
     np.testing.assert_allclose(np.ptp(clip.joints[late], axis=0) / 2, np.abs(amplitude), rtol=0.05)

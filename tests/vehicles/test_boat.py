@@ -189,9 +189,9 @@ def test_a_boat_without_resistance_warns(tmp_path):
     laws = "damping|damping_quadratic|impact|planing|added_mass|impact_drag"
     bare = re.sub(rf"^({laws}) = .*\n", "", toml.read_text(), flags=re.MULTILINE)
     toml.write_text(bare)
-    with pytest.warns(UserWarning, match=r"physics.damping: missing: .* damping = \[84.8, 509, 1.7e\+03\]") as said:
+    with pytest.warns(UserWarning, match=r"physics.damping: missing: .* damping = \[84.8, 509, 1.7e\+03\]") as caught:
         vehsim.load_vehicle(folder)
-    usual = str(said[0].message).split("begin with ")[1].replace("], ", "]\n").replace(", impact", "\nimpact")
+    usual = str(caught[0].message).split("begin with ")[1].replace("], ", "]\n").replace(", impact", "\nimpact")
     (tmp_path / "fixed").mkdir()
     shutil.copy(BOAT.rig.asset, tmp_path / "fixed")
     (tmp_path / "fixed" / "vehicle.toml").write_text(bare.replace("[physics]", f"[physics]\n{usual}"))

@@ -204,6 +204,6 @@ def test_wrong_fields_are_refused(wrong):
 
 
 def test_progress_runs_to_one():
-    told = []
-    distance_field(valley(), spacing=2.5, progress=lambda what, done: told.append(done))
-    assert told == sorted(told) and told[-1] == 1
+    shares = []
+    distance_field(valley(), spacing=2.5, progress=lambda what, done: shares.append(done))
+    assert shares == sorted(shares) and shares[-1] == 1

@@ -183,9 +183,9 @@ def test_bends_beyond_the_grip_of_tyres_warn(speed, held, recwarn):
     """On a circle the tyres need v^2 / R: 2.3 g at 15 m/s on 10 m, 0.8 g at 9 m/s."""
     start = vehsim.State(twist=(speed / 10, speed, 0.0), joints=(0.0, 2.6 / 10))
     vehsim.simulate(CAR, vehsim.World(terrain="flat"), [0.0, 0.0], start=start, duration=0.5)
-    said = [str(warning.message) for warning in recwarn]
-    assert [text for text in said if "tyre" in text] == ([] if held else [said[0]])
-    assert held or said[0].startswith("car: 2.3 g at frame ")
+    texts = [str(warning.message) for warning in recwarn]
+    assert [text for text in texts if "tyre" in text] == ([] if held else [texts[0]])
+    assert held or texts[0].startswith("car: 2.3 g at frame ")
 
 
 def test_wheels_come_from_the_asset():

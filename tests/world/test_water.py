@@ -214,7 +214,7 @@ def test_calm_water_is_exact_and_written_once():
     calls = []
     with pytest.MonkeyPatch.context() as patch:
         update = WaterField.update
-        patch.setattr(WaterField, "update", lambda self, *asked: (calls.append(asked), update(self, *asked)))
+        patch.setattr(WaterField, "update", lambda self, *args: (calls.append(args), update(self, *args)))
         for t in range(5):
             np.testing.assert_allclose(field.at(points + 0.01 * t, float(t))[0], 0.7, rtol=0, atol=2e-10)
     assert len(calls) == 1
@@ -224,12 +224,12 @@ def test_a_boat_floats_alike_on_mujocos_height_field():
     """LIE's method: rays on a field in MuJoCo, which follows the boat far from its start and always contains it."""
     boat, waves = vehsim.load_vehicle("boat"), wave(0.4, 9.0, 0.4, choppiness=0.5)
     start = State(twist=[0, 0, 0, 8.0, 0, 0])
-    asked = []
+    updates = []
     update = WaterField.update
 
     def watched(self, t, low, high):
         update(self, t, low, high)
-        asked.append((t, *self.low))
+        updates.append((t, *self.low))
         assert (self.high - self.low).max() < 9
 
     with pytest.MonkeyPatch.context() as patch:
@@ -239,7 +239,7 @@ def test_a_boat_floats_alike_on_mujocos_height_field():
             for water in (Water(0.3, waves), Water(0.3, waves, height_field=0))
         )
     assert 0 < np.abs(seen.positions - known.positions).max() < 2e-3
-    assert np.ptp([x for _, x, _ in asked]) > 6 and asked[-1][0] == pytest.approx(1.0, abs=2e-3)
+    assert np.ptp([x for _, x, _ in updates]) > 6 and updates[-1][0] == pytest.approx(1.0, abs=2e-3)
 
 
 def test_a_shot_selects_the_height_field_with_one_key():

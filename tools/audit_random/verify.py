@@ -164,7 +164,7 @@ class Motion:
     stage: Stage
     name: str
     asset: str
-    asked: Mapping[str, Any]
+    table: Mapping[str, Any]
     frames: Array
     positions: Array
     rotations: Array
@@ -175,7 +175,7 @@ class Motion:
 
     @property
     def flies(self) -> bool:
-        return self.asset in FLIES or (self.asset == "boat" and self.asked["method"] != "plan")
+        return self.asset in FLIES or (self.asset == "boat" and self.table["method"] != "plan")
 
     @cached_property
     def seconds(self) -> Array:
@@ -409,14 +409,14 @@ def marks_as_rests(motion: Motion) -> list[dict[str, Any]]:
         | ({"pitch": 0.0} if motion.asset == "hopper" else {})
         | mark
         | {"joints": dict.fromkeys(names, 0.0) | mark.get("joints", {})}
-        for mark in motion.asked["mark"]
+        for mark in motion.table["mark"]
     ]
 
 
 def check_marks(motion: Motion, found: Findings) -> list[int]:
     """Check every mark at its frame; a mark at a free frame must be met before the next one. Returns their frames."""
-    planned = motion.asked["method"] == "plan"
-    marks = list(motion.asked["mark"]) if planned else marks_as_rests(motion)
+    planned = motion.table["method"] == "plan"
+    marks = list(motion.table["mark"]) if planned else marks_as_rests(motion)
     if not planned and motion.asset == "hopper":  # except at the ends it is in the air and moves
         marks = [{key: value for key, value in mark.items() if key != "velocity"} for mark in marks]
     frames: list[int] = []
@@ -462,7 +462,7 @@ def _best_frame(motion: Motion, mark: Mapping[str, Any], first: float, last: flo
 
 def check_limits(motion: Motion, first: float, last: float, found: Findings) -> None:
     rows = motion.within(first, last)
-    if len(rows) < 3 or not (limits := motion.asked.get("limits")):
+    if len(rows) < 3 or not (limits := motion.table.get("limits")):
         return
     t, x, R, frames = motion.seconds[rows], motion.positions[rows], motion.rotations[rows], motion.frames[rows]
     h = np.diff(t)[:, None]
@@ -506,7 +506,7 @@ def check_limits(motion: Motion, first: float, last: float, found: Findings) -> 
 
 
 def check_looks(motion: Motion, first: float, last: float, found: Findings) -> None:
-    for n, look in enumerate(motion.asked.get("look", [])):
+    for n, look in enumerate(motion.table.get("look", [])):
         rows = motion.within(*look.get("frames", (first, last)))
         axis = look.get("axis", "x")
         nose = motion.rotations[rows][:, :, "xyz".index(axis[-1])] * (-1 if axis[0] == "-" else 1)
@@ -521,7 +521,7 @@ def check_looks(motion: Motion, first: float, last: float, found: Findings) -> N
 
 
 def check_stays(motion: Motion, first: float, last: float, found: Findings) -> None:
-    for n, stay in enumerate(motion.asked.get("stay", [])):
+    for n, stay in enumerate(motion.table.get("stay", [])):
         rows = motion.within(*stay.get("frames", (first, last)))
         x, frames = motion.positions[rows], motion.frames[rows]
         over = []
@@ -536,7 +536,7 @@ def check_stays(motion: Motion, first: float, last: float, found: Findings) -> N
 
 
 def check_loop(motion: Motion, first: float, last: float, found: Findings) -> None:
-    if not motion.asked.get("loop"):
+    if not motion.table.get("loop"):
         return
     i, j = motion.at(first), motion.at(last)
     off = np.linalg.norm((motion.positions[j] - motion.positions[i])[: motion.shown])
@@ -647,13 +647,13 @@ def check_clearance(
     rows = rows[np.isin(rows, motion.whole)]
     rows = rows[:: max(1, len(rows) // 250)]
     frames = motion.frames[rows]
-    asked = motion.asked.get("clearance", 1.0 if motion.asked["method"] == "plan" else 0.1)
+    required = motion.table.get("clearance", 1.0 if motion.table["method"] == "plan" else 0.1)
     hulls = [part for part in stage.meshes(motion.prim, _is_hull) if _counts(motion, part[0])]
     placed = [stage.world(mesh, points, frames) for mesh, points, _ in hulls]
     everything = np.concatenate(placed, axis=1)
     landings = np.array([motion.positions[motion.at(f)] for m, f in marks if m.get("on_ground")]).reshape(-1, 3)
     away = np.linalg.norm(motion.positions[rows][:, None] - landings, axis=2).min(axis=1, initial=math.inf)
-    wanted = np.where(away > FADED + 3 * asked, asked, 0.0) - PLACE
+    wanted = np.where(away > FADED + 3 * required, required, 0.0) - PLACE
 
     def nearest(distances: Array) -> Array:
         return distances.reshape(len(frames), -1).min(axis=1)
@@ -667,7 +667,9 @@ def check_clearance(
             gap = nearest(_distances(everything.reshape(-1, 3), shape))
             back = np.array([_from_other_side(shape[0], hulls, placed, k) for k in range(len(frames))])
             gap = np.minimum(gap, back)
-            found.hold("clearance", wanted - gap, 0.0, frames, f"{motion.name}: {name}, m too near", f"of {asked:g} m")
+            found.hold(
+                "clearance", wanted - gap, 0.0, frames, f"{motion.name}: {name}, m too near", f"of {required:g} m"
+            )
     for table in world.get("obstacle", []):
         other = others.get(table.get("vehicle", ""))
         if table["shape"] != "vehicle" or other is None or other is motion:
@@ -678,15 +680,17 @@ def check_clearance(
             there = stage.world(mesh, points, frames)
             for k in range(len(frames)):
                 middle, reach = there[k].mean(axis=0), np.ptp(there[k], axis=0).max()
-                if np.linalg.norm(everything[k] - middle, axis=1).min() > reach + asked:
+                if np.linalg.norm(everything[k] - middle, axis=1).min() > reach + required:
                     continue
                 gap[k] = min(gap[k], _distances(everything[k], (there[k], faces)).min())
-        wide = np.full(len(frames), asked - PLACE)
-        found.hold("clearance", wide - gap, 0.0, frames, f"{motion.name}: {other.name}, m too near", f"of {asked:g} m")
+        wide = np.full(len(frames), required - PLACE)
+        found.hold(
+            "clearance", wide - gap, 0.0, frames, f"{motion.name}: {other.name}, m too near", f"of {required:g} m"
+        )
     ground = Ground(stage)
     if ground and motion.asset == "helicopter":
         gap = nearest(ground.distances(everything.reshape(-1, 3)))
-        found.hold("clearance", wanted - gap, 0.0, frames, f"{motion.name}: terrain, m too near", f"of {asked:g} m")
+        found.hold("clearance", wanted - gap, 0.0, frames, f"{motion.name}: terrain, m too near", f"of {required:g} m")
     for mark, frame in marks:
         if not mark.get("on_ground"):
             continue
@@ -753,7 +757,7 @@ def check_wheels(motion: Motion, found: Findings) -> None:
 
 def check_start(motion: Motion, frame: float, found: Findings) -> None:
     """Check that a simulation starts in the requested state and ends where its pilot was sent."""
-    start, i = motion.asked.get("start"), motion.at(frame)
+    start, i = motion.table.get("start"), motion.at(frame)
     if start is not None and i >= 0:
         mark = {"frame": frame, "velocity": start.get("velocity", [0, 0, 0])}
         mark |= {key: start[key] for key in ("position", "orientation", "joints") if key in start}
@@ -764,14 +768,14 @@ def check_start(motion: Motion, frame: float, found: Findings) -> None:
         for ask, off, bound, unit in mark_off(motion, mark, frame):
             if ask != "mark.rest":  # a vehicle at rest may start to move
                 found.hold(ask.replace("mark", "start"), off, bound, frame, f"{motion.name}: {ask} of its start", unit)
-    pilot = motion.asked.get("pilot")
+    pilot = motion.table.get("pilot")
     end = motion.positions[-1]
     goal = pilot and pilot.get("position", (pilot.get("points") or [None])[-1])
     if goal is not None:
         off = np.linalg.norm((end - np.resize(goal, 3))[: len(goal)])
         found.hold("pilot", off, 0.5, motion.frames[-1], f"{motion.name}: from where {pilot['name']} was sent", "m")
-    if motion.asked["method"] == "integrate":  # no forces act on it
-        last = frame + _seconds(motion.asked, motion.stage.fps) * motion.stage.fps
+    if motion.table["method"] == "integrate":  # no forces act on it
+        last = frame + _seconds(motion.table, motion.stage.fps) * motion.stage.fps
         rows = motion.whole[motion.frames[motion.whole] <= last + 1e-6]
         bend = np.linalg.norm(np.diff(motion.positions[rows], n=2, axis=0), axis=1) * motion.stage.fps**2
         found.hold("free flight", bend, 1e-3, motion.frames[rows][1:-1], f"{motion.name}: leaves its straight line")
@@ -880,8 +884,8 @@ def verify(shot: Mapping[str, Any], path: Path, folder: Path = Path()) -> Findin
         found.hold(
             "samples", len(gaps) if len(whole) > 1 and np.ptp(motion.positions) else 0, 0, first, "frames without"
         )
-        if "mark" in motion.asked:
-            marks = list(zip(motion.asked["mark"], check_marks(motion, found), strict=True))
+        if "mark" in motion.table:
+            marks = list(zip(motion.table["mark"], check_marks(motion, found), strict=True))
             begin, end = marks[0][1], marks[-1][1] + marks[-1][0].get("hold", 0)
             ends.append(end)
             check_limits(motion, begin, end, found)
@@ -893,21 +897,21 @@ def verify(shot: Mapping[str, Any], path: Path, folder: Path = Path()) -> Findin
             check_handles(motion, header, begin, end, found)
         else:
             check_start(motion, first, found)
-            if "duration" in motion.asked:
-                ends.append(math.floor(first + _seconds(motion.asked, fps) * fps + 1e-6))
+            if "duration" in motion.table:
+                ends.append(math.floor(first + _seconds(motion.table, fps) * fps + 1e-6))
         check_wheels(motion, found)
     if "end_frame" not in header:
         found.hold("time codes", abs(stage.last - max(ends)), 0.0, stage.last, f"last frame, requested {max(ends):g}")
     return found
 
 
-def _seconds(asked: Mapping[str, Any], fps: float) -> float:
+def _seconds(table: Mapping[str, Any], fps: float) -> float:
     """Duration of a motion that is computed in steps: rounded up to whole steps."""
-    if asked["method"] == "integrate":
-        step = asked.get("step", 1 / 24)
+    if table["method"] == "integrate":
+        step = table.get("step", 1 / 24)
     else:  # a whole number of steps per frame
-        step = 1 / fps / math.ceil(1 / fps / asked.get("step", 1 / 240) - 1e-9)
-    return float(step * math.ceil(asked["duration"] / step - 1e-6))
+        step = 1 / fps / math.ceil(1 / fps / table.get("step", 1 / 240) - 1e-9)
+    return float(step * math.ceil(table["duration"] / step - 1e-6))
 
 
 def read_motion(stage: Stage, table: Mapping[str, Any]) -> Motion:

@@ -37,10 +37,10 @@ def run_case(case: Case, folder: Path) -> dict[str, Any]:
 
     before, began = listing(folder), processor_seconds()
     os.chdir(case.folder)
-    with captured(folder.parent.parent / "said.txt") as said:
+    with captured(folder.parent.parent / "said.txt") as output:
         code = commands.run(case.command)
     os.chdir("/")
-    seconds, text = processor_seconds() - began, said.read_text(encoding="utf-8", errors="replace")
+    seconds, text = processor_seconds() - began, output.read_text(encoding="utf-8", errors="replace")
     findings = [f"{word}: {text[-500:]}" for word in BAD if word in text][:1]
     if code not in (0, 1, 2):
         findings.append(f"exit code {code}")

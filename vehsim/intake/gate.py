@@ -59,8 +59,8 @@ def reading(path: Path | str, key: str, remedy: str = "export the file again") -
     except InputError:
         raise
     except MemoryError as error:
-        said = f"takes more than {limit('VEHSIM_READ_GB'):g} GB to read"
-        raise refuse(path, key, said, raise_limit("VEHSIM_READ_GB")) from error
+        message = f"takes more than {limit('VEHSIM_READ_GB'):g} GB to read"
+        raise refuse(path, key, message, raise_limit("VEHSIM_READ_GB")) from error
     except Exception as error:
         lines = str(error).strip().splitlines()
         reason = f"{type(error).__name__}: {lines[-1][:300]}" if lines else type(error).__name__

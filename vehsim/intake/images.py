@@ -28,8 +28,8 @@ def read_picture(
 
     ``modes``: the accepted ones of Pillow's; ``remedy``: the fix for others; ``most`` pixels.
     """
-    told, (pixels,) = once(one_channel, path, "picture", list(modes), most, remedy)
-    return np.asarray(pixels, float), told["mode"], {int(tag): value for tag, value in told["tags"].items()}
+    facts, (pixels,) = once(one_channel, path, "picture", list(modes), most, remedy)
+    return np.asarray(pixels, float), facts["mode"], {int(tag): value for tag, value in facts["tags"].items()}
 
 
 def one_channel(path: Path, modes: Collection[str], most: int, remedy: str) -> Answer:

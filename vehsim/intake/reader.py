@@ -67,14 +67,14 @@ def apart(read: Read, path: Path, key: str, *more: Any) -> Answer:
     Warnings are repeated here. A refused file is not read again before it changes.
     """
     with reading(path, key):
-        asked = (_name(read), str(path), key, repr(more), *map(limit, ("VEHSIM_READ_SECONDS", "VEHSIM_READ_GB")))
+        request = (_name(read), str(path), key, repr(more), *map(limit, ("VEHSIM_READ_SECONDS", "VEHSIM_READ_GB")))
         written = stamp(path)
-    if asked in _refused and _refused[asked][0] == written:
-        raise _refused[asked][1]
+    if request in _refused and _refused[request][0] == written:
+        raise _refused[request][1]
     try:
         return _ask({"read": _name(read), "path": str(path), "key": key, "more": more, "folder": os.getcwd()})
     except InputError as error:
-        _refused[asked] = written, error
+        _refused[request] = written, error
         raise
 
 
@@ -94,18 +94,18 @@ def _ask(request: dict[str, Any]) -> Answer:
     with _Process.at_work:
         process = _Process.current()
         try:
-            told, arrays = process.ask(request)
+            answer, arrays = process.ask(request)
         except BaseException as error:  # also an interrupt: the next answer would belong to this request
             if isinstance(error, EOFError | OSError | ValueError):
                 raise process.failure(Path(request["path"]), request["key"]) from None
             process.end()
             raise
-    for message in told["warnings"]:
+    for message in answer["warnings"]:
         warnings.warn(message, stacklevel=4)
-    if "error" in told:
-        kind: type[VehsimError] = getattr(errors, told["error"])
-        raise kind.of(*(Problem(**problem) for problem in told["problems"]))
-    return told["facts"], arrays
+    if "error" in answer:
+        kind: type[VehsimError] = getattr(errors, answer["error"])
+        raise kind.of(*(Problem(**problem) for problem in answer["problems"]))
+    return answer["facts"], arrays
 
 
 class _Process:
@@ -178,11 +178,11 @@ class _Process:
         self.end()
         code = self._process.returncode
         if self._overdue or code == -getattr(signal, "SIGXCPU", 24):
-            said = f"takes more than {limit('VEHSIM_READ_SECONDS'):g} s to read"
-            return refuse(path, key, said, raise_limit("VEHSIM_READ_SECONDS"))
+            message = f"takes more than {limit('VEHSIM_READ_SECONDS'):g} s to read"
+            return refuse(path, key, message, raise_limit("VEHSIM_READ_SECONDS"))
         if code in (-getattr(signal, "SIGKILL", 9), -signal.SIGABRT):  # libraries abort without memory
-            said = f"cannot be read (broken, or takes more than {limit('VEHSIM_READ_GB'):g} GB)"
-            return refuse(path, key, said, f"export the file again; {raise_limit('VEHSIM_READ_GB')}")
+            message = f"cannot be read (broken, or takes more than {limit('VEHSIM_READ_GB'):g} GB)"
+            return refuse(path, key, message, f"export the file again; {raise_limit('VEHSIM_READ_GB')}")
         how = signal.Signals(-code).name if code < 0 else f"exit code {code}"
         return refuse(path, key, f"cannot be read (the library that reads it crashed: {how})", "export the file again")
 
@@ -190,8 +190,8 @@ class _Process:
 def _circumstances() -> tuple[int, frozenset[tuple[str, str]]]:
     """What a reader process depends on: the interpreter, which may have been forked, and the environment variables for
     limits and for USD."""
-    said = ((name, value) for name, value in os.environ.items() if name.startswith(("VEHSIM_", "PXR_")))
-    return os.getpid(), frozenset(said)
+    variables = ((name, value) for name, value in os.environ.items() if name.startswith(("VEHSIM_", "PXR_")))
+    return os.getpid(), frozenset(variables)
 
 
 def _python() -> str:
@@ -227,16 +227,16 @@ def _answer(request: dict[str, Any]) -> Answer:
         os.chdir(request["folder"])
     module, _, name = request["read"].partition(":")
     path = Path(request["path"])
-    with warnings.catch_warnings(record=True) as said:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
             with reading(path, request["key"]):
                 facts, arrays = getattr(import_module(module), name)(path, *request["more"])
-            told: dict[str, Any] = {"facts": facts}
+            answer: dict[str, Any] = {"facts": facts}
         except VehsimError as error:
-            told, arrays = {"error": type(error).__name__, "problems": [vars(each) for each in error.problems]}, []
-    own = [str(each.message) for each in said if issubclass(each.category, UserWarning)]
-    return told | {"warnings": list(dict.fromkeys(own))}, arrays
+            answer, arrays = {"error": type(error).__name__, "problems": [vars(each) for each in error.problems]}, []
+    own = [str(each.message) for each in caught if issubclass(each.category, UserWarning)]
+    return answer | {"warnings": list(dict.fromkeys(own))}, arrays
 
 
 def _bound(name: str, most: float) -> None:
@@ -253,10 +253,10 @@ def _bound(name: str, most: float) -> None:
 # ---------------------------------------------------------------- messages
 
 
-def _packed(told: Any, arrays: Sequence[NDArray[Any]]) -> Iterator[bytes | memoryview]:
+def _packed(answer: Any, arrays: Sequence[NDArray[Any]]) -> Iterator[bytes | memoryview]:
     """The length of the head, the head in JSON, and the arrays' bytes."""
     plain = [np.ascontiguousarray(array) for array in arrays]
-    head = {"told": told, "arrays": [[array.dtype.str, array.shape] for array in arrays]}
+    head = {"told": answer, "arrays": [[array.dtype.str, array.shape] for array in arrays]}
     text = json.dumps(head, default=str).encode()
     yield len(text).to_bytes(8, "little")
     yield text

@@ -37,8 +37,8 @@ def read_toml(path: Path) -> tuple[dict[str, Any], str]:
         text = path.read_text(encoding="utf-8-sig")
         if found := _LONG_KEY.search(text):
             line = text.count("\n", 0, found.start()) + 1
-            said = f"nested too deeply: a key of more than {MAX_DEPTH} parts in line {line}"
-            raise refuse(said, f"nest at most {MAX_DEPTH} tables and arrays")
+            message = f"nested too deeply: a key of more than {MAX_DEPTH} parts in line {line}"
+            raise refuse(message, f"nest at most {MAX_DEPTH} tables and arrays")
         data = tomllib.loads(text)
     except FileNotFoundError:
         raise refuse("no such file", "give the path of a TOML file") from None

@@ -124,7 +124,11 @@ def _screened(asset: Path) -> tuple[tuple[Path, ...], tuple[str, ...]]:
     made_of = (1, str(asset), content_of(asset))
     kept = recalled("screened", made_of)
     facts = None if kept is None else json.loads(kept)
-    if facts is None or facts["prims"] > most or any(content_of(name) != said for name, said in facts["files"].items()):
+    if (
+        facts is None
+        or facts["prims"] > most
+        or any(content_of(name) != known for name, known in facts["files"].items())
+    ):
         facts = apart(examine, asset, "asset", most)[0]
         keep("screened", made_of, json.dumps(facts).encode())
     return tuple(map(Path, facts["files"])), tuple(facts["missing"])

@@ -31,7 +31,7 @@ tried on `LEAST` per leg."""
 
 
 def enough_segments(request: Request) -> int:
-    """Segments that a plan takes whatever it was asked for."""
+    """The least number of segments for a plan of these marks."""
     few = LEAST * (len(request.marks) - 1) if request.segments < FEWEST else 0
     length = sum(map(path_length, map(np.array, legs_between(request.marks))))
     return min(max(few, fewest_segments(request.vehicle, length)), MOST_SEGMENTS)

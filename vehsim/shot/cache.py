@@ -86,7 +86,7 @@ def motion_key(file: ShotFile, files: Iterable[Path], world: str) -> str | None:
     request = file.model_dump(mode="json", by_alias=True, include={"shot", "world", "vehicle"})
     del request["shot"]["name"]
     contents = [content_of(path) for path in files]
-    made_of = {"code": code(), "asked": request, "files": contents, "world": world}
+    made_of = {"code": code(), "request": request, "files": contents, "world": world}
     return sha256(json.dumps(made_of, sort_keys=True).encode()).hexdigest()
 
 

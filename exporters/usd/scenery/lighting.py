@@ -152,9 +152,9 @@ def _kept_sky(azimuth: float, elevation: float, mood: Mood, width: int, hills: b
     """The PNG, cached: there are few places for the sun and many shots, and it takes half a second."""
     import PIL
 
-    asked = (azimuth, elevation, mood, width, hills)
+    arguments = (azimuth, elevation, mood, width, hills)
     by = (np.__version__, PIL.__version__, hashlib.sha256(Path(__file__).read_bytes()).hexdigest())
-    return kept("sky", (asked, by), lambda: _sky(*asked))
+    return kept("sky", (arguments, by), lambda: _sky(*arguments))
 
 
 def _sky(azimuth: float, elevation: float, mood: Mood, width: int, hills: bool) -> bytes:
