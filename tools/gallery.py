@@ -27,7 +27,7 @@ STILLS = {
     "car_over_hills": (1156, "chase"),
     "car_winding": (1253, "chase"),
     "hopper_flip": (1067, "chase"),
-    "landing_on_mark": (1570, "cut"),
+    "landing_on_mark": (1690, "cut"),
     "parallel_park": (1341, "chase"),
     "parallel_parking": (1122, "chase"),
     "robot_worlds_seed0": (1166, "chase"),

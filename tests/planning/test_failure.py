@@ -279,7 +279,8 @@ def test_nothing_is_built_after_the_time_limit(monkeypatch):
     assert plan.success and not made and "not refined to 8 segments of order 4: time limit reached" in plan.message
 
 
-def test_nothing_is_solved_again_after_the_time_limit(monkeypatch):
+@pytest.mark.parametrize("character", ["stunt", "normal"])
+def test_nothing_is_solved_again_after_the_time_limit(monkeypatch, character):
     """Out of time: neither for violated inactive constraints nor to move free marks to whole frames."""
     from vehsim.planning import solve
     from vehsim.planning.constraints.obstacle_clearance import ObstacleClearance
@@ -291,7 +292,7 @@ def test_nothing_is_solved_again_after_the_time_limit(monkeypatch):
     marks = [Mark(1, position=REST, heading=0, velocity=REST), Mark("free", position=(20, 4, 0), velocity=REST)]
     monkeypatch.setattr(Deadline, "late", property(lambda self: self.a_node > 0))
     with pytest.warns(UserWarning, match="iterations allowed"):
-        plan = vehsim.plan(car, world, marks, segments=16, max_iterations=1)
+        plan = vehsim.plan(car, world, marks, segments=16, max_iterations=1, character=character)
     assert not plan.success and len(solves) == 1
 
 

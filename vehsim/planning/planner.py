@@ -277,7 +277,7 @@ def _attempt(request: Request, progress: Progress | None, guess: Any, once: bool
         return _result(run, give_up(iterate, refused or LATE.format(late)), reason)
     iterate = solve(run, iterate)
     # first find any motion, then apply the character
-    if not (iterate.success or once) and request.manner.name != STUNT:
+    if not (iterate.success or once or run.deadline.late) and request.manner.name != STUNT:
         iterate = without_character(run, iterate, paths, as_clip(request, guess))
         relaxed = replace(request, manner=NO_MANNER)
     else:
