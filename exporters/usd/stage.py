@@ -20,6 +20,7 @@ from vehsim.errors import InputError
 from vehsim.exporters.pictures.surfaces import Surface as Surface
 from vehsim.exporters.pictures.surfaces import read_surface as read_surface
 from vehsim.exporters.pictures.surfaces import surfaces_of
+from vehsim.intake.gate import reason_of
 from vehsim.intake.usd import triangulate
 from vehsim.rig.parts import Y_UP_TO_Z_UP
 
@@ -76,12 +77,6 @@ class Sky:
     colour: Array
     texture: Path | None
     R_wd: Array
-
-
-def reason_of(error: Exception) -> str:
-    """USD's error messages, without the places in its sources."""
-    last = str(error).strip().splitlines()[-1]
-    return last.partition(" : ")[2].strip(" '") or last
 
 
 class StageReader:

@@ -134,3 +134,13 @@ def test_foreign_clip_files_are_refused(tmp_path: Path) -> None:
     for path in written(tmp_path, wrong_arrays(("header", "twists"))):
         with pytest.raises(InputError):
             Clip.load(path)
+
+
+def test_what_usd_says_is_named_without_its_sources(tmp_path: Path) -> None:
+    (tmp_path / "a.usda").write_bytes(usda().replace(b"[3, 3", b"[3 3", 1))
+    (tmp_path / "a.usdz").write_bytes(b"PK\x03\x04" + bytes(100))
+    with pytest.raises(InputError) as refused:
+        read_triangles(tmp_path / "a.usda")
+    assert "faceVertexCounts" in str(refused.value) and " at line " not in str(refused.value)
+    with pytest.raises(InputError, match=r"a.usdz: asset: (not readable|cannot be read)"):
+        read_triangles(tmp_path / "a.usdz")

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -62,6 +63,12 @@ def reading(path: Path | str, key: str, remedy: str = "export the file again") -
         message = f"takes more than {limit('VEHSIM_READ_GB'):g} GB to read"
         raise refuse(path, key, message, raise_limit("VEHSIM_READ_GB")) from error
     except Exception as error:
-        lines = str(error).strip().splitlines()
-        reason = f"{type(error).__name__}: {lines[-1][:300]}" if lines else type(error).__name__
+        reason = ": ".join(filter(None, (type(error).__name__, reason_of(error))))
         raise refuse(path, key, f"cannot be read ({reason})", remedy) from error
+
+
+def reason_of(error: Exception) -> str:
+    """The last line of an error's message; of USD's errors without the place in its sources."""
+    lines = [line for line in str(error).splitlines() if any(map(str.isalnum, line))]
+    last = lines[-1] if lines else ""
+    return re.sub(r".* in file \S+ : ", "", last).strip(" '")[:300]

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.errors import InputError
-from vehsim.intake.gate import limit, raise_limit, reading, refuse
+from vehsim.intake.gate import limit, raise_limit, reading, reason_of, refuse
 from vehsim.intake.reader import Answer, apart
 from vehsim.runtime.cache import Stamp, content_of, keep, recalled, stamp
 
@@ -36,7 +36,7 @@ def open_stage(path: str | Path, load: bool = True) -> Any:
         try:
             stage = Usd.Stage.Open(str(path), *[Usd.Stage.LoadNone] * (not load))
         except Exception as error:
-            raise refuse(path, "asset", f"not readable as USD ({_last_line(error)})", "export it again") from error
+            raise refuse(path, "asset", f"not readable as USD ({reason_of(error)})", "export it again") from error
         metres = UsdGeom.GetStageMetersPerUnit(stage)
         if not (math.isfinite(metres) and metres > 0):
             raise refuse(path, "metersPerUnit", "not a length", "give metres, such as 0.01 for centimetres", metres)
@@ -52,7 +52,7 @@ def complaints(path: str | Path) -> Iterator[None]:
     except Exception as error:
         if type(error).__module__ != "pxr.Tf":  # checked in this way, USD is not loaded for a shot without assets
             raise
-        raise refuse(path, "asset", f"not readable as USD ({_last_line(error)})", "export it again") from error
+        raise refuse(path, "asset", f"not readable as USD ({reason_of(error)})", "export it again") from error
 
 
 def triangles_of(mesh: Any, when: Any, file: str | Path) -> tuple[Array, Faces] | None:
@@ -142,7 +142,10 @@ def examine(asset: Path, most: float) -> Answer:
     """
     from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdUtils
 
-    files, missing, layers = [asset], [], [Sdf.Layer.FindOrOpen(str(asset))]
+    layer = Sdf.Layer.FindOrOpen(str(asset))
+    if layer is None:
+        raise refuse(asset, "asset", "not readable as USD", "export it again")
+    files, missing, layers = [asset], [], [layer]
     written = _read_layers(layers, asset, most)  # first: to look for files in a million prims takes long
     if asset.suffix != ".usdz":  # a package contains all files that it needs
         layers, assets, missing = UsdUtils.ComputeAllDependencies(str(asset))  # the first layer is this one
@@ -203,8 +206,3 @@ def beyond(files: Iterable[Path], *homes: Path) -> list[Path]:
 
 def _within(indices: Faces, count: int) -> bool:
     return not len(indices) or bool(indices.min() >= 0 and indices.max() < count)
-
-
-def _last_line(error: Exception) -> str:
-    lines = str(error).strip().splitlines()
-    return lines[-1].strip()[:300] if lines else type(error).__name__
