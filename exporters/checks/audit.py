@@ -38,6 +38,8 @@ DISTANCES = ("clearance", "stands")
 """Measures of distances between hulls."""
 TREAD = 0.15
 """Largest height above the lowest point of a wheel at which the ground may touch it, m."""
+RIM = 0.03
+"""Largest distance between points on a wheel's tread, m: a crest of the ground may touch it between its vertices."""
 CELL = 0.5
 """Points on a vehicle's meshes are grouped into balls of this size, m."""
 
@@ -199,17 +201,16 @@ class StageScene(Scene):
         for path in prims:
             wheel = self._root.GetPrimAtPath(path) if path else self._root
             meshes = [mesh for mesh in self.delivered.meshes(wheel) if not _is_guide(mesh)]
-            placed = [
-                _moved(self.delivered.world_matrix(m, first), self.delivered.triangles(m, first)[0]) for m in meshes
+            worlds = [self.delivered.world_matrix(mesh, first) for mesh in meshes]
+            sizes = [max(float(np.cbrt(abs(np.linalg.det(world[:3, :3])))), 1e-12) for world in worlds]
+            own = [
+                _spread(*self.delivered.triangles(mesh, first), RIM / size)
+                for mesh, size in zip(meshes, sizes, strict=True)
             ]
-            tread = _tread(np.vstack(placed))
-            ends = np.cumsum([len(points) for points in placed])[:-1]
+            tread = _tread(np.vstack([_moved(world, points) for world, points in zip(worlds, own, strict=True)]))
+            chosen = np.split(tread, np.cumsum([len(points) for points in own])[:-1])
             rims.append(
-                [
-                    (mesh, self.delivered.triangles(mesh, first)[0][chosen])
-                    for mesh, chosen in zip(meshes, np.split(tread, ends), strict=True)
-                    if chosen.any()
-                ]
+                [(mesh, points[part]) for mesh, points, part in zip(meshes, own, chosen, strict=True) if part.any()]
             )
         found = np.zeros((len(track.frames), len(rims)))
         for k, frame in enumerate(track.frames.tolist()):

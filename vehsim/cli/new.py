@@ -221,7 +221,8 @@ def _room(
     """
     low, high = terrain.lower[:2], terrain.upper[:2]
     angles = np.deg2rad(np.arange(0, 360, 22.5))
-    along, aside = np.meshgrid(np.linspace(0, 1.1 * reach, 15), np.linspace(-0.5, 1, 5) * max(width, 0.3 * reach))
+    behind = width if level else 0.0  # a trailer
+    along, aside = np.meshgrid(np.linspace(-behind, 1.1 * reach, 17), np.linspace(-0.5, 1, 5) * max(width, 0.3 * reach))
     turn = np.stack([np.cos(angles), np.sin(angles)], 1)
     local = turn[:, None, None, :] * along[..., None]
     local = local + np.stack([-turn[:, 1], turn[:, 0]], 1)[:, None, None, :] * aside[..., None]

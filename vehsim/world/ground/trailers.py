@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,8 +20,12 @@ from vehsim.world.terrain.terrain import Terrain
 Array = NDArray[np.float64]
 Channels = Mapping[str, Array]
 
-SETTLING = 8
-"""Iterations of a trailer's rest pose, each with one iteration of its contacts: within 0.01 mm."""
+SETTLING = 10
+"""Largest number of iterations of a trailer's rest pose, each with one iteration of its contacts."""
+SETTLED = 1e-6
+"""Travel of its wheels at which it rests, m."""
+STEP, STEEPEST = 0.1, 0.6
+"""Largest change of a tilt in an iteration, and largest tilt, rad: on a wall there is no rest."""
 
 
 @dataclass(frozen=True)
@@ -87,22 +91,44 @@ def _tilted(
     columns = [column for _, column in trailer.tilts]
     away = np.array([wheel.centre for wheel in trailer.wheels]) - trailer.pivot
     # derivatives of a wheel's height with respect to heave, pitch and roll about the hitch
-    fit = np.linalg.pinv(np.column_stack([0 * away[:, 0], -away[:, 0], away[:, 1]])[:, columns], rcond=1e-6)
-    tilt = np.zeros((len(times), len(columns)))
+    heights = np.column_stack([0 * away[:, 0], -away[:, 0], away[:, 1]])[:, columns]
+    fit = np.asarray(np.linalg.pinv(heights, rcond=1e-6), np.float64)
 
-    def placed() -> tuple[Array, Array]:
+    def placed(tilt: Array) -> tuple[Array, Array]:
         values = {name: tilt[:, k] for k, (name, _) in enumerate(trailer.tilts)}
         return carried(rig, trailer.path, {**channels, **values}, positions, orientations)
 
-    for _ in range(SETTLING):
-        there = placed()
-        travel = np.column_stack([touch(terrain, wheel, *there, 1) for wheel in trailer.wheels])
-        tilt = tilt + travel @ fit.T
+    def travel(tilt: Array) -> Array:
+        there = placed(tilt)
+        return np.column_stack([touch(terrain, wheel, *there, 1) for wheel in trailer.wheels])
+
+    tilt = _settled(travel, np.zeros((len(times), len(columns))), fit)
     if any(wheel.travel for wheel in trailer.wheels) and len(times) > 2:
-        rest = np.column_stack([np.zeros(len(times)), *tilt_of(placed()[1])[1:]])
-        lean = lean_of(*_held(times, trailer, *placed()), trailer.wheels, rig.suspension)
+        rest = np.column_stack([np.zeros(len(times)), *tilt_of(placed(tilt)[1])[1:]])
+        lean = lean_of(*_held(times, trailer, *placed(tilt)), trailer.wheels, rig.suspension)
         tilt = tilt + deflections(times, rest[:, columns], lean[:, columns], rig.suspension)
     return {name: tilt[:, k] for k, (name, _) in enumerate(trailer.tilts)}
+
+
+def _settled(travel: Callable[[Array], Array], tilt: Array, fit: Array) -> Array:
+    """Tilts (n, k) at which the ``travel`` (n, wheels) of a trailer's wheels is least, by Broyden's method from ``fit``
+    (k, wheels), the inverse of its derivatives on level ground."""
+    now = travel(tilt)
+    best, least = tilt, np.linalg.norm(now, axis=1)
+    inverse = np.repeat(fit[None], len(tilt), axis=0)
+    for _ in range(SETTLING):
+        if least.max() < SETTLED:
+            break
+        step = np.clip((inverse @ now[..., None])[..., 0], -STEP, STEP)
+        step = np.clip(tilt + step, -STEEPEST, STEEPEST) - tilt
+        then = travel(tilt + step)
+        change = (inverse @ (now - then)[..., None])[..., 0]
+        along = np.sum(step * change, axis=1)
+        safe = np.where(np.abs(along) > 1e-12, along, np.inf)[:, None, None]
+        inverse = inverse + (step - change)[..., None] * (step[:, None] @ inverse) / safe
+        tilt, now, size = tilt + step, then, np.linalg.norm(then, axis=1)
+        best, least = np.where((size < least)[:, None], tilt, best), np.minimum(size, least)
+    return best
 
 
 def _held(times: Array, trailer: Trailer, positions: Array, orientations: Array) -> tuple[Array, Array]:

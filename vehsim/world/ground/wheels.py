@@ -25,8 +25,9 @@ ARC = np.radians(np.linspace(-50.0, 50.0, 41))
 """Angles along a tyre's lower half at which contact is sought: 1.3 degrees apart, 0.05 mm of a car's tyre."""
 PROFILE = 7
 """Number of rings that represent a tyre's profile."""
-ROUNDS = 4
-"""Iterations of a contact's height; each reduces the error by the square of the slope."""
+ROUNDS, TOUCHING = 12, 1e-6
+"""Largest number of iterations of a contact's height, each of which reduces the error by the slope times the body's
+tilt; and the change at which they end, m."""
 TRAVEL = "travel_"
 """Prefix of channels that slide a wheel along its suspension."""
 
@@ -146,7 +147,9 @@ def _touch(terrain: Terrain, wheel: Wheel, positions: Array, orientations: Array
     for _ in range(rounds):
         moved = points[..., :2] + travel[:, None, None] * up[..., :2]
         ground = terrain.height(moved.reshape(-1, 2)).reshape(moved.shape[:2])
-        travel = ((ground - points[..., 2]) / up[..., 2]).max(axis=1)
+        before, travel = travel, ((ground - points[..., 2]) / up[..., 2]).max(axis=1)
+        if np.abs(travel - before).max() < TOUCHING:
+            break
     return travel
 
 
