@@ -91,7 +91,7 @@ def turned(clip: Clip, by: Any, sample: int | slice = slice(None)) -> Clip:
     return replace(clip, orientations=orientations)
 
 
-def hurried(clip: Clip, by: float, columns: slice = slice(3, 6)) -> Clip:
+def sped_up(clip: Clip, by: float, columns: slice = slice(3, 6)) -> Clip:
     """Velocities that are larger by a share at every knot, without a change of the poses."""
     twists = clip.twists.copy()
     twists[:, columns] *= 1 + by
@@ -164,9 +164,9 @@ CASES = {
     "velocity": Case(
         ask("velocity", 1, 1, {"velocity": [0, SPEED, 0], "axes": [0, 1, 2]}, upper=1e-3),
         flight,
-        lambda c: hurried(c, 1.01e-4),
+        lambda c: sped_up(c, 1.01e-4),
     ),
-    "speed_error": Case(ask("speed_error", 1, 1, {"speed": SPEED}, upper=1e-3), flight, lambda c: hurried(c, -1.01e-4)),
+    "speed_error": Case(ask("speed_error", 1, 1, {"speed": SPEED}, upper=1e-3), flight, lambda c: sped_up(c, -1.01e-4)),
     "joint_error": Case(
         ask("joint_error", 25, 25, {"joint": "sigma", "value": 0.1}, upper=1e-3),
         steered,
@@ -196,10 +196,10 @@ CASES = {
     "gate_direction": Case(
         ask("gate_direction", 1, 1, START | GATE, lower=0), flight, lambda c: replace(c, twists=-c.twists)
     ),
-    "speed": Case(ask("speed", upper=SPEED), flight, lambda c: hurried(c, 0.002)),
+    "speed": Case(ask("speed", upper=SPEED), flight, lambda c: sped_up(c, 0.002)),
     "ceiling": Case(ask("ceiling", upper=HEIGHT), flight, bumped),
     "climb": Case(ask("climb", upper=0.01), flight, bumped),
-    "turn_rate": Case(ask("turn_rate", upper=RATE), flight, lambda c: hurried(c, 0.002, slice(0, 3))),
+    "turn_rate": Case(ask("turn_rate", upper=RATE), flight, lambda c: sped_up(c, 0.002, slice(0, 3))),
     "bank": Case(ask("bank", upper=math.radians(1)), flight, lambda c: turned(c, [math.radians(1.01), 0, 0], 40)),
     "acceleration": Case(ask("acceleration", upper=ACCELERATION), flight, bumped),
     "g_load": Case(ask("g_load", upper=math.hypot(1, ACCELERATION / 9.81)), flight, bumped),

@@ -79,7 +79,7 @@ def test_a_bad_file_is_named_and_the_other_shots_continue(
 def test_one_bad_stage_or_delivery_does_not_stop_the_others(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Also an exception of our own does not."""
+    """Neither does an unexpected exception in vehsim."""
     from vehsim.exporters.checks import audit, validate
 
     (tmp_path / "good.toml").write_text(CAR.replace("{name}", "good"))
@@ -90,13 +90,13 @@ def test_one_bad_stage_or_delivery_does_not_stop_the_others(
     (bad / "bad.usda").write_bytes(usda(CUBE * 50, FAR)[:-20])
     capsys.readouterr()
     assert cli.run(["audit", str(bad), str(tmp_path), str(good)]) == 2
-    said = capsys.readouterr()
-    assert f"{bad}/bad.usda: asset: cannot be read" in said.err and f"{tmp_path}: not a delivery" in said.err
-    assert "car: " in said.out and "MISSED" not in said.out
+    output = capsys.readouterr()
+    assert f"{bad}/bad.usda: asset: cannot be read" in output.err and f"{tmp_path}: not a delivery" in output.err
+    assert "car: " in output.out and "MISSED" not in output.out
     (bad / "bad.usda").write_bytes((good / "good.usda").read_bytes())
     assert cli.run(["audit", str(bad), str(good)]) == 2
-    said = capsys.readouterr()
-    assert f"{bad}: report.json holds no asks" in said.err and "car: " in said.out
+    output = capsys.readouterr()
+    assert f"{bad}: report.json holds no asks" in output.err and "car: " in output.out
     for module, name, command, items in (
         (validate, "validate_stage", "validate", (bad / "bad.usda", good / "good.usda")),
         (audit, "audit_delivery", "audit", (bad, good)),
@@ -110,6 +110,6 @@ def test_one_bad_stage_or_delivery_does_not_stop_the_others(
 
         monkeypatch.setattr(module, name, fails)
         assert cli.run([command, *map(str, items)]) == 1
-        said = capsys.readouterr()
-        assert f"{items[0]}: unexpected: RuntimeError: of our own; this is an error in vehsim" in said.err
-        assert "good" in said.out or "car: " in said.out
+        output = capsys.readouterr()
+        assert f"{items[0]}: unexpected: RuntimeError: of our own; this is an error in vehsim" in output.err
+        assert "good" in output.out or "car: " in output.out

@@ -118,7 +118,7 @@ def test_misses_are_reported_in_the_marks_units():
     level = [Mark(1, position=(0, 0, 20), velocity=REST), Mark(101, position=(40, 0, 20), velocity=REST)]
     with pytest.warns(UserWarning, match=r"mark\[1\].frame = 101 is too early; earliest 2\d\d"):
         late = vehsim.plan(helicopter, None, level, segments=12, limits={"bank": np.deg2rad(10)})
-    assert "loosen" not in late.message  # it has said what to do
+    assert "loosen" not in late.message  # the message has a remedy already
     assert _amount("heading", np.array([0.6, 0.8])) == "143 deg"
     assert _amount("orientation", np.array([0, 0, 0.5])) == "60 deg"
 
@@ -250,7 +250,7 @@ def test_a_solver_stops_before_an_iteration_that_would_end_too_late(monkeypatch)
     while not stops or not stops[-1]:
         now[0] += 1.0
         stops.append(callback.eval([])[0])
-    assert len(stops) == 4 and callback.hurried
+    assert len(stops) == 4 and callback.out_of_time
 
 
 def test_with_little_time_a_plan_has_a_lower_order(monkeypatch):
@@ -397,19 +397,19 @@ def test_an_interrupt_in_a_plan_within_a_plan_ends_both(stopping):
 
 
 def test_an_interrupt_whose_handler_returns_stops_nothing():
-    came, texts = [], []
+    interrupts, texts = [], []
 
     def progress(text, fraction):
         texts.append(text)
         if len(texts) == 3:
             os.kill(os.getpid(), signal.SIGINT)
 
-    before = signal.signal(signal.SIGINT, lambda number, frame: came.append(number))
+    before = signal.signal(signal.SIGINT, lambda number, frame: interrupts.append(number))
     try:
         plan = vehsim.plan(tug(), None, TUG_ASIDE, segments=8, terms=[interrupting()], progress=progress)
     finally:
         signal.signal(signal.SIGINT, before)
-    assert plan.success and len(came) >= 2
+    assert plan.success and len(interrupts) >= 2
 
 
 def test_a_plan_in_another_thread_does_not_affect_an_interrupt(stopping):

@@ -189,17 +189,17 @@ def test_a_concurrent_export_loses_nothing(
     """Another export delivers after ours has checked, and before it moves the old delivery aside."""
     take.export(tmp_path, to=("a",))
     exporters["c"] = text("c", "c.txt")
-    settle, came = delivery.settle, []
+    settle, intruded = delivery.settle, []
 
     def interrupted(folder: Path) -> None:
         settle(folder)
-        if not came:
-            came.append(folder)
+        if not intruded:
+            intruded.append(folder)
             take.export(tmp_path, to=("c",))
 
     monkeypatch.setattr(delivery, "settle", interrupted)
     take.export(tmp_path, to=("b",))
-    assert came and files(tmp_path) == A | B | REPORT | {"shot/c.txt"}
+    assert intruded and files(tmp_path) == A | B | REPORT | {"shot/c.txt"}
     assert listed(tmp_path / "shot") == {"a.txt", "sub/deep/a.txt", "b.txt", "c.txt"}
 
 
@@ -267,19 +267,19 @@ def test_a_signal_between_the_renames_or_after_them_loses_nothing(
 ) -> None:
     """Python raises it as soon as a rename returns."""
     take.export(tmp_path, to=("a",))
-    before, rename, came = files(tmp_path), Path.rename, []
+    before, rename, intruded = files(tmp_path), Path.rename, []
 
     def interrupted(self: Path, target: Path) -> Path:
         renamed = rename(self, target)
-        if Path(target).name.endswith(moved) and not came:
-            came.append(target)
+        if Path(target).name.endswith(moved) and not intruded:
+            intruded.append(target)
             raise KeyboardInterrupt
         return renamed
 
     monkeypatch.setattr(Path, "rename", interrupted)
     with pytest.raises(KeyboardInterrupt):
         take.export(tmp_path, to=("b",))
-    assert came and files(tmp_path) == (before if moved == ".replaced" else A | B | REPORT)
+    assert intruded and files(tmp_path) == (before if moved == ".replaced" else A | B | REPORT)
 
 
 def test_a_crash_between_the_renames_loses_nothing(exporters: dict[str, Exporter], take: Take, tmp_path: Path) -> None:

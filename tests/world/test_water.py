@@ -289,8 +289,9 @@ def test_queries_outside_a_grid_are_refused():
         field.update(0.0, (10.0, 0.0), (15.0, 1.0))
 
 
-def test_a_boat_rides_a_solvers_grids_from_the_first_to_the_last():
-    """A frame apart and on oblong cells, as on the waves they are of; off their border it is said in a user's words."""
+def test_a_boat_rides_a_solvers_grids_over_all_frames():
+    """Grids at every frame with oblong cells give the same motion as the waves; beyond their border there is a clear
+    error."""
     boat, waves = vehsim.load_vehicle("boat"), wave(0.4, 12.0, 0.3)
     times, (low, cell) = np.arange(13) / 24, ((-9.0, -6.0), (0.25, 0.4))
     x, y = np.meshgrid(low[0] + cell[0] * np.arange(80), low[1] + cell[1] * np.arange(31))
@@ -310,7 +311,7 @@ def test_a_boat_rides_a_solvers_grids_from_the_first_to_the_last():
 
 
 def test_a_shot_on_a_solvers_grid_has_its_water_to_the_horizon(tmp_path):
-    """As high as the grid in it, and level far beyond it, where the solver says nothing."""
+    """Inside the grid it has the grid's height; far beyond it is level."""
     from pxr import Usd, UsdGeom
 
     heights = np.full((3, 30, 40), 0.3)

@@ -75,9 +75,9 @@ def make_case(seed: int, folder: Path) -> Case:
 def broken(case: Case, whole: bytes) -> bytes:
     """The same bytes, broken in one way or several; at times not at all."""
     for _ in range(case.chance.choice((1, 1, 1, 2, 3))):
-        way = case.chance.choice(list(WAYS))
-        case.words.append(way)
-        whole = WAYS[way](case.chance, whole)
+        choice = case.chance.choice(list(DAMAGES))
+        case.words.append(choice)
+        whole = DAMAGES[choice](case.chance, whole)
     return whole
 
 
@@ -168,7 +168,7 @@ def _tail(chance: random.Random, whole: bytes) -> bytes:
     return whole + chance.choice((whole, b"\0" * 1000, chance.randbytes(1000), b"\n" * 100_000, b"(" * 10_000))
 
 
-WAYS: dict[str, Callable[[random.Random, bytes], bytes]] = {
+DAMAGES: dict[str, Callable[[random.Random, bytes], bytes]] = {
     "cut": _cut,
     "changed": _changed,
     "flipped": _flipped,
@@ -359,9 +359,9 @@ def _strange_stage(case: Case) -> str:
         + "\\u0000\\xff"
         + '"\n}\n',
     }
-    way = chance.choice(list(texts))
-    case.words.append(way)
-    text = texts[way]
+    choice = chance.choice(list(texts))
+    case.words.append(choice)
+    text = texts[choice]
     if not text.startswith("("):
         text = '(\n    defaultPrim = "rig"\n    metersPerUnit = 1\n    upAxis = "Z"\n)\n' + text
     return f"#usda 1.0\n{text}"
@@ -374,7 +374,7 @@ def _strange_array(case: Case) -> tuple[str, bytes]:
     vast = chance.choice(
         (b"(9999999, 99)", b"(-3, -3)", b"(3,)", b"(True, 3)", b"(3.5, 3)", b"(99999999999999999999,)")
     )
-    ways = {
+    choices = {
         "bomb": lambda: (".npz", zipped({"heights.npy": zeros}, deflated=True)),
         "vast": lambda: (".npy", npy(heights).replace(b"(3, 3)", vast)),
         "vast in zip": lambda: (".npz", zipped({"heights.npy": npy(heights).replace(b"(3, 3)", vast)})),
@@ -397,9 +397,9 @@ def _strange_array(case: Case) -> tuple[str, bytes]:
             ),
         ),
     }
-    way = chance.choice(list(ways))
-    case.words.append(way)
-    return ways[way]()
+    choice = chance.choice(list(choices))
+    case.words.append(choice)
+    return choices[choice]()
 
 
 def _strange_gltf(case: Case) -> tuple[str, bytes]:
@@ -420,7 +420,7 @@ def _strange_gltf(case: Case) -> tuple[str, bytes]:
     uri = chance.choice(
         ("/etc/passwd", "../../../etc/hostname", "http://localhost:1/a", "data:,abc", "it.bin", "/dev/zero", ".")
     )
-    ways: dict[str, Callable[[], object]] = {
+    choices: dict[str, Callable[[], object]] = {
         "cycle": lambda: scene.update(nodes=[{"children": [1]}, {"children": [0], "mesh": 0}]),
         "itself": lambda: scene.update(nodes=[{"children": [0], "mesh": 0}]),
         "uri": lambda: scene["buffers"][0].update(uri=uri),
@@ -444,9 +444,9 @@ def _strange_gltf(case: Case) -> tuple[str, bytes]:
             name=chance.choice(("", "../../a", "a/b", "\n", "x" * 10**5, "{}", "0"))
         ),
     }
-    way = chance.choice(list(ways))
-    case.words.append(way)
-    ways[way]()
+    choice = chance.choice(list(choices))
+    case.words.append(choice)
+    choices[choice]()
     case.write("it.bin", CUBE.astype("<f4").tobytes() + FACES.astype("<u4").tobytes() + bytes(200))
     return ".gltf", json.dumps(scene).encode()
 
@@ -455,7 +455,7 @@ def _strange_text(case: Case) -> bytes:
     """TOML that is whole or almost, and beyond reason."""
     chance = case.chance
     count = chance.choice((100, 3000, 100_000))
-    ways = {
+    choices = {
         "tables": f"[{'.'.join('a' * count)}]\n",
         "arrays": f"a = {'[' * count}{']' * count}\n",
         "header": f"[{' ' * count}\n",
@@ -474,9 +474,9 @@ def _strange_text(case: Case) -> bytes:
         "folder": HEAD.format(name="bad")
         + DRIVE.format(asset=chance.choice((".", "/", "/dev/null", "bad.toml", "~", "a\\u0000b", "x" * 5000))),
     }
-    way = chance.choice(list(ways))
-    case.words.append(way)
-    return ways[way].encode("utf-8", "surrogatepass")
+    choice = chance.choice(list(choices))
+    case.words.append(choice)
+    return choices[choice].encode("utf-8", "surrogatepass")
 
 
 # ---------------------------------------------------------------- what a user does with them

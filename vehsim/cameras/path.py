@@ -246,12 +246,12 @@ def _ground(points: Array, world: Any, margin: float) -> Array:
 def _cheapest(costs: Array, places: Array) -> NDArray[np.int64]:
     """The row of ``places`` (m, d) for each step (k,) with the least sum of ``costs`` (k, m) and squared changes."""
     change = ((places[:, None] - places[None]) ** 2).sum(axis=2)
-    best, came = costs[0], []
+    best, origins = costs[0], []
     for cost in costs[1:]:
         reached = best[:, None] + change
-        came.append(reached.argmin(axis=0))
+        origins.append(reached.argmin(axis=0))
         best = reached.min(axis=0) + cost
     chosen = [int(best.argmin())]
-    for back in reversed(came):
+    for back in reversed(origins):
         chosen.append(int(back[chosen[-1]]))
     return np.array(chosen[::-1])

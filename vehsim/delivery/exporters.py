@@ -76,12 +76,12 @@ def in_order(names: Sequence[str]) -> list[Exporter]:
     """The exporters called ``names``, each after those that it needs. Raises ``InputError``."""
     ordered: dict[str, Exporter] = {}
 
-    def add(name: str, on_the_way: tuple[str, ...]) -> None:
-        if name in on_the_way:
-            raise ExportError(f"exporters need each other in a circle: {' -> '.join((*on_the_way, name))}")
+    def add(name: str, chain: tuple[str, ...]) -> None:
+        if name in chain:
+            raise ExportError(f"exporters need each other in a circle: {' -> '.join((*chain, name))}")
         exporter = find_exporter(name)
         for needed in exporter.needs:
-            add(needed, (*on_the_way, name))
+            add(needed, (*chain, name))
         ordered.setdefault(name, exporter)
 
     for name in names:

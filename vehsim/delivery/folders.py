@@ -188,8 +188,8 @@ def _swap(beside: Path, target: Path, overwrite: bool, earlier: Earlier | None) 
                 aside.rename(target)
             if os.path.exists(target):
                 _discard(aside)
-            came_between = isinstance(error, OSError) and error.errno in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOENT)
-            if came_between and beside.exists():
+            meanwhile = isinstance(error, OSError) and error.errno in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOENT)
+            if meanwhile and beside.exists():
                 continue
             raise
         _discard(aside)

@@ -325,12 +325,12 @@ def _result(run: Run, iterate: Iterate, reason: Reason | None = None) -> Plan:
     message, success = solution.message, solution.success
     times = f"after {iterate.tightenings} tighter solves"
     if not success and iterate.problem is not None:
-        reason = "time limit" if solution.hurried else "not solved"
+        reason = "time limit" if solution.out_of_time else "not solved"
         worst = f"worst {iterate.worst()}, off by {solution.violation:.3g}"
         if solution.violation < MET:
             worst = "all constraints are met, but the cost is not minimal yet; allow more iterations"
         else:
-            worst += f"; {LONGER if solution.hurried else LOOSEN}"
+            worst += f"; {LONGER if solution.out_of_time else LOOSEN}"
         message = iterate.why or f"{message}: {worst}"
     elif success and certificate.clearance < certificate.wanted - SLACK:
         success, reason = False, "clearance"
@@ -356,8 +356,8 @@ def _result(run: Run, iterate: Iterate, reason: Reason | None = None) -> Plan:
         message += f"; beyond {request.manner.name}: {'; '.join(beyond)}"
     if wrong := missed(rows):
         success, reason = False, "audit"
-        hurried = run.deadline.over or run.deadline.cut
-        remedy = "" if any(row.remedy for row in wrong[:NAMED]) else f"; {LONGER if hurried else LOOSEN}"
+        out_of_time = run.deadline.over or run.deadline.cut
+        remedy = "" if any(row.remedy for row in wrong[:NAMED]) else f"; {LONGER if out_of_time else LOOSEN}"
         missing = "; ".join(map(str, wrong[:NAMED]))
         message = f"the finished motion misses what was requested: {missing}{iterate.note}{remedy}"
     return Plan(

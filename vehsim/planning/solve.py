@@ -157,7 +157,7 @@ def _solve_active(run: Run, iterate: Iterate, start: Start) -> Iterate:
     run.build_seconds += built - began
     solution = _answer(run, iterate, solver, start)
     run.solve_seconds += time.monotonic() - built
-    run.deadline.solved(began, iterate.layout.nodes, solution.hurried)
+    run.deadline.solved(began, iterate.layout.nodes, solution.out_of_time)
     multipliers = iterate.multipliers
     if solution.success and solution.multipliers is not None:
         multipliers = solution.multipliers, (solver.problem, iterate.layout)
@@ -191,7 +191,7 @@ def _answer(run: Run, iterate: Iterate, solver: Solver, start: Start) -> Solutio
         given = carried(*last, (solver.problem, iterate.layout))
         answer = solver.solve(iterate.x, *bounds, values, deadline, multipliers=given)
         run.iterations += answer.iterations
-    if answer is None or not (answer.success or answer.hurried or run.deadline.late):
+    if answer is None or not (answer.success or answer.out_of_time or run.deadline.late):
         start = "motion" if iterate.prolongated else start
         answer = solver.solve(iterate.x, *bounds, values, deadline, start)
         run.iterations += answer.iterations

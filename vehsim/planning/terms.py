@@ -356,8 +356,8 @@ class Limits:
     joints: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     joint_rates: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
-    def get(self, name: str, unless: float = float("inf")) -> float:
-        return self.values.get(name, unless)
+    def get(self, name: str, default: float = float("inf")) -> float:
+        return self.values.get(name, default)
 
     def below(self, speed: float) -> Limits:
         """The same limits, with a limit of the speed, m/s."""

@@ -250,8 +250,8 @@ def _other_energy(vehicle: Vehicle) -> bool:
     if not driven:
         return False
     ties = vehicle.connection(r)[:, driven]
-    on_them = ca.vertcat(*(ca.vertcat(r[i], u[i]) for i in driven))
-    return bool(ca.depends_on(lagrangian, on_them) or not ca.SX(ties).is_zero())
+    driven_joints = ca.vertcat(*(ca.vertcat(r[i], u[i]) for i in driven))
+    return bool(ca.depends_on(lagrangian, driven_joints) or not ca.SX(ties).is_zero())
 
 
 def _laws(vehicle: Vehicle) -> dict[str, ca.Function]:

@@ -224,8 +224,8 @@ def _too_far(request: Request, placed: list[Mark], seconds: float) -> list[tuple
         (ball, room + slack, own, f"the {request.vehicle.name}'s thrust can do")
     ]
     if math.isfinite(limits.get("g_load")):
-        felt = Ball(np.array([0.0, 0.0, -GRAVITY]), GRAVITY * limits.get("g_load"))
-        balls.append((felt, room, speeds, f"a g-load of {limits.get('g_load'):g} can do"))
+        loads = Ball(np.array([0.0, 0.0, -GRAVITY]), GRAVITY * limits.get("g_load"))
+        balls.append((loads, room, speeds, f"a g-load of {limits.get('g_load'):g} can do"))
     for bound, around, (leave, arrive), text in balls:
         if bound.rules_out(displacement, around, seconds, leave, arrive):
             return refused(f"more than {text}", max(seconds, _least(bound, displacement, around, a, b)))

@@ -75,7 +75,7 @@ def keep(error: BaseException) -> None:
         _kept.error = error
 
 
-def came() -> bool:
+def interrupted() -> bool:
     """Whether an error is kept, so that the current work should stop."""
     return _kept.error is not None
 

@@ -49,7 +49,7 @@ class Solution:
     iterations: int
     violations: Array
     multipliers: Multipliers | None = None
-    hurried: bool = False
+    out_of_time: bool = False
     """Whether its deadline stopped it."""
 
 
@@ -196,7 +196,7 @@ class Solver:
             iterations=int(stats.get("iter_count", 0)),
             violations=violations,
             multipliers=Multipliers(np.asarray(answer["lam_x"]).ravel(), np.asarray(answer["lam_g"]).ravel()),
-            hurried=self._callback.hurried,
+            out_of_time=self._callback.out_of_time,
         )
 
 
@@ -225,7 +225,7 @@ class _Callback(ca.Callback):
 
     def begin(self, deadline: float) -> None:
         """Reset the counter; stop when another iteration as long as the last would end after ``deadline``."""
-        self.count, self.deadline, self.before, self.hurried = 0, deadline, time.monotonic(), False
+        self.count, self.deadline, self.before, self.out_of_time = 0, deadline, time.monotonic(), False
 
     def get_n_in(self) -> int:
         return int(ca.nlpsol_n_out())
@@ -246,11 +246,11 @@ class _Callback(ca.Callback):
         self.count += 1
         solver = self._solver()
         try:
-            if solver is not None and solver.watch is not None and not interrupts.came():
+            if solver is not None and solver.watch is not None and not interrupts.interrupted():
                 solver.watch(self.count)
         except BaseException as error:
             interrupts.keep(error)
         now = time.monotonic()
         another, self.before = now - self.before, now
-        self.hurried = now + another > self.deadline
-        return [int(interrupts.came() or self.hurried)]
+        self.out_of_time = now + another > self.deadline
+        return [int(interrupts.interrupted() or self.out_of_time)]

@@ -168,8 +168,8 @@ def check_marks(marks: Sequence[Mark], joints: Sequence[str]) -> list[Mark]:
 
 def _at_rest(mark: Mark) -> Mark:
     """A mark on the ground is at rest."""
-    unsaid = mark.on_ground and mark.velocity is None and mark.speed is None
-    return replace(mark, velocity=(0.0, 0.0, 0.0)) if unsaid else mark
+    unspecified = mark.on_ground and mark.velocity is None and mark.speed is None
+    return replace(mark, velocity=(0.0, 0.0, 0.0)) if unspecified else mark
 
 
 def _joint_row(i: int, mark: Mark, joints: Sequence[str]) -> tuple[float, ...] | None:

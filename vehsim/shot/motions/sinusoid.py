@@ -193,8 +193,8 @@ class SinusoidMotion(Table):
         details = {"manoeuvres": taken, "end_error": whole.end_error, "duration": whole.duration}
         marks = [mark.model_dump(mode="json", exclude_unset=True) for mark in self.mark]
         asks = self._asks(vehicle, setting, [round(steering.duration * fps) for steering in parts])
-        asks_said = [ask.as_dict() for ask in asks]
-        return clip, details | {"limits": dict(wish.limits), "marks": marks, "asks": asks_said}
+        asks_as_data = [ask.as_dict() for ask in asks]
+        return clip, details | {"limits": dict(wish.limits), "marks": marks, "asks": asks_as_data}
 
     def _asks(self, vehicle: Vehicle, setting: Setting, driven: list[int]) -> Iterator[Ask]:
         """The asks of marks, limits and obstacles for a motion whose legs take ``driven`` frames each."""

@@ -93,11 +93,11 @@ class Classification:
             return
         rank = self.growth_at[-1]
         missing = _words(self.system, _annihilator(self.span_at, rank))
-        doubts = "".join(f"; {note}" for note in self.notes)
+        notes = "".join(f"; {note}" for note in self.notes)
         raise InputError(
             f"not controllable at {np.round(self.at, 4).tolist()}: its brackets span {rank} of {self.system.n} "
             f"directions (growth {self.growth_at}); no bracket reaches {', '.join(missing)}",
-            f"choose a goal on the leaf through the start (vehsim.sinusoids.algebra.leaf), or another input{doubts}",
+            f"choose a goal on the leaf through the start (vehsim.sinusoids.algebra.leaf), or another input{notes}",
             subject=self.system.name,
         )
 
