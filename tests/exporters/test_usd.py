@@ -181,7 +181,7 @@ def test_a_hidden_opinion_is_an_error(tmp_path, toys, make_take, monkeypatch):
     shutil.rmtree(tmp_path / "out")
 
 
-def test_only_what_moves_is_sampled(tmp_path, toys, make_take):
+def test_only_moving_ops_are_sampled(tmp_path, toys, make_take):
     from pxr import Sdf
 
     clip = toys.clip(toys.asset(tmp_path / "in" / "toy.usda"), still=True)

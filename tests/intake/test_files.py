@@ -136,7 +136,7 @@ def test_foreign_clip_files_are_refused(tmp_path: Path) -> None:
             Clip.load(path)
 
 
-def test_what_usd_says_is_named_without_its_sources(tmp_path: Path) -> None:
+def test_usd_errors_are_given_without_source_locations(tmp_path: Path) -> None:
     (tmp_path / "a.usda").write_bytes(usda().replace(b"[3, 3", b"[3 3", 1))
     (tmp_path / "a.usdz").write_bytes(b"PK\x03\x04" + bytes(100))
     with pytest.raises(InputError) as refused:

@@ -66,7 +66,7 @@ def test_a_file_that_takes_forever_is_refused(
     assert len(requests) == 1
 
 
-def test_answers_are_plain_and_whole(file: Path) -> None:
+def test_answers_are_plain_and_complete(file: Path) -> None:
     facts, (empty, text, matrix) = apart(deadly.prints, file, "key")
     assert facts["size"] == 7 and empty.shape == (0, 3) and text == "text" and np.array_equal(matrix, np.eye(2))
 

@@ -206,7 +206,7 @@ def test_stepping_in_place_step_by_state_and_rollout_agree(name, order):
         np.testing.assert_allclose(reached.joints, clip.joints[-1], atol=1e-9)
 
 
-def test_a_long_step_is_solved_in_full_where_the_short_solve_does_not_suffice():
+def test_a_long_step_is_solved_fully_if_the_short_solve_does_not_suffice():
     """At h = 0.2 and 3 rad/s the solve with one Jacobian does not converge; momentum is exact nevertheless."""
     body = Holonomic(name="body", group=SO3, inertia=(1.0, 2.0, 2.6), gravity=0.0)
     integrator = Integrator(body, 0.2)

@@ -29,7 +29,7 @@ def test_a_simplex_in_closed_form():
 
 
 @pytest.mark.parametrize("points", [CORNERS * [1, 1, 0], CORNERS[:3], CORNERS[:1]])
-def test_what_is_flat_has_no_volume(points):
+def test_flat_meshes_have_no_volume(points):
     assert hull_moments(points)[0] == 0.0
 
 

@@ -80,7 +80,7 @@ def test_ease_of_a_mark_overrides_its_character() -> None:
     assert abrupt.success and abs(abrupt.clip.controls[0, 0]) > 100
 
 
-def test_what_only_a_stunt_can_do_succeeds_in_every_character_and_says_how_far_it_goes() -> None:
+def test_marks_that_need_a_stunt_succeed_in_every_character_with_a_remark() -> None:
     frame = 130
     assert drive("stunt", frame).success
     with pytest.warns(UserWarning, match=r"beyond normal: .*character.acceleration: [\d.]+ m/s\^2, 3.74 allowed"):

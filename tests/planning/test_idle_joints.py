@@ -9,7 +9,7 @@ REST = {"heading": 0, "velocity": (0, 0, 0)}
 
 
 @pytest.mark.parametrize("cost", ["time", "effort"])
-def test_wheels_begin_where_the_guess_has_them(cost: str) -> None:
+def test_wheels_start_at_the_angles_of_the_guess(cost: str) -> None:
     """Left to the solver, they started at -1e14 rad, where a wheel turns in steps of a degree."""
     marks = [vehsim.Mark(1001, position=(0, 0, 0), **REST), vehsim.Mark("free", position=(40, 20, 0), **REST)]
     plan = vehsim.plan(vehsim.load_vehicle("car"), vehsim.World(terrain="flat"), marks, cost=cost, segments=32)

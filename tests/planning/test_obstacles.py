@@ -362,7 +362,7 @@ def test_cars_weave_between_walls(car):
 
 
 def test_rows_name_their_obstacle(car):
-    """A failure therefore names the obstacle in the way, not the number of a row."""
+    """A failure therefore names the obstacle that is too near, not the number of a row."""
     rows = rows_among(car, World(obstacles=[ob.box("pier", (6, 0, 0), (2, 30, 1)), *WALLS]))
     rows = rows.near((np.zeros((4, 3)), np.zeros(4), np.zeros(4)))
     t = transcribe(car)

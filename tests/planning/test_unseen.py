@@ -47,7 +47,7 @@ def test_a_car_drives_three_kilometres_straight():
     assert plan.cost == pytest.approx(4 / 3 * plan.duration, rel=1e-3)
 
 
-def test_a_way_too_long_for_few_segments_takes_more():
+def test_a_leg_too_long_for_few_segments_gets_more():
     marks = [Mark(1, position=REST, heading=0, velocity=REST), Mark(1 + 24 * 250, position=(8000, 0, 0), velocity=REST)]
     with pytest.warns(UserWarning, match="16 are too few"):
         plan = vehsim.plan(vehsim.load_vehicle("car"), None, marks, segments=16, refine=False)

@@ -106,7 +106,7 @@ def test_the_papers_printed_inputs_integrated_unchanged():
     assert moved(lambda t: 2.4 * cos(t), lambda t: 0.71 * cos(2 * t), 1) == pytest.approx([1.58, -2.52], abs=5e-3)
 
 
-def test_hopper_turns_by_what_its_leg_sweeps(tmp_path):
+def test_hopper_turns_by_the_area_its_leg_sweeps(tmp_path):
     """Figs. 1 and 2: leg and length return, and the body has turned by the area that their loop encloses (Stokes)."""
     system = models.hopper()
     steering = steer_triangular(system, [0.0, 0.0, 0.0], [0.0, 0.0, 0.3])

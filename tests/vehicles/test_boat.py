@@ -25,7 +25,7 @@ def test_it_floats_at_its_waterline():
     assert clip.orientations[-1, 0] > 1 - 1e-6
 
 
-def test_planar_and_afloat_drive_alike():
+def test_planar_and_floating_boats_drive_equally():
     """The same boat, with its hull and in closed form: speed on a straight course, drift and rate in a turn."""
     for controls, names in (((4500.0, 0.0), ("u",)), ((3000.0, 0.25), ("u", "r"))):
         wet = vehsim.simulate(BOAT, World(water=0.0), controls, duration=12.0, step=1 / 48).twists[-1]

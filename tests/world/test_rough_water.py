@@ -36,7 +36,7 @@ def afloat(name):
 
 @pytest.mark.parametrize("name", [*FLEET, "boat"])
 def test_dropped_from_five_metres(name):
-    """It falls freely, hits the water askew, only loses energy there, and floats where Archimedes says."""
+    """It falls freely, hits the water at an angle, only loses energy there, and floats as Archimedes' law says."""
     body = vehsim.load_vehicle("boat") if name == "boat" else afloat(name)
     world = World(water=0.0)
     rest = Afloat(body, world).floating()[0] - body.origin[2]

@@ -220,7 +220,7 @@ def test_calm_water_is_exact_and_written_once():
     assert len(calls) == 1
 
 
-def test_a_boat_floats_alike_on_mujocos_height_field():
+def test_a_boat_floats_equally_on_mujocos_height_field():
     """LIE's method: rays on a field in MuJoCo, which follows the boat far from its start and always contains it."""
     boat, waves = vehsim.load_vehicle("boat"), wave(0.4, 9.0, 0.4, choppiness=0.5)
     start = State(twist=[0, 0, 0, 8.0, 0, 0])

@@ -78,7 +78,7 @@ def processor_seconds() -> float:
 
 @contextmanager
 def captured(file: Path) -> Iterator[Path]:
-    """Write what is printed in this block, by libraries too, into a file."""
+    """Redirect everything that is printed in this block, also by libraries, to a file."""
     sys.stdout.flush()
     sys.stderr.flush()
     kept = os.dup(1), os.dup(2)

@@ -51,7 +51,7 @@ def triangles(path: Path, key: str) -> Answer:
 
 
 def _checked(path: Path, key: str, points: Array, faces: NDArray[np.int64]) -> Triangles:
-    """The same, contiguous; raises ``InputError`` for what is no mesh."""
+    """The same, contiguous; raises ``InputError`` if they are not a mesh."""
     if points.ndim != 2 or points.shape[1:] != (3,) or faces.ndim != 2 or faces.shape[1:] != (3,) or not len(faces):
         raise refuse(path, key, "has no triangles", "export a mesh of triangles")
     if len(faces) > MAX_FACES:

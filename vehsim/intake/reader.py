@@ -1,7 +1,7 @@
 """Read foreign files in another process, within bounds: a file that crashes a library, or never ends, is refused.
 
 Each interpreter starts one reader process at its first file of unknown content, keeps it, and replaces it when it dies.
-It is no `vehsim.runtime.processes.Worker`, because workers read files too and have no workers of their own.
+It is not a `vehsim.runtime.processes.Worker`, because workers read files too and have no workers of their own.
 Answers are plain data and arrays, never objects, so nothing that a file could contain is executed here. They are cached
 by content: a file is read once, and known files need no other process.
 """

@@ -62,7 +62,7 @@ class Deadline:
         return tell
 
     def rehearse(self, finish: Callable[[], object], times: float = MORE) -> None:
-        """Measure how long ``finish`` takes, and reserve ``times`` that in addition to what is reserved already."""
+        """Measure how long ``finish`` takes, and add ``times`` this duration to the reserved time."""
         began = time.monotonic()
         finish()
         self.kept += times * (time.monotonic() - began)

@@ -54,7 +54,7 @@ def whose_error(error: BaseException) -> str:
 
 
 class Registry(MutableMapping[str, T], Generic[T]):
-    """A mapping of names to what they stand for.
+    """A mapping of names to registered objects.
 
     ``shipped``: our own entries; a text "module:name" is imported at its first use. ``group``: the group of entry
     points through which other packages add theirs. A package cannot replace a shipped name: its entry point is ignored

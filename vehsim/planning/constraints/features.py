@@ -208,7 +208,7 @@ def from_polygon(point: Expr, corners: Sequence[Expr]) -> Model:
 
 
 def from_ellipse(point: Expr, radii: Expr) -> Model:
-    """Signed distance of a point from an axis-aligned ellipse at the origin; inside, a measure of its own."""
+    """Signed distance of a point from an axis-aligned ellipse at the origin; inside it, an approximation."""
     squared, t = radii**2, ca.SX(0)
     for _ in range(ROUNDS):
         ratio = radii * point / (t + squared)

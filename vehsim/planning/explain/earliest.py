@@ -144,7 +144,7 @@ def _violation(iterate: Iterate) -> float:
 
 
 def _whole(run: Run, iterate: Iterate, least: int) -> int | None:
-    """The first whole frame for which a motion is found, with all legs stretched alike."""
+    """The first whole frame for which a motion is found, with all legs stretched by the same factor."""
     marks, fps = iterate.request.marks, float(iterate.request.fps)
     legs, lengths = np.array(iterate.layout.phases), iterate.lengths
     held = np.array([mark.hold > 0 for mark in marks[:-1]])

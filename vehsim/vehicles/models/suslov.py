@@ -15,7 +15,7 @@ from vehsim.vehicles.definition.quantities import Direction, InertiaMatrix
 def suslov(name: str = "suslov", *, inertia: InertiaMatrix, axis: Direction = (0.0, 0.0, 1.0)) -> Nonholonomic:
     """A body on SO(3) with ``inertia`` (3, 3) kg m^2 about the fixed point and ``axis . omega = 0``, axis (3,) in body.
 
-    When the axis is no principal axis the motion ends in a steady turn whatever its start. Controls: ``torque_x``,
+    If the axis is not a principal axis, the motion ends in a steady turn from any start. Controls: ``torque_x``,
     ``torque_y``, ``torque_z`` in body axes [N m]. No joints.
     """
     J = np.asarray(inertia, float)
