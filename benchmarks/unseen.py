@@ -179,9 +179,9 @@ def snakeboard(seed: int) -> Problem:
 
 
 def gaps(seed: int) -> Problem:
-    """A helicopter, 10.8 m wide, through a gap of 14 to 20 m between walls, off-centre and turned."""
+    """A helicopter, 10.8 m wide, through a gap of 13.5 to 18 m between walls, off-centre and turned."""
     rng = np.random.default_rng(seed)
-    width, thick, yaw = rng.uniform(14, 20), rng.uniform(2, 20), rng.uniform(-0.5, 0.5)
+    width, thick, yaw = rng.uniform(13.5, 18), rng.uniform(2, 20), rng.uniform(-0.5, 0.5)
     middle = np.array([60.0, rng.uniform(-15, 15)])
     ahead, left = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
     if rng.random() < 0.5:
@@ -189,14 +189,14 @@ def gaps(seed: int) -> Problem:
             box(name, (*(middle + side * (width / 2 + 100) * left), 0), (thick, 200, 90), heading=math.degrees(yaw))
             for name, side in (("left wall", 1), ("right wall", -1))
         ]
-        world = vehsim.World("flat" if rng.random() < 0.3 else None, obstacles=walls)
+        world = vehsim.World("flat" if rng.random() < 0.6 else None, obstacles=walls)
     else:  # a ridge with a notch
         x = np.arange(-30.0, 151.0)
         places = np.stack(np.meshgrid(x, x - 60), axis=-1) - middle
         across, along = places @ ahead, places @ left
         heights = np.where((np.abs(across) < thick / 2 + 2) & (np.abs(along) > width / 2), 60.0, 0.0)
         world = vehsim.World(Terrain(f"notch {seed}", heights, (-30.0, -90.0), (1.0, 1.0)))
-    z = rng.uniform(15, 30)
+    z = rng.uniform(8, 30)
     marks = [Mark(1, position=(0, 0, z), heading=0.0, velocity=REST)]
     marks.append(Mark(1 + round(FPS * rng.uniform(14, 22)), position=(120, 0, z), velocity=REST))
     return Problem("helicopter", marks, world, {"limits": {"ceiling": 45.0}})

@@ -493,5 +493,5 @@ def test_marks_in_rock_and_without_a_route_are_named():
     assert refusal(90, 30, 50, limits=lid).startswith("mark[1].position = [90.0, 30.0, 50.0]: lies above the ceiling")
     assert refusal(90, 30, 10, limits=lid) == (
         "no path from mark[0] to mark[1] with 1 m clearance and 5.4 m for the helicopter itself below the ceiling of "
-        "40 m; raise the ceiling or lower the clearance"
+        "40 m; widen the gap to 14 m, raise the ceiling or lower the clearance"
     )

@@ -8,6 +8,7 @@ import pytest
 import vehsim
 from benchmarks.unseen import FAMILIES
 from vehsim import Mark
+from vehsim.errors import SolveError
 from vehsim.planning.certificates import extent
 from vehsim.planning.refine import execution_tolerance
 from vehsim.planning.request.marks import heading_of
@@ -82,3 +83,24 @@ def test_a_shot_file_checks_marks_with_orientations_near_obstacles():
     assert not list(vehsim.Shot.load("examples/boat_docking.toml").check())
     problems = list(vehsim.Shot.load("examples/boat_docking.toml", ahead).check())
     assert [problem.message for problem in problems] == ["in obstacle 'jetty'"]
+
+
+def through_a_gap(width):
+    """A helicopter, 10.8 m wide, meets a gap after 30 m, between walls of 400 m, below a ceiling."""
+    walls = [box(name, (30, side * (width / 2 + 200), 0), (10, 400, 90)) for name, side in (("left", 1), ("right", -1))]
+    marks = [Mark(1, position=(0, 0, 8), heading=0, velocity=REST)]
+    marks.append(Mark(385, position=(60, 0, 8), heading=0, velocity=REST))
+    world = vehsim.World("flat", obstacles=walls)
+    return vehsim.plan(vehsim.load_vehicle("helicopter"), world, marks, limits={"ceiling": 40.0})
+
+
+def test_a_helicopter_finds_a_gap_that_it_just_fits_through():
+    """The grid over the whole terrain has no point in it; the one around the marks does."""
+    plan = through_a_gap(14.0)
+    assert plan.success and plan.clearance > 0.99, plan.message
+    assert np.abs(plan.clip.positions[:, 1]).max() < 7.0
+
+
+def test_a_gap_too_narrow_is_refused_with_a_width_that_will_do():
+    with pytest.raises(SolveError, match="widen the gap to 14 m, raise the ceiling or lower the clearance"):
+        through_a_gap(12.4)

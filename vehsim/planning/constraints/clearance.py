@@ -26,7 +26,7 @@ from vehsim.planning.problem.stage import knot_view, middle_view
 from vehsim.planning.problem.transcription import Transcription
 from vehsim.planning.request.landing import ROUND, SLOPE, approach, attitude, forgiven, landings, rounded_distance
 from vehsim.planning.request.marks import Mark
-from vehsim.planning.request.request import ROOM, Request, airspace
+from vehsim.planning.request.request import ROOM, Request, search_boxes
 from vehsim.planning.terms import COSTS, HazardView, KnotView, costs_of, weight_of
 from vehsim.planning.trajectory import Trajectory
 from vehsim.world.distance.field import DistanceField, field_about
@@ -222,10 +222,14 @@ def cover_for(request: Request, paths: Sequence[Array], progress: Progress) -> S
     centres, radii = sphere_cover(request.vehicle)
     points = np.vstack([path[:, :3] for path in paths])
     room = np.array([points.min(axis=0) - ROOM, points.max(axis=0) + ROOM])
-    if request.world.terrain is not None and request.world.standing:  # finer than the field of the whole terrain
-        field = request.world.distance_field(progress, box=room)
+    near, *wider = search_boxes(request)
+    if (
+        wider and near is not None
+    ):  # a finer field than that of all; the one that the path was searched in, if it will do
+        inside = (points.min(axis=0) > near[0] + ROOM / 2).all() and (points.max(axis=0) < near[1] - ROOM / 2).all()
+        field = request.world.distance_field(progress, box=near if inside else room)
     else:
-        field = request.world.distance_field(progress, box=airspace(request))
+        field = request.world.distance_field(progress, box=near)
         field = None if field is None else field.crop(*room)
     around = request.clearance + float(radii.max()) + AROUND
     moving = []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -14,13 +14,17 @@ from vehsim.clip.clip import Clip
 from vehsim.errors import InputError, SolveError
 from vehsim.planning.constraints.spheres import balls
 from vehsim.planning.guesses.drive import drive
-from vehsim.planning.request.legs import cut, divided, legs_between, placed_marks, poses_of, round_trip
+from vehsim.planning.request.legs import cut, divided, legs_between, path_length, placed_marks, poses_of, round_trip
+from vehsim.planning.request.marks import Mark
 from vehsim.planning.request.marks_near_obstacles import parts_in_reach
-from vehsim.planning.request.request import Request, airspace
+from vehsim.planning.request.request import Request, search_boxes
 from vehsim.world.distance.route import check_free
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
+
+DETOUR = 1.5
+"""How many times longer a wide route may be than a narrow one."""
 
 
 def find_paths(request: Request, guess: Any, progress: Progress) -> list[Array]:
@@ -37,37 +41,67 @@ def find_paths(request: Request, guess: Any, progress: Progress) -> list[Array]:
             return straight(request)
         progress("seeking a path among obstacles", 0.0)
         return divided(drive(replace(request, marks=kept), parts), request.marks)
-    box = airspace(request)
+    return (
+        _flown(request, kept, progress)
+        if request.world.standing or request.world.terrain is not None
+        else straight(request)
+    )
+
+
+def _flown(request: Request, kept: Sequence[Mark], progress: Progress) -> list[Array]:
+    """Routes through free space between the marks ``kept``, one per leg.
+
+    Routes with room for a ball around all spheres come first, then those for a ball that may pass where the vehicle
+    does, nose first; solving shows whether it passes. Among two, a wide route may be a detour of `DETOUR`.
+    """
+    _, roomy, tight = balls(request.vehicle)
+
+    def search(radius: float, box: Array | None) -> list[Array] | None:
+        try:
+            return _routes(request, kept, progress, radius, box)
+        except SolveError:
+            return None
+
+    near, *wider = search_boxes(request)
+    found = search(roomy, near)
+    if found is None and wider:
+        narrow, found = search(tight, near), search(roomy, wider[0])
+        if narrow is not None and (found is None or _length(found) > DETOUR * _length(narrow)):
+            found = narrow
+    return divided(found or _routes(request, kept, progress, tight, wider[0] if wider else near), request.marks)
+
+
+def _routes(
+    request: Request, kept: Sequence[Mark], progress: Progress, radius: float, box: Array | None
+) -> list[Array]:
+    """Routes of a ball of ``radius`` m in a ``box``; raises ``SolveError`` that names the leg without one."""
     field = request.world.distance_field(progress, box=box)
-    if field is None:
-        return straight(request)
-    middle, roomy, tight = balls(request.vehicle)
-    up = np.array([0, 0, middle[2]])
+    up = np.array([0, 0, balls(request.vehicle)[0][2]])
     ceiling = request.limits.get("ceiling")
-    lid = ceiling + middle[2] if math.isfinite(ceiling) else None
+    lid = ceiling + up[2] if math.isfinite(ceiling) else None
+    found, legs = [], legs_between(kept)
+    for done, (a, b) in enumerate(legs):
+        progress("seeking a path", done / len(legs))
+        try:
+            found.append(request.world.route(a + up, b + up, radius + request.clearance, lid, box) - up)
+        except InputError:
+            for mark, end in ((kept[done], a), (kept[done + 1], b)):
+                check_free(field, f"{mark.name}.position", end, request.clearance, ceiling, request.world.height)
+            raise
+        except SolveError:
+            room = f"{request.clearance:g} m clearance and {radius:.1f} m for the {request.vehicle.name} itself"
+            below = "" if lid is None else f" below the ceiling of {ceiling:g} m"
+            wide = f"widen the gap to {math.ceil(2 * (radius + request.clearance)) + 1} m"
+            remedy = (
+                f"{wide} or lower the clearance" if lid is None else f"{wide}, raise the ceiling or lower the clearance"
+            )
+            names = f"{kept[done].name} to {kept[done + 1].name}"
+            raise SolveError(f"no path from {names} with {room}{below}", remedy) from None
+    return found
 
-    def flown(radius: float) -> list[Array]:
-        found, legs = [], legs_between(kept)
-        for done, (a, b) in enumerate(legs):
-            progress("seeking a path", done / len(legs))
-            try:
-                found.append(request.world.route(a + up, b + up, radius + request.clearance, lid, box))
-            except InputError:
-                for mark, end in ((kept[done], a), (kept[done + 1], b)):
-                    check_free(field, f"{mark.name}.position", end, request.clearance, ceiling, request.world.height)
-                raise
-            except SolveError:
-                room = f"{request.clearance:g} m clearance and {radius:.1f} m for the {request.vehicle.name} itself"
-                below = "" if lid is None else f" below the ceiling of {ceiling:g} m"
-                remedy = "lower the clearance" if lid is None else "raise the ceiling or lower the clearance"
-                names = f"{kept[done].name} to {kept[done + 1].name}"
-                raise SolveError(f"no path from {names} with {room}{below}", remedy) from None
-        return divided([np.asarray(path) - up for path in found], request.marks)
 
-    try:
-        return flown(roomy)
-    except SolveError:  # too narrow for all its spheres; solving shows whether it passes nose first
-        return flown(tight)
+def _length(paths: Sequence[Array]) -> float:
+    return sum(path_length(path) for path in paths)
 
 
 def straight(request: Request) -> list[Array]:

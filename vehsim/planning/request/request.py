@@ -33,6 +33,9 @@ Array = NDArray[np.float64]
 
 ROOM = 30.0
 """Margin around marks and paths within which terrain and obstacles are considered, m."""
+FINER = 8.0
+"""How many times larger the box of all obstacles is than that of the marks if paths are first searched in the latter: a
+coarse grid has no points in a narrow gap."""
 MOST_SEGMENTS = 4096
 """Largest number of segments of a plan."""
 UNEVEN = 0.02
@@ -270,3 +273,15 @@ def airspace(request: Request) -> Array | None:
         if (a < high).all() and (b > low).all():
             low, high = np.minimum(low, a - ROOM), np.maximum(high, b + ROOM)
     return np.array([low, high])
+
+
+def search_boxes(request: Request) -> list[Array | None]:
+    """Boxes (2, 3) m in which paths are searched in turn: around the marks, if that field is much finer, then all."""
+    wide = airspace(request)
+    if not request.world.standing:
+        return [wide]
+    places = mark_positions(request.marks)
+    near = np.array([places.min(axis=0) - ROOM, places.max(axis=0) + ROOM])
+    if wide is not None and np.prod(np.ptp(wide, axis=0)) < FINER * np.prod(np.ptp(near, axis=0)):
+        return [wide]
+    return [near, wide]
