@@ -56,7 +56,7 @@ def test_nothing_to_compare_is_an_error(tmp_path):
     for folder, text in (("a", b"not a picture"), ("b", b"nor this")):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "a.png").write_bytes(text)
-    with pytest.raises(InputError, match="can be read"):
+    with pytest.raises(InputError, match="picture: cannot be read"):
         compare_folders(tmp_path / "a", tmp_path / "b")
 
 

@@ -243,7 +243,7 @@ def test_missing_files_and_prims_are_named(tmp_path):
     with pytest.raises(InputError, match="no such file"):
         read_parts(tmp_path / "nothing.usda")
     (tmp_path / "text.usda").write_text("not usd")
-    with pytest.raises(InputError, match="not readable as USD"):
+    with pytest.raises(InputError, match="asset: cannot be read"):
         read_parts(tmp_path / "text.usda")
     stage = new_stage()
     add_cube(stage, "/rig/mesh")
