@@ -275,7 +275,7 @@ def test_nothing_is_built_after_the_time_limit(monkeypatch):
     monkeypatch.setattr(Deadline, "late", property(lambda self: self.a_node > 0))
     monkeypatch.setattr(refine, "prolongate", lambda *given: made.append(given))
     marks = [Mark(1, position=REST, velocity=REST), Mark(73, position=(6, 2, 0), heading=90, velocity=REST)]
-    plan = vehsim.plan(tug(), None, marks, segments=8, time_limit=1e6)
+    plan = vehsim.plan(tug(), None, marks, segments=8, time_limit=1e6, character="stunt")
     assert plan.success and not made and "not refined to 8 segments of order 4: time limit reached" in plan.message
 
 
@@ -309,7 +309,7 @@ def test_a_refinement_out_of_time_keeps_the_coarser_plan(monkeypatch):
 
     monkeypatch.setattr(refine, "solve", failing)
     marks = [Mark(1, position=REST, velocity=REST), Mark(73, position=(6, 2, 0), heading=90, velocity=REST)]
-    plan = vehsim.plan(tug(), None, marks, segments=8)
+    plan = vehsim.plan(tug(), None, marks, segments=8, character="stunt")
     assert plan.success and plan.order == 2 and "not refined to 8 segments of order 4" in plan.message
 
 

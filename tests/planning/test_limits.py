@@ -77,7 +77,9 @@ def flat(limits):
     ids=lambda limits: "-".join(limits),
 )
 def test_flights_keep_their_limits_at_every_instant(limits, segments):
-    plan = vehsim.plan(vehsim.load_vehicle("helicopter"), None, FLIGHT, segments=segments, cost=QUICK, limits=limits)
+    plan = vehsim.plan(
+        vehsim.load_vehicle("helicopter"), None, FLIGHT, segments=segments, cost=QUICK, limits=limits, character="stunt"
+    )
     assert plan.success, plan.message
     found = measured(plan.clip)
     for name, bound in limits.items():

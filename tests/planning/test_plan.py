@@ -54,7 +54,9 @@ def test_least_effort_between_rests_is_the_cubic():
         Mark(1, position=REST, orientation=upright, velocity=REST),
         Mark(73, position=(distance, 0, 0), orientation=upright, velocity=REST),
     ]
-    plan = vehsim.plan(tug(), None, marks, segments=16, cost={"effort": 1.0, "smoothness": 0.0}, refine=False)
+    plan = vehsim.plan(
+        tug(), None, marks, segments=16, cost={"effort": 1.0, "smoothness": 0.0}, refine=False, character="stunt"
+    )
     assert plan.success
     s = plan.clip.times / T
     np.testing.assert_allclose(plan.clip.positions[:, 0], distance * (3 * s**2 - 2 * s**3), atol=2e-2)
@@ -69,7 +71,9 @@ def test_least_time_is_bang_bang():
         Mark(1, position=REST, orientation=(1, 0, 0, 0), velocity=REST),
         Mark("free", position=(8, 0, 0), orientation=(1, 0, 0, 0), velocity=REST),
     ]
-    plan = vehsim.plan(tug(limit=20.0), None, marks, fps=2400, segments=64, cost={"time": 1.0, "smoothness": 0.0})
+    plan = vehsim.plan(
+        tug(limit=20.0), None, marks, fps=2400, segments=64, cost={"time": 1.0, "smoothness": 0.0}, character="stunt"
+    )
     assert plan.duration == pytest.approx(2 * np.sqrt(10 * 8 / 20.0), rel=0.01)
 
 

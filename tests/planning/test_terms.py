@@ -31,8 +31,12 @@ def car():
 def test_a_users_effort_cost_equals_the_built_in_one():
     """Effort written by hand, as a law of a segment: the same optimum to the last digit."""
     effort = Cost("mine", lambda s: s.h / 3 * (ca.sumsqr(s.c0) + ca.dot(s.c0, s.c1) + ca.sumsqr(s.c1)))
-    mine = vehsim.plan(tug(), None, ACROSS, segments=8, cost={"smoothness": 1e-3}, terms=[effort], refine=False)
-    ours = vehsim.plan(tug(), None, ACROSS, segments=8, cost={"smoothness": 1e-3, "effort": 1}, refine=False)
+    mine = vehsim.plan(
+        tug(), None, ACROSS, segments=8, cost={"smoothness": 1e-3}, terms=[effort], refine=False, character="stunt"
+    )
+    ours = vehsim.plan(
+        tug(), None, ACROSS, segments=8, cost={"smoothness": 1e-3, "effort": 1}, refine=False, character="stunt"
+    )
     assert mine.success and mine.cost == pytest.approx(ours.cost, rel=1e-9)
     np.testing.assert_allclose(mine.clip.positions, ours.clip.positions, atol=1e-8)
 
@@ -210,7 +214,10 @@ def test_second_order_models_differentiate_like_the_function():
 
 @pytest.mark.parametrize("solver", ["sqpmethod", "fatrop"])
 def test_other_solvers_find_the_same(solver):
-    plans = [vehsim.plan(tug(), None, ACROSS, segments=8, refine=False, solver=s) for s in ("ipopt", solver)]
+    plans = [
+        vehsim.plan(tug(), None, ACROSS, segments=8, refine=False, solver=s, character="stunt")
+        for s in ("ipopt", solver)
+    ]
     assert plans[1].success
     np.testing.assert_allclose(plans[1].clip.positions, plans[0].clip.positions, atol=1e-4)
 

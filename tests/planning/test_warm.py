@@ -63,7 +63,8 @@ def multipliers_of(name, segments, **limits):
         Mark(169, position=(40, 8, z), heading=0, velocity=REST),
     ]
     vehicle = vehsim.load_vehicle(name)
-    return vehsim.plan(vehicle, None, marks, segments=segments, refine=False, limits=limits)._iterate.multipliers
+    plan = vehsim.plan(vehicle, None, marks, segments=segments, refine=False, limits=limits, character="stunt")
+    return plan._iterate.multipliers
 
 
 @pytest.mark.parametrize(
@@ -114,7 +115,10 @@ def test_every_solver_replans(solver):
         Mark(1, position=REST, orientation=upright, velocity=REST),
         Mark(73, position=(6, 0, 0), orientation=upright, velocity=REST),
     ]
-    plans = [vehsim.plan(vehicle, None, marks, segments=8, refine=False, solver=s) for s in ("ipopt", solver)]
+    plans = [
+        vehsim.plan(vehicle, None, marks, segments=8, refine=False, solver=s, character="stunt")
+        for s in ("ipopt", solver)
+    ]
     moved = [marks[0], replace(marks[1], position=(5.4, 0.6, 0.5))]
     usual, other = (plan.replan(moved) for plan in plans)
     assert usual.success and other.success, other.message
