@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 import vehsim
 from vehsim.rig.parts import read_parts, solids
-from vehsim.world.obstacles.obstacles import box
+from vehsim.world.obstacles.obstacles import box, moving
 from vehsim.world.terrain.terrain import Terrain
 from vehsim.world.world import World
 
@@ -211,3 +211,26 @@ def test_clearances_see_the_trailer_where_it_turns_and_tilts():
         assert found == pytest.approx(np.vstack(corners)[:, 1].min() + 55.0, abs=1e-5)
     straight = world.with_obstacles([wall]).clearance_by_obstacle(TRUCK, seen.positions, seen.orientations)
     assert np.abs(straight - placed).max() > 0.1
+
+
+def test_a_truck_that_is_an_obstacle_has_its_trailer_where_it_turns():
+    """The truck and a pole, from each one's side: as far apart whichever of the two is the obstacle."""
+    world = hilly()
+    clip = driven(TRUCK, world, sigma=0.2, hitch_1=0.5).resample()
+    seen = clip.at(clip.times[::24])
+    seconds = clip.start_frame / float(clip.fps) + seen.times
+    point = replace(TRUCK, rig=None)
+    turned = []
+    for k in range(len(seen)):
+        tail = seen.positions[k] + seen.matrices()[k][:3, :3] @ (-10.0, 2.0, 2.0)
+        pole = box("pole", tail - (0.0, 0.0, 0.05), (0.1, 0.1, 0.1))
+        one = World(obstacles=[pole]).clearance_by_obstacle(
+            TRUCK, seen.positions[k : k + 1], seen.orientations[k : k + 1],
+            channels={name: values[k : k + 1] for name, values in seen.channels.items()},
+        )  # fmt: skip
+        other = World(obstacles=[moving("truck", clip)]).clearance_by_obstacle(
+            point, tail[None], np.array([[1.0, 0, 0, 0]]), seconds[k : k + 1]
+        )
+        turned.append(float(other[0, 0]))
+        assert 0.0 <= other[0, 0] - one[0, 0] < 0.09  # half the pole's diagonal
+    assert np.ptp(turned) > 0.05

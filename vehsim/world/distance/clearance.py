@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from vehsim.rig.linkage import carried
 from vehsim.rig.parts import add_to_spec, solids
 from vehsim.rig.rig import Rig
+from vehsim.world.obstacles.articulated import carriers_of
 from vehsim.world.obstacles.obstacles import Moving, Obstacle
 
 Array = NDArray[np.float64]
@@ -35,36 +36,28 @@ class ObstacleScene:
 
         spec = mujoco.MjSpec()
         self.obstacles, self.rig, self.carriers = list(obstacles), rig, ("", *carriers)
-        if rig is None:
-            bodies = [_add_point(spec)]
-        else:
-            paths = [solid.path for solid in solids(rig.asset, rig.root or None)]
-            bodies = [
-                add_to_spec(spec, rig, f"vehicle{k or ''}", only=[p for p in paths if self._carrier(p) == carrier])
-                for k, carrier in enumerate(self.carriers)
-            ]
+        bodies = [[_add_point(spec)] if rig is None else _add_carriers(spec, rig, "vehicle", self.carriers)]
         for k, obstacle in enumerate(self.obstacles):
-            body = spec.worldbody.add_body(name=f"obstacle/{k}")
             if isinstance(obstacle, Moving):
-                body.add_freejoint()
+                bodies.append(_add_carriers(spec, _rig(obstacle), f"obstacle/{k}", _carriers(obstacle)))
+                continue
+            body = spec.worldbody.add_body(name=f"obstacle/{k}")
             for n, hull in enumerate(obstacle.hulls):
                 mesh = f"obstacle/{k}/{n}"
                 spec.add_mesh(name=mesh, uservert=np.ravel(hull), inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX)
                 body.add_geom(name=mesh, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh)
-            bodies.append(body)
-        geoms = [[geom.name for geom in body.geoms] for body in bodies]
-        names = [body.name for body in bodies]
+            bodies.append([body])
+        geoms = [[geom.name for body in group for geom in body.geoms] for group in bodies]
+        names = [[body.name for body in group] for group in bodies]
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
-        numbers = [[self.model.geom(name).id for name in group] for group in geoms]
-        self._theirs = numbers[len(self.carriers) :]
-        self._own = [geom for group in numbers[: len(self.carriers)] for geom in group]
-        joints = [int(self.model.body_jntadr[self.model.body(name).id]) for name in names]
-        self._places = [int(self.model.jnt_qposadr[joint]) if joint >= 0 else -1 for joint in joints]
+        self._own, *self._theirs = [[self.model.geom(name).id for name in group] for group in geoms]
+        self._places = [[self._place_of(name) for name in group] for group in names]
 
-    def _carrier(self, path: str) -> str:
-        """The part in ``carriers`` that carries the one at ``path``."""
-        return max((c for c in self.carriers if not c or f"{path}/".startswith(f"{c}/")), key=len)
+    def _place_of(self, body: str) -> int:
+        """Where the pose of a body is in the model's coordinates; -1 for one that stands."""
+        joint = int(self.model.body_jntadr[self.model.body(body).id])
+        return int(self.model.jnt_qposadr[joint]) if joint >= 0 else -1
 
     def clearance(
         self,
@@ -84,13 +77,19 @@ class ObstacleScene:
             own = [carried(self.rig, path, channels, positions, orientations) for path in self.carriers]
         moving = {k: o for k, o in enumerate(self.obstacles) if isinstance(o, Moving)}
         shown = [k for k in range(len(self.obstacles)) if k not in moving or seconds is not None]
-        poses = {} if seconds is None else {k: o.poses_at(seconds) for k, o in moving.items()}
+        placed = [*zip(self._places[0], own, strict=True)]
+        for k, obstacle in moving.items():
+            if seconds is not None:
+                rig, there = _rig(obstacle), obstacle.poses_at(seconds)
+                turned = obstacle.channels_at(seconds)
+                poses = [carried(rig, path, turned, *there) for path in _carriers(obstacle)]
+                placed += zip(self._places[k + 1], poses, strict=True)
         groups = [self._theirs[k] for k in shown] if each else [[geom for k in shown for geom in self._theirs[k]]]
         columns = shown if each else [0]
         result = np.full((len(positions), len(self.obstacles) if each else 1), np.inf)
         for n in range(len(positions)):
-            for k, (there, turned) in [*enumerate(own), *((k + len(own), pose) for k, pose in poses.items())]:
-                self._place(k, there[n], turned[n])
+            for at, (points, quaternions) in placed:
+                self.data.qpos[at : at + 3], self.data.qpos[at + 3 : at + 7] = points[n], quaternions[n]
             self._update()
             result[n, columns] = [self._nearest(group) for group in groups]
         return result
@@ -111,14 +110,33 @@ class ObstacleScene:
             best = min(best, found) if found < cap else best
         return float(best)
 
-    def _place(self, body: int, position: Any, orientation: Any) -> None:
-        at = self._places[body]
-        self.data.qpos[at : at + 3], self.data.qpos[at + 3 : at + 7] = position, orientation
-
     def _update(self) -> None:
         import mujoco
 
         mujoco.mj_kinematics(self.model, self.data)
+
+
+def _carriers(obstacle: Moving) -> tuple[str, ...]:
+    return ("", *carriers_of(obstacle.clip.vehicle))
+
+
+def _rig(obstacle: Moving) -> Rig:
+    rig: Rig = obstacle.clip.vehicle.rig  # type: ignore[assignment]  # `moving` refuses vehicles without one
+    return rig
+
+
+def _add_carriers(spec: Any, rig: Rig, name: str, carriers: Sequence[str]) -> list[Any]:
+    """A vehicle's hulls as one body for each of its ``carriers``, of which "" is the vehicle itself."""
+    owners = {
+        solid.path: max((c for c in carriers if not c or f"{solid.path}/".startswith(f"{c}/")), key=len)
+        for solid in solids(rig.asset, rig.root or None)
+    }
+    return [
+        add_to_spec(
+            spec, rig, f"{name}.{k}" if k else name, only=[path for path, owner in owners.items() if owner == carrier]
+        )
+        for k, carrier in enumerate(carriers)
+    ]
 
 
 def _add_point(spec: Any) -> Any:

@@ -114,6 +114,11 @@ class Moving:
         motion = self.clip.at(times)
         return motion.positions[place], motion.orientations[place]
 
+    def channels_at(self, seconds: Array) -> dict[str, Array]:
+        """The channels (n,) of its rig at ``seconds`` (n,) since frame 0."""
+        times, place = np.unique(self._times(seconds), return_inverse=True)
+        return {name: values[place] for name, values in self.clip.at(times).channels.items()}
+
     def motion_at(self, seconds: Array) -> tuple[Array, Array, Array, Array]:
         """Times of its clip (n,) s, positions, velocities in world axes and angular ones in body axes, (n, 3) each."""
         times, place = np.unique(self._times(seconds), return_inverse=True)
@@ -142,7 +147,7 @@ class Moving:
     def content_hash(self) -> str:
         """A hash of the obstacle's content."""
         clip = self.clip
-        arrays = (clip.times, clip.positions, clip.orientations, *self.hulls)
+        arrays = (clip.times, clip.positions, clip.orientations, clip.joints, *self.hulls)
         return hashlib.sha256(self.name.encode() + b"".join(a.tobytes() for a in arrays)).hexdigest()
 
 
