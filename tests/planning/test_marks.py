@@ -82,7 +82,7 @@ def test_a_free_mark_is_held(car):
         Mark("free", position=(15, 0, 0), velocity=REST, hold=12),
         Mark("free", position=(30, 3, 0), velocity=REST),
     ]
-    plan = vehsim.plan(car, None, marks, segments=24, character="stunt")  # others ease: they creep into the mark
+    plan = vehsim.plan(car, None, marks, segments=24, character="stunt")  # other characters ease into the mark
     assert plan.success
     clip = plan.clip.resample()
     there = np.flatnonzero(np.linalg.norm(clip.positions[:, :2] - [15, 0], axis=1) < 1e-6)

@@ -95,7 +95,7 @@ def through_a_gap(width):
 
 
 def test_a_helicopter_finds_a_gap_that_it_just_fits_through():
-    """The grid over the whole terrain has no point in it; the one around the marks does."""
+    """The grid over the whole terrain has no point in the gap; the grid around the marks has."""
     plan = through_a_gap(14.0)
     assert plan.success and plan.clearance > 0.99, plan.message
     assert np.abs(plan.clip.positions[:, 1]).max() < 7.0

@@ -223,9 +223,8 @@ def cover_for(request: Request, paths: Sequence[Array], progress: Progress) -> S
     points = np.vstack([path[:, :3] for path in paths])
     room = np.array([points.min(axis=0) - ROOM, points.max(axis=0) + ROOM])
     near, *wider = search_boxes(request)
-    if (
-        wider and near is not None
-    ):  # a finer field than that of all; the one that the path was searched in, if it will do
+    # use a finer field than that of all obstacles: the one in which the paths were searched, if it contains them
+    if wider and near is not None:
         inside = (points.min(axis=0) > near[0] + ROOM / 2).all() and (points.max(axis=0) < near[1] - ROOM / 2).all()
         field = request.world.distance_field(progress, box=near if inside else room)
     else:

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 DETOUR = 1.5
-"""How many times longer a wide route may be than a narrow one."""
+"""Largest length of a preferred wide route, relative to a narrow route."""
 
 
 def find_paths(request: Request, guess: Any, progress: Progress) -> list[Array]:
@@ -51,8 +51,9 @@ def find_paths(request: Request, guess: Any, progress: Progress) -> list[Array]:
 def _flown(request: Request, kept: Sequence[Mark], progress: Progress) -> list[Array]:
     """Routes through free space between the marks ``kept``, one per leg.
 
-    Routes with room for a ball around all spheres come first, then those for a ball that may pass where the vehicle
-    does, nose first; solving shows whether it passes. Among two, a wide route may be a detour of `DETOUR`.
+    Routes are searched for a ball around all spheres, then for a smaller ball, which passes gaps that the vehicle may
+    pass nose first; only solving shows whether it does. A wide route is preferred to a narrow one if it is at most
+    `DETOUR` times as long.
     """
     _, roomy, tight = balls(request.vehicle)
 

@@ -34,8 +34,8 @@ Array = NDArray[np.float64]
 ROOM = 30.0
 """Margin around marks and paths within which terrain and obstacles are considered, m."""
 FINER = 8.0
-"""How many times larger the box of all obstacles is than that of the marks if paths are first searched in the latter: a
-coarse grid has no points in a narrow gap."""
+"""Least ratio of volumes, of the box of all obstacles to that of the marks, at which paths are first searched around
+the marks: the coarse grid of the larger box has no points in a narrow gap."""
 MOST_SEGMENTS = 4096
 """Largest number of segments of a plan."""
 UNEVEN = 0.02
