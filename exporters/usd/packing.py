@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vehsim.errors import ExportError, InputError
-from vehsim.intake.usd import beyond, dependencies
+from vehsim.intake.usd import beyond, dependencies, references
 from vehsim.runtime.cache import cache_folder
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ class Pack:
                 copy.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(file, copy)
                 self.written.append(copy)
-            if all(file.is_relative_to(target.resolve()) for file in dependencies(target / source.name)[0]):
+            if all(file.is_relative_to(target.resolve()) for file in references(target / source.name)[1]):
                 return target / source.name
         return self._localize(source, target)
 

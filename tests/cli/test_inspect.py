@@ -200,3 +200,16 @@ def test_an_obj_whose_vertices_are_no_numbers_is_refused(tmp_path: Path) -> None
     (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 50.0v 0\nf 1 2 3\n")
     with pytest.raises(InputError, match=r"a.obj: asset: cannot be read \(ValueError: could not convert"):
         inspect(tmp_path / "a.obj")
+
+
+def test_an_asset_of_very_many_parts_is_refused(tmp_path: Path) -> None:
+    parts = "".join(
+        f'    def Xform "p{k}"\n    {{\n        def Mesh "m"\n        {{\n'
+        "            point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]\n            int[] faceVertexCounts = [3]\n"
+        "            int[] faceVertexIndices = [0, 1, 2]\n        }\n    }\n"
+        for k in range(1001)
+    )
+    head = '#usda 1.0\n(\n    defaultPrim = "a"\n    metersPerUnit = 1\n    upAxis = "Z"\n)\ndef Xform "a"\n{\n'
+    (tmp_path / "a.usda").write_text(head + parts + "}\n")
+    with pytest.raises(InputError, match=r"a.usda: 1,001 parts, at most 1,000; inspect the vehicle alone"):
+        inspect(tmp_path / "a.usda")

@@ -35,6 +35,7 @@ THIN = 1.2
 SMALL = 0.6
 """Smallest ratio of a load-bearing wheel's radius to the largest: smaller wheels are castors."""
 MOST_PRIMS = 120
+MOST_PARTS = 1000
 ROTOR = re.compile(r"rotor|propel|prop(?![a-z])|fan(?![a-z])|blade", re.IGNORECASE)
 FRONT = {"front", "fl", "fr", "lf", "rf", "steer", "steering", "nose", "vorn"}
 REAR = {"rear", "back", "rl", "rr", "lr", "bl", "br", "tail", "outboard", "propeller", "rudder", "stern"}
@@ -109,13 +110,21 @@ def _upright_asset(path: Path, keys: dict[str, Any], reasons: dict[str, str]) ->
         if "forward" not in keys:
             up = str(keys.get("up_axis") or _up_axis(path, keys))
             asset, root = _read(path, keys | {"forward": "+X"})
-            parts = read_parts(asset, root)
+            parts = _few(path, read_parts(asset, root))
             wheels, _ = _turning(parts, asset, root)
             forward, why = _forward(parts, up, sum((np.abs(wheel.axis) for wheel in wheels), np.zeros(3)))
             keys, reasons = keys | {"forward": forward}, reasons | {"forward": why}
         ready, root = _read(path, keys)
-        parts = read_parts(ready, root)
+        parts = _few(path, read_parts(ready, root))
         return Inspection(path, keys, reasons, parts, ready, *_turning(parts, ready, root))
+
+
+def _few(path: Path, parts: list[Part]) -> list[Part]:
+    """The parts, if they are few enough: each is compared with all others."""
+    if len(parts) > MOST_PARTS:
+        said = f"{len(parts):,} parts, at most {MOST_PARTS:,}"
+        raise InputError(said, "inspect the vehicle alone, or join parts that do not move", file=path)
+    return parts
 
 
 # ---------------------------------------------------------------- reading

@@ -134,23 +134,31 @@ def _screened(asset: Path) -> tuple[tuple[Path, ...], tuple[str, ...]]:
     return tuple(map(Path, facts["files"])), tuple(facts["missing"])
 
 
+def references(asset: Path) -> tuple[list[Any], list[Path], list[str]]:
+    """The layers and files that a USD file needs, and references that do not resolve, found in this process: for the
+    reader process, and for copies of files that it has read."""
+    from pxr import UsdUtils
+
+    if asset.suffix == ".usdz":  # a package contains all files that it needs
+        return [], [asset], []
+    layers, assets, missing = UsdUtils.ComputeAllDependencies(str(asset))
+    named = [layer.realPath for layer in layers] + [str(path) for path in assets]
+    return layers, sorted({Path(path.split("[")[0]).resolve() for path in named if path}), sorted(missing)
+
+
 def examine(asset: Path, most: float) -> Answer:
     """The content of each file of a stage, references that do not resolve, and the number of prims, after all has been
     read: every value of every layer, and what composition, transforms and materials make of it.
 
     Raises ``InputError`` beyond ``most`` prims. It runs in the reader process.
     """
-    from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdUtils
+    from pxr import Sdf, Usd, UsdGeom, UsdShade
 
     layer = Sdf.Layer.FindOrOpen(str(asset))
     if layer is None:
         raise refuse(asset, "asset", "not readable as USD", "export it again")
-    files, missing, layers = [asset], [], [layer]
-    written = _read_layers(layers, asset, most)  # first: to look for files in a million prims takes long
-    if asset.suffix != ".usdz":  # a package contains all files that it needs
-        layers, assets, missing = UsdUtils.ComputeAllDependencies(str(asset))  # the first layer is this one
-        named = [layer.realPath for layer in layers] + [str(path) for path in assets]
-        files = [Path(path.split("[")[0]).resolve() for path in named if path]
+    written = _read_layers([layer], asset, most)  # first: to look for files in a million prims takes long
+    layers, files, missing = references(asset)
     stage = Usd.Stage.Open(str(asset))
     others = [layer for layer in {*layers, *stage.GetUsedLayers()} if layer != stage.GetRootLayer()]
     written += _read_layers(others, asset, most)
@@ -166,8 +174,8 @@ def examine(asset: Path, most: float) -> Answer:
             imageable.ComputeVisibility(Usd.TimeCode.EarliestTime())
             imageable.ComputePurpose()
             UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()
-    contents = {str(file): content_of(file) for file in sorted(set(files))}
-    return {"files": contents, "missing": sorted(missing), "prims": max(prims, written)}, []
+    contents = {str(file): content_of(file) for file in files}
+    return {"files": contents, "missing": missing, "prims": max(prims, written)}, []
 
 
 def _read_layers(layers: Iterable[Any], asset: Path, most: float) -> int:
