@@ -109,10 +109,10 @@ class Mark:
 def heading_of(mark: Any) -> float | None:
     """The yaw of the nose at a mark, rad from world X, from its heading or its orientation; None without either.
 
-    ``mark``: a `Mark`, or a table of a shot file.
+    ``mark``: a `Mark`, or a table of a shot file; marks at rest for sinusoids have no orientation.
     """
-    if mark.orientation is not None:
-        return float(yaw_of(np.asarray(mark.orientation, float) / np.linalg.norm(mark.orientation)))
+    if (orientation := getattr(mark, "orientation", None)) is not None:
+        return float(yaw_of(np.asarray(orientation, float) / np.linalg.norm(orientation)))
     return None if mark.heading is None else math.radians(mark.heading)
 
 
