@@ -2,7 +2,7 @@
 BIN := .venv/bin
 export MUJOCO_GL ?= egl
 
-.PHONY: help setup demo check test test-pythons measure-tests blender docs assets lock clean bench-export bench-integrators bench-planning bench-collocation audit-random hostile-files
+.PHONY: help setup demo check test test-pythons measure-tests blender docs assets lock clean bench-export bench-integrators bench-planning bench-unseen bench-collocation audit-random hostile-files
 
 help:
 	@echo "make demo               export examples/canyon_flight.toml to out/: a USD shot, frames and a film"
@@ -17,6 +17,7 @@ help:
 	@echo "make lock               update requirements.lock from pyproject.toml"
 	@echo "make bench-integrators  measure the claims of the papers; writes benchmarks/RESULTS.md"
 	@echo "make bench-planning     measure plans: building, free space, canyon, replanning; writes RESULTS.planning.md"
+	@echo "make bench-unseen       plan random problems by family: the share certified, and why the others failed"
 	@echo "make bench-collocation  compare DMOC with collocation; writes RESULTS.collocation.md"
 	@echo "make bench-export       compare baking, pictures and batches with alternatives (ten minutes)"
 	@echo "make audit-random       export a thousand random shots and measure them from USD alone (hours; resumes)"
@@ -68,6 +69,9 @@ bench-integrators: setup
 
 bench-planning: setup
 	$(BIN)/python -m benchmarks.planning
+
+bench-unseen: setup
+	$(BIN)/python -m benchmarks.unseen
 
 bench-collocation: setup
 	$(BIN)/python -m benchmarks.collocation
