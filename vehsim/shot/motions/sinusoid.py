@@ -71,11 +71,6 @@ class RestMark(Table):
     def tolerance(self) -> float:
         return 0.0
 
-    @property
-    def orientation(self) -> None:
-        """None: a heading is all that a mark of a sinusoid has."""
-        return None
-
 
 class SinusoidMotion(Table):
     """``method = "sinusoid"``: from rest to rest by sinusoids, one of several manoeuvres between two marks."""
