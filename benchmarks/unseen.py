@@ -29,9 +29,10 @@ REST = (0.0, 0.0, 0.0)
 FPS = 24
 HEAD = """# Unseen problems, measured
 
-`python -m benchmarks.unseen` plans problems that a seed makes: helicopters above random hills and through gaps, wheels among
-random obstacles and into parking gaps, snakeboards from rest to rest, boats that dock in wind. *Certified* counts the plans
-that succeed within {seconds:g} s of CPU time, first loads and distances to a new terrain included.
+`python -m benchmarks.unseen` plans problems that a seed makes: helicopters above random hills and through
+gaps, wheels among random obstacles and into parking gaps, snakeboards from rest to rest, boats that dock in wind.
+*Certified* counts the plans that succeed within {seconds:g} s of CPU time, first loads and distances to a new terrain
+included.
 
 | family | problems | certified | CPU, median s | 90 % | slowest |
 |---|---|---|---|---|---|
