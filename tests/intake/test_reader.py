@@ -186,3 +186,14 @@ def test_a_stage_is_read_again_when_a_referenced_file_changes(tmp_path: Path, mo
     (tmp_path / "part.usda").write_bytes(usda(CUBE, FACES)[:-9])
     with pytest.raises(InputError, match=r"whole.usda: asset: cannot be read"):
         dependencies(whole)
+
+
+def test_a_stage_nested_very_deeply_is_refused(tmp_path: Path) -> None:
+    from vehsim.intake.usd import dependencies
+
+    for depth in (400, 600):
+        (tmp_path / "deep.usda").write_text("#usda 1.0\n" + 'def "a"\n{\n' * depth + "}\n" * depth)
+        if depth == 400:
+            dependencies(tmp_path / "deep.usda")
+    with pytest.raises(InputError, match=r"deep.usda: asset: prims nested deeper than 500; group its prims"):
+        dependencies(tmp_path / "deep.usda")

@@ -24,6 +24,8 @@ from vehsim.runtime.cache import Stamp, content_of, keep, recalled, stamp
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
+MAX_DEPTH = 500
+"""Largest depth of a prim: the time to compose one grows with it."""
 SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 
 
@@ -191,6 +193,9 @@ def _read_layers(layers: Iterable[Any], asset: Path, most: float) -> int:
             prims += len(below)
             if prims > most:
                 raise _too_many(asset, most)
+            if spec.path.pathElementCount > MAX_DEPTH:
+                said = f"prims nested deeper than {MAX_DEPTH}"
+                raise refuse(asset, "asset", said, "group its prims in fewer levels")
             for each in (spec, *spec.properties):
                 for key in each.ListInfoKeys():
                     with suppress(TypeError):  # a type that Python does not know, such as those of layer offsets
