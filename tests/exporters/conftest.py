@@ -89,6 +89,7 @@ def toy_clip(asset: Path, spin_axis: str = "Z", still: bool = False, drives: dic
     drives = drives or {"rotor": Drive("rotor", f"rotate{spin_axis}")}
     rig = Rig(asset=asset, root="", drives=drives)
     vehicle = SimpleNamespace(
+        parameters={},
         name="toy",
         joints=(),
         channels={},
