@@ -219,3 +219,14 @@ def test_a_corrupt_value_is_wrong_input(tmp_path: Path, monkeypatch: pytest.Monk
         read_parts(folder / "car.usdc")
     (tmp_path / "shot.toml").write_text(SHOT.format(name="shot", asset="it"))
     assert any("not readable as USD" in str(problem) for problem in Shot.load(tmp_path / "shot.toml").check())
+
+
+def test_of_very_many_problems_the_first_are_listed(tmp_path: Path) -> None:
+    """Each explanation takes milliseconds, so a file of nothing but unknown keys would take minutes."""
+    folder = tmp_path / "it"
+    folder.mkdir()
+    (folder / "vehicle.toml").write_text('model = "car"\n' + "".join(f"unknown_key_{k} = 1\n" for k in range(5000)))
+    with pytest.raises(InputError) as raised:
+        load_vehicle(folder)
+    assert len(raised.value.problems) == 101
+    assert raised.value.problems[0].message == "5000 problems, of which 100 are listed"

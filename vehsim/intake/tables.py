@@ -49,6 +49,10 @@ WORDS = {
 """Messages by pydantic's types of errors, without pydantic's vocabulary."""
 
 
+LISTED = 100
+"""The largest number of problems of one file that are listed: to explain each takes milliseconds."""
+
+
 def describe(schema: dict[str, Any], model: type[BaseModel]) -> None:
     """Describe each key in a model's JSON schema.
 
@@ -142,8 +146,10 @@ def dotted(place: tuple[int | str, ...]) -> str:
 
 
 def problems_of(errors: Any, root: Mapping[str, Any]) -> Iterator[Problem]:
-    """One problem per error of pydantic's; ``root``: the JSON schema of the whole file."""
-    for error in errors:
+    """One problem per error of pydantic's, at most `LISTED`; ``root``: the JSON schema of the whole file."""
+    if len(errors) > LISTED:
+        yield Problem("file", f"{len(errors)} problems, of which {LISTED} are listed", "fix these, then check again")
+    for error in errors[:LISTED]:
         place, description, keys = locate(root, error["loc"])
         key, value = dotted(place), error["input"]
         match error["type"]:
