@@ -72,8 +72,10 @@ vehicle = "heli"
 name = "heli"
 asset = "helicopter"
 variants = { livery = "red" }
+parameters = { mass = 1500 }
 [vehicle.motion]
 method = "plan"
+character = "normal"
 cost = { time = 1 }
 segments = 8
 clearance = 1
@@ -104,6 +106,7 @@ speed = 1
 joints = { psi = 1 }
 tolerance = 0
 hold = 0
+ease = true
 gate = { direction = [1, 0, 0], radius = 1 }
 on_ground = false
 [[vehicle.motion.mark]]
