@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from tools.audit_random.shots import make_shot, write_shot
+from tools.seeds import seeds_in
 
 HERE = Path(__file__).resolve().parent
 DELIVERY = "out"
@@ -38,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--summary", action="store_true", help="only sum up what is there")
     options = parser.parse_args(arguments)
     only, without = (set(filter(None, words.split(","))) for words in (options.only, options.without))
-    for seed in () if options.summary else _seeds(options.seeds):
+    for seed in () if options.summary else seeds_in(options.seeds):
         words = set(make_shot(seed).words)
         if (only and not words & only) or words & without:
             continue
@@ -165,14 +166,6 @@ def _line(seed: int, result: dict[str, Any]) -> str:
     verdict = "refuted" if result["refuted"] else "delivered" if result["exit"] == 0 else f"exit {result['exit']}"
     why = result["refuted"][0]["text"] if result["refuted"] else "" if result["exit"] == 0 else result["said"][-160:]
     return f"{seed}: {verdict} in {result['seconds']} s ({', '.join(result['words'])}) {why}"
-
-
-def _seeds(text: str) -> list[int]:
-    seeds = []
-    for part in text.split(","):
-        first, _, last = part.partition("-")
-        seeds += range(int(first), int(last or first) + 1)
-    return seeds
 
 
 if __name__ == "__main__":

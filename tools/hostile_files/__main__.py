@@ -20,6 +20,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from tools.seeds import seeds_in
+
 ROOT = Path(__file__).resolve().parents[2]
 SLOW = 20.0
 """Processor time, s, from which a command counts as hanging."""
@@ -36,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     options.out.mkdir(parents=True, exist_ok=True)
     results = options.out / "results.jsonl"
-    seeds = _seeds(options.seeds)
+    seeds = seeds_in(options.seeds)
     done = {result["seed"] for result in read(results)}
     left = [] if options.summary else [seed for seed in seeds if options.again or seed not in done]
     with results.open("a", encoding="utf-8") as file:
@@ -88,14 +90,6 @@ def summary(results: Sequence[dict[str, Any]]) -> str:
     lines.append("Exit codes: " + ", ".join(f"{code}: {count}" for code, count in sorted(exits.items())) + ".")
     lines.append(f"Longest, processor seconds: {', '.join(f'{seconds:.1f}' for seconds in slow)}.")
     return "\n".join([*lines, *(f"{finding}: {count}" for finding, count in found.most_common())])
-
-
-def _seeds(text: str) -> list[int]:
-    seeds = []
-    for part in text.split(","):
-        first, _, last = part.partition("-")
-        seeds += range(int(first), int(last or first) + 1)
-    return seeds
 
 
 if __name__ == "__main__":
