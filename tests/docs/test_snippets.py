@@ -424,9 +424,9 @@ SHELL: dict[str, Shell | str] = {
     ),
     "regression.md: Without pytest": Shell(
         ("renders/*/*.1001.png", "renders/*/depth/*.tif"),
-        {"shot.toml": SMALL.replace('"small"', '"canyon_flight"').replace("0.25", "18.0")},
+        {"shot.toml": SMALL.replace('"small"', '"canyon_flight"').replace("0.25", "27.0")},
         "vehsim export shot.toml --out out; vehsim render out/canyon_flight/canyon_flight.usda --out approved "
-        "--frames 1001-1433x48 --passes depth,segmentation",
+        "--frames 1001-1649x48 --passes depth,segmentation",
     ),
     "riggers-guide.md: What comes out": Shell(
         ("out/shot/shot.usda",), {"shot.toml": SMALL.replace('"small"', '"shot"')}
