@@ -29,7 +29,7 @@ class Trait:
         return {"calm": self.calm, "normal": self.normal, "brisk": self.brisk}[character]
 
 
-RESPONSE = Trait(1.0, 0.5, 0.25, "McRuer and Jex 1967: operators close their loops at 1 to 4 rad/s")
+RESPONSE = Trait(1.0, 0.5, 0.25, "our choice: a driver who takes his time, who drives, who hurries")
 """The default response, s."""
 
 
