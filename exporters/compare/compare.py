@@ -8,7 +8,7 @@ prims cannot vanish or change colour unnoticed. `report.py` shows the changes.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -47,7 +47,7 @@ class Comparison:
     """A picture and its reference: ``changed`` is the share of pixels that differ visibly, 1 if sizes differ.
 
     ``kind``: the applied entry of `RULES`; ``reason``: why pixels could not be counted; ``prims``: those that changed
-    for the most part, by path or colour in the segmentation.
+    for the most part, by path or colour in the segmentation; ``missing``: those that are only in the reference.
     """
 
     picture: Path
@@ -56,6 +56,7 @@ class Comparison:
     reason: str = ""
     kind: str = "colour"
     prims: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()
 
     @property
     def allowed(self) -> float:
@@ -78,8 +79,15 @@ class Comparison:
     @property
     def most(self) -> str:
         """Text for `prims`, to append to a message."""
-        more = f" and {len(self.prims) - 3} more" if len(self.prims) > 3 else ""
-        return f"; most of {', '.join(self.prims[:3])}{more}" if self.prims else ""
+        changed = [prim for prim in self.prims if not f"{prim}/".startswith(tuple(f"{path}/" for path in self.missing))]
+        missing = (
+            f"; {_first(self.missing)} {'is' if len(self.missing) == 1 else 'are'} missing" if self.missing else ""
+        )
+        return missing + (f"; most of {_first(changed)}" if changed else "")
+
+
+def _first(names: Sequence[str]) -> str:
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
 def compare_pictures(picture: str | Path, reference: str | Path) -> Comparison:
@@ -98,16 +106,20 @@ def compare_pictures(picture: str | Path, reference: str | Path) -> Comparison:
         size = f"is {a.shape[1]} x {a.shape[0]}, not {b.shape[1]} x {b.shape[0]}"
         return Comparison(picture, reference, 1.0, size, kind)
     changed = rule.differ(a, b)
-    return Comparison(
-        picture, reference, float(changed.mean()), kind=kind, prims=_mostly_changed(changed, picture, reference)
-    )
+    prims, missing = _mostly_changed(changed, picture, reference)
+    return Comparison(picture, reference, float(changed.mean()), kind=kind, prims=prims, missing=missing)
 
 
-def _mostly_changed(changed: NDArray[np.bool_], picture: Path, reference: Path) -> tuple[str, ...]:
-    """The prims most of whose pixels ``changed`` (h, w), by the segmentations before and after."""
+def _mostly_changed(
+    changed: NDArray[np.bool_], picture: Path, reference: Path
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The prims most of whose pixels ``changed`` (h, w), by the segmentations before and after; and those among them
+    that are only in the reference, or the prim above them if nothing below it is left."""
     found: set[str] = set()
+    seen: list[set[int]] = []
     sides = [segmentation_of(path, kind_of(path)) for path in (reference, picture)]
-    names = read_legend(sides[0].parent) | read_legend(sides[1].parent)  # a prim has the same colour in both
+    after = read_legend(sides[1].parent)
+    names = read_legend(sides[0].parent) | after  # a prim has the same colour in both
     for segmentation in sides:
         if not segmentation.is_file() or (pixels := _read(segmentation)).shape[:2] != changed.shape:
             continue
@@ -116,7 +128,18 @@ def _mostly_changed(changed: NDArray[np.bool_], picture: Path, reference: Path) 
         area, lost = np.bincount(which.ravel()), np.bincount(which.ravel(), weights=changed.ravel())
         hit = colours[(area >= SEEN) & (lost > MOSTLY * area) & (colours > 0)]
         found |= {names.get(f"#{colour:06x}", f"#{colour:06x}") for colour in hit.tolist()}
-    return tuple(sorted(found))
+        seen.append({*colours.tolist()})
+    gone = seen[0] - seen[1] if len(seen) == 2 else set()
+    vanished = {names[f"#{colour:06x}"] for colour in gone if f"#{colour:06x}" in names} & found
+    left = after.values()
+    return tuple(sorted(found)), tuple(sorted({_topmost(path, left) for path in vanished}))
+
+
+def _topmost(path: str, left: Collection[str]) -> str:
+    """The highest prim at or above ``path``, below the root, with none of the prims that are ``left`` below it."""
+    steps = path.split("/")
+    above = ("/".join(steps[:count]) for count in range(3, len(steps)))
+    return next((prim for prim in above if not any(f"{other}/".startswith(f"{prim}/") for other in left)), path)
 
 
 def kind_of(path: Path) -> str:

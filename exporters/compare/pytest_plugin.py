@@ -72,7 +72,9 @@ class RenderRegression:
             self._fail(changed, len(found), source.stem)
 
     def _write(self, paths: Iterable[Path], renders: Path, references: Path) -> None:
-        """Update the references; unchanged ones keep their bytes."""
+        """Update the references and their legends; unchanged ones keep their bytes."""
+        from vehsim.exporters.pictures.passes import LEGEND, keep_legend
+
         for path in paths:
             target = references / path
             if not (renders / path).is_file():
@@ -81,6 +83,8 @@ class RenderRegression:
             target.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(renders / path, target)
             self.written.append(target)
+        for legend in renders.rglob(LEGEND):  # names prims of the references that a later stage lacks
+            keep_legend(legend.parent, references / legend.parent.relative_to(renders))
 
     def _fail(self, changed: Sequence[Comparison], count: int, name: str) -> None:
         from vehsim.exporters.compare.report import write_report

@@ -50,6 +50,15 @@ def write_legend(paths: Sequence[str], folder: Path) -> Path:
     return target
 
 
+def keep_legend(source: Path, target: Path) -> None:
+    """Add the legend in the folder ``source`` to the one in ``target``, which may show prims of an earlier stage."""
+    known = read_legend(target)
+    legend = dict(sorted((known | read_legend(source)).items(), key=lambda item: item[1]))
+    if legend != known:
+        target.mkdir(parents=True, exist_ok=True)
+        (target / LEGEND).write_text(json.dumps(legend, indent=1), encoding="utf-8")
+
+
 def read_legend(folder: Path) -> dict[str, str]:
     """``#rrggbb`` -> prim path, of the segmentation in ``folder``; empty if there is none."""
     legend = folder / LEGEND

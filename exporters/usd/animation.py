@@ -29,10 +29,10 @@ from vehsim.rig.ops import (
     op_order,
     pivot_of,
     pivot_op,
+    place_op,
     prim_path,
     replaced_ops,
 )
-from vehsim.rig.ops import insert_op as insert_op
 from vehsim.rig.ops import open_rig as open_rig
 
 if TYPE_CHECKING:
@@ -163,8 +163,7 @@ def rig_ops(asset: Path, rig: Rig, units: Units, moving: Sequence[str]) -> RigOp
         pivot = pivot_of(rig, channel, root, scale)
         if pivot is not None:
             constants.setdefault(drive.prim, []).append((pivot_op(channel), pivot.tolist()))
-        inserted = insert_op(order, op, None if pivot is None else pivot_op(channel))
-        orders[drive.prim] = order if op in order else inserted
+        orders[drive.prim] = place_op(rig, channel, root, order)
         channels[channel] = (drive.prim, op, factor * drive.factor)
         freed += [path for path in instances_above(root, prim) if path not in freed]
     replaced = {

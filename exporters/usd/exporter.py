@@ -57,7 +57,8 @@ def write_usd(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
         _check_finite(name, clip)
     settings = take.usd
     units = Units(settings.up_axis, settings.meters_per_unit)
-    pack = Pack(folder, keep=settings.assets == "keep", beyond=settings.outside == "copy")
+    keep = settings.assets == "keep" or settings.layer_only
+    pack = Pack(folder, keep=keep, beyond=settings.outside == "copy")
     clips = {name: _whole_frames(clip, take) for name, clip in take.clips.items()}
     layers: dict[str, list[Path]] = {}
     for done, name in enumerate(clips):

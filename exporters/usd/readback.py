@@ -14,12 +14,13 @@ from vehsim.errors import ExportError
 from vehsim.exporters.usd.metadata import Z_UP_METRES, Units
 from vehsim.exporters.usd.sampling import frames_of
 from vehsim.lie import quaternions
-from vehsim.rig.ops import drive_op, insert_op, open_rig, pivot_of
+from vehsim.rig.ops import PIVOT, drive_op, open_rig, pivot_of, place_op
 from vehsim.rig.parts import Y_UP_TO_Z_UP
 
 if TYPE_CHECKING:
     from vehsim.cameras.camera import Camera
     from vehsim.clip.clip import Clip
+    from vehsim.rig.rig import Rig
 
 Array = NDArray[np.float64]
 
@@ -93,18 +94,18 @@ def expected_matrices(clip: Clip, codes_per_second: float = 24.0) -> dict[str, A
     scale = UsdGeom.GetStageMetersPerUnit(stage)
     turn = Y_UP_TO_Z_UP if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y else np.eye(4)
     pose = clip.matrices() @ turn @ np.diag([scale, scale, scale, 1.0])
-    by_prim: dict[str, list[tuple[str, Array]]] = {}
+    by_prim: dict[str, list[tuple[str, str, Array]]] = {}
     for channel, drive in rig.drives.items():
         op, factor = drive_op(drive.op, scale)
         turned = _op_matrices(op.split(":")[1], clip.channels[channel] * factor * drive.factor)
         pivot = pivot_of(rig, channel, root, scale)
         if pivot is not None:
             turned = _shift(pivot) @ turned @ _shift(-pivot)
-        by_prim.setdefault(drive.prim, []).append((op, turned))
+        by_prim.setdefault(drive.prim, []).append((channel, op, turned))
 
     # the asset's own animation continues below ours, by its own clock
     codes = frames_of(clip) * stage.GetTimeCodesPerSecond() / codes_per_second
-    worlds = {"": pose @ _local_matrices(root, by_prim.get("", []), codes)}
+    worlds = {"": pose @ _local_matrices(rig, root, root, by_prim.get("", []), codes)}
     for path in by_prim:
         world = worlds[""]
         prim = root
@@ -113,24 +114,24 @@ def expected_matrices(clip: Clip, codes_per_second: float = 24.0) -> dict[str, A
             below = str(prim.GetPath())[len(str(root.GetPath())) + 1 :]
             xformable = UsdGeom.Xformable(prim)
             start = np.broadcast_to(np.eye(4), world.shape) if xformable.GetResetXformStack() else world
-            world = start @ _local_matrices(prim, by_prim.get(below, []), codes)
+            world = start @ _local_matrices(rig, root, prim, by_prim.get(below, []), codes)
         worlds[path] = world
     return worlds
 
 
-def _local_matrices(prim: Any, driven: list[tuple[str, Array]], codes: Array) -> Array:
+def _local_matrices(rig: Rig, root: Any, prim: Any, driven: list[tuple[str, str, Array]], codes: Array) -> Array:
     """Local matrices ((n,) 4, 4) of a prim of the asset at time ``codes`` (n,), with driven ops inserted into its
-    order."""
+    order: (channel, op, matrices, which contain the drive's pivot)."""
     from pxr import UsdGeom
 
     xformable = UsdGeom.Xformable(prim)
-    replaced = {name.split(":")[1][:-1] for name, _ in driven}  # what rotates or slides does not do so by itself
+    replaced = {op.split(":")[1][:-1] for _, op, _ in driven}  # what rotates or slides does not do so by itself
     own = {op.GetOpName(): _own_matrices(op, codes, replaced) for op in xformable.GetOrderedXformOps()}
     order = [name for name in xformable.GetXformOpOrderAttr().Get() or [] if name in own]
     moving = {}
-    for name, matrices in driven:
-        order = order if name in order else insert_op(order, name)
-        moving[name] = matrices
+    for channel, op, matrices in driven:
+        order = [name for name in place_op(rig, channel, root, order) if not name.endswith(PIVOT)]
+        moving[op] = matrices
     matrix = np.eye(4)
     for name in order:
         matrix = matrix @ (moving[name] if name in moving else own[name])

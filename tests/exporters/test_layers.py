@@ -170,9 +170,26 @@ def test_rational_rates_are_kept_exactly(weave, tmp_path):
 
 
 def test_layers_only(weave, tmp_path):
-    write_usd(take_of(weave, layer_only=True), tmp_path, lambda what, done: None)
-    assert not (tmp_path / "shot.usda").exists()
-    assert (tmp_path / "layers" / "it.anim.usdc").is_file()
+    """One file per vehicle. It replaces an earlier one, is replaced by a whole delivery, and replaces one, whose report
+    stays up to date."""
+    from pxr import Usd
+
+    def files(folder):
+        return {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+
+    take = take_of(weave, layer_only=True)
+    for _ in range(2):
+        folder = take.export(tmp_path)
+        assert files(folder) == {"layers/it.anim.usdc"}
+    stage = Usd.Stage.Open(str(folder / "layers" / "it.anim.usdc"))
+    assert stage.GetPrimAtPath("/it/steer_fl/wheel_fl").GetChildren(), "the asset itself is referenced"
+    take_of(weave).export(tmp_path)
+    assert {"shot.usda", "report.json"} < files(folder)
+    take.export(tmp_path)
+    assert files(folder) == {"layers/it.anim.usdc", "report.json"}
+    (folder / "report.json").rename(folder / "notes.json")
+    with pytest.raises(InputError, match="not written by vehsim"):
+        take.export(tmp_path)
 
 
 @pytest.mark.parametrize("to", ["png", "mp4", "flat"])

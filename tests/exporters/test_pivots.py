@@ -164,3 +164,59 @@ def test_a_deactivated_prim_is_named(tmp_path):
     (problem,) = rig_problems(car.rig)
     assert problem.key == "channels.roll_rr"
     assert "prim = 'side_rr/wheel': deactivated in the asset" in problem.message
+
+
+@pytest.mark.parametrize("kind", ["rotateY", "rotateXYZ", "orient"])
+def test_a_wheel_modelled_at_some_roll_steers_upright(kind, tmp_path):
+    """Steering and rolling drive the same prim, which was placed at 30 degrees of roll: steering turns the axle in the
+    ground's plane, as R_z(steer) R_y(30 + roll) says."""
+    stage = Usd.Stage.CreateNew(str(tmp_path / "mine.usda"))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/mine").GetPrim())
+    channels = ""
+    for name, hub in HUBS.items():
+        prim = UsdGeom.Xformable(UsdGeom.Xform.Define(stage, f"/mine/{name}"))
+        wheel(stage, f"/mine/{name}/tyre", np.zeros(3))
+        prim.AddTranslateOp().Set(hub)
+        if kind == "orient":
+            prim.AddOrientOp().Set(Gf.Quatf(Gf.Rotation((0, 1, 0), 30).GetQuat()))
+        else:
+            op = prim.AddRotateYOp() if kind == "rotateY" else prim.AddRotateXYZOp()
+            op.Set(30.0 if kind == "rotateY" else (0.0, 30.0, 0.0))
+        for channel, op in (("roll", "rotateY"), ("steer", "rotateZ")):
+            if channel == "roll" or name.startswith("f"):
+                channels += f'[channels.{channel}_{name}]\nprim = "{name}"\nop = "{op}"\n'
+    stage.Save()
+    (tmp_path / "vehicle.toml").write_text(TOML + channels)
+    car = load_vehicle(tmp_path)
+    assert list(rig_problems(car.rig)) == []
+    clip = vehsim.simulate(car, None, [0.0, 0.2], vehsim.State(twist=(0.0, 8.0, 0.0)), 0.5)
+    take = Take("shot", {"it": clip}, vehsim.World(), (), Fraction(24), (1001, 1013))
+    write_usd(take, tmp_path / "out", lambda what, done: None)
+    stage, whole = Usd.Stage.Open(str(tmp_path / "out/shot.usda")), clip.resample()
+    assert np.abs(whole.channels["steer_fl"]).max() > 0.01
+    for name in ("fl", "fr"):
+        found = world_matrices(stage.GetPrimAtPath(f"/shot/vehicles/it/{name}"), whole.frames)
+        for k, (T_wr, T_wp) in enumerate(zip(whole.matrices(), found, strict=True)):
+            angles = [whole.channels[f"steer_{name}"][k], whole.channels[f"roll_{name}"][k] + np.radians(30)]
+            expected = T_wr[:3, :3] @ Rotation.from_euler("ZY", angles).as_matrix()
+            assert np.abs(T_wp[:3, :3] - expected).max() < 1e-6
+
+
+@pytest.mark.parametrize(("off", "given", "warned"), [(0.12, False, True), (0.12, True, True), (0.01, False, False)])
+def test_a_pivot_beside_the_hub_of_a_wheel_warns(off, given, warned, tmp_path):
+    """In the asset, or in vehicle.toml: the wheel would rise by twice the distance."""
+    at = (2.6 + off, 0.8, 0.4)
+    if given:
+        car = vehicle(tmp_path, roll_fl={"pivot": list(at)})
+    else:
+        vehicle(tmp_path)
+        stage = Usd.Stage.Open(str(tmp_path / "mine.usda"))
+        stage.GetPrimAtPath("/mine/side_fl/wheel").GetAttribute("xformOp:translate:rotatePivot").Set(Gf.Vec3d(*at))
+        stage.Save()
+        car = load_vehicle(tmp_path)
+    problems = list(rig_problems(car.rig))
+    assert [problem.severity for problem in problems] == ["warning"] * warned
+    if warned:
+        assert "0.12 m from the middle of a wheel" in str(problems[0]) and "0.24 m" in str(problems[0])

@@ -267,6 +267,26 @@ def test_missing_renders_fail_and_are_removed_by_an_update(approved, tmp_path):
     check(False)(tmp_path / "pictures")
 
 
+def test_a_prim_that_vanished_is_named(approved, tmp_path):
+    """Its colour is only in the legend that an update keeps beside the references."""
+    from pxr import Usd
+
+    def check(update: bool) -> RenderRegression:
+        return RenderRegression(tmp_path / "references", tmp_path / "report", tmp_path / "renders", update)
+
+    shutil.copytree(approved / "shot", tmp_path / "shot")
+    path = tmp_path / "shot" / "shot.usda"
+    look = {"frames": [1004], "size": SIZE}
+    check(True)(path, **look)
+    stage = Usd.Stage.Open(str(path))
+    without_rotor(stage)
+    stage.GetRootLayer().Save()
+    with pytest.raises(AssertionError, match=r"segmentation; /shot/vehicles/toy0/rotor is missing"):
+        check(False)(path, **look)
+    check(True)(path, **look)
+    check(False)(path, **look)
+
+
 def test_allowed_applies_to_colour_only(approved, tmp_path):
     shutil.copytree(approved / "renders", tmp_path / "pictures")
     check = RenderRegression(tmp_path / "references", tmp_path / "report", tmp_path / "renders", update=True)

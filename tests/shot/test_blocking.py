@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from fractions import Fraction
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -96,6 +97,27 @@ def test_keys_and_holds_are_found_in_baked_motion(tmp_path: Path) -> None:
     y = np.interp(t, [0, 30, 54, 75, 99], [0, 0, 0, 0, 18])
     path = stage_with(tmp_path / "in.usda", keys=baked(np.stack([x, y, 0 * x + 8], axis=1)))
     assert read_blocking(path, "/World/heli", FPS).keys == ((1001, 0), (1031, 24), (1076, 0), (1100, 0))
+
+
+@pytest.mark.parametrize("power", [2, 3, 5])
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {0: (0, 0), 30: (15, 0), 70: (40, 0), 99: (50, 0)},  # stops on a straight line
+        {0: (0, 0), 30: (15, 0), 70: (15, 30), 99: (30, 30)},  # around corners
+        {0: (0, 0), 30: (15, 0), 70: (0, 0), 99: (3, 5)},  # and back
+    ],
+)
+def test_eased_stops_in_baked_motion_are_keys(tmp_path: Path, keys: dict[int, tuple[float, float]], power: int) -> None:
+    """Every pose is eased in and out, and no frame is held."""
+    eases = {2: lambda s: (1 - np.cos(np.pi * s)) / 2, 3: lambda s: s**2 * (3 - 2 * s)}
+    ease = eases.get(power, lambda s: s**3 * (10 - 15 * s + 6 * s**2))
+    t, places = np.arange(100), np.tile([0.0, 0.0, 8.0], (100, 1))
+    for (first, start), (last, end) in pairwise(keys.items()):
+        share = ease((t[first : last + 1] - first) / (last - first))[:, None]
+        places[first : last + 1, :2] = (1 - share) * start + share * np.array(end)
+    found = read_blocking(stage_with(tmp_path / "in.usda", keys=baked(places)), "/World/heli", FPS).keys
+    assert [frame - 1001 for frame, _ in found] == list(keys)
 
 
 def test_stepped_blocking_has_poses_without_holds(tmp_path: Path) -> None:

@@ -129,10 +129,23 @@ def may_replace(target: Path, overwrite: bool = True) -> None:
     )
 
 
+LAYER = re.compile(r"[^.]+\.(anim|thinned)(\.-?\d+|\.manifest)?\.usd[ac]")
+"""The name of a vehicle's layer, which may be delivered alone."""
+
+
 def _is_foreign(target: Path) -> bool:
     names = _names(target)
     is_file = os.path.exists(target) and not os.path.isdir(target)
-    return is_file or (bool(names) and SIGN not in names)
+    return is_file or (bool(names) and SIGN not in names and not _are_layers(target))
+
+
+def _are_layers(target: Path) -> bool:
+    """Whether ``target`` contains nothing but vehicles' layers, which `Take.export` can write alone, and copies of
+    assets for them."""
+    if not {*_names(target)} <= {"layers", "assets"}:
+        return False
+    names = _names(target / "layers")
+    return bool(names) and all(LAYER.fullmatch(name) for name in names)
 
 
 def _names(folder: Path) -> list[str]:

@@ -22,7 +22,7 @@ from vehsim.delivery.exporters import (
     point_at_newest,
     write_files,
 )
-from vehsim.delivery.folders import staging
+from vehsim.delivery.folders import SIGN, may_replace, staging
 from vehsim.runtime.registry import entries
 
 if TYPE_CHECKING:
@@ -140,10 +140,20 @@ class Take:
         in_order(to)
         check_stage_is_there(to, self.usd.layer_only)
         target = Path(out) / self.name
+        if self.usd.layer_only and to == ("usd",) and not self.usd.versions and not (target / SIGN).is_file():
+            return self._export_layers(target, overwrite, progress or _silent)
         with delivering(target, self.usd.versions, overwrite) as folder:
             written = write_files(self, folder, to, progress or _silent)
             write_reports(self, folder, written)
         return point_at_newest(target) if self.usd.versions else target
+
+    def _export_layers(self, target: Path, overwrite: bool, progress: Progress) -> Path:
+        """Write the layers alone: each takes the place of an earlier one of its name; there is no report."""
+        may_replace(target, overwrite)
+        with staging(target) as folder:
+            for path in write_files(self, folder, ("usd",), progress)["usd"]:
+                _move(path, target / path.relative_to(folder))
+        return target
 
 
 def write_reports(take: Take, folder: Path, written: Mapping[str, Sequence[Path]]) -> None:

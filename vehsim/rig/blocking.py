@@ -28,6 +28,8 @@ SHORTEST_HOLD = 3
 CURVED = 0.05
 """A key is placed where linear motion between its neighbours would deviate from the blocking by this share of its
 travel."""
+STOPPED = 0.1
+"""A pose is a stop where the speed falls to this share of the speeds that it reaches before and after."""
 MAX_FRAMES = 100_000
 NOSES = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
 OP = "xformOp:transform:vehsim"
@@ -279,7 +281,8 @@ def _same(positions: Array, rotations: Array, i: int, j: int) -> bool:
 
 
 def _found(positions: Array, rotations: Array) -> list[int]:
-    """Samples that describe baked motion: both ends of every hold, and the points where the path between bends most."""
+    """Samples that describe baked motion: both ends of every hold, stops, and the points where the path between bends
+    most."""
     count = len(positions)
     step = np.linalg.norm(np.diff(positions, axis=0), axis=1)
     still = (step < STILL) & (np.linalg.norm(np.diff(rotations, axis=0), axis=(1, 2)) < STILL)
@@ -288,17 +291,36 @@ def _found(positions: Array, rotations: Array) -> list[int]:
     stepped = len(holds) > 1 and all(late[0] - early[1] == 1 for early, late in pairwise(holds))
     if stepped:  # blocked with held keys: poses to reach, not to stay in
         return sorted({0, *(a for a, _ in holds)})
-    chosen = {0, count - 1, *(k for hold in holds for k in hold)}
+    rests = {k for hold in holds for k in hold} | _stops(positions, rotations, holds)
+    chosen = {0, count - 1, *rests}
     tolerance = CURVED * max(float(step.sum()), STILL)
     spans = list(pairwise(sorted(chosen)))
     while spans:
         i, j = spans.pop()
         if j - i < 2:
             continue
-        share = np.linspace(0.0, 1.0, j - i + 1)[:, None]
-        off = np.linalg.norm(positions[i : j + 1] - (1 - share) * positions[i] - share * positions[j], axis=1)
+        between, chord = positions[i : j + 1] - positions[i], positions[j] - positions[i]
+        share = np.linspace(0.0, 1.0, j - i + 1)
+        if {i, j} <= rests:  # eased at both ends: the path counts, not its timing
+            share = np.clip(between @ chord / max(float(chord @ chord), STILL**2), 0.0, 1.0)
+        off = np.linalg.norm(between - share[:, None] * chord, axis=1)
         worst = int(off.argmax())
         if off[worst] > tolerance:
             chosen.add(i + worst)
             spans += [(i, i + worst), (i + worst, j)]
     return sorted(chosen)
+
+
+def _stops(positions: Array, rotations: Array, holds: Sequence[tuple[int, int]]) -> set[int]:
+    """Samples without a hold at which the motion nearly stops, as with eased keys; also its ends if it rests there."""
+    from scipy.signal import find_peaks
+
+    count = len(positions)
+    if count < 3:
+        return set()
+    moves = np.gradient(positions, axis=0), np.gradient(rotations, axis=0).reshape(count, 9)
+    speed = np.sqrt(sum(np.sum(move**2, axis=1) for move in moves))
+    found, facts = find_peaks(-speed, prominence=STILL)
+    slow = speed[found] <= STOPPED / (1 - STOPPED) * facts["prominences"]
+    stops = {int(k) for k in found[slow] if not any(a - 2 <= k <= b + 2 for a, b in holds)}
+    return stops | {k for k in (0, count - 1) if speed[k] <= STOPPED * speed.max()}

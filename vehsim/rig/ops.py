@@ -39,6 +39,10 @@ SENSES = {
 }
 """Prefix of a channel -> the meaning of its positive values in every model, and their axis (3,) in the rig root's
 frame."""
+CARRIES_WHEEL = ("steer_", "travel_")
+"""Prefixes of channels that carry a wheel with its own static rotation, such as a roll at which it was modelled."""
+OFF_CENTRE = 0.05
+"""Largest distance of a wheel's axis from its middle, as a share of its radius, without a warning."""
 
 
 def open_rig(asset: Path, rig: Rig) -> tuple[Any, Any]:
@@ -132,17 +136,47 @@ def replaced_ops(prim: Any, drives: Iterable[Drive]) -> list[Any]:
     ]
 
 
-def insert_op(order: list[str], op: str, pivot: str | None = None) -> list[str]:
-    """``order`` with ``op`` after the prim's placement and before the scale that shapes its mesh.
+def place_op(rig: Rig, channel: str, root: Any, order: list[str]) -> list[str]:
+    """``order`` of the driven prim with the op of ``channel``, and its pivot's around it.
 
-    USD applies the last op first, so an op after a scale would rotate the unscaled shape and shear it. ``pivot``: an op
-    for the centre of rotation, inserted around ``op``.
+    The op goes after the prim's placement and before the scale that shapes its mesh: USD applies the last op first, so
+    an op after a scale would rotate the unscaled shape and shear it. An op that steers or lifts a wheel goes before the
+    wheel's own static rotations and its spin, where it is more upright there: a wheel that was modelled at some roll
+    angle steers about the same axis as one that was not.
     """
+    drive = rig.drives[channel]
+    prim, (op, _) = root.GetPrimAtPath(drive.prim) if drive.prim else root, drive_op(drive.op)
+    if op in order:
+        return order
     own_pivots = [k for k, name in enumerate(order) if name.startswith("!invert!") and not name.endswith(PIVOT)]
     end = own_pivots[0] if own_pivots else len(order)
-    while end > 0 and order[end - 1].split(":")[1:2] == ["scale"]:
+    while end > 0 and _kind(order[end - 1]) == "scale":
         end -= 1
-    return [*order[:end], *([op] if pivot is None else [pivot, op, f"!invert!{pivot}"]), *order[end:]]
+    if channel.startswith(CARRIES_WHEEL):
+        end = _most_upright(root, prim, drive, order, end)
+    pivot = pivot_op(channel)
+    return [*order[:end], *([op] if drive.pivot is None else [pivot, op, f"!invert!{pivot}"]), *order[end:]]
+
+
+def _kind(op: str) -> str:
+    """ "scale" of "xformOp:scale:units"; "" of a reset."""
+    return op.partition(":")[2].partition(":")[0]
+
+
+def _most_upright(root: Any, prim: Any, drive: Drive, order: list[str], end: int) -> int:
+    """The place among the rotations before ``end`` at which the drive's axis is closest to the vertical."""
+    start = end
+    while start > 0 and _kind(order[start - 1]).startswith(("rotate", "orient")):
+        start -= 1
+    while end > start and order[end - 1].endswith(":spin"):
+        end -= 1
+    axis = "XYZ".index(drive.op[-1])
+
+    def upright(place: int) -> float:
+        direction = _to_space_after(root, prim, order[:place])[:3, axis]
+        return round(float(abs(direction[2]) / np.linalg.norm(direction)), 6)
+
+    return max(range(start, end + 1), key=lambda place: (upright(place), place))
 
 
 def pivot_of(rig: Rig, channel: str, root: Any, metres_per_unit: float) -> Array | None:
@@ -151,7 +185,7 @@ def pivot_of(rig: Rig, channel: str, root: Any, metres_per_unit: float) -> Array
     if drive.pivot is None:
         return None
     prim = root.GetPrimAtPath(drive.prim)
-    T_ra = _to_op_space(root, prim, drive, metres_per_unit)
+    T_ra = _to_op_space(rig, channel, root, prim)
     point = bounds(rig, drive.prim).mean(axis=0) if drive.pivot == "centre" else np.asarray(drive.pivot, float)
     return np.asarray((np.linalg.inv(T_ra) @ [*point, 1.0])[:3])
 
@@ -174,14 +208,11 @@ _found: dict[tuple[str, Stamp], list[Problem]] = {}
 
 
 def _problems_of(rig: Rig) -> Iterator[Problem]:
-    from pxr import UsdGeom
-
     try:
-        stage, root = open_rig(rig.asset, rig)
+        _, root = open_rig(rig.asset, rig)
     except ExportError as error:
         yield error.problem
         return
-    metres = UsdGeom.GetStageMetersPerUnit(stage)
     yield from _replaced(rig, root)
     for channel, drive in rig.drives.items():
         try:
@@ -191,7 +222,7 @@ def _problems_of(rig: Rig) -> Iterator[Problem]:
                 remedy = "hang the part on its bone (parent type Bone) instead of skinning it to it"
                 yield Problem(f"channels.{channel}", message, remedy)
                 continue
-            T_ra = _to_op_space(root, prim, drive, metres)
+            T_ra = _to_op_space(rig, channel, root, prim)
             linear = T_ra[:3, :3]
             sizes = np.linalg.norm(linear, axis=0)
             if np.linalg.matrix_rank(linear / max(sizes.max(), 1e-30), tol=1e-6) < 3:
@@ -254,13 +285,25 @@ def _turning(rig: Rig, channel: str, drive: Drive, T_ra: Array) -> Iterator[Prob
         )
         return
     low, high = bounds(rig, drive.prim)
-    if drive.pivot is not None or not np.isfinite(low).all():
+    if drive.pivot == "centre" or not np.isfinite(low).all():
         return
     direction = unit[:, axis]
     middle, half = (low + high) / 2, (high - low) / 2
-    off = middle - T_ra[:3, 3]
+    off = middle - (T_ra[:3, 3] if drive.pivot is None else np.asarray(drive.pivot, float))
     off = off - direction * (off @ direction)
-    if np.linalg.norm(off) > max(1.2 * float(np.linalg.norm(half)), 1e-6):
+    radius = float(half[2])
+    if channel.startswith("roll_") and OFF_CENTRE * radius < np.linalg.norm(off) <= radius:
+        away = float(np.linalg.norm(off))
+        message = (
+            f"{drive.prim}: it rolls about an axis {away:.2g} m from the middle of a wheel of radius {radius:.2g} m"
+        )
+        yield Problem(
+            f"channels.{channel}",
+            f"{message}; it would rise by up to {2 * away:.2g} m",
+            'give the channel pivot = "centre", or move the pivot to the hub',
+            severity="warning",
+        )
+    elif drive.pivot is None and np.linalg.norm(off) > max(1.2 * float(np.linalg.norm(half)), 1e-6):
         yield Problem(
             f"channels.{channel}",
             f"{drive.prim}: no pivot: it would swing about an axis {np.linalg.norm(off):.3g} m from its middle",
@@ -322,32 +365,32 @@ def _read(asset: Path, root: str | None, written: Stamp) -> Any:
     return read_parts(asset, root)
 
 
-def _to_op_space(root: Any, prim: Any, drive: Drive, metres_per_unit: float) -> Array:
-    """(4, 4) from the space of a drive's op to the rig root's frame, at the asset's first time."""
+def _to_op_space(rig: Rig, channel: str, root: Any, prim: Any) -> Array:
+    """(4, 4) from the space of a channel's op to the rig root's frame, at the asset's first time."""
+    op, _ = drive_op(rig.drives[channel].op)
+    order = place_op(rig, channel, root, op_order(prim))
+    return _to_space_after(root, prim, [name for name in order[: order.index(op)] if not name.endswith(PIVOT)])
+
+
+def _to_space_after(root: Any, prim: Any, ops: Sequence[str]) -> Array:
+    """(4, 4) from the space after the first ``ops`` of a prim to the rig root's frame, at the asset's first time."""
     from pxr import Usd, UsdGeom
 
     from vehsim.rig.parts import Y_UP_TO_Z_UP
 
     stage = root.GetStage()
     turn = Y_UP_TO_Z_UP if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y else np.eye(4)
-    matrix = turn @ np.diag([metres_per_unit] * 3 + [1.0])
+    matrix = turn @ np.diag([UsdGeom.GetStageMetersPerUnit(stage)] * 3 + [1.0])
     chain = [prim]
     while chain[-1] != root:
         chain.append(chain[-1].GetParent())
     when = Usd.TimeCode.EarliestTime()
     for step in chain[:0:-1]:
         matrix = matrix @ np.array(UsdGeom.Xformable(step).GetLocalTransformation(when)).T if _moves(step) else matrix
-    op, _ = drive_op(drive.op)
     own = {o.GetOpName(): np.array(o.GetOpTransform(when)).T for o in UsdGeom.Xformable(prim).GetOrderedXformOps()}
-    order = op_order(prim)
-    for name in order[: order.index(op)] if op in order else _before(order, op):
+    for name in ops:
         matrix = matrix @ own.get(name, np.eye(4))
     return np.asarray(matrix)
-
-
-def _before(order: list[str], op: str) -> list[str]:
-    inserted = insert_op(order, op)
-    return inserted[: inserted.index(op)]
 
 
 def _moves(prim: Any) -> bool:

@@ -282,7 +282,7 @@ class ExportTable(Table):
     clip_frames: Annotated[int, Field(ge=2, le=MAX_FRAMES)] | None = None
     """the greatest number of frames in a value clip, for long takes; default: one layer"""
     layer_only: bool = False
-    """true to write only the vehicles' animation layers"""
+    """true to write only the vehicles' animation layers, which reference the assets where they are; without a report"""
     versions: bool = False
     """true to write v001, v002, ... and a latest.usda that sublayers the newest; no version is ever overwritten"""
 
