@@ -1,6 +1,7 @@
 """Failure is a result: which mark, by how much, and the remedy; time limits are kept; failed refinements are left
 out."""
 
+import math
 import os
 import re
 import signal
@@ -19,6 +20,7 @@ import vehsim
 from tests.planning.test_plan import REST, tug
 from vehsim import Mark, Shot
 from vehsim.errors import InputError, ShotError, SolveError
+from vehsim.lie.quaternions import yaw_of
 from vehsim.planning import stay
 from vehsim.planning.constraints.marks import _amount
 from vehsim.planning.deadline import MORE, Deadline
@@ -27,9 +29,10 @@ from vehsim.planning.explain.bounds import strength
 from vehsim.planning.explain.feasibility import refusals
 from vehsim.planning.request import ranges
 from vehsim.planning.request.marks import Gate
+from vehsim.planning.request.marks_near_obstacles import marks_too_near
 from vehsim.planning.request.request import ask
 from vehsim.planning.terms import Constraint
-from vehsim.world.obstacles.obstacles import box, ellipse
+from vehsim.world.obstacles.obstacles import box, ellipse, moving
 from vehsim.world.terrain.terrain import Terrain
 
 CAR_ASIDE = [Mark(1, position=REST, heading=0, velocity=REST), Mark(49, position=(0, 6, 0), heading=0, velocity=REST)]
@@ -495,3 +498,33 @@ def test_marks_in_rock_and_without_a_route_are_named():
         "no path from mark[0] to mark[1] with 1 m clearance and 5.4 m for the helicopter itself below the ceiling of "
         "40 m; widen the gap to 14 m, raise the ceiling or lower the clearance"
     )
+
+
+def test_a_robot_reverses_where_turning_round_takes_too_long():
+    """The goal is behind it and its turn rate is limited; it was told that the frame is too early."""
+    robot = vehsim.load_vehicle("two_wheeled")
+    goal = (1.8 * math.cos(math.radians(158.7 + 180)), 1.8 * math.sin(math.radians(158.7 + 180)), 0)
+    marks = [
+        vehsim.Mark(1, position=REST, heading=151.9, velocity=REST),
+        vehsim.Mark(165, position=goal, velocity=REST, hold=24),
+    ]
+    limits = {"acceleration": 0.278, "turn_rate": math.radians(56), "speed": 0.626}
+    plan = vehsim.plan(robot, None, marks, segments=12, limits=limits)
+    assert plan.success
+    half = plan.clip.at([3.0])
+    ahead = np.array([math.cos(float(yaw_of(half.orientations)[0])), math.sin(float(yaw_of(half.orientations)[0]))])
+    assert ahead @ np.subtract(goal, half.positions[0])[:2] < 0
+
+
+def test_a_mark_in_the_way_of_another_vehicle_is_refused_with_its_frame():
+    """A helicopter that ends 10.4 m beside another: their rotors, 10.7 m wide, overlap at any heading."""
+    heli = vehsim.load_vehicle("helicopter")
+    hover = [vehsim.Mark(frame, position=(0, 0, 20), heading=0, velocity=REST) for frame in (1, 25)]
+    goes = vehsim.plan(heli, None, hover, segments=8).clip
+    world = vehsim.World(obstacles=[moving("other", goes)])
+    start = vehsim.Mark(1, position=(-40, 0, 20), velocity=REST)
+    for place, wrong in ((10.4, "in obstacle 'other' at any heading at frame 200"), (14.0, "")):
+        marks = [start, vehsim.Mark(200, position=(place * 0.6, place * 0.8, 20), velocity=REST)]
+        found = [message for _, message, _ in marks_too_near(heli, world, marks, 0.3, 24)]
+        assert found == [wrong] * bool(wrong)
+        assert not list(marks_too_near(heli, world, marks, 0.3))

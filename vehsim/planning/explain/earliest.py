@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from vehsim.errors import VehsimError
 from vehsim.planning.explain.work import affordable
 from vehsim.planning.guesses.pace import cruising
+from vehsim.planning.guesses.routes import backwards
 from vehsim.planning.iterate import Iterate, Run
 from vehsim.planning.problem.transcription import Transcription, transcribe
 from vehsim.planning.refine import execution_tolerance
@@ -88,7 +89,16 @@ class _Calm:
 
 
 def _found(quick: Request, request: Request, least: int) -> tuple[int, bool] | None:
-    paths, choices = [np.array(leg) for leg in legs_between(quick.marks)], [quick.marks]
+    paths = [np.array(leg) for leg in legs_between(quick.marks)]
+    found = _first(quick, request, least, paths)
+    if (reverse := backwards(quick.vehicle, paths)) and (found is None or found[0] > least):
+        found = min(filter(None, (found, _first(quick, request, least, reverse))), default=None)
+    return found
+
+
+def _first(quick: Request, request: Request, least: int, paths: list[Array]) -> tuple[int, bool] | None:
+    """The first frame, and whether it is the first, along these paths."""
+    choices = [quick.marks]
     if request.weights["course"]:
         choices.insert(0, facing(quick.marks, paths, quick.aimed))
     for marks in choices:

@@ -13,11 +13,14 @@ from numpy.typing import NDArray
 from vehsim.clip.clip import Clip
 from vehsim.errors import InputError, SolveError
 from vehsim.planning.constraints.spheres import balls
+from vehsim.planning.guesses.astar import turning_radius
 from vehsim.planning.guesses.drive import drive
 from vehsim.planning.request.legs import cut, divided, legs_between, path_length, placed_marks, poses_of, round_trip
 from vehsim.planning.request.marks import Mark
 from vehsim.planning.request.marks_near_obstacles import parts_in_reach
 from vehsim.planning.request.request import Request, search_boxes
+from vehsim.planning.trim import swims
+from vehsim.vehicles import Vehicle
 from vehsim.world.distance.route import check_free
 
 Array = NDArray[np.float64]
@@ -108,6 +111,29 @@ def _length(paths: Sequence[Array]) -> float:
 def straight(request: Request) -> list[Array]:
     """A straight path for every leg."""
     return round_trip(request.marks) if request.loop else [np.array(leg) for leg in legs_between(request.marks)]
+
+
+def backwards(vehicle: Vehicle, paths: Sequence[Array]) -> list[Array]:
+    """The paths as poses (k, 4) of a vehicle that drives backwards along them; none if it need not drive nose first.
+
+    A leg that is too early for a vehicle that turns round first may be possible in reverse.
+    """
+    driven = vehicle.group.planar and not swims(vehicle) and math.isfinite(turning_radius(vehicle))
+    moving = [path_length(path) > 1e-6 for path in paths]
+    if not driven or not any(moving) or any(path.shape[1] == 4 for path in paths):
+        return []
+    poses, heading = [], _tail_first(paths[moving.index(True)])[0]
+    for path, moves in zip(paths, moving, strict=True):
+        headings = _tail_first(path) if moves else np.full(len(path), heading)  # a hold keeps its heading
+        poses.append(np.column_stack([path, headings]))
+        heading = headings[-1]
+    return poses
+
+
+def _tail_first(path: Array) -> Array:
+    """Headings (k,) rad, opposite to the direction of a path (k, 3)."""
+    step = np.gradient(path, axis=0)
+    return np.asarray(np.unwrap(np.arctan2(-step[:, 1], -step[:, 0])))
 
 
 def as_clip(request: Request, guess: Any) -> Clip | None:

@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vehsim.errors import InputError
+from vehsim.lie.quaternions import from_yaw
 from vehsim.planning.certificates import FINEST
 from vehsim.planning.outlines import clearances
 from vehsim.planning.request.landing import attitude
 from vehsim.planning.request.marks import Mark, heading_of, leeway
 from vehsim.vehicles import Vehicle
-from vehsim.world.obstacles.obstacles import footprint, vertical_reach
+from vehsim.world.obstacles.obstacles import footprint, hulls_of, vertical_reach
 from vehsim.world.obstacles.plane import placed
+
+Array = NDArray[np.float64]
 
 TURNS = 180
 """Number of headings to try at a mark without a heading."""
+_HEADINGS = np.arange(TURNS) * 2 * np.pi / TURNS
 
 
 def parts_in_reach(vehicle: Vehicle, world: Any, marks: Sequence[Any]) -> list[tuple[Any, int]]:
@@ -36,59 +41,86 @@ def parts_in_reach(vehicle: Vehicle, world: Any, marks: Sequence[Any]) -> list[t
     ]
 
 
-def check_marks_clear(vehicle: Vehicle, world: Any, marks: Sequence[Mark], clearance: float) -> None:
+def check_marks_clear(vehicle: Vehicle, world: Any, marks: Sequence[Mark], clearance: float, fps: Any) -> None:
     """Raise ``InputError`` if the vehicle, at a mark, would be in an obstacle or nearer than ``clearance`` m to one."""
-    for i, message, remedy in marks_too_near(vehicle, world, marks, clearance):
+    for i, message, remedy in marks_too_near(vehicle, world, marks, clearance, fps):
         place = np.asarray(marks[i].position, float).tolist()
-        raise InputError(message, remedy, key=f"mark[{i}].position", value=place)
+        raise InputError(message, remedy, key=f"{marks[i].name}.position", value=place)
 
 
 def marks_too_near(
-    vehicle: Vehicle, world: Any, marks: Sequence[Any], clearance: float
+    vehicle: Vehicle, world: Any, marks: Sequence[Any], clearance: float, fps: Any = None
 ) -> Iterator[tuple[int, str, str]]:
     """Index, message and remedy of every mark at which the vehicle is in an obstacle or too near to one.
 
-    For a mark without a heading, the best heading counts. For a flying vehicle without an attitude, only the root is
-    checked. The tolerance or gate of a mark is taken off the required clearance.
+    For a mark without a heading, the best heading counts. For a flying vehicle that may tilt there, only the root is
+    checked. The tolerance or gate of a mark is taken off the required clearance. ``fps``: frames per second; with them,
+    moving obstacles count at marks with a frame.
     """
-    if vehicle.group.dim == 6:
-        yield from _flown_too_near(vehicle, world, marks, clearance)
+    if world is None or not world.obstacles:
         return
-    still = [(o, k) for o, k in parts_in_reach(vehicle, world, marks) if not o.moves]
-    for i, mark in enumerate(marks if still else ()):
+    parts = parts_in_reach(vehicle, world, marks)
+    for i, mark in enumerate(marks):
+        seconds = None if fps is None or mark.frame == "free" else float(int(mark.frame) / fps)
         if mark.position is None:
             continue
-        outline, place = footprint(vehicle), np.array([mark.position[:2]], float)
-        nose = heading_of(mark)
-        faced = nose is not None
-        yaw = np.array([nose]) if faced else np.arange(TURNS) * 2 * np.pi / TURNS
-        between = 0.0 if faced else np.pi / TURNS * float(np.linalg.norm(outline, axis=1).max())
-        seconds = np.zeros(len(yaw))
-        near = clearances(still, placed(outline, np.repeat(place, len(yaw), axis=0), yaw), seconds)
-        best = int(near.min(axis=0).argmax())
-        gap, name = float(near[:, best].min()), still[int(near[:, best].argmin())][0].name
-        if gap + leeway(mark) + between < clearance - FINEST:
-            yield i, *_nearness(gap, name, clearance, "" if faced else " at any heading")
-
-
-def _flown_too_near(
-    vehicle: Vehicle, world: Any, marks: Sequence[Any], clearance: float
-) -> Iterator[tuple[int, str, str]]:
-    """The same for flying vehicles: with their hulls if the attitude is given, otherwise with the root."""
-    for i, mark in enumerate(marks if world is not None and world.standing else ()):
-        if mark.position is None or mark.on_ground:
+        found = (
+            _flown(vehicle, world, mark, seconds) if vehicle.group.dim == 6 else _driven(vehicle, parts, mark, seconds)
+        )
+        if found is None or found.gap + leeway(mark) + found.spare >= clearance - FINEST:
             continue
-        turned = heading_of(mark) is not None
-        body = vehicle if turned else replace(vehicle, rig=None)
-        gaps = world.clearance_by_obstacle(body, mark.position, attitude(mark))[0]
-        gap, name = float(gaps.min()), world.obstacles[int(gaps.argmin())].name
-        if gap + leeway(mark) < (clearance - FINEST if turned else 0.0):
-            yield i, *_nearness(gap, name, clearance)
+        obstacle, gap = found.obstacle, found.gap
+        where = f"obstacle {obstacle.name!r}{' at any heading' if found.turned else ''}"
+        where += f" at frame {mark.frame}" if obstacle.moves else ""
+        if gap <= 0:
+            yield i, f"in {where}", "move the mark or the obstacle"
+        else:
+            yield i, f"only {gap:.2f} m from {where}", f"keep the clearance of {clearance:g} m, or reduce it"
 
 
-def _nearness(gap: float, name: str, clearance: float, heading: str = "") -> tuple[str, str]:
-    """Message and remedy of a mark at ``gap`` m from an obstacle."""
-    if gap <= 0:
-        return f"in obstacle {name!r}{heading}", "move the mark or the obstacle"
-    remedy = f"keep the clearance of {clearance:g} m, or reduce it"
-    return f"only {gap:.2f} m from obstacle {name!r}{heading}", remedy
+@dataclass(frozen=True)
+class _Nearest:
+    """The smallest signed distance to an obstacle at a mark, m; ``turned``: at the best of all headings; ``spare``: by
+    how much it may be larger, m, because not all headings or attitudes were measured."""
+
+    gap: float
+    obstacle: Any
+    turned: bool = False
+    spare: float = 0.0
+
+
+def _driven(vehicle: Vehicle, parts: Sequence[tuple[Any, int]], mark: Any, seconds: float | None) -> _Nearest | None:
+    """The nearest of the obstacles at a mark of a vehicle on the ground."""
+    parts = [(obstacle, number) for obstacle, number in parts if seconds is not None or not obstacle.moves]
+    if not parts:
+        return None
+    outline, nose = footprint(vehicle), heading_of(mark)
+    yaw = _HEADINGS if nose is None else np.array([nose])
+    places = np.repeat(np.array([mark.position[:2]], float), len(yaw), axis=0)
+    near = clearances(parts, placed(outline, places, yaw), np.full(len(yaw), seconds or 0.0))
+    best = int(near.min(axis=0).argmax())
+    spare = 0.0 if nose is not None else _between(outline)
+    return _Nearest(float(near[:, best].min()), parts[int(near[:, best].argmin())][0], nose is None, spare)
+
+
+def _flown(vehicle: Vehicle, world: Any, mark: Any, seconds: float | None) -> _Nearest | None:
+    """The same for a flying vehicle: with its hulls if it is known to be level or its attitude is given."""
+    if mark.on_ground or not (world.standing or seconds is not None):
+        return None
+    nose = heading_of(mark)
+    turned = nose is None and mark.balanced and not np.any(world.wind)
+    body = vehicle if nose is not None or turned else replace(vehicle, rig=None)
+    turns = from_yaw(_HEADINGS) if turned else attitude(mark)[None]
+    places = np.repeat(np.array([mark.position], float), len(turns), axis=0)
+    gaps = world.clearance_by_obstacle(body, places, turns, None if seconds is None else np.full(len(turns), seconds))
+    best = int(gaps.min(axis=1).argmax())
+    gap, obstacle = float(gaps[best].min()), world.obstacles[int(gaps[best].argmin())]
+    if body is vehicle:
+        spare = _between(np.vstack(hulls_of(vehicle))[:, :2]) if turned and vehicle.rig else 0.0
+        return _Nearest(gap, obstacle, turned, spare)
+    return _Nearest(gap, obstacle) if gap <= 0 else None
+
+
+def _between(points: Array) -> float:
+    """How far a point of the vehicle (k, 2) moves between two of the headings that are tried, at most, m."""
+    return np.pi / TURNS * float(np.linalg.norm(points, axis=1).max())

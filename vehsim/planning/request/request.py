@@ -172,7 +172,7 @@ def ask(
         )
     check_loop(request)
     check_inside(request.marks, vehicle, world)
-    check_marks_clear(vehicle, world, request.marks, request.clearance)
+    check_marks_clear(vehicle, world, request.marks, request.clearance, request.fps)
     heights = {float(np.asarray(mark.position)[2]) for mark in request.marks if mark.position is not None}
     if vehicle.group.dim == 3 and len(heights) > 1 and (world is None or world.terrain is None):
         raise InputError(
