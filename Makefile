@@ -2,7 +2,7 @@
 BIN := .venv/bin
 export MUJOCO_GL ?= egl
 
-.PHONY: help setup demo check test test-pythons measure-tests blender docs assets lock clean bench-export bench-integrators bench-planning bench-unseen bench-collocation audit-random hostile-files
+.PHONY: help setup demo check test test-pythons measure-tests blender docs assets page lock clean bench-export bench-integrators bench-planning bench-unseen bench-collocation audit-random hostile-files
 
 help:
 	@echo "make demo               export examples/canyon_flight.toml to out/: a USD shot, frames and a film"
@@ -14,6 +14,7 @@ help:
 	@echo "make blender            install Blender's Python module in .blender (400 MB), so that its tests run too"
 	@echo "make docs               generate the key tables of docs/shot-file.md, and the site in site/"
 	@echo "make assets             generate the vehicles' USD assets; the bytes are the same on every machine"
+	@echo "make page               bundle three.js for the pages that show a shot in a browser; needs npm"
 	@echo "make lock               update requirements.lock from pyproject.toml"
 	@echo "make bench-integrators  measure the claims of the papers; writes benchmarks/RESULTS.md"
 	@echo "make bench-planning     measure plans: building, free space, canyon, replanning; writes RESULTS.planning.md"
@@ -28,7 +29,7 @@ setup:
 	@sh tools/setup.sh
 
 demo: setup
-	$(BIN)/vehsim export examples/canyon_flight.toml --out out --to usd,png,mp4,npz,csv
+	$(BIN)/vehsim export examples/canyon_flight.toml --out out --to usd,png,mp4,npz,csv,html
 
 test: setup
 	$(BIN)/ruff format --check .
@@ -58,6 +59,12 @@ docs: setup
 
 assets: setup
 	$(BIN)/python -m vehsim.assets.generate
+
+page: # needs npm
+	cd tools/page && npm install --silent --no-audit --no-fund --no-package-lock
+	cd tools/page && npx esbuild three.js --bundle --minify --format=iife --global-name=THREE --legal-comments=inline \
+		--charset=utf8 --outfile=../../exporters/web/page/three.min.js
+	cp tools/page/node_modules/three/LICENSE exporters/web/page/three.LICENSE.txt
 
 lock: setup
 	$(BIN)/python -m pip install --quiet uv

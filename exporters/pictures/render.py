@@ -53,7 +53,7 @@ class StageRenderer:
         grounded = stage.water is None and any(not shape.group for shape in stage.shapes)
         self._light = light_for(stage.sun(), stage.sky(), grounded)
         self._water = None if stage.water is None else WaterView(stage, self._light, shadows)
-        self._bounds = _bounds(stage)
+        self._bounds = bounds_of(stage)
         self._reach = _shadow_reach(stage, self._bounds)
         self._shadow_axes = _across(self._light.direction)
         self._supersample = max(1, min(SUPERSAMPLE, round(samples**0.5), LARGEST // max(size)))
@@ -195,7 +195,7 @@ class StageRenderer:
         extent = max(float(np.linalg.norm((upper - lower)[:2])), 1.0)
         spec.stat.extent, spec.stat.center = extent, ((lower + upper) / 2).tolist()
         vis.map.shadowclip = self._reach / extent
-        vis.map.fogstart, vis.map.fogend = HAZE[0] / extent, _haze_end(self.stage, self._bounds) / extent
+        vis.map.fogstart, vis.map.fogend = HAZE[0] / extent, haze_end(self.stage, self._bounds) / extent
         vis.rgba.fog = [*light.haze.tolist(), 1.0]
         vis.headlight.ambient = light.ambient.tolist()
         vis.headlight.diffuse = vis.headlight.specular = [0.0, 0.0, 0.0]
@@ -286,7 +286,7 @@ def _casts_shadow(shape: Shape, lower: Array) -> bool:
     return shape.surface.opacity > 0.5 and not level_ground
 
 
-def _bounds(stage: StageReader) -> tuple[Array, Array]:
+def bounds_of(stage: StageReader) -> tuple[Array, Array]:
     """The box (lower, upper) (3,) m of all standing shapes, or of the movers at the start."""
     poses = {"": np.eye(4), **stage.matrices(stage.frames[0])}
     still = [shape for shape in stage.shapes if not shape.group] or list(stage.shapes)
@@ -300,7 +300,7 @@ def _bounds(stage: StageReader) -> tuple[Array, Array]:
     return np.min(corners, axis=0), np.max(corners, axis=0)
 
 
-def _haze_end(stage: StageReader, bounds: tuple[Array, Array]) -> float:
+def haze_end(stage: StageReader, bounds: tuple[Array, Array]) -> float:
     """Distance at which haze hides everything, m: before the ground's edge; in empty space there is no edge to hide."""
     if stage.water is not None or all(shape.group for shape in stage.shapes):
         return HAZE[1]

@@ -53,7 +53,7 @@ def light_for(sun: Sun | None, sky: Sky | None, grounded: bool = False) -> Light
     key = sun or DEFAULT_SUN
     image = sky_image(sky)
     fill = dome_mean(image) if sky else DEFAULT_SKY
-    exposure = HIGHLIGHT / float((fill + key.colour / np.pi).max())
+    exposure = exposure_of(key, fill)
     shade = _display(fill * exposure)
     lit = _display((fill + key.colour / np.pi) * exposure)
     horizon = image[int(image.shape[0] * 0.49)].mean(axis=0)
@@ -67,6 +67,12 @@ def light_for(sun: Sun | None, sky: Sky | None, grounded: bool = False) -> Light
         haze=to_srgb(horizon * exposure),
         skybox=_cube_faces(behind * exposure, np.eye(3) if sky is None else sky.R_wd),
     )
+
+
+def exposure_of(key: Sun, fill: Array) -> float:
+    """The factor on linear light that shows white in full sun just above display white; ``fill`` (3,) is the dome's
+    mean."""
+    return HIGHLIGHT / float((fill + key.colour / np.pi).max())
 
 
 def below_horizon(image: Array) -> Array:

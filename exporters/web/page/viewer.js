@@ -1,0 +1,703 @@
+// Draws a shot: decodes the block of scene.py, builds it with three.js, and moves it frame by frame.
+// Lengths are metres, Z is up, times are frames; quaternions are x, y, z, w.
+"use strict";
+
+const vehsim = {};
+
+(() => {
+  const KINDS = { f4: Float32Array, i1: Int8Array, u1: Uint8Array, i2: Int16Array, u4: Uint32Array };
+  const SPEEDS = [0.1, 0.25, 0.5, 1, 2];
+  const ACCENT = 0xff8a3d, PATH = 0x2fb4ff, FRUSTUM = 0xe8e8e8;
+  const FAR = 20000;
+  const SHADOW_MAP = 4096;
+  const KEYS = [
+    ["Space", "play, pause"], ["\u2190 \u2192", "one frame; with Shift ten"], [", .", "previous, next mark"],
+    ["Home End", "first, last frame"], ["L", "loop"], ["0", "orbit"], ["1 to 9", "look through a camera"],
+    ["F", "frame the vehicle"], ["P G C", "paths, ghosts at marks, cameras"], ["?", "this help"],
+  ];
+  const element = (id) => document.getElementById(id);
+
+  // ---------------------------------------------------------------- the block of bytes
+
+  /** The header of a block, and a function from a reference in it to its array. */
+  vehsim.decode = (buffer) => {
+    const length = new DataView(buffer).getUint32(0, true);
+    const header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));
+    const start = 4 + length;
+    const array = (ref) => {
+      const kind = KINDS[ref.kind] || Uint8Array;
+      return new kind(buffer, start + ref.at, ref.size / kind.BYTES_PER_ELEMENT);
+    };
+    return { header, array };
+  };
+
+  /** The block inside the page: base64 of zlib. */
+  async function embedded() {
+    const text = atob(element("scene").textContent.trim());
+    const bytes = Uint8Array.from(text, (letter) => letter.charCodeAt(0));
+    const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
+    return new Response(stream).arrayBuffer();
+  }
+
+  vehsim.say = (text) => {
+    element("message").textContent = text;
+    element("message").hidden = !text;
+  };
+
+  vehsim.open = async () => {
+    window.addEventListener("error", (event) => vehsim.say(`This page failed:\n${event.message}`));
+    if (!window.DecompressionStream) {
+      vehsim.say("This browser cannot decompress the shot.\nUse Chrome 80, Firefox 113, Safari 16.4 or later.");
+      return;
+    }
+    try {
+      const { header, array } = vehsim.decode(await embedded());
+      vehsim.viewer = new Viewer(header, array);
+      await vehsim.viewer.ready;
+      vehsim.say("");
+    } catch (error) {
+      vehsim.say(`This shot cannot be shown:\n${error.message}`);
+      throw error;
+    }
+  };
+
+  // ---------------------------------------------------------------- the viewer
+
+  class Viewer {
+    constructor(header, array) {
+      this.header = header;
+      this.array = array;
+      [this.first, this.last] = header.frames;
+      this.frame = this.first;
+      this.playing = false;
+      this.loop = true;
+      this.speed = 1;
+      this.through = header.cameras.length ? header.cameras.length - 1 : -1; // a cut comes last
+      this.shown = { paths: true, ghosts: false, cameras: false };
+      this.stale = true;
+      this._makeRenderer();
+      this._makeLight();
+      this._makeShapes();
+      this._makeCameras();
+      this.water = header.water && new Water(header.water, array, this);
+      this._makeOverlays();
+      this.setMotion(header, array);
+      this._makeControls();
+      this.timeline = new Timeline(this);
+      this._listen();
+      this.frameVehicle();
+      this.show(this.frame);
+      this.ready = Promise.all(this.loading);
+      this.ready.then(() => requestAnimationFrame((now) => this._tick(now)));
+    }
+
+    // ---- made once
+
+    _makeRenderer() {
+      const canvas = element("view");
+      this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true });
+      this.renderer.toneMapping = THREE.NeutralToneMapping;
+      this.renderer.shadowMap.enabled = true;
+      this.renderer.shadowMap.type = THREE.PCFShadowMap;
+      this.scene = new THREE.Scene();
+      this.camera = new THREE.PerspectiveCamera(40, 1, 0.1, FAR);
+      this.camera.up.set(0, 0, 1);
+      this.orbit = new THREE.OrbitControls(this.camera, canvas);
+      this.orbit.addEventListener("change", () => (this.stale = true));
+      this.loading = [];
+    }
+
+    /** A texture from bytes in the block. */
+    texture(ref, changes = {}) {
+      const texture = new THREE.Texture();
+      const url = URL.createObjectURL(new Blob([this.array(ref)], { type: ref.type }));
+      const image = new Image();
+      this.loading.push(new Promise((done, fail) => {
+        image.onload = () => { URL.revokeObjectURL(url); texture.needsUpdate = true; done(); };
+        image.onerror = () => fail(new Error("a picture in this file cannot be decoded"));
+      }));
+      image.src = url;
+      texture.image = image;
+      texture.wrapS = texture.wrapT = THREE.RepeatWrapping;
+      texture.anisotropy = this.renderer.capabilities.getMaxAnisotropy();
+      return Object.assign(texture, changes);
+    }
+
+    _makeLight() {
+      const light = this.header.light;
+      this.sun = new THREE.DirectionalLight(new THREE.Color(...light.sun), 1);
+      this.sun.castShadow = true;
+      const side = Math.min(SHADOW_MAP, this.renderer.capabilities.maxTextureSize);
+      this.sun.shadow.mapSize.set(side, side);
+      this.sun.shadow.bias = -0.0005;
+      this.sun.shadow.normalBias = 0.03;
+      this.sunward = new THREE.Vector3(...light.direction).negate();
+      this.scene.add(this.sun, this.sun.target);
+      const texture = this.texture(light.sky, { colorSpace: THREE.SRGBColorSpace });
+      this.sky = new THREE.Mesh(
+        skyDome(light.R_wd),
+        new THREE.MeshBasicMaterial({ map: texture, side: THREE.DoubleSide, depthWrite: false, depthTest: false, fog: false, toneMapped: false }),
+      );
+      this.sky.renderOrder = -1;
+      this.sky.frustumCulled = false;
+      this.scene.add(this.sky);
+      const haze = new THREE.Color().setRGB(...light.haze.colour, THREE.SRGBColorSpace);
+      this.scene.fog = new THREE.Fog(haze, light.haze.start, light.haze.end);
+      this.scene.background = haze;
+      this.loading[this.loading.length - 1] = this.loading[this.loading.length - 1].then(() => {
+        const around = new THREE.Scene();
+        around.add(this.sky.clone());
+        const generator = new THREE.PMREMGenerator(this.renderer);
+        this.scene.environment = generator.fromScene(around, 0, 0.1, 100).texture;
+        generator.dispose();
+        this.stale = true;
+      });
+      if (!light.grounded && !this.header.water) {
+        const grid = new THREE.GridHelper(400, 80, 0x8a9299, 0x60686f);
+        grid.rotation.x = Math.PI / 2;
+        grid.material.transparent = true;
+        grid.material.opacity = 0.5;
+        this.scene.add(grid);
+      }
+    }
+
+    _makeShapes() {
+      const { header, array } = this;
+      const textures = header.textures.map((ref) => this.texture(ref, { colorSpace: THREE.SRGBColorSpace }));
+      const made = new Map();
+      const material = (k, double) => {
+        const key = `${k} ${double}`;
+        if (!made.has(key)) {
+          const given = header.materials[k];
+          const colour = given.texture === null ? new THREE.Color().setRGB(...given.colour) : new THREE.Color(1, 1, 1);
+          made.set(key, new THREE.MeshStandardMaterial({
+            color: colour,
+            map: given.texture === null ? null : textures[given.texture],
+            roughness: given.roughness,
+            metalness: given.metallic,
+            emissive: given.emission ? colour : 0,
+            emissiveIntensity: given.emission,
+            opacity: given.opacity,
+            transparent: given.opacity < 1,
+            depthWrite: given.opacity === 1,
+            side: double || given.opacity < 1 ? THREE.DoubleSide : THREE.FrontSide,
+          }));
+        }
+        return made.get(key);
+      };
+      this.groups = header.groups.map(() => {
+        const group = new THREE.Group();
+        group.matrixAutoUpdate = false;
+        this.scene.add(group);
+        return group;
+      });
+      for (const shape of header.shapes) {
+        const geometry = new THREE.BufferGeometry();
+        geometry.setAttribute("position", new THREE.BufferAttribute(array(shape.points), 3));
+        geometry.setAttribute("normal", new THREE.BufferAttribute(array(shape.normals), 4, true));
+        if (shape.uvs) geometry.setAttribute("uv", new THREE.BufferAttribute(array(shape.uvs), 2));
+        geometry.setIndex(new THREE.BufferAttribute(array(shape.faces), 1));
+        const mesh = new THREE.Mesh(geometry, material(shape.material, shape.double));
+        mesh.castShadow = header.materials[shape.material].opacity > 0.5;
+        mesh.receiveShadow = true;
+        (shape.group < 0 ? this.scene : this.groups[shape.group]).add(mesh);
+      }
+    }
+
+    _makeCameras() {
+      const aspect = this.header.picture[0] / this.header.picture[1];
+      this.cameras = this.header.cameras.map((given) => {
+        const [half] = this.array(given.lens);
+        const [x, y, z] = [1.5 * half, (1.5 * half) / aspect, -1.5];
+        const corners = [[-x, -y, z], [x, -y, z], [x, y, z], [-x, y, z]];
+        const points = [];
+        corners.forEach((corner, k) => points.push([0, 0, 0], corner, corner, corners[(k + 1) % 4]));
+        points.push([-0.4 * x, 1.1 * y, z], [0, 1.5 * y, z], [0, 1.5 * y, z], [0.4 * x, 1.1 * y, z]); // up
+        const frustum = new THREE.LineSegments(lines(points), new THREE.LineBasicMaterial({ color: FRUSTUM, fog: false }));
+        frustum.matrixAutoUpdate = false;
+        this.scene.add(frustum);
+        return { ...given, frustum, poses: this.array(given.poses), lens: this.array(given.lens), aspect };
+      });
+    }
+
+    _makeOverlays() {
+      this.overlays = { paths: new THREE.Group(), ghosts: new THREE.Group() };
+      this.scene.add(this.overlays.paths, this.overlays.ghosts);
+    }
+
+    // ---- what a new solution replaces
+
+    /** The motion, from a header with groups, paths, marks and curves. */
+    setMotion(header, array) {
+      this.motion = header;
+      this.poses = header.groups.map((group) => array(group.poses));
+      this.curves = header.curves.map((curve) => ({ ...curve, values: array(curve.values) }));
+      this.marks = header.marks;
+      for (const overlay of Object.values(this.overlays)) dispose(overlay);
+      for (const path of header.paths) this._addPath(array(path.points));
+      for (const mark of header.marks) this._addMark(mark);
+      this.vehicles = header.paths.map((path) => path.name);
+      this.stale = true;
+      if (this.timeline) { this.timeline.build(); this.show(this.frame); }
+    }
+
+    _addPath(points) {
+      const geometry = new THREE.BufferGeometry();
+      geometry.setAttribute("position", new THREE.BufferAttribute(points, 3));
+      const line = new THREE.Line(geometry, new THREE.LineBasicMaterial({ color: PATH, fog: false }));
+      const ticks = new THREE.Points(geometry, new THREE.PointsMaterial({ color: PATH, size: 3, sizeAttenuation: false, fog: false }));
+      line.frustumCulled = ticks.frustumCulled = false;
+      this.overlays.paths.add(line, ticks);
+    }
+
+    /** A ring with an arrow along the heading, and the vehicle's ghost. */
+    _addMark(mark) {
+      const yaw = (mark.heading * Math.PI) / 180;
+      const circle = Array.from({ length: 33 }, (_, k) => [Math.cos(k * Math.PI / 16), Math.sin(k * Math.PI / 16), 0]);
+      const points = [];
+      for (let k = 0; k < 32; k++) points.push(circle[k], circle[k + 1]);
+      points.push([0, 0, 0], [2, 0, 0], [2, 0, 0], [1.6, 0.25, 0], [2, 0, 0], [1.6, -0.25, 0]);
+      const ring = new THREE.LineSegments(lines(points), new THREE.LineBasicMaterial({ color: ACCENT, fog: false, depthTest: false }));
+      ring.position.set(...mark.position);
+      ring.rotation.z = yaw;
+      ring.renderOrder = 2;
+      this.overlays.paths.add(ring);
+      const ghost = new THREE.Group();
+      const glass = new THREE.MeshStandardMaterial({ color: ACCENT, transparent: true, opacity: 0.25, depthWrite: false });
+      this.groups.forEach((group, k) => {
+        if (this.motion.groups[k].vehicle !== mark.vehicle) return;
+        const copy = new THREE.Group();
+        copy.matrixAutoUpdate = false;
+        setPose(copy.matrix, this.poses[k], this._index(Math.round(mark.frame)));
+        for (const mesh of group.children) copy.add(new THREE.Mesh(mesh.geometry, glass));
+        ghost.add(copy);
+      });
+      ghost.userData.shared = true;
+      this.overlays.ghosts.add(ghost);
+    }
+
+    // ---- every frame
+
+    _index(frame) {
+      return Math.min(Math.max(frame, this.first), this.last) - this.first;
+    }
+
+    /** Show a whole frame. */
+    show(frame) {
+      const before = this.subject();
+      this.frame = Math.min(Math.max(Math.round(frame), this.first), this.last);
+      const k = this._index(this.frame);
+      this.groups.forEach((group, g) => {
+        setPose(group.matrix, this.poses[g], k);
+        group.matrixWorldNeedsUpdate = true;
+      });
+      if (this.water) this.water.show(k);
+      for (const camera of this.cameras) setPose(camera.frustum.matrix, camera.poses, k);
+      const after = this.subject();
+      if (before && after && this.follow) {
+        const moved = after.clone().sub(before);
+        this.camera.position.add(moved);
+        this.orbit.target.add(moved);
+      }
+      if (this.timeline) this.timeline.draw();
+      this.stale = true;
+    }
+
+    /** Where the vehicle is that the orbit follows. */
+    subject() {
+      const k = this.motion.groups.findIndex((group) => group.vehicle === (this.follow || this.vehicles[0]));
+      if (k < 0) return null;
+      const poses = this.poses[k], at = 7 * this._index(this.frame);
+      return new THREE.Vector3(poses[at], poses[at + 1], poses[at + 2]);
+    }
+
+    /** Place the orbit around the vehicle, seen from behind and from the side. */
+    frameVehicle() {
+      const subject = this.subject() || new THREE.Vector3();
+      let size = 1;
+      const name = this.follow || this.vehicles[0];
+      this.header.shapes.forEach((shape, k) => {
+        if (shape.group < 0 || this.motion.groups[shape.group].vehicle !== name) return;
+        const points = this.array(shape.points);
+        for (let i = 0; i < points.length; i++) size = Math.max(size, Math.abs(points[i]));
+      });
+      this.orbit.target.copy(subject);
+      this.camera.position.copy(subject).add(new THREE.Vector3(-2.2, -2.2, 1.1).multiplyScalar(size));
+      this.orbit.update();
+      this.stale = true;
+    }
+
+    lookThrough(k) {
+      this.through = k;
+      this.orbit.enabled = k < 0;
+      element("cameras").value = String(k);
+      this.stale = true;
+    }
+
+    play(on = !this.playing) {
+      this.playing = on;
+      if (on && this.frame === this.last) this.show(this.first);
+      this.started = { at: performance.now(), frame: this.frame };
+      element("play").textContent = on ? "\u275a\u275a" : "\u25b6";
+      element("play").setAttribute("aria-pressed", on);
+    }
+
+    seek(frame) {
+      this.show(frame);
+      if (this.playing) this.started = { at: performance.now(), frame: this.frame };
+    }
+
+    _tick(now) {
+      requestAnimationFrame((next) => this._tick(next));
+      if (this.playing) {
+        const passed = Math.floor(((now - this.started.at) / 1000) * this.header.fps * this.speed);
+        let frame = this.started.frame + Math.max(passed, 0);
+        if (frame > this.last) {
+          if (this.loop) {
+            frame = this.first;
+            this.started = { at: now, frame };
+          } else {
+            frame = this.last;
+            this.play(false);
+          }
+        }
+        if (frame !== this.frame) this.show(frame);
+      }
+      if (this.stale || this._resized()) this.draw();
+    }
+
+    _resized() {
+      const canvas = this.renderer.domElement, ratio = this.renderer.getPixelRatio();
+      return canvas.width !== Math.floor(canvas.clientWidth * ratio) || canvas.height !== Math.floor(canvas.clientHeight * ratio);
+    }
+
+    draw() {
+      this.stale = false;
+      const main = element("stage"), width = main.clientWidth, height = main.clientHeight;
+      this.renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
+      this.renderer.setSize(width, height, false);
+      const gate = element("gate");
+      if (this.through >= 0) this._lookAsShot(width, height, gate.style);
+      else {
+        gate.style.display = "none";
+        const away = this.camera.position.distanceTo(this.orbit.target);
+        this.camera.aspect = width / height;
+        this.camera.near = Math.min(Math.max(away / 200, 0.02), 5);
+        this.camera.updateProjectionMatrix();
+      }
+      const view = this.through >= 0 ? this.shotCamera : this.camera;
+      this.cameras.forEach((camera, k) => (camera.frustum.visible = this.shown.cameras && k !== this.through));
+      this.overlays.paths.visible = this.shown.paths;
+      this.overlays.ghosts.visible = this.shown.ghosts;
+      this.sky.position.copy(view.position);
+      this._placeShadow(view);
+      this.renderer.render(this.scene, view);
+    }
+
+    /** The view of a shot's camera: its picture as large as fits, and what surrounds it darkened. */
+    _lookAsShot(width, height, gate) {
+      const camera = this.cameras[this.through], k = this._index(this.frame);
+      const view = (this.shotCamera ||= new THREE.PerspectiveCamera());
+      view.matrixAutoUpdate = false;
+      setPose(view.matrix, camera.poses, k);
+      view.matrix.decompose(view.position, view.quaternion, view.scale);
+      view.matrixWorldNeedsUpdate = true;
+      const [half, right, up] = camera.lens.subarray(3 * k, 3 * k + 3);
+      const wide = Math.min(width, height * camera.aspect), high = wide / camera.aspect;
+      const x = (half * width) / wide, y = ((half / camera.aspect) * height) / high, near = camera.near;
+      view.projectionMatrix.makePerspective((right - x) * near, (right + x) * near, (up + y) * near, (up - y) * near, near, FAR);
+      view.projectionMatrixInverse.copy(view.projectionMatrix).invert();
+      const place = { display: "block", width: wide, height: high, left: (width - wide) / 2, top: (height - high) / 2 };
+      for (const [key, value] of Object.entries(place)) gate[key] = typeof value === "number" ? `${value}px` : value;
+    }
+
+    /** The shadow map covers the ground around the vehicle, in whole texels, so that edges do not crawl. */
+    _placeShadow(view) {
+      const centre = this.subject() || this.orbit.target.clone();
+      const reach = Math.min(Math.max(3 * view.position.distanceTo(centre), 40), 250);
+      const texel = (2 * reach) / this.sun.shadow.mapSize.x;
+      const turn = new THREE.Matrix4().lookAt(this.sunward, new THREE.Vector3(), new THREE.Vector3(0, 0, 1));
+      const local = centre.applyMatrix4(turn.clone().invert());
+      centre.set(Math.round(local.x / texel) * texel, Math.round(local.y / texel) * texel, local.z).applyMatrix4(turn);
+      const shadow = this.sun.shadow.camera;
+      Object.assign(shadow, { left: -reach, right: reach, top: reach, bottom: -reach, near: 1, far: 1200 });
+      shadow.up.set(0, 0, 1);
+      shadow.updateProjectionMatrix();
+      this.sun.target.position.copy(centre);
+      this.sun.position.copy(centre).addScaledVector(this.sunward, 600);
+    }
+
+    // ---- controls
+
+    _makeControls() {
+      const bar = element("controls");
+      const button = (id, text, hint, press) => {
+        const made = Object.assign(document.createElement("button"), { id, textContent: text, title: hint });
+        made.addEventListener("click", () => { press(); made.blur(); });
+        bar.append(made);
+        return made;
+      };
+      const select = (id, name, options, value, choose) => {
+        const label = Object.assign(document.createElement("label"), { textContent: name });
+        const made = Object.assign(document.createElement("select"), { id });
+        for (const [key, text] of options) made.append(new Option(text, key));
+        made.value = value;
+        made.addEventListener("change", () => { choose(made.value); made.blur(); });
+        label.append(made);
+        bar.append(label);
+      };
+      const toggle = (key, hint) => {
+        const made = button(`show-${key}`, key, hint, () => {
+          this.shown[key] = !this.shown[key];
+          made.setAttribute("aria-pressed", this.shown[key]);
+          this.stale = true;
+        });
+        made.setAttribute("aria-pressed", this.shown[key]);
+      };
+      button("start", "\u23ee", "first frame (Home)", () => this.seek(this.first));
+      button("back", "\u2039", "one frame back (\u2190)", () => this.step(-1));
+      button("play", "\u25b6", "play, pause (Space)", () => this.play());
+      button("forward", "\u203a", "one frame forward (\u2192)", () => this.step(1));
+      button("end", "\u23ed", "last frame (End)", () => this.seek(this.last));
+      const number = Object.assign(document.createElement("input"), { id: "frame", type: "number", min: this.first, max: this.last, title: "frame" });
+      number.addEventListener("change", () => { this.seek(Number(number.value) || this.first); number.blur(); });
+      bar.append(number);
+      const loop = button("loop", "\u27f3", "play again at the end (L)", () => {
+        this.loop = !this.loop;
+        loop.setAttribute("aria-pressed", this.loop);
+      });
+      loop.setAttribute("aria-pressed", this.loop);
+      select("speed", "speed", SPEEDS.map((speed) => [speed, `${speed}\u00d7`]), 1, (value) => {
+        this.speed = Number(value);
+        this.started = { at: performance.now(), frame: this.frame };
+      });
+      const views = this.cameras.map((camera, k) => [k, camera.name]);
+      select("cameras", "view", [[-1, "orbit"], ...views], this.through, (value) => this.lookThrough(Number(value)));
+      const followed = this.vehicles.map((name) => [name, name]);
+      this.follow = this.vehicles[0] || "";
+      select("follow", "follow", [["", "nothing"], ...followed], this.follow, (value) => (this.follow = value));
+      if (this.curves.length) {
+        const names = this.curves.map((curve, k) => [k, this.vehicles.length > 1 ? `${curve.vehicle} ${curve.name}` : curve.name]);
+        this.curve = 0;
+        select("curve", "curve", names, 0, (value) => { this.curve = Number(value); this.timeline.draw(); });
+      } else element("curves").hidden = true;
+      bar.append(Object.assign(document.createElement("span"), { className: "space" }));
+      toggle("paths", "paths and marks (P)");
+      toggle("ghosts", "the vehicles at their marks (G)");
+      toggle("cameras", "the shot's cameras (C)");
+      button("keys", "?", "keys", () => (element("help").hidden = !element("help").hidden));
+      const rows = KEYS.map(([key, what]) => `<tr><td>${key}</td><td>${what}</td></tr>`).join("");
+      element("help").innerHTML = `<table>${rows}</table>`;
+      this.lookThrough(this.through);
+    }
+
+    step(count) {
+      this.play(false);
+      this.seek(this.frame + count);
+    }
+
+    _toMark(sign) {
+      const frames = this.marks.map((mark) => Math.round(mark.frame)).filter((frame) => sign * (frame - this.frame) > 0);
+      if (frames.length) this.seek(sign > 0 ? Math.min(...frames) : Math.max(...frames));
+    }
+
+    _listen() {
+      this.orbit.addEventListener("start", () => (this.grabbed = true));
+      const press = {
+        " ": () => this.play(), ArrowLeft: (event) => this.step(event.shiftKey ? -10 : -1),
+        ArrowRight: (event) => this.step(event.shiftKey ? 10 : 1), Home: () => this.seek(this.first),
+        End: () => this.seek(this.last), ",": () => this._toMark(-1), ".": () => this._toMark(1),
+        l: () => element("loop").click(), p: () => element("show-paths").click(), g: () => element("show-ghosts").click(),
+        c: () => element("show-cameras").click(), f: () => { this.lookThrough(-1); this.frameVehicle(); },
+        "?": () => element("keys").click(),
+      };
+      window.addEventListener("keydown", (event) => {
+        if (/^(INPUT|SELECT|TEXTAREA)$/.test(event.target.tagName) || event.ctrlKey || event.metaKey || event.altKey) return;
+        const camera = Number(event.key) - 1;
+        if (/^[0-9]$/.test(event.key) && camera < this.cameras.length) this.lookThrough(camera);
+        else if (press[event.key.toLowerCase()] || press[event.key]) (press[event.key] || press[event.key.toLowerCase()])(event);
+        else return;
+        event.preventDefault();
+      });
+      window.addEventListener("resize", () => { this.stale = true; this.timeline.build(); });
+    }
+  }
+
+  vehsim.Viewer = Viewer;
+
+  // ---------------------------------------------------------------- the timeline
+
+  class Timeline {
+    constructor(viewer) {
+      this.viewer = viewer;
+      this.track = element("track");
+      const scrub = (event) => {
+        const box = this.track.getBoundingClientRect();
+        viewer.seek(viewer.first + ((event.clientX - box.left) / box.width) * (viewer.last - viewer.first));
+      };
+      for (const part of [this.track, element("curves")]) {
+        part.addEventListener("pointerdown", (event) => {
+          viewer.play(false);
+          part.setPointerCapture(event.pointerId);
+          scrub(event);
+        });
+        part.addEventListener("pointermove", (event) => part.hasPointerCapture(event.pointerId) && scrub(event));
+      }
+      this.build();
+    }
+
+    /** Ticks at round numbers of frames, and the marks. */
+    build() {
+      const { first, last, marks } = this.viewer, length = Math.max(last - first, 1);
+      const room = Math.max(this.track.clientWidth / 70, 1);
+      const every = [1, 2, 5, 10, 20, 25, 50, 100, 200, 250, 500, 1000, 2000, 5000, 10000].find((n) => length / n <= room) || 20000;
+      const at = (frame) => `left:${(100 * (frame - first)) / length}%`;
+      let html = "";
+      for (let frame = Math.ceil(first / every) * every; frame <= last; frame += every)
+        html += `<div class="tick" style="${at(frame)};height:40%"><span>${frame - first < 0.96 * length ? frame : ""}</span></div>`;
+      for (const mark of marks) html += `<div class="mark" style="${at(mark.frame)}"></div>`;
+      this.track.innerHTML = `${html}<div class="head"></div>`;
+      this.track.querySelectorAll(".mark").forEach((mark, k) => (mark.title = `${marks[k].vehicle}: mark at ${marks[k].frame}`));
+      this.draw();
+    }
+
+    draw() {
+      const { first, last, frame } = this.viewer, share = (frame - first) / Math.max(last - first, 1);
+      this.track.querySelector(".head").style.left = `${100 * share}%`;
+      if (document.activeElement !== element("frame")) element("frame").value = frame;
+      const name = element("title");
+      name.innerHTML = "<b></b>";
+      name.firstChild.textContent = this.viewer.header.name;
+      name.append(`  ${frame}`);
+      this._drawCurve(share);
+    }
+
+    _drawCurve(share) {
+      const canvas = element("curves"), curve = this.viewer.curves[this.viewer.curve];
+      if (!curve) return;
+      const ratio = window.devicePixelRatio, width = canvas.clientWidth, height = canvas.clientHeight;
+      canvas.width = width * ratio;
+      canvas.height = height * ratio;
+      const ink = canvas.getContext("2d");
+      ink.scale(ratio, ratio);
+      let low = Math.min(0, ...curve.values), high = Math.max(0, ...curve.values);
+      if (high - low < 1e-9) high = low + 1;
+      const place = (value) => height - 4 - ((value - low) / (high - low)) * (height - 8);
+      ink.strokeStyle = "#3a3f45";
+      ink.strokeRect(0, Math.round(place(0)) + 0.5, width, 0);
+      ink.beginPath();
+      curve.values.forEach((value, k) => ink.lineTo((k / Math.max(curve.values.length - 1, 1)) * width, place(value)));
+      ink.strokeStyle = "#2fb4ff";
+      ink.lineWidth = 1.5;
+      ink.stroke();
+      const value = curve.values[this.viewer._index(this.viewer.frame)];
+      ink.fillStyle = "#fff";
+      ink.fillRect(share * width - 0.5, 0, 1, height);
+      const text = `${curve.name} ${Number(value.toPrecision(4))} ${curve.unit}`;
+      ink.font = "12px system-ui, sans-serif";
+      const right = share * width + 8 + ink.measureText(text).width < width;
+      ink.textAlign = right ? "left" : "right";
+      ink.fillText(text, share * width + (right ? 6 : -6), 14);
+    }
+  }
+
+  // ---------------------------------------------------------------- water
+
+  class Water {
+    constructor(given, array, viewer) {
+      const [rows, cols] = given.shape;
+      this.count = rows * cols;
+      this.start = array(given.start);
+      this.step = given.step;
+      this.foam = array(given.foam);
+      this.steps = Int32Array.from(array(given.bends));
+      const row = 3 * this.count;
+      for (let pass = 0; pass < 2; pass++) // undo the differences
+        for (let k = row; k < this.steps.length; k++) this.steps[k] += this.steps[k - row];
+      this.geometry = new THREE.BufferGeometry();
+      this.place = new THREE.BufferAttribute(new Float32Array(this.start), 3);
+      this.colour = new THREE.BufferAttribute(new Float32Array(row), 3);
+      this.geometry.setAttribute("position", this.place);
+      this.geometry.setAttribute("color", this.colour);
+      const uv = new Float32Array(2 * this.count);
+      for (let k = 0; k < this.count; k++) {
+        uv[2 * k] = this.start[3 * k] / given.tile;
+        uv[2 * k + 1] = this.start[3 * k + 1] / given.tile;
+      }
+      this.geometry.setAttribute("uv", new THREE.BufferAttribute(uv, 2));
+      const faces = [];
+      for (let r = 0; r + 1 < rows; r++)
+        for (let c = 0; c + 1 < cols; c++) {
+          const a = r * cols + c, b = a + cols;
+          faces.push(a, a + 1, b + 1, a, b + 1, b);
+        }
+      this.geometry.setIndex(faces);
+      this.clear = given.clear;
+      this.white = given.white;
+      const material = new THREE.MeshStandardMaterial({
+        vertexColors: true, roughness: given.rough, metalness: 0, side: THREE.DoubleSide,
+        normalMap: viewer.texture(given.ripples), normalScale: new THREE.Vector2(1.6, 1.6),
+      });
+      const mesh = new THREE.Mesh(this.geometry, material);
+      mesh.frustumCulled = false;
+      mesh.receiveShadow = true;
+      viewer.scene.add(mesh);
+    }
+
+    show(frame) {
+      const places = this.place.array, colours = this.colour.array, row = 3 * this.count, at = row * frame;
+      for (let k = 0; k < row; k++) places[k] = this.start[k] + this.step * this.steps[at + k];
+      for (let k = 0; k < this.count; k++) {
+        const share = this.foam[this.count * frame + k] / 255;
+        for (let c = 0; c < 3; c++) colours[3 * k + c] = this.clear[c] + share * (this.white[c] - this.clear[c]);
+      }
+      this.place.needsUpdate = this.colour.needsUpdate = true;
+      this.geometry.computeVertexNormals();
+    }
+  }
+
+  // ---------------------------------------------------------------- helpers
+
+  function setPose(matrix, poses, k) {
+    const at = 7 * k, unit = setPose.unit || (setPose.unit = new THREE.Vector3(1, 1, 1));
+    matrix.compose(
+      new THREE.Vector3(poses[at], poses[at + 1], poses[at + 2]),
+      new THREE.Quaternion(poses[at + 3], poses[at + 4], poses[at + 5], poses[at + 6]).normalize(),
+      unit,
+    );
+  }
+
+  function lines(points) {
+    const geometry = new THREE.BufferGeometry();
+    geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(points.flat()), 3));
+    return geometry;
+  }
+
+  /** A sphere for a latitude-longitude picture, as USD places it: the pole is the dome's Y, R_wd turns it to world. */
+  function skyDome(R) {
+    const COLUMNS = 64, ROWS = 32, points = [], uvs = [], faces = [];
+    for (let r = 0; r <= ROWS; r++)
+      for (let c = 0; c <= COLUMNS; c++) {
+        const theta = (Math.PI * r) / ROWS, phi = (2 * Math.PI * c) / COLUMNS - Math.PI / 2;
+        const own = [Math.cos(phi) * Math.sin(theta), Math.cos(theta), Math.sin(phi) * Math.sin(theta)];
+        points.push(R.map((line) => 10 * (line[0] * own[0] + line[1] * own[1] + line[2] * own[2])));
+        uvs.push(c / COLUMNS, 1 - r / ROWS);
+      }
+    for (let r = 0; r < ROWS; r++)
+      for (let c = 0; c < COLUMNS; c++) {
+        const a = r * (COLUMNS + 1) + c, b = a + COLUMNS + 1;
+        faces.push(a, b, a + 1, b, b + 1, a + 1);
+      }
+    const geometry = lines(points);
+    geometry.setAttribute("uv", new THREE.BufferAttribute(new Float32Array(uvs), 2));
+    geometry.setIndex(faces);
+    return geometry;
+  }
+
+  function dispose(overlay) {
+    for (const child of [...overlay.children]) {
+      overlay.remove(child);
+      if (!child.userData.shared && child.geometry) child.geometry.dispose();
+    }
+  }
+})();

@@ -1,0 +1,265 @@
+"""A stage and its take as one block of bytes for the page: geometry, materials, and the motion on whole frames.
+
+The page decodes it in `page/viewer.js`. Everything that is drawn comes from the composed stage, as for pictures; names,
+paths, marks and curves come from the take. Units are metres and frames, Z up.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.exporters.pictures.render import HAZE, bounds_of, haze_end
+from vehsim.exporters.usd.sampling import clip_at
+from vehsim.exporters.usd.scenery.lighting import encode_srgb
+from vehsim.exporters.usd.scenery.shading import DEFAULT_SUN, below_horizon, dome_mean, exposure_of, sky_image
+from vehsim.exporters.usd.scenery.water_material import CLEAR, FOAM, ROUGH, TILE, patches, ripples
+from vehsim.exporters.usd.stage import Shape, StageReader, Surface
+from vehsim.intake.images import read_colours
+from vehsim.lie.quaternions import quaternions, yaw_of
+
+if TYPE_CHECKING:
+    from vehsim.clip.clip import Clip
+    from vehsim.delivery.take import Take
+
+Array = NDArray[np.float64]
+
+LARGEST_TEXTURE = 2048
+"""Longest side of a texture, px; larger ones are reduced."""
+JPEG_QUALITY = 88
+WATER_SAMPLES = 4_000_000
+"""Points of the water's surface over all frames; a longer shot shows a coarser surface."""
+WATER_STEP = 1e-3
+"""Resolution of the water's points, m."""
+READABLE = {".jpg": "image/jpeg", ".jpeg": "image/jpeg"}
+"""Pictures that a page shows as they are."""
+
+
+class Packing:
+    """Arrays side by side in one block; a header refers to them by place."""
+
+    def __init__(self) -> None:
+        self._chunks: list[bytes] = []
+        self._size = 0
+
+    def array(self, values: Any, kind: str) -> dict[str, Any]:
+        """Add ``values`` as a type of numpy, such as "f4"; returns the reference for the header."""
+        return {"kind": kind, **self.content(np.ascontiguousarray(values, np.dtype(kind).newbyteorder("<")).tobytes())}
+
+    def content(self, content: bytes) -> dict[str, Any]:
+        """Add bytes as they are; returns the reference for the header."""
+        place = {"at": self._size, "size": len(content)}
+        self._chunks.append(content + b"\0" * (-len(content) % 8))
+        self._size += len(self._chunks[-1])
+        return place
+
+    def block(self, header: dict[str, Any]) -> bytes:
+        """The length of the header in four bytes, the header as JSON, then the arrays from a multiple of eight."""
+        text = json.dumps(header, allow_nan=False, separators=(",", ":")).encode()
+        text += b" " * (-(4 + len(text)) % 8)
+        return len(text).to_bytes(4, "little") + text + b"".join(self._chunks)
+
+
+def scene_block(take: Take, stage: StageReader) -> bytes:
+    """Everything that the page shows of ``take``, whose stage is ``stage``."""
+    pack = Packing()
+    frames = np.arange(take.frames[0], take.frames[1] + 1, dtype=float)
+    surfaces = list(dict.fromkeys(shape.surface for shape in stage.shapes))
+    textures = list(dict.fromkeys(surface.texture for surface in surfaces if surface.texture))
+    header = {
+        "name": take.name,
+        "fps": float(take.fps),
+        "frames": list(take.frames),
+        "picture": list(take.render.panel(len(take.render.cameras or take.cameras))),
+        "textures": [_texture(pack, path) for path in textures],
+        "materials": [_material(surface, textures) for surface in surfaces],
+        "shapes": [_shape(pack, shape, stage.groups, surfaces) for shape in stage.shapes],
+        "light": _light(pack, stage),
+        **motion(pack, take, group_poses(stage, frames), stage.groups),
+        "cameras": list(_cameras(pack, stage, take, frames)),
+        "water": None if stage.water is None else _water(pack, stage, frames),
+    }
+    return pack.block(header)
+
+
+def motion(pack: Packing, take: Take, poses: Array, groups: Iterable[str]) -> dict[str, Any]:
+    """What changes when a take is solved again. ``poses`` (groups, frames, 7): x, y, z, then the quaternion
+    x, y, z, w."""
+    prefix = f"/{take.name}/vehicles/"
+    frames = np.arange(take.frames[0], take.frames[1] + 1, dtype=float)
+    clips = {name: clip_at(clip, frames) for name, clip in take.clips.items()}
+    return {
+        "groups": [
+            {
+                "vehicle": path.removeprefix(prefix).split("/")[0] if path.startswith(prefix) else None,
+                "poses": pack.array(pose, "f4"),
+            }
+            for path, pose in zip(groups, poses, strict=True)
+        ],
+        "paths": [{"name": name, "points": pack.array(clip.positions, "f4")} for name, clip in clips.items()],
+        "marks": list(_marks(take)),
+        "curves": [curve for name, clip in clips.items() for curve in _curves(pack, name, clip)],
+    }
+
+
+def group_poses(stage: StageReader, frames: Array) -> Array:
+    """Poses (groups, frames, 7) of the stage's moving prims."""
+    matrices = [stage.matrices(frame) for frame in frames.tolist()]
+    if not stage.groups:
+        return np.zeros((0, len(frames), 7))
+    return np.stack([_poses(np.stack([each[group] for each in matrices])) for group in stage.groups])
+
+
+def _poses(T: Array) -> Array:
+    """Positions and quaternions x, y, z, w (n, 7) of matrices (n, 4, 4)."""
+    return np.column_stack([T[:, :3, 3], np.roll(quaternions(T[:, :3, :3]), -1, axis=1)])
+
+
+def _shape(pack: Packing, shape: Shape, groups: tuple[str, ...], surfaces: list[Surface]) -> dict[str, Any]:
+    """A mesh with one vertex per pair of point and normal (and texture coordinates)."""
+    corners = [shape.faces, shape.face_normals]
+    if shape.uvs is not None and shape.face_uvs is not None:
+        corners.append(shape.face_uvs)
+    used, faces = np.unique(np.stack(corners, axis=-1).reshape(-1, len(corners)), axis=0, return_inverse=True)
+    normals = np.zeros((len(used), 4))
+    normals[:, :3] = np.round(127 * shape.normals[used[:, 1]])
+    return {
+        "name": shape.name,
+        "group": groups.index(shape.group) if shape.group else -1,
+        "material": surfaces.index(shape.surface),
+        "double": not shape.closed,
+        "points": pack.array(shape.points[used[:, 0]], "f4"),
+        "normals": pack.array(normals, "i1"),
+        "uvs": None if shape.uvs is None else pack.array(shape.uvs[used[:, 2]], "f4"),
+        "faces": pack.array(faces, "u4"),
+    }
+
+
+def _material(surface: Surface, textures: list[Path]) -> dict[str, Any]:
+    return {
+        "colour": list(surface.colour),
+        "opacity": surface.opacity,
+        "roughness": surface.roughness,
+        "metallic": surface.metallic,
+        "emission": surface.emission,
+        "texture": None if surface.texture is None else textures.index(surface.texture),
+    }
+
+
+def _texture(pack: Packing, path: Path) -> dict[str, Any]:
+    """A texture as a browser reads it: its own file if that is a JPEG of moderate size, else encoded again."""
+    from PIL import Image
+
+    pixels = read_colours(path)
+    if path.suffix.lower() in READABLE and max(pixels.shape) <= LARGEST_TEXTURE:
+        return {"type": READABLE[path.suffix.lower()], **pack.content(path.read_bytes())}
+    image = Image.fromarray(pixels)
+    image.thumbnail((LARGEST_TEXTURE, LARGEST_TEXTURE))
+    return _jpeg(pack, image)
+
+
+def _jpeg(pack: Packing, image: Any) -> dict[str, Any]:
+    file = io.BytesIO()
+    image.save(file, "jpeg", quality=JPEG_QUALITY)
+    return {"type": "image/jpeg", **pack.content(file.getvalue())}
+
+
+def _light(pack: Packing, stage: StageReader) -> dict[str, Any]:
+    """The stage's own lights, exposed as the pictures are: white in full sun is just above display white."""
+    from PIL import Image
+
+    sky, key = stage.sky(), stage.sun() or DEFAULT_SUN
+    image = sky_image(sky)
+    exposure = exposure_of(key, dome_mean(image))
+    grounded = stage.water is None and any(not shape.group for shape in stage.shapes)
+    shown = encode_srgb((below_horizon(image) if grounded else image) * exposure)
+    horizon = shown[int(image.shape[0] * 0.49)].mean(axis=0) / 255.0
+    lower, upper = bounds_of(stage)
+    return {
+        "direction": key.direction.tolist(),
+        "sun": (key.colour * exposure).tolist(),
+        "sky": _jpeg(pack, Image.fromarray(shown)),
+        "R_wd": (np.eye(3) if sky is None else sky.R_wd).tolist(),
+        "haze": {"colour": horizon.tolist(), "start": HAZE[0], "end": haze_end(stage, (lower, upper))},
+        "bounds": [lower.tolist(), upper.tolist()],
+        "grounded": grounded,
+    }
+
+
+def _cameras(pack: Packing, stage: StageReader, take: Take, frames: Array) -> Iterator[dict[str, Any]]:
+    """The stage's cameras, in the take's order; shift and half of the picture's width at distance 1, for each frame."""
+    order = [camera.name for camera in take.cameras]
+    for name in sorted(stage.cameras, key=lambda each: (each not in order, order.index(each) if each in order else 0)):
+        views = [stage.camera(name, frame) for frame in frames.tolist()]
+        yield {
+            "name": name,
+            "poses": pack.array(_poses(np.stack([view.T_wc for view in views])), "f4"),
+            "lens": pack.array([(view.half_width, *view.shift) for view in views], "f4"),
+            "near": views[0].clip[0],
+        }
+
+
+def _water(pack: Packing, stage: StageReader, frames: Array) -> dict[str, Any]:
+    """The moving surface in steps of `WATER_STEP`, as second differences over time, which compress to a few bits."""
+    rows, cols = stage.water_grid()
+    every = next(k for k in range(1, 100) if -(-rows // k) * -(-cols // k) * len(frames) <= WATER_SAMPLES or k == 99)
+    chosen = np.arange(rows * cols).reshape(rows, cols)[::every, ::every]
+    surfaces = [stage.water_at(frame) for frame in frames.tolist()]
+    points = np.stack([each[0][chosen.ravel()] for each in surfaces])
+    foam = np.stack([patches(*each[0][chosen.ravel(), :2].T, each[2][chosen.ravel()]) for each in surfaces])
+    moved = points - points[0]
+    bends = np.diff(moved, n=2, axis=0, prepend=np.zeros((2, *moved.shape[1:])))
+    step = max(WATER_STEP, float(np.abs(bends).max()) / 30_000)  # they are stored in 16 bits
+    steps = np.round(moved / step).astype(np.int32)
+    return {
+        "shape": list(chosen.shape),
+        "step": step,
+        "start": pack.array(points[0], "f4"),
+        "bends": pack.array(np.diff(steps, n=2, axis=0, prepend=np.zeros((2, *moved.shape[1:]), np.int32)), "i2"),
+        "foam": pack.array(np.round(255 * foam), "u1"),
+        "ripples": {"type": "image/png", **pack.content(ripples())},
+        "tile": TILE,
+        "clear": CLEAR.tolist(),
+        "white": FOAM.tolist(),
+        "rough": ROUGH[0],
+    }
+
+
+def _marks(take: Take) -> Iterator[dict[str, Any]]:
+    """The marks with a place: vehicle, frame, position; heading in degrees where the motion passes."""
+    for name, marks in take.report.get("marks", {}).items():
+        clip = take.clips[name]
+        for k, mark in enumerate(marks):
+            if mark.get("position") is None:
+                continue
+            place = np.array(mark["position"], float)
+            frame = mark["frame"]
+            if not isinstance(frame, int | float):  # the planner's choice
+                away = np.linalg.norm(clip.positions[:, : len(place)] - place, axis=1)
+                frame = float(clip.frames[away.argmin()])
+            there = clip_at(clip, np.array([float(frame)]))
+            yield {
+                "vehicle": name,
+                "index": k,
+                "frame": float(frame),
+                "position": [*place.tolist(), *there.positions[0, len(place) :].tolist()],
+                "heading": float(np.degrees(yaw_of(there.orientations)[0])),
+            }
+
+
+def _curves(pack: Packing, name: str, clip: Clip) -> Iterator[dict[str, Any]]:
+    """Speed, load and controls on whole frames."""
+    velocity = np.gradient(clip.positions, clip.times, axis=0) if len(clip) > 1 else np.zeros((1, 3))
+    table = {"speed": (np.linalg.norm(velocity, axis=1), "m/s")}
+    table |= {
+        control.name: (values, control.unit)
+        for control, values in zip(clip.vehicle.controls, clip.controls.T, strict=False)
+    }
+    for curve, (values, unit) in table.items():
+        yield {"vehicle": name, "name": curve, "unit": unit, "values": pack.array(values, "f4")}
