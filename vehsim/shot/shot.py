@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from vehsim.delivery.take import RenderSettings, Take, UsdSettings
     from vehsim.rig.blocking import Blocking
     from vehsim.shot.cache import SolvedMotion
-    from vehsim.shot.motions.simulate import SimulateMotion
+    from vehsim.shot.motions.simulate import ForwardMotion
     from vehsim.vehicles import Vehicle
     from vehsim.world.world import World
 
@@ -113,9 +113,9 @@ class Shot:
             if rig is not None:
                 yield (rig.folder or rig.asset.parent) / "vehicle.toml"
                 yield from dependencies(rig.asset)[0]
-            path = getattr(table.motion, "path", None)
-            if path is not None:
-                yield self.folder / path
+            for key in ("path", "file"):
+                if (path := getattr(table.motion, key, None)) is not None:
+                    yield self.folder / path
         for blocking in self.blockings().values():
             yield from dependencies(blocking.path)[0]
 
@@ -382,20 +382,20 @@ class Shot:
         """The vehicles that are obstacles for the others."""
         return {table.vehicle for table in self.file.world.obstacle if table.shape == "vehicle"}
 
-    def _meeting(self) -> dict[str, tuple[SimulateMotion, Vehicle]]:
+    def _meeting(self) -> dict[str, tuple[ForwardMotion, Vehicle]]:
         """The simulated vehicles that may touch each other, with their motions; none if there are fewer than two."""
-        from vehsim.shot.motions.simulate import SimulateMotion
+        from vehsim.shot.motions.simulate import ForwardMotion
 
         motions = {table.name: (table.motion, self.vehicle(table)) for table in self.file.vehicle}
-        simulated = {
+        simulated: dict[str, tuple[ForwardMotion, Vehicle]] = {
             name: (motion, vehicle)
             for name, (motion, vehicle) in motions.items()
-            if isinstance(motion, SimulateMotion) and vehicle.group.dim == 6 and vehicle.rig is not None
+            if isinstance(motion, ForwardMotion) and vehicle.group.dim == 6 and vehicle.rig is not None
         }
         return {} if self.world.contact is None or len(simulated) < 2 else simulated
 
     def _meet(
-        self, simulated: Mapping[str, tuple[SimulateMotion, Vehicle]], world: World, progress: Progress
+        self, simulated: Mapping[str, tuple[ForwardMotion, Vehicle]], world: World, progress: Progress
     ) -> dict[str, tuple[Clip, dict[str, Any]]]:
         """Their clips, advanced together in ``world``, and the report about each."""
         from vehsim.simulation import simulate_together

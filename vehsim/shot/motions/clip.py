@@ -19,7 +19,7 @@ class ClipMotion(Table):
     """``method = "clip"``: a motion saved before, as it is."""
 
     method: Literal["clip"]
-    """plan, simulate, integrate, sinusoid or clip"""
+    """plan, simulate, sticks, integrate, sinusoid or clip"""
     path: Text
     """a clip saved by vehsim (.npz), relative to the shot file"""
 

@@ -29,7 +29,7 @@ class IntegrateMotion(Table):
     """``method = "integrate"``: the motion without controls by one integrator, in empty space."""
 
     method: Literal["integrate"]
-    """plan, simulate, integrate, sinusoid or clip"""
+    """plan, simulate, sticks, integrate, sinusoid or clip"""
     integrator: Annotated[Text, InSchema(lambda own: {"enum": [OURS, *names_in(METHODS)]})] = OURS
     """"variational" or, for comparison, "rk2", "rk4", "implicit_rk2" or "lie_newmark\""""
     start: StartTable = StartTable()

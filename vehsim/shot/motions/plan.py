@@ -45,7 +45,7 @@ class PlanMotion(Table):
     """``method = "plan"``: the motion through the marks at the least cost."""
 
     method: Literal["plan"]
-    """plan, simulate, integrate, sinusoid or clip"""
+    """plan, simulate, sticks, integrate, sinusoid or clip"""
     cost: Annotated[
         str | dict[str, float],
         PlainValidator(lambda v: _cost(v)),

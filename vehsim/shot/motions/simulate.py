@@ -1,12 +1,16 @@
-"""``method = "simulate"``: the table of a simulated motion, its checks in a world, and its solution."""
+"""``method = "simulate"``: the table of a simulated motion, its checks in a world, and its solution.
+
+`ForwardMotion` is what every simulated motion has in common; `sticks.py` is another of them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from annotated_types import Len
+from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field
 
 from vehsim.errors import Problem
@@ -21,42 +25,25 @@ if TYPE_CHECKING:
     from vehsim.simulation import Mover
     from vehsim.vehicles import Vehicle
 
+Values = NDArray[np.float64]
+
 MAX_STEPS = 10_000_000
 """Largest number of integration steps of a shot."""
 
 
-class SimulateMotion(Table):
-    """``method = "simulate"``: forward simulation from a start, with commands or a pilot."""
+class ForwardMotion(Table):
+    """Forward simulation from a start, under controls that a subclass gives."""
 
-    method: Literal["simulate"]
-    """plan, simulate, integrate, sinusoid or clip"""
     start: StartTable = StartTable()
     """the state on the shot's first frame, including handles; default: at rest at the origin"""
-    duration: Annotated[Positive, Field(le=MAX_FRAMES)] | None = None
-    """the duration in s; default: until the shot's end_frame"""
     step: Annotated[Number, Field(ge=1e-5, le=0.1)] = 1 / 240
     """the integration step in s, 0.00001 to 0.1; default: 1/240"""
-    commands: (
-        Annotated[list[Annotated[dict[str, Number], BeforeValidator(lambda v: _command(v))]], Array, Len(1, MAX_FRAMES)]
-        | None
-    ) = None
-    """a list of { frame = ..., control = value, ... }: linear between rows, constant before and after, angles in
-    degrees; default: no controls"""
-    pilot: PilotTable | None = None
-    """a table { name = ..., parameters }, instead of commands"""
 
     def check(self, vehicle: Vehicle, setting: Setting) -> Iterator[Problem]:
-        if self.duration is None and setting.last is None:
-            yield Problem("duration", "missing", "give the duration in seconds, or shot.end_frame")
-        seconds = self._duration(setting)
+        seconds = self.seconds(setting)
         if seconds * setting.fps > MAX_FRAMES or seconds / self.step > MAX_STEPS:
             yield Problem("duration", f"more than {MAX_FRAMES} frames or {MAX_STEPS} steps", "shorten it", seconds)
-        if self.commands is not None and self.pilot is not None:
-            yield Problem("pilot", "commands are given too", "keep one of them", self.pilot.name)
-        if self.pilot is not None:
-            wrong = list(self.pilot.check(vehicle))
-            yield from wrong or filter(None, [self.pilot.refusal(vehicle)])
-        yield from self._check_commands(vehicle)
+        yield from self.check_controls(vehicle, setting)
         yield from check_names("start.joints", self.start.joints, vehicle.joints, "joint")
         yield from check_mark("start", self.start, vehicle)
         yield from check_inside("start.position", self.start.position, vehicle, setting.world)
@@ -66,29 +53,73 @@ class SimulateMotion(Table):
     def solve(self, vehicle: Vehicle, setting: Setting, progress: Progress) -> tuple[Clip, dict[str, Any]]:
         from vehsim.simulation import simulate
 
-        controls = self._controls(vehicle, setting)
+        controls = self.controls(vehicle, setting)
         clip = simulate(
             vehicle,
             setting.world,
             controls,
             start=as_state(self.start, vehicle) if self.start.model_fields_set else None,
-            duration=self._duration(setting),
+            duration=self.seconds(setting),
             step=self.step,
             fps=setting.fps,
             start_frame=setting.first,
             progress=progress,
         )
         details = {"step": self.step, "duration": clip.duration}
-        return clip, details | ({} if self.pilot is None else {"targets": controls.targets(clip.duration)})
+        return clip, details | ({"targets": controls.targets(clip.duration)} if hasattr(controls, "targets") else {})
 
     def mover(self, vehicle: Vehicle, setting: Setting) -> tuple[Mover, float]:
         """The same for vehicles that move together, and the duration, s."""
         from vehsim.simulation import Mover
 
         start = as_state(self.start, vehicle) if self.start.model_fields_set else None
-        return Mover(vehicle, self._controls(vehicle, setting), start), self._duration(setting)
+        return Mover(vehicle, self.controls(vehicle, setting), start), self.seconds(setting)
 
-    def _duration(self, setting: Setting) -> float:
+    def seconds(self, setting: Setting) -> float:
+        """The duration, s."""
+        raise NotImplementedError
+
+    def check_controls(self, vehicle: Vehicle, setting: Setting) -> Iterator[Problem]:
+        """The problems of what gives the controls."""
+        raise NotImplementedError
+
+    def controls(self, vehicle: Vehicle, setting: Setting) -> Any:
+        """The controls for `vehsim.simulate`."""
+        raise NotImplementedError
+
+
+def linear(curves: Sequence[tuple[Values, Values]]) -> Callable[[float, Any], Values]:
+    """A law for `vehsim.simulate` from the times, s, and values of each control: linear between, constant beyond."""
+    return lambda t, state: np.array([np.interp(t, times, values) for times, values in curves])
+
+
+class SimulateMotion(ForwardMotion):
+    """``method = "simulate"``: forward simulation from a start, with commands or a pilot."""
+
+    method: Literal["simulate"]
+    """plan, simulate, sticks, integrate, sinusoid or clip"""
+    duration: Annotated[Positive, Field(le=MAX_FRAMES)] | None = None
+    """the duration in s; default: until the shot's end_frame"""
+    commands: (
+        Annotated[list[Annotated[dict[str, Number], BeforeValidator(lambda v: _command(v))]], Array, Len(1, MAX_FRAMES)]
+        | None
+    ) = None
+    """a list of { frame = ..., control = value, ... }: linear between rows, constant before and after, angles in
+    degrees; default: no controls"""
+    pilot: PilotTable | None = None
+    """a table { name = ..., parameters }, instead of commands"""
+
+    def check_controls(self, vehicle: Vehicle, setting: Setting) -> Iterator[Problem]:
+        if self.duration is None and setting.last is None:
+            yield Problem("duration", "missing", "give the duration in seconds, or shot.end_frame")
+        if self.commands is not None and self.pilot is not None:
+            yield Problem("pilot", "commands are given too", "keep one of them", self.pilot.name)
+        if self.pilot is not None:
+            wrong = list(self.pilot.check(vehicle))
+            yield from wrong or filter(None, [self.pilot.refusal(vehicle)])
+        yield from self._check_commands(vehicle)
+
+    def seconds(self, setting: Setting) -> float:
         if self.duration is not None:
             return self.duration
         return setting.seconds(setting.last if setting.last is not None else setting.first)
@@ -107,18 +138,18 @@ class SimulateMotion(Table):
                 yield Problem(f"commands[{i}].frame", "not after the one before it", "put them in order", row["frame"])
             last = row["frame"]
 
-    def _controls(self, vehicle: Vehicle, setting: Setting) -> Any:
-        """The controls for `vehsim.simulate`: a pilot, or a function of time."""
+    def controls(self, vehicle: Vehicle, setting: Setting) -> Any:
         if self.pilot is not None:
             from vehsim.pilots.controllers import PILOTS
 
             return PILOTS[self.pilot.name](vehicle, **self.pilot.parameters())
         rows = self.commands or []
-        curves = []
+        curves: list[tuple[Values, Values]] = []
         for name in vehicle.control_names:
             knots = [(setting.seconds(row["frame"]), to_si(row, vehicle)[name]) for row in rows if name in row]
-            curves.append(np.array(knots or [(0.0, 0.0)]).T)
-        return lambda t, state: np.array([np.interp(t, times, values) for times, values in curves])
+            times, values = np.array(knots or [(0.0, 0.0)]).T
+            curves.append((times, values))
+        return linear(curves)
 
 
 def _command(value: Any) -> Any:

@@ -76,7 +76,7 @@ class SinusoidMotion(Table):
     """``method = "sinusoid"``: from rest to rest by sinusoids, one of several manoeuvres between two marks."""
 
     method: Literal["sinusoid"]
-    """plan, simulate, integrate, sinusoid or clip"""
+    """plan, simulate, sticks, integrate, sinusoid or clip"""
     mark: Annotated[list[RestMark], Array, Len(2, 100)]
     """two or more [[vehicle.motion.mark]] tables; exactly two for hoppers"""
     manoeuvre: Annotated[int, Field(ge=1, le=1000)] | None = None

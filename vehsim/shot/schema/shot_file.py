@@ -15,6 +15,7 @@ from vehsim.shot.motions.integrate import IntegrateMotion
 from vehsim.shot.motions.plan import PlanMotion
 from vehsim.shot.motions.simulate import SimulateMotion
 from vehsim.shot.motions.sinusoid import SinusoidMotion
+from vehsim.shot.motions.sticks import SticksMotion
 from vehsim.shot.schema.tables import (
     MAX_CAMERAS,
     CameraTable,
@@ -42,7 +43,8 @@ def _one_or_several(value: Any) -> Any:
 
 
 MotionTable = Annotated[
-    PlanMotion | SimulateMotion | IntegrateMotion | SinusoidMotion | ClipMotion, Field(discriminator="method")
+    PlanMotion | SimulateMotion | SticksMotion | IntegrateMotion | SinusoidMotion | ClipMotion,
+    Field(discriminator="method"),
 ]
 
 
@@ -58,7 +60,7 @@ class VehicleTable(Table):
     parameters: dict[str, Any] = Field(default={})
     """a table of numbers in place of those of its vehicle.toml, in SI units, such as { mass = 1500 }"""
     motion: MotionTable
-    """a table [vehicle.motion] with method = "plan", "simulate", "integrate", "sinusoid" or "clip\""""
+    """a table [vehicle.motion] with method = "plan", "simulate", "sticks", "integrate", "sinusoid" or "clip\""""
 
 
 class ShotFile(Table):
