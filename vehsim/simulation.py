@@ -176,6 +176,8 @@ def _fly(
     progress: Progress | None,
 ) -> Clip:
     """Simulate with controls that depend on the state: evaluate them at each knot's predicted state, then step."""
+    from vehsim.integrators.guards import warn_of_stiff_damping
+    from vehsim.integrators.phase import packed
     from vehsim.integrators.record import build_clip
     from vehsim.vehicles.definition.states import control_vector
 
@@ -210,7 +212,8 @@ def _fly(
         progress("simulate", 1.0)
     times = np.asarray(integrator.step_size * np.arange(steps + 1), float)
     g, r, pi = (np.array([getattr(p, name) for p in phases]) for name in ("g", "r", "pi"))
-    rows = np.array(controls)
+    rows, ends = np.array(controls), np.array([packed(phases[0]), packed(phases[-1])])
+    warn_of_stiff_damping(integrator.mechanics, ends, rows, integrator.step_size, integrator.wind)
     return build_clip(
         integrator.mechanics, times, g, r, pi, rows, anchor, wind=integrator.wind, fps=fps, start_frame=start_frame
     )

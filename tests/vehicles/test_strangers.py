@@ -206,11 +206,80 @@ def test_a_vehicle_may_have_no_joints_and_no_controls():
             "not positive definite on the free velocities",
         ),
         ({"rate_controls": {"spin": "wheel"}}, "rate_controls"),
+        ({"constraints": lambda r: [[0, 0, 1]]}, r"constraints: does not give two matrices; return W_r \(m, 0\)"),
+        ({"constraints": lambda r: (ca.SX(1, 0), [0, 0, 1])}, "constraints: does not give two matrices"),
+        ({"forces": lambda r, u, xi, c: [1.0]}, r"forces: gives shape \(1, 1\); give \(0,\)"),
+        ({"forces": lambda r, u, xi, c: ([], [1.0, 2.0])}, r"forces: gives shape \(2, 1\); give \(3,\)"),
+        ({"forces": lambda r, u, xi, c: None}, "forces: gives no expression"),
+        ({"lagrangian": lambda r, u, xi: xi}, r"lagrangian: gives shape \(3, 1\); give \(1,\)"),
+        ({"lagrangian": lambda r, u, xi: ca.dot(xi, xi) + xi[1] ** 4}, "lagrangian: not quadratic in the velocities"),
+        ({"lagrangian": lambda r, u, xi: ca.sqrt(1 + ca.dot(xi, xi))}, "lagrangian: not quadratic in the velocities"),
     ],
 )
 def test_a_vehicle_that_cannot_move_is_refused_when_it_is_made(changed, message):
     with pytest.raises(InputError, match=message):
         sled(**changed)
+
+
+@pytest.mark.parametrize(("name", "law"), [("wrench", lambda c: c), ("drag", lambda x: x[:2])])
+def test_a_law_of_a_body_with_the_wrong_shape_is_named(name, law):
+    with pytest.raises(InputError, match=rf"body: {name}: gives shape .*; give \(3,\)"):
+        Holonomic(name="body", group=SE2, inertia=(1, 2, 2), controls=(Control("thrust"),), **{name: law})
+
+
+def test_lagrangians_that_are_quadratic_in_the_end_are_accepted():
+    """Terms linear in the velocities, and a square root that a square undoes."""
+    spinning = sled(lagrangian=lambda r, u, xi: (ca.sqrt(ca.dot(xi, xi)) ** 2 + 0.3 * xi[0]) / 2)
+    clip = Integrator(spinning, 0.1).rollout(State(twist=(0.5, 2.0, 0.0)), np.zeros((11, 0)))
+    np.testing.assert_allclose(clip.twists, np.tile([0.5, 2.0, 0.0], (11, 1)), atol=1e-12)
+
+
+def cart_with_driven_rear_steering():
+    """A front axle at the origin; a rear wheel one metre behind, whose steering has inertia and is set by its rate."""
+    return Nonholonomic(
+        name="cart",
+        group=SE2,
+        joints=("steer",),
+        lagrangian=lambda r, u, xi: (10 * (xi[1] ** 2 + xi[2] ** 2) + 1.5 * xi[0] ** 2 + 0.4 * (xi[0] + u[0]) ** 2) / 2,
+        constraints=lambda r: ([[0], [0]], [[0, 0, 1], [-ca.cos(r[0]), -ca.sin(r[0]), ca.cos(r[0])]]),
+        controls=(Control("rate"),),
+        rate_controls={"rate": "steer"},
+    )
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "twist", "law"),
+    [
+        (vehsim.load_vehicle("hopper"), (0.1, 0.3, 0.2, 1.0, 0.0, 2.0), lambda t: [2 * np.sin(3 * t), np.cos(2 * t)]),
+        (cart_with_driven_rear_steering(), (0.0, 2.0, 0.0), lambda t: [1.2 * np.cos(3 * t)]),
+    ],
+    ids=lambda x: getattr(x, "name", ""),
+)
+@pytest.mark.parametrize("corners", [False, True])
+def test_the_ledger_counts_the_work_of_drives(vehicle, twist, law, corners):
+    """Kinetic and potential energy change by the drives' work alone; also where the rates have corners."""
+    imbalances = []
+    for count in (40, 80):
+        t = np.linspace(0, 2, count + 1)
+        controls = np.column_stack(law(t))
+        if corners:
+            coarse = np.linspace(0, 2, 11)
+            controls = np.column_stack([np.interp(t, coarse, rate) for rate in law(coarse)])
+        energy = Integrator(vehicle, 2 / count, order=4).rollout(State(twist=twist), controls).energy
+        imbalances.append(np.ptp(energy["kinetic"] + energy["potential"] - energy["work"]))
+    assert imbalances[1] < 0.02 * np.ptp(energy["work"])
+    assert np.log2(imbalances[0] / imbalances[1]) > 1.8
+
+
+@pytest.mark.parametrize(("step", "warned"), [(0.09, True), (0.04, False)])
+def test_damping_too_fast_for_the_step_is_warned_about(step, warned, recwarn):
+    """At 40/s a rotation changes its sign with every step of 0.09 s, and decays with steps of 0.04 s."""
+    vehicle = Holonomic(name="top", group=SE2, inertia=(1.0, 2.0, 2.0), drag=lambda x: -40 * x)
+    clip = Integrator(vehicle, step).rollout(State(twist=(1.0, 0.0, 0.0)), np.zeros((6, 0)))
+    assert np.any(clip.twists[:, 0] < 0) == warned
+    assert [str(w.message).partition(",")[0] for w in recwarn] == warned * [
+        "top: damping of 40/s is too fast for steps of 0.09 s"
+    ]
 
 
 def test_a_linkage_that_locks_during_motion_is_named_with_its_step():

@@ -18,8 +18,9 @@ import numpy as np
 from vehsim.errors import InputError, SolveError
 from vehsim.integrators.discrete import DiscreteMechanics, keep
 from vehsim.integrators.fast.kernel import Kernel
+from vehsim.integrators.guards import warn_of_stiff_damping
 from vehsim.integrators.integrator import Integrator
-from vehsim.integrators.phase import Phase
+from vehsim.integrators.phase import Phase, packed
 from vehsim.integrators.record import build_clip
 from vehsim.vehicles import State
 from vehsim.vehicles.definition.base import Array
@@ -196,6 +197,8 @@ class Course:
         """The clip so far. The ledger's work contains the work of the environment."""
         integrator = self.body.integrator
         phases, controls, wrenches = zip(*self._rows, strict=True)
+        ends = np.array([packed(phases[0]), packed(phases[-1])])
+        warn_of_stiff_damping(integrator.mechanics, ends, np.array(controls), integrator.step_size, integrator.wind)
         times = np.asarray(self._step * np.arange(len(phases)), float)
         g, r, pi = (np.array([getattr(p, name) for p in phases]) for name in ("g", "r", "pi"))
         header = {"wind": integrator.wind, "fps": fps, "start_frame": start_frame, "events": tuple(events)}

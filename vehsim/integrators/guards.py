@@ -1,11 +1,13 @@
 """Detect faults of a vehicle's definition during motion: constraints lose rank, or kinetic energy is not positive
-definite.
+definite. Warn of damping that is too fast for the step.
 
-Checked at knots and between neighbours, only for definitions whose constraints or mass depend on the shape.
+Rank and mass are checked at knots and between neighbours, only for definitions whose constraints or mass depend on the
+shape.
 """
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -17,7 +19,7 @@ from vehsim.integrators.discrete import DiscreteMechanics, keep
 from vehsim.integrators.fast.kernel import Kernel
 from vehsim.vehicles import Vehicle
 from vehsim.vehicles.definition.base import Array
-from vehsim.vehicles.definition.mechanics import driven_rates, free_velocity
+from vehsim.vehicles.definition.mechanics import driven_rates, free_velocity, momentum, project
 
 _INDEFINITE = 1e-12
 """Ratio of eigenvalues below which a mass counts as singular."""
@@ -77,6 +79,44 @@ def check_mass(mechanics: DiscreteMechanics, r: Array, compiled: bool = False) -
             "fix it, or keep the joints away from there",
             subject=mechanics.vehicle.name,
         )
+
+
+def warn_of_stiff_damping(mechanics: DiscreteMechanics, phases: Array, controls: Array, step: float, wind: Any) -> None:
+    """Warn if a velocity decays, at the first or the last of the phases (n, .), so fast that its sign alternates from
+    step to step: the factor of a step, ``(2 - rate h) / (2 + rate h)``, is negative."""
+    decay = _decay(mechanics)
+    if decay is None or not len(phases):
+        return
+    for k in (0, -1):
+        g, r, pi, _ = np.split(phases[k], np.cumsum(mechanics.sizes[:3]))
+        matrix = np.asarray(decay(g, r, pi, controls[k], wind), float)
+        rate = float(np.linalg.eigvals(matrix).real.max()) if np.all(np.isfinite(matrix)) else 0.0
+        if rate * step > 2:
+            warnings.warn(
+                f"{mechanics.vehicle.name}: damping of {rate:.3g}/s is too fast for steps of {step:.3g} s, so a "
+                f"velocity alternates instead of decaying; take steps below {1.9 / rate:.2g} s, or less damping",
+                stacklevel=3,
+            )
+            return
+
+
+def _decay(mechanics: DiscreteMechanics) -> ca.Function | None:
+    """``(g, r, pi, c, wind) -> M^-1 D`` (n_z, n_z): rates at which forces make the free velocities decay."""
+    v, y = mechanics.vehicle, mechanics.symbols
+    g, r, z, pi, c, wind = (y[name] for name in ("g", "r", "z", "pi", "c0", "wind"))
+
+    def build() -> ca.Function | None:
+        u, xi = free_velocity(v, r, z, driven_rates(v, c))
+        damping = -ca.jacobian(project(v, r, *v.force(g, r, u, xi, c, wind)), z)
+        if not z.shape[0] or damping.nnz() == 0:
+            return None
+        mass = ca.jacobian(project(v, r, *momentum(v, r, u, xi)), z)
+        rates = ca.Function("rates", [g, r, z, c, wind], [ca.densify(ca.solve(mass, damping))])
+        return ca.Function(
+            "decay", [g, r, pi, c, wind], [rates(g, r, mechanics.knot_velocity_guess(r, pi, c), c, wind)]
+        )
+
+    return keep(mechanics, "decay", build)  # type: ignore[no-any-return]
 
 
 def rank_lost(vehicle: Vehicle, step: int, before: Array, after: Array) -> SolveError:

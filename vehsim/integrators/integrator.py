@@ -12,6 +12,7 @@ from vehsim.clip.clip import Clip
 from vehsim.errors import InputError
 from vehsim.integrators.fast.fleet import Fleet, control_table
 from vehsim.integrators.fast.steps import PublicStep
+from vehsim.integrators.guards import warn_of_stiff_damping
 from vehsim.integrators.phase import Phase, packed
 from vehsim.integrators.phase_integrator import PhaseIntegrator
 from vehsim.integrators.record import build_clips, flat
@@ -24,8 +25,8 @@ from vehsim.vehicles.definition.states import control_vector
 class Integrator(PhaseIntegrator):
     """Advances a vehicle by fixed steps: states one by one, in place, side by side, or as whole clips.
 
-    ``step`` s; ``difference_map`` "cay" or "exp"; ``order`` 2, 4 or 6; ``wind`` (3,) m/s in world axes;
-    ``quadrature`` of the forces. Momentum is carried at the knots, so velocities are those *at* the knot.
+    ``step`` s; ``difference_map``: a key of `vehsim.lie.maps.MAPS`; ``order`` 2, 4 or 6; ``wind`` (3,) m/s in world
+    axes; ``quadrature`` of the forces. Momentum is carried at the knots, so velocities are those *at* the knot.
     ``compiled``: by machine code, ten times as fast, built once by the system's C compiler and kept in the cache;
     without a compiler there is a warning, and ``compiled`` stays False.
     """
@@ -86,6 +87,7 @@ class Integrator(PhaseIntegrator):
             )
         phase = self.start(state, controls[0])
         x = self.history(packed(phase), controls)
+        warn_of_stiff_damping(self.mechanics, x, controls, self.step_size, self.wind)
         return self._clips(x[None], controls[None], self.anchor(state, phase)[None], fps, start_frame)[0]
 
     def rollouts(
@@ -100,7 +102,10 @@ class Integrator(PhaseIntegrator):
         if self.guarded:  # each may need its own choice of columns
             return [self.rollout(s, c, fps=fps, start_frame=start_frame) for s, c in zip(states, knots, strict=True)]
         fleet = self.fleet(states, knots[:, 0], threads)
-        return self._clips(fleet.advance(knots[:, 1:]), knots, fleet.anchors, fps, start_frame, threads)
+        phases = fleet.advance(knots[:, 1:])
+        if len(phases):
+            warn_of_stiff_damping(self.mechanics, phases[0], knots[0], self.step_size, self.wind)
+        return self._clips(phases, knots, fleet.anchors, fps, start_frame, threads)
 
     def _clips(
         self, x: Array, controls: Array, anchors: Array, fps: Any, start_frame: int, threads: int = 1

@@ -12,7 +12,7 @@ from vehsim.integrators.discrete import DiscreteMechanics, keep
 from vehsim.integrators.fast.kernel import Kernel, each_part
 from vehsim.lie.quaternions import continuous
 from vehsim.vehicles.definition.base import Array
-from vehsim.vehicles.definition.mechanics import energy
+from vehsim.vehicles.definition.mechanics import drive_power, energy
 
 
 def build_clip(
@@ -48,9 +48,9 @@ def build_clips(
 
     ``phases`` (m, n, .): group elements, joints, momenta and segment velocities at the knots ``times`` (n,);
     ``controls`` (m, n, c); ``anchors`` (m, 3); ``compiled``: use machine code, on ``threads`` threads. The ledger:
-    kinetic and potential energy, work of controls and wind, and dissipation by drag, each (n,) J. Work and dissipation
-    are integrals of the power at the knots (`_integrals`); ``kinetic + potential - work + dissipated`` stays constant
-    up to the integrator's error, O(h^2).
+    kinetic and potential energy, work of controls (the drives of rate controls included) and wind, and dissipation by
+    drag, each (n,) J. Work and dissipation are integrals of the power at the knots (`_integrals`); ``kinetic +
+    potential - work + dissipated`` stays constant up to the integrator's error, O(h^2).
     """
     vehicle, (m, n) = mechanics.vehicle, phases.shape[:2]
     function = keep(mechanics, "record", lambda: _record(mechanics))
@@ -62,10 +62,15 @@ def build_clips(
     each_part(m, threads if compiled else 1, lambda part: kernel.rows([a[part] for a in inputs], [rows[part]]))
 
     rates = [name for name, channel in vehicle.channels.items() if channel.rate is not None]
-    s, d, count = len(vehicle.joints), vehicle.group.dim, 2 + len(rates)
+    s, d, drives = len(vehicle.joints), vehicle.group.dim, [control for _, control in vehicle.driven]
+    count = 2 + len(rates) + len(drives)
     widths = [3, 4, d, s, s, 2, count, len(vehicle.channels) - len(rates)]
     powers = rows[:, :, sum(widths[:6]) : sum(widths[:7])]
-    totals = _integrals(times, powers.transpose(1, 0, 2).reshape(n, -1)).reshape(n, m, count)
+    parts = _integrals(times, powers.transpose(1, 0, 2).reshape(n, -1)).reshape(-1, m, count)
+    # power that grows with the controls' rate jumps at the knots, where their slope does: integrate it by segments
+    slopes = np.diff(controls[:, :, drives], axis=1).transpose(1, 0, 2) / np.diff(times)[:, None, None]
+    parts[:, :, 0] += np.sum(slopes * parts[:, :, count - len(drives) :], axis=2)
+    totals = np.concatenate([np.zeros((1, m, count)), np.cumsum(parts, axis=0)])
     values = [name for name in vehicle.channels if name not in rates]
     clips = []
     for row, total, control, anchor in zip(rows, totals.transpose(1, 2, 0), controls, anchors, strict=True):
@@ -74,7 +79,7 @@ def build_clips(
         )
         integrated = np.ascontiguousarray(total)
         by_name = dict(zip(values, np.ascontiguousarray(channels.T), strict=True))
-        by_name |= dict(zip(rates, integrated[2:], strict=True))
+        by_name |= dict(zip(rates, integrated[2 : 2 + len(rates)], strict=True))
         kinetic, potential = np.ascontiguousarray(energies.T)
         clips.append(
             Clip(
@@ -103,35 +108,35 @@ def _record(mechanics: DiscreteMechanics) -> ca.Function:
     """``(x, t, c, wind) -> row`` with ``x = (g, r, pi, z)``.
 
     A row: pose (7,), twist (d,), joints, their rates, kinetic and potential energy; power supplied and dissipated; the
-    channels given by rates; the channels given by values.
+    channels given by rates; the drives' power per rate of their controls; the channels given by values.
     """
     v, y = mechanics.vehicle, mechanics.symbols
     g, r, pi, c, wind, t = y["g"], y["r"], y["pi"], y["c0"], y["wind"], ca.SX.sym("t")
     u, xi = mechanics.knot_velocity(r, pi, c)
     joint, body = v.force(g, r, u, xi, c, wind)
     lost = ca.SX(v.dissipation(g, r, u, xi, wind))
-    work = ca.dot(joint, u) + ca.dot(body, xi) + lost
+    drives, jumps = drive_power(v, g, r, mechanics.knot_velocity_guess(r, pi, c), c, wind)
+    work = ca.dot(joint, u) + ca.dot(body, xi) + lost + drives
     laws = v.channels.values()
     given = (t, r, u, v.group.velocity_to_body(g, xi), c)
     rates = [ca.SX(channel.rate(*given)) for channel in laws if channel.rate is not None]
     values = [ca.SX(channel.value(*given)) for channel in laws if channel.rate is None and channel.value is not None]
-    row = ca.vertcat(*mechanics.root_state(g, r, pi, c), *energy(v, g, r, u, xi), work, lost, *rates, *values)
+    row = ca.vertcat(*mechanics.root_state(g, r, pi, c), *energy(v, g, r, u, xi), work, lost, *rates, jumps, *values)
     return ca.Function("record", [ca.vertcat(g, r, pi, y["z"]), t, c, wind], ca.cse([ca.densify(row)]))
 
 
 def _integrals(times: Array, rates: Array) -> Array:
-    """Integrals (n, k) of rates at knots (n, k) from the first knot, by the polynomials through every six
+    """Integrals (n - 1, k) from knot to knot of rates at knots (n, k), by the polynomials through every six
     neighbours."""
     if len(times) < 2:
-        return np.zeros_like(rates)
+        return np.zeros((0, rates.shape[1]))
     count = min(6, len(times))
     first = np.clip(np.arange(len(times) - 1) - 2, 0, len(times) - count)[:, None]
     near, h = first + np.arange(count), np.diff(times)[:, None]
     s = (times[near] - times[:-1, None]) / h  # 0 to 1 over the interval
     powers = np.arange(count)
     weights = np.linalg.solve(s[:, None] ** powers[:, None], 1 / (powers + 1)[:, None])
-    parts = h * np.sum(weights * rates[near], axis=1)
-    return np.vstack([np.zeros((1, rates.shape[1])), np.cumsum(parts, axis=0)])
+    return np.asarray(h * np.sum(weights * rates[near], axis=1), float)
 
 
 def flat(values: Any) -> Array:

@@ -11,6 +11,7 @@ import numpy as np
 
 from vehsim.errors import InputError
 from vehsim.vehicles.definition.base import Expr
+from vehsim.vehicles.definition.mechanics import law, symbols
 from vehsim.vehicles.definition.vehicle import Vehicle
 
 GRAVITY = 9.81
@@ -27,7 +28,8 @@ class Holonomic(Vehicle):
     wrench (d,) of a medium at rest in the world, such as calm water; None: no resistance. ``gravity``: m/s^2, acts on
     ``mass`` along -Z; ``mass`` defaults to the translational inertia and is necessary with added mass.
 
-    Raises ``InputError`` if the inertia has the wrong shape or is not symmetric and positive definite.
+    Raises ``InputError`` if the inertia has the wrong shape or is not symmetric and positive definite, or if a law has
+    the wrong shape.
     """
 
     inertia: Any
@@ -55,6 +57,7 @@ class Holonomic(Vehicle):
             )
         object.__setattr__(self, "inertia", inertia)
         object.__setattr__(self, "feels_wind", self.feels_wind or self.drag is not None)
+        self.force(*symbols(self))  # names a law of the wrong shape now
 
     def reduced_lagrangian(self, r: Expr, u: Expr, xi: Expr) -> Expr:
         return ca.dot(xi, ca.DM(self.inertia) @ xi) / 2
@@ -67,12 +70,14 @@ class Holonomic(Vehicle):
 
     def force(self, g: Expr, r: Expr, u: Expr, xi: Expr, c: Expr, wind: Expr) -> tuple[Expr, Expr]:
         d, group = self.group.dim, self.group
-        body = ca.SX(d, 1) if self.wrench is None else ca.vertcat(self.wrench(c))
+        air, through = (group.velocity_to_body(g, x) for x in (xi - _still(group, g, wind), xi))
+        body = ca.SX(d, 1)
+        if self.wrench is not None:
+            body += law(self, "wrench", d, self.wrench, c)
         if self.drag is not None:
-            air = group.velocity_to_body(g, xi - _still(group, g, wind))
-            body = body + ca.vertcat(self.drag(air))
+            body += law(self, "drag", d, self.drag, air)
         if self.resistance is not None:
-            body = body + ca.vertcat(self.resistance(group.velocity_to_body(g, xi), c))
+            body += law(self, "resistance", d, self.resistance, through, c)
         return ca.SX(0, 1), group.wrench_from_body(g, body)
 
     def potential(self, g: Expr, r: Expr) -> Expr:
@@ -82,13 +87,13 @@ class Holonomic(Vehicle):
         return self.gravity * mass * self.group.pose(g)[2]
 
     def dissipation(self, g: Expr, r: Expr, u: Expr, xi: Expr, wind: Expr) -> Expr:
-        lost = 0.0
+        lost, d = 0.0, self.group.dim
         if self.drag is not None:
             air = self.group.velocity_to_body(g, xi - _still(self.group, g, wind))
-            lost -= ca.dot(ca.vertcat(self.drag(air)), air)
+            lost -= ca.dot(law(self, "drag", d, self.drag, air), air)
         if self.resistance is not None:
-            body = self.group.velocity_to_body(g, xi)
-            lost -= ca.dot(ca.vertcat(self.resistance(body, ca.SX(len(self.controls), 1))), body)
+            body, idle = self.group.velocity_to_body(g, xi), ca.SX(len(self.controls), 1)
+            lost -= ca.dot(law(self, "resistance", d, self.resistance, body, idle), body)
         return lost
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import casadi as ca
 
+from vehsim.errors import InputError
 from vehsim.vehicles.definition.base import Definition, Expr
 
 
@@ -52,6 +53,28 @@ def matrix(values: Any) -> Expr:
 def stacked(values: Any) -> Expr:
     """A list of numbers and expressions, or an expression, as an ``SX`` column."""
     return ca.vertcat(*values) if isinstance(values, list | tuple) else ca.SX(values)
+
+
+CASADI_ERRORS = (TypeError, ValueError, NotImplementedError, RuntimeError)
+"""What CasADi raises when expressions do not fit together."""
+
+
+def symbols(vehicle: Definition) -> tuple[Expr, ...]:
+    """``g, r, u, xi, c, wind``: the arguments of `Definition.force`."""
+    s, c = len(vehicle.joints), len(vehicle.controls)
+    sizes = {"g": vehicle.group.size, "r": s, "u": s, "xi": vehicle.group.dim, "c": c, "wind": 3}
+    return tuple(ca.SX.sym(name, size) for name, size in sizes.items())
+
+
+def law(vehicle: Definition, key: str, size: int, evaluate: Callable[..., Any], *given: Expr) -> Expr:
+    """The column (size,) that a vehicle's law gives. Raises ``InputError`` naming the law if it gives another shape."""
+    try:
+        made = stacked(evaluate(*given))
+    except CASADI_ERRORS as error:
+        raise InputError("gives no expression", f"give ({size},)", key=key, subject=vehicle.name) from error
+    if made.shape != (size, 1):
+        raise InputError(f"gives shape {made.shape}", f"give ({size},)", key=key, subject=vehicle.name)
+    return made
 
 
 def rows(column: Expr, indices: Sequence[int]) -> Expr:
@@ -137,3 +160,18 @@ def residual_force(
     values = [ca.densify(joints), ca.densify(body)]
     on_joints, on_group = ca.substitute(values, [r_, z_, c_], [ca.densify(r), ca.densify(z), ca.densify(c)])
     return on_joints, on_group
+
+
+def drive_power(vehicle: Definition, g: Expr, r: Expr, z: Expr, c: Expr, wind: Expr) -> tuple[Expr, Expr]:
+    """Power of the drives of rate controls, W: their multipliers times the rates.
+
+    Returns the power at constant controls, and the power per rate of each driving control (driven joints,).
+    """
+    joints, c_rate = [joint for joint, _ in vehicle.driven], ca.SX.sym("c_rate", c.shape[0])
+    z_dot = acceleration(vehicle, g, r, z, c, c_rate, wind)
+    on_joints, on_group = residual_force(vehicle, g, r, z, z_dot, c, c_rate, wind)
+    on_bound = ca.vertcat(on_group, rows(on_joints, vehicle.tied))
+    multipliers = rows(on_joints - vehicle.connection(r).T @ on_bound, joints)
+    power = ca.dot(multipliers, rows(driven_rates(vehicle, c), joints))
+    per_rate = rows(ca.gradient(power, c_rate), [control for _, control in vehicle.driven])
+    return ca.substitute(power, c_rate, ca.SX.zeros(c_rate.shape[0])), per_rate

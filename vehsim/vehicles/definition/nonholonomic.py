@@ -15,7 +15,7 @@ import numpy as np
 
 from vehsim.errors import InputError
 from vehsim.vehicles.definition.base import Expr
-from vehsim.vehicles.definition.mechanics import free_velocity, matrix, stacked
+from vehsim.vehicles.definition.mechanics import CASADI_ERRORS, free_velocity, law, matrix, stacked, symbols
 from vehsim.vehicles.definition.vehicle import Vehicle
 
 
@@ -29,8 +29,9 @@ class Nonholonomic(Vehicle):
     ``sample``: joint values (s,) at which rank and definiteness are checked; default: zeros. ``pivots``: columns of
     ``bound(r)`` to eliminate; default: chosen automatically.
 
-    Raises ``InputError`` if constraints lose rank, or if the kinetic energy is not positive definite on the velocities
-    that the constraints and rate controls leave free.
+    Raises ``InputError`` if a law has the wrong shape, if the Lagrangian is not quadratic in the velocities, if
+    constraints lose rank, or if the kinetic energy is not positive definite on the velocities that the constraints and
+    rate controls leave free.
     """
 
     lagrangian: Callable[[Expr, Expr, Expr], Expr]
@@ -51,6 +52,7 @@ class Nonholonomic(Vehicle):
                 value=self.sample,
                 subject=self.name,
             )
+        _check_laws(self)
         object.__setattr__(self, "_tied", ())
         object.__setattr__(self, "_tied", _tied(self, sample))
         if self.pivots is None:
@@ -88,7 +90,15 @@ class Nonholonomic(Vehicle):
         s, d = len(self.joints), self.group.dim
         if self.constraints is None:
             return ca.SX(0, s), ca.SX(0, d)
-        w_r, w_xi = (matrix(w) for w in self.constraints(r))
+        try:
+            w_r, w_xi = (matrix(w) for w in self.constraints(r))
+        except CASADI_ERRORS as error:
+            raise InputError(
+                "does not give two matrices",
+                f"return W_r (m, {s}) and W_xi (m, {d}) as lists of rows, arrays or expressions",
+                key="constraints",
+                subject=self.name,
+            ) from error
         if w_r.shape[0] != w_xi.shape[0] or w_r.shape[1] != s or w_xi.shape[1] != d:
             raise InputError(
                 f"W_r has shape {w_r.shape} and W_xi {w_xi.shape}",
@@ -138,9 +148,10 @@ class Nonholonomic(Vehicle):
         s, d = len(self.joints), self.group.dim
         if self.forces is None:
             return ca.SX(s, 1), ca.SX(d, 1)
-        forces = self.forces(r, u, self.group.velocity_to_body(g, xi), c)
-        joint, body = forces if isinstance(forces, tuple) and len(forces) == 2 else (forces, ca.SX(d, 1))
-        return stacked(joint), self.group.wrench_from_body(g, stacked(body))
+        given = self.forces(r, u, self.group.velocity_to_body(g, xi), c)
+        joint, body = given if isinstance(given, tuple) and len(given) == 2 else (given, ca.SX(d, 1))
+        on_joints, on_body = law(self, "forces", s, stacked, joint), law(self, "forces", d, stacked, body)
+        return on_joints, self.group.wrench_from_body(g, on_body)
 
     def potential(self, g: Expr, r: Expr) -> Expr:
         return 0.0 if self.potential_energy is None else self.potential_energy(g, r)
@@ -236,6 +247,28 @@ def _pivots(vehicle: Nonholonomic, sample: np.ndarray) -> tuple[int, ...]:
     blocks = combinations(range(columns), rows)
     # at the sample first, because elsewhere the rows themselves may be dependent
     return max(blocks, key=lambda c: min(_smallest(w[:, c]) / max(_smallest(w), 1e-6) for w in matrices[:1] + matrices))
+
+
+def _check_laws(vehicle: Nonholonomic) -> None:
+    """Evaluate the laws once, so that wrong ones are named when the vehicle is made."""
+    s, d = len(vehicle.joints), vehicle.group.dim
+    g, r, u, xi, c, wind = symbols(vehicle)
+    vehicle._constraints(r)
+    vehicle.force(g, r, u, xi, c, wind)
+    lagrangian = law(vehicle, "lagrangian", 1, vehicle.reduced_lagrangian, r, u, xi)
+    velocities = ca.vertcat(u, xi)
+    mass = ca.hessian(lagrangian, velocities)[0]
+    if ca.depends_on(mass, velocities):
+        values = ca.Function("mass", [r, velocities], [ca.densify(mass)])
+        for row in np.random.default_rng(0).normal(size=(4, 2 * s + d)):
+            still, moving = np.array(values(row[:s], 1e-3)), np.array(values(row[:s], row[s:]))
+            if not np.allclose(moving, still, rtol=1e-9, atol=1e-9 * np.abs(moving).max()):
+                raise InputError(
+                    "not quadratic in the velocities",
+                    "let its coefficients depend on the joints only, and put other terms into forces",
+                    key="lagrangian",
+                    subject=vehicle.name,
+                )
 
 
 def _check_definite(vehicle: Nonholonomic, sample: np.ndarray) -> None:

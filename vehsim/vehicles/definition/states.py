@@ -22,6 +22,7 @@ from vehsim.vehicles.definition.mechanics import (
     free_size,
     free_velocity,
     momentum,
+    symbols,
 )
 
 
@@ -77,7 +78,7 @@ def state_energy(vehicle: Definition, state: State) -> tuple[float, float]:
     """Kinetic and potential energy of a state, J."""
 
     def build() -> ca.Function:
-        g, r, u, xi, _, _ = _symbols(vehicle)
+        g, r, u, xi, _, _ = symbols(vehicle)
         return ca.Function("energy", [g, r, u, xi], [*energy(vehicle, g, r, u, xi)])
 
     kinetic, potential = kept(vehicle, "energy", build)(*internal(vehicle, state))
@@ -88,7 +89,7 @@ def state_momentum(vehicle: Definition, state: State) -> Array:
     """Spatial momentum ``Ad*(g^-1) dl/dxi`` of a state (d,), conserved if all forces have the group's symmetry."""
 
     def build() -> ca.Function:
-        g, r, u, xi, _, _ = _symbols(vehicle)
+        g, r, u, xi, _, _ = symbols(vehicle)
         group = vehicle.group
         return ca.Function("p", [g, r, u, xi], [group.Ad(group.inverse(g)).T @ momentum(vehicle, r, u, xi)[1]])
 
@@ -104,7 +105,7 @@ def linearize(vehicle: Definition, state: State, controls: Any, wind: Any = (0.0
     """
 
     def build() -> ca.Function:
-        g, r, _, _, c, wind = _symbols(vehicle)
+        g, r, _, _, c, wind = symbols(vehicle)
         group, z = vehicle.group, ca.SX.sym("z", free_size(vehicle))
         eta = ca.SX.sym("eta", group.dim)
         moved = group.compose(g, difference_map("exp", group).tau(eta))
@@ -146,12 +147,6 @@ def kept(vehicle: Definition, key: str, build: Callable[[], ca.Function]) -> ca.
     return functions[key]
 
 
-def _symbols(vehicle: Definition) -> tuple[Expr, ...]:
-    sizes = {"g": vehicle.group.size, "r": len(vehicle.joints), "u": len(vehicle.joints), "xi": vehicle.group.dim}
-    sizes |= {"c": len(vehicle.controls), "wind": 3}
-    return tuple(ca.SX.sym(name, size) for name, size in sizes.items())
-
-
 def _lift(vehicle: Definition) -> ca.Function:
     """``r -> (basis, connection)``"""
     r = ca.SX.sym("r", len(vehicle.joints))
@@ -160,7 +155,7 @@ def _lift(vehicle: Definition) -> ca.Function:
 
 def _coefficients(vehicle: Definition) -> ca.Function:
     """``(r, u, xi) -> z``"""
-    _, r, u, xi, _, _ = _symbols(vehicle)
+    _, r, u, xi, _, _ = symbols(vehicle)
     return ca.Function("z", [r, u, xi], [ca.densify(coefficients(vehicle, r, u, xi))])
 
 
