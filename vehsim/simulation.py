@@ -50,8 +50,8 @@ def simulate(
     - (c,): constant; None for a vehicle without controls, or all zeros;
     - (n, c): knot values evenly spaced over the duration, linear between (``duration`` None: one row per ``step``);
     - a function ``f(t, state) -> (c,)`` of time [s] and `State`, or a pilot (`vehsim.pilots`): called once at every
-      knot, in
-      order, with the state predicted there; its results are linear between knots. ``reset()`` is called first.
+      knot, in order, with the state predicted there; between knots, its results are interpolated linearly.
+      ``reset()`` is called first.
 
     ``step`` s is shortened, if necessary, to a whole fraction of a frame so that every frame is a knot; the duration is
     rounded up to whole steps. ``world.wind`` acts through the vehicle's drag. A planar vehicle keeps its start height;

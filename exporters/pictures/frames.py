@@ -168,7 +168,7 @@ def _on_workers(shares: Sequence[dict[str, Any]]) -> Iterator[None]:
         for worker in workers:
             failure = worker.receive()
             if failure != "":
-                what = failure or f"it {worker.epitaph()}"
+                what = failure or f"it {worker.how_it_ended()}"
                 raise ExportError(f"a render process failed: {what}", "render again, or with fewer frames at once")
             worker.job = None
     finally:

@@ -131,7 +131,7 @@ def _keep_root_in_blender(layer: Any, rig: Rig) -> None:
     stage, prim = open_rig(rig.asset, rig)
     if stage and prim.HasCustomDataKey("Blender:generated"):
         beside = Sdf.PrimSpec(layer, "blender_keeps_the_root", Sdf.SpecifierDef)
-        beside.documentation = "a second root: Blender leaves out a lone one that it wrote itself, and its motion"
+        beside.documentation = "a second root: without it, Blender's importer skips a single root that Blender wrote"
 
 
 def rig_ops(asset: Path, rig: Rig, units: Units, moving: Sequence[str]) -> RigOps:

@@ -62,7 +62,7 @@ def check_readback(
         worst = int(np.argmax(~(difference <= TOLERANCE)))
         if not difference[worst] <= TOLERANCE:
             raise ExportError(
-                f"at frame {frames[worst]:g} it stands {difference[worst]:.3g} from where the clip puts it",
+                f"at frame {frames[worst]:g} its world matrix differs from the clip's by {difference[worst]:.3g}",
                 "a stronger opinion (an instance, a variant, animation of the asset's own) hides ours",
                 key=prim_path,
                 file=path.name,

@@ -367,7 +367,7 @@ def test_the_subject_is_constant_beyond_the_clips_ends():
     [
         (CameraRig(rig="drone"), "choose one of chase"),
         (CameraRig(target="b"), "choose one of cube"),
-        (CameraRig(rig="static", position=(1, 2, 3), look_at=(1.0, 2.0, 3.0)), "look elsewhere"),
+        (CameraRig(rig="static", position=(1, 2, 3), look_at=(1.0, 2.0, 3.0)), "give another point to look at"),
     ],
 )
 def test_wrong_rigs_are_named_with_the_remedy(rig, message):

@@ -63,7 +63,7 @@ def test_predictions_are_not_steps():
 
 
 def test_wrong_options_and_wrenches_are_refused():
-    with pytest.raises(InputError, match="is second order; take order 2"):
+    with pytest.raises(InputError, match="to second order only; take order 2"):
         Forced(Integrator(BODY, 0.01, order=4), Spring(), START, np.zeros(0))
 
     class Broken(Environment):

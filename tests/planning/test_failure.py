@@ -336,7 +336,7 @@ def test_shots_report_what_bounds_rule_out():
         ({"limits": {"steering": 20}}, "limits.steering.*no joint 'sigma'"),
         ({"limits": {"joints": {"wheel": 1}}}, "limits.joints.wheel.*no such joint"),
         ({"limits": {"joints": 3}}, "limits.joints.*not a table"),
-        ({"solver": "snopt"}, "solver.*not here; choose one of ipopt"),
+        ({"solver": "snopt"}, "solver.*not available in this build of CasADi; choose one of ipopt"),
         ({"time_limit": -1}, "time_limit"),
     ],
 )

@@ -223,7 +223,9 @@ def test_other_solvers_find_the_same(solver):
 
 
 def test_missing_solvers_are_named():
-    with pytest.raises(InputError, match="solver = 'snopt': not here; choose one of ipopt"):
+    with pytest.raises(
+        InputError, match="solver = 'snopt': not available in this build of CasADi; choose one of ipopt"
+    ):
         vehsim.plan(tug(), None, ACROSS, segments=8, solver="snopt")
 
 

@@ -50,7 +50,8 @@ def _off_path(track: Track, wanted: Wanted, scene: Scene) -> Array:
 
 
 def _swing(track: Track, wanted: Wanted, scene: Scene) -> Array:
-    """Half of the range that a joint goes through, with half of what chords cut off its peaks; nan before the end."""
+    """Half of the range of a joint, plus half of what linear interpolation hides of its peaks, at the last sample; nan
+    before it."""
     hidden = track.blur.joints.get(wanted["joint"], np.zeros(1)).max()
     return _at_end(track, (np.ptp(_joint(track, wanted, scene)) + hidden) / 2)
 

@@ -118,7 +118,7 @@ def prepare(
 
 
 def run_task(task: Task, tell: Tell) -> Outcome:
-    """Solve and write one clip, or find it finished. Never raises: errors are in the outcome."""
+    """Solve and write one clip, unless it is finished already (``resume``). Never raises: errors are in the outcome."""
     began, texts = time.perf_counter(), []
     with _ONE_AT_A_TIME, warnings.catch_warnings():
         warnings.simplefilter("always", UserWarning)

@@ -1,4 +1,4 @@
-"""The batch on worker processes of this machine: a clip whose worker dies is tried again on a new one."""
+"""Run a batch on worker processes of this machine: a clip whose worker dies is tried again on a new one."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def _dispatch(crew: list[Worker], jobs: Sequence[Job], tell: Tell) -> Iterator[O
                 tell(*message)
                 continue
             if message is None:  # the worker died
-                how = worker.epitaph()
+                how = worker.how_it_ended()
                 worker.replace()
                 deaths[job.kind, job.task.name] += 1
                 if deaths[job.kind, job.task.name] < ATTEMPTS:

@@ -1,8 +1,8 @@
 """Solve cameras: from a rig (data) and a take's motion to a camera per frame. The same camera is exported and rendered.
 
 A rig is a `CameraRig` and an entry of `RIGS` (`rigs.py`), which gives the desired places and aims. The rest is common
-to all cameras: a distance that gives the requested fill, ground and obstacles out of the way, smooth motion, a level
-horizon. A cut list joins cameras into one more.
+to all cameras: a distance that gives the requested fill, a view past ground and obstacles, smooth motion, a level
+horizon. A cut list combines cameras into another one.
 """
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ FILL_RANGE = (0.09, 0.34)
 SIDES = np.array([0.0, 180.0, 60.0, -60.0, 120.0, -120.0])
 """Other azimuths for a camera at a fixed place, degrees from its own choice."""
 STEP_ASIDE = 0.02
-"""Cost of standing on the other side, as a mean depth of obstructions in front of the target, in distances."""
+"""Cost of a camera on the opposite side: the mean length of obstructions in front of the target that it outweighs,
+relative to the camera's distance."""
 STILL = 0.05
 """Largest movement of a parked vehicle, m."""
 TILTED = 0.55
@@ -223,8 +224,8 @@ def _check(rig: CameraRig, clips: Mapping[str, Clip]) -> None:
         )
     if rig.look_at is not None and rig.position is not None and tuple(rig.look_at) == tuple(rig.position):
         raise InputError(
-            "the camera stands there",
-            "look elsewhere",
+            "the camera is at this point",
+            "give another point to look at",
             key="look_at",
             value=rig.look_at,
             subject=f"camera {rig.name!r}",

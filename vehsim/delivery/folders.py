@@ -160,7 +160,8 @@ def _names(folder: Path) -> list[str]:
 
 
 def settle(folder: Path) -> None:
-    """Flush everything below ``folder`` to the disk, so that a later rename cannot survive a power cut without it."""
+    """Flush everything below ``folder`` to the disk, so that a renamed folder is complete even after a power
+    cut."""
     for path in (*folder.rglob("*"), folder):
         _sync(path)
 

@@ -1,5 +1,5 @@
-"""How files are refused, and three rules for all of them: size, time and memory are bounded, no reader's exception
-escapes, and a library that crashes ends only the reader process (`reader.py`)."""
+"""Errors for refused files, and the limits of all reading: size, time and memory are bounded; any exception of a
+library becomes an `InputError`; a library that crashes ends only the reader process (`reader.py`)."""
 
 from __future__ import annotations
 

@@ -48,8 +48,8 @@ PROGRAM = "import sys; sys.path[:] = {}; from vehsim.intake.reader import serve;
 
 
 def once(read: Read, path: Path, key: str, *more: Any) -> Answer:
-    """The answer of ``read(path, *more)`` in the reader process, or as it was kept for a file of the same content. It
-    must depend on nothing but content and arguments. Raises ``InputError`` that names file and ``key``."""
+    """The answer of ``read(path, *more)`` in the reader process, or the cached answer for a file of the same content.
+    It must depend on content and arguments only. Raises ``InputError`` that names file and ``key``."""
     with reading(path, key):
         made_of = (MADE, _name(read), content_of(path), more)
     if (found := recalled("read", made_of)) is not None:

@@ -149,8 +149,8 @@ def references(asset: Path) -> tuple[list[Any], list[Path], list[str]]:
 
 
 def examine(asset: Path, most: float) -> Answer:
-    """The content of each file of a stage, references that do not resolve, and the number of prims, after all has been
-    read: every value of every layer, and what composition, transforms and materials make of it.
+    """Read a whole stage: every value of every layer, composition, transforms and material bindings. Return the hash of
+    each of its files, the references that do not resolve, and the number of prims.
 
     Raises ``InputError`` beyond ``most`` prims. It runs in the reader process.
     """

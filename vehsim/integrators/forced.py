@@ -58,7 +58,10 @@ class Forced:
     ):
         if integrator.order != 2:
             raise InputError(
-                "what pushes from outside is second order", "take order 2", key="order", value=integrator.order
+                "external forces are integrated to second order only",
+                "take order 2",
+                key="order",
+                value=integrator.order,
             )
         self.integrator, self.environment, self.time, self.steps = integrator, environment, time, 0
         self._calls: dict[str, tuple[DiscreteMechanics, Kernel]] = {}

@@ -27,8 +27,8 @@ class Integrator(PhaseIntegrator):
 
     ``step`` s; ``difference_map``: a key of `vehsim.lie.maps.MAPS`; ``order`` 2, 4 or 6; ``wind`` (3,) m/s in world
     axes; ``quadrature`` of the forces. Momentum is carried at the knots, so velocities are those *at* the knot.
-    ``compiled``: by machine code, ten times as fast, built once by the system's C compiler and kept in the cache;
-    without a compiler there is a warning, and ``compiled`` stays False.
+    ``compiled``: as machine code, five to ten times as fast, built once by the system's C compiler and kept in
+    the cache; without a compiler there is a warning, and ``compiled`` stays False.
     """
 
     @cached_property

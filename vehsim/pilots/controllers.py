@@ -251,7 +251,7 @@ class FollowPath:
 
 
 class _Helicopter:
-    """Geometric tracking: desired force, attitude, torque, then controls through the inverse of LIE's F(gamma).
+    """Geometric tracking: desired force, then attitude, then torque; controls through the inverse of LIE's F(gamma).
 
     Gains place the four poles of the hover at one frequency, as fast as the weaker of roll and pitch allows. An
     observer estimates forces other than the vehicle's own (wind), so that steady wind leaves no error. It would lag

@@ -1,8 +1,8 @@
 """`plan`: from marks to the vehicle's best motion through them.
 
 Top-down: check the request, find a path through free space, solve on few segments, move free marks to whole frames,
-solve at higher order until the executed controls end where the plan does, certify the motion that will be exported, and
-tighten and repeat if it comes too near.
+refine until the executed controls end where the plan does, certify the motion that will be exported, and tighten the
+constraints and repeat if it comes too near an obstacle.
 """
 
 from __future__ import annotations
@@ -57,7 +57,8 @@ FINER, MOST = 4, 256
 SHARE = 0.1
 """How far from the plan its executed controls may end in addition to `execution_tolerance`, as a share of its length.
 
-If they end farther away, the motion is not one of the vehicle, or so unstable that its controls mean nothing.
+If they end farther away, the plan is not a motion of this vehicle, or so unstable that its controls do not reproduce
+it.
 """
 FASTER = 0.005
 """By how much, relative to the vehicle's top speed, a motion may exceed it before it is planned again with that

@@ -1,4 +1,4 @@
-"""From a coarse plan to the requested one: move marks to whole frames, then use more segments and higher order."""
+"""Refine a coarse plan: move free marks to whole frames, then use more segments and a higher order."""
 
 from __future__ import annotations
 

@@ -173,7 +173,7 @@ def _check_over(layer: Any, blocking: Blocking, frames: Array, world: Array, Usd
         frame = frames[off.argmax()]
         raise ExportError(
             f"over {blocking.path.name} the motion does not show at frame {frame:g}",
-            "something stronger moves the prim or what it stands in",
+            "a stronger opinion moves the prim or one of its parents",
             key=blocking.prim,
         )
 

@@ -1,4 +1,4 @@
-"""The op on a prim through which a channel moves a rig, and checks that the prim can take it.
+"""The op through which a channel moves a prim of a rig, and checks that the prim can be moved.
 
 This module knows USD prims and op orders, not motion: the exporter writes ops with it, and checks use it before
 solving. A channel becomes one scalar op with a suffix in the prim's own ``xformOpOrder``, after the prim's placement
@@ -219,7 +219,7 @@ def _problems_of(rig: Rig) -> Iterator[Problem]:
             prim = driven_prim(rig, root, channel)
             if skinned := _skinned_from_elsewhere(prim):
                 message = f"{drive.prim}: its mesh {skinned} is skinned to joints, which do not follow the prim"
-                remedy = "hang the part on its bone (parent type Bone) instead of skinning it to it"
+                remedy = "parent the part to its bone (Blender: parent type Bone) instead of skinning it"
                 yield Problem(f"channels.{channel}", message, remedy)
                 continue
             T_ra = _to_op_space(rig, channel, root, prim)

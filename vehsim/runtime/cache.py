@@ -25,8 +25,9 @@ Stamp = tuple[int, int, int, int]
 
 
 def stamp(path: str | Path) -> Stamp:
-    """Changes whenever a file is written, even if its size and date are restored, because the change time of its inode
-    cannot be set. For what a process remembers about files; persistent results are cached by content."""
+    """A value that changes whenever a file is written, even if its size and date are restored, because the
+    change time of its inode cannot be set. For what a process remembers about files; persistent results are cached by
+    content."""
     stat = os.stat(path)
     return stat.st_mtime_ns, stat.st_ctime_ns, stat.st_size, stat.st_ino
 

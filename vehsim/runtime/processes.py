@@ -103,7 +103,7 @@ class Worker:
         except Exception:
             return None
 
-    def epitaph(self) -> str:
+    def how_it_ended(self) -> str:
         """How the process ended, for a message."""
         self._process.join(5.0)
         code = self._process.exitcode

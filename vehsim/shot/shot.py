@@ -336,7 +336,12 @@ class Shot:
             if camera.target is not None and camera.target not in vehicles:
                 yield Problem(f"camera[{i}].target", "no such vehicle", choose(camera.target, vehicles), camera.target)
             if camera.look_at is not None and camera.look_at == camera.position:
-                yield Problem(f"camera[{i}].look_at", "the camera stands there", "look elsewhere", camera.look_at)
+                yield Problem(
+                    f"camera[{i}].look_at",
+                    "the camera is at this point",
+                    "give another point to look at",
+                    camera.look_at,
+                )
         yield from check_cuts(self.file)
 
     def _motion(self, progress: Progress, cached: bool) -> tuple[SolvedMotion, bool]:

@@ -171,7 +171,7 @@ class Steering:
             raise SolveError(
                 f"{self.system.states[worst]} ends {missed[worst]:.2g} from its goal {self.goal[worst]:.6g}, more than "
                 f"{accuracy:g}",
-                "go by a nearer goal, or by smaller amplitudes",
+                "add an intermediate goal, or take smaller amplitudes",
                 subject=self.system.name,
             )
         return self
@@ -239,7 +239,7 @@ class Steering:
         if name not in known:
             raise InputError(
                 "no such input or state",
-                f"choose of {', '.join(known)}",
+                f"choose one of {', '.join(known)}",
                 key=f"limits.{name}",
                 subject=self.system.name,
             )
@@ -252,7 +252,7 @@ class Steering:
             if reach > bound * (1 + 1e-9):
                 raise InputError(
                     f"the path reaches {reach:.4g}, and time does not change a path",
-                    "take more cycles or another member of the family (vehsim.sinusoids.family)",
+                    "take more cycles or another member of the family (vehsim.sinusoids.manoeuvres.families.family)",
                     key=f"limits.{name}",
                     value=bound,
                     subject=self.system.name,

@@ -41,9 +41,9 @@ class World:
     """The surroundings of the vehicles: ``terrain`` (`Terrain` or None, empty space), ``wind`` (3,) m/s, world axes,
     and ``obstacles``, made by the functions of `vehsim.world.obstacles`.
 
-    ``terrain`` is a `Terrain`, the name of a shipped one ("canyon", "flat") or a path; ``water`` a `Water`, the level
-    of calm water in m, or None; ``gusts`` make the wind change with time; ``contact``: how hulls touch obstacles,
-    ground and each other; None: they pass through. Raises ``InputError``.
+    ``terrain`` is a `Terrain`, the name of a shipped one ("canyon", "flat", "hills") or a path; ``water`` a
+    `Water`, the level of calm water in m, or None; ``gusts`` make the wind change with time; ``contact``: how hulls
+    touch obstacles, ground and each other; None: they pass through. Raises ``InputError``.
     """
 
     def __init__(

@@ -42,7 +42,7 @@ motion."""
 SLACK = 0.01
 """Tolerance of a certified clearance, m."""
 MORE = 0.05
-"""How much more than the shortfall a tighter solve adds to the clearance, m."""
+"""What a tighter solve adds to the clearance beyond the shortfall, m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,8 +73,9 @@ def _none(transcription: Transcription) -> Any:
 
 
 NODES = Site("nodes", ("x", "h"), lambda t, v: knot_view(t, v["x"], _none(t)))
+"""The nodes of the discretisation."""
 MIDDLES = Site("middles", ("x", "z", "h"), lambda t, v: middle_view(t, v["x"], v["z"], _none(t), v["h"]))
-"""The places: nodes, and midpoints of segments."""
+"""The midpoints of its segments."""
 
 
 @dataclass(eq=False)
@@ -82,8 +83,8 @@ class SphereCover:
     """A sphere cover of a vehicle, and the distance fields it keeps clear of.
 
     ``centres`` (k, 3) m and ``radii`` (k,) m of spheres that contain the vehicle; ``stands``: the distance field of
-    everything at rest, or None; ``moving``: each moving obstacle with its field; ``elements``: shared by all
-    discretisations.
+    the static obstacles and the terrain, or None; ``moving``: each moving obstacle with its field; ``elements``: shared
+    by all discretisations.
     """
 
     stands: DistanceField | None
@@ -284,7 +285,8 @@ def clearance_element(
 
 
 def _free_places(layout: Layout, marks: Sequence[Mark]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Nodes, and segments at whose midpoint, clearance is enforced: not at the start, nor where marks fix the pose."""
+    """Indices of the nodes, and of the segments, at which (at whose midpoint) clearance is enforced: not the start, and
+    no pose that a mark fixes."""
     steps, knots = len(layout.fractions), layout.mark_knots
     free, between = np.arange(layout.nodes) > 0, np.full(layout.segments, steps == 1)
     for i, mark in enumerate(marks):

@@ -115,12 +115,12 @@ def spans_between(marks: Sequence[Mark], fps: Fraction) -> list[tuple[list[int],
 def share_known_spans(durations: Array, marks: Sequence[Mark], fps: Fraction) -> None:
     """Scale the guessed durations of free legs so that they fill the time between marks at frames."""
     free = np.isnan(fixed_durations(marks, fps))
-    for phases, total in spans_between(marks, fps):
-        open_ = [j for j in phases if free[j]]
-        rest = total - sum(durations[j] for j in phases if not free[j])
+    for legs, total in spans_between(marks, fps):
+        open_ = [j for j in legs if free[j]]
+        rest = total - sum(durations[j] for j in legs if not free[j])
         if rest <= 0:
             raise InputError(
-                f"the holds between mark[{phases[0]}] and mark[{phases[-1] + 1}] take longer than the {total:g} s "
+                f"the holds between mark[{legs[0]}] and mark[{legs[-1] + 1}] take longer than the {total:g} s "
                 "between their frames",
                 "shorten them",
                 key="mark",

@@ -39,8 +39,8 @@ NOTHING = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class LooseTiming(Timing):
-    """Timing in which legs to free marks vary one by one and, with a ``price`` per second, all legs but holds may be
-    late."""
+    """Timing in which the duration of each leg to a free mark varies by itself; with a ``price`` per second, all legs
+    but holds may also take longer."""
 
     price: float = 0.0
 
@@ -69,10 +69,10 @@ class LooseTiming(Timing):
 
 
 def diagnose(run: Run, guess: Iterate) -> tuple[str, Array | None]:
-    """Which frames are too early and which would do; which marks are missed and by how much; or variables that meet
-    all.
+    """Explain why a plan failed: the message, and None; or an empty message and variables that meet all marks.
 
-    Neither if the relaxed problem is not solved either.
+    The message names frames that are too early and possible ones, or the marks that are missed and by how much. It is
+    empty, and the variables are None, if the relaxed problems are not solved either.
     """
     missed, x = _missed(run, guess)
     if x is not None and not missed:

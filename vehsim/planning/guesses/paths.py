@@ -35,7 +35,7 @@ def along_paths(
     wind: Any,
     aims: Sequence[tuple[int, int, Any, float]] = (),
 ) -> Array:
-    """Variables (size,) of a motion along ``paths`` (one per phase), level, at trim controls.
+    """Variables (size,) of a motion along ``paths`` (one per leg), level, at trim controls.
 
     A path is a polyline (k, 3) m, or of poses (k, 4) with headings in rad. ``aims``: (first knot, last knot, point (3,)
     m, angle rad): between these knots the vehicle heads for the point, plus the angle to the right.
@@ -119,7 +119,7 @@ def from_poses(
 
 
 def _node_fractions(layout: Layout) -> tuple[Array, NDArray[np.intp]]:
-    """Fraction of its phase (0 to 1) and phase of every node."""
+    """Fraction of its leg (0 to 1) and leg of every node."""
     inner = np.concatenate([[0.0], np.cumsum(layout.fractions)[:-1]])
     fraction, phase = [], []
     for j, count in enumerate(layout.phases):

@@ -42,7 +42,7 @@ def find_paths(request: Request, guess: Any, progress: Progress) -> list[Array]:
         parts = parts_in_reach(request.vehicle, request.world, request.marks)
         if not parts:
             return straight(request)
-        progress("seeking a path among obstacles", 0.0)
+        progress("searching for a path among obstacles", 0.0)
         return divided(drive(replace(request, marks=kept), parts), request.marks)
     return (
         _flown(request, kept, progress)
@@ -85,7 +85,7 @@ def _routes(
     lid = ceiling + up[2] if math.isfinite(ceiling) else None
     found, legs = [], legs_between(kept)
     for done, (a, b) in enumerate(legs):
-        progress("seeking a path", done / len(legs))
+        progress("searching for a path", done / len(legs))
         try:
             found.append(request.world.route(a + up, b + up, radius + request.clearance, lid, box) - up)
         except InputError:

@@ -130,7 +130,9 @@ def check_solver(name: str) -> str:
     """The name of a solver that this CasADi build has; raises ``InputError`` for others."""
     known = [solver for solver in SOLVERS if ca.has_nlpsol(solver)]
     if name not in known:
-        raise InputError("not here", f"choose one of {', '.join(known)}", key="solver", value=name)
+        raise InputError(
+            "not available in this build of CasADi", f"choose one of {', '.join(known)}", key="solver", value=name
+        )
     return name
 
 

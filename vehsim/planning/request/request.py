@@ -176,7 +176,9 @@ def ask(
     heights = {float(np.asarray(mark.position)[2]) for mark in request.marks if mark.position is not None}
     if vehicle.group.dim == 3 and len(heights) > 1 and (world is None or world.terrain is None):
         raise InputError(
-            f"heights {sorted(heights)} m", f"{vehicle.name} keeps its height, give one z to all", key="mark.position"
+            f"heights {sorted(heights)} m",
+            f"{vehicle.name} keeps its height: give all marks the same z",
+            key="mark.position",
         )
     return request
 

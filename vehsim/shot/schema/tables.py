@@ -59,7 +59,7 @@ def parse_fps(value: Any) -> Fraction:
     elif re.fullmatch(r"\d{1,7}/\d{1,7}", text := str(value).strip()):
         over, under = (int(part) for part in text.split("/"))
         if under == 0:
-            raise ValueError("a rate over zero")
+            raise ValueError("a frame rate with a denominator of zero")
         rate = Fraction(over, under)
     elif re.fullmatch(r"\d{1,7}(\.\d{1,6})?", text):
         rate = Fraction(text)

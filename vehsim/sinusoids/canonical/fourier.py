@@ -164,14 +164,15 @@ def _stages(
 
 
 def _spinning(t: Triangular) -> list[int]:
-    """States with zero in the middle of their domain that an input moves without moving any other, anywhere."""
+    """Driven states whose input moves nothing else at any state, and whose domain is centred on zero: a steering
+    angle."""
     still = np.array([np.abs(t.system.matrix(p)).sum(axis=0) for p in t.system.samples(4)])
     domain = [t.system.domain.get(name, (0.0, 1.0)) for name in t.system.states]
     return [i for i, j in t.driver.items() if np.allclose(still[:, j], 1.0) and sum(domain[i]) == 0.0]
 
 
 def _turned(t: Triangular, label: str, motion: Array) -> Stage:
-    """Stages that change the states that can be set alone by their ``motion`` (n,)."""
+    """The stage that moves the states of `_spinning` by ``motion`` (n,), and no others."""
     v = np.zeros(t.system.m)
     for state in _spinning(t):
         v[t.driver[state]] = motion[state]

@@ -1,4 +1,4 @@
-"""The options of steering by sinusoids, and the alternatives that a vehicle offers."""
+"""The user's options for steering by sinusoids, and the loops that they leave to choose from."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ class Definition:
     the ``b`` coefficients along ``basis`` and the rates of the ``dynamic`` joints:
 
     - ``reduced_lagrangian(r, u, xi)``: kinetic energy minus joint potential, scalar
-    - ``basis(r)`` (d, b): group velocities that the constraints leave free if the joints are locked
+    - ``basis(r)`` (d, b): basis of the group velocities that the constraints leave free while the joints are locked
     - ``connection(r)`` (d, s): the free motion is ``xi = basis(r) z_b - connection(r) u``; if constraints bind the
       joints themselves, the rates of the ``tied`` joints are further rows of both
     - ``potential(g, r)``: potential energy, J (gravity); zero by default

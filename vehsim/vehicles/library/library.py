@@ -154,7 +154,10 @@ def _load(path: Path, written: Stamp, asset_written: Stamp | None, parameters: s
         raise
     except (ArithmeticError, LookupError, RuntimeError, TypeError, ValueError) as error:  # raised by NumPy or CasADi
         raise InputError(
-            f"no {model} can be made of it ({error})", "compare the model's own", key="physics", file=path
+            f"the model {model} does not accept these numbers ({error})",
+            "compare them with a shipped vehicle.toml",
+            key="physics",
+            file=path,
         ) from error
     settings: dict[str, Any] = {
         "controls": _controls(path, vehicle, data.get("controls", {})),

@@ -1,4 +1,4 @@
-"""Lift planar motion onto a terrain, with every tyre touching it, the body on its springs and trailers behind it.
+"""Put planar motion on a terrain: every tyre touches it, the body moves on its springs, and trailers follow.
 
 The body follows its wheels (heave, pitch and roll) through springs and dampers, and leans with acceleration
 (`springs`); trailers tilt on their hitches (`trailers`). This is geometry after the simulation; the pull of slopes is
@@ -139,8 +139,8 @@ def _warn_strain(clip: Clip, held: tuple[Array, Array], travels: dict[str, Array
         remedy = "go slower, or plan with limits = { acceleration = 8 }"
     elif np.abs(travel).max() > LARGEST_TRAVEL:
         k = int(np.abs(travel).argmax())
-        message = f"{name} = {travel[k]:.2f} m at frame {clip.frames[k]:.0f}: too rough a ground or too fast a drive "
-        remedy = "for the wheels to stay in their arches; go slower, or smooth the ground"
+        message = f"{name} = {travel[k]:.2f} m at frame {clip.frames[k]:.0f}: the wheel leaves its arch, because the "
+        remedy = "ground is too rough or the vehicle too fast; go slower, or smooth the ground"
     else:
         return
     warnings.warn(f"{clip.vehicle.name}: {message}{remedy}", stacklevel=3)
