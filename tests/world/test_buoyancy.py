@@ -270,14 +270,16 @@ def test_a_planing_bottom_lifts_with_its_angle():
 
 
 def test_waves_push_and_surf():
-    """On a long slope the pressure under the local surface pulls downhill with weight times slope."""
+    """On a long slope the pressure pulls downhill with weight times slope, a little less because waves fade with
+    depth."""
     body = floating(box(1, 1, 1), 500.0, (80.0, 80.0, 80.0))
     water = Water(surface=wave(1.0, 100.0))
     quarter = 25.0  # halfway down behind the crest
     height = water.height([[quarter, 0.0]])[0]
     forces = afloat(body, water).forces(0.0, at(height, xy=(quarter, 0.0)), np.zeros(0))
-    slope = -0.5 * 2 * np.pi / 100
-    assert forces.wrench[3] == pytest.approx(-RHO * GRAVITY * forces.volume * slope, rel=2e-3)
+    k, draft = 2 * np.pi / 100, 0.5
+    slope, fading = -0.5 * k, -np.expm1(-k * draft) / (k * draft)
+    assert forces.wrench[3] == pytest.approx(-RHO * GRAVITY * forces.volume * slope * fading, rel=1e-3)
 
 
 SURFACES = {
@@ -326,8 +328,10 @@ def test_waves_against_a_fine_hull(name, surface):
         z = brentq(excess, middle - 3 * height, middle + 3 * height, xtol=1e-3)
         found = float_.forces(t, state(z), np.zeros(0))
         places = turn.apply(fine.points) + np.array([*xy, z])
-        wet = wetted(np.column_stack([fine.points, water.height(places[:, :2], t) - places[:, 2]]), fine.faces)
-        push = -RHO * GRAVITY / 3 * wet.middles[:, :, 3, None] * wet.normals[:, None]
+        motion = water.at(places, t)
+        depth = motion.height - places[:, 2]
+        wet = wetted(np.column_stack([fine.points, depth, depth - motion.fade]), fine.faces)
+        push = -RHO * GRAVITY / 3 * wet.middles[:, :, 4, None] * wet.normals[:, None]
         force, torque = push.sum(axis=(0, 1)), np.cross(wet.middles[:, :, :3], push).sum(axis=(0, 1))
         lift = np.linalg.norm(force)
         assert found.volume == pytest.approx(wet.volume(turn.inv().apply(UP)), rel=3.5e-3)
@@ -447,4 +451,5 @@ def test_moving_water_drags_its_mass_along():
     height = water.height([[0.0, 0.0]], t)[0]
     size = a * omega**2 * np.exp(k * (z - height))
     wanted = extra * size * np.array([np.sin(-omega * t), 0.0, -np.cos(-omega * t)])
-    np.testing.assert_allclose((heavy.wrench - plain.wrench)[3:], wanted, atol=4e-3 * extra * size)
+    found = (heavy.wrench - plain.wrench)[3:]
+    np.testing.assert_allclose(found, wanted, atol=0.06 * extra * size)  # over the hull, and not at its centre

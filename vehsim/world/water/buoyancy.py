@@ -20,6 +20,8 @@ from vehsim.lie.quaternions import cross, matrices
 from vehsim.vehicles.definition.base import State
 from vehsim.world.water.height_field import MOST, WaterField
 from vehsim.world.water.hull_mesh import HullMesh, Wetted, read_hull, wetted
+from vehsim.world.water.motion import Motion
+from vehsim.world.water.potential import Response, response
 from vehsim.world.water.water import GRAVITY, Water
 
 if TYPE_CHECKING:
@@ -38,8 +40,12 @@ turns."""
 FIELD = 1 / 1500
 """Mean deviation of a cell of the water's height field from the surface, as a share of the hull's mean draft, in waves
 as long as the hull or longer; larger in shorter ones, because it averages out."""
-INSTANT = 1e-3
-"""Time difference for the water's acceleration, s."""
+LEVEL = [2, 3, 4]
+"""Yaw, surge and sway in a twist: the motions in the waterplane."""
+PANEL = 1 / 7
+"""Longest edge of the panels that determine how waves act on the hull, as a share of its size."""
+PANELS = 300
+"""Hulls with more faces are simplified to this many before."""
 
 
 class Weather(Protocol):
@@ -131,6 +137,30 @@ class Afloat(Environment):
         return float(cell), samples
 
     @cached_property
+    def response(self) -> Response:
+        """How the motion of the water acts on the hull: over its wetted surface at rest, and not at one point."""
+        if not np.any(self.data.added_mass):
+            return Response.at_origin()
+        hull = self.hull.simplified(PANELS).refined(PANEL * float(self.size.max()))
+        top = -float(hull.points[:, 2].min())  # of the origin, where the hull leaves the water
+        sinks = self.mesh.volume <= self.rest_volume
+        height = -float(10 * self.size.max()) if sinks else min(self.floating()[0], top)
+        wet = wetted(np.column_stack([hull.points, -height - hull.points[:, 2]]), hull.faces)
+        return response(wet.corners, -height)
+
+    @cached_property
+    def added_mass(self) -> Array:
+        """The added mass (6, 6) of the hull at rest: the given diagonal, with the coupling of the hull's potential flow
+        between motions in the waterplane and out of it, such as sway and roll. In the waterplane there is none, as in
+        the planar form of the vehicle."""
+        given, own = np.asarray(self.data.added_mass, float), self.response.added
+        size = np.sqrt(given / np.maximum(np.diag(own), 1e-9 * max(np.diag(own).max(), 1e-300)))
+        added = size[:, None] * own * size
+        added[np.ix_(LEVEL, LEVEL)] = 0.0
+        np.fill_diagonal(added, given)
+        return added
+
+    @cached_property
     def reference_area(self) -> float:
         """Wetted area (m^2) to which the hull's resistance refers; default: as the hull floats upright at rest."""
         if self.data.reference_area:
@@ -204,26 +234,26 @@ class Afloat(Environment):
         if self._last is None or self._last[0] is not state:
             self.forces(t, state, np.zeros(len(self.vehicle.controls)))
         assert self._last is not None
-        return self._last[1].immersion * np.diag(np.asarray(self.data.added_mass, float))
+        return self._last[1].immersion * self.added_mass
 
     def forces(self, t: float, state: State, controls: Array) -> Forces:
         """All effects of water and wind on the vehicle in ``state`` at ``t`` s."""
         R_wb, position, omega, velocity = _body(state, self.vehicle.origin)
         points, faces = (self.mesh.points, self.mesh.faces) if self.water.flat else self.mesh.quadratic
         world = points @ R_wb.T + position
-        places = np.concatenate([world, position[None], self.data.propulsor_points @ R_wb.T + position])
-        height, flow = (self.field or self.water).at(places, t)
-        n = len(points)
-        elsewhere = height[n:] - places[n:, 2], flow[n:]
-        height, flow = height[:n], flow[:n]
-        columns = np.empty((len(points), 7))
-        columns[:, :3], columns[:, 3] = points, height - world[:, 2]
-        columns[:, 4:] = velocity + cross(omega, points) - flow @ R_wb
+        carried = np.concatenate([self.response.points, self.data.propulsor_points])
+        places = np.concatenate([world, carried @ R_wb.T + position])
+        motion, n = (self.field or self.water).at(places, t), len(points)
+        elsewhere = Motion(*(part[n:] for part in motion))
+        columns = np.empty((n, 8))
+        columns[:, :3], columns[:, 3] = points, motion.height[:n] - world[:, 2]
+        columns[:, 4:7] = velocity + cross(omega, points) - motion.velocity[:n] @ R_wb
+        columns[:, 7] = columns[:, 3] - motion.fade[:n]
         wet = wetted(columns, faces)
         up = R_wb[2]
         torque_force, volume = np.zeros(6), 0.0
         immersion = entering = 0.0
-        fastest = float(np.sqrt((columns[:, 4:] ** 2).sum(axis=1).max()))
+        fastest = float(np.sqrt((columns[:, 4:7] ** 2).sum(axis=1).max()))
         speeds = (0.0 if len(wet.normals) else fastest, fastest)  # in the air, any part may hit the water next
         if len(wet.normals):
             volume = wet.volume(up)
@@ -231,7 +261,8 @@ class Afloat(Environment):
             torque_force, entering, into = self._surface(wet)
             speeds = (into, fastest)
         forces = Forces(torque_force, volume, immersion, speeds)
-        self._couple(forces, t, controls, (R_wb, position, omega, velocity), elsewhere, entering)
+        depths = elsewhere.height - places[n:, 2]
+        self._couple(forces, t, controls, (R_wb, omega, velocity), elsewhere, depths, entering)
         self._last = (state, forces)
         return forces
 
@@ -241,8 +272,8 @@ class Afloat(Environment):
         hull, rho = self.data, self.water.density
         middles, normals = wet.middles, wet.normals
         area = np.sqrt(np.einsum("ki,ki->k", normals, normals))
-        through = middles[:, :, 4:]
-        pressure = rho * GRAVITY * middles[:, :, 3]
+        through = middles[:, :, 4:7]
+        pressure = rho * GRAVITY * middles[:, :, 7]
         if hull.normal_force:
             pressure = pressure + hull.normal_force / self.reference_area
         into = np.einsum("kqi,ki->kq", through, normals)  # times the area
@@ -270,45 +301,39 @@ class Afloat(Environment):
         t: float,
         controls: Array,
         body: tuple[Array, ...],
-        water: tuple[Array, Array],
+        water: Motion,
+        depths: Array,
         entering: float,
     ) -> None:
         """Added mass in moving water, propulsion and wind: effects on the body as a whole.
 
-        ``water``: its depth (1 + p,) and velocity (1 + p, 3) at the body's origin and at its propulsors.
+        ``water``: at the points of the hull's `response` and at its propulsors; ``depths`` of these places.
         """
         hull = self.data
-        R_wb, position, omega, velocity = body
-        depths, flows = water
+        R_wb, omega, velocity = body
+        flows, n = water.velocity @ R_wb, len(self.response.points)
         if np.any(hull.added_mass):
-            flow, change = flows[0], self._change(position, t)
-            added = forces.immersion * np.asarray(hull.added_mass, float)
-            through = np.concatenate([omega, velocity - flow @ R_wb])
-            momentum = added * through
+            added = forces.immersion * self.added_mass
+            through = np.concatenate([omega, velocity]) - self.response.twist(flows[:n])
+            momentum = added @ through
             # Kirchhoff's equations in the waterplane, for the motion through the water. Perpendicular to it they would
             # pitch a fast hull out of the water; in reality its stern sheds the flow.
             x, y, turn = momentum[3], momentum[4], omega[2]
             forces.wrench[2:5] += x * through[4] - y * through[3], y * turn, -x * turn
-            # the water's own acceleration carries the hull along
-            forces.wrench[3:] += added[3:] * (change @ R_wb - cross(omega, flow @ R_wb))
+            # the water's own acceleration, in the axes that turn with the body, carries the hull along
+            change = water.acceleration[:n] @ R_wb - cross(omega, flows[:n])
+            forces.wrench += added @ self.response.twist(change)
             # water set in motion (von Karman); a hull that leaves takes its water along
             if forces.immersion < 1 and entering > 0:
-                forces.wrench -= entering / self.rest_volume * np.asarray(hull.added_mass, float) * through
+                forces.wrench -= entering / self.rest_volume * self.added_mass @ through
         if self._propulsion is not None:
-            depth = depths[1:] / hull.propulsor_size + 0.5
-            flow = flows[1:].mean(axis=0) if len(flows) > 1 else np.zeros(3)
-            through = np.concatenate([omega, velocity - flow @ R_wb])
+            depth = depths[n:] / hull.propulsor_size + 0.5
+            flow = flows[n:].mean(axis=0) if len(flows) > n else np.zeros(3)
+            through = np.concatenate([omega, velocity - flow])
             forces.wrench += self._propulsion(controls, through, np.clip(depth, 0, 1))[0]
         if self._windage is not None:
             air = self.world.wind_at(t) @ R_wb
             forces.wrench += self._windage(np.concatenate([omega, velocity - air]))[0]
-
-    def _change(self, position: Array, t: float) -> Array:
-        """The water's acceleration (3,) below the body frame's origin, world axes."""
-        if self.water.flat:
-            return np.zeros(3)
-        after, before = (self.water.velocity(position[None], t + s * INSTANT)[0] for s in (1, -1))
-        return np.asarray((after - before) / (2 * INSTANT))
 
     @cached_property
     def _propulsion(self) -> Any:

@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 
 from vehsim.errors import InputError, SolveError
 from vehsim.intake.arrays import read_arrays
+from vehsim.world.water.motion import Motion
 
 Array = NDArray[np.float64]
 
 KEYS = ("times", "heights", "velocities", "origin", "cell")
 SLACK = 2e-3
 """Time before the first grid and after the last for which there is water, s, and as a share of the time between two:
-times may be rounded, and the water's acceleration needs a millisecond on either side."""
+times may be rounded."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,18 +98,21 @@ class WaterGrids:
 
     def grid(self, x: Array, y: Array, t: float) -> tuple[Array, Array | None]:
         points = np.stack(np.meshgrid(x, y, 0.0), axis=-1).reshape(-1, 3)
-        return self.at(points, 0.0, t)[0].reshape(len(y), len(x)), None
+        return self.at(points, 0.0, t).height.reshape(len(y), len(x)), None
 
-    def at(self, points: Array, level: float, t: float, guess: Array | None = None) -> tuple[Array, Array]:
+    def at(self, points: Array, level: float, t: float, guess: Array | None = None) -> Motion:
+        """See `Surface`. Grids do not say how the motion fades with depth."""
         corners, weights = self._cells(points[:, :2])
         k, share, span = self._instant(t)
         before, after = (self.heights[i][corners] for i in (k, k + 1))
         height = np.einsum("ns,ns->n", weights, (1 - share) * before + share * after)
+        flow, change = np.zeros((2, len(height), 3))
         if self.velocities is None:
-            rising = np.einsum("ns,ns->n", weights, (after - before) / span)
-            return height, np.column_stack([np.zeros((len(height), 2)), rising])
-        flow = (1 - share) * self.velocities[k][corners] + share * self.velocities[k + 1][corners]
-        return height, np.einsum("ns,nsi->ni", weights, flow)
+            flow[:, 2] = np.einsum("ns,ns->n", weights, (after - before) / span)
+        else:
+            before, after = (np.einsum("ns,nsi->ni", weights, self.velocities[i][corners]) for i in (k, k + 1))
+            flow, change = (1 - share) * before + share * after, (after - before) / span
+        return Motion(height, flow, change, np.zeros(len(height)))
 
     def slope(self, xy: Array, t: float) -> Array:
         """Gradient (n, 2) of the height, by central differences over half a cell."""
@@ -117,7 +121,7 @@ class WaterGrids:
             step = np.zeros(2)
             step[i] = self.cell[i] / 2
             low, high = (np.clip(xy + s * step, self.lower, self.upper) for s in (-1, 1))
-            ends = [self.at(np.column_stack([p, np.zeros(len(p))]), 0.0, t)[0] for p in (low, high)]
+            ends = [self.at(np.column_stack([p, np.zeros(len(p))]), 0.0, t).height for p in (low, high)]
             columns.append((ends[1] - ends[0]) / (high - low)[:, i])
         return np.column_stack(columns)
 

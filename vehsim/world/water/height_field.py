@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from vehsim.errors import InputError, SolveError
+from vehsim.world.water.motion import Motion
 from vehsim.world.water.water import Array, Water
 
 NAME = "water"
@@ -59,16 +60,16 @@ class WaterField:
         self.shift: Array | None = None
         self.top = float(size.max()) * FAR
 
-    def at(self, points: Array, t: float) -> tuple[Array, Array]:
-        """Height (n,) m of the surface at ``points`` (n, 3) m and ``t`` s in MuJoCo, after moving the field there, and
-        the water's velocity (n, 3) m/s."""
+    def at(self, points: Array, t: float) -> Motion:
+        """The water at ``points`` (n, 3) m and ``t`` s, with the height of its surface from MuJoCo, after moving the
+        field there."""
         xy = points[:, :2]
         low, high = xy.min(axis=0), xy.max(axis=0)
         if not (self.water.flat and (self.low <= low).all() and (high <= self.high).all()):
             self.update(t, low, high)
         # first, because it reports points outside a solver's grid
-        velocity = self.water.at(points, t, self._rest(xy))[1]
-        return self.heights(xy), velocity
+        found = self.water.at(points, t, self._rest(xy))
+        return found._replace(height=self.heights(xy))
 
     def _rest(self, xy: Array) -> Array | None:
         """Approximate rest positions (n, 2) of the water at ``xy`` (n, 2), interpolated between the samples."""

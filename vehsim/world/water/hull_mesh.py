@@ -104,6 +104,15 @@ class HullMesh:
             faces = _halved(points, faces, middle[index])
         return self._like(points, faces)
 
+    def simplified(self, count: int) -> HullMesh:
+        """A similar surface of at most ``count`` faces, by collapsing edges (Garland and Heckbert 1997)."""
+        import igl
+
+        if len(self.faces) <= count:
+            return self
+        points, faces, _, _ = igl.qslim(self.points, self.faces.astype(np.int32), count)
+        return self._like(points, faces.astype(np.int64))
+
     @cached_property
     def quadratic(self) -> tuple[Array, Faces]:
         """Its points and the midpoints of its edges (n, 3), and faces (m, 6): corners, then the midpoints of edges k to
@@ -135,6 +144,12 @@ class Wetted:
 
     middles: Array
     normals: Array
+
+    @property
+    def corners(self) -> Array:
+        """Corners (k, 3, 3) m of the triangles."""
+        m = self.middles[:, :, :3]
+        return np.asarray(m + m.take([2, 0, 1], axis=1) - m.take([1, 2, 0], axis=1))
 
     @cached_property
     def area(self) -> float:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vehsim.errors import InputError
+from vehsim.world.water.motion import Motion
 
 if TYPE_CHECKING:
     from vehsim.world.water.grids import WaterGrids
@@ -51,10 +52,9 @@ class Surface(Protocol):
     @property
     def content_hash(self) -> str: ...
 
-    def at(self, points: Array, level: float, t: float, guess: Array | None = None) -> tuple[Array, Array]:
-        """Height (n,) m of the surface at ``points`` (n, 3), above the level, and the water's velocity (n, 3) there,
-        m/s; a point above the surface has the surface's velocity. From a ``guess`` (n, 2) of the water's rest
-        positions, both are accurate to `CLOSE`."""
+    def at(self, points: Array, level: float, t: float, guess: Array | None = None) -> Motion:
+        """The water at ``points`` (n, 3), with its height above the level. From a ``guess`` (n, 2) of the water's rest
+        positions, it is accurate to `CLOSE`."""
 
     def grid(self, x: Array, y: Array, t: float) -> tuple[Array, Array | None]:
         """Heights (rows, cols) m above the level at all ``y`` (rows,) and ``x`` (cols,) m, evenly spaced, and the rest
@@ -133,6 +133,14 @@ class Waves:
         return self._shift[:, [0, 0, 1]] * self.number[:, [0, 1, 1]]
 
     @cached_property
+    def _swing(self) -> Array:
+        """(k, 7): amplitudes of each wave's velocity and acceleration along X, Y and Z at the surface, and of its
+        height."""
+        along = np.column_stack([self._along, np.ones(len(self._k))])
+        speed = (self.amplitude * self.omega)[:, None] * along
+        return np.column_stack([speed, self.omega[:, None] * speed, self.amplitude])
+
+    @cached_property
     def _rise(self) -> Array:
         """(k, 2): amplitude of each wave's slope along X and Y, at rest."""
         return self.amplitude[:, None] * self.number
@@ -152,18 +160,20 @@ class Waves:
         """The rest positions (n, 2) of the water at ``xy`` (n, 2): the inverse of Gerstner's horizontal map."""
         return self._solved(xy, t)[0]
 
-    def at(self, points: Array, level: float, t: float, guess: Array | None = None) -> tuple[Array, Array]:
-        """Height (n,) m above the level at ``points`` (n, 3), and the water's velocity (n, 3) m/s there, at ``t`` s."""
-        height, velocity = np.empty(len(points)), np.empty((len(points), 3))
-        speed = self.amplitude * self.omega
+    def at(self, points: Array, level: float, t: float, guess: Array | None = None) -> Motion:
+        """See `Surface`. Under a crest, each wave fades with the depth below the crest."""
+        height, fade = np.empty(len(points)), np.empty(len(points))
+        velocity, acceleration = np.empty((len(points), 3)), np.empty((len(points), 3))
         for block in self._blocks(len(points)):
             _, cos, sin = self._solved(points[block, :2], t, None if guess is None else guess[block])
             height[block] = cos @ self.amplitude
             below = np.minimum(points[block, 2] - level - height[block], 0.0)
             decay = np.exp(below[:, None] * self._k)
-            velocity[block, :2] = (decay * cos) @ (speed[:, None] * self._along)
-            velocity[block, 2] = (decay * sin) @ speed
-        return height, velocity
+            ahead, up = (decay * cos) @ self._swing, (decay * sin) @ self._swing
+            velocity[block, :2], velocity[block, 2] = ahead[:, :2], up[:, 2]
+            acceleration[block, :2], acceleration[block, 2] = up[:, 3:5], -ahead[:, 5]
+            fade[block] = height[block] - ahead[:, 6]
+        return Motion(height, velocity, acceleration, fade)
 
     def heights(self, xy: Array, t: float) -> Array:
         """Heights (n,) m above the level at ``xy`` (n, 2) m and ``t`` s."""
@@ -347,7 +357,7 @@ class Water:
         if isinstance(self.surface, Waves):
             return self.level + self.surface.heights(xy, t)
         points = np.column_stack([xy, np.full(len(xy), np.inf)])
-        return self.level + self.surface.at(points, self.level, t)[0]
+        return self.level + self.surface.at(points, self.level, t).height
 
     def normal(self, xy: ArrayLike, t: float = 0.0) -> Array:
         """Unit normals (n, 3) of the surface at ``xy`` (n, 2) m, upwards."""
@@ -358,19 +368,21 @@ class Water:
 
     def velocity(self, points: ArrayLike, t: float = 0.0) -> Array:
         """Velocity (n, 3) m/s of the water at ``points`` (n, 3) m, waves and current; above it, the surface's."""
-        return self.at(np.asarray(points, float).reshape(-1, 3), t)[1]
+        return self.at(np.asarray(points, float).reshape(-1, 3), t).velocity
 
-    def at(self, points: Array, t: float, guess: Array | None = None) -> tuple[Array, Array]:
-        """``(height (n,), velocity (n, 3))`` together, for ``points`` (n, 3) m; ``guess``: see `Surface`."""
+    def at(self, points: Array, t: float, guess: Array | None = None) -> Motion:
+        """The water at ``points`` (n, 3) m; ``guess``: see `Surface`. The acceleration is that of the waves."""
+        n = len(points)
         if self.surface is None:
-            height, velocity = np.full(len(points), self.level), np.zeros((len(points), 3))
+            found = Motion(np.full(n, self.level), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n))
         else:
-            above, velocity = self.surface.at(points, self.level, t, guess)
-            height = self.level + above
+            found = self.surface.at(points, self.level, t, guess)
+            found = found._replace(height=self.level + found.height)
         if self.current is not None:
-            depth = np.minimum(points[:, 2] - height, 0.0)
-            velocity = velocity + self.current.velocity(np.column_stack([points[:, :2], depth]), t)
-        return height, velocity
+            depth = np.minimum(points[:, 2] - found.height, 0.0)
+            flow = self.current.velocity(np.column_stack([points[:, :2], depth]), t)
+            found = found._replace(velocity=found.velocity + flow)
+        return found
 
 
 def _wrong(key: str, message: str, remedy: str, value: object = None) -> InputError:
