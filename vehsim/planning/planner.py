@@ -130,7 +130,7 @@ class Plan:
             return _solve(replace(request, given=()), progress, self.clip)
         faced = replace(request, given=request.marks, marks=same_headings(request.marks, given, before.marks))
         run = Run(faced, progress, self._run.solvers)
-        iterate = settle_on_frames(run, solve(run, _at_marks(self._iterate, faced)))
+        iterate = settle_on_frames(run, solve(run, at_marks(self._iterate, faced)))
         if not iterate.success:  # no solution from here; its own initial guess may lead to one
             return _solve(replace(request, given=()), progress, None)
         return _result(run, refine_and_certify(run, iterate))
@@ -299,7 +299,7 @@ def _facing(request: Request, paths: Sequence[Array]) -> Request:
     return request if turned == request.marks else replace(request, marks=turned, given=request.marks)
 
 
-def _at_marks(iterate: Iterate, request: Request) -> Iterate:
+def at_marks(iterate: Iterate, request: Request) -> Iterate:
     """A solved iterate at other marks of the same shape, to start from."""
     transcription, layout = iterate.transcription, iterate.layout
     fresh = blocks_of(request, transcription, iterate.cover)

@@ -98,7 +98,7 @@ class PlanMotion(Table):
         yield from wrong
         if not any(problem.severity == "error" for problem in wrong):  # each is valid: check them together
             try:
-                marks, options = [_as_mark(mark, vehicle) for mark in self.all_marks(setting)], self._options()
+                marks, options = [as_mark(mark, vehicle) for mark in self.all_marks(setting)], self.options()
             except InputError as error:
                 yield error.problem.seen_from("look" if self.look else "stay", remedy="see docs/shot-file.md")
                 return
@@ -142,7 +142,7 @@ class PlanMotion(Table):
             except InputError as error:
                 yield error.problem.seen_from("guess", self.guess, "remove guess")
 
-    def _options(self) -> dict[str, Any]:
+    def options(self) -> dict[str, Any]:
         """Arguments of `vehsim.plan` in addition to the marks."""
         return {
             "segments": self.segments,
@@ -159,7 +159,7 @@ class PlanMotion(Table):
         from vehsim.planning import plan
 
         wanted = self.all_marks(setting)
-        marks = [_as_mark(mark, vehicle) for mark in wanted]
+        marks = [as_mark(mark, vehicle) for mark in wanted]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", FailedPlan)  # it is raised below
             result = plan(
@@ -170,7 +170,7 @@ class PlanMotion(Table):
                 guess=self._guess(vehicle, marks, setting),
                 time_limit=self.time_limit,
                 progress=progress,
-                **self._options(),
+                **self.options(),
             )
         if not result.success:
             raise SolveError(f"no plan was found: {result.message}", reason=result.reason, subject=vehicle.name)
@@ -209,7 +209,7 @@ def _cost(value: Any) -> Any:
     return value
 
 
-def _as_mark(mark: MarkTable, vehicle: Vehicle) -> Mark:
+def as_mark(mark: MarkTable, vehicle: Vehicle) -> Mark:
     from vehsim.planning import Gate, Mark
 
     gate = None if mark.gate is None else Gate(**mark.gate.model_dump())

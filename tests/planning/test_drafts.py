@@ -1,0 +1,65 @@
+"""Drafts: motion while marks are dragged, compared with plans for the same marks."""
+
+import numpy as np
+import pytest
+
+import vehsim
+from vehsim import Mark
+from vehsim.planning.drafts import SEGMENTS, draft
+
+CAR = vehsim.load_vehicle("car")
+
+
+def marks(y, heading=0.0, frame=1073):
+    return [
+        Mark(frame=1001, position=(0, 0, 0), heading=0, velocity=(0, 0, 0)),
+        Mark(frame=frame, position=(15, y, 0), heading=heading, velocity=(0, 0, 0)),
+    ]
+
+
+@pytest.fixture(scope="module")
+def first():
+    clip = vehsim.plan(CAR, None, marks(3.0), fps=24, segments=32).clip
+    return draft(CAR, None, marks(3.0), clip, fps=24, segments=32)
+
+
+def test_a_draft_begins_as_the_plan(first):
+    plan = vehsim.plan(CAR, None, marks(3.0), fps=24, segments=32)
+    assert first.success and not first.reason
+    clip = first.clip()
+    assert np.array_equal(clip.frames, np.arange(1001, 1074))
+    assert np.abs(clip.positions - plan.clip.resample().positions).max() < 0.02
+
+
+def test_a_dragged_draft_follows_its_marks(first):
+    now = first
+    for y, heading in ((3.1, 0.0), (3.6, 5.0), (4.2, 10.0)):
+        now = now.moved(marks(y, heading))
+    assert now.success
+    clip = now.clip()
+    assert clip.positions[-1] == pytest.approx([15.0, 4.2, 0.0], abs=1e-6)
+    yaw = 2 * np.arctan2(clip.orientations[-1, 3], clip.orientations[-1, 0])
+    assert yaw == pytest.approx(np.radians(10.0), abs=1e-6)
+    plan = vehsim.plan(CAR, None, marks(4.2, 10.0), fps=24, segments=32)
+    assert np.abs(clip.positions - plan.clip.resample().positions).max() < 0.05
+
+
+def test_a_failed_draft_says_why_and_the_last_good_one_goes_on(first):
+    beyond = first.moved(marks(3000.0))
+    assert not beyond.success and "off by" in beyond.reason
+    assert first.moved(marks(3.2)).success
+
+
+def test_other_quantities_need_a_new_draft(first):
+    free = [marks(3.0)[0], Mark(frame=1073, position=(15, 3, 0))]
+    with pytest.raises(ValueError, match="make a new draft"):
+        first.moved(free)
+
+
+def test_wheels_stand_on_the_ground_and_segments_are_few():
+    world = vehsim.World(terrain="hills")
+    clip = vehsim.plan(CAR, world, marks(3.0), fps=24, segments=8, refine=False).clip
+    made = draft(CAR, world, marks(3.0), clip, fps=24, segments=400).clip()
+    assert SEGMENTS == 48
+    assert made.positions[:, 2] == pytest.approx(world.height(made.positions[:, :2]), abs=0.3)
+    assert np.ptp(made.positions[:, 2]) > 0.05 and "heave" in made.channels

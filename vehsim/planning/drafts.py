@@ -1,0 +1,103 @@
+"""A draft: the motion while somebody drags its marks. It is solved again from the last one, and nothing else is done.
+
+A plan is refined, certified and audited; a draft is one solution of the optimal control problem on a coarse grid.
+`plan` makes the motion that is exported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from vehsim.clip.clip import Clip
+from vehsim.planning.constraints.clearance import cover_for
+from vehsim.planning.guesses.routes import as_clip, find_paths
+from vehsim.planning.iterate import Iterate, Run
+from vehsim.planning.planner import at_marks
+from vehsim.planning.problem import interrupts
+from vehsim.planning.problem.transcription import transcribe
+from vehsim.planning.request.legs import same_headings
+from vehsim.planning.request.marks import Mark, shape
+from vehsim.planning.request.request import all_marks, ask
+from vehsim.planning.restraint import restrain
+from vehsim.planning.solve import begin, solve
+from vehsim.vehicles import Vehicle
+from vehsim.world.ground.placing import place_on_terrain
+
+SEGMENTS = 48
+"""Largest number of segments of a draft, which determines how long a solve takes."""
+ITERATIONS = 60
+"""Largest number of iterations of a solve: marks that cannot be met must not hold up those that follow."""
+
+
+@dataclass(frozen=True, eq=False)
+class Draft:
+    """A solved motion that follows its marks. ``success``: whether the last solve met its marks and limits.
+
+    Make one with `draft`; `moved` returns the next.
+    """
+
+    _iterate: Iterate
+    _run: Run
+
+    @property
+    def success(self) -> bool:
+        return self._iterate.success
+
+    @property
+    def reason(self) -> str:
+        """What a failed draft misses."""
+        if self.success or self._iterate.solution is None or self._iterate.problem is None:
+            return ""
+        return f"worst {self._iterate.worst()}, off by {self._iterate.solution.violation:.3g}"
+
+    def moved(self, marks: Sequence[Mark]) -> Draft:
+        """The draft for marks that fix the same quantities at other values.
+
+        A failed solve is returned too: the next one starts from the last that succeeded. Raises ``InputError`` for
+        marks that the vehicle or the world refuses.
+        """
+        before = self._iterate.request
+        given = before.given or before.marks
+        request = replace(before, marks=all_marks(marks, before.vehicle, before.world, before.terms))
+        if shape(request.marks) != shape(given):
+            raise ValueError("the marks fix other quantities than before: make a new draft")
+        request = replace(request, given=request.marks, marks=same_headings(request.marks, given, before.marks))
+        run = Run(request, None, self._run.solvers)
+        with interrupts.remembered():
+            iterate = solve(run, at_marks(self._iterate, request))
+        return Draft(iterate, run)
+
+    def clip(self) -> Clip:
+        """The motion on whole frames, with wheels on the ground."""
+        request = self._iterate.request
+        clip = replace(self._iterate.clip, vehicle=request.vehicle)
+        return place_on_terrain(clip.at(_whole(clip)), request.world, samples=1)
+
+
+def draft(vehicle: Vehicle, world: Any, marks: Sequence[Mark], clip: Clip, **options: Any) -> Draft:
+    """The first draft, started from a solved ``clip`` of the same marks; ``options`` as in `plan`.
+
+    Raises ``InputError`` for an invalid request.
+    """
+    segments = max(min(options.get("segments", SEGMENTS), SEGMENTS), 2 * len(marks))
+    request = ask(
+        vehicle, world, marks, **{**options, "refine": False, "segments": segments, "max_iterations": ITERATIONS}
+    )
+    run = Run(request)
+    with interrupts.remembered():
+        paths = find_paths(request, clip, run.deadline.watched(None))
+        cover = cover_for(request, paths, run.deadline.watched(None))
+        guess = as_clip(request, clip)
+        first = begin(run, request, transcribe(request.weighed), cover, paths, guess, coarse=False)
+        iterate = solve(run, first)
+        return Draft(restrain(run, iterate), run)
+
+
+def _whole(clip: Clip) -> Any:
+    """The times of whole frames, s."""
+    count = int(np.floor((clip.times[-1] - clip.times[0]) * float(clip.fps) + 1e-6)) + 1
+    return np.minimum(clip.times[0] + np.arange(count) / float(clip.fps), clip.times[-1])
