@@ -11,7 +11,7 @@ from typing import Any
 from vehsim.exporters.checks.rules import OWN_RULES
 from vehsim.exporters.checks.rules import Issue as Issue
 from vehsim.intake.gate import reason_of
-from vehsim.intake.reader import Answer, apart
+from vehsim.intake.reader import Answer, read_in_process
 
 REMEDIES = {
     "MissingDefaultPrim": "set defaultPrim on the root layer to its top prim",
@@ -29,7 +29,7 @@ REMEDIES = {
 def validate_stage(path: str | Path) -> list[Issue]:
     """All issues of the stage at ``path``; a fault at many places is reported once. Empty if the stage is valid. Raises
     ``InputError`` for a file that crashes USD's validators, or exceeds the limits."""
-    return [Issue(*row) for row in apart(issues_of, Path(path), "STAGE")[0]]
+    return [Issue(*row) for row in read_in_process(issues_of, Path(path), "STAGE")[0]]
 
 
 def issues_of(path: Path) -> Answer:

@@ -14,7 +14,7 @@ import pytest
 from vehsim.errors import InputError
 from vehsim.intake import reader
 from vehsim.intake.gate import LIMITS
-from vehsim.intake.reader import apart, once
+from vehsim.intake.reader import read_cached, read_in_process
 
 sys.path.insert(0, str(Path(__file__).parent))
 import deadly
@@ -31,7 +31,7 @@ def file(tmp_path: Path) -> Path:
 
 
 def process_of(file: Path) -> int:
-    return int(apart(deadly.prints, file, "key")[0]["process"])
+    return int(read_in_process(deadly.prints, file, "key")[0]["process"])
 
 
 @pytest.mark.parametrize(
@@ -45,7 +45,7 @@ def process_of(file: Path) -> int:
 def test_a_file_that_crashes_the_reader_is_refused(file: Path, read: reader.Read, says: str) -> None:
     for _ in range(2):
         with pytest.raises(InputError, match=rf"a.bin: key: {says}"):
-            apart(read, file, "key")
+            read_in_process(read, file, "key")
     assert process_of(file) == process_of(file) != os.getpid()
 
 
@@ -56,18 +56,18 @@ def test_a_file_that_takes_forever_is_refused(
     monkeypatch.setenv("VEHSIM_READ_SECONDS", "1")
     monkeypatch.setattr(reader, "PATIENCE", patience)
     with pytest.raises(InputError, match=r"takes more than 1 s to read; .*raise the limit: VEHSIM_READ_SECONDS=4"):
-        apart(read, file, "key")
+        read_in_process(read, file, "key")
     requests: list[object] = []
     monkeypatch.setattr(reader, "_ask", requests.append)
     with pytest.raises(InputError, match="takes more than 1 s"):  # without waiting again
-        apart(read, file, "key")
+        read_in_process(read, file, "key")
     file.write_bytes(b"other")
-    apart(read, file, "key")
+    read_in_process(read, file, "key")
     assert len(requests) == 1
 
 
 def test_answers_are_plain_and_complete(file: Path) -> None:
-    facts, (empty, text, matrix) = apart(deadly.prints, file, "key")
+    facts, (empty, text, matrix) = read_in_process(deadly.prints, file, "key")
     assert facts["size"] == 7 and empty.shape == (0, 3) and text == "text" and np.array_equal(matrix, np.eye(2))
 
 
@@ -79,7 +79,7 @@ def test_an_interrupt_does_not_mix_up_answers(file: Path, monkeypatch: pytest.Mo
 
     monkeypatch.setattr(reader, "_unpacked", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        apart(deadly.prints, file, "key")
+        read_in_process(deadly.prints, file, "key")
     monkeypatch.setattr(reader, "_unpacked", unpack)
     assert process_of(file) != before
 
@@ -89,7 +89,9 @@ def test_threads_and_forks_get_their_own_answers(file: Path, tmp_path: Path) -> 
         (tmp_path / str(k)).write_bytes(bytes(k))
     sizes: dict[int, int] = {}
     threads = [
-        threading.Thread(target=lambda k=k: sizes.update({k: apart(deadly.prints, tmp_path / str(k), "")[0]["size"]}))
+        threading.Thread(
+            target=lambda k=k: sizes.update({k: read_in_process(deadly.prints, tmp_path / str(k), "")[0]["size"]})
+        )
         for k in range(8)
     ]
     for thread in threads:
@@ -106,20 +108,21 @@ def test_threads_and_forks_get_their_own_answers(file: Path, tmp_path: Path) -> 
 
 def test_a_file_is_read_once_for_its_content(file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("VEHSIM_CACHE", str(tmp_path / "cache"))
-    first = once(deadly.prints, file, "key")
+    first = read_cached(deadly.prints, file, "key")
     monkeypatch.setattr(reader, "_ask", lambda request: pytest.fail("read again"))
     (tmp_path / "other.bin").write_bytes(file.read_bytes())
-    again = once(deadly.prints, tmp_path / "other.bin", "key")
+    again = read_cached(deadly.prints, tmp_path / "other.bin", "key")
     assert again[0] == first[0] and all(map(np.array_equal, again[1], first[1]))
     file.write_bytes(b"changed")
     with pytest.raises(pytest.fail.Exception):
-        once(deadly.prints, file, "key")
+        read_cached(deadly.prints, file, "key")
 
 
 def test_the_reader_ends_with_its_parent(file: Path) -> None:
     program = (
         f"import os, sys; sys.path.insert(0, {str(Path(__file__).parent)!r}); import deadly; from pathlib import Path; "
-        f"from vehsim.intake.reader import apart; p = apart(deadly.prints, Path({str(file)!r}), 'k')[0]['process']; "
+        "from vehsim.intake.reader import read_in_process; "
+        f"p = read_in_process(deadly.prints, Path({str(file)!r}), 'k')[0]['process']; "
         "print(p, flush=True); os.kill(os.getpid(), 9)"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)

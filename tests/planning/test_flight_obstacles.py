@@ -10,7 +10,7 @@ import vehsim
 from vehsim import Mark, World
 from vehsim.errors import InputError, SolveError
 from vehsim.planning.certificates import certify
-from vehsim.planning.request.landing import approach
+from vehsim.planning.request.landing import landing_clearance
 from vehsim.planning.request.ranges import stay
 from vehsim.world.distance.clearance import ObstacleScene
 from vehsim.world.ground import landing
@@ -212,7 +212,7 @@ def test_comes_down_gently_and_never_into_the_ground(touchdown, helicopter):
     assert (down <= 0.5 + away + 0.2).all()
     gaps = world.clearance(helicopter, motion.positions, motion.orientations)
     assert gaps.min() > -1e-3
-    assert (gaps >= approach(away, 1.0, 0.0) - 0.02).all()
+    assert (gaps >= landing_clearance(away, 1.0, 0.0) - 0.02).all()
     # by libigl: never in the pad, and a metre from bare ground
     some = times[::30]
     assert seen_by_igl(plan.clip, PAD.hulls, some).min() > -1e-3

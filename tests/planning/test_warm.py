@@ -10,7 +10,7 @@ from tests.planning.test_plan import REST, tug
 from vehsim import Mark
 from vehsim.planning.constraints import clearance
 from vehsim.planning.constraints.clearance import Clearance
-from vehsim.planning.problem.multipliers import carried
+from vehsim.planning.problem.multipliers import transferred
 from vehsim.planning.problem.solver import Multipliers
 from vehsim.world.terrain.terrain import Terrain
 
@@ -74,7 +74,7 @@ def test_carried_multipliers_are_nearly_those_of_the_finer_problem(name, limits,
     """Costates are functions of time, and the sum of a limit's multipliers does not depend on the number of
     instants."""
     coarse, (true, where) = multipliers_of(name, 24, **limits), multipliers_of(name, 48, **limits)
-    guess = carried(*coarse, where)
+    guess = transferred(*coarse, where)
     assert guess.x.shape == true.x.shape and guess.g.shape == true.g.shape
     rows = np.array([label.split("[")[0] == part for label in where[0].names()])
     assert np.linalg.norm(true.g[rows]) > 0.1

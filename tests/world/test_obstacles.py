@@ -77,7 +77,7 @@ def test_moving_obstacles_go_where_their_clip_goes():
     seconds = 1001 / 24 + np.array([-1.0, 0.0, 0.5, 1.0, 9.0])
     (outlines,) = moving.shapes_at(seconds)
     np.testing.assert_allclose(np.diff(outlines.mean(axis=1)[:, 0]), [0, 2, 2, 0], atol=1e-6)
-    assert not moving.stands
+    assert not moving.is_static
 
 
 def test_obstacles_are_part_of_a_worlds_hash():

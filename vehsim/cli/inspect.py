@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.errors import InputError
-from vehsim.intake.reader import Answer, once
+from vehsim.intake.reader import Answer, read_cached
 from vehsim.intake.toml import read_toml
 from vehsim.intake.usd import open_stage
 
@@ -145,7 +145,7 @@ def _of_folder(folder: Path) -> tuple[Path, dict[str, Any]]:
 
 def _unit_of_obj(path: Path) -> float:
     """The unit, m, that gives a plausible size of a vehicle."""
-    extent = float(once(extent_of_obj, path, "asset")[0])
+    extent = float(read_cached(extent_of_obj, path, "asset")[0])
     return next((unit for least, unit in UNITS if extent > least), 1.0)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.intake.gate import MAX_BYTES, reading, refuse
-from vehsim.intake.reader import Answer, once
+from vehsim.intake.reader import Answer, read_cached
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -22,13 +22,13 @@ NUMBERS = "biuf"
 
 def read_array(path: Path, key: str) -> NDArray[Any]:
     """The array of an ``.npy`` file. Raises ``InputError``."""
-    return once(array, path, key, key)[1][0]
+    return read_cached(array, path, key, key)[1][0]
 
 
 def read_arrays(path: Path, key: str, wanted: Collection[str] | None = None, kinds: str = NUMBERS) -> Arrays:
     """The ``wanted`` arrays that an ``.npz`` file contains, by name; by default all. ``kinds``: those accepted. Raises
     ``InputError``."""
-    names, found = once(arrays, path, key, key, None if wanted is None else list(wanted), kinds)
+    names, found = read_cached(arrays, path, key, key, None if wanted is None else list(wanted), kinds)
     return dict(zip(names, found, strict=True))
 
 

@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.intake.gate import reading, refuse
-from vehsim.intake.reader import Answer, once
+from vehsim.intake.reader import Answer, read_cached
 
 REMEDY = "give a line of column names, then lines of numbers, separated by commas"
 
 
 def read_columns(path: Path, key: str, needed: str) -> dict[str, NDArray[np.float64]]:
     """The columns (n,) of a table with at least one row and a column ``needed``. Raises ``InputError``."""
-    names, (values,) = once(columns, path, key, key)
+    names, (values,) = read_cached(columns, path, key, key)
     if needed not in names:
         raise refuse(path, key, f"no column {needed!r}", "add it", names[:20])
     return dict(zip(names, values, strict=True))

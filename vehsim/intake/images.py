@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.intake.gate import reading, refuse
-from vehsim.intake.reader import Answer, apart, once
+from vehsim.intake.reader import Answer, read_cached, read_in_process
 
 Colours = NDArray[np.uint8]
 
@@ -28,7 +28,7 @@ def read_picture(
 
     ``modes``: the accepted ones of Pillow's; ``remedy``: the fix for others; ``most`` pixels.
     """
-    facts, (pixels,) = once(one_channel, path, "picture", list(modes), most, remedy)
+    facts, (pixels,) = read_cached(one_channel, path, "picture", list(modes), most, remedy)
     return np.asarray(pixels, float), facts["mode"], {int(tag): value for tag, value in facts["tags"].items()}
 
 
@@ -56,14 +56,14 @@ def read_colours(path: Path) -> Colours:
     ``InputError``."""
     file, _, inside = str(path).partition("[")
     given = Path(file), "RGB", inside.rstrip("]")
-    once(decodes, given[0], "texture", *given[1:])
+    read_cached(decodes, given[0], "texture", *given[1:])
     with reading(file, "texture"):
         return _decoded(*given)
 
 
 def read_frame(path: Path, mode: str | None = None) -> NDArray[Any]:
     """A rendered picture in a mode of Pillow's, by default its own. Raises ``InputError``."""
-    return apart(decoded, path, "picture", mode)[1][0]
+    return read_in_process(decoded, path, "picture", mode)[1][0]
 
 
 def decodes(path: Path, mode: str, inside: str) -> Answer:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.intake.gate import reading, refuse
-from vehsim.intake.reader import Answer, apart, once
+from vehsim.intake.reader import Answer, read_cached, read_in_process
 from vehsim.intake.usd import SUFFIXES, open_stage, triangles_of
 
 Array = NDArray[np.float64]
@@ -32,7 +32,7 @@ def read_triangles(path: Path, key: str = "mesh") -> Triangles:
             return _checked(path, key, *_read_usd(path))
     if suffix not in MESHES:
         raise refuse(path, key, "not a mesh file", f"use one of {' '.join(READABLE)}", path.suffix)
-    read = apart if suffix == ".gltf" else once  # its points are in other files
+    read = read_in_process if suffix == ".gltf" else read_cached  # its points are in other files
     _, (points, faces) = read(triangles, path, key, key)
     return points, faces
 

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from vehsim import errors
 from vehsim.errors import InputError, Problem, VehsimError
 from vehsim.intake.gate import limit, raise_limit, reading, refuse
-from vehsim.runtime.cache import Stamp, content_of, keep, recalled, shrink, stamp
+from vehsim.runtime.cache import Stamp, content_of, lookup, shrink, stamp, store
 
 Answer = tuple[Any, list[NDArray[Any]]]
 """Plain data, as JSON has it, and arrays."""
@@ -47,21 +47,21 @@ READY = b"ready"
 PROGRAM = "import sys; sys.path[:] = {}; from vehsim.intake.reader import serve; serve()"
 
 
-def once(read: Read, path: Path, key: str, *more: Any) -> Answer:
+def read_cached(read: Read, path: Path, key: str, *more: Any) -> Answer:
     """The answer of ``read(path, *more)`` in the reader process, or the cached answer for a file of the same content.
     It must depend on content and arguments only. Raises ``InputError`` that names file and ``key``."""
     with reading(path, key):
         made_of = (MADE, _name(read), content_of(path), more)
-    if (found := recalled("read", made_of)) is not None:
+    if (found := lookup("read", made_of)) is not None:
         return _unpacked(io.BytesIO(found))
-    answer = apart(read, path, key, *more)
+    answer = read_in_process(read, path, key, *more)
     if sum(array.nbytes for array in answer[1]) < KEPT:
-        keep("read", made_of, b"".join(_packed(*answer)))
+        store("read", made_of, b"".join(_packed(*answer)))
         shrink("read", MOST_KEPT)
     return answer
 
 
-def apart(read: Read, path: Path, key: str, *more: Any) -> Answer:
+def read_in_process(read: Read, path: Path, key: str, *more: Any) -> Answer:
     """The answer of ``read(path, *more)`` in the reader process. Raises ``InputError`` that names file and ``key``.
 
     Warnings are repeated here. A refused file is not read again before it changes.

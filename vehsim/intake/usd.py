@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from vehsim.errors import InputError
 from vehsim.intake.gate import limit, raise_limit, reading, reason_of, refuse
-from vehsim.intake.reader import Answer, apart
-from vehsim.runtime.cache import Stamp, content_of, keep, recalled, stamp
+from vehsim.intake.reader import Answer, read_in_process
+from vehsim.runtime.cache import Stamp, content_of, lookup, stamp, store
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
@@ -124,15 +124,15 @@ def _screened(asset: Path) -> tuple[tuple[Path, ...], tuple[str, ...]]:
     """The answer of `examine`, cached as long as its files have the same content."""
     most = limit("VEHSIM_READ_PRIMS")
     made_of = (1, str(asset), content_of(asset))
-    kept = recalled("screened", made_of)
+    kept = lookup("screened", made_of)
     facts = None if kept is None else json.loads(kept)
     if (
         facts is None
         or facts["prims"] > most
         or any(content_of(name) != known for name, known in facts["files"].items())
     ):
-        facts = apart(examine, asset, "asset", most)[0]
-        keep("screened", made_of, json.dumps(facts).encode())
+        facts = read_in_process(examine, asset, "asset", most)[0]
+        store("screened", made_of, json.dumps(facts).encode())
     return tuple(map(Path, facts["files"])), tuple(facts["missing"])
 
 

@@ -32,7 +32,7 @@ from vehsim.planning.iterate import Iterate, Progress, Run
 from vehsim.planning.problem import interrupts
 from vehsim.planning.problem.solver import HURRIED, LONGER, LOOSEN
 from vehsim.planning.problem.transcription import transcribe
-from vehsim.planning.refine import approach, ends_elsewhere, execution_tolerance, settle_on_frames
+from vehsim.planning.refine import ends_elsewhere, execution_tolerance, settle_on_frames, to_requested_segments
 from vehsim.planning.request.asks import BEYOND, asks_of
 from vehsim.planning.request.character import NO_MANNER
 from vehsim.planning.request.legs import facing, same_headings
@@ -288,7 +288,7 @@ def _attempt(request: Request, progress: Progress | None, guess: Any, once: bool
     if not (iterate.success or once):
         iterate = from_other_guesses(run, iterate, paths, guess)
     iterate = settle_on_frames(run, restrain(run, in_character(run, iterate, request.manner)))
-    iterate = approach(run, iterate)
+    iterate = to_requested_segments(run, iterate)
     iterate = refine_and_certify(run, iterate)
     return _result(run, iterate)
 

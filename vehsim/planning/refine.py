@@ -43,7 +43,7 @@ def _on_frames(iterate: Iterate, early: float = EARLY) -> Iterate:
     return replace(iterate, x=x, stale=True).with_timing(iterate.timing.settled())
 
 
-def approach(run: Run, iterate: Iterate) -> Iterate:
+def to_requested_segments(run: Run, iterate: Iterate) -> Iterate:
     """From the coarse discretisation of the first solve to the requested one, in steps."""
     requested, refined = iterate.request.segments, iterate.request.refine
     found = True

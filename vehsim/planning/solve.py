@@ -22,7 +22,7 @@ from vehsim.planning.guesses.pace import cruising, fewest_segments
 from vehsim.planning.guesses.paths import along_clip, along_paths, clip_spans
 from vehsim.planning.iterate import Certificate, Finding, Iterate, Run
 from vehsim.planning.problem.layout import Layout
-from vehsim.planning.problem.multipliers import carried
+from vehsim.planning.problem.multipliers import transferred
 from vehsim.planning.problem.solver import Solution, Solver, Start
 from vehsim.planning.problem.solver_cache import common
 from vehsim.planning.problem.transcription import Transcription
@@ -189,7 +189,7 @@ def _answer(run: Run, iterate: Iterate, solver: Solver, start: Start) -> Solutio
     deadline, answer, last = run.deadline.solving, None, iterate.multipliers
     # multipliers of obstacle constraints do not carry over to another discretisation
     if last is not None and not (iterate.blocked and last[1][1] != iterate.layout):
-        given = carried(*last, (solver.problem, iterate.layout))
+        given = transferred(*last, (solver.problem, iterate.layout))
         answer = solver.solve(iterate.x, *bounds, values, deadline, multipliers=given)
         run.iterations += answer.iterations
     if answer is None or not (answer.success or answer.out_of_time or run.deadline.late):

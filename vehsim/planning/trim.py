@@ -35,7 +35,7 @@ def trim(vehicle: Vehicle, wind: tuple[float, ...]) -> Array:
     return np.asarray(solver(x0=start, lbx=lower, ubx=upper)["x"]).ravel() * scale
 
 
-def stands(vehicle: Vehicle) -> bool:
+def rests_uncontrolled(vehicle: Vehicle) -> bool:
     """Whether the vehicle stays at rest and level with its controls at zero."""
     force = _standing(vehicle, (0.0, 0.0, 0.0))(np.zeros(len(vehicle.controls)))[0]
     return bool(np.abs(np.asarray(force)).max(initial=0.0) < 1e-9)

@@ -72,7 +72,7 @@ def moved(rig: Rig, path: str, channels: Mapping[str, Array], count: int) -> Mot
     return R, p
 
 
-def carried(
+def part_poses(
     rig: Rig, path: str, channels: Mapping[str, Array], positions: Array, orientations: Array
 ) -> tuple[Array, Array]:
     """Poses (n, 3) m and (n, 4) that carry the part at ``path`` from its rest in the root's frame into the world, at

@@ -29,7 +29,7 @@ from vehsim.errors import InputError
 from vehsim.intake.usd import complaints, open_stage
 from vehsim.rig.hulls import Faces, Mesh, apply, convex_hulls, mesh_of
 from vehsim.rig.rig import Rig
-from vehsim.runtime.cache import keep, made_of, packed, recalled, unpacked
+from vehsim.runtime.cache import lookup, made_of, packed, store, unpacked
 
 Array = NDArray[np.float64]
 
@@ -104,7 +104,7 @@ def solids(asset: str | Path, root: str | None = None) -> list[Solid]:
     plan.
     """
     key, began = (str(asset), _content(asset), root), time.time()
-    kept = recalled("solids", key)
+    kept = lookup("solids", key)
     found, messages = _unpacked(kept) if kept is not None else (None, [])
     if found is None:
         from pxr import Sdf
@@ -124,7 +124,7 @@ def solids(asset: str | Path, root: str | None = None) -> list[Solid]:
             for part, own in zip(parts, meshes, strict=True)
         ]
         if files := _files(asset, held, began):
-            keep("solids", key, _packed(found, messages, files))
+            store("solids", key, _packed(found, messages, files))
     for message in messages:
         warnings.warn(message, stacklevel=2)
     return found

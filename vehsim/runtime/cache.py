@@ -58,11 +58,11 @@ def cache_folder() -> Path:
 def kept(kind: str, key: object, make: Callable[[], bytes]) -> bytes:
     """The result of ``make``, cached for other processes under everything that it depends on. Safe under concurrent
     writers; a damaged entry is made again. ``kind``: change it when ``make`` changes."""
-    found = recalled(kind, key)
-    return keep(kind, key, make()) if found is None else found
+    found = lookup(kind, key)
+    return store(kind, key, make()) if found is None else found
 
 
-def recalled(kind: str, key: object) -> bytes | None:
+def lookup(kind: str, key: object) -> bytes | None:
     """The result that a process has stored with `keep`; None if there is none."""
     file = _entry(kind, key)
     with suppress(OSError):
@@ -75,7 +75,7 @@ def recalled(kind: str, key: object) -> bytes | None:
     return None
 
 
-def keep(kind: str, key: object, made: bytes) -> bytes:
+def store(kind: str, key: object, made: bytes) -> bytes:
     """Store what was ``made`` for all processes, and return it."""
     file = _entry(kind, key)
     try:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vehsim.errors import InputError
-from vehsim.runtime.cache import content_of, keep, packed, recalled, shrink, unpacked
+from vehsim.runtime.cache import content_of, lookup, packed, shrink, store, unpacked
 from vehsim.runtime.code import code
 from vehsim.runtime.registry import Registry
 
@@ -54,9 +54,9 @@ def recalled_or(
     most = _most()
     if key is None or most <= 0:
         return solve(), False
-    content = found = recalled(KIND, key)
+    content = found = lookup(KIND, key)
     if content is None:
-        content = keep(KIND, key, _solved(solve))
+        content = store(KIND, key, _solved(solve))
         shrink(KIND, most)
     motion, texts = _unpacked(content, vehicles)
     for text in texts:

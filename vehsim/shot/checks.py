@@ -40,7 +40,7 @@ class Setting:
         return float((Fraction(frame) - self.first) / self.fps)
 
 
-def choose(name: str, known: Collection[str]) -> str:
+def did_you_mean(name: str, known: Collection[str]) -> str:
     close = get_close_matches(name, list(known), n=1)
     return f"did you mean {close[0]!r}?" if close else f"choose one of {', '.join(sorted(known)) or '(none)'}"
 
@@ -48,7 +48,7 @@ def choose(name: str, known: Collection[str]) -> str:
 def check_names(key: str, given: Mapping[str, Any], known: Collection[str], noun: str) -> Iterator[Problem]:
     for name, value in given.items():
         if name not in known:
-            yield Problem(f"{key}.{name}", f"no such {noun}", choose(name, known), value)
+            yield Problem(f"{key}.{name}", f"no such {noun}", did_you_mean(name, known), value)
 
 
 def check_asset(key: str, asset: str, vehicle: Vehicle) -> Iterator[Problem]:
@@ -96,10 +96,10 @@ def check_variants(key: str, given: Mapping[str, str], rig: Rig | None) -> Itera
         sets = {**sets, "rotor": ["blades", "disc"]}  # made with the animation layer
     for name, variant in given.items():
         if name not in sets:
-            remedy = choose(name, sets) if sets else "the asset has none: remove variants"
+            remedy = did_you_mean(name, sets) if sets else "the asset has none: remove variants"
             yield Problem(f"{key}.{name}", "no such variant set", remedy, variant)
         elif variant not in sets[name]:
-            yield Problem(f"{key}.{name}", "no such variant", choose(variant, sets[name]), variant)
+            yield Problem(f"{key}.{name}", "no such variant", did_you_mean(variant, sets[name]), variant)
 
 
 def check_trailer(vehicle: Vehicle, world: World) -> Iterator[Problem]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from vehsim.errors import Problem
-from vehsim.shot.checks import choose
+from vehsim.shot.checks import did_you_mean
 from vehsim.shot.schema.shot_file import ShotFile
 
 
@@ -17,7 +17,7 @@ def check_cuts(file: ShotFile) -> Iterator[Problem]:
     used: list[str] = []
     for i, piece in enumerate(file.cut):
         if piece.camera not in cameras:
-            yield Problem(f"cut[{i}].camera", "no such camera", choose(piece.camera, cameras), piece.camera)
+            yield Problem(f"cut[{i}].camera", "no such camera", did_you_mean(piece.camera, cameras), piece.camera)
             continue
         used.append(piece.camera)
         if i and piece.frame <= file.cut[i - 1].frame:
@@ -32,4 +32,4 @@ def check_cuts(file: ShotFile) -> Iterator[Problem]:
     names = [*cameras, CUT] if file.cut else [*cameras]
     for i, name in enumerate(file.render.cameras or []):
         if name not in names:
-            yield Problem(f"render.cameras[{i}]", "no such camera", choose(name, names), name)
+            yield Problem(f"render.cameras[{i}]", "no such camera", did_you_mean(name, names), name)

@@ -26,7 +26,7 @@ from vehsim.shot.checks import (
     check_names,
     check_trailer,
     check_variants,
-    choose,
+    did_you_mean,
 )
 from vehsim.shot.cuts import check_cuts
 from vehsim.shot.follow_through import hold, rests
@@ -124,7 +124,7 @@ class Shot:
         known = [vehicle.name for vehicle in self.file.vehicle]
         for name in names:
             if name not in known:
-                raise ShotError([Problem("--only", "no such vehicle", choose(name, known), name, self.source)])
+                raise ShotError([Problem("--only", "no such vehicle", did_you_mean(name, known), name, self.source)])
         kept = [vehicle for vehicle in self.file.vehicle if vehicle.name in names]
         cameras = [
             camera if camera.target in (None, *names) else camera.model_copy(update={"target": kept[0].name})
@@ -332,9 +332,11 @@ class Shot:
         vehicles = [vehicle.name for vehicle in self.file.vehicle]
         for i, camera in enumerate(self.file.camera):
             if camera.rig not in RIGS:
-                yield Problem(f"camera[{i}].rig", "no such rig", choose(camera.rig, RIGS), camera.rig)
+                yield Problem(f"camera[{i}].rig", "no such rig", did_you_mean(camera.rig, RIGS), camera.rig)
             if camera.target is not None and camera.target not in vehicles:
-                yield Problem(f"camera[{i}].target", "no such vehicle", choose(camera.target, vehicles), camera.target)
+                yield Problem(
+                    f"camera[{i}].target", "no such vehicle", did_you_mean(camera.target, vehicles), camera.target
+                )
             if camera.look_at is not None and camera.look_at == camera.position:
                 yield Problem(
                     f"camera[{i}].look_at",

@@ -1,8 +1,8 @@
 """Clearance in flight: spheres around the vehicle's hulls stay out of distance fields of terrain and obstacles.
 
 Everything at rest is one field. Each moving obstacle has a field in its own frame, and its poses are parameters. Near a
-landing the requested clearance decreases, see `landing.approach`. The finished motion is certified with the hulls
-themselves; if it comes too near, the requested clearance is increased.
+landing the requested clearance decreases, see `landing.landing_clearance`. The finished motion is certified with the
+hulls themselves; if it comes too near, the requested clearance is increased.
 """
 
 from __future__ import annotations
@@ -24,7 +24,15 @@ from vehsim.planning.problem.elements import Element, NonlinearProgram, SpatialF
 from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.stage import knot_view, middle_view
 from vehsim.planning.problem.transcription import Transcription
-from vehsim.planning.request.landing import ROUND, SLOPE, approach, attitude, forgiven, landings, rounded_distance
+from vehsim.planning.request.landing import (
+    ROUND,
+    SLOPE,
+    attitude,
+    forgiven,
+    landing_clearance,
+    landings,
+    rounded_distance,
+)
 from vehsim.planning.request.marks import Mark
 from vehsim.planning.request.request import ROOM, Request, search_boxes
 from vehsim.planning.terms import COSTS, HazardView, KnotView, costs_of, weight_of
@@ -82,12 +90,12 @@ MIDDLES = Site("middles", ("x", "z", "h"), lambda t, v: middle_view(t, v["x"], v
 class SphereCover:
     """A sphere cover of a vehicle, and the distance fields it keeps clear of.
 
-    ``centres`` (k, 3) m and ``radii`` (k,) m of spheres that contain the vehicle; ``stands``: the distance field of
+    ``centres`` (k, 3) m and ``radii`` (k,) m of spheres that contain the vehicle; ``static``: the distance field of
     the static obstacles and the terrain, or None; ``moving``: each moving obstacle with its field; ``elements``: shared
     by all discretisations.
     """
 
-    stands: DistanceField | None
+    static: DistanceField | None
     centres: Array
     radii: Array
     moving: tuple[tuple[Moving, DistanceField], ...] = ()
@@ -95,8 +103,8 @@ class SphereCover:
 
     def hazards(self) -> Iterator[Hazard]:
         """Everything at rest, then each moving obstacle."""
-        if self.stands is not None:
-            yield Hazard("standing", self.stands)
+        if self.static is not None:
+            yield Hazard("standing", self.static)
         for i, (_, own) in enumerate(self.moving):
             yield Hazard(f"moving[{i}]", own, moves=True)
 
@@ -143,7 +151,7 @@ class Clearance(Block):
         if self.cover is None:
             return values
         values |= {weight_of(name): self.request.weights[name] for name in self.costs}
-        if self.cover.stands is not None:
+        if self.cover.static is not None:
             values |= {_touching(i): self._touching(mark) for i, mark in self._landings().items()}
         for i, (obstacle, _) in enumerate(self.cover.moving):
             positions, orientations = obstacle.poses_at(_seconds(trajectory))
@@ -155,16 +163,16 @@ class Clearance(Block):
     def _landings(self) -> dict[int, Mark]:
         """The marks on the ground by index, each once even if held; empty if nothing is at rest."""
         assert self.cover is not None
-        if self.cover.stands is None:
+        if self.cover.static is None:
             return {}
         return {i: mark for i, mark in enumerate(self.request.marks) if mark.on_ground and not mark.hold}
 
     def _touching(self, mark: Mark) -> Array:
         """The position (3,) m of a mark's root, and the distances (k,) m of its spheres from everything at rest."""
-        assert self.cover is not None and self.cover.stands is not None
+        assert self.cover is not None and self.cover.static is not None
         place = np.asarray(mark.position, float)
         centres = place + self.cover.centres @ SO3.matrix(attitude(mark)).T
-        return np.concatenate([place, self.cover.stands.value(centres) - self.cover.radii])
+        return np.concatenate([place, self.cover.static.value(centres) - self.cover.radii])
 
     def _element(self, transcription: Transcription, hazard: Hazard, site: Site) -> Element:
         assert self.cover is not None
@@ -177,18 +185,18 @@ class Clearance(Block):
 
     def distances(self, trajectory: Trajectory) -> Array:
         """Distance of the nearest sphere from everything at rest at every place, m."""
-        assert self.cover is not None and self.cover.stands is not None
+        assert self.cover is not None and self.cover.static is not None
         standing, out = next(self.cover.hazards()), [np.zeros(0)]
         for site, y in _places(trajectory.layout, self.request.marks).items():
             if y.shape[1]:
                 element = self._element(trajectory.transcription, standing, site)
                 points = np.asarray(element.points.map(y.shape[1])(trajectory.x[y], 0))
-                away = self.cover.stands.value(points.T).reshape(y.shape[1], -1)
+                away = self.cover.static.value(points.T).reshape(y.shape[1], -1)
                 out.append((away - self.cover.radii).min(axis=1))
         return np.concatenate(out)
 
     def prolongate(self, coarse: Trajectory, fine: Trajectory) -> Clearance:
-        if self.cover is None or self.cover.stands is None or self.costs:
+        if self.cover is None or self.cover.static is None or self.costs:
             return replace(self, near=None)
         return replace(self, near=self.distances(fine) < self.required + SIGHT)
 
@@ -268,7 +276,7 @@ def clearance_element(
         for landing in ca.vertsplit(given, width) if landed else []:
             distance = rounded_distance(view.position, landing[:3])
             touching = ca.fmin(landing[3:], clearance - ROUND)
-            wanted = ca.fmin(wanted, approach(distance, clearance, touching, ca.tanh))
+            wanted = ca.fmin(wanted, landing_clearance(distance, clearance, touching, ca.tanh))
     met, models = ca.horzcat(*points), ca.SX.sym("models", 13, len(points))
     free = second_order(met, models) - radii
     rates = [COSTS[name](HazardView(free)) for name in costs]

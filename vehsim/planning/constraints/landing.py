@@ -15,7 +15,7 @@ from vehsim.planning.problem.elements import Element, NonlinearProgram
 from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.stage import knot_view
 from vehsim.planning.problem.transcription import Transcription
-from vehsim.planning.request.landing import GENTLE, SINK, approach, attitude, rounded_distance
+from vehsim.planning.request.landing import GENTLE, SINK, attitude, landing_clearance, rounded_distance
 from vehsim.planning.request.marks import Mark, end_of_hold
 from vehsim.world.ground.landing import feet
 
@@ -62,7 +62,7 @@ def landing_element(transcription: Transcription, upright: Array) -> Element:
     view = knot_view(transcription, v["x"], ca.SX.zeros(transcription.sizes[3]))
     distance = rounded_distance(view.position, place)
     counts = 1 / (1 + (distance / FADE) ** 4)
-    above = approach(distance, clearance, 0.0, ca.tanh)
+    above = landing_clearance(distance, clearance, 0.0, ca.tanh)
     below = feet(transcription.vehicle)
     flat = below @ SO3.matrix(upright).T
     rise = [

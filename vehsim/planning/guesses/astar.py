@@ -116,7 +116,7 @@ class _Ground:
         size = float(np.linalg.norm(outline, axis=1).max())
         still = [o.parts[i] for o, i in parts if not o.moves]
         still += [outline for outlines in met for outline in outlines[:: max(1, len(outlines) // 8)]]
-        still += [o.shapes_at(np.zeros(1))[0][0] for o, _ in parts if o.moves and o.stands]
+        still += [o.shapes_at(np.zeros(1))[0][0] for o, _ in parts if o.moves and o.is_static]
         corners = [shape.outline() if hasattr(shape, "outline") else shape for shape in still]
         points = np.vstack([ends, *corners])
         room = 4 * size + 2 * clearance

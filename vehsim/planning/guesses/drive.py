@@ -56,7 +56,7 @@ def drive(request: Request, parts: Parts, wariness: int = 0) -> list[Array]:
 
 def _met(request: Request, parts: Parts, path: Array, start: float, duration: float) -> list[Array]:
     """Outlines (k, 2) of moving obstacles where a motion at constant speed along a path (k, 4) meets them."""
-    moving = [(o, k) for o, k in parts if o.moves and not o.stands]
+    moving = [(o, k) for o, k in parts if o.moves and not o.is_static]
     if not moving:
         return []
     travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path[:, :2], axis=0), axis=1))])

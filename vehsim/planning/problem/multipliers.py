@@ -19,7 +19,7 @@ from vehsim.planning.problem.solver import Multipliers
 Array = NDArray[np.float64]
 
 
-def carried(
+def transferred(
     multipliers: Multipliers, old: tuple[NonlinearProgram, Layout], new: tuple[NonlinearProgram, Layout]
 ) -> Multipliers:
     """The multipliers of ``old`` as an initial guess for ``new``; zero for rows that ``old`` does not have."""

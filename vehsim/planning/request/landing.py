@@ -42,7 +42,7 @@ def attitude(mark: Mark) -> Array:
     return from_yaw(np.deg2rad(mark.heading or 0.0))
 
 
-def approach(distance: Any, clearance: Any, touching: Any, tanh: Any = np.tanh) -> Any:
+def landing_clearance(distance: Any, clearance: Any, touching: Any, tanh: Any = np.tanh) -> Any:
     """The requested clearance, m, at ``distance`` m from a landing, where it is ``touching`` m: a rounded cone."""
     lack = clearance - touching
     return clearance - lack * (1 - tanh(SLOPE * distance / lack))
@@ -59,7 +59,7 @@ def forgiven(marks: Sequence[Mark], wanted: float) -> Callable[[Array], Array]:
     places = [np.asarray(mark.position, float) for mark in landings(marks)]
 
     def less(positions: Array) -> Array:
-        away = [wanted - approach(np.linalg.norm(positions - p, axis=1), wanted, 0.0) for p in places]
+        away = [wanted - landing_clearance(np.linalg.norm(positions - p, axis=1), wanted, 0.0) for p in places]
         return np.max(away, axis=0, initial=0.0) if away else np.zeros(len(positions))
 
     return less

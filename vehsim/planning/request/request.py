@@ -23,7 +23,7 @@ from vehsim.planning.request.legs import knots_within, mark_positions
 from vehsim.planning.request.marks import Mark, check_marks, end_of_hold, with_breaks
 from vehsim.planning.request.marks_near_obstacles import check_marks_clear
 from vehsim.planning.terms import Constraint, Limits, Term, check_limits, check_terms, cost_weights
-from vehsim.planning.trim import stands
+from vehsim.planning.trim import rests_uncontrolled
 from vehsim.vehicles import Vehicle
 from vehsim.vehicles.definition.character import STUNT
 from vehsim.world.ground import landing
@@ -189,7 +189,7 @@ def default_costs(vehicle: Vehicle, marks: Sequence[Mark]) -> dict[str, float]:
     Time is added if the duration is free and standing still costs no effort: otherwise the slowest motion would be
     optimal.
     """
-    patient = len(marks) > 0 and marks[-1].frame == "free" and stands(vehicle)
+    patient = len(marks) > 0 and marks[-1].frame == "free" and rests_uncontrolled(vehicle)
     return ({"time": 1.0} if patient else {}) | dict(vehicle.default_costs)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field
 
 from vehsim.errors import Problem
-from vehsim.shot.checks import Setting, check_names, choose
+from vehsim.shot.checks import Setting, check_names, did_you_mean
 from vehsim.shot.schema.tables import MAX_FRAMES, InSchema, Number, Positive, StartTable, Table, Text, names_in
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ class IntegrateMotion(Table):
         from vehsim.integrators.references import METHODS
 
         if self.integrator not in (known := (OURS, *METHODS)):
-            yield Problem("integrator", "no such integrator", choose(self.integrator, known), self.integrator)
+            yield Problem("integrator", "no such integrator", did_you_mean(self.integrator, known), self.integrator)
         if self.duration * setting.fps > MAX_FRAMES:
             yield Problem("duration", f"more than {MAX_FRAMES} frames", "shorten it", self.duration)
         yield from check_names("start.joints", self.start.joints, vehicle.joints, "joint")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 
 from vehsim.errors import InputError, Problem
-from vehsim.shot.checks import check_names, choose
+from vehsim.shot.checks import check_names, did_you_mean
 from vehsim.shot.schema.tables import Table, Text, one_of
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ class PilotTable(Table):
         from vehsim.pilots.controllers import PILOTS
 
         if self.name not in PILOTS:
-            remedy = choose(self.name, PILOTS)
+            remedy = did_you_mean(self.name, PILOTS)
             yield Problem("pilot.name", "no such pilot", remedy, self.name)
             return
         signature = inspect.signature(PILOTS[self.name])

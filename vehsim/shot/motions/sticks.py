@@ -10,7 +10,7 @@ import numpy as np
 
 from vehsim.errors import InputError, Problem
 from vehsim.intake.columns import read_columns
-from vehsim.shot.checks import Setting, choose
+from vehsim.shot.checks import Setting, did_you_mean
 from vehsim.shot.motions.simulate import ForwardMotion, Values, linear
 from vehsim.shot.schema.tables import Text
 
@@ -56,7 +56,7 @@ class SticksMotion(ForwardMotion):
         units = {control.name: control.unit for control in vehicle.controls}
         for column, (name, unit) in _controls_of(table).items():
             if name not in units:
-                yield Problem("file", f"column {column!r}: no such control", choose(name, units), self.file)
+                yield Problem("file", f"column {column!r}: no such control", did_you_mean(name, units), self.file)
                 continue
             if unit is not None and unit != units[name]:
                 remedy = f"give {units[name] or 'a number without a unit'}"

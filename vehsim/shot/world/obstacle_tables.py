@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vehsim.errors import InputError, Problem
-from vehsim.shot.checks import choose
+from vehsim.shot.checks import did_you_mean
 from vehsim.shot.schema.world import VehicleObstacleTable
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def check_obstacles(tables: Sequence[Any], folder: Path, vehicles: Sequence[str]
         key = f"world.obstacle[{i}]"
         if isinstance(table, VehicleObstacleTable):
             if table.vehicle not in vehicles:
-                yield Problem(f"{key}.vehicle", "no such vehicle", choose(table.vehicle, vehicles), table.vehicle)
+                yield Problem(f"{key}.vehicle", "no such vehicle", did_you_mean(table.vehicle, vehicles), table.vehicle)
         else:
             try:
                 _make(i, table, folder)

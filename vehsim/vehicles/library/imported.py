@@ -23,7 +23,7 @@ import numpy as np
 
 from vehsim.errors import InputError
 from vehsim.intake.gate import reading
-from vehsim.intake.reader import Answer, apart, once
+from vehsim.intake.reader import Answer, read_cached, read_in_process
 from vehsim.intake.usd import open_stage
 from vehsim.runtime.cache import SOURCE, cache_folder, is_whole, seal
 from vehsim.runtime.files import write_file
@@ -208,7 +208,7 @@ def _converted(path: Path, up: str, metres: float) -> Path:
     """A GLB, glTF or OBJ file as USD in the cache, keyed by content: nodes become Xforms, in the file's own units."""
     with reading(path, "asset"):
         data = path.read_bytes()
-    if path.suffix.lower() != ".obj" and (found := once(motions, path, "asset")[0]):
+    if path.suffix.lower() != ".obj" and (found := read_cached(motions, path, "asset")[0]):
         remedy = "export the asset as USD to keep its motion"
         warnings.warn(f"{path}: has {' and '.join(found)}; only its rest pose is read; {remedy}", stacklevel=2)
     digest = hashlib.sha256(f"7 {path.name} {up} {metres}".encode() + data).hexdigest()[:24]
@@ -218,7 +218,7 @@ def _converted(path: Path, up: str, metres: float) -> Path:
         return file
     beside = folder.with_name(f".{folder.name}.{secrets.token_hex(4)}")
     try:
-        apart(convert, path, "asset", str(beside / file.name), up, metres)
+        read_in_process(convert, path, "asset", str(beside / file.name), up, metres)
     except InputError:
         shutil.rmtree(beside, ignore_errors=True)
         raise

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim.rig.linkage import carried
+from vehsim.rig.linkage import part_poses
 from vehsim.rig.parts import add_to_spec, solids
 from vehsim.rig.rig import Rig
 from vehsim.world.obstacles.articulated import carriers_of
@@ -74,7 +74,7 @@ class ObstacleScene:
         """
         own = [(positions, orientations)]
         if self.rig is not None:
-            own = [carried(self.rig, path, channels, positions, orientations) for path in self.carriers]
+            own = [part_poses(self.rig, path, channels, positions, orientations) for path in self.carriers]
         moving = {k: o for k, o in enumerate(self.obstacles) if isinstance(o, Moving)}
         shown = [k for k in range(len(self.obstacles)) if k not in moving or seconds is not None]
         placed = [*zip(self._places[0], own, strict=True)]
@@ -82,7 +82,7 @@ class ObstacleScene:
             if seconds is not None:
                 rig, there = _rig(obstacle), obstacle.poses_at(seconds)
                 turned = obstacle.channels_at(seconds)
-                poses = [carried(rig, path, turned, *there) for path in _carriers(obstacle)]
+                poses = [part_poses(rig, path, turned, *there) for path in _carriers(obstacle)]
                 placed += zip(self._places[k + 1], poses, strict=True)
         groups = [self._theirs[k] for k in shown] if each else [[geom for k in shown for geom in self._theirs[k]]]
         columns = shown if each else [0]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from vehsim.clip.clip import Clip
 from vehsim.lie.quaternions import matrices, tilt_of, yaw_tilt
-from vehsim.rig.linkage import carried
+from vehsim.rig.linkage import part_poses
 from vehsim.rig.rig import Rig
 from vehsim.world.ground.springs import deflections, lean_of
 from vehsim.world.ground.trailers import tilted
@@ -56,7 +56,7 @@ def place_on_terrain(clip: Clip, world: Any, samples: int = SAMPLES) -> Clip:
     clip = _dense(clip, samples)
     yaw = tilt_of(clip.orientations)[0]
     rest = _rest(terrain, own, clip.positions[:, :2], yaw)
-    held = _held(clip, rest)
+    held = _tyre_force(clip, rest)
     deflection = np.zeros_like(rest)
     if any(wheel.travel for wheel in own) and len(clip) > 1:
         deflection = deflections(clip.times, rest, lean_of(*held, own, rig.suspension), rig.suspension)
@@ -84,7 +84,7 @@ def _is_on_terrain(clip: Clip, terrain: Terrain, wheels: tuple[Wheel, ...]) -> b
 
 def _travel(rig: Any, terrain: Terrain, wheel: Wheel, channels: Any, positions: Array, orientations: Array) -> Array:
     """Travel (n,) m at which a wheel touches, on the vehicle's own body or on a trailer."""
-    return touch(terrain, wheel, *carried(rig, wheel.carrier, channels, positions, orientations))
+    return touch(terrain, wheel, *part_poses(rig, wheel.carrier, channels, positions, orientations))
 
 
 def _dense(clip: Clip, samples: int) -> Clip:
@@ -113,7 +113,7 @@ def _rest(terrain: Terrain, wheels: tuple[Wheel, ...], xy: Array, yaw: Array) ->
     return pose
 
 
-def _held(clip: Clip, rest: Array) -> tuple[Array, Array]:
+def _tyre_force(clip: Clip, rest: Array) -> tuple[Array, Array]:
     """The force per mass that tyres must provide for a vehicle at rest on its springs (n, 3): (n,) m/s^2 along and
     across it."""
     from vehsim.vehicles.definition.holonomic import GRAVITY
@@ -152,7 +152,7 @@ def _wheel_channels(
     """Travel of every wheel that has a channel for it, and its rotation, by the true path of its hub."""
     made = {}
     for wheel in wheels:
-        there, turned = carried(rig, wheel.carrier, channels, positions, orientations)
+        there, turned = part_poses(rig, wheel.carrier, channels, positions, orientations)
         travel = np.zeros(len(there))
         if wheel.travel is not None:
             travel = made[wheel.travel] = touch(terrain, wheel, there, turned)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.lie.quaternions import matrices, tilt_of
-from vehsim.rig.linkage import carried, screws
+from vehsim.rig.linkage import part_poses, screws
 from vehsim.rig.rig import HITCH_PITCH, HITCH_ROLL, Rig
 from vehsim.vehicles import Vehicle
 from vehsim.vehicles.definition.holonomic import GRAVITY
@@ -96,7 +96,7 @@ def _tilted(
 
     def placed(tilt: Array) -> tuple[Array, Array]:
         values = {name: tilt[:, k] for k, (name, _) in enumerate(trailer.tilts)}
-        return carried(rig, trailer.path, {**channels, **values}, positions, orientations)
+        return part_poses(rig, trailer.path, {**channels, **values}, positions, orientations)
 
     def travel(tilt: Array) -> Array:
         there = placed(tilt)
@@ -105,7 +105,7 @@ def _tilted(
     tilt = _settled(travel, np.zeros((len(times), len(columns))), fit)
     if any(wheel.travel for wheel in trailer.wheels) and len(times) > 2:
         rest = np.column_stack([np.zeros(len(times)), *tilt_of(placed(tilt)[1])[1:]])
-        lean = lean_of(*_held(times, trailer, *placed(tilt)), trailer.wheels, rig.suspension)
+        lean = lean_of(*_tyre_force(times, trailer, *placed(tilt)), trailer.wheels, rig.suspension)
         tilt = tilt + deflections(times, rest[:, columns], lean[:, columns], rig.suspension)
     return {name: tilt[:, k] for k, (name, _) in enumerate(trailer.tilts)}
 
@@ -131,7 +131,7 @@ def _settled(travel: Callable[[Array], Array], tilt: Array, fit: Array) -> Array
     return best
 
 
-def _held(times: Array, trailer: Trailer, positions: Array, orientations: Array) -> tuple[Array, Array]:
+def _tyre_force(times: Array, trailer: Trailer, positions: Array, orientations: Array) -> tuple[Array, Array]:
     """The force per mass that a trailer's tyres and hitch must provide: (n,) m/s^2 along and across it."""
     axle = np.mean([wheel.centre for wheel in trailer.wheels], axis=0)
     yaw, pitch, roll = tilt_of(orientations)

@@ -103,7 +103,7 @@ class Moving:
         return float(self.clip.positions[:, 2].max() + max(hull[:, 2].max() for hull in self.hulls))
 
     @property
-    def stands(self) -> bool:
+    def is_static(self) -> bool:
         """Whether it never moves."""
         poses = np.hstack([self.clip.positions, self.clip.orientations])
         return bool(np.ptp(poses, axis=0).max() < 0.01)
