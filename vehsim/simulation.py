@@ -39,7 +39,7 @@ def simulate(
     fps: Any = 24,
     start_frame: int = 1001,
     *,
-    difference_map: str = "cay",
+    difference_map: str | None = None,
     order: int = 2,
     progress: Progress | None = None,
 ) -> Clip:
@@ -55,11 +55,13 @@ def simulate(
 
     ``step`` s is shortened, if necessary, to a whole fraction of a frame so that every frame is a knot; the duration is
     rounded up to whole steps. ``world.wind`` acts through the vehicle's drag. A planar vehicle keeps its start height;
-    on a terrain, gravity pulls it along slopes, and its wheels follow the ground. ``order`` 2, 4 or 6. Raises
+    on a terrain, gravity pulls it along slopes, and its wheels follow the ground. ``difference_map`` and
+    ``order`` as of `vehsim.integrators.Integrator`. Raises
     ``InputError`` naming key, value and remedy; ``SolveError`` with step, state and residual if a step fails.
     """
     from vehsim.integrators.forced import pushed, substeps
     from vehsim.integrators.integrator import Integrator
+    from vehsim.lie.maps import DEFAULT_MAP
     from vehsim.world.ground.placing import place_on_terrain
     from vehsim.world.ground.slope import on_terrain
     from vehsim.world.world import World
@@ -67,6 +69,7 @@ def simulate(
     rate = _frame_rate(fps)
     wanted = _positive("step", step, "a number of seconds, such as 1/240")
     h = 1 / float(rate) / max(1, math.ceil(1 / float(rate) / wanted - 1e-9))
+    difference_map = difference_map or DEFAULT_MAP
     vehicle, start = _on_water(vehicle, world, start)
     table = None if callable(controls) else _table(vehicle, controls)
     steps = _steps(duration, table, wanted, h)

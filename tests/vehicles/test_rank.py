@@ -33,9 +33,10 @@ def steerable_blade(a=0.0):
 
 
 @pytest.mark.parametrize("a", [0.0, 0.4])
-@pytest.mark.parametrize("h", [np.pi / 200, 0.01])
+@pytest.mark.parametrize("h", [np.pi / 200, np.pi / 201, 0.01])
 def test_motion_continues_where_the_first_choice_of_columns_is_singular(a, h):
-    """The blade makes a full turn, through the angles where vy, then vx, cannot be eliminated.
+    """The blade makes a full turn, through the angles where vy, then vx, cannot be eliminated: at a knot (pi / 200),
+    in the middle of a substep (pi / 201), or near one.
 
     Energy and the constraint show that the motion is valid; a small step and another start give the same motion.
     """
@@ -47,7 +48,7 @@ def test_motion_continues_where_the_first_choice_of_columns_is_singular(a, h):
     r, xi = clip.joints[:, 0], clip.twists
     np.testing.assert_allclose(a * np.cos(r) * xi[:, 0] - np.sin(r) * xi[:, 1] + np.cos(r) * xi[:, 2], 0, atol=1e-9)
     kinetic = clip.energy["kinetic"]
-    assert np.ptp(kinetic) < 1e-6 * kinetic[0]
+    assert np.ptp(kinetic) < (1e-12 if a == 0 else 1e-6) * kinetic[0]
 
 
 def test_motion_does_not_depend_on_the_columns_eliminated():

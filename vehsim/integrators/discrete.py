@@ -24,6 +24,7 @@ import casadi as ca
 
 from vehsim.errors import InputError
 from vehsim.lie import SO3, difference_map
+from vehsim.lie.maps import DEFAULT_MAP
 from vehsim.vehicles import Vehicle
 from vehsim.vehicles.definition.mechanics import (
     Expr,
@@ -55,7 +56,7 @@ class DiscreteMechanics:
     """
 
     vehicle: Vehicle
-    map_name: str = "cay"
+    map_name: str = DEFAULT_MAP
     quadrature: str = "galerkin"
 
     def __post_init__(self) -> None:
@@ -194,6 +195,10 @@ class DiscreteMechanics:
         g1, r1, pi1, residual, push = ca.Function("finish", given, outputs)(z, *given[1:])
         size = 1e-3 * ca.fabs(inertia) + ca.fabs(self.symbols["pi"]) + ca.fabs(push)
         error = ca.mmax(ca.fabs(residual) / size) if residual.shape[0] else ca.SX(0)
+        r = self.symbols["r"]
+        regular = [self.vehicle.regularity(at) for at in (r, (r + r1) / 2, r1)]
+        if any(not isinstance(x, float) for x in regular):
+            error = ca.if_else(ca.mmin(ca.vertcat(*regular)) > _SINGULAR, error, ca.inf)
         # carry the remaining residual along; otherwise a million steps would accumulate it
         return [g1, r1, pi1 - residual, z, error]
 
@@ -264,6 +269,9 @@ def keep(mechanics: DiscreteMechanics, key: str, build: Callable[[], Any]) -> An
 NEWTON_STEPS = 4
 """From a warm start two iterations reach round-off at ordinary steps; otherwise the residual shows it."""
 
+
+_SINGULAR = 1e-8
+"""Regularity of the eliminated columns below which round-off spoils a step."""
 
 CHORD_STEPS = 3
 """From a predicted start two iterations reach the tolerance at ordinary steps, three reach round-off."""

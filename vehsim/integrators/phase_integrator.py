@@ -16,6 +16,7 @@ from vehsim.integrators.fast.steps import PhaseStep
 from vehsim.integrators.guards import changes_rank, check_constraints, check_mass
 from vehsim.integrators.phase import Phase, joints_of, packed, unpacked
 from vehsim.integrators.record import flat
+from vehsim.lie.maps import DEFAULT_MAP
 from vehsim.vehicles import State, Vehicle
 from vehsim.vehicles.definition.base import Array
 from vehsim.vehicles.definition.states import internal
@@ -35,7 +36,7 @@ class PhaseIntegrator:
         self,
         vehicle: Vehicle,
         step: float,
-        difference_map: str = "cay",
+        difference_map: str = DEFAULT_MAP,
         order: int = 2,
         *,
         quadrature: str = "galerkin",

@@ -116,6 +116,10 @@ MAPS: dict[str, _Law] = {
 }
 
 
+DEFAULT_MAP = "tln"
+"""The cheapest and, at equal CPU time, the most accurate on every shipped vehicle (``benchmarks/RESULTS.md``)."""
+
+
 @dataclass(frozen=True, eq=False)
 class DifferenceMap:
     """A difference map on a group. Methods accept CasADi columns, or arrays ``(..., dim)``."""

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from vehsim.integrators import DiscreteMechanics
 from vehsim.integrators.discrete import mechanics_of
+from vehsim.lie.maps import DEFAULT_MAP
 from vehsim.planning.problem.elements import Element
 from vehsim.vehicles import Vehicle
 
@@ -28,7 +29,7 @@ class Transcription:
 
     def __init__(self, vehicle: Vehicle):
         self.vehicle = vehicle
-        self.mechanics: DiscreteMechanics = mechanics_of(vehicle, "cay", "galerkin")
+        self.mechanics: DiscreteMechanics = mechanics_of(vehicle, DEFAULT_MAP, "galerkin")
         self.sizes = self.mechanics.sizes
         self.control_scale = np.array([c.scale for c in vehicle.controls])
         self.momentum_scale = self._mass()

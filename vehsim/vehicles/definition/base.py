@@ -155,5 +155,9 @@ class Definition:
     def potential(self, g: Expr, r: Expr) -> Expr:
         return 0.0
 
+    def regularity(self, r: Expr) -> Expr:
+        """How far ``basis`` and ``connection`` are from singular at ``r`` (s,): from 0 (singular) to 1."""
+        return 1.0
+
     def dissipation(self, g: Expr, r: Expr, u: Expr, xi: Expr, wind: Expr) -> Expr:
         return 0.0

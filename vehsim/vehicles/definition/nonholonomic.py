@@ -126,6 +126,13 @@ class Nonholonomic(Vehicle):
             basis[list(pivots), :] = -ca.solve(w[:, list(pivots)], w[:, free])
         return basis
 
+    def regularity(self, r: Expr) -> Expr:
+        """Squared ratio of the eliminated columns' volume to that of all columns of ``bound(r)``."""
+        w, pivots = self.bound(r), list(self.pivots or ())
+        if not pivots or w.shape[1] == w.shape[0] + 1:
+            return 1.0
+        return ca.det(w[:, pivots]) ** 2 / ca.det(w @ w.T)
+
     def connection(self, r: Expr) -> Expr:
         """``A(r)`` (d + t, s): ``-A u`` satisfies the constraints and carries no momentum along the free directions."""
         s, d, tied = len(self.joints), self.group.dim, list(self.tied)
