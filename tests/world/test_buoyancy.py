@@ -412,6 +412,8 @@ BROKEN = {
     "open": (lambda p, f: (p, f[1:]), r"open: 3 edges without a neighbour"),
     "a face turned": (lambda p, f: (p, np.vstack([f[1:], f[:1, ::-1]])), "open"),
     "inside out": (lambda p, f: (p, f[:, ::-1]), "inside out"),
+    "in a hull": (lambda p, f: join((p, f), (0.5 * p, f)), "a hull inside a hull"),
+    "with a cavity": (lambda p, f: join((p, f), (0.5 * p, f[:, ::-1])), "a cavity in it"),
     "flat": (lambda p, f: (p * [1, 1, 0], f), "no volume|more than two|open"),
     "nan": (lambda p, f: (np.where(p == p.max(), np.nan, p), f), "not finite"),
     "through itself": (lambda p, f: join((p, f), (0.7 * p + [0.5, 0.11, 0.07], f)), "intersects itself at"),
@@ -424,6 +426,37 @@ def test_invalid_hulls_are_refused(name):
     points, faces = break_it(*box(2.0, 1.0, 0.5))
     with pytest.raises(InputError, match=message):
         HullMesh(points, faces, "boat.usda: hull")
+
+
+def test_a_cockpit_is_closed_at_the_gunwale():
+    """An open boat with walls of 4 cm and a raised stern: it floats by its outer volume, up to its lowest rim."""
+    import trimesh
+
+    outside, inside, notch = (trimesh.creation.box(size) for size in ((6, 2, 1), (5.92, 1.92, 1), (1, 9, 0.4)))
+    inside.apply_translation([0, 0, 0.04])
+    notch.apply_translation([2, 0, 0.4])  # the lowest rim is 0.2 m above the middle
+    shell = trimesh.boolean.difference([outside, inside, notch])
+    with pytest.warns(UserWarning, match="an open hull: the space of 7.5 m.3 below its rim, 0.2 m high"):
+        boat = afloat(floating((np.array(shell.vertices), np.array(shell.faces)), 1000.0))
+        height = boat.floating()[0]
+    assert 0.5 - height == pytest.approx(1000 / RHO / 12, rel=1e-6)
+    walls = 0.3 * (6 * 2 - 5.92 * 1.92 - 2 * 0.04)
+    assert boat.hull.volume == pytest.approx(6 * 2 * 0.7 + walls, rel=0.01)
+
+
+def test_a_large_mesh_is_simplified():
+    fine = sphere(1.0, 6)
+    points = fine[0] * [9.0, 3.0, 2.0]
+    with pytest.warns(UserWarning, match=r"81,920 faces, simplified to 2,000: displaced volume within"):
+        light = afloat(floating((points, fine[1]), 60e3))
+        height = light.floating()[0]
+    assert len(light.hull.faces) <= 2000 and light.hull.volume == pytest.approx(
+        HullMesh(points, fine[1]).volume, rel=1e-9
+    )
+    volume = 60e3 / RHO  # that of the lower cap of an ellipsoid
+    z = np.roots([-1 / 12, 0, 1, 4 / 3 - volume / (np.pi * 27)])
+    exact = float(next(r.real for r in z if abs(r.imag) < 1e-9 and abs(r) <= 2))
+    assert -height == pytest.approx(exact, abs=0.004)
 
 
 def test_a_boat_that_sinks_is_reported():

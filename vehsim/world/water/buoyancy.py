@@ -20,6 +20,7 @@ from vehsim.lie.quaternions import cross, matrices
 from vehsim.vehicles.definition.base import State
 from vehsim.world.water.height_field import MOST, WaterField
 from vehsim.world.water.hull_mesh import HullMesh, Wetted, read_hull, wetted
+from vehsim.world.water.hull_repair import repaired
 from vehsim.world.water.motion import Motion
 from vehsim.world.water.potential import Response, response
 from vehsim.world.water.water import GRAVITY, Water
@@ -77,7 +78,7 @@ class Afloat(Environment):
 
     @cached_property
     def hull(self) -> HullMesh:
-        """The hull as given, relative to the body frame's origin."""
+        """The hull as given, `repaired`, relative to the body frame's origin."""
         hull, rig = self.data, self.vehicle.rig
         if hull.points is not None:
             mesh = HullMesh(hull.points, hull.faces, f"{self.vehicle.name}: hull")
@@ -85,7 +86,7 @@ class Afloat(Environment):
             mesh = read_hull(rig.asset, rig.root, hull.prim)
         else:
             raise InputError("missing", "name a closed mesh of its asset", key="hull", subject=self.vehicle.name)
-        return mesh.shifted(self.vehicle.origin)
+        return repaired(mesh).shifted(self.vehicle.origin)
 
     @cached_property
     def size(self) -> Array:

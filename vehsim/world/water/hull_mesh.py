@@ -66,15 +66,32 @@ class HullMesh:
         size = float(np.ptp(self.points, axis=0).max())
         if abs(volume) < 1e-9 * size**3:
             raise self._wrong("encloses no volume", "give it a volume")
-        for part in _parts(self.faces):
-            if _volume(self.points, self.faces[part]) < 0:
-                raise self._wrong("inside out", "turn its faces outwards")
         if len(self.faces) <= CHECKED_FACES:
             crossing = _crossing(self.points, self.faces)
             if crossing is not None:
                 x, y, z = crossing
                 message = f"intersects itself at ({x:.3g}, {y:.3g}, {z:.3g})"
                 raise self._wrong(message, "unite its parts into one surface, or separate them")
+        parts = _parts(self.faces)
+        for part in parts:
+            inward, nested = _volume(self.points, self.faces[part]) < 0, self._nested(part)
+            if nested and inward:
+                raise self._wrong(
+                    "a cavity in it", "remove the inner surface: a sealed hull displaces its outer volume"
+                )
+            if nested:
+                raise self._wrong("a hull inside a hull, which would count twice", "remove the inner surface")
+            if inward:
+                raise self._wrong("inside out", "turn its faces outwards")
+
+    def _nested(self, part: NDArray[np.bool_]) -> bool:
+        """Whether one of the parts is inside the others."""
+        import igl
+
+        if part.all():
+            return False
+        corner = self.points[self.faces[part][:1, 0]]
+        return bool(abs(igl.winding_number(self.points, self.faces[~part], corner)[0]) > 0.5)
 
     def _wrong(self, message: str, remedy: str) -> InputError:
         return InputError(f"not a hull: {message}", remedy, key=self.name)
@@ -86,7 +103,7 @@ class HullMesh:
 
     def shifted(self, offset: Array) -> HullMesh:
         """The same hull relative to ``offset`` (3,) m."""
-        return self._like(self.points - offset, self.faces)
+        return self.replaced(self.points - offset, self.faces)
 
     def refined(self, edge: float) -> HullMesh:
         """The same surface with no edge longer than ``edge`` m, or as close to this as ``MAX_FACES`` permits.
@@ -102,7 +119,7 @@ class HullMesh:
             middle = np.where(long, len(points) + np.cumsum(long) - 1, -1)
             points = np.concatenate([points, (points[a[long]] + points[b[long]]) / 2])
             faces = _halved(points, faces, middle[index])
-        return self._like(points, faces)
+        return self.replaced(points, faces)
 
     def simplified(self, count: int) -> HullMesh:
         """A similar surface of at most ``count`` faces, by collapsing edges (Garland and Heckbert 1997)."""
@@ -111,7 +128,7 @@ class HullMesh:
         if len(self.faces) <= count:
             return self
         points, faces, _, _ = igl.qslim(self.points, self.faces.astype(np.int32), count)
-        return self._like(points, faces.astype(np.int64))
+        return self.replaced(points, faces.astype(np.int64))
 
     @cached_property
     def quadratic(self) -> tuple[Array, Faces]:
@@ -121,7 +138,7 @@ class HullMesh:
         middles = (self.points[a] + self.points[b]) / 2
         return np.concatenate([self.points, middles]), np.concatenate([self.faces, len(self.points) + index], axis=1)
 
-    def _like(self, points: Array, faces: Faces) -> HullMesh:
+    def replaced(self, points: Array, faces: Faces) -> HullMesh:
         """A hull whose surface is known to be valid."""
         other = object.__new__(HullMesh)
         for key, value in (("points", points), ("faces", faces), ("name", self.name)):
