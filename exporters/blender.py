@@ -1,18 +1,23 @@
-"""Open an exported stage in Blender: bake its motion to native keys, or render a still with Cycles.
+"""Open an exported stage in Blender: give its motion native curves, or render a still with Cycles.
 
 Inside Blender, vehsim is not needed: this file runs in a Python with the module `bpy` or in Blender itself (``blender
 --background --python blender.py -- STAGE ...``). The exporters `blend` and `cycles` run it in a separate process.
+
+Blender's importer reads matrices from the file at every frame. `bake` replaces that by curves on location and rotation
+with the numbers of the stage: an accumulated angle stays one, so that no wheel turns backwards between keys.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,10 +28,20 @@ if TYPE_CHECKING:
 
 CACHED = "TRANSFORM_CACHE"
 """The constraint that Blender's USD importer adds to a moving object: it reads the file at every frame."""
+NUMBERED = r"\.\d{3}$"
+"""The end of a name that Blender changed because another object, of any kind, has it."""
 SUN = 4.0
 """Factor by which Blender's USD importer makes a sun too bright: UsdLux's normalised intensity is its irradiance."""
 SECONDS = 240
 """Longest time for rendering a still, s, before denoising."""
+SAMPLES = 40
+"""Samples per pixel of a picture by Cycles."""
+SAME = 1e-3
+"""Largest difference of a matrix entry from the stage, for a place up to a metre from the origin."""
+FINEST = 16
+"""Samples of every frame of a motion that no curves of location and rotation can show."""
+TURN = math.radians(5.0)
+"""Largest rotation between two quaternion keys: Blender interpolates their components linearly."""
 
 
 def open_stage(stage: str | Path, fps: Fraction | None = None) -> Any:
@@ -46,57 +61,398 @@ def open_stage(stage: str | Path, fps: Fraction | None = None) -> Any:
     return scene
 
 
-def bake(scene: Any) -> None:
-    """Replace the file by native keys on every frame: location, rotation and scale, with linear interpolation."""
+# ---------------------------------------------------------------- native curves
+
+
+def bake(scene: Any, stage: str | Path, motion: str | None = None) -> None:
+    """Replace the file by native curves that have the keys of ``stage``: the handles of its splines, or straight lines
+    between its samples.
+
+    An object gets the constant part of its prim's ops as parent inverse, and curves for the rest; ops that one object
+    cannot show get empties above it. What no curves of location and rotation can show is sampled. ``motion``: the
+    variant of the set "motion" to read, where a prim has it.
+    """
     import bpy
 
-    moving = [(found, list(_caches(found))) for found in bpy.data.objects if any(_caches(found))]
-    poses: dict[str, list[Any]] = {found.name: [] for found, _ in moving}
-    frames = range(scene.frame_start, scene.frame_end + 1)
-    for frame in frames:
-        scene.frame_set(frame)
-        for found, _ in moving:
-            above = found.parent.matrix_world if found.parent else None
-            local = above.inverted() @ found.matrix_world if above else found.matrix_world
-            poses[found.name].append((found.matrix_parent_inverse.inverted() @ local).decompose())
-    for found, caches in moving:
-        for constraint in caches:
+    opened, start = _stage(stage), scene.frame_start
+    scene.frame_set(start)
+    objects = {found: next(_caches(found)).object_path for found in bpy.data.objects if any(_caches(found))}
+    shown = {found: _world(found) for found in bpy.data.objects}
+    axes = _axes(opened, start, shown)
+    # what follows the prim's ops: the importer may merge a mesh into the prim above it
+    own = {found: _settled(_inverse(axes @ _at(opened, path, start)) @ shown[found]) for found, path in objects.items()}
+    places = {}
+    for found in objects:
+        carrier = found.parent
+        while carrier is not None and carrier not in objects:
+            carrier = carrier.parent
+        before, root = (_inverse(own[carrier]), objects[carrier]) if carrier else (axes, "/")
+        if found.parent is not None:  # it stands still on its carrier
+            before = _settled(_inverse(shown[found.parent]) @ (shown[carrier] if carrier else _identity())) @ before
+        places[found] = before, root, own[found]
+    for prim in opened.Traverse():
+        variants = prim.GetVariantSet("motion")
+        if motion and motion in variants.GetVariantNames():
+            variants.SetVariantSelection(motion)
+    _set_scene(scene, opened)
+    for found, (before, root, after) in places.items():
+        for constraint in list(_caches(found)):
             found.constraints.remove(constraint)
+        runs = _runs(_prims(opened, root, objects[found]), before, after)
+        if runs is not None:
+            _author(found, *runs)
+    for found, (before, root, after) in sorted(places.items(), key=lambda item: objects[item[0]].count("/")):
+        path = objects[found]
+
+        def world(time: float, path: str = path, after: Any = after) -> Any:
+            return axes @ _at(opened, path, time) @ after
+
+        def local(time: float, path: str = path, root: str = root, around: Any = (before, after)) -> Any:
+            return around[0] @ _inverse(_at(opened, root, time)) @ _at(opened, path, time) @ around[1]
+
+        if not _agrees(scene, found, world):
+            _author_samples(scene, found, local)
+        if found.type == "CAMERA":
+            _author_lens(found, opened.GetPrimAtPath(path))
+    scene.frame_set(start)
+
+
+@dataclass
+class _Run:
+    """Ops of a prim that one object can show: a constant matrix, then translations, then up to three rotations.
+
+    ``moves`` and ``turns``: the axes ("X", "XYZ"; "Q" for a quaternion), the outermost first, and the animated
+    attribute of each.
+    """
+
+    before: Any
+    moves: list[tuple[str, Any]] = field(default_factory=list)
+    turns: list[tuple[str, Any]] = field(default_factory=list)
+
+    def takes(self, kind: str, axes: str) -> bool:
+        """Whether an animated op fits behind those that the run has."""
+        moved, turned = ("".join(each for each, _ in ops) for ops in (self.moves, self.turns))
+        if kind == "translate":
+            return not turned and not {*moved} & {*axes}
+        return not turned or ("Q" not in turned + axes and not {*turned} & {*axes})
+
+
+def _runs(prims: Sequence[Any], before: Any, after: Any) -> tuple[list[_Run], Any] | None:
+    """The ops of ``prims``, outermost first, as runs, and the constant matrix behind them; ``before`` and ``after``
+    are constant matrices around them. None if curves of location and rotation cannot show an op."""
+    from pxr import UsdGeom
+
+    runs: list[_Run] = []
+    constant = before
+    for prim in prims:
+        if not prim.IsA(UsdGeom.Xformable):
+            continue
+        if UsdGeom.Xformable(prim).GetResetXformStack():
+            return None
+        for op in UsdGeom.Xformable(prim).GetOrderedXformOps():
+            if not op.MightBeTimeVarying():
+                constant = constant @ _matrix(op.GetOpTransform(0))
+                continue
+            name = op.GetOpName().split(":")[1]
+            kind = "translate" if name.startswith("translate") else "rotate"
+            axes = "Q" if name == "orient" else name.removeprefix(kind) or "XYZ"
+            axes = axes[::-1] if kind == "rotate" else axes  # USD applies the first axis of rotateXYZ first
+            if op.GetOpName().startswith("!") or not {*axes} <= {*"XYZQ"}:
+                return None
+            if not runs or not _is_identity(constant) or not runs[-1].takes(kind, axes):
+                runs.append(_Run(constant))
+                constant = _identity()
+            (runs[-1].moves if kind == "translate" else runs[-1].turns).append((axes, op.GetAttr()))
+    return runs, constant @ after
+
+
+def _author(found: Any, runs: Sequence[_Run], after: Any) -> None:
+    """Give an object its runs: the last one itself if only a scale follows it, the others on empties above it."""
+    size = after.diagonal()[:3].tolist()
+    scaled = _is_identity(after / [*size, 1.0]) if min(size) > 0 else False
+    above, last = (runs[:-1], runs[-1]) if runs and scaled else (runs, None)
+    parent = found.parent
+    for k, run in enumerate(above):
+        parent = _hang(_empty(found, k), parent, run.before)
+        _author_run(parent, run)
+    if last is None:
+        _hang(found, parent, after)
+    else:
+        _author_run(_hang(found, parent, last.before), last)
+        found.scale = size
+
+
+def _hang(found: Any, parent: Any, matrix: Any) -> Any:
+    """Parent an object with a constant matrix before its own location, rotation and scale, which become zero."""
+    from mathutils import Matrix
+
+    if parent is None and not _is_identity(matrix):
+        parent = _empty(found, "axes")
+        parent.matrix_basis, matrix = Matrix(matrix.tolist()), _identity()
+    found.parent, found.matrix_parent_inverse = parent, Matrix(matrix.tolist())
+    found.matrix_basis = Matrix.Identity(4)
+    return found
+
+
+def _author_run(found: Any, run: _Run) -> None:
+    for axes, attribute in run.moves:
+        for k, axis in enumerate(axes):
+            _curve(found, "location", "XYZ".index(axis), _keys(attribute, k if len(axes) > 1 else None))
+    turned = "".join(axes for axes, _ in run.turns)
+    if turned == "Q":
         found.rotation_mode = "QUATERNION"
-        last = None
-        for frame, (place, turn, size) in zip(frames, poses[found.name], strict=True):
-            if last is not None:
-                turn.make_compatible(last)
-            found.location, found.rotation_quaternion, found.scale, last = place, turn, size, turn
-            for path in ("location", "rotation_quaternion", "scale"):
-                found.keyframe_insert(path, frame=frame)
-        for curve in _curves(found):
-            for key in curve.keyframe_points:
-                key.interpolation = "LINEAR"
-    scene.frame_set(scene.frame_start)
+        _author_quaternions(found, run.turns[0][1])
+        return
+    order = turned + "".join(axis for axis in "ZYX" if axis not in turned)
+    found.rotation_mode = order[::-1]  # Blender first names the axis that it applies first
+    for axes, attribute in run.turns:
+        for axis in axes:
+            index = "XYZ".index(axis)
+            keys = _keys(attribute, index if len(axes) > 1 else None, math.radians(1.0))
+            _curve(found, "rotation_euler", index, keys)
+
+
+def _author_quaternions(found: Any, attribute: Any) -> None:
+    from mathutils import Quaternion
+
+    keys: list[tuple[float, Any]] = []
+    for time in attribute.GetTimeSamples():
+        value = attribute.Get(time)
+        turn = Quaternion((value.GetReal(), *value.GetImaginary()))
+        if keys:
+            early, last = keys[-1]
+            turn.make_compatible(last)
+            count = math.ceil(last.rotation_difference(turn).angle / TURN)
+            shares = [k / count for k in range(1, count)]
+            keys += [(early + share * (time - early), last.slerp(turn, share)) for share in shares]
+        keys.append((time, turn))
+    for k in range(4):
+        _curve(found, "rotation_quaternion", k, [_Key(time, turn[k]) for time, turn in keys])
+
+
+def _author_samples(scene: Any, found: Any, local: Callable[[float], Any]) -> None:
+    """Keys at `FINEST` times of every frame: of ``local``, the matrix on the object's parent at a time."""
+    from mathutils import Matrix
+
+    found.animation_data_clear()
+    found.matrix_parent_inverse, found.rotation_mode = Matrix.Identity(4), "QUATERNION"
+    poses: list[Any] = []
+    for k in range((scene.frame_end - scene.frame_start) * FINEST + 1):
+        time = scene.frame_start + k / FINEST
+        place, turn, size = Matrix(local(time).tolist()).decompose()
+        if poses:
+            turn.make_compatible(poses[-1][2])
+        poses.append((time, place, turn, size))
+    for path, which, count in (("location", 1, 3), ("rotation_quaternion", 2, 4), ("scale", 3, 3)):
+        for k in range(count):
+            _curve(found, path, k, [_Key(pose[0], pose[which][k]) for pose in poses])
+
+
+def _author_lens(found: Any, prim: Any) -> None:
+    """The focal length of a cut between lenses, in the unit of the importer's film back."""
+    attribute = prim.GetAttribute("focalLength")
+    if attribute and attribute.ValueMightBeTimeVarying():
+        scale = found.data.sensor_width / prim.GetAttribute("horizontalAperture").Get()
+        _curve(found.data, "lens", 0, _keys(attribute, None, scale))
+
+
+@dataclass
+class _Key:
+    """A key: its handles are at (time, value) ``before`` and ``after`` it; without them, a straight line follows."""
+
+    time: float
+    value: float
+    before: tuple[float, float] | None = None
+    after: tuple[float, float] | None = None
+
+
+def _keys(attribute: Any, component: int | None, factor: float = 1.0) -> list[_Key]:
+    """The keys of an attribute, or of one component of it: the knots of its spline, or its samples."""
+    if not attribute.HasSpline():
+        values = ((time, attribute.Get(time)) for time in attribute.GetTimeSamples())
+        return [_Key(time, factor * (value if component is None else value[component])) for time, value in values]
+    keys = []
+    for knot in attribute.GetSpline().GetKnots().values():
+        time, value = knot.GetTime(), factor * knot.GetValue()
+        tangents = (
+            (-knot.GetPreTanWidth(), knot.GetPreTanSlope()),
+            (knot.GetPostTanWidth(), knot.GetPostTanSlope()),
+        )
+        keys.append(_Key(time, value, *((time + width, value + factor * slope * width) for width, slope in tangents)))
+    return keys
+
+
+def _curve(found: Any, path: str, index: int, keys: Sequence[_Key]) -> None:
+    """One native curve with these keys."""
+    found.keyframe_insert(path, index=-1 if path == "lens" else index, frame=keys[0].time)
+    (curve,) = [each for each in _curves(found) if each.data_path == path and each.array_index == index]
+    points, smooth = curve.keyframe_points, keys[0].after is not None
+    points.add(len(keys) - len(points))
+    points.foreach_set("co", [x for key in keys for x in (key.time, key.value)])
+    for point in points:
+        point.interpolation = "BEZIER" if smooth else "LINEAR"
+        point.handle_left_type = point.handle_right_type = "FREE" if smooth else "VECTOR"
+    if smooth:
+        points.foreach_set("handle_left", [x for key in keys for x in key.before or ()])
+        points.foreach_set("handle_right", [x for key in keys for x in key.after or ()])
+    curve.update()
+
+
+def _empty(found: Any, suffix: Any) -> Any:
+    import bpy
+
+    empty = bpy.data.objects.new(f"{found.name}.{suffix}", None)
+    empty.empty_display_size = 0.1
+    found.users_collection[0].objects.link(empty)
+    return empty
+
+
+def _agrees(scene: Any, found: Any, world: Callable[[float], Any]) -> bool:
+    """Whether an object stands where ``world`` puts it, on frames and between them."""
+    first, last = scene.frame_start, scene.frame_end
+    for time in sorted({float(first), first + 0.375, (first + last) / 2 + 0.125, float(last)}):
+        scene.frame_set(int(time // 1), subframe=time % 1)
+        matrix = world(time)
+        if abs(_world(found) - matrix).max() > SAME * (1.0 + abs(matrix[:3, 3]).max()):
+            return False
+    return True
+
+
+# ---------------------------------------------------------------- the stage and the scene
+
+
+def _stage(path: str | Path) -> Any:
+    """The stage, read by Blender's own USD."""
+    import bpy
+
+    version = f"python{sys.version_info.major}.{sys.version_info.minor}"
+    home = Path(bpy.utils.resource_path("LOCAL")) / "python" / "lib" / version / "site-packages"
+    sys.path.append(str(home))  # the module bpy does not add it
+    from pxr import Usd
+
+    return Usd.Stage.Open(str(Path(path).resolve()))
+
+
+def _prims(stage: Any, root: str, path: str) -> list[Any]:
+    """The prims below ``root`` down to ``path``."""
+    steps = path.split("/")[1:]
+    paths = ["/" + "/".join(steps[: k + 1]) for k in range(len(steps))]
+    return [stage.GetPrimAtPath(each) for each in paths if root == "/" or each.startswith(f"{root}/")]
+
+
+def _at(stage: Any, path: str, time: float) -> Any:
+    """World matrix of a prim at a time, in the stage's axes and units."""
+    from pxr import UsdGeom
+
+    prim = stage.GetPrimAtPath(path)
+    return _matrix(UsdGeom.XformCache(time).GetLocalToWorldTransform(prim)) if path != "/" else _identity()
+
+
+def _axes(stage: Any, time: float, shown: dict[Any, Any]) -> Any:
+    """The importer's matrix from the stage's axes and units to metres, Z up: that of a root prim."""
+    from pxr import UsdGeom
+
+    for found, matrix in shown.items():
+        prim = stage.GetPrimAtPath(f"/{re.sub(NUMBERED, '', found.name)}")
+        if found.parent is None and prim and prim.IsA(UsdGeom.Xformable):
+            return matrix @ _inverse(_at(stage, str(prim.GetPath()), time))
+    return _identity()
+
+
+def _set_scene(scene: Any, stage: Any) -> None:
+    """Camera, cuts as markers bound to cameras, size, motion blur and renderer, as the stage requests."""
+    from pxr import UsdGeom, UsdRender
+
+    _set_look(scene)
+    settings = UsdRender.Settings.GetStageRenderSettings(stage)
+    targets = settings.GetCameraRel().GetTargets() if settings else []
+    if not targets:
+        return
+    camera, cameras, render = UsdGeom.Camera(stage.GetPrimAtPath(targets[0])), _cameras(), scene.render
+    scene.camera = cameras.get(targets[0].name)
+    render.resolution_x, render.resolution_y = settings.GetResolutionAttr().Get()
+    render.resolution_percentage = 100
+    opens, closes = camera.GetShutterOpenAttr().Get() or 0.0, camera.GetShutterCloseAttr().Get() or 0.0
+    render.use_motion_blur = closes > opens
+    if closes > opens:
+        middle = (opens + closes) / 2
+        render.motion_blur_shutter = closes - opens
+        render.motion_blur_position = "CENTER" if abs(middle) < 1e-6 else "START" if middle > 0 else "END"
+    frames, names = (camera.GetPrim().GetAttribute(f"vehsim:cut:{what}") for what in ("frames", "cameras"))
+    if frames and names:
+        for frame, name in zip(frames.Get(), names.Get(), strict=True):
+            scene.timeline_markers.new(name, frame=frame).camera = cameras.get(name)
+
+
+def _set_look(scene: Any) -> None:
+    """Cycles, denoised, with a filmic look."""
+    render, cycles = scene.render, scene.cycles
+    render.engine = "CYCLES"
+    render.image_settings.file_format = "PNG"
+    cycles.device, cycles.samples, cycles.time_limit = "CPU", SAMPLES, SECONDS
+    cycles.use_adaptive_sampling, cycles.adaptive_threshold = True, 0.04
+    cycles.use_denoising, cycles.denoiser = True, "OPENIMAGEDENOISE"
+    scene.view_settings.view_transform, scene.view_settings.look = "AgX", "AgX - Medium High Contrast"
+    scene.view_settings.exposure = 0.35
+
+
+def _cameras() -> dict[str, Any]:
+    """Camera objects by their prims' names."""
+    import bpy
+
+    return {re.sub(NUMBERED, "", found.name): found for found in bpy.data.objects if found.type == "CAMERA"}
+
+
+def _matrix(matrix: Any) -> Any:
+    """USD's matrix, for row vectors, as an array (4, 4) for column vectors, as Blender has them."""
+    import numpy as np
+
+    return np.array(matrix).T
+
+
+def _identity() -> Any:
+    import numpy as np
+
+    return np.eye(4)
+
+
+def _inverse(matrix: Any) -> Any:
+    import numpy as np
+
+    return np.linalg.inv(matrix)
+
+
+def _is_identity(matrix: Any) -> bool:
+    return bool(abs(matrix - _identity()).max() < 1e-6)
+
+
+def _settled(matrix: Any) -> Any:
+    """The identity instead of a matrix that differs from it by the rounding of Blender's single precision."""
+    return _identity() if abs(matrix - _identity()).max() < SAME else matrix
+
+
+def _world(found: Any) -> Any:
+    import bpy
+    import numpy as np
+
+    return np.array(found.evaluated_get(bpy.context.evaluated_depsgraph_get()).matrix_world)
 
 
 def still(scene: Any, path: str | Path, frame: int, camera: str | None, size: Sequence[int], samples: int) -> None:
     """A picture by Cycles, denoised. ``camera``: by name; default: the stage's only one, or its cut."""
     import bpy
 
-    # Blender calls the second object of a name, of any kind, "pad.001"
-    cameras = {re.sub(r"\.\d{3}$", "", found.name): found for found in bpy.data.objects if found.type == "CAMERA"}
+    cameras = _cameras()
     name = camera or ("cut" if "cut" in cameras else min(cameras, default=None))
     if name not in cameras:
         raise SystemExit(f"camera {name!r}: not in the stage; choose one of {', '.join(sorted(cameras))}")
     scene.camera = cameras[name]
     scene.frame_set(frame)
+    _set_look(scene)
     render = scene.render
-    render.engine, render.filepath = "CYCLES", str(Path(path).resolve())
+    render.filepath = str(Path(path).resolve())
     render.resolution_x, render.resolution_y, render.resolution_percentage = size[0], size[1], 100
-    render.image_settings.file_format = "PNG"
-    cycles = scene.cycles
-    cycles.device, cycles.samples, cycles.time_limit = "CPU", samples, SECONDS
-    cycles.use_adaptive_sampling, cycles.adaptive_threshold = True, 0.04
-    cycles.use_denoising, cycles.denoiser = True, "OPENIMAGEDENOISE"
-    scene.view_settings.view_transform, scene.view_settings.look = "AgX", "AgX - Medium High Contrast"
-    scene.view_settings.exposure = 0.35
+    scene.cycles.samples = samples
     bpy.ops.render.render(write_still=True)
 
 
@@ -114,19 +470,20 @@ def _curves(found: Any) -> Iterator[Any]:
 def main(arguments: Sequence[str]) -> None:
     parser = argparse.ArgumentParser(prog="blender.py", description=__doc__)
     parser.add_argument("stage")
-    parser.add_argument("--bake", metavar="FILE.blend", help="native keys, saved here")
+    parser.add_argument("--bake", metavar="FILE.blend", help="native curves, saved here")
+    parser.add_argument("--motion", help="the variant to bake where a vehicle has it: exact, thinned or curves")
     parser.add_argument("--still", metavar="FILE.png", help="a picture by Cycles")
     parser.add_argument("--frame", type=int, help="of the still; the middle one when left out")
     parser.add_argument("--camera")
     parser.add_argument("--fps", type=Fraction, help="the stage's exact rate, such as 24000/1001")
     parser.add_argument("--size", default="1920x1080")
-    parser.add_argument("--samples", type=int, default=40)
+    parser.add_argument("--samples", type=int, default=SAMPLES)
     given = parser.parse_args(arguments)
     scene = open_stage(given.stage, given.fps)
     if given.bake:
         import bpy
 
-        bake(scene)
+        bake(scene, given.stage, given.motion)
         bpy.ops.wm.save_as_mainfile(filepath=str(Path(given.bake).resolve()))
     if given.still:
         frame = given.frame if given.frame is not None else (scene.frame_start + scene.frame_end) // 2
@@ -135,10 +492,11 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def write_blend(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
-    """``<shot>.blend``: the stage as Blender imports it, with native keys."""
-    progress("blend: keys", 0.0)
+    """``<shot>.blend``: the stage as Blender imports it, with native curves."""
+    progress("blend: curves", 0.0)
     path = folder / f"{take.name}.blend"
-    _run(folder / f"{take.name}.usda", "--bake", str(path), "--fps", str(take.fps))
+    motion = ["--motion", "curves"] if take.usd.curves is not None else []
+    _run(folder / f"{take.name}.usda", "--bake", str(path), "--fps", str(take.fps), *motion)
     return [path]
 
 
@@ -183,7 +541,7 @@ def __getattr__(name: str) -> Any:
         from vehsim.delivery.exporters import Exporter
 
         if name == "blend":
-            return Exporter(name, (".blend",), write_blend, ("usd",), makes="native keys; needs Blender 5")
+            return Exporter(name, (".blend",), write_blend, ("usd",), makes="native curves; needs Blender 5")
         return Exporter(name, (), write_still, ("usd",), makes="a still by Cycles; needs Blender 5")
     raise AttributeError(name)
 

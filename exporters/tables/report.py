@@ -13,6 +13,8 @@ import numpy as np
 
 from vehsim.delivery.take import Take
 from vehsim.exporters.checks.audit import joints_in_rig, root_in_prim, stage_of, with_stage
+from vehsim.exporters.usd.curves import count_keys
+from vehsim.exporters.usd.exporter import LAYERS
 from vehsim.runtime.code import PACKAGES, version
 
 
@@ -37,6 +39,9 @@ def write_report(take: Take, folder: Path, files: Sequence[Path]) -> Path:
         "versions": {name: version(name) for name in PACKAGES},
         "files": {path.relative_to(folder).as_posix(): sha256(path) for path in sorted(files)},
     }
+    for name, clip in take.clips.items():
+        if (layer := folder / "layers" / LAYERS["curves"].format(name)) in files:
+            report["vehicles"][name]["curves"] = _keys(layer, clip.end_frame - clip.start_frame + 1)
     if audit and (stage := stage_of(folder, take.name)) is not None:
         for name, clip in take.clips.items():
             report["vehicles"][name]["T_rp"] = root_in_prim(clip)
@@ -45,6 +50,21 @@ def write_report(take: Take, folder: Path, files: Sequence[Path]) -> Path:
     path = folder / "report.json"
     path.write_text(json.dumps(plain(report), indent=1, sort_keys=True, allow_nan=False) + "\n", encoding="utf-8")
     return path
+
+
+def _keys(layer: Path, frames: int) -> dict[str, Any]:
+    """The number of keys of each curve, and the share of the samples that a key on every frame would need: of
+    rotations that accumulate, and of the others."""
+    from pxr import Sdf
+
+    keys = count_keys(Sdf.Layer.FindOrOpen(str(layer)))
+    spins = [count for path, count in keys.items() if path.endswith(":spin")]
+    others = [count for path, count in keys.items() if not path.endswith(":spin")]
+    shares = {"spins": spins, "others": others}
+    return {
+        "keys": keys,
+        "share_of_samples": {kind: sum(some) / (frames * len(some)) for kind, some in shares.items() if some},
+    }
 
 
 def _lenses(camera: Any) -> float | list[float]:

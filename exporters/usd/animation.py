@@ -8,6 +8,7 @@ units) on the prim that it drives: as a quaternion, a rotor would turn backwards
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.errors import ExportError
+from vehsim.exporters.usd.curves import Curve, fit, fit_positions, fit_rotations, instants, quiet, sampled_frames
 from vehsim.exporters.usd.metadata import Z_UP_METRES, Units, author_stage_metadata, samples, unit_corrections
 from vehsim.exporters.usd.packing import Pack
 from vehsim.exporters.usd.rotors import author_rotors
@@ -76,11 +78,13 @@ def write_animation(
     units: Units = Z_UP_METRES,
     shutter: tuple[float, float] | None = None,
     thin: float | None = None,
+    curves: tuple[float, float] | None = None,
 ) -> Path:
     """Write ``clip`` as the animation layer ``path`` of a vehicle called ``name``.
 
     Samples are on whole frames; an open ``shutter`` (frames from, to) adds those for motion blur; ``thin`` (m) omits
-    all samples that linear interpolation between the others replaces.
+    all samples that linear interpolation between the others replaces; ``curves`` (m, degrees) writes splines within
+    these tolerances instead of samples.
     """
     from pxr import Sdf, Tf
 
@@ -95,7 +99,9 @@ def write_animation(
     moving = [channel for channel in rig.drives if np.any(clip.channels[channel])]
     ops = rig_ops(rig.asset, rig, units, moving)
     reference = pack.reference(rig, path)
-    motion = _Motion(clip, name, frames, shutter, thin)
+    motion: _Motion | _Curves = _Motion(clip, name, frames, shutter, thin)
+    if curves is not None:
+        motion = _Curves(clip, frames, shutter, curves)
 
     path.parent.mkdir(parents=True, exist_ok=True)
     layer = Sdf.Layer.CreateNew(str(path))
@@ -113,13 +119,15 @@ def write_animation(
             motion.author_channel(spec, channel, op, factor)
             _author_constants(spec, ops.constants.get(below, []))
             _author_first_values(spec, ops.replaced.get(below, []))
-            _author_order(spec, ops.orders[below])
+            if below:
+                _author_order(spec, ops.orders[below])
         author_rotors(root, rig)
         for below in ops.freed:
             spec = Sdf.CreatePrimInLayer(layer, root.path.AppendPath(below)) if below else root
             spec.instanceable = False
         _keep_root_in_blender(layer, rig)
-    layer.Save()
+    with quiet() if curves is not None else nullcontext():
+        layer.Save()
     return path
 
 
@@ -215,6 +223,63 @@ class _Motion:
             frames = self.shutter.channel_frames(channel, 1.0, reach, turns, self.name)
         values, some = self._at(frames).channels[channel], self.few.get(channel, slice(None))
         samples(spec, op, Sdf.ValueTypeNames.Double, frames[some], values[some] * factor)
+
+
+class _Curves:
+    """A clip as splines: a translation along each axis and three rotations for the pose, one spline per channel."""
+
+    def __init__(
+        self,
+        clip: Clip,
+        frames: tuple[int, int],
+        shutter: tuple[float, float] | None,
+        tolerances: tuple[float, float],
+    ) -> None:
+        opens, closes = (np.floor(shutter[0]), np.ceil(shutter[1])) if shutter is not None else (0.0, 0.0)
+        first, last = max(frames[0], clip.start_frame), min(frames[1], clip.end_frame)
+        self.frames = instants(first + min(opens, 0.0), last + max(closes, 0.0))
+        self.at = clip_at(clip, self.frames)
+        self.distance, self.angle = tolerances[0], np.radians(tolerances[1])
+
+    def author_pose(self, root: Any, ops: RigOps, units: Units) -> None:
+        from pxr import Sdf
+
+        positions, q = units.points(self.at.positions), units.poses(self.at.orientations)
+        order = list(ops.orders[""])
+        places = [ops.translate.replace("translate", f"translate{axis}") for axis in "XYZ"]
+        for name, curve in zip(
+            places, fit_positions(self.frames, positions, self.distance / units.metres), strict=True
+        ):
+            _author_curve(root, name, curve)
+        turned = fit_rotations(self.frames, q, self.angle)
+        turns = [ops.orient]
+        if turned is None:
+            frames = sampled_frames(self.frames, q, self.angle)
+            rows = np.searchsorted(self.frames, frames)
+            samples(root, ops.orient, Sdf.ValueTypeNames.Quatd, frames, q[rows])
+        else:
+            turns = [ops.orient.replace("orient", f"rotate{axis}") for axis in turned[0]]
+            for name, curve in zip(turns, turned[1], strict=True):
+                _author_curve(root, name, curve)
+        k = order.index(ops.translate)
+        _author_constants(root, ops.constants.get("", []))
+        _author_order(root, [*order[:k], *places, *turns, *order[k + 2 :]])
+
+    def author_channel(self, spec: Any, channel: str, op: str, factor: float) -> None:
+        tolerance = self.angle if ":rotate" in op else self.distance
+        values = self.at.channels[channel]
+        _author_curve(spec, op, fit(self.frames, values * factor, tolerance * abs(factor)))
+
+
+def _author_curve(prim: Any, name: str, curve: Curve) -> None:
+    """A spline, or a default if nothing moves."""
+    from pxr import Sdf
+
+    spec = Sdf.AttributeSpec(prim, name, Sdf.ValueTypeNames.Double)
+    if len(curve.frames) == 1:
+        spec.default = float(curve.values[0])
+    else:
+        spec.SetSpline(curve.spline())
 
 
 def _reaches(rig: Any) -> dict[str, float]:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vehsim.cameras.cuts import CUT
 from vehsim.delivery.exporters import Exporter, Progress
 from vehsim.delivery.take import Take
 from vehsim.errors import ExportError
@@ -29,7 +30,7 @@ from vehsim.exporters.usd.metadata import (
     samples,
 )
 from vehsim.exporters.usd.packing import Pack
-from vehsim.exporters.usd.readback import check_readback
+from vehsim.exporters.usd.readback import check_curves, check_readback
 from vehsim.exporters.usd.sampling import clip_at
 from vehsim.exporters.usd.scenery.guides import author_guides
 from vehsim.exporters.usd.scenery.lighting import author_lights
@@ -42,6 +43,10 @@ from vehsim.rig.blocking import write_over
 if TYPE_CHECKING:
     from vehsim.cameras.camera import Camera
     from vehsim.clip.clip import Clip
+
+
+LAYERS = {"exact": "{}.anim.usdc", "thinned": "{}.thinned.usdc", "curves": "{}.curves.usda"}
+"""Form of a vehicle's motion -> its layer. Splines are text: few numbers, and a binary layer of its own version."""
 
 
 def write_usd(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
@@ -60,13 +65,13 @@ def write_usd(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
     keep = settings.assets == "keep" or settings.layer_only
     pack = Pack(folder, keep=keep, beyond=settings.outside == "copy")
     clips = {name: _whole_frames(clip, take) for name, clip in take.clips.items()}
-    layers: dict[str, list[Path]] = {}
+    layers: dict[str, dict[str, Path]] = {}
     for done, name in enumerate(clips):
         progress(f"usd: {name}", done / (len(clips) + 2))
         layers[name] = write_layers(take, name, pack, units)
     if settings.layer_only:
         for name, clip in clips.items():
-            check_readback(layers[name][0], {f"/{name}": clip}, {}, units)
+            check_readback(layers[name]["exact"], {f"/{name}": clip}, {}, units)
         return pack.written
     path = folder / f"{take.name}.usda"
     stage = Usd.Stage.CreateNew(str(path))
@@ -86,7 +91,7 @@ def write_usd(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
     for name, clip in clips.items():
         prim = UsdGeom.Xform.Define(stage, f"/{take.name}/vehicles/{name}").GetPrim()
         _reference_layers(prim, layers[name], path, pack)
-        _model(prim, Kind.Tokens.component, clip.vehicle.name, pack.relative(layers[name][0], path))
+        _model(prim, Kind.Tokens.component, clip.vehicle.name, pack.relative(layers[name]["exact"], path))
     progress("usd: environment", len(clips) / (len(clips) + 2))
     _author_terrain(stage, f"/{take.name}/env/terrain", take, pack, path)
     with _layer_of(stage, f"/{take.name}/env/obstacles", take, pack, path, Z_UP_METRES) as layer:
@@ -99,6 +104,9 @@ def write_usd(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
     with _layer_of(stage, f"/{take.name}/cameras", take, pack, path, units) as layer:
         for camera in take.cameras:
             author_camera(layer, f"/cameras/{camera.name}", camera, units, settings.shutter)
+        if take.cuts:
+            author_cuts(layer.GetPrimAtPath(f"/cameras/{CUT}"), take.cuts)
+    author_render(stage, take)
     author_lights(stage, f"/{take.name}/lights", take, pack, path)
     with _layer_of(stage, f"/{take.name}/guides", take, pack, path, Z_UP_METRES) as layer:
         author_guides(layer, "/guides", take, clips)
@@ -143,29 +151,34 @@ def _whole_frames(clip: Clip, take: Take) -> Clip:
     return clip_at(clip, np.arange(first, last + 1, dtype=float))
 
 
-def write_layers(take: Take, name: str, pack: Pack, units: Units) -> list[Path]:
-    """The animation layer of a vehicle and, for thinned keys, a second one."""
+def write_layers(take: Take, name: str, pack: Pack, units: Units) -> dict[str, Path]:
+    """The animation layer of a vehicle, "exact"; with thinned keys and with curves, if requested, a layer of each."""
     settings = take.usd
     clip = replace(take.clips[name], fps=take.fps)
-    layer = pack.folder / "layers" / f"{name}.anim.usdc"
-    layers = [write_animation(clip, name, pack, layer, take.fps, take.frames, units, settings.shutter)]
+    forms: dict[str, dict[str, Any]] = {"exact": {"shutter": settings.shutter}}
     if settings.thin is not None:
-        thin = layer.with_name(f"{name}.thinned.usdc")
-        layers.append(write_animation(clip, name, pack, thin, take.fps, take.frames, units, thin=settings.thin))
-    pack.written.extend(layers)
-    if settings.clip_frames is not None:
-        for layer in layers:
+        forms["thinned"] = {"thin": settings.thin}
+    if settings.curves is not None:
+        forms["curves"] = {"shutter": settings.shutter, "curves": settings.curves}
+    layers = {}
+    for form, how in forms.items():
+        layer = pack.folder / "layers" / LAYERS[form].format(name)
+        layers[form] = write_animation(clip, name, pack, layer, take.fps, take.frames, units, **how)
+        pack.written.append(layer)
+        if settings.clip_frames is not None and form != "curves":
             pack.written.extend(split_into_clips(layer, settings.clip_frames))
+    if settings.curves is not None:
+        check_curves(layers["curves"], f"/{name}", clip, settings.curves, units)
     return layers
 
 
-def _reference_layers(prim: Any, layers: Sequence[Path], shot: Path, pack: Pack) -> None:
-    """Reference the animation; two layers become the variants ``exact`` and ``thinned`` of the set ``motion``."""
+def _reference_layers(prim: Any, layers: Mapping[str, Path], shot: Path, pack: Pack) -> None:
+    """Reference the animation; several layers become variants of the set ``motion``, of which "exact" is selected."""
     if len(layers) == 1:
-        prim.GetReferences().AddReference(pack.relative(layers[0], shot))
+        prim.GetReferences().AddReference(pack.relative(layers["exact"], shot))
         return
     variants = prim.GetVariantSets().AddVariantSet("motion")
-    for variant, layer in zip(("thinned", "exact"), reversed(layers), strict=True):
+    for variant, layer in reversed(list(layers.items())):
         variants.AddVariant(variant)
         variants.SetVariantSelection(variant)
         with variants.GetVariantEditContext():
@@ -261,6 +274,41 @@ def author_camera(
         samples(spec, "xformOp:translate", Sdf.ValueTypeNames.Double3, frames, units.points(camera.positions))
         samples(spec, "xformOp:orient", Sdf.ValueTypeNames.Quatd, frames, units.views(camera.orientations))
     prim.GetXformOpOrderAttr().Set(["xformOp:translate", "xformOp:orient"])
+
+
+def author_cuts(camera: Any, cuts: Sequence[tuple[int, str]]) -> None:
+    """The cut list on the camera that it makes: first frames, and the cameras that it shows from them on."""
+    from pxr import Sdf, Vt
+
+    frames, names = zip(*cuts, strict=True)
+    camera.CreateAttribute("vehsim:cut:frames", Sdf.ValueTypeNames.IntArray).Set(Vt.IntArray(frames))
+    camera.CreateAttribute("vehsim:cut:cameras", Sdf.ValueTypeNames.StringArray).Set(Vt.StringArray(names))
+
+
+def author_render(stage: Any, take: Take) -> None:
+    """Render settings, and a product per rendered camera, below ``/Render``: any renderer then finds camera, size and
+    motion blur."""
+    from pxr import Gf, UsdGeom, UsdRender
+
+    settings = take.render
+    names = [camera.name for camera in take.cameras if settings.cameras is None or camera.name in settings.cameras]
+    if not names:
+        return
+    UsdGeom.Scope.Define(stage, "/Render")
+    colour = UsdRender.Var.Define(stage, "/Render/colour")
+    colour.CreateSourceNameAttr("Ci")
+    common = UsdRender.Settings.Define(stage, "/Render/settings")
+    products = [UsdRender.Product.Define(stage, f"/Render/{name}_picture") for name in names]
+    for product, name in zip(products, names, strict=True):
+        product.CreateProductNameAttr(f"{take.name}.{name}.####.exr")
+        product.CreateOrderedVarsRel().SetTargets([colour.GetPath()])
+    for base, name in [(common, names[0]), *zip(products, names, strict=True)]:
+        base.CreateCameraRel().SetTargets([f"/{take.name}/cameras/{name}"])
+        base.CreateResolutionAttr(Gf.Vec2i(*settings.panel(len(names))))
+        base.CreateAspectRatioConformPolicyAttr(UsdRender.Tokens.adjustApertureHeight)
+        base.CreateDisableMotionBlurAttr(take.usd.shutter is None)
+    common.CreateProductsRel().SetTargets([product.GetPath() for product in products])
+    stage.SetMetadata("renderSettingsPrimPath", "/Render/settings")
 
 
 exporter = Exporter(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from vehsim.errors import ExportError
 from vehsim.exporters.usd.metadata import Z_UP_METRES, Units
-from vehsim.exporters.usd.sampling import frames_of
+from vehsim.exporters.usd.sampling import clip_at, frames_of
 from vehsim.lie import quaternions
 from vehsim.rig.ops import PIVOT, drive_op, open_rig, pivot_of, place_op
 from vehsim.rig.parts import Y_UP_TO_Z_UP
@@ -65,6 +65,47 @@ def check_readback(
                 f"at frame {frames[worst]:g} its world matrix differs from the clip's by {difference[worst]:.3g}",
                 "a stronger opinion (an instance, a variant, animation of the asset's own) hides ours",
                 key=prim_path,
+                file=path.name,
+            )
+
+
+def check_curves(
+    path: Path, prim_path: str, clip: Clip, tolerances: tuple[float, float], units: Units = Z_UP_METRES
+) -> None:
+    """Compare a layer of curves with its clip at eighths of every frame: the root's pose, and each channel.
+
+    ``tolerances``: m and degrees. Raises ``ExportError`` naming the first part and frame beyond them.
+    """
+    from pxr import Usd, UsdGeom
+
+    stage, rig = Usd.Stage.Open(str(path)), clip.vehicle.rig
+    assert rig is not None
+    first, last = max(stage.GetStartTimeCode(), clip.start_frame), min(stage.GetEndTimeCode(), clip.end_frame)
+    at = clip_at(clip, np.arange(round((last - first) * 8) + 1) / 8 + first)
+    frames, expected = frames_of(at), expected_matrices(at, stage.GetTimeCodesPerSecond())[""]
+    found = np.linalg.inv(units.matrix) @ world_matrices(stage.GetPrimAtPath(prim_path), frames)
+    turned = np.linalg.inv(expected[:, :3, :3]) @ found[:, :3, :3] - np.eye(3)
+    metres, angle = tolerances[0] * 1.01, np.radians(tolerances[1]) * 1.01
+    off = {
+        prim_path: np.maximum(
+            np.linalg.norm(found[:, :3, 3] - expected[:, :3, 3], axis=1) / metres,
+            np.linalg.norm(turned, axis=(1, 2)) / np.sqrt(2) / angle,
+        )
+    }
+    scale = UsdGeom.GetStageMetersPerUnit(open_rig(rig.asset, rig)[0])
+    for channel, drive in rig.drives.items():
+        op, factor = drive_op(drive.op, scale)
+        attribute = stage.GetPrimAtPath(f"{prim_path}{'/' if drive.prim else ''}{drive.prim}").GetAttribute(op)
+        values = np.array([attribute.Get(frame) for frame in frames.tolist()]) if attribute else np.zeros(len(frames))
+        error = np.abs(values / (factor * drive.factor) - at.channels[channel])
+        off[f"{prim_path}/{drive.prim}"] = error / (angle if drive.op.startswith("rotate") else metres)
+    for part, errors in off.items():
+        worst = int(errors.argmax())
+        if not errors[worst] <= 1:
+            raise ExportError(
+                f"at frame {frames[worst]:g} its curve is {errors[worst]:.3g} times the tolerance from the clip",
+                "report this as a bug, or leave out export.curves",
+                key=part,
                 file=path.name,
             )
 

@@ -176,7 +176,7 @@ def fewest_together(
         chosen = {PLACE: fewest(frames, at.positions, share / np.sqrt(3))}
         chosen[TURN] = fewest_poses(frames, at.orientations, share / max(reaches[""], 1e-3))
         off = np.linalg.norm(_between(frames, at.positions, chosen[PLACE]), axis=1)
-        off += reaches[""] * _slerp_errors(frames, at.orientations, chosen[TURN])
+        off += reaches[""] * slerp_errors(frames, at.orientations, chosen[TURN])
         errors = {}
         for name, lever in levers.items():
             chosen[name] = fewest(frames, at.channels[name], share / max(lever, 1e-3))
@@ -228,13 +228,13 @@ def fewest_poses(frames: Array, q: Array, angle: float) -> NDArray[np.intp]:
     tolerance = angle / 4  # of each of four components: their norm is half the angle
     for _ in range(8):
         chosen = fewest(frames, q, tolerance)
-        if _slerp_errors(frames, q, chosen).max() <= angle:
+        if slerp_errors(frames, q, chosen).max() <= angle:
             return chosen
         tolerance /= 2
     return np.arange(len(frames))
 
 
-def _slerp_errors(frames: Array, q: Array, chosen: NDArray[np.intp]) -> Array:
+def slerp_errors(frames: Array, q: Array, chosen: NDArray[np.intp]) -> Array:
     """Angles (n,) between the samples and slerps between those chosen."""
     from scipy.spatial.transform import Rotation, Slerp
 

@@ -129,7 +129,7 @@ def may_replace(target: Path, overwrite: bool = True) -> None:
     )
 
 
-LAYER = re.compile(r"[^.]+\.(anim|thinned)(\.-?\d+|\.manifest)?\.usd[ac]")
+LAYER = re.compile(r"[^.]+\.(anim|thinned|curves)(\.-?\d+|\.manifest)?\.usd[ac]")
 """The name of a vehicle's layer, which may be delivered alone."""
 
 

@@ -76,7 +76,8 @@ class UsdSettings:
 
     ``assets``: "copy" them, or "keep" their paths; ``outside``: "copy" files outside their folders that they refer to,
     or "refuse" them. ``shutter``: frames at which it opens and closes; it adds the samples for motion blur. ``thin`` m:
-    adds a variant with the fewest keys within this tolerance. ``clip_frames``: value clips of that many frames.
+    adds a variant with the fewest keys within this tolerance. ``curves`` (m, degrees): adds a variant with splines
+    within these tolerances. ``clip_frames``: value clips of that many frames.
     ``layer_only``: write only the vehicles' animation layers.
     """
 
@@ -86,6 +87,7 @@ class UsdSettings:
     outside: str = "refuse"
     shutter: tuple[float, float] | None = None
     thin: float | None = None
+    curves: tuple[float, float] | None = None
     clip_frames: int | None = None
     layer_only: bool = False
     versions: bool = False
@@ -96,7 +98,7 @@ class Take:
     """A solved shot: clips by vehicle name, the world, cameras, and the content of ``report.json``.
 
     ``frames``: first and last whole frame, inclusive, with handles; ``blockings``: the animator's own motion, by
-    vehicle name.
+    vehicle name; ``cuts``: first frames and camera names of the cut list.
     """
 
     name: str
@@ -109,6 +111,7 @@ class Take:
     usd: UsdSettings = UsdSettings()
     report: dict[str, Any] = field(default_factory=dict)
     blockings: dict[str, Blocking] = field(default_factory=dict)
+    cuts: tuple[tuple[int, str], ...] = ()
     recalled: bool = False
     """Whether the motion comes from the cache"""
 

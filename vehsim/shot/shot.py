@@ -209,6 +209,7 @@ class Shot:
             render=self.render,
             usd=self.usd,
             blockings=self.blockings(),
+            cuts=tuple((piece.frame, piece.camera) for piece in self.file.cut),
             recalled=recalled,
             report={
                 "shot": self.file.model_dump(mode="json", by_alias=True, exclude_unset=True),
@@ -242,8 +243,12 @@ class Shot:
         from vehsim.delivery.take import UsdSettings
 
         given = self.file.export.model_dump()
-        shutter = given.pop("shutter")
-        return UsdSettings(**given, shutter=None if shutter is None else (shutter[0], shutter[1]))
+        shutter, curves = given.pop("shutter"), given.pop("curves")
+        return UsdSettings(
+            **given,
+            shutter=None if shutter is None else (shutter[0], shutter[1]),
+            curves=None if curves is None else (curves["tolerance"], curves["angle"]),
+        )
 
     def _asset(self, name: str) -> str | Path:
         """A path relative to the shot file if it exists, else a shipped asset's name."""

@@ -263,6 +263,15 @@ class CutTable(Table):
     """the name of the camera that shows it"""
 
 
+class CurvesTable(Table):
+    """``curves = { tolerance = 0.001, angle = 0.05 }``."""
+
+    tolerance: Annotated[Positive, Field(ge=1e-5, le=10)] = 0.001
+    """the greatest distance from the motion, in m"""
+    angle: Annotated[Positive, Field(ge=1e-3, le=45)] = 0.05
+    """the greatest angle from the motion, in degrees"""
+
+
 class ExportTable(Table):
     """``[export]``: the form of the USD"""
 
@@ -279,6 +288,9 @@ class ExportTable(Table):
     motion blur (chords within a millimetre, at most 16 samples per opening); default: closed"""
     thin: Annotated[Positive, Field(ge=1e-6, le=10)] | None = None
     """a tolerance in m: adds a variant "thinned" with the fewest keys within this tolerance; default: all keys"""
+    curves: CurvesTable | None = None
+    """a table { tolerance, angle }: adds a variant "curves" with few keys on splines, within these tolerances at 64
+    instants of every frame; default: no curves"""
     clip_frames: Annotated[int, Field(ge=2, le=MAX_FRAMES)] | None = None
     """the greatest number of frames in a value clip, for long takes; default: one layer"""
     layer_only: bool = False

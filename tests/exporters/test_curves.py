@@ -1,0 +1,131 @@
+"""Motion as sparse splines: within its tolerance of the clip at 64 instants of every frame, never turning back."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pxr import Usd, UsdGeom
+from scipy.spatial.transform import Rotation
+
+import vehsim
+from vehsim.delivery.take import UsdSettings
+from vehsim.exporters.usd.curves import fit, fit_rotations, instants
+from vehsim.exporters.usd.exporter import write_usd
+from vehsim.exporters.usd.readback import world_matrices
+from vehsim.rig.rig import Drive
+from vehsim.vehicles import load_vehicle
+
+TOLERANCE, ANGLE = 0.001, 0.05
+
+
+def curved(take, folder, toys, **settings):
+    """The stage with the curves of every vehicle."""
+    write_usd(replace(take, usd=UsdSettings(curves=(TOLERANCE, ANGLE), **settings)), folder, toys.silent)
+    stage = Usd.Stage.Open(str(folder / "shot.usda"))
+    for prim in stage.GetPrimAtPath("/shot/vehicles").GetChildren():
+        assert prim.GetVariantSets().GetVariantSelection("motion") == "exact"
+        prim.GetVariantSets().SetSelection("motion", "curves")
+    return stage
+
+
+@pytest.mark.parametrize(
+    ("up", "metres", "asset"), [("Z", 1.0, ("Z", 1.0)), ("Y", 0.01, ("Z", 1.0)), ("Z", 1.0, ("Y", 0.01))]
+)
+def test_curves_are_within_their_tolerance_at_64_instants(tmp_path, toys, make_take, up, metres, asset):
+    """Poses are computed here from the clip's interpolant, not from the samples."""
+    axis = "Z" if asset[0] == "Z" else "Y"
+    clip = toys.clip(toys.asset(tmp_path / "in" / "toy.usda", asset[1], asset[0]), spin_axis=axis)
+    stage = curved(make_take(clip), tmp_path, toys, up_axis=up, meters_per_unit=metres)
+    prim, frames = stage.GetPrimAtPath("/shot/vehicles/toy0"), instants(1001, 1024)
+    at = clip.at((frames - 1001) / 24)
+    to_metres = np.diag([metres] * 3 + [1.0])
+    if up == "Y":
+        to_metres = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]]) @ to_metres
+    found = to_metres @ world_matrices(prim, frames)
+    assert np.linalg.norm(found[:, :3, 3] - at.positions, axis=1).max() < TOLERANCE * 1.0001
+    own = np.eye(3) if asset[0] == "Z" else np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
+    turned = Rotation.from_matrix(found[:, :3, :3] @ own.T / np.cbrt(np.linalg.det(found[:, :3, :3]))[:, None, None])
+    error = (turned.inv() * Rotation.from_quat(at.orientations, scalar_first=True)).magnitude()
+    assert np.degrees(error.max()) < ANGLE * 1.0001
+    spin = stage.GetPrimAtPath("/shot/vehicles/toy0/rotor").GetAttribute(f"xformOp:rotate{axis}:spin")
+    degrees = np.array([spin.Get(frame) for frame in frames.tolist()])
+    assert np.abs(degrees - np.degrees(at.channels["rotor"])).max() < ANGLE and (np.diff(degrees) > 0).all()
+    assert not spin.GetTimeSamples() and len(spin.GetSpline().GetKnots()) == 2, "a constant rate needs two keys"
+
+
+def test_a_car_needs_few_keys_and_its_wheels_never_turn_back(tmp_path, toys, make_take):
+    """It starts, brakes to a standstill and starts again; the report counts the keys."""
+    t = np.linspace(0, 4, 961)
+    drive = np.select([t < 1, t < 2.4, t < 2.8], [400.0, -400.0, 0.0], 300.0)
+    car = load_vehicle("car")
+    controls = np.column_stack([drive, 0.2 * np.sin(2 * t)])
+    clip = vehsim.simulate(car, None, controls, vehsim.State(twist=(0.0, 6.0, 0.0)), 4.0)
+    take = replace(make_take(clip), frames=(1001, 1097), usd=UsdSettings(curves=(TOLERANCE, ANGLE)))
+    folder = take.export(tmp_path)
+    stage = Usd.Stage.Open(str(folder / "shot.usda"))
+    stage.GetPrimAtPath("/shot/vehicles/toy0").GetVariantSets().SetSelection("motion", "curves")
+    frames = instants(1001, 1097)
+    at = clip.at((frames - 1001) / 24)
+    for channel in ("roll_rl", "roll_fr"):
+        prim = stage.GetPrimAtPath(f"/shot/vehicles/toy0/{car.rig.drives[channel].prim}")
+        spline = prim.GetAttribute("xformOp:rotateY:spin").GetSpline()
+        rolled = np.radians([spline.Eval(frame) for frame in frames.tolist()])
+        assert np.degrees(np.abs(rolled - at.channels[channel]).max()) < ANGLE * 1.0001
+        forward = np.diff(at.channels[channel]) >= 0
+        assert forward.sum() > 1000 and (np.diff(rolled)[forward] > -np.radians(ANGLE) / 64).all()
+    counted = json.loads((folder / "report.json").read_text())["vehicles"]["toy0"]["curves"]
+    assert counted["keys"]["/toy0.xformOp:translateX"] == len(
+        stage.GetPrimAtPath("/shot/vehicles/toy0").GetAttribute("xformOp:translateX").GetSpline().GetKnots()
+    )
+    assert counted["share_of_samples"]["spins"] < 0.2 and counted["share_of_samples"]["others"] < 0.3
+
+
+def test_a_monotone_channel_has_a_monotone_curve():
+    """Standing, then accelerating: a cubic within the tolerance would swing back first."""
+    frames = instants(1001, 1101)
+    t = (frames - 1001) / 24
+    values = np.where(t < 2, 0.0, 900.0 * (t - 2) ** 2) + np.where(t > 3, 200.0 * np.sin(np.minimum(t - 3, 0.5)), 0)
+    curve = fit(frames, values, 2.0)
+    fine = curve(np.linspace(1001, 1101, 100_001))
+    assert np.abs(curve(frames) - values).max() <= 2.0 and np.diff(fine).min() >= -1e-9
+    assert (fine[:48_000] == 0.0).all() and len(curve.frames) < 20
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_somersaults_about_any_axis_avoid_gimbal_lock(axis):
+    frames = instants(1001, 1049)
+    t = (frames - 1001) / 48
+    angles = np.stack([0.3 * np.sin(3 * t + k) for k in range(3)], axis=1)
+    angles[:, axis] += 2 * np.pi * t
+    q = Rotation.from_euler("XYZ", angles).as_quat(scalar_first=True)
+    axes, curves = fit_rotations(frames, q, np.radians(ANGLE))
+    turned = Rotation.from_euler(axes, np.stack([c(frames) for c in curves], 1), degrees=True)
+    error = (turned.inv() * Rotation.from_quat(q, scalar_first=True)).magnitude()
+    assert np.degrees(error.max()) <= ANGLE * 1.0001 and axes[1] != "XYZ"[axis]
+    assert sum(len(c.frames) for c in curves) < 0.4 * 3 * 49
+
+
+def test_a_tumbling_body_keeps_sampled_orientations(tmp_path, toys, make_take):
+    """It turns once about each of its axes, through gimbal lock of every order; the samples are within the
+    tolerance."""
+    clip = toys.clip(toys.asset(tmp_path / "in" / "toy.usda"), drives={"rotor": Drive("rotor", "rotateZ")})
+    axis, share = np.divmod(np.arange(24), 8)
+    vectors = np.zeros((24, 3))
+    vectors[np.arange(24), axis] = share / 8 * 2 * np.pi
+    half = np.linalg.norm(vectors, axis=1, keepdims=True) / 2
+    turned = np.concatenate([np.cos(half), vectors / 2 * np.sinc(half / np.pi)], axis=1)
+    turned[8:] *= -1.0
+    turned[16:] *= -1.0
+    twists = np.zeros((24, 6))
+    twists[np.arange(24), axis] = 6 * np.pi
+    clip = replace(clip, orientations=turned, twists=twists)
+    stage = curved(make_take(clip), tmp_path, toys)
+    prim, frames = stage.GetPrimAtPath("/shot/vehicles/toy0"), instants(1001, 1024)
+    assert [op.GetOpName() for op in UsdGeom.Xformable(prim).GetOrderedXformOps()][3] == "xformOp:orient"
+    found = Rotation.from_matrix(world_matrices(prim, frames)[:, :3, :3])
+    at = clip.at((frames - 1001) / 24)
+    error = (found.inv() * Rotation.from_quat(at.orientations, scalar_first=True)).magnitude()
+    assert np.degrees(error.max()) < ANGLE * 1.0001
