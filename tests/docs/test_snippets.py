@@ -438,6 +438,7 @@ SHELL: dict[str, Shell | str] = {
         "vehsim export shot.toml --out out; vehsim render out/canyon_flight/canyon_flight.usda --out approved "
         "--frames 1001-1649x48 --passes depth,segmentation",
     ),
+    "other-tools.md: glTF": Shell(("out/small/small.glb",)),
     "riggers-guide.md: What comes out": Shell(
         ("out/shot/shot.usda",), {"shot.toml": SMALL.replace('"small"', '"shot"')}
     ),
