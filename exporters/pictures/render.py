@@ -36,6 +36,8 @@ NEAREST, BILINEAR = 0, 2
 """Pillow's `Resampling`."""
 HAZE = (10.0, 760.0)
 """Distances at which haze starts and at which it hides everything, m."""
+CLEAR = 4.0
+"""Haze hides everything no nearer than this many times the usual distance of the cameras from the movers."""
 
 
 class StageRenderer:
@@ -301,11 +303,14 @@ def bounds_of(stage: StageReader) -> tuple[Array, Array]:
 
 
 def haze_end(stage: StageReader, bounds: tuple[Array, Array]) -> float:
-    """Distance at which haze hides everything, m: before the ground's edge; in empty space there is no edge to hide."""
+    """Distance at which haze hides everything, m: before the ground's edge; in empty space there is no edge to hide.
+
+    It ends no nearer than `CLEAR` times the usual distance of the cameras from the movers: distant shots stay clear.
+    """
     if stage.water is not None or all(shape.group for shape in stage.shapes):
         return HAZE[1]
     edge = 0.6 * float((bounds[1] - bounds[0])[:2].min())
-    return min(HAZE[1], max(edge, 60.0))
+    return max(min(HAZE[1], max(edge, 60.0)), CLEAR * (_usual_distance(stage) or 0.0))
 
 
 def _across(direction: Array) -> tuple[Array, Array]:
@@ -316,12 +321,17 @@ def _across(direction: Array) -> tuple[Array, Array]:
 
 
 def _shadow_reach(stage: StageReader, bounds: tuple[Array, Array]) -> float:
-    """Half the width of the shadow map, m: four times the typical distance of the movers from the cameras."""
+    """Half the width of the shadow map, m: four times the usual distance of the movers from the cameras."""
     whole = float(np.linalg.norm(bounds[1] - bounds[0])) / 2 + 1.0
+    usual = _usual_distance(stage)
+    return float(np.clip(whole if usual is None else min(4.0 * usual, whole), *SHADOW_REACH))
+
+
+def _usual_distance(stage: StageReader) -> float | None:
+    """The median distance of the cameras from the nearest mover, m; None without movers or cameras."""
     distances = []
     for frame in np.linspace(stage.frames[0], stage.frames[1], 5):
         places = [pose[:3, 3] for pose in stage.matrices(frame).values()]
         eyes = [stage.camera(name, frame).T_wc[:3, 3] for name in stage.cameras]
         distances += [min(np.linalg.norm(place - eye) for place in places) for eye in eyes if places]
-    usual = 4.0 * float(np.median(distances)) if distances else whole
-    return float(np.clip(min(usual, whole), *SHADOW_REACH))
+    return float(np.median(distances)) if distances else None

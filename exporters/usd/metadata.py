@@ -59,6 +59,26 @@ class Units:
 
 Z_UP_METRES = Units()
 
+FAR, COARSE = 10_000.0, 1_000.0
+"""Beyond `FAR` m, single precision is coarser than 1 mm; there, coordinates refer to a multiple of `COARSE` m."""
+
+
+def local_origin(place: Array) -> Array:
+    """The point (3,) m to which coordinates in single precision near ``place`` (3,) refer; zero near the origin."""
+    return COARSE * np.round(place / COARSE) if np.abs(place).max() > FAR else np.zeros(3)
+
+
+def author_points(mesh: Any, points: Array) -> None:
+    """The points (n, 3) m of a mesh, and its extent; far from the origin, relative to a translation of the mesh."""
+    from pxr import Gf, Vt
+
+    origin = local_origin(points.mean(axis=0))
+    if origin.any():
+        mesh.AddTranslateOp().Set(Gf.Vec3d(*origin.tolist()))
+    single = (points - origin).astype(np.float32)
+    mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(single))
+    mesh.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(np.stack([single.min(axis=0), single.max(axis=0)])))
+
 
 def author_stage_metadata(
     layer: Any,

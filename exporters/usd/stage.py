@@ -20,6 +20,7 @@ from vehsim.errors import InputError
 from vehsim.exporters.pictures.surfaces import Surface as Surface
 from vehsim.exporters.pictures.surfaces import read_surface as read_surface
 from vehsim.exporters.pictures.surfaces import surfaces_of
+from vehsim.exporters.usd.metadata import local_origin
 from vehsim.intake.gate import reason_of
 from vehsim.intake.usd import triangulate
 from vehsim.rig.parts import Y_UP_TO_Z_UP
@@ -83,7 +84,8 @@ class StageReader:
     """An exported stage, open for rendering.
 
     ``shapes`` are fixed in their group; ``groups`` are the paths of the moving prims; ``cameras`` are the paths of the
-    stage's cameras by name. Raises ``InputError`` if the stage cannot be read.
+    stage's cameras by name. Far from the stage's origin, where renderers' single precision is too coarse, all positions
+    are relative to ``origin`` (3,) m. Raises ``InputError`` if the stage cannot be read.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -106,6 +108,8 @@ class StageReader:
         self.cameras = {
             prim.GetName(): str(prim.GetPath()) for prim in self._stage.Traverse() if prim.IsA(UsdGeom.Camera)
         }
+        self.origin = self._local_origin()
+        self._convert = _moved(-self.origin) @ self._convert
         self.shapes = tuple(self._read_shapes())
         self.groups = tuple(sorted({shape.group for shape in self.shapes} - {""}))
         self._relax = {group: np.linalg.inv(_stretch(self._world(group))) for group in self.groups}
@@ -182,6 +186,16 @@ class StageReader:
                 R_wd = self._world(str(prim.GetPath()))[:3, :3]
                 return Sky(_light_colour(prim), texture, R_wd / np.linalg.norm(R_wd, axis=0))
         return None
+
+    def _local_origin(self) -> Array:
+        """The point (3,) m to which positions refer: near the first camera, or else the first prim that moves."""
+        from pxr import UsdGeom
+
+        self._cache.SetTime(self.frames[0])
+        for prim in (*map(self._stage.GetPrimAtPath, self.cameras.values()), *self._stage.Traverse()):
+            if prim.IsA(UsdGeom.Camera) or self._mover(prim):
+                return local_origin(self._world(str(prim.GetPath()))[:3, 3])
+        return np.zeros(3)
 
     def _world(self, path: str) -> Array:
         matrix = self._cache.GetLocalToWorldTransform(self._stage.GetPrimAtPath(path))
@@ -360,6 +374,13 @@ def _stretch(matrix: Array) -> Array:
     if np.linalg.det(u @ v) < 0:
         stretch[:3, :3] *= -1.0
     return stretch
+
+
+def _moved(by: Array) -> Array:
+    """The translation (4, 4) ``by`` (3,) m."""
+    T = np.eye(4)
+    T[:3, 3] = by
+    return T
 
 
 def _to_metres_z_up(stage: Any) -> Array:

@@ -13,6 +13,7 @@ import pytest
 from vehsim.errors import InputError
 from vehsim.exporters.pictures.frames import render_stage
 from vehsim.exporters.pictures.render import StageRenderer
+from vehsim.exporters.usd.metadata import author_points
 from vehsim.exporters.usd.stage import StageReader
 from vehsim.world.world import World
 
@@ -434,3 +435,47 @@ def test_concrete_lies_on_obstacles_to_scale():
         shade = np.asarray(image, float).mean(axis=2)
     rows = shade.mean(axis=1)
     assert set(np.argsort(rows)[:4]) == {0, 127, 128, 255}
+
+
+def test_pictures_are_the_same_at_utm_coordinates(new_stage):
+    """Renderers use single precision, which has steps of 0.5 m there: both pictures are drawn near the origin."""
+    from pxr import Gf, UsdGeom
+
+    quad(new_stage, "/top/left", (-1, 2, 1), 0.4, (1, 0, 0))
+    mover = UsdGeom.Xform.Define(new_stage, "/top/mover")
+    translate = mover.AddTranslateOp()
+    translate.Set(Gf.Vec3d(1, 0, 0), 1)
+    translate.Set(Gf.Vec3d(3, 0, 0), 3)
+    quad(new_stage, "/top/mover/right", (0, 0, 0), 0.5, (0, 1, 0))
+    near = picture(new_stage, 2)
+    top = UsdGeom.Xformable(new_stage.GetPrimAtPath("/top"))
+    top.AddTranslateOp().Set(Gf.Vec3d(500_000, 4_212_000, 0))
+    assert np.abs(picture(new_stage, 2) - near).max() <= 1
+
+
+def test_distant_helicopters_are_not_lost_in_haze(new_stage):
+    """On ground 200 m wide, haze ended at 120 m whatever the camera's distance."""
+    from pxr import Gf, UsdGeom
+
+    quad(new_stage, "/top/ground", (0, 300, -100), 100.0, (0.2, 0.2, 0.2))
+    mover = UsdGeom.Xform.Define(new_stage, "/top/mover")
+    translate = mover.AddTranslateOp()
+    translate.Set(Gf.Vec3d(0, 200, 0), 1)
+    translate.Set(Gf.Vec3d(0.1, 200, 0), 3)
+    quad(new_stage, "/top/mover/quad", (0, 0, 0), 20.0, (0.8, 0.02, 0.02))
+    red, green, _ = picture(new_stage)[SIZE[1] // 2, SIZE[0] // 2]
+    assert red > 1.3 * green
+
+
+@pytest.mark.parametrize("place", [(10.0, -20.0, 3.0), (500_223.25, 4_212_445.5, 150.0)])
+def test_points_far_from_the_origin_keep_their_place(place):
+    from pxr import Gf, Usd, UsdGeom
+
+    points = np.array(place) + [[0, 0, 0], [7.125, 0, 0], [7.125, 3.3, 1]]
+    stage = Usd.Stage.CreateInMemory()
+    mesh = UsdGeom.Mesh.Define(stage, "/mesh")
+    author_points(mesh, points)
+    T = UsdGeom.XformCache().GetLocalToWorldTransform(mesh.GetPrim())
+    there = np.array([T.Transform(Gf.Vec3d(*point)) for point in mesh.GetPointsAttr().Get()])
+    np.testing.assert_allclose(there, points, atol=1e-3)
+    assert mesh.GetOrderedXformOps() == [] or place[0] > 1e5

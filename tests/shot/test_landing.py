@@ -58,3 +58,14 @@ def test_impossible_landings_are_reported(wrong, complaint):
 
 def test_a_valid_landing_has_no_problems():
     assert not shot().check()
+
+
+@pytest.mark.parametrize("velocity", [None, [0, 0, 0], [3, 0, 0]])
+def test_a_mark_without_a_heading_is_checked_for_obstacles(velocity):
+    """At rest 0.3 m above the pad, no heading keeps 1 m; in motion its attitude is unknown."""
+    mark = {"position": [30, 0, 2.3], "heading": None, "on_ground": False, "velocity": velocity}
+    found = shot(**mark).check()
+    if velocity == [0, 0, 0]:
+        assert "at any heading" in str(found[0]) and found[0].key.endswith("mark[1].position")
+    else:
+        assert not found

@@ -116,7 +116,8 @@ def _from_tuple(value: Any) -> Any:
 Number = Annotated[float, Field(allow_inf_nan=False), AfterValidator(_whole)]
 Positive = Annotated[Number, Field(gt=0)]
 NotNegative = Annotated[Number, Field(ge=0)]
-Metre = Annotated[Number, Field(ge=-1e6, le=1e6)]
+Metre = Annotated[Number, Field(ge=-1e7, le=1e7)]
+"""A position, m: northings of UTM coordinates reach 10,000 km."""
 Array = BeforeValidator(_from_tuple)
 Point = Annotated[list[Metre], Array, Len(3, 3)]
 Text = Annotated[str, Field(min_length=1, max_length=4096)]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim.exporters.usd.metadata import author_stage_metadata
+from vehsim.exporters.usd.metadata import author_points, author_stage_metadata
 from vehsim.exporters.usd.scenery.lighting import encode_srgb
 
 if TYPE_CHECKING:
@@ -53,17 +53,16 @@ def write_ground(terrain: Terrain, folder: Path) -> tuple[Path, list[Path]]:
 
 
 def _author_mesh(mesh: Any, terrain: Terrain, tile: float | None) -> None:
-    from pxr import Gf, Sdf, UsdGeom, Vt
+    from pxr import Sdf, UsdGeom, Vt
 
     vertices = terrain.vertices
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
-    mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(vertices.astype(np.float32)))
+    author_points(mesh, vertices)
     mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(terrain.faces), 3, np.int32)))
     mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(terrain.faces.astype(np.int32).ravel()))
     mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(_normals(terrain).reshape(-1, 3).astype(np.float32)))
     mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
     lower, upper = terrain.lower, terrain.upper
-    mesh.CreateExtentAttr([Gf.Vec3f(*lower.tolist()), Gf.Vec3f(*upper.tolist())])
     span = upper[:2] - lower[:2] if tile is None else np.array([tile, tile])
     st = ((vertices[:, :2] - lower[:2]) / span).astype(np.float32)
     primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vehsim.delivery.take import Take
+from vehsim.exporters.usd.metadata import author_points
 from vehsim.exporters.usd.packing import Pack
 from vehsim.exporters.usd.scenery.concrete import author_material, coordinates
 
@@ -55,19 +56,17 @@ def author_obstacles(stage: Any, scope: str, take: Take, pack: Pack) -> None:
 
 
 def _author_mesh(mesh: Any, obstacle: Obstacle) -> None:
-    from pxr import Gf, Sdf, UsdGeom, Vt
+    from pxr import Sdf, UsdGeom, Vt
 
     points, faces = obstacle.points, obstacle.faces
     corners = points[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
-    mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points.astype(np.float32)))
+    author_points(mesh, points)
     mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(faces), 3, np.int32)))
     mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(faces.astype(np.int32).ravel()))
     mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(normals.astype(np.float32)))
     mesh.SetNormalsInterpolation(UsdGeom.Tokens.uniform)
     st = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.faceVarying)
     st.Set(Vt.Vec2fArray.FromNumpy(coordinates(corners, normals).reshape(-1, 2).astype(np.float32)))
-    lower, upper = points.min(axis=0), points.max(axis=0)
-    mesh.CreateExtentAttr([Gf.Vec3f(*lower.tolist()), Gf.Vec3f(*upper.tolist())])

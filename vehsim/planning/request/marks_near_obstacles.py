@@ -108,7 +108,8 @@ def _flown(vehicle: Vehicle, world: Any, mark: Any, seconds: float | None) -> _N
     if mark.on_ground or not (world.standing or seconds is not None):
         return None
     nose = heading_of(mark)
-    turned = nose is None and mark.balanced and not np.any(world.wind)
+    level = mark.velocity is not None and not np.any(mark.velocity) and not np.any(world.wind)
+    turned = nose is None and level
     body = vehicle if nose is not None or turned else replace(vehicle, rig=None)
     turns = from_yaw(_HEADINGS) if turned else attitude(mark)[None]
     places = np.repeat(np.array([mark.position], float), len(turns), axis=0)
