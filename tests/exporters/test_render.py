@@ -471,7 +471,7 @@ def test_distant_helicopters_are_not_lost_in_haze(new_stage):
 def test_points_far_from_the_origin_keep_their_place(place):
     from pxr import Gf, Usd, UsdGeom
 
-    points = np.array(place) + [[0, 0, 0], [7.125, 0, 0], [7.125, 3.3, 1]]
+    points = np.add(place, [[0, 0, 0], [7.125, 0, 0], [7.125, 3.3, 1]])
     stage = Usd.Stage.CreateInMemory()
     mesh = UsdGeom.Mesh.Define(stage, "/mesh")
     author_points(mesh, points)
