@@ -95,8 +95,9 @@ class DiscreteMechanics:
 
         middle, rate = self._middle(r, z, self.driven((c0 + c1) / 2), h)
         u, xi = rate
-        g1, r1 = v.group.compose(g, tau.tau(h * xi)), r + h * u
         on_joints, on_group = momentum(v, middle, u, xi)
+        x = tau.increment(self._inertia, xi, h)
+        g1, r1 = v.group.compose(g, tau.tau(x)), r + h * u
         shape = shape_gradient(v, middle, u, xi)
 
         start, end = v.force(g, r, u, xi, c0, wind), v.force(g1, r1, u, xi, c1, wind)
@@ -105,12 +106,25 @@ class DiscreteMechanics:
         steady, steady1 = conservative(v, g, r), conservative(v, g1, r1)
         before = [h * (near * a + far * b + p / 2) for a, b, p in zip(start, end, steady, strict=True)]
         after = [h * (far * a + near * b + p / 2) for a, b, p in zip(start, end, steady1, strict=True)]
-        left = project(v, r, on_joints - h / 2 * shape - before[0], tau.dual(h * xi, on_group) - before[1])
-        right = project(v, r1, on_joints + h / 2 * shape + after[0], tau.dual_end(h * xi, on_group) + after[1])
+        left = project(v, r, on_joints - h / 2 * shape - before[0], tau.dual(x, on_group) - before[1])
+        right = project(v, r1, on_joints + h / 2 * shape + after[0], tau.dual_end(x, on_group) + after[1])
         damped = [h * (near + far) * f for f in start]
         bend = project(v, r, on_joints - h / 2 * shape - damped[0], tau.near.dual(h * xi, on_group) - damped[1])
         push = project(v, r, *before)
         return {"left": left, "right": right, "g1": g1, "r1": r1, "bend": bend, "push": push}
+
+    def _inertia(self) -> Any:
+        """Inertia (d, d) of a single body. Raises ``InputError`` for other vehicles."""
+        v, (_, s, n, _) = self.vehicle, self.sizes
+        if s or n < v.group.dim:
+            raise InputError(
+                f"{v.name} is not a single body without constraints",
+                "choose another map",
+                key="difference_map",
+                value=self.map_name,
+            )
+        xi = ca.SX.sym("xi", n)
+        return ca.evalf(ca.hessian(v.reduced_lagrangian(ca.SX(0, 1), ca.SX(0, 1), xi), xi)[0]).full()
 
     def _middle(self, r: Expr, z: Expr, driven: Expr, h: Expr) -> tuple[Expr, tuple[Expr, Expr]]:
         """Shape at mid-segment and the velocity ``(u, xi)`` there."""

@@ -127,6 +127,11 @@ class Group(ABC):
         """A body twist (dim,) at the point ``offset`` (3,) of the same body, in the same axes."""
         return ca.vertcat(twist[0:3], twist[3:6] + ca.cross(twist[0:3], offset))
 
+    @vectorized
+    def cube(self, x: Expr) -> Expr:
+        """The algebra vector (dim,) whose ``ad`` is ``ad(x)^3``."""
+        return -self.angle_squared(x) * x
+
     def _columns(self, linear: Any) -> Expr:
         """The matrix of a linear map of the algebra, where ``linear`` acts on the algebra's matrices."""
         return ca.horzcat(*(self.vee(linear(self.hat(ca.SX(e)))) for e in np.eye(self.dim)))
@@ -296,6 +301,11 @@ class _SE3(_Spatial):
         return ca.vertcat(SO3.cay(w), translation)
 
     @vectorized
+    def cube(self, x: Expr) -> Expr:
+        w, v = x[0:3], x[3:6]
+        return ca.vertcat(-ca.dot(w, w) * w, -ca.dot(w, w) * v - 2 * ca.dot(w, v) * w)
+
+    @vectorized
     def cay_ad(self, x: Expr) -> Expr:
         w, v = x[0:3], x[3:6]
         return ca.vertcat(SO3.cay(w), 2 / (4 + ca.dot(w, w)) * (2 * v + ca.cross(w, v)))  # LIE eq. 14, B_cay
@@ -332,6 +342,10 @@ class _SO3xR3(_Spatial):
     @vectorized
     def cay(self, x: Expr) -> Expr:
         return ca.vertcat(SO3.cay(x[0:3]), x[3:6])
+
+    @vectorized
+    def cube(self, x: Expr) -> Expr:
+        return ca.vertcat(SO3.cube(x[0:3]), ca.SX(3, 1))
 
     @vectorized
     def velocity_to_body(self, g: Expr, xi: Expr) -> Expr:

@@ -12,6 +12,7 @@ also ``C_end(x) = C(-x)`` and ``tau(x) tau(-x) = e``. Measured on a tumbling bod
 | `exp_truncated` | the same with LIE's printed C, eq. 15         | to 4th order     | 1e-6 lost     | 2     |
 | `cay`           | Cayley map of the group's matrices            | yes              | 1e-13         | 2     |
 | `tln`           | trapezoidal Lie-Newmark: Cayley map of ``ad`` | no               | 1e-13         | 2     |
+| `tln4`, `tln6`  | `tln` that follows a body's free flight       | no               | 1e-13         | 4, 6  |
 | `ccsk`          | coordinates of the second kind                | yes              | 1e-13         | 1     |
 """
 
@@ -26,6 +27,7 @@ import casadi as ca
 import numpy as np
 
 from vehsim.errors import InputError
+from vehsim.lie.free_flight import fourth, rotation
 from vehsim.lie.groups import Group
 from vehsim.lie.series import dexpinv2, dexpinv4
 from vehsim.lie.vectorized import vectorized
@@ -96,6 +98,8 @@ class _Law:
     """A map as data: ``tau`` and ``C`` as functions of (group, x), whether its step is symmetric, ``C.T`` times a
     covector.
 
+    ``free_flight``: order to which a step follows the free flight of a body (`vehsim.lie.free_flight`); 0: no more than
+    the order of the map.
     ``near``: name of a map with a simpler ``C`` that agrees to second order, for the derivatives in Newton's method;
     None: the map itself.
     """
@@ -105,19 +109,22 @@ class _Law:
     symmetric: bool = True
     dual: Callable[[Group, Expr, Expr], Expr] | None = None
     near: str | None = None
+    free_flight: int = 0
 
 
 MAPS: dict[str, _Law] = {
     "exp": _Law(lambda group, x: group.exp(x), _exp_tangent_inverse, dual=_exp_dual, near="exp_truncated"),
     "cay": _Law(lambda group, x: group.cay(x), _cay_tangent_inverse),
     "tln": _Law(lambda group, x: group.cay_ad(x), _tln),
+    "tln4": _Law(lambda group, x: group.cay_ad(x), _tln, near="tln", free_flight=4),
+    "tln6": _Law(lambda group, x: group.cay_ad(x), _tln, near="tln", free_flight=6),
     "exp_truncated": _Law(lambda group, x: group.exp(x), _exp_truncated, dual=_exp_truncated_dual),
     "ccsk": _Law(_ccsk, _ccsk_tangent_inverse, symmetric=False),
 }
 
 
 DEFAULT_MAP = "tln"
-"""The cheapest and, at equal CPU time, the most accurate on every shipped vehicle (``benchmarks/RESULTS.md``)."""
+"""The cheapest and, at equal CPU time, the most accurate on every shipped vehicle (docs/derivations.md)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,6 +139,28 @@ class DifferenceMap:
         """Whether a step with this map, run backwards, is its own inverse: then it is second order and suitable for
         composition."""
         return MAPS[self.name].symmetric
+
+    def increment(self, inertia: Callable[[], Any], xi: Expr, h: Expr) -> Expr:
+        """What `tau` and `C` take for a step of ``h`` s with the velocity ``xi`` (dim,): ``h xi``, or for `tln4` and
+        `tln6` that of the free flight of a body with ``inertia()`` (dim, dim).
+
+        Raises ``InputError`` if the map does not know the free flight.
+        """
+        order = MAPS[self.name].free_flight
+        if not order:
+            return h * xi
+        matrix = np.asarray(inertia(), float)
+        turn, rest = matrix[:3, :3], matrix[:3, 3:]
+        if self.group.name in ("SO3", "SO3xR3") and not np.any(rest):
+            return ca.vertcat(rotation(turn, xi[:3], h, order), h * xi[3:])
+        if order > 4:
+            raise InputError(
+                f"known on SO3, and on SO3xR3 about the centre of mass, not for this body on {self.group}",
+                'choose "tln4"',
+                key="difference_map",
+                value=self.name,
+            )
+        return fourth(self.group, matrix, xi, h)
 
     @property
     def near(self) -> DifferenceMap:
