@@ -26,6 +26,7 @@ from vehsim.planning.constraints.marks import _amount
 from vehsim.planning.deadline import MORE, Deadline
 from vehsim.planning.explain import elastic
 from vehsim.planning.explain.bounds import strength
+from vehsim.planning.explain.earliest import first_frame
 from vehsim.planning.explain.feasibility import refusals
 from vehsim.planning.request import ranges
 from vehsim.planning.request.marks import Gate
@@ -528,3 +529,11 @@ def test_a_mark_in_the_way_of_another_vehicle_is_refused_with_its_frame():
         found = [message for _, message, _ in marks_too_near(heli, world, marks, 0.3, 24)]
         assert found == [wrong] * bool(wrong)
         assert not list(marks_too_near(heli, world, marks, 0.3))
+
+
+def test_only_marks_with_a_position_have_a_first_frame():
+    """The planner adds marks without one where a stay begins and ends."""
+    terms = [stay((20, 40), within=(-50, -50, 50, 50))]
+    request = ask(vehsim.load_vehicle("car"), None, CAR_ASIDE, fps=24, segments=16, terms=terms)
+    assert [mark.position is None for mark in request.marks] == [False, True, True, False]
+    assert all(first_frame(request, i, i + 1, 41) is None for i in range(3))

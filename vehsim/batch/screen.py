@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 import threading
 import time
@@ -101,6 +102,8 @@ class _Lines:
                 self._screen.print(f"warning: {_where(task)}: {text}", markup=False, style="yellow")
         if outcome.state == "failed":
             self._screen.print(f"{_where(task)}: {outcome.message}", markup=False, style="red")
+            if outcome.detail and os.environ.get("VEHSIM_DEBUG"):
+                self._screen.print(outcome.detail, markup=False, highlight=False)
         elif self._quiet:
             return
         elif outcome.frames is None:

@@ -27,6 +27,7 @@ Tell = Callable[[str, str, str, float], None]
 
 RENDERING = ("frames", "film", "contact")
 """First words of the progress of pictures and films."""
+TRACEBACK_REMEDY = "set VEHSIM_DEBUG=1 to see the traceback"
 MEMORY_REMEDY = "give it fewer segments or pixels, or the worker more memory"
 _ONE_AT_A_TIME = threading.Lock()
 
@@ -131,7 +132,7 @@ def run_task(task: Task, tell: Tell) -> Outcome:
             problems = tuple(problem.as_dict() for problem in error.problems)
             outcome = Outcome(task.name, "failed", type(error).__name__, str(error), problems)
         except Exception as error:
-            message = f"unexpected: {type(error).__name__}: {error}; this is {whose_error(error)}"
+            message = f"unexpected: {type(error).__name__}: {error}; this is {whose_error(error)}: {TRACEBACK_REMEDY}"
             outcome = Outcome(task.name, "failed", type(error).__name__, message, detail=traceback.format_exc())
             if _starved(error):
                 message = f"it ran out of memory ({type(error).__name__}: {error}); {MEMORY_REMEDY}"

@@ -50,6 +50,8 @@ def first_frame(request: Request, i: int, j: int, least: int) -> tuple[int, bool
     The second value says whether it is the first such frame: then the fastest motion was found as well. The search is
     in empty space, with the ground's slopes, the wind, the marks between, and the limits that always apply.
     """
+    if request.marks[i].position is None or request.marks[j].position is None:
+        return None
     wind = request.wind
     marks = [*request.marks[i:j], replace(request.marks[j], frame="free", hold=0)]
     terms = tuple(term for term in request.terms if term.frames is None and not isinstance(term, Cost))

@@ -147,7 +147,8 @@ def _by_leg(run: Run, guess: Iterate) -> str:
     """The first mark that is too early for its own leg."""
     request, marks = guess.request, guess.request.marks
     known = [i for i, mark in enumerate(marks) if mark.frame != "free"]
-    for i, j in pairwise(known):
+    placed = [i for i in known if marks[i].position is not None]
+    for i, j in pairwise(placed):
         here = int(marks[j].frame)
         if marks[i].hold or run.deadline.late:
             continue
