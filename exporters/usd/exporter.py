@@ -30,6 +30,7 @@ from vehsim.exporters.usd.metadata import (
     samples,
 )
 from vehsim.exporters.usd.packing import Pack
+from vehsim.exporters.usd.physics import author_mass
 from vehsim.exporters.usd.readback import check_curves, check_readback
 from vehsim.exporters.usd.sampling import clip_at
 from vehsim.exporters.usd.scenery.guides import author_guides
@@ -91,6 +92,7 @@ def write_usd(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
     for name, clip in clips.items():
         prim = UsdGeom.Xform.Define(stage, f"/{take.name}/vehicles/{name}").GetPrim()
         _reference_layers(prim, layers[name], path, pack)
+        author_mass(prim, clip.vehicle, units)
         _model(prim, Kind.Tokens.component, clip.vehicle.name, pack.relative(layers[name]["exact"], path))
     progress("usd: environment", len(clips) / (len(clips) + 2))
     _author_terrain(stage, f"/{take.name}/env/terrain", take, pack, path)
