@@ -17,6 +17,7 @@ from vehsim.delivery.take import Take
 from vehsim.errors import ExportError, InputError
 from vehsim.exporters.pictures.burn_in import burned_in
 from vehsim.exporters.pictures.contact_sheet import write_contact_sheet
+from vehsim.exporters.pictures.motion_passes import openexr, write_exr
 from vehsim.exporters.pictures.passes import LEGEND, SUFFIXES, pass_path, write_legend
 from vehsim.exporters.pictures.render import StageRenderer
 from vehsim.exporters.pictures.split import write_split
@@ -92,14 +93,16 @@ def draw_stage(
 
     ``camera``: one or several by name, default all; ``frames``: default those of the stage; ``size`` (width, height)
     px, default 960 x 540; ``samples`` per pixel; ``processes``: default one per core if there is enough work.
-    ``passes``: "depth", "segmentation" or both, in addition to the pictures (`passes.py`); ``burn_in``: write stage,
-    camera and frame on the pictures. Raises ``InputError`` for an unusable stage, camera, frame, size or pass,
-    ``ExportError`` without EGL.
+    ``passes``: any of "depth", "segmentation", "flow" and "normals", in addition to the pictures (`passes.py`);
+    ``burn_in``: write stage, camera and frame on the pictures. Raises ``InputError`` for an unusable stage, camera,
+    frame, size or pass, ``ExportError`` without EGL.
     """
     size = _checked_size(size or (960, 540))
     for kind in passes:
         if kind not in SUFFIXES:
             raise InputError("no such pass", f"choose from {', '.join(SUFFIXES)}", key="passes", value=kind)
+    if any(SUFFIXES[kind] == ".exr" for kind in passes):
+        openexr()
     stage = StageReader(stage_path)
     chosen = _cameras(stage, camera)
     wanted = _wanted(stage, frames)
@@ -138,7 +141,7 @@ def _render(
                 picture = renderer.render(name, frame)
                 saved.append(writer.submit(_save, picture, path, words if burn_in else None))
                 if passes:
-                    drawings = dict(zip(("depth", "segmentation"), renderer.passes(name, frame), strict=True))
+                    drawings = renderer.passes(name, frame, passes)
                     saved += [writer.submit(_save, drawings[kind], pass_path(path, kind)) for kind in passes]
         for job in saved:
             job.result()
@@ -187,6 +190,10 @@ def _save(picture: NDArray[Any], path: Path, words: tuple[str, str, str] | None 
     """Write a picture atomically, so that readers never see a partial one. ``words`` are burned into it."""
     from PIL import Image
 
+    if path.suffix == ".exr":
+        with replacing_file(path) as beside:
+            write_exr(picture, path.parent.name, beside)
+        return
     image = Image.fromarray(picture)
     if words:
         image = burned_in(image, words)

@@ -1,8 +1,9 @@
-"""Depth and segmentation in addition to a picture: for compositing, and for checks that are independent of light.
+"""Passes in addition to a picture: for compositing, and for checks that are independent of light.
 
 Depth is metres along the view as 32-bit TIFF, 0 for the background. Segmentation is a colour for each prim, computed
-from its path, so that it does not change when other prims do; ``legend.json`` maps colours to prims. Both have the
-picture's size, no anti-aliasing, and see through translucent surfaces. This module writes and reads their files.
+from its path, so that it does not change when other prims do; ``legend.json`` maps colours to prims. Flow and
+normals are EXR (`motion_passes.py`). All have the picture's size, no anti-aliasing, and see through translucent
+surfaces. This module writes and reads their files.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from vehsim.errors import InputError
 from vehsim.intake.images import read_frame
 
-SUFFIXES = {"depth": ".tif", "segmentation": ".png"}
+SUFFIXES = {"depth": ".tif", "segmentation": ".png", "flow": ".exr", "normals": ".exr"}
 """Pass -> suffix of its files."""
 LEGEND = "legend.json"
 

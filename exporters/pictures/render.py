@@ -7,6 +7,7 @@ the look, `frames.py` and `film.py` write files.
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from types import TracebackType
 from typing import Any
 
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.exporters.pictures.canvas import OPAQUE, TRANSLUCENT, Canvas, Picture
+from vehsim.exporters.pictures.motion_passes import Pixels
 from vehsim.exporters.pictures.passes import prim_colours
 from vehsim.exporters.pictures.water import WaterView, places_of
 from vehsim.exporters.usd.scenery.shading import author_material, author_skybox, light_for
@@ -108,19 +110,35 @@ class StageRenderer:
         sky.paste(behind.reduce(side), (left // side, top // side))
         return np.asarray(sky)
 
-    def passes(self, camera: str, frame: float) -> tuple[NDArray[np.float32], Picture]:
-        """Depth (height, width) m along the view, 0 for the background, and the prims' colours (height, width, 3).
+    def passes(self, camera: str, frame: float, kinds: Sequence[str]) -> dict[str, NDArray[Any]]:
+        """The passes ``kinds`` of a picture: "depth" (height, width) m along the view, 0 for the background;
+        "segmentation", the prims' colours (height, width, 3); "flow" (height, width, 4) and "normals" (height, width,
+        3) of `motion_passes`.
 
         Translucent surfaces are ignored. Prims are those of `prims`, coloured by `passes.prim_colours`.
         """
         self._pose(camera, frame)
         if self._water is not None:
             self._canvas.draw_water(self._water, self._data, frame)
-        of_geom, depth = self._canvas.draw_ids(self.size), self._canvas.depth(self.size)
-        near, far = self._drawn(self.stage.camera(camera, frame).clip)
+        of_geom, depth = self._canvas.draw_ids(self.size)[::-1], self._canvas.depth(self.size)[::-1]
+        view = self.stage.camera(camera, frame)
+        near, far = self._drawn(view.clip)
         away = near * far / (depth * (far - near) + near)
         colours = np.vstack([prim_colours(self.prims), np.zeros((1, 3), np.uint8)])  # the last one, -1: background
-        return np.where(of_geom < 0, 0.0, away).astype(np.float32)[::-1], colours[of_geom][::-1]
+        drawings: dict[str, NDArray[Any]] = {
+            "depth": np.where(of_geom < 0, 0.0, away).astype(np.float32),
+            "segmentation": colours[of_geom],
+        }
+        if {"flow", "normals"} & {*kinds}:
+            names = [self._model.geom(k).name for k in range(self._model.ngeom)]
+            of_shape = np.array([*(int(n.removeprefix("shape")) if n != "water" else -2 for n in names), -1])
+            pixels = Pixels(self.stage, view, of_shape[of_geom], away.astype(float), self.stage.matrices(frame))
+            drawings["normals"] = pixels.normals
+            first, last = self.stage.frames
+            beside = [min(max(frame + step, first), last) for step in (1, -1)] if "flow" in kinds else []
+            flows = [pixels.flow(self.stage.camera(camera, at), self.stage.matrices(at)) for at in beside]
+            drawings["flow"] = np.concatenate(flows, axis=-1) if flows else pixels.normals
+        return {kind: drawings[kind] for kind in kinds}
 
     @property
     def prims(self) -> list[str]:

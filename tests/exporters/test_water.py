@@ -134,7 +134,7 @@ def test_water_itself_has_no_wet_lines(shown, monkeypatch):
         monkeypatch.setattr(water_view, "WETNESS", share)
         with StageRenderer(StageReader(shown[1]), (320, 180), samples=1) as renderer:
             pictures.append(renderer.render("low", 1005).astype(int))
-            _, prims = renderer.passes("low", 1005)
+            prims = renderer.passes("low", 1005, ["segmentation"])["segmentation"]
             water = prim_colours(renderer.prims)[renderer.prims.index("/sea/env/water/surface")]
     changed, of_water = (pictures[0] != pictures[1]).any(axis=2), (prims == water).all(axis=2)
     assert of_water.mean() > 0.3 and not (changed & of_water).any()
@@ -270,7 +270,7 @@ def test_the_sea_is_darker_than_the_sky_at_its_horizon(tmp_path):
     grey."""
     with StageRenderer(calm(tmp_path), (320, 180)) as renderer:
         picture = renderer.render("low", 1001).astype(float)
-        depth, _ = renderer.passes("low", 1001)
+        depth = renderer.passes("low", 1001, ["depth"])["depth"]
     rim = int(np.flatnonzero(np.median(depth, axis=1) > 0)[0])  # the first row of water
     sky, sea = (
         np.median(picture[rows].reshape(-1, 3), axis=0) for rows in (slice(rim - 6, rim - 2), slice(rim + 3, rim + 7))

@@ -338,7 +338,9 @@ def render(
         str | None,
         typer.Option(metavar="NAME", help="A camera of the stage.", autocompletion=choices.camera_of_stage),
     ] = None,
-    passes: Annotated[str, typer.Option(metavar="LIST", help="Additional pictures: depth, segmentation or both.")] = "",
+    passes: Annotated[
+        str, typer.Option(metavar="LIST", help="Additional pictures: depth, segmentation, flow, normals.")
+    ] = "",
     burn_in: Annotated[bool, typer.Option("--burn-in", help="Write stage, camera and frame on the pictures.")] = False,
     quality: Annotated[Quality, typer.Option(help="draft: one sample per pixel, no shadows.")] = Quality.final,
     quiet: Quiet = False,

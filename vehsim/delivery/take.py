@@ -42,8 +42,8 @@ class RenderSettings:
 
     ``cameras``: names of the cameras to render; None: all of the take. ``layout`` "side-by-side" puts their pictures
     beside each other, each with its share of ``size``, with ``captions`` by camera name. ``mood``: the light,
-    "afternoon" or "dusk". ``passes``: "depth" and "segmentation" in addition to colour; ``burn_in``: write shot, camera
-    and frame on the pictures.
+    "afternoon" or "dusk". ``passes``: "depth", "segmentation", "flow" and "normals" in addition to colour; ``burn_in``:
+    write shot, camera and frame on the pictures.
     """
 
     size: tuple[int, int] = (960, 540)

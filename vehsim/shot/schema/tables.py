@@ -316,8 +316,9 @@ class RenderTable(Table):
     """"side-by-side" for an additional film with the cameras' pictures beside each other, or "separate\""""
     mood: Literal["afternoon", "dusk"] = "afternoon"
     """the time of day, "afternoon" or "dusk", which sets the place and colour of the sun"""
-    passes: Annotated[list[Literal["depth", "segmentation"]], Array, Len(0, 2)] = Field(default=[])
-    """"depth" (metres, 32-bit TIFF) and "segmentation" (a colour for each prim), in addition to every picture"""
+    passes: Annotated[list[Literal["depth", "segmentation", "flow", "normals"]], Array, Len(0, 4)] = Field(default=[])
+    """"depth" (metres, 32-bit TIFF), "segmentation" (a colour for each prim), "flow" (pixels to the next and to the
+    previous frame, EXR) and "normals" (world axes, EXR), in addition to every picture"""
     burn_in: bool = False
     """true or false: whether to write shot, camera and frame on the pictures"""
     captions: dict[str, Text] = Field(default={})

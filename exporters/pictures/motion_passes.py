@@ -1,0 +1,132 @@
+"""Optical flow and normals of a picture: from the depth and geom of every pixel, and the poses of the stage.
+
+Every pixel's point is moved from the depth buffer onto the triangle that it shows, so that flow is exact to the poses,
+not to the steps of the buffer. Flow is in pixels, u to the right and v up, to the place of the same point of the same
+part one frame later (forward) and earlier (backward). The sky moves with the camera's rotation. Beyond the first and
+the last frame nothing moves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.errors import InputError
+
+if TYPE_CHECKING:
+    from vehsim.exporters.usd.stage import Shape, StageReader, View
+
+Array = NDArray[np.float64]
+
+CHANNELS = {"flow": ("forward.u", "forward.v", "backward.u", "backward.v"), "normals": ("N.X", "N.Y", "N.Z")}
+"""Pass -> channels of its EXR files."""
+NEAR = 0.05
+"""Largest distance of a pixel's point from the triangle that it shows, m: farther away, the depth buffer is kept."""
+
+
+class Pixels:
+    """The points that the pixels of a picture show.
+
+    ``shapes`` (h, w): index of the stage's shape, -1: background, -2: water; ``depth`` (h, w) m along the view; both
+    from the top row down. ``poses``: T_wg of every group at the picture's frame.
+    """
+
+    def __init__(
+        self, stage: StageReader, view: View, shapes: NDArray[np.int64], depth: Array, poses: Mapping[str, Array]
+    ) -> None:
+        self._stage, self._view, self._shapes, self._poses = stage, view, shapes, dict(poses)
+        self._size = shapes.shape[1], shapes.shape[0]
+        self.rays = _rays(view, self._size)  # world axes, of length 1 along the view
+        self.normals = np.zeros((*shapes.shape, 3))
+        points = np.where((shapes == -1)[..., None], self.rays, view.T_wc[:3, 3] + depth[..., None] * self.rays)
+        self.points = np.concatenate([points, (shapes != -1)[..., None].astype(float)], axis=-1)  # 0: at infinity
+        for k in np.unique(shapes[shapes >= 0]).tolist():
+            self._settle(stage.shapes[k], shapes == k)
+
+    def _settle(self, shape: Shape, mask: NDArray[np.bool_]) -> None:
+        """Move points onto the triangles of a shape, along their rays, and take its normals there."""
+        import igl
+
+        T_wg = self._poses.get(shape.group, np.eye(4))
+        R, eye = T_wg[:3, :3], (self._view.T_wc[:3, 3] - T_wg[:3, 3]) @ T_wg[:3, :3]
+        near = (self.points[mask][:, :3] - T_wg[:3, 3]) @ R
+        rays = self.rays[mask] @ R
+        vertices, faces = np.ascontiguousarray(shape.points), np.ascontiguousarray(shape.faces)
+        tree = igl.AABB()
+        tree.init(vertices, faces)
+        _, face, _ = tree.squared_distance(vertices, faces, near)
+        a, b, c = (vertices[faces[face, k]] for k in range(3))
+        across = np.cross(b - a, c - a)
+        slope = np.einsum("ni,ni->n", across, rays)
+        along = np.einsum("ni,ni->n", across, a - eye) / np.where(np.abs(slope) < 1e-12, np.inf, slope)
+        there = eye + along[:, None] * rays
+        good = (np.linalg.norm(there - near, axis=1) < NEAR) & (along > 0)
+        there = np.where(good[:, None], there, near)
+        self.points[mask, :3] = there @ R.T + T_wg[:3, 3]
+        weights = _barycentric(there, a, b, c)
+        normals = np.einsum("nk,nki->ni", weights, shape.normals[shape.face_normals[face]])
+        normals *= np.where(np.einsum("ni,ni->n", normals, rays) > 0, -1.0, 1.0)[:, None]  # the side that is seen
+        self.normals[mask] = (normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)) @ R.T
+
+    def flow(self, view: View, poses: Mapping[str, Array]) -> Array:
+        """Pixels (h, w, 2) from here to where the same points are with other ``poses``, seen by ``view``."""
+        moved = self.points.copy()
+        for group, T_wg in self._poses.items():
+            shapes = [k for k, shape in enumerate(self._stage.shapes) if shape.group == group]
+            mask = np.isin(self._shapes, shapes)
+            moved[mask] = self.points[mask] @ (poses[group] @ np.linalg.inv(T_wg)).T
+        return _pixels(view, moved, self._size) - _pixels(self._view, self.points, self._size)
+
+
+def write_exr(values: NDArray[Any], kind: str, path: Path) -> None:
+    """Channels (h, w, n) as 32-bit floats. Raises ``InputError`` without OpenEXR."""
+    OpenEXR = openexr()
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    planes = {
+        name: np.ascontiguousarray(values[..., k], np.float32)
+        for k, name in enumerate(CHANNELS[kind][: values.shape[2]])
+    }
+    OpenEXR.File(header, planes).write(str(path))
+
+
+def openexr() -> Any:
+    """The module, an optional dependency. Raises ``InputError``."""
+    try:
+        import OpenEXR
+    except ImportError:
+        raise InputError(
+            "needs OpenEXR", "pip install 'vehsim[exr]', or leave out flow and normals", key="passes"
+        ) from None
+    return OpenEXR
+
+
+def _rays(view: View, size: tuple[int, int]) -> Array:
+    """Directions (h, w, 3) through the pixels' centres, of length 1 along the view, in world axes."""
+    (width, height), half = size, view.half_width
+    x = ((np.arange(width) + 0.5) / width * 2 - 1) * half + view.shift[0]
+    y = (1 - (np.arange(height) + 0.5) / height * 2) * half * height / width + view.shift[1]
+    own = np.stack([*np.meshgrid(x, y), -np.ones((height, width))], axis=-1)
+    return np.asarray(own @ view.T_wc[:3, :3].T)
+
+
+def _pixels(view: View, points: Array, size: tuple[int, int]) -> Array:
+    """Places (h, w, 2) of homogeneous world points (h, w, 4) in pixels, u to the right and v up; NaN behind the
+    camera."""
+    own = (points[..., :3] - points[..., 3:] * view.T_wc[:3, 3]) @ view.T_wc[:3, :3]
+    away = np.where(own[..., 2] < 0, -own[..., 2], np.nan)
+    scale = size[0] / (2 * view.half_width)
+    return np.asarray((own[..., :2] / away[..., None] - view.shift) * scale)
+
+
+def _barycentric(points: Array, a: Array, b: Array, c: Array) -> Array:
+    """Weights (n, 3) of points in triangles, none below 0."""
+    normal = np.cross(b - a, c - a)
+    area = np.maximum(np.einsum("ni,ni->n", normal, normal), 1e-30)
+    v = np.einsum("ni,ni->n", np.cross(points - a, c - a), normal) / area
+    w = np.einsum("ni,ni->n", np.cross(b - a, points - a), normal) / area
+    weights = np.clip(np.stack([1 - v - w, v, w], axis=1), 0.0, 1.0)
+    return np.asarray(weights / weights.sum(axis=1, keepdims=True))
