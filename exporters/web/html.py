@@ -29,13 +29,13 @@ def write_html(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
     return [path]
 
 
-def page(title: str, scene: str = "", scripts: Sequence[str] = ("three.min.js", "viewer.js")) -> str:
+def page(title: str, scene: str = "", scripts: Sequence[Path] = (PAGE / "three.min.js", PAGE / "viewer.js")) -> str:
     """The page with its styles and ``scripts``, and a ``scene``: base64 of zlib of a `scene_block`."""
     text = (PAGE / "page.html").read_text(encoding="utf-8")
     parts = {
         "{title}": html.escape(title),
         "{style}": (PAGE / "style.css").read_text(encoding="utf-8"),
-        "{scripts}": "\n".join(f"<script>{(PAGE / name).read_text(encoding='utf-8')}</script>" for name in scripts),
+        "{scripts}": "\n".join(f"<script>{path.read_text(encoding='utf-8')}</script>" for path in scripts),
         "{scene}": scene,
     }
     before = ""

@@ -22,9 +22,11 @@ from vehsim.exporters.usd.scenery.shading import DEFAULT_SUN, below_horizon, dom
 from vehsim.exporters.usd.scenery.water_material import CLEAR, FOAM, ROUGH, TILE, patches, ripples
 from vehsim.exporters.usd.stage import Shape, StageReader, Surface
 from vehsim.intake.images import read_colours
-from vehsim.lie.quaternions import quaternions, yaw_of
+from vehsim.lie.quaternions import matrices, quaternions, yaw_of
+from vehsim.rig.linkage import part_poses
 
 if TYPE_CHECKING:
+    from vehsim.cameras.camera import Camera
     from vehsim.clip.clip import Clip
     from vehsim.delivery.take import Take
 
@@ -69,10 +71,11 @@ class Packing:
 def scene_block(take: Take, stage: StageReader) -> bytes:
     """Everything that the page shows of ``take``, whose stage is ``stage``."""
     pack = Packing()
-    frames = np.arange(take.frames[0], take.frames[1] + 1, dtype=float)
+    frames = _frames(take)
     surfaces = list(dict.fromkeys(shape.surface for shape in stage.shapes))
     textures = list(dict.fromkeys(surface.texture for surface in surfaces if surface.texture))
     header = {
+        "kind": "scene",
         "name": take.name,
         "fps": float(take.fps),
         "frames": list(take.frames),
@@ -81,31 +84,129 @@ def scene_block(take: Take, stage: StageReader) -> bytes:
         "materials": [_material(surface, textures) for surface in surfaces],
         "shapes": [_shape(pack, shape, stage.groups, surfaces) for shape in stage.shapes],
         "light": _light(pack, stage),
-        **motion(pack, take, group_poses(stage, frames), stage.groups),
+        **_motion(pack, take, group_poses(stage, frames), stage.groups),
         "cameras": list(_cameras(pack, stage, take, frames)),
         "water": None if stage.water is None else _water(pack, stage, frames),
     }
     return pack.block(header)
 
 
-def motion(pack: Packing, take: Take, poses: Array, groups: Iterable[str]) -> dict[str, Any]:
+class Kinematics:
+    """How the stage's moving prims follow from clips: new motion is shown without writing a stage again.
+
+    A prim of a vehicle is carried by the vehicle's drives; its place on them is measured on the stage at the first
+    frame.
+    """
+
+    def __init__(self, take: Take, stage: StageReader) -> None:
+        self.groups, self._stage = stage.groups, stage
+        self._take = take
+        first = np.array([float(take.frames[0])])
+        poses = group_poses(stage, first)[:, 0]
+        self._at = [_vehicle_of(take, group) for group in stage.groups]
+        self._rest: list[Array] = []
+        for (name, path), pose in zip(self._at, poses, strict=True):
+            carrier = None if name is None else _carried(clip_at(take.clips[name], first), path)[0]
+            self._rest.append(
+                _matrices(pose[None])[0] if carrier is None else np.linalg.inv(carrier) @ _matrices(pose[None])[0]
+            )
+
+    def can_show(self, take: Take) -> bool:
+        """Whether only the vehicles' motion differs from that of the stage."""
+        return (
+            take.frames == self._take.frames
+            and take.world.water is None
+            and all(name is not None for name, _ in self._at)
+            and [camera.name for camera in take.cameras] == [camera.name for camera in self._take.cameras]
+            and take.world.content_hash == self._take.world.content_hash
+        )
+
+    def moved_by(self, vehicle: str) -> list[int]:
+        """The indices of a vehicle's prims."""
+        return [k for k, (name, _) in enumerate(self._at) if name == vehicle]
+
+    def poses(self, take: Take, which: Iterable[int]) -> Array:
+        """Poses (groups, frames, 7) of some prims; those that no vehicle carries stay where the stage shows them."""
+        frames, found = _frames(take), []
+        for k in which:
+            name, path = self._at[k]
+            if name is None:
+                T = np.stack([self._stage.matrices(frame)[self.groups[k]] for frame in frames.tolist()])
+            else:
+                T = _carried(clip_at(take.clips[name], frames), path) @ self._rest[k]
+            found.append(_poses(T))
+        return np.stack(found) if found else np.zeros((0, len(frames), 7))
+
+
+def draft_block(take: Take, kinematics: Kinematics, name: str) -> bytes:
+    """The poses and the path of one vehicle of a take, while its marks are dragged."""
+    pack, which = Packing(), kinematics.moved_by(name)
+    poses, path = kinematics.poses(take, which), clip_at(take.clips[name], _frames(take)).positions
+    header = {
+        "kind": "draft",
+        "groups": [{"index": k, "poses": pack.array(pose, "f4")} for k, pose in zip(which, poses, strict=True)],
+        "path": {"name": name, "points": pack.array(path, "f4")},
+    }
+    return pack.block(header)
+
+
+def motion_block(take: Take, kinematics: Kinematics) -> bytes:
+    """Everything that a new motion changes in a scene, if `Kinematics.can_show` it."""
+    pack, frames = Packing(), _frames(take)
+    cameras = [
+        {"name": camera.name, "poses": pack.array(poses, "f4"), "lens": pack.array(lens, "f4")}
+        for camera in take.cameras
+        for poses, lens in [_camera(camera, frames)]
+    ]
+    poses = kinematics.poses(take, range(len(kinematics.groups)))
+    return pack.block({"kind": "motion", **_motion(pack, take, poses, kinematics.groups), "cameras": cameras})
+
+
+def _motion(pack: Packing, take: Take, poses: Array, groups: Iterable[str]) -> dict[str, Any]:
     """What changes when a take is solved again. ``poses`` (groups, frames, 7): x, y, z, then the quaternion
     x, y, z, w."""
-    prefix = f"/{take.name}/vehicles/"
-    frames = np.arange(take.frames[0], take.frames[1] + 1, dtype=float)
+    frames = _frames(take)
     clips = {name: clip_at(clip, frames) for name, clip in take.clips.items()}
     return {
         "groups": [
-            {
-                "vehicle": path.removeprefix(prefix).split("/")[0] if path.startswith(prefix) else None,
-                "poses": pack.array(pose, "f4"),
-            }
-            for path, pose in zip(groups, poses, strict=True)
+            {"vehicle": _vehicle_of(take, group)[0], "poses": pack.array(pose, "f4")}
+            for group, pose in zip(groups, poses, strict=True)
         ],
         "paths": [{"name": name, "points": pack.array(clip.positions, "f4")} for name, clip in clips.items()],
         "marks": list(_marks(take)),
         "curves": [curve for name, clip in clips.items() for curve in _curves(pack, name, clip)],
     }
+
+
+def _frames(take: Take) -> Array:
+    return np.arange(take.frames[0], take.frames[1] + 1, dtype=float)
+
+
+def _vehicle_of(take: Take, group: str) -> tuple[str | None, str]:
+    """The vehicle that moves a prim, None for none, and the prim's path below it."""
+    prefix = f"/{take.name}/vehicles/"
+    if not group.startswith(prefix):
+        return None, ""
+    name, _, path = group.removeprefix(prefix).partition("/")
+    return name, path
+
+
+def _carried(clip: Clip, path: str) -> Array:
+    """Matrices (n, 4, 4) that carry the prim at ``path`` from its rest in the root's frame into the world."""
+    T = np.tile(np.eye(4), (len(clip), 1, 1))
+    assert clip.vehicle.rig is not None
+    T[:, :3, 3], turn = part_poses(clip.vehicle.rig, path, clip.channels, clip.positions, clip.orientations)
+    T[:, :3, :3] = matrices(turn)
+    return T
+
+
+def _camera(camera: Camera, frames: Array) -> tuple[Array, Array]:
+    """Poses (n, 7) and lens (n, 3) of a take's camera, which has a sample on every whole frame."""
+    at = np.clip(np.searchsorted(camera.frames, frames - 1e-6), 0, len(camera.frames) - 1)
+    lens = np.broadcast_to(camera.lens_mm, camera.frames.shape)[at]
+    half = camera.aperture_mm[0] / (2 * lens)
+    turn = np.roll(camera.orientations[at], -1, axis=1)
+    return np.column_stack([camera.positions[at], turn]), np.column_stack([half, 0 * half, 0 * half])
 
 
 def group_poses(stage: StageReader, frames: Array) -> Array:
@@ -119,6 +220,13 @@ def group_poses(stage: StageReader, frames: Array) -> Array:
 def _poses(T: Array) -> Array:
     """Positions and quaternions x, y, z, w (n, 7) of matrices (n, 4, 4)."""
     return np.column_stack([T[:, :3, 3], np.roll(quaternions(T[:, :3, :3]), -1, axis=1)])
+
+
+def _matrices(poses: Array) -> Array:
+    """The inverse of `_poses`."""
+    T = np.tile(np.eye(4), (len(poses), 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = matrices(np.roll(poses[:, 3:], 1, axis=1)), poses[:, :3]
+    return T
 
 
 def _shape(pack: Packing, shape: Shape, groups: tuple[str, ...], surfaces: list[Surface]) -> dict[str, Any]:
@@ -255,7 +363,7 @@ def _marks(take: Take) -> Iterator[dict[str, Any]]:
 
 def _curves(pack: Packing, name: str, clip: Clip) -> Iterator[dict[str, Any]]:
     """Speed, load and controls on whole frames."""
-    velocity = np.gradient(clip.positions, clip.times, axis=0) if len(clip) > 1 else np.zeros((1, 3))
+    velocity = np.gradient(clip.positions, clip.times, axis=0, edge_order=2) if len(clip) > 2 else np.zeros((1, 3))
     table = {"speed": (np.linalg.norm(velocity, axis=1), "m/s")}
     table |= {
         control.name: (values, control.unit)

@@ -411,6 +411,8 @@ SHELL: dict[str, Shell | str] = {
     "cookbook.md: Drive an asset of your own": Shell(
         ("vehicles/kart/vehicle.toml", "race.toml"), {"kart.obj": (ELSEWHERE / "kart" / "kart.obj").read_text("utf-8")}
     ),
+    "browser.md: A shot in the browser": Shell(("out/small/small.html",)),
+    "browser.md: Edit it": "a session without an end; tests/live runs it",
     "batch.md: A thousand clips": Shell(
         ("out/a/a.usda", "out/b/*.mp4", "out/b/frames/*/*.png", "out/summary.json"),
         {f"shots/{name}.toml": SMALL.replace('"small"', f'"{name}"') for name in "ab"},

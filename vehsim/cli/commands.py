@@ -442,6 +442,31 @@ def height(
 
 
 @app.command()
+def live(
+    shot: Annotated[Path, typer.Argument(metavar="SHOT", help="A shot file.", autocompletion=choices.shot_file)],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for exports from the page.")] = Path("out"),
+    host: Annotated[
+        str, typer.Option(help="The address to listen on; another than localhost needs --token.")
+    ] = "localhost",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="0: any free port.")] = 8765,
+    token: Annotated[str, typer.Option(help="A secret that the page's address must contain.")] = "",
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Print the page's address only.")] = False,
+) -> None:
+    """Open a shot in the browser: play it, drag its marks, and the motion follows."""
+    from vehsim.live import edit
+
+    def ready(address: str) -> None:
+        print(address, flush=True)
+        screen.print("Ctrl-C ends the session", markup=False)
+        if not no_browser:
+            import webbrowser
+
+            webbrowser.open(address)
+
+    edit(shot, out, host, port, token, ready)
+
+
+@app.command()
 def schema() -> None:
     """Print the JSON schema of shot files: `vehsim schema > vehsim.schema.json`, then paste the printed line.
 

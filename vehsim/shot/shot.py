@@ -372,7 +372,7 @@ class Shot:
         together: dict[str, tuple[Clip, dict[str, Any]]] = {}
         # vehicles that are obstacles move first, the others around them
         for i, table in enumerate(sorted(self.file.vehicle, key=lambda vehicle: vehicle.name not in avoided)):
-            world = with_vehicles(self.world, clips, avoided, table.name)
+            world = self.world_of(table.name, clips)
 
             def report(what: str, done: float, name: str = table.name, before: int = i) -> None:
                 progress(f"{name}: {what}", (before + done) / len(self.file.vehicle))
@@ -388,6 +388,10 @@ class Shot:
             reports[table.name] = {"asset": table.asset, "method": table.motion.method, **details}
         order = [table.name for table in self.file.vehicle]
         return {name: clips[name] for name in order}, {name: reports[name] for name in order}
+
+    def world_of(self, name: str, clips: Mapping[str, Clip]) -> World:
+        """The world of one vehicle: the others that are obstacles move through it as in ``clips``."""
+        return with_vehicles(self.world, clips, self._avoided, name)
 
     @property
     def _avoided(self) -> set[str]:

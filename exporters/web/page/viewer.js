@@ -75,6 +75,7 @@ const vehsim = {};
       this.through = header.cameras.length ? header.cameras.length - 1 : -1; // a cut comes last
       this.shown = { paths: true, ghosts: false, cameras: false };
       this.stale = true;
+      this.over = new AbortController();
       this._makeRenderer();
       this._makeLight();
       this._makeShapes();
@@ -94,7 +95,8 @@ const vehsim = {};
     // ---- made once
 
     _makeRenderer() {
-      const canvas = element("view");
+      const before = element("view"), canvas = before.cloneNode(); // a canvas keeps its context
+      before.replaceWith(canvas);
       this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true });
       this.renderer.toneMapping = THREE.NeutralToneMapping;
       this.renderer.shadowMap.enabled = true;
@@ -234,11 +236,23 @@ const vehsim = {};
       this.curves = header.curves.map((curve) => ({ ...curve, values: array(curve.values) }));
       this.marks = header.marks;
       for (const overlay of Object.values(this.overlays)) dispose(overlay);
-      for (const path of header.paths) this._addPath(array(path.points));
-      for (const mark of header.marks) this._addMark(mark);
+      this.lines = new Map(header.paths.map((path) => [path.name, this._addPath(array(path.points))]));
+      this.rings = header.marks.map((mark) => this._addMark(mark));
+      for (const given of header.cameras || []) {
+        const camera = this.cameras.find((each) => each.name === given.name);
+        if (camera) Object.assign(camera, { poses: array(given.poses), lens: array(given.lens) });
+      }
       this.vehicles = header.paths.map((path) => path.name);
       this.stale = true;
       if (this.timeline) { this.timeline.build(); this.show(this.frame); }
+    }
+
+    /** The poses and the path of one vehicle, while its marks are dragged. */
+    setDraft(header, array) {
+      for (const group of header.groups) this.poses[group.index] = array(group.poses);
+      const line = this.lines.get(header.path.name);
+      line.geometry.setAttribute("position", new THREE.BufferAttribute(array(header.path.points), 3));
+      this.show(this.frame);
     }
 
     _addPath(points) {
@@ -248,6 +262,7 @@ const vehsim = {};
       const ticks = new THREE.Points(geometry, new THREE.PointsMaterial({ color: PATH, size: 3, sizeAttenuation: false, fog: false }));
       line.frustumCulled = ticks.frustumCulled = false;
       this.overlays.paths.add(line, ticks);
+      return line;
     }
 
     /** A ring with an arrow along the heading, and the vehicle's ghost. */
@@ -274,6 +289,30 @@ const vehsim = {};
       });
       ghost.userData.shared = true;
       this.overlays.ghosts.add(ghost);
+      return ring;
+    }
+
+    /** The camera of the picture: the shot's, or that of the orbit. */
+    get view() {
+      return this.through >= 0 ? this.shotCamera : this.camera;
+    }
+
+    /** Take over frame, view and switches of another viewer, and end that one. */
+    replace(other) {
+      this.camera.position.copy(other.camera.position);
+      this.orbit.target.copy(other.orbit.target);
+      this.orbit.update();
+      if (other.through < this.cameras.length) this.lookThrough(other.through);
+      for (const key of Object.keys(this.shown)) if (this.shown[key] !== other.shown[key]) element(`show-${key}`).click();
+      this.show(other.frame);
+      other.close();
+    }
+
+    close() {
+      this.over.abort();
+      this.closed = true;
+      this.renderer.dispose();
+      this.renderer.forceContextLoss();
     }
 
     // ---- every frame
@@ -348,6 +387,7 @@ const vehsim = {};
     }
 
     _tick(now) {
+      if (this.closed) return;
       requestAnimationFrame((next) => this._tick(next));
       if (this.playing) {
         const passed = Math.floor(((now - this.started.at) / 1000) * this.header.fps * this.speed);
@@ -385,10 +425,11 @@ const vehsim = {};
         this.camera.near = Math.min(Math.max(away / 200, 0.02), 5);
         this.camera.updateProjectionMatrix();
       }
-      const view = this.through >= 0 ? this.shotCamera : this.camera;
+      const view = this.view;
       this.cameras.forEach((camera, k) => (camera.frustum.visible = this.shown.cameras && k !== this.through));
       this.overlays.paths.visible = this.shown.paths;
       this.overlays.ghosts.visible = this.shown.ghosts;
+      for (const ring of this.rings) ring.scale.setScalar(Math.max(0.03 * view.position.distanceTo(ring.position), 0.3));
       this.sky.position.copy(view.position);
       this._placeShadow(view);
       this.renderer.render(this.scene, view);
@@ -431,6 +472,7 @@ const vehsim = {};
 
     _makeControls() {
       const bar = element("controls");
+      bar.replaceChildren();
       const button = (id, text, hint, press) => {
         const made = Object.assign(document.createElement("button"), { id, textContent: text, title: hint });
         made.addEventListener("click", () => { press(); made.blur(); });
@@ -502,7 +544,6 @@ const vehsim = {};
     }
 
     _listen() {
-      this.orbit.addEventListener("start", () => (this.grabbed = true));
       const press = {
         " ": () => this.play(), ArrowLeft: (event) => this.step(event.shiftKey ? -10 : -1),
         ArrowRight: (event) => this.step(event.shiftKey ? 10 : 1), Home: () => this.seek(this.first),
@@ -518,8 +559,8 @@ const vehsim = {};
         else if (press[event.key.toLowerCase()] || press[event.key]) (press[event.key] || press[event.key.toLowerCase()])(event);
         else return;
         event.preventDefault();
-      });
-      window.addEventListener("resize", () => { this.stale = true; this.timeline.build(); });
+      }, { signal: this.over.signal });
+      window.addEventListener("resize", () => { this.stale = true; this.timeline.build(); }, { signal: this.over.signal });
     }
   }
 
@@ -540,8 +581,8 @@ const vehsim = {};
           viewer.play(false);
           part.setPointerCapture(event.pointerId);
           scrub(event);
-        });
-        part.addEventListener("pointermove", (event) => part.hasPointerCapture(event.pointerId) && scrub(event));
+        }, { signal: viewer.over.signal });
+        part.addEventListener("pointermove", (event) => part.hasPointerCapture(event.pointerId) && scrub(event), { signal: viewer.over.signal });
       }
       this.build();
     }

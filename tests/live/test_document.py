@@ -1,0 +1,98 @@
+"""The document of a live session: what is not edited stays as it was written, and nothing is lost."""
+
+import tomllib
+
+import pytest
+
+from vehsim.errors import InputError
+from vehsim.live.document import Document
+
+TEXT = """\
+# a drive
+[shot]
+name = "drive"     # its name
+schema = 1
+
+[[vehicle]]
+asset = "car"
+name = "car"
+  [vehicle.motion]
+  method = "plan"
+  mark = [
+    { frame = 1001, position = [0, 0, 0], heading = 0 },
+    { frame = 1073, position = [10.50, 2.0, 0] },  # the garage
+  ]
+[[vehicle]]
+name = "other"
+asset = "car"
+[vehicle.motion]
+method = "plan"
+[[vehicle.motion.mark]]
+frame = 1001
+position = [
+  5.0,   # east
+  1e1,   # north
+  0,
+]
+"""
+
+
+@pytest.fixture
+def path(tmp_path):
+    path = tmp_path / "drive.toml"
+    path.write_bytes(TEXT.encode())
+    return path
+
+
+def test_only_what_was_moved_is_rewritten(path):
+    document = Document(path)
+    document.place_mark(0, 1, [10.5, 3.25, 0.0], None)
+    document.place_mark(1, 0, [5.0, 11.0, 0.0], 30.0)
+    document.save()
+    expected = TEXT.replace("[10.50, 2.0, 0]", "[10.50, 3.25, 0]").replace("  1e1,   # north", "  11.0,   # north")
+    assert path.read_text() == expected.replace("  0,\n]\n", "  0,\n]\nheading = 30.0\n")
+    assert document.data == tomllib.loads(path.read_text())
+
+
+def test_undo_and_redo_restore_every_byte(path):
+    document = Document(path)
+    texts = [document.text]
+    for k in range(30):
+        document.place_mark(0, 1, [10.5, 2.0 + k / 10, 0.0], 5.0 * k)
+        texts.append(document.text)
+    assert len(set(texts)) == 31
+    for text in reversed(texts[:-1]):
+        document.undo()
+        assert document.text == text
+    assert not document.undoable and not document.changed
+    document.undo()
+    for text in texts[1:]:
+        document.redo()
+        assert document.text == text
+    document.redo()
+    document.undo()
+    document.place_mark(0, 0, [1.0, 0.0, 0.0], None)
+    assert not document.redoable and document.undoable
+
+
+def test_a_session_that_ended_without_saving_goes_on(path):
+    document = Document(path)
+    document.place_mark(0, 1, [1.0, 2.0, 3.0], None)
+    assert path.read_text() == TEXT
+    again = Document(path)
+    assert again.recovered and again.text == document.text
+    again.undo()
+    assert again.text == TEXT and not again.autosave.exists()
+    again.redo()
+    again.save()
+    assert not again.autosave.exists() and not Document(path).recovered
+    assert tomllib.loads(path.read_text())["vehicle"][0]["motion"]["mark"][1]["position"] == [1.0, 2.0, 3.0]
+
+
+def test_changes_of_others_are_not_overwritten(path):
+    document = Document(path)
+    document.place_mark(0, 1, [1.0, 2.0, 3.0], None)
+    path.write_text(TEXT + "# of somebody else\n")
+    with pytest.raises(InputError, match="changed by another program"):
+        document.save()
+    assert path.read_text().endswith("somebody else\n") and document.autosave.exists()

@@ -1,0 +1,304 @@
+"""The server of a live session, driven through its socket as a browser does; no browser is needed."""
+
+import asyncio
+import json
+import urllib.error
+import urllib.request
+from contextlib import asynccontextmanager
+
+import numpy as np
+import pytest
+
+pytest.importorskip("websockets", reason='needs the extra: pip install "vehsim[live]"')
+
+from websockets.asyncio.client import connect
+
+from tests.live.block import Block
+from vehsim import Shot
+from vehsim.errors import InputError
+from vehsim.live.server import Server
+
+SHOT = """\
+[shot]
+schema = 1
+name = "drive"
+[[vehicle]]
+name = "car"
+asset = "car"
+[vehicle.motion]
+method = "plan"
+segments = 8
+[[vehicle.motion.mark]]
+frame = 1001
+position = [0, 0, 0]
+heading = 0
+velocity = [0, 0, 0]
+[[vehicle.motion.mark]] # the garage
+frame = 1073
+position = [8, 1, 0]
+heading = 0
+velocity = [0, 0, 0]
+"""
+
+
+class Browser:
+    """A socket with the messages it received."""
+
+    def __init__(self, socket):
+        self.socket, self.seen = socket, []
+
+    async def send(self, **message):
+        await self.socket.send(json.dumps(message))
+
+    async def until(self, kind, where=lambda message: True):
+        """The next message of a kind: a dictionary, or a block for scene, motion and draft."""
+        while True:
+            raw = await asyncio.wait_for(self.socket.recv(), 60)
+            message = Block(raw) if isinstance(raw, bytes) else json.loads(raw)
+            header = message.header if isinstance(message, Block) else message
+            self.seen.append(header["kind"])
+            if header["kind"] == kind and where(message):
+                return message
+
+
+@asynccontextmanager
+async def served(path, **how):
+    """A running server, as its address."""
+    address = asyncio.get_running_loop().create_future()
+    task = asyncio.create_task(Server(path, path.parent / "out", **how).run(address.set_result))
+    try:
+        yield (await asyncio.wait_for(address, 30)).replace("http://", "")
+    finally:
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+
+
+@asynccontextmanager
+async def browser(address, query="", **how):
+    async with connect(f"ws://{address}socket{query}", max_size=None, **how) as socket:
+        yield Browser(socket)
+
+
+@pytest.fixture
+def path(tmp_path):
+    path = tmp_path / "drive.toml"
+    path.write_text(SHOT)
+    return path
+
+
+def moved(kind, x, y, heading=None, **more):
+    return {"kind": kind, "vehicle": "car", "mark": 1, "position": [x, y, 0.0], "heading": heading} | more
+
+
+def test_a_drag_is_drawn_solved_saved_and_undone(path):
+    async def play():
+        async with served(path) as address, browser(address) as page:
+            scene = await page.until("scene")
+            assert [mark["frame"] for mark in scene.header["marks"]] == [1001, 1073]
+            state = await page.until("state")
+            assert state["solved"] and not state["changed"]
+            assert state["handles"][1] == {"vehicle": "car", "index": 1, "drafts": True}
+
+            for y in (1.1, 1.3, 1.5):
+                await page.send(**moved("drag", 8.0, y, 4.0))
+                draft = await page.until("draft")
+                path_drawn = draft.array(draft.header["path"]["points"]).reshape(-1, 3)
+                assert path_drawn[-1] == pytest.approx([8.0, y, 0.0], abs=1e-4)
+            assert path.read_text() == SHOT and not (path.parent / "drive.toml.autosave").exists()
+
+            await page.send(**moved("place", 8.0, 1.5, 4.0))
+            motion = await page.until("motion")
+            assert motion.header["marks"][1]["position"] == [8.0, 1.5, 0.0]
+            assert motion.header["marks"][1]["heading"] == pytest.approx(4.0, abs=1e-3)
+            state = await page.until("state", lambda message: message["solved"])
+            assert state["changed"] and state["undo"] and path.read_text() == SHOT
+            assert (path.parent / "drive.toml.autosave").exists()
+
+            await page.send(kind="save")
+            await page.until("said")
+            text = SHOT.replace("[8, 1, 0]\nheading = 0\n", "[8, 1.5, 0]\nheading = 4.0\n")
+            assert path.read_text() == text and not (path.parent / "drive.toml.autosave").exists()
+
+            await page.send(kind="export")
+            await page.until("said", lambda message: "exported" in message["text"])
+            ours = path.parent / "out" / "drive"
+            theirs = Shot.load(path).solve().export(path.parent / "cli", to=("usd", "html"))
+            for name in ("layers/car.anim.usdc", "drive.usda", "drive.html"):
+                assert (ours / name).read_bytes() == (theirs / name).read_bytes(), name
+
+            await page.send(kind="undo")
+            motion = await page.until("motion")
+            assert motion.header["marks"][1]["position"] == [8.0, 1.0, 0.0]
+
+    asyncio.run(play())
+
+
+def test_what_cannot_be_met_says_why_and_can_be_undone(path):
+    async def play():
+        async with served(path) as address, browser(address) as page:
+            await page.until("scene")
+            await page.until("state")
+            await page.send(**moved("drag", 8.0, 900.0))
+            assert "off by" in (await page.until("undrawn"))["text"]
+            await page.send(**moved("place", 8.0, 900.0))
+            state = await page.until("state", lambda message: message["problems"])
+            assert not state["solved"] and "earliest" in " ".join(state["problems"])
+            await page.send(kind="undo")
+            await page.until("motion")
+            assert (await page.until("state", lambda message: message["solved"]))["problems"] == []
+
+    asyncio.run(play())
+
+
+def test_nothing_that_is_sent_ends_the_session(path):
+    """Every malformed message is answered; the last, good one still works."""
+    good = moved("drag", 8.0, 1.2)
+    broken = [
+        "", "{", "null", "[]", "3", '"drag"', "\x00", b"\x00\xff", b"{}", "{}", "[" * 5000,
+        *(
+            json.dumps(good | change)
+            for change in (
+                {"kind": "delete"}, {"kind": 7}, {"vehicle": "boat"}, {"vehicle": None}, {"mark": -1}, {"mark": 2},
+                {"mark": 1e300}, {"position": []}, {"position": [1, 2]}, {"position": "here"}, {"heading": "north"},
+                {"position": [1e300, 0, 0]}, {"position": [None] * 3}, {"path": "/etc/passwd"}, {"frame": 0.5},
+            )
+        ),
+        json.dumps(good).replace("8.0", "NaN"), json.dumps(good).replace("8.0", "Infinity"),
+    ]  # fmt: skip
+
+    async def play():
+        async with served(path) as address, browser(address) as page:
+            await page.until("scene")
+            await page.until("state")
+            for text in broken:
+                await page.socket.send(text)
+                kind = "undrawn" if '"boat"' in str(text) or '"mark": 2' in str(text) else "refused"
+                assert (await page.until(kind))["text"], text
+            async with browser(address) as flood:
+                await flood.socket.send("x" * 200_000)
+                with pytest.raises(Exception, match="1009"):
+                    await flood.until("refused")
+            await page.socket.send(json.dumps(good))
+            assert await page.until("draft")
+        assert path.read_text() == SHOT
+
+    asyncio.run(play())
+
+
+def test_one_browser_edits_and_the_next_takes_over(path):
+    async def play():
+        async with served(path) as address:
+            async with browser(address) as first:
+                assert (await first.until("role"))["editor"]
+                await first.until("scene")
+                async with browser(address) as second:
+                    assert not (await second.until("role"))["editor"]
+                    scene = await second.until("scene")
+                    await second.send(**moved("place", 9.0, 1.0))
+                    assert "another browser" in (await second.until("refused"))["text"]
+                    await first.send(**moved("drag", 8.0, 1.2))
+                    assert await second.until("draft")
+                    await first.socket.close()
+                    assert (await second.until("role"))["editor"]
+                    await second.send(**moved("place", 8.2, 1.0))
+                    motion = await second.until("motion")
+                    assert motion.header["marks"][1]["position"][0] == 8.2
+                    assert scene.header["marks"][1]["position"][0] == 8.0
+            async with browser(address) as late:  # a browser that opens again loses nothing
+                scene = await late.until("scene")
+                assert scene.header["marks"][1]["position"][0] == 8.2
+
+    asyncio.run(play())
+
+
+def status(url, **headers):
+    request = urllib.request.Request(url, headers=headers)
+    try:
+        with urllib.request.urlopen(request, timeout=30) as answer:
+            return answer.status
+    except urllib.error.HTTPError as error:
+        return error.code
+
+
+def test_only_this_machine_or_a_token_opens_it(path):
+    with pytest.raises(InputError, match="others could edit"):
+        Server(path, path.parent, "0.0.0.0")
+
+    async def play():
+        async with served(path) as address:
+            url = f"http://{address}"
+            port = address.rstrip("/").rpartition(":")[2]
+            ask = asyncio.to_thread
+            assert await ask(status, url) == 200
+            assert await ask(status, f"{url}../drive.toml") == 404
+            assert await ask(status, f"{url}drive.toml") == 404
+            assert await ask(status, url, Host=f"evil.example:{port}") == 403
+            assert await ask(status, url, Origin="http://evil.example") == 403
+            with pytest.raises(Exception, match="403"):
+                async with browser(address, origin="http://evil.example"):
+                    pass
+        async with served(path, token="sesame") as address:
+            url, _, query = f"http://{address}".partition("?")
+            assert query == "token=sesame"
+            assert await ask(status, f"{url}?{query}") == 200
+            for wrong in ("", "?token=", "?token=open", "?token=sesame2", "?token=%FF"):
+                assert await ask(status, f"{url}{wrong}") == 403
+            with pytest.raises(Exception, match="403"):
+                async with browser(address.partition("?")[0]):
+                    pass
+            async with browser(address.partition("?")[0], "?token=sesame") as page:
+                assert await page.until("role")
+
+    asyncio.run(play())
+
+
+def test_a_broken_file_is_explained_and_the_page_stays(path):
+    path.write_text(SHOT.replace("segments", "segmnts"))
+
+    async def play():
+        async with served(path) as address, browser(address) as page:
+            state = await page.until("state", lambda message: message["problems"])
+            assert "segmnts" in state["problems"][0] and not state["solved"]
+            await page.send(kind="export")
+            assert "not solved" in (await page.until("refused"))["text"]
+
+    asyncio.run(play())
+
+
+def test_every_moving_part_is_where_the_stage_has_it(tmp_path):
+    """Poses computed from clips equal those read from the stage: rotors, steered and sprung wheels, trailers."""
+    from vehsim.exporters.usd.stage import StageReader
+    from vehsim.exporters.web.scene import Kinematics, group_poses
+    from vehsim.lie.quaternions import angles_between
+
+    shot = {
+        "shot": {"schema": 1, "name": "parts"},
+        "world": {"terrain": "hills"},
+        "vehicle": [
+            {
+                "name": name,
+                "asset": name,
+                "motion": {
+                    "method": "simulate",
+                    "duration": 0.5,
+                    "commands": [{"frame": 1001, **controls}],
+                    "start": start,
+                },
+            }
+            for name, controls, start in (
+                ("truck", {"torque": 2000, "steering_rate": 0.4}, {"velocity": [3, 0, 0]}),
+                ("helicopter", {"collective": 11000}, {"position": [0, 30, 40], "heading": 70}),
+            )
+        ],
+    }
+    take = Shot.from_dict(shot).solve()
+    stage = StageReader(take.export(tmp_path, to=("usd",)) / "parts.usda")
+    kinematics = Kinematics(take, stage)
+    shown = group_poses(stage, np.arange(take.frames[0], take.frames[1] + 1, dtype=float))
+    made = kinematics.poses(take, range(len(stage.groups)))
+    assert len(stage.groups) > 8 and kinematics.can_show(take)
+    assert np.abs(made[..., :3] - shown[..., :3]).max() < 1e-4
+    turns = [np.roll(poses[..., 3:], 1, axis=-1).reshape(-1, 4) for poses in (made, shown)]
+    assert angles_between(*turns).max() < 1e-3
+    moved_by = [set(kinematics.moved_by(name)) for name in ("truck", "helicopter")]
+    assert moved_by[0] | moved_by[1] == set(range(len(stage.groups))) and not moved_by[0] & moved_by[1]

@@ -1,0 +1,118 @@
+"""A shot file that is edited: its text with comments and order, undo and redo, saving and autosaving.
+
+Every state is a whole text, so that undo restores it to the byte. The autosave is a file beside the shot; it is removed
+when the shot is saved, and continues an interrupted session when the shot is opened again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from vehsim.errors import InputError
+from vehsim.intake.toml import read_toml
+from vehsim.runtime.files import replacing_file
+
+AUTOSAVE = ".autosave"
+"""Suffix of the autosave of ``shot.toml``: ``shot.toml.autosave``."""
+DECIMALS = 3
+"""Decimals of what is dragged: mm, and thousandths of a degree."""
+
+
+class Document:
+    """The text of a shot file and its history. Raises ``InputError`` if the file cannot be read as TOML."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        _, self._saved = read_toml(path)
+        self._texts = [self._saved]
+        self._at = 0
+        self.recovered = False
+        """Whether it continues an interrupted session."""
+        if self.autosave.is_file():
+            _, text = read_toml(self.autosave)
+            self.recovered = text != self._saved
+            self._texts += [text] * self.recovered
+            self._at = len(self._texts) - 1
+
+    @property
+    def autosave(self) -> Path:
+        return self.path.with_name(self.path.name + AUTOSAVE)
+
+    @property
+    def text(self) -> str:
+        return self._texts[self._at]
+
+    @property
+    def data(self) -> dict[str, Any]:
+        """The text as plain data."""
+        import tomlkit
+
+        return tomlkit.parse(self.text).unwrap()
+
+    @property
+    def changed(self) -> bool:
+        """Whether it differs from the file."""
+        return self.text != self._saved
+
+    @property
+    def undoable(self) -> bool:
+        return self._at > 0
+
+    @property
+    def redoable(self) -> bool:
+        return self._at + 1 < len(self._texts)
+
+    def place_mark(
+        self, vehicle: int, mark: int, position: Sequence[float], heading: float | None, frame: int | None = None
+    ) -> None:
+        """Move a mark: ``position`` (3,) m, ``heading`` in degrees or None to leave it, and so ``frame``."""
+        import tomlkit
+
+        document: Any = tomlkit.parse(self.text)
+        table = document["vehicle"][vehicle]["motion"]["mark"][mark]
+        for k, value in enumerate(position):
+            if round(value, DECIMALS) != table["position"][k]:  # an unchanged number stays as it was written
+                table["position"][k] = round(value, DECIMALS)
+        if heading is not None and table.get("heading") != round(heading, DECIMALS):
+            table["heading"] = round(heading, DECIMALS)
+        if frame is not None and table["frame"] != frame:
+            table["frame"] = frame
+        self._push(tomlkit.dumps(document))
+
+    def undo(self) -> None:
+        self._at = max(self._at - 1, 0)
+        self._keep()
+
+    def redo(self) -> None:
+        self._at = min(self._at + 1, len(self._texts) - 1)
+        self._keep()
+
+    def save(self) -> None:
+        """Write the file. Raises ``InputError`` if somebody else changed it since it was read."""
+        _, there = read_toml(self.path)
+        if there != self._saved:
+            remedy = f"your changes are in {self.autosave.name}: compare, then delete one of them"
+            raise InputError("was changed by another program since it was opened", remedy, file=self.path)
+        _write(self.path, self.text)
+        self._saved = self.text
+        self._keep()
+
+    def _push(self, text: str) -> None:
+        if text != self.text:
+            self._texts[self._at + 1 :] = [text]
+            self._at += 1
+            self._keep()
+
+    def _keep(self) -> None:
+        """Write the autosave, or remove it if there is nothing to save."""
+        if self.changed:
+            _write(self.autosave, self.text)
+        else:
+            self.autosave.unlink(missing_ok=True)
+
+
+def _write(path: Path, text: str) -> None:
+    with replacing_file(path) as beside:
+        beside.write_bytes(text.encode())

@@ -1,0 +1,196 @@
+// The live page: the viewer of the html exporter, fed by a socket, with marks as handles.
+"use strict";
+
+(() => {
+  const element = (id) => document.getElementById(id);
+  const NEAR = 16; // px
+  const DEGREES = 180 / Math.PI;
+  let socket, editor = false, state = null, dragged = null;
+
+  const panel = document.createElement("aside");
+  panel.id = "panel";
+  panel.innerHTML = `<div id="buttons"></div><div id="status"></div><div id="bar"><div></div></div><div id="problems"></div>`;
+  document.head.append(Object.assign(document.createElement("style"), { textContent: `
+    #panel { position: absolute; left: 12px; top: 36px; width: 280px; padding: 8px 10px; border-radius: 6px;
+      background: rgba(20, 21, 24, 0.86); }
+    #buttons { display: flex; flex-wrap: wrap; gap: 6px; }
+    #status { margin-top: 6px; min-height: 1.4em; color: var(--dim); }
+    #bar { height: 3px; margin-top: 4px; background: #16181b; } #bar div { height: 100%; width: 0; background: var(--accent); }
+    #problems p { margin: 6px 0 0; padding-left: 8px; border-left: 2px solid var(--accent); overflow-wrap: anywhere; }
+    #problems { max-height: 40vh; overflow: auto; }
+    button:disabled { opacity: 0.4; cursor: default; }` }));
+  element("stage").append(panel);
+
+  const status = (text) => (element("status").textContent = text);
+  const send = (message) => socket && socket.readyState === WebSocket.OPEN && socket.send(JSON.stringify(message));
+
+  const buttons = {};
+  for (const [kind, text, hint] of [
+    ["undo", "undo", "Ctrl+Z"], ["redo", "redo", "Ctrl+Shift+Z"], ["save", "save", "Ctrl+S"],
+    ["export", "export", "USD and this page, as vehsim export writes them"],
+  ]) {
+    buttons[kind] = Object.assign(document.createElement("button"), { textContent: text, title: hint, id: `do-${kind}`, disabled: true });
+    buttons[kind].addEventListener("click", () => { send({ kind }); buttons[kind].blur(); });
+    element("buttons").append(buttons[kind]);
+  }
+
+  // ---------------------------------------------------------------- the socket
+
+  vehsim.open = () => {
+    vehsim.say("connecting");
+    const where = `${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/socket${location.search}`;
+    socket = new WebSocket(where);
+    socket.binaryType = "arraybuffer";
+    socket.onmessage = (event) => (typeof event.data === "string" ? told(JSON.parse(event.data)) : shown(event.data));
+    socket.onclose = () => {
+      status("vehsim has ended; trying to connect again");
+      setTimeout(vehsim.open, 1500);
+    };
+  };
+
+  function told(message) {
+    if (message.kind === "role") {
+      editor = message.editor;
+      if (!editor) status("another browser is editing: you are watching");
+    } else if (message.kind === "state") {
+      state = message;
+      element("bar").firstChild.style.width = 0;
+      status(`${state.file}${state.changed ? " (not saved)" : ""}: ${state.solved ? "solved" : "not solved"}`);
+      list(state.problems);
+      if (!vehsim.viewer && state.problems.length) vehsim.say(state.problems.join("\n"));
+    } else if (message.kind === "progress") {
+      element("bar").firstChild.style.width = `${100 * message.done}%`;
+      status(message.text);
+      if (!vehsim.viewer) vehsim.say(message.text);
+    } else if (message.kind === "drafted") status(`dragging: solved again in ${Math.round(1000 * message.seconds)} ms`);
+    else if (message.kind === "undrawn") status(`no motion: ${message.text}`);
+    else if (message.kind === "said") status(message.text);
+    else if (message.kind === "refused") list([message.text]);
+    for (const [kind, button] of Object.entries(buttons))
+      button.disabled = !editor || !state || { undo: !state.undo, redo: !state.redo, save: !state.changed, export: !state.solved }[kind];
+  }
+
+  function list(problems) {
+    element("problems").replaceChildren(...problems.map((text) => Object.assign(document.createElement("p"), { textContent: text })));
+  }
+
+  async function shown(buffer) {
+    const { header, array } = vehsim.decode(buffer);
+    const viewer = vehsim.viewer;
+    if (header.kind === "scene") {
+      const made = new vehsim.Viewer(header, array);
+      if (viewer) made.replace(viewer);
+      else made.lookThrough(-1);
+      vehsim.viewer = made;
+      await made.ready;
+      vehsim.say("");
+    } else if (header.kind === "motion") viewer.setMotion(header, array);
+    else if (header.kind === "draft" && (dragged || !editor)) viewer.setDraft(header, array);
+  }
+
+  // ---------------------------------------------------------------- handles
+
+  /** A point in the picture, px. */
+  function pixels(point) {
+    const box = element("view").getBoundingClientRect(), at = point.clone().project(vehsim.viewer.view);
+    if (at.z > 1) return null; // behind the camera
+    return { x: box.left + ((at.x + 1) / 2) * box.width, y: box.top + ((1 - at.y) / 2) * box.height };
+  }
+
+  function ray(event) {
+    const box = element("view").getBoundingClientRect(), caster = new THREE.Raycaster();
+    const at = new THREE.Vector2(((event.clientX - box.left) / box.width) * 2 - 1, 1 - ((event.clientY - box.top) / box.height) * 2);
+    caster.setFromCamera(at, vehsim.viewer.view);
+    return caster.ray;
+  }
+
+  const tip = (ring) => new THREE.Vector3(2, 0, 0).applyMatrix4(ring.matrixWorld);
+
+  /** The handle under the pointer: the index of a mark, and whether its arrow was hit. */
+  function under(event) {
+    const viewer = vehsim.viewer;
+    if (!viewer || !editor || !state || !viewer.shown.paths) return null;
+    let best = null;
+    viewer.rings.forEach((ring, k) => {
+      for (const turns of [true, false]) {
+        const at = pixels(turns ? tip(ring) : ring.position);
+        const away = at && Math.hypot(at.x - event.clientX, at.y - event.clientY);
+        if (at && away < NEAR && (!best || away < best.away)) best = { k, turns, away };
+      }
+    });
+    return best;
+  }
+
+  function message(kind) {
+    const { ring, handle, turned } = dragged;
+    return {
+      kind, vehicle: handle.vehicle, mark: handle.index, position: ring.position.toArray(),
+      heading: turned ? ring.rotation.z * DEGREES : null,
+    };
+  }
+
+  function grab(event) {
+    const hit = event.button === 0 && event.target === element("view") && under(event);
+    if (!hit) return;
+    const ring = vehsim.viewer.rings[hit.k];
+    dragged = { ring, handle: state.handles[hit.k], turns: hit.turns, turned: false, from: ring.position.clone(), moved: false };
+    dragged.plane = new THREE.Plane(new THREE.Vector3(0, 0, 1), -ring.position.z);
+    const start = ray(event).intersectPlane(dragged.plane, new THREE.Vector3());
+    dragged.grip = start ? ring.position.clone().sub(start) : new THREE.Vector3();
+    element("stage").setPointerCapture(event.pointerId);
+    vehsim.viewer.play(false);
+    event.stopPropagation();
+    event.preventDefault();
+  }
+
+  function drag(event) {
+    if (!dragged) {
+      element("view").style.cursor = vehsim.viewer && under(event) ? "grab" : "";
+      return;
+    }
+    const { ring, plane, grip } = dragged;
+    if (event.shiftKey && !dragged.turns) { // up and down, in the upright plane that faces the camera
+      const ahead = vehsim.viewer.view.getWorldDirection(new THREE.Vector3()).setZ(0).normalize();
+      const wall = new THREE.Plane().setFromNormalAndCoplanarPoint(ahead, ring.position);
+      const hit = ray(event).intersectPlane(wall, new THREE.Vector3());
+      if (hit) ring.position.z = hit.z;
+      plane.constant = -ring.position.z;
+    } else {
+      const hit = ray(event).intersectPlane(plane, new THREE.Vector3());
+      if (!hit) return;
+      if (dragged.turns) {
+        ring.rotation.z = Math.atan2(hit.y - ring.position.y, hit.x - ring.position.x);
+        dragged.turned = true;
+      } else ring.position.set(hit.x + grip.x, hit.y + grip.y, ring.position.z);
+    }
+    dragged.moved = true;
+    vehsim.viewer.stale = true;
+    if (dragged.handle.drafts && !dragged.waiting) {
+      dragged.waiting = true; // at most one message for each picture
+      requestAnimationFrame(() => {
+        if (!dragged) return;
+        dragged.waiting = false;
+        send(message("drag"));
+      });
+    }
+    event.stopPropagation();
+  }
+
+  function release(event) {
+    if (!dragged) return;
+    if (dragged.moved) send(message("place"));
+    dragged = null;
+    event.stopPropagation();
+  }
+
+  element("stage").addEventListener("pointerdown", grab, true);
+  element("stage").addEventListener("pointermove", drag, true);
+  element("stage").addEventListener("pointerup", release, true);
+  element("stage").addEventListener("pointercancel", release, true);
+  window.addEventListener("keydown", (event) => {
+    const key = event.key.toLowerCase();
+    if (!(event.ctrlKey || event.metaKey) || !["z", "s", "y"].includes(key)) return;
+    event.preventDefault();
+    send({ kind: key === "s" ? "save" : key === "y" || event.shiftKey ? "redo" : "undo" });
+  });
+})();

@@ -1,0 +1,273 @@
+"""The server of a live session: one page, one socket, one thread that solves.
+
+It listens on this machine only unless it is given another address and a token. A message that cannot be understood is
+answered with its error; nothing that a browser sends ends the session. One browser edits, the others watch.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+import json
+from collections.abc import Awaitable, Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from functools import partial
+from http import HTTPStatus
+from pathlib import Path
+from time import monotonic
+from typing import TYPE_CHECKING, Any
+from urllib.parse import parse_qs, urlsplit
+
+from vehsim.errors import InputError, VehsimError
+from vehsim.exporters.web.html import PAGE, page
+from vehsim.live.messages import Message, Moved, parse
+from vehsim.live.session import Session, Superseded
+from vehsim.runtime.registry import whose_error
+
+if TYPE_CHECKING:
+    from websockets.asyncio.server import ServerConnection
+    from websockets.http11 import Request, Response
+
+LOCAL = ("localhost", "127.0.0.1", "::1")
+MAX_MESSAGE = 65_536
+"""Largest message from a browser, bytes."""
+EVERY = 0.1
+"""Shortest time between two progress messages, s."""
+SCRIPTS = (PAGE / "three.min.js", PAGE / "viewer.js", Path(__file__).parent / "page" / "live.js")
+POLICY = (
+    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src blob: data:; connect-src 'self'"
+)
+
+
+class Server:
+    """Serves one `Session`. ``ready`` is called with the page's address."""
+
+    def __init__(self, path: Path, out: Path, host: str = "localhost", port: int = 0, token: str = "") -> None:
+        if host not in LOCAL and not token:
+            raise InputError("others could edit the shot", "give a --token too", key="--host", value=host)
+        self._host, self._port, self._token = host, port, token
+        self._session = Session(path, out, self._progress)
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="solver")
+        self._sockets: list[ServerConnection] = []
+        self._scene: bytes | None = None
+        self._drag: tuple[Moved, ServerConnection] | None = None
+        self._wake = asyncio.Event()
+        self._jobs: list[Callable[[], Awaitable[None]]] = []
+        self._told = 0.0
+        self._loop: asyncio.AbstractEventLoop | None = None
+
+    async def run(self, ready: Callable[[str], None]) -> None:
+        """Serve until cancelled."""
+        from websockets.asyncio.server import serve
+
+        self._loop = asyncio.get_running_loop()
+        serving = serve(
+            self._connected, self._host, self._port, process_request=self._answer, max_size=MAX_MESSAGE,
+            compression=None, ping_timeout=None,
+        )  # fmt: skip
+        try:
+            async with serving as server:
+                port = next(iter(server.sockets)).getsockname()[1]
+                query = f"?token={self._token}" if self._token else ""
+                ready(f"http://{self._host}:{port}/{query}")
+                await self._work()
+        finally:
+            self._session.superseded.set()
+            self._thread.shutdown(wait=True, cancel_futures=True)
+            self._session.close()
+
+    # ------------------------------------------------------------ HTTP
+
+    def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
+        """The page, or None to go on with the socket."""
+        where = urlsplit(request.path)
+        if not self._allowed(request, where.query):
+            return _response(HTTPStatus.FORBIDDEN, b"forbidden")
+        if where.path == "/":
+            text = page(self._session.document.path.stem, scripts=SCRIPTS)
+            return _response(HTTPStatus.OK, text.encode(), "text/html; charset=utf-8")
+        if where.path == "/favicon.ico":
+            return _response(HTTPStatus.NO_CONTENT, b"")
+        return None if where.path == "/socket" else _response(HTTPStatus.NOT_FOUND, b"not found")
+
+    def _allowed(self, request: Request, query: str) -> bool:
+        """Whether a request comes from this page: with the token; from another site's page, never."""
+        host = request.headers.get("Host", "")
+        origin = request.headers.get("Origin")
+        if origin is not None and urlsplit(origin).netloc != host:
+            return False
+        if self._token:
+            given = parse_qs(query).get("token", [""])[0]
+            return hmac.compare_digest(given.encode(), self._token.encode())
+        return urlsplit(f"//{host}").hostname in LOCAL  # another name for this machine is an attack
+
+    # ------------------------------------------------------------ browsers
+
+    async def _connected(self, socket: ServerConnection) -> None:
+        from websockets.exceptions import ConnectionClosed
+
+        self._sockets.append(socket)
+        try:
+            with suppress(ConnectionClosed):
+                await self._roles()
+                if self._session.take is not None:
+                    self._queue(partial(self._show, socket))
+                await _send(socket, self._session.state)
+                async for text in socket:
+                    await self._received(socket, text)
+        finally:
+            self._sockets.remove(socket)
+            await self._roles()
+            if self._session.take is not None and not self._session.solved:  # it left in the middle of a drag
+                self._queue(partial(self._solve, self._session.solve))
+
+    async def _received(self, socket: ServerConnection, text: str | bytes) -> None:
+        try:
+            message = parse(text)
+            if socket is not self._sockets[0]:
+                raise InputError("another browser is editing this shot", "close it first")
+        except InputError as error:
+            await _send(socket, {"kind": "refused", "text": str(error)})
+            return
+        if isinstance(message, Moved) and message.kind == "drag":
+            self._drag = message, socket  # an older one that has not begun is of no use any more
+        else:
+            self._drag = None
+            self._queue(partial(self._do, message))
+        self._session.superseded.set()
+        self._wake.set()
+
+    def _queue(self, job: Callable[[], Awaitable[None]]) -> None:
+        self._jobs.append(job)
+        self._wake.set()
+
+    async def _roles(self) -> None:
+        """Tell every browser whether it may edit: the one that came first may."""
+        for k, socket in enumerate(list(self._sockets)):
+            await _send(socket, {"kind": "role", "editor": k == 0})
+
+    async def _tell(self, message: Any) -> None:
+        for socket in list(self._sockets):
+            await _send(socket, message)
+
+    def _progress(self, what: str, done: float) -> None:
+        """Tell the browsers; called in the solver's thread."""
+        now = monotonic()
+        if self._loop is None or now < self._told + EVERY:
+            return
+        self._told = now
+        message = {"kind": "progress", "text": what, "done": round(done, 3)}
+        asyncio.run_coroutine_threadsafe(self._tell(message), self._loop)
+
+    # ------------------------------------------------------------ work
+
+    async def _work(self) -> None:
+        """Do what was requested, one after the other; a drag only if nothing else waits."""
+        await self._solve(self._session.solve)
+        while True:
+            await self._wake.wait()
+            self._wake.clear()
+            while self._jobs or self._drag:
+                if self._jobs:
+                    await self._jobs.pop(0)()
+                elif self._drag:
+                    (message, socket), self._drag = self._drag, None
+                    await self._dragged(message, socket)
+
+    async def _do(self, message: Message) -> None:
+        session, document = self._session, self._session.document
+        try:
+            if isinstance(message, Moved):
+                await self._solve(lambda: session.place(message))
+            elif message.kind in ("undo", "redo"):
+                getattr(document, message.kind)()
+                await self._solve(session.solve)
+            elif message.kind == "save":
+                document.save()
+                await self._tell({"kind": "said", "text": f"saved {document.path.name}"})
+            else:
+                folder = await self._in_thread(session.export)
+                await self._tell({"kind": "said", "text": f"exported {folder}"})
+        except VehsimError as error:
+            await self._tell({"kind": "refused", "text": str(error)})
+        except OSError as error:
+            await self._tell({"kind": "refused", "text": f"{error.filename}: {error.strerror}"})
+        await self._tell(session.state)
+
+    async def _solve(self, solve: Callable[[], bytes | None]) -> None:
+        """Solve and show the result, or say why there is none."""
+        await self._tell({"kind": "progress", "text": "solving", "done": 0.0})
+        try:
+            block = await self._in_thread(solve)
+        except Superseded:
+            return
+        except VehsimError as error:
+            await self._tell({"kind": "refused", "text": str(error)})
+            block = None
+        if block is not None:
+            self._scene = block if _kind(block) == "scene" else None
+            await self._tell(block)
+        await self._tell(self._session.state)
+        if self._session.solved and not (self._jobs or self._drag):
+            with suppress(VehsimError):
+                await self._in_thread(self._session.prepare)
+
+    async def _show(self, socket: ServerConnection) -> None:
+        """Send a browser that came later what the others see."""
+        if self._scene is None:
+            with suppress(VehsimError, Superseded):
+                self._scene = await self._in_thread(self._session.scene)
+        if self._scene is not None:
+            await _send(socket, self._scene)
+
+    async def _dragged(self, message: Moved, socket: ServerConnection) -> None:
+        began = monotonic()
+        try:
+            block = await self._in_thread(lambda: self._session.drag(message))
+        except VehsimError as error:
+            await _send(socket, {"kind": "undrawn", "text": str(error)})
+            return
+        await self._tell(block)
+        await self._tell({"kind": "drafted", "seconds": round(monotonic() - began, 4)})
+
+    async def _in_thread(self, do: Callable[[], Any]) -> Any:
+        """The result of ``do`` in the solver's thread. An error of vehsim itself must not end the session either."""
+        assert self._loop is not None
+        try:
+            return await self._loop.run_in_executor(self._thread, do)
+        except (VehsimError, Superseded, OSError):
+            raise
+        except Exception as error:
+            raise VehsimError(f"{type(error).__name__}: {error}; this is {whose_error(error)}") from error
+
+
+async def _send(socket: ServerConnection, message: Any) -> None:
+    """Send bytes, or a message as JSON; a browser that has gone is no error."""
+    from websockets.exceptions import ConnectionClosed
+
+    with suppress(ConnectionClosed):
+        await socket.send(message if isinstance(message, bytes) else json.dumps(message))
+
+
+def _kind(block: bytes) -> str:
+    length = int.from_bytes(block[:4], "little")
+    return str(json.loads(block[4 : 4 + length])["kind"])
+
+
+def _response(status: HTTPStatus, body: bytes, kind: str = "text/plain; charset=utf-8") -> Response:
+    from websockets.datastructures import Headers
+    from websockets.http11 import Response
+
+    headers = Headers(
+        {
+            "Content-Type": kind,
+            "Content-Length": str(len(body)),
+            "Content-Security-Policy": POLICY,
+            "X-Content-Type-Options": "nosniff",
+            "Referrer-Policy": "no-referrer",
+            "Cache-Control": "no-store",
+            "Connection": "close",
+        }
+    )
+    return Response(status.value, status.phrase, headers, body)

@@ -1,0 +1,229 @@
+"""One shot that is edited: it solves the shot, drafts motion while a mark is dragged, and says what the page shows.
+
+Everything here runs in one thread, the server's worker, and returns blocks for the page (`exporters/web/scene.py`).
+"""
+
+from __future__ import annotations
+
+import tempfile
+import threading
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vehsim.errors import InputError, VehsimError
+from vehsim.exporters.web.scene import Kinematics, draft_block, motion_block, scene_block
+from vehsim.live.document import Document
+from vehsim.live.messages import Moved
+
+if TYPE_CHECKING:
+    from vehsim.clip.clip import Clip
+    from vehsim.delivery.take import Take
+    from vehsim.planning.drafts import Draft
+    from vehsim.shot.shot import Shot
+
+Progress = Callable[[str, float], None]
+VISIBLE = 0.05
+"""Distance between a dragged and the solved motion that is reported, m."""
+
+
+class Superseded(Exception):
+    """A newer request made this solve pointless."""
+
+
+@dataclass(frozen=True)
+class Handle:
+    """A mark that can be dragged: the ``index`` in its motion's list."""
+
+    vehicle: str
+    index: int
+    drafts: bool
+    """Whether motion follows while it is dragged; otherwise it is solved on release."""
+
+
+class Session:
+    """The state behind the page. ``tell(what, done)`` reports progress; ``out``: where exports go."""
+
+    def __init__(self, path: Path, out: Path, tell: Progress) -> None:
+        self.document = Document(path)
+        self.out = out
+        self.superseded = threading.Event()
+        """Set it to stop the present solve at its next iteration."""
+        self.shot: Shot | None = None
+        self.take: Take | None = None
+        self.problems: list[str] = []
+        self._solved = ""
+        self._tell = tell
+        self._drafts: dict[str, Draft] = {}
+        self._kinematics: Kinematics | None = None
+        self._stage = tempfile.TemporaryDirectory(prefix="vehsim-live-")
+
+    def close(self) -> None:
+        self._stage.cleanup()
+
+    # ------------------------------------------------------------ what the page knows
+
+    @property
+    def state(self) -> dict[str, Any]:
+        """Everything about the session that is not drawn."""
+        document = self.document
+        return {
+            "kind": "state",
+            "file": document.path.name,
+            "changed": document.changed,
+            "undo": document.undoable,
+            "redo": document.redoable,
+            "solved": self.solved,
+            "problems": self.problems,
+            "handles": [vars(handle) for handle in self.handles()],
+        }
+
+    @property
+    def solved(self) -> bool:
+        """Whether the motion that is shown is that of the present text."""
+        return self.take is not None and self._solved == self.document.text
+
+    def handles(self) -> list[Handle]:
+        """The marks with a position, in the order in which the page lists them."""
+        from vehsim.shot.motions.plan import PlanMotion
+
+        found = []
+        for table in self.shot.file.vehicle if self.shot else ():
+            for k, mark in enumerate(getattr(table.motion, "mark", None) or ()):
+                if getattr(mark, "position", None) is not None:
+                    found.append(Handle(table.name, k, isinstance(table.motion, PlanMotion)))
+        return found
+
+    # ------------------------------------------------------------ solve
+
+    def solve(self) -> bytes | None:
+        """Solve the present text as an export would, and return what the page should show; None if that failed, with
+        the reasons in ``problems``. Raises `Superseded`."""
+        from vehsim.shot.shot import Shot
+
+        self.superseded.clear()
+        text = self.document.text
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            try:
+                shot = Shot.from_dict(
+                    self.document.data, folder=self.document.path.parent, source=str(self.document.path)
+                )
+                self._reuse_world(shot)
+                self.shot = shot
+                take = shot.solve(self._progress)
+            except VehsimError as error:
+                self.problems = [str(problem) for problem in error.problems]
+                return None
+        self.problems = list(dict.fromkeys(str(one.message) for one in caught if issubclass(one.category, UserWarning)))
+        shown, self.take, self._solved = self.take, take, text
+        if shown is not None and self._kinematics is not None and self._kinematics.can_show(take):
+            return motion_block(take, self._kinematics)
+        return self.scene()
+
+    def scene(self) -> bytes:
+        """The whole scene of the solved motion, read from a stage that is exported for it."""
+        from vehsim.exporters.usd.stage import StageReader
+
+        assert self.take is not None
+        self._progress("drawing", 0.0)
+        folder = self.take.export(self._stage.name, to=("usd",))
+        stage = StageReader(folder / f"{self.take.name}.usda")
+        self._kinematics = Kinematics(self.take, stage)
+        return scene_block(self.take, stage)
+
+    def export(self) -> Path:
+        """Export the solved motion as ``vehsim export`` does; returns its folder. Raises ``InputError``."""
+        if not self.solved or self.take is None:
+            raise InputError("not solved", "fix what the page says, then export")
+        return self.take.export(self.out, to=("usd", "html"))
+
+    # ------------------------------------------------------------ drag
+
+    def prepare(self) -> None:
+        """Make the drafts of all planned vehicles, so that the first drag does not wait."""
+        for handle in self.handles():
+            if handle.drafts and handle.vehicle not in self._drafts:
+                self._draft(handle.vehicle)
+
+    def drag(self, moved: Moved) -> bytes:
+        """The draft with a mark at another place. Raises ``VehsimError`` with the reason if there is none."""
+        from vehsim.shot.motions.plan import as_mark
+
+        table = self._table(moved)
+        if not hasattr(table.motion, "options"):
+            raise InputError("solved on release", key=moved.vehicle)
+        assert self.take is not None and self._kinematics is not None
+        vehicle = self.shot.vehicle(table)  # type: ignore[union-attr]
+        marks = [as_mark(mark, vehicle) for mark in self._with(table.motion.mark, moved)]
+        now = self._draft(moved.vehicle).moved(marks)
+        if not now.success:
+            raise InputError(now.reason)
+        self._drafts[moved.vehicle] = now
+        clips = {**self.take.clips, moved.vehicle: now.clip()}
+        return draft_block(replace(self.take, clips=clips), self._kinematics, moved.vehicle)
+
+    def place(self, moved: Moved) -> bytes | None:
+        """Write a mark's new place into the document and `solve`."""
+        table = self._table(moved)
+        drawn = self._drafts.get(moved.vehicle)
+        assert self.shot is not None
+        vehicle = self.shot.file.vehicle.index(table)
+        self.document.place_mark(vehicle, moved.mark, moved.position, moved.heading, moved.frame)
+        shown = self.solve()
+        if shown is not None and drawn is not None and self.take is not None and moved.frame is None:
+            away = _apart(drawn.clip(), self.take.clips[moved.vehicle])
+            if away > VISIBLE:
+                self.problems.append(f"{moved.vehicle}: the solved motion is up to {away:.2g} m from the dragged one")
+        return shown
+
+    # ------------------------------------------------------------ helpers
+
+    def _progress(self, what: str, done: float) -> None:
+        if self.superseded.is_set():
+            raise Superseded
+        self._tell(what, done)
+
+    def _reuse_world(self, shot: Shot) -> None:
+        """Keep the world, whose terrain and distances take seconds to load, if its table is the same."""
+        if self.shot is not None and self.shot.file.world == shot.file.world and "world" in vars(self.shot):
+            vars(shot)["world"] = self.shot.world
+
+    def _table(self, moved: Moved) -> Any:
+        """The table of a message's vehicle. Raises ``InputError`` if it has no such mark."""
+        handles = [(handle.vehicle, handle.index) for handle in self.handles()]
+        if self.shot is None or (moved.vehicle, moved.mark) not in handles:
+            raise InputError("no such mark", "reload the page", key=f"{moved.vehicle}.mark[{moved.mark}]")
+        return next(table for table in self.shot.file.vehicle if table.name == moved.vehicle)
+
+    def _with(self, marks: list[Any], moved: Moved) -> list[Any]:
+        """The marks of the file with one moved."""
+        change: dict[str, Any] = {"position": list(moved.position)}
+        change |= {} if moved.heading is None else {"heading": moved.heading}
+        change |= {} if moved.frame is None else {"frame": moved.frame}
+        return [mark.model_copy(update=change) if k == moved.mark else mark for k, mark in enumerate(marks)]
+
+    def _draft(self, name: str) -> Draft:
+        """The present draft of a vehicle; made from its solved motion if there is none."""
+        from vehsim.planning.drafts import draft
+        from vehsim.shot.motions.plan import as_mark
+
+        if name not in self._drafts:
+            assert self.shot is not None and self.take is not None
+            table: Any = next(table for table in self.shot.file.vehicle if table.name == name)
+            vehicle, world = self.shot.vehicle(table), self.shot.world_of(name, self.take.clips)
+            marks = [as_mark(mark, vehicle) for mark in table.motion.mark]
+            options = table.motion.options()
+            self._drafts[name] = draft(vehicle, world, marks, self.take.clips[name], fps=self.shot.fps, **options)
+        return self._drafts[name]
+
+
+def _apart(a: Clip, b: Clip) -> float:
+    """The largest distance between two motions at equal times, m."""
+    times = np.linspace(0.0, min(a.duration, b.duration), 200)
+    b = b.at(np.clip(times + (a.start_frame - b.start_frame) / float(b.fps), b.times[0], b.times[-1]))
+    return float(np.linalg.norm(a.at(times).positions - b.positions, axis=1).max())
