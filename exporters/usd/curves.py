@@ -12,7 +12,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import permutations
+from itertools import pairwise, permutations
 from typing import Any
 
 import numpy as np
@@ -87,7 +87,10 @@ def fit(frames: Array, values: Array, tolerance: float) -> Curve:
     for stop in _standstills(values):
         while keys[-1] < stop:
             keys.append(_farthest(values[: stop + 1], slopes, keys[-1], tolerance))
-    return Curve(frames[keys], values[keys], slopes[keys] * INSTANTS)
+    chosen = slopes[keys]
+    for k, (start, end) in enumerate(pairwise(keys)):
+        chosen[k, 1], chosen[k + 1, 0] = _tamed(values[start : end + 1], chosen[k, 1], chosen[k + 1, 0])
+    return Curve(frames[keys], values[keys], chosen * INSTANTS)
 
 
 def _standstills(values: Array) -> list[int]:
@@ -124,17 +127,22 @@ def _farthest(values: Array, slopes: Array, start: int, tolerance: float) -> int
 
 
 def _fits(values: Array, before: float, after: float, tolerance: float) -> bool:
-    """Whether the cubic with these end slopes per instant is within the tolerance, and turns as the values do."""
+    """Whether the cubic with these end slopes per instant, `_tamed`, is within the tolerance."""
     h = len(values) - 1
-    s = np.linspace(0.0, 1.0, h + 1)
-    if np.abs(_cubic(s, values[0], values[-1], before * h, after * h) - values).max() > tolerance:
-        return False
+    before, after = _tamed(values, before, after)
+    cubic = _cubic(np.linspace(0.0, 1.0, h + 1), values[0], values[-1], before * h, after * h)
+    return bool(np.abs(cubic - values).max() <= tolerance)
+
+
+def _tamed(values: Array, before: float, after: float) -> tuple[float, float]:
+    """End slopes per instant with which a cubic turns one way if ``values`` do: between 0 and three times the mean
+    slope (Fritsch and Carlson 1980)."""
     steps = np.diff(values)
-    if (steps >= 0).all() or (steps <= 0).all():  # its control points turn one way, too
-        hull = np.diff([values[0], values[0] + before * h / 3, values[-1] - after * h / 3, values[-1]])
-        slack = 1e-12 * max(float(np.abs(values).max()), 1.0)
-        return bool((hull >= -slack).all() or (hull <= slack).all())
-    return True
+    if (steps < 0).any() and (steps > 0).any():
+        return before, after
+    most = 3 * float(values[-1] - values[0]) / len(steps)
+    low, high = min(most, 0.0), max(most, 0.0)
+    return min(max(before, low), high), min(max(after, low), high)
 
 
 def _slopes(values: Array, tolerance: float) -> Array:

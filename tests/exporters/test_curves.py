@@ -94,6 +94,13 @@ def test_a_monotone_channel_has_a_monotone_curve():
     assert (fine[:48_000] == 0.0).all() and len(curve.frames) < 20
 
 
+def test_a_channel_that_grows_fast_does_not_swing_back_first():
+    """One cubic from the start to 40 degrees is within two degrees of t^6, and swings back by two."""
+    frames = instants(1001, 1049)
+    curve = fit(frames, 40.0 * ((frames - 1001) / 48) ** 6, 2.0)
+    assert np.diff(curve(np.linspace(1001, 1049, 50_001))).min() >= -1e-9 and len(curve.frames) < 10
+
+
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_somersaults_about_any_axis_avoid_gimbal_lock(axis):
     frames = instants(1001, 1049)

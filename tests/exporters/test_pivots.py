@@ -204,6 +204,21 @@ def test_a_wheel_modelled_at_some_roll_steers_upright(kind, tmp_path):
             assert np.abs(T_wp[:3, :3] - expected).max() < 1e-6
 
 
+def test_a_pre_roll_in_a_matrix_warns_of_a_tilted_axis(tmp_path):
+    """The matrix has the wheel's place, too, so the steering cannot go before it."""
+    vehicle(tmp_path, steer_fl={})
+    stage = Usd.Stage.Open(str(tmp_path / "mine.usda"))
+    side = UsdGeom.Xformable(stage.GetPrimAtPath("/mine/side_fl"))
+    side.AddTransformOp().Set(Gf.Matrix4d(Gf.Rotation((0, 1, 0), 30), Gf.Vec3d(0, 0, 0)))
+    stage.Save()
+    text = (tmp_path / "vehicle.toml").read_text()
+    (tmp_path / "vehicle.toml").write_text(
+        text + '[channels.steer_fl]\nprim = "side_fl"\nop = "rotateZ"\npivot = "centre"\n'
+    )
+    problems = [p for p in rig_problems(load_vehicle(tmp_path).rig) if "steer_fl" in p.key]
+    assert [p.severity for p in problems] == ["warning"] and "30 degrees from upright" in str(problems[0])
+
+
 @pytest.mark.parametrize(("off", "given", "warned"), [(0.12, False, True), (0.12, True, True), (0.01, False, False)])
 def test_a_pivot_beside_the_hub_of_a_wheel_warns(off, given, warned, tmp_path):
     """In the asset, or in vehicle.toml: the wheel would rise by twice the distance."""

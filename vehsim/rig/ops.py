@@ -41,6 +41,8 @@ SENSES = {
 frame."""
 CARRIES_WHEEL = ("steer_", "travel_")
 """Prefixes of channels that carry a wheel with its own static rotation, such as a roll at which it was modelled."""
+TILTED = np.radians(20.0)
+"""Largest tilt of the axis on which a wheel steers or travels, rad, without a warning: more than any kingpin's."""
 OFF_CENTRE = 0.05
 """Largest distance of a wheel's axis from its middle, as a share of its radius, without a warning."""
 
@@ -321,6 +323,11 @@ def _wrong_way(channel: str, drive: Drive, axes: Array) -> Iterator[Problem]:
         axis = axis * np.sign(np.linalg.det(axes))  # a mirror reverses rotations
     for prefix, (meaning, wanted) in SENSES.items():
         along = float(axis @ np.asarray(wanted))
+        if channel.startswith(prefix) and prefix in CARRIES_WHEEL and 0.5 <= along < np.cos(TILTED):
+            tilt = np.degrees(np.arccos(along))
+            message = f"{drive.prim}: {drive.op} acts along an axis {tilt:.0f} degrees from upright"
+            remedy = "move the static rotation of the wheel to a prim below, or to an op of its own (rotateXYZ, orient)"
+            yield Problem(f"channels.{channel}", message, remedy, severity="warning")
         if channel.startswith(prefix) and along < 0.5:
             remedy = f"factor = {-drive.factor:g}" if along < -0.5 else "choose the op along its axle, or fix forward"
             goes = ", ".join(f"{x:.2g}" for x in np.round(axis, 2) + 0.0)
