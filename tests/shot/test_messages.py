@@ -278,3 +278,19 @@ def test_valid_limits_are_kept() -> None:
     assert shot is not None and problems == []
     assert shot.vehicle[0].motion.limits.given() == limits  # type: ignore[union-attr]
     assert shot.model_dump(by_alias=True, exclude_unset=True)["vehicle"][0]["motion"]["limits"] == limits
+
+
+def test_a_car_in_a_world_with_contact_is_refused_among_obstacles():
+    """Contact does not act in the plane: it would drive through them."""
+    data = {
+        "shot": {"schema": 1, "name": "wall", "end_frame": 1010},
+        "world": {
+            "contact": {},
+            "obstacle": [{"shape": "box", "name": "wall", "centre": [9, 0, 1], "size": [1, 8, 2]}],
+        },
+        "vehicle": [{"name": "car", "asset": "car", "motion": {"method": "simulate"}}],
+    }
+    (problem,) = Shot.from_dict(data).check()
+    assert problem.key == "vehicle[0].asset" and "it would drive through wall" in problem.message
+    data["world"]["obstacle"] = []
+    assert not Shot.from_dict(data).check()

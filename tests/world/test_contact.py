@@ -90,6 +90,74 @@ def test_friction_slows_as_coulomb_says_and_then_holds(block, restitution):
     assert 0.2 - clip.positions[:, 2].min() < 2e-3  # g / frequency^2
 
 
+def test_a_block_stays_on_a_slope_inside_the_friction_cone(block):
+    """On a slope of 0.3 for a minute: after it has settled, not a single bit changes."""
+    terrain = Terrain("slope", np.tile(-0.15 * np.arange(-20, 21), (41, 1)), (-10.0, -10.0), (0.5, 0.5))
+    up = np.array([0.3, 0.0, 1.0]) / np.hypot(1, 0.3)
+    tilt = np.arctan(0.3) / 2
+    start = State(position=0.2 * up, orientation=(np.cos(tilt), 0, np.sin(tilt), 0))
+    world = World(terrain=terrain, contact=Contact(0.4, 0.3, 1.0))
+    clip = vehsim.simulate(block(), world, None, start, duration=60.0, step=1 / 24)
+    assert np.linalg.norm(clip.positions[-1] - clip.positions[0]) < 3e-3  # g / frequency^2, and along
+    settled = clip.times > 3.0
+    assert np.ptp(clip.positions[settled], axis=0).max() == np.abs(clip.twists[settled]).max() == 0
+    (event,) = clip.events
+    assert event["impulse"] == pytest.approx(100 * 9.81 * 60.0, rel=1e-3)
+
+
+def test_a_stack_stands(block):
+    """Three blocks, each a little beside the one below."""
+    world = World(obstacles=[FLOOR], contact=Contact(0.4, 0.3, 1.0))
+    movers = {f"block {k}": Mover(block(), None, State(position=(0.03 * k, 0, 0.2 + 0.4 * k))) for k in range(3)}
+    clips = simulate_together(movers, world, 1.2, step=1 / 24)
+    for clip in clips.values():
+        late = clip.positions[clip.times > 1.0]
+        assert np.ptp(late, axis=0).max() < 2e-4 and np.abs(clip.positions[-1, :2] - clip.positions[0, :2]).max() < 1e-3
+    # each contact yields by its load over its stiffness; two blocks have half the effective mass of one
+    yielding = (3 + 2 * 2 + 2 * 1) * 9.81 / Contact(0.4, 0.3, 1.0).frequency ** 2
+    assert 1.0 - clips["block 2"].positions[-1, 2] == pytest.approx(yielding, rel=0.05)
+
+
+def test_a_wheel_rolls(tmp_path):
+    """Grips do not hold back what rolls: a prism of 24 sides keeps its speed up to what its edges take."""
+    stage = Usd.Stage.CreateNew(str(tmp_path / "wheel.usda"))
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/wheel").GetPrim())
+    sides, radius = 24, 0.5
+    angles = 2 * np.pi * np.arange(sides) / sides
+    mesh = UsdGeom.Mesh.Define(stage, "/wheel/hull")
+    rim = [(radius * np.cos(a), y, radius * np.sin(a)) for y in (-0.2, 0.2) for a in angles]
+    mesh.CreatePointsAttr([tuple(map(float, point)) for point in rim])
+    quads = [(k, (k + 1) % sides, sides + (k + 1) % sides, sides + k) for k in range(sides)]
+    mesh.CreateFaceVertexCountsAttr([4] * sides + [sides, sides])
+    ends = [*reversed(range(sides)), *range(sides, 2 * sides)]
+    mesh.CreateFaceVertexIndicesAttr([*(i for quad in quads for i in quad), *ends])
+    UsdPhysics.CollisionAPI.Apply(mesh.GetPrim())
+    stage.Save()
+    inertia = 50 * radius**2 / 2
+    rig = Rig(tmp_path / "wheel.usda", "")
+    wheel = Holonomic(name="wheel", group=SO3xR3, inertia=[30, inertia, 30, 50, 50, 50], gravity=9.81, rig=rig)
+    world = World(obstacles=[FLOOR], contact=Contact(0.5, 0.05, 2.0))
+    start = State(position=(0, 0, 0.5 * np.cos(np.pi / sides)), twist=(0, 4.0, 0, 2.0, 0, 0))
+    clip = vehsim.simulate(wheel, world, None, start, duration=1.0, step=1 / 48, fps=48)
+    speed = np.diff(clip.positions[-5:, 0]).mean() * 48  # 15 impacts on edges leave the share (1 + 2 cos) / 3 each
+    assert 2.0 * ((1 + 2 * np.cos(2 * np.pi / sides)) / 3) ** 15 < speed < 2.0
+    assert clip.twists[-1, 1] * radius == pytest.approx(speed, rel=0.1)
+
+
+def test_a_body_at_rest_wakes_when_it_is_touched(block):
+    """By an obstacle that begins to move after the block has come to rest."""
+    contact = Contact(0.3, 0.1, 1.0)
+    begin = State(position=(-1.6, 0, 0.25), twist=(0, 0, 0, 1.0, 0, 0))
+    ram = vehsim.simulate(block(gravity=0.0), None, None, begin, duration=1.0, step=1 / 24)
+    world = World(obstacles=[FLOOR, moving("ram", replace(ram, start_frame=1025))], contact=contact)
+    clip = vehsim.simulate(block(), world, None, State(position=(0, 0, 0.2)), duration=1.8, step=1 / 24)
+    assert (np.abs(clip.twists[clip.times < 1.0]).max(axis=1) == 0).sum() > 2
+    event = next(event for event in clip.events if event["with"] == "ram")
+    assert event["time"] == pytest.approx(1.0 + 0.6, abs=5e-3) and event["speed"] == pytest.approx(1.0, rel=1e-2)
+
+
 def test_depth_stays_below_two_centimetres_in_any_landing(block):
     """Corner, edge and face first at 20 m/s, a frame every sixtieth of a second: measured by MuJoCo's contacts."""
     from scipy.spatial.transform import Rotation
@@ -115,7 +183,7 @@ def test_only_impacts_take_small_steps(block):
         return scene.next_step / contact.step
 
     assert step(-1e-3, 0.9) == step(1e-5, 0.9) == step(1e-5, 0.0, along=5.0) == pytest.approx(1.0)
-    assert max(step(-1e-3, -0.9), step(1e-5, -2.0), step(-5e-3, 0.0)) < 0.2
+    assert max(step(-1e-3, -0.9), step(1e-5, -2.0), step(-5e-3, 0.0)) < 0.35
 
 
 @pytest.mark.parametrize("speed", [20.0, 2.0])

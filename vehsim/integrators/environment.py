@@ -21,11 +21,13 @@ class Environment:
     """Base class of everything that acts on a vehicle from outside. An instance belongs to one vehicle in one world.
 
     ``max_step`` s: the longest permitted integration step; simulation takes substeps if necessary. ``next_step`` s: the
-    longest step from the last evaluated state, for short events such as contact.
+    longest step from the last evaluated state, for short events such as contact. ``settled``: whether contact held the
+    vehicle still in that state.
     """
 
     max_step: float = np.inf
     next_step: float = np.inf
+    settled: bool = False
 
     def wrench(self, t: float, state: State, controls: Array) -> Array:
         """Wrench (d,) in body axes about the body frame's origin, torque [N m] then force [N] (SE(2): yaw, x, y).
@@ -64,6 +66,10 @@ class Combined(Environment):
     @property
     def next_step(self) -> float:  # type: ignore[override]
         return min((part.next_step for part in self.parts), default=np.inf)
+
+    @property
+    def settled(self) -> bool:  # type: ignore[override]
+        return any(part.settled for part in self.parts)
 
     def wrench(self, t: float, state: State, controls: Array) -> Array:
         return np.sum([part.wrench(t, state, controls) for part in self.parts], axis=0)

@@ -22,6 +22,7 @@ from vehsim.integrators.guards import warn_of_stiff_damping
 from vehsim.integrators.integrator import Integrator
 from vehsim.integrators.phase import Phase, packed
 from vehsim.integrators.record import build_clip
+from vehsim.integrators.rest import Rest
 from vehsim.vehicles import State
 from vehsim.vehicles.definition.base import Array
 from vehsim.vehicles.definition.mechanics import acceleration
@@ -40,6 +41,7 @@ class Meeting(Protocol):
     """The forces of several vehicles on each other."""
 
     next_step: float
+    settled: bool
 
     def wrenches(self, t: float, states: Sequence[State]) -> Sequence[Array]:
         """Wrench (d,) on each, in body axes about its body frame's origin, at public states at ``t`` s."""
@@ -118,6 +120,15 @@ class Forced:
     def start_with(self, wrench: Array, added: Array | None = None) -> None:
         """Start with this wrench (d,) instead of the environment's own."""
         self._set_wrench(wrench, added)
+
+    def stop(self) -> None:
+        """Take away the momentum: the body stands still."""
+        self.phase = replace(self.phase, pi=np.zeros_like(self.phase.pi))
+        self.state = self._public(self.phase, self.controls)
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass without moving."""
+        self.time += seconds
 
     def _kicked(self, phase: Phase) -> Phase:
         (covector,) = self._call("wrench", lambda m: m.wrench_momentum)(phase.g, phase.r, self.wrench)
@@ -236,10 +247,14 @@ def pushed(
 ) -> Clip:
     """A clip of ``steps`` steps, each of ``cuts`` of the integrator's; ``law(t, state)`` gives the controls (c,)."""
     course = Course(integrator, environment, law, begin, cuts)
+    body = course.body
+    rest = Rest([body], lambda: environment.settled, lambda: [body.query()])
     for k in range(steps):
         course.aim(k)
         for j in range(cuts):
-            course.body.carry(course.between(j / cuts), course.between((j + 1) / cuts))
+            ends = course.between(j / cuts), course.between((j + 1) / cuts)
+            if not rest.keeps([ends], integrator.step_size):
+                body.carry(*ends)
         course.arrive()
         if progress and k % 50 == 0:
             progress("simulate", k / steps)
@@ -254,13 +269,21 @@ def pushed_together(
     """Advance several vehicles by ``steps`` steps together: each feels its environment and the ``meeting``."""
     bodies = [course.body for course in courses]
     whole = [body.integrator for body in bodies]
-    for body, wrench in zip(bodies, meeting.wrenches(0.0, [body.state for body in bodies]), strict=True):
-        own, added = body.query()
-        body.start_with(own + wrench, added)
+
+    def query() -> list[tuple[Array, Array | None]]:
+        wrenches = meeting.wrenches(bodies[0].time, [body.state for body in bodies])
+        own = [body.query() for body in bodies]
+        return [(w + wrench, added) for (w, added), wrench in zip(own, wrenches, strict=True)]
+
+    for body, forces in zip(bodies, query(), strict=True):
+        body.start_with(*forces)
+    rest = Rest(bodies, lambda: meeting.settled, query)
     for k in range(steps):
         for course in courses:
             course.aim(k)
         at, end = 0, cuts * FINEST
+        if rest.keeps([(course.between(0.0), course.between(1.0)) for course in courses], cuts * whole[0].step_size):
+            at = end
         while at < end:
             longest = min(meeting.next_step, *(body.environment.next_step for body in bodies))
             pieces = piece(whole[0].step_size, longest, at % FINEST)
@@ -268,10 +291,8 @@ def pushed_together(
             for course, integrator in zip(courses, whole, strict=True):
                 course.body.integrator = halved(integrator, FINEST // pieces)
                 course.body.drift(course.between(at / end))
-            wrenches = meeting.wrenches(bodies[0].time, [body.state for body in bodies])
-            for body, wrench in zip(bodies, wrenches, strict=True):
-                own, added = body.query()
-                body.push(own + wrench, added)
+            for body, forces in zip(bodies, query(), strict=True):
+                body.push(*forces)
         for course, integrator in zip(courses, whole, strict=True):
             course.body.integrator = integrator
             course.arrive()

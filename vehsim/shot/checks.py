@@ -112,6 +112,18 @@ def check_trailer(vehicle: Vehicle, world: World) -> Iterator[Problem]:
         yield Problem("asset", message, remedy, vehicle.name, severity="warning")
 
 
+def check_contact(vehicle: Vehicle, world: World, things: Collection[str]) -> Iterator[Problem]:
+    """Contact moves vehicles in space only: refuse a simulated vehicle in the plane among ``things`` that it could
+    hit."""
+    in_water = world.water is not None and vehicle.hull is not None
+    planar = vehicle.planar is not None and not in_water
+    if world.contact is not None and things and (planar or vehicle.group.dim != 6):
+        some = ", ".join(sorted(things)[:3])
+        message = f"{vehicle.name} moves in the plane, where contact does not act: it would drive through {some}"
+        remedy = "plan its motion, remove [world.contact], or take a vehicle that flies or floats"
+        yield Problem("asset", message, remedy, vehicle.name)
+
+
 def check_order(marks: list[MarkTable], setting: Setting) -> Iterator[Problem]:
     """Frames increase and are in the shot; the first mark has a frame and a place."""
     if marks[0].frame == "free":

@@ -22,6 +22,7 @@ from vehsim.shot.audited import audit_clips
 from vehsim.shot.checks import (
     Setting,
     check_asset,
+    check_contact,
     check_copied,
     check_names,
     check_trailer,
@@ -300,7 +301,14 @@ class Shot:
             return
         for problem in table.motion.check(vehicle, self._setting):
             yield replace(problem, key=f"vehicle[{i}].motion.{problem.key}")
-        for problem in (*check_afloat(vehicle, world), *check_trailer(vehicle, world)):
+        found = [*check_afloat(vehicle, world), *check_trailer(vehicle, world)]
+        from vehsim.shot.motions.simulate import ForwardMotion
+
+        if isinstance(table.motion, ForwardMotion):
+            others = [other.name for other in self.file.vehicle if other is not table]
+            things = {obstacle.name for obstacle in world.obstacles} | set(others)
+            found += check_contact(vehicle, world, things)
+        for problem in found:
             yield replace(problem, key=f"vehicle[{i}].{problem.key}")
         if world.wind.any() and not vehicle.feels_wind:
             message = f"{table.name} has no drag, so wind has no effect"

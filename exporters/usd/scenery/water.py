@@ -43,8 +43,10 @@ BEYOND = 10.0
 """Width within which a liquid solver's water falls to its level beyond its grid, m."""
 GROWTH = 1.32
 """Ratio of neighbouring cells beyond the fine grid."""
+CARRIED = (2.0, 4.0)
+"""Cells per wave: from the second on, the mesh carries a wave as it is; below the first, it shows none of it."""
 RESOLVED = 1.6
-"""Cells longer than this show reduced waves, so that distant water is calm instead of jagged, m."""
+"""Cells longer than this show less of a surface whose waves are unknown, so that distant water is not jagged, m."""
 LOWERED = "lowered"
 """Primvar: by how much the surface was lowered to be hidden inside a hull, m."""
 SKIN = 0.03
@@ -151,11 +153,9 @@ def surfaces(take: Take, grid: Grid, frames: Array) -> Iterator[tuple[Array, Arr
     foam = Foam(afloat, xy, frames, fps)
     raised = wake.heights() if wake is not None else iter(np.zeros((len(frames), 1, 1)))
     start = min((clip.start_frame for clip in take.clips.values()), default=take.frames[0])
-    sea = _undisturbed(water, xy)
-    still, calm = np.column_stack([xy, np.full(len(xy), water.level)]), np.minimum(1.0, RESOLVED / grid.cells)
+    sea = _undisturbed(water, xy, grid.cells)
     for k, (frame, field) in enumerate(zip(frames.tolist(), raised, strict=True)):
         points = sea((frame - start) / fps)
-        points = still + calm[:, None] * (points - still)
         if wake is not None:
             points[:, 2] += wake.at(field, points[:, :2])
         normals, curvature = grid.shape_of(points)
@@ -166,22 +166,27 @@ def surfaces(take: Take, grid: Grid, frames: Array) -> Iterator[tuple[Array, Arr
         yield points, normals, white, lowered
 
 
-def _undisturbed(water: Any, xy: Array) -> Callable[[float], Array]:
-    """The water's own surface as a function of time [s]: places (n, 3) m of the points with rest positions (n, 2).
+def _undisturbed(water: Any, xy: Array, cells: Array) -> Callable[[float], Array]:
+    """The water's own surface as a function of time [s]: places (n, 3) m of the points with rest positions (n, 2), on
+    a mesh with ``cells`` (n,) m.
 
-    As in Gerstner's waves, points move horizontally, so that crests are sharp; phases are computed once.
+    As in Gerstner's waves, points move horizontally, so that crests are sharp; phases are computed once. Each wave
+    fades where the mesh cannot carry it.
     """
     from vehsim.world.water.water import Waves
 
     waves = water.surface
     if water.grids is not None:
         inside = np.clip(xy, water.grids.lower, water.grids.upper)
-        share = np.maximum(0.0, 1.0 - np.hypot(*(xy - inside).T) / BEYOND)
+        share = np.maximum(0.0, 1.0 - np.hypot(*(xy - inside).T) / BEYOND) * np.minimum(1.0, RESOLVED / cells)
         return lambda t: np.column_stack([xy, water.level + share * (water.height(inside, t) - water.level)])
     if not isinstance(waves, Waves):
         return lambda t: np.column_stack([xy, water.height(xy, t)])
     theta = xy @ waves.number.T + waves.phase
-    cos, sin = np.cos(theta), np.sin(theta)
+    least, most = CARRIED
+    wavelengths = 2 * np.pi / np.hypot(*waves.number.T)
+    carried = np.clip((wavelengths / cells[:, None] - least) / (most - least), 0.0, 1.0)
+    cos, sin = carried * np.cos(theta), carried * np.sin(theta)
     direction = waves.number / np.hypot(*waves.number.T)[:, None]
 
     def at(t: float) -> Array:

@@ -17,6 +17,9 @@ from vehsim.vehicles.definition.base import State
 
 Array = NDArray[np.float64]
 
+ALLOWANCE = 0.5
+"""Added to the greatest speed of a body's points, for pushes until the next evaluation, m/s."""
+
 
 @dataclass(frozen=True)
 class Body:
@@ -50,7 +53,7 @@ class MovingBody:
         self.R_wr = matrices(self.orientation)
         self.omega, self.v = self.R_wr @ twist[:3], self.R_wr @ twist[3:]
         self.centre = self.position + self.R_wr @ body.vehicle.origin
-        self.fastest = float(np.linalg.norm(self.v) + np.linalg.norm(self.omega) * 2 * body.reach) + 0.5
+        self.fastest = float(np.linalg.norm(self.v) + np.linalg.norm(self.omega) * 2 * body.reach) + ALLOWANCE
 
     def velocity(self, places: Array) -> Array:
         return np.asarray(self.v + cross(self.omega, places - self.position))
@@ -78,8 +81,9 @@ class Led:
         # before and after its motion it stands still
         omega, v = (rows[0] if first <= since <= last else np.zeros(3) for rows in spatial(motion))
         self.position, self.orientation, self.v = motion.positions[0], motion.orientations[0], v
-        self.omega = matrices(self.orientation) @ omega
-        self.fastest = float(np.linalg.norm(self.v) + np.linalg.norm(self.omega) * 2 * course.reach) + 0.5
+        self.R_wr = matrices(self.orientation)
+        self.omega = self.R_wr @ omega
+        self.fastest = float(np.linalg.norm(self.v) + np.linalg.norm(self.omega) * 2 * course.reach) + ALLOWANCE
 
     def velocity(self, places: Array) -> Array:
         return np.asarray(self.v + cross(self.omega, places - self.position))

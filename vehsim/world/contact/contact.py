@@ -1,9 +1,10 @@
-"""Contact: where a vehicle's convex hulls touch something, and the resulting wrench, a function of states alone.
+"""Contact: where a vehicle's convex hulls touch something, and the resulting wrench, a function of states and of the
+grip of each touching pair.
 
 MuJoCo finds where hulls meet obstacles and each other (`mj_collision`), `grounding.py` where they meet terrain. Each
 touching pair acts as one spring and damper, whose stiffness keeps the depth below `DEPTH` at the fastest approach. Its
-force is distributed over the contact points by their depth; Coulomb friction acts along the surface. Spring and damper
-follow from the effective mass of the contact, so restitution does not depend on the bodies.
+force is distributed over the contact points by their depth; a `Grip` acts along the surface, up to Coulomb's friction.
+Spring and damper follow from the effective mass of the contact, so restitution does not depend on the bodies.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ from vehsim.errors import InputError
 from vehsim.integrators.environment import Environment
 from vehsim.lie.quaternions import matrices
 from vehsim.vehicles.definition.base import State
-from vehsim.world.contact.bodies import Body, Course, Led, MovingBody
+from vehsim.world.contact.bodies import ALLOWANCE, Body, Course, Led, MovingBody
+from vehsim.world.contact.grip import Grip
 from vehsim.world.contact.grounding import TOUCH, Points, Underside
 
 Array = NDArray[np.float64]
@@ -35,12 +37,17 @@ RESOLVED = 0.06
 the damper, which starts suddenly, dominates."""
 RESTING = 0.25
 """The same if nothing closes or rebounds faster than `GENTLE`."""
+DAMPED = 0.1
+"""The same over the damping ratio: with longer steps, a strong damper would alternate instead of coming to rest."""
 GENTLE = 0.3
 """m/s"""
-SLIP = 0.02
-"""Below this speed, friction is proportional to speed instead of sticking, m/s."""
+SIDEWAYS = 0.7
+"""Angular frequency of the spring along the surface, which holds what does not slide, over that of the contact's
+spring."""
 ROOM = 1.0
 """Assumed increase of speeds until then, m/s."""
+STILL = 2e-3
+"""Speed below which bodies that do not slide are at rest, m/s."""
 AHEAD = 0.5
 """Largest step, as a share of the time to the next contact."""
 MONITORED = 1.0
@@ -76,7 +83,7 @@ class Contact:
     @property
     def step(self) -> float:
         """The longest step during contact, s."""
-        return RESTING / self.frequency
+        return min(RESTING, DAMPED / max(self.damping, 1e-9)) / self.frequency
 
     @property
     def damping(self) -> float:
@@ -164,9 +171,11 @@ class ContactScene:
         names = [body.name for body in self.bodies] + [f"obstacle/{obstacle.name}" for obstacle in moving]
         self._owner = {self.model.body(name).id: k for k, name in enumerate(names)}
         self._events: list[list[Event]] = [[] for _ in self.bodies]
+        self._grips: dict[tuple[int, int | None, str], Grip] = {}
         self._time = 0.0
         self._begun = False
         self.next_step = self._soon = math.inf
+        self.settled = False
         self._nearing = 0.0
 
     def _add_vehicle(self, spec: Any, name: str, vehicle: Any, add: Any) -> str:
@@ -221,16 +230,25 @@ class ContactScene:
         total = [np.zeros(6) for _ in moving]
         forces: dict[tuple[int, str], tuple[Array, Array, Array]] = {}
         brisk = self._nearing
+        grips, self._grips = self._grips, {}
         for (a, b, name), points in pairs.items():
-            push, closing, kick = self._push(moving[a], None if b is None else moving[b], points)
+            one, other = moving[a], None if b is None else moving[b]
+            grip = self._grips[a, b, name] = grips.get((a, b, name)) or Grip(one, other)
+            push, closing, kick = self._push(one, other, points, grip)
             brisk = max(brisk, kick, float(closing.max()))
             total[a] += moving[a].wrench(points.places, push)
             forces[(a, name)] = points.places, push, closing
             if b is not None and b < len(self.bodies):
                 total[b] += moving[b].wrench(points.places, -push)
                 forces[(b, _plain(self.bodies[a].name))] = points.places, -push, closing
-        phase = RESOLVED / (1 + self.contact.damping) if brisk > GENTLE else RESTING
-        self.next_step = max(phase / self.contact.frequency, AHEAD * self._soon)
+        impact = RESOLVED / (1 + self.contact.damping) / self.contact.frequency
+        self.next_step = max(impact if brisk > GENTLE else self.contact.step, AHEAD * self._soon)
+        touching = {owner for a, b, _ in pairs for owner in (a, b)}
+        self.settled = (
+            touching.issuperset(range(len(self.bodies)))
+            and not any(grip.slides for grip in self._grips.values())
+            and all(m.fastest - ALLOWANCE < STILL for m in moving)
+        )
         self._note(t, forces)
         return total[: len(self.bodies)]
 
@@ -294,7 +312,9 @@ class ContactScene:
         self._soon, self._nearing = soon, nearing
         return pairs
 
-    def _push(self, a: MovingBody | Led, b: MovingBody | Led | None, points: Points) -> tuple[Array, Array, float]:
+    def _push(
+        self, a: MovingBody | Led, b: MovingBody | Led | None, points: Points, grip: Grip
+    ) -> tuple[Array, Array, float]:
         """Forces (n, 3) N on ``a`` and closing speeds (n,) m/s of a pair's points; and the rebound speed of a spring
         with their combined push, m/s."""
         c, normals = self.contact, points.normals
@@ -308,10 +328,8 @@ class ContactScene:
         stiff = c.frequency * points.depths + 2 * c.damping * closing
         pressure = np.maximum(0.0, share * mass * c.frequency * stiff)
         slide = velocity + closing[:, None] * normals
-        # a force that would reverse the sliding within a step only stops it
-        least = np.maximum(SLIP, c.friction * pressure * c.step / mass)
-        drag = c.friction * pressure / np.maximum(np.linalg.norm(slide, axis=1), least)
-        force = pressure[:, None] * normals - drag[:, None] * slide
+        hold = grip.hold(a, b, middle, mean, points, slide, share * mass, SIDEWAYS * c.frequency, c.friction * pressure)
+        force = pressure[:, None] * normals + hold
         return force, closing, float(pressure.sum() / (mass * c.frequency))
 
     def _note(self, t: float, forces: dict[tuple[int, str], tuple[Array, Array, Array]]) -> None:
@@ -346,6 +364,10 @@ class Touching(Environment):
     @property
     def next_step(self) -> float:  # type: ignore[override]
         return self._scene.next_step
+
+    @property
+    def settled(self) -> bool:  # type: ignore[override]
+        return self._scene.settled
 
     def wrench(self, t: float, state: State, controls: Array) -> Array:
         return self._scene.wrenches(t, [state])[0]
