@@ -19,6 +19,7 @@ from vehsim.exporters.pictures.water import places_of
 from vehsim.exporters.usd.scenery import water as authored
 from vehsim.exporters.usd.scenery.wake import Floating, Foam, Wake
 from vehsim.exporters.usd.stage import StageReader
+from vehsim.world.water.sea import together
 from vehsim.world.water.water import wave
 from vehsim.world.world import Water, World
 
@@ -300,3 +301,12 @@ def test_the_surface_has_an_extent_at_every_frame_and_a_rest_pose(shown):
         points, extent = (np.array(attribute.Get(when)) for attribute in (mesh.GetPointsAttr(), mesh.GetExtentAttr()))
         assert (extent == [points.min(axis=0), points.max(axis=0)]).all()
     assert np.ptp(np.array(mesh.GetPointsAttr().Get())[:, 2]) == 0.0
+
+
+def test_each_wave_fades_by_its_own_length():
+    """Cells of 3 m carry a wave of 40 m as it is, and none of one of 4 m."""
+    xy = np.column_stack([np.linspace(0, 400, 4001), np.zeros(4001)])
+    sea = together(wave(2.0, 40.0), wave(0.5, 4.0), choppiness=0.0)
+    for cell, waves in ((0.5, sea), (3.0, wave(2.0, 40.0))):
+        shown = authored._undisturbed(Water(surface=sea), xy, np.full(len(xy), cell))(1.3)
+        np.testing.assert_allclose(shown[:, 2], Water(surface=waves).height(xy, 1.3), atol=1e-9)
