@@ -2,7 +2,7 @@
 BIN := .venv/bin
 export MUJOCO_GL ?= egl
 
-.PHONY: help setup demo check test test-pythons measure-tests blender docs assets page lock clean bench-export bench-integrators bench-planning bench-unseen bench-collocation audit-random hostile-files
+.PHONY: help setup demo check test test-pythons measure-tests blender docs assets page lock clean bench-export bench-integrators bench-order bench-planning bench-unseen bench-collocation audit-random hostile-files
 
 help:
 	@echo "make demo               export examples/canyon_flight.toml to out/: a USD shot, frames and a film"
@@ -17,6 +17,7 @@ help:
 	@echo "make page               bundle three.js for the pages that show a shot in a browser; needs npm"
 	@echo "make lock               update requirements.lock from pyproject.toml"
 	@echo "make bench-integrators  measure the claims of the papers; writes benchmarks/RESULTS.md"
+	@echo "make bench-order        free bodies: CPU time to a given error, against RK4; writes RESULTS.order.md (two minutes)"
 	@echo "make bench-planning     measure plans: building, free space, canyon, replanning; writes RESULTS.planning.md"
 	@echo "make bench-unseen       plan random problems by family: the share certified, and why the others failed"
 	@echo "make bench-collocation  compare DMOC with collocation; writes RESULTS.collocation.md"
@@ -70,6 +71,9 @@ lock: setup
 	$(BIN)/python -m pip install --quiet uv
 	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --extra dev --extra docs \
 		--custom-compile-command "make lock" --output-file requirements.lock pyproject.toml
+
+bench-order: setup
+	$(BIN)/python -m benchmarks.order
 
 bench-integrators: setup
 	$(BIN)/python -m benchmarks.integrators

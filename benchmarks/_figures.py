@@ -71,3 +71,50 @@ def _line(x0: float, y0: float, x1: float, y1: float) -> str:
 
 def _text(x: float, y: float, words: str, size: int, colour: str = "#222") -> str:
     return f'<text x="{x:.1f}" y="{y:.1f}" font-size="{size}" fill="{colour}">{words}</text>'
+
+
+Panel = tuple[np.ndarray, np.ndarray]
+"""Abscissa (n,) and lines (n, k)."""
+
+
+def panels(path: Path, title: str, rows: Mapping[str, Mapping[str, Panel]]) -> None:
+    """Write a grid of plots with linear axes as an SVG: row name -> column name -> `Panel`.
+
+    The plots of a column share their axes, those of the first row, so that rows can be compared.
+    """
+    width, height, gap, left, top = 210, 120, 44, 80, 56
+    count = max(len(row) for row in rows.values())
+    size = (left + count * (width + gap), top + len(rows) * (height + gap))
+    out = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{size[0]}" height="{size[1]}" font-family="sans-serif" '
+        'font-size="10">',
+        '<rect width="100%" height="100%" fill="white"/>',
+        f'<text x="{left}" y="20" font-size="13">{title}</text>',
+    ]
+    first = next(iter(rows.values()))
+    for i, (row, columns) in enumerate(rows.items()):
+        y0 = top + i * (height + gap)
+        out.append(f'<text x="6" y="{y0 + height / 2}" font-size="11">{row}</text>')
+        for j, (name, (across, lines)) in enumerate(columns.items()):
+            x0 = left + j * (width + gap)
+            a, b = _range(first[name][0]), _range(first[name][1])
+            out.append(f'<rect x="{x0}" y="{y0}" width="{width}" height="{height}" fill="none" stroke="#999"/>')
+            out.append(f'<text x="{x0}" y="{y0 - 5}">{name}</text>')
+            for text, at in ((a[0], x0), (a[1], x0 + width)):
+                out.append(f'<text x="{at}" y="{y0 + height + 12}" text-anchor="middle">{text:.3g}</text>')
+            for text, at in ((b[0], y0 + height), (b[1], y0 + 8)):
+                out.append(f'<text x="{x0 - 4}" y="{at}" text-anchor="end">{text:.3g}</text>')
+            for k, line in enumerate(np.asarray(lines).T):
+                x = x0 + (across - a[0]) / (a[1] - a[0]) * width
+                y = y0 + height - np.clip((line - b[0]) / (b[1] - b[0]), -0.03, 1.03) * height
+                points = " ".join(
+                    f"{p:.1f},{q:.1f}" for p, q in zip(x, y, strict=True) if np.isfinite(p) and np.isfinite(q)
+                )
+                out.append(f'<polyline points="{points}" fill="none" stroke="{_COLOURS[k]}" stroke-width="0.8"/>')
+    path.write_text("\n".join([*out, "</svg>"]) + "\n", encoding="utf-8")
+
+
+def _range(values: np.ndarray) -> tuple[float, float]:
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    margin = 0.05 * (high - low) or 1.0
+    return low - margin, high + margin

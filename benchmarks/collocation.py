@@ -7,7 +7,6 @@ independent, fine integration executes the controls.
 
 from __future__ import annotations
 
-import os
 import time
 from pathlib import Path
 
@@ -15,6 +14,7 @@ import numpy as np
 
 import vehsim
 from benchmarks.collocated import SCHEMES, Collocation, solve
+from benchmarks.machine import headed
 from vehsim import Mark
 from vehsim.planning.problem.transcription import Transcription
 
@@ -39,8 +39,8 @@ def main() -> None:
     lines = [
         "# DMOC and collocation, measured",
         "",
-        f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} at the start; one thread, no compiler. CPU seconds are"
-        " of a solve including building, median of 5; `dmoc` is of order 2, from which `plan` goes on.",
+        "One thread, no compiler. CPU seconds are of a solve including building, median of 5;",
+        "`dmoc` is of order 2, from which `plan` goes on.",
         "",
         "| vehicle, cost | method | N | cost | executed, off by (m) | quaternion drift | iterations | CPU (s) |",
         "|---|---|---|---|---|---|---|---|",
@@ -69,7 +69,7 @@ def main() -> None:
                 )
                 print(lines[-1], flush=True)
     lines += ["", READING]
-    Path(__file__).with_name("RESULTS.collocation.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    Path(__file__).with_name("RESULTS.collocation.md").write_text(headed("\n".join(lines) + "\n"), encoding="utf-8")
 
 
 if __name__ == "__main__":

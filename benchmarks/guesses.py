@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 import vehsim
+from benchmarks.machine import headed
 from vehsim import Mark
 from vehsim.errors import VehsimError
 from vehsim.sinusoids.manoeuvres.guess import initial_guess
@@ -95,7 +96,7 @@ def main() -> None:
             ended = f"{solved} | {iterations:.0f} | {spent:.1f} | {cheaper} of {both.sum()}"
             lines.append(f"| {task} | {count} | {guess} | {ended} |")
     print(*lines, sep="\n")
-    Path(__file__).with_name("RESULTS.guesses.md").write_text(HEAD + "\n".join(lines) + "\n")
+    Path(__file__).with_name("RESULTS.guesses.md").write_text(headed(HEAD + "\n".join(lines) + "\n"))
 
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ import numpy as np
 
 from benchmarks import bodies, cars, speed
 from benchmarks._figures import loglog
+from benchmarks.machine import heading
 
 HERE = Path(__file__).parent
 QUICK = "--quick" in sys.argv
@@ -43,7 +44,7 @@ def main() -> None:
             loads, begin = [os.getloadavg()[0]], time.perf_counter()
             result = measure()
             loads.append(os.getloadavg()[0])
-            took = {"seconds": time.perf_counter() - begin, "loads": loads, "cores": os.cpu_count()}
+            took = {"seconds": time.perf_counter() - begin, "loads": loads, "cores": os.cpu_count(), "on": heading()}
             file.with_suffix(".tmp").write_text(json.dumps({"result": result, "took": took}), encoding="utf-8")
             file.with_suffix(".tmp").replace(file)
         results[name] = json.loads(file.read_text(encoding="utf-8"))
@@ -65,7 +66,7 @@ def report(results: dict[str, Any]) -> list[str]:
         for name, r in results.items()
     ]
     lines += table(["part", "took", "load before", "load after"], took)
-    lines += ["", f"{results['speed']['took']['cores']} cores.", "", "## The claims of LIE 3.3", ""]
+    lines += ["", *results["speed"]["took"].get("on", []), "## The claims of LIE 3.3", ""]
     lines += table(["claim", "held", "measured"], claims(body, car))
     lines += ["", "## Speed compared with MuJoCo, and the targets", "", *_speed(fast, results["speed"]["took"])]
     lines += ["", f"## Free rigid body, {body['minutes']:g} minutes, {body['count']} random bodies (LIE Fig. 4)"]

@@ -17,6 +17,7 @@ import casadi as ca
 import numpy as np
 
 import vehsim
+from benchmarks.machine import headed
 from vehsim import Mark
 from vehsim.errors import VehsimError
 from vehsim.lie import SE2
@@ -139,7 +140,7 @@ def main() -> None:
             lines.append(f"| {name} | {count} | {method} | {np.median(row):.1f} | {min(row):.2f} | {max(row):.1f} |")
     print(*lines, sep="\n")
     Path(__file__).with_name("RESULTS.optimality.md").write_text(
-        HEAD.format(segments=SEGMENTS) + "\n".join(lines) + "\n"
+        headed(HEAD.format(segments=SEGMENTS) + "\n".join(lines) + "\n")
     )
 
 

@@ -20,6 +20,7 @@ import casadi as ca
 import numpy as np
 
 import vehsim
+from benchmarks.machine import headed
 from vehsim import Mark
 from vehsim.planning.blocks import blocks_of
 from vehsim.planning.constraints.block import assemble
@@ -262,7 +263,7 @@ def main() -> None:
     lines = [
         "# Planning, measured",
         "",
-        f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} at the start; one thread, no compiler.",
+        "One thread, no compiler.",
         "",
         "| what | wall, median (90 %) | CPU, median (90 %) | target | |",
         "|---|---|---|---|---|",
@@ -273,7 +274,7 @@ def main() -> None:
             lines.append(f"| {what} | {cells[0]} | {cells[1]} | {target} | {out} |")
             print(lines[-1], flush=True)
     lines += ["", f"Load {os.getloadavg()[0]:.1f} at the end.", NOTES]
-    Path(__file__).with_name("RESULTS.planning.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    Path(__file__).with_name("RESULTS.planning.md").write_text(headed("\n".join(lines) + "\n"), encoding="utf-8")
 
 
 if __name__ == "__main__":

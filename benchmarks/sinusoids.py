@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from benchmarks.machine import headed
 from vehsim.errors import SolveError, VehsimError
 from vehsim.sinusoids import models
 from vehsim.sinusoids.algebra.feedback import (
@@ -176,7 +177,7 @@ def main() -> None:
             rows.append(row)
             wrong += more
     if not wanted.only:
-        text = HEAD + "\n".join([*rows, "", *(wrong or ["Every pair was steered."])]) + "\n"
+        text = headed(HEAD + "\n".join([*rows, "", *(wrong or ["Every pair was steered."])]) + "\n")
         Path(__file__).with_name("RESULTS.sinusoids.md").write_text(text)
 
 

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 import vehsim
+from benchmarks.machine import headed
 from vehsim import Mark
 from vehsim.errors import VehsimError
 from vehsim.lie.quaternions import from_yaw
@@ -256,7 +257,7 @@ def main() -> None:
         slowest = f"seed {found[0].seed}: {times[0]:.1f} s"
         lines.append(f"| {family} | {len(found)} | {met} | {middle:.1f} | {most:.1f} | {slowest} |")
         failures += [f"- {one.line()}" for one in found if not one.success or one.seconds > options.seconds]
-    text = HEAD.format(seconds=options.seconds) + "\n".join([*lines, "", *failures]) + "\n"
+    text = headed(HEAD.format(seconds=options.seconds) + "\n".join([*lines, "", *failures]) + "\n")
     print(text)
     if set(options.families.split(",")) == set(FAMILIES):
         Path(__file__).with_name("RESULTS.unseen.md").write_text(text, encoding="utf-8")

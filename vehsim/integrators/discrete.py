@@ -24,7 +24,7 @@ import casadi as ca
 
 from vehsim.errors import InputError
 from vehsim.lie import SO3, difference_map
-from vehsim.lie.maps import DEFAULT_MAP
+from vehsim.lie.maps import DEFAULT_MAP, MAPS
 from vehsim.vehicles import Vehicle
 from vehsim.vehicles.definition.mechanics import (
     Expr,
@@ -113,6 +113,10 @@ class DiscreteMechanics:
         push = project(v, r, *before)
         return {"left": left, "right": right, "g1": g1, "r1": r1, "bend": bend, "push": push}
 
+    @property
+    def _follows_free_flight(self) -> bool:
+        return bool(MAPS[self.map_name].free_flight)  # with long steps: worth two more iterations
+
     def _inertia(self) -> Any:
         """Inertia (d, d) of a single body. Raises ``InputError`` for other vehicles."""
         v, (_, s, n, _) = self.vehicle, self.sizes
@@ -193,7 +197,7 @@ class DiscreteMechanics:
         size = slope(z, *given[1:])[1]
         for _ in range(1 if explicit else rounds):
             matrix, _ = slope(z, *given[1:])
-            for _ in range(1 if explicit else CHORD_STEPS):
+            for _ in range(1 if explicit else CHORD_STEPS + 2 * self._follows_free_flight):
                 z = z - matrix @ residual(z, *given[1:])
         return ca.Function("advance_chords", self._inputs, ca.cse([ca.densify(x) for x in self._finish(z, size)]))
 
