@@ -27,11 +27,11 @@ TASKS = {
 """(vehicle, cost) -> last frame at 24 fps, start and goal, m, from rest to rest, rotated by 20 degrees."""
 
 READING = """All three methods converge to one optimum: costs extrapolated from N = 32 and 64 agree to 0.1 %
-(helicopter, smoothness) and 0.002 % (car). Executed errors decrease with order 2 (DMOC, trapezoidal) and 4 (Hermite-Simpson).
-For the helicopter's effort, the cost still depends on N and the orders are not yet visible. At the same N, DMOC ends 36 times
-closer to the goal than the trapezoidal rule for the car, and as close to four times closer for the helicopter.
-Hermite-Simpson ends much closer than both in about the same time, but its quaternions drift, and DMOC's do not. At
-order 2, DMOC is less accurate than Hermite-Simpson: `plan` continues to orders 4 and 6."""
+(helicopter, smoothness) and 0.002 % (car). Executed errors decrease with order 2 (DMOC, trapezoidal) and 4
+(Hermite-Simpson). For the helicopter's effort, the cost still depends on N and the orders are not yet visible. At the
+same N, DMOC ends 36 times closer to the goal than the trapezoidal rule for the car, and as close to four times closer
+for the helicopter. Hermite-Simpson ends much closer than both in about the same time, but its quaternions drift, and
+DMOC's do not. At order 2, DMOC is less accurate than Hermite-Simpson: `plan` continues to orders 4 and 6."""
 
 
 def main() -> None:

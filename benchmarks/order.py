@@ -164,12 +164,12 @@ whole seconds; for each body the step is the largest that reaches it. Every meth
 machine code. On SO(3)xR3 the flight of the centre of mass is exact for every method, so the goal of 1e-3 m is met at
 the largest step there."""
 READING = """
-CPU time in ms, interpreted; as machine code. Two runs at a load of 9 to 11 on two cores differed by up to a factor of two
-in single rows, so only larger ratios mean something. RK4 loses energy at every step size; `tln`, `tln4` and `tln6` keep
-it to round-off. In LIE's coordinates, SE(3), RK4 needs short steps for the position, and `tln6` on SO(3)xR3 meets both
-goals two to four times sooner. RK4 on SO(3)xR3 flies straight too, and is then 1.4 to 2.2 times as fast as `tln6`,
-whose step solves an implicit equation: 1,023 instructions, five iterations of 132 among them. Forced bodies were not
-measured: with forces, `tln4` and `tln6` are of second order.
+CPU time in ms, interpreted; as machine code. Two runs at a load of 9 to 11 on two cores differed by up to a factor of
+two in single rows, so only larger ratios mean something. RK4 loses energy at every step size; `tln`, `tln4` and
+`tln6` keep it to round-off. In LIE's coordinates, SE(3), RK4 needs short steps for the position, and `tln6` on
+SO(3)xR3 meets both goals two to four times sooner. RK4 on SO(3)xR3 flies straight too, and is then 1.4 to 2.2 times
+as fast as `tln6`, whose step solves an implicit equation: 1,023 instructions, five iterations of 132 among them.
+Forced bodies were not measured: with forces, `tln4` and `tln6` are of second order.
 """
 DROPPED = """## Tried and dropped
 
