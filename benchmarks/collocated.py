@@ -102,7 +102,9 @@ def solve(transcription: Transcription, marks: Sequence[Mark], segments: int, **
     ``options``: of `vehsim.plan`, such as ``fps``, ``cost``, ``limits``, ``solver``.
     """
     t = transcription
-    request = ask(t.vehicle, None, marks, **({"fps": 24} | options), segments=segments, refine=False)
+    request = ask(
+        t.vehicle, None, marks, **({"fps": 24, "character": "stunt"} | options), segments=segments, refine=False
+    )
     layout = Layout(t.sizes, (segments,))
     first, last = (mark.frame for mark in request.marks)
     lengths = np.array([float((last - first) / request.fps) / segments])  # type: ignore[operator]

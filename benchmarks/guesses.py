@@ -65,7 +65,9 @@ def compare(vehicle, draw, count):
         row = []
         for name in GUESSES:
             begun = time.process_time()
-            found = vehsim.plan(vehicle, world, marks, clearance=0.15, guess=guesses[name], refine=False)
+            found = vehsim.plan(
+                vehicle, world, marks, clearance=0.15, guess=guesses[name], refine=False, character="stunt"
+            )
             spent = time.process_time() - begun + (made if name == "sinusoid" else 0.0)
             row.append((found.success, found.iterations, found.cost, spent))
         rows.append(row)

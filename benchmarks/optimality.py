@@ -86,7 +86,7 @@ def planned(vehicle, start, goal, path):
     ]
     efforts = []
     for guess in (path, None):
-        plan = vehsim.plan(vehicle, None, marks, segments=SEGMENTS, guess=guess, refine=False)
+        plan = vehsim.plan(vehicle, None, marks, segments=SEGMENTS, guess=guess, refine=False, character="stunt")
         a, b, h = plan.clip.controls[:-1], plan.clip.controls[1:], np.diff(plan.clip.times)
         if plan.success:
             efforts.append(SECONDS * float(h @ np.sum(a * a + a * b + b * b, axis=1)) / 3)

@@ -29,7 +29,7 @@ STILLS = {
     "hopper_flip": (1067, "chase"),
     "landing_on_mark": (1690, "cut"),
     "parallel_park": (1341, "chase"),
-    "parallel_parking": (1122, "chase"),
+    "parallel_parking": (1242, "chase"),
     "robot_worlds_seed0": (1166, "chase"),
     "simple_car_worlds_seed0": (1160, "chase"),
     "snakeboard_to_mark": (1100, "chase"),

@@ -15,6 +15,7 @@ from vehsim.delivery.take import Take
 from vehsim.exporters.checks.audit import joints_in_rig, root_in_prim, stage_of, with_stage
 from vehsim.exporters.usd.curves import count_keys
 from vehsim.exporters.usd.exporter import LAYERS
+from vehsim.exporters.checks.review import review
 from vehsim.runtime.code import PACKAGES, version
 
 
@@ -84,6 +85,7 @@ def _clip_summary(clip: Any) -> dict[str, Any]:
         "top_speed_m_s": float(speeds.max()),
         "events": list(clip.events),
         "energy_J": _ledger(clip.energy),
+        "review": review(clip),
     }
 
 

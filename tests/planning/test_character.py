@@ -6,17 +6,20 @@ import math
 import warnings
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import vehsim
 from vehsim.errors import InputError
-from vehsim.planning import Mark, Plan
+from vehsim.planning import Mark, Plan, planner
 from vehsim.planning.blocks import blocks_of
+from vehsim.planning.certify import refine_and_certify
 from vehsim.planning.costs import RunningCosts
 from vehsim.planning.request.character import control_rates, manner_of
 from vehsim.planning.request.request import ask
+from vehsim.vehicles.definition.base import Control
 from vehsim.vehicles.definition.character import CHARACTERS, Character, Trait
 
 CAR, HELICOPTER = vehsim.load_vehicle("car"), vehsim.load_vehicle("helicopter")
@@ -67,6 +70,61 @@ def test_a_helicopter_eases_in_and_out_of_hover_within_its_character() -> None:
     assert made.success and not [row for row in made.audit if row.met is False]
     assert rates_at_ends(made, "normal") < 0.01
     assert tilt(made) < 25 * 1.1
+
+
+COURSES: dict[str, tuple[int, tuple[float, float, float], float]] = {
+    "boat": (481, (40.0, -10.0, 0.0), -20.0),
+    "car": (261, (45.0, 8.0, 0.0), 0.0),
+    "helicopter": (301, (60.0, 40.0, 10.0), 120.0),
+    "simple_car": (261, (45.0, 8.0, 0.0), 0.0),
+    "snakeboard": (169, (5.0, 1.5, 0.0), 40.0),
+    "truck": (401, (45.0, 3.0, 0.0), 0.0),
+    "two_wheeled": (151, (3.0, 1.0, 0.0), 40.0),
+}
+"""Vehicle -> the frame, place and heading of a last mark that is not too early."""
+
+
+@pytest.mark.parametrize("name", COURSES)
+def test_every_planned_vehicle_eases_in_and_out_of_rest_by_default(name: str) -> None:
+    vehicle, (frame, place, heading) = vehsim.load_vehicle(name), COURSES[name]
+    marks = [
+        Mark(1, position=(0, 0, 0), heading=0, velocity=STILL),
+        Mark(frame, position=place, heading=heading, velocity=STILL),
+    ]
+    made = vehsim.plan(vehicle, marks=marks, segments=48)
+    assert made.success and not [str(row) for row in made.audit if row.met is False]
+    assert rates_at_ends(made, "normal") <= 0.01
+    # in balance: thrusts and torques are those of hover or rest; the boat's outboard may point anywhere
+    trim, scale = (np.array([value(c) for c in made.clip.vehicle.controls]) for value in (_at_rest, lambda c: c.scale))
+    acts = [name != "boat" or c.name != "steering" for c in made.clip.vehicle.controls]
+    assert np.abs((made.clip.controls[[0, -1]] - trim) / scale)[:, acts].max() < 0.01
+
+
+def _at_rest(control: Control) -> float:
+    """A control's value in hover or at rest; the collective's scale is the weight."""
+    return control.scale if control.name == "collective" else 0.0
+
+
+def test_marks_that_are_much_too_early_are_met_with_a_warning() -> None:
+    marks = [Mark(1, position=(0, 0, 20), velocity=STILL), Mark(170, position=(100, 0, 25), velocity=STILL)]
+    with pytest.warns(UserWarning, match="beyond normal: character.bank|not normal"):
+        made = vehsim.plan(HELICOPTER, marks=marks, segments=32)
+    assert made.success
+
+
+def test_a_plan_that_fails_in_its_character_becomes_a_stunt(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried: list[str] = []
+
+    def certified(run: Any, iterate: Any) -> Any:
+        tried.append(iterate.request.manner.name)
+        done = refine_and_certify(run, iterate)
+        spoiled = replace(done.solution, success=False)
+        return done if iterate.request.manner.name == "stunt" else replace(done, solution=spoiled)
+
+    monkeypatch.setattr(planner, "refine_and_certify", certified)
+    with pytest.warns(UserWarning, match="not normal: no such motion was found"):
+        made = drive("normal")
+    assert made.success and tried[0] == "normal" and tried[-1] == "stunt"
 
 
 def test_a_stunt_does_not_ease() -> None:

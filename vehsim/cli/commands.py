@@ -327,6 +327,42 @@ def audit(
 
 
 @app.command()
+def review(
+    reviewed: Annotated[
+        list[Path],
+        typer.Argument(metavar="DELIVERY|SHOT...", help="Folders that export wrote, or shot files, which are solved."),
+    ],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the pages: <shot>.review.html.")] = Path("out"),
+    sets: Sets = None,
+    quiet: Quiet = False,
+) -> None:
+    """Compare motion with real machines: jerk, bank, g-load, slip, saturation, reversals, settling. Writes a page."""
+    from vehsim.exporters.checks.review import outside, review, review_of
+    from vehsim.exporters.checks.review_page import write_page
+    from vehsim.vehicles.definition.character import NORMAL
+
+    _arguments.check_folder(out)
+    shots, problems = _arguments.load_all([path for path in reviewed if not path.is_dir()], sets or [])
+
+    def of_shot(shot: Any) -> dict[str, Any]:
+        with _progress(quiet) as progress:
+            take = shot.solve(progress=progress)
+        clips = {name: review(clip) for name, clip in take.clips.items()}
+        return {"shot": shot.name, "fps": str(take.fps), "vehicles": clips}
+
+    made, wrong = _arguments.each(shots, of_shot)
+    found, unread = _arguments.each([path for path in reviewed if path.is_dir()], review_of, str)
+    for one in [*found, *made]:
+        page = write_page(one, NORMAL, out / f"{one['shot']}.review.html")
+        for name, rows in one["vehicles"].items():
+            for line in outside(rows):
+                print(f"{one['shot']}: {name}: outside: {line}")
+        if not quiet:
+            print(page)
+    raise typer.Exit(_say([*problems, *wrong, *unread], quiet))
+
+
+@app.command()
 def render(
     stage: Annotated[Path, typer.Argument(metavar="STAGE", help="A USD stage that vehsim exported.")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the pictures.")],

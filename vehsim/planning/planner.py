@@ -44,7 +44,7 @@ from vehsim.planning.terms import Term
 from vehsim.planning.trajectory import exported
 from vehsim.requests import Ask
 from vehsim.vehicles import Vehicle
-from vehsim.vehicles.definition.character import STUNT
+from vehsim.vehicles.definition.character import NORMAL, STUNT
 
 Array = NDArray[np.float64]
 
@@ -146,7 +146,7 @@ def plan(
     cost: str | Mapping[str, float] = "effort",
     clearance: float = 1.0,
     limits: Mapping[str, float] | None = None,
-    character: str = STUNT,
+    character: str = NORMAL,
     guess: Clip | Any = None,
     refine: bool = True,
     terms: Sequence[Term] = (),
@@ -232,7 +232,18 @@ def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
         again = _attempt(replace(request, segments=segments), progress, guess, once=True)
         if again.success:
             made = _remarked(again, f"; on {segments} segments: {request.segments} are too few")
+    if _fails_in_character(made):
+        stunt = _attempt(replace(request, manner=NO_MANNER), progress, guess)
+        if stunt.success:
+            made = _remarked(stunt, f"; not {request.manner.name}: no such motion was found")
     return made
+
+
+def _fails_in_character(plan: Plan) -> bool:
+    """Whether a plan failed after it was solved in its character: without it, it may succeed."""
+    assert plan._iterate is not None and plan._run is not None
+    known = plan._iterate.why or plan.reason in ("refused", "time limit") or plan._run.deadline.late
+    return not (plan.success or known) and plan._iterate.request.manner.name != STUNT
 
 
 def _remarked(plan: Plan, remark: str) -> Plan:

@@ -30,6 +30,7 @@ from vehsim.planning.request.landing import landings
 from vehsim.planning.request.legs import path_length, split_segments
 from vehsim.planning.request.request import Request
 from vehsim.planning.trajectory import Trajectory, exported
+from vehsim.vehicles.definition.character import STUNT
 
 Array = NDArray[np.float64]
 
@@ -172,11 +173,13 @@ def _solver(run: Run, iterate: Iterate) -> Solver:
     """The solver of an iterate's problem, built once per shape of marks and, in free space, shared by all plans."""
     request, layout, transcription = iterate.request, iterate.layout, iterate.transcription
     keys: tuple[Hashable, ...] = tuple(block.key(layout, transcription) for block in iterate.blocks)
-    key = transcription, layout, keys, request.solver, request.max_iterations
+    content = request.manner.name != STUNT  # a character is a preference: its costs need not be least
+    key = transcription, layout, keys, request.solver, request.max_iterations, content
     cache = run.solvers if iterate.cover is not None or request.terms else common()
 
     def make() -> Solver:
-        return Solver(assemble(transcription, layout, iterate.blocks), request.solver, request.max_iterations)
+        problem = assemble(transcription, layout, iterate.blocks)
+        return Solver(problem, request.solver, request.max_iterations, content)
 
     return cache.get(key, make)
 

@@ -34,12 +34,14 @@ def traits(vehicle: str) -> str:
     """The characters of a vehicle as a Markdown table, angles in degrees."""
     from vehsim.planning.terms import LIMITS
     from vehsim.vehicles import load_vehicle
+    from vehsim.vehicles.definition.character import REVIEW_UNITS
 
     loaded = load_vehicle(vehicle)
     units = {control.name: f"{control.unit}/s" for control in loaded.controls}
     rows = [("response", "s", loaded.character.response)]
     rows += [(name, LIMITS[name].unit, trait) for name, trait in loaded.character.limits.items()]
     rows += [(f"rate of {name}", units[name], trait) for name, trait in loaded.character.control_rates.items()]
+    rows += [(name, REVIEW_UNITS[name], trait) for name, trait in loaded.character.review.items()]
     text = "| | calm | normal | brisk | unit | source |\n|---|---|---|---|---|---|\n"
     for name, unit, trait in rows:
         factor = 180 / math.pi if unit.startswith("rad") else 1.0

@@ -22,9 +22,11 @@ from vehsim.planning.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 
-REST = 1e3
-"""Price of imbalance at rest, per (m/s^2)^2, and of the controls' rates there, per square of their largest rate: so
-high that a thousandth remains of what the rest of the motion would gain."""
+REST, ABRUPT = 6e3, 0.05
+"""Price of imbalance x at rest, m/s^2, and of the rates x of controls, as shares of their largest: ``REST`` x^2 /
+2 up to about ``ABRUPT``, so that a thousandth remains of what the rest of the motion would gain; from there on ``REST
+ABRUPT`` x, so that a motion to a mark that is too early starts and ends abruptly rather than exceed its limits
+everywhere between."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +97,7 @@ def rest_element(transcription: Transcription, names: tuple[str, ...], rates: Ar
         size = transcription.sizes[3]
         rest, c, h = ca.SX.sym("rest", size), ca.SX.sym("c", size), ca.SX.sym("h")
         f, parameters = _weighted(names, BendView(rest, rest, c, h, h))
-        f += price * REST * ca.sumsqr((c - rest) / (h * rates))
+        f += price * _abrupt((c - rest) / (h * rates))
         return Element("ease", ca.vertcat(rest, c, h), parameters, f=f)
 
     return transcription.kept(("ease", *names, rates.tobytes(), price), make)
@@ -106,10 +108,15 @@ def balance_element(transcription: Transcription, price: float) -> Element:
 
     def make() -> Element:
         v, wind = transcription.symbols("x", "c0"), ca.SX.sym("wind", 3)
-        f = price * REST * ca.sumsqr(imbalance(transcription, v["x"], v["c0"], wind))
+        f = price * _abrupt(imbalance(transcription, v["x"], v["c0"], wind))
         return Element("balance", ca.vertcat(*v.values()), {"wind": wind}, f=f)
 
     return transcription.kept(("balance", price), make)
+
+
+def _abrupt(values: Any) -> Any:
+    """The price of values that should be zero at rest: quadratic for small ones, linear for large ones."""
+    return REST * ABRUPT**2 * ca.sum1(ca.sqrt(1 + (values / ABRUPT) ** 2) - 1)
 
 
 def _weighted(names: tuple[str, ...], view: BendView) -> tuple[Any, dict[str, Any]]:

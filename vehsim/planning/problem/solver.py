@@ -57,6 +57,16 @@ Start = Literal["guess", "again", "motion", "multipliers"]
 """What a solve starts from: an initial guess; the same guess with a larger active set; a solved motion of another
 discretisation; such a motion with its multipliers."""
 
+CONTENT = {
+    "acceptable_tol": 1e6,
+    "acceptable_dual_inf_tol": 1e6,
+    "acceptable_constr_viol_tol": 1e-6,
+    "acceptable_compl_inf_tol": 1e-4,
+    "acceptable_obj_change_tol": 1e-4,
+    "acceptable_iter": 15,
+}
+"""Options of a content solve: it ends when all constraints are met and the cost has hardly changed for so many
+iterations."""
 NEARBY = 60
 """Maximum number of iterations from multipliers: if these mislead, the motion alone is the better start."""
 _WARM = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
@@ -73,7 +83,7 @@ _BARRIERS: dict[Start, dict[str, Any]] = {
 }
 
 
-def ipopt_options(max_iterations: int = 400, start: Start = "guess") -> dict[str, Any]:
+def ipopt_options(max_iterations: int = 400, start: Start = "guess", content: bool = False) -> dict[str, Any]:
     """Options of IPOPT with exact Hessians and MUMPS, without output."""
     return {
         "ipopt": {
@@ -84,11 +94,12 @@ def ipopt_options(max_iterations: int = 400, start: Start = "guess") -> dict[str
             "print_level": 0,
             "sb": "yes",
             **_BARRIERS[start],
+            **(CONTENT if content else {}),
         }
     }
 
 
-def sqp_options(max_iterations: int = 400, start: Start = "guess") -> dict[str, Any]:
+def sqp_options(max_iterations: int = 400, start: Start = "guess", content: bool = False) -> dict[str, Any]:
     """Options of CasADi's own SQP method over the sparse QP solver it ships, convexified, without output."""
     quiet = {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False}
     return {
@@ -104,12 +115,13 @@ def sqp_options(max_iterations: int = 400, start: Start = "guess") -> dict[str, 
     }
 
 
-SOLVERS: dict[str, Callable[[int, Start], dict[str, Any]]] = {
+SOLVERS: dict[str, Callable[[int, Start, bool], dict[str, Any]]] = {
     "ipopt": ipopt_options,
     "sqpmethod": sqp_options,
-    "fatrop": lambda iterations, start: {"fatrop": {"max_iter": iterations, "print_level": 0, "tol": 1e-8}},
+    "fatrop": lambda iterations, start, content: {"fatrop": {"max_iter": iterations, "print_level": 0, "tol": 1e-8}},
 }
-"""NLP solver -> its options, as a function of the maximum number of iterations and the kind of start."""
+"""NLP solver -> its options, as a function of the maximum number of iterations, the kind of start, and whether it is
+content with a cost that hardly changes."""
 
 PLAIN = {
     "Solve_Succeeded": "solved",
@@ -142,8 +154,10 @@ class Solver:
     ``watch``: called with the number of completed iterations; it may be changed between solves.
     """
 
-    def __init__(self, problem: NonlinearProgram, plugin: str = "ipopt", max_iterations: int = 400):
-        self.problem, self.plugin, self.max_iterations = problem, plugin, max_iterations
+    def __init__(
+        self, problem: NonlinearProgram, plugin: str = "ipopt", max_iterations: int = 400, content: bool = False
+    ):
+        self.problem, self.plugin, self.max_iterations, self.content = problem, plugin, max_iterations, content
         self.watch: Callable[[int], None] | None = None
         self._bounds = problem.bounds
         functions = problem.functions()
@@ -158,7 +172,7 @@ class Solver:
         if start not in self._solvers:
             settings: dict[str, Any] = {
                 **self._own,
-                **SOLVERS[self.plugin](self.max_iterations, start),
+                **SOLVERS[self.plugin](self.max_iterations, start, self.content),
                 "iteration_callback": self._callback,
                 "print_time": False,
                 "error_on_fail": False,

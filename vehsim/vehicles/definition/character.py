@@ -11,7 +11,9 @@ from dataclasses import dataclass, field
 
 STUNT = "stunt"
 """The character without numbers: as hard as the model allows."""
-CHARACTERS = ("calm", "normal", "brisk", STUNT)
+NORMAL = "normal"
+"""The default character."""
+CHARACTERS = ("calm", NORMAL, "brisk", STUNT)
 """The characters of every vehicle."""
 
 
@@ -32,15 +34,30 @@ class Trait:
 RESPONSE = Trait(1.0, 0.5, 0.25, "our choice: a driver who takes his time, who drives, who hurries")
 """The default response, s."""
 
+REVIEWED: Mapping[str, Trait] = {
+    "jerk": Trait(2.5, 5.0, 10.0, "ISO 11270: 5 m/s^3 sideways on average over half a second; the rest is our choice"),
+    "saturation": Trait(0.02, 0.05, 0.2, "our choice: share of the time with a control at its bound"),
+    "reversals": Trait(15.0, 30.0, 60.0, "our choice: turns of a control by a tenth of its range, per minute"),
+    "settling": Trait(0.05, 0.1, 0.2, "our choice: m moved in vain in the two seconds before or after rest"),
+    "ease": Trait(0.01, 0.01, 0.01, "our choice: share of its largest rate that a control has where a motion rests"),
+}
+"""What a review compares in addition to the limits, SI; `slip` has no envelope by default."""
+REVIEW_UNITS = {
+    "jerk": "m/s^3", "slip": "rad", "saturation": "share", "reversals": "1/min", "settling": "m", "ease": "share",
+}  # fmt: skip
+"""The units of what a review compares."""
+
 
 @dataclass(frozen=True)
 class Character:
     """The characters of a vehicle.
 
     ``response``: response time of the controls, s. ``limits``: soft limits by name of a plan's limits, SI, such as
-    ``bank`` in rad. ``control_rates``: the largest rate by name of a control, in its unit per second.
+    ``bank`` in rad. ``control_rates``: the largest rate by name of a control, in its unit per second. ``review``:
+    quantities that plans do not limit, see `REVIEWED`.
     """
 
     response: Trait = RESPONSE
     limits: Mapping[str, Trait] = field(default_factory=dict)
     control_rates: Mapping[str, Trait] = field(default_factory=dict)
+    review: Mapping[str, Trait] = field(default_factory=lambda: REVIEWED)

@@ -128,6 +128,8 @@ class CharacterTable(Table):
     """limits of plans by name, in SI units"""
     control_rates: dict[str, TraitTable] = Field(default={})
     """the greatest rates of controls by name, in their units per second"""
+    review: dict[Literal["jerk", "slip", "saturation", "reversals", "settling", "ease"], TraitTable] = Field(default={})
+    """what a review compares besides: jerk, slip, saturation, reversals, settling and ease, in SI units"""
 
 
 class VehicleFile(Table):
@@ -158,7 +160,7 @@ class VehicleFile(Table):
     channels: dict[str, ChannelTable] = Field(default={})
     """tables of channels with prim, op, pivot, factor and disc"""
     character: CharacterTable = CharacterTable()
-    """how it is driven: a table with response, limits and control_rates"""
+    """how it is driven: a table with response, limits, control_rates and review"""
     suspension: SuspensionTable = SuspensionTable()
     """a table with frequency, damping and mass_height"""
     up_axis: Literal["Y", "Z"] | None = None

@@ -1,0 +1,214 @@
+"""Compare finished motion with a real machine: how hard, how smoothly and how calmly at rest a vehicle is driven.
+
+The envelope is that of a character of the vehicle, see `vehsim.vehicles.definition.character`. A motion outside is not
+wrong: the review says where a viewer may not believe it.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.audit import MEASURES, PER_FRAME, Scene, Track, track_of_clip
+from vehsim.errors import InputError
+from vehsim.intake.gate import reading
+from vehsim.planning.terms import LIMITS
+from vehsim.vehicles.definition.character import NORMAL, REVIEW_UNITS
+
+if TYPE_CHECKING:
+    from vehsim.clip.clip import Clip
+
+Array = NDArray[np.float64]
+
+ALWAYS = ("acceleration", "bank", "g_load")
+"""Limits that every review shows, with or without an envelope."""
+ROOM = 0.1
+"""Share of the envelope by which a motion may exceed it: plans hold to its limits by prices."""
+POINTS = 240
+"""Largest number of points of a curve; each is the worst of its interval."""
+AT_BOUND = 0.01
+"""Share of its range within which a control is at its bound."""
+TURN = 0.1
+"""Share of its range by which a control turns back in a reversal."""
+SPAN = 0.5
+"""Seconds over which jerk is averaged."""
+RESTS, MOVES = 0.01, 1.0
+"""Speeds, m/s: below the first a vehicle rests; above the second its slip is measured."""
+SETTLES = 2.0
+"""Seconds before and after rest in which a vehicle settles."""
+
+
+def review(clip: Clip, character: str = NORMAL) -> list[dict[str, Any]]:
+    """What a clip shows beside the envelope of a character, as JSON data: one row per quantity.
+
+    ``name``, ``unit``, ``worst`` and its ``frame``, the ``envelope`` (None: there is none) and its ``source``,
+    ``inside`` (None without envelope), and a ``curve``: frames and values. SI units, radians.
+    """
+    track, vehicle = track_of_clip(clip), clip.vehicle
+    traits = vehicle.character
+    rows = []
+    for name, unit, values in _curves(track, vehicle):
+        group, _, own = name.rpartition(" ")
+        trait = (traits.control_rates if group else {**traits.limits, **traits.review}).get(own)
+        known = np.flatnonzero(np.isfinite(values))
+        if not len(known):
+            continue
+        # a share of time is one number; every other quantity is worst at an instant
+        k = known[np.argmax(values[known])]
+        worst = float(np.mean(values[known] >= 1 - AT_BOUND)) if name == "saturation" else float(values[k])
+        envelope = None if trait is None else trait.of(character)
+        rows.append(
+            {
+                "name": name,
+                "unit": unit,
+                "worst": _short(worst),
+                "frame": float(track.frames[k]),
+                "envelope": envelope,
+                "source": "" if trait is None else trait.source,
+                "inside": None if envelope is None else bool(worst <= (1 + ROOM) * envelope),
+                "curve": _thinned(track.frames[known], values[known]),
+            }
+        )
+    return rows
+
+
+def review_of(path: Path) -> dict[str, Any]:
+    """The shot's name, frame rate and reviews by vehicle from a delivery's ``report.json``. Raises ``InputError``."""
+    if not (path / "report.json").is_file():
+        raise InputError("not a delivery: no report.json in it", "give a folder that vehsim export wrote", file=path)
+    with reading(path / "report.json", "report", "export the shot again"):
+        report = json.loads((path / "report.json").read_text(encoding="utf-8"))
+        found = {name: summary["review"] for name, summary in report["vehicles"].items()}
+        return {"shot": str(report["shot"]), "fps": str(report["fps"]), "vehicles": found}
+
+
+def outside(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """The rows outside the envelope, in words."""
+    return [
+        f"{row['name']}: {shown(row['worst'], row['unit'])}, {shown(row['envelope'], row['unit'])} in the envelope, "
+        f"at frame {row['frame']:g}"
+        for row in rows
+        if row["inside"] is False
+    ]
+
+
+def shown(value: float, unit: str) -> str:
+    """A value in the user's units: degrees and per cent."""
+    factor = 180 / math.pi if unit.startswith("rad") else 100.0 if unit == "share" else 1.0
+    return f"{factor * value:.3g} {unit.replace('rad', 'deg').replace('share', '%')}".rstrip()
+
+
+def _curves(track: Track, vehicle: Any) -> Iterator[tuple[str, str, Array]]:
+    """Name, unit and values (n,) of every quantity that the motion shows."""
+    planar, traits = {"planar": vehicle.group.planar}, vehicle.character
+    for name in dict.fromkeys([*traits.limits, *ALWAYS]):
+        yield name, LIMITS[name].unit, MEASURES[name](track, planar, Scene())
+    yield "jerk", REVIEW_UNITS["jerk"], _jerk(track)
+    yield "slip", REVIEW_UNITS["slip"], _slip(track, vehicle)
+    yield "settling", REVIEW_UNITS["settling"], _settling(track)
+    if track.controls is None or not len(vehicle.controls):
+        return
+    rates = [MEASURES["control_rate"](track, {"control": k}, Scene()) for k in range(len(vehicle.controls))]
+    for control, rate in zip(vehicle.controls, rates, strict=True):
+        if control.name in traits.control_rates:
+            yield f"rate of {control.name}", f"{control.unit}/s", rate
+    lower, upper = (np.array([getattr(c, end) for c in vehicle.controls]) for end in ("lower", "upper"))
+    bounded = np.isfinite(upper - lower)
+    if bounded.any():
+        yield "saturation", REVIEW_UNITS["saturation"], _use(track.controls, lower, upper)[:, bounded].max(axis=1)
+    ranges = np.where(bounded, upper - lower, 2 * np.array([c.scale for c in vehicle.controls]))
+    yield "reversals", REVIEW_UNITS["reversals"], _reversals(track, ranges)
+    names = {name: trait.normal for name, trait in traits.control_rates.items()}
+    most = np.array([names.get(control.name, control.scale) for control in vehicle.controls])
+    yield "ease", REVIEW_UNITS["ease"], _ease(track, np.array(rates).T / most)
+
+
+def _jerk(track: Track) -> Array:
+    """Magnitude of the jerk, m/s^3, on average over half a second; nan near the ends."""
+    step, n = max(round(SPAN * float(track.fps) * PER_FRAME / 2), 1), len(track.frames)
+    found = np.full(n, np.nan)
+    if n > 2 * step:  # the change of the mean acceleration from one quarter of a second to the next
+        first = (track.velocities[step : n - step] - track.velocities[: n - 2 * step]) / (SPAN / 2)
+        second = (track.velocities[2 * step :] - track.velocities[step : n - step]) / (SPAN / 2)
+        found[step : n - step] = np.linalg.norm(second - first, axis=1) / (SPAN / 2)
+    return found
+
+
+def _slip(track: Track, vehicle: Any) -> Array:
+    """Angle between the nose or tail and the velocity of the body's origin, such as a car's rear axle, seen from above,
+    rad; nan below 1 m/s."""
+    origin = track.rotations @ np.asarray((0.0, 0.0, 0.0) if vehicle.rig is None else vehicle.rig.origin)
+    nose, velocities = track.rotations[:, :2, 0], track.velocities + np.cross(track.omegas, origin)
+    ahead = np.sum(nose * velocities[:, :2], axis=1)
+    aside = nose[:, 0] * velocities[:, 1] - nose[:, 1] * velocities[:, 0]
+    angle = np.arctan2(np.abs(aside), np.abs(ahead))
+    return np.where(np.hypot(ahead, aside) > MOVES, angle, np.nan)
+
+
+def _rests(track: Track) -> NDArray[np.intp]:
+    """The samples at which the vehicle rests."""
+    return np.flatnonzero(np.linalg.norm(track.velocities, axis=1) < RESTS)
+
+
+def _settling(track: Track) -> Array:
+    """What the vehicle moves in vain within two seconds of rest: the path's length minus the distance, m."""
+    found, rests = np.full(len(track.frames), np.nan), _rests(track)
+    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(track.positions, axis=0), axis=1))])
+    reach, last = round(SETTLES * float(track.fps) * PER_FRAME), len(track.frames) - 1
+    for side in (-1, 1):
+        others = np.setdiff1d(rests, rests + side)  # the last sample at rest on this side
+        for k in rests[~np.isin(rests + side, rests)].tolist():
+            end = int(np.clip(k + side * reach, 0, last))
+            between = others[(others > min(k, end)) & (others < max(k, end))]
+            if len(between):
+                end = int(between.min() if side > 0 else between.max())
+            vain = abs(length[end] - length[k]) - float(np.linalg.norm(track.positions[end] - track.positions[k]))
+            found[k] = np.nanmax([found[k], max(vain, 0.0)])
+    return found
+
+
+def _use(controls: Array, lower: Array, upper: Array) -> Array:
+    """How near each control is to its bounds (n, c): 0 in the middle of its range, 1 at a bound."""
+    return np.asarray(np.abs(controls - (lower + upper) / 2) / ((upper - lower) / 2))
+
+
+def _reversals(track: Track, ranges: Array) -> Array:
+    """Reversals per minute up to each sample (n,) of the control with the most: it turned back by a tenth of its
+    range."""
+    assert track.controls is not None
+    minutes = max(float(track.seconds[-1] - track.seconds[0]), SETTLES) / 60
+    counts = np.zeros(track.controls.shape)
+    for k, span in enumerate(ranges.tolist()):
+        extreme, way, count = track.controls[0, k], 0, 0
+        for i, value in enumerate(track.controls[:, k].tolist()):
+            if way * (value - extreme) > 0 or (way == 0 and abs(value - extreme) > TURN * span):
+                way, extreme = (1 if value > extreme else -1), value
+            elif way and way * (extreme - value) > TURN * span:
+                way, extreme, count = -way, value, count + 1
+            counts[i, k] = count
+    return np.asarray(counts.max(axis=1) / minutes)
+
+
+def _ease(track: Track, rates: Array) -> Array:
+    """The largest rate of a control (n,), as a share of its largest, where the motion begins or ends at rest."""
+    found, rests = np.full(len(track.frames), np.nan), _rests(track)
+    ends = [k for k in (0, len(track.frames) - 1) if k in rests]
+    found[ends] = rates[ends].max(axis=1)
+    return found
+
+
+def _thinned(frames: Array, values: Array) -> list[list[float]]:
+    """Frames and values of a curve: of each interval its largest value."""
+    parts = np.array_split(np.arange(len(frames)), min(POINTS, len(frames)))
+    chosen = [int(part[np.argmax(values[part])]) for part in parts]
+    return [[_short(frames[k]) for k in chosen], [_short(values[k]) for k in chosen]]
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.5g}") if abs(value) < 1e4 else float(f"{value:.7g}")

@@ -1,0 +1,157 @@
+"""The review of a motion: closed forms of every quantity, the envelope, the page and the command."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import vehsim
+from vehsim.cli import commands as cli
+from vehsim.clip.clip import Clip
+from vehsim.exporters.checks.review import outside, review, shown
+from vehsim.exporters.checks.review_page import write_page
+from vehsim.vehicles.definition.character import REVIEW_UNITS, REVIEWED
+
+BOAT, CAR = vehsim.load_vehicle("boat").planar, vehsim.load_vehicle("car")
+
+
+def along_x(vehicle: Any, x: Any, v: Any, controls: Any, seconds: float = 6.0, slip: float = 0.0) -> Clip:
+    """A clip with the root at x(t) along world X, the nose turned aside by ``slip``, and given controls, at 240 samples
+    per second."""
+    t = np.linspace(0.0, seconds, round(240 * seconds) + 1)
+    n, z = len(t), np.zeros(len(t))
+    positions, speed = np.column_stack([x(t), z, z]), v(t)
+    q = np.tile([math.cos(slip / 2), 0, 0, math.sin(slip / 2)], (n, 1))
+    twists = np.column_stack([z, speed * math.cos(slip), -speed * math.sin(slip)])
+    joints = np.zeros((n, len(vehicle.joints)))
+    given = np.column_stack([np.broadcast_to(control(t), n) for control in controls])
+    return Clip(vehicle, t, positions, q, twists, joints, joints, given, {}, Fraction(24))
+
+
+def row(clip: Clip, name: str) -> dict[str, Any]:
+    (found,) = (row for row in review(clip) if row["name"] == name)
+    return found
+
+
+def still(t: Any) -> Any:
+    return 0.0 * t
+
+
+def test_jerk_is_that_of_a_sine_averaged_over_half_a_second() -> None:
+    a, w = 3.0, 1.5
+    clip = along_x(BOAT, lambda t: a * np.sin(w * t), lambda t: a * w * np.cos(w * t), (still, still), 9.0)
+    # the mean of the jerk's mean: two moving averages over a quarter of a second each
+    mean = (math.sin(w / 8) / (w / 8)) ** 2
+    assert row(clip, "jerk")["worst"] == pytest.approx(a * w**3 * mean, rel=2e-3)
+    assert row(clip, "jerk")["inside"] is False
+
+
+def test_what_is_moved_in_vain_counts_near_rest_only() -> None:
+    # ahead by 2 m, back by 0.3 m, then rest
+    def x(t: Any) -> Any:
+        ahead = 1 - np.cos(np.pi * np.clip(t - 1, 0, 2) / 2)
+        return ahead - 0.15 * (1 - np.cos(np.pi * np.clip(t - 3, 0, 1)))
+
+    def v(t: Any) -> Any:
+        return np.gradient(x(t), t)
+
+    late = row(along_x(BOAT, x, v, (still, still)), "settling")
+    assert late["worst"] == pytest.approx(0.0, abs=0.01)  # it turns at rest: what follows is another leg
+
+    def wave(t: Any) -> Any:  # never at rest between, 0.5 m aside and back within a second of the end
+        return np.clip(5 - t, 0, None) ** 2
+
+    assert row(along_x(BOAT, wave, lambda t: -2 * np.clip(5 - t, 0, None), (still, still)), "settling")["inside"]
+
+
+def test_circling_before_rest_is_in_vain() -> None:
+    clip = along_x(BOAT, lambda t: 0 * t, lambda t: 0 * t, (still, still))
+    t = clip.times
+    angle = math.pi * np.clip(t - 3, 0, 2) ** 2 / 2 * (3 - np.clip(t - 3, 0, 2)) / 2  # from rest to rest, half a turn
+    circle = np.column_stack([np.cos(angle), np.sin(angle), 0 * t])
+    rate = np.gradient(angle, t)
+    twists = np.column_stack([0 * t, -rate * np.sin(angle), rate * np.cos(angle)])
+    moved = replace(clip, positions=circle, twists=twists)
+    assert row(moved, "settling")["worst"] == pytest.approx(math.pi - 2, rel=0.01)
+
+
+def test_slip_is_the_angle_to_the_velocity_above_walking_speed() -> None:
+    fast = along_x(CAR, lambda t: 5 * t, lambda t: 5 + 0 * t, (still, still), slip=0.2)
+    assert row(fast, "slip")["worst"] == pytest.approx(0.2, abs=1e-4)
+    assert row(fast, "slip")["inside"] is False
+    slow = along_x(CAR, lambda t: 0.5 * t, lambda t: 0.5 + 0 * t, (still, still), slip=0.2)
+    assert "slip" not in {row["name"] for row in review(slow)}
+
+
+def test_saturation_is_a_share_of_time_and_reversals_are_counted() -> None:
+    top, w = BOAT.controls[0].upper, 2 * math.pi / 2
+
+    def steered(t: Any) -> Any:
+        return 0.2 * np.sin(w * t)  # of 1.05 rad: three turns of a tenth of the range and more every 3 s
+
+    clip = along_x(BOAT, still, still, (lambda t: np.where(t < 1.5, top, 0.0), steered))
+    assert row(clip, "saturation")["worst"] == pytest.approx(0.25, abs=0.01)
+    assert row(clip, "reversals")["worst"] == pytest.approx(6 / 6 * 60, rel=0.1)
+    small = along_x(BOAT, still, still, (still, lambda t: 0.04 * np.sin(w * t)))
+    assert row(small, "reversals")["worst"] == 0
+
+
+def test_ease_is_measured_where_the_motion_rests() -> None:
+    rate = BOAT.character.control_rates["thrust"].normal
+
+    def pushed(t: Any) -> Any:
+        return 0.3 * rate * np.maximum(t - 5, 0)
+
+    resting, moving = (along_x(BOAT, lambda t, s=s: s * t, lambda t, s=s: s + 0 * t, (pushed, still)) for s in (0, 2))
+    assert row(resting, "ease")["worst"] == pytest.approx(0.3, rel=0.01)
+    assert "ease" not in {row["name"] for row in review(moving)}
+
+
+def test_everything_reviewed_has_a_unit() -> None:
+    assert REVIEWED.keys() <= REVIEW_UNITS.keys()
+    assert shown(math.pi, "rad/s") == "180 deg/s" and shown(0.25, "share") == "25 %" and shown(2, "m") == "2 m"
+
+
+def test_a_page_is_whole_and_red_where_outside(tmp_path: Path) -> None:
+    clip = along_x(CAR, lambda t: np.sin(3 * t), lambda t: 3 * np.cos(3 * t), (still, still))
+    rows = review(clip)
+    page = write_page({"shot": "a<b", "fps": "24", "vehicles": {"x&y": rows}}, "normal", tmp_path / "p.html")
+    text = page.read_text(encoding="utf-8")
+    body = text[text.index("<h1>") : text.index("</html>")]
+    tree = ET.fromstring(f"<page>{body}</page>")
+    assert "a<b" in str(tree.findtext("h1")) and "x&y" in str(tree.findtext("h2"))
+    marked = [line for line in tree.iter("tr") if line.get("class") == "out"]
+    assert len(marked) == len(outside(rows)) > 0
+    assert len(list(tree.iter("svg"))) == len(rows)
+    red = [line for line in tree.iter("tr") if "#ff6b5e" in ET.tostring(line, "unicode")]
+    assert {ET.tostring(line) for line in marked} >= {ET.tostring(line) for line in red}
+
+
+def test_the_command_reviews_deliveries_and_shots_alike(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shot = tmp_path / "drive.toml"
+    shot.write_text(
+        '[shot]\nschema = 1\nname = "drive"\n[[vehicle]]\nname = "car"\nasset = "car"\n'
+        '[vehicle.motion]\nmethod = "simulate"\nduration = 2\ncommands = [{ frame = 1001, torque = 2500 }]\n'
+    )
+    assert cli.run(["export", str(shot), "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    capsys.readouterr()
+    assert cli.run(["review", str(tmp_path / "out" / "drive"), "--out", str(tmp_path / "a")]) == 0
+    said = capsys.readouterr().out
+    assert "drive: car: outside: saturation: 100 %, 5 % in the envelope" in said
+    assert cli.run(["review", str(shot), "--out", str(tmp_path / "b"), "--quiet"]) == 0
+    pages = [(tmp_path / folder / "drive.review.html").read_text(encoding="utf-8") for folder in "ab"]
+    assert pages[0] == pages[1]
+
+
+def test_a_folder_without_a_review_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.run(["review", str(tmp_path), "--out", str(tmp_path / "a")]) == 2
+    (tmp_path / "report.json").write_text('{"shot": "x", "fps": "24", "vehicles": {"car": {}}}')
+    assert cli.run(["review", str(tmp_path), "--out", str(tmp_path / "a")]) == 2
+    assert not (tmp_path / "a").exists()
