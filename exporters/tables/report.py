@@ -13,9 +13,9 @@ import numpy as np
 
 from vehsim.delivery.take import Take
 from vehsim.exporters.checks.audit import joints_in_rig, root_in_prim, stage_of, with_stage
+from vehsim.exporters.checks.review import review
 from vehsim.exporters.usd.curves import count_keys
 from vehsim.exporters.usd.exporter import LAYERS
-from vehsim.exporters.checks.review import review
 from vehsim.runtime.code import PACKAGES, version
 
 
