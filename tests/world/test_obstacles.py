@@ -1,8 +1,11 @@
 """Obstacles: solids that contain their meshes, and errors with key and remedy."""
 
+import sys
+
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import ConvexHull
 
 import vehsim
 from vehsim import World
@@ -93,3 +96,33 @@ def test_a_footprint_is_the_car_from_above():
     corners = ob.footprint(vehsim.load_vehicle("car"))
     length, width = np.ptp(corners, axis=0)
     assert 4.0 < length < 4.6 and 1.8 < width < 2.3
+
+
+def harbour(path):
+    """A ring of 24 m with an entrance of 8 m."""
+    ring = trimesh.creation.annulus(20.0, 24.0, 6.0, sections=32)
+    gap = trimesh.creation.box((60.0, 8.0, 20.0))
+    gap.apply_translation([30.0, 0.0, 0.0])
+    mole = trimesh.boolean.difference([ring, gap])
+    mole.export(path)
+    return mole
+
+
+def test_a_harbour_is_free_inside(tmp_path):
+    pytest.importorskip("coacd", reason='needs pip install "vehsim[concave]"')
+    mole = harbour(tmp_path / "mole.ply")
+    with pytest.warns(UserWarning, match=r"concave: divided into \d+ convex hulls; their volume differs by \+\d"):
+        obstacle = ob.mesh("mole", tmp_path / "mole.ply")
+    hulls = [ConvexHull(hull) for hull in obstacle.hulls]
+    assert sum(hull.volume for hull in hulls) == pytest.approx(mole.volume, rel=0.08)
+    free, wall = [[0, 0, 0], [15, 0, 0], [-18, 0, 0], [22, 0, 0]], [[-22, 0, 0], [0, 22, 0], [0, -22, 0]]
+    places = np.array([*free, *wall], float)
+    inside = np.any([(h.equations[:, :3] @ places.T + h.equations[:, 3:] < 0).all(axis=0) for h in hulls], axis=0)
+    assert inside.tolist() == [False] * 4 + [True] * 3
+
+
+def test_without_coacd_a_warning_states_what_is_filled(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "coacd", None)
+    harbour(tmp_path / "mole.ply")
+    with pytest.warns(UserWarning, match=r"also fills 7\.\d+e\+03 m\^3 of free space"):
+        assert len(ob.mesh("mole", tmp_path / "mole.ply").hulls) == 1

@@ -21,6 +21,7 @@ from vehsim.clip.interpolant import spatial
 from vehsim.errors import InputError
 from vehsim.lie.quaternions import yaw_of
 from vehsim.runtime.cache import Stamp, kept_arrays, stamp
+from vehsim.world.obstacles.concave import convex_pieces
 from vehsim.world.obstacles.plane import Ellipse, Shape, convex_hull, convex_parts, placed, simple_polygon
 
 if TYPE_CHECKING:
@@ -207,15 +208,16 @@ def sphere(name: str, centre: ArrayLike, radius: float) -> Obstacle:
 def mesh(
     name: str, path: str | Path, position: ArrayLike = (0, 0, 0), heading: float = 0.0, scale: float = 1.0
 ) -> Obstacle:
-    """A mesh file (OBJ, STL, PLY, GLB, USD), Z up: each of its connected bodies is replaced by its convex hull."""
-    from scipy.spatial import ConvexHull, QhullError
+    """A mesh file (OBJ, STL, PLY, GLB, USD), Z up: each of its connected bodies is replaced by its convex hull, or by
+    several if it is concave."""
+    from scipy.spatial import QhullError
 
     points, faces = _read_mesh(Path(path))
     turn = np.eye(3)
     turn[:2, :2] = _turned(heading)
     points = scale * points @ turn.T + _numbers(name, "position", position, 3)
     try:
-        hulls = tuple(body[ConvexHull(body).vertices] for body in _bodies(points, faces))
+        hulls = tuple(hull for body in _bodies(points, faces) for hull in convex_pieces(*body, name))
     except QhullError:
         remedy = "close it, or give a box or polygon instead"
         raise InputError(
@@ -346,13 +348,16 @@ def _read_mesh(path: Path) -> tuple[Array, NDArray[np.int64]]:
     return welded, faces
 
 
-def _bodies(points: Array, faces: NDArray[np.int64]) -> list[Array]:
-    """The vertices of each connected body."""
+def _bodies(points: Array, faces: NDArray[np.int64]) -> list[tuple[Array, NDArray[np.int64]]]:
+    """The vertices and faces of each connected body."""
     import igl
 
-    label = igl.vertex_components(faces)
-    used = np.unique(faces)
-    return [points[used[label[used] == k]] for k in np.unique(label[used])]
+    label = igl.vertex_components(faces)[faces[:, 0]]
+    bodies = []
+    for k in np.unique(label):
+        used, own = np.unique(faces[label == k], return_inverse=True)
+        bodies.append((points[used], own.reshape(-1, 3)))
+    return bodies
 
 
 def _turned(degrees: float) -> Array:
