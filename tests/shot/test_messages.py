@@ -140,6 +140,13 @@ method = "clip"
 path = "a.npz"
 
 [[vehicle]]
+name = "recorded"
+asset = "car"
+[vehicle.motion]
+method = "sticks"
+file = "a.csv"
+
+[[vehicle]]
 name = "integrated"
 asset = "car"
 [vehicle.motion]
