@@ -2,7 +2,7 @@
 BIN := .venv/bin
 export MUJOCO_GL ?= egl
 
-.PHONY: help setup demo check test test-pythons measure-tests blender docs assets page lock clean bench-export bench-integrators bench-order bench-planning bench-unseen bench-collocation audit-random hostile-files
+.PHONY: help setup demo check test test-pythons measure-tests blender docs assets page lock clean bench-export bench-integrators bench-order bench-planning bench-live bench-unseen bench-collocation audit-random hostile-files
 
 help:
 	@echo "make demo               export examples/canyon_flight.toml to out/: a USD shot, frames and a film"
@@ -19,6 +19,7 @@ help:
 	@echo "make bench-integrators  measure the claims of the papers; writes benchmarks/RESULTS.md"
 	@echo "make bench-order        free bodies: CPU time to a given error, against RK4; writes RESULTS.order.md (two minutes)"
 	@echo "make bench-planning     measure plans: building, free space, canyon, replanning; writes RESULTS.planning.md"
+	@echo "make bench-live         drag marks of live sessions through the protocol; writes RESULTS.live.md"
 	@echo "make bench-unseen       plan random problems by family: the share certified, and why the others failed"
 	@echo "make bench-collocation  compare DMOC with collocation; writes RESULTS.collocation.md"
 	@echo "make bench-export       compare baking, pictures and batches with alternatives (ten minutes)"
@@ -80,6 +81,9 @@ bench-integrators: setup
 
 bench-planning: setup
 	$(BIN)/python -m benchmarks.planning
+
+bench-live: setup
+	$(BIN)/python -m benchmarks.live
 
 bench-unseen: setup
 	$(BIN)/python -m benchmarks.unseen

@@ -28,7 +28,7 @@ from vehsim.vehicles import Vehicle
 from vehsim.world.ground.placing import place_on_terrain
 
 SEGMENTS = 48
-"""Largest number of segments of a draft, which determines how long a solve takes."""
+"""Number of segments of a draft: enough for fast flight, and few enough to be solved while somebody drags."""
 ITERATIONS = 60
 """Largest number of iterations of a solve: marks that cannot be met must not hold up those that follow."""
 
@@ -83,7 +83,7 @@ def draft(vehicle: Vehicle, world: Any, marks: Sequence[Mark], clip: Clip, **opt
 
     Raises ``InputError`` for an invalid request.
     """
-    segments = max(min(options.get("segments", SEGMENTS), SEGMENTS), 2 * len(marks))
+    segments = max(SEGMENTS, 2 * len(marks))
     request = ask(
         vehicle, world, marks, **{**options, "refine": False, "segments": segments, "max_iterations": ITERATIONS}
     )

@@ -1,0 +1,121 @@
+"""Latency of a live session: from a drag's message to the motion that the browser receives, without a browser.
+
+``python -m benchmarks.live`` prints a table and writes ``RESULTS.live.md`` beside this file. A client of the protocol
+drags the last mark along a circle and waits for each answer; every event moves the mark, so every one is solved.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+import os
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from websockets.asyncio.client import connect
+
+from vehsim.live.server import Server
+
+EVENTS = 40
+"""Events of each drag."""
+RADII = (0.1, 1.0, 5.0)
+"""Radii of the circles, m."""
+CAR, HELICOPTER = ("car", "", 1121, (30.0, 8.0, 0.0), 64), ("helicopter", "", 1121, (60.0, 10.0, 30.0), 16)
+CASES = {
+    "car, 64 segments, empty world": (*CAR, 42),
+    "helicopter, 16 segments, empty world": (*HELICOPTER, 42),
+    "car, 64 segments, flat": ("car", "flat", *CAR[2:], 100),
+    "car, 64 segments, hills": ("car", "hills", *CAR[2:], 100),
+    "helicopter, 64 segments, canyon": ("helicopter", "canyon", 1649, (180.0, 40.0, 28.0), 64, 150),
+}
+"""Name -> vehicle, terrain, frame and place of the last mark, segments, target of the CPU time in ms."""
+
+
+def shot(vehicle: str, terrain: str, frame: int, place: tuple[float, ...], segments: int) -> str:
+    """A shot file from rest to rest."""
+    start = (0.0, 0.0, place[2] and 30.0)
+    marks = "".join(
+        f"[[vehicle.motion.mark]]\nframe = {at}\nposition = {list(position)}\nheading = 0\nvelocity = [0, 0, 0]\n"
+        for at, position in ((1001, start), (frame, place))
+    )
+    world = f'[world]\nterrain = "{terrain}"\n' if terrain else ""
+    limits = "limits = { speed = 30, ceiling = 36 }\n" if terrain == "canyon" else ""
+    return (
+        f'[shot]\nschema = 1\nname = "drag"\n{world}[[vehicle]]\nname = "one"\nasset = "{vehicle}"\n'
+        f'[vehicle.motion]\nmethod = "plan"\nsegments = {segments}\n{limits}{marks}'
+    )
+
+
+async def measure(text: str, place: tuple[float, ...]) -> tuple[float, dict[float, list[tuple[float, float, bool]]]]:
+    """Seconds until a solved shot is shown; for each radius the events: wall s, CPU s, whether it was drawn."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "drag.toml")
+        path.write_text(text)
+        shown, events = 0.0, {}
+        for solved in (False, True):  # the second time, the motion comes from the cache
+            began = time.monotonic()
+            async with asyncio.timeout(600):
+                address = asyncio.get_running_loop().create_future()
+                serving = asyncio.create_task(Server(path, Path(folder)).run(address.set_result))
+                url = (await address).replace("http", "ws") + "socket"
+                async with connect(url, max_size=None, ping_timeout=None) as socket:
+                    await _until(socket, "scene")
+                    shown = time.monotonic() - began
+                    if solved:
+                        events = {radius: await _drag(socket, place, radius) for radius in RADII}
+                serving.cancel()
+                await asyncio.gather(serving, return_exceptions=True)
+        return shown, events
+
+
+async def _drag(socket: Any, place: tuple[float, ...], radius: float) -> list[tuple[float, float, bool]]:
+    events = []
+    for k in range(EVENTS + 1):
+        angle = 2 * math.pi * k / EVENTS
+        at = [place[0] + radius * (math.cos(angle) - 1), place[1] + radius * math.sin(angle), place[2]]
+        wall, cpu = time.monotonic(), time.process_time()
+        await socket.send(json.dumps({"kind": "drag", "vehicle": "one", "mark": 1, "position": at, "heading": None}))
+        kind = await _until(socket, "draft", "undrawn")
+        events.append((time.monotonic() - wall, time.process_time() - cpu, kind == "draft"))
+    return events[1:]  # the first does not move the mark
+
+
+async def _until(socket: Any, *kinds: str) -> str:
+    async for raw in socket:
+        text = raw[4 : 4 + int.from_bytes(raw[:4], "little")] if isinstance(raw, bytes) else raw
+        if (kind := json.loads(text)["kind"]) in kinds:
+            return str(kind)
+    raise AssertionError("the session ended")
+
+
+def main() -> None:
+    lines = [
+        "# Live sessions, measured",
+        "",
+        f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} at the start.",
+        "",
+        "*Shown*: the time in which a session starts and sends a shot whose motion is in the cache. Wall and CPU time",
+        "of an event: from the drag's message to the motion received, server and client together, 90th percentile of",
+        "the events. *Drawn*: events for which a motion was found. Drafts have 48 segments.",
+        "",
+        "| shot | shown, s | drag, m | drawn | wall, ms | CPU, ms | target, CPU |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for name, (vehicle, terrain, frame, place, segments, target) in CASES.items():
+        shown, drags = asyncio.run(measure(shot(vehicle, terrain, frame, place, segments), place))
+        for radius, events in drags.items():
+            wall, cpu = (1e3 * np.percentile([event[k] for event in events], 90) for k in (0, 1))
+            drawn = sum(event[2] for event in events)
+            row = f"{name} | {shown:.1f} | {radius:g} | {drawn} of {EVENTS} | {wall:.0f} | {cpu:.0f} | {target}"
+            lines.append(f"| {row} |")
+            print(lines[-1], flush=True)
+    lines += ["", f"Load {os.getloadavg()[0]:.1f} at the end.", ""]
+    Path(__file__).with_name("RESULTS.live.md").write_text("\n".join(lines))
+
+
+if __name__ == "__main__":
+    main()

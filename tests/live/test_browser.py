@@ -1,0 +1,64 @@
+"""The live page in a real browser: a mark is dragged with the mouse, and the keys do what the help says."""
+
+import asyncio
+import tomllib
+
+import pytest
+
+pytest.importorskip("websockets", reason='needs the extra: pip install "vehsim[live]"')
+
+from tests.browser import at, browser
+from tests.live.test_server import SHOT, served
+
+PLACE = """(() => {
+  const v = vehsim.viewer, box = document.getElementById("view").getBoundingClientRect();
+  const p = v.rings[1].position.clone().project(v.view);
+  return [box.left + (p.x + 1) / 2 * box.width, box.top + (1 - p.y) / 2 * box.height];
+})()"""
+SOLVED = "document.getElementById('status').textContent.endsWith(': solved')"
+
+
+def test_a_mark_is_dragged_with_the_mouse(tmp_path):
+    browser()
+    path = tmp_path / "drive.toml"
+    path.write_text(SHOT)
+
+    async def play():
+        async with served(path) as address, at(f"http://{address}", tmp_path / "profile") as page:
+            await page.until(
+                "typeof vehsim !== 'undefined' && vehsim.viewer && document.getElementById('message').hidden"
+                f" && {SOLVED}"
+            )
+            await page.value("vehsim.viewer.orbit.target.set(5, 1, 0); vehsim.viewer.camera.position.set(-4, -12, 12)")
+            await page.value("vehsim.viewer.orbit.update(); vehsim.viewer.draw()")
+            x, y = await page.value(PLACE)
+            await page.mouse("Moved", x, y)
+            await page.mouse("Pressed", x, y)
+            before = await page.value("vehsim.viewer.lines.get('car').geometry.attributes.position.array.at(-3)")
+            for k in range(1, 6):
+                await page.mouse("Moved", x + 4 * k, y - k)
+            await page.until("document.getElementById('status').textContent.startsWith('dragging')")
+            drawn = await page.value("vehsim.viewer.lines.get('car').geometry.attributes.position.array.at(-3)")
+            assert drawn != before and path.read_text() == SHOT
+            await page.mouse("Released", x + 20, y - 5)
+            await page.until("!document.getElementById('do-undo').disabled")
+            await page.until(SOLVED)
+
+            await page.key("End", "End")
+            assert await page.value("vehsim.viewer.frame") == 1073
+            await page.key("ArrowLeft", "ArrowLeft", 8)
+            assert await page.value("vehsim.viewer.frame") == 1063
+
+            await page.value("document.getElementById('do-save').click()")
+            await page.until("document.getElementById('do-save').disabled")
+            moved = tomllib.loads(path.read_text())["vehicle"][0]["motion"]["mark"][1]["position"]
+            assert moved != [8, 1, 0] and moved[2] == 0
+            ring = await page.value("vehsim.viewer.rings[1].position.toArray()")
+            assert ring == pytest.approx(moved, abs=1e-3)
+
+            await page.value("document.getElementById('do-undo').click()")
+            await page.until("document.getElementById('do-undo').disabled")
+            await page.until(SOLVED)
+            assert await page.value("vehsim.viewer.rings[1].position.toArray()") == [8, 1, 0]
+
+    asyncio.run(play())
