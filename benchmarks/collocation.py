@@ -41,7 +41,7 @@ def main() -> None:
         READING,
         "",
         "One thread, no compiler. CPU seconds are of a solve including building, median of 5;",
-        "`dmoc` is of order 2, from which `plan` goes on.",
+        "`dmoc` has order 2; `plan` then continues to orders 4 and 6.",
         "",
         "| vehicle, cost | method | N | cost | executed, off by (m) | quaternion drift | iterations | CPU (s) |",
         "|---|---|---|---|---|---|---|---|",

@@ -87,12 +87,20 @@ def report(results: dict[str, Any]) -> list[str]:
     ]
     lines += table(["method", *(f"h = {h}" for h in cars.STEPS)], rows)
     lines += ["", "![](figures/car_position.svg) ![](figures/car_position_cost.svg)", "", "## Orbits (LIE Fig. 3)", ""]
-    lines += [f"One body at h = 0.5 s for {orbit['minutes']:g} minutes: end over start.", ""]
+    lines += [
+        f"One body at h = 0.5 s for {orbit['minutes']:g} minutes: rotational energy and spin angular momentum "
+        "|J omega| at the end, divided by those at the start.",
+        "On SE(3), the conserved quantity is the total angular momentum about the world's origin, which includes that "
+        "of the translation (below).",
+        "",
+    ]
     ends = [[n, *(f"{x:.3f}" for x in v)] if v else [n, "blow-up", "blow-up"] for n, v in orbit["ends"].items()]
     lines += table(["method", "energy", "angular momentum"], ends)
     lines += ["", f"## {long['steps']:,} steps of 0.02 s", "", "Relative; momentum at the knots.", ""]
     rows = [[name, *(f"{x:.1e}" for x in row)] for name, row in long["rows"].items()]
-    return lines + table(["method", "swing of energy", "trend of energy", "drift of angular momentum"], rows)
+    return lines + table(
+        ["method", "energy oscillation (peak to peak)", "energy drift (linear fit)", "angular momentum drift"], rows
+    )
 
 
 def claims(body: dict[str, Any], car: dict[str, Any]) -> list[list[str]]:
@@ -108,11 +116,12 @@ def claims(body: dict[str, Any], car: dict[str, Any]) -> list[list[str]]:
         (
             "no blow-up where RK methods fail",
             lost["TLN"] == lost["exp"] == lost["cay"] == 0 < lost["RK4"],
-            f"lost over all steps: exp, cay, TLN {lost['exp']}, {lost['cay']}, {lost['TLN']}; RK4 {lost['RK4']}, "
-            f"RK2 {lost['RK2']}, Lie-Newmark {lost['Lie-Newmark']}. RK4 does not fail here: it loses energy instead",
+            f"runs that blew up, all step sizes together: exp, cay, TLN {lost['exp']}, {lost['cay']}, {lost['TLN']}; "
+            f"RK4 {lost['RK4']}, RK2 {lost['RK2']}, Lie-Newmark {lost['Lie-Newmark']}. "
+            "RK4 does not fail here: it loses energy instead",
         ),
         (
-            "at a large step rotations stay near where RK4's do not",
+            "at a large step, rotations stay near the true ones where those of RK4 do not",
             turned[0] < turned[1],
             f"h = {coarse}: TLN {turned[0]:.2g} rad, RK4 {turned[1]:.2g} rad",
         ),
@@ -161,13 +170,13 @@ def _efficiency(times: dict[str, list[float]]) -> list[tuple[str, bool, str]]:
 def _order_four(body: dict[str, Any]) -> list[tuple[str, bool, str]]:
     """Run times at an error of 1e-3, interpolated on the log-log lines, interpreted."""
     made = []
-    for i, what in enumerate(("position 1e-3 m", "rotation 1e-3 rad")):
+    for i, what in enumerate(("a position error of 1e-3 m", "a rotation error of 1e-3 rad")):
         ours = {n: _time_at_error(body, n, i) for n in ("order 4", "order 4 TLN", "SO(3)xR3 order 4")}
         rk4 = _time_at_error(body, "RK4", i)
         words = ", ".join(f"{name} {t * 1e3:.1f} ms" for name, t in ours.items())
         made.append(
             (
-                f"(ours) order 4 beats RK4 at equal run time, {what}",
+                f"(ours) order 4 reaches {what} in less time than RK4",
                 min(ours.values()) < rk4,
                 f"{words}; RK4 {rk4 * 1e3:.1f} ms",
             )
@@ -187,7 +196,14 @@ def _speed(fast: dict[str, Any], took: dict[str, Any]) -> list[str]:
     cells = [[name, *("" if t is None else f"{t * 1e6:.2f}" for t in row)] for name, row in rows.items()]
     lines = ["Microseconds per step, best of 15.", ""]
     lines += table(
-        ["", "call in place", "call from state to state", "rollout of 10,000 with its clip", "its loop alone"], cells
+        [
+            "",
+            "step in place (`Stepper.step`, `mj_step`)",
+            "step from state to state (`Integrator.step`)",
+            "rollout of 10,000 steps, with its clip",
+            "its stepping loop alone",
+        ],
+        cells,
     )
     targets = [
         (f"a call of `step` at most {most} times `mj_step` ({name})", rows[name][1] / euler[0], most)

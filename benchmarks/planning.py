@@ -55,7 +55,7 @@ def building() -> Iterator[Row]:
         marks = [Mark(1, position=REST, heading=0, velocity=REST), Mark(97, position=(20, 4, 0), velocity=REST)]
         request = ask(vehicle, None, marks, fps=24, segments=8)
         t, wall, cpu = _timed(_first, vehicle, request)
-        yield f"{name}: differentiated, first problem built", "0.3 s", [wall], [cpu], ""
+        yield f"{name}: model differentiated and first problem built", "0.3 s", [wall], [cpu], ""
         for n in (16, 64, 256):
             _, wall, cpu = _timed(_built, t, request, n)
             yield f"{name}: problem of {n} segments built", "0.1 s", [wall], [cpu], ""
@@ -63,7 +63,7 @@ def building() -> Iterator[Row]:
         kept = [function.serialize() for function in functions]
         _, wall, cpu = _timed(lambda files: [ca.Function.deserialize(file) for file in files], kept)
         size = f"{sum(map(len, kept)) / 1e6:.1f} MB"
-        yield f"{name}: the same of 64 segments, read back as another process built it", "", [wall], [cpu], size
+        yield f"{name}: problem of 64 segments, read from the file of another process", "", [wall], [cpu], size
 
 
 def _first(vehicle: Any, request: Any) -> Transcription:
@@ -197,7 +197,8 @@ Numbers compare the new version with the old one.
   mislead, the motion alone is tried, then a plan from scratch. On a finer or higher-order discretisation, they save a
   third of the iterations in free space (order 4: 4 instead of 6). Between rocks they cost iterations (N=64: 29
   instead of 22, N=256: 41 instead of 22), because other constraints are active there.
-- **Active set.** Refinement activates rock within 4 m beyond the motion's clearance: two fifths of the places.
+- **Active set.** After refinement, the clearance constraint is active only at the two fifths of the places that
+  are within 4 m beyond the motion's clearance from rock.
   Violated constraints are activated and the problem is solved again. An iteration at N=256 takes 63 ms instead of
   103.
 - **Common subexpressions**, found before differentiation: Hessians are a fifth to a third shorter and take the same
@@ -215,9 +216,10 @@ Numbers compare the new version with the old one.
   takes 97 iterations instead of 120. At loads of 8 to 20, canyon N=256 took 3.3, 4.0 and 4.0 s of CPU time.
 - **Coarse levels to 1e-3 or 1e-4 with constraints to 1e-9** save one or two iterations per level; not adopted.
 - **Field**: building it took 6.3 s of CPU time for finding triangles from 1.3 million points, two thirds of them
-  farther away than any plan needs. These points now measure to the surface points found by the corners of a cell of
-  twice the width: 2.5 s. In the air the result is up to 1 cm too large on average; in the rock up to 15 cm on average
-  and 1.5 m at worst, midway between crags. Cubic interpolation there would be off by 7 to 12 cm in either direction.
+  farther away than any plan needs. For these points, the distance is now taken to the surface
+  points nearest to the corners of a cell of twice the width: 2.5 s. In the air it is too large by at most 1 cm on
+  average (over terrains), in the rock by at most 15 cm on average and by 1.5 m at worst, midway between crags.
+  Cubic interpolation there would be off by 7 to 12 cm in either direction.
 - **Time limits** of 0.5 s: canyon N=64 and 256 took 0.52 s, helicopter N=256 0.49 s, cars 0.47 and 0.51 s of CPU time
   (instead of 0.63, 0.62, 1.23, 0.61 and 0.54 s). A limit of 1 s is kept within 1.04 s.
 - **Time limits of the first plan of a process**, wall clock, N=128, three to five runs each, no other load. Car among
@@ -240,12 +242,14 @@ Numbers compare the new version with the old one.
   nearest instead of 2 m, parts within 4 or 5 m instead of 3 m (a quarter fewer iterations, the same time).
 - **Violated constraints** are activated near their place, not at every knot, and twice as far around the guess, along
   which knots slide. A car between four consecutive walls got stuck after 929 iterations; now it arrives after 376.
-  The second solve starts at a barrier of 3e-3; A* measures only as far as its price reaches. Not adopted: continuing
+  The second solve starts at a barrier of 3e-3; A* computes distances only up to where they change its
+  cost. Not adopted: continuing
   from the motion with the collision (up to 99 iterations instead of 43); 3e-3 in every first solve (28 fields in 949
   iterations instead of 1157 and a fifth less time, the same median, but cars park differently).
-- **Gates for helicopters** (10.8 m across the rotor): routes used to be sought for a ball around all spheres, 15.9 m
-  across. If there is no such route, one is now sought for a ball as wide as the rotor: a wall with a gate of 15 m is
-  passed; the route's grid refuses 13 m. With a given path as guess, the same eight spheres pass 13 m, and 24 spheres
+- **Gates for helicopters** (10.8 m across the hulls; the rotor has 10.7 m): routes used to be searched for a ball
+  around all spheres, 15.9 m across. If there is no such route, one is now searched for a ball as wide as the
+  rotor: a wall with a gate of 15 m is passed;
+  the route's grid refuses 13 m. With a given path as guess, the same eight spheres pass 13 m, and 24 spheres
   pass 12.5 m, banked. They are coarse in height: a gap of 10 m is passed, 9 m is not (the helicopter is 3.3 m high),
   nor is 7 m with 24 spheres. More spheres would take twice the time, so the number is unchanged. If there is a way
   around, it is still preferred.
