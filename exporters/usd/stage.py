@@ -88,7 +88,8 @@ class StageReader:
     are relative to ``origin`` (3,) m. Raises ``InputError`` if the stage cannot be read.
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, local: bool = True) -> None:
+        """``local``: False for positions in the stage's own coordinates everywhere."""
         from pxr import Tf, Usd, UsdGeom
 
         self.path = Path(path)
@@ -108,7 +109,7 @@ class StageReader:
         self.cameras = {
             prim.GetName(): str(prim.GetPath()) for prim in self._stage.Traverse() if prim.IsA(UsdGeom.Camera)
         }
-        self.origin = self._local_origin()
+        self.origin = self._local_origin() if local else np.zeros(3)
         self._convert = _moved(-self.origin) @ self._convert
         self.shapes = tuple(self._read_shapes())
         self.groups = tuple(sorted({shape.group for shape in self.shapes} - {""}))

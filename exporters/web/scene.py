@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -70,7 +71,7 @@ class Packing:
 
 def scene_block(take: Take, stage: StageReader) -> bytes:
     """Everything that the page shows of ``take``, whose stage is ``stage``."""
-    pack = Packing()
+    pack, take = Packing(), _moved(take, -stage.origin)
     frames = _frames(take)
     surfaces = list(dict.fromkeys(shape.surface for shape in stage.shapes))
     textures = list(dict.fromkeys(surface.texture for surface in surfaces if surface.texture))
@@ -337,6 +338,24 @@ def _water(pack: Packing, stage: StageReader, frames: Array) -> dict[str, Any]:
         "white": FOAM.tolist(),
         "rough": ROUGH[0],
     }
+
+
+def _moved(take: Take, by: Array) -> Take:
+    """The take with its clips and marks moved ``by`` (3,) m."""
+    if not by.any():
+        return take
+    clips = {name: replace(clip, positions=clip.positions + by) for name, clip in take.clips.items()}
+    marks = {
+        name: [
+            mark if mark.get("position") is None else mark | {"position": _added(mark["position"], by)} for mark in each
+        ]
+        for name, each in take.report.get("marks", {}).items()
+    }
+    return replace(take, clips=clips, report={**take.report, "marks": marks})
+
+
+def _added(place: Sequence[float], by: Array) -> list[float]:
+    return (np.asarray(place, float) + by[: len(place)]).tolist()
 
 
 def _marks(take: Take) -> Iterator[dict[str, Any]]:

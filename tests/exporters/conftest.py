@@ -19,6 +19,7 @@ from vehsim.delivery.take import RenderSettings, Take
 from vehsim.lie import SE3
 from vehsim.rig.rig import Drive, Rig
 from vehsim.vehicles.definition.base import Control
+from vehsim.vehicles.definition.character import Character
 from vehsim.world.terrain.terrain import Terrain
 from vehsim.world.world import World
 
@@ -96,6 +97,7 @@ def toy_clip(asset: Path, spin_axis: str = "Z", still: bool = False, drives: dic
         controls=(Control("lift", unit="N"),),
         control_names=("lift",),
         rig=rig,
+        character=Character(),
         group=SE3,
     )
     count = len(t)

@@ -4,6 +4,7 @@ import base64
 import json
 import re
 import zlib
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -187,3 +188,19 @@ def test_a_browser_shows_it(delivered, tmp_path):
     assert '<div id="message" hidden="">' in document, re.findall(r'<div id="message"[^<]*', document)
     assert re.search(r'<div id="title"><b>shot</b>\s+1001</div>', document)
     assert re.findall(r'title="toy0: mark at ([^"]*)"', document) == ["1001", "1018"]
+
+
+def test_is_near_its_origin_at_utm_coordinates(delivered, tmp_path):
+    take, _, near = delivered
+    by = np.array([500_000.0, 4_212_000.0, 0.0])
+    clips = {"toy0": replace(take.clips["toy0"], positions=take.clips["toy0"].positions + by)}
+    camera = replace(take.cameras[0], positions=take.cameras[0].positions + by)
+    marks = [mark | {"position": np.add(mark["position"], by).tolist()} for mark in take.report["marks"]["toy0"]]
+    far = replace(take, clips=clips, cameras=(camera,), report={"marks": {"toy0": marks}})
+    block = Block(in_page((far.export(tmp_path, to=("html",)) / "shot.html").read_text()))
+    for path, other in zip(block.header["paths"], near.header["paths"], strict=True):
+        np.testing.assert_allclose(block.array(path["points"]), near.array(other["points"]), atol=1e-5)
+    for group, other in zip(block.header["groups"], near.header["groups"], strict=True):
+        np.testing.assert_allclose(block.poses(group["poses"]), near.poses(other["poses"]), atol=1e-5)
+    for mark, other in zip(block.header["marks"], near.header["marks"], strict=True):
+        np.testing.assert_allclose(mark["position"], other["position"], atol=1e-5)

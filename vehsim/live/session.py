@@ -132,7 +132,7 @@ class Session:
         assert self.take is not None
         self._progress("drawing", 0.0)
         folder = self.take.export(self._stage.name, to=("usd",))
-        stage = StageReader(folder / f"{self.take.name}.usda")
+        stage = StageReader(folder / f"{self.take.name}.usda", local=False)
         self._kinematics = Kinematics(self.take, stage)
         return scene_block(self.take, stage)
 
