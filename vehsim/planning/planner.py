@@ -44,7 +44,7 @@ from vehsim.planning.terms import Term
 from vehsim.planning.trajectory import exported
 from vehsim.requests import Ask
 from vehsim.vehicles import Vehicle
-from vehsim.vehicles.definition.character import NORMAL, STUNT
+from vehsim.vehicles.definition.character import DEFAULT, STUNT
 
 Array = NDArray[np.float64]
 
@@ -146,7 +146,7 @@ def plan(
     cost: str | Mapping[str, float] = "effort",
     clearance: float = 1.0,
     limits: Mapping[str, float] | None = None,
-    character: str = NORMAL,
+    character: str = DEFAULT,
     guess: Clip | Any = None,
     refine: bool = True,
     terms: Sequence[Term] = (),

@@ -25,7 +25,7 @@ from vehsim.planning.request.marks_near_obstacles import check_marks_clear
 from vehsim.planning.terms import Constraint, Limits, Term, check_limits, check_terms, cost_weights
 from vehsim.planning.trim import rests_uncontrolled
 from vehsim.vehicles import Vehicle
-from vehsim.vehicles.definition.character import NORMAL
+from vehsim.vehicles.definition.character import DEFAULT
 from vehsim.world.ground import landing
 from vehsim.world.ground.slope import on_terrain
 
@@ -127,7 +127,7 @@ def ask(
     cost: str | Mapping[str, float] = "effort",
     clearance: float = 1.0,
     limits: Mapping[str, Any] | None = None,
-    character: str = NORMAL,
+    character: str = DEFAULT,
     refine: bool = True,
     terms: Sequence[Term] = (),
     loop: bool = False,

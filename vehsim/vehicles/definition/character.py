@@ -12,7 +12,9 @@ from dataclasses import dataclass, field
 STUNT = "stunt"
 """The character without numbers: as hard as the model allows."""
 NORMAL = "normal"
-"""The default character."""
+"""The character with whose envelope a review compares a motion by default."""
+DEFAULT = STUNT
+"""The default character of plans."""
 CHARACTERS = ("calm", NORMAL, "brisk", STUNT)
 """The characters of every vehicle."""
 
