@@ -40,7 +40,7 @@ LONGER = 1.3
 NEAR, MET, ITERATIONS = 1e-3, 1e-6, 100
 """Largest violation of a motion at a free frame and at a whole one, and maximum number of iterations: the exact optimum
 is not needed."""
-LATER = (0.01, 0.05, 0.15)
+LATER = (0.02, 0.06, 0.15)
 """Shares of the duration that are added until a motion at a whole frame is found."""
 
 
