@@ -434,6 +434,11 @@ SHELL: dict[str, Shell | str] = {
         "vehsim export shot.toml --out out; vehsim render out/my_shot/my_shot.usda --out references "
         "--frames 1001-1121x24",
     ),
+    "character.md: Compare a motion with a real machine": Shell(
+        ("out/gentle_start.review.html",),
+        {"shot.toml": SMALL.replace('"small"', '"gentle_start"')},
+        "vehsim export shot.toml --out out",
+    ),
     "regression.md: Without pytest": Shell(
         ("renders/*/*.1001.png", "renders/*/depth/*.tif"),
         {"shot.toml": SMALL.replace('"small"', '"canyon_flight"').replace("0.25", "27.0")},
