@@ -60,9 +60,9 @@ def test_small_vehicles_are_refined_more():
     robot, car = vehsim.load_vehicle("two_wheeled"), vehsim.load_vehicle("car")
     marks = [Mark(1, position=REST, heading=0, velocity=REST)]
     marks.append(Mark(61, position=(1.2, 0.9, 0), heading=150, velocity=REST))
-    plan = vehsim.plan(robot, None, marks, segments=24)
+    plan = vehsim.plan(robot, None, marks, segments=5)
     assert plan.success and plan.executed.final < 0.025 * extent(robot)
-    coarse = vehsim.plan(robot, None, marks, segments=24, refine=False)
+    coarse = vehsim.plan(robot, None, marks, segments=5, refine=False)
     assert 0.025 * extent(robot) < coarse.executed.final < 0.1  # the earlier, coarser tolerance
 
     def tolerance(vehicle, clearance, *obstacles):
