@@ -12,7 +12,7 @@ from vehsim.delivery.exporters import Exporter, Progress
 from vehsim.delivery.take import Take
 
 PAGE = Path(__file__).parent / "page"
-"""The page's own files; `page/README.md` says where they come from."""
+"""The page's own files; ``make page`` bundles ``three.min.js`` from three.js."""
 
 
 def write_html(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
