@@ -33,6 +33,7 @@ def test_a_mark_is_dragged_with_the_mouse(tmp_path):
             await page.value("vehsim.viewer.orbit.update(); vehsim.viewer.draw()")
             x, y = await page.value(PLACE)
             await page.mouse("Moved", x, y)
+            await page.until("document.getElementById('view').style.cursor === 'grab'")
             await page.mouse("Pressed", x, y)
             before = await page.value("vehsim.viewer.lines.get('car').geometry.attributes.position.array.at(-3)")
             for k in range(1, 6):

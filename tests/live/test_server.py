@@ -2,6 +2,8 @@
 
 import asyncio
 import json
+import threading
+import time
 import urllib.error
 import urllib.request
 from contextlib import asynccontextmanager
@@ -17,6 +19,7 @@ from tests.live.block import Block
 from vehsim import Shot
 from vehsim.errors import InputError
 from vehsim.live.server import Server
+from vehsim.live.session import Session
 
 SHOT = """\
 [shot]
@@ -129,6 +132,42 @@ def test_a_drag_is_drawn_solved_saved_and_undone(path):
             await page.send(kind="undo")
             motion = await page.until("motion")
             assert motion.header["marks"][1]["position"] == [8.0, 1.0, 0.0]
+
+    asyncio.run(play())
+
+
+def test_a_browser_that_comes_during_the_first_solve_gets_one_scene(path, monkeypatch):
+    drawn, began = Session.scene, threading.Event()
+
+    def slow(session):
+        began.set()
+        time.sleep(0.5)
+        return drawn(session)
+
+    monkeypatch.setattr(Session, "scene", slow)
+
+    async def play():
+        async with served(path) as address:
+            await asyncio.to_thread(began.wait, 60)  # the motion is solved, and not yet shown
+            async with browser(address) as page:
+                await page.until("scene")
+                await page.send(**moved("drag", 8.0, 1.1))
+                await page.until("draft")
+                assert page.seen.count("scene") == 1
+
+    asyncio.run(play())
+
+
+def test_a_browser_that_comes_after_a_drag_gets_the_scene(path):
+    async def play():
+        async with served(path) as address, browser(address) as first:
+            await first.until("state", lambda message: message["solved"])
+            await first.send(**moved("place", 8.0, 1.1))
+            await first.until("motion")
+            await first.send(**moved("drag", 8.0, 1.2))
+            await first.until("draft")
+            async with browser(address) as second:
+                await second.until("scene")
 
     asyncio.run(play())
 

@@ -51,6 +51,7 @@ class Server:
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="solver")
         self._sockets: list[ServerConnection] = []
         self._scene: bytes | None = None
+        self._told_motion = False
         self._drag: tuple[Moved, ServerConnection] | None = None
         self._wake = asyncio.Event()
         self._jobs: list[Callable[[], Awaitable[None]]] = []
@@ -107,11 +108,12 @@ class Server:
     async def _connected(self, socket: ServerConnection) -> None:
         from websockets.exceptions import ConnectionClosed
 
+        late = self._told_motion  # otherwise the first solve, which still runs, shows it the scene
         self._sockets.append(socket)
         try:
             with suppress(ConnectionClosed):
                 await self._roles()
-                if self._session.take is not None:
+                if late:
                     self._queue(partial(self._show, socket))
                 await _send(socket, self._session.state)
                 async for text in socket:
@@ -170,6 +172,7 @@ class Server:
             self._wake.clear()
             while self._jobs or self._drag:
                 if self._jobs:
+                    self._session.superseded.clear()
                     await self._jobs.pop(0)()
                 elif self._drag:
                     (message, socket), self._drag = self._drag, None
@@ -207,6 +210,7 @@ class Server:
             block = None
         if block is not None:
             self._scene = block if _kind(block) == "scene" else None
+            self._told_motion = True
             await self._tell(block)
         await self._tell(self._session.state)
         if self._session.solved and not (self._jobs or self._drag):

@@ -82,10 +82,15 @@
       if (viewer) made.replace(viewer);
       else made.lookThrough(-1);
       vehsim.viewer = made;
+      made.draw(); // handles are found with the matrices of the last picture
+      keepGrip();
       await made.ready;
       vehsim.say("");
-    } else if (header.kind === "motion") viewer.setMotion(header, array);
-    else if (header.kind === "draft" && (dragged || !editor)) viewer.setDraft(header, array);
+    } else if (!viewer) return; // the scene follows
+    else if (header.kind === "motion") {
+      viewer.setMotion(header, array);
+      keepGrip();
+    } else if (header.kind === "draft" && (dragged || !editor)) viewer.setDraft(header, array);
   }
 
   // ---------------------------------------------------------------- handles
@@ -121,6 +126,18 @@
     return best;
   }
 
+  /** Go on dragging when new motion has replaced the rings. */
+  function keepGrip() {
+    const ring = dragged && vehsim.viewer.rings[dragged.k];
+    if (!ring) {
+      dragged = null;
+      return;
+    }
+    ring.position.copy(dragged.ring.position);
+    ring.rotation.copy(dragged.ring.rotation);
+    dragged.ring = ring;
+  }
+
   function message(kind) {
     const { ring, handle, turned } = dragged;
     return {
@@ -133,7 +150,7 @@
     const hit = event.button === 0 && event.target === element("view") && under(event);
     if (!hit) return;
     const ring = vehsim.viewer.rings[hit.k];
-    dragged = { ring, handle: state.handles[hit.k], turns: hit.turns, turned: false, from: ring.position.clone(), moved: false };
+    dragged = { k: hit.k, ring, handle: state.handles[hit.k], turns: hit.turns, turned: false, from: ring.position.clone(), moved: false };
     dragged.plane = new THREE.Plane(new THREE.Vector3(0, 0, 1), -ring.position.z);
     const start = ray(event).intersectPlane(dragged.plane, new THREE.Vector3());
     dragged.grip = start ? ring.position.clone().sub(start) : new THREE.Vector3();
