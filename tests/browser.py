@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+PATIENCE = 600.0  # s, on a busy machine
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 FLAGS = ("--headless", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--hide-scrollbars")
 
@@ -29,7 +30,9 @@ def browser() -> str:
 def opened(page: Path, profile: Path, *flags: str) -> str:
     """The document of a page after its scripts ran, without any network."""
     how = [*FLAGS, f"--user-data-dir={profile}", "--host-resolver-rules=MAP * ~NOTFOUND", *flags]
-    done = subprocess.run([browser(), *how, "--dump-dom", page.as_uri()], capture_output=True, text=True, timeout=300)
+    done = subprocess.run(
+        [browser(), *how, "--dump-dom", page.as_uri()], capture_output=True, text=True, timeout=PATIENCE
+    )
     return done.stdout
 
 
@@ -44,7 +47,7 @@ class Page:
         self._count += 1
         await self._socket.send(json.dumps({"id": self._count, "method": method, "params": parameters}))
         while True:
-            answer = json.loads(await asyncio.wait_for(self._socket.recv(), 120))
+            answer = json.loads(await asyncio.wait_for(self._socket.recv(), PATIENCE))
             if answer.get("id") == self._count:
                 assert "error" not in answer, answer
                 return answer["result"]
@@ -55,7 +58,7 @@ class Page:
         assert "exceptionDetails" not in answer, answer
         return answer["result"].get("value")
 
-    async def until(self, script: str, seconds: float = 120.0) -> None:
+    async def until(self, script: str, seconds: float = PATIENCE) -> None:
         """Wait until an expression in the page is true."""
         for _ in range(int(seconds / 0.1)):
             if await self.value(script):
@@ -83,14 +86,14 @@ async def at(url: str, profile: Path) -> AsyncIterator[Page]:
     process = subprocess.Popen([browser(), *flags, url], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         known = profile / "DevToolsActivePort"
-        for _ in range(600):
+        for _ in range(int(PATIENCE / 0.1)):
             if known.is_file() and known.read_text().count("\n"):
                 break
             await asyncio.sleep(0.1)
         port = known.read_text().split("\n")[0]
 
         def pages() -> Any:
-            return json.load(urllib.request.urlopen(f"http://127.0.0.1:{port}/json", timeout=30))
+            return json.load(urllib.request.urlopen(f"http://127.0.0.1:{port}/json", timeout=PATIENCE))
 
         page = next(page for page in await asyncio.to_thread(pages) if page["type"] == "page")
         async with connect(page["webSocketDebuggerUrl"], max_size=None, ping_timeout=None) as socket:

@@ -21,6 +21,7 @@ from vehsim.errors import InputError
 from vehsim.live.server import Server
 from vehsim.live.session import Session
 
+PATIENCE = 600.0  # s, on a busy machine
 SHOT = """\
 [shot]
 schema = 1
@@ -56,7 +57,7 @@ class Browser:
     async def until(self, kind, where=lambda message: True):
         """The next message of a kind: a dictionary, or a block for scene, motion and draft."""
         while True:
-            raw = await asyncio.wait_for(self.socket.recv(), 60)
+            raw = await asyncio.wait_for(self.socket.recv(), PATIENCE)
             message = Block(raw) if isinstance(raw, bytes) else json.loads(raw)
             header = message.header if isinstance(message, Block) else message
             self.seen.append(header["kind"])
@@ -70,7 +71,7 @@ async def served(path, **how):
     address = asyncio.get_running_loop().create_future()
     task = asyncio.create_task(Server(path, path.parent / "out", **how).run(address.set_result))
     try:
-        yield (await asyncio.wait_for(address, 30)).replace("http://", "")
+        yield (await asyncio.wait_for(address, PATIENCE)).replace("http://", "")
     finally:
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
@@ -148,7 +149,7 @@ def test_a_browser_that_comes_during_the_first_solve_gets_one_scene(path, monkey
 
     async def play():
         async with served(path) as address:
-            await asyncio.to_thread(began.wait, 60)  # the motion is solved, and not yet shown
+            await asyncio.to_thread(began.wait, PATIENCE)  # the motion is solved, and not yet shown
             async with browser(address) as page:
                 await page.until("scene")
                 await page.send(**moved("drag", 8.0, 1.1))
@@ -254,7 +255,7 @@ def test_one_browser_edits_and_the_next_takes_over(path):
 def status(url, **headers):
     request = urllib.request.Request(url, headers=headers)
     try:
-        with urllib.request.urlopen(request, timeout=30) as answer:
+        with urllib.request.urlopen(request, timeout=PATIENCE) as answer:
             return answer.status
     except urllib.error.HTTPError as error:
         return error.code
