@@ -72,6 +72,11 @@ class Page:
         parameters = {"x": x, "y": y, "button": "left", "buttons": held, "clickCount": 1}
         await self.call("Input.dispatchMouseEvent", type=f"mouse{kind}", **parameters)
 
+    async def hold(self, key: str, code: str, down: bool) -> None:
+        """Press a key, or release it."""
+        kind = "rawKeyDown" if down else "keyUp"
+        await self.call("Input.dispatchKeyEvent", type=kind, key=key, code=code)
+
     async def key(self, key: str, code: str, modifiers: int = 0) -> None:
         for kind in ("rawKeyDown", "keyUp"):
             await self.call("Input.dispatchKeyEvent", type=kind, key=key, code=code, modifiers=modifiers)

@@ -41,6 +41,7 @@ def simulate(
     *,
     difference_map: str | None = None,
     order: int = 2,
+    everywhere: bool = False,
     progress: Progress | None = None,
 ) -> Clip:
     """Simulate ``vehicle`` for ``duration`` s under ``controls`` in ``world``; returns a `Clip` with a sample per step.
@@ -55,8 +56,9 @@ def simulate(
 
     ``step`` s is shortened, if necessary, to a whole fraction of a frame so that every frame is a knot; the duration is
     rounded up to whole steps. ``world.wind`` acts through the vehicle's drag. A planar vehicle keeps its start height;
-    on a terrain, gravity pulls it along slopes, and its wheels follow the ground. ``difference_map`` and
-    ``order`` as of `vehsim.integrators.Integrator`. Raises
+    on a terrain, gravity pulls it along slopes, and its wheels follow the ground. Slopes are resolved where it can come
+    within the duration, or ``everywhere``: then the duration does not change the motion before its end.
+    ``difference_map`` and ``order`` as of `vehsim.integrators.Integrator`. Raises
     ``InputError`` naming key, value and remedy; ``SolveError`` with step, state and residual if a step fails.
     """
     from vehsim.integrators.forced import pushed, substeps
@@ -75,7 +77,7 @@ def simulate(
     steps = _steps(duration, table, wanted, h)
     begin = _standing(vehicle, world, start)
     _warn_windless(vehicle, world)
-    weighed = on_terrain(vehicle, world, _reach(begin, steps * h))
+    weighed = on_terrain(vehicle, world, None if everywhere else _reach(begin, steps * h))
     environment = world.environment(vehicle, start_time=start_frame / float(rate)) if isinstance(world, World) else None
     if environment is not None:
         cuts = substeps(h, environment)

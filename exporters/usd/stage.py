@@ -7,7 +7,7 @@ arrays in metres, Z up; `pictures/render.py` draws them.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -88,8 +88,9 @@ class StageReader:
     are relative to ``origin`` (3,) m. Raises ``InputError`` if the stage cannot be read.
     """
 
-    def __init__(self, path: str | Path, local: bool = True) -> None:
-        """``local``: False for positions in the stage's own coordinates everywhere."""
+    def __init__(self, path: str | Path, local: bool = True, moving: Collection[str] = ()) -> None:
+        """``local``: False for positions in the stage's own coordinates everywhere; ``moving``: paths of prims that
+        are groups also if they stand still."""
         from pxr import Tf, Usd, UsdGeom
 
         self.path = Path(path)
@@ -103,6 +104,7 @@ class StageReader:
         self._metres = UsdGeom.GetStageMetersPerUnit(self._stage)
         self._cache = UsdGeom.XformCache()
         self._movers: dict[Any, str] = {}
+        self._moving = frozenset(moving)
         self.water: str | None = None
         self.fps = Fraction(self._stage.GetFramesPerSecond()).limit_denominator(1001)
         self.frames = (int(self._stage.GetStartTimeCode()), int(self._stage.GetEndTimeCode()))
@@ -250,7 +252,9 @@ class StageReader:
         if path not in self._movers:
             if prim.IsPseudoRoot():
                 self._movers[path] = ""
-            elif prim.IsA(UsdGeom.Xformable) and UsdGeom.Xformable(prim).TransformMightBeTimeVarying():
+            elif str(path) in self._moving or (
+                prim.IsA(UsdGeom.Xformable) and UsdGeom.Xformable(prim).TransformMightBeTimeVarying()
+            ):
                 self._movers[path] = str(path)
             else:
                 self._movers[path] = self._mover(prim.GetParent())

@@ -92,6 +92,15 @@ def scene_block(take: Take, stage: StageReader) -> bytes:
     return pack.block(header)
 
 
+def movable(take: Take) -> list[str]:
+    """The paths of all prims of a take's stage that its vehicles could move."""
+    found = []
+    for name, clip in take.clips.items():
+        root, drives = f"/{take.name}/vehicles/{name}", clip.vehicle.rig.drives if clip.vehicle.rig else {}
+        found += [root, *(f"{root}/{drive.prim}" for drive in drives.values())]
+    return found
+
+
 class Kinematics:
     """How the stage's moving prims follow from clips: new motion is shown without writing a stage again.
 
@@ -130,25 +139,51 @@ class Kinematics:
         """Poses (groups, frames, 7) of some prims; those that no vehicle carries stay where the stage shows them."""
         frames, found = _frames(take), []
         for k in which:
-            name, path = self._at[k]
+            name, _ = self._at[k]
             if name is None:
                 T = np.stack([self._stage.matrices(frame)[self.groups[k]] for frame in frames.tolist()])
             else:
-                T = _carried(clip_at(take.clips[name], frames), path) @ self._rest[k]
+                T = self._carry(k, clip_at(take.clips[name], frames))
             found.append(_poses(T))
         return np.stack(found) if found else np.zeros((0, len(frames), 7))
+
+    def carried(self, name: str, clip: Clip) -> list[tuple[int, Array]]:
+        """The index of each prim of a vehicle, and its poses (n, 7) at the samples of a clip."""
+        return [(k, _poses(self._carry(k, clip))) for k in self.moved_by(name)]
+
+    def _carry(self, k: int, clip: Clip) -> Array:
+        """Matrices (n, 4, 4) of a prim of a vehicle at the samples of a clip."""
+        return _carried(clip, self._at[k][1]) @ self._rest[k]
 
 
 def draft_block(take: Take, kinematics: Kinematics, name: str) -> bytes:
     """The poses and the path of one vehicle of a take, while its marks are dragged."""
-    pack, which = Packing(), kinematics.moved_by(name)
-    poses, path = kinematics.poses(take, which), clip_at(take.clips[name], _frames(take)).positions
+    pack, clip = Packing(), clip_at(take.clips[name], _frames(take))
     header = {
         "kind": "draft",
-        "groups": [{"index": k, "poses": pack.array(pose, "f4")} for k, pose in zip(which, poses, strict=True)],
-        "path": {"name": name, "points": pack.array(path, "f4")},
+        "groups": _poses_of(pack, kinematics.carried(name, clip)),
+        "path": {"name": name, "points": pack.array(clip.positions, "f4")},
     }
     return pack.block(header)
+
+
+def live_block(clip: Clip, kinematics: Kinematics, name: str, behind: float) -> bytes:
+    """The last sample of a clip, of a vehicle that is driven now; ``behind`` s: how late the simulation is."""
+    pack, now = Packing(), clip.at(clip.times[-1:])
+    header = {
+        "kind": "live",
+        "vehicle": name,
+        "frame": float(now.frames[0]),
+        "behind": round(behind, 2),
+        "place": now.positions[0].tolist(),
+        "heading": float(np.degrees(yaw_of(now.orientations)[0])),
+        "groups": _poses_of(pack, kinematics.carried(name, now)),
+    }
+    return pack.block(header)
+
+
+def _poses_of(pack: Packing, carried: Iterable[tuple[int, Array]]) -> list[dict[str, Any]]:
+    return [{"index": k, "poses": pack.array(poses, "f4")} for k, poses in carried]
 
 
 def motion_block(take: Take, kinematics: Kinematics) -> bytes:

@@ -63,3 +63,34 @@ def test_a_mark_is_dragged_with_the_mouse(tmp_path):
             assert await page.value("vehsim.viewer.rings[1].position.toArray()") == [8, 1, 0]
 
     asyncio.run(play())
+
+
+def test_a_car_is_driven_with_keys_held_down(tmp_path):
+    browser()
+    path = tmp_path / "drive.toml"
+    path.write_text(SHOT)
+
+    async def play():
+        async with served(path) as address, at(f"http://{address}", tmp_path / "profile") as page:
+            await page.until(f"typeof vehsim !== 'undefined' && vehsim.viewer && {SOLVED}")
+            await page.until("!document.getElementById('do-drive').disabled")
+            await page.value("document.getElementById('do-drive').click()")
+            await page.until("Boolean(vehsim.viewer.trail)")
+            assert await page.value("document.querySelectorAll('.pad').length") == 1
+            before = await page.value("vehsim.viewer.camera.position.x")
+            await page.hold("w", "KeyW", True)
+            await page.until("vehsim.drive.values[0] === 1 && vehsim.viewer.orbit.target.x > 0.5")
+            assert await page.value("vehsim.viewer.camera.position.x") > before
+            await page.hold("w", "KeyW", False)
+            await page.hold("a", "KeyA", True)
+            await page.until("vehsim.drive.values[0] === 0 && vehsim.drive.values[1] === 1")
+            await page.hold("a", "KeyA", False)
+            await page.key("Escape", "Escape")
+            await page.until("!vehsim.drive.driven")
+            await page.until(f"{SOLVED} && !document.getElementById('do-drive-on').disabled")
+            assert await page.value("document.getElementById('pads').hidden && !vehsim.viewer.trail")
+
+    asyncio.run(play())
+    rows = (tmp_path / "drive.car.001.csv").read_text().splitlines()
+    torque = [float(row.split(",")[1]) for row in rows[1:]]
+    assert max(torque) == 2500 and torque[0] == 0  # the car's bound

@@ -6,6 +6,7 @@ when the shot is saved, and continues an interrupted session when the shot is op
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,8 @@ from vehsim.runtime.files import replacing_file
 
 AUTOSAVE = ".autosave"
 """Suffix of the autosave of ``shot.toml``: ``shot.toml.autosave``."""
+KEY = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
+"""A part of a dotted key: a name, or an index in brackets."""
 DECIMALS = 3
 """Decimals of what is dragged: mm, and thousandths of a degree."""
 
@@ -79,6 +82,21 @@ class Document:
             table["heading"] = round(heading, DECIMALS)
         if frame is not None and table["frame"] != frame:
             table["frame"] = frame
+        self._push(tomlkit.dumps(document))
+
+    def put(self, key: str, value: Any) -> None:
+        """Set what a dotted key such as ``vehicle[0].motion.mark[1].frame`` names; None removes it."""
+        import tomlkit
+
+        document: Any = tomlkit.parse(self.text)
+        *path, last = (int(index) if index else name for name, index in KEY.findall(key))
+        table = document
+        for part in path:
+            table = table[part]
+        if value is None:
+            del table[last]
+        else:
+            table[last] = value
         self._push(tomlkit.dumps(document))
 
     def undo(self) -> None:

@@ -10,6 +10,7 @@ from vehsim.errors import InputError
 
 Coordinate = Annotated[float, Field(ge=-1e7, le=1e7, allow_inf_nan=False)]
 Angle = Annotated[float, Field(ge=-36_000, le=36_000, allow_inf_nan=False)]
+Frame = Annotated[int, Field(ge=-1_000_000, le=1_000_000)]
 
 
 class _Message(BaseModel):
@@ -28,16 +29,31 @@ class Moved(_Message):
     mark: Annotated[int, Field(ge=0)]
     position: Annotated[list[Coordinate], Field(min_length=3, max_length=3)]
     heading: Angle | None = None
-    frame: Annotated[int, Field(ge=-1_000_000, le=1_000_000)] | None = None
+    frame: Frame | None = None
 
 
 class Pressed(_Message):
     """A button without parameters."""
 
-    kind: Literal["undo", "redo", "save", "export"]
+    kind: Literal["undo", "redo", "save", "export", "stop"]
 
 
-Message = Moved | Pressed
+class Drive(_Message):
+    """Take the controls of a vehicle: from its first frame, or after ``frame`` of its recording."""
+
+    kind: Literal["drive"]
+    vehicle: str
+    frame: Frame | None = None
+
+
+class Sticks(_Message):
+    """Where the sticks are while a vehicle is driven, one for each control: -1 to 1, forward and left are positive."""
+
+    kind: Literal["sticks"]
+    values: Annotated[list[Annotated[float, Field(ge=-1, le=1, allow_inf_nan=False)]], Field(max_length=64)]
+
+
+Message = Moved | Pressed | Drive | Sticks
 _ADAPTER: TypeAdapter[Message] = TypeAdapter(Annotated[Message, Field(discriminator="kind")])
 
 

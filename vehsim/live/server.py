@@ -21,7 +21,7 @@ from urllib.parse import parse_qs, urlsplit
 
 from vehsim.errors import InputError, VehsimError
 from vehsim.exporters.web.html import PAGE, page
-from vehsim.live.messages import Message, Moved, parse
+from vehsim.live.messages import Drive, Message, Moved, Sticks, parse
 from vehsim.live.session import Session, Superseded
 from vehsim.runtime.registry import whose_error
 
@@ -34,7 +34,8 @@ MAX_MESSAGE = 65_536
 """Largest message from a browser, bytes."""
 EVERY = 0.1
 """Shortest time between two progress messages, s."""
-SCRIPTS = (PAGE / "three.min.js", PAGE / "viewer.js", Path(__file__).parent / "page" / "live.js")
+OWN = Path(__file__).parent / "page"
+SCRIPTS = (PAGE / "three.min.js", PAGE / "viewer.js", OWN / "live.js", OWN / "drive.js")
 POLICY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src blob: data:; connect-src 'self'"
 )
@@ -132,6 +133,11 @@ class Server:
         except InputError as error:
             await _send(socket, {"kind": "refused", "text": str(error)})
             return
+        if isinstance(message, Sticks):
+            with suppress(InputError):  # those of a drive that has just ended
+                if self._session.sticks is not None:
+                    self._session.sticks.move(message.values)
+            return
         if isinstance(message, Moved) and message.kind == "drag":
             self._drag = message, socket  # an older one that has not begun is of no use any more
         else:
@@ -183,6 +189,10 @@ class Server:
         try:
             if isinstance(message, Moved):
                 await self._solve(lambda: session.place(message))
+            elif isinstance(message, Drive):
+                await self._drive(message)
+            elif message.kind == "stop":  # that it came has ended the drive
+                return
             elif message.kind in ("undo", "redo"):
                 getattr(document, message.kind)()
                 await self._solve(session.solve)
@@ -217,6 +227,29 @@ class Server:
             with suppress(VehsimError):
                 await self._in_thread(self._session.prepare)
 
+    async def _drive(self, message: Drive) -> None:
+        """Drive until anything else is requested, or the browser has gone."""
+        session, newest, told = self._session, Newest(), self._loop
+        assert told is not None
+        await self._tell({"kind": "driving", "vehicle": message.vehicle})
+        sending = asyncio.create_task(self._send_newest(newest))
+        try:
+            await self._solve(
+                lambda: session.drive(
+                    message,
+                    lambda block: told.call_soon_threadsafe(newest.put, block),
+                    lambda: bool(self._jobs or self._drag or not self._sockets) or session.superseded.is_set(),
+                )
+            )
+        finally:
+            sending.cancel()
+            await self._tell({"kind": "driven"})
+
+    async def _send_newest(self, newest: Newest) -> None:
+        """Send pictures as fast as the slowest browser takes them, and leave out those in between."""
+        while True:
+            await self._tell(await newest.get())
+
     async def _show(self, socket: ServerConnection) -> None:
         """Send a browser that came later what the others see."""
         if self._scene is None:
@@ -244,6 +277,23 @@ class Server:
             raise
         except Exception as error:
             raise VehsimError(f"{type(error).__name__}: {error}; this is {whose_error(error)}") from error
+
+
+class Newest:
+    """A place for the newest block; an older one that was not taken is lost."""
+
+    def __init__(self) -> None:
+        self._block = b""
+        self._there = asyncio.Event()
+
+    def put(self, block: bytes) -> None:
+        self._block = block
+        self._there.set()
+
+    async def get(self) -> bytes:
+        await self._there.wait()
+        self._there.clear()
+        return self._block
 
 
 async def _send(socket: ServerConnection, message: Any) -> None:

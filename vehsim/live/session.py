@@ -10,19 +10,21 @@ import threading
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from vehsim.errors import InputError, VehsimError
-from vehsim.exporters.web.scene import Kinematics, draft_block, motion_block, scene_block
+from vehsim.exporters.web.scene import Kinematics, draft_block, live_block, motion_block, movable, scene_block
 from vehsim.live.document import Document
-from vehsim.live.messages import Moved
+from vehsim.live.messages import Drive, Moved
 
 if TYPE_CHECKING:
     from vehsim.clip.clip import Clip
     from vehsim.delivery.take import Take
+    from vehsim.live.drive import Sticks
     from vehsim.planning.drafts import Draft
     from vehsim.shot.shot import Shot
 
@@ -56,6 +58,8 @@ class Session:
         self.shot: Shot | None = None
         self.take: Take | None = None
         self.problems: list[str] = []
+        self.sticks: Sticks | None = None
+        """Those of the vehicle that is driven now."""
         self._solved = ""
         self._tell = tell
         self._drafts: dict[str, Draft] = {}
@@ -80,6 +84,7 @@ class Session:
             "solved": self.solved,
             "problems": self.problems,
             "handles": [vars(handle) for handle in self.handles()],
+            "drives": self.drives(),
         }
 
     @property
@@ -132,7 +137,7 @@ class Session:
         assert self.take is not None
         self._progress("drawing", 0.0)
         folder = self.take.export(self._stage.name, to=("usd",))
-        stage = StageReader(folder / f"{self.take.name}.usda", local=False)
+        stage = StageReader(folder / f"{self.take.name}.usda", local=False, moving=movable(self.take))
         self._kinematics = Kinematics(self.take, stage)
         return scene_block(self.take, stage)
 
@@ -180,6 +185,59 @@ class Session:
             if away > VISIBLE:
                 self.problems.append(f"{moved.vehicle}: the solved motion is up to {away:.2g} m from the dragged one")
         return shown
+
+    # ------------------------------------------------------------ drive
+
+    def drives(self) -> list[dict[str, Any]]:
+        """The vehicles with controls, what their sticks move, and whether their motion is a recording."""
+        found = []
+        for table in self.shot.file.vehicle if self.shot and self._kinematics else ():
+            if controls := self.shot.vehicle(table).control_names:  # type: ignore[union-attr]
+                continues = table.motion.method == "sticks"
+                found.append({"vehicle": table.name, "controls": controls, "continues": continues})
+        return found
+
+    def drive(self, wanted: Drive, show: Callable[[bytes], object], ended: Callable[[], bool]) -> bytes | None:
+        """Simulate a vehicle under ``sticks`` until ``ended``, write the recording, and `solve` the shot with it.
+
+        ``show`` receives a block for each picture, in this thread. The recording is a table of controls and a clip
+        beside the shot. Raises ``VehsimError`` if there is none.
+        """
+        from vehsim.live.drive import Sticks, record
+        from vehsim.shot.motions.sticks import write_sticks
+
+        offered = {one["vehicle"]: one for one in self.drives()}
+        if self.take is None or wanted.vehicle not in offered:
+            raise InputError("cannot be driven", "choose a vehicle with controls", key=wanted.vehicle)
+        if wanted.frame is not None and not offered[wanted.vehicle]["continues"]:
+            raise InputError("is no recording", "drive it from the start", key=wanted.vehicle)
+        assert self.shot is not None and self._kinematics is not None
+        name, kinematics = wanted.vehicle, self._kinematics
+        at, vehicle = next(
+            (k, self.shot.vehicle(table)) for k, table in enumerate(self.shot.file.vehicle) if table.name == name
+        )
+        self.sticks = Sticks(vehicle, self.shot.world.wind)
+        try:
+            made = record(
+                self.shot, name, self.take.clips, lambda clip, behind: show(live_block(clip, kinematics, name, behind)),
+                ended, self.sticks, wanted.frame,
+            )  # fmt: skip
+        finally:
+            self.sticks = None
+        path = self._unused(f"{self.document.path.stem}.{name}")
+        write_sticks(path, vehicle, made.frames, made.controls)
+        self.document.put(f"vehicle[{at}].motion", {**made.motion, "file": path.name})
+        shown = self.solve()
+        if self.solved:
+            self.take.clips[name].save(path)
+        if made.problem is not None:
+            self.problems.append(f"the simulation ended: {made.problem}")
+        return shown
+
+    def _unused(self, stem: str) -> Path:
+        """The next table of a recording beside the shot."""
+        names = (self.document.path.with_name(f"{stem}.{k:03d}.csv") for k in count(1))
+        return next(path for path in names if not path.exists() and not path.with_suffix(".npz").exists())
 
     # ------------------------------------------------------------ helpers
 

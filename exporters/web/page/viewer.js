@@ -255,6 +255,50 @@ const vehsim = {};
       this.show(this.frame);
     }
 
+    /** A driven vehicle as it is now, with the orbit's camera on a rope behind it. */
+    setLive(header, array) {
+      for (const group of header.groups) {
+        setPose(this.groups[group.index].matrix, array(group.poses), 0);
+        this.groups[group.index].matrixWorldNeedsUpdate = true;
+      }
+      if (this.water) this.water.show(this._index(Math.round(header.frame)));
+      const place = new THREE.Vector3(...header.place);
+      if (!this.trail) {
+        this.trail = { points: [], line: new THREE.Line(new THREE.BufferGeometry(), new THREE.LineBasicMaterial({ color: ACCENT, fog: false })) };
+        this.trail.line.frustumCulled = false;
+        this.scene.add(this.trail.line);
+        this.lookThrough(-1);
+        this.orbit.target.copy(place);
+        const turn = new THREE.Vector3(-1, 0, 0.35).applyAxisAngle(this.camera.up, (header.heading * Math.PI) / 180);
+        this.camera.position.copy(place).addScaledVector(turn, 3.5 * this._size(header.vehicle));
+      }
+      const { points, line } = this.trail;
+      if (!points.length || points[points.length - 1].distanceTo(place) > 0.2) {
+        points.push(place);
+        line.geometry.dispose();
+        line.geometry = new THREE.BufferGeometry().setFromPoints(points);
+      }
+      this._tow(place);
+    }
+
+    /** Move the orbit's target to a place; the camera follows as on a rope of constant length. */
+    _tow(place) {
+      const rope = this.camera.position.clone().sub(this.orbit.target), reach = Math.hypot(rope.x, rope.y), height = rope.z;
+      const pulled = this.camera.position.clone().sub(place).setZ(0).setLength(reach);
+      this.orbit.target.copy(place);
+      this.camera.position.copy(place).add(pulled.setZ(height));
+      this.orbit.update();
+      this.stale = true;
+    }
+
+    /** Show the solved motion again after a drive. */
+    endLive() {
+      if (!this.trail) return;
+      this.scene.remove(this.trail.line);
+      this.trail = null;
+      this.show(this.frame);
+    }
+
     _addPath(points) {
       const geometry = new THREE.BufferGeometry();
       geometry.setAttribute("position", new THREE.BufferAttribute(points, 3));
@@ -353,17 +397,22 @@ const vehsim = {};
     /** Place the orbit around the vehicle, seen from behind and from the side. */
     frameVehicle() {
       const subject = this.subject() || new THREE.Vector3();
+      this.orbit.target.copy(subject);
+      const away = new THREE.Vector3(-2.2, -2.2, 1.1).multiplyScalar(this._size(this.follow || this.vehicles[0]));
+      this.camera.position.copy(subject).add(away);
+      this.orbit.update();
+      this.stale = true;
+    }
+
+    /** The largest coordinate of a vehicle's parts, m. */
+    _size(name) {
       let size = 1;
-      const name = this.follow || this.vehicles[0];
-      this.header.shapes.forEach((shape, k) => {
+      this.header.shapes.forEach((shape) => {
         if (shape.group < 0 || this.motion.groups[shape.group].vehicle !== name) return;
         const points = this.array(shape.points);
         for (let i = 0; i < points.length; i++) size = Math.max(size, Math.abs(points[i]));
       });
-      this.orbit.target.copy(subject);
-      this.camera.position.copy(subject).add(new THREE.Vector3(-2.2, -2.2, 1.1).multiplyScalar(size));
-      this.orbit.update();
-      this.stale = true;
+      return size;
     }
 
     lookThrough(k) {

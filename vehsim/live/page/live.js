@@ -34,6 +34,8 @@
     element("buttons").append(buttons[kind]);
   }
 
+  vehsim.live = { send, status, get editor() { return editor; }, get state() { return state; } };
+
   // ---------------------------------------------------------------- the socket
 
   vehsim.open = () => {
@@ -66,6 +68,7 @@
     else if (message.kind === "undrawn") status(`no motion: ${message.text}`);
     else if (message.kind === "said") status(message.text);
     else if (message.kind === "refused") list([message.text]);
+    vehsim.drive.told(message);
     for (const [kind, button] of Object.entries(buttons))
       button.disabled = !editor || !state || { undo: !state.undo, redo: !state.redo, save: !state.changed, export: !state.solved }[kind];
   }
@@ -87,6 +90,7 @@
       await made.ready;
       vehsim.say("");
     } else if (!viewer) return; // the scene follows
+    else if (header.kind === "live") vehsim.drive.shown(header, array);
     else if (header.kind === "motion") {
       viewer.setMotion(header, array);
       keepGrip();

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from annotated_types import Len
@@ -29,10 +29,15 @@ Values = NDArray[np.float64]
 
 MAX_STEPS = 10_000_000
 """Largest number of integration steps of a shot."""
+SAME = 10
+"""Decimals of seconds: a row of a table and a knot are at the same time if they agree in these."""
 
 
 class ForwardMotion(Table):
     """Forward simulation from a start, under controls that a subclass gives."""
+
+    everywhere: ClassVar[bool] = False
+    """As of `vehsim.simulate`: whether the duration never changes the motion before its end."""
 
     start: StartTable = StartTable()
     """the state on the shot's first frame, including handles; default: at rest at the origin"""
@@ -63,6 +68,7 @@ class ForwardMotion(Table):
             step=self.step,
             fps=setting.fps,
             start_frame=setting.first,
+            everywhere=self.everywhere,
             progress=progress,
         )
         details = {"step": self.step, "duration": clip.duration}
@@ -89,8 +95,17 @@ class ForwardMotion(Table):
 
 
 def linear(curves: Sequence[tuple[Values, Values]]) -> Callable[[float, Any], Values]:
-    """A law for `vehsim.simulate` from the times, s, and values of each control: linear between, constant beyond."""
-    return lambda t, state: np.array([np.interp(t, times, values) for times, values in curves])
+    """A law for `vehsim.simulate` from the times, s, and values of each control: linear between, constant beyond.
+
+    At the time of a row it gives the row's values exactly.
+    """
+    rounded = [(np.round(times, SAME), values) for times, values in curves]
+
+    def law(t: float, state: Any) -> Values:
+        return np.array([np.interp(np.round(t, SAME), times, values) for times, values in rounded])
+
+    law.blind = True  # type: ignore[attr-defined]
+    return law
 
 
 class SimulateMotion(ForwardMotion):

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, Literal
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
 from vehsim.errors import InputError, Problem
 from vehsim.intake.columns import read_columns
+from vehsim.runtime.files import write_file
 from vehsim.shot.checks import Setting, did_you_mean
 from vehsim.shot.motions.simulate import ForwardMotion, Values, linear
 from vehsim.shot.schema.tables import Text
@@ -26,6 +28,7 @@ SLACK = 1e-9
 class SticksMotion(ForwardMotion):
     """``method = "sticks"``: forward simulation under recorded controls."""
 
+    everywhere: ClassVar[bool] = True
     method: Literal["sticks"]
     """plan, simulate, sticks, integrate, sinusoid or clip"""
     file: Text
@@ -88,6 +91,20 @@ class SticksMotion(ForwardMotion):
     def _table(self, setting: Setting) -> dict[str, Values]:
         """The columns by their names. Raises ``InputError``."""
         return read_columns(setting.folder / self.file, "file", FRAME)
+
+
+def write_sticks(path: Path, vehicle: Vehicle, frames: Values, controls: Values) -> None:
+    """Write the table of controls (n, c) at ``frames`` (n,), which reads back to the last bit.
+
+    Rows between equal rows are left out: values are linear between rows.
+    """
+    kept = np.ones(len(frames), bool)
+    same = (controls[1:] == controls[:-1]).all(axis=1)
+    kept[1:-1] = ~(same[:-1] & same[1:])
+    columns = [f"{CONTROL}{c.name}{f' [{c.unit}]' if c.unit else ''}" for c in vehicle.controls]
+    rows = np.column_stack([frames, controls])[kept].tolist()
+    lines = [",".join([FRAME, *columns]), *(",".join(map(repr, row)) for row in rows)]
+    write_file(path, "\n".join([*lines, ""]))
 
 
 def _controls_of(table: dict[str, Values]) -> dict[str, tuple[str, str | None]]:

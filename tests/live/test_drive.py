@@ -1,0 +1,200 @@
+"""A vehicle that is driven: a recording gives the same motion again, and continues without a seam."""
+
+import asyncio
+import json
+
+import numpy as np
+import pytest
+
+pytest.importorskip("websockets", reason='needs the extra: pip install "vehsim[live]"')
+
+from tests.live.test_server import browser, served
+from vehsim import Shot
+from vehsim.errors import InputError
+from vehsim.live.drive import Clock, Sticks, record
+from vehsim.shot.motions.sticks import write_sticks
+
+STILL = {"method": "simulate", "duration": 0.25}
+FLY = STILL | {"start": {"position": [0, 0, 30]}}
+SWELL = {"water": {"wave": [{"height": 0.4, "length": 9, "heading": 160}]}}
+
+
+class Hand:
+    """Moves the sticks at given knots, and stops after ``last``; the clock is its own, and never late."""
+
+    def __init__(self, moves, last):
+        self.moves, self.last, self.knot, self.time = moves, last, -1, 0.0
+        self.sticks = None
+
+    def ended(self):
+        self.knot += 1
+        if self.knot in self.moves:
+            self.sticks.move(self.moves[self.knot])
+        return self.knot > self.last
+
+    def sleep(self, seconds):
+        self.time += seconds
+
+    def drive(self, shot, clips, since=None):
+        """The recording, and the clips that were shown."""
+        shown, world = [], shot.world
+        self.sticks = Sticks(shot.vehicle(shot.file.vehicle[0]), world.wind)
+        show = lambda clip, behind: shown.append((clip, behind))  # noqa: E731
+        clock = Clock(lambda: self.time, self.sleep)
+        return record(shot, "v", clips, show, self.ended, self.sticks, since, clock), shown
+
+
+def shot_of(folder, asset, motion, world=None):
+    table = {"name": "v", "asset": asset, "motion": motion}
+    return Shot.from_dict({"shot": {"schema": 1, "name": "s"}, "world": world or {}, "vehicle": [table]}, folder)
+
+
+def kept(folder, shot, made):
+    """The shot with a recording as its motion."""
+    table = shot.file.vehicle[0]
+    write_sticks(folder / "made.csv", shot.vehicle(table), made.frames, made.controls)
+    world = shot.file.world.model_dump(mode="json", exclude_unset=True)
+    return shot_of(folder, table.asset, made.motion | {"file": "made.csv"}, world)
+
+
+@pytest.mark.parametrize(
+    "asset, motion, world",
+    [
+        ("car", STILL, {}), ("helicopter", FLY, {"wind": [3, 0, 0]}), ("boat", STILL, SWELL),
+        ("two_wheeled", STILL, {}), ("hopper", FLY, {}),
+    ],
+)  # fmt: skip
+def test_what_was_seen_is_what_was_recorded(tmp_path, asset, motion, world):
+    """The recording has a row per knot; simulated again, poses equal those that were shown."""
+    shot = shot_of(tmp_path, asset, motion, world)
+    count = len(shot.vehicle(shot.file.vehicle[0]).controls)
+    moves = {8: [1.0] * count, 29: [0.3] * count, 30: [-0.4] * count, 44: [0.0] * count}
+    made, shown = Hand(moves, 66).drive(shot, shot.solve().clips)
+    assert made.problem is None and made.frames[0] == 1001 and made.frames[-1] == 1007
+    again = kept(tmp_path, shot, made).solve(cached=False).clips["v"]
+    assert again.end_frame == 1007
+    assert np.array_equal(again.controls, made.controls) and np.ptp(made.controls[:, 0]) > 0
+    knot = again.times[1]
+    seen = [clip.at(clip.times[-1:]) for clip, _ in shown if knot <= clip.times[-1] <= again.times[-1]]
+    assert len(seen) > 8
+    for one in seen:  # the state that was shown is predicted, or that of the knot before
+        there = again.at([one.times[0] - knot, one.times[0]])
+        assert np.linalg.norm(there.positions - one.positions, axis=1).min() < 1e-3
+        for name, values in one.channels.items():
+            assert np.abs(there.channels[name] - values).min() < 1.0, name  # a propeller turns by up to 200 rad/s
+    once_more = kept(tmp_path, shot, made).solve(cached=False).clips["v"]
+    assert once_more.to_bytes() == again.to_bytes()
+
+
+def test_a_recording_continues_without_a_seam(tmp_path):
+    shot = shot_of(tmp_path, "car", STILL, {"terrain": "hills"})
+    made, _ = Hand({0: [1.0, 0.0], 20: [1.0, 0.5]}, 70).drive(shot, shot.solve().clips)
+    first = kept(tmp_path, shot, made)
+    clip = first.solve(cached=False).clips["v"]
+    hand = Hand({0: [-1.0, -1.0]}, 90)
+    longer, _ = hand.drive(first, {"v": clip}, since=1004)
+    second = kept(tmp_path, first, longer).solve(cached=False).clips["v"]
+    before, after = second.frames <= 1004, second.frames > 1005
+    count = int(before.sum()) - 2  # the body's lean follows from the acceleration, measured between neighbours
+    assert count > 20 and after.sum() > 20
+    assert np.array_equal(second.controls[:count], clip.controls[:count])
+    for name in ("positions", "orientations", "twists"):
+        assert np.array_equal(getattr(second, name)[:count], getattr(clip, name)[:count]), name
+    assert abs(second.twists[-1, 1] - clip.twists[-1, 1]) > 0.1
+
+
+def test_a_slow_simulation_sets_the_clock_back(tmp_path):
+    shot = shot_of(tmp_path, "car", STILL)
+    hand = Hand({}, 66)
+    hand.ended_before = hand.ended
+
+    def slow():
+        hand.time += 0.02
+        return hand.ended_before()
+
+    hand.ended = slow
+    made, shown = hand.drive(shot, shot.solve().clips)
+    assert made.frames[-1] == 1007 and shown[-1][1] == pytest.approx(66 * 0.02 - 66 / 240, abs=0.2)
+
+
+def test_a_stick_gives_balance_in_the_middle_and_bounds_at_the_ends(tmp_path):
+    from vehsim import load_vehicle
+    from vehsim.vehicles import State
+
+    sticks = Sticks(load_vehicle("helicopter"), np.zeros(3))
+    assert sticks.controls(State())[0] == pytest.approx(1900 * 9.81, rel=1e-3)
+    sticks.move([1, -1, 0.5, 0])
+    assert sticks.controls(State()) == pytest.approx([33000, -1500, 0.1, 0], abs=1e-6)
+    car = Sticks(load_vehicle("car"), np.zeros(3))
+    car.move([0, 1])
+    assert car.controls(State(joints=[0, 0.69]))[1] == pytest.approx((0.7 - 0.69) / 0.15)
+    car.move([0, 0])
+    assert car.controls(State(joints=[0, 0.5]))[1] == -0.8  # the wheel returns, as fast as it can
+    with pytest.raises(InputError, match="3 sticks"):
+        car.move([0, 0, 0])
+
+
+def test_nothing_is_recorded_in_less_than_a_frame(tmp_path):
+    shot = shot_of(tmp_path, "car", STILL)
+    with pytest.raises(InputError, match="nothing was recorded"):
+        Hand({}, 5).drive(shot, shot.solve().clips)
+
+
+SHOT = """\
+[shot]
+schema = 1
+name = "drive"
+[[vehicle]]
+name = "car" # mine
+asset = "car"
+[vehicle.motion]
+method = "simulate"
+duration = 0.2
+"""
+
+
+def test_a_drive_is_recorded_saved_continued_and_undone(tmp_path):
+    path = tmp_path / "drive.toml"
+    path.write_text(SHOT)
+
+    async def play():
+        async with served(path) as address, browser(address) as page:
+            await page.until("scene")
+            state = await page.until("state", lambda message: message["solved"])
+            assert state["drives"] == [{"vehicle": "car", "controls": ["torque", "steering_rate"], "continues": False}]
+            for wrong in ({"vehicle": "boat"}, {"vehicle": "car", "frame": 1003}):
+                await page.send(kind="drive", **wrong)
+                assert (await page.until("refused"))["text"]
+            await page.send(kind="sticks", values=[0.5, 0.5])  # nobody drives: nothing happens
+            await page.send(kind="drive", vehicle="car")
+            assert (await page.until("driving"))["vehicle"] == "car"
+            first = await page.until("live")
+            await page.send(kind="sticks", values=[1.0, 0.5])
+            await page.send(kind="sticks", values=[1.0, 0.5, 3.0])
+            assert "less than or equal to 1" in (await page.until("refused"))["text"]
+            await page.send(kind="sticks", values=[0.0] * 5)  # not this vehicle's
+            moved = await page.until("live", lambda live: live.header["place"][0] > 0.2)
+            assert moved.header["frame"] > first.header["frame"] and len(moved.header["groups"]) > 3
+            await page.send(kind="stop")
+            await page.until("driven")
+            state = await page.until("state", lambda message: message["solved"])
+            assert state["changed"] and state["undo"] and state["drives"][0]["continues"]
+
+            await page.send(kind="save")
+            await page.until("said")
+            assert "# mine" in path.read_text() and 'file = "drive.car.001.csv"' in path.read_text()
+            clip = Shot.load(path).solve(cached=False).clips["car"]
+            assert (tmp_path / "drive.car.001.npz").read_bytes() == clip.to_bytes()
+            assert clip.positions[-1, 0] > 0.2
+
+            await page.send(kind="drive", vehicle="car", frame=1003)
+            await page.until("live", lambda live: live.header["frame"] > 1004)
+            await page.send(kind="undo")  # any other request ends it, and the recording is kept
+            await page.until("driven")
+            await page.until("state", lambda message: message["solved"])
+            assert (tmp_path / "drive.car.002.csv").is_file()
+            both = [np.loadtxt(tmp_path / f"drive.car.00{k}.csv", delimiter=",", skiprows=1) for k in (1, 2)]
+            early = [rows[rows[:, 0] <= 1002.5] for rows in both]
+            assert json.dumps(early[0].tolist()) == json.dumps(early[1].tolist())
+
+    asyncio.run(play())
