@@ -39,7 +39,7 @@ class Hand:
         """The recording, and the clips that were shown."""
         shown, world = [], shot.world
         self.sticks = Sticks(shot.vehicle(shot.file.vehicle[0]), world.wind)
-        show = lambda clip, behind: shown.append((clip, behind))  # noqa: E731
+        show = lambda clip, behind: shown.append((clip, behind))
         clock = Clock(lambda: self.time, self.sleep)
         return record(shot, "v", clips, show, self.ended, self.sticks, since, clock), shown
 

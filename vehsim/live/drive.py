@@ -264,7 +264,7 @@ def record(
     shot: Shot,
     name: str,
     clips: Mapping[str, Clip],
-    show: Callable[[Clip, float], None],
+    show: Callable[[Clip, float], object],
     ended: Callable[[], bool],
     sticks: Sticks,
     since: int | None = None,
