@@ -204,7 +204,8 @@ def test_nothing_that_is_sent_ends_the_session(path):
                 {"position": [1e300, 0, 0]}, {"position": [None] * 3}, {"path": "/etc/passwd"}, {"frame": 0.5},
             )
         ),
-        '{"kind": "drive"}', '{"kind": "drive", "vehicle": "car", "frame": "now"}', '{"kind": "sticks", "values": ["up"]}',
+        '{"kind": "drive"}', '{"kind": "drive", "vehicle": "car", "frame": "now"}',
+        '{"kind": "sticks", "values": ["up"]}',
         json.dumps(good).replace("8.0", "NaN"), json.dumps(good).replace("8.0", "Infinity"),
     ]  # fmt: skip
 

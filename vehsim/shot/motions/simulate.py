@@ -36,8 +36,8 @@ SAME = 10
 class ForwardMotion(Table):
     """Forward simulation from a start, under controls that a subclass gives."""
 
+    # as of `vehsim.simulate`: whether the duration never changes the motion before its end
     everywhere: ClassVar[bool] = False
-    """As of `vehsim.simulate`: whether the duration never changes the motion before its end."""
 
     start: StartTable = StartTable()
     """the state on the shot's first frame, including handles; default: at rest at the origin"""
