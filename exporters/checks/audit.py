@@ -40,6 +40,8 @@ TREAD = 0.15
 """Largest height above the lowest point of a wheel at which the ground may touch it, m."""
 RIM = 0.03
 """Largest distance between points on a wheel's tread, m: a crest of the ground may touch it between its vertices."""
+STEP = 0.5
+"""The ground of a terrain with overhangs is sought from this height above a point downwards, m."""
 CELL = 0.5
 """Points on a vehicle's meshes are grouped into balls of this size, m."""
 
@@ -338,7 +340,7 @@ class _Solid:
 
 
 class _Ground:
-    """The terrain's mesh; points below it are inside."""
+    """The terrain's mesh. Points below it are inside; with overhangs, those whose first face above looks up."""
 
     def __init__(self, points: Array, faces: Ints) -> None:
         import igl
@@ -348,6 +350,8 @@ class _Ground:
         self.tree, self.plan = igl.AABB(), igl.AABB()
         self.tree.init(self.points, self.faces)
         self.plan.init(self.flat, self.faces)
+        self.up = _upward(self.points, self.faces)
+        self.overhangs = bool((self.up < 0).any())
 
     @classmethod
     def of(cls, delivered: Delivered) -> _Ground | None:
@@ -361,6 +365,21 @@ class _Ground:
 
     def height(self, points: Array) -> Array:
         """Height (n,) m of the ground below or above points (n, 3); beyond the border, that of the border."""
+        if not self.overhangs:
+            return self._seen_from_above(points)
+        lift = np.array([0.0, 0.0, STEP])
+        rise, up = self._first(points + lift, -1.0)
+        return np.where(up > 0, points[:, 2] + STEP - rise, self._seen_from_above(points))
+
+    def _first(self, points: Array, direction: float) -> tuple[Array, Array]:
+        """Distance (n,) m from points (n, 3) straight up (1) or down (-1) to the first face, and its entry of ``up``,
+        (n,); 0 for none."""
+        rays = np.tile([0.0, 0.0, direction], (len(points), 1))
+        hit, rise, _ = self.tree.intersect_ray_first(self.points, self.faces, np.ascontiguousarray(points), rays)
+        return np.asarray(rise), np.where(np.asarray(hit) >= 0, self.up[hit], 0.0)
+
+    def _seen_from_above(self, points: Array) -> Array:
+        """Height (n,) m of the face that is nearest to points (n, 3) in the plane."""
         at = np.ascontiguousarray(points * [1.0, 1.0, 0.0])
         _, face, place = self.plan.squared_distance(self.flat, self.faces, at)
         a, b, c = (self.points[self.faces[np.ravel(face), k]] for k in range(3))
@@ -373,9 +392,35 @@ class _Ground:
 
     def away(self, points: Array) -> Array:
         """Signed distances (n,) m of points (n, 3): below the ground minus their depth."""
-        above = points[:, 2] - self.height(points)
+        if self.overhangs:
+            rise, up = self._first(points, 1.0)
+            above = np.where(up > 0, -np.maximum(rise, 1e-9), points[:, 2] - self.points[:, 2].min())
+        else:
+            above = points[:, 2] - self._seen_from_above(points)
         squared = np.asarray(self.tree.squared_distance(self.points, self.faces, np.ascontiguousarray(points))[0])
         return np.where(above < 0, above, np.sqrt(np.maximum(squared, 0.0)))
+
+
+def _upward(points: Array, faces: Ints) -> Array:
+    """For each face the direction in which it looks, (m,): 1 up, -1 down, 0 sideways; the whole looks up."""
+    import igl
+
+    _, place = np.unique(points, axis=0, return_inverse=True)
+    joined = place.ravel()[faces]
+    edges = joined[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    turned = np.ones(len(faces))
+    if len(np.unique(edges, axis=0)) < len(edges):  # two faces run along an edge in the same direction
+        whole = np.flatnonzero((joined != np.roll(joined, 1, axis=1)).all(axis=1))
+        oriented, body = igl.bfs_orient(np.ascontiguousarray(joined[whole]))
+        turned[whole] = np.where((oriented == joined[whole]).all(axis=1), 1.0, -1.0)
+    else:
+        whole, body = np.arange(len(faces)), np.zeros(len(faces), int)
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    up = turned * np.cross(b - a, c - a)[:, 2]
+    volume = up * ((a + b + c)[:, 2] / 3 - points[:, 2].min() + 1.0)
+    up[whole] *= np.where(np.bincount(body, volume[whole])[body] < 0, -1.0, 1.0)
+    flat = 1e-9 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    return np.asarray(np.where(np.abs(up) > flat, np.sign(up), 0.0))
 
 
 class _Body:

@@ -143,16 +143,6 @@ def write_usd(file, terrain):
     stage.Save()
 
 
-def test_overhangs_are_filled_with_a_warning(tmp_path):
-    ground = trimesh.creation.box((20, 20, 1)).apply_translation([0, 0, -0.5])
-    arch = trimesh.creation.box((4, 20, 1)).apply_translation([0, 0, 5.5])
-    trimesh.util.concatenate([ground.subdivide_to_size(0.5), arch]).export(tmp_path / "arch.obj")
-    (tmp_path / "arch.toml").write_text("cell = 0.25")
-    with pytest.warns(UserWarning, match="overhangs"):
-        terrain = Terrain.load(tmp_path / "arch.obj")
-    assert terrain.height([[0, 0], [5, 0]]).tolist() == pytest.approx([6, 0])
-
-
 def test_holes_are_filled_with_a_warning(tmp_path):
     source = Terrain("s", np.full((21, 21), 3.0))
     centre = source.vertices[source.faces].mean(axis=1)

@@ -11,7 +11,7 @@ import platform
 import sys
 from dataclasses import dataclass
 
-LIBRARIES = ("mujoco", "casadi", "numpy", "scipy", "trimesh", "libigl", "pydantic", "pillow", "av")
+LIBRARIES = ("mujoco", "casadi", "numpy", "scipy", "trimesh", "libigl", "python-fcl", "pydantic", "pillow", "av")
 
 
 @dataclass(frozen=True)

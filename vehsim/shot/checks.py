@@ -178,6 +178,8 @@ def check_free(
     if position[2] < ground:
         message, remedy = f"inside rock: the ground is at {ground:.2f} m", f"raise z above {ground + clearance:.2f}"
         yield Problem(key, message, remedy, position)
+    elif world.terrain.below([position])[0]:
+        yield Problem(key, "inside rock, above the ground of a cave or below the top of an arch", "move it", position)
     elif attitude is not None and vehicle.rig is not None:
         gap = float(world.clearance_from_terrain(vehicle, [position], [attitude])[0])
         if gap < min(clearance - 1e-6, 0.0):

@@ -197,6 +197,7 @@ class Shot:
         clips = {name: carry_on(name, clip, *frames, handles, self.world) for name, clip in clips.items()}
         clips = {name: place_on_terrain(clip, self.world) for name, clip in clips.items()}
         self._warn_off_ground(clips)
+        self._warn_of_rock(clips)
         clips = {name: place_on_terrain(hold(clip, *frames), self.world) for name, clip in clips.items()}
         avoided = self._avoided
         worlds = {name: with_vehicles(self.world, clips, avoided, name) for name in clips}
@@ -453,6 +454,20 @@ class Shot:
                 warnings.warn(
                     f"{name}: {place} the ground at frame {clip.frames[k]:g}: its asset has no wheels to follow it; "
                     "add channels travel_* or roll_* to its vehicle.toml, or stay on level ground",
+                    stacklevel=3,
+                )
+
+    def _warn_of_rock(self, clips: Mapping[str, Clip]) -> None:
+        """Warn of a vehicle on the ground that reaches into the rock above or beside it, which its plan ignores."""
+        from vehsim.world.ground.rock import rock_met
+
+        for name, clip in clips.items():
+            found = rock_met(clip, self.world) if clip.vehicle.group.planar else None
+            if found is not None:
+                frame, (x, y, z) = found
+                warnings.warn(
+                    f"{name}: reaches into the rock at ({x:.2f}, {y:.2f}, {z:.2f}) m at frame {frame:g}: plans of "
+                    "vehicles on the ground do not see walls and roofs of terrain; keep away, or add obstacles there",
                     stacklevel=3,
                 )
 

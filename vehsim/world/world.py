@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from vehsim.world.contact.contact import Contact
     from vehsim.world.distance.clearance import ObstacleScene
     from vehsim.world.distance.scene import Scene
+    from vehsim.world.distance.surface_scene import SurfaceScene
     from vehsim.world.wind import Gusts
 
 Array = NDArray[np.float64]
@@ -60,7 +61,7 @@ class World:
         self.wind = _wind(wind)
         self.water, self.gusts, self.contact = _water(water), gusts, contact
         self._fields: dict[Any, DistanceField] = {}
-        self._scenes: dict[Any, Scene] = {}
+        self._scenes: dict[Any, Scene | SurfaceScene] = {}
         self._obstacle_scenes: dict[Any, ObstacleScene] = {}
 
     def __repr__(self) -> str:
@@ -167,8 +168,10 @@ class World:
         asset = str(vehicle.rig.asset)
         if asset not in self._scenes:
             from vehsim.world.distance.scene import Scene
+            from vehsim.world.distance.surface_scene import SurfaceScene
 
-            self._scenes[asset] = Scene(self.terrain, vehicle.rig)
+            kind = Scene if self.terrain.surface is None else SurfaceScene
+            self._scenes[asset] = kind(self.terrain, vehicle.rig)
         return self._scenes[asset].clearance(positions, orientations)
 
     def clearance_by_obstacle(

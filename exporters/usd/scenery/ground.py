@@ -36,7 +36,7 @@ def write_ground(terrain: Terrain, folder: Path) -> tuple[Path, list[Path]]:
     asset = folder / name / f"{name}.usdc"
     texture = asset.with_suffix(".png")
     asset.parent.mkdir(parents=True, exist_ok=True)
-    level = float(np.ptp(terrain.heights)) < 1e-6
+    level = terrain.surface is None and float(np.ptp(terrain.heights)) < 1e-6
     _write_texture(texture, _level_colours() if level else _relief_colours(terrain))
 
     stage = Usd.Stage.CreateNew(str(asset))
@@ -60,8 +60,14 @@ def _author_mesh(mesh: Any, terrain: Terrain, tile: float | None) -> None:
     author_points(mesh, vertices)
     mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(terrain.faces), 3, np.int32)))
     mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(terrain.faces.astype(np.int32).ravel()))
-    mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(_normals(terrain).reshape(-1, 3).astype(np.float32)))
-    mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+    if terrain.surface is None:
+        mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(_normals(terrain).reshape(-1, 3).astype(np.float32)))
+        mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+    else:  # faceted, as the corners of arches and tunnels are sharp
+        normals = np.repeat(terrain.surface.normals, 3, axis=0)
+        lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+        mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy((normals / np.maximum(lengths, 1e-300)).astype(np.float32)))
+        mesh.SetNormalsInterpolation(UsdGeom.Tokens.faceVarying)
     lower, upper = terrain.lower, terrain.upper
     span = upper[:2] - lower[:2] if tile is None else np.array([tile, tile])
     st = ((vertices[:, :2] - lower[:2]) / span).astype(np.float32)

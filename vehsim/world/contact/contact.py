@@ -152,6 +152,9 @@ class ContactScene:
         from vehsim.rig.parts import add_to_spec
 
         self.contact, self.terrain, self._start_time = contact, world.terrain, start_time
+        if self.terrain is not None and self.terrain.surface is not None:
+            message = f"{self.terrain.name} has overhangs, which hulls cannot touch"
+            raise InputError(message, "remove world.contact, or give a terrain without overhangs", key="world.contact")
         spec = mujoco.MjSpec()
         bodies = {name: self._add_vehicle(spec, name, vehicle, add_to_spec) for name, vehicle in vehicles.items()}
         moving = [obstacle for obstacle in world.obstacles if hasattr(obstacle, "motion_at")]

@@ -320,20 +320,39 @@ def _around(
         (np.searchsorted(kept, range(n), "right") - 1, np.searchsorted(kept, range(n)))
         for kept, n in zip(coarse, shape, strict=True)
     ]
+    rock = None
+    if terrain.surface is not None:
+        corners = _grid(*wide)
+        rock = terrain.below(corners).reshape(corners.shape[:3]), _length(found - corners)
     distances = np.empty(tuple(shape), dtype=np.float32)
     for slab in _slabs(shape[0], "the terrain", progress, first=0.5):
         points = _grid(axes[0][slab], *axes[1:])
         away = np.full(points.shape[:3], np.inf)
+        below, known = np.zeros((2, *points.shape[:3]), bool)
         for i, j, k in product(*sides):
-            away = np.minimum(away, _length(found[np.ix_(i[slab], j, k)] - points))
-        above = (
-            points[..., 2] >= terrain.height(points[:, :, 0, :2].reshape(-1, 2)).reshape(points.shape[:2])[..., None]
-        )
-        signed = np.where(above, away, -away)
+            corner = np.ix_(i[slab], j, k)
+            away = np.minimum(away, _length(found[corner] - points))
+            if rock is not None:  # a point closer to a corner than the surface lies on the corner's side of it
+                place = _grid(wide[0][i[slab]], wide[1][j], wide[2][k])
+                same = _length(points - place) < rock[1][corner]
+                below[same], known[same] = rock[0][corner][same], True
+        if rock is None:
+            below = _below(terrain, points)
+        else:
+            below[~known] = terrain.below(points[~known])
+        signed = np.where(below, -away, away)
         near = (NEAR[0] < signed) & (signed < NEAR[1])
-        signed[near] = np.where(above[near], 1, -1) * _length(nearest(points[near]) - points[near])
+        signed[near] = np.where(below[near], -1, 1) * _length(nearest(points[near]) - points[near])
         distances[slab] = signed
     return distances
+
+
+def _below(terrain: Terrain, columns: Array) -> NDArray[np.bool_]:
+    """Whether points (..., levels, 3) m, in columns, lie in the rock, (..., levels)."""
+    if terrain.surface is not None:
+        return terrain.below(columns).reshape(columns.shape[:-1])
+    ground = terrain.height(columns[..., 0, :2]).reshape(columns.shape[:-2])
+    return np.asarray(columns[..., 2] < ground[..., None])
 
 
 def _length(vectors: Array) -> Array:
@@ -361,8 +380,8 @@ def _to_terrain(terrain: Terrain, levels: int) -> Callable[[Array], Array]:
     nearest = _nearest_on(terrain)
 
     def law(points: Array) -> Array:
-        ground = np.repeat(terrain.height(points[::levels, :2]), levels)
-        return np.where(points[:, 2] >= ground, 1.0, -1.0) * _length(nearest(points) - points)
+        below = _below(terrain, points.reshape(-1, levels, 3)).ravel()
+        return np.where(below, -1.0, 1.0) * _length(nearest(points) - points)
 
     return law
 

@@ -87,7 +87,7 @@ class Scene:
         Exact in the air. A pose that touches the rock gives minus its depth, measured vertically at the hulls' corners.
         Beyond the borders the ground continues level, and the result is at most the height above it.
         """
-        positions, orientations = _poses(positions, orientations)
+        positions, orientations = checked_poses(positions, orientations)
         bounds = self._centre_distances(positions, orientations)
         result = np.empty(len(positions))
         for k, (position, orientation) in enumerate(zip(positions, orientations, strict=True)):
@@ -175,7 +175,7 @@ class Scene:
         return np.asarray(points @ self.data.geom_xmat[geom].reshape(3, 3).T + self.data.geom_xpos[geom])
 
 
-def _poses(positions: ArrayLike, orientations: ArrayLike) -> tuple[Array, Array]:
+def checked_poses(positions: ArrayLike, orientations: ArrayLike) -> tuple[Array, Array]:
     """Positions (n, 3) and unit quaternions (n, 4). Raises ``InputError``."""
     points, quaternions = np.atleast_2d(np.asarray(positions, float)), np.atleast_2d(np.asarray(orientations, float))
     wanted = {"positions": (points, 3, "x, y, z in metres"), "orientations": (quaternions, 4, "w, x, y, z")}

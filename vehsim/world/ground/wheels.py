@@ -132,7 +132,7 @@ def touch(terrain: Terrain, wheel: Wheel, positions: Array, orientations: Array,
     If the travel is small, one of the ``rounds`` suffices.
     """
     level = float(terrain.heights.flat[0])
-    if np.all(terrain.heights == level):
+    if terrain.surface is None and np.all(terrain.heights == level):
         vertical = matrices(orientations)[:, 2]
         return np.asarray(((level - positions[:, 2:] - vertical @ wheel.rim.T) / vertical[:, 2:]).max(axis=1))
     blocks = _blocks(len(positions))

@@ -1,6 +1,7 @@
 """Terrain: heights on a grid, and the triangles on which MuJoCo, USD and the distance field agree.
 
-This module holds the surface itself: its vertices, its faces, its height anywhere. `reading.py` reads files.
+This module holds the ground itself: its vertices, its faces, its height anywhere. `surface.py` holds rock that is not a
+height field; `reading.py` reads files.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vehsim.errors import InputError
+from vehsim.world.terrain.surface import Surface
 
 Array = NDArray[np.float64]
 
@@ -28,7 +30,8 @@ class HeightGrid:
     """A height field: ``heights`` (rows, cols) m, row = +Y, column = +X.
 
     ``origin`` (x, y) of ``heights[0, 0]`` and ``cell`` (dx, dy), m. ``look``: a USD file with the mesh, material and
-    texture of this terrain, or None. Each cell is split along (r, c)-(r+1, c+1), as in MuJoCo.
+    texture of this terrain, or None. Each cell is split along (r, c)-(r+1, c+1), as in MuJoCo. ``surface``: the rock of
+    a terrain with overhangs, whose ``heights`` are those of the lowest ground; None for a height field.
     """
 
     name: str
@@ -36,6 +39,7 @@ class HeightGrid:
     origin: tuple[float, float] = (0.0, 0.0)
     cell: tuple[float, float] = (1.0, 1.0)
     look: Path | None = None
+    surface: Surface | None = None
 
     def __post_init__(self) -> None:
         heights = np.array(self.heights, dtype=np.float64)  # our own read-only copy, so that caches stay valid
@@ -48,18 +52,22 @@ class HeightGrid:
     @property
     def lower(self) -> Array:
         """(3,) m: the smallest x, y and height."""
-        return np.array([*self.origin, self.heights.min()])
+        return np.array([*self.origin, self.heights.min()]) if self.surface is None else self.surface.points.min(axis=0)
 
     @property
     def upper(self) -> Array:
         """(3,) m: the largest x, y and height."""
+        if self.surface is not None:
+            return self.surface.points.max(axis=0)
         rows, cols = self.heights.shape
         x, y = self.origin[0] + self.cell[0] * (cols - 1), self.origin[1] + self.cell[1] * (rows - 1)
         return np.array([x, y, self.heights.max()])
 
     @cached_property
     def vertices(self) -> Array:
-        """Vertices (n, 3) m, row after row."""
+        """Vertices (n, 3) m of the surface; those of a height field row after row."""
+        if self.surface is not None:
+            return self.surface.points
         rows, cols = self.heights.shape
         x = self.origin[0] + self.cell[0] * np.arange(cols)
         y = self.origin[1] + self.cell[1] * np.arange(rows)
@@ -68,15 +76,43 @@ class HeightGrid:
 
     @cached_property
     def faces(self) -> NDArray[np.int64]:
-        """(m, 3) vertex indices, counter-clockwise from above; two faces per cell."""
+        """(m, 3) vertex indices, counter-clockwise from the air; two faces per cell of a height field."""
+        if self.surface is not None:
+            return self.surface.faces
         rows, cols = self.heights.shape
         index = np.arange(rows * cols).reshape(rows, cols)
         a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
         return np.stack([a, b, d, a, d, c], axis=-1).reshape(-1, 3)
 
     def height(self, xy: ArrayLike) -> Array:
-        """Height (n,) m of the surface at ``xy`` (n, 2) m; beyond the borders, that of the closest border point."""
+        """Height (n,) m of the ground at ``xy`` (n, 2) m; beyond the borders, that of the closest border point.
+
+        Below an arch and in a cave, it is the height of their floor.
+        """
         xy = np.asarray(xy, dtype=float).reshape(-1, 2)
+        if self.surface is None:
+            return self._on_grid(xy)
+        exact = self.surface.floor(xy)
+        return np.where(np.isnan(exact), self._on_grid(xy), exact)
+
+    def height_below(self, points: ArrayLike) -> Array:
+        """Height (n,) m of the ground below ``points`` (n, 3) m, or of the ground that they touch; on top of an arch,
+        that of its top."""
+        points = np.asarray(points, dtype=float).reshape(-1, 3)
+        lowest = self.height(points[:, :2])
+        if self.surface is None:
+            return lowest
+        exact = self.surface.ground_below(points)
+        return np.where(np.isnan(exact), lowest, exact)
+
+    def below(self, points: ArrayLike) -> NDArray[np.bool_]:
+        """Whether ``points`` (n, 3) m lie in the rock, (n,)."""
+        points = np.asarray(points, dtype=float).reshape(-1, 3)
+        under = points[:, 2] < self.height(points[:, :2])
+        return under if self.surface is None else under | self.surface.inside(points)
+
+    def _on_grid(self, xy: Array) -> Array:
+        """Height (n,) m of the grid's triangles at ``xy`` (n, 2) m."""
         rows, cols = self.heights.shape
         u = np.clip((xy[:, 0] - self.origin[0]) / self.cell[0], 0, cols - 1)
         v = np.clip((xy[:, 1] - self.origin[1]) / self.cell[1], 0, rows - 1)
@@ -99,9 +135,11 @@ class HeightGrid:
 
     @cached_property
     def content_hash(self) -> str:
-        """A hash of the surface: the same heights at the same place have the same hash."""
+        """A hash of the terrain: the same heights and rock at the same place have the same hash."""
         digest = hashlib.sha256(repr((self.heights.shape, self.origin, self.cell)).encode())
         digest.update(self.heights.tobytes())
+        if self.surface is not None:
+            digest.update(self.surface.content_hash.encode())
         return digest.hexdigest()
 
 

@@ -26,6 +26,7 @@ from vehsim.intake.meshes import read_triangles
 from vehsim.intake.toml import lines_in
 from vehsim.intake.usd import dependencies
 from vehsim.world.terrain.grid import MAX_POINTS, HeightGrid
+from vehsim.world.terrain.surface import Surface, surface_of
 
 Array = NDArray[np.float64]
 
@@ -174,7 +175,7 @@ def _read_usd(path: Path, placement: Placement) -> HeightGrid:
 
 
 def _sample(path: Path, points: Array, faces: NDArray[np.int64], placement: Placement) -> HeightGrid:
-    """Heights of a mesh seen from above: a vertical ray per grid point."""
+    """Heights of a mesh by a vertical ray per grid point; a mesh with overhangs also stays as its surface."""
     import igl
 
     low, high = points.min(axis=0), points.max(axis=0)
@@ -193,13 +194,18 @@ def _sample(path: Path, points: Array, faces: NDArray[np.int64], placement: Plac
     tree = igl.AABB()
     tree.init(points, faces)
     hit, depth, _ = tree.intersect_ray_first(points, faces, rays, np.tile([0.0, 0.0, -1.0], (len(rays), 1)))
-    heights = np.where(hit >= 0, rays[:, 2] - depth, np.nan).reshape(rows, cols)
-    terrain = HeightGrid(path.name, _fill(path, heights), (float(low[0]), float(low[1])), cell)
-    _warn_of_overhangs(path, terrain, points, faces)
-    return terrain
+    heights = np.where(hit >= 0, rays[:, 2] - depth, np.nan)
+    origin = (float(low[0]), float(low[1]))
+    top = HeightGrid(path.name, _filled(path, heights.reshape(rows, cols)), origin, cell)
+    surface = surface_of(points, faces)
+    if not _has_overhangs(top, surface):
+        return top
+    floor = surface.floor(rays[:, :2])
+    floor = np.where(np.isnan(floor), top.heights.ravel(), floor).reshape(rows, cols)
+    return replace(top, heights=floor, surface=surface)
 
 
-def _fill(path: Path, heights: Array) -> Array:
+def _filled(path: Path, heights: Array) -> Array:
     """Fill holes with the closest height, with a warning. Raises ``InputError`` for a mesh that is mostly holes."""
     from scipy.ndimage import distance_transform_edt
 
@@ -216,23 +222,15 @@ def _fill(path: Path, heights: Array) -> Array:
     return heights
 
 
-def _warn_of_overhangs(path: Path, terrain: HeightGrid, points: Array, faces: NDArray[np.int64]) -> None:
-    """Warn if upward-facing rock is hidden below other rock: a height field cannot represent it."""
-    corners = points[faces]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    centre = corners.mean(axis=1)
-    # On steep slopes a sampled height may differ by the relief of the adjacent cells; that is no overhang.
+def _has_overhangs(top: HeightGrid, surface: Surface) -> bool:
+    """Whether ground is hidden below other rock, so that the heights seen from above, ``top``, lose it."""
     from scipy.ndimage import maximum_filter, minimum_filter
 
-    relief = replace(terrain, heights=maximum_filter(terrain.heights, 3) - minimum_filter(terrain.heights, 3))
-    depth = terrain.height(centre[:, :2]) - centre[:, 2]
-    hidden = (normal[:, 2] > 0) & (depth > relief.height(centre[:, :2]) + 1e-3 * max(terrain.cell))
-    if hidden.any():
-        warnings.warn(
-            f"{path}: overhangs: {hidden.sum()} upward faces lie up to {depth[hidden].max():.2f} m below the surface "
-            "seen from above; the terrain is that surface, caves and undercuts are filled",
-            stacklevel=2,
-        )
+    # On steep slopes a sampled height may differ by the relief of the adjacent cells; that is no overhang.
+    relief = replace(top, heights=maximum_filter(top.heights, 3) - minimum_filter(top.heights, 3))
+    centre = surface.points[surface.ground].mean(axis=1)
+    depth = top.height(centre[:, :2]) - centre[:, 2]
+    return bool((depth > relief.height(centre[:, :2]) + 1e-3 * max(top.cell)).any())
 
 
 READERS: dict[str, Callable[[Path, Placement], HeightGrid]] = {

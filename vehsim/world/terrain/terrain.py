@@ -13,7 +13,8 @@ class Terrain(HeightGrid):
     """A height field: ``heights`` (rows, cols) m, row = +Y, column = +X.
 
     ``origin`` (x, y) of ``heights[0, 0]`` and ``cell`` (dx, dy), m. ``look``: a USD file with the mesh, material and
-    texture of this terrain, or None. Each cell is split along (r, c)-(r+1, c+1), as in MuJoCo.
+    texture of this terrain, or None. Each cell is split along (r, c)-(r+1, c+1), as in MuJoCo. ``surface``: the rock of
+    a terrain with overhangs, whose ``heights`` are those of the lowest ground; None for a height field.
     """
 
     @classmethod

@@ -1,0 +1,257 @@
+"""Terrain with arches and caves: its sides, ground and distances, compared with other libraries and closed forms."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from elementary import ExactDistance
+from scipy.spatial.transform import Rotation
+
+from vehsim.exporters.checks.audit import _Ground
+from vehsim.world import obstacles
+from vehsim.world.distance.field import distance_field
+from vehsim.world.terrain.surface import open_edges
+from vehsim.world.terrain.terrain import Terrain
+from vehsim.world.world import World
+
+RNG = np.random.default_rng(11)
+GROUND = ((-40, -30, -5), (40, 30, 0))
+LEGS = ((-4, -20, -1), (4, -12, 26)), ((-4, 12, -1), (4, 20, 26))
+LINTEL = ((-4, -20, 22), (4, 20, 30))
+"""Boxes of an arch along X: free between y = -12 and 12 up to z = 22."""
+HILL, ROOM, TUNNEL = ((-20, -25, -1), (25, 25, 24)), ((-12, -12, 0), (12, 12, 15)), ((0, -5, 0), (30, 5, 11))
+"""Boxes of a cave: a room in a hill, and its tunnel to the side of +X."""
+
+
+def box(low, high):
+    return trimesh.creation.box(bounds=[low, high])
+
+
+@pytest.fixture(scope="module")
+def meshes():
+    cave = trimesh.boolean.difference([box(*HILL), box(*ROOM), box(*TUNNEL)])
+    return {
+        "arch": trimesh.boolean.union([box(*GROUND), *(box(*leg) for leg in LEGS), box(*LINTEL)]),
+        "cave": trimesh.boolean.union([box(*GROUND), cave]),
+    }
+
+
+@pytest.fixture(scope="module")
+def terrains(meshes, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("terrains")
+    for name, mesh in meshes.items():
+        mesh.export(folder / f"{name}.obj")
+    return {name: Terrain.load(folder / f"{name}.obj") for name in meshes}
+
+
+def in_boxes(points, *boxes):
+    return np.any([((points > low) & (points < high)).all(axis=1) for low, high in boxes], axis=0)
+
+
+def rock(name, points):
+    """Whether points (n, 3) lie in the rock, by its boxes."""
+    if name == "arch":
+        return in_boxes(points, GROUND, *LEGS, LINTEL)
+    return in_boxes(points, GROUND) | (in_boxes(points, HILL) & ~in_boxes(points, ROOM, TUNNEL))
+
+
+def around(count=3000):
+    return RNG.uniform((-39, -29, -4), (39, 29, 38), (count, 3))
+
+
+# ---------------------------------------------------------------- sides and ground
+
+
+@pytest.mark.parametrize("name", ["arch", "cave"])
+def test_the_space_below_rock_is_free(terrains, name):
+    points = around()
+    assert 0.1 < rock(name, points).mean() < 0.9
+    np.testing.assert_array_equal(terrains[name].below(points), rock(name, points))
+
+
+def test_the_ground_is_the_lowest_and_below_a_point_the_next_one(terrains):
+    for name, top in (("arch", 30), ("cave", 24)):
+        terrain = terrains[name]
+        np.testing.assert_allclose(terrain.height([[0.3, 0.2], [35, 0]]), 0, atol=1e-9)
+        np.testing.assert_allclose(
+            terrain.height_below([[0.3, 0.2, 5], [0.3, 0.2, 50], [0.3, 0.2, top]]), [0, top, top]
+        )
+
+
+@pytest.mark.parametrize("suffix", ["stl", "ply", "glb"])
+def test_every_format_keeps_the_arch_open(meshes, tmp_path, suffix):
+    mesh = meshes["arch"].copy()
+    if suffix == "glb":
+        mesh.apply_transform([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+    mesh.export(tmp_path / f"arch.{suffix}")
+    points = around(500)
+    np.testing.assert_array_equal(Terrain.load(tmp_path / f"arch.{suffix}").below(points), rock("arch", points))
+
+
+def test_a_stage_keeps_the_arch_open_and_is_its_look(meshes, tmp_path):
+    from pxr import Usd, UsdGeom
+
+    stage = Usd.Stage.CreateNew(str(tmp_path / "arch.usda"))
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    mesh = UsdGeom.Mesh.Define(stage, "/arch")
+    stage.SetDefaultPrim(mesh.GetPrim())
+    mesh.CreatePointsAttr(meshes["arch"].vertices.tolist())
+    mesh.CreateFaceVertexCountsAttr([3] * len(meshes["arch"].faces))
+    mesh.CreateFaceVertexIndicesAttr(meshes["arch"].faces.ravel().tolist())
+    stage.Save()
+    terrain = Terrain.load(tmp_path / "arch.usda")
+    assert terrain.look == tmp_path / "arch.usda"
+    assert terrain.below([[0, 0, 10], [0, 0, 25]]).tolist() == [False, True]
+
+
+def test_faces_that_look_the_wrong_way_are_turned(meshes, tmp_path):
+    points = around(500)
+    for name, wrong in (("flipped", np.ones), ("mixed", lambda n: RNG.uniform(size=n) < 0.3)):
+        faces = meshes["cave"].faces.copy()
+        turned = np.asarray(wrong(len(faces)), bool)
+        faces[turned] = faces[turned, ::-1]
+        trimesh.Trimesh(meshes["cave"].vertices, faces, process=False).export(tmp_path / f"{name}.ply")
+        terrain = Terrain.load(tmp_path / f"{name}.ply")
+        np.testing.assert_array_equal(terrain.below(points), rock("cave", points))
+        audited = _Ground(*trimesh_of(tmp_path / f"{name}.ply"))
+        np.testing.assert_array_equal(audited.away(points) < 0, rock("cave", points))
+
+
+def trimesh_of(file):
+    mesh = trimesh.load(file, process=False)
+    return np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int64)
+
+
+def test_the_rock_below_an_open_sheet_with_an_overhang_is_closed(tmp_path):
+    """A sheet without sides and bottom that folds over itself, as sculpting tools export it."""
+    profile = np.array([(-20, 0), (5, 0), (3, 8), (-4, 9), (-4, 12), (8, 14), (20, 14)], float)
+    y = np.array([-10.0, 10.0])
+    vertices = np.array([(x, side, z) for x, z in profile for side in y])
+    faces = [f for k in range(len(profile) - 1) for i in [2 * k] for f in ((i, i + 2, i + 3), (i, i + 3, i + 1))]
+    trimesh.Trimesh(vertices, faces, process=False).export(tmp_path / "fold.ply")
+    terrain = Terrain.load(tmp_path / "fold.ply")
+    assert len(open_edges(terrain.surface.faces)) == 2 * (len(profile) - 1) + 2
+    free = terrain.below([[-2, 0, 4], [-2, 0, 10.5], [-10, 0, -3], [10, 0, 5], [-10, 0, 5], [4.5, 9.9, 3]])
+    assert free.tolist() == [False, True, True, True, False, True]
+    assert terrain.height([[-2, 0]])[0] == pytest.approx(0)
+
+
+def test_the_surface_is_part_of_the_content(terrains):
+    arch = terrains["arch"]
+    moved = replace(arch, surface=replace(arch.surface, points=arch.surface.points * (1 + 1e-9)))
+    assert len({arch.content_hash, moved.content_hash, replace(arch, surface=None).content_hash}) == 3
+
+
+# ---------------------------------------------------------------- distances
+
+
+@pytest.fixture(scope="module")
+def poses():
+    """Random poses, half of them close to the arch, and none that reaches beyond the borders."""
+    near = RNG.uniform((-12, -22, 3), (12, 22, 34), (200, 3))
+    far = RNG.uniform((-33, -23, 0), (33, 23, 38), (200, 3))
+    return np.vstack([near, far]), Rotation.random(400, rng=RNG).as_quat(scalar_first=True)
+
+
+@pytest.mark.parametrize("name", ["arch", "cave"])
+def test_clearance_is_exact_against_elementary_geometry(terrains, vehicle, hulls, poses, name):
+    found = World(terrains[name]).clearance(vehicle, *poses)
+    exact, free = ExactDistance(terrains[name]), np.flatnonzero(found > 0)
+    assert len(free) > 80
+    for k in free:
+        placed = [Rotation.from_quat(poses[1][k], scalar_first=True).apply(hull) + poses[0][k] for hull in hulls]
+        assert found[k] == pytest.approx(min(map(exact, placed)), abs=1e-6)
+
+
+def test_clearance_agrees_with_mujoco_on_the_boxes_of_the_arch(terrains, vehicle, poses):
+    boxes = [
+        obstacles.box(f"box{k}", (*((np.add(low, high) / 2)[:2]), low[2]), np.subtract(high, low))
+        for k, (low, high) in enumerate((GROUND, *LEGS, LINTEL))
+    ]
+    found = World(terrains["arch"]).clearance(vehicle, *poses)
+    expected = World(obstacles=boxes).clearance(vehicle, *poses)
+    np.testing.assert_array_equal(found > 0, expected > 0)
+    np.testing.assert_allclose(found[found > 0], expected[found > 0], atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["arch", "cave"])
+def test_clearance_agrees_with_coal(terrains, vehicle, hulls, poses, name):
+    coal = pytest.importorskip("coal")
+    terrain = terrains[name]
+
+    def model(points, faces):
+        made = coal.BVHModelOBBRSS()
+        made.beginModel(len(faces), len(points))
+        corners, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+        corners.extend(np.asarray(point, float) for point in points)
+        triangles.extend(coal.Triangle(*map(int, face)) for face in faces)
+        made.addSubModel(corners, triangles)
+        made.endModel()
+        return made
+
+    from scipy.spatial import ConvexHull
+
+    ground = model(terrain.vertices, terrain.faces)
+    bodies = [model(hull, ConvexHull(hull).simplices) for hull in hulls]
+    found = World(terrain).clearance(vehicle, *poses)
+    for k in np.flatnonzero(found > 0):
+        pose = coal.Transform3s(Rotation.from_quat(poses[1][k], scalar_first=True).as_matrix(), poses[0][k])
+        gaps = [
+            coal.distance(body, pose, ground, coal.Transform3s(), coal.DistanceRequest(), coal.DistanceResult())
+            for body in bodies
+        ]
+        assert found[k] == pytest.approx(min(gaps), abs=1e-5)
+
+
+def test_a_pose_around_a_small_floating_rock_is_inside(meshes, vehicle, tmp_path):
+    pebble = trimesh.creation.icosphere(2, 0.2).apply_translation([20, 20, 12])
+    trimesh.util.concatenate([meshes["arch"], pebble]).export(tmp_path / "pebble.ply")
+    terrain = Terrain.load(tmp_path / "pebble.ply")
+    assert World(terrain).clearance(vehicle, [[20, 20, 11]], [[1, 0, 0, 0]])[0] < 0
+
+
+def test_beyond_the_borders_the_ground_continues(terrains, vehicle):
+    found = World(terrains["arch"]).clearance(vehicle, [[60, 0, 2], [60, 0, -1], [43, 0, 2]], [[1, 0, 0, 0]] * 3)
+    assert found[0] == pytest.approx(2) and found[1] < 0 and found[2] == pytest.approx(2)
+
+
+@pytest.mark.parametrize("name", ["arch", "cave"])
+def test_the_field_has_the_sign_and_the_distance_of_the_surface(terrains, name):
+    terrain = terrains[name]
+    field = distance_field(terrain, spacing=2.0)
+    grid = np.stack(
+        np.meshgrid(*(field.lower[k] + 2 * np.arange(0, field.distances.shape[k], 2) for k in range(3)), indexing="ij"),
+        -1,
+    )
+    inner = (grid > terrain.lower + 1e-3).all(axis=-1) & (grid < terrain.upper - 1e-3).all(axis=-1)
+    points = grid[inner]
+    audited = _Ground(terrain.vertices, terrain.faces).away(points)
+    found = field.distances[::2, ::2, ::2][inner]
+    clear = np.abs(found) > 1e-3
+    np.testing.assert_array_equal(found[clear] < 0, rock(name, points[clear]))
+    free = clear & (found > 0) & (found < 16)
+    np.testing.assert_allclose(found[free], audited[free], atol=1e-4)
+
+
+def test_a_route_leads_through_the_arch_and_out_of_the_cave(terrains):
+    through = World(terrains["arch"]).route((-30, 0, 10), (30, 0, 10), clearance=3.0)
+    assert through[:, 2].max() < 22
+    out = World(terrains["cave"]).route((-5, 0, 8), (35, 20, 8), clearance=2.0)
+    assert not terrains["cave"].below(out).any() and np.abs(out[:, 1][(out[:, 0] > 12) & (out[:, 0] < 25)]).max() < 5
+
+
+# ---------------------------------------------------------------- the audit of a stage
+
+
+@pytest.mark.parametrize("name", ["arch", "cave"])
+def test_the_audit_of_a_stage_sees_the_same_sides_and_ground(terrains, meshes, name):
+    ground = _Ground(np.asarray(meshes[name].vertices, float), np.asarray(meshes[name].faces, np.int64))
+    points = around(1000)
+    np.testing.assert_array_equal(ground.away(points) < 0, rock(name, points))
+    np.testing.assert_allclose(
+        ground.height(np.array([[0.3, 0.2, 0.1], [0.3, 0.2, 40]])), [0, {"arch": 30, "cave": 24}[name]], atol=1e-6
+    )

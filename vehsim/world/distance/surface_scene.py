@@ -1,0 +1,101 @@
+"""The exact distance between a vehicle's convex hulls and terrain with overhangs, by FCL's bounding volumes.
+
+`scene.py` measures height fields, for which MuJoCo has a geom; it has none for a concave surface.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from vehsim.lie.quaternions import matrices
+from vehsim.rig.parts import collision_hulls
+from vehsim.rig.rig import Rig
+from vehsim.world.distance.scene import TOUCHING, checked_poses
+from vehsim.world.terrain.terrain import Terrain
+
+Array = NDArray[np.float64]
+
+
+class SurfaceScene:
+    """A terrain with a surface and one vehicle's hulls, for distance queries."""
+
+    def __init__(self, terrain: Terrain, rig: Rig) -> None:
+        import fcl
+        import igl
+        from scipy.spatial import ConvexHull
+
+        self.terrain = terrain
+        hulls = collision_hulls(rig.asset, rig.root or None)
+        shapes = [ConvexHull(hull) for hull in hulls]
+        self._corners = [hull[shape.vertices] for hull, shape in zip(hulls, shapes, strict=True)]
+        self._planes = [shape.equations for shape in shapes]
+        self._centres = np.array([0.5 * (c.min(axis=0) + c.max(axis=0)) for c in self._corners])
+        self._radii = np.array(
+            [np.linalg.norm(c - m, axis=1).max() for c, m in zip(self._corners, self._centres, strict=True)]
+        )
+        pairs = zip(hulls, shapes, strict=True)
+        self._hulls = [fcl.CollisionObject(_model(hull, shape.simplices)) for hull, shape in pairs]
+        self._mesh = np.ascontiguousarray(terrain.vertices), np.ascontiguousarray(terrain.faces)
+        self._rock = fcl.CollisionObject(_model(*self._mesh))
+        self._tree = igl.AABB()
+        self._tree.init(*self._mesh)
+        _, first = np.unique(igl.vertex_components(self._mesh[1]), return_index=True)
+        self._pieces = self._mesh[0][first]
+
+    def clearance(self, positions: ArrayLike, orientations: ArrayLike) -> Array:
+        """Signed distance (n,) m from the hulls to the terrain at rig-root poses (n, 3) m, (n, 4) w, x, y, z.
+
+        Exact in the air. A pose that touches the rock gives minus the distance of the hulls' deepest corner or centre
+        in it from the surface. Beyond the borders the ground continues level, and the result is at most the height
+        above it.
+        """
+        import fcl
+
+        positions, orientations = checked_poses(positions, orientations)
+        rotations = matrices(orientations)
+        away = self._signed(positions[:, None] + np.einsum("nij,hj->nhi", rotations, self._centres))
+        result = np.empty(len(positions))
+        for k, (position, turn, orientation) in enumerate(zip(positions, rotations, orientations, strict=True)):
+            lower, best = away[k] - self._radii, np.inf
+            for hull in np.argsort(lower):
+                if lower[hull] >= best or best <= 0:
+                    break
+                self._hulls[hull].setTransform(fcl.Transform(orientation, position))
+                inside = (
+                    (self._pieces - position) @ turn @ self._planes[hull][:, :3].T + self._planes[hull][:, 3]
+                ) <= 0
+                buried = away[k, hull] <= 0 or inside.all(axis=1).any()
+                best = 0.0 if buried else min(best, fcl.distance(self._hulls[hull], self._rock))
+            corners = np.concatenate(self._corners) @ turn.T + position
+            if best <= 0:
+                result[k] = min(-TOUCHING, self._signed(corners).min(), away[k].min())
+            else:
+                result[k] = min(best, self._above_level(corners))
+        return result
+
+    def _signed(self, points: Array) -> Array:
+        """Signed distances (...) m of points (..., 3) from the surface, negative in the rock."""
+        flat = np.ascontiguousarray(points.reshape(-1, 3))
+        squared, _, _ = self._tree.squared_distance(*self._mesh, flat)
+        away = np.where(self.terrain.below(flat), -1, 1) * np.sqrt(squared)
+        return np.asarray(away.reshape(points.shape[:-1]))
+
+    def _above_level(self, corners: Array) -> float:
+        """The smallest height m of corners (n, 3) beyond the borders above the ground there; inf without any."""
+        low, high = self.terrain.lower[:2], self.terrain.upper[:2]
+        beyond = corners[((corners[:, :2] < low) | (corners[:, :2] > high)).any(axis=1)]
+        return float((beyond[:, 2] - self.terrain.height(beyond[:, :2])).min(initial=np.inf)) if len(beyond) else np.inf
+
+
+def _model(points: Array, faces: NDArray[Any]) -> Any:
+    """Triangles with FCL's hierarchy of bounding volumes."""
+    import fcl
+
+    model = fcl.BVHModel()
+    model.beginModel(len(faces), len(points))
+    model.addSubModel(np.ascontiguousarray(points), np.ascontiguousarray(faces, dtype=np.int64))
+    model.endModel()
+    return model

@@ -1,0 +1,161 @@
+"""The surface of a terrain that is not a height field, so that the space below arches and in caves and tunnels is free.
+
+Distances are those of the file's own triangles (libigl's bounding boxes). The side of a point follows from its winding
+number (Barill et al. 2018), for which the rock below an open surface is closed by a skirt and a level bottom.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Faces = NDArray[np.int64]
+
+BELOW = 1.0
+"""Depth of the level bottom below the lowest point, m."""
+TOUCHED = 0.1
+"""Depth at which a point in the ground still touches it, m."""
+ABOVE = 1e-3
+"""Height above a face at which a point has to be free for the face to be ground, m."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Surface:
+    """Triangles between air and rock: ``points`` (n, 3) m and ``faces`` (m, 3), counter-clockwise seen from the air.
+
+    Below its borders the rock continues downwards.
+    """
+
+    points: Array
+    faces: Faces
+
+    @property
+    def normals(self) -> Array:
+        """Area vectors (m, 3) m^2 of the faces, twice their area long; they point into the air."""
+        a, b, c = (self.points[self.faces[:, k]] for k in range(3))
+        return np.cross(b - a, c - a)
+
+    @cached_property
+    def closed(self) -> tuple[Array, Faces]:
+        """Points and faces of the rock as a closed solid: the surface, a skirt below its borders, a level bottom."""
+        first, second = open_edges(self.faces).T
+        n, low = len(self.points), self.points[:, 2].min() - BELOW
+        foot = np.column_stack([self.points[:, :2], np.full(n, low)])
+        middle = np.append(self.points[:, :2].mean(axis=0), low)
+        sides = [(second, first, first + n), (second, first + n, second + n)]
+        bottom = (second + n, first + n, np.full(len(first), 2 * n))
+        faces = np.concatenate([self.faces, *(np.column_stack(corners) for corners in (*sides, bottom))])
+        return np.vstack([self.points, foot, middle]), np.ascontiguousarray(faces)
+
+    def inside(self, points: Array) -> NDArray[np.bool_]:
+        """Whether points (n, 3) m lie in the rock, (n,)."""
+        if not len(points):
+            return np.zeros(0, bool)
+        return np.asarray(self._turns.winding_number(np.ascontiguousarray(points))) > 0.5
+
+    @cached_property
+    def _turns(self) -> Any:
+        import igl
+
+        turns = igl.FastWindingNumberBVH()
+        turns.init(*self.closed)
+        return turns
+
+    @cached_property
+    def ground(self) -> Faces:
+        """The faces (k, 3) on which something can stand: they look up, and the space above them is free."""
+        normals = self.normals
+        up = self.faces[normals[:, 2] > 1e-9 * np.linalg.norm(normals, axis=1)]
+        above = self.points[up].mean(axis=1)
+        above[:, 2] += ABOVE
+        return np.ascontiguousarray(up[~self.inside(above)])
+
+    def floor(self, xy: Array) -> Array:
+        """Height (n,) m of the lowest ground at ``xy`` (n, 2) m, beyond the borders of the closest border point; nan
+        where there is none."""
+        low, high = self.points.min(axis=0), self.points.max(axis=0)
+        inset = 1e-7 * (high - low)[:2]  # a ray exactly along a border could miss
+        inner = np.clip(xy, low[:2] + inset, high[:2] - inset)
+        return self._ground_along(np.column_stack([inner, np.full(len(xy), low[2] - BELOW)]), 1.0)
+
+    def ground_below(self, points: Array) -> Array:
+        """Height (n,) m of the first ground below points (n, 3) m or up to `TOUCHED` above them; nan where there is
+        none."""
+        lift = np.array([0.0, 0.0, TOUCHED])
+        return self._ground_along(points + lift, -1.0)
+
+    def _ground_along(self, points: Array, direction: float) -> Array:
+        """Height (n,) m of the first ground straight up (1) or down (-1) from points (n, 3) m; nan where there is
+        none."""
+        if not len(points) or not len(self.ground):
+            return np.full(len(points), np.nan)
+        rays = np.tile([0.0, 0.0, direction], (len(points), 1))
+        hit, _, _ = self._ground_tree.intersect_ray_first(self.points, self.ground, np.ascontiguousarray(points), rays)
+        return np.where(np.asarray(hit) >= 0, heights_on(self.points[self.ground[hit]], points), np.nan)
+
+    @cached_property
+    def _ground_tree(self) -> Any:
+        import igl
+
+        tree = igl.AABB()
+        tree.init(self.points, self.ground)
+        return tree
+
+    @cached_property
+    def content_hash(self) -> str:
+        """A hash of the triangles."""
+        return hashlib.sha256(self.points.tobytes() + self.faces.tobytes()).hexdigest()
+
+
+def surface_of(points: Array, faces: Faces) -> Surface:
+    """The surface of a mesh file's triangles: corners at the same place are joined, and the faces look into the air."""
+    import igl
+
+    points, place = np.unique(points, axis=0, return_inverse=True)
+    faces = place.ravel()[faces]
+    distinct = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+    surface = Surface(points, np.ascontiguousarray(faces[distinct]))
+    if _consistent(surface.faces):
+        turned = np.full(len(surface.faces), _volumes(surface).sum() < 0)
+    else:
+        oriented, body = igl.bfs_orient(surface.faces)
+        surface = Surface(points, np.ascontiguousarray(oriented))
+        turned = (np.bincount(body, _volumes(surface)) < 0)[body]
+    return Surface(points, np.where(turned[:, None], surface.faces[:, ::-1], surface.faces))
+
+
+def heights_on(corners: Array, points: Array) -> Array:
+    """Height (n,) m at points (n, 2 or 3) m of the planes of triangles (n, 3, 3) that are not vertical."""
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    across = ((points[:, :2] - corners[:, 0, :2]) * normal[:, :2]).sum(axis=1)
+    return np.asarray(corners[:, 0, 2] - across / normal[:, 2])
+
+
+def open_edges(faces: Faces) -> Faces:
+    """The edges (k, 2) without a neighbour that runs the other way, each as often as it lacks one."""
+    edges = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    size = int(faces.max()) + 1
+    there, back = edges @ [size, 1], edges @ [1, size]
+    keys, first, counts = np.unique(there, return_index=True, return_counts=True)
+    others, their = np.unique(back, return_counts=True)
+    at = np.minimum(np.searchsorted(others, keys), len(others) - 1)
+    lacking = np.maximum(counts - np.where(others[at] == keys, their[at], 0), 0)
+    return np.repeat(edges[first], lacking, axis=0)
+
+
+def _consistent(faces: Faces) -> bool:
+    """Whether no two faces run along an edge in the same direction."""
+    edges = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    return len(np.unique(edges @ [int(faces.max()) + 1, 1])) == len(edges)
+
+
+def _volumes(surface: Surface) -> Array:
+    """The volume (m,) m^3 between each face and the level bottom, negative for a face that looks down."""
+    height = surface.points[surface.faces, 2].mean(axis=1) - surface.points[:, 2].min() + BELOW
+    return np.asarray(surface.normals[:, 2] * height / 2)
