@@ -30,6 +30,8 @@ class Problem:
     severity: Literal["error", "warning", "fault"] = "error"
     """"fault" means an error of vehsim itself: the input may be right."""
     subject: str = ""
+    fix: bool | int | float | str | None = None
+    """A value of the key that would do, for programs that offer to set it; None if there is none."""
 
     def __str__(self) -> str:
         warning = "warning: " if self.severity == "warning" else ""

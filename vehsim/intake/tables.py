@@ -165,7 +165,8 @@ def problems_of(errors: Any, root: Mapping[str, Any]) -> Iterator[Problem]:
             case kind:  # a validator's own error comes along as an object
                 context = error.get("ctx", {})
                 text = str(context.get("error") or WORDS.get(kind, error["msg"]).format_map(context))
-                yield Problem(key, text[0].lower() + text[1:], f"give {description}", value)
+                bound = context.get("le", context.get("ge"))
+                yield Problem(key, text[0].lower() + text[1:], f"give {description}", value, fix=bound)
 
 
 def locate(root: Mapping[str, Any], location: tuple[int | str, ...]) -> tuple[tuple[int | str, ...], str, list[str]]:

@@ -85,18 +85,46 @@ class Document:
         self._push(tomlkit.dumps(document))
 
     def put(self, key: str, value: Any) -> None:
-        """Set what a dotted key such as ``vehicle[0].motion.mark[1].frame`` names; None removes it."""
+        """Set what a dotted key such as ``vehicle[0].motion.mark[1].frame`` names; None removes it.
+
+        Tables that are missing are added. Raises ``InputError`` if the file has no such place.
+        """
         import tomlkit
 
         document: Any = tomlkit.parse(self.text)
         *path, last = (int(index) if index else name for name, index in KEY.findall(key))
         table = document
-        for part in path:
-            table = table[part]
-        if value is None:
-            del table[last]
-        else:
-            table[last] = value
+        try:
+            for part in path:
+                if isinstance(table, dict) and part == 0:  # a single [camera] table
+                    continue
+                if isinstance(table, dict) and part not in table:
+                    table[part] = tomlkit.table()
+                table = table[part]
+            if value is not None:
+                table[last] = value
+            elif last in table:
+                del table[last]
+        except (LookupError, TypeError, ValueError) as error:
+            raise InputError("no such place in the file", "change it there", key=key) from error
+        self._push(tomlkit.dumps(document))
+
+    def add_mark(self, vehicle: int, mark: int, values: dict[str, Any]) -> None:
+        """Insert a mark before the one at index ``mark``."""
+        import tomlkit
+
+        document: Any = tomlkit.parse(self.text)
+        marks = document["vehicle"][vehicle]["motion"]["mark"]
+        table = tomlkit.table()
+        table.update(values)
+        marks.insert(mark, table)
+        self._push(tomlkit.dumps(document))
+
+    def delete_mark(self, vehicle: int, mark: int) -> None:
+        import tomlkit
+
+        document: Any = tomlkit.parse(self.text)
+        del document["vehicle"][vehicle]["motion"]["mark"][mark]
         self._push(tomlkit.dumps(document))
 
     def undo(self) -> None:

@@ -38,6 +38,28 @@ class Pressed(_Message):
     kind: Literal["undo", "redo", "save", "export", "stop"]
 
 
+class Change(_Message):
+    """A value of the shot file; None removes it."""
+
+    kind: Literal["change"]
+    key: Annotated[str, Field(max_length=200)]
+    value: bool | int | Coordinate | Annotated[str, Field(max_length=200)] | None
+
+
+class AddMark(_Message):
+    """A mark where a planned vehicle is at ``frame``."""
+
+    kind: Literal["add_mark"]
+    vehicle: str
+    frame: Frame
+
+
+class DeleteMark(_Message):
+    kind: Literal["delete_mark"]
+    vehicle: str
+    mark: Annotated[int, Field(ge=0)]
+
+
 class Drive(_Message):
     """Take the controls of a vehicle: from its first frame, or after ``frame`` of its recording."""
 
@@ -53,7 +75,7 @@ class Sticks(_Message):
     values: Annotated[list[Annotated[float, Field(ge=-1, le=1, allow_inf_nan=False)]], Field(max_length=64)]
 
 
-Message = Moved | Pressed | Drive | Sticks
+Message = Moved | Pressed | Change | AddMark | DeleteMark | Drive | Sticks
 _ADAPTER: TypeAdapter[Message] = TypeAdapter(Annotated[Message, Field(discriminator="kind")])
 
 

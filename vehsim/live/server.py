@@ -21,7 +21,7 @@ from urllib.parse import parse_qs, urlsplit
 
 from vehsim.errors import InputError, VehsimError
 from vehsim.exporters.web.html import PAGE, page
-from vehsim.live.messages import Drive, Message, Moved, Sticks, parse
+from vehsim.live.messages import AddMark, Change, DeleteMark, Drive, Message, Moved, Sticks, parse
 from vehsim.live.session import Session, Superseded
 from vehsim.runtime.registry import whose_error
 
@@ -35,7 +35,7 @@ MAX_MESSAGE = 65_536
 EVERY = 0.1
 """Shortest time between two progress messages, s."""
 OWN = Path(__file__).parent / "page"
-SCRIPTS = (PAGE / "three.min.js", PAGE / "viewer.js", OWN / "live.js", OWN / "drive.js")
+SCRIPTS = (PAGE / "three.min.js", PAGE / "viewer.js", OWN / "live.js", OWN / "edit.js", OWN / "drive.js")
 POLICY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src blob: data:; connect-src 'self'"
 )
@@ -191,6 +191,9 @@ class Server:
                 await self._solve(lambda: session.place(message))
             elif isinstance(message, Drive):
                 await self._drive(message)
+            elif isinstance(message, Change | AddMark | DeleteMark):
+                change = getattr(session, message.kind)
+                await self._solve(lambda: change(message))
             elif message.kind == "stop":  # that it came has ended the drive
                 return
             elif message.kind in ("undo", "redo"):

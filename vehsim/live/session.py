@@ -16,10 +16,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vehsim.errors import InputError, VehsimError
+from vehsim.errors import InputError, Problem, VehsimError
+from vehsim.exporters.usd.sampling import clip_at
 from vehsim.exporters.web.scene import Kinematics, draft_block, live_block, motion_block, movable, scene_block
-from vehsim.live.document import Document
-from vehsim.live.messages import Drive, Moved
+from vehsim.live.document import DECIMALS, Document
+from vehsim.live.messages import AddMark, Change, DeleteMark, Drive, Moved
+from vehsim.live.settings import Setting, settings
+from vehsim.shot.checks import variants_of
 
 if TYPE_CHECKING:
     from vehsim.clip.clip import Clip
@@ -57,7 +60,9 @@ class Session:
         """Set it to stop the present solve at its next iteration."""
         self.shot: Shot | None = None
         self.take: Take | None = None
-        self.problems: list[str] = []
+        self.problems: list[dict[str, Any]] = []
+        """Errors and warnings for the page: ``text``, and a ``key`` and the ``fix`` that would do if there is one."""
+        self.settings: list[Setting] = []
         self.sticks: Sticks | None = None
         """Those of the vehicle that is driven now."""
         self._solved = ""
@@ -85,6 +90,7 @@ class Session:
             "problems": self.problems,
             "handles": [vars(handle) for handle in self.handles()],
             "drives": self.drives(),
+            "settings": [vars(setting) for setting in self.settings],
         }
 
     @property
@@ -112,6 +118,7 @@ class Session:
 
         self.superseded.clear()
         text = self.document.text
+        self.settings = settings(self.document.data)
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             try:
@@ -120,11 +127,15 @@ class Session:
                 )
                 self._reuse_world(shot)
                 self.shot = shot
+                self.settings = settings(
+                    self.document.data, [variants_of(shot.vehicle(v).rig) for v in shot.file.vehicle]
+                )
                 take = shot.solve(self._progress)
             except VehsimError as error:
-                self.problems = [str(problem) for problem in error.problems]
+                self.problems = [_shown(problem) for problem in error.problems]
                 return None
-        self.problems = list(dict.fromkeys(str(one.message) for one in caught if issubclass(one.category, UserWarning)))
+        texts = dict.fromkeys(str(one.message) for one in caught if issubclass(one.category, UserWarning))
+        self.problems = [{"text": text} for text in texts]
         shown, self.take, self._solved = self.take, take, text
         if shown is not None and self._kinematics is not None and self._kinematics.can_show(take):
             return motion_block(take, self._kinematics)
@@ -183,8 +194,64 @@ class Session:
         if shown is not None and drawn is not None and self.take is not None and moved.frame is None:
             away = _apart(drawn.clip(), self.take.clips[moved.vehicle])
             if away > VISIBLE:
-                self.problems.append(f"{moved.vehicle}: the solved motion is up to {away:.2g} m from the dragged one")
+                text = f"{moved.vehicle}: the solved motion is up to {away:.2g} m from the dragged one"
+                self.problems.append({"text": text})
         return shown
+
+    # ------------------------------------------------------------ change
+
+    def change(self, change: Change) -> bytes | None:
+        """Set a value of the file and `solve`: one of the ``settings``, or the fix of a problem."""
+        setting = next((one for one in self.settings if one.key == change.key), None)
+        fixed = any(one.get("key") == change.key and one.get("fix") == change.value for one in self.problems)
+        if setting is None and not fixed:
+            raise InputError("cannot be changed here", "change it in the file", key=change.key)
+        if isinstance(change.value, str) and not (setting and change.value in setting.choices):
+            raise InputError("no such choice", key=change.key, value=change.value)
+        value = change.value
+        if setting and setting.kind == "integer" and isinstance(value, float) and value.is_integer():
+            value = int(value)
+        self.document.put(change.key, value)
+        return self.solve()
+
+    def add_mark(self, wanted: AddMark) -> bytes | None:
+        """Add a mark where a planned vehicle is at a frame, and `solve`."""
+        at, table = self._planned(wanted.vehicle)
+        assert self.take is not None and self.shot is not None
+        frames = [mark.frame for mark in table.motion.mark]
+        whole = [frame for frame in frames if isinstance(frame, int)]
+        if wanted.frame in whole or not whole[0] < wanted.frame:
+            raise InputError("needs a frame of its own after the first mark", key="frame", value=wanted.frame)
+        clip = self.take.clips[wanted.vehicle]
+        place = clip_at(clip, np.array([float(wanted.frame)])).positions[0]
+        if clip.vehicle.group.planar and self.shot.world.terrain is not None:
+            place[2] = self.shot.world.height(place[None, :2])[0]
+        index = next(
+            (k for k, frame in enumerate(frames) if isinstance(frame, int) and frame > wanted.frame), len(frames)
+        )
+        values = {"frame": wanted.frame, "position": [round(x, DECIMALS) for x in place.tolist()]}
+        self.document.add_mark(at, index, values)
+        return self._again(wanted.vehicle)
+
+    def delete_mark(self, wanted: DeleteMark) -> bytes | None:
+        """Delete a mark of a planned vehicle, and `solve`."""
+        at, table = self._planned(wanted.vehicle)
+        if wanted.mark >= len(table.motion.mark):
+            raise InputError("no such mark", "reload the page", key=f"{wanted.vehicle}.mark[{wanted.mark}]")
+        self.document.delete_mark(at, wanted.mark)
+        return self._again(wanted.vehicle)
+
+    def _planned(self, name: str) -> tuple[int, Any]:
+        """The index and the table of a vehicle with marks of its own. Raises ``InputError``."""
+        for k, table in enumerate(self.shot.file.vehicle if self.shot and self.take else ()):
+            if table.name == name and getattr(table.motion, "mark", None):
+                return k, table
+        raise InputError("has no marks", "choose a planned vehicle", key=name)
+
+    def _again(self, name: str) -> bytes | None:
+        """`solve` for other marks: drafts of the old ones are of no use."""
+        self._drafts.pop(name, None)
+        return self.solve()
 
     # ------------------------------------------------------------ drive
 
@@ -231,7 +298,7 @@ class Session:
         if self.solved:
             self.take.clips[name].save(path)
         if made.problem is not None:
-            self.problems.append(f"the simulation ended: {made.problem}")
+            self.problems.append({"text": f"the simulation ended: {made.problem}"})
         return shown
 
     def _unused(self, stem: str) -> Path:
@@ -278,6 +345,12 @@ class Session:
             options = table.motion.options()
             self._drafts[name] = draft(vehicle, world, marks, self.take.clips[name], fps=self.shot.fps, **options)
         return self._drafts[name]
+
+
+def _shown(problem: Problem) -> dict[str, Any]:
+    """A problem for the page."""
+    fix = {} if problem.fix is None else {"key": problem.key, "fix": problem.fix}
+    return {"text": str(problem), **fix}
 
 
 def _apart(a: Clip, b: Clip) -> float:

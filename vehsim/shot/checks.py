@@ -81,19 +81,22 @@ def check_copied(key: str, asset: str, file: Path, homes: Sequence[Path], export
             yield Problem(key, message, 'put it there, or give export.outside = "copy" to copy it', asset)
 
 
+def variants_of(rig: Rig | None) -> dict[str, list[str]]:
+    """The variant sets on the root prim of a vehicle's asset, and the variants in each."""
+    stage = None if rig is None else open_stage(rig.asset)
+    root = stage and (stage.GetPrimAtPath(f"/{rig.root.strip('/')}") if rig and rig.root else stage.GetDefaultPrim())
+    sets = {} if not root else {name: root.GetVariantSet(name) for name in root.GetVariantSets().GetNames()}
+    found = {name: list(each.GetVariantNames()) for name, each in sets.items()}
+    if rig is not None and any(drive.disc for drive in rig.drives.values()):
+        found["rotor"] = ["blades", "disc"]  # made with the animation layer
+    return found
+
+
 def check_variants(key: str, given: Mapping[str, str], rig: Rig | None) -> Iterator[Problem]:
     """Every requested variant set and variant is on the root prim of the vehicle's asset."""
     if not given:
         return
-    stage = None if rig is None else open_stage(rig.asset)
-    root = stage and (stage.GetPrimAtPath(f"/{rig.root.strip('/')}") if rig and rig.root else stage.GetDefaultPrim())
-    sets = (
-        {}
-        if not root
-        else {name: root.GetVariantSet(name).GetVariantNames() for name in root.GetVariantSets().GetNames()}
-    )
-    if rig is not None and any(drive.disc for drive in rig.drives.values()):
-        sets = {**sets, "rotor": ["blades", "disc"]}  # made with the animation layer
+    sets = variants_of(rig)
     for name, variant in given.items():
         if name not in sets:
             remedy = did_you_mean(name, sets) if sets else "the asset has none: remove variants"

@@ -59,7 +59,7 @@
       element("bar").firstChild.style.width = 0;
       status(`${state.file}${state.changed ? " (not saved)" : ""}: ${state.solved ? "solved" : "not solved"}`);
       list(state.problems);
-      if (!vehsim.viewer && state.problems.length) vehsim.say(state.problems.join("\n"));
+      if (!vehsim.viewer && state.problems.length) vehsim.say(state.problems.map((one) => one.text).join("\n"));
     } else if (message.kind === "progress") {
       element("bar").firstChild.style.width = `${100 * message.done}%`;
       status(message.text);
@@ -67,14 +67,22 @@
     } else if (message.kind === "drafted") status(`dragging: solved again in ${Math.round(1000 * message.seconds)} ms`);
     else if (message.kind === "undrawn") status(`no motion: ${message.text}`);
     else if (message.kind === "said") status(message.text);
-    else if (message.kind === "refused") list([message.text]);
+    else if (message.kind === "refused") list([{ text: message.text }]);
     vehsim.drive.told(message);
+    vehsim.edit.told(message);
     for (const [kind, button] of Object.entries(buttons))
       button.disabled = !editor || !state || { undo: !state.undo, redo: !state.redo, save: !state.changed, export: !state.solved }[kind];
   }
 
   function list(problems) {
-    element("problems").replaceChildren(...problems.map((text) => Object.assign(document.createElement("p"), { textContent: text })));
+    element("problems").replaceChildren(...problems.map(({ text, key, fix }) => {
+      const shown = Object.assign(document.createElement("p"), { textContent: text });
+      if (fix === undefined) return shown;
+      const button = Object.assign(document.createElement("button"), { textContent: `set ${key.split(".").pop()} = ${fix}`, className: "fix" });
+      button.addEventListener("click", () => send({ kind: "change", key, value: fix }));
+      shown.append(" ", button);
+      return shown;
+    }));
   }
 
   async function shown(buffer) {

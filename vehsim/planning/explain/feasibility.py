@@ -36,12 +36,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Refusal:
-    """Why a mark cannot be met: its ``key``, the message and the remedy."""
+    """Why a mark cannot be met: its ``key``, the message, the remedy, and a value that would do, if there is one."""
 
     mark: Mark
     key: str
     message: str
     remedy: str
+    fix: float | None = None
 
     def __str__(self) -> str:
         return f"{self.mark.name}.{self.key}: {self.message}; {self.remedy}"
@@ -68,7 +69,8 @@ def _alone(request: Request, mark: Mark) -> list[Refusal]:
     if speed is not None and speed > top:
         key = "speed" if mark.velocity is None else "velocity"
         message = f"{speed:.3g} m/s, {request.speed_limit()}"
-        found.append(Refusal(mark, key, message, f"use at most {top:g} m/s, or raise it"))
+        fix = top if key == "speed" else None
+        found.append(Refusal(mark, key, message, f"use at most {top:g} m/s, or raise it", fix))
     ceiling = limits.get("ceiling")
     if mark.position is not None and mark.position[2] - mark.tolerance > ceiling and request.vehicle.group.dim == 6:
         message = f"{mark.position[2]:g} m high, ceiling {ceiling:g}"
@@ -124,8 +126,10 @@ def _looks_elsewhere(mark: Mark, term: Constraint) -> list[Refusal]:
     off = abs((mark.heading - wanted + 180) % 360 - 180)
     if off <= within + 0.1:
         return []
-    remedy = f"give heading = {(wanted + 180) % 360 - 180:.3g}, or leave it free"
-    return [Refusal(mark, "heading", f"{off:.3g} degrees off the direction that {term.name!r} requires", remedy)]
+    wanted = (wanted + 180) % 360 - 180
+    remedy = f"give heading = {wanted:.3g}, or leave it free"
+    message = f"{off:.3g} degrees off the direction that {term.name!r} requires"
+    return [Refusal(mark, "heading", message, remedy, round(wanted, 1))]
 
 
 def _outside(request: Request, mark: Mark, term: Constraint) -> list[Refusal]:
@@ -169,7 +173,7 @@ def _between(request: Request, i: int, j: int, delay: int) -> tuple[list[Refusal
             reasons.append((f"{turn / seconds:.3g} deg/s, limit {rate:.3g}", turn / rate))
     if not reasons:
         return [], 0
-    least, later = max(least for _, least in reasons), 0
+    least, later, at = max(least for _, least in reasons), 0, None
     if math.isinf(least):
         remedy = "move it nearer"
     else:
@@ -185,7 +189,7 @@ def _between(request: Request, i: int, j: int, delay: int) -> tuple[list[Refusal
         remedy = f"not before {at}" if found is None or blocked else remedy
         if any(mark.frame != "free" and mark.place > b.place for mark in request.marks):
             remedy += f", with all later marks moved by {delay + later} frames"
-    return [Refusal(b, "frame", f"{frames} need {message}", remedy) for message, _ in reasons], later
+    return [Refusal(b, "frame", f"{frames} need {message}", remedy, at) for message, _ in reasons], later
 
 
 def _too_far(request: Request, placed: list[Mark], seconds: float) -> list[tuple[str, float]]:

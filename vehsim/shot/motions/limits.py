@@ -145,4 +145,5 @@ def check_request(
         return
     for refusal in refusals(request):
         value = getattr(refusal.mark, refusal.key)
-        yield Problem(f"{refusal.mark.name}.{refusal.key}", refusal.message, refusal.remedy, value)
+        key = f"{refusal.mark.name}.{refusal.key}"
+        yield Problem(key, refusal.message, refusal.remedy, value, fix=refusal.fix)

@@ -1,0 +1,131 @@
+"""Settings, remedies and marks: what the page offers to change, and what each change does to the file."""
+
+import asyncio
+import tomllib
+
+import pytest
+
+pytest.importorskip("websockets", reason='needs the extra: pip install "vehsim[live]"')
+
+from tests.live.test_server import SHOT, browser, served, texts
+from vehsim.errors import InputError
+from vehsim.live.document import Document
+from vehsim.live.settings import settings
+from vehsim.shot.schema.shot_file import parse
+
+
+def listed(text, variants=()):
+    return {one.key: one for one in settings(tomllib.loads(text), variants)}
+
+
+def segments_of(state):
+    return next(one["value"] for one in state["settings"] if one["key"].endswith("segments"))
+
+
+def test_settings_come_from_the_models():
+    found = listed(
+        SHOT + "limits = { speed = 5 }\n[camera]\nlens_mm = 50\n[[world.water.wave]]\nheight = 1\nlength = 9\n"
+    )
+    clearance = found["vehicle[0].motion.clearance"]
+    assert (clearance.kind, clearance.value, clearance.default, clearance.low) == ("number", None, 1.0, 0)
+    assert clearance.about.startswith("the least distance from obstacles")
+    assert found["vehicle[0].motion.segments"].value == 8 and found["vehicle[0].motion.segments"].kind == "integer"
+    assert "energy" in found["vehicle[0].motion.cost"].choices
+    assert "vehicle[0].motion.limits.bank" in found  # a table that is not given, all of whose keys may be left out
+    assert found["vehicle[0].motion.mark[1].frame"].value == 1073
+    assert found["world.water.wave[0].height"].value == 1 and found["camera.rig"].default == "chase"
+    assert found["camera.lens_mm"].value == 50
+    assert not any(one.endswith(("file", "path", "name")) for one in found)  # no texts
+
+
+def test_weights_of_a_cost_and_liveries_are_settings():
+    text = SHOT.replace("segments = 8", "segments = 8\ncost = { effort = 1 }")
+    found = listed(text, [{"livery": ["red", "blue"]}])
+    assert found["vehicle[0].motion.cost.effort"].value == 1 and found["vehicle[0].motion.cost.time"].value is None
+    assert found["vehicle[0].variants.livery"].choices == ("red", "blue")
+
+
+@pytest.mark.parametrize("text", ["vehicle = 3", "[[vehicle]]\nmotion = 5", "[camera]\nlens_mm = []", "world = [1]"])
+def test_a_broken_file_has_settings_too(text):
+    assert "render.every" in listed(text)
+
+
+def test_each_change_leaves_the_rest_of_the_file(tmp_path):
+    path = tmp_path / "drive.toml"
+    path.write_text(SHOT + "[camera]\nlens_mm = 50 # long\n")
+    document = Document(path)
+    document.put("vehicle[0].motion.clearance", 0.5)
+    document.put("vehicle[0].motion.limits.speed", 4.0)
+    document.put("camera.lens_mm", 85)
+    document.put("vehicle[0].variants.livery", "red")
+    document.put("vehicle[0].motion.segments", None)
+    document.put("vehicle[0].motion.loop", None)  # it is not there
+    data = document.data
+    motion = data["vehicle"][0]["motion"]
+    assert motion["clearance"] == 0.5 and motion["limits"] == {"speed": 4.0} and "segments" not in motion
+    assert data["camera"] == {"lens_mm": 85} and data["vehicle"][0]["variants"] == {"livery": "red"}
+    assert "# the garage" in document.text and "# long" in document.text
+    document.put("camera[0].lens_mm", 20)  # as a problem names it
+    assert document.data["camera"] == {"lens_mm": 20}
+    for wrong in ("vehicle[7].motion.loop", "shot.name.first", "vehicle[0].motion.mark.frame"):
+        before = document.text
+        with pytest.raises(InputError, match="no such place"):
+            document.put(wrong, 1)
+        assert document.text == before
+    for _ in range(6):
+        document.undo()
+    assert document.text == SHOT + "[camera]\nlens_mm = 50 # long\n"
+
+
+def test_marks_are_added_and_deleted_in_their_place(tmp_path):
+    path = tmp_path / "drive.toml"
+    path.write_text(SHOT)
+    document = Document(path)
+    document.add_mark(0, 1, {"frame": 1040, "position": [4.0, 0.5, 0.0]})
+    assert [mark["frame"] for mark in document.data["vehicle"][0]["motion"]["mark"]] == [1001, 1040, 1073]
+    assert "# the garage" in document.text
+    document.delete_mark(0, 1)
+    assert document.data == tomllib.loads(SHOT)
+
+
+def test_a_bound_comes_with_its_problem():
+    data = tomllib.loads(SHOT.replace("segments = 8", "segments = 1\nclearance = 2000"))
+    _, problems = parse(data)
+    assert {problem.key.rpartition(".")[2]: problem.fix for problem in problems} == {"segments": 2, "clearance": 1000}
+
+
+def test_the_page_fixes_changes_adds_and_deletes(tmp_path):
+    path = tmp_path / "drive.toml"
+    path.write_text(SHOT.replace("frame = 1073", "frame = 1010"))
+
+    async def play():
+        async with served(path) as address, browser(address) as page:
+            state = await page.until("state", lambda message: message["problems"])
+            (problem,) = [one for one in state["problems"] if "fix" in one]
+            assert problem["key"] == "vehicle[0].motion.mark[1].frame" and problem["fix"] > 1010
+            await page.send(kind="change", key=problem["key"], value=problem["fix"])
+            await page.until("scene")
+            state = await page.until("state", lambda message: message["solved"])
+            assert state["changed"] and state["handles"][1]["index"] == 1
+
+            await page.send(kind="change", key="vehicle[0].motion.segments", value=10)
+            await page.until("state", lambda message: message["solved"] and segments_of(message) == 10)
+
+            for key, value in (("shot.name", "x"), ("vehicle[0].asset", "/etc/passwd"), ("sweep", 1)):
+                await page.send(kind="change", key=key, value=value)
+                assert (await page.until("refused"))["text"]
+
+            middle = (1001 + problem["fix"]) // 2
+            await page.send(kind="add_mark", vehicle="car", frame=middle)
+            await page.until("state", lambda message: message["solved"] and len(message["handles"]) == 3)
+            for vehicle, frame in (("car", middle), ("boat", middle), ("car", 900)):
+                await page.send(kind="add_mark", vehicle=vehicle, frame=frame)
+                assert (await page.until("refused"))["text"]
+            await page.send(kind="delete_mark", vehicle="car", mark=3)
+            assert "no such mark" in (await page.until("refused"))["text"]
+            await page.send(kind="delete_mark", vehicle="car", mark=1)
+            await page.until("state", lambda message: message["solved"] and len(message["handles"]) == 2)
+            await page.send(kind="change", key="vehicle[0].motion.segments", value=1)
+            await page.until("state", lambda message: "at least 2" in texts(message) and not message["solved"])
+
+    asyncio.run(play())

@@ -1,0 +1,124 @@
+// Marks on the timeline, and widgets for the shot file's numbers, switches and choices, as the server lists them.
+"use strict";
+
+(() => {
+  const element = (id) => document.getElementById(id);
+  const live = () => vehsim.live;
+  let held = null;
+
+  // ---------------------------------------------------------------- marks on the timeline
+
+  function button(id, text, hint, act) {
+    const made = Object.assign(document.createElement("button"), { id, textContent: text, title: hint, disabled: true });
+    made.addEventListener("click", () => { act(); made.blur(); });
+    element("buttons").append(made);
+    return made;
+  }
+  const add = button("do-add", "+ mark", "a mark where the vehicle is at this frame", () =>
+    live().send({ kind: "add_mark", vehicle: subject(), frame: vehsim.viewer.frame }));
+  const remove = button("do-delete", "\u2212 mark", "delete the mark at this frame", () => {
+    const handle = here();
+    if (handle) live().send({ kind: "delete_mark", vehicle: handle.vehicle, mark: handle.index });
+  });
+
+  const subject = () => vehsim.viewer.follow || vehsim.viewer.vehicles[0];
+  const here = () => live().state.handles[vehsim.viewer.marks.findIndex((mark) => Math.round(mark.frame) === vehsim.viewer.frame)];
+
+  const track = element("track");
+  const frameAt = (event) => {
+    const box = track.getBoundingClientRect(), { first, last } = vehsim.viewer;
+    return Math.round(first + ((event.clientX - box.left) / box.width) * (last - first));
+  };
+  track.addEventListener("pointerdown", (event) => {
+    if (!event.target.classList.contains("mark") || !live().editor) return;
+    const k = [...track.querySelectorAll(".mark")].indexOf(event.target);
+    held = { k, shown: event.target, frame: null };
+    track.setPointerCapture(event.pointerId);
+    event.stopImmediatePropagation();
+  }, true);
+  track.addEventListener("pointermove", (event) => {
+    if (!held) return;
+    const { first, last } = vehsim.viewer;
+    held.frame = frameAt(event);
+    held.shown.style.left = `${(100 * (held.frame - first)) / Math.max(last - first, 1)}%`;
+    live().status(`mark at frame ${held.frame}`);
+    event.stopImmediatePropagation();
+  }, true);
+  for (const kind of ["pointerup", "pointercancel"]) track.addEventListener(kind, (event) => {
+    if (!held) return;
+    const { k, frame } = held, handle = live().state.handles[k];
+    held = null;
+    if (frame === null) vehsim.viewer.seek(vehsim.viewer.marks[k].frame);
+    else live().send({ kind: "place", vehicle: handle.vehicle, mark: handle.index, position: vehsim.viewer.rings[k].position.toArray(), frame });
+    event.stopImmediatePropagation();
+  }, true);
+
+  // ---------------------------------------------------------------- settings
+
+  const panel = Object.assign(document.createElement("div"), { id: "settings" });
+  document.head.append(Object.assign(document.createElement("style"), { textContent: `
+    #panel { max-height: calc(100% - 60px); overflow: auto; }
+    #settings summary { cursor: pointer; margin-top: 4px; overflow-wrap: anywhere; }
+    #settings label { justify-content: space-between; margin: 3px 0 3px 10px; }
+    #settings input[type="number"], #settings select { width: 7.5em; max-width: none; }
+    #settings .given { color: var(--ink); }
+    .fix { margin-left: 4px; border-color: var(--accent); }` }));
+  element("panel").append(panel);
+  let listed = "";
+
+  /** A group for each table, closed at first; an empty field is the default. */
+  function build(settings) {
+    const open = new Set([...panel.querySelectorAll("details[open]")].map((one) => one.dataset.table));
+    const tables = new Map();
+    for (const one of settings) {
+      const table = one.key.slice(0, Math.max(one.key.lastIndexOf("."), 0));
+      if (!tables.has(table)) tables.set(table, []);
+      tables.get(table).push(one);
+    }
+    panel.replaceChildren(...[...tables].map(([table, fields]) => {
+      const group = document.createElement("details");
+      group.dataset.table = table;
+      group.open = open.has(table);
+      group.append(Object.assign(document.createElement("summary"), { textContent: table }), ...fields.map(field));
+      return group;
+    }));
+  }
+
+  function field(one) {
+    const label = document.createElement("label"), name = one.key.split(".").pop();
+    label.title = one.about;
+    label.append(Object.assign(document.createElement("span"), { textContent: name, className: one.value === null ? "" : "given" }));
+    const input = document.createElement(one.kind === "choice" || one.kind === "boolean" ? "select" : "input");
+    input.id = `set-${one.key}`;
+    if (input.tagName === "SELECT") {
+      const choices = one.kind === "boolean" ? ["true", "false"] : one.choices;
+      const none = one.default === null ? "" : `(${one.default})`;
+      input.append(new Option(none, ""), ...choices.map((choice) => new Option(choice, choice)));
+      input.value = one.value === null ? "" : String(one.value);
+    } else {
+      Object.assign(input, { type: "number", step: one.kind === "integer" ? 1 : "any", placeholder: one.default === null ? "" : one.default });
+      if (one.low !== null) input.min = one.low;
+      if (one.high !== null) input.max = one.high;
+      input.value = one.value === null ? "" : one.value;
+    }
+    input.disabled = !live().editor;
+    input.addEventListener("change", () => {
+      const text = input.value;
+      const value = text === "" ? null : one.kind === "choice" ? text : one.kind === "boolean" ? text === "true" : Number(text);
+      live().send({ kind: "change", key: one.key, value });
+    });
+    label.append(input);
+    return label;
+  }
+
+  function told(message) {
+    const { state, editor } = live();
+    if (!state) return;
+    const now = JSON.stringify([state.settings, editor]);
+    if (now !== listed) build(state.settings);
+    listed = now;
+    add.disabled = remove.disabled = !(editor && vehsim.viewer && state.handles.length);
+  }
+
+  vehsim.edit = { told };
+})();
