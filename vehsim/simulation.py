@@ -54,11 +54,11 @@ def simulate(
       knot, in order, with the state predicted there; between knots, its results are interpolated linearly.
       ``reset()`` is called first.
 
-    ``step`` s is shortened, if necessary, to a whole fraction of a frame so that every frame is a knot; the duration is
-    rounded up to whole steps. ``world.wind`` acts through the vehicle's drag. A planar vehicle keeps its start height;
-    on a terrain, gravity pulls it along slopes, and its wheels follow the ground. Slopes are resolved where it can come
-    within the duration, or ``everywhere``: then the duration does not change the motion before its end.
-    ``difference_map`` and ``order`` as of `vehsim.integrators.Integrator`. Raises
+    ``step`` s is shortened, if necessary, to the vehicle's ``largest_step`` and to a whole fraction of a frame so that
+    every frame is a knot; the duration is rounded up to whole steps. ``world.wind`` acts through the vehicle's drag. A
+    planar vehicle keeps its start height; on a terrain, gravity pulls it along slopes, and its wheels follow the
+    ground. Slopes are resolved where it can come within the duration, or ``everywhere``: then the duration does not
+    change the motion before its end. ``difference_map`` and ``order`` as of `vehsim.integrators.Integrator`. Raises
     ``InputError`` naming key, value and remedy; ``SolveError`` with step, state and residual if a step fails.
     """
     from vehsim.integrators.forced import pushed, substeps
@@ -70,7 +70,7 @@ def simulate(
 
     rate = _frame_rate(fps)
     wanted = _positive("step", step, "a number of seconds, such as 1/240")
-    h = 1 / float(rate) / max(1, math.ceil(1 / float(rate) / wanted - 1e-9))
+    h = 1 / float(rate) / max(1, math.ceil(1 / float(rate) / min(wanted, vehicle.largest_step) - 1e-9))
     difference_map = difference_map or DEFAULT_MAP
     vehicle, start = _on_water(vehicle, world, start)
     table = None if callable(controls) else _table(vehicle, controls)
@@ -131,8 +131,9 @@ def simulate_together(
     from vehsim.world.contact.contact import Contact, ContactScene
 
     rate = _frame_rate(fps)
+    finest = min((mover.vehicle.largest_step for mover in movers.values()), default=math.inf)
     wanted = _positive("step", step, "a number of seconds, such as 1/240")
-    h = 1 / float(rate) / max(1, math.ceil(1 / float(rate) / wanted - 1e-9))
+    h = 1 / float(rate) / max(1, math.ceil(1 / float(rate) / min(wanted, finest) - 1e-9))
     steps = _steps(duration, np.zeros((1, 0)), wanted, h)
     prepared = []
     for name, mover in movers.items():

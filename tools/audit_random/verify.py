@@ -36,7 +36,14 @@ SLACK = 1.01
 """Factor by which a limit may be exceeded."""
 GRAVITY = 9.81
 FLIES = {"helicopter", "hopper", "tumbler"}
-ON_WHEELS = {"car": 0.004, "simple_car": 0.004, "truck": 0.006, "two_wheeled": 0.002, "snakeboard": 0.004}
+ON_WHEELS = {
+    "car": 0.004,
+    "simple_car": 0.004,
+    "drift_car": 0.004,
+    "truck": 0.006,
+    "two_wheeled": 0.002,
+    "snakeboard": 0.004,
+}
 """Asset -> largest distance of the corners of its wheels' meshes from level ground, m: they are polygons."""
 FADED = 12.0
 """Distance from a landing beyond which the full clearance from the ground is required, m."""
@@ -236,7 +243,7 @@ def _turned(path: str, kind: str, sign: float = 1.0) -> Callable[[Motion], Array
 
 
 JOINTS: dict[tuple[str, str], Callable[[Motion], Array]] = {
-    **{(asset, "sigma"): _steered for asset in ("car", "simple_car", "truck")},
+    **{(asset, "sigma"): _steered for asset in ("car", "simple_car", "drift_car", "truck")},
     ("truck", "hitch_1"): _turned("trailer_1", "rotateZ"),
     ("snakeboard", "psi"): _turned("torso", "rotateZ"),
     ("snakeboard", "phi"): _turned("truck_rear", "rotateZ"),

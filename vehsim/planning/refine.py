@@ -23,6 +23,13 @@ vehicle's greatest length and of the clearance; the least of them applies. Above
 LADDER = ((1, 4), (1, 6), (2, 6), (4, 6))
 """Discretisations of a plan in turn: factor on the requested number of segments, and order. Higher order is cheaper
 than more segments."""
+STIFF_LADDER = ((1, 2), (2, 2), (4, 2), (8, 2))
+"""The same for vehicles with a largest step: substeps of higher orders go back in time, where fast decay is growth."""
+
+
+def ladder(request: Request) -> tuple[tuple[int, int], ...]:
+    """The discretisations of a plan of this vehicle, in turn."""
+    return LADDER if math.isinf(request.vehicle.largest_step) else STIFF_LADDER
 
 
 def execution_tolerance(request: Request) -> float:
@@ -67,7 +74,9 @@ def refine(run: Run, iterate: Iterate, before: Iterate | None = None) -> Iterate
         iterate = resolve(run, iterate, before)
         iterate = replace(iterate, executed=iterate.run_controls())
     climbed = True
-    while climbed and ends_elsewhere(iterate) and iterate.rung < len(LADDER) - 1 and not run.deadline.cut:
+    while (
+        climbed and ends_elsewhere(iterate) and iterate.rung < len(ladder(iterate.request)) - 1 and not run.deadline.cut
+    ):
         iterate, climbed = _climb(run, iterate)
         if climbed:
             iterate = replace(iterate, executed=iterate.run_controls())
@@ -109,7 +118,7 @@ def _step(run: Run, iterate: Iterate, requested: int) -> tuple[Iterate, bool]:
 def _climb(run: Run, iterate: Iterate) -> tuple[Iterate, bool]:
     """The iterate on the next discretisation of the ladder, and whether it was solved there."""
     rung = iterate.rung + 1
-    times, order = LADDER[rung] if iterate.request.refine else (1, 2)
+    times, order = ladder(iterate.request)[rung] if iterate.request.refine else (1, 2)
     return _solved_on(run, replace(iterate, rung=rung), times * iterate.request.segments, order)
 
 

@@ -61,7 +61,8 @@ def begin(
     """The initial guess: along ``paths``, one per leg, or an unchanged ``clip``.
 
     ``stretch``: factor on the duration of free legs at cruising speed; ``blocks``: those of an earlier guess for the
-    same request, whose active sets are kept; ``coarse``: start on fewer segments than requested.
+    same request, whose active sets are kept; ``coarse``: start on fewer segments than requested,
+    unless the vehicle has a largest step.
     """
     marks, began = request.marks, time.monotonic()
     blocks = blocks_of(request, transcription, cover) if blocks is None else blocks
@@ -74,6 +75,7 @@ def begin(
     share_known_spans(durations, marks, request.fps)
     held = np.array([mark.hold > 0 for mark in marks[:-1]])
     close = any(isinstance(block, ObstacleClearance) for block in blocks) or bool(landings(marks))
+    coarse = coarse and math.isinf(request.vehicle.largest_step)  # interpolated, slips would exceed any grip
     segments = _coarse(request, paths, CLOSE if close else COARSE) if coarse else request.segments
     layout = Layout(transcription.sizes, split_segments(segments, durations, held))
     lengths = durations / np.array(layout.phases)

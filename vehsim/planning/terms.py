@@ -202,6 +202,11 @@ def _smoothness(s: SegmentView) -> Expr:
     return ca.sumsqr(s.c1 - s.c0) / s.h
 
 
+def _spin(s: SegmentView) -> Expr:
+    """Squared acceleration of the joints, integrated over time."""
+    return ca.sumsqr(s.end.joint_rates - s.start.joint_rates) / s.h
+
+
 def _easing(b: BendView) -> Expr:
     """Squared change of the rates of the controls over their scale, per second, integrated over time."""
     return ca.sumsqr((b.c2 - b.c1) / b.h1 - (b.c1 - b.c0) / b.h0) * 2 / (b.h0 + b.h1)
@@ -246,6 +251,7 @@ COSTS: Registry[Callable[[Any], Expr]] = Registry(
         "distance": _distance,
         "smoothness": _smoothness,
         "easing": _easing,
+        "spin": _spin,
         "course": _course,
         "energy": _work,
         "steering": _steered,

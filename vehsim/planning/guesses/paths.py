@@ -189,6 +189,15 @@ def _swing(vehicle: Vehicle, h: Array) -> tuple[Array, Array]:
     return r, np.diff(r, axis=0) / h[:, None]
 
 
+def _rolling(vehicle: Vehicle, xi: Array, h: Array) -> tuple[Array, Array]:
+    """Joints (n + 1, s) and rates (n, s) of wheels that roll straight ahead, though they might slip."""
+    assert vehicle.rolling is not None
+    straight, twist = ca.SX.zeros(len(vehicle.joints)), ca.SX.sym("twist", vehicle.group.dim)
+    rates = ca.Function("rates", [twist], [ca.densify(vehicle.rolling(straight, twist))])
+    u = np.array(rates(xi.T)).T
+    return np.vstack([np.zeros(u.shape[1]), np.cumsum(u * h[:, None], axis=0)]), u
+
+
 def _joints(vehicle: Vehicle, xi: Array, h: Array) -> tuple[Array, Array]:
     """Joints (n + 1, s) and rates (n, s) that fit twists ``xi`` (n, d) of the vehicle as well as possible.
 
@@ -197,6 +206,8 @@ def _joints(vehicle: Vehicle, xi: Array, h: Array) -> tuple[Array, Array]:
     """
     if swims(vehicle):
         return _swing(vehicle, h)
+    if vehicle.rolling is not None:
+        return _rolling(vehicle, xi, h)
     s, d, b = len(vehicle.joints), vehicle.group.dim, vehicle.basis(ca.SX.zeros(len(vehicle.joints))).shape[1]
     symbol: Any = ca.SX.sym("r", s)
     free: Any = ca.horzcat(vehicle.basis(symbol), -vehicle.connection(symbol))

@@ -6,7 +6,8 @@ This module holds what simulation, planning, clips and exporters need of any veh
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -75,6 +76,9 @@ class Definition:
     controls: tuple[Control, ...] = ()
     rate_controls: Mapping[str, str] = field(default_factory=dict)
     """Control name -> the joint whose rate it sets."""
+    rolling: Callable[[Expr, Expr], Expr] | None = None
+    """Joints (s,) and body twist (d,) -> the joint rates (s,) at which its wheels roll without slip, if they may slip.
+    A motion of unknown joint rates rolls. None: constraints determine the wheels, or there are none."""
     channels: Mapping[str, Channel] = field(default_factory=dict)
     joint_limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     default_costs: Mapping[str, float] = field(default_factory=dict)
@@ -83,6 +87,8 @@ class Definition:
     """The numbers for driving it calmly, normally or briskly."""
     top_speed: float = 340.0
     """The greatest speed of the root, m/s, in plans without a ``limits.speed``; default: the speed of sound."""
+    largest_step: float = math.inf
+    """The largest step of a simulation, s: with longer ones, a fast decay such as that of a tyre's slip alternates."""
     feels_wind: bool = False
     rig: Rig | None = None
     parameters: Mapping[str, Any] = field(default_factory=dict)

@@ -55,7 +55,9 @@ def internal(vehicle: Definition, state: State) -> tuple[Array, Array, Array, Ar
     u = _sized("joint_rates", state.joint_rates, s)
     basis, connection = (np.array(m) for m in kept(vehicle, "lift", lambda: _lift(vehicle))(r))
     connection = connection.reshape(len(basis), s)
-    if state.joint_rates is None and s:
+    if state.joint_rates is None and vehicle.rolling is not None:
+        u = _flat(kept(vehicle, "rolling", lambda: _rolling(vehicle))(r, group.velocity_to_body(g, xi)))
+    elif state.joint_rates is None and s:
         # first the motion with locked joints, then the joint rates that the rest of the twist needs
         rest = xi - basis[: group.dim] @ np.linalg.lstsq(basis[: group.dim], xi, rcond=None)[0]
         u = np.linalg.lstsq(connection[: group.dim], -rest, rcond=None)[0]
@@ -151,6 +153,13 @@ def _lift(vehicle: Definition) -> ca.Function:
     """``r -> (basis, connection)``"""
     r = ca.SX.sym("r", len(vehicle.joints))
     return ca.Function("lift", [r], [ca.densify(vehicle.basis(r)), ca.densify(vehicle.connection(r))])
+
+
+def _rolling(vehicle: Definition) -> ca.Function:
+    """``(r, twist) -> u``"""
+    assert vehicle.rolling is not None
+    r, twist = ca.SX.sym("r", len(vehicle.joints)), ca.SX.sym("twist", vehicle.group.dim)
+    return ca.Function("rolling", [r, twist], [ca.densify(vehicle.rolling(r, twist))])
 
 
 def _coefficients(vehicle: Definition) -> ca.Function:

@@ -131,7 +131,7 @@ def _warn_strain(clip: Clip, held: tuple[Array, Array], travels: dict[str, Array
 
     needed = np.hypot(*held) / GRAVITY
     name, travel = max(travels.items(), key=lambda item: np.abs(item[1]).max(), default=("", np.zeros(len(clip))))
-    if needed.max() > GRIP:
+    if needed.max() > GRIP and clip.vehicle.rolling is None:
         frame = clip.frames[int(needed.argmax())]
         message = (
             f"{needed.max():.1f} g at frame {frame:.0f}: more than the grip of tyres, but wheels never slip here; "

@@ -1,0 +1,203 @@
+"""The tyres of `drift_car`: an independent model, closed forms, and standstill.
+
+The independent model is CommonRoad's single-track drift model (M. Althoff and G. Wuersching, CommonRoad: Vehicle
+Models, 2020, section 8), written from its published equations and parameters (vehicle 2, BMW 320i; tyre: table 7), in
+its own coordinates: speed and slip angle of the centre of mass.
+"""
+
+import math
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import vehsim
+from vehsim.errors import InputError
+from vehsim.integrators import Integrator
+from vehsim.lie.quaternions import tilt_of
+from vehsim.vehicles import State
+from vehsim.vehicles.models.drift_car import drift_car
+from vehsim.vehicles.models.tyres import Tyre
+
+G = 9.81
+M, IZ, LF, LR, H = 1093.2952334674046, 1791.5995300122856, 1.1561957064, 1.4227170936, 0.61373004
+IW, RW, BRAKE_FRONT = 1.7, 0.344, 0.66
+STEPS = 2400
+
+
+def tyre_forces(slip, angle, load):
+    """Pacejka's forces of one tyre, with CommonRoad's signs and names; its shifts, which make it asymmetric, are 0."""
+
+    def magic(c, d, e, k, x):
+        b = k / (c * d)
+        return d * math.sin(c * math.atan(b * x - e * (b * x - math.atan(b * x))))
+
+    def weight(b, c, e, x):
+        return math.cos(c * math.atan(b * x - e * (b * x - math.atan(b * x))))
+
+    pure_x = load * magic(1.6411, 1.1739, 0.46403, 22.303, -slip)
+    pure_y = load * magic(1.3507, 1.0489, -0.0074722, -21.92, angle)
+    along = pure_x * weight(13.276 * math.cos(math.atan(-13.778 * slip)), 1.2568, 0.65225, angle)
+    across = pure_y * weight(7.1433 * math.cos(math.atan(9.1916 * angle)), 1.0719, -0.27572, slip)
+    return along, across
+
+
+def peer(t, x, steer, wanted, follow):
+    """CommonRoad's right-hand side; ``follow``: whether loads follow the forces instead of the acceleration wanted."""
+    delta, v, psi, turn, beta, front, rear = x[2:]
+    u1, u2 = steer(t), wanted(t)
+    ahead, aside = v * math.cos(beta), v * math.sin(beta)
+    alpha_f = math.atan((aside + turn * LF) / ahead) - delta
+    alpha_r = math.atan((aside - turn * LR) / ahead)
+    slip_f = 1 - RW * front / (ahead * math.cos(delta) + (aside + LF * turn) * math.sin(delta))
+    slip_r = 1 - RW * rear / ahead
+    push = u2
+    for _ in range(40 if follow else 1):
+        fx_f, fy_f = tyre_forces(slip_f, alpha_f, M * (G * LR - push * H) / (LF + LR))
+        fx_r, fy_r = tyre_forces(slip_r, alpha_r, M * (G * LF + push * H) / (LF + LR))
+        if follow:
+            push = (fx_f * math.cos(delta) - fy_f * math.sin(delta) + fx_r) / M
+    braking, driving = M * RW * min(u2, 0), M * RW * max(u2, 0)
+    return [
+        v * math.cos(beta + psi),
+        v * math.sin(beta + psi),
+        u1,
+        (-fy_f * math.sin(delta - beta) + fy_r * math.sin(beta) + fx_r * math.cos(beta) + fx_f * math.cos(delta - beta))
+        / M,
+        turn,
+        (fy_f * math.cos(delta) * LF - fy_r * LR + fx_f * math.sin(delta) * LF) / IZ,
+        -turn
+        + (
+            fy_f * math.cos(delta - beta)
+            + fy_r * math.cos(beta)
+            - fx_r * math.sin(beta)
+            + fx_f * math.sin(delta - beta)
+        )
+        / (M * v),
+        (-RW * fx_f + BRAKE_FRONT * braking) / IW,
+        (-RW * fx_r + (1 - BRAKE_FRONT) * braking + driving) / IW,
+    ]
+
+
+def ramp(times, values):
+    return lambda t: np.interp(t, times, values)
+
+
+MANOEUVRES = {  # speed, seconds, rate of the steering angle, acceleration wanted
+    "slalom": (15.0, 2.5, lambda t: 0.3 * np.cos(3 * t), lambda t: 0.0 * t),
+    "bend under power": (10.0, 2.5, ramp([0, 0.4, 0.41], [0.3, 0.3, 0]), lambda t: 2.0 + 0 * t),
+    "bend under braking": (20.0, 1.5, ramp([0, 0.3, 0.31], [0.2, 0.2, 0]), ramp([0, 0.3], [0, -5.0])),
+    "drift": (10.0, 1.3, ramp([0, 0.5, 0.51, 0.9, 0.91], [0.5, 0.5, 0, 0, -0.6]), ramp([0, 0.5, 0.9], [0, 0, 6.2])),
+}  # fmt: skip
+
+
+def both(name, follow, low_speed):
+    """Positions, yaw, slip angle at the same times: of `drift_car` and of the independent model."""
+    speed, seconds, steer, wanted = MANOEUVRES[name]
+    count = round(STEPS * seconds)
+    times, spin = np.linspace(0, seconds, count + 1), speed / RW
+    vehicle = drift_car(
+        mass=M, yaw_inertia=IZ, front=LF, rear=LR, mass_height=H, wheel_radius=RW, half_track=0.7, front_inertia=IW,
+        rear_inertia=IW, drive_front=0.0, brake_front=BRAKE_FRONT, low_speed=low_speed,
+    )  # fmt: skip
+    rate = steer(times)
+    delta = np.concatenate([[0], np.cumsum(np.diff(times) * (rate[1:] + rate[:-1]) / 2)])
+    force = M * RW * wanted(times)
+    controls = np.column_stack([np.maximum(force, 0), np.maximum(-force, 0), 0 * times, rate / np.cos(delta) ** 2])
+    start = State(twist=(0, speed, 0), joint_rates=(spin, 0, spin))
+    clip = Integrator(vehicle, seconds / count).rollout(start, controls)
+    shown = slice(None, None, 48)
+    begin = [0, 0, 0, speed, 0, 0, 0, spin, spin]
+    options = {"method": "LSODA", "rtol": 1e-7, "atol": 1e-7, "max_step": 0.02, "t_eval": times[shown]}
+    x = solve_ivp(peer, (0, seconds), begin, args=(steer, wanted, follow), **options).y
+    yaw = np.unwrap(tilt_of(clip.orientations[shown])[0])
+    _, vx, vy = clip.twists[shown].T
+    own = np.column_stack([clip.positions[shown, :2], yaw, np.arctan2(vy, vx)])
+    return own, x[[0, 1, 4, 6]].T
+
+
+@pytest.mark.filterwarnings("ignore:.*is too fast for steps")
+@pytest.mark.parametrize("name", MANOEUVRES)
+def test_single_track_drift_model(name):
+    own, other = both(name, True, 0.1)
+    travelled = np.linalg.norm(np.diff(other[:, :2], axis=0), axis=1).sum()
+    assert np.linalg.norm((own - other)[:, :2], axis=1).max() < 0.002 * travelled
+    assert np.abs(own - other)[:, 2].max() < 0.01 * np.ptp(other[:, 2])
+    assert np.abs(own - other)[:, 3].max() < 0.01
+
+
+TYRE = Tyre(
+    (1.6411, 1.1739, 0.46403, 22.303), (1.3507, 1.0489, -0.0074722, 21.92), (13.276, 13.778, 1.2568, 0.65225),
+    (7.1433, 9.1916, 1.0719, -0.27572), 1.0, 3.0,
+)  # fmt: skip
+
+
+def law(tyre):
+    velocity, rim = ca.SX.sym("velocity", 2), ca.SX.sym("rim")
+    force = tyre.force(*tyre.slip(velocity, rim))
+    slope = ca.jacobian(force, ca.vertcat(velocity, rim))
+    return ca.Function("tyre", [velocity, rim], [force, slope])
+
+
+def test_a_tyre_at_rest_is_a_damper():
+    force, slope = law(TYRE)([0, 0], 0)
+    assert np.allclose(force, 0)
+    expected = np.array([[-22.303, 0, 22.303], [0, -21.92, 0]]) / 3.0
+    assert np.allclose(slope, expected * (1 + math.sqrt(1 + 0.05**2)) / 2)
+
+
+def test_no_tyre_pushes_along_its_own_slip_or_beyond_its_peak():
+    random = np.random.default_rng(1)
+    speed, angle = random.uniform(0, 30, 4000), random.uniform(-np.pi, np.pi, 4000)
+    velocity, rim = speed * np.array([np.cos(angle), np.sin(angle)]), random.uniform(-40, 40, 4000)
+    force = np.array(law(TYRE).map(4000)(velocity, rim)[0])
+    assert (force[0] * (rim - velocity[0])).min() >= 0
+    assert (force[1] * -velocity[1]).min() >= 0
+    assert np.linalg.norm(force, axis=0).max() < 1.1 * TYRE.peak
+
+
+def start_and_stop(drive_front):
+    """From rest under full power for a second, then the brakes."""
+    vehicle = vehsim.load_vehicle("drift_car", {"drive_front": drive_front, "front_inertia": 2.4, "rear_inertia": 2.4})
+    times = np.linspace(0, 3.5, 4201)
+    drive = np.interp(times, [0, 0.1, 1, 1.1], [0, 1800, 1800, 0])
+    brake = np.interp(times, [1.1, 1.3], [0, 2500])
+    controls = np.column_stack([drive, brake, 0 * times, 0 * times])
+    return Integrator(vehicle, times[1]).rollout(State(), controls)
+
+
+@pytest.mark.filterwarnings("ignore:.*is too fast for steps")
+@pytest.mark.parametrize("drive_front", [0.0, 0.5, 1.0])
+def test_loads_balance_the_acceleration(drive_front):
+    clip = start_and_stop(drive_front)
+    acceleration = np.gradient(clip.twists[:, 1], clip.times)
+    front, rear = 2 * clip.channels["load_fl"], 2 * clip.channels["load_rl"]
+    assert np.allclose(front + rear, 1350 * G)
+    calm = slice(150, -5)  # differences of velocities blur the first milliseconds
+    assert np.allclose((rear - front)[calm] * 1.3, 1350 * 0.5 * acceleration[calm], atol=60)
+    assert np.abs(acceleration[150:1100]).min() > 3.5 and acceleration.min() < -5
+    assert np.abs(clip.twists[-1]).max() < 1e-3 and np.abs(clip.joint_rates[-1]).max() < 0.01
+    assert clip.twists[:, 1].min() > -1e-3
+    spins = clip.joint_rates[600, [0, 2]] * 0.32 - clip.twists[600, 1]
+    assert (spins > 0.03).tolist() == [drive_front < 1, drive_front > 0]
+
+
+def test_it_rests_without_controls():
+    vehicle = vehsim.load_vehicle("drift_car")
+    clip = Integrator(vehicle, 1 / 1200).rollout(State(joints=(0, 0.3, 0)), np.zeros((120, 4)))
+    assert np.abs(clip.twists).max() == 0 and np.ptp(clip.positions, axis=0).max() == 0
+
+
+def test_wheels_roll_where_their_rates_are_not_given():
+    vehicle = vehsim.load_vehicle("drift_car")
+    start = State(twist=(0.2, 10, 0), joints=(0, 0.2, 0))
+    clip = Integrator(vehicle, 1 / 1200).rollout(start, np.zeros((3, 4)))
+    assert clip.joint_rates[0, 0] == pytest.approx(10 / 0.32)
+    delta = math.atan(0.2)
+    assert clip.joint_rates[0, 2] == pytest.approx((10 * math.cos(delta) + 0.2 * 1.3 * math.sin(delta)) / 0.32)
+
+
+def test_a_car_that_would_tip_over_is_refused():
+    with pytest.raises(InputError, match="lift an axle"):
+        vehsim.load_vehicle("drift_car", {"mass_height": 1.2})

@@ -1,0 +1,169 @@
+"""A car whose tyres slip: single track, wheel spin, combined slip and load transfer, from standstill to sliding.
+
+The model of M. Althoff and G. Wuersching, CommonRoad: Vehicle Models (2020), section 8 (single-track drift model),
+except that loads follow the forces of the tyres instead of the requested acceleration, that brakes oppose the spin of
+their wheels, and that `tyres` is smooth at standstill.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import casadi as ca
+from annotated_types import Gt, Interval, Len
+
+from vehsim.errors import InputError
+from vehsim.lie import SE2
+from vehsim.rig.rig import Channel
+from vehsim.vehicles.definition.base import Control, Expr
+from vehsim.vehicles.definition.holonomic import GRAVITY
+from vehsim.vehicles.definition.nonholonomic import Nonholonomic
+from vehsim.vehicles.definition.quantities import Distance, Inertia, Length, Mass, Unit
+from vehsim.vehicles.models.ground import ackermann_channels
+from vehsim.vehicles.models.tyres import Tyre
+
+SPIN = 1e-3
+"""Weight of the cost of spin in plans: on their long steps, a wheel's fast decay would alternate from knot to knot."""
+Share = Annotated[float, Unit(""), Interval(ge=0, le=1)]
+Four = Annotated[tuple[float, float, float, float], Len(4, 4), Unit("")]
+BRAKING = 1.0
+"""Speed of a rim, m/s, below which its brake's torque fades, so that it is smooth at standstill: a handbrake of 8000
+N m brakes wheels to 0.3 m/s."""
+LARGEST_STEP = 1 / 1200
+"""Largest step of a simulation, s: wheels follow the road within milliseconds at low speed."""
+
+
+def drift_car(
+    name: str = "drift_car",
+    *,
+    mass: Mass,
+    yaw_inertia: Inertia,
+    front: Length,
+    rear: Length,
+    mass_height: Distance,
+    wheel_radius: Length,
+    front_inertia: Inertia,
+    rear_inertia: Inertia,
+    half_track: Distance,
+    drive_front: Share = 0.0,
+    brake_front: Share = 0.6,
+    friction: Annotated[float, Unit(""), Gt(0)] = 1.0,
+    low_speed: Annotated[float, Unit("m/s"), Gt(0)] = 3.0,
+    tyre_longitudinal: Four = (1.6411, 1.1739, 0.46403, 22.303),
+    tyre_lateral: Four = (1.3507, 1.0489, -0.0074722, 21.92),
+    tyre_weights_longitudinal: Four = (13.276, 13.778, 1.2568, 0.65225),
+    tyre_weights_lateral: Four = (7.1433, 9.1916, 1.0719, -0.27572),
+) -> Nonholonomic:
+    """A single-track car whose body frame stands below its centre of mass, on the ground.
+
+    ``mass`` kg, ``yaw_inertia`` about the centre of mass kg m^2; ``front``, ``rear``: distances of the axles from it,
+    and ``mass_height``, m; ``wheel_radius`` and ``half_track`` m; ``front_inertia``, ``rear_inertia``: both wheels of
+    an axle, the driven ones with engine and gears, kg m^2; ``drive_front``, ``brake_front``: the front axle's share of
+    ``drive`` and ``brake`` (drive 0: rear-wheel, 1: front-wheel drive); ``friction``: factor of the surface, 1 on dry
+    asphalt, 0.5 on gravel; ``low_speed`` m/s and the tyres' coefficients: see `Tyre`.
+    Joints: ``psi``, roll of the rear wheels, ``sigma``, tangent of the steering angle, ``psi_front``, roll of the front
+    wheels. Controls: ``drive`` on the driven axles, ``brake`` on all wheels and ``handbrake`` on the rear ones [N m],
+    ``steering_rate``, the rate of sigma [1/s]. Channels: ``roll_*`` and Ackermann ``steer_*`` [rad]; ``slip_*``, speed
+    of the contact over the ground [m/s], and ``load_*`` [N] of each wheel.
+    """
+    tyre = Tyre(
+        tyre_longitudinal, tyre_lateral, tyre_weights_longitudinal, tyre_weights_lateral, friction, low_speed
+    )  # fmt: skip
+    wheelbase = front + rear
+    if tyre.peak * mass_height >= min(front, rear):
+        raise InputError(
+            f"the grip of {tyre.peak:.3g} would lift an axle {min(front, rear):g} m from the centre of mass",
+            "lower it",
+            key="physics.mass_height",
+            value=mass_height,
+            subject=name,
+        )
+
+    def lagrangian(r: Expr, u: Expr, xi: Expr) -> Expr:
+        spin = rear_inertia * u[0] ** 2 + front_inertia * u[2] ** 2
+        return (spin + yaw_inertia * xi[0] ** 2 + mass * (xi[1] ** 2 + xi[2] ** 2)) / 2
+
+    def velocities(r: Expr, xi: Expr) -> tuple[Expr, Expr]:
+        """Velocity of the front and rear hub (2,), in the wheels' axes."""
+        cosine, sine = _direction(r[1])
+        across = xi[2] + front * xi[0]
+        return (
+            ca.vertcat(cosine * xi[1] + sine * across, cosine * across - sine * xi[1]),
+            ca.vertcat(xi[1], xi[2] - rear * xi[0]),
+        )
+
+    def contact(r: Expr, u: Expr, xi: Expr) -> tuple[Expr, Expr, tuple[Expr, Expr]]:
+        """Forces over load of the front and rear tyres in their own axes, and the axles' loads, N."""
+        hubs = velocities(r, xi)
+        ahead = tyre.force(*tyre.slip(hubs[0], wheel_radius * u[2]))
+        behind = tyre.force(*tyre.slip(hubs[1], wheel_radius * u[0]))
+        # loads depend on the acceleration a, and forces are proportional to loads: linear in a
+        cosine, sine = _direction(r[1])
+        pull = cosine * ahead[0] - sine * ahead[1]
+        a = GRAVITY * (pull * rear + behind[0] * front) / (wheelbase + mass_height * (pull - behind[0]))
+        loads = (GRAVITY * rear - a * mass_height, GRAVITY * front + a * mass_height)
+        return ahead, behind, (mass * loads[0] / wheelbase, mass * loads[1] / wheelbase)
+
+    def brake(torque: Expr, rate: Expr) -> Expr:
+        rim = wheel_radius * rate
+        return -torque * rim / ca.sqrt(rim**2 + BRAKING**2)
+
+    def forces(r: Expr, u: Expr, xi: Expr, c: Expr) -> tuple[Expr, Expr]:
+        ahead, behind, loads = contact(r, u, xi)
+        ahead, behind = ahead * loads[0], behind * loads[1]
+        cosine, sine = _direction(r[1])
+        push, aside = cosine * ahead[0] - sine * ahead[1], sine * ahead[0] + cosine * ahead[1]
+        body = ca.vertcat(front * aside - rear * behind[1], push + behind[0], aside + behind[1])
+        on_rear = (1 - drive_front) * c[0] + brake((1 - brake_front) * c[1] + c[2], u[0]) - wheel_radius * behind[0]
+        on_front = drive_front * c[0] + brake(brake_front * c[1], u[2]) - wheel_radius * ahead[0]
+        return ca.vertcat(on_rear, 0, on_front), body
+
+    def rolling(r: Expr, xi: Expr) -> Expr:
+        ahead, behind = velocities(r, xi)
+        return ca.vertcat(behind[0], 0, ahead[0]) / wheel_radius
+
+    def sliding(axle: int) -> Channel:
+        """Speed of an axle's contact over the ground."""
+
+        def speed(t: Expr, r: Expr, u: Expr, xi: Expr, c: Expr) -> Expr:
+            hub = velocities(r, xi)[axle]
+            return ca.sqrt((hub[0] - wheel_radius * u[(2, 0)[axle]]) ** 2 + hub[1] ** 2)
+
+        return Channel(value=speed)
+
+    def load(axle: int) -> Channel:
+        return Channel(value=lambda t, r, u, xi, c: contact(r, u, xi)[2][axle] / 2)
+
+    def roll(joint: int) -> Channel:
+        return Channel(value=lambda t, r, u, xi, c: r[joint])
+
+    axles = {"fl": 0, "fr": 0, "rl": 1, "rr": 1}
+    return Nonholonomic(
+        name=name,
+        group=SE2,
+        joints=("psi", "sigma", "psi_front"),
+        lagrangian=lagrangian,
+        forces=forces,
+        controls=(
+            Control("drive", unit="N m"),
+            Control("brake", lower=0.0, unit="N m"),
+            Control("handbrake", lower=0.0, unit="N m"),
+            Control("steering_rate", unit="1/s"),
+        ),
+        rate_controls={"steering_rate": "sigma"},
+        rolling=rolling,
+        largest_step=LARGEST_STEP,
+        default_costs={"spin": SPIN},
+        channels={
+            **ackermann_channels(wheel_radius, wheelbase, half_track),
+            **{f"roll_{wheel}": roll((2, 0)[axle]) for wheel, axle in axles.items()},
+            **{f"slip_{wheel}": sliding(axle) for wheel, axle in axles.items()},
+            **{f"load_{wheel}": load(axle) for wheel, axle in axles.items()},
+        },
+    )
+
+
+def _direction(sigma: Expr) -> tuple[Expr, Expr]:
+    """Cosine and sine of the steering angle whose tangent is ``sigma``."""
+    length = ca.sqrt(1 + sigma**2)
+    return 1 / length, sigma / length
