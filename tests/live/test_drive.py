@@ -198,3 +198,19 @@ def test_a_drive_is_recorded_saved_continued_and_undone(tmp_path):
             assert json.dumps(early[0].tolist()) == json.dumps(early[1].tolist())
 
     asyncio.run(play())
+
+
+def test_a_planned_vehicle_starts_where_its_plan_does(tmp_path):
+    """Also in flight: the start is the pose and velocity of the planned motion, in readable numbers."""
+    marks = [
+        {"frame": 1001, "position": [0, 0, 30], "heading": 40, "velocity": [3, 0, 0]},
+        {"frame": 1049, "position": [6, 1, 30]},
+    ]
+    shot = shot_of(tmp_path, "helicopter", {"method": "plan", "segments": 8, "mark": marks})
+    clips = shot.solve().clips
+    made, _ = Hand({}, 30).drive(shot, clips)
+    again = kept(tmp_path, shot, made).solve(cached=False).clips["v"]
+    for name in ("positions", "orientations", "twists"):
+        assert np.abs(getattr(again, name)[0] - getattr(clips["v"], name)[0]).max() < 1e-5, name
+    start = made.motion["start"]
+    assert max(len(repr(x)) for key in ("position", "velocity", "spin") for x in start[key]) < 12

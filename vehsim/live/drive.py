@@ -42,6 +42,8 @@ LATE = 0.1
 """How far a slow simulation may be behind the clock before the clock waits for it, s."""
 SHARE = 0.3
 """Largest share of the time that pictures take from the simulation."""
+START_DECIMALS = 6
+"""Decimals of a start that is taken from a planned motion."""
 SETTLED = 3
 """Samples from which wheels are placed on a terrain: the body leans, but its springs have settled."""
 
@@ -329,10 +331,15 @@ def _start_of(motion: Any, clip: Clip, world: Any) -> dict[str, Any]:
     turn = from_yaw(yaw_of(turn)) if planar else turn
     spin, velocity = ([0.0, 0.0, twist[0]], [*twist[1:], 0.0]) if planar else (twist[:3], twist[3:])
     start = {
-        "position": place.tolist(),
-        **({"heading": float(np.degrees(yaw_of(turn)))} if planar else {"orientation": turn.tolist()}),
-        "velocity": rotate(turn, np.array(velocity)).tolist(),
-        "spin": np.degrees(spin).tolist(),
+        "position": _rounded(place),
+        **({"heading": _rounded(np.degrees(yaw_of(turn)))} if planar else {"orientation": _rounded(turn)}),
+        "velocity": _rounded(rotate(turn, np.array(velocity))),
+        "spin": _rounded(np.degrees(spin)),
     }
-    joints = dict(zip(clip.vehicle.joints, clip.joints[0].tolist(), strict=True))
+    joints = dict(zip(clip.vehicle.joints, _rounded(clip.joints[0]), strict=True))
     return {"method": "sticks", "start": start | ({"joints": joints} if joints else {})}
+
+
+def _rounded(values: Any) -> Any:
+    """Numbers for a shot file, without the last digits of a solver."""
+    return (np.round(values, START_DECIMALS) + 0.0).tolist()  # + 0.0: no -0.0
