@@ -154,6 +154,82 @@ def test_holes_are_filled_with_a_warning(tmp_path):
         assert (Terrain.load(tmp_path / "hole.ply").heights == 3).all()
 
 
+# ---------------------------------------------------------------- parts of rasters
+
+
+def slope(rows=60, cols=60):
+    """Heights of a plane, one number per place: 0.5 m per column and 2 m per row, +Y up."""
+    return 0.5 * np.arange(cols) + 2.0 * np.arange(rows)[:, None]
+
+
+def raster(tmp_path, suffix, heights, **scale):
+    """The same heights, +Y up, as a file of any kind, with a cell of 10 m from (1000, 2000) m."""
+    scale = {"cell": 10, "origin": [1000, 2000], **scale}
+    if suffix == "npz":
+        np.savez(tmp_path / "t.npz", heights=heights)
+        (tmp_path / "t.toml").write_text("".join(f"{key} = {value}\n" for key, value in scale.items()))
+        return tmp_path / "t.npz"
+    if suffix == "png":  # a step of its 65,535 is 1/50 m
+        scale["range"] = [0, 65535 / 50]
+        return write(tmp_path, "t.png", np.round(50 * heights[::-1]).astype(np.uint16), **scale)
+    return write(tmp_path, f"t.{suffix}", heights if suffix == "npy" else heights[::-1].astype(np.float32), **scale)
+
+
+@pytest.mark.parametrize("suffix", ["npy", "npz", "png", "tif"])
+def test_a_crop_is_the_same_heights_at_the_same_places(tmp_path, suffix):
+    whole = Terrain.load(raster(tmp_path, suffix, slope()))
+    part = Terrain.load(raster(tmp_path, suffix, slope(), crop=[1055, 2080, 1120, 2200]))
+    assert part.origin == (1050, 2080) and part.heights.shape == (13, 8)
+    np.testing.assert_allclose(part.heights, whole.heights[8:21, 5:13], atol=1e-9)
+    np.testing.assert_allclose(whole.heights, slope(), atol=1e-6)
+
+
+def test_a_crop_outside_names_what_there_is(tmp_path):
+    refused(raster(tmp_path, "npy", slope(), crop=[0, 0, 10, 10]), "crop", "1000", "2590")
+
+
+@pytest.mark.parametrize("spacing", [5.0, 20.0, 25.0])
+def test_resampled_heights_lie_on_the_same_plane(tmp_path, spacing):
+    terrain = Terrain.load(raster(tmp_path, "npy", slope(), resample=spacing))
+    assert terrain.cell == (spacing, spacing) and terrain.origin == (1000, 2000)
+    middle = terrain.vertices.reshape(*terrain.heights.shape, 3)[4:-4, 4:-4].reshape(-1, 3)
+    x, y = middle[:, 0] - 1000, middle[:, 1] - 2000
+    np.testing.assert_allclose(middle[:, 2], 0.05 * x + 0.2 * y, atol=1e-9)
+
+
+@pytest.mark.parametrize("suffix", ["npy", "npz", "png", "tif"])
+def test_missing_heights_are_filled_from_their_neighbours(tmp_path, suffix):
+    heights = np.full((12, 14), 30.0)
+    heights[4:7, 5:8] = 0.0
+    with pytest.warns(UserWarning, match="9 of 168 heights are missing"):
+        terrain = Terrain.load(raster(tmp_path, suffix, heights, nodata=0))
+    np.testing.assert_allclose(terrain.heights, 30.0, atol=1e-6)
+
+
+def test_a_geotiff_names_its_missing_heights_itself(tmp_path):
+    heights = np.full((6, 7), 12.0, np.float32)
+    heights[2, 3], heights[1, 1] = -9999.0, np.nan
+    tags = TiffImagePlugin.ImageFileDirectory_v2()
+    tags[42113], tags.tagtype[42113] = "-9999", 2
+    Image.fromarray(heights).save(tmp_path / "t.tif", tiffinfo=tags)
+    (tmp_path / "t.toml").write_text("cell = 2")
+    with pytest.warns(UserWarning, match="2 of 42 heights are missing"):
+        assert np.ptp(Terrain.load(tmp_path / "t.tif").heights) == 0
+
+
+def test_only_the_window_of_a_large_raster_is_read(tmp_path):
+    """A file of 400 MB of zeros without blocks on the disk: far beyond what a terrain may have, cropped to 21 x 21."""
+    file = tmp_path / "t.npy"
+    with file.open("wb") as out:
+        np.lib.format.write_array_header_1_0(out, {"descr": "<f4", "fortran_order": False, "shape": (10_000, 10_000)})
+        out.truncate(out.tell() + 4 * 10_000**2)
+    file.with_suffix(".toml").write_text("cell = 1\norigin = [0, 0]\n")
+    refused(file, "t.npy", "crop")
+    file.with_suffix(".toml").write_text("cell = 1\norigin = [0, 0]\ncrop = [8000, 8000, 8020, 8020]\n")
+    terrain = Terrain.load(file)
+    assert terrain.heights.shape == (21, 21) and terrain.origin == (8000, 8000)
+
+
 # ---------------------------------------------------------------- what is refused
 
 
@@ -184,10 +260,10 @@ def test_pickled_arrays_are_not_opened(tmp_path):
 
 def test_bad_heights_name_the_place(tmp_path):
     heights = np.zeros((4, 4))
-    heights[2, 1] = np.nan
+    heights[2, 1] = np.inf
     refused(write(tmp_path, "t.npy", heights, cell=1), "t.npy", "heights[2, 1]", "fill the holes")
     heights[2, 1] = -32768
-    refused(write(tmp_path, "u.npy", heights, cell=1), "u.npy", "heights[2, 1]", "no-data")
+    refused(write(tmp_path, "u.npy", heights, cell=1), "u.npy", "heights[2, 1]", "nodata = ")
     refused(write(tmp_path, "v.npy", np.zeros((1, 4)), cell=1), "v.npy", "grid")
     refused(write(tmp_path, "w.npy", np.zeros(4), cell=1), "w.npy", "grid")
 

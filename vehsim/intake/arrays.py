@@ -12,17 +12,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.intake.gate import MAX_BYTES, reading, refuse
-from vehsim.intake.reader import Answer, read_cached
+from vehsim.intake.reader import Answer, read_cached, read_in_process
 
 Arrays = dict[str, NDArray[Any]]
+
+Window = tuple[int, int, int, int]
 
 NUMBERS = "biuf"
 """Accepted kinds of arrays: booleans, integers and real numbers."""
 
 
-def read_array(path: Path, key: str) -> NDArray[Any]:
-    """The array of an ``.npy`` file. Raises ``InputError``."""
-    return read_cached(array, path, key, key)[1][0]
+def read_shape(path: Path, key: str) -> tuple[int, ...]:
+    """The shape of the array of an ``.npy`` file, from its header. Raises ``InputError``."""
+    return tuple(read_in_process(shape, path, key)[0])
+
+
+def read_array(path: Path, key: str, window: Window | None = None) -> NDArray[Any]:
+    """The array of an ``.npy`` file, or only the ``window`` of a two-dimensional one: its first and last row and
+    column, the last ones excluded. Raises ``InputError``."""
+    return read_in_process(array, path, key, key, window)[1][0]
 
 
 def read_arrays(path: Path, key: str, wanted: Collection[str] | None = None, kinds: str = NUMBERS) -> Arrays:
@@ -32,10 +40,19 @@ def read_arrays(path: Path, key: str, wanted: Collection[str] | None = None, kin
     return dict(zip(names, found, strict=True))
 
 
-def array(path: Path, key: str) -> Answer:
-    """The array of an ``.npy`` file. It runs in the reader process."""
+def shape(path: Path) -> Answer:
+    """The shape of the array of an ``.npy`` file. It runs in the reader process."""
+    with path.open("rb") as file:
+        return list(_header(file)[0]), []
+
+
+def array(path: Path, key: str, window: Window | None) -> Answer:
+    """The array of an ``.npy`` file, or a window of it. It runs in the reader process."""
     with path.open("rb") as file:
         _check_header(path, key, file, path.stat().st_size, NUMBERS)
+        if window is not None:
+            mapped = np.load(path, mmap_mode="r", allow_pickle=False)
+            return {}, [np.array(mapped[window[0] : window[1], window[2] : window[3]])]
         file.seek(0)
         return {}, [np.asarray(np.lib.format.read_array(file, allow_pickle=False))]
 

@@ -5,50 +5,87 @@ from __future__ import annotations
 import io
 import zipfile
 from collections.abc import Collection
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim.intake.arrays import Window
 from vehsim.intake.gate import reading, refuse
 from vehsim.intake.reader import Answer, read_cached, read_in_process
 
+GDAL_NODATA = 42113
+MAX_RASTER = 1_000_000_000
+"""The largest picture of which a window is read: it is decoded whole, in the reader process."""
 Colours = NDArray[np.uint8]
 
 MAX_PIXELS = 150_000_000
 """The largest accepted picture."""
 
 
-def read_picture(
-    path: Path, modes: Collection[str], most: int, remedy: str
-) -> tuple[NDArray[np.float64], str, dict[int, Any]]:
-    """A picture of one channel (rows, columns), its mode, and the numbers among the tags of a TIFF. Raises
-    ``InputError``.
+@dataclass(frozen=True)
+class Header:
+    """Rows and columns of a picture of one channel, its mode, the numbers among the tags of a TIFF, and GDAL's value
+    for missing pixels."""
 
-    ``modes``: the accepted ones of Pillow's; ``remedy``: the fix for others; ``most`` pixels.
+    shape: tuple[int, int]
+    mode: str
+    tags: dict[int, list[float]]
+    nodata: float | None
+
+
+def read_header(path: Path, modes: Collection[str], remedy: str) -> Header:
+    """What a picture of one channel contains. Raises ``InputError``.
+
+    ``modes``: the accepted ones of Pillow's; ``remedy``: the fix for others.
     """
-    facts, (pixels,) = read_cached(one_channel, path, "picture", list(modes), most, remedy)
-    return np.asarray(pixels, float), facts["mode"], {int(tag): value for tag, value in facts["tags"].items()}
+    facts, _ = read_cached(header, path, "picture", list(modes), remedy)
+    tags = {int(tag): value for tag, value in facts["tags"].items()}
+    rows, columns = facts["shape"]
+    return Header((rows, columns), facts["mode"], tags, facts["nodata"])
 
 
-def one_channel(path: Path, modes: Collection[str], most: int, remedy: str) -> Answer:
-    """The pixels of a picture of one channel. It runs in the reader process."""
+def read_pixels(path: Path, window: Window) -> NDArray[np.float64]:
+    """The pixels (rows, columns) of a window of a picture: its first and last row and column, the last ones excluded.
+    Raises ``InputError``."""
+    return np.asarray(read_cached(pixels, path, "picture", window)[1][0], float)
+
+
+def header(path: Path, modes: Collection[str], remedy: str) -> Answer:
+    """Size, mode and tags of a picture of one channel. It runs in the reader process."""
     from PIL import Image
 
+    Image.MAX_IMAGE_PIXELS = None  # `pixels` has a limit of its own
     with Image.open(path) as image:
-        if image.width * image.height > most:
-            raise refuse(path, "size", f"more than {most:,} pixels", "crop or resample it", image.size)
         if image.mode not in modes:
             raise refuse(path, "mode", "not a picture of one channel", remedy, image.mode)
-        tags = {tag: list(map(float, value)) for tag, value in _tags(image).items()}
-        return {"mode": image.mode, "tags": tags}, [np.asarray(image)]
+        found = dict(getattr(image, "tag_v2", {}))
+        several = {tag: value for tag, value in found.items() if isinstance(value, tuple)}
+        tags = {tag: list(map(float, v)) for tag, v in several.items() if not isinstance(v[0], str | bytes)}
+        shape = [image.height, image.width]
+        return {"shape": shape, "mode": image.mode, "tags": tags, "nodata": _nodata(found.get(GDAL_NODATA))}, []
 
 
-def _tags(image: Any) -> dict[int, tuple[Any, ...]]:
-    """The tags of a TIFF that contain several numbers."""
-    numbers = dict(getattr(image, "tag_v2", {})).items()
-    return {tag: value for tag, value in numbers if isinstance(value, tuple) and not isinstance(value[0], str | bytes)}
+def pixels(path: Path, window: Window) -> Answer:
+    """The pixels of a window of a picture. It runs in the reader process."""
+    from PIL import Image
+
+    Image.MAX_IMAGE_PIXELS = None
+    with Image.open(path) as image:
+        if image.width * image.height > MAX_RASTER:
+            raise refuse(path, "size", f"more than {MAX_RASTER:,} pixels", "give a part of it, or an .npy", image.size)
+        first, last, left, right = window
+        return {}, [np.asarray(image.crop((left, first, right, last)))]
+
+
+def _nodata(text: Any) -> float | None:
+    """GDAL's value for missing pixels, a text in a TIFF."""
+    try:
+        return float(str(text).strip("\0 "))
+    except ValueError:
+        return None
 
 
 def read_colours(path: Path) -> Colours:

@@ -10,6 +10,7 @@ from pydantic import Discriminator, Field, Tag
 from vehsim.intake.tables import Array, Number, Positive, Table, Text
 
 Pair = Annotated[list[Number], Array, Len(2, 2)]
+Corners = Annotated[list[Number], Array, Len(4, 4)]
 Cell = Annotated[
     Annotated[Positive, Tag("one")] | Annotated[list[Positive], Array, Len(2, 2), Tag("two")],
     Discriminator(lambda value: "two" if isinstance(value, list | tuple) else "one"),
@@ -32,6 +33,12 @@ class TerrainFile(Table):
     """the spacing of the heights in m, above zero: a number, or [x, y]"""
     origin: Pair | None = None
     """[x, y] of the first height, in m"""
+    crop: Corners | None = None
+    """[west, south, east, north] in m: only this part of a height map is read"""
+    resample: Positive | None = None
+    """a new spacing of the heights in m; if it is larger than the cell, heights are smoothed first"""
+    nodata: Number | None = None
+    """the value of missing heights in a height map, such as -9999; they are filled from their neighbours"""
     range: Pair | None = None
     """[low, high]: the heights of black and white in a picture, in m"""
 

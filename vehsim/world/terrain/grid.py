@@ -161,7 +161,7 @@ def _check(terrain: HeightGrid) -> None:
         refuse(f"heights[{row}, {col}]", f"{len(bad)} not finite", remedy, float(heights[row, col]))
     if np.abs(heights).max() > MAX_HEIGHT:
         row, col = np.unravel_index(np.abs(heights).argmax(), heights.shape)
-        remedy = "heights are metres; replace no-data values"
+        remedy = "heights are metres; name the value of missing heights: nodata = ... in the TOML file beside it"
         refuse(f"heights[{row}, {col}]", f"beyond {MAX_HEIGHT:g} m", remedy, float(heights[row, col]))
     if not (np.isfinite(terrain.cell).all() and min(terrain.cell) >= 1e-3 and max(terrain.cell) <= 1e4):
         refuse("cell", "not between 0.001 and 10000 m", "give the spacing of the heights in metres", terrain.cell)

@@ -1,7 +1,7 @@
 """Read terrains from files: shipped terrains, height maps, and meshes sampled by vertical rays.
 
 The scale of a height map is in a TOML file of the same stem beside it (or in the ``terrain.toml`` that is loaded):
-``cell`` and ``origin`` in metres, ``range`` the heights of black and white.
+``cell`` and ``origin`` in metres, ``range`` the heights of black and white; ``crop``, ``resample``, ``nodata``.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from vehsim.assets import described, description
 from vehsim.errors import InputError
-from vehsim.intake.arrays import read_array, read_arrays
+from vehsim.intake.arrays import Window, read_array, read_arrays, read_shape
 from vehsim.intake.gate import reading, refuse
-from vehsim.intake.images import read_picture
+from vehsim.intake.images import Header, read_header, read_pixels
 from vehsim.intake.meshes import read_triangles
 from vehsim.intake.toml import lines_in
 from vehsim.intake.usd import dependencies
@@ -30,6 +30,8 @@ from vehsim.world.terrain.surface import Surface, surface_of
 
 Array = NDArray[np.float64]
 
+MAX_SOURCE = 150_000_000
+"""Largest number of heights that are resampled."""
 SAMPLES = 50_000
 """Number of heights sampled from a mesh without ``cell``: about 1e5 triangles."""
 
@@ -38,7 +40,9 @@ SAMPLES = 50_000
 class Placement:
     """The placement of a file's heights in the world; None: from the file itself.
 
-    ``cell`` (dx, dy) and ``origin`` (x, y), m; ``range`` heights of black and white, m; ``look`` a USD file.
+    ``cell`` (dx, dy) and ``origin`` (x, y), m; ``range`` heights of black and white, m; ``look`` a USD file. Of a
+    height map, ``crop`` (west, south, east, north) m is the part that is read, ``resample`` m the new spacing, and
+    ``nodata`` the value of missing heights.
     """
 
     file: Path
@@ -46,6 +50,9 @@ class Placement:
     origin: tuple[float, float] | None = None
     range: tuple[float, float] | None = None
     look: Path | None = None
+    crop: tuple[float, float, float, float] | None = None
+    resample: float | None = None
+    nodata: float | None = None
 
 
 def read_heights(source: str | Path) -> HeightGrid:
@@ -89,8 +96,10 @@ def _read_toml(path: Path) -> tuple[Path, Placement]:
             raise refuse(path, "look", "no such file", "put the USD file there or fix the path", table["look"])
     if look is not None:
         dependencies(look)
-    pairs = {key: _pair(table.get(key)) for key in ("cell", "origin", "range")}
-    return path.parent / table.get("heights", ""), Placement(path, look=look, **pairs)
+    pairs: dict[str, Any] = {key: _pair(table.get(key)) for key in ("cell", "origin", "range")}
+    crop: Any = tuple(map(float, table["crop"])) if "crop" in table else None
+    numbers = {key: table.get(key) for key in ("resample", "nodata")}
+    return path.parent / table.get("heights", ""), Placement(path, look=look, crop=crop, **numbers, **pairs)
 
 
 def _pair(value: Any) -> tuple[float, float] | None:
@@ -101,24 +110,65 @@ def _pair(value: Any) -> tuple[float, float] | None:
     return float(x), float(y)
 
 
-def _grid(path: Path, heights: Array, placement: Placement) -> HeightGrid:
-    """A height map at its placement; by default centred on the origin."""
-    heights = np.asarray(heights)
-    if heights.ndim != 2 or heights.dtype.kind not in "fiub":
-        remedy = "give a two-dimensional array of numbers"
-        raise refuse(path, "heights", "not a grid of numbers", remedy, (heights.shape, str(heights.dtype)))
+def _grid(path: Path, shape: tuple[int, ...], placement: Placement, read: Callable[[Window], Array]) -> HeightGrid:
+    """A height map of ``shape`` (rows, columns), whose window ``read`` returns, +Y up; by default centred on the
+    origin."""
+    if len(shape) != 2 or min(shape) < 2:
+        raise refuse(path, "heights", "not a grid of at least 2 x 2", "give one height per (row, column)", shape)
     if placement.cell is None:
         warnings.warn(
             f"{path}: no cell size is given, so 1 m is used; write cell = ... in {path.stem}.toml", stacklevel=2
         )
     cell = placement.cell or (1.0, 1.0)
-    rows, cols = heights.shape
-    centred = (-cell[0] * (cols - 1) / 2, -cell[1] * (rows - 1) / 2)
-    return HeightGrid(path.name, heights, placement.origin or centred, cell)
+    origin = placement.origin or (-cell[0] * (shape[1] - 1) / 2, -cell[1] * (shape[0] - 1) / 2)
+    window = _window(shape, origin, cell, placement)
+    first, last, left, right = window
+    if (last - first) * (right - left) > (MAX_SOURCE if placement.resample else MAX_POINTS):
+        remedy = f"write crop = [west, south, east, north] or resample = ... in {path.stem}.toml"
+        raise refuse(path, "size", "too many heights", remedy, (last - first, right - left))
+    heights = np.asarray(read(window))
+    if heights.dtype.kind not in "fiub":
+        raise refuse(path, "heights", "not a grid of numbers", "give a two-dimensional array", str(heights.dtype))
+    heights = heights.astype(float)
+    if placement.nodata is not None:
+        heights[heights == placement.nodata] = np.nan
+    heights = _filled(path, heights)
+    origin = (origin[0] + left * cell[0], origin[1] + first * cell[1])
+    if placement.resample is not None:
+        heights, cell = _resampled(heights, cell, placement.resample)
+    return HeightGrid(path.name, heights, origin, cell)
+
+
+def _window(shape: tuple[int, ...], origin: Any, cell: Any, placement: Placement) -> Window:
+    """The first and last row and column, the last ones excluded, that cover the ``crop`` of a height map."""
+    if placement.crop is None:
+        return 0, shape[0], 0, shape[1]
+    crop = np.reshape(placement.crop, (2, 2))
+    low = np.clip(np.floor((crop[0] - origin) / cell + 1e-9), 0, None).astype(int)
+    high = np.minimum(np.ceil((crop[1] - origin) / cell - 1e-9).astype(int) + 1, shape[::-1])
+    if not np.isfinite(crop).all() or (high - low < 2).any():
+        end = np.asarray(origin) + np.asarray(cell) * (np.array(shape[::-1]) - 1)
+        remedy = f"give [west, south, east, north]; the heights reach from {tuple(origin)} to {tuple(end.tolist())}"
+        raise refuse(placement.file, "crop", "no part of the height map", remedy, list(placement.crop))
+    return int(low[1]), int(high[1]), int(low[0]), int(high[0])
+
+
+def _resampled(heights: Array, cell: tuple[float, float], spacing: float) -> tuple[Array, tuple[float, float]]:
+    """Heights at a new ``spacing`` m; before a larger one, detail that it cannot show is smoothed."""
+    from scipy.ndimage import gaussian_filter, map_coordinates
+
+    steps = np.array([spacing / cell[1], spacing / cell[0]])
+    smooth = gaussian_filter(heights, np.where(steps > 1, steps / 2, 0.0), mode="nearest")
+    counts = np.floor((np.array(heights.shape) - 1) / steps + 1e-9).astype(int) + 1
+    if min(counts) < 2 or np.prod(counts, dtype=float) > MAX_POINTS:
+        remedy = f"give a spacing that makes between 2 x 2 and {MAX_POINTS:,} heights"
+        raise InputError("not a spacing for these heights", remedy, key="resample", value=spacing)
+    at = np.meshgrid(*(step * np.arange(count) for step, count in zip(steps, counts, strict=True)), indexing="ij")
+    return map_coordinates(smooth, at, order=1, mode="nearest"), (spacing, spacing)
 
 
 def _read_npy(path: Path, placement: Placement) -> HeightGrid:
-    return _grid(path, read_array(path, "heights"), placement)
+    return _grid(path, read_shape(path, "heights"), placement, lambda window: read_array(path, "heights", window))
 
 
 def _read_npz(path: Path, placement: Placement) -> HeightGrid:
@@ -128,7 +178,7 @@ def _read_npz(path: Path, placement: Placement) -> HeightGrid:
         raise refuse(path, "heights", "missing", "save the array under the name heights")
     heights = arrays.pop("heights")
     own: dict[str, Any] = {key: tuple(np.broadcast_to(array, 2).tolist()) for key, array in arrays.items()}
-    return _grid(path, heights, replace(placement, **own))
+    return _grid(path, heights.shape, replace(placement, **own), lambda w: heights[w[0] : w[1], w[2] : w[3]])
 
 
 def _missing(placement: Placement) -> list[str]:
@@ -136,15 +186,29 @@ def _missing(placement: Placement) -> list[str]:
     return [key for key in ("cell", "origin") if getattr(placement, key) is None]
 
 
+def _from_picture(path: Path, header: Header, placement: Placement, scale: Callable[[Array], Array]) -> HeightGrid:
+    """The heights of a picture, whose first row is the northernmost; ``scale`` turns its pixels into metres."""
+    rows = header.shape[0]
+
+    def read(window: Window) -> Array:
+        return scale(read_pixels(path, (rows - window[1], rows - window[0], *window[2:]))[::-1])
+
+    return _grid(path, header.shape, placement, read)
+
+
 def _read_png(path: Path, placement: Placement) -> HeightGrid:
-    """A grey picture with 8 or 16 bits, seen from above with +Y up."""
+    """A grey picture with 8 or 16 bits, seen from above with +Y up; ``nodata`` is the value of a pixel."""
     if placement.range is None:
         remedy = f"write range = [0.0, 50.0] (heights of black and white, m) in {path.stem}.toml beside it"
         raise refuse(path, "range", "a picture does not contain its heights", remedy)
-    grey, mode, _ = read_picture(path, ("L", "I;16", "I;16B", "I"), MAX_POINTS, "save it as 8- or 16-bit grey")
-    grey = grey[::-1] / (255.0 if mode == "L" else 65535.0)
-    low, high = placement.range
-    return _grid(path, low + (high - low) * grey, placement)
+    header = read_header(path, ("L", "I;16", "I;16B", "I"), "save it as 8- or 16-bit grey")
+    (low, high), white = placement.range, 255.0 if header.mode == "L" else 65535.0
+    missing = placement.nodata
+
+    def scale(grey: Array) -> Array:
+        return np.where(grey == missing, np.nan, low + (high - low) * grey / white)
+
+    return _from_picture(path, header, replace(placement, nodata=None), scale)
 
 
 PIXEL_SCALE, TIE_POINT = 33550, 33922
@@ -152,17 +216,18 @@ PIXEL_SCALE, TIE_POINT = 33550, 33922
 
 def _read_geotiff(path: Path, placement: Placement) -> HeightGrid:
     """Heights in metres in a projected coordinate system; the first row is the northernmost."""
-    heights, _, tags = read_picture(path, ("F", "I", "I;16", "I;16S", "L"), MAX_POINTS, "export one band")
-    heights = heights[::-1]
-    scale, tie = tags.get(PIXEL_SCALE), tags.get(TIE_POINT)
+    header = read_header(path, ("F", "I", "I;16", "I;16S", "L"), "export one band")
+    scale, tie = header.tags.get(PIXEL_SCALE), header.tags.get(TIE_POINT)
     cell = placement.cell or ((float(scale[0]), float(scale[1])) if scale else None)
     if cell is not None and min(cell) < 1e-3:
         raise refuse(path, "cell", "looks like degrees", "reproject to a metric coordinate system, such as UTM", cell)
     if placement.origin is None and tie is not None and cell is not None:
         x, y = tie[3] - tie[0] * cell[0], tie[4] + tie[1] * cell[1]
-        corner = (float(x) + cell[0] / 2, float(y) - cell[1] * (len(heights) - 0.5))  # pixels are areas
+        corner = (float(x) + cell[0] / 2, float(y) - cell[1] * (header.shape[0] - 0.5))  # pixels are areas
         placement = replace(placement, origin=corner)
-    return _grid(path, heights, replace(placement, cell=cell))
+    if placement.nodata is None:
+        placement = replace(placement, nodata=header.nodata)
+    return _from_picture(path, header, replace(placement, cell=cell), lambda metres: metres)
 
 
 def _read_trimesh(path: Path, placement: Placement) -> HeightGrid:
@@ -206,12 +271,12 @@ def _sample(path: Path, points: Array, faces: NDArray[np.int64], placement: Plac
 
 
 def _filled(path: Path, heights: Array) -> Array:
-    """Fill holes with the closest height, with a warning. Raises ``InputError`` for a mesh that is mostly holes."""
+    """Fill holes with the closest height, with a warning. Raises ``InputError`` for heights that are mostly holes."""
     from scipy.ndimage import distance_transform_edt
 
     holes = np.isnan(heights)
     if holes.mean() > 0.5:
-        remedy = "check that Z is up, or give a mesh that covers its rectangle"
+        remedy = "crop it; for a mesh, check that Z is up and that it covers its rectangle"
         raise refuse(path, "terrain", f"seen from above, {holes.mean():.0%} of it is hole", remedy)
     if holes.any():
         warnings.warn(
