@@ -19,7 +19,7 @@ from vehsim.planning.iterate import Run
 from vehsim.planning.problem.elements import Element, NonlinearProgram
 from vehsim.planning.problem.transcription import transcribe
 from vehsim.planning.refine import settle_on_frames
-from vehsim.planning.request.request import ask
+from vehsim.planning.request.request import make_request
 from vehsim.planning.solve import begin, solve
 from vehsim.world.obstacles import obstacles as ob
 from vehsim.world.terrain.terrain import Terrain
@@ -45,7 +45,7 @@ def flight():
     ]
     terms = [look_at((0, 0, 5), within=120.0), stay(below=30.0)]
     cost = {"effort": 1.0, "safety": 1.0}
-    return ask(helicopter, world, marks, fps=24, segments=16, terms=terms, limits={"speed": 20.0}, cost=cost)
+    return make_request(helicopter, world, marks, fps=24, segments=16, terms=terms, limits={"speed": 20.0}, cost=cost)
 
 
 def drive():
@@ -53,7 +53,7 @@ def drive():
     boxes = [ob.box("near", (12, 1.5, 0), (2, 2, 1)), ob.ellipse("far", (20, -6), (2, 1))]
     marks = [Mark(1, position=REST, heading=0, velocity=REST), Mark("free", position=(26, 0, 0), velocity=REST)]
     limits = {"joints": {"sigma": 0.6}, "acceleration": 3.0}
-    return ask(vehsim.load_vehicle("car"), World(obstacles=boxes), marks, fps=24, segments=48, limits=limits)
+    return make_request(vehsim.load_vehicle("car"), World(obstacles=boxes), marks, fps=24, segments=48, limits=limits)
 
 
 def guessed(request):
@@ -162,7 +162,7 @@ def test_problems_are_shared_where_only_numbers_differ(change, same):
     start, goal = Mark(1, position=REST, heading=0, velocity=REST), Mark(241, position=(26, 0, 0), velocity=REST)
 
     def keys(goal, **options):
-        request = ask(car, None, [start, goal, Mark(401, position=(40, 0, 0))], fps=24, segments=24, **options)
+        request = make_request(car, None, [start, goal, Mark(401, position=(40, 0, 0))], fps=24, segments=24, **options)
         t = transcribe(car)
         _, iterate = guessed(request)
         return [block.key(iterate.layout, t) for block in blocks_of(request, t, None)]

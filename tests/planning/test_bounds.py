@@ -14,7 +14,7 @@ from vehsim.errors import InputError
 from vehsim.planning.explain.bounds import Ball, push_of, slips, strength, thrust_ball
 from vehsim.planning.explain.feasibility import refusals
 from vehsim.planning.request import ranges
-from vehsim.planning.request.request import ask
+from vehsim.planning.request.request import make_request
 
 VEHICLES = ["helicopter", "boat", "car", "simple_car", "truck", "two_wheeled", "snakeboard"]
 # the snakeboard swings its joints: no frame is found for it
@@ -27,7 +27,7 @@ def ends(name, x, frame, **last):
 
 
 def refused(name, marks, **options):
-    request = ask(vehsim.load_vehicle(name), None, marks, fps=24, segments=32, **options)
+    request = make_request(vehsim.load_vehicle(name), None, marks, fps=24, segments=32, **options)
     return [str(refusal) for refusal in refusals(request)]
 
 
@@ -43,14 +43,14 @@ def test_check_refuses_marks_that_are_too_far_apart_in_time(name, x, frame, last
         data["vehicle"][0]["motion"]["mark"].append(table | ({"velocity": [0, 0, 0]} if mark.velocity else {}))
     (problem,) = Shot.from_dict(data).check()
     assert problem.key == "vehicle[0].motion.mark[1].frame"
-    assert re.search(r"^(earliest 1\d\d\d|not before 1\d\d\d|1\d\d\d would do)$", problem.remedy), problem
+    assert re.search(r"^(earliest 1\d\d\d|not before 1\d\d\d|use 1\d\d\d)$", problem.remedy), problem
 
 
 @pytest.mark.parametrize("name", NAMED)
 def test_the_suggested_frame_works(name):
     marks = ends(name, 60.0, 1010, velocity=REST)
     (message,) = refused(name, marks)
-    frame = int(re.search(r"earliest (\d+)$|; (\d+) would do$", message).expand(r"\1\2"))
+    frame = int(re.search(r"earliest (\d+)$|; use (\d+)$", message).expand(r"\1\2"))
     plan = vehsim.plan(vehsim.load_vehicle(name), None, [marks[0], replace(marks[1], frame=frame)], segments=32)
     assert plan.success, plan.message
 
@@ -198,7 +198,7 @@ def test_a_mark_outside_the_terrain_is_reported():
     with pytest.warns(
         UserWarning, match=r"mark\[1\].position = .*: outside the terrain, which ends at x = 120; the ground there"
     ):
-        ask(vehsim.load_vehicle("car"), world, car, fps=24, segments=16)
+        make_request(vehsim.load_vehicle("car"), world, car, fps=24, segments=16)
     start = vehsim.State(position=(0, 130, float(world.height([(0.0, 130.0)])[0])))
     with pytest.warns(UserWarning, match="outside the terrain, which ends at y = 120"):
         vehsim.simulate(vehsim.load_vehicle("car"), world, [0.0, 0.0], start=start, duration=0.1)

@@ -17,8 +17,8 @@ from vehsim.planning import Mark, Plan, planner
 from vehsim.planning.blocks import blocks_of
 from vehsim.planning.certify import refine_and_certify
 from vehsim.planning.costs import RunningCosts
-from vehsim.planning.request.character import control_rates, manner_of
-from vehsim.planning.request.request import ask
+from vehsim.planning.request.character import control_rates, traits_of
+from vehsim.planning.request.request import make_request
 from vehsim.vehicles.definition.base import Control
 from vehsim.vehicles.definition.character import CHARACTERS, Character, Trait
 
@@ -47,7 +47,7 @@ def rates_at_ends(plan: Plan, character: str) -> float:
     clip = plan.clip
     seconds = 1 / float(clip.fps) / 8
     at = clip.at([0, seconds, clip.duration - seconds, clip.duration]).controls
-    most = control_rates(manner_of(clip.vehicle, character, "effort"), clip.vehicle)
+    most = control_rates(traits_of(clip.vehicle, character, "effort"), clip.vehicle)
     return float(np.abs(np.array([at[1] - at[0], at[3] - at[2]]) / seconds / most).max())
 
 
@@ -116,10 +116,10 @@ def test_a_plan_that_fails_in_its_character_becomes_a_stunt(monkeypatch: pytest.
     tried: list[str] = []
 
     def certified(run: Any, iterate: Any) -> Any:
-        tried.append(iterate.request.manner.name)
+        tried.append(iterate.request.traits.name)
         done = refine_and_certify(run, iterate)
         spoiled = replace(done.solution, success=False)
-        return done if iterate.request.manner.name == "stunt" else replace(done, solution=spoiled)
+        return done if iterate.request.traits.name == "stunt" else replace(done, solution=spoiled)
 
     monkeypatch.setattr(planner, "refine_and_certify", certified)
     with pytest.warns(UserWarning, match="not normal: no such motion was found"):
@@ -167,7 +167,7 @@ def test_a_limit_of_the_users_own_stands_in_place_of_the_characters_and_holds() 
 
 def test_costs_of_the_users_own_stand_in_place_of_the_characters() -> None:
     marks = [Mark(1, position=(0, 0, 0)), Mark(99, position=(9, 0, 0))]
-    request = ask(CAR, None, marks, fps=24, segments=8, cost={"effort": 4, "easing": 0}, character="normal")
+    request = make_request(CAR, None, marks, fps=24, segments=8, cost={"effort": 4, "easing": 0}, character="normal")
     (costs,) = (b for b in blocks_of(request, None, None) if isinstance(b, RunningCosts))  # type: ignore[arg-type]
     assert costs.weights["easing"] == 0
     assert costs.weights["smoothness"] == 4 * CAR.character.response.normal**2
@@ -181,7 +181,7 @@ def test_a_name_that_is_no_character_is_refused() -> None:
 def test_a_limit_that_no_plan_knows_is_refused() -> None:
     odd = replace(CAR, character=Character(limits={"wobble": Trait(1, 2, 3, "nowhere")}))
     with pytest.raises(InputError, match=r"character.limits.wobble"):
-        manner_of(odd, "normal", "effort")
+        traits_of(odd, "normal", "effort")
 
 
 @pytest.mark.parametrize(

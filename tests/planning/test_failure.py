@@ -31,7 +31,7 @@ from vehsim.planning.explain.feasibility import refusals
 from vehsim.planning.request import ranges
 from vehsim.planning.request.marks import Gate
 from vehsim.planning.request.marks_near_obstacles import marks_too_near
-from vehsim.planning.request.request import ask
+from vehsim.planning.request.request import make_request
 from vehsim.planning.terms import Constraint
 from vehsim.world.obstacles.obstacles import box, ellipse, moving
 from vehsim.world.terrain.terrain import Terrain
@@ -40,7 +40,7 @@ CAR_ASIDE = [Mark(1, position=REST, heading=0, velocity=REST), Mark(49, position
 
 
 def messages_of(marks, vehicle=None, **options):
-    request = ask(vehicle or tug(), None, marks, fps=24, segments=16, **options)
+    request = make_request(vehicle or tug(), None, marks, fps=24, segments=16, **options)
     return [str(refusal) for refusal in refusals(request)]
 
 
@@ -51,7 +51,7 @@ def messages_of(marks, vehicle=None, **options):
         (
             [Mark(1040, position=REST), Mark(1060, position=(26, 0, 0))],
             {"speed": 22},
-            "mark[1].frame: frames 1040 to 1060 need 31.2 m/s, limit 22; (earliest )?10(69|70)( would do)?",
+            "mark[1].frame: frames 1040 to 1060 need 31.2 m/s, limit 22; (earliest|use) 10(69|70)",
         ),
         # rest to rest over 16 m at 4 m/s^2: 2 sqrt(16 / 4) = 4 s
         (
@@ -62,12 +62,12 @@ def messages_of(marks, vehicle=None, **options):
         (
             [Mark(1, position=REST), Mark(25, position=(0, 0, 9))],
             {"climb": 3},
-            "mark[1].frame: frames 1 to 25 need 9 m/s up or down, limit 3; (earliest )?7[3-5]( would do)?",
+            "mark[1].frame: frames 1 to 25 need 9 m/s up or down, limit 3; (earliest|use) 7[3-5]",
         ),
         (
             [Mark(1, position=REST, heading=170), Mark(13, position=REST, heading=-100)],
             {"turn_rate": np.deg2rad(45)},
-            "mark[1].frame: frames 1 to 13 need 180 deg/s, limit 45; (earliest )?(49|5[0-4])( would do)?",
+            "mark[1].frame: frames 1 to 13 need 180 deg/s, limit 45; (earliest|use) (49|5[0-4])",
         ),
         (
             [Mark(1, position=REST, speed=9), Mark(25)],
@@ -101,19 +101,19 @@ def test_a_mark_outside_a_stay_is_named():
     ]  # fmt: skip
     for given, messages in expected:
         marks = [ends[0], Mark(position=low, **given), ends[1]]
-        found = refusals(ask(helicopter, None, marks, fps=24, segments=64, terms=stays))
+        found = refusals(make_request(helicopter, None, marks, fps=24, segments=64, terms=stays))
         assert [str(refusal) for refusal in found] == messages
     aside = [ends[0], Mark(1201, position=(40, 9, 30), velocity=REST)]
-    found = refusals(ask(helicopter, None, aside, fps=24, segments=64, terms=stays[1:]))
+    found = refusals(make_request(helicopter, None, aside, fps=24, segments=64, terms=stays[1:]))
     assert str(found[0]).startswith("mark[1].position: 4 m outside what 'stay' allows; move")
 
 
 def test_misses_are_reported_in_the_marks_units():
-    """Too short a bend: degrees; and a solve that hardly converges still finds the frame that would do."""
+    """Too short a bend: degrees; and a solve that hardly converges still finds a frame that is late enough."""
     car, helicopter = vehsim.load_vehicle("car"), vehsim.load_vehicle("helicopter")
     turn = [Mark(1, position=REST, heading=0, speed=12), Mark(73, position=(35, 10, 0), heading=90, speed=8)]
     with pytest.warns(UserWarning, match=r"mark\[1\].heading is missed by \d+(\.\d+)? deg$"):
-        vehsim.plan(car, None, turn, segments=16, limits={"acceleration": 5})  # when it would do is all there is to say
+        vehsim.plan(car, None, turn, segments=16, limits={"acceleration": 5})  # only an earliest frame is known
     tight = [turn[0], Mark("free", position=(6, 1, 0), heading=90, speed=8)]
     with pytest.warns(
         UserWarning, match=r"m/s; mark\[1\].heading is missed by .* m; loosen marks, clearance or limits$"
@@ -534,6 +534,6 @@ def test_a_mark_in_the_way_of_another_vehicle_is_refused_with_its_frame():
 def test_only_marks_with_a_position_have_a_first_frame():
     """The planner adds marks without one where a stay begins and ends."""
     terms = [stay((20, 40), within=(-50, -50, 50, 50))]
-    request = ask(vehsim.load_vehicle("car"), None, CAR_ASIDE, fps=24, segments=16, terms=terms)
+    request = make_request(vehsim.load_vehicle("car"), None, CAR_ASIDE, fps=24, segments=16, terms=terms)
     assert [mark.position is None for mark in request.marks] == [False, True, True, False]
     assert all(first_frame(request, i, i + 1, 41) is None for i in range(3))

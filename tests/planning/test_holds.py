@@ -12,7 +12,7 @@ from vehsim.integrators.continuous import execute
 from vehsim.planning import look_at, stay
 from vehsim.planning.explain.balance import out_of_balance
 from vehsim.planning.problem.transcription import transcribe
-from vehsim.planning.request.request import ask
+from vehsim.planning.request.request import make_request
 
 REST = (0.0, 0.0, 0.0)
 PLANNED = {  # height, distance, and number of frames
@@ -144,7 +144,7 @@ def test_holds_lean_into_the_wind(name, wind):
 def test_a_boat_that_cannot_hold_broadside_to_the_wind_is_reported():
     boat = vehsim.load_vehicle("boat")
     marks = [rest(1, REST), rest("free", (40, 5, 0), heading=90, hold=48)]
-    with pytest.warns(UserWarning, match=r"mark\[1\].hold: in 6 m/s of wind the boat cannot.*heading = 0 would do"):
+    with pytest.warns(UserWarning, match=r"mark\[1\].hold: in 6 m/s of wind the boat cannot.*use heading = 0"):
         plan = vehsim.plan(boat, World(wind=(-6, 0, 0)), marks, segments=32)
     assert not plan.success
     gale = [rest(1, REST), rest("free", (40, 5, 0), hold=48)]
@@ -167,7 +167,7 @@ def test_a_car_holds_on_a_slope_unless_its_brakes_are_too_weak():
     around = world.height(here + np.array([(1, 0), (-1, 0), (0, 1), (0, -1)]))
     uphill = float(np.degrees(np.arctan2(around[2] - around[3], around[0] - around[1])))
     marks = [rest(1, (*here, 0), heading=uphill, hold=12), rest("free", (30, 2, 0))]
-    request = ask(weak, world, marks, fps=24, segments=8)
+    request = make_request(weak, world, marks, fps=24, segments=8)
     (_, message, remedy), *_ = out_of_balance(weak, transcribe(request.weighed), request.marks, request.wind)
     assert "on this slope the car cannot stand still there" in message and "heading" in remedy
 

@@ -23,7 +23,7 @@ from vehsim.planning.problem.transcription import transcribe
 from vehsim.planning.request.legs import divided
 from vehsim.planning.request.marks import Gate
 from vehsim.planning.request.marks_near_obstacles import marks_too_near, parts_in_reach
-from vehsim.planning.request.request import ask
+from vehsim.planning.request.request import make_request
 from vehsim.planning.trajectory import Trajectory
 from vehsim.rig.parts import read_parts
 from vehsim.world.obstacles import obstacles as ob
@@ -370,7 +370,9 @@ def test_rows_name_their_obstacle(car):
     problem = NonlinearProgram(layout.size)
     rows.add_active(problem, t, layout)
     assert set(problem.names()) == {"obstacle 'pier'"}
-    request = ask(car, None, [replace(mark, frame=1001 + 8 * i) for i, mark in enumerate(across())], fps=24, segments=4)
+    request = make_request(
+        car, None, [replace(mark, frame=1001 + 8 * i) for i, mark in enumerate(across())], fps=24, segments=4
+    )
     values = problem.vector(rows.values(Trajectory(request, t, layout, np.ones(layout.size))))
     assert len(values) == problem.parameters and np.isfinite(values).all()
 

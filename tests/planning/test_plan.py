@@ -12,7 +12,7 @@ from vehsim.errors import InputError
 from vehsim.integrators import Integrator
 from vehsim.lie import SO3xR3
 from vehsim.planning.problem.elements import NonlinearProgram
-from vehsim.planning.request.request import ask
+from vehsim.planning.request.request import make_request
 from vehsim.vehicles import Control, Holonomic
 
 REST = (0.0, 0.0, 0.0)
@@ -212,7 +212,7 @@ def test_unreachable_mark_fails_with_a_message():
     with pytest.warns(UserWarning, match="plan failed"):
         plan = vehsim.plan(tug(limit=10.0), None, marks, segments=16, max_iterations=60)
     assert not plan.success
-    assert "mark[1].frame: frames 1 to 25 need 500 m" in plan.message and "would do" in plan.message
+    assert "mark[1].frame: frames 1 to 25 need 500 m" in plan.message and "; use " in plan.message
 
 
 def test_wind_without_drag_warns(helicopter):
@@ -332,9 +332,11 @@ def test_time_has_a_cost_if_the_duration_is_free():
     instead."""
     free, fixed = [Mark(1, position=REST), Mark("free", position=(9, 0, 0))], [Mark(1, position=REST), Mark(9)]
     boat, helicopter = vehsim.load_vehicle("boat"), vehsim.load_vehicle("helicopter")
-    weights = [ask(v, None, m, fps=24, segments=8).weights["time"] for v in (boat, helicopter) for m in (free, fixed)]
+    weights = [
+        make_request(v, None, m, fps=24, segments=8).weights["time"] for v in (boat, helicopter) for m in (free, fixed)
+    ]
     assert weights == [1.0, 0.0, 0.0, 0.0]
-    assert ask(boat, None, free, fps=24, segments=8, cost={"effort": 1, "time": 0}).weights["time"] == 0
+    assert make_request(boat, None, free, fps=24, segments=8, cost={"effort": 1, "time": 0}).weights["time"] == 0
 
 
 def test_interrupt_stops_the_solve_and_is_raised(helicopter):

@@ -66,7 +66,7 @@ def test_small_vehicles_are_refined_more():
     assert 0.025 * extent(robot) < coarse.executed.final < 0.1  # the earlier, coarser tolerance
 
     def tolerance(vehicle, clearance, *obstacles):
-        request = vehsim.planning.request.request.ask(
+        request = vehsim.planning.request.request.make_request(
             vehicle, vehsim.World(obstacles=obstacles), marks, fps=24, segments=16, clearance=clearance
         )
         return execution_tolerance(request)

@@ -12,7 +12,7 @@ from vehsim.errors import ShotError, SolveError
 from vehsim.shot.shot import Shot
 
 VEHICLES = ("boat", "car", "helicopter", "hopper", "simple_car", "snakeboard", "truck", "tumbler", "two_wheeled")
-TOO_EARLY = re.compile(r"mark\[(\d+)\]\.frame = \d+: too early; (\d+) would do")
+TOO_EARLY = re.compile(r"mark\[(\d+)\]\.frame = \d+: too early; use (\d+)")
 
 
 def shot(asset, *marks, obstacles=(), others=(), **motion):
@@ -134,7 +134,7 @@ def test_a_moving_obstacle_is_waited_for():
         warnings.simplefilter("ignore")
         with pytest.raises(SolveError, match=r"too (close to a moving obstacle|early); \d+") as raised:
             Shot.from_dict(data).solve()
-        (frame,) = re.findall(r"(\d+) would do", str(raised.value))
+        (frame,) = re.findall(r"use (\d+)", str(raised.value))
         data["vehicle"][0]["motion"]["mark"][1]["frame"] = int(frame)
         assert Shot.from_dict(data).solve().clips["v"].end_frame == int(frame)
 

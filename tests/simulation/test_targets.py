@@ -47,7 +47,7 @@ def test_a_path_with_too_little_time_reports_a_sufficient_time(asset, points, sp
     (message,) = [text for text in warned if "pilot.position" in text]
     off = float(re.findall(r"pilot.position: ([\d.]+) m", message)[0])
     assert off == pytest.approx(np.linalg.norm(clip.positions[-1, :2] - points[-1]), abs=0.01)
-    seconds = float(re.findall(r"([\d.]+) s would do", message)[0])
+    seconds = float(re.findall(r"give it ([\d.]+) s", message)[0])
     clip, warned = simulated(pilot, seconds)
     assert not warned
     assert np.linalg.norm(clip.positions[-1, :2] - points[-1]) < 0.25
@@ -82,7 +82,7 @@ def test_fly_to_keeps_its_speed_over_ground_in_wind(wind, speed):
     world, start = SimpleNamespace(wind=wind, terrain=None), State(position=(0, 0, 30))
     _, warned = simulated(pilot, 2.0, start, world)
     (message,) = [text for text in warned if "pilot.position" in text]
-    seconds = float(re.findall(r"([\d.]+) s would do", message)[0])
+    seconds = float(re.findall(r"give it ([\d.]+) s", message)[0])
     clip, warned = simulated(pilot, seconds, start, world)
     assert not warned
     assert np.linalg.norm(np.diff(clip.positions, axis=0), axis=1).max() * 96 < 1.03 * speed

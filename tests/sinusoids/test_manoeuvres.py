@@ -13,17 +13,17 @@ from vehsim.errors import SolveError
 from vehsim.shot.offers import paint_offers
 from vehsim.sinusoids import models
 from vehsim.sinusoids.manoeuvres.manoeuvres import choose_manoeuvre, clearance, joined, manoeuvres, timed_clip
+from vehsim.sinusoids.manoeuvres.options import SinusoidOptions
 from vehsim.sinusoids.manoeuvres.picture import FAINT, paint
 from vehsim.sinusoids.manoeuvres.rigs import rigged
 from vehsim.sinusoids.manoeuvres.trailers import steer_trailers
-from vehsim.sinusoids.manoeuvres.wish import Wish
 from vehsim.sinusoids.steering import PACES, Stage, Steering, integrate
 from vehsim.world.obstacles.obstacles import box, moving
 from vehsim.world.world import World
 
 TAU = 2 * np.pi
 LIMITS = {"speed": 1.5, "steering_rate": 0.7}
-LOOP = Wish(amplitude=2.6, cycles=1, phase=0.0)
+LOOP = SinusoidOptions(amplitude=2.6, cycles=1, phase=0.0)
 
 
 @pytest.fixture(scope="module")
@@ -141,7 +141,7 @@ def test_an_even_pace_does_not_change_the_path():
 
 
 def test_a_frame_that_is_too_early_reports_a_sufficient_one(car, parked):
-    with pytest.raises(SolveError, match=r"too short .* would do"):
+    with pytest.raises(SolveError, match=r"too short .* use "):
         timed_clip(car, parked[0].steering, 2.0, 24, 1001)
 
 
@@ -157,7 +157,7 @@ def test_clips_meet_the_constraints(car, parked):
 def test_hopper_keeps_its_angular_momentum_and_falls_freely():
     rig = rigged(vehsim.load_vehicle("hopper"), take_off=(0, 0, 0.9), landing=(2, 1, 0.9), heading=0.4)
     start, goal = np.zeros(3), np.array([-2 * np.pi, 0, 2 * np.pi])
-    found = manoeuvres(rig, start, goal, Wish(1.0, 2, 0.0))
+    found = manoeuvres(rig, start, goal, SinusoidOptions(1.0, 2, 0.0))
     steering, clip = timed_clip(rig, found[0].steering, None, 24, 1001)
     assert steering.end_error < 1e-9 and np.allclose(clip.positions[-1], [2, 1, 0.9])
     psi, reach, theta = steering.states[:, 0], 0.9 * (1 + steering.states[:, 1]), steering.states[:, 2]

@@ -25,10 +25,10 @@ def blocks_of(request: Request, transcription: Transcription, cover: SphereCover
     """
     marks, constraints = request.marks, request.constraints
     blocks: list[Block] = [Dynamics(marks)]
-    aims, manner = [term for term in constraints if term.aim is not None], request.manner
-    weights, limits = manner.weights(request.weights), manner.without(request.limits)
-    blocks.append(RunningCosts(weights, aims, marks, limits, manner.control_rates, manner.price))
-    blocks.append(Easing(weights, manner, marks))
+    aims, traits = [term for term in constraints if term.aim is not None], request.traits
+    weights, limits = traits.weights(request.weights), traits.without(request.limits)
+    blocks.append(RunningCosts(weights, aims, marks, limits, traits.control_rates, traits.price))
+    blocks.append(Easing(weights, traits, marks))
     blocks.append(UnitQuaternion())
     for i, mark in enumerate(marks):
         blocks.append(MarkRows(marks, i, closes_loop(marks, i, request.loop)))

@@ -21,7 +21,7 @@ from vehsim.planning.problem import interrupts
 from vehsim.planning.problem.transcription import transcribe
 from vehsim.planning.request.legs import same_headings
 from vehsim.planning.request.marks import Mark, shape
-from vehsim.planning.request.request import all_marks, ask
+from vehsim.planning.request.request import all_marks, make_request
 from vehsim.planning.restraint import restrain
 from vehsim.planning.solve import begin, solve
 from vehsim.vehicles import Vehicle
@@ -84,7 +84,7 @@ def draft(vehicle: Vehicle, world: Any, marks: Sequence[Mark], clip: Clip, **opt
     Raises ``InputError`` for an invalid request.
     """
     segments = max(SEGMENTS, 2 * len(marks))
-    request = ask(
+    request = make_request(
         vehicle, world, marks, **{**options, "refine": False, "segments": segments, "max_iterations": ITERATIONS}
     )
     run = Run(request)

@@ -34,10 +34,10 @@ from vehsim.planning.problem.solver import HURRIED, LONGER, LOOSEN
 from vehsim.planning.problem.transcription import transcribe
 from vehsim.planning.refine import ends_elsewhere, execution_tolerance, settle_on_frames, to_requested_segments
 from vehsim.planning.request.asks import BEYOND, asks_of
-from vehsim.planning.request.character import NO_MANNER
+from vehsim.planning.request.character import NO_TRAITS
 from vehsim.planning.request.legs import facing, same_headings
 from vehsim.planning.request.marks import Mark, shape
-from vehsim.planning.request.request import Request, all_marks, ask
+from vehsim.planning.request.request import Request, all_marks, make_request
 from vehsim.planning.restraint import in_character, restrain, without_character
 from vehsim.planning.solve import begin, give_up, solve
 from vehsim.planning.terms import Term
@@ -174,7 +174,7 @@ def plan(
     Raises ``InputError`` for an invalid request. A request without a solution returns a plan with ``success = False``
     and a message, and warns.
     """
-    request = ask(
+    request = make_request(
         vehicle, world, marks, fps=fps, segments=segments, cost=cost, clearance=clearance, limits=limits,
         character=character, refine=refine, terms=terms, loop=loop, solver=solver, max_iterations=max_iterations,
         time_limit=time_limit,
@@ -233,9 +233,9 @@ def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
         if again.success:
             made = _remarked(again, f"; on {segments} segments: {request.segments} are too few")
     if _fails_in_character(made):
-        stunt = _attempt(replace(request, manner=NO_MANNER), progress, guess)
+        stunt = _attempt(replace(request, traits=NO_TRAITS), progress, guess)
         if stunt.success:
-            made = _remarked(stunt, f"; not {request.manner.name}: no such motion was found")
+            made = _remarked(stunt, f"; not {request.traits.name}: no such motion was found")
     return made
 
 
@@ -243,7 +243,7 @@ def _fails_in_character(plan: Plan) -> bool:
     """Whether a plan failed after it was solved in its character: without it, it may succeed."""
     assert plan._iterate is not None and plan._run is not None
     known = plan._iterate.why or plan.reason in ("refused", "time limit") or plan._run.deadline.late
-    return not (plan.success or known) and plan._iterate.request.manner.name != STUNT
+    return not (plan.success or known) and plan._iterate.request.traits.name != STUNT
 
 
 def _remarked(plan: Plan, remark: str) -> Plan:
@@ -289,16 +289,16 @@ def _attempt(request: Request, progress: Progress | None, guess: Any, once: bool
         return _result(run, give_up(iterate, refused or LATE.format(late)), reason)
     iterate = solve(run, iterate)
     # first find any motion, then apply the character
-    if not (iterate.success or once or run.deadline.late) and request.manner.name != STUNT:
+    if not (iterate.success or once or run.deadline.late) and request.traits.name != STUNT:
         iterate = without_character(run, iterate, paths, as_clip(request, guess))
-        relaxed = replace(request, manner=NO_MANNER)
+        relaxed = replace(request, traits=NO_TRAITS)
     else:
         relaxed = request
     if not (iterate.success or once):
         run, iterate = with_fewer_requirements(run, iterate, relaxed, paths, guess)
     if not (iterate.success or once):
         iterate = from_other_guesses(run, iterate, paths, guess)
-    iterate = settle_on_frames(run, restrain(run, in_character(run, iterate, request.manner)))
+    iterate = settle_on_frames(run, restrain(run, in_character(run, iterate, request.traits)))
     iterate = to_requested_segments(run, iterate)
     iterate = refine_and_certify(run, iterate)
     return _result(run, iterate)
@@ -316,7 +316,7 @@ def at_marks(iterate: Iterate, request: Request) -> Iterate:
     fresh = blocks_of(request, transcription, iterate.cover)
     blocks = tuple(new.resume(old) for new, old in zip(fresh, iterate.blocks, strict=True))
     fixed = fixed_durations(request.marks, request.fps)
-    lengths = np.where(np.isnan(fixed), iterate.lengths, fixed / np.array(layout.phases))
+    lengths = np.where(np.isnan(fixed), iterate.lengths, fixed / np.array(layout.legs))
     return Iterate(
         request,
         transcription,
@@ -365,7 +365,7 @@ def _result(run: Run, iterate: Iterate, reason: Reason | None = None) -> Plan:
     asks = asks_of(request, iterate.mark_frames())
     rows = audit(track_of_clip(clip), asks, WorldScene(request.world, clip.vehicle)) if success else []
     if beyond := _beyond(rows):
-        message += f"; beyond {request.manner.name}: {'; '.join(beyond)}"
+        message += f"; beyond {request.traits.name}: {'; '.join(beyond)}"
     if wrong := missed(rows):
         success, reason = False, "audit"
         out_of_time = run.deadline.over or run.deadline.cut

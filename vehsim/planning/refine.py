@@ -127,7 +127,7 @@ def _solved_on(run: Run, iterate: Iterate, segments: int, order: int) -> tuple[I
     False."""
     layout = iterate.layout
     split = segments // layout.segments
-    fine = Layout(iterate.transcription.sizes, tuple(split * n for n in layout.phases), order)
+    fine = Layout(iterate.transcription.sizes, tuple(split * n for n in layout.legs), order)
     note = f"; not refined to {segments} segments of order {order}: "
     if not run.deadline.allows(fine.nodes):
         return replace(iterate, note=f"{note}{HURRIED}"), False

@@ -16,7 +16,7 @@ from vehsim.clip.clip import Clip
 from vehsim.planning.blocks import blocks_of
 from vehsim.planning.costs import RunningCosts
 from vehsim.planning.iterate import Iterate, Run
-from vehsim.planning.request.character import NO_MANNER, Manner
+from vehsim.planning.request.character import NO_TRAITS, Traits
 from vehsim.planning.solve import begin, solve
 
 Array = NDArray[np.float64]
@@ -24,20 +24,20 @@ Array = NDArray[np.float64]
 
 def without_character(run: Run, failed: Iterate, paths: Sequence[Array], clip: Clip | None) -> Iterate:
     """The iterate solved from the same guess without a character, or the failed one."""
-    request = replace(failed.request, manner=NO_MANNER)
+    request = replace(failed.request, traits=NO_TRAITS)
     return solve(run, begin(run, request, failed.transcription, failed.cover, paths, clip))
 
 
-def in_character(run: Run, iterate: Iterate, manner: Manner) -> Iterate:
+def in_character(run: Run, iterate: Iterate, traits: Traits) -> Iterate:
     """An iterate that was solved without its character, solved with it; if this fails, unchanged with a remark."""
-    if not iterate.success or iterate.request.manner is manner or run.deadline.late:
+    if not iterate.success or iterate.request.traits is traits or run.deadline.late:
         return iterate
-    request = replace(iterate.request, manner=manner)
+    request = replace(iterate.request, traits=traits)
     fresh = blocks_of(request, iterate.transcription, iterate.cover)
     blocks = tuple(new.resume(old) for new, old in zip(fresh, iterate.blocks, strict=True))
     again = replace(iterate, request=request, blocks=blocks, multipliers=None, prolongated=True)
     solved = solve(run, again)
-    remark = f"; not {manner.name}: no such motion was found"
+    remark = f"; not {traits.name}: no such motion was found"
     return solved if solved.success else replace(iterate, remark=iterate.remark + remark)
 
 

@@ -78,7 +78,7 @@ def begin(
     coarse = coarse and math.isinf(request.vehicle.largest_step)  # interpolated, slips would exceed any grip
     segments = _coarse(request, paths, CLOSE if close else COARSE) if coarse else request.segments
     layout = Layout(transcription.sizes, split_segments(segments, durations, held))
-    lengths = durations / np.array(layout.phases)
+    lengths = durations / np.array(layout.legs)
     if clip is None:
         aims = request.aims(layout.mark_knots)
         x = along_paths(transcription, layout, marks, paths, lengths, request.wind, aims)
@@ -175,7 +175,7 @@ def _solver(run: Run, iterate: Iterate) -> Solver:
     """The solver of an iterate's problem, built once per shape of marks and, in free space, shared by all plans."""
     request, layout, transcription = iterate.request, iterate.layout, iterate.transcription
     keys: tuple[Hashable, ...] = tuple(block.key(layout, transcription) for block in iterate.blocks)
-    content = request.manner.name != STUNT  # a character is a preference: its costs need not be least
+    content = request.traits.name != STUNT  # a character is a preference: its costs need not be least
     key = transcription, layout, keys, request.solver, request.max_iterations, content
     cache = run.solvers if iterate.cover is not None or request.terms else common()
 

@@ -45,7 +45,7 @@ class Trajectory:
         state = self.x[layout.knot(every)]
         g, r, pi = (np.ascontiguousarray(state[a:b].T) for a, b in pairwise(cuts))
         c = np.ascontiguousarray((self.x[layout.control(every)] * self.transcription.control_scale[:, None]).T)
-        return g, r, pi * self.transcription.momentum_scale, c, np.repeat(self.lengths, layout.phases)
+        return g, r, pi * self.transcription.momentum_scale, c, np.repeat(self.lengths, layout.legs)
 
     def poses(self) -> tuple[Array, Array]:
         """Position (n, 2) m and heading (n,) rad at the knots of a driving vehicle's root."""
@@ -56,7 +56,7 @@ class Trajectory:
 
     def seconds(self) -> Array:
         """Times of the knots (n,), s since frame 0."""
-        steps = np.repeat(self.lengths, self.layout.phases)
+        steps = np.repeat(self.lengths, self.layout.legs)
         start = int(self.request.marks[0].frame) / float(self.request.fps)
         return np.asarray(start + np.concatenate([[0.0], np.cumsum(steps)]))
 
@@ -71,7 +71,7 @@ class Trajectory:
         Velocities and momenta scale inversely with the lengths.
         """
         x, layout, ratio = self.x.copy(), self.layout, self.lengths / lengths
-        per_substep = np.repeat(ratio, np.array(layout.phases) * len(layout.fractions))
+        per_substep = np.repeat(ratio, np.array(layout.legs) * len(layout.fractions))
         momenta = layout.node(np.arange(layout.nodes))[sum(self.transcription.sizes[:2]) :]
         x[momenta] *= np.append(per_substep, per_substep[-1])
         x[layout.velocity(np.arange(layout.nodes - 1))] *= per_substep
@@ -84,7 +84,7 @@ class Trajectory:
         marks = self.request.marks
         carried = np.array([mark.hold > 0 and mark.on_ground for mark in marks[:-1]])
         # the ground carries what stands on it, so its controls would lead elsewhere
-        steps = np.where(np.repeat(carried, self.layout.phases), CARRIED, steps)
+        steps = np.where(np.repeat(carried, self.layout.legs), CARRIED, steps)
         return executed(self.transcription.mechanics, g, r, pi, c, steps, self.request.wind)
 
     @cached_property

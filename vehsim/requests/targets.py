@@ -24,7 +24,7 @@ def _reach(target: Target, frame: Callable[[float], float], last: float) -> Ask:
     wanted = {"position": [0.0 if x is None else x for x in target["position"]], "axes": axes}
     needs = target.get("needs")
     longer = needs is not None and frame(needs) >= last
-    remedy = f"{needs:.1f} s would do" if longer else "give it more time, or less wind or speed"
+    remedy = f"give it {needs:.1f} s" if longer else "give it more time, or less wind or speed"
     return _ask(target, "distance", last, last, wanted, upper=target["tolerance"], unit="m", remedy=remedy)
 
 
@@ -49,7 +49,7 @@ def _path(target: Target, frame: Callable[[float], float], last: float) -> Ask:
 def _amplitude(target: Target, frame: Callable[[float], float], last: float) -> Ask:
     wanted = {"joint": target["joint"]}
     period = target.get("needs_period")
-    remedy = f"a period of {period:.2f} s would do" if period else ""
+    remedy = f"use a period of {period:.2f} s" if period else ""
     bounds = [target["amplitude"] * (1 + sign * target["tolerance"]) for sign in (-1, 1)]
     ends = frame(target["from"]), frame(target["until"])
     named = {**target, "key": f"{target['key']}.{target['joint']}"}

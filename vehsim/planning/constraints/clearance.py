@@ -324,7 +324,7 @@ def _seconds(trajectory: Trajectory) -> Array:
     """Times of the places (places,), s since frame 0."""
     layout, lengths = trajectory.layout, trajectory.lengths
     node, half = _free_places(layout, trajectory.request.marks)
-    steps = np.repeat(lengths, layout.phases)
+    steps = np.repeat(lengths, layout.legs)
     knots = np.concatenate([[0.0], np.cumsum(steps)])
     shares = np.concatenate([[0.0], np.cumsum(layout.fractions)[:-1]])
     segment, part = np.divmod(node, len(layout.fractions))

@@ -39,7 +39,7 @@ class Dynamics(Block):
     def _substeps(self, layout: Layout) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Substeps outside of holds, and those during holds."""
         every = np.arange(layout.segments * len(layout.fractions))
-        held = held_segments(layout.phases, self.marks)[every // len(layout.fractions)]
+        held = held_segments(layout.legs, self.marks)[every // len(layout.fractions)]
         return every[~held], every[held]
 
     def add(self, problem: NonlinearProgram, transcription: Transcription, layout: Layout) -> None:

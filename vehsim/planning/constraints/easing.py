@@ -15,7 +15,7 @@ from vehsim.planning.constraints.marks import asks_balance, imbalance
 from vehsim.planning.problem.elements import Element, NonlinearProgram
 from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.transcription import Transcription
-from vehsim.planning.request.character import Manner, control_rates, eased
+from vehsim.planning.request.character import Traits, control_rates, eased
 from vehsim.planning.request.marks import Mark
 from vehsim.planning.terms import COSTS, BendView, costs_of, weight_of
 from vehsim.planning.trajectory import Trajectory
@@ -38,7 +38,7 @@ class Easing(Block):
     """
 
     weights: Mapping[str, float]
-    manner: Manner
+    traits: Traits
     marks: Sequence[Mark]
 
     @property
@@ -47,11 +47,11 @@ class Easing(Block):
         return costs_of(BendView, self.weights)
 
     def key(self, layout: Layout, transcription: Transcription) -> Hashable:
-        return "easing", self.names, tuple(eased(self.manner, self.marks)), self._rates(transcription).tobytes()
+        return "easing", self.names, tuple(eased(self.traits, self.marks)), self._rates(transcription).tobytes()
 
     def _rates(self, transcription: Transcription) -> Array:
         """The largest rates of the controls over their scale, 1/s."""
-        return np.asarray(control_rates(self.manner, transcription.vehicle) / transcription.control_scale)
+        return np.asarray(control_rates(self.traits, transcription.vehicle) / transcription.control_scale)
 
     def add(self, problem: NonlinearProgram, transcription: Transcription, layout: Layout) -> None:
         if not transcription.sizes[3]:
@@ -61,9 +61,9 @@ class Easing(Block):
             controls = [layout.control(k + i) for i in (-1, 0, 1)]
             variables = np.vstack([*controls, layout.duration(k - 1), layout.duration(k)])
             problem.add(bend_element(transcription, self.names), variables)
-        for i, comes, leaves in eased(self.manner, self.marks):
+        for i, comes, leaves in eased(self.traits, self.marks):
             knot = layout.mark_knots[i]
-            element = rest_element(transcription, self.names, self._rates(transcription), self.manner.price)
+            element = rest_element(transcription, self.names, self._rates(transcription), self.traits.price)
             for side, there in ((-1, comes), (1, leaves)):
                 if there:
                     segment = knot - 1 if side < 0 else knot
@@ -71,7 +71,7 @@ class Easing(Block):
                     problem.add(element, np.vstack(here))
             held = i > 0 and self.marks[i - 1].hold
             if not (asks_balance(transcription.vehicle, self.marks[i]) or held):
-                element = balance_element(transcription, self.manner.price)
+                element = balance_element(transcription, self.traits.price)
                 problem.add(element, np.vstack([layout.knot(knot), layout.control(knot)]))
 
     def values(self, trajectory: Trajectory) -> Mapping[str, Any]:

@@ -207,27 +207,27 @@ def add_term(
 
     Between knots, at ``fractions`` (1, n) of the segments, or at those in the parameter with indices ``active`` (1, n).
     """
-    element = term_element(transcription, term, place, len(layout.phases), active is not None)
+    element = term_element(transcription, term, place, len(layout.legs), active is not None)
     y = np.vstack([layout.knot(k), layout.control(k)]) if place == "knot" else layout.segment(k)
     constants = {} if fractions is None else {"fraction": fractions}
     if "passed" in element.sizes:
         starts = layout.mark_knots[:-1, None]
-        constants["passed"] = np.clip(k - starts, 0, np.array(layout.phases)[:, None]).astype(float)
+        constants["passed"] = np.clip(k - starts, 0, np.array(layout.legs)[:, None]).astype(float)
         y = np.vstack([y, np.tile(layout.lengths[:, None], len(k))])
     problem.add(element, y, {} if active is None else {"fraction": active}, constants)
 
 
 def term_element(
-    transcription: Transcription, term: Term, place: Place, phases: int, between_knots: bool = False
+    transcription: Transcription, term: Term, place: Place, legs: int, between_knots: bool = False
 ) -> Element:
     """A term at a place.
 
     The places are a ``knot`` (x, c0), a ``segment`` (x, x1, c0, c1, h), or ``between`` two knots, with the same
     variables as a segment and the ``fraction`` of it as a parameter. If its law uses the time, the durations of all
-    ``phases`` are variables too, and the parameter ``passed`` (phases,) counts the segments of each phase that have
+    ``legs`` are variables too, and the parameter ``passed`` (legs,) counts the segments of each leg that have
     passed.
     """
-    now, lengths, passed = ca.SX.sym("t"), ca.SX.sym("lengths", phases), ca.SX.sym("passed", phases)
+    now, lengths, passed = ca.SX.sym("t"), ca.SX.sym("lengths", legs), ca.SX.sym("passed", legs)
     parameters: dict[str, Any] = {}
     view: KnotView | SegmentView
     v = transcription.symbols(*(("x", "c0") if place == "knot" else ("x", "x1", "c0", "c1", "h")))

@@ -62,7 +62,7 @@ class Timing(Block):
     def add(self, problem: NonlinearProgram, transcription: Transcription, layout: Layout) -> None:
         for legs, _ in self.spans:
             h, total = ca.SX.sym("h", len(legs)), ca.SX.sym("total")
-            counts = ca.DM([layout.phases[leg] for leg in legs])
+            counts = ca.DM([layout.legs[leg] for leg in legs])
             element = Element("frames", h, {"total": total}, g=ca.dot(counts, h) - total)
             problem.add(element, layout.lengths[legs], {"total": problem.parameter(_duration(legs), 1)})
 
@@ -87,7 +87,7 @@ class Timing(Block):
 
         A free mark is at most ``early`` of a frame too early.
         """
-        segments = np.array(trajectory.layout.phases)
+        segments = np.array(trajectory.layout.legs)
         return np.asarray(whole_frames(trajectory.lengths * segments, self.marks, self.fps, early) / segments)
 
 

@@ -60,7 +60,7 @@ def _remedy(transcription: Transcription, mark: Mark, wind: Any, windy: bool) ->
     if mark.heading is not None:
         left, heading = least_push(transcription, replace(mark, heading=None), wind)
         if left <= STILL:
-            return f"heading = {heading:.0f} would do"
+            return f"use heading = {heading:.0f}"
     return "weaken the wind, or do not stop there" if windy else "stop where it is flatter"
 
 

@@ -17,7 +17,7 @@ from vehsim.planning.guesses.routes import backwards
 from vehsim.planning.iterate import Iterate, Run
 from vehsim.planning.problem.transcription import Transcription, transcribe
 from vehsim.planning.refine import execution_tolerance
-from vehsim.planning.request.character import NO_MANNER
+from vehsim.planning.request.character import NO_TRAITS
 from vehsim.planning.request.legs import facing, legs_between, path_length
 from vehsim.planning.request.request import Request
 from vehsim.planning.solve import begin, solve
@@ -67,7 +67,7 @@ def first_frame(request: Request, i: int, j: int, least: int) -> tuple[int, bool
         max_iterations=ITERATIONS,
         terms=terms,
         loop=False,
-        manner=NO_MANNER,  # a character may be exceeded
+        traits=NO_TRAITS,  # a character may be exceeded
         given=(),
     )
     try:
@@ -139,7 +139,7 @@ def _quickest(
         run.deadline.end = request.deadline
         finite = replace(request, max_iterations=affordable(guess.layout.size, request.max_iterations))
         iterate = solve(run, replace(guess, request=finite))
-        taken = float((iterate.lengths * iterate.layout.phases).sum())
+        taken = float((iterate.lengths * iterate.layout.legs).sum())
         if _violation(iterate) < NEAR and (best is None or taken < best[0]):
             best = taken, stretch, iterate
         if iterate.success:
@@ -158,7 +158,7 @@ def _violation(iterate: Iterate) -> float:
 def _whole(run: Run, iterate: Iterate, least: int) -> int | None:
     """The first whole frame for which a motion is found, with all legs stretched by the same factor."""
     marks, fps = iterate.request.marks, float(iterate.request.fps)
-    legs, lengths = np.array(iterate.layout.phases), iterate.lengths
+    legs, lengths = np.array(iterate.layout.legs), iterate.lengths
     held = np.array([mark.hold > 0 for mark in marks[:-1]])
     standing, moving = (lengths * legs)[held].sum(), (lengths * legs)[~held].sum()
     for margin in LATER:

@@ -54,7 +54,7 @@ class LooseTiming(Timing):
     def add(self, problem: NonlinearProgram, transcription: Transcription, layout: Layout) -> None:
         if not self.price:
             return
-        durations, counts = self.durations, np.array(layout.phases, float)
+        durations, counts = self.durations, np.array(layout.legs, float)
         held = np.array([mark.hold > 0 for mark in self.marks[:-1]])
         fixed = np.isfinite(durations) & ~held
         h = ca.SX.sym("h", len(durations))
@@ -122,7 +122,7 @@ def too_early(run: Run, near: Iterate) -> str:
     answer = _solved(run, near, assemble(near.transcription, layout, blocks), blocks)
     if not (answer.success or answer.violation < NOTHING):
         return ""
-    durations = answer.x[layout.lengths] * np.array(layout.phases)
+    durations = answer.x[layout.lengths] * np.array(layout.legs)
     arrivals: Array = np.cumsum(durations) * float(request.fps) + int(request.marks[0].frame)
     late = {
         i: math.ceil(frame - 1e-3)

@@ -185,7 +185,7 @@ def _between(request: Request, i: int, j: int, delay: int) -> tuple[list[Refusal
         world = request.world
         blocked = world is not None and bool(request.hazards or world.obstacles)
         at = last + delay + later
-        remedy = f"earliest {at}" if first_of_all else f"{at} would do"
+        remedy = f"earliest {at}" if first_of_all else f"use {at}"
         remedy = f"not before {at}" if found is None or blocked else remedy
         if any(mark.frame != "free" and mark.place > b.place for mark in request.marks):
             remedy += f", with all later marks moved by {delay + later} frames"

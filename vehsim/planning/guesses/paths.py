@@ -40,11 +40,11 @@ def along_paths(
     A path is a polyline (k, 3) m, or of poses (k, 4) with headings in rad. ``aims``: (first knot, last knot, point (3,)
     m, angle rad): between these knots the vehicle heads for the point, plus the angle to the right.
     """
-    fraction, phase = _node_fractions(layout)
+    fraction, leg = _node_fractions(layout)
     pace = [_pace(marks[j].at_rest, marks[j + 1].at_rest) for j in range(len(paths))]
-    s = np.array([np.polyval(pace[j], f) for f, j in zip(fraction, phase, strict=True)])
-    positions = np.array([_along(paths[j], f)[:3] for f, j in zip(s, phase, strict=True)])
-    headings = _headings(marks, paths, s, phase)
+    s = np.array([np.polyval(pace[j], f) for f, j in zip(fraction, leg, strict=True)])
+    positions = np.array([_along(paths[j], f)[:3] for f, j in zip(s, leg, strict=True)])
+    headings = _headings(marks, paths, s, leg)
     for first, last, point, offset in aims:
         nodes = np.arange(first, last + 1) * len(layout.fractions)
         to_point = np.asarray(point, float)[:2] - positions[nodes, :2]
@@ -59,11 +59,11 @@ def along_clip(
 ) -> Array:
     """Variables (size,) of a clip of the same vehicle, with its joints and controls, moved onto the marks'
     positions."""
-    fraction, phase = _node_fractions(layout)
+    fraction, leg = _node_fractions(layout)
     begins, ends = clip_spans(clip, marks)
-    motion = clip.at(begins[phase] + fraction * (ends - begins)[phase])
+    motion = clip.at(begins[leg] + fraction * (ends - begins)[leg])
     off = mark_positions(marks) - clip.at(np.append(begins, ends[-1])).positions
-    positions = motion.positions + (1 - fraction)[:, None] * off[phase] + fraction[:, None] * off[phase + 1]
+    positions = motion.positions + (1 - fraction)[:, None] * off[leg] + fraction[:, None] * off[leg + 1]
     headings = poses_of(motion)[:, 3]
     knots = np.arange(layout.segments + 1) * len(layout.fractions)
     return from_poses(
@@ -121,17 +121,17 @@ def from_poses(
 def _node_fractions(layout: Layout) -> tuple[Array, NDArray[np.intp]]:
     """Fraction of its leg (0 to 1) and leg of every node."""
     inner = np.concatenate([[0.0], np.cumsum(layout.fractions)[:-1]])
-    fraction, phase = [], []
-    for j, count in enumerate(layout.phases):
+    fraction, leg = [], []
+    for j, count in enumerate(layout.legs):
         fraction.append(((np.arange(count)[:, None] + inner) / count).ravel())
-        phase.append(np.full(count * len(inner), j))
+        leg.append(np.full(count * len(inner), j))
     fraction.append(np.ones(1))
-    phase.append(np.full(1, len(layout.phases) - 1))
-    return np.concatenate(fraction), np.concatenate(phase).astype(np.intp)
+    leg.append(np.full(1, len(layout.legs) - 1))
+    return np.concatenate(fraction), np.concatenate(leg).astype(np.intp)
 
 
 def _substep_lengths(layout: Layout, lengths: Array) -> Array:
-    per_segment = np.repeat(lengths, layout.phases)
+    per_segment = np.repeat(lengths, layout.legs)
     return (per_segment[:, None] * np.asarray(layout.fractions)).ravel()
 
 
@@ -147,10 +147,10 @@ def _along(path: Array, fraction: float) -> Array:
     return np.array([np.interp(at, steps, column) for column in path.T])
 
 
-def _headings(marks: Sequence[Mark], paths: Sequence[Array], s: Array, phase: NDArray[np.intp]) -> Array:
-    """Headings (nodes,) rad along the path, blended into the marks' own headings at both ends of a phase."""
+def _headings(marks: Sequence[Mark], paths: Sequence[Array], s: Array, leg: NDArray[np.intp]) -> Array:
+    """Headings (nodes,) rad along the path, blended into the marks' own headings at both ends of a leg."""
     out = np.zeros(len(s))
-    for i, (f, j) in enumerate(zip(s, phase, strict=True)):
+    for i, (f, j) in enumerate(zip(s, leg, strict=True)):
         if paths[j].shape[1] == 4:  # the path has headings
             out[i] = _along(paths[j], f)[3]
             continue

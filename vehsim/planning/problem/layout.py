@@ -13,10 +13,10 @@ from vehsim.integrators.composition import COMPOSITIONS
 
 @dataclass(frozen=True)
 class Layout:
-    """The layout of the variable vector: ``phases`` segments between consecutive marks, at ``order``."""
+    """The layout of the variable vector: ``legs``: the number of segments of each leg, at ``order``."""
 
     sizes: tuple[int, int, int, int]
-    phases: tuple[int, ...]
+    legs: tuple[int, ...]
     order: int = 2
 
     @property
@@ -25,7 +25,7 @@ class Layout:
 
     @property
     def segments(self) -> int:
-        return sum(self.phases)
+        return sum(self.legs)
 
     @property
     def nodes(self) -> int:
@@ -37,7 +37,7 @@ class Layout:
 
     @property
     def size(self) -> int:
-        return self._durations + len(self.phases)
+        return self._durations + len(self.legs)
 
     @property
     def _velocities(self) -> int:
@@ -67,8 +67,8 @@ class Layout:
 
     def duration(self, segment: Any) -> NDArray[np.intp]:
         """Index (1, count) of the duration of segments ``segment``."""
-        phase = np.repeat(np.arange(len(self.phases)), self.phases)
-        return self._durations + phase[np.atleast_1d(segment)][None]
+        leg = np.repeat(np.arange(len(self.legs)), self.legs)
+        return self._durations + leg[np.atleast_1d(segment)][None]
 
     def segment(self, k: Any) -> NDArray[np.intp]:
         """Indices of all variables of segments ``k``: (x, x1, c0, c1, h)."""
@@ -77,11 +77,11 @@ class Layout:
 
     @property
     def lengths(self) -> NDArray[np.intp]:
-        """Indices (phases,) of the segment durations."""
-        return self._durations + np.arange(len(self.phases))
+        """Indices (legs,) of the segment durations."""
+        return self._durations + np.arange(len(self.legs))
 
     def instants(self, variables: Any) -> NDArray[np.float64]:
-        """Times of variables (n,) of nodes, velocities or controls, in phases since the start; zero for durations."""
+        """Times of variables (n,) of nodes, velocities or controls, in legs since the start; zero for durations."""
         places, steps = np.asarray(variables), len(self.fractions)
         node = np.zeros(len(places), np.intp)
         for first, last, width, every in (
@@ -106,4 +106,4 @@ class Layout:
     @property
     def mark_knots(self) -> NDArray[np.intp]:
         """Knot of every mark."""
-        return np.concatenate([[0], np.cumsum(self.phases)]).astype(np.intp)
+        return np.concatenate([[0], np.cumsum(self.legs)]).astype(np.intp)

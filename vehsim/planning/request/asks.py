@@ -91,12 +91,12 @@ def _mark(request: Request, mark: Mark, frame: float, hold: float) -> Iterator[A
 
 def _character(request: Request, first: float, last: float) -> Iterator[Ask]:
     """The soft limits of the character, with severity `warning`."""
-    manner, vehicle = request.manner, request.vehicle
+    traits, vehicle = request.traits, request.vehicle
     wanted = {"planar": vehicle.group.planar}
-    for name, value in manner.without(request.limits).items():
+    for name, value in traits.without(request.limits).items():
         upper, unit = (1 + ROOM) * value, LIMITS[name].unit
         yield Ask(f"{BEYOND}{name}", name, first, last, wanted, None, upper, unit, "warning")
-    for name, value in manner.control_rates.items():
+    for name, value in traits.control_rates.items():
         k = vehicle.control_names.index(name)
         unit, upper = f"{vehicle.controls[k].unit}/s", (1 + ROOM) * value
         key, which = f"{BEYOND}control_rates.{name}", {"control": k}
@@ -105,8 +105,8 @@ def _character(request: Request, first: float, last: float) -> Iterator[Ask]:
 
 def _ease(request: Request, marks: Sequence[Mark], frames: Sequence[float]) -> Iterator[Ask]:
     """The rates of controls at the start and end of a motion that eases, with severity `warning`."""
-    vehicle, rates = request.vehicle, control_rates(request.manner, request.vehicle)
-    for i, comes, leaves in eased(request.manner, marks):
+    vehicle, rates = request.vehicle, control_rates(request.traits, request.vehicle)
+    for i, comes, leaves in eased(request.traits, marks):
         for side, there in ((-1, comes), (1, leaves)):
             first, last = sorted((frames[i], frames[i] + side / PER_FRAME))
             for k, control in enumerate(vehicle.controls if there else ()):

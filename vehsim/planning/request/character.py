@@ -21,7 +21,7 @@ from vehsim.vehicles.definition.character import CHARACTERS, STUNT
 
 
 @dataclass(frozen=True)
-class Manner:
+class Traits:
     """The traits of one character, SI: see `vehsim.vehicles.definition.character.Character`; a stunt has none.
 
     ``costs``: weights of costs by name that make the response time of the controls ``response``, unless the user gives
@@ -48,11 +48,11 @@ class Manner:
         return mark.at_rest and (self.name != STUNT if mark.ease is None else mark.ease)
 
 
-NO_MANNER = Manner()
-"""The manner of a stunt."""
+NO_TRAITS = Traits()
+"""The traits of a stunt."""
 
 
-def manner_of(vehicle: Vehicle, name: str, cost: str | Mapping[str, float]) -> Manner:
+def traits_of(vehicle: Vehicle, name: str, cost: str | Mapping[str, float]) -> Traits:
     """The traits of a character for a vehicle, with the ``cost`` of the user; raises ``InputError`` for an unknown
     name."""
     if name not in CHARACTERS:
@@ -61,34 +61,34 @@ def manner_of(vehicle: Vehicle, name: str, cost: str | Mapping[str, float]) -> M
         raise InputError("unknown", hint, key="character", value=name)
     price = heaviest(cost)
     if name == STUNT:
-        return Manner(price=price)
-    traits = vehicle.character
-    time = traits.response.of(name)
+        return Traits(price=price)
+    character = vehicle.character
+    time = character.response.of(name)
     costs = {"smoothness": price * time**2, "easing": price * time**4}
-    for limit in traits.limits:
+    for limit in character.limits:
         if limit not in LIMITS:
             remedy = f"choose one of {', '.join(LIMITS)}"
             raise InputError("unknown", remedy, key=f"character.limits.{limit}", subject=vehicle.name)
-    return Manner(
+    return Traits(
         name,
-        {key: trait.of(name) for key, trait in traits.limits.items()},
-        {key: trait.of(name) for key, trait in traits.control_rates.items()},
+        {key: trait.of(name) for key, trait in character.limits.items()},
+        {key: trait.of(name) for key, trait in character.control_rates.items()},
         {key: weight for key, weight in costs.items() if isinstance(cost, str) or key not in cost},
         price,
     )
 
 
-def control_rates(manner: Manner, vehicle: Vehicle) -> NDArray[np.float64]:
+def control_rates(traits: Traits, vehicle: Vehicle) -> NDArray[np.float64]:
     """The largest rates of the controls (c,), SI; by default, their scale per second."""
-    return np.array([manner.control_rates.get(control.name, control.scale) for control in vehicle.controls])
+    return np.array([traits.control_rates.get(control.name, control.scale) for control in vehicle.controls])
 
 
-def eased(manner: Manner, marks: Sequence[Mark]) -> list[tuple[int, bool, bool]]:
+def eased(traits: Traits, marks: Sequence[Mark]) -> list[tuple[int, bool, bool]]:
     """The marks at which controls start or end gently: index, whether the motion arrives there, and whether it
     departs."""
     found = []
     for i, mark in enumerate(marks):
         comes, leaves = i > 0 and not marks[i - 1].hold, i + 1 < len(marks) and not mark.hold
-        if manner.eases(mark) and (comes or leaves):
+        if traits.eases(mark) and (comes or leaves):
             found.append((i, comes, leaves))
     return found

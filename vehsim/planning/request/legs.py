@@ -144,9 +144,9 @@ def knots_within(
     return (0, end) if frames is None else (at[frames[0]], at.get(frames[1], end))
 
 
-def held_segments(phases: Sequence[int], marks: Sequence[Mark]) -> NDArray[np.bool_]:
-    """Which segments (n,) belong to a hold; ``phases``: the number of segments of each leg."""
-    return np.repeat([mark.hold > 0 for mark in marks[:-1]], phases)
+def held_segments(legs: Sequence[int], marks: Sequence[Mark]) -> NDArray[np.bool_]:
+    """Which segments (n,) belong to a hold; ``legs``: the number of segments of each leg."""
+    return np.repeat([mark.hold > 0 for mark in marks[:-1]], legs)
 
 
 def split_segments(segments: int, durations: Array, held: NDArray[np.bool_]) -> tuple[int, ...]:

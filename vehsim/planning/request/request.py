@@ -17,7 +17,7 @@ from vehsim.clip.samples import frame_rate
 from vehsim.errors import InputError, OutsideTerrain, Problem
 from vehsim.lie import SO3
 from vehsim.planning.problem.solver import check_solver
-from vehsim.planning.request.character import NO_MANNER, Manner, manner_of
+from vehsim.planning.request.character import NO_TRAITS, Traits, traits_of
 from vehsim.planning.request.landing import attitude, descent, landings
 from vehsim.planning.request.legs import knots_within, mark_positions
 from vehsim.planning.request.marks import Mark, check_marks, end_of_hold, with_breaks
@@ -60,7 +60,7 @@ class Request:
     loop: bool = False
     solver: str = "ipopt"
     deadline: float = math.inf
-    manner: Manner = NO_MANNER
+    traits: Traits = NO_TRAITS
     """The traits of its character."""
     given: Sequence[Mark] = ()
     """The marks before those at rest were turned along their legs."""
@@ -117,7 +117,7 @@ class Request:
         return bool(about) and self.vehicle.group.dim == 6
 
 
-def ask(
+def make_request(
     vehicle: Vehicle,
     world: Any,
     marks: Sequence[Mark],
@@ -144,7 +144,7 @@ def ask(
     if time_limit is not None and not time_limit > 0:
         raise InputError("not a time", "give seconds, more than zero", key="time_limit", value=time_limit)
     kept = check_terms(terms)
-    manner = manner_of(vehicle, character, cost)
+    traits = traits_of(vehicle, character, cost)
     request = Request(
         vehicle=vehicle,
         world=world,
@@ -159,7 +159,7 @@ def ask(
         terms=kept,
         loop=loop,
         solver=check_solver(solver),
-        manner=manner,
+        traits=traits,
         deadline=math.inf if time_limit is None else time.monotonic() + time_limit,
     )
     least = 2 * (len(request.marks) - 1)

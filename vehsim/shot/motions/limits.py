@@ -134,12 +134,12 @@ def check_request(
 ) -> Iterator[Problem]:
     """The planner's errors about marks and options together, and what bounds prove impossible."""
     from vehsim.planning.explain.feasibility import refusals
-    from vehsim.planning.request.request import ask
+    from vehsim.planning.request.request import make_request
 
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", OutsideTerrain)  # already reported with its place
-            request = ask(vehicle, setting.world, marks, fps=setting.fps, **options)
+            request = make_request(vehicle, setting.world, marks, fps=setting.fps, **options)
     except InputError as error:
         yield from (problem if problem.key else problem.seen_from("mark") for problem in error.problems)
         return

@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     from vehsim.delivery.exporters import Progress
     from vehsim.requests import Ask
     from vehsim.sinusoids.manoeuvres.manoeuvres import Manoeuvre
+    from vehsim.sinusoids.manoeuvres.options import SinusoidOptions
     from vehsim.sinusoids.manoeuvres.rigs import Rigged
-    from vehsim.sinusoids.manoeuvres.wish import Wish
     from vehsim.sinusoids.steering import Steering
     from vehsim.vehicles import Vehicle
 
@@ -132,7 +132,7 @@ class SinusoidMotion(Table):
 
     def _check_joints(self, vehicle: Vehicle) -> Iterator[Problem]:
         rig = self._rig(vehicle)
-        reach = rig.reach(self._wish(rig).limits)
+        reach = rig.reach(self._sinusoid_options(rig).limits)
         for i, mark in enumerate(self.mark):
             for name, value in mark.joints.items():
                 key = f"mark[{i}].joints.{name}"
@@ -146,7 +146,7 @@ class SinusoidMotion(Table):
         """A vehicle on wheels has at least the time for the straight path; otherwise every manoeuvre is tried, to find
         possible frames. Trailers use legs that contain no sinusoids."""
         rig = self._rig(vehicle)
-        speed = self._wish(rig).limits.get("speed", rig.limits["speed"])
+        speed = self._sinusoid_options(rig).limits.get("speed", rig.limits["speed"])
         short = False
         for a, b in pairwise(self.mark):
             if a.frame == "free" or b.frame == "free" or b.frame <= a.frame + a.hold:
@@ -174,7 +174,7 @@ class SinusoidMotion(Table):
         rig, found = self._rig(vehicle), []
         for k, (a, b) in enumerate(pairwise(self._state(mark, rig) for mark in self.mark), 1):
             try:
-                found.append(manoeuvres(rig, a, b, self._wish(rig), setting.world, self.manoeuvre))
+                found.append(manoeuvres(rig, a, b, self._sinusoid_options(rig), setting.world, self.manoeuvre))
             except VehsimError as error:
                 raise SolveError.of(error.problem.seen_from(f"mark[{k}]")) from None
         return found
@@ -183,7 +183,7 @@ class SinusoidMotion(Table):
         from vehsim.sinusoids.manoeuvres.manoeuvres import joined
         from vehsim.sinusoids.manoeuvres.rigs import clip_of
 
-        rig, wish, fps = self._rig(vehicle), self._wish(self._rig(vehicle)), float(setting.fps)
+        rig, options, fps = self._rig(vehicle), self._sinusoid_options(self._rig(vehicle)), float(setting.fps)
         parts, taken, late = self._legs(vehicle, setting, progress)
         if late:
             raise SolveError.of(*(replace(problem, subject=vehicle.name) for problem in late))
@@ -194,7 +194,7 @@ class SinusoidMotion(Table):
         marks = [mark.model_dump(mode="json", exclude_unset=True) for mark in self.mark]
         asks = self._asks(vehicle, setting, [round(steering.duration * fps) for steering in parts])
         asks_as_data = [ask.as_dict() for ask in asks]
-        return clip, details | {"limits": dict(wish.limits), "marks": marks, "asks": asks_as_data}
+        return clip, details | {"limits": dict(options.limits), "marks": marks, "asks": asks_as_data}
 
     def _asks(self, vehicle: Vehicle, setting: Setting, driven: list[int]) -> Iterator[Ask]:
         """The asks of marks, limits and obstacles for a motion whose legs take ``driven`` frames each."""
@@ -248,13 +248,13 @@ class SinusoidMotion(Table):
             frame += round(steering.duration * fps)
             if mark.frame not in ("free", frame):
                 why = "too early" if int(mark.frame) < frame else "too close to a moving obstacle"
-                remedy = f"{frame} would do, with {chosen.label!r}"
+                remedy = f"use {frame}, with {chosen.label!r}"
                 late.append(Problem(f"mark[{k}].frame", why, remedy, int(mark.frame)))
             frame += mark.hold
             parts.append(steering)
             taken.append({"manoeuvre": chosen.number, "label": chosen.label, "clearance": gap, "of": len(offers)})
         if late and setting.last is not None and frame > setting.last:
-            late.append(Problem("shot.end_frame", "too early then", f"{frame} would do", setting.last))
+            late.append(Problem("shot.end_frame", "too early then", f"use {frame}", setting.last))
         return parts, taken, late
 
     def _leg(
@@ -313,8 +313,8 @@ class SinusoidMotion(Table):
             heading=float(np.deg2rad(first.heading)),
         )
 
-    def _wish(self, rig: Rigged) -> Wish:
-        from vehsim.sinusoids.manoeuvres.wish import Wish
+    def _sinusoid_options(self, rig: Rigged) -> SinusoidOptions:
+        from vehsim.sinusoids.manoeuvres.options import SinusoidOptions
 
         hops = rig.vehicle.group.dim == 6
         units = LIMITS | FLIGHT_LIMITS
@@ -322,7 +322,9 @@ class SinusoidMotion(Table):
         if hops and "l_rate" in limits:
             limits["l_rate"] /= rig.leg_length  # type: ignore[attr-defined]
         amplitude = None if self.amplitude is None else self.amplitude * (np.pi / 180 if hops else 1.0)
-        return Wish(amplitude, self.cycles, None if self.phase is None else float(np.deg2rad(self.phase)), limits)
+        return SinusoidOptions(
+            amplitude, self.cycles, None if self.phase is None else float(np.deg2rad(self.phase)), limits
+        )
 
     def _state(self, mark: RestMark, rig: Rigged) -> Any:
         from vehsim.lie.quaternions import from_yaw

@@ -15,8 +15,8 @@ import numpy as np
 
 from vehsim.errors import InputError, SolveError
 from vehsim.sinusoids.manoeuvres.families import bodies
+from vehsim.sinusoids.manoeuvres.options import SinusoidOptions
 from vehsim.sinusoids.manoeuvres.rigs import Rigged, clip_of
-from vehsim.sinusoids.manoeuvres.wish import Wish
 from vehsim.sinusoids.steering import Stage, Steering, TooFast
 
 if TYPE_CHECKING:
@@ -42,7 +42,12 @@ class Manoeuvre:
 
 
 def manoeuvres(
-    rig: Rigged, start: Any, goal: Any, wish: Wish | None = None, world: World | None = None, only: int | None = None
+    rig: Rigged,
+    start: Any,
+    goal: Any,
+    options: SinusoidOptions | None = None,
+    world: World | None = None,
+    only: int | None = None,
 ) -> list[Manoeuvre]:
     """Every manoeuvre that works from ``start`` to ``goal`` (n,), states of ``rig.system``; or only the number
     ``only``.
@@ -50,13 +55,13 @@ def manoeuvres(
     Clearances are to standing obstacles; moving ones are checked when a manoeuvre is chosen. Raises ``SolveError`` with
     the reasons if none works, ``InputError`` if start or goal are not possible.
     """
-    wish = wish or Wish()
+    options = options or SinusoidOptions()
     x0, x1 = rig.system.check_state("start", start), rig.system.check_state("goal", goal)
-    limits = {**rig.limits, **wish.limits}
+    limits = {**rig.limits, **options.limits}
     of_inputs = {name: value for name, value in limits.items() if name in rig.system.inputs}
     of_states = {name: value for name, value in limits.items() if name in rig.system.states}
     found, reasons, number = [], [], 0
-    for number, (label, make) in enumerate(rig.alternatives(x0, x1, wish), 1):
+    for number, (label, make) in enumerate(rig.alternatives(x0, x1, options), 1):
         if only not in (None, number):
             continue
         try:
@@ -149,7 +154,7 @@ def timed_clip(
             enough, _ = timed_clip(rig, steering, None, fps, start_frame)
             raise SolveError(
                 f"{seconds:.2f} s are too short for {steering.label or 'this'}: {error.message}",
-                f"{round(enough.duration * float(fps))} frames ({enough.duration:.2f} s) would do",
+                f"use {round(enough.duration * float(fps))} frames ({enough.duration:.2f} s)",
                 subject=rig.vehicle.name,
             ) from None
     needed, why = steering.duration, ""

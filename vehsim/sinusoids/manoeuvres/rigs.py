@@ -24,8 +24,8 @@ from vehsim.sinusoids.algebra.feedback import car_chained, car_triangular
 from vehsim.sinusoids.canonical.chained import steer_chained
 from vehsim.sinusoids.canonical.fourier import steer_through, steer_triangular
 from vehsim.sinusoids.manoeuvres.controls import controls_of
+from vehsim.sinusoids.manoeuvres.options import Alternative, SinusoidOptions, loops
 from vehsim.sinusoids.manoeuvres.trailers import trailer_routes
-from vehsim.sinusoids.manoeuvres.wish import Alternative, Wish, loops
 from vehsim.sinusoids.steering import Steering, TooFast
 from vehsim.sinusoids.system import Array, DriftlessSystem
 from vehsim.vehicles import State, Vehicle
@@ -57,7 +57,7 @@ class Rigged(ABC):
     def limits(self) -> dict[str, float]: ...
 
     @abstractmethod
-    def alternatives(self, start: Array, goal: Array, wish: Wish) -> Iterator[Alternative]: ...
+    def alternatives(self, start: Array, goal: Array, options: SinusoidOptions) -> Iterator[Alternative]: ...
 
     @abstractmethod
     def state(self, at: State) -> Array: ...
@@ -67,8 +67,8 @@ class Rigged(ABC):
 
     @abstractmethod
     def reach(self, limits: Mapping[str, float]) -> dict[str, tuple[float, float]]:
-        """Joint -> lowest and highest value at the start and end, under the ``limits`` of a `Wish`; none for joints
-        that cannot be chosen."""
+        """Joint -> lowest and highest value at the start and end, under the ``limits`` of `SinusoidOptions`; none for a
+        joint that cannot be chosen."""
 
     @property
     def outlines(self) -> tuple[Array, ...]:
@@ -140,13 +140,13 @@ class Wheeled(Rigged):
         axles = np.asarray(rig.origin)[:2] - np.outer(np.cumsum([0.0, *self.hitches]), [1.0, 0.0])
         return tuple(convex_hull(np.concatenate(p) - axle) for p, axle in zip(points, axles, strict=True) if p)
 
-    def alternatives(self, start: Array, goal: Array, wish: Wish) -> Iterator[Alternative]:
-        steering = min(self.steering, wish.limits.get("phi", np.inf))
+    def alternatives(self, start: Array, goal: Array, options: SinusoidOptions) -> Iterator[Alternative]:
+        steering = min(self.steering, options.limits.get("phi", np.inf))
         if not self.hitches:
-            yield from self._loops(start, goal, wish, steering)
+            yield from self._loops(start, goal, options, steering)
         order = [0, 1, 2, 3] if self.hitches else [0, 1, 3, 2]  # of x, y, phi, theta0 in this system's states
         ends = [np.concatenate([x[:4][order], x[4:]]) for x in (start, goal)]
-        hitch = min(self.hitch, wish.limits.get("hitch", np.inf))
+        hitch = min(self.hitch, options.limits.get("hitch", np.inf))
 
         @lru_cache
         def legs() -> list[Steering] | SolveError:
@@ -167,7 +167,7 @@ class Wheeled(Rigged):
         for k, label in enumerate(labels):
             yield label, partial(leg, k)
 
-    def _loops(self, start: Array, goal: Array, wish: Wish, steering: float) -> Iterator[Alternative]:
+    def _loops(self, start: Array, goal: Array, options: SinusoidOptions, steering: float) -> Iterator[Alternative]:
         """Sweeps through chained form and SIN's loops, in axes of the mean heading."""
         goal = goal.copy()
         goal[2] = start[2] + (goal[2] - start[2] + np.pi) % (2 * np.pi) - np.pi  # the shorter rotation
@@ -179,7 +179,7 @@ class Wheeled(Rigged):
         )
         chained, triangular = car_chained(self.wheelbase, steering), car_triangular(self.wheelbase, steering)
 
-        limits = {**self.limits, **wish.limits}
+        limits = {**self.limits, **options.limits}
 
         def there(make: Callable[[], Steering]) -> Steering:
             return replace(make().evened(limits).eased(), start=start, goal=goal)
@@ -193,7 +193,7 @@ class Wheeled(Rigged):
         for k in (0.0, 0.5, -0.5, 1.0, -1.0):
             out = f", {abs(k) * 2 * self.wheelbase:.2g} m {'ahead' if k > 0 else 'back'} on the way" if k else ""
             yield f"one sweep{out}", partial(there, partial(sweep, k * self.wheelbase))
-        for a, cycles, phase, label in loops((self.wheelbase, -self.wheelbase), wish):
+        for a, cycles, phase, label in loops((self.wheelbase, -self.wheelbase), options):
             yield label, partial(there, partial(loop, a, cycles, phase))
 
     def state(self, at: State) -> Array:
@@ -257,12 +257,12 @@ class Airborne(Rigged):
     def flight(self) -> dict[str, Any]:
         return {"take_off": self.take_off, "landing": self.landing, "heading": self.heading}
 
-    def alternatives(self, start: Array, goal: Array, wish: Wish) -> Iterator[Alternative]:
+    def alternatives(self, start: Array, goal: Array, options: SinusoidOptions) -> Iterator[Alternative]:
         def loop(a: float, cycles: int, phase: float) -> Steering:
             found = steer_triangular(self.system, start, goal, amplitude=a, cycles=cycles, phase=phase)
-            return found.evened({**self.limits, **wish.limits}).eased()
+            return found.evened({**self.limits, **options.limits}).eased()
 
-        for a, cycles, phase, label in loops((1.0, -1.0, 1.8, -1.8), wish):
+        for a, cycles, phase, label in loops((1.0, -1.0, 1.8, -1.8), options):
             yield f"{label}, leg to {np.degrees(abs(a)):.0f} deg", partial(loop, a, cycles, phase)
 
     def state(self, at: State) -> Array:

@@ -14,7 +14,7 @@ Alternative = tuple[str, Callable[[], Steering]]
 
 
 @dataclass(frozen=True)
-class Wish:
+class SinusoidOptions:
     """The user's options for the sinusoids; an option that is None leaves several alternatives.
 
     ``amplitude`` of the slow sinusoid: m driven to and fro, or rad by which the leg swings; its sign is the initial
@@ -28,11 +28,11 @@ class Wish:
     limits: Mapping[str, float] = field(default_factory=dict)
 
 
-def loops(amplitudes: Sequence[float], wish: Wish) -> Iterator[tuple[float, int, float, str]]:
+def loops(amplitudes: Sequence[float], options: SinusoidOptions) -> Iterator[tuple[float, int, float, str]]:
     """Amplitude, cycles, phase and name of every member of a family of loops."""
-    for a in amplitudes if wish.amplitude is None else (wish.amplitude,):
-        for cycles in (1, 2, 4) if wish.cycles is None else (wish.cycles,):
-            for phase in (0.0, np.pi / 2) if wish.phase is None else (wish.phase,):
+    for a in amplitudes if options.amplitude is None else (options.amplitude,):
+        for cycles in (1, 2, 4) if options.cycles is None else (options.cycles,):
+            for phase in (0.0, np.pi / 2) if options.phase is None else (options.phase,):
                 turns = f"{cycles} cycle{'s' * (cycles > 1)}"
                 yield (
                     a,
