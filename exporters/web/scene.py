@@ -129,6 +129,7 @@ class Kinematics:
             and all(name is not None for name, _ in self._at)
             and [camera.name for camera in take.cameras] == [camera.name for camera in self._take.cameras]
             and take.world.content_hash == self._take.world.content_hash
+            and take.world.looks == self._take.world.looks
         )
 
     def moved_by(self, vehicle: str) -> list[int]:

@@ -421,17 +421,17 @@ def test_concrete_lies_on_obstacles_to_scale():
 
     from PIL import Image
 
-    from vehsim.exporters.usd.scenery.concrete import TILE, coordinates, picture
+    from vehsim.exporters.usd.scenery.finishes import FINISHES, coordinates, picture
 
     rng = np.random.default_rng(4)
     for axis in range(3):
         normals = np.tile(np.eye(3)[axis] * [-1, 1, -1], (5, 1))
         corners = rng.normal(size=(5, 3, 3))
         corners[..., axis] = 2.0
-        st = coordinates(corners, normals)
-        lengths = [np.linalg.norm(np.diff(x, axis=1), axis=2) for x in (corners, st * TILE)]
+        st = coordinates(corners, normals, "concrete")
+        lengths = [np.linalg.norm(np.diff(x, axis=1), axis=2) for x in (corners, st * FINISHES["concrete"].tile)]
         assert np.allclose(*lengths)
-    with Image.open(io.BytesIO(picture((0.4, 0.4, 0.4)))) as image:
+    with Image.open(io.BytesIO(picture("concrete", (0.4, 0.4, 0.4)))) as image:
         shade = np.asarray(image, float).mean(axis=2)
     rows = shade.mean(axis=1)
     assert set(np.argsort(rows)[:4]) == {0, 127, 128, 255}

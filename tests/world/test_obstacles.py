@@ -1,6 +1,7 @@
 """Obstacles: solids that contain their meshes, and errors with key and remedy."""
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -22,6 +23,8 @@ L = [(0, 0), (6, 0), (6, 7), (3.5, 7), (3.5, 2.5), (0, 2.5)]
         ob.polygon("clockwise", L[::-1], height=2.0),
         ob.ellipse("e", (1, 2), (3, 1), 30, height=2.0),
         ob.box("b", (1, 2, 0), (4, 2, 1), 45),
+        ob.cone("traffic", (1, 2, 0.5)),
+        ob.cone("funnel", (1, 2, -3), radius=0.1, height=4.0, tip=2.0),
     ],
     ids=lambda o: o.name,
 )
@@ -55,6 +58,8 @@ def test_a_mesh_is_replaced_by_the_hulls_of_its_bodies(tmp_path):
         (lambda: ob.ellipse("e", (0, 0), (1, -1)), "obstacle 'e': radii"),
         (lambda: ob.ellipse("e", (0,), (1, 1)), "obstacle 'e': centre"),
         (lambda: ob.box("b", (0, 0, 0), (1, 0, 1)), "obstacle 'b': size"),
+        (lambda: ob.cone("c", (0, 0, 0), tip=0.0), "obstacle 'c': tip"),
+        (lambda: replace(ob.cone("c", (0, 0, 0)), finish="gold"), "finish = 'gold': unknown; choose one of concrete"),
         (lambda: ob.mesh("m", "none.obj"), "no such file"),
         (lambda: World(obstacles=[ob.box("a", (0, 0, 0), (1, 1, 1))] * 2), "a name is used twice"),
         (lambda: World(obstacles=["rock"]), "not an obstacle"),

@@ -817,7 +817,7 @@ def check_world(stage: Stage, shot: Mapping[str, Any], folder: Path, found: Find
     for table, (name, parts) in zip(standing, groups.items(), strict=False):
         corners, wanted = np.concatenate(parts), np.array(_box_of(table))
         off = np.abs([corners.min(axis=0), corners.max(axis=0)] - wanted).max()
-        round_off = 0.05 * np.ptp(wanted, axis=0).max() if table["shape"] in ("ellipse", "sphere") else 0.0
+        round_off = 0.05 * np.ptp(wanted, axis=0).max() if table["shape"] in ("ellipse", "sphere", "cone") else 0.0
         found.hold("obstacles", off, PLACE + round_off, stage.first, f"{name}: its box is off", "m")
     terrain = world.get("terrain", "")
     if terrain.endswith(".npz"):
@@ -838,6 +838,9 @@ def _box_of(table: Mapping[str, Any]) -> tuple[Any, Any]:
     if table["shape"] == "sphere":
         centre, radius = np.array(table["centre"]), table["radius"]
         return centre - radius, centre + radius
+    if table["shape"] == "cone":
+        (x, y, low), radius = table["centre"], max(table.get("radius", 0.2), table.get("tip", 0.03))
+        return (x - radius, y - radius, low), (x + radius, y + radius, low + table.get("height", 0.75))
     if table["shape"] == "box":
         (x, y, low), (length, width, height) = table["centre"], table["size"]
         reach = [abs(length * math.cos(turned)) + abs(width * math.sin(turned))]

@@ -42,8 +42,8 @@ class RenderSettings:
 
     ``cameras``: names of the cameras to render; None: all of the take. ``layout`` "side-by-side" puts their pictures
     beside each other, each with its share of ``size``, with ``captions`` by camera name. ``mood``: the light,
-    "afternoon" or "dusk". ``passes``: "depth", "segmentation", "flow" and "normals" in addition to colour; ``burn_in``:
-    write shot, camera and frame on the pictures.
+    "afternoon", "noon", "overcast", "dusk" or "night". ``passes``: "depth", "segmentation", "flow" and "normals" in
+    addition to colour; ``burn_in``: write shot, camera and frame on the pictures.
     """
 
     size: tuple[int, int] = (960, 540)
@@ -120,7 +120,8 @@ class Take:
         """A hash of what is shown: motion, rigs, world and cameras, but not the form of stages and pictures."""
         rigs = {clip.vehicle.name: clip.vehicle.rig for clip in self.clips.values()}
         looks = {name: [rig.asset.read_bytes(), rig.variants] for name, rig in rigs.items() if rig is not None}
-        parts = (self.name, self.clips, looks, self.world.content_hash, self.cameras, self.fps, self.frames)
+        world = (self.world.content_hash, self.world.looks)
+        parts = (self.name, self.clips, looks, world, self.cameras, self.fps, self.frames)
         digest = hashlib.sha256()
         _feed(digest, parts)
         return digest.hexdigest()

@@ -85,6 +85,9 @@ def motion_key(file: ShotFile, files: Iterable[Path], world: str) -> str | None:
         return None
     request = file.model_dump(mode="json", by_alias=True, include={"shot", "world", "vehicle"})
     del request["shot"]["name"]
+    for obstacle in request["world"]["obstacle"]:
+        for look in ("finish", "colour"):
+            obstacle.pop(look, None)
     contents = [content_of(path) for path in files]
     made_of = {"code": code(), "request": request, "files": contents, "world": world}
     return sha256(json.dumps(made_of, sort_keys=True).encode()).hexdigest()

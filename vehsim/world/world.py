@@ -78,6 +78,11 @@ class World:
         content += () if self.gusts is None else (repr(self.gusts),)
         return hashlib.sha256(repr(content).encode()).hexdigest()
 
+    @property
+    def looks(self) -> list[tuple[str, Any]]:
+        """The finish and the colour of each standing obstacle; they are no part of `content_hash`."""
+        return [(one.finish, one.colour) for one in self.obstacles if isinstance(one, Obstacle)]
+
     def with_obstacles(self, obstacles: Sequence[Obstacle | Moving]) -> World:
         """This world with more obstacles in it."""
         if not obstacles:

@@ -24,7 +24,8 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Mood:
-    """A time of day, as data; default: late afternoon. Colours linear, angles in degrees, intensities UsdLux's.
+    """A time of day and its weather, as data; default: late afternoon. Colours linear, angles in degrees, intensities
+    UsdLux's.
 
     ``key_angle``: angle between the sun and the camera's back: 0 lights from behind the camera, 90 from the side.
     """
@@ -39,6 +40,9 @@ class Mood:
     horizon: tuple[float, float, float] = (0.76, 0.66, 0.55)
     ground: tuple[float, float, float] = (0.26, 0.20, 0.16)
     glow: tuple[float, float, float] = (0.55, 0.36, 0.18)
+    cover: float = 0.05
+    """how much of the sky the clouds cover: -2 for none, 3 for all of it"""
+    stars: int = 0
 
 
 MOOD = Mood()
@@ -52,6 +56,37 @@ MOODS: dict[str, Mood] = {
         zenith=(0.07, 0.12, 0.26),
         horizon=(0.60, 0.42, 0.33),
         glow=(0.42, 0.20, 0.07),
+    ),
+    "noon": Mood(
+        elevations=(58.0, 66.0),
+        sun_colour=(1.0, 0.95, 0.87),
+        sun_intensity=3.2,
+        zenith=(0.11, 0.24, 0.52),
+        horizon=(0.58, 0.68, 0.80),
+        ground=(0.30, 0.27, 0.22),
+        glow=(0.30, 0.28, 0.24),
+    ),
+    "overcast": Mood(
+        elevations=(72.0, 80.0),  # such a sky is brightest overhead, and darkest below vehicles
+        sun_colour=(0.55, 0.56, 0.57),
+        sun_intensity=2.2,
+        sun_angle=40.0,
+        zenith=(0.34, 0.37, 0.42),
+        horizon=(0.42, 0.45, 0.49),
+        ground=(0.16, 0.16, 0.16),
+        glow=(0.05, 0.05, 0.05),
+        cover=1.2,
+    ),
+    "night": Mood(
+        elevations=(32.0, 42.0),
+        sun_colour=(0.062, 0.078, 0.10),
+        sun_intensity=2.6,
+        zenith=(0.004, 0.007, 0.018),
+        horizon=(0.022, 0.032, 0.055),
+        ground=(0.006, 0.006, 0.007),
+        glow=(0.010, 0.013, 0.018),
+        cover=-0.2,
+        stars=900,
     ),
 }
 """``render.mood`` of a shot file -> its light."""
@@ -168,8 +203,9 @@ def _sky(azimuth: float, elevation: float, mood: Mood, width: int, hills: bool) 
     sky = (1 - haze) * np.array(mood.zenith) + haze * np.array(mood.horizon)
     toward = np.clip(directions @ sun, 0, 1)[..., None]
     glow = np.array(mood.glow) * (0.35 * toward**6 + 0.5 * toward**48)
-    cover, light = clouds(directions, sun)
+    cover, light = clouds(directions, sun, mood.cover)
     lit = light * (0.6 * np.array(mood.sun_colour) + 0.4 * np.array(mood.horizon)) + (1 - light) * sky
+    sky = sky + _stars(directions.shape[:2], mood.stars) * (1 - haze) * (1 - cover)
     sky = sky + cover * (0.9 * lit - 0.6 * sky) + glow
     if hills:
         hidden = ridges(directions)
@@ -179,6 +215,17 @@ def _sky(azimuth: float, elevation: float, mood: Mood, width: int, hills: bool) 
     png = io.BytesIO()
     Image.fromarray(encode_srgb(linear)).save(png, "png")
     return png.getvalue()
+
+
+def _stars(shape: tuple[int, ...], count: int) -> Array:
+    """The light of ``count`` stars (h, w, 1), scattered evenly over the sphere; few of them are bright."""
+    rng = np.random.default_rng(3)
+    light = np.zeros((*shape, 1))
+    rows = np.arccos(rng.uniform(-1, 1, count)) / np.pi * shape[0]
+    np.maximum.at(
+        light[..., 0], (rows.astype(int), rng.integers(0, shape[1], count)), 0.01 + 0.2 * rng.uniform(size=count) ** 5
+    )
+    return light
 
 
 CLOUD_TILE = 256
@@ -194,7 +241,7 @@ def fractal_noise(size: int, slope: float, seed: int) -> Array:
     return np.asarray(noise / noise.std())
 
 
-def clouds(directions: Array, sun: Array) -> tuple[Array, Array]:
+def clouds(directions: Array, sun: Array, amount: float = MOOD.cover) -> tuple[Array, Array]:
     """How much of the sky clouds hide along ``directions`` (h, w, 3), and their brightness: (h, w, 1)."""
     from scipy.ndimage import map_coordinates
 
@@ -207,7 +254,7 @@ def clouds(directions: Array, sun: Array) -> tuple[Array, Array]:
         return np.asarray(map_coordinates(fractal_noise(CLOUD_TILE, 1.75, 11), where, order=1, mode="grid-wrap"))
 
     here, sunwards = density(np.zeros(2)), density(0.10 * sun[:2] / np.hypot(*sun[:2]))
-    cover = np.clip((here + 0.05) / 1.5, 0, 1) * np.clip(up / 0.10, 0, 1)
+    cover = np.clip((here + amount) / 1.5, 0, 1) * np.clip(up / 0.10, 0, 1)
     light = np.clip(0.62 + 0.35 * (here - sunwards), 0.25, 1)
     return 0.85 * (cover * cover * (3 - 2 * cover))[..., None], light[..., None]
 

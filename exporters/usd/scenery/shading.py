@@ -28,6 +28,10 @@ HIGHLIGHT = 1.35
 """Linear display value of white in full sun."""
 
 
+DIMMEST = 0.5
+"""Linear light, in the units of USD, below which the exposure does not rise further: a night stays dark."""
+
+
 @dataclass(frozen=True)
 class Light:
     """Display-space light: ``ambient`` everywhere, ``sky`` from above, ``bounce`` from below, ``sun`` along its ray.
@@ -47,8 +51,8 @@ class Light:
 def light_for(sun: Sun | None, sky: Sky | None, grounded: bool = False) -> Light:
     """The light of a stage. A white surface reflects irradiance divided by pi: that of the sun, and the dome's mean.
 
-    The exposure puts white in full sun just above display white. ``grounded``: the stage has ground with an edge, so
-    the sky's horizon continues down for `DIP` degrees; light and haze do not change.
+    The exposure puts white in full sun just above display white, except at night. ``grounded``: the stage has ground
+    with an edge, so the sky's horizon continues down for `DIP` degrees; light and haze do not change.
     """
     key = sun or DEFAULT_SUN
     image = sky_image(sky)
@@ -70,9 +74,9 @@ def light_for(sun: Sun | None, sky: Sky | None, grounded: bool = False) -> Light
 
 
 def exposure_of(key: Sun, fill: Array) -> float:
-    """The factor on linear light that shows white in full sun just above display white; ``fill`` (3,) is the dome's
-    mean."""
-    return HIGHLIGHT / float((fill + key.colour / np.pi).max())
+    """The factor on linear light that shows white in full sun just above display white, and darker below `DIMMEST`;
+    ``fill`` (3,) is the dome's mean."""
+    return HIGHLIGHT / max(float((fill + key.colour / np.pi).max()), DIMMEST)
 
 
 def below_horizon(image: Array) -> Array:

@@ -314,8 +314,8 @@ class RenderTable(Table):
     """names of the cameras to render; default: all, or only "cut" if there is a [[cut]]"""
     layout: Literal["separate", "side-by-side"] = "separate"
     """"side-by-side" for an additional film with the cameras' pictures beside each other, or "separate\""""
-    mood: Literal["afternoon", "dusk"] = "afternoon"
-    """the time of day, "afternoon" or "dusk", which sets the place and colour of the sun"""
+    mood: Literal["afternoon", "noon", "overcast", "dusk", "night"] = "afternoon"
+    """the light: "afternoon", "noon", "overcast", "dusk" or "night" (moon and stars)"""
     passes: Annotated[list[Literal["depth", "segmentation", "flow", "normals"]], Array, Len(0, 4)] = Field(default=[])
     """"depth" (metres, 32-bit TIFF), "segmentation" (a colour for each prim), "flow" (pixels to the next and to the
     previous frame, EXR) and "normals" (world axes, EXR), in addition to every picture"""

@@ -31,9 +31,15 @@ class StandingTable(Table):
     """Common keys of ``[[world.obstacle]]`` tables of standing obstacles."""
 
     shape: str
-    """polygon, ellipse, box, sphere, mesh or vehicle"""
+    """polygon, ellipse, box, sphere, cone, mesh or vehicle"""
     name: Name | None = None
     """a name of letters, digits and underscores, different for every obstacle"""
+    finish: Literal["concrete", "paint", "stripes", "facade", "bands"] | None = None
+    """what covers it in pictures: "concrete" in panels of 1 m, plain "paint", warning "stripes" 0.25 m wide, a house's
+    "facade" with storeys of 3 m, or the "bands" of a traffic cone; default: concrete, and bands for a cone"""
+    colour: Annotated[list[Annotated[Number, Field(ge=0, le=1)]], Array, Len(3, 3)] | None = None
+    """the colour in pictures, [red, green, blue] from 0 to 1 as a colour picker shows it (sRGB); default: that of the
+    finish"""
 
 
 class UprightTable(StandingTable):
@@ -49,7 +55,7 @@ class PolygonTable(UprightTable):
     """``[[world.obstacle]]`` with ``shape = "polygon"``: a prism."""
 
     shape: Literal["polygon"]
-    """polygon, ellipse, box, sphere, mesh or vehicle"""
+    """polygon, ellipse, box, sphere, cone, mesh or vehicle"""
     points: Annotated[list[Plane], Array, Len(3, 1000)]
     """the corners [x, y] in m in order around the polygon, three or more, convex or not"""
 
@@ -58,7 +64,7 @@ class EllipseTable(UprightTable):
     """``[[world.obstacle]]`` with ``shape = "ellipse"``: an upright cylinder."""
 
     shape: Literal["ellipse"]
-    """polygon, ellipse, box, sphere, mesh or vehicle"""
+    """polygon, ellipse, box, sphere, cone, mesh or vehicle"""
     centre: Plane
     """the centre [x, y] in m"""
     radii: Annotated[list[Positive], Array, Len(2, 2)]
@@ -71,7 +77,7 @@ class BoxTable(StandingTable):
     """``[[world.obstacle]]`` with ``shape = "box"``."""
 
     shape: Literal["box"]
-    """polygon, ellipse, box, sphere, mesh or vehicle"""
+    """polygon, ellipse, box, sphere, cone, mesh or vehicle"""
     centre: Point
     """the centre of its bottom, [x, y, z] in m"""
     size: Annotated[list[Positive], Array, Len(3, 3)]
@@ -84,18 +90,33 @@ class SphereTable(StandingTable):
     """``[[world.obstacle]]`` with ``shape = "sphere"``."""
 
     shape: Literal["sphere"]
-    """polygon, ellipse, box, sphere, mesh or vehicle"""
+    """polygon, ellipse, box, sphere, cone, mesh or vehicle"""
     centre: Point
     """the centre, [x, y, z] in m"""
     radius: Positive
     """the radius in m"""
 
 
+class ConeTable(StandingTable):
+    """``[[world.obstacle]]`` with ``shape = "cone"``: an upright cone, by default the size of a traffic cone."""
+
+    shape: Literal["cone"]
+    """polygon, ellipse, box, sphere, cone, mesh or vehicle"""
+    centre: Point
+    """the centre of its bottom, [x, y, z] in m"""
+    radius: Positive = 0.2
+    """the radius of its bottom in m"""
+    height: Positive = 0.75
+    """the height in m"""
+    tip: Positive = 0.03
+    """the radius of its top in m"""
+
+
 class MeshTable(StandingTable):
     """``[[world.obstacle]]`` with ``shape = "mesh"``, replaced by the convex hulls of its connected bodies."""
 
     shape: Literal["mesh"]
-    """polygon, ellipse, box, sphere, mesh or vehicle"""
+    """polygon, ellipse, box, sphere, cone, mesh or vehicle"""
     path: Text
     """a mesh file (OBJ, STL, PLY, GLB, USD) relative to the shot file"""
     position: Point = Field(default=[0.0, 0.0, 0.0])
@@ -110,7 +131,7 @@ class VehicleObstacleTable(Table):
     """``[[world.obstacle]]`` with ``shape = "vehicle"``: another vehicle of the shot, in motion."""
 
     shape: Literal["vehicle"]
-    """polygon, ellipse, box, sphere, mesh or vehicle"""
+    """polygon, ellipse, box, sphere, cone, mesh or vehicle"""
     vehicle: Text
     """the name of the vehicle that the other vehicles avoid"""
 
@@ -120,7 +141,7 @@ class VehicleObstacleTable(Table):
 
 
 ObstacleTable = Annotated[
-    PolygonTable | EllipseTable | BoxTable | SphereTable | MeshTable | VehicleObstacleTable,
+    PolygonTable | EllipseTable | BoxTable | SphereTable | ConeTable | MeshTable | VehicleObstacleTable,
     Field(discriminator="shape"),
 ]
 
@@ -230,4 +251,5 @@ class WorldTable(Table):
     contact: ContactTable | None = None
     """a [world.contact] table, which makes hulls touch obstacles, ground and each other; default: no contact"""
     obstacle: Annotated[list[ObstacleTable], Array, Len(0, 1000)] = Field(default=[])
-    """[[world.obstacle]] tables, each with shape = "polygon", "ellipse", "box", "sphere", "mesh" or "vehicle\""""
+    """[[world.obstacle]] tables, each with shape = "polygon", "ellipse", "box", "sphere", "cone", "mesh" or
+    "vehicle\""""

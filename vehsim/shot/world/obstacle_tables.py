@@ -6,6 +6,7 @@ Geometry and its messages are in `vehsim.world.obstacles`; a vehicle that is an 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -70,8 +71,9 @@ def _name(i: int, table: Any) -> str:
 def _make(i: int, table: Any, folder: Path) -> Obstacle:
     from vehsim.world.obstacles import obstacles
 
-    given = table.model_dump(exclude={"shape", "name"})
+    given = table.model_dump(exclude={"shape", "name", "finish", "colour"})
     if "path" in given:
         given["path"] = folder / Path(given["path"]).expanduser()
     made: Obstacle = getattr(obstacles, table.shape)(_name(i, table), **given)
-    return made
+    colour = None if table.colour is None else tuple(table.colour)
+    return replace(made, finish=table.finish or made.finish, colour=colour)

@@ -1,4 +1,4 @@
-"""Obstacles in a world: polygons, ellipses, boxes, meshes, and moving vehicles.
+"""Obstacles in a world: polygons, ellipses, boxes, balls, cones, meshes, and moving vehicles.
 
 An obstacle is a solid between two heights. It has convex `parts` in the plane, seen from above, for vehicles on wheels;
 convex `hulls` for flying vehicles; and a mesh for pictures. `plane.py` holds the geometry.
@@ -37,6 +37,9 @@ ROUNDNESS = 3
 """Subdivisions of the icosahedron that represents a ball: 1280 faces, 0.5 % larger than the ball."""
 
 
+FINISHES = ("concrete", "paint", "stripes", "facade", "bands")
+"""What covers an obstacle: concrete in panels of 1 m, plain paint, warning stripes of 0.25 m, a house's front with
+storeys of 3 m, or the bands of a traffic cone."""
 THINNEST, FLATTEST = 1e-4, 1e-6
 """Smallest thickness of an obstacle, m, and relative to its length: thinner ones have no usable convex hull."""
 
@@ -45,7 +48,8 @@ THINNEST, FLATTEST = 1e-4, 1e-6
 class Obstacle:
     """``name``; ``parts``: convex shapes in the plane; ``bottom, top`` m; ``hulls``: convex point sets (n, 3) m.
 
-    ``points`` (n, 3) m and ``faces`` (m, 3) are its mesh.
+    ``points`` (n, 3) m and ``faces`` (m, 3) are its mesh. ``finish``: what covers it in pictures, one of `FINISHES`;
+    ``colour``: red, green and blue from 0 to 1, sRGB; default: that of the finish, or one of four paints in turn.
     """
 
     name: str
@@ -55,9 +59,14 @@ class Obstacle:
     hulls: tuple[Array, ...]
     points: Array
     faces: NDArray[np.int64]
+    finish: str = "concrete"
+    colour: tuple[float, float, float] | None = None
     moves: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
+        if self.finish not in FINISHES:
+            remedy = f"choose one of {', '.join(FINISHES)}"
+            raise InputError("unknown", remedy, key="finish", value=self.finish, subject=f"obstacle {self.name!r}")
         for hull in self.hulls:
             thick = _thickness(hull)
             if not thick >= max(THINNEST, FLATTEST * float(np.ptp(hull, axis=0).max())):
@@ -203,6 +212,26 @@ def sphere(name: str, centre: ArrayLike, radius: float) -> Obstacle:
     disc = Ellipse(middle[:2], np.full(2, float(radius)), np.eye(2))
     low, high = float(middle[2] - radius), float(middle[2] + radius)
     return Obstacle(name, (disc,), low, high, (points,), points, np.asarray(ball.faces, np.int64))
+
+
+def cone(name: str, centre: ArrayLike, radius: float = 0.2, height: float = 0.75, tip: float = 0.03) -> Obstacle:
+    """An upright cone, by default the size of a traffic cone: ``centre`` (3,) m of its bottom, its ``radius`` and
+    ``height`` m, and the radius ``tip`` m of its top. Its hull has flat faces and contains it."""
+    middle = _numbers(name, "centre", centre, 3)
+    for key, value in (("radius", radius), ("height", height), ("tip", tip)):
+        if not (np.isfinite(value) and value > 0):
+            raise InputError("not a length", "give one in m", key=key, value=value, subject=f"obstacle {name!r}")
+    bottom, top = (Ellipse(middle[:2], np.full(2, float(r)), np.eye(2)) for r in (radius, tip))
+    low, high = float(middle[2]), float(middle[2] + height)
+    rings = ((bottom.outline(SIDES), low), (top.outline(SIDES), high))
+    points = np.vstack([np.column_stack([ring, np.full(SIDES, z)]) for ring, z in rings])
+    here, fan = np.arange(SIDES), np.arange(1, SIDES - 1)
+    after, first = np.roll(here, -1), np.zeros_like(fan)
+    faces = [(here, after, after + SIDES), (here, after + SIDES, here + SIDES)]
+    faces += [(first, fan + 1, fan), (first + SIDES, fan + SIDES, fan + 1 + SIDES)]
+    around = bottom if radius >= tip else top
+    triangles = np.vstack([np.column_stack(corners) for corners in faces]).astype(np.int64)
+    return Obstacle(name, (around,), low, high, (points,), points, triangles, finish="bands")
 
 
 def mesh(

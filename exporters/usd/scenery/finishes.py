@@ -1,0 +1,152 @@
+"""The finishes of standing obstacles: what covers them, as data, with its texture, mapping and material.
+
+Each pattern has a known size, which shows how large an obstacle is: concrete is cast in panels of a metre, a facade has
+storeys of three metres, warning stripes are a quarter of a metre wide. `obstacle_meshes.py` writes the meshes.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.exporters.usd.scenery.lighting import encode_srgb, fractal_noise
+
+Array = NDArray[np.float64]
+Colour = tuple[float, float, float]
+
+TEXELS = 256
+"""Side of the repeating texture, texels."""
+PANEL, JOINT, HOLE = 1.0, 0.010, 0.022
+"""Side of a concrete panel, half a joint between panels, and radius of the tie holes, m."""
+STOREY, BAY = 3.0, 2.0
+"""Height of a storey and width of a window's bay, m."""
+PAINTS: dict[str, Colour] = {
+    "concrete": (0.42, 0.40, 0.37),
+    "terracotta": (0.42, 0.17, 0.09),
+    "ochre": (0.50, 0.33, 0.10),
+    "slate": (0.13, 0.19, 0.26),
+}
+"""Linear colours, which obstacles without a colour of their own get in turn."""
+
+
+def _concrete(u: Array, v: Array, colour: Array) -> Array:
+    x, y = u % PANEL, v % PANEL
+    edge = np.minimum(np.minimum(x, PANEL - x), np.minimum(y, PANEL - y))
+    tie = np.hypot(np.abs(x - PANEL / 2) - 0.27, np.abs(y - PANEL / 2) - 0.27)
+    mottled = 1.0 + 0.075 * fractal_noise(TEXELS, 1.1, seed=5) + 0.05 * fractal_noise(TEXELS, 1.9, seed=6)
+    dark = 0.55 * np.clip(1.5 - edge / JOINT, 0, 1) + 0.5 * np.clip(1.5 - tie / HOLE, 0, 1)
+    rows, columns = np.divmod(np.arange(4), 2)
+    tone = np.zeros_like(x)
+    for row, column, share in zip(rows, columns, (0.0, 0.06, 0.03, -0.04), strict=True):
+        half = TEXELS // 2
+        tone[row * half : (row + 1) * half, column * half : (column + 1) * half] = share
+    shade = np.clip(mottled + tone, 0.6, 1.4) * (1 - np.clip(dark, 0, 0.7))
+    return np.asarray(shade[..., None] * colour)
+
+
+def _paint(u: Array, v: Array, colour: Array) -> Array:
+    return np.asarray((1.0 + 0.02 * fractal_noise(TEXELS, 1.9, seed=6))[..., None] * colour)
+
+
+def _stripes(u: Array, v: Array, colour: Array) -> Array:
+    """Black across the colour, from the lower left to the upper right."""
+    return np.where(((u - v) % 0.5 < 0.25)[..., None], 0.02, colour)
+
+
+def _facade(u: Array, v: Array, colour: Array) -> Array:
+    """A window in each bay of each storey; curtains and blinds make some lighter."""
+    across, up = np.abs(u % BAY - BAY / 2), v % STOREY - 0.9
+    window = (across < 0.65) & (up > 0.0) & (up < 1.5)
+    frame = window & ((across > 0.55) | (across < 0.04) | (up < 0.1) | (up > 1.4))
+    light = np.random.default_rng(7).uniform(0.5, 2.5, (4, 4))
+    glass = light[(v // STOREY).astype(int) % 4, (u // BAY).astype(int) % 4][..., None] * (0.035, 0.05, 0.065)
+    wall = np.where((v % STOREY < 0.15)[..., None], 0.7, 1.0) * _paint(u, v, colour)
+    return np.where(frame[..., None], 0.55, np.where(window[..., None], glass, wall))
+
+
+def _bands(u: Array, v: Array, colour: Array) -> Array:
+    """Two white bands, as on a traffic cone; ``v`` is the share of the obstacle's height."""
+    white = ((v > 0.42) & (v < 0.62)) | ((v > 0.74) & (v < 0.88))
+    return np.where(white[..., None], 0.75, colour)
+
+
+@dataclass(frozen=True)
+class Finish:
+    """``paint(u, v, colour)``: linear colours (n, n, 3) at places (n, n) on the surface, m, ``v`` upwards.
+
+    ``tile``: width and height of the part that repeats, m. If ``fits``, the obstacle is one tile high, and ``v`` goes
+    from 0 to 1.
+    """
+
+    paint: Callable[[Array, Array, Array], Array]
+    tile: tuple[float, float] = (2.0, 2.0)
+    fits: bool = False
+    colour: Colour | None = None
+    """linear; default: one of the `PAINTS` in turn"""
+    roughness: float = 0.8
+
+
+FINISHES = {
+    "concrete": Finish(_concrete),
+    "paint": Finish(_paint, roughness=0.45),
+    "stripes": Finish(_stripes, tile=(1.0, 1.0), colour=(0.80, 0.50, 0.02), roughness=0.45),
+    "facade": Finish(_facade, tile=(8.0, 12.0), colour=(0.44, 0.40, 0.34), roughness=0.7),
+    "bands": Finish(_bands, tile=(1.0, 1.0), fits=True, colour=(0.80, 0.14, 0.02), roughness=0.5),
+}
+"""``finish`` of an obstacle -> what covers it."""
+
+
+@lru_cache(maxsize=64)
+def picture(finish: str, colour: Colour) -> bytes:
+    """The PNG of one tile of a finish in a linear ``colour``."""
+    from PIL import Image
+
+    width, height = FINISHES[finish].tile
+    at = (np.arange(TEXELS) + 0.5) / TEXELS
+    u, v = np.meshgrid(width * at, height * (1 - at))
+    png = io.BytesIO()
+    Image.fromarray(encode_srgb(FINISHES[finish].paint(u, v, np.array(colour)))).save(png, "png")
+    return png.getvalue()
+
+
+def coordinates(corners: Array, normals: Array, finish: str) -> Array:
+    """Texture coordinates (m, 3, 2) of triangles ``corners`` (m, 3, 3) m: each projected along its normal's main
+    axis."""
+    main = np.argmax(np.abs(normals), axis=1)
+    across = np.array([[1, 2], [0, 2], [0, 1]])[main]
+    plane = np.take_along_axis(corners, across[:, None, :].repeat(3, axis=1), axis=2)
+    if FINISHES[finish].fits:
+        low, high = corners[..., 2].min(), corners[..., 2].max()
+        plane[..., 1] = np.clip((corners[..., 2] - low) / (high - low), 0.002, 0.998)  # it must not repeat at the ends
+    return np.asarray(plane / FINISHES[finish].tile)
+
+
+def author_material(stage: Any, path: str, file: Path, relative: str, finish: str, colour: Colour) -> Any:
+    """Write the texture to ``file``, and a material at ``path`` that names it ``relative``; returns the material."""
+    from pxr import Sdf, UsdShade
+
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_bytes(picture(finish, colour))
+    types = Sdf.ValueTypeNames
+    material = UsdShade.Material.Define(stage, path)
+    reader, texture, surface = (UsdShade.Shader.Define(stage, f"{path}/{n}") for n in ("st", "picture", "surface"))
+    reader.CreateIdAttr("UsdPrimvarReader_float2")
+    reader.CreateInput("varname", types.String).Set("st")
+    texture.CreateIdAttr("UsdUVTexture")
+    texture.CreateInput("file", types.Asset).Set(Sdf.AssetPath(relative))
+    texture.CreateInput("sourceColorSpace", types.Token).Set("sRGB")
+    for wrap in ("wrapS", "wrapT"):
+        texture.CreateInput(wrap, types.Token).Set("repeat")
+    texture.CreateInput("st", types.Float2).ConnectToSource(reader.CreateOutput("result", types.Float2))
+    surface.CreateIdAttr("UsdPreviewSurface")
+    surface.CreateInput("diffuseColor", types.Color3f).ConnectToSource(texture.CreateOutput("rgb", types.Float3))
+    surface.CreateInput("roughness", types.Float).Set(FINISHES[finish].roughness)
+    material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", types.Token))
+    return material

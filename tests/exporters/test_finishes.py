@@ -1,0 +1,111 @@
+"""What covers standing obstacles, and the light of each mood."""
+
+import io
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import vehsim
+from vehsim import Take, World
+from vehsim.exporters.usd.scenery import finishes
+from vehsim.exporters.usd.scenery.lighting import MOODS, to_linear, write_sky
+from vehsim.exporters.usd.scenery.shading import light_for
+from vehsim.exporters.usd.stage import Sky, Sun
+from vehsim.shot.schema.tables import RenderTable
+from vehsim.shot.schema.world import BoxTable
+from vehsim.world.obstacles import obstacles as ob
+
+GREY = (0.4, 0.4, 0.4)
+
+
+def pixels(finish):
+    with Image.open(io.BytesIO(finishes.picture(finish, GREY))) as image:
+        return np.asarray(image, float)[::-1].mean(axis=2)  # from the bottom
+
+
+@pytest.mark.parametrize(("finish", "axis", "period"), [("facade", 0, 3.0), ("facade", 1, 2.0), ("stripes", 0, 0.5)])
+def test_patterns_repeat_at_their_stated_size(finish, axis, period):
+    """The picture agrees with itself when it is moved by a storey, a bay or a pair of stripes; not by half of that."""
+    tile = finishes.FINISHES[finish].tile[1 - axis]
+    dark = pixels(finish) < 100
+    step = period / tile * finishes.TEXELS
+    for share, agrees in ((1.0, True), (0.5, False)):
+        same = (dark == np.roll(dark, round(share * step), axis)).mean()
+        assert (same > 0.95) == agrees
+
+
+def test_bands_are_as_high_as_the_cone():
+    cone = ob.cone("c", (3, 2, 1), radius=0.3, height=0.9)
+    corners = cone.points[cone.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    st = finishes.coordinates(corners, normals, cone.finish)
+    assert st[..., 1] == pytest.approx((corners[..., 2] - 1.0) / 0.9, abs=0.003)
+    rows = pixels("bands").mean(axis=1)
+    assert rows[int(0.5 * finishes.TEXELS)] > rows[int(0.2 * finishes.TEXELS)] + 30
+
+
+def test_every_finish_and_colour_reaches_the_stage(tmp_path):
+    """Obstacles without a colour take turns; others have a material of their own, with the colour that was given."""
+    from dataclasses import replace
+
+    from pxr import Usd, UsdShade
+
+    crate = ob.box("plain", (4, 0, 0), (1, 1, 1))
+    made = [crate, replace(crate, name="blue", finish="paint", colour=(0.2, 0.5, 0.8)), ob.cone("cone", (9, 0, 0))]
+    made += [replace(crate, name="next"), *(replace(crate, name=f"b_{f}", finish=f) for f in ob.FINISHES)]
+    clip = vehsim.simulate(vehsim.load_vehicle("car"), duration=0.1)
+    folder = Take("t", {"car": clip}, World(obstacles=made), (), Fraction(24), (1001, 1003)).export(tmp_path)
+    stage = Usd.Stage.Open(str(folder / "t.usda"))
+
+    def texture(name):
+        prim = stage.GetPrimAtPath(f"/t/env/obstacles/{name}/{name}")
+        material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()
+        shader = UsdShade.Shader(stage.GetPrimAtPath(f"{material.GetPath()}/picture"))
+        return shader.GetInput("file").Get().resolvedPath
+
+    with Image.open(texture("blue")) as image:
+        assert np.asarray(image, float).mean(axis=(0, 1)) == pytest.approx(255 * np.array([0.2, 0.5, 0.8]), abs=2.5)
+    assert texture("plain").endswith("/concrete.png") and texture("next").endswith("/terracotta.png")
+    assert len({texture(f"b_{finish}") for finish in ob.FINISHES}) == len(ob.FINISHES)
+    assert texture("cone") == texture("b_bands")
+
+
+def test_lists_of_names_agree():
+    """The shot file, the obstacles and the exporter name the same finishes and moods."""
+    finish, mood = BoxTable.model_fields["finish"], RenderTable.model_fields["mood"]
+    assert set(finish.annotation.__args__[0].__args__) == set(ob.FINISHES) == set(finishes.FINISHES)
+    assert set(mood.annotation.__args__) == set(MOODS)
+
+
+def test_moods_differ_as_their_names_say(tmp_path):
+    def light(name):
+        mood = MOODS[name]
+        write_sky(tmp_path / "sky.png", 40.0, mood.elevations[0], mood)
+        sky = Sky(np.full(3, mood.dome_intensity), tmp_path / "sky.png", np.eye(3)[[0, 2, 1]] * [1, -1, 1])
+        sun = Sun(np.array([0.0, 0, -1]), mood.sun_intensity * np.array(mood.sun_colour))
+        return light_for(sun, sky)
+
+    found = {name: light(name) for name in MOODS}
+    white = {name: to_linear(np.minimum(one.sun + one.ambient + one.sky, 1.0)).mean() for name, one in found.items()}
+    assert white["night"] < 0.3 * min(white[name] for name in MOODS if name != "night")
+    shade = {name: ((one.ambient + one.sky) / one.sun).mean() for name, one in found.items()}
+    assert shade["overcast"] > 1.5 * max(shade["noon"], shade["afternoon"])  # its shadows are faint
+    assert found["night"].sun[2] > found["night"].sun[0] and found["dusk"].sun[0] > 1.5 * found["dusk"].sun[2]
+
+
+def test_a_colour_makes_pictures_again_but_solves_nothing(tmp_path, monkeypatch):
+    monkeypatch.setenv("VEHSIM_CACHE", str(tmp_path))
+    monkeypatch.setenv("VEHSIM_CACHE_GB", "1")
+    shot = {
+        "shot": {"schema": 1, "name": "t"},
+        "vehicle": [{"name": "car", "asset": "car", "motion": {"method": "simulate", "duration": 0.1}}],
+        "world": {"obstacle": [{"shape": "box", "centre": [4, 0, 0], "size": [1, 1, 1]}]},
+    }
+    first = vehsim.Shot.from_dict(shot).solve()
+    shot["world"]["obstacle"][0] |= {"finish": "stripes", "colour": [1, 0, 0]}
+    second = vehsim.Shot.from_dict(shot).solve()
+    assert second.recalled and second.content_hash != first.content_hash
+    shot["world"]["obstacle"][0]["size"] = [1, 1, 2]
+    assert not vehsim.Shot.from_dict(shot).solve().recalled
