@@ -46,6 +46,14 @@ name = "p"
 points = [[0, 0], [1, 0], [0, 1]]
 height = 1
 base = 0
+finish = "facade"
+colour = [0.2, 0.5, 0.8]
+[[world.obstacle]]
+shape = "cone"
+centre = [0, 0, 0]
+radius = 1
+height = 1
+tip = 1
 [[world.obstacle]]
 shape = "ellipse"
 centre = [0, 0]
