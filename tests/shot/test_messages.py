@@ -127,7 +127,10 @@ asset = "helicopter"
 [vehicle.motion]
 method = "plan"
 cost = "time"
-marks = { usd = "a.usda", prim = "/a", frames = [1, 2], use = ["position"], tolerance = 0, forward = "X" }
+marks = { usd = "a.usda", prim = "/a", frames = [1, 2], use = ["position"], tolerance = 0, forward = "X", edit = false }
+[vehicle.edit]
+usd = "b.usda"
+prim = "/a"
 
 [[vehicle]]
 name = "simulated"

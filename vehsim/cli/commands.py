@@ -149,6 +149,42 @@ def export(
     raise typer.Exit(FAILED if failed or errors else 0)
 
 
+@app.command(cls=choices.WithChoices)
+def retouch(
+    delivery: Annotated[Path, typer.Argument(metavar="DELIVERY", help="A folder that export wrote.")],
+    edit: Annotated[
+        Path, typer.Option(metavar="USD", help="A stage in which the curves of its vehicles were changed.")
+    ],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="The new delivery gets its own folder here.")] = Path(
+        "retouched"
+    ),
+    to: To = "usd",
+    shot: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="SHOT",
+            help="The shot file of the delivery, if its paths are not relative to the working folder.",
+            autocompletion=choices.shot_file,
+        ),
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Change a delivery after its curves were edited: the nearest motion that each vehicle can make."""
+    from vehsim.cli.delivered import edited_shot, summary
+
+    names = _arguments.exporters_in(to)
+    _arguments.check_folder(out)
+    with _progress(quiet) as progress:
+        edited = edited_shot(delivery, edit, shot, progress)
+        _arguments.check_delivery(names, out, edited)
+        take = edited.solve(progress)
+        folder = take.export(out, names, progress)
+    if not quiet:
+        for line in summary(take):
+            print(line)
+        print(folder)
+
+
 @app.command()
 def job(
     shots: Shots,

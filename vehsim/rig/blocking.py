@@ -7,17 +7,20 @@ prim's world pose is read; the written layer gives it another world pose.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.errors import InputError
 from vehsim.intake.usd import key_times, open_stage
+
+if TYPE_CHECKING:
+    from vehsim.rig.rig import Rig
 
 Array = NDArray[np.float64]
 
@@ -115,6 +118,43 @@ def read_blocking(path: str | Path, prim: str, fps: Fraction, forward: str = "X"
     return Blocking(Path(path), prim, forward, frames, positions, rotations, keys)
 
 
+def read_edit(path: str | Path, prim: str, fps: Fraction, rig: Rig) -> Blocking:
+    """The motion of a vehicle's root from its ``prim`` in a delivery, or in a stage over it, in which it was edited.
+
+    A stage that states no up axis or unit has those of the layers below it, which is how the animator saw it.
+    Raises ``InputError`` as `read_blocking` does.
+    """
+    edited = read_blocking(path, prim, fps)
+    T_pr = np.linalg.inv(prim_in_root(rig))
+    stage, xformable = _open(Path(path), prim)
+    metres, up = _frame_of_layers(stage)
+    to_metres = np.eye(4)
+    to_metres[:3, :3] = metres * up
+    T_wr = to_metres @ _world_matrices(stage, xformable.GetPrim(), edited.frames) @ T_pr
+    return replace(edited, positions=T_wr[:, :3, 3], rotations=_rigid(T_wr[:, :3, :3]), keys=())
+
+
+def moves(prim: Any) -> bool:
+    """Whether a prim or one above it has keys."""
+    from pxr import UsdGeom
+
+    return bool(_key_times(UsdGeom.Xformable(prim)))
+
+
+def prim_in_root(rig: Rig) -> Array:
+    """``T_rp`` (4, 4): from the root prim of a rig's asset, with its axes, units and own ops, to the rig root."""
+    from pxr import UsdGeom
+
+    from vehsim.rig.ops import open_rig
+    from vehsim.rig.parts import Y_UP_TO_Z_UP
+
+    stage, root = open_rig(rig.asset, rig)
+    scale = UsdGeom.GetStageMetersPerUnit(stage)
+    turn = Y_UP_TO_Z_UP if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y else np.eye(4)
+    own = np.array(UsdGeom.Xformable(root).GetLocalTransformation()).T
+    return np.asarray(turn @ np.diag([scale, scale, scale, 1.0]) @ own)
+
+
 def write_over(blocking: Blocking, frames: Array, positions: Array, rotations: Array, path: Path) -> Path:
     """Write a layer to be sublayered over the blocking's stage: its prim then has the given motion and its own scale.
 
@@ -202,6 +242,20 @@ def _stage_frame(stage: Any) -> tuple[float, Array]:
 
     up = np.eye(3) if UsdGeom.GetStageUpAxis(stage) == "Z" else np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
     return UsdGeom.GetStageMetersPerUnit(stage), up
+
+
+def _frame_of_layers(stage: Any) -> tuple[float, Array]:
+    """The same, from the strongest layer that states them."""
+    from pxr import Usd, UsdGeom
+
+    def said(key: str) -> Any:
+        return next((layer for layer in stage.GetLayerStack(False) if layer.pseudoRoot.HasInfo(key)), None)
+
+    frames = []
+    for key in (UsdGeom.Tokens.metersPerUnit, UsdGeom.Tokens.upAxis):
+        layer = said(key)
+        frames.append(_stage_frame(stage if layer is None else Usd.Stage.Open(layer, Usd.Stage.LoadNone)))
+    return frames[0][0], frames[1][1]
 
 
 def _nose(forward: str, up: Array) -> Array:

@@ -119,6 +119,9 @@ class Shot:
                     yield self.folder / path
         for blocking in self.blockings().values():
             yield from dependencies(blocking.path)[0]
+        for table in self.file.vehicle:
+            if table.edited is not None:
+                yield from dependencies(table.edited.path(self.folder))[0]
 
     def only(self, names: Sequence[str]) -> Shot:
         """The shot with only these vehicles; cameras whose target is missing look at the first of them."""
@@ -237,7 +240,8 @@ class Shot:
     def blockings(self) -> dict[str, Blocking]:
         """The animator's blocking, by vehicle, for vehicles with one."""
         tables = {table.name: getattr(table.motion, "marks", None) for table in self.file.vehicle}
-        return {name: blocking_of(table, self.folder, self.fps) for name, table in tables.items() if table}
+        given = {name: table for name, table in tables.items() if table and not table.edit}
+        return {name: blocking_of(table, self.folder, self.fps) for name, table in given.items()}
 
     @property
     def usd(self) -> UsdSettings:
@@ -305,6 +309,8 @@ class Shot:
         found = [*check_afloat(vehicle, world), *check_trailer(vehicle, world)]
         from vehsim.shot.motions.simulate import ForwardMotion
 
+        if table.edited is not None:
+            found += table.edited.check(vehicle, self._setting, isinstance(table.motion, ForwardMotion))
         if isinstance(table.motion, ForwardMotion):
             others = [other.name for other in self.file.vehicle if other is not table]
             things = {obstacle.name for obstacle in world.obstacles} | set(others)
@@ -365,13 +371,40 @@ class Shot:
         from vehsim.shot.cache import FROM_CACHE, motion_key, recalled_or
 
         if not cached:
-            return self._solve_vehicles(progress), False
+            return self._solved_or_retouched(progress, cached), False
         vehicles = {table.name: self.vehicle(table) for table in self.file.vehicle}
         key = motion_key(self.file, self.motion_files(), self.world.content_hash)
-        motion, recalled = recalled_or(lambda: self._solve_vehicles(progress), key, vehicles)
+        motion, recalled = recalled_or(lambda: self._solved_or_retouched(progress), key, vehicles)
         if recalled:
             progress(FROM_CACHE, 1.0)
         return motion, recalled
+
+    def _solved_or_retouched(self, progress: Progress, cached: bool = True) -> SolvedMotion:
+        """The solved motion; where an animator edited it, the nearest motion that the vehicle can make."""
+        edited = [table for table in self.file.vehicle if table.edited is not None]
+        if not edited:
+            return self._solve_vehicles(progress)
+        clips, reports = self.unedited()._motion(progress, cached)[0]
+        for table in edited:
+            assert table.edited is not None
+            name = table.name
+
+            def report(what: str, done: float, name: str = name) -> None:
+                progress(f"{name}: {what}", done)
+
+            setting = replace(self._setting, world=self.world_of(name, clips))
+            options = table.motion.options() if hasattr(table.motion, "options") else {}
+            clips[name], reports[name] = table.edited.retouch(
+                name, clips[name], reports[name], options, setting, report
+            )
+        return clips, reports
+
+    def unedited(self) -> Shot:
+        """The shot with the motion that was edited."""
+        vehicles = [table.unedited for table in self.file.vehicle]
+        shot = Shot(self.file.model_copy(update={"vehicle": vehicles}), self.folder, self.source, self._lines)
+        vars(shot)["world"] = self.world
+        return shot.without(self.left_out)
 
     def _solve_vehicles(self, progress: Progress) -> tuple[dict[str, Clip], dict[str, Any]]:
         clips: dict[str, Clip] = {}

@@ -183,14 +183,18 @@ def loop_element(transcription: Transcription) -> Element:
     x, x1, c, c1 = (
         ca.SX.sym(name, k) for name, k in (("x", size + s + n), ("x1", size + s + n), ("c", count), ("c1", count))
     )
+    return Element("loop", ca.vertcat(x, c, x1, c1), g=same_state(transcription, x, c, x1, c1))
+
+
+def same_state(transcription: Transcription, x: Expr, c: Expr, x1: Expr, c1: Expr) -> Expr:
+    """Rows that vanish if a knot (x1, c1) repeats another, (x, c), except for joints that influence nothing."""
     (g, r, pi), (g1, r1, pi1) = transcription.split(x), transcription.split(x1)
     group = transcription.vehicle.group
     relative = group.pose(group.compose(group.inverse(g), g1))
     turn, offset = relative[4:7], relative[0:3]
     shown = {"SE2": ca.vertcat(offset[0:2], turn[2]), "SO3": turn}.get(group.name, ca.vertcat(offset, turn))
-    kept = [i for i in range(s) if i not in transcription.idle]
-    rows = [shown, *(r1[i] - r[i] for i in kept), (pi1 - pi) / transcription.momentum_scale, c1 - c]
-    return Element("loop", ca.vertcat(x, c, x1, c1), g=ca.vertcat(*rows))
+    kept = [i for i in range(len(transcription.vehicle.joints)) if i not in transcription.idle]
+    return ca.vertcat(shown, *(r1[i] - r[i] for i in kept), (pi1 - pi) / transcription.momentum_scale, c1 - c)
 
 
 def imbalance(transcription: Transcription, x: Expr, c: Expr, wind: Expr) -> Expr:

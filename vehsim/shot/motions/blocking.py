@@ -37,6 +37,9 @@ class BlockingTable(Table):
     """the permitted distance from a position, in m"""
     forward: Literal["X", "-X", "Y", "-Y", "Z", "-Z"] = "X"
     """the prim's own axis that points to the vehicle's nose"""
+    edit: bool = False
+    """true: the prim is the vehicle of a delivery whose curves an animator changed; the motion through mark becomes the
+    nearest one that the vehicle can make"""
 
 
 def blocking_of(table: BlockingTable, folder: Path, fps: Fraction) -> Blocking:

@@ -84,7 +84,9 @@ class PlanMotion(Table):
 
     def blocking(self, setting: Setting) -> Blocking | None:
         """The animator's blocking, None if the marks are given one by one. Raises ``InputError``."""
-        return None if self.marks is None else blocking_of(self.marks, setting.folder, setting.fps)
+        if self.marks is None or self.mark is not None:
+            return None
+        return blocking_of(self.marks, setting.folder, setting.fps)
 
     def all_marks(self, setting: Setting) -> list[MarkTable]:
         """The marks from either source. Raises ``InputError``."""
@@ -107,7 +109,8 @@ class PlanMotion(Table):
     def _check_each(self, vehicle: Vehicle, setting: Setting) -> Iterator[Problem]:
         from vehsim.planning.terms import COSTS
 
-        if (self.mark is None) == (self.marks is None):
+        editing = self.marks is not None and self.marks.edit
+        if (self.mark is None and self.marks is None) or (self.mark and self.marks and not editing):
             remedy = "give two or more [[vehicle.motion.mark]], or marks = { usd = ..., prim = ... }, not both"
             yield Problem("mark", "missing" if self.mark is None else "marks are given too", remedy)
             return

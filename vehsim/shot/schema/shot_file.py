@@ -11,6 +11,7 @@ from pydantic import BeforeValidator, Field, ValidationError
 from vehsim.errors import Problem
 from vehsim.intake.tables import Array, Table, Text, locate, problems_of
 from vehsim.shot.motions.clip import ClipMotion
+from vehsim.shot.motions.edit import EditTable
 from vehsim.shot.motions.integrate import IntegrateMotion
 from vehsim.shot.motions.plan import PlanMotion
 from vehsim.shot.motions.simulate import SimulateMotion
@@ -61,6 +62,23 @@ class VehicleTable(Table):
     """a table of numbers in place of those of its vehicle.toml, in SI units, such as { mass = 1500 }"""
     motion: MotionTable
     """a table [vehicle.motion] with method = "plan", "simulate", "sticks", "integrate", "sinusoid" or "clip\""""
+    edit: EditTable | None = None
+    """a table [vehicle.edit]: curves of the delivered motion that an animator changed"""
+
+    @property
+    def edited(self) -> EditTable | None:
+        """The edit of its motion, from either table."""
+        marks = getattr(self.motion, "marks", None)
+        return EditTable(usd=marks.usd, prim=marks.prim) if self.edit is None and marks and marks.edit else self.edit
+
+    @property
+    def unedited(self) -> VehicleTable:
+        """The same vehicle with the motion that was edited."""
+        motion = self.motion
+        if (marks := getattr(motion, "marks", None)) and marks.edit:
+            kept = None if getattr(motion, "mark", None) else marks.model_copy(update={"edit": False})
+            motion = motion.model_copy(update={"marks": kept})
+        return self.model_copy(update={"edit": None, "motion": motion})
 
 
 class ShotFile(Table):

@@ -1,0 +1,114 @@
+"""Retouch: a solved motion drawn to curves that an animator edited."""
+
+import numpy as np
+import pytest
+
+import vehsim
+from vehsim import Mark
+from vehsim.lie.quaternions import matrices
+from vehsim.planning.retouch import KEPT, retouch
+
+CAR, HELI = vehsim.load_vehicle("car"), vehsim.load_vehicle("helicopter")
+
+
+@pytest.fixture(scope="module")
+def drive():
+    """A car that drives a gentle bend for five seconds."""
+    start = vehsim.State(position=(0, 0, 0), twist=(0.0, 8.0, 0.0))
+    return vehsim.simulate(CAR, None, lambda t, state: (100.0, 0.05 * np.sin(2 * t)), start, 5.0, step=1 / 96)
+
+
+@pytest.fixture(scope="module")
+def flight():
+    """A helicopter that flies 30 m in four seconds."""
+    marks = [
+        Mark(frame=1001, position=(0, 0, 30), heading=0, velocity=(0, 0, 0)),
+        Mark(frame=1097, position=(30, 5, 32), velocity=(0, 0, 0)),
+    ]
+    return vehsim.plan(HELI, None, marks, fps=24, segments=32, character="stunt").clip
+
+
+def bumped(clip, first, last, by):
+    """The clip's frames and poses, moved by up to ``by`` (3,) m halfway between two frames, with smooth ends."""
+    whole = clip.resample()
+    share = np.clip((whole.frames - first) / (last - first), 0.0, 1.0)
+    bump = (16 * share**2 * (1 - share) ** 2) ** 1.5
+    return whole.frames, whole.positions + bump[:, None] * np.array(by), matrices(whole.orientations)
+
+
+def executed(clip):
+    """Where the controls of a clip lead from its first state: a simulation that knows nothing of plans."""
+    fine = vehsim.simulate(
+        clip.vehicle,
+        None,
+        lambda t, state: clip.at(min(t, clip.times[-1])).controls[0],
+        clip.state(0),
+        clip.duration,
+        fps=clip.fps,
+    )
+    return fine.positions[-1]
+
+
+def test_a_car_follows_an_edit_that_it_can_drive(drive):
+    frames, positions, rotations = bumped(drive, 1030, 1090, (0.0, 0.4, 0.0))
+    made = retouch(drive, None, frames, positions, rotations)
+    ((first, last),) = made.touched
+    assert 1030 <= first < last <= 1090
+    assert made.metres.max() < 0.03 and not made.misses(0.03)
+    assert made.kept < KEPT
+    (window,) = made.windows
+    assert np.linalg.norm(executed(made.clip) - made.clip.positions[-1]) < 0.02  # it is a motion of this car
+    far = frames[(frames < window[0]) | (frames > window[1])]
+    before, after = (clip.at((far - 1001) / 24).positions for clip in (drive, made.clip))
+    assert after == pytest.approx(before, abs=1e-6)
+
+
+def test_wheels_roll_as_far_as_the_car_drives(drive):
+    made = retouch(drive, None, *bumped(drive, 1030, 1090, (0.0, 0.4, 0.0)))
+    for clip in (drive, made.clip):
+        whole = clip.at(np.linspace(0, clip.duration, 2000))
+        path = np.linalg.norm(np.diff(whole.positions, axis=0), axis=1).sum()
+        mean = np.mean([whole.channels[name][-1] - whole.channels[name][0] for name in ("roll_rl", "roll_rr")])
+        assert 0.32 * mean == pytest.approx(path, rel=2e-3)
+        assert np.abs(np.diff(whole.channels["roll_rl"])).max() < 0.2  # no jump where the motions meet
+
+
+def test_a_helicopter_stays_within_a_centimetre_where_nothing_was_touched(flight):
+    frames, positions, rotations = bumped(flight, 1035, 1075, (0.0, 0.6, 0.3))
+    made = retouch(flight, None, frames, positions, rotations, stops=(1001, 1097))
+    untouched = np.linalg.norm(positions - flight.resample().positions, axis=1) < 1e-3
+    moved = np.linalg.norm(made.clip.resample().positions - flight.resample().positions, axis=1)
+    assert moved[untouched].max() < KEPT
+    assert made.metres.max() < 0.3  # it leans into the bump, which takes a moment
+    assert np.linalg.norm(executed(made.clip) - made.clip.positions[-1]) < 0.1
+
+
+def test_what_cannot_be_met_is_named_with_its_frame_and_amount(flight):
+    frames, positions, rotations = bumped(flight, 1035, 1075, (0.0, 0.0, 0.0))
+    positions[frames == 1055] += (0.0, 3.0, 0.0)  # there and back in two frames
+    made = retouch(flight, None, frames, positions, rotations)
+    worst = max(made.misses(), key=lambda miss: miss["metres"])
+    assert worst["frame"] == 1055 and 2.0 < worst["metres"] < 3.1
+    assert made.kept < KEPT
+
+
+def test_an_edit_that_changes_nothing_changes_nothing(drive):
+    made = retouch(drive, None, *bumped(drive, 1030, 1090, (0.0, 0.0, 0.0)))
+    assert made.clip is drive and not made.touched and not made.misses()
+
+
+def test_the_first_frame_can_be_edited(flight):
+    frames, positions, rotations = bumped(flight, 1035, 1075, (0.0, 0.0, 0.0))
+    share = np.clip((frames - 1001) / 40, 0.0, 1.0)
+    positions[:, 1] += 0.5 * (1 - share) ** 3 * (1 + 3 * share + 6 * share**2)
+    made = retouch(flight, None, frames, positions, rotations)
+    assert made.clip.positions[0] == pytest.approx([0.0, 0.5, 30.0], abs=0.05)
+    assert np.abs(made.clip.twists[0]).max() < 1e-6  # it rests there, as before
+
+
+def test_marks_that_were_not_touched_are_kept_exactly(flight):
+    edit = bumped(flight, 1035, 1075, (0.0, 0.6, 0.3))
+    made = retouch(flight, None, *edit, stops=(1030,))
+    at = (1030 - 1001) / 24
+    assert made.clip.at(at).positions[0] == pytest.approx(flight.at(at).positions[0], abs=1e-6)
+    assert made.windows[0][0] == 1030

@@ -1,0 +1,116 @@
+"""The shot of a delivery whose curves were edited, from its ``report.json``."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vehsim.errors import InputError
+from vehsim.intake.gate import reading
+
+if TYPE_CHECKING:
+    from vehsim.delivery.exporters import Progress
+    from vehsim.delivery.take import Take
+    from vehsim.shot.shot import Shot
+
+ANOTHER = 2e-3
+"""Distance between the delivered and the solved motion above which they are two motions, m."""
+
+
+def edited_shot(delivery: Path, edit: Path, source: Path | None, progress: Progress) -> Shot:
+    """The shot of a delivery, with the edit of every vehicle whose curves ``edit`` contains.
+
+    ``source``: its shot file; by default the copy in ``report.json``, whose paths are relative to the working folder.
+    Raises ``InputError`` if nothing was edited, or if the shot now has another motion than the delivery.
+    """
+    from vehsim.intake.toml import read_toml
+    from vehsim.shot.shot import Shot
+
+    report = report_of(delivery)
+    name = str(report["shot"])
+    folder = Path() if source is None else source.parent
+    with reading(delivery / "report.json", "report", "export the shot again"):
+        data = report["solved"]["shot"] if source is None else read_toml(source)[0]
+        vehicles = {vehicle["name"]: vehicle for vehicle in data["vehicle"]}
+    before = Shot.from_dict(data, folder, str(source or delivery / "report.json"))
+    if not edit.is_file():
+        raise InputError("no such file", "give the stage with the edited curves", key="--edit", value=str(edit))
+    found = prims_in(edit, {vehicle: f"/{name}/vehicles/{vehicle}" for vehicle in vehicles})
+    clips = before.solve(progress).clips
+    for vehicle in found:
+        _check_same(delivery, name, vehicle, clips[vehicle])
+    for vehicle, prim in found.items():
+        vehicles[vehicle]["edit"] = {"usd": os.path.relpath(edit, folder), "prim": prim}
+    return Shot.from_dict(data, folder, before.source)
+
+
+def report_of(delivery: Path) -> dict[str, Any]:
+    """The ``report.json`` of a delivery. Raises ``InputError``."""
+    path = delivery / "report.json"
+    if not path.is_file():
+        raise InputError(
+            "not a delivery: no report.json in it", "give a folder that vehsim export wrote", file=delivery
+        )
+    with reading(path, "report", "export the shot again"):
+        report: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        return report
+
+
+def prims_in(edit: Path, wanted: dict[str, str]) -> dict[str, str]:
+    """The prims of vehicles in an edited stage: at their delivered paths or, in a stage that another tool wrote, the
+    topmost moving prim with the vehicle's name. Raises ``InputError`` if there are none."""
+    from pxr import Usd, UsdGeom
+
+    from vehsim.intake.usd import open_stage
+    from vehsim.rig.blocking import moves
+
+    stage = open_stage(edit)
+    found = {}
+    for vehicle, path in wanted.items():
+        named = [prim for prim in Usd.PrimRange(stage.GetPseudoRoot()) if prim.GetName() == vehicle]
+        for prim in [stage.GetPrimAtPath(path), *named]:
+            if prim and prim.IsA(UsdGeom.Xformable) and moves(prim):
+                found[vehicle] = str(prim.GetPath())
+                break
+    if not found:
+        raise InputError("none of its vehicles moves in it", f"edit {', '.join(wanted.values())}", file=edit)
+    return found
+
+
+def _check_same(delivery: Path, name: str, vehicle: str, clip: Any) -> None:
+    """Raise ``InputError`` if a vehicle's delivered motion is not ``clip``."""
+    from vehsim.exporters.checks.audit import stage_of
+    from vehsim.rig.blocking import read_edit
+
+    stage = stage_of(delivery, name)
+    if stage is None:
+        return
+    shown = read_edit(stage, f"/{name}/vehicles/{vehicle}", clip.fps, clip.vehicle.rig)
+    inside = (shown.frames >= clip.start_frame) & (shown.frames <= clip.end_frame)
+    there = clip.at(np.minimum((shown.frames[inside] - clip.start_frame) / float(clip.fps), clip.times[-1]))
+    off = np.linalg.norm(there.positions - shown.positions[inside], axis=1)
+    if off.size and off.max() > ANOTHER:
+        raise InputError(
+            f"{vehicle}: the shot now gives another motion than was delivered, {off.max():.2g} m away at frame "
+            f"{shown.frames[inside][off.argmax()]:g}",
+            "export it again with this version of vehsim, and edit that",
+            file=delivery,
+        )
+
+
+def summary(take: Take) -> Iterator[str]:
+    """What became of the edit of each vehicle, in words."""
+    for name, report in take.report["vehicles"].items():
+        if "edit" in report:
+            edit = report["edit"]
+            touched = ", ".join(f"{first} to {last}" for first, last in edit["touched"])
+            again = ", ".join(f"{first} to {last}" for first, last in edit["solved_again"])
+            yield f"{name}: edited in frames {touched or 'none'}; solved again in {again or 'none'}"
+            worst = max(edit["missed"], key=lambda miss: miss["metres"], default=None)
+            if worst is not None:
+                yield f"{name}: farthest from the edit at frame {worst['frame']:.0f}, {worst['metres']:.3f} m"

@@ -1,0 +1,508 @@
+"""Retouch: the motion nearest to one that an animator edited by hand, which the vehicle can make.
+
+The edit is compared with the solved motion, frame by frame. Around every run of touched frames, a window of the motion
+is solved again: from the state with which the solved motion enters it, to the state with which it leaves. Inside, the
+vehicle follows the edit as closely as its dynamics and limits permit; outside, nothing changes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.clip.clip import Clip
+from vehsim.errors import SolveError
+from vehsim.lie.quaternions import continuous, from_yaw, matrices, yaw_of
+from vehsim.planning.blocks import blocks_of
+from vehsim.planning.certificates import extent
+from vehsim.planning.certify import refine_and_certify
+from vehsim.planning.constraints.block import Block
+from vehsim.planning.constraints.clearance import cover_for
+from vehsim.planning.constraints.dynamics import UnitQuaternion
+from vehsim.planning.constraints.easing import Easing
+from vehsim.planning.constraints.marks import MarkRows, same_state
+from vehsim.planning.costs import RunningCosts
+from vehsim.planning.guesses.paths import along_clip
+from vehsim.planning.guesses.prolongate import prolongate
+from vehsim.planning.iterate import Iterate, Progress, Run
+from vehsim.planning.problem import interrupts
+from vehsim.planning.problem.elements import Element, NonlinearProgram
+from vehsim.planning.problem.layout import Layout
+from vehsim.planning.problem.stage import knot_view
+from vehsim.planning.problem.transcription import Transcription, transcribe
+from vehsim.planning.refine import LADDER
+from vehsim.planning.request.legs import poses_of
+from vehsim.planning.request.marks import Mark
+from vehsim.planning.request.request import Request, ask
+from vehsim.planning.solve import solve
+from vehsim.planning.trajectory import Trajectory, exported
+
+Array = NDArray[np.float64]
+
+MOVED, TURNED = 2e-3, np.radians(0.2)
+"""Distance, m, and angle, rad, from the solved motion above which a frame counts as touched."""
+KEPT = 0.01
+"""Largest distance of untouched frames from the solved motion, m."""
+MARGIN = 0.8
+"""Share of `KEPT` that knots may use: the motion between them needs the rest."""
+ROOM = 1.0
+"""How long before and after the touched frames the vehicle may prepare and recover, s."""
+SEGMENTS = (1 / 12, 1 / 24)
+"""Duration of a segment, s, and the shorter one that is tried if it fails: linear controls must be able to show those
+of the solved motion. Each segment has five substeps, at order 4."""
+FEWEST = 6
+"""Smallest number of segments of a window."""
+ITERATIONS = 100
+"""Largest number of iterations of a solve; the solved motion is near, so most need fewer than 30."""
+NEAR = 0.02
+"""Distance from the edit that costs one per second, m."""
+LOOSE = 1e-3
+"""Weight of the attitude, relative to where it was edited, on frames of which only the position was."""
+SMOOTH = 1e-3
+"""Cost per second of controls that depart from the solved ones at a rate of one typical control per second."""
+SPENT = ("work", "dissipated")
+"""The accounts of energy that accumulate."""
+
+
+@dataclass(frozen=True)
+class Retouch:
+    """The retouched ``clip``, and what became of the edit.
+
+    ``touched``: runs of frames (first, last) that the edit changed, whole and inclusive; ``windows``: the runs that
+    were solved again; ``frames`` (n,): those of the edit, with the distance ``metres`` (n,) and the angle ``degrees``
+    (n,) of the clip from the edit; ``kept``: largest distance of an untouched frame from the solved motion, m.
+    """
+
+    clip: Clip
+    touched: tuple[tuple[int, int], ...]
+    windows: tuple[tuple[int, int], ...]
+    frames: Array
+    metres: Array
+    degrees: Array
+    kept: float
+
+    def misses(self, more: float = KEPT) -> list[dict[str, float]]:
+        """Every run of frames on which the edit is missed by ``more`` m: its ends, and where and by how much most."""
+        found = []
+        for first, last in _runs(self.metres > more):
+            worst = first + int(self.metres[first : last + 1].argmax())
+            found.append(
+                {
+                    "first": float(self.frames[first]),
+                    "last": float(self.frames[last]),
+                    "frame": float(self.frames[worst]),
+                    "metres": float(self.metres[worst]),
+                    "degrees": float(self.degrees[first : last + 1].max()),
+                }
+            )
+        return found
+
+
+def retouch(
+    clip: Clip,
+    world: Any,
+    frames: Array,
+    positions: Array,
+    rotations: Array,
+    *,
+    clearance: float = 1.0,
+    limits: Mapping[str, float] | None = None,
+    stops: Sequence[float] = (),
+    progress: Progress | None = None,
+) -> Retouch:
+    """The motion nearest to an edit of ``clip``: root poses ``positions`` (n, 3) m, ``rotations`` R_wr (n, 3, 3) on
+    whole ``frames`` (n,).
+
+    ``clearance``, ``limits``: as in `plan`; ``stops``: frames whose state remains exactly, such as those of marks,
+    unless the edit touches them. Frames outside the clip are ignored. Raises ``SolveError`` naming the
+    frames if there is no motion that returns to the solved one.
+    """
+    inside = (frames >= clip.start_frame) & (frames <= clip.end_frame)
+    edit = _Edit.of(clip, frames[inside], positions[inside], rotations[inside])
+    windows = edit.windows(round(ROOM * float(clip.fps)), stops)
+    made = clip
+    for number, window in enumerate(windows):
+        if progress is not None:
+            progress(f"retouching frames {window[0]} to {window[1]}", number / len(windows))
+        motion = _solved(clip, world, edit, window, clearance, limits, progress)
+        made = _replaced(made, motion, window)
+    there = made.at(_times(made, edit.frames))
+    metres, degrees = _apart(there, edit.positions, edit.rotations, edit.axes)
+    before = clip.at(_times(clip, edit.frames))
+    kept = np.linalg.norm(there.positions - before.positions, axis=1)[~edit.touched]
+    touched = tuple((int(edit.frames[a]), int(edit.frames[b])) for a, b in _runs(edit.touched))
+    return Retouch(made, touched, tuple(windows), edit.frames, metres, degrees, float(kept.max(initial=0.0)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Edit:
+    """Edited root poses on whole ``frames`` (n,); ``moved``, ``turned`` (n,): whether position and attitude differ."""
+
+    frames: Array
+    positions: Array
+    rotations: Array
+    moved: NDArray[np.bool_]
+    turned: NDArray[np.bool_]
+    axes: int
+    """Number of axes of the position that the vehicle's motion sets: 2 if the ground sets the height."""
+
+    @classmethod
+    def of(cls, clip: Clip, frames: Array, positions: Array, rotations: Array) -> _Edit:
+        solved, planar = clip.at(_times(clip, frames)), clip.vehicle.group.planar
+        axes = 2 if planar else 3
+        if planar:  # the ground sets the tilt
+            rotations = matrices(from_yaw(np.arctan2(rotations[:, 1, 0], rotations[:, 0, 0])))
+        metres, degrees = _apart(solved, positions, rotations, axes)
+        return cls(frames, positions, rotations, metres > MOVED, np.radians(degrees) > TURNED, axes)
+
+    @property
+    def touched(self) -> NDArray[np.bool_]:
+        return self.moved | self.turned
+
+    def windows(self, room: int, stops: Sequence[float]) -> list[tuple[int, int]]:
+        """Runs of touched frames, with ``room`` frames on either side, but not beyond ``stops``; joined where they
+        meet."""
+        found: list[tuple[int, int]] = []
+        fixed = [round(stop - self.frames[0]) for stop in stops]
+        fixed = [k for k in fixed if 0 <= k < len(self.frames) and not self.touched[k]]
+        for a, b in _runs(self.touched):
+            first = max([a - room, 0, *(k for k in fixed if k < a)])
+            last = min([b + room, len(self.frames) - 1, *(k for k in fixed if k > b)])
+            if found and first < found[-1][1]:
+                found[-1] = found[-1][0], last
+            else:
+                found.append((first, last))
+        return [(int(self.frames[a]), int(self.frames[b])) for a, b in found]
+
+    def at(self, frames: Array) -> tuple[Array, Array, Array]:
+        """Positions (k, 3) and rotations (k, 3, 3) at any ``frames`` (k,), and the weights (k, 2) of their change."""
+        from scipy.interpolate import CubicSpline
+        from scipy.spatial.transform import Rotation, RotationSpline
+
+        near = np.clip(np.round(frames - self.frames[0]).astype(int), 0, len(self.frames) - 1)
+        places = CubicSpline(self.frames, self.positions)(frames)
+        turns = RotationSpline(self.frames, Rotation.from_matrix(self.rotations))(frames).as_matrix()
+        weights = np.column_stack([np.ones(len(near)), np.where(self.turned[near], 1.0, LOOSE)])
+        return np.asarray(places), np.asarray(turns), weights
+
+    def free(self, knots: Array) -> NDArray[np.bool_]:
+        """Which of ``knots`` (k,), in frames, have only touched frames beside them, up to the next knots."""
+        beside = np.concatenate([knots[:1], knots, knots[-1:]])
+        still = np.concatenate([[0], np.cumsum(~self.touched)])
+        low = np.clip(np.floor(beside[:-2] - self.frames[0]).astype(int), 0, len(self.frames) - 1)
+        high = np.clip(np.ceil(beside[2:] - self.frames[0]).astype(int), 0, len(self.frames) - 1)
+        return np.asarray(still[high + 1] == still[low])
+
+
+def _solved(
+    clip: Clip,
+    world: Any,
+    edit: _Edit,
+    window: tuple[int, int],
+    clearance: float,
+    limits: Mapping[str, float] | None,
+    progress: Progress | None,
+) -> Clip:
+    """The motion of a window, from the state of ``clip`` at its first frame to that at its last. Raises
+    ``SolveError``."""
+    seconds = (window[1] - window[0]) / float(clip.fps)
+    for segment in SEGMENTS:
+        count = max(FEWEST, int(np.ceil(seconds / segment)))
+        request, iterate = _attempt(clip, world, edit, window, count, clearance, limits, progress)
+        if iterate.success:
+            return exported(iterate.clip, request)
+    why = f"{iterate.worst()}, off by {iterate.solution.violation:.3g}" if iterate.solution else "not solved"
+    raise SolveError(
+        f"frames {window[0]} to {window[1]} of the edit: no motion leads back to the solved one: {why}",
+        "edit less, or more frames around it",
+        subject=clip.vehicle.name,
+    )
+
+
+def _attempt(
+    clip: Clip,
+    world: Any,
+    edit: _Edit,
+    window: tuple[int, int],
+    count: int,
+    clearance: float,
+    limits: Mapping[str, float] | None,
+    progress: Progress | None,
+) -> tuple[Request, Iterate]:
+    """The motion of a window on ``count`` segments, solved or not."""
+    spans = np.arange(window[0], window[1] + 1.0)
+    solved = clip.at(_times(clip, spans))
+    marks = [Mark(window[k], position=tuple(solved.positions[j].tolist())) for k, j in ((0, 0), (1, -1))]
+    near = _clear(clip, world, solved, window[0], clearance)
+    request = ask(
+        clip.vehicle,
+        world,
+        marks,
+        fps=clip.fps,
+        segments=count,
+        clearance=near,
+        limits=limits,
+        character="stunt",
+        max_iterations=ITERATIONS,
+    )
+    run, transcription = Run(request, progress), transcribe(request.weighed)
+    local = replace(solved, times=solved.times - solved.times[0], start_frame=window[0])
+    with interrupts.remembered():
+        cover = cover_for(request, [poses_of(local)], run.deadline.watched(progress))
+        coarse, lengths = Layout(transcription.sizes, (count,)), np.array([local.duration / count])
+        x = along_clip(transcription, coarse, request.marks, _flat(local), lengths)
+        layout = replace(coarse, order=LADDER[0][1])
+        x = prolongate(Trajectory(request, transcription, coarse, x), layout)
+        ends = _ends(transcription, layout, _flat(local), edit, window, x)
+        blocks = [*_without_costs(request, transcription, cover, ends), ends, _Following(edit, clip)]
+        guess = Trajectory(request, transcription, layout, x)
+        active = tuple(block.activate(guess) for block in blocks)
+        iterate = Iterate(request, transcription, layout, x, active, [poses_of(local)], rung=0)
+        iterate = refine_and_certify(run, solve(run, iterate))
+    return request, iterate
+
+
+def _without_costs(request: Request, transcription: Transcription, cover: Any, ends: _Ends) -> list[Block]:
+    """The blocks of a plan from mark to mark, without its costs and with its ends given by states."""
+    unwanted: tuple[type, ...] = (RunningCosts, Easing, MarkRows, *((UnitQuaternion,) if ends.begins else ()))
+    return [block for block in blocks_of(request, transcription, cover) if not isinstance(block, unwanted)]
+
+
+def _clear(clip: Clip, world: Any, solved: Clip, first: int, clearance: float) -> float:
+    """The requested clearance, or less where the solved motion comes nearer, as over the place where it lands."""
+    if world is None or (world.terrain is None and not world.obstacles):
+        return clearance
+    seconds = (first / float(clip.fps)) + solved.times - solved.times[0]
+    least = float(world.clearance(clip.vehicle, solved.positions, solved.orientations, seconds).min())
+    return max(0.0, min(clearance, least))
+
+
+@dataclass(frozen=True, eq=False)
+class _Ends(Block):
+    """The states and controls at both ends of a window: those of the solved motion, unless the edit moves them.
+
+    ``first``, ``last``: state and scaled controls (k,) each; ``begins``, ``ends``: whether they hold.
+    """
+
+    first: Array
+    last: Array
+    begins: bool
+    ends: bool
+    still: tuple[bool, bool]
+    """Whether the vehicle rests at an end that the edit moves: it then rests there too."""
+
+    def key(self, layout: Layout, transcription: Transcription) -> Hashable:
+        return "ends", self.begins, self.ends, self.still
+
+    def add(self, problem: NonlinearProgram, transcription: Transcription, layout: Layout) -> None:
+        if self.ends:
+            element = transcription.kept("end", lambda: _end_element(transcription))
+            at = np.vstack([layout.knot(layout.segments), layout.control(layout.segments)])
+            problem.add(element, at, {"end": problem.parameter("end", len(self.last))})
+
+    def values(self, trajectory: Trajectory) -> Mapping[str, Any]:
+        return {"end": self.last} if self.ends else {}
+
+    def bound(self, trajectory: Trajectory, lower: Array, upper: Array) -> None:
+        layout, sizes = trajectory.layout, trajectory.transcription.sizes
+        begin = np.concatenate([layout.knot(0).ravel(), layout.control(0).ravel()])
+        if self.begins:
+            lower[begin] = upper[begin] = self.first
+        for still, knot in zip(self.still, (0, layout.segments), strict=True):
+            if still:  # momenta
+                rows = layout.knot(knot).ravel()[sizes[0] + sizes[1] :]
+                lower[rows] = upper[rows] = 0.0
+
+
+def _end_element(transcription: Transcription) -> Element:
+    """The last knot (x1, c1) has the state and controls of the parameter ``end``."""
+    size, s, n, count = transcription.sizes
+    x1, c1, end = ca.SX.sym("x1", size + s + n), ca.SX.sym("c1", count), ca.SX.sym("end", size + s + n + count)
+    x, c = ca.vertsplit(end, [0, size + s + n, size + s + n + count])
+    return Element("the end of the edit", ca.vertcat(x1, c1), {"end": end}, g=same_state(transcription, x, c, x1, c1))
+
+
+def _ends(
+    transcription: Transcription, layout: Layout, solved: Clip, edit: _Edit, window: tuple[int, int], x: Array
+) -> _Ends:
+    """The ends of a window, from the states of the solved motion at its first and last frame."""
+    begins, ends = (not edit.touched[int(frame - edit.frames[0])] for frame in window)
+    states = [_state(transcription, solved, k) for k in (0, -1)]
+    momenta = slice(sum(transcription.sizes[:2]), sum(transcription.sizes[:3]))
+    rests = [bool(np.abs(state[momenta]).max(initial=0.0) < 1e-6) for state in states]
+    still = (rests[0] and not begins, rests[1] and not ends)
+    idle = transcription.sizes[0] + np.array(transcription.idle, int)
+    x[layout.knot(0).ravel()[idle]] = states[0][idle]  # joints that influence nothing start as they were
+    return _Ends(states[0], states[1], begins, ends, still)
+
+
+def _state(transcription: Transcription, clip: Clip, k: int) -> Array:
+    """State and scaled controls of the problem's variables at a sample of a clip."""
+    from vehsim.vehicles.definition.states import internal
+
+    g, r, u, xi = internal(transcription.vehicle, clip.state(k))
+    if clip.vehicle.group.planar:
+        g[0] = poses_of(clip)[k, 3]
+    pi = np.ravel(np.asarray(transcription.mechanics.knot_momentum(r, u, xi)))
+    controls = clip.controls[k] / transcription.control_scale
+    return np.concatenate([np.ravel(g), r, pi / transcription.momentum_scale, controls])
+
+
+@dataclass(frozen=True, eq=False)
+class _Following(Block):
+    """The distance from the edit at every knot, as a cost; where nothing was touched, also as a bound.
+
+    ``clip``: the solved motion, from whose controls the vehicle departs smoothly.
+    """
+
+    edit: _Edit
+    clip: Clip
+
+    def _frames(self, trajectory: Trajectory) -> Array:
+        return np.asarray(trajectory.seconds() * float(trajectory.request.fps))
+
+    def _kept(self, layout: Layout) -> NDArray[np.intp]:
+        """The inner knots beside which something was not touched."""
+        kept = np.flatnonzero(~self.edit.free(self._knots(layout)))
+        return kept[(kept > 0) & (kept < layout.segments)]
+
+    def _knots(self, layout: Layout) -> Array:
+        """Frames of the knots of a layout of one leg."""
+        first, last = self._window
+        return np.linspace(first, last, layout.segments + 1)
+
+    _window: tuple[float, float] = (0.0, 0.0)
+
+    def key(self, layout: Layout, transcription: Transcription) -> Hashable:
+        return "following", tuple(self._kept(layout).tolist())
+
+    def activate(self, guess: Trajectory) -> _Following:
+        frames = self._frames(guess)
+        return replace(self, _window=(float(frames[0]), float(frames[-1])))
+
+    def add(self, problem: NonlinearProgram, transcription: Transcription, layout: Layout) -> None:
+        knots, segments = np.arange(layout.segments + 1), np.arange(layout.segments)
+        lever = max(extent(transcription.vehicle) / 2, 0.5)
+        near = transcription.kept(("near", self.edit.axes), lambda: _near(transcription, self.edit.axes, lever))
+        place = {"target": problem.parameter("edit", 15, len(knots))}
+        problem.add(near, np.vstack([layout.knot(knots), layout.control(knots)]), place)
+        controls = np.vstack([layout.control(segments), layout.control(segments + 1), layout.duration(segments)])
+        smooth = transcription.kept("smooth", lambda: _smooth(transcription))
+        changes = problem.parameter("solved controls", transcription.sizes[3], len(segments))
+        problem.add(smooth, controls, {"change": changes})
+        kept = self._kept(layout)
+        if len(kept):
+            inside = transcription.kept(("kept", self.edit.axes), lambda: _inside(transcription, self.edit.axes))
+            where = {"centre": problem.parameter("kept", 3, len(kept))}
+            names = [f"what was not touched at frame {frame:.0f}" for frame in self._knots(layout)[kept]]
+            problem.add(inside, np.vstack([layout.knot(kept), layout.control(kept)]), where, names=names)
+
+    def values(self, trajectory: Trajectory) -> Mapping[str, Any]:
+        frames, layout = self._frames(trajectory), trajectory.layout
+        solved = self.clip.at(np.clip(_times(self.clip, frames), self.clip.times[0], self.clip.times[-1]))
+        places, turns, weights = self.edit.at(frames)
+        still = ~self.edit.free(frames)
+        places[still] = solved.positions[still]
+        h = np.gradient(trajectory.seconds())
+        h[[0, -1]] /= 2
+        weights = weights * h[:, None]
+        scaled = solved.controls / trajectory.transcription.control_scale
+        target = np.hstack([places, turns.reshape(-1, 9), weights, np.zeros((len(frames), 1))])
+        kept = self._kept(layout)
+        values: dict[str, Any] = {"edit": target.T, "solved controls": np.diff(scaled, axis=0).T}
+        return values | ({"kept": solved.positions[kept].T} if len(kept) else {})
+
+
+def _near(transcription: Transcription, axes: int, lever: float) -> Element:
+    """The cost of the distance of a knot (x, c0) from the edit; ``target``: position (3,), rotation (9,), two weights
+    and one unused number."""
+    v, target = transcription.symbols("x", "c0"), ca.SX.sym("target", 15)
+    view = knot_view(transcription, v["x"], v["c0"])
+    off = (view.position - target[0:3])[:axes]
+    turn = view.rotation - ca.reshape(target[3:12], 3, 3).T
+    cost = target[12] * ca.sumsqr(off) + target[13] * lever**2 * ca.sumsqr(turn) / 2
+    return Element("edit", ca.vertcat(v["x"], v["c0"]), {"target": target}, f=cost / NEAR**2)
+
+
+def _smooth(transcription: Transcription) -> Element:
+    """The cost of controls (c0, c1, h) that change otherwise than the solved ones, which change by ``change``."""
+    v, change = transcription.symbols("c0", "c1", "h"), ca.SX.sym("change", transcription.sizes[3])
+    off = v["c1"] - v["c0"] - change
+    return Element("smooth", ca.vertcat(*v.values()), {"change": change}, f=SMOOTH * ca.sumsqr(off) / v["h"])
+
+
+def _inside(transcription: Transcription, axes: int) -> Element:
+    """A knot (x, c0) stays near the solved position ``centre`` (3,)."""
+    v, centre = transcription.symbols("x", "c0"), ca.SX.sym("centre", 3)
+    off = (knot_view(transcription, v["x"], v["c0"]).position - centre)[:axes] / (MARGIN * KEPT)
+    y = ca.vertcat(v["x"], v["c0"])
+    return Element("kept", y, {"centre": centre}, g=ca.sumsqr(off), lower=-np.inf, upper=1.0)
+
+
+# ---------------------------------------------------------------- clips
+
+
+def _times(clip: Clip, frames: Array) -> Array:
+    """Times (n,) s of ``frames`` (n,) of a clip."""
+    return np.minimum((frames - clip.start_frame) / float(clip.fps), clip.times[-1])
+
+
+def _flat(clip: Clip) -> Clip:
+    """The clip without the tilt that the ground gives a planar vehicle."""
+    if not clip.vehicle.group.planar:
+        return clip
+    return replace(clip, orientations=continuous(from_yaw(yaw_of(clip.orientations))))
+
+
+def _apart(clip: Clip, positions: Array, rotations: Array, axes: int) -> tuple[Array, Array]:
+    """Distances (n,) m along the first ``axes`` and angles (n,) in degrees between a clip's samples and poses."""
+    metres = np.linalg.norm((clip.positions - positions)[:, :axes], axis=1)
+    traces = np.einsum("nij,nij->n", matrices(_flat(clip).orientations), rotations)
+    return metres, np.degrees(np.arccos(np.clip((traces - 1) / 2, -1.0, 1.0)))
+
+
+def _runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First and last index of every run of true entries."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
+    return [(int(a), int(b) - 1) for a, b in edges.reshape(-1, 2)]
+
+
+def _replaced(clip: Clip, motion: Clip, window: tuple[int, int]) -> Clip:
+    """The clip with another motion in a window; what accumulates, such as the angle of a wheel, continues from it."""
+    first, last = _times(clip, np.array(window, float))
+    before, after = clip.times < first - 1e-9, clip.times > last + 1e-9
+    entry, leave = clip.at(first), clip.at(last)
+
+    def joined(old: Array, new: Array, enters: Any, leaves: Any, carried: bool) -> Array:
+        new = new + carried * (enters - new[0])
+        return np.concatenate([old[before], new, old[after] + (new[-1] - leaves)])
+
+    laws = clip.vehicle.channels
+    rates = {name for name in clip.channels if name in laws and laws[name].rate is not None}
+    columns: dict[str, Any] = {
+        name: np.concatenate([getattr(clip, name)[before], getattr(motion, name), getattr(clip, name)[after]])
+        for name in ("positions", "twists", "joint_rates", "controls")
+    }
+    turns = np.concatenate([clip.orientations[before], motion.orientations, clip.orientations[after]])
+    return replace(
+        clip,
+        times=np.concatenate([clip.times[before], motion.times + first, clip.times[after]]),
+        orientations=continuous(turns),
+        joints=joined(clip.joints, motion.joints, entry.joints[0], leave.joints[0], False),
+        channels={
+            name: joined(values, motion.channels[name], entry.channels[name][0], leave.channels[name][0], name in rates)
+            for name, values in clip.channels.items()
+            if name in motion.channels
+        },
+        energy={
+            name: joined(values, motion.energy[name], entry.energy[name][0], leave.energy[name][0], name in SPENT)
+            for name, values in clip.energy.items()
+            if name in motion.energy
+        },
+        **columns,
+    )

@@ -1,0 +1,127 @@
+"""``[vehicle.edit]``: root curves that an animator changed, and the nearest motion that the vehicle can make."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from vehsim.errors import InputError, Problem, SolveError
+from vehsim.shot.checks import Setting
+from vehsim.shot.schema.tables import Table, Text
+
+if TYPE_CHECKING:
+    from vehsim.clip.clip import Clip
+    from vehsim.delivery.exporters import Progress
+    from vehsim.planning.retouch import Retouch
+    from vehsim.rig.blocking import Blocking
+    from vehsim.vehicles import Vehicle
+
+NAMED = 3
+"""Number of misses that a warning names."""
+
+
+class EditTable(Table):
+    """``[vehicle.edit]``: the delivered curves of a vehicle, changed by an animator."""
+
+    usd: Text
+    """a USD stage in which the vehicle's delivered motion was edited, relative to the shot file"""
+    prim: Text
+    """the path of the vehicle's prim in it, such as /shot/vehicles/heli"""
+
+    def read(self, vehicle: Vehicle, setting: Setting) -> Blocking:
+        """The edited motion of the vehicle's root. Raises ``InputError``."""
+        from vehsim.rig.blocking import read_edit
+
+        path = self.path(setting.folder)
+        if not path.is_file():
+            raise InputError("no such file", file=self.usd)
+        if vehicle.rig is None:
+            raise InputError("has no asset, so it has no curves", subject=vehicle.name)
+        return read_edit(path, self.prim, setting.fps, vehicle.rig)
+
+    def path(self, folder: Path) -> Path:
+        """The edited stage."""
+        path = Path(self.usd).expanduser()
+        return path if path.is_absolute() else folder / path
+
+    def check(self, vehicle: Vehicle, setting: Setting, simulated: bool) -> Iterator[Problem]:
+        """Problems with keys relative to the vehicle's table. ``simulated``: its motion follows from forces."""
+        if simulated and setting.world.environment(vehicle) is not None:
+            message = "water, gusts and contact push it, so no motion can be chosen for it"
+            yield Problem("edit", message, "change the controls or the pilot instead")
+        try:
+            self.read(vehicle, setting)
+        except InputError as error:
+            yield error.problem.seen_from("edit", remedy="fix the stage or this table")
+
+    def retouch(
+        self,
+        name: str,
+        clip: Clip,
+        report: Mapping[str, Any],
+        options: Mapping[str, Any],
+        setting: Setting,
+        progress: Progress,
+    ) -> tuple[Clip, dict[str, Any]]:
+        """The retouched clip and its report, from those of the solved motion.
+
+        Marks that the edit touches are no longer required; the others still are.
+        """
+        from vehsim.planning.retouch import KEPT, retouch
+
+        edited = self.read(clip.vehicle, setting)
+        asks = [dict(ask) for ask in report.get("asks", [])]
+        marks = [ask for ask in asks if ask["key"].startswith("mark[")]
+        made = retouch(
+            clip,
+            setting.world,
+            edited.frames,
+            edited.positions,
+            edited.rotations,
+            stops=sorted({frame for ask in marks for frame in (ask["first"], ask["last"])}),
+            progress=progress,
+            **{key: options[key] for key in ("clearance", "limits") if key in options},
+        )
+        if made.kept > KEPT:
+            raise SolveError(
+                f"frames that the edit does not touch move by {1000 * made.kept:.3g} mm, more than {1000 * KEPT:g} mm",
+                "edit more frames around it",
+                subject=name,
+            )
+        for ask in marks:
+            if any(ask["first"] <= last and ask["last"] >= first for first, last in made.touched):
+                ask["severity"] = "warning"
+        _warn(name, made, edited.frames, clip)
+        details = {
+            "touched": made.touched,
+            "solved_again": made.windows,
+            "kept_within": made.kept,
+            "missed": made.misses(),
+            "largest_miss": float(made.metres.max(initial=0.0)),
+        }
+        return made.clip, {**report, "asks": asks, "edit": details}
+
+
+def _warn(name: str, made: Retouch, frames: Any, clip: Clip) -> None:
+    """Warn of an edit without effect, and of what it cannot reach."""
+    if not made.touched:
+        warnings.warn(f"{name}: the edit changes nothing: its curves are those of the solved motion", stacklevel=2)
+    beyond = [frame for frame in frames if not clip.start_frame <= frame <= clip.end_frame]
+    if beyond:
+        ends = f"{clip.start_frame} to {clip.end_frame}"
+        warnings.warn(
+            f"{name}: the edit has frames {beyond[0]:g} to {beyond[-1]:g} beyond the motion, which goes from {ends}; "
+            "they are left out",
+            stacklevel=2,
+        )
+    misses = sorted(made.misses(), key=lambda miss: -miss["metres"])
+    for miss in misses[:NAMED]:
+        warnings.warn(
+            f"{name}: the vehicle cannot follow the edit from frame {miss['first']:.0f} to {miss['last']:.0f}: it is "
+            f"missed by {miss['metres']:.2g} m at frame {miss['frame']:.0f}",
+            stacklevel=2,
+        )
+    if len(misses) > NAMED:
+        warnings.warn(f"{name}: the edit is missed in {len(misses) - NAMED} more places", stacklevel=2)
