@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,9 +11,12 @@ import trimesh
 from elementary import ExactDistance
 from scipy.spatial.transform import Rotation
 
+from vehsim.errors import InputError
 from vehsim.exporters.checks.audit import _Ground
 from vehsim.world import obstacles
+from vehsim.world.contact.contact import Contact, ContactScene
 from vehsim.world.distance.field import distance_field
+from vehsim.world.ground.rock import rock_met
 from vehsim.world.terrain.surface import open_edges
 from vehsim.world.terrain.terrain import Terrain
 from vehsim.world.world import World
@@ -144,6 +148,39 @@ def test_the_surface_is_part_of_the_content(terrains):
     arch = terrains["arch"]
     moved = replace(arch, surface=replace(arch.surface, points=arch.surface.points * (1 + 1e-9)))
     assert len({arch.content_hash, moved.content_hash, replace(arch, surface=None).content_hash}) == 3
+
+
+def test_an_arch_in_utm_coordinates_is_as_exact(terrains, meshes, vehicle, poses, tmp_path):
+    away = np.array([500_000.0, 4_600_000.0, 0.0])
+    meshes["arch"].copy().apply_translation(away).export(tmp_path / "far.obj")
+    terrain, points = Terrain.load(tmp_path / "far.obj"), around(500)
+    np.testing.assert_array_equal(terrain.below(points + away), rock("arch", points))
+    near = World(terrains["arch"]).clearance(vehicle, poses[0][:40], poses[1][:40])
+    far = World(terrain).clearance(vehicle, poses[0][:40] + away, poses[1][:40])
+    np.testing.assert_allclose(far[near > 0], near[near > 0], atol=1e-6)
+
+
+# ---------------------------------------------------------------- vehicles on the ground, and contact
+
+
+def test_a_vehicle_that_drives_into_a_wall_or_roof_is_found(terrains, vehicle):
+    def clip(x):
+        positions = np.column_stack([x, np.zeros_like(x), np.zeros_like(x)])
+        upright = np.tile([1.0, 0, 0, 0], (len(x), 1))
+        return SimpleNamespace(
+            vehicle=vehicle, positions=positions, orientations=upright, frames=1001 + np.arange(len(x))
+        )
+
+    world = World(terrains["cave"])  # 24 m long inside, and its tunnel opens at x = 25
+    assert rock_met(clip(np.array([-5.0, 0.0, 5.0])), world) is None
+    frame, place = rock_met(clip(np.array([-5.0, -6.0, -9.0])), world)
+    assert frame == 1003 and place[0] < -12
+    assert rock_met(clip(np.array([-9.0])), World()) is None
+
+
+def test_contact_with_overhangs_is_refused(terrains):
+    with pytest.raises(InputError, match=r"world\.contact.*overhangs"):
+        ContactScene({}, World(terrains["arch"]), Contact())
 
 
 # ---------------------------------------------------------------- distances
