@@ -38,7 +38,7 @@ from vehsim.planning.problem.transcription import Transcription, transcribe
 from vehsim.planning.refine import LADDER
 from vehsim.planning.request.legs import poses_of
 from vehsim.planning.request.marks import Mark
-from vehsim.planning.request.request import Request, ask
+from vehsim.planning.request.request import Request, make_request
 from vehsim.planning.solve import solve
 from vehsim.planning.trajectory import Trajectory, exported
 
@@ -239,7 +239,7 @@ def _attempt(
     solved = clip.at(_times(clip, spans))
     marks = [Mark(window[k], position=tuple(solved.positions[j].tolist())) for k, j in ((0, 0), (1, -1))]
     near = _clear(clip, world, solved, window[0], clearance)
-    request = ask(
+    request = make_request(
         clip.vehicle,
         world,
         marks,
