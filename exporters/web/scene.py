@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,6 +25,7 @@ from vehsim.exporters.usd.stage import Shape, StageReader, Surface
 from vehsim.intake.images import read_colours
 from vehsim.lie.quaternions import matrices, quaternions, yaw_of
 from vehsim.rig.linkage import part_poses
+from vehsim.vehicles.definition.holonomic import GRAVITY
 
 if TYPE_CHECKING:
     from vehsim.cameras.camera import Camera
@@ -211,7 +212,7 @@ def _motion(pack: Packing, take: Take, poses: Array, groups: Iterable[str]) -> d
         ],
         "paths": [{"name": name, "points": pack.array(clip.positions, "f4")} for name, clip in clips.items()],
         "marks": list(_marks(take)),
-        "curves": [curve for name, clip in clips.items() for curve in _curves(pack, name, clip)],
+        "curves": [curve for name, clip in clips.items() for curve in _curves(pack, name, clip, _limits(take, name))],
     }
 
 
@@ -416,13 +417,32 @@ def _marks(take: Take) -> Iterator[dict[str, Any]]:
             }
 
 
-def _curves(pack: Packing, name: str, clip: Clip) -> Iterator[dict[str, Any]]:
-    """Speed, load and controls on whole frames."""
-    velocity = np.gradient(clip.positions, clip.times, axis=0, edge_order=2) if len(clip) > 2 else np.zeros((1, 3))
-    table = {"speed": (np.linalg.norm(velocity, axis=1), "m/s")}
+def _curves(pack: Packing, name: str, clip: Clip, limits: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """Speed, load and controls on whole frames, each with its lower and upper limit or None."""
+    velocity = _slopes(clip.times, clip.positions)
+    load = np.linalg.norm(_slopes(clip.times, velocity) + np.array([0.0, 0.0, GRAVITY]), axis=1) / GRAVITY
+    table: dict[str, tuple[Array, str, float | None, float | None]] = {
+        "speed": (np.linalg.norm(velocity, axis=1), "m/s", None, limits.get("speed")),
+        "g_load": (load, "g", None, limits.get("g_load")),
+    }
     table |= {
-        control.name: (values, control.unit)
+        control.name: (values, control.unit, control.lower, control.upper)
         for control, values in zip(clip.vehicle.controls, clip.controls.T, strict=False)
     }
-    for curve, (values, unit) in table.items():
-        yield {"vehicle": name, "name": curve, "unit": unit, "values": pack.array(values, "f4")}
+    for curve, (values, unit, *bounds) in table.items():
+        low, high = (bound if bound is not None and np.isfinite(bound) else None for bound in bounds)
+        yield {
+            "vehicle": name, "name": curve, "unit": unit, "low": low, "high": high, "values": pack.array(values, "f4"),
+        }  # fmt: skip
+
+
+def _slopes(times: Array, values: Array) -> Array:
+    return np.gradient(values, times, axis=0, edge_order=2) if len(times) > 2 else np.zeros_like(values)
+
+
+def _limits(take: Take, name: str) -> dict[str, Any]:
+    """The limits that the shot file gives a vehicle; none for a motion that was not planned."""
+    vehicles = take.report.get("shot", {}).get("vehicle", ())
+    found: dict[str, Any] = next((table for table in vehicles if table.get("name") == name), {})
+    limits: dict[str, Any] = found.get("motion", {}).get("limits", {})
+    return limits

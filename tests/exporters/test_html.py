@@ -119,7 +119,9 @@ def test_curves_show_the_speed(delivered):
     curve = next(curve for curve in block.header["curves"] if curve["name"] == "speed")
     speed = block.array(curve["values"])
     assert len(speed) == 24 and speed[12] == pytest.approx(np.hypot(12.0, 2.0), rel=1e-3)
-    assert {curve["name"] for curve in block.header["curves"]} == {"speed", "lift"}
+    load = block.array(next(curve for curve in block.header["curves"] if curve["name"] == "g_load")["values"])
+    assert load[12] == pytest.approx(np.hypot(9.81, 12.0) / 9.81, rel=1e-2)  # on a circle at 1 rad/s
+    assert {curve["name"] for curve in block.header["curves"]} == {"speed", "g_load", "lift"}
 
 
 def test_the_page_needs_nothing_else(delivered):

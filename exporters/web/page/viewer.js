@@ -680,6 +680,16 @@ const vehsim = {};
       ink.strokeStyle = "#2fb4ff";
       ink.lineWidth = 1.5;
       ink.stroke();
+      const near = 0.005 * (high - low); // where a limit binds, the curve has the accent's colour
+      const binds = (value) => (curve.high !== null && value >= curve.high - near) || (curve.low !== null && value <= curve.low + near);
+      ink.beginPath();
+      curve.values.forEach((value, k) => {
+        const x = (k / Math.max(curve.values.length - 1, 1)) * width;
+        ink[k && binds(value) && binds(curve.values[k - 1]) ? "lineTo" : "moveTo"](x, place(value));
+      });
+      ink.strokeStyle = "#ff8a3d";
+      ink.lineWidth = 3;
+      ink.stroke();
       const value = curve.values[this.viewer._index(this.viewer.frame)];
       ink.fillStyle = "#fff";
       ink.fillRect(share * width - 0.5, 0, 1, height);
