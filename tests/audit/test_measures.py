@@ -98,10 +98,10 @@ def sped_up(clip: Clip, by: float, columns: slice = slice(3, 6)) -> Clip:
     return replace(clip, twists=twists)
 
 
-def bumped(clip: Clip) -> Clip:
-    """A jolt of 0.5 m/s at one knot in the middle."""
+def bumped(clip: Clip, column: int = 5) -> Clip:
+    """A jolt of 0.5 m/s at one knot in the middle, upwards by default."""
     twists = clip.twists.copy()
-    twists[len(clip) // 2, 5] += 0.5
+    twists[len(clip) // 2, column] += 0.5
     return replace(clip, twists=twists)
 
 
@@ -203,6 +203,7 @@ CASES = {
     "bank": Case(ask("bank", upper=math.radians(1)), flight, lambda c: turned(c, [math.radians(1.01), 0, 0], 40)),
     "acceleration": Case(ask("acceleration", upper=ACCELERATION), flight, bumped),
     "g_load": Case(ask("g_load", upper=math.hypot(1, ACCELERATION / 9.81)), flight, bumped),
+    "grip": Case(ask("grip", upper=ACCELERATION / 9.81), flight, lambda c: bumped(c, 4)),
     "steering": Case(
         ask("steering", 1, 49, upper=math.atan(0.2)), steered, lambda c: replace(c, joints=c.joints * 1.01)
     ),

@@ -43,6 +43,7 @@ def measured(clip):
         "turn_rate": np.linalg.norm(omega, axis=1),
         "bank": np.arccos(np.clip(up, -1, 1)),
         "acceleration": np.linalg.norm(gain, axis=1),
+        "grip": np.linalg.norm(gain[:, :2], axis=1) / 9.81,
         "g_load": np.linalg.norm(gain / 9.81 + [0, 0, 1], axis=1),
     }
     if "sigma" in clip.vehicle.joints:
@@ -92,6 +93,7 @@ def test_flights_keep_their_limits_at_every_instant(limits, segments):
     ("name", "limits"),
     [
         ("car", {"acceleration": 2.0, "steering": 0.25, "steering_rate": 0.3}),
+        ("car", {"grip": 0.2}),
         ("simple_car", {"speed": 4.0, "steering_rate": 0.2, "joints": {"sigma": 0.3}}),
         ("simple_car", {"joint_rates": {"sigma": 0.15}, "turn_rate": 0.4}),
         ("boat", {"speed": 3.0, "turn_rate": 0.3}),

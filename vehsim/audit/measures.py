@@ -179,6 +179,11 @@ def _acceleration(track: Track, wanted: Wanted, scene: Scene) -> Array:
     return _norms(_shown(_accelerations(track), wanted))
 
 
+def _grip(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """Horizontal force over weight, over the frame around each sample: the friction that tyres need on level ground."""
+    return np.asarray(np.hypot(*_accelerations(track).T[:2]) / GRAVITY[2])
+
+
 def _g_load(track: Track, wanted: Wanted, scene: Scene) -> Array:
     """Acceleration felt by the crew, over the frame around each sample, in g; nan within half a frame of the ends."""
     return _norms((_shown(_accelerations(track), wanted) + GRAVITY) / GRAVITY[2])
@@ -400,6 +405,7 @@ MEASURES: Registry[Measure] = Registry(
         "bank": _bank,
         "acceleration": _acceleration,
         "g_load": _g_load,
+        "grip": _grip,
         "steering": _steering,
         "steering_rate": _steering_rate,
         "joint": _joint,

@@ -136,7 +136,7 @@ def _warn_strain(clip: Clip, held: tuple[Array, Array], travels: dict[str, Array
         message = (
             f"{needed.max():.1f} g at frame {frame:.0f}: more than the grip of tyres, but wheels never slip here; "
         )
-        remedy = "go slower, or plan with limits = { acceleration = 8 }"
+        remedy = "go slower, or plan with limits = { grip = 0.9 }"
     elif np.abs(travel).max() > LARGEST_TRAVEL:
         k = int(np.abs(travel).argmax())
         message = f"{name} = {travel[k]:.2f} m at frame {clip.frames[k]:.0f}: the wheel leaves its arch, because the "
