@@ -172,6 +172,16 @@ def test_unreadable_blockings_are_named(tmp_path: Path, change: dict[str, Any], 
         Shot.from_dict(shot_with(change), tmp_path).solve()
 
 
+def test_the_chosen_frames_are_named(tmp_path: Path) -> None:
+    from vehsim.cli.arguments import chosen_frames
+
+    stage_with(tmp_path / "in.usda", keys={**KEYS, 1060: KEYS[1050]})
+    (line,) = chosen_frames(Shot.from_dict(shot_with({}), tmp_path))
+    assert line == "heli: marks from /World/heli at frames 1001, 1050 to 1060, 1100"
+    (line,) = chosen_frames(Shot.from_dict(shot_with({"frames": [1010, 1090]}), tmp_path))
+    assert line.endswith("at frames 1010, 1090")
+
+
 def test_another_frame_rate_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="24 a second, the shot at 30"):
         read_blocking(stage_with(tmp_path / "in.usda"), "/World/heli", Fraction(30))

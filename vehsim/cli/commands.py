@@ -290,6 +290,8 @@ def check(shots: Shots, sets: Sets = None, quiet: Quiet = False) -> None:
     for shot in loaded:
         if not quiet:
             print(f"{shot.source}: {shot.name} is ready, {_arguments.summary(shot)}")
+            for line in _arguments.chosen_frames(shot):
+                print(line)
     raise typer.Exit(code)
 
 
