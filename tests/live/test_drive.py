@@ -173,7 +173,7 @@ def test_a_drive_is_recorded_saved_continued_and_undone(tmp_path):
             await page.send(kind="sticks", values=[1.0, 0.5, 3.0])
             assert "less than or equal to 1" in (await page.until("refused"))["text"]
             await page.send(kind="sticks", values=[0.0] * 5)  # not this vehicle's
-            moved = await page.until("live", lambda live: live.header["place"][0] > 0.2)
+            moved = await page.until("live", lambda live: live.header["place"][0] > 0.5)
             assert moved.header["frame"] > first.header["frame"] and len(moved.header["groups"]) > 3
             await page.send(kind="stop")
             await page.until("driven")
@@ -185,7 +185,7 @@ def test_a_drive_is_recorded_saved_continued_and_undone(tmp_path):
             assert "# mine" in path.read_text() and 'file = "drive.car.001.csv"' in path.read_text()
             clip = Shot.load(path).solve(cached=False).clips["car"]
             assert (tmp_path / "drive.car.001.npz").read_bytes() == clip.to_bytes()
-            assert clip.positions[-1, 0] > 0.2
+            assert clip.positions[-1, 0] > 0.2  # it ends on a whole frame
 
             await page.send(kind="drive", vehicle="car", frame=1003)
             await page.until("live", lambda live: live.header["frame"] > 1004)
