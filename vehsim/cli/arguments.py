@@ -171,9 +171,9 @@ def summary(shot: Shot) -> str:
 
 def chosen_frames(shot: Shot) -> Iterator[str]:
     """The frames of an animator's blocking that become marks, one line per vehicle."""
-    given = {table.name: getattr(table.motion, "marks", None) for table in shot.file.vehicle}
+    marks: dict[str, Any] = {table.name: getattr(table.motion, "marks", None) for table in shot.file.vehicle}
     for name, blocking in shot.blockings().items():
-        chosen = given[name].frames if given[name] is not None else None
+        chosen = marks[name].frames
         keys = list(blocking.keys) if chosen is None else [(frame, 0) for frame in chosen]
         frames = (f"{frame} to {frame + hold}" if hold else str(frame) for frame, hold in keys)
         yield f"{name}: marks from {blocking.prim} at frames {', '.join(frames)}"
