@@ -316,6 +316,12 @@ assert abs(again.clip.positions[-1] - (30, 12, 0)).max() < 1e-3
 assert plan.success and plan.clearance >= 0.5 - 1e-3
 assert abs(plan.clip.positions[-1] - (45, 0, 0)).max() < 1e-3
 """,
+    "cookbook.md: Fly through an arch": """
+from pathlib import Path
+assert plan.success and plan.clearance >= 1.5 - 0.01 and Path("arch/arch.usda").is_file()
+at = abs(plan.clip.positions[:, 0]).argmin()
+assert abs(plan.clip.positions[at, 1]) < 20 and plan.clip.positions[at, 2] < 20  # below the ring, whose radius is 20 m
+""",
     "cookbook.md: Define a vehicle in fifteen lines": """
 assert abs(clip.twists[1:, 2]).max() < 1e-6  # never sideways
 assert abs(clip.energy["kinetic"] / clip.energy["kinetic"][0] - 1).max() < 1e-6
