@@ -96,6 +96,7 @@ limits.acceleration = 1
 limits.g_load = 1
 limits.steering = 1
 limits.steering_rate = 1
+limits.grip = 1
 limits.joints = { psi = [0, 1], phi = 1 }
 limits.joint_rates = { psi = 1 }
 loop = false
