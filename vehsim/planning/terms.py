@@ -316,9 +316,7 @@ LIMITS: Registry[Limit] = Registry(
             lambda k: ca.acos(0.9999999 * k.rotation[2, 2]), "rad", "angle between the body's and the world's Z"
         ),
         "acceleration": Limit(lambda k: _norm(k.acceleration), "m/s^2", "acceleration in any direction"),
-        "grip": Limit(
-            lambda k: _norm(k.acceleration[0:2]) / GRAVITY, "", "friction that the tyres of a level vehicle need"
-        ),
+        "grip": Limit(lambda k: _norm(k.acceleration[0:2]) / GRAVITY, "g", "friction that tyres need on level ground"),
         "g_load": Limit(
             lambda k: _norm(k.acceleration / GRAVITY + ca.DM([0, 0, 1])), "g", "what the crew feels: 1 at rest"
         ),
