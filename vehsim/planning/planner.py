@@ -61,8 +61,13 @@ If they end farther away, the plan is not a motion of this vehicle, or so unstab
 it.
 """
 FASTER = 0.005
-"""By how much, relative to the vehicle's top speed, a motion may exceed it before it is planned again with that
-limit."""
+"""By how much, relative to the vehicle's top speed or turn rate, a motion may exceed it before it is planned again with
+that limit."""
+TOPS = {
+    "speed": "the top speed of the {vehicle}, {top:g} m/s",
+    "turn_rate": "the top turn rate of the {vehicle}, {degrees:.3g} deg/s",
+}
+"""Those limits, for messages."""
 Reason = Literal["refused", "time limit", "not solved", "clearance", "between knots", "execution", "audit"]
 """Why a plan failed. In turn: its marks contradict each other or the vehicle; the time limit was reached; the solver
 found no motion; the certified clearance is too small; a constraint is violated between knots; the controls end
@@ -206,20 +211,20 @@ def _beyond(rows: Sequence[Row]) -> list[str]:
 def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
     """The plan, if necessary planned again with fewer freedoms or more segments.
 
-    A motion faster than the vehicle's top speed is planned again with that limit. If the controls do not lead where the
-    motion does, or no motion is found for an unknown reason, the plan is repeated on more segments.
+    A motion beyond the vehicle's top speed or turn rate is planned again with that limit. If the controls do not lead
+    where the motion does, or no motion is found for an unknown reason, the plan is repeated on more segments.
     """
     enough = enough_segments(request)
     if request.segments < enough:
         made = _solve(replace(request, segments=enough), progress, guess)
         return _remarked(made, f"; on {enough} segments: {request.segments} are too few")
-    made = _attempt(request, progress, guess)
-    if made.success and _outran(made, request):
-        top = request.top_speed
-        request = replace(request, limits=request.limits.below(top))
+    made, limited = _attempt(request, progress, guess), ""
+    while made._iterate is not None and made._iterate.success and (tops := _exceeded(made, request)):
+        request = replace(request, limits=request.limits.within(tops))
         made = _attempt(request, progress, guess)
-        own = f"the top speed of the {request.vehicle.name}, {top:g} m/s"
-        made = _remarked(made, f"; limited to {own}: to change this, give velocities or limits.speed")
+        for name, top in tops.items():
+            own = TOPS[name].format(vehicle=request.vehicle.name, top=top, degrees=math.degrees(top))
+            limited += f"; limited to {own}: to change this, give velocities or limits.{name}"
     segments = request.segments
     while _misled(made) and segments < MOST:
         segments = min(FINER * segments, MOST)
@@ -227,6 +232,8 @@ def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
         if again._iterate is None or not again._iterate.success:
             break
         made = min(made, again, key=lambda plan: plan.executed.final)
+    if limited:
+        made = _remarked(made, limited)
     if _unexplained(made) and segments == request.segments < MOST:
         segments = min(FINER * segments, MOST)
         again = _attempt(replace(request, segments=segments), progress, guess, once=True)
@@ -252,11 +259,16 @@ def _remarked(plan: Plan, remark: str) -> Plan:
     return replace(plan, message=plan.message + remark, _iterate=iterate)
 
 
-def _outran(plan: Plan, request: Request) -> bool:
-    """Whether a motion exceeds the vehicle's top speed and the request sets no speed limit."""
-    velocity = 3 if plan.clip.twists.shape[1] == 6 else 1
-    speeds = np.linalg.norm(plan.clip.twists[:, velocity:], axis=1)
-    return bool(math.isinf(request.limits.get("speed")) and speeds.max() > (1 + FASTER) * request.top_speed)
+def _exceeded(plan: Plan, request: Request) -> dict[str, float]:
+    """The vehicle's top speed and turn rate, SI, where a motion exceeds them and the request sets no such limit."""
+    linear = 3 if plan.clip.twists.shape[1] == 6 else 1
+    turning, moving = np.split(plan.clip.twists, [linear], axis=1)
+    tops = {"speed": (moving, request.vehicle.top_speed), "turn_rate": (turning, request.vehicle.top_turn_rate)}
+    return {
+        name: top
+        for name, (rates, top) in tops.items()
+        if math.isinf(request.limits.get(name)) and np.linalg.norm(rates, axis=1).max() > (1 + FASTER) * top
+    }
 
 
 def _misled(plan: Plan) -> bool:

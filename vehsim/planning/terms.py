@@ -366,9 +366,9 @@ class Limits:
     def get(self, name: str, default: float = float("inf")) -> float:
         return self.values.get(name, default)
 
-    def below(self, speed: float) -> Limits:
-        """The same limits, with a limit of the speed, m/s."""
-        return replace(self, values={**self.values, "speed": speed})
+    def within(self, values: Mapping[str, float]) -> Limits:
+        """The same limits, with other ``values`` by name, SI."""
+        return replace(self, values={**self.values, **values})
 
     def constraints(self) -> list[Constraint]:
         """The limits as constraints, scaled to one. At knots, joint limits are bounds of variables."""

@@ -62,7 +62,7 @@ def first_frame(request: Request, i: int, j: int, least: int) -> tuple[int, bool
         weights=cost_weights({"time": 1.0, "smoothness": 1e-3, "effort": 3e-3}, {}),
         segments=SEGMENTS * (len(marks) - 1),
         clearance=0.0,
-        limits=request.limits if math.isinf(request.top_speed) else request.limits.below(request.top_speed),
+        limits=request.limits if math.isinf(request.top_speed) else request.limits.within({"speed": request.top_speed}),
         refine=False,
         max_iterations=ITERATIONS,
         terms=terms,

@@ -87,6 +87,8 @@ class Definition:
     """The numbers for driving it calmly, normally or briskly."""
     top_speed: float = 340.0
     """The greatest speed of the root, m/s, in plans without a ``limits.speed``; default: the speed of sound."""
+    top_turn_rate: float = math.inf
+    """The greatest angular speed of the root, rad/s, in plans without a ``limits.turn_rate``."""
     largest_step: float = math.inf
     """The largest step of a simulation, s: with longer ones, a fast decay such as that of a tyre's slip alternates."""
     feels_wind: bool = False

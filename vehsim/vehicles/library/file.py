@@ -151,6 +151,8 @@ class VehicleFile(Table):
     """the closed mesh that displaces water, a path below the root"""
     top_speed: Annotated[Bound, Field(gt=0)] = math.inf
     """a speed above zero, in m/s"""
+    top_turn_rate: Annotated[Bound, Field(gt=0)] = math.inf
+    """an angular speed above zero, in rad/s"""
     physics: dict[str, Quantity] = Field(default={})
     """SI units"""
     controls: dict[str, ControlTable] = Field(default={})

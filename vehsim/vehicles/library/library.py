@@ -28,6 +28,7 @@ from vehsim.vehicles.library.file import SuspensionTable, VehicleFile
 from vehsim.vehicles.library.imported import ready_asset
 from vehsim.vehicles.library.mass import fill_in, weigh
 from vehsim.vehicles.library.parameters import (
+    TOPS,
     blamed,
     check_parameters,
     check_physics,
@@ -75,7 +76,8 @@ def load_vehicle(name: str | Path, parameters: Mapping[str, Any] | None = None) 
     """A shipped vehicle by name, or the vehicle in a folder with a ``vehicle.toml``.
 
     ``parameters`` replace numbers of the file: those of ``[physics]`` by their names, such as ``{"mass": 1500.0}``, and
-    tables ``controls``, ``joints`` and ``suspension`` and ``top_speed`` as they stand in the file; SI units.
+    tables ``controls``, ``joints`` and ``suspension``, ``top_speed`` and ``top_turn_rate`` as they stand in the file;
+    SI units.
     Raises ``InputError`` naming file, key, value and the fix.
     """
     path = _file(name)
@@ -108,7 +110,8 @@ def parameters_of(name: str | Path) -> Iterator[tuple[str, Any, str]]:
             yield f"joints.{joint}.{bound}", value, "in SI units"
     for key, field in SuspensionTable.model_fields.items() if "suspension" in data else ():
         yield f"suspension.{key}", data["suspension"].get(key, field.default), words_of(SuspensionTable, key)
-    yield "top_speed", vehicle.top_speed, words_of(VehicleFile, "top_speed")
+    for key in TOPS:
+        yield key, getattr(vehicle, key), words_of(VehicleFile, key)
 
 
 def _file(name: str | Path) -> Path:
@@ -165,7 +168,7 @@ def _load(path: Path, written: Stamp, asset_written: Stamp | None, parameters: s
         "joint_limits": _limits(path, vehicle, data.get("joints", {})),
         "character": _character(path, vehicle, data.get("character", {})),
         "rig": _rig(path, vehicle, data),
-        "top_speed": float(data.get("top_speed", vehicle.top_speed)),
+        **{key: float(data.get(key, getattr(vehicle, key))) for key in TOPS},
         "parameters": given,
     }
     planar = None if vehicle.planar is None else replace(vehicle.planar, **settings | {"rig": _level(settings["rig"])})

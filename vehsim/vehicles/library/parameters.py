@@ -22,7 +22,8 @@ from vehsim.vehicles.library.file import IN_RANGE, ControlTable, Limits, Quantit
 
 COUNTS = {1: "one number", 2: "two numbers", 3: "three numbers"}
 PHYSICS = "physics"
-BESIDE = ("controls", "joints", "suspension", "top_speed")
+TOPS = ("top_speed", "top_turn_rate")
+BESIDE = ("controls", "joints", "suspension", *TOPS)
 """Keys of a ``vehicle.toml`` beside ``physics`` whose numbers can be replaced, under the same names."""
 
 
@@ -90,11 +91,9 @@ def _replacing(factory: Callable[..., Any]) -> type[Table]:
         Annotated[SuspensionTable, Field(description=words_of(VehicleFile, "suspension"))],
         SuspensionTable(),
     )
-    speed = VehicleFile.model_fields["top_speed"]
-    fields["top_speed"] = (
-        Annotated[speed.annotation, *speed.metadata, Field(description=words_of(VehicleFile, "top_speed"))],
-        None,
-    )
+    for key in TOPS:
+        top = VehicleFile.model_fields[key]
+        fields[key] = (Annotated[top.annotation, *top.metadata, Field(description=words_of(VehicleFile, key))], None)
     return create_model("Parameters", __base__=Table, **fields)
 
 
