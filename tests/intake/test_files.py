@@ -106,6 +106,13 @@ def test_excessive_tables_are_refused(tmp_path: Path, text: str | bytes, says: s
     assert says_what_to_do(refused.value, path)
 
 
+def test_a_device_without_an_end_is_refused(tmp_path: Path) -> None:
+    """Its stated size is 0; read as a whole, it took all the memory of the machine."""
+    (tmp_path / "t.toml").symlink_to("/dev/zero")
+    with pytest.raises(ShotError, match="larger than 5 MB"):
+        read_toml(tmp_path / "t.toml")
+
+
 def test_lines_that_look_like_headers_take_no_time(tmp_path: Path) -> None:
     """The search for line numbers once took minutes for spaces in a text, and years for these lines."""
     text = f"""a = '''\n[{" " * 1_000_000}\n[[{"b " * 100_000}\n'''\n[ c . "d" ]\ne = 0.{"1" * 100_000}\n"""

@@ -179,7 +179,8 @@ def _comments(text: str) -> Iterator[str]:
 
 def _text(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8", errors="replace") if path.stat().st_size < 1_000_000 else ""
+        short = path.is_file() and path.stat().st_size < 1_000_000
+        return path.read_text(encoding="utf-8", errors="replace") if short else ""
     except OSError:
         return ""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
@@ -32,9 +33,11 @@ def read_toml(path: Path) -> tuple[dict[str, Any], str]:
         return ShotError([Problem("file", message, remedy, file=str(path))])
 
     try:
-        if path.stat().st_size > MAX_BYTES:
+        with path.open("rb") as file:
+            content = file.read(MAX_BYTES + 1)  # not its stated size: that of a device is 0
+        if len(content) > MAX_BYTES:
             raise refuse(f"larger than {MAX_BYTES // 1_000_000} MB", "give a smaller file")
-        text = path.read_text(encoding="utf-8-sig")
+        text = io.TextIOWrapper(io.BytesIO(content), encoding="utf-8-sig").read()
         if found := _LONG_KEY.search(text):
             line = text.count("\n", 0, found.start()) + 1
             message = f"nested too deeply: a key of more than {MAX_DEPTH} parts in line {line}"
