@@ -80,7 +80,7 @@ def test_a_car_is_driven_with_keys_held_down(tmp_path):
             before = await page.value("vehsim.viewer.camera.position.x")
             await page.hold("w", "KeyW", True)
             await page.until("vehsim.drive.values[0] === 1 && vehsim.viewer.orbit.target.x > 0.5")
-            assert await page.value("vehsim.viewer.camera.position.x") > before
+            await page.until(f"vehsim.viewer.camera.position.x > {before}")
             await page.hold("w", "KeyW", False)
             await page.hold("a", "KeyA", True)
             await page.until("vehsim.drive.values[0] === 0 && vehsim.drive.values[1] === 1")
