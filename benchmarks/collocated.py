@@ -26,7 +26,7 @@ from vehsim.planning.problem.solver import Solution, Solver
 from vehsim.planning.problem.transcription import Array, Transcription
 from vehsim.planning.request.legs import legs_between
 from vehsim.planning.request.marks import Mark
-from vehsim.planning.request.request import ask
+from vehsim.planning.request.request import make_request
 from vehsim.planning.trajectory import Trajectory
 from vehsim.vehicles import Vehicle
 from vehsim.vehicles.definition.mechanics import free_velocity
@@ -102,7 +102,7 @@ def solve(transcription: Transcription, marks: Sequence[Mark], segments: int, **
     ``options``: of `vehsim.plan`, such as ``fps``, ``cost``, ``limits``, ``solver``.
     """
     t = transcription
-    request = ask(
+    request = make_request(
         t.vehicle, None, marks, **({"fps": 24, "character": "stunt"} | options), segments=segments, refine=False
     )
     layout = Layout(t.sizes, (segments,))
