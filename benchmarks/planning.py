@@ -29,7 +29,7 @@ from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.solver import Solver
 from vehsim.planning.problem.transcription import Transcription
 from vehsim.planning.refine import ends_elsewhere
-from vehsim.planning.request.request import ask
+from vehsim.planning.request.request import make_request
 from vehsim.world.obstacles.obstacles import ellipse, polygon
 
 REST = (0.0, 0.0, 0.0)
@@ -53,7 +53,7 @@ def building() -> Iterator[Row]:
     for name in ("helicopter", "car"):
         vehicle = vehsim.load_vehicle(name)
         marks = [Mark(1, position=REST, heading=0, velocity=REST), Mark(97, position=(20, 4, 0), velocity=REST)]
-        request = ask(vehicle, None, marks, fps=24, segments=8)
+        request = make_request(vehicle, None, marks, fps=24, segments=8)
         t, wall, cpu = _timed(_first, vehicle, request)
         yield f"{name}: model differentiated and first problem built", "0.3 s", [wall], [cpu], ""
         for n in (16, 64, 256):
