@@ -160,6 +160,15 @@ def heavy(take: Any, delivery: Path) -> None:
     assert reached == pytest.approx(1800 / 0.32 / (1500 + 2.4 / 0.32**2) * 3.0**2 / 2, rel=1e-3)
 
 
+def slides(take: Any, delivery: Path) -> None:
+    """It rolls at first; the handbrake locks the rear wheels, and the car slides sideways until it stands."""
+    clip = take.clips["car"]
+    aside = np.degrees(np.abs(np.arctan2(clip.twists[:, 2], clip.twists[:, 1])))
+    rolling = clip.frames < 1007
+    assert aside[rolling].max() < 0.1 and np.abs(clip.channels["slip_rl"][rolling]).max() < 0.1
+    assert aside.max() > 45 and np.abs(clip.channels["slip_rl"]).max() > 5
+
+
 def red(take: Any, delivery: Path) -> None:
     from pxr import Usd
 
@@ -217,6 +226,7 @@ def few_keys(take: Any, delivery: Path) -> None:
 TOML: dict[str, Callable[[Any, Path], None]] = {
     "Parameters": heavy,
     "Curves to edit": few_keys,
+    "A car that slips": slides,
     "Cookbook": nothing_more,
     "Let the planner choose the arrival, then stay for two seconds": nothing_more,
     "Fly through a ring": nothing_more,

@@ -100,7 +100,7 @@ def test_figures_show_path_obstacles_and_controls(delivery):
 @pytest.mark.parametrize(
     "change, key, words",
     [
-        (lambda d: d["world"]["obstacle"].append({"shape": "cone"}), "world.obstacle[3].shape", 'give "polygon"'),
+        (lambda d: d["world"]["obstacle"].append({"shape": "pyramid"}), "world.obstacle[3].shape", 'give "polygon"'),
         (lambda d: d["world"]["obstacle"].append({"name": "a"}), "world.obstacle[3].shape", "missing"),
         (
             lambda d: d["world"]["obstacle"][0].update(points=[[0, 9], [1, 10], [1, 9], [0, 11]]),

@@ -132,7 +132,7 @@ def test_a_moving_obstacle_is_waited_for():
     )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        with pytest.raises(SolveError, match=r"too (close to a moving obstacle|early); \d+") as raised:
+        with pytest.raises(SolveError, match=r"too (close to a moving obstacle|early); use \d+") as raised:
             Shot.from_dict(data).solve()
         (frame,) = re.findall(r"use (\d+)", str(raised.value))
         data["vehicle"][0]["motion"]["mark"][1]["frame"] = int(frame)
