@@ -232,8 +232,6 @@ def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
         if again._iterate is None or not again._iterate.success:
             break
         made = min(made, again, key=lambda plan: plan.executed.final)
-    if limited:
-        made = _remarked(made, limited)
     if _unexplained(made) and segments == request.segments < MOST:
         segments = min(FINER * segments, MOST)
         again = _attempt(replace(request, segments=segments), progress, guess, once=True)
@@ -243,7 +241,7 @@ def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
         stunt = _attempt(replace(request, traits=NO_TRAITS), progress, guess)
         if stunt.success:
             made = _remarked(stunt, f"; not {request.traits.name}: no such motion was found")
-    return made
+    return _remarked(made, limited) if limited else made
 
 
 def _fails_in_character(plan: Plan) -> bool:
