@@ -165,7 +165,7 @@ def test_a_drive_is_recorded_saved_continued_and_undone(tmp_path):
             for wrong in ({"vehicle": "boat"}, {"vehicle": "car", "frame": 1003}):
                 await page.send(kind="drive", **wrong)
                 assert (await page.until("refused"))["text"]
-            await page.send(kind="sticks", values=[0.5, 0.5])  # nobody drives: nothing happens
+            await page.send(kind="sticks", values=[0.5, 0.5])  # no drive has begun: it has no effect
             await page.send(kind="drive", vehicle="car")
             assert (await page.until("driving"))["vehicle"] == "car"
             first = await page.until("live")
