@@ -216,10 +216,13 @@ def _foreign_units(stage: Any) -> Iterator[Issue]:
     """A referenced layer in other units is scaled by the prim that references it, because USD does not convert."""
     from pxr import Usd
 
+    direct = Usd.PrimCompositionQuery.Filter()
+    direct.arcTypeFilter = Usd.PrimCompositionQuery.ArcTypeFilter.ReferenceOrPayload
+    direct.dependencyTypeFilter = Usd.PrimCompositionQuery.DependencyTypeFilter.Direct
     for prim in stage.Traverse():
-        if not prim.HasAuthoredReferences():
+        if not (prim.HasAuthoredReferences() or prim.HasAuthoredPayloads()):
             continue
-        for arc in Usd.PrimCompositionQuery.GetDirectReferences(prim).GetCompositionArcs():
+        for arc in Usd.PrimCompositionQuery(prim, direct).GetCompositionArcs():
             theirs, ours = arc.GetTargetLayer(), arc.GetIntroducingLayer()
             if not all(layer and layer.pseudoRoot.HasInfo("metersPerUnit") for layer in (theirs, ours)):
                 continue

@@ -1,8 +1,9 @@
 """A vehicle's animation layer: only what moves, as overs on the asset's own prims.
 
-The layer's default prim is the vehicle's root and references the asset, so the layer works referenced (as in the shot)
-and sublayered. Translate and orient pose the root. A channel becomes one scalar op with accumulated degrees (or asset
-units) on the prim that it drives: as a quaternion, a rotor would turn backwards.
+The layer's default prim is the vehicle's root. The asset is its payload, so the layer works referenced (as in the shot)
+and sublayered, and a shot opened without payloads has the motion alone. Translate and orient pose the root. A channel
+becomes one scalar op with accumulated degrees (or asset units) on the prim that it drives: as a quaternion, a rotor
+would turn backwards.
 """
 
 from __future__ import annotations
@@ -98,7 +99,7 @@ def write_animation(
     # other channels rest as in the asset
     moving = [channel for channel in rig.drives if np.any(clip.channels[channel])]
     ops = rig_ops(rig.asset, rig, units, moving)
-    reference = pack.reference(rig, path)
+    asset = pack.reference(rig, path)
     motion: _Motion | _Curves = _Motion(clip, name, frames, shutter, thin)
     if curves is not None:
         motion = _Curves(clip, frames, shutter, curves)
@@ -110,7 +111,7 @@ def write_animation(
         layer.defaultPrim = name
         root = Sdf.PrimSpec(layer, name, Sdf.SpecifierDef, "Xform")
         target = prim_path(rig.root if rig.source is None else rig.source_root)
-        root.referenceList.prependedItems = [Sdf.Reference(reference, target or Sdf.Path())]
+        root.payloadList.prependedItems = [Sdf.Payload(asset, target or Sdf.Path())]
         for variant_set, variant in rig.variants.items():
             root.variantSelections[variant_set] = variant
         motion.author_pose(root, ops, units)

@@ -92,6 +92,7 @@ def write_usd(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
     for name, clip in clips.items():
         prim = UsdGeom.Xform.Define(stage, f"/{take.name}/vehicles/{name}").GetPrim()
         _reference_layers(prim, layers[name], path, pack)
+        author_bounds(prim, take.frames)
         author_mass(prim, clip.vehicle, units)
         _model(prim, Kind.Tokens.component, clip.vehicle.name, pack.relative(layers[name]["exact"], path))
     progress("usd: environment", len(clips) / (len(clips) + 2))
@@ -100,7 +101,8 @@ def write_usd(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
         author_obstacles(layer, "/obstacles", take, pack)
     if water := write_water(take, folder):
         prim = UsdGeom.Xform.Define(stage, f"/{take.name}/env/water").GetPrim()
-        prim.GetReferences().AddReference(pack.relative(water[0], path))
+        prim.GetPayloads().AddPayload(pack.relative(water[0], path))
+        author_bounds(prim, take.frames)
         _model(prim, Kind.Tokens.component, "water", pack.relative(water[0], path))
         pack.written.extend(water)
     with _layer_of(stage, f"/{take.name}/cameras", take, pack, path, units) as layer:
@@ -226,6 +228,15 @@ def _model(prim: Any, kind: str, name: str, identifier: str) -> None:
     model.SetAssetIdentifier(Sdf.AssetPath(identifier))
 
 
+def author_bounds(prim: Any, frames: tuple[int, int]) -> None:
+    """Author ``extentsHint`` on a prim with a payload, at ``frames[0]``: tools draw its box where it is not loaded."""
+    from pxr import UsdGeom
+
+    cache = UsdGeom.BBoxCache(frames[0], UsdGeom.Imageable.GetOrderedPurposeTokens(), useExtentsHint=True)
+    model = UsdGeom.ModelAPI.Apply(prim)
+    model.SetExtentsHint(model.ComputeExtentsHint(cache))
+
+
 def _author_terrain(stage: Any, prim_path: str, take: Take, pack: Pack, shot: Path) -> None:
     """Reference the terrain's look, or a ground authored from its heights if it has none."""
     from pxr import Kind, UsdGeom
@@ -241,7 +252,8 @@ def _author_terrain(stage: Any, prim_path: str, take: Take, pack: Pack, shot: Pa
         asset, files = write_ground(terrain, pack.folder / "assets")
         pack.written.extend(files)
     xform = UsdGeom.Xform.Define(stage, prim_path)
-    xform.GetPrim().GetReferences().AddReference(pack.relative(asset, shot))
+    xform.GetPrim().GetPayloads().AddPayload(pack.relative(asset, shot))
+    author_bounds(xform.GetPrim(), take.frames)
     correct_units(xform, asset)
     _model(xform.GetPrim(), Kind.Tokens.component, terrain.name, pack.relative(asset, shot))
 

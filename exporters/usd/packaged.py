@@ -12,6 +12,7 @@ from pathlib import Path
 from vehsim.delivery.exporters import Exporter, Progress
 from vehsim.delivery.take import Take
 from vehsim.errors import ExportError
+from vehsim.intake.usd import references
 
 LAYERS = (".usd", ".usda", ".usdc", ".usdz")
 
@@ -28,13 +29,19 @@ def write_usdz(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
 
 
 def write_flat(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
-    """``<shot>.flat.usdc`` and the textures that it refers to."""
-    from pxr import Usd, UsdUtils
+    """``<shot>.flat.usdc``, the textures that it refers to, and the water's layer, its payload as in the stage: points
+    that move are nearly all bytes of a delivery."""
+    from pxr import Sdf, Usd, UsdUtils
 
     progress("flat: flattening", 0.0)
     path = folder / f"{take.name}.flat.usdc"
-    layer = Usd.Stage.Open(str(_stage(take, folder))).Flatten(addSourceFileComment=False)
-    needed: set[Path] = set()
+    water, place = folder.resolve() / "layers" / "water.usdc", f"/{take.name}/env/water"
+    loaded = Usd.StageLoadRules.LoadAll()
+    loaded.Unload(place)
+    stage = Usd.Stage.Open(str(_stage(take, folder)), Usd.Stage.LoadNone)
+    stage.SetLoadRules(loaded)
+    layer = stage.Flatten(addSourceFileComment=False)
+    needed = set(references(water)[1]) if water.is_file() else set()
 
     def relative(found: str) -> str:
         file = Path(found)
@@ -46,6 +53,8 @@ def write_flat(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
         return f"./{Path(os.path.relpath(file, folder.resolve())).as_posix()}"
 
     UsdUtils.ModifyAssetPaths(layer, relative)
+    if water in needed:
+        layer.GetPrimAtPath(place).payloadList.prependedItems = [Sdf.Payload("./layers/water.usdc")]
     layer.Export(str(path))
     return [path, *sorted(needed)]
 

@@ -158,8 +158,8 @@ def test_kept_assets_are_referenced_by_their_path_in_the_toml(tmp_path):
 
     write(drive("pickup"), tmp_path, assets="keep")
     layer = Sdf.Layer.FindOrOpen(str(tmp_path / "layers" / "it.anim.usdc"))
-    reference = layer.GetPrimAtPath("/it").referenceList.prependedItems[0]
-    assert reference.assetPath == (ELSEWHERE / "pickup" / "pickup.usda").as_posix()
+    payload = layer.GetPrimAtPath("/it").payloadList.prependedItems[0]
+    assert payload.assetPath == (ELSEWHERE / "pickup" / "pickup.usda").as_posix()
     assert not (tmp_path / "assets" / "pickup").exists()
 
 

@@ -235,6 +235,30 @@ def test_packaged_and_flat_files_contain_the_same_shot(weave, tmp_path):
         assert np.array_equal(found, reference), name
 
 
+def test_twenty_vehicles_add_one_asset_and_twenty_layers(toys, make_take, tmp_path):
+    """Without payloads the stage has their motion and boxes, and none of their geometry."""
+    from pxr import Usd, UsdGeom
+
+    clip = toys.clip(toys.asset(tmp_path / "in" / "toy.usda"))
+    folder = make_take(*[clip] * 20).export(tmp_path / "out")
+    asset = folder / "assets" / "toy" / "toy.usda"
+    assert [path.name for path in folder.rglob("toy.usda")] == ["toy.usda"]
+    assert len(list((folder / "layers").glob("toy*"))) == 20
+    whole, unloaded = (
+        Usd.Stage.Open(str(folder / "shot.usda"), how) for how in (Usd.Stage.LoadAll, Usd.Stage.LoadNone)
+    )
+    assert asset.as_posix() not in {layer.realPath for layer in unloaded.GetUsedLayers()}
+    assert len(unloaded.FindLoadable("/shot/vehicles")) == 20
+    frames = np.arange(FRAMES[0], FRAMES[1] + 1.0)
+    for path in ("/shot/vehicles/toy0", "/shot/vehicles/toy19"):
+        loaded, light = (stage.GetPrimAtPath(path) for stage in (whole, unloaded))
+        assert np.array_equal(world_matrices(light, frames), world_matrices(loaded, frames))
+        cache = UsdGeom.BBoxCache(1001, ["default", "render"], useExtentsHint=False)
+        box = cache.ComputeUntransformedBound(loaded).ComputeAlignedRange()
+        low, high, *_ = UsdGeom.ModelAPI(light).GetExtentsHint()
+        assert np.allclose([low, high], [box.GetMin(), box.GetMax()])
+
+
 def test_cameras_see_the_same_in_any_units(toys, make_take, tmp_path):
     """Lens over distance is the same, and the camera's target is where the vehicle is."""
     from dataclasses import replace

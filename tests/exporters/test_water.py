@@ -5,7 +5,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from pxr import Usd, UsdGeom, UsdShade
+from pxr import Sdf, Usd, UsdGeom, UsdShade
 
 import vehsim
 from vehsim.cameras.camera import CameraRig
@@ -168,6 +168,33 @@ def test_it_is_small_and_valid_and_reaches_the_horizon(shown):
     low, high = np.array(mesh.GetExtentAttr().Get())
     assert low[:2].max() < -1000 and high[:2].min() > 1000
     assert mesh.GetNormalsInterpolation() == UsdGeom.Tokens.vertex
+
+
+def test_a_flat_stage_shares_the_waters_file(shown, toys):
+    from vehsim.exporters.usd.packaged import write_flat
+
+    take, path = shown
+    written = write_flat(take, path.parent, toys.silent)
+    water = path.parent / "layers" / "water.usdc"
+    assert {water.resolve(), (path.parent / "assets/water/ripples.png").resolve()} < {
+        file.resolve() for file in written
+    }
+    assert written[0].stat().st_size < 0.2 * water.stat().st_size
+    surfaces = []
+    for file in (path, written[0]):
+        stage = Usd.Stage.Open(str(file))
+        mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/sea/env/water/surface"))
+        surfaces.append([mesh.GetPointsAttr().Get(frame) for frame in (1001, 1019)])
+        assert stage.GetPrimAtPath("/sea/vehicles/boat/outboard").GetChildren(), "the rest is flat"
+    assert surfaces[0] == surfaces[1]
+    flat = Sdf.Layer.FindOrOpen(str(written[0]))
+    arcs = []
+    flat.Traverse("/", lambda at: arcs.append(at) if at.IsPrimPath() and _refers(flat.GetPrimAtPath(at)) else None)
+    assert arcs == ["/sea/env/water"]
+
+
+def _refers(prim):
+    return prim.hasReferences or prim.hasPayloads
 
 
 def test_the_size_does_not_depend_on_the_frame_rate():
