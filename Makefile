@@ -14,7 +14,7 @@ help:
 	@echo "make blender            install Blender's Python module in .blender (400 MB), so that its tests run too"
 	@echo "make docs               generate the key tables of docs/shot-file.md, and the site in site/"
 	@echo "make assets             generate the vehicles' USD assets; the bytes are the same on every machine"
-	@echo "make page               bundle three.js for the pages that show a shot in a browser; needs npm"
+	@echo "make page               bundle three.js for the pages that show a shot in a browser, and for a test; needs npm"
 	@echo "make lock               update requirements.lock from pyproject.toml"
 	@echo "make bench-integrators  measure the claims of the papers; writes benchmarks/RESULTS.md"
 	@echo "make bench-order        free bodies: CPU time to a given error, against RK4; writes RESULTS.order.md (two minutes)"
@@ -66,6 +66,8 @@ page: # needs npm
 	cd tools/page && npm install --silent --no-audit --no-fund --no-package-lock
 	cd tools/page && npx esbuild three.js --bundle --minify --format=iife --global-name=THREE --legal-comments=inline \
 		--charset=utf8 --outfile=../../exporters/web/page/three.min.js
+	cd tools/page && npx esbuild gltf.js --bundle --minify --format=iife --global-name=GLTF --legal-comments=inline \
+		--charset=utf8 --outfile=../../tests/exporters/gltf.min.js
 	cp tools/page/node_modules/three/LICENSE exporters/web/page/three.LICENSE.txt
 
 lock: setup

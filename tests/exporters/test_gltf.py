@@ -1,8 +1,10 @@
-"""The GLB read back by a reader written here from glTF's specification, by trimesh and by Blender, at eighths of a
-frame."""
+"""The GLB read back by a reader written here from glTF's specification, by trimesh, by Blender and by three.js in a
+browser, at eighths of a frame."""
 
 from __future__ import annotations
 
+import asyncio
+import base64
 import json
 import os
 import struct
@@ -17,6 +19,8 @@ from pxr import Usd, UsdGeom
 from scipy.spatial.transform import Rotation, Slerp
 
 import vehsim
+from tests.browser import at as page_at
+from tests.browser import browser
 from vehsim.delivery.take import UsdSettings
 from vehsim.exporters.gltf import write_glb
 from vehsim.exporters.usd.exporter import write_usd
@@ -197,3 +201,66 @@ print("SAYS" + json.dumps(found))
     places = at.matrices()[:, :3, :3] @ (-1.3, -0.77, 0.32) + at.positions
     off = np.linalg.norm(found[:, :3, 3] - places, axis=1)
     assert min(off.max(), np.linalg.norm(found[8:, :3, 3] - places[:-8], axis=1).max()) < 4e-3
+
+
+PAGE = """<!doctype html><meta charset="utf-8"><body><script>{three}</script><script>
+const content = Uint8Array.from(atob("{glb}"), c => c.charCodeAt(0)).buffer;
+new GLTF.GLTFLoader().parse(content, "", file => {{
+  const mixer = new GLTF.AnimationMixer(file.scene);
+  mixer.clipAction(file.animations[0]).play();
+  window.found = {{ clips: file.animations.length, drawn: 0 }};
+  file.scene.traverse(each => {{ if (each.isMesh) found.drawn += each.geometry.index.count / 3; }});
+  for (const seconds of {seconds}) {{
+    mixer.setTime(seconds);
+    file.scene.updateMatrixWorld(true);
+    for (const name of {names})
+      (found[name] ??= []).push(file.scene.getObjectByName(name).matrixWorld.toArray());
+  }}
+  window.done = true;
+}}, error => {{ window.found = {{ error: String(error) }}; window.done = true; }});
+</script>"""
+
+
+def test_a_browser_plays_the_motion_of_the_stage(fast, tmp_path):
+    """three.js' own loader and mixer, against matrices of the composed stage, on frames and eighths of frames."""
+    pytest.importorskip("websockets", reason='needs the extra: pip install "vehsim[live]"')
+    browser()
+    _, _, path = fast
+    frames = np.array([0.0, 3.0, 7.125, 12.0, 12.5, 18.875, 23.0])
+    prims = {
+        "it": "/shot/vehicles/it",
+        "wheel_rr": "/shot/vehicles/it/wheel_rr",
+        "wheel_fl": "/shot/vehicles/it/steer_fl/wheel_fl",
+        "chase": "/shot/cameras/chase",
+    }
+    three = Path(__file__).with_name("gltf.min.js").read_text(encoding="utf-8")
+    page = tmp_path / "page.html"
+    page.write_text(
+        PAGE.format(
+            three=three,
+            glb=base64.b64encode(path.read_bytes()).decode(),
+            seconds=json.dumps((frames / 24).tolist()),
+            names=json.dumps(list(prims)),
+        ),
+        encoding="utf-8",
+    )
+
+    async def play():
+        async with page_at(page.as_uri(), tmp_path / "profile") as opened:
+            await opened.until("window.done === true")
+            return await opened.value("window.found")
+
+    found = asyncio.run(play())
+    assert found.get("error") is None and found["clips"] == 1
+    stage = Usd.Stage.Open(str(path.with_name("shot.usda")))
+    for name, prim in prims.items():
+        for frame, matrix in zip(frames, found[name], strict=True):
+            read = np.array(matrix).reshape(4, 4).T
+            world = np.array(UsdGeom.XformCache(1001 + frame).GetLocalToWorldTransform(stage.GetPrimAtPath(prim))).T
+            axes = world[:3, :3] / np.linalg.norm(world[:3, :3], axis=0)  # centimetres, Y up
+            assert np.abs(read[:3, 3] - 0.01 * world[:3, 3]).max() < 5e-4, (name, frame)
+            assert np.abs(read[:3, :3] - axes).max() < 1e-3, (name, frame)
+    drawn = [prim for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh)]
+    drawn = [mesh for mesh in drawn if UsdGeom.Imageable(mesh).ComputePurpose() in ("default", "render")]
+    counts = [np.array(UsdGeom.Mesh(mesh).GetFaceVertexCountsAttr().Get()) - 2 for mesh in drawn]
+    assert found["drawn"] == sum(int(each.sum()) for each in counts), "each triangle once, no proxies"

@@ -56,8 +56,10 @@ def is_finished(folder: Path, inputs: str, to: Sequence[str] = ()) -> bool:
 
 def _files(shot: Shot) -> Iterable[Path]:
     """The files of a shot in addition to its own and its world's: those of its motion, and looks with their
-    references."""
+    references, and its timeline."""
     yield from shot.motion_files()
+    if shot.file.render.cuts is not None:
+        yield shot.folder / shot.file.render.cuts
     terrain = shot.world.terrain
     if terrain is not None and terrain.look is not None:
         yield from dependencies(terrain.look)[0]

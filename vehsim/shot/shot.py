@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vehsim.errors import InputError, Problem, ShotError
+from vehsim.intake.timelines import read_cuts
 from vehsim.intake.toml import line_of, lines_of, read_toml, too_large
 from vehsim.intake.usd import complaints, dependencies
 from vehsim.requests import target_asks
@@ -214,7 +215,7 @@ class Shot:
             render=self.render,
             usd=self.usd,
             blockings=self.blockings(),
-            cuts=tuple((piece.frame, piece.camera) for piece in self.file.cut),
+            cuts=self.cuts,
             recalled=recalled,
             report={
                 "shot": self.file.model_dump(mode="json", by_alias=True, exclude_unset=True),
@@ -225,6 +226,15 @@ class Shot:
             | ({"left_out": list(self.left_out)} if self.left_out else {}),
         )
 
+    @cached_property
+    def cuts(self) -> tuple[tuple[int, str], ...]:
+        """The cut list, first frames and names of cameras: of the tables, or of an editor's timeline. Raises
+        ``InputError`` if the timeline cannot be read."""
+        path = self.file.render.cuts
+        if path is None:
+            return tuple((piece.frame, piece.camera) for piece in self.file.cut)
+        return read_cuts(self.folder / path, "render.cuts", self.fps)
+
     @property
     def render(self) -> RenderSettings:
         """The settings of pictures."""
@@ -232,7 +242,7 @@ class Shot:
         from vehsim.delivery.take import RenderSettings
 
         table = self.file.render
-        cameras = table.cameras or [CUT] * bool(self.file.cut)
+        cameras = table.cameras or [CUT] * bool(self.cuts)
         size = (table.size[0], table.size[1])
         shown = (tuple(cameras) or None, table.layout, table.captions, table.mood, tuple(table.passes))
         return RenderSettings(size, table.every, table.samples, table.shadows, *shown, burn_in=table.burn_in)
@@ -364,7 +374,10 @@ class Shot:
                     "give another point to look at",
                     camera.look_at,
                 )
-        yield from check_cuts(self.file)
+        try:
+            yield from check_cuts(self.file, self.cuts)
+        except InputError as error:
+            yield from error.problems
 
     def _motion(self, progress: Progress, cached: bool) -> tuple[SolvedMotion, bool]:
         """Clips and reports by vehicle, and whether they come from the cache."""
@@ -528,9 +541,8 @@ class Shot:
         width, height = self.render.panel(len(self.render.cameras or self.file.camera))
         rigs: list[CameraRig] = [CameraRig(**camera.model_dump(exclude_unset=True)) for camera in self.file.camera]
         cameras = [solve_camera(rig, clips, self.world, frames, width / height) for rig in rigs]
-        if self.file.cut:
-            cuts = [(float(piece.frame), piece.camera) for piece in self.file.cut]
-            cameras.append(cut(CUT, {camera.name: camera for camera in cameras}, cuts))
+        if self.cuts:
+            cameras.append(cut(CUT, {camera.name: camera for camera in cameras}, self.cuts))
         return tuple(cameras)
 
 

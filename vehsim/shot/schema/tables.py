@@ -311,7 +311,10 @@ class RenderTable(Table):
     shadows: bool = True
     """true or false: whether the sun casts shadows"""
     cameras: Annotated[list[Text], Array, Len(1, MAX_CAMERAS + 1)] | None = None
-    """names of the cameras to render; default: all, or only "cut" if there is a [[cut]]"""
+    """names of the cameras to render; default: all, or only "cut" if there is a cut list"""
+    cuts: Text | None = None
+    """the path of an OpenTimelineIO file (.otio) with the cut list, instead of [[cut]] tables; its clips have the names
+    of cameras"""
     layout: Literal["separate", "side-by-side"] = "separate"
     """"side-by-side" for an additional film with the cameras' pictures beside each other, or "separate\""""
     mood: Literal["afternoon", "noon", "overcast", "dusk", "night"] = "afternoon"
