@@ -7,14 +7,18 @@ import os
 import sys
 import threading
 import time
+import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from vehsim.batch.task import Outcome, Task
 from vehsim.errors import Problem
+
+if TYPE_CHECKING:
+    from vehsim.delivery.exporters import Progress
 
 PAUSE, CHANGE = 5.0, 1.0
 """Time between two plain lines of progress, s: the longest, and the shortest if the state changed."""
@@ -39,7 +43,7 @@ class Watcher(Protocol):
 def watch(tasks: Sequence[Task], screen: Any, log: str, quiet: bool) -> Iterator[Watcher]:
     """The watcher for a ``log`` of "text" or "json". ``screen``: a rich console for messages other than results."""
     if log == "json":
-        yield _JsonLog(tasks)
+        yield _JsonLog({task.name: task.source for task in tasks})
     elif quiet:
         yield _Lines(tasks, screen, quiet)
     elif not screen.is_terminal:
@@ -53,6 +57,23 @@ def watch(tasks: Sequence[Task], screen: Any, log: str, quiet: bool) -> Iterator
 
         with Live(table, console=screen, refresh_per_second=8, transient=True):
             yield table
+
+
+@contextmanager
+def logged(name: str, source: str) -> Iterator[Progress]:
+    """The JSON log of work on one clip in this process: its progress, its warnings, and its outcome."""
+    log, began = _JsonLog({name: source}), time.monotonic()
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", UserWarning)
+        warnings.showwarning = lambda message, *rest, **more: log.warn(name, str(message))  # type: ignore[assignment]
+        try:
+            yield lambda what, done: log.tell(name, "planning", what, done)
+        except Exception as error:
+            problems = tuple(problem.as_dict() for problem in getattr(error, "problems", ()))
+            seconds = time.monotonic() - began
+            log.end(Outcome(name, "failed", type(error).__name__, str(error), problems, seconds=seconds))
+            raise
+        log.end(Outcome(name, "done", seconds=time.monotonic() - began))
 
 
 @contextmanager
@@ -183,23 +204,27 @@ def log_problems(problems: Sequence[Problem]) -> None:
 class _JsonLog:
     """One line of JSON on standard output per event; times appear only here."""
 
-    def __init__(self, tasks: Sequence[Task]) -> None:
-        self._sources = {task.name: task.source for task in tasks}
+    def __init__(self, sources: Mapping[str, str]) -> None:
+        """``sources``: the shot file of each clip, by the clip's name."""
+        self._sources = sources
         self._began = time.monotonic()
-        self._say("batch", clips=len(tasks))
+        self._say("batch", clips=len(sources))
 
     def tell(self, name: str, state: str, what: str, done: float) -> None:
         self._say("progress", clip=name, state=state, what=what, done=round(done, 4))
 
     def end(self, outcome: Outcome) -> None:
         for text in outcome.warnings:
-            self._say("warning", clip=outcome.name, message=text)
+            self.warn(outcome.name, text)
         problems = list(outcome.problems)
         error = {"kind": outcome.kind, "message": outcome.message, "problems": problems, "detail": outcome.detail}
         more = {key: value for key, value in error.items() if value} if outcome.state == "failed" else {}
         more |= {"motion": "cache"} if outcome.recalled else {}
         seconds = round(outcome.seconds, 3)
         self._say(outcome.state, clip=outcome.name, source=self._sources[outcome.name], seconds=seconds, **more)
+
+    def warn(self, name: str, text: str) -> None:
+        self._say("warning", clip=name, message=text)
 
     def _say(self, event: str, **more: Any) -> None:
         _log(event, time.monotonic() - self._began, **more)  # the wall clock may jump

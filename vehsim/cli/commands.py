@@ -73,6 +73,9 @@ class Log(StrEnum):
     json = "json"
 
 
+LogForm = Annotated[Log, typer.Option("--log", help="json: one line of JSON per event.")]
+
+
 @app.command(cls=choices.WithChoices)
 def export(
     shots: Shots,
@@ -99,7 +102,7 @@ def export(
     ] = None,
     layer_only: Annotated[bool, typer.Option("--layer-only", help="Write only the animation layers.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Check, and list what would be done.")] = False,
-    log: Annotated[Log, typer.Option(help="json: one line of JSON per event.")] = Log.text,
+    log: LogForm = Log.text,
     quiet: Quiet = False,
 ) -> None:
     """Solve shots and write them: a USD stage, pictures, a film, tables. A sweep makes several clips."""
@@ -167,19 +170,22 @@ def retouch(
             autocompletion=choices.shot_file,
         ),
     ] = None,
+    log: LogForm = Log.text,
     quiet: Quiet = False,
 ) -> None:
     """Change a delivery after its curves were edited: the nearest motion that each vehicle can make."""
+    from vehsim.batch.screen import logged
     from vehsim.cli.delivered import edited_shot, summary
 
     names = _arguments.exporters_in(to)
     _arguments.check_folder(out)
-    with _progress(quiet) as progress:
+    silent = quiet or log is Log.json
+    with logged(delivery.name, str(delivery)) if log is Log.json else _progress(quiet) as progress:
         edited = edited_shot(delivery, edit, shot, progress)
         _arguments.check_delivery(names, out, edited)
         take = edited.solve(progress)
         folder = take.export(out, names, progress)
-    if not quiet:
+    if not silent:
         for line in summary(take):
             print(line)
         print(folder)
@@ -282,13 +288,18 @@ def inspect(
 
 
 @app.command()
-def check(shots: Shots, sets: Sets = None, quiet: Quiet = False) -> None:
+def check(shots: Shots, sets: Sets = None, log: LogForm = Log.text, quiet: Quiet = False) -> None:
     """Report what is wrong with shot files, where, and how to fix it. Nothing is solved or written."""
-    with _working("checking", quiet):
+    from vehsim.batch.screen import log_problems
+
+    silent = quiet or log is Log.json
+    with _working("checking", silent):
         loaded, problems = _arguments.load_all(shots, sets or [])
-    code = _say(problems, quiet)
+    code = _say(problems, silent)
+    if log is Log.json:
+        log_problems(problems)
     for shot in loaded:
-        if not quiet:
+        if not silent:
             print(f"{shot.source}: {shot.name} is ready, {_arguments.summary(shot)}")
             for line in _arguments.chosen_frames(shot):
                 print(line)
