@@ -121,3 +121,37 @@ def test_a_stage_without_the_vehicle_is_refused(
 def test_a_folder_without_a_report_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.run(["retouch", str(tmp_path), "--edit", "edited.usda", "--out", str(tmp_path)]) == cli.WRONG_INPUT
     assert "no report.json" in capsys.readouterr().err
+
+
+def test_edits_of_other_prims_are_named(delivery: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A wheel, a camera and a part that does not move are edited; the root is not, and wheels on splines are theirs."""
+    from pxr import Gf, Usd, UsdGeom
+
+    stage = over(delivery, tmp_path / "edited.usda", "curves")
+    assert isinstance(stage, Usd.Stage)
+    for path in (f"{PRIM}/steer_fl/wheel_fl", f"{PRIM}/body", "/drive/cameras/chase"):
+        moved = UsdGeom.Xformable(stage.GetPrimAtPath(path)).AddTranslateOp(opSuffix="aside")
+        moved.Set(Gf.Vec3d(0, 0, 0), 1001)
+        moved.Set(Gf.Vec3d(0, 0.01, 0), 1040)
+    stage.GetRootLayer().Save()
+    arguments = ["retouch", str(delivery), "--edit", str(tmp_path / "edited.usda"), "--out", str(tmp_path / "new")]
+    assert cli.run([*arguments, "--log", "json"]) == 0
+    events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert events[-1]["event"] == "done"
+    (text,) = [event["message"] for event in events if event["event"] == "warning" and "also moves" in event["message"]]
+    named = text.partition("moves ")[2].partition(", without")[0].split(", ")
+    assert sorted(named) == ["/drive/cameras/chase", f"{PRIM}/body", f"{PRIM}/steer_fl/wheel_fl"]
+
+
+def test_a_refused_retouch_is_an_event_with_its_problem(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["retouch", str(tmp_path), "--edit", "edited.usda", "--out", str(tmp_path), "--log", "json"]
+    assert cli.run(arguments) == cli.WRONG_INPUT
+    last = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert last["event"] == "failed" and "no report.json" in last["problems"][0]["message"]
+
+
+def test_a_check_logs_problems_as_data(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "shot.toml").write_text(SHOT.replace("torque = 50", "torque = true"))
+    assert cli.run(["check", str(tmp_path / "shot.toml"), "--log", "json"]) == cli.WRONG_INPUT
+    (event,) = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert event["event"] == "refused" and event["problem"]["key"].startswith("vehicle[0].motion.commands")

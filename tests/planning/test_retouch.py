@@ -112,3 +112,23 @@ def test_marks_that_were_not_touched_are_kept_exactly(flight):
     at = (1030 - 1001) / 24
     assert made.clip.at(at).positions[0] == pytest.approx(flight.at(at).positions[0], abs=1e-6)
     assert made.windows[0][0] == 1030
+
+
+@pytest.mark.parametrize("name, drifts", [("hopper", True), ("tumbler", True), ("snakeboard", False), ("car", False)])
+def test_a_vehicle_that_nothing_pushes_is_refused(name, drifts):
+    """In free fall, no motion but one leads from a state; a snakeboard is pushed by its wheels."""
+    from vehsim.errors import InputError
+    from vehsim.planning.retouch import check_pushed
+
+    if drifts:
+        with pytest.raises(InputError, match="nothing pushes it"):
+            check_pushed(vehsim.load_vehicle(name))
+    else:
+        check_pushed(vehsim.load_vehicle(name))
+
+
+def test_an_edited_height_of_a_car_is_named(drive):
+    frames, positions, rotations = bumped(drive, 1030, 1090, (0.0, 0.0, 0.3))
+    made = retouch(drive, None, frames, positions, rotations)
+    ((first, last),) = made.lifted
+    assert 1030 <= first < last <= 1090 and not made.touched and made.clip is drive

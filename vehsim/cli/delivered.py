@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator
+import warnings
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
     from vehsim.delivery.take import Take
     from vehsim.shot.shot import Shot
 
+NAMED = 5
+"""Number of prims that a warning names."""
 ANOTHER = 2e-3
 """Distance between the delivered and the solved motion above which they are two motions, m."""
 
@@ -44,6 +47,7 @@ def edited_shot(delivery: Path, edit: Path, source: Path | None, progress: Progr
     clips = before.solve(progress).clips
     for vehicle in found:
         _check_same(delivery, name, vehicle, clips[vehicle])
+    _warn_of_others(delivery, name, edit, found, before)
     for vehicle, prim in found.items():
         vehicles[vehicle]["edit"] = {"usd": os.path.relpath(edit, folder), "prim": prim}
     return Shot.from_dict(data, folder, before.source)
@@ -100,6 +104,26 @@ def _check_same(delivery: Path, name: str, vehicle: str, clip: Any) -> None:
             f"{shown.frames[inside][off.argmax()]:g}",
             "export it again with this version of vehsim, and edit that",
             file=delivery,
+        )
+
+
+def _warn_of_others(delivery: Path, name: str, edit: Path, found: Mapping[str, str], shot: Shot) -> None:
+    """Warn of prims that the edit moves although only the roots of vehicles are read."""
+    from vehsim.exporters.checks.audit import stage_of
+    from vehsim.rig.edited import others_moved
+
+    stage = stage_of(delivery, name)
+    if stage is None:
+        return
+    curves = shot.file.export.curves
+    roots = {f"/{name}/vehicles/{vehicle}": prim for vehicle, prim in found.items()}
+    moved = others_moved(edit, stage, roots, curves.angle if curves else 0.0)
+    if moved:
+        more = f" and {len(moved) - NAMED} more" if len(moved) > NAMED else ""
+        warnings.warn(
+            f"the edit also moves {', '.join(moved[:NAMED])}{more}, without effect: only vehicles' roots, such as "
+            f"{next(iter(roots))}, are read",
+            stacklevel=2,
         )
 
 

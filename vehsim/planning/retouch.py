@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.clip.clip import Clip
-from vehsim.errors import SolveError
+from vehsim.errors import InputError, SolveError
 from vehsim.lie.quaternions import continuous, from_yaw, matrices, yaw_of
 from vehsim.planning.blocks import blocks_of
 from vehsim.planning.certificates import extent
@@ -41,6 +41,8 @@ from vehsim.planning.request.marks import Mark
 from vehsim.planning.request.request import Request, make_request
 from vehsim.planning.solve import solve
 from vehsim.planning.trajectory import Trajectory, exported
+from vehsim.planning.trim import drifts
+from vehsim.vehicles import Vehicle
 
 Array = NDArray[np.float64]
 
@@ -85,6 +87,8 @@ class Retouch:
     metres: Array
     degrees: Array
     kept: float
+    lifted: tuple[tuple[int, int], ...] = ()
+    """Runs of frames on which the edit has another height or tilt than the solved motion, which the ground sets."""
 
     def misses(self, more: float = KEPT) -> list[dict[str, float]]:
         """Every run of frames on which the edit is missed by ``more`` m: its ends, and where and by how much most."""
@@ -119,11 +123,13 @@ def retouch(
     whole ``frames`` (n,).
 
     ``clearance``, ``limits``: as in `plan`; ``stops``: frames whose state remains exactly, such as those of marks,
-    unless the edit touches them. Frames outside the clip are ignored. Raises ``SolveError`` naming the
-    frames if there is no motion that returns to the solved one.
+    unless the edit touches them. Frames outside the clip are ignored. Raises ``InputError`` for a vehicle that nothing
+    pushes, and ``SolveError`` naming the frames if there is no motion that returns to the solved one.
     """
+    check_pushed(clip.vehicle)
     inside = (frames >= clip.start_frame) & (frames <= clip.end_frame)
-    edit = _Edit.of(clip, frames[inside], positions[inside], rotations[inside])
+    frames, positions, rotations = frames[inside], positions[inside], rotations[inside]
+    edit = _Edit.of(clip, frames, positions, rotations)
     windows = edit.windows(round(ROOM * float(clip.fps)), stops)
     made = clip
     for number, window in enumerate(windows):
@@ -136,7 +142,27 @@ def retouch(
     before = clip.at(_times(clip, edit.frames))
     kept = np.linalg.norm(there.positions - before.positions, axis=1)[~edit.touched]
     touched = tuple((int(edit.frames[a]), int(edit.frames[b])) for a, b in _runs(edit.touched))
-    return Retouch(made, touched, tuple(windows), edit.frames, metres, degrees, float(kept.max(initial=0.0)))
+    lifted = _runs(_lifted(before, positions, rotations)) if clip.vehicle.group.planar else []
+    return Retouch(
+        made,
+        touched,
+        tuple(windows),
+        edit.frames,
+        metres,
+        degrees,
+        float(kept.max(initial=0.0)),
+        tuple((int(edit.frames[a]), int(edit.frames[b])) for a, b in lifted),
+    )
+
+
+def check_pushed(vehicle: Vehicle) -> None:
+    """Raise ``InputError`` if no motion but one leads from a state of the vehicle: nothing pushes it."""
+    if drifts(vehicle):
+        raise InputError(
+            "nothing pushes it in the air, so its path follows from its start",
+            "change its start or its marks, and solve it again",
+            subject=vehicle.name,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -464,6 +490,13 @@ def _apart(clip: Clip, positions: Array, rotations: Array, axes: int) -> tuple[A
     metres = np.linalg.norm((clip.positions - positions)[:, :axes], axis=1)
     traces = np.einsum("nij,nij->n", matrices(_flat(clip).orientations), rotations)
     return metres, np.degrees(np.arccos(np.clip((traces - 1) / 2, -1.0, 1.0)))
+
+
+def _lifted(clip: Clip, positions: Array, rotations: Array) -> NDArray[np.bool_]:
+    """Which samples of a clip have another height or another up direction than the poses."""
+    up = np.einsum("ni,ni->n", matrices(clip.orientations)[:, :, 2], rotations[:, :, 2])
+    tilt = np.arccos(np.clip(up, -1.0, 1.0))
+    return np.asarray((np.abs(clip.positions[:, 2] - positions[:, 2]) > MOVED) | (tilt > TURNED))
 
 
 def _runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:

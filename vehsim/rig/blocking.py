@@ -125,13 +125,21 @@ def read_edit(path: str | Path, prim: str, fps: Fraction, rig: Rig) -> Blocking:
     Raises ``InputError`` as `read_blocking` does.
     """
     edited = read_blocking(path, prim, fps)
-    T_pr = np.linalg.inv(prim_in_root(rig))
     stage, xformable = _open(Path(path), prim)
+    T_pr = np.asarray(np.linalg.inv(prim_in_root(rig)), float)
+    T_wr = rigid_poses(stage, xformable.GetPrim(), edited.frames, T_pr)
+    return replace(edited, positions=T_wr[:, :3, 3], rotations=T_wr[:, :3, :3], keys=())
+
+
+def rigid_poses(stage: Any, prim: Any, frames: Array, after: Array | None = None) -> Array:
+    """World poses (n, 4, 4) of a prim in metres, Z up, without its scale; ``after`` (4, 4): a matrix behind the
+    prim's own."""
     metres, up = _frame_of_layers(stage)
     to_metres = np.eye(4)
     to_metres[:3, :3] = metres * up
-    T_wr = to_metres @ _world_matrices(stage, xformable.GetPrim(), edited.frames) @ T_pr
-    return replace(edited, positions=T_wr[:, :3, 3], rotations=_rigid(T_wr[:, :3, :3]), keys=())
+    poses = to_metres @ _world_matrices(stage, prim, frames) @ (np.eye(4) if after is None else after)
+    poses[:, :3, :3] = _rigid(poses[:, :3, :3])
+    return np.asarray(poses)
 
 
 def moves(prim: Any) -> bool:

@@ -51,7 +51,10 @@ class EditTable(Table):
         if simulated and setting.world.environment(vehicle) is not None:
             message = "water, gusts and contact push it, so no motion can be chosen for it"
             yield Problem("edit", message, "change the controls or the pilot instead")
+        from vehsim.planning.retouch import check_pushed
+
         try:
+            check_pushed(vehicle.planar or vehicle)
             self.read(vehicle, setting)
         except InputError as error:
             yield error.problem.seen_from("edit", remedy="fix the stage or this table")
@@ -106,7 +109,15 @@ class EditTable(Table):
 
 def _warn(name: str, made: Retouch, frames: Any, clip: Clip) -> None:
     """Warn of an edit without effect, and of what it cannot reach."""
-    if not made.touched:
+    if made.lifted:
+        spans = ", ".join(f"{first} to {last}" for first, last in made.lifted[:NAMED])
+        more = f" and {len(made.lifted) - NAMED} more" if len(made.lifted) > NAMED else ""
+        warnings.warn(
+            f"{name}: the edit changes height or tilt in frames {spans}{more}, without effect: the ground or the water "
+            "sets them",
+            stacklevel=2,
+        )
+    elif not made.touched:
         warnings.warn(f"{name}: the edit changes nothing: its curves are those of the solved motion", stacklevel=2)
     beyond = [frame for frame in frames if not clip.start_frame <= frame <= clip.end_frame]
     if beyond:
