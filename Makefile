@@ -2,7 +2,7 @@
 BIN := .venv/bin
 export MUJOCO_GL ?= egl
 
-.PHONY: help setup demo check test test-pythons measure-tests blender docs assets page lock clean bench-export bench-integrators bench-order bench-planning bench-live bench-unseen bench-collocation audit-random hostile-files
+.PHONY: help setup demo check test test-pythons measure-tests blender extension docs assets page lock clean bench-export bench-integrators bench-order bench-planning bench-live bench-unseen bench-collocation audit-random hostile-files
 
 help:
 	@echo "make demo               export examples/canyon_flight.toml to out/: a USD shot, frames and a film"
@@ -12,6 +12,7 @@ help:
 	@echo "make measure-tests      run all tests and record the time of each, from which make check selects"
 	@echo "make setup              create .venv from locked dependencies"
 	@echo "make blender            install Blender's Python module in .blender (400 MB), so that its tests run too"
+	@echo "make extension          build the extension for Blender: build/vehsim-<version>.zip"
 	@echo "make docs               generate the key tables of docs/shot-file.md, and the site in site/"
 	@echo "make assets             generate the vehicles' USD assets; the bytes are the same on every machine"
 	@echo "make page               bundle three.js for the pages that show a shot in a browser, and for a test; needs npm"
@@ -54,6 +55,9 @@ measure-tests: setup
 blender:
 	python3.11 -m venv .blender
 	.blender/bin/python -m pip install --quiet bpy==5.0.1
+
+extension: setup
+	$(BIN)/python tools/build_extension.py build
 
 docs: setup
 	$(BIN)/python -m vehsim.shot.reference docs/shot-file.md docs/character.md

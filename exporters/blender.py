@@ -16,7 +16,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 CACHED = "TRANSFORM_CACHE"
 """The constraint that Blender's USD importer adds to a moving object: it reads the file at every frame."""
+PRIM, AFTER = "vehsim_prim", "vehsim_after"
+"""Custom properties of a moving object: the path of its prim, and the constant matrix (16,) from the prim to it."""
 NUMBERED = r"\.\d{3}$"
 """The end of a name that Blender changed because another object, of any kind, has it."""
 SUN = 4.0
@@ -65,19 +67,31 @@ def open_stage(stage: str | Path, fps: Fraction | None = None) -> Any:
 
 
 def bake(scene: Any, stage: str | Path, motion: str | None = None) -> None:
-    """Replace the file by native curves that have the keys of ``stage``: the handles of its splines, or straight lines
-    between its samples.
+    """Make ``scene``, into which ``stage`` was imported, independent of the file: native curves, camera, cuts, look.
 
-    An object gets the constant part of its prim's ops as parent inverse, and curves for the rest; ops that one object
-    cannot show get empties above it. What no curves of location and rotation can show is sampled. ``motion``: the
-    variant of the set "motion" to read, where a prim has it.
+    ``motion``: the variant of the set "motion" to read, where a prim has it.
     """
     import bpy
 
-    opened, start = _stage(stage), scene.frame_start
-    scene.frame_set(start)
-    objects = {found: next(_caches(found)).object_path for found in bpy.data.objects if any(_caches(found))}
-    shown = {found: _world(found) for found in bpy.data.objects}
+    opened = read_stage(stage)
+    scene.frame_set(scene.frame_start)
+    give_curves(scene, opened, bpy.data.objects, motion)
+    _set_scene(scene, opened)
+    scene.frame_set(scene.frame_start)
+
+
+def give_curves(scene: Any, opened: Any, imported: Iterable[Any], motion: str | None = None) -> dict[Any, str]:
+    """Replace the file by native curves that have the keys of the stage ``opened``: the handles of its splines, or
+    straight lines between its samples. Returns the prim's path of each moving object.
+
+    ``imported``: the objects that Blender imported from it. An object gets the constant part of its prim's ops as
+    parent inverse, and curves for the rest; ops that one object cannot show get empties above it. What no curves of
+    location and rotation can show is sampled. Each moving object has the constant matrix from its prim to itself as
+    the custom property `AFTER`, and the prim's path as `PRIM`.
+    """
+    start = scene.frame_current
+    objects = {found: next(_caches(found)).object_path for found in imported if any(_caches(found))}
+    shown = {found: _world(found) for found in imported}
     axes = _axes(opened, start, shown)
     # what follows the prim's ops: the importer may merge a mesh into the prim above it
     own = {found: _settled(_inverse(axes @ _at(opened, path, start)) @ shown[found]) for found, path in objects.items()}
@@ -94,13 +108,14 @@ def bake(scene: Any, stage: str | Path, motion: str | None = None) -> None:
         variants = prim.GetVariantSet("motion")
         if motion and motion in variants.GetVariantNames():
             variants.SetVariantSelection(motion)
-    _set_scene(scene, opened)
     for found, (before, root, after) in places.items():
         for constraint in list(_caches(found)):
             found.constraints.remove(constraint)
+        found[PRIM], found[AFTER] = objects[found], [float(x) for x in after.ravel()]
         runs = _runs(_prims(opened, root, objects[found]), before, after)
         if runs is not None:
             _author(found, *runs)
+    frames = round(opened.GetStartTimeCode()), round(opened.GetEndTimeCode())
     for found, (before, root, after) in sorted(places.items(), key=lambda item: objects[item[0]].count("/")):
         path = objects[found]
 
@@ -110,11 +125,11 @@ def bake(scene: Any, stage: str | Path, motion: str | None = None) -> None:
         def local(time: float, path: str = path, root: str = root, around: Any = (before, after)) -> Any:
             return around[0] @ _inverse(_at(opened, root, time)) @ _at(opened, path, time) @ around[1]
 
-        if not _agrees(scene, found, world):
-            _author_samples(scene, found, local)
+        if not _agrees(scene, frames, found, world):
+            _author_samples(frames, found, local)
         if found.type == "CAMERA":
             _author_lens(found, opened.GetPrimAtPath(path))
-    scene.frame_set(start)
+    return objects
 
 
 @dataclass
@@ -230,15 +245,15 @@ def _author_quaternions(found: Any, attribute: Any) -> None:
         _curve(found, "rotation_quaternion", k, [_Key(time, turn[k]) for time, turn in keys])
 
 
-def _author_samples(scene: Any, found: Any, local: Callable[[float], Any]) -> None:
+def _author_samples(frames: tuple[int, int], found: Any, local: Callable[[float], Any]) -> None:
     """Keys at `FINEST` times of every frame: of ``local``, the matrix on the object's parent at a time."""
     from mathutils import Matrix
 
     found.animation_data_clear()
     found.matrix_parent_inverse, found.rotation_mode = Matrix.Identity(4), "QUATERNION"
     poses: list[Any] = []
-    for k in range((scene.frame_end - scene.frame_start) * FINEST + 1):
-        time = scene.frame_start + k / FINEST
+    for k in range((frames[1] - frames[0]) * FINEST + 1):
+        time = frames[0] + k / FINEST
         place, turn, size = Matrix(local(time).tolist()).decompose()
         if poses:
             turn.make_compatible(poses[-1][2])
@@ -307,9 +322,9 @@ def _empty(found: Any, suffix: Any) -> Any:
     return empty
 
 
-def _agrees(scene: Any, found: Any, world: Callable[[float], Any]) -> bool:
+def _agrees(scene: Any, frames: tuple[int, int], found: Any, world: Callable[[float], Any]) -> bool:
     """Whether an object stands where ``world`` puts it, on frames and between them."""
-    first, last = scene.frame_start, scene.frame_end
+    first, last = frames
     for time in sorted({float(first), first + 0.375, (first + last) / 2 + 0.125, float(last)}):
         scene.frame_set(int(time // 1), subframe=time % 1)
         matrix = world(time)
@@ -321,16 +336,22 @@ def _agrees(scene: Any, found: Any, world: Callable[[float], Any]) -> bool:
 # ---------------------------------------------------------------- the stage and the scene
 
 
-def _stage(path: str | Path) -> Any:
+def read_stage(path: str | Path) -> Any:
     """The stage, read by Blender's own USD."""
+    load_usd()
+    from pxr import Usd
+
+    return Usd.Stage.Open(str(Path(path).resolve()))
+
+
+def load_usd() -> None:
+    """Make Blender's own USD importable: the module bpy does not."""
     import bpy
 
     version = f"python{sys.version_info.major}.{sys.version_info.minor}"
     home = Path(bpy.utils.resource_path("LOCAL")) / "python" / "lib" / version / "site-packages"
-    sys.path.append(str(home))  # the module bpy does not add it
-    from pxr import Usd
-
-    return Usd.Stage.Open(str(Path(path).resolve()))
+    if str(home) not in sys.path:
+        sys.path.append(str(home))
 
 
 def _prims(stage: Any, root: str, path: str) -> list[Any]:

@@ -23,6 +23,14 @@ needs_blender = pytest.mark.skipif(
     not Path(PYTHON).name.startswith("python"),
     reason="needs Blender's module bpy: run make blender, or set VEHSIM_BLENDER to a Python that has it",
 )
+
+
+@pytest.fixture(autouse=True)
+def exporters_use_it(monkeypatch):
+    if PYTHON:
+        monkeypatch.setenv("VEHSIM_BLENDER", PYTHON)
+
+
 WHERE = """
 import json, sys
 sys.path.insert(0, {folder!r})
