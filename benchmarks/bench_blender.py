@@ -68,9 +68,11 @@ def find(stage: Any, path: str, kind: str) -> Any:
     """The prim of an object. Blender merges an Xform and its only mesh into one object with the mesh's name."""
     from pxr import Usd, UsdGeom
 
-    def inside(prim: Any) -> Any:  # Blender omits guides
+    from vehsim.intake.usd import is_drawn
+
+    def inside(prim: Any) -> Any:  # Blender omits guides and proxies
         children = prim.GetFilteredChildren(Usd.TraverseInstanceProxies())
-        return [child for child in children if UsdGeom.Imageable(child).ComputePurpose() != UsdGeom.Tokens.guide]
+        return [child for child in children if is_drawn(child)]
 
     prim = stage.GetPrimAtPath(path)
     if prim and (kind != "MESH" or prim.IsA(UsdGeom.Mesh)):

@@ -23,23 +23,23 @@ from vehsim.assets.generate._shapes import Array, Faces, Surface
 _ROUNDS = 60
 _GRID = 2.0**-23
 """Places (m) and components of normals are rounded to multiples of it: 1.2e-7."""
-_FACE_TURN = np.cos(np.radians(20.0))
-"""Cosine of the largest angle between a triangle and the one it replaces, and between its plane and its corners'
-normals."""
 _SLIVER = 0.03
 """Smallest height of a new triangle as a share of its longest edge, unless the one it replaces was thinner."""
 
 Flags = NDArray[np.bool_]
 
 
-def slimmed(look: Mapping[str, Surface], tolerance: float, shade: float = 6.0, **of: float) -> dict[str, Surface]:
+def slimmed(
+    look: Mapping[str, Surface], tolerance: float, shade: float = 6.0, turn: float = 20.0, **of: float
+) -> dict[str, Surface]:
     """``look`` without the vertices whose removal moves the skin, or a line on it, by less than about ``tolerance`` m.
 
     ``of``: tolerances of single materials, m; where materials meet, the smallest applies. Vertices of several surfaces
     at one place stay together; lines are borders, creases and open edges. ``shade``: largest angle, degrees, between
-    the normals of a removed vertex and of the one that replaces it, so that highlights keep their shape.
+    the normals of a removed vertex and of the one that replaces it, so that highlights keep their shape. ``turn``:
+    largest angle, degrees, between a triangle and the one it replaces, and between its plane and its corners' normals.
     """
-    skin = _Skin(look, np.cos(np.radians(shade)))
+    skin = _Skin(look, *np.cos(np.radians([shade, turn])))
     for _ in range(_ROUNDS):
         if not skin.collapse(np.array([of.get(name, tolerance) for name in look])):
             break
@@ -50,8 +50,9 @@ class _Skin:
     """All surfaces of a look as one mesh: ``faces`` (m, 3) of vertices; a vertex has a place, a normal and a
     material."""
 
-    def __init__(self, look: Mapping[str, Surface], shade: float) -> None:
-        self.shade = shade
+    def __init__(self, look: Mapping[str, Surface], shade: float, turn: float) -> None:
+        """``shade``, ``turn``: cosines of the angles of `slimmed`."""
+        self.shade, self.turn = shade, turn
         self.names = list(look)
         points, normals = (
             _on_grid(np.concatenate([getattr(s, k) for s in look.values()])) for k in ("points", "normals")
@@ -156,8 +157,8 @@ class _Skin:
             new = np.where(old == pairs[which, side, :1], pairs[which, side, 1:], new)
         (was, fat), (now, thin) = self._facing(old), self._facing(new)
         lean = [_dot(self.normals[f], n[:, None]).min(1) for f, n in ((old, was), (new, now))]
-        good = _dot(was, now) > np.where(fat > _SLIVER, _FACE_TURN, 0.5)
-        good &= (lean[1] > _FACE_TURN) | (lean[1] >= lean[0])
+        good = _dot(was, now) > np.where(fat > _SLIVER, self.turn, 0.5)
+        good &= (lean[1] > self.turn) | (lean[1] >= lean[0])
         good &= (thin > _SLIVER) | (thin >= fat)
         return np.bincount(which[~good], minlength=len(going)) == 0
 

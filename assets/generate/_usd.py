@@ -1,7 +1,8 @@
 """Surfaces, materials and pivots written as a USD vehicle asset, in the same form for every generated vehicle.
 
 This module holds USD only: stage metadata, parts as Xform prims with their pivot as rest translate, one mesh per
-material, UsdPreviewSurface materials, liveries as a variant set, and collision meshes with purpose `guide`.
+material with purpose `render` and a coarse one with purpose `proxy`, UsdPreviewSurface materials, liveries as a variant
+set, and collision meshes with purpose `guide`.
 """
 
 from __future__ import annotations
@@ -14,6 +15,10 @@ from types import MappingProxyType
 import numpy as np
 
 from vehsim.assets.generate._shapes import Surface
+from vehsim.assets.generate._slim import slimmed
+
+COARSE, COARSEST = 0.01, 0.04
+"""Largest distance of a proxy from the look: a share of the vehicle's size, and m."""
 
 
 @dataclass(frozen=True)
@@ -82,8 +87,9 @@ def write_asset(
     model.SetAssetIdentifier(Sdf.AssetPath(path.name))
     model.SetAssetVersion("1")
     shaders = _write_materials(stage, f"/{path.stem}", materials)
+    coarse = min(COARSE * _size(parts), COARSEST)
     for name, part in parts.items():
-        _write_part(stage, f"/{path.stem}/{name}", part, shaders)
+        _write_part(stage, f"/{path.stem}/{name}", part, shaders, coarse)
     _write_liveries(stage, root.GetPrim(), liveries)
     _write_absent(root.GetPrim(), absent)
     geometry = UsdGeom.ModelAPI.Apply(root.GetPrim())
@@ -95,6 +101,12 @@ def write_asset(
 def triangles(parts: Mapping[str, PartShape]) -> int:
     """Number of triangles in the look of ``parts``, including the parts that they carry."""
     return sum(sum(len(s.faces) for s in p.look.values()) + triangles(p.parts) for p in parts.values())
+
+
+def _size(parts: Mapping[str, PartShape]) -> float:
+    """The longest side of the largest surface, m."""
+    own = [float(np.ptp(s.points, axis=0).max()) for part in parts.values() for s in part.look.values()]
+    return max([*own, *(_size(part.parts) for part in parts.values() if part.parts)], default=0.0)
 
 
 def _write_materials(stage, root: str, materials: Mapping[str, Material]) -> dict:
@@ -184,8 +196,9 @@ def _write_absent(root, absent: Absent) -> None:
         choices.SetVariantSelection(next(iter(variants)))
 
 
-def _write_part(stage, path: str, part: PartShape, shaders: Mapping) -> None:
-    from pxr import Gf, UsdGeom, UsdPhysics, UsdShade
+def _write_part(stage, path: str, part: PartShape, shaders: Mapping, coarse: float) -> None:
+    """``coarse``: largest distance of the proxies from the look, m."""
+    from pxr import Gf, UsdGeom, UsdPhysics
 
     xform = UsdGeom.Xform.Define(stage, path)
     xform.AddTranslateOp().Set(Gf.Vec3d(*part.pivot))
@@ -196,22 +209,34 @@ def _write_part(stage, path: str, part: PartShape, shaders: Mapping) -> None:
         raise ValueError(
             f"{path}: {sorted(twice)} names a look and a collision surface; give the collision another name"
         )
+    proxies = slimmed(part.look, coarse, shade=180.0, turn=55.0) if part.look else {}
     for key, surface in part.look.items():
-        shader, material = shaders[key]
-        mesh = _write_mesh(stage, f"{path}/{name}_{key}", surface)
-        colour = mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.constant)
-        colour.Set([Gf.Vec3f(*material.colour)])
-        mesh.CreateDisplayOpacityPrimvar(UsdGeom.Tokens.constant).Set([material.opacity])
-        mesh.CreateNormalsAttr([Gf.Vec3f(*n) for n in (np.round(surface.normals, 7) + 0.0).tolist()])
-        mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
-        UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(shader)
+        mesh = _write_look(stage, f"{path}/{name}_{key}", surface, *shaders[key])
+        mesh.CreatePurposeAttr(UsdGeom.Tokens.render)
+        if len(proxies[key].faces):
+            proxy = _write_look(stage, f"{path}/{name}_{key}_proxy", proxies[key], *shaders[key])
+            proxy.CreatePurposeAttr(UsdGeom.Tokens.proxy)
+            mesh.SetProxyPrim(proxy.GetPrim())
     for key, surface in part.collision.items():
         mesh = _write_mesh(stage, f"{path}/{name}_{key}" if key else f"{path}/{name}", surface)
         mesh.CreatePurposeAttr(UsdGeom.Tokens.guide)
         UsdPhysics.CollisionAPI.Apply(mesh.GetPrim())
         UsdPhysics.MeshCollisionAPI.Apply(mesh.GetPrim()).CreateApproximationAttr(UsdPhysics.Tokens.convexHull)
     for key, child in part.parts.items():
-        _write_part(stage, f"{path}/{key}", child, shaders)
+        _write_part(stage, f"{path}/{key}", child, shaders, coarse)
+
+
+def _write_look(stage, path: str, surface: Surface, shader, material: Material):
+    from pxr import Gf, UsdGeom, UsdShade
+
+    mesh = _write_mesh(stage, path, surface)
+    colour = mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.constant)
+    colour.Set([Gf.Vec3f(*material.colour)])
+    mesh.CreateDisplayOpacityPrimvar(UsdGeom.Tokens.constant).Set([material.opacity])
+    mesh.CreateNormalsAttr([Gf.Vec3f(*n) for n in (np.round(surface.normals, 7) + 0.0).tolist()])
+    mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+    UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(shader)
+    return mesh
 
 
 def _write_mesh(stage, path: str, surface: Surface):

@@ -22,7 +22,7 @@ from vehsim.audit import PER_FRAME, Row, Scene, Track, audit, missed, not_shown,
 from vehsim.errors import ExportError, InputError
 from vehsim.exporters.usd.metadata import Units
 from vehsim.intake.gate import reading
-from vehsim.intake.usd import dependencies
+from vehsim.intake.usd import dependencies, is_drawn
 from vehsim.requests import Ask
 
 if TYPE_CHECKING:
@@ -202,7 +202,7 @@ class StageScene(Scene):
         rims = []
         for path in prims:
             wheel = self._root.GetPrimAtPath(path) if path else self._root
-            meshes = [mesh for mesh in self.delivered.meshes(wheel) if not _is_guide(mesh)]
+            meshes = [mesh for mesh in self.delivered.meshes(wheel) if is_drawn(mesh)]
             worlds = [self.delivered.world_matrix(mesh, first) for mesh in meshes]
             sizes = [max(float(np.cbrt(abs(np.linalg.det(world[:3, :3])))), 1e-12) for world in worlds]
             own = [
@@ -247,12 +247,6 @@ class StageScene(Scene):
                 points = np.vstack([cloud.placed(frame, cloud.within(chosen)) for cloud, chosen in pieces])
                 nearest = min(nearest, float(solid.away(points).min()))
         return nearest
-
-
-def _is_guide(prim: Any) -> bool:
-    from pxr import UsdGeom
-
-    return bool(UsdGeom.Imageable(prim).ComputePurpose() == UsdGeom.Tokens.guide)
 
 
 def _tread(points: Array) -> NDArray[np.bool_]:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from vehsim.intake.usd import key_times
+from vehsim.intake.usd import DRAWN, key_times
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ def _believable_sizes(stage: Any) -> Iterator[Issue]:
     from pxr import Kind, Usd, UsdGeom
 
     metres = UsdGeom.GetStageMetersPerUnit(stage)
-    cache = UsdGeom.BBoxCache(Usd.TimeCode(stage.GetStartTimeCode()), [UsdGeom.Tokens.default_], useExtentsHint=True)
+    cache = UsdGeom.BBoxCache(Usd.TimeCode(stage.GetStartTimeCode()), DRAWN, useExtentsHint=True)
     prims = iter(stage.Traverse())
     for prim in prims:
         if not Kind.Registry.IsA(Usd.ModelAPI(prim).GetKind(), Kind.Tokens.component):

@@ -63,7 +63,7 @@ def _meshes(root: Any, rotor: Any, pattern: str | bool) -> tuple[list[str], list
     blades: list[str] = []
     discs: list[str] = []
     for prim in Usd.PrimRange(rotor, Usd.TraverseInstanceProxies()):
-        if prim.IsA(UsdGeom.Mesh) and UsdGeom.Imageable(prim).ComputePurpose() in ("default", "render"):
+        if prim.IsA(UsdGeom.Mesh) and UsdGeom.Imageable(prim).ComputePurpose() != UsdGeom.Tokens.guide:
             disc = isinstance(pattern, str) and fnmatch(prim.GetName(), pattern)
             (discs if disc else blades).append(str(prim.GetPath())[skip:])
     return blades, discs

@@ -22,7 +22,7 @@ from vehsim.exporters.pictures.surfaces import read_surface as read_surface
 from vehsim.exporters.pictures.surfaces import surfaces_of
 from vehsim.exporters.usd.metadata import local_origin
 from vehsim.intake.gate import reason_of
-from vehsim.intake.usd import triangulate
+from vehsim.intake.usd import is_drawn, triangulate
 from vehsim.rig.parts import Y_UP_TO_Z_UP
 
 Array = NDArray[np.float64]
@@ -216,7 +216,7 @@ class StageReader:
             imageable = UsdGeom.Imageable(prim)
             if imageable.ComputeVisibility(self.frames[0]) == UsdGeom.Tokens.invisible:
                 prims.PruneChildren()
-            elif imageable.ComputePurpose() not in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render):
+            elif not is_drawn(prim):
                 continue
             elif prim.HasAttribute(WATER_GRID):
                 self.water = str(prim.GetPath())

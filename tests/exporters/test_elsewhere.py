@@ -306,7 +306,7 @@ def test_rotors_as_blades_or_disc(name, start, tmp_path):
 
     def seen():
         meshes = [prim for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh) and "rotor" in str(prim.GetPath())]
-        looks = [prim for prim in meshes if UsdGeom.Imageable(prim).ComputePurpose() == "default"]
+        looks = [prim for prim in meshes if UsdGeom.Imageable(prim).ComputePurpose() != "guide"]
         visible = [prim for prim in looks if UsdGeom.Imageable(prim).ComputeVisibility() == "inherited"]
         return {prim.GetName() for prim in visible}
 

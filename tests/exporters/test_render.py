@@ -138,12 +138,13 @@ def test_a_texture_stands_upright(new_stage, tmp_path):
     assert image[middle_y - 25, middle_x + 25].max() < 60
 
 
-def test_guides_and_hidden_prims_are_not_drawn(new_stage):
+def test_guides_proxies_and_hidden_prims_are_not_drawn(new_stage):
     from pxr import UsdGeom
 
     quad(new_stage, "/top/far", (40, 40, 0), 0.1, (0.5, 0.5, 0.5))
     empty = picture(new_stage)
-    quad(new_stage, "/top/guide", (0, 0, 0), 1.0, (1, 0, 0)).CreatePurposeAttr("guide")
+    for purpose in ("guide", "proxy"):
+        quad(new_stage, f"/top/{purpose}", (0, 0, 0), 1.0, (1, 0, 0)).CreatePurposeAttr(purpose)
     hidden = quad(new_stage, "/top/hidden", (1, 0, 0), 1.0, (1, 0, 0))
     UsdGeom.Imageable(hidden).MakeInvisible()
     assert (picture(new_stage) == empty).all()

@@ -10,8 +10,8 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
-from pxr import Gf, Usd, UsdGeom, UsdValidation
-from scipy.spatial import ConvexHull
+from pxr import Gf, Usd, UsdGeom, UsdShade, UsdValidation
+from scipy.spatial import ConvexHull, cKDTree
 
 import vehsim
 import vehsim.assets
@@ -274,6 +274,35 @@ def test_car_has_real_dimensions_and_its_wheels_stand_where_the_physics_says():
     assert rig("car").origin[0] == pytest.approx(rear.T_rp[0, 3])
 
 
+@every
+def test_proxies_stand_for_the_look_with_far_fewer_triangles(name):
+    """Their corners are corners of the look, with its material, and the look of a part is near its proxies."""
+    import igl
+
+    stage = Usd.Stage.Open(str(asset(name)))
+    parts: dict = {}
+    for mesh in meshes(stage, guides=False):
+        points = np.array(mesh.GetPointsAttr().Get(), float)
+        faces = np.array(mesh.GetFaceVertexIndicesAttr().Get(), np.int64).reshape(-1, 3)
+        parts.setdefault(mesh.GetPrim().GetParent().GetPath(), {"render": [], "proxy": []})[
+            mesh.ComputePurpose()
+        ].append((points, faces))
+        for target in mesh.GetProxyPrimRel().GetTargets():
+            proxy = UsdGeom.Mesh(stage.GetPrimAtPath(target))
+            one, other = (UsdShade.MaterialBindingAPI(m.GetPrim()).ComputeBoundMaterial()[0] for m in (mesh, proxy))
+            assert one.GetPath() == other.GetPath() and proxy.ComputePurpose() == UsdGeom.Tokens.proxy
+            assert cKDTree(points).query(np.array(proxy.GetPointsAttr().Get()))[0].max() < 1e-6
+    count = {k: sum(len(faces) for part in parts.values() for _, faces in part[k]) for k in ("render", "proxy")}
+    assert 0 < count["proxy"] < 0.37 * count["render"]
+    for path, part in parts.items():
+        ends = np.cumsum([0, *(len(points) for points, _ in part["proxy"])])
+        skin = np.concatenate([points for points, _ in part["proxy"]])
+        faces = np.concatenate([faces + end for (_, faces), end in zip(part["proxy"], ends, strict=False)])
+        look = np.concatenate([points for points, _ in part["render"]])
+        away = np.sqrt(igl.point_mesh_squared_distance(look, skin, faces)[0])
+        assert away.max() < 0.08 and np.percentile(away, 95) < 0.04, path
+
+
 @pytest.mark.parametrize("name", available())
 def test_channels_drive_prims_that_exist(name):
     paths = {p.path for p in read_parts(rig(name).asset)}
@@ -347,7 +376,8 @@ def test_the_driver_is_visible_through_the_glass(name, eyes):
     stage = Usd.Stage.Open(str(asset(name)))
     glass = stage.GetPrimAtPath(f"/{name}/materials/glass/surface")
     assert 0.1 < glass.GetAttribute("inputs:opacity").Get() < 0.5
-    shown = {mesh.GetPrim().GetName(): mesh for mesh in meshes(stage, guides=False)}
+    looks = [mesh for mesh in meshes(stage, guides=False) if mesh.ComputePurpose() == UsdGeom.Tokens.render]
+    shown = {mesh.GetPrim().GetName(): mesh for mesh in looks}
     body = [
         mesh for key, mesh in shown.items() if key.startswith(("body_", "fuselage_")) and not key.endswith("_glass")
     ]

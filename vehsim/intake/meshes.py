@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from vehsim.intake.gate import reading, refuse
 from vehsim.intake.reader import Answer, read_cached, read_in_process
-from vehsim.intake.usd import SUFFIXES, open_stage, triangles_of
+from vehsim.intake.usd import SUFFIXES, is_drawn, open_stage, triangles_of
 
 Array = NDArray[np.float64]
 Triangles = tuple[Array, NDArray[np.int64]]
@@ -77,7 +77,7 @@ def _read_usd(path: Path) -> Triangles:
     cache = UsdGeom.XformCache()
     for prim in stage.Traverse():
         mesh = UsdGeom.Mesh(prim)
-        if not mesh or mesh.ComputePurpose() == UsdGeom.Tokens.guide:
+        if not mesh or not is_drawn(prim):
             continue
         found = triangles_of(mesh, Usd.TimeCode.Default(), path)
         if found is None:

@@ -29,6 +29,17 @@ MAX_DEPTH = 500
 SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 
 
+DRAWN = ("default", "render")
+"""Purposes that are drawn and measured. Proxies stand for render geometry in viewports; guides are not drawn."""
+
+
+def is_drawn(prim: Any) -> bool:
+    """Whether a prim's purpose is one of `DRAWN`."""
+    from pxr import UsdGeom
+
+    return UsdGeom.Imageable(prim).ComputePurpose() in DRAWN
+
+
 def open_stage(path: str | Path, load: bool = True) -> Any:
     """The stage of a file; ``load``: with its payloads. Raises ``InputError``."""
     from pxr import Usd, UsdGeom

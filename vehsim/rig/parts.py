@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.errors import InputError
-from vehsim.intake.usd import complaints, open_stage
+from vehsim.intake.usd import complaints, is_drawn, open_stage
 from vehsim.rig.hulls import Faces, Mesh, apply, convex_hulls, mesh_of
 from vehsim.rig.rig import Rig
 from vehsim.runtime.cache import lookup, made_of, packed, store, unpacked
@@ -342,7 +342,7 @@ def _walk(root: Any, convert: Array, messages: list[str]) -> Iterator[_Node]:
             is_part=bool(xformable) and (placed or not is_gprim),
             is_mesh=is_mesh,
             is_gprim=is_gprim,
-            is_look=bool(imageable) and imageable.ComputePurpose() in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render),
+            is_look=bool(imageable) and is_drawn(prim),
             collides=collider is not None and collider.GetCollisionEnabledAttr().Get(when) is not False,
         )
 
