@@ -10,6 +10,8 @@ from .preferences import environment
 
 PAUSE = 0.25
 """Time between two looks at the process, s."""
+SHOWN = ("key", "message", "remedy", "severity")
+"""The fields of a problem that the panel shows."""
 GRACE = 5.0
 """Time in which a cancelled process may clean up, s."""
 
@@ -118,9 +120,12 @@ def end(*_):
 def add_problem(scene, problem, severity):
     if scene is None:
         return
+    fields = {"key": "", "remedy": "", "severity": severity} | problem
+    if any(all(getattr(each, name) == fields[name] for name in SHOWN) for each in scene.vehsim.problems):
+        return
     shown = scene.vehsim.problems.add()
-    shown.key, shown.severity = problem.get("key", ""), problem.get("severity", severity)
-    shown.message, shown.remedy = problem["message"], problem.get("remedy", "")
+    for name in SHOWN:
+        setattr(shown, name, fields[name])
 
 
 @contextmanager

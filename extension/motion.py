@@ -1,5 +1,6 @@
 """Solved motion as native curves of objects, and edited objects as motion in a USD file."""
 
+import math
 import re
 
 import bpy
@@ -9,7 +10,8 @@ from . import blender
 from .shots import folder_of, identifier, rate
 
 PLACE = "vehsim_place"
-"""Custom property of an object: its path in the vehicle's layer; "" for an empty that curves need."""
+"""Custom property of an object: its path in the vehicle's layer; of an empty that its curves need, that path, a dot and
+a number, which no prim's name has."""
 
 
 def show(scene, vehicle, delivery, motion):
@@ -28,8 +30,11 @@ def show(scene, vehicle, delivery, motion):
     scene.frame_set(round(stage.GetStartTimeCode()))
     blender.give_curves(scene, stage, imported)
     added = [found for found in bpy.data.objects if found not in present]
-    for found in added:
-        found[PLACE] = ""
+    for found in imported:
+        above, k = found.parent, 0
+        while above in added:
+            above[PLACE] = f"{found[PLACE]}.{k}"
+            above, k = above.parent, k + 1
     if vehicle.result is None:
         vehicle.result = bpy.data.collections.new(vehicle.name)
     if vehicle.result.name not in scene.collection.children:
@@ -45,9 +50,12 @@ def fit_range(scene, delivery):
 
 
 def root_of(vehicle):
-    """The object that the motion of a vehicle's root moves, or None before it is solved."""
+    """The object with the curves of a vehicle's root: its own, or an empty above it. None before it is solved."""
     moving = [found for found in vehicle.result.objects if blender.PRIM in found] if vehicle.result else []
-    return min(moving, key=lambda found: found[blender.PRIM].count("/"), default=None)
+    root = min(moving, key=lambda found: found[blender.PRIM].count("/"), default=None)
+    while root is not None and root.parent is not None and not (root.animation_data and root.animation_data.action):
+        root = root.parent
+    return root
 
 
 def write_edit(scene, path):
@@ -62,13 +70,14 @@ def write_edit(scene, path):
     stage.SetFramesPerSecond(float(rate(scene)))
     tracks = []
     for vehicle in scene.vehsim.vehicles:
+        frames = _keyed(scene, vehicle)
         for found in vehicle.result.objects if vehicle.result else ():
             if blender.PRIM in found:
                 place = f"/{identifier(scene.vehsim.name)}/vehicles{found[blender.PRIM]}"
                 shown = UsdGeom.Xform.Define(stage, place)
                 shown.SetResetXformStack(True)
                 after = Matrix([found[blender.AFTER][4 * k : 4 * k + 4] for k in range(4)])
-                tracks.append((found, after.inverted(), shown.AddTransformOp()))
+                tracks.append((found, frames, after.inverted(), shown.AddTransformOp()))
                 shown.SetXformOpOrder(shown.GetOrderedXformOps(), True)
     frame = scene.frame_current
     stage.SetStartTimeCode(scene.frame_start)
@@ -76,11 +85,21 @@ def write_edit(scene, path):
     for time in range(scene.frame_start, scene.frame_end + 1):
         scene.frame_set(time)
         graph = bpy.context.evaluated_depsgraph_get()
-        for found, before, op in tracks:
-            matrix = found.evaluated_get(graph).matrix_world @ before
-            op.Set(Gf.Matrix4d([list(column) for column in matrix.transposed()]), time)
+        for found, frames, before, op in tracks:
+            if time in frames:
+                matrix = found.evaluated_get(graph).matrix_world @ before
+                op.Set(Gf.Matrix4d([list(column) for column in matrix.transposed()]), time)
     scene.frame_set(frame)
     stage.Export(str(path))
+
+
+def _keyed(scene, vehicle):
+    """The frames between the first and the last key of a vehicle's root: it may move for a part of the shot."""
+    root = root_of(vehicle)
+    if root is None or root.animation_data is None or root.animation_data.action is None:
+        return range(scene.frame_start, scene.frame_end + 1)
+    first, last = root.animation_data.action.frame_range
+    return range(math.floor(first), math.ceil(last) + 1)
 
 
 def _import(layer):
@@ -100,9 +119,8 @@ def _place(found):
 
 def _adopt(collection, made):
     """Give new motion to the objects of an earlier result with the same places; keep the others that are new."""
-    known = {found[PLACE]: found for found in collection.objects if found.get(PLACE)}
-    places = {found[PLACE] for found in made if found[PLACE]}
-    if not known.keys() >= places or not known.keys() <= places:  # another vehicle
+    known = {found[PLACE]: found for found in collection.objects if PLACE in found}
+    if _prims(known) != _prims(found[PLACE] for found in made):  # another vehicle
         known = {}
     kept = {found: known.get(found[PLACE], found) for found in made}
     for found in made:
@@ -116,13 +134,17 @@ def _adopt(collection, made):
             inverse = found.matrix_parent_inverse.copy()
             found.parent = parent
             found.matrix_parent_inverse = inverse
-        elif blender.PRIM in found or blender.PRIM in old:
+        elif blender.PRIM in found or blender.PRIM in old or "." in found[PLACE]:
             _give_motion(found, old, parent)
     stale = [found for found in collection.objects if PLACE in found and found not in kept.values()]
     gone = stale + [found for found, old in kept.items() if old is not found]
     data = {found.data for found in gone if found.data}
     bpy.data.batch_remove(gone)
     bpy.data.batch_remove([each for each in data if not each.users])
+
+
+def _prims(places):
+    return {place for place in places if "." not in place}
 
 
 def _give_motion(found, old, parent):
@@ -132,7 +154,10 @@ def _give_motion(found, old, parent):
             old[name] = found[name]
         else:
             old.pop(name, None)
+    earlier = old.animation_data.action if old.animation_data else None
     old.animation_data_clear()
+    if earlier is not None and not earlier.users:
+        bpy.data.actions.remove(earlier)
     old.parent, old.matrix_parent_inverse = parent, found.matrix_parent_inverse
     old.rotation_mode, old.matrix_basis = found.rotation_mode, found.matrix_basis
     if found.animation_data and found.animation_data.action:

@@ -132,3 +132,17 @@ def test_an_edited_height_of_a_car_is_named(drive):
     made = retouch(drive, None, frames, positions, rotations)
     ((first, last),) = made.lifted
     assert 1030 <= first < last <= 1090 and not made.touched and made.clip is drive
+
+
+def test_an_edit_on_the_ground_is_refused(flight):
+    """The flight, 30 m lower: it starts on the ground."""
+    from dataclasses import replace
+
+    from vehsim.errors import SolveError
+
+    low = replace(flight, positions=flight.positions - (0, 0, 30))
+    world = vehsim.World(terrain="flat")
+    standing = world.clearance(HELI, low.positions[:1], low.orientations[:1])[0]
+    assert abs(standing) < 0.05
+    with pytest.raises(SolveError, match="stands on the ground"):
+        retouch(low, world, *bumped(low, 991, 1041, (0.0, 0.5, 0.0)))

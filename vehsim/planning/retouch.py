@@ -67,6 +67,8 @@ LOOSE = 1e-3
 """Weight of the attitude, relative to where it was edited, on frames of which only the position was."""
 SMOOTH = 1e-3
 """Cost per second of controls that depart from the solved ones at a rate of one typical control per second."""
+STANDS = 0.05
+"""Distance of a flying vehicle from the ground and obstacles below which it counts as landed, m."""
 SPENT = ("work", "dissipated")
 """The accounts of energy that accumulate."""
 
@@ -124,13 +126,21 @@ def retouch(
 
     ``clearance``, ``limits``: as in `plan`; ``stops``: frames whose state remains exactly, such as those of marks,
     unless the edit touches them. Frames outside the clip are ignored. Raises ``InputError`` for a vehicle that nothing
-    pushes, and ``SolveError`` naming the frames if there is no motion that returns to the solved one.
+    pushes, and ``SolveError`` naming the frames if there is no motion that returns to the solved one, or if it stands
+    on the ground there.
     """
     check_pushed(clip.vehicle)
     inside = (frames >= clip.start_frame) & (frames <= clip.end_frame)
     frames, positions, rotations = frames[inside], positions[inside], rotations[inside]
     edit = _Edit.of(clip, frames, positions, rotations)
-    windows = edit.windows(round(ROOM * float(clip.fps)), stops)
+    landed = _landed(clip, world, edit.frames)
+    for a, b in _runs(landed & edit.touched):
+        raise SolveError(
+            f"frames {edit.frames[a]:.0f} to {edit.frames[b]:.0f} of the edit: it stands on the ground there",
+            "move its mark and solve it again, or edit other frames",
+            subject=clip.vehicle.name,
+        )
+    windows = edit.windows(round(ROOM * float(clip.fps)), [*stops, *edit.frames[landed]])
     made = clip
     for number, window in enumerate(windows):
         if progress is not None:
@@ -297,6 +307,14 @@ def _without_costs(request: Request, transcription: Transcription, cover: Any, e
     """The blocks of a plan from mark to mark, without its costs and with its ends given by states."""
     unwanted: tuple[type, ...] = (RunningCosts, Easing, MarkRows, *((UnitQuaternion,) if ends.begins else ()))
     return [block for block in blocks_of(request, transcription, cover) if not isinstance(block, unwanted)]
+
+
+def _landed(clip: Clip, world: Any, frames: Array) -> NDArray[np.bool_]:
+    """On which ``frames`` (n,) a flying vehicle touches the ground or an obstacle."""
+    if clip.vehicle.group.planar or world is None or (world.terrain is None and not world.obstacles):
+        return np.zeros(len(frames), bool)
+    there, seconds = clip.at(_times(clip, frames)), frames / float(clip.fps)
+    return np.asarray(world.clearance(clip.vehicle, there.positions, there.orientations, seconds) < STANDS)
 
 
 def _clear(clip: Clip, world: Any, solved: Clip, first: int, clearance: float) -> float:
