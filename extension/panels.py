@@ -1,8 +1,13 @@
 """The panel in the sidebar of the 3D view."""
 
+import textwrap
+
 import bpy
 
 from . import jobs, shots
+
+WIDTH, LETTER = 300, 7.0
+"""Width of the sidebar where there is no window, and of a letter, pixels."""
 
 
 class VEHSIM_UL_vehicles(bpy.types.UIList):
@@ -89,9 +94,16 @@ class VEHSIM_PT_motion(Side, bpy.types.Panel):
             box = layout.box()
             box.alert = problem.severity != "warning"
             box.label(text=problem.key or "vehsim", icon="ERROR" if box.alert else "INFO")
-            for text in (problem.message, problem.remedy):
-                if text:
-                    box.label(text=text)
+            column = box.column(align=True)
+            for line in (*_lines(context, problem.message), *_lines(context, problem.remedy)):
+                column.label(text=line)
+
+
+def _lines(context, text):
+    """The text in lines that fit into the sidebar: labels are cut off."""
+    pixels = context.region.width if context.region else WIDTH
+    scale = context.preferences.system.ui_scale or 1.0  # 0 without windows
+    return textwrap.wrap(text, max(20, int(pixels / (LETTER * scale))))
 
 
 CLASSES = (VEHSIM_UL_vehicles, VEHSIM_PT_shot, VEHSIM_PT_marks, VEHSIM_PT_motion)

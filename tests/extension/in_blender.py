@@ -1,6 +1,6 @@
 """Runs in Blender's Python: marks to curves, an edit back, and what the panel shows. Prints what it found as JSON.
 
-``python in_blender.py EXTENSION.zip PYTHON FOLDER``: PYTHON runs vehsim.
+``python in_blender.py EXTENSION.zip PYTHON FOLDER ASSET``: PYTHON runs vehsim; ASSET is a car of one's own.
 """
 
 import json
@@ -9,7 +9,7 @@ import sys
 import time
 from pathlib import Path
 
-archive, python, folder = sys.argv[1], sys.argv[2], Path(sys.argv[3])
+archive, python, folder, asset = sys.argv[1], sys.argv[2], Path(sys.argv[3]), sys.argv[4]
 os.environ["BLENDER_USER_RESOURCES"] = str(folder / "user")
 
 import bpy  # noqa: E402
@@ -113,18 +113,26 @@ preferences.program = python
 bpy.ops.vehsim.connect()
 found["version"], found["known"] = preferences.version, json.loads(preferences.known)
 
+
 # ---------------------------------------------------------------- marks, a check, a solve
+def add_marks(*marks):
+    for frame, place in marks:
+        scene.frame_set(frame)
+        scene.cursor.location = place
+        bpy.ops.vehsim.add_mark()
+        bpy.context.object.vehsim.use_speed, bpy.context.object.vehsim.speed = True, 5.0
+    return bpy.context.object
+
+
 bpy.ops.vehsim.add_vehicle(asset="simple_car")
 own.vehicle.name = "car"
+bpy.ops.vehsim.load_vehicle(filepath=asset)
+add_marks((1, (0, 9, 0)), (49, (10, 10, 0)))
+own.active = 0
 more = bpy.data.texts.new("more")
-more.write('[[vehicle]]\nname = "car"\nmotion = { segments = 12 }\n')
+more.write("".join(f'[[vehicle]]\nname = "{name}"\nmotion = {{ segments = 12 }}\n' for name in ("car", "kart")))
 own.more = more
-for frame, place in ((1, (0, 0, 0)), (61, (12, 1, 0))):
-    scene.frame_set(frame)
-    scene.cursor.location = place
-    bpy.ops.vehsim.add_mark()
-    bpy.context.object.vehsim.use_speed, bpy.context.object.vehsim.speed = True, 5.0
-last = bpy.context.object
+last = add_marks((1, (0, 0, 0)), (61, (12, 1, 0)))
 last.vehsim.free_heading, last.vehsim.frame = True, 3
 bpy.context.view_layer.update()
 bpy.ops.vehsim.check()
@@ -157,6 +165,7 @@ found["retouch"] = finished()
 again = motion.root_of(own.vehicle)
 found["same object"] = again == car and lamp.parent == car
 found["retouched"], found["keys after"] = places(car), keys(car)
+found["kart"] = places(motion.root_of(own.vehicles[1]))
 found["names"] = sorted(each.name for each in own.vehicle.result.objects)
 
 # ---------------------------------------------------------------- bake, export
