@@ -1,7 +1,8 @@
-"""Open an exported stage in Blender: give its motion native curves, or render a still with Cycles.
+"""Open an exported stage in Blender: give its motion native curves, write Alembic, or render a still with Cycles.
 
 Inside Blender, vehsim is not needed: this file runs in a Python with the module `bpy` or in Blender itself (``blender
---background --python blender.py -- STAGE ...``). The exporters `blend` and `cycles` run it in a separate process.
+--background --python blender.py -- STAGE ...``). The exporters `blend`, `abc` and `cycles` run it in a
+separate process.
 
 Blender's importer reads matrices from the file at every frame. `bake` replaces that by curves on location and rotation
 with the numbers of the stage: an accumulated angle stays one, so that no wheel turns backwards between keys.
@@ -42,6 +43,8 @@ SAME = 1e-3
 """Largest difference of a matrix entry from the stage, for a place up to a metre from the origin."""
 FINEST = 16
 """Samples of every frame of a motion that no curves of location and rotation can show."""
+APART = math.radians(30.0)
+"""Largest rotation between two samples of Alembic."""
 TURN = math.radians(5.0)
 """Largest rotation between two quaternion keys: Blender interpolates their components linearly."""
 
@@ -477,6 +480,22 @@ def still(scene: Any, path: str | Path, frame: int, camera: str | None, size: Se
     bpy.ops.render.render(write_still=True)
 
 
+def alembic(scene: Any, path: str | Path) -> None:
+    """Everything in the scene as Alembic, in metres, Y up. Alembic keeps matrices, so a frame gets as many samples as
+    its fastest rotation needs."""
+    import bpy
+
+    frames = range(scene.frame_start, scene.frame_end)
+    moving = [found for found in bpy.data.objects if found.animation_data and found.animation_data.action]
+    turning = [curve for found in moving for curve in _curves(found) if curve.data_path.startswith("rotation_")]
+    # a component of a quaternion changes by at most half the angle
+    changes = (abs(c.evaluate(f + 1) - c.evaluate(f)) * (1 + ("quat" in c.data_path)) for c in turning for f in frames)
+    fastest = max(changes, default=0.0)
+    count = min(2 ** math.ceil(math.log2(max(fastest / APART, 1.0))), FINEST)
+    span = {"start": scene.frame_start, "end": scene.frame_end, "xsamples": count}
+    bpy.ops.wm.alembic_export(filepath=str(Path(path).resolve()), **span)
+
+
 def _caches(found: Any) -> Iterator[Any]:
     return (constraint for constraint in found.constraints if constraint.type == CACHED)
 
@@ -492,6 +511,7 @@ def main(arguments: Sequence[str]) -> None:
     parser = argparse.ArgumentParser(prog="blender.py", description=__doc__)
     parser.add_argument("stage")
     parser.add_argument("--bake", metavar="FILE.blend", help="native curves, saved here")
+    parser.add_argument("--alembic", metavar="FILE.abc", help="the scene as Alembic")
     parser.add_argument("--motion", help="the variant to bake where a vehicle has it: exact, thinned or curves")
     parser.add_argument("--still", metavar="FILE.png", help="a picture by Cycles")
     parser.add_argument("--frame", type=int, help="of the still; the middle one when left out")
@@ -501,11 +521,14 @@ def main(arguments: Sequence[str]) -> None:
     parser.add_argument("--samples", type=int, default=SAMPLES)
     given = parser.parse_args(arguments)
     scene = open_stage(given.stage, given.fps)
+    if given.bake or given.alembic:
+        bake(scene, given.stage, given.motion)
     if given.bake:
         import bpy
 
-        bake(scene, given.stage, given.motion)
         bpy.ops.wm.save_as_mainfile(filepath=str(Path(given.bake).resolve()))
+    if given.alembic:
+        alembic(scene, given.alembic)
     if given.still:
         frame = given.frame if given.frame is not None else (scene.frame_start + scene.frame_end) // 2
         size = [int(side) for side in given.size.split("x")]
@@ -518,6 +541,14 @@ def write_blend(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
     path = folder / f"{take.name}.blend"
     motion = ["--motion", "curves"] if take.usd.curves is not None else []
     _run(folder / f"{take.name}.usda", "--bake", str(path), "--fps", str(take.fps), *motion)
+    return [path]
+
+
+def write_alembic(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
+    """``<shot>.abc``: geometry, motion and cameras of the stage."""
+    progress("abc: samples", 0.0)
+    path = folder / f"{take.name}.abc"
+    _run(folder / f"{take.name}.usda", "--alembic", str(path), "--fps", str(take.fps))
     return [path]
 
 
@@ -558,11 +589,13 @@ def _blender() -> list[str]:
 
 def __getattr__(name: str) -> Any:
     """Make the exporters only when vehsim requests them, because there is no vehsim inside Blender."""
-    if name in ("blend", "cycles"):
+    if name in ("blend", "abc", "cycles"):
         from vehsim.delivery.exporters import Exporter
 
         if name == "blend":
             return Exporter(name, (".blend",), write_blend, ("usd",), makes="native curves; needs Blender 5")
+        if name == "abc":
+            return Exporter(name, (".abc",), write_alembic, ("usd",), makes="Alembic; needs Blender 5")
         return Exporter(name, (), write_still, ("usd",), makes="a still by Cycles; needs Blender 5")
     raise AttributeError(name)
 

@@ -166,6 +166,49 @@ def test_a_fast_car_in_a_blend_follows_the_clip_at_eighths_of_a_frame(tmp_path, 
 
 
 @needs_blender
+def test_alembic_follows_the_clip_at_eighths_of_a_frame(tmp_path, toys, make_take):
+    """The same car, read back by Blender's importer of Alembic: matrices, which need samples within frames."""
+    import vehsim
+    from vehsim.vehicles import load_vehicle
+
+    t = np.linspace(0, 0.4, 97)
+    controls = np.column_stack([200 * np.ones_like(t), 0.05 * np.cos(9 * t)])
+    clip = vehsim.simulate(load_vehicle("car"), None, controls, vehsim.State(twist=(0.0, 40.0, 0.0)), 0.4)
+    take = replace(make_take(clip), frames=(1001, 1010))
+    write_usd(take, tmp_path, toys.silent)
+    (path,) = blender.write_alembic(take, tmp_path, toys.silent)
+    first, last, names = 1001, 1010, ["toy0", "wheel_rr", "chase"]
+    program = f"""
+import bpy, json
+bpy.ops.wm.read_factory_settings(use_empty=True)
+scene = bpy.context.scene
+scene.render.fps = 24
+bpy.ops.wm.alembic_import(filepath={str(path)!r}, as_background_job=False)
+found = {{}}
+for k in range({first} * 8, {last} * 8 + 1):
+    scene.frame_set(k // 8, subframe=k % 8 / 8)
+    graph = bpy.context.evaluated_depsgraph_get()
+    for name in {names}:
+        matrix = bpy.data.objects[name].evaluated_get(graph).matrix_world
+        found.setdefault(name, []).append([list(row) for row in matrix])
+print("SAYS" + json.dumps(found))
+"""
+    answer = subprocess.run([PYTHON, "-c", program], capture_output=True, text=True)
+    lines = [line for line in answer.stdout.splitlines() if line.startswith("SAYS")]
+    assert lines, answer.stdout[-2000:] + answer.stderr[-2000:]
+    found = {name: np.array(matrices) for name, matrices in json.loads(lines[0][4:]).items()}
+    at = clip.at(np.arange((last - first) * 8 + 1) / 192)
+    poses = at.matrices()
+    turned = poses[:, :3, :3] @ Rotation.from_euler("Y", at.channels["roll_rr"][:, None]).as_matrix()
+    places = poses[:, :3, :3] @ (-1.3, -0.77, 0.32) + poses[:, :3, 3]
+    assert np.abs(found["toy0"][:, :3, 3] - poses[:, :3, 3]).max() < 2.5e-3  # samples follow chords
+    assert np.abs(found["wheel_rr"][:, :3, 3] - places).max() < 2.5e-3
+    assert np.abs(found["wheel_rr"][:, :3, :3] - turned).max() < 4e-3
+    views = take.cameras[0].positions[: last - first + 1]
+    assert np.abs(found["chase"][::8, :3, 3] - views).max() < 1e-4
+
+
+@needs_blender
 def test_a_blend_has_the_cuts_of_the_shot(tmp_path, toys, make_take):
     from vehsim.cameras.camera import CameraRig
     from vehsim.cameras.cuts import CUT, cut
