@@ -10,6 +10,7 @@ from .preferences import environment
 
 PAUSE = 0.25
 """Time between two looks at the process, s."""
+AGAIN = "solve it again, if vehicles or files were renamed since"
 SHOWN = ("key", "message", "remedy", "severity")
 """The fields of a problem that the panel shows."""
 GRACE = 5.0
@@ -86,9 +87,14 @@ class Job:
         if self.scene is None:
             return
         if self.process.returncode == 0:
-            self.succeeded = True
             with _shown(self.scene) as window:
-                self.finish(self)
+                try:
+                    self.finish(self)
+                    self.succeeded = True
+                except Exception as error:  # a timer would only print it
+                    add_problem(
+                        self.scene, {"message": f"the result cannot be shown: {error}", "remedy": AGAIN}, "error"
+                    )
                 if window is not None:
                     bpy.ops.ed.undo_push(message=f"vehsim: {self.what}")
         elif not self.cancelled and not any(each.severity == "error" for each in self.scene.vehsim.problems):
@@ -107,6 +113,7 @@ def start(job):
     bpy.app.timers.register(job.poll, first_interval=PAUSE)
 
 
+@bpy.app.handlers.persistent
 def end(*_):
     """End the job at work: another file is opened, or the extension is switched off."""
     global running

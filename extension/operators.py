@@ -26,7 +26,8 @@ class Solved(Idle):
 
     @classmethod
     def poll(cls, context):
-        return super().poll(context) and bool(context.scene.vehsim.delivery)
+        delivery = context.scene.vehsim.delivery
+        return super().poll(context) and bool(delivery) and Path(delivery).is_dir()
 
 
 class VEHSIM_OT_add_vehicle(Idle, bpy.types.Operator):
@@ -204,7 +205,8 @@ class VEHSIM_OT_bake(Solved, bpy.types.Operator):
     def execute(self, context):
         own = context.scene.vehsim
         for vehicle in own.vehicles:
-            motion.show(context.scene, vehicle, Path(own.delivery), self.motion)
+            if vehicle.result is not None:
+                motion.show(context.scene, vehicle, Path(own.delivery), self.motion)
         return {"FINISHED"}
 
 
@@ -275,7 +277,8 @@ def _shows(out, edited):
             motion.fit_range(scene, delivery)
         own.delivery, own.edited = str(delivery), edited
         for vehicle in own.vehicles:
-            motion.show(scene, vehicle, delivery, "curves")
+            if vehicle.result is not None or not edited:  # a vehicle may have been added since
+                motion.show(scene, vehicle, delivery, "curves")
         for name, said in _edits(delivery):
             jobs.add_problem(scene, {"key": name, "message": said}, "warning")
 

@@ -173,4 +173,16 @@ bpy.ops.vehsim.bake(motion="exact")
 found["baked"], found["keys baked"] = places(car), keys(car)
 bpy.ops.vehsim.export(directory=str(folder / "delivery"), to="usd,csv")
 found["export"] = finished()
+
+# ---------------------------------------------------------------- another file, switched off
+own.vehicle.name = "renamed"  # its result has the earlier name
+job = jobs.Job(scene, "look", [python, "-c", ""], folder, lambda job: motion.show(scene, own.vehicle, folder, "exact"))
+jobs.start(job)
+found["not shown"] = finished()["problems"][-1]
+job = jobs.Job(scene, "wait", [python, "-c", "import time; time.sleep(3600)"], folder, print)
+jobs.start(job)
+bpy.ops.wm.open_mainfile(filepath=str(folder / "scene.blend"))
+found["ended"] = jobs.running is None and job.process.returncode is not None
+bpy.ops.preferences.addon_disable(module=PACKAGE)
+found["left"] = hasattr(bpy.types.Scene, "vehsim")
 print("SAYS" + json.dumps(found))

@@ -154,3 +154,13 @@ def test_the_exported_delivery_has_the_edit(found: dict[str, Any]) -> None:
     places = [shown.ComputeLocalToWorldTransform(frame).ExtractTranslation() for frame in range(1, 62)]
     assert np.abs(np.array(places) - np.array(found["retouched"])[:, :3, 3]).max() < 2e-3
     assert (found["folder"] / "delivery" / "shot" / "car.csv").is_file()
+
+
+@needs_blender
+def test_work_ends_with_the_file_and_nothing_stays_registered(found: dict[str, Any]) -> None:
+    assert found["ended"] and not found["left"]
+
+
+@needs_blender
+def test_a_result_that_cannot_be_shown_is_a_problem(found: dict[str, Any]) -> None:
+    assert "cannot be shown" in found["not shown"]["message"] and "renamed" in found["not shown"]["message"]
