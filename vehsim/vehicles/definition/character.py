@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 STUNT = "stunt"
 """The character without numbers: as hard as the model allows."""
 NORMAL = "normal"
-"""The character with whose envelope a review compares a motion by default."""
-DEFAULT = STUNT
+"""The character with whose envelope a review compares a motion."""
+DEFAULT = NORMAL
 """The default character of plans."""
 CHARACTERS = ("calm", NORMAL, "brisk", STUNT)
 """The characters of every vehicle."""
