@@ -33,7 +33,7 @@ from vehsim.planning.problem import interrupts
 from vehsim.planning.problem.solver import HURRIED, LONGER, LOOSEN
 from vehsim.planning.problem.transcription import transcribe
 from vehsim.planning.refine import ends_elsewhere, execution_tolerance, settle_on_frames, to_requested_segments
-from vehsim.planning.request.asks import BEYOND, asks_of
+from vehsim.planning.request.asks import BEYOND, ROOM, asks_of
 from vehsim.planning.request.character import NO_TRAITS
 from vehsim.planning.request.legs import facing, same_headings
 from vehsim.planning.request.marks import Mark, shape
@@ -68,6 +68,9 @@ TOPS = {
     "turn_rate": "the top turn rate of the {vehicle}, {degrees:.3g} deg/s",
 }
 """Those limits, for messages."""
+TOO_HARD = 1.5
+"""Ratio of a motion to a limit of its character above which the next harder character is the better choice: easing in
+and out of rest would take time that the rest of the motion needs, which then is harder than a stunt."""
 Reason = Literal["refused", "time limit", "not solved", "clearance", "between knots", "execution", "audit"]
 """Why a plan failed. In turn: its marks contradict each other or the vehicle; the time limit was reached; the solver
 found no motion; the certified clearance is too small; a constraint is violated between knots; the controls end
@@ -209,6 +212,22 @@ def _beyond(rows: Sequence[Row]) -> list[str]:
 
 
 def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
+    """The plan in its character; where the motion would exceed that by far, in the next harder character."""
+    made, traits = _in_one_character(request, progress, guess), request.traits
+    while _too_hard(made) and traits.harder is not None:
+        again = _in_one_character(replace(request, traits=traits.harder), progress, guess)
+        if not again.success:
+            break
+        made, traits = again, traits.harder
+    if traits is request.traits:
+        return made
+    assert made._iterate is not None
+    found = made._iterate.request.traits.name
+    remark = f"; driven as {found}: the marks leave too little time for {request.traits.name}, give later frames"
+    return _remarked(made, remark)
+
+
+def _in_one_character(request: Request, progress: Progress | None, guess: Any) -> Plan:
     """The plan, if necessary planned again with fewer freedoms or more segments.
 
     A motion beyond the vehicle's top speed or turn rate is planned again with that limit. If the controls do not lead
@@ -216,7 +235,7 @@ def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
     """
     enough = enough_segments(request)
     if request.segments < enough:
-        made = _solve(replace(request, segments=enough), progress, guess)
+        made = _in_one_character(replace(request, segments=enough), progress, guess)
         return _remarked(made, f"; on {enough} segments: {request.segments} are too few")
     made, limited = _attempt(request, progress, guess), ""
     while made._iterate is not None and made._iterate.success and (tops := _exceeded(made, request)):
@@ -249,6 +268,15 @@ def _fails_in_character(plan: Plan) -> bool:
     assert plan._iterate is not None and plan._run is not None
     known = plan._iterate.why or plan.reason in ("refused", "time limit") or plan._run.deadline.late
     return not (plan.success or known) and plan._iterate.request.traits.name != STUNT
+
+
+def _too_hard(plan: Plan) -> bool:
+    """Whether a motion exceeds a limit of its character by far."""
+    assert plan._run is not None
+    if not plan.success or plan._run.deadline.late:
+        return False
+    rows = [(row.value, row.upper) for row in plan.audit if row.key.startswith(BEYOND)]
+    return any(value and upper and abs(value) > TOO_HARD / (1 + ROOM) * upper for value, upper in rows)
 
 
 def _remarked(plan: Plan, remark: str) -> Plan:

@@ -34,6 +34,8 @@ class Traits:
     control_rates: Mapping[str, float] = field(default_factory=dict)
     costs: Mapping[str, float] = field(default_factory=dict)
     price: float = 1.0
+    harder: Traits | None = None
+    """Those of the next harder character; a stunt has none."""
 
     def without(self, limits: Limits) -> Mapping[str, float]:
         """The limits of the character that the user does not set."""
@@ -62,6 +64,7 @@ def traits_of(vehicle: Vehicle, name: str, cost: str | Mapping[str, float]) -> T
     price = heaviest(cost)
     if name == STUNT:
         return Traits(price=price)
+    harder = traits_of(vehicle, CHARACTERS[CHARACTERS.index(name) + 1], cost)
     character = vehicle.character
     time = character.response.of(name)
     costs = {"smoothness": price * time**2, "easing": price * time**4}
@@ -75,6 +78,7 @@ def traits_of(vehicle: Vehicle, name: str, cost: str | Mapping[str, float]) -> T
         {key: trait.of(name) for key, trait in character.control_rates.items()},
         {key: weight for key, weight in costs.items() if isinstance(cost, str) or key not in cost},
         price,
+        harder,
     )
 
 

@@ -16,7 +16,7 @@ NORMAL = "normal"
 DEFAULT = NORMAL
 """The default character of plans."""
 CHARACTERS = ("calm", NORMAL, "brisk", STUNT)
-"""The characters of every vehicle."""
+"""The characters of every vehicle, from the gentlest to the hardest."""
 
 
 @dataclass(frozen=True)
