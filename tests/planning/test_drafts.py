@@ -19,16 +19,24 @@ def marks(y, heading=0.0, frame=1073):
 
 @pytest.fixture(scope="module")
 def first():
-    clip = vehsim.plan(CAR, None, marks(3.0), fps=24, segments=32).clip
-    return draft(CAR, None, marks(3.0), clip, fps=24, segments=32)
+    clip = vehsim.plan(CAR, None, marks(3.0), fps=24, segments=32, character="stunt").clip
+    return draft(CAR, None, marks(3.0), clip, fps=24, segments=32, character="stunt")
 
 
 def test_a_draft_begins_as_the_plan(first):
-    plan = vehsim.plan(CAR, None, marks(3.0), fps=24, segments=32)
+    plan = vehsim.plan(CAR, None, marks(3.0), fps=24, segments=32, character="stunt")
     assert first.success and not first.reason
     clip = first.clip()
     assert np.array_equal(clip.frames, np.arange(1001, 1074))
     assert np.abs(clip.positions - plan.clip.resample().positions).max() < 0.02
+
+
+def test_a_draft_in_a_character_begins_as_the_plan():
+    gentle = marks(3.0, frame=1145)
+    plan = vehsim.plan(CAR, None, gentle, segments=48)
+    drawn = draft(CAR, None, gentle, plan.clip, fps=24, segments=48)
+    assert plan.success and drawn.success and "driven as" not in plan.message
+    assert np.abs(drawn.clip().positions - plan.clip.resample().positions).max() < 0.02
 
 
 def test_a_dragged_draft_follows_its_marks(first):
@@ -40,7 +48,7 @@ def test_a_dragged_draft_follows_its_marks(first):
     assert clip.positions[-1] == pytest.approx([15.0, 4.2, 0.0], abs=1e-6)
     yaw = 2 * np.arctan2(clip.orientations[-1, 3], clip.orientations[-1, 0])
     assert yaw == pytest.approx(np.radians(10.0), abs=1e-6)
-    plan = vehsim.plan(CAR, None, marks(4.2, 10.0), fps=24, segments=32)
+    plan = vehsim.plan(CAR, None, marks(4.2, 10.0), fps=24, segments=32, character="stunt")
     assert np.abs(clip.positions - plan.clip.resample().positions).max() < 0.05
 
 

@@ -477,7 +477,7 @@ def test_the_earliest_frame_is_found_without_a_missed_mark(monkeypatch):
     with pytest.warns(
         UserWarning, match=r"iterations allowed: all constraints are met, but the cost is not minimal yet"
     ):
-        vehsim.plan(tug(), None, TUG_ASIDE, segments=16, max_iterations=1)
+        vehsim.plan(tug(), None, TUG_ASIDE, segments=16, max_iterations=1, character="stunt")
 
 
 def test_marks_in_rock_and_without_a_route_are_named():

@@ -24,7 +24,7 @@ def solve(asset, handles=8, end=1049):
     ]
     shot = {
         "shot": {"schema": 1, "name": "handles", "end_frame": end, "handles": handles},
-        "vehicle": [{"name": "it", "asset": asset, "motion": {"method": "plan", "mark": marks}}],
+        "vehicle": [{"name": "it", "asset": asset, "motion": {"method": "plan", "character": "stunt", "mark": marks}}],
     }
     return Shot.from_dict(shot).solve()
 

@@ -229,7 +229,7 @@ def test_warnings_are_cached_with_the_motion(monkeypatch: pytest.MonkeyPatch) ->
     for recalled in (False, True):
         with pytest.warns(UserWarning, match="car: slides") as caught:
             assert Shot.from_dict(bent()).solve().recalled is recalled
-        assert len(caught) == 1
+        assert len([warning for warning in caught if "slides" in str(warning.message)]) == 1
 
 
 def test_failures_and_machine_dependent_motion_are_not_cached(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -206,6 +206,7 @@ every = 1
 samples = 4
 shadows = true
 cameras = ["c"]
+cuts = "a.otio"
 layout = "separate"
 mood = "dusk"
 passes = ["depth"]

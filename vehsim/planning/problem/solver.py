@@ -208,10 +208,8 @@ class Solver:
         stats = solver.stats()
         x, g = np.asarray(answer["x"]).ravel(), np.asarray(answer["g"]).ravel()
         violations = np.maximum.reduce([g_lower - g, g - g_upper, np.zeros_like(g)])
-        status, iterations = str(stats["return_status"]), int(stats.get("iter_count", 0))
-        violation = float(violations.max(initial=0.0))
-        met = violation <= CONTENT["acceptable_constr_viol_tol"]
-        if self.content and met and status == MAXIMUM and iterations < self.max_iterations:
+        status, violation = str(stats["return_status"]), float(violations.max(initial=0.0))
+        if self.content and status == MAXIMUM and violation <= CONTENT["acceptable_constr_viol_tol"]:
             status = ACCEPTABLE
         return Solution(
             x=x,
@@ -219,7 +217,7 @@ class Solver:
             violation=violation,
             success=bool(stats["success"]) or status == ACCEPTABLE,
             message=_plainly(status),
-            iterations=iterations,
+            iterations=int(stats.get("iter_count", 0)),
             violations=violations,
             multipliers=Multipliers(np.asarray(answer["lam_x"]).ravel(), np.asarray(answer["lam_g"]).ravel()),
             out_of_time=self._callback.out_of_time,
