@@ -7,6 +7,7 @@ import pytest
 import vehsim
 from vehsim import Mark
 from vehsim.clip.interpolant import rotate, spatial
+from vehsim.errors import InputError
 from vehsim.planning import Constraint, look_at, stay
 from vehsim.planning.problem.stage import between_view
 from vehsim.planning.problem.transcription import transcribe
@@ -174,3 +175,10 @@ def test_a_free_mark_waits_for_the_frame_that_a_limit_allows(segments):
     marks = [Mark(0, position=(0, 0, 0), heading=0), Mark("free", position=(9.0386, 0, 0))]
     plan = vehsim.plan(car, None, marks, segments=segments, limits={"speed": 2.256})
     assert plan.success and plan.duration * 24 == pytest.approx(97)
+
+
+@pytest.mark.parametrize("name", ["helicopter", "boat"])
+def test_what_has_no_tyres_has_no_grip(name):
+    marks = [Mark(1, position=(0, 0, 0)), Mark(100, position=(9, 0, 0))]
+    with pytest.raises(InputError, match=f"limits.grip: {name} does not stand on tyres; limit g_load"):
+        vehsim.plan(vehsim.load_vehicle(name), None, marks, limits={"grip": 0.9})

@@ -138,6 +138,9 @@ def make_request(
     """The checked request of `vehsim.plan`; raises ``InputError`` with key, value and remedy."""
     if not isinstance(vehicle, Vehicle):
         raise InputError("not a vehicle", "give what vehsim.load_vehicle returns", key="vehicle", value=vehicle)
+    if "grip" in (limits or {}) and vehicle.group.dim != 3:
+        remedy = "limit g_load or acceleration"
+        raise InputError(f"{vehicle.name} does not stand on tyres", remedy, key="limits.grip")
     vehicle = vehicle.planar or vehicle
     if not (math.isfinite(clearance) and clearance >= 0):
         raise InputError("not a distance", "give metres, zero or more", key="clearance", value=clearance)

@@ -125,9 +125,6 @@ def check_limits(limits: Mapping[str, Any], vehicle: Vehicle) -> Iterator[Proble
     from vehsim.planning.terms import LIMITS
 
     yield from check_names("limits", limits, [*LIMITS, "joints", "joint_rates"], "limit")
-    if "grip" in limits and vehicle.group.dim != 3:
-        remedy = "limit g_load or acceleration"
-        yield Problem("limits.grip", f"{vehicle.name} does not stand on tyres", remedy, limits["grip"])
     for name in ("joints", "joint_rates"):
         yield from check_names(f"limits.{name}", limits.get(name, {}), vehicle.joints, "joint")
 
