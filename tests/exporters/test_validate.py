@@ -84,6 +84,13 @@ def test_broken_stages_are_found(shot, rule):
     assert issues[0].remedy and issues[0].message and issues[0].site
 
 
+def test_a_payload_in_other_units_is_found(shot):
+    def add(stage):
+        stage.DefinePrim("/shot/env/prop", "Xform").GetPayloads().AddPayload("./cm.usda")
+
+    assert [issue.site for issue in broken(shot, add) if issue.rule == "units"] == ["/shot/env/prop"]
+
+
 def test_a_file_that_is_no_stage_is_one_issue(tmp_path):
     (tmp_path / "bad.usda").write_text("not usd")
     (issue,) = validate_stage(tmp_path / "bad.usda")
