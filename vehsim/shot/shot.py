@@ -377,7 +377,8 @@ class Shot:
         try:
             yield from check_cuts(self.file, self.cuts)
         except InputError as error:
-            yield from error.problems
+            for problem in error.problems:
+                yield replace(problem, key="").seen_from("render.cuts", self.file.render.cuts)
 
     def _motion(self, progress: Progress, cached: bool) -> tuple[SolvedMotion, bool]:
         """Clips and reports by vehicle, and whether they come from the cache."""
