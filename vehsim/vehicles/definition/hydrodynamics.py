@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from vehsim.vehicles.definition.base import Array, Expr
+from vehsim.vehicles.definition.resistance import Running
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -29,7 +30,9 @@ class Hull:
     ``added_mass`` (6,) kg m^2 and kg, of the hull at rest; it decreases with the immersed volume. ``propulsion(c, flow,
     immersion) -> (6,)``: body wrench of the propulsors, from the controls, the body's twist through the water (6,), and
     the immersed share (0 to 1) of each propulsor at ``propulsors`` (p, 3), which are ``propulsor_size`` m across.
-    ``windage(air) -> (6,)``: body wrench from the twist (6,) through the air.
+    ``windage(air) -> (6,)``: body wrench from the twist (6,) through the air. ``running``: the hull's resistance and
+    attitude on calm water as functions of its speed ahead, added to ``damping`` and ``quadratic``; its lift takes the
+    place of ``planing``.
     """
 
     prim: str = ""
@@ -46,6 +49,7 @@ class Hull:
     propulsors: Any = ()
     propulsor_size: float = 0.3
     windage: Callable[[Expr], Expr] | None = None
+    running: Running | None = None
 
     @property
     def propulsor_points(self) -> Array:

@@ -37,6 +37,7 @@ QuadraticDamping = Annotated[float, Unit("N s^2/m^2"), Ge(0)]
 
 Place = Annotated[Sequence[Coordinate], Len(3, 3)]
 PrincipalInertia = Annotated[Sequence[Inertia], Len(3, 3)]
+Angle = Annotated[float, Unit("rad"), Ge(0)]
 Slope = Annotated[Sequence[Annotated[float, Unit("")]], Len(2, 2)]
 Direction = Annotated[Sequence[Annotated[float, Unit("")]], Len(3, 3)]
 InertiaMatrix = Annotated[Sequence[Annotated[Sequence[Annotated[float, Unit("kg m^2")]], Len(3, 3)]], Len(3, 3)]

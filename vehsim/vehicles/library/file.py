@@ -149,6 +149,8 @@ class VehicleFile(Table):
     """three numbers, m, in the rig root's frame"""
     hull: Text | None = None
     """the closed mesh that displaces water, a path below the root"""
+    hull_form: Literal["planing", "displacement"] | None = None
+    """"planing" or "displacement": how it resists; particulars that physics lacks are measured on the hull"""
     top_speed: Annotated[Bound, Field(gt=0)] = math.inf
     """a speed above zero, in m/s"""
     top_turn_rate: Annotated[Bound, Field(gt=0)] = math.inf

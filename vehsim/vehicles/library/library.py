@@ -99,7 +99,7 @@ def parameters_of(name: str | Path) -> Iterator[tuple[str, Any, str]]:
     path = _file(name)
     data, vehicle = read_table(path, VehicleFile), load_vehicle(name)
     factory = MODELS[data["model"]]
-    physics = _weighed(path, factory, data)
+    physics = _measured(path, data, _weighed(path, factory, data))
     for key, field in physics_table(factory).model_fields.items():
         yield key, physics.get(key, field.default), str(field.description)
     for control in vehicle.controls:
@@ -147,7 +147,7 @@ def _load(path: Path, written: Stamp, asset_written: Stamp | None, parameters: s
     if given:
         check_parameters(factory, given)
         data = replaced(data, given)
-    physics = _weighed(path, factory, data)
+    physics = _measured(path, data, _weighed(path, factory, data))
     try:
         check_physics(factory, physics)
     except InputError as error:
@@ -188,6 +188,27 @@ def _weighed(path: Path, factory: Any, data: dict[str, Any]) -> dict[str, Any]:
     weighed = weigh(path, asset, None if asset != source else str(data.get("root", "")) or None, physics["density"])
     data.setdefault("origin", [float(x) for x in weighed[1]])
     return fill_in(physics, set(inspect.signature(factory).parameters), weighed, np.asarray(data["origin"], float))
+
+
+def _measured(path: Path, data: dict[str, Any], physics: dict[str, Any]) -> dict[str, Any]:
+    """``[physics]`` with the particulars of the hull's form; those that it lacks are measured on the mesh."""
+    form = data.get("hull_form")
+    if form is None or not isinstance(data.get("hull"), str) or "asset" not in data or "mass" not in physics:
+        return physics
+    keys = ("wetted_length", "wetted_area") + (("chine_beam", "deadrise", "transom") if form == "planing" else ())
+    if all(key in physics for key in keys):
+        return physics
+    from vehsim.rig.parts import read_mesh
+    from vehsim.vehicles.library.hull_form import particulars
+
+    asset, source = ready_asset(path, data)
+    points, faces = read_mesh(asset, str(data.get("root", "")) if asset == source else "", data["hull"])
+    origin = np.asarray(data.get("origin", (0.0, 0.0, 0.0)), float)
+    try:
+        found = particulars(points - origin, faces, float(physics["mass"]), form == "planing")
+    except InputError as error:
+        raise InputError.of(*(replace(each, file=str(path)) for each in error.problems)) from None
+    return {**found, **physics}
 
 
 def _controls(path: Path, vehicle: Vehicle, table: dict[str, Any]) -> tuple[Control, ...]:

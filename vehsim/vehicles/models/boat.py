@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import Annotated, Any
 
 import casadi as ca
+import numpy as np
 from annotated_types import Len
 
 from vehsim.errors import InputError
@@ -20,6 +21,7 @@ from vehsim.vehicles.definition.holonomic import Holonomic
 from vehsim.vehicles.definition.hydrodynamics import Hull
 from vehsim.vehicles.definition.quantities import (
     AddedMass,
+    Angle,
     AngularRate,
     Area,
     Coefficient,
@@ -33,8 +35,8 @@ from vehsim.vehicles.definition.quantities import (
     PrincipalInertia,
     QuadraticDamping,
 )
+from vehsim.vehicles.definition.resistance import SEA_WATER, Curve, Planing, Running, running
 
-SEA_WATER = 1025.0
 AIR = 1.225
 """kg/m^3"""
 ANSWER = 0.5
@@ -65,6 +67,14 @@ def boat(
     planing: Coefficient = 0.0,
     impact_drag: Annotated[Sequence[QuadraticDamping], Len(2, 2)] = (0.0, 0.0),
     added_mass: Annotated[Sequence[AddedMass], Len(6, 6)] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+    wetted_length: Distance = 0.0,
+    wetted_area: Area = 0.0,
+    form_factor: Coefficient = 0.0,
+    chine_beam: Distance = 0.0,
+    deadrise: Angle = 0.0,
+    transom: Annotated[Sequence[Coordinate], Len(2, 2)] = (0.0, 0.0),
+    running_centre: Coordinate = 0.0,
+    running_radius: Distance = 0.0,
     wind_area: Annotated[Sequence[Area], Len(2, 2)] = (0.0, 0.0),
     wind_centre: Place = (0.0, 0.0, 0.0),
     wind_coefficient: Coefficient = 1.0,
@@ -80,6 +90,10 @@ def boat(
     ``reference_area``, ``normal_force``, ``impact``, ``planing`` and ``added_mass``: see `Hull`; ``wetted_centre`` (x,
     m) and ``wetted_radius`` (root mean square of x, m) of the wetted surface carry the resistance over to ``planar``,
     and ``impact_drag`` (2,) N s^2/m^2, ahead and across, what ``impact`` and ``planing`` add to it.
+    ``wetted_length`` m and ``wetted_area`` m^2 of the hull at rest add the friction of ITTC 1957, times 1 +
+    ``form_factor``. With ``chine_beam`` m, ``deadrise`` rad and the end of the keel at the ``transom`` (x, z), m
+    from the centre of mass, the boat planes as Savitsky's hulls: see `vehsim.vehicles.definition.resistance`;
+    ``running_centre`` and ``running_radius`` m take the place of those of the wetted surface when it does.
     Wind: ``wind_area`` seen from ahead and from the side, m^2, pushed at ``wind_centre``, ``wind_coefficient``.
     """
     places = [tuple(map(float, place)) for place in thrusters]
@@ -120,14 +134,20 @@ def boat(
         force = -0.5 * AIR * wind_coefficient * speed * ca.vertcat(wind_area[0] * local[0], wind_area[1] * local[1], 0)
         return ca.vertcat(ca.cross(at, force), force)
 
+    run = _running(name, mass, places, wetted_length, wetted_area, form_factor, chine_beam, deadrise, transom)
+    rate = Curve.constant(0.0) if run is None else run.rate
+    wet = ((wetted_centre, running_centre), (wetted_radius**2, running_radius**2))
+    centre, square = (Curve.constant(a) if run is None or not running_radius else run.between(a, b) for a, b in wet)
+
     def resistance(twist: Expr) -> Expr:
         """`Hull`'s resistance for the upright hull; in a rotation about Z, patches move sideways in proportion to their
         distance."""
         speed = ca.sqrt(twist[1] ** 2 + twist[2] ** 2 + (wetted_radius * twist[0]) ** 2 + 1e-6)
         ahead, across = (damping[i] + speed * (damping_quadratic[i] + impact_drag[i]) for i in (0, 1))
-        side = -across * (twist[2] + wetted_centre * twist[0])
-        yaw = -across * (wetted_centre * twist[2] + wetted_radius**2 * twist[0])
-        return ca.vertcat(yaw, -ahead * twist[1], side)
+        middle, spread = centre.symbolic(twist[1]), square.symbolic(twist[1])
+        side = -across * (twist[2] + middle * twist[0])
+        yaw = -across * (middle * twist[2] + spread * twist[0])
+        return ca.vertcat(yaw, -(ahead + rate.symbolic(twist[1])) * twist[1], side)
 
     hull = Hull(
         damping=damping,
@@ -141,6 +161,7 @@ def boat(
         propulsors=places,
         propulsor_size=propeller_diameter,
         windage=windage if any(wind_area) else None,
+        running=run,
     )
     channels = {"propeller": Channel(rate=_spin(len(places), propeller_speed, full_thrust))}
     if steered:
@@ -161,6 +182,27 @@ def boat(
         **common,
     )
     return Holonomic(group=SE3, inertia=(*inertia, mass, mass, mass), mass=mass, hull=hull, planar=planar, **common)
+
+
+def _running(
+    name: str,
+    mass: float,
+    thrusters: Sequence[Sequence[float]],
+    length: float,
+    area: float,
+    form: float,
+    beam: float,
+    deadrise: float,
+    transom: Sequence[float],
+) -> Running | None:
+    """The resistance of a hull with a wetted surface; it planes if it has a chine beam."""
+    if bool(length) != bool(area) or (beam and not (length and transom[0] < 0)):
+        key = "wetted_area" if length and not area else "wetted_length" if not length else "transom"
+        remedy = "give wetted_length and wetted_area, and for a planing hull chine_beam, deadrise and transom too"
+        raise InputError("missing", remedy, key=f"physics.{key}", subject=name)
+    depth = -float(np.mean([place[2] for place in thrusters]))
+    planing = Planing(beam, deadrise, -transom[0], -transom[1], depth, mass, length) if beam else None
+    return running(mass, length, area, planing, form) if length else None
 
 
 def _spin(count: int, speed: float, full: float) -> Callable[..., Expr]:

@@ -23,6 +23,7 @@ from vehsim.world.water.hull_mesh import HullMesh, Wetted, read_hull, wetted
 from vehsim.world.water.hull_repair import repaired
 from vehsim.world.water.motion import Motion
 from vehsim.world.water.potential import Response, response
+from vehsim.world.water.running import Law, Lift, law_of
 from vehsim.world.water.water import GRAVITY, Water
 
 if TYPE_CHECKING:
@@ -150,6 +151,11 @@ class Afloat(Environment):
         return response(wet.corners, -height)
 
     @cached_property
+    def law(self) -> Law:
+        """Lift and resistance of the hull's `Running`, for its wetted patches."""
+        return law_of(self)
+
+    @cached_property
     def added_mass(self) -> Array:
         """The added mass (6, 6) of the hull at rest: the given diagonal, with the coupling of the hull's potential flow
         between motions in the waterplane and out of it, such as sway and roll. In the waterplane there is none, as in
@@ -215,7 +221,7 @@ class Afloat(Environment):
         plan, arms, inertia = self._scales
         into, through = self._last[1].speeds
         rate = self.data.impact * self.water.density * plan * into + float(np.max(self.data.quadratic)) * through
-        rate += 0.5 * self.data.planing * self.water.density * plan * through
+        rate += 0.5 * self._last[1].lift.planing * self.water.density * plan * through
         share = arms * np.array([1 / 3, 1 / 3, 1 / 3, 0, 0, 1]) / inertia
         return float(0.5 / max(rate * share.max(), 1e-9))
 
@@ -254,20 +260,21 @@ class Afloat(Environment):
         up = R_wb[2]
         torque_force, volume = np.zeros(6), 0.0
         immersion = entering = 0.0
+        lift = self.law.at(float((velocity - elsewhere.velocity[: len(self.response.points)].mean(axis=0) @ R_wb)[0]))
         fastest = float(np.sqrt((columns[:, 4:7] ** 2).sum(axis=1).max()))
         speeds = (0.0 if len(wet.normals) else fastest, fastest)  # in the air, any part may hit the water next
         if len(wet.normals):
             volume = wet.volume(up)
             immersion = min(1.0, max(0.0, volume / self.rest_volume))
-            torque_force, entering, into = self._surface(wet)
+            torque_force, entering, into = self.surface(wet, lift)
             speeds = (into, fastest)
-        forces = Forces(torque_force, volume, immersion, speeds)
+        forces = Forces(torque_force, volume, immersion, speeds, lift)
         depths = elsewhere.height - places[n:, 2]
         self._couple(forces, t, controls, (R_wb, omega, velocity), elsewhere, depths, entering)
         self._last = (state, forces)
         return forces
 
-    def _surface(self, wet: Wetted) -> tuple[Array, float, float]:
+    def surface(self, wet: Wetted, lift: Lift) -> tuple[Array, float, float]:
         """Body wrench (6,) of pressure and resistance on the wetted surface; its volume rate (m^3/s) and speed (m/s)
         into the water."""
         hull, rho = self.data, self.water.density
@@ -279,14 +286,18 @@ class Afloat(Environment):
             pressure = pressure + hull.normal_force / self.reference_area
         into = np.einsum("kqi,ki->kq", through, normals)  # times the area
         fastest = 0.0
-        if hull.impact or hull.planing:
-            speed = np.maximum(into, 0.0) / np.maximum(area, 1e-300)[:, None]
-            fastest = float(np.maximum(into, 0.0).sum()) / 3 / self._scales[0]
-            along = np.sqrt(np.einsum("kqi,kqi->kq", through, through)) if hull.planing else 0.0
-            pressure = pressure + 0.5 * rho * speed * (hull.impact * speed + hull.planing * along)
         force = -pressure[:, :, None] * normals[:, None]
-        if np.any(hull.damping) or np.any(hull.quadratic):
-            rate = np.asarray(hull.damping, float)
+        if hull.impact or lift.planing or lift.vented:
+            over = normals if lift.transom is None else normals * [0.0, 1.0, 1.0]
+            speed = np.maximum(np.einsum("kqi,ki->kq", through, over), 0.0) / np.maximum(area, 1e-300)[:, None]
+            fastest = float((speed * area[:, None]).sum()) / 3 / self._scales[0]
+            along = np.sqrt(np.einsum("kqi,kqi->kq", through, through)) if lift.planing else 0.0
+            load = 0.5 * rho * speed * (hull.impact * speed + lift.planing * along)
+            if lift.vented:
+                load -= lift.missing(middles[:, :, 0]) * np.maximum(pressure + load, 0.0)
+            force -= load[:, :, None] * over[:, None]
+        if np.any(hull.damping) or np.any(hull.quadratic) or lift.rate:
+            rate = np.add(hull.damping, (lift.rate, 0.0, 0.0))
             if np.any(hull.quadratic):
                 size = np.sqrt(np.einsum("kqi,kqi->kq", through, through))
                 rate = rate + size[:, :, None] * np.asarray(hull.quadratic, float)
@@ -365,12 +376,13 @@ class Afloat(Environment):
 class Forces:
     """The effect of water and wind at an instant: body ``wrench`` (6,), displaced ``volume`` m^3, ``immersion`` 0 to 1,
     and ``speeds`` m/s of the hull's surface: into the water, averaged over its area from above, and the greatest
-    through it."""
+    through it; ``lift`` is the law of its patches at its speed."""
 
     wrench: Array
     volume: float
     immersion: float
-    speeds: tuple[float, float] = (0.0, 0.0)
+    speeds: tuple[float, float]
+    lift: Lift
 
 
 def _body(state: State, origin: Array) -> tuple[Array, Array, Array, Array]:

@@ -1,0 +1,202 @@
+"""The lift and resistance of a running hull, distributed over its wetted surface.
+
+At each speed of a hull's `Running`, the pressure and the resistance of its patches are such that it moves steadily with
+the given trim and resistance, under the thrust of its propellers. Away from this equilibrium, forces follow from the
+patches that are wet and from their velocity: lift grows with the trim and is zero in the air.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.errors import InputError
+from vehsim.lie.quaternions import cross
+from vehsim.vehicles.definition.resistance import Curve
+from vehsim.world.water.hull_mesh import HullMesh, Wetted, wetted
+from vehsim.world.water.water import GRAVITY
+
+if TYPE_CHECKING:
+    from vehsim.vehicles.definition.hydrodynamics import Hull
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Lift:
+    """The law at a speed. A patch that moves with ``v``, and with ``v_n`` into the water, has the pressure
+    ``rho planing v_n |v| / 2``, and ``rate`` N s/m resists.
+
+    With a ``transom`` (x, length) m, the bottom is that of a planing hull: this pressure and slamming act across the
+    keel only, as on Savitsky's hulls; and a ``vented`` share of the pressure is missing at the transom, where the water
+    leaves, and none from ``length`` ahead of it.
+    """
+
+    planing: float = 0.0
+    vented: float = 0.0
+    rate: float = 0.0
+    transom: tuple[float, float] | None = None
+
+    def missing(self, x: Array) -> Array:
+        """The share of the pressure that is missing at ``x`` m ahead of the body frame's origin."""
+        if self.transom is None or not self.vented:
+            return np.zeros(np.shape(x))
+        return np.asarray(self.vented * np.clip(1 - (x - self.transom[0]) / self.transom[1], 0.0, 1.0))
+
+
+@dataclass(frozen=True)
+class Law:
+    """A `Lift` as a function of the speed ahead."""
+
+    planing: Curve
+    vented: Curve
+    rate: Curve
+    transom: tuple[float, float] | None = None
+
+    def at(self, speed: float) -> Lift:
+        """The law at ``speed`` m/s through the water; astern there is only resistance."""
+        fore = max(speed, 0.0)
+        return Lift(self.planing(fore), self.vented(fore), self.rate(speed), self.transom)
+
+
+class Boat(Protocol):
+    """What is needed of a vehicle in the water (`vehsim.world.water.buoyancy.Afloat`)."""
+
+    @property
+    def vehicle(self) -> Any: ...
+    @property
+    def data(self) -> Hull: ...
+    @property
+    def mesh(self) -> HullMesh: ...
+    @property
+    def mass(self) -> float: ...
+    @property
+    def rest_volume(self) -> float: ...
+
+    def surface(self, wet: Wetted, lift: Lift) -> tuple[Array, float, float]:
+        """Body wrench (6,) on the wetted surface, and two rates."""
+
+
+VENTED = 0.5
+"""Length of the bottom in front of the transom where pressure is missing, over that of the waterline: our choice."""
+MOST = 0.3
+"""Largest trim at rest, rad."""
+SLOW = 0.4
+"""Slower hulls, over ``sqrt(g volume^(1/3))``, have the coefficients of this speed: their lift is negligible."""
+
+
+def law_of(boat: Boat) -> Law:
+    """The law of the hull's `Running`; without it, or for a hull that does not plane, with the hull's own constants."""
+    running, hull = boat.data.running, boat.data
+    none = Curve.constant(0.0)
+    if running is None or running.trim is None or running.draft is None or running.share is None:
+        return Law(Curve.constant(hull.planing), none, none if running is None else running.rate)
+    speeds = running.speeds
+    slow = int(np.searchsorted(speeds, SLOW * np.sqrt(GRAVITY * boat.rest_volume ** (1 / 3))))
+    first = int(np.flatnonzero(np.isfinite(running.draft))[0])
+    transom = (float(running.transom[0]), VENTED * running.length)
+    rows = np.zeros((len(speeds), 3))
+    guess = Lift(1.0, 1.0, running.resistance[first] / speeds[first], transom)
+    for k in range(first, len(speeds)):
+        guess = _planing(boat, running, k, guess)
+        rows[k] = guess.planing, guess.vented, guess.rate
+    guess, still = Lift(rows[first, 0], rows[first, 1], rows[first, 2], transom), _trim_at_rest(boat)
+    running = replace(running, trim=running.trim + (1 - running.share) * still)
+    for k in range(first - 1, slow - 1, -1):
+        guess = _slow(boat, running, k, replace(guess, planing=rows[first, 0] * speeds[k] / speeds[first]))
+        rows[k] = guess.planing, guess.vented, guess.rate
+    usual = running.resistance / np.maximum(speeds, 1e-9)
+    share = speeds[:slow] / speeds[slow]
+    rows[:slow] = rows[slow] * np.column_stack([share, share**2, usual[:slow] / usual[slow]])
+    planing, vented, rate = (Curve.through(speeds, column) for column in rows.T)
+    return Law(planing, vented, rate, transom)
+
+
+def _planing(boat: Boat, running: Any, k: int, guess: Lift) -> Lift:
+    """The lift with which the hull runs steadily at the ``k``-th speed, with the keel as deep at the transom as given;
+    but it never displaces more than at rest."""
+    (x, z), trim = running.transom, float(running.trim[k])
+    floats = _floats(boat, trim)
+    wet = _cut(boat, trim, max(floats, -float(running.draft[k]) - x * np.sin(trim) - z * np.cos(trim)))
+
+    def wrong(y: Array) -> Array:
+        return _unbalanced(boat, running, k, wet, Lift(y[0], y[1], y[2] * guess.rate, guess.transom))
+
+    y = _zero(boat, float(running.speeds[k]), wrong, [guess.planing, guess.vented, 1.0])
+    return Lift(float(y[0]), float(y[1]), float(y[2] * guess.rate), guess.transom)
+
+
+def _slow(boat: Boat, running: Any, k: int, guess: Lift) -> Lift:
+    """The same for a hull that does not plane yet: with the planing pressure of ``guess``, as deep as that makes it."""
+    trim = float(running.trim[k])
+    floats = _floats(boat, trim)
+
+    def wrong(y: Array) -> Array:
+        lift = Lift(guess.planing, y[1], y[2] * guess.rate, guess.transom)
+        return _unbalanced(boat, running, k, _cut(boat, trim, floats + y[0]), lift)
+
+    y = _zero(boat, float(running.speeds[k]), wrong, [0.0, guess.vented, 1.0])
+    return Lift(guess.planing, float(y[1]), float(y[2] * guess.rate), guess.transom)
+
+
+def _unbalanced(boat: Boat, running: Any, k: int, wet: Wetted, lift: Lift) -> Array:
+    """Pitch moment and forces along and across the keel at the ``k``-th speed, over weight and weight times length."""
+    speed, trim = float(running.speeds[k]), float(running.trim[k])
+    push = np.array([float(running.resistance[k]) / np.cos(trim), 0.0, 0.0])
+    places = boat.data.propulsor_points
+    at = places.mean(axis=0) if len(places) else np.zeros(3)
+    weight = boat.mass * GRAVITY
+    columns = wet.middles.copy()
+    columns[:, :, 4:7] = speed * np.array([np.cos(trim), 0.0, -np.sin(trim)])
+    total = boat.surface(Wetted(columns, wet.normals), lift)[0]
+    total = total + np.concatenate([cross(at, push), push - weight * _up(trim)])
+    return np.asarray(total[[1, 3, 5]] / weight / [running.length, 1.0, 1.0])
+
+
+def _zero(boat: Boat, speed: float, wrong: Callable[[Array], Array], guess: list[float]) -> Array:
+    """Where ``wrong`` is zero. Raises ``InputError`` if it is nowhere."""
+    from scipy.optimize import root
+
+    found = root(wrong, guess)
+    if np.abs(found.fun).max() > 0.01:
+        message = f"no pressure on its bottom keeps the trim of Savitsky's equations at {speed:.3g} m/s"
+        remedy = "check chine_beam, deadrise and transom against the hull, or leave hull_form and chine_beam out"
+        raise InputError(message, remedy, key="physics.chine_beam", subject=boat.vehicle.name)
+    return np.asarray(found.x)
+
+
+def _up(trim: float) -> Array:
+    """The vertical in the axes of a body with its bow up by ``trim``."""
+    return np.array([np.sin(trim), 0.0, np.cos(trim)])
+
+
+def _cut(boat: Boat, trim: float, height: float) -> Wetted:
+    """The wetted surface with the body frame's origin ``height`` m above calm water, as `Boat.surface` takes it."""
+    points = boat.mesh.points
+    depth, zeros = -height - points @ _up(trim), np.zeros((len(points), 3))
+    return wetted(np.column_stack([points, depth, zeros, depth]), boat.mesh.faces)
+
+
+def _trim_at_rest(boat: Boat) -> float:
+    """The bow's angle upwards when the hull floats at rest, rad."""
+    from scipy.optimize import brentq
+
+    def moment(trim: float) -> float:
+        return float(boat.surface(_cut(boat, trim, _floats(boat, trim)), Lift())[0][1])
+
+    ends = (-MOST, MOST)
+    return float(brentq(moment, *ends, xtol=1e-9)) if moment(ends[0]) * moment(ends[1]) < 0 else 0.0
+
+
+def _floats(boat: Boat, trim: float) -> float:
+    """The height at which the hull displaces as much as at rest."""
+    from scipy.optimize import brentq
+
+    up = _up(trim)
+    heights = -boat.mesh.points @ up
+    volume = lambda height: _cut(boat, trim, height).volume(up) - boat.rest_volume
+    return float(brentq(volume, heights.min(), heights.max(), xtol=1e-12))
