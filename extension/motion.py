@@ -20,7 +20,7 @@ def show(scene, vehicle, delivery, motion):
     Objects of an earlier result keep their names, materials, children and constraints, and get new curves.
     """
     layer = delivery / "layers" / f"{vehicle.name}.anim.usdc"
-    imported = _import(layer)
+    imported = _import(scene, layer)
     for found in imported:
         found[PLACE] = _place(found)
     present = set(bpy.data.objects)
@@ -102,12 +102,12 @@ def _keyed(scene, vehicle):
     return range(math.floor(first), math.ceil(last) + 1)
 
 
-def _import(layer):
-    """The objects of a layer."""
+def _import(scene, layer):
+    """The objects of a layer, in the unit of the scene, which Blender's importer takes for a metre."""
     before, view = set(bpy.data.objects), bpy.context.view_layer
     active = view.active_layer_collection
     view.active_layer_collection = view.layer_collection  # another one may be excluded, and is then not evaluated
-    bpy.ops.wm.usd_import(filepath=str(layer), set_frame_range=False)
+    bpy.ops.wm.usd_import(filepath=str(layer), set_frame_range=False, scale=1.0 / scene.unit_settings.scale_length)
     view.active_layer_collection = active
     return [found for found in bpy.data.objects if found not in before]
 
