@@ -28,12 +28,14 @@ if TYPE_CHECKING:
 FPS, FIRST = 24, 1001
 LENGTHS = 4.0
 """Length of the first motion, in lengths of the vehicle."""
-PACE = 0.5
-"""Mean speed over ``sqrt(g * length)``: looks brisk at any size."""
-SWIMMING = 0.35
+PACE = 0.33
+"""Mean speed over ``sqrt(g * length)``: eases in and out at any size."""
+SWIMMING = 0.53
 """Share of this speed for vehicles that move by swinging their joints."""
 EASE = 1.5
 """Minimum ratio of the duration to that with full controls."""
+GENTLE = 1.2
+"""Minimum ratio of the duration to that of the smoothest motion within the normal acceleration."""
 SHORTEST, DRIFT = 4.0, 8.0
 """Minimum duration of a motion, and duration for a vehicle without controls, s."""
 SETTLING = 11.0
@@ -190,7 +192,9 @@ def _seconds(vehicle: Vehicle, length: float) -> float:
     pace = PACE * math.sqrt(9.81 * length) * (SWIMMING if _swims(vehicle) else 1.0)
     faster, slower = _push(vehicle)
     hard = math.sqrt(2 * LENGTHS * length * (1 / faster + 1 / slower)) if min(faster, slower) > 1e-6 else 0.0
-    return max(SHORTEST, LENGTHS * length / pace, EASE * hard)
+    normal = vehicle.character.limits.get("acceleration")
+    gentle = 0.0 if normal is None else math.sqrt(6 * LENGTHS * length / normal.normal)
+    return max(SHORTEST, LENGTHS * length / pace, EASE * hard, GENTLE * gentle)
 
 
 def _push(vehicle: Vehicle) -> tuple[float, float]:

@@ -30,7 +30,7 @@ from vehsim.planning.fallbacks import enough_segments, from_other_guesses, with_
 from vehsim.planning.guesses.routes import as_clip, find_paths, straight
 from vehsim.planning.iterate import Iterate, Progress, Run
 from vehsim.planning.problem import interrupts
-from vehsim.planning.problem.solver import HURRIED, LONGER, LOOSEN
+from vehsim.planning.problem.solver import HURRIED, LONGER, LOOSEN, MET
 from vehsim.planning.problem.transcription import transcribe
 from vehsim.planning.refine import ends_elsewhere, execution_tolerance, settle_on_frames, to_requested_segments
 from vehsim.planning.request.asks import BEYOND, ROOM, asks_of
@@ -50,8 +50,6 @@ Array = NDArray[np.float64]
 
 LATE = f"{HURRIED} before solving began{{}}: the motion is the unverified initial guess; {LONGER}"
 """The message of a plan that ran out of time before the first solve, and the step that used the time."""
-MET = 1e-6
-"""Violations below this count as zero."""
 FINER, MOST = 4, 256
 """Factor by which the number of segments grows if the controls lead elsewhere, and the largest number."""
 SHARE = 0.1

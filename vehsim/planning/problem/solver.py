@@ -57,10 +57,12 @@ Start = Literal["guess", "again", "motion", "multipliers"]
 """What a solve starts from: an initial guess; the same guess with a larger active set; a solved motion of another
 discretisation; such a motion with its multipliers."""
 
+MET = 1e-6
+"""Largest violation of a constraint that is met, in the problem's scaled units."""
 CONTENT = {
     "acceptable_tol": 1e6,
     "acceptable_dual_inf_tol": 1e6,
-    "acceptable_constr_viol_tol": 1e-6,
+    "acceptable_constr_viol_tol": MET,
     "acceptable_compl_inf_tol": 1e-2,
     "acceptable_obj_change_tol": 1e-3,
     "acceptable_iter": 8,
@@ -68,9 +70,8 @@ CONTENT = {
 """Options of a content solve: it ends when all constraints are met and the cost has hardly changed for so many
 iterations."""
 PATIENCE = 80
-"""Maximum number of iterations of a content solve. If its last motion meets all constraints, it is a solution: near the
-earliest possible frame, the costs of a character fall slowly for hundreds of iterations, and hardly any of it can be
-seen."""
+"""Number of iterations after which a content solve ends as soon as all constraints are met: near the earliest possible
+frame, the costs of a character fall slowly for hundreds of iterations, and hardly any of it can be seen."""
 NEARBY = 60
 """Maximum number of iterations from multipliers: if these mislead, the motion alone is the better start."""
 _WARM = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
@@ -89,10 +90,9 @@ _BARRIERS: dict[Start, dict[str, Any]] = {
 
 def ipopt_options(max_iterations: int = 400, start: Start = "guess", content: bool = False) -> dict[str, Any]:
     """Options of IPOPT with exact Hessians and MUMPS, without output."""
-    most = min(max_iterations, NEARBY if start == "multipliers" else PATIENCE if content else max_iterations)
     return {
         "ipopt": {
-            "max_iter": most,
+            "max_iter": min(max_iterations, NEARBY) if start == "multipliers" else max_iterations,
             "tol": 1e-8,
             "constr_viol_tol": 1e-9,
             "mumps_pivot_order": 0,
@@ -173,6 +173,11 @@ class Solver:
         self._own = taken.get(plugin, {})  # the other plugins differentiate themselves
         self._solvers: dict[Start, ca.Function] = {}
 
+    def violations(self, g: Array) -> Array:
+        """By how much constraints with the values ``g`` (rows,) are violated."""
+        lower, upper = self._bounds
+        return np.maximum.reduce([lower - g, g - upper, np.zeros_like(g)])
+
     def prepare(self, start: Start) -> ca.Function:
         """CasADi's solver for this kind of start, created on first use in milliseconds, since functions are shared."""
         if start not in self._solvers:
@@ -207,9 +212,9 @@ class Solver:
             answer = solver(x0=x0, lbx=lower, ubx=upper, lbg=g_lower, ubg=g_upper, p=parameters, **given)
         stats = solver.stats()
         x, g = np.asarray(answer["x"]).ravel(), np.asarray(answer["g"]).ravel()
-        violations = np.maximum.reduce([g_lower - g, g - g_upper, np.zeros_like(g)])
+        violations = self.violations(g)
         status, violation = str(stats["return_status"]), float(violations.max(initial=0.0))
-        if self.content and status == MAXIMUM and violation <= CONTENT["acceptable_constr_viol_tol"]:
+        if self._callback.content or (self.content and status == MAXIMUM and violation <= MET):
             status = ACCEPTABLE
         return Solution(
             x=x,
@@ -250,6 +255,7 @@ class _Callback(ca.Callback):
     def begin(self, deadline: float) -> None:
         """Reset the counter; stop when another iteration as long as the last would end after ``deadline``."""
         self.count, self.deadline, self.before, self.out_of_time = 0, deadline, time.monotonic(), False
+        self.content = False
 
     def get_n_in(self) -> int:
         return int(ca.nlpsol_n_out())
@@ -277,4 +283,8 @@ class _Callback(ca.Callback):
         now = time.monotonic()
         another, self.before = now - self.before, now
         self.out_of_time = now + another > self.deadline
-        return [int(interrupts.interrupted() or self.out_of_time)]
+        if solver is not None and solver.content and self.count >= PATIENCE:
+            self.content = bool(
+                solver.violations(np.asarray(arguments[ca.nlpsol_out().index("g")]).ravel()).max(initial=0.0) <= MET
+            )
+        return [int(interrupts.interrupted() or self.out_of_time or self.content)]
