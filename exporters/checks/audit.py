@@ -401,9 +401,9 @@ def _upward(points: Array, faces: Ints) -> Array:
 
     _, place = np.unique(points, axis=0, return_inverse=True)
     joined = place.ravel()[faces]
-    edges = joined[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    edges = joined[:, [0, 1, 2]].astype(np.int64) * len(points) + joined[:, [1, 2, 0]]
     turned = np.ones(len(faces))
-    if len(np.unique(edges, axis=0)) < len(edges):  # two faces run along an edge in the same direction
+    if len(np.unique(edges)) < edges.size:  # two faces run along an edge in the same direction
         whole = np.flatnonzero((joined != np.roll(joined, 1, axis=1)).all(axis=1))
         oriented, body = igl.bfs_orient(np.ascontiguousarray(joined[whole]))
         turned[whole] = np.where((oriented == joined[whole]).all(axis=1), 1.0, -1.0)

@@ -177,6 +177,7 @@ STEERED: dict[str, Any] = {
             "asset": "car",
             "motion": {
                 "method": "plan",
+                "character": "stunt",
                 "segments": 24,
                 "limits": {"steering_rate": 20, "joint_rates": {"sigma": 0.3}, "joints": {"sigma": 0.3}},
                 "mark": [
