@@ -245,7 +245,7 @@ def test_a_solver_stops_before_an_iteration_that_would_end_too_late(monkeypatch)
     from vehsim.planning.problem.solver import _Callback
 
     class Watched:
-        watch = None
+        watch, content = None, False
 
     now, watched = [0.0], Watched()
     monkeypatch.setattr("vehsim.planning.problem.solver.time", SimpleNamespace(monotonic=lambda: now[0]))
