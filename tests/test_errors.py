@@ -68,7 +68,7 @@ def plan(limits: Any = None, **changed: Any) -> Any:
         ({}, None),
         ({"frame": 1002}, "refused"),
         ({"time_limit": 1e-3}, "time limit"),
-        ({"max_iterations": 1}, "not solved"),
+        ({"max_iterations": 1, "character": "stunt"}, "not solved"),
     ],
 )
 def test_failed_plans_give_the_reason_as_data(changed: dict[str, Any], reason: str | None) -> None:

@@ -63,13 +63,13 @@ CONTENT = {
     "acceptable_tol": 1e6,
     "acceptable_dual_inf_tol": 1e6,
     "acceptable_constr_viol_tol": MET,
-    "acceptable_compl_inf_tol": 1e-2,
-    "acceptable_obj_change_tol": 1e-3,
-    "acceptable_iter": 8,
+    "acceptable_compl_inf_tol": 1e-4,
+    "acceptable_obj_change_tol": 1e-4,
+    "acceptable_iter": 15,
 }
 """Options of a content solve: it ends when all constraints are met and the cost has hardly changed for so many
 iterations."""
-PATIENCE = 80
+PATIENCE = 150
 """Number of iterations after which a content solve ends as soon as all constraints are met: near the earliest possible
 frame, the costs of a character fall slowly for hundreds of iterations, and hardly any of it can be seen."""
 NEARBY = 60
