@@ -69,7 +69,7 @@ CONTENT = {
 }
 """Options of a content solve: it ends when all constraints are met and the cost has hardly changed for so many
 iterations."""
-PATIENCE = 150
+PATIENCE = 180
 """Number of iterations after which a content solve ends as soon as all constraints are met: near the earliest possible
 frame, the costs of a character fall slowly for hundreds of iterations, and hardly any of it can be seen."""
 NEARBY = 60
