@@ -37,7 +37,9 @@ def run_on_dask(tasks: Sequence[Task], address: str, count: int, tell: Tell) -> 
             for task in tasks
         }
         for future in as_completed(futures):
-            yield _outcome(future, futures[future])
+            outcome = _outcome(future, futures.pop(future))
+            future.release()  # otherwise the scheduler makes a finished clip again when its worker is lost
+            yield outcome
     for task in tasks:  # delete files that killed workers left beside clips that other workers have finished since
         clean_up(task.target)
 
