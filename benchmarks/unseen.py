@@ -50,7 +50,8 @@ class Problem:
     asked: dict[str, Any] = field(default_factory=dict)
 
     def plan(self) -> Any:
-        return vehsim.plan(vehsim.load_vehicle(self.vehicle), self.world, self.marks, **self.asked)
+        options = {"character": "stunt"} | self.asked  # the least cost: results stay comparable
+        return vehsim.plan(vehsim.load_vehicle(self.vehicle), self.world, self.marks, **options)
 
 
 def docking(seed: int) -> Problem:
