@@ -587,17 +587,22 @@ def _blender() -> list[str]:
     return [program, "--background", "--factory-startup", "--python-exit-code", "1", "--python", __file__, "--"]
 
 
+EXPORTERS = {
+    "blend": ((".blend",), write_blend, "native curves; needs Blender 5"),
+    "abc": ((".abc",), write_alembic, "Alembic; needs Blender 5"),
+    "cycles": ((), write_still, "a still by Cycles; needs Blender 5"),
+}
+"""By name: the endings of its files, what writes them, and what it makes."""
+
+
 def __getattr__(name: str) -> Any:
     """Make the exporters only when vehsim requests them, because there is no vehsim inside Blender."""
-    if name in ("blend", "abc", "cycles"):
-        from vehsim.delivery.exporters import Exporter
+    if name not in EXPORTERS:
+        raise AttributeError(name)
+    from vehsim.delivery.exporters import Exporter
 
-        if name == "blend":
-            return Exporter(name, (".blend",), write_blend, ("usd",), makes="native curves; needs Blender 5")
-        if name == "abc":
-            return Exporter(name, (".abc",), write_alembic, ("usd",), makes="Alembic; needs Blender 5")
-        return Exporter(name, (), write_still, ("usd",), makes="a still by Cycles; needs Blender 5")
-    raise AttributeError(name)
+    endings, write, makes = EXPORTERS[name]
+    return Exporter(name, endings, write, ("usd",), makes=makes)
 
 
 if __name__ == "__main__":
