@@ -185,7 +185,7 @@ def replanning() -> Iterator[Row]:
         height = goal[2] and 30.0
         start = Mark(1, position=(0, 0, height), heading=0, velocity=REST)
         marks = [start, Mark(frame, position=goal, heading=20.0, velocity=REST)]
-        plan = _plan(vehicle, None, marks, segments=n, refine=False, character="stunt")
+        plan = _plan(vehicle, None, marks, segments=n, refine=False)
         yield from _replans(f"{name} N={n}", plan, marks, target, 20)
 
 

@@ -41,7 +41,7 @@ from vehsim.planning.request.marks import Mark
 from vehsim.planning.request.request import Request, make_request
 from vehsim.planning.solve import solve
 from vehsim.planning.trajectory import Trajectory, exported
-from vehsim.planning.trim import drifts
+from vehsim.planning.trim import is_pushed
 from vehsim.vehicles import Vehicle
 
 Array = NDArray[np.float64]
@@ -167,7 +167,7 @@ def retouch(
 
 def check_pushed(vehicle: Vehicle) -> None:
     """Raise ``InputError`` if no motion but one leads from a state of the vehicle: nothing pushes it."""
-    if drifts(vehicle):
+    if not is_pushed(vehicle):
         raise InputError(
             "nothing pushes it in the air, so its path follows from its start",
             "change its start or its marks, and solve it again",

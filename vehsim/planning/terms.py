@@ -288,7 +288,7 @@ class Limit:
     """A built-in limit: an upper bound, in ``unit`` (rad for angles), on the ``law`` of a `KnotView`.
 
     ``meaning``: what is bounded, in a few words; ``slack``: tolerance between knots, in its unit; by default `SLACK` of
-    the value.
+    the value; ``on_tyres``: only for vehicles that stand on tyres.
     """
 
     law: Callable[[Any], Expr]
@@ -296,6 +296,7 @@ class Limit:
     meaning: str
     joint: str | None = None
     slack: float | None = None
+    on_tyres: bool = False
 
     @property
     def angular(self) -> bool:
@@ -316,7 +317,12 @@ LIMITS: Registry[Limit] = Registry(
             lambda k: ca.acos(0.9999999 * k.rotation[2, 2]), "rad", "angle between the body's and the world's Z"
         ),
         "acceleration": Limit(lambda k: _norm(k.acceleration), "m/s^2", "acceleration in any direction"),
-        "grip": Limit(lambda k: _norm(k.acceleration[0:2]) / GRAVITY, "g", "friction that tyres need on level ground"),
+        "grip": Limit(
+            lambda k: _norm(k.acceleration[0:2]) / GRAVITY,
+            "g",
+            "friction that tyres need on level ground",
+            on_tyres=True,
+        ),
         "g_load": Limit(
             lambda k: _norm(k.acceleration / GRAVITY + ca.DM([0, 0, 1])), "g", "what the crew feels: 1 at rest"
         ),

@@ -59,10 +59,10 @@ def swims(vehicle: Vehicle) -> bool:
     return bool(pushed and vehicle.basis(ca.SX.zeros(s)).shape[1])
 
 
-def drifts(vehicle: Vehicle) -> bool:
-    """Whether neither controls nor joints push or turn the vehicle as a whole, as in free fall."""
+def is_pushed(vehicle: Vehicle) -> bool:
+    """Whether controls or joints push or turn the vehicle as a whole: in free fall they do not."""
     s, d = len(vehicle.joints), vehicle.group.dim
     g, r, u, xi = (ca.SX.sym("x", n) for n in (len(vehicle.group.identity), s, s, d))
     c, wind = ca.SX.sym("c", len(vehicle.controls)), ca.SX.zeros(3)
     on_body = vehicle.force(g, r, u, xi, c, wind)[1]
-    return bool(ca.jacobian(on_body, ca.vertcat(c, r, u)).nnz() == 0 and vehicle.basis(r).shape[1] == d)
+    return bool(ca.jacobian(on_body, ca.vertcat(c, r, u)).nnz() or vehicle.basis(r).shape[1] != d)

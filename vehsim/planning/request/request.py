@@ -22,7 +22,7 @@ from vehsim.planning.request.landing import attitude, descent, landings
 from vehsim.planning.request.legs import knots_within, mark_positions
 from vehsim.planning.request.marks import Mark, check_marks, end_of_hold, with_breaks
 from vehsim.planning.request.marks_near_obstacles import check_marks_clear
-from vehsim.planning.terms import Constraint, Limits, Term, check_limits, check_terms, cost_weights
+from vehsim.planning.terms import LIMITS, Constraint, Limits, Term, check_limits, check_terms, cost_weights
 from vehsim.planning.trim import rests_uncontrolled
 from vehsim.vehicles import Vehicle
 from vehsim.vehicles.definition.character import DEFAULT
@@ -138,9 +138,10 @@ def make_request(
     """The checked request of `vehsim.plan`; raises ``InputError`` with key, value and remedy."""
     if not isinstance(vehicle, Vehicle):
         raise InputError("not a vehicle", "give what vehsim.load_vehicle returns", key="vehicle", value=vehicle)
-    if "grip" in (limits or {}) and vehicle.group.dim != 3:
-        remedy = "limit g_load or acceleration"
-        raise InputError(f"{vehicle.name} does not stand on tyres", remedy, key="limits.grip")
+    for name in limits or {}:
+        if name in LIMITS and LIMITS[name].on_tyres and vehicle.group.dim != 3:
+            remedy = "limit g_load or acceleration"
+            raise InputError(f"{vehicle.name} does not stand on tyres", remedy, key=f"limits.{name}")
     vehicle = vehicle.planar or vehicle
     if not (math.isfinite(clearance) and clearance >= 0):
         raise InputError("not a distance", "give metres, zero or more", key="clearance", value=clearance)

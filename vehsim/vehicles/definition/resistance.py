@@ -15,12 +15,12 @@ import casadi as ca
 import numpy as np
 
 from vehsim.vehicles.definition.base import Array, Expr
+from vehsim.vehicles.definition.holonomic import GRAVITY
 
 SEA_WATER = 1025.0
 """kg/m^3"""
 VISCOSITY = 1.19e-6
 """Kinematic, of sea water at 15 degrees, m^2/s (ITTC 2011)."""
-GRAVITY = 9.81
 ALLOWANCE = 4e-4
 """Savitsky's addition to the friction coefficient, for roughness."""
 FROUDE = np.concatenate([np.linspace(0.0, 3.0, 21), [3.4, 3.8, 4.4, 5.0, 6.0, 8.0, 10.0]])
