@@ -75,6 +75,22 @@ def test_every_path_named_by_a_page_exists(page: str) -> None:
     assert [name for name in names if not (ROOT / name).exists()] == []
 
 
+PLACED = re.compile(r"((?:`[\w.]+`(?:, | and )?)+) (?:in|of) `((?:vehsim|exporters)/[\w/]+\.py)`")
+"""Names that a page places in a file: "`A` and `B` in `vehsim/c.py`"."""
+
+
+@pytest.mark.parametrize("page", ["CONTRIBUTING.md", "docs/interfaces.md", "docs/one-shot.md"])
+def test_every_name_placed_in_a_file_is_defined_there(page: str) -> None:
+    places = PLACED.findall(" ".join((ROOT / page).read_text(encoding="utf-8").split()))
+    missing = []
+    for names, path in places:
+        code = (ROOT / path).read_text(encoding="utf-8")
+        for name in re.findall(r"`(?:\w+\.)?(\w+)`", names):
+            if not re.search(rf"^ *(?:async )?(?:def|class) {name}\b|^{name}\b", code, re.MULTILINE):
+                missing.append((name, path))
+    assert places and not missing
+
+
 def test_every_public_name_is_in_the_reference() -> None:
     text = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
     assert [name for name in vehsim.__all__ if f"::: vehsim.{name}\n" not in text and name != "__version__"] == []
