@@ -35,7 +35,7 @@ LAYERS = (
     ("lie",),
     ("assets",),
     ("runtime",),
-    ("errors",),
+    ("constants", "errors"),
 )
 """Rooms from top to bottom, as in docs/architecture.md; rooms on one layer do not import each other."""
 

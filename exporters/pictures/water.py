@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim.constants import GRAVITY
 from vehsim.exporters.usd.scenery.lighting import to_srgb
 from vehsim.exporters.usd.scenery.shading import HIGHLIGHT, Light, dome_mean, sky_image
 from vehsim.exporters.usd.scenery.water_material import patches
@@ -161,7 +162,7 @@ class WaterView:
         seconds = (self._time - self._stage.frames[0]) / float(self._stage.fps)
         for (kx, ky), phase in zip(self._ripples.T.tolist(), self._phases.tolist(), strict=True):
             k = math.hypot(kx, ky)
-            wave = np.cos(x * kx + (y * ky + (phase - math.sqrt(9.81 * k) * seconds) % (2 * math.pi)))
+            wave = np.cos(x * kx + (y * ky + (phase - math.sqrt(GRAVITY * k) * seconds) % (2 * math.pi)))
             slopes[0, near] += wave * (kx / k)
             slopes[1, near] += wave * (ky / k)
         return np.asarray(0.035 * slopes * np.clip((RIPPLES_END - away) / 45.0, 0, 1))

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim.constants import GRAVITY
 from vehsim.exporters.pictures.render import HAZE, bounds_of, haze_end
 from vehsim.exporters.usd.sampling import clip_at
 from vehsim.exporters.usd.scenery.lighting import encode_srgb
@@ -25,7 +26,6 @@ from vehsim.exporters.usd.stage import Shape, StageReader, Surface
 from vehsim.intake.images import read_colours
 from vehsim.lie.quaternions import matrices, quaternions, yaw_of
 from vehsim.rig.linkage import part_poses
-from vehsim.vehicles.definition.holonomic import GRAVITY
 
 if TYPE_CHECKING:
     from vehsim.cameras.camera import Camera

@@ -6,12 +6,13 @@ from hulls import box, floating, join, sphere
 from scipy.spatial.transform import Rotation
 
 import vehsim
+from vehsim.constants import GRAVITY
 from vehsim.errors import InputError
 from vehsim.vehicles import State
 from vehsim.world.water.buoyancy import Afloat
 from vehsim.world.water.hull_mesh import HullMesh, wetted
 from vehsim.world.water.sea import sea_state
-from vehsim.world.water.water import GRAVITY, wave
+from vehsim.world.water.water import wave
 from vehsim.world.world import Water, World
 
 RHO = 1025.0

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import vehsim
+from vehsim.constants import GRAVITY
 from vehsim.errors import InputError, SolveError
 from vehsim.vehicles import State
 from vehsim.world.water.buoyancy import Afloat
@@ -13,7 +14,7 @@ from vehsim.world.water.currents import Currents, Sampled, Stream, Vortex
 from vehsim.world.water.grids import WaterGrids
 from vehsim.world.water.height_field import WaterField
 from vehsim.world.water.sea import sea_state, spectrum
-from vehsim.world.water.water import GRAVITY, Waves, wave
+from vehsim.world.water.water import Waves, wave
 from vehsim.world.wind import Gusts
 from vehsim.world.world import Water, World
 

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from hulls import box, floating, join, sphere
 
+from vehsim.constants import GRAVITY
 from vehsim.vehicles import State
 from vehsim.world.water.buoyancy import Afloat
 from vehsim.world.water.potential import response
-from vehsim.world.water.water import GRAVITY, wave
+from vehsim.world.water.water import wave
 from vehsim.world.world import Water, World
 
 STORED = json.loads((Path(__file__).parent / "capytaine.json").read_text())

@@ -16,13 +16,11 @@ from numpy.typing import NDArray
 
 from vehsim.audit.scene import Scene
 from vehsim.audit.track import PER_FRAME, Track
+from vehsim.constants import GRAVITY
 from vehsim.runtime.registry import Registry
 
 Array = NDArray[np.float64]
 Wanted = Mapping[str, Any]
-
-GRAVITY = np.array([0.0, 0.0, 9.81])
-
 
 Measure = Callable[[Track, Wanted, Scene], Array]
 
@@ -181,12 +179,12 @@ def _acceleration(track: Track, wanted: Wanted, scene: Scene) -> Array:
 
 def _grip(track: Track, wanted: Wanted, scene: Scene) -> Array:
     """Horizontal force over weight, over the frame around each sample: the friction that tyres need on level ground."""
-    return np.asarray(np.hypot(*_accelerations(track).T[:2]) / GRAVITY[2])
+    return np.asarray(np.hypot(*_accelerations(track).T[:2]) / GRAVITY)
 
 
 def _g_load(track: Track, wanted: Wanted, scene: Scene) -> Array:
     """Acceleration felt by the crew, over the frame around each sample, in g; nan within half a frame of the ends."""
-    return _norms((_shown(_accelerations(track), wanted) + GRAVITY) / GRAVITY[2])
+    return _norms((_shown(_accelerations(track), wanted) + np.array([0.0, 0.0, GRAVITY])) / GRAVITY)
 
 
 def _accelerations(track: Track) -> Array:

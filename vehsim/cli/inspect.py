@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim.constants import GRAVITY
 from vehsim.errors import InputError
 from vehsim.intake.reader import Answer, read_cached
 from vehsim.intake.toml import read_toml
@@ -494,7 +495,7 @@ def _rotorcraft(found: Inspection) -> tuple[str, str] | None:
     main = max(upright, key=lambda one: one.radius)
     tail = min((one for one in found.rotors if one is not main), key=lambda one: one.centre[0], default=None)
     mass, centre, inertia = _weighed(found, 150.0)
-    lift = 9.81 * mass
+    lift = GRAVITY * mass
     behind = max(centre[0] - (tail.centre[0] if tail else found.bounds[0, 0]), 0.1)
     above = max(main.centre[2] - centre[2], 0.05)
     channels = _channel("main_rotor", main, up=True) + (_channel("tail_rotor", tail) if tail else "")

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vehsim.constants import GRAVITY
 from vehsim.errors import InputError, ShotError
 from vehsim.intake.usd import open_stage
 
@@ -189,7 +190,7 @@ def _seconds(vehicle: Vehicle, length: float) -> float:
     """Duration of the course, s: at a speed that suits the length, within what the controls can reach and stop from."""
     if _drifts(vehicle):
         return DRIFT
-    pace = PACE * math.sqrt(9.81 * length) * (SWIMMING if _swims(vehicle) else 1.0)
+    pace = PACE * math.sqrt(GRAVITY * length) * (SWIMMING if _swims(vehicle) else 1.0)
     faster, slower = _push(vehicle)
     hard = math.sqrt(2 * LENGTHS * length * (1 / faster + 1 / slower)) if min(faster, slower) > 1e-6 else 0.0
     normal = vehicle.character.limits.get("acceleration")
@@ -389,7 +390,7 @@ joints = {{ {vehicle.joints[0]} = {-2 * math.pi} }} # rad: the leg turns once in
     return f"""\
 method = "sinusoid" # from rest to rest in closed form; vehsim manoeuvres shows the choice
 clearance = 0.15 # m, from obstacles
-limits = {{ speed = {_number(_round_up(0.3 * math.sqrt(9.81 * course.length)))} }} # m/s; steering and hitch in deg
+limits = {{ speed = {_number(_round_up(0.3 * math.sqrt(GRAVITY * course.length)))} }} # m/s; steering and hitch in deg
 
 [[vehicle.motion.mark]]
 frame = {FIRST}

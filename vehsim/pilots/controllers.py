@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 
+from vehsim.constants import GRAVITY
 from vehsim.errors import InputError
 from vehsim.lie.quaternions import matrices
 from vehsim.pilots.gait import Gait
@@ -122,7 +123,7 @@ class FlyTo:
         settling = 2.0 * self._law.ease
         needs = {} if self._route is None else {"needs": self._route.duration + settling}
         found = [_reach(self.waypoints[-1], _PLACE) | needs]
-        begin = self._fast / (0.1 * 9.81) + settling if self._fast else 0.0
+        begin = self._fast / (0.1 * GRAVITY) + settling if self._fast else 0.0
         found.append({"key": "pilot.speed", "kind": "speed", "upper": _FASTER * self.speed, "from": begin})
         return found + ([] if self.heading is None else [_face(self.heading)])
 
@@ -132,7 +133,7 @@ class FlyTo:
             start = np.asarray(state.position, float)
             points = np.vstack([start, self.waypoints])
             self._route = Route(
-                points, _CRUISE * self.speed, acceleration=0.1 * 9.81, lateral=0.2 * 9.81, ease=self._law.ease
+                points, _CRUISE * self.speed, acceleration=0.1 * GRAVITY, lateral=0.2 * GRAVITY, ease=self._law.ease
             )
             moving = 0.0 if state.twist is None else float(np.linalg.norm(np.asarray(state.twist, float)[3:6]))
             self._fast = max(0.0, moving - self.speed)

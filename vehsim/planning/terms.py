@@ -16,14 +16,13 @@ import casadi as ca
 import numpy as np
 
 from vehsim.audit.measures import MEASURES
+from vehsim.constants import GRAVITY
 from vehsim.errors import InputError
 from vehsim.requests import Ask
 from vehsim.runtime.registry import Registry
 
 Expr = Any
 """A CasADi expression."""
-GRAVITY = 9.81
-"""The unit of g-loads, m/s^2."""
 
 
 @dataclass(frozen=True)

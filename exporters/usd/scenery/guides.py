@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim.constants import STANDARD_GRAVITY
 from vehsim.delivery.take import Take
 from vehsim.exporters.usd.metadata import samples
 
@@ -23,7 +24,6 @@ Colour = tuple[float, float, float]
 
 PATH_WIDTH, ARROW_WIDTH, POINT_WIDTH = 0.15, 0.1, 1.0
 PATH, MARKS, FORCE, CONTACTS, WIND = (0.1, 0.7, 1.0), (1.0, 0.6, 0.0), (1.0, 0.2, 0.2), (1.0, 0.0, 0.8), (0.6, 0.9, 0.6)
-GRAVITY = 9.80665
 METRES_PER_G = 2.0
 """Length of the force arrow of a vehicle at rest."""
 SECONDS_OF_WIND = 0.5
@@ -77,9 +77,9 @@ def _author_force(stage: Any, prim_path: str, clip: Clip) -> None:
     from pxr import Gf
 
     seconds = 1.0 / float(clip.fps)
-    lift = np.array([0.0, 0.0, GRAVITY])
+    lift = np.array([0.0, 0.0, STANDARD_GRAVITY])
     force = np.gradient(_velocity(clip), seconds, axis=0) + lift
-    arrows = _arrows(clip.positions, force * (METRES_PER_G / GRAVITY))
+    arrows = _arrows(clip.positions, force * (METRES_PER_G / STANDARD_GRAVITY))
     prim = _curves(stage, prim_path, arrows[:1], ARROW_WIDTH, FORCE)
     prim.GetPrim().SetDocumentation("the sum of all forces but weight; 2 m for each g")
     for frame, arrow in zip(clip.frames.tolist(), arrows.astype(np.float32), strict=True):

@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim.constants import GRAVITY
+
 if TYPE_CHECKING:
     from vehsim.clip.clip import Clip
 
 Array = NDArray[np.float64]
 
-GRAVITY = 9.81
 CELL = 0.4
 """Cell of the box on which waves are computed, m."""
 ROOM = 36.0

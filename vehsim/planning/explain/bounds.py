@@ -18,6 +18,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim.constants import GRAVITY
 from vehsim.lie.quaternions import from_yaw
 from vehsim.vehicles import Holonomic, Vehicle
 from vehsim.vehicles.definition.mechanics import free_size, free_velocity, project
@@ -232,7 +233,7 @@ def push_of(vehicle: Vehicle, wind: tuple[float, ...], slope: float = 0.0) -> Pu
         change = np.array(force(facing.T, r, q * velocities.T, controls.T, np.array(wind))) - rest
         power = (change * velocities.T).sum(axis=0)
         gains[k], losses[k] = max(0.0, float(power.max())), max(0.0, float(-power.min()))
-    gain = (most + gains.max()) * fastest * SAMPLING_FACTOR + 9.81 * slope
+    gain = (most + gains.max()) * fastest * SAMPLING_FACTOR + GRAVITY * slope
     loss = gain + np.maximum.accumulate(losses) * fastest * SAMPLING_FACTOR
     return Push(gain, loss)
 

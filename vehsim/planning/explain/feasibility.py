@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim.constants import GRAVITY
 from vehsim.lie import SO3
 from vehsim.planning.explain.balance import out_of_balance
 from vehsim.planning.explain.bounds import (
@@ -28,7 +29,7 @@ from vehsim.planning.explain.earliest import first_frame
 from vehsim.planning.problem.transcription import transcribe
 from vehsim.planning.request.marks import Mark, heading_of, leeway
 from vehsim.planning.request.request import Request
-from vehsim.planning.terms import GRAVITY, Constraint
+from vehsim.planning.terms import Constraint
 from vehsim.vehicles.definition.mechanics import free_size
 
 Array = NDArray[np.float64]

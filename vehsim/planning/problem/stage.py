@@ -11,10 +11,11 @@ from typing import Any
 
 import casadi as ca
 
+from vehsim.constants import GRAVITY
 from vehsim.errors import InputError
 from vehsim.lie import SO3, difference_map
 from vehsim.planning.problem.transcription import Transcription
-from vehsim.planning.terms import GRAVITY, Cost, KnotView, SegmentView, Term
+from vehsim.planning.terms import Cost, KnotView, SegmentView, Term
 from vehsim.vehicles import Vehicle
 from vehsim.vehicles.definition.mechanics import free_velocity
 from vehsim.vehicles.definition.states import shift_twist

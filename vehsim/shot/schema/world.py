@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 from annotated_types import Len
 from pydantic import Field
 
+from vehsim.constants import SEA_WATER
 from vehsim.shot.schema.tables import (
     Array,
     Heading,
@@ -193,7 +194,7 @@ class WaterTable(Table):
 
     level: Metre = 0.0
     """the height of the calm surface in m"""
-    density: Annotated[Number, Field(ge=1, le=20_000)] = 1025.0
+    density: Annotated[Number, Field(ge=1, le=20_000)] = SEA_WATER
     """the density in kg/m^3; fresh water has 1000"""
     wave: Annotated[list[WaveTable], Array, Len(0, 100)] = Field(default=[])
     """[[world.water.wave]] tables"""

@@ -9,13 +9,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from vehsim.constants import GRAVITY
 from vehsim.errors import InputError
 from vehsim.vehicles.definition.base import Expr
 from vehsim.vehicles.definition.mechanics import law, symbols
 from vehsim.vehicles.definition.vehicle import Vehicle
-
-GRAVITY = 9.81
-"""m/s^2, LIE's value."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -14,11 +14,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from vehsim.constants import GRAVITY, SEA_WATER
 from vehsim.vehicles.definition.base import Array, Expr
-from vehsim.vehicles.definition.holonomic import GRAVITY
 
-SEA_WATER = 1025.0
-"""kg/m^3"""
 VISCOSITY = 1.19e-6
 """Kinematic, of sea water at 15 degrees, m^2/s (ITTC 2011)."""
 ALLOWANCE = 4e-4

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim.constants import SEA_WATER
 from vehsim.errors import InputError
-from vehsim.vehicles.definition.resistance import SEA_WATER
 
 Array = NDArray[np.float64]
 

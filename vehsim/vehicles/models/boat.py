@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 from annotated_types import Len
 
+from vehsim.constants import SEA_WATER
 from vehsim.errors import InputError
 from vehsim.lie import SE2, SE3
 from vehsim.rig.rig import Channel
@@ -35,7 +36,7 @@ from vehsim.vehicles.definition.quantities import (
     PrincipalInertia,
     QuadraticDamping,
 )
-from vehsim.vehicles.definition.resistance import SEA_WATER, Curve, Planing, Running, running
+from vehsim.vehicles.definition.resistance import Curve, Planing, Running, running
 
 AIR = 1.225
 """kg/m^3"""

@@ -12,11 +12,11 @@ from typing import Annotated
 import casadi as ca
 from annotated_types import Gt, Interval, Len
 
+from vehsim.constants import GRAVITY
 from vehsim.errors import InputError
 from vehsim.lie import SE2
 from vehsim.rig.rig import Channel
 from vehsim.vehicles.definition.base import Control, Expr
-from vehsim.vehicles.definition.holonomic import GRAVITY
 from vehsim.vehicles.definition.nonholonomic import Nonholonomic
 from vehsim.vehicles.definition.quantities import Distance, Inertia, Length, Mass, Unit
 from vehsim.vehicles.models.ground import ackermann_channels

@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 
 import casadi as ca
 
+from vehsim.constants import GRAVITY
 from vehsim.rig.rig import Channel
 from vehsim.vehicles.definition.base import Expr
-from vehsim.vehicles.definition.holonomic import GRAVITY
 
 
 def slope_energy(mass: float, slope: Sequence[float], ahead: float = 0.0) -> Callable[[Expr, Expr], Expr] | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
+from vehsim.constants import GRAVITY
 from vehsim.lie import SE3, SO3
 from vehsim.rig.rig import Channel
 from vehsim.vehicles.definition.base import Control, Expr
@@ -18,7 +19,7 @@ def hopper(
     inertia: PrincipalInertia,
     foot_mass: Mass,
     leg_length: Length,
-    gravity: Acceleration = 9.81,
+    gravity: Acceleration = GRAVITY,
 ) -> Nonholonomic:
     """A rigid body whose frame stands at its centre of mass, where the leg is hinged about the body's Y axis.
 

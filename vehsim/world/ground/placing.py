@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.clip.clip import Clip
+from vehsim.constants import GRAVITY
 from vehsim.lie.quaternions import matrices, tilt_of, yaw_tilt
 from vehsim.rig.linkage import part_poses
 from vehsim.rig.rig import Rig
@@ -116,8 +117,6 @@ def _rest(terrain: Terrain, wheels: tuple[Wheel, ...], xy: Array, yaw: Array) ->
 def _tyre_force(clip: Clip, rest: Array) -> tuple[Array, Array]:
     """The force per mass that tyres must provide for a vehicle at rest on its springs (n, 3): (n,) m/s^2 along and
     across it."""
-    from vehsim.vehicles.definition.holonomic import GRAVITY
-
     if len(clip) < 2:
         return np.zeros(len(clip)), np.zeros(len(clip))
     turn, vx, vy = clip.twists.T
@@ -127,8 +126,6 @@ def _tyre_force(clip: Clip, rest: Array) -> tuple[Array, Array]:
 
 def _warn_strain(clip: Clip, held: tuple[Array, Array], travels: dict[str, Array]) -> None:
     """Warn if tyres, or else springs, exceed their limits."""
-    from vehsim.vehicles.definition.holonomic import GRAVITY
-
     needed = np.hypot(*held) / GRAVITY
     name, travel = max(travels.items(), key=lambda item: np.abs(item[1]).max(), default=("", np.zeros(len(clip))))
     if needed.max() > GRIP and clip.vehicle.rolling is None:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from vehsim.constants import GRAVITY
 from vehsim.world.terrain.terrain import Terrain
 
 if TYPE_CHECKING:
@@ -66,8 +67,6 @@ def _box(terrain: Terrain, places: ArrayLike | None) -> Array:
 def _weight(vehicle: Any, terrain: Terrain, box: Array) -> Any:
     """``(g, r) -> J``"""
     import casadi as ca
-
-    from vehsim.vehicles.definition.holonomic import GRAVITY
 
     r, u = ca.DM.zeros(len(vehicle.joints)), ca.SX.zeros(len(vehicle.joints))
     xi = ca.SX.sym("xi", 3)

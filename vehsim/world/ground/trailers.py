@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim.constants import GRAVITY
 from vehsim.lie.quaternions import matrices, tilt_of
 from vehsim.rig.linkage import part_poses, screws
 from vehsim.rig.rig import HITCH_PITCH, HITCH_ROLL, Rig
 from vehsim.vehicles import Vehicle
-from vehsim.vehicles.definition.holonomic import GRAVITY
 from vehsim.world.ground.springs import deflections, lean_of
 from vehsim.world.ground.wheels import Wheel, touch, wheels_of
 from vehsim.world.terrain.terrain import Terrain

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim.constants import GRAVITY
 from vehsim.errors import InputError
 from vehsim.integrators.environment import Environment
 from vehsim.lie.quaternions import cross, matrices
@@ -24,7 +25,7 @@ from vehsim.world.water.hull_repair import repaired
 from vehsim.world.water.motion import Motion
 from vehsim.world.water.potential import Response, response
 from vehsim.world.water.running import Law, Lift, law_of
-from vehsim.world.water.water import GRAVITY, Water
+from vehsim.world.water.water import Water
 
 if TYPE_CHECKING:
     from vehsim.vehicles.definition.hydrodynamics import Hull

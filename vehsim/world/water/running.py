@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim.constants import GRAVITY
 from vehsim.errors import InputError
 from vehsim.lie.quaternions import cross
 from vehsim.vehicles.definition.resistance import Curve
 from vehsim.world.water.hull_mesh import HullMesh, Wetted, wetted
-from vehsim.world.water.water import GRAVITY
 
 if TYPE_CHECKING:
     from vehsim.vehicles.definition.hydrodynamics import Hull

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from vehsim.constants import GRAVITY
 from vehsim.errors import InputError
-from vehsim.world.water.water import GRAVITY, Array, Waves
+from vehsim.world.water.water import Array, Waves
 
 LOWEST, HIGHEST = 0.6, 4.0
 """Range of the frequencies of a sea, relative to that of its peak."""

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from vehsim.constants import GRAVITY, SEA_WATER
 from vehsim.errors import InputError
 from vehsim.world.water.motion import Motion
 
@@ -23,10 +24,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-GRAVITY = 9.81
-"""m/s^2"""
-SEA_WATER = 1025.0
-"""kg/m^3"""
 MAX_WAVES = 4096
 NEWTON = 60
 """Maximum number of steps; five suffice, except for crests about to break."""
@@ -307,7 +304,7 @@ class Water:
         if not (np.isfinite(self.level) and abs(self.level) < 1e5):
             raise _wrong("water.level", "not a height", "give metres", self.level)
         if not 1 <= self.density <= 20_000:
-            raise _wrong("water.density", "not a liquid's", "give kg/m^3; sea water has 1025", self.density)
+            raise _wrong("water.density", "not a liquid's", f"give kg/m^3; sea water has {SEA_WATER:g}", self.density)
         if not (self.height_field is None or self.height_field == 0 or 1e-3 <= self.height_field < 100):
             raise _wrong(
                 "water.height_field", "not a cell", "give its width in m, such as 0.1, or 0", self.height_field
