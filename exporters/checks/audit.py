@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from vehsim.audit import PER_FRAME, Row, Scene, Track, audit, missed, not_shown, track_of_poses
 from vehsim.errors import ExportError, InputError
 from vehsim.exporters.usd.metadata import Units
-from vehsim.intake.gate import reading
+from vehsim.intake.foreign import reading
 from vehsim.intake.usd import dependencies, is_drawn
 from vehsim.requests import Ask
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from vehsim.audit import MEASURES, PER_FRAME, Scene, Track, track_of_clip
 from vehsim.errors import InputError
-from vehsim.intake.gate import reading
+from vehsim.intake.foreign import reading
 from vehsim.planning.terms import LIMITS
 from vehsim.vehicles.definition.character import NORMAL, REVIEW_UNITS
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from vehsim.exporters.checks.rules import OWN_RULES
 from vehsim.exporters.checks.rules import Issue as Issue
-from vehsim.intake.gate import reason_of
+from vehsim.intake.foreign import reason_of
 from vehsim.intake.reader import Answer, read_in_process
 
 REMEDIES = {

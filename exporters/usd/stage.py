@@ -21,7 +21,7 @@ from vehsim.exporters.pictures.surfaces import Surface as Surface
 from vehsim.exporters.pictures.surfaces import read_surface as read_surface
 from vehsim.exporters.pictures.surfaces import surfaces_of
 from vehsim.exporters.usd.metadata import local_origin
-from vehsim.intake.gate import reason_of
+from vehsim.intake.foreign import reason_of
 from vehsim.intake.usd import is_drawn, triangulate
 from vehsim.rig.parts import Y_UP_TO_Z_UP
 

@@ -13,7 +13,7 @@ import pytest
 
 from vehsim.errors import InputError
 from vehsim.intake import reader
-from vehsim.intake.gate import LIMITS
+from vehsim.intake.foreign import LIMITS
 from vehsim.intake.reader import read_cached, read_in_process
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -138,7 +138,7 @@ def test_the_reader_ends_with_its_parent(file: Path) -> None:
 @pytest.mark.parametrize("variable", LIMITS)
 @pytest.mark.parametrize("value", ["0", "-1", "nan", "inf", "much"])
 def test_limits_are_numbers_above_zero(file: Path, variable: str, value: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    from vehsim.intake.gate import limit
+    from vehsim.intake.foreign import limit
 
     monkeypatch.setenv(variable, value)
     with pytest.raises(InputError, match=rf"{variable} = '{value}': not a number above zero; give one, such as"):

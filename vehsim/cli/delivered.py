@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vehsim.errors import InputError
-from vehsim.intake.gate import reading
+from vehsim.intake.foreign import reading
 
 if TYPE_CHECKING:
     from vehsim.delivery.exporters import Progress

@@ -11,7 +11,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim.intake.gate import MAX_BYTES, reading, refuse
+from vehsim.intake.foreign import MAX_BYTES, reading, refuse
 from vehsim.intake.reader import Answer, read_cached, read_in_process
 
 Arrays = dict[str, NDArray[Any]]

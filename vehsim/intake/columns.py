@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim.intake.gate import reading, refuse
+from vehsim.intake.foreign import reading, refuse
 from vehsim.intake.reader import Answer, read_cached
 
 REMEDY = "give a line of column names, then lines of numbers, separated by commas"

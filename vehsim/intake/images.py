@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.intake.arrays import Window
-from vehsim.intake.gate import reading, refuse
+from vehsim.intake.foreign import reading, refuse
 from vehsim.intake.reader import Answer, read_cached, read_in_process
 
 GDAL_NODATA = 42113

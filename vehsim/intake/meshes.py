@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim.intake.gate import reading, refuse
+from vehsim.intake.foreign import reading, refuse
 from vehsim.intake.reader import Answer, read_cached, read_in_process
 from vehsim.intake.usd import SUFFIXES, is_drawn, open_stage, triangles_of
 

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from vehsim import errors
 from vehsim.errors import InputError, Problem, VehsimError
-from vehsim.intake.gate import limit, raise_limit, reading, refuse
+from vehsim.intake.foreign import limit, raise_limit, reading, refuse
 from vehsim.runtime.cache import Stamp, content_of, lookup, shrink, stamp, store
 
 Answer = tuple[Any, list[NDArray[Any]]]

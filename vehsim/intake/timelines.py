@@ -8,7 +8,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from vehsim.intake.gate import reading, refuse
+from vehsim.intake.foreign import reading, refuse
 from vehsim.intake.reader import Answer, read_in_process
 
 Cuts = tuple[tuple[int, str], ...]

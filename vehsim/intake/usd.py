@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.errors import InputError
-from vehsim.intake.gate import limit, raise_limit, reading, reason_of, refuse
+from vehsim.intake.foreign import limit, raise_limit, reading, reason_of, refuse
 from vehsim.intake.reader import Answer, read_in_process
 from vehsim.runtime.cache import Stamp, content_of, lookup, stamp, store
 

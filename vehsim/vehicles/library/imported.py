@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from vehsim.errors import InputError
-from vehsim.intake.gate import reading
+from vehsim.intake.foreign import reading
 from vehsim.intake.reader import Answer, read_cached, read_in_process
 from vehsim.intake.usd import open_stage
 from vehsim.runtime.cache import SOURCE, cache_folder, is_whole, seal

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from vehsim.assets import described, description
 from vehsim.errors import InputError
 from vehsim.intake.arrays import Window, read_array, read_arrays, read_shape
-from vehsim.intake.gate import reading, refuse
+from vehsim.intake.foreign import reading, refuse
 from vehsim.intake.images import Header, read_header, read_pixels
 from vehsim.intake.meshes import read_triangles
 from vehsim.intake.toml import lines_in
