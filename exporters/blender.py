@@ -513,7 +513,7 @@ def main(arguments: Sequence[str]) -> None:
     parser.add_argument("--bake", metavar="FILE.blend", help="native curves, saved here")
     parser.add_argument("--alembic", metavar="FILE.abc", help="the scene as Alembic")
     parser.add_argument("--motion", help="the variant to bake where a vehicle has it: exact, thinned or curves")
-    parser.add_argument("--still", metavar="FILE.png", help="a picture by Cycles")
+    parser.add_argument("--still", metavar="FILE.png", help="a picture rendered by Cycles")
     parser.add_argument("--frame", type=int, help="of the still; the middle one when left out")
     parser.add_argument("--camera")
     parser.add_argument("--fps", type=Fraction, help="the stage's exact rate, such as 24000/1001")
@@ -590,7 +590,7 @@ def _blender() -> list[str]:
 EXPORTERS = {
     "blend": ((".blend",), write_blend, "native curves; needs Blender 5"),
     "abc": ((".abc",), write_alembic, "Alembic; needs Blender 5"),
-    "cycles": ((), write_still, "a still by Cycles; needs Blender 5"),
+    "cycles": ((), write_still, "a still rendered by Cycles; needs Blender 5"),
 }
 """By name: the endings of its files, what writes them, and what it makes."""
 

@@ -157,7 +157,7 @@ def _rests(track: Track) -> NDArray[np.intp]:
 
 
 def _settling(track: Track) -> Array:
-    """What the vehicle moves in vain within two seconds of rest: the path's length minus the distance, m."""
+    """Detour of the vehicle within two seconds of rest: the length of its path minus the distance, m."""
     found, rests = np.full(len(track.frames), np.nan), _rests(track)
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(track.positions, axis=0), axis=1))])
     reach, last = round(SETTLES * float(track.fps) * PER_FRAME), len(track.frames) - 1

@@ -336,4 +336,9 @@ def _slug(words: str) -> str:
     return "".join(letter if letter.isalnum() else "-" for letter in words)
 
 
-exporter = Exporter(name="figures", suffixes=(".svg",), write=write_figures, makes="paths and curves, as SVG")
+exporter = Exporter(
+    name="figures",
+    suffixes=(".svg",),
+    write=write_figures,
+    makes="plots of paths, controls and other quantities, as SVG",
+)

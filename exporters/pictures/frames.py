@@ -245,6 +245,6 @@ exporter = Exporter(
     suffixes=(".png",),
     write=write_frames,
     needs=("usd",),
-    makes="a picture of every frame, a contact sheet",
+    makes="a picture of every frame, and a contact sheet",
     every_frame=True,
 )

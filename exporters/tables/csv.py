@@ -69,4 +69,4 @@ def _text(value: float) -> str:
     return str(int(value)) if float(value).is_integer() and abs(value) < 1e15 else repr(float(value))
 
 
-exporter = Exporter(name="csv", suffixes=(".csv",), write=write_csv, makes="a table per vehicle, a row per frame")
+exporter = Exporter(name="csv", suffixes=(".csv",), write=write_csv, makes="one table per vehicle, one row per frame")

@@ -67,6 +67,6 @@ def _stage(take: Take, folder: Path) -> Path:
 
 
 usdz = Exporter(
-    name="usdz", suffixes=(".usdz",), write=write_usdz, needs=("usd",), makes="the stage and its files, one package"
+    name="usdz", suffixes=(".usdz",), write=write_usdz, needs=("usd",), makes="the stage and its files in one package"
 )
 flat = Exporter(name="flat", suffixes=(), write=write_flat, needs=("usd",), makes="the stage as one flat layer")

@@ -87,7 +87,9 @@ def export(
         typer.Option(metavar="ADDRESS", help='A Dask scheduler, or "local" for N processes on this machine.'),
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Skip clips that are complete and up to date.")] = False,
-    no_cache: Annotated[bool, typer.Option("--no-cache", help="Do not take solved motion from the cache.")] = False,
+    no_cache: Annotated[
+        bool, typer.Option("--no-cache", help="Solve again, even if the motion is in the cache.")
+    ] = False,
     sets: Sets = None,
     only: Annotated[
         list[str] | None,
@@ -156,7 +158,7 @@ def export(
 def retouch(
     delivery: Annotated[Path, typer.Argument(metavar="DELIVERY", help="A folder that export wrote.")],
     edit: Annotated[
-        Path, typer.Option(metavar="USD", help="A stage in which the curves of its vehicles were changed.")
+        Path, typer.Option(metavar="USD", help="A stage with the edited curves of the delivery's vehicles.")
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="The new delivery gets its own folder here.")] = Path(
         "retouched"
@@ -166,14 +168,14 @@ def retouch(
         Path | None,
         typer.Option(
             metavar="SHOT",
-            help="The shot file of the delivery, if its paths are not relative to the working folder.",
+            help="The delivery's shot file; needed if its paths are not relative to the working folder.",
             autocompletion=choices.shot_file,
         ),
     ] = None,
     log: LogForm = Log.text,
     quiet: Quiet = False,
 ) -> None:
-    """Change a delivery after its curves were edited: the nearest motion that each vehicle can make."""
+    """Find the motion nearest to the edited curves of a delivery that its vehicles can make, and deliver it."""
     from vehsim.batch.screen import logged
     from vehsim.cli.delivered import edited_shot, summary
 
@@ -249,7 +251,7 @@ def new(
     ],
     terrain: Annotated[
         str | None,
-        typer.Option(metavar="T", help="A terrain's name or file. [default: flat]", autocompletion=choices.terrain),
+        typer.Option(metavar="T", help="A terrain's name or file; default: flat.", autocompletion=choices.terrain),
     ] = None,
     method: Annotated[
         str | None,
@@ -333,7 +335,7 @@ def manoeuvres(
 def validate(
     stages: Annotated[list[Path], typer.Argument(metavar="STAGE...", help="USD files.")], quiet: Quiet = False
 ) -> None:
-    """Check USD stages against OpenUSD's rules and ours."""
+    """Check USD stages against the rules of OpenUSD and of vehsim."""
     from vehsim.exporters.checks.validate import validate_stage
 
     _arguments.check_stages(stages)
@@ -385,7 +387,7 @@ def review(
     sets: Sets = None,
     quiet: Quiet = False,
 ) -> None:
-    """Compare motion with real machines: jerk, bank, g-load, slip, saturation, reversals, settling. Writes a page."""
+    """Compare motion with real machines on a page: jerk, bank, g-load, slip, saturation, reversals, settling."""
     from vehsim.exporters.checks.review import outside, review, review_of
     from vehsim.exporters.checks.review_page import write_page
     from vehsim.vehicles.definition.character import NORMAL
@@ -451,7 +453,8 @@ def compare(
     renders: Annotated[Path, typer.Argument(metavar="RENDERS", help="A folder of pictures.")],
     references: Annotated[Path, typer.Argument(metavar="REFERENCES", help="A folder of reference pictures.")],
     tolerance: Annotated[
-        float | None, typer.Option(metavar="SHARE", help="Share of colour pixels that may change. [default: 0.0005]")
+        float | None,
+        typer.Option(metavar="SHARE", help="Share of colour pixels that may change, 0 to 1; default: 0.0005."),
     ] = None,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder for a page that shows the changes: index.html.")
@@ -478,7 +481,7 @@ def vehicles(
         str | None,
         typer.Argument(
             metavar="[VEHICLE]",
-            help="List the parameters of this one, a name or a folder.",
+            help="A vehicle's name or folder, to list its parameters.",
             autocompletion=choices.vehicle,
         ),
     ] = None,
@@ -501,7 +504,7 @@ def vehicles(
 
 @app.command()
 def terrains() -> None:
-    """List the terrains that have a name: those that ship with vehsim and those of installed packages."""
+    """List the terrains that shots can name: those that ship with vehsim and those of installed packages."""
     from vehsim.assets import described
     from vehsim.world import Terrain
 
@@ -531,13 +534,15 @@ def live(
     shot: Annotated[Path, typer.Argument(metavar="SHOT", help="A shot file.", autocompletion=choices.shot_file)],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for exports from the page.")] = Path("out"),
     host: Annotated[
-        str, typer.Option(help="The address to listen on; another than localhost needs --token.")
+        str, typer.Option(help="The address to listen on; any other than localhost needs --token.")
     ] = "localhost",
     port: Annotated[int, typer.Option(min=0, max=65535, help="0: any free port.")] = 8765,
     token: Annotated[str, typer.Option(help="A secret that the page's address must contain.")] = "",
-    no_browser: Annotated[bool, typer.Option("--no-browser", help="Print the page's address only.")] = False,
+    no_browser: Annotated[
+        bool, typer.Option("--no-browser", help="Print the page's address; open no browser.")
+    ] = False,
 ) -> None:
-    """Open a shot in the browser: play it, drag its marks, and the motion follows."""
+    """Open a shot in the browser, where you play it and drag its marks; the motion follows."""
     from vehsim.live import edit
 
     def ready(address: str) -> None:
@@ -553,9 +558,11 @@ def live(
 
 @app.command()
 def schema() -> None:
-    """Print the JSON schema of shot files: `vehsim schema > vehsim.schema.json`, then paste the printed line.
+    """Print the JSON schema of shot files, with which editors complete and check them.
 
-    Editors then complete and check shot files: VS Code with Even Better TOML, and others that use Taplo.
+    `vehsim schema > vehsim.schema.json` also prints the line with which each shot file in the same folder must begin.
+
+    This works in VS Code with Even Better TOML, and in other editors that use Taplo.
     """
     from vehsim.shot.schema.shot_file import SCHEMA_LINE
     from vehsim.shot.schema.shot_file import schema as shot_schema

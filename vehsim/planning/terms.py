@@ -212,7 +212,7 @@ def _easing(b: BendView) -> Expr:
 
 
 def _course(s: SegmentView) -> Expr:
-    """Distance moved other than along the nose, m."""
+    """Horizontal distance moved sideways or backwards, m."""
     return _mean(_off_course, s)
 
 
@@ -323,7 +323,9 @@ LIMITS: Registry[Limit] = Registry(
             on_tyres=True,
         ),
         "g_load": Limit(
-            lambda k: _norm(k.acceleration / GRAVITY + ca.DM([0, 0, 1])), "g", "what the crew feels: 1 at rest"
+            lambda k: _norm(k.acceleration / GRAVITY + ca.DM([0, 0, 1])),
+            "g",
+            "acceleration that the crew feels: 1 at rest",
         ),
         "steering": Limit(
             lambda k: ca.sqrt(ca.atan(k.joint(STEERING)) ** 2 + 1e-8), "rad", "steering angle", joint=STEERING
@@ -331,7 +333,7 @@ LIMITS: Registry[Limit] = Registry(
         "steering_rate": Limit(
             lambda k: ca.sqrt((k.rate(STEERING) / (1 + k.joint(STEERING) ** 2)) ** 2 + 1e-8),
             "rad/s",
-            "how fast the steering angle changes",
+            "rate of the steering angle",
             joint=STEERING,
         ),
     },

@@ -24,7 +24,7 @@ class PilotTable(Table):
 
     model_config = Table.model_config | {"extra": "allow"}
     name: Annotated[Text, one_of("vehsim.pilots:PILOTS")]
-    """a pilot's name: "hover", "fly_to" or "follow_path\""""
+    """a pilot's name: "hover", "fly_to", "follow_path" or "gait\""""
 
     def parameters(self) -> dict[str, Any]:
         """The parameters for Python: arrays, and ``heading`` in radians."""

@@ -67,7 +67,7 @@ class PlanMotion(Table):
     """a table of upper limits: speed and climb in m/s, turn_rate in deg/s, bank in degrees, ceiling in m ...; default:
     none"""
     character: Literal["calm", "normal", "brisk", "stunt"] = "normal"
-    """how it is driven: "calm", "normal", "brisk" or "stunt", as hard as its model allows"""
+    """how the vehicle is driven: "calm", "normal", "brisk" or "stunt" (as hard as its model allows)"""
     look: Annotated[list[LookTable], Array, Len(0, 100)] = Field(default=[])
     """[[vehicle.motion.look]] tables: where to look, and when"""
     stay: Annotated[list[StayTable], Array, Len(0, 100)] = Field(default=[])

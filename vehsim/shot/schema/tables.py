@@ -188,7 +188,7 @@ class MarkTable(Table):
     on_ground: bool = False
     """true: a flying vehicle stands level and at rest on the ground or obstacle below the position"""
     ease: bool | None = None
-    """at rest, true: the controls start and end gently; default: depends on the character of the motion"""
+    """true: at a mark at rest, the controls start and end gently; default: depends on the character of the motion"""
 
 
 class StartTable(Table):
@@ -226,7 +226,7 @@ class CameraTable(Table):
     fill: Annotated[Number, Field(ge=0.005, le=1)] = CameraRig.fill
     """the height of the upright target as a share of the picture's height, 0.005 to 1; determines the distance"""
     distance: Annotated[Positive, Field(le=1e5)] | None = None
-    """the distance to the target in m, instead of fill; default: from fill"""
+    """the distance to the target in m, instead of fill; default: computed from fill"""
     height: Metre | None = None
     """the height above the target, in m; default: depends on the rig"""
     azimuth: Heading | None = None
