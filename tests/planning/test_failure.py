@@ -531,6 +531,27 @@ def test_a_mark_in_the_way_of_another_vehicle_is_refused_with_its_frame():
         assert not list(marks_too_near(heli, world, marks, 0.3))
 
 
+def test_a_mark_too_near_to_rock_is_refused_at_any_heading():
+    """In the canyon, 4 m from a wall: less than half the rotor. Tolerance and landings reduce the clearance."""
+    heli, world = vehsim.load_vehicle("helicopter"), vehsim.World("canyon")
+
+    def found(mark, clearance, *others):
+        start = Mark(1, position=(0, 0, 30), velocity=REST)
+        return [(i, message) for i, message, _ in marks_too_near(heli, world, [start, mark, *others], clearance, 24)]
+
+    near = Mark(200, position=(36, 0, 28.8), velocity=REST)
+    assert found(near, 0.5) == [(1, "the vehicle reaches 2.47 m into rock at any heading")]
+    assert found(replace(near, position=(24, 0, 26.4)), 0.5) == []
+    free = replace(near, position=(32, 0, 28))
+    ((_, message),) = found(free, 5.0)
+    gap = float(re.fullmatch(r"only (.*) m from rock at any heading", message)[1])
+    assert found(free, gap + 0.3) and found(free, gap - 0.1) == []
+    assert found(replace(free, tolerance=0.2), gap + 0.3) == []
+    assert found(free, gap + 0.3, Mark(300, position=(32, 0, 26), velocity=REST, on_ground=True)) == []
+    with pytest.raises(InputError, match=r"mark\[1\].position = .*into rock at any heading"):
+        vehsim.plan(heli, world, [Mark(1, position=(0, 0, 30), velocity=REST), near])
+
+
 def test_only_marks_with_a_position_have_a_first_frame():
     """The planner adds marks without one where a stay begins and ends."""
     terms = [stay((20, 40), within=(-50, -50, 50, 50))]

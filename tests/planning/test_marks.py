@@ -51,6 +51,21 @@ def test_a_gate_is_flown_through(helicopter, gate):
     assert np.linalg.norm(np.cross(centre - [0, 0, 30], [1, 0, 0])) > 5
 
 
+def test_a_gate_is_not_entered_backwards():
+    """The gate is behind the robot, with its direction forwards: it stopped there, and never passed it."""
+    robot, through = vehsim.load_vehicle("two_wheeled"), np.array([0.1294, 0.9916, 0])
+    marks = [
+        Mark(0, position=(-6.847, -4.801, 0), heading=82.564, velocity=REST),
+        Mark(170, position=(-7.209, -7.573, 0), heading=82.564, gate=Gate(tuple(through), radius=0.932)),
+    ]
+    limits = {"speed": 0.635, "turn_rate": np.radians(55.002), "acceleration": 0.356}
+    plan = vehsim.plan(robot, None, marks, segments=8, limits=limits)
+    assert plan.success
+    end = plan.clip.duration
+    before, last = plan.clip.at([end - 0.02, end]).positions
+    assert (last - before) @ through / 0.02 > 0.01
+
+
 def test_the_nose_points_at_the_requested_place(helicopter):
     tower = np.array([10.0, 30.0, 20.0])
     marks = [Mark(1, position=(-20, 0, 20), velocity=REST), Mark(169, position=(40, 0, 20), velocity=REST)]

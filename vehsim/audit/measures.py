@@ -127,11 +127,11 @@ def _gate_opening(track: Track, wanted: Wanted, scene: Scene) -> Array:
 
 
 def _gate_direction(track: Track, wanted: Wanted, scene: Scene) -> Array:
-    """Velocity through a gate, m/s."""
+    """The highest velocity through a gate that the poses allow, m/s."""
     axis = np.array(wanted["gate"][0])
     if wanted["planar"]:
         axis[2] = 0.0
-    return np.asarray(track.velocities @ axis)
+    return np.asarray(track.velocities @ axis + track.blur.velocity)
 
 
 def _in_gate(track: Track, wanted: Wanted) -> Array:

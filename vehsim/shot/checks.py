@@ -167,29 +167,29 @@ def check_mark(key: str, mark: Any, vehicle: Vehicle) -> Iterator[Problem]:
         yield from check_names(f"{key}.joints", mark.joints, vehicle.joints, "joint")
 
 
-def check_free(
-    key: str, position: list[float], pose: Any, clearance: float, vehicle: Vehicle, world: World
-) -> Iterator[Problem]:
-    """The vehicle is clear of the rock. With an unknown attitude, only its root is checked."""
+def check_free(key: str, position: list[float], clearance: float, world: World) -> Iterator[Problem]:
+    """A vehicle's root is not in the rock."""
     if world.terrain is None:
         return
     ground, end = float(world.height([position[:2]])[0]), world.terrain.beyond(position)
     if end and position[2] < ground:
         yield Problem(key, outside(end), "move it inside", position)
         return
-    attitude = orientation_of(pose)
     if position[2] < ground:
         message, remedy = f"inside rock: the ground is at {ground:.2f} m", f"raise z above {ground + clearance:.2f}"
         yield Problem(key, message, remedy, position)
     elif world.terrain.below([position])[0]:
         yield Problem(key, "inside rock, above the ground of a cave or below the top of an arch", "move it", position)
-    elif attitude is not None and vehicle.rig is not None:
-        gap = float(world.clearance_from_terrain(vehicle, [position], [attitude])[0])
-        if gap < min(clearance - 1e-6, 0.0):
-            yield Problem(key, f"the vehicle reaches {-gap:.2f} m into rock", "move it out of the terrain", position)
-        elif gap < clearance - 1e-6:
-            remedy = f"keep the clearance of {clearance:g} m, or reduce it"
-            yield Problem(key, f"only {gap:.2f} m from rock", remedy, position)
+
+
+def check_clear(key: str, position: list[float], pose: Any, vehicle: Vehicle, world: World) -> Iterator[Problem]:
+    """A vehicle with a known attitude does not reach into the rock."""
+    attitude = orientation_of(pose)
+    if attitude is None or world.terrain is None or world.terrain.below([position])[0]:
+        return
+    gap = float(world.clearance_from_terrain(vehicle, [position], [attitude])[0])
+    if gap < -1e-6:
+        yield Problem(key, f"the vehicle reaches {-gap:.2f} m into rock", "move it out of the terrain", position)
 
 
 def outside(end: str) -> str:

@@ -28,6 +28,8 @@ Expr = Any
 Row = tuple[Expr, float, float]
 """An expression and its bounds."""
 
+THROUGH = 0.05
+"""Least speed through a gate, m/s: a vehicle that comes backwards and turns round in the gate does not pass it."""
 PARAMETERS = {"position": 3, "heading": 1, "orientation": 4, "velocity": 3, "speed": 1, "gate": 11}
 """The quantities a mark can fix besides joints, and their sizes."""
 
@@ -221,7 +223,8 @@ def _place(transcription: Transcription, mark: Mark, view: KnotView, wanted: dic
     axes = [wanted["gate"][3 * i : 3 * i + 3][:shown] for i in range(3)]
     through, along, up = (ca.dot(axis, off) for axis in axes)
     width, height = wanted["gate"][9], wanted["gate"][10]
-    rows: list[Row] = [(through, 0.0, 0.0), (ca.dot(axes[0], view.velocity[:shown]), 0.0, np.inf)]
+    slowest = THROUGH if mark.velocity is None and mark.speed is None else 0.0
+    rows: list[Row] = [(through, 0.0, 0.0), (ca.dot(axes[0], view.velocity[:shown]), slowest, np.inf)]
     if mark.gate.radius is not None:
         return [*rows, (4 * (along**2 + up**2) / (width * height), 0.0, 1.0)]
     return [*rows, (2 * along / width, -1.0, 1.0), *([(2 * up / height, -1.0, 1.0)] if shown == 3 else [])]

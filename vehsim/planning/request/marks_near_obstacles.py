@@ -1,4 +1,4 @@
-"""Obstacles that a vehicle can touch on its path, and marks in or too near to an obstacle."""
+"""Obstacles that a vehicle can touch on its path, and marks in or too near to an obstacle or to rock."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from vehsim.errors import InputError
 from vehsim.lie.quaternions import from_yaw
 from vehsim.planning.certificates import FINEST
 from vehsim.planning.outlines import clearances
-from vehsim.planning.request.landing import attitude
+from vehsim.planning.request.landing import attitude, forgiven
 from vehsim.planning.request.marks import Mark, heading_of, leeway
 from vehsim.vehicles import Vehicle
 from vehsim.world.obstacles.obstacles import footprint, hulls_of, vertical_reach
@@ -42,7 +42,7 @@ def parts_in_reach(vehicle: Vehicle, world: Any, marks: Sequence[Any]) -> list[t
 
 
 def check_marks_clear(vehicle: Vehicle, world: Any, marks: Sequence[Mark], clearance: float, fps: Any) -> None:
-    """Raise ``InputError`` if the vehicle, at a mark, would be in an obstacle or nearer than ``clearance`` m to one."""
+    """Raise ``InputError`` for the first of `marks_too_near`."""
     for i, message, remedy in marks_too_near(vehicle, world, marks, clearance, fps):
         place = np.asarray(marks[i].position, float).tolist()
         raise InputError(message, remedy, key=f"{marks[i].name}.position", value=place)
@@ -51,15 +51,16 @@ def check_marks_clear(vehicle: Vehicle, world: Any, marks: Sequence[Mark], clear
 def marks_too_near(
     vehicle: Vehicle, world: Any, marks: Sequence[Any], clearance: float, fps: Any = None
 ) -> Iterator[tuple[int, str, str]]:
-    """Index, message and remedy of every mark at which the vehicle is in an obstacle or too near to one.
+    """Index, message and remedy of every mark at which the vehicle is in an obstacle, or too near to one; a flying
+    vehicle also in rock, or too near to it.
 
     For a mark without a heading, the best heading counts. For a flying vehicle that may tilt there, only the root is
-    checked. The tolerance or gate of a mark is taken off the required clearance. ``fps``: frames per second; with them,
-    moving obstacles count at marks with a frame.
+    checked, and only against obstacles. The tolerance or gate of a mark, and its distance to a landing, reduce the
+    required clearance. ``fps``: frames per second; with them, moving obstacles count at marks with a frame.
     """
-    if world is None or not world.obstacles:
+    if world is None:
         return
-    parts = parts_in_reach(vehicle, world, marks)
+    parts, less = parts_in_reach(vehicle, world, marks), forgiven(marks, clearance)
     for i, mark in enumerate(marks):
         seconds = None if fps is None or mark.frame == "free" else float(int(mark.frame) / fps)
         if mark.position is None:
@@ -67,21 +68,27 @@ def marks_too_near(
         found = (
             _flown(vehicle, world, mark, seconds) if vehicle.group.dim == 6 else _driven(vehicle, parts, mark, seconds)
         )
-        if found is None or found.gap + leeway(mark) + found.spare >= clearance - FINEST:
+        if found is None:
+            continue
+        spare = found.spare + leeway(mark) + float(less(np.array([mark.position], float))[0])
+        if found.gap + spare >= clearance - FINEST:
             continue
         obstacle, gap = found.obstacle, found.gap
-        where = f"obstacle {obstacle.name!r}{' at any heading' if found.turned else ''}"
-        where += f" at frame {mark.frame}" if obstacle.moves else ""
-        if gap <= 0:
-            yield i, f"in {where}", "move the mark or the obstacle"
-        else:
+        where = "rock" if obstacle is None else f"obstacle {obstacle.name!r}"
+        where += " at any heading" if found.turned else ""
+        where += f" at frame {mark.frame}" if obstacle is not None and obstacle.moves else ""
+        if gap > 0:
             yield i, f"only {gap:.2f} m from {where}", f"keep the clearance of {clearance:g} m, or reduce it"
+        elif obstacle is None:
+            yield i, f"the vehicle reaches {-gap:.2f} m into {where}", "move the mark out of the terrain"
+        else:
+            yield i, f"in {where}", "move the mark or the obstacle"
 
 
 @dataclass(frozen=True)
 class _Nearest:
-    """The smallest signed distance to an obstacle at a mark, m; ``turned``: at the best of all headings; ``spare``: by
-    how much it may be larger, m, because not all headings or attitudes were measured."""
+    """The smallest signed distance at a mark, m, and from which obstacle; without one, from rock. ``turned``: at the
+    best of all headings; ``spare``: by how much it may be larger, m, because not all headings were measured."""
 
     gap: float
     obstacle: Any
@@ -105,7 +112,7 @@ def _driven(vehicle: Vehicle, parts: Sequence[tuple[Any, int]], mark: Any, secon
 
 def _flown(vehicle: Vehicle, world: Any, mark: Any, seconds: float | None) -> _Nearest | None:
     """The same for a flying vehicle: with its hulls if it is known to be level or its attitude is given."""
-    if mark.on_ground or not (world.standing or seconds is not None):
+    if mark.on_ground:
         return None
     nose = heading_of(mark)
     level = mark.velocity is not None and not np.any(mark.velocity) and not np.any(world.wind)
@@ -113,9 +120,17 @@ def _flown(vehicle: Vehicle, world: Any, mark: Any, seconds: float | None) -> _N
     body = vehicle if nose is not None or turned else replace(vehicle, rig=None)
     turns = from_yaw(_HEADINGS) if turned else attitude(mark)[None]
     places = np.repeat(np.array([mark.position], float), len(turns), axis=0)
-    gaps = world.clearance_by_obstacle(body, places, turns, None if seconds is None else np.full(len(turns), seconds))
+    obstacles, gaps = [], np.empty((len(turns), 0))
+    if world.terrain is not None and not world.terrain.below(places[:1])[0]:  # routes and shots report a root in rock
+        obstacles, gaps = [None], world.clearance_from_terrain(body, places, turns)[:, None]
+    if world.standing or (world.obstacles and seconds is not None):
+        times = None if seconds is None else np.full(len(turns), seconds)
+        gaps = np.hstack([gaps, world.clearance_by_obstacle(body, places, turns, times)])
+        obstacles += world.obstacles
+    if not obstacles:
+        return None
     best = int(gaps.min(axis=1).argmax())
-    gap, obstacle = float(gaps[best].min()), world.obstacles[int(gaps[best].argmin())]
+    gap, obstacle = float(gaps[best].min()), obstacles[int(gaps[best].argmin())]
     if body is vehicle:
         spare = _between(np.vstack(hulls_of(vehicle))[:, :2]) if turned and vehicle.rig else 0.0
         return _Nearest(gap, obstacle, turned, spare)

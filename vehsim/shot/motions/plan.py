@@ -131,8 +131,7 @@ class PlanMotion(Table):
             if mark.position is not None and is_planar(vehicle):
                 yield from check_inside(f"{key}.position", mark.position, vehicle, setting.world)
             if mark.position is not None and not (is_planar(vehicle) or mark.on_ground):  # wheels touch the ground
-                slack = self.clearance - mark.tolerance
-                yield from check_free(f"{key}.position", mark.position, mark, slack, vehicle, setting.world)
+                yield from check_free(f"{key}.position", mark.position, self.clearance, setting.world)
 
     def _check_guess(self, vehicle: Vehicle) -> Iterator[Problem]:
         if self.guess == "sinusoid":

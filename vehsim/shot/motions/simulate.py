@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field
 
 from vehsim.errors import Problem
-from vehsim.shot.checks import Setting, check_free, check_inside, check_mark, check_names
+from vehsim.shot.checks import Setting, check_clear, check_free, check_inside, check_mark, check_names
 from vehsim.shot.motions.pilots import PilotTable
 from vehsim.shot.motions.state import as_state, is_planar, to_si
 from vehsim.shot.schema.tables import MAX_FRAMES, Array, Number, Positive, StartTable, Table
@@ -53,7 +53,8 @@ class ForwardMotion(Table):
         yield from check_mark("start", self.start, vehicle)
         yield from check_inside("start.position", self.start.position, vehicle, setting.world)
         if not is_planar(vehicle):
-            yield from check_free("start.position", self.start.position, self.start, 0.0, vehicle, setting.world)
+            yield from check_free("start.position", self.start.position, 0.0, setting.world)
+            yield from check_clear("start.position", self.start.position, self.start, vehicle, setting.world)
 
     def solve(self, vehicle: Vehicle, setting: Setting, progress: Progress) -> tuple[Clip, dict[str, Any]]:
         from vehsim.simulation import simulate
