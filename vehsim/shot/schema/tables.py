@@ -147,7 +147,7 @@ class GateTable(Table):
     """``gate = { direction = [1, 0, 0], radius = 4 }``: an opening about a mark's position."""
 
     direction: Velocity
-    """the direction of passage, [x, y, z] of any length"""
+    """the direction of passage, [x, y, z] of any length; without velocity and speed, at least 0.05 m/s in it"""
     radius: Positive | None = None
     """the radius of a ring in m"""
     size: Annotated[list[Positive], Array, Len(2, 2)] | None = None
