@@ -170,7 +170,7 @@ def _add_camera(
     views = [stage.camera(name, frame) for frame in frames.tolist()]
     widths = np.array([view.half_width for view in views])
     if np.ptp(widths) > 1e-9:
-        warnings.warn(f"{root}.glb: camera {name}: glTF keeps one lens, its first", stacklevel=3)
+        warnings.warn(f"{root}.glb: camera {name}: glTF keeps only its first lens", stacklevel=3)
     near, far = views[0].clip
     perspective = {"yfov": 2 * float(np.arctan(widths[0] / aspect)), "aspectRatio": aspect, "znear": near, "zfar": far}
     cameras = file.tree.setdefault("cameras", [])

@@ -17,7 +17,7 @@ CHARACTERS = [
     (name, name.title(), f"Drive {how}")
     for name, how in (
         ("calm", "calmly"),
-        ("normal", "as people usually do"),
+        ("normal", "as a careful professional"),
         ("brisk", "briskly"),
         ("stunt", "as hard as the vehicle can"),
     )
@@ -27,12 +27,14 @@ CHARACTERS = [
 class VEHSIM_PG_mark(bpy.types.PropertyGroup):
     """What an empty requests; its place and the direction of its X axis are the vehicle's."""
 
-    frame: IntProperty(name="Frame", description="When the vehicle is here; of a free frame, only the order counts")
+    frame: IntProperty(
+        name="Frame", description="The frame at which the vehicle is here; orders the mark if the frame is free"
+    )
     free_frame: BoolProperty(name="Free Frame", description="The planner chooses the frame")
     free_heading: BoolProperty(
-        name="Free Heading", description="The nose may point anywhere; otherwise along the empty's X axis"
+        name="Free Heading", description="The nose may point anywhere; if off, it points along the empty's X axis"
     )
-    use_speed: BoolProperty(name="Set Speed", description="Arrive with this speed; otherwise with any")
+    use_speed: BoolProperty(name="Set Speed", description="Arrive with this speed; if off, with any speed")
     speed: FloatProperty(name="Speed", description="0: at rest", min=0.0, max=1000.0, unit="VELOCITY")
     hold: IntProperty(name="Hold", description="Frames to stay here, at rest", min=0)
     on_ground: BoolProperty(name="On Ground", description="A flying vehicle lands on what is below the empty")
@@ -72,13 +74,13 @@ class VEHSIM_PG_shot(bpy.types.PropertyGroup):
     name: StringProperty(name="Shot", description="Letters, digits and underscores", default="shot")
     terrain: StringProperty(
         name="Terrain",
-        description="A terrain of vehsim, or a mesh or height map; empty: none",
+        description="A terrain of vehsim, or a mesh or height map; leave empty for none",
         search=lambda self, context, text: preferences.names(context, "terrains"),
         search_options={"SUGGESTION"},
     )
     more: PointerProperty(
         name="More",
-        description="A text with other tables of the shot file, such as [world] or [[vehicle]] with limits",
+        description="A Blender text with other tables of the shot file, such as [world] or [[vehicle]] with limits",
         type=bpy.types.Text,
     )
     folder: StringProperty(name="Folder", description="Where the files go", default="//vehsim", subtype="DIR_PATH")

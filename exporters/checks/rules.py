@@ -193,7 +193,9 @@ def _dead_overs(stage: Any) -> Iterator[Issue]:
                 for layer in node.layerStack.layers:
                     spec = layer.GetPrimAtPath(node.path)
                     if spec and spec.nameChildren:
-                        what = f"{layer.GetDisplayName()} says something of {spec.nameChildren[0].name} in an instance"
+                        what = (
+                            f"{layer.GetDisplayName()} has an opinion on {spec.nameChildren[0].name} inside an instance"
+                        )
                         remedy = "set instanceable = false on it, or author the opinion in the referenced layer"
                         yield Issue("error", "dead over", str(prim.GetPath()), what, remedy)
 

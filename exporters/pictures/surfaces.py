@@ -80,7 +80,7 @@ def _texture(shader: Any) -> Path | None:
         return None
     source = UsdShade.Shader(diffuse.GetConnectedSources()[0][0].source.GetPrim())
     if source.GetIdAttr().Get() != "UsdUVTexture":
-        warnings.warn(f"{source.GetPath()}: only UsdUVTexture is drawn; its colour is left out", stacklevel=4)
+        warnings.warn(f"{source.GetPath()}: only UsdUVTexture is drawn; this colour is omitted", stacklevel=4)
         return None
     file = source.GetInput("file").Get()
     if not file or not file.resolvedPath:

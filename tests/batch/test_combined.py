@@ -108,7 +108,7 @@ def test_latest_is_the_newest_version_with_a_stage(
     assert "latest" not in capsys.readouterr().err
     export("csv", *versions, "--set", "vehicle.car.motion.duration=0.5")
     assert (
-        "latest still shows v001: v003 has another motion, not exported to usd; export usd again"
+        "latest still shows v001: v003 has another motion, which was not exported to usd; export usd again"
         in capsys.readouterr().err
     )
     export("usd", *versions, "--set", "vehicle.car.motion.duration=0.5")

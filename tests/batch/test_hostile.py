@@ -202,7 +202,7 @@ def test_a_read_only_output_folder(write: Write, small_disk: Path) -> None:
     process = start(write(sweep=SWEEP.format(2)), small_disk / "out")
     _, output = process.communicate()
     assert process.returncode == 2  # before anything is solved
-    assert output.count("may not be written to") == 1
+    assert output.count("no permission to write there") == 1
     assert "Traceback" not in output
 
 
@@ -218,7 +218,7 @@ def test_unreadable_files_are_named(write: Write, tmp_path: Path) -> None:
     for folder in (out / "taken", rig):
         folder.chmod(0o700)
     assert answer.returncode == 1
-    assert f"{out / 'taken'}: may not be read" in answer.stderr
+    assert f"{out / 'taken'}: no permission to read it" in answer.stderr
     assert f"{rig / 'car'}: Permission denied" in answer.stderr
     assert "unexpected" not in answer.stderr
     assert {path.name for path in out.iterdir()} == {"good", "taken", "summary.json"}

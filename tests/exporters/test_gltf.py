@@ -173,7 +173,7 @@ def test_a_changing_lens_is_named(tmp_path, toys, make_take):
     take = make_take(toys.clip(toys.asset(tmp_path / "in" / "toy.usda")))
     lens = np.linspace(35, 50, len(take.cameras[0].frames))
     take = replace(take, cameras=(replace(take.cameras[0], lens_mm=lens),))
-    with pytest.warns(UserWarning, match="chase: glTF keeps one lens"):
+    with pytest.warns(UserWarning, match="chase: glTF keeps only its first lens"):
         take.export(tmp_path / "out", to=("glb",))
 
 

@@ -211,7 +211,7 @@ def test_versions_are_never_overwritten_and_latest_follows(weave, tmp_path):
     assert latest.GetRootLayer().subLayerPaths[0] == "./v002/shot.usda"
     assert latest.GetPrimAtPath("/shot/vehicles/it/wheel_rl")
     assert (latest.GetStartTimeCode(), latest.GetEndTimeCode()) == FRAMES
-    with pytest.raises(InputError, match="holds versions, which stay"):
+    with pytest.raises(InputError, match="contains versions, which are never removed"):
         take_of(weave).export(tmp_path)
     plain = take_of(weave).export(tmp_path / "plain")
     with pytest.raises(InputError, match="contains other files than versions"):

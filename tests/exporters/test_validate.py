@@ -207,7 +207,9 @@ def test_opinions_inside_an_instance_are_found(tmp_path, toys):
     Sdf.CreatePrimInLayer(layer, "/it/rotor")
     layer.Save()
     issues = [issue for issue in validate_stage(tmp_path / "shot.usda") if issue.rule == "dead over"]
-    assert "says something of rotor in an instance" in issues[0].message and "instanceable = false" in issues[0].remedy
+    assert (
+        "has an opinion on rotor inside an instance" in issues[0].message and "instanceable = false" in issues[0].remedy
+    )
 
 
 def test_a_layer_of_overs_only_is_valid(tmp_path):

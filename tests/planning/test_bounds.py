@@ -124,7 +124,7 @@ def test_a_default_heading_is_dropped_before_the_plan_fails():
         Mark(1053, position=(1, 0, 30), velocity=REST),
         Mark(1145, position=(30, 0, 30), heading=0, velocity=REST),
     ]
-    with pytest.warns(UserWarning, match="marks at rest do not face along their legs"):
+    with pytest.warns(UserWarning, match="headings at rest do not point along the path"):
         plan = vehsim.plan(vehsim.load_vehicle("helicopter"), None, marks, segments=32)
     assert plan.success and abs(plan.clip.resample().positions[52, 0] - 1) < 1e-3
 
@@ -133,7 +133,7 @@ def test_a_default_heading_is_dropped_before_the_plan_fails():
     ("name", "frame"), [("helicopter", 1101), ("car", 1101), ("boat", "free"), ("two_wheeled", 1151)]
 )
 def test_two_segments_are_replaced_by_enough(name, frame, capfd):
-    with pytest.warns(UserWarning, match="on 16 segments: 2 are too few"):
+    with pytest.warns(UserWarning, match="with 16 segments, because 2 are too few"):
         plan = vehsim.plan(vehsim.load_vehicle(name), None, ends(name, 20.0, frame, velocity=REST), segments=2)
     assert plan.success and "overconstrained" not in capfd.readouterr().err
 

@@ -132,7 +132,7 @@ def test_a_hurried_flight_is_planned_in_few_iterations_in_a_character_that_suits
 
 def test_marks_that_are_much_too_early_are_met_with_a_warning() -> None:
     marks = [Mark(1, position=(0, 0, 20), velocity=STILL), Mark(170, position=(100, 0, 25), velocity=STILL)]
-    with pytest.warns(UserWarning, match="too little time for normal|beyond normal: character.bank|not normal"):
+    with pytest.warns(UserWarning, match="too little time for normal|beyond normal: character.bank|no normal motion"):
         made = vehsim.plan(HELICOPTER, marks=marks, segments=32, character="normal")
     assert made.success
 
@@ -147,7 +147,7 @@ def test_a_plan_that_fails_in_its_character_becomes_a_stunt(monkeypatch: pytest.
         return done if iterate.request.traits.name == "stunt" else replace(done, solution=spoiled)
 
     monkeypatch.setattr(planner, "refine_and_certify", certified)
-    with pytest.warns(UserWarning, match="not normal: no such motion was found"):
+    with pytest.warns(UserWarning, match="not in character: no normal motion was found"):
         made = drive("normal")
     assert made.success and tried[0] == "normal" and tried[-1] == "stunt"
 

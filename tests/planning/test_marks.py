@@ -154,7 +154,7 @@ def test_rest_stops_every_free_velocity():
 
 @pytest.mark.parametrize(
     ("frame", "message"),
-    [(0, "before the first mark"), (50, "free marks stand between"), (90, "after the last mark")],
+    [(0, "before the first mark"), (50, "before or after the free marks between"), (90, "after the last mark")],
 )
 def test_invalid_ranges_are_named(frame, message):
     marks = check_marks([Mark(1, position=REST), Mark("free"), Mark(80)], ())

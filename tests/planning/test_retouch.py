@@ -121,7 +121,7 @@ def test_a_vehicle_that_nothing_pushes_is_refused(name, drifts):
     from vehsim.planning.retouch import check_pushed
 
     if drifts:
-        with pytest.raises(InputError, match="nothing pushes it"):
+        with pytest.raises(InputError, match="no control pushes it"):
             check_pushed(vehsim.load_vehicle(name))
     else:
         check_pushed(vehsim.load_vehicle(name))

@@ -183,7 +183,7 @@ def test_the_chosen_frames_are_named(tmp_path: Path) -> None:
 
 
 def test_another_frame_rate_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="24 a second, the shot at 30"):
+    with pytest.raises(InputError, match="24 time codes per second, the shot 30"):
         read_blocking(stage_with(tmp_path / "in.usda"), "/World/heli", Fraction(30))
 
 

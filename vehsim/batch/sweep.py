@@ -115,7 +115,7 @@ def _seeds(sweep: Mapping[str, Any], needed: bool) -> list[int]:
     seeds = list(range(given)) if isinstance(given, int) and 0 < given <= MAX_CLIPS else given
     whole = isinstance(seeds, list) and all(isinstance(s, int) and not isinstance(s, bool) and s >= 0 for s in seeds)
     if not whole or len(set(seeds)) < len(seeds) or ("seeds" in sweep and not (seeds and needed)):
-        what = "missing" if given is None else "not seeds" if needed else "nothing is drawn"
+        what = "missing" if given is None else "not seeds" if needed else "no key is random"
         remedy = "give the number of clips, or a list of whole numbers, and a key such as { uniform = [0, 1] }"
         raise _wrong("sweep.seeds", what, remedy, given)
     return seeds

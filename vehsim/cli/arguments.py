@@ -146,7 +146,7 @@ def check_delivery(names: Sequence[str], out: Path, shot: Shot) -> None:
     home = out / shot.name if shot.usd.versions else out
     there = next(path for path in (home, *home.parents) if os.path.exists(path))
     if not os.access(there, os.W_OK):  # Report this now, not after a thousand clips were solved.
-        raise InputError("may not be written to", "export elsewhere, or fix its permissions", file=there)
+        raise InputError("no permission to write there", "export elsewhere, or fix its permissions", file=there)
 
 
 def check_stages(paths: Sequence[Path]) -> None:

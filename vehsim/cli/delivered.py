@@ -82,7 +82,7 @@ def prims_in(edit: Path, wanted: dict[str, str]) -> dict[str, str]:
                 found[vehicle] = str(prim.GetPath())
                 break
     if not found:
-        raise InputError("none of its vehicles moves in it", f"edit {', '.join(wanted.values())}", file=edit)
+        raise InputError("no vehicle of the delivery moves in it", f"edit {', '.join(wanted.values())}", file=edit)
     return found
 
 
@@ -102,7 +102,7 @@ def _check_same(delivery: Path, name: str, vehicle: str, clip: Any) -> None:
         raise InputError(
             f"{vehicle}: the shot now gives another motion than was delivered, {off.max():.2g} m away at frame "
             f"{shown.frames[inside][off.argmax()]:g}",
-            "export it again with this version of vehsim, and edit that",
+            "export it again with this version of vehsim, and edit the new delivery",
             file=delivery,
         )
 

@@ -78,7 +78,7 @@ def in_order(names: Sequence[str]) -> list[Exporter]:
 
     def add(name: str, chain: tuple[str, ...]) -> None:
         if name in chain:
-            raise ExportError(f"exporters need each other in a circle: {' -> '.join((*chain, name))}")
+            raise ExportError(f"exporters need each other in a cycle: {' -> '.join((*chain, name))}")
         exporter = find_exporter(name)
         for needed in exporter.needs:
             add(needed, (*chain, name))
@@ -151,6 +151,7 @@ def point_at_newest(home: Path) -> Path:
         if reports[own[-1]].get("content") != reports[found[-1]].get("content"):
             message = f"latest still shows {own[-1].name}: {found[-1].name} has another motion"
             warnings.warn(
-                f"{home}: {message}, not exported to {exporter.name}; export {exporter.name} again", stacklevel=3
+                f"{home}: {message}, which was not exported to {exporter.name}; export {exporter.name} again",
+                stacklevel=3,
             )
     return newest(home)

@@ -119,7 +119,11 @@ def may_replace(target: Path, overwrite: bool = True) -> None:
     if not overwrite:
         raise InputError("exists", "remove it, or export elsewhere", file=target)
     if versions(target):
-        raise InputError("holds versions, which stay", "export with export.versions = true, or elsewhere", file=target)
+        raise InputError(
+            "contains versions, which are never removed",
+            "export with export.versions = true, or elsewhere",
+            file=target,
+        )
     for pause in (0.0, 0.02, 0.1):  # check again: another export may be replacing it
         time.sleep(pause)
         if not _is_foreign(target):
@@ -156,7 +160,7 @@ def _names(folder: Path) -> list[str]:
     except (FileNotFoundError, NotADirectoryError):
         return []
     except PermissionError:
-        raise InputError("may not be read", "export elsewhere, or fix its permissions", file=folder) from None
+        raise InputError("no permission to read it", "export elsewhere, or fix its permissions", file=folder) from None
 
 
 def settle(folder: Path) -> None:

@@ -47,12 +47,12 @@ def with_fewer_requirements(
     legs, few, turned = len(request.marks) - 1, request.segments, bool(iterate.request.given)
     enough = LEAST * legs if few <= FEWEST * legs else few
     tries = [(few, "")] if turned else []
-    tries += [(enough, f"; on {enough} segments: {few} are too few")] if enough > few else []
+    tries += [(enough, f"; with {enough} segments, because {few} are too few")] if enough > few else []
     for segments, remark in tries:
         if run.deadline.late:
             break
         unturned = (
-            "; marks at rest do not face along their legs: no such motion was found" if iterate.request.given else ""
+            "; headings at rest do not point along the path: no such motion was found" if iterate.request.given else ""
         )
         changed = replace(request, segments=segments)
         run = Run(changed, run.progress)

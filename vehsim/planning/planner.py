@@ -221,7 +221,7 @@ def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
         return made
     assert made._iterate is not None
     found = made._iterate.request.traits.name
-    remark = f"; driven as {found}: the marks leave too little time for {request.traits.name}, give later frames"
+    remark = f"; driven as {found}: the marks leave too little time for {request.traits.name}; give later frames"
     return _remarked(made, remark)
 
 
@@ -234,7 +234,7 @@ def _in_one_character(request: Request, progress: Progress | None, guess: Any) -
     enough = enough_segments(request)
     if request.segments < enough:
         made = _in_one_character(replace(request, segments=enough), progress, guess)
-        return _remarked(made, f"; on {enough} segments: {request.segments} are too few")
+        return _remarked(made, f"; with {enough} segments, because {request.segments} are too few")
     made, limited = _attempt(request, progress, guess), ""
     while made._iterate is not None and made._iterate.success and (tops := _exceeded(made, request)):
         request = replace(request, limits=request.limits.within(tops))
@@ -253,11 +253,11 @@ def _in_one_character(request: Request, progress: Progress | None, guess: Any) -
         segments = min(FINER * segments, MOST)
         again = _attempt(replace(request, segments=segments), progress, guess, once=True)
         if again.success:
-            made = _remarked(again, f"; on {segments} segments: {request.segments} are too few")
+            made = _remarked(again, f"; with {segments} segments, because {request.segments} are too few")
     if _fails_in_character(made):
         stunt = _attempt(replace(request, traits=NO_TRAITS), progress, guess)
         if stunt.success:
-            made = _remarked(stunt, f"; not {request.traits.name}: no such motion was found")
+            made = _remarked(stunt, f"; not in character: no {request.traits.name} motion was found")
     return _remarked(made, limited) if limited else made
 
 
@@ -374,7 +374,7 @@ def _result(run: Run, iterate: Iterate, reason: Reason | None = None) -> Plan:
     times = f"after {iterate.tightenings} tighter solves"
     if not success and iterate.problem is not None:
         reason = "time limit" if solution.out_of_time else "not solved"
-        worst = f"worst {iterate.worst()}, off by {solution.violation:.3g}"
+        worst = f"worst violation: {iterate.worst()}, off by {solution.violation:.3g}"
         if solution.violation < MET:
             worst = "all constraints are met, but the cost is not minimal yet; allow more iterations"
         else:
@@ -392,7 +392,7 @@ def _result(run: Run, iterate: Iterate, reason: Reason | None = None) -> Plan:
     message += iterate.remark + iterate.note
     if success and ends_elsewhere(iterate):
         off, allowed = iterate.executed.final, execution_tolerance(request) + SHARE * extent(request.vehicle)
-        message += f"; when executed, the controls end {off:.3g} m off"
+        message += f"; when executed, the controls end {off:.3g} m from the planned end"
         if off > allowed:
             success, reason = False, "execution"
             message += f", more than {allowed:.2g} m: use more segments, more time, or a slower motion"

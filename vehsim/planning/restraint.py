@@ -37,7 +37,7 @@ def in_character(run: Run, iterate: Iterate, traits: Traits) -> Iterate:
     blocks = tuple(new.resume(old) for new, old in zip(fresh, iterate.blocks, strict=True))
     again = replace(iterate, request=request, blocks=blocks, multipliers=None, prolongated=True)
     solved = solve(run, again)
-    remark = f"; not {traits.name}: no such motion was found"
+    remark = f"; not in character: no {traits.name} motion was found"
     return solved if solved.success else replace(iterate, remark=iterate.remark + remark)
 
 

@@ -136,7 +136,7 @@ def retouch(
     landed = _landed(clip, world, edit.frames)
     for a, b in _runs(landed & edit.touched):
         raise SolveError(
-            f"frames {edit.frames[a]:.0f} to {edit.frames[b]:.0f} of the edit: it stands on the ground there",
+            f"frames {edit.frames[a]:.0f} to {edit.frames[b]:.0f} of the edit: the vehicle stands on the ground there",
             "move its mark and solve it again, or edit other frames",
             subject=clip.vehicle.name,
         )
@@ -166,10 +166,10 @@ def retouch(
 
 
 def check_pushed(vehicle: Vehicle) -> None:
-    """Raise ``InputError`` if no motion but one leads from a state of the vehicle: nothing pushes it."""
+    """Raise ``InputError`` if only one motion leads from a state of the vehicle, because no control pushes it."""
     if not is_pushed(vehicle):
         raise InputError(
-            "nothing pushes it in the air, so its path follows from its start",
+            "no control pushes it in the air, so its path follows from its start",
             "change its start or its marks, and solve it again",
             subject=vehicle.name,
         )

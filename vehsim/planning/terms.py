@@ -352,7 +352,7 @@ def cost_weights(cost: str | Mapping[str, float], defaults: Mapping[str, float])
         if not (isinstance(weight, int | float) and 0 <= weight < float("inf")):
             raise InputError("not a weight", "give a number, zero or more", key=f"cost.{name}", value=weight)
     if not any(table.values()):
-        raise InputError("no weight above zero", f"weigh at least one of {', '.join(COSTS)}", key="cost", value=cost)
+        raise InputError("no weight above zero", f"give a weight to one of {', '.join(COSTS)}", key="cost", value=cost)
     return {name: 0.0 for name in COSTS} | {"smoothness": SMOOTHNESS} | dict(defaults) | table
 
 

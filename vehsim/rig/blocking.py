@@ -100,9 +100,7 @@ def read_blocking(path: str | Path, prim: str, fps: Fraction, forward: str = "X"
     stage, xformable = _open(Path(path), prim)
     rate = Fraction(stage.GetTimeCodesPerSecond()).limit_denominator(1001)
     if rate != fps:
-        raise InputError(
-            f"its time codes run at {float(rate):g} a second, the shot at {float(fps):g} frames", file=path
-        )
+        raise InputError(f"it has {float(rate):g} time codes per second, the shot {float(fps):g} frames", file=path)
     times = _key_times(xformable)
     if not times:
         raise InputError("it does not move", "add keys, or give marks", key=prim, file=path)

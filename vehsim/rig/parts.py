@@ -327,7 +327,7 @@ def _walk(root: Any, convert: Array, messages: list[str]) -> Iterator[_Node]:
                 above = convert
                 messages.append(
                     f"{prim.GetPath()}: !resetXformStack! detaches it from the vehicle in USD; it is read where it "
-                    "stands and moves with the vehicle here; take the reset away"
+                    "stands and moves with the vehicle here; remove the reset"
                 )
         matrices[prim.GetPath()] = above @ local
         is_mesh, is_gprim = prim.IsA(UsdGeom.Mesh), prim.IsA(UsdGeom.Gprim)

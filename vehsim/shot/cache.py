@@ -70,7 +70,7 @@ def _most() -> int:
     try:
         return int(float(given) * 1e9)
     except (ValueError, OverflowError):
-        raise InputError("not a number", "give GB, 0 to keep no motion", key=MOST, value=given) from None
+        raise InputError("not a number", "give a number of GB; 0 disables the cache", key=MOST, value=given) from None
 
 
 def motion_key(file: ShotFile, files: Iterable[Path], world: str) -> str | None:

@@ -514,7 +514,7 @@ class Shot:
                 frame, (x, y, z) = found
                 warnings.warn(
                     f"{name}: reaches into the rock at ({x:.2f}, {y:.2f}, {z:.2f}) m at frame {frame:g}: plans of "
-                    "vehicles on the ground do not see walls and roofs of terrain; keep away, or add obstacles there",
+                    "vehicles on the ground ignore walls and roofs of terrain; keep away, or add obstacles there",
                     stacklevel=3,
                 )
 
@@ -527,8 +527,9 @@ class Shot:
             for index, short in ((0, clip.start_frame - first), (-1, last - clip.end_frame)):
                 if short > self.file.shot.handles and not rests(clip, index):
                     warnings.warn(
-                        f"{name}: its motion covers frames {clip.start_frame} to {clip.end_frame} of {first} to {last} "
-                        "and is cut off while it moves: it stands still in the others; change marks or duration",
+                        f"{name}: its motion covers only frames {clip.start_frame} to {clip.end_frame} of {first} to "
+                        f"{last} and is cut off while it moves; in the other frames it stands still; change marks or "
+                        "duration",
                         stacklevel=3,
                     )
         return first, last

@@ -105,7 +105,7 @@ def default_parts(vehicle: Vehicle) -> dict[str, Box | Wheel]:
 def _path(name: str, parts: Mapping[str, Box | Wheel], depth: int = 0) -> str:
     if depth > len(parts):
         raise InputError(
-            "parents go round in a circle", "break it", key=f"parts[{name!r}].parent", value=parts[name].parent
+            "its parents form a cycle", "break the cycle", key=f"parts[{name!r}].parent", value=parts[name].parent
         )
     parent = parts[name].parent
     return f"{_path(parent, parts, depth + 1)}/{name}" if parent else name

@@ -78,20 +78,20 @@ def build(function: ca.Function) -> Built | None:
     """A function as machine code; None, with a warning, without a compiler or where it cannot be trusted."""
     command = compiler()
     if command is None:
-        _warn_once("no C compiler: set CC, or install one; going on with CasADi's interpreter, which is slower")
+        _warn_once("no C compiler: set CC, or install one; continuing with CasADi's interpreter, which is slower")
         return None
     source, name = _source(function, " ".join(command))
     library = cache_folder() / "machine-code" / f"{name}.so"
     if not _is_ours(library.parent):
         remedy = f"chmod go-w {library.parent}, remove it, or give another VEHSIM_CACHE"
-        _warn_once(f"{library.parent} can be written by others: nothing of it is run; {remedy}; going on without")
+        _warn_once(f"other users can write to {library.parent}: no code in it is run; {remedy}; continuing without it")
         return None
     if not (library.is_file() and _is_ours(library) and _loads(library)):
         try:
             _compile(source, library, command)
         except (OSError, subprocess.SubprocessError) as error:
             words = getattr(error, "stderr", None) or str(error)
-            _warn_once(f"{command[0]} cannot build here ({words.strip()[:300]}); going on with CasADi's interpreter")
+            _warn_once(f"{command[0]} cannot build here ({words.strip()[:300]}); continuing with CasADi's interpreter")
             return None
     return Built(library, name)
 

@@ -216,14 +216,16 @@ def _check_numbers(i: int, mark: Mark) -> None:
         raise InputError("orientation is given too", "drop one of them", key=f"mark[{i}].heading", value=mark.heading)
     if mark.hold and not (mark.balanced or mark.on_ground):
         raise InputError(
-            "a held vehicle is in balance",
+            "a vehicle must be in balance during a hold",
             "give velocity = [0, 0, 0], no orientation",
             key=f"mark[{i}].hold",
             value=mark.hold,
         )
     if mark.on_ground and (mark.position is None or (mark.heading is None and mark.orientation is None)):
         raise InputError(
-            "where it stands is not given", "give the position above it, and a heading", key=f"mark[{i}].on_ground"
+            "a landing needs a position and a heading",
+            "give the position above the ground, and a heading",
+            key=f"mark[{i}].on_ground",
         )
     if mark.on_ground and (not mark.at_rest or mark.tolerance or mark.gate is not None):
         raise InputError(
@@ -232,7 +234,11 @@ def _check_numbers(i: int, mark: Mark) -> None:
     if mark.gate is not None:
         mark.gate.check(f"mark[{i}].gate")
         if mark.position is None or mark.tolerance:
-            raise InputError("a gate stands about a position", "give it, and no tolerance", key=f"mark[{i}].gate")
+            raise InputError(
+                "a gate needs a position, without a tolerance",
+                "give the position, and no tolerance",
+                key=f"mark[{i}].gate",
+            )
 
 
 def _with_holds(marks: Sequence[Mark]) -> list[Mark]:
@@ -271,9 +277,9 @@ def with_breaks(marks: Sequence[Mark], frames: Sequence[int]) -> list[Mark]:
             )
         if after and after[0] > before[-1] + 1:
             raise InputError(
-                f"free marks stand between frames {written[before[-1]].frame} and {written[after[0]].frame}, before "
-                "or after it",
-                "give them frames",
+                f"before or after the free marks between frames {written[before[-1]].frame} and "
+                f"{written[after[0]].frame}: unknown",
+                "give these marks frames",
                 key="frames",
                 value=frame,
             )
@@ -283,8 +289,8 @@ def with_breaks(marks: Sequence[Mark], frames: Sequence[int]) -> list[Mark]:
             )
         if not after and before[-1] + 2 < len(written):
             raise InputError(
-                f"among the free marks after frame {written[before[-1]].frame}",
-                "give them frames",
+                f"before or after the free marks that follow frame {written[before[-1]].frame}: unknown",
+                "give these marks frames",
                 key="frames",
                 value=frame,
             )

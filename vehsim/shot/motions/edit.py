@@ -49,7 +49,7 @@ class EditTable(Table):
     def check(self, vehicle: Vehicle, setting: Setting, simulated: bool) -> Iterator[Problem]:
         """Problems with keys relative to the vehicle's table. ``simulated``: its motion follows from forces."""
         if simulated and setting.world.environment(vehicle) is not None:
-            message = "water, gusts and contact push it, so no motion can be chosen for it"
+            message = "water, gusts or contact determine its motion, so the motion cannot be chosen"
             yield Problem("edit", message, "change the controls or the pilot instead")
         from vehsim.planning.retouch import check_pushed
 
@@ -124,7 +124,7 @@ def _warn(name: str, made: Retouch, frames: Any, clip: Clip) -> None:
         ends = f"{clip.start_frame} to {clip.end_frame}"
         warnings.warn(
             f"{name}: the edit has frames {beyond[0]:g} to {beyond[-1]:g} beyond the motion, which goes from {ends}; "
-            "they are left out",
+            "they are ignored",
             stacklevel=2,
         )
     misses = sorted(made.misses(), key=lambda miss: -miss["metres"])

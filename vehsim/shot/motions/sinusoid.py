@@ -254,7 +254,7 @@ class SinusoidMotion(Table):
             parts.append(steering)
             taken.append({"manoeuvre": chosen.number, "label": chosen.label, "clearance": gap, "of": len(offers)})
         if late and setting.last is not None and frame > setting.last:
-            late.append(Problem("shot.end_frame", "too early then", f"use {frame}", setting.last))
+            late.append(Problem("shot.end_frame", "too early for these marks", f"use {frame}", setting.last))
         return parts, taken, late
 
     def _leg(

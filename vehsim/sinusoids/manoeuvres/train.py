@@ -206,7 +206,7 @@ class Leg:
             distance = CubicSpline(s, length / np.cos(q[:, 2])).antiderivative()(s)
         # fractions too large for a double; a spline through values that are not finite
         except (OverflowError, ValueError):
-            raise SolveError(f"leg {self.label!r}: bends beyond all measure", "go by a nearer goal") from None
+            raise SolveError(f"leg {self.label!r}: bends without bound", "go by a nearer goal") from None
         found = Chebyshev.fit(distance / distance[-1], s, PACE, [0.0, 1.0])
         found -= Chebyshev([(found(1.0) - 1 + found(0.0)) / 2, (found(1.0) - 1 - found(0.0)) / 2], [0.0, 1.0])
         even: Chebyshev = found if found.deriv()(s).min() > 0.0 else Chebyshev([0.5, 0.5], [0.0, 1.0])

@@ -277,7 +277,7 @@ def _filled(path: Path, heights: Array) -> Array:
     holes = np.isnan(heights)
     if holes.mean() > 0.5:
         remedy = "crop it; for a mesh, check that Z is up and that it covers its rectangle"
-        raise refuse(path, "terrain", f"seen from above, {holes.mean():.0%} of it is hole", remedy)
+        raise refuse(path, "terrain", f"seen from above, {holes.mean():.0%} of it is missing", remedy)
     if holes.any():
         warnings.warn(
             f"{path}: {holes.sum()} of {holes.size} heights are missing, filled from their neighbours", stacklevel=2

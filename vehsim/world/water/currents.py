@@ -112,4 +112,4 @@ class Currents:
 def _check(key: str, values: object, size: int, most: float = 1e3) -> None:
     array = np.asarray(values, float).ravel()
     if array.shape != (size,) or not np.isfinite(array).all() or np.abs(array).max() > most:
-        raise InputError("not finite numbers of a usual size", f"give {size} of them", key=key, value=values)
+        raise InputError(f"not finite numbers up to {most:g}", f"give {size} of them", key=key, value=values)

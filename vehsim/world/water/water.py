@@ -92,7 +92,9 @@ class Waves:
             object.__setattr__(self, name, np.array(getattr(self, name), float).reshape(shape))
         sizes = {len(self.amplitude), len(self.number), len(self.phase)}
         if len(sizes) != 1 or not 0 < len(self.amplitude) <= MAX_WAVES:
-            raise _wrong("waves", "amplitude, number and phase differ in length", "give one row a wave", sorted(sizes))
+            raise _wrong(
+                "waves", "amplitude, number and phase differ in length", "give one row per wave", sorted(sizes)
+            )
         k = np.hypot(*self.number.T)
         if not (np.isfinite(k).all() and np.isfinite(self.amplitude).all() and np.isfinite(self.phase).all()):
             raise _wrong("waves", "not finite", "give finite amplitudes, wave vectors and phases")
@@ -103,7 +105,7 @@ class Waves:
         steep = self.choppiness * np.abs(self.amplitude) * k
         if min(steep.sum(), 4 * np.sqrt((steep**2).sum() / 2)) >= 1:
             message = f"the surface folds over: steepness {steep.sum():.3g}"
-            raise _wrong("waves.choppiness", message, "lower it, or the waves", self.choppiness)
+            raise _wrong("waves.choppiness", message, "lower the choppiness or the waves", self.choppiness)
         object.__setattr__(self, "omega", np.sqrt(GRAVITY * k))
         digest = hashlib.sha256(repr(self.choppiness).encode())
         for rows in (self.amplitude, self.number, self.phase):
@@ -304,7 +306,12 @@ class Water:
         if not (np.isfinite(self.level) and abs(self.level) < 1e5):
             raise _wrong("water.level", "not a height", "give metres", self.level)
         if not 1 <= self.density <= 20_000:
-            raise _wrong("water.density", "not a liquid's", f"give kg/m^3; sea water has {SEA_WATER:g}", self.density)
+            raise _wrong(
+                "water.density",
+                "not the density of a liquid",
+                f"give kg/m^3; sea water has {SEA_WATER:g}",
+                self.density,
+            )
         if not (self.height_field is None or self.height_field == 0 or 1e-3 <= self.height_field < 100):
             raise _wrong(
                 "water.height_field", "not a cell", "give its width in m, such as 0.1, or 0", self.height_field
