@@ -321,6 +321,8 @@ def test_a_problem_moves_to_another_key() -> None:
     assert (seen.key, seen.value, seen.remedy, seen.severity) == ("vehicle[0].asset", "car", FULL.remedy, "warning")
     assert seen.message == "a.toml:7: car: mark[0].hold = 5: a hold requires rest" and not seen.file
     assert Problem("a", "wrong").seen_from("b", remedy="look there").remedy == "look there"
+    repeated = Problem("vehicle", "no such vehicle", value="cra").seen_from("vehicle[0].asset", "cra")
+    assert str(repeated) == "vehicle[0].asset = 'cra': no such vehicle"
 
 
 @pytest.mark.parametrize(

@@ -58,8 +58,10 @@ class Problem:
 
     def seen_from(self, key: str, value: object = None, remedy: str = "") -> Problem:
         """This problem as seen from ``key``, which names the file in which it was found: its own place and key become
-        part of the message. ``remedy`` is used if it has none."""
-        return Problem(key, self._with_place(self.message), self.remedy or remedy, value, severity=self.severity)
+        part of the message, unless they only repeat ``value``. ``remedy`` is used if it has none."""
+        repeats = value is not None and not self.file and _short(self.value) == _short(value)
+        own = replace(self, key="", value=None) if repeats else self
+        return Problem(key, own._with_place(self.message), self.remedy or remedy, value, severity=self.severity)
 
     def _with_place(self, text: str) -> str:
         line = f":{self.line}" if self.line is not None else ""

@@ -189,7 +189,8 @@ def test_invalid_assets_are_refused(
 ) -> None:
     (tmp_path / name).write_text(content)
     assert cli.run(["inspect", str(tmp_path / name), "--write", str(tmp_path / "made")]) == 2
-    assert "Traceback" not in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert said.startswith(f"{tmp_path / name}: ") and "Traceback" not in said
     assert not (tmp_path / "made").exists()
     assert cli.run(["inspect", str(tmp_path / "none.usd")]) == 2
     assert cli.run(["inspect", str(tmp_path)]) == 2

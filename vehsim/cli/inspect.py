@@ -37,6 +37,7 @@ SMALL = 0.6
 """Smallest ratio of a load-bearing wheel's radius to the largest: smaller wheels are castors."""
 MOST_PRIMS = 120
 MOST_PARTS = 1000
+GIVE = "give a USD, GLB, glTF or OBJ file, or a vehicle's folder"
 ROTOR = re.compile(r"rotor|propel|prop(?![a-z])|fan(?![a-z])|blade", re.IGNORECASE)
 FRONT = {"front", "fl", "fr", "lf", "rf", "steer", "steering", "nose", "vorn"}
 REAR = {"rear", "back", "rl", "rr", "lr", "bl", "br", "tail", "outboard", "propeller", "rudder", "stern"}
@@ -86,6 +87,8 @@ class Inspection:
 
 def inspect(path: Path) -> Inspection:
     """Inspect a USD, GLB, glTF or OBJ file, or the asset of a vehicle's folder. Raises ``InputError``."""
+    from vehsim.vehicles.library.imported import MESHES, USD
+
     folder = path if path.is_dir() else None
     keys: dict[str, Any] = {}
     reasons: dict[str, str] = {}
@@ -93,7 +96,9 @@ def inspect(path: Path) -> Inspection:
         path, keys = _of_folder(folder)
         reasons = dict.fromkeys(keys, "vehicle.toml")
     if not path.is_file():
-        raise InputError("no such file", "give a USD, GLB, glTF or OBJ file, or a vehicle's folder", file=path)
+        raise InputError("no such file", GIVE, file=path)
+    if path.suffix.lower() not in (*MESHES, *USD):
+        raise InputError("not USD, GLB, glTF or OBJ", GIVE, file=path)
     if path.suffix.lower() == ".obj" and "up_axis" not in keys:
         unit, why = _unit_of_obj(path), "not given in an OBJ; guessed from its"
         reasons |= {"up_axis": f"{why} wheels", "meters_per_unit": f"{why} size"}

@@ -86,7 +86,11 @@ def _usd_file(toml: Path, data: Mapping[str, Any]) -> tuple[Path, str, float]:
     if path.suffix.lower() in MESHES:
         if path.suffix.lower() == ".obj" and not {"up_axis", "meters_per_unit"} <= set(data):
             raise InputError(
-                "OBJ says neither", "give up_axis and meters_per_unit", key="asset", value=named, file=toml
+                "an OBJ states neither up axis nor unit",
+                "give up_axis and meters_per_unit",
+                key="asset",
+                value=named,
+                file=toml,
             )
         up, metres = _choice(toml, data, "up_axis", ("Y", "Z")) or "Y", _metres(toml, data, 1.0)
         return _converted(path, up, metres), up, metres
