@@ -9,20 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.shots import driven
 from vehsim.batch import export_batch, load_shots
-
-SHOT = """
-[shot]
-schema = 1
-name = "{name}"
-[[vehicle]]
-name = "car"
-asset = "{asset}"
-[vehicle.motion]
-method = "simulate"
-duration = {duration}
-commands = [{{ frame = 1001, torque = 500 }}]
-"""
 
 
 def write_shot(
@@ -30,7 +18,7 @@ def write_shot(
 ) -> Path:
     path = folder / f"{name}.toml"
     table = f"[sweep]\n{sweep}\n" if sweep else ""
-    path.write_text(SHOT.format(name=name, duration=duration, asset=asset) + table + more)
+    path.write_text(driven(name, asset, duration) + table + more)
     return path
 
 

@@ -14,28 +14,17 @@ from typing import Any
 
 import pytest
 
+from tests.shots import driven
 from vehsim.cli import commands as cli
 from vehsim.cli.arguments import frames_in
 
 PATIENCE = 600.0
 """Time limit on a busy machine, s: only a failing test waits that long."""
-SHOT = """
-[shot]
-schema = 1
-name = "{name}"
-[[vehicle]]
-name = "car"
-asset = "car"
-[vehicle.motion]
-method = "simulate"
-duration = {duration}
-commands = [{{ frame = 1001, torque = 500 }}]
-"""
 
 
 def write(folder: Path, name: str = "drive", duration: float = 0.25, more: str = "") -> str:
     path = folder / f"{name}.toml"
-    path.write_text(SHOT.format(name=name, duration=duration) + more)
+    path.write_text(driven(name, duration=duration) + more)
     return str(path)
 
 
@@ -163,7 +152,7 @@ def test_failures_during_the_work_exit_with_1(tmp_path: Path, capsys: pytest.Cap
         f"[[vehicle.motion.mark]]\nframe = {frame}\nposition = [{x}, 0, 10]\nvelocity = [0, 0, 0]\n"
         for frame, x in ((1001, 0), (1097, 20))
     )
-    head = SHOT.format(name="far", duration=1).partition("[[vehicle]]")[0]
+    head = driven("far").partition("[[vehicle]]")[0]
     vehicle = "[[vehicle]]\nname = 'h'\nasset = 'helicopter'\n"
     motion = "[vehicle.motion]\nmethod = 'plan'\nsegments = 8\ntime_limit = 0.001\n"
     path.write_text(head + vehicle + motion + marks)

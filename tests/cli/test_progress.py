@@ -12,21 +12,10 @@ from typing import Any
 
 import pytest
 
+from tests.shots import driven
 from vehsim.batch import screen
 from vehsim.cli import arguments as _arguments
 from vehsim.cli import commands as cli
-
-SHOT = """
-[shot]
-schema = 1
-name = "{name}"
-[[vehicle]]
-name = "car"
-asset = "car"
-[vehicle.motion]
-method = "simulate"
-duration = 0.25
-"""
 
 
 @pytest.fixture
@@ -38,7 +27,7 @@ def eager(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def write(folder: Path, name: str = "drive") -> str:
     path = folder / f"{name}.toml"
-    path.write_text(SHOT.format(name=name))
+    path.write_text(driven(name))
     return str(path)
 
 

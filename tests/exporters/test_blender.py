@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import os
 import subprocess
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -31,32 +33,41 @@ def exporters_use_it(monkeypatch):
         monkeypatch.setenv("VEHSIM_BLENDER", PYTHON)
 
 
-WHERE = """
+FOLDER = str(Path(blender.__file__).parent)
+PROGRAM = """
 import json, sys
 sys.path.insert(0, {folder!r})
 import blender, bpy
-scene = {scene}
-found = {{}}
+{opening}
+found, about = {{}}, None
 for time in {times}:
     scene.frame_set(int(time // 1), subframe=time % 1)
     graph = bpy.context.evaluated_depsgraph_get()
     for name in {names}:
-        found[f"{{name}} {{time}}"] = [list(row) for row in bpy.data.objects[name].evaluated_get(graph).matrix_world]
-rate = scene.render.fps / scene.render.fps_base
-print("SAYS" + json.dumps([found, rate, scene.frame_start, scene.frame_end]))
+        matrix = bpy.data.objects[name].evaluated_get(graph).matrix_world
+        found.setdefault(name, []).append([list(row) for row in matrix])
+{more}
+print("SAYS" + json.dumps([found, about]))
 """
+OPEN_BLEND = "bpy.ops.wm.open_mainfile(filepath={path!r})\nscene = bpy.context.scene"
+RANGE = "about = scene.render.fps / scene.render.fps_base, scene.frame_start, scene.frame_end"
 NAMES = {"toy0": "/shot/vehicles/toy0", "rotor": "/shot/vehicles/toy0/rotor", "chase": "/shot/cameras/chase"}
 TIMES = [1001.0, 1001.5, 1010.0, 1012.5, 1024.0]
 
 
-def poses(scene: str) -> tuple[dict[str, np.ndarray], float, int, int]:
-    folder = str(Path(blender.__file__).parent)
-    program = WHERE.format(folder=folder, scene=scene, times=TIMES, names=list(NAMES))
+def matrices(opening: str, names: Iterable[str], times: Iterable[float], more: str = "") -> tuple[Any, Any]:
+    """Matrices (n, 4, 4) in Blender at ``times`` (n,) frames by object's name, and what ``more`` finds out ``about``
+    the ``scene`` that ``opening`` opens."""
+    program = PROGRAM.format(folder=FOLDER, opening=opening, names=list(names), times=list(times), more=more)
     answer = subprocess.run([PYTHON, "-c", program], capture_output=True, text=True)
     lines = [line for line in answer.stdout.splitlines() if line.startswith("SAYS")]
     assert lines, answer.stdout[-2000:] + answer.stderr[-2000:]
-    found, rate, first, last = json.loads(lines[0][4:])
-    return {key: np.array(matrix) for key, matrix in found.items()}, rate, first, last
+    found, about = json.loads(lines[0][4:])
+    return {name: np.array(rows) for name, rows in found.items()}, about
+
+
+def eighths(first: int, last: int) -> list[float]:
+    return (np.arange(first * 8, last * 8 + 1) / 8).tolist()
 
 
 @pytest.fixture
@@ -72,33 +83,23 @@ def test_matrices_in_blender_match_the_stage(shot, tmp_path, toys, baked):
     from pxr import Usd, UsdGeom
 
     take, path = shot
-    scene = f"blender.open_stage({str(path)!r})"
+    opening = f"scene = blender.open_stage({str(path)!r})"
     if baked:
         blender.write_blend(take, tmp_path, toys.silent)
-        scene = f"(bpy.ops.wm.open_mainfile(filepath={str(tmp_path / 'shot.blend')!r}), bpy.context.scene)[1]"
-    found, rate, first, last = poses(scene)
-    assert (rate, first, last) == (24.0, 1001, 1024)
+        opening = OPEN_BLEND.format(path=str(tmp_path / "shot.blend"))
+    found, about = matrices(opening, NAMES, TIMES, RANGE)
+    assert about == [24.0, 1001, 1024]
     stage = Usd.Stage.Open(str(path))
-    for time in TIMES:
+    for k, time in enumerate(TIMES):
         cache = UsdGeom.XformCache(time)
         for name, prim in NAMES.items():
             expected = np.array(cache.GetLocalToWorldTransform(stage.GetPrimAtPath(prim))).T
             size = max(1.0, np.abs(expected[:3, 3]).max())  # Blender stores single precision
             tolerance = 1e-5 if not baked else 2e-5  # curves of single precision
-            assert np.abs(found[f"{name} {time}"] - expected).max() < tolerance * size, (name, time)
+            assert np.abs(found[name][k] - expected).max() < tolerance * size, (name, time)
 
 
-EIGHTHS = """
-import json, bpy
-bpy.ops.wm.open_mainfile(filepath={path!r})
-scene = bpy.context.scene
-found = {{}}
-for k in range({first} * 8, {last} * 8 + 1):
-    scene.frame_set(k // 8, subframe=k % 8 / 8)
-    graph = bpy.context.evaluated_depsgraph_get()
-    for name in {names}:
-        matrix = bpy.data.objects[name].evaluated_get(graph).matrix_world
-        found.setdefault(name, []).append([list(row) for row in matrix])
+ABOUT = """
 render = scene.render
 kinds = {{}}
 for found_object in bpy.data.objects:
@@ -108,24 +109,21 @@ for found_object in bpy.data.objects:
             points = curve.keyframe_points
             kinds[f"{{found_object.name}} {{curve.data_path}}"] = [points[0].interpolation, len(points)]
 about = {{
+    "kinds": kinds,
     "camera": scene.camera.name, "size": [render.resolution_x, render.resolution_y], "engine": render.engine,
     "blur": [render.use_motion_blur, render.motion_blur_shutter, render.motion_blur_position],
     "markers": [[marker.frame, marker.camera.name] for marker in scene.timeline_markers],
     "lens": [(scene.frame_set(f), round(bpy.data.objects["cut"].data.lens, 3))[1] for f in {frames}]
     if "cut" in bpy.data.objects else [],
 }}
-print("SAYS" + json.dumps([found, kinds, about]))
 """
 
 
 def opened(path, names, first, last, frames=()):
     """Matrices (8 n + 1, 4, 4) by object's name, kinds and numbers of keys by curve, and what the scene renders."""
-    program = EIGHTHS.format(path=str(path), names=names, first=first, last=last, frames=list(frames))
-    answer = subprocess.run([PYTHON, "-c", program], capture_output=True, text=True)
-    lines = [line for line in answer.stdout.splitlines() if line.startswith("SAYS")]
-    assert lines, answer.stdout[-2000:] + answer.stderr[-2000:]
-    found, kinds, about = json.loads(lines[0][4:])
-    return {name: np.array(matrices) for name, matrices in found.items()}, kinds, about
+    opening = OPEN_BLEND.format(path=str(path))
+    found, about = matrices(opening, names, eighths(first, last), ABOUT.format(frames=list(frames)))
+    return found, about.pop("kinds"), about
 
 
 @needs_blender
@@ -177,26 +175,14 @@ def test_alembic_follows_the_clip_at_eighths_of_a_frame(tmp_path, toys, make_tak
     take = replace(make_take(clip), frames=(1001, 1010))
     write_usd(take, tmp_path, toys.silent)
     (path,) = blender.write_alembic(take, tmp_path, toys.silent)
-    first, last, names = 1001, 1010, ["toy0", "wheel_rr", "chase"]
-    program = f"""
-import bpy, json
+    first, last = 1001, 1010
+    opening = f"""
 bpy.ops.wm.read_factory_settings(use_empty=True)
 scene = bpy.context.scene
 scene.render.fps = 24
 bpy.ops.wm.alembic_import(filepath={str(path)!r}, as_background_job=False)
-found = {{}}
-for k in range({first} * 8, {last} * 8 + 1):
-    scene.frame_set(k // 8, subframe=k % 8 / 8)
-    graph = bpy.context.evaluated_depsgraph_get()
-    for name in {names}:
-        matrix = bpy.data.objects[name].evaluated_get(graph).matrix_world
-        found.setdefault(name, []).append([list(row) for row in matrix])
-print("SAYS" + json.dumps(found))
 """
-    answer = subprocess.run([PYTHON, "-c", program], capture_output=True, text=True)
-    lines = [line for line in answer.stdout.splitlines() if line.startswith("SAYS")]
-    assert lines, answer.stdout[-2000:] + answer.stderr[-2000:]
-    found = {name: np.array(matrices) for name, matrices in json.loads(lines[0][4:]).items()}
+    found, _ = matrices(opening, ["toy0", "wheel_rr", "chase"], eighths(first, last))
     at = clip.at(np.arange((last - first) * 8 + 1) / 192)
     poses = at.matrices()
     turned = poses[:, :3, :3] @ Rotation.from_euler("Y", at.channels["roll_rr"][:, None]).as_matrix()
@@ -271,14 +257,9 @@ def test_a_layer_over_a_blender_asset_moves_in_blender(tmp_path, toys, make_take
         stage.GetDefaultPrim().SetCustomDataByKey("Blender:generated", True)
 
     write_usd(make_take(toys.clip(toys.asset(tmp_path / "a" / "toy.usda", edit=marked))), tmp_path, toys.silent)
-    layer, folder = str(tmp_path / "layers" / "toy0.anim.usdc"), str(Path(blender.__file__).parent)
-    program = f"""import sys; sys.path.insert(0, {folder!r}); import blender, bpy
-scene, found = blender.open_stage({layer!r}), bpy.data.objects["rotor"]
-for frame in (1001, 1024):
-    scene.frame_set(frame)
-    print("SAYS", *found.matrix_world.translation)"""
-    output = subprocess.run([PYTHON, "-c", program], capture_output=True, text=True).stdout
-    first, last = (np.array(line.split()[1:], float) for line in output.splitlines() if line.startswith("SAYS"))
+    layer = str(tmp_path / "layers" / "toy0.anim.usdc")
+    found, _ = matrices(f"scene = blender.open_stage({layer!r})", ["rotor"], [1001.0, 1024.0])
+    first, last = found["rotor"][:, :3, 3]
     assert np.linalg.norm(last - first) > 5
 
 
@@ -301,15 +282,13 @@ def test_cycles_renders_the_stage_alone(shot, tmp_path):
 @needs_blender
 def test_the_suns_strength_in_blender_equals_its_irradiance(shot):
     """Blender's own importer multiplies it by four."""
-    program = f"import sys; sys.path.insert(0, {str(Path(blender.__file__).parent)!r}); import blender, bpy; "
-    program += f"blender.open_stage({str(shot[1])!r}); print('SAYS', bpy.data.objects['sun'].data.energy)"
-    answer = subprocess.run([PYTHON, "-c", program], capture_output=True, text=True)
-    line = next(line for line in answer.stdout.splitlines() if line.startswith("SAYS"))
+    opening = f"scene = blender.open_stage({str(shot[1])!r})"
+    _, energy = matrices(opening, [], [], "about = bpy.data.objects['sun'].data.energy")
     from pxr import Usd, UsdLux
 
     stage = Usd.Stage.Open(str(shot[1]))
     sun = UsdLux.DistantLight(stage.GetPrimAtPath("/shot/lights/sun"))
-    assert float(line.split()[1]) == pytest.approx(sun.GetIntensityAttr().Get(), rel=1e-6)
+    assert energy == pytest.approx(sun.GetIntensityAttr().Get(), rel=1e-6)
 
 
 def test_without_blender_its_exporters_name_the_remedy(shot, tmp_path, toys, monkeypatch):

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.shots import driven
 from vehsim import Shot
 from vehsim.assets import shipped
 from vehsim.cli import commands as cli
@@ -20,17 +21,6 @@ from vehsim.vehicles import load_vehicle
 pytestmark = pytest.mark.broken_stages
 
 CAR = shipped("vehicle")["car"].parent
-SHOT = """
-[shot]
-schema = 1
-name = "{name}"
-[[vehicle]]
-name = "car"
-asset = "{asset}"
-[vehicle.motion]
-method = "simulate"
-duration = 0.1
-"""
 
 
 def vehicle(folder: Path, change: tuple[str, str] = ("", ""), of: Path = CAR) -> Path:
@@ -108,7 +98,7 @@ def test_all_problems_are_reported_at_once(tmp_path: Path) -> None:
 def test_check_refuses_it_and_other_shots_continue(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     vehicle(tmp_path, ("mass = 1350.0", "mass = 1e308"))
     for name, asset in (("bad", "it"), ("good", "car")):
-        (tmp_path / f"{name}.toml").write_text(SHOT.format(name=name, asset=asset))
+        (tmp_path / f"{name}.toml").write_text(driven(name, asset))
     assert cli.run(["check", str(tmp_path / "bad.toml")]) == 2
     assert "physics.mass = 1e+308" in capsys.readouterr().err
     shots = [str(tmp_path / f"{name}.toml") for name in ("bad", "good")]
@@ -159,7 +149,7 @@ def test_a_corrupt_asset_is_refused_and_other_shots_continue(
     folder = vehicle(tmp_path, ("schema = 1\n", f"schema = 1\n{extra}"))
     (folder / "car.usdc").write_bytes(content)
     for name, asset in (("bad", "it"), ("good", "car")):
-        (tmp_path / f"{name}.toml").write_text(SHOT.format(name=name, asset=asset))
+        (tmp_path / f"{name}.toml").write_text(driven(name, asset))
     shots = [str(tmp_path / f"{name}.toml") for name in ("bad", "good")]
     assert cli.run(["check", shots[0]]) == 2
     output = capsys.readouterr().err
@@ -182,7 +172,7 @@ def test_an_edit_with_the_same_size_and_date_is_noticed(tmp_path: Path) -> None:
 
 def test_a_delivery_is_remade_after_such_an_edit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = vehicle(tmp_path)
-    (tmp_path / "shot.toml").write_text(SHOT.format(name="shot", asset="it"))
+    (tmp_path / "shot.toml").write_text(driven("shot", "it"))
     command = ["export", str(tmp_path / "shot.toml"), "--to", "npz", "--out", str(tmp_path / "out"), "--resume"]
     assert cli.run(command) == cli.run(command) == 0
     assert "already finished" in capsys.readouterr().out
@@ -202,7 +192,7 @@ def test_changed_bytes_of_an_asset_are_wrong_input(seed: int, tmp_path: Path) ->
     for _ in range((1, 8, 64)[seed % 3]):
         content[chance.randrange(len(content))] = chance.randrange(256)
     file.write_bytes(content)
-    (tmp_path / "shot.toml").write_text(SHOT.format(name="shot", asset="it"))
+    (tmp_path / "shot.toml").write_text(driven("shot", "it"))
     for problem in Shot.load(tmp_path / "shot.toml").check():
         assert problem.key and problem.message and problem.remedy
 
@@ -217,7 +207,7 @@ def test_a_corrupt_value_is_wrong_input(tmp_path: Path, monkeypatch: pytest.Monk
     folder = vehicle(tmp_path)
     with pytest.raises(InputError, match=r"car.usdc: asset: not readable as USD \(.*\); export it again"):
         read_parts(folder / "car.usdc")
-    (tmp_path / "shot.toml").write_text(SHOT.format(name="shot", asset="it"))
+    (tmp_path / "shot.toml").write_text(driven("shot", "it"))
     assert any("not readable as USD" in str(problem) for problem in Shot.load(tmp_path / "shot.toml").check())
 
 

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import vehsim.assets
+from tests.shots import driven
 from vehsim import Shot
 from vehsim.batch import export_batch, load_shots
 from vehsim.cli import commands as cli
@@ -37,20 +38,7 @@ PLANNED: dict[str, Any] = {
         }
     ],
 }
-TOML = """
-[shot]
-schema = 1
-name = "drive"
-[[vehicle]]
-name = "car"
-asset = "car"
-[vehicle.motion]
-method = "simulate"
-duration = 0.25
-commands = [{ frame = 1001, torque = 500 }]
-[camera]
-lens_mm = 35
-"""
+LENS = "[camera]\nlens_mm = 35\n"
 MARK = ("vehicle", 0, "motion", "mark", 1)
 
 
@@ -274,7 +262,7 @@ def test_the_cache_is_bounded_and_keeps_recently_used_entries(folder: Path, monk
 
 def test_export_reports_motion_from_the_cache(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "drive.toml"
-    path.write_text(TOML)
+    path.write_text(driven() + LENS)
 
     def export(*more: str) -> str:
         assert cli.run(["export", str(path), "--out", str(tmp_path / "out"), "--to", "npz", *more]) == 0
@@ -289,7 +277,7 @@ def test_export_reports_motion_from_the_cache(tmp_path: Path, capsys: pytest.Cap
 def test_a_batch_has_the_same_bytes_from_the_cache(tmp_path: Path) -> None:
     """With workers, a lens swept over one motion, and resuming a delivery whose motion is cached."""
     path = tmp_path / "drive.toml"
-    path.write_text(TOML + '[sweep]\n"camera.lens_mm" = [20, 35, 50]\n')
+    path.write_text(driven() + LENS + '[sweep]\n"camera.lens_mm" = [20, 35, 50]\n')
     shots = load_shots(path)
     done = export_batch(shots, tmp_path / "one", ["usd"])
     assert [outcome.recalled for outcome in done] == [False, True, True]

@@ -12,6 +12,7 @@ import pytest
 from annotated_types import Ge
 
 import vehsim
+from tests.shots import driven
 from vehsim.batch import export_batch, load_shots
 from vehsim.clip.clip import Clip
 from vehsim.errors import InputError, ShotError
@@ -21,24 +22,10 @@ from vehsim.vehicles.definition.quantities import Unit
 from vehsim.vehicles.library.library import MODELS, parameters_of
 from vehsim.vehicles.library.parameters import check_physics, physics_table
 
-SHOT = """
-[shot]
-schema = 1
-name = "drive"
-[[vehicle]]
-name = "car"
-asset = "car"
-parameters = {parameters}
-[vehicle.motion]
-method = "simulate"
-duration = 0.5
-commands = [{{ frame = 1001, torque = 500 }}]
-"""
-
 
 def shot(folder: Path, parameters: str) -> Path:
     path = folder / "drive.toml"
-    path.write_text(SHOT.format(parameters=parameters))
+    path.write_text(driven(keys=f"parameters = {parameters}\n"))
     return path
 
 
