@@ -24,8 +24,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from vehsim.delivery.exporters import Progress
     from vehsim.delivery.take import Take
+    from vehsim.runtime.progress import Progress
 
 CACHED = "TRANSFORM_CACHE"
 """The constraint that Blender's USD importer adds to a moving object: it reads the file at every frame."""

@@ -16,10 +16,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim.delivery.exporters import Exporter, Progress
+from vehsim.delivery.exporters import Exporter
 from vehsim.delivery.take import Take
 from vehsim.exporters.usd.sampling import slerp_errors
 from vehsim.lie.quaternions import continuous, quaternions
+from vehsim.runtime.progress import Progress
 
 if TYPE_CHECKING:
     from vehsim.exporters.usd.stage import Shape, StageReader, Surface

@@ -11,9 +11,10 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from vehsim.delivery.exporters import Exporter, Progress
+from vehsim.delivery.exporters import Exporter
 from vehsim.delivery.take import Take
 from vehsim.errors import InputError
+from vehsim.runtime.progress import Progress
 
 
 def write_otio(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:

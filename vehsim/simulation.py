@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vehsim.errors import InputError
+from vehsim.runtime.progress import Progress
 from vehsim.vehicles import State, Vehicle
 from vehsim.vehicles.definition.base import Array
 
@@ -25,8 +26,8 @@ if TYPE_CHECKING:
     from vehsim.integrators.phase import Phase
     from vehsim.world.world import World
 
-Progress = Callable[[str, float], None]
 MAX_STEPS = 10_000_000
+"""Largest number of integration steps of a simulation."""
 
 
 def simulate(

@@ -24,10 +24,11 @@ from vehsim.exporters.usd.metadata import Units
 from vehsim.intake.foreign import reading
 from vehsim.intake.usd import dependencies, is_drawn
 from vehsim.requests import Ask
+from vehsim.runtime.progress import silent
 
 if TYPE_CHECKING:
     from vehsim.clip.clip import Clip
-    from vehsim.delivery.exporters import Progress
+    from vehsim.runtime.progress import Progress
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -44,10 +45,6 @@ STEP = 0.5
 """The ground of a terrain with overhangs is sought from this height above a point downwards, m."""
 CELL = 0.5
 """Points on a vehicle's meshes are grouped into balls of this size, m."""
-
-
-def silent(what: str, done: float) -> None:
-    """Discard progress."""
 
 
 def stage_of(folder: Path, name: str) -> Path | None:

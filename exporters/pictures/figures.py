@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.cameras.framing import vehicle_outline
-from vehsim.delivery.exporters import Exporter, Progress
+from vehsim.delivery.exporters import Exporter
 from vehsim.delivery.take import Take
 from vehsim.exporters.pictures.strobe import strobe_frames
 from vehsim.lie.quaternions import tilt_of
+from vehsim.runtime.progress import Progress
 from vehsim.world.obstacles.plane import convex_hull
 
 if TYPE_CHECKING:

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from vehsim.delivery.exporters import Exporter, Progress
+from vehsim.delivery.exporters import Exporter
 from vehsim.delivery.take import Take
 from vehsim.errors import ExportError
 from vehsim.exporters.pictures.split import NAME as SPLIT
+from vehsim.runtime.progress import Progress
 
 QUALITY = "17"
 """x264's constant rate factor: visually lossless."""

@@ -12,7 +12,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from vehsim.delivery.exporters import Exporter, Progress
+from vehsim.delivery.exporters import Exporter
 from vehsim.delivery.take import Take
 from vehsim.errors import ExportError, InputError
 from vehsim.exporters.pictures.burn_in import burned_in
@@ -25,6 +25,7 @@ from vehsim.exporters.usd.stage import StageReader
 from vehsim.intake.usd import dependencies
 from vehsim.runtime.files import replacing_file
 from vehsim.runtime.processes import Worker, end, may_start_workers, start_server
+from vehsim.runtime.progress import Progress
 
 MAX_SIDE = 8192
 """Largest side of a picture, px: larger off-screen buffers are refused."""

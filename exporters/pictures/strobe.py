@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 
 from vehsim.cameras.camera import Camera
 from vehsim.cameras.framing import look_at, vehicle_outline
-from vehsim.delivery.exporters import Exporter, Progress
+from vehsim.delivery.exporters import Exporter
 from vehsim.delivery.take import Take
 from vehsim.exporters.usd.metadata import author_stage_metadata
 from vehsim.lie.quaternions import quaternions
+from vehsim.runtime.progress import Progress
 from vehsim.world.obstacles.plane import distance
 
 if TYPE_CHECKING:

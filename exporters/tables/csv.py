@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim.delivery.exporters import Exporter, Progress
+from vehsim.delivery.exporters import Exporter
 from vehsim.delivery.take import Take
+from vehsim.runtime.progress import Progress
 
 if TYPE_CHECKING:
     from vehsim.clip.clip import Clip

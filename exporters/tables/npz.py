@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from vehsim.delivery.exporters import Exporter, Progress
+from vehsim.delivery.exporters import Exporter
 from vehsim.delivery.take import Take
+from vehsim.runtime.progress import Progress
 
 
 def write_npz(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:

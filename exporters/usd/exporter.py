@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vehsim.cameras.cuts import CUT
-from vehsim.delivery.exporters import Exporter, Progress
+from vehsim.delivery.exporters import Exporter
 from vehsim.delivery.take import Take
 from vehsim.errors import ExportError
 from vehsim.exporters.usd.animation import write_animation
@@ -40,6 +40,7 @@ from vehsim.exporters.usd.scenery.water import write_water
 from vehsim.exporters.usd.value_clips import split_into_clips
 from vehsim.exporters.usd.versions import write_latest
 from vehsim.rig.blocking import write_over
+from vehsim.runtime.progress import Progress
 
 if TYPE_CHECKING:
     from vehsim.cameras.camera import Camera

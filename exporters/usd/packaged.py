@@ -9,12 +9,11 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from vehsim.delivery.exporters import Exporter, Progress
+from vehsim.delivery.exporters import Exporter
 from vehsim.delivery.take import Take
 from vehsim.errors import ExportError
-from vehsim.intake.usd import references
-
-LAYERS = (".usd", ".usda", ".usdc", ".usdz")
+from vehsim.intake.usd import SUFFIXES, references
+from vehsim.runtime.progress import Progress
 
 
 def write_usdz(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
@@ -47,7 +46,7 @@ def write_flat(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
         file = Path(found)
         if not file.is_absolute() or not file.is_relative_to(folder.resolve()):
             return found
-        if file.suffix in LAYERS:
+        if file.suffix in SUFFIXES:
             return ""  # it names the source of a prim, which does not exist any more
         needed.add(file)
         return f"./{Path(os.path.relpath(file, folder.resolve())).as_posix()}"

@@ -8,8 +8,9 @@ import zlib
 from collections.abc import Sequence
 from pathlib import Path
 
-from vehsim.delivery.exporters import Exporter, Progress
+from vehsim.delivery.exporters import Exporter
 from vehsim.delivery.take import Take
+from vehsim.runtime.progress import Progress
 
 PAGE = Path(__file__).parent / "page"
 """The page's own files; ``make page`` bundles ``three.min.js`` from three.js."""

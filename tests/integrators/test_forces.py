@@ -7,9 +7,9 @@ import vehsim
 from vehsim.errors import InputError, SolveError
 from vehsim.integrators import Integrator
 from vehsim.integrators.continuous import execute
-from vehsim.integrators.record import flat
 from vehsim.lie import SO3
 from vehsim.vehicles import Holonomic, State
+from vehsim.vehicles.definition.states import flat
 from vehsim.vehicles.models.helicopter import helicopter
 
 

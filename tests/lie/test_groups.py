@@ -6,9 +6,9 @@ import pytest
 from scipy.linalg import expm
 
 from vehsim.errors import InputError
-from vehsim.integrators.record import flat
 from vehsim.lie import GROUPS, difference_map
 from vehsim.lie.maps import MAPS
+from vehsim.vehicles.definition.states import flat
 
 groups = pytest.mark.parametrize("group", GROUPS.values(), ids=str)
 maps = pytest.mark.parametrize("name", MAPS)

@@ -16,10 +16,11 @@ import pytest
 
 from vehsim import World
 from vehsim.delivery import folders as delivery
-from vehsim.delivery.exporters import REPORT_GROUP, Exporter, Progress
+from vehsim.delivery.exporters import REPORT_GROUP, Exporter
 from vehsim.delivery.take import RenderSettings, Take, UsdSettings
 from vehsim.errors import ExportError, InputError
 from vehsim.runtime.files import owner
+from vehsim.runtime.progress import Progress
 
 NOBODY = 65534
 """A user without rights."""

@@ -7,9 +7,9 @@ import pytest
 import vehsim
 from vehsim.errors import InputError
 from vehsim.integrators import Integrator
-from vehsim.integrators.record import flat
 from vehsim.lie import SE2, SE3, SO3xR3
 from vehsim.vehicles import Holonomic, Nonholonomic, State
+from vehsim.vehicles.definition.states import flat
 
 
 def test_helicopter_wrench_is_the_printed_control_matrix():

@@ -18,7 +18,7 @@ from vehsim.batch.task import Outcome, Task
 from vehsim.errors import Problem
 
 if TYPE_CHECKING:
-    from vehsim.delivery.exporters import Progress
+    from vehsim.runtime.progress import Progress
 
 PAUSE, CHANGE = 5.0, 1.0
 """Time between two plain lines of progress, s: the longest, and the shortest if the state changed."""

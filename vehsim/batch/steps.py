@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING, Any
 
 from vehsim.batch.inputs import fingerprint, is_finished
 from vehsim.batch.task import Task, measure
-from vehsim.delivery.exporters import Exporter, Progress, delivering, in_order, point_at_newest, write_files
+from vehsim.delivery.exporters import Exporter, delivering, in_order, point_at_newest, write_files
 from vehsim.delivery.folders import SIGN, newest, replacing
 from vehsim.delivery.take import Take, write_reports
 from vehsim.errors import ExportError, InputError
+from vehsim.runtime.progress import Progress, silent
 from vehsim.shot import Shot
 
 if TYPE_CHECKING:
@@ -131,7 +132,7 @@ def _bake(task: Task, part: tuple[int, int]) -> None:
         return
     with _whole(task, "bake") as folder:
         if folder is not None:
-            write_files(_take(task), folder, ["usd"], _silent)
+            write_files(_take(task), folder, ["usd"], silent)
 
 
 def _render(task: Task, part: tuple[int, int]) -> None:
@@ -162,7 +163,7 @@ def _deliver(task: Task, part: tuple[int, int]) -> None:
 
     take = _take(task)
     with delivering(task.target, take.usd.versions) as folder:
-        written = write_files(take, folder, task.to, _silent, {"png": Exporter("png", (".png",), gather, ("usd",))})
+        written = write_files(take, folder, task.to, silent, {"png": Exporter("png", (".png",), gather, ("usd",))})
         write_reports(take, folder, written)
     if take.usd.versions:
         point_at_newest(task.target)
@@ -190,10 +191,6 @@ def _plain(value: Any) -> Any:
     from vehsim.exporters.tables.report import plain
 
     return plain(value)
-
-
-def _silent(what: str, done: float) -> None:
-    """Ignore progress."""
 
 
 STEPS: dict[str, Step] = {

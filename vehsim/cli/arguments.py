@@ -151,12 +151,14 @@ def check_delivery(names: Sequence[str], out: Path, shot: Shot) -> None:
 
 def check_stages(paths: Sequence[Path]) -> None:
     """Check that the files have names that USD can open; their content is not read."""
+    from vehsim.intake.usd import SUFFIXES
+
     problems = []
     for path in paths:
         if not path.is_file():
             message = "a folder" if path.is_dir() else "no such file"
             problems.append(Problem("STAGE", message, "give a USD file: .usd, .usda, .usdc or .usdz", str(path)))
-        elif path.suffix not in (".usd", ".usda", ".usdc", ".usdz") or path.stat().st_size == 0:
+        elif path.suffix not in SUFFIXES or path.stat().st_size == 0:
             problems.append(Problem("STAGE", "not USD", "give a .usd, .usda, .usdc or .usdz file", str(path)))
     if problems:
         raise ShotError(problems)

@@ -27,7 +27,7 @@ from vehsim.runtime.registry import whose_error
 from vehsim.runtime.signals import POLITE, outliving_readers, raising
 
 if TYPE_CHECKING:
-    from vehsim.delivery.exporters import Progress
+    from vehsim.runtime.progress import Progress
 
 app = typer.Typer(
     help="Vehicles that obey physics and arrive on the artist's marks.",

@@ -15,8 +15,8 @@ from vehsim.errors import InputError
 from vehsim.intake.foreign import reading
 
 if TYPE_CHECKING:
-    from vehsim.delivery.exporters import Progress
     from vehsim.delivery.take import Take
+    from vehsim.runtime.progress import Progress
     from vehsim.shot.shot import Shot
 
 NAMED = 5

@@ -22,7 +22,7 @@ from vehsim.constants import GRAVITY
 from vehsim.errors import InputError
 from vehsim.intake.reader import Answer, read_cached
 from vehsim.intake.toml import read_toml
-from vehsim.intake.usd import open_stage
+from vehsim.intake.usd import SUFFIXES, open_stage
 
 if TYPE_CHECKING:
     from vehsim.rig.parts import Part
@@ -186,7 +186,7 @@ def _source(path: Path, keys: Mapping[str, Any]) -> Path:
 def _root(path: Path) -> dict[str, str]:
     """The only top prim, if the file names none."""
 
-    if path.suffix.lower() not in (".usd", ".usda", ".usdc", ".usdz"):
+    if path.suffix.lower() not in SUFFIXES:
         return {}
     stage = open_stage(path, load=False)
     if stage.GetDefaultPrim():

@@ -13,10 +13,8 @@ from typing import Any
 from vehsim.delivery.earlier import SIGN, Keep, record
 from vehsim.delivery.folders import drop_empty_folders, new_version, newest, replacing, versions
 from vehsim.errors import ExportError, InputError
+from vehsim.runtime.progress import Progress
 from vehsim.runtime.registry import entries
-
-Progress = Callable[[str, float], None]
-"""Called with a description of the work and the fraction done, 0 to 1."""
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 from vehsim.delivery.exporters import (
     REPORT_GROUP,
-    Progress,
     check_stage_is_there,
     delivering,
     exporter_for,
@@ -23,6 +22,7 @@ from vehsim.delivery.exporters import (
     write_files,
 )
 from vehsim.delivery.folders import SIGN, may_replace, staging
+from vehsim.runtime.progress import Progress, silent
 from vehsim.runtime.registry import entries
 
 if TYPE_CHECKING:
@@ -145,9 +145,9 @@ class Take:
         check_stage_is_there(to, self.usd.layer_only)
         target = Path(out) / self.name
         if self.usd.layer_only and to == ("usd",) and not self.usd.versions and not (target / SIGN).is_file():
-            return self._export_layers(target, overwrite, progress or _silent)
+            return self._export_layers(target, overwrite, progress or silent)
         with delivering(target, self.usd.versions, overwrite) as folder:
-            written = write_files(self, folder, to, progress or _silent)
+            written = write_files(self, folder, to, progress or silent)
             write_reports(self, folder, written)
         return point_at_newest(target) if self.usd.versions else target
 
@@ -186,7 +186,7 @@ def export_clip(clip: Clip, path: Path, to: str | Sequence[str] | None = None) -
     suffixes = {suffix for name in names for suffix in find_exporter(name).suffixes}
     take = _take_of(clip, re.sub(r"\W|^(?=\d)", "_", path.stem) or "clip")
     with staging(path) as folder:
-        files = {file for paths in write_files(take, folder, names, _silent).values() for file in paths}
+        files = {file for paths in write_files(take, folder, names, silent).values() for file in paths}
         moved = {
             file.relative_to(folder): _move(file, path.parent / file.relative_to(folder)) for file in sorted(files)
         }
@@ -225,7 +225,3 @@ def _take_of(clip: Clip, name: str) -> Take:
     frames, world, clips = (clip.start_frame, clip.end_frame), World(), {name: clip}
     camera = solve_camera(CameraRig(), clips, world, frames)
     return Take(name, clips, world, (camera,), clip.fps, frames)
-
-
-def _silent(what: str, done: float) -> None:
-    """Ignore progress."""

@@ -15,11 +15,11 @@ from vehsim.integrators.fast.steps import PublicStep
 from vehsim.integrators.guards import warn_of_stiff_damping
 from vehsim.integrators.phase import Phase, packed
 from vehsim.integrators.phase_integrator import PhaseIntegrator
-from vehsim.integrators.record import build_clips, flat
+from vehsim.integrators.record import build_clips
 from vehsim.integrators.stepper import Stepper
 from vehsim.vehicles import State
 from vehsim.vehicles.definition.base import Array
-from vehsim.vehicles.definition.states import control_vector
+from vehsim.vehicles.definition.states import control_vector, flat
 
 
 class Integrator(PhaseIntegrator):

@@ -15,11 +15,10 @@ from vehsim.integrators.fast.kernel import Kernel
 from vehsim.integrators.fast.steps import PhaseStep
 from vehsim.integrators.guards import changes_rank, check_constraints, check_mass
 from vehsim.integrators.phase import Phase, joints_of, packed, unpacked
-from vehsim.integrators.record import flat
 from vehsim.lie.maps import DEFAULT_MAP
 from vehsim.vehicles import State, Vehicle
 from vehsim.vehicles.definition.base import Array
-from vehsim.vehicles.definition.states import internal
+from vehsim.vehicles.definition.states import flat, internal
 
 TOLERANCE = 1e-9
 """Largest accepted Newton residual, relative to the momentum."""

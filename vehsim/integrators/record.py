@@ -137,8 +137,3 @@ def _integrals(times: Array, rates: Array) -> Array:
     powers = np.arange(count)
     weights = np.linalg.solve(s[:, None] ** powers[:, None], 1 / (powers + 1)[:, None])
     return np.asarray(h * np.sum(weights * rates[near], axis=1), float)
-
-
-def flat(values: Any) -> Array:
-    """A CasADi column, or an array of that size, as (n,)."""
-    return np.asarray(values, float).ravel()

@@ -27,7 +27,7 @@ from vehsim.shot.shot import Shot
 from vehsim.world.ground.placing import place_on_terrain
 
 if TYPE_CHECKING:
-    from vehsim.delivery.exporters import Progress
+    from vehsim.runtime.progress import Progress
     from vehsim.vehicles import State, Vehicle
 
 Array = NDArray[np.float64]

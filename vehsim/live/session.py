@@ -22,6 +22,7 @@ from vehsim.exporters.web.scene import Kinematics, draft_block, live_block, moti
 from vehsim.live.document import DECIMALS, Document
 from vehsim.live.messages import AddMark, Change, DeleteMark, Drive, Moved
 from vehsim.live.settings import Setting, settings
+from vehsim.runtime.progress import Progress
 from vehsim.shot.checks import variants_of
 
 if TYPE_CHECKING:
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
     from vehsim.planning.drafts import Draft
     from vehsim.shot.shot import Shot
 
-Progress = Callable[[str, float], None]
 VISIBLE = 0.05
 """Distance between a dragged and the solved motion that is reported, m."""
 

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable
 
-Progress = Callable[[str, float], None]
+from vehsim.runtime.progress import Progress
 
 MORE = 1.5
 """Safety factor: time reserved for certifying a plan, over the time that certifying its initial guess took."""

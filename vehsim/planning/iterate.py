@@ -21,9 +21,9 @@ from vehsim.planning.problem.solver import Multipliers, Solution
 from vehsim.planning.problem.solver_cache import SolverCache
 from vehsim.planning.request.request import Request
 from vehsim.planning.trajectory import Trajectory
+from vehsim.runtime.progress import Progress
 
 Array = NDArray[np.float64]
-Progress = Callable[[str, float], None]
 B = TypeVar("B", bound=Block)
 
 NOT_RUN = Executed(np.inf, np.inf, np.inf)

@@ -28,7 +28,7 @@ from vehsim.planning.deadline import OutOfTime
 from vehsim.planning.explain.feasibility import refusals
 from vehsim.planning.fallbacks import enough_segments, from_other_guesses, with_fewer_requirements
 from vehsim.planning.guesses.routes import as_clip, find_paths, straight
-from vehsim.planning.iterate import Iterate, Progress, Run
+from vehsim.planning.iterate import Iterate, Run
 from vehsim.planning.problem import interrupts
 from vehsim.planning.problem.solver import HURRIED, LONGER, LOOSEN, MET
 from vehsim.planning.problem.transcription import transcribe
@@ -43,6 +43,7 @@ from vehsim.planning.solve import begin, give_up, solve
 from vehsim.planning.terms import Term
 from vehsim.planning.trajectory import exported
 from vehsim.requests import Ask
+from vehsim.runtime.progress import Progress
 from vehsim.vehicles import Vehicle
 from vehsim.vehicles.definition.character import DEFAULT, STUNT
 

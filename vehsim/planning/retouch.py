@@ -29,7 +29,7 @@ from vehsim.planning.constraints.marks import MarkRows, same_state
 from vehsim.planning.costs import RunningCosts
 from vehsim.planning.guesses.paths import along_clip
 from vehsim.planning.guesses.prolongate import prolongate
-from vehsim.planning.iterate import Iterate, Progress, Run
+from vehsim.planning.iterate import Iterate, Run
 from vehsim.planning.problem import interrupts
 from vehsim.planning.problem.elements import Element, NonlinearProgram
 from vehsim.planning.problem.layout import Layout
@@ -42,6 +42,7 @@ from vehsim.planning.request.request import Request, make_request
 from vehsim.planning.solve import solve
 from vehsim.planning.trajectory import Trajectory, exported
 from vehsim.planning.trim import is_pushed
+from vehsim.runtime.progress import Progress
 from vehsim.vehicles import Vehicle
 
 Array = NDArray[np.float64]

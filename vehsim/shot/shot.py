@@ -19,6 +19,7 @@ from vehsim.intake.timelines import read_cuts
 from vehsim.intake.toml import line_of, lines_of, read_toml, too_large
 from vehsim.intake.usd import complaints, dependencies
 from vehsim.requests import target_asks
+from vehsim.runtime.progress import silent
 from vehsim.shot.audited import audit_clips
 from vehsim.shot.checks import (
     Setting,
@@ -43,9 +44,9 @@ from vehsim.shot.world.water import check_afloat, check_water, make_water
 if TYPE_CHECKING:
     from vehsim.cameras.camera import Camera, CameraRig
     from vehsim.clip.clip import Clip
-    from vehsim.delivery.exporters import Progress
     from vehsim.delivery.take import RenderSettings, Take, UsdSettings
     from vehsim.rig.blocking import Blocking
+    from vehsim.runtime.progress import Progress
     from vehsim.shot.cache import SolvedMotion
     from vehsim.shot.motions.simulate import ForwardMotion
     from vehsim.vehicles import Vehicle
@@ -188,7 +189,7 @@ class Shot:
         errors = [] if checked else [problem for problem in self.check() if problem.severity == "error"]
         if errors:
             raise ShotError(errors)
-        progress = progress or (lambda what, done: None)
+        progress = progress or silent
         (clips, vehicles), recalled = self._motion(progress, cached)
         marks = {name: report.pop("marks", []) for name, report in vehicles.items()}
         asks = {name: report.pop("asks", []) for name, report in vehicles.items()}

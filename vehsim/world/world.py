@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vehsim.errors import InputError
-from vehsim.world.distance.field import DistanceField, Progress, distance_field
+from vehsim.runtime.progress import Progress
+from vehsim.world.distance.field import DistanceField, distance_field
 from vehsim.world.obstacles.articulated import carriers_of
 from vehsim.world.obstacles.obstacles import Moving, Obstacle, check_obstacles
 from vehsim.world.terrain.terrain import Terrain

@@ -7,7 +7,7 @@ with the old one does not change.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -19,9 +19,9 @@ from vehsim.planning.problem.elements import NonlinearProgram, Use
 from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.transcription import Transcription
 from vehsim.planning.trajectory import Trajectory
+from vehsim.runtime.progress import Progress
 
 Array = NDArray[np.float64]
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from vehsim.clip.clip import Clip
 from vehsim.lie import SO3
 from vehsim.planning.certificates import FINEST, SAMPLES, certify
-from vehsim.planning.constraints.block import Block, Finding, Progress
+from vehsim.planning.constraints.block import Block, Finding
 from vehsim.planning.constraints.spheres import sphere_cover
 from vehsim.planning.problem.elements import Element, NonlinearProgram, SpatialField, second_order
 from vehsim.planning.problem.layout import Layout
@@ -37,6 +37,7 @@ from vehsim.planning.request.marks import Mark
 from vehsim.planning.request.request import ROOM, Request, search_boxes
 from vehsim.planning.terms import COSTS, HazardView, KnotView, costs_of, weight_of
 from vehsim.planning.trajectory import Trajectory
+from vehsim.runtime.progress import Progress
 from vehsim.world.distance.field import DistanceField, field_about
 from vehsim.world.obstacles.obstacles import Moving
 

@@ -18,13 +18,14 @@ from numpy.typing import NDArray
 from vehsim.clip.clip import Clip
 from vehsim.lie.quaternions import yaw_of
 from vehsim.planning.certificates import FINEST, certify_plane
-from vehsim.planning.constraints.block import Block, Finding, Progress
+from vehsim.planning.constraints.block import Block, Finding
 from vehsim.planning.constraints.features import CORNERS, Feature, body_of, element, form_of, gap
 from vehsim.planning.outlines import bounds_to, simplified
 from vehsim.planning.problem.elements import NonlinearProgram
 from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.transcription import Transcription
 from vehsim.planning.trajectory import Trajectory
+from vehsim.runtime.progress import Progress
 from vehsim.vehicles import Vehicle
 from vehsim.world.ground.placing import place_on_terrain
 from vehsim.world.obstacles.articulated import articulated_footprint

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from vehsim.clip.clip import Clip
 from vehsim.clip.interpolant import spatial
-from vehsim.planning.constraints.block import Block, Finding, Progress
+from vehsim.planning.constraints.block import Block, Finding
 from vehsim.planning.constraints.dynamics import bound_joints
 from vehsim.planning.problem.elements import Element, NonlinearProgram
 from vehsim.planning.problem.layout import Layout
@@ -26,6 +26,7 @@ from vehsim.planning.request.legs import knots_within
 from vehsim.planning.request.marks import Mark
 from vehsim.planning.terms import Constraint, Cost, KnotView, SegmentView, Term
 from vehsim.planning.trajectory import Trajectory
+from vehsim.runtime.progress import Progress
 
 Array = NDArray[np.float64]
 Place = Literal["knot", "segment", "between"]

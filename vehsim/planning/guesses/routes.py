@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -20,11 +20,11 @@ from vehsim.planning.request.marks import Mark
 from vehsim.planning.request.marks_near_obstacles import parts_in_reach
 from vehsim.planning.request.request import Request, search_boxes
 from vehsim.planning.trim import swims
+from vehsim.runtime.progress import Progress
 from vehsim.vehicles import Vehicle
 from vehsim.world.distance.route import check_free
 
 Array = NDArray[np.float64]
-Progress = Callable[[str, float], None]
 
 DETOUR = 1.5
 """Largest length of a preferred wide route, relative to a narrow route."""

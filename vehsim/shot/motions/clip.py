@@ -11,7 +11,7 @@ from vehsim.shot.schema.tables import Table, Text
 
 if TYPE_CHECKING:
     from vehsim.clip.clip import Clip
-    from vehsim.delivery.exporters import Progress
+    from vehsim.runtime.progress import Progress
     from vehsim.vehicles import Vehicle
 
 

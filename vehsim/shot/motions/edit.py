@@ -13,9 +13,9 @@ from vehsim.shot.schema.tables import Table, Text
 
 if TYPE_CHECKING:
     from vehsim.clip.clip import Clip
-    from vehsim.delivery.exporters import Progress
     from vehsim.planning.retouch import Retouch
     from vehsim.rig.blocking import Blocking
+    from vehsim.runtime.progress import Progress
     from vehsim.vehicles import Vehicle
 
 NAMED = 3

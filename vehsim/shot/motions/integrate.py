@@ -18,7 +18,7 @@ from vehsim.shot.schema.tables import MAX_FRAMES, InSchema, Number, Positive, St
 
 if TYPE_CHECKING:
     from vehsim.clip.clip import Clip
-    from vehsim.delivery.exporters import Progress
+    from vehsim.runtime.progress import Progress
     from vehsim.vehicles import Vehicle
 
 OURS = "variational"

@@ -33,9 +33,9 @@ from vehsim.shot.world.obstacle_tables import check_marks
 
 if TYPE_CHECKING:
     from vehsim.clip.clip import Clip
-    from vehsim.delivery.exporters import Progress
     from vehsim.planning import Mark
     from vehsim.rig.blocking import Blocking
+    from vehsim.runtime.progress import Progress
     from vehsim.vehicles import Vehicle
 
 COSTS = "vehsim.planning.terms:COSTS"

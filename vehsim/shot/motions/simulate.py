@@ -21,14 +21,12 @@ from vehsim.shot.schema.tables import MAX_FRAMES, Array, Number, Positive, Start
 
 if TYPE_CHECKING:
     from vehsim.clip.clip import Clip
-    from vehsim.delivery.exporters import Progress
+    from vehsim.runtime.progress import Progress
     from vehsim.simulation import Mover
     from vehsim.vehicles import Vehicle
 
 Values = NDArray[np.float64]
 
-MAX_STEPS = 10_000_000
-"""Largest number of integration steps of a shot."""
 SAME = 10
 """Decimals of seconds: a row of a table and a knot are at the same time if they agree in these."""
 
@@ -45,6 +43,8 @@ class ForwardMotion(Table):
     """the integration step in s, 0.00001 to 0.1; default: 1/240"""
 
     def check(self, vehicle: Vehicle, setting: Setting) -> Iterator[Problem]:
+        from vehsim.simulation import MAX_STEPS
+
         seconds = self.seconds(setting)
         if seconds * setting.fps > MAX_FRAMES or seconds / self.step > MAX_STEPS:
             yield Problem("duration", f"more than {MAX_FRAMES} frames or {MAX_STEPS} steps", "shorten it", seconds)

@@ -16,6 +16,7 @@ from pydantic import Field
 
 from vehsim.errors import InputError, Problem, SolveError, VehsimError
 from vehsim.intake.tables import table_of
+from vehsim.runtime.progress import silent
 from vehsim.shot.checks import Setting, check_names, check_order
 from vehsim.shot.schema.tables import (
     MAX_FRAMES,
@@ -32,8 +33,8 @@ from vehsim.shot.schema.tables import (
 
 if TYPE_CHECKING:
     from vehsim.clip.clip import Clip
-    from vehsim.delivery.exporters import Progress
     from vehsim.requests import Ask
+    from vehsim.runtime.progress import Progress
     from vehsim.sinusoids.manoeuvres.manoeuvres import Manoeuvre
     from vehsim.sinusoids.manoeuvres.options import SinusoidOptions
     from vehsim.sinusoids.manoeuvres.rigs import Rigged
@@ -156,7 +157,7 @@ class SinusoidMotion(Table):
             short = short or distance / speed > float((b.frame - a.frame - a.hold) / setting.fps) * (1 + 1e-6)
         if short:
             try:
-                late = self._legs(vehicle, setting, lambda what, done: None)[2]
+                late = self._legs(vehicle, setting, silent)[2]
             except SolveError as error:
                 yield error.problem.seen_from("mark", remedy="move a mark, or give it another method")
                 return

@@ -6,6 +6,7 @@ solve. Brockett's optimal inputs between general end points are in `optimal.py`.
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from itertools import combinations, product
 from math import factorial
@@ -20,7 +21,6 @@ from vehsim.sinusoids.models import chained, first_degree, second_degree, second
 from vehsim.sinusoids.steering import Stage, Steering, integrate
 from vehsim.sinusoids.system import Array, DriftlessSystem
 
-TAU = 2 * np.pi
 EXACT = 1e-9
 """Accuracy of steering for canonical systems, relative to the size of the states."""
 
@@ -120,7 +120,7 @@ def _waves(m: int, waves: dict[int, tuple[int, str]]) -> Any:
             for n, (index, (frequency, kind)) in enumerate(waves.items()):
                 wave = np.sin if kind == "sin" else np.cos
                 factor = sign if n == len(waves) - 1 else 1.0
-                u[:, index] = factor * amplitude * TAU * frequency * wave(TAU * frequency * s)
+                u[:, index] = factor * amplitude * math.tau * frequency * wave(math.tau * frequency * s)
             return u
 
         return law
@@ -143,7 +143,7 @@ def _cubic_effect(waves: dict[int, tuple[int, str]], triple: tuple[int, int, int
 
     def rate(index: int) -> Array:
         frequency, kind = waves.get(index, (0, "cos"))
-        return TAU * frequency * (np.sin if kind == "sin" else np.cos)(TAU * frequency * s)
+        return math.tau * frequency * (np.sin if kind == "sin" else np.cos)(math.tau * frequency * s)
 
     i, j, k = triple
     inner = periodic_integral(rate(i))
@@ -155,7 +155,7 @@ def periodic_integral(rate: Array) -> Array:
     spectrum = np.fft.rfft(rate)
     spectrum[0] = 0
     k = np.arange(len(spectrum))
-    spectrum[1:] /= 1j * TAU * k[1:]
+    spectrum[1:] /= 1j * math.tau * k[1:]
     value = np.fft.irfft(spectrum, len(rate))
     return value - value[0]
 
@@ -181,7 +181,7 @@ def steer_chained(
         return _exact(system, z0, z1, _straight(np.array([d, 0.0])) or [_rest(2)])
     if amplitude is None:
         size = max(1.0, abs(d)) * np.geomspace(0.1, 8.0, 24)
-        members = product(size, (1.0, -1.0), (0.0, TAU / 4))
+        members = product(size, (1.0, -1.0), (0.0, math.tau / 4))
         trials = [_chained_together(n, z0, z1, sign * a, phase) for a, sign, phase in members]
         law = min(trials, key=lambda t: t[1])[0]
     else:
@@ -204,8 +204,8 @@ def _chained_together(n: int, z0: Array, z1: Array, a: float, phase: float = 0.0
     d = z1[0] - z0[0]
     extra = 3 if d else 0
     order = np.arange(n - 1 + extra)
-    waves = np.cos(np.outer(order, TAU * s + phase))
-    ahead = d * (1 - s) - a * (np.cos(phase) - np.cos(TAU * s + phase))  # z1(1) - z1(s)
+    waves = np.cos(np.outer(order, math.tau * s + phase))
+    ahead = d * (1 - s) - a * (np.cos(phase) - np.cos(math.tau * s + phase))  # z1(1) - z1(s)
     # contribution of v2 at s to z_(k+2) at the end: (z1(1) - z1(s))^k / k!
     effect = np.array([ahead**k / factorial(k) for k in range(n - 1)]) * w @ waves.T
     free = [sum(z0[1 + i] * d ** (k - i) / factorial(k - i) for i in range(k + 1)) for k in range(n - 1)]
@@ -216,10 +216,10 @@ def _chained_together(n: int, z0: Array, z1: Array, a: float, phase: float = 0.0
     b += np.linalg.lstsq(effect / scale[:, None], (wanted - effect @ b) / scale, rcond=1e-15)[0]
 
     def law(s: Array) -> Array:
-        turn = TAU * s + phase
-        return np.column_stack([d + a * TAU * np.sin(turn), np.cos(np.outer(turn, order)) @ b])
+        turn = math.tau * s + phase
+        return np.column_stack([d + a * math.tau * np.sin(turn), np.cos(np.outer(turn, order)) @ b])
 
-    return law, d**2 + (TAU * a) ** 2 / 2 + float(w @ (b @ waves) ** 2)
+    return law, d**2 + (math.tau * a) ** 2 / 2 + float(w @ (b @ waves) ** 2)
 
 
 def _chained_stages(n: int, z0: Array, z1: Array, amplitude: float | None) -> list[Stage]:
@@ -234,7 +234,7 @@ def _chained_stages(n: int, z0: Array, z1: Array, amplitude: float | None) -> li
         if wanted == 0:
             continue
         # v1 = 2 pi a sin, v2 = b cos(k ...): z_(k+2) moves by b (a/2)^k / k!, and no state below it moves
-        cost = k * (wanted * factorial(k)) ** 2 * 4**k / TAU**2
+        cost = k * (wanted * factorial(k)) ** 2 * 4**k / math.tau**2
         a = abs(amplitude) if amplitude else cost ** (1 / (2 * k + 2))
         b = wanted * factorial(k) * (2 / a) ** k
         stages.append(Stage(f"z{k + 2}", _pair(a, b, k), cycles=k, amplitudes={"v1": a, "v2": b}))
@@ -243,7 +243,7 @@ def _chained_stages(n: int, z0: Array, z1: Array, amplitude: float | None) -> li
 
 
 def _pair(a: float, b: float, k: int) -> Law:
-    return lambda s: np.column_stack([TAU * a * np.sin(TAU * s), b * np.cos(TAU * k * s)])
+    return lambda s: np.column_stack([math.tau * a * np.sin(math.tau * s), b * np.cos(math.tau * k * s)])
 
 
 def _straight(displacement: Array) -> list[Stage]:

@@ -8,6 +8,7 @@ steered before are unchanged.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -25,7 +26,6 @@ from vehsim.sinusoids.laws import Law, chebyshev
 from vehsim.sinusoids.steering import Stage, Steering, integrate
 from vehsim.sinusoids.system import Array, DriftlessSystem
 
-TAU = 2 * np.pi
 SAMPLES = 512
 """Number of points per cycle of the fastest sinusoid in the analysis of a loop."""
 CLOSED = 1e-10
@@ -50,12 +50,12 @@ class Loop:
 
     def excursions(self, s: Array, a: float, b: float) -> tuple[Array, Array]:
         """Displacements of p and q, each (k,)."""
-        slow, k = TAU * self.cycles * s + self.phase, self.harmonic
+        slow, k = math.tau * self.cycles * s + self.phase, self.harmonic
         return a * (np.cos(self.phase) - np.cos(slow)), b * (np.sin(k * slow) - np.sin(k * self.phase))
 
     def rates(self, s: Array, a: float, b: float) -> tuple[Array, Array]:
         """Inputs of p and q, per unit of s."""
-        slow, rate, k = TAU * self.cycles * s + self.phase, TAU * self.cycles, self.harmonic
+        slow, rate, k = math.tau * self.cycles * s + self.phase, math.tau * self.cycles, self.harmonic
         return a * rate * np.sin(slow), b * k * rate * np.cos(k * slow)
 
 

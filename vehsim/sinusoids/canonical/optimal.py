@@ -6,12 +6,13 @@ planes are continued to the required areas, with Newton's method at every step.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from vehsim.errors import SolveError
 from vehsim.sinusoids.system import Array
 
-TAU = 2 * np.pi
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(96)
 
 
@@ -40,9 +41,9 @@ def closed_loop(areas: Array) -> tuple[Array, Array]:
     a, u0 = np.zeros((m, m)), np.zeros(m)
     for k, (area, e, f) in enumerate(area_planes(areas), 1):
         # k turns of a circle of radius r enclose k pi r^2
-        turn = TAU * k * np.sign(area)
+        turn = math.tau * k * np.sign(area)
         a += turn * (np.outer(f, e) - np.outer(e, f))
-        u0 += TAU * k * np.sqrt(abs(area) / (np.pi * k)) * e
+        u0 += math.tau * k * np.sqrt(abs(area) / (np.pi * k)) * e
     return a, u0
 
 
@@ -75,11 +76,11 @@ def _arc(d: Array, area: float, turns: int = 1) -> tuple[float, Array]:
     def gap(w: float) -> float:
         return 8 * wanted * np.sin(w / 2) ** 2 - chord**2 * (w - np.sin(w))
 
-    full = TAU * turns
+    full = math.tau * turns
     low = full - np.pi
     if turns == 1 or gap(low) <= 0:
         # near zero: 2 wanted w^2 = chord^2 w^3 / 6
-        full, low = TAU, min(1e-3, 6 * wanted / chord**2) if chord else 1e-3
+        full, low = math.tau, min(1e-3, 6 * wanted / chord**2) if chord else 1e-3
     w = brentq(gap, low, full, xtol=1e-15, rtol=1e-15) if chord > 1e-9 * np.sqrt(wanted) else full
     speed = w * chord / (2 * np.sin(w / 2)) if w < 1 else w * np.sqrt(2 * wanted / (w - np.sin(w)))
     turn = w * np.sign(area)

@@ -6,6 +6,7 @@ between the poses, and `trailers.py` chooses a route.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise, product
@@ -15,7 +16,6 @@ import numpy as np
 from vehsim.sinusoids.manoeuvres.train import Pose, Train
 from vehsim.sinusoids.system import Array
 
-TAU = 2 * np.pi
 CORNER = 1.75
 """Largest turn of one leg of a path around a bend, rad."""
 CHART = 2.0
@@ -29,7 +29,7 @@ def crossings(train: Train, a: Pose, b: Pose) -> Iterator[list[Step]]:
     """Routes between straight poses: direct, around bends forwards, or through a turning point in line with one of
     them."""
     dx, dy, _ = b.within(a)
-    turn = float((b.heading - a.heading + np.pi) % TAU - np.pi)
+    turn = float((b.heading - a.heading + np.pi) % math.tau - np.pi)
     if np.hypot(dx, dy) < 1e-9 and abs(turn) < 1e-9:
         yield []
         return
@@ -74,8 +74,8 @@ def _round_bends(a: Pose, b: Pose, radius: float, lead: float) -> Iterator[list[
         along = float(np.arctan2(gap[1], gap[0])) + (np.arcsin(twist / far) if twist else 0.0)
         straight = float(np.sqrt(far**2 - twist**2))
         room = straight
-        arcs = [first * (first * (along - a.heading) % TAU), last * (last * (b.heading - along) % TAU)]
-        arcs = [0.0 if min(abs(arc), TAU - abs(arc)) < 1e-9 else arc for arc in arcs]
+        arcs = [first * (first * (along - a.heading) % math.tau), last * (last * (b.heading - along) % math.tau)]
+        arcs = [0.0 if min(abs(arc), math.tau - abs(arc)) < 1e-9 else arc for arc in arcs]
         room -= lead * sum(arc != 0 for arc in arcs)
         if room < -1e-9:
             continue

@@ -7,6 +7,7 @@ hitch.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product
@@ -23,7 +24,6 @@ from vehsim.sinusoids.models import trailers
 from vehsim.sinusoids.steering import CRUISE, Stage, Steering, integrate
 from vehsim.sinusoids.system import Array, DriftlessSystem
 
-TAU = 2 * np.pi
 SHARPEST = 1.3
 """Hitch and steering angles of a chosen path stay below this, rad; a right angle is singular."""
 AMPLIFIED = 3e3
@@ -135,7 +135,7 @@ def _driven(
     for legs in choices:
         try:
             route = Steering(system, q0, q1, _staged(_joined(system, q0, legs), speed), label=_described(legs))
-            turns = np.round((route.states[-1] - q1) / TAU) * TAU * (np.arange(system.n) >= 3)
+            turns = np.round((route.states[-1] - q1) / math.tau) * math.tau * (np.arange(system.n) >= 3)
             route = route.towards(q1 + turns).checked()
             found.append((_gain(route), route))
         except SolveError as error:  # reversing amplified round-off too much

@@ -56,7 +56,7 @@ def internal(vehicle: Definition, state: State) -> tuple[Array, Array, Array, Ar
     basis, connection = (np.array(m) for m in kept(vehicle, "lift", lambda: _lift(vehicle))(r))
     connection = connection.reshape(len(basis), s)
     if state.joint_rates is None and vehicle.rolling is not None:
-        u = _flat(kept(vehicle, "rolling", lambda: _rolling(vehicle))(r, group.velocity_to_body(g, xi)))
+        u = flat(kept(vehicle, "rolling", lambda: _rolling(vehicle))(r, group.velocity_to_body(g, xi)))
     elif state.joint_rates is None and s:
         # first the motion with locked joints, then the joint rates that the rest of the twist needs
         rest = xi - basis[: group.dim] @ np.linalg.lstsq(basis[: group.dim], xi, rcond=None)[0]
@@ -95,7 +95,7 @@ def state_momentum(vehicle: Definition, state: State) -> Array:
         group = vehicle.group
         return ca.Function("p", [g, r, u, xi], [group.Ad(group.inverse(g)).T @ momentum(vehicle, r, u, xi)[1]])
 
-    return _flat(kept(vehicle, "momentum", build)(*internal(vehicle, state)))
+    return flat(kept(vehicle, "momentum", build)(*internal(vehicle, state)))
 
 
 def linearize(vehicle: Definition, state: State, controls: Any, wind: Any = (0.0, 0.0, 0.0)) -> tuple[Array, Array]:
@@ -122,7 +122,7 @@ def linearize(vehicle: Definition, state: State, controls: Any, wind: Any = (0.0
 
     g, r, u, xi = internal(vehicle, state)
     c = control_vector(vehicle, controls)
-    z = _flat(kept(vehicle, "coefficients", lambda: _coefficients(vehicle))(r, u, xi))
+    z = flat(kept(vehicle, "coefficients", lambda: _coefficients(vehicle))(r, u, xi))
     a, b = kept(vehicle, "linearize", build)(g, r, z, c, np.asarray(wind, float))
     return np.array(a), np.array(b).reshape(a.shape[0], len(c))
 
@@ -180,5 +180,6 @@ def _sized(name: str, values: Any, size: int) -> Array:
     return array
 
 
-def _flat(values: Any) -> Array:
+def flat(values: Any) -> Array:
+    """A CasADi column, or an array of that size, as (n,)."""
     return np.asarray(values, float).ravel()

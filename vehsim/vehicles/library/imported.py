@@ -24,11 +24,10 @@ import numpy as np
 from vehsim.errors import InputError
 from vehsim.intake.foreign import reading
 from vehsim.intake.reader import Answer, read_cached, read_in_process
-from vehsim.intake.usd import open_stage
+from vehsim.intake.usd import SUFFIXES, open_stage
 from vehsim.runtime.cache import SOURCE, cache_folder, is_whole, seal
 from vehsim.runtime.files import write_file
 
-USD = (".usd", ".usda", ".usdc", ".usdz")
 MESHES = (".glb", ".gltf", ".obj")
 KEYS = {"up_axis", "meters_per_unit", "forward", "offset", "variants"}
 """Keys of a vehicle.toml that describe the orientation and units of the asset."""
@@ -94,7 +93,7 @@ def _usd_file(toml: Path, data: Mapping[str, Any]) -> tuple[Path, str, float]:
             )
         up, metres = _choice(toml, data, "up_axis", ("Y", "Z")) or "Y", _metres(toml, data, 1.0)
         return _converted(path, up, metres), up, metres
-    if path.suffix.lower() not in USD:
+    if path.suffix.lower() not in SUFFIXES:
         raise InputError("not USD, GLB or OBJ", "export it as one of them", key="asset", value=named, file=toml)
     if not KEYS & set(data):
         return path, "Z", 1.0  # readers take the up axis and unit from the file itself

@@ -20,13 +20,13 @@ from numpy.typing import ArrayLike, NDArray
 from vehsim.errors import InputError
 from vehsim.runtime.cache import cache_folder as cache_folder
 from vehsim.runtime.cache import kept
+from vehsim.runtime.progress import Progress
 from vehsim.world.terrain.terrain import Terrain
 
 if TYPE_CHECKING:
     from vehsim.world.obstacles.obstacles import Moving, Obstacle
 
 Array = NDArray[np.float64]
-Progress = Callable[[str, float], None]
 
 VERSION = 3
 """Part of the name of every cached field: increase it if the same terrain would give another field."""

@@ -24,7 +24,7 @@ from vehsim.intake.foreign import reading, refuse
 from vehsim.intake.images import Header, read_header, read_pixels
 from vehsim.intake.meshes import read_triangles
 from vehsim.intake.toml import lines_in
-from vehsim.intake.usd import dependencies
+from vehsim.intake.usd import SUFFIXES, dependencies
 from vehsim.world.terrain.grid import MAX_POINTS, HeightGrid
 from vehsim.world.terrain.surface import Surface, surface_of
 
@@ -304,5 +304,5 @@ READERS: dict[str, Callable[[Path, Placement], HeightGrid]] = {
     ".png": _read_png,
     **dict.fromkeys((".tif", ".tiff"), _read_geotiff),
     **dict.fromkeys((".obj", ".stl", ".ply", ".glb", ".gltf"), _read_trimesh),
-    **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), _read_usd),
+    **dict.fromkeys(SUFFIXES, _read_usd),
 }
