@@ -24,11 +24,10 @@ from vehsim.exporters.usd.metadata import Units
 from vehsim.intake.foreign import reading
 from vehsim.intake.usd import dependencies, is_drawn
 from vehsim.requests import Ask
-from vehsim.runtime.progress import silent
+from vehsim.runtime.progress import Progress, silent
 
 if TYPE_CHECKING:
     from vehsim.clip.clip import Clip
-    from vehsim.runtime.progress import Progress
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -7,10 +7,9 @@ wrong: the review says where a viewer may not believe it.
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +18,8 @@ from vehsim.audit import MEASURES, PER_FRAME, Scene, Track, track_of_clip
 from vehsim.errors import InputError
 from vehsim.intake.foreign import reading
 from vehsim.planning.terms import LIMITS
-from vehsim.vehicles.definition.character import NORMAL, REVIEW_UNITS
+from vehsim.vehicles.definition.character import NORMAL, REVIEW_UNITS, SHARES_OF_TIME, Reviewed, Trait
+from vehsim.vehicles.definition.quantities import in_degrees
 
 if TYPE_CHECKING:
     from vehsim.clip.clip import Clip
@@ -51,17 +51,13 @@ def review(clip: Clip, character: str = NORMAL) -> list[dict[str, Any]]:
     ``inside`` (None without envelope), and a ``curve``: frames and values. SI units, radians.
     """
     track, vehicle = track_of_clip(clip), clip.vehicle
-    traits = vehicle.character
     rows = []
-    for name, unit, values in _curves(track, vehicle):
-        group, _, own = name.rpartition(" ")
-        trait = (traits.control_rates if group else {**traits.limits, **traits.review}).get(own)
+    for name, unit, values, trait in _curves(track, vehicle):
         known = np.flatnonzero(np.isfinite(values))
         if not len(known):
             continue
-        # a share of time is one number; every other quantity is worst at an instant
         k = known[np.argmax(values[known])]
-        worst = float(np.mean(values[known] >= 1 - AT_BOUND)) if name == "saturation" else float(values[k])
+        worst = float(np.mean(values[known] >= 1 - AT_BOUND) if name in SHARES_OF_TIME else values[k])
         envelope = None if trait is None else trait.of(character)
         rows.append(
             {
@@ -100,33 +96,46 @@ def outside(rows: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def shown(value: float, unit: str) -> str:
     """A value in the user's units: degrees and per cent."""
-    factor = 180 / math.pi if unit.startswith("rad") else 100.0 if unit == "share" else 1.0
-    return f"{factor * value:.3g} {unit.replace('rad', 'deg').replace('share', '%')}".rstrip()
+    factor, name = (100.0, "%") if unit == "share" else in_degrees(unit)
+    return f"{factor * value:.3g} {name}".rstrip()
 
 
-def _curves(track: Track, vehicle: Any) -> Iterator[tuple[str, str, Array]]:
-    """Name, unit and values (n,) of every quantity that the motion shows."""
+class _Curve(NamedTuple):
+    """A quantity over time: its ``values`` (n,), and the ``trait`` with its envelope, None if it has none."""
+
+    name: str
+    unit: str
+    values: Array
+    trait: Trait | None
+
+
+def _curves(track: Track, vehicle: Any) -> Iterator[_Curve]:
+    """Every quantity that the motion shows."""
     planar, traits = {"planar": vehicle.group.planar}, vehicle.character
+
+    def reviewed(name: Reviewed, values: Array) -> _Curve:
+        return _Curve(name, REVIEW_UNITS[name], values, traits.review.get(name))
+
     for name in dict.fromkeys([*traits.limits, *ALWAYS]):
-        yield name, LIMITS[name].unit, MEASURES[name](track, planar, Scene())
-    yield "jerk", REVIEW_UNITS["jerk"], _jerk(track)
-    yield "slip", REVIEW_UNITS["slip"], _slip(track, vehicle)
-    yield "settling", REVIEW_UNITS["settling"], _settling(track)
+        yield _Curve(name, LIMITS[name].unit, MEASURES[name](track, planar, Scene()), traits.limits.get(name))
+    yield reviewed("jerk", _jerk(track))
+    yield reviewed("slip", _slip(track, vehicle))
+    yield reviewed("settling", _settling(track))
     if track.controls is None or not len(vehicle.controls):
         return
     rates = [MEASURES["control_rate"](track, {"control": k}, Scene()) for k in range(len(vehicle.controls))]
     for control, rate in zip(vehicle.controls, rates, strict=True):
         if control.name in traits.control_rates:
-            yield f"rate of {control.name}", f"{control.unit}/s", rate
+            yield _Curve(f"rate of {control.name}", f"{control.unit}/s", rate, traits.control_rates[control.name])
     lower, upper = (np.array([getattr(c, end) for c in vehicle.controls]) for end in ("lower", "upper"))
     bounded = np.isfinite(upper - lower)
     if bounded.any():
-        yield "saturation", REVIEW_UNITS["saturation"], _use(track.controls, lower, upper)[:, bounded].max(axis=1)
+        yield reviewed("saturation", _use(track.controls, lower, upper)[:, bounded].max(axis=1))
     ranges = np.where(bounded, upper - lower, 2 * np.array([c.scale for c in vehicle.controls]))
-    yield "reversals", REVIEW_UNITS["reversals"], _reversals(track, ranges)
+    yield reviewed("reversals", _reversals(track, ranges))
     names = {name: trait.normal for name, trait in traits.control_rates.items()}
     most = np.array([names.get(control.name, control.scale) for control in vehicle.controls])
-    yield "ease", REVIEW_UNITS["ease"], _ease(track, np.array(rates).T / most)
+    yield reviewed("ease", _ease(track, np.array(rates).T / most))
 
 
 def _jerk(track: Track) -> Array:

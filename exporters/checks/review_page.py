@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from vehsim.exporters.checks.review import outside, shown
+from vehsim.vehicles.definition.character import SHARES_OF_TIME
 
 PAGE = """<!doctype html>
 <html lang="en"><meta charset="utf-8"><title>{title}</title>
@@ -82,7 +83,7 @@ def _row(row: Mapping[str, Any], first: float, last: float) -> str:
 def _curve(row: Mapping[str, Any], first: float, last: float) -> str:
     """The curve as SVG: blue inside the envelope, red outside, with the envelope as a dashed line."""
     # the envelope of a share of time is no level of the curve
-    bound = None if row["name"] == "saturation" else row["envelope"]
+    bound = None if row["name"] in SHARES_OF_TIME else row["envelope"]
     frames, values = row["curve"]
     top = 1.1 * max([*values, bound or 0.0, 1e-9])
     across, up = WIDTH / max(last - first, 1e-9), (HEIGHT - 2) / top

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -240,36 +240,51 @@ def _foreign_units(stage: Any) -> Iterator[Issue]:
                 yield Issue("warning", "units", str(prim.GetPath()), message, f"scale the prim by {ratio:g}")
 
 
+class _Shared(NamedTuple):
+    """Metadata that a stage's sublayers share with it: its value, and what to do about a layer with another one.
+
+    ``effect``: what USD does about the layer's value, in words.
+    """
+
+    own: Any
+    remedy: str
+    effect: Callable[[Any], str] = lambda theirs: ""
+
+
 def _foreign_sublayers(stage: Any) -> Iterator[Issue]:
     """A sublayer has the unit and up axis of the stage, because USD converts neither, and its rate, to keep frames."""
     from pxr import UsdGeom
 
     root = stage.GetRootLayer()
-    ours = {
-        "metersPerUnit": UsdGeom.GetStageMetersPerUnit(stage),
-        "upAxis": str(UsdGeom.GetStageUpAxis(stage)),
-        "timeCodesPerSecond": stage.GetTimeCodesPerSecond(),
-    }
-    remedies = {
-        "metersPerUnit": "export the layer again in the stage's unit, or reference it below a prim that scales it",
-        "upAxis": "export the layer again with the stage's up axis, or reference it below a prim that turns it",
-        "timeCodesPerSecond": "export the layer again at the stage's rate, unless its motion should keep its duration",
+    rate = stage.GetTimeCodesPerSecond()
+    shared: dict[str, _Shared] = {
+        "metersPerUnit": _Shared(
+            UsdGeom.GetStageMetersPerUnit(stage),
+            "export the layer again in the stage's unit, or reference it below a prim that scales it",
+        ),
+        "upAxis": _Shared(
+            str(UsdGeom.GetStageUpAxis(stage)),
+            "export the layer again with the stage's up axis, or reference it below a prim that turns it",
+        ),
+        "timeCodesPerSecond": _Shared(
+            rate,
+            "export the layer again at the stage's rate, unless its motion should keep its duration",
+            lambda theirs: f": USD moves its keys to {rate / theirs:.6g} times their time codes",
+        ),
     }
     for layer in stage.GetLayerStack(includeSessionLayers=False):
         if layer == root:
             continue
-        for key, own in ours.items():
-            if not layer.pseudoRoot.HasInfo(key) or (theirs := layer.pseudoRoot.GetInfo(key)) == own:
+        for key, (own, remedy, effect) in shared.items():
+            if not layer.pseudoRoot.HasInfo(key) or _same(theirs := layer.pseudoRoot.GetInfo(key), own):
                 continue
-            if key != "upAxis" and np.isclose(theirs, own):
-                continue
-            scaled = (
-                f": USD moves its keys to {own / theirs:.6g} times their time codes"
-                if key == "timeCodesPerSecond"
-                else ""
-            )
-            message = f"sublayer {layer.GetDisplayName()} has {key} {_word(theirs)}, the stage {_word(own)}{scaled}"
-            yield Issue("warning", "sublayer", root.GetDisplayName(), message, remedies[key])
+            differs = f"has {key} {_word(theirs)}, the stage {_word(own)}{effect(theirs)}"
+            message = f"sublayer {layer.GetDisplayName()} {differs}"
+            yield Issue("warning", "sublayer", root.GetDisplayName(), message, remedy)
+
+
+def _same(a: Any, b: Any) -> bool:
+    return bool(a == b if isinstance(a, str) else np.isclose(a, b))
 
 
 def _word(value: Any) -> str:
@@ -312,7 +327,8 @@ def _animated(stage: Any) -> Iterator[Any]:
     for prim in stage.Traverse():
         for attribute in prim.GetAuthoredAttributes():
             name = attribute.GetName()
-            if name.startswith("xformOp:") or name == "points" or (prim.IsA(UsdGeom.Camera) and ":" not in name):
+            moves, lens = name.startswith("xformOp:"), prim.IsA(UsdGeom.Camera) and ":" not in name
+            if moves or lens or name == UsdGeom.Tokens.points:
                 yield attribute
 
 

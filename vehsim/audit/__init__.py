@@ -7,7 +7,6 @@ nothing of the optimiser or its constraints.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Literal
@@ -18,6 +17,7 @@ from vehsim.audit.measures import MEASURES
 from vehsim.audit.scene import Scene, WorldScene
 from vehsim.audit.track import PER_FRAME, Track, track_of_clip, track_of_poses
 from vehsim.errors import InputError
+from vehsim.vehicles.definition.quantities import in_degrees
 
 if TYPE_CHECKING:
     from vehsim.requests import Ask
@@ -66,8 +66,7 @@ class Row:
     def __str__(self) -> str:
         if self.value is None:
             return f"{self.key}: not measured"
-        angle = self.unit.startswith("rad")
-        factor, unit = (180 / math.pi if angle else 1.0), self.unit.replace("rad", "deg")
+        factor, unit = in_degrees(self.unit)
         above = self.upper is not None and (self.lower is None or self.value > self.upper)
         bound, verb = (self.upper, "allowed") if above else (self.lower, "required")
         remedy = f"; {self.remedy}" if self.remedy and self.met is False else ""

@@ -11,7 +11,7 @@ import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from vehsim.batch.inputs import fingerprint, is_finished
 from vehsim.batch.task import Task, measure
@@ -26,7 +26,14 @@ if TYPE_CHECKING:
     from vehsim.clip.clip import Clip
 
 HIDDEN = ".job"
-Step = Callable[[Task, tuple[int, int]], None]
+
+
+class Step(NamedTuple):
+    """A step of a clip's work. ``run`` takes the task, and the share of the frames and the number of shares; the step
+    is ``shared`` if other clips need its result, so that it runs although its own clip is finished."""
+
+    run: Callable[[Task, tuple[int, int]], None]
+    shared: bool = False
 
 
 def run_step(name: str, clips: Path, index: int, part: tuple[int, int] = (1, 1)) -> str:
@@ -40,8 +47,9 @@ def run_step(name: str, clips: Path, index: int, part: tuple[int, int] = (1, 1))
         raise InputError(
             "its files or vehsim itself changed since the job was written", "write it again", file=task.source
         )
-    if name == "measure" or not is_finished(newest(task.target), task.inputs, task.to):
-        STEPS[name](task, part)
+    step = STEPS[name]
+    if step.shared or not is_finished(newest(task.target), task.inputs, task.to):
+        step.run(task, part)
     return task.name
 
 
@@ -194,9 +202,9 @@ def _plain(value: Any) -> Any:
 
 
 STEPS: dict[str, Step] = {
-    "measure": lambda task, part: measure(task),
-    "plan": _plan,
-    "bake": _bake,
-    "render": _render,
-    "deliver": _deliver,
+    "measure": Step(lambda task, part: measure(task), shared=True),
+    "plan": Step(_plan),
+    "bake": Step(_bake),
+    "render": Step(_render),
+    "deliver": Step(_deliver),
 }

@@ -40,8 +40,9 @@ def costs() -> list[tuple[str, str]]:
 def limits() -> list[tuple[str, str, str]]:
     """Name, unit in a shot file, and meaning of every limit."""
     from vehsim.planning.terms import LIMITS
+    from vehsim.vehicles.definition.quantities import in_degrees
 
-    return [(name, limit.unit.replace("rad", "deg"), limit.meaning) for name, limit in LIMITS.items()]
+    return [(name, in_degrees(limit.unit)[1], limit.meaning) for name, limit in LIMITS.items()]
 
 
 def _first_line(law: Any) -> str:

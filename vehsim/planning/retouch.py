@@ -44,6 +44,7 @@ from vehsim.planning.trajectory import Trajectory, exported
 from vehsim.planning.trim import is_pushed
 from vehsim.runtime.progress import Progress
 from vehsim.vehicles import Vehicle
+from vehsim.vehicles.definition.character import STUNT
 
 Array = NDArray[np.float64]
 
@@ -284,7 +285,7 @@ def _attempt(
         segments=count,
         clearance=near,
         limits=limits,
-        character="stunt",
+        character=STUNT,
         max_iterations=ITERATIONS,
     )
     run, transcription = Run(request, progress), transcribe(request.weighed)

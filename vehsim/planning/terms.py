@@ -6,7 +6,6 @@ for a user's `Cost` and `Constraint`. A law is evaluated once in CasADi symbols 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
@@ -20,6 +19,7 @@ from vehsim.constants import GRAVITY
 from vehsim.errors import InputError
 from vehsim.requests import Ask
 from vehsim.runtime.registry import Registry
+from vehsim.vehicles.definition.quantities import in_degrees
 
 Expr = Any
 """A CasADi expression."""
@@ -412,8 +412,8 @@ def _scaled(law: Callable[[Any], Expr], value: float) -> Callable[[Any], Expr]:
 
 def _in_unit(value: float, unit: str) -> Callable[[float], str]:
     """Format a law's value, scaled by ``value``, in the unit of the shot file."""
-    scale, shown = (math.degrees(value), unit.replace("rad", "deg")) if unit.startswith("rad") else (value, unit)
-    return lambda share: f"{share * scale:.4g} {shown}"
+    factor, shown = in_degrees(unit)
+    return lambda share: f"{share * (factor * value):.4g} {shown}"
 
 
 def _joint(joint: str) -> Callable[[KnotView], Expr]:

@@ -8,7 +8,6 @@ vehsim.shot.reference docs/shot-file.md docs/character.md`` updates these pages.
 from __future__ import annotations
 
 import json
-import math
 import re
 import sys
 from collections.abc import Mapping
@@ -17,6 +16,7 @@ from typing import Any
 
 from vehsim.errors import InputError
 from vehsim.shot.schema.shot_file import schema
+from vehsim.vehicles.definition.quantities import in_degrees
 
 _BLOCK = re.compile(r"(<!-- keys: (\w+)(?: without ([\w, ]+))? -->\n).*?(<!-- end -->)", re.DOTALL)
 _TRAITS = re.compile(r"(<!-- character: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
@@ -44,9 +44,9 @@ def traits(vehicle: str) -> str:
     rows += [(name, REVIEW_UNITS[name], trait) for name, trait in loaded.character.review.items()]
     text = "| | calm | normal | brisk | unit | source |\n|---|---|---|---|---|---|\n"
     for name, unit, trait in rows:
-        factor = 180 / math.pi if unit.startswith("rad") else 1.0
+        factor, shown = in_degrees(unit)
         values = " | ".join(f"{factor * value:.4g}" for value in (trait.calm, trait.normal, trait.brisk))
-        text += f"| {name} | {values} | {unit.replace('rad', 'deg')} | {trait.source} |\n"
+        text += f"| {name} | {values} | {shown} | {trait.source} |\n"
     return text
 
 

@@ -19,7 +19,7 @@ from vehsim.intake.timelines import read_cuts
 from vehsim.intake.toml import line_of, lines_of, read_toml, too_large
 from vehsim.intake.usd import complaints, dependencies
 from vehsim.requests import target_asks
-from vehsim.runtime.progress import silent
+from vehsim.runtime.progress import Progress, silent
 from vehsim.shot.audited import audit_clips
 from vehsim.shot.checks import (
     Setting,
@@ -46,7 +46,6 @@ if TYPE_CHECKING:
     from vehsim.clip.clip import Clip
     from vehsim.delivery.take import RenderSettings, Take, UsdSettings
     from vehsim.rig.blocking import Blocking
-    from vehsim.runtime.progress import Progress
     from vehsim.shot.cache import SolvedMotion
     from vehsim.shot.motions.simulate import ForwardMotion
     from vehsim.vehicles import Vehicle

@@ -17,6 +17,7 @@ from vehsim.errors import InputError, OutsideTerrain, Problem
 from vehsim.intake.tables import describe
 from vehsim.shot.checks import Setting, check_names
 from vehsim.shot.schema.tables import Array, Frame, Metre, Number, Point, Positive, Table
+from vehsim.vehicles.definition.quantities import in_degrees
 
 if TYPE_CHECKING:
     from vehsim.planning import Mark
@@ -49,7 +50,7 @@ def _name_limits(schema: dict[str, Any], model: type[Table]) -> None:
     describe(schema, model)
     number = schema["additionalProperties"]
     for name, limit in LIMITS.loadable():
-        description = f"{number['description']}, in {limit.unit.replace('rad', 'deg')}: {limit.meaning}"
+        description = f"{number['description']}, in {in_degrees(limit.unit)[1]}: {limit.meaning}"
         schema["properties"][name] = {**number, "description": description}
     schema["additionalProperties"] = False
 

@@ -30,6 +30,7 @@ from vehsim.shot.schema.tables import (
     one_of,
 )
 from vehsim.shot.world.obstacle_tables import check_marks
+from vehsim.vehicles.definition.character import DEFAULT, CharacterName
 
 if TYPE_CHECKING:
     from vehsim.clip.clip import Clip
@@ -66,7 +67,7 @@ class PlanMotion(Table):
     limits: LimitTable = LimitTable.model_validate({})
     """a table of upper limits: speed and climb in m/s, turn_rate in deg/s, bank in degrees, ceiling in m ...; default:
     none"""
-    character: Literal["calm", "normal", "brisk", "stunt"] = "normal"
+    character: CharacterName = DEFAULT
     """how the vehicle is driven: "calm", "normal", "brisk" or "stunt" (as hard as its model allows)"""
     look: Annotated[list[LookTable], Array, Len(0, 100)] = Field(default=[])
     """[[vehicle.motion.look]] tables: where to look, and when"""

@@ -16,7 +16,7 @@ from pydantic import Field
 
 from vehsim.errors import InputError, Problem, SolveError, VehsimError
 from vehsim.intake.tables import table_of
-from vehsim.runtime.progress import silent
+from vehsim.runtime.progress import Progress, silent
 from vehsim.shot.checks import Setting, check_names, check_order
 from vehsim.shot.schema.tables import (
     MAX_FRAMES,
@@ -34,7 +34,6 @@ from vehsim.shot.schema.tables import (
 if TYPE_CHECKING:
     from vehsim.clip.clip import Clip
     from vehsim.requests import Ask
-    from vehsim.runtime.progress import Progress
     from vehsim.sinusoids.manoeuvres.manoeuvres import Manoeuvre
     from vehsim.sinusoids.manoeuvres.options import SinusoidOptions
     from vehsim.sinusoids.manoeuvres.rigs import Rigged

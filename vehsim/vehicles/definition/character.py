@@ -8,15 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Final, Literal, get_args
 
-STUNT = "stunt"
-"""The character without numbers: as hard as the model allows."""
-NORMAL = "normal"
-"""The character with whose envelope a review compares a motion."""
-DEFAULT = NORMAL
-"""The default character of plans."""
-CHARACTERS = ("calm", NORMAL, "brisk", STUNT)
+CharacterName = Literal["calm", "normal", "brisk", "stunt"]
+CHARACTERS: tuple[CharacterName, ...] = get_args(CharacterName)
 """The characters of every vehicle, from the gentlest to the hardest."""
+STUNT: Final = "stunt"
+"""The character without numbers: as hard as the model allows."""
+NORMAL: Final = "normal"
+"""The character with whose envelope a review compares a motion."""
+DEFAULT: Final = NORMAL
+"""The default character of plans."""
+Reviewed = Literal["jerk", "slip", "saturation", "reversals", "settling", "ease"]
+"""What a review compares in addition to the limits."""
 
 
 @dataclass(frozen=True)
@@ -43,11 +47,13 @@ REVIEWED: Mapping[str, Trait] = {
     "settling": Trait(0.05, 0.1, 0.2, "our choice: path length minus distance, within two seconds of rest"),
     "ease": Trait(0.01, 0.01, 0.01, "our choice: share of its largest rate that a control has where a motion rests"),
 }
-"""What a review compares in addition to the limits, SI; `slip` has no envelope by default."""
-REVIEW_UNITS = {
+"""The default envelopes of a review, SI; `slip` has none."""
+REVIEW_UNITS: Mapping[str, str] = {
     "jerk": "m/s^3", "slip": "rad", "saturation": "share", "reversals": "1/min", "settling": "m", "ease": "share",
 }  # fmt: skip
 """The units of what a review compares."""
+SHARES_OF_TIME: frozenset[str] = frozenset({"saturation"})
+"""What a review compares as one number of the whole motion; every other quantity is worst at an instant."""
 
 
 @dataclass(frozen=True)

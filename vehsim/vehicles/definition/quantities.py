@@ -6,6 +6,7 @@ in the documentation. A package's model may use them, or write its own: ``Annota
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
@@ -18,6 +19,11 @@ class Unit:
     """An SI unit, such as "kg m^2"; empty: a pure number."""
 
     name: str
+
+
+def in_degrees(unit: str) -> tuple[float, str]:
+    """The factor from an SI unit to the one that users see, and its name: degrees in place of radians."""
+    return (180 / math.pi if unit.startswith("rad") else 1.0), unit.replace("rad", "deg")
 
 
 Mass = Annotated[float, Unit("kg"), Gt(0)]

@@ -13,6 +13,7 @@ from annotated_types import Len
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from vehsim.intake.tables import Array, Metre, Number, Point, Positive, Table, Text
+from vehsim.vehicles.definition.character import Reviewed
 
 LARGEST = 1e12
 """Upper bound of every quantity of a vehicle, in SI units."""
@@ -128,7 +129,7 @@ class CharacterTable(Table):
     """limits of plans by name, in SI units"""
     control_rates: dict[str, TraitTable] = Field(default={})
     """the greatest rates of controls by name, in their units per second"""
-    review: dict[Literal["jerk", "slip", "saturation", "reversals", "settling", "ease"], TraitTable] = Field(default={})
+    review: dict[Reviewed, TraitTable] = Field(default={})
     """what a review compares besides: jerk, slip, saturation, reversals, settling and ease, in SI units"""
 
 
