@@ -552,6 +552,19 @@ def test_a_mark_too_near_to_rock_is_refused_at_any_heading():
         vehsim.plan(heli, world, [Mark(1, position=(0, 0, 30), velocity=REST), near])
 
 
+def test_a_car_that_must_change_direction_at_every_mark_finds_its_way():
+    """Back, forward, and a quarter turn in its own length, with holds: straight paths and all in reverse both fail."""
+    h = -33.489
+    marks = [
+        Mark(1, position=(0.934, 16.624, 0), heading=h, velocity=REST),
+        Mark(407, position=(-5.171, 20.663, 0), heading=h, velocity=REST, hold=12, joints={"sigma": 0.0}),
+        Mark(807, position=(0.885, 16.657, 0), heading=h, velocity=REST, hold=30, tolerance=0.351),
+        Mark(1336, position=(5.879, 7.887, 0), heading=-87.196, velocity=REST, hold=3),
+    ]
+    car, limits = vehsim.load_vehicle("car"), {"acceleration": 1.239}
+    assert vehsim.plan(car, None, marks, segments=36, fps=60, limits=limits, clearance=0.5).success
+
+
 def test_only_marks_with_a_position_have_a_first_frame():
     """The planner adds marks without one where a stay begins and ends."""
     terms = [stay((20, 40), within=(-50, -50, 50, 50))]

@@ -14,7 +14,7 @@ from vehsim.planning.constraints.obstacle_clearance import ObstacleClearance
 from vehsim.planning.explain.elastic import diagnose, too_early
 from vehsim.planning.guesses.drive import drive
 from vehsim.planning.guesses.pace import fewest_segments
-from vehsim.planning.guesses.routes import as_clip, backwards
+from vehsim.planning.guesses.routes import as_clip, backwards, shunting
 from vehsim.planning.iterate import Iterate, Run
 from vehsim.planning.request.legs import bent, divided, legs_between, path_length, placed_marks
 from vehsim.planning.request.request import MOST_SEGMENTS, Request
@@ -67,15 +67,18 @@ def with_fewer_requirements(
 def from_other_guesses(run: Run, failed: Iterate, paths: Sequence[Array], guess: Any) -> Iterate:
     """The iterate solved from other initial guesses, or the failed one with the reason.
 
-    A vehicle that drives nose first tries to reverse. Then, in free space, a relaxed problem finds out whether the
-    marks can be met together at all. Near obstacles this comes last, since relaxed problems take longer there.
+    A vehicle that drives nose first tries to reverse, then to change its direction on the way. Then, in free space, a
+    relaxed problem finds out whether the marks can be met together at all. Near obstacles this comes last, since
+    relaxed problems take longer there.
     """
     iterate = failed
-    reverse = backwards(iterate.request.vehicle, paths) if guess is None else []
-    if reverse and not run.deadline.late:
-        iterate = solve(run, _again(run, failed, reverse))
-        if iterate.success:
+    for other in (backwards, shunting) if guess is None else ():
+        if iterate.success or run.deadline.late:
             return iterate
+        if driven := other(iterate.request, paths):
+            iterate = solve(run, _again(run, failed, driven))
+    if iterate.success:
+        return iterate
     if not failed.blocked and not run.deadline.late:
         iterate = _diagnosed(run, failed, paths, guess)
     for wariness, (stretch, bend) in enumerate(RETRIES, 1):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from vehsim.errors import VehsimError
 from vehsim.planning.explain.work import affordable
 from vehsim.planning.guesses.pace import cruising
-from vehsim.planning.guesses.routes import backwards
+from vehsim.planning.guesses.routes import backwards, shunting
 from vehsim.planning.iterate import Iterate, Run
 from vehsim.planning.problem.transcription import Transcription, transcribe
 from vehsim.planning.refine import execution_tolerance
@@ -93,8 +93,9 @@ class _Calm:
 def _found(quick: Request, request: Request, least: int) -> tuple[int, bool] | None:
     paths = [np.array(leg) for leg in legs_between(quick.marks)]
     found = _first(quick, request, least, paths)
-    if (reverse := backwards(quick.vehicle, paths)) and (found is None or found[0] > least):
-        found = min(filter(None, (found, _first(quick, request, least, reverse))), default=None)
+    for other in (backwards, shunting):
+        if (found is None or found[0] > least) and (driven := other(quick, paths)):
+            found = min(filter(None, (found, _first(quick, request, least, driven))), default=None)
     return found
 
 

@@ -113,14 +113,13 @@ def straight(request: Request) -> list[Array]:
     return round_trip(request.marks) if request.loop else [np.array(leg) for leg in legs_between(request.marks)]
 
 
-def backwards(vehicle: Vehicle, paths: Sequence[Array]) -> list[Array]:
+def backwards(request: Request, paths: Sequence[Array]) -> list[Array]:
     """The paths as poses (k, 4) of a vehicle that drives backwards along them; none if it need not drive nose first.
 
     A leg that is too early for a vehicle that turns round first may be possible in reverse.
     """
-    driven = vehicle.group.planar and not swims(vehicle) and math.isfinite(turning_radius(vehicle))
     moving = [path_length(path) > 1e-6 for path in paths]
-    if not driven or not any(moving) or any(path.shape[1] == 4 for path in paths):
+    if not _drives(request.vehicle) or not any(moving) or any(path.shape[1] == 4 for path in paths):
         return []
     poses, heading = [], _tail_first(paths[moving.index(True)])[0]
     for path, moves in zip(paths, moving, strict=True):
@@ -128,6 +127,19 @@ def backwards(vehicle: Vehicle, paths: Sequence[Array]) -> list[Array]:
         poses.append(np.column_stack([path, headings]))
         heading = headings[-1]
     return poses
+
+
+def shunting(request: Request, paths: Sequence[Array]) -> list[Array]:
+    """Poses (k, 4) that a vehicle with a turning circle can drive from mark to mark, forwards and backwards; none if
+    it has no such circle, or if the paths are such poses already."""
+    if not _drives(request.vehicle) or turning_radius(request.vehicle) == 0 or any(p.shape[1] == 4 for p in paths):
+        return []
+    kept = [request.marks[i] for i in placed_marks(request.marks)]
+    return divided(drive(replace(request, marks=kept), []), request.marks)
+
+
+def _drives(vehicle: Vehicle) -> bool:
+    return vehicle.group.planar and not swims(vehicle) and math.isfinite(turning_radius(vehicle))
 
 
 def _tail_first(path: Array) -> Array:
