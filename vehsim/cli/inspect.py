@@ -87,7 +87,7 @@ class Inspection:
 
 def inspect(path: Path) -> Inspection:
     """Inspect a USD, GLB, glTF or OBJ file, or the asset of a vehicle's folder. Raises ``InputError``."""
-    from vehsim.vehicles.library.imported import MESHES, USD
+    from vehsim.vehicles.library.imported import MESHES
 
     folder = path if path.is_dir() else None
     keys: dict[str, Any] = {}
@@ -97,7 +97,7 @@ def inspect(path: Path) -> Inspection:
         reasons = dict.fromkeys(keys, "vehicle.toml")
     if not path.is_file():
         raise InputError("no such file", GIVE, file=path)
-    if path.suffix.lower() not in (*MESHES, *USD):
+    if path.suffix.lower() not in (*MESHES, *SUFFIXES):
         raise InputError("not USD, GLB, glTF or OBJ", GIVE, file=path)
     if path.suffix.lower() == ".obj" and "up_axis" not in keys:
         unit, why = _unit_of_obj(path), "not given in an OBJ; guessed from its"
