@@ -24,6 +24,8 @@ EVENTS = 40
 """Events of each drag."""
 RADII = (0.1, 1.0, 5.0)
 """Radii of the circles, m."""
+KEY = "vehicle[0].motion.mark[1].position"
+"""The handle that is dragged."""
 CAR, HELICOPTER = ("car", "", 1121, (30.0, 8.0, 0.0), 64), ("helicopter", "", 1121, (60.0, 10.0, 30.0), 16)
 CASES = {
     "car, 64 segments, empty world": (*CAR, 42),
@@ -78,7 +80,7 @@ async def _drag(socket: Any, place: tuple[float, ...], radius: float) -> list[tu
         angle = 2 * math.pi * k / EVENTS
         at = [place[0] + radius * (math.cos(angle) - 1), place[1] + radius * math.sin(angle), place[2]]
         wall, cpu = time.monotonic(), time.process_time()
-        await socket.send(json.dumps({"kind": "drag", "vehicle": "one", "mark": 1, "position": at, "heading": None}))
+        await socket.send(json.dumps({"kind": "drag", "key": KEY, "position": at}))
         kind = await _until(socket, "draft", "undrawn")
         events.append((time.monotonic() - wall, time.process_time() - cpu, kind == "draft"))
     return events[1:]  # the first does not move the mark

@@ -25,6 +25,7 @@ from vehsim.exporters.usd.scenery.water_material import CLEAR, FOAM, ROUGH, TILE
 from vehsim.exporters.usd.stage import Shape, StageReader, Surface
 from vehsim.intake.images import read_colours
 from vehsim.lie.quaternions import matrices, quaternions, yaw_of
+from vehsim.planning.request.marks import Gate
 from vehsim.rig.linkage import part_poses
 
 if TYPE_CHECKING:
@@ -158,13 +159,13 @@ class Kinematics:
         return _carried(clip, self._at[k][1]) @ self._rest[k]
 
 
-def draft_block(take: Take, kinematics: Kinematics, name: str) -> bytes:
-    """The poses and the path of one vehicle of a take, while its marks are dragged."""
-    pack, clip = Packing(), clip_at(take.clips[name], _frames(take))
+def draft_block(take: Take, kinematics: Kinematics, names: Sequence[str]) -> bytes:
+    """The poses and the paths of some vehicles of a take, while a handle is dragged."""
+    pack, clips = Packing(), {name: clip_at(take.clips[name], _frames(take)) for name in names}
     header = {
         "kind": "draft",
-        "groups": _poses_of(pack, kinematics.carried(name, clip)),
-        "path": {"name": name, "points": pack.array(clip.positions, "f4")},
+        "groups": [one for name, clip in clips.items() for one in _poses_of(pack, kinematics.carried(name, clip))],
+        "paths": [{"name": name, "points": pack.array(clip.positions, "f4")} for name, clip in clips.items()],
     }
     return pack.block(header)
 
@@ -414,7 +415,19 @@ def _marks(take: Take) -> Iterator[dict[str, Any]]:
                 "frame": float(frame),
                 "position": [*place.tolist(), *there.positions[0, len(place) :].tolist()],
                 "heading": float(np.degrees(yaw_of(there.orientations)[0])),
+                "gate": None if mark.get("gate") is None else _opening(Gate(**mark["gate"])).tolist(),
             }
+
+
+def _opening(gate: Gate) -> Array:
+    """The border (n, 3) m of a gate around its centre, closed."""
+    _, width, height = gate.axes
+    if gate.size is None:
+        turn = np.linspace(0.0, 2 * np.pi, 49)
+        across, up = gate.radius * np.column_stack([np.cos(turn), np.sin(turn)]).T  # type: ignore[operator]
+    else:
+        across, up = np.array([[-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]]) * np.reshape(gate.size, (2, 1)) / 2
+    return across[:, None] * width + up[:, None] * height
 
 
 def _curves(pack: Packing, name: str, clip: Clip, limits: Mapping[str, Any]) -> Iterator[dict[str, Any]]:

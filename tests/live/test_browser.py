@@ -65,6 +65,46 @@ def test_a_mark_is_dragged_with_the_mouse(tmp_path):
     asyncio.run(play())
 
 
+BOX = """
+[[world.obstacle]]
+shape = "box"
+centre = [4, 9, 0]
+size = [1, 1, 1]
+"""
+GRIP = "vehsim.live.grips.find((grip) => grip.handle.obstacle === 'box_0')"
+MESH = "vehsim.viewer.scene.getObjectsByProperty('isMesh', true).find((one) => one.name.includes('box_0'))"
+
+
+def test_an_obstacle_is_dragged_with_its_mesh(tmp_path):
+    browser()
+    path = tmp_path / "drive.toml"
+    path.write_text(SHOT + BOX)
+
+    async def play():
+        async with served(path) as address, at(f"http://{address}", tmp_path / "profile") as page:
+            await page.until(f"typeof vehsim !== 'undefined' && vehsim.viewer && {SOLVED}")
+            await page.until("document.getElementById('message').hidden")
+            await page.value("vehsim.viewer.orbit.target.set(5, 5, 0); vehsim.viewer.camera.position.set(4, -8, 20)")
+            await page.value("vehsim.viewer.orbit.update(); vehsim.viewer.draw()")
+            x, y = await page.value(PLACE.replace("v.rings[1]", f"{GRIP}.ring"))
+            await page.mouse("Moved", x, y)
+            await page.mouse("Pressed", x, y)
+            for k in range(1, 6):
+                await page.mouse("Moved", x + 4 * k, y)
+            await page.until("document.getElementById('status').textContent.startsWith('dragging')")
+            shift = await page.value(f"{MESH}.position.x")
+            assert shift == pytest.approx(await page.value(f"{GRIP}.ring.position.x") - 4) and shift > 0.2
+            await page.mouse("Released", x + 20, y)
+            await page.until(f"!document.getElementById('do-undo').disabled && {SOLVED}")
+            assert await page.value(f"{MESH}.position.x") == 0  # the new scene has it in its place
+            await page.value("document.getElementById('do-undo').click()")
+            await page.until(f"document.getElementById('do-undo').disabled && {SOLVED}")
+            assert await page.value(f"{GRIP}.ring.position.toArray()") == [4, 9, 0]
+            assert await page.value(f"{MESH}.position.x") == 0
+
+    asyncio.run(play())
+
+
 def test_a_car_is_driven_with_keys_held_down(tmp_path):
     browser()
     path = tmp_path / "drive.toml"

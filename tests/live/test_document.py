@@ -6,6 +6,7 @@ import pytest
 
 from vehsim.errors import InputError
 from vehsim.live.document import Document
+from vehsim.live.settings import handles
 
 TEXT = """\
 # a drive
@@ -37,6 +38,12 @@ position = [
 """
 
 
+def place(document, vehicle, mark, position, heading=None):
+    key = f"vehicle[{vehicle}].motion.mark[{mark}].position"
+    handle = next(handle for handle in handles(document.data) if handle.key == key)
+    document.change(handle.moved(position, heading))
+
+
 @pytest.fixture
 def path(tmp_path):
     path = tmp_path / "drive.toml"
@@ -46,8 +53,8 @@ def path(tmp_path):
 
 def test_only_what_was_moved_is_rewritten(path):
     document = Document(path)
-    document.place_mark(0, 1, [10.5, 3.25, 0.0], None)
-    document.place_mark(1, 0, [5.0, 11.0, 0.0], 30.0)
+    place(document, 0, 1, [10.5, 3.25, 0.0])
+    place(document, 1, 0, [5.0, 11.0, 0.0], 30.0)
     document.save()
     expected = TEXT.replace("[10.50, 2.0, 0]", "[10.50, 3.25, 0]").replace("  1e1,   # north", "  11.0,   # north")
     assert path.read_text() == expected.replace("  0,\n]\n", "  0,\n]\nheading = 30.0\n")
@@ -58,7 +65,7 @@ def test_undo_and_redo_restore_every_byte(path):
     document = Document(path)
     texts = [document.text]
     for k in range(30):
-        document.place_mark(0, 1, [10.5, 2.0 + k / 10, 0.0], 5.0 * k)
+        place(document, 0, 1, [10.5, 2.0 + k / 10, 0.0], 5.0 * k)
         texts.append(document.text)
     assert len(set(texts)) == 31
     for text in reversed(texts[:-1]):
@@ -71,13 +78,13 @@ def test_undo_and_redo_restore_every_byte(path):
         assert document.text == text
     document.redo()
     document.undo()
-    document.place_mark(0, 0, [1.0, 0.0, 0.0], None)
+    place(document, 0, 0, [1.0, 0.0, 0.0])
     assert not document.redoable and document.undoable
 
 
 def test_a_session_that_ended_without_saving_goes_on(path):
     document = Document(path)
-    document.place_mark(0, 1, [1.0, 2.0, 3.0], None)
+    place(document, 0, 1, [1.0, 2.0, 3.0])
     assert path.read_text() == TEXT
     again = Document(path)
     assert again.recovered and again.text == document.text
@@ -91,7 +98,7 @@ def test_a_session_that_ended_without_saving_goes_on(path):
 
 def test_changes_of_others_are_not_overwritten(path):
     document = Document(path)
-    document.place_mark(0, 1, [1.0, 2.0, 3.0], None)
+    place(document, 0, 1, [1.0, 2.0, 3.0])
     path.write_text(TEXT + "# of somebody else\n")
     with pytest.raises(InputError, match="changed by another program"):
         document.save()

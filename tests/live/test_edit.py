@@ -106,7 +106,7 @@ def test_the_page_fixes_changes_adds_and_deletes(tmp_path):
             await page.send(kind="change", key=problem["key"], value=problem["fix"])
             await page.until("scene")
             state = await page.until("state", lambda message: message["solved"])
-            assert state["changed"] and state["handles"][1]["index"] == 1
+            assert state["changed"] and state["handles"][1]["mark"] == 1
 
             await page.send(kind="change", key="vehicle[0].motion.segments", value=10)
             await page.until("state", lambda message: message["solved"] and segments_of(message) == 10)

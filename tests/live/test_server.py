@@ -90,12 +90,27 @@ def path(tmp_path):
     return path
 
 
+MARK = "vehicle[0].motion.mark[1].position"
+
+
+def points(draft):
+    """The path (n, 3) m that a draft draws."""
+    return draft.array(draft.header["paths"][0]["points"]).reshape(-1, 3)
+
+
+def centre(scene, obstacle):
+    """The middle (2,) m of an obstacle's mesh, from above."""
+    (found,) = [shape for shape in scene.header["shapes"] if f"/obstacles/{obstacle}/" in shape["name"]]
+    corners = scene.array(found["points"]).reshape(-1, 3)[:, :2]
+    return (corners.min(axis=0) + corners.max(axis=0)) / 2
+
+
 def texts(state):
     return " ".join(problem["text"] for problem in state["problems"])
 
 
 def moved(kind, x, y, heading=None, **more):
-    return {"kind": kind, "vehicle": "car", "mark": 1, "position": [x, y, 0.0], "heading": heading} | more
+    return {"kind": kind, "key": MARK, "position": [x, y, 0.0], "heading": heading} | more
 
 
 def test_a_drag_is_drawn_solved_saved_and_undone(path):
@@ -105,12 +120,14 @@ def test_a_drag_is_drawn_solved_saved_and_undone(path):
             assert [mark["frame"] for mark in scene.header["marks"]] == [1001, 1073]
             state = await page.until("state")
             assert state["solved"] and not state["changed"]
-            assert state["handles"][1] == {"vehicle": "car", "index": 1, "drafts": True}
+            handle = state["handles"][1]
+            assert handle["key"] == MARK and handle["place"] == [8, 1, 0]
+            assert (handle["vehicle"], handle["mark"], handle["follows"]) == ("car", 1, ["car"])
 
             for y in (1.1, 1.3, 1.5):
                 await page.send(**moved("drag", 8.0, y, 4.0))
                 draft = await page.until("draft")
-                path_drawn = draft.array(draft.header["path"]["points"]).reshape(-1, 3)
+                path_drawn = points(draft)
                 assert path_drawn[-1] == pytest.approx([8.0, y, 0.0], abs=1e-4)
             assert path.read_text() == SHOT and not (path.parent / "drive.toml.autosave").exists()
 
@@ -177,6 +194,77 @@ def test_a_browser_that_comes_after_a_drag_gets_the_scene(path):
     asyncio.run(play())
 
 
+WALL = """
+[[world.obstacle]]
+shape = "box"
+centre = [12, 5, 0]    # in the way
+size = [1, 2, 2]
+heading = 10
+[[world.obstacle]]
+shape = "polygon"
+points = [[0, -9], [2, -9], [1, -8.0]]
+base = 0.5
+[camera]
+rig = "static"
+position = [-5, -14, 6]
+look_at = [8, 0, 0]   # the garage
+"""
+
+
+def test_obstacles_and_what_a_camera_looks_at_are_dragged(path):
+    far = SHOT.replace("1073", "1145").replace("[8, 1, 0]", "[24, 1, 0]").replace("segments = 8", "clearance = 0.3")
+    path.write_text(far + WALL)
+
+    async def play():
+        async with served(path) as address, browser(address) as page:
+            assert centre(await page.until("scene"), "box_0") == pytest.approx([12, 5], abs=1e-3)
+            state = await page.until("state", lambda message: message["solved"])
+            found = {one["key"]: one for one in state["handles"]}
+            box, prism = found["world.obstacle[0].centre"], found["world.obstacle[1].points"]
+            assert (box["obstacle"], box["heading"], box["follows"]) == ("box_0", 10, ["car"])
+            assert prism["place"] == pytest.approx([1, -26 / 3, 0.5]) and not prism["turns"]
+            assert found["camera.look_at"]["follows"] == [] and found["camera.look_at"]["vehicle"] is None
+
+            for y in (3.0, 2.0, 1.0):
+                await page.send(kind="drag", key=box["key"], position=[12.0, y, 0.0], heading=10)
+                draft = await page.until("draft")
+            drawn = points(draft)
+            beside = drawn[np.abs(drawn[:, 0] - 12).argmin()]
+            assert abs(beside[1] - 1) > 1 + 0.8  # half of the box, half of the car
+            assert "in the way" in path.read_text()
+            await page.send(kind="place", key=box["key"], position=[12.0, 1.0, 0.0], heading=15.0)
+            moved = await page.until("scene")
+            assert centre(moved, "box_0") == pytest.approx([12, 1], abs=1e-3)
+            state = await page.until("state", lambda message: message["solved"])
+            box = next(one for one in state["handles"] if one["key"] == box["key"])
+            assert box["place"] == [12, 1, 0] and box["drawn"] == {"place": [12, 1, 0], "heading": 15}
+
+            await page.send(kind="place", key=prism["key"], position=[1.0, -10.0, 0.5])
+            await page.until("state", lambda message: message["solved"])
+            await page.send(kind="drag", key="camera.look_at", position=[8.0, 2.0, 1.0])
+            assert "on release" in (await page.until("undrawn"))["text"]
+            await page.send(kind="place", key="camera.look_at", position=[8.0, 2.0, 1.0])
+            motion = await page.until("motion")  # no vehicle moves otherwise
+            before, after = (
+                block.array(block.header["cameras"][0]["poses"]).reshape(-1, 7) for block in (moved, motion)
+            )
+            assert np.abs(before[:, :3] - after[:, :3]).max() < 1e-6 < np.abs(before - after).max()
+            await page.send(kind="save")
+            await page.until("said")
+            text = path.read_text()
+            for line in (
+                "centre = [12, 1.0, 0]    # in the way", "heading = 15.0\n", "look_at = [8, 2.0, 1.0]   # the garage",
+                "points = [[0, -10.333], [2, -10.333], [1, -9.333]]\nbase = 0.5\n",
+            ):  # fmt: skip
+                assert line in text
+            for _ in range(3):
+                await page.send(kind="undo")
+            await page.until("state", lambda message: message["solved"] and not message["undo"])
+        assert path.with_name("drive.toml.autosave").read_text().endswith(WALL)
+
+    asyncio.run(play())
+
+
 def test_what_cannot_be_met_says_why_and_can_be_undone(path):
     async def play():
         async with served(path) as address, browser(address) as page:
@@ -203,9 +291,10 @@ def test_nothing_that_is_sent_ends_the_session(path):
         *(
             json.dumps(good | change)
             for change in (
-                {"kind": "delete"}, {"kind": 7}, {"vehicle": "boat"}, {"vehicle": None}, {"mark": -1}, {"mark": 2},
-                {"mark": 1e300}, {"position": []}, {"position": [1, 2]}, {"position": "here"}, {"heading": "north"},
-                {"position": [1e300, 0, 0]}, {"position": [None] * 3}, {"path": "/etc/passwd"}, {"frame": 0.5},
+                {"kind": "delete"}, {"kind": 7}, {"key": MARK.replace("1", "2")}, {"key": None}, {"key": "x" * 201},
+                {"key": "shot.name"}, {"position": []}, {"position": [1, 2]}, {"position": "here"},
+                {"heading": "north"}, {"position": [1e300, 0, 0]}, {"position": [None] * 3}, {"frame": 0.5},
+                {"path": "/etc/passwd"},
             )
         ),
         '{"kind": "drive"}', '{"kind": "drive", "vehicle": "car", "frame": "now"}',
@@ -219,7 +308,7 @@ def test_nothing_that_is_sent_ends_the_session(path):
             await page.until("state")
             for text in broken:
                 await page.socket.send(text)
-                kind = "undrawn" if '"boat"' in str(text) or '"mark": 2' in str(text) else "refused"
+                kind = "undrawn" if "mark[2]" in str(text) or "shot.name" in str(text) else "refused"
                 assert (await page.until(kind))["text"], text
             async with browser(address) as flood:
                 await flood.socket.send("x" * 200_000)

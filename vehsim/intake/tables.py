@@ -120,6 +120,10 @@ Metre = Annotated[Number, Field(ge=-1e7, le=1e7)]
 """A position, m: northings of UTM coordinates reach 10,000 km."""
 Array = BeforeValidator(_from_tuple)
 Point = Annotated[list[Metre], Array, Len(3, 3)]
+PLACE = "place"
+"""The ``format`` in the JSON schema of values that are places in the world: pages offer to drag them."""
+AT = InSchema(lambda own: own | {"format": PLACE})
+Place = Annotated[Point, AT]
 Text = Annotated[str, Field(min_length=1, max_length=4096)]
 
 

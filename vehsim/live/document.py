@@ -7,7 +7,7 @@ when the shot is saved, and continues an interrupted session when the shot is op
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +19,6 @@ AUTOSAVE = ".autosave"
 """Suffix of the autosave of ``shot.toml``: ``shot.toml.autosave``."""
 KEY = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
 """A part of a dotted key: a name, or an index in brackets."""
-DECIMALS = 3
-"""Decimals of what is dragged: mm, and thousandths of a degree."""
 
 
 class Document:
@@ -67,46 +65,20 @@ class Document:
     def redoable(self) -> bool:
         return self._at + 1 < len(self._texts)
 
-    def place_mark(
-        self, vehicle: int, mark: int, position: Sequence[float], heading: float | None, frame: int | None = None
-    ) -> None:
-        """Move a mark: ``position`` (3,) m, ``heading`` in degrees or None to leave it, and so ``frame``."""
-        import tomlkit
-
-        document: Any = tomlkit.parse(self.text)
-        table = document["vehicle"][vehicle]["motion"]["mark"][mark]
-        for k, value in enumerate(position):
-            if round(value, DECIMALS) != table["position"][k]:  # an unchanged number stays as it was written
-                table["position"][k] = round(value, DECIMALS)
-        if heading is not None and table.get("heading") != round(heading, DECIMALS):
-            table["heading"] = round(heading, DECIMALS)
-        if frame is not None and table["frame"] != frame:
-            table["frame"] = frame
-        self._push(tomlkit.dumps(document))
-
     def put(self, key: str, value: Any) -> None:
         """Set what a dotted key such as ``vehicle[0].motion.mark[1].frame`` names; None removes it.
 
         Tables that are missing are added. Raises ``InputError`` if the file has no such place.
         """
+        self.change([(key, value)])
+
+    def change(self, changes: Iterable[tuple[str, Any]]) -> None:
+        """`put` several keys in one step."""
         import tomlkit
 
         document: Any = tomlkit.parse(self.text)
-        *path, last = (int(index) if index else name for name, index in KEY.findall(key))
-        table = document
-        try:
-            for part in path:
-                if isinstance(table, dict) and part == 0:  # a single [camera] table
-                    continue
-                if isinstance(table, dict) and part not in table:
-                    table[part] = tomlkit.table()
-                table = table[part]
-            if value is not None:
-                table[last] = value
-            elif last in table:
-                del table[last]
-        except (LookupError, TypeError, ValueError) as error:
-            raise InputError("no such place in the file", "change it there", key=key) from error
+        for key, value in changes:
+            write(document, key, value, tomlkit.table)
         self._push(tomlkit.dumps(document))
 
     def add_mark(self, vehicle: int, mark: int, values: dict[str, Any]) -> None:
@@ -157,6 +129,38 @@ class Document:
             _write(self.autosave, self.text)
         else:
             self.autosave.unlink(missing_ok=True)
+
+
+def write(data: Any, key: str, value: Any, table: Callable[[], Any] = dict) -> None:
+    """Set what a dotted key names in the data of a shot file; None removes it. ``table`` makes missing tables.
+
+    Numbers that are equal stay as they were written. Raises ``InputError`` if there is no such place.
+    """
+    *path, last = (int(index) if index else name for name, index in KEY.findall(key))
+    try:
+        for part in path:
+            if isinstance(data, dict) and part == 0:  # a single [camera] table
+                continue
+            if isinstance(data, dict) and part not in data:
+                data[part] = table()
+            data = data[part]
+        if value is not None:
+            _assign(data, last, value)
+        elif last in data:
+            del data[last]
+    except (LookupError, TypeError, ValueError) as error:
+        raise InputError("no such place in the file", "change it there", key=key) from error
+
+
+def _assign(data: Any, key: Any, value: Any) -> None:
+    """Set a value, of lists only the items that differ."""
+    there = data.get(key) if isinstance(data, dict) else data[key]
+    if isinstance(value, list) and isinstance(there, list) and len(value) == len(there):
+        for k, item in enumerate(value):
+            _assign(there, k, item)
+        return
+    if type(there) is bool or type(value) is bool or there != value:
+        data[key] = value
 
 
 def _write(path: Path, text: str) -> None:

@@ -10,6 +10,8 @@ from vehsim.errors import InputError
 
 Coordinate = Annotated[float, Field(ge=-1e7, le=1e7, allow_inf_nan=False)]
 Angle = Annotated[float, Field(ge=-36_000, le=36_000, allow_inf_nan=False)]
+Key = Annotated[str, Field(max_length=200)]
+"""A dotted key of the shot file."""
 Frame = Annotated[int, Field(ge=-1_000_000, le=1_000_000)]
 
 
@@ -18,15 +20,14 @@ class _Message(BaseModel):
 
 
 class Moved(_Message):
-    """A mark at another place: ``drag`` while the button is down, ``place`` on release.
+    """A handle at another place: ``drag`` while the button is down, ``place`` on release.
 
-    ``mark``: its index among the marks of the vehicle; ``heading`` in degrees, None if it was not turned; ``frame``:
-    None if it was not retimed.
+    ``key``: that of the handle; ``heading`` in degrees, None if it was not turned; ``frame``: None if it was not
+    retimed.
     """
 
     kind: Literal["drag", "place"]
-    vehicle: str
-    mark: Annotated[int, Field(ge=0)]
+    key: Key
     position: Annotated[list[Coordinate], Field(min_length=3, max_length=3)]
     heading: Angle | None = None
     frame: Frame | None = None
@@ -42,7 +43,7 @@ class Change(_Message):
     """A value of the shot file; None removes it."""
 
     kind: Literal["change"]
-    key: Annotated[str, Field(max_length=200)]
+    key: Key
     value: bool | int | Coordinate | Annotated[str, Field(max_length=200)] | None
 
 

@@ -5,10 +5,12 @@ Everything here runs in one thread, the server's worker, and returns blocks for 
 
 from __future__ import annotations
 
+import copy
 import tempfile
 import threading
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
@@ -19,9 +21,9 @@ import numpy as np
 from vehsim.errors import InputError, Problem, VehsimError
 from vehsim.exporters.usd.sampling import clip_at
 from vehsim.exporters.web.scene import Kinematics, draft_block, live_block, motion_block, movable, scene_block
-from vehsim.live.document import DECIMALS, Document
+from vehsim.live.document import Document, write
 from vehsim.live.messages import AddMark, Change, DeleteMark, Drive, Moved
-from vehsim.live.settings import Setting, settings
+from vehsim.live.settings import DECIMALS, Handle, Setting, handles, settings
 from vehsim.runtime.progress import Progress
 from vehsim.shot.checks import variants_of
 
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
     from vehsim.delivery.take import Take
     from vehsim.live.drive import Sticks
     from vehsim.planning.drafts import Draft
+    from vehsim.shot.schema.shot_file import VehicleTable
     from vehsim.shot.shot import Shot
 
 VISIBLE = 0.05
@@ -41,13 +44,14 @@ class Superseded(Exception):
 
 
 @dataclass(frozen=True)
-class Handle:
-    """A mark that can be dragged: the ``index`` in its motion's list."""
+class Drawn:
+    """A draft that was shown, and the motion and request for which it holds."""
 
-    vehicle: str
-    index: int
-    drafts: bool
-    """Whether motion follows while it is dragged; otherwise it is solved on release."""
+    draft: Draft
+    take: Take
+    """That from which the drag started."""
+    request: tuple[Any, ...]
+    """Everything but the values of its marks."""
 
 
 class Session:
@@ -63,16 +67,23 @@ class Session:
         self.problems: list[dict[str, Any]] = []
         """Errors and warnings for the page: ``text``, and a ``key`` and the ``fix`` that would do if there is one."""
         self.settings: list[Setting] = []
+        self.handles: list[Handle] = []
+        """The places of the present text that can be dragged; none if it is no valid shot file."""
         self.sticks: Sticks | None = None
         """Those of the vehicle that is driven now."""
         self._solved = ""
         self._tell = tell
-        self._drafts: dict[str, Draft] = {}
+        self._drafts: dict[str, Drawn] = {}
+        self._solved_handles: list[Handle] = []
+        self._drawn_handles: dict[str, Handle] = {}
+        """Where the scene shows them."""
+        self._dragged: Moved | None = None
+        """The last drag that was drawn."""
         self._kinematics: Kinematics | None = None
-        self._stage = tempfile.TemporaryDirectory(prefix="vehsim-live-")
+        self._scenes = tempfile.TemporaryDirectory(prefix="vehsim-live-")
 
     def close(self) -> None:
-        self._stage.cleanup()
+        self._scenes.cleanup()
 
     # ------------------------------------------------------------ what the page knows
 
@@ -88,7 +99,7 @@ class Session:
             "redo": document.redoable,
             "solved": self.solved,
             "problems": self.problems,
-            "handles": [vars(handle) for handle in self.handles()],
+            "handles": [self._handle_shown(handle) for handle in self.handles],
             "drives": self.drives(),
             "settings": [vars(setting) for setting in self.settings],
         }
@@ -98,16 +109,29 @@ class Session:
         """Whether the motion that is shown is that of the present text."""
         return self.take is not None and self._solved == self.document.text
 
-    def handles(self) -> list[Handle]:
-        """The marks with a position, in the order in which the page lists them."""
+    def _handle_shown(self, handle: Handle) -> dict[str, Any]:
+        """A handle for the page. ``follows``: the vehicles whose motion follows while it is dragged; that of others is
+        solved on release. ``drawn``: where the scene shows it."""
+        from vehsim.shot.world.obstacle_tables import name_of
+
+        assert self.shot is not None
+        file, k, drawn = self.shot.file, handle.obstacle, self._drawn_handles.get(handle.key, handle)
+        return {
+            "drawn": {"place": drawn.place, "heading": drawn.heading},
+            **{name: getattr(handle, name) for name in ("key", "place", "heading", "turns", "mark")},
+            "vehicle": None if handle.vehicle is None else file.vehicle[handle.vehicle].name,
+            "obstacle": None if k is None else name_of(k, file.world.obstacle[k]),
+            "follows": [table.name for table in self._following(handle)],
+        }
+
+    def _following(self, handle: Handle) -> list[VehicleTable]:
+        """The vehicles whose motion follows while a handle is dragged: planned ones with marks of their own."""
         from vehsim.shot.motions.plan import PlanMotion
 
-        found = []
-        for table in self.shot.file.vehicle if self.shot else ():
-            for k, mark in enumerate(getattr(table.motion, "mark", None) or ()):
-                if getattr(mark, "position", None) is not None:
-                    found.append(Handle(table.name, k, isinstance(table.motion, PlanMotion)))
-        return found
+        if self.shot is None or (handle.vehicle is None and handle.obstacle is None):
+            return []
+        tables = self.shot.file.vehicle if handle.vehicle is None else [self.shot.file.vehicle[handle.vehicle]]
+        return [table for table in tables if isinstance(table.motion, PlanMotion) and table.motion.mark]
 
     # ------------------------------------------------------------ solve
 
@@ -118,13 +142,14 @@ class Session:
 
         self.superseded.clear()
         text = self.document.text
-        self.settings = settings(self.document.data)
+        self.settings, self.handles = settings(self.document.data), []
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             try:
                 shot = Shot.from_dict(
                     self.document.data, folder=self.document.path.parent, source=str(self.document.path)
                 )
+                self.handles = handles(self.document.data)
                 self._reuse_world(shot)
                 self.shot = shot
                 self.settings = settings(
@@ -136,7 +161,7 @@ class Session:
                 return None
         texts = dict.fromkeys(str(one.message) for one in caught if issubclass(one.category, UserWarning))
         self.problems = [{"text": text} for text in texts]
-        shown, self.take, self._solved = self.take, take, text
+        shown, self.take, self._solved, self._solved_handles = self.take, take, text, self.handles
         if shown is not None and self._kinematics is not None and self._kinematics.can_show(take):
             return motion_block(take, self._kinematics)
         return self.scene()
@@ -147,9 +172,12 @@ class Session:
 
         assert self.take is not None
         self._progress("drawing", 0.0)
-        folder = self.take.export(self._stage.name, to=("usd",))
+        self._scenes.cleanup()
+        self._scenes = tempfile.TemporaryDirectory(prefix="vehsim-live-")  # USD remembers the layers of an open path
+        folder = self.take.export(self._scenes.name, to=("usd",))
         stage = StageReader(folder / f"{self.take.name}.usda", local=False, moving=movable(self.take))
         self._kinematics = Kinematics(self.take, stage)
+        self._drawn_handles = {handle.key: handle for handle in self._solved_handles}
         return scene_block(self.take, stage)
 
     def export(self) -> Path:
@@ -162,40 +190,47 @@ class Session:
 
     def prepare(self) -> None:
         """Make the drafts of all planned vehicles, so that the first drag does not wait."""
-        for handle in self.handles():
-            if handle.drafts and handle.vehicle not in self._drafts:
-                self._draft(handle.vehicle)
+        assert self.shot is not None
+        names = dict.fromkeys(table.name for handle in self.handles for table in self._following(handle))
+        for name in names:
+            self._follow(self.shot, name)
 
     def drag(self, moved: Moved) -> bytes:
-        """The draft with a mark at another place. Raises ``VehsimError`` with the reason if there is none."""
-        from vehsim.shot.motions.plan import as_mark
+        """The drafts with a handle at another place. Raises ``VehsimError`` with the reason if there is none."""
+        from vehsim.shot.shot import Shot
 
-        table = self._table(moved)
-        if not hasattr(table.motion, "options"):
-            raise InputError("solved on release", key=moved.vehicle)
+        handle = self._handle(moved)
+        following = self._following(handle)
+        if not following:
+            raise InputError("solved on release", key=moved.key)
         assert self.take is not None and self._kinematics is not None
-        vehicle = self.shot.vehicle(table)  # type: ignore[union-attr]
-        marks = [as_mark(mark, vehicle) for mark in self._with(table.motion.mark, moved)]
-        now = self._draft(moved.vehicle).moved(marks)
-        if not now.success:
-            raise InputError(now.reason)
-        self._drafts[moved.vehicle] = now
-        clips = {**self.take.clips, moved.vehicle: now.clip()}
-        return draft_block(replace(self.take, clips=clips), self._kinematics, moved.vehicle)
+        data = copy.deepcopy(self.document.data)
+        for key, value in handle.moved(moved.position, moved.heading, moved.frame):
+            write(data, key, value)
+        shot = Shot.from_dict(data, folder=self.document.path.parent)
+        self._reuse_world(shot)
+        clips = {table.name: self._follow(shot, table.name).clip() for table in following}
+        self._dragged = moved
+        return draft_block(replace(self.take, clips={**self.take.clips, **clips}), self._kinematics, list(clips))
 
     def place(self, moved: Moved) -> bytes | None:
-        """Write a mark's new place into the document and `solve`."""
-        table = self._table(moved)
-        drawn = self._drafts.get(moved.vehicle)
-        assert self.shot is not None
-        vehicle = self.shot.file.vehicle.index(table)
-        self.document.place_mark(vehicle, moved.mark, moved.position, moved.heading, moved.frame)
+        """Write a handle's new place into the document and `solve`."""
+        handle = self._handle(moved)
+        drawn = {}
+        if self._dragged is not None and self._dragged.key == moved.key:
+            with suppress(VehsimError):  # a drag that ended elsewhere is drawn to its end, to be compared
+                if self._dragged != moved.model_copy(update={"kind": "drag"}):
+                    self.drag(moved)
+                drawn = {table.name: self._drafts[table.name].draft.clip() for table in self._following(handle)}
+        self._dragged = None
+        self.document.change(handle.moved(moved.position, moved.heading, moved.frame))
         shown = self.solve()
-        if shown is not None and drawn is not None and self.take is not None and moved.frame is None:
-            away = _apart(drawn.clip(), self.take.clips[moved.vehicle])
-            if away > VISIBLE:
-                text = f"{moved.vehicle}: the solved motion is up to {away:.2g} m from the dragged one"
-                self.problems.append({"text": text})
+        if shown is not None and self.take is not None:
+            for name, clip in drawn.items():
+                away = _apart(clip, self.take.clips[name])
+                if away > VISIBLE:
+                    text = f"{name}: the solved motion is up to {away:.2g} m from the dragged one"
+                    self.problems.append({"text": text})
         return shown
 
     # ------------------------------------------------------------ change
@@ -231,7 +266,7 @@ class Session:
         )
         values = {"frame": wanted.frame, "position": [round(x, DECIMALS) for x in place.tolist()]}
         self.document.add_mark(at, index, values)
-        return self._again(wanted.vehicle)
+        return self.solve()
 
     def delete_mark(self, wanted: DeleteMark) -> bytes | None:
         """Delete a mark of a planned vehicle, and `solve`."""
@@ -239,7 +274,7 @@ class Session:
         if wanted.mark >= len(table.motion.mark):
             raise InputError("no such mark", "reload the page", key=f"{wanted.vehicle}.mark[{wanted.mark}]")
         self.document.delete_mark(at, wanted.mark)
-        return self._again(wanted.vehicle)
+        return self.solve()
 
     def _planned(self, name: str) -> tuple[int, Any]:
         """The index and the table of a vehicle with marks of its own. Raises ``InputError``."""
@@ -247,11 +282,6 @@ class Session:
             if table.name == name and getattr(table.motion, "mark", None):
                 return k, table
         raise InputError("has no marks", "choose a planned vehicle", key=name)
-
-    def _again(self, name: str) -> bytes | None:
-        """`solve` for other marks: drafts of the old ones are of no use."""
-        self._drafts.pop(name, None)
-        return self.solve()
 
     # ------------------------------------------------------------ drive
 
@@ -314,37 +344,54 @@ class Session:
         self._tell(what, done)
 
     def _reuse_world(self, shot: Shot) -> None:
-        """Keep the world, whose terrain and distances take seconds to load, if its table is the same."""
-        if self.shot is not None and self.shot.file.world == shot.file.world and "world" in vars(self.shot):
+        """Keep the world, whose terrain and distances take seconds to load, as far as its table is the same."""
+        from vehsim.shot.world.obstacle_tables import standing
+
+        if self.shot is None or "world" not in vars(self.shot):
+            return
+        ours, theirs = self.shot.file.world, shot.file.world
+        if ours == theirs:
             vars(shot)["world"] = self.shot.world
+        elif ours == theirs.model_copy(update={"obstacle": ours.obstacle}):
+            vars(shot)["world"] = self.shot.world.with_only(standing(theirs.obstacle, shot.folder))
 
-    def _table(self, moved: Moved) -> Any:
-        """The table of a message's vehicle. Raises ``InputError`` if it has no such mark."""
-        handles = [(handle.vehicle, handle.index) for handle in self.handles()]
-        if self.shot is None or (moved.vehicle, moved.mark) not in handles:
-            raise InputError("no such mark", "reload the page", key=f"{moved.vehicle}.mark[{moved.mark}]")
-        return next(table for table in self.shot.file.vehicle if table.name == moved.vehicle)
+    def _handle(self, moved: Moved) -> Handle:
+        """The handle of a message. Raises ``InputError``."""
+        found = next((handle for handle in self.handles if handle.key == moved.key), None)
+        if found is None:
+            raise InputError("cannot be dragged", "reload the page", key=moved.key)
+        return found
 
-    def _with(self, marks: list[Any], moved: Moved) -> list[Any]:
-        """The marks of the file with one moved."""
-        change: dict[str, Any] = {"position": list(moved.position)}
-        change |= {} if moved.heading is None else {"heading": moved.heading}
-        change |= {} if moved.frame is None else {"frame": moved.frame}
-        return [mark.model_copy(update=change) if k == moved.mark else mark for k, mark in enumerate(marks)]
+    def _follow(self, shot: Shot, name: str) -> Draft:
+        """The draft of a vehicle for the marks and the world of ``shot``, which becomes the present one.
 
-    def _draft(self, name: str) -> Draft:
-        """The present draft of a vehicle; made from its solved motion if there is none."""
+        It is solved from the present one; if more than the values of marks differs, a new one starts from its motion
+        or, if that fails, from a new path. Raises ``VehsimError`` with the reason if there is no such motion.
+        """
         from vehsim.planning.drafts import draft
+        from vehsim.planning.request.marks import shape
         from vehsim.shot.motions.plan import as_mark
 
-        if name not in self._drafts:
-            assert self.shot is not None and self.take is not None
-            table: Any = next(table for table in self.shot.file.vehicle if table.name == name)
-            vehicle, world = self.shot.vehicle(table), self.shot.world_of(name, self.take.clips)
-            marks = [as_mark(mark, vehicle) for mark in table.motion.mark]
-            options = table.motion.options()
-            self._drafts[name] = draft(vehicle, world, marks, self.take.clips[name], fps=self.shot.fps, **options)
-        return self._drafts[name]
+        assert self.take is not None
+        table: Any = next(table for table in shot.file.vehicle if table.name == name)
+        vehicle, world = shot.vehicle(table), shot.world_of(name, self.take.clips)
+        marks = [as_mark(mark, vehicle) for mark in table.motion.mark]
+        others = tuple(self.take.clips[one.name] for one in world.moving)
+        rest = table.asset, table.parameters, table.motion.model_copy(update={"mark": None}), shape(marks)
+        request = (shot.world, others, *rest)
+        before = self._drafts.get(name)
+        if before is not None and before.request == request:
+            now = before.draft.moved(marks)
+        else:
+            clip = before.draft.clip() if before is not None and before.take is self.take else self.take.clips[name]
+            now = draft(vehicle, world, marks, clip, fps=shot.fps, **table.motion.options())
+            if not now.success:  # an obstacle was dragged into the path: find another one
+                now = draft(vehicle, world, marks, None, fps=shot.fps, **table.motion.options())
+        if now.success or before is None:
+            self._drafts[name] = Drawn(now, self.take, request)
+        if not now.success:
+            raise InputError(now.reason or "no motion was found", subject=name)
+        return now
 
 
 def _shown(problem: Problem) -> dict[str, Any]:

@@ -1,16 +1,23 @@
-"""What the page offers to change: every number, switch and choice of the shot file, from the file's own models.
+"""What the page offers to change: every number, switch, choice and place of the shot file, from the file's own models.
 
-A setting is read from the JSON schema of the shot file and the file's data; there is no other list of keys.
+Settings and handles are read from the JSON schema of the shot file and the file's data; there is no other list of keys.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
+from vehsim.intake.tables import PLACE
+
 KINDS = ("number", "integer", "boolean")
+DECIMALS = 3
+"""Decimals of what is dragged: mm, and thousandths of a degree."""
+Change = tuple[str, Any]
+"""A dotted key and its new value."""
 
 
 @dataclass(frozen=True)
@@ -28,9 +35,78 @@ class Setting:
     choices: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True)
+class Handle:
+    """A place in the file that can be dragged."""
+
+    key: str
+    """The dotted key of the place, such as ``world.obstacle[0].centre``."""
+    place: tuple[float, float, float]
+    """Where it is, m: of corners their mean."""
+    heading: float | None
+    """The angle in degrees if the file gives one that turns with it, or its default."""
+    turns: bool
+    """Whether its table has a heading."""
+    vehicle: int | None
+    """The index of the vehicle that it belongs to; None: of none."""
+    mark: int | None
+    """The index of its mark; None: it is no mark."""
+    obstacle: int | None
+    """The index of its obstacle; None: it is none."""
+    value: Any
+    """As in the file."""
+
+    def moved(self, place: Sequence[float], heading: float | None = None, frame: int | None = None) -> list[Change]:
+        """What changes in the file when it is at ``place`` (3,) m; ``heading`` and ``frame``: None to leave them."""
+        table, by = self.key.rpartition(".")[0], [b - a for a, b in zip(self.place, place, strict=True)]
+        found: list[Change] = [(self.key, _shifted(self.value, by))]
+        if _width(self.value) == 2 and by[2]:
+            found.append((f"{table}.base", round(place[2], DECIMALS)))
+        given = {"heading": None if heading is None else round(heading, DECIMALS), "frame": frame}
+        return found + [(f"{table}.{name}", value) for name, value in given.items() if value is not None]
+
+
+def handles(data: Mapping[str, Any]) -> list[Handle]:
+    """The places that a valid shot file gives, in its order."""
+    found = []
+    for leaf in _leaves("", _schema(), data):
+        value = leaf.table.get(leaf.name, leaf.about.get("default"))
+        if value is None or not any(form.get("format") == PLACE for form in leaf.forms):
+            continue
+        height, turns = leaf.table.get("base", 0.0), leaf.keys.get("heading")
+        heading = leaf.table.get("heading", turns.get("default") if turns else None)
+        part = {name: int(number) for name, number in re.findall(r"(\w+)\[(\d+)\]", leaf.key)}
+        x, y, z = (*_mean(value), height)[:3]
+        owners = part.get("vehicle"), part.get("mark"), part.get("obstacle")
+        found.append(Handle(leaf.key, (x, y, z), heading, turns is not None, *owners, value))
+    return found
+
+
+def _mean(value: Any) -> tuple[float, ...]:
+    """A point, or the mean of corners."""
+    if isinstance(value[0], list):
+        return tuple(sum(column) / len(value) for column in zip(*value, strict=True))
+    return tuple(value)
+
+
+def _width(value: Any) -> int:
+    return len(value[0] if isinstance(value[0], list) else value)
+
+
+def _shifted(value: Any, by: Sequence[float]) -> Any:
+    """A point or corners, moved ``by`` (3,) m."""
+    if isinstance(value[0], list):
+        return [_shifted(point, by) for point in value]
+    return [round(a + b, DECIMALS) for a, b in zip(value, by, strict=False)]
+
+
 def settings(data: Mapping[str, Any], variants: Sequence[Mapping[str, list[str]]] = ()) -> list[Setting]:
     """Those of the tables that a shot file has. ``variants``: variant set -> variants, of each vehicle in order."""
-    found = list(_below("", _schema(), data))
+    found = [
+        _setting(leaf.key, leaf.about, leaf.forms[0], leaf.table.get(leaf.name))
+        for leaf in _leaves("", _schema(), data)
+        if leaf.forms and _kind(leaf.forms[0])
+    ]
     for k, sets in enumerate(variants):
         given = data["vehicle"][k].get("variants", {})
         for name, choices in sets.items():
@@ -46,25 +122,45 @@ def _schema() -> dict[str, Any]:
     return ShotFile.model_json_schema(by_alias=True)
 
 
-def _below(key: str, node: Mapping[str, Any], data: Any) -> Iterator[Setting]:
-    """The settings of a table, or of each table in a list."""
+@dataclass(frozen=True)
+class _Leaf:
+    """A key of a table of the file that is no table itself."""
+
+    key: str
+    """Dotted."""
+    name: str
+    about: Mapping[str, Any]
+    """Its schema in its table."""
+    forms: Sequence[Mapping[str, Any]]
+    """The schemas that its value may have."""
+    table: Mapping[str, Any]
+    """The table's data."""
+    keys: Mapping[str, Mapping[str, Any]]
+    """The schemas of all keys of the table."""
+
+
+def _leaves(key: str, node: Mapping[str, Any], data: Any) -> Iterator[_Leaf]:
+    """Those of a table, or of each table in a list."""
     if isinstance(data, list):
         for k, one in enumerate(data):
-            yield from _below(f"{key}[{k}]", node, one)
+            yield from _leaves(f"{key}[{k}]", node, one)
         return
     if not isinstance(data, Mapping):  # an error that the check explains
         return
     for form in _forms(node, data):
         if form.get("type") == "array":
-            yield from _below(key, form["items"], data)
+            yield from _leaves(key, form["items"], data)
         for name, child in form.get("properties", {}).items():
             place, value = f"{key}.{name}".lstrip("."), data.get(name)
             forms = list(_forms(child, value))
-            if isinstance(value, dict | list) or (value is None and "default" in child and _is_open(forms)):
+            placed = any(one.get("format") == PLACE for one in forms)
+            if not placed and (
+                isinstance(value, dict | list) or (value is None and "default" in child and _is_open(forms))
+            ):
                 for one in forms:
-                    yield from _below(place, one, value or {})
+                    yield from _leaves(place, one, value or {})
                 continue
-            yield from (_setting(place, child, one, value) for one in forms[:1] if _kind(one))
+            yield _Leaf(place, name, child, forms, data, form["properties"])
 
 
 def _is_open(forms: list[Mapping[str, Any]]) -> bool:

@@ -78,8 +78,9 @@ class Draft:
         return place_on_terrain(clip.at(_whole(clip)), request.world, samples=1)
 
 
-def draft(vehicle: Vehicle, world: Any, marks: Sequence[Mark], clip: Clip, **options: Any) -> Draft:
-    """The first draft, started from a solved ``clip`` of the same marks; ``options`` as in `plan`.
+def draft(vehicle: Vehicle, world: Any, marks: Sequence[Mark], clip: Clip | None, **options: Any) -> Draft:
+    """The first draft, started from a ``clip`` with marks at the same frames, or from a path that is found; ``options``
+    as in `plan`.
 
     Raises ``InputError`` for an invalid request.
     """

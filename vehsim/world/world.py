@@ -86,11 +86,13 @@ class World:
 
     def with_obstacles(self, obstacles: Sequence[Obstacle | Moving]) -> World:
         """This world with more obstacles in it."""
-        if not obstacles:
-            return self
+        return self.with_only((*self.obstacles, *obstacles)) if obstacles else self
+
+    def with_only(self, obstacles: Sequence[Obstacle | Moving]) -> World:
+        """This world with other obstacles in place of its own."""
         other = copy.copy(self)
         other.__dict__.pop("content_hash", None)
-        other.obstacles = check_obstacles((*self.obstacles, *obstacles))
+        other.obstacles = check_obstacles(obstacles)
         other._fields, other._scenes, other._obstacle_scenes = {}, {}, {}
         return other
 

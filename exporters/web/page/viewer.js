@@ -147,8 +147,9 @@ const vehsim = {};
       this.scene.fog = new THREE.Fog(haze, light.haze.start, light.haze.end);
       this.scene.background = haze;
       this.loading[this.loading.length - 1] = this.loading[this.loading.length - 1].then(() => {
-        const around = new THREE.Scene();
-        around.add(this.sky.clone());
+        const around = new THREE.Scene(), dome = this.sky.clone();
+        dome.position.set(0, 0, 0); // the sky follows the camera
+        around.add(dome);
         const generator = new THREE.PMREMGenerator(this.renderer);
         this.scene.environment = generator.fromScene(around, 0, 0.1, 100).texture;
         generator.dispose();
@@ -202,6 +203,7 @@ const vehsim = {};
         const mesh = new THREE.Mesh(geometry, material(shape.material, shape.double));
         mesh.castShadow = header.materials[shape.material].opacity > 0.5;
         mesh.receiveShadow = true;
+        mesh.name = shape.name;
         (shape.group < 0 ? this.scene : this.groups[shape.group]).add(mesh);
       }
     }
@@ -223,8 +225,8 @@ const vehsim = {};
     }
 
     _makeOverlays() {
-      this.overlays = { paths: new THREE.Group(), ghosts: new THREE.Group() };
-      this.scene.add(this.overlays.paths, this.overlays.ghosts);
+      this.overlays = { paths: new THREE.Group(), ghosts: new THREE.Group(), handles: new THREE.Group() };
+      this.scene.add(...Object.values(this.overlays));
     }
 
     // ---- what a new solution replaces
@@ -235,7 +237,7 @@ const vehsim = {};
       this.poses = header.groups.map((group) => array(group.poses));
       this.curves = header.curves.map((curve) => ({ ...curve, values: array(curve.values) }));
       this.marks = header.marks;
-      for (const overlay of Object.values(this.overlays)) dispose(overlay);
+      for (const overlay of [this.overlays.paths, this.overlays.ghosts]) dispose(overlay);
       this.lines = new Map(header.paths.map((path) => [path.name, this._addPath(array(path.points))]));
       this.rings = header.marks.map((mark) => this._addMark(mark));
       for (const given of header.cameras || []) {
@@ -247,11 +249,11 @@ const vehsim = {};
       if (this.timeline) { this.timeline.build(); this.show(this.frame); }
     }
 
-    /** The poses and the path of one vehicle, while its marks are dragged. */
+    /** The poses and the paths of some vehicles, while a handle is dragged. */
     setDraft(header, array) {
       for (const group of header.groups) this.poses[group.index] = array(group.poses);
-      const line = this.lines.get(header.path.name);
-      line.geometry.setAttribute("position", new THREE.BufferAttribute(array(header.path.points), 3));
+      for (const path of header.paths)
+        this.lines.get(path.name).geometry.setAttribute("position", new THREE.BufferAttribute(array(path.points), 3));
       this.show(this.frame);
     }
 
@@ -309,18 +311,30 @@ const vehsim = {};
       return line;
     }
 
-    /** A ring with an arrow along the heading, and the vehicle's ghost. */
-    _addMark(mark) {
-      const yaw = (mark.heading * Math.PI) / 180;
+    /** A ring in the plane that keeps its size in the picture, with an arrow along a heading in degrees or null. */
+    addRing(overlay, position, heading, color) {
       const circle = Array.from({ length: 33 }, (_, k) => [Math.cos(k * Math.PI / 16), Math.sin(k * Math.PI / 16), 0]);
       const points = [];
       for (let k = 0; k < 32; k++) points.push(circle[k], circle[k + 1]);
-      points.push([0, 0, 0], [2, 0, 0], [2, 0, 0], [1.6, 0.25, 0], [2, 0, 0], [1.6, -0.25, 0]);
-      const ring = new THREE.LineSegments(lines(points), new THREE.LineBasicMaterial({ color: ACCENT, fog: false, depthTest: false }));
-      ring.position.set(...mark.position);
-      ring.rotation.z = yaw;
+      if (heading === null) points.push([-0.3, 0, 0], [0.3, 0, 0], [0, -0.3, 0], [0, 0.3, 0]);
+      else points.push([0, 0, 0], [2, 0, 0], [2, 0, 0], [1.6, 0.25, 0], [2, 0, 0], [1.6, -0.25, 0]);
+      const ring = new THREE.LineSegments(lines(points), new THREE.LineBasicMaterial({ color, fog: false, depthTest: false }));
+      ring.position.set(...position);
+      ring.rotation.z = ((heading || 0) * Math.PI) / 180;
       ring.renderOrder = 2;
-      this.overlays.paths.add(ring);
+      overlay.add(ring);
+      return ring;
+    }
+
+    /** A mark's ring, its gate, and the vehicle's ghost. */
+    _addMark(mark) {
+      const ring = this.addRing(this.overlays.paths, mark.position, mark.heading, ACCENT);
+      if (mark.gate) {
+        const points = mark.gate.flatMap((point, k) => (k ? [mark.gate[k - 1], point] : []));
+        const gate = new THREE.LineSegments(lines(points), new THREE.LineBasicMaterial({ color: ACCENT, fog: false }));
+        ring.userData.carries = gate;
+        this.overlays.paths.add(gate);
+      }
       const ghost = new THREE.Group();
       const glass = new THREE.MeshStandardMaterial({ color: ACCENT, transparent: true, opacity: 0.25, depthWrite: false });
       this.groups.forEach((group, k) => {
@@ -334,6 +348,13 @@ const vehsim = {};
       ghost.userData.shared = true;
       this.overlays.ghosts.add(ghost);
       return ring;
+    }
+
+    /** Rings that are no marks, in place of those before. */
+    setHandles(given) {
+      dispose(this.overlays.handles);
+      this.stale = true;
+      return given.map(({ place, heading, turns }) => this.addRing(this.overlays.handles, place, turns ? heading : null, FRUSTUM));
     }
 
     /** The camera of the picture: the shot's, or that of the orbit. */
@@ -478,7 +499,11 @@ const vehsim = {};
       this.cameras.forEach((camera, k) => (camera.frustum.visible = this.shown.cameras && k !== this.through));
       this.overlays.paths.visible = this.shown.paths;
       this.overlays.ghosts.visible = this.shown.ghosts;
-      for (const ring of this.rings) ring.scale.setScalar(Math.max(0.03 * view.position.distanceTo(ring.position), 0.3));
+      this.overlays.handles.visible = this.shown.paths;
+      for (const ring of [...this.rings, ...this.overlays.handles.children]) {
+        ring.scale.setScalar(Math.max(0.03 * view.position.distanceTo(ring.position), 0.3));
+        if (ring.userData.carries) ring.userData.carries.position.copy(ring.position);
+      }
       this.sky.position.copy(view.position);
       this._placeShadow(view);
       this.renderer.render(this.scene, view);

@@ -18,11 +18,12 @@
     live().send({ kind: "add_mark", vehicle: subject(), frame: vehsim.viewer.frame }));
   const remove = button("do-delete", "\u2212 mark", "delete the mark at this frame", () => {
     const handle = here();
-    if (handle) live().send({ kind: "delete_mark", vehicle: handle.vehicle, mark: handle.index });
+    if (handle) live().send({ kind: "delete_mark", vehicle: handle.vehicle, mark: handle.mark });
   });
 
   const subject = () => vehsim.viewer.follow || vehsim.viewer.vehicles[0];
-  const here = () => live().state.handles[vehsim.viewer.marks.findIndex((mark) => Math.round(mark.frame) === vehsim.viewer.frame)];
+  const marks = () => live().state.handles.filter((handle) => handle.mark !== null);
+  const here = () => marks()[vehsim.viewer.marks.findIndex((mark) => Math.round(mark.frame) === vehsim.viewer.frame)];
 
   const track = element("track");
   const frameAt = (event) => {
@@ -46,10 +47,10 @@
   }, true);
   for (const kind of ["pointerup", "pointercancel"]) track.addEventListener(kind, (event) => {
     if (!held) return;
-    const { k, frame } = held, handle = live().state.handles[k];
+    const { k, frame } = held, handle = marks()[k];
     held = null;
     if (frame === null) vehsim.viewer.seek(vehsim.viewer.marks[k].frame);
-    else live().send({ kind: "place", vehicle: handle.vehicle, mark: handle.index, position: vehsim.viewer.rings[k].position.toArray(), frame });
+    else live().send({ kind: "place", key: handle.key, position: vehsim.viewer.rings[k].position.toArray(), frame });
     event.stopImmediatePropagation();
   }, true);
 
@@ -117,7 +118,7 @@
     const now = JSON.stringify([state.settings, editor]);
     if (now !== listed) build(state.settings);
     listed = now;
-    add.disabled = remove.disabled = !(editor && vehsim.viewer && state.handles.length);
+    add.disabled = remove.disabled = !(editor && vehsim.viewer && marks().length);
   }
 
   vehsim.edit = { told };

@@ -5,7 +5,7 @@
   const element = (id) => document.getElementById(id);
   const NEAR = 16; // px
   const DEGREES = 180 / Math.PI;
-  let socket, editor = false, state = null, dragged = null;
+  let socket, editor = false, state = null, dragged = null, grips = [];
 
   const panel = document.createElement("aside");
   panel.id = "panel";
@@ -34,7 +34,7 @@
     element("buttons").append(buttons[kind]);
   }
 
-  vehsim.live = { send, status, get editor() { return editor; }, get state() { return state; } };
+  vehsim.live = { send, status, get editor() { return editor; }, get state() { return state; }, get grips() { return grips; } };
 
   // ---------------------------------------------------------------- the socket
 
@@ -56,6 +56,7 @@
       if (!editor) status("another browser is editing: you are watching");
     } else if (message.kind === "state") {
       state = message;
+      drawHandles();
       element("bar").firstChild.style.width = 0;
       status(`${state.file}${state.changed ? " (not saved)" : ""}: ${state.solved ? "solved" : "not solved"}`);
       list(state.problems);
@@ -93,15 +94,15 @@
       if (viewer) made.replace(viewer);
       else made.lookThrough(-1);
       vehsim.viewer = made;
+      drawHandles();
       made.draw(); // handles are found with the matrices of the last picture
-      keepGrip();
       await made.ready;
       vehsim.say("");
     } else if (!viewer) return; // the scene follows
     else if (header.kind === "live") vehsim.drive.shown(header, array);
     else if (header.kind === "motion") {
       viewer.setMotion(header, array);
-      keepGrip();
+      drawHandles();
     } else if (header.kind === "draft" && (dragged || !editor)) viewer.setDraft(header, array);
   }
 
@@ -123,46 +124,68 @@
 
   const tip = (ring) => new THREE.Vector3(2, 0, 0).applyMatrix4(ring.matrixWorld);
 
-  /** The handle under the pointer: the index of a mark, and whether its arrow was hit. */
-  function under(event) {
+  /** Pair each handle with its ring: the motion draws those of marks, the others are drawn here. A drag goes on. */
+  function drawHandles() {
     const viewer = vehsim.viewer;
-    if (!viewer || !editor || !state || !viewer.shown.paths) return null;
-    let best = null;
-    viewer.rings.forEach((ring, k) => {
-      for (const turns of [true, false]) {
-        const at = pixels(turns ? tip(ring) : ring.position);
-        const away = at && Math.hypot(at.x - event.clientX, at.y - event.clientY);
-        if (at && away < NEAR && (!best || away < best.away)) best = { k, turns, away };
-      }
-    });
-    return best;
-  }
-
-  /** Go on dragging when new motion has replaced the rings. */
-  function keepGrip() {
-    const ring = dragged && vehsim.viewer.rings[dragged.k];
-    if (!ring) {
+    if (!viewer || !state) return;
+    const marks = state.handles.filter((one) => one.mark !== null), others = state.handles.filter((one) => one.mark === null);
+    const rings = viewer.setHandles(others);
+    grips = others.map((handle, k) => ({ handle, ring: rings[k], turns: handle.turns, solid: solid(handle) }));
+    if (marks.length === viewer.rings.length) // else the motion on the screen has other marks than the file
+      grips.push(...marks.map((handle, k) => ({ handle, ring: viewer.rings[k], turns: true, solid: [] })));
+    for (const grip of grips) carry(grip);
+    const now = dragged && grips.find((grip) => grip.handle.key === dragged.handle.key);
+    if (!now) {
       dragged = null;
       return;
     }
-    ring.position.copy(dragged.ring.position);
-    ring.rotation.copy(dragged.ring.rotation);
-    dragged.ring = ring;
+    now.ring.position.copy(dragged.ring.position);
+    now.ring.rotation.copy(dragged.ring.rotation);
+    Object.assign(dragged, now);
+    carry(dragged);
+  }
+
+  /** The meshes of an obstacle. */
+  function solid(handle) {
+    const found = [];
+    if (handle.obstacle !== null) vehsim.viewer.scene.traverse((one) => {
+      if (one.isMesh && one.name.includes(`/obstacles/${handle.obstacle}/`)) found.push(one);
+    });
+    return found;
+  }
+
+  /** Move the meshes of an obstacle from where the scene has them to its ring. */
+  function carry({ ring, handle, solid }) {
+    const place = new THREE.Vector3(...handle.drawn.place), turn = ring.rotation.z - (handle.drawn.heading || 0) / DEGREES;
+    for (const mesh of solid) {
+      mesh.rotation.z = turn;
+      mesh.position.copy(ring.position).sub(place.clone().applyAxisAngle(mesh.up.set(0, 0, 1), turn));
+    }
+  }
+
+  /** What is under the pointer: a grip, and whether its arrow was hit. */
+  function under(event) {
+    const viewer = vehsim.viewer;
+    if (!viewer || !editor || !viewer.shown.paths) return null;
+    let best = null;
+    for (const grip of grips) for (const turning of grip.turns ? [true, false] : [false]) {
+      const at = pixels(turning ? tip(grip.ring) : grip.ring.position);
+      const away = at && Math.hypot(at.x - event.clientX, at.y - event.clientY);
+      if (at && away < NEAR && (!best || away < best.away)) best = { grip, turning, away };
+    }
+    return best;
   }
 
   function message(kind) {
     const { ring, handle, turned } = dragged;
-    return {
-      kind, vehicle: handle.vehicle, mark: handle.index, position: ring.position.toArray(),
-      heading: turned ? ring.rotation.z * DEGREES : null,
-    };
+    return { kind, key: handle.key, position: ring.position.toArray(), heading: turned ? ring.rotation.z * DEGREES : null };
   }
 
   function grab(event) {
     const hit = event.button === 0 && event.target === element("view") && under(event);
     if (!hit) return;
-    const ring = vehsim.viewer.rings[hit.k];
-    dragged = { k: hit.k, ring, handle: state.handles[hit.k], turns: hit.turns, turned: false, from: ring.position.clone(), moved: false };
+    const { ring } = hit.grip;
+    dragged = { ...hit.grip, turning: hit.turning, turned: false, moved: false };
     dragged.plane = new THREE.Plane(new THREE.Vector3(0, 0, 1), -ring.position.z);
     const start = ray(event).intersectPlane(dragged.plane, new THREE.Vector3());
     dragged.grip = start ? ring.position.clone().sub(start) : new THREE.Vector3();
@@ -174,11 +197,13 @@
 
   function drag(event) {
     if (!dragged) {
-      element("view").style.cursor = vehsim.viewer && under(event) ? "grab" : "";
+      const hit = vehsim.viewer && under(event);
+      element("view").style.cursor = hit ? "grab" : "";
+      element("view").title = hit ? hit.grip.handle.key : "";
       return;
     }
     const { ring, plane, grip } = dragged;
-    if (event.shiftKey && !dragged.turns) { // up and down, in the upright plane that faces the camera
+    if (event.shiftKey && !dragged.turning) { // up and down, in the upright plane that faces the camera
       const ahead = vehsim.viewer.view.getWorldDirection(new THREE.Vector3()).setZ(0).normalize();
       const wall = new THREE.Plane().setFromNormalAndCoplanarPoint(ahead, ring.position);
       const hit = ray(event).intersectPlane(wall, new THREE.Vector3());
@@ -187,14 +212,15 @@
     } else {
       const hit = ray(event).intersectPlane(plane, new THREE.Vector3());
       if (!hit) return;
-      if (dragged.turns) {
+      if (dragged.turning) {
         ring.rotation.z = Math.atan2(hit.y - ring.position.y, hit.x - ring.position.x);
         dragged.turned = true;
       } else ring.position.set(hit.x + grip.x, hit.y + grip.y, ring.position.z);
     }
     dragged.moved = true;
+    carry(dragged);
     vehsim.viewer.stale = true;
-    if (dragged.handle.drafts && !dragged.waiting) {
+    if (dragged.handle.follows.length && !dragged.waiting) {
       dragged.waiting = true; // at most one message for each picture
       requestAnimationFrame(() => {
         if (!dragged) return;

@@ -16,7 +16,7 @@ from pydantic import AfterValidator, Discriminator, Field, Tag
 from vehsim.errors import InputError, OutsideTerrain, Problem
 from vehsim.intake.tables import describe
 from vehsim.shot.checks import Setting, check_names
-from vehsim.shot.schema.tables import Array, Frame, Metre, Number, Point, Positive, Table
+from vehsim.shot.schema.tables import Array, Frame, Metre, Number, Place, Positive, Table
 from vehsim.vehicles.definition.quantities import in_degrees
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ class LimitTable(Table):
 class LookTable(Table):
     """``[[vehicle.motion.look]]``: a body axis points at a place."""
 
-    at: Point
+    at: Place
     """the point to look at, [x, y, z] in m"""
     frames: Frames | None = None
     """first and last frame, [first, last]; default: the whole motion"""

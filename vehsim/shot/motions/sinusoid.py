@@ -26,7 +26,7 @@ from vehsim.shot.schema.tables import (
     MarkFrame,
     NotNegative,
     Number,
-    Point,
+    Place,
     Positive,
     Table,
 )
@@ -55,7 +55,7 @@ class RestMark(Table):
 
     frame: MarkFrame
     """a whole frame, or "free": as soon as the limits permit"""
-    position: Point
+    position: Place
     """the position of the rig's root, [x, y, z] in m"""
     heading: Heading = 0.0
     """the yaw of the vehicle's nose from world X in degrees, counter-clockwise"""

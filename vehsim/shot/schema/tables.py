@@ -22,7 +22,7 @@ from pydantic import (
 
 from vehsim.assets import REGISTRIES
 from vehsim.cameras.camera import CameraRig
-from vehsim.intake.tables import Array, InSchema, Metre, NotNegative, Number, Point, Positive, Table, Text
+from vehsim.intake.tables import Array, InSchema, Metre, NotNegative, Number, Place, Point, Positive, Table, Text
 from vehsim.world.world import MAX_WIND
 
 MAX_FRAMES = 100_000
@@ -167,7 +167,7 @@ class MarkTable(Table):
 
     frame: MarkFrame
     """a whole frame, or "free": the planner chooses"""
-    position: Point | None = None
+    position: Place | None = None
     """the position of the rig's root, [x, y, z] in m"""
     heading: Heading | None = None
     """the yaw of the vehicle's nose from world X in degrees, counter-clockwise"""
@@ -194,7 +194,7 @@ class MarkTable(Table):
 class StartTable(Table):
     """``[vehicle.motion.start]``"""
 
-    position: Point = Field(default=[0.0, 0.0, 0.0])
+    position: Place = Field(default=[0.0, 0.0, 0.0])
     """the position of the rig's root, [x, y, z] in m"""
     heading: Heading | None = None
     """the yaw of the vehicle's nose from world X in degrees, counter-clockwise; default: 0"""
@@ -232,12 +232,12 @@ class CameraTable(Table):
     azimuth: Heading | None = None
     """degrees counter-clockwise from straight behind (chase), straight ahead (first_person), or looking along +X (the
     others); default: depends on the rig"""
-    position: Point | None = None
+    position: Place | None = None
     """the place of a static, fly_by or crane camera, or the start of a dolly's rail, [x, y, z] in m; default: chosen
     automatically"""
-    to: Point | None = None
+    to: Place | None = None
     """the end of a dolly's rail, [x, y, z] in m; default: chosen automatically"""
-    look_at: Point | None = None
+    look_at: Place | None = None
     """the point at which a static camera looks without panning, [x, y, z] in m; default: pans with the target"""
     turn: Annotated[Number, Field(ge=-3600, le=3600)] = CameraRig.turn
     """the rate of an orbit in degrees per second"""

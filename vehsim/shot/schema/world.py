@@ -11,6 +11,7 @@ from annotated_types import Len
 from pydantic import Field
 
 from vehsim.constants import SEA_WATER
+from vehsim.intake.tables import AT
 from vehsim.shot.schema.tables import (
     Array,
     Heading,
@@ -18,8 +19,8 @@ from vehsim.shot.schema.tables import (
     Name,
     NotNegative,
     Number,
+    Place,
     Plane,
-    Point,
     Positive,
     Table,
     Text,
@@ -57,7 +58,7 @@ class PolygonTable(UprightTable):
 
     shape: Literal["polygon"]
     """polygon, ellipse, box, sphere, cone, mesh or vehicle"""
-    points: Annotated[list[Plane], Array, Len(3, 1000)]
+    points: Annotated[list[Plane], Array, Len(3, 1000), AT]
     """the corners [x, y] in m in order around the polygon, three or more, convex or not"""
 
 
@@ -66,7 +67,7 @@ class EllipseTable(UprightTable):
 
     shape: Literal["ellipse"]
     """polygon, ellipse, box, sphere, cone, mesh or vehicle"""
-    centre: Plane
+    centre: Annotated[Plane, AT]
     """the centre [x, y] in m"""
     radii: Annotated[list[Positive], Array, Len(2, 2)]
     """the two radii in m"""
@@ -79,7 +80,7 @@ class BoxTable(StandingTable):
 
     shape: Literal["box"]
     """polygon, ellipse, box, sphere, cone, mesh or vehicle"""
-    centre: Point
+    centre: Place
     """the centre of its bottom, [x, y, z] in m"""
     size: Annotated[list[Positive], Array, Len(3, 3)]
     """the length, width and height in m"""
@@ -92,7 +93,7 @@ class SphereTable(StandingTable):
 
     shape: Literal["sphere"]
     """polygon, ellipse, box, sphere, cone, mesh or vehicle"""
-    centre: Point
+    centre: Place
     """the centre, [x, y, z] in m"""
     radius: Positive
     """the radius in m"""
@@ -103,7 +104,7 @@ class ConeTable(StandingTable):
 
     shape: Literal["cone"]
     """polygon, ellipse, box, sphere, cone, mesh or vehicle"""
-    centre: Point
+    centre: Place
     """the centre of its bottom, [x, y, z] in m"""
     radius: Positive = 0.2
     """the radius of its bottom in m"""
@@ -120,7 +121,7 @@ class MeshTable(StandingTable):
     """polygon, ellipse, box, sphere, cone, mesh or vehicle"""
     path: Text
     """a mesh file (OBJ, STL, PLY, GLB, USD) relative to the shot file"""
-    position: Point = Field(default=[0.0, 0.0, 0.0])
+    position: Place = Field(default=[0.0, 0.0, 0.0])
     """the position of the mesh's origin, [x, y, z] in m"""
     heading: Heading = 0.0
     """the angle of the mesh's X axis from world X in degrees, counter-clockwise"""

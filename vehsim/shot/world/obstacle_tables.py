@@ -51,9 +51,10 @@ def check_obstacles(tables: Sequence[Any], folder: Path, vehicles: Sequence[str]
                         yield problem.seen_from(f"{key}.path", table.path)
                     else:
                         yield problem.below(key, value=getattr(table, problem.key, None), subject="")
-        if _name(i, table) in names:
-            yield Problem(f"{key}.name", "used twice", "give every obstacle a name of its own", _name(i, table))
-        names.append(_name(i, table))
+        name = name_of(i, table)
+        if name in names:
+            yield Problem(f"{key}.name", "used twice", "give every obstacle a name of its own", name)
+        names.append(name)
 
 
 def check_marks(marks: Sequence[MarkTable], vehicle: Vehicle, world: World, clearance: float) -> Iterator[Problem]:
@@ -64,7 +65,8 @@ def check_marks(marks: Sequence[MarkTable], vehicle: Vehicle, world: World, clea
         yield Problem(f"mark[{i}].position", message, remedy, marks[i].position)
 
 
-def _name(i: int, table: Any) -> str:
+def name_of(i: int, table: Any) -> str:
+    """The name of the obstacle at index ``i``."""
     return table.name or f"{table.shape}_{i}"
 
 
@@ -74,6 +76,6 @@ def _make(i: int, table: Any, folder: Path) -> Obstacle:
     given = table.model_dump(exclude={"shape", "name", "finish", "colour"})
     if "path" in given:
         given["path"] = folder / Path(given["path"]).expanduser()
-    made: Obstacle = getattr(obstacles, table.shape)(_name(i, table), **given)
+    made: Obstacle = getattr(obstacles, table.shape)(name_of(i, table), **given)
     colour = None if table.colour is None else tuple(table.colour)
     return replace(made, finish=table.finish or made.finish, colour=colour)
