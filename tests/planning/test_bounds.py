@@ -185,7 +185,9 @@ def test_controls_that_end_elsewhere_are_a_failure(monkeypatch):
 
     monkeypatch.setattr(trajectory, "executed", lambda *given: Executed(9.0, 28.0, 28.04))
     marks = ends("car", 20.0, 1151, velocity=REST)
-    with pytest.warns(UserWarning, match=r"plan failed: .*the controls end 28 m from the planned end, more than 0\.\d+ m"):
+    with pytest.warns(
+        UserWarning, match=r"plan failed: .*the controls end 28 m from the planned end, more than 0\.\d+ m"
+    ):
         plan = vehsim.plan(vehsim.load_vehicle("car"), None, marks, segments=16, character="stunt")
     assert not plan.success
     monkeypatch.setattr(trajectory, "executed", lambda *given: Executed(0.1, 0.2, 0.2))

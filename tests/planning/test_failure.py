@@ -565,6 +565,18 @@ def test_a_car_that_must_change_direction_at_every_mark_finds_its_way():
     assert vehsim.plan(car, None, marks, segments=36, fps=60, limits=limits, clearance=0.5).success
 
 
+def test_a_car_reverses_to_pass_a_gate_behind_it_forwards():
+    marks = [
+        Mark(101, position=(14.279, -11.282, 0), heading=-8.785, velocity=REST, hold=12),
+        Mark(
+            332, position=(4.325, -11.207, 0), heading=-25.496, speed=1.093, gate=Gate((0.9026, -0.4304, 0), radius=1)
+        ),
+    ]
+    limits = {"steering_rate": math.radians(24.641)}
+    plan = vehsim.plan(vehsim.load_vehicle("car"), None, marks, segments=12, limits=limits)
+    assert plan.success and plan.clip.twists[-1, 1] == pytest.approx(1.093, abs=1e-3)
+
+
 def test_only_marks_with_a_position_have_a_first_frame():
     """The planner adds marks without one where a stay begins and ends."""
     terms = [stay((20, 40), within=(-50, -50, 50, 50))]

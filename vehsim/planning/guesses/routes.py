@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from vehsim.clip.clip import Clip
 from vehsim.errors import InputError, SolveError
 from vehsim.planning.constraints.spheres import balls
-from vehsim.planning.guesses.astar import turning_radius
+from vehsim.planning.guesses.astar import guess_drive, turning_radius
 from vehsim.planning.guesses.drive import drive
 from vehsim.planning.request.legs import cut, divided, legs_between, path_length, placed_marks, poses_of, round_trip
-from vehsim.planning.request.marks import Mark
+from vehsim.planning.request.marks import Mark, heading_of
 from vehsim.planning.request.marks_near_obstacles import parts_in_reach
 from vehsim.planning.request.request import Request, search_boxes
 from vehsim.planning.trim import swims
@@ -28,6 +28,8 @@ Array = NDArray[np.float64]
 
 DETOUR = 1.5
 """Largest length of a preferred wide route, relative to a narrow route."""
+RUN_UP = 0.5
+"""Length of the straight way to a mark that is passed in a direction, relative to the turning radius."""
 
 
 def find_paths(request: Request, guess: Any, progress: Progress) -> list[Array]:
@@ -134,8 +136,21 @@ def shunting(request: Request, paths: Sequence[Array]) -> list[Array]:
     it has no such circle, or if the paths are such poses already."""
     if not _drives(request.vehicle) or turning_radius(request.vehicle) == 0 or any(p.shape[1] == 4 for p in paths):
         return []
-    kept = [request.marks[i] for i in placed_marks(request.marks)]
-    return divided(drive(replace(request, marks=kept), []), request.marks)
+    vehicle, kept = request.vehicle, [request.marks[i] for i in placed_marks(request.marks)]
+    nose, driven = [heading_of(mark) for mark in kept], []
+    for j, leg in enumerate(legs_between(kept)):
+        start, end = np.array(leg, float)
+        before = end - _approach(kept[j + 1], RUN_UP * turning_radius(vehicle))
+        path = guess_drive(vehicle, [], np.array([start, before]), (nose[j], nose[j + 1]), 0.0)
+        driven.append(path if np.allclose(before, end) else np.vstack([path, [*end, path[-1, 3]]]))
+    return divided(driven, request.marks)
+
+
+def _approach(mark: Mark, length: float) -> Array:
+    """The last part of the way to a mark that is passed in a direction, (3,) m; zero otherwise."""
+    along = mark.gate.direction if mark.gate is not None else mark.velocity
+    way = np.zeros(3) if along is None else np.array([along[0], along[1], 0.0])
+    return way * length / max(float(np.linalg.norm(way)), 1e-9)
 
 
 def _drives(vehicle: Vehicle) -> bool:
