@@ -265,6 +265,46 @@ def test_obstacles_and_what_a_camera_looks_at_are_dragged(path):
     asyncio.run(play())
 
 
+def test_a_dragged_motion_that_was_not_found_again_is_kept_as_guess(path):
+    """A box is pushed through the path, which stays before it; solved anew, the car passes behind the box."""
+    far = SHOT.replace("1073", "1145").replace("[8, 1, 0]", "[24, 1, 0]").replace("segments = 8", "clearance = 0.3")
+    path.write_text(far + WALL)
+    box = "world.obstacle[0].centre"
+
+    def side(block):
+        line = points(block)
+        return line[np.abs(line[:, 0] - 12).argmin(), 1]
+
+    async def play():
+        async with served(path) as address, browser(address) as page:
+            await page.until("state", lambda message: message["solved"])
+            for y in (3.0, 2.0, 1.0, 0.0, -0.5):
+                await page.send(kind="drag", key=box, position=[12.0, y, 0.0])
+                draft = await page.until("draft")
+            assert side(draft) < -2
+            await page.send(kind="place", key=box, position=[12.0, -0.5, 0.0])
+            assert side(await page.until("scene")) > 1
+            state = await page.until("state", lambda message: message["solved"])
+            assert [one["keeps"] for one in state["problems"] if "keeps" in one] == ["car"]
+            await page.send(kind="keep_dragged", vehicle="boat")
+            assert "drag again" in (await page.until("refused"))["text"]
+            await page.send(kind="keep_dragged", vehicle="car")
+            assert side(await page.until("motion")) < -2
+            state = await page.until("state", lambda message: message["solved"])
+            assert not any("keeps" in one for one in state["problems"])
+            await page.send(kind="keep_dragged", vehicle="car")  # the file has changed since
+            assert "drag again" in (await page.until("refused"))["text"]
+            await page.send(kind="save")
+            await page.until("said")
+        assert 'guess = "drive.car.guess.001.npz"' in path.read_text()
+        assert Shot.load(path).solve().clips["car"].positions[:, 1].min() < -2
+        (path.parent / "drive.car.guess.001.npz").unlink()
+        (problem,) = Shot.load(path).check()
+        assert problem.key == "vehicle[0].motion.guess" and "no such file" in problem.message
+
+    asyncio.run(play())
+
+
 def test_what_cannot_be_met_says_why_and_can_be_undone(path):
     async def play():
         async with served(path) as address, browser(address) as page:

@@ -61,6 +61,13 @@ class DeleteMark(_Message):
     mark: Annotated[int, Field(ge=0)]
 
 
+class KeepDragged(_Message):
+    """Save the dragged motion of a vehicle, and start its plan from there."""
+
+    kind: Literal["keep_dragged"]
+    vehicle: str
+
+
 class Drive(_Message):
     """Take the controls of a vehicle: from its first frame, or after ``frame`` of its recording."""
 
@@ -76,7 +83,7 @@ class Sticks(_Message):
     values: Annotated[list[Annotated[float, Field(ge=-1, le=1, allow_inf_nan=False)]], Field(max_length=64)]
 
 
-Message = Moved | Pressed | Change | AddMark | DeleteMark | Drive | Sticks
+Message = Moved | Pressed | Change | AddMark | DeleteMark | KeepDragged | Drive | Sticks
 _ADAPTER: TypeAdapter[Message] = TypeAdapter(Annotated[Message, Field(discriminator="kind")])
 
 

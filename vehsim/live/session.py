@@ -22,7 +22,7 @@ from vehsim.errors import InputError, Problem, VehsimError
 from vehsim.exporters.usd.sampling import clip_at
 from vehsim.exporters.web.scene import Kinematics, draft_block, live_block, motion_block, movable, scene_block
 from vehsim.live.document import Document, write
-from vehsim.live.messages import AddMark, Change, DeleteMark, Drive, Moved
+from vehsim.live.messages import AddMark, Change, DeleteMark, Drive, KeepDragged, Moved
 from vehsim.live.settings import DECIMALS, Handle, Setting, handles, settings
 from vehsim.runtime.progress import Progress
 from vehsim.shot.checks import variants_of
@@ -65,7 +65,8 @@ class Session:
         self.shot: Shot | None = None
         self.take: Take | None = None
         self.problems: list[dict[str, Any]] = []
-        """Errors and warnings for the page: ``text``, and a ``key`` and the ``fix`` that would do if there is one."""
+        """Errors and warnings for the page: ``text``; a ``key`` and the ``fix`` that would work if there is one;
+        ``keeps``: the vehicle whose dragged motion can be kept."""
         self.settings: list[Setting] = []
         self.handles: list[Handle] = []
         """The places of the present text that can be dragged; none if it is no valid shot file."""
@@ -79,6 +80,8 @@ class Session:
         """Where the scene shows them."""
         self._dragged: Moved | None = None
         """The last drag that was drawn."""
+        self._kept: tuple[str, dict[str, Clip]] = "", {}
+        """A text, and the motion of vehicles that was drawn before it was solved."""
         self._kinematics: Kinematics | None = None
         self._scenes = tempfile.TemporaryDirectory(prefix="vehsim-live-")
 
@@ -225,13 +228,33 @@ class Session:
         self._dragged = None
         self.document.change(handle.moved(moved.position, moved.heading, moved.frame))
         shown = self.solve()
-        if shown is not None and self.take is not None:
-            for name, clip in drawn.items():
-                away = _apart(clip, self.take.clips[name])
-                if away > VISIBLE:
-                    text = f"{name}: the solved motion is up to {away:.2g} m from the dragged one"
-                    self.problems.append({"text": text})
+        self._kept = self.document.text, drawn
+        if shown is not None:
+            for name in drawn:
+                self._compare(name, {"keeps": name})
         return shown
+
+    def keep_dragged(self, wanted: KeepDragged) -> bytes | None:
+        """Save the dragged motion of a vehicle beside the shot as its guess, and `solve` from there."""
+        text, drawn = self._kept
+        if text != self.document.text or wanted.vehicle not in drawn:
+            raise InputError("no longer the dragged motion", "drag again", key=wanted.vehicle)
+        at, _ = self._planned(wanted.vehicle)
+        path = self._unused(f"{self.document.path.stem}.{wanted.vehicle}.guess").with_suffix(".npz")
+        drawn[wanted.vehicle].save(path)
+        self.document.put(f"vehicle[{at}].motion.guess", path.name)
+        shown = self.solve()
+        if shown is not None:
+            self._compare(wanted.vehicle, {})
+        return shown
+
+    def _compare(self, name: str, offer: dict[str, Any]) -> None:
+        """Report a solved motion that differs visibly from the dragged one, with an ``offer`` of what to do."""
+        assert self.take is not None
+        away = _apart(self._kept[1][name], self.take.clips[name])
+        if away > VISIBLE:
+            text = f"{name}: the solved motion is up to {away:.2g} m from the dragged one"
+            self.problems.append({"text": text, **offer})
 
     # ------------------------------------------------------------ change
 

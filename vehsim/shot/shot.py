@@ -115,7 +115,7 @@ class Shot:
             if rig is not None:
                 yield (rig.folder or rig.asset.parent) / "vehicle.toml"
                 yield from dependencies(rig.asset)[0]
-            for key in ("path", "file"):
+            for key in ("path", "file", "guess_file"):
                 if (path := getattr(table.motion, key, None)) is not None:
                     yield self.folder / path
         for blocking in self.blockings().values():

@@ -76,12 +76,15 @@
   }
 
   function list(problems) {
-    element("problems").replaceChildren(...problems.map(({ text, key, fix }) => {
+    element("problems").replaceChildren(...problems.map(({ text, key, fix, keeps }) => {
       const shown = Object.assign(document.createElement("p"), { textContent: text });
-      if (fix === undefined) return shown;
-      const button = Object.assign(document.createElement("button"), { textContent: `set ${key.split(".").pop()} = ${fix}`, className: "fix" });
-      button.addEventListener("click", () => send({ kind: "change", key, value: fix }));
-      shown.append(" ", button);
+      const offer = (label, message) => {
+        const button = Object.assign(document.createElement("button"), { textContent: label, className: "fix" });
+        button.addEventListener("click", () => send(message));
+        shown.append(" ", button);
+      };
+      if (fix !== undefined) offer(`set ${key.split(".").pop()} = ${fix}`, { kind: "change", key, value: fix });
+      if (keeps !== undefined) offer("save the dragged motion as guess", { kind: "keep_dragged", vehicle: keeps });
       return shown;
     }));
   }

@@ -24,27 +24,32 @@ class ClipMotion(Table):
     """a clip saved by vehsim (.npz), relative to the shot file"""
 
     def check(self, vehicle: Vehicle, setting: Setting) -> Iterator[Problem]:
-        try:
-            clip = self._load(vehicle, setting)
-        except InputError as error:
-            yield error.problem.seen_from("path", self.path, "give a file written by clip.save or the npz exporter")
-            return
-        if clip.fps != setting.fps:
-            remedy = f"set shot.fps = {str(clip.fps)!r}, or bake the clip at the shot's rate"
-            yield Problem(
-                "path", f"the clip runs at {clip.fps} frames per second, the shot at {setting.fps}", remedy, self.path
-            )
+        yield from check_clip("path", self.path, vehicle, setting)
 
     def solve(self, vehicle: Vehicle, setting: Setting, progress: Progress) -> tuple[Clip, dict[str, Any]]:
-        return self._load(vehicle, setting), {"path": self.path}
+        return load_clip(self.path, vehicle, setting), {"path": self.path}
 
-    def _load(self, vehicle: Vehicle, setting: Setting) -> Clip:
-        from vehsim.clip.clip import Clip
 
-        path = setting.folder / self.path
-        if not path.is_file():
-            raise InputError("no such file")
-        clip = Clip.load(path, vehicle)
-        if clip.controls.shape[1] != len(vehicle.controls) or clip.joints.shape[1] != len(vehicle.joints):
-            raise InputError(f"a clip of another vehicle than {vehicle.name!r}")
-        return clip
+def check_clip(key: str, path: str, vehicle: Vehicle, setting: Setting) -> Iterator[Problem]:
+    """What is wrong with the clip at ``path``, the value of ``key``."""
+    try:
+        clip = load_clip(path, vehicle, setting)
+    except InputError as error:
+        yield error.problem.seen_from(key, path, "give a file written by clip.save or the npz exporter")
+        return
+    if clip.fps != setting.fps:
+        remedy = f"set shot.fps = {str(clip.fps)!r}, or bake the clip at the shot's rate"
+        yield Problem(key, f"the clip runs at {clip.fps} frames per second, the shot at {setting.fps}", remedy, path)
+
+
+def load_clip(given: str, vehicle: Vehicle, setting: Setting) -> Clip:
+    """The clip of a vehicle at a path relative to the shot file. Raises ``InputError``."""
+    from vehsim.clip.clip import Clip
+
+    path = setting.folder / given
+    if not path.is_file():
+        raise InputError("no such file")
+    clip = Clip.load(path, vehicle)
+    if clip.controls.shape[1] != len(vehicle.controls) or clip.joints.shape[1] != len(vehicle.joints):
+        raise InputError(f"a clip of another vehicle than {vehicle.name!r}")
+    return clip

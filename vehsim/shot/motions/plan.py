@@ -15,6 +15,7 @@ from vehsim.errors import FailedPlan, InputError, Problem, SolveError
 from vehsim.intake.tables import table_of
 from vehsim.shot.checks import Setting, check_free, check_inside, check_mark, check_names, check_order
 from vehsim.shot.motions.blocking import BlockingTable, blocking_of, marks_of
+from vehsim.shot.motions.clip import check_clip, load_clip
 from vehsim.shot.motions.limits import LimitTable, LookTable, StayTable, check_limits, check_request, limits_si
 from vehsim.shot.motions.pilots import is_numeric
 from vehsim.shot.motions.state import is_planar
@@ -39,6 +40,8 @@ if TYPE_CHECKING:
     from vehsim.runtime.progress import Progress
     from vehsim.vehicles import Vehicle
 
+SINUSOID = "sinusoid"
+"""The guess that is no file."""
 COSTS = "vehsim.planning.terms:COSTS"
 
 
@@ -77,11 +80,16 @@ class PlanMotion(Table):
     """true: the motion ends as it starts, so that it can be repeated"""
     solver: Annotated[Text, one_of("vehsim.planning.problem.solver:SOLVERS")] = "ipopt"
     """the optimiser: "ipopt", "sqpmethod" or "fatrop\""""
-    guess: Literal["sinusoid"] | None = None
-    """the initial guess: "sinusoid", a manoeuvre for a car or truck; default: the straight path, or a path around
-    obstacles"""
+    guess: Annotated[Text, InSchema(lambda own: {"anyOf": [{"enum": [SINUSOID]}, own]})] | None = None
+    """the initial guess: "sinusoid", a manoeuvre for a car or truck, or a clip saved by vehsim (.npz), relative to the
+    shot file; default: the straight path, or a path around obstacles"""
     time_limit: Annotated[Positive, Field(le=1e5)] | None = None
     """seconds after which the best motion so far is used; the result then depends on the machine"""
+
+    @property
+    def guess_file(self) -> str | None:
+        """The path of the clip that is the initial guess."""
+        return None if self.guess == SINUSOID else self.guess
 
     def blocking(self, setting: Setting) -> Blocking | None:
         """The animator's blocking, None if the marks are given one by one. Raises ``InputError``."""
@@ -123,7 +131,7 @@ class PlanMotion(Table):
         cost = {self.cost: None} if isinstance(self.cost, str) else self.cost
         yield from check_names("cost", cost, COSTS, "cost")
         yield from check_limits(self.limits.given(), vehicle)
-        yield from self._check_guess(vehicle)
+        yield from self._check_guess(vehicle, setting)
         yield from check_order(marks, setting)
         yield from check_marks(marks, vehicle, setting.world, self.clearance)
         for i, mark in enumerate(marks):
@@ -134,8 +142,10 @@ class PlanMotion(Table):
             if mark.position is not None and not (is_planar(vehicle) or mark.on_ground):  # wheels touch the ground
                 yield from check_free(f"{key}.position", mark.position, self.clearance, setting.world)
 
-    def _check_guess(self, vehicle: Vehicle) -> Iterator[Problem]:
-        if self.guess == "sinusoid":
+    def _check_guess(self, vehicle: Vehicle, setting: Setting) -> Iterator[Problem]:
+        if self.guess_file is not None:
+            yield from check_clip("guess", self.guess_file, vehicle, setting)
+        if self.guess == SINUSOID:
             from vehsim.sinusoids.manoeuvres.rigs import rigged
 
             try:
@@ -195,7 +205,9 @@ class PlanMotion(Table):
         return result.clip, report | {"marks": marks_found, "asks": [ask.as_dict() for ask in result.asks]}
 
     def _guess(self, vehicle: Vehicle, marks: Sequence[Mark], setting: Setting) -> Any:
-        """The path to start from; None: the default of `vehsim.plan`."""
+        """The path or clip to start from; None: the default of `vehsim.plan`."""
+        if self.guess_file is not None:
+            return load_clip(self.guess_file, vehicle, setting)
         if self.guess is None:
             return None
         from vehsim.sinusoids.manoeuvres.guess import initial_guess
