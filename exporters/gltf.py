@@ -23,7 +23,7 @@ from vehsim.lie.quaternions import continuous, quaternions
 from vehsim.runtime.progress import Progress
 
 if TYPE_CHECKING:
-    from vehsim.exporters.usd.stage import Shape, StageReader, Surface
+    from vehsim.exporters.usd.stage import Material, Shape, StageReader
 
 Array = NDArray[np.float64]
 
@@ -122,13 +122,13 @@ def _geometry(name: str, stage: StageReader, carriers: dict[str, str], local: di
     return content
 
 
-def _base_colour(surface: Surface) -> list[float]:
+def _base_colour(surface: Material) -> list[float]:
     """Linear red, green, blue and opacity, which multiply a texture."""
     colour = (1.0, 1.0, 1.0) if surface.texture is not None else surface.colour
     return [min(max(part, 0.0), 1.0) for part in (*colour, surface.opacity)]
 
 
-def _material(name: str, surface: Surface, closed: bool) -> Any:
+def _material(name: str, surface: Material, closed: bool) -> Any:
     from PIL import Image
     from trimesh.visual.material import PBRMaterial
 

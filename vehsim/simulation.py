@@ -127,7 +127,7 @@ def simulate_together(
     among its events. Raises the same errors as `simulate`.
     """
     from vehsim.integrators.environment import Nothing
-    from vehsim.integrators.forced import Course, pushed_together, substeps
+    from vehsim.integrators.forced import Recording, pushed_together, substeps
     from vehsim.integrators.integrator import Integrator
     from vehsim.world.contact.contact import Contact, ContactScene
 
@@ -147,15 +147,15 @@ def simulate_together(
     touching = {name: vehicle for name, vehicle, *_ in prepared}
     meeting = ContactScene(touching, world, world.contact or Contact(), start_frame / float(rate))
     cuts = max(substeps(h, environment) for *_, environment in prepared)
-    courses = [
-        Course(Integrator(vehicle, h / cuts, wind=_wind(world)), environment, law, begin, cuts)
+    recordings = [
+        Recording(Integrator(vehicle, h / cuts, wind=_wind(world)), environment, law, begin, cuts)
         for _, vehicle, law, begin, environment in prepared
     ]
-    pushed_together(courses, meeting, steps, cuts, progress)
+    pushed_together(recordings, meeting, steps, cuts, progress)
     clips = {}
-    for k, (course, (name, vehicle, _, _, environment)) in enumerate(zip(courses, prepared, strict=True)):
+    for k, (recording, (name, vehicle, _, _, environment)) in enumerate(zip(recordings, prepared, strict=True)):
         events = sorted([*environment.events(), *meeting.events(k)], key=lambda event: event["time"])
-        clips[name] = course.clip(events, rate, start_frame)
+        clips[name] = recording.clip(events, rate, start_frame)
         _warn_limits(vehicle, clips[name])
         _warn_targets(movers[name].controls, clips[name])
     return clips

@@ -15,7 +15,7 @@ Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class Surface:
+class Material:
     """A material: linear ``colour``, ``opacity``, ``roughness``, ``metallic``, a colour ``texture`` file or None."""
 
     colour: tuple[float, float, float] = (0.5, 0.5, 0.5)
@@ -26,7 +26,7 @@ class Surface:
     texture: Path | None = None
 
 
-def surfaces_of(prim: Any, count: int, time: float) -> Iterator[tuple[str, Ints, Surface]]:
+def surfaces_of(prim: Any, count: int, time: float) -> Iterator[tuple[str, Ints, Material]]:
     """(name, faces, surface) for each material of a mesh: those of its subsets, then its own for the rest."""
     from pxr import UsdShade
 
@@ -41,7 +41,7 @@ def surfaces_of(prim: Any, count: int, time: float) -> Iterator[tuple[str, Ints,
         yield path, np.flatnonzero(rest), read_surface(prim, time)
 
 
-def read_surface(prim: Any, time: float) -> Surface:
+def read_surface(prim: Any, time: float) -> Material:
     """The preview surface bound to a prim, else its display colour, else grey."""
     from pxr import UsdGeom, UsdShade
 
@@ -52,7 +52,7 @@ def read_surface(prim: Any, time: float) -> Surface:
         rgb = gprim.GetDisplayColorAttr().Get(time) if gprim else None
         alpha = gprim.GetDisplayOpacityAttr().Get(time) if gprim else None
         colour = tuple(float(x) for x in rgb[0]) if rgb else (0.5, 0.5, 0.5)
-        return Surface(colour=colour, opacity=float(alpha[0]) if alpha else 1.0)  # type: ignore[arg-type]
+        return Material(colour=colour, opacity=float(alpha[0]) if alpha else 1.0)  # type: ignore[arg-type]
 
     def value(name: str, default: Any) -> Any:
         port = shader.GetInput(name)
@@ -61,7 +61,7 @@ def read_surface(prim: Any, time: float) -> Surface:
 
     emissive = value("emissiveColor", (0.0, 0.0, 0.0))
     colour = value("diffuseColor", (0.18, 0.18, 0.18))
-    return Surface(
+    return Material(
         colour=(float(colour[0]), float(colour[1]), float(colour[2])),
         opacity=float(value("opacity", 1.0)),
         roughness=float(value("roughness", 0.5)),

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.errors import InputError
-from vehsim.exporters.pictures.surfaces import Surface as Surface
+from vehsim.exporters.pictures.surfaces import Material as Material
 from vehsim.exporters.pictures.surfaces import read_surface as read_surface
 from vehsim.exporters.pictures.surfaces import surfaces_of
 from vehsim.exporters.usd.metadata import local_origin
@@ -49,7 +49,7 @@ class Shape:
     face_normals: Ints
     uvs: Array | None
     face_uvs: Ints | None
-    surface: Surface
+    surface: Material
     closed: bool = True
 
 
@@ -300,7 +300,7 @@ class _Geometry:
         return _Geometry(points, counts, indices, normals, uvs, flat=not smooth)
 
     def shape(
-        self, name: str, group: str, local: Array, chosen: Ints, surface: Surface, flip: bool, double: bool
+        self, name: str, group: str, local: Array, chosen: Ints, surface: Material, flip: bool, double: bool
     ) -> Shape:
         """The triangles of the ``chosen`` faces, with points and normals transformed to their group by ``local``."""
         holes = np.setdiff1d(np.arange(len(self.counts)), chosen)

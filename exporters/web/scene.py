@@ -22,7 +22,7 @@ from vehsim.exporters.usd.sampling import clip_at
 from vehsim.exporters.usd.scenery.lighting import encode_srgb
 from vehsim.exporters.usd.scenery.shading import DEFAULT_SUN, below_horizon, dome_mean, exposure_of, sky_image
 from vehsim.exporters.usd.scenery.water_material import CLEAR, FOAM, ROUGH, TILE, patches, ripples
-from vehsim.exporters.usd.stage import Shape, StageReader, Surface
+from vehsim.exporters.usd.stage import Material, Shape, StageReader
 from vehsim.intake.images import read_colours
 from vehsim.lie.quaternions import matrices, quaternions, yaw_of
 from vehsim.planning.request.marks import Gate
@@ -268,7 +268,7 @@ def _matrices(poses: Array) -> Array:
     return T
 
 
-def _shape(pack: Packing, shape: Shape, groups: tuple[str, ...], surfaces: list[Surface]) -> dict[str, Any]:
+def _shape(pack: Packing, shape: Shape, groups: tuple[str, ...], surfaces: list[Material]) -> dict[str, Any]:
     """A mesh with one vertex per pair of point and normal (and texture coordinates)."""
     corners = [shape.faces, shape.face_normals]
     if shape.uvs is not None and shape.face_uvs is not None:
@@ -288,7 +288,7 @@ def _shape(pack: Packing, shape: Shape, groups: tuple[str, ...], surfaces: list[
     }
 
 
-def _material(surface: Surface, textures: list[Path]) -> dict[str, Any]:
+def _material(surface: Material, textures: list[Path]) -> dict[str, Any]:
     return {
         "colour": list(surface.colour),
         "opacity": surface.opacity,

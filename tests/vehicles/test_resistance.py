@@ -11,7 +11,7 @@ import vehsim
 from vehsim.errors import InputError
 from vehsim.lie.quaternions import from_vectors
 from vehsim.vehicles import State
-from vehsim.vehicles.definition.resistance import ALLOWANCE, VISCOSITY, Curve, Planing, ittc57, running
+from vehsim.vehicles.definition.resistance import ALLOWANCE, VISCOSITY, Planing, SpeedSpline, ittc57, running
 from vehsim.vehicles.library.hull_form import particulars
 from vehsim.world.water.buoyancy import Afloat
 from vehsim.world.world import World
@@ -102,7 +102,7 @@ def test_a_curve_is_one_function_for_numbers_and_plans():
     speeds = np.linspace(0.5, 18, 400)
     forces = np.array([run.rate(s) * s for s in speeds])
     assert np.all(forces > 0) and np.abs(np.diff(forces, 2)).max() < 0.02 * forces.max()  # no kinks and no jumps
-    np.testing.assert_allclose([Curve.constant(2.0)(s) for s in (0.0, 5.0)], 2.0)
+    np.testing.assert_allclose([SpeedSpline.constant(2.0)(s) for s in (0.0, 5.0)], 2.0)
 
 
 def test_the_boat_resists_as_savitsky_says():

@@ -15,7 +15,7 @@ LIBRARIES = ("mujoco", "casadi", "numpy", "scipy", "trimesh", "libigl", "python-
 
 
 @dataclass(frozen=True)
-class Finding:
+class Check:
     """One line of the report: what was checked, whether it is good, what was found, and how to fix it."""
 
     what: str
@@ -40,48 +40,48 @@ def egl_devices() -> int:
     return count.value if query(0, None, ctypes.byref(count)) else 0
 
 
-def _python() -> Finding:
-    return Finding("Python", sys.version_info >= (3, 11), platform.python_version(), "use Python 3.11 or newer")
+def _python() -> Check:
+    return Check("Python", sys.version_info >= (3, 11), platform.python_version(), "use Python 3.11 or newer")
 
 
-def _library(name: str) -> Finding:
+def _library(name: str) -> Check:
     try:
-        return Finding(name, True, importlib.metadata.version(name))
+        return Check(name, True, importlib.metadata.version(name))
     except importlib.metadata.PackageNotFoundError:
-        return Finding(name, False, "not installed", f"pip install {name}")
+        return Check(name, False, "not installed", f"pip install {name}")
 
 
-def _usd() -> Finding:
+def _usd() -> Check:
     """USD from PyPI or from the host application that runs this interpreter."""
     try:
         from pxr import Usd
     except ImportError as error:
-        return Finding("USD", False, str(error), "pip install usd-core")
+        return Check("USD", False, str(error), "pip install usd-core")
     version, oldest = Usd.GetVersion()[1:], (25, 2)  # the first with translateX, Y and Z
     text = f"{version[0]}.{version[1]}"
-    return Finding("USD", version >= oldest, text, f"use USD {oldest[0]}.{oldest[1]} or newer")
+    return Check("USD", version >= oldest, text, f"use USD {oldest[0]}.{oldest[1]} or newer")
 
 
-def _egl() -> Finding:
+def _egl() -> Check:
     if sys.platform != "linux":
-        return Finding("OpenGL", True, "MuJoCo's own for this system; pictures are tested on Linux with EGL")
+        return Check("OpenGL", True, "MuJoCo's own for this system; pictures are tested on Linux with EGL")
     count = egl_devices()
     remedy = "sudo apt-get install libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri"
-    return Finding("EGL", count > 0, f"{count} device(s)" if count else "no device", remedy)
+    return Check("EGL", count > 0, f"{count} device(s)" if count else "no device", remedy)
 
 
-def _codec() -> Finding:
+def _codec() -> Check:
     remedy = "pip install --force-reinstall av"
     try:
         import av
 
         codec = av.Codec("libx264", "w")
     except Exception as error:  # A broken PyAV build may raise anything: report it, never crash.
-        return Finding("H.264", False, f"no libx264 encoder ({error})", remedy)
-    return Finding("H.264", True, codec.long_name)
+        return Check("H.264", False, f"no libx264 encoder ({error})", remedy)
+    return Check("H.264", True, codec.long_name)
 
 
-def _cache() -> Finding:
+def _cache() -> Check:
     from vehsim.runtime.cache import cache_folder
 
     folder = cache_folder()
@@ -91,11 +91,11 @@ def _cache() -> Finding:
         probe.touch()
         probe.unlink()
     except OSError as error:
-        return Finding("cache", False, str(error), "set VEHSIM_CACHE to a writable folder")
-    return Finding("cache", True, str(folder))
+        return Check("cache", False, str(error), "set VEHSIM_CACHE to a writable folder")
+    return Check("cache", True, str(folder))
 
 
-def examine() -> list[Finding]:
+def examine() -> list[Check]:
     """Check everything that vehsim needs."""
     return [_python(), *map(_library, LIBRARIES), _usd(), _egl(), _codec(), _cache()]
 

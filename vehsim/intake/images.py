@@ -26,7 +26,7 @@ MAX_PIXELS = 150_000_000
 
 
 @dataclass(frozen=True)
-class Header:
+class PictureHeader:
     """Rows and columns of a picture of one channel, its mode, the numbers among the tags of a TIFF, and GDAL's value
     for missing pixels."""
 
@@ -36,7 +36,7 @@ class Header:
     nodata: float | None
 
 
-def read_header(path: Path, modes: Collection[str], remedy: str) -> Header:
+def read_header(path: Path, modes: Collection[str], remedy: str) -> PictureHeader:
     """What a picture of one channel contains. Raises ``InputError``.
 
     ``modes``: the accepted ones of Pillow's; ``remedy``: the fix for others.
@@ -44,7 +44,7 @@ def read_header(path: Path, modes: Collection[str], remedy: str) -> Header:
     facts, _ = read_cached(header, path, "picture", list(modes), remedy)
     tags = {int(tag): value for tag, value in facts["tags"].items()}
     rows, columns = facts["shape"]
-    return Header((rows, columns), facts["mode"], tags, facts["nodata"])
+    return PictureHeader((rows, columns), facts["mode"], tags, facts["nodata"])
 
 
 def read_pixels(path: Path, window: Window) -> NDArray[np.float64]:

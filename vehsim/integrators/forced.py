@@ -167,7 +167,7 @@ class Forced:
         self.wrench = wrench
 
 
-class Course:
+class Recording:
     """One vehicle's motion through an environment, knot by knot, recorded as a clip.
 
     ``law(t, state)`` gives the controls (c,), linear between knots; a knot is ``cuts`` steps of the integrator.
@@ -246,28 +246,32 @@ def pushed(
     progress: Callable[[str, float], None] | None = None,
 ) -> Clip:
     """A clip of ``steps`` steps, each of ``cuts`` of the integrator's; ``law(t, state)`` gives the controls (c,)."""
-    course = Course(integrator, environment, law, begin, cuts)
-    body = course.body
+    recording = Recording(integrator, environment, law, begin, cuts)
+    body = recording.body
     rest = Rest([body], lambda: environment.settled, lambda: [body.query()])
     for k in range(steps):
-        course.aim(k)
+        recording.aim(k)
         for j in range(cuts):
-            ends = course.between(j / cuts), course.between((j + 1) / cuts)
+            ends = recording.between(j / cuts), recording.between((j + 1) / cuts)
             if not rest.keeps([ends], integrator.step_size):
                 body.carry(*ends)
-        course.arrive()
+        recording.arrive()
         if progress and k % 50 == 0:
             progress("simulate", k / steps)
     if progress:
         progress("simulate", 1.0)
-    return course.clip(environment.events(), fps, start_frame)
+    return recording.clip(environment.events(), fps, start_frame)
 
 
 def pushed_together(
-    courses: Sequence[Course], meeting: Meeting, steps: int, cuts: int, progress: Callable[[str, float], None] | None
+    recordings: Sequence[Recording],
+    meeting: Meeting,
+    steps: int,
+    cuts: int,
+    progress: Callable[[str, float], None] | None,
 ) -> None:
     """Advance several vehicles by ``steps`` steps together: each feels its environment and the ``meeting``."""
-    bodies = [course.body for course in courses]
+    bodies = [recording.body for recording in recordings]
     whole = [body.integrator for body in bodies]
 
     def query() -> list[tuple[Array, Array | None]]:
@@ -279,23 +283,24 @@ def pushed_together(
         body.start_with(*forces)
     rest = Rest(bodies, lambda: meeting.settled, query)
     for k in range(steps):
-        for course in courses:
-            course.aim(k)
+        for recording in recordings:
+            recording.aim(k)
         at, end = 0, cuts * FINEST
-        if rest.keeps([(course.between(0.0), course.between(1.0)) for course in courses], cuts * whole[0].step_size):
+        ends = [(recording.between(0.0), recording.between(1.0)) for recording in recordings]
+        if rest.keeps(ends, cuts * whole[0].step_size):
             at = end
         while at < end:
             longest = min(meeting.next_step, *(body.environment.next_step for body in bodies))
             pieces = piece(whole[0].step_size, longest, at % FINEST)
             at += pieces
-            for course, integrator in zip(courses, whole, strict=True):
-                course.body.integrator = halved(integrator, FINEST // pieces)
-                course.body.drift(course.between(at / end))
+            for recording, integrator in zip(recordings, whole, strict=True):
+                recording.body.integrator = halved(integrator, FINEST // pieces)
+                recording.body.drift(recording.between(at / end))
             for body, forces in zip(bodies, query(), strict=True):
                 body.push(*forces)
-        for course, integrator in zip(courses, whole, strict=True):
-            course.body.integrator = integrator
-            course.arrive()
+        for recording, integrator in zip(recordings, whole, strict=True):
+            recording.body.integrator = integrator
+            recording.arrive()
         if progress and k % 50 == 0:
             progress("simulate", k / steps)
     if progress:

@@ -15,7 +15,7 @@ CHANGE = 1e-3
 """Change of a wrench that wakes them, as a share of it."""
 
 
-class Body(Protocol):
+class RestingBody(Protocol):
     """A body that can rest, such as `vehsim.integrators.forced.Forced`."""
 
     integrator: Any
@@ -36,7 +36,7 @@ class Rest:
 
     def __init__(
         self,
-        bodies: Sequence[Body],
+        bodies: Sequence[RestingBody],
         settled: Callable[[], bool],
         query: Callable[[], list[tuple[Array, Array | None]]],
     ) -> None:

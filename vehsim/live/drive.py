@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from vehsim.clip.clip import Clip
 from vehsim.errors import InputError, Problem, SolveError
 from vehsim.lie.quaternions import continuous, from_yaw, rotate, yaw_of
-from vehsim.shot.checks import Setting
+from vehsim.shot.checks import Context
 from vehsim.shot.motions.simulate import ForwardMotion
 from vehsim.shot.motions.sticks import SticksMotion
 from vehsim.shot.shot import Shot
@@ -231,10 +231,10 @@ class DrivenMotion(SticksMotion):
 
     driver: Any = None
 
-    def seconds(self, setting: Setting) -> float:
-        return LONGEST if setting.last is None else setting.seconds(setting.last)
+    def seconds(self, context: Context) -> float:
+        return LONGEST if context.last is None else context.seconds(context.last)
 
-    def controls(self, vehicle: Vehicle, setting: Setting) -> Any:
+    def controls(self, vehicle: Vehicle, context: Context) -> Any:
         return self.driver
 
 
@@ -245,7 +245,7 @@ class KnownMotion:
     clip: Clip
     method: str = "clip"
 
-    def solve(self, vehicle: Vehicle, setting: Setting, progress: Progress) -> tuple[Clip, dict[str, Any]]:
+    def solve(self, vehicle: Vehicle, context: Context, progress: Progress) -> tuple[Clip, dict[str, Any]]:
         return self.clip, {}
 
 
@@ -281,7 +281,7 @@ def record(
     clock, header = clock or Clock(), shot.file.shot
     table: Any = next(table for table in shot.file.vehicle if table.name == name)
     vehicle, keys = shot.vehicle(table), _start_of(table.motion, clips[name], shot.world)
-    setting = Setting(shot.world, shot.fps, header.first, header.last, shot.folder)
+    context = Context(shot.world, shot.fps, header.first, header.last, shot.folder)
     window = Window(vehicle, shot.world, shot.fps, header.first)
     due = clock.now()
 
@@ -292,8 +292,8 @@ def record(
             show(window.add(t, state, controls), driver.behind)
             due = began + max(SHOWN, (clock.now() - began) / SHARE)
 
-    before = None if since is None else table.motion.controls(vehicle, setting)
-    driver = Driver(sticks, passed, ended, before, -1.0 if since is None else setting.seconds(since), clock)
+    before = None if since is None else table.motion.controls(vehicle, context)
+    driver = Driver(sticks, passed, ended, before, -1.0 if since is None else context.seconds(since), clock)
     motions: dict[str, Any] = {other: KnownMotion(clip) for other, clip in clips.items()}
     for other in shot.file.vehicle:
         if isinstance(other.motion, ForwardMotion) and shot.world.contact is not None:

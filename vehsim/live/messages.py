@@ -68,7 +68,7 @@ class KeepDragged(_Message):
     vehicle: str
 
 
-class Drive(_Message):
+class TakeControls(_Message):
     """Take the controls of a vehicle: from its first frame, or after ``frame`` of its recording."""
 
     kind: Literal["drive"]
@@ -76,14 +76,14 @@ class Drive(_Message):
     frame: Frame | None = None
 
 
-class Sticks(_Message):
+class MoveSticks(_Message):
     """Where the sticks are while a vehicle is driven, one for each control: -1 to 1, forward and left are positive."""
 
     kind: Literal["sticks"]
     values: Annotated[list[Annotated[float, Field(ge=-1, le=1, allow_inf_nan=False)]], Field(max_length=64)]
 
 
-Message = Moved | Pressed | Change | AddMark | DeleteMark | KeepDragged | Drive | Sticks
+Message = Moved | Pressed | Change | AddMark | DeleteMark | KeepDragged | TakeControls | MoveSticks
 _ADAPTER: TypeAdapter[Message] = TypeAdapter(Annotated[Message, Field(discriminator="kind")])
 
 

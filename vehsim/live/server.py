@@ -21,7 +21,17 @@ from urllib.parse import parse_qs, urlsplit
 
 from vehsim.errors import InputError, VehsimError
 from vehsim.exporters.web.html import PAGE, page
-from vehsim.live.messages import AddMark, Change, DeleteMark, Drive, KeepDragged, Message, Moved, Sticks, parse
+from vehsim.live.messages import (
+    AddMark,
+    Change,
+    DeleteMark,
+    KeepDragged,
+    Message,
+    Moved,
+    MoveSticks,
+    TakeControls,
+    parse,
+)
 from vehsim.live.session import Session, Superseded
 from vehsim.runtime.registry import whose_error
 
@@ -133,7 +143,7 @@ class Server:
         except InputError as error:
             await _send(socket, {"kind": "refused", "text": str(error)})
             return
-        if isinstance(message, Sticks):
+        if isinstance(message, MoveSticks):
             with suppress(InputError):  # those of a drive that has just ended
                 if self._session.sticks is not None:
                     self._session.sticks.move(message.values)
@@ -189,7 +199,7 @@ class Server:
         try:
             if isinstance(message, Moved):
                 await self._solve(lambda: session.place(message))
-            elif isinstance(message, Drive):
+            elif isinstance(message, TakeControls):
                 await self._drive(message)
             elif isinstance(message, Change | AddMark | DeleteMark | KeepDragged):
                 change = getattr(session, message.kind)
@@ -230,7 +240,7 @@ class Server:
             with suppress(VehsimError):
                 await self._in_thread(self._session.prepare)
 
-    async def _drive(self, message: Drive) -> None:
+    async def _drive(self, message: TakeControls) -> None:
         """Drive until anything else is requested, or the browser has gone."""
         session, newest, told = self._session, Newest(), self._loop
         assert told is not None

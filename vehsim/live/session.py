@@ -22,7 +22,7 @@ from vehsim.errors import InputError, Problem, VehsimError
 from vehsim.exporters.usd.sampling import clip_at
 from vehsim.exporters.web.scene import Kinematics, draft_block, live_block, motion_block, movable, scene_block
 from vehsim.live.document import Document, write
-from vehsim.live.messages import AddMark, Change, DeleteMark, Drive, KeepDragged, Moved
+from vehsim.live.messages import AddMark, Change, DeleteMark, KeepDragged, Moved, TakeControls
 from vehsim.live.settings import DECIMALS, Handle, Setting, handles, settings
 from vehsim.runtime.progress import Progress
 from vehsim.shot.checks import variants_of
@@ -317,7 +317,7 @@ class Session:
                 found.append({"vehicle": table.name, "controls": controls, "continues": continues})
         return found
 
-    def drive(self, wanted: Drive, show: Callable[[bytes], object], ended: Callable[[], bool]) -> bytes | None:
+    def drive(self, wanted: TakeControls, show: Callable[[bytes], object], ended: Callable[[], bool]) -> bytes | None:
         """Simulate a vehicle under ``sticks`` until ``ended``, write the recording, and `solve` the shot with it.
 
         ``show`` receives a block for each picture, in this thread. The recording is a table of controls and a clip

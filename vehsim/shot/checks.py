@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Setting:
+class Context:
     """The context of a check. ``first``, ``last``: the shot's frames; ``last`` None: the motion determines it."""
 
     world: World
@@ -127,7 +127,7 @@ def check_contact(vehicle: Vehicle, world: World, things: Collection[str]) -> It
         yield Problem("asset", message, remedy, vehicle.name)
 
 
-def check_order(marks: list[MarkTable], setting: Setting) -> Iterator[Problem]:
+def check_order(marks: list[MarkTable], context: Context) -> Iterator[Problem]:
     """Frames increase and are in the shot; the first mark has a frame and a place."""
     if marks[0].frame == "free":
         yield Problem("mark[0].frame", "the first mark starts the motion", "give it a whole frame", "free")
@@ -138,10 +138,10 @@ def check_order(marks: list[MarkTable], setting: Setting) -> Iterator[Problem]:
         key, frame = f"mark[{i}].frame", mark.frame
         if frame == "free":
             continue
-        if frame < setting.first or (setting.last is not None and frame + mark.hold > setting.last):
-            end = "" if setting.last is None else f" to {setting.last}"
+        if frame < context.first or (context.last is not None and frame + mark.hold > context.last):
+            end = "" if context.last is None else f" to {context.last}"
             yield Problem(
-                key, "outside the shot", f"the shot runs from frame {setting.first}{end}, handles included", frame
+                key, "outside the shot", f"the shot runs from frame {context.first}{end}, handles included", frame
             )
         if leave is not None and frame <= leave:
             message = f"not after frame {leave} of the mark before it"

@@ -27,7 +27,7 @@ def paint_offers(shot: Shot, folder: Path) -> Iterator[str]:
             continue
         vehicle = shot.vehicle(table)
         outlines = table.motion._rig(vehicle).outlines
-        for k, offers in enumerate(table.motion.offers(vehicle, shot._setting), 1):
+        for k, offers in enumerate(table.motion.offers(vehicle, shot._context), 1):
             lines = [_line(m) for m in offers]
             yield from (f"{shot.name}: {table.name}: mark[{k}]: {line}" for line in lines)
             if outlines:

@@ -22,7 +22,7 @@ from vehsim.requests import target_asks
 from vehsim.runtime.progress import Progress, silent
 from vehsim.shot.audited import audit_clips
 from vehsim.shot.checks import (
-    Setting,
+    Context,
     check_asset,
     check_contact,
     check_copied,
@@ -272,9 +272,9 @@ class Shot:
         return beside if beside.exists() else name
 
     @cached_property
-    def _setting(self) -> Setting:
+    def _context(self) -> Context:
         header = self.file.shot
-        return Setting(self.world, header.fps, header.first, header.last, self.folder)
+        return Context(self.world, header.fps, header.first, header.last, self.folder)
 
     def _check(self) -> Iterator[Problem]:
         yield from self._check_header()
@@ -314,13 +314,13 @@ class Shot:
         yield from check_variants(f"vehicle[{i}].variants", table.variants, vehicle.rig)
         if world is None:
             return
-        for problem in table.motion.check(vehicle, self._setting):
+        for problem in table.motion.check(vehicle, self._context):
             yield replace(problem, key=f"vehicle[{i}].motion.{problem.key}")
         found = [*check_afloat(vehicle, world), *check_trailer(vehicle, world)]
         from vehsim.shot.motions.simulate import ForwardMotion
 
         if table.edited is not None:
-            found += table.edited.check(vehicle, self._setting, isinstance(table.motion, ForwardMotion))
+            found += table.edited.check(vehicle, self._context, isinstance(table.motion, ForwardMotion))
         if isinstance(table.motion, ForwardMotion):
             others = [other.name for other in self.file.vehicle if other is not table]
             things = {obstacle.name for obstacle in world.obstacles} | set(others)
@@ -406,10 +406,10 @@ class Shot:
             def report(what: str, done: float, name: str = name) -> None:
                 progress(f"{name}: {what}", done)
 
-            setting = replace(self._setting, world=self.world_of(name, clips))
+            context = replace(self._context, world=self.world_of(name, clips))
             options = table.motion.options() if hasattr(table.motion, "options") else {}
             clips[name], reports[name] = table.edited.retouch(
-                name, clips[name], reports[name], options, setting, report
+                name, clips[name], reports[name], options, context, report
             )
         return clips, reports
 
@@ -439,8 +439,8 @@ class Shot:
                 details |= {"together": [*together]}
                 reports[table.name] = {"asset": table.asset, "method": table.motion.method, **details}
                 continue
-            setting = replace(self._setting, world=world)
-            clips[table.name], details = table.motion.solve(self.vehicle(table), setting, report)
+            context = replace(self._context, world=world)
+            clips[table.name], details = table.motion.solve(self.vehicle(table), context, report)
             reports[table.name] = {"asset": table.asset, "method": table.motion.method, **details}
         order = [table.name for table in self.file.vehicle]
         return {name: clips[name] for name in order}, {name: reports[name] for name in order}
@@ -474,9 +474,9 @@ class Shot:
 
         movers, durations = {}, []
         for name, (motion, vehicle) in simulated.items():
-            movers[name], duration = motion.mover(vehicle, self._setting)
+            movers[name], duration = motion.mover(vehicle, self._context)
             durations.append(duration)
-        step, first = min(motion.step for motion, _ in simulated.values()), self._setting.first
+        step, first = min(motion.step for motion, _ in simulated.values()), self._context.first
         meeting = ", ".join(simulated)
         clips = simulate_together(
             movers, world, max(durations), step, self.fps, first,

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.exporters.usd.scenery.lighting import encode_srgb, to_linear, to_srgb
-from vehsim.exporters.usd.stage import Sky, Sun, Surface
+from vehsim.exporters.usd.stage import Material, Sky, Sun
 from vehsim.intake.images import read_colours
 
 Array = NDArray[np.float64]
@@ -128,7 +128,7 @@ def _cube_faces(image: Array, R_wd: Array, size: int = 512) -> NDArray[np.uint8]
     return np.stack(result)
 
 
-def author_material(spec: Any, name: str, surface: Surface, textures: dict[Path, str]) -> None:
+def author_material(spec: Any, name: str, surface: Material, textures: dict[Path, str]) -> None:
     """Add a MuJoCo material for ``surface`` to a spec; ``textures`` remembers the images already added."""
     import mujoco
 

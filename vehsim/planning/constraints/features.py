@@ -27,11 +27,11 @@ from vehsim.world.obstacles.plane import Ellipse
 
 Array = NDArray[np.float64]
 Expr = Any
-Body = tuple[tuple[float, float], ...]
+Outline = tuple[tuple[float, float], ...]
 """A vehicle in plan view, as the optimiser models it: corners in the rig root's frame, m."""
 Model = tuple[Expr, Expr, Expr]
 """The distance of a point from a shape to second order: value, slope (2,) and second derivatives (xx, yy, xy)."""
-Law = Callable[[Expr, Expr, Expr, Body], tuple[Expr, Expr, Model]]
+Law = Callable[[Expr, Expr, Expr, Outline], tuple[Expr, Expr, Model]]
 """A function of the root's pose (yaw, x, y), a shape's numbers, a feature's constants and the body. It returns the
 radius to subtract from the distance, the point from which it is measured, and the model at that point."""
 
@@ -62,7 +62,7 @@ class Form:
     """A kind of shape: the ``numbers`` of a shape, and its ``features`` next to a body."""
 
     numbers: Callable[[Any], Array]
-    features: Callable[[Any, Body], list[Feature]]
+    features: Callable[[Any, Outline], list[Feature]]
 
 
 def form_of(shape: Any) -> Form:
@@ -71,13 +71,13 @@ def form_of(shape: Any) -> Form:
 
 
 @lru_cache(maxsize=64)
-def body_of(vehicle: Vehicle) -> Body:
+def body_of(vehicle: Vehicle) -> Outline:
     """The vehicle as the optimiser models it: a convex polygon with few corners around its footprint, or a point."""
     return tuple((float(x), float(y)) for x, y in simplified(footprint(vehicle), CORNERS))
 
 
 @lru_cache(maxsize=256)
-def gap(kind: tuple[Law, int, int], body: Body) -> ca.Function:
+def gap(kind: tuple[Law, int, int], body: Outline) -> ca.Function:
     """Distance of a feature: ``(pose (3,), numbers, constants) -> m``; the pose is yaw and position of the root."""
     pose, numbers, constants = _symbols(kind)
     less, _, (value, _, _) = kind[0](pose, numbers, constants, body)
@@ -116,27 +116,27 @@ def _turn(angle: Expr) -> Expr:
 # ------------------------------------------------------------ laws
 
 
-def _point_from_polygon(pose: Expr, numbers: Expr, constants: Expr, body: Body) -> tuple[Expr, Expr, Model]:
+def _point_from_polygon(pose: Expr, numbers: Expr, constants: Expr, body: Outline) -> tuple[Expr, Expr, Model]:
     """Distance of a point of the body, or of a disc around it, from a polygon; constants: x, y, radius."""
     point = pose[1:] + _turn(pose[0]) @ constants[:2]
     corners = [numbers[2 * k : 2 * k + 2] for k in range(numbers.shape[0] // 2)]
     return constants[2], point, from_polygon(point, corners)
 
 
-def _corner_from_body(pose: Expr, numbers: Expr, constants: Expr, body: Body) -> tuple[Expr, Expr, Model]:
+def _corner_from_body(pose: Expr, numbers: Expr, constants: Expr, body: Outline) -> tuple[Expr, Expr, Model]:
     """Distance of a polygon's corner from the body."""
     point = _turn(pose[0]).T @ (numbers - pose[1:])
     return 0.0, point, from_polygon(point, [ca.DM(corner) for corner in body])
 
 
-def _point_from_ellipse(pose: Expr, numbers: Expr, constants: Expr, body: Body) -> tuple[Expr, Expr, Model]:
+def _point_from_ellipse(pose: Expr, numbers: Expr, constants: Expr, body: Outline) -> tuple[Expr, Expr, Model]:
     """Distance of a point of the body, or of a disc around it, from an ellipse; constants: x, y, radius."""
     centre, radii, R_we = _ellipse(numbers)
     point = R_we.T @ (pose[1:] + _turn(pose[0]) @ constants[:2] - centre)
     return constants[2], point, from_ellipse(point, radii)
 
 
-def _ellipse_from_body(pose: Expr, numbers: Expr, constants: Expr, body: Body) -> tuple[Expr, Expr, Model]:
+def _ellipse_from_body(pose: Expr, numbers: Expr, constants: Expr, body: Outline) -> tuple[Expr, Expr, Model]:
     """Distance from the body of an ellipse's outermost point towards an edge of the body; constants: the edge's inner
     normal."""
     centre, radii, R_we = _ellipse(numbers)
@@ -156,20 +156,20 @@ def _ellipse(numbers: Expr) -> tuple[Expr, Expr, Expr]:
 # ------------------------------------------------------------ forms
 
 
-def _points(law: Law, count: int, body: Body) -> list[Feature]:
+def _points(law: Law, count: int, body: Outline) -> list[Feature]:
     """The features of the body's corners and inner discs next to a shape of ``count`` numbers."""
     discs = inner_discs(np.array(body))
     points = [(*corner, 0.0) for corner in body] + [(*map(float, centre), radius) for centre, radius in discs]
     return [Feature(law, tuple(range(count)), point) for point in points]
 
 
-def _of_polygon(shape: Array, body: Body) -> list[Feature]:
+def _of_polygon(shape: Array, body: Outline) -> list[Feature]:
     own = range(len(shape)) if len(body) > 2 else ()
     corners = [Feature(_corner_from_body, (2 * k, 2 * k + 1), ()) for k in own]
     return _points(_point_from_polygon, shape.size, body) + corners
 
 
-def _of_ellipse(shape: Ellipse, body: Body) -> list[Feature]:
+def _of_ellipse(shape: Ellipse, body: Outline) -> list[Feature]:
     corners = np.array(body)
     steps = np.roll(corners, -1, axis=0) - corners if len(body) > 2 else np.zeros((0, 2))
     edges = [Feature(_ellipse_from_body, tuple(range(6)), (float(-y), float(x))) for x, y in steps]

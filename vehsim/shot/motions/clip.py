@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, Literal
 
 from vehsim.errors import InputError, Problem
-from vehsim.shot.checks import Setting
+from vehsim.shot.checks import Context
 from vehsim.shot.schema.tables import Table, Text
 
 if TYPE_CHECKING:
@@ -23,30 +23,30 @@ class ClipMotion(Table):
     path: Text
     """a clip saved by vehsim (.npz), relative to the shot file"""
 
-    def check(self, vehicle: Vehicle, setting: Setting) -> Iterator[Problem]:
-        yield from check_clip("path", self.path, vehicle, setting)
+    def check(self, vehicle: Vehicle, context: Context) -> Iterator[Problem]:
+        yield from check_clip("path", self.path, vehicle, context)
 
-    def solve(self, vehicle: Vehicle, setting: Setting, progress: Progress) -> tuple[Clip, dict[str, Any]]:
-        return load_clip(self.path, vehicle, setting), {"path": self.path}
+    def solve(self, vehicle: Vehicle, context: Context, progress: Progress) -> tuple[Clip, dict[str, Any]]:
+        return load_clip(self.path, vehicle, context), {"path": self.path}
 
 
-def check_clip(key: str, path: str, vehicle: Vehicle, setting: Setting) -> Iterator[Problem]:
+def check_clip(key: str, path: str, vehicle: Vehicle, context: Context) -> Iterator[Problem]:
     """What is wrong with the clip at ``path``, the value of ``key``."""
     try:
-        clip = load_clip(path, vehicle, setting)
+        clip = load_clip(path, vehicle, context)
     except InputError as error:
         yield error.problem.seen_from(key, path, "give a file written by clip.save or the npz exporter")
         return
-    if clip.fps != setting.fps:
+    if clip.fps != context.fps:
         remedy = f"set shot.fps = {str(clip.fps)!r}, or bake the clip at the shot's rate"
-        yield Problem(key, f"the clip runs at {clip.fps} frames per second, the shot at {setting.fps}", remedy, path)
+        yield Problem(key, f"the clip runs at {clip.fps} frames per second, the shot at {context.fps}", remedy, path)
 
 
-def load_clip(given: str, vehicle: Vehicle, setting: Setting) -> Clip:
+def load_clip(given: str, vehicle: Vehicle, context: Context) -> Clip:
     """The clip of a vehicle at a path relative to the shot file. Raises ``InputError``."""
     from vehsim.clip.clip import Clip
 
-    path = setting.folder / given
+    path = context.folder / given
     if not path.is_file():
         raise InputError("no such file")
     clip = Clip.load(path, vehicle)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vehsim.errors import InputError, Problem, SolveError
-from vehsim.shot.checks import Setting
+from vehsim.shot.checks import Context
 from vehsim.shot.schema.tables import Table, Text
 
 if TYPE_CHECKING:
@@ -30,32 +30,32 @@ class EditTable(Table):
     prim: Text
     """the path of the vehicle's prim in it, such as /shot/vehicles/heli"""
 
-    def read(self, vehicle: Vehicle, setting: Setting) -> Blocking:
+    def read(self, vehicle: Vehicle, context: Context) -> Blocking:
         """The edited motion of the vehicle's root. Raises ``InputError``."""
         from vehsim.rig.blocking import read_edit
 
-        path = self.path(setting.folder)
+        path = self.path(context.folder)
         if not path.is_file():
             raise InputError("no such file", file=self.usd)
         if vehicle.rig is None:
             raise InputError("has no asset, so it has no curves", subject=vehicle.name)
-        return read_edit(path, self.prim, setting.fps, vehicle.rig)
+        return read_edit(path, self.prim, context.fps, vehicle.rig)
 
     def path(self, folder: Path) -> Path:
         """The edited stage."""
         path = Path(self.usd).expanduser()
         return path if path.is_absolute() else folder / path
 
-    def check(self, vehicle: Vehicle, setting: Setting, simulated: bool) -> Iterator[Problem]:
+    def check(self, vehicle: Vehicle, context: Context, simulated: bool) -> Iterator[Problem]:
         """Problems with keys relative to the vehicle's table. ``simulated``: its motion follows from forces."""
-        if simulated and setting.world.environment(vehicle) is not None:
+        if simulated and context.world.environment(vehicle) is not None:
             message = "water, gusts or contact determine its motion, so the motion cannot be chosen"
             yield Problem("edit", message, "change the controls or the pilot instead")
         from vehsim.planning.retouch import check_pushed
 
         try:
             check_pushed(vehicle.planar or vehicle)
-            self.read(vehicle, setting)
+            self.read(vehicle, context)
         except InputError as error:
             yield error.problem.seen_from("edit", remedy="fix the stage or this table")
 
@@ -65,7 +65,7 @@ class EditTable(Table):
         clip: Clip,
         report: Mapping[str, Any],
         options: Mapping[str, Any],
-        setting: Setting,
+        context: Context,
         progress: Progress,
     ) -> tuple[Clip, dict[str, Any]]:
         """The retouched clip and its report, from those of the solved motion.
@@ -74,12 +74,12 @@ class EditTable(Table):
         """
         from vehsim.planning.retouch import KEPT, retouch
 
-        edited = self.read(clip.vehicle, setting)
+        edited = self.read(clip.vehicle, context)
         asks = [dict(ask) for ask in report.get("asks", [])]
         marks = [ask for ask in asks if ask["key"].startswith("mark[")]
         made = retouch(
             clip,
-            setting.world,
+            context.world,
             edited.frames,
             edited.positions,
             edited.rotations,

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field
 
 from vehsim.errors import Problem
-from vehsim.shot.checks import Setting, check_names, did_you_mean
+from vehsim.shot.checks import Context, check_names, did_you_mean
 from vehsim.shot.schema.tables import MAX_FRAMES, InSchema, Number, Positive, StartTable, Table, Text, names_in
 
 if TYPE_CHECKING:
@@ -39,16 +39,16 @@ class IntegrateMotion(Table):
     step: Annotated[Number, Field(ge=1e-4, le=2)] = 1 / 24
     """the integration step in s; frames between steps are interpolated; default: 1/24"""
 
-    def check(self, vehicle: Vehicle, setting: Setting) -> Iterator[Problem]:
+    def check(self, vehicle: Vehicle, context: Context) -> Iterator[Problem]:
         from vehsim.integrators.references import METHODS
 
         if self.integrator not in (known := (OURS, *METHODS)):
             yield Problem("integrator", "no such integrator", did_you_mean(self.integrator, known), self.integrator)
-        if self.duration * setting.fps > MAX_FRAMES:
+        if self.duration * context.fps > MAX_FRAMES:
             yield Problem("duration", f"more than {MAX_FRAMES} frames", "shorten it", self.duration)
         yield from check_names("start.joints", self.start.joints, vehicle.joints, "joint")
 
-    def solve(self, vehicle: Vehicle, setting: Setting, progress: Progress) -> tuple[Clip, dict[str, Any]]:
+    def solve(self, vehicle: Vehicle, context: Context, progress: Progress) -> tuple[Clip, dict[str, Any]]:
         from vehsim.integrators import Integrator
         from vehsim.integrators.references import reference_clip
         from vehsim.shot.motions.state import as_state
@@ -56,7 +56,7 @@ class IntegrateMotion(Table):
         steps = math.ceil(self.duration / self.step - 1e-9)
         controls = np.zeros((steps + 1, len(vehicle.controls)))
         state = as_state(self.start, vehicle)
-        timing: dict[str, Any] = {"fps": setting.fps, "start_frame": setting.first}
+        timing: dict[str, Any] = {"fps": context.fps, "start_frame": context.first}
         if self.integrator == OURS:
             clip = Integrator(vehicle, self.step).rollout(state, controls, **timing)
         else:

@@ -15,7 +15,7 @@ from pydantic import AfterValidator, Discriminator, Field, Tag
 
 from vehsim.errors import InputError, OutsideTerrain, Problem
 from vehsim.intake.tables import describe
-from vehsim.shot.checks import Setting, check_names
+from vehsim.shot.checks import Context, check_names
 from vehsim.shot.schema.tables import Array, Frame, Metre, Number, Place, Positive, Table
 from vehsim.vehicles.definition.quantities import in_degrees
 
@@ -131,7 +131,7 @@ def check_limits(limits: Mapping[str, Any], vehicle: Vehicle) -> Iterator[Proble
 
 
 def check_request(
-    vehicle: Vehicle, setting: Setting, marks: Sequence[Mark], options: Mapping[str, Any]
+    vehicle: Vehicle, context: Context, marks: Sequence[Mark], options: Mapping[str, Any]
 ) -> Iterator[Problem]:
     """The planner's errors about marks and options together, and what bounds prove impossible."""
     from vehsim.planning.explain.feasibility import refusals
@@ -140,7 +140,7 @@ def check_request(
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", OutsideTerrain)  # already reported with its place
-            request = make_request(vehicle, setting.world, marks, fps=setting.fps, **options)
+            request = make_request(vehicle, context.world, marks, fps=context.fps, **options)
     except InputError as error:
         yield from (problem if problem.key else problem.seen_from("mark") for problem in error.problems)
         return

@@ -13,7 +13,7 @@ from pydantic import Field, PlainValidator, WithJsonSchema
 
 from vehsim.errors import FailedPlan, InputError, Problem, SolveError
 from vehsim.intake.tables import table_of
-from vehsim.shot.checks import Setting, check_free, check_inside, check_mark, check_names, check_order
+from vehsim.shot.checks import Context, check_free, check_inside, check_mark, check_names, check_order
 from vehsim.shot.motions.blocking import BlockingTable, blocking_of, marks_of
 from vehsim.shot.motions.clip import check_clip, load_clip
 from vehsim.shot.motions.limits import LimitTable, LookTable, StayTable, check_limits, check_request, limits_si
@@ -91,31 +91,31 @@ class PlanMotion(Table):
         """The path of the clip that is the initial guess."""
         return None if self.guess == SINUSOID else self.guess
 
-    def blocking(self, setting: Setting) -> Blocking | None:
+    def blocking(self, context: Context) -> Blocking | None:
         """The animator's blocking, None if the marks are given one by one. Raises ``InputError``."""
         if self.marks is None or self.mark is not None:
             return None
-        return blocking_of(self.marks, setting.folder, setting.fps)
+        return blocking_of(self.marks, context.folder, context.fps)
 
-    def all_marks(self, setting: Setting) -> list[MarkTable]:
+    def all_marks(self, context: Context) -> list[MarkTable]:
         """The marks from either source. Raises ``InputError``."""
-        blocking = self.blocking(setting)
+        blocking = self.blocking(context)
         if blocking is not None and self.marks is not None:
-            return marks_of(self.marks, blocking, setting.fps)
+            return marks_of(self.marks, blocking, context.fps)
         return self.mark or []
 
-    def check(self, vehicle: Vehicle, setting: Setting) -> Iterator[Problem]:
-        wrong = list(self._check_each(vehicle, setting))
+    def check(self, vehicle: Vehicle, context: Context) -> Iterator[Problem]:
+        wrong = list(self._check_each(vehicle, context))
         yield from wrong
         if not any(problem.severity == "error" for problem in wrong):  # each is valid: check them together
             try:
-                marks, options = [as_mark(mark, vehicle) for mark in self.all_marks(setting)], self.options()
+                marks, options = [as_mark(mark, vehicle) for mark in self.all_marks(context)], self.options()
             except InputError as error:
                 yield error.problem.seen_from("look" if self.look else "stay", remedy="see docs/shot-file.md")
                 return
-            yield from check_request(vehicle, setting, marks, options)
+            yield from check_request(vehicle, context, marks, options)
 
-    def _check_each(self, vehicle: Vehicle, setting: Setting) -> Iterator[Problem]:
+    def _check_each(self, vehicle: Vehicle, context: Context) -> Iterator[Problem]:
         from vehsim.planning.terms import COSTS
 
         editing = self.marks is not None and self.marks.edit
@@ -124,27 +124,27 @@ class PlanMotion(Table):
             yield Problem("mark", "missing" if self.mark is None else "marks are given too", remedy)
             return
         try:
-            marks = self.all_marks(setting)
+            marks = self.all_marks(context)
         except InputError as error:
             yield error.problem.seen_from("marks", remedy="fix the blocking or this table")
             return
         cost = {self.cost: None} if isinstance(self.cost, str) else self.cost
         yield from check_names("cost", cost, COSTS, "cost")
         yield from check_limits(self.limits.given(), vehicle)
-        yield from self._check_guess(vehicle, setting)
-        yield from check_order(marks, setting)
-        yield from check_marks(marks, vehicle, setting.world, self.clearance)
+        yield from self._check_guess(vehicle, context)
+        yield from check_order(marks, context)
+        yield from check_marks(marks, vehicle, context.world, self.clearance)
         for i, mark in enumerate(marks):
             key = f"mark[{i}]"
             yield from check_mark(key, mark, vehicle)
             if mark.position is not None and is_planar(vehicle):
-                yield from check_inside(f"{key}.position", mark.position, vehicle, setting.world)
+                yield from check_inside(f"{key}.position", mark.position, vehicle, context.world)
             if mark.position is not None and not (is_planar(vehicle) or mark.on_ground):  # wheels touch the ground
-                yield from check_free(f"{key}.position", mark.position, self.clearance, setting.world)
+                yield from check_free(f"{key}.position", mark.position, self.clearance, context.world)
 
-    def _check_guess(self, vehicle: Vehicle, setting: Setting) -> Iterator[Problem]:
+    def _check_guess(self, vehicle: Vehicle, context: Context) -> Iterator[Problem]:
         if self.guess_file is not None:
-            yield from check_clip("guess", self.guess_file, vehicle, setting)
+            yield from check_clip("guess", self.guess_file, vehicle, context)
         if self.guess == SINUSOID:
             from vehsim.sinusoids.manoeuvres.rigs import rigged
 
@@ -168,19 +168,19 @@ class PlanMotion(Table):
             "solver": self.solver,
         }
 
-    def solve(self, vehicle: Vehicle, setting: Setting, progress: Progress) -> tuple[Clip, dict[str, Any]]:
+    def solve(self, vehicle: Vehicle, context: Context, progress: Progress) -> tuple[Clip, dict[str, Any]]:
         from vehsim.planning import plan
 
-        wanted = self.all_marks(setting)
+        wanted = self.all_marks(context)
         marks = [as_mark(mark, vehicle) for mark in wanted]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", FailedPlan)  # it is raised below
             result = plan(
                 vehicle,
-                setting.world,
+                context.world,
                 marks=marks,
-                fps=setting.fps,
-                guess=self._guess(vehicle, marks, setting),
+                fps=context.fps,
+                guess=self._guess(vehicle, marks, context),
                 time_limit=self.time_limit,
                 progress=progress,
                 **self.options(),
@@ -196,7 +196,7 @@ class PlanMotion(Table):
             for i, mark in enumerate(wanted)
             if mark.position
         ]
-        blocking = self.blocking(setting)
+        blocking = self.blocking(context)
         if blocking is not None:
             clip = result.clip.resample()
             poses = clip.matrices()
@@ -204,15 +204,15 @@ class PlanMotion(Table):
             report["blocking"]["keys"] = [mark.frame for mark in wanted]
         return result.clip, report | {"marks": marks_found, "asks": [ask.as_dict() for ask in result.asks]}
 
-    def _guess(self, vehicle: Vehicle, marks: Sequence[Mark], setting: Setting) -> Any:
+    def _guess(self, vehicle: Vehicle, marks: Sequence[Mark], context: Context) -> Any:
         """The path or clip to start from; None: the default of `vehsim.plan`."""
         if self.guess_file is not None:
-            return load_clip(self.guess_file, vehicle, setting)
+            return load_clip(self.guess_file, vehicle, context)
         if self.guess is None:
             return None
         from vehsim.sinusoids.manoeuvres.guess import initial_guess
 
-        return initial_guess(vehicle, marks, setting.world, self.clearance)
+        return initial_guess(vehicle, marks, context.world, self.clearance)
 
 
 def _cost(value: Any) -> Any:

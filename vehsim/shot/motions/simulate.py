@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field
 
 from vehsim.errors import Problem
-from vehsim.shot.checks import Setting, check_clear, check_free, check_inside, check_mark, check_names
+from vehsim.shot.checks import Context, check_clear, check_free, check_inside, check_mark, check_names
 from vehsim.shot.motions.pilots import PilotTable
 from vehsim.shot.motions.state import as_state, is_planar, to_si
 from vehsim.shot.schema.tables import MAX_FRAMES, Array, Number, Positive, StartTable, Table
@@ -42,55 +42,55 @@ class ForwardMotion(Table):
     step: Annotated[Number, Field(ge=1e-5, le=0.1)] = 1 / 240
     """the integration step in s, 0.00001 to 0.1; default: 1/240"""
 
-    def check(self, vehicle: Vehicle, setting: Setting) -> Iterator[Problem]:
+    def check(self, vehicle: Vehicle, context: Context) -> Iterator[Problem]:
         from vehsim.simulation import MAX_STEPS
 
-        seconds = self.seconds(setting)
-        if seconds * setting.fps > MAX_FRAMES or seconds / self.step > MAX_STEPS:
+        seconds = self.seconds(context)
+        if seconds * context.fps > MAX_FRAMES or seconds / self.step > MAX_STEPS:
             yield Problem("duration", f"more than {MAX_FRAMES} frames or {MAX_STEPS} steps", "shorten it", seconds)
-        yield from self.check_controls(vehicle, setting)
+        yield from self.check_controls(vehicle, context)
         yield from check_names("start.joints", self.start.joints, vehicle.joints, "joint")
         yield from check_mark("start", self.start, vehicle)
-        yield from check_inside("start.position", self.start.position, vehicle, setting.world)
+        yield from check_inside("start.position", self.start.position, vehicle, context.world)
         if not is_planar(vehicle):
-            yield from check_free("start.position", self.start.position, 0.0, setting.world)
-            yield from check_clear("start.position", self.start.position, self.start, vehicle, setting.world)
+            yield from check_free("start.position", self.start.position, 0.0, context.world)
+            yield from check_clear("start.position", self.start.position, self.start, vehicle, context.world)
 
-    def solve(self, vehicle: Vehicle, setting: Setting, progress: Progress) -> tuple[Clip, dict[str, Any]]:
+    def solve(self, vehicle: Vehicle, context: Context, progress: Progress) -> tuple[Clip, dict[str, Any]]:
         from vehsim.simulation import simulate
 
-        controls = self.controls(vehicle, setting)
+        controls = self.controls(vehicle, context)
         clip = simulate(
             vehicle,
-            setting.world,
+            context.world,
             controls,
             start=as_state(self.start, vehicle) if self.start.model_fields_set else None,
-            duration=self.seconds(setting),
+            duration=self.seconds(context),
             step=self.step,
-            fps=setting.fps,
-            start_frame=setting.first,
+            fps=context.fps,
+            start_frame=context.first,
             everywhere=self.everywhere,
             progress=progress,
         )
         details = {"step": self.step, "duration": clip.duration}
         return clip, details | ({"targets": controls.targets(clip.duration)} if hasattr(controls, "targets") else {})
 
-    def mover(self, vehicle: Vehicle, setting: Setting) -> tuple[Mover, float]:
+    def mover(self, vehicle: Vehicle, context: Context) -> tuple[Mover, float]:
         """The same for vehicles that move together, and the duration, s."""
         from vehsim.simulation import Mover
 
         start = as_state(self.start, vehicle) if self.start.model_fields_set else None
-        return Mover(vehicle, self.controls(vehicle, setting), start), self.seconds(setting)
+        return Mover(vehicle, self.controls(vehicle, context), start), self.seconds(context)
 
-    def seconds(self, setting: Setting) -> float:
+    def seconds(self, context: Context) -> float:
         """The duration, s."""
         raise NotImplementedError
 
-    def check_controls(self, vehicle: Vehicle, setting: Setting) -> Iterator[Problem]:
+    def check_controls(self, vehicle: Vehicle, context: Context) -> Iterator[Problem]:
         """The problems of what gives the controls."""
         raise NotImplementedError
 
-    def controls(self, vehicle: Vehicle, setting: Setting) -> Any:
+    def controls(self, vehicle: Vehicle, context: Context) -> Any:
         """The controls for `vehsim.simulate`."""
         raise NotImplementedError
 
@@ -125,8 +125,8 @@ class SimulateMotion(ForwardMotion):
     pilot: PilotTable | None = None
     """a table { name = ..., parameters }, instead of commands"""
 
-    def check_controls(self, vehicle: Vehicle, setting: Setting) -> Iterator[Problem]:
-        if self.duration is None and setting.last is None:
+    def check_controls(self, vehicle: Vehicle, context: Context) -> Iterator[Problem]:
+        if self.duration is None and context.last is None:
             yield Problem("duration", "missing", "give the duration in seconds, or shot.end_frame")
         if self.commands is not None and self.pilot is not None:
             yield Problem("pilot", "commands are given too", "keep one of them", self.pilot.name)
@@ -135,10 +135,10 @@ class SimulateMotion(ForwardMotion):
             yield from wrong or filter(None, [self.pilot.refusal(vehicle)])
         yield from self._check_commands(vehicle)
 
-    def seconds(self, setting: Setting) -> float:
+    def seconds(self, context: Context) -> float:
         if self.duration is not None:
             return self.duration
-        return setting.seconds(setting.last if setting.last is not None else setting.first)
+        return context.seconds(context.last if context.last is not None else context.first)
 
     def _check_commands(self, vehicle: Vehicle) -> Iterator[Problem]:
         last = -np.inf
@@ -154,7 +154,7 @@ class SimulateMotion(ForwardMotion):
                 yield Problem(f"commands[{i}].frame", "not after the one before it", "put them in order", row["frame"])
             last = row["frame"]
 
-    def controls(self, vehicle: Vehicle, setting: Setting) -> Any:
+    def controls(self, vehicle: Vehicle, context: Context) -> Any:
         if self.pilot is not None:
             from vehsim.pilots.controllers import PILOTS
 
@@ -162,7 +162,7 @@ class SimulateMotion(ForwardMotion):
         rows = self.commands or []
         curves: list[tuple[Values, Values]] = []
         for name in vehicle.control_names:
-            knots = [(setting.seconds(row["frame"]), to_si(row, vehicle)[name]) for row in rows if name in row]
+            knots = [(context.seconds(row["frame"]), to_si(row, vehicle)[name]) for row in rows if name in row]
             times, values = np.array(knots or [(0.0, 0.0)]).T
             curves.append((times, values))
         return linear(curves)

@@ -17,7 +17,7 @@ from pydantic import Field
 from vehsim.errors import InputError, Problem, SolveError, VehsimError
 from vehsim.intake.tables import table_of
 from vehsim.runtime.progress import Progress, silent
-from vehsim.shot.checks import Setting, check_names, check_order
+from vehsim.shot.checks import Context, check_names, check_order
 from vehsim.shot.schema.tables import (
     MAX_FRAMES,
     Array,
@@ -96,13 +96,13 @@ class SinusoidMotion(Table):
     ] = Field(default={})
     """speed in m/s, steering and hitch in degrees, steering_rate in deg/s; leg_rate in deg/s and stretch_rate in m/s"""
 
-    def check(self, vehicle: Vehicle, setting: Setting) -> Iterator[Problem]:
+    def check(self, vehicle: Vehicle, context: Context) -> Iterator[Problem]:
         try:
             flies = not self._rig(vehicle).outlines and vehicle.group.dim == 6
         except InputError as error:
             yield error.problem.seen_from("method", "sinusoid", "give it another method")
             return
-        yield from check_order(self.mark, setting)  # type: ignore[arg-type]
+        yield from check_order(self.mark, context)  # type: ignore[arg-type]
         known = FLIGHT_LIMITS if flies else {name: 1.0 for name in LIMITS if name != "hitch" or len(vehicle.joints) > 2}
         wrong = list(check_names("limits", self.limits, known, "limit"))
         yield from wrong
@@ -119,7 +119,7 @@ class SinusoidMotion(Table):
         if not wrong:
             yield from self._check_joints(vehicle)
         if not flies:
-            yield from self._check_durations(vehicle, setting)
+            yield from self._check_durations(vehicle, context)
         if flies and self.mark[0].heading != self.mark[-1].heading:
             remedy = f"give {self.mark[0].heading:g}: its leg turns it about its own Y axis only"
             yield Problem(
@@ -128,7 +128,7 @@ class SinusoidMotion(Table):
         if not flies:
             from vehsim.shot.world.obstacle_tables import check_marks
 
-            yield from check_marks(self.mark, vehicle, setting.world, self.clearance)  # type: ignore[arg-type]
+            yield from check_marks(self.mark, vehicle, context.world, self.clearance)  # type: ignore[arg-type]
 
     def _check_joints(self, vehicle: Vehicle) -> Iterator[Problem]:
         rig = self._rig(vehicle)
@@ -142,7 +142,7 @@ class SinusoidMotion(Table):
                     remedy = f"give {reach[name][0]:.4g} to {reach[name][1]:.4g}"
                     yield Problem(key, "beyond its limits", remedy, value)
 
-    def _check_durations(self, vehicle: Vehicle, setting: Setting) -> Iterator[Problem]:
+    def _check_durations(self, vehicle: Vehicle, context: Context) -> Iterator[Problem]:
         """A vehicle on wheels has at least the time for the straight path; otherwise every manoeuvre is tried, to find
         possible frames. Trailers use legs that contain no sinusoids."""
         rig = self._rig(vehicle)
@@ -153,10 +153,10 @@ class SinusoidMotion(Table):
                 continue
             # the axle, not the root, is steered
             distance = float(np.linalg.norm(self._state(b, rig)[:2] - self._state(a, rig)[:2]))
-            short = short or distance / speed > float((b.frame - a.frame - a.hold) / setting.fps) * (1 + 1e-6)
+            short = short or distance / speed > float((b.frame - a.frame - a.hold) / context.fps) * (1 + 1e-6)
         if short:
             try:
-                late = self._legs(vehicle, setting, silent)[2]
+                late = self._legs(vehicle, context, silent)[2]
             except SolveError as error:
                 yield error.problem.seen_from("mark", remedy="move a mark, or give it another method")
                 return
@@ -167,36 +167,36 @@ class SinusoidMotion(Table):
                 message = "not used: trailers are steered by legs without sinusoids"
                 yield Problem(name, message, "leave it out", value, severity="warning")
 
-    def offers(self, vehicle: Vehicle, setting: Setting) -> list[list[Manoeuvre]]:
+    def offers(self, vehicle: Vehicle, context: Context) -> list[list[Manoeuvre]]:
         """Every manoeuvre between neighbouring marks. Raises ``SolveError`` if there is none."""
         from vehsim.sinusoids.manoeuvres.manoeuvres import manoeuvres
 
         rig, found = self._rig(vehicle), []
         for k, (a, b) in enumerate(pairwise(self._state(mark, rig) for mark in self.mark), 1):
             try:
-                found.append(manoeuvres(rig, a, b, self._sinusoid_options(rig), setting.world, self.manoeuvre))
+                found.append(manoeuvres(rig, a, b, self._sinusoid_options(rig), context.world, self.manoeuvre))
             except VehsimError as error:
                 raise SolveError.of(error.problem.seen_from(f"mark[{k}]")) from None
         return found
 
-    def solve(self, vehicle: Vehicle, setting: Setting, progress: Progress) -> tuple[Clip, dict[str, Any]]:
+    def solve(self, vehicle: Vehicle, context: Context, progress: Progress) -> tuple[Clip, dict[str, Any]]:
         from vehsim.sinusoids.manoeuvres.manoeuvres import joined
         from vehsim.sinusoids.manoeuvres.rigs import clip_of
 
-        rig, options, fps = self._rig(vehicle), self._sinusoid_options(self._rig(vehicle)), float(setting.fps)
-        parts, taken, late = self._legs(vehicle, setting, progress)
+        rig, options, fps = self._rig(vehicle), self._sinusoid_options(self._rig(vehicle)), float(context.fps)
+        parts, taken, late = self._legs(vehicle, context, progress)
         if late:
             raise SolveError.of(*(replace(problem, subject=vehicle.name) for problem in late))
         whole = joined(parts, [mark.hold / fps for mark in self.mark[1:]])
         begin = int(self.mark[0].frame) + self.mark[0].hold
-        clip = clip_of(whole, vehicle, setting.fps, begin, height=self.mark[0].position[2], **rig.flight)
+        clip = clip_of(whole, vehicle, context.fps, begin, height=self.mark[0].position[2], **rig.flight)
         details = {"manoeuvres": taken, "end_error": whole.end_error, "duration": whole.duration}
         marks = [mark.model_dump(mode="json", exclude_unset=True) for mark in self.mark]
-        asks = self._asks(vehicle, setting, [round(steering.duration * fps) for steering in parts])
+        asks = self._asks(vehicle, context, [round(steering.duration * fps) for steering in parts])
         asks_as_data = [ask.as_dict() for ask in asks]
         return clip, details | {"limits": dict(options.limits), "marks": marks, "asks": asks_as_data}
 
-    def _asks(self, vehicle: Vehicle, setting: Setting, driven: list[int]) -> Iterator[Ask]:
+    def _asks(self, vehicle: Vehicle, context: Context, driven: list[int]) -> Iterator[Ask]:
         """The asks of marks, limits and obstacles for a motion whose legs take ``driven`` frames each."""
         from vehsim.lie.quaternions import yaw_tilt
         from vehsim.requests import Ask, limit_asks, mark_asks
@@ -221,28 +221,28 @@ class SinusoidMotion(Table):
             frame += mark.hold + frames
         limits = {name: (value * LIMITS[name], "rad") for name, value in self.limits.items() if name in STEERED}
         yield from limit_asks(first, frame, limits, {}, {})
-        if setting.world.obstacles:
+        if context.world.obstacles:
             wanted = {"clearance": self.clearance, "obstacles_only": planar, "landings": [], "slope": 0.0}
             yield Ask("clearance", "clearance", first, frame, wanted, lower=self.clearance - 0.01, unit="m")
 
     def _legs(
-        self, vehicle: Vehicle, setting: Setting, progress: Progress
+        self, vehicle: Vehicle, context: Context, progress: Progress
     ) -> tuple[list[Steering], list[dict[str, Any]], list[Problem]]:
         """The steering from mark to mark, the text for the report, and the impossible frames: their key, the frame, the
         reason and a possible frame. After an impossible frame, everything starts that much later."""
         from vehsim.sinusoids.manoeuvres.manoeuvres import clearance
 
-        rig, fps = self._rig(vehicle), float(setting.fps)
+        rig, fps = self._rig(vehicle), float(context.fps)
         parts, taken = [], []
         late: list[Problem] = []
         frame = int(self.mark[0].frame) + self.mark[0].hold
-        for k, offers in enumerate(self.offers(vehicle, setting), 1):
+        for k, offers in enumerate(self.offers(vehicle, context), 1):
             progress("steering", (k - 1) / (len(self.mark) - 1))
-            if setting.world.moving:
-                offers = [replace(m, clearance=clearance(m.steering, rig, setting.world, frame / fps)) for m in offers]
+            if context.world.moving:
+                offers = [replace(m, clearance=clearance(m.steering, rig, context.world, frame / fps)) for m in offers]
             mark = self.mark[k]
             try:
-                chosen, steering, gap = self._leg(rig, offers, setting, frame, mark.frame)
+                chosen, steering, gap = self._leg(rig, offers, context, frame, mark.frame)
             except VehsimError as error:
                 raise SolveError.of(replace(error.problem.seen_from(f"mark[{k}]"), subject=vehicle.name)) from None
             frame += round(steering.duration * fps)
@@ -253,12 +253,12 @@ class SinusoidMotion(Table):
             frame += mark.hold
             parts.append(steering)
             taken.append({"manoeuvre": chosen.number, "label": chosen.label, "clearance": gap, "of": len(offers)})
-        if late and setting.last is not None and frame > setting.last:
-            late.append(Problem("shot.end_frame", "too early for these marks", f"use {frame}", setting.last))
+        if late and context.last is not None and frame > context.last:
+            late.append(Problem("shot.end_frame", "too early for these marks", f"use {frame}", context.last))
         return parts, taken, late
 
     def _leg(
-        self, rig: Rigged, offers: list[Manoeuvre], setting: Setting, frame: int, until: Any
+        self, rig: Rigged, offers: list[Manoeuvre], context: Context, frame: int, until: Any
     ) -> tuple[Manoeuvre, Steering, float]:
         """The manoeuvre from ``frame`` on, timed, and its clearance, m.
 
@@ -275,27 +275,27 @@ class SinusoidMotion(Table):
 
         def timed(chosen: Manoeuvre, seconds: float | None) -> tuple[Manoeuvre, Steering, float] | None:
             try:
-                steering, _ = timed_clip(rig, chosen.steering, seconds, setting.fps, frame)
+                steering, _ = timed_clip(rig, chosen.steering, seconds, context.fps, frame)
             except SolveError as error:
                 reasons.append(f"{chosen.number}, {chosen.label}: {error}")
                 return None
-            gap = clearance(steering, rig, setting.world, frame / float(setting.fps))
+            gap = clearance(steering, rig, context.world, frame / float(context.fps))
             if gap >= self.clearance:
                 return chosen, steering, gap
             reasons.append(f"{chosen.number}, {chosen.label}: {gap:.2f} m from an obstacle, not {self.clearance:g} m")
             return None
 
-        room = -1.0 if until == "free" else float((int(until) - frame) / setting.fps)
+        room = -1.0 if until == "free" else float((int(until) - frame) / context.fps)
         for chosen in allowed:
             if chosen.steering.duration <= room * (1 + 1e-9) and (found := timed(chosen, room)):
                 return found
         for chosen in allowed:
             if found := timed(chosen, None):
                 return found
-        if setting.world.moving:  # a moving obstacle may have left a little later
+        if context.world.moving:  # a moving obstacle may have left a little later
             for chosen, share in product(allowed[:3], SLOWER):
-                frames = np.ceil(share * chosen.steering.duration * float(setting.fps))
-                if found := timed(chosen, float(frames / setting.fps)):
+                frames = np.ceil(share * chosen.steering.duration * float(context.fps))
+                if found := timed(chosen, float(frames / context.fps)):
                     return found
         raise SolveError(
             f"none of {len(allowed)} manoeuvres works here: {'; '.join(reasons[:4])}",

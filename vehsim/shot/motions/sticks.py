@@ -12,7 +12,7 @@ import numpy as np
 from vehsim.errors import InputError, Problem
 from vehsim.intake.columns import read_columns
 from vehsim.runtime.files import write_file
-from vehsim.shot.checks import Setting, did_you_mean
+from vehsim.shot.checks import Context, did_you_mean
 from vehsim.shot.motions.simulate import ForwardMotion, Values, linear
 from vehsim.shot.schema.tables import Text
 
@@ -34,17 +34,17 @@ class SticksMotion(ForwardMotion):
     file: Text
     """a CSV table, relative to the shot file, with a column frame and columns such as control.throttle [N]"""
 
-    def seconds(self, setting: Setting) -> float:
-        if setting.last is not None:
-            return setting.seconds(setting.last)
+    def seconds(self, context: Context) -> float:
+        if context.last is not None:
+            return context.seconds(context.last)
         try:
-            return max(setting.seconds(float(self._table(setting)[FRAME][-1])), 0.0)
+            return max(context.seconds(float(self._table(context)[FRAME][-1])), 0.0)
         except InputError:  # `check_controls` reports it
             return 0.0
 
-    def check_controls(self, vehicle: Vehicle, setting: Setting) -> Iterator[Problem]:
+    def check_controls(self, vehicle: Vehicle, context: Context) -> Iterator[Problem]:
         try:
-            table = self._table(setting)
+            table = self._table(context)
         except InputError as error:
             yield error.problem.seen_from("file", self.file)
             return
@@ -53,7 +53,7 @@ class SticksMotion(ForwardMotion):
         if len(late):
             message = f"row {late[0] + 2}: frame {frames[late[0] + 1]:g} is not after the one before it"
             yield Problem("file", message, "put the rows in order", self.file)
-        elif setting.last is None and frames[-1] <= setting.first:
+        elif context.last is None and frames[-1] <= context.first:
             message = f"ends at frame {frames[-1]:g}, where the shot starts"
             yield Problem("file", message, "give later frames, or shot.start_frame", self.file)
         units = {control.name: control.unit for control in vehicle.controls}
@@ -78,9 +78,9 @@ class SticksMotion(ForwardMotion):
             remedy = f"add columns such as {CONTROL}{vehicle.control_names[0]}"
             yield Problem("file", "no column of a control", remedy, self.file)
 
-    def controls(self, vehicle: Vehicle, setting: Setting) -> Any:
-        table = self._table(setting)
-        times = (table[FRAME] - setting.first) / float(setting.fps)
+    def controls(self, vehicle: Vehicle, context: Context) -> Any:
+        table = self._table(context)
+        times = (table[FRAME] - context.first) / float(context.fps)
         columns = {name: table[column] for column, (name, _) in _controls_of(table).items()}
         rest = np.zeros(len(times))
         bounds = [(control.name, control.lower, control.upper) for control in vehicle.controls]
@@ -88,9 +88,9 @@ class SticksMotion(ForwardMotion):
             [(times, np.clip(columns[name], low, high) if name in columns else rest) for name, low, high in bounds]
         )
 
-    def _table(self, setting: Setting) -> dict[str, Values]:
+    def _table(self, context: Context) -> dict[str, Values]:
         """The columns by their names. Raises ``InputError``."""
-        return read_columns(setting.folder / self.file, "file", FRAME)
+        return read_columns(context.folder / self.file, "file", FRAME)
 
 
 def write_sticks(path: Path, vehicle: Vehicle, frames: Values, controls: Values) -> None:

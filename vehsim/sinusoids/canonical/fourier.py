@@ -35,7 +35,7 @@ REACH = 0.85
 
 
 @dataclass(frozen=True)
-class Loop:
+class SinusoidPair:
     """Two sinusoids: ``p`` moves by ``a (cos phase - cos(2 pi s c + phase))``, ``q`` by ``b sin`` at ``harmonic``
     times.
 
@@ -187,7 +187,7 @@ def steer_through(change: Feedback, start: Any, goal: Any, steer: Callable[[Arra
     return Steering(source, x0, x1, tuple(_source_stages(change, x0, steps))).checked()
 
 
-def net_motion(t: Triangular, h: Array, loop: Loop, a: float, b: float) -> Array:
+def net_motion(t: Triangular, h: Array, loop: SinusoidPair, a: float, b: float) -> Array:
     """Net motion (n,) over a loop from ``h``; NaN from the first level that does not close or leaves the domain."""
     system = t.system
     count = SAMPLES * loop.harmonic
@@ -215,7 +215,7 @@ def net_motion(t: Triangular, h: Array, loop: Loop, a: float, b: float) -> Array
     return net * loop.cycles
 
 
-def _missing(t: Triangular, h: Array, loop: Loop, i: int, wanted: float, a: float, b: float) -> float:
+def _missing(t: Triangular, h: Array, loop: SinusoidPair, i: int, wanted: float, a: float, b: float) -> float:
     """Difference between the motion of state ``i`` over a loop of amplitudes ``a, b`` and ``wanted``."""
     return float(net_motion(t, h, loop, a, b)[i]) - wanted
 
@@ -242,13 +242,13 @@ def _loop_stage(t: Triangular, amplitude: float, cycles: int, phase: float, h: A
     )
 
 
-def _choose_loop(t: Triangular, h: Array, i: int, cycles: int, phase: float) -> Loop:
+def _choose_loop(t: Triangular, h: Array, i: int, cycles: int, phase: float) -> SinusoidPair:
     """Inputs and harmonic that move state ``i`` alone: the bracket depth gives the harmonic, the Fourier analysis the
     inputs. Raises ``InputError`` if no bracket reaches it either."""
     tried = []
     for harmonic in range(t.level[i] - 1, t.level[i] + 2):
         for p, q in permutations(t.driver, 2):
-            loop = Loop(p, q, harmonic, cycles, phase)
+            loop = SinusoidPair(p, q, harmonic, cycles, phase)
             net = net_motion(t, h, loop, 0.1, 0.1)
             done = [k for k in t.order if t.order.index(k) < t.order.index(i)]
             moved = [t.system.states[k] for k in done if not abs(net[k]) <= CLOSED]
@@ -331,7 +331,7 @@ def _arrived(t: Triangular, h: Array, goal: Array) -> Array:
     return h
 
 
-def _loop_law(t: Triangular, loop: Loop, a: float, b: float) -> Law:
+def _loop_law(t: Triangular, loop: SinusoidPair, a: float, b: float) -> Law:
     p, q, m = t.driver[loop.p], t.driver[loop.q], t.system.m
 
     def law(s: Array) -> Array:

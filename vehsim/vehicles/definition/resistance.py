@@ -130,14 +130,14 @@ class Running:
     length: float = 0.0
 
     @property
-    def rate(self) -> Curve:
+    def rate(self) -> SpeedSpline:
         """Resistance over speed, N s/m."""
-        return Curve.through(self.speeds, self.resistance / np.maximum(self.speeds, 1e-9))
+        return SpeedSpline.through(self.speeds, self.resistance / np.maximum(self.speeds, 1e-9))
 
-    def between(self, rest: float, planing: float) -> Curve:
+    def between(self, rest: float, planing: float) -> SpeedSpline:
         """A quantity that changes from its value at ``rest`` to that of the ``planing`` hull."""
         share = np.zeros(len(self.speeds)) if self.share is None else self.share
-        return Curve.through(self.speeds, rest + share * (planing - rest))
+        return SpeedSpline.through(self.speeds, rest + share * (planing - rest))
 
 
 def running(mass: float, length: float, area: float, planing: Planing | None, form: float = 0.0) -> Running:
@@ -159,7 +159,7 @@ def running(mass: float, length: float, area: float, planing: Planing | None, fo
 
 
 @dataclass(frozen=True)
-class Curve:
+class SpeedSpline:
     """A natural cubic spline of a speed of either sign, for numbers and CasADi: ``value + slope x + sum(bends max(x -
     knots, 0)^3)`` with ``x`` the size of the speed. Linear beyond its last knot."""
 
@@ -169,17 +169,17 @@ class Curve:
     bends: tuple[float, ...]
 
     @staticmethod
-    def through(speeds: Array, values: Array) -> Curve:
+    def through(speeds: Array, values: Array) -> SpeedSpline:
         """The curve through ``values`` (n,) at ``speeds`` (n,) m/s, which begin at zero."""
         from scipy.interpolate import CubicSpline
 
         cubic = CubicSpline(speeds, values, bc_type="natural").c
         bends = np.diff(np.concatenate([[0.0], cubic[0], [0.0]]))
-        return Curve(float(values[0]), float(cubic[2, 0]), tuple(map(float, speeds)), tuple(map(float, bends)))
+        return SpeedSpline(float(values[0]), float(cubic[2, 0]), tuple(map(float, speeds)), tuple(map(float, bends)))
 
     @staticmethod
-    def constant(value: float) -> Curve:
-        return Curve(value, 0.0, (), ())
+    def constant(value: float) -> SpeedSpline:
+        return SpeedSpline(value, 0.0, (), ())
 
     def __call__(self, speed: float) -> float:
         x = abs(float(speed))

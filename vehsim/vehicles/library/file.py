@@ -63,7 +63,7 @@ Quantity = Annotated[Any, IN_RANGE]
 Op = Literal["rotateX", "rotateY", "rotateZ", "translateX", "translateY", "translateZ"]
 
 
-class Limits(Table):
+class BoundsTable(Table):
     """``[joints.NAME]``"""
 
     lower: Bound = -math.inf
@@ -72,7 +72,7 @@ class Limits(Table):
     """its greatest value, in SI units"""
 
 
-class ControlTable(Limits):
+class ControlTable(BoundsTable):
     """``[controls.NAME]``"""
 
     scale: Annotated[Positive, Field(ge=1e-9)] = 1.0
@@ -160,7 +160,7 @@ class VehicleFile(Table):
     """SI units"""
     controls: dict[str, ControlTable] = Field(default={})
     """tables of controls with lower, upper, scale and unit"""
-    joints: dict[str, Limits] = Field(default={})
+    joints: dict[str, BoundsTable] = Field(default={})
     """tables of joints with lower and upper"""
     channels: dict[str, ChannelTable] = Field(default={})
     """tables of channels with prim, op, pivot, factor and disc"""

@@ -18,7 +18,7 @@ from pydantic import Field, ValidationError, create_model
 from vehsim.errors import InputError, Problem
 from vehsim.intake.tables import Array, Table, problems_of
 from vehsim.vehicles.definition.quantities import Unit
-from vehsim.vehicles.library.file import IN_RANGE, ControlTable, Limits, Quantity, SuspensionTable, VehicleFile
+from vehsim.vehicles.library.file import IN_RANGE, BoundsTable, ControlTable, Quantity, SuspensionTable, VehicleFile
 
 COUNTS = {1: "one number", 2: "two numbers", 3: "three numbers"}
 PHYSICS = "physics"
@@ -86,7 +86,7 @@ def _replacing(factory: Callable[..., Any]) -> type[Table]:
     }
     fields["density"] = (Annotated[Quantity, Field(description="kg/m^3, or a table of part = kg/m^3")], None)
     fields["controls"] = (Annotated[dict[str, ControlTable], Field(description=words_of(VehicleFile, "controls"))], {})
-    fields["joints"] = (Annotated[dict[str, Limits], Field(description=words_of(VehicleFile, "joints"))], {})
+    fields["joints"] = (Annotated[dict[str, BoundsTable], Field(description=words_of(VehicleFile, "joints"))], {})
     fields["suspension"] = (
         Annotated[SuspensionTable, Field(description=words_of(VehicleFile, "suspension"))],
         SuspensionTable(),

@@ -36,7 +36,7 @@ from vehsim.vehicles.definition.quantities import (
     PrincipalInertia,
     QuadraticDamping,
 )
-from vehsim.vehicles.definition.resistance import Curve, Planing, Running, running
+from vehsim.vehicles.definition.resistance import Planing, Running, SpeedSpline, running
 
 AIR = 1.225
 """kg/m^3"""
@@ -136,9 +136,11 @@ def boat(
         return ca.vertcat(ca.cross(at, force), force)
 
     run = _running(name, mass, places, wetted_length, wetted_area, form_factor, chine_beam, deadrise, transom)
-    rate = Curve.constant(0.0) if run is None else run.rate
+    rate = SpeedSpline.constant(0.0) if run is None else run.rate
     wet = ((wetted_centre, running_centre), (wetted_radius**2, running_radius**2))
-    centre, square = (Curve.constant(a) if run is None or not running_radius else run.between(a, b) for a, b in wet)
+    centre, square = (
+        SpeedSpline.constant(a) if run is None or not running_radius else run.between(a, b) for a, b in wet
+    )
 
     def resistance(twist: Expr) -> Expr:
         """`Hull`'s resistance for the upright hull; in a rotation about Z, patches move sideways in proportion to their

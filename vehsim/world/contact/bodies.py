@@ -33,7 +33,7 @@ class Body:
 
 
 @dataclass(frozen=True)
-class Course:
+class MovingObstacle:
     """A moving obstacle, whose motion does not depend on contact: the index of its joint in the model, and its
     motion."""
 
@@ -72,9 +72,9 @@ class MovingBody:
 class Led:
     """A moving obstacle at a time, s since frame 0; it counts as infinitely heavy."""
 
-    def __init__(self, course: Course, seconds: float) -> None:
-        self.body = course
-        clip = course.obstacle.clip
+    def __init__(self, moving: MovingObstacle, seconds: float) -> None:
+        self.body = moving
+        clip = moving.obstacle.clip
         first, last = clip.times[[0, -1]]
         since = seconds - clip.start_frame / float(clip.fps)
         motion = clip.at(np.array([np.clip(since, first, last)]))
@@ -83,7 +83,7 @@ class Led:
         self.position, self.orientation, self.v = motion.positions[0], motion.orientations[0], v
         self.R_wr = matrices(self.orientation)
         self.omega = self.R_wr @ omega
-        self.fastest = float(np.linalg.norm(self.v) + np.linalg.norm(self.omega) * 2 * course.reach) + ALLOWANCE
+        self.fastest = float(np.linalg.norm(self.v) + np.linalg.norm(self.omega) * 2 * moving.reach) + ALLOWANCE
 
     def velocity(self, places: Array) -> Array:
         return np.asarray(self.v + cross(self.omega, places - self.position))

@@ -22,7 +22,7 @@ from vehsim.errors import InputError
 from vehsim.integrators.environment import Environment
 from vehsim.lie.quaternions import matrices
 from vehsim.vehicles.definition.base import State
-from vehsim.world.contact.bodies import ALLOWANCE, Body, Course, Led, MovingBody
+from vehsim.world.contact.bodies import ALLOWANCE, Body, Led, MovingBody, MovingObstacle
 from vehsim.world.contact.grip import Grip
 from vehsim.world.contact.grounding import TOUCH, Points, Underside
 
@@ -170,7 +170,7 @@ class ContactScene:
         self.data = mujoco.MjData(self.model)
         self._undersides: list[Underside] = []
         self.bodies = [self._body(vehicles[name], body) for name, body in bodies.items()]
-        self._courses = [self._course(obstacle) for obstacle in moving]
+        self._moving_obstacles = [self._moving_obstacle(obstacle) for obstacle in moving]
         names = [body.name for body in self.bodies] + [f"obstacle/{obstacle.name}" for obstacle in moving]
         self._owner = {self.model.body(name).id: k for k, name in enumerate(names)}
         self._events: list[list[Event]] = [[] for _ in self.bodies]
@@ -209,9 +209,9 @@ class ContactScene:
             self._undersides.append(Underside(hulls, self.terrain))
         return Body(body, vehicle, self._joint(body), reach, inverse)
 
-    def _course(self, obstacle: Any) -> Course:
+    def _moving_obstacle(self, obstacle: Any) -> MovingObstacle:
         reach = float(max(np.linalg.norm(hull, axis=1).max() for hull in obstacle.hulls))
-        return Course(self._joint(f"obstacle/{obstacle.name}"), reach, obstacle)
+        return MovingObstacle(self._joint(f"obstacle/{obstacle.name}"), reach, obstacle)
 
     def _joint(self, body: str) -> int:
         """Index of the first position of a body's free joint in the model."""
@@ -225,7 +225,7 @@ class ContactScene:
         moving: list[MovingBody | Led] = [
             MovingBody(body, state) for body, state in zip(self.bodies, states, strict=True)
         ]
-        moving += [Led(course, self._start_time + t) for course in self._courses]
+        moving += [Led(obstacle, self._start_time + t) for obstacle in self._moving_obstacles]
         pairs = self._touching(moving)
         if not self._begun:
             self._begun = True

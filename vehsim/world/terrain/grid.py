@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vehsim.errors import InputError
-from vehsim.world.terrain.surface import Surface
+from vehsim.world.terrain.surface import TerrainSurface
 
 Array = NDArray[np.float64]
 
@@ -39,7 +39,7 @@ class HeightGrid:
     origin: tuple[float, float] = (0.0, 0.0)
     cell: tuple[float, float] = (1.0, 1.0)
     look: Path | None = None
-    surface: Surface | None = None
+    surface: TerrainSurface | None = None
 
     def __post_init__(self) -> None:
         heights = np.array(self.heights, dtype=np.float64)  # our own read-only copy, so that caches stay valid

@@ -21,12 +21,12 @@ from vehsim.assets import described, description
 from vehsim.errors import InputError
 from vehsim.intake.arrays import Window, read_array, read_arrays, read_shape
 from vehsim.intake.foreign import reading, refuse
-from vehsim.intake.images import Header, read_header, read_pixels
+from vehsim.intake.images import PictureHeader, read_header, read_pixels
 from vehsim.intake.meshes import read_triangles
 from vehsim.intake.toml import lines_in
 from vehsim.intake.usd import SUFFIXES, dependencies
 from vehsim.world.terrain.grid import MAX_POINTS, HeightGrid
-from vehsim.world.terrain.surface import Surface, surface_of
+from vehsim.world.terrain.surface import TerrainSurface, surface_of
 
 Array = NDArray[np.float64]
 
@@ -186,7 +186,9 @@ def _missing(placement: Placement) -> list[str]:
     return [key for key in ("cell", "origin") if getattr(placement, key) is None]
 
 
-def _from_picture(path: Path, header: Header, placement: Placement, scale: Callable[[Array], Array]) -> HeightGrid:
+def _from_picture(
+    path: Path, header: PictureHeader, placement: Placement, scale: Callable[[Array], Array]
+) -> HeightGrid:
     """The heights of a picture, whose first row is the northernmost; ``scale`` turns its pixels into metres."""
     rows = header.shape[0]
 
@@ -287,7 +289,7 @@ def _filled(path: Path, heights: Array) -> Array:
     return heights
 
 
-def _has_overhangs(top: HeightGrid, surface: Surface) -> bool:
+def _has_overhangs(top: HeightGrid, surface: TerrainSurface) -> bool:
     """Whether ground is hidden below other rock, so that the heights seen from above, ``top``, lose it."""
     from scipy.ndimage import maximum_filter, minimum_filter
 

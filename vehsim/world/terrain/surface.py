@@ -26,7 +26,7 @@ ABOVE = 1e-3
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Surface:
+class TerrainSurface:
     """Triangles between air and rock: ``points`` (n, 3) m and ``faces`` (m, 3), counter-clockwise seen from the air.
 
     Below its borders the rock continues downwards.
@@ -113,21 +113,21 @@ class Surface:
         return hashlib.sha256(self.points.tobytes() + self.faces.tobytes()).hexdigest()
 
 
-def surface_of(points: Array, faces: Faces) -> Surface:
+def surface_of(points: Array, faces: Faces) -> TerrainSurface:
     """The surface of a mesh file's triangles: corners at the same place are joined, and the faces look into the air."""
     import igl
 
     points, place = np.unique(points, axis=0, return_inverse=True)
     faces = place.ravel()[faces]
     distinct = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
-    surface = Surface(points, np.ascontiguousarray(faces[distinct]))
+    surface = TerrainSurface(points, np.ascontiguousarray(faces[distinct]))
     if _consistent(surface.faces):
         turned = np.full(len(surface.faces), _volumes(surface).sum() < 0)
     else:
         oriented, body = igl.bfs_orient(surface.faces)
-        surface = Surface(points, np.ascontiguousarray(oriented))
+        surface = TerrainSurface(points, np.ascontiguousarray(oriented))
         turned = (np.bincount(body, _volumes(surface)) < 0)[body]
-    return Surface(points, np.where(turned[:, None], surface.faces[:, ::-1], surface.faces))
+    return TerrainSurface(points, np.where(turned[:, None], surface.faces[:, ::-1], surface.faces))
 
 
 def heights_on(corners: Array, points: Array) -> Array:
@@ -155,7 +155,7 @@ def _consistent(faces: Faces) -> bool:
     return len(np.unique(edges @ [int(faces.max()) + 1, 1])) == len(edges)
 
 
-def _volumes(surface: Surface) -> Array:
+def _volumes(surface: TerrainSurface) -> Array:
     """The volume (m,) m^3 between each face and the level bottom, negative for a face that looks down."""
     height = surface.points[surface.faces, 2].mean(axis=1) - surface.points[:, 2].min() + BELOW
     return np.asarray(surface.normals[:, 2] * height / 2)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from vehsim.constants import GRAVITY
 from vehsim.errors import InputError
 from vehsim.lie.quaternions import cross
-from vehsim.vehicles.definition.resistance import Curve
+from vehsim.vehicles.definition.resistance import SpeedSpline
 from vehsim.world.water.hull_mesh import HullMesh, Wetted, wetted
 
 if TYPE_CHECKING:
@@ -52,9 +52,9 @@ class Lift:
 class Law:
     """A `Lift` as a function of the speed ahead."""
 
-    planing: Curve
-    vented: Curve
-    rate: Curve
+    planing: SpeedSpline
+    vented: SpeedSpline
+    rate: SpeedSpline
     transom: tuple[float, float] | None = None
 
     def at(self, speed: float) -> Lift:
@@ -92,9 +92,9 @@ SLOW = 0.4
 def law_of(boat: Boat) -> Law:
     """The law of the hull's `Running`; without it, or for a hull that does not plane, with the hull's own constants."""
     running, hull = boat.data.running, boat.data
-    none = Curve.constant(0.0)
+    none = SpeedSpline.constant(0.0)
     if running is None or running.trim is None or running.draft is None or running.share is None:
-        return Law(Curve.constant(hull.planing), none, none if running is None else running.rate)
+        return Law(SpeedSpline.constant(hull.planing), none, none if running is None else running.rate)
     speeds = running.speeds
     slow = int(np.searchsorted(speeds, SLOW * np.sqrt(GRAVITY * boat.rest_volume ** (1 / 3))))
     first = int(np.flatnonzero(np.isfinite(running.draft))[0])
@@ -112,7 +112,7 @@ def law_of(boat: Boat) -> Law:
     usual = running.resistance / np.maximum(speeds, 1e-9)
     share = speeds[:slow] / speeds[slow]
     rows[:slow] = rows[slow] * np.column_stack([share, share**2, usual[:slow] / usual[slow]])
-    planing, vented, rate = (Curve.through(speeds, column) for column in rows.T)
+    planing, vented, rate = (SpeedSpline.through(speeds, column) for column in rows.T)
     return Law(planing, vented, rate, transom)
 
 
