@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vehsim.errors import InputError
+from vehsim.errors import InputError, Problem
 from vehsim.runtime.progress import Progress
 from vehsim.vehicles import State, Vehicle
 from vehsim.vehicles.definition.base import Array
@@ -74,6 +74,8 @@ def simulate(
     h = 1 / float(rate) / max(1, math.ceil(1 / float(rate) / min(wanted, vehicle.largest_step) - 1e-9))
     difference_map = difference_map or DEFAULT_MAP
     vehicle, start = _on_water(vehicle, world, start)
+    if getattr(world, "contact", None) is not None:
+        _refuse_untouched(vehicle, [obstacle.name for obstacle in world.obstacles])  # type: ignore[union-attr]
     table = None if callable(controls) else _table(vehicle, controls)
     steps = _steps(duration, table, wanted, h)
     begin = _standing(vehicle, world, start)
@@ -139,6 +141,7 @@ def simulate_together(
     prepared = []
     for name, mover in movers.items():
         vehicle, start = _on_water(mover.vehicle, world, mover.start)
+        _refuse_untouched(vehicle, [*(other for other in movers if other != name), *(o.name for o in world.obstacles)])
         table = None if callable(mover.controls) else _table(vehicle, mover.controls)
         law = mover.controls if table is None else _played(table, steps * h)
         environment = world.environment(vehicle, alone=False) or Nothing(vehicle.group.dim)
@@ -309,6 +312,20 @@ def _on_water(vehicle: Vehicle, world: World | None, start: State | None) -> tup
     if start is not None and np.shape(start.twist) == (6,):
         start = replace(start, twist=np.asarray(start.twist, float)[[2, 3, 4]])
     return vehicle.planar, start
+
+
+def _refuse_untouched(vehicle: Vehicle, things: Collection[str]) -> None:
+    """Raise ``InputError`` for a vehicle that would drive through ``things``, since contact moves bodies in space."""
+    if things and vehicle.group.dim != 6:
+        raise InputError.of(untouched(vehicle, things))
+
+
+def untouched(vehicle: Vehicle, things: Collection[str]) -> Problem:
+    """The problem of a vehicle in the plane among ``things`` that it can hit."""
+    some = ", ".join(sorted(things)[:3])
+    message = f"{vehicle.name} moves in the plane, where contact does not act: it would drive through {some}"
+    remedy = "plan its motion, remove the contact, or take a vehicle that flies or floats"
+    return Problem("asset", message, remedy, vehicle.name)
 
 
 def _played(table: Array, duration: float) -> Callable[[float, State], Array]:

@@ -372,3 +372,14 @@ def test_damping_ratio_gives_the_restitution():
 def test_invalid_contact_settings_are_reported(wrong):
     with pytest.raises(InputError, match=f"world.contact.{next(iter(wrong))}"):
         Contact(**wrong)
+
+
+def test_a_vehicle_in_the_plane_is_refused_among_things_that_it_would_drive_through():
+    car, wall = vehsim.load_vehicle("car"), box("wall", (12, 0, 0), (1, 8, 2))
+    world = World(obstacles=[wall], contact=Contact())
+    with pytest.raises(InputError, match=r"car moves in the plane, where contact does not act.* through wall; plan"):
+        vehsim.simulate(car, world, duration=2.0)
+    with pytest.raises(InputError, match=r"would drive through other, wall"):
+        simulate_together({"car": Mover(car), "other": Mover(vehsim.load_vehicle("helicopter"))}, world, 0.5)
+    assert len(vehsim.simulate(car, World(contact=Contact()), duration=0.5)) > 1
+    assert len(vehsim.simulate(car, World(obstacles=[wall]), duration=0.5)) > 1

@@ -121,10 +121,9 @@ def check_contact(vehicle: Vehicle, world: World, things: Collection[str]) -> It
     in_water = world.water is not None and vehicle.hull is not None
     planar = vehicle.planar is not None and not in_water
     if world.contact is not None and things and (planar or vehicle.group.dim != 6):
-        some = ", ".join(sorted(things)[:3])
-        message = f"{vehicle.name} moves in the plane, where contact does not act: it would drive through {some}"
-        remedy = "plan its motion, remove [world.contact], or take a vehicle that flies or floats"
-        yield Problem("asset", message, remedy, vehicle.name)
+        from vehsim.simulation import untouched
+
+        yield untouched(vehicle, things)
 
 
 def check_order(marks: list[MarkTable], context: Context) -> Iterator[Problem]:
