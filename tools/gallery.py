@@ -26,6 +26,7 @@ STILLS = {
     "car_obstacles": (1128, "chase"),
     "car_over_hills": (1156, "chase"),
     "car_winding": (1253, "chase"),
+    "drift_park": (1070, "chase"),
     "hopper_flip": (1067, "chase"),
     "landing_on_mark": (1690, "cut"),
     "parallel_park": (1341, "chase"),
