@@ -22,7 +22,7 @@ from vehsim import Mark, Shot
 from vehsim.errors import InputError, ShotError, SolveError
 from vehsim.lie.quaternions import yaw_of
 from vehsim.planning import stay
-from vehsim.planning.constraints.marks import _amount
+from vehsim.planning.constraints.marks import MarkRows, _amount
 from vehsim.planning.deadline import MORE, Deadline
 from vehsim.planning.explain import elastic
 from vehsim.planning.explain.bounds import strength
@@ -576,6 +576,17 @@ def test_a_car_reverses_to_pass_a_gate_behind_it_forwards():
     plan = vehsim.plan(vehsim.load_vehicle("car"), None, marks, segments=12, limits=limits)
     _, ahead, aside = plan.clip.twists[-1]
     assert plan.success and ahead > 0 and math.hypot(ahead, aside) == pytest.approx(1.093, abs=1e-3)
+
+
+def test_the_worst_violation_of_a_mark_has_its_unit():
+    """It was "mark[0].heading, off by 1" where the vehicle points to the side."""
+    car, marks = vehsim.load_vehicle("car"), [Mark(1, position=(0, 0, 0), heading=0), Mark(49, position=(9, 0, 0))]
+    rows = MarkRows(marks, 0)
+    labels = ["mark[0].position"] * 2 + ["mark[0].heading"] * 2 + ["mark[0].speed"]
+    use, off = SimpleNamespace(element=SimpleNamespace(labels=labels)), np.array([3.0, 4.0, 1.0, 0.0, 2.0])
+    assert [rows.amount(use, k, off) for k in (0, 2, 4)] == ["5 m", "90 deg", "2 m/s"]
+    with pytest.warns(UserWarning, match=r"worst violation: .*, off by [\d.e+-]+( m| deg| m/s)?;"):
+        vehsim.plan(car, None, [marks[0], replace(marks[1], position=(9, 9, 0), heading=180)], max_iterations=2)
 
 
 def test_only_marks_with_a_position_have_a_first_frame():

@@ -52,7 +52,7 @@ class Draft:
         """What a failed draft misses."""
         if self.success or self._iterate.solution is None or self._iterate.problem is None:
             return ""
-        return f"worst violation: {self._iterate.worst()}, off by {self._iterate.solution.violation:.3g}"
+        return f"worst violation: {self._iterate.worst()}"
 
     def moved(self, marks: Sequence[Mark]) -> Draft:
         """The draft for marks that fix the same quantities at other values.

@@ -120,10 +120,14 @@ class Iterate(Trajectory):
         return replace(self, blocks=blocks)
 
     def worst(self) -> str:
-        """The name of the constraint row with the largest violation, for messages."""
+        """The constraint row with the largest violation and how far it is off, for messages."""
         assert self.solution is not None and self.problem is not None
-        use, occurrence, row = self.problem.row(int(np.argmax(self.solution.violations)))
-        return self.blocks[use.owner].describe(use, occurrence, row, self)
+        violations = self.solution.violations
+        worst = int(np.argmax(violations))
+        use, occurrence, row = self.problem.row(worst)
+        block, first = self.blocks[use.owner], worst - row
+        off = block.amount(use, row, violations[first : first + use.rows])
+        return f"{block.describe(use, occurrence, row, self)}, off by {off}"
 
 
 class Run:

@@ -375,7 +375,7 @@ def _result(run: Run, iterate: Iterate, reason: Reason | None = None) -> Plan:
     times = f"after {iterate.tightenings} tighter solves"
     if not success and iterate.problem is not None:
         reason = "time limit" if solution.out_of_time else "not solved"
-        worst = f"worst violation: {iterate.worst()}, off by {solution.violation:.3g}"
+        worst = f"worst violation: {iterate.worst()}"
         if solution.violation < MET:
             worst = "all constraints are met, but the cost is not minimal yet; allow more iterations"
         else:

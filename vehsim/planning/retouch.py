@@ -254,7 +254,7 @@ def _solved(
         request, iterate = _attempt(clip, world, edit, window, count, clearance, limits, progress)
         if iterate.success:
             return exported(iterate.clip, request)
-    why = f"{iterate.worst()}, off by {iterate.solution.violation:.3g}" if iterate.solution else "not solved"
+    why = iterate.worst() if iterate.solution else "not solved"
     raise SolveError(
         f"frames {window[0]} to {window[1]} of the edit: no motion leads back to the solved one: {why}",
         "edit less, or more frames around it",

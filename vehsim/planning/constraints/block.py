@@ -65,6 +65,10 @@ class Block:
         """The name of a row of one of its uses, in messages."""
         return use.name(occurrence, row)
 
+    def amount(self, use: Use, row: int, violations: Array) -> str:
+        """How far a row is off, in messages; ``violations`` (rows,) of all rows of its occurrence."""
+        return f"{violations[row]:.3g}"
+
     def activate(self, guess: Trajectory) -> Self:
         """The block before a first solve from ``guess``: constraints near the guess become active."""
         return self

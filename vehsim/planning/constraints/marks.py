@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from vehsim.lie import SO3
 from vehsim.planning.constraints.block import Block
-from vehsim.planning.problem.elements import Element, NonlinearProgram, elastic
+from vehsim.planning.problem.elements import Element, NonlinearProgram, Use, elastic
 from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.stage import knot_view, root_pose
 from vehsim.planning.problem.transcription import Transcription
@@ -81,6 +81,10 @@ class MarkRows(Block):
 
     def _parameter(self, key: str) -> str:
         return f"mark[{self.number}].{key}"
+
+    def amount(self, use: Use, row: int, violations: Array) -> str:
+        labels = np.array(use.element.labels)
+        return _amount(labels[row].rpartition(".")[2], violations[labels == labels[row]])
 
     def missed(self, label: str, off: Array) -> str:
         """The message for rows (n,) of a label that elastic mode misses by ``off``."""
