@@ -213,6 +213,7 @@ def _motion(pack: Packing, take: Take, poses: Array, groups: Iterable[str]) -> d
         ],
         "paths": [{"name": name, "points": pack.array(clip.positions, "f4")} for name, clip in clips.items()],
         "marks": list(_marks(take)),
+        "notes": take.report.get("shot", {}).get("note", []),
         "curves": [curve for name, clip in clips.items() for curve in _curves(pack, name, clip, _limits(take, name))],
     }
 
@@ -379,21 +380,21 @@ def _water(pack: Packing, stage: StageReader, frames: Array) -> dict[str, Any]:
 
 
 def _moved(take: Take, by: Array) -> Take:
-    """The take with its clips and marks moved ``by`` (3,) m."""
+    """The take with its clips, marks and notes moved ``by`` (3,) m."""
     if not by.any():
         return take
     clips = {name: replace(clip, positions=clip.positions + by) for name, clip in take.clips.items()}
-    marks = {
-        name: [
-            mark if mark.get("position") is None else mark | {"position": _added(mark["position"], by)} for mark in each
-        ]
-        for name, each in take.report.get("marks", {}).items()
-    }
-    return replace(take, clips=clips, report={**take.report, "marks": marks})
+    marks = {name: [_placed(mark, by) for mark in each] for name, each in take.report.get("marks", {}).items()}
+    shot = take.report.get("shot", {})
+    shot = {**shot, "note": [_placed(note, by) for note in shot.get("note", [])]}
+    return replace(take, clips=clips, report={**take.report, "marks": marks, "shot": shot})
 
 
-def _added(place: Sequence[float], by: Array) -> list[float]:
-    return (np.asarray(place, float) + by[: len(place)]).tolist()
+def _placed(one: Mapping[str, Any], by: Array) -> dict[str, Any]:
+    """A mark or note whose position, if it has one, is moved ``by`` (3,) m."""
+    if (place := one.get("position")) is None:
+        return {**one}
+    return {**one, "position": (np.asarray(place, float) + by[: len(place)]).tolist()}
 
 
 def _marks(take: Take) -> Iterator[dict[str, Any]]:

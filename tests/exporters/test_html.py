@@ -53,10 +53,12 @@ def delivered(toys, tmp_path_factory):
     clip = toys.clip(toys.asset(folder / "toy.usda"))
     clips = {"toy0": clip}
     marks = [{"frame": 1001, "position": [0.0, 0.0, 6.0]}, {"frame": "free", "position": clip.positions[17].tolist()}]
+    marks[1]["gate"] = {"direction": [0.0, 2.0, 0.0], "size": [4.0, 2.0]}
+    notes = [{"frame": 1005, "text": "</script>slow", "position": [1.0, 2.0, 3.0]}, {"frame": 1020, "text": "late"}]
     camera = solve_camera(CameraRig(), clips, World(), toys.frames, 160 / 90)
     take = Take(
         "shot", clips, World(), (camera,), Fraction(24), toys.frames, RenderSettings((160, 90)),
-        report={"marks": {"toy0": marks}},
+        report={"marks": {"toy0": marks}, "shot": {"note": notes}},
     )  # fmt: skip
     page = take.export(folder / "out", to=("html",)) / "shot.html"
     return take, page, Block(in_page(page.read_text()))
@@ -112,6 +114,13 @@ def test_marks_know_their_frame_and_heading(delivered):
     assert (first["frame"], first["heading"]) == (1001, pytest.approx(0.0, abs=1e-6))
     assert free["frame"] == 1018
     assert free["heading"] == pytest.approx(np.degrees(17 / 24), abs=1e-3)
+
+
+def test_a_gate_is_drawn_around_its_mark(delivered):
+    _, _, block = delivered
+    first, second = (mark["gate"] for mark in block.header["marks"])
+    assert first is None
+    assert sorted(map(tuple, second[:4])) == [(-2, 0, -1), (-2, 0, 1), (2, 0, -1), (2, 0, 1)] and second[4] == second[0]
 
 
 def test_curves_show_the_speed(delivered):
@@ -190,6 +199,7 @@ def test_a_browser_shows_it(delivered, tmp_path):
     assert '<div id="message" hidden="">' in document, re.findall(r'<div id="message"[^<]*', document)
     assert re.search(r'<div id="title"><b>shot</b>\s+1001</div>', document)
     assert re.findall(r'title="toy0: mark at ([^"]*)"', document) == ["1001", "1018"]
+    assert re.findall(r'class="note"[^>]* title="([^"]*)"', document) == ["1005: &lt;/script&gt;slow", "1020: late"]
 
 
 def test_is_near_its_origin_at_utm_coordinates(delivered, tmp_path):
@@ -198,7 +208,9 @@ def test_is_near_its_origin_at_utm_coordinates(delivered, tmp_path):
     clips = {"toy0": replace(take.clips["toy0"], positions=take.clips["toy0"].positions + by)}
     camera = replace(take.cameras[0], positions=take.cameras[0].positions + by)
     marks = [mark | {"position": np.add(mark["position"], by).tolist()} for mark in take.report["marks"]["toy0"]]
-    far = replace(take, clips=clips, cameras=(camera,), report={"marks": {"toy0": marks}})
+    first, second = take.report["shot"]["note"]
+    shot = {"note": [first | {"position": np.add(first["position"], by).tolist()}, second]}
+    far = replace(take, clips=clips, cameras=(camera,), report=take.report | {"marks": {"toy0": marks}, "shot": shot})
     block = Block(in_page((far.export(tmp_path, to=("html",)) / "shot.html").read_text()))
     for path, other in zip(block.header["paths"], near.header["paths"], strict=True):
         np.testing.assert_allclose(block.array(path["points"]), near.array(other["points"]), atol=1e-5)
@@ -206,3 +218,5 @@ def test_is_near_its_origin_at_utm_coordinates(delivered, tmp_path):
         np.testing.assert_allclose(block.poses(group["poses"]), near.poses(other["poses"]), atol=1e-5)
     for mark, other in zip(block.header["marks"], near.header["marks"], strict=True):
         np.testing.assert_allclose(mark["position"], other["position"], atol=1e-5)
+    assert near.header["notes"] == take.report["shot"]["note"]
+    assert block.header["notes"] == [first | {"position": pytest.approx([1, 2, 3], abs=1e-5)}, second]

@@ -105,6 +105,36 @@ def test_an_obstacle_is_dragged_with_its_mesh(tmp_path):
     asyncio.run(play())
 
 
+def test_a_note_is_written_pinned_and_deleted(tmp_path):
+    browser()
+    path = tmp_path / "drive.toml"
+    path.write_text(SHOT)
+
+    async def play():
+        async with served(path) as address, at(f"http://{address}", tmp_path / "profile") as page:
+            await page.until(f"typeof vehsim !== 'undefined' && vehsim.viewer && {SOLVED}")
+            await page.until("document.getElementById('message').hidden")
+            await page.value("vehsim.viewer.seek(1030); document.getElementById('do-note').click()")
+            await page.until("document.querySelectorAll('#notes textarea').length === 1")
+            assert await page.value("document.activeElement.value") == "note"  # selected, to be written over
+            await page.value("document.activeElement.value = 'brake <b>'; document.activeElement.blur()")
+            await page.value("document.querySelector('#notes textarea').dispatchEvent(new Event('change'))")
+            await page.until("document.getElementById('note').textContent === 'brake <b>'")
+            assert not await page.value("document.getElementById('note').hidden")
+            await page.value("vehsim.viewer.seek(1029); vehsim.viewer.draw()")
+            assert await page.value("document.getElementById('note').hidden")
+            await page.key(".", "Period")
+            assert await page.value("vehsim.viewer.frame") == 1030
+            await page.until(SOLVED)
+            await page.value("document.querySelector('#notes .pin').click()")
+            await page.until("document.getElementById('note').className === 'at'")
+            await page.until("vehsim.live.grips.some((grip) => grip.handle.key === 'note[0].position')")
+            await page.value("document.querySelector('#notes .drop').click()")
+            await page.until("!document.querySelector('#track .note') && document.getElementById('note').hidden")
+
+    asyncio.run(play())
+
+
 def test_a_car_is_driven_with_keys_held_down(tmp_path):
     browser()
     path = tmp_path / "drive.toml"

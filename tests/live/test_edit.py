@@ -8,9 +8,11 @@ import pytest
 pytest.importorskip("websockets", reason='needs the extra: pip install "vehsim[live]"')
 
 from tests.live.test_server import SHOT, browser, served, texts
+from vehsim import Shot
 from vehsim.errors import InputError
 from vehsim.live.document import Document
 from vehsim.live.settings import settings
+from vehsim.shot.cache import motion_key
 from vehsim.shot.schema.shot_file import parse
 
 
@@ -81,11 +83,61 @@ def test_marks_are_added_and_deleted_in_their_place(tmp_path):
     path = tmp_path / "drive.toml"
     path.write_text(SHOT)
     document = Document(path)
-    document.add_mark(0, 1, {"frame": 1040, "position": [4.0, 0.5, 0.0]})
+    document.insert("vehicle[0].motion.mark", 1, {"frame": 1040, "position": [4.0, 0.5, 0.0]})
     assert [mark["frame"] for mark in document.data["vehicle"][0]["motion"]["mark"]] == [1001, 1040, 1073]
     assert "# the garage" in document.text
-    document.delete_mark(0, 1)
+    document.put("vehicle[0].motion.mark[1]", None)
     assert document.data == tomllib.loads(SHOT)
+
+
+def test_notes_are_added_edited_and_deleted(tmp_path):
+    path = tmp_path / "drive.toml"
+    path.write_text(SHOT)
+
+    async def play():
+        async with served(path) as address, browser(address) as page:
+            before = await page.until("scene")
+            await page.until("state", lambda message: message["solved"])
+            for frame, text in ((1030, "brake here"), (1010, "slow")):
+                await page.send(kind="add_note", frame=frame, text=text)
+                motion = await page.until("motion")
+                state = await page.until("state", lambda message: message["solved"])
+            assert [(one["frame"], one["text"]) for one in state["notes"]] == [(1010, "slow"), (1030, "brake here")]
+            assert motion.header["notes"] == [{"frame": 1010, "text": "slow"}, {"frame": 1030, "text": "brake here"}]
+            lines = [block.array(block.header["paths"][0]["points"]).tolist() for block in (before, motion)]
+            assert lines[0] == lines[1]
+
+            await page.send(kind="edit_note", note=1, text='brake "now"', position=[4.0, 0.50001, 0.0])
+            await page.until("state", lambda message: message["notes"][1]["position"] == [4, 0.5, 0])
+            await page.send(kind="place", key="note[1].position", position=[5.0, 0.5, 0.0])
+            await page.until("state", lambda message: message["notes"][1]["position"] == [5, 0.5, 0])
+            for wrong in (
+                {"kind": "edit_note", "note": 2, "text": "x"}, {"kind": "delete_note", "note": 2},
+                {"kind": "add_note", "frame": 1010, "text": ""}, {"kind": "edit_note", "note": 0, "text": "x" * 1001},
+            ):  # fmt: skip
+                await page.send(**wrong)
+                assert (await page.until("refused"))["text"]
+            await page.send(kind="delete_note", note=0)
+            await page.until("state", lambda message: len(message["notes"]) == 1)
+            await page.send(kind="save")
+            await page.until("said")
+            data = tomllib.loads(path.read_text())
+            assert data.pop("note") == [{"frame": 1030, "text": 'brake "now"', "position": [5, 0.5, 0]}]
+            assert data == tomllib.loads(SHOT) and "# the garage" in path.read_text()
+            await page.send(kind="delete_note", note=0)
+            state = await page.until("state", lambda message: not message["notes"])
+            for _ in range(6):
+                await page.send(kind="undo")
+            await page.until("state", lambda message: message["solved"] and not message["undo"])
+        assert path.with_name("drive.toml.autosave").read_text() == SHOT
+
+    asyncio.run(play())
+
+
+def test_notes_change_no_motion():
+    shots = [Shot.from_dict(tomllib.loads(SHOT + more)) for more in ("", '[[note]]\nframe = 1010\ntext = "slow"\n')]
+    keys = [motion_key(shot.file, shot.motion_files(), shot.world.content_hash) for shot in shots]
+    assert keys[0] == keys[1] is not None and shots[1].file.note[0].text == "slow"
 
 
 def test_a_bound_comes_with_its_problem():

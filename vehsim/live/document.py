@@ -81,22 +81,18 @@ class Document:
             write(document, key, value, tomlkit.table)
         self._push(tomlkit.dumps(document))
 
-    def add_mark(self, vehicle: int, mark: int, values: dict[str, Any]) -> None:
-        """Insert a mark before the one at index ``mark``."""
+    def insert(self, key: str, index: int, values: dict[str, Any]) -> None:
+        """Insert a table before that at ``index`` of a list of tables, such as ``vehicle[0].motion.mark``."""
         import tomlkit
 
         document: Any = tomlkit.parse(self.text)
-        marks = document["vehicle"][vehicle]["motion"]["mark"]
+        *path, last = (int(at) if at else name for name, at in KEY.findall(key))
+        tables = document
+        for part in path:
+            tables = tables[part]
         table = tomlkit.table()
         table.update(values)
-        marks.insert(mark, table)
-        self._push(tomlkit.dumps(document))
-
-    def delete_mark(self, vehicle: int, mark: int) -> None:
-        import tomlkit
-
-        document: Any = tomlkit.parse(self.text)
-        del document["vehicle"][vehicle]["motion"]["mark"][mark]
+        tables.setdefault(last, tomlkit.aot()).insert(index, table)
         self._push(tomlkit.dumps(document))
 
     def undo(self) -> None:
@@ -146,7 +142,7 @@ def write(data: Any, key: str, value: Any, table: Callable[[], Any] = dict) -> N
             data = data[part]
         if value is not None:
             _assign(data, last, value)
-        elif last in data:
+        elif isinstance(data, list) or last in data:
             del data[last]
     except (LookupError, TypeError, ValueError) as error:
         raise InputError("no such place in the file", "change it there", key=key) from error

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from vehsim.errors import InputError
+from vehsim.shot.schema.tables import NOTE
 
 Coordinate = Annotated[float, Field(ge=-1e7, le=1e7, allow_inf_nan=False)]
 Angle = Annotated[float, Field(ge=-36_000, le=36_000, allow_inf_nan=False)]
@@ -61,6 +62,31 @@ class DeleteMark(_Message):
     mark: Annotated[int, Field(ge=0)]
 
 
+Note = Annotated[str, Field(min_length=1, max_length=NOTE)]
+
+
+class AddNote(_Message):
+    """A note that is shown from ``frame``."""
+
+    kind: Literal["add_note"]
+    frame: Frame
+    text: Note
+
+
+class EditNote(_Message):
+    """Another text of the note at an index, or another place that it points at, m; None leaves it."""
+
+    kind: Literal["edit_note"]
+    note: Annotated[int, Field(ge=0)]
+    text: Note | None = None
+    position: Annotated[list[Coordinate], Field(min_length=3, max_length=3)] | None = None
+
+
+class DeleteNote(_Message):
+    kind: Literal["delete_note"]
+    note: Annotated[int, Field(ge=0)]
+
+
 class KeepDragged(_Message):
     """Save the dragged motion of a vehicle, and start its plan from there."""
 
@@ -83,7 +109,9 @@ class MoveSticks(_Message):
     values: Annotated[list[Annotated[float, Field(ge=-1, le=1, allow_inf_nan=False)]], Field(max_length=64)]
 
 
-Message = Moved | Pressed | Change | AddMark | DeleteMark | KeepDragged | TakeControls | MoveSticks
+Edit = Change | AddMark | DeleteMark | AddNote | EditNote | DeleteNote | KeepDragged
+"""What changes the file; the session has a method of each kind's name."""
+Message = Moved | Pressed | Edit | TakeControls | MoveSticks
 _ADAPTER: TypeAdapter[Message] = TypeAdapter(Annotated[Message, Field(discriminator="kind")])
 
 

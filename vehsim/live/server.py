@@ -21,17 +21,7 @@ from urllib.parse import parse_qs, urlsplit
 
 from vehsim.errors import InputError, VehsimError
 from vehsim.exporters.web.html import PAGE, page
-from vehsim.live.messages import (
-    AddMark,
-    Change,
-    DeleteMark,
-    KeepDragged,
-    Message,
-    Moved,
-    MoveSticks,
-    TakeControls,
-    parse,
-)
+from vehsim.live.messages import Edit, Message, Moved, MoveSticks, TakeControls, parse
 from vehsim.live.session import Session, Superseded
 from vehsim.runtime.registry import whose_error
 
@@ -201,7 +191,7 @@ class Server:
                 await self._solve(lambda: session.place(message))
             elif isinstance(message, TakeControls):
                 await self._drive(message)
-            elif isinstance(message, Change | AddMark | DeleteMark | KeepDragged):
+            elif isinstance(message, Edit):
                 change = getattr(session, message.kind)
                 await self._solve(lambda: change(message))
             elif message.kind == "stop":  # that it came has ended the drive

@@ -22,7 +22,17 @@ from vehsim.errors import InputError, Problem, VehsimError
 from vehsim.exporters.usd.sampling import clip_at
 from vehsim.exporters.web.scene import Kinematics, draft_block, live_block, motion_block, movable, scene_block
 from vehsim.live.document import Document, write
-from vehsim.live.messages import AddMark, Change, DeleteMark, KeepDragged, Moved, TakeControls
+from vehsim.live.messages import (
+    AddMark,
+    AddNote,
+    Change,
+    DeleteMark,
+    DeleteNote,
+    EditNote,
+    KeepDragged,
+    Moved,
+    TakeControls,
+)
 from vehsim.live.settings import DECIMALS, Handle, Setting, handles, settings
 from vehsim.runtime.progress import Progress
 from vehsim.shot.checks import variants_of
@@ -68,6 +78,8 @@ class Session:
         """Errors and warnings for the page: ``text``; a ``key`` and the ``fix`` that would work if there is one;
         ``keeps``: the vehicle whose dragged motion can be kept."""
         self.settings: list[Setting] = []
+        self.notes: list[dict[str, Any]] = []
+        """Those of the last valid text: ``frame``, ``text``, ``position`` or None."""
         self.handles: list[Handle] = []
         """The places of the present text that can be dragged; none if it is no valid shot file."""
         self.sticks: Sticks | None = None
@@ -103,6 +115,7 @@ class Session:
             "solved": self.solved,
             "problems": self.problems,
             "handles": [self._handle_shown(handle) for handle in self.handles],
+            "notes": self.notes,
             "drives": self.drives(),
             "settings": [vars(setting) for setting in self.settings],
         }
@@ -153,6 +166,7 @@ class Session:
                     self.document.data, folder=self.document.path.parent, source=str(self.document.path)
                 )
                 self.handles = handles(self.document.data)
+                self.notes = [note.model_dump() for note in shot.file.note]
                 self._reuse_world(shot)
                 self.shot = shot
                 self.settings = settings(
@@ -288,7 +302,7 @@ class Session:
             (k for k, frame in enumerate(frames) if isinstance(frame, int) and frame > wanted.frame), len(frames)
         )
         values = {"frame": wanted.frame, "position": [round(x, DECIMALS) for x in place.tolist()]}
-        self.document.add_mark(at, index, values)
+        self.document.insert(f"vehicle[{at}].motion.mark", index, values)
         return self.solve()
 
     def delete_mark(self, wanted: DeleteMark) -> bytes | None:
@@ -296,8 +310,32 @@ class Session:
         at, table = self._planned(wanted.vehicle)
         if wanted.mark >= len(table.motion.mark):
             raise InputError("no such mark", "reload the page", key=f"{wanted.vehicle}.mark[{wanted.mark}]")
-        self.document.delete_mark(at, wanted.mark)
+        self.document.put(f"vehicle[{at}].motion.mark[{wanted.mark}]", None)
         return self.solve()
+
+    def add_note(self, wanted: AddNote) -> bytes | None:
+        """Add a note after those of earlier frames, and `solve`, which recalls the same motion."""
+        index = sum(one["frame"] <= wanted.frame for one in self.notes)
+        self.document.insert("note", index, {"frame": wanted.frame, "text": wanted.text})
+        return self.solve()
+
+    def edit_note(self, wanted: EditNote) -> bytes | None:
+        """Change the text or the place of a note, and `solve`."""
+        key, place = self._note(wanted.note), wanted.position
+        found = {"text": wanted.text, "position": place and [round(x, DECIMALS) for x in place]}
+        self.document.change([(f"{key}.{name}", value) for name, value in found.items() if value is not None])
+        return self.solve()
+
+    def delete_note(self, wanted: DeleteNote) -> bytes | None:
+        """Delete a note, and `solve`."""
+        self.document.put(self._note(wanted.note), None)
+        return self.solve()
+
+    def _note(self, index: int) -> str:
+        """The key of a note. Raises ``InputError``."""
+        if index >= len(self.notes):
+            raise InputError("no such note", "reload the page", key=f"note[{index}]")
+        return f"note[{index}]"
 
     def _planned(self, name: str) -> tuple[int, Any]:
         """The index and the table of a vehicle with marks of its own. Raises ``InputError``."""

@@ -9,9 +9,10 @@ const vehsim = {};
   const SPEEDS = [0.1, 0.25, 0.5, 1, 2];
   const ACCENT = 0xff8a3d, PATH = 0x2fb4ff, FRUSTUM = 0xe8e8e8;
   const FAR = 20000;
+  const NOTE_SECONDS = 3; // a note is shown so long, or until the next one
   const SHADOW_MAP = 4096;
   const KEYS = [
-    ["Space", "play, pause"], ["\u2190 \u2192", "one frame; with Shift ten"], [", .", "previous, next mark"],
+    ["Space", "play, pause"], ["\u2190 \u2192", "one frame; with Shift ten"], [", .", "previous, next mark or note"],
     ["Home End", "first, last frame"], ["L", "loop"], ["0", "orbit"], ["1 to 9", "look through a camera"],
     ["F", "frame the vehicle"], ["P G C", "paths, ghosts at marks, cameras"], ["?", "this help"],
   ];
@@ -237,6 +238,7 @@ const vehsim = {};
       this.poses = header.groups.map((group) => array(group.poses));
       this.curves = header.curves.map((curve) => ({ ...curve, values: array(curve.values) }));
       this.marks = header.marks;
+      this.notes = header.notes;
       for (const overlay of [this.overlays.paths, this.overlays.ghosts]) dispose(overlay);
       this.lines = new Map(header.paths.map((path) => [path.name, this._addPath(array(path.points))]));
       this.rings = header.marks.map((mark) => this._addMark(mark));
@@ -348,6 +350,29 @@ const vehsim = {};
       ghost.userData.shared = true;
       this.overlays.ghosts.add(ghost);
       return ring;
+    }
+
+    /** Other notes. */
+    setNotes(notes) {
+      if (JSON.stringify(notes) === JSON.stringify(this.notes)) return;
+      this.notes = notes;
+      this.timeline.build();
+      this.stale = true;
+    }
+
+    /** The note of this frame, at the place that it points at or above the picture. */
+    _showNote(view) {
+      const box = element("note"), last = NOTE_SECONDS * this.header.fps;
+      const past = this.notes.filter((one) => one.frame <= this.frame), frame = Math.max(...past.map((one) => one.frame));
+      const now = this.frame < frame + last ? past.filter((one) => one.frame === frame) : [];
+      box.hidden = !now.length;
+      if (!now.length) return;
+      box.textContent = now.map((one) => one.text).join("\n");
+      const { position } = now.find((one) => one.position) || {};
+      const at = position && new THREE.Vector3(...position).project(view), seen = at && at.z < 1 && Math.abs(at.x) < 1 && Math.abs(at.y) < 1;
+      box.className = seen ? "at" : "";
+      box.style.left = seen ? `${50 * (at.x + 1)}%` : "";
+      box.style.top = seen ? `${50 * (1 - at.y)}%` : "";
     }
 
     /** Rings that are no marks, in place of those before. */
@@ -507,6 +532,7 @@ const vehsim = {};
       this.sky.position.copy(view.position);
       this._placeShadow(view);
       this.renderer.render(this.scene, view);
+      this._showNote(view);
     }
 
     /** The view of a shot's camera: its picture as large as fits, and what surrounds it darkened. */
@@ -613,7 +639,7 @@ const vehsim = {};
     }
 
     _toMark(sign) {
-      const frames = this.marks.map((mark) => Math.round(mark.frame)).filter((frame) => sign * (frame - this.frame) > 0);
+      const frames = [...this.marks, ...this.notes].map((mark) => Math.round(mark.frame)).filter((frame) => sign * (frame - this.frame) > 0);
       if (frames.length) this.seek(sign > 0 ? Math.min(...frames) : Math.max(...frames));
     }
 
@@ -663,7 +689,7 @@ const vehsim = {};
 
     /** Ticks at round numbers of frames, and the marks. */
     build() {
-      const { first, last, marks } = this.viewer, length = Math.max(last - first, 1);
+      const { first, last, marks, notes } = this.viewer, length = Math.max(last - first, 1);
       const room = Math.max(this.track.clientWidth / 70, 1);
       const every = [1, 2, 5, 10, 20, 25, 50, 100, 200, 250, 500, 1000, 2000, 5000, 10000].find((n) => length / n <= room) || 20000;
       const at = (frame) => `left:${(100 * (frame - first)) / length}%`;
@@ -671,7 +697,9 @@ const vehsim = {};
       for (let frame = Math.ceil(first / every) * every; frame <= last; frame += every)
         html += `<div class="tick" style="${at(frame)};height:40%"><span>${frame - first < 0.96 * length ? frame : ""}</span></div>`;
       for (const mark of marks) html += `<div class="mark" style="${at(mark.frame)}"></div>`;
+      for (const note of notes) html += `<div class="note" style="${at(note.frame)}"></div>`;
       this.track.innerHTML = `${html}<div class="head"></div>`;
+      this.track.querySelectorAll(".note").forEach((note, k) => (note.title = `${notes[k].frame}: ${notes[k].text}`));
       this.track.querySelectorAll(".mark").forEach((mark, k) => (mark.title = `${marks[k].vehicle}: mark at ${marks[k].frame}`));
       this.draw();
     }

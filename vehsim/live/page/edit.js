@@ -54,6 +54,47 @@
     event.stopImmediatePropagation();
   }, true);
 
+  // ---------------------------------------------------------------- notes
+
+  const addNote = button("do-note", "+ note", "a note from this frame on", () => {
+    fresh = true;
+    live().send({ kind: "add_note", frame: vehsim.viewer.frame, text: "note" });
+  });
+  const notes = Object.assign(document.createElement("div"), { id: "notes" });
+  element("panel").append(notes);
+  let noted = "", fresh = false;
+
+  /** A row for each note: its frame, its text, a button that pins it to the vehicle's place, and one that deletes it. */
+  function listNotes(given, editor) {
+    const now = JSON.stringify([given, editor]);
+    if (now === noted) return;
+    const known = noted ? JSON.parse(noted)[0] : [];
+    noted = now;
+    notes.replaceChildren(...given.map((one, note) => {
+      const row = document.createElement("div"), make = (kind, text, title, act) => {
+        const made = Object.assign(document.createElement("button"), { className: kind, textContent: text, title });
+        made.addEventListener("click", () => { act(); made.blur(); });
+        row.append(made);
+        return made;
+      };
+      make("at", one.frame, "go to this frame", () => vehsim.viewer && vehsim.viewer.seek(one.frame));
+      const input = Object.assign(document.createElement("textarea"), { value: one.text, rows: one.text.split("\n").length, maxLength: 1000, disabled: !editor });
+      input.addEventListener("change", () => (input.value ? live().send({ kind: "edit_note", note, text: input.value }) : (input.value = one.text)));
+      row.append(input);
+      make("pin", "pin", "pin it to where the vehicle is now", () => {
+        const place = vehsim.viewer && vehsim.viewer.subject();
+        if (place) live().send({ kind: "edit_note", note, position: place.toArray() });
+      }).disabled = !editor;
+      make("drop", "\u00d7", "delete this note", () => live().send({ kind: "delete_note", note })).disabled = !editor;
+      return row;
+    }));
+    const k = given.findIndex((one, at) => JSON.stringify(one) !== JSON.stringify(known[at]));
+    if (fresh && given.length > known.length) {
+      fresh = false;
+      notes.children[k].querySelector("textarea").select();
+    }
+  }
+
   // ---------------------------------------------------------------- settings
 
   const panel = Object.assign(document.createElement("div"), { id: "settings" });
@@ -62,6 +103,8 @@
     #settings summary { cursor: pointer; margin-top: 4px; overflow-wrap: anywhere; }
     #settings label { justify-content: space-between; margin: 3px 0 3px 10px; }
     #settings input[type="number"], #settings select { width: 7.5em; max-width: none; }
+    #notes div { display: flex; gap: 4px; margin-top: 4px; } #notes textarea { flex: 1; min-width: 0;
+      padding: 3px 5px; font: inherit; color: inherit; background: #2e3238; border: 1px solid var(--line); resize: vertical; }
     #settings .given { color: var(--ink); }
     .fix { margin-left: 4px; border-color: var(--accent); }` }));
   element("panel").append(panel);
@@ -118,6 +161,8 @@
     const now = JSON.stringify([state.settings, editor]);
     if (now !== listed) build(state.settings);
     listed = now;
+    listNotes(state.notes, editor);
+    addNote.disabled = !(editor && vehsim.viewer);
     add.disabled = remove.disabled = !(editor && vehsim.viewer && marks().length);
   }
 

@@ -133,6 +133,7 @@
     if (!viewer || !state) return;
     const marks = state.handles.filter((one) => one.mark !== null), others = state.handles.filter((one) => one.mark === null);
     const rings = viewer.setHandles(others);
+    viewer.setNotes(state.notes);
     grips = others.map((handle, k) => ({ handle, ring: rings[k], turns: handle.turns, solid: solid(handle) }));
     if (marks.length === viewer.rings.length) // else the motion on the screen has other marks than the file
       grips.push(...marks.map((handle, k) => ({ handle, ring: viewer.rings[k], turns: true, solid: [] })));

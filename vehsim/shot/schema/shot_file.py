@@ -24,6 +24,7 @@ from vehsim.shot.schema.tables import (
     ExportTable,
     Header,
     Name,
+    NoteTable,
     RenderTable,
     shipped_or_path,
 )
@@ -36,6 +37,7 @@ SCHEMA_LINE = f"#:schema ./{SCHEMA_FILE}"
 """The first line of a shot file by which an editor finds the schema beside it."""
 MAX_VEHICLES = 100
 MAX_CUTS = 1000
+MAX_NOTES = 1000
 
 
 def _one_or_several(value: Any) -> Any:
@@ -96,6 +98,8 @@ class ShotFile(Table):
     """a table [camera], or several [[camera]]"""
     cut: Annotated[list[CutTable], Array, Len(0, MAX_CUTS)] = Field(default=[])
     """[[cut]] tables with frame and camera: from which frame on which camera is used"""
+    note: Annotated[list[NoteTable], Array, Len(0, MAX_NOTES)] = Field(default=[])
+    """[[note]] tables with frame and text: notes that pages show"""
     render: RenderTable = RenderTable()
     """a table [render]"""
     export: ExportTable = ExportTable()

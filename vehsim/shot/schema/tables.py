@@ -30,6 +30,8 @@ MAX_FRAMES = 100_000
 MAX_PIXELS = 8192
 """Largest width and height of a picture: software rendering refuses 16384 x 16384."""
 MAX_CAMERAS = 20
+NOTE = 1000
+"""Largest length of a note, characters."""
 MAX_FPS = 1000
 _NTSC = Fraction(1000, 1001)
 
@@ -261,6 +263,17 @@ class CutTable(Table):
     """the first frame of this piece"""
     camera: Text
     """the name of the camera that shows it"""
+
+
+class NoteTable(Table):
+    """One of several ``[[note]]``: it changes no motion."""
+
+    frame: Frame
+    """the frame from which it is shown"""
+    text: Annotated[Text, Field(max_length=NOTE)]
+    """the text, up to 1000 characters"""
+    position: Place | None = None
+    """the place that it points at, [x, y, z] in m; default: above the picture"""
 
 
 class CurvesTable(Table):
