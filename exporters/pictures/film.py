@@ -70,5 +70,10 @@ def write_film(pictures: Sequence[Path], path: Path, fps: Fraction, progress: Pr
 
 
 exporter = Exporter(
-    name="mp4", suffixes=(".mp4",), write=write_films, needs=("usd", "png"), makes="a film of each camera"
+    name="mp4",
+    suffixes=(".mp4",),
+    write=write_films,
+    needs=("usd", "png"),
+    makes="a film of each camera",
+    state="rendering",
 )

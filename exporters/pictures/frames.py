@@ -247,5 +247,6 @@ exporter = Exporter(
     write=write_frames,
     needs=("usd",),
     makes="a picture of every frame, and a contact sheet",
+    state="rendering",
     every_frame=True,
 )

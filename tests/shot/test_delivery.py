@@ -107,8 +107,14 @@ def test_files_needed_only_by_other_exporters_are_dropped(exporters: Any, take: 
 
 def test_needs_run_first_and_once(exporters: Any, take: Take, tmp_path: Path) -> None:
     steps: list[tuple[str, float]] = []
-    take.export(tmp_path, to=("b", "a"), progress=lambda what, done: steps.append((what, done)))
-    assert steps == [("a", 0.5), ("b", 1.0)]
+    started: list[str] = []
+    take.export(
+        tmp_path,
+        to=("b", "a"),
+        progress=lambda what, done: steps.append((what, done)),
+        starting=lambda exporter: started.append(exporter.name),
+    )
+    assert steps == [("a", 0.5), ("b", 1.0)] and started == ["a", "b"]
     assert files(tmp_path) == {"shot/a.txt", "shot/sub/deep/a.txt", "shot/b.txt", "shot/report.json"}
 
 

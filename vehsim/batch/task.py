@@ -19,14 +19,13 @@ from vehsim.errors import InputError, VehsimError
 from vehsim.runtime.registry import whose_error
 
 if TYPE_CHECKING:
+    from vehsim.delivery.exporters import Exporter
     from vehsim.shot import Shot
 
 State = Literal["queued", "planning", "baking", "rendering", "done", "skipped", "failed"]
 Tell = Callable[[str, str, str, float], None]
 """Called with a clip's name, its state, the current work and the fraction done."""
 
-RENDERING = ("frames", "film", "contact")
-"""First words of the progress of pictures and films."""
 TRACEBACK_REMEDY = "set VEHSIM_DEBUG=1 to see the traceback"
 MEMORY_REMEDY = "give it fewer segments or pixels, or the worker more memory"
 _ONE_AT_A_TIME = threading.Lock()
@@ -170,10 +169,13 @@ def _work(task: Task, tell: Tell) -> Outcome:
         report={**take.report, "inputs": task.inputs},
     )
 
-    def bake(what: str, done: float) -> None:
-        tell(task.name, "rendering" if what.startswith(RENDERING) else "baking", what, done)
+    state = ""
 
-    take.export(task.out, task.to, bake)
+    def start(exporter: Exporter) -> None:
+        nonlocal state
+        state = exporter.state
+
+    take.export(task.out, task.to, lambda what, done: tell(task.name, state, what, done), starting=start)
     return Outcome(task.name, "done", frames=take.frames, recalled=take.recalled)
 
 

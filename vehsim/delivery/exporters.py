@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Literal
 
 from vehsim.delivery.earlier import SIGN, Keep, record
 from vehsim.delivery.folders import drop_empty_folders, new_version, newest, replacing, versions
@@ -36,6 +36,8 @@ class Exporter:
     vehicles"""
     makes: str = ""
     """The product in a few words: shown by ``vehsim export --help``"""
+    state: Literal["baking", "rendering"] = "baking"
+    """What a batch calls its work"""
     every_frame: bool = False
     """Whether it renders every frame of every camera, which takes minutes for a long shot"""
 
@@ -105,14 +107,16 @@ def write_files(
     names: Sequence[str],
     progress: Progress,
     instead: Mapping[str, Exporter] = MappingProxyType({}),
+    starting: Callable[[Exporter], None] = lambda exporter: None,
 ) -> dict[str, list[Path]]:
     """Run the exporters in ``folder``; return the files of each of ``names``, and delete those that were only needed.
 
-    ``instead``: exporters to use in place of those found, by name.
+    ``instead``: exporters to use in place of those found, by name; ``starting`` is called with each before it runs.
     """
     exporters = [instead.get(exporter.name, exporter) for exporter in in_order(names)]
     written: dict[str, list[Path]] = {}
     for i, exporter in enumerate(exporters):
+        starting(exporter)
 
         def report(what: str, done: float, before: int = i) -> None:
             progress(what, (before + min(max(done, 0.0), 1.0)) / len(exporters))

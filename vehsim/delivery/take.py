@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from fractions import Fraction
 from pathlib import Path
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from vehsim.delivery.exporters import (
     REPORT_GROUP,
+    Exporter,
     check_stage_is_there,
     delivering,
     exporter_for,
@@ -132,13 +133,14 @@ class Take:
         to: Sequence[str] = ("usd",),
         progress: Progress | None = None,
         overwrite: bool = True,
+        starting: Callable[[Exporter], None] = lambda exporter: None,
     ) -> Path:
         """Write the take to ``out/<name>/`` with the exporters ``to``, and describe the delivery in ``report.json``.
 
         Everything is written into a hidden folder and renamed at the end, so an earlier delivery stays complete until
         then, also after an error. Files of other exporters' earlier deliveries stay; those of another motion are set
-        apart in ``earlier/``, with a warning. Raises ``InputError`` for unknown exporters, ``ExportError`` for files
-        that cannot be written.
+        apart in ``earlier/``, with a warning. ``starting`` is called with each exporter before it runs. Raises
+        ``InputError`` for unknown exporters, ``ExportError`` for files that cannot be written.
         """
         to = (to,) if isinstance(to, str) else tuple(to)
         in_order(to)
@@ -147,7 +149,7 @@ class Take:
         if self.usd.layer_only and to == ("usd",) and not self.usd.versions and not (target / SIGN).is_file():
             return self._export_layers(target, overwrite, progress or silent)
         with delivering(target, self.usd.versions, overwrite) as folder:
-            written = write_files(self, folder, to, progress or silent)
+            written = write_files(self, folder, to, progress or silent, starting=starting)
             write_reports(self, folder, written)
         return point_at_newest(target) if self.usd.versions else target
 

@@ -7,6 +7,7 @@ solve. Brockett's optimal inputs between general end points are in `optimal.py`.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from itertools import combinations, product
 from math import factorial
@@ -20,6 +21,9 @@ from vehsim.sinusoids.laws import Law
 from vehsim.sinusoids.models import chained, first_degree, second_degree, second_degree_triples
 from vehsim.sinusoids.steering import Stage, Steering, integrate
 from vehsim.sinusoids.system import Array, DriftlessSystem
+
+Waves = Mapping[int, tuple[int, Callable[[Array], Array]]]
+"""Input -> frequency, and sine or cosine."""
 
 EXACT = 1e-9
 """Accuracy of steering for canonical systems, relative to the size of the states."""
@@ -88,7 +92,7 @@ def steer_second_degree(m: int, start: Any, goal: Any) -> Steering:
 
 def _pair_loop(m: int, still: int, fast: int) -> tuple[Any, Any]:
     """``u_still = sin, u_fast = cos of twice the frequency``, and its effect on a triple at unit amplitude."""
-    waves = {still: (1, "sin"), fast: (2, "cos")}
+    waves: Waves = {still: (1, np.sin), fast: (2, np.cos)}
     return _waves(m, waves), lambda triple: _cubic_effect(waves, triple)
 
 
@@ -96,10 +100,10 @@ def _triple_stages(m: int, indices: tuple[int, int, int], missing: dict[tuple[in
     """Two stages that move ``x_ijk`` and ``x_ikj`` by the missing displacement: a 2 x 2 linear solve for the cubes."""
     i, j, k = indices
     wanted = np.array([missing[i, j, k], missing[i, k, j]])
-    families = [
-        {i: (1, "cos"), j: (3, "cos"), k: (4, "cos")},
-        {i: (3, "cos"), j: (1, "cos"), k: (4, "cos")},
-        {i: (4, "cos"), j: (1, "cos"), k: (3, "cos")},
+    families: list[Waves] = [
+        {i: (1, np.cos), j: (3, np.cos), k: (4, np.cos)},
+        {i: (3, np.cos), j: (1, np.cos), k: (4, np.cos)},
+        {i: (4, np.cos), j: (1, np.cos), k: (3, np.cos)},
     ]
     effects = np.array([[_cubic_effect(w, t) for w in families] for t in ((i, j, k), (i, k, j))])
     pairs = list(combinations(range(3), 2))
@@ -111,14 +115,13 @@ def _triple_stages(m: int, indices: tuple[int, int, int], missing: dict[tuple[in
     return stages
 
 
-def _waves(m: int, waves: dict[int, tuple[int, str]]) -> Any:
-    """Amplitude -> law: each input of ``waves`` is amplitude x frequency x sin or cos."""
+def _waves(m: int, waves: Waves) -> Any:
+    """Amplitude -> law: each input of ``waves`` is amplitude x frequency x its wave."""
 
     def law_of(amplitude: float, sign: float = 1.0) -> Law:
         def law(s: Array) -> Array:
             u = np.zeros((len(s), m))
-            for n, (index, (frequency, kind)) in enumerate(waves.items()):
-                wave = np.sin if kind == "sin" else np.cos
+            for n, (index, (frequency, wave)) in enumerate(waves.items()):
                 factor = sign if n == len(waves) - 1 else 1.0
                 u[:, index] = factor * amplitude * math.tau * frequency * wave(math.tau * frequency * s)
             return u
@@ -137,13 +140,13 @@ def _cubic_stage(law_of: Any, gain: float, wanted: float, label: str, cycles: in
     return [Stage(label, law_of(amplitude, float(np.sign(cube))), cycles=cycles, amplitudes={"all": amplitude})]
 
 
-def _cubic_effect(waves: dict[int, tuple[int, str]], triple: tuple[int, int, int]) -> float:
+def _cubic_effect(waves: Waves, triple: tuple[int, int, int]) -> float:
     """Net motion of ``x_ijk`` over a loop of unit waves from the origin; trigonometric polynomials, so exact."""
     s = np.arange(64) / 64
 
     def rate(index: int) -> Array:
-        frequency, kind = waves.get(index, (0, "cos"))
-        return math.tau * frequency * (np.sin if kind == "sin" else np.cos)(math.tau * frequency * s)
+        frequency, wave = waves.get(index, (0, np.cos))
+        return math.tau * frequency * wave(math.tau * frequency * s)
 
     i, j, k = triple
     inner = periodic_integral(rate(i))

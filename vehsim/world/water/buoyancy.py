@@ -20,7 +20,7 @@ from vehsim.integrators.environment import Environment
 from vehsim.lie.quaternions import cross, matrices
 from vehsim.vehicles.definition.base import State
 from vehsim.world.water.height_field import MOST, WaterField
-from vehsim.world.water.hull_mesh import HullMesh, Wetted, read_hull, wetted
+from vehsim.world.water.hull_mesh import COLUMNS, DEPTH, HEAD, PLACE, THROUGH, HullMesh, Wetted, read_hull, wetted
 from vehsim.world.water.hull_repair import repaired
 from vehsim.world.water.motion import Motion
 from vehsim.world.water.potential import Response, response
@@ -253,16 +253,16 @@ class Afloat(Environment):
         places = np.concatenate([world, carried @ R_wb.T + position])
         motion, n = (self.field or self.water).at(places, t), len(points)
         elsewhere = Motion(*(part[n:] for part in motion))
-        columns = np.empty((n, 8))
-        columns[:, :3], columns[:, 3] = points, motion.height[:n] - world[:, 2]
-        columns[:, 4:7] = velocity + cross(omega, points) - motion.velocity[:n] @ R_wb
-        columns[:, 7] = columns[:, 3] - motion.fade[:n]
+        columns = np.empty((n, COLUMNS))
+        columns[:, PLACE], columns[:, DEPTH] = points, motion.height[:n] - world[:, 2]
+        columns[:, THROUGH] = velocity + cross(omega, points) - motion.velocity[:n] @ R_wb
+        columns[:, HEAD] = columns[:, DEPTH] - motion.fade[:n]
         wet = wetted(columns, faces)
         up = R_wb[2]
         torque_force, volume = np.zeros(6), 0.0
         immersion = entering = 0.0
         lift = self.law.at(float((velocity - elsewhere.velocity[: len(self.response.points)].mean(axis=0) @ R_wb)[0]))
-        fastest = float(np.sqrt((columns[:, 4:7] ** 2).sum(axis=1).max()))
+        fastest = float(np.sqrt((columns[:, THROUGH] ** 2).sum(axis=1).max()))
         speeds = (0.0 if len(wet.normals) else fastest, fastest)  # in the air, any part may hit the water next
         if len(wet.normals):
             volume = wet.volume(up)
@@ -281,8 +281,8 @@ class Afloat(Environment):
         hull, rho = self.data, self.water.density
         middles, normals = wet.middles, wet.normals
         area = np.sqrt(np.einsum("ki,ki->k", normals, normals))
-        through = middles[:, :, 4:7]
-        pressure = rho * GRAVITY * middles[:, :, 7]
+        through = middles[:, :, THROUGH]
+        pressure = rho * GRAVITY * middles[:, :, HEAD]
         if hull.normal_force:
             pressure = pressure + hull.normal_force / self.reference_area
         into = np.einsum("kqi,ki->kq", through, normals)  # times the area
@@ -303,7 +303,7 @@ class Afloat(Environment):
                 size = np.sqrt(np.einsum("kqi,kqi->kq", through, through))
                 rate = rate + size[:, :, None] * np.asarray(hull.quadratic, float)
             force -= (area / self.reference_area)[:, None, None] * rate * through
-        force, arms = force.reshape(-1, 3) / 3, middles[:, :, :3].reshape(-1, 3)
+        force, arms = force.reshape(-1, 3) / 3, middles[:, :, PLACE].reshape(-1, 3)
         (_, xy, xz), (yx, _, yz), (zx, zy, _) = arms.T @ force
         wrench = np.array([yz - zy, zx - xz, xy - yx, *(np.ones(len(force)) @ force)])
         return wrench, float(into.sum() / 3), fastest

@@ -23,6 +23,10 @@ MAX_FACES = 200_000
 CHECKED_FACES = 20_000
 """Hulls with more faces are not checked for self-intersection, which would take minutes."""
 
+PLACE, DEPTH, THROUGH, HEAD, COLUMNS = slice(3), 3, slice(4, 7), 7, 8
+"""Columns of a floating hull's nodes: place (m) and velocity through the water (m/s) in body axes, depth below the
+surface (m), and the depth (m) of still water with the same pressure; the number of columns."""
+
 
 @dataclass(frozen=True, eq=False)
 class HullMesh:

@@ -18,7 +18,7 @@ from vehsim.constants import GRAVITY
 from vehsim.errors import InputError
 from vehsim.lie.quaternions import cross
 from vehsim.vehicles.definition.resistance import SpeedSpline
-from vehsim.world.water.hull_mesh import HullMesh, Wetted, wetted
+from vehsim.world.water.hull_mesh import THROUGH, HullMesh, Wetted, wetted
 
 if TYPE_CHECKING:
     from vehsim.vehicles.definition.hydrodynamics import Hull
@@ -151,7 +151,7 @@ def _unbalanced(boat: Boat, running: Any, k: int, wet: Wetted, lift: Lift) -> Ar
     at = places.mean(axis=0) if len(places) else np.zeros(3)
     weight = boat.mass * GRAVITY
     columns = wet.middles.copy()
-    columns[:, :, 4:7] = speed * np.array([np.cos(trim), 0.0, -np.sin(trim)])
+    columns[:, :, THROUGH] = speed * np.array([np.cos(trim), 0.0, -np.sin(trim)])
     total = boat.surface(Wetted(columns, wet.normals), lift)[0]
     total = total + np.concatenate([cross(at, push), push - weight * _up(trim)])
     return np.asarray(total[[1, 3, 5]] / weight / [running.length, 1.0, 1.0])
