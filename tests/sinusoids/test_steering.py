@@ -180,7 +180,7 @@ def test_a_short_straight_leg_does_not_turn_the_wheels(heading):
 
 def test_an_excessively_bent_leg_is_a_named_error():
     leg = across(Train((1.5,) * 5, 1.0), Pose(0, 0, 0), Pose(40, 6, 0), "drive")
-    with pytest.raises(SolveError, match="leg 'drive': bends beyond"):
+    with pytest.raises(SolveError, match="leg 'drive': bends without bound"):
         _ = replace(leg, right=leg.right * 1e300).law
 
 
