@@ -240,6 +240,7 @@ def test_obstacles_and_what_a_camera_looks_at_are_dragged(path):
             assert box["place"] == [12, 1, 0] and box["drawn"] == {"place": [12, 1, 0], "heading": 15}
 
             await page.send(kind="place", key=prism["key"], position=[1.0, -10.0, 0.5])
+            moved = await page.until("scene")  # states come twice, so that the last one may be the box's
             await page.until("state", lambda message: message["solved"])
             await page.send(kind="drag", key="camera.look_at", position=[8.0, 2.0, 1.0])
             assert "on release" in (await page.until("undrawn"))["text"]
