@@ -609,10 +609,7 @@ class Ground:
         """Signed distances (n,) m: negative below."""
         import igl
 
-        # few triangles are close: distant ones need no tree
-        low, high = points.min(axis=0)[:2] - 30, points.max(axis=0)[:2] + 30
-        corners = self.points[self.faces][:, :, :2]
-        near = np.all((corners.max(axis=1) >= low) & (corners.min(axis=1) <= high), axis=1)
+        near = self._near(points)
         squared, which, closest = igl.point_mesh_squared_distance(
             np.ascontiguousarray(points), self.points, np.ascontiguousarray(self.faces[near])
         )[:3]
@@ -624,6 +621,28 @@ class Ground:
             beneath = np.all((bounds[0] <= points[k, :2]) & (points[k, :2] <= bounds[1]), axis=1)
             above[k] = _is_over(points[k], shapes[beneath])
         return np.where(above, 1, -1) * np.sqrt(squared)
+
+    def gap(self, points: Array, faces: Array) -> float:
+        """Distance of a hull, m, also where its edges are nearest; below the ground that of its deepest corner."""
+        import fcl
+
+        least = float(self.distances(points).min())
+        if least <= 0:
+            return least
+        sides = []
+        for corners, triangles in ((points, faces), (self.points, self.faces[self._near(points)])):
+            mesh = fcl.BVHModel()
+            mesh.beginModel(len(triangles), len(corners))
+            mesh.addSubModel(corners, triangles)
+            mesh.endModel()
+            sides.append(fcl.CollisionObject(mesh, fcl.Transform()))
+        return max(0.0, float(fcl.distance(*sides)))
+
+    def _near(self, points: Array) -> Array:
+        """The triangles within 30 m, (n,) bool: distant ones need no tree."""
+        low, high = points.min(axis=0)[:2] - 30, points.max(axis=0)[:2] + 30
+        corners = self.points[self.faces][:, :, :2]
+        return np.asarray(np.all((corners.max(axis=1) >= low) & (corners.min(axis=1) <= high), axis=1))
 
 
 def _is_over(point: Array, shapes: Array) -> bool:
@@ -701,11 +720,12 @@ def check_clearance(
     for mark, frame in marks:
         if not mark.get("on_ground"):
             continue
-        points = np.concatenate([stage.world(mesh, points, [frame])[0] for mesh, points, _ in hulls])
-        gaps = [ground.distances(points).min()] if ground else []
+        parts_there = [(stage.world(mesh, points, [frame])[0], faces) for mesh, points, faces in hulls]
+        points = np.concatenate([part for part, _ in parts_there])
+        gaps = [min(ground.gap(*part) for part in parts_there)] if ground else []
         gaps += [_distances(points, shape).min() for parts in shapes.values() for shape in parts]
-        found.hold("on_ground.touch", abs(min(gaps)), 0.02 if ground and np.ptp(ground.points[:, 2]) else PLACE, frame,
-                   f"{motion.name}: off what it stands on", "m")  # fmt: skip
+        off = f"{motion.name}: off what it stands on"
+        found.hold("on_ground.touch", abs(min(gaps)), PLACE, frame, off, "m")
 
 
 def _from_other_side(points: Array, hulls: list[Any], placed: list[Array], k: int) -> float:
