@@ -288,7 +288,7 @@ def test_an_interrupted_export_leaves_nothing(tmp_path: Path, number: int) -> No
     code = (
         "import sys, time, pathlib, vehsim.delivery.take as d\n"
         "from vehsim.cli import commands\n"
-        "def slow(take, folder, names, progress):\n"
+        "def slow(take, folder, *rest, **options):\n"
         f"    (folder / 'half').touch(); pathlib.Path({str(tmp_path / 'started')!r}).touch(); time.sleep(60)\n"
         "d.write_files = slow\n"
         "sys.exit(commands.run(sys.argv[1:]))\n"

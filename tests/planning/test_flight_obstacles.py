@@ -158,7 +158,7 @@ def test_moving_obstacles_are_avoided(helicopter):
         (Mark(1, position=(27.5, 0, 30), heading=0), r"only \d\.\d+ m from obstacle 'tower'"),
         (Mark(1, position=(40, 0, 20), heading=0, on_ground=True), "inside the ground or an obstacle; raise it"),
         (Mark(1, position=(0, 0, 20), heading=0, on_ground=True), "nothing below it to stand on"),
-        (Mark(1, position=(40, 0, 80), on_ground=True), "give the position above it, and a heading"),
+        (Mark(1, position=(40, 0, 80), on_ground=True), "give the position above the ground, and a heading"),
         (Mark(1, position=(40, 0, 80), heading=0, on_ground=True, speed=3.0), "stands still at this mark"),
     ],
 )
