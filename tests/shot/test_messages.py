@@ -24,6 +24,10 @@ start_frame = 1001
 end_frame = 1100
 handles = 0
 
+[[note]]
+frame = 1010
+text = "brakes"
+
 [world]
 terrain = "flat"
 wind = [0, 0, 0]

@@ -111,7 +111,7 @@ def test_simulation_runs_through_the_handles(small: dict[str, Any]) -> None:
 
 def test_motion_cut_off_warns(small: dict[str, Any]) -> None:
     small["shot"]["end_frame"] = 1050
-    with pytest.warns(UserWarning, match="car: its motion covers frames 1001 to 1013 of 1001 to 1050"):
+    with pytest.warns(UserWarning, match="car: its motion covers only frames 1001 to 1013 of 1001 to 1050"):
         take = Shot.from_dict(small).solve()
     clip = take.clips["car"]
     assert clip.end_frame == 1050

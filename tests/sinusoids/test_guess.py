@@ -49,6 +49,6 @@ def test_vehicles_that_sinusoids_do_not_drive_are_refused():
     with pytest.raises(InputError, match="only cars"):
         initial_guess(vehsim.load_vehicle("hopper"), [])
     table = PlanMotion(method="plan", guess="sinusoid", mark=None)
-    (problem,) = table._check_guess(vehsim.load_vehicle("helicopter"))
+    (problem,) = table._check_guess(vehsim.load_vehicle("helicopter"), None)
     assert problem.key == "guess" and "wheels" in str(problem)
-    assert not list(table._check_guess(vehsim.load_vehicle("car")))
+    assert not list(table._check_guess(vehsim.load_vehicle("car"), None))
