@@ -60,7 +60,7 @@ def test_default_parts_show_every_channel_and_export_validates(cart, tmp_path):
     [
         ({"a": Wheel(0.1, channel="spin")}, "channel = 'spin': unknown; cart has roll_left, roll_right"),
         ({"a": Box((1, 1, 1), parent="b")}, "parent = 'b'"),
-        ({"a": Box((1, 1, 1), parent="b"), "b": Box((1, 1, 1), parent="a")}, "circle"),
+        ({"a": Box((1, 1, 1), parent="b"), "b": Box((1, 1, 1), parent="a")}, "form a cycle"),
     ],
 )
 def test_wrong_parts_are_named(cart, tmp_path, parts, message):
