@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -44,8 +45,9 @@ def test_the_farm_delivers_what_export_does(write: Callable[..., Path], tmp_path
     write_job(shot, tmp_path / "job.json", to, "--chunks", "3")
     binaries = Path(sys.executable).parent
     command = [str(binaries / "openjd"), "run", str(tmp_path / "job.json"), "--step", "Deliver", "--run-dependencies"]
+    own = os.environ | {"TMPDIR": str(tmp_path)}  # the engine's shared folder may be another user's
     answer = subprocess.run(
-        [*command, "-p", f"Vehsim={binaries / 'vehsim'}"], capture_output=True, text=True, cwd=tmp_path
+        [*command, "-p", f"Vehsim={binaries / 'vehsim'}"], capture_output=True, text=True, cwd=tmp_path, env=own
     )
     assert answer.returncode == 0, answer.stdout[-3000:] + answer.stderr
     export_batch(load_shots(shot), tmp_path / "here", to.split(","))
