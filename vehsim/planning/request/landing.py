@@ -56,7 +56,7 @@ def rounded_distance(position: Expr, place: Expr) -> Expr:
 def forgiven(marks: Sequence[Mark], wanted: float) -> Callable[[Array], Array]:
     """A function of positions (n, 3): by how much the clearance ``wanted`` is reduced there (n,), m; fully at a
     landing."""
-    places = [np.asarray(mark.position, float) for mark in marks if getattr(mark, "on_ground", False)]
+    places = [np.asarray(mark.position, float) for mark in marks if mark.on_ground]
 
     def less(positions: Array) -> Array:
         away = [wanted - landing_clearance(np.linalg.norm(positions - p, axis=1), wanted, 0.0) for p in places]

@@ -60,14 +60,13 @@ def marks_too_near(
     """
     if world is None:
         return
-    parts, less = parts_in_reach(vehicle, world, marks), forgiven(marks, clearance)
+    parts, flies = parts_in_reach(vehicle, world, marks), vehicle.group.dim == 6
+    less = forgiven(marks if flies else [], clearance)
     for i, mark in enumerate(marks):
         seconds = None if fps is None or mark.frame == "free" else float(int(mark.frame) / fps)
         if mark.position is None:
             continue
-        found = (
-            _flown(vehicle, world, mark, seconds) if vehicle.group.dim == 6 else _driven(vehicle, parts, mark, seconds)
-        )
+        found = _flown(vehicle, world, mark, seconds) if flies else _driven(vehicle, parts, mark, seconds)
         if found is None:
             continue
         spare = found.spare + leeway(mark) + float(less(np.array([mark.position], float))[0])
