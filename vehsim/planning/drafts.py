@@ -28,7 +28,7 @@ from vehsim.vehicles import Vehicle
 from vehsim.world.ground.placing import place_on_terrain
 
 SEGMENTS = 48
-"""Number of segments of a draft: enough for fast flight, and few enough to be solved while somebody drags."""
+"""Largest number of segments of a draft: enough for fast flight, and few enough to be solved while somebody drags."""
 ITERATIONS = 60
 """Largest number of iterations of a solve: marks that cannot be met must not hold up those that follow."""
 
@@ -66,16 +66,16 @@ class Draft:
         if shape(request.marks) != shape(given):
             raise ValueError("the marks fix other quantities than before: make a new draft")
         request = replace(request, given=request.marks, marks=same_headings(request.marks, given, before.marks))
-        run = Run(request, None, self._run.solvers)
+        run = Run(request, solvers=self._run.solvers, draft=True)
         with interrupts.remembered():
             iterate = solve(run, at_marks(self._iterate, request))
         return Draft(iterate, run)
 
     def clip(self) -> Clip:
-        """The motion on whole frames, with wheels on the ground."""
+        """The motion on whole frames, with wheels on the ground, within a millimetre or two."""
         request = self._iterate.request
         clip = replace(self._iterate.clip, vehicle=request.vehicle)
-        return place_on_terrain(clip.at(_whole(clip)), request.world, samples=1)
+        return place_on_terrain(clip.at(_whole(clip)), request.world, samples=1, coarse=True)
 
 
 def draft(vehicle: Vehicle, world: Any, marks: Sequence[Mark], clip: Clip | None, **options: Any) -> Draft:
@@ -84,11 +84,11 @@ def draft(vehicle: Vehicle, world: Any, marks: Sequence[Mark], clip: Clip | None
 
     Raises ``InputError`` for an invalid request.
     """
-    segments = max(SEGMENTS, 2 * len(marks))
+    segments = max(min(SEGMENTS, options.get("segments", SEGMENTS)), 2 * len(marks))
     request = make_request(
         vehicle, world, marks, **{**options, "refine": False, "segments": segments, "max_iterations": ITERATIONS}
     )
-    run = Run(request)
+    run = Run(request, draft=True)
     with interrupts.remembered():
         paths = find_paths(request, clip, run.deadline.watched(None))
         cover = cover_for(request, paths, run.deadline.watched(None))

@@ -131,11 +131,20 @@ class Iterate(Trajectory):
 
 
 class Run:
-    """The resources and counters of one planner run: its deadline, its solver cache, and its progress callback."""
+    """The resources and counters of one planner run: its deadline, its solver cache, and its progress callback.
 
-    def __init__(self, request: Request, progress: Progress | None = None, solvers: SolverCache | None = None) -> None:
+    ``draft``: whether its solves end as soon as the motion looks final.
+    """
+
+    def __init__(
+        self,
+        request: Request,
+        progress: Progress | None = None,
+        solvers: SolverCache | None = None,
+        draft: bool = False,
+    ) -> None:
         self.deadline = Deadline(request.deadline)
-        self.progress = progress
+        self.progress, self.draft = progress, draft
         self.solvers = solvers or SolverCache()
         self.iterations = 0
         self.build_seconds = self.solve_seconds = 0.0

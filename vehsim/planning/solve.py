@@ -23,7 +23,7 @@ from vehsim.planning.guesses.paths import along_clip, along_paths, clip_spans
 from vehsim.planning.iterate import Certificate, Finding, Iterate, Run
 from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.multipliers import transferred
-from vehsim.planning.problem.solver import Solution, Solver, Start
+from vehsim.planning.problem.solver import End, Solution, Solver, Start
 from vehsim.planning.problem.solver_cache import common
 from vehsim.planning.problem.transcription import Transcription
 from vehsim.planning.request.landing import landings
@@ -175,13 +175,14 @@ def _solver(run: Run, iterate: Iterate) -> Solver:
     """The solver of an iterate's problem, built once per shape of marks and, in free space, shared by all plans."""
     request, layout, transcription = iterate.request, iterate.layout, iterate.transcription
     keys: tuple[Hashable, ...] = tuple(block.key(layout, transcription) for block in iterate.blocks)
-    content = request.traits.name != STUNT  # a character is a preference: its costs need not be least
-    key = transcription, layout, keys, request.solver, request.max_iterations, content
+    # a character is a preference: its costs need not be least
+    end: End = "draft" if run.draft else "optimal" if request.traits.name == STUNT else "content"
+    key = transcription, layout, keys, request.solver, request.max_iterations, end
     cache = run.solvers if iterate.cover is not None or request.terms else common()
 
     def make() -> Solver:
         problem = assemble(transcription, layout, iterate.blocks)
-        return Solver(problem, request.solver, request.max_iterations, content)
+        return Solver(problem, request.solver, request.max_iterations, end)
 
     return cache.get(key, make)
 

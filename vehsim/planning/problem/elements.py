@@ -23,12 +23,12 @@ Indices = NDArray[np.intp]
 
 @dataclass(frozen=True, eq=False)
 class SpatialField:
-    """A function of space that an element evaluates at ``points`` (3, k), expressions of its variables and parameters.
+    """A function of space that an element evaluates at ``points`` (d, k), expressions of its variables and parameters.
 
-    ``function``: (count, order) -> a `Function`, points (3, count) -> value, gradient and Hessian (xx, yy, zz, xy, xz,
-    yz) there (10, count), with derivatives up to ``order``. The element itself is written in the symbols ``models``
-    (13, k): the point and these ten numbers, used through `second_order`. CasADi therefore never differentiates the
-    function itself, which may be too large a spline for that.
+    ``function``: (count, order) -> a `Function`, points (d, count) -> numbers (m, count) that describe it near these
+    points, exact for derivatives up to ``order``. The element itself is written in the symbols ``models`` (d + m, k):
+    the point and these numbers. CasADi therefore never differentiates the function itself, which may be too large a
+    spline for that.
     """
 
     points: Any
@@ -37,8 +37,8 @@ class SpatialField:
 
 
 def second_order(points: Any, models: Any) -> Any:
-    """Values (k,) at ``points`` (3, k) from second-order models ``models`` (13, k): exact there, with both
-    derivatives."""
+    """Values (k,) at ``points`` (3, k) from ``models`` (13, k): the point, value, gradient and Hessian (xx, yy, zz, xy,
+    xz, yz) there. Exact at that point, with both derivatives."""
     values = []
     for k in range(points.shape[1]):
         place, value, slope, bend = ca.vertsplit(models[:, k], [0, 3, 4, 7, 13])
@@ -87,7 +87,7 @@ class Element:
 
     @cached_property
     def points(self) -> ca.Function:
-        """``(y, p) -> (3, k)``: the points at which the function of space is evaluated; ``p`` excludes its models."""
+        """``(y, p) -> (d, k)``: the points at which the function of space is evaluated; ``p`` excludes its models."""
         assert self.space is not None
         return ca.Function("points", [self.y, self.p[: self.given]], [self.space.points])
 
@@ -192,10 +192,10 @@ class Use:
         rows = [given, ca.MX(ca.DM(self.constants))] if len(self.constants) else [given]
         space = self.element.space
         if space is not None:
-            points, k = self.mapped(self.element.points)(y, ca.vertcat(*rows)), space.points.shape[1]
-            places = ca.reshape(points, 3, k * self.count)
+            points, (d, k) = self.mapped(self.element.points)(y, ca.vertcat(*rows)), space.points.shape
+            places = ca.reshape(points, d, k * self.count)
             models = ca.vertcat(places, space.function(k * self.count, order)(places))
-            rows.append(ca.reshape(models, 13 * k, self.count))
+            rows.append(ca.reshape(models, space.models.shape[0] * k, self.count))
         return y, ca.vertcat(*rows)
 
 

@@ -59,7 +59,10 @@ discretisation; such a motion with its multipliers."""
 
 MET = 1e-6
 """Largest violation of a constraint that is met, in the problem's scaled units."""
-CONTENT = {
+End = Literal["optimal", "content", "draft"]
+"""When a solve ends: at the least cost; when all constraints are met and the cost hardly changes; or soon after that,
+within what can be seen."""
+_CONTENT = {
     "acceptable_tol": 1e6,
     "acceptable_dual_inf_tol": 1e6,
     "acceptable_constr_viol_tol": MET,
@@ -67,9 +70,12 @@ CONTENT = {
     "acceptable_obj_change_tol": 1e-4,
     "acceptable_iter": 15,
 }
-"""Options of a content solve: it ends when all constraints are met and the cost has hardly changed for so many
-iterations. A motion that meets all constraints at the largest number of iterations is a solution too: near the
-earliest possible frame, the costs of a character fall slowly, and hardly any of it can be seen."""
+_ENDS: dict[End, dict[str, Any]] = {
+    "optimal": {"tol": 1e-8, "constr_viol_tol": 1e-9},
+    # near the earliest possible frame, the costs of a character fall slowly, and hardly any of it can be seen
+    "content": {"tol": 1e-8, "constr_viol_tol": 1e-9, **_CONTENT},
+    "draft": {"tol": 1e-4, "constr_viol_tol": MET, "dual_inf_tol": 1e3, "compl_inf_tol": 1e-3, **_CONTENT},
+}
 NEARBY = 60
 """Maximum number of iterations from multipliers: if these mislead, the motion alone is the better start."""
 _WARM = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
@@ -86,23 +92,21 @@ _BARRIERS: dict[Start, dict[str, Any]] = {
 }
 
 
-def ipopt_options(max_iterations: int = 400, start: Start = "guess", content: bool = False) -> dict[str, Any]:
+def ipopt_options(max_iterations: int = 400, start: Start = "guess", end: End = "optimal") -> dict[str, Any]:
     """Options of IPOPT with exact Hessians and MUMPS, without output."""
     return {
         "ipopt": {
             "max_iter": min(max_iterations, NEARBY) if start == "multipliers" else max_iterations,
-            "tol": 1e-8,
-            "constr_viol_tol": 1e-9,
             "mumps_pivot_order": 0,
             "print_level": 0,
             "sb": "yes",
             **_BARRIERS[start],
-            **(CONTENT if content else {}),
+            **_ENDS[end],
         }
     }
 
 
-def sqp_options(max_iterations: int = 400, start: Start = "guess", content: bool = False) -> dict[str, Any]:
+def sqp_options(max_iterations: int = 400, start: Start = "guess", end: End = "optimal") -> dict[str, Any]:
     """Options of CasADi's own SQP method over the sparse QP solver it ships, convexified, without output."""
     quiet = {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False}
     return {
@@ -118,13 +122,12 @@ def sqp_options(max_iterations: int = 400, start: Start = "guess", content: bool
     }
 
 
-SOLVERS: dict[str, Callable[[int, Start, bool], dict[str, Any]]] = {
+SOLVERS: dict[str, Callable[[int, Start, End], dict[str, Any]]] = {
     "ipopt": ipopt_options,
     "sqpmethod": sqp_options,
-    "fatrop": lambda iterations, start, content: {"fatrop": {"max_iter": iterations, "print_level": 0, "tol": 1e-8}},
+    "fatrop": lambda iterations, start, end: {"fatrop": {"max_iter": iterations, "print_level": 0, "tol": 1e-8}},
 }
-"""NLP solver -> its options, as a function of the maximum number of iterations, the kind of start, and whether it is
-content with a cost that hardly changes."""
+"""NLP solver -> its options, as a function of the maximum number of iterations, the kind of start, and the end."""
 
 ACCEPTABLE, MAXIMUM = "Solved_To_Acceptable_Level", "Maximum_Iterations_Exceeded"
 PLAIN = {
@@ -159,9 +162,9 @@ class Solver:
     """
 
     def __init__(
-        self, problem: NonlinearProgram, plugin: str = "ipopt", max_iterations: int = 400, content: bool = False
+        self, problem: NonlinearProgram, plugin: str = "ipopt", max_iterations: int = 400, end: End = "optimal"
     ):
-        self.problem, self.plugin, self.max_iterations, self.content = problem, plugin, max_iterations, content
+        self.problem, self.plugin, self.max_iterations, self.end = problem, plugin, max_iterations, end
         self.watch: Callable[[int], None] | None = None
         self._bounds = problem.bounds
         functions = problem.functions()
@@ -176,7 +179,7 @@ class Solver:
         if start not in self._solvers:
             settings: dict[str, Any] = {
                 **self._own,
-                **SOLVERS[self.plugin](self.max_iterations, start, self.content),
+                **SOLVERS[self.plugin](self.max_iterations, start, self.end),
                 "iteration_callback": self._callback,
                 "print_time": False,
                 "error_on_fail": False,
@@ -207,7 +210,7 @@ class Solver:
         x, g = np.asarray(answer["x"]).ravel(), np.asarray(answer["g"]).ravel()
         violations = np.maximum.reduce([g_lower - g, g - g_upper, np.zeros_like(g)])
         status, violation = str(stats["return_status"]), float(violations.max(initial=0.0))
-        if self.content and status == MAXIMUM and violation <= MET:
+        if self.end != "optimal" and status == MAXIMUM and violation <= MET:
             status = ACCEPTABLE
         return Solution(
             x=x,

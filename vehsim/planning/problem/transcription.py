@@ -8,6 +8,7 @@ Momenta and controls are scaled to the size of velocities and of typical control
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable
+from dataclasses import replace
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -18,8 +19,9 @@ from numpy.typing import NDArray
 from vehsim.integrators import DiscreteMechanics
 from vehsim.integrators.discrete import mechanics_of
 from vehsim.lie.maps import DEFAULT_MAP
-from vehsim.planning.problem.elements import Element
+from vehsim.planning.problem.elements import Element, SpatialField
 from vehsim.vehicles import Vehicle
+from vehsim.world.ground.slope import Weight
 
 Array = NDArray[np.float64]
 
@@ -76,15 +78,41 @@ class Transcription:
         g, r, pi = self.split(v["x"])
         g1, r1, pi1 = self.split(v["x1"])
         ca_, cb = v["c0"] * self.control_scale, v["c1"] * self.control_scale
-        step = self.mechanics
-        expressions = [step.segment[name] for name in ("left", "right", "g1", "r1")]
-        inputs = [step.symbols[name] for name in ("g", "r", "z", "c0", "c1", "h", "wind")]
-        segment = ca.Function("segment", inputs, expressions)
         ends = (ca_ + start * (cb - ca_), ca_ + (start + fraction) * (cb - ca_))
-        left, right, next_g, next_r = segment(g, r, v["z"], *ends, v["h"] * fraction, wind)
+        given = (g, r, v["z"], *ends, v["h"] * fraction, wind)
+        segment, weight = self._segment, self._weight
+        cells = ca.SX.sym("cells", segment.size_in("cell")[0], 2)
+        left, _, next_g, next_r = segment(*given, cells[:, 0])
+        _, right, _, _ = segment(*given, cells[:, 1])
         residuals = ((left - pi) / self.momentum_scale, (right - pi1) / self.momentum_scale, next_g - g1, next_r - r1)
         parameters = {"wind": wind, "start": start, "fraction": fraction}
-        return Element("dynamics", ca.vertcat(*v.values()), parameters, g=ca.vertcat(*residuals))
+        space = None
+        if weight is not None:
+            places = ca.horzcat(weight.place(g), weight.place(next_g))
+            models = ca.vertcat(ca.SX.sym("places", 2, 2), cells)
+            space = SpatialField(places, models, lambda count, order: weight.relief.cells(count))
+        return Element("dynamics", ca.vertcat(*v.values()), parameters, g=ca.vertcat(*residuals), space=space)
+
+    @cached_property
+    def _weight(self) -> Weight | None:
+        """The vehicle's weight on a terrain, if it has one."""
+        potential = getattr(self.vehicle, "potential_energy", None)
+        return potential if isinstance(potential, Weight) else None
+
+    @property
+    def _segment(self) -> ca.Function:
+        """``(g, r, z, c0, c1, h, wind, cell) -> (left, right, g1, r1)`` of `DiscreteMechanics.segment`; ``cell``: where
+        the weight acts on the terrain, see `Relief.cells`."""
+        cell, step = ca.SX.sym("cell", 0), self.mechanics
+        if self._weight is not None:  # everywhere at once, the terrain would need a hundred times as many operations
+            cell = ca.SX.sym("cell", self._weight.relief.CELL)
+            local = replace(self.vehicle, potential_energy=replace(self._weight, cell=cell))  # type: ignore[call-arg]
+            step = mechanics_of(local, DEFAULT_MAP, "galerkin")
+        names = ("g", "r", "z", "c0", "c1", "h", "wind")
+        inputs, results = [step.symbols[name] for name in names], ("left", "right", "g1", "r1")
+        return ca.Function(
+            "segment", [*inputs, cell], [step.segment[name] for name in results], [*names, "cell"], list(results)
+        )
 
     def kept(self, key: Hashable, make: Callable[[], Element]) -> Element:
         """The element stored under ``key``, or the one that ``make`` builds; it is differentiated only once."""

@@ -29,26 +29,27 @@ Array = NDArray[np.float64]
 SAMPLES = 8
 """Samples per frame for coarser clips, so that wheels also touch between knots."""
 SETTLING = 5
-"""Iterations of the body's rest pose, each with one iteration of its contacts: within 0.02 mm."""
+"""Iterations of the body's rest pose, each with one iteration of its contacts: within 0.02 mm. The first three need
+only coarse wheels."""
 GRIP = 1.1
 """Grip of dry tyres, in g."""
 LARGEST_TRAVEL = 0.12
 """Travel beyond which a wheel leaves its arch, m."""
 
 
-def place_on_terrain(clip: Clip, world: Any, samples: int = SAMPLES) -> Clip:
+def place_on_terrain(clip: Clip, world: Any, samples: int = SAMPLES, coarse: bool = False) -> Clip:
     """The clip of a vehicle with wheels on ``world``'s terrain: height, pitch and roll of its root, travel of wheels.
 
     Adds the channels ``heave`` (of the body above its rest on its wheels, m), ``pitch`` (nose down) and ``roll`` (left
     side up, rad); fills ``travel_*`` (m, upwards), and ``hitch_pitch*`` and ``hitch_roll*`` of trailers, as ``pitch``
     and ``roll``; wheels turn by the length of the slope. The planar motion does not change. Other clips, and clips
-    without terrain, are returned unchanged. ``samples``: at least so many per frame.
+    without terrain, are returned unchanged. ``samples``: at least so many per frame; ``coarse``: see `Wheel.coarse`.
     """
     terrain = None if world is None else world.terrain
     rig = clip.vehicle.rig
     if terrain is None or rig is None or not clip.vehicle.group.planar:
         return clip
-    wheels = wheels_of(rig)
+    wheels = tuple(wheel.coarse if coarse else wheel for wheel in wheels_of(rig))
     own = tuple(wheel for wheel in wheels if not wheel.carrier)
     if not own:
         return clip
@@ -106,10 +107,11 @@ def _rest(terrain: Terrain, wheels: tuple[Wheel, ...], xy: Array, yaw: Array) ->
     fit = np.linalg.pinv(np.column_stack([np.ones(len(wheels)), -centres[:, 0], centres[:, 1]]), rcond=1e-6)
     pose = np.zeros((len(xy), 3))
     pose[:, 0] = terrain.height(xy)
-    for _ in range(SETTLING):
+    for k in range(SETTLING):
+        near = [wheel.coarse for wheel in wheels] if k < 3 else wheels
         orientations = yaw_tilt(yaw, *pose[:, 1:].T)
         positions = np.column_stack([xy, pose[:, 0]])
-        travel = np.column_stack([touch(terrain, wheel, positions, orientations, 1) for wheel in wheels])
+        travel = np.column_stack([touch(terrain, wheel, positions, orientations, 1) for wheel in near])
         pose = pose + travel @ fit.T
     return pose
 

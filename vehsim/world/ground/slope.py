@@ -8,7 +8,7 @@ degrees, is neglected in the inertia.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -64,26 +64,107 @@ def _box(terrain: Terrain, places: ArrayLike | None) -> Array:
     return np.array([lower, upper]) if empty else box
 
 
-def _weight(vehicle: Any, terrain: Terrain, box: Array) -> Any:
-    """``(g, r) -> J``"""
+@dataclass(frozen=True, eq=False)
+class Weight:
+    """The potential ``(g, r) -> J`` of ``mass`` kg on the ground's ``relief``, and of the vehicle's ``own`` potential.
+
+    ``root`` (2,) m: the rig's root in the body frame. With ``cell``, symbols of one cell of the relief, the potential
+    holds within that cell, and costs a hundredth: see `Relief.cells`.
+    """
+
+    mass: float
+    relief: Relief
+    root: Array
+    own: Any = None
+    cell: Any = None
+
+    def place(self, g: Any) -> Any:
+        """The root's place (2,) m in the world."""
+        import casadi as ca
+
+        c, s = ca.cos(g[0]), ca.sin(g[0])
+        return ca.vertcat(g[1] + c * self.root[0] - s * self.root[1], g[2] + s * self.root[0] + c * self.root[1])
+
+    def __call__(self, g: Any, r: Any) -> Any:
+        height = self.relief.height(self.place(g), self.cell)
+        return self.mass * GRAVITY * height + (0.0 if self.own is None else self.own(g, r))
+
+
+def _weight(vehicle: Any, terrain: Terrain, box: Array) -> Weight:
     import casadi as ca
 
     r, u = ca.DM.zeros(len(vehicle.joints)), ca.SX.zeros(len(vehicle.joints))
     xi = ca.SX.sym("xi", 3)
     mass = float(ca.evalf(ca.hessian(vehicle.reduced_lagrangian(ca.SX(r), u, xi), xi)[0][1, 1]))
-    height, own, back = _spline(terrain, box), vehicle.potential_energy, -vehicle.origin
-
-    def potential(g: Any, r: Any) -> Any:
-        c, s = ca.cos(g[0]), ca.sin(g[0])
-        root = ca.vertcat(g[1] + c * back[0] - s * back[1], g[2] + s * back[0] + c * back[1])
-        return mass * GRAVITY * height(root) + (0.0 if own is None else own(g, r))
-
-    return potential
+    return Weight(mass, _relief(terrain, box), -vehicle.origin[:2], vehicle.potential_energy)
 
 
-def _spline(terrain: Terrain, box: Array) -> Any:
-    """Height as an expression of ``xy`` (2,): the bicubic spline through heights on a grid over ``box``, C2."""
+@dataclass(frozen=True, eq=False)
+class Relief:
+    """Heights of the ground: a bicubic spline, C2, on a grid from ``lower`` (2,) m; beyond it, the ground is level.
+
+    ``spacing`` (2,) m; ``coefficients`` (nx + 3, ny + 3) m above ``base`` m.
+    """
+
+    lower: Array
+    spacing: Array
+    coefficients: Array
+    base: float
+
+    CELL = 18
+    """Size of a cell: its place on the grid, and its 16 coefficients."""
+
+    def _index(self, xy: Any) -> list[Any]:
+        """The place on the grid, in cells."""
+        import casadi as ca
+
+        counts = np.array(self.coefficients.shape) - 3
+        return [ca.fmin(ca.fmax((xy[k] - self.lower[k]) / self.spacing[k], 0), counts[k]) for k in range(2)]
+
+    def height(self, xy: Any, cell: Any = None) -> Any:
+        """Height m at ``xy`` (2,) m, as an expression; within ``cell`` (18,), or everywhere, which costs much more."""
+        import casadi as ca
+
+        index = self._index(xy)
+        if cell is not None:
+            x, y = (_pieces(index[k] - cell[k]) for k in range(2))
+            return self.base + ca.mtimes([x.T, ca.reshape(cell[2:], 4, 4), y])
+        x, y = (_basis(index[k], count) for k, count in enumerate(self.coefficients.shape))
+        return self.base + ca.mtimes([x.T, ca.DM(self.coefficients), y])
+
+    def cells(self, count: int) -> Any:
+        """A casadi ``Function``, places (2, count) m -> the cells that contain them (18, count): constant in a cell, so
+        that `height` has exact derivatives there."""
+        import casadi as ca
+
+        nx, ny = self.coefficients.shape
+        xy = ca.SX.sym("xy", 2)
+        first = [ca.fmin(ca.floor(index), n - 4) for index, n in zip(self._index(xy), (nx, ny), strict=True)]
+        place = ca.Function("place", [xy], [ca.vertcat(*first), first[0] + nx * first[1]])
+        near = ca.MX(ca.DM([i + nx * j for j in range(4) for i in range(4)]))
+        places = ca.MX.sym("places", 2, count)
+        corners, start = place.map(count)(places)
+        table = ca.MX(ca.DM(self.coefficients.ravel(order="F")))
+        return ca.Function("cells", [places], [ca.vertcat(corners, table.get_nz(False, near, ca.vec(start)))])
+
+
+def _basis(index: Any, count: int) -> Any:
+    """Values (count,) of all cubic B-splines on the integers from -1."""
     import casadi as ca
+
+    t = ca.fabs(index - ca.DM(np.arange(count) - 1.0))
+    return (ca.fmax(2 - t, 0) ** 3 - 4 * ca.fmax(1 - t, 0) ** 3) / 6
+
+
+def _pieces(u: Any) -> Any:
+    """Values (4,) of the four of them that are not zero between 0 and 1."""
+    import casadi as ca
+
+    v = 1 - u
+    return ca.vertcat(v**3, 4 - 3 * u**2 * (2 - u), 4 - 3 * v**2 * (2 - v), u**3) / 6
+
+
+def _relief(terrain: Terrain, box: Array) -> Relief:
     from scipy.interpolate import make_interp_spline
 
     counts = [int(np.clip(np.ceil(length / FINEST), 4, KNOTS)) for length in box[1] - box[0]]
@@ -94,17 +175,7 @@ def _spline(terrain: Terrain, box: Array) -> Any:
         knots = np.arange(-3.0, count + 4)
         grid = make_interp_spline(np.arange(count + 1.0), grid, k=3, t=knots, bc_type="clamped").c.T
     base = float(grid.mean())
-
-    def basis(x: Any, count: int) -> Any:
-        t = ca.fabs(x - ca.DM(np.arange(-1.0, count + 2)))
-        return (ca.fmax(2 - t, 0) ** 3 - 4 * ca.fmax(1 - t, 0) ** 3) / 6
-
-    def height(xy: Any) -> Any:
-        u = [ca.fmin(ca.fmax((xy[k] - box[0, k]) / spacing[k], 0), counts[k]) for k in range(2)]
-        rows = basis(u[0], counts[0])
-        return base + ca.mtimes([rows.T, ca.DM(grid - base), basis(u[1], counts[1])])
-
-    return height
+    return Relief(box[0], spacing, grid - base, base)
 
 
 def _averaged(terrain: Terrain, at: list[Array], spacing: Array) -> Array:
