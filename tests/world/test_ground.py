@@ -3,13 +3,17 @@
 from dataclasses import replace
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 import vehsim
+from vehsim.planning.problem.elements import NonlinearProgram
+from vehsim.planning.problem.transcription import transcribe
 from vehsim.rig.parts import read_parts
 from vehsim.world.ground.placing import place_on_terrain
+from vehsim.world.ground.slope import Relief, on_terrain
 from vehsim.world.ground.wheels import touch, wheels_of
 from vehsim.world.terrain.terrain import Terrain
 from vehsim.world.world import World
@@ -221,3 +225,52 @@ def test_wheels_of_foreign_cars_stand_on_uneven_ground(name, radius, base):
         lowest.append((rim[..., 2] - world.height(rim[..., :2].reshape(-1, 2)).reshape(rim.shape[:2])).min(axis=1))
     # without suspension, a rigid body stands on three of its four wheels, and the fourth is near the ground
     assert np.abs(np.mean(lowest, axis=0)).max() < 0.03
+
+
+def test_a_cell_of_the_relief_is_the_spline_with_its_derivatives():
+    """Anywhere, on the cells' borders and beyond the box: height, gradient and Hessian, from 16 coefficients."""
+    car = on_terrain(CAR, hilly(), [(-20, -10), (25, 14)])
+    relief = car.potential_energy.relief
+    xy, cell = ca.SX.sym("xy", 2), ca.SX.sym("cell", Relief.CELL)
+    curves = [ca.vertcat(height, ca.vec(ca.hessian(height, xy)[0]), ca.gradient(height, xy))
+              for height in (relief.height(xy), relief.height(xy, cell))]  # fmt: skip
+    whole, within = ca.Function("whole", [xy], curves[:1]), ca.Function("within", [xy, cell], curves[1:])
+    low, high = relief.lower, relief.lower + relief.spacing * (np.array(relief.coefficients.shape) - 3)
+    chance = np.random.default_rng(2)
+    places = chance.uniform(low - 5, high + 5, size=(300, 2))
+    places[:40] = low + relief.spacing * np.round((places[:40] - low) / relief.spacing) + 1e-9
+    cells = relief.cells(len(places))(places.T)
+    assert np.allclose(whole.map(300)(places.T).full(), within.map(300)(places.T, cells).full(), rtol=0, atol=1e-9)
+
+
+def test_the_equations_of_a_plan_are_those_of_the_whole_slope():
+    """The discrete equations, with the terrain's cells at both ends, against the spline as one expression."""
+    car = on_terrain(CAR, hilly(), [(-20, -10), (25, 14)])
+    made = transcribe(car)
+    problem = NonlinearProgram(made.substep.y.shape[0])
+    problem.add(made.substep, np.arange(problem.size), constants={"start": [0.0], "fraction": [1.0]})
+    step = made.mechanics
+    inputs = [step.symbols[name] for name in ("g", "r", "z", "c0", "c1", "h", "wind")]
+    segment = ca.Function("segment", inputs, [step.segment[name] for name in ("left", "right", "g1", "r1")])
+    chance = np.random.default_rng(3)
+    for _ in range(5):
+        g, g1 = (chance.uniform((-3, -15, -8), (3, 20, 10)) for _ in range(2))
+        r, r1, pi, pi1, z, c0, c1 = (chance.normal(size=n) for n in (2, 2, 1, 1, 1, 2, 2))
+        h = 0.1
+        z, c0, c1 = z * 20, c0 * 0.2, c1 * 0.2
+        given = (g, r, z, c0 * made.control_scale, c1 * made.control_scale, h, np.zeros(3))
+        left, right, to, joints = (x.full().ravel() for x in segment(*given))
+        scale = made.momentum_scale
+        wanted = np.concatenate([left / scale - pi, right / scale - pi1, to - g1, joints - r1])
+        x = np.concatenate([g, r, pi, z, c0, c1, g1, r1, pi1, [h]])
+        found = problem.functions()["nlp"](x, problem.vector({"wind": np.zeros(3)}))[1]
+        assert np.allclose(found.full().ravel(), wanted, rtol=0, atol=1e-9)
+
+
+def test_coarse_wheels_touch_within_two_millimetres():
+    world, chance = hilly(), np.random.default_rng(4)
+    positions = np.column_stack([chance.uniform(-20, 20, size=(40, 2)), np.zeros(40)])
+    orientations = Rotation.from_euler("Z", chance.uniform(-3, 3, size=(40, 1))).as_quat(scalar_first=True)
+    for wheel in wheels_of(CAR.rig):
+        exact, coarse = (touch(world.terrain, one, positions, orientations) for one in (wheel, wheel.coarse))
+        assert (exact - coarse).min() > -1e-5 and (exact - coarse).max() < 2e-3

@@ -7,6 +7,7 @@ when the shot is saved, and continues an interrupted session when the shot is op
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -48,9 +49,7 @@ class Document:
     @property
     def data(self) -> dict[str, Any]:
         """The text as plain data."""
-        import tomlkit
-
-        return tomlkit.parse(self.text).unwrap()
+        return tomllib.loads(self.text)
 
     @property
     def changed(self) -> bool:
