@@ -64,10 +64,10 @@ class Canvas:
             option.geomgroup[:] = np.arange(len(option.geomgroup)) != hidden
             mujoco.mjv_updateScene(self._model, data, option, None, free, everything, scene)
 
-    def draw_water(self, water: WaterView, data: Any, frame: float) -> None:
-        """Update the water to a frame, as seen from the camera's current place."""
+    def draw_water(self, water: WaterView, data: Any, frame: float, height: int) -> None:
+        """Update the water to a frame, as seen by the camera in a picture of ``height`` px."""
         self._gl.make_current()
-        water.draw(self._model, data, self._context, frame, np.array(self.scene.camera[0].pos, float))
+        water.draw(self._model, data, self._context, frame, self.scene.camera[0], height)
 
     def draw(self, scene: Any, size: tuple[int, int], **flags: bool) -> Picture:
         """Colour (h, w, 3) from the bottom row up.

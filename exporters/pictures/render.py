@@ -56,7 +56,7 @@ class StageRenderer:
         self._shadows = shadows
         grounded = stage.water is None and any(not shape.group for shape in stage.shapes)
         self._light = light_for(stage.sun(), stage.sky(), grounded)
-        self._water = None if stage.water is None else WaterView(stage, self._light, shadows)
+        self._water = None if stage.water is None else WaterView(stage, self._light, shadows, size[0])
         self._bounds = bounds_of(stage)
         self._reach = _shadow_reach(stage, self._bounds)
         self._shadow_axes = _across(self._light.direction)
@@ -90,7 +90,7 @@ class StageRenderer:
         self._place_lights()
         canvas, side = self._canvas, self._supersample
         if self._water is not None:
-            canvas.draw_water(self._water, self._data, frame)
+            canvas.draw_water(self._water, self._data, frame, self.size[1])
         colour = canvas.draw(canvas.scene, self._size, SHADOW=self._shadows, FOG=True)
         depth = canvas.depth(self._size)
         if self._water is not None:
@@ -119,7 +119,7 @@ class StageRenderer:
         """
         self._pose(camera, frame)
         if self._water is not None:
-            self._canvas.draw_water(self._water, self._data, frame)
+            self._canvas.draw_water(self._water, self._data, frame, self.size[1])
         of_geom, depth = self._canvas.draw_ids(self.size)[::-1], self._canvas.depth(self.size)[::-1]
         view = self.stage.camera(camera, frame)
         near, far = self._drawn(view.clip)

@@ -8,6 +8,7 @@ by the light with which MuJoCo will multiply them. Everything is read from the s
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,18 +17,26 @@ from numpy.typing import NDArray
 from vehsim.constants import GRAVITY
 from vehsim.exporters.usd.scenery.lighting import to_srgb
 from vehsim.exporters.usd.scenery.shading import HIGHLIGHT, Light, dome_mean, sky_image
-from vehsim.exporters.usd.scenery.water_material import patches
+from vehsim.exporters.usd.scenery.water_material import TILE, patches
 from vehsim.exporters.usd.stage import StageReader, Sun
 
 Array = NDArray[np.floating]
 
-FINER = 4
-"""Texels of the texture per cell of the mesh, along each side."""
+DENSITY = 0.7
+"""Texels of the texture per pixel, where the mesh is seen; at least one per cell of the mesh."""
+TALL = 0.6
+"""Height of the texture over its width, which is that of the picture."""
+MARGIN = 1.15
+"""Parts of the water further than this times half the picture's diagonal from its middle are not drawn."""
 DEPTHS = np.array([0.006, 0.022, 0.030])
 CREST = np.array([0.020, 0.075, 0.070])
 """Linear colours seen in the water: its depths, and thin crests lit from behind."""
-FOAM = 0.8
-"""Albedo of foam."""
+FOAM, THIN = 0.78, 0.62
+"""Albedo of foam, and how much of it old foam has."""
+BUBBLES = np.array([0.05, 0.17, 0.17])
+"""Linear colour of water with bubbles in it, under foam and around it."""
+EDGE = 4
+"""Texels around the used part of the texture that repeat its border: smaller copies of the texture blend over it."""
 RIPPLES, RIPPLES_END = 10, 58.5
 """Ripples that only the texture has, and the distance up to which the last of them are visible, m."""
 SLOPES, FAR = 0.22, (25.0, 160.0)
@@ -41,13 +50,71 @@ HULL = 1.5
 """Pixels this close to water lowered inside a hull belong to the hull, m."""
 
 
+@dataclass(frozen=True)
+class Texels:
+    """The part of a texture that is drawn, texel by texel, and how it lies on a net of cells.
+
+    ``ends``: of the texels of each row and each column of cells; ``rows``, ``columns`` (n,): of the texels; ``cell``
+    (n,): the cell's first place on the net with ``width`` columns; ``shares`` (2, n): how far the texel is across it;
+    ``size`` (n,) m.
+    """
+
+    ends: tuple[NDArray[np.int64], NDArray[np.int64]]
+    rows: NDArray[np.int64]
+    columns: NDArray[np.int64]
+    cell: NDArray[np.int64]
+    shares: NDArray[np.float32]
+    size: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, rows: NDArray[np.int64], columns: NDArray[np.int64], seen: NDArray[np.bool_], cells: Array) -> Texels:
+        """``rows``, ``columns``: texels of each row and column of cells; ``seen``, ``cells`` (rows, columns): whether a
+        cell is drawn, and the size of its texels in m."""
+        of_row, of_column = (np.repeat(np.arange(len(count)), count) for count in (rows, columns))
+        row, column = np.nonzero(seen[of_row[:, None], of_column])
+        r, c = of_row[row], of_column[column]
+        ends = EDGE + np.cumsum(rows), EDGE + np.cumsum(columns)
+        shares = [
+            ((at + EDGE - (end - count)[of] + 0.5) / count[of]).astype(np.float32)
+            for at, of, end, count in ((row, r, ends[0], rows), (column, c, ends[1], columns))
+        ]
+        return cls(
+            ends,
+            row + EDGE,
+            column + EDGE,
+            r * (len(columns) + 1) + c,
+            np.stack(shares),
+            cells[r, c].astype(np.float32),
+        )
+
+    def corners(self, size: tuple[int, int]) -> Array:
+        """Texture coordinates (m, 2) of the net's places in a texture of ``size`` (rows, columns)."""
+        v, u = (np.concatenate([[EDGE], end]) / total for end, total in zip(self.ends, size, strict=True))
+        return np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+
+    def between(self, fields: Array) -> NDArray[np.float32]:
+        """Values (m, k) of the net's places on the texels (k, n)."""
+        down, right = self.shares[:, None]
+        next_row = len(self.ends[1]) + 1
+        columns = fields.T.astype(np.float32)
+
+        def row(at: NDArray[np.int64]) -> NDArray[np.float32]:
+            left = columns.take(at, axis=1)
+            return np.asarray(left + right * (columns.take(at + 1, axis=1) - left))
+
+        near = row(self.cell)
+        return np.asarray(near + down * (row(self.cell + next_row) - near))
+
+
 class WaterView:
     """A stage's water in MuJoCo's renderer: `author` it into a spec, `bind` it to the model, `draw` it for a frame."""
 
-    def __init__(self, stage: StageReader, light: Light, shadows: bool = True) -> None:
+    def __init__(self, stage: StageReader, light: Light, shadows: bool = True, width: int = 960) -> None:
         assert stage.water is not None
         self._stage, self._light = stage, light
-        self.shape = stage.water_grid()
+        self.shape = stage.water_net.shape
+        self._rest = TILE * stage.water_st()
+        self._size = max(int(TALL * width), self.shape[0] + 2 * EDGE), max(width, self.shape[1] + 2 * EDGE)
         self._time = float(stage.frames[0])
         self._points, self._normals, self._foam, self._lowered = stage.water_at(stage.frames[0])
         sun, sky = stage.sun(), stage.sky()
@@ -69,11 +136,8 @@ class WaterView:
         """Add mesh, texture and geom to a spec."""
         import mujoco
 
-        from vehsim.exporters.usd.scenery.water import quads
-
         rows, cols = self.shape
-        faces = quads(rows, cols)
-        triangles = np.concatenate([faces[:, [0, 1, 2]], faces[:, [0, 2, 3]]]).astype(np.int32)
+        triangles = self._stage.water_net.triangles.astype(np.int32)
         mesh = spec.add_mesh(name="water", inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
         mesh.uservert = self._points.astype(np.float32).ravel()
         mesh.userface = triangles.ravel()
@@ -83,8 +147,8 @@ class WaterView:
         mesh.usertexcoord = np.stack([(col + 0.5) / cols, (row + 0.5) / rows], axis=1).astype(np.float32).ravel()
         mesh.userfacetexcoord = triangles.ravel()
         texture = spec.add_texture(name="water", type=mujoco.mjtTexture.mjTEXTURE_2D, nchannel=3)
-        texture.height, texture.width = rows * FINER, cols * FINER
-        texture.data = bytes(rows * cols * FINER**2 * 3)
+        texture.height, texture.width = self._size
+        texture.data = bytes(3 * texture.height * texture.width)
         material = spec.add_material(name="water", rgba=[1, 1, 1, 1], specular=0.0, shininess=0.0, emission=1.0)
         roles = list(material.textures)
         roles[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "water"
@@ -95,8 +159,9 @@ class WaterView:
             castshadow=False,
         )  # fmt: skip
 
-    def draw(self, model: Any, data: Any, context: Any, frame: float, eye: Array) -> None:
-        """Update mesh and texture to a frame, seen from ``eye`` (3,) m. The OpenGL context must be current."""
+    def draw(self, model: Any, data: Any, context: Any, frame: float, camera: Any, height: int) -> None:
+        """Update mesh and texture to a frame, for a picture of ``height`` px from MuJoCo's ``camera``. The OpenGL
+        context must be current."""
         import mujoco
 
         self._time = frame
@@ -105,20 +170,53 @@ class WaterView:
         first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
         own = (self._points - data.geom_xpos[geom]) @ data.geom_xmat[geom].reshape(3, 3)
         model.mesh_vert[first : first + count] = own
+        texels = self._texels(camera, height)
+        first = model.mesh_texcoordadr[mesh]
+        model.mesh_texcoord[first : first + count] = texels.corners(self._size)
         mujoco.mjr_uploadMesh(model, context, mesh)
-        picture = self._picture(eye)
         texture = model.texture("water").id
-        start = model.tex_adr[texture]
-        model.tex_data[start : start + picture.size] = picture.ravel()
+        start, (rows, cols) = model.tex_adr[texture], self._size
+        image = model.tex_data[start : start + 3 * rows * cols].reshape(rows, cols, 3)
+        image[texels.rows, texels.columns] = self._picture(texels, np.array(camera.pos, np.float32))
+        bottom, right = (int(end[-1]) for end in texels.ends)
+        image[:EDGE], image[bottom : bottom + EDGE] = image[EDGE], image[bottom - 1]
+        image[:, :EDGE], image[:, right : right + EDGE] = image[:, EDGE : EDGE + 1], image[:, right - 1 : right]
         mujoco.mjr_uploadTexture(model, context, texture)
 
-    def _picture(self, eye: Array) -> NDArray[np.uint8]:
-        """The appearance of every texel (h, w, 3)."""
-        points, normals = self._fine(self._points), self._fine(self._normals)
-        (foam,) = self._fine(self._foam[:, None])
-        eye = eye.astype(np.float32)
+    def _texels(self, camera: Any, height: int) -> Texels:
+        """How the texture is shared among the cells of the mesh: by their size in the picture."""
+        from scipy.ndimage import maximum_filter
+
+        net = self._points.reshape(*self.shape, 3)
+        eye, forward = np.array(camera.pos, float), np.array(camera.forward, float)
+        tall = (camera.frustum_top - camera.frustum_bottom) / camera.frustum_near
+        wide = 2 * camera.frustum_width / camera.frustum_near
+        away = net - eye
+        distance = np.maximum(np.linalg.norm(away, axis=2), 0.3)
+        ahead = (away @ forward) / distance
+        seen = ahead > math.cos(min(MARGIN * math.atan(math.hypot(tall, wide) / 2), math.pi))
+        seen = maximum_filter(seen, 5)  # and the cells around them
+        sides, counts = [], []
+        for axis in (0, 1):
+            steps = np.diff(net, axis=axis)
+            start = (slice(None),) * axis + (slice(-1),)
+            sight, far = away[start] / distance[start][..., None], distance[start]
+            across = np.linalg.norm(np.cross(steps, sight), axis=2)
+            pixels = np.where(seen[start], DENSITY * height / tall * across / far, 0.0).max(axis=1 - axis)
+            share, total = 1.0, self._size[axis] - 2 * EDGE
+            while (count := np.ceil(np.clip(share * pixels, 1, 64)).astype(int)).sum() > total:
+                share *= 0.95
+            counts.append(count)
+            sides.append(np.linalg.norm(steps, axis=2))
+        cells = np.maximum(sides[0][:, :-1] / counts[0][:, None], sides[1][:-1] / counts[1][None, :])
+        return Texels.of(counts[0], counts[1], seen[:-1, :-1], cells)
+
+    def _picture(self, texels: Texels, eye: NDArray[np.float32]) -> NDArray[np.uint8]:
+        """The appearance of the texels (n, 3)."""
+        fields = np.column_stack([self._points, self._normals, self._rest, self._foam])
+        points, normals, rest, (foam,) = np.split(texels.between(fields), [3, 6, 8])
         away = _length(points[:2] - eye[:2, None])
-        normals[:2] -= self._small_slopes(points, away)
+        normals[:2] -= self._small_slopes(points, away, texels.size)
         normals /= _length(normals)
         view = eye[:, None] - points
         view /= np.maximum(_length(view), 1e-6)
@@ -128,34 +226,24 @@ class WaterView:
         mirrored = 2 * facing * normals - view
         mirrored[2] = np.abs(mirrored[2]) + 0.02 + 2 * tilt
         mirrored /= _length(mirrored)
-        crest = np.clip((points[2] - float(self._points[:, 2].mean())) / 0.6, 0, 1)
-        white = patches(points[0], points[1], foam)
-        bright = FOAM * (self._fill + max(-float(self._sun.direction[2]), 0.4) * self._sun.colour / np.pi)
+        heights = self._points[:, 2]
+        crest = np.clip((points[2] - float(heights.mean())) / max(0.6, 3 * float(heights.std())), 0, 1)
+        white = patches(rest, foam, texels.size) * (THIN + (1 - THIN) * foam)
+        sunlit = np.clip(-(self._sun.direction.astype(np.float32) @ normals), 0, 1)
         seen, glint = self._seen(mirrored), self._glint(mirrored)
         colour = np.empty((foam.size, 3), np.float32)
         for k in range(3):
-            depths, lit_crest = (float(c[k] * self._fill[k] * np.pi) for c in (DEPTHS, CREST))
-            water = (1 - fresnel) * (depths + lit_crest * crest)
+            depths, lit_crest, bubbles = (float(c[k] * self._fill[k] * np.pi) for c in (DEPTHS, CREST, BUBBLES))
+            water = (1 - fresnel) * (depths + lit_crest * crest + bubbles * foam)
             water += fresnel * (seen[k] + glint * float(self._sun.colour[k]))
-            colour[:, k] = (1 - white) * water + white * float(bright[k])
+            bright = FOAM * (float(self._fill[k]) + sunlit * float(self._sun.colour[k] / np.pi))
+            colour[:, k] = (1 - white) * water + white * bright
         display = to_srgb(np.clip(colour * self._exposure, 0, 1)) / self._lit.astype(np.float32)
-        rows, cols = self.shape
-        return np.round(255 * np.clip(display, 0, 1)).astype(np.uint8).reshape(rows * FINER, cols * FINER, 3)
+        return np.asarray(np.round(255 * np.clip(display, 0, 1)), np.uint8)
 
-    def _fine(self, values: Array) -> Array:
-        """Values (n, k) at the vertices, interpolated to the texels (k, m)."""
-        rows, cols = self.shape
-        net = values.T.reshape(-1, rows, cols).astype(np.float32)
-        for axis, count in ((1, rows), (2, cols)):
-            at = np.clip((np.arange(count * FINER) + 0.5) / FINER - 0.5, 0, count - 1)
-            low = np.minimum(at.astype(int), count - 2)
-            share = (at - low).astype(np.float32)
-            share = share[:, None] if axis == 1 else share
-            net = (1 - share) * net.take(low, axis) + share * net.take(low + 1, axis)
-        return np.asarray(net.reshape(len(net), -1), np.float32)
-
-    def _small_slopes(self, points: Array, away: Array) -> Array:
-        """Slopes (2, m) of ripples, which fade with the distance."""
+    def _small_slopes(self, points: Array, away: Array, size: Array) -> Array:
+        """Slopes (2, m) of ripples, which fade with the distance, and where texels of ``size`` (m,) m cannot show
+        them."""
         slopes = np.zeros((2, away.size), np.float32)
         near = np.flatnonzero(away < RIPPLES_END)
         x, y = points[0, near], points[1, near]
@@ -163,6 +251,7 @@ class WaterView:
         for (kx, ky), phase in zip(self._ripples.T.tolist(), self._phases.tolist(), strict=True):
             k = math.hypot(kx, ky)
             wave = np.cos(x * kx + (y * ky + (phase - math.sqrt(GRAVITY * k) * seconds) % (2 * math.pi)))
+            wave *= np.clip(2 * math.pi / k / size[near] / 2 - 1, 0, 1)
             slopes[0, near] += wave * (kx / k)
             slopes[1, near] += wave * (ky / k)
         return np.asarray(0.035 * slopes * np.clip((RIPPLES_END - away) / 45.0, 0, 1))

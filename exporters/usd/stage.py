@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,6 +22,7 @@ from vehsim.exporters.pictures.surfaces import Material as Material
 from vehsim.exporters.pictures.surfaces import read_surface as read_surface
 from vehsim.exporters.pictures.surfaces import surfaces_of
 from vehsim.exporters.usd.metadata import local_origin
+from vehsim.exporters.usd.scenery.water_grid import Net
 from vehsim.intake.foreign import reason_of
 from vehsim.intake.usd import is_drawn, triangulate
 from vehsim.rig.parts import Y_UP_TO_Z_UP
@@ -28,8 +30,8 @@ from vehsim.rig.parts import Y_UP_TO_Z_UP
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-WATER_GRID = "vehsim:grid"
-"""Attribute of the water's surface: the number of (rows, columns) of its moving points."""
+WATER_ROWS = "vehsim:rows"
+"""Attribute of the water's surface: the number of points of each of its rows, see `water_grid`."""
 
 
 @dataclass(frozen=True)
@@ -145,14 +147,21 @@ class StageReader:
         clip = lens.clippingRange.min * self._metres, lens.clippingRange.max * self._metres
         return View(pose, lens.horizontalAperture / (2 * lens.focalLength), shift, clip)
 
-    def water_grid(self) -> tuple[int, int]:
-        """Rows and columns of points of the water's surface."""
-        rows, cols = self._stage.GetPrimAtPath(self.water).GetAttribute(WATER_GRID).Get()
-        return int(rows), int(cols)
+    @cached_property
+    def water_net(self) -> Net:
+        """A regular net over the points of the water's surface."""
+        return Net.over(np.array(self._stage.GetPrimAtPath(self.water).GetAttribute(WATER_ROWS).Get(), int))
+
+    def water_st(self) -> Array:
+        """Texture coordinates (n, 2) of the water's surface on its `water_net`."""
+        from pxr import UsdGeom
+
+        st = UsdGeom.PrimvarsAPI(self._stage.GetPrimAtPath(self.water)).GetPrimvar("st").Get()
+        return self.water_net.of(np.array(st, float))
 
     def water_at(self, frame: float) -> tuple[Array, Array, Array, Array]:
-        """Points (n, 3) m, unit normals (n, 3), foam (n,) of the water's surface at a time code, and by how much (n,) m
-        it was lowered there inside a hull."""
+        """Points (n, 3) m, unit normals (n, 3), foam (n,) of the water's surface on its `water_net` at a time code, and
+        by how much (n,) m it was lowered there inside a hull."""
         from pxr import UsdGeom
 
         prim = self._stage.GetPrimAtPath(self.water)
@@ -161,9 +170,11 @@ class StageReader:
         primvars = UsdGeom.PrimvarsAPI(prim)
         points = np.array(UsdGeom.Mesh(prim).GetPointsAttr().Get(frame), float) @ T_ws[:3, :3].T + T_ws[:3, 3]
         normals = np.array(primvars.GetPrimvar("normals").Get(frame), float) @ np.linalg.inv(T_ws[:3, :3])
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         given = [primvars.GetPrimvar(name).Get(frame) for name in ("foam", "lowered")]
         foam, lowered = (np.zeros(len(points)) if values is None else np.array(values, float) for values in given)
+        on = self.water_net.of
+        points, normals, foam, lowered = on(points), on(normals), on(foam), on(lowered)
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         return points, normals, foam, lowered * np.linalg.norm(T_ws[:3, 2])
 
     # ------------------------------------------------------------ once
@@ -218,7 +229,7 @@ class StageReader:
                 prims.PruneChildren()
             elif not is_drawn(prim):
                 continue
-            elif prim.HasAttribute(WATER_GRID):
+            elif prim.HasAttribute(WATER_ROWS):
                 self.water = str(prim.GetPath())
             elif prim.IsA(UsdGeom.Mesh):
                 yield from self._read_mesh(prim)

@@ -355,12 +355,14 @@ def _cameras(pack: Packing, stage: StageReader, take: Take, frames: Array) -> It
 
 def _water(pack: Packing, stage: StageReader, frames: Array) -> dict[str, Any]:
     """The moving surface in steps of `WATER_STEP`, as second differences over time, which compress to a few bits."""
-    rows, cols = stage.water_grid()
-    every = next(k for k in range(1, 100) if -(-rows // k) * -(-cols // k) * len(frames) <= WATER_SAMPLES or k == 99)
+    rows, cols = stage.water_net.shape
+    halvings = (2**k for k in range(7))  # columns are a multiple of 16, and one more
+    every = next(k for k in halvings if -(-rows // k) * -(-cols // k) * len(frames) <= WATER_SAMPLES or k == 64)
     chosen = np.arange(rows * cols).reshape(rows, cols)[::every, ::every]
     surfaces = [stage.water_at(frame) for frame in frames.tolist()]
     points = np.stack([each[0][chosen.ravel()] for each in surfaces])
-    foam = np.stack([patches(*each[0][chosen.ravel(), :2].T, each[2][chosen.ravel()]) for each in surfaces])
+    rest = TILE * stage.water_st()[chosen.ravel()].T
+    foam = np.stack([patches(rest, each[2][chosen.ravel()], np.inf) for each in surfaces])
     moved = points - points[0]
     bends = np.diff(moved, n=2, axis=0, prepend=np.zeros((2, *moved.shape[1:])))
     step = max(WATER_STEP, float(np.abs(bends).max()) / 30_000)  # they are stored in 16 bits

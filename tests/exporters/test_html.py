@@ -173,7 +173,7 @@ def test_large_textures_are_reduced(tmp_path):
 @pytest.mark.parametrize("most", [4_000_000, 30_000])
 def test_water_moves_as_on_the_stage(toys, tmp_path, monkeypatch, most):
     monkeypatch.setattr(web, "WATER_SAMPLES", most)
-    monkeypatch.setattr("vehsim.exporters.usd.scenery.water.MOST_POINTS", 3000)
+    monkeypatch.setattr("vehsim.exporters.usd.scenery.water_grid.MOST_POINTS", 3000)
     clip = toys.clip(toys.asset(tmp_path / "toy.usda"))
     clips = {"toy0": clip}
     world = World(water=Water(surface=wave(0.6, 25.0)))
@@ -187,7 +187,7 @@ def test_water_moves_as_on_the_stage(toys, tmp_path, monkeypatch, most):
     shown = block.array(water["start"]).reshape(-1, 3) + water["step"] * bends.cumsum(axis=0).cumsum(axis=0)
     assert 24 * rows * cols <= most
     for k in (0, 11, 23):
-        points = stage.water_at(1001.0 + k)[0].reshape(*stage.water_grid(), 3)
+        points = stage.water_at(1001.0 + k)[0].reshape(*stage.water_net.shape, 3)
         every = -(-points.shape[0] // rows)
         assert np.abs(shown[k] - points[::every, ::every].reshape(-1, 3)).max() <= 0.51 * water["step"] + 1e-4
     assert np.ptp(shown[:, :, 2]) > 0.5

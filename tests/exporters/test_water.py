@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from fractions import Fraction
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,9 +18,10 @@ from vehsim.exporters.pictures.passes import prim_colours
 from vehsim.exporters.pictures.render import StageRenderer
 from vehsim.exporters.pictures.water import places_of
 from vehsim.exporters.usd.scenery import water as authored
+from vehsim.exporters.usd.scenery import water_grid
 from vehsim.exporters.usd.scenery.wake import Floating, Foam, Wake
 from vehsim.exporters.usd.stage import StageReader
-from vehsim.world.water.sea import together
+from vehsim.world.water.sea import sea_state, together
 from vehsim.world.water.water import wave
 from vehsim.world.world import Water, World
 
@@ -82,8 +84,7 @@ def test_foam_lies_behind_and_fades():
     clip = straight(7.0, 4.0, (0.0, 0.0, 0.0))
     xy = np.column_stack([np.tile(np.linspace(-10, 40, 101), 2), np.repeat([0.0, 1.0], 101)])
     foam = Foam(afloat(clip), xy, clip.frames, FPS)
-    calm = np.zeros(len(xy))
-    white = [foam.step(k, calm, calm) for k in range(len(clip))][-1]
+    white = foam.at(len(clip) - 1)
     ahead, near, far = (white[np.abs(xy[:, 0] - x).argmin()] for x in (35.0, 22.0, 4.0))
     assert ahead == 0 and near > 0.5 and 0 < far < near
     assert white[xy[:, 0] > 28.0 + 2.5].max() == 0  # the bow's end; also beside the path
@@ -93,7 +94,7 @@ def test_a_vehicle_in_the_air_leaves_no_wake():
     clip = straight(7.0, 2.0, (0.0, 0.0, 3.0))
     frames = clip.frames.astype(float)
     take = Take("sea", {"boat": clip}, World(water=0.0), (), Fraction(FPS), (1001, 1049))
-    grid = authored.lay_grid(take)
+    grid = water_grid.lay_grid(take)
     assert (authored.floating(take, frames)["boat"].wet == 0).all()
     for points, _, foam, lowered in authored.surfaces(take, grid, frames[[0, 20, 48]]):
         assert np.abs(points[:, 2]).max() < 1e-9 and foam.max() == 0 and lowered.max() == 0
@@ -104,7 +105,7 @@ def test_water_inside_a_hull_is_lowered_to_its_bottom_but_not_through_it(roll):
     clip = straight(6.0, 1.0, (-3.0, 0.0, 0.0))
     lying = np.tile([np.cos(roll / 2), np.sin(roll / 2), 0, 0], (len(clip), 1))
     take = Take("sea", {"boat": replace(clip, orientations=lying)}, World(water=0.0), (), Fraction(FPS), (1001, 1025))
-    grid = authored.lay_grid(take)
+    grid = water_grid.lay_grid(take)
     corners, faces = authored.floating(take, clip.frames)["boat"].hull
     points, _, _, lowered = list(authored.surfaces(take, grid, clip.frames.astype(float)))[12]
     T_wr = take.clips["boat"].matrices()[12]
@@ -200,10 +201,9 @@ def _refers(prim):
 def test_the_size_does_not_depend_on_the_frame_rate():
     clip = straight(6.0, 1.0)
     take = Take("sea", {"boat": clip}, World(water=0.0), (), Fraction(24), (1001, 1025))
-    fast = authored.lay_grid(replace(take, fps=Fraction(120)))
-    for grid, fps in ((authored.lay_grid(take), 24), (fast, 120)):
-        rows, cols = grid.shape
-        assert rows * cols * authored.BYTES_A_POINT * fps <= authored.BYTES_A_SECOND
+    fast = water_grid.lay_grid(replace(take, fps=Fraction(120)))
+    for grid, fps in ((water_grid.lay_grid(take), 24), (fast, 120)):
+        assert len(grid.xy) * water_grid.BYTES_A_POINT * fps <= water_grid.BYTES_A_SECOND
 
 
 def test_the_preview_moves_and_its_hulls_are_wet(shown):
@@ -231,15 +231,15 @@ def test_wet_lines_darken_objects_just_above_the_water(shown):
 
 def test_foam_is_in_primvars_that_any_renderer_reads(shown):
     """UsdPreviewSurface reads colour and roughness from primvars, which agree with the preview's foam."""
-    from vehsim.exporters.usd.scenery.water_material import CLEAR, FOAM, ROUGH, SHADES, patches
+    from vehsim.exporters.usd.scenery.water_material import CLEAR, FOAM, ROUGH, SHADES, TILE, patches
 
     stage = Usd.Stage.Open(str(shown[1]))
     prim = stage.GetPrimAtPath("/sea/env/water/surface")
     primvars = UsdGeom.PrimvarsAPI(prim)
     foam = np.array(primvars.GetPrimvar("foam").Get(1020), float)
     assert foam.max() > 0.3
-    points = np.array(UsdGeom.Mesh(prim).GetPointsAttr().Get(1020), float)
-    white = patches(points[:, 0], points[:, 1], foam)
+    rest = TILE * np.array(primvars.GetPrimvar("st").Get(), float)
+    white = patches(rest.T, foam, water_grid.lay_grid(shown[0]).cells)
     assert (white[foam == 0] == 0).all() and white.mean() == pytest.approx(foam.mean(), rel=0.4)
     colour = np.array(primvars.GetPrimvar("displayColor").ComputeFlattened(1020))
     rough = np.array(primvars.GetPrimvar("roughness").ComputeFlattened(1020))
@@ -335,5 +335,73 @@ def test_each_wave_fades_by_its_own_length():
     xy = np.column_stack([np.linspace(0, 400, 4001), np.zeros(4001)])
     sea = together(wave(2.0, 40.0), wave(0.5, 4.0), choppiness=0.0)
     for cell, waves in ((0.5, sea), (3.0, wave(2.0, 40.0))):
-        shown = authored._undisturbed(Water(surface=sea), xy, np.full(len(xy), cell))(1.3)
+        steps = np.full(xy.shape, [cell, 0.0]), np.full(xy.shape, [0.0, cell])
+        grid = SimpleNamespace(xy=xy, steps=steps)
+        shown = authored._undisturbed(Water(surface=sea), grid)(1.3)
         np.testing.assert_allclose(shown[:, 2], Water(surface=waves).height(xy, 1.3), atol=1e-9)
+
+
+def seas(count, spacing=25.0):
+    """A take of ``count`` boats on one sea of 2 m."""
+    clips = {
+        f"boat{k}": straight(3.0, 2.0, (spacing * (k % 5), spacing * (k // 5), 0.0)) for k in range(count)
+    }  # fmt: skip
+    return Take("sea", clips, World(water=Water(surface=sea_state(2.0, seed=3))), (), Fraction(FPS), (1001, 1049))
+
+
+def test_a_distant_sea_has_its_relief():
+    """Significant height over the simulated one, in rings around the boat; once 0.25 and 0.07 of it were left."""
+    take = seas(1)
+    grid = water_grid.lay_grid(take)
+    shown = authored._undisturbed(take.world.water, grid)
+    distance = np.linalg.norm(grid.xy - take.clips["boat0"].positions.mean(axis=0)[:2], axis=1)
+    for near, far, least in ((0, 20, 0.998), (35, 50, 0.98), (80, 150, 0.95)):
+        ring = (distance > near) & (distance < far)
+        mesh, water = [], []
+        for t in (0.0, 1.7, 3.1):
+            points = shown(t)[ring]
+            mesh.append(points[:, 2])
+            water.append(take.world.water.height(points[:, :2], t))
+        assert least < np.std(mesh) / np.std(water) < 1.01
+
+
+def test_twenty_boats_share_a_sea_as_fine_as_ones():
+    one, twenty = (water_grid.lay_grid(seas(count)) for count in (1, 20))
+    assert twenty.cells.min() < 1.1 * one.cells.min()
+
+
+def test_a_grid_covers_its_boats_and_is_closed():
+    grid = water_grid.lay_grid(seas(3))
+    corners = grid.xy[grid.triangles]
+    a, b = (corners[:, k] - corners[:, 0] for k in (1, 2))
+    areas = (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2
+    assert areas.min() > -1e-9  # counter-clockwise from above
+    outer = grid.distances[-1]
+    assert areas.sum() == pytest.approx(np.pi * outer**2 + 4 * grid.half * outer, rel=2e-3)
+    edges = np.sort(np.concatenate([grid.triangles[:, [k, (k + 1) % 3]] for k in range(3)]), axis=1)
+    _, uses = np.unique(edges, axis=0, return_counts=True)
+    assert set(uses) == {1, 2} and (uses == 1).sum() == grid.counts[-1]  # open only at the horizon
+    net = water_grid.Net.over(grid.stored)
+    assert (net.of(grid.xy).reshape(*net.shape, 2)[:, 0] == net.of(grid.xy).reshape(*net.shape, 2)[:, -1]).all()
+
+
+def test_whitecaps_are_on_the_stage(tmp_path):
+    """In the foam that renderers read; as much as Monahan measured, at different frames."""
+    clip = straight(0.0, 4.0)
+    world = World(water=Water(surface=sea_state(1.5, seed=5)), wind=(0.0, 15.0, 0.0))
+    take = Take("sea", {"boat": clip}, world, (), Fraction(FPS), (1001, 1097))
+    stage = Usd.Stage.Open(str(take.export(tmp_path) / "sea.usda"))
+    foam = UsdGeom.PrimvarsAPI(stage.GetPrimAtPath("/sea/env/water/surface")).GetPrimvar("foam")
+    white = [np.mean(foam.Get(frame)) for frame in range(1001, 1098, 12)]
+    assert 1 / 1.5 < np.mean(white) / (3.84e-6 * 15.0**3.41) < 1.5
+
+
+def test_whitecaps_do_not_depend_on_the_frames_asked_for():
+    clip = straight(0.0, 3.0)
+    world = World(water=Water(surface=sea_state(1.5, seed=5)), wind=(0.0, 15.0, 0.0))
+    take = Take("sea", {"boat": clip}, world, (), Fraction(FPS), (1001, 1073))
+    grid, frames = water_grid.lay_grid(take), np.arange(1001.0, 1074.0)
+    whole, end = (list(authored.surfaces(take, grid, asked)) for asked in (frames, frames[60:]))
+    for one, other in zip(whole[60:], end, strict=True):
+        assert (one[2] == other[2]).all()
+    assert whole[-1][2].max() > 0.5

@@ -153,18 +153,15 @@ def clip_matrices(clip: Clip, frames: Array) -> Array:
 
 
 class Foam:
-    """Foam (0 to 1) on the water at fixed points: it appears on crests and behind hulls, and fades."""
+    """Foam (from 0) on the water at fixed points: it appears around and behind hulls, and fades."""
 
     def __init__(self, vehicles: Mapping[str, Floating], xy: Array, frames: Array, fps: float) -> None:
         self._vehicles, self._xy, self._frames, self._dt = tuple(vehicles.values()), xy, frames, 1.0 / fps
         self._places = [clip_places(vehicle.clip, frames) for vehicle in self._vehicles]
-        self._crests = np.zeros(len(xy))
 
-    def step(self, k: int, curvature: Array, slope: Array) -> Array:
-        """Foam (n,) in frame ``k``, given the surface's curvature (1/m, negative on crests) and slope (n,)."""
-        born = np.clip((-curvature - 0.30) / 0.5, 0, 1) * np.clip((slope - 0.16) / 0.25, 0, 1)
-        self._crests = np.maximum(self._crests * np.exp(-self._dt / (0.4 * FOAM_LIFE)), born)
-        foam = self._crests
+    def at(self, k: int) -> Array:
+        """Foam (n,) in frame ``k``."""
+        foam = np.zeros(len(self._xy))
         for vehicle, (places, velocity, heading) in zip(self._vehicles, self._places, strict=True):
             foam = np.maximum(foam, self._trail(vehicle, places, velocity, heading, k))
         return foam
@@ -187,7 +184,7 @@ class Foam:
         ahead = np.einsum("ij,ij->i", offset, forward[row])
         aside = np.abs(forward[row, 0] * offset[:, 1] - forward[row, 1] * offset[:, 0])
         width = 0.45 * vehicle.beam + 0.25 * np.sqrt(np.maximum(age, 0)) * vehicle.beam
-        strength = 1.4 * np.clip((speed - 0.8) / 4.0, 0, 1)
+        strength = np.clip((speed - 0.8) / 4.0, 0, 1)
         strength = strength * (ahead < 0.3) * np.exp(-age / FOAM_LIFE)
         churn = strength * np.exp(-((aside / width) ** 2))
         edges = 0.7 * strength * np.exp(-(((aside - 1.15 * width) / (0.3 * width)) ** 2 + 0.6 * age / FOAM_LIFE))

@@ -26,6 +26,13 @@ CLEAR, FOAM = np.array([0.010, 0.032, 0.038]), np.array([0.78, 0.80, 0.80])
 ROUGH = (0.06, 0.85)
 """Roughness of clear water and of foam."""
 RIPPLES = "ripples.png"
+LACE, LACE_SIDE = 768, 12.0
+"""Side of the repeating picture of foam, in texels and in m."""
+SOFT = 0.16
+"""How gradually it becomes white."""
+THREADS, WIDER = (0.15, 0.8), 7.0
+"""Samples closer than the first show all of that picture; further apart than the second, none of it, m. Those show the
+same picture this many times larger, and still further apart, only the mean."""
 TILE, TEXELS, STEEP = 9.0, 256, 0.075
 """The repeating texture of ripples: its side in m and in texels, and the deviation of their slopes."""
 
@@ -47,24 +54,62 @@ def author_foam(mesh: Any) -> None:
         primvar.CreateIndicesAttr()
 
 
-def set_foam(layer: Any, path: str, frame: float, points: Array, foam: Array) -> None:
-    """Write the foam (n,) of a frame on ``points`` (n, 3), in `patches`, as indices of both primvars of the surface."""
+def set_foam(layer: Any, path: str, frame: float, white: Array) -> None:
+    """Write how ``white`` (n,) foam makes the surface in a frame, see `patches`, as indices of both its primvars."""
     from pxr import Vt
 
-    shade = np.round(patches(points[:, 0], points[:, 1], foam) * (SHADES - 1)).astype(np.int32)
+    shade = np.round(white * (SHADES - 1)).astype(np.int32)
     for name in ("displayColor", "roughness"):
         layer.SetTimeSample(f"{path}.primvars:{name}:indices", frame, Vt.IntArray.FromNumpy(shade))
 
 
-def patches(x: Array, y: Array, foam: Array) -> Array:
-    """How much of the water at places (n,) m ``foam`` (n,) hides: patches with holes."""
-    white = np.zeros_like(foam)
-    there = np.flatnonzero(foam > 0)
-    x, y = x[there], y[there]
-    coarse = np.sin(3.1 * x + 1.7 * y + 1.3 * np.sin(-1.3 * x + 4.3 * y))
-    grain = 0.55 * coarse + 0.45 * np.sin(7.9 * x - 2.2 * y + 1.7 * np.sin(1.9 * x + 9.1 * y + coarse))
-    white[there] = np.clip(1.25 * foam[there] * (1 + 1.1 * grain), 0, 1)
-    return white
+def patches(xy: Array, foam: Array, size: Array | float) -> NDArray[np.float32]:
+    """How much of the water with rest positions ``xy`` (2, n) m ``foam`` (n,) hides: threads around holes, which widen
+    as it fades. Between samples ``size`` (n,) m apart that cannot show them, its mean."""
+    white = np.array(foam, np.float32)
+    size = np.broadcast_to(np.asarray(size, np.float32), white.shape)
+    there = np.flatnonzero((foam > 0) & (foam < 1) & (size < THREADS[1] * WIDER))
+    full, size, (x, y) = white[there], size[there], (each[there] for each in xy)
+    for wider in (WIDER, 1.0):
+        side = wider * LACE_SIDE
+        rank = _read(lace(), x / side, y / side)  # foam leaves the lowest first
+        seen = np.clip((full - 1 + rank) / SOFT + 0.5, 0, 1) * np.minimum(1, full / SOFT)
+        share = np.clip((wider * THREADS[1] - size) / (wider * (THREADS[1] - THREADS[0])), 0, 1)
+        white[there] += share * (seen - white[there])
+    return np.asarray(white)
+
+
+def _read(tile: NDArray[np.float32], u: Array, v: Array) -> NDArray[np.float32]:
+    """Values (n,) of a repeating tile (k, k) at ``u``, ``v`` (n,) in tiles, linear between texels."""
+    size = len(tile)
+    columns, rows = (size * (each - np.floor(each)) for each in (u, v))
+    c, r = columns.astype(int), rows.astype(int)
+    du, dv = (columns - c).astype(np.float32), (rows - r).astype(np.float32)
+    flat = tile.ravel()
+    below, above = ((r + k) % size * size for k in (0, 1))
+    left, right = c % size, (c + 1) % size
+    low = flat[below + left] * (1 - du) + flat[below + right] * du
+    return np.asarray(low * (1 - dv) + (flat[above + left] * (1 - du) + flat[above + right] * du) * dv)
+
+
+@lru_cache(maxsize=1)
+def lace() -> NDArray[np.float32]:
+    """A repeating tile (k, k) of foam: 1 where it lasts longest, in threads between round holes, to 0, evenly spread
+    over the tile's texels."""
+    from scipy.spatial import cKDTree
+
+    axis = (np.arange(LACE) + 0.5) / LACE
+    u, v = np.meshgrid(axis, axis)
+    wide = [fractal_noise(LACE, 1.8, seed) for seed in (21, 22)]
+    height = 0.25 * fractal_noise(LACE, 1.7, seed=23)
+    for cells, weight in ((130, 0.9), (900, 0.8), (5000, 0.35)):
+        seeds = np.random.default_rng(cells).uniform(size=(cells, 2))
+        bent = np.stack([u + 0.16 / cells**0.5 * wide[0], v + 0.16 / cells**0.5 * wide[1]], axis=-1) % 1.0
+        first, second = np.moveaxis(cKDTree(seeds, boxsize=1.0).query(bent, k=2)[0], -1, 0)
+        height -= weight * np.minimum((second - first) * cells**0.5, 1.0)
+    rank = np.empty(LACE**2, np.float32)
+    rank[np.argsort(height.ravel(), kind="stable")] = np.linspace(0, 1, LACE**2, dtype=np.float32)
+    return rank.reshape(LACE, LACE)
 
 
 def author_coordinates(mesh: Any, xy: Array) -> None:

@@ -73,7 +73,16 @@ def sea_state(
     amplitude *= height / 4 / np.sqrt((amplitude**2).sum() / 2)
     angle = heading + _directions(components, spread, random)
     number = (omega**2 / GRAVITY)[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-    return Waves(amplitude, number, random.uniform(0, 2 * np.pi, components), choppiness)
+    return Waves(amplitude, number, random.uniform(0, 2 * np.pi, components), choppiness, wind_of(height, period))
+
+
+def wind_of(height: float, period: float) -> float:
+    """Wind (m/s, at 10 m) that raises a sea of significant ``height`` m and peak ``period`` s.
+
+    A fully developed sea has ``H = 0.0246 U^2`` (Pierson and Moskowitz) and, in `sea_state`, ``T = 5.1 sqrt(H)``. For
+    other periods, Toba's law: ``H^2 / T^3`` is proportional to the wind. So a swell needs hardly any.
+    """
+    return float(np.sqrt(height / 0.0246) * (5.1 * np.sqrt(height) / period) ** 3)
 
 
 def _directions(count: int, spread: float, random: np.random.Generator) -> Array:
@@ -92,4 +101,4 @@ def together(*waves: Waves, choppiness: float) -> Waves:
     amplitude, number, phase = (
         np.concatenate([getattr(w, name) for w in waves]) for name in ("amplitude", "number", "phase")
     )
-    return Waves(amplitude, number, phase, choppiness)
+    return Waves(amplitude, number, phase, choppiness, max(w.wind for w in waves))

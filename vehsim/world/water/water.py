@@ -77,13 +77,15 @@ class Waves:
 
     ``amplitude`` (k,) m, ``number`` (k, 2) wave vectors rad/m, ``phase`` (k,) rad. ``choppiness`` 0: linear (Airy),
     ``sum a cos(k x - omega t + phase)``; 1: Gerstner, whose particles move on circles, so that crests are sharp and
-    troughs flat. Raises ``InputError``, also if the surface would fold.
+    troughs flat. ``wind`` m/s: the speed at 10 m of the wind that raises them, 0 for swell; it whitens their crests.
+    Raises ``InputError``, also if the surface would fold.
     """
 
     amplitude: Array
     number: Array
     phase: Array
     choppiness: float = 0.0
+    wind: float = 0.0
     omega: Array = field(init=False)
     content_hash: str = field(init=False)
 
@@ -117,14 +119,19 @@ class Waves:
         return np.hypot(*self.number.T)
 
     @cached_property
-    def _along(self) -> Array:
+    def along(self) -> Array:
         """(k, 2) unit vectors of the directions of the waves."""
         return self.number / self._k[:, None]
 
     @cached_property
+    def drift(self) -> Array:
+        """(2,) m/s: the mean motion of the water at the surface, by Stokes."""
+        return (self.amplitude**2 * self.omega) @ self.number
+
+    @cached_property
     def _shift(self) -> Array:
         """(k, 2) m: horizontal amplitude of the water in each wave."""
-        return (self.choppiness * self.amplitude)[:, None] * self._along
+        return (self.choppiness * self.amplitude)[:, None] * self.along
 
     @cached_property
     def _stretch(self) -> Array:
@@ -135,7 +142,7 @@ class Waves:
     def _swing(self) -> Array:
         """(k, 7): amplitudes of each wave's velocity and acceleration along X, Y and Z at the surface, and of its
         height."""
-        along = np.column_stack([self._along, np.ones(len(self._k))])
+        along = np.column_stack([self.along, np.ones(len(self._k))])
         speed = (self.amplitude * self.omega)[:, None] * along
         return np.column_stack([speed, self.omega[:, None] * speed, self.amplitude])
 
@@ -207,7 +214,7 @@ class Waves:
         if self.choppiness == 0:
             return uphill
         shift = cos * (self.choppiness * self.amplitude)
-        stretch = np.eye(2) - np.einsum("nk,ki,kj->nij", shift, self._along, self.number)
+        stretch = np.eye(2) - np.einsum("nk,ki,kj->nij", shift, self.along, self.number)
         return np.asarray(np.linalg.solve(np.swapaxes(stretch, 1, 2), uphill[:, :, None])[:, :, 0])
 
     def _solved(
