@@ -110,6 +110,8 @@ class Plan:
     audit."""
     _iterate: Iterate | None = field(default=None, repr=False)
     _run: Run | None = field(default=None, repr=False)
+    _cautions: tuple[str, ...] = field(default=(), repr=False)
+    """What strains the vehicle, such as bends beyond the grip of tyres."""
 
     def __repr__(self) -> str:
         verdict = "solved" if self.success else "failed"
@@ -201,7 +203,10 @@ def _warn(plan: Plan) -> None:
     name = plan.clip.vehicle.name
     if not plan.success:
         warnings.warn(f"{name}: plan failed: {plan.message}", FailedPlan, stacklevel=3)
-    elif plan._iterate is not None and (plan._iterate.remark or ends_elsewhere(plan._iterate) or _beyond(plan.audit)):
+        return
+    for message in plan._cautions:
+        warnings.warn(message, stacklevel=3)
+    if plan._iterate is not None and (plan._iterate.remark or ends_elsewhere(plan._iterate) or _beyond(plan.audit)):
         warnings.warn(f"{name}: {plan.message}", stacklevel=3)
 
 
@@ -210,14 +215,20 @@ def _beyond(rows: Sequence[Row]) -> list[str]:
     return [str(row) for row in rows if row.met is False and row.key.startswith(BEYOND)]
 
 
+class _TooHard(Exception):
+    """The coarse motion exceeds its character by far, and there is a harder one."""
+
+
 def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
     """The plan in its character; where the motion would exceed that by far, in the next harder character."""
-    made, traits = _in_one_character(request, progress, guess), request.traits
-    while _too_hard(made) and traits.harder is not None:
-        again = _in_one_character(replace(request, traits=traits.harder), progress, guess)
-        if not again.success:
+    made, traits = _unless_too_hard(request, progress, guess), request.traits
+    while made is None and traits.harder is not None:
+        again = _unless_too_hard(replace(request, traits=traits.harder), progress, guess)
+        if again is not None and not again.success:
             break
         made, traits = again, traits.harder
+    if made is None:  # no harder motion was found
+        made = _in_one_character(replace(request, traits=traits), progress, guess)
     if traits is request.traits:
         return made
     assert made._iterate is not None
@@ -226,17 +237,28 @@ def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
     return _remarked(made, remark)
 
 
-def _in_one_character(request: Request, progress: Progress | None, guess: Any) -> Plan:
+def _unless_too_hard(request: Request, progress: Progress | None, guess: Any) -> Plan | None:
+    """The plan in its character; None if it exceeds that by far, and there is a harder one."""
+    try:
+        made = _in_one_character(request, progress, guess, early=True)
+    except _TooHard:
+        return None
+    return None if _too_hard(made) else made
+
+
+def _in_one_character(request: Request, progress: Progress | None, guess: Any, early: bool = False) -> Plan:
     """The plan, if necessary planned again with fewer freedoms or more segments.
+
+    ``early``: raise ``_TooHard`` as soon as the coarse motion shows it.
 
     A motion beyond the vehicle's top speed or turn rate is planned again with that limit. If the controls do not lead
     where the motion does, or no motion is found for an unknown reason, the plan is repeated on more segments.
     """
     enough = enough_segments(request)
     if request.segments < enough:
-        made = _in_one_character(replace(request, segments=enough), progress, guess)
+        made = _in_one_character(replace(request, segments=enough), progress, guess, early)
         return _remarked(made, f"; with {enough} segments, because {request.segments} are too few")
-    made, limited = _attempt(request, progress, guess), ""
+    made, limited = _attempt(request, progress, guess, early=early), ""
     while made._iterate is not None and made._iterate.success and (tops := _exceeded(made, request)):
         request = replace(request, limits=request.limits.within(tops))
         made = _attempt(request, progress, guess)
@@ -270,12 +292,26 @@ def _fails_in_character(plan: Plan) -> bool:
 
 
 def _too_hard(plan: Plan) -> bool:
-    """Whether a motion exceeds a limit of its character by far."""
-    assert plan._run is not None
-    if not plan.success or plan._run.deadline.late:
+    """Whether a motion exceeds a limit of its character by far, and there is a harder one."""
+    assert plan._iterate is not None and plan._run is not None
+    harder = plan._iterate.request.traits.harder
+    return plan.success and harder is not None and not plan._run.deadline.late and _exceeds(plan.audit)
+
+
+def _is_too_hard(run: Run, iterate: Iterate) -> bool:
+    """The same of a coarse motion."""
+    request = iterate.request
+    if not iterate.success or request.traits.harder is None or run.deadline.late:
         return False
-    rows = [(row.value, row.upper) for row in plan.audit if row.key.startswith(BEYOND)]
-    return any(value and upper and abs(value) > TOO_HARD / (1 + ROOM) * upper for value, upper in rows)
+    soft = [ask for ask in asks_of(request, iterate.mark_frames()) if ask.key.startswith(BEYOND)]
+    clip = replace(iterate.clip, vehicle=request.vehicle)
+    return _exceeds(audit(track_of_clip(clip), soft, WorldScene(request.world, clip.vehicle)))
+
+
+def _exceeds(rows: Sequence[Row]) -> bool:
+    """Whether soft limits are exceeded by far."""
+    soft = [(row.value, row.upper) for row in rows if row.key.startswith(BEYOND)]
+    return any(value and upper and abs(value) > TOO_HARD / (1 + ROOM) * upper for value, upper in soft)
 
 
 def _remarked(plan: Plan, remark: str) -> Plan:
@@ -309,8 +345,11 @@ def _unexplained(plan: Plan) -> bool:
     return not (plan.success or plan._iterate.why or plan._run.deadline.late) and plan.iterations > 0
 
 
-def _attempt(request: Request, progress: Progress | None, guess: Any, once: bool = False) -> Plan:
-    """The plan of one request; ``once``: on failure, do not try other guesses and do not diagnose."""
+def _attempt(request: Request, progress: Progress | None, guess: Any, once: bool = False, early: bool = False) -> Plan:
+    """The plan of one request; ``once``: on failure, do not try other guesses and do not diagnose.
+
+    ``early``: as in `_in_one_character`.
+    """
     transcription, run = transcribe(request.weighed), Run(request, progress)
     watched = run.deadline.watched(progress)
     try:
@@ -336,6 +375,8 @@ def _attempt(request: Request, progress: Progress | None, guess: Any, once: bool
     if not (iterate.success or once):
         iterate = from_other_guesses(run, iterate, paths, guess)
     iterate = settle_on_frames(run, restrain(run, in_character(run, iterate, request.traits)))
+    if early and _is_too_hard(run, iterate):
+        raise _TooHard
     iterate = to_requested_segments(run, iterate)
     iterate = refine_and_certify(run, iterate)
     return _result(run, iterate)
@@ -398,7 +439,9 @@ def _result(run: Run, iterate: Iterate, reason: Reason | None = None) -> Plan:
             success, reason = False, "execution"
             message += f", more than {allowed:.2g} m: use more segments, more time, or a slower motion"
     begun = run.iterations > 0 or not run.deadline.hopeless  # otherwise there is no time to place wheels on the ground
-    clip = exported(iterate.clip, request) if begun else replace(iterate.clip, vehicle=request.vehicle)
+    with warnings.catch_warnings(record=True) as cautions:  # of this motion, which may not be the plan's
+        warnings.simplefilter("always")
+        clip = exported(iterate.clip, request) if begun else replace(iterate.clip, vehicle=request.vehicle)
     asks = asks_of(request, iterate.mark_frames())
     rows = audit(track_of_clip(clip), asks, WorldScene(request.world, clip.vehicle)) if success else []
     if beyond := _beyond(rows):
@@ -429,4 +472,5 @@ def _result(run: Run, iterate: Iterate, reason: Reason | None = None) -> Plan:
         audit=tuple(rows),
         _iterate=iterate,
         _run=run,
+        _cautions=tuple(str(caution.message) for caution in cautions),
     )
