@@ -9,7 +9,7 @@ from __future__ import annotations
 import copy
 import hashlib
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,11 @@ from vehsim.shot.overrides import apply_overrides, assign
 
 MAX_CLIPS = 100_000
 SPECIAL = {"seeds", "combine"}
+_DISTRIBUTIONS: dict[str, Callable[[Any, float, float], float]] = {
+    "uniform": lambda generator, low, high: low + (high - low) * generator.random(),
+    "normal": lambda generator, mean, deviation: mean + deviation * generator.normal(),
+}
+"""Name -> a random number from a generator of NumPy and the two numbers that a sweep gives."""
 _FORMS = "a list of values, { from = 0, to = 1, count = 5 }, { uniform = [0, 1] } or { normal = [mean, deviation] }"
 
 
@@ -105,8 +110,8 @@ def _spaced(given: Any) -> Iterator[float]:
 def _is_drawn(given: Any) -> bool:
     if not isinstance(given, Mapping) or len(given) != 1:
         return False
-    kind, pair = next(iter(given.items()))
-    return kind in ("uniform", "normal") and isinstance(pair, list) and len(pair) == 2 and all(map(_is_number, pair))
+    name, pair = next(iter(given.items()))
+    return name in _DISTRIBUTIONS and isinstance(pair, list) and len(pair) == 2 and all(map(_is_number, pair))
 
 
 def _seeds(sweep: Mapping[str, Any], needed: bool) -> list[int]:
@@ -127,10 +132,10 @@ def _draw(drawn: Mapping[str, Any], seed: int) -> dict[str, float]:
 
     values = {}
     for key, given in drawn.items():
-        kind, (a, b) = next(iter(given.items()))
+        name, pair = next(iter(given.items()))
         stream = int.from_bytes(hashlib.sha256(key.encode()).digest()[:8])
         generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, stream])))
-        values[key] = float(a + (b - a) * generator.random() if kind == "uniform" else a + b * generator.normal())
+        values[key] = float(_DISTRIBUTIONS[name](generator, *pair))
     return values
 
 

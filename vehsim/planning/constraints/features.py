@@ -108,6 +108,12 @@ def _symbols(kind: tuple[Law, int, int]) -> tuple[Expr, Expr, Expr]:
     return ca.SX.sym("pose", 3), ca.SX.sym("numbers", kind[1]), ca.SX.sym("constants", kind[2])
 
 
+def _placed(pose: Expr) -> tuple[Expr, Expr]:
+    """Rotation (2, 2) and place (2,) m of a root with ``pose`` (yaw, x, y)."""
+    yaw, place = ca.vertsplit(pose, [0, 1, 3])
+    return _turn(yaw), place
+
+
 def _turn(angle: Expr) -> Expr:
     c, s = ca.cos(angle), ca.sin(angle)
     return ca.vertcat(ca.horzcat(c, -s), ca.horzcat(s, c))
@@ -117,40 +123,45 @@ def _turn(angle: Expr) -> Expr:
 
 
 def _point_from_polygon(pose: Expr, numbers: Expr, constants: Expr, body: Outline) -> tuple[Expr, Expr, Model]:
-    """Distance of a point of the body, or of a disc around it, from a polygon; constants: x, y, radius."""
-    point = pose[1:] + _turn(pose[0]) @ constants[:2]
-    corners = [numbers[2 * k : 2 * k + 2] for k in range(numbers.shape[0] // 2)]
-    return constants[2], point, from_polygon(point, corners)
+    """Distance of a point of the body, or of a disc around it, from a polygon; constants: its place and radius."""
+    R_wb, place = _placed(pose)
+    own, radius = ca.vertsplit(constants, [0, 2, 3])
+    point = place + R_wb @ own
+    return radius, point, from_polygon(point, ca.vertsplit(numbers, 2))
 
 
 def _corner_from_body(pose: Expr, numbers: Expr, constants: Expr, body: Outline) -> tuple[Expr, Expr, Model]:
     """Distance of a polygon's corner from the body."""
-    point = _turn(pose[0]).T @ (numbers - pose[1:])
+    R_wb, place = _placed(pose)
+    point = R_wb.T @ (numbers - place)
     return 0.0, point, from_polygon(point, [ca.DM(corner) for corner in body])
 
 
 def _point_from_ellipse(pose: Expr, numbers: Expr, constants: Expr, body: Outline) -> tuple[Expr, Expr, Model]:
-    """Distance of a point of the body, or of a disc around it, from an ellipse; constants: x, y, radius."""
+    """Distance of a point of the body, or of a disc around it, from an ellipse; constants: its place and radius."""
     centre, radii, R_we = _ellipse(numbers)
-    point = R_we.T @ (pose[1:] + _turn(pose[0]) @ constants[:2] - centre)
-    return constants[2], point, from_ellipse(point, radii)
+    R_wb, place = _placed(pose)
+    own, radius = ca.vertsplit(constants, [0, 2, 3])
+    point = R_we.T @ (place + R_wb @ own - centre)
+    return radius, point, from_ellipse(point, radii)
 
 
 def _ellipse_from_body(pose: Expr, numbers: Expr, constants: Expr, body: Outline) -> tuple[Expr, Expr, Model]:
     """Distance from the body of an ellipse's outermost point towards an edge of the body; constants: the edge's inner
     normal."""
     centre, radii, R_we = _ellipse(numbers)
-    R_wb = _turn(pose[0])
+    R_wb, place = _placed(pose)
     inwards = R_we.T @ R_wb @ constants
     outermost = radii**2 * inwards / ca.sqrt(ca.sumsqr(radii * inwards) + ROUND)
-    point = R_wb.T @ (centre + R_we @ outermost - pose[1:])
+    point = R_wb.T @ (centre + R_we @ outermost - place)
     return 0.0, point, from_polygon(point, [ca.DM(corner) for corner in body])
 
 
 def _ellipse(numbers: Expr) -> tuple[Expr, Expr, Expr]:
     """Centre, radii, and rotation from its own axes to the world."""
-    axis = numbers[4:6]
-    return numbers[:2], numbers[2:4], ca.horzcat(axis, ca.vertcat(-axis[1], axis[0]))
+    axis: Expr
+    centre, radii, axis = ca.vertsplit(numbers, 2)
+    return centre, radii, ca.horzcat(axis, ca.vertcat(-axis[1], axis[0]))
 
 
 # ------------------------------------------------------------ forms
