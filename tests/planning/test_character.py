@@ -203,10 +203,31 @@ def test_a_name_that_is_no_character_is_refused() -> None:
         drive("norml")
 
 
-def test_a_limit_that_no_plan_knows_is_refused() -> None:
-    odd = replace(CAR, character=Character(limits={"wobble": Trait(1, 2, 3, "nowhere")}))
-    with pytest.raises(InputError, match=r"character.limits.wobble"):
+@pytest.mark.parametrize("key", ["limits", "costs"])
+def test_what_no_plan_knows_is_refused(key: str) -> None:
+    odd = replace(CAR, character=Character(**{key: {"wobble": Trait(1, 2, 3, "nowhere")}}))
+    with pytest.raises(InputError, match=rf"character.{key}.wobble"):
         traits_of(odd, "normal", "effort")
+
+
+@pytest.mark.parametrize("character", ["calm", "normal", "brisk"])
+@pytest.mark.parametrize(
+    ("distance", "seconds", "climb"), [(100.0, 15.0, 0.0), (300.0, 30.0, 0.0), (150.0, 25.0, 15.0)]
+)
+def test_helicopters_hold_their_height_between_marks(
+    character: str, distance: float, seconds: float, climb: float
+) -> None:
+    """Without that cost, they would rise by up to 30 m on 300 m, because this saves a little effort."""
+    last = 1 + round(24 * seconds)
+    marks = [
+        Mark(1, position=(0, 0, 20), velocity=STILL),
+        Mark(last, position=(distance, 0, 20 + climb), velocity=STILL),
+    ]
+    heights = vehsim.plan(HELICOPTER, marks=marks, segments=32, character=character).clip.positions[:, 2]  # type: ignore[arg-type]
+    assert heights.min() > 19 and heights.max() < 21 + climb
+    cost = {"effort": 1.0, "level": 0.0}
+    free = vehsim.plan(HELICOPTER, marks=marks, segments=32, character=character, cost=cost).clip  # type: ignore[arg-type]
+    assert free.positions[:, 2].max() > 22.5 + climb
 
 
 @pytest.mark.parametrize(

@@ -216,6 +216,11 @@ def _course(s: SegmentView) -> Expr:
     return _mean(_off_course, s)
 
 
+def _level(s: SegmentView) -> Expr:
+    """Squared vertical speed, integrated over time, m^2/s."""
+    return (s.end.position[2] - s.start.position[2]) ** 2 / s.h
+
+
 def _steered(s: SegmentView) -> Expr:
     """Squared tangent of the steering angle, integrated over time; vehicles that steer wheels."""
     return _mean(lambda k: _steering(k) ** 2, s)
@@ -252,6 +257,7 @@ COSTS: Registry[Callable[[Any], Expr]] = Registry(
         "easing": _easing,
         "spin": _spin,
         "course": _course,
+        "level": _level,
         "energy": _work,
         "steering": _steered,
         "safety": _safety,

@@ -39,6 +39,7 @@ def traits(vehicle: str) -> str:
     loaded = load_vehicle(vehicle)
     units = {control.name: f"{control.unit}/s" for control in loaded.controls}
     rows = [("response", "s", loaded.character.response)]
+    rows += [(f"weight of {name}", "1", trait) for name, trait in loaded.character.costs.items()]
     rows += [(name, LIMITS[name].unit, trait) for name, trait in loaded.character.limits.items()]
     rows += [(f"rate of {name}", units[name], trait) for name, trait in loaded.character.control_rates.items()]
     rows += [(name, REVIEW_UNITS[name], trait) for name, trait in loaded.character.review.items()]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from vehsim.errors import InputError
 from vehsim.planning.request.marks import Mark
-from vehsim.planning.terms import LIMITS, Limits, heaviest
+from vehsim.planning.terms import COSTS, LIMITS, Limits, heaviest
 from vehsim.vehicles import Vehicle
 from vehsim.vehicles.definition.character import CHARACTERS, STUNT
 
@@ -24,9 +24,9 @@ from vehsim.vehicles.definition.character import CHARACTERS, STUNT
 class Traits:
     """The traits of one character, SI: see `vehsim.vehicles.definition.character.Character`; a stunt has none.
 
-    ``costs``: weights of costs by name that make the response time of the controls ``response``, unless the user gives
-    them: with effort, they act as a low-pass filter of that time. ``price``: the largest weight that the user gives;
-    all costs of the character are multiples of it.
+    ``costs``: weights of costs by name, unless the user gives them: those of the character, and those that make the
+    response time of the controls ``response``, because with effort they act as a low-pass filter of that time.
+    ``price``: the largest weight that the user gives; all costs of the character are multiples of it.
     """
 
     name: str = STUNT
@@ -68,10 +68,11 @@ def traits_of(vehicle: Vehicle, name: str, cost: str | Mapping[str, float]) -> T
     character = vehicle.character
     time = character.response.of(name)
     costs = {"smoothness": price * time**2, "easing": price * time**4}
-    for limit in character.limits:
-        if limit not in LIMITS:
-            remedy = f"choose one of {', '.join(LIMITS)}"
-            raise InputError("unknown", remedy, key=f"character.limits.{limit}", subject=vehicle.name)
+    costs |= {key: price * trait.of(name) for key, trait in character.costs.items()}
+    for key, given, known in (("limits", character.limits, LIMITS), ("costs", character.costs, COSTS)):
+        for unknown in given.keys() - set(known):
+            remedy = f"choose one of {', '.join(known)}"
+            raise InputError("unknown", remedy, key=f"character.{key}.{unknown}", subject=vehicle.name)
     return Traits(
         name,
         {key: trait.of(name) for key, trait in character.limits.items()},

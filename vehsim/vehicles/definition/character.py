@@ -60,12 +60,14 @@ SHARES_OF_TIME: frozenset[str] = frozenset({"saturation"})
 class Character:
     """The characters of a vehicle.
 
-    ``response``: response time of the controls, s. ``limits``: soft limits by name of a plan's limits, SI, such as
+    ``response``: response time of the controls, s. ``costs``: weights of a plan's costs by name, beside `effort`'s of
+    one. ``limits``: soft limits by name of a plan's limits, SI, such as
     ``bank`` in rad. ``control_rates``: the largest rate by name of a control, in its unit per second. ``review``:
     quantities that plans do not limit, see `REVIEWED`.
     """
 
     response: Trait = RESPONSE
+    costs: Mapping[str, Trait] = field(default_factory=dict)
     limits: Mapping[str, Trait] = field(default_factory=dict)
     control_rates: Mapping[str, Trait] = field(default_factory=dict)
     review: Mapping[str, Trait] = field(default_factory=lambda: REVIEWED)

@@ -125,6 +125,8 @@ class CharacterTable(Table):
 
     response: TraitTable | None = None
     """the response time of the controls, s"""
+    costs: dict[str, TraitTable] = Field(default={})
+    """weights of costs of plans by name, beside 1 for effort"""
     limits: dict[str, TraitTable] = Field(default={})
     """limits of plans by name, in SI units"""
     control_rates: dict[str, TraitTable] = Field(default={})
@@ -165,7 +167,7 @@ class VehicleFile(Table):
     channels: dict[str, ChannelTable] = Field(default={})
     """tables of channels with prim, op, pivot, factor and disc"""
     character: CharacterTable = CharacterTable()
-    """how it is driven: a table with response, limits, control_rates and review"""
+    """how it is driven: a table with response, costs, limits, control_rates and review"""
     suspension: SuspensionTable = SuspensionTable()
     """a table with frequency, damping and mass_height"""
     up_axis: Literal["Y", "Z"] | None = None

@@ -231,7 +231,7 @@ def _limits(path: Path, vehicle: Vehicle, table: dict[str, Any]) -> dict[str, tu
 
 def _character(path: Path, vehicle: Vehicle, table: dict[str, Any]) -> Character:
     _known(path, "character.control_rates.", table.get("control_rates", {}), set(vehicle.control_names))
-    kinds = ("limits", "control_rates", "review")
+    kinds = ("costs", "limits", "control_rates", "review")
     traits = {key: {name: Trait(**row) for name, row in table.get(key, {}).items()} for key in kinds}
     traits["review"] = {**vehicle.character.review, **traits["review"]}
     response = Trait(**table["response"]) if table.get("response") else vehicle.character.response
