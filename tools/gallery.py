@@ -35,6 +35,7 @@ STILLS = {
     "simple_car_worlds_seed0": (1160, "chase"),
     "snakeboard_to_mark": (1100, "chase"),
     "snakeboard_twist": (1109, "chase"),
+    "storm_turn": (1084, "follow"),
     "truck_reverses_trailer": (1250, "chase"),
     "tumbling_body": (1145, "left"),
 }

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from vehsim.exporters.pictures.canvas import OPAQUE, TRANSLUCENT, Canvas, Picture
 from vehsim.exporters.pictures.motion_passes import Pixels
 from vehsim.exporters.pictures.passes import prim_colours
+from vehsim.exporters.pictures.spray import draw_spray
 from vehsim.exporters.pictures.water import WaterView, places_of
 from vehsim.exporters.usd.scenery.shading import author_material, author_skybox, light_for
 from vehsim.exporters.usd.stage import Shape, StageReader
@@ -97,7 +98,7 @@ class StageRenderer:
             colour = self._wet(colour, depth, camera, frame)
         colour, opaque = colour[::-1], depth[::-1] > 0
         if opaque.all():
-            return np.asarray(Image.fromarray(colour).reduce(side))
+            return self._sprayed(np.asarray(Image.fromarray(colour).reduce(side)), depth, camera, frame)
         # Haze would hide the sky, so it is drawn separately with the translucent geoms in front of it, at half the
         # size.
         half = (-(-self._size[0] // 2), -(-self._size[1] // 2))
@@ -108,7 +109,7 @@ class StageRenderer:
         part = slice(top, bottom), slice(left, right)
         behind.paste(Image.fromarray(colour[part]), mask=Image.fromarray(opaque[part]))
         sky.paste(behind.reduce(side), (left // side, top // side))
-        return np.asarray(sky)
+        return self._sprayed(np.asarray(sky), depth, camera, frame)
 
     def passes(self, camera: str, frame: float, kinds: Sequence[str]) -> dict[str, NDArray[Any]]:
         """The passes ``kinds`` of a picture: "depth" (height, width) m along the view, 0 for the background;
@@ -190,6 +191,20 @@ class StageRenderer:
         places, distance = places_of(depth, eye, forward, up, half, self._drawn(clip), part, shift)
         colour[part] = self._water.wet(colour[part], places, np.where(standing[part], distance, np.inf))
         return colour
+
+    def _sprayed(self, picture: Picture, depth: NDArray[np.float32], camera: str, frame: float) -> Picture:
+        """The picture with the spray before what was drawn with ``depth``."""
+        if self.stage.spray is None or self._water is None:
+            return picture
+        pose, half_width, shift, clip = self.stage.camera(camera, frame)
+        half = (half_width, half_width * self.size[1] / self.size[0])
+        view = pose[:3, 3], -pose[:3, 2], pose[:3, 1]
+        side = self._supersample
+        _, distance = places_of(
+            depth[side // 2 :: side, side // 2 :: side], *view, half, self._drawn(clip), shift=shift
+        )
+        drops, seconds = self.stage.spray_at(frame), 1 / float(self.stage.fps)
+        return draw_spray(picture, distance[::-1], drops, view, half, shift, seconds, self._water.foam_colour)
 
     def _place_lights(self) -> None:
         """Place the sun's shadow map over the camera's view, aligned to whole texels so that shadow edges do not

@@ -132,6 +132,12 @@ class WaterView:
         self._ripples = 2 * np.pi / length * np.stack([np.cos(heading), np.sin(heading)])
         self._phases = rng.uniform(0, 2 * np.pi, RIPPLES)
 
+    @property
+    def foam_colour(self) -> Array:
+        """The displayed colour (3,) of foam in the air, 0 to 255."""
+        light = self._fill + 0.5 * self._sun.colour / np.pi
+        return np.asarray(255 * to_srgb(np.clip(FOAM * light * self._exposure, 0, 1)))
+
     def author(self, spec: Any) -> None:
         """Add mesh, texture and geom to a spec."""
         import mujoco

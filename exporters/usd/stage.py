@@ -108,6 +108,7 @@ class StageReader:
         self._movers: dict[Any, str] = {}
         self._moving = frozenset(moving)
         self.water: str | None = None
+        self.spray: str | None = None
         self.fps = Fraction(self._stage.GetFramesPerSecond()).limit_denominator(1001)
         self.frames = (int(self._stage.GetStartTimeCode()), int(self._stage.GetEndTimeCode()))
         self.cameras = {
@@ -177,6 +178,20 @@ class StageReader:
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         return points, normals, foam, lowered * np.linalg.norm(T_ws[:3, 2])
 
+    def spray_at(self, frame: float) -> tuple[Array, Array, Array]:
+        """Places (n, 3) m, velocities (n, 3) m/s and widths (n,) m of the stage's points at a time code."""
+        from pxr import UsdGeom
+
+        points = UsdGeom.Points(self._stage.GetPrimAtPath(self.spray))
+        self._cache.SetTime(frame)
+        T_wp = self._world(str(points.GetPath()))
+        given = [each.Get(frame) for each in (points.GetPointsAttr(), points.GetVelocitiesAttr())]
+        places, velocities = (np.array(each or [], float).reshape(-1, 3) @ T_wp[:3, :3].T for each in given)
+        velocities = velocities if len(velocities) == len(places) else np.zeros_like(places)
+        widths = np.array(points.GetWidthsAttr().Get(frame) or [], float)
+        widths = np.broadcast_to(widths if widths.size else [0.02], len(places))
+        return places + T_wp[:3, 3], velocities, widths * np.linalg.norm(T_wp[:3, 2])
+
     # ------------------------------------------------------------ once
 
     def sun(self) -> Sun | None:
@@ -231,6 +246,8 @@ class StageReader:
                 continue
             elif prim.HasAttribute(WATER_ROWS):
                 self.water = str(prim.GetPath())
+            elif prim.IsA(UsdGeom.Points):
+                self.spray = str(prim.GetPath())
             elif prim.IsA(UsdGeom.Mesh):
                 yield from self._read_mesh(prim)
             elif prim.IsA(UsdGeom.Gprim) or prim.IsA(UsdGeom.PointInstancer):

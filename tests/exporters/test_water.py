@@ -96,8 +96,8 @@ def test_a_vehicle_in_the_air_leaves_no_wake():
     take = Take("sea", {"boat": clip}, World(water=0.0), (), Fraction(FPS), (1001, 1049))
     grid = water_grid.lay_grid(take)
     assert (authored.floating(take, frames)["boat"].wet == 0).all()
-    for points, _, foam, lowered in authored.surfaces(take, grid, frames[[0, 20, 48]]):
-        assert np.abs(points[:, 2]).max() < 1e-9 and foam.max() == 0 and lowered.max() == 0
+    for points, _, foam, lowered, drops in authored.surfaces(take, grid, frames[[0, 20, 48]]):
+        assert np.abs(points[:, 2]).max() < 1e-9 and foam.max() == lowered.max() == len(drops.widths) == 0
 
 
 @pytest.mark.parametrize("roll", [0.0, 0.35])
@@ -107,7 +107,7 @@ def test_water_inside_a_hull_is_lowered_to_its_bottom_but_not_through_it(roll):
     take = Take("sea", {"boat": replace(clip, orientations=lying)}, World(water=0.0), (), Fraction(FPS), (1001, 1025))
     grid = water_grid.lay_grid(take)
     corners, faces = authored.floating(take, clip.frames)["boat"].hull
-    points, _, _, lowered = list(authored.surfaces(take, grid, clip.frames.astype(float)))[12]
+    points, _, _, lowered, _ = list(authored.surfaces(take, grid, clip.frames.astype(float)))[12]
     T_wr = take.clips["boat"].matrices()[12]
 
     def inside(place):  # m from the skin, by an independent library

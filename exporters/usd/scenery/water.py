@@ -9,12 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.exporters.usd.metadata import author_stage_metadata
+from vehsim.exporters.usd.scenery.spray import Drops, Spray, author_spray
 from vehsim.exporters.usd.scenery.wake import Floating, Foam, Wake, clip_matrices
 from vehsim.exporters.usd.scenery.water_grid import Grid, lay_grid
 from vehsim.exporters.usd.scenery.water_material import (
@@ -31,7 +32,7 @@ from vehsim.world.water.water import Water, Waves
 if TYPE_CHECKING:
     from vehsim.clip.clip import Clip
     from vehsim.delivery.take import Take
-    from vehsim.world.water.whitecaps import Whitecaps
+    from vehsim.world.water.whitecaps import Breaking, Whitecaps
 
 Array = NDArray[np.float64]
 
@@ -83,7 +84,10 @@ def write_water(take: Take, folder: Path) -> list[Path]:
     picture = bind_material(stage, mesh, folder)
     _set_points(points.Set, extent.Set, np.column_stack([grid.xy, np.full(len(grid.xy), water.level)]))
     frames = np.arange(take.frames[0], take.frames[1] + 1, dtype=float)
-    for frame, (place, normals, foam, lowered) in zip(frames.tolist(), surfaces(take, grid, frames), strict=True):
+    spray = []
+    for frame, shown in zip(frames.tolist(), surfaces(take, grid, frames), strict=True):
+        place, normals, foam, lowered, drops = shown
+        spray.append(drops)
         points_at, extent_at = (partial(layer.SetTimeSample, each.GetPath(), frame) for each in (points, extent))
         _set_points(points_at, extent_at, place)
         halves = Vt.Vec3hArray.FromNumpy(normals.astype(np.float16))
@@ -92,6 +96,7 @@ def write_water(take: Take, folder: Path) -> list[Path]:
             halves = Vt.HalfArray.FromNumpy(values.astype(np.float16))
             layer.SetTimeSample(f"/water/surface.primvars:{name}", frame, halves)
         set_foam(layer, "/water/surface", frame, patches(grid.xy.T, foam, grid.cells))
+    author_spray(stage, frames, spray)
     layer.Save()
     return [path, picture]
 
@@ -105,8 +110,19 @@ def _set_points(points: Callable[[Any], Any], extent: Callable[[Any], Any], plac
     extent(Vt.Vec3fArray.FromNumpy(np.stack([single.min(axis=0), single.max(axis=0)])))
 
 
-def surfaces(take: Take, grid: Grid, frames: Array) -> Iterator[tuple[Array, Array, Array, Array]]:
-    """Points (n, 3) m, unit normals (n, 3), foam (n,) and how far they were `LOWERED` (n,) m, for every frame."""
+class Shown(NamedTuple):
+    """The surface in a frame: ``points`` (n, 3) m, unit ``normals`` (n, 3), ``foam`` (n,), how far the points were
+    `LOWERED` (n,) m, and the spray above."""
+
+    points: Array
+    normals: Array
+    foam: Array
+    lowered: Array
+    drops: Drops
+
+
+def surfaces(take: Take, grid: Grid, frames: Array) -> Iterator[Shown]:
+    """The surface for every frame, in their order."""
     water, fps, xy = take.world.water, float(take.fps), grid.xy
     assert water is not None
     afloat = floating(take, frames)
@@ -114,9 +130,12 @@ def surfaces(take: Take, grid: Grid, frames: Array) -> Iterator[tuple[Array, Arr
     trails = Foam(afloat, xy, frames, fps)
     raised = wake.heights() if wake is not None else iter(np.zeros((len(frames), 1, 1)))
     start = min((clip.start_frame for clip in take.clips.values()), default=take.frames[0])
-    sea, whitecaps = _undisturbed(water, grid), _whitecaps(take, grid)
+    breaking = _breaking(take)
+    sea, whitecaps = _undisturbed(water, grid), None if breaking is None else _whitecaps(take, grid, breaking)
+    spray = Spray(afloat, water, breaking, grid, take.world.wind, start, fps)
     for k, (frame, field) in enumerate(zip(frames.tolist(), raised, strict=True)):
         points = sea((frame - start) / fps)
+        drops = spray.at(frame, points)
         if wake is not None:
             points[:, 2] += wake.at(field, points[:, :2])
         normals = grid.normals(points)
@@ -125,20 +144,24 @@ def surfaces(take: Take, grid: Grid, frames: Array) -> Iterator[tuple[Array, Arr
             foam = np.maximum(foam, whitecaps.at(round(frame - start)))
         lowered = _into_hulls(afloat, points, grid.cells, frame)
         points[:, 2] -= lowered
-        yield points, normals, np.clip(foam, 0.0, 1.0), lowered
+        yield Shown(points, normals, np.clip(foam, 0.0, 1.0), lowered, drops)
 
 
-def _whitecaps(take: Take, grid: Grid) -> Whitecaps | None:
-    """The whitecaps of a take on its grid; None if its waves do not break."""
-    from vehsim.world.water.whitecaps import Breaking, Whitecaps
+def _breaking(take: Take) -> Breaking | None:
+    """How the waves of a take break; None if they do not."""
+    from vehsim.world.water.whitecaps import Breaking
+
+    waves = None if take.world.water is None else take.world.water.surface
+    breaking = Breaking(waves, take.world.wind[:2]) if isinstance(waves, Waves) else None
+    return breaking if breaking is not None and np.isfinite(breaking.least) else None
+
+
+def _whitecaps(take: Take, grid: Grid, breaking: Breaking) -> Whitecaps:
+    """The whitecaps of a take on its grid."""
+    from vehsim.world.water.whitecaps import Whitecaps
 
     water = take.world.water
     assert water is not None
-    if not isinstance(water.surface, Waves):
-        return None
-    breaking = Breaking(water.surface, take.world.wind[:2])
-    if not np.isfinite(breaking.least):
-        return None
     flow: Array | float = 0.0
     if water.current is not None:
         flow = water.current.velocity(np.column_stack([grid.xy, np.zeros(len(grid.xy))]), 0.0)[:, :2]
