@@ -7,6 +7,7 @@ between points on the vehicle's meshes and the triangles of the surroundings, in
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from fractions import Fraction
@@ -517,10 +518,13 @@ def with_stage(path: Path, report: Mapping[str, Any]) -> dict[str, list[dict[str
     """The rows of a report's ``audit``, each with the measurement on the stage at ``path`` under ``stage``.
 
     Distances are not measured again: whole frames have been read back, and between them the stage follows the clip.
-    Raises ``ExportError`` if the stage misses what the clip meets.
+    Raises ``ExportError`` if the stage misses what the clip meets; warns of other misses that only the stage shows.
     """
     found, wrong = {}, []
     for name, rows in audit_stage(path, report, distances=False).items():
+        for request, row in zip(report["audit"][name], rows, strict=True):
+            if row.met is False and row.severity == "warning" and request["met"] is None:
+                warnings.warn(f"{name}: {row}", stacklevel=2)
         found[name] = [
             {**request, "stage": {key: getattr(row, key) for key in ("value", "frame", "met")}}
             for request, row in zip(report["audit"][name], rows, strict=True)

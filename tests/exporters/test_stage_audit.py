@@ -169,6 +169,23 @@ def test_a_car_that_floats_or_sinks_is_refused(tmp_path: Path) -> None:
     assert keys(folder) == {"wheels"}
 
 
+def test_wheels_on_a_rigid_body_cannot_all_touch_rough_ground(tmp_path: Path) -> None:
+    """Three wheels determine its pose: a warning names the gap of the fourth, and the delivery is kept."""
+    x, y = np.meshgrid(np.arange(-20.0, 21.0), np.arange(-20.0, 21.0))
+    np.savez(tmp_path / "rough.npz", heights=0.1 * np.sin(x) * np.sin(y), cell=[1.0, 1.0], origin=[-20.0, -20.0])
+    kart = Path(__file__).parents[1] / "assets_elsewhere" / "kart"
+    data = {
+        "shot": {"schema": 1, "name": "over", "end_frame": 1025},
+        "world": {"terrain": str(tmp_path / "rough.npz")},
+        "vehicle": [{**CAR["vehicle"][0], "asset": str(kart)}],
+    }
+    with pytest.warns(UserWarning, match=r"heli: wheels: -?0\.\d+ m, -?0\.005 .*; give its wheels travel_\* channels"):
+        folder = Shot.from_dict(data).solve().export(tmp_path, ("usd",))
+    assert keys(folder) == set()
+    (row,) = [row for row in audit_delivery(folder)["heli"] if row.key == "wheels"]
+    assert row.met is False and row.severity == "warning"
+
+
 STEERED: dict[str, Any] = {
     "shot": {"schema": 1, "name": "over"},
     "vehicle": [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -57,7 +58,11 @@ def audit_clips(
 
 
 def _wheels(clip: Clip, world: World, first: float, last: float) -> list[Ask]:
-    """The ask that wheels touch their terrain. An asset's own animation may lift them, so then it is a warning."""
+    """The ask that wheels touch their terrain.
+
+    It is a warning where nothing could make them touch: an asset's own animation may lift wheels, and uneven ground
+    does if more of them are fixed to a rigid body than determine its pose.
+    """
     from vehsim.requests import Ask
     from vehsim.rig.parts import is_animated
     from vehsim.world.ground.wheels import wheels_of
@@ -65,10 +70,13 @@ def _wheels(clip: Clip, world: World, first: float, last: float) -> list[Ask]:
     rig = clip.vehicle.rig
     if rig is None or world.terrain is None or "heave" not in clip.channels:
         return []
-    prims = [wheel.prim for wheel in wheels_of(rig)]
-    severity: Literal["error", "warning"] = "warning" if is_animated(rig.asset, rig.root or None) else "error"
-    wanted = {"prims": prims}
-    return [Ask("wheels", "wheels", first, last, wanted, lower=-GROUND, upper=GROUND, unit="m", severity=severity)]
+    wheels = wheels_of(rig)
+    fixed = Counter(wheel.carrier for wheel in wheels if wheel.travel is None)
+    rigid = any(count > (2 if carrier else 3) for carrier, count in fixed.items())  # a trailer also hangs on its hitch
+    severity: Literal["error", "warning"] = "warning" if rigid or is_animated(rig.asset, rig.root or None) else "error"
+    wanted = {"prims": [wheel.prim for wheel in wheels]}
+    remedy = "give its wheels travel_* channels, with which they follow uneven ground" if rigid else ""
+    return [Ask("wheels", "wheels", first, last, wanted, -GROUND, GROUND, "m", severity, remedy)]
 
 
 def _untouched(clip: Clip, world: World, first: float, last: float) -> list[Ask]:
