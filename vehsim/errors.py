@@ -148,6 +148,14 @@ class FailedPlan(UserWarning):
     """A plan came back without success."""
 
 
+class Caution(UserWarning):
+    """A warning about a key of the input, as data: its ``problem``."""
+
+    def __init__(self, problem: Problem) -> None:
+        super().__init__(str(replace(problem, severity="error")))
+        self.problem = replace(problem, severity="warning")
+
+
 class OutsideTerrain(UserWarning):
     """A vehicle drives beyond the borders of the terrain."""
 

@@ -6,9 +6,11 @@ between points on the vehicle's meshes and the triangles of the surroundings, in
 
 from __future__ import annotations
 
+import hashlib
 import json
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import fields, replace
 from fractions import Fraction
 from functools import cached_property
@@ -546,12 +548,40 @@ def _obstacles(report: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
 
 def audit_delivery(folder: Path, progress: Progress = silent) -> dict[str, list[Row]]:
     """Audit the content of a delivery's folder. Raises ``InputError`` for a folder that is not a delivery."""
+    with _reading_report(folder):
+        path, report = _delivered(folder)
+        return audit_stage(path, report, progress=progress)
+
+
+def changed_files(folder: Path) -> list[str]:
+    """The files of a delivery's stage, relative to its folder, whose content is not the one that was exported.
+
+    A spoiled sample between two marks may miss no request, so that no measurement shows it. Raises ``InputError``.
+    """
+    with _reading_report(folder):
+        path, report = _delivered(folder)
+        used = {Path(file).resolve() for file in dependencies(path)[0]}
+        digests = {name: digest for name, digest in report["files"].items() if (folder / name).resolve() in used}
+        return sorted(name for name, digest in digests.items() if _digest(folder / name) != digest)
+
+
+def _reading_report(folder: Path) -> AbstractContextManager[None]:
+    """Name the report in errors, because it may contain anything. Raises ``InputError`` if there is none."""
     if not (folder / "report.json").is_file():
         raise InputError("not a delivery: no report.json in it", "give a folder that vehsim export wrote", file=folder)
-    with reading(folder / "report.json", "report", "export the shot again"):  # a report may contain anything
-        report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
-        path = stage_of(folder, report["shot"])
-        if path is None:
-            raise InputError("no stage in it", "export with --to usd, flat or usdz", file=folder)
-        dependencies(path)
-        return audit_stage(path, report, progress=progress)
+    return reading(folder / "report.json", "report", "export the shot again")
+
+
+def _delivered(folder: Path) -> tuple[Path, dict[str, Any]]:
+    """The stage and the report of a delivery's folder."""
+    report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    path = stage_of(folder, report["shot"])
+    if path is None:
+        raise InputError("no stage in it", "export with --to usd, flat or usdz", file=folder)
+    dependencies(path)
+    return path, report
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as content:
+        return hashlib.file_digest(content, "sha256").hexdigest()

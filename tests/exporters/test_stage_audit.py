@@ -14,7 +14,7 @@ import pytest
 
 from vehsim.audit import missed
 from vehsim.errors import InputError
-from vehsim.exporters.checks.audit import audit_delivery
+from vehsim.exporters.checks.audit import audit_delivery, changed_files
 from vehsim.shot import Shot
 
 SHOT: dict[str, Any] = {
@@ -108,6 +108,17 @@ def test_a_packaged_delivery_passes_too(copy: Path) -> None:
 def test_a_spoiled_stage_is_refused(copy: Path, change: Callable[[float, Any], Any], key: str) -> None:
     edit(copy, change)
     assert key in keys(copy)
+
+
+def test_a_spoiled_sample_that_misses_no_request_is_refused(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Nothing is requested of the helicopter's path from side to side: only the file itself shows the change."""
+    from vehsim.cli.commands import run
+
+    assert changed_files(copy) == []
+    edit(copy, lambda frame, p: np.add(p, [0, 0.01 * (frame == 1130), 0]))
+    assert keys(copy) == set() and changed_files(copy) == ["layers/heli.anim.usdc"]
+    assert run(["audit", str(copy), "--quiet"]) == 1
+    assert "MISSED  layers/heli.anim.usdc: changed since the export; export the shot again" in capsys.readouterr().out
 
 
 def test_invalid_deliveries_are_named(copy: Path, tmp_path: Path) -> None:

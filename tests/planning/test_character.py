@@ -173,6 +173,20 @@ def test_marks_that_need_a_stunt_succeed_in_every_character_with_a_remark() -> N
     assert row.met is False and row.severity == "warning" and row.value is not None and row.value > 2420
 
 
+def test_a_worse_guess_is_not_blamed_on_the_marks() -> None:
+    """The normal car turned round where a brisk one reversed, gently enough for a normal one: now it reverses too."""
+    still = (0.0, 0.0, 0.0)
+    marks = [
+        Mark(1001, position=still, heading=0, velocity=still),
+        Mark(1241, position=(-14, 1.5, 0), heading=0, velocity=still),
+    ]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        made = vehsim.plan(vehsim.load_vehicle("car"), vehsim.World("flat"), marks)
+    assert made.success and made._iterate is not None and made._iterate.request.traits.name == "normal"
+    assert np.linalg.norm(np.diff(made.clip.positions, axis=0), axis=1).sum() < 14.5
+
+
 def test_the_earliest_frame_is_the_same_in_every_character() -> None:
     messages = []
     for character in CHARACTERS:

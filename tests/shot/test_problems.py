@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -157,6 +158,25 @@ def test_a_vehicle_on_the_ground_may_hold_without_a_velocity(planned: dict[str, 
     mark |= {"on_ground": True, "hold": 10, "heading": 0.0}
     mark.pop("velocity", None)
     assert not [key for key in keys_of(planned) if "hold" in key]
+
+
+def test_a_hold_with_an_orientation_suggests_its_heading(planned: dict[str, Any], keys_of: Find) -> None:
+    """Roll and pitch follow from balance."""
+    mark = planned["vehicle"][0]["motion"]["mark"][1]
+    mark |= {"orientation": [math.sqrt(0.75), 0, 0, 0.5], "hold": 10, "velocity": [0, 0, 0]}
+    mark.pop("heading", None)
+    assert "give heading = 60 instead of orientation" in keys_of(planned)["vehicle[0].motion.mark[1].hold"]
+
+
+def test_landing_on_uneven_ground_is_a_warning_with_its_key(planned: dict[str, Any]) -> None:
+    mark = planned["vehicle"][0]["motion"]["mark"][1]
+    ground = float(Shot.from_dict(planned).world.height([(20.0, 0.0)])[0])
+    mark |= {"position": [20.0, 0.0, ground + 1.0], "heading": 0.0, "on_ground": True}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # a problem, not a warning without a place
+        (problem,) = [p for p in Shot.from_dict(planned).check() if p.key.endswith("on_ground")]
+    assert problem.key == "vehicle[0].motion.mark[1].on_ground" and problem.severity == "warning"
+    assert "stands up to" in problem.message
 
 
 def test_mark_nearer_to_rock_than_the_clearance(planned: dict[str, Any], keys_of: Find) -> None:

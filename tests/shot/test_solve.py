@@ -13,7 +13,7 @@ import pytest
 
 from vehsim import Clip, Shot, State, World, load_vehicle, simulate
 from vehsim.cameras.camera import CameraRig
-from vehsim.errors import ShotError
+from vehsim.errors import InputError, ShotError
 from vehsim.shot.schema.shot_file import schema
 from vehsim.shot.schema.tables import CameraTable, parse_fps
 
@@ -208,6 +208,37 @@ def test_wheels_follow_the_ground_that_a_shot_stands_on(small: dict[str, Any], t
     assert np.abs(clip.positions[:, 2] - 2.0 - 0.2 * clip.positions[:, 0]).max() < 0.01
     assert np.abs(clip.channels["pitch"] + np.arctan(0.2)).max() < 0.02
     assert not any("ground at frame" in text for text in texts), texts
+
+
+def test_a_note_after_the_last_frame_warns(small: dict[str, Any]) -> None:
+    small["note"] = [{"frame": 1005, "text": "here"}, {"frame": 1014, "text": "too late"}]
+    with pytest.warns(UserWarning) as warned:
+        Shot.from_dict(small).solve()
+    texts = [str(warning.message) for warning in warned]
+    assert texts == ["note[1].frame = 1014: after the last frame, 1013, so it is not shown; move it"]
+
+
+def test_two_vehicles_of_one_model_are_told_apart(tmp_path: Path) -> None:
+    """Warnings and errors about a motion have the name that the shot gives its vehicle."""
+    np.savez(tmp_path / "high.npz", heights=np.full((41, 41), 2.0), origin=(-20.0, -20.0), cell=(1.0, 1.0))
+    drive = {"method": "simulate", "duration": 0.2, "start": {"position": [0.0, 0.0, 0.0]}}
+    marks = [{"frame": 1001, "position": [-12, 0, 2]}, {"frame": 1241, "position": [0, 0, 2]}]
+    data: dict[str, Any] = {
+        "shot": {"schema": 1, "name": "two"},
+        "world": {"terrain": str(tmp_path / "high.npz")},
+        "vehicle": [
+            {"name": "first", "asset": "car", "motion": drive},
+            {"name": "second", "asset": "car", "motion": drive},
+        ],
+    }
+    with pytest.warns(UserWarning) as warned:
+        Shot.from_dict(data).solve(cached=False)
+    texts = [str(warning.message) for warning in warned]
+    assert [text.split(":")[0] for text in texts if "starts at z" in text] == ["first", "second"]
+    data["world"]["obstacle"] = [{"shape": "vehicle", "vehicle": "first"}]
+    data["vehicle"][1]["motion"] = {"method": "plan", "mark": marks}
+    with pytest.warns(UserWarning), pytest.raises(InputError, match=r"^second: mark\[1\].position = .* 'first'"):
+        Shot.from_dict(data).solve(cached=False)
 
 
 def test_wheels_on_level_ground_are_no_warning(small: dict[str, Any], recwarn: pytest.WarningsRecorder) -> None:

@@ -361,7 +361,7 @@ def audit(
 ) -> None:
     """Measure deliveries against everything that was requested, from their files alone."""
     from vehsim.audit import missed
-    from vehsim.exporters.checks.audit import audit_delivery
+    from vehsim.exporters.checks.audit import audit_delivery, changed_files
 
     def audited(folder: Path) -> bool:
         with _progress(quiet) as progress:
@@ -369,9 +369,13 @@ def audit(
         for name, rows in measured.items():
             for row in rows:
                 if not quiet or row in missed(rows):
-                    verdict = {True: "ok    ", False: "MISSED", None: "-     "}[row.met]
+                    no = "MISSED" if row.severity == "error" else "beyond"
+                    verdict = {True: "ok    ", False: no, None: "-     "}[row.met]
                     print(f"{verdict}  {name}: {row}")
-        return not any(missed(rows) for rows in measured.values())
+        changed = changed_files(folder)
+        for file in changed:
+            print(f"MISSED  {file}: changed since the export; export the shot again")
+        return not changed and not any(missed(rows) for rows in measured.values())
 
     met, problems = _arguments.each(deliveries, audited, str)
     raise typer.Exit(_say(problems, quiet) or (0 if all(met) else FAILED))

@@ -325,7 +325,7 @@ def report(found: Inspection) -> list[str]:
         f"up axis   {up}{_because(found, 'up_axis')}",
         f"unit      {unit}{_because(found, 'meters_per_unit')}",
         f"nose      {found.keys['forward']}{_because(found, 'forward')}",
-        f"size      {size} m, along its nose, across and up; lowest point at {low[2]:.3g} m",
+        f"size      {size} m, along its nose, across and up; lowest point at {round(low[2], 6) + 0.0:.3g} m",
     ]
     if not 0.05 < (high - low).max() < 60:
         lines.append(f"          {(high - low).max():.3g} m is unlikely for a vehicle: give meters_per_unit")

@@ -231,10 +231,16 @@ def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
         made = _in_one_character(replace(request, traits=traits), progress, guess)
     if traits is request.traits:
         return made
-    assert made._iterate is not None
-    found = made._iterate.request.traits.name
-    remark = f"; driven as {found}: the marks leave too little time for {request.traits.name}; give later frames"
-    return _remarked(made, remark)
+    assert made._iterate is not None and made._run is not None
+    found, why = made._iterate.request.traits.name, "the marks leave too little time for {}; give later frames"
+    late = made._run.deadline.late
+    if made.success and not late and not _is_too_hard(made._run, replace(made._iterate, request=request)):
+        # the requested character only began from a worse guess, such as to turn round instead of reversing
+        near = _unless_too_hard(request, progress, made.clip)
+        if near is not None and near.success:
+            return near
+        why = "no {} motion was found"
+    return _remarked(made, f"; driven as {found}: {why.format(request.traits.name)}")
 
 
 def _unless_too_hard(request: Request, progress: Progress | None, guess: Any) -> Plan | None:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vehsim.errors import InputError, Problem, ShotError
+from vehsim.errors import Caution, InputError, Problem, ShotError
 from vehsim.intake.timelines import read_cuts
 from vehsim.intake.toml import line_of, lines_of, read_toml, too_large
 from vehsim.intake.usd import complaints, dependencies
@@ -38,6 +38,7 @@ from vehsim.shot.motions.blocking import blocking_of
 from vehsim.shot.overrides import apply_overrides
 from vehsim.shot.schema.shot_file import ShotFile, VehicleTable, parse
 from vehsim.shot.schema.tables import MAX_FRAMES
+from vehsim.shot.subjects import naming
 from vehsim.shot.world.obstacle_tables import check_obstacles, standing, with_vehicles
 from vehsim.shot.world.water import check_afloat, check_water, make_water
 
@@ -183,7 +184,6 @@ class Shot:
         the cache if it was solved on this machine for the same vehicles, world and marks.
         """
         from vehsim.delivery.take import Take
-        from vehsim.world.ground.placing import place_on_terrain
 
         errors = [] if checked else [problem for problem in self.check() if problem.severity == "error"]
         if errors:
@@ -199,10 +199,11 @@ class Shot:
         frames = self._frames(clips)
         handles = self.file.shot.handles
         clips = {name: carry_on(name, clip, *frames, handles, self.world) for name, clip in clips.items()}
-        clips = {name: place_on_terrain(clip, self.world) for name, clip in clips.items()}
+        clips = {name: self._placed(name, clip) for name, clip in clips.items()}
         self._warn_off_ground(clips)
         self._warn_of_rock(clips)
-        clips = {name: place_on_terrain(hold(clip, *frames), self.world) for name, clip in clips.items()}
+        self._warn_of_late_notes(frames[1])
+        clips = {name: self._placed(name, hold(clip, *frames)) for name, clip in clips.items()}
         avoided = self._avoided
         worlds = {name: with_vehicles(self.world, clips, avoided, name) for name in clips}
         return Take(
@@ -225,6 +226,12 @@ class Shot:
             }
             | ({"left_out": list(self.left_out)} if self.left_out else {}),
         )
+
+    def _placed(self, name: str, clip: Clip) -> Clip:
+        from vehsim.world.ground.placing import place_on_terrain
+
+        with naming(name, clip.vehicle.name):
+            return place_on_terrain(clip, self.world)
 
     @cached_property
     def cuts(self) -> tuple[tuple[int, str], ...]:
@@ -440,7 +447,9 @@ class Shot:
                 reports[table.name] = {"asset": table.asset, "method": table.motion.method, **details}
                 continue
             context = replace(self._context, world=world)
-            clips[table.name], details = table.motion.solve(self.vehicle(table), context, report)
+            vehicle = self.vehicle(table)
+            with naming(table.name, vehicle.name):
+                clips[table.name], details = table.motion.solve(vehicle, context, report)
             reports[table.name] = {"asset": table.asset, "method": table.motion.method, **details}
         order = [table.name for table in self.file.vehicle]
         return {name: clips[name] for name in order}, {name: reports[name] for name in order}
@@ -485,6 +494,13 @@ class Shot:
         pilots = {name: mover.controls for name, mover in movers.items() if hasattr(mover.controls, "targets")}
         details = {name: {"targets": pilot.targets(clips[name].duration)} for name, pilot in pilots.items()}
         return {name: (clip, details.get(name, {})) for name, clip in clips.items()}
+
+    def _warn_of_late_notes(self, last: int) -> None:
+        """Warn of notes that no frame shows."""
+        for i, note in enumerate(self.file.note):
+            if note.frame > last:
+                message = f"after the last frame, {last}, so it is not shown"
+                warnings.warn(Caution(Problem(f"note[{i}].frame", message, "move it", note.frame)), stacklevel=3)
 
     def _warn_off_ground(self, clips: Mapping[str, Clip]) -> None:
         """Warn of a vehicle in the plane without wheels where the ground rises or falls below it."""

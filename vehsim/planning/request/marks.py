@@ -215,9 +215,10 @@ def _check_numbers(i: int, mark: Mark) -> None:
     if mark.orientation is not None and mark.heading is not None:
         raise InputError("orientation is given too", "drop one of them", key=f"mark[{i}].heading", value=mark.heading)
     if mark.hold and not (mark.balanced or mark.on_ground):
+        heading = math.degrees(heading_of(mark) or 0.0)
         raise InputError(
-            "a vehicle must be in balance during a hold",
-            "give velocity = [0, 0, 0], no orientation",
+            "a vehicle is at rest and in balance during a hold, so its roll and pitch cannot be given",
+            f"give heading = {heading:.4g} instead of orientation" if mark.at_rest else "give velocity = [0, 0, 0]",
             key=f"mark[{i}].hold",
             value=mark.hold,
         )

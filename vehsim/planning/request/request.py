@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.clip.samples import frame_rate
-from vehsim.errors import InputError, OutsideTerrain, Problem
+from vehsim.errors import Caution, InputError, OutsideTerrain, Problem
 from vehsim.lie import SO3
 from vehsim.planning.problem.solver import check_solver
 from vehsim.planning.request.character import NO_TRAITS, Traits, traits_of
@@ -102,7 +102,7 @@ class Request:
     def speed_limit(self) -> str:
         """That speed and its origin, for messages."""
         given = math.isfinite(self.limits.get("speed"))
-        own = f"the top speed of the {self.vehicle.name}, {self.top_speed:g}; limits.speed can allow more"
+        own = f"and the {self.vehicle.name} reaches {self.top_speed:g}; limits.speed can allow more"
         return f"limit {self.top_speed:g}" if given else own
 
     @property
@@ -223,8 +223,8 @@ def put_down(mark: Mark, vehicle: Vehicle, world: Any) -> Mark:
     below = place + landing.feet(vehicle) @ SO3.matrix(q).T
     hollow = float(np.max(below[:, 2] - landing.height_below(world, below)))
     if hollow > UNEVEN:
-        message = f"{key}: it touches the ground, but stands up to {hollow:.2f} m above it elsewhere"
-        warnings.warn(f"{message}; land on level ground or on a pad (an obstacle)", stacklevel=5)
+        message = f"it touches the ground, but stands up to {hollow:.2f} m above it elsewhere"
+        warnings.warn(Caution(Problem(key, message, "land on level ground or on a pad (an obstacle)")), stacklevel=5)
     if np.any(world.wind):  # it stands level, which in wind is not in balance
         mark = replace(mark, orientation=tuple(q.tolist()), heading=None)
     return replace(mark, position=tuple(place.tolist()))

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from annotated_types import Len
 from pydantic import AfterValidator, Discriminator, Field, Tag
 
-from vehsim.errors import InputError, OutsideTerrain, Problem
+from vehsim.errors import Caution, InputError, OutsideTerrain, Problem
 from vehsim.intake.tables import describe
 from vehsim.shot.checks import Context, check_names
 from vehsim.shot.schema.tables import Array, Frame, Metre, Number, Place, Positive, Table
@@ -138,12 +138,18 @@ def check_request(
     from vehsim.planning.request.request import make_request
 
     try:
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
             warnings.simplefilter("ignore", OutsideTerrain)  # already reported with its place
             request = make_request(vehicle, context.world, marks, fps=context.fps, **options)
     except InputError as error:
         yield from (problem if problem.key else problem.seen_from("mark") for problem in error.problems)
         return
+    for warning in caught:
+        if isinstance(warning.message, Caution):
+            yield warning.message.problem
+        else:
+            warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
     for refusal in refusals(request):
         value = getattr(refusal.mark, refusal.key)
         key = f"{refusal.mark.name}.{refusal.key}"

@@ -184,7 +184,7 @@ class MarkTable(Table):
     tolerance: Annotated[NotNegative, Field(le=1e6)] = 0.0
     """the permitted distance from the position along each of x, y and z, in m"""
     hold: Annotated[int, Field(ge=0, le=MAX_FRAMES)] = 0
-    """the number of frames to stay there; needs velocity = [0, 0, 0] or on_ground"""
+    """the number of frames to stay there; needs velocity = [0, 0, 0] or on_ground, and no orientation"""
     gate: GateTable | None = None
     """a table { direction, radius or size }: an opening around the position to pass through"""
     on_ground: bool = False

@@ -155,8 +155,8 @@ def _mass(rig: Rig, shape: _Shape, physics: dict[str, Any]) -> Iterator[Problem]
     if DENSITY[0] <= density <= DENSITY[1]:
         return
     message = f"divided by the {shape.volume:.3g} m^3 of its hulls, this is {density:.3g} kg/m^3"
-    low, high = DENSITY[0] * shape.volume, DENSITY[1] * shape.volume
-    remedy = f"give kg: {low:.2g} to {high:.2g} is usual, or physics.density to have it measured"
+    low, high = (float(f"{limit * shape.volume:.2g}") for limit in DENSITY)
+    remedy = f"give kg: {low:g} to {high:g} is usual, or physics.density to have it measured"
     possible = POSSIBLE[0] <= density <= POSSIBLE[1]
     yield Problem("physics.mass", message, remedy, mass, severity="warning" if possible else "error")
 
