@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim.audit.scene import can_hit, distances
 from vehsim.constants import GRAVITY
 from vehsim.exporters.pictures.render import HAZE, bounds_of, haze_end
 from vehsim.exporters.usd.sampling import clip_at
@@ -27,6 +28,7 @@ from vehsim.intake.images import read_colours
 from vehsim.lie.quaternions import matrices, quaternions, yaw_of
 from vehsim.planning.request.marks import Gate
 from vehsim.rig.linkage import part_poses
+from vehsim.shot.world.obstacle_tables import with_vehicles
 
 if TYPE_CHECKING:
     from vehsim.cameras.camera import Camera
@@ -214,7 +216,7 @@ def _motion(pack: Packing, take: Take, poses: Array, groups: Iterable[str]) -> d
         "paths": [{"name": name, "points": pack.array(clip.positions, "f4")} for name, clip in clips.items()],
         "marks": list(_marks(take)),
         "notes": take.report.get("shot", {}).get("note", []),
-        "curves": [curve for name, clip in clips.items() for curve in _curves(pack, name, clip, _limits(take, name))],
+        "curves": [curve for name, clip in clips.items() for curve in _curves(pack, take, name, clip)],
     }
 
 
@@ -433,14 +435,19 @@ def _opening(gate: Gate) -> Array:
     return across[:, None] * width + up[:, None] * height
 
 
-def _curves(pack: Packing, name: str, clip: Clip, limits: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """Speed, load and controls on whole frames, each with its lower and upper limit or None."""
+def _curves(pack: Packing, take: Take, name: str, clip: Clip) -> Iterator[dict[str, Any]]:
+    """Speed, load, clearance and controls on whole frames, each with its lower and upper limit or None."""
+    motion = _motion_table(take, name)
+    limits = motion.get("limits", {})
     velocity = _slopes(clip.times, clip.positions)
     load = np.linalg.norm(_slopes(clip.times, velocity) + np.array([0.0, 0.0, GRAVITY]), axis=1) / GRAVITY
     table: dict[str, tuple[Array, str, float | None, float | None]] = {
         "speed": (np.linalg.norm(velocity, axis=1), "m/s", None, limits.get("speed")),
         "g_load": (load, "g", None, limits.get("g_load")),
     }
+    world = with_vehicles(take.world, take.clips, _avoided(take), name)
+    if can_hit(clip.vehicle, world):
+        table["clearance"] = distances(clip, world), "m", motion.get("clearance"), None
     table |= {
         control.name: (values, control.unit, control.lower, control.upper)
         for control, values in zip(clip.vehicle.controls, clip.controls.T, strict=False)
@@ -456,9 +463,15 @@ def _slopes(times: Array, values: Array) -> Array:
     return np.gradient(values, times, axis=0, edge_order=2) if len(times) > 2 else np.zeros_like(values)
 
 
-def _limits(take: Take, name: str) -> dict[str, Any]:
-    """The limits that the shot file gives a vehicle; none for a motion that was not planned."""
+def _motion_table(take: Take, name: str) -> dict[str, Any]:
+    """What the shot file gives as a vehicle's motion; empty if there is no shot file."""
     vehicles = take.report.get("shot", {}).get("vehicle", ())
     found: dict[str, Any] = next((table for table in vehicles if table.get("name") == name), {})
-    limits: dict[str, Any] = found.get("motion", {}).get("limits", {})
-    return limits
+    motion: dict[str, Any] = found.get("motion", {})
+    return motion
+
+
+def _avoided(take: Take) -> set[str]:
+    """The vehicles that are obstacles for the others."""
+    tables = take.report.get("shot", {}).get("world", {}).get("obstacle", ())
+    return {table["vehicle"] for table in tables if table.get("shape") == "vehicle"}

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import vehsim
 from tests.browser import opened
 from vehsim.cameras.camera import CameraRig
 from vehsim.cameras.framing import solve_camera
@@ -19,6 +20,8 @@ from vehsim.exporters.usd.stage import StageReader
 from vehsim.exporters.web import scene as web
 from vehsim.exporters.web.html import PAGE
 from vehsim.lie.quaternions import matrices
+from vehsim.shot import Shot
+from vehsim.world.obstacles.obstacles import footprint
 from vehsim.world.water.water import wave
 from vehsim.world.world import Water, World
 
@@ -131,6 +134,40 @@ def test_curves_show_the_speed(delivered):
     load = block.array(next(curve for curve in block.header["curves"] if curve["name"] == "g_load")["values"])
     assert load[12] == pytest.approx(np.hypot(9.81, 12.0) / 9.81, rel=1e-2)  # on a circle at 1 rad/s
     assert {curve["name"] for curve in block.header["curves"]} == {"speed", "g_load", "lift"}
+
+
+def test_clearance_is_the_distance_to_what_can_be_hit():
+    """Cars side by side and past a wall: the gap between their footprints and it. In an empty world there is none."""
+    cars = [
+        {
+            "name": name,
+            "asset": "car",
+            "motion": {
+                "method": "simulate",
+                "duration": 1.0,
+                "start": {"position": [-5, y, 0]},
+                "commands": [{"frame": 1001, "torque": 1000}],
+            },
+        }
+        for name, y in (("near", 0.0), ("far", -6.0))
+    ]
+    wall = {"name": "wall", "shape": "box", "centre": [0.0, 5.0, 0.0], "size": [60.0, 2.0, 3.0]}
+    shot = {"shot": {"schema": 1, "name": "s"}, "vehicle": cars}
+    half = float(footprint(vehsim.load_vehicle("car"))[:, 1].max())
+    for obstacles, wanted in (
+        ([], {}),
+        ([wall], {"near": 4 - half, "far": 10 - half}),
+        ([wall, {"shape": "vehicle", "vehicle": "far"}], {"near": min(4 - half, 6 - 2 * half), "far": 10 - half}),
+    ):
+        take = Shot.from_dict({**shot, "world": {"obstacle": obstacles}}).solve()
+        pack, found = web.Packing(), {}
+        for name, clip in take.clips.items():
+            for curve in web._curves(pack, take, name, clip):
+                if curve["name"] == "clearance":
+                    found[name] = Block(pack.block({})).array(curve["values"])
+        assert found.keys() == wanted.keys()
+        for name, values in found.items():
+            assert np.allclose(values, wanted[name], atol=2e-3), (name, values, wanted)
 
 
 def test_the_page_needs_nothing_else(delivered):

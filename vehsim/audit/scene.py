@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from vehsim.audit.track import Track
+    from vehsim.clip.clip import Clip
 
 Array = NDArray[np.float64]
 
@@ -49,10 +50,28 @@ class WorldScene(Scene):
         if self.world is None:
             return super().away(track, obstacles_only)
         poses = track.positions, quaternions(track.rotations)
-        if obstacles_only:
-            found = self.world.clearance_by_obstacle(self.vehicle, *poses, track.seconds, track.channels)
-            return np.asarray(found.min(axis=1, initial=np.inf))
-        return np.asarray(self.world.clearance(self.vehicle, *poses, track.seconds))
+        return _away(self.world, self.vehicle, *poses, track.seconds, track.channels, obstacles_only)
+
+
+def can_hit(vehicle: Any, world: Any) -> bool:
+    """Whether there is anything from which a vehicle must keep clear: on the ground, obstacles only."""
+    flies = world is not None and world.terrain is not None and not vehicle.group.planar
+    return vehicle.rig is not None and world is not None and bool(world.obstacles or flies)
+
+
+def distances(clip: Clip, world: Any) -> Array:
+    """Signed distance (n,) m of a vehicle to terrain and obstacles, on the ground to obstacles, at every sample."""
+    poses, seconds = (clip.positions, clip.orientations), clip.frames / float(clip.fps)
+    return _away(world, clip.vehicle, *poses, seconds, clip.channels, clip.vehicle.group.planar)
+
+
+def _away(
+    world: Any, vehicle: Any, positions: Array, orientations: Array, seconds: Array, channels: Any, obstacles_only: bool
+) -> Array:
+    if obstacles_only:
+        found = world.clearance_by_obstacle(vehicle, positions, orientations, seconds, channels)
+        return np.asarray(found.min(axis=1, initial=np.inf))
+    return np.asarray(world.clearance(vehicle, positions, orientations, seconds))
 
 
 def _reach(vehicle: Any) -> float:

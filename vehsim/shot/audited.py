@@ -81,10 +81,10 @@ def _wheels(clip: Clip, world: World, first: float, last: float) -> list[Ask]:
 
 def _untouched(clip: Clip, world: World, first: float, last: float) -> list[Ask]:
     """The ask, with a warning, that nothing passes through rock or an obstacle, if no clearance was requested."""
+    from vehsim.audit.scene import can_hit
     from vehsim.requests import Ask
 
-    planar = clip.vehicle.group.planar
-    if clip.vehicle.rig is None or not (world.obstacles or (world.terrain is not None and not planar)):
+    if not can_hit(clip.vehicle, world):
         return []
-    wanted = {"clearance": 0.0, "obstacles_only": planar, "landings": [], "slope": 0.0}
+    wanted = {"clearance": 0.0, "obstacles_only": clip.vehicle.group.planar, "landings": [], "slope": 0.0}
     return [Ask("contact", "clearance", first, last, wanted, lower=-DEPTH, unit="m", severity="warning")]

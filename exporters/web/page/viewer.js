@@ -237,6 +237,7 @@ const vehsim = {};
       this.motion = header;
       this.poses = header.groups.map((group) => array(group.poses));
       this.curves = header.curves.map((curve) => ({ ...curve, values: array(curve.values) }));
+      this.drafted = false;
       this.marks = header.marks;
       this.notes = header.notes;
       for (const overlay of [this.overlays.paths, this.overlays.ghosts]) dispose(overlay);
@@ -253,6 +254,7 @@ const vehsim = {};
 
     /** The poses and the paths of some vehicles, while a handle is dragged. */
     setDraft(header, array) {
+      this.drafted = true; // the curves are still those of the last solved motion
       for (const group of header.groups) this.poses[group.index] = array(group.poses);
       for (const path of header.paths)
         this.lines.get(path.name).geometry.setAttribute("position", new THREE.BufferAttribute(array(path.points), 3));
@@ -723,6 +725,7 @@ const vehsim = {};
       canvas.height = height * ratio;
       const ink = canvas.getContext("2d");
       ink.scale(ratio, ratio);
+      ink.globalAlpha = this.viewer.drafted ? 0.4 : 1;
       let low = Math.min(0, ...curve.values), high = Math.max(0, ...curve.values);
       if (high - low < 1e-9) high = low + 1;
       const place = (value) => height - 4 - ((value - low) / (high - low)) * (height - 8);
@@ -746,7 +749,7 @@ const vehsim = {};
       const value = curve.values[this.viewer._index(this.viewer.frame)];
       ink.fillStyle = "#fff";
       ink.fillRect(share * width - 0.5, 0, 1, height);
-      const text = `${curve.name} ${Number(value.toPrecision(4))} ${curve.unit}`;
+      const text = `${curve.name} ${Number(value.toPrecision(4))} ${curve.unit}${this.viewer.drafted ? ", before the drag" : ""}`;
       ink.font = "12px system-ui, sans-serif";
       const right = share * width + 8 + ink.measureText(text).width < width;
       ink.textAlign = right ? "left" : "right";
