@@ -113,6 +113,43 @@ def test_an_obstacle_is_dragged_with_its_mesh(tmp_path):
     asyncio.run(play())
 
 
+def test_a_mark_that_cannot_be_met_is_dragged_to_where_it_can(tmp_path):
+    """An added mark too far away: the motion on the screen stays the last one, and the new mark is a handle."""
+    path = written(tmp_path, SHOT)
+    mark = "vehsim.live.grips.find((grip) => grip.handle.key === 'vehicle[0].motion.mark[1].position')"
+
+    def pixel(point):
+        return PLACE.replace("v.rings[1].position.clone()", f"({point})")
+
+    async def play():
+        async with opened(path) as page:
+            await page.value("vehsim.live.send({ kind: 'add_mark', vehicle: 'car', frame: 1037 })")
+            await page.until(f"vehsim.viewer.rings.length === 3 && {SOLVED}")
+            place = await page.value("vehsim.viewer.rings[1].position.toArray()")
+            far = [place[0], place[1] + 15, 0]
+            await page.value(f"vehsim.live.send({{ kind: 'place', key: {mark}.handle.key, position: {far} }})")
+            await page.until("document.getElementById('status').textContent.endsWith(': not solved')")
+            await page.value("vehsim.live.send({ kind: 'add_mark', vehicle: 'car', frame: 1055 })")
+            await page.until("vehsim.live.grips.length === 4")
+            assert await page.value("vehsim.viewer.rings.every((ring) => !ring.visible)")
+            await page.value("document.getElementById('do-undo').click()")
+            await page.until("vehsim.live.grips.length === 3")
+            await page.value("vehsim.viewer.orbit.target.set(5, 8, 0); vehsim.viewer.camera.position.set(5, 7, 40)")
+            await page.value("vehsim.viewer.orbit.update(); vehsim.viewer.draw()")
+            x, y = await page.value(pixel(f"{mark}.ring.position.clone()"))
+            u, v = await page.value(pixel(f"new THREE.Vector3(...{place})"))
+            await page.mouse("Moved", x, y)
+            await page.mouse("Pressed", x, y)
+            for k in range(1, 7):
+                await page.mouse("Moved", x + (u - x) * k / 6, y + (v - y) * k / 6)
+            await page.mouse("Released", u, v)
+            await page.until(SOLVED)
+            met = await page.value("vehsim.viewer.rings[1].position.toArray()")
+            assert met == pytest.approx(place, abs=0.2)
+
+    asyncio.run(play())
+
+
 def test_a_note_is_written_pinned_and_deleted(tmp_path):
     path = written(tmp_path, SHOT)
 

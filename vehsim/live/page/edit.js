@@ -50,7 +50,7 @@
     const { k, frame } = held, handle = marks()[k];
     held = null;
     if (frame === null) vehsim.viewer.seek(vehsim.viewer.marks[k].frame);
-    else live().send({ kind: "place", key: handle.key, position: vehsim.viewer.rings[k].position.toArray(), frame });
+    else live().send({ kind: "place", key: handle.key, position: live().grips.find((grip) => grip.handle.key === handle.key).ring.position.toArray(), frame });
     event.stopImmediatePropagation();
   }, true);
 

@@ -127,16 +127,17 @@
 
   const tip = (ring) => new THREE.Vector3(2, 0, 0).applyMatrix4(ring.matrixWorld);
 
-  /** Pair each handle with its ring: the motion draws those of marks, the others are drawn here. A drag goes on. */
+  /** Pair each handle with its ring: a motion of the same marks draws theirs, all others are drawn here. A drag goes on. */
   function drawHandles() {
     const viewer = vehsim.viewer;
     if (!viewer || !state) return;
     const marks = state.handles.filter((one) => one.mark !== null), others = state.handles.filter((one) => one.mark === null);
-    const rings = viewer.setHandles(others);
+    const same = marks.length === viewer.rings.length; // else the motion on the screen has other marks than the file
+    const own = same ? others : [...others, ...marks], rings = viewer.setHandles(own);
     viewer.setNotes(state.notes);
-    grips = others.map((handle, k) => ({ handle, ring: rings[k], turns: handle.turns, solid: solid(handle) }));
-    if (marks.length === viewer.rings.length) // else the motion on the screen has other marks than the file
-      grips.push(...marks.map((handle, k) => ({ handle, ring: viewer.rings[k], turns: true, solid: [] })));
+    grips = own.map((handle, k) => ({ handle, ring: rings[k], turns: handle.turns, solid: solid(handle) }));
+    for (const ring of viewer.rings) ring.visible = same;
+    if (same) grips.push(...marks.map((handle, k) => ({ handle, ring: viewer.rings[k], turns: true, solid: [] })));
     for (const grip of grips) carry(grip);
     const now = dragged && grips.find((grip) => grip.handle.key === dragged.handle.key);
     if (!now) {
