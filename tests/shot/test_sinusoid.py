@@ -115,6 +115,21 @@ def test_a_suggested_frame_works(asset, marks):
     assert take.clips["v"].end_frame == data["vehicle"][0]["motion"]["mark"][-1]["frame"] + marks[-1]["hold"]
 
 
+def test_speed_is_limited_where_legs_join():
+    """A car bends at its limit of the steering rate, and goes on at its limit of the speed: without a jump."""
+    marks = [
+        {"frame": 1001, "position": [-5.2, -16.131, 0], "heading": -112.325},
+        {"frame": "free", "position": [-8.55, -26.473, 0], "heading": -126.878},
+    ]
+    take = Shot.from_dict(shot("car", *marks, limits={"speed": 1.23, "steering": 28.295}, manoeuvre=18)).solve()
+    assert "bend" in take.report["vehicles"]["v"]["manoeuvres"][0]["label"]
+    (row,) = (row for row in take.report["audit"]["v"] if row["key"] == "limits.speed")
+    assert row["met"] and row["value"] < 1.23 * 1.001
+    clip = take.clips["v"]
+    speed = np.hypot(*clip.twists[:, 1:].T)
+    assert np.abs(np.diff(speed) / np.diff(clip.times)).max() < 5.0  # m/s^2; it was 23
+
+
 def test_a_moving_obstacle_is_waited_for():
     """A car crosses the bay for ten seconds: at the suggested frame it has gone."""
     crossing = {

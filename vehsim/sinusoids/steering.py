@@ -216,7 +216,7 @@ class Steering:
         for name in limits:
             self._check_limit(name, limits[name])
         bounds = np.array([limits.get(name, np.inf) for name in self.system.inputs])
-        stretch = [max(1.0, float(np.max(stage.peaks() / bounds))) for stage in self.stages]
+        stretch = self._together([max(1.0, float(np.max(stage.peaks() / bounds))) for stage in self.stages])
         return self.timed([stage.duration * k for stage, k in zip(self.stages, stretch, strict=True)])
 
     def fastest(self, limits: Mapping[str, float]) -> Steering:
@@ -228,11 +228,28 @@ class Steering:
         for name in limits:
             self._check_limit(name, limits[name])
         bounds = np.array([limits.get(name, np.inf) for name in self.system.inputs])
-        need = [stage.duration * float(np.max(stage.peaks() / bounds)) for stage in self.stages]
-        need = [k if k > 0 else s.duration for k, s in zip(need, self.stages, strict=True)]
+        stretch = self._together([float(np.max(stage.peaks() / bounds)) for stage in self.stages])
+        need = [s.duration * (k if k > 0 else 1.0) for k, s in zip(stretch, self.stages, strict=True)]
         moving = [k for k, seconds in enumerate(need) if seconds > NOTHING] or [0]
         kept = replace(self, stages=tuple(self.stages[k] for k in moving))
         return kept.timed([max(need[k], NOTHING) for k in moving])
+
+    def _together(self, stretch: list[float]) -> list[float]:
+        """Factors on the durations of stages, at least ``stretch``: equal for stages whose inputs continue from one to
+        the next, so that they do not jump there."""
+        stretch = list(stretch)
+        ends = [stage.inputs([0.0, stage.duration]) for stage in self.stages]
+        first = 0
+        for k in range(1, len(stretch) + 1):
+            if (
+                k < len(stretch)
+                and np.any(ends[k][0])
+                and np.allclose(ends[k - 1][1], ends[k][0], rtol=1e-6, atol=1e-9)
+            ):
+                continue
+            stretch[first:k] = [max(stretch[first:k])] * (k - first)
+            first = k
+        return stretch
 
     def _check_limit(self, name: str, bound: float) -> None:
         known = (*self.system.inputs, *self.system.states)

@@ -45,8 +45,8 @@ FLIGHT_LIMITS = {"leg_rate": np.pi / 180, "stretch_rate": 1.0}
 """Limit of the file -> its unit in SI, for vehicles on wheels and for hoppers."""
 SLOWER = (1.1, 1.2, 1.35, 1.5, 1.75, 2.0, 2.5, 3.0)
 """Factors by which a manoeuvre may be slowed to avoid a moving obstacle."""
-STEERED = ("steering", "steering_rate")
-"""Limits that an audit measures on the steering joint."""
+MEASURED = {"speed": "m/s", "steering": "rad", "steering_rate": "rad"}
+"""Limits that an audit measures: their units."""
 _STATES = {"steering": "phi", "leg_rate": "psi_rate", "stretch_rate": "l_rate"}
 
 
@@ -219,7 +219,9 @@ class SinusoidMotion(Table):
                 planar=planar,
             )
             frame += mark.hold + frames
-        limits = {name: (value * LIMITS[name], "rad") for name, value in self.limits.items() if name in STEERED}
+        limits = {
+            name: (value * LIMITS[name], MEASURED[name]) for name, value in self.limits.items() if name in MEASURED
+        }
         yield from limit_asks(first, frame, limits, {}, {})
         if context.world.obstacles:
             wanted = {"clearance": self.clearance, "obstacles_only": planar, "landings": [], "slope": 0.0}
