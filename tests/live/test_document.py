@@ -61,6 +61,18 @@ def test_only_what_was_moved_is_rewritten(path):
     assert document.data == tomllib.loads(path.read_text())
 
 
+@pytest.mark.parametrize(("own", "kept"), [("", ""), ("heading = 10\n", "heading = 90.0\n")])
+def test_a_gate_turns_with_its_mark(path, own, kept):
+    """Its direction keeps its slope; a heading is changed only where there is one."""
+    gate = "gate = {{ direction = [{}], size = [6, 4] }} # the arch\n"
+    path.write_text(TEXT + own + gate.format("3, 4, 1"))
+    document = Document(path)
+    place(document, 1, 0, [5.0, 10.0, 0.0], 90.0)
+    assert document.text == TEXT + kept + gate.format("0.0, 5.0, 1")
+    document.undo()
+    assert document.text == TEXT + own + gate.format("3, 4, 1")
+
+
 def test_undo_and_redo_restore_every_byte(path):
     document = Document(path)
     texts = [document.text]

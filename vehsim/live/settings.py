@@ -5,6 +5,7 @@ Settings and handles are read from the JSON schema of the shot file and the file
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -55,13 +56,21 @@ class Handle:
     """The index of its obstacle; None: it is none."""
     value: Any
     """As in the file."""
+    through: Sequence[float] | None = None
+    """The direction of its gate, as in the file; None: it has none."""
 
     def moved(self, place: Sequence[float], heading: float | None = None, frame: int | None = None) -> list[Change]:
-        """What changes in the file when it is at ``place`` (3,) m; ``heading`` and ``frame``: None to leave them."""
+        """What changes in the file when it is at ``place`` (3,) m; ``heading`` and ``frame``: None to leave them. The
+        heading of a mark without one, but with a gate, is the gate's."""
         table, by = self.key.rpartition(".")[0], [b - a for a, b in zip(self.place, place, strict=True)]
         found: list[Change] = [(self.key, _shifted(self.value, by))]
         if _width(self.value) == 2 and by[2]:
             found.append((f"{table}.base", round(place[2], DECIMALS)))
+        if heading is not None and self.through is not None:
+            level, turn = math.hypot(*self.through[:2]) or 1.0, math.radians(heading)
+            turned = level * math.cos(turn), level * math.sin(turn), self.through[2]
+            found.append((f"{table}.gate.direction", [round(x, DECIMALS) for x in turned]))
+            heading = None if self.heading is None else heading
         given = {"heading": None if heading is None else round(heading, DECIMALS), "frame": frame}
         return found + [(f"{table}.{name}", value) for name, value in given.items() if value is not None]
 
@@ -78,7 +87,8 @@ def handles(data: Mapping[str, Any]) -> list[Handle]:
         part = {name: int(number) for name, number in re.findall(r"(\w+)\[(\d+)\]", leaf.key)}
         x, y, z = (*_mean(value), height)[:3]
         owners = part.get("vehicle"), part.get("mark"), part.get("obstacle")
-        found.append(Handle(leaf.key, (x, y, z), heading, turns is not None, *owners, value))
+        through = (leaf.table.get("gate") or {}).get("direction")
+        found.append(Handle(leaf.key, (x, y, z), heading, turns is not None, *owners, value, through))
     return found
 
 
