@@ -21,6 +21,7 @@ from vehsim.planning.request.character import control_rates, traits_of
 from vehsim.planning.request.request import make_request
 from vehsim.vehicles.definition.base import Control
 from vehsim.vehicles.definition.character import CHARACTERS, Character, Trait
+from vehsim.world.obstacles import moving
 
 CAR, HELICOPTER = vehsim.load_vehicle("car"), vehsim.load_vehicle("helicopter")
 STILL = (0.0, 0.0, 0.0)
@@ -173,8 +174,9 @@ def test_marks_that_need_a_stunt_succeed_in_every_character_with_a_remark() -> N
     assert row.met is False and row.severity == "warning" and row.value is not None and row.value > 2420
 
 
-def test_a_worse_guess_is_not_blamed_on_the_marks() -> None:
+def test_a_worse_guess_is_not_blamed_on_the_marks(monkeypatch: pytest.MonkeyPatch) -> None:
     """The normal car turned round where a brisk one reversed, gently enough for a normal one: now it reverses too."""
+    monkeypatch.setattr(planner, "reversing", lambda request: None)
     still = (0.0, 0.0, 0.0)
     marks = [
         Mark(1001, position=still, heading=0, velocity=still),
@@ -185,6 +187,23 @@ def test_a_worse_guess_is_not_blamed_on_the_marks() -> None:
         made = vehsim.plan(vehsim.load_vehicle("car"), vehsim.World("flat"), marks)
     assert made.success and made._iterate is not None and made._iterate.request.traits.name == "normal"
     assert np.linalg.norm(np.diff(made.clip.positions, axis=0), axis=1).sum() < 14.5
+
+
+def test_a_car_reverses_behind_a_moving_obstacle_instead_of_turning_round() -> None:
+    """A path around the place where it would meet the other car leads in a full circle, which no normal car drives."""
+    start = vehsim.State(position=(-6, -12, 0), orientation=(math.sqrt(0.5), 0, 0, math.sqrt(0.5)), twist=(0, 4, 0))
+    other = vehsim.simulate(vehsim.load_vehicle("car"), None, start=start, duration=6.5)
+    still = (0.0, 0.0, 0.0)
+    marks = [
+        Mark(1001, position=still, heading=0, velocity=still),
+        Mark(1241, position=(-14, 1.5, 0), heading=0, velocity=still),
+    ]
+    world = vehsim.World("flat", obstacles=[moving("other", other)])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        made = vehsim.plan(vehsim.load_vehicle("car"), world, marks, clearance=0.7)
+    assert made.success and made._iterate is not None and made._iterate.request.traits.name == "normal"
+    assert np.linalg.norm(np.diff(made.clip.positions, axis=0), axis=1).sum() < 16.0
 
 
 def test_the_earliest_frame_is_the_same_in_every_character() -> None:

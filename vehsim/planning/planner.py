@@ -27,7 +27,7 @@ from vehsim.planning.constraints.timing import fixed_durations
 from vehsim.planning.deadline import OutOfTime
 from vehsim.planning.explain.feasibility import refusals
 from vehsim.planning.fallbacks import enough_segments, from_other_guesses, with_fewer_requirements
-from vehsim.planning.guesses.routes import as_clip, find_paths, straight
+from vehsim.planning.guesses.routes import as_clip, find_paths, reversing, straight
 from vehsim.planning.iterate import Iterate, Run
 from vehsim.planning.problem import interrupts
 from vehsim.planning.problem.solver import HURRIED, LONGER, LOOSEN, MET
@@ -244,7 +244,19 @@ def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
 
 
 def _unless_too_hard(request: Request, progress: Progress | None, guess: Any) -> Plan | None:
-    """The plan in its character; None if it exceeds that by far, and there is a harder one."""
+    """The plan in its character; None if it exceeds that by far, and there is a harder one.
+
+    Where a vehicle turned round at such a cost, it is tried in reverse.
+    """
+    made = _gentle(request, progress, guess)
+    if made is None and guess is None and (tail_first := reversing(request)) is not None:
+        again = _gentle(request, progress, tail_first)
+        made = again if again is not None and again.success else None
+    return made
+
+
+def _gentle(request: Request, progress: Progress | None, guess: Any) -> Plan | None:
+    """The plan in its character from one guess; None if it exceeds the character by far, and there is a harder one."""
     try:
         made = _in_one_character(request, progress, guess, early=True)
     except _TooHard:

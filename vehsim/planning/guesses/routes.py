@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -129,6 +130,21 @@ def backwards(request: Request, paths: Sequence[Array]) -> list[Array]:
         poses.append(np.column_stack([path, headings]))
         heading = headings[-1]
     return poses
+
+
+def reversing(request: Request) -> Array | None:
+    """Poses (k, 4) of a vehicle that reverses straight from mark to mark; None if no mark's nose points away from its
+    leg."""
+    noses = pairwise(heading_of(mark) for mark in request.marks)
+    steps = [np.subtract(end, start)[:2] for start, end in legs_between(request.marks)]
+    away = any(
+        step @ [math.cos(nose), math.sin(nose)] < -1e-6
+        for step, ends in zip(steps, noses, strict=True)
+        for nose in ends
+        if nose is not None
+    )
+    poses = backwards(request, straight(request)) if away and not request.loop else []
+    return np.vstack(poses) if poses else None
 
 
 def shunting(request: Request, paths: Sequence[Array]) -> list[Array]:
