@@ -99,6 +99,14 @@ def test_short_and_long_holds(hold):
     assert_held(vehsim.plan(vehsim.load_vehicle("helicopter"), None, marks, segments=32))
 
 
+def test_a_clip_with_a_hold_can_be_the_guess():
+    """All its nodes in the hold are at one time of the clip."""
+    marks = journey("boat", "middle", False)
+    boat = vehsim.load_vehicle("boat")
+    first = vehsim.plan(boat, None, marks, segments=48)
+    assert_held(vehsim.plan(boat, None, marks, segments=48, guess=first.clip))
+
+
 def test_a_range_may_begin_within_a_hold():
     """The hold is divided there, and still is one hold."""
     marks = [rest(1, (0, 0, 20)), rest(145, (30, 10, 20), hold=72), rest(361, (80, 0, 20))]

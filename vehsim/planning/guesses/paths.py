@@ -61,13 +61,16 @@ def along_clip(
     positions."""
     fraction, leg = _node_fractions(layout)
     begins, ends = clip_spans(clip, marks)
-    motion = clip.at(begins[leg] + fraction * (ends - begins)[leg])
-    off = mark_positions(marks) - clip.at(np.append(begins, ends[-1])).positions
-    positions = motion.positions + (1 - fraction)[:, None] * off[leg] + fraction[:, None] * off[leg + 1]
-    headings = poses_of(motion)[:, 3]
+    # a hold has no length in the clip: all its nodes are at one time
+    times, node = np.unique(begins[leg] + fraction * (ends - begins)[leg], return_inverse=True)
+    motion, (at_marks, mark) = clip.at(times), np.unique(np.append(begins, ends[-1]), return_inverse=True)
+    off = mark_positions(marks) - clip.at(at_marks).positions[mark]
+    positions = motion.positions[node] + (1 - fraction)[:, None] * off[leg] + fraction[:, None] * off[leg + 1]
+    headings, controls = poses_of(motion)[node, 3], motion.controls[node]
     knots = np.arange(layout.segments + 1) * len(layout.fractions)
+    joints = motion.joints[node]
     return from_poses(
-        transcription, layout, positions, motion.orientations, headings, lengths, motion.controls[knots], motion.joints
+        transcription, layout, positions, motion.orientations[node], headings, lengths, controls[knots], joints
     )
 
 
