@@ -500,20 +500,30 @@ def audit_stage(
         requests = {name: [_ask(row) for row in rows] for name, rows in report["audit"].items()}
         roots = {name: np.array(report["vehicles"][name]["T_rp"], float) for name in requests}
         joints = {name: report["vehicles"][name].get("joints", {}) for name in requests}
+        moving = {name: _moving(report["solved"]["vehicles"][name], first, last) for name in requests}
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise InputError(f"report.json holds no asks ({error!r})", "export the shot again", file=path.parent) from None
-    moving = [obstacle["vehicle"] for obstacle in _obstacles(report) if obstacle.get("shape") == "vehicle"]
+    avoided = [obstacle["vehicle"] for obstacle in _obstacles(report) if obstacle.get("shape") == "vehicle"]
     rows: dict[str, list[Row]] = {}
     for name, asks in requests.items():
-        others = [other for other in moving if other != name and other in requests]
+        others = [other for other in avoided if other != name and other in requests]
         scene = StageScene(delivered, name, others, progress)
         progress(f"{name}: reading the stage", 0.0)
-        track = delivered.track(name, roots[name], joints[name])
-        rows[name] = [
-            row if distances or row.measure not in DISTANCES else not_shown(ask)
-            for ask, row in zip(asks, audit(track, asks, scene if distances else _Blind(scene)), strict=True)
-        ]
+        whole = delivered.track(name, roots[name], joints[name])
+        start, end = moving[name]
+        motion = whole.between(start, end)  # a cut-off motion's velocities are not those of the still frames around it
+        rows[name] = []
+        for ask in asks:
+            track = motion if start <= ask.first and ask.last <= end else whole
+            (row,) = audit(track, [ask], scene if distances else _Blind(scene))
+            rows[name].append(row if distances or row.measure not in DISTANCES else not_shown(ask))
     return rows
+
+
+def _moving(solved: Mapping[str, Any], first: int, last: int) -> tuple[float, float]:
+    """First and last frame of a vehicle's motion; in the other frames of the shot it stands still."""
+    start, end = solved.get("frames", (first, last))
+    return float(start), float(end)
 
 
 def with_stage(path: Path, report: Mapping[str, Any]) -> dict[str, list[dict[str, Any]]]:

@@ -240,3 +240,30 @@ def test_joints_are_measured_from_the_stage(tmp_path: Path) -> None:
         spoiled = Path(shutil.copytree(folder, tmp_path / key / "over"))
         edit(spoiled, change, wheel)
         assert key in keys(spoiled)
+
+
+@pytest.mark.parametrize("metres", [1.0, 2.0])  # it is faster and faster, or slows at the end
+def test_a_stage_longer_than_a_motion_that_ends_while_it_moves_passes(metres: float, tmp_path: Path) -> None:
+    """The velocity at the last mark belongs to the motion, not to the frames after it, where the boat stands still."""
+    shot: dict[str, Any] = {
+        "shot": {"schema": 1, "name": "passing", "end_frame": 1060, "handles": 8},
+        "world": {"wind": [0.9, -1.1, 0]},
+        "vehicle": [
+            {
+                "name": "boat",
+                "asset": "boat",
+                "motion": {
+                    "method": "plan",
+                    "mark": [
+                        {"frame": 1001, "position": [0, 0, 0], "heading": 0, "velocity": [0, 0, 0]},
+                        {"frame": 1049, "position": [metres, 0, 0], "speed": 2.0},
+                    ],
+                },
+            }
+        ],
+    }
+    with pytest.warns(UserWarning, match="stands still"):
+        delivery = Shot.from_dict(shot).solve().export(tmp_path, ("usd",))
+    assert keys(delivery) == set()
+    (row,) = [row for row in audit_delivery(delivery)["boat"] if row.key == "mark[1].speed"]
+    assert row.value is not None and row.value < 1e-3

@@ -152,9 +152,10 @@ def _of_chords(frames: Array, fps: Fraction, positions: Array, rotations: Array,
     turned = {name: (values[ahead] - values[behind]) / span[:, 0] for name, values in joints.items()}
     bent = {name: _change(rates[:, None]) / rate / 8 for name, rates in turned.items()}
     inside = np.arange(n) == centre  # if the frame is not centred on the sample, its mean rate belongs to another time
-    # a chord's sagitta is an eighth of the change of its slope over a frame; the ends are extrapolated
+    # a chord's sagitta is an eighth of the change of its slope over a frame
     between = np.abs(frames - np.round(frames)) > 1e-6
     off = 1.0 + np.abs(np.arange(n) - centre) / half
+    speed, turn = off * change + _bend(velocities, centre), off * turning + _bend(omegas, centre)
     return Track(
         frames,
         fps,
@@ -162,7 +163,7 @@ def _of_chords(frames: Array, fps: Fraction, positions: Array, rotations: Array,
         rotations,
         velocities,
         omegas,
-        Blur(between * change / rate / 4, between * turning / rate / 4, off * change, off * turning, bent),
+        Blur(between * change / rate / 4, between * turning / rate / 4, speed, turn, bent),
         joints,
         {name: np.where(inside, rates, np.nan) for name, rates in turned.items()},
         chords=True,
@@ -176,6 +177,17 @@ def _change(rates: Array) -> Array:
     forward = np.linalg.norm(rates[high] - rates, axis=1)
     backward = np.linalg.norm(rates - rates[low], axis=1)
     return np.asarray(np.maximum(forward, backward))
+
+
+def _bend(rates: Array, centre: NDArray[np.int64]) -> Array:
+    """What the curvature of a rate (n, 3) adds between the last frame's ``centre`` and a sample near an end, (n,): the
+    difference to the parabola through the means over three frames."""
+    n = len(rates)
+    beyond = np.arange(n) - centre
+    inward = -PER_FRAME * np.sign(beyond)
+    second, third = (rates[np.clip(centre + k * inward, 0, n - 1)] for k in (1, 2))
+    frames = np.abs(beyond) / PER_FRAME
+    return np.asarray((frames + frames**2) / 2 * np.linalg.norm(rates - 2 * second + third, axis=1))
 
 
 def _rotation_vectors(R: Array) -> Array:

@@ -199,6 +199,8 @@ class Shot:
         frames = self._frames(clips)
         handles = self.file.shot.handles
         clips = {name: carry_on(name, clip, *frames, handles, self.world) for name, clip in clips.items()}
+        for name, clip in clips.items():
+            vehicles[name]["frames"] = [clip.start_frame, clip.end_frame]
         clips = {name: self._placed(name, clip) for name, clip in clips.items()}
         self._warn_off_ground(clips)
         self._warn_of_rock(clips)
