@@ -271,3 +271,50 @@ def test_helicopters_pass_gates_narrower_than_their_spheres(helicopter):
     assert plan.clearance > 0.49
     with pytest.raises(SolveError, match=r"no path from .* 5.4 m for the helicopter itself"):
         vehsim.plan(helicopter, hall(9.0), marks, segments=32, clearance=0.5)
+
+
+def slot(width):
+    """Two walls, ``width`` m apart, higher than the ceiling of the tests below."""
+    return World(obstacles=[ob.box(f"wall{s}", (0, s * (width / 2 + 30), 0), (6, 60, 120)) for s in (1, -1)])
+
+
+def test_a_helicopter_flies_level_through_a_gap_that_its_spheres_do_not_fit(helicopter):
+    """13 m between the walls: 10.7 m across the rotor and 1 m on either side; spheres need 15.9 m, or a steep bank."""
+    marks = [Mark(1, position=(-50, 6, 12), heading=0, velocity=REST), Mark(241, position=(50, -4, 12), velocity=REST)]
+    plan = vehsim.plan(helicopter, slot(13.0), marks, segments=48, limits={"ceiling": 30})
+    assert plan.success, plan.message
+    assert 0.99 < plan.clearance < 1.16
+    inside = np.abs(plan.clip.positions[:, 0]) < 4
+    up = plan.clip.matrices()[inside, 2, 2]
+    assert np.degrees(np.arccos(up.min())) < 20
+
+
+def test_a_mark_in_a_slot_that_only_the_hulls_fit(helicopter):
+    """It arrives along the slot and stops in it; the spheres are 1.5 m too wide for the mark."""
+    marks = [Mark(1, position=(-40, 0, 12), heading=0, velocity=REST), Mark(289, position=(0, 0, 12), velocity=REST)]
+    plan = vehsim.plan(helicopter, slot(13.0), marks, segments=32, limits={"ceiling": 30})
+    assert plan.success, plan.message
+    assert plan.clearance > 0.99
+    with pytest.raises(InputError, match="at any heading"):
+        vehsim.plan(helicopter, slot(11.0), marks, segments=32, limits={"ceiling": 30})
+
+
+def test_the_surface_in_the_spheres_is_as_far_away_as_the_hulls(helicopter):
+    """Points on the surface against MuJoCo's distances of the hulls, at poses beside a wall."""
+    from vehsim.lie import SO3
+    from vehsim.planning.constraints.spheres import sphere_cover, surface_by_sphere
+
+    rng, world = np.random.default_rng(1), slot(30.0)
+    places = rng.uniform((-20, -9, 5), (20, 9, 20), (20, 3))
+    turns = rng.normal(size=(20, 4)) * [1, 0.2, 0.2, 1]
+    turns /= np.linalg.norm(turns, axis=1)[:, None]
+    hulls = world.clearance(helicopter, places, turns)
+    points, field = (
+        np.vstack(surface_by_sphere(helicopter)),
+        world.distance_field(box=np.array([[-30, -20, -5], [30, 20, 30.0]])),
+    )
+    surface = [field.value(p + points @ R.T).min() for p, R in zip(places, SO3.matrix(turns), strict=True)]
+    np.testing.assert_allclose(surface, hulls, atol=0.15)
+    centres, _ = sphere_cover(helicopter)
+    assert len(surface_by_sphere(helicopter)) == len(centres)
+    assert all(len(points) for points in surface_by_sphere(helicopter))

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.clip.clip import Clip
+from vehsim.planning.constraints.clearance import Clearance
 from vehsim.planning.constraints.obstacle_clearance import ObstacleClearance
 from vehsim.planning.explain.elastic import diagnose, too_early
 from vehsim.planning.guesses.drive import drive
@@ -25,6 +26,8 @@ Array = NDArray[np.float64]
 RETRIES = ((1.7, 0.0), (0.6, 0.08), (1.2, -0.15))
 """Initial guesses to try when the first fails: factor on the duration of free legs, and how far each path is bent
 sideways, relative to its length."""
+MEASURED = 4
+"""Maximum number of times that the distances of the vehicle's surface are measured before a motion is found."""
 FEWEST, LEAST = 4, 16
 """Below `FEWEST` segments, a leg has fewer controls than two marks at rest need; a plan that fails on so few per leg is
 tried on `LEAST` per leg."""
@@ -35,6 +38,25 @@ def enough_segments(request: Request) -> int:
     few = LEAST * (len(request.marks) - 1) if request.segments < FEWEST else 0
     length = sum(map(path_length, map(np.array, legs_between(request.marks))))
     return min(max(few, fewest_segments(request.vehicle, length)), MOST_SEGMENTS)
+
+
+def in_narrow_places(run: Run, failed: Iterate, paths: Sequence[Array], clip: Clip | None) -> Iterate:
+    """The iterate solved with the surface of the vehicle instead of the spheres around it, or the failed one.
+
+    The distances of both are measured along the guess, then along each solution, since they hold near the poses at
+    which they were measured. What is found is certified like any motion.
+    """
+    if failed.cover is None or failed.cover.static is None:
+        return failed
+    iterate: Iterate = begin(run, failed.request, failed.transcription, failed.cover, paths, clip)
+    for _ in range(MEASURED):
+        if run.deadline.late:
+            break
+        blocks = tuple(b.of_surface(iterate) if isinstance(b, Clearance) else b for b in iterate.blocks)
+        iterate = solve(run, replace(iterate, blocks=blocks, multipliers=None))
+        if iterate.success:
+            return iterate
+    return failed
 
 
 def with_fewer_requirements(

@@ -22,11 +22,16 @@ from vehsim.errors import FailedPlan
 from vehsim.planning.blocks import blocks_of
 from vehsim.planning.certificates import Executed, extent
 from vehsim.planning.certify import refine_and_certify
-from vehsim.planning.constraints.clearance import SLACK, cover_for
+from vehsim.planning.constraints.clearance import SLACK, Clearance, cover_for
 from vehsim.planning.constraints.timing import fixed_durations
 from vehsim.planning.deadline import OutOfTime
 from vehsim.planning.explain.feasibility import refusals
-from vehsim.planning.fallbacks import enough_segments, from_other_guesses, with_fewer_requirements
+from vehsim.planning.fallbacks import (
+    enough_segments,
+    from_other_guesses,
+    in_narrow_places,
+    with_fewer_requirements,
+)
 from vehsim.planning.guesses.routes import as_clip, find_paths, reversing, straight
 from vehsim.planning.iterate import Iterate, Run
 from vehsim.planning.problem import interrupts
@@ -313,23 +318,32 @@ def _too_hard(plan: Plan) -> bool:
     """Whether a motion exceeds a limit of its character by far, and there is a harder one."""
     assert plan._iterate is not None and plan._run is not None
     harder = plan._iterate.request.traits.harder
-    return plan.success and harder is not None and not plan._run.deadline.late and _exceeds(plan.audit)
+    return (
+        plan.success
+        and harder is not None
+        and not plan._run.deadline.late
+        and _largest_ratio(plan.audit) > TOO_HARD / (1 + ROOM)
+    )
 
 
 def _is_too_hard(run: Run, iterate: Iterate) -> bool:
     """The same of a coarse motion."""
-    request = iterate.request
-    if not iterate.success or request.traits.harder is None or run.deadline.late:
+    if not iterate.success or iterate.request.traits.harder is None or run.deadline.late:
         return False
+    return _strain(iterate, iterate.request) > TOO_HARD / (1 + ROOM)
+
+
+def _strain(iterate: Iterate, request: Request) -> float:
+    """The largest ratio of a coarse motion to a soft limit of the request's character."""
     soft = [ask for ask in asks_of(request, iterate.mark_frames()) if ask.key.startswith(BEYOND)]
     clip = replace(iterate.clip, vehicle=request.vehicle)
-    return _exceeds(audit(track_of_clip(clip), soft, WorldScene(request.world, clip.vehicle)))
+    return _largest_ratio(audit(track_of_clip(clip), soft, WorldScene(request.world, clip.vehicle)))
 
 
-def _exceeds(rows: Sequence[Row]) -> bool:
-    """Whether soft limits are exceeded by far."""
+def _largest_ratio(rows: Sequence[Row]) -> float:
+    """The largest ratio of a motion to one of its soft limits; 0 without any."""
     soft = [(row.value, row.upper) for row in rows if row.key.startswith(BEYOND)]
-    return any(value and upper and abs(value) > TOO_HARD / (1 + ROOM) * upper for value, upper in soft)
+    return max((abs(value) / upper for value, upper in soft if value and upper), default=0.0)
 
 
 def _remarked(plan: Plan, remark: str) -> Plan:
@@ -386,18 +400,35 @@ def _attempt(request: Request, progress: Progress | None, guess: Any, once: bool
     if not (iterate.success or once or run.deadline.late) and request.traits.name != STUNT:
         iterate = without_character(run, iterate, paths, as_clip(request, guess))
         relaxed = replace(request, traits=NO_TRAITS)
+        if not iterate.success:
+            iterate = in_narrow_places(run, iterate, paths, as_clip(request, guess))
     else:
         relaxed = request
     if not (iterate.success or once):
         run, iterate = with_fewer_requirements(run, iterate, relaxed, paths, guess)
     if not (iterate.success or once):
         iterate = from_other_guesses(run, iterate, paths, guess)
-    iterate = settle_on_frames(run, restrain(run, in_character(run, iterate, request.traits)))
+    iterate = _in_traits(run, iterate, request)
+    if _presses(iterate) and (strain := _strain(iterate, request)) > 1 and not run.deadline.late:
+        narrow = _in_traits(run, in_narrow_places(run, iterate, paths, as_clip(request, guess)), request)
+        if narrow.success and _strain(narrow, request) < strain:
+            iterate = narrow
     if early and _is_too_hard(run, iterate):
         raise _TooHard
     iterate = to_requested_segments(run, iterate)
     iterate = refine_and_certify(run, iterate)
     return _result(run, iterate)
+
+
+def _in_traits(run: Run, iterate: Iterate, request: Request) -> Iterate:
+    """A solved iterate in the character of the request, with free marks on whole frames."""
+    return settle_on_frames(run, restrain(run, in_character(run, iterate, request.traits)))
+
+
+def _presses(iterate: Iterate) -> bool:
+    """Whether the spheres around the vehicle press on a motion where its own surface would have room."""
+    clearance = iterate.block(Clearance)
+    return iterate.success and clearance is not None and clearance.presses(iterate)
 
 
 def _facing(request: Request, paths: Sequence[Array]) -> Request:

@@ -2,7 +2,8 @@
 
 Everything at rest is one field. Each moving obstacle has a field in its own frame, and its poses are parameters. Near a
 landing the requested clearance decreases, see `landing.landing_clearance`. The finished motion is certified with the
-hulls themselves; if it comes too near, the requested clearance is increased.
+hulls themselves; if it comes too near, the requested clearance is increased. Where no motion is found because spheres
+reach farther than the hulls that they contain, the difference is measured and the problem solved again.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from vehsim.clip.clip import Clip
 from vehsim.lie import SO3
 from vehsim.planning.certificates import FINEST, SAMPLES, certify
 from vehsim.planning.constraints.block import Block, Finding
-from vehsim.planning.constraints.spheres import sphere_cover
+from vehsim.planning.constraints.spheres import sphere_cover, surface_by_sphere
 from vehsim.planning.problem.elements import Element, NonlinearProgram, SpatialField, second_order
 from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.stage import knot_view, middle_view
@@ -50,6 +51,8 @@ SIGHT = 4.0
 motion."""
 SLACK = 0.01
 """Tolerance of a certified clearance, m."""
+ROOMY = 0.25
+"""How much farther than the spheres the vehicle's surface must be for them to be in the way, m."""
 MORE = 0.05
 """What a tighter solve adds to the clearance beyond the shortfall, m."""
 
@@ -92,14 +95,15 @@ class SphereCover:
     """A sphere cover of a vehicle, and the distance fields it keeps clear of.
 
     ``centres`` (k, 3) m and ``radii`` (k,) m of spheres that contain the vehicle; ``static``: the distance field of
-    the static obstacles and the terrain, or None; ``moving``: each moving obstacle with its field; ``elements``: shared
-    by all discretisations.
+    the static obstacles and the terrain, or None; ``moving``: each moving obstacle with its field; ``surface``: points
+    (n, 3) m on the vehicle's hulls by sphere; ``elements``: shared by all discretisations.
     """
 
     static: DistanceField | None
     centres: Array
     radii: Array
     moving: tuple[tuple[Moving, DistanceField], ...] = ()
+    surface: tuple[Array, ...] = ()
     elements: dict[Any, Element] = field(default_factory=dict)
 
     def hazards(self) -> Iterator[Hazard]:
@@ -122,6 +126,9 @@ class Clearance(Block):
     cover: SphereCover | None
     required: float
     near: NDArray[np.bool_] | None = None
+    spare: Array | None = None
+    """(places, k) m: how much farther than each sphere the vehicle's surface in it is from everything at rest; None:
+    the spheres count."""
 
     @property
     def costs(self) -> tuple[str, ...]:
@@ -130,7 +137,8 @@ class Clearance(Block):
 
     def key(self, layout: Layout, transcription: Transcription) -> Hashable:
         landed = tuple(mark.on_ground for mark in self.request.marks)
-        return self.cover, self.costs, landed, None if self.near is None else self.near.tobytes()
+        spare = self.spare is not None
+        return self.cover, self.costs, landed, spare, None if self.near is None else self.near.tobytes()
 
     def add(self, problem: NonlinearProgram, transcription: Transcription, layout: Layout) -> None:
         if self.cover is None:
@@ -144,6 +152,9 @@ class Clearance(Block):
                 else:
                     parameters = {"landings": np.concatenate([np.zeros(0, np.intp), *touching])}
                     y = y if self.near is None else y[:, _split(self.near, layout, marks)[site]]
+                    if self.spare is not None:
+                        count = len(self.cover.radii), y.shape[1]
+                        parameters["spare"] = problem.parameter(_spare(site), *count)
                 if y.shape[1]:
                     problem.add(self._element(transcription, hazard, site), y, parameters)
 
@@ -154,6 +165,11 @@ class Clearance(Block):
         values |= {weight_of(name): self.request.weights[name] for name in self.costs}
         if self.cover.static is not None:
             values |= {_touching(i): self._touching(mark) for i, mark in self._landings().items()}
+        if self.spare is not None:
+            near = np.ones(len(self.spare), bool) if self.near is None else self.near
+            active = _split(near, trajectory.layout, self.request.marks)
+            for site, here in _split(self.spare, trajectory.layout, self.request.marks).items():
+                values[_spare(site)] = here[active[site]].T
         for i, (obstacle, _) in enumerate(self.cover.moving):
             positions, orientations = obstacle.poses_at(_seconds(trajectory))
             poses = np.hstack([positions, SO3.matrix(orientations).transpose(0, 2, 1).reshape(-1, 9)])
@@ -178,28 +194,70 @@ class Clearance(Block):
     def _element(self, transcription: Transcription, hazard: Hazard, site: Site) -> Element:
         assert self.cover is not None
         landed = len(self._landings())
-        key = hazard.name, site.name, landed, self.costs
+        spare = self.spare is not None and not hazard.moves
+        key = hazard.name, site.name, landed, self.costs, spare
         if key not in self.cover.elements:
-            made = clearance_element(transcription, self.cover, hazard, site, landed, self.costs)
+            made = clearance_element(transcription, self.cover, hazard, site, landed, self.costs, spare)
             self.cover.elements[key] = made
         return self.cover.elements[key]
 
     def distances(self, trajectory: Trajectory) -> Array:
         """Distance of the nearest sphere from everything at rest at every place, m."""
-        assert self.cover is not None and self.cover.static is not None
-        standing, out = next(self.cover.hazards()), [np.zeros(0)]
+        return self._spheres(*self._poses(trajectory)).min(axis=1)
+
+    def of_surface(self, trajectory: Trajectory) -> Clearance:
+        """The block for the vehicle's surface, instead of the spheres, near the poses of a trajectory; unchanged if
+        nothing is at rest."""
+        if self.cover is None or self.cover.static is None:
+            return self
+        positions, rotations = self._poses(trajectory)
+        more = self._surface(positions, rotations) - self._spheres(positions, rotations)
+        return replace(self, spare=np.maximum(more, 0.0))
+
+    def presses(self, trajectory: Trajectory) -> bool:
+        """Whether spheres bound a motion somewhere although the vehicle's surface has `ROOMY` m to spare there."""
+        if self.cover is None or self.cover.static is None or self.spare is not None:
+            return False
+        positions, rotations = self._poses(trajectory)
+        bound = self._spheres(positions, rotations).min(axis=1) < self.required + SLACK
+        surface = self._surface(positions[bound], rotations[bound]).min(axis=1)
+        return bool((surface > self.required + ROOMY).any())
+
+    def _poses(self, trajectory: Trajectory) -> tuple[Array, Array]:
+        """Positions (places, 3) m and rotations (places, 3, 3) of the vehicle."""
+        transcription, found = trajectory.transcription, [np.zeros((0, 12))]
         for site, y in _places(trajectory.layout, self.request.marks).items():
             if y.shape[1]:
-                element = self._element(trajectory.transcription, standing, site)
-                points = np.asarray(element.points.map(y.shape[1])(trajectory.x[y], 0))
-                away = self.cover.static.value(points.T).reshape(y.shape[1], -1)
-                out.append((away - self.cover.radii).min(axis=1))
-        return np.concatenate(out)
+                v = transcription.symbols(*site.variables)
+                view = site.view(transcription, v)
+                pose = ca.Function(
+                    "pose", [ca.vertcat(*v.values())], [ca.vertcat(view.position, ca.vec(view.rotation))]
+                )
+                found.append(np.asarray(pose.map(y.shape[1])(trajectory.x[y])).T)
+        positions, columns = np.split(np.vstack(found), [3], axis=1)
+        return positions, columns.reshape(-1, 3, 3).transpose(0, 2, 1)
+
+    def _spheres(self, positions: Array, rotations: Array) -> Array:
+        """Distance of every sphere from everything at rest, (places, k) m."""
+        assert self.cover is not None and self.cover.static is not None
+        centres = positions[:, None] + self.cover.centres @ rotations.transpose(0, 2, 1)
+        away = self.cover.static.value(centres.reshape(-1, 3))
+        return np.asarray(away.reshape(centres.shape[:2]) - self.cover.radii)
+
+    def _surface(self, positions: Array, rotations: Array) -> Array:
+        """Distance of the vehicle's surface in every sphere from everything at rest, (places, k) m."""
+        assert self.cover is not None and self.cover.static is not None
+        points = np.vstack(self.cover.surface)
+        first = np.cumsum([0, *map(len, self.cover.surface[:-1])])
+        value = self.cover.static.value
+        found = [np.minimum.reduceat(value(p + points @ R.T), first) for p, R in zip(positions, rotations, strict=True)]
+        return np.array(found).reshape(-1, len(first))
 
     def prolongate(self, coarse: Trajectory, fine: Trajectory) -> Clearance:
         if self.cover is None or self.cover.static is None or self.costs:
             return replace(self, near=None)
-        return replace(self, near=self.distances(fine) < self.required + SIGHT)
+        finer = replace(self, near=self.distances(fine) < self.required + SIGHT)
+        return finer if self.spare is None else finer.of_surface(fine)
 
     def violated(self, solved: Trajectory) -> Clearance:
         if self.near is None:
@@ -219,10 +277,11 @@ class Clearance(Block):
     def tighten(self, trajectory: Trajectory, finding: Finding) -> Clearance:
         if finding.met:
             return self
-        return replace(self, required=self.required + (finding.wanted - finding.clearance) + MORE)
+        tighter = replace(self, required=self.required + (finding.wanted - finding.clearance) + MORE)
+        return tighter if self.spare is None else tighter.of_surface(trajectory)
 
     def resume(self, earlier: Clearance) -> Clearance:
-        return replace(self, required=earlier.required, near=earlier.near)
+        return replace(self, required=earlier.required, near=earlier.near, spare=earlier.spare)
 
 
 def cover_for(request: Request, paths: Sequence[Array], progress: Progress) -> SphereCover | None:
@@ -245,21 +304,32 @@ def cover_for(request: Request, paths: Sequence[Array], progress: Progress) -> S
     for obstacle in request.world.moving:
         progress(f"measuring distances to {obstacle.name}", 0.0)
         moving.append((obstacle, field_about(obstacle, around)))
-    return SphereCover(field, centres, radii, tuple(moving))
+    return SphereCover(field, centres, radii, tuple(moving), surface_by_sphere(request.vehicle))
 
 
 def _touching(i: int) -> str:
     return f"mark[{i}].touching"
 
 
+def _spare(site: Site) -> str:
+    return f"spare at {site.name}"
+
+
 def clearance_element(
-    transcription: Transcription, cover: SphereCover, hazard: Hazard, site: Site, landed: int, costs: Sequence[str]
+    transcription: Transcription,
+    cover: SphereCover,
+    hazard: Hazard,
+    site: Site,
+    landed: int,
+    costs: Sequence[str],
+    spare: bool = False,
 ) -> Element:
     """The constraint that spheres keep clear of a hazard at a site.
 
     Parameters: the requested ``clearance`` and the weights of ``costs``. For everything at rest also ``landings``: for
     each of the ``landed`` marks, its root position (3,) m and the distances of its spheres from everything at rest (k,)
-    m. For a moving obstacle also its ``pose``: position (3,) m and columns of its rotation (9,).
+    m; with ``spare``, that of every sphere (k,) m. For a moving obstacle also its ``pose``: position (3,) m and columns
+    of its rotation (9,).
     """
     v, radii = transcription.symbols(*site.variables), ca.DM(cover.radii)
     view = site.view(transcription, v)
@@ -278,6 +348,9 @@ def clearance_element(
             distance = rounded_distance(view.position, landing[:3])
             touching = ca.fmin(landing[3:], clearance - ROUND)
             wanted = ca.fmin(wanted, landing_clearance(distance, clearance, touching, ca.tanh))
+    if spare:
+        parameters["spare"] = ca.SX.sym("spare", len(points))
+        wanted -= parameters["spare"]
     met, models = ca.horzcat(*points), ca.SX.sym("models", 13, len(points))
     free = second_order(met, models) - radii
     rates = [COSTS[name](HazardView(free)) for name in costs]

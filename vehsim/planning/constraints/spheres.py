@@ -1,7 +1,8 @@
 """A few spheres that contain a vehicle's hulls: the optimiser keeps them off terrain and obstacles in flight.
 
 Since the spheres contain every hull, a vehicle is clear if its spheres are; its actual distance is certified afterwards
-with the hulls themselves.
+with the hulls themselves. Spheres reach farther than the hulls, which matters in narrow places: there, points on the
+hulls' surface tell by how much (`surface_by_sphere`).
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ Array = NDArray[np.float64]
 SPHERES = 8
 """Number of spheres: more of them follow the hull more closely but make the problem larger."""
 _SPACING = 0.6
+_FINE = 0.3
+"""Spacing of points on hulls, m: of those that the spheres enclose, and of those that stand for the surface itself."""
 
 
 @lru_cache(maxsize=32)
@@ -33,8 +36,19 @@ def sphere_cover(vehicle: Vehicle, count: int = SPHERES) -> tuple[Array, Array]:
     return centres, radii
 
 
+@lru_cache(maxsize=32)
+def surface_by_sphere(vehicle: Vehicle, count: int = SPHERES) -> tuple[Array, ...]:
+    """Points (n, 3) on the surface of a vehicle's hulls, in the rig root's frame, by the sphere nearest to them."""
+    centres, _ = sphere_cover(vehicle, count)
+    points = np.vstack([_surface(hull, _FINE) for hull in hulls_of(vehicle)] or [np.zeros((1, 3))])
+    distance = np.linalg.norm(points[:, None] - centres, axis=2)
+    nearest = np.argmin(distance, axis=1)
+    nearest[np.argmin(distance, axis=0)] = np.arange(len(centres))  # no sphere is without a point
+    return tuple(points[nearest == k] for k in range(len(centres)))
+
+
 def _covering(hulls: Sequence[Array], count: int) -> tuple[Array, Array]:
-    points = np.vstack([_surface(hull) for hull in hulls])
+    points = np.vstack([_surface(hull, _SPACING) for hull in hulls])
     centres = _spread(points, min(count, len(points)))
     for _ in range(10):  # Lloyd's algorithm with enclosing balls instead of means: it reduces the largest radius
         nearest = np.argmin(np.linalg.norm(points[:, None] - centres, axis=2), axis=1)
@@ -57,14 +71,14 @@ def balls(vehicle: Vehicle) -> tuple[Array, float, float]:
     return middle, spheres, float(np.ptp(corners, axis=0)[1:].max()) / 2
 
 
-def _surface(hull: Array) -> Array:
-    """Points on a convex hull's surface: none of its points is farther than ``_SPACING`` / sqrt(3) from the nearest of
-    them."""
+def _surface(hull: Array, spacing: float) -> Array:
+    """Points on a convex hull's surface: none of its points is farther than ``spacing`` / sqrt(3) m from the nearest
+    of them."""
     from scipy.spatial import ConvexHull
 
     points = []
     for a, b, c in hull[ConvexHull(hull).simplices]:
-        n = int(np.ceil(max(np.linalg.norm(b - a), np.linalg.norm(c - a), np.linalg.norm(c - b)) / _SPACING))
+        n = int(np.ceil(max(np.linalg.norm(b - a), np.linalg.norm(c - a), np.linalg.norm(c - b)) / spacing))
         i, j = np.meshgrid(np.arange(n + 1), np.arange(n + 1))
         inside = i + j <= n
         points.append(a + np.outer(i[inside] / n, b - a) + np.outer(j[inside] / n, c - a))
