@@ -114,7 +114,8 @@ def _flown(vehicle: Vehicle, world: Any, mark: Any, seconds: float | None) -> _N
     if mark.on_ground:
         return None
     nose = heading_of(mark)
-    level = mark.velocity is not None and not np.any(mark.velocity) and not np.any(world.wind)
+    leans = vehicle.feels_wind and bool(np.any(world.wind))
+    level = mark.velocity is not None and not np.any(mark.velocity) and not leans
     turned = nose is None and level
     body = vehicle if nose is not None or turned else replace(vehicle, rig=None)
     turns = from_yaw(_HEADINGS) if turned else attitude(mark)[None]
