@@ -75,6 +75,9 @@ TOPS = {
 TOO_HARD = 1.5
 """Ratio of a motion to a limit of its character above which the next harder character is the better choice: easing in
 and out of rest would take time that the rest of the motion needs, which then is harder than a stunt."""
+STRAINED, WORTH = 1.15, 0.9
+"""Where the spheres around a vehicle press on a motion that exceeds a limit of its character by this ratio, its hulls
+are used instead, if they reduce the ratio by this factor or more."""
 Reason = Literal["refused", "time limit", "not solved", "clearance", "between knots", "execution", "audit"]
 """Why a plan failed. In turn: its marks contradict each other or the vehicle; the time limit was reached; the solver
 found no motion; the certified clearance is too small; a constraint is violated between knots; the controls end
@@ -409,9 +412,9 @@ def _attempt(request: Request, progress: Progress | None, guess: Any, once: bool
     if not (iterate.success or once):
         iterate = from_other_guesses(run, iterate, paths, guess)
     iterate = _in_traits(run, iterate, request)
-    if _presses(iterate) and (strain := _strain(iterate, request)) > 1 and not run.deadline.late:
+    if _presses(iterate) and (strain := _strain(iterate, request)) > STRAINED and not run.deadline.late:
         narrow = _in_traits(run, in_narrow_places(run, iterate, paths, as_clip(request, guess)), request)
-        if narrow.success and _strain(narrow, request) < strain:
+        if narrow.success and _strain(narrow, request) < WORTH * strain:
             iterate = narrow
     if early and _is_too_hard(run, iterate):
         raise _TooHard
