@@ -187,6 +187,23 @@ def live_block(clip: Clip, kinematics: Kinematics, name: str, behind: float) -> 
     return pack.block(header)
 
 
+def compared_block(take: Take, kinematics: Kinematics, others: Mapping[str, tuple[str, Clip]]) -> bytes:
+    """Other motions of a take's vehicles, to be drawn beside its own; ``others``: name -> vehicle and clip."""
+    pack, found = Packing(), []
+    for name, (vehicle, whole) in others.items():
+        clip = clip_at(whole, _frames(take))
+        found.append(
+            {
+                "name": name,
+                "vehicle": vehicle,
+                "groups": _poses_of(pack, kinematics.carried(vehicle, clip)),
+                "points": pack.array(clip.positions, "f4"),
+                "curves": list(_curves(pack, take, vehicle, clip)),
+            }
+        )
+    return pack.block({"kind": "compared", "motions": found})
+
+
 def _poses_of(pack: Packing, carried: Iterable[tuple[int, Array]]) -> list[dict[str, Any]]:
     return [{"index": k, "poses": pack.array(poses, "f4")} for k, poses in carried]
 

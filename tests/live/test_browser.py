@@ -202,3 +202,43 @@ def test_a_car_is_driven_with_keys_held_down(tmp_path):
     rows = (tmp_path / "drive.car.001.csv").read_text().splitlines()
     torque = [float(row.split(",")[1]) for row in rows[1:]]
     assert max(torque) == 2500 and torque[0] == 0  # the car's bound
+
+
+def test_two_recordings_are_drawn_side_by_side(tmp_path):
+    """Each in its colour, at its place in the present frame, with its curve; and one of them is used."""
+    path = written(tmp_path, SHOT)
+    rows = "[...document.querySelectorAll('#recordings div')]"
+    nose = "(one) => { const { poses } = one.parts[0], at = 7 * (poses.length / 7 - 1); return poses[at]; }"
+
+    async def play():
+        async with opened(path) as page:
+            for k, keys in enumerate((["w"], ["w", "a"])):
+                await page.until("!document.getElementById('do-drive').disabled")
+                await page.value("document.getElementById('do-drive').click()")
+                await page.until("Boolean(vehsim.viewer.trail)")
+                for key in keys:
+                    await page.hold(key, f"Key{key.upper()}", True)
+                await page.until("vehsim.viewer.orbit.target.x > 0.3")
+                for key in keys:
+                    await page.hold(key, f"Key{key.upper()}", False)
+                await page.key("Escape", "Escape")
+                await page.until(f"!vehsim.drive.driven && {rows}.length === {k + 1}")
+            for k in range(2):
+                await page.value(f"{rows}[{k}].querySelector('input').click()")
+                await page.until(f"vehsim.viewer.compared.length === {k + 1}")
+            await page.value("vehsim.viewer.seek(vehsim.viewer.last)")
+            await page.until(f"{rows}.every((row) => row.querySelector('i').style.background)")
+            assert len(set(await page.value("vehsim.viewer.compared.map((one) => one.color)"))) == 2
+            ends = await page.value(f"vehsim.viewer.compared.map({nose})")
+            drawn = await page.value("vehsim.viewer.compared.map((one) => one.parts[0].copy.matrix.elements[12])")
+            assert drawn == pytest.approx(ends) and ends[0] != ends[1]
+            assert await page.value("vehsim.viewer.compared.every((one) => one.curves.length > 2)")
+            assert await page.value(f"{rows}.map((row) => row.querySelector('button').textContent)") == [
+                "use",
+                "in use",
+            ]
+            await page.value(f"{rows}[0].querySelector('button').click()")
+            await page.until(f"{rows}[0].querySelector('button').textContent === 'in use' && {SOLVED}")
+            await page.until("vehsim.viewer.compared.length === 2")
+
+    asyncio.run(play())

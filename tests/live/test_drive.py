@@ -8,6 +8,7 @@ import pytest
 
 pytest.importorskip("websockets", reason='needs the extra: pip install "vehsim[live]"')
 
+import vehsim
 from tests.live.test_server import browser, served
 from vehsim import Shot
 from vehsim.errors import InputError
@@ -196,6 +197,61 @@ def test_a_drive_is_recorded_saved_continued_and_undone(tmp_path):
             both = [np.loadtxt(tmp_path / f"drive.car.00{k}.csv", delimiter=",", skiprows=1) for k in (1, 2)]
             early = [rows[rows[:, 0] <= 1002.5] for rows in both]
             assert json.dumps(early[0].tolist()) == json.dumps(early[1].tolist())
+
+    asyncio.run(play())
+
+
+def test_recordings_are_compared_and_one_is_used(tmp_path):
+    """Two drives, gentle and hard: both are drawn beside the present motion, and again after each solve."""
+    path = tmp_path / "drive.toml"
+    path.write_text(
+        SHOT.replace("duration = 0.2", "duration = 1.0").replace("schema = 1", "schema = 1\nend_frame = 1025")
+    )
+
+    async def play():
+        async with served(path) as address, browser(address) as page:
+            await page.until("scene")
+            state = await page.until("state", lambda message: message["solved"])
+            assert state["recordings"] == []
+            await page.send(kind="compare", files=["../drive.car.001.csv"])
+            assert "no such recording" in (await page.until("refused"))["text"]
+            await page.send(kind="use_recording", file="drive.car.001.csv")
+            assert "cannot be used" in (await page.until("refused"))["text"]
+            for torque in (0.4, 1.0):
+                await page.send(kind="drive", vehicle="car")
+                await page.until("live")
+                await page.send(kind="sticks", values=[torque, 0.0])
+                await page.until("driven")  # at the last frame
+                state = await page.until("state", lambda message: message["solved"])
+            names = [f"drive.car.00{k}.csv" for k in (1, 2)]
+            assert [(one["name"], one["used"], one["compared"]) for one in state["recordings"]] == [
+                (names[0], False, False), (names[1], True, False)
+            ]  # fmt: skip
+
+            await page.send(kind="compare", files=names)
+            block = await page.until("compared")
+            ends = []
+            for name, one in zip(names, block.header["motions"], strict=True):
+                clip = vehsim.Clip.load((tmp_path / name).with_suffix(".npz"))
+                places = block.array(one["points"]).reshape(-1, 3)
+                np.testing.assert_allclose(
+                    places[[0, 12, -1]], clip.positions[np.isin(clip.frames, [1001, 1013, 1025])], atol=1e-5
+                )
+                assert one["name"] == name and one["vehicle"] == "car" and len(one["groups"]) > 3
+                assert {"speed", "torque"} <= {curve["name"] for curve in one["curves"]}
+                ends.append(places[-1, 0])
+            assert 0.1 < ends[0] < ends[1]
+            state = await page.until("state")
+            assert [one["compared"] for one in state["recordings"]] == [True, True]
+
+            await page.send(kind="use_recording", file=names[0])
+            await page.until("compared")  # after the motion, which has no other recordings in it
+            state = await page.until("state", lambda message: message["solved"])
+            assert [one["used"] for one in state["recordings"]] == [True, False] and not state["problems"]
+            (tmp_path / names[1]).with_suffix(".npz").unlink()
+            await page.send(kind="undo")
+            block = await page.until("compared")
+            assert [one["name"] for one in block.header["motions"]] == names[:1]
 
     asyncio.run(play())
 

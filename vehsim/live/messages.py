@@ -94,12 +94,26 @@ class KeepDragged(_Message):
     vehicle: str
 
 
+class UseRecording(_Message):
+    """Make another recording of a driven vehicle its motion."""
+
+    kind: Literal["use_recording"]
+    file: Key
+
+
 class TakeControls(_Message):
     """Take the controls of a vehicle: from its first frame, or after ``frame`` of its recording."""
 
     kind: Literal["drive"]
     vehicle: str
     frame: Frame | None = None
+
+
+class Compare(_Message):
+    """The recordings to draw beside the present motion, by name of their tables; an empty list draws none."""
+
+    kind: Literal["compare"]
+    files: Annotated[list[Key], Field(max_length=8)]
 
 
 class MoveSticks(_Message):
@@ -109,9 +123,9 @@ class MoveSticks(_Message):
     values: Annotated[list[Annotated[float, Field(ge=-1, le=1, allow_inf_nan=False)]], Field(max_length=64)]
 
 
-Edit = Change | AddMark | DeleteMark | AddNote | EditNote | DeleteNote | KeepDragged
+Edit = Change | AddMark | DeleteMark | AddNote | EditNote | DeleteNote | KeepDragged | UseRecording
 """What changes the file; the session has a method of each kind's name."""
-Message = Moved | Pressed | Edit | TakeControls | MoveSticks
+Message = Moved | Pressed | Edit | TakeControls | Compare | MoveSticks
 _ADAPTER: TypeAdapter[Message] = TypeAdapter(Annotated[Message, Field(discriminator="kind")])
 
 

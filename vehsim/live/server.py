@@ -21,7 +21,7 @@ from urllib.parse import parse_qs, urlsplit
 
 from vehsim.errors import InputError, VehsimError
 from vehsim.exporters.web.html import PAGE, page
-from vehsim.live.messages import Edit, Message, Moved, MoveSticks, TakeControls, parse
+from vehsim.live.messages import Compare, Edit, Message, Moved, MoveSticks, TakeControls, parse
 from vehsim.live.session import Session, Superseded
 from vehsim.runtime.registry import whose_error
 
@@ -191,6 +191,8 @@ class Server:
                 await self._solve(lambda: session.place(message))
             elif isinstance(message, TakeControls):
                 await self._drive(message)
+            elif isinstance(message, Compare):
+                await self._tell(await self._in_thread(partial(session.compare, message)))
             elif isinstance(message, Edit):
                 change = getattr(session, message.kind)
                 await self._solve(lambda: change(message))
@@ -225,6 +227,7 @@ class Server:
             self._scene = block if _kind(block) == "scene" else None
             self._told_motion = True
             await self._tell(block)
+            await self._compared(self._tell)
         await self._tell(self._session.state)
         if self._session.solved and not (self._jobs or self._drag):
             with suppress(VehsimError):
@@ -260,6 +263,13 @@ class Server:
                 self._scene = await self._in_thread(self._session.scene)
         if self._scene is not None:
             await _send(socket, self._scene)
+            await self._compared(partial(_send, socket))
+
+    async def _compared(self, tell: Callable[[bytes], Awaitable[None]]) -> None:
+        """Tell the recordings that are compared, if there are any."""
+        if self._session.compared:
+            with suppress(VehsimError):
+                await tell(await self._in_thread(self._session.comparison))
 
     async def _dragged(self, message: Moved, socket: ServerConnection) -> None:
         began = monotonic()

@@ -6,6 +6,7 @@ Everything here runs in one thread, the server's worker, and returns blocks for 
 from __future__ import annotations
 
 import copy
+import glob
 import tempfile
 import threading
 import warnings
@@ -18,27 +19,37 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vehsim.clip.clip import Clip
 from vehsim.errors import InputError, Problem, VehsimError
 from vehsim.exporters.usd.sampling import clip_at
-from vehsim.exporters.web.scene import Kinematics, draft_block, live_block, motion_block, movable, scene_block
+from vehsim.exporters.web.scene import (
+    Kinematics,
+    compared_block,
+    draft_block,
+    live_block,
+    motion_block,
+    movable,
+    scene_block,
+)
 from vehsim.live.document import Document, write
 from vehsim.live.messages import (
     AddMark,
     AddNote,
     Change,
+    Compare,
     DeleteMark,
     DeleteNote,
     EditNote,
     KeepDragged,
     Moved,
     TakeControls,
+    UseRecording,
 )
 from vehsim.live.settings import DECIMALS, Handle, Setting, handles, settings
 from vehsim.runtime.progress import Progress
 from vehsim.shot.checks import variants_of
 
 if TYPE_CHECKING:
-    from vehsim.clip.clip import Clip
     from vehsim.delivery.take import Take
     from vehsim.live.drive import Sticks
     from vehsim.planning.drafts import Draft
@@ -84,6 +95,8 @@ class Session:
         """The places of the present text that can be dragged; none if it is no valid shot file."""
         self.sticks: Sticks | None = None
         """Those of the vehicle that is driven now."""
+        self.compared: list[str] = []
+        """The recordings that are drawn beside the present motion, by name of their tables."""
         self._solved = ""
         self._tell = tell
         self._drafts: dict[str, Drawn] = {}
@@ -117,6 +130,7 @@ class Session:
             "handles": [self._handle_shown(handle) for handle in self.handles],
             "notes": self.notes,
             "drives": self.drives(),
+            "recordings": [shown for shown, _ in self._recordings().values()],
             "settings": [vars(setting) for setting in self.settings],
         }
 
@@ -391,6 +405,64 @@ class Session:
         if made.problem is not None:
             self.problems.append({"text": f"the simulation ended: {made.problem}"})
         return shown
+
+    def use_recording(self, wanted: UseRecording) -> bytes | None:
+        """Make another recording of a driven vehicle its motion, and `solve`."""
+        shown, path = self._recordings().get(wanted.file, ({"usable": False}, Path()))
+        if not shown["usable"]:
+            raise InputError("cannot be used here", "drive the vehicle, then choose", key="file", value=wanted.file)
+        assert self.shot is not None
+        name = shown["vehicle"]
+        at = next(k for k, table in enumerate(self.shot.file.vehicle) if table.name == name)
+        self.document.put(f"vehicle[{at}].motion.file", wanted.file)
+        block = self.solve()
+        if block is not None and self.take is not None:
+            clip = self.take.clips[name]
+            away = _apart(Clip.load(path, clip.vehicle), clip)
+            if away > VISIBLE:
+                text = f"{name}: up to {away:.2g} m from what was recorded, because the start or the world has changed"
+                self.problems.append({"text": text})
+        return block
+
+    def compare(self, wanted: Compare) -> bytes:
+        """Draw other recordings beside the present motion. Raises ``InputError`` for one that is not there."""
+        missing = [name for name in wanted.files if name not in self._recordings()]
+        if missing or self._kinematics is None:
+            raise InputError("no such recording", "reload the page", key="files", value=missing)
+        self.compared = list(dict.fromkeys(wanted.files))
+        return self.comparison()
+
+    def comparison(self) -> bytes:
+        """The block of the recordings that are compared, as far as their clips can be read. Raises ``InputError``."""
+        assert self.take is not None and self._kinematics is not None
+        found, there = {}, self._recordings()
+        self.compared = [name for name in self.compared if name in there]
+        for name in self.compared:
+            shown, path = there[name]
+            found[name] = shown["vehicle"], Clip.load(path, self.take.clips[shown["vehicle"]].vehicle)
+        return compared_block(self.take, self._kinematics, found)
+
+    def _recordings(self) -> dict[str, tuple[dict[str, Any], Path]]:
+        """The recordings beside the shot by name of their table: what the page shows of each, and its clip.
+
+        ``used``: it is the present motion; ``usable``: it can become so, because another recording is.
+        """
+        found: dict[str, tuple[dict[str, Any], Path]] = {}
+        for table in self.shot.file.vehicle if self.shot and self._kinematics else ():
+            sticks = table.motion.method == "sticks"
+            present = getattr(table.motion, "file", None) if sticks else None
+            stem = f"{self.document.path.stem}.{table.name}."
+            for path in sorted(self.document.path.parent.glob(f"{glob.escape(stem)}[0-9][0-9][0-9].csv")):
+                if path.with_suffix(".npz").is_file():
+                    shown = {
+                        "name": path.name,
+                        "vehicle": table.name,
+                        "used": path.name == present,
+                        "compared": path.name in self.compared,
+                        "usable": sticks,
+                    }
+                    found[path.name] = shown, path.with_suffix(".npz")
+        return found
 
     def _unused(self, stem: str) -> Path:
         """The next table of a recording beside the shot."""

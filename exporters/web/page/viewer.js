@@ -8,6 +8,7 @@ const vehsim = {};
   const KINDS = { f4: Float32Array, i1: Int8Array, u1: Uint8Array, i2: Int16Array, u4: Uint32Array };
   const SPEEDS = [0.1, 0.25, 0.5, 1, 2];
   const ACCENT = 0xff8a3d, PATH = 0x2fb4ff, FRUSTUM = 0xe8e8e8;
+  const COMPARED = [0xf2d13c, 0x6fd66f, 0xd58cff, 0xff6f91, 0x4fd6c8, 0xc0a080, 0x9fb4ff, 0xe0e0e0];
   const FAR = 20000;
   const NOTE_SECONDS = 3; // a note is shown so long, or until the next one
   const SHADOW_MAP = 4096;
@@ -226,7 +227,8 @@ const vehsim = {};
     }
 
     _makeOverlays() {
-      this.overlays = { paths: new THREE.Group(), ghosts: new THREE.Group(), handles: new THREE.Group() };
+      this.overlays = { paths: new THREE.Group(), ghosts: new THREE.Group(), handles: new THREE.Group(), compared: new THREE.Group() };
+      this.compared = [];
       this.scene.add(...Object.values(this.overlays));
     }
 
@@ -261,13 +263,47 @@ const vehsim = {};
       this.show(this.frame);
     }
 
+    /** Other motions of the vehicles, each in a colour of its own, beside the present one. */
+    setCompared(header, array) {
+      dispose(this.overlays.compared);
+      this.compared = header.motions.map((given, at) => {
+        const color = COMPARED[at % COMPARED.length], parts = [];
+        const glass = new THREE.MeshStandardMaterial({ color, transparent: true, opacity: 0.55, depthWrite: false });
+        for (const { index, poses } of given.groups) {
+          const copy = new THREE.Group();
+          copy.matrixAutoUpdate = false;
+          copy.userData.shared = true;
+          for (const mesh of this.groups[index].children) copy.add(new THREE.Mesh(mesh.geometry, glass));
+          this.overlays.compared.add(copy);
+          parts.push({ copy, poses: array(poses) });
+        }
+        const geometry = new THREE.BufferGeometry();
+        geometry.setAttribute("position", new THREE.BufferAttribute(array(given.points), 3));
+        const line = new THREE.Line(geometry, new THREE.LineBasicMaterial({ color, fog: false }));
+        line.frustumCulled = false;
+        this.overlays.compared.add(line);
+        const curves = given.curves.map((curve) => ({ ...curve, values: array(curve.values) }));
+        return { ...given, color: `#${color.toString(16).padStart(6, "0")}`, parts, curves };
+      });
+      this.show(this.frame);
+    }
+
+    _showCompared(k) {
+      for (const { copy, poses } of this.compared.flatMap((one) => one.parts)) {
+        setPose(copy.matrix, poses, k);
+        copy.matrixWorldNeedsUpdate = true;
+      }
+    }
+
     /** A driven vehicle as it is now, with the orbit's camera on a rope behind it. */
     setLive(header, array) {
       for (const group of header.groups) {
         setPose(this.groups[group.index].matrix, array(group.poses), 0);
         this.groups[group.index].matrixWorldNeedsUpdate = true;
       }
-      if (this.water) this.water.show(this._index(Math.round(header.frame)));
+      const k = this._index(Math.round(header.frame));
+      if (this.water) this.water.show(k);
+      this._showCompared(k);
       const place = new THREE.Vector3(...header.place);
       if (!this.trail) {
         this.trail = { points: [], line: new THREE.Line(new THREE.BufferGeometry(), new THREE.LineBasicMaterial({ color: ACCENT, fog: false })) };
@@ -423,6 +459,7 @@ const vehsim = {};
         group.matrixWorldNeedsUpdate = true;
       });
       if (this.water) this.water.show(k);
+      this._showCompared(k);
       for (const camera of this.cameras) setPose(camera.frustum.matrix, camera.poses, k);
       const after = this.subject();
       if (before && after && this.follow) {
@@ -726,16 +763,21 @@ const vehsim = {};
       const ink = canvas.getContext("2d");
       ink.scale(ratio, ratio);
       ink.globalAlpha = this.viewer.drafted ? 0.4 : 1;
-      let low = Math.min(0, ...curve.values), high = Math.max(0, ...curve.values);
+      const others = this.viewer.compared.flatMap(({ color, curves }) => curves
+        .filter((other) => other.vehicle === curve.vehicle && other.name === curve.name).map(({ values }) => ({ color, values })));
+      const every = [curve, ...others].flatMap(({ values }) => [Math.min(...values), Math.max(...values)]);
+      let low = Math.min(0, ...every), high = Math.max(0, ...every);
       if (high - low < 1e-9) high = low + 1;
       const place = (value) => height - 4 - ((value - low) / (high - low)) * (height - 8);
       ink.strokeStyle = "#3a3f45";
       ink.strokeRect(0, Math.round(place(0)) + 0.5, width, 0);
-      ink.beginPath();
-      curve.values.forEach((value, k) => ink.lineTo((k / Math.max(curve.values.length - 1, 1)) * width, place(value)));
-      ink.strokeStyle = "#2fb4ff";
       ink.lineWidth = 1.5;
-      ink.stroke();
+      for (const { color, values } of [...others, { color: "#2fb4ff", values: curve.values }]) {
+        ink.beginPath();
+        values.forEach((value, k) => ink.lineTo((k / Math.max(values.length - 1, 1)) * width, place(value)));
+        ink.strokeStyle = color;
+        ink.stroke();
+      }
       const near = 0.005 * (high - low); // where a limit binds, the curve has the accent's colour
       const binds = (value) => (curve.high !== null && value >= curve.high - near) || (curve.low !== null && value <= curve.low + near);
       ink.beginPath();
@@ -746,14 +788,17 @@ const vehsim = {};
       ink.strokeStyle = "#ff8a3d";
       ink.lineWidth = 3;
       ink.stroke();
-      const value = curve.values[this.viewer._index(this.viewer.frame)];
+      const now = this.viewer._index(this.viewer.frame), shown = (values) => `${Number(values[now].toPrecision(4))} ${curve.unit}`;
       ink.fillStyle = "#fff";
       ink.fillRect(share * width - 0.5, 0, 1, height);
-      const text = `${curve.name} ${Number(value.toPrecision(4))} ${curve.unit}${this.viewer.drafted ? ", before the drag" : ""}`;
+      const text = `${curve.name} ${shown(curve.values)}${this.viewer.drafted ? ", before the drag" : ""}`;
       ink.font = "12px system-ui, sans-serif";
       const right = share * width + 8 + ink.measureText(text).width < width;
       ink.textAlign = right ? "left" : "right";
-      ink.fillText(text, share * width + (right ? 6 : -6), 14);
+      [{ color: "#fff", text }, ...others.map(({ color, values }) => ({ color, text: shown(values) }))].forEach((line, k) => {
+        ink.fillStyle = line.color;
+        ink.fillText(line.text, share * width + (right ? 6 : -6), 14 * (k + 1));
+      });
     }
   }
 

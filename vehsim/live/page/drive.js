@@ -26,7 +26,10 @@
     .pad i { position: absolute; left: 50%; top: 50%; width: 28px; height: 28px; margin: -14px; border-radius: 50%;
       background: var(--accent); pointer-events: none; }
     .pad span { position: absolute; left: 0; right: 0; text-align: center; font-size: 11px; color: var(--ink); }
-    .pad span:nth-of-type(1) { top: 3px; } .pad span:nth-of-type(2) { bottom: 3px; }` }));
+    .pad span:nth-of-type(1) { top: 3px; } .pad span:nth-of-type(2) { bottom: 3px; }
+    #recordings div { display: flex; gap: 6px; align-items: center; margin-top: 4px; }
+    #recordings label { flex: 1; min-width: 0; overflow-wrap: anywhere; }
+    #recordings i { width: 10px; height: 10px; border-radius: 50%; }` }));
   element("stage").append(panel);
 
   function button(id, text, hint, act) {
@@ -45,11 +48,46 @@
   const drive = (frame) => vehsim.live.send({ kind: "drive", vehicle: offered().vehicle, frame });
   const stop = () => vehsim.live.send({ kind: "stop" });
 
+  // ---------------------------------------------------------------- recordings side by side
+
+  const recordings = Object.assign(document.createElement("div"), { id: "recordings" });
+  element("panel").insertBefore(recordings, element("notes"));
+  let listed = "";
+
+  /** A row for each recording beside the shot: whether it is drawn, its colour, its name, and a button that uses it. */
+  function listRecordings(given, editor) {
+    const colours = Object.fromEntries((vehsim.viewer ? vehsim.viewer.compared : []).map((one) => [one.name, one.color]));
+    const now = JSON.stringify([given, editor, colours]);
+    if (now === listed) return;
+    listed = now;
+    recordings.replaceChildren(...given.map((one) => {
+      const row = document.createElement("div"), label = document.createElement("label");
+      const box = Object.assign(document.createElement("input"), { type: "checkbox", checked: one.compared, disabled: !editor, title: "draw it beside the present motion" });
+      box.addEventListener("change", () => {
+        const chosen = given.filter((other) => (other === one ? box.checked : other.compared));
+        vehsim.live.send({ kind: "compare", files: chosen.map((other) => other.name) });
+      });
+      label.append(box, ` ${one.name}`);
+      const colour = document.createElement("i");
+      colour.style.background = colours[one.name] || "";
+      const use = Object.assign(document.createElement("button"), { textContent: one.used ? "in use" : "use", title: "make it the vehicle's motion", disabled: !editor || one.used || !one.usable });
+      use.addEventListener("click", () => vehsim.live.send({ kind: "use_recording", file: one.name }));
+      row.append(label, colour, use);
+      return row;
+    }));
+  }
+
+  function compared(header, array) {
+    vehsim.viewer.setCompared(header, array);
+    listRecordings(vehsim.live.state ? vehsim.live.state.recordings : [], vehsim.live.editor);
+  }
+
   // ---------------------------------------------------------------- what the server says
 
   function told(message) {
     if (message.kind === "driving") begin(message.vehicle);
     if (message.kind === "driven") end();
+    if (vehsim.live.state) listRecordings(vehsim.live.state.recordings, vehsim.live.editor);
     const one = offered(), ready = vehsim.live.editor && one && vehsim.live.state.solved;
     start.textContent = driven ? "stop" : "drive";
     start.disabled = !ready;
@@ -141,5 +179,5 @@
   window.addEventListener("keyup", press, true);
   window.addEventListener("blur", () => held.clear()); // its key-up would never come
 
-  vehsim.drive = { told, shown, get values() { return values; }, get driven() { return driven; } };
+  vehsim.drive = { told, shown, compared, get values() { return values; }, get driven() { return driven; } };
 })();

@@ -103,6 +103,7 @@
       vehsim.say("");
     } else if (!viewer) return; // the scene follows
     else if (header.kind === "live") vehsim.drive.shown(header, array);
+    else if (header.kind === "compared") vehsim.drive.compared(header, array);
     else if (header.kind === "motion") {
       viewer.setMotion(header, array);
       drawHandles();
