@@ -1,4 +1,4 @@
-"""Latency of a live session: from a drag's message to the motion that the browser receives, without a browser.
+"""Latency of a live session: from a drag's or release's message to the motion received, without a browser.
 
 ``python -m benchmarks.live`` prints a table and writes ``RESULTS.live.md`` beside this file. A client of the protocol
 drags the last mark along a circle and waits for each answer; every event moves the mark, so every one is solved.
@@ -12,6 +12,7 @@ import math
 import os
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -52,12 +53,16 @@ def shot(vehicle: str, terrain: str, frame: int, place: tuple[float, ...], segme
     )
 
 
-async def measure(text: str, place: tuple[float, ...]) -> tuple[float, dict[float, list[tuple[float, float, bool]]]]:
-    """Seconds until a solved shot is shown; for each radius the events: wall s, CPU s, whether it was drawn."""
+Event = tuple[float, float, bool]
+"""Wall s, CPU s, and whether a motion was drawn."""
+
+
+async def measure(text: str, place: tuple[float, ...]) -> tuple[float, dict[float, tuple[list[Event], Event]]]:
+    """Seconds until a solved shot is shown; for each radius the drags, and the release after them."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "drag.toml")
         path.write_text(text)
-        shown, events = 0.0, {}
+        shown, events = 0.0, dict[float, tuple[list[Event], Event]]()
         for solved in (False, True):  # the second time, the motion comes from the cache
             began = time.monotonic()
             async with asyncio.timeout(600):
@@ -68,22 +73,36 @@ async def measure(text: str, place: tuple[float, ...]) -> tuple[float, dict[floa
                     await _until(socket, "scene")
                     shown = time.monotonic() - began
                     if solved:
-                        events = {radius: await _drag(socket, place, radius) for radius in RADII}
+                        for radius in RADII:
+                            events[radius] = await _drag(socket, place, radius), await _release(socket, place, radius)
                 serving.cancel()
                 await asyncio.gather(serving, return_exceptions=True)
         return shown, events
 
 
-async def _drag(socket: Any, place: tuple[float, ...], radius: float) -> list[tuple[float, float, bool]]:
+async def _drag(socket: Any, place: tuple[float, ...], radius: float) -> list[Event]:
+    """Drags along a circle, back to where the mark was first."""
     events = []
     for k in range(EVENTS + 1):
         angle = 2 * math.pi * k / EVENTS
         at = [place[0] + radius * (math.cos(angle) - 1), place[1] + radius * math.sin(angle), place[2]]
-        wall, cpu = time.monotonic(), time.process_time()
-        await socket.send(json.dumps({"kind": "drag", "key": KEY, "position": at}))
-        kind = await _until(socket, "draft", "undrawn")
-        events.append((time.monotonic() - wall, time.process_time() - cpu, kind == "draft"))
+        events.append(await _timed(socket, "drag", at, ("draft", "undrawn")))
     return events[1:]  # the first does not move the mark
+
+
+async def _release(socket: Any, place: tuple[float, ...], radius: float) -> Event:
+    """The release of the mark at ``radius`` from where it was first: solved as an export would, and audited."""
+    at = [place[0], place[1] - radius, place[2]]
+    await _timed(socket, "drag", at, ("draft", "undrawn"))
+    return await _timed(socket, "place", at, ("motion", "scene", "state"))
+
+
+async def _timed(socket: Any, kind: str, at: Sequence[float], answers: Sequence[str]) -> Event:
+    """Send a handle's place, and wait for the first of the ``answers``, of which the last draws nothing."""
+    wall, cpu = time.monotonic(), time.process_time()
+    await socket.send(json.dumps({"kind": kind, "key": KEY, "position": list(at)}))
+    answer = await _until(socket, *answers)
+    return time.monotonic() - wall, time.process_time() - cpu, answer != answers[-1]
 
 
 async def _until(socket: Any, *kinds: str) -> str:
@@ -102,17 +121,19 @@ def main() -> None:
         "",
         "*Shown*: the time in which a session starts and sends a shot whose motion is in the cache. Wall and CPU time",
         "of an event: from the drag's message to the motion received, server and client together, 90th percentile of",
-        "the events. *Drawn*: events for which a motion was found. Drafts have 48 segments.",
+        "the events. *Drawn*: events for which a motion was found. Drafts have 48 segments. *Release*: the same for",
+        "the release of the mark after the drag, solved as an export would, certified and audited.",
         "",
-        "| shot | shown, s | drag, m | drawn | wall, ms | CPU, ms | target, CPU |",
-        "|---|---|---|---|---|---|---|",
+        "| shot | shown, s | drag, m | drawn | wall, ms | CPU, ms | target, CPU | release, wall s | CPU s |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
     for name, (vehicle, terrain, frame, place, segments, target) in CASES.items():
         shown, drags = asyncio.run(measure(shot(vehicle, terrain, frame, place, segments), place))
-        for radius, events in drags.items():
+        for radius, (events, release) in drags.items():
             wall, cpu = (1e3 * np.percentile([event[k] for event in events], 90) for k in (0, 1))
             drawn = sum(event[2] for event in events)
             row = f"{name} | {shown:.1f} | {radius:g} | {drawn} of {EVENTS} | {wall:.0f} | {cpu:.0f} | {target}"
+            row += f" | {release[0]:.2f} | {release[1]:.2f}" + " (failed)" * (not release[2])
             lines.append(f"| {row} |")
             print(lines[-1], flush=True)
     lines += ["", f"Load {os.getloadavg()[0]:.1f} at the end.", ""]

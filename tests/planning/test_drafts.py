@@ -5,7 +5,10 @@ import pytest
 
 import vehsim
 from vehsim import Mark
+from vehsim.errors import InputError
+from vehsim.planning.certificates import certify, certify_plane
 from vehsim.planning.drafts import SEGMENTS, draft
+from vehsim.world.obstacles.obstacles import box
 
 CAR = vehsim.load_vehicle("car")
 
@@ -71,3 +74,38 @@ def test_wheels_stand_on_the_ground_and_segments_are_few():
     assert len(made) == 73 and SEGMENTS == 48
     assert made.positions[:, 2] == pytest.approx(world.height(made.positions[:, :2]), abs=0.3)
     assert np.ptp(made.positions[:, 2]) > 0.05 and "heave" in made.channels
+
+
+@pytest.mark.parametrize(("name", "height", "top"), [("car", 0.0, 4.0), ("helicopter", 15.0, 60.0)])
+def test_a_draft_follows_an_obstacle_that_moves(name, height, top):
+    """A box is dragged across the path in steps: each draft keeps clear of where it is, and costs as a new draft does.
+
+    One that stands elsewhere and is added changes what the problem consists of.
+    """
+    vehicle = vehsim.load_vehicle(name)
+    ends = [
+        Mark(1001, position=(0, 0, height), heading=0, velocity=(0, 0, 0)),
+        Mark(1241, position=(60, 0, height), heading=0, velocity=(0, 0, 0)),
+    ]
+
+    def world(y, *more):
+        return vehsim.World(obstacles=[box("tower", (30, y, 0), (8, 8, top)), *more])
+
+    options = {"fps": 24, "segments": 32, "clearance": 1.0}
+    plan = vehsim.plan(vehicle, world(8.0), ends, **options, refine=False)
+    now = draft(vehicle, world(8.0), ends, plan.clip, **options)
+    for y in (6.5, 5.0, 4.0):
+        now = now.moved(ends, world(y))
+        assert now.success, now.reason
+    clip = now.clip()
+    assert certify(clip, world(4.0)) > 0.8 if height else certify_plane(clip, parts(world(4.0)))[0] > 0.8
+    fresh = draft(vehicle, world(4.0), ends, clip, **options)
+    assert fresh.success and np.abs(fresh.clip().positions - clip.positions).max() < 0.05
+    again = now.moved(ends, world(4.0, box("far", (30, 60, 0), (4, 4, top))))
+    assert again.success and np.abs(again.clip().positions - clip.positions).max() < 0.05
+    with pytest.raises(InputError, match="tower"):
+        now.moved(ends, vehsim.World(obstacles=[box("tower", (60, 0, 0), (8, 8, top))]))
+
+
+def parts(world):
+    return [(obstacle, 0) for obstacle in world.obstacles]

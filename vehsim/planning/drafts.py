@@ -21,6 +21,7 @@ from vehsim.planning.problem import interrupts
 from vehsim.planning.problem.transcription import transcribe
 from vehsim.planning.request.legs import same_headings
 from vehsim.planning.request.marks import Mark, shape
+from vehsim.planning.request.marks_near_obstacles import check_marks_clear
 from vehsim.planning.request.request import all_marks, make_request
 from vehsim.planning.restraint import restrain
 from vehsim.planning.solve import begin, solve
@@ -54,21 +55,26 @@ class Draft:
             return ""
         return f"worst violation: {self._iterate.worst()}"
 
-    def moved(self, marks: Sequence[Mark]) -> Draft:
-        """The draft for marks that fix the same quantities at other values.
+    def moved(self, marks: Sequence[Mark], world: Any = None) -> Draft:
+        """The draft for marks that fix the same quantities at other values; ``world``: one with obstacles elsewhere.
 
         A failed solve is returned too: the next one starts from the last that succeeded. Raises ``InputError`` for
         marks that the vehicle or the world refuses.
         """
-        before = self._iterate.request
+        before, cover = self._iterate.request, self._iterate.cover
         given = before.given or before.marks
-        request = replace(before, marks=all_marks(marks, before.vehicle, before.world, before.terms))
-        if shape(request.marks) != shape(given):
+        world = before.world if world is None else world
+        marks = all_marks(marks, before.vehicle, world, before.terms)
+        if shape(marks) != shape(given):
             raise ValueError("the marks fix other quantities than before: make a new draft")
-        request = replace(request, given=request.marks, marks=same_headings(request.marks, given, before.marks))
+        request = replace(before, world=world, given=marks, marks=same_headings(marks, given, before.marks))
         run = Run(request, solvers=self._run.solvers, draft=True)
         with interrupts.remembered():
-            iterate = solve(run, at_marks(self._iterate, request))
+            if world is not before.world:
+                check_marks_clear(request.vehicle, world, request.marks, request.clearance, request.fps)
+                cover = cover_for(request, self._iterate.paths, run.deadline.watched(None))
+                run = Run(request, draft=True)  # the solvers contain the distances
+            iterate = solve(run, at_marks(self._iterate, request, cover))
         return Draft(iterate, run)
 
     def clip(self) -> Clip:

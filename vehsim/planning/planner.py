@@ -22,7 +22,7 @@ from vehsim.errors import FailedPlan
 from vehsim.planning.blocks import blocks_of
 from vehsim.planning.certificates import Executed, extent
 from vehsim.planning.certify import refine_and_certify
-from vehsim.planning.constraints.clearance import SLACK, Clearance, cover_for
+from vehsim.planning.constraints.clearance import SLACK, Clearance, SphereCover, cover_for
 from vehsim.planning.constraints.timing import fixed_durations
 from vehsim.planning.deadline import OutOfTime
 from vehsim.planning.explain.feasibility import refusals
@@ -147,7 +147,7 @@ class Plan:
             return _solve(replace(request, given=()), progress, self.clip)
         faced = replace(request, given=request.marks, marks=same_headings(request.marks, given, before.marks))
         run = Run(faced, progress, self._run.solvers)
-        iterate = settle_on_frames(run, solve(run, at_marks(self._iterate, faced)))
+        iterate = settle_on_frames(run, solve(run, at_marks(self._iterate, faced, self._iterate.cover)))
         if not iterate.success:  # no solution from here; its own initial guess may lead to one
             return _solve(replace(request, given=()), progress, None)
         return _result(run, refine_and_certify(run, iterate))
@@ -440,11 +440,12 @@ def _facing(request: Request, paths: Sequence[Array]) -> Request:
     return request if turned == request.marks else replace(request, marks=turned, given=request.marks)
 
 
-def at_marks(iterate: Iterate, request: Request) -> Iterate:
-    """A solved iterate at other marks of the same shape, to start from."""
+def at_marks(iterate: Iterate, request: Request, cover: SphereCover | None) -> Iterate:
+    """A solved iterate at other marks of the same shape, to start from; ``cover``: that of the request's world."""
     transcription, layout = iterate.transcription, iterate.layout
-    fresh = blocks_of(request, transcription, iterate.cover)
-    blocks = tuple(new.resume(old) for new, old in zip(fresh, iterate.blocks, strict=True))
+    blocks = blocks_of(request, transcription, cover)
+    if list(map(type, blocks)) == list(map(type, iterate.blocks)):  # otherwise obstacles came into or out of reach
+        blocks = tuple(new.resume(old) for new, old in zip(blocks, iterate.blocks, strict=True))
     fixed = fixed_durations(request.marks, request.fps)
     lengths = np.where(np.isnan(fixed), iterate.lengths, fixed / np.array(layout.legs))
     return Iterate(

@@ -281,7 +281,8 @@ class Clearance(Block):
         return tighter if self.spare is None else tighter.of_surface(trajectory)
 
     def resume(self, earlier: Clearance) -> Clearance:
-        return replace(self, required=earlier.required, near=earlier.near, spare=earlier.spare)
+        spare = earlier.spare if self.cover is earlier.cover else None
+        return replace(self, required=earlier.required, near=earlier.near, spare=spare)
 
 
 def cover_for(request: Request, paths: Sequence[Array], progress: Progress) -> SphereCover | None:

@@ -223,7 +223,10 @@ class ObstacleClearance(Block):
         return replace(self, extra=extra, active=self.active | (beside[self.owners] > 0))
 
     def resume(self, earlier: ObstacleClearance) -> ObstacleClearance:
-        return earlier
+        same = len(self.parts) == len(earlier.parts)
+        if same and all(a is b for (a, _), (b, _) in zip(self.parts, earlier.parts, strict=True)):
+            return earlier
+        return self if earlier.guess is None else self.near(earlier.guess)
 
 
 def _place(part: int) -> str:
