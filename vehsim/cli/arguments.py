@@ -290,8 +290,8 @@ def _frames(shot: Shot) -> int:
     ends = []
     for table in shot.file.vehicle:
         marks = getattr(table.motion, "mark", None) or []
-        known = [mark.frame for mark in marks if mark.frame != "free"]
-        free = sum(mark.frame == "free" for mark in marks) * FREE
+        known = [mark.given_frame for mark in marks if mark.given_frame is not None]
+        free = (len(marks) - len(known)) * FREE
         seconds = getattr(table.motion, "duration", None) or 0.0
         ends.append(max([header.first, *known]) + (free + seconds) * fps)
     return round(max(ends) - header.first) + 1

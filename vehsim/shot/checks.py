@@ -17,6 +17,7 @@ import numpy as np
 from vehsim.errors import Problem
 from vehsim.intake.usd import beyond, dependencies, open_stage
 from vehsim.lie.quaternions import from_yaw
+from vehsim.requests.mark_frame import FREE
 from vehsim.shot.schema.tables import MAX_FRAMES, ExportTable, MarkTable
 
 if TYPE_CHECKING:
@@ -128,14 +129,14 @@ def check_contact(vehicle: Vehicle, world: World, things: Collection[str]) -> It
 
 def check_order(marks: list[MarkTable], context: Context) -> Iterator[Problem]:
     """Frames increase and are in the shot; the first mark has a frame and a place."""
-    if marks[0].frame == "free":
-        yield Problem("mark[0].frame", "the first mark starts the motion", "give it a whole frame", "free")
+    if marks[0].given_frame is None:
+        yield Problem("mark[0].frame", "the first mark starts the motion", "give it a whole frame", FREE)
     if marks[0].position is None:
         yield Problem("mark[0].position", "missing", "say where the motion starts")
     leave: int | None = None
     for i, mark in enumerate(marks):
-        key, frame = f"mark[{i}].frame", mark.frame
-        if frame == "free":
+        key, frame = f"mark[{i}].frame", mark.given_frame
+        if frame is None:
             continue
         if frame < context.first or (context.last is not None and frame + mark.hold > context.last):
             end = "" if context.last is None else f" to {context.last}"
@@ -146,7 +147,7 @@ def check_order(marks: list[MarkTable], context: Context) -> Iterator[Problem]:
             message = f"not after frame {leave} of the mark before it"
             yield Problem(key, message, "put the marks in order of time", frame)
         leave = frame + mark.hold
-    frames = [mark.frame for mark in marks if mark.frame != "free"]
+    frames = [mark.given_frame for mark in marks if mark.given_frame is not None]
     if frames and max(frames) - min(frames) > MAX_FRAMES:
         yield Problem("mark", f"{max(frames) - min(frames)} frames apart", f"a shot has at most {MAX_FRAMES} frames")
 

@@ -18,7 +18,7 @@ from vehsim.planning.constraints.block import Block
 from vehsim.planning.problem.elements import Element, NonlinearProgram
 from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.transcription import Transcription
-from vehsim.planning.request.marks import Mark
+from vehsim.planning.request.marks import Mark, given_frames
 from vehsim.planning.trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -97,14 +97,14 @@ def _duration(legs: Sequence[int]) -> str:
 
 def fixed_durations(marks: Sequence[Mark], fps: Fraction) -> Array:
     """Seconds of each leg between two marks at frames, and of holds; nan where the planner chooses."""
-    frames = [math.nan if mark.frame == "free" else float(mark.frame) for mark in marks]
+    frames = given_frames(marks)
     spans = [float(a.hold) if a.hold else y - x for a, x, y in zip(marks[:-1], frames[:-1], frames[1:], strict=True)]
     return np.array(spans) / float(fps)
 
 
 def spans_between(marks: Sequence[Mark], fps: Fraction) -> list[tuple[list[int], float]]:
     """Runs of legs between two marks at frames with free marks between: their indices and total duration, s."""
-    fixed = [i for i, mark in enumerate(marks) if mark.frame != "free"]
+    fixed = [i for i, mark in enumerate(marks) if mark.given_frame is not None]
     spans = []
     for a, b in pairwise(fixed):
         if b > a + 1:
@@ -134,8 +134,8 @@ def whole_frames(lengths: Array, marks: Sequence[Mark], fps: Fraction, early: fl
     frames, at = [0], 0.0
     for length, leave, mark in zip(lengths, marks[:-1], marks[1:], strict=True):
         at += length * float(fps)
-        if mark.frame != "free":
-            frames.append(int(mark.frame) - int(marks[0].frame))
+        if mark.given_frame is not None:
+            frames.append(int(mark.given_frame) - int(marks[0].frame))
         elif leave.hold:
             frames.append(frames[-1] + leave.hold)
         else:

@@ -22,6 +22,7 @@ from vehsim.planning.request.legs import facing, legs_between, path_length
 from vehsim.planning.request.request import Request
 from vehsim.planning.solve import begin, solve
 from vehsim.planning.terms import Cost, cost_weights
+from vehsim.requests.mark_frame import FREE
 
 Array = NDArray[np.float64]
 
@@ -53,7 +54,7 @@ def first_frame(request: Request, i: int, j: int, least: int) -> tuple[int, bool
     if request.marks[i].position is None or request.marks[j].position is None:
         return None
     wind = request.wind
-    marks = [*request.marks[i:j], replace(request.marks[j], frame="free", hold=0)]
+    marks = [*request.marks[i:j], replace(request.marks[j], frame=FREE, hold=0)]
     terms = tuple(term for term in request.terms if term.frames is None and not isinstance(term, Cost))
     quick = replace(
         request,

@@ -127,7 +127,7 @@ def too_early(run: Run, near: Iterate) -> str:
     late = {
         i: math.ceil(frame - 1e-3)
         for i, (mark, frame) in enumerate(zip(request.marks[1:], arrivals, strict=True), 1)
-        if mark.frame != "free" and frame > int(mark.frame) + NOTHING * float(request.fps)
+        if mark.given_frame is not None and frame > int(mark.given_frame) + NOTHING * float(request.fps)
     }
     return _earliest(run, near, min(late), late) if late else ""
 
@@ -146,7 +146,7 @@ def _is_met(run: Run, guess: Iterate, frames: dict[int, int]) -> bool:
 def _by_leg(run: Run, guess: Iterate) -> str:
     """The first mark that is too early for its own leg."""
     request, marks = guess.request, guess.request.marks
-    known = [i for i, mark in enumerate(marks) if mark.frame != "free"]
+    known = [i for i, mark in enumerate(marks) if mark.given_frame is not None]
     placed = [i for i in known if marks[i].position is not None]
     for i, j in pairwise(placed):
         here = int(marks[j].frame)

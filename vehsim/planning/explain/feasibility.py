@@ -52,7 +52,7 @@ class Refusal:
 def refusals(request: Request) -> list[Refusal]:
     """Everything that limits and the vehicle's own strength rule out; empty if nothing is proven."""
     found = [refusal for mark in request.marks for refusal in _alone(request, mark)]
-    known = [i for i, mark in enumerate(request.marks) if mark.frame != "free"]
+    known = [i for i, mark in enumerate(request.marks) if mark.given_frame is not None]
     delay = 0
     for i, j in pairwise(known):
         refused, later = _between(request, i, j, delay)
@@ -114,9 +114,15 @@ def _sideways(request: Request, mark: Mark) -> list[Refusal]:
     return [Refusal(mark, "velocity", message, "turn the heading or the velocity")]
 
 
+def _applies(term: Constraint, mark: Mark) -> bool:
+    """Whether a constraint certainly applies at a mark: always, or at frames that contain the given one."""
+    frame = mark.given_frame
+    return term.frames is None or (frame is not None and term.frames[0] <= frame <= term.frames[1])
+
+
 def _looks_elsewhere(mark: Mark, term: Constraint) -> list[Refusal]:
     """A heading that contradicts a constraint to look at a point."""
-    there = term.frames is None or (mark.frame != "free" and term.frames[0] <= mark.frame <= term.frames[1])
+    there = _applies(term, mark)
     if term.aim is None or not there or mark.heading is None or mark.position is None or leeway(mark):
         return []
     (point, aside), within = term.aim, math.degrees(math.acos(float(np.clip(term.lower, -1, 1))))
@@ -135,7 +141,7 @@ def _looks_elsewhere(mark: Mark, term: Constraint) -> list[Refusal]:
 
 def _outside(request: Request, mark: Mark, term: Constraint) -> list[Refusal]:
     """A mark outside the box of a constraint."""
-    there = term.frames is None or (mark.frame != "free" and term.frames[0] <= mark.frame <= term.frames[1])
+    there = _applies(term, mark)
     if term.box is None or mark.position is None or not there:
         return []
     room = mark.tolerance if mark.gate is None else leeway(mark)
@@ -188,7 +194,7 @@ def _between(request: Request, i: int, j: int, delay: int) -> tuple[list[Refusal
         at = last + delay + later
         remedy = f"earliest {at}" if first_of_all else f"use {at}"
         remedy = f"not before {at}" if found is None or blocked else remedy
-        if any(mark.frame != "free" and mark.place > b.place for mark in request.marks):
+        if any(mark.given_frame is not None and mark.place > b.place for mark in request.marks):
             remedy += f", with all later marks moved by {delay + later} frames"
     return [Refusal(b, "frame", f"{frames} need {message}", remedy, at) for message, _ in reasons], later
 

@@ -62,10 +62,11 @@ def asks_of(request: Request, frames: Sequence[float]) -> list[Ask]:
 def _mark(request: Request, mark: Mark, frame: float, hold: float) -> Iterator[Ask]:
     """The requests of one mark at ``frame``, held for ``hold`` frames."""
     vehicle, key = request.vehicle, mark.name
-    if mark.frame == "free":
+    whole = mark.given_frame
+    if whole is None:
         yield Ask(f"{key}.frame", "off_frame", frame, frame, upper=EXACT, unit="frames")
     elif mark.place >= 0:
-        yield Ask(f"{key}.frame", "frame", int(mark.frame), int(mark.frame), lower=mark.frame, upper=mark.frame)
+        yield Ask(f"{key}.frame", "frame", int(whole), int(whole), lower=whole, upper=whole)
     planar = vehicle.group.planar
     given = np.asarray(() if mark.joints is None else mark.joints, float)
     placed = None if vehicle.group.fixed or mark.gate is not None else mark.position

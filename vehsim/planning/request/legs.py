@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 
 from vehsim.clip.clip import Clip
 from vehsim.lie.quaternions import yaw_of
-from vehsim.planning.request.marks import Mark
+from vehsim.planning.request.marks import Mark, given_frames
 
 Array = NDArray[np.float64]
 
@@ -101,8 +100,8 @@ def divided(paths: Sequence[Array], marks: Sequence[Mark]) -> list[Array]:
     """Paths (k, ...) between `placed_marks`, divided into one per leg: the marks between are placed by their frames."""
     legs: list[Array] = []
     for path, (i, j) in zip(paths, pairwise(placed_marks(marks)), strict=True):
-        frames = [math.nan if mark.frame == "free" else float(mark.frame) for mark in marks[i : j + 1]]
-        at = np.array(frames) if np.all(np.isfinite(frames)) else np.arange(j - i + 1.0)
+        frames = given_frames(marks[i : j + 1])
+        at = frames if np.all(np.isfinite(frames)) else np.arange(j - i + 1.0)
         steps = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path[:, :3], axis=0), axis=1))])
         cuts = (at - at[0]) / (at[-1] - at[0]) * steps[-1]
         for a, b in pairwise(cuts):
@@ -139,7 +138,7 @@ def knots_within(
     marks: Sequence[Mark], mark_knots: NDArray[np.intp], frames: tuple[int, int] | None
 ) -> tuple[int, int]:
     """First and last knot of a range of frames for which `with_breaks` added knots; all knots for None."""
-    at = {int(mark.frame): int(knot) for mark, knot in zip(marks, mark_knots, strict=True) if mark.frame != "free"}
+    at = {mark.given_frame: int(knot) for mark, knot in zip(marks, mark_knots, strict=True)}
     end = int(mark_knots[-1])
     return (0, end) if frames is None else (at[frames[0]], at.get(frames[1], end))
 

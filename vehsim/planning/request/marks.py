@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from vehsim.errors import InputError
 from vehsim.lie.quaternions import yaw_of
+from vehsim.requests.mark_frame import FREE, Timed
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ class Gate:
 
 
 @dataclass(frozen=True)
-class Mark:
+class Mark(Timed):
     """The position of the rig's root at a frame, and its motion there. What is ``None`` is free.
 
     ``frame``: a whole frame, or ``"free"``; ``position`` (3,) m; ``heading`` deg, yaw of the body's X axis from world
@@ -116,6 +117,11 @@ def heading_of(mark: Any) -> float | None:
     return None if mark.heading is None else math.radians(mark.heading)
 
 
+def given_frames(marks: Sequence[Mark]) -> NDArray[np.float64]:
+    """The frames of marks (n,); nan where the planner chooses."""
+    return np.array([math.nan if mark.given_frame is None else mark.given_frame for mark in marks], float)
+
+
 def shape(marks: Sequence[Mark]) -> tuple[Any, ...]:
     """Which quantities the marks fix, without their values: marks of equal shape share one built problem."""
     return tuple(_shape(mark) for mark in marks)
@@ -126,7 +132,7 @@ def _shape(mark: Mark) -> tuple[Any, ...]:
     return (
         tuple(getattr(mark, key) is not None for key in keys),
         (mark.balanced, mark.at_rest, mark.speed == 0, mark.hold > 0, mark.on_ground),
-        (mark.frame == "free", mark.tolerance),
+        (mark.given_frame is None, mark.tolerance),
         None if mark.joints is None else tuple(np.isfinite(np.asarray(mark.joints, float))),
         mark.gate and mark.gate.radius is None,
     )
@@ -148,21 +154,22 @@ def check_marks(marks: Sequence[Mark], joints: Sequence[str]) -> list[Mark]:
     remedy."""
     if len(marks) < 2:
         raise InputError(f"{len(marks)} given", "a plan needs at least two, a start and a goal", key="marks")
-    if marks[0].frame == "free":
-        raise InputError("the first mark starts the clip", "give it a whole frame", key="mark[0].frame", value="free")
+    if marks[0].given_frame is None:
+        raise InputError("the first mark starts the clip", "give it a whole frame", key="mark[0].frame", value=FREE)
     if marks[0].position is None:
         raise InputError("missing", "the first mark must say where the motion starts", key="mark[0].position")
     marks = [_at_rest(replace(mark, joints=_joint_row(i, mark, joints), place=i)) for i, mark in enumerate(marks)]
     last: int | None = None
     for i, mark in enumerate(marks):
         _check_numbers(i, mark)
-        if mark.frame == "free":
+        frame = mark.given_frame
+        if frame is None:
             continue
-        if last is not None and mark.frame <= last:
+        if last is not None and frame <= last:
             raise InputError(
-                f"not after frame {last} before it", "put marks in order", key=f"mark[{i}].frame", value=mark.frame
+                f"not after frame {last} before it", "put marks in order", key=f"mark[{i}].frame", value=frame
             )
-        last = mark.frame + mark.hold
+        last = frame + mark.hold
     return _with_holds(marks)
 
 
@@ -195,8 +202,9 @@ def _joint_row(i: int, mark: Mark, joints: Sequence[str]) -> tuple[float, ...] |
 
 
 def _check_numbers(i: int, mark: Mark) -> None:
-    if mark.frame != "free" and (isinstance(mark.frame, bool) or not isinstance(mark.frame, int | np.integer)):
-        raise InputError("not a frame", "give a whole frame, or 'free'", key=f"mark[{i}].frame", value=mark.frame)
+    frame = mark.given_frame
+    if frame is not None and (isinstance(frame, bool) or not isinstance(frame, int | np.integer)):
+        raise InputError("not a frame", "give a whole frame, or 'free'", key=f"mark[{i}].frame", value=frame)
     for key, size in _SIZES.items():
         values = getattr(mark, key)
         if values is not None and (np.shape(values) != (size,) or not np.all(np.isfinite(values))):
@@ -248,8 +256,8 @@ def _with_holds(marks: Sequence[Mark]) -> list[Mark]:
     for mark in marks:
         written.append(mark)
         if mark.hold:
-            frame = mark.frame if mark.frame == "free" else int(mark.frame) + mark.hold
-            written.append(replace(mark, frame=frame, hold=0))
+            frame = mark.given_frame
+            written.append(replace(mark, frame=FREE if frame is None else int(frame) + mark.hold, hold=0))
     return written
 
 
@@ -267,7 +275,7 @@ def with_breaks(marks: Sequence[Mark], frames: Sequence[int]) -> list[Mark]:
     """
     written = list(marks)
     for frame in sorted(set(frames)):
-        known = [i for i, mark in enumerate(written) if mark.frame != "free"]
+        known = [i for i, mark in enumerate(written) if mark.given_frame is not None]
         if any(written[i].frame == frame for i in known):
             continue
         before = [i for i in known if int(written[i].frame) < frame]

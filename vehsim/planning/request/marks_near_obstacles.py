@@ -63,7 +63,8 @@ def marks_too_near(
     parts, flies = parts_in_reach(vehicle, world, marks), vehicle.group.dim == 6
     less = forgiven(marks if flies else [], clearance)
     for i, mark in enumerate(marks):
-        seconds = None if fps is None or mark.frame == "free" else float(int(mark.frame) / fps)
+        frame = mark.given_frame
+        seconds = None if fps is None or frame is None else float(int(frame) / fps)
         if mark.position is None:
             continue
         found = _flown(vehicle, world, mark, seconds) if flies else _driven(vehicle, parts, mark, seconds)
@@ -75,7 +76,7 @@ def marks_too_near(
         obstacle, gap = found.obstacle, found.gap
         where = "rock" if obstacle is None else f"obstacle {obstacle.name!r}"
         where += " at any heading" if found.turned else ""
-        where += f" at frame {mark.frame}" if obstacle is not None and obstacle.moves else ""
+        where += f" at frame {frame}" if obstacle is not None and obstacle.moves else ""
         if gap > 0:
             yield i, f"only {gap:.2f} m from {where}", f"keep the clearance of {clearance:g} m, or reduce it"
         elif obstacle is None:

@@ -83,11 +83,12 @@ class Request:
     def aimed(self, mark: Mark) -> bool:
         """Whether a constraint sets the heading at this mark."""
         ranges = [term.frames for term in self.constraints if term.aim is not None]
-        if mark.frame == "free":
+        first = mark.given_frame
+        if first is None:
             return None in ranges
-        i = [known.frame for known in self.marks].index(mark.frame)
+        i = [known.given_frame for known in self.marks].index(first)
         last = int(self.marks[end_of_hold(self.marks, i)].frame)
-        return any(r is None or (r[0] <= last and mark.frame <= r[1]) for r in ranges)
+        return any(r is None or (r[0] <= last and first <= r[1]) for r in ranges)
 
     def aims(self, mark_knots: NDArray[np.intp]) -> list[tuple[int, int, Any, float]]:
         """The constraints that set headings: (first knot, last knot, point, angle)."""
@@ -193,7 +194,7 @@ def default_costs(vehicle: Vehicle, marks: Sequence[Mark]) -> dict[str, float]:
     Time is added if the duration is free and standing still costs no effort: otherwise the slowest motion would be
     optimal.
     """
-    patient = len(marks) > 0 and marks[-1].frame == "free" and rests_uncontrolled(vehicle)
+    patient = len(marks) > 0 and marks[-1].given_frame is None and rests_uncontrolled(vehicle)
     return ({"time": 1.0} if patient else {}) | dict(vehicle.default_costs)
 
 

@@ -16,6 +16,7 @@ from pydantic import Field
 
 from vehsim.errors import InputError, Problem, SolveError, VehsimError
 from vehsim.intake.tables import table_of
+from vehsim.requests.mark_frame import Timed
 from vehsim.runtime.progress import Progress, silent
 from vehsim.shot.checks import Context, check_names, check_order
 from vehsim.shot.schema.tables import (
@@ -50,7 +51,7 @@ MEASURED = {"speed": "m/s", "steering": "rad", "steering_rate": "rad"}
 _STATES = {"steering": "phi", "leg_rate": "psi_rate", "stretch_rate": "l_rate"}
 
 
-class RestMark(Table):
+class RestMark(Timed, Table):
     """``[[vehicle.motion.mark]]`` of a sinusoid: a place to stand at rest."""
 
     frame: MarkFrame
@@ -149,11 +150,12 @@ class SinusoidMotion(Table):
         speed = self._sinusoid_options(rig).limits.get("speed", rig.limits["speed"])
         short = False
         for a, b in pairwise(self.mark):
-            if a.frame == "free" or b.frame == "free" or b.frame <= a.frame + a.hold:
+            leave, arrive = a.given_frame, b.given_frame
+            if leave is None or arrive is None or arrive <= leave + a.hold:
                 continue
             # the axle, not the root, is steered
             distance = float(np.linalg.norm(self._state(b, rig)[:2] - self._state(a, rig)[:2]))
-            short = short or distance / speed > float((b.frame - a.frame - a.hold) / context.fps) * (1 + 1e-6)
+            short = short or distance / speed > float((arrive - leave - a.hold) / context.fps) * (1 + 1e-6)
         if short:
             try:
                 late = self._legs(vehicle, context, silent)[2]
@@ -205,8 +207,8 @@ class SinusoidMotion(Table):
         first = frame
         for k, (mark, frames) in enumerate(zip(self.mark, [*driven, 0], strict=True)):
             turn = np.deg2rad([mark.heading, mark.pitch, 0.0])
-            if mark.frame != "free":
-                yield Ask(f"mark[{k}].frame", "frame", int(mark.frame), int(mark.frame), lower=frame, upper=frame)
+            if (given := mark.given_frame) is not None:
+                yield Ask(f"mark[{k}].frame", "frame", given, given, lower=frame, upper=frame)
             yield from mark_asks(
                 f"mark[{k}]",
                 frame,
@@ -244,11 +246,11 @@ class SinusoidMotion(Table):
                 offers = [replace(m, clearance=clearance(m.steering, rig, context.world, frame / fps)) for m in offers]
             mark = self.mark[k]
             try:
-                chosen, steering, gap = self._leg(rig, offers, context, frame, mark.frame)
+                chosen, steering, gap = self._leg(rig, offers, context, frame, mark.given_frame)
             except VehsimError as error:
                 raise SolveError.of(replace(error.problem.seen_from(f"mark[{k}]"), subject=vehicle.name)) from None
             frame += round(steering.duration * fps)
-            if mark.frame not in ("free", frame):
+            if mark.given_frame not in (None, frame):
                 why = "too early" if int(mark.frame) < frame else "too close to a moving obstacle"
                 remedy = f"use {frame}, with {chosen.label!r}"
                 late.append(Problem(f"mark[{k}].frame", why, remedy, int(mark.frame)))
@@ -260,11 +262,11 @@ class SinusoidMotion(Table):
         return parts, taken, late
 
     def _leg(
-        self, rig: Rigged, offers: list[Manoeuvre], context: Context, frame: int, until: Any
+        self, rig: Rigged, offers: list[Manoeuvre], context: Context, frame: int, until: int | None
     ) -> tuple[Manoeuvre, Steering, float]:
         """The manoeuvre from ``frame`` on, timed, and its clearance, m.
 
-        It ends on frame ``until``, or as soon as possible if that is "free" or too early for every manoeuvre.
+        It ends on frame ``until``, or as soon as possible if that is None or too early for every manoeuvre.
         """
         from vehsim.sinusoids.manoeuvres.manoeuvres import choose_manoeuvre, clearance, timed_clip
 
@@ -287,7 +289,7 @@ class SinusoidMotion(Table):
             reasons.append(f"{chosen.number}, {chosen.label}: {gap:.2f} m from an obstacle, not {self.clearance:g} m")
             return None
 
-        room = -1.0 if until == "free" else float((int(until) - frame) / context.fps)
+        room = -1.0 if until is None else float((until - frame) / context.fps)
         for chosen in allowed:
             if chosen.steering.duration <= room * (1 + 1e-9) and (found := timed(chosen, room)):
                 return found

@@ -23,6 +23,7 @@ from pydantic import (
 from vehsim.assets import REGISTRIES
 from vehsim.cameras.camera import CameraRig
 from vehsim.intake.tables import Array, InSchema, Metre, NotNegative, Number, Place, Point, Positive, Table, Text
+from vehsim.requests.mark_frame import FREE, Timed
 from vehsim.world.world import MAX_WIND
 
 MAX_FRAMES = 100_000
@@ -77,7 +78,7 @@ def parse_fps(value: Any) -> Fraction:
 
 def parse_mark_frame(value: Any) -> Any:
     """A whole frame, or ``"free"``."""
-    if value == "free" or (isinstance(value, int) and not isinstance(value, bool) and abs(value) <= 10_000_000):
+    if value == FREE or (isinstance(value, int) and not isinstance(value, bool) and abs(value) <= 10_000_000):
         return value
     raise ValueError("neither a whole frame nor 'free'")
 
@@ -164,7 +165,7 @@ class GateTable(Table):
         return self
 
 
-class MarkTable(Table):
+class MarkTable(Timed, Table):
     """``[[vehicle.motion.mark]]``: values that are not given are free."""
 
     frame: MarkFrame
