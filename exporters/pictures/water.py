@@ -26,7 +26,7 @@ DENSITY = 0.7
 """Texels of the texture per pixel, where the mesh is seen; at least one per cell of the mesh."""
 TALL = 0.6
 """Height of the texture over its width, which is that of the picture."""
-MARGIN = 1.15
+BEYOND_VIEW = 1.15
 """Parts of the water further than this times half the picture's diagonal from its middle are not drawn."""
 DEPTHS = np.array([0.006, 0.022, 0.030])
 CREST = np.array([0.020, 0.075, 0.070])
@@ -200,7 +200,7 @@ class WaterView:
         away = net - eye
         distance = np.maximum(np.linalg.norm(away, axis=2), 0.3)
         ahead = (away @ forward) / distance
-        seen = ahead > math.cos(min(MARGIN * math.atan(math.hypot(tall, wide) / 2), math.pi))
+        seen = ahead > math.cos(min(BEYOND_VIEW * math.atan(math.hypot(tall, wide) / 2), math.pi))
         seen = maximum_filter(seen, 5)  # and the cells around them
         sides, counts = [], []
         for axis in (0, 1):

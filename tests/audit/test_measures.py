@@ -272,7 +272,7 @@ class OnWheels(Scene):
 
 
 def landed() -> tuple[float, float, float]:
-    from vehsim.world.ground.landing import put_down
+    from vehsim.world.ground.touchdown import put_down
 
     return tuple(put_down(World("flat"), HELICOPTER, (0.0, 0.0, 3.0), (1.0, 0.0, 0.0, 0.0)).tolist())
 

@@ -178,8 +178,8 @@ class _Hand:
 
     def give(self, job: Job) -> bool:
         self.job = job
-        self._given.append((job.kind, job.task.name))
-        if job.kind == "run":
+        self._given.append(("measure" if job.measures else "run", job.task.name))
+        if not job.measures:
             for hand in (self, *self._when.pop(job.task.name, [])):
                 hand.end()
         return True
@@ -199,7 +199,7 @@ def test_only_clips_that_need_a_field_wait_for_it() -> None:
     when: dict[str, list[_Hand]] = {}
     crew = [_Hand(given, when), _Hand(given, when)]
     when["free2"] = [crew[0]]  # by then the field is measured
-    jobs = [Job("measure", tasks[0]), *(Job("run", task) for task in tasks)]
+    jobs = [Job(tasks[0], measures=True), *map(Job, tasks)]
     outcomes = list(_dispatch(crew, jobs, lambda *args: None))  # type: ignore[arg-type]
     assert given[:3] == [("measure", "canyon1"), ("run", "free1"), ("run", "free2")]
     assert sorted(given[3:]) == [("run", "canyon1"), ("run", "canyon2")]

@@ -22,7 +22,7 @@ from vehsim import Mark, Shot
 from vehsim.errors import InputError, ShotError, SolveError
 from vehsim.lie.quaternions import yaw_of
 from vehsim.planning import stay
-from vehsim.planning.constraints.marks import MarkRows, _amount
+from vehsim.planning.constraints.mark_constraints import MarkRows, _amount
 from vehsim.planning.deadline import MORE, Deadline
 from vehsim.planning.explain import elastic
 from vehsim.planning.explain.bounds import strength

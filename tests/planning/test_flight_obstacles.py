@@ -13,7 +13,7 @@ from vehsim.planning.certificates import certify
 from vehsim.planning.request.landing import landing_clearance
 from vehsim.planning.request.ranges import stay
 from vehsim.world.distance.clearance import ObstacleScene
-from vehsim.world.ground import landing
+from vehsim.world.ground.touchdown import height_below, put_down
 from vehsim.world.obstacles import obstacles as ob
 from vehsim.world.obstacles.obstacles import hulls_of
 from vehsim.world.terrain.terrain import Terrain
@@ -247,10 +247,10 @@ def test_put_down_is_exact(helicopter):
     level = np.array([1.0, 0, 0, 0])
     lowest = min(hull[:, 2].min() for hull in hulls_of(helicopter))
     ground = float(flat.height([(0, 0)])[0])
-    assert landing.put_down(flat, helicopter, (0, 0, 4), level)[2] == pytest.approx(ground - lowest, abs=1e-4)
-    assert landing.put_down(flat, helicopter, (0, 0, 40), level)[2] == pytest.approx(12 - lowest, abs=1e-4)
+    assert put_down(flat, helicopter, (0, 0, 4), level)[2] == pytest.approx(ground - lowest, abs=1e-4)
+    assert put_down(flat, helicopter, (0, 0, 40), level)[2] == pytest.approx(12 - lowest, abs=1e-4)
     points = np.array([(0, 0, 5.0), (0, 0, 11), (0, 0, 40), (30, 0, 40)])
-    np.testing.assert_allclose(landing.height_below(flat, points), [ground, 12, 12, ground], atol=1e-9)
+    np.testing.assert_allclose(height_below(flat, points), [ground, 12, 12, ground], atol=1e-9)
 
 
 def test_helicopters_pass_gates_narrower_than_their_spheres(helicopter):

@@ -20,10 +20,10 @@ RESERVE = 16_000_000
 
 
 class Job(NamedTuple):
-    """A task and its action: ``measure`` its terrain's distance field, or ``run`` it."""
+    """A task to run, or, if it ``measures``, the distance field of the task's terrain to measure before."""
 
-    kind: str
     task: Task
+    measures: bool = False
 
 
 def warm_up() -> None:
@@ -38,7 +38,7 @@ def run_on_processes(tasks: Sequence[Task], count: int, tell: Tell, memory: floa
     """
     warm_up()
     fields = {task.field: task for task in tasks if task.field is not None}
-    jobs = [*(Job("measure", task) for task in fields.values()), *(Job("run", task) for task in tasks)]
+    jobs = [*(Job(task, measures=True) for task in fields.values()), *map(Job, tasks)]
     count = max(1, min(count, len(tasks)))
     crew = [Worker(partial(_serve, memory), count) for _ in range(count)]
     try:
@@ -49,8 +49,8 @@ def run_on_processes(tasks: Sequence[Task], count: int, tell: Tell, memory: floa
 
 def _dispatch(crew: list[Worker], jobs: Sequence[Job], tell: Tell) -> Iterator[Outcome]:
     """The outcomes of the runs. Clips whose field is being measured wait for it, the others do not."""
-    waiting, deaths, ended = deque(jobs), Counter[tuple[str, str]](), list[Outcome]()
-    measuring = {job.task.field for job in jobs if job.kind == "measure"}
+    waiting, deaths, ended = deque(jobs), Counter[tuple[bool, str]](), list[Outcome]()
+    measuring = {job.task.field for job in jobs if job.measures}
     while True:
         for worker in crew:
             while worker.job is None and (job := _next(waiting, measuring)) is not None:
@@ -70,8 +70,8 @@ def _dispatch(crew: list[Worker], jobs: Sequence[Job], tell: Tell) -> Iterator[O
             if message is None:  # the worker died
                 how = worker.how_it_ended()
                 worker.replace()
-                deaths[job.kind, job.task.name] += 1
-                if deaths[job.kind, job.task.name] < ATTEMPTS:
+                deaths[job.measures, job.task.name] += 1
+                if deaths[job.measures, job.task.name] < ATTEMPTS:
                     tell(job.task.name, "queued", f"its worker {how}; tried again", 0.0)
                     waiting.append(job)
                     continue
@@ -80,7 +80,7 @@ def _dispatch(crew: list[Worker], jobs: Sequence[Job], tell: Tell) -> Iterator[O
             worker.job = None
             if message.retire:
                 worker.replace()
-            if job.kind == "run":
+            if not job.measures:
                 ended.append(message)
             measuring.discard(job.task.field)  # clips that need an unmeasured field report the error
 
@@ -88,7 +88,7 @@ def _dispatch(crew: list[Worker], jobs: Sequence[Job], tell: Tell) -> Iterator[O
 def _next(waiting: deque[Job], measuring: Collection[str | None]) -> Job | None:
     """Take the first job that can start."""
     for i, job in enumerate(waiting):
-        if job.kind == "measure" or job.task.field not in measuring:
+        if job.measures or job.task.field not in measuring:
             del waiting[i]
             return job
     return None
@@ -110,8 +110,8 @@ def _serve(memory: float | None, pipe: Connection) -> None:
             pipe.send((name, state, what, done))
 
     while True:
-        kind, task = pipe.recv()
-        if kind == "measure":
+        task, measures = pipe.recv()
+        if measures:
             try:
                 measure(task)
             except Exception as error:

@@ -20,6 +20,14 @@ from vehsim.errors import ExportError, InputError
 from vehsim.runtime.files import machine, owner
 
 
+def _in_target(error: OSError, beside: Path, target: Path) -> Path:
+    """The file or folder of an error while writing to ``beside``, as a path in the target."""
+    if not isinstance(error.filename, str | os.PathLike):
+        return target
+    path = Path(error.filename)
+    return target / path.relative_to(beside) if path.is_relative_to(beside) else path
+
+
 @contextmanager
 def staging(target: Path) -> Iterator[Path]:
     """A hidden folder beside ``target``, on the same file system, deleted when the block ends. Raises
@@ -30,8 +38,8 @@ def staging(target: Path) -> Iterator[Path]:
         _make(beside)
         yield beside
     except OSError as error:
-        text = str(error).replace(beside.name, target.name)
-        raise ExportError(f"could not be written: {text}", "fix that and export again", file=target) from error
+        message = f"could not be written: {error.strerror or error}"
+        raise ExportError(message, "fix that and export again", file=_in_target(error, beside, target)) from error
     finally:
         shutil.rmtree(beside, ignore_errors=True)
         with suppress(OSError):  # it is not empty, perhaps because of another export

@@ -41,6 +41,8 @@ class Group(ABC):
     """Whether its elements move in the plane Z = 0 and rotate about Z."""
     fixed = False
     """Whether its elements only rotate: the body's origin stays fixed."""
+    direct = False
+    """Whether it is SO(3), alone or as a direct product with the translations: rotating then moves no position."""
 
     def __repr__(self) -> str:
         return self.name
@@ -139,7 +141,7 @@ class Group(ABC):
 
 class _SO3(Group):
     name, dim, size, identity = "SO3", 3, 4, (1.0, 0.0, 0.0, 0.0)
-    fixed = True
+    fixed = direct = True
 
     @vectorized
     def compose(self, a: Expr, b: Expr) -> Expr:
@@ -315,6 +317,7 @@ class _SO3xR3(_Spatial):
     """Rotations and translations as a direct product: the group on which SYM discretises the helicopter."""
 
     name = "SO3xR3"
+    direct = True
 
     @vectorized
     def compose(self, a: Expr, b: Expr) -> Expr:

@@ -151,7 +151,7 @@ class DifferenceMap:
             return h * xi
         matrix = np.asarray(inertia(), float)
         turn, rest = matrix[:3, :3], matrix[:3, 3:]
-        if self.group.name in ("SO3", "SO3xR3") and not np.any(rest):
+        if self.group.direct and not np.any(rest):
             return ca.vertcat(rotation(turn, xi[:3], h, order), h * xi[3:])
         if order > 4:
             raise InputError(

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from vehsim.planning.constraints.approach import Landing
 from vehsim.planning.constraints.block import Block
 from vehsim.planning.constraints.clearance import Clearance, SphereCover
 from vehsim.planning.constraints.dynamics import Dynamics, UnconstrainedJoints, UnitQuaternion
 from vehsim.planning.constraints.easing import Easing
-from vehsim.planning.constraints.landing import Landing
-from vehsim.planning.constraints.marks import Loop, MarkRows, closes_loop
+from vehsim.planning.constraints.mark_constraints import Loop, MarkRows, closes_loop
 from vehsim.planning.constraints.obstacle_clearance import ObstacleClearance
-from vehsim.planning.constraints.terms import TermRows
+from vehsim.planning.constraints.path_constraints import TermRows
 from vehsim.planning.constraints.timing import Timing
 from vehsim.planning.costs import OwnCost, RunningCosts
 from vehsim.planning.problem.transcription import Transcription

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.planning.constraints.block import Block
-from vehsim.planning.constraints.terms import add_term
+from vehsim.planning.constraints.path_constraints import add_term
 from vehsim.planning.problem.elements import Element, NonlinearProgram
 from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.stage import segment_view

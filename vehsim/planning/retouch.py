@@ -25,7 +25,7 @@ from vehsim.planning.constraints.block import Block
 from vehsim.planning.constraints.clearance import cover_for
 from vehsim.planning.constraints.dynamics import UnitQuaternion
 from vehsim.planning.constraints.easing import Easing
-from vehsim.planning.constraints.marks import MarkRows, same_state
+from vehsim.planning.constraints.mark_constraints import MarkRows, same_state
 from vehsim.planning.costs import RunningCosts
 from vehsim.planning.guesses.paths import along_clip
 from vehsim.planning.guesses.prolongate import prolongate
@@ -52,7 +52,7 @@ MOVED, TURNED = 2e-3, np.radians(0.2)
 """Distance, m, and angle, rad, from the solved motion above which a frame counts as touched."""
 KEPT = 0.01
 """Largest distance of untouched frames from the solved motion, m."""
-MARGIN = 0.8
+AT_KNOTS = 0.8
 """Share of `KEPT` that knots may use: the motion between them needs the rest."""
 ROOM = 1.0
 """How long before and after the touched frames the vehicle may prepare and recover, s."""
@@ -485,7 +485,7 @@ def _smooth(transcription: Transcription) -> Element:
 def _inside(transcription: Transcription, axes: int) -> Element:
     """A knot (x, c0) stays near the solved position ``centre`` (3,)."""
     v, centre = transcription.symbols("x", "c0"), ca.SX.sym("centre", 3)
-    off = (knot_view(transcription, v["x"], v["c0"]).position - centre)[:axes] / (MARGIN * KEPT)
+    off = (knot_view(transcription, v["x"], v["c0"]).position - centre)[:axes] / (AT_KNOTS * KEPT)
     y = ca.vertcat(v["x"], v["c0"])
     return Element("kept", y, {"centre": centre}, g=ca.sumsqr(off), lower=-np.inf, upper=1.0)
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.planning.constraints.block import Block
-from vehsim.planning.constraints.marks import asks_balance, imbalance
+from vehsim.planning.constraints.mark_constraints import asks_balance, imbalance
 from vehsim.planning.problem.elements import Element, NonlinearProgram
 from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.transcription import Transcription

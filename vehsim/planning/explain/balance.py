@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.lie.quaternions import from_yaw
-from vehsim.planning.constraints.marks import asks_balance, mark_element, mark_values
+from vehsim.planning.constraints.mark_constraints import asks_balance, mark_element, mark_values
 from vehsim.planning.problem.elements import Element
 from vehsim.planning.problem.nlpsol import nlpsol
 from vehsim.planning.problem.transcription import Transcription

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.planning.constraints.block import Block, assemble, parameter_values, variable_bounds
-from vehsim.planning.constraints.marks import MarkRows
+from vehsim.planning.constraints.mark_constraints import MarkRows
 from vehsim.planning.constraints.timing import Timing
 from vehsim.planning.explain.earliest import first_frame
 from vehsim.planning.explain.work import affordable

@@ -66,7 +66,7 @@ def forgiven(marks: Sequence[Mark], wanted: float) -> Callable[[Array], Array]:
 
 
 def descent(mark: Mark) -> Constraint:
-    """The descent speed around a landing, as a constraint between knots; `constraints.landing` enforces it at knots."""
+    """The descent speed around a landing, as a constraint between knots; `approach.Landing` enforces it at knots."""
     place = [float(x) for x in np.asarray(mark.position, float)]
 
     def law(k: KnotView) -> Expr:

@@ -26,7 +26,7 @@ from vehsim.planning.terms import LIMITS, Constraint, Limits, Term, check_limits
 from vehsim.planning.trim import rests_uncontrolled
 from vehsim.vehicles import Vehicle
 from vehsim.vehicles.definition.character import DEFAULT
-from vehsim.world.ground import landing
+from vehsim.world.ground import touchdown
 from vehsim.world.ground.slope import on_terrain
 
 Array = NDArray[np.float64]
@@ -218,11 +218,11 @@ def put_down(mark: Mark, vehicle: Vehicle, world: Any) -> Mark:
     check_inside([mark], vehicle, world)
     q = attitude(mark)
     try:
-        place = landing.put_down(world, vehicle, mark.position, q)
+        place = touchdown.put_down(world, vehicle, mark.position, q)
     except InputError as error:
         raise InputError.of(error.problem.seen_from(key)) from None
-    below = place + landing.feet(vehicle) @ SO3.matrix(q).T
-    hollow = float(np.max(below[:, 2] - landing.height_below(world, below)))
+    below = place + touchdown.feet(vehicle) @ SO3.matrix(q).T
+    hollow = float(np.max(below[:, 2] - touchdown.height_below(world, below)))
     if hollow > UNEVEN:
         message = f"it touches the ground, but stands up to {hollow:.2f} m above it elsewhere"
         warnings.warn(Caution(Problem(key, message, "land on level ground or on a pad (an obstacle)")), stacklevel=5)

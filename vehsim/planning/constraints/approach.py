@@ -17,7 +17,7 @@ from vehsim.planning.problem.stage import knot_view
 from vehsim.planning.problem.transcription import Transcription
 from vehsim.planning.request.landing import GENTLE, SINK, attitude, landing_clearance, rounded_distance
 from vehsim.planning.request.marks import Mark, end_of_hold
-from vehsim.world.ground.landing import feet
+from vehsim.world.ground.touchdown import feet
 
 Array = NDArray[np.float64]
 
@@ -32,7 +32,7 @@ FADE = 10.0
 class Landing(Block):
     """The approach to and departure from mark ``number``.
 
-    The mark's position is a parameter of its `marks.MarkRows`, and the requested clearance one of
+    The mark's position is a parameter of its `mark_constraints.MarkRows`, and the requested clearance one of
     `clearance.Clearance`.
     """
 
