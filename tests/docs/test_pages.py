@@ -156,7 +156,7 @@ def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
     assert "Position of the rig" in reference or "vehsim.plan" in reference
 
 
-FOLDERS = ("vehsim", "exporters", "tests", "tools", "benchmarks", "examples", "assets")
+FOLDERS = ("vehsim", "exporters", "tests", "tools", "benchmarks", "examples", "assets", "extension")
 
 
 def _read(file: str) -> str:
@@ -170,7 +170,7 @@ def _pages() -> list[Path]:
 @pytest.mark.parametrize("page", _pages(), ids=lambda page: page.name)
 def test_files_and_names_cited_by_a_page_exist(page: Path) -> None:
     text = " ".join(page.read_text(encoding="utf-8").split())
-    files = set(re.findall(r"`((?:vehsim|exporters|tests|tools|assets|benchmarks|examples)/[\w/.-]+?)/?`", text))
+    files = set(re.findall(rf"`((?:{'|'.join(FOLDERS)})/[\w/.-]+?)/?`", text))
     missing = [name for name in files if "sled" not in name and not (ROOT / name).exists()]  # a recipe makes the sled
     modules = {path.name for folder in FOLDERS for path in (ROOT / folder).rglob("*.py")}
     missing += [name for name in re.findall(r"`(?:\w+/)*(\w+\.py)`", text) if name not in modules]
