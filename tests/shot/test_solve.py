@@ -14,6 +14,7 @@ import pytest
 from vehsim import Clip, Shot, State, World, load_vehicle, simulate
 from vehsim.cameras.camera import CameraRig
 from vehsim.errors import InputError, ShotError
+from vehsim.shot.motions.limits import LimitTable
 from vehsim.shot.schema.shot_file import schema
 from vehsim.shot.schema.tables import CameraTable, parse_fps
 
@@ -291,3 +292,10 @@ def test_a_vehicle_that_is_an_obstacle_pushes_those_that_are_simulated(tmp_path:
     clips = Shot.from_dict(data).solve().clips
     assert clips["idle"].events[0]["with"] == "ram" and clips["idle"].twists[-1, 3] > 1.5
     assert np.array_equal(clips["ram"].positions, ram.positions)
+
+
+def test_limits_have_one_order_in_every_process() -> None:
+    """The rows of the problem have this order too; a set of names has another one in every process."""
+    names = ["turn_rate", "speed", "climb", "bank", "g_load", "ceiling", "joints"]
+    given = LimitTable.model_validate({name: 1.0 for name in names[:-1]} | {"joints": {"psi": 1.0}}).given()
+    assert list(given) == sorted(names)

@@ -70,7 +70,7 @@ def traits_of(vehicle: Vehicle, name: str, cost: str | Mapping[str, float]) -> T
     costs = {"smoothness": price * time**2, "easing": price * time**4}
     costs |= {key: price * trait.of(name) for key, trait in character.costs.items()}
     for key, given, known in (("limits", character.limits, LIMITS), ("costs", character.costs, COSTS)):
-        for unknown in given.keys() - set(known):
+        for unknown in (key for key in given if key not in known):
             remedy = f"choose one of {', '.join(known)}"
             raise InputError("unknown", remedy, key=f"character.{key}.{unknown}", subject=vehicle.name)
     return Traits(

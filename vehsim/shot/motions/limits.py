@@ -66,8 +66,8 @@ class LimitTable(Table):
     """a table of joints, each with a number or [low, high], in the vehicle's own units per second"""
 
     def given(self) -> dict[str, Any]:
-        """Bounds by name, as in the file."""
-        return {name: getattr(self, name) for name in self.model_fields_set}
+        """The bounds in the file, sorted by name: their order is that of rows in the problem, and a set has none."""
+        return {name: getattr(self, name) for name in sorted(self.model_fields_set)}
 
 
 class LookTable(Table):
