@@ -196,7 +196,7 @@ class Server:
             elif isinstance(message, Edit):
                 change = getattr(session, message.kind)
                 await self._solve(lambda: change(message))
-            elif message.kind == "stop":  # that it came has ended the drive
+            elif message.kind == "stop":  # its arrival has ended the drive
                 return
             elif message.kind in ("undo", "redo"):
                 getattr(document, message.kind)()
@@ -235,15 +235,15 @@ class Server:
 
     async def _drive(self, message: TakeControls) -> None:
         """Drive until anything else is requested, or the browser has gone."""
-        session, newest, told = self._session, Newest(), self._loop
-        assert told is not None
+        session, newest, loop = self._session, Newest(), self._loop
+        assert loop is not None
         await self._tell({"kind": "driving", "vehicle": message.vehicle})
         sending = asyncio.create_task(self._send_newest(newest))
         try:
             await self._solve(
                 lambda: session.drive(
                     message,
-                    lambda block: told.call_soon_threadsafe(newest.put, block),
+                    lambda block: loop.call_soon_threadsafe(newest.put, block),
                     lambda: bool(self._jobs or self._drag or not self._sockets) or session.superseded.is_set(),
                 )
             )

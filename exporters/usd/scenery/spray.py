@@ -1,7 +1,7 @@
 """Spray: drops that hulls throw up where they strike the water, and that the wind tears from breaking crests.
 
 For pictures only. Each drop flies through the wind with drag in proportion to its speed, in closed form; what is thrown
-up in a frame depends on that frame alone, so spray is the same whichever frames are asked for.
+up in a frame depends on that frame alone, so spray is the same whichever frames are exported.
 """
 
 from __future__ import annotations
