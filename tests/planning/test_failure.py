@@ -22,7 +22,7 @@ from vehsim import Mark, Shot
 from vehsim.errors import InputError, ShotError, SolveError
 from vehsim.lie.quaternions import yaw_of
 from vehsim.planning import stay
-from vehsim.planning.constraints.mark_constraints import MarkRows, _amount
+from vehsim.planning.constraints.mark_constraints import MarkConstraint, _amount
 from vehsim.planning.deadline import MORE, Deadline
 from vehsim.planning.explain import elastic
 from vehsim.planning.explain.bounds import strength
@@ -583,7 +583,7 @@ def test_a_car_reverses_to_pass_a_gate_behind_it_forwards():
 def test_the_worst_violation_of_a_mark_has_its_unit():
     """It was "mark[0].heading, off by 1" where the vehicle points to the side."""
     car, marks = vehsim.load_vehicle("car"), [Mark(1, position=(0, 0, 0), heading=0), Mark(49, position=(9, 0, 0))]
-    rows = MarkRows(marks, 0)
+    rows = MarkConstraint(marks, 0)
     labels = ["mark[0].position"] * 2 + ["mark[0].heading"] * 2 + ["mark[0].speed"]
     use, off = SimpleNamespace(element=SimpleNamespace(labels=labels)), np.array([3.0, 4.0, 1.0, 0.0, 2.0])
     assert [rows.amount(use, k, off) for k in (0, 2, 4)] == ["5 m", "90 deg", "2 m/s"]

@@ -7,9 +7,9 @@ from vehsim.planning.constraints.block import Block
 from vehsim.planning.constraints.clearance import Clearance, SphereCover
 from vehsim.planning.constraints.dynamics import Dynamics, UnconstrainedJoints, UnitQuaternion
 from vehsim.planning.constraints.easing import Easing
-from vehsim.planning.constraints.mark_constraints import Loop, MarkRows, closes_loop
+from vehsim.planning.constraints.mark_constraints import Loop, MarkConstraint, closes_loop
 from vehsim.planning.constraints.obstacle_clearance import ObstacleClearance
-from vehsim.planning.constraints.path_constraints import TermRows
+from vehsim.planning.constraints.path_constraints import PathConstraint
 from vehsim.planning.constraints.timing import Timing
 from vehsim.planning.costs import OwnCost, RunningCosts
 from vehsim.planning.problem.transcription import Transcription
@@ -31,7 +31,7 @@ def blocks_of(request: Request, transcription: Transcription, cover: SphereCover
     blocks.append(Easing(weights, traits, marks))
     blocks.append(UnitQuaternion())
     for i, mark in enumerate(marks):
-        blocks.append(MarkRows(marks, i, closes_loop(marks, i, request.loop)))
+        blocks.append(MarkConstraint(marks, i, closes_loop(marks, i, request.loop)))
         if mark.on_ground and not (i and marks[i - 1].hold):
             blocks.append(Landing(marks, i))
     if request.loop:
@@ -39,7 +39,7 @@ def blocks_of(request: Request, transcription: Transcription, cover: SphereCover
     parts = parts_in_reach(request.vehicle, request.world, marks)
     if parts:
         blocks.append(ObstacleClearance(request.vehicle, parts, request.clearance))
-    blocks += [TermRows(term, marks, number) for number, term in enumerate(constraints)]
+    blocks += [PathConstraint(term, marks, number) for number, term in enumerate(constraints)]
     blocks += [OwnCost(term, marks) for term in request.terms if isinstance(term, Cost)]
     if not request.vehicle.group.planar:
         blocks.append(Clearance(request, cover, request.clearance))

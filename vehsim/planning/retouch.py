@@ -25,7 +25,7 @@ from vehsim.planning.constraints.block import Block
 from vehsim.planning.constraints.clearance import cover_for
 from vehsim.planning.constraints.dynamics import UnitQuaternion
 from vehsim.planning.constraints.easing import Easing
-from vehsim.planning.constraints.mark_constraints import MarkRows, same_state
+from vehsim.planning.constraints.mark_constraints import MarkConstraint, same_state
 from vehsim.planning.costs import RunningCosts
 from vehsim.planning.guesses.paths import along_clip
 from vehsim.planning.guesses.prolongate import prolongate
@@ -307,7 +307,7 @@ def _attempt(
 
 def _without_costs(request: Request, transcription: Transcription, cover: Any, ends: _Ends) -> list[Block]:
     """The blocks of a plan from mark to mark, without its costs and with its ends given by states."""
-    unwanted: tuple[type, ...] = (RunningCosts, Easing, MarkRows, *((UnitQuaternion,) if ends.begins else ()))
+    unwanted: tuple[type, ...] = (RunningCosts, Easing, MarkConstraint, *((UnitQuaternion,) if ends.begins else ()))
     return [block for block in blocks_of(request, transcription, cover) if not isinstance(block, unwanted)]
 
 

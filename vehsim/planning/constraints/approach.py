@@ -32,7 +32,7 @@ FADE = 10.0
 class Landing(Block):
     """The approach to and departure from mark ``number``.
 
-    The mark's position is a parameter of its `mark_constraints.MarkRows`, and the requested clearance one of
+    The mark's position is a parameter of its `mark_constraints.MarkConstraint`, and the requested clearance one of
     `clearance.Clearance`.
     """
 

@@ -35,7 +35,7 @@ PARAMETERS = {"position": 3, "heading": 1, "orientation": 4, "velocity": 3, "spe
 
 
 @dataclass(frozen=True, eq=False)
-class MarkRows(Block):
+class MarkConstraint(Block):
     """The constraints of mark ``number`` at its knot, unless it is the end of a hold.
 
     ``closes``: it ends a loop, and does not repeat what the first mark fixes. ``price``: above zero the mark may be

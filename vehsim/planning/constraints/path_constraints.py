@@ -59,7 +59,7 @@ class Excess:
 
 
 @dataclass(frozen=True, eq=False)
-class TermRows(Block):
+class PathConstraint(Block):
     """A constraint's rows: at every knot or segment of its frames, and at ``instants`` (k,) between knots.
 
     ``instants`` are counted in segments since the start; they are its active set.
@@ -110,17 +110,17 @@ class TermRows(Block):
             bounds = {self.constraint.joint: (self.constraint.lower, self.constraint.upper)}
             bound_joints(trajectory, bounds, lower, upper)
 
-    def prolongate(self, coarse: Trajectory, fine: Trajectory) -> TermRows:
+    def prolongate(self, coarse: Trajectory, fine: Trajectory) -> PathConstraint:
         activated = self._activated(coarse)
         if coarse.layout.segments == fine.layout.segments:
             return activated
         moved = activated.instants * (fine.layout.segments / coarse.layout.segments)
         return replace(activated, instants=moved[np.abs(moved - np.round(moved)) > 1e-6])  # knots are rows anyway
 
-    def tighten(self, trajectory: Trajectory, finding: Finding) -> TermRows:
+    def tighten(self, trajectory: Trajectory, finding: Finding) -> PathConstraint:
         return self._activated(trajectory)
 
-    def resume(self, earlier: TermRows) -> TermRows:
+    def resume(self, earlier: PathConstraint) -> PathConstraint:
         return replace(self, instants=earlier.instants)
 
     def measure(self, trajectory: Trajectory, clip: Clip, progress: Progress | None) -> Finding:
@@ -145,7 +145,7 @@ class TermRows(Block):
     def _broken(self, excess: Array) -> bool:
         return bool(excess.size and excess.max() > self.constraint.slack)
 
-    def _activated(self, trajectory: Trajectory) -> TermRows:
+    def _activated(self, trajectory: Trajectory) -> PathConstraint:
         """The block with rows added where a trajectory's clip violates the constraint."""
         excess, _, times = self._excess(trajectory)
         if not self._broken(excess):

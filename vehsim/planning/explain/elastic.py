@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.planning.constraints.block import Block, assemble, parameter_values, variable_bounds
-from vehsim.planning.constraints.mark_constraints import MarkRows
+from vehsim.planning.constraints.mark_constraints import MarkConstraint
 from vehsim.planning.constraints.timing import Timing
 from vehsim.planning.explain.earliest import first_frame
 from vehsim.planning.explain.work import affordable
@@ -84,7 +84,7 @@ def diagnose(run: Run, guess: Iterate) -> tuple[str, Array | None]:
 def _missed(run: Run, guess: Iterate) -> tuple[str, Array | None]:
     """Which marks are missed in elastic mode and by how much, and the variables; None if it is not solved."""
     loose = _loosened(guess.blocks, 0.0)
-    blocks = [replace(b, price=PRICE) if isinstance(b, MarkRows) and b.number else b for b in loose]
+    blocks = [replace(b, price=PRICE) if isinstance(b, MarkConstraint) and b.number else b for b in loose]
     problem = assemble(guess.transcription, guess.layout, blocks)
     answer = _solved(run, guess, problem, blocks)
     if not answer.success:
@@ -92,7 +92,7 @@ def _missed(run: Run, guess: Iterate) -> tuple[str, Array | None]:
     x, misses = answer.x, []
     for use in problem.uses:
         block, rows = blocks[use.owner], use.rows
-        if not (isinstance(block, MarkRows) and block.price):
+        if not (isinstance(block, MarkConstraint) and block.price):
             continue
         slack, labels = x[use.variables[-2 * rows :, 0]], np.array(use.element.labels)
         by = np.abs(slack[:rows] - slack[rows:])
