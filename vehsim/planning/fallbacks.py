@@ -17,6 +17,7 @@ from vehsim.planning.guesses.drive import drive
 from vehsim.planning.guesses.pace import fewest_segments
 from vehsim.planning.guesses.routes import as_clip, backwards, shunting
 from vehsim.planning.iterate import Iterate, Run
+from vehsim.planning.request.landing import landings
 from vehsim.planning.request.legs import bent, divided, legs_between, path_length, placed_marks
 from vehsim.planning.request.request import MOST_SEGMENTS, Request
 from vehsim.planning.solve import begin, solve
@@ -44,9 +45,9 @@ def in_narrow_places(run: Run, failed: Iterate, paths: Sequence[Array], clip: Cl
     """The iterate solved with the surface of the vehicle instead of the spheres around it, or the failed one.
 
     The distances of both are measured along the guess, then along each solution, since they hold near the poses at
-    which they were measured. What is found is certified like any motion.
+    which they were measured. What is found is certified like any motion. Landings have their own allowance.
     """
-    if failed.cover is None or failed.cover.static is None:
+    if failed.cover is None or failed.cover.static is None or landings(failed.request.marks):
         return failed
     iterate: Iterate = begin(run, failed.request, failed.transcription, failed.cover, paths, clip)
     for _ in range(MEASURED):

@@ -216,7 +216,7 @@ class Clearance(Block):
 
     def presses(self, trajectory: Trajectory) -> bool:
         """Whether spheres bound a motion somewhere although the vehicle's surface has `ROOMY` m to spare there."""
-        if self.cover is None or self.cover.static is None or self.spare is not None:
+        if self.cover is None or self.cover.static is None or self.spare is not None or self._landings():
             return False
         positions, rotations = self._poses(trajectory)
         bound = self._spheres(positions, rotations).min(axis=1) < self.required + SLACK
