@@ -479,3 +479,16 @@ def test_every_moving_part_is_where_the_stage_has_it(tmp_path):
     assert angles_between(*turns).max() < 1e-3
     moved_by = [set(kinematics.moved_by(name)) for name in ("truck", "helicopter")]
     assert moved_by[0] | moved_by[1] == set(range(len(stage.groups))) and not moved_by[0] & moved_by[1]
+
+
+def test_a_drag_is_in_the_character_of_the_solved_motion(tmp_path):
+    """Marks that leave too little time for the requested character: the draft begins where the plan is."""
+    path = tmp_path / "hurried.toml"
+    path.write_text(SHOT.replace("frame = 1073", "frame = 1065"))
+    session = Session(path, tmp_path, lambda *_: None)
+    assert session.solve() is not None
+    assert "driven as" in session.problems[0]["text"], session.problems
+    report = session.take.report["vehicles"]["car"]
+    assert report["character"] != "normal"
+    drawn = session._follow(session.shot, "car").clip()
+    assert np.abs(drawn.positions - session.take.clips["car"].resample().positions).max() < 0.03

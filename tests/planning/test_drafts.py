@@ -1,11 +1,14 @@
 """Drafts: motion while marks are dragged, compared with plans for the same marks."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import vehsim
 from vehsim import Mark
 from vehsim.errors import InputError
+from vehsim.lie.quaternions import yaw_of
 from vehsim.planning.certificates import certify, certify_plane
 from vehsim.planning.drafts import SEGMENTS, draft
 from vehsim.world.obstacles.obstacles import box
@@ -105,6 +108,20 @@ def test_a_draft_follows_an_obstacle_that_moves(name, height, top):
     assert again.success and np.abs(again.clip().positions - clip.positions).max() < 0.05
     with pytest.raises(InputError, match="tower"):
         now.moved(ends, vehsim.World(obstacles=[box("tower", (60, 0, 0), (8, 8, top))]))
+
+
+def test_a_draft_faces_as_its_clip_where_a_plan_chose_the_heading():
+    """At rest without a heading: the plan turns along its path; the draft keeps that, also when the mark moves."""
+    heli = vehsim.load_vehicle("helicopter")
+    ends = [
+        Mark(1001, position=(0, 0, 20), heading=0, velocity=(0, 0, 0)),
+        Mark(1241, position=(40, 40, 20), velocity=(0, 0, 0)),
+    ]
+    plan = vehsim.plan(heli, None, ends, segments=32)
+    drawn = draft(heli, None, ends, plan.clip, fps=24, segments=32)
+    moved = drawn.moved([ends[0], replace(ends[1], position=(41, 40, 20))])
+    yaw = [np.degrees(yaw_of(one.orientations[-1:]))[0] for one in (plan.clip, drawn.clip(), moved.clip())]
+    assert 30 < yaw[0] < 60 and yaw == pytest.approx([yaw[0]] * 3, abs=0.1)
 
 
 def parts(world):

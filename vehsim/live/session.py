@@ -498,9 +498,9 @@ class Session:
     def _follow(self, shot: Shot, name: str) -> Draft:
         """The draft of a vehicle for the marks and the world of ``shot``, which becomes the present one.
 
-        It is solved from the present one, also where obstacles moved. If anything else differs than the values of
-        marks, or if that fails, a new one starts from its motion or, if that fails too, from a new path. Raises
-        ``VehsimError`` with the reason if there is no such motion.
+        It is in the character of the solved motion, and solved from the present draft, also where obstacles moved. If
+        anything else differs than the values of marks, or if that fails, a new one starts from its motion or, if that
+        fails too, from a new path. Raises ``VehsimError`` with the reason if there is no such motion.
         """
         from vehsim.planning.drafts import draft
         from vehsim.planning.request.marks import shape
@@ -512,16 +512,18 @@ class Session:
         marks = [as_mark(mark, vehicle) for mark in table.motion.mark]
         others = tuple(self.take.clips[one.name] for one in world.moving)
         rest = table.asset, table.parameters, table.motion.model_copy(update={"mark": None}), shape(marks)
-        request = (shot.world, others, *rest)
+        driven = self.take.report["vehicles"][name].get("character", table.motion.character)
+        options = table.motion.options() | {"fps": shot.fps, "character": driven}
+        request = (shot.world, others, driven, *rest)
         before = self._drafts.get(name)
         now, same = None, before is not None and before.request == request
         if before is not None and before.request[1:] == request[1:]:
             now = before.draft.moved(marks, None if same else world)
         if now is None or not (now.success or same):
             clip = before.draft.clip() if before is not None and before.take is self.take else self.take.clips[name]
-            now = draft(vehicle, world, marks, clip, fps=shot.fps, **table.motion.options())
+            now = draft(vehicle, world, marks, clip, **options)
             if not now.success:  # an obstacle was dragged into the path: find another one
-                now = draft(vehicle, world, marks, None, fps=shot.fps, **table.motion.options())
+                now = draft(vehicle, world, marks, None, **options)
         if now.success or before is None:
             self._drafts[name] = Drawn(now, self.take, request)
         if not now.success:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from vehsim.clip.clip import Clip
+from vehsim.lie.quaternions import yaw_of
 from vehsim.planning.constraints.clearance import cover_for
 from vehsim.planning.guesses.routes import as_clip, find_paths
 from vehsim.planning.iterate import Iterate, Run
@@ -22,8 +23,8 @@ from vehsim.planning.problem.transcription import transcribe
 from vehsim.planning.request.legs import same_headings
 from vehsim.planning.request.marks import Mark, shape
 from vehsim.planning.request.marks_near_obstacles import check_marks_clear
-from vehsim.planning.request.request import all_marks, make_request
-from vehsim.planning.restraint import restrain
+from vehsim.planning.request.request import Request, all_marks, make_request
+from vehsim.planning.restraint import restrain, restrained
 from vehsim.planning.solve import begin, solve
 from vehsim.vehicles import Vehicle
 from vehsim.world.ground.placing import place_on_terrain
@@ -99,9 +100,24 @@ def draft(vehicle: Vehicle, world: Any, marks: Sequence[Mark], clip: Clip | None
         paths = find_paths(request, clip, run.deadline.watched(None))
         cover = cover_for(request, paths, run.deadline.watched(None))
         guess = as_clip(request, clip)
+        if guess is not None and request.weights["course"]:
+            request = replace(request, given=request.marks, marks=_facing_as(guess, request))
         first = begin(run, request, transcribe(request.weighed), cover, paths, guess, coarse=False)
-        iterate = solve(run, first)
-        return Draft(restrain(run, iterate), run)
+        iterate = first
+        if guess is not None:  # a solved motion, in its character already: stay near it
+            iterate = solve(run, replace(restrained(first), prolongated=True))
+        return Draft(iterate if iterate.success else restrain(run, solve(run, first)), run)
+
+
+def _facing_as(clip: Clip, request: Request) -> list[Mark]:
+    """The marks; those at rest without an attitude, which a plan turns along its path, face as the clip does there."""
+    marks = list(request.marks)
+    for i, mark in enumerate(marks):
+        if mark.balanced and mark.heading is None and mark.frame != "free" and not request.aimed(mark):
+            time = (float(mark.frame) - clip.start_frame) / float(clip.fps)
+            yaw = yaw_of(clip.at([np.clip(time, clip.times[0], clip.times[-1])]).orientations)
+            marks[i] = replace(mark, heading=float(np.degrees(yaw[0])))
+    return marks
 
 
 def _whole(clip: Clip) -> Any:

@@ -130,6 +130,13 @@ class Plan:
         """The marks of the plan, with holds as two marks and marks on the ground placed on the terrain or obstacle."""
         return [] if self._iterate is None else list(self._iterate.request.given or self._iterate.request.marks)
 
+    @property
+    def character(self) -> str:
+        """The character in which the motion is driven: a harder one than requested if the marks leave too little
+        time."""
+        assert self._iterate is not None
+        return self._iterate.request.traits.name
+
     def replan(self, marks: Sequence[Mark], progress: Progress | None = None) -> Plan:
         """The plan for other marks, started from this one: fast if the marks fix the same quantities at other
         values."""

@@ -44,9 +44,16 @@ def in_character(run: Run, iterate: Iterate, traits: Traits) -> Iterate:
 def restrain(run: Run, iterate: Iterate) -> Iterate:
     """An iterate solved within the soft limits of its character, as far as its marks allow; if this fails,
     unchanged."""
-    costs = iterate.block(RunningCosts)
-    if costs is None or not (costs.limits or costs.control_rates) or not iterate.success or run.deadline.late:
+    wanted = restrained(iterate)
+    if wanted is iterate or not iterate.success or run.deadline.late:
         return iterate
-    blocks = tuple(replace(b, restrained=True) if b is costs else b for b in iterate.blocks)
-    within = solve(run, replace(iterate, blocks=blocks, multipliers=None))
+    within = solve(run, replace(wanted, multipliers=None))
     return within if within.success else iterate
+
+
+def restrained(iterate: Iterate) -> Iterate:
+    """An iterate with the soft limits of its character in its problem; unchanged if it has none."""
+    costs = iterate.block(RunningCosts)
+    if costs is None or not (costs.limits or costs.control_rates):
+        return iterate
+    return replace(iterate, blocks=tuple(replace(b, restrained=True) if b is costs else b for b in iterate.blocks))

@@ -188,7 +188,7 @@ class PlanMotion(Table):
         if not result.success:
             raise SolveError(f"no plan was found: {result.message}", reason=result.reason, subject=vehicle.name)
         # the duration of the solve is omitted: the same shot gives the same report
-        names = ("success", "message", "cost", "duration", "iterations", "segments", "defect", "clearance")
+        names = ("success", "message", "cost", "duration", "iterations", "segments", "defect", "clearance", "character")
         report = {name: getattr(result, name) for name in names} | {"executed": asdict(result.executed)}
         places = {mark.place: mark.position for mark in result.marks}
         marks_found = [
