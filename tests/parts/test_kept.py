@@ -15,6 +15,7 @@ import vehsim
 from tests.parts.test_reading import CUBE, add_cube, new_stage
 from vehsim.rig import parts
 from vehsim.rig.parts import solids
+from vehsim.runtime.files import making_folder
 
 ALONE = """
 import sys, vehsim
@@ -161,3 +162,19 @@ def test_a_plan_with_a_cached_vehicle_does_not_load_usd():
         output = subprocess.run([sys.executable, "-c", ALONE], capture_output=True, text=True, check=True)
         assert output.stdout.startswith("True ["), output.stdout + output.stderr
         assert known <= (output.stdout.strip() == "True []")
+
+
+def test_a_folder_is_made_whole_or_not_at_all_and_the_first_one_stays(tmp_path):
+    folder = tmp_path / "made"
+    with making_folder(folder) as slower:
+        slower.mkdir()
+        (slower / "file").write_text("slower")
+        with making_folder(folder) as faster:
+            faster.mkdir()
+            (faster / "file").write_text("faster")
+            assert not folder.exists()
+    assert (folder / "file").read_text() == "faster"
+    with pytest.raises(ZeroDivisionError), making_folder(tmp_path / "broken") as beside:
+        beside.mkdir()
+        raise ZeroDivisionError
+    assert [path.name for path in tmp_path.iterdir() if path.name != "cache"] == ["made"]

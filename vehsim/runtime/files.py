@@ -1,4 +1,7 @@
-"""Files that are written beside their place and then moved into it: a reader finds a whole file or none."""
+"""Files and folders that are written beside their place and then moved into it: a reader finds all of one or nothing.
+
+The folders of deliveries, which replace one another, are moved by `vehsim.delivery.folders`.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import hashlib
 import os
 import platform
 import secrets
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
@@ -28,6 +32,21 @@ def replacing_file(path: Path, durable: bool = False) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             beside.unlink()
+
+
+@contextmanager
+def making_folder(folder: Path) -> Iterator[Path]:
+    """Yield a hidden path beside ``folder``. The folder made there becomes ``folder`` when the block ends well.
+
+    If another process was faster, its folder stays: both must have the same content.
+    """
+    beside = folder.with_name(f".{folder.name}.{owner()}.partial")
+    try:
+        yield beside
+        with suppress(OSError):  # another process was faster
+            beside.rename(folder)
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
 
 
 def write_file(path: Path, content: bytes | str, durable: bool = False) -> None:

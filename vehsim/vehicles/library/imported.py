@@ -10,7 +10,6 @@ import hashlib
 import io
 import json
 import re
-import secrets
 import shutil
 import struct
 import unicodedata
@@ -26,7 +25,7 @@ from vehsim.intake.foreign import reading
 from vehsim.intake.reader import Answer, read_cached, read_in_process
 from vehsim.intake.usd import SUFFIXES, open_stage
 from vehsim.runtime.cache import SOURCE, cache_folder, is_whole, seal
-from vehsim.runtime.files import write_file
+from vehsim.runtime.files import making_folder, write_file
 
 MESHES = (".glb", ".gltf", ".obj")
 KEYS = {"up_axis", "meters_per_unit", "forward", "offset", "variants"}
@@ -219,20 +218,12 @@ def _converted(path: Path, up: str, metres: float) -> Path:
     file = folder / f"{path.stem}.usdc"
     if _is_whole(folder, folder / "seal"):
         return file
-    beside = folder.with_name(f".{folder.name}.{secrets.token_hex(4)}")
-    try:
+    with making_folder(folder) as beside:
         read_in_process(convert, path, "asset", str(beside / file.name), up, metres)
-    except InputError:
-        shutil.rmtree(beside, ignore_errors=True)
-        raise
-    made = [each for each in beside.rglob("*") if each.is_file()]
-    seal(beside / "seal", {each.relative_to(beside).as_posix(): each.read_bytes() for each in made})
-    if folder.exists() and not is_whole(folder / "seal"):
-        shutil.rmtree(folder, ignore_errors=True)
-    try:
-        beside.rename(folder)
-    except OSError:  # another process was faster; its result is the same
-        shutil.rmtree(beside, ignore_errors=True)
+        made = [each for each in beside.rglob("*") if each.is_file()]
+        seal(beside / "seal", {each.relative_to(beside).as_posix(): each.read_bytes() for each in made})
+        if folder.exists() and not is_whole(folder / "seal"):
+            shutil.rmtree(folder, ignore_errors=True)
     return file
 
 
