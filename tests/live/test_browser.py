@@ -204,6 +204,31 @@ def test_a_car_is_driven_with_keys_held_down(tmp_path):
     assert max(torque) == 2500 and torque[0] == 0  # the car's bound
 
 
+def test_a_car_is_driven_with_a_gamepad(tmp_path):
+    """The browser's report of a gamepad is replaced, since none is there: forward is negative, and left too."""
+    path = written(tmp_path, SHOT.replace("schema = 1", "schema = 1\nend_frame = 1300", 1))
+    pad = "navigator.getGamepads = () => [null, { axes: [%s, %s, 0, 0] }]"
+
+    async def play():
+        async with opened(path) as page:
+            await page.until("!document.getElementById('do-drive').disabled")
+            await page.value(pad % (0, -0.8))
+            await page.value("document.getElementById('do-drive').click()")
+            await page.until("vehsim.drive.values[0] === 0.8 && Boolean(vehsim.viewer.trail)")
+            await page.value(pad % (-0.25, 0.03))  # the middle of a worn stick is not zero
+            await page.until("vehsim.drive.values[0] === 0 && vehsim.drive.values[1] === 0.25")
+            frame = await page.value("parseInt(document.getElementById('status').textContent.split('frame ')[1])")
+            await page.until(
+                f"parseInt(document.getElementById('status').textContent.split('frame ')[1]) > {frame + 5}"
+            )
+            await page.key("Escape", "Escape")
+            await page.until(f"!vehsim.drive.driven && {SOLVED}")
+
+    asyncio.run(play())
+    rows = [row.split(",") for row in (tmp_path / "drive.car.001.csv").read_text().splitlines()[1:]]
+    assert max(float(row[1]) for row in rows) == 0.8 * 2500 and max(float(row[2]) for row in rows) > 0
+
+
 def test_two_recordings_are_drawn_side_by_side(tmp_path):
     """Each in its colour, at its place in the present frame, with its curve; and one of them is used."""
     path = written(tmp_path, SHOT)
