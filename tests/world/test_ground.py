@@ -9,10 +9,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import vehsim
+from vehsim import Mark
+from vehsim.errors import InputError, SolveError
 from vehsim.planning.problem.elements import NonlinearProgram
 from vehsim.planning.problem.transcription import transcribe
 from vehsim.rig.parts import read_parts
-from vehsim.world.ground.placing import place_on_terrain
+from vehsim.world.ground.placing import can_stand, place_on_terrain
 from vehsim.world.ground.slope import Relief, on_terrain
 from vehsim.world.ground.wheels import touch, wheels_of
 from vehsim.world.terrain.terrain import Terrain
@@ -274,3 +276,38 @@ def test_coarse_wheels_touch_within_two_millimetres():
     for wheel in wheels_of(CAR.rig):
         exact, coarse = (touch(world.terrain, one, positions, orientations) for one in (wheel, wheel.coarse))
         assert (exact - coarse).min() > -1e-5 and (exact - coarse).max() < 2e-3
+
+
+@pytest.mark.parametrize("grade", [0.5, 1.0, 2.0])
+def test_a_car_stands_on_any_slope(grade):
+    """On a plane the car has the plane's slope; its springs, which give way, change it by less than two degrees."""
+    x = np.array([-40.0, 0.0, 40.0])
+    world = World(Terrain("ramp", np.tile(grade * x, (3, 1)), (-40.0, -40.0), (40.0, 40.0)))
+    assert can_stand(CAR, world, np.array([[0.0, 0.0], [5.0, 3.0]]), np.array([0.0, np.pi])).all()
+    clip = coasting(world, 0.5, 0.2)
+    assert np.degrees(-clip.channels["pitch"][0]) == pytest.approx(np.degrees(np.arctan(grade)), abs=2.1)
+
+
+def cliff(height):
+    """Level ground that ends at a wall at x = 10 m, half a metre thick."""
+    x = np.arange(-20.0, 40.0, 0.5)
+    return World(Terrain("cliff", np.tile(height * (x > 10), (3, 1)), (-20.0, -20.0), (0.5, 20.0)))
+
+
+def test_a_car_does_not_stand_on_a_wall():
+    """It was put kilometres above or below the ground, without a word."""
+    world, rest = cliff(20.0), (0, 0, 0)
+    with pytest.raises(SolveError, match=r"cannot stand on the ground at \(10.00, 0.00\) m, frame 1001"):
+        coasting(world, 0.5, 0.2, position=(10, 0))
+    ends = [Mark(1, position=(10, 0, 0), heading=0, velocity=rest), Mark(97, position=(5, 0, 0))]
+    with pytest.raises(InputError, match=r"mark\[0\].position.*cannot stand there"):
+        vehsim.plan(CAR, world, ends)
+
+
+def test_a_plan_across_a_wall_fails():
+    """Both marks are on level ground, the wall is between them."""
+    rest = (0, 0, 0)
+    ends = [Mark(1, position=rest, heading=0, velocity=rest), Mark(241, position=(25, 0, 20), velocity=rest)]
+    with pytest.warns(UserWarning, match="plan failed"):
+        plan = vehsim.plan(CAR, cliff(20.0), ends, segments=16)
+    assert not plan.success

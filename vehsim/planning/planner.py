@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from vehsim.audit import Row, WorldScene, audit, missed, track_of_clip
 from vehsim.clip.clip import Clip
-from vehsim.errors import FailedPlan
+from vehsim.errors import FailedPlan, SolveError
 from vehsim.planning.blocks import blocks_of
 from vehsim.planning.certificates import Executed, extent
 from vehsim.planning.certify import refine_and_certify
@@ -501,7 +501,11 @@ def _result(run: Run, iterate: Iterate, reason: Reason | None = None) -> Plan:
     begun = run.iterations > 0 or not run.deadline.hopeless  # otherwise there is no time to place wheels on the ground
     with warnings.catch_warnings(record=True) as cautions:  # of this motion, which may not be the plan's
         warnings.simplefilter("always")
-        clip = exported(iterate.clip, request) if begun else replace(iterate.clip, vehicle=request.vehicle)
+        clip = replace(iterate.clip, vehicle=request.vehicle)
+        try:
+            clip = exported(iterate.clip, request) if begun else clip
+        except SolveError as error:  # its wheels cannot stand there
+            success, reason, message = False, reason or "audit", message if not success else error.problem.message
     asks = asks_of(request, iterate.mark_frames())
     rows = audit(track_of_clip(clip), asks, WorldScene(request.world, clip.vehicle)) if success else []
     if beyond := _beyond(rows):

@@ -20,13 +20,14 @@ from vehsim.planning.problem.solver import check_solver
 from vehsim.planning.request.character import NO_TRAITS, Traits, traits_of
 from vehsim.planning.request.landing import attitude, descent, landings
 from vehsim.planning.request.legs import knots_within, mark_positions
-from vehsim.planning.request.marks import Mark, check_marks, end_of_hold, with_breaks
+from vehsim.planning.request.marks import Mark, check_marks, end_of_hold, heading_of, with_breaks
 from vehsim.planning.request.marks_near_obstacles import check_marks_clear
 from vehsim.planning.terms import LIMITS, Constraint, Limits, Term, check_limits, check_terms, cost_weights
 from vehsim.planning.trim import rests_uncontrolled
 from vehsim.vehicles import Vehicle
 from vehsim.vehicles.definition.character import DEFAULT
 from vehsim.world.ground import touchdown
+from vehsim.world.ground.placing import can_stand
 from vehsim.world.ground.slope import on_terrain
 
 Array = NDArray[np.float64]
@@ -178,6 +179,7 @@ def make_request(
     check_loop(request)
     check_inside(request.marks, vehicle, world)
     check_marks_clear(vehicle, world, request.marks, request.clearance, request.fps)
+    check_standing(vehicle, world, request.marks)
     heights = {float(np.asarray(mark.position)[2]) for mark in request.marks if mark.position is not None}
     if vehicle.group.dim == 3 and len(heights) > 1 and (world is None or world.terrain is None):
         raise InputError(
@@ -229,6 +231,21 @@ def put_down(mark: Mark, vehicle: Vehicle, world: Any) -> Mark:
     if np.any(world.wind):  # it stands level, which in wind is not in balance
         mark = replace(mark, orientation=tuple(q.tolist()), heading=None)
     return replace(mark, position=tuple(place.tolist()))
+
+
+def check_standing(vehicle: Vehicle, world: Any, marks: Sequence[Mark]) -> None:
+    """Raise ``InputError`` for a mark where a vehicle with wheels cannot stand, such as on a wall of rock; without a
+    heading, at none of some."""
+    for mark in marks if vehicle.group.planar else ():
+        if mark.position is None:
+            continue
+        nose = heading_of(mark)
+        yaw = np.arange(8) * np.pi / 4 if nose is None else np.array([nose])
+        places = np.repeat(np.array([mark.position[:2]], float), len(yaw), axis=0)
+        if not can_stand(vehicle, world, places, yaw).any():
+            place = [float(x) for x in mark.position]
+            message = f"{vehicle.name} cannot stand there: the ground is too steep or too rough"
+            raise InputError(message, "move the mark to gentler ground", key=f"{mark.name}.position", value=place)
 
 
 def check_inside(marks: Sequence[Mark], vehicle: Vehicle, world: Any) -> None:

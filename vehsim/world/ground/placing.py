@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.clip.clip import Clip
 from vehsim.constants import GRAVITY
+from vehsim.errors import SolveError
 from vehsim.lie.quaternions import matrices, tilt_of, yaw_tilt
 from vehsim.rig.linkage import part_poses
 from vehsim.rig.rig import Rig
@@ -24,6 +25,9 @@ from vehsim.world.ground.trailers import tilted
 from vehsim.world.ground.wheels import Wheel, touch, wheels_of
 from vehsim.world.terrain.terrain import Terrain
 
+if TYPE_CHECKING:
+    from vehsim.vehicles import Vehicle
+
 Array = NDArray[np.float64]
 
 SAMPLES = 8
@@ -31,6 +35,8 @@ SAMPLES = 8
 SETTLING = 5
 """Iterations of the body's rest pose, each with one iteration of its contacts: within 0.02 mm. The first three need
 only coarse wheels."""
+STEADY = 0.05
+"""Largest change of the rest pose in the last iteration, m and rad: if it is larger, the body does not come to rest."""
 GRIP = 1.1
 """Grip of dry tyres, in g."""
 LARGEST_TRAVEL = 0.12
@@ -44,6 +50,7 @@ def place_on_terrain(clip: Clip, world: Any, samples: int = SAMPLES, coarse: boo
     side up, rad); fills ``travel_*`` (m, upwards), and ``hitch_pitch*`` and ``hitch_roll*`` of trailers, as ``pitch``
     and ``roll``; wheels turn by the length of the slope. The planar motion does not change. Other clips, and clips
     without terrain, are returned unchanged. ``samples``: at least so many per frame; ``coarse``: see `Wheel.coarse`.
+    Raises ``SolveError`` where the vehicle cannot stand on the ground, such as on a wall of rock.
     """
     terrain = None if world is None else world.terrain
     rig = clip.vehicle.rig
@@ -57,7 +64,13 @@ def place_on_terrain(clip: Clip, world: Any, samples: int = SAMPLES, coarse: boo
         return clip
     clip = _dense(clip, samples)
     yaw = tilt_of(clip.orientations)[0]
-    rest = _rest(terrain, own, clip.positions[:, :2], yaw)
+    rest, last = _rest(terrain, own, clip.positions[:, :2], yaw)
+    for k in np.flatnonzero(np.abs(last).max(axis=1) > STEADY)[:1]:
+        x, y = clip.positions[k, :2]
+        where = f"cannot stand on the ground at ({x:.2f}, {y:.2f}) m, frame {clip.frames[k]:.0f}"
+        raise SolveError(
+            f"{where}: it is too steep or too rough there", "keep to gentler ground", subject=clip.vehicle.name
+        )
     held = _tyre_force(clip, rest)
     deflection = np.zeros_like(rest)
     if any(wheel.travel for wheel in own) and len(clip) > 1:
@@ -69,6 +82,17 @@ def place_on_terrain(clip: Clip, world: Any, samples: int = SAMPLES, coarse: boo
     channels |= _wheel_channels(rig, terrain, wheels, channels, *there)
     _warn_strain(clip, held, {wheel.travel: channels[wheel.travel] for wheel in wheels if wheel.travel})
     return replace(clip, positions=there[0], orientations=there[1], channels=channels)
+
+
+def can_stand(vehicle: Vehicle, world: Any, xy: Array, yaw: Array) -> NDArray[np.bool_]:
+    """Whether a vehicle with wheels can stand on ``world``'s terrain at places (n, 2) m and headings (n,) rad, (n,);
+    True for others."""
+    terrain = None if world is None else world.terrain
+    rig = vehicle.rig
+    own = () if rig is None else tuple(wheel.coarse for wheel in wheels_of(rig) if not wheel.carrier)
+    if terrain is None or not vehicle.group.planar or not own:
+        return np.ones(len(xy), bool)
+    return np.asarray(np.abs(_rest(terrain, own, xy, yaw)[1]).max(axis=1) <= STEADY)
 
 
 def _is_on_terrain(clip: Clip, terrain: Terrain, wheels: tuple[Wheel, ...]) -> bool:
@@ -100,8 +124,9 @@ def _dense(clip: Clip, samples: int) -> Clip:
     return clip.at(times if clip.times[-1] - times[-1] < 1e-9 else np.append(times, clip.times[-1]))
 
 
-def _rest(terrain: Terrain, wheels: tuple[Wheel, ...], xy: Array, yaw: Array) -> Array:
-    """Height, pitch and roll (n, 3) at which the body rests on equal springs, for any slope."""
+def _rest(terrain: Terrain, wheels: tuple[Wheel, ...], xy: Array, yaw: Array) -> tuple[Array, Array]:
+    """Height, pitch and roll (n, 3) at which the body rests on equal springs, and their change in the last
+    iteration."""
     centres = np.array([wheel.centre for wheel in wheels])
     # derivatives of a wheel's travel with respect to height, pitch and roll
     fit = np.linalg.pinv(np.column_stack([np.ones(len(wheels)), -centres[:, 0], centres[:, 1]]), rcond=1e-6)
@@ -112,8 +137,10 @@ def _rest(terrain: Terrain, wheels: tuple[Wheel, ...], xy: Array, yaw: Array) ->
         orientations = yaw_tilt(yaw, *pose[:, 1:].T)
         positions = np.column_stack([xy, pose[:, 0]])
         travel = np.column_stack([touch(terrain, wheel, positions, orientations, 1) for wheel in near])
-        pose = pose + travel @ fit.T
-    return pose
+        height, *slopes = (travel @ fit.T).T  # relative to the body as it stands now
+        change = np.column_stack([height * np.cos(pose[:, 1]) * np.cos(pose[:, 2]), *np.arctan(slopes)])
+        pose = pose + change
+    return pose, change
 
 
 def _tyre_force(clip: Clip, rest: Array) -> tuple[Array, Array]:
