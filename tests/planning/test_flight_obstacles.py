@@ -289,14 +289,16 @@ def test_a_helicopter_flies_level_through_a_gap_that_its_spheres_do_not_fit(heli
     assert np.degrees(np.arccos(up.min())) < 20
 
 
-def test_a_mark_in_a_slot_that_only_the_hulls_fit(helicopter):
+@pytest.mark.parametrize("character", ["normal", "stunt"])
+def test_a_mark_in_a_slot_that_only_the_hulls_fit(helicopter, character):
     """It arrives along the slot and stops in it; the spheres are 1.5 m too wide for the mark."""
     marks = [Mark(1, position=(-40, 0, 12), heading=0, velocity=REST), Mark(289, position=(0, 0, 12), velocity=REST)]
-    plan = vehsim.plan(helicopter, slot(13.0), marks, segments=32, limits={"ceiling": 30})
+    options = {"segments": 32, "limits": {"ceiling": 30}, "character": character}
+    plan = vehsim.plan(helicopter, slot(13.0), marks, **options)
     assert plan.success, plan.message
     assert plan.clearance > 0.99
     with pytest.raises(InputError, match="at any heading"):
-        vehsim.plan(helicopter, slot(11.0), marks, segments=32, limits={"ceiling": 30})
+        vehsim.plan(helicopter, slot(11.0), marks, **options)
 
 
 def test_the_surface_in_the_spheres_is_as_far_away_as_the_hulls(helicopter):

@@ -406,14 +406,13 @@ def _attempt(request: Request, progress: Progress | None, guess: Any, once: bool
         reason: Reason = "refused" if refused else "time limit"
         return _result(run, give_up(iterate, refused or LATE.format(late)), reason)
     iterate = solve(run, iterate)
-    # first find any motion, then apply the character
-    if not (iterate.success or once or run.deadline.late) and request.traits.name != STUNT:
-        iterate = without_character(run, iterate, paths, as_clip(request, guess))
-        relaxed = replace(request, traits=NO_TRAITS)
+    relaxed = request
+    if not (iterate.success or once or run.deadline.late):
+        if request.traits.name != STUNT:  # first find any motion, then apply the character
+            iterate = without_character(run, iterate, paths, as_clip(request, guess))
+            relaxed = replace(request, traits=NO_TRAITS)
         if not iterate.success:
             iterate = in_narrow_places(run, iterate, paths, as_clip(request, guess))
-    else:
-        relaxed = request
     if not (iterate.success or once):
         run, iterate = with_fewer_requirements(run, iterate, relaxed, paths, guess)
     if not (iterate.success or once):
