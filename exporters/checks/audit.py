@@ -500,7 +500,7 @@ def audit_stage(
         requests = {name: [_ask(row) for row in rows] for name, rows in report["audit"].items()}
         roots = {name: np.array(report["vehicles"][name]["T_rp"], float) for name in requests}
         joints = {name: report["vehicles"][name].get("joints", {}) for name in requests}
-        moving = {name: _moving(report["solved"]["vehicles"][name], first, last) for name in requests}
+        moving = {name: _moving(report["vehicles"][name], first, last) for name in requests}
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise InputError(f"report.json holds no asks ({error!r})", "export the shot again", file=path.parent) from None
     avoided = [obstacle["vehicle"] for obstacle in _obstacles(report) if obstacle.get("shape") == "vehicle"]
@@ -520,9 +520,9 @@ def audit_stage(
     return rows
 
 
-def _moving(solved: Mapping[str, Any], first: int, last: int) -> tuple[float, float]:
+def _moving(vehicle: Mapping[str, Any], first: int, last: int) -> tuple[float, float]:
     """First and last frame of a vehicle's motion; in the other frames of the shot it stands still."""
-    start, end = solved.get("frames", (first, last))
+    start, end = vehicle.get("motion", (first, last))
     return float(start), float(end)
 
 

@@ -47,6 +47,7 @@ def write_report(take: Take, folder: Path, files: Sequence[Path]) -> Path:
         for name, clip in take.clips.items():
             report["vehicles"][name]["T_rp"] = root_in_prim(clip)
             report["vehicles"][name]["joints"] = joints_in_rig(clip)
+            report["vehicles"][name]["motion"] = solved["vehicles"][name]["frames"]
         report["audit"] = with_stage(stage, plain(report))
     path = folder / "report.json"
     path.write_text(json.dumps(plain(report), indent=1, sort_keys=True, allow_nan=False) + "\n", encoding="utf-8")

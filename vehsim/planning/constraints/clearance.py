@@ -95,15 +95,14 @@ class SphereCover:
     """A sphere cover of a vehicle, and the distance fields it keeps clear of.
 
     ``centres`` (k, 3) m and ``radii`` (k,) m of spheres that contain the vehicle; ``static``: the distance field of
-    the static obstacles and the terrain, or None; ``moving``: each moving obstacle with its field; ``surface``: points
-    (n, 3) m on the vehicle's hulls by sphere; ``elements``: shared by all discretisations.
+    the static obstacles and the terrain, or None; ``moving``: each moving obstacle with its field; ``elements``: shared
+    by all discretisations.
     """
 
     static: DistanceField | None
     centres: Array
     radii: Array
     moving: tuple[tuple[Moving, DistanceField], ...] = ()
-    surface: tuple[Array, ...] = ()
     elements: dict[Any, Element] = field(default_factory=dict)
 
     def hazards(self) -> Iterator[Hazard]:
@@ -247,8 +246,7 @@ class Clearance(Block):
     def _surface(self, positions: Array, rotations: Array) -> Array:
         """Distance of the vehicle's surface in every sphere from everything at rest, (places, k) m."""
         assert self.cover is not None and self.cover.static is not None
-        points = np.vstack(self.cover.surface)
-        first = np.cumsum([0, *map(len, self.cover.surface[:-1])])
+        points, first = surface_by_sphere(self.request.vehicle)
         value = self.cover.static.value
         found = [np.minimum.reduceat(value(p + points @ R.T), first) for p, R in zip(positions, rotations, strict=True)]
         return np.array(found).reshape(-1, len(first))
@@ -305,7 +303,7 @@ def cover_for(request: Request, paths: Sequence[Array], progress: Progress) -> S
     for obstacle in request.world.moving:
         progress(f"measuring distances to {obstacle.name}", 0.0)
         moving.append((obstacle, field_about(obstacle, around)))
-    return SphereCover(field, centres, radii, tuple(moving), surface_by_sphere(request.vehicle))
+    return SphereCover(field, centres, radii, tuple(moving))
 
 
 def _touching(i: int) -> str:

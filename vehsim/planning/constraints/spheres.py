@@ -37,14 +37,23 @@ def sphere_cover(vehicle: Vehicle, count: int = SPHERES) -> tuple[Array, Array]:
 
 
 @lru_cache(maxsize=32)
-def surface_by_sphere(vehicle: Vehicle, count: int = SPHERES) -> tuple[Array, ...]:
-    """Points (n, 3) on the surface of a vehicle's hulls, in the rig root's frame, by the sphere nearest to them."""
+def surface_by_sphere(vehicle: Vehicle, count: int = SPHERES) -> tuple[Array, NDArray[np.intp]]:
+    """Points (n, 3) on the surface of a vehicle's hulls, in the rig root's frame, sorted by the sphere nearest to them;
+    and the first point of each sphere (k,)."""
     centres, _ = sphere_cover(vehicle, count)
-    points = np.vstack([_surface(hull, _FINE) for hull in hulls_of(vehicle)] or [np.zeros((1, 3))])
+    hulls = hulls_of(vehicle)
+    points, first = kept_arrays("surface", [*hulls, centres, np.array([_FINE])], lambda: _by_sphere(hulls, centres))
+    return points, first.astype(np.intp)
+
+
+def _by_sphere(hulls: Sequence[Array], centres: Array) -> tuple[Array, Array]:
+    points = np.vstack([_surface(hull, _FINE) for hull in hulls] or [np.zeros((1, 3))])
     distance = np.linalg.norm(points[:, None] - centres, axis=2)
     nearest = np.argmin(distance, axis=1)
     nearest[np.argmin(distance, axis=0)] = np.arange(len(centres))  # no sphere is without a point
-    return tuple(points[nearest == k] for k in range(len(centres)))
+    order = np.argsort(nearest, kind="stable")
+    first = np.searchsorted(nearest[order], np.arange(len(centres)))
+    return points[order], np.minimum(first, len(points) - 1).astype(float)
 
 
 def _covering(hulls: Sequence[Array], count: int) -> tuple[Array, Array]:

@@ -87,10 +87,11 @@ def place_on_terrain(clip: Clip, world: Any, samples: int = SAMPLES, coarse: boo
 def can_stand(vehicle: Vehicle, world: Any, xy: Array, yaw: Array) -> NDArray[np.bool_]:
     """Whether a vehicle with wheels can stand on ``world``'s terrain at places (n, 2) m and headings (n,) rad, (n,);
     True for others."""
-    terrain = None if world is None else world.terrain
-    rig = vehicle.rig
-    own = () if rig is None else tuple(wheel.coarse for wheel in wheels_of(rig) if not wheel.carrier)
-    if terrain is None or not vehicle.group.planar or not own:
+    terrain, rig = None if world is None else world.terrain, vehicle.rig
+    if terrain is None or rig is None or not vehicle.group.planar:
+        return np.ones(len(xy), bool)
+    own = tuple(wheel.coarse for wheel in wheels_of(rig) if not wheel.carrier)
+    if not own:
         return np.ones(len(xy), bool)
     return np.asarray(np.abs(_rest(terrain, own, xy, yaw)[1]).max(axis=1) <= STEADY)
 
