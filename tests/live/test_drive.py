@@ -87,8 +87,9 @@ def test_what_was_seen_is_what_was_recorded(tmp_path, asset, motion, world):
     assert once_more.to_bytes() == again.to_bytes()
 
 
-def test_a_recording_continues_without_a_seam(tmp_path):
-    shot = shot_of(tmp_path, "car", STILL, {"terrain": "hills"})
+@pytest.mark.parametrize("asset, world", [("car", {"terrain": "hills"}), ("boat", SWELL)])
+def test_a_recording_continues_without_a_seam(tmp_path, asset, world):
+    shot = shot_of(tmp_path, asset, STILL, world)
     made, _ = Hand({0: [1.0, 0.0], 20: [1.0, 0.5]}, 70).drive(shot, shot.solve().clips)
     first = kept(tmp_path, shot, made)
     clip = first.solve(cached=False).clips["v"]
@@ -101,6 +102,8 @@ def test_a_recording_continues_without_a_seam(tmp_path):
     assert np.array_equal(second.controls[:count], clip.controls[:count])
     for name in ("positions", "orientations", "twists"):
         assert np.array_equal(getattr(second, name)[:count], getattr(clip, name)[:count]), name
+    changes = np.linalg.norm(np.diff(second.twists, axis=0), axis=1)
+    assert changes[count - 1 : count + 4].max() < 1.5 * changes[: count - 1].max()  # of the velocity: no jump
     assert abs(second.twists[-1, 1] - clip.twists[-1, 1]) > 0.1
 
 
