@@ -128,7 +128,8 @@ class Kinematics:
     def can_show(self, take: Take) -> bool:
         """Whether only the vehicles' motion differs from that of the stage."""
         return (
-            take.frames == self._take.frames
+            list(take.clips) == list(self._take.clips)
+            and take.frames == self._take.frames
             and take.world.water is None
             and all(name is not None for name, _ in self._at)
             and [camera.name for camera in take.cameras] == [camera.name for camera in self._take.cameras]
@@ -161,11 +162,12 @@ class Kinematics:
         return _carried(clip, self._at[k][1]) @ self._rest[k]
 
 
-def draft_block(take: Take, kinematics: Kinematics, names: Sequence[str]) -> bytes:
-    """The poses and the paths of some vehicles of a take, while a handle is dragged."""
+def draft_block(take: Take, kinematics: Kinematics, names: Sequence[str], kind: str = "draft") -> bytes:
+    """The poses and the paths of some vehicles of a take: ``kind`` "draft" while a handle is dragged, "iterate" of a
+    solve, or "preview" of a solve if there is no motion yet."""
     pack, clips = Packing(), {name: clip_at(take.clips[name], _frames(take)) for name in names}
     header = {
-        "kind": "draft",
+        "kind": kind,
         "groups": [one for name, clip in clips.items() for one in _poses_of(pack, kinematics.carried(name, clip))],
         "paths": [{"name": name, "points": pack.array(clip.positions, "f4")} for name, clip in clips.items()],
     }

@@ -18,6 +18,7 @@ from websockets.asyncio.client import connect
 from tests.live.block import Block
 from vehsim import Shot
 from vehsim.errors import InputError
+from vehsim.live import session as live_session
 from vehsim.live.server import Server
 from vehsim.live.session import Session
 
@@ -46,10 +47,10 @@ velocity = [0, 0, 0]
 
 
 class Browser:
-    """A socket with the messages it received."""
+    """A socket, the kinds of the messages it received, and the last of each kind."""
 
     def __init__(self, socket):
-        self.socket, self.seen = socket, []
+        self.socket, self.seen, self.last = socket, [], {}
 
     async def send(self, **message):
         await self.socket.send(json.dumps(message))
@@ -61,6 +62,7 @@ class Browser:
             message = Block(raw) if isinstance(raw, bytes) else json.loads(raw)
             header = message.header if isinstance(message, Block) else message
             self.seen.append(header["kind"])
+            self.last[header["kind"]] = message
             if header["kind"] == kind and where(message):
                 return message
 
@@ -320,6 +322,67 @@ def test_what_cannot_be_met_says_why_and_can_be_undone(path):
             await page.until("motion")
             state = await page.until("state", lambda message: message["solved"])
             assert "earliest" not in texts(state)
+
+    asyncio.run(play())
+
+
+def test_each_iterate_is_drawn(path, monkeypatch):
+    """The first solve moves the vehicle along its iterates; later ones draw their paths beside the present motion."""
+    monkeypatch.setattr(live_session, "WAIT", 0.0)
+    monkeypatch.setattr(live_session, "SHARE", 1.0)
+    monkeypatch.setenv("VEHSIM_CACHE", str(path.parent / "cache"))
+
+    async def play():
+        async with served(path) as address, browser(address) as page:
+            scene = await page.until("scene")
+            line = points(scene)
+            assert [mark["position"] for mark in scene.header["marks"]] == [[0, 0, 0], [8, 1, 0]]
+            assert np.ptp(line[:, 1] / np.maximum(line[:, 0], 1e-3)[-1]) == pytest.approx(1 / 8, abs=1e-3)
+            first = points(await page.until("preview"))
+            solved = points(await page.until("motion"))
+            assert page.seen.count("scene") == 1 and page.seen.count("preview") > 5
+            last = points(page.last["preview"])
+            away = [np.abs(drawn - solved).max() for drawn in (line, first, last)]
+            assert away[2] < 0.01 < away[0] and away[1] > 0.01
+
+            await page.send(**moved("place", 8.0, 2.0))
+            drawn = points(await page.until("iterate"))
+            assert drawn.shape == solved.shape and await page.until("motion")
+
+    asyncio.run(play())
+
+
+def test_a_shot_that_is_not_solved_has_marks_to_drag(tmp_path):
+    path = tmp_path / "rock.toml"
+    flight = SHOT.replace('"car"', '"helicopter"').replace("[[vehicle]]", '[world]\nterrain = "hills"\n[[vehicle]]', 1)
+    flight = flight.replace("1073", "1121").replace("[0, 0, 0]\nheading", "[0, 0, 30]\nheading")
+    path.write_text(flight.replace("[8, 1, 0]", "[8, 1, -9]"))
+
+    async def play():
+        async with served(path) as address, browser(address) as page:
+            scene = await page.until("scene")
+            assert [mark["position"] for mark in scene.header["marks"]] == [[0, 0, 30], [8, 1, -9]]
+            state = await page.until("state", lambda message: message["problems"])
+            assert not state["solved"] and "inside rock" in texts(state)
+            assert [handle["follows"] for handle in state["handles"]] == [[], []]
+            async with browser(address) as second:
+                await second.until("scene")
+
+            await page.send(kind="add_mark", vehicle="helicopter", frame=1061)
+            added = await page.until("motion")
+            assert [mark["frame"] for mark in added.header["marks"]] == [1001, 1061, 1121]
+            await page.send(kind="undo")
+            assert len((await page.until("motion")).header["marks"]) == 2
+
+            await page.send(**moved("drag", 8.0, 1.0) | {"position": [8.0, 1.0, -8.0]})
+            assert "on release" in (await page.until("undrawn"))["text"]
+            await page.send(**moved("place", 8.0, 1.0) | {"position": [8.0, 1.0, -8.0]})
+            motion = await page.until("motion")
+            assert motion.header["marks"][1]["position"] == [8, 1, -8]
+            assert not (await page.until("state"))["solved"]
+            await page.send(**moved("place", 8.0, 1.0) | {"position": [8.0, 1.0, 30.0]})
+            state = await page.until("state", lambda message: message["solved"])
+            assert state["handles"][1]["follows"] == ["helicopter"]
 
     asyncio.run(play())
 

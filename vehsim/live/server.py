@@ -48,7 +48,7 @@ class Server:
         if host not in LOCAL and not token:
             raise InputError("others could edit the shot", "give a --token too", key="--host", value=host)
         self._host, self._port, self._token = host, port, token
-        self._session = Session(path, out, self._progress)
+        self._session = Session(path, out, self._progress, self._show_now)
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="solver")
         self._sockets: list[ServerConnection] = []
         self._scene: bytes | None = None
@@ -109,13 +109,15 @@ class Server:
     async def _connected(self, socket: ServerConnection) -> None:
         from websockets.exceptions import ConnectionClosed
 
-        late = self._told_motion  # otherwise the first solve, which still runs, shows it the scene
+        late, scene = self._told_motion, self._scene  # otherwise the first solve, which still runs, shows it the scene
         self._sockets.append(socket)
         try:
             with suppress(ConnectionClosed):
                 await self._roles()
                 if late:
                     self._queue(partial(self._show, socket))
+                elif scene is not None:
+                    await _send(socket, scene)
                 await _send(socket, self._session.state)
                 async for text in socket:
                     await self._received(socket, text)
@@ -167,6 +169,17 @@ class Server:
         self._told = now
         message = {"kind": "progress", "text": what, "done": round(done, 3)}
         asyncio.run_coroutine_threadsafe(self._tell(message), self._loop)
+
+    def _show_now(self, block: bytes) -> None:
+        """Tell the browsers what is drawn during a solve; called in the solver's thread."""
+        assert self._loop is not None
+        asyncio.run_coroutine_threadsafe(self._tell_block(block), self._loop)
+
+    async def _tell_block(self, block: bytes) -> None:
+        """Tell the browsers, and keep a scene for those that come later until motion follows it."""
+        if (kind := _kind(block)) in ("scene", "motion"):
+            self._scene = block if kind == "scene" else None
+        await self._tell(block)
 
     # ------------------------------------------------------------ work
 
@@ -224,9 +237,8 @@ class Server:
             await self._tell({"kind": "refused", "text": str(error)})
             block = None
         if block is not None:
-            self._scene = block if _kind(block) == "scene" else None
             self._told_motion = True
-            await self._tell(block)
+            await self._tell_block(block)
             await self._compared(self._tell)
         await self._tell(self._session.state)
         if self._session.solved and not (self._jobs or self._drag):

@@ -15,6 +15,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
+from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -46,7 +47,7 @@ from vehsim.live.messages import (
     UseRecording,
 )
 from vehsim.live.settings import DECIMALS, Handle, Setting, handles, settings
-from vehsim.runtime.progress import Progress
+from vehsim.runtime.progress import Progress, Watching
 from vehsim.shot.checks import variants_of
 
 if TYPE_CHECKING:
@@ -58,6 +59,10 @@ if TYPE_CHECKING:
 
 VISIBLE = 0.05
 """Distance between a dragged and the solved motion that is reported, m."""
+WAIT = 1.0
+"""Time after which a shot that has not been solved is drawn nevertheless, s."""
+SHARE = 0.1
+"""Largest share of the time of a solve in which its iterates are drawn."""
 
 
 class Superseded(Exception):
@@ -76,9 +81,12 @@ class Drawn:
 
 
 class Session:
-    """The state behind the page. ``tell(what, done)`` reports progress; ``out``: where exports go."""
+    """The state behind the page. ``tell(what, done)`` reports progress; ``show`` receives what is drawn during a solve;
+    ``out``: where exports go."""
 
-    def __init__(self, path: Path, out: Path, tell: Progress) -> None:
+    def __init__(
+        self, path: Path, out: Path, tell: Progress, show: Callable[[bytes], object] = lambda block: None
+    ) -> None:
         self.document = Document(path)
         self.out = out
         self.superseded = threading.Event()
@@ -98,7 +106,11 @@ class Session:
         self.compared: list[str] = []
         """The recordings that are drawn beside the present motion, by name of their tables."""
         self._solved = ""
-        self._tell = tell
+        self._tell, self._show = tell, show
+        self._drawing = 0.0
+        """Time at which the next iterate is drawn, on the clock of `time.monotonic`, s."""
+        self._on_screen: Take | None = None
+        """The take whose scene or motion the page shows; one of straight guesses if no solve has succeeded."""
         self._drafts: dict[str, Drawn] = {}
         self._solved_handles: list[Handle] = []
         self._drawn_handles: dict[str, Handle] = {}
@@ -158,7 +170,7 @@ class Session:
         """The vehicles whose motion follows while a handle is dragged: planned ones with marks of their own."""
         from vehsim.shot.motions.plan import PlanMotion
 
-        if self.shot is None or (handle.vehicle is None and handle.obstacle is None):
+        if self.shot is None or self.take is None or (handle.vehicle is None and handle.obstacle is None):
             return []
         tables = self.shot.file.vehicle if handle.vehicle is None else [self.shot.file.vehicle[handle.vehicle]]
         return [table for table in tables if isinstance(table.motion, PlanMotion) and table.motion.mark]
@@ -166,8 +178,11 @@ class Session:
     # ------------------------------------------------------------ solve
 
     def solve(self) -> bytes | None:
-        """Solve the present text as an export would, and return what the page should show; None if that failed, with
-        the reasons in ``problems``. Raises `Superseded`."""
+        """Solve the present text as an export would, and return what the page should show.
+
+        If that fails, the reasons are in ``problems``, and the result is None, or the scene of straight guesses if the
+        page shows none yet. Raises `Superseded`.
+        """
         from vehsim.shot.shot import Shot
 
         self.superseded.clear()
@@ -182,34 +197,67 @@ class Session:
                 self.handles = handles(self.document.data)
                 self.notes = [note.model_dump() for note in shot.file.note]
                 self._reuse_world(shot)
-                self.shot = shot
+                self.shot, self._drawing = shot, monotonic() + WAIT
                 self.settings = settings(
                     self.document.data, [variants_of(shot.vehicle(v).rig) for v in shot.file.vehicle]
                 )
-                take = shot.solve(self._progress)
+                take = shot.solve(Watching(self._progress, self._show_iterate))
             except VehsimError as error:
-                self.problems = [_shown(problem) for problem in error.problems]
-                return None
+                self.problems = [_described(problem) for problem in error.problems]
+                return None if self.take or self.shot is None else self._preview()
         texts = dict.fromkeys(str(one.message) for one in caught if issubclass(one.category, UserWarning))
         self.problems = [{"text": text} for text in texts]
-        shown, self.take, self._solved, self._solved_handles = self.take, take, text, self.handles
-        if shown is not None and self._kinematics is not None and self._kinematics.can_show(take):
-            return motion_block(take, self._kinematics)
-        return self.scene()
+        self.take, self._solved, self._solved_handles = take, text, self.handles
+        return self._shown(take)
 
     def scene(self) -> bytes:
-        """The whole scene of the solved motion, read from a stage that is exported for it."""
+        """The whole scene of what the page shows, read from a stage that is exported for it."""
         from vehsim.exporters.usd.stage import StageReader
 
-        assert self.take is not None
+        take = self._on_screen
+        assert take is not None
         self._progress("drawing", 0.0)
         self._scenes.cleanup()
         self._scenes = tempfile.TemporaryDirectory(prefix="vehsim-live-")  # USD remembers the layers of an open path
-        folder = self.take.export(self._scenes.name, to=("usd",))
-        stage = StageReader(folder / f"{self.take.name}.usda", local=False, moving=movable(self.take))
-        self._kinematics = Kinematics(self.take, stage)
+        folder = take.export(self._scenes.name, to=("usd",))
+        stage = StageReader(folder / f"{take.name}.usda", local=False, moving=movable(take))
+        self._kinematics = Kinematics(take, stage)
         self._drawn_handles = {handle.key: handle for handle in self._solved_handles}
-        return scene_block(self.take, stage)
+        return scene_block(take, stage)
+
+    def _shown(self, take: Take) -> bytes:
+        """What makes the page show a take: its motion if the scene stays as it is, else the whole scene."""
+        self._on_screen = take
+        if self._kinematics is not None and self._kinematics.can_show(take):
+            return motion_block(take, self._kinematics)
+        return self.scene()
+
+    def _preview(self) -> bytes | None:
+        """What shows straight guesses from mark to mark; None if there are none."""
+        assert self.shot is not None
+        with suppress(VehsimError), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            take = self.shot.preview()
+            if take is not None:
+                self._solved_handles = self.handles
+                return self._shown(take)
+        return None
+
+    def _show_iterate(self, name: str, motion: Callable[[], Clip]) -> None:
+        """Draw the motion of a vehicle at an iteration of its solve, unless another was drawn a moment ago."""
+        began = monotonic()
+        if began < self._drawing:
+            return
+        shown, block = self._on_screen, None
+        if shown is not None and self._kinematics is not None and name in shown.clips:
+            # such as a car on the way through a wall of rock, or beyond the grip of its tyres
+            with suppress(VehsimError), warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                drawn = replace(shown, clips={**shown.clips, name: motion()})
+                block = draft_block(drawn, self._kinematics, [name], "iterate" if self.take else "preview")
+        if block is not None:
+            self._show(block)
+        self._drawing = monotonic() + (monotonic() - began) / SHARE
 
     def export(self) -> Path:
         """Export the solved motion as ``vehsim export`` does; returns its folder. Raises ``InputError``."""
@@ -303,12 +351,12 @@ class Session:
     def add_mark(self, wanted: AddMark) -> bytes | None:
         """Add a mark where a planned vehicle is at a frame, and `solve`."""
         at, table = self._planned(wanted.vehicle)
-        assert self.take is not None and self.shot is not None
+        assert self._on_screen is not None and self.shot is not None
         frames = [mark.frame for mark in table.motion.mark]
         whole = [frame for frame in frames if isinstance(frame, int)]
         if wanted.frame in whole or not whole[0] < wanted.frame:
             raise InputError("needs a frame of its own after the first mark", key="frame", value=wanted.frame)
-        clip = self.take.clips[wanted.vehicle]
+        clip = self._on_screen.clips[wanted.vehicle]
         place = clip_at(clip, np.array([float(wanted.frame)])).positions[0]
         if clip.vehicle.group.planar and self.shot.world.terrain is not None:
             place[2] = self.shot.world.height(place[None, :2])[0]
@@ -353,7 +401,8 @@ class Session:
 
     def _planned(self, name: str) -> tuple[int, Any]:
         """The index and the table of a vehicle with marks of its own. Raises ``InputError``."""
-        for k, table in enumerate(self.shot.file.vehicle if self.shot and self.take else ()):
+        shown = self._on_screen.clips if self._on_screen else {}
+        for k, table in enumerate(self.shot.file.vehicle if self.shot and name in shown else ()):
             if table.name == name and getattr(table.motion, "mark", None):
                 return k, table
         raise InputError("has no marks", "choose a planned vehicle", key=name)
@@ -363,7 +412,7 @@ class Session:
     def drives(self) -> list[dict[str, Any]]:
         """The vehicles with controls, what their sticks move, and whether their motion is a recording."""
         found = []
-        for table in self.shot.file.vehicle if self.shot and self._kinematics else ():
+        for table in self.shot.file.vehicle if self.shot and self.take else ():
             if controls := self.shot.vehicle(table).control_names:  # type: ignore[union-attr]
                 continues = table.motion.method == "sticks"
                 found.append({"vehicle": table.name, "controls": controls, "continues": continues})
@@ -448,7 +497,7 @@ class Session:
         ``used``: it is the present motion; ``usable``: it can become so, because another recording is.
         """
         found: dict[str, tuple[dict[str, Any], Path]] = {}
-        for table in self.shot.file.vehicle if self.shot and self._kinematics else ():
+        for table in self.shot.file.vehicle if self.shot and self.take else ():
             sticks = table.motion.method == "sticks"
             present = getattr(table.motion, "file", None) if sticks else None
             stem = f"{self.document.path.stem}.{table.name}."
@@ -474,6 +523,8 @@ class Session:
     def _progress(self, what: str, done: float) -> None:
         if self.superseded.is_set():
             raise Superseded
+        if self._on_screen is None and monotonic() > self._drawing and (scene := self._preview()) is not None:
+            self._show(scene)
         self._tell(what, done)
 
     def _reuse_world(self, shot: Shot) -> None:
@@ -531,7 +582,7 @@ class Session:
         return now
 
 
-def _shown(problem: Problem) -> dict[str, Any]:
+def _described(problem: Problem) -> dict[str, Any]:
     """A problem for the page."""
     fix = {} if problem.fix is None else {"key": problem.key, "fix": problem.fix}
     return {"text": str(problem), **fix}

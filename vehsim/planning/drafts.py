@@ -15,7 +15,7 @@ import numpy as np
 from vehsim.clip.clip import Clip
 from vehsim.lie.quaternions import yaw_of
 from vehsim.planning.constraints.clearance import cover_for
-from vehsim.planning.guesses.routes import as_clip, find_paths
+from vehsim.planning.guesses.routes import as_clip, find_paths, straight
 from vehsim.planning.iterate import Iterate, Run
 from vehsim.planning.planner import at_marks
 from vehsim.planning.problem import interrupts
@@ -26,8 +26,8 @@ from vehsim.planning.request.marks_near_obstacles import check_marks_clear
 from vehsim.planning.request.request import Request, all_marks, make_request
 from vehsim.planning.restraint import restrain, restrained
 from vehsim.planning.solve import begin, solve
+from vehsim.planning.trajectory import drawn
 from vehsim.vehicles import Vehicle
-from vehsim.world.ground.placing import place_on_terrain
 
 SEGMENTS = 48
 """Largest number of segments of a draft: enough for fast flight, and few enough to be solved while somebody drags."""
@@ -80,9 +80,7 @@ class Draft:
 
     def clip(self) -> Clip:
         """The motion on whole frames, with wheels on the ground, within a millimetre or two."""
-        request = self._iterate.request
-        clip = replace(self._iterate.clip, vehicle=request.vehicle)
-        return place_on_terrain(clip.at(_whole(clip)), request.world, samples=1, coarse=True)
+        return drawn(self._iterate, self._iterate.request.world)
 
 
 def draft(vehicle: Vehicle, world: Any, marks: Sequence[Mark], clip: Clip | None, **options: Any) -> Draft:
@@ -109,6 +107,23 @@ def draft(vehicle: Vehicle, world: Any, marks: Sequence[Mark], clip: Clip | None
         return Draft(iterate if iterate.success else restrain(run, solve(run, first)), run)
 
 
+def guessed(vehicle: Vehicle, world: Any, marks: Sequence[Mark], fps: Any) -> Clip:
+    """The initial guess straight from mark to mark, also through rock: what is drawn of a shot that is not solved.
+
+    Raises ``InputError`` for marks that contradict each other.
+    """
+    heights = [float(mark.position[2]) for mark in marks if mark.position is not None]
+    plain = [replace(mark, on_ground=False) for mark in marks]
+    if vehicle.group.planar:  # the ground is that of the world
+        plain = [
+            mark if mark.position is None else replace(mark, position=(*mark.position[:2], heights[0]))
+            for mark in plain
+        ]
+    request = make_request(vehicle, None, plain, fps=fps, segments=8 * len(plain), refine=False)
+    start = begin(Run(request), request, transcribe(request.weighed), None, straight(request), coarse=False)
+    return drawn(start, world)
+
+
 def _facing_as(clip: Clip, request: Request) -> list[Mark]:
     """The marks; those at rest without an attitude, which a plan turns along its path, face as the clip does there."""
     marks = list(request.marks)
@@ -118,9 +133,3 @@ def _facing_as(clip: Clip, request: Request) -> list[Mark]:
             yaw = yaw_of(clip.at([np.clip(time, clip.times[0], clip.times[-1])]).orientations)
             marks[i] = replace(mark, heading=float(np.degrees(yaw[0])))
     return marks
-
-
-def _whole(clip: Clip) -> Any:
-    """The times of whole frames, s."""
-    count = int(np.floor((clip.times[-1] - clip.times[0]) * float(clip.fps) + 1e-6)) + 1
-    return np.minimum(clip.times[0] + np.arange(count) / float(clip.fps), clip.times[-1])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Self, TypeVar
+from typing import Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +20,8 @@ from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.solver import Multipliers, Solution
 from vehsim.planning.problem.solver_cache import SolverCache
 from vehsim.planning.request.request import Request
-from vehsim.planning.trajectory import Trajectory
-from vehsim.runtime.progress import Progress
+from vehsim.planning.trajectory import Trajectory, drawn
+from vehsim.runtime.progress import Progress, Watching
 
 Array = NDArray[np.float64]
 B = TypeVar("B", bound=Block)
@@ -149,9 +149,16 @@ class Run:
         self.iterations = 0
         self.build_seconds = self.solve_seconds = 0.0
 
-    def watcher(self, text: str) -> Callable[[int], None] | None:
-        """A callback for the solver that reports progress; None if no progress is wanted."""
-        progress: Any = self.progress
+    def watcher(self, text: str, start: Trajectory) -> Callable[[int, Array], None] | None:
+        """A callback for a solver that begins at ``start``: it reports progress; None if no progress is wanted."""
+        progress = self.progress
         if progress is None:
             return None
-        return lambda count: progress(f"{text}: iteration {count}", 1 - float(np.exp(-count / 40)))
+        name = start.request.vehicle.name
+
+        def watch(count: int, x: Array) -> None:
+            progress(f"{text}: iteration {count}", 1 - float(np.exp(-count / 40)))
+            if isinstance(progress, Watching):
+                progress.show(name, lambda: drawn(replace(start, x=x), start.request.world))
+
+        return watch

@@ -156,10 +156,11 @@ def _solve_active(run: Run, iterate: Iterate, start: Start) -> Iterate:
     text = f"planning {iterate.layout.segments} segments at order {iterate.layout.order}"
     if iterate.tightenings and clearance is not None:
         text += f", margin {clearance.required:.2f} m"
-    solver.watch = run.watcher(text)
+    solver.watch = run.watcher(text, iterate)
     built = time.monotonic()
     run.build_seconds += built - began
     solution = _answer(run, iterate, solver, start)
+    solver.watch = None  # it is kept for later plans
     run.solve_seconds += time.monotonic() - built
     run.deadline.solved(began, iterate.layout.nodes, solution.out_of_time)
     multipliers = iterate.multipliers

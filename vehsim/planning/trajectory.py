@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,6 +100,15 @@ class Trajectory:
         return build_clip(
             self.transcription.mechanics, times, g, r, pi, c, anchor, fps=self.request.fps, start_frame=start
         )
+
+
+def drawn(trajectory: Trajectory, world: Any) -> Clip:
+    """The motion on whole frames of the given vehicle, with wheels on the ground of ``world``, within a millimetre or
+    two."""
+    clip = replace(trajectory.clip, vehicle=trajectory.request.vehicle)
+    count = int(np.floor((clip.times[-1] - clip.times[0]) * float(clip.fps) + 1e-6)) + 1
+    whole = np.minimum(clip.times[0] + np.arange(count) / float(clip.fps), clip.times[-1])
+    return place_on_terrain(clip.at(whole), world, samples=1, coarse=True)
 
 
 def exported(clip: Clip, request: Request) -> Clip:

@@ -6,6 +6,7 @@ import copy
 import os
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from fractions import Fraction
 from functools import cached_property
@@ -14,12 +15,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vehsim.errors import Caution, InputError, Problem, ShotError
+from vehsim.errors import Caution, InputError, Problem, ShotError, VehsimError
 from vehsim.intake.timelines import read_cuts
 from vehsim.intake.toml import line_of, lines_of, read_toml, too_large
 from vehsim.intake.usd import complaints, dependencies
 from vehsim.requests import target_asks
-from vehsim.runtime.progress import Progress, silent
+from vehsim.runtime.progress import Progress, silent, told_as
 from vehsim.shot.audited import audit_clips
 from vehsim.shot.checks import (
     Context,
@@ -227,6 +228,38 @@ class Shot:
                 "audit": audit_clips(clips, asks, worlds, frames),
             }
             | ({"left_out": list(self.left_out)} if self.left_out else {}),
+        )
+
+    def preview(self) -> Take | None:
+        """The take of a shot that is not solved: each vehicle goes straight from mark to mark; None if none has
+        marks."""
+        from vehsim.delivery.take import Take
+        from vehsim.planning.drafts import guessed
+        from vehsim.shot.motions.plan import PlanMotion, as_mark
+
+        clips, marks = {}, {}
+        for table in self.file.vehicle:
+            if isinstance(table.motion, PlanMotion):
+                with suppress(VehsimError):
+                    vehicle, given = self.vehicle(table), table.motion.all_marks(self._context)
+                    wanted = [as_mark(mark, vehicle) for mark in given]
+                    clips[table.name] = guessed(vehicle, self.world, wanted, self.fps)
+                    marks[table.name] = [mark.model_dump(mode="json", exclude_unset=True) for mark in given]
+        if not clips:
+            return None
+        shown = self.only(list(clips))
+        vars(shown)["world"] = self.world
+        frames = shown._frames(clips)
+        clips = {name: hold(clip, *frames) for name, clip in clips.items()}
+        return Take(
+            name=self.name,
+            clips=clips,
+            world=self.world,
+            cameras=shown.cameras(clips, frames),
+            fps=self.fps,
+            frames=frames,
+            render=shown.render,
+            report={"shot": self.file.model_dump(mode="json", by_alias=True, exclude_unset=True), "marks": marks},
         )
 
     def _placed(self, name: str, clip: Clip) -> Clip:
@@ -451,7 +484,7 @@ class Shot:
             context = replace(self._context, world=world)
             vehicle = self.vehicle(table)
             with naming(table.name, vehicle.name):
-                clips[table.name], details = table.motion.solve(vehicle, context, report)
+                clips[table.name], details = table.motion.solve(vehicle, context, told_as(table.name, progress, report))
             reports[table.name] = {"asset": table.asset, "method": table.motion.method, **details}
         order = [table.name for table in self.file.vehicle]
         return {name: clips[name] for name in order}, {name: reports[name] for name in order}

@@ -227,7 +227,7 @@ const vehsim = {};
     }
 
     _makeOverlays() {
-      this.overlays = { paths: new THREE.Group(), ghosts: new THREE.Group(), handles: new THREE.Group(), compared: new THREE.Group() };
+      this.overlays = { paths: new THREE.Group(), ghosts: new THREE.Group(), handles: new THREE.Group(), compared: new THREE.Group(), iterates: new THREE.Group() };
       this.compared = [];
       this.scene.add(...Object.values(this.overlays));
     }
@@ -239,7 +239,7 @@ const vehsim = {};
       this.motion = header;
       this.poses = header.groups.map((group) => array(group.poses));
       this.curves = header.curves.map((curve) => ({ ...curve, values: array(curve.values) }));
-      this.drafted = false;
+      this.drafted = "";
       this.marks = header.marks;
       this.notes = header.notes;
       for (const overlay of [this.overlays.paths, this.overlays.ghosts]) dispose(overlay);
@@ -256,11 +256,29 @@ const vehsim = {};
 
     /** The poses and the paths of some vehicles, while a handle is dragged. */
     setDraft(header, array) {
-      this.drafted = true; // the curves are still those of the last solved motion
+      this.drafted = header.kind === "preview" ? "of the straight guess" : "before the drag"; // what the curves still are
       for (const group of header.groups) this.poses[group.index] = array(group.poses);
       for (const path of header.paths)
         this.lines.get(path.name).geometry.setAttribute("position", new THREE.BufferAttribute(array(path.points), 3));
       this.show(this.frame);
+    }
+
+    /** The path of a vehicle at an iteration of a solve, beside the present motion. */
+    setIterate(header, array) {
+      this.clearIterates();
+      for (const path of header.paths) {
+        const geometry = new THREE.BufferGeometry();
+        geometry.setAttribute("position", new THREE.BufferAttribute(array(path.points), 3));
+        const line = new THREE.Line(geometry, new THREE.LineBasicMaterial({ color: ACCENT, transparent: true, opacity: 0.6, fog: false }));
+        line.frustumCulled = false;
+        this.overlays.iterates.add(line);
+      }
+      this.stale = true;
+    }
+
+    clearIterates() {
+      dispose(this.overlays.iterates);
+      this.stale = true;
     }
 
     /** Other motions of the vehicles, each in a colour of its own, beside the present one. */
@@ -563,7 +581,7 @@ const vehsim = {};
       this.cameras.forEach((camera, k) => (camera.frustum.visible = this.shown.cameras && k !== this.through));
       this.overlays.paths.visible = this.shown.paths;
       this.overlays.ghosts.visible = this.shown.ghosts;
-      this.overlays.handles.visible = this.shown.paths;
+      this.overlays.handles.visible = this.overlays.iterates.visible = this.shown.paths;
       for (const ring of [...this.rings, ...this.overlays.handles.children]) {
         ring.scale.setScalar(Math.max(0.03 * view.position.distanceTo(ring.position), 0.3));
         if (ring.userData.carries) ring.userData.carries.position.copy(ring.position);
@@ -791,7 +809,7 @@ const vehsim = {};
       const now = this.viewer._index(this.viewer.frame), shown = (values) => `${Number(values[now].toPrecision(4))} ${curve.unit}`;
       ink.fillStyle = "#fff";
       ink.fillRect(share * width - 0.5, 0, 1, height);
-      const text = `${curve.name} ${shown(curve.values)}${this.viewer.drafted ? ", before the drag" : ""}`;
+      const text = `${curve.name} ${shown(curve.values)}${this.viewer.drafted && `, ${this.viewer.drafted}`}`;
       ink.font = "12px system-ui, sans-serif";
       const right = share * width + 8 + ink.measureText(text).width < width;
       ink.textAlign = right ? "left" : "right";

@@ -56,6 +56,7 @@
       if (!editor) status("another browser is editing: you are watching");
     } else if (message.kind === "state") {
       state = message;
+      if (vehsim.viewer) vehsim.viewer.clearIterates();
       drawHandles();
       element("bar").firstChild.style.width = 0;
       status(`${state.file}${state.changed ? " (not saved)" : ""}: ${state.solved ? "solved" : "not solved"}`);
@@ -108,6 +109,8 @@
       viewer.setMotion(header, array);
       drawHandles();
     } else if (header.kind === "draft" && (dragged || !editor)) viewer.setDraft(header, array);
+    else if (header.kind === "preview") viewer.setDraft(header, array);
+    else if (header.kind === "iterate") viewer.setIterate(header, array);
   }
 
   // ---------------------------------------------------------------- handles

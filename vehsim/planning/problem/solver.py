@@ -158,14 +158,15 @@ def check_solver(name: str) -> str:
 class Solver:
     """A built problem that can be solved repeatedly from different starts, bounds and parameters.
 
-    ``watch``: called with the number of completed iterations; it may be changed between solves.
+    ``watch``: called with the number of completed iterations and the variables (size,); it may be changed between
+    solves.
     """
 
     def __init__(
         self, problem: NonlinearProgram, plugin: str = "ipopt", max_iterations: int = 400, end: End = "optimal"
     ):
         self.problem, self.plugin, self.max_iterations, self.end = problem, plugin, max_iterations, end
-        self.watch: Callable[[int], None] | None = None
+        self.watch: Callable[[int, Array], None] | None = None
         self._bounds = problem.bounds
         functions = problem.functions()
         self._nlp = functions.pop("nlp")
@@ -239,7 +240,7 @@ def _whole(hessian: ca.Function) -> ca.Function:
 
 
 class _Callback(ca.Callback):
-    """IPOPT's iteration callback: it reports the number of completed iterations."""
+    """IPOPT's iteration callback: it reports the number of completed iterations and the variables."""
 
     def __init__(self, solver: Solver, x: int, g: int, p: int):
         super().__init__()
@@ -272,7 +273,7 @@ class _Callback(ca.Callback):
         solver = self._solver()
         try:
             if solver is not None and solver.watch is not None and not interrupts.interrupted():
-                solver.watch(self.count)
+                solver.watch(self.count, np.asarray(arguments[0]).ravel())
         except BaseException as error:
             interrupts.keep(error)
         now = time.monotonic()
