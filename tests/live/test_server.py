@@ -160,8 +160,10 @@ def test_a_drag_is_drawn_solved_saved_and_undone(path):
     asyncio.run(play())
 
 
-def test_a_browser_that_comes_during_the_first_solve_gets_one_scene(path, monkeypatch):
+@pytest.mark.parametrize("wait", (0.0, 60.0), ids=("drawn before it is solved", "drawn when it is solved"))
+def test_a_browser_that_drags_during_the_first_solve_gets_one_scene_and_a_draft(path, monkeypatch, wait):
     drawn, began = Session.scene, threading.Event()
+    monkeypatch.setattr(live_session, "WAIT", wait)
 
     def slow(session):
         began.set()
@@ -172,7 +174,7 @@ def test_a_browser_that_comes_during_the_first_solve_gets_one_scene(path, monkey
 
     async def play():
         async with served(path) as address:
-            await asyncio.to_thread(began.wait, PATIENCE)  # the motion is solved, and not yet shown
+            await asyncio.to_thread(began.wait, PATIENCE)  # the scene is on its way
             async with browser(address) as page:
                 await page.until("scene")
                 await page.send(**moved("drag", 8.0, 1.1))

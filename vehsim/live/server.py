@@ -142,11 +142,12 @@ class Server:
             return
         if isinstance(message, Moved) and message.kind == "drag":
             self._drag = message, socket  # an older one that has not begun is of no use any more
+            self._wake.set()
         else:
             self._drag = None
             self._queue(partial(self._do, message))
-        self._session.superseded.set()
-        self._wake.set()
+        if self._session.take is not None or self._jobs:  # a drag needs a solved motion, so it waits for the first
+            self._session.superseded.set()
 
     def _queue(self, job: Callable[[], Awaitable[None]]) -> None:
         self._jobs.append(job)
