@@ -79,7 +79,7 @@ async def film(folder: Path) -> list[Image.Image]:
         await asyncio.sleep(1.0)  # the frame that was sought is drawn
         await page.value(
             "document.body.insertAdjacentHTML('beforeend', '<svg id=pointer width=20 height=26 style=\"position:fixed;"
-            "left:0;top:0;z-index:99;pointer-events:none\"><path d=\"M1 1v19l5-5 4 9 3-1-4-9h7z\" fill=white "
+            'left:0;top:0;z-index:99;pointer-events:none"><path d="M1 1v19l5-5 4 9 3-1-4-9h7z" fill=white '
             "stroke=black /></svg>')"
         )
         x, y = await page.value(PLACE)

@@ -28,7 +28,7 @@ STILLS = {
     "car_winding": (1253, "chase"),
     "drift_park": (1070, "chase"),
     "hopper_flip": (1067, "chase"),
-    "landing_on_mark": (1690, "cut"),
+    "landing_on_mark": (1738, "cut"),
     "parallel_park": (1341, "chase"),
     "parallel_parking": (1242, "chase"),
     "robot_worlds_seed0": (1166, "chase"),
