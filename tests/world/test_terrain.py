@@ -217,17 +217,23 @@ def test_a_geotiff_names_its_missing_heights_itself(tmp_path):
         assert np.ptp(Terrain.load(tmp_path / "t.tif").heights) == 0
 
 
-def test_only_the_window_of_a_large_raster_is_read(tmp_path):
-    """A file of 400 MB of zeros without blocks on the disk: far beyond what a terrain may have, cropped to 21 x 21."""
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_only_the_window_of_a_large_raster_is_read(tmp_path, order):
+    """A file of 14.4 GB without blocks on the disk, but for one height: beyond the memory, cropped to 21 x 21."""
     file = tmp_path / "t.npy"
     with file.open("wb") as out:
-        np.lib.format.write_array_header_1_0(out, {"descr": "<f4", "fortran_order": False, "shape": (10_000, 10_000)})
-        out.truncate(out.tell() + 4 * 10_000**2)
+        head = {"descr": "<f4", "fortran_order": order == "F", "shape": (50_000, 72_000)}
+        np.lib.format.write_array_header_1_0(out, head)
+        start = out.tell()
+        out.seek(start + 4 * (8001 * 72_000 + 8002 if order == "C" else 8001 + 8002 * 50_000))
+        out.write(np.float32(9.0).tobytes())
+        out.truncate(start + 4 * 50_000 * 72_000)
     file.with_suffix(".toml").write_text("cell = 1\norigin = [0, 0]\n")
     refused(file, "t.npy", "crop")
     file.with_suffix(".toml").write_text("cell = 1\norigin = [0, 0]\ncrop = [8000, 8000, 8020, 8020]\n")
     terrain = Terrain.load(file)
     assert terrain.heights.shape == (21, 21) and terrain.origin == (8000, 8000)
+    assert terrain.heights[1, 2] == terrain.heights.sum() == 9
 
 
 # ---------------------------------------------------------------- what is refused

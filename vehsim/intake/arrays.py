@@ -17,6 +17,8 @@ from vehsim.intake.reader import Answer, read_cached, read_in_process
 Arrays = dict[str, NDArray[Any]]
 
 Window = tuple[int, int, int, int]
+Header = tuple[tuple[int, ...], bool, np.dtype[Any]]
+"""Shape, whether columns are stored one after the other, and type of an array."""
 
 NUMBERS = "biuf"
 """Accepted kinds of arrays: booleans, integers and real numbers."""
@@ -49,12 +51,26 @@ def shape(path: Path) -> Answer:
 def array(path: Path, key: str, window: Window | None) -> Answer:
     """The array of an ``.npy`` file, or a window of it. It runs in the reader process."""
     with path.open("rb") as file:
-        _check_header(path, key, file, path.stat().st_size, NUMBERS)
+        size = path.stat().st_size
         if window is not None:
-            mapped = np.load(path, mmap_mode="r", allow_pickle=False)
-            return {}, [np.array(mapped[window[0] : window[1], window[2] : window[3]])]
+            shape, fortran, dtype = _check_header(path, key, file, size, NUMBERS, size)
+            return {}, [_window_of(path, file.tell(), shape, fortran, dtype, window)]
+        _check_header(path, key, file, size, NUMBERS)
         file.seek(0)
         return {}, [np.asarray(np.lib.format.read_array(file, allow_pickle=False))]
+
+
+def _window_of(
+    path: Path, offset: int, shape: tuple[int, ...], fortran: bool, dtype: np.dtype[Any], window: Window
+) -> NDArray[Any]:
+    """A window of the array at an ``offset``. Only its rows (in Fortran's order: columns) are mapped, because the
+    reader process has less address space than a raster may need."""
+    if fortran:
+        return _window_of(path, offset, shape[::-1], False, dtype, (*window[2:], *window[:2])).T
+    first, last, left, right = window
+    start = offset + first * shape[1] * dtype.itemsize
+    rows = np.memmap(path, dtype, "r", start, (last - first, shape[1]))
+    return np.array(rows[:, left:right])
 
 
 def arrays(path: Path, key: str, wanted: Collection[str] | None, kinds: str) -> Answer:
@@ -72,17 +88,19 @@ def arrays(path: Path, key: str, wanted: Collection[str] | None, kinds: str) -> 
     return names, found
 
 
-def _check_header(path: Path, key: str, file: Any, size: int, kinds: str) -> None:
-    """Raise ``InputError`` unless the header announces numbers, at most as many as the ``size`` of the file permits."""
-    shape, dtype = _header(file)
+def _check_header(path: Path, key: str, file: Any, size: int, kinds: str, most: int = MAX_BYTES) -> Header:
+    """The header. Raises ``InputError`` unless it announces numbers that have at most ``most`` bytes and as many as the
+    ``size`` of the file permits."""
+    shape, fortran, dtype = _header(file)
     if dtype.kind not in kinds:
         raise refuse(path, key, "not an array of numbers", "save it as floats", str(dtype))
-    if (needed := math.prod(shape) * dtype.itemsize) > min(size, MAX_BYTES):
+    if (needed := math.prod(shape) * dtype.itemsize) > min(size, most):
         raise refuse(path, key, f"announces {needed:,} bytes and holds {size:,}", "save it again", shape)
+    return shape, fortran, dtype
 
 
-def _header(file: BinaryIO) -> tuple[tuple[int, ...], np.dtype[Any]]:
+def _header(file: BinaryIO) -> Header:
     version = np.lib.format.read_magic(file)
     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, _, dtype = read(file)
-    return tuple(shape), dtype
+    shape, fortran, dtype = read(file)
+    return tuple(shape), fortran, dtype

@@ -13,7 +13,9 @@ from pathlib import Path
 from vehsim.errors import InputError
 
 MAX_BYTES = 4_000_000_000
-"""The largest accepted file."""
+"""The largest accepted file, except those of which a part is read."""
+BY_WINDOW = (".npy", ".tif", ".tiff")
+"""Suffixes of files that may be larger than the memory, because a window of them is read."""
 LIMITS = {"VEHSIM_READ_SECONDS": 15.0, "VEHSIM_READ_GB": 8.0, "VEHSIM_READ_PRIMS": 200_000.0}
 """Default limits for reading one file, by the environment variable that changes them: processor time, s; address space
 of the reader process, GB; prims of a stage, instances included."""
@@ -54,7 +56,7 @@ def reading(path: Path | str, key: str, remedy: str = "export the file again") -
             raise refuse(
                 path, key, "a folder" if path.is_dir() else "no such file", "put the file there or correct the path"
             )
-        if (size := path.stat().st_size) > MAX_BYTES:
+        if (size := path.stat().st_size) > MAX_BYTES and path.suffix.lower() not in BY_WINDOW:
             raise refuse(path, key, f"{size / 1e9:.1f} GB, at most {MAX_BYTES / 1e9:g}", "give a smaller file")
         yield
     except InputError:

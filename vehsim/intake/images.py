@@ -16,7 +16,6 @@ from vehsim.intake.arrays import Window
 from vehsim.intake.foreign import reading, refuse
 from vehsim.intake.reader import Answer, read_cached, read_in_process
 
-GDAL_NODATA = 42113
 MAX_RASTER = 1_000_000_000
 """The largest picture of which a window is read: it is decoded whole, in the reader process."""
 Colours = NDArray[np.uint8]
@@ -27,13 +26,10 @@ MAX_PIXELS = 150_000_000
 
 @dataclass(frozen=True)
 class PictureHeader:
-    """Rows and columns of a picture of one channel, its mode, the numbers among the tags of a TIFF, and GDAL's value
-    for missing pixels."""
+    """Rows and columns of a picture of one channel, and its mode."""
 
     shape: tuple[int, int]
     mode: str
-    tags: dict[int, list[float]]
-    nodata: float | None
 
 
 def read_header(path: Path, modes: Collection[str], remedy: str) -> PictureHeader:
@@ -42,9 +38,8 @@ def read_header(path: Path, modes: Collection[str], remedy: str) -> PictureHeade
     ``modes``: the accepted ones of Pillow's; ``remedy``: the fix for others.
     """
     facts, _ = read_cached(header, path, "picture", list(modes), remedy)
-    tags = {int(tag): value for tag, value in facts["tags"].items()}
     rows, columns = facts["shape"]
-    return PictureHeader((rows, columns), facts["mode"], tags, facts["nodata"])
+    return PictureHeader((rows, columns), facts["mode"])
 
 
 def read_pixels(path: Path, window: Window) -> NDArray[np.float64]:
@@ -54,18 +49,14 @@ def read_pixels(path: Path, window: Window) -> NDArray[np.float64]:
 
 
 def header(path: Path, modes: Collection[str], remedy: str) -> Answer:
-    """Size, mode and tags of a picture of one channel. It runs in the reader process."""
+    """Size and mode of a picture of one channel. It runs in the reader process."""
     from PIL import Image
 
     Image.MAX_IMAGE_PIXELS = None  # `pixels` has a limit of its own
     with Image.open(path) as image:
         if image.mode not in modes:
             raise refuse(path, "mode", "not a picture of one channel", remedy, image.mode)
-        found = dict(getattr(image, "tag_v2", {}))
-        several = {tag: value for tag, value in found.items() if isinstance(value, tuple)}
-        tags = {tag: list(map(float, v)) for tag, v in several.items() if not isinstance(v[0], str | bytes)}
-        shape = [image.height, image.width]
-        return {"shape": shape, "mode": image.mode, "tags": tags, "nodata": _nodata(found.get(GDAL_NODATA))}, []
+        return {"shape": [image.height, image.width], "mode": image.mode}, []
 
 
 def pixels(path: Path, window: Window) -> Answer:
@@ -75,17 +66,10 @@ def pixels(path: Path, window: Window) -> Answer:
     Image.MAX_IMAGE_PIXELS = None
     with Image.open(path) as image:
         if image.width * image.height > MAX_RASTER:
-            raise refuse(path, "size", f"more than {MAX_RASTER:,} pixels", "give a part of it, or an .npy", image.size)
+            remedy = "give a part of it, or a TIFF or .npy, of which only a window is read"
+            raise refuse(path, "size", f"more than {MAX_RASTER:,} pixels", remedy, image.size)
         first, last, left, right = window
         return {}, [np.asarray(image.crop((left, first, right, last)))]
-
-
-def _nodata(text: Any) -> float | None:
-    """GDAL's value for missing pixels, a text in a TIFF."""
-    try:
-        return float(str(text).strip("\0 "))
-    except ValueError:
-        return None
 
 
 def read_colours(path: Path) -> Colours:

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from vehsim import errors
 from vehsim.errors import InputError, Problem, VehsimError
-from vehsim.intake.foreign import limit, raise_limit, reading, refuse
+from vehsim.intake.foreign import MAX_BYTES, limit, raise_limit, reading, refuse
 from vehsim.runtime.cache import Stamp, content_of, lookup, shrink, stamp, store
 
 Answer = tuple[Any, list[NDArray[Any]]]
@@ -39,7 +39,7 @@ Read = Callable[..., Answer]
 
 KEPT, MOST_KEPT = 50_000_000, 1_000_000_000
 """Bytes of the largest answer that is kept for other processes, and of all of them."""
-MADE = 1
+MADE = 2
 """Change it whenever the answers of a reading function change: cached answers are then made again."""
 PATIENCE = 10.0
 """Time that a file may take, in multiples of the limit for the processor: other programs use the machine too."""
@@ -49,8 +49,13 @@ PROGRAM = "import sys; sys.path[:] = {}; from vehsim.intake.reader import serve;
 
 def read_cached(read: Read, path: Path, key: str, *more: Any) -> Answer:
     """The answer of ``read(path, *more)`` in the reader process, or the cached answer for a file of the same content.
-    It must depend on content and arguments only. Raises ``InputError`` that names file and ``key``."""
+    It must depend on content and arguments only. Raises ``InputError`` that names file and ``key``.
+
+    Of a file beyond ``MAX_BYTES``, only a part is read, which is faster than comparing its content.
+    """
     with reading(path, key):
+        if path.stat().st_size > MAX_BYTES:
+            return read_in_process(read, path, key, *more)
         made_of = (MADE, _name(read), content_of(path), more)
     if (found := lookup("read", made_of)) is not None:
         return _unpacked(io.BytesIO(found))

@@ -21,8 +21,9 @@ from vehsim.assets import described, description
 from vehsim.errors import InputError
 from vehsim.intake.arrays import Window, read_array, read_arrays, read_shape
 from vehsim.intake.foreign import reading, refuse
-from vehsim.intake.images import PictureHeader, read_header, read_pixels
+from vehsim.intake.images import read_header, read_pixels
 from vehsim.intake.meshes import read_triangles
+from vehsim.intake.tiff import read_tiff, read_tiff_header
 from vehsim.intake.toml import lines_in
 from vehsim.intake.usd import SUFFIXES, dependencies
 from vehsim.world.terrain.grid import MAX_POINTS, HeightGrid
@@ -187,15 +188,12 @@ def _missing(placement: Placement) -> list[str]:
 
 
 def _from_picture(
-    path: Path, header: PictureHeader, placement: Placement, scale: Callable[[Array], Array]
+    path: Path, shape: tuple[int, int], placement: Placement, read: Callable[[Window], Array]
 ) -> HeightGrid:
-    """The heights of a picture, whose first row is the northernmost; ``scale`` turns its pixels into metres."""
-    rows = header.shape[0]
-
-    def read(window: Window) -> Array:
-        return scale(read_pixels(path, (rows - window[1], rows - window[0], *window[2:]))[::-1])
-
-    return _grid(path, header.shape, placement, read)
+    """The heights of a picture of ``shape`` (rows, columns), whose first row is the northernmost; ``read`` returns a
+    window of them."""
+    rows = shape[0]
+    return _grid(path, shape, placement, lambda w: read((rows - w[1], rows - w[0], *w[2:]))[::-1])
 
 
 def _read_png(path: Path, placement: Placement) -> HeightGrid:
@@ -207,19 +205,17 @@ def _read_png(path: Path, placement: Placement) -> HeightGrid:
     (low, high), white = placement.range, 255.0 if header.mode == "L" else 65535.0
     missing = placement.nodata
 
-    def scale(grey: Array) -> Array:
+    def read(window: Window) -> Array:
+        grey = read_pixels(path, window)
         return np.where(grey == missing, np.nan, low + (high - low) * grey / white)
 
-    return _from_picture(path, header, replace(placement, nodata=None), scale)
-
-
-PIXEL_SCALE, TIE_POINT = 33550, 33922
+    return _from_picture(path, header.shape, replace(placement, nodata=None), read)
 
 
 def _read_geotiff(path: Path, placement: Placement) -> HeightGrid:
     """Heights in metres in a projected coordinate system; the first row is the northernmost."""
-    header = read_header(path, ("F", "I", "I;16", "I;16S", "L"), "export one band")
-    scale, tie = header.tags.get(PIXEL_SCALE), header.tags.get(TIE_POINT)
+    header = read_tiff_header(path)
+    scale, tie = header.scale, header.tie
     cell = placement.cell or ((float(scale[0]), float(scale[1])) if scale else None)
     if cell is not None and min(cell) < 1e-3:
         raise refuse(path, "cell", "looks like degrees", "reproject to a metric coordinate system, such as UTM", cell)
@@ -229,7 +225,7 @@ def _read_geotiff(path: Path, placement: Placement) -> HeightGrid:
         placement = replace(placement, origin=corner)
     if placement.nodata is None:
         placement = replace(placement, nodata=header.nodata)
-    return _from_picture(path, header, replace(placement, cell=cell), lambda metres: metres)
+    return _from_picture(path, header.shape, replace(placement, cell=cell), lambda window: read_tiff(path, window))
 
 
 def _read_trimesh(path: Path, placement: Placement) -> HeightGrid:
