@@ -75,6 +75,17 @@ def storm():
     return moving((6.0, 0.0, 0.0), 2.0, 0.0, sea_state(1.5, seed=5), (0.0, 17.0, 0.0))
 
 
+def test_spray_falls_on_a_sea_of_large_cells_too(monkeypatch):
+    """The way is so long that the grid has no cell as fine as those that wind tears drops off."""
+    take = moving((0.0, 0.0, -4.0), 1.0, 2.0)
+    grid = lay_grid(take)
+    frames = np.arange(1001.0, 1026.0)
+    fine = [shown.drops for shown in surfaces(take, grid, frames)]
+    monkeypatch.setattr(authored, "NEAR", 0.0)
+    coarse = [shown.drops for shown in surfaces(take, grid, frames)]
+    assert sum(len(each.widths) for each in coarse) == sum(len(each.widths) for each in fine) > 100
+
+
 def test_spray_is_the_same_whichever_frames_are_asked_for(storm):
     whole, part = sprays(storm, range(1001, 1050)), sprays(storm, [1030, 1049])
     assert len(part[0].widths) > 100

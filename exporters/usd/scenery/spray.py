@@ -99,6 +99,7 @@ class Spray:
 
         self._skins = [_skin(vehicle, k) for k, vehicle in enumerate(self.vehicles.values())]
         self._near = np.flatnonzero(self.grid.cells < NEAR)
+        self._surface = self._near if len(self._near) else np.arange(len(self.grid.cells))
         self._crests = self.breaking is not None and self.breaking.speed > CALM
         if self._crests:
             assert self.breaking is not None
@@ -122,7 +123,7 @@ class Spray:
         drops = flown(thrown, age, LOW_WIND * self.wind)
         if not len(age):
             return drops
-        near = surface[self._near]
+        near = surface[self._surface]
         _, below = cKDTree(near[:, :2]).query(drops.places[:, :2])
         there = (age < LIFE) & (drops.places[:, 2] > near[below, 2] - 0.02)
         return Drops(*(part[there] for part in drops))

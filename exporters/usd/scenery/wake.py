@@ -69,11 +69,12 @@ class Wake:
         self.cell = max(CELL, float((high - low).max()) / MOST)
         self.shape = tuple(int(np.ceil(side / self.cell / 2) * 2) for side in (high - low)[::-1])
         rows, cols = self.shape
-        kx = 2 * np.pi * np.fft.rfftfreq(cols, self.cell)
-        ky = 2 * np.pi * np.fft.fftfreq(rows, self.cell)
-        self._kx, self._ky = np.meshgrid(kx, ky)
+        self._kx = 2 * np.pi * np.fft.rfftfreq(cols, self.cell)[None]
+        self._ky = 2 * np.pi * np.fft.fftfreq(rows, self.cell)[:, None]
         k = np.hypot(self._kx, self._ky)
-        self._k, self._omega = k, np.sqrt(GRAVITY * np.maximum(k, 1e-9))
+        self._omega = np.sqrt(GRAVITY * np.maximum(k, 1e-9))
+        fade = np.exp(-self._dt / FADE)
+        self._cos, self._sin = fade * np.cos(self._omega * self._dt), fade * np.sin(self._omega * self._dt)
         self._eta = np.zeros(k.shape, complex)
         self._rate = np.zeros(k.shape, complex)
         self._places = places
@@ -85,7 +86,7 @@ class Wake:
         steps = int(before / self._dt)
         self._eta = -self._depth([(p - v * before, h) for (p, v, h) in self._at(0)], 0)
         for k in range(steps, 0, -1):
-            self._advance([(p - v * k * self._dt, h) for (p, v, h) in self._at(0)], 0)
+            self._advance(self._depth([(p - v * k * self._dt, h) for (p, v, h) in self._at(0)], 0))
 
     def _at(self, k: int) -> list[tuple[Array, Array, float]]:
         return [(p[k, :2], v[k], float(h[k])) for p, v, h in self._places]
@@ -93,34 +94,29 @@ class Wake:
     def heights(self) -> Iterator[Array]:
         """The wake's height (rows, cols) m above the undisturbed surface, for every frame."""
         for k in range(len(self._frames)):
-            poses = [(p, h) for p, _, h in self._at(k)]
-            self._advance(poses, k)
+            depth = self._depth([(p, h) for p, _, h in self._at(k)], k)
+            self._advance(depth)
             # the hull itself fills the depression, so a vehicle at rest leaves no trace
-            yield np.fft.irfft2(self._eta + self._depth(poses, k), self.shape)
+            yield np.fft.irfft2(self._eta + depth, self.shape)
 
-    def _advance(self, poses: list[tuple[Array, float]], k: int) -> None:
-        """Advance by one frame under constant pressures, exactly, with decay."""
-        rest = -self._depth(poses, k)  # the depression at which the pressure would be in equilibrium: -p / (rho g)
-        cos, sin = np.cos(self._omega * self._dt), np.sin(self._omega * self._dt)
-        off = self._eta - rest
-        fade = np.exp(-self._dt / FADE)
-        self._eta, self._rate = (
-            rest + fade * (cos * off + sin * self._rate / self._omega),
-            fade * (cos * self._rate - self._omega * sin * off),
-        )
+    def _advance(self, depth: Array) -> None:
+        """Advance by one frame under constant pressures, exactly, with decay; ``depth``: of the depression at which the
+        pressures would be in equilibrium, p / (rho g)."""
+        off, rate = self._eta + depth, self._rate / self._omega
+        self._eta = self._cos * off + self._sin * rate - depth
+        self._rate = self._omega * (self._cos * rate - self._sin * off)
 
     def _depth(self, poses: list[tuple[Array, float]], k: int) -> Array:
         """Transform of the depth of water with the weight that it carries of the vehicles in the ``k``-th frame, as
         smooth blots around their waterplanes."""
-        total = np.zeros(self._k.shape, complex)
+        total = np.zeros(self._omega.shape, complex)
         for vehicle, (place, heading) in zip(self.vehicles, poses, strict=True):
             c, s = np.cos(heading), np.sin(heading)
             x, y = place - self.lower + vehicle.centre * np.array([c, s])
             along, across = c * self._kx + s * self._ky, -s * self._kx + c * self._ky
             blot = np.exp(-((0.26 * vehicle.length * along) ** 2 + (0.3 * vehicle.beam * across) ** 2) / 2)
-            total += (
-                vehicle.bears(k) * vehicle.volume / self.cell**2 * blot * np.exp(-1j * (self._kx * x + self._ky * y))
-            )
+            moved = np.exp(-1j * self._kx * x) * np.exp(-1j * self._ky * y)
+            total += vehicle.bears(k) * vehicle.volume / self.cell**2 * blot * moved
         return total
 
     def at(self, field: Array, xy: Array) -> Array:
