@@ -238,9 +238,11 @@ def _ground(points: Array, world: Any, margin: float) -> Array:
     """The highest ground (...,) within ``margin`` of ``points`` (..., 3)."""
     if getattr(world, "terrain", world) is None:
         return np.full(points.shape[:-1], -np.inf)
-    around = margin * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]], float)
-    footprint = points[..., None, :2] + around
-    return np.asarray(world.height(footprint.reshape(-1, 2))).reshape(footprint.shape[:-1]).max(axis=-1)
+    highest = np.full(points.shape[:-1], -np.inf)
+    for offset in margin * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]], float):  # in turn: it saves memory
+        around = (points[..., :2] + offset).reshape(-1, 2)
+        np.maximum(highest, np.reshape(world.height(around), highest.shape), out=highest)
+    return highest
 
 
 def _cheapest(costs: Array, places: Array) -> NDArray[np.int64]:
