@@ -19,6 +19,7 @@ from tests.live.block import Block
 from vehsim import Shot
 from vehsim.errors import InputError
 from vehsim.live import session as live_session
+from vehsim.live.messages import Moved
 from vehsim.live.server import Server
 from vehsim.live.session import Session
 
@@ -557,3 +558,16 @@ def test_a_drag_is_in_the_character_of_the_solved_motion(tmp_path):
     assert report["character"] != "normal"
     drawn = session._follow(session.shot, "car").clip()
     assert np.abs(drawn.positions - session.take.clips["car"].resample().positions).max() < 0.03
+
+
+def test_a_hurried_flight_on_few_segments_is_dragged(tmp_path):
+    """The plan is a stunt, which these segments cannot follow: the draft is in the character of the shot."""
+    path = tmp_path / "hurried.toml"
+    text = SHOT.replace('"car"', '"helicopter"').replace("segments = 8", "segments = 16").replace("1073", "1121")
+    path.write_text(text.replace("[0, 0, 0]\nheading", "[0, 0, 30]\nheading").replace("[8, 1, 0]", "[60, 10, 30]"))
+    session = Session(path, tmp_path, lambda *_: None)
+    assert session.solve() is not None
+    assert session.take.report["vehicles"]["helicopter"]["character"] == "stunt"
+    for x in (60.0, 59.5):
+        assert session.drag(Moved(kind="drag", key=MARK, position=[x, 10, 30])) is not None
+        assert session._drafts["helicopter"].draft.clip().positions[-1] == pytest.approx([x, 10, 30], abs=1e-3)

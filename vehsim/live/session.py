@@ -550,8 +550,9 @@ class Session:
         """The draft of a vehicle for the marks and the world of ``shot``, which becomes the present one.
 
         It is in the character of the solved motion, and solved from the present draft, also where obstacles moved. If
-        anything else differs than the values of marks, or if that fails, a new one starts from its motion or, if that
-        fails too, from a new path. Raises ``VehsimError`` with the reason if there is no such motion.
+        anything else differs than the values of marks, or if that fails, a new one starts from its motion; if that
+        fails too, from a new path, at last in the character of the shot. Raises ``VehsimError`` with the reason if
+        there is no such motion.
         """
         from vehsim.planning.drafts import draft
         from vehsim.planning.request.marks import shape
@@ -564,7 +565,7 @@ class Session:
         others = tuple(self.take.clips[one.name] for one in world.moving)
         rest = table.asset, table.parameters, table.motion.model_copy(update={"mark": None}), shape(marks)
         driven = self.take.report["vehicles"][name].get("character", table.motion.character)
-        options = table.motion.options() | {"fps": shot.fps, "character": driven}
+        options = table.motion.options() | {"fps": shot.fps}
         request = (shot.world, others, driven, *rest)
         before = self._drafts.get(name)
         now, same = None, before is not None and before.request == request
@@ -572,9 +573,12 @@ class Session:
             now = before.draft.moved(marks, None if same else world)
         if now is None or not (now.success or same):
             clip = before.draft.clip() if before is not None and before.take is self.take else self.take.clips[name]
-            now = draft(vehicle, world, marks, clip, **options)
-            if not now.success:  # an obstacle was dragged into the path: find another one
-                now = draft(vehicle, world, marks, None, **options)
+            # such as an obstacle that was dragged into the path; then, a stunt that few segments cannot follow
+            for character, start in ((driven, clip), (driven, None), (table.motion.character, None)):
+                now = draft(vehicle, world, marks, start, **{**options, "character": character})
+                if now.success:
+                    break
+            assert now is not None
         if now.success or before is None:
             self._drafts[name] = Drawn(now, self.take, request)
         if not now.success:
