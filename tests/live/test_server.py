@@ -563,7 +563,13 @@ def test_a_drag_is_in_the_character_of_the_solved_motion(tmp_path):
 def test_a_hurried_flight_on_few_segments_is_dragged(tmp_path):
     """The plan is a stunt, which these segments cannot follow: the draft is in the character of the shot."""
     path = tmp_path / "hurried.toml"
-    text = SHOT.replace('"car"', '"helicopter"').replace("segments = 8", "segments = 16").replace("1073", "1121")
+    bare = 'asset = "helicopter"\nparameters = { drag_quadratic = [0, 0, 0] }'
+    text = (
+        SHOT.replace('"car"', '"helicopter"')
+        .replace('asset = "helicopter"', bare)
+        .replace("segments = 8", "segments = 16")
+        .replace("1073", "1121")
+    )
     path.write_text(text.replace("[0, 0, 0]\nheading", "[0, 0, 30]\nheading").replace("[8, 1, 0]", "[60, 10, 30]"))
     session = Session(path, tmp_path, lambda *_: None)
     assert session.solve() is not None

@@ -76,7 +76,10 @@ def test_planned_motions_are_not_refused(name):
 
 def test_the_ball_bound_is_that_of_the_double_integrator():
     """Level, from rest to rest, with thrust that also carries the weight; from a speed, the braking distance."""
-    ball, still = thrust_ball(vehsim.load_vehicle("helicopter")), np.zeros(3)
+    helicopter = vehsim.load_vehicle("helicopter")
+    ball, still = thrust_ball(helicopter), np.zeros(3)
+    draughty = thrust_ball(helicopter, 50.0)
+    assert draughty.radius == pytest.approx(ball.radius + 3.0 * 50**2 / 1900, rel=0.02)
     level = np.sqrt(ball.radius**2 - 9.81**2)
     quickest = 2 * np.sqrt(60 / level)
     for share, ruled in ((0.95, True), (1.02, False)):

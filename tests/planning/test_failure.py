@@ -541,8 +541,11 @@ def test_a_mark_too_near_to_rock_is_refused_at_any_heading():
 
     near = Mark(200, position=(36, 0, 28.8), velocity=REST)
     assert found(near, 0.5) == [(1, "the vehicle reaches 2.47 m into rock at any heading")]
-    windy = vehsim.World("canyon", wind=(2, 2, 0))  # the helicopter has no drag, so it stays level
-    assert [i for i, *_ in marks_too_near(heli, windy, [Mark(1, position=(0, 0, 30)), near], 0.5, 24)] == [1]
+    windy, bare = (
+        vehsim.World("canyon", wind=(2, 2, 0)),
+        vehsim.load_vehicle("helicopter", {"drag_quadratic": (0.0, 0.0, 0.0)}),
+    )
+    assert [i for i, *_ in marks_too_near(bare, windy, [Mark(1, position=(0, 0, 30)), near], 0.5, 24)] == [1]
     assert found(replace(near, position=(24, 0, 26.4)), 0.5) == []
     free = replace(near, position=(32, 0, 28))
     ((_, message),) = found(free, 5.0)

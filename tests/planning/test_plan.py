@@ -215,7 +215,8 @@ def test_unreachable_mark_fails_with_a_message():
     assert "mark[1].frame: frames 1 to 25 need 500 m" in plan.message and "; use " in plan.message
 
 
-def test_wind_without_drag_warns(helicopter):
+def test_wind_without_drag_warns():
+    helicopter = vehsim.load_vehicle("helicopter", {"drag_quadratic": (0.0, 0.0, 0.0)})
     marks = [Mark(1, position=(0, 0, 30), velocity=REST), Mark(97, position=(20, 0, 30), velocity=REST)]
     with pytest.warns(UserWarning, match="no drag"):
         vehsim.plan(helicopter, vehsim.World(wind=(0, 3, 0)), marks, segments=16, refine=False)

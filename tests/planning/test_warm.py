@@ -35,7 +35,7 @@ def with_multipliers(plan, multipliers):
 def test_multipliers_spare_a_replan_iterations(helicopter):
     """The same solution as from the motion alone, in fewer iterations."""
     marks, plan = flight(helicopter, 16)
-    moved = [marks[0], replace(marks[1], position=(40.2, 9.8, 35.2))]
+    moved = [marks[0], replace(marks[1], position=(40.6, 9.5, 35.6))]
     warm = plan.replan(moved)
     cold = with_multipliers(plan, None).replan(moved)
     assert warm.success and cold.success and warm.defect < 1e-8

@@ -1,6 +1,6 @@
 """Upper bounds on the acceleration that a vehicle's controls can cause in any motion, and what follows from them.
 
-A free rigid body in the air without drag: the acceleration of its centre of mass lies in a ball around gravity
+A free rigid body in the air: the acceleration of its centre of mass lies in a ball around gravity, which drag enlarges
 (`thrust_ball`). Any vehicle: the square root of twice its kinetic energy grows no faster than the norm of the controls'
 forces in the inverse inertia, and it bounds the speed of the body frame (`push_of`).
 """
@@ -136,10 +136,13 @@ def _most(weight: Array, velocity: Any) -> float:
 
 
 @lru_cache(maxsize=64)
-def thrust_ball(vehicle: Vehicle) -> Ball | None:
-    """Possible accelerations of a free rigid body's centre of mass without drag; None for any other vehicle."""
+def thrust_ball(vehicle: Vehicle, airspeed: float = 0.0) -> Ball | None:
+    """Possible accelerations of a free rigid body's centre of mass; None for any other vehicle.
+
+    ``airspeed``: its largest speed against the air, m/s.
+    """
     free = isinstance(vehicle, Holonomic) and vehicle.group.dim == 6 and vehicle.hull is None
-    if not free or vehicle.drag is not None or vehicle.resistance is not None:  # type: ignore[attr-defined]
+    if not free or vehicle.resistance is not None:  # type: ignore[attr-defined]
         return None
     assert isinstance(vehicle, Holonomic)
     linear = vehicle.inertia[3:, 3:]
@@ -150,7 +153,25 @@ def thrust_ball(vehicle: Vehicle) -> Ball | None:
     wrench: Any = ca.SX.zeros(6) if vehicle.wrench is None else ca.vertcat(vehicle.wrench(c))
     most = _largest(ca.Function("force", [c], [ca.densify(wrench[3:6])]), vehicle)
     weight = vehicle.gravity * (mass if vehicle.mass is None else vehicle.mass)
-    return Ball(np.array([0.0, 0.0, -weight / mass]), most / mass)
+    return Ball(np.array([0.0, 0.0, -weight / mass]), (most + _most_drag(vehicle, airspeed)) / mass)
+
+
+def _most_drag(vehicle: Holonomic, airspeed: float) -> float:
+    """The largest force of drag, N, at speeds up to ``airspeed`` m/s; inf if it depends on the turn rate too."""
+    if vehicle.drag is None or not airspeed:
+        return 0.0
+    air = ca.SX.sym("air", 6)
+    wrench: Any = ca.vertcat(vehicle.drag(air))
+    force = ca.densify(wrench[3:6])
+    if not math.isfinite(airspeed) or ca.depends_on(force, air[:3]):
+        return math.inf
+    rays = np.random.default_rng(0).normal(size=(SAMPLES, 3))
+    rays[:3] = np.eye(3)
+    velocities = airspeed * rays / np.linalg.norm(rays, axis=1)[:, None]
+    speeds = np.vstack([share * velocities for share in np.linspace(0.1, 1.0, 10)])
+    twists = np.hstack([np.zeros_like(speeds), speeds])
+    forces = np.array(ca.Function("drag", [air], [force]).map(len(twists))(twists.T))
+    return float(np.linalg.norm(forces, axis=0).max()) * SAMPLING_FACTOR
 
 
 def strength(vehicle: Vehicle) -> float:

@@ -214,7 +214,8 @@ def _too_far(request: Request, placed: list[Mark], seconds: float) -> list[tuple
         return [(f"{whole / seconds:.3g} m/s, {request.speed_limit()}", whole / top)]
     wind = tuple(float(x) for x in request.wind)
     push = push_of(request.vehicle, wind, _steepest(request))
-    ball = thrust_ball(request.vehicle)
+    fastest = top + 2 * _lever(request) + _size(wind)  # the body frame may be faster than the root
+    ball = thrust_ball(request.vehicle, fastest)
     acceleration = limits.get("acceleration")
 
     def refused(text: str, t: float) -> list[tuple[str, float]]:
