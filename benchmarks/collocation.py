@@ -19,6 +19,8 @@ from vehsim import Mark
 from vehsim.planning.problem.transcription import Transcription
 
 REST = (0.0, 0.0, 0.0)
+NO_DRAG = {"drag_quadratic": (0.0, 0.0, 0.0)}
+"""The helicopter of the papers."""
 TASKS = {
     ("helicopter", "smoothness"): (121, (0, 0, 30), (40, 10, 35)),
     ("helicopter", "effort"): (121, (0, 0, 30), (40, 10, 35)),
@@ -47,7 +49,7 @@ def main() -> None:
         "|---|---|---|---|---|---|---|---|",
     ]
     for (name, cost), (frame, start, goal) in TASKS.items():
-        vehicle = vehsim.load_vehicle(name)
+        vehicle = vehsim.load_vehicle(name, NO_DRAG if name == "helicopter" else None)
         vehicle = vehicle.planar or vehicle
         marks = [
             Mark(1, position=start, heading=0, velocity=REST),
