@@ -395,7 +395,7 @@ def _world(draft: Draft, name: str) -> Table:
     if terrain == "map":
         world["terrain"] = _height_map(draft, steep=0.35 if kind.flies else 0.12)
     if kind.flies and draft.chance(0.3):
-        world["wind"] = [draft.between(-6, 6), draft.between(-6, 6), 0]  # without drag, wind must have no effect
+        world["wind"] = [draft.between(-6, 6), draft.between(-6, 6), 0]  # which it leans into
         draft.words.append("wind")
     return world
 
