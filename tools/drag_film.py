@@ -14,6 +14,7 @@ import numpy as np
 from PIL import Image
 
 from tests.browser import Page, at
+from tests.live.test_browser import PLACE, SOLVED
 from tests.live.test_server import served
 
 SHOT = """\
@@ -45,19 +46,11 @@ velocity = [0, 0, 0]
 """
 VIEW, SHOWN = (1120, 630), (800, 450)  # px, of the page and of the film
 STEPS, PAUSE = 48, 12  # of the drag, and pictures of the solved motion after it
-SOLVED = "document.getElementById('status').textContent.endsWith(': solved')"
-PLACE = """(() => {
-  const v = vehsim.viewer, box = document.getElementById("view").getBoundingClientRect();
-  const p = v.rings.at(-1).position.clone().project(v.view);
-  return [box.left + (p.x + 1) / 2 * box.width, box.top + (1 - p.y) / 2 * box.height];
-})()"""
 
 
-async def picture(page: Page, pointer: tuple[float, float] | None) -> Image.Image:
-    """What the page shows, with the pointer, which screenshots leave out."""
-    if pointer is not None:
-        x, y = pointer
-        await page.value(f"document.getElementById('pointer').style.transform = 'translate({x}px, {y}px)'")
+async def picture(page: Page, x: float, y: float) -> Image.Image:
+    """What the page shows, with the pointer at ``x``, ``y``, which screenshots leave out."""
+    await page.value(f"document.getElementById('pointer').style.transform = 'translate({x}px, {y}px)'")
     data = (await page.call("Page.captureScreenshot", format="png"))["data"]
     return Image.open(io.BytesIO(base64.b64decode(data))).convert("RGB").resize(SHOWN, Image.Resampling.LANCZOS)
 
@@ -91,11 +84,11 @@ async def film(folder: Path) -> list[Image.Image]:
             await page.mouse("Moved", *to)
             await page.until("document.getElementById('status').textContent.startsWith('dragging')", 20)
             await asyncio.sleep(0.3)  # the draft on its way
-            pictures.append(await picture(page, to))
+            pictures.append(await picture(page, *to))
         await page.mouse("Released", *to)
         await page.until("!document.getElementById('do-undo').disabled", 20)
         await page.until(SOLVED)
-        pictures += [await picture(page, to)] * PAUSE
+        pictures += [await picture(page, *to)] * PAUSE
     return pictures
 
 

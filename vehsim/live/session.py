@@ -573,8 +573,10 @@ class Session:
             now = before.draft.moved(marks, None if same else world)
         if now is None or not (now.success or same):
             clip = before.draft.clip() if before is not None and before.take is self.take else self.take.clips[name]
-            # such as an obstacle that was dragged into the path; then, a stunt that few segments cannot follow
-            for character, start in ((driven, clip), (driven, None), (table.motion.character, None)):
+            starts = [(driven, clip), (driven, None)]  # the second if an obstacle was dragged into the path
+            if driven != table.motion.character:  # such as a stunt that few segments cannot follow
+                starts.append((table.motion.character, None))
+            for character, start in starts:
                 now = draft(vehicle, world, marks, start, **{**options, "character": character})
                 if now.success:
                     break
