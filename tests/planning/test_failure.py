@@ -546,6 +546,7 @@ def test_a_mark_too_near_to_rock_is_refused_at_any_heading():
         vehsim.load_vehicle("helicopter", {"drag_quadratic": (0.0, 0.0, 0.0)}),
     )
     assert [i for i, *_ in marks_too_near(bare, windy, [Mark(1, position=(0, 0, 30)), near], 0.5, 24)] == [1]
+    assert [i for i, *_ in marks_too_near(heli, windy, [Mark(1, position=(0, 0, 30)), near], 0.5, 24)] == [1]
     assert found(replace(near, position=(24, 0, 26.4)), 0.5) == []
     free = replace(near, position=(32, 0, 28))
     ((_, message),) = found(free, 5.0)

@@ -153,25 +153,7 @@ def thrust_ball(vehicle: Vehicle, airspeed: float = 0.0) -> Ball | None:
     wrench: Any = ca.SX.zeros(6) if vehicle.wrench is None else ca.vertcat(vehicle.wrench(c))
     most = _largest(ca.Function("force", [c], [ca.densify(wrench[3:6])]), vehicle)
     weight = vehicle.gravity * (mass if vehicle.mass is None else vehicle.mass)
-    return Ball(np.array([0.0, 0.0, -weight / mass]), (most + _most_drag(vehicle, airspeed)) / mass)
-
-
-def _most_drag(vehicle: Holonomic, airspeed: float) -> float:
-    """The largest force of drag, N, at speeds up to ``airspeed`` m/s; inf if it depends on the turn rate too."""
-    if vehicle.drag is None or not airspeed:
-        return 0.0
-    air = ca.SX.sym("air", 6)
-    wrench: Any = ca.vertcat(vehicle.drag(air))
-    force = ca.densify(wrench[3:6])
-    if not math.isfinite(airspeed) or ca.depends_on(force, air[:3]):
-        return math.inf
-    rays = np.random.default_rng(0).normal(size=(SAMPLES, 3))
-    rays[:3] = np.eye(3)
-    velocities = airspeed * rays / np.linalg.norm(rays, axis=1)[:, None]
-    speeds = np.vstack([share * velocities for share in np.linspace(0.1, 1.0, 10)])
-    twists = np.hstack([np.zeros_like(speeds), speeds])
-    forces = np.array(ca.Function("drag", [air], [force]).map(len(twists))(twists.T))
-    return float(np.linalg.norm(forces, axis=0).max()) * SAMPLING_FACTOR
+    return Ball(np.array([0.0, 0.0, -weight / mass]), (most + SAMPLING_FACTOR * vehicle.largest_drag(airspeed)) / mass)
 
 
 def strength(vehicle: Vehicle) -> float:

@@ -15,12 +15,14 @@ from vehsim.planning.certificates import FINEST
 from vehsim.planning.outlines import clearances
 from vehsim.planning.request.landing import attitude, forgiven
 from vehsim.planning.request.marks import Mark, heading_of, leeway
-from vehsim.vehicles import Vehicle
+from vehsim.vehicles import Holonomic, Vehicle
 from vehsim.world.obstacles.obstacles import footprint, hulls_of, vertical_reach
 from vehsim.world.obstacles.plane import placed
 
 Array = NDArray[np.float64]
 
+MOST_LEAN = 0.1
+"""The largest lean in wind with which a vehicle's hulls are compared as if it were level, rad."""
 TURNS = 180
 """Number of headings to try at a mark without a heading."""
 _HEADINGS = np.arange(TURNS) * 2 * np.pi / TURNS
@@ -115,10 +117,11 @@ def _flown(vehicle: Vehicle, world: Any, mark: Any, seconds: float | None) -> _N
     if mark.on_ground:
         return None
     nose = heading_of(mark)
-    leans = vehicle.feels_wind and bool(np.any(world.wind))
-    level = mark.velocity is not None and not np.any(mark.velocity) and not leans
+    lean = _lean(vehicle, world.wind)
+    level = mark.velocity is not None and not np.any(mark.velocity) and lean < MOST_LEAN
     turned = nose is None and level
-    body = vehicle if nose is not None or turned else replace(vehicle, rig=None)
+    known = turned or (nose is not None and lean < MOST_LEAN)
+    body = vehicle if known else replace(vehicle, rig=None)
     turns = from_yaw(_HEADINGS) if turned else attitude(mark)[None]
     places = np.repeat(np.array([mark.position], float), len(turns), axis=0)
     obstacles, gaps = [], np.empty((len(turns), 0))
@@ -133,9 +136,21 @@ def _flown(vehicle: Vehicle, world: Any, mark: Any, seconds: float | None) -> _N
     best = int(gaps.min(axis=1).argmax())
     gap, obstacle = float(gaps[best].min()), obstacles[int(gaps[best].argmin())]
     if body is vehicle:
-        spare = _between(np.vstack(hulls_of(vehicle))[:, :2]) if turned and vehicle.rig else 0.0
+        points = np.vstack(hulls_of(vehicle)) if vehicle.rig else np.zeros((1, 3))
+        spare = (_between(points[:, :2]) if turned else 0.0) + lean * float(np.linalg.norm(points, axis=1).max())
         return _Nearest(gap, obstacle, turned, spare)
     return _Nearest(gap, obstacle) if gap <= 0 else None
+
+
+def _lean(vehicle: Vehicle, wind: Any) -> float:
+    """How far a flying vehicle may lean into a wind (3,) m/s to hold its place, rad, with as much again for other
+    forces; inf if unknown."""
+    if not (vehicle.feels_wind and np.any(wind)):
+        return 0.0
+    if not isinstance(vehicle, Holonomic) or not vehicle.gravity:
+        return np.inf
+    weight = vehicle.gravity * (vehicle.mass or float(np.diag(vehicle.inertia)[3:].min()))
+    return 2 * vehicle.largest_drag(float(np.linalg.norm(wind))) / weight
 
 
 def _between(points: Array) -> float:

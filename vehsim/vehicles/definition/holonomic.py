@@ -57,6 +57,23 @@ class Holonomic(Vehicle):
         object.__setattr__(self, "feels_wind", self.feels_wind or self.drag is not None)
         self.force(*symbols(self))  # names a law of the wrong shape now
 
+    def largest_drag(self, airspeed: float) -> float:
+        """The largest force of drag, N, on a body in space at speeds up to ``airspeed`` m/s, found by sampling; inf if
+        it depends on the turn rate too."""
+        if self.drag is None or not airspeed:
+            return 0.0
+        air = ca.SX.sym("air", 6)
+        force = ca.densify(law(self, "drag", 6, self.drag, air)[3:])
+        if not np.isfinite(airspeed) or ca.depends_on(force, air[:3]):
+            return float("inf")
+        rays = np.random.default_rng(0).normal(size=(600, 3))
+        rays[:3] = np.eye(3)
+        velocities = airspeed * rays / np.linalg.norm(rays, axis=1)[:, None]
+        velocities = np.vstack([share * velocities for share in np.linspace(0.1, 1.0, 10)])
+        twists = np.hstack([np.zeros_like(velocities), velocities])
+        forces = np.array(ca.Function("drag", [air], [force]).map(len(twists))(twists.T))
+        return float(np.linalg.norm(forces, axis=0).max())
+
     def reduced_lagrangian(self, r: Expr, u: Expr, xi: Expr) -> Expr:
         return ca.dot(xi, ca.DM(self.inertia) @ xi) / 2
 
