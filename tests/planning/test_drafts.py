@@ -126,3 +126,39 @@ def test_a_draft_faces_as_its_clip_where_a_plan_chose_the_heading():
 
 def parts(world):
     return [(obstacle, 0) for obstacle in world.obstacles]
+
+
+HELICOPTER = vehsim.load_vehicle("helicopter")
+
+
+def flight(place, frame):
+    return [
+        Mark(frame=1001, position=(0, 0, 30), heading=0, velocity=(0, 0, 0)),
+        Mark(frame=frame, position=place, heading=0, velocity=(0, 0, 0)),
+    ]
+
+
+def test_a_flight_that_few_segments_cannot_make_is_planned_and_drafted_on_more():
+    """At 16 segments, the first possible frame is 1122; controls that may change more often make it by 1121."""
+    hurried = flight((60, 10, 30), 1121)
+    with pytest.warns(UserWarning, match="with 64 segments, because 16 are too few"):
+        plan = vehsim.plan(HELICOPTER, None, hurried, segments=16, character="stunt")
+    assert plan.success and plan.clip.frames[-1] == 1121
+    first = draft(HELICOPTER, None, hurried, plan.clip, fps=24, segments=16, character="stunt")
+    assert first.success and first._iterate.layout.segments == 32
+    moved = first.moved(flight((59, 9, 30), 1121))
+    assert moved.success and moved.clip().positions[-1] == pytest.approx([59, 9, 30], abs=1e-6)
+
+
+@pytest.mark.parametrize("price", [1e-3, 1.0, 1e4])
+def test_dragging_is_as_exact_whatever_the_magnitude_of_the_cost(price):
+    """The barrier of a draft is relative to its cost: the same motion must come of costs in other units."""
+    drags = [flight((60 + step, 10 - 2 * step, 30), 1193) for step in range(4)]
+    asked = {"fps": 24, "segments": 16, "cost": {"effort": price}, "character": "stunt"}
+    now = draft(HELICOPTER, None, drags[0], vehsim.plan(HELICOPTER, None, drags[0], **asked).clip, **asked)
+    for to in drags[1:]:
+        now = now.moved(to)
+        assert now.success, now.reason
+    exact = vehsim.plan(HELICOPTER, None, drags[-1], refine=False, guess=now.clip(), **asked).clip
+    away = np.linalg.norm(now.clip().positions - exact.resample().positions, axis=1).max()
+    assert away < 0.05, away

@@ -11,7 +11,6 @@ from vehsim import Mark
 from vehsim.planning.constraints import clearance
 from vehsim.planning.constraints.clearance import Clearance
 from vehsim.planning.problem.multipliers import transferred
-from vehsim.planning.problem.solver import Multipliers
 from vehsim.world.terrain.terrain import Terrain
 
 
@@ -49,7 +48,7 @@ def test_misleading_multipliers_cost_time_and_nothing_else(helicopter):
     right = plan.replan(moved)
     true, where = plan._iterate.multipliers
     rng = np.random.default_rng(1)
-    noise = Multipliers(*(1e6 * rng.standard_normal(len(part)) for part in (true.x, true.g)))
+    noise = replace(true, **{key: 1e6 * rng.standard_normal(len(getattr(true, key))) for key in ("x", "g")})
     wrong = with_multipliers(plan, (noise, where)).replan(moved)
     assert wrong.success and wrong.iterations > right.iterations
     np.testing.assert_allclose(wrong.clip.positions, right.clip.positions, atol=1e-6)

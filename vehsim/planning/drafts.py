@@ -85,14 +85,23 @@ class Draft:
 
 def draft(vehicle: Vehicle, world: Any, marks: Sequence[Mark], clip: Clip | None, **options: Any) -> Draft:
     """The first draft, started from a ``clip`` with marks at the same frames, or from a path that is found; ``options``
-    as in `plan`.
+    as in `plan`. Where the requested segments are too few, it has more.
 
     Raises ``InputError`` for an invalid request.
     """
     segments = max(min(SEGMENTS, options.get("segments", SEGMENTS)), 2 * len(marks))
-    request = make_request(
-        vehicle, world, marks, **{**options, "refine": False, "segments": segments, "max_iterations": ITERATIONS}
-    )
+    while True:
+        request = make_request(
+            vehicle, world, marks, **{**options, "refine": False, "segments": segments, "max_iterations": ITERATIONS}
+        )
+        made = _first(request, clip)
+        if made.success or segments >= SEGMENTS:
+            return made
+        segments = min(2 * segments, SEGMENTS)
+
+
+def _first(request: Request, clip: Clip | None) -> Draft:
+    """The first draft of a request."""
     run = Run(request, draft=True)
     with interrupts.remembered():
         paths = find_paths(request, clip, run.deadline.watched(None))

@@ -58,6 +58,8 @@ LATE = f"{HURRIED} before solving began{{}}: the motion is the unverified initia
 """The message of a plan that ran out of time before the first solve, and the step that used the time."""
 FINER, MOST = 4, 256
 """Factor by which the number of segments grows if the controls lead elsewhere, and the largest number."""
+TELLING = 32
+"""With fewer segments, even a known reason may be due to their number: controls cannot change within them."""
 SHARE = 0.1
 """How far from the plan its executed controls may end in addition to `execution_tolerance`, as a share of its length.
 
@@ -305,7 +307,7 @@ def _in_one_character(request: Request, progress: Progress | None, guess: Any, e
         if again._iterate is None or not again._iterate.success:
             break
         made = min(made, again, key=lambda plan: plan.executed.final)
-    if _unexplained(made) and segments == request.segments < MOST:
+    if segments == request.segments < MOST and (_unexplained(made) or (segments < TELLING and _unsolved(made))):
         segments = min(FINER * segments, MOST)
         again = _attempt(replace(request, segments=segments), progress, guess, once=True)
         if again.success:
@@ -381,10 +383,16 @@ def _misled(plan: Plan) -> bool:
     return ends_elsewhere(plan._iterate) and not deadline.late and not deadline.cut
 
 
+def _unsolved(plan: Plan) -> bool:
+    """Whether a plan was tried and failed with time left: on more segments it may succeed."""
+    assert plan._run is not None
+    return not (plan.success or plan._run.deadline.late) and plan.iterations > 0
+
+
 def _unexplained(plan: Plan) -> bool:
-    """Whether a plan failed without a known reason: on more segments it may succeed."""
-    assert plan._iterate is not None and plan._run is not None
-    return not (plan.success or plan._iterate.why or plan._run.deadline.late) and plan.iterations > 0
+    """Whether it failed without a known reason."""
+    assert plan._iterate is not None
+    return _unsolved(plan) and not plan._iterate.why
 
 
 def _attempt(request: Request, progress: Progress | None, guess: Any, once: bool = False, early: bool = False) -> Plan:

@@ -46,7 +46,7 @@ def transferred(
         if len(here):
             x[there] = share * _at(fine.instants(there[0]), coarse.instants(here[0]), multipliers.x[here].T).T
     x[fine.lengths] = multipliers.x[coarse.lengths]
-    return Multipliers(x, np.concatenate(g))
+    return Multipliers(x, np.concatenate(g), multipliers.cost)
 
 
 def _both(coarse: Layout, fine: Layout) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:

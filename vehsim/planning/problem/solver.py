@@ -35,6 +35,8 @@ class Multipliers:
 
     x: Array
     g: Array
+    cost: float
+    """The cost of the motion they belong to."""
 
 
 @dataclass(frozen=True)
@@ -53,12 +55,16 @@ class Solution:
     """Whether its deadline stopped it."""
 
 
-Start = Literal["guess", "again", "motion", "multipliers"]
+Start = Literal["guess", "again", "motion", "multipliers", "draft"]
 """What a solve starts from: an initial guess; the same guess with a larger active set; a solved motion of another
-discretisation; such a motion with its multipliers."""
+discretisation; such a motion with its multipliers; that of a draft with its multipliers, when its marks moved."""
 
 MET = 1e-6
 """Largest violation of a constraint that is met, in the problem's scaled units."""
+DRAWN = 1e-4
+"""The same for a draft, in which less cannot be seen."""
+LEAST = 1e-3
+"""Smallest magnitude of a cost by which it is divided."""
 End = Literal["optimal", "content", "draft"]
 """When a solve ends: at the least cost; when all constraints are met and the cost hardly changes; or soon after that,
 within what can be seen."""
@@ -74,26 +80,47 @@ _ENDS: dict[End, dict[str, Any]] = {
     "optimal": {"tol": 1e-8, "constr_viol_tol": 1e-9},
     # near the earliest possible frame, the costs of a character fall slowly, and hardly any of it can be seen
     "content": {"tol": 1e-8, "constr_viol_tol": 1e-9, **_CONTENT},
-    "draft": {"tol": 1e-4, "constr_viol_tol": MET, "dual_inf_tol": 1e3, "compl_inf_tol": 1e-3, **_CONTENT},
+    # no scaling of the linear systems and none by the first derivatives, which take as long as half an iteration
+    "draft": {
+        "tol": 1e-4,
+        "constr_viol_tol": DRAWN,
+        "dual_inf_tol": 1e3,
+        "compl_inf_tol": 1e-3,
+        "nlp_scaling_method": "none",
+        "mumps_scaling": 0,
+        "mumps_permuting_scaling": 0,
+        **_CONTENT,
+    },
 }
 NEARBY = 60
 """Maximum number of iterations from multipliers: if these mislead, the motion alone is the better start."""
-_WARM = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
+
+
+def _warm(barrier: float, push: float) -> dict[str, Any]:
+    """Options of a start from multipliers; ``push``: the smallest distance from bounds, which other ones that become
+    active need."""
+    pushes = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
+    return {
+        "mu_strategy": "monotone",
+        "mu_init": barrier,
+        "warm_start_init_point": "yes",
+        **{f"warm_start_{name}": push for name in pushes},
+    }
+
+
 _BARRIERS: dict[Start, dict[str, Any]] = {
     "guess": {"mu_strategy": "adaptive"},
     "again": {"mu_strategy": "monotone", "mu_init": 3e-3},
     "motion": {"mu_strategy": "monotone", "mu_init": 1e-5},
-    "multipliers": {
-        "mu_strategy": "monotone",
-        "mu_init": 1e-6,
-        "warm_start_init_point": "yes",
-        **{f"warm_start_{name}": 1e-9 for name in _WARM},
-    },
+    "multipliers": _warm(1e-6, 1e-9),
+    "draft": _warm(1e-6, 1e-4),
 }
 
 
-def ipopt_options(max_iterations: int = 400, start: Start = "guess", end: End = "optimal") -> dict[str, Any]:
-    """Options of IPOPT with exact Hessians and MUMPS, without output."""
+def ipopt_options(
+    max_iterations: int = 400, start: Start = "guess", end: End = "optimal", magnitude: float = 1.0
+) -> dict[str, Any]:
+    """Options of IPOPT with exact Hessians and MUMPS, without output; it divides the cost by its ``magnitude``."""
     return {
         "ipopt": {
             "max_iter": min(max_iterations, NEARBY) if start == "multipliers" else max_iterations,
@@ -102,11 +129,14 @@ def ipopt_options(max_iterations: int = 400, start: Start = "guess", end: End = 
             "sb": "yes",
             **_BARRIERS[start],
             **_ENDS[end],
+            "obj_scaling_factor": 1 / magnitude,
         }
     }
 
 
-def sqp_options(max_iterations: int = 400, start: Start = "guess", end: End = "optimal") -> dict[str, Any]:
+def sqp_options(
+    max_iterations: int = 400, start: Start = "guess", end: End = "optimal", magnitude: float = 1.0
+) -> dict[str, Any]:
     """Options of CasADi's own SQP method over the sparse QP solver it ships, convexified, without output."""
     quiet = {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False}
     return {
@@ -122,12 +152,15 @@ def sqp_options(max_iterations: int = 400, start: Start = "guess", end: End = "o
     }
 
 
-SOLVERS: dict[str, Callable[[int, Start, End], dict[str, Any]]] = {
+SOLVERS: dict[str, Callable[[int, Start, End, float], dict[str, Any]]] = {
     "ipopt": ipopt_options,
     "sqpmethod": sqp_options,
-    "fatrop": lambda iterations, start, end: {"fatrop": {"max_iter": iterations, "print_level": 0, "tol": 1e-8}},
+    "fatrop": lambda iterations, start, end, magnitude: {
+        "fatrop": {"max_iter": iterations, "print_level": 0, "tol": 1e-8}
+    },
 }
-"""NLP solver -> its options, as a function of the maximum number of iterations, the kind of start, and the end."""
+"""NLP solver -> its options, as a function of the maximum number of iterations, the kind of start, the end, and the
+magnitude of the cost."""
 
 ACCEPTABLE, MAXIMUM = "Solved_To_Acceptable_Level", "Maximum_Iterations_Exceeded"
 PLAIN = {
@@ -173,22 +206,23 @@ class Solver:
         self._callback = _Callback(self, problem.size, len(self._bounds[0]), problem.parameters)
         taken = {"ipopt": functions, "sqpmethod": {"hess_lag": _whole(functions["hess_lag"])}}
         self._own = taken.get(plugin, {})  # the other plugins differentiate themselves
-        self._solvers: dict[Start, ca.Function] = {}
+        self._solvers: dict[tuple[Start, float], ca.Function] = {}
 
-    def prepare(self, start: Start) -> ca.Function:
-        """CasADi's solver for this kind of start, created on first use in milliseconds, since functions are shared."""
-        if start not in self._solvers:
+    def prepare(self, start: Start, magnitude: float = 1.0) -> ca.Function:
+        """CasADi's solver for this kind of start and this ``magnitude`` of the cost, created on first use in
+        milliseconds, since functions are shared."""
+        if (start, magnitude) not in self._solvers:
             settings: dict[str, Any] = {
                 **self._own,
-                **SOLVERS[self.plugin](self.max_iterations, start, self.end),
+                **SOLVERS[self.plugin](self.max_iterations, start, self.end, magnitude),
                 "iteration_callback": self._callback,
                 "print_time": False,
                 "error_on_fail": False,
                 "calc_lam_p": False,
                 "show_eval_warnings": False,
             }
-            self._solvers[start] = nlpsol("plan", self.plugin, self._nlp, settings)
-        return self._solvers[start]
+            self._solvers[start, magnitude] = nlpsol("plan", self.plugin, self._nlp, settings)
+        return self._solvers[start, magnitude]
 
     def solve(
         self,
@@ -202,26 +236,32 @@ class Solver:
     ) -> Solution:
         """Solve from ``x0`` and optional ``multipliers`` until ``deadline`` s on the clock of `time.monotonic`."""
         g_lower, g_upper = self._bounds
-        solver = self.prepare("multipliers" if multipliers else start)
-        given = {} if multipliers is None else {"lam_x0": multipliers.x, "lam_g0": multipliers.g}
+        given, magnitude = {}, 1.0
+        if multipliers is not None:
+            given = {"lam_x0": multipliers.x, "lam_g0": multipliers.g}
+            start = "multipliers"
+            if self.end == "draft":  # the barrier is chosen for costs of about one
+                start, magnitude = "draft", 10.0 ** round(math.log10(max(multipliers.cost, LEAST)))
+        solver = self.prepare(start, magnitude)
         self._callback.begin(deadline)
         with interrupts.silent():
             answer = solver(x0=x0, lbx=lower, ubx=upper, lbg=g_lower, ubg=g_upper, p=parameters, **given)
         stats = solver.stats()
         x, g = np.asarray(answer["x"]).ravel(), np.asarray(answer["g"]).ravel()
         violations = np.maximum.reduce([g_lower - g, g - g_upper, np.zeros_like(g)])
+        cost = float(answer["f"])
         status, violation = str(stats["return_status"]), float(violations.max(initial=0.0))
         if self.end != "optimal" and status == MAXIMUM and violation <= MET:
             status = ACCEPTABLE
         return Solution(
             x=x,
-            cost=float(answer["f"]),
+            cost=cost,
             violation=violation,
             success=bool(stats["success"]) or status == ACCEPTABLE,
             message=_plainly(status),
             iterations=int(stats.get("iter_count", 0)),
             violations=violations,
-            multipliers=Multipliers(np.asarray(answer["lam_x"]).ravel(), np.asarray(answer["lam_g"]).ravel()),
+            multipliers=Multipliers(np.asarray(answer["lam_x"]).ravel(), np.asarray(answer["lam_g"]).ravel(), cost),
             out_of_time=self._callback.out_of_time,
         )
 
