@@ -181,3 +181,38 @@ def test_the_page_fixes_changes_adds_and_deletes(tmp_path):
             await page.until("state", lambda message: "at least 2" in texts(message) and not message["solved"])
 
     asyncio.run(play())
+
+
+REST = "velocity = [0, 0, 0]"
+DRAGGED = {
+    "joints by name": ("snakeboard", "", (5, 1.5, 0), f"joints = {{ psi = 0, phi = 0 }}\n{REST}"),
+    "a speed": ("car", "", (14, 3, 0), "speed = 3"),
+    "no heading": ("helicopter", "", (20, 8, 12), REST),
+    "a tolerance": ("car", "", (14, 3, 0), f"heading = 0\ntolerance = 0.5\n{REST}"),
+    "on terrain": ("car", 'terrain = "hills"', (14, 3, 0), f"heading = 0\n{REST}"),
+    "a hold": ("helicopter", "", (20, 8, 12), f"heading = 0\nhold = 12\n{REST}"),
+    "an orientation": ("helicopter", "", (20, 8, 12), f"orientation = [1, 0, 0, 0]\n{REST}"),
+}
+
+
+@pytest.mark.parametrize("kind", DRAGGED)
+def test_marks_of_every_kind_are_dragged(kind, tmp_path):
+    from vehsim.live.messages import Moved
+    from vehsim.live.session import Session
+
+    asset, world, (x, y, z), mark = DRAGGED[kind]
+    path = tmp_path / "shot.toml"
+    path.write_text(
+        f'[shot]\nschema = 1\nname = "shot"\n[world]\n{world}\n[[vehicle]]\nname = "one"\nasset = "{asset}"\n'
+        f'[vehicle.motion]\nmethod = "plan"\nsegments = 32\n'
+        f"[[vehicle.motion.mark]]\nframe = 1001\nposition = [0, 0, {z}]\nheading = 0\n{REST}\n"
+        f"[[vehicle.motion.mark]]\nframe = 1193\nposition = [{x}, {y}, {z}]\n{mark}\n"
+    )
+    session = Session(path, tmp_path, lambda *_: None)
+    session.solve()
+    assert session.solved, session.problems
+    session.prepare()
+    place = (x + 0.5, y - 0.5, z)
+    session.drag(Moved(kind="drag", key="vehicle[0].motion.mark[1].position", position=place))
+    reached = session._drafts["one"].draft.clip().positions[-1, :2]
+    assert abs(reached - place[:2]).max() <= (0.5 if "tolerance" in mark else 1e-3)

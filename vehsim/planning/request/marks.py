@@ -133,9 +133,16 @@ def _shape(mark: Mark) -> tuple[Any, ...]:
         tuple(getattr(mark, key) is not None for key in keys),
         (mark.balanced, mark.at_rest, mark.speed == 0, mark.hold > 0, mark.on_ground),
         (mark.given_frame is None, mark.tolerance),
-        None if mark.joints is None else tuple(np.isfinite(np.asarray(mark.joints, float))),
+        _fixed(mark.joints),
         mark.gate and mark.gate.radius is None,
     )
+
+
+def _fixed(joints: Sequence[float] | Mapping[str, float] | None) -> tuple[Any, ...] | None:
+    """Which joints have a value: their names from a table, or a flag for each in a row."""
+    if isinstance(joints, Mapping):
+        return tuple(sorted(name for name, value in joints.items() if np.isfinite(value)))
+    return None if joints is None else tuple(np.isfinite(np.asarray(joints, float)).tolist())
 
 
 def leeway(mark: Any) -> float:
