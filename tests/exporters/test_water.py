@@ -17,8 +17,8 @@ from vehsim.exporters.checks.validate import validate_stage
 from vehsim.exporters.pictures.passes import prim_colours
 from vehsim.exporters.pictures.render import StageRenderer
 from vehsim.exporters.pictures.water import places_of
+from vehsim.exporters.usd.scenery import wake, water_grid
 from vehsim.exporters.usd.scenery import water as authored
-from vehsim.exporters.usd.scenery import water_grid
 from vehsim.exporters.usd.scenery.wake import Floating, Foam, Wake
 from vehsim.exporters.usd.stage import StageReader
 from vehsim.world.water.sea import sea_state, together
@@ -58,26 +58,82 @@ def shown(tmp_path_factory):
 
 def test_a_vehicle_at_rest_makes_no_waves():
     clip = straight(0.0, 1.0)
-    wake = Wake(afloat(clip), 0.0, clip.frames, FPS)
-    assert np.abs(np.array(list(wake.heights()))).max() < 1e-9
+    xy = np.random.default_rng(1).uniform(-40, 20, (500, 2))
+    assert max(np.abs(raised(xy)).max() for raised in Wake(afloat(clip), clip.frames, FPS).heights()) < 1e-9
 
 
 def test_a_wake_has_kelvins_wavelength_and_wedge():
     """Transverse waves behind it are 2 pi U^2 / g long, and beyond 19.5 degrees there is hardly any wave."""
     speed = 4.0
     clip = straight(speed, 12.0, (-24.0, 0.0, 0.0))
-    wake = Wake(afloat(clip), 0.0, clip.frames, FPS)
-    *_, field = wake.heights()
+    *_, raised = Wake(afloat(clip), clip.frames, FPS).heights()
     bow = clip.positions[-1, 0]
     behind = np.arange(5.0, 28.0, 0.2)
-    line = wake.at(field, np.column_stack([bow - behind, 0 * behind]))
+    line = raised(np.column_stack([bow - behind, 0 * behind]))
     spectrum = np.abs(np.fft.rfft((line - line.mean()) * np.hanning(len(line)), 4096))
     length = 1 / (np.fft.rfftfreq(4096, 0.2)[10:][spectrum[10:].argmax()])
     assert length == pytest.approx(2 * np.pi * speed**2 / 9.81, rel=0.12)
     x, y = np.meshgrid(np.arange(8.0, 25.0, 0.5), np.arange(-20.0, 20.5, 0.5))
-    heights = wake.at(field, np.column_stack([bow - x.ravel(), y.ravel()])).reshape(x.shape)
+    heights = raised(np.column_stack([bow - x.ravel(), y.ravel()])).reshape(x.shape)
     angle = np.degrees(np.arctan2(np.abs(y), x))
     assert np.sqrt((heights[angle > 28] ** 2).mean()) < 0.15 * np.sqrt((heights[angle < 20] ** 2).mean())
+
+
+def turning(speed, seconds, radius):
+    """A boat that turns in a circle."""
+    clip = straight(speed, seconds)
+    angle = speed / radius * np.asarray(clip.times)
+    places = np.column_stack([radius * np.sin(angle), radius * (1 - np.cos(angle)), 0 * angle])
+    quaternions = np.column_stack([np.cos(angle / 2), 0 * angle, 0 * angle, np.sin(angle / 2)])
+    return replace(clip, positions=places, orientations=quaternions)
+
+
+def way_of(clip):
+    """The way of a boat on every third frame."""
+    places, velocities, headings = wake.clip_places(clip, clip.frames[::3].astype(float))
+    return wake._Way(afloat(clip)["boat"], places[:, :2], 1 / 3 * velocities, headings)
+
+
+@pytest.mark.parametrize(
+    "clip", [straight(8.0, 40.0), turning(8.0, 40.0, 60.0), straight(3.0, 20.0)], ids=["long", "circle", "slow"]
+)
+def test_a_box_that_follows_has_the_waves_of_one_around_the_whole_way(clip):
+    way = way_of(clip)
+    whole, following = wake._whole([way]), wake._following(way, wake.MOST, FPS / 3)
+    places, headings, last = way.places, way.headings, len(way.places) - 1
+    along, aside = np.meshgrid(np.arange(-60.0, 8.0, 0.7), np.arange(-25.0, 25.5, 0.7))
+    ahead = np.array([np.cos(headings[last]), np.sin(headings[last])])
+    xy = places[last] + np.outer(along.ravel(), ahead) + np.outer(aside.ravel(), [-ahead[1], ahead[0]])
+    *_, wanted = wake._Waves(whole, [way], 3 / FPS).heights()
+    *_, found = wake._Waves(following, [way], 3 / FPS).heights()
+    if np.ptp(places[:, 0]) > 300:
+        assert np.ptp(following.lower[:, 0]) > 100 and following.shape[1] < 0.9 * whole.shape[1]
+    assert np.abs(found(xy) - wanted(xy)).max() < 0.03 * np.abs(wanted(xy)).max()
+
+
+def test_the_end_of_a_wake_that_is_kept_does_not_pop(monkeypatch):
+    """From frame to frame, the waves that pass a fixed point change no faster than those of the whole wake."""
+    monkeypatch.setattr(wake, "SEEN", 6.0)
+    way = way_of(straight(8.0, 24.0))
+    xy = np.column_stack([np.arange(0.0, 200.0, 1.0), np.full(200, 4.0)])
+    seen = [
+        np.array([raised(xy) for raised in wake._Waves(box, [way], 3 / FPS).heights()])
+        for box in (wake._whole([way]), wake._following(way, wake.MOST, FPS / 3))
+    ]
+    far = (way.places[:-1, :1] - xy[:, 0]) > 70.0  # about the end of what is kept
+    whole, kept = (np.abs(np.diff(heights, axis=0))[far].max() for heights in seen)
+    assert kept < 1.3 * whole, (kept, whole)
+    assert np.abs(seen[1][-1][:20]).max() < 1e-9 < np.abs(seen[0][-1][:20]).max()  # left behind
+
+
+def test_boats_far_apart_have_boxes_of_their_own():
+    near, far = straight(6.0, 2.0), straight(6.0, 2.0, (4990.0, 0.0, 0.0))
+    both = {"near": afloat(near)["boat"], "far": afloat(far)["boat"]}
+    *_, raised = Wake(both, near.frames.astype(float), FPS).heights()
+    *_, single = Wake({"near": both["near"]}, near.frames.astype(float), FPS).heights()
+    xy = np.column_stack([np.linspace(-15, 2, 200), np.full(200, 1.0)])
+    assert np.abs(raised(xy) - single(xy)).max() < 0.05 * np.abs(single(xy)).max()
+    assert np.abs(raised(xy + np.array([5000, 0])) - raised(xy)).max() < 0.01 * np.abs(single(xy)).max()
 
 
 def test_foam_lies_behind_and_fades():

@@ -6,8 +6,9 @@ One layer, ``layers/water.usdc``. `water_grid.py` lays its grid, `wake.py` compu
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
+from itertools import repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from vehsim.exporters.usd.metadata import author_stage_metadata
 from vehsim.exporters.usd.scenery.spray import Drops, Spray, author_spray
-from vehsim.exporters.usd.scenery.wake import Floating, Foam, Wake, clip_matrices
+from vehsim.exporters.usd.scenery.wake import Floating, Foam, Raised, Wake, clip_matrices
 from vehsim.exporters.usd.scenery.water_grid import Grid, lay_grid
 from vehsim.exporters.usd.scenery.water_material import (
     author_coordinates,
@@ -126,18 +127,18 @@ def surfaces(take: Take, grid: Grid, frames: Array) -> Iterator[Shown]:
     water, fps, xy = take.world.water, float(take.fps), grid.xy
     assert water is not None
     afloat = floating(take, frames)
-    wake = Wake(afloat, water.level, frames, fps) if afloat else None
+    wake = Wake(afloat, frames, fps) if afloat else None
     trails = Foam(afloat, xy, frames, fps)
-    raised = wake.heights() if wake is not None else iter(np.zeros((len(frames), 1, 1)))
+    wakes: Iterable[Raised | None] = repeat(None, len(frames)) if wake is None else wake.heights()
     start = min((clip.start_frame for clip in take.clips.values()), default=take.frames[0])
     breaking = _breaking(take)
     sea, whitecaps = _undisturbed(water, grid), None if breaking is None else _whitecaps(take, grid, breaking)
     spray = Spray(afloat, water, breaking, grid, take.world.wind, start, fps)
-    for k, (frame, field) in enumerate(zip(frames.tolist(), raised, strict=True)):
+    for k, (frame, raised) in enumerate(zip(frames.tolist(), wakes, strict=True)):
         points = sea((frame - start) / fps)
         drops = spray.at(frame, points)
-        if wake is not None:
-            points[:, 2] += wake.at(field, points[:, :2])
+        if raised is not None:
+            points[:, 2] += raised(points[:, :2])
         normals = grid.normals(points)
         foam = trails.at(k)
         if whitecaps is not None:
