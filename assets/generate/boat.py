@@ -298,7 +298,7 @@ def cockpit() -> dict[str, Surface]:
         rows = [[[x, np.clip(y, -w, w), SOLE] for y in (right, left)] for x, w in zip(xs, half, strict=True)]
         return sheet(rows, [0, 0, 1])
 
-    seams = np.arange(-8, 9) * 0.11 + 0.055
+    seams = np.arange(-9, 9) * 0.11 + 0.055
     planks = [strip(y + 0.004, y + 0.106) for y in seams[:-1]]
     return {"sole": join(*planks), "rubber": join(*(strip(y - 0.004, y + 0.004) for y in seams))}
 

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from fractions import Fraction
 
+import igl
 import numpy as np
 import pytest
 from pxr import Usd, UsdGeom
@@ -15,7 +16,7 @@ from vehsim.exporters.checks.validate import validate_stage
 from vehsim.exporters.pictures.spray import draw_spray
 from vehsim.exporters.usd.scenery import spray as authored
 from vehsim.exporters.usd.scenery.spray import DRAG, GENTLE, LIFE, MOST, Drops, flown
-from vehsim.exporters.usd.scenery.water import surfaces
+from vehsim.exporters.usd.scenery.water import floating, surfaces
 from vehsim.exporters.usd.scenery.water_grid import lay_grid
 from vehsim.exporters.usd.stage import StageReader
 from vehsim.world.water.sea import sea_state
@@ -98,6 +99,23 @@ def test_its_drops_are_bounded_and_above_the_water(storm, monkeypatch):
     for drops, shown in zip(sprays(storm, [1049]), surfaces(storm, lay_grid(storm), np.array([1049.0])), strict=True):
         assert 20 < len(drops.widths) <= 300
         assert drops.places[:, 2].min() > shown.points[:, 2].min() - 0.1
+
+
+def test_no_drop_flies_inside_a_hull(monkeypatch):
+    """The boat falls into the water, and then is under its own spray."""
+    take = moving((4.0, 0.0, -2.0), 0.6, 0.9)
+    T_wr = take.clips["boat"].matrices()[-1]
+    frame = float(take.frames[1])
+    corners, faces = floating(take, np.array([frame]))["boat"].hull
+
+    def aboard():
+        (drops,) = sprays(take, [frame])
+        own = (drops.places - T_wr[:3, 3]) @ T_wr[:3, :3]
+        return sum(igl.winding_number(corners, faces, place) > 0.5 for place in own)
+
+    assert aboard() == 0
+    monkeypatch.setattr(authored, "aboard", lambda *_: [])
+    assert aboard() > 10
 
 
 def test_wind_tears_drops_off_crests_downwind(storm):

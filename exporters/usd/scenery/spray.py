@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from vehsim.constants import GRAVITY
 from vehsim.exporters.usd.scenery.wake import Floating, clip_matrices
 from vehsim.exporters.usd.scenery.water_grid import Grid
+from vehsim.exporters.usd.scenery.waterline import aboard
 
 if TYPE_CHECKING:
     from vehsim.world.water.water import Water
@@ -126,7 +127,11 @@ class Spray:
         near = surface[self._surface]
         _, below = cKDTree(near[:, :2]).query(drops.places[:, :2])
         there = (age < LIFE) & (drops.places[:, 2] > near[below, 2] - 0.02)
-        return Drops(*(part[there] for part in drops))
+        drops = Drops(*(part[there] for part in drops))
+        for vehicle in self.vehicles.values():
+            hidden = aboard(vehicle, drops.places, frame)
+            drops = Drops(*(np.delete(part, hidden, axis=0) for part in drops))
+        return drops
 
     def _throw(self, frame: int) -> Thrown:
         """The drops thrown up in the frame before and up to a whole one."""

@@ -26,6 +26,7 @@ from vehsim.exporters.usd.scenery.water_material import (
     patches,
     set_foam,
 )
+from vehsim.exporters.usd.scenery.waterline import warn_of_coarse, waterline
 from vehsim.exporters.usd.stage import WATER_ROWS
 from vehsim.world.water.hull_mesh import wetted
 from vehsim.world.water.water import Water, Waves
@@ -45,10 +46,6 @@ RESOLVED = 1.6
 """Cells longer than this show less of a surface whose waves are unknown, so that distant water is not jagged, m."""
 LOWERED = "lowered"
 """Primvar: by how much the surface was lowered to be hidden inside a hull, m."""
-SKIN = 0.03
-"""Depth of lowered water below a hull's skin, m."""
-FALLS = 8
-"""Number of steps in which water is lowered inside a hull."""
 
 
 def write_water(take: Take, folder: Path) -> list[Path]:
@@ -127,6 +124,7 @@ def surfaces(take: Take, grid: Grid, frames: Array) -> Iterator[Shown]:
     water, fps, xy = take.world.water, float(take.fps), grid.xy
     assert water is not None
     afloat = floating(take, frames)
+    warn_of_coarse(afloat, grid)
     wake = Wake(afloat, frames, fps) if afloat else None
     trails = Foam(afloat, xy, frames, fps)
     wakes: Iterable[Raised | None] = repeat(None, len(frames)) if wake is None else wake.heights()
@@ -143,9 +141,10 @@ def surfaces(take: Take, grid: Grid, frames: Array) -> Iterator[Shown]:
         foam = trails.at(k)
         if whitecaps is not None:
             foam = np.maximum(foam, whitecaps.at(round(frame - start)))
-        lowered = _into_hulls(afloat, points, grid.cells, frame)
-        points[:, 2] -= lowered
-        yield Shown(points, normals, np.clip(foam, 0.0, 1.0), lowered, drops)
+        line = waterline(afloat, points, grid, frame)
+        points, normals, foam = line.of(points), line.of(normals), line.of(np.clip(foam, 0.0, 1.0))
+        points[:, 2] -= line.lowered
+        yield Shown(points, normals, foam, line.lowered, drops)
 
 
 def _breaking(take: Take) -> Breaking | None:
@@ -233,35 +232,3 @@ def _borne(afloat: Any, clip: Clip, frames: Array) -> Array:
         volume = wetted(np.column_stack([local, depth]), faces).volume(pose[2, :3])
         wet.append(float(np.clip(volume / afloat.rest_volume, 0.0, 1.0)))
     return np.array(wet)
-
-
-def _into_hulls(afloat: dict[str, Floating], points: Array, cells: Array, frame: float) -> Array:
-    """Depth (n,) m by which the surface's points (n, 3) must be lowered to be hidden below the bottoms of hulls.
-
-    Points within a cell of a hull's skin stay, so that the waterline on it is the water's own.
-    """
-    import igl
-
-    lowered = np.zeros(len(points))
-    for vehicle in afloat.values():
-        if vehicle.hull is None:
-            continue
-        corners, faces = vehicle.hull
-        T_wr = clip_matrices(vehicle.clip, np.array([frame]))[0]
-        R_wr, own = T_wr[:3, :3], (points - T_wr[:3, 3]) @ T_wr[:3, :3]
-        near = np.flatnonzero(((own > corners.min(axis=0)) & (own < corners.max(axis=0))).all(axis=1))
-        if not len(near):
-            continue
-        depth = np.sqrt(igl.point_mesh_squared_distance(own[near], corners, faces)[0])
-        deep = depth > cells[near]
-        near, depth = near[deep], depth[deep]
-        # Summed triangle by triangle: signed_distance's own, fast winding number was wrong on one machine.
-        inside = np.array([igl.winding_number(corners, faces, point) > 0.5 for point in own[near]], bool)
-        near, depth = near[inside], depth[inside]
-        for _ in range(FALLS):  # moving by the distance to the nearest skin keeps a point inside
-            if not len(near):
-                break
-            lowered[near] += np.maximum(depth - SKIN, 0.0)
-            below = own[near] - lowered[near, None] * R_wr[2]
-            depth = np.sqrt(igl.point_mesh_squared_distance(below, corners, faces)[0])
-    return lowered
