@@ -404,7 +404,8 @@ def _upward(points: Array, faces: Ints) -> Array:
     turned = np.ones(len(faces))
     if len(np.unique(edges)) < edges.size:  # two faces run along an edge in the same direction
         whole = np.flatnonzero((joined != np.roll(joined, 1, axis=1)).all(axis=1))
-        oriented, body = igl.bfs_orient(np.ascontiguousarray(joined[whole]))
+        none = np.zeros((0, 3), np.int64), np.zeros(0, np.int64)
+        oriented, body = igl.bfs_orient(np.ascontiguousarray(joined[whole])) if len(whole) else none  # it would crash
         turned[whole] = np.where((oriented == joined[whole]).all(axis=1), 1.0, -1.0)
     else:
         whole, body = np.arange(len(faces)), np.zeros(len(faces), int)

@@ -49,6 +49,31 @@ def test_broken_meshes_are_refused_or_read_as_valid_arrays(tmp_path: Path, read:
     assert refused > 50
 
 
+@pytest.mark.parametrize(
+    ("written", "says"),
+    [
+        (b"string points = 'a'", "of type string, not point3f"),
+        (b"string[] points = ['a']", "of type string"),
+        (b"points[] points = [1, 2]", "of type points"),
+        (b"float2[] points = [(0, 0), (1, 0), (0, 1)]", "of type float2"),
+        (b"point3f points = (0, 0, 0)", "of type point3f, not point3f"),
+        (b"rel points = </rig>", "of type rel"),
+        (b"float3[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]", None),
+        (b"double3[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]", None),
+    ],
+)
+def test_a_value_of_another_type_is_refused(tmp_path: Path, written: bytes, says: str | None) -> None:
+    mesh = b"int[] faceVertexCounts = [3]\nint[] faceVertexIndices = [0, 1, 2]\n" + written.replace(b"'", b'"')
+    head = b'#usda 1.0\n(\ndefaultPrim = "rig"\nmetersPerUnit = 1\nupAxis = "Z"\n)\ndef Mesh "rig"\n{\n'
+    (tmp_path / "a.usda").write_bytes(head + mesh + b"\n}\n")
+    if says is None:
+        points, faces = read_triangles(tmp_path / "a.usda")
+        assert points.tolist() == [[0, 0, 0], [1, 0, 0], [0, 1, 0]] and faces.tolist() == [[0, 1, 2]]
+    else:
+        with pytest.raises(InputError, match=rf"a.usda: /rig.points: {says}.*; export it again"):
+            read_triangles(tmp_path / "a.usda")
+
+
 def test_an_index_out_of_range_is_named(tmp_path: Path) -> None:
     """A terrain with such a mesh once crashed the process."""
     faces = FACES.copy()

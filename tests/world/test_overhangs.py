@@ -284,6 +284,12 @@ def test_a_route_leads_through_the_arch_and_out_of_the_cave(terrains):
 # ---------------------------------------------------------------- the audit of a stage
 
 
+def test_a_look_without_any_area_is_audited():
+    """Such as one whose transform collapses it: all corners at one place."""
+    ground = _Ground(np.zeros((3, 3)), np.array([[0, 1, 2], [0, 2, 1]]))
+    assert (ground.up == 0).all() and ground.height(np.array([[1.0, 2.0, 3.0]])) == 0
+
+
 @pytest.mark.parametrize("name", ["arch", "cave"])
 def test_the_audit_of_a_stage_sees_the_same_sides_and_ground(terrains, meshes, name):
     ground = _Ground(np.asarray(meshes[name].vertices, float), np.asarray(meshes[name].faces, np.int64))

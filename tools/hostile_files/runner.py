@@ -14,7 +14,7 @@ from typing import Any
 from tools.hostile_files.__main__ import SLOW
 from tools.hostile_files.cases import Case, make_case
 
-BAD = ("Traceback", "unexpected", "an error in vehsim", "cannot read files in another process")
+BAD = ("Traceback", "unexpected:", "an error in vehsim", "cannot read files in another process")
 """What no user may read."""
 
 

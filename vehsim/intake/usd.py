@@ -134,7 +134,7 @@ def _stamps(files: Iterable[Path]) -> tuple[Stamp | None, ...]:
 def _screened(asset: Path) -> tuple[tuple[Path, ...], tuple[str, ...]]:
     """The answer of `examine`, cached as long as its files have the same content."""
     most = limit("VEHSIM_READ_PRIMS")
-    made_of = (1, str(asset), content_of(asset))
+    made_of = (2, str(asset), content_of(asset))
     kept = lookup("screened", made_of)
     facts = None if kept is None else json.loads(kept)
     if (
@@ -181,6 +181,7 @@ def examine(asset: Path, most: float) -> Answer:
         prims += 1
         if prims > most:
             raise _too_many(asset, most)
+        _check_types(prim, asset)
         cache.GetLocalToWorldTransform(prim)
         imageable = UsdGeom.Imageable(prim)
         if imageable:
@@ -214,6 +215,28 @@ def _read_layers(layers: Iterable[Any], asset: Path, most: float) -> int:
                 for time in layer.ListTimeSamplesForPath(each.path):
                     layer.QueryTimeSample(each.path, time)
     return prims
+
+
+def _check_types(prim: Any, asset: Path) -> None:
+    """Refuse properties of a prim's schemas that are written with a type from which their values cannot be read."""
+    from pxr import Sdf
+
+    definition = prim.GetPrimDefinition()
+    for attribute in prim.GetAuthoredAttributes():
+        schema = definition.GetSchemaAttributeSpec(attribute.GetName())
+        for spec in attribute.GetPropertyStack() if schema else ():
+            written = spec.typeName if isinstance(spec, Sdf.AttributeSpec) else None
+            if not written or not (written == schema.typeName or _alike(written, schema.typeName)):
+                said = f"of type {written or 'rel'}, not {schema.typeName}"
+                raise InputError(said, "export it again", key=str(spec.path), file=asset)
+
+
+def _alike(one: Any, other: Any) -> bool:
+    """Whether values of a USD type can be read as those of another: both have numbers, as many, or both have text."""
+    first, second = (np.asarray(kind.scalarType.defaultValue) for kind in (one, other))
+    kinds = [next(same for same in ("biuf", "U", "O") if each.dtype.kind in same) for each in (first, second)]
+    same = kinds[0] == kinds[1] != "O" and first.shape == second.shape
+    return one.isArray == other.isArray and (same or bool(one.type == other.type))
 
 
 def _too_many(asset: Path, most: float) -> InputError:
