@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from pathlib import Path
 
@@ -129,6 +130,13 @@ def test_excessive_tables_are_refused(tmp_path: Path, text: str | bytes, says: s
     with pytest.raises(ShotError, match=says) as refused, warnings.catch_warnings():
         read_toml(path)
     assert says_what_to_do(refused.value, path)
+
+
+def test_a_named_pipe_is_refused(tmp_path: Path) -> None:
+    """Nothing writes to it, so that to read it would never end."""
+    os.mkfifo(tmp_path / "shot.toml")
+    with pytest.raises(ShotError, match=r"shot.toml: file: a named pipe; give the path of a TOML file"):
+        read_toml(tmp_path / "shot.toml")
 
 
 def test_a_device_without_an_end_is_refused(tmp_path: Path) -> None:

@@ -33,6 +33,8 @@ def read_toml(path: Path) -> tuple[dict[str, Any], str]:
         return ShotError([Problem("file", message, remedy, file=str(path))])
 
     try:
+        if path.is_fifo() and path.parts[:2] != ("/", "dev"):  # a shell's <(...) is below /dev
+            raise refuse("a named pipe", "give the path of a TOML file")
         with path.open("rb") as file:
             content = file.read(MAX_BYTES + 1)  # not its stated size: that of a device is 0
         if len(content) > MAX_BYTES:
