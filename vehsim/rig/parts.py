@@ -255,7 +255,11 @@ def _read_stage(asset: str | Path, root: str | None) -> tuple[list[Part], list[s
             skipped.append(f"{node.prim.GetPath()} ({node.prim.GetTypeName()})")
     if skipped:
         messages.append(f"{made_of(asset)}: only meshes are read; left out: {', '.join(skipped)}")
-    parts = [draft.part() for draft in drafts.values() if draft.carries(drafts)]
+    carrying = {draft.path for draft in drafts.values() if draft.look or draft.collision}
+    for draft in reversed(drafts.values()):  # parents come first; the root part needs geometry of its own
+        if draft.path in carrying and draft.parent is not None and draft.parent.path:
+            carrying.add(draft.parent.path)
+    parts = [draft.part() for draft in drafts.values() if draft.path in carrying]
     if not parts:
         place, remedy = str(prim.GetPath()), "give the prim that holds the vehicle"
         raise InputError("no mesh at or below it", remedy, key=place, file=made_of(asset))
@@ -388,12 +392,6 @@ class _Draft:
     name: str
     look: list[Mesh]
     collision: list[Mesh]
-
-    def carries(self, drafts: dict[str, _Draft]) -> bool:
-        """Whether this part, or a part that it carries, has geometry. The root part needs its own."""
-        if self.look or self.collision:
-            return True
-        return self.path != "" and any(d.parent is self and d.carries(drafts) for d in drafts.values())
 
     def part(self) -> Part:
         parent = self.parent
