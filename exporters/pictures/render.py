@@ -59,7 +59,7 @@ class StageRenderer:
         self._light = light_for(stage.sun(), stage.sky(), grounded)
         self._water = None if stage.water is None else WaterView(stage, self._light, shadows, size[0])
         self._bounds = bounds_of(stage)
-        self._reach = _shadow_reach(stage, self._bounds)
+        self._reach = shadow_reach(stage, self._bounds)
         self._shadow_axes = _across(self._light.direction)
         self._supersample = max(1, min(SUPERSAMPLE, round(samples**0.5), LARGEST // max(size)))
         width, height = self._supersample * size[0], self._supersample * size[1]
@@ -353,18 +353,18 @@ def _across(direction: Array) -> tuple[Array, Array]:
     return side, np.cross(side, direction)
 
 
-def _shadow_reach(stage: StageReader, bounds: tuple[Array, Array]) -> float:
-    """Half the width of the shadow map, m: four times the usual distance of the movers from the cameras."""
+def shadow_reach(stage: StageReader, bounds: tuple[Array, Array]) -> float:
+    """Half the width of the shadow map, m: four times the usual distance of what the cameras show."""
     whole = float(np.linalg.norm(bounds[1] - bounds[0])) / 2 + 1.0
     usual = _usual_distance(stage)
     return float(np.clip(whole if usual is None else min(4.0 * usual, whole), *SHADOW_REACH))
 
 
 def _usual_distance(stage: StageReader) -> float | None:
-    """The median distance of the cameras from the nearest mover, m; None without movers or cameras."""
+    """The median distance of the cameras from the nearest mover or vehicle, m; None without these or cameras."""
     distances = []
     for frame in np.linspace(stage.frames[0], stage.frames[1], 5):
-        places = [pose[:3, 3] for pose in stage.matrices(frame).values()]
+        places = [pose[:3, 3] for pose in stage.matrices(frame).values()] + stage.vehicles(frame)
         eyes = [stage.camera(name, frame).T_wc[:3, 3] for name in stage.cameras]
         distances += [min(np.linalg.norm(place - eye) for place in places) for eye in eyes if places]
     return float(np.median(distances)) if distances else None

@@ -135,6 +135,12 @@ class StageReader:
             poses[group] = pose
         return poses
 
+    def vehicles(self, frame: float) -> list[Array]:
+        """Places (3,) m of the vehicles of an exported shot at a time code, also of those at rest."""
+        self._cache.SetTime(frame)
+        scope = self._stage.GetPrimAtPath(f"{self._stage.GetDefaultPrim().GetPath()}/vehicles")
+        return [self._world(str(prim.GetPath()))[:3, 3] for prim in (scope.GetChildren() if scope else ())]
+
     def camera(self, name: str, frame: float) -> View:
         """What a camera sees at a time code."""
         from pxr import UsdGeom

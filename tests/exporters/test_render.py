@@ -12,7 +12,7 @@ import pytest
 
 from vehsim.errors import InputError
 from vehsim.exporters.pictures.frames import render_stage
-from vehsim.exporters.pictures.render import StageRenderer
+from vehsim.exporters.pictures.render import SHADOW_REACH, StageRenderer, bounds_of, shadow_reach
 from vehsim.exporters.usd.metadata import author_points
 from vehsim.exporters.usd.stage import StageReader
 from vehsim.world.world import World
@@ -466,6 +466,18 @@ def test_distant_helicopters_are_not_lost_in_haze(new_stage):
     quad(new_stage, "/top/mover/quad", (0, 0, 0), 20.0, (0.8, 0.02, 0.02))
     red, green, _ = picture(new_stage)[SIZE[1] // 2, SIZE[0] // 2]
     assert red > 1.3 * green
+
+
+@pytest.mark.parametrize("scope", ["vehicles", "scenery"])
+def test_shadows_are_as_fine_for_a_vehicle_at_rest(scope, new_stage):
+    """The shadow map covers four times the camera's distance of 10 m, not the whole ground."""
+    quad(new_stage, "/top/ground", (0, 300, -100), 100.0, (0.2, 0.2, 0.2))
+    quad(new_stage, f"/top/{scope}/one", (0, 0, 0), 1.0, (0.8, 0.02, 0.02))
+    new_stage.Save()
+    stage = StageReader(new_stage.GetRootLayer().realPath)
+    assert not stage.groups
+    reach = shadow_reach(stage, bounds_of(stage))
+    assert reach == (pytest.approx(40.0) if scope == "vehicles" else SHADOW_REACH[1])
 
 
 @pytest.mark.parametrize("place", [(10.0, -20.0, 3.0), (500_223.25, 4_212_445.5, 150.0)])
