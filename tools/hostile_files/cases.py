@@ -155,7 +155,7 @@ def _lines(chance: random.Random, whole: bytes) -> bytes:
     lines = whole.split(b"\n")
     for _ in range(chance.choice((1, 3))):
         at, to = chance.randrange(len(lines)), chance.randrange(len(lines))
-        lines[at] = chance.choice((lines[to], lines[at] + b" " + lines[to], b"", lines[at] * 200))
+        lines[at] = chance.choice((lines[to], lines[at] + b" " + lines[to], b"", lines[at][:10_000] * 200))
     return b"\n".join(lines)
 
 
