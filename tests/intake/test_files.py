@@ -14,6 +14,7 @@ from vehsim.errors import InputError, ShotError
 from vehsim.intake.arrays import read_array, read_arrays
 from vehsim.intake.meshes import read_triangles
 from vehsim.intake.toml import lines_of, read_toml
+from vehsim.intake.usd import dependencies
 from vehsim.world.terrain.terrain import Terrain
 from vehsim.world.water.grids import KEYS, WaterGrids
 
@@ -73,6 +74,15 @@ def test_a_value_of_another_type_is_refused(tmp_path: Path, written: bytes, says
     else:
         with pytest.raises(InputError, match=rf"a.usda: /rig.points: {says}.*; export it again"):
             read_triangles(tmp_path / "a.usda")
+
+
+def test_a_skeleton_without_bounds_is_refused_where_it_is_read(tmp_path: Path) -> None:
+    """USD raises an error of it in whatever process asks for the stage's bounds, such as `inspect` and exports."""
+    joints = 'uniform token[] joints = ["a", "a/b"]\nuniform matrix4d[] restTransforms = []\n'
+    head = '#usda 1.0\n(\ndefaultPrim = "rig"\nmetersPerUnit = 1\nupAxis = "Z"\n)\ndef Xform "rig"\n{\n'
+    (tmp_path / "a.usda").write_text(f'{head}def Cube "c" {{}}\ndef Skeleton "s"\n{{\n{joints}}}\n}}\n')
+    with pytest.raises(InputError, match=r"a.usda: asset: cannot be read \(.*'Skeleton' prim </rig/s>\); export"):
+        dependencies(tmp_path / "a.usda")
 
 
 def test_an_index_out_of_range_is_named(tmp_path: Path) -> None:

@@ -70,7 +70,7 @@ def reading(path: Path | str, key: str, remedy: str = "export the file again") -
 
 
 def reason_of(error: Exception) -> str:
-    """The last line of an error's message; of USD's errors without the place in its sources."""
+    """The last line of an error's message; of USD's errors without the place in its sources, and the open stage."""
     lines = [line for line in str(error).splitlines() if any(map(str.isalnum, line))]
     last = lines[-1] if lines else ""
-    return re.sub(r".* in file \S+ : ", "", last).strip(" '")[:300]
+    return re.sub(r".* in file \S+ : | on stage with rootLayer .*", "", last).strip(" '")[:300]

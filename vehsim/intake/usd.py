@@ -134,7 +134,7 @@ def _stamps(files: Iterable[Path]) -> tuple[Stamp | None, ...]:
 def _screened(asset: Path) -> tuple[tuple[Path, ...], tuple[str, ...]]:
     """The answer of `examine`, cached as long as its files have the same content."""
     most = limit("VEHSIM_READ_PRIMS")
-    made_of = (2, str(asset), content_of(asset))
+    made_of = (3, str(asset), content_of(asset))
     kept = lookup("screened", made_of)
     facts = None if kept is None else json.loads(kept)
     if (
@@ -160,8 +160,8 @@ def references(asset: Path) -> tuple[list[Any], list[Path], list[str]]:
 
 
 def examine(asset: Path, most: float) -> Answer:
-    """Read a whole stage: every value of every layer, composition, transforms and material bindings. Return the hash of
-    each of its files, the references that do not resolve, and the number of prims.
+    """Read a whole stage: every value of every layer, composition, transforms, material bindings and bounds. Return the
+    hash of each of its files, the references that do not resolve, and the number of prims.
 
     Raises ``InputError`` beyond ``most`` prims. It runs in the reader process.
     """
@@ -188,6 +188,8 @@ def examine(asset: Path, most: float) -> Answer:
             imageable.ComputeVisibility(Usd.TimeCode.EarliestTime())
             imageable.ComputePurpose()
             UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()
+    purposes = UsdGeom.Imageable.GetOrderedPurposeTokens()
+    UsdGeom.BBoxCache(Usd.TimeCode.EarliestTime(), purposes).ComputeWorldBound(stage.GetPseudoRoot())
     contents = {str(file): content_of(file) for file in files}
     return {"files": contents, "missing": missing, "prims": max(prims, written)}, []
 
