@@ -27,6 +27,7 @@ from vehsim.exporters.usd.metadata import Units
 from vehsim.intake.foreign import reading
 from vehsim.intake.usd import dependencies, is_drawn
 from vehsim.requests import Ask
+from vehsim.rig.ops import scalar_op, slide_axis
 from vehsim.runtime.progress import Progress, silent
 
 if TYPE_CHECKING:
@@ -121,8 +122,12 @@ class Delivered:
 
     def _joint(self, root: Any, how: Mapping[str, Any], frames: Array) -> Array:
         """A joint (n,) at ``frames``, from the op that shows it; one without values rests at zero."""
-        op = (root.GetPrimAtPath(how["prim"]) if how["prim"] else root).GetAttribute(how["op"])
+        prim, axis = root.GetPrimAtPath(how["prim"]) if how["prim"] else root, slide_axis(how["op"])
+        op = prim.GetAttribute(how["op"])
+        if axis is None or not op:  # the variant of curves has numbers
+            op, axis = prim.GetAttribute(scalar_op(how["op"])), None
         values = np.array([op.Get(frame) if op else 0.0 for frame in frames.tolist()], float)
+        values = values if axis is None else values[:, axis]
         return _through(np.array(how["values"], float), np.array(how["joint"], float), values)
 
     def meshes(self, scope: Any) -> Iterable[Any]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -35,6 +35,8 @@ from vehsim.rig.ops import (
     place_op,
     prim_path,
     replaced_ops,
+    scalar_op,
+    slide_axis,
 )
 from vehsim.rig.ops import open_rig as open_rig
 
@@ -63,6 +65,12 @@ class RigOps:
     constants: Mapping[str, list[tuple[str, Any]]]
     replaced: Mapping[str, list[tuple[str, Any, Any]]]
     freed: tuple[str, ...] = ()
+
+    def with_scalars(self) -> RigOps:
+        """The same with a number instead of a vector for parts that slide, as splines need."""
+        orders = {path: [scalar_op(op) for op in order] for path, order in self.orders.items()}
+        channels = {name: (path, scalar_op(op), factor) for name, (path, op, factor) in self.channels.items()}
+        return replace(self, orders=orders, channels=channels)
 
     @property
     def corrections(self) -> list[tuple[str, Any]]:
@@ -102,7 +110,7 @@ def write_animation(
     asset = pack.reference(rig, path)
     motion: _Motion | _Curves = _Motion(clip, name, frames, shutter, thin)
     if curves is not None:
-        motion = _Curves(clip, frames, shutter, curves)
+        motion, ops = _Curves(clip, frames, shutter, curves), ops.with_scalars()
 
     path.parent.mkdir(parents=True, exist_ok=True)
     layer = Sdf.Layer.CreateNew(str(path))
@@ -222,8 +230,12 @@ class _Motion:
         frames = self.whole
         if self.shutter is not None:
             frames = self.shutter.channel_frames(channel, 1.0, reach, turns, self.name)
-        values, some = self._at(frames).channels[channel], self.few.get(channel, slice(None))
-        samples(spec, op, Sdf.ValueTypeNames.Double, frames[some], values[some] * factor)
+        values, some = self._at(frames).channels[channel] * factor, self.few.get(channel, slice(None))
+        axis = slide_axis(op)
+        if axis is None:
+            samples(spec, op, Sdf.ValueTypeNames.Double, frames[some], values[some])
+        else:
+            samples(spec, op, Sdf.ValueTypeNames.Double3, frames[some], np.outer(values, np.eye(3)[axis])[some])
 
 
 class _Curves:

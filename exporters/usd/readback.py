@@ -14,7 +14,7 @@ from vehsim.errors import ExportError
 from vehsim.exporters.usd.metadata import Z_UP_METRES, Units
 from vehsim.exporters.usd.sampling import clip_at, frames_of
 from vehsim.lie import quaternions
-from vehsim.rig.ops import PIVOT, drive_op, open_rig, pivot_of, place_op
+from vehsim.rig.ops import PIVOT, drive_op, open_rig, pivot_of, place_op, scalar_op
 from vehsim.rig.parts import Y_UP_TO_Z_UP
 
 if TYPE_CHECKING:
@@ -95,7 +95,9 @@ def check_curves(
     scale = UsdGeom.GetStageMetersPerUnit(open_rig(rig.asset, rig)[0])
     for channel, drive in rig.drives.items():
         op, factor = drive_op(drive.op, scale)
-        attribute = stage.GetPrimAtPath(f"{prim_path}{'/' if drive.prim else ''}{drive.prim}").GetAttribute(op)
+        attribute = stage.GetPrimAtPath(f"{prim_path}{'/' if drive.prim else ''}{drive.prim}").GetAttribute(
+            scalar_op(op)
+        )
         values = np.array([attribute.Get(frame) for frame in frames.tolist()]) if attribute else np.zeros(len(frames))
         error = np.abs(values / (factor * drive.factor) - at.channels[channel])
         off[f"{prim_path}/{drive.prim}"] = error / (angle if drive.op.startswith("rotate") else metres)
@@ -138,7 +140,7 @@ def expected_matrices(clip: Clip, codes_per_second: float = 24.0) -> dict[str, A
     by_prim: dict[str, list[tuple[str, str, Array]]] = {}
     for channel, drive in rig.drives.items():
         op, factor = drive_op(drive.op, scale)
-        turned = _op_matrices(op.split(":")[1], clip.channels[channel] * factor * drive.factor)
+        turned = _op_matrices(drive.op, clip.channels[channel] * factor * drive.factor)
         pivot = pivot_of(rig, channel, root, scale)
         if pivot is not None:
             turned = _shift(pivot) @ turned @ _shift(-pivot)
@@ -166,7 +168,7 @@ def _local_matrices(rig: Rig, root: Any, prim: Any, driven: list[tuple[str, str,
     from pxr import UsdGeom
 
     xformable = UsdGeom.Xformable(prim)
-    replaced = {op.split(":")[1][:-1] for _, op, _ in driven}  # what rotates or slides does not do so by itself
+    replaced = {rig.drives[channel].op[:-1] for channel, _, _ in driven}  # what rotates or slides does not by itself
     own = {op.GetOpName(): _own_matrices(op, codes, replaced) for op in xformable.GetOrderedXformOps()}
     order = [name for name in xformable.GetXformOpOrderAttr().Get() or [] if name in own]
     moving = {}

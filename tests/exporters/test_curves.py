@@ -56,6 +56,21 @@ def test_curves_are_within_their_tolerance_at_64_instants(tmp_path, toys, make_t
     assert not spin.GetTimeSamples() and len(spin.GetSpline().GetKnots()) == 2, "a constant rate needs two keys"
 
 
+def test_a_part_that_slides_has_a_curve_of_numbers(tmp_path, toys, make_take):
+    drive = Drive("body", "translateZ", factor=-2.0)
+    clip = toys.clip(toys.asset(tmp_path / "in" / "toy.usda", 0.01), drives={"lift": drive})
+    clip.channels["lift"][:] = np.sin(np.linspace(0, 3, len(clip.times)))
+    stage = curved(make_take(clip), tmp_path, toys)
+    body, frames = stage.GetPrimAtPath("/shot/vehicles/toy0/body"), instants(1001, 1024)
+    spline = body.GetAttribute("xformOp:translateZ:slide").GetSpline()
+    slid = np.array([spline.Eval(frame) for frame in frames.tolist()])
+    wanted = -200 * clip.at((frames - 1001) / 24).channels["lift"]  # cm
+    assert np.abs(slid - wanted).max() < 200 * TOLERANCE
+    whole = np.arange(1001.0, 1025.0)
+    exact = clip.matrices() @ [0, 0, 0.5, 1] - 2.0 * clip.channels["lift"][:, None] * clip.matrices()[:, :, 2]
+    assert np.abs(world_matrices(body, whole)[:, :3, 3] - exact[:, :3]).max() < 3 * TOLERANCE
+
+
 def test_a_car_needs_few_keys_and_its_wheels_never_turn_back(tmp_path, toys, make_take):
     """It starts, brakes to a standstill and starts again; the report counts the keys."""
     t = np.linspace(0, 4, 961)

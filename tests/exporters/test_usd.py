@@ -89,6 +89,26 @@ def test_sliding_channel_is_authored_in_the_assets_units(tmp_path, toys, make_ta
     assert np.abs(prim_matrices(stage, "/shot/vehicles/toy0/body")[:, :3, 3] - origin[:, :3, 0]).max() < 1e-5
 
 
+@pytest.mark.parametrize("axis", "XYZ")
+def test_a_part_slides_by_an_op_that_every_usd_knows(tmp_path, toys, make_take, axis):
+    """USD has translateX, Y and Z since 25.2; older versions lose the whole transform of a prim that uses them."""
+    from pxr import UsdGeom
+
+    clip = toys.clip(toys.asset(tmp_path / "in" / "toy.usda"), drives={"lift": Drive("body", f"translate{axis}")})
+    clip.channels["lift"][:] = np.linspace(0, 0.3, len(clip.times))
+    write_usd(make_take(clip), tmp_path, toys.silent)
+    stage = open_shot(tmp_path)
+    body = stage.GetPrimAtPath("/shot/vehicles/toy0/body")
+    slide = np.array([body.GetAttribute(f"xformOp:translate:slide{axis}").Get(frame) for frame in range(1001, 1025)])
+    np.testing.assert_allclose(slide, np.outer(clip.channels["lift"], np.eye(3)["XYZ".index(axis)]), atol=1e-12)
+    ops = {
+        op.split(":")[1]
+        for prim in stage.Traverse()
+        for op in UsdGeom.Xformable(prim).GetXformOpOrderAttr().Get() or ()
+    }
+    assert ops <= {"translate", "rotateX", "rotateY", "rotateZ", "rotateXYZ", "orient", "scale"}
+
+
 def test_pivot_scale_and_reset_of_the_asset_are_kept(tmp_path, toys, make_take):
     from pxr import Gf, UsdGeom
 

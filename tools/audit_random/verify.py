@@ -124,12 +124,14 @@ class Stage:
         return np.unique(np.concatenate([np.array(t, float) for t in times] or [np.zeros(0)]))
 
     def drive(self, prim: Any, kind: str, frames: Iterable[float]) -> Array | None:
-        """The values (n,) of an animated scalar op on a prim, such as ``rotateZ``; None if it is not animated."""
+        """The values (n,) of an animated op on a prim, such as ``rotateZ``, or the sums of its vectors, which have one
+        component; None if it is not animated."""
         from pxr import UsdGeom
 
         for op in UsdGeom.Xformable(prim).GetOrderedXformOps():
             if f":{kind}" in op.GetOpName() and op.GetNumTimeSamples():
-                return np.array([op.Get(frame) for frame in frames], float)
+                values = np.array([op.Get(frame) for frame in frames], float)
+                return values.reshape(len(values), -1).sum(axis=1)
         return None
 
     def meshes(self, prim: Any, wanted: Callable[[Any], bool] = lambda mesh: True) -> list[tuple[Any, Array, Array]]:
@@ -250,7 +252,7 @@ JOINTS: dict[tuple[str, str], Callable[[Motion], Array]] = {
     ("two_wheeled", "right"): _turned("wheel_right", "rotateY"),
     ("two_wheeled", "left"): _turned("wheel_left", "rotateY"),
     ("hopper", "psi"): _turned("leg", "rotateY"),
-    ("hopper", "stretch"): lambda motion: -motion.part("leg/foot", "translateZ"),
+    ("hopper", "stretch"): lambda motion: -motion.part("leg/foot", "translate:slideZ"),
 }
 
 

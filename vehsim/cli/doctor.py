@@ -57,7 +57,7 @@ def _usd() -> Check:
         from pxr import Usd
     except ImportError as error:
         return Check("USD", False, str(error), "pip install usd-core")
-    version, oldest = Usd.GetVersion()[1:], (25, 2)  # the first with translateX, Y and Z
+    version, oldest = Usd.GetVersion()[1:], (24, 3)
     text = f"{version[0]}.{version[1]}"
     return Check("USD", version >= oldest, text, f"use USD {oldest[0]}.{oldest[1]} or newer")
 

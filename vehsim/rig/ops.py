@@ -1,7 +1,7 @@
 """The op through which a channel moves a prim of a rig, and checks that the prim can be moved.
 
 This module knows USD prims and op orders, not motion: the exporter writes ops with it, and checks use it before
-solving. A channel becomes one scalar op with a suffix in the prim's own ``xformOpOrder``, after the prim's placement
+solving. A channel becomes one op with a suffix in the prim's own ``xformOpOrder``, after the prim's placement
 and before the ops that shape its mesh, with values in the prim's own units.
 """
 
@@ -109,10 +109,25 @@ def op_order(prim: Any) -> list[str]:
 
 
 def drive_op(op: str, metres_per_unit: float = 1.0) -> tuple[str, float]:
-    """The full op name of a drive ("rotateZ" -> "xformOp:rotateZ:spin") and the factor from rad or m to its unit."""
+    """The full op name of a drive ("rotateZ" -> "xformOp:rotateZ:spin") and the factor from rad or m to its unit.
+
+    A drive that slides is a vector along its axis ("translateZ" -> "xformOp:translate:slideZ"): USD before 25.2 has no
+    ops with one number for it.
+    """
     if op.startswith("rotate"):
         return f"xformOp:{op}:spin", 180.0 / np.pi
-    return f"xformOp:{op}:slide", 1.0 / metres_per_unit
+    return f"xformOp:translate:slide{op[-1]}", 1.0 / metres_per_unit
+
+
+def slide_axis(op: str) -> int | None:
+    """The axis of the vectors of a drive's full op name; None if its values are numbers."""
+    _, slides, axis = op.partition("xformOp:translate:slide")
+    return "XYZ".index(axis) if slides else None
+
+
+def scalar_op(op: str) -> str:
+    """A drive's full op name with one number instead of a vector ("xformOp:translateZ:slide"), for splines."""
+    return op if slide_axis(op) is None else f"xformOp:translate{op[-1]}:slide"
 
 
 def pivot_op(channel: str) -> str:
