@@ -31,6 +31,7 @@ STILLS = {
     "landing_on_mark": (1738, "cut"),
     "parallel_park": (1341, "chase"),
     "parallel_parking": (1242, "chase"),
+    "river_bend": (1565, "chase"),
     "robot_worlds_seed0": (1166, "chase"),
     "simple_car_worlds_seed0": (1160, "chase"),
     "snakeboard_to_mark": (1100, "chase"),

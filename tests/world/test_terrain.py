@@ -184,6 +184,45 @@ def test_a_crop_is_the_same_heights_at_the_same_places(tmp_path, suffix):
     np.testing.assert_allclose(whole.heights, slope(), atol=1e-6)
 
 
+@pytest.mark.parametrize(("first_row", "rows"), [("north", slice(None, None, -1)), ("south", slice(None))])
+def test_an_array_of_others_names_its_heights_and_its_first_row(tmp_path, first_row, rows):
+    np.savez(tmp_path / "t.npz", elevation=slope()[rows], cell=10.0, origin=[1000.0, 2000.0])
+    beside = f'array = "elevation"\nfirst_row = "{first_row}"\n'
+    (tmp_path / "t.toml").write_text(beside)
+    whole = Terrain.load(tmp_path / "t.npz")
+    np.testing.assert_array_equal(whole.heights, slope())
+    (tmp_path / "t.toml").write_text(f"{beside}crop = [1055, 2080, 1120, 2200]\n")
+    part = Terrain.load(tmp_path / "t.npz")
+    assert part.origin == (1050, 2080)
+    np.testing.assert_array_equal(part.heights, whole.heights[8:21, 5:13])
+
+
+def test_heights_may_be_in_an_installed_package_which_is_not_imported(tmp_path, monkeypatch):
+    package = tmp_path / "site" / "heights_of_others"
+    package.mkdir(parents=True)
+    (package / "__init__.py").write_text("raise SystemExit('imported')")
+    np.save(package / "t.npy", slope())
+    monkeypatch.syspath_prepend(str(package.parent))
+    toml = tmp_path / "terrain.toml"
+    toml.write_text('heights = "package:heights_of_others/t.npy"\ncell = 10\norigin = [1000, 2000]\n')
+    np.testing.assert_array_equal(Terrain.load(toml).heights, slope())
+    for missing in ("not_there", "json.decoder", "", "math"):
+        toml.write_text(f'heights = "package:{missing}/t.npy"\ncell = 10\n')
+        refused(toml, f"the Python package '{missing}' is not installed", "install it", "terrain.toml:1: ")
+
+
+@pytest.mark.parametrize(
+    ("suffix", "key", "value"),
+    [("npy", "range", [0, 1]), ("npy", "array", '"a"'), ("png", "first_row", '"south"'), ("tif", "range", [0, 1])],
+)
+def test_a_key_without_effect_on_the_file_is_named(tmp_path, suffix, key, value):
+    path = raster(tmp_path, suffix, slope())
+    with (tmp_path / "t.toml").open("a") as file:
+        file.write(f"\n{key} = {value}\n")
+    with pytest.warns(UserWarning, match=rf"t.toml: {key} has no effect on a .{suffix} file; it uses cell, "):
+        Terrain.load(path)
+
+
 def test_a_crop_outside_names_what_there_is(tmp_path):
     refused(raster(tmp_path, "npy", slope(), crop=[0, 0, 10, 10]), "crop", "1000", "2590")
 

@@ -121,12 +121,12 @@ def _relief_colours(terrain: Terrain) -> Array:
     factor = shape / (rows, cols)
     heights = zoom(terrain.heights, factor, order=1, grid_mode=True, mode="nearest")
     upright = zoom(_normals(terrain)[..., 2], factor, order=1, grid_mode=True, mode="nearest")
-    noise = _noise(heights.shape, wrap=False)
+    noise = _noise(heights.shape, wrap=False, fade=0.85)  # detail down to a texel, also on ground of kilometres
     steep = np.clip((0.92 - upright + 0.08 * noise) / 0.25, 0, 1)[..., None]
     rise = ((heights - heights.min()) / max(float(np.ptp(heights)), 1e-9))[..., None]
     bands = 1 + 0.10 * np.sin(heights * 2.1 + 2 * noise)[..., None] * steep
     sand, rock = (np.array(pair[0]) + rise * (np.array(pair[1]) - np.array(pair[0])) for pair in (SAND, ROCK))
-    colours = ((1 - steep) * sand + steep * rock) * bands * (1 + 0.22 * noise[..., None])
+    colours = ((1 - steep) * sand + steep * rock) * bands * (1 + 0.4 * noise[..., None])
     return colours[::-1]
 
 
@@ -138,8 +138,11 @@ def _level_colours() -> Array:
     return (dark + dust * (bright - dark)) * (1 + 0.30 * noise[..., None])
 
 
-def _noise(shape: tuple[int, ...], coarse: int = 8, octaves: int = 8, seed: int = 3, wrap: bool = True) -> Array:
-    """Fractal value noise (h, w) of about -1 to 1; the same every time."""
+def _noise(
+    shape: tuple[int, ...], coarse: int = 8, octaves: int = 8, seed: int = 3, wrap: bool = True, fade: float = 0.62
+) -> Array:
+    """Fractal value noise (h, w) of about -1 to 1; the same every time. Each octave has ``fade`` times the amplitude of
+    the one before."""
     from scipy.ndimage import zoom
 
     rng = np.random.default_rng(seed)
@@ -149,7 +152,7 @@ def _noise(shape: tuple[int, ...], coarse: int = 8, octaves: int = 8, seed: int 
         grid = rng.uniform(-1, 1, cells)
         factor = np.array(shape) / cells
         mode = "grid-wrap" if wrap else "nearest"
-        noise += zoom(grid, factor, order=1, grid_mode=True, mode=mode)[: shape[0], : shape[1]] * 0.62**octave
+        noise += zoom(grid, factor, order=1, grid_mode=True, mode=mode)[: shape[0], : shape[1]] * fade**octave
     return noise / np.abs(noise).max()
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from annotated_types import Len
 from pydantic import Discriminator, Field, Tag
@@ -26,7 +26,12 @@ class TerrainFile(Table):
     name: Text | None = None
     """a name"""
     heights: Text | None = None
-    """a mesh or height map, relative to this file, such as "heights.npz\""""
+    """a mesh or height map, relative to this file, such as "heights.npz", or in an installed Python package, such as
+    "package:matplotlib/mpl-data/sample_data/jacksboro_fault_dem.npz\""""
+    array: Text | None = None
+    """the name of the heights in an NPZ"""
+    first_row: Literal["south", "north"] | None = None
+    """the side of the first row of an NPY or NPZ"""
     look: Text | None = None
     """a USD file that is drawn, relative to this file"""
     cell: Cell | None = None

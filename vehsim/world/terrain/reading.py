@@ -1,15 +1,17 @@
 """Read terrains from files: shipped terrains, height maps, and meshes sampled by vertical rays.
 
 The scale of a height map is in a TOML file of the same stem beside it (or in the ``terrain.toml`` that is loaded):
-``cell`` and ``origin`` in metres, ``range`` the heights of black and white; ``crop``, ``resample``, ``nodata``.
+``cell`` and ``origin`` in metres, ``range`` the heights of black and white; ``crop``, ``resample``, ``nodata``;
+``array`` and ``first_row`` for arrays of others.
 """
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -33,6 +35,8 @@ Array = NDArray[np.float64]
 
 MAX_SOURCE = 150_000_000
 """Largest number of heights that are resampled."""
+PACKAGE = "package:"
+"""Before the path of heights in an installed Python package."""
 SAMPLES = 50_000
 """Number of heights sampled from a mesh without ``cell``: about 1e5 triangles."""
 
@@ -43,7 +47,8 @@ class Placement:
 
     ``cell`` (dx, dy) and ``origin`` (x, y), m; ``range`` heights of black and white, m; ``look`` a USD file. Of a
     height map, ``crop`` (west, south, east, north) m is the part that is read, ``resample`` m the new spacing, and
-    ``nodata`` the value of missing heights.
+    ``nodata`` the value of missing heights. ``array`` is the name of the heights in an archive, ``first_row`` "south"
+    or "north".
     """
 
     file: Path
@@ -54,6 +59,8 @@ class Placement:
     crop: tuple[float, float, float, float] | None = None
     resample: float | None = None
     nodata: float | None = None
+    array: str | None = None
+    first_row: str | None = None
 
 
 def read_heights(source: str | Path) -> HeightGrid:
@@ -78,9 +85,13 @@ def _read_map(path: Path, placement: Placement) -> HeightGrid:
     """The terrain in a mesh or height map."""
     if not path.is_file():
         raise refuse(placement.file, "heights", "no such file", "put the file there or correct the path", str(path))
-    reader = READERS.get(path.suffix.lower())
-    if reader is None:
+    if path.suffix.lower() not in READERS:
         raise refuse(path, "terrain", "unknown kind of file", f"use one of {' '.join(READERS)}", path.suffix)
+    reader, keys = READERS[path.suffix.lower()]
+    for field in fields(placement):
+        if field.name not in ("file", "look", *keys) and getattr(placement, field.name) is not None:
+            said = f"{field.name} has no effect on a {path.suffix} file; it uses {', '.join(keys)}"
+            warnings.warn(f"{placement.file}: {said}", stacklevel=2)
     with reading(path, "terrain"):
         return reader(path, placement)
 
@@ -99,8 +110,22 @@ def _read_toml(path: Path) -> tuple[Path, Placement]:
         dependencies(look)
     pairs: dict[str, Any] = {key: _pair(table.get(key)) for key in ("cell", "origin", "range")}
     crop: Any = tuple(map(float, table["crop"])) if "crop" in table else None
-    numbers = {key: table.get(key) for key in ("resample", "nodata")}
-    return path.parent / table.get("heights", ""), Placement(path, look=look, crop=crop, **numbers, **pairs)
+    others = {key: table.get(key) for key in ("resample", "nodata", "array", "first_row")}
+    heights = _heights_file(path, table["heights"]) if "heights" in table else path
+    return heights, Placement(path, look=look, crop=crop, **others, **pairs)
+
+
+def _heights_file(path: Path, given: str) -> Path:
+    """The file that ``heights`` of the TOML file ``path`` names, beside it or in an installed package, which is not
+    imported."""
+    if not given.startswith(PACKAGE):
+        return path.parent / given
+    package, _, inside = given.removeprefix(PACKAGE).partition("/")
+    spec = importlib.util.find_spec(package) if package.isidentifier() else None
+    if spec is None or not spec.submodule_search_locations:
+        with lines_in(path):
+            raise refuse(path, "heights", f"the Python package {package!r} is not installed", "install it", given)
+    return Path(next(iter(spec.submodule_search_locations)), inside)
 
 
 def _pair(value: Any) -> tuple[float, float] | None:
@@ -169,17 +194,24 @@ def _resampled(heights: Array, cell: tuple[float, float], spacing: float) -> tup
 
 
 def _read_npy(path: Path, placement: Placement) -> HeightGrid:
-    return _grid(path, read_shape(path, "heights"), placement, lambda window: read_array(path, "heights", window))
+    return _array(path, read_shape(path, "heights"), placement, lambda window: read_array(path, "heights", window))
 
 
 def _read_npz(path: Path, placement: Placement) -> HeightGrid:
-    """An archive with ``heights`` and optionally ``cell`` and ``origin``."""
-    arrays = read_arrays(path, "heights", ("heights", *_missing(placement)))
-    if "heights" not in arrays:
-        raise refuse(path, "heights", "missing", "save the array under the name heights")
-    heights = arrays.pop("heights")
+    """An archive with heights and optionally ``cell`` and ``origin``."""
+    name = placement.array or "heights"
+    arrays = read_arrays(path, "heights", (name, *_missing(placement)))
+    if name not in arrays:
+        remedy = f"save the array under the name {name}, or write array = its name in {path.stem}.toml"
+        raise refuse(path, name, "missing", remedy)
+    heights = arrays.pop(name)
     own: dict[str, Any] = {key: tuple(np.broadcast_to(array, 2).tolist()) for key, array in arrays.items()}
-    return _grid(path, heights.shape, replace(placement, **own), lambda w: heights[w[0] : w[1], w[2] : w[3]])
+    return _array(path, heights.shape, replace(placement, **own), lambda w: heights[w[0] : w[1], w[2] : w[3]])
+
+
+def _array(path: Path, shape: tuple[int, ...], placement: Placement, read: Callable[[Window], Array]) -> HeightGrid:
+    """A height map in an array, whose first row is the southernmost by default."""
+    return (_north_first if placement.first_row == "north" else _grid)(path, shape, placement, read)
 
 
 def _missing(placement: Placement) -> list[str]:
@@ -187,11 +219,11 @@ def _missing(placement: Placement) -> list[str]:
     return [key for key in ("cell", "origin") if getattr(placement, key) is None]
 
 
-def _from_picture(
-    path: Path, shape: tuple[int, int], placement: Placement, read: Callable[[Window], Array]
+def _north_first(
+    path: Path, shape: tuple[int, ...], placement: Placement, read: Callable[[Window], Array]
 ) -> HeightGrid:
-    """The heights of a picture of ``shape`` (rows, columns), whose first row is the northernmost; ``read`` returns a
-    window of them."""
+    """A height map of ``shape`` (rows, columns), whose first row is the northernmost; ``read`` returns a window of
+    it."""
     rows = shape[0]
     return _grid(path, shape, placement, lambda w: read((rows - w[1], rows - w[0], *w[2:]))[::-1])
 
@@ -209,7 +241,7 @@ def _read_png(path: Path, placement: Placement) -> HeightGrid:
         grey = read_pixels(path, window)
         return np.where(grey == missing, np.nan, low + (high - low) * grey / white)
 
-    return _from_picture(path, header.shape, replace(placement, nodata=None), read)
+    return _north_first(path, header.shape, replace(placement, nodata=None), read)
 
 
 def _read_geotiff(path: Path, placement: Placement) -> HeightGrid:
@@ -225,7 +257,7 @@ def _read_geotiff(path: Path, placement: Placement) -> HeightGrid:
         placement = replace(placement, origin=corner)
     if placement.nodata is None:
         placement = replace(placement, nodata=header.nodata)
-    return _from_picture(path, header.shape, replace(placement, cell=cell), lambda window: read_tiff(path, window))
+    return _north_first(path, header.shape, replace(placement, cell=cell), lambda window: read_tiff(path, window))
 
 
 def _read_trimesh(path: Path, placement: Placement) -> HeightGrid:
@@ -296,11 +328,13 @@ def _has_overhangs(top: HeightGrid, surface: TerrainSurface) -> bool:
     return bool((depth > relief.height(centre[:, :2]) + 1e-3 * max(top.cell)).any())
 
 
-READERS: dict[str, Callable[[Path, Placement], HeightGrid]] = {
-    ".npz": _read_npz,
-    ".npy": _read_npy,
-    ".png": _read_png,
-    **dict.fromkeys((".tif", ".tiff"), _read_geotiff),
-    **dict.fromkeys((".obj", ".stl", ".ply", ".glb", ".gltf"), _read_trimesh),
-    **dict.fromkeys(SUFFIXES, _read_usd),
+MAP = ("cell", "origin", "crop", "resample", "nodata")
+READERS: dict[str, tuple[Callable[[Path, Placement], HeightGrid], tuple[str, ...]]] = {
+    ".npz": (_read_npz, (*MAP, "array", "first_row")),
+    ".npy": (_read_npy, (*MAP, "first_row")),
+    ".png": (_read_png, (*MAP, "range")),
+    **dict.fromkeys((".tif", ".tiff"), (_read_geotiff, MAP)),
+    **dict.fromkeys((".obj", ".stl", ".ply", ".glb", ".gltf"), (_read_trimesh, ("cell",))),
+    **dict.fromkeys(SUFFIXES, (_read_usd, ("cell",))),
 }
+"""By suffix, the reader of a terrain and the keys of its TOML file that it uses."""
