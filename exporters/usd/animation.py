@@ -239,7 +239,8 @@ class _Motion:
 
 
 class _Curves:
-    """A clip as splines: a translation along each axis and three rotations for the pose, one spline per channel."""
+    """A clip as splines: a translation along each axis and three rotations for the pose, one spline per channel. Raises
+    ``ExportError`` if this USD has no splines."""
 
     def __init__(
         self,
@@ -248,6 +249,12 @@ class _Curves:
         shutter: tuple[float, float] | None,
         tolerances: tuple[float, float],
     ) -> None:
+        from pxr import Sdf, Usd
+
+        if not hasattr(Sdf.AttributeSpec, "SetSpline"):
+            version = ".".join(map(str, Usd.GetVersion()[1:]))
+            remedy = "leave it out, or use USD 25.8 or newer"
+            raise ExportError(f"USD {version} has no splines", remedy, key="export.curves")
         opens, closes = (np.floor(shutter[0]), np.ceil(shutter[1])) if shutter is not None else (0.0, 0.0)
         first, last = max(frames[0], clip.start_frame), min(frames[1], clip.end_frame)
         self.frames = instants(first + min(opens, 0.0), last + max(closes, 0.0))

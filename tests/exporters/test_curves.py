@@ -7,11 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pxr import Usd, UsdGeom
+from pxr import Sdf, Usd, UsdGeom
 from scipy.spatial.transform import Rotation
 
 import vehsim
 from vehsim.delivery.take import UsdSettings
+from vehsim.errors import ExportError
 from vehsim.exporters.usd.curves import fit, fit_rotations, instants
 from vehsim.exporters.usd.exporter import write_usd
 from vehsim.exporters.usd.readback import world_matrices
@@ -54,6 +55,13 @@ def test_curves_are_within_their_tolerance_at_64_instants(tmp_path, toys, make_t
     degrees = np.array([spin.Get(frame) for frame in frames.tolist()])
     assert np.abs(degrees - np.degrees(at.channels["rotor"])).max() < ANGLE and (np.diff(degrees) > 0).all()
     assert not spin.GetTimeSamples() and len(spin.GetSpline().GetKnots()) == 2, "a constant rate needs two keys"
+
+
+def test_a_usd_without_splines_is_named(tmp_path, toys, make_take, monkeypatch):
+    monkeypatch.delattr(Sdf.AttributeSpec, "SetSpline")
+    monkeypatch.setattr(Usd, "GetVersion", lambda: (0, 24, 3))
+    with pytest.raises(ExportError, match=r"export.curves.*USD 24.3 has no splines; leave it out, or use USD 25.8"):
+        curved(make_take(toys.clip(toys.asset(tmp_path / "in" / "toy.usda"))), tmp_path, toys)
 
 
 def test_a_part_that_slides_has_a_curve_of_numbers(tmp_path, toys, make_take):
