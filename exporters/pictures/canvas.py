@@ -5,6 +5,7 @@ This module draws; `render.py` decides what to draw, and from where.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from typing import Any
 
@@ -16,10 +17,17 @@ from vehsim.exporters.pictures.water import WaterView
 
 Picture = NDArray[np.uint8]
 
-INSTALL_EGL = (
-    "install libegl1 and libgl1-mesa-dri (Debian, Ubuntu), mesa-libEGL and mesa-dri-drivers (Fedora), or a GPU driver "
-    "with EGL"
-)
+WITHOUT = "or deliver no pictures, such as --to usd,npz,html"
+NO_OPENGL = {
+    "linux": (
+        "no off-screen OpenGL (EGL)",
+        "install libegl1 and libgl1-mesa-dri (Debian, Ubuntu), mesa-libEGL and mesa-dri-drivers (Fedora), or a GPU "
+        "driver with EGL",
+    ),
+    "darwin": ("no OpenGL", f"run it as the user who is logged in at the screen, {WITHOUT}"),
+    "win32": ("no OpenGL", f"run it in a desktop session with the driver of a GPU, {WITHOUT}"),
+}
+"""By `sys.platform`, what is missing where MuJoCo cannot draw, and the remedy."""
 OPAQUE, TRANSLUCENT = 0, 1
 """Geom groups."""
 
@@ -34,7 +42,8 @@ class Canvas:
             self._gl: Any = mujoco.GLContext(width, height)
             self._gl.make_current()
         except Exception as error:  # MuJoCo and PyOpenGL may raise anything
-            raise ExportError(f"no off-screen OpenGL (EGL): {_first_line(error)}", INSTALL_EGL) from error
+            missing, remedy = NO_OPENGL.get(sys.platform, NO_OPENGL["linux"])
+            raise ExportError(f"{missing}: {_first_line(error)}", remedy) from error
         try:
             self._context: Any = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
         except Exception as error:
