@@ -21,7 +21,7 @@ help:
 	@echo "make bench-order        free bodies: CPU time to a given error, against RK4; writes RESULTS.order.md (two minutes)"
 	@echo "make bench-planning     measure plans: building, free space, canyon, replanning; writes RESULTS.planning.md"
 	@echo "make bench-live         drag marks of live sessions through the protocol; writes RESULTS.live.md"
-	@echo "make bench-unseen       plan random problems by family: the share certified, and why the others failed"
+	@echo "make bench-unseen       plan 1,600 random problems: the share certified, and why the others failed (hours; resumes)"
 	@echo "make bench-collocation  compare DMOC with collocation; writes RESULTS.collocation.md"
 	@echo "make bench-growth       measure how CPU time and memory grow with frames, clips, vehicles, segments and obstacles"
 	@echo "make bench-export       compare baking, pictures and batches with alternatives (ten minutes)"
@@ -93,7 +93,8 @@ bench-live: setup
 	$(BIN)/python -m benchmarks.live
 
 bench-unseen: setup
-	$(BIN)/python -m benchmarks.unseen
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'ompl>=2,<3'
+	$(BIN)/python -m benchmarks.unseen $(if $(SEEDS),--seeds $(SEEDS))
 
 bench-collocation: setup
 	$(BIN)/python -m benchmarks.collocation

@@ -1,25 +1,33 @@
 """Random problems: how many plans are certified in each family, and why the others are not.
 
-``python -m benchmarks.unseen [--families docking,parking] [--seeds 0-19] [--seconds 20]`` prints a line per problem,
-slowest first within its family, and writes ``RESULTS.unseen.md`` beside this file if all families are run. A plan
-counts if it succeeds within ``--seconds`` of CPU time.
+``python -m benchmarks.unseen [--families docking,parking] [--seeds 0-19] [--seconds 20]`` prints a line per problem and
+writes ``RESULTS.unseen.md`` beside this file if all families are run. A plan counts if it succeeds within ``--seconds``
+of CPU time. Without ``--seeds``, all problems of `SIZES` are run, each family at the same pace; finished ones are kept
+in ``--out``, so an interrupted run continues, and ``--summary`` reports those that are finished.
+
+Failures are examined: an independent sampling planner looks for a path (`sampling.py`), and the frame that the message
+suggests is tried.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import math
+import re
 import time
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import vehsim
+from benchmarks import sampling
 from benchmarks.machine import headed
+from tools.seeds import seeds_in
 from vehsim import Mark
 from vehsim.errors import VehsimError
 from vehsim.lie.quaternions import from_yaw
@@ -33,10 +41,11 @@ HEAD = """# Unseen problems, measured
 `python -m benchmarks.unseen` plans problems that a seed makes: helicopters above random hills and through
 gaps, wheels among random obstacles and into parking gaps, snakeboards from rest to rest, boats that dock in wind.
 *Certified* counts the plans that succeed within {seconds:g} s of CPU time, first loads and distances to a new terrain
-included.
+included. Of the others, *no path* counts those where a sampling planner of OMPL finds none in {patience:g} s,
+and *frame helps* those whose message names a later frame with which the same problem is certified.
 
-| family | problems | certified | CPU, median s | 90 % | slowest |
-|---|---|---|---|---|---|
+| family | problems | certified | no path | frame helps | CPU, median s | 90 % | slowest |
+|---|---|---|---|---|---|---|---|
 """
 
 
@@ -85,8 +94,8 @@ def _posed(rng: Any, frame: Any, place: Any, yaw: float) -> Mark:
 
 def hills(seed: int) -> Problem:
     """A helicopter from rest to rest, low above random hills."""
-    rng = np.random.default_rng(seed // 5)  # five problems on each terrain
-    terrain = _hills(rng, seed // 5)
+    number = seed % TERRAINS
+    terrain = _hills(np.random.default_rng(number), number)
     rng = np.random.default_rng([seed, 1])
     while True:
         a, b = rng.uniform(-85, 85, (2, 2))
@@ -205,14 +214,22 @@ def gaps(seed: int) -> Problem:
     return Problem("helicopter", marks, world, {"limits": {"ceiling": 45.0}})
 
 
+TERRAINS = 20
+"""Number of random hills."""
 FAMILIES: dict[str, Callable[[int], Problem]] = {
     "docking": docking, "hills": hills, "gaps": gaps, "wheels": wheels, "parking": parking, "snakeboard": snakeboard,
 }  # fmt: skip
+SIZES = {"docking": 100, "hills": 50 * TERRAINS, "gaps": 100, "wheels": 200, "parking": 100, "snakeboard": 100}
+"""Number of problems of each family in a whole run."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """The result of one problem: CPU time s, and the message if it has no certified plan."""
+    """The result of one problem: CPU time s, and the message if it has no certified plan.
+
+    ``path``: whether an independent sampling planner found one, None if it was not asked; ``helps``: whether the frame
+    that the message names helps, None if it names none.
+    """
 
     family: str
     seed: int
@@ -220,47 +237,97 @@ class Outcome:
     success: bool
     message: str
     iterations: int = 0
+    path: bool | None = None
+    helps: bool | None = None
 
     def line(self) -> str:
         verdict = "certified" if self.success else f"FAILED: {self.message}"
+        verdict += {None: "", True: "; sampling finds a path", False: "; sampling finds no path"}[self.path]
+        verdict += {None: "", True: "; with this frame: certified", False: "; with this frame: FAILED"}[self.helps]
         return f"{self.family} {self.seed}: {self.seconds:.1f} s, {self.iterations} iterations, {verdict}"
 
 
 def attempt(family: str, seed: int) -> Outcome:
-    """Plan one problem; an error that vehsim raises becomes the message."""
-    begun = time.process_time()
+    """Plan one problem; an error that vehsim raises becomes the message. Failures are examined."""
+    problem, begun = FAMILIES[family](seed), time.process_time()
     try:
-        plan = FAMILIES[family](seed).plan()
+        plan = problem.plan()
     except VehsimError as error:
-        return Outcome(family, seed, time.process_time() - begun, False, str(error))
-    return Outcome(family, seed, time.process_time() - begun, plan.success, plan.message, plan.iterations)
+        outcome = Outcome(family, seed, time.process_time() - begun, False, str(error))
+    else:
+        outcome = Outcome(family, seed, time.process_time() - begun, plan.success, plan.message, plan.iterations)
+    if outcome.success:
+        return outcome
+    return replace(outcome, path=sampling.find_path(problem), helps=_frame_helps(problem, outcome.message))
+
+
+def _frame_helps(problem: Problem, message: str) -> bool | None:
+    """Whether the later frame that a message names is enough; None if it names none."""
+    named = re.search(r"mark\[(\d+)\]\.frame = \d+ is too early; (?:earliest|it takes until) (\d+)", message)
+    if named is None:
+        return None
+    marks = list(problem.marks)
+    marks[int(named[1])] = replace(marks[int(named[1])], frame=int(named[2]))
+    try:
+        return bool(replace(problem, marks=marks).plan().success)
+    except VehsimError:
+        return False
+
+
+def in_turn(families: list[str]) -> list[tuple[str, int]]:
+    """All problems of the families, at the same pace in each, so that any first part of a run is a fair sample."""
+    every = [(family, seed) for family in families for seed in range(SIZES[family])]
+    return sorted(every, key=lambda one: (one[1] / SIZES[one[0]], families.index(one[0])))
+
+
+def finished(path: Path) -> dict[tuple[str, int], Outcome]:
+    """The outcomes in a file of results."""
+    lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+    outcomes = [Outcome(**json.loads(line)) for line in lines]
+    return {(one.family, one.seed): one for one in outcomes}
+
+
+def report(outcomes: list[Outcome], seconds: float) -> str:
+    """The table by family, and the problems that are not certified within ``seconds``, slowest first."""
+    rows, failures = [], []
+    for family in dict.fromkeys(one.family for one in outcomes):
+        found = sorted((one for one in outcomes if one.family == family), key=lambda one: -one.seconds)
+        missed = [one for one in found if not one.success or one.seconds > seconds]
+        times = [one.seconds for one in found]
+        cells = [
+            family, len(found), len(found) - len(missed), sum(one.path is False for one in missed),
+            sum(one.path is not False and one.helps is True for one in missed), f"{np.median(times):.1f}",
+            f"{np.quantile(times, 0.9):.1f}", f"seed {found[0].seed}: {times[0]:.1f} s",
+        ]  # fmt: skip
+        rows.append(f"| {' | '.join(map(str, cells))} |")
+        failures += [f"- {one.line()}" for one in missed]
+    return headed(HEAD.format(seconds=seconds, patience=sampling.SECONDS) + "\n".join([*rows, "", *failures]) + "\n")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--families", default=",".join(FAMILIES), help="some of: %(default)s")
-    parser.add_argument("--seeds", default="0-19", help="such as 0-19 or 3,5,8 [default: 0-19]")
+    parser.add_argument("--seeds", help="such as 0-19 or 3,5,8 [default: all]")
     parser.add_argument("--seconds", type=float, default=20.0, help="CPU time a plan may take [default: 20]")
+    parser.add_argument("--out", type=Path, default=Path("out/unseen.jsonl"), help="file of results [%(default)s]")
+    parser.add_argument("--summary", action="store_true", help="run nothing, report what is finished")
     options = parser.parse_args()
     warnings.simplefilter("ignore")
-    first, _, last = options.seeds.partition("-")
-    seeds = range(int(first), int(last) + 1) if last else [int(seed) for seed in options.seeds.split(",")]
-    lines, failures = [], []
-    for family in options.families.split(","):
-        found = []
-        for seed in seeds:
-            found.append(attempt(family, seed))
-            print(found[-1].line(), flush=True)
-        found.sort(key=lambda one: -one.seconds)
-        met = sum(one.success and one.seconds <= options.seconds for one in found)
-        times = [one.seconds for one in found]
-        middle, most = np.median(times), np.quantile(times, 0.9)
-        slowest = f"seed {found[0].seed}: {times[0]:.1f} s"
-        lines.append(f"| {family} | {len(found)} | {met} | {middle:.1f} | {most:.1f} | {slowest} |")
-        failures += [f"- {one.line()}" for one in found if not one.success or one.seconds > options.seconds]
-    text = headed(HEAD.format(seconds=options.seconds) + "\n".join([*lines, "", *failures]) + "\n")
+    families = options.families.split(",")
+    problems = in_turn(families)
+    if options.seeds:
+        problems = [(family, seed) for family in families for seed in seeds_in(options.seeds)]
+    done = finished(options.out)
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    with options.out.open("a", encoding="utf-8") as file:
+        for one in [] if options.summary else [one for one in problems if one not in done]:
+            done[one] = attempt(*one)
+            file.write(json.dumps(asdict(done[one])) + "\n")
+            file.flush()
+            print(done[one].line(), flush=True)
+    text = report([done[one] for one in problems if one in done], options.seconds)
     print(text)
-    if set(options.families.split(",")) == set(FAMILIES):
+    if set(families) == set(FAMILIES):
         Path(__file__).with_name("RESULTS.unseen.md").write_text(text, encoding="utf-8")
 
 

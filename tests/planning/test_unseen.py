@@ -1,12 +1,13 @@
 """Random problems and earlier failures, none of them examples: they are solved, or refused for a true reason."""
 
 import math
+from collections import Counter
 
 import numpy as np
 import pytest
 
 import vehsim
-from benchmarks.unseen import FAMILIES
+from benchmarks.unseen import FAMILIES, SIZES, in_turn
 from vehsim import Mark
 from vehsim.errors import SolveError
 from vehsim.planning.certificates import extent
@@ -27,6 +28,36 @@ def test_a_boat_docks_in_wind_at_an_orientation(seed):
     assert plan.clearance > 0.49
     np.testing.assert_allclose(plan.clip.positions[-1, :2], problem.marks[1].position[:2], atol=1e-6)
     assert abs(plan.clip.orientations[-1] @ problem.marks[1].orientation) == pytest.approx(1, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "height", "gap", "found"),
+    [
+        ("car", 0.0, 6.0, True),
+        ("car", 0.0, 1.9, False),
+        ("two_wheeled", 0.0, 4.0, True),
+        ("helicopter", 8.0, 12.0, True),
+        ("helicopter", 8.0, 2.5, False),
+    ],
+)
+def test_the_sampling_planner_finds_paths_through_gaps_that_are_wide_enough(vehicle, height, gap, found):
+    pytest.importorskip("ompl")
+    from benchmarks.sampling import find_path
+    from benchmarks.unseen import Problem
+
+    walls = [box(f"gap {side}", (20, side * (gap / 2 + 6), -50), (2, 12, 100)) for side in (1, -1)]
+    walls += [box(f"side {side}", (20, 12 * side, -50), (80, 2, 100)) for side in (1, -1)]
+    walls += [box(f"end {x}", (x, 0, -50), (2, 40, 100)) for x in (-15, 55)]
+    marks = [Mark(1, position=(0, 0, height), heading=0), Mark(200, position=(40, 0, height), heading=0)]
+    asked = {"clearance": 0.3, "limits": {"ceiling": 20.0}}
+    assert find_path(Problem(vehicle, marks, vehsim.World(obstacles=walls), asked), 5.0) is found
+
+
+def test_problems_are_a_fair_sample_at_any_time():
+    whole = in_turn(list(FAMILIES))
+    assert sorted(whole) == sorted((family, seed) for family, size in SIZES.items() for seed in range(size))
+    begun = Counter(family for family, _ in whole[: len(whole) // 4])
+    assert all(abs(begun[family] - size / 4) <= 1 for family, size in SIZES.items())
 
 
 def test_an_orientation_says_where_the_nose_points():
