@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial.transform import Rotation
 
 from vehsim import cameras
@@ -400,3 +401,30 @@ def test_a_chase_camera_stays_behind_its_target_on_hills(seed, above):
     off = np.abs((off + 180) % 360 - 180)
     assert off[0] < 25 and off.max() < 25
     assert np.min(camera.positions[:, 2] - world.height(camera.positions[:, :2])) > 0.5
+
+
+@pytest.fixture(scope="module")
+def tunnel(tmp_path_factory):
+    """A hill with a tunnel along X, from y = -6 to 6 m and 12 m high."""
+    file = tmp_path_factory.mktemp("tunnel") / "tunnel.obj"
+    ground, hill, bore = (
+        trimesh.creation.box(bounds=bounds)
+        for bounds in (((-60, -50, -5), (60, 50, 0)), ((-25, -30, -1), (25, 30, 24)), ((-30, -6, 0), (30, 6, 12)))
+    )
+    trimesh.boolean.union([ground, trimesh.boolean.difference([hill, bore])]).export(file)
+    return World(Terrain.load(file))
+
+
+@pytest.mark.parametrize("rig", ["chase", "fly_by", "orbit"])
+def test_cameras_of_a_flight_through_a_tunnel_are_not_in_its_rock(tunnel, rig):
+    through = clip_along(np.stack([14 * T - 35, 0 * T, 5 + 0 * T], 1), 0.0)
+    camera = solve_camera(CameraRig("it", rig=rig), {"v": through}, tunnel, (1001, 1121))
+    x, y, z = camera.positions.T
+    assert not ((abs(x) < 25) & (abs(y) < 30) & (z < 24) & ~((abs(y) < 6) & (z < 12))).any()
+
+
+def test_a_camera_that_cannot_avoid_the_rock_is_named(tunnel):
+    there = CameraRig("it", rig="static", position=(0.0, 0.0, 16.0))  # in the roof
+    through = clip_along(np.stack([14 * T - 35, 0 * T, 5 + 0 * T], 1), 0.0)
+    with pytest.warns(UserWarning, match="camera 'it' is inside the rock at frame 1001; give it another place"):
+        solve_camera(there, {"v": through}, tunnel, (1001, 1121))

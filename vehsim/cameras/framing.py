@@ -7,6 +7,7 @@ horizon. A cut list combines cameras into another one.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.cameras.camera import Camera, CameraRig, Subject
-from vehsim.cameras.path import Parked, Surroundings, blocked, calm, envelope, raise_camera, smooth, steer
+from vehsim.cameras.path import Parked, Surroundings, blocked, calm, envelope, in_rock, raise_camera, smooth, steer
 from vehsim.cameras.rigs import RIGS, Move
 from vehsim.errors import InputError
 from vehsim.lie.quaternions import continuous, from_vectors, matrices, quaternions
@@ -82,6 +83,12 @@ def solve_camera(
             fills = projected_heights(positions, rotations, subject.upright, zoom)
             # some frames farther back do not make the others nearer
             distance *= _rescale(fills * back, rig.fill, move.fill)
+    if (buried := in_rock(positions, around)).any():
+        warnings.warn(
+            f"camera {rig.name!r} is inside the rock at frame {every[buried.argmax()]:g}; give it another place, "
+            "distance or azimuth",
+            stacklevel=2,
+        )
     return Camera(rig.name, every, positions, continuous(quaternions(rotations)), rig.lens_mm, aperture)
 
 

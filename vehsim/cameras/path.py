@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from vehsim.world.obstacles.obstacles import Obstacle
+    from vehsim.world.terrain.surface import TerrainSurface
 
 Array = NDArray[np.float64]
 
@@ -33,6 +34,8 @@ ROUND = np.radians((55.0, -55.0, 75.0, -75.0))
 """Additional angles around the target if there are obstacles: they may hide a target at close range."""
 THROUGH = 0.2
 """Weight of a metre of sight inside an obstacle, in metres of the ground's mean depth along the sight."""
+BURIED = 10.0
+"""Weight of a camera inside the rock of a terrain with overhangs, relative to its distance."""
 RAISES = np.linspace(0.0, 1.2, 25)
 """Largest raise over an obstacle, relative to its distance."""
 
@@ -50,7 +53,7 @@ def steer(
     step = max(1, round(fps / 4))
     keys = np.unique(np.append(np.arange(0, count, step), count - 1))
     turns = SIDESTEPS[:5] if behind else SIDESTEPS
-    turns = np.append(turns, ROUND) if _standing(world) else turns
+    turns = np.append(turns, ROUND) if _standing(world) or _rock(world) is not None else turns
     choices = np.array(list(product(turns, SCALES, LIFTS + HIGHER * behind)))
     moves = np.stack([_moved(positions[keys] - aims[keys], *choice) for choice in choices], axis=1)
     hidden = blocked(aims[keys][:, None] + moves, aims[keys][:, None], world, margin, radius)
@@ -170,6 +173,11 @@ def blocked(positions: Array, aims: Array, world: Any, margin: float, radius: fl
         total += weight * (depth.mean(axis=-1) + 1.5 * depth[..., 0])
         if _standing(world):
             total += weight * THROUGH * _through_obstacles(positions, aim, world, margin)
+    if (rock := _rock(world)) is not None:
+        sight = _sight(positions, aims)
+        hidden = rock.inside(sight.reshape(-1, 3)).reshape(sight.shape[:-1])
+        reach = np.linalg.norm(ray, axis=-1)
+        total += reach * (2 * THROUGH * hidden.mean(axis=-1) + BURIED * hidden[..., 0])
     return total
 
 
@@ -232,6 +240,17 @@ def _solids(obstacle: Obstacle | Parked) -> list[tuple[Array, float, Array]]:
 
 def _standing(world: Any) -> tuple[Obstacle | Parked, ...]:
     return getattr(world, "standing", ())
+
+
+def _rock(world: Any) -> TerrainSurface | None:
+    """The rock of a terrain with overhangs, whose lowest ground is not all that hides a target."""
+    return getattr(getattr(world, "terrain", world), "surface", None)
+
+
+def in_rock(positions: Array, world: Any) -> NDArray[np.bool_]:
+    """Which cameras (n,) stand in the rock of a terrain with overhangs."""
+    rock = _rock(world)
+    return np.zeros(len(positions), bool) if rock is None else rock.inside(positions)
 
 
 def _ground(points: Array, world: Any, margin: float) -> Array:
