@@ -42,7 +42,8 @@ HEAD = """# Unseen problems, measured
 gaps, wheels among random obstacles and into parking gaps, snakeboards from rest to rest, boats that dock in wind.
 *Certified* counts the plans that succeed within {seconds:g} s of CPU time, first loads and distances to a new terrain
 included. Of the others, *no path* counts those where a sampling planner of OMPL finds none in {patience:g} s,
-and *frame helps* those whose message names a later frame with which the same problem is certified.
+and *frame helps* those whose message names a later frame with which the same problem is certified. {finished} of the
+{all} problems of a whole run are finished; they were run in turn, at the same pace in each family.
 
 | family | problems | certified | no path | frame helps | CPU, median s | 90 % | slowest |
 |---|---|---|---|---|---|---|---|
@@ -301,7 +302,10 @@ def report(outcomes: list[Outcome], seconds: float) -> str:
         ]  # fmt: skip
         rows.append(f"| {' | '.join(map(str, cells))} |")
         failures += [f"- {one.line()}" for one in missed]
-    return headed(HEAD.format(seconds=seconds, patience=sampling.SECONDS) + "\n".join([*rows, "", *failures]) + "\n")
+    counts = {"finished": len(outcomes), "all": sum(SIZES.values())}
+    return headed(
+        HEAD.format(seconds=seconds, patience=sampling.SECONDS, **counts) + "\n".join([*rows, "", *failures]) + "\n"
+    )
 
 
 def main() -> None:
