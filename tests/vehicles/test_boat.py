@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 import vehsim
+from vehsim.constants import AIR
 from vehsim.errors import InputError, ShotError
 from vehsim.vehicles import State
-from vehsim.vehicles.models.boat import AIR, boat
+from vehsim.vehicles.models.boat import boat
 from vehsim.world.water.currents import Stream
 from vehsim.world.wind import Gusts
 from vehsim.world.world import Water, World

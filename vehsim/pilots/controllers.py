@@ -39,6 +39,8 @@ _FULL_TILT = 0.15
 """Attitude error, rad, at which the weaker of roll and pitch reaches its bound: sets the gains."""
 _OBSERVER = 2.0
 """Speed of the estimate of wind and other forces, rad/s."""
+_SIDE = 1.0
+"""Speed of the average of a helicopter's own forces across its rotor's axis, rad/s."""
 _TURN_RATE = 0.6
 """Yaw rate of a helicopter pilot, rad/s."""
 _PLACE, _HEADING = 0.5, float(np.deg2rad(5.0))
@@ -270,12 +272,12 @@ class _Helicopter:
         inertia = np.asarray(vehicle.inertia)  # type: ignore[attr-defined]
         self.mass, self.J = float(inertia[5, 5]), inertia[:3, :3]
         self.gravity = float(vehicle.gravity)  # type: ignore[attr-defined]
-        function = _function(wrench, 4)
-        self._wrench = lambda controls: np.asarray(function(controls)).ravel()
+        self._applied = _applied_wrench(vehicle)
         law = getattr(vehicle, "drag", None)
         self._drag = None if law is None else _function(law, 6)
-        self.d_t = float(self._wrench((1.0, 0.0, np.pi / 2, 0.0))[1])
-        self.d_r = float(self._wrench((0.0, 1.0, 0.0, 0.0))[2])
+        weight = self.mass * self.gravity
+        slope = np.asarray(self._applied([weight, 0.0, 0.0, 0.0], np.zeros(6))[1])
+        self.d_t = float(slope[1, 2] / weight)  # with the moment of a stiff hub
         self.lower = np.array([c.lower for c in vehicle.controls])
         self.upper = np.array([c.upper for c in vehicle.controls])
         tilt = np.sin(np.clip(self.upper[2:], 0.01, 0.5)).min()
@@ -288,7 +290,7 @@ class _Helicopter:
         """Clear the memory of an earlier run; simulations call this at their start."""
         self._heading: float | None = None
         self._time: float | None = None
-        self._push = np.zeros(3)
+        self._push, self._side = np.zeros(3), np.zeros(3)
 
     def drag(self, R: Array, velocity: Array) -> Array:
         """Acceleration (3,) by drag in still air at a world velocity (3,), m/s, and an attitude."""
@@ -307,7 +309,7 @@ class _Helicopter:
         twist = np.zeros(6) if state.twist is None else np.asarray(state.twist, float)
         origin, omega = self.vehicle.origin, twist[:3]
         moving = R @ (twist[3:6] + np.cross(omega, origin))
-        push = self._observe(dt, moving, self.drag(R, moving))
+        push = self._observe(dt, moving, self.drag(R, moving)) + R @ self._side / self.mass
         nose = self._turn(heading, _yaw(R), dt)
         steady = _attitude(self._limited(acceleration - push), nose)
 
@@ -320,8 +322,12 @@ class _Helicopter:
         force = self._limited(acceleration - push - self._pull(point, speed))
 
         torque = self._torque(R, _attitude(self.mass * force, nose), omega)
-        controls = self._controls(torque, self.mass * float(force @ R[:, 2]))
-        self._own = R @ self._wrench(controls)[3:6] / self.mass - [0.0, 0.0, self.gravity]
+        air = np.concatenate([omega, R.T @ moving])
+        controls = self._controls(torque, self.mass * float(force @ R[:, 2]), air)
+        own = np.asarray(self._applied(controls, air)[0]).ravel()[3:6]
+        self._own = R @ own / self.mass - [0.0, 0.0, self.gravity]
+        # the tail rotor's push and the steady tilt against it, not the tilt that turns the helicopter
+        self._side += (1 - np.exp(-_SIDE * dt)) * (own * [1.0, 1.0, 0.0] - self._side)
         return controls
 
     def _observe(self, dt: float, moving: Array, drag: Array) -> Array:
@@ -370,12 +376,18 @@ class _Helicopter:
         p = self.pole
         return np.cross(omega, self.J @ omega) - self.J @ (6 * p**2 * error + 4 * p * omega)
 
-    def _controls(self, torque: Array, thrust: float) -> Array:
-        """The inverse of F(gamma): from torque (3,) and thrust along body Z to controls (4,), within their bounds."""
-        collective = float(np.clip(thrust, max(self.lower[0], 0.2 * self.mass * self.gravity), self.upper[0]))
-        roll = np.arcsin(np.clip(torque[0] / (self.d_t * collective), -0.9, 0.9))
-        pitch = np.arcsin(np.clip(torque[1] / (self.d_t * collective * np.cos(roll)), -0.9, 0.9))
-        controls = np.array([collective / (np.cos(pitch) * np.cos(roll)), torque[2] / self.d_r, pitch, roll])
+    def _controls(self, torque: Array, thrust: float, air: Array) -> Array:
+        """Controls (4,) for a torque (3,) and a force along body Z at a twist ``air`` (6,) against still air, within
+        their bounds, by Newton's method."""
+        lift = float(np.clip(thrust, max(self.lower[0], 0.2 * self.mass * self.gravity), self.upper[0]))
+        damped = np.zeros(3) if self._drag is None else np.asarray(self._drag(air)).ravel()[:3]
+        wanted, controls = np.append(torque - damped, lift), np.array([lift, 0.0, 0.0, 0.0])
+        for _ in range(3):
+            given, slope = self._applied(controls, air)
+            rows = np.array([0, 1, 2, 5])
+            off = wanted - np.asarray(given).ravel()[rows]
+            controls = controls + np.linalg.solve(np.asarray(slope)[rows], off)
+            controls[2:] = np.clip(controls[2:], -1.1, 1.1)
         return np.clip(controls, self.lower, self.upper)
 
 
@@ -412,6 +424,18 @@ def _car_numbers(vehicle: Vehicle) -> tuple[float, Any]:
     grid = np.linspace(-1.5, 1.5, 31)
     gain = np.array([at(value)[1] for value in grid])
     return float(0.1 * column[1] / column[0]), lambda value: float(np.interp(value, grid, gain))
+
+
+def _applied_wrench(vehicle: Any) -> Any:
+    """A function of a helicopter's controls (4,) and its body twist against the air (6,): the body wrench (6,) that
+    they apply, and its derivative by the controls."""
+    import casadi as ca
+
+    c, air = ca.SX.sym("c", 4), ca.SX.sym("air", 6)
+    wrench = ca.SX(vehicle.wrench(c))
+    if vehicle.rotors is not None:
+        wrench[:3] += ca.SX(vehicle.rotors(air, c))
+    return ca.Function("applied", [c, air], [ca.densify(wrench), ca.densify(ca.jacobian(wrench, c))])
 
 
 def _function(law: Any, size: int) -> Any:

@@ -47,7 +47,8 @@ class Easing(Block):
         return costs_of(BendView, self.weights)
 
     def key(self, layout: Layout, transcription: Transcription) -> Hashable:
-        return "easing", self.names, tuple(eased(self.traits, self.marks)), self._rates(transcription).tobytes()
+        ground = tuple(mark.on_ground for mark in self.marks)
+        return "easing", self.names, tuple(eased(self.traits, self.marks)), ground, self._rates(transcription).tobytes()
 
     def _rates(self, transcription: Transcription) -> Array:
         """The largest rates of the controls over their scale, 1/s."""
@@ -71,7 +72,7 @@ class Easing(Block):
                     problem.add(element, np.vstack(here))
             held = i > 0 and self.marks[i - 1].hold
             if not (asks_balance(transcription.vehicle, self.marks[i]) or held):
-                element = balance_element(transcription, self.traits.price)
+                element = balance_element(transcription, self.traits.price, self.marks[i].on_ground)
                 problem.add(element, np.vstack([layout.knot(knot), layout.control(knot)]))
 
     def values(self, trajectory: Trajectory) -> Mapping[str, Any]:
@@ -103,15 +104,19 @@ def rest_element(transcription: Transcription, names: tuple[str, ...], rates: Ar
     return transcription.kept(("ease", *names, rates.tobytes(), price), make)
 
 
-def balance_element(transcription: Transcription, price: float) -> Element:
-    """The cost of imbalance of a vehicle at rest: (x, c)."""
+def balance_element(transcription: Transcription, price: float, on_ground: bool = False) -> Element:
+    """The cost of imbalance of a vehicle at rest: (x, c).
+
+    On the ground, friction bears forces to the side: a level helicopter cannot balance the push of its tail rotor.
+    """
 
     def make() -> Element:
         v, wind = transcription.symbols("x", "c0"), ca.SX.sym("wind", 3)
-        f = price * _abrupt(imbalance(transcription, v["x"], v["c0"], wind))
+        off = imbalance(transcription, v["x"], v["c0"], wind)
+        f = price * _abrupt(ca.vertcat(off[:3], off[5]) if on_ground and off.shape[0] == 6 else off)
         return Element("balance", ca.vertcat(*v.values()), {"wind": wind}, f=f)
 
-    return transcription.kept(("balance", price), make)
+    return transcription.kept(("balance", price, on_ground), make)
 
 
 def _abrupt(values: Any) -> Any:

@@ -30,6 +30,7 @@ from vehsim.planning.problem.transcription import transcribe
 from vehsim.planning.request.marks import Mark, heading_of, leeway
 from vehsim.planning.request.request import Request
 from vehsim.planning.terms import Constraint
+from vehsim.planning.trim import leans
 from vehsim.vehicles.definition.mechanics import free_size
 
 Array = NDArray[np.float64]
@@ -256,7 +257,8 @@ def _swing(request: Request, a: Mark, b: Mark) -> float:
     offsets = [_offset(request, mark) for mark in (a, b)]
     if offsets[0] is None or offsets[1] is None:
         return 2 * _lever(request)
-    return float(np.linalg.norm(offsets[1] - offsets[0]))
+    lean = 2 * leans(request.vehicle)
+    return float(np.linalg.norm(offsets[1] - offsets[0])) + lean * _lever(request)
 
 
 def _offset(request: Request, mark: Mark) -> Array | None:

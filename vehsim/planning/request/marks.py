@@ -70,9 +70,9 @@ class Mark(Timed):
     ``ease``: at rest, the controls start and end gently; None: as the character of the plan says.
 
     At a mark with ``velocity = (0, 0, 0)`` the vehicle is at rest: its body does not turn either. Without a given
-    attitude it is in balance, as it must be to stay there (a helicopter level, or leaning into the wind), so that the
-    motion starts and ends smoothly; without a heading, a vehicle that flies nose first faces along its leg. ``speed =
-    0`` leaves the attitude free.
+    attitude it is in balance, as it must be to stay there (a helicopter leans against its tail rotor and the wind), so
+    that the motion starts and ends smoothly; without a heading, a vehicle that flies nose first faces along its leg.
+    ``speed = 0`` leaves the attitude free.
     """
 
     frame: int | Literal["free"]

@@ -15,6 +15,7 @@ from vehsim.planning.certificates import FINEST
 from vehsim.planning.outlines import clearances
 from vehsim.planning.request.landing import attitude, forgiven
 from vehsim.planning.request.marks import Mark, heading_of, leeway
+from vehsim.planning.trim import leans
 from vehsim.vehicles import Holonomic, Vehicle
 from vehsim.world.obstacles.obstacles import footprint, hulls_of, vertical_reach
 from vehsim.world.obstacles.plane import placed
@@ -143,14 +144,15 @@ def _flown(vehicle: Vehicle, world: Any, mark: Any, seconds: float | None) -> _N
 
 
 def _lean(vehicle: Vehicle, wind: Any) -> float:
-    """How far a flying vehicle may lean into a wind (3,) m/s to hold its place, rad, with as much again for other
-    forces; inf if unknown."""
+    """How far a flying vehicle may lean to hold its place in a wind (3,) m/s, rad: as in still air, and twice what the
+    wind asks for; inf if unknown."""
+    still = leans(vehicle)
     if not (vehicle.feels_wind and np.any(wind)):
-        return 0.0
+        return still
     if not isinstance(vehicle, Holonomic) or not vehicle.gravity:
         return np.inf
     weight = vehicle.gravity * (vehicle.mass or float(np.diag(vehicle.inertia)[3:].min()))
-    return 2 * vehicle.largest_drag(float(np.linalg.norm(wind))) / weight
+    return still + 2 * vehicle.largest_drag(float(np.linalg.norm(wind))) / weight
 
 
 def _between(points: Array) -> float:

@@ -23,7 +23,7 @@ from vehsim.planning.request.legs import knots_within, mark_positions
 from vehsim.planning.request.marks import Mark, check_marks, end_of_hold, heading_of, with_breaks
 from vehsim.planning.request.marks_near_obstacles import check_marks_clear
 from vehsim.planning.terms import LIMITS, Constraint, Limits, Term, check_limits, check_terms, cost_weights
-from vehsim.planning.trim import rests_uncontrolled
+from vehsim.planning.trim import leans, rests_uncontrolled
 from vehsim.vehicles import Vehicle
 from vehsim.vehicles.definition.character import DEFAULT
 from vehsim.world.ground import touchdown
@@ -39,6 +39,8 @@ FINER = 8.0
 the marks: the coarse grid of the larger box has no points in a narrow gap."""
 MOST_SEGMENTS = 4096
 """Largest number of segments of a plan."""
+UPRIGHT = 1e-4
+"""Lean in balance, rad, up to which a vehicle counts as upright."""
 UNEVEN = 0.02
 """Largest height above the ground, m, of a part of a standing vehicle without a warning."""
 
@@ -228,7 +230,7 @@ def put_down(mark: Mark, vehicle: Vehicle, world: Any) -> Mark:
     if hollow > UNEVEN:
         message = f"it touches the ground, but stands up to {hollow:.2f} m above it elsewhere"
         warnings.warn(Caution(Problem(key, message, "land on level ground or on a pad (an obstacle)")), stacklevel=5)
-    if np.any(world.wind):  # it stands level, which in wind is not in balance
+    if np.any(world.wind) or leans(vehicle) > UPRIGHT:  # it stands level, which is not in balance
         mark = replace(mark, orientation=tuple(q.tolist()), heading=None)
     return replace(mark, position=tuple(place.tolist()))
 

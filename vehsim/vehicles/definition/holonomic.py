@@ -23,7 +23,9 @@ class Holonomic(Vehicle):
     ``inertia``: (d, d) or its diagonal (d,), rotation first, kg m^2 and kg, about the body frame's origin. ``wrench``:
     controls (c,) -> body wrench (d,), N m and N; None: no actuators. ``drag``: body twist relative to the air (d,) ->
     body wrench (d,), which must not add power; None: no drag. ``resistance``: body twist (d,) and controls (c,) -> body
-    wrench (d,) of a medium at rest in the world, such as calm water; None: no resistance. ``gravity``: m/s^2, acts on
+    wrench (d,) of a medium at rest in the world, such as calm water; None: no resistance. ``rotors``: body twist
+    relative to the air and controls -> torque (3,), N m, with which rotors react on the body beside ``wrench``; None:
+    no reaction. ``power``: the same -> power at the shafts of its rotors, W; None: unknown. ``gravity``: m/s^2, acts on
     ``mass`` along -Z; ``mass`` defaults to the translational inertia and is necessary with added mass.
 
     Raises ``InputError`` if the inertia has the wrong shape or is not symmetric and positive definite, or if a law has
@@ -34,6 +36,8 @@ class Holonomic(Vehicle):
     wrench: Callable[[Expr], Expr] | None = None
     drag: Callable[[Expr], Expr] | None = None
     resistance: Callable[[Expr, Expr], Expr] | None = None
+    rotors: Callable[[Expr, Expr], Expr] | None = None
+    power: Callable[[Expr, Expr], Expr] | None = None
     mass: float | None = None
     gravity: float = GRAVITY
 
@@ -54,7 +58,7 @@ class Holonomic(Vehicle):
                 "inertia must be symmetric and positive definite", f"got {inertia.tolist()}", subject=self.name
             )
         object.__setattr__(self, "inertia", inertia)
-        object.__setattr__(self, "feels_wind", self.feels_wind or self.drag is not None)
+        object.__setattr__(self, "feels_wind", self.feels_wind or bool(self.drag or self.rotors))
         self.force(*symbols(self))  # names a law of the wrong shape now
 
     def largest_drag(self, airspeed: float) -> float:
@@ -91,6 +95,8 @@ class Holonomic(Vehicle):
             body += law(self, "wrench", d, self.wrench, c)
         if self.drag is not None:
             body += law(self, "drag", d, self.drag, air)
+        if self.rotors is not None:
+            body[:3] += law(self, "rotors", 3, self.rotors, air, c)
         if self.resistance is not None:
             body += law(self, "resistance", d, self.resistance, through, c)
         return ca.SX(0, 1), group.wrench_from_body(g, body)

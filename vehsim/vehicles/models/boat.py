@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 from annotated_types import Len
 
-from vehsim.constants import SEA_WATER
+from vehsim.constants import AIR, SEA_WATER
 from vehsim.errors import InputError
 from vehsim.lie import SE2, SE3
 from vehsim.rig.rig import Channel
@@ -38,8 +38,6 @@ from vehsim.vehicles.definition.quantities import (
 )
 from vehsim.vehicles.definition.resistance import Planing, Running, SpeedSpline, running
 
-AIR = 1.225
-"""kg/m^3"""
 ANSWER = 0.5
 """Response time of a motor and its steering, s. Plans weigh the rate of the controls with its square, so that no plan
 goes from full ahead to astern faster. Without this cost, a turn on the spot is a series of bursts ahead and astern."""

@@ -1,4 +1,8 @@
-"""The simple helicopter of LIE 4.3.1 and SYM III.A, on SO(3) x R^3."""
+"""The helicopter of LIE 4.3.1 and SYM III.A on SO(3) x R^3, with the aerodynamics that its trim depends on.
+
+Thrusts and the tilt of the disc are the controls, so that the equations stay explicit; rotors add their torque and
+in-plane drag, the fuselage and the tail surfaces their forces and moments. Without these numbers, it is the papers'.
+"""
 
 from __future__ import annotations
 
@@ -8,19 +12,27 @@ from typing import Annotated
 import casadi as ca
 from annotated_types import Len
 
+from vehsim.constants import AIR
 from vehsim.lie import SO3xR3
 from vehsim.rig.rig import Channel
 from vehsim.vehicles.definition.base import Control, Expr
 from vehsim.vehicles.definition.holonomic import Holonomic
 from vehsim.vehicles.definition.quantities import (
     AngularRate,
+    Area,
+    Coefficient,
     Coordinate,
+    Distance,
     JointDamping,
     LinearDamping,
     Mass,
+    MomentVolume,
     PrincipalInertia,
     QuadraticDamping,
+    SignedAngle,
+    Stiffness,
 )
+from vehsim.vehicles.models.rotor import Rotor
 
 
 def helicopter(
@@ -30,36 +42,111 @@ def helicopter(
     inertia: PrincipalInertia,
     d_t: Coordinate,
     d_r: Coordinate,
+    hub_ahead: Coordinate = 0.0,
+    tail_height: Coordinate = 0.0,
+    mast_tilt: SignedAngle = 0.0,
+    hub_stiffness: Stiffness = 0.0,
+    rotor_radius: Distance = 0.0,
+    solidity: Coefficient = 0.0,
+    tail_radius: Distance = 0.0,
+    tail_solidity: Coefficient = 0.0,
+    profile_drag: Coefficient = 0.01,
+    induced_factor: Coefficient = 1.15,
     drag_linear: Annotated[Sequence[LinearDamping], Len(3, 3)] = (0.0, 0.0, 0.0),
     drag_quadratic: Annotated[Sequence[QuadraticDamping], Len(3, 3)] = (0.0, 0.0, 0.0),
     drag_angular: Annotated[Sequence[JointDamping], Len(3, 3)] = (0.0, 0.0, 0.0),
+    fuselage_moments: Annotated[Sequence[MomentVolume], Len(3, 3)] = (0.0, 0.0, 0.0),
+    stabiliser_area: Area = 0.0,
+    stabiliser_behind: Distance = 0.0,
+    stabiliser_angle: SignedAngle = 0.0,
+    fin_area: Area = 0.0,
+    fin_behind: Distance = 0.0,
+    fin_height: Coordinate = 0.0,
+    fin_angle: SignedAngle = 0.0,
     main_rotor_speed: AngularRate = 40.0,
     tail_rotor_speed: AngularRate = 200.0,
 ) -> Holonomic:
     """A rigid fuselage carried by a tilting thrust and a tail force.
 
-    ``mass`` kg; ``inertia`` (3,) principal, kg m^2; the thrust acts ``d_t`` m above the centre of mass, the tail force
-    ``d_r`` m behind it, along -Y. Controls: collective [N], yaw [N], pitch and roll of the rotor disc [rad].
-    Drag against the air per body axis: ``drag_linear`` N s/m, ``drag_quadratic`` N s^2/m^2, ``drag_angular`` N m s.
-    Rotor speeds in rad/s drive the channels ``main_rotor`` and ``tail_rotor``.
+    ``mass`` kg; ``inertia`` (3,) principal, kg m^2; the thrust acts ``d_t`` m above the centre of mass and
+    ``hub_ahead`` m ahead of it, the tail force ``d_r`` m behind it and ``tail_height`` m above it, along -Y. Controls:
+    collective, the thrust [N], yaw [N], pitch and roll of the rotor disc against the mast [rad]; the mast leans
+    forward by ``mast_tilt``. ``hub_stiffness`` N m/rad: moment of the hub per tilt of the disc. With a
+    ``rotor_radius``, the torque of the main rotor, which turns counter-clockwise seen from above, acts on the fuselage;
+    with a ``tail_radius``, the tail rotor needs power too. ``solidity``, ``tail_solidity``, ``profile_drag``,
+    ``induced_factor``: see `Rotor`.
+    Against the air: ``drag_linear`` N s/m and ``drag_quadratic`` N s^2/m^2 per body axis, ``drag_angular`` N m s;
+    ``fuselage_moments`` m^3, moments over dynamic pressure: nose-up at zero incidence, nose-up per angle of attack, and
+    nose-right per sideslip to the right. Stabiliser and fin: area times lift slope, m^2; distance behind the centre of
+    mass; angles that lift the tail and push it to the right.
     """
+    main, tail = (
+        Rotor(radius, speed, blades, profile_drag, induced_factor)
+        for radius, speed, blades in (
+            (rotor_radius, main_rotor_speed, solidity),
+            (tail_radius, tail_rotor_speed, tail_solidity),
+        )
+    )
+    hub, tail_hub = ca.DM([hub_ahead, 0.0, d_t]), ca.DM([-d_r, 0.0, tail_height])
+
+    def direction(c: Expr) -> Expr:
+        """Unit vector of the thrust, LIE 4.3.1, on a mast that leans forward."""
+        pitch, roll = c[2] + mast_tilt, c[3]
+        return ca.vertcat(ca.sin(pitch) * ca.cos(roll), -ca.sin(roll), ca.cos(pitch) * ca.cos(roll))
 
     def wrench(c: Expr) -> Expr:
-        """LIE 4.3.1, F(gamma) u."""
-        collective, yaw, pitch, roll = c[0], c[1], c[2], c[3]
-        thrust = collective * ca.vertcat(ca.sin(pitch) * ca.cos(roll), -ca.sin(roll), ca.cos(pitch) * ca.cos(roll))
-        tail = ca.vertcat(0, -yaw, 0)
-        torque = ca.cross(ca.vertcat(0, 0, d_t), thrust) + ca.cross(ca.vertcat(-d_r, 0, 0), tail)
-        return ca.vertcat(torque, thrust + tail)
+        """LIE 4.3.1, F(gamma) u, with the moment of the hub."""
+        thrust, force = c[0] * direction(c), ca.vertcat(0, -c[1], 0)
+        torque = ca.cross(hub, thrust) + ca.cross(tail_hub, force)
+        if hub_stiffness:
+            torque += hub_stiffness * ca.vertcat(ca.sin(c[3]), ca.sin(c[2]), 0)
+        return ca.vertcat(torque, thrust + force)
+
+    def main_power(air: Expr, c: Expr) -> Expr:
+        along = ca.dot(direction(c), air[3:6])
+        return main.power(c[0], along, ca.sumsqr(air[3:6]) - along**2 + 1e-6)
+
+    def power(air: Expr, c: Expr) -> Expr:
+        """Power of both rotors, W."""
+        total = main_power(air, c)
+        if tail_radius:
+            across = air[3] ** 2 + air[5] ** 2 + 1e-6
+            total += tail.power(c[1], -air[4], across)
+        return total
+
+    def torque(air: Expr, c: Expr) -> Expr:
+        """The reaction of the main rotor's torque on the fuselage."""
+        about = main_power(air, c) / main.speed
+        return -about * ca.vertcat(ca.sin(mast_tilt), 0, ca.cos(mast_tilt))
 
     linear, quadratic, angular = (ca.DM(list(map(float, d))) for d in (drag_linear, drag_quadratic, drag_angular))
+    surfaces = [
+        (axis, area, ca.DM([-behind, 0.0, height]), angle)
+        for axis, area, behind, height, angle in (
+            (2, stabiliser_area, stabiliser_behind, 0.0, -stabiliser_angle),
+            (1, fin_area, fin_behind, fin_height, fin_angle),
+        )
+        if area
+    ]
+    lift, attack, slip = (AIR / 2 * float(m) for m in fuselage_moments)
 
     def drag(air: Expr) -> Expr:
+        v = air[3:6]
         # |v| made smooth at rest, so that an optimiser sees a derivative there
-        speed = ca.sqrt(ca.dot(air[3:6], air[3:6]) + 1e-6)
-        return -ca.vertcat(angular * air[0:3], linear * air[3:6] + quadratic * speed * air[3:6])
+        speed = ca.sqrt(ca.dot(v, v) + 1e-6)
+        force = -(linear * v + quadratic * speed * v)
+        moment = -angular * air[0:3] - v[0] * ca.vertcat(0, lift * speed - attack * v[2], slip * v[1])
+        if rotor_radius:
+            in_plane = -main.drag * ca.vertcat(v[0], v[1], 0)
+            force, moment = force + in_plane, moment + ca.cross(hub, in_plane)
+        for axis, area, place, angle in surfaces:
+            push = ca.SX(3, 1)
+            push[axis] = -AIR / 2 * area * speed * (v[axis] + angle * speed)
+            force, moment = force + push, moment + ca.cross(place, push)
+        return ca.vertcat(moment, force)
 
-    has_drag = any((*drag_linear, *drag_quadratic, *drag_angular))
+    has_drag = any((*drag_linear, *drag_quadratic, *drag_angular, *fuselage_moments))
+    has_drag = has_drag or bool(rotor_radius or stabiliser_area or fin_area)
     return Holonomic(
         name=name,
         group=SO3xR3,
@@ -67,6 +154,8 @@ def helicopter(
         controls=tuple(Control(n) for n in ("collective", "yaw", "pitch", "roll")),
         wrench=wrench,
         drag=drag if has_drag else None,
+        rotors=torque if rotor_radius else None,
+        power=power if rotor_radius else None,
         default_costs={"course": 1.0},  # nose first
         channels={
             "main_rotor": Channel(rate=lambda t, r, u, xi, c: main_rotor_speed),
