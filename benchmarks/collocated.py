@@ -95,17 +95,19 @@ class Collocated:
     executed: Executed
 
 
-def solve(transcription: Transcription, marks: Sequence[Mark], segments: int, **options: Any) -> Collocated:
+def solve(
+    transcription: Transcription, marks: Sequence[Mark], segments: int, order: int = 2, **options: Any
+) -> Collocated:
     """One solve on ``segments`` from DMOC's initial guess, without coarser or finer levels, in free space.
 
-    ``transcription``: a `Collocation`, or `transcribe(vehicle)` for DMOC itself; two marks at given frames;
+    ``transcription``: a `Collocation`, or `transcribe(vehicle)` for DMOC of this ``order``; two marks at given frames;
     ``options``: of `vehsim.plan`, such as ``fps``, ``cost``, ``limits``, ``solver``.
     """
     t = transcription
     request = make_request(
         t.vehicle, None, marks, **({"fps": 24, "character": "stunt"} | options), segments=segments, refine=False
     )
-    layout = Layout(t.sizes, (segments,))
+    layout = Layout(t.sizes, (segments,), order)
     first, last = (mark.frame for mark in request.marks)
     lengths = np.array([float((last - first) / request.fps) / segments])  # type: ignore[operator]
     paths = [np.array(leg) for leg in legs_between(request.marks)]

@@ -97,17 +97,28 @@ def test_controls_stay_in_their_bounds(flight, helicopter):
         assert control.lower - slack <= column.min() and column.max() <= control.upper + slack
 
 
-def test_plan_replays_through_the_integrator(flight, helicopter):
-    """One definition: the forward step from the first state under the plan's controls reproduces the plan."""
+def test_plan_replays_through_the_integrator(helicopter):
+    """One definition at order 2: the forward step from the first state under the plan's controls reproduces the
+    plan."""
+    goal = Mark("free", position=(120, 40, 35), heading=40, velocity=REST)
+    marks = [Mark(1001, position=(0, 0, 30), heading=0, velocity=REST), goal]
+    flight = vehsim.plan(helicopter, None, marks, segments=32, refine=False)
+    assert flight.order == 2
     step = flight.clip.times[1]
-    replay = Integrator(helicopter, step, order=flight.order).rollout(flight.clip.state(0), flight.clip.controls)
+    integrator = Integrator(helicopter, step)
+    replay = integrator.rollout(flight.clip.state(0), flight.clip.controls)
     # an unstable vehicle amplifies the solver's tolerance with time: compare one second, then step by step
     first = int(1 / step)
     np.testing.assert_allclose(replay.positions[:first], flight.clip.positions[:first], atol=1e-8)
-    integrator = Integrator(helicopter, step, order=flight.order)
     for k in range(len(flight.clip) - 1):
         state = integrator.step(flight.clip.state(k), flight.clip.controls[k], flight.clip.controls[k + 1])
         np.testing.assert_allclose(state.position, flight.clip.positions[k + 1], atol=1e-8)
+
+
+def test_a_refined_plan_is_whole_segments_of_order_four(flight):
+    """One refinement suffices, and costs no nodes: its segments have no inner ones."""
+    assert (flight.order, flight.segments, len(flight.clip)) == (4, 32, 33)
+    assert flight.executed.final < 0.02
 
 
 def test_executed_motion_ends_where_planned(flight):

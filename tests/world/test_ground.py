@@ -12,7 +12,8 @@ import vehsim
 from vehsim import Mark
 from vehsim.errors import InputError, SolveError
 from vehsim.planning.problem.elements import NonlinearProgram
-from vehsim.planning.problem.transcription import transcribe
+from vehsim.planning.problem.simpson import simpson
+from vehsim.planning.problem.transcription import Transcription, transcribe
 from vehsim.rig.parts import read_parts
 from vehsim.world.ground.placing import can_stand, place_on_terrain
 from vehsim.world.ground.slope import Relief, on_terrain
@@ -267,6 +268,27 @@ def test_the_equations_of_a_plan_are_those_of_the_whole_slope():
         x = np.concatenate([g, r, pi, z, c0, c1, g1, r1, pi1, [h]])
         found = problem.functions()["nlp"](x, problem.vector({"wind": np.zeros(3)}))[1]
         assert np.allclose(found.full().ravel(), wanted, rtol=0, atol=1e-9)
+
+
+def order_four(transcription, x):
+    """Residuals at order 4 of one segment with variables ``x``."""
+    element = simpson(transcription)
+    problem = NonlinearProgram(element.y.shape[0])
+    problem.add(element, np.arange(problem.size), constants={"start": [0.0], "fraction": [1.0]})
+    return problem.functions()["nlp"](x, problem.vector({"wind": np.zeros(3)}))[1].full().ravel()
+
+
+def test_order_four_on_a_slope_is_that_of_the_whole_slope():
+    """With the terrain's cells at both ends and in the middle, against the spline as one expression."""
+    car = on_terrain(CAR, hilly(), [(-20, -10), (25, 14)])
+    cells, whole, level = Transcription(car), Transcription(car), Transcription(CAR)
+    whole.__dict__["weight"] = None
+    chance = np.random.default_rng(3)
+    for _ in range(5):
+        g, g1 = (chance.uniform((-3, -15, -8), (3, 20, 10)) for _ in range(2))
+        x = np.concatenate([g, chance.normal(size=8), g1, chance.normal(size=3), [0.1]])
+        np.testing.assert_allclose(order_four(cells, x), order_four(whole, x), rtol=0, atol=1e-9)
+        assert np.abs(order_four(cells, x) - order_four(level, x)).max() > 1e-4
 
 
 def test_coarse_wheels_touch_within_two_millimetres():

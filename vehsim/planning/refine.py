@@ -57,11 +57,7 @@ def to_requested_segments(run: Run, iterate: Iterate) -> Iterate:
     while found and iterate.success and 4 * iterate.layout.segments <= requested:
         iterate, found = _step(run, iterate, requested)
     if iterate.success and (refined or iterate.layout.segments < requested):
-        iterate, climbed = _climb(run, iterate)
-        # a lower order may still finish in time
-        if not climbed and run.deadline.cut and iterate.layout.segments < requested:
-            lower, _ = _solved_on(run, iterate, requested, 2)
-            iterate = replace(lower, note=iterate.note)
+        iterate, _ = _climb(run, iterate)
     return replace(iterate, executed=iterate.run_controls())
 
 

@@ -58,7 +58,7 @@ ROOM = 1.0
 """How long before and after the touched frames the vehicle may prepare and recover, s."""
 SEGMENTS = (1 / 12, 1 / 24)
 """Duration of a segment, s, and the shorter one that is tried if it fails: linear controls must be able to show those
-of the solved motion. Each segment has five substeps, at order 4."""
+of the solved motion."""
 FEWEST = 6
 """Smallest number of segments of a window."""
 ITERATIONS = 100

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from vehsim.planning.constraints.block import Block
 from vehsim.planning.problem.elements import Element, NonlinearProgram, Use
-from vehsim.planning.problem.layout import Layout
+from vehsim.planning.problem.layout import WHOLE, Layout
+from vehsim.planning.problem.simpson import simpson
 from vehsim.planning.problem.stage import evaluate, knot_view, segment_view
 from vehsim.planning.problem.transcription import Transcription
 from vehsim.planning.request.legs import held_segments
@@ -51,7 +52,7 @@ class Dynamics(Block):
         ]  # fmt: skip
         starts, fractions = np.cumsum([0.0, *layout.fractions[:-1]]), np.array(layout.fractions)
         constants = {"start": starts[part][None], "fraction": fractions[part][None]}
-        problem.add(transcription.substep, np.vstack(y), constants=constants)
+        problem.add(equations(transcription, layout.order), np.vstack(y), constants=constants)
         if len(still):
             state = [layout.node(still), layout.velocity(still), layout.node(still + 1)]
             problem.add(hold_element(transcription), np.vstack(state))
@@ -76,6 +77,13 @@ class Dynamics(Block):
         layout = trajectory.layout
         segment = int(self._substeps(layout)[0][occurrence]) // len(layout.fractions)
         return f"the motion at frame {trajectory.seconds()[segment] * float(trajectory.request.fps):.0f}"
+
+
+def equations(transcription: Transcription, order: int) -> Element:
+    """The equations of motion of a part of a segment: `simpson` at order 4, else those of a substep."""
+    if order == WHOLE:
+        return transcription.kept("simpson", lambda: simpson(transcription))
+    return transcription.substep
 
 
 def bound_joints(trajectory: Trajectory, ranges: Mapping[str, tuple[float, float]], lower: Array, upper: Array) -> None:

@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 from vehsim.integrators.composition import COMPOSITIONS
 
+WHOLE = 4
+"""The order at which a segment is whole (`vehsim.planning.problem.simpson`); others are compositions of substeps."""
+
 
 @dataclass(frozen=True)
 class Layout:
@@ -21,7 +24,8 @@ class Layout:
 
     @property
     def fractions(self) -> tuple[float, ...]:
-        return COMPOSITIONS[self.order]
+        """Fractions of a segment of its parts, which have a node each."""
+        return (1.0,) if self.order == WHOLE else COMPOSITIONS[self.order]
 
     @property
     def segments(self) -> int:

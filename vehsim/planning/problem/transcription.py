@@ -1,7 +1,7 @@
 """A vehicle's discrete mechanics in the optimisation problem: variables of a node and a segment, and their scales.
 
 Variables, knot by knot: node states ``(g, r, pi)``, segment velocities ``z``, knot controls, and a segment duration for
-every leg between two marks. At order 4 a segment consists of five symmetric substeps (Suzuki), each with its own node.
+every leg between two marks. A segment is whole at orders 2 and 4, and seven symmetric substeps (Yoshida) at order 6.
 Momenta and controls are scaled to the size of velocities and of typical controls.
 """
 
@@ -80,7 +80,7 @@ class Transcription:
         ca_, cb = v["c0"] * self.control_scale, v["c1"] * self.control_scale
         ends = (ca_ + start * (cb - ca_), ca_ + (start + fraction) * (cb - ca_))
         given = (g, r, v["z"], *ends, v["h"] * fraction, wind)
-        segment, weight = self._segment, self._weight
+        segment, weight = self._segment, self.weight
         cells = ca.SX.sym("cells", segment.size_in("cell")[0], 2)
         left, _, next_g, next_r = segment(*given, cells[:, 0])
         _, right, _, _ = segment(*given, cells[:, 1])
@@ -94,20 +94,29 @@ class Transcription:
         return Element("dynamics", ca.vertcat(*v.values()), parameters, g=ca.vertcat(*residuals), space=space)
 
     @cached_property
-    def _weight(self) -> Weight | None:
+    def weight(self) -> Weight | None:
         """The vehicle's weight on a terrain, if it has one."""
         potential = getattr(self.vehicle, "potential_energy", None)
         return potential if isinstance(potential, Weight) else None
 
+    @cached_property
+    def local(self) -> tuple[Any, Vehicle]:
+        """Symbols of the terrain's cell in which the weight acts, see `Relief.cells`, and the vehicle within that cell.
+
+        Without a weight on a terrain, there are no symbols, and it is the vehicle itself.
+        """
+        if self.weight is None:
+            return ca.SX.sym("cell", 0), self.vehicle
+        # everywhere at once, the terrain would need a hundred times as many operations
+        cell = ca.SX.sym("cell", self.weight.relief.CELL)
+        return cell, replace(self.vehicle, potential_energy=replace(self.weight, cell=cell))  # type: ignore[call-arg]
+
     @property
     def _segment(self) -> ca.Function:
-        """``(g, r, z, c0, c1, h, wind, cell) -> (left, right, g1, r1)`` of `DiscreteMechanics.segment`; ``cell``: where
-        the weight acts on the terrain, see `Relief.cells`."""
-        cell, step = ca.SX.sym("cell", 0), self.mechanics
-        if self._weight is not None:  # everywhere at once, the terrain would need a hundred times as many operations
-            cell = ca.SX.sym("cell", self._weight.relief.CELL)
-            local = replace(self.vehicle, potential_energy=replace(self._weight, cell=cell))  # type: ignore[call-arg]
-            step = mechanics_of(local, DEFAULT_MAP, "galerkin")
+        """``(g, r, z, c0, c1, h, wind, cell) -> (left, right, g1, r1)`` of `DiscreteMechanics.segment`; ``cell``: see
+        `local`."""
+        cell, vehicle = self.local
+        step = mechanics_of(vehicle, DEFAULT_MAP, "galerkin")
         names = ("g", "r", "z", "c0", "c1", "h", "wind")
         inputs, results = [step.symbols[name] for name in names], ("left", "right", "g1", "r1")
         return ca.Function(

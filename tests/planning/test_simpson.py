@@ -1,0 +1,101 @@
+"""The fourth order in one segment: its order, its symmetry, and what it keeps exactly."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import vehsim
+from vehsim.integrators.continuous import execute
+from vehsim.planning.problem.elements import NonlinearProgram
+from vehsim.planning.problem.simpson import simpson
+from vehsim.planning.problem.transcription import transcribe
+
+WIND = np.array([1.0, -2.0, 0.5])
+VEHICLES = ["helicopter", "car", "two_wheeled", "snakeboard", "boat", "truck", "hopper"]
+SECONDS = 0.8
+
+
+def loaded(name):
+    vehicle = vehsim.load_vehicle(name)
+    return vehicle.planar or vehicle
+
+
+def equations(made):
+    """``y -> residuals`` of one segment, with its parameters set."""
+    element = simpson(made)
+    problem = NonlinearProgram(element.y.shape[0])
+    problem.add(element, np.arange(problem.size), constants={"start": [0.0], "fraction": [1.0]})
+    p = problem.vector({"wind": WIND})
+    y = ca.MX.sym("y", problem.size)
+    return ca.Function("residual", [y], [problem.functions()["nlp"](y, p)[1]])
+
+
+def stepper(made):
+    """``(x, z, c0, c1, h) -> (x1, z)``: the next node state and the middle's velocity, by Newton's method."""
+    size, s, n, c = made.sizes
+    state = size + s + n
+    unknown, given = ca.MX.sym("w", state + n), ca.MX.sym("v", state + 2 * c + 1)
+    x1, z = unknown[:state], unknown[state:]
+    x, c0, c1, h = ca.vertsplit(given, [0, state, state + c, state + 2 * c, state + 2 * c + 1])
+    residual = equations(made)(ca.vertcat(x, z, c0, c1, x1, h))
+    root = ca.rootfinder("root", "newton", {"x": unknown, "p": given, "g": residual}, {"abstol": 1e-12})
+
+    def step(x, z, c0, c1, h):
+        found = root(x0=np.concatenate([x, z]), p=np.concatenate([x, c0, c1, [h]]))["x"].full().ravel()
+        return found[:state], found[state:]
+
+    return step
+
+
+def start_of(made, seed=1):
+    """A node state in motion, the velocity there, and controls (3, c) over their scale."""
+    chance, m = np.random.default_rng(seed), made.mechanics
+    _, s, n, c = made.sizes
+    group = made.vehicle.group
+    g = np.array(group.identity, float)
+    if group.size > group.dim:
+        q = chance.normal(size=4)
+        g[:4] = q / np.linalg.norm(q)
+    r, pi, controls = chance.normal(size=s) * 0.2, chance.normal(size=n) * 0.5, chance.normal(size=(3, c)) * 0.2
+    z = np.ravel(m.knot_velocity_guess(r, pi * made.momentum_scale, controls[0] * made.control_scale))
+    return g, r, z, np.concatenate([g, r, pi]), controls
+
+
+def states(made, count):
+    """Node states (count + 1, .) of ``count`` segments over `SECONDS` under controls linear in time."""
+    _, _, z, x, controls = start_of(made)
+    step, path = stepper(made), [x]
+    for k in range(count):
+        c0, c1 = (controls[0] + (k + e) / count * (controls[1] - controls[0]) for e in (0, 1))
+        x, z = step(x, z, c0, c1, SECONDS / count)
+        path.append(x)
+    return np.array(path)
+
+
+@pytest.mark.parametrize("name", VEHICLES)
+def test_segments_converge_to_the_continuous_motion_with_order_four(name):
+    made = transcribe(loaded(name))
+    g, r, z, _, controls = start_of(made)
+    fine = 64
+    c = np.linspace(controls[0], controls[1], fine + 1) * made.control_scale
+    to, joints = execute(made.vehicle, g, r, z, c, np.full(fine, SECONDS / fine), WIND)
+    true = np.concatenate([to[-1], joints[-1]])
+    off = [np.abs(states(made, count)[-1][: len(true)] - true).max() for count in (8, 16)]
+    assert off[1] < 1e-3 and (off[0] / off[1] > 13 or off[1] < 1e-11), off
+
+
+@pytest.mark.parametrize("name", VEHICLES)
+def test_the_reversed_segment_is_the_same_segment(name):
+    """From its end, with a negative duration, a segment leads back to its start: only even orders are possible."""
+    made = transcribe(loaded(name))
+    _, _, z, x, controls = start_of(made)
+    step = stepper(made)
+    x1, middle = step(x, z, *controls[:2], 0.1)
+    back, again = step(x1, middle, *controls[1::-1], -0.1)
+    np.testing.assert_allclose(back, x, atol=1e-9)
+    np.testing.assert_allclose(again, middle, atol=1e-9)
+
+
+def test_quaternions_keep_unit_norm_at_a_long_step():
+    path = states(transcribe(loaded("helicopter")), 2)
+    np.testing.assert_allclose(np.linalg.norm(path[:, :4], axis=1), 1.0, atol=1e-14)

@@ -1,0 +1,95 @@
+"""A whole segment to fourth order: the Hermite-Simpson rule on the group, in the variables of DMOC.
+
+Joints, momenta and places follow Simpson's rule, with the middle on the Hermite cubic through both ends (Hargraves and
+Paris 1987). Rotations are ``q exp(x)`` with ``x`` to fourth order, so that quaternions keep unit norm. The segment is
+symmetric in time, and constraints hold exactly at its ends and middle. Without forces, momentum is conserved to fourth
+order only: docs/derivations.md tells what exact conservation costs.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import casadi as ca
+
+from vehsim.lie import SO3
+from vehsim.planning.problem.elements import Element, SpatialField
+from vehsim.vehicles.definition.mechanics import conservative, free_velocity, momentum, project, shape_gradient
+
+if TYPE_CHECKING:
+    from vehsim.planning.problem.transcription import Transcription
+
+Expr = Any
+
+
+def simpson(transcription: Transcription) -> Element:
+    """The equations of a segment (x, z, c0, c1, x1, h); ``z`` is the velocity at its middle.
+
+    Rows and parameters are those of `Transcription.substep`: two of momentum, then pose and joints.
+    """
+    t, m = transcription, transcription.mechanics
+    v = t.symbols("x", "z", "c0", "c1", "x1", "h")
+    wind, start, fraction = ca.SX.sym("wind", 3), ca.SX.sym("start"), ca.SX.sym("fraction")
+    g, r, pi = t.split(v["x"])
+    g1, r1, pi1 = t.split(v["x1"])
+    h, step = v["h"] * fraction, v["c1"] - v["c0"]
+    a, middle, b = ((v["c0"] + (start + s * fraction) * step) * t.control_scale for s in (0.0, 0.5, 1.0))
+    laws, weight = _laws(t), t.weight
+    cells = ca.SX.sym("cells", laws.size1_in("cell"), 3)
+
+    u, xi = m.knot_velocity(r, pi, a)
+    u1, xi1 = m.knot_velocity(r1, pi1, b)
+    g_dot, _, push = laws(g, r, u, xi, a, wind, cells[:, 0])
+    g1_dot, _, push1 = laws(g1, r1, u1, xi1, b, wind, cells[:, 1])
+    gm, rm = (g + g1) / 2 + h / 8 * (g_dot - g1_dot), (r + r1) / 2 + h / 8 * (u - u1)
+    um, xim = free_velocity(t.vehicle, rm, v["z"], m.driven(middle))
+    gm_dot, pim, pushm = laws(gm, rm, um, xim, middle, wind, cells[:, 2])
+
+    next_g, next_r = (
+        start_ + h / 6 * (x + 4 * y + z) for start_, x, y, z in ((g, g_dot, gm_dot, g1_dot), (r, u, um, u1))
+    )
+    if t.vehicle.group.size > t.vehicle.group.dim:
+        next_g[0:4] = SO3.compose(g[0:4], SO3.exp(_rotation(xi[0:3], xim[0:3], xi1[0:3], h)))
+    inner = pim - (pi + pi1) / 2 - h / 8 * (push - push1)
+    outer = pi1 - pi - h / 6 * (push + 4 * pushm + push1)
+    # as in DMOC, one row for either end: then multipliers of one order fit the other
+    left, right = inner + outer / 2, inner - outer / 2
+    residuals = (left / t.momentum_scale, right / t.momentum_scale, next_g - g1, next_r - r1)
+    space = None
+    if weight is not None:
+        places = ca.horzcat(*(weight.place(at) for at in (g, g1, gm)))
+        models = ca.vertcat(ca.SX.sym("places", 2, 3), cells)
+        space = SpatialField(places, models, lambda count, order: weight.relief.cells(count))
+    parameters = {"wind": wind, "start": start, "fraction": fraction}
+    return Element("dynamics", ca.vertcat(*v.values()), parameters, g=ca.vertcat(*residuals), space=space)
+
+
+def _rotation(first: Expr, middle: Expr, last: Expr, h: Expr) -> Expr:
+    """The rotation vector (3,) of a segment with these body rates (3,) rad/s, to fourth order (Magnus)."""
+    return h / 6 * (first + 4 * middle + last) + h**2 / 12 * ca.cross(middle, last - first)
+
+
+def _laws(t: Transcription) -> ca.Function:
+    """``(g, r, u, xi, c, wind, cell) -> (g_dot, pi, pi_dot)``: the rate of the group's coordinates, and the restricted
+    momentum with its rate; ``cell`` as in `Transcription.local`."""
+    m = t.mechanics
+    g, r, c, wind = (m.symbols[name] for name in ("g", "r", "c0", "wind"))
+    cell, vehicle = t.local
+    group = vehicle.group
+    u, xi = ca.SX.sym("u", r.shape[0]), ca.SX.sym("xi", group.dim)
+    p, mu = momentum(vehicle, r, u, xi)
+    applied, steady = vehicle.force(g, r, u, xi, c, wind), conservative(vehicle, g, r)
+    on_joints = shape_gradient(vehicle, r, u, xi) + applied[0] + steady[0]
+    on_group = group.ad(xi).T @ mu + applied[1] + steady[1]
+    # the free directions turn with the joints
+    fixed_p, fixed_mu = ca.SX.sym("p", p.shape[0]), ca.SX.sym("mu", mu.shape[0])
+    turning = ca.jtimes(project(vehicle, r, fixed_p, fixed_mu), r, u) if r.shape[0] else 0
+    turning = ca.substitute(ca.SX(turning), ca.vertcat(fixed_p, fixed_mu), ca.vertcat(p, mu))
+    s = ca.SX.sym("s")
+    flow = ca.jacobian(group.compose(g, group.cay(s * xi)), s)
+    g_dot = ca.substitute(flow, s, 0)
+    results = [
+        ca.densify(x) for x in (g_dot, project(vehicle, r, p, mu), project(vehicle, r, on_joints, on_group) + turning)
+    ]
+    names = ["g", "r", "u", "xi", "c", "wind", "cell"]
+    return ca.Function("laws", [g, r, u, xi, c, wind, cell], ca.cse(results), names, ["g_dot", "pi", "pi_dot"])
