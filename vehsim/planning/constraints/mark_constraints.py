@@ -255,7 +255,13 @@ def _motion(
     spatial, rolls = transcription.vehicle.group.dim == 6, transcription.sizes[2] == 1
     if mark.at_rest:  # all free velocities vanish; with one rolling direction there is only one
         _, r, pi = transcription.split(x)
-        return _equal(transcription.mechanics.knot_velocity_guess(r, pi, c * transcription.control_scale))
+        body, vehicle = transcription.vehicle.attitude or (), transcription.vehicle
+        if not body or mark.place == 0 or mark.hold:
+            still = transcription.mechanics.knot_velocity_guess(r, pi, c * transcription.control_scale)
+            return _equal(ca.vertcat(still, *(view.joint(name) for name in body)))
+        # the body may still rock on its springs
+        wheels = [vehicle.joints[k] for k in vehicle.dynamic if vehicle.joints[k] not in body]
+        return _equal(ca.vertcat(view.velocity[0:2], view.omega[2], *(view.rate(name) for name in wheels)))
     if mark.velocity is not None:
         error = view.velocity - wanted["velocity"]
         return _equal(error if spatial else error[0:2])

@@ -79,6 +79,9 @@ class Definition:
     rolling: Callable[[Expr, Expr], Expr] | None = None
     """Joints (s,) and body twist (d,) -> the joint rates (s,) at which its wheels roll without slip, if they may slip.
     A motion of unknown joint rates rolls. None: constraints determine the wheels, or there are none."""
+    attitude: tuple[str, str, str] | None = None
+    """Joints that are the body's heave [m], pitch (nose down) and roll (left side up) [rad] on its own springs; None:
+    the springs of its rig move it on a terrain, see `vehsim.world.ground`."""
     channels: Mapping[str, Channel] = field(default_factory=dict)
     joint_limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     default_costs: Mapping[str, float] = field(default_factory=dict)

@@ -50,6 +50,7 @@ MODELS: Registry[Callable[..., Vehicle]] = Registry(
         "hopper": "vehsim.vehicles.models.hopper:hopper",
         "simple_car": "vehsim.vehicles.models.simple_car:simple_car",
         "drift_car": "vehsim.vehicles.models.drift_car:drift_car",
+        "four_wheel_car": "vehsim.vehicles.models.four_wheel_car:four_wheel_car",
         "two_wheeled": "vehsim.vehicles.models.two_wheeled:two_wheeled",
         "snakeboard": "vehsim.vehicles.models.snakeboard:snakeboard",
         "chaplygin_sleigh": "vehsim.vehicles.models.chaplygin_sleigh:chaplygin_sleigh",

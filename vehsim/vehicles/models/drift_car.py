@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Annotated
 
 import casadi as ca
-from annotated_types import Gt, Interval, Len
+from annotated_types import Gt
 
 from vehsim.constants import GRAVITY
 from vehsim.errors import InputError
@@ -20,15 +20,18 @@ from vehsim.vehicles.definition.base import Control, Expr
 from vehsim.vehicles.definition.nonholonomic import Nonholonomic
 from vehsim.vehicles.definition.quantities import Distance, Inertia, Length, Mass, Unit
 from vehsim.vehicles.models.ground import ackermann_channels
-from vehsim.vehicles.models.tyres import Tyre
+from vehsim.vehicles.models.tyres import (
+    LATERAL,
+    LONGITUDINAL,
+    SPIN,
+    WEIGHTS_LATERAL,
+    WEIGHTS_LONGITUDINAL,
+    Four,
+    Share,
+    Tyre,
+    brake,
+)
 
-SPIN = 1e-3
-"""Weight of the cost of spin in plans: on their long steps, a wheel's fast decay would alternate from knot to knot."""
-Share = Annotated[float, Unit(""), Interval(ge=0, le=1)]
-Four = Annotated[tuple[float, float, float, float], Len(4, 4), Unit("")]
-BRAKING = 1.0
-"""Speed of a rim, m/s, below which its brake's torque fades, so that it is smooth at standstill: a handbrake of 8000
-N m brakes wheels to 0.3 m/s."""
 LARGEST_STEP = 1 / 1200
 """Largest step of a simulation, s: wheels follow the road within milliseconds at low speed."""
 
@@ -49,10 +52,10 @@ def drift_car(
     brake_front: Share = 0.6,
     friction: Annotated[float, Unit(""), Gt(0)] = 1.0,
     low_speed: Annotated[float, Unit("m/s"), Gt(0)] = 3.0,
-    tyre_longitudinal: Four = (1.6411, 1.1739, 0.46403, 22.303),
-    tyre_lateral: Four = (1.3507, 1.0489, -0.0074722, 21.92),
-    tyre_weights_longitudinal: Four = (13.276, 13.778, 1.2568, 0.65225),
-    tyre_weights_lateral: Four = (7.1433, 9.1916, 1.0719, -0.27572),
+    tyre_longitudinal: Four = LONGITUDINAL,
+    tyre_lateral: Four = LATERAL,
+    tyre_weights_longitudinal: Four = WEIGHTS_LONGITUDINAL,
+    tyre_weights_lateral: Four = WEIGHTS_LATERAL,
 ) -> Nonholonomic:
     """A single-track car whose body frame stands below its centre of mass, on the ground.
 
@@ -104,18 +107,18 @@ def drift_car(
         loads = (GRAVITY * rear - a * mass_height, GRAVITY * front + a * mass_height)
         return ahead, behind, (mass * loads[0] / wheelbase, mass * loads[1] / wheelbase)
 
-    def brake(torque: Expr, rate: Expr) -> Expr:
-        rim = wheel_radius * rate
-        return -torque * rim / ca.sqrt(rim**2 + BRAKING**2)
-
     def forces(r: Expr, u: Expr, xi: Expr, c: Expr) -> tuple[Expr, Expr]:
         ahead, behind, loads = contact(r, u, xi)
         ahead, behind = ahead * loads[0], behind * loads[1]
         cosine, sine = _direction(r[1])
         push, aside = cosine * ahead[0] - sine * ahead[1], sine * ahead[0] + cosine * ahead[1]
         body = ca.vertcat(front * aside - rear * behind[1], push + behind[0], aside + behind[1])
-        on_rear = (1 - drive_front) * c[0] + brake((1 - brake_front) * c[1] + c[2], u[0]) - wheel_radius * behind[0]
-        on_front = drive_front * c[0] + brake(brake_front * c[1], u[2]) - wheel_radius * ahead[0]
+        on_rear = (
+            (1 - drive_front) * c[0]
+            + brake((1 - brake_front) * c[1] + c[2], wheel_radius * u[0])
+            - wheel_radius * behind[0]
+        )
+        on_front = drive_front * c[0] + brake(brake_front * c[1], wheel_radius * u[2]) - wheel_radius * ahead[0]
         return ca.vertcat(on_rear, 0, on_front), body
 
     def rolling(r: Expr, xi: Expr) -> Expr:

@@ -38,10 +38,6 @@ def ackermann_channels(wheel_radius: float, wheelbase: float, half_track: float)
     def rear(side: float) -> Channel:
         return Channel(rate=lambda t, r, u, xi, c: (xi[1] - side * half_track * xi[0]) / wheel_radius)
 
-    def steer(side: float) -> Channel:
-        # tan of a front wheel's angle: sigma / (1 - side * half_track * sigma / wheelbase), Ackermann
-        return Channel(value=lambda t, r, u, xi, c: ca.atan2(r[1], 1 - side * half_track / wheelbase * r[1]))
-
     def front(side: float) -> Channel:
         # the hub moves along the wheel's own heading, at the length of (1 - side b sigma / l, sigma) times vx
         def rate(t: Expr, r: Expr, u: Expr, xi: Expr, c: Expr) -> Expr:
@@ -54,7 +50,18 @@ def ackermann_channels(wheel_radius: float, wheelbase: float, half_track: float)
         "roll_rr": rear(-1.0),
         "roll_fl": front(1.0),
         "roll_fr": front(-1.0),
-        "steer_fl": steer(1.0),
-        "steer_fr": steer(-1.0),
+        **steer_channels(wheelbase, half_track, 1),
         **{f"travel_{wheel}": Channel(value=lambda t, r, u, xi, c: 0.0) for wheel in ("rl", "rr", "fl", "fr")},
     }
+
+
+def steer_channels(wheelbase: float, half_track: float, sigma: int) -> dict[str, Channel]:
+    """Channels ``steer_fl`` and ``steer_fr`` [rad] of a car's front wheels; ``sigma``: the index of the joint that is
+    the tangent of the steering angle; lengths in m."""
+
+    def steer(side: float) -> Channel:
+        # tan of a front wheel's angle: sigma / (1 - side * half_track * sigma / wheelbase), Ackermann
+        ratio = side * half_track / wheelbase
+        return Channel(value=lambda t, r, u, xi, c: ca.atan2(r[sigma], 1 - ratio * r[sigma]))
+
+    return {"steer_fl": steer(1.0), "steer_fr": steer(-1.0)}

@@ -13,11 +13,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import casadi as ca
+from annotated_types import Interval, Len
 
 from vehsim.vehicles.definition.base import Expr
+from vehsim.vehicles.definition.quantities import Unit
 
+Share = Annotated[float, Unit(""), Interval(ge=0, le=1)]
+Four = Annotated[tuple[float, float, float, float], Len(4, 4), Unit("")]
+LONGITUDINAL: Four = (1.6411, 1.1739, 0.46403, 22.303)
+LATERAL: Four = (1.3507, 1.0489, -0.0074722, 21.92)
+WEIGHTS_LONGITUDINAL: Four = (13.276, 13.778, 1.2568, 0.65225)
+WEIGHTS_LATERAL: Four = (7.1433, 9.1916, 1.0719, -0.27572)
+"""The tyre of CommonRoad (2020), table 7, from the ADAMS handbook; see `Tyre`."""
+BRAKING = 1.0
+"""Speed of a rim, m/s, below which its brake's torque fades, so that it is smooth at standstill: a handbrake of 8000
+N m brakes wheels to 0.3 m/s."""
+SPIN = 1e-3
+"""Weight of the cost of spin in plans: on their long steps, a wheel's fast decay would alternate from knot to knot."""
 ROUND = 0.05
 """Width over which a weight's positive part is rounded: it changes a weight of one by 0.0006."""
 
@@ -71,3 +86,8 @@ def _weight(other: Expr, own: Expr, coefficients: Sequence[float]) -> Expr:
 
 def _bent(x: Expr, curvature: float) -> Expr:
     return ca.atan(x - curvature * (x - ca.atan(x)))
+
+
+def brake(torque: Expr, rim: Expr) -> Expr:
+    """The torque, N m, by which a brake opposes a rim that turns at ``rim`` m/s."""
+    return -torque * rim / ca.sqrt(rim**2 + BRAKING**2)

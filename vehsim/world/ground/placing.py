@@ -46,6 +46,8 @@ LARGEST_TRAVEL = 0.12
 def place_on_terrain(clip: Clip, world: Any, samples: int = SAMPLES, coarse: bool = False) -> Clip:
     """The clip of a vehicle with wheels on ``world``'s terrain: height, pitch and roll of its root, travel of wheels.
 
+    A vehicle with springs of its own (`Definition.attitude`) also dives and leans on level ground without a terrain.
+
     Adds the channels ``heave`` (of the body above its rest on its wheels, m), ``pitch`` (nose down) and ``roll`` (left
     side up, rad); fills ``travel_*`` (m, upwards), and ``hitch_pitch*`` and ``hitch_roll*`` of trailers, as ``pitch``
     and ``roll``; wheels turn by the length of the slope. The planar motion does not change. Other clips, and clips
@@ -54,6 +56,8 @@ def place_on_terrain(clip: Clip, world: Any, samples: int = SAMPLES, coarse: boo
     """
     terrain = None if world is None else world.terrain
     rig = clip.vehicle.rig
+    if terrain is None and clip.vehicle.attitude is not None:
+        terrain = _level(clip)
     if terrain is None or rig is None or not clip.vehicle.group.planar:
         return clip
     wheels = tuple(wheel.coarse if coarse else wheel for wheel in wheels_of(rig))
@@ -75,6 +79,7 @@ def place_on_terrain(clip: Clip, world: Any, samples: int = SAMPLES, coarse: boo
     deflection = np.zeros_like(rest)
     if any(wheel.travel for wheel in own) and len(clip) > 1:
         deflection = deflections(clip.times, rest, lean_of(*held, own, rig.suspension), rig.suspension)
+        deflection += _own_attitude(clip)
     z, pitch, roll = (rest + deflection).T
     there = np.column_stack([clip.positions[:, :2], z]), yaw_tilt(yaw, pitch, roll)
     channels = {**clip.channels, "heave": deflection[:, 0], "pitch": pitch, "roll": roll}
@@ -82,6 +87,12 @@ def place_on_terrain(clip: Clip, world: Any, samples: int = SAMPLES, coarse: boo
     channels |= _wheel_channels(rig, terrain, wheels, channels, *there)
     _warn_strain(clip, held, {wheel.travel: channels[wheel.travel] for wheel in wheels if wheel.travel})
     return replace(clip, positions=there[0], orientations=there[1], channels=channels)
+
+
+def _level(clip: Clip) -> Terrain:
+    """Level ground at the height of a clip's start, which may be on it already."""
+    height = clip.positions[0, 2] - clip.channels.get("heave", np.zeros(1))[0]
+    return Terrain("level", np.full((2, 2), height))
 
 
 def can_stand(vehicle: Vehicle, world: Any, xy: Array, yaw: Array) -> NDArray[np.bool_]:
@@ -146,12 +157,22 @@ def _rest(terrain: Terrain, wheels: tuple[Wheel, ...], xy: Array, yaw: Array) ->
 
 def _tyre_force(clip: Clip, rest: Array) -> tuple[Array, Array]:
     """The force per mass that tyres must provide for a vehicle at rest on its springs (n, 3): (n,) m/s^2 along and
-    across it."""
+    across it; of a vehicle with springs of its own, only that against its weight on the slope."""
+    along, across = -GRAVITY * np.sin(rest[:, 1]), GRAVITY * np.sin(rest[:, 2])
     if len(clip) < 2:
         return np.zeros(len(clip)), np.zeros(len(clip))
+    if clip.vehicle.attitude is not None:
+        return along, across
     turn, vx, vy = clip.twists.T
-    along = np.gradient(vx, clip.times) - turn * vy - GRAVITY * np.sin(rest[:, 1])
-    return along, np.gradient(vy, clip.times) + turn * vx + GRAVITY * np.sin(rest[:, 2])
+    return along + np.gradient(vx, clip.times) - turn * vy, across + np.gradient(vy, clip.times) + turn * vx
+
+
+def _own_attitude(clip: Clip) -> Array:
+    """Heave, pitch and roll (n, 3) of the body on springs of its own; zero without them."""
+    names = clip.vehicle.attitude
+    if names is None:
+        return np.zeros((len(clip), 3))
+    return clip.joints[:, [clip.vehicle.joints.index(name) for name in names]]
 
 
 def _warn_strain(clip: Clip, held: tuple[Array, Array], travels: dict[str, Array]) -> None:

@@ -1,0 +1,140 @@
+"""`four_wheel_car` against closed forms: loads and attitude in steady motion, energy, differentials, and standstill."""
+
+import math
+
+import numpy as np
+import pytest
+
+import vehsim
+from vehsim.errors import InputError
+from vehsim.integrators import Integrator
+from vehsim.lie.quaternions import tilt_of
+from vehsim.vehicles import State
+
+G = 9.81
+MASS, HEIGHT, HALF, AXLE = 1350, 0.5, 0.77, 1.3
+SPRING, BARS = 26000.0, (18000.0, 14000.0)
+WHEELS = ("fl", "fr", "rl", "rr")
+STEPS = 2400
+
+
+def driven(parameters, start, seconds, **controls):
+    """A clip with controls linear between values evenly spaced over the time."""
+    vehicle = vehsim.load_vehicle("rally_car", parameters)
+    times = np.linspace(0, seconds, round(STEPS * seconds) + 1)
+    rows = np.zeros((len(times), 4))
+    for name, values in controls.items():
+        rows[:, vehicle.control_names.index(name)] = np.interp(times, np.linspace(0, seconds, len(values)), values)
+    return Integrator(vehicle, times[1]).rollout(start, rows)
+
+
+def column(clip, name):
+    return clip.joints[:, clip.vehicle.joints.index(name)]
+
+
+def loads(clip, k=-1):
+    return np.array([clip.channels[f"load_{wheel}"][k] for wheel in WHEELS])
+
+
+def test_a_steady_bend_leans_the_body_and_shifts_loads():
+    clip = driven(
+        {}, State(twist=(0, 12, 0)), 4.0, steering_rate=[0.12, 0.12, 0, 0, 0, 0, 0, 0, 0], drive=[0, 400, 400]
+    )
+    turn, along, _ = clip.twists[-1]
+    across = turn * along
+    assert 3 < across < 7
+    stiffness = 4 * SPRING * HALF**2 + sum(BARS)
+    lean = MASS * HEIGHT * across / (stiffness - MASS * G * HEIGHT)
+    assert column(clip, "roll")[-1] == pytest.approx(lean, rel=0.03)
+    shift = [(2 * SPRING * HALF**2 + bar) * column(clip, "roll")[-1] / (2 * HALF) for bar in BARS]
+    inner_front, outer_front, inner_rear, outer_rear = loads(clip)
+    assert (outer_front - inner_front) / 2 == pytest.approx(shift[0], rel=1e-2)
+    assert (outer_rear - inner_rear) / 2 == pytest.approx(shift[1], rel=1e-2)
+    assert loads(clip).sum() == pytest.approx(MASS * G, rel=2e-3)
+
+
+@pytest.mark.parametrize("controls, sign", [({"drive": [1500, 1500]}, -1), ({"brake": [2500, 2500]}, 1)])
+def test_it_squats_and_dives(controls, sign):
+    clip = driven({}, State(twist=(0, 25, 0)), 2.0, **controls)
+    along = np.gradient(clip.twists[:, 1], clip.times)[-10]
+    tilt = -MASS * HEIGHT * along / (4 * SPRING * AXLE**2 - MASS * G * HEIGHT)
+    assert sign * tilt > 0.01
+    assert column(clip, "pitch")[-10] == pytest.approx(tilt, rel=0.03)
+    front, rear = loads(clip, -10)[:2].sum(), loads(clip, -10)[2:].sum()
+    lever = MASS * along * HEIGHT + MASS * G * HEIGHT * column(clip, "pitch")[-10] * -1
+    assert (rear - front) * AXLE == pytest.approx(lever, rel=0.03)
+
+
+def test_the_clip_shows_the_attitude_on_level_ground_without_a_terrain():
+    vehicle = vehsim.load_vehicle("rally_car")
+    clip = vehsim.simulate(vehicle, None, [0, 4000, 0, 0.5], State(twist=(0, 15, 0)), 0.5)
+    _, pitch, roll = tilt_of(clip.orientations)
+    np.testing.assert_allclose(pitch, column(clip, "pitch"), atol=2e-3)
+    np.testing.assert_allclose(roll, column(clip, "roll"), atol=2e-3)
+    assert pitch.max() > 0.02 and roll.max() > 0.02
+    from vehsim.world.ground.placing import place_on_terrain
+
+    again = place_on_terrain(clip, None)
+    np.testing.assert_allclose(again.positions, clip.positions, atol=1e-9)
+
+
+def test_nothing_but_drive_adds_energy():
+    """With locked wheels, released springs and no drive, the energy falls at every step."""
+    clip = driven(
+        {}, State(twist=(2.0, 12, 3.0), joints=(0, 0, 0, 0.2, 0.03, 0.02, -0.05)), 1.5, handbrake=[4000, 4000]
+    )
+    vehicle, u = clip.vehicle, clip.joint_rates
+    heave, pitch, roll = (column(clip, name) for name in ("heave", "pitch", "roll"))
+    at = [vehicle.joints.index(name) for name in ("psi_fl", "psi_fr", "psi_r", "heave", "pitch", "roll")]
+    turn, along, across = clip.twists.T
+    surge = along + turn * HEIGHT * roll + HEIGHT * u[:, at[4]]
+    sway = across + turn * HEIGHT * pitch - HEIGHT * u[:, at[5]]
+    engine = 0.5 * (u[:, at[0]] + u[:, at[1]]) / 2 + 0.5 * u[:, at[2]]
+    kinetic = MASS * (surge**2 + sway**2 + u[:, at[3]] ** 2) + 1820 * turn**2 + 1700 * u[:, at[4]] ** 2
+    kinetic += (
+        480 * u[:, at[5]] ** 2 + 1.2 * (u[:, at[0]] ** 2 + u[:, at[1]] ** 2 + 2 * u[:, at[2]] ** 2) + 7.6 * engine**2
+    )
+    travel = [heave - x * pitch + y * roll for x in (AXLE, -AXLE) for y in (HALF, -HALF)]
+    springs = sum(SPRING * z**2 for z in travel) + sum(BARS) * roll**2 - MASS * G * HEIGHT * (pitch**2 + roll**2)
+    energy = (kinetic + springs) / 2
+    assert np.diff(energy).max() < 1e-4 * energy[0]
+    assert energy[-1] < 0.5 * energy[0]
+
+
+@pytest.mark.parametrize("locked", [(0, 0), (0, 1), (1, 0), (1, 1)])
+def test_differentials(locked):
+    clip = driven({"locked": locked}, State(twist=(0, 8, 0)), 1.0, steering_rate=[0.6, 0.6, 0])
+    front, rear = (clip.channels[f"roll_{axle}r"] - clip.channels[f"roll_{axle}l"] for axle in "fr")
+    assert (np.abs(front).max() < 1e-12) == bool(locked[0])
+    assert (np.abs(rear).max() < 1e-12) == bool(locked[1])
+    if not locked[1]:
+        turned = tilt_of(clip.orientations)[0][-1]
+        assert rear[-1] * 0.32 == pytest.approx(2 * HALF * turned, rel=0.03)
+
+
+@pytest.mark.parametrize("drive_front", [0.0, 0.5, 1.0])
+def test_drive_layouts(drive_front):
+    clip = driven({"drive_front": drive_front, "locked": (0, 0)}, State(), 0.6, drive=[3000, 3000])
+    spins = [clip.channels[f"slip_{wheel}"][-1] > 0.05 for wheel in ("fl", "rl")]
+    assert spins == [drive_front > 0, drive_front < 1]
+    assert 3 < clip.twists[-1, 1] / 0.6 < 7
+
+
+def test_it_rests_without_controls():
+    vehicle = vehsim.load_vehicle("rally_car")
+    clip = Integrator(vehicle, 1 / STEPS).rollout(State(joints=(0, 0, 0, 0.3, 0, 0, 0)), np.zeros((240, 4)))
+    assert np.abs(clip.twists).max() < 1e-12 and np.abs(clip.joint_rates).max() < 1e-12
+
+
+def test_wheels_roll_where_their_rates_are_not_given():
+    clip = driven({}, State(twist=(0.2, 10, 0), joints=(0, 0, 0, 0.2, 0, 0, 0)), 2 / STEPS)
+    left = math.atan2(0.2, 1 - HALF / 2.6 * 0.2)
+    expected = ((10 - HALF * 0.2) * math.cos(left) + AXLE * 0.2 * math.sin(left)) / 0.32
+    assert clip.joint_rates[0, 0] == pytest.approx(expected)
+    assert clip.joint_rates[0, 2] == pytest.approx(10 / 0.32)
+
+
+@pytest.mark.parametrize("wrong, message", [({"mass_height": 0.8}, "tip over"), ({"locked": [0, 0.5]}, "locked")])
+def test_cars_that_cannot_be_are_refused(wrong, message):
+    with pytest.raises(InputError, match=message):
+        vehsim.load_vehicle("rally_car", wrong)
