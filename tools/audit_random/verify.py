@@ -40,6 +40,7 @@ ON_WHEELS = {
     "car": 0.004,
     "simple_car": 0.004,
     "drift_car": 0.004,
+    "rally_car": 0.004,
     "truck": 0.006,
     "two_wheeled": 0.002,
     "snakeboard": 0.004,
@@ -245,7 +246,7 @@ def _turned(path: str, kind: str, sign: float = 1.0) -> Callable[[Motion], Array
 
 
 JOINTS: dict[tuple[str, str], Callable[[Motion], Array]] = {
-    **{(asset, "sigma"): _steered for asset in ("car", "simple_car", "drift_car", "truck")},
+    **{(asset, "sigma"): _steered for asset in ("car", "simple_car", "drift_car", "rally_car", "truck")},
     ("truck", "hitch_1"): _turned("trailer_1", "rotateZ"),
     ("snakeboard", "psi"): _turned("torso", "rotateZ"),
     ("snakeboard", "phi"): _turned("truck_rear", "rotateZ"),
