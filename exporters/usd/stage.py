@@ -90,9 +90,8 @@ class StageReader:
     are relative to ``origin`` (3,) m. Raises ``InputError`` if the stage cannot be read.
     """
 
-    def __init__(self, path: str | Path, local: bool = True, moving: Collection[str] = ()) -> None:
-        """``local``: False for positions in the stage's own coordinates everywhere; ``moving``: paths of prims that
-        are groups also if they stand still."""
+    def __init__(self, path: str | Path, moving: Collection[str] = ()) -> None:
+        """``moving``: paths of prims that are groups also if they stand still."""
         from pxr import Tf, Usd, UsdGeom
 
         self.path = Path(path)
@@ -114,7 +113,7 @@ class StageReader:
         self.cameras = {
             prim.GetName(): str(prim.GetPath()) for prim in self._stage.Traverse() if prim.IsA(UsdGeom.Camera)
         }
-        self.origin = self._local_origin() if local else np.zeros(3)
+        self.origin = self._local_origin()
         self._convert = _moved(-self.origin) @ self._convert
         self.shapes = tuple(self._read_shapes())
         self.groups = tuple(sorted({shape.group for shape in self.shapes} - {""}))

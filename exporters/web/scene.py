@@ -9,7 +9,6 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -74,14 +73,17 @@ class Packing:
 
 
 def scene_block(take: Take, stage: StageReader) -> bytes:
-    """Everything that the page shows of ``take``, whose stage is ``stage``."""
-    pack, take = Packing(), _moved(take, -stage.origin)
-    frames = _frames(take)
+    """Everything that the page shows of ``take``, whose stage is ``stage``.
+
+    The page draws in single precision: all positions in blocks are relative to the stage's ``origin``.
+    """
+    pack, frames = Packing(), _frames(take)
     surfaces = list(dict.fromkeys(shape.surface for shape in stage.shapes))
     textures = list(dict.fromkeys(surface.texture for surface in surfaces if surface.texture))
     header = {
         "kind": "scene",
         "name": take.name,
+        "origin": stage.origin.tolist(),
         "fps": float(take.fps),
         "frames": list(take.frames),
         "picture": list(take.render.panel(len(take.render.cameras or take.cameras))),
@@ -89,7 +91,7 @@ def scene_block(take: Take, stage: StageReader) -> bytes:
         "materials": [_material(surface, textures) for surface in surfaces],
         "shapes": [_shape(pack, shape, stage.groups, surfaces) for shape in stage.shapes],
         "light": _light(pack, stage),
-        **_motion(pack, take, group_poses(stage, frames), stage.groups),
+        **_motion(pack, take, group_poses(stage, frames), stage),
         "cameras": list(_cameras(pack, stage, take, frames)),
         "water": None if stage.water is None else _water(pack, stage, frames),
     }
@@ -113,17 +115,18 @@ class Kinematics:
     """
 
     def __init__(self, take: Take, stage: StageReader) -> None:
-        self.groups, self._stage = stage.groups, stage
+        self.groups, self.stage = stage.groups, stage
         self._take = take
         first = np.array([float(take.frames[0])])
         poses = group_poses(stage, first)[:, 0]
         self._at = [_vehicle_of(take, group) for group in stage.groups]
         self._rest: list[Array] = []
         for (name, path), pose in zip(self._at, poses, strict=True):
-            carrier = None if name is None else _carried(clip_at(take.clips[name], first), path)[0]
-            self._rest.append(
-                _matrices(pose[None])[0] if carrier is None else np.linalg.inv(carrier) @ _matrices(pose[None])[0]
-            )
+            self._rest.append(_matrices(pose[None])[0])
+            if name is not None:
+                carrier = _carried(clip_at(take.clips[name], first), path)[0]
+                carrier[:3, 3] -= stage.origin
+                self._rest[-1] = np.linalg.inv(carrier) @ self._rest[-1]
 
     def can_show(self, take: Take) -> bool:
         """Whether only the vehicles' motion differs from that of the stage."""
@@ -147,7 +150,7 @@ class Kinematics:
         for k in which:
             name, _ = self._at[k]
             if name is None:
-                T = np.stack([self._stage.matrices(frame)[self.groups[k]] for frame in frames.tolist()])
+                T = np.stack([self.stage.matrices(frame)[self.groups[k]] for frame in frames.tolist()])
             else:
                 T = self._carry(k, clip_at(take.clips[name], frames))
             found.append(_poses(T))
@@ -159,7 +162,9 @@ class Kinematics:
 
     def _carry(self, k: int, clip: Clip) -> Array:
         """Matrices (n, 4, 4) of a prim of a vehicle at the samples of a clip."""
-        return _carried(clip, self._at[k][1]) @ self._rest[k]
+        T = _carried(clip, self._at[k][1])
+        T[:, :3, 3] -= self.stage.origin
+        return T @ self._rest[k]
 
 
 def draft_block(take: Take, kinematics: Kinematics, names: Sequence[str], kind: str = "draft") -> bytes:
@@ -169,7 +174,7 @@ def draft_block(take: Take, kinematics: Kinematics, names: Sequence[str], kind: 
     header = {
         "kind": kind,
         "groups": [one for name, clip in clips.items() for one in _poses_of(pack, kinematics.carried(name, clip))],
-        "paths": [{"name": name, "points": pack.array(clip.positions, "f4")} for name, clip in clips.items()],
+        "paths": list(_paths(pack, clips, kinematics.stage)),
     }
     return pack.block(header)
 
@@ -182,7 +187,7 @@ def live_block(clip: Clip, kinematics: Kinematics, name: str, behind: float) -> 
         "vehicle": name,
         "frame": float(now.frames[0]),
         "behind": round(behind, 2),
-        "place": now.positions[0].tolist(),
+        "place": (now.positions[0] - kinematics.stage.origin).tolist(),
         "heading": float(np.degrees(yaw_of(now.orientations)[0])),
         "groups": _poses_of(pack, kinematics.carried(name, now)),
     }
@@ -199,7 +204,7 @@ def compared_block(take: Take, kinematics: Kinematics, others: Mapping[str, tupl
                 "name": name,
                 "vehicle": vehicle,
                 "groups": _poses_of(pack, kinematics.carried(vehicle, clip)),
-                "points": pack.array(clip.positions, "f4"),
+                "points": pack.array(clip.positions - kinematics.stage.origin, "f4"),
                 "curves": list(_curves(pack, take, vehicle, clip)),
             }
         )
@@ -216,13 +221,13 @@ def motion_block(take: Take, kinematics: Kinematics) -> bytes:
     cameras = [
         {"name": camera.name, "poses": pack.array(poses, "f4"), "lens": pack.array(lens, "f4")}
         for camera in take.cameras
-        for poses, lens in [_camera(camera, frames)]
+        for poses, lens in [_camera(camera, frames, kinematics.stage.origin)]
     ]
     poses = kinematics.poses(take, range(len(kinematics.groups)))
-    return pack.block({"kind": "motion", **_motion(pack, take, poses, kinematics.groups), "cameras": cameras})
+    return pack.block({"kind": "motion", **_motion(pack, take, poses, kinematics.stage), "cameras": cameras})
 
 
-def _motion(pack: Packing, take: Take, poses: Array, groups: Iterable[str]) -> dict[str, Any]:
+def _motion(pack: Packing, take: Take, poses: Array, stage: StageReader) -> dict[str, Any]:
     """What changes when a take is solved again. ``poses`` (groups, frames, 7): x, y, z, then the quaternion
     x, y, z, w."""
     frames = _frames(take)
@@ -230,13 +235,18 @@ def _motion(pack: Packing, take: Take, poses: Array, groups: Iterable[str]) -> d
     return {
         "groups": [
             {"vehicle": _vehicle_of(take, group)[0], "poses": pack.array(pose, "f4")}
-            for group, pose in zip(groups, poses, strict=True)
+            for group, pose in zip(stage.groups, poses, strict=True)
         ],
-        "paths": [{"name": name, "points": pack.array(clip.positions, "f4")} for name, clip in clips.items()],
-        "marks": list(_marks(take)),
-        "notes": take.report.get("shot", {}).get("note", []),
+        "paths": list(_paths(pack, clips, stage)),
+        "marks": [_placed(mark, -stage.origin) for mark in _marks(take)],
+        "notes": [_placed(note, -stage.origin) for note in take.report.get("shot", {}).get("note", [])],
         "curves": [curve for name, clip in clips.items() for curve in _curves(pack, take, name, clip)],
     }
+
+
+def _paths(pack: Packing, clips: Mapping[str, Clip], stage: StageReader) -> Iterator[dict[str, Any]]:
+    for name, clip in clips.items():
+        yield {"name": name, "points": pack.array(clip.positions - stage.origin, "f4")}
 
 
 def _frames(take: Take) -> Array:
@@ -261,13 +271,16 @@ def _carried(clip: Clip, path: str) -> Array:
     return T
 
 
-def _camera(camera: Camera, frames: Array) -> tuple[Array, Array]:
-    """Poses (n, 7) and lens (n, 3) of a take's camera, which has a sample on every whole frame."""
+def _camera(camera: Camera, frames: Array, origin: Array) -> tuple[Array, Array]:
+    """Poses (n, 7), relative to ``origin`` (3,) m, and lens (n, 3) of a take's camera.
+
+    It has a sample on every whole frame.
+    """
     at = np.clip(np.searchsorted(camera.frames, frames - 1e-6), 0, len(camera.frames) - 1)
     lens = np.broadcast_to(camera.lens_mm, camera.frames.shape)[at]
     half = camera.aperture_mm[0] / (2 * lens)
     turn = np.roll(camera.orientations[at], -1, axis=1)
-    return np.column_stack([camera.positions[at], turn]), np.column_stack([half, 0 * half, 0 * half])
+    return np.column_stack([camera.positions[at] - origin, turn]), np.column_stack([half, 0 * half, 0 * half])
 
 
 def group_poses(stage: StageReader, frames: Array) -> Array:
@@ -400,17 +413,6 @@ def _water(pack: Packing, stage: StageReader, frames: Array) -> dict[str, Any]:
         "white": FOAM.tolist(),
         "rough": ROUGH[0],
     }
-
-
-def _moved(take: Take, by: Array) -> Take:
-    """The take with its clips, marks and notes moved ``by`` (3,) m."""
-    if not by.any():
-        return take
-    clips = {name: replace(clip, positions=clip.positions + by) for name, clip in take.clips.items()}
-    marks = {name: [_placed(mark, by) for mark in each] for name, each in take.report.get("marks", {}).items()}
-    shot = take.report.get("shot", {})
-    shot = {**shot, "note": [_placed(note, by) for note in shot.get("note", [])]}
-    return replace(take, clips=clips, report={**take.report, "marks": marks, "shot": shot})
 
 
 def _placed(one: Mapping[str, Any], by: Array) -> dict[str, Any]:

@@ -204,6 +204,26 @@ def test_a_drive_is_recorded_saved_continued_and_undone(tmp_path):
     asyncio.run(play())
 
 
+def test_a_drive_ends_when_its_browser_closes(tmp_path):
+    """The one that watches sees it end, and can edit; the recording is kept."""
+    path = tmp_path / "drive.toml"
+    path.write_text(SHOT)
+
+    async def play():
+        async with served(path) as address, browser(address) as first:
+            await first.until("state", lambda message: message["solved"])
+            async with browser(address) as second:
+                await second.until("scene")
+                await first.send(kind="drive", vehicle="car")
+                await second.until("live", lambda live: live.header["frame"] > 1003)
+                await first.socket.close()
+                await second.until("driven")
+                state = await second.until("state", lambda message: message["solved"])
+                assert state["recordings"][0]["used"] and second.last["role"]["editor"]
+
+    asyncio.run(play())
+
+
 def test_recordings_are_compared_and_one_is_used(tmp_path):
     """Two drives, gentle and hard: both are drawn beside the present motion, and again after each solve."""
     path = tmp_path / "drive.toml"

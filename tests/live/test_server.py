@@ -1,6 +1,7 @@
 """The server of a live session, driven through its socket as a browser does; no browser is needed."""
 
 import asyncio
+import errno
 import json
 import threading
 import time
@@ -18,6 +19,7 @@ from websockets.asyncio.client import connect
 from tests.live.block import Block
 from vehsim import Shot
 from vehsim.errors import InputError
+from vehsim.live import server as live_server
 from vehsim.live import session as live_session
 from vehsim.live.messages import Moved
 from vehsim.live.server import Server
@@ -477,6 +479,7 @@ def test_only_this_machine_or_a_token_opens_it(path):
             assert await ask(status, f"{url}drive.toml") == 404
             assert await ask(status, url, Host=f"evil.example:{port}") == 403
             assert await ask(status, url, Origin="http://evil.example") == 403
+            assert await ask(status, url, Host="[") == await ask(status, url, Origin="http://[") == 403
             with pytest.raises(Exception, match="403"):
                 async with browser(address, origin="http://evil.example"):
                     pass
@@ -577,3 +580,115 @@ def test_a_hurried_flight_on_few_segments_is_dragged(tmp_path):
     for x in (60.0, 59.5):
         assert session.drag(Moved(kind="drag", key=MARK, position=[x, 10, 30])) is not None
         assert session._drafts["helicopter"].draft.clip().positions[-1] == pytest.approx([x, 10, 30], abs=1e-3)
+
+
+BOX = '[[world.obstacle]]\nshape = "box"\ncentre = {}\nsize = [1, 1, 1]\n'
+FAR = np.array([500_000.0, 4_212_000.0, 0.0])
+"""As UTM coordinates are, m."""
+
+
+def test_far_from_the_origin_everything_is_drawn_as_near_it(tmp_path):
+    """Single precision resolves 0.5 m there: the page's positions are relative to a place nearby, its messages not."""
+    more = BOX + '[[note]]\nframe = 1010\ntext = "here"\nposition = {}\n'
+    drawn = {}
+    for name, offset in (("near", 0 * FAR), ("far", FAR)):
+        path = tmp_path / name / "drive.toml"
+        path.parent.mkdir()
+        places = {text: str((np.array(json.loads(text)) + offset).tolist()) for text in ("[0, 0, 0]", "[8, 1, 0]")}
+        text = SHOT
+        for old, new in places.items():
+            text = text.replace(f"position = {old}", f"position = {new}")
+        path.write_text(text + more.format(*((np.array(at) + offset).tolist() for at in ([4, 9, 0], [4, 1, 2]))))
+        session = Session(path, tmp_path, lambda *_: None)
+        session.solve()
+        scene = Block(session.scene())
+        origin = np.array(scene.header["origin"])
+        place = [*(np.array([8.0, 1.5, 0.0]) + offset)]
+        draft = Block(session.drag(Moved(kind="drag", key=MARK, position=place)))
+        motion = Block(session.place(Moved(kind="place", key=MARK, position=place)))
+        assert session.document.data["vehicle"][0]["motion"]["mark"][1]["position"] == place
+        session.close()
+        drawn[name] = [
+            points(draft) + origin - offset,
+            points(motion) + origin - offset,
+            *(np.array(block.header["marks"][1]["position"]) + origin - offset for block in (scene, motion)),
+            np.array(scene.header["notes"][0]["position"]) + origin - offset,
+            np.append(centre(scene, "box_0"), 0) + origin - offset,
+            *(
+                block.array(group["poses"]).reshape(-1, 7)[:, :3] + origin - offset
+                for block in (scene, draft, motion)
+                for group in block.header["groups"]
+            ),
+            *(
+                block.array(curve["values"])[:, None]
+                for block in (scene, motion)
+                for curve in block.header["curves"]
+                if curve["name"] == "clearance"
+            ),
+        ]
+    assert len(drawn["near"]) == len(drawn["far"]) > 20
+    for near, far in zip(drawn["near"], drawn["far"], strict=True):
+        assert np.abs(near - far).max() < 1e-3
+
+
+class Stuck:
+    """A socket whose browser reads nothing after the first message."""
+
+    def __init__(self):
+        self.sent, self.closed, self.reads = [], asyncio.Event(), asyncio.Event()
+
+    async def send(self, message):
+        self.sent.append(message)
+        if len(self.sent) > 1:
+            await self.reads.wait()
+
+    async def close(self, code, reason):
+        self.closed.set()
+
+
+def test_a_browser_that_does_not_read_holds_up_nothing(monkeypatch):
+    """It gets the newest draft when it reads again; if it never does, it is disconnected."""
+    monkeypatch.setattr(live_server, "MOST", 1000)
+
+    async def play():
+        socket = Stuck()
+        one = live_server.Browser(socket)
+        sending = asyncio.create_task(one.send())
+        for k in range(40):
+            one.tell({"kind": "progress", "done": k})
+            one.tell({"kind": "state", "k": k % 2})
+            await asyncio.sleep(0)
+            if k == 1:
+                one.tell({"kind": "progress", "done": 7})
+        socket.reads.set()
+        for _ in range(100):
+            await asyncio.sleep(0)
+        await asyncio.wait_for(socket.closed.wait(), 10)
+        sent = [json.loads(text) for text in socket.sent]
+        assert [one["k"] for one in sent if one["kind"] == "state"][:4] == [0, 1, 0, 1]
+        assert sum(one["kind"] == "progress" for one in sent) <= 3
+        sending.cancel()
+
+    asyncio.run(play())
+
+
+def test_an_error_of_the_system_does_not_end_the_session(path, monkeypatch):
+    """Such as a full disk, in the first solve: the page says it, and the next solve works."""
+    solve, failed = Session.solve, []
+
+    def full_once(self):
+        if not failed:
+            failed.append(True)
+            raise OSError(errno.ENOSPC, "No space left on device", "/scratch")
+        return solve(self)
+
+    monkeypatch.setattr(Session, "solve", full_once)
+
+    async def play():
+        async with served(path) as address, browser(address) as page:
+            await page.until("role")
+            await page.send(kind="undo")
+            assert await page.until("scene")
+
+    asyncio.run(play())
+    assert failed

@@ -34,6 +34,12 @@ MAX_MESSAGE = 65_536
 """Largest message from a browser, bytes."""
 EVERY = 0.1
 """Shortest time between two progress messages, s."""
+MOST = 256 * 2**20
+"""What may wait for a browser that does not read, bytes; then it is disconnected; if it returns, it sees everything."""
+SILENT = 120.0
+"""Time after which a browser that answers no ping has gone, s."""
+PASSING = ("progress", "draft", "iterate", "preview", "live")
+"""Kinds of messages of which a slow browser needs only the newest."""
 OWN = Path(__file__).parent / "page"
 SCRIPTS = (PAGE / "three.min.js", PAGE / "viewer.js", OWN / "live.js", OWN / "edit.js", OWN / "drive.js")
 POLICY = (
@@ -50,10 +56,10 @@ class Server:
         self._host, self._port, self._token = host, port, token
         self._session = Session(path, out, self._progress, self._show_now)
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="solver")
-        self._sockets: list[ServerConnection] = []
+        self._browsers: list[Browser] = []
         self._scene: bytes | None = None
         self._told_motion = False
-        self._drag: tuple[Moved, ServerConnection] | None = None
+        self._drag: tuple[Moved, Browser] | None = None
         self._wake = asyncio.Event()
         self._jobs: list[Callable[[], Awaitable[None]]] = []
         self._told = 0.0
@@ -66,7 +72,7 @@ class Server:
         self._loop = asyncio.get_running_loop()
         serving = serve(
             self._connected, self._host, self._port, process_request=self._answer, max_size=MAX_MESSAGE,
-            compression=None, ping_timeout=None,
+            compression=None, ping_timeout=SILENT,
         )  # fmt: skip
         try:
             async with serving as server:
@@ -97,43 +103,48 @@ class Server:
         """Whether a request comes from this page: with the token; from another site's page, never."""
         host = request.headers.get("Host", "")
         origin = request.headers.get("Origin")
-        if origin is not None and urlsplit(origin).netloc != host:
+        try:
+            if origin is not None and urlsplit(origin).netloc != host:
+                return False
+            if self._token:
+                given = parse_qs(query).get("token", [""])[0]
+                return hmac.compare_digest(given.encode(), self._token.encode())
+            return urlsplit(f"//{host}").hostname in LOCAL  # another name for this machine is an attack
+        except ValueError:  # such as an address with one bracket
             return False
-        if self._token:
-            given = parse_qs(query).get("token", [""])[0]
-            return hmac.compare_digest(given.encode(), self._token.encode())
-        return urlsplit(f"//{host}").hostname in LOCAL  # another name for this machine is an attack
 
     # ------------------------------------------------------------ browsers
 
     async def _connected(self, socket: ServerConnection) -> None:
         from websockets.exceptions import ConnectionClosed
 
-        late, scene = self._told_motion, self._scene  # otherwise the first solve, which still runs, shows it the scene
-        self._sockets.append(socket)
+        browser = Browser(socket)
+        self._browsers.append(browser)
+        sending = asyncio.create_task(browser.send())
+        self._roles()
+        if self._told_motion:
+            self._queue(partial(self._show, browser))
+        elif self._scene is not None:  # else the first solve, which still runs, shows it the scene
+            browser.tell(self._scene)
+        browser.tell(self._session.state)
         try:
             with suppress(ConnectionClosed):
-                await self._roles()
-                if late:
-                    self._queue(partial(self._show, socket))
-                elif scene is not None:
-                    await _send(socket, scene)
-                await _send(socket, self._session.state)
                 async for text in socket:
-                    await self._received(socket, text)
+                    self._received(browser, text)
         finally:
-            self._sockets.remove(socket)
-            await self._roles()
+            sending.cancel()
+            self._browsers.remove(browser)
+            self._roles()
             if self._session.take is not None and not self._session.solved:  # it left in the middle of a drag
                 self._queue(partial(self._solve, self._session.solve))
 
-    async def _received(self, socket: ServerConnection, text: str | bytes) -> None:
+    def _received(self, browser: Browser, text: str | bytes) -> None:
         try:
             message = parse(text)
-            if socket is not self._sockets[0]:
+            if browser is not self._browsers[0]:
                 raise InputError("another browser is editing this shot", "close it first")
         except InputError as error:
-            await _send(socket, {"kind": "refused", "text": str(error)})
+            browser.tell({"kind": "refused", "text": str(error)})
             return
         if isinstance(message, MoveSticks):
             with suppress(InputError):  # those of a drive that has just ended
@@ -141,7 +152,7 @@ class Server:
                     self._session.sticks.move(message.values)
             return
         if isinstance(message, Moved) and message.kind == "drag":
-            self._drag = message, socket  # an older one that has not begun is of no use any more
+            self._drag = message, browser  # an older one that has not begun is of no use any more
             self._wake.set()
         else:
             self._drag = None
@@ -153,14 +164,14 @@ class Server:
         self._jobs.append(job)
         self._wake.set()
 
-    async def _roles(self) -> None:
+    def _roles(self) -> None:
         """Tell every browser whether it may edit: the one that came first may."""
-        for k, socket in enumerate(list(self._sockets)):
-            await _send(socket, {"kind": "role", "editor": k == 0})
+        for k, browser in enumerate(self._browsers):
+            browser.tell({"kind": "role", "editor": k == 0})
 
-    async def _tell(self, message: Any) -> None:
-        for socket in list(self._sockets):
-            await _send(socket, message)
+    def _tell(self, message: Any) -> None:
+        for browser in self._browsers:
+            browser.tell(message)
 
     def _progress(self, what: str, done: float) -> None:
         """Tell the browsers; called in the solver's thread."""
@@ -169,18 +180,18 @@ class Server:
             return
         self._told = now
         message = {"kind": "progress", "text": what, "done": round(done, 3)}
-        asyncio.run_coroutine_threadsafe(self._tell(message), self._loop)
+        self._loop.call_soon_threadsafe(self._tell, message)
 
     def _show_now(self, block: bytes) -> None:
         """Tell the browsers what is drawn during a solve; called in the solver's thread."""
         assert self._loop is not None
-        asyncio.run_coroutine_threadsafe(self._tell_block(block), self._loop)
+        self._loop.call_soon_threadsafe(self._tell_block, block)
 
-    async def _tell_block(self, block: bytes) -> None:
+    def _tell_block(self, block: bytes) -> None:
         """Tell the browsers, and keep a scene for those that come later until motion follows it."""
         if (kind := _kind(block)) in ("scene", "motion"):
             self._scene = block if kind == "scene" else None
-        await self._tell(block)
+        self._tell(block)
 
     # ------------------------------------------------------------ work
 
@@ -195,8 +206,8 @@ class Server:
                     self._session.superseded.clear()
                     await self._jobs.pop(0)()
                 elif self._drag:
-                    (message, socket), self._drag = self._drag, None
-                    await self._dragged(message, socket)
+                    (message, browser), self._drag = self._drag, None
+                    await self._dragged(message, browser)
 
     async def _do(self, message: Message) -> None:
         session, document = self._session, self._session.document
@@ -206,7 +217,7 @@ class Server:
             elif isinstance(message, TakeControls):
                 await self._drive(message)
             elif isinstance(message, Compare):
-                await self._tell(await self._in_thread(partial(session.compare, message)))
+                self._tell(await self._in_thread(partial(session.compare, message)))
             elif isinstance(message, Edit):
                 change = getattr(session, message.kind)
                 await self._solve(lambda: change(message))
@@ -217,117 +228,124 @@ class Server:
                 await self._solve(session.solve)
             elif message.kind == "save":
                 document.save()
-                await self._tell({"kind": "said", "text": f"saved {document.path.name}"})
+                self._tell({"kind": "said", "text": f"saved {document.path.name}"})
             else:
                 folder = await self._in_thread(session.export)
-                await self._tell({"kind": "said", "text": f"exported {folder}"})
+                self._tell({"kind": "said", "text": f"exported {folder}"})
         except VehsimError as error:
-            await self._tell({"kind": "refused", "text": str(error)})
+            self._tell({"kind": "refused", "text": str(error)})
         except OSError as error:
-            await self._tell({"kind": "refused", "text": f"{error.filename}: {error.strerror}"})
-        await self._tell(session.state)
+            self._tell({"kind": "refused", "text": _described(error)})
+        self._tell(session.state)
 
     async def _solve(self, solve: Callable[[], bytes | None]) -> None:
         """Solve and show the result, or say why there is none."""
-        await self._tell({"kind": "progress", "text": "solving", "done": 0.0})
+        self._tell({"kind": "progress", "text": "solving", "done": 0.0})
         try:
             block = await self._in_thread(solve)
         except Superseded:
             return
         except VehsimError as error:
-            await self._tell({"kind": "refused", "text": str(error)})
+            self._tell({"kind": "refused", "text": str(error)})
             block = None
         if block is not None:
             self._told_motion = True
-            await self._tell_block(block)
+            self._tell_block(block)
             await self._compared(self._tell)
-        await self._tell(self._session.state)
+        self._tell(self._session.state)
         if self._session.solved and not (self._jobs or self._drag):
             with suppress(VehsimError):
                 await self._in_thread(self._session.prepare)
 
     async def _drive(self, message: TakeControls) -> None:
-        """Drive until anything else is requested, or the browser has gone."""
-        session, newest, loop = self._session, Newest(), self._loop
+        """Drive until anything else is requested, or the browser that drives has gone."""
+        session, loop, driver = self._session, self._loop, self._browsers[:1]
         assert loop is not None
-        await self._tell({"kind": "driving", "vehicle": message.vehicle})
-        sending = asyncio.create_task(self._send_newest(newest))
+
+        def ended() -> bool:
+            gone = not driver or self._browsers[:1] != driver
+            return gone or bool(self._jobs or self._drag) or session.superseded.is_set()
+
+        self._tell({"kind": "driving", "vehicle": message.vehicle})
         try:
             await self._solve(
-                lambda: session.drive(
-                    message,
-                    lambda block: loop.call_soon_threadsafe(newest.put, block),
-                    lambda: bool(self._jobs or self._drag or not self._sockets) or session.superseded.is_set(),
-                )
+                lambda: session.drive(message, lambda block: loop.call_soon_threadsafe(self._tell, block), ended)
             )
         finally:
-            sending.cancel()
-            await self._tell({"kind": "driven"})
+            self._tell({"kind": "driven"})
 
-    async def _send_newest(self, newest: Newest) -> None:
-        """Send pictures as fast as the slowest browser takes them, and leave out those in between."""
-        while True:
-            await self._tell(await newest.get())
-
-    async def _show(self, socket: ServerConnection) -> None:
+    async def _show(self, browser: Browser) -> None:
         """Send a browser that came later what the others see."""
         if self._scene is None:
             with suppress(VehsimError, Superseded):
                 self._scene = await self._in_thread(self._session.scene)
         if self._scene is not None:
-            await _send(socket, self._scene)
-            await self._compared(partial(_send, socket))
+            browser.tell(self._scene)
+            await self._compared(browser.tell)
 
-    async def _compared(self, tell: Callable[[bytes], Awaitable[None]]) -> None:
+    async def _compared(self, tell: Callable[[bytes], None]) -> None:
         """Tell the recordings that are compared, if there are any."""
         if self._session.compared:
             with suppress(VehsimError):
-                await tell(await self._in_thread(self._session.comparison))
+                tell(await self._in_thread(self._session.comparison))
 
-    async def _dragged(self, message: Moved, socket: ServerConnection) -> None:
+    async def _dragged(self, message: Moved, browser: Browser) -> None:
         began = monotonic()
         try:
             block = await self._in_thread(lambda: self._session.drag(message))
         except VehsimError as error:
-            await _send(socket, {"kind": "undrawn", "text": str(error)})
+            browser.tell({"kind": "undrawn", "text": str(error)})
             return
-        await self._tell(block)
-        await self._tell({"kind": "drafted", "seconds": round(monotonic() - began, 4)})
+        self._tell(block)
+        self._tell({"kind": "drafted", "seconds": round(monotonic() - began, 4)})
 
     async def _in_thread(self, do: Callable[[], Any]) -> Any:
         """The result of ``do`` in the solver's thread. An error of vehsim itself must not end the session either."""
         assert self._loop is not None
         try:
             return await self._loop.run_in_executor(self._thread, do)
-        except (VehsimError, Superseded, OSError):
+        except (VehsimError, Superseded):
             raise
+        except OSError as error:
+            raise VehsimError(_described(error)) from error
         except Exception as error:
             raise VehsimError(f"{type(error).__name__}: {error}; this is {whose_error(error)}") from error
 
 
-class Newest:
-    """A place for the newest block; an older one that was not taken is lost."""
+class Browser:
+    """A connected browser. It receives messages at its own pace: one that does not read holds up none of the others."""
 
-    def __init__(self) -> None:
-        self._block = b""
+    def __init__(self, socket: ServerConnection) -> None:
+        self._socket = socket
+        self._waiting: list[tuple[str, str | bytes]] = []
         self._there = asyncio.Event()
+        self._leaving: asyncio.Task[None] | None = None
 
-    def put(self, block: bytes) -> None:
-        self._block = block
+    def tell(self, message: Any) -> None:
+        """Send bytes, or a message as JSON, when those before are sent."""
+        if self._leaving is not None:
+            return
+        kind = _kind(message) if isinstance(message, bytes) else str(message["kind"])
+        if kind in PASSING:
+            self._waiting = [one for one in self._waiting if one[0] != kind]
+        self._waiting.append((kind, message if isinstance(message, bytes) else json.dumps(message)))
+        if sum(len(text) for _, text in self._waiting) > MOST:
+            self._leaving = asyncio.create_task(self._socket.close(1013, "it does not read"))
         self._there.set()
 
-    async def get(self) -> bytes:
-        await self._there.wait()
-        self._there.clear()
-        return self._block
+    async def send(self) -> None:
+        """Send what waits, until cancelled or the browser has gone."""
+        from websockets.exceptions import ConnectionClosed
+
+        with suppress(ConnectionClosed):
+            while await self._there.wait():
+                self._there.clear()
+                while self._waiting:
+                    await self._socket.send(self._waiting.pop(0)[1])
 
 
-async def _send(socket: ServerConnection, message: Any) -> None:
-    """Send bytes, or a message as JSON; a browser that has gone is no error."""
-    from websockets.exceptions import ConnectionClosed
-
-    with suppress(ConnectionClosed):
-        await socket.send(message if isinstance(message, bytes) else json.dumps(message))
+def _described(error: OSError) -> str:
+    return f"{error.filename}: {error.strerror}"
 
 
 def _kind(block: bytes) -> str:

@@ -194,13 +194,12 @@ class Session:
                 shot = Shot.from_dict(
                     self.document.data, folder=self.document.path.parent, source=str(self.document.path)
                 )
-                self.handles = handles(self.document.data)
                 self.notes = [note.model_dump() for note in shot.file.note]
                 self._reuse_world(shot)
-                self.shot, self._drawing = shot, monotonic() + WAIT
-                self.settings = settings(
-                    self.document.data, [variants_of(shot.vehicle(v).rig) for v in shot.file.vehicle]
-                )
+                variants = [variants_of(shot.vehicle(table).rig) for table in shot.file.vehicle]
+                self.settings = settings(self.document.data, variants)
+                self.shot, self.handles = shot, handles(self.document.data)
+                self._drawing = monotonic() + WAIT
                 take = shot.solve(Watching(self._progress, self._show_iterate))
             except VehsimError as error:
                 self.problems = [_described(problem) for problem in error.problems]
@@ -220,7 +219,7 @@ class Session:
         self._scenes.cleanup()
         self._scenes = tempfile.TemporaryDirectory(prefix="vehsim-live-")  # USD remembers the layers of an open path
         folder = take.export(self._scenes.name, to=("usd",))
-        stage = StageReader(folder / f"{take.name}.usda", local=False, moving=movable(take))
+        stage = StageReader(folder / f"{take.name}.usda", moving=movable(take))
         self._kinematics = Kinematics(take, stage)
         self._drawn_handles = {handle.key: handle for handle in self._solved_handles}
         return scene_block(take, stage)

@@ -69,6 +69,7 @@ const vehsim = {};
     constructor(header, array) {
       this.header = header;
       this.array = array;
+      this.origin = new THREE.Vector3(...header.origin);
       [this.first, this.last] = header.frames;
       this.frame = this.first;
       this.playing = false;
@@ -408,8 +409,9 @@ const vehsim = {};
       return ring;
     }
 
-    /** Other notes. */
-    setNotes(notes) {
+    /** Other notes, at places of the world. */
+    setNotes(given) {
+      const notes = given.map((one) => ({ ...one, position: one.position && this.local(one.position).toArray() }));
       if (JSON.stringify(notes) === JSON.stringify(this.notes)) return;
       this.notes = notes;
       this.timeline.build();
@@ -435,7 +437,17 @@ const vehsim = {};
     setHandles(given) {
       dispose(this.overlays.handles);
       this.stale = true;
-      return given.map(({ place, heading, turns }) => this.addRing(this.overlays.handles, place, turns ? heading : null, FRUSTUM));
+      return given.map(({ place, heading, turns }) => this.addRing(this.overlays.handles, this.local(place), turns ? heading : null, FRUSTUM));
+    }
+
+    /** A place of the world in the scene, whose positions are relative to its origin so that single precision suffices. */
+    local(place) {
+      return new THREE.Vector3(...place).sub(this.origin);
+    }
+
+    /** A point of the scene as a place of the world. */
+    world(point) {
+      return point.clone().add(this.origin).toArray();
     }
 
     /** The camera of the picture: the shot's, or that of the orbit. */
@@ -445,8 +457,8 @@ const vehsim = {};
 
     /** Take over frame, view and switches of another viewer, and end that one. */
     replace(other) {
-      this.camera.position.copy(other.camera.position);
-      this.orbit.target.copy(other.orbit.target);
+      this.camera.position.copy(this.local(other.world(other.camera.position)));
+      this.orbit.target.copy(this.local(other.world(other.orbit.target)));
       this.orbit.update();
       if (other.through < this.cameras.length) this.lookThrough(other.through);
       for (const key of Object.keys(this.shown)) if (this.shown[key] !== other.shown[key]) element(`show-${key}`).click();

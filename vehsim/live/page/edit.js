@@ -50,7 +50,7 @@
     const { k, frame } = held, handle = marks()[k];
     held = null;
     if (frame === null) vehsim.viewer.seek(vehsim.viewer.marks[k].frame);
-    else live().send({ kind: "place", key: handle.key, position: live().grips.find((grip) => grip.handle.key === handle.key).ring.position.toArray(), frame });
+    else live().send({ kind: "place", key: handle.key, position: handle.place, frame });
     event.stopImmediatePropagation();
   }, true);
 
@@ -83,7 +83,7 @@
       row.append(input);
       make("pin", "pin", "pin it to where the vehicle is now", () => {
         const place = vehsim.viewer && vehsim.viewer.subject();
-        if (place) live().send({ kind: "edit_note", note, position: place.toArray() });
+        if (place) live().send({ kind: "edit_note", note, position: vehsim.viewer.world(place) });
       }).disabled = !editor;
       make("drop", "\u00d7", "delete this note", () => live().send({ kind: "delete_note", note })).disabled = !editor;
       return row;

@@ -148,9 +148,9 @@
       dragged = null;
       return;
     }
-    now.ring.position.copy(dragged.ring.position);
+    now.ring.position.copy(viewer.local(dragged.viewer.world(dragged.ring.position)));
     now.ring.rotation.copy(dragged.ring.rotation);
-    Object.assign(dragged, now);
+    Object.assign(dragged, now, { viewer });
     carry(dragged);
   }
 
@@ -165,7 +165,7 @@
 
   /** Move the meshes of an obstacle from where the scene has them to its ring. */
   function carry({ ring, handle, solid }) {
-    const place = new THREE.Vector3(...handle.drawn.place), turn = ring.rotation.z - (handle.drawn.heading || 0) / DEGREES;
+    const place = vehsim.viewer.local(handle.drawn.place), turn = ring.rotation.z - (handle.drawn.heading || 0) / DEGREES;
     for (const mesh of solid) {
       mesh.rotation.z = turn;
       mesh.position.copy(ring.position).sub(place.clone().applyAxisAngle(mesh.up.set(0, 0, 1), turn));
@@ -187,14 +187,14 @@
 
   function message(kind) {
     const { ring, handle, turned } = dragged;
-    return { kind, key: handle.key, position: ring.position.toArray(), heading: turned ? ring.rotation.z * DEGREES : null };
+    return { kind, key: handle.key, position: vehsim.viewer.world(ring.position), heading: turned ? ring.rotation.z * DEGREES : null };
   }
 
   function grab(event) {
     const hit = event.button === 0 && event.target === element("view") && under(event);
     if (!hit) return;
     const { ring } = hit.grip;
-    dragged = { ...hit.grip, turning: hit.turning, turned: false, moved: false };
+    dragged = { ...hit.grip, viewer: vehsim.viewer, turning: hit.turning, turned: false, moved: false };
     dragged.plane = new THREE.Plane(new THREE.Vector3(0, 0, 1), -ring.position.z);
     const start = ray(event).intersectPlane(dragged.plane, new THREE.Vector3());
     dragged.grip = start ? ring.position.clone().sub(start) : new THREE.Vector3();
