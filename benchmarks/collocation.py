@@ -22,12 +22,10 @@ from vehsim import Mark
 from vehsim.planning.problem.transcription import Transcription
 
 REST = (0.0, 0.0, 0.0)
-NO_DRAG = {"drag_quadratic": (0.0, 0.0, 0.0)}
-"""The helicopter of the papers."""
 TASKS = {
-    ("helicopter", "smoothness"): (121, (0, 0, 30), (40, 10, 35)),
-    ("helicopter", "effort"): (121, (0, 0, 30), (40, 10, 35)),
-    ("car", "effort"): (145, (0, 0, 0), (25, 6, 0)),
+    ("helicopter_lie", "smoothness"): (121, (0, 0, 30), (40, 10, 35)),
+    ("helicopter_lie", "effort"): (121, (0, 0, 30), (40, 10, 35)),
+    ("car_lie", "effort"): (145, (0, 0, 0), (25, 6, 0)),
     ("two_wheeled", "effort"): (241, (0, 0, 0), (10, 4, 0)),
 }
 """(vehicle, cost) -> last frame at 24 fps, start and goal, m, from rest to rest, rotated by 20 degrees."""
@@ -80,7 +78,7 @@ def main() -> None:
     for (name, cost), (frame, start, goal) in TASKS.items():
         if named and name not in named:
             continue
-        vehicle = vehsim.load_vehicle(name, NO_DRAG if name == "helicopter" else None)
+        vehicle = vehsim.load_vehicle(name)
         vehicle = vehicle.planar or vehicle
         marks = [
             Mark(1, position=start, heading=0, velocity=REST),

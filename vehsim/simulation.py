@@ -19,6 +19,7 @@ from vehsim.errors import InputError, Problem
 from vehsim.runtime.progress import Progress
 from vehsim.vehicles import State, Vehicle
 from vehsim.vehicles.definition.base import Array
+from vehsim.vehicles.definition.commands import Actuated, follow
 
 if TYPE_CHECKING:
     from vehsim.clip.clip import Clip
@@ -43,11 +44,14 @@ def simulate(
     difference_map: str | None = None,
     order: int = 2,
     everywhere: bool = False,
+    actuators: bool = True,
     progress: Progress | None = None,
 ) -> Clip:
     """Simulate ``vehicle`` for ``duration`` s under ``controls`` in ``world``; returns a `Clip` with a sample per step.
 
-    ``controls``, in SI units and the order of ``vehicle.control_names``:
+    ``controls``, in SI units and the order of ``vehicle.control_names``, are commands, which the vehicle's actuators
+    follow within their lags and rates; if ``actuators`` is False, they are the controls themselves, such as those of a
+    planned clip:
 
     - (c,): constant; None for a vehicle without controls, or all zeros;
     - (n, c): knot values evenly spaced over the duration, linear between (``duration`` None: one row per ``step``);
@@ -80,25 +84,30 @@ def simulate(
     steps = _steps(duration, table, wanted, h)
     begin = _standing(vehicle, world, start)
     _warn_windless(vehicle, world)
+    actuators = actuators and vehicle.actuated
     weighed = on_terrain(vehicle, world, None if everywhere else _reach(begin, steps * h))
     environment = world.environment(vehicle, start_time=start_frame / float(rate)) if isinstance(world, World) else None
     if environment is not None:
         cuts = substeps(h, environment)
         integrator = Integrator(vehicle, h / cuts, difference_map, order, wind=_wind(world))
         law = controls if table is None else _played(table, steps * h)
-        clip = pushed(integrator, environment, law, begin, steps, cuts, rate, start_frame, progress)
+        law = Actuated(vehicle, law) if actuators else law
+        clip = _commanded(pushed(integrator, environment, law, begin, steps, cuts, rate, start_frame, progress), law)
         _warn_limits(vehicle, clip)
         _warn_targets(controls, clip)
         return clip
     integrator = Integrator(weighed, h, difference_map, order, wind=_wind(world))
 
     if table is None:
-        clip = _fly(integrator, controls, begin, steps, rate, start_frame, progress)
+        law = Actuated(vehicle, controls) if actuators else controls
+        clip = _commanded(_fly(integrator, law, begin, steps, rate, start_frame, progress), law)
     else:
         knots = table if len(table) == 1 else _spread(table, steps)
-        clip = _roll(
-            integrator, np.broadcast_to(knots, (steps + 1, len(vehicle.controls))), begin, rate, start_frame, progress
-        )
+        positions = follow(vehicle, knots, h) if actuators else knots
+        rows = (steps + 1, len(vehicle.controls))
+        clip = _roll(integrator, np.broadcast_to(positions, rows), begin, rate, start_frame, progress)
+        if actuators:
+            clip = _with_commands(clip, np.broadcast_to(knots, rows))
     _warn_limits(vehicle, clip)
     _warn_targets(controls, clip)
     return place_on_terrain(replace(clip, vehicle=vehicle), world)
@@ -144,6 +153,7 @@ def simulate_together(
         _refuse_untouched(vehicle, [*(other for other in movers if other != name), *(o.name for o in world.obstacles)])
         table = None if callable(mover.controls) else _table(vehicle, mover.controls)
         law = mover.controls if table is None else _played(table, steps * h)
+        law = Actuated(vehicle, law) if vehicle.actuated else law
         environment = world.environment(vehicle, alone=False) or Nothing(vehicle.group.dim)
         prepared.append((name, vehicle, law, _standing(vehicle, world, start), environment))
         _warn_windless(vehicle, world)
@@ -156,12 +166,21 @@ def simulate_together(
     ]
     pushed_together(recordings, meeting, steps, cuts, progress)
     clips = {}
-    for k, (recording, (name, vehicle, _, _, environment)) in enumerate(zip(recordings, prepared, strict=True)):
+    for k, (recording, (name, vehicle, law, _, environment)) in enumerate(zip(recordings, prepared, strict=True)):
         events = sorted([*environment.events(), *meeting.events(k)], key=lambda event: event["time"])
-        clips[name] = recording.clip(events, rate, start_frame)
+        clips[name] = _commanded(recording.clip(events, rate, start_frame), law)
         _warn_limits(vehicle, clips[name])
         _warn_targets(movers[name].controls, clips[name])
     return clips
+
+
+def _commanded(clip: Clip, law: Any) -> Clip:
+    """The clip with the commands of its law, if actuators followed them."""
+    return _with_commands(clip, np.array(law.commands)) if isinstance(law, Actuated) else clip
+
+
+def _with_commands(clip: Clip, commands: Array) -> Clip:
+    return replace(clip, commands=dict(zip(clip.vehicle.control_names, commands.T, strict=True)))
 
 
 def _roll(
@@ -382,8 +401,9 @@ def _warn_windless(vehicle: Vehicle, world: World | None) -> None:
 
 
 def _warn_limits(vehicle: Vehicle, clip: Clip) -> None:
-    """Warn of controls and joints beyond their bounds; nothing is clipped."""
-    columns = [(f"control {c.name}", clip.controls[:, i], c.lower, c.upper) for i, c in enumerate(vehicle.controls)]
+    """Warn of controls, or their commands, and of joints beyond their bounds; nothing is clipped."""
+    given = [clip.commands.get(c.name, clip.controls[:, i]) for i, c in enumerate(vehicle.controls)]
+    columns = [(f"control {c.name}", row, c.lower, c.upper) for c, row in zip(vehicle.controls, given, strict=True)]
     limits = vehicle.joint_limits
     columns += [(f"joint {n}", clip.joints[:, i], *limits[n]) for i, n in enumerate(vehicle.joints) if n in limits]
     for name, values, lower, upper in columns:

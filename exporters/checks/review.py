@@ -125,8 +125,12 @@ def _curves(track: Track, vehicle: Any) -> Iterator[_Curve]:
         return
     rates = [MEASURES["control_rate"](track, {"control": k}, Scene()) for k in range(len(vehicle.controls))]
     for control, rate in zip(vehicle.controls, rates, strict=True):
-        if control.name in traits.control_rates:
-            yield _Curve(f"rate of {control.name}", f"{control.unit}/s", rate, traits.control_rates[control.name])
+        trait, actuator = traits.control_rates.get(control.name), control.actuator
+        if trait is None and np.isfinite(actuator.rate):
+            most = actuator.rate
+            trait = Trait(most, most, most, f"its actuator: {actuator.source}")
+        if trait is not None:
+            yield _Curve(f"rate of {control.name}", f"{control.unit}/s", rate, trait)
     lower, upper = (np.array([getattr(c, end) for c in vehicle.controls]) for end in ("lower", "upper"))
     bounded = np.isfinite(upper - lower)
     if bounded.any():

@@ -38,7 +38,8 @@ def write_csv(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
 
 
 def columns(clip: Clip) -> dict[str, Array]:
-    """Header -> values (n,): frame, time, pose in world axes, twist in body axes, joints, channels and controls."""
+    """Header -> values (n,): frame, time, pose in world axes, twist in body axes, joints, channels, controls and
+    commands."""
     table: dict[str, Array] = {"frame": clip.frames, "time [s]": clip.times}
     table |= {f"world.position.{axis} [m]": values for axis, values in zip("xyz", clip.positions.T, strict=True)}
     table |= {f"world.orientation.{axis}": values for axis, values in zip("wxyz", clip.orientations.T, strict=True)}
@@ -48,7 +49,10 @@ def columns(clip: Clip) -> dict[str, Array]:
     for channel, values in clip.channels.items():
         table[f"channel.{channel} [{_channel_unit(clip, channel)}]"] = values
     for control, values in zip(clip.vehicle.controls, clip.controls.T, strict=False):
-        table[f"control.{control.name}{f' [{control.unit}]' if control.unit else ''}"] = values
+        unit = f" [{control.unit}]" if control.unit else ""
+        table[f"control.{control.name}{unit}"] = values
+        if control.name in clip.commands:
+            table[f"command.{control.name}{unit}"] = clip.commands[control.name]
     return table
 
 

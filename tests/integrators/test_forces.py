@@ -14,7 +14,7 @@ from vehsim.vehicles.models.helicopter import helicopter
 
 
 def test_projectile_is_a_parabola():
-    vehicle = vehsim.load_vehicle("helicopter", {"drag_quadratic": (0.0, 0.0, 0.0)})
+    vehicle = vehsim.load_vehicle("helicopter_lie")
     clip = Integrator(vehicle, 0.1).rollout(
         State(position=(1, 2, 3), twist=(0, 0, 0, 4, 1, 20)), np.zeros((31, 4)), fps=10
     )

@@ -74,7 +74,8 @@ def test_what_was_seen_is_what_was_recorded(tmp_path, asset, motion, world):
     assert made.problem is None and made.frames[0] == 1001 and made.frames[-1] == 1007
     again = kept(tmp_path, shot, made).solve(cached=False).clips["v"]
     assert again.end_frame == 1007
-    assert np.array_equal(again.controls, made.controls) and np.ptp(made.controls[:, 0]) > 0
+    commands = np.column_stack([*again.commands.values()])
+    assert np.array_equal(commands, made.controls) and np.ptp(made.controls[:, 0]) > 0
     knot = again.times[1]
     seen = [clip.at(clip.times[-1:]) for clip, _ in shown if knot <= clip.times[-1] <= again.times[-1]]
     assert len(seen) > 8
@@ -104,7 +105,7 @@ def test_a_recording_continues_without_a_seam(tmp_path, asset, world):
         assert np.array_equal(getattr(second, name)[:count], getattr(clip, name)[:count]), name
     changes = np.linalg.norm(np.diff(second.twists, axis=0), axis=1)
     assert changes[count - 1 : count + 4].max() < 1.5 * changes[: count - 1].max()  # of the velocity: no jump
-    assert abs(second.twists[-1, 1] - clip.twists[-1, 1]) > 0.1
+    assert abs(second.twists[-1, 1] - clip.twists[-1, 1]) > 0.05  # a boat's engine follows late
 
 
 def test_a_slow_simulation_sets_the_clock_back(tmp_path):

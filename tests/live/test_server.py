@@ -566,7 +566,7 @@ def test_a_drag_is_in_the_character_of_the_solved_motion(tmp_path):
 def test_a_hurried_flight_on_few_segments_is_dragged(tmp_path):
     """The plan is a stunt, which these segments cannot follow: the draft is in the character of the shot."""
     path = tmp_path / "hurried.toml"
-    bare = 'asset = "helicopter"\nparameters = { drag_quadratic = [0, 0, 0] }'
+    bare = 'asset = "helicopter_lie"'
     text = (
         SHOT.replace('"car"', '"helicopter"')
         .replace('asset = "helicopter"', bare)

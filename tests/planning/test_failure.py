@@ -543,7 +543,7 @@ def test_a_mark_too_near_to_rock_is_refused_at_any_heading():
     assert found(near, 0.5) == [(1, "the vehicle reaches 2.47 m into rock at any heading")]
     windy, bare = (
         vehsim.World("canyon", wind=(2, 2, 0)),
-        vehsim.load_vehicle("helicopter", {"drag_quadratic": (0.0, 0.0, 0.0)}),
+        vehsim.load_vehicle("helicopter_lie"),
     )
     assert [i for i, *_ in marks_too_near(bare, windy, [Mark(1, position=(0, 0, 30)), near], 0.5, 24)] == [1]
     assert [i for i, *_ in marks_too_near(heli, windy, [Mark(1, position=(0, 0, 30)), near], 0.5, 24)] == [1]

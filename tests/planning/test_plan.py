@@ -227,7 +227,7 @@ def test_unreachable_mark_fails_with_a_message():
 
 
 def test_wind_without_drag_warns():
-    helicopter = vehsim.load_vehicle("helicopter", {"drag_quadratic": (0.0, 0.0, 0.0)})
+    helicopter = vehsim.load_vehicle("helicopter_lie")
     marks = [Mark(1, position=(0, 0, 30), velocity=REST), Mark(97, position=(20, 0, 30), velocity=REST)]
     with pytest.warns(UserWarning, match="no drag"):
         vehsim.plan(helicopter, vehsim.World(wind=(0, 3, 0)), marks, segments=16, refine=False)

@@ -26,12 +26,12 @@ class Field:
 
 @pytest.fixture
 def heli():
-    return vehsim.load_vehicle("helicopter")
+    return vehsim.load_vehicle("helicopter_lie")
 
 
 @pytest.fixture
 def car():
-    return vehsim.load_vehicle("car")
+    return vehsim.load_vehicle("car_lie")
 
 
 def test_constant_array_and_function_agree(heli):
@@ -59,7 +59,7 @@ def test_a_function_of_time_replays_as_knot_controls(car):
 
 def test_feedback_is_second_order_and_called_once_a_knot_in_order():
     """A spring and damper on height, against the closed form of the damped oscillator."""
-    heli = vehsim.load_vehicle("helicopter", {"drag_quadratic": (0.0, 0.0, 0.0)})
+    heli = vehsim.load_vehicle("helicopter_lie")
     mass, times = 1900.0, []
 
     def law(t, state):
@@ -99,7 +99,7 @@ def test_wind_acts_and_warns_without_drag():
     clip = simulate(drifting, Field(wind=(3, 0, 0)), HOVER, duration=2.0)
     assert clip.twists[-1, 3] == pytest.approx(3 * (1 - np.exp(-200 / 1900 * 2)), rel=1e-4)
     with pytest.warns(UserWarning, match=r"world.wind .* has no drag"):
-        bare = vehsim.load_vehicle("helicopter", {"drag_quadratic": (0.0, 0.0, 0.0)})
+        bare = vehsim.load_vehicle("helicopter_lie")
         simulate(bare, Field(wind=(3, 0, 0)), HOVER, duration=0.1)
 
 

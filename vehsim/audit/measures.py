@@ -224,6 +224,15 @@ def _control_rate(track: Track, wanted: Wanted, scene: Scene) -> Array:
     return np.append(rates, rates[-1])
 
 
+def _command(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """The command that a control follows with a lag, in the control's unit; nan without controls, as on a stage."""
+    if track.controls is None or len(track.frames) < 2:
+        return np.full(len(track.frames), np.nan)
+    control = track.controls[:, wanted["control"]]
+    commands = control[1:] + wanted["lag"] * np.diff(control) / np.diff(track.seconds)
+    return np.append(commands, commands[-1])
+
+
 def _look(track: Track, wanted: Wanted, scene: Scene) -> Array:
     """Angle between a body axis and the direction to a point, rad."""
     shown = slice(0, 2 if wanted["level"] else 3)
@@ -409,6 +418,7 @@ MEASURES: Registry[Measure] = Registry(
         "joint": _joint,
         "joint_rate": _joint_rate,
         "control_rate": _control_rate,
+        "command": _command,
         "look": _look,
         "outside": _outside,
         "descent": _descent,

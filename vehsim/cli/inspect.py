@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from vehsim.constants import GRAVITY
 from vehsim.errors import InputError
 from vehsim.intake.reader import Answer, read_cached
-from vehsim.intake.toml import read_toml
 from vehsim.intake.usd import SUFFIXES, open_stage
 
 if TYPE_CHECKING:
@@ -137,12 +136,13 @@ def _few(path: Path, parts: list[Part]) -> list[Part]:
 
 
 def _of_folder(folder: Path) -> tuple[Path, dict[str, Any]]:
+    from vehsim.vehicles.library.file import read_vehicle
     from vehsim.vehicles.library.imported import KEYS
 
     toml = folder / "vehicle.toml"
     if not toml.is_file():
         raise InputError("no vehicle.toml in it", "give the asset's file", file=folder)
-    data = read_toml(toml)[0]
+    data = read_vehicle(toml)
     if "asset" not in data:
         raise InputError("names no asset", file=toml)
     keys = {key: data[key] for key in ("root", *KEYS) if key in data}

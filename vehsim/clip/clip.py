@@ -36,7 +36,8 @@ class Clip(Samples):
     ``times`` (n,) s from 0; ``positions`` (n, 3) m; ``orientations`` (n, 4) w, x, y, z, continuous in sign; ``twists``
     (n, d) in body axes, rad/s then m/s; ``joints``, ``joint_rates`` (n, s); ``controls`` (n, c); ``channels`` rig
     channel name -> (n,), rad or m, unwrapped. Sample k is frame ``start_frame + times[k] * fps``. ``events``: for
-    example contacts; ``energy``: name -> (n,) J.
+    example contacts; ``energy``: name -> (n,) J. ``commands``: what the actuators of the ``controls`` followed, control
+    name -> (n,); empty if a motion was not made from commands.
     """
 
     def at(self, times: Any) -> Clip:
@@ -86,6 +87,7 @@ class Clip(Samples):
         arrays = {name: getattr(self, name) for name in ARRAYS}
         arrays |= {f"channel.{name}": values for name, values in self.channels.items()}
         arrays |= {f"energy.{name}": values for name, values in self.energy.items()}
+        arrays |= {f"command.{name}": values for name, values in self.commands.items()}
         buffer = BytesIO()
         np.savez(buffer, header=np.array(json.dumps(header, sort_keys=True)), **arrays)  # type: ignore[arg-type]
         return buffer.getvalue()
@@ -122,6 +124,7 @@ class Clip(Samples):
             **columns,
             channels=_group(arrays, "channel."),
             energy=_group(arrays, "energy."),
+            commands=_group(arrays, "command."),
             fps=fps,
             start_frame=first,
             events=events,

@@ -71,6 +71,7 @@ def interpolate(clip: S, times: Array) -> S:
         controls=clip.controls[k] + s[:, None] * (clip.controls[k + 1] - clip.controls[k]),
         channels=_channels(clip, times, joints),
         energy={name: np.interp(times, clip.times, values) for name, values in clip.energy.items()},
+        commands={name: np.interp(times, clip.times, values) for name, values in clip.commands.items()},
     )
 
 
@@ -173,4 +174,5 @@ def _select(clip: S, rows: NDArray[np.intp], times: Array) -> S:
         **{name: getattr(clip, name)[rows] for name in names},
         channels={name: values[rows] for name, values in clip.channels.items()},
         energy={name: values[rows] for name, values in clip.energy.items()},
+        commands={name: values[rows] for name, values in clip.commands.items()},
     )

@@ -37,6 +37,7 @@ class Samples:
     start_frame: int = 1001
     events: Sequence[Mapping[str, Any]] = ()
     energy: Mapping[str, Array] = field(default_factory=dict)
+    commands: Mapping[str, Array] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "fps", frame_rate(self.fps))

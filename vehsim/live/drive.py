@@ -24,6 +24,7 @@ from vehsim.shot.checks import Context
 from vehsim.shot.motions.simulate import ForwardMotion
 from vehsim.shot.motions.sticks import SticksMotion
 from vehsim.shot.shot import Shot
+from vehsim.vehicles.definition.commands import Actuated
 from vehsim.world.ground.placing import place_on_terrain
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ class Sticks:
     def __init__(self, vehicle: Vehicle, wind: Array) -> None:
         from vehsim.planning.trim import rests_uncontrolled, trim
 
-        self._vehicle = vehicle
+        self.vehicle = vehicle
         self.values: Array = np.zeros(len(vehicle.controls))
         borne = vehicle.hull is not None or rests_uncontrolled(vehicle)
         self._rest = 0 * self.values if borne else trim(vehicle, (wind[0], wind[1], wind[2]))
@@ -76,16 +77,16 @@ class Sticks:
     def move(self, values: Sequence[float]) -> None:
         """Put the sticks elsewhere. Raises ``InputError`` if there are not as many as controls."""
         if len(values) != len(self.values):
-            raise InputError(f"{len(values)} sticks", f"{self._vehicle.name} has {len(self.values)}", key="values")
+            raise InputError(f"{len(values)} sticks", f"{self.vehicle.name} has {len(self.values)}", key="values")
         self.values = np.array(values, float)
 
     def controls(self, state: State) -> Array:
         """The controls (c,) in SI units."""
         at, (low, high) = self.values, self._ends
         wanted = self._rest + np.where(at < 0, -at * (low - self._rest), at * (high - self._rest))
-        limits = self._vehicle.joint_limits
-        for joint, control in self._vehicle.driven:
-            if (name := self._vehicle.joints[joint]) in limits:
+        limits = self.vehicle.joint_limits
+        for joint, control in self.vehicle.driven:
+            if (name := self.vehicle.joints[joint]) in limits:
                 goal = at[control] * (limits[name][1] if at[control] > 0 else -limits[name][0])
                 now = 0.0 if state.joints is None else float(state.joints[joint])
                 wanted[control] = (goal - now) / RESPONSE
@@ -103,7 +104,7 @@ class Clock:
 class Driver:
     """A law for `vehsim.simulate`: the controls of ``before`` until ``since`` s, then those of the sticks.
 
-    ``show`` receives time, state and controls of every knot; ``ended`` says whether to stop, which
+    Both are commands. ``show`` receives time, state and controls of every knot; ``ended`` says whether to stop, which
     raises `Stopped`. ``times`` and ``rows`` are the recording. ``behind`` s: by how much the simulation was too slow.
     """
 
@@ -122,6 +123,7 @@ class Driver:
         self._sticks, self._show, self._ended, self._clock = sticks, show, ended, clock or Clock()
         self._before, self._since = before, since
         self._started: float | None = None
+        self._actuators = Actuated(sticks.vehicle, lambda t, state: self.rows[-1])
         self.behind = 0.0
         self.times: list[float] = []
         self.rows: list[Array] = []
@@ -135,7 +137,7 @@ class Driver:
         controls = self._before(t, state) if recorded and self._before else self._sticks.controls(state)
         self.times.append(t)
         self.rows.append(controls)
-        self._show(t, state, controls)
+        self._show(t, state, self._actuators(t, state))  # the simulation's own actuators do the same
         return controls
 
     def _wait(self, t: float) -> None:

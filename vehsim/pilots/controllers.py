@@ -28,6 +28,7 @@ from vehsim.constants import GRAVITY
 from vehsim.errors import InputError
 from vehsim.lie.quaternions import matrices
 from vehsim.pilots.gait import Gait
+from vehsim.pilots.lead import Lead
 from vehsim.pilots.path import Route
 from vehsim.runtime.registry import Registry
 from vehsim.vehicles import State, Vehicle
@@ -174,7 +175,9 @@ class FollowPath:
         torque = vehicle.controls[vehicle.control_names.index("torque")]
         most = _DRIVE[1] * min(torque.upper, -torque.lower) * self._per_torque(0.0)
         self._acceleration = min(_DRIVE[0], most)
+        self._jerk = torque.actuator.rate * self._per_torque(0.0) / 2
         self._route = Route(points, self.speed, acceleration=self._acceleration, lateral=2.5)
+        self._lead = Lead(vehicle)
         self.reset()
 
     def reset(self) -> None:
@@ -182,6 +185,7 @@ class FollowPath:
         self._along, self._integral, self._wanted = 0.0, 0.0, 0.0
         self._time: float | None = None
         self._fast, self._away = 0.0, 0.0
+        self._lead.reset()
 
     def targets(self, duration: float) -> list[dict[str, Any]]:
         """The root at the end of the path within 0.25 m, the axle within a fifth of the wheelbase of the path, the
@@ -222,7 +226,7 @@ class FollowPath:
         self._along = self._route.nearest(axle, self._along, reach=2.0 + 4 * abs(speed) * max(dt, 1 / 240))
         torque, steering = self._drive(dt, speed, sigma), self._steer(axle, rotation, speed, sigma)
         controls = {"steering_rate": steering, "torque": torque}
-        return np.array([controls[name] for name in self.vehicle.control_names])
+        return self._lead(t, np.array([controls[name] for name in self.vehicle.control_names]))
 
     def _tail(self) -> Array:
         """From the axle to the root, (2,) m, for a car that stands at the first point, aligned with the path."""
@@ -242,8 +246,10 @@ class FollowPath:
         # the rig's root, which is ahead of the axle, has to stop at the end
         wanted, change = self._route.speed(self._along - self._offset[0])
         push = change * speed
-        if wanted > self._wanted + self._acceleration * dt:  # while accelerating: not faster than planned
-            wanted, push = self._wanted + self._acceleration * dt, self._acceleration
+        gain = float(np.sqrt(2 * self._jerk * max(wanted - self._wanted, 1e-9)))  # the torque can then fade in time
+        most = min(self._acceleration, gain)
+        if wanted > self._wanted + most * dt:  # while accelerating: not faster than planned
+            wanted, push = self._wanted + most * dt, most
         self._wanted = wanted
         error = wanted - speed
         control = self.vehicle.controls[self.vehicle.control_names.index("torque")]
@@ -284,6 +290,7 @@ class _Helicopter:
         strongest = self.d_t * self.mass * self.gravity * tilt / max(self.J[0, 0], self.J[1, 1])
         self.pole = float(np.clip(np.sqrt(strongest / _FULL_TILT / 6), 0.2, 2.5))
         self.ease, self.lag = 3.0 / self.pole, 2.0 / (3.0 * self.pole)
+        self._lead = Lead(vehicle)
         self.reset()
 
     def reset(self) -> None:
@@ -291,6 +298,7 @@ class _Helicopter:
         self._heading: float | None = None
         self._time: float | None = None
         self._push, self._side = np.zeros(3), np.zeros(3)
+        self._lead.reset()
 
     def drag(self, R: Array, velocity: Array) -> Array:
         """Acceleration (3,) by drag in still air at a world velocity (3,), m/s, and an attitude."""
@@ -328,7 +336,7 @@ class _Helicopter:
         self._own = R @ own / self.mass - [0.0, 0.0, self.gravity]
         # the tail rotor's push and the steady tilt against it, not the tilt that turns the helicopter
         self._side += (1 - np.exp(-_SIDE * dt)) * (own * [1.0, 1.0, 0.0] - self._side)
-        return controls
+        return self._lead(t, controls)
 
     def _observe(self, dt: float, moving: Array, drag: Array) -> Array:
         """Acceleration (3,) that controls, gravity and ``drag`` do not explain: a Luenberger observer on the

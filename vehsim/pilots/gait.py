@@ -12,6 +12,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from vehsim.errors import InputError
+from vehsim.pilots.lead import Lead
 from vehsim.vehicles import State, Vehicle
 from vehsim.vehicles.definition.base import Array
 from vehsim.vehicles.definition.states import internal
@@ -50,6 +51,7 @@ class Gait:
         self._joints = vehicle.joints
         self._bounds = np.array([(control.lower, control.upper) for control in vehicle.controls])
         self._vehicle, self._accelerations = vehicle, _accelerations(vehicle)
+        self._lead = Lead(vehicle)
         _, push = self._pushed(State(joints=np.zeros(joints)))
         if np.linalg.matrix_rank(push) < joints:
             raise InputError(
@@ -58,7 +60,8 @@ class Gait:
         self._inertia = np.linalg.inv(push)
 
     def reset(self) -> None:
-        """Do nothing: a gait has no memory."""
+        """Clear the memory of an earlier run; simulations call this at their start."""
+        self._lead.reset()
 
     def __call__(self, t: float, state: State) -> Array:
         at, rate, change = self.swing(t)
@@ -66,7 +69,7 @@ class Gait:
         velocity = np.zeros_like(at) if state.joint_rates is None else np.asarray(state.joint_rates, float)
         wanted = change + 2 * _STIFFNESS * (rate - velocity) + _STIFFNESS**2 * (at - position)
         free, push = self._pushed(state)
-        return np.clip(np.linalg.solve(push, wanted - free), *self._bounds.T)
+        return self._lead(t, np.clip(np.linalg.solve(push, wanted - free), *self._bounds.T))
 
     def _pushed(self, state: State) -> tuple[Array, Array]:
         """Accelerations (s,) of the joints without torques, and the effect of each torque (s, s)."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from vehsim.planning.constraints.actuation import Actuation
 from vehsim.planning.constraints.approach import Landing
 from vehsim.planning.constraints.block import Block
 from vehsim.planning.constraints.clearance import Clearance, SphereCover
@@ -16,6 +17,7 @@ from vehsim.planning.problem.transcription import Transcription
 from vehsim.planning.request.marks_near_obstacles import parts_in_reach
 from vehsim.planning.request.request import Request
 from vehsim.planning.terms import Cost
+from vehsim.vehicles.definition.character import STUNT
 
 
 def blocks_of(request: Request, transcription: Transcription, cover: SphereCover | None) -> tuple[Block, ...]:
@@ -29,6 +31,7 @@ def blocks_of(request: Request, transcription: Transcription, cover: SphereCover
     weights, limits = traits.weights(request.weights), traits.without(request.limits)
     blocks.append(RunningCosts(weights, aims, marks, limits, traits.control_rates, traits.price))
     blocks.append(Easing(weights, traits, marks))
+    blocks.append(Actuation(active=traits.name == STUNT and request.vehicle.actuated))
     blocks.append(UnitQuaternion())
     for i, mark in enumerate(marks):
         blocks.append(MarkConstraint(marks, i, closes_loop(marks, i, request.loop)))

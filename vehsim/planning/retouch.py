@@ -557,5 +557,6 @@ def _replaced(clip: Clip, motion: Clip, window: tuple[int, int]) -> Clip:
             for name, values in clip.energy.items()
             if name in motion.energy
         },
+        commands={},
         **columns,
     )

@@ -75,5 +75,6 @@ def hold(clip: Clip, first: int, last: int) -> Clip:
         controls=same(clip.controls),
         channels=channels,
         energy={name: same(values) for name, values in clip.energy.items()},
+        commands={name: same(values) for name, values in clip.commands.items()},
         start_frame=start,
     )

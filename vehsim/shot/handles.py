@@ -7,10 +7,12 @@ backwards: a variational step with ``-h`` reverses the step with ``h``.
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vehsim.errors import VehsimError
 from vehsim.shot.follow_through import rests
@@ -18,6 +20,8 @@ from vehsim.shot.follow_through import rests
 if TYPE_CHECKING:
     from vehsim.clip.clip import Clip
     from vehsim.world.world import World
+
+Array = NDArray[np.float64]
 
 
 def carry_on(name: str, clip: Clip, first: int, last: int, handles: int, world: World) -> Clip:
@@ -87,6 +91,12 @@ def _joined(earlier: Clip, later: Clip) -> Clip:
         times=np.concatenate([earlier.times[:-1], later.times]),
         channels=channels,
         events=[*earlier.events, *later.events],
-        energy={n: np.concatenate([v[:-1], later.energy[n]]) for n, v in earlier.energy.items() if n in later.energy},
+        energy=_both(earlier.energy, later.energy),
+        commands=_both(earlier.commands, later.commands),
         **columns,
     )
+
+
+def _both(earlier: Mapping[str, Array], later: Mapping[str, Array]) -> dict[str, Array]:
+    """What both clips have, one after the other."""
+    return {name: np.concatenate([values[:-1], later[name]]) for name, values in earlier.items() if name in later}

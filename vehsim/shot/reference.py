@@ -1,8 +1,9 @@
 """Generate tables of the documentation from their definitions: keys of shot files, and characters of vehicles.
 
 The prose of a page is written by hand. The text between ``<!-- keys: MarkTable -->`` and ``<!-- end -->`` is the
-`table` of that model; the text after ``<!-- character: helicopter -->`` is the `traits` of that vehicle. ``python -m
-vehsim.shot.reference docs/shot-file.md docs/character.md`` updates these pages.
+`table` of that model; the text after ``<!-- character: helicopter -->`` is the `traits` of that vehicle, that after
+``<!-- actuators -->`` the `actuators` of all. ``python -m vehsim.shot.reference docs/shot-file.md docs/character.md``
+updates these pages.
 """
 
 from __future__ import annotations
@@ -20,12 +21,14 @@ from vehsim.vehicles.definition.quantities import in_degrees
 
 _BLOCK = re.compile(r"(<!-- keys: (\w+)(?: without ([\w, ]+))? -->\n).*?(<!-- end -->)", re.DOTALL)
 _TRAITS = re.compile(r"(<!-- character: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
+_ACTUATORS = re.compile(r"(<!-- actuators -->\n).*?(<!-- end -->)", re.DOTALL)
 _DEFAULT = re.compile(r"(.*); default: (.*)")
 _CODE = re.compile(r'("[^"]*"(?:\.\.\.)?|\{[^}]*\}|\[\[[^]]*\]\]|\[[^]]*\])')
 
 
 def with_tables(page: str) -> str:
     """The page (Markdown) with its key tables generated from the models."""
+    page = _ACTUATORS.sub(lambda m: f"{m[1]}{actuators()}{m[2]}", page)
     page = _TRAITS.sub(lambda m: f"{m[1]}{traits(m[2])}{m[3]}", page)
     return _BLOCK.sub(lambda m: f"{m[1]}{table(m[2], (m[3] or '').replace(' ', '').split(','))}{m[4]}", page)
 
@@ -48,6 +51,21 @@ def traits(vehicle: str) -> str:
         factor, shown = in_degrees(unit)
         values = " | ".join(f"{factor * value:.4g}" for value in (trait.calm, trait.normal, trait.brisk))
         text += f"| {name} | {values} | {shown} | {trait.source} |\n"
+    return text
+
+
+def actuators() -> str:
+    """The actuators of the shipped vehicles as a Markdown table, angles in degrees."""
+    from vehsim.vehicles import available, load_vehicle
+
+    text = "| vehicle | control | rate | lag, s | source |\n|---|---|---|---|---|\n"
+    for name in available():
+        for control in load_vehicle(name).controls:
+            if not (actuator := control.actuator).ideal:
+                factor, unit = in_degrees(f"{control.unit}/s")
+                shown = unit.replace("/s/s", "/s^2")
+                rate = f"{factor * actuator.rate:.5g} {shown}"
+                text += f"| `{name}` | {control.name} | {rate} | {actuator.lag:g} | {actuator.source} |\n"
     return text
 
 

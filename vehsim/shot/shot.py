@@ -42,6 +42,7 @@ from vehsim.shot.schema.tables import MAX_FRAMES
 from vehsim.shot.subjects import naming
 from vehsim.shot.world.obstacle_tables import check_obstacles, standing, with_vehicles
 from vehsim.shot.world.water import check_afloat, check_water, make_water
+from vehsim.vehicles.library.file import vehicle_files
 
 if TYPE_CHECKING:
     from vehsim.cameras.camera import Camera, CameraRig
@@ -115,7 +116,8 @@ class Shot:
         for table in self.file.vehicle:
             rig = self.vehicle(table).rig
             if rig is not None:
-                yield (rig.folder or rig.asset.parent) / "vehicle.toml"
+                toml = (rig.folder or rig.asset.parent) / "vehicle.toml"
+                yield from vehicle_files(toml) if toml.is_file() else [toml]
                 yield from dependencies(rig.asset)[0]
             for key in ("path", "file", "guess_file"):
                 if (path := getattr(table.motion, key, None)) is not None:

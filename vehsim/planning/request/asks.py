@@ -22,6 +22,8 @@ from vehsim.vehicles import Vehicle
 
 NEAR_ENOUGH = 0.01
 """Tolerance of the requested clearance, m."""
+NEAR_BOUND = 1e-3
+"""Tolerance of an actuator's rate, and of its command over the control's scale."""
 BEYOND = "character."
 """Prefix of the keys of a character's requests."""
 ROOM = 0.1
@@ -44,6 +46,7 @@ def asks_of(request: Request, frames: Sequence[float]) -> list[Ask]:
     planar = request.vehicle.group.planar
     asks += limit_asks(first, last, limits, request.limits.joints, request.limits.joint_rates, planar)
     asks += [*_character(request, first, last), *_ease(request, marks, frames)]
+    asks += _actuators(request.vehicle, first, last)
     asks += _ranges(request, first, last)
     if request.loop:
         asks += _loop(first, last, {"planar": planar})
@@ -114,6 +117,19 @@ def _ease(request: Request, marks: Sequence[Mark], frames: Sequence[float]) -> I
                 key, unit = f"{marks[i].name}.ease.{control.name}", f"{control.unit}/s"
                 upper = GENTLE * float(rates[k])
                 yield Ask(key, "control_rate", first, last, {"control": k}, None, upper, unit, "warning")
+
+
+def _actuators(vehicle: Vehicle, first: float, last: float) -> Iterator[Ask]:
+    """What the actuators of the controls can follow: their rates, and commands within the bounds of the controls."""
+    for k, control in enumerate(vehicle.controls):
+        actuator, key, which = control.actuator, f"actuators.{control.name}", {"control": k}
+        if math.isfinite(actuator.rate):
+            upper = (1 + NEAR_BOUND) * actuator.rate
+            yield Ask(f"{key}.rate", "control_rate", first, last, which, None, upper, f"{control.unit}/s")
+        if actuator.lag:
+            slack, lagging = NEAR_BOUND * control.scale, {**which, "lag": actuator.lag}
+            low, high = (end if math.isfinite(end) else None for end in (control.lower - slack, control.upper + slack))
+            yield Ask(f"{key}.command", "command", first, last, lagging, low, high, control.unit)
 
 
 def _ranges(request: Request, first: float, last: float) -> Iterator[Ask]:

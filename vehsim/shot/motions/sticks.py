@@ -19,8 +19,9 @@ from vehsim.shot.schema.tables import Text
 if TYPE_CHECKING:
     from vehsim.vehicles import Vehicle
 
-FRAME, CONTROL = "frame", "control."
-"""The column of frames, and the prefix of a control's column: as the csv exporter writes them."""
+FRAME, CONTROL, COMMAND = "frame", "control.", "command."
+"""The column of frames, and the prefixes of a control's column: as the csv exporter writes them. If a table has both
+columns, as that of a simulated motion has, the command is read."""
 SLACK = 1e-9
 """By how much a recorded value may exceed a control's bounds: that of a rounded decimal."""
 
@@ -110,8 +111,8 @@ def write_sticks(path: Path, vehicle: Vehicle, frames: Values, controls: Values)
 def _controls_of(table: dict[str, Values]) -> dict[str, tuple[str, str | None]]:
     """Column -> its control, and the unit in its name; other columns, such as poses, are results and not read."""
     found = {}
-    for column in table:
-        match = re.fullmatch(rf"{re.escape(CONTROL)}(.*?)(?: \[(.*)\])?", column)
-        if match:
-            found[column] = (match[1], match[2])
-    return found
+    for prefix in (CONTROL, COMMAND):
+        for column in table:
+            if match := re.fullmatch(rf"{re.escape(prefix)}(.*?)(?: \[(.*)\])?", column):
+                found[match[1]] = (column, match[2])
+    return {column: (name, unit) for name, (column, unit) in found.items()}

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from vehsim.errors import InputError
 from vehsim.rig.rig import Channel, Rig
+from vehsim.vehicles.definition.actuator import Actuator
 from vehsim.vehicles.definition.character import Character
 
 if TYPE_CHECKING:
@@ -28,13 +29,14 @@ Expr = Any
 
 @dataclass(frozen=True)
 class Control:
-    """One control input: its bounds and the size of a typical value (for scaling), in SI units."""
+    """One control input: its bounds and the size of a typical value (for scaling), in SI units, and its actuator."""
 
     name: str
     lower: float = -np.inf
     upper: float = np.inf
     scale: float = 1.0
     unit: str = ""
+    actuator: Actuator = field(default_factory=Actuator)
 
 
 @dataclass(frozen=True)
@@ -127,6 +129,11 @@ class Definition:
     def control_names(self) -> tuple[str, ...]:
         """The controls' names, in the order of a control vector (c,)."""
         return tuple(control.name for control in self.controls)
+
+    @property
+    def actuated(self) -> bool:
+        """Whether some control does not follow every command at once."""
+        return not all(control.actuator.ideal for control in self.controls)
 
     @property
     def dynamic(self) -> tuple[int, ...]:

@@ -7,12 +7,15 @@ This module checks what needs neither model nor asset: the names of controls, jo
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from annotated_types import Len
 from pydantic import AfterValidator, BeforeValidator, Field
 
-from vehsim.intake.tables import Array, Metre, Number, Point, Positive, Table, Text
+from vehsim.errors import InputError
+from vehsim.intake.tables import Array, Metre, Number, Point, Positive, Table, Text, read_table
 from vehsim.vehicles.definition.character import Reviewed
 
 LARGEST = 1e12
@@ -81,6 +84,17 @@ class ControlTable(BoundsTable):
     """its unit, such as "N m\""""
 
 
+class ActuatorTable(Table):
+    """``[actuators.NAME]``"""
+
+    rate: Annotated[Bound, Field(gt=0)] = math.inf
+    """the largest rate of the control, in its unit per second"""
+    lag: Annotated[Number, Field(ge=0, le=100)] = 0.0
+    """the time constant with which the control follows its command, s"""
+    source: str = ""
+    """the source of the numbers"""
+
+
 class ChannelTable(Table):
     """``[channels.NAME]``"""
 
@@ -142,6 +156,8 @@ class VehicleFile(Table):
     """1, the version of this file format"""
     name: Text | None = None
     """a name"""
+    base: Text | None = None
+    """the folder of another vehicle, relative to this file: it gives every key that this file does not"""
     model: Text
     """the name of a model"""
     asset: Text | None = None
@@ -162,6 +178,8 @@ class VehicleFile(Table):
     """SI units"""
     controls: dict[str, ControlTable] = Field(default={})
     """tables of controls with lower, upper, scale and unit"""
+    actuators: dict[str, ActuatorTable] = Field(default={})
+    """tables of controls with rate, lag and source"""
     joints: dict[str, BoundsTable] = Field(default={})
     """tables of joints with lower and upper"""
     channels: dict[str, ChannelTable] = Field(default={})
@@ -180,3 +198,33 @@ class VehicleFile(Table):
     """three numbers, m, along the nose, to the left and up"""
     variants: dict[str, Text] = Field(default={})
     """a table of variant set = variant"""
+
+
+def read_vehicle(path: Path) -> dict[str, Any]:
+    """The data of a ``vehicle.toml``, with what its base gives. Raises ``ShotError`` with everything that is wrong."""
+    data = read_table(path, VehicleFile)
+    if (base := _base(path, data)) is None:
+        return data
+    below = read_table(base, VehicleFile)
+    if "base" in below:
+        remedy = "name a vehicle without a base"
+        raise InputError("the base has a base itself", remedy, key="base", value=data["base"], file=path)
+    if "asset" in below:
+        below["asset"] = (Path(data["base"]) / below["asset"]).as_posix()
+    return merged(below, data)
+
+
+def vehicle_files(path: Path) -> list[Path]:
+    """A ``vehicle.toml`` and that of its base."""
+    base = _base(path, read_table(path, VehicleFile))
+    return [path] if base is None else [path, base]
+
+
+def _base(path: Path, data: Mapping[str, Any]) -> Path | None:
+    return (path.parent / data["base"] / "vehicle.toml").resolve() if "base" in data else None
+
+
+def merged(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
+    """Tables with the values of ``new`` in place of those of ``old``, key by key."""
+    both = {key: merged(old[key], value) for key, value in new.items() if isinstance(value, Mapping) and key in old}
+    return {**old, **new, **both}

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vehsim.errors import InputError, Problem
-from vehsim.intake.toml import read_toml
 from vehsim.runtime.cache import Stamp, stamp
 from vehsim.vehicles.definition.base import Array
+from vehsim.vehicles.library.file import read_vehicle
 from vehsim.vehicles.library.parameters import blamed, replaced
 
 if TYPE_CHECKING:
@@ -51,9 +51,9 @@ def backwards(rig: Rig | None) -> Problem | None:
 
 
 def _written(rig: Rig) -> dict[str, Any]:
-    """The content of the ``vehicle.toml``; empty if there is none."""
+    """The content of the ``vehicle.toml`` and its base; empty if there is none."""
     toml = None if rig.folder is None else rig.folder / "vehicle.toml"
-    return read_toml(toml)[0] if toml is not None and toml.is_file() else {}
+    return read_vehicle(toml) if toml is not None and toml.is_file() else {}
 
 
 @dataclass(frozen=True)

@@ -17,14 +17,13 @@ import numpy as np
 
 from vehsim.assets import described, description
 from vehsim.errors import InputError
-from vehsim.intake.tables import read_table
 from vehsim.intake.toml import lines_in
 from vehsim.rig.rig import HITCH_PITCH, HITCH_ROLL, Drive, Rig, Suspension
 from vehsim.runtime.cache import Stamp, stamp
 from vehsim.runtime.registry import Registry
 from vehsim.vehicles.definition.base import Control
 from vehsim.vehicles.definition.character import Character, Trait
-from vehsim.vehicles.library.file import SuspensionTable, VehicleFile
+from vehsim.vehicles.library.file import SuspensionTable, VehicleFile, read_vehicle, vehicle_files
 from vehsim.vehicles.library.imported import ready_asset
 from vehsim.vehicles.library.mass import fill_in, weigh
 from vehsim.vehicles.library.parameters import (
@@ -77,18 +76,20 @@ def load_vehicle(name: str | Path, parameters: Mapping[str, Any] | None = None) 
     """A shipped vehicle by name, or the vehicle in a folder with a ``vehicle.toml``.
 
     ``parameters`` replace numbers of the file: those of ``[physics]`` by their names, such as ``{"mass": 1500.0}``, and
-    tables ``controls``, ``joints`` and ``suspension``, ``top_speed`` and ``top_turn_rate`` as they stand in the file;
+    tables ``controls``, ``actuators``, ``joints`` and ``suspension``, ``top_speed`` and ``top_turn_rate`` as they stand
+    in the file;
     SI units.
     Raises ``InputError`` naming file, key, value and the fix.
     """
     path = _file(name)
-    data = read_table(path, VehicleFile)
+    data = read_vehicle(path)
     asset = path.parent / data.get("asset", "")
     given = _as_data(parameters or {})
     text = json.dumps(given, sort_keys=True, default=str)
     try:
         with lines_in(path):
-            return _load(path, stamp(path), stamp(asset) if asset.is_file() else None, text)
+            written = tuple(stamp(file) for file in (*vehicle_files(path), asset) if file.is_file())
+            return _load(path, written, text)
     except InputError as error:
         if not given:
             raise
@@ -98,7 +99,7 @@ def load_vehicle(name: str | Path, parameters: Mapping[str, Any] | None = None) 
 def parameters_of(name: str | Path) -> Iterator[tuple[str, Any, str]]:
     """Dotted key, value and description with unit of every parameter of a vehicle. Raises ``InputError``."""
     path = _file(name)
-    data, vehicle = read_table(path, VehicleFile), load_vehicle(name)
+    data, vehicle = read_vehicle(path), load_vehicle(name)
     factory = MODELS[data["model"]]
     physics = _measured(path, data, _weighed(path, factory, data))
     for key, field in physics_table(factory).model_fields.items():
@@ -106,6 +107,10 @@ def parameters_of(name: str | Path) -> Iterator[tuple[str, Any, str]]:
     for control in vehicle.controls:
         for bound in ("lower", "upper", "scale"):
             yield f"controls.{control.name}.{bound}", getattr(control, bound), f"in {control.unit or 'SI units'}"
+        actuator, key, source = control.actuator, f"actuators.{control.name}", control.actuator.source
+        unit, why = control.unit or "SI units", f": {source}" if source else ""
+        yield f"{key}.rate", actuator.rate, f"in {unit} per second{why}"
+        yield f"{key}.lag", actuator.lag, f"in s{why}"
     for joint, bounds in vehicle.joint_limits.items():
         for bound, value in zip(("lower", "upper"), bounds, strict=True):
             yield f"joints.{joint}.{bound}", value, "in SI units"
@@ -139,8 +144,8 @@ def _as_data(parameters: Any) -> Any:
 
 
 @lru_cache(maxsize=256)
-def _load(path: Path, written: Stamp, asset_written: Stamp | None, parameters: str) -> Vehicle:
-    data, given = read_table(path, VehicleFile), json.loads(parameters)
+def _load(path: Path, written: tuple[Stamp, ...], parameters: str) -> Vehicle:
+    data, given = read_vehicle(path), json.loads(parameters)
     model = str(data.get("model"))
     if model not in MODELS:
         raise InputError("unknown", f"choose one of {', '.join(sorted(MODELS))}", key="model", value=model, file=path)
@@ -165,7 +170,7 @@ def _load(path: Path, written: Stamp, asset_written: Stamp | None, parameters: s
             file=path,
         ) from error
     settings: dict[str, Any] = {
-        "controls": _controls(path, vehicle, data.get("controls", {})),
+        "controls": _controls(path, vehicle, data.get("controls", {}), data.get("actuators", {})),
         "joint_limits": _limits(path, vehicle, data.get("joints", {})),
         "character": _character(path, vehicle, data.get("character", {})),
         "rig": _rig(path, vehicle, data),
@@ -212,12 +217,20 @@ def _measured(path: Path, data: dict[str, Any], physics: dict[str, Any]) -> dict
     return {**found, **physics}
 
 
-def _controls(path: Path, vehicle: Vehicle, table: dict[str, Any]) -> tuple[Control, ...]:
+def _controls(path: Path, vehicle: Vehicle, table: dict[str, Any], actuators: dict[str, Any]) -> tuple[Control, ...]:
     _known(path, "controls.", table, set(vehicle.control_names))
+    _known(path, "actuators.", actuators, set(vehicle.control_names))
     for name, values in table.items():
         if values.get("lower", -math.inf) > values.get("upper", math.inf):
             raise InputError("above upper", "swap them", key=f"controls.{name}.lower", value=values["lower"], file=path)
-    return tuple(replace(control, **table.get(control.name, {})) for control in vehicle.controls)
+    return tuple(
+        replace(
+            control,
+            **table.get(control.name, {}),
+            actuator=replace(control.actuator, **actuators.get(control.name, {})),
+        )
+        for control in vehicle.controls
+    )
 
 
 def _limits(path: Path, vehicle: Vehicle, table: dict[str, Any]) -> dict[str, tuple[float, float]]:

@@ -18,12 +18,21 @@ from pydantic import Field, ValidationError, create_model
 from vehsim.errors import InputError, Problem
 from vehsim.intake.tables import Array, Table, problems_of
 from vehsim.vehicles.definition.quantities import Unit
-from vehsim.vehicles.library.file import IN_RANGE, BoundsTable, ControlTable, Quantity, SuspensionTable, VehicleFile
+from vehsim.vehicles.library.file import (
+    IN_RANGE,
+    ActuatorTable,
+    BoundsTable,
+    ControlTable,
+    Quantity,
+    SuspensionTable,
+    VehicleFile,
+    merged,
+)
 
 COUNTS = {1: "one number", 2: "two numbers", 3: "three numbers"}
 PHYSICS = "physics"
 TOPS = ("top_speed", "top_turn_rate")
-BESIDE = ("controls", "joints", "suspension", *TOPS)
+BESIDE = ("controls", "actuators", "joints", "suspension", *TOPS)
 """Keys of a ``vehicle.toml`` beside ``physics`` whose numbers can be replaced, under the same names."""
 
 
@@ -57,7 +66,7 @@ def replaced(data: Mapping[str, Any], parameters: Mapping[str, Any]) -> dict[str
     """The data of a ``vehicle.toml`` with ``parameters`` in place of its own."""
     beside = {key: value for key, value in parameters.items() if key in BESIDE}
     physics = {key: value for key, value in parameters.items() if key not in BESIDE}
-    return _merged(data, {**beside, **({PHYSICS: physics} if physics else {})})
+    return merged(data, {**beside, **({PHYSICS: physics} if physics else {})})
 
 
 def blamed(problem: Problem, parameters: Mapping[str, Any]) -> Problem:
@@ -71,11 +80,6 @@ def blamed(problem: Problem, parameters: Mapping[str, Any]) -> Problem:
     return replace(problem, key=".".join(("parameters", *path)), file="", line=None)
 
 
-def _merged(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
-    both = {key: _merged(old[key], value) for key, value in new.items() if isinstance(value, Mapping) and key in old}
-    return {**old, **new, **both}
-
-
 @cache
 def _replacing(factory: Callable[..., Any]) -> type[Table]:
     """The table of parameters: the keys of ``[physics]`` and the tables beside it, none of them required."""
@@ -85,8 +89,8 @@ def _replacing(factory: Callable[..., Any]) -> type[Table]:
         for key, field in shape.model_fields.items()
     }
     fields["density"] = (Annotated[Quantity, Field(description="kg/m^3, or a table of part = kg/m^3")], None)
-    fields["controls"] = (Annotated[dict[str, ControlTable], Field(description=words_of(VehicleFile, "controls"))], {})
-    fields["joints"] = (Annotated[dict[str, BoundsTable], Field(description=words_of(VehicleFile, "joints"))], {})
+    for key, rows in (("controls", ControlTable), ("actuators", ActuatorTable), ("joints", BoundsTable)):
+        fields[key] = (Annotated[dict[str, rows], Field(description=words_of(VehicleFile, key))], {})  # type: ignore[valid-type]
     fields["suspension"] = (
         Annotated[SuspensionTable, Field(description=words_of(VehicleFile, "suspension"))],
         SuspensionTable(),
