@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.exporters.pictures.canvas import OPAQUE, TRANSLUCENT, Canvas, Picture
+from vehsim.exporters.pictures.contact_shade import Shades
 from vehsim.exporters.pictures.motion_passes import Pixels
 from vehsim.exporters.pictures.passes import prim_colours
 from vehsim.exporters.pictures.spray import draw_spray
@@ -60,6 +61,8 @@ class StageRenderer:
         self._water = None if stage.water is None else WaterView(stage, self._light, shadows, size[0])
         self._bounds = bounds_of(stage)
         self._reach = shadow_reach(stage, self._bounds)
+        self._haze_end = haze_end(stage, self._bounds)
+        self._shades = Shades(stage)
         self._shadow_axes = _across(self._light.direction)
         self._supersample = max(1, min(SUPERSAMPLE, round(samples**0.5), LARGEST // max(size)))
         width, height = self._supersample * size[0], self._supersample * size[1]
@@ -98,7 +101,7 @@ class StageRenderer:
             colour = self._wet(colour, depth, camera, frame)
         colour, opaque = colour[::-1], depth[::-1] > 0
         if opaque.all():
-            return self._sprayed(np.asarray(Image.fromarray(colour).reduce(side)), depth, camera, frame)
+            return self._finished(np.asarray(Image.fromarray(colour).reduce(side)), depth, camera, frame)
         # Haze would hide the sky, so it is drawn separately with the translucent geoms in front of it, at half the
         # size.
         half = (-(-self._size[0] // 2), -(-self._size[1] // 2))
@@ -109,7 +112,7 @@ class StageRenderer:
         part = slice(top, bottom), slice(left, right)
         behind.paste(Image.fromarray(colour[part]), mask=Image.fromarray(opaque[part]))
         sky.paste(behind.reduce(side), (left // side, top // side))
-        return self._sprayed(np.asarray(sky), depth, camera, frame)
+        return self._finished(np.asarray(sky), depth, camera, frame)
 
     def passes(self, camera: str, frame: float, kinds: Sequence[str]) -> dict[str, NDArray[Any]]:
         """The passes ``kinds`` of a picture: "depth" (height, width) m along the view, 0 for the background;
@@ -185,26 +188,76 @@ class StageRenderer:
         standing = (depth > 0) & (self._canvas.draw_ids(self._size) != self._model.geom("water").id)
         left, low, right, high = _box(standing, 1)
         part = slice(low, high + 1), slice(left, right + 1)  # one more pixel: slopes need the next one
-        pose, half_width, shift, clip = self.stage.camera(camera, frame)
-        half = (half_width, half_width * self.size[1] / self.size[0])
-        eye, forward, up = pose[:3, 3], -pose[:3, 2], pose[:3, 1]
-        places, distance = places_of(depth, eye, forward, up, half, self._drawn(clip), part, shift)
+        places, distance = self._places(depth, camera, frame, part)
         colour[part] = self._water.wet(colour[part], places, np.where(standing[part], distance, np.inf))
         return colour
 
-    def _sprayed(self, picture: Picture, depth: NDArray[np.float32], camera: str, frame: float) -> Picture:
-        """The picture with the spray before what was drawn with ``depth``."""
+    def _finished(self, picture: Picture, depth: NDArray[np.float32], camera: str, frame: float) -> Picture:
+        """The picture with the shade below vehicles, and with spray in front of what was drawn with ``depth``."""
+        side = self._supersample
+        depth = depth[side // 2 :: side, side // 2 :: side]
+        if self._shadows:
+            picture = self._shaded(picture, depth, camera, frame)
         if self.stage.spray is None or self._water is None:
             return picture
-        pose, half_width, shift, clip = self.stage.camera(camera, frame)
-        half = (half_width, half_width * self.size[1] / self.size[0])
-        view = pose[:3, 3], -pose[:3, 2], pose[:3, 1]
-        side = self._supersample
-        _, distance = places_of(
-            depth[side // 2 :: side, side // 2 :: side], *view, half, self._drawn(clip), shift=shift
-        )
+        view, half, shift, _ = self._sight(camera, frame)
+        _, distance = self._places(depth, camera, frame)
         drops, seconds = self.stage.spray_at(frame), 1 / float(self.stage.fps)
         return draw_spray(picture, distance[::-1], drops, view, half, shift, seconds, self._water.foam_colour)
+
+    def _shaded(self, picture: Picture, depth: NDArray[np.float32], camera: str, frame: float) -> Picture:
+        """The picture, darker where vehicles hide the sky from the ground, less so in haze."""
+        from scipy.ndimage import grey_dilation
+
+        picture = picture[::-1].copy()  # bottom row first, as the depth
+        poses = self.stage.matrices(frame)
+        for root in self._shades.roots:
+            shade, T_wr = self._shades[root], poses[root]
+            part = shade and self._part(shade.corners @ T_wr[:3, :3].T + T_wr[:3, 3], camera, frame)
+            if shade is None or part is None:
+                continue
+            places, distance = self._places(depth, camera, frame, part)
+            clear = (self._haze_end - distance) / (self._haze_end - HAZE[0])
+            lost = shade.at((places - T_wr[:3, 3]) @ T_wr[:3, :3]) * np.clip(clear, 0, 1)
+            lost = np.maximum(lost, grey_dilation(lost, 3) / 2)  # pixels that show ground and vehicle
+            picture[part] = (picture[part] * (1 - lost[..., None])).round()
+        return picture[::-1]
+
+    def _part(self, corners: Array, camera: str, frame: float) -> tuple[slice, slice] | None:
+        """Rows (from the bottom) and columns of the picture that a box (8, 3) m may cover; None if it is not seen."""
+        (eye, forward, up), half, shift, _ = self._sight(camera, frame)
+        away = corners - eye
+        depth = away @ forward
+        if depth.max() <= 0:
+            return None
+        if depth.min() <= 0:  # the camera may be inside
+            return slice(None), slice(None)
+        ends = []
+        for axis, k in ((up, 1), (np.cross(forward, up), 0)):
+            share = ((away @ axis / depth - shift[k]) / half[k] + 1) / 2 * self.size[k]
+            ends.append((max(0, int(share.min())), min(self.size[k], int(share.max()) + 1)))
+        if any(first >= last for first, last in ends):
+            return None
+        return slice(*ends[0]), slice(*ends[1])
+
+    def _places(
+        self,
+        depth: NDArray[np.float32],
+        camera: str,
+        frame: float,
+        part: tuple[slice, slice] = (slice(None), slice(None)),
+    ) -> tuple[Array, Array]:
+        """`places_of` the pixels of a drawing with ``depth`` from a camera."""
+        (eye, forward, up), half, shift, clip = self._sight(camera, frame)
+        return places_of(depth, eye, forward, up, half, clip, part, shift)
+
+    def _sight(
+        self, camera: str, frame: float
+    ) -> tuple[tuple[Array, Array, Array], tuple[float, float], tuple[float, float], tuple[float, float]]:
+        """A camera's eye, forward and up (3,); half its view at distance 1, its shift, and the drawn (near, far) m."""
+        pose, half_width, shift, clip = self.stage.camera(camera, frame)
+        half = (half_width, half_width * self.size[1] / self.size[0])
+        return (pose[:3, 3], -pose[:3, 2], pose[:3, 1]), half, shift, self._drawn(clip)
 
     def _place_lights(self) -> None:
         """Place the sun's shadow map over the camera's view, aligned to whole texels so that shadow edges do not
@@ -230,7 +283,7 @@ class StageRenderer:
         extent = max(float(np.linalg.norm((upper - lower)[:2])), 1.0)
         spec.stat.extent, spec.stat.center = extent, ((lower + upper) / 2).tolist()
         vis.map.shadowclip = self._reach / extent
-        vis.map.fogstart, vis.map.fogend = HAZE[0] / extent, haze_end(self.stage, self._bounds) / extent
+        vis.map.fogstart, vis.map.fogend = HAZE[0] / extent, self._haze_end / extent
         vis.rgba.fog = [*light.haze.tolist(), 1.0]
         vis.headlight.ambient = light.ambient.tolist()
         vis.headlight.diffuse = vis.headlight.specular = [0.0, 0.0, 0.0]

@@ -315,10 +315,14 @@ class WaterView:
         at = places[rows, cols]
         facing = np.cross(places[rows, after[1]] - at, places[after[0], cols] - at)
         facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-12)
-        apart, nearest = cKDTree(inside).query(at[:, :2], distance_upper_bound=HULL)
-        hull = np.isfinite(apart)
-        outwards = at[hull, :2] - inside[nearest[hull]]
-        looks = np.einsum("ni,ni->n", facing[hull, :2], outwards) > 0.2 * apart[hull]
+        # the mean of several neighbours: a single one may lie along the hull, not across it
+        apart, nearest = cKDTree(inside).query(at[:, :2], k=[1, 2, 3, 4, 5, 6], distance_upper_bound=HULL)
+        found = np.isfinite(apart)
+        hull = found[:, 0]
+        neighbours = np.vstack([inside, [0.0, 0.0]])[nearest[hull]].sum(axis=1) / found[hull].sum(axis=1)[:, None]
+        outwards = at[hull, :2] - neighbours
+        away = np.linalg.norm(outwards, axis=1)
+        looks = np.einsum("ni,ni->n", facing[hull, :2], outwards) > 0.2 * away
         outside = near.copy()
         outside[rows[hull], cols[hull]] = looks
         return outside

@@ -1,0 +1,176 @@
+"""Shade below vehicles: how much of the sky they hide from the ground under wheels, skids and hulls.
+
+MuJoCo's renderer has one shadow, that of the sun. Under a low sun or an overcast sky, a vehicle that touches the ground
+within a millimetre then looks afloat. A `Shade` is computed once per vehicle, from its shape: an ambient occlusion
+field, the share of the sky that is hidden at each point of a grid around its lower part. `StageRenderer` looks pixels
+up in it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.exporters.usd.stage import Shape, StageReader
+
+Array = NDArray[np.float64]
+
+CELLS = 56
+"""Cells along a vehicle's longest side."""
+MARGIN = 0.5
+"""How far the grid extends around and below a vehicle, as a share of its longest horizontal side."""
+RINGS, SPOKES = 4, 12
+"""Directions towards the sky: elevations of equal cosine-weighted solid angle, and azimuths."""
+FADES = (0.04, 0.16)
+"""Heights above a vehicle's lowest point, as shares of its height, up to which shade is full, and at which it ends:
+the ground is shaded, not the vehicle itself."""
+STRENGTH = 0.85
+"""Share of its light that a point loses whose whole sky is hidden; the rest is reflected from the ground."""
+
+
+@dataclass(frozen=True)
+class Shade:
+    """The share of the sky (x, y, z) that a vehicle hides at the points of a grid, in the frame of its root.
+
+    ``lower`` (3,) m: the first point; ``cell`` m; ``heights`` (2,) m: where shade starts to fade, and ends.
+    """
+
+    hidden: NDArray[np.float32]
+    lower: Array
+    cell: float
+    heights: tuple[float, float]
+
+    @classmethod
+    def of(cls, points: Array, faces: NDArray[np.int64]) -> Shade:
+        """The shade of triangles ``faces`` (m, 3) of ``points`` (n, 3) m."""
+        from scipy.ndimage import gaussian_filter
+
+        low, high = points.min(axis=0), points.max(axis=0)
+        longest = max(float((high - low)[:2].max()), 1e-3)
+        cell = longest / CELLS
+        margin = MARGIN * longest
+        lower = low - margin
+        count = np.ceil((high - low + [2 * margin, 2 * margin, margin]) / cell).astype(int) + 2
+        solid = np.zeros(count, bool)
+        solid[tuple(((_dense(points, faces, 0.7 * cell) - lower) / cell).round().astype(int).T)] = True
+        heights = tuple(float(low[2] + share * (high - low)[2]) for share in FADES)
+        layers = int(np.ceil((heights[1] - lower[2]) / cell)) + 2
+        hidden = gaussian_filter(_hidden(solid)[:, :, :layers], (0.8, 0.8, 0.0))
+        hidden *= np.multiply.outer(*(_window(n, margin / cell / 2) for n in hidden.shape[:2]))[..., None]
+        return cls(hidden, lower, cell, (heights[0], heights[1]))
+
+    @property
+    def corners(self) -> Array:
+        """The corners (8, 3) m of the grid."""
+        upper = self.lower + self.cell * (np.array(self.hidden.shape) - 1)
+        return np.array(np.meshgrid(*zip(self.lower, upper, strict=True))).reshape(3, -1).T
+
+    def at(self, places: Array) -> Array:
+        """The share (...) of their light that ``places`` (..., 3) m in the root's frame lose."""
+        from scipy.ndimage import map_coordinates
+
+        start, end = self.heights
+        lost = STRENGTH * np.clip((end - places[..., 2]) / (end - start), 0, 1)
+        near = lost > 0
+        at = (places[near] - self.lower) / self.cell
+        lost[near] *= map_coordinates(self.hidden, at.T, order=1, mode="constant")
+        return np.asarray(lost)
+
+
+class Shades:
+    """The shades of a stage's vehicles, by the path of their root: a moving prim that no other moves.
+
+    A vehicle's shade is computed when it is first asked for, from all opaque parts below the root, as they are at the
+    first frame; vehicles of the same shape share it.
+    """
+
+    def __init__(self, stage: StageReader) -> None:
+        groups, poses = stage.groups, stage.matrices(stage.frames[0])
+        self.roots = [group for group in groups if not any(group.startswith(f"{other}/") for other in groups)]
+        self._parts = {
+            root: [
+                (np.linalg.inv(poses[root]) @ poses[shape.group], shape)
+                for shape in stage.shapes
+                if shape.surface.opacity == 1 and (shape.group == root or shape.group.startswith(f"{root}/"))
+            ]
+            for root in self.roots
+        }
+        self._of_shape: dict[bytes, Shade] = {}
+        self._shades: dict[str, Shade | None] = {}
+
+    def __getitem__(self, root: str) -> Shade | None:
+        """The shade of a vehicle; None if nothing of it is opaque."""
+        if root not in self._shades:
+            self._shades[root] = self._made(self._parts[root])
+        return self._shades[root]
+
+    def _made(self, parts: list[tuple[Array, Shape]]) -> Shade | None:
+        if not parts:
+            return None
+        points = np.concatenate([shape.points @ T_rg[:3, :3].T + T_rg[:3, 3] for T_rg, shape in parts])
+        firsts = np.cumsum([0, *(len(shape.points) for _, shape in parts)])
+        faces = np.concatenate([shape.faces + first for first, (_, shape) in zip(firsts, parts, strict=False)])
+        key = hashlib.sha256(np.round(points, 4).tobytes() + faces.tobytes()).digest()
+        if key not in self._of_shape:
+            self._of_shape[key] = Shade.of(points, faces)
+        return self._of_shape[key]
+
+
+def _window(count: int, width: float) -> NDArray[np.float32]:
+    """Weights (count,) that rise from 0 at both ends to 1 over ``width``, so that the grid has no visible border."""
+    ends = np.minimum(np.arange(count), np.arange(count)[::-1])
+    return np.clip(ends / width, 0, 1).astype(np.float32)
+
+
+def _dense(points: Array, faces: NDArray[np.int64], spacing: float) -> Array:
+    """Points (n, 3) on the triangles, no farther than about ``spacing`` from each other."""
+    corners = points[faces]
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1, initial=0)
+    parts = np.maximum(np.ceil(longest / spacing).astype(int), 1)
+    found = [points]
+    for count in np.unique(parts[parts > 1]):
+        i, j = np.nonzero(np.add.outer(np.arange(count + 1), np.arange(count + 1)) <= count)
+        weights = np.stack([i, j, count - i - j], axis=1) / count
+        found.append(np.einsum("wc,mcd->mwd", weights, corners[parts == count]).reshape(-1, 3))
+    return np.concatenate(found)
+
+
+def _hidden(solid: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """The share of the sky, weighted by the cosine to the vertical, that ``solid`` cells hide from each cell."""
+    shares = (np.arange(RINGS) + 0.5) / RINGS
+    total = np.zeros(solid.shape, np.float32)
+    for k, share in enumerate(shares):
+        slope = np.sqrt((1 - share) / share)  # cells sideways per cell up
+        for spoke in range(SPOKES):
+            azimuth = 2 * np.pi * (spoke + k / RINGS) / SPOKES
+            total += _swept(solid, slope * np.cos(azimuth), slope * np.sin(azimuth))
+    return total / np.float32(RINGS * SPOKES)
+
+
+def _swept(solid: NDArray[np.bool_], right: float, ahead: float) -> NDArray[np.bool_]:
+    """Whether a ray from each cell meets a solid one, ``right`` and ``ahead`` cells sideways per cell up."""
+    blocked = np.zeros_like(solid)
+    steps = max(1, int(np.ceil(np.hypot(right, ahead))))
+    for layer in range(solid.shape[2] - 2, -1, -1):
+        above = solid[:, :, layer + 1] | blocked[:, :, layer + 1]
+        # the ray's drift is rounded per layer from the top, so that it stays straight over many layers
+        start = np.round([right * layer, ahead * layer]).astype(int)
+        found = _moved(above, *(np.round([right * (layer + 1), ahead * (layer + 1)]).astype(int) - start))
+        for step in range(1, steps):
+            found |= _moved(solid[:, :, layer], *np.round(np.array([right, ahead]) * step / steps).astype(int))
+        blocked[:, :, layer] = found
+    return blocked
+
+
+def _moved(layer: NDArray[np.bool_], right: int, ahead: int) -> NDArray[np.bool_]:
+    """``layer`` as it is ``right`` and ``ahead`` cells away; nothing beyond its border."""
+    moved = np.zeros_like(layer)
+    w, h = layer.shape
+    to_x, to_y = (slice(max(0, -d), n - max(0, d)) for d, n in ((right, w), (ahead, h)))
+    from_x, from_y = (slice(max(0, d), n - max(0, -d)) for d, n in ((right, w), (ahead, h)))
+    if abs(right) < w and abs(ahead) < h:
+        moved[to_x, to_y] = layer[from_x, from_y]
+    return moved

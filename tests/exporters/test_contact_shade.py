@@ -1,0 +1,156 @@
+"""Vehicles darken the ground below them as bodies hide the sky: against closed-form view factors, and in pictures."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from vehsim.exporters.pictures import contact_shade
+from vehsim.exporters.pictures.contact_shade import FADES, STRENGTH, Shade, Shades
+from vehsim.exporters.pictures.render import StageRenderer
+from vehsim.exporters.usd.metadata import author_points
+from vehsim.exporters.usd.stage import StageReader
+
+SIZE = (160, 90)
+
+
+def hidden(shade, *place):
+    """The share of the sky that is hidden at ``place``, without the fade and the strength."""
+    at = np.round((np.array(place, float) - shade.lower) / shade.cell).astype(int)
+    return float(shade.hidden[tuple(at)])
+
+
+@pytest.mark.parametrize(("directions", "within"), [((8, 32), 0.035), (None, 0.08)])
+@pytest.mark.parametrize("height", [0.2, 0.4, 0.8])
+def test_a_square_plate_hides_as_much_as_its_view_factor(height, directions, within, monkeypatch):
+    """Howell, configuration factor B-4 (element to parallel rectangle), for the four quarters of the plate."""
+    import trimesh
+
+    for name, count in zip(("RINGS", "SPOKES"), directions or (), strict=False):
+        monkeypatch.setattr(contact_shade, name, count)
+    plate = trimesh.creation.box((2.0, 2.0, 0.02))
+    plate.apply_translation((0, 0, height))
+    x = 1.0 / height
+    factor = 4 / (2 * np.pi) * 2 * x / np.sqrt(1 + x * x) * np.arctan(x / np.sqrt(1 + x * x))
+    assert hidden(Shade.of(plate.vertices, plate.faces), 0, 0, 0) == pytest.approx(factor, abs=within)
+
+
+@pytest.mark.parametrize("away", [0.4, 0.8, 1.2, 1.6])
+def test_a_resting_ball_hides_as_much_as_its_view_factor(away):
+    """A ball of radius 1 above a level element: 1 / D^3 at a distance D of its centre (Howell, B-43)."""
+    import trimesh
+
+    ball = trimesh.creation.icosphere(subdivisions=4)
+    shade = Shade.of(ball.vertices, ball.faces)
+    on_axes = [hidden(shade, *place, -1) for place in ((away, 0), (-away, 0), (0, away), (0, -away))]
+    assert np.mean(on_axes) == pytest.approx((1 + away**2) ** -1.5, abs=0.06)
+
+
+def test_shade_ends_above_the_vehicles_underside():
+    import trimesh
+
+    box = trimesh.creation.box((4.0, 2.0, 1.0))
+    shade = Shade.of(box.vertices, box.faces)
+    low = -0.5
+    ground = shade.at(np.array([[2.2, 0, low]]))[0]
+    assert 0 < ground < STRENGTH
+    assert shade.at(np.array([[2.2, 0, low + FADES[1] + 0.01]]))[0] == 0
+    assert shade.at(np.array([[9.0, 0, low]]))[0] == 0
+
+
+@pytest.fixture
+def new_stage(tmp_path):
+    """A function that makes a stage of two frames in metres, Z up, with a prim that moves for each of ``names``."""
+    from pxr import Gf, Usd, UsdGeom
+
+    def new_stage(file, *names):
+        stage = Usd.Stage.CreateNew(str(tmp_path / file))
+        UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+        UsdGeom.SetStageUpAxis(stage, "Z")
+        stage.SetStartTimeCode(1)
+        stage.SetEndTimeCode(2)
+        stage.SetFramesPerSecond(24)
+        stage.SetTimeCodesPerSecond(24)
+        stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/top").GetPrim())
+        for name in names:
+            moved = UsdGeom.Xform.Define(stage, f"/top/{name}").AddTranslateOp()
+            moved.Set(Gf.Vec3d(0, 0, 0), 1)
+            moved.Set(Gf.Vec3d(0.01, 0, 0), 2)
+        return stage
+
+    return new_stage
+
+
+@pytest.fixture
+def add_box():
+    from pxr import Gf, UsdGeom, Vt
+
+    def add_box(stage, path, size, centre):
+        import trimesh
+
+        box = trimesh.creation.box(size)
+        points = np.asarray(box.vertices) + centre
+        mesh = UsdGeom.Mesh.Define(stage, path)
+        mesh.CreateSubdivisionSchemeAttr("none")
+        author_points(mesh, points)
+        mesh.CreateExtentAttr([Gf.Vec3f(*map(float, end)) for end in (points.min(axis=0), points.max(axis=0))])
+        mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(box.faces), 3, np.int32)))
+        mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.asarray(box.faces, np.int32).ravel()))
+
+    return add_box
+
+
+@pytest.fixture
+def draw(new_stage, add_box):
+    """A picture of a moving box that hangs ``height`` m above the ground, and its segmentation."""
+    from pxr import Gf, UsdGeom
+
+    def draw(height):
+        stage = new_stage(f"box_{height:g}.usda", "a")
+        camera = UsdGeom.Camera.Define(stage, "/top/main")
+        camera.CreateFocalLengthAttr(0.35)
+        camera.CreateHorizontalApertureAttr(0.36)
+        camera.CreateVerticalApertureAttr(0.36 * SIZE[1] / SIZE[0])
+        camera.CreateClippingRangeAttr(Gf.Vec2f(0.1, 500))
+        camera.AddTranslateOp().Set(Gf.Vec3d(0, -12, 4))
+        camera.AddRotateXOp().Set(72.0)
+        add_box(stage, "/top/ground", (60, 60, 0.2), (0, 0, -0.1))
+        add_box(stage, "/top/a/box", (2, 2, 1), (0, 0, 0.5 + height))
+        stage.GetRootLayer().Save()
+        with StageRenderer(StageReader(stage.GetRootLayer().realPath), SIZE) as renderer:
+            picture = renderer.render("main", 1).astype(float).mean(axis=2)
+            return picture, renderer.passes("main", 1, ["segmentation"])
+
+    return draw
+
+
+def test_a_vehicle_darkens_the_ground_that_it_touches_but_not_itself(draw, monkeypatch):
+    resting, seen = draw(0.0)
+    monkeypatch.setattr(StageRenderer, "_shaded", lambda self, picture, *rest: picture)
+    plain, _ = draw(0.0)
+    ground = (seen["segmentation"] == seen["segmentation"][-1, 0]).all(axis=2)
+    change = plain - resting
+    assert change.min() >= 0
+    below = np.flatnonzero(~ground[:, SIZE[0] // 2]).max() + 2  # the ground in front of the box
+    assert change[below, SIZE[0] // 2] > 0.2 * plain[below, SIZE[0] // 2]
+    assert change[-1].max() < 2  # and none near the camera
+    top = np.flatnonzero(~ground[:, SIZE[0] // 2])
+    assert change[top[: len(top) // 2], SIZE[0] // 2].max() < 2
+
+
+def test_a_vehicle_high_above_the_ground_darkens_nothing(draw, monkeypatch):
+    flying, _ = draw(6.0)
+    monkeypatch.setattr(StageRenderer, "_shaded", lambda self, picture, *rest: picture)
+    plain, _ = draw(6.0)
+    assert np.array_equal(flying, plain)
+
+
+def test_vehicles_of_one_shape_share_their_shade(new_stage, add_box):
+    stage = new_stage("two.usda", "a", "b", "c")
+    for name, size in (("a", 1), ("b", 1), ("c", 2)):
+        add_box(stage, f"/top/{name}/box", (size, 1, 1), (0, 0, 0))
+    stage.GetRootLayer().Save()
+    shades = Shades(StageReader(stage.GetRootLayer().realPath))
+    assert shades.roots == ["/top/a", "/top/b", "/top/c"]
+    assert shades["/top/a"] is shades["/top/b"] is not None
+    assert shades["/top/c"] is not shades["/top/a"]
