@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 
 from vehsim.exporters.pictures.canvas import OPAQUE, TRANSLUCENT, Canvas, Picture
 from vehsim.exporters.pictures.contact_shade import Shades
+from vehsim.exporters.pictures.grain import grained, strengths_of
 from vehsim.exporters.pictures.motion_passes import Pixels
 from vehsim.exporters.pictures.passes import prim_colours
 from vehsim.exporters.pictures.spray import draw_spray
-from vehsim.exporters.pictures.water import WaterView, places_of
+from vehsim.exporters.pictures.water import WaterView, distance_of, places_of
 from vehsim.exporters.usd.scenery.shading import author_material, author_skybox, light_for
 from vehsim.exporters.usd.stage import Shape, StageReader
 
@@ -68,6 +69,9 @@ class StageRenderer:
         width, height = self._supersample * size[0], self._supersample * size[1]
         self._model = self._spec(width, height).compile()
         self._data = mujoco.MjData(self._model)
+        grain = {f"shape{k}": strength for k, strength in enumerate(strengths_of(stage.shapes))}
+        geoms = [self._model.geom(k).name for k in range(self._model.ngeom)]
+        self._grain = np.array([*(grain.get(name, 0.0) for name in geoms), 0.0], np.float32)  # the last: no geom
         self._mocap = {
             group: self._model.body_mocapid[self._model.body(f"group{k}").id] for k, group in enumerate(stage.groups)
         }
@@ -197,13 +201,29 @@ class StageRenderer:
         side = self._supersample
         depth = depth[side // 2 :: side, side // 2 :: side]
         if self._shadows:
+            picture = self._grainy(picture, depth, camera, frame)
             picture = self._shaded(picture, depth, camera, frame)
         if self.stage.spray is None or self._water is None:
             return picture
-        view, half, shift, _ = self._sight(camera, frame)
-        _, distance = self._places(depth, camera, frame)
+        view, half, shift, clip = self._sight(camera, frame)
+        distance = distance_of(depth, clip)
         drops, seconds = self.stage.spray_at(frame), 1 / float(self.stage.fps)
         return draw_spray(picture, distance[::-1], drops, view, half, shift, seconds, self._water.foam_colour)
+
+    def _grainy(self, picture: Picture, depth: NDArray[np.float32], camera: str, frame: float) -> Picture:
+        """The picture with grain on the ground near the camera."""
+        if not self._grain.any():
+            return picture
+        (eye, forward, up), half, shift, clip = self._sight(camera, frame)
+        width, height = self.size
+        x, y = ((np.arange(n) + 0.5) / n * 2 - 1 for n in (width, height))
+        rays = (
+            forward,
+            (shift[0] + half[0] * x[:, None]) * np.cross(forward, up),
+            (shift[1] + half[1] * y[:, None]) * up,
+        )
+        strength = self._grain[self._canvas.draw_ids(self.size)]
+        return grained(picture[::-1], strength, distance_of(depth, clip), rays, eye)[::-1]
 
     def _shaded(self, picture: Picture, depth: NDArray[np.float32], camera: str, frame: float) -> Picture:
         """The picture, darker where vehicles hide the sky from the ground, less so in haze."""
@@ -245,7 +265,7 @@ class StageRenderer:
         depth: NDArray[np.float32],
         camera: str,
         frame: float,
-        part: tuple[slice, slice] = (slice(None), slice(None)),
+        part: tuple[slice, slice],
     ) -> tuple[Array, Array]:
         """`places_of` the pixels of a drawing with ``depth`` from a camera."""
         (eye, forward, up), half, shift, clip = self._sight(camera, frame)

@@ -333,6 +333,13 @@ def _length(vectors: Array) -> Array:
     return np.asarray(np.sqrt((vectors**2).sum(axis=0)))
 
 
+def distance_of(depth: NDArray[np.floating], clip: tuple[float, float]) -> Array:
+    """Metres along the view; inf: background. ``depth``: 1 at the near plane of ``clip``, 0 at the far one."""
+    near, far = clip
+    share = depth.astype(float)
+    return np.where(share > 0, near * far / np.maximum(share * (far - near) + near, 1e-12), np.inf)
+
+
 def places_of(
     depth: NDArray[np.floating],
     eye: Any,
@@ -348,11 +355,10 @@ def places_of(
     ``depth`` (h, w): 1 at the near plane, 0 at the far one; ``half``: width and height of the view at distance 1;
     ``part``: rows and columns of the requested pixels; ``shift``: of the view to the right and up at distance 1.
     """
-    (near, far), (h, w) = clip, depth.shape
+    h, w = depth.shape
     x = (np.arange(w)[part[1]] + 0.5) / w * 2 - 1
     y = (np.arange(h)[part[0]] + 0.5) / h * 2 - 1
-    share = depth[part].astype(float)
-    distance = np.where(share > 0, near * far / np.maximum(share * (far - near) + near, 1e-12), np.inf)
+    distance = distance_of(depth[part], clip)
     side = np.cross(forward, up)
     ray = forward + (shift[0] + half[0] * x[None, :, None]) * side + (shift[1] + half[1] * y[:, None, None]) * up
     reach = np.where(np.isfinite(distance), distance, 0.0)[..., None]
