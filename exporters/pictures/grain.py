@@ -75,24 +75,22 @@ def grained(
     across, grazing = across[rows, columns], grazing[rows, columns]
     z = distance[rows, columns].astype(np.float32)
     footprint = z * np.float32(np.linalg.norm(x[1] - x[0])) / np.sqrt(grazing)
+    right, up = (each.astype(np.float32) for each in (x, y))
+    away = [z * (np.float32(forward[k]) + right[columns, k] + up[rows, k]) for k in range(3)]
+    first, second = np.where(across == 0, away[1], away[0]), np.where(across == 2, away[1], away[2])
     grain = np.zeros(len(rows), np.float32)
     for tile in TILES:
-        start = np.mod(eye, tile)  # single precision is enough from there
-        place = [
-            (start[k] + z * (forward[k] + x[:, k].astype(np.float32)[columns] + y[:, k].astype(np.float32)[rows]))
-            / tile
-            for k in range(3)
-        ]
-        u, v = np.where(across == 0, place[1], place[0]), np.where(across == 2, place[1], place[2])
-        texels = (footprint / (tile / TEXELS)).astype(np.float32)
-        grain += _looked_up(u.astype(np.float32), v.astype(np.float32), texels)
+        start = (np.mod(eye, tile) / tile).astype(np.float32)  # single precision is enough from there
+        u = start[[1, 0, 0]][across] + first / np.float32(tile)
+        v = start[[2, 2, 1]][across] + second / np.float32(tile)
+        grain += _looked_up(u, v, (footprint * (TEXELS / tile)).astype(np.float32))
     changed = picture.copy()
     light = 1 + weight[rows, columns] * grain
     changed[rows, columns] = np.clip(picture[rows, columns] * light[:, None] + 0.5, 0, 255)
     return changed
 
 
-def _slopes(distance: Array, rays: tuple[Array, Array, Array]) -> tuple[NDArray[np.int64], Array]:
+def _slopes(distance: Array, rays: tuple[Array, Array, Array]) -> tuple[NDArray[np.int64], Float]:
     """The axis that the surface faces most, and the sine of the angle at which it is seen; of every `COARSE`-th
     pixel."""
     forward, x, y = rays
@@ -102,25 +100,25 @@ def _slopes(distance: Array, rays: tuple[Array, Array, Array]) -> tuple[NDArray[
     normal = np.cross(np.gradient(places, axis=1), np.gradient(places, axis=0))
     size = np.linalg.norm(normal, axis=2) * np.linalg.norm(ray, axis=2)
     seen = np.abs(np.einsum("ijk,ijk->ij", normal, ray)) / np.maximum(size, 1e-300)
-    return np.abs(normal).argmax(axis=2), np.maximum(seen, 0.02)
+    return np.abs(normal).argmax(axis=2), np.maximum(seen, 0.02).astype(np.float32)
 
 
 def _looked_up(u: Float, v: Float, texels: Float) -> Float:
     """Grain (n,) at ``u``, ``v`` (n,) in squares, averaged over pixels ``texels`` (n,) wide."""
     level = np.log2(np.maximum(texels, 1.0))
-    whole = level.astype(np.int64)
+    whole = level.astype(np.int32)
     images, firsts = _levels()
     found = np.zeros(len(u), np.float32)
     for step, share in ((0, 1 - (level - whole)), (1, level - whole)):
         deep = np.minimum(whole + step, len(firsts) - 1)
-        size = TEXELS >> deep
-        row, column = (np.floor(each * size).astype(np.int64) & (size - 1) for each in (v, u))
-        found += share * images[firsts[deep] + row * size + column]
+        size = np.int32(TEXELS) >> deep
+        row, column = (np.floor(each * size).astype(np.int32) & (size - 1) for each in (v, u))
+        found += share * images.take(firsts[deep] + row * size + column)
     return found
 
 
 @cache
-def _levels() -> tuple[Float, NDArray[np.int64]]:
+def _levels() -> tuple[Float, NDArray[np.int32]]:
     """Grain of mean 0 and deviation 1 that repeats without a seam, with its means over squares of 2, 4, ... texels: all
     texels in one array, and where each level starts."""
     rng = np.random.default_rng(11)
@@ -134,4 +132,4 @@ def _levels() -> tuple[Float, NDArray[np.int64]]:
         half = len(levels[-1]) // 2
         levels.append(levels[-1].reshape(half, 2, half, 2).mean(axis=(1, 3)))
     flat = [level.astype(np.float32).ravel() for level in levels]
-    return np.concatenate(flat), np.cumsum([0, *(len(level) for level in flat[:-1])])
+    return np.concatenate(flat), np.cumsum([0, *(len(level) for level in flat[:-1])]).astype(np.int32)

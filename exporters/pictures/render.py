@@ -48,7 +48,8 @@ CLEAR = 4.0
 class StageRenderer:
     """Renders frames of a stage as 8-bit RGB. A context manager: it holds an OpenGL context.
 
-    ``size`` (width, height) px. Raises ``ExportError`` if there is no EGL.
+    ``size`` (width, height) px. With ``shadows`` and more than one of ``samples`` per pixel, near ground has grain, and
+    vehicles shade it. Raises ``ExportError`` if there is no EGL.
     """
 
     def __init__(self, stage: StageReader, size: tuple[int, int], shadows: bool = True, samples: int = 4) -> None:
@@ -56,7 +57,7 @@ class StageRenderer:
         import mujoco
 
         self.stage, self.size = stage, size
-        self._shadows = shadows
+        self._shadows, self._detailed = shadows, shadows and samples > 1
         grounded = stage.water is None and any(not shape.group for shape in stage.shapes)
         self._light = light_for(stage.sun(), stage.sky(), grounded)
         self._water = None if stage.water is None else WaterView(stage, self._light, shadows, size[0])
@@ -200,7 +201,7 @@ class StageRenderer:
         """The picture with the shade below vehicles, and with spray in front of what was drawn with ``depth``."""
         side = self._supersample
         depth = depth[side // 2 :: side, side // 2 :: side]
-        if self._shadows:
+        if self._detailed:
             picture = self._grainy(picture, depth, camera, frame)
             picture = self._shaded(picture, depth, camera, frame)
         if self.stage.spray is None or self._water is None:
