@@ -84,11 +84,12 @@ class Shades:
     """The shades of a stage's vehicles, by the path of their root: a moving prim that no other moves.
 
     A vehicle's shade is computed when it is first asked for, from all opaque parts below the root, as they are at the
-    first frame; vehicles of the same shape share it.
+    first frame; vehicles of the same shape share it. In empty space there is nothing to shade.
     """
 
     def __init__(self, stage: StageReader) -> None:
-        groups, poses = stage.groups, stage.matrices(stage.frames[0])
+        standing = stage.water is not None or any(not shape.group for shape in stage.shapes)
+        groups, poses = stage.groups if standing else (), stage.matrices(stage.frames[0])
         self.roots = [group for group in groups if not any(group.startswith(f"{other}/") for other in groups)]
         self._parts = {
             root: [

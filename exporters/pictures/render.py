@@ -240,6 +240,7 @@ class StageRenderer:
             places, distance = self._places(depth, camera, frame, part)
             clear = (self._haze_end - distance) / (self._haze_end - HAZE[0])
             lost = shade.at((places - T_wr[:3, 3]) @ T_wr[:3, :3]) * np.clip(clear, 0, 1)
+            lost *= np.clip(2 * T_wr[2, 2] - 1, 0, 1)  # the ground is not below a vehicle that lies on its side
             lost = np.maximum(lost, grey_dilation(lost, 3) / 2)  # pixels that show ground and vehicle
             picture[part] = (picture[part] * (1 - lost[..., None])).round()
         return picture[::-1]

@@ -150,6 +150,9 @@ def test_vehicles_of_one_shape_share_their_shade(new_stage, add_box):
     for name, size in (("a", 1), ("b", 1), ("c", 2)):
         add_box(stage, f"/top/{name}/box", (size, 1, 1), (0, 0, 0))
     stage.GetRootLayer().Save()
+    assert not Shades(StageReader(stage.GetRootLayer().realPath)).roots  # in empty space
+    add_box(stage, "/top/ground", (9, 9, 1), (0, 0, -2))
+    stage.GetRootLayer().Save()
     shades = Shades(StageReader(stage.GetRootLayer().realPath))
     assert shades.roots == ["/top/a", "/top/b", "/top/c"]
     assert shades["/top/a"] is shades["/top/b"] is not None
