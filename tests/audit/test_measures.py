@@ -223,6 +223,11 @@ CASES = {
         pulled,
         lambda c: replace(c, controls=1.05 * c.controls),
     ),
+    "command": Case(
+        ask("command", 1, 49, {"control": 0, "lag": 0.5}, upper=0.251),
+        pulled,
+        lambda c: replace(c, controls=1.05 * c.controls),
+    ),
     "look": Case(
         ask("look", wanted={"at": [0, 0, HEIGHT], "axis": 1, "sign": 1.0, "level": True}, upper=math.radians(0.05)),
         flight,

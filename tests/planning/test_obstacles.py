@@ -310,7 +310,7 @@ def test_certification_finds_the_closest_approach_between_samples(car):
     clip = vehsim.simulate(car, World(), start=vehsim.State(twist=(0, 15.0, 0)), duration=2.0, fps=24)
     few = np.linspace(0, len(clip) - 1, 5).astype(int)  # 7.5 m apart
     arrays = ("times", "positions", "orientations", "twists", "joints", "joint_rates", "controls")
-    clip = replace(clip, channels={}, energy={}, **{name: getattr(clip, name)[few] for name in arrays})
+    clip = replace(clip, channels={}, energy={}, commands={}, **{name: getattr(clip, name)[few] for name in arrays})
     post = ob.polygon("post", [(11.3, 1.6), (11.4, 1.6), (11.35, 1.7)])
     nearest, by_segment = certify_plane(clip, [(post, 0)], samples=1)
     widest = np.abs(ob.footprint(car)[:, 1]).max()

@@ -45,6 +45,7 @@ def executed(clip):
         clip.state(0),
         clip.duration,
         fps=clip.fps,
+        actuators=False,
     )
     return fine.positions[-1]
 
@@ -79,7 +80,7 @@ def test_a_helicopter_stays_within_a_centimetre_where_nothing_was_touched(flight
     untouched = np.linalg.norm(positions - flight.resample().positions, axis=1) < 1e-3
     moved = np.linalg.norm(made.clip.resample().positions - flight.resample().positions, axis=1)
     assert moved[untouched].max() < KEPT
-    assert made.metres.max() < 0.3  # it leans into the bump, which takes a moment
+    assert made.metres.max() < 0.35  # it leans into the bump, as fast as its actuators tilt the disc
     assert np.linalg.norm(executed(made.clip) - made.clip.positions[-1]) < 0.1
 
 

@@ -60,4 +60,4 @@ def test_a_clip_as_guess_provides_joints_and_controls(board):
 
 
 def test_swimming_vehicles_are_recognised():
-    assert [name for name in available() if swims(vehsim.load_vehicle(name))] == ["snakeboard"]
+    assert [name for name in available() if swims(vehsim.load_vehicle(name))] == ["snakeboard", "snakeboard_lie"]

@@ -9,7 +9,7 @@ from vehsim.exporters.checks.validate import validate_stage
 
 
 def shot(**last):
-    mark = {"frame": 121, "position": [30, 0, 25], "heading": 0, "on_ground": True} | last
+    mark = {"frame": 193, "position": [30, 0, 25], "heading": 0, "on_ground": True} | last
     start = {"frame": 1, "position": [0, 0, 10], "heading": 0, "velocity": [0, 0, 0]}
     motion = {"method": "plan", "segments": 48, "clearance": 1.0, "mark": [start, mark]}
     obstacles = [
@@ -26,7 +26,7 @@ def shot(**last):
 def test_a_landing_from_file_to_stage(tmp_path):
     take = shot().solve()
     clip = take.clips["heli"]
-    assert clip.end_frame == 121
+    assert clip.end_frame == 193
     assert clip.positions[-1] == pytest.approx([30, 0, 2], abs=1e-4)
     assert take.report["marks"]["heli"][-1]["position"] == pytest.approx([30, 0, 2], abs=1e-4)
     folder = take.export(tmp_path, to=("usd",))

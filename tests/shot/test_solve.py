@@ -41,7 +41,9 @@ def test_frame_rates_are_exact(given: Any, exact: Fraction) -> None:
 
 
 def test_commands_are_linear_between_frames(small: dict[str, Any]) -> None:
-    """A torque rising linearly over 12 frames gives the closed form's speed: v = tau t^2 / (2 T m_eff r)."""
+    """A torque rising linearly over 12 frames gives the closed form's speed: v = tau t^2 / (2 T m_eff r). The model of
+    the papers follows its commands at once."""
+    small["vehicle"][0]["asset"] = "car_lie"
     small["vehicle"][0]["motion"]["commands"] = [{"frame": 1001, "torque": 0.0}, {"frame": 1013, "torque": 1000.0}]
     take = Shot.from_dict(small).solve()
     clip = take.clips["car"]

@@ -34,7 +34,7 @@ def test_a_table_drives_as_the_same_commands_do(tmp_path):
     commands = [{"frame": 1001, "torque": 0.0}, {"frame": 1007, "torque": 900.0}, {"frame": 1013, "torque": 100.0}]
     ours = shot(tmp_path, "sticks", file="a.csv").solve().clips["car"]
     other = shot(tmp_path, "simulate", commands=commands, duration=0.5).solve().clips["car"]
-    assert ours.end_frame == 1013 and ours.positions[-1, 0] > 0.1
+    assert ours.end_frame == 1013 and ours.positions[-1, 0] > 0.08
     for name in ("positions", "orientations", "twists", "controls"):
         assert np.array_equal(getattr(ours, name), getattr(other, name))
 
