@@ -57,7 +57,10 @@ def test_every_vehicle_gets_a_shot_that_hits_its_marks(tmp_path: Path, vehicle: 
 @pytest.mark.parametrize(
     "vehicle, method",
     [
-        *((name, "simulate") for name in ("boat", "car", "helicopter", "simple_car", "snakeboard", "two_wheeled")),
+        *(
+            (name, "simulate")
+            for name in ("boat", "car", "drift_car", "helicopter", "simple_car", "snakeboard", "two_wheeled")
+        ),
         ("car", "sinusoid"),
         ("tumbler", "integrate"),
     ],
@@ -66,6 +69,13 @@ def test_every_suitable_method_gives_a_valid_shot(tmp_path: Path, vehicle: str, 
     path = new(tmp_path, "--vehicle", vehicle, "--method", method)
     assert tomllib.loads(path.read_text())["vehicle"][0]["motion"]["method"] == method
     solved(path)
+
+
+def test_a_car_on_springs_is_driven_and_brakes(tmp_path: Path) -> None:
+    (clip,) = solved(new(tmp_path, "--vehicle", "rally_car")).clips.values()
+    pitch, roll = (np.degrees(clip.channels[name]) for name in ("pitch", "roll"))
+    assert pitch.min() < -0.3 and pitch[-1] > 0.3  # it squats, then dives
+    assert 1 < roll.max() < 4
 
 
 @pytest.mark.parametrize("vehicle", ["car", "helicopter", "boat", "hopper", "truck", "two_wheeled"])

@@ -112,6 +112,20 @@ def test_differentials(locked):
         assert rear[-1] * 0.32 == pytest.approx(2 * HALF * turned, rel=0.03)
 
 
+def test_an_open_differential_gives_equal_torques():
+    """Also where the wheels turn and are loaded differently: both accelerate by half the torque over their inertia and
+    half the engine's."""
+    vehicle = vehsim.load_vehicle("rally_car", {"drive_front": 0.0, "locked": (0, 0)})
+    rates = (25.0, 25.0, 24.0, 26.0, 0.0, 0.0, 0.0, 0.0)
+    start, step = State(twist=(0, 8, 0), joints=(0, 0, 0, 0, 0, 0, 0, 0.03), joint_rates=rates), 1e-6
+    idle, driven = (
+        Integrator(vehicle, step).rollout(start, np.tile([drive, 0, 0, 0], (3, 1))).joint_rates[-1, :4]
+        for drive in (0, 2000)
+    )
+    gained = 2 * step * 1000 / (1.2 + 7.6 / 2)
+    np.testing.assert_allclose(driven - idle, [0, 0, gained, gained], rtol=2e-3, atol=1e-9)
+
+
 @pytest.mark.parametrize("drive_front", [0.0, 0.5, 1.0])
 def test_drive_layouts(drive_front):
     clip = driven({"drive_front": drive_front, "locked": (0, 0)}, State(), 0.6, drive=[3000, 3000])
