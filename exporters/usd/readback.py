@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -14,13 +14,12 @@ from vehsim.errors import ExportError
 from vehsim.exporters.usd.metadata import Z_UP_METRES, Units
 from vehsim.exporters.usd.sampling import clip_at, frames_of
 from vehsim.lie import quaternions
-from vehsim.rig.ops import PIVOT, drive_op, open_rig, pivot_of, place_op, scalar_op
-from vehsim.rig.parts import Y_UP_TO_Z_UP
+from vehsim.rig.ops import drive_op, open_rig, scalar_op
+from vehsim.rig.posed import posed
 
 if TYPE_CHECKING:
     from vehsim.cameras.camera import Camera
     from vehsim.clip.clip import Clip
-    from vehsim.rig.rig import Rig
 
 Array = NDArray[np.float64]
 
@@ -127,91 +126,11 @@ def world_matrices(prim: Any, frames: Array) -> Array:
 def expected_matrices(clip: Clip, codes_per_second: float = 24.0) -> dict[str, Array]:
     """Expected matrices from the clip: part path below the rig root ("" is the root) -> world matrices (n, 4, 4).
 
-    It reads the source asset, not the copy, and multiplies the ops itself, so it shares no code with the export.
+    From the source asset, not the copy: it shares no code with the layer's writer but the place of an op in its order.
     """
-    from pxr import UsdGeom
-
     rig = clip.vehicle.rig
     assert rig is not None
-    stage, root = open_rig(rig.asset, rig)
-    scale = UsdGeom.GetStageMetersPerUnit(stage)
-    turn = Y_UP_TO_Z_UP if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y else np.eye(4)
-    pose = clip.matrices() @ turn @ np.diag([scale, scale, scale, 1.0])
-    by_prim: dict[str, list[tuple[str, str, Array]]] = {}
-    for channel, drive in rig.drives.items():
-        op, factor = drive_op(drive.op, scale)
-        turned = _op_matrices(drive.op, clip.channels[channel] * factor * drive.factor)
-        pivot = pivot_of(rig, channel, root, scale)
-        if pivot is not None:
-            turned = _shift(pivot) @ turned @ _shift(-pivot)
-        by_prim.setdefault(drive.prim, []).append((channel, op, turned))
-
-    # the asset's own animation continues below ours, by its own clock
-    codes = frames_of(clip) * stage.GetTimeCodesPerSecond() / codes_per_second
-    worlds = {"": pose @ _local_matrices(rig, root, root, by_prim.get("", []), codes)}
-    for path in by_prim:
-        world = worlds[""]
-        prim = root
-        for step in path.split("/") if path else ():
-            prim = prim.GetChild(step)
-            below = str(prim.GetPath())[len(str(root.GetPath())) + 1 :]
-            xformable = UsdGeom.Xformable(prim)
-            start = np.broadcast_to(np.eye(4), world.shape) if xformable.GetResetXformStack() else world
-            world = start @ _local_matrices(rig, root, prim, by_prim.get(below, []), codes)
-        worlds[path] = world
-    return worlds
-
-
-def _local_matrices(rig: Rig, root: Any, prim: Any, driven: list[tuple[str, str, Array]], codes: Array) -> Array:
-    """Local matrices ((n,) 4, 4) of a prim of the asset at time ``codes`` (n,), with driven ops inserted into its
-    order: (channel, op, matrices, which contain the drive's pivot)."""
-    from pxr import UsdGeom
-
-    xformable = UsdGeom.Xformable(prim)
-    replaced = {rig.drives[channel].op[:-1] for channel, _, _ in driven}  # what rotates or slides does not by itself
-    own = {op.GetOpName(): _own_matrices(op, codes, replaced) for op in xformable.GetOrderedXformOps()}
-    order = [name for name in xformable.GetXformOpOrderAttr().Get() or [] if name in own]
-    moving = {}
-    for channel, op, matrices in driven:
-        order = [name for name in place_op(rig, channel, root, order) if not name.endswith(PIVOT)]
-        moving[op] = matrices
-    matrix = np.eye(4)
-    for name in order:
-        matrix = matrix @ (moving[name] if name in moving else own[name])
-    return matrix
-
-
-def _own_matrices(op: Any, codes: Array, replaced: Collection[str]) -> Array:
-    from pxr import Usd
-
-    if not op.MightBeTimeVarying():
-        return np.array(op.GetOpTransform(0)).T
-    kind = op.GetOpName().split(":")[1]
-    turns, slides = kind.startswith(("rotate", "orient", "transform")), kind.startswith(("translate", "transform"))
-    if ("rotate" in replaced and turns) or ("translate" in replaced and slides):
-        return np.array(op.GetOpTransform(Usd.TimeCode.EarliestTime())).T
-    return np.array([np.array(op.GetOpTransform(code)).T for code in codes.tolist()])
-
-
-def _shift(offset: Array) -> Array:
-    matrix = np.eye(4)
-    matrix[:3, 3] = offset
-    return matrix
-
-
-def _op_matrices(op: str, values: Array) -> Array:
-    """Matrices (n, 4, 4) of "rotateX|Y|Z" by degrees or "translateX|Y|Z" by lengths."""
-    axis = "XYZ".index(op[-1])
-    matrices = np.tile(np.eye(4), (len(values), 1, 1))
-    if op.startswith("translate"):
-        matrices[:, axis, 3] = values
-        return matrices
-    j, k = (axis + 1) % 3, (axis + 2) % 3
-    angle = np.radians(values)
-    matrices[:, j, j] = matrices[:, k, k] = np.cos(angle)
-    matrices[:, k, j] = np.sin(angle)
-    matrices[:, j, k] = -np.sin(angle)
-    return matrices
+    return posed(rig, clip.matrices(), clip.channels, frames_of(clip), codes_per_second)
 
 
 def _pose_matrices(positions: Array, orientations: Array) -> Array:

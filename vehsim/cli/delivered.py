@@ -47,7 +47,7 @@ def edited_shot(delivery: Path, edit: Path, source: Path | None, progress: Progr
     clips = before.solve(progress).clips
     for vehicle in found:
         _check_same(delivery, name, vehicle, clips[vehicle])
-    _warn_of_others(delivery, name, edit, found, before)
+    _warn_of_others(delivery, name, edit, found)
     for vehicle, prim in found.items():
         vehicles[vehicle]["edit"] = {"usd": os.path.relpath(edit, folder), "prim": prim}
     return Shot.from_dict(data, folder, before.source)
@@ -107,22 +107,18 @@ def _check_same(delivery: Path, name: str, vehicle: str, clip: Any) -> None:
         )
 
 
-def _warn_of_others(delivery: Path, name: str, edit: Path, found: Mapping[str, str], shot: Shot) -> None:
-    """Warn of prims that the edit moves although only the roots of vehicles are read."""
+def _warn_of_others(delivery: Path, name: str, edit: Path, found: Mapping[str, str]) -> None:
+    """Warn of prims outside vehicles that the edit moves although only vehicles are read."""
     from vehsim.exporters.checks.audit import stage_of
     from vehsim.rig.edited import others_moved
 
     stage = stage_of(delivery, name)
-    if stage is None:
-        return
-    curves = shot.file.export.curves
-    roots = {f"/{name}/vehicles/{vehicle}": prim for vehicle, prim in found.items()}
-    moved = others_moved(edit, stage, roots, curves.angle if curves else 0.0)
+    moved = [] if stage is None else others_moved(edit, stage, [f"/{name}/vehicles/{vehicle}" for vehicle in found])
     if moved:
         more = f" and {len(moved) - NAMED} more" if len(moved) > NAMED else ""
         warnings.warn(
-            f"the edit also moves {', '.join(moved[:NAMED])}{more}, without effect: only vehicles' roots, such as "
-            f"{next(iter(roots))}, are read",
+            f"the edit also moves {', '.join(map(str, moved[:NAMED]))}{more}, without effect: only vehicles' roots, "
+            f"such as {next(iter(found.values()))}, are read",
             stacklevel=2,
         )
 

@@ -111,7 +111,7 @@ def read_blocking(path: str | Path, prim: str, fps: Fraction, forward: str = "X"
     matrices = _world_matrices(stage, xformable.GetPrim(), frames)
     metres, up = _stage_frame(stage)
     positions = metres * matrices[:, :3, 3] @ up.T
-    rotations = up @ _rigid(matrices[:, :3, :3]) @ _nose(forward, up)
+    rotations = up @ nearest_rotations(matrices[:, :3, :3]) @ _nose(forward, up)
     keys = _keys(times, frames, positions, rotations)
     return Blocking(Path(path), prim, forward, frames, positions, rotations, keys)
 
@@ -136,7 +136,7 @@ def rigid_poses(stage: Any, prim: Any, frames: Array, after: Array | None = None
     to_metres = np.eye(4)
     to_metres[:3, :3] = metres * up
     poses = to_metres @ _world_matrices(stage, prim, frames) @ (np.eye(4) if after is None else after)
-    poses[:, :3, :3] = _rigid(poses[:, :3, :3])
+    poses[:, :3, :3] = nearest_rotations(poses[:, :3, :3])
     return np.asarray(poses)
 
 
@@ -178,7 +178,7 @@ def write_over(blocking: Blocking, frames: Array, positions: Array, rotations: A
     reset = xformable.GetResetXformStack()
     local = world if reset else np.linalg.inv(parents) @ world
     start = np.array(xformable.GetLocalTransformation(float(frames[0]))).T
-    local[:, :3, :3] = _rigid(local[:, :3, :3]) @ _stretch(start[:3, :3])
+    local[:, :3, :3] = nearest_rotations(local[:, :3, :3]) @ _stretch(start[:3, :3])
     layer = Sdf.Layer.CreateNew(str(path))
     over = Sdf.CreatePrimInLayer(layer, blocking.prim)
     about = {
@@ -288,7 +288,7 @@ def _world_matrices(stage: Any, prim: Any, frames: Array) -> Array:
     return matrices
 
 
-def _rigid(matrices: Array) -> Array:
+def nearest_rotations(matrices: Array) -> Array:
     """The closest rotation to each matrix (n, 3, 3)."""
     u, _, v = np.linalg.svd(matrices)
     turn = np.sign(np.linalg.det(u @ v))
@@ -298,7 +298,7 @@ def _rigid(matrices: Array) -> Array:
 
 def _stretch(matrix: Array) -> Array:
     """A matrix (3, 3) without its rotation: scale and shear, in the prim's own axes."""
-    return np.asarray(_rigid(matrix[None])[0].T @ matrix)
+    return np.asarray(nearest_rotations(matrix[None])[0].T @ matrix)
 
 
 def _key_times(xformable: Any) -> list[float]:

@@ -2,99 +2,158 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.intake.usd import open_stage
-from vehsim.rig.blocking import rigid_poses
+from vehsim.rig.blocking import nearest_rotations, rigid_poses
+from vehsim.rig.ops import open_rig
+from vehsim.rig.posed import posed
+
+if TYPE_CHECKING:
+    from vehsim.rig.rig import Rig
 
 Array = NDArray[np.float64]
 MOVED, TURNED = 2e-3, 0.2
 """Distance, m, and angle, degrees, above which a prim counts as moved."""
 
 
-def others_moved(edited: Path, delivered: Path, roots: Mapping[str, str], degrees: float = 0.0) -> list[str]:
-    """Paths of delivered prims that ``edited`` poses otherwise, the topmost ones: below the root of a vehicle relative
-    to it, elsewhere in the world.
+@dataclass(frozen=True)
+class Moved:
+    """A prim that an edit moves: its ``path``, and by how many ``metres`` and ``degrees`` at the ``frame`` of most."""
 
-    ``roots``: delivered path of each vehicle's root -> its path in ``edited``; ``degrees``: how far the curves of the
-    delivery may turn away from its samples. Only prims that both stages have are compared.
+    path: str
+    frame: float
+    metres: float
+    degrees: float
+
+    def __str__(self) -> str:
+        amounts = [f"{1000 * self.metres:.3g} mm"] * (self.metres > MOVED)
+        amounts += [f"{self.degrees:.3g} degrees"] * (self.degrees > TURNED)
+        return f"{self.path} (by {' and '.join(amounts)} at frame {self.frame:g})"
+
+
+def others_moved(edited: Path, delivered: Path, vehicles: Collection[str]) -> list[Moved]:
+    """The topmost prims of a ``delivered`` stage, outside ``vehicles``, that ``edited`` poses otherwise in the world.
+
+    ``vehicles``: the paths of their roots. Only prims that both stages have are compared.
     """
     stages = open_stage(delivered), open_stage(edited)
     first, last = stages[0].GetStartTimeCode(), stages[0].GetEndTimeCode()
     whole = np.arange(np.ceil(first), np.floor(last) + 1)
-    poses = tuple(_Poses(stage) for stage in stages)
-    found: list[str] = []
-    for path, root in _placed(stages[0], roots):
-        other = _counterpart(stages[1], path, root, roots)
-        if other is None or any(path.startswith(f"{above}/") for above in found):
+    found: list[Moved] = []
+    for path in _placed(stages[0], vehicles):
+        prims = [stage.GetPrimAtPath(path) for stage in stages]
+        if not _can_move(prims[1]) or _below(path, found):
             continue
-        pairs = (poses[0], path, root), (poses[1], other, roots[root] if root else "")
-        frames = whole if any(of.varies(prim, above) for of, prim, above in pairs) else whole[:1]
-        before, after = (of.relative(prim, above, frames) for of, prim, above in pairs)
-        metres = np.linalg.norm(after[:, :3, 3] - before[:, :3, 3], axis=1)
-        traces = np.einsum("nij,nij->n", after[:, :3, :3], before[:, :3, :3])
-        angles = np.degrees(np.arccos(np.clip((traces - 1) / 2, -1.0, 1.0)))
-        if metres.max() > MOVED or angles.max() > TURNED + 2 * degrees:
-            found.append(path)
+        frames = whole if any(map(_varies, prims)) else whole[:1]
+        before, after = (rigid_poses(stage, prim, frames) for stage, prim in zip(stages, prims, strict=True))
+        found += _apart(path, frames, before, after, 0.0)
     return found
 
 
-class _Poses:
-    """Rigid poses of a stage's prims in metres, Z up; each is read once per frame."""
+def parts_moved(
+    edited: Path,
+    root: str,
+    rig: Rig,
+    channels: Mapping[str, Array],
+    frames: Array,
+    rate: float,
+    degrees: float = 0.0,
+) -> list[Moved]:
+    """The topmost prims below a vehicle's ``root`` that ``edited`` poses otherwise, relative to it, than ``channels``
+    (n,), rad or m, at ``frames`` (n,), of which there are ``rate`` per second.
 
-    def __init__(self, stage: Any) -> None:
-        self._stage = stage
-        self._known: dict[tuple[str, int], Array] = {}
-
-    def varies(self, path: str, root: str) -> bool:
-        """Whether a prim, or one between it and ``root``, has keys."""
-        from pxr import UsdGeom
-
-        prim = self._stage.GetPrimAtPath(path)
-        while prim and not prim.IsPseudoRoot() and str(prim.GetPath()) != root:
-            if prim.IsA(UsdGeom.Xformable) and UsdGeom.Xformable(prim).TransformMightBeTimeVarying():
-                return True
-            prim = prim.GetParent()
-        return False
-
-    def relative(self, path: str, root: str, frames: Array) -> Array:
-        """Poses (n, 4, 4) of a prim relative to ``root``; in the world if that is empty."""
-        pose = self._world(path, frames)
-        return np.linalg.inv(self._world(root, frames)) @ pose if root else pose
-
-    def _world(self, path: str, frames: Array) -> Array:
-        key = path, len(frames)
-        if key not in self._known:
-            self._known[key] = rigid_poses(self._stage, self._stage.GetPrimAtPath(path), frames)
-        return self._known[key]
+    ``degrees``: how far delivered curves may turn away from the motion. Paths are those below the asset's root. In a
+    stage that another tool wrote, a part is the only prim of its name below ``root``.
+    """
+    stage, (_asset, asset_root) = open_stage(edited), open_rig(rig.asset, rig)  # a prim does not keep its stage open
+    above = stage.GetPrimAtPath(root)
+    parts = {path: prim for path in _parts(asset_root) if (prim := _counterpart(above, path)) is not None}
+    still = np.tile(np.eye(4), (len(frames), 1, 1))
+    expected = {path: _rigid(world) for path, world in posed(rig, still, channels, frames, rate, parts).items()}
+    to_root = np.linalg.inv(rigid_poses(stage, above, frames))
+    found: list[Moved] = []
+    for path, prim in parts.items():
+        if _below(path, found):
+            continue
+        wanted = np.linalg.inv(expected[""]) @ expected[path]
+        shown = to_root @ rigid_poses(stage, prim, frames)
+        found += _apart(path, frames, np.broadcast_to(wanted, shown.shape), shown, 2 * degrees)
+    return found
 
 
-def _placed(stage: Any, roots: Mapping[str, str]) -> Iterator[tuple[str, str]]:
-    """Paths of the prims that can be posed, and the root of the vehicle to which each belongs, "" for none."""
+def _apart(path: str, frames: Array, before: Array, after: Array, more: float) -> Iterator[Moved]:
+    """How far poses (n, 4, 4) are apart, if more than `MOVED`, or `TURNED` and ``more`` degrees."""
+    metres = np.linalg.norm(after[:, :3, 3] - before[:, :3, 3], axis=1)
+    traces = np.einsum("nij,nij->n", after[:, :3, :3], before[:, :3, :3])
+    angles = np.degrees(np.arccos(np.clip((traces - 1) / 2, -1.0, 1.0)))
+    amount = metres / MOVED + angles / (TURNED + more)
+    worst = int(np.argmax(amount > 0.999 * amount.max()))  # the first of equal ones
+    if metres.max() > MOVED or angles.max() > TURNED + more:
+        yield Moved(path, float(frames[worst]), float(metres[worst]), float(angles[worst]))
+
+
+def _below(path: str, found: Collection[Moved]) -> bool:
+    return any(path.startswith(f"{above.path}/") for above in found)
+
+
+def _rigid(matrices: Array) -> Array:
+    poses = np.array(matrices)
+    poses[..., :3, :3] = nearest_rotations(poses[..., :3, :3])
+    return poses
+
+
+def _can_move(prim: Any) -> bool:
     from pxr import UsdGeom
 
-    for prim in stage.Traverse():
+    return bool(prim and prim.IsA(UsdGeom.Xformable))
+
+
+def _varies(prim: Any) -> bool:
+    """Whether a prim, or one above it, has keys."""
+    from pxr import UsdGeom
+
+    while prim and not prim.IsPseudoRoot():
+        if _can_move(prim) and UsdGeom.Xformable(prim).TransformMightBeTimeVarying():
+            return True
+        prim = prim.GetParent()
+    return False
+
+
+def _placed(stage: Any, vehicles: Collection[str]) -> Iterator[str]:
+    """Paths of the prims outside ``vehicles`` that can be posed, without those that carry vehicles."""
+    prims = iter(stage.Traverse())
+    for prim in prims:
         path = str(prim.GetPath())
-        root = next((root for root in roots if path.startswith(f"{root}/")), "")
-        above = path in roots or any(root.startswith(f"{path}/") for root in roots)
-        if prim.IsA(UsdGeom.Xformable) and not above:
-            yield path, root
+        if path in vehicles:
+            prims.PruneChildren()
+        elif _can_move(prim) and not any(vehicle.startswith(f"{path}/") for vehicle in vehicles):
+            yield path
 
 
-def _counterpart(stage: Any, path: str, root: str, roots: Mapping[str, str]) -> str | None:
-    """The same prim of the edited stage: at the same place, or the only one of its name below the vehicle's root."""
+def _parts(root: Any) -> Iterator[str]:
+    """Paths below an asset's root of the prims that can be posed, also inside instances, the topmost first."""
     from pxr import Usd, UsdGeom
 
-    wanted = roots[root] + path[len(root) :] if root else path
-    prim = stage.GetPrimAtPath(wanted)
-    if not prim and root:
+    skip = len(str(root.GetPath())) + 1
+    for prim in Usd.PrimRange(root, Usd.TraverseInstanceProxies()):
+        if prim != root and prim.IsA(UsdGeom.Xformable):
+            yield str(prim.GetPath())[skip:]
+
+
+def _counterpart(root: Any, path: str) -> Any:
+    """The prim at ``path`` below ``root``, or the only one of its name there; None if there is neither."""
+    from pxr import Usd
+
+    prim = root.GetPrimAtPath(path)
+    if not prim:
         name = path.rpartition("/")[2]
-        below = Usd.PrimRange(stage.GetPrimAtPath(roots[root]))
-        named = [each for each in below if each.GetName() == name and each.IsA(UsdGeom.Xformable)]
+        named = [each for each in Usd.PrimRange(root) if each.GetName() == name and _can_move(each)]
         prim = named[0] if len(named) == 1 else None
-    return str(prim.GetPath()) if prim and prim.IsA(UsdGeom.Xformable) else None
+    return prim if _can_move(prim) else None

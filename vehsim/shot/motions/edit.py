@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from vehsim.errors import InputError, Problem, SolveError
 from vehsim.shot.checks import Context
@@ -15,6 +18,7 @@ if TYPE_CHECKING:
     from vehsim.clip.clip import Clip
     from vehsim.planning.retouch import Retouch
     from vehsim.rig.blocking import Blocking
+    from vehsim.rig.edited import Moved
     from vehsim.runtime.progress import Progress
     from vehsim.vehicles import Vehicle
 
@@ -67,14 +71,17 @@ class EditTable(Table):
         options: Mapping[str, Any],
         context: Context,
         progress: Progress,
+        degrees: float = 0.0,
     ) -> tuple[Clip, dict[str, Any]]:
         """The retouched clip and its report, from those of the solved motion.
 
-        Marks that the edit touches are no longer required; the others still are.
+        Marks that the edit touches are no longer required; the others still are. ``degrees``: how far the delivered
+        curves may turn away from the motion.
         """
         from vehsim.planning.retouch import KEPT, retouch
 
         edited = self.read(clip.vehicle, context)
+        parts = self._parts_moved(edited, clip, context, degrees)
         asks = [dict(ask) for ask in report.get("asks", [])]
         marks = [ask for ask in asks if ask["key"].startswith("mark[")]
         made = retouch(
@@ -97,14 +104,41 @@ class EditTable(Table):
             if any(ask["first"] <= last and ask["last"] >= first for first, last in made.touched):
                 ask["severity"] = "warning"
         _warn(name, made, edited.frames, clip)
+        _warn_of_parts(name, parts)
         details = {
             "touched": made.touched,
             "solved_again": made.windows,
             "kept_within": made.kept,
             "missed": made.misses(),
             "largest_miss": float(made.metres.max(initial=0.0)),
+            "parts": [asdict(part) for part in parts],
         }
         return made.clip, {**report, "asks": asks, "edit": details}
+
+    def _parts_moved(self, edited: Blocking, clip: Clip, context: Context, degrees: float) -> list[Moved]:
+        """Wheels, rotors and other parts that the edit poses otherwise than the solved motion ``clip``."""
+        from vehsim.rig.edited import parts_moved
+        from vehsim.world.ground.placing import place_on_terrain
+
+        assert clip.vehicle.rig is not None
+        frames = edited.frames[(edited.frames >= clip.start_frame) & (edited.frames <= clip.end_frame)]
+        if not len(frames):
+            return []
+        placed = place_on_terrain(clip, context.world)
+        channels = placed.at(np.minimum((frames - clip.start_frame) / float(clip.fps), clip.times[-1])).channels
+        rate = float(context.fps)
+        return parts_moved(edited.path, edited.prim, clip.vehicle.rig, channels, frames, rate, degrees)
+
+
+def _warn_of_parts(name: str, parts: Sequence[Moved]) -> None:
+    """Warn of parts that the edit moves although they follow from the motion."""
+    if parts:
+        more = f" and {len(parts) - NAMED} more" if len(parts) > NAMED else ""
+        warnings.warn(
+            f"{name}: the edit also moves {', '.join(map(str, parts[:NAMED]))}{more}, without effect: wheels, rotors "
+            "and other parts follow from the motion of the root",
+            stacklevel=2,
+        )
 
 
 def _warn(name: str, made: Retouch, frames: Any, clip: Clip) -> None:
