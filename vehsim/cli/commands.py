@@ -534,6 +534,37 @@ def height(
 
 
 @app.command()
+def hydro(
+    hull: Annotated[
+        str,
+        typer.Argument(
+            metavar="HULL",
+            help="A vehicle's name or folder, or a file with a closed mesh.",
+            autocompletion=choices.vehicle,
+        ),
+    ],
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Where to write it; default: HULL.hydro.npz here.")
+    ] = None,
+    mass: Annotated[float | None, typer.Option(metavar="KG", min=1e-3, help="What the hull weighs.")] = None,
+    origin: Annotated[
+        tuple[float, float, float], typer.Option(metavar="X Y Z", help="Centre of mass of a mesh, m, in its axes.")
+    ] = (0.0, 0.0, 0.0),
+    quiet: Quiet = False,
+) -> None:
+    """Compute added mass, damping and wave forces of a hull with Capytaine, and write them for its vehicle.toml."""
+    from vehsim.cli.hydro import of_hull, table
+
+    with _progress(quiet) as progress:
+        found = of_hull(hull, mass, origin, progress)
+    path = out or Path(f"{Path(hull).stem}.hydro.npz")
+    found.save(path)
+    if not quiet:
+        print("\n".join(table(found)))
+    print(f'{path}: written; put it beside the vehicle.toml and add: hydrodynamics = "{path.name}"')
+
+
+@app.command()
 def live(
     shot: Annotated[Path, typer.Argument(metavar="SHOT", help="A shot file.", autocompletion=choices.shot_file)],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for exports from the page.")] = Path("out"),

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from vehsim.vehicles.definition.base import Array, Expr
+from vehsim.vehicles.definition.coefficients import Coefficients
 from vehsim.vehicles.definition.resistance import Running
 
 
@@ -32,7 +33,8 @@ class Hull:
     the immersed share (0 to 1) of each propulsor at ``propulsors`` (p, 3), which are ``propulsor_size`` m across.
     ``windage(air) -> (6,)``: body wrench from the twist (6,) through the air. ``running``: the hull's resistance and
     attitude on calm water as functions of its speed ahead, added to ``damping`` and ``quadratic``; its lift takes the
-    place of ``planing``.
+    place of ``planing``. ``coefficients``: of a panel method, with radiation and diffraction that depend on the
+    frequency; they take the place of ``added_mass``.
     """
 
     prim: str = ""
@@ -50,6 +52,7 @@ class Hull:
     propulsor_size: float = 0.3
     windage: Callable[[Expr], Expr] | None = None
     running: Running | None = None
+    coefficients: Coefficients | None = None
 
     @property
     def propulsor_points(self) -> Array:

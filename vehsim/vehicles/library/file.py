@@ -170,6 +170,8 @@ class VehicleFile(Table):
     """the closed mesh that displaces water, a path below the root"""
     hull_form: Literal["planing", "displacement"] | None = None
     """"planing" or "displacement": how it resists; particulars that physics lacks are measured on the hull"""
+    hydrodynamics: Text | None = None
+    """a file written by vehsim hydro, relative to this one"""
     top_speed: Annotated[Bound, Field(gt=0)] = math.inf
     """a speed above zero, in m/s"""
     top_turn_rate: Annotated[Bound, Field(gt=0)] = math.inf
@@ -209,15 +211,16 @@ def read_vehicle(path: Path) -> dict[str, Any]:
     if "base" in below:
         remedy = "name a vehicle without a base"
         raise InputError("the base has a base itself", remedy, key="base", value=data["base"], file=path)
-    if "asset" in below:
-        below["asset"] = (Path(data["base"]) / below["asset"]).as_posix()
+    for key in ("asset", "hydrodynamics"):
+        if key in below:
+            below[key] = (Path(data["base"]) / below[key]).as_posix()
     return merged(below, data)
 
 
 def vehicle_files(path: Path) -> list[Path]:
-    """A ``vehicle.toml`` and that of its base."""
-    base = _base(path, read_table(path, VehicleFile))
-    return [path] if base is None else [path, base]
+    """A ``vehicle.toml``, that of its base, and the coefficients of its hull."""
+    base, hydro = _base(path, read_table(path, VehicleFile)), read_vehicle(path).get("hydrodynamics")
+    return [path, *([] if base is None else [base]), *([] if hydro is None else [path.parent / hydro])]
 
 
 def _base(path: Path, data: Mapping[str, Any]) -> Path | None:

@@ -23,6 +23,7 @@ from vehsim.runtime.cache import Stamp, stamp
 from vehsim.runtime.registry import Registry
 from vehsim.vehicles.definition.base import Control
 from vehsim.vehicles.definition.character import Character, Trait
+from vehsim.vehicles.definition.coefficients import LEVEL, Coefficients
 from vehsim.vehicles.library.file import SuspensionTable, VehicleFile, read_vehicle, vehicle_files
 from vehsim.vehicles.library.imported import ready_asset
 from vehsim.vehicles.library.mass import fill_in, weigh
@@ -158,6 +159,7 @@ def _load(path: Path, written: tuple[Stamp, ...], parameters: str) -> Vehicle:
         check_physics(factory, physics)
     except InputError as error:
         raise InputError.of(*(replace(each, file=str(path)) for each in error.problems)) from None
+    coefficients, physics = _coefficients(path, data, physics)
     try:
         vehicle: Vehicle = factory(str(data.get("name", model)), **physics)
     except InputError:
@@ -178,7 +180,7 @@ def _load(path: Path, written: tuple[Stamp, ...], parameters: str) -> Vehicle:
         "parameters": given,
     }
     planar = None if vehicle.planar is None else replace(vehicle.planar, **settings | {"rig": _level(settings["rig"])})
-    return replace(vehicle, **settings, hull=_hull(path, vehicle, data), planar=planar)
+    return replace(vehicle, **settings, hull=_hull(path, vehicle, data, coefficients), planar=planar)
 
 
 def _weighed(path: Path, factory: Any, data: dict[str, Any]) -> dict[str, Any]:
@@ -257,7 +259,25 @@ def _level(rig: Rig | None) -> Rig | None:
     return None if rig is None else replace(rig, origin=(*rig.origin[:2], 0.0))
 
 
-def _hull(path: Path, vehicle: Vehicle, data: dict[str, Any]) -> Any:
+def _coefficients(
+    path: Path, data: dict[str, Any], physics: dict[str, Any]
+) -> tuple[Coefficients | None, dict[str, Any]]:
+    """The hull's coefficients, overridden by ``[physics]``; and that with the added mass that it lacks, which plans
+    use."""
+    named = data.get("hydrodynamics")
+    if named is None:
+        return None, physics
+    if not isinstance(data.get("hull"), str):
+        raise InputError("there is no hull", "leave it out", key="hydrodynamics", value=named, file=path)
+    file = path.parent / named
+    if not file.is_file():
+        raise InputError("no such file", "write it with vehsim hydro", key="hydrodynamics", value=named, file=path)
+    found = Coefficients.load(file).overridden(physics.get("added_mass"), physics.get("damping"))
+    plane = np.isin(np.arange(6), LEVEL)
+    return found, {"added_mass": np.diag(np.where(plane, found.slow, found.infinite)).tolist(), **physics}
+
+
+def _hull(path: Path, vehicle: Vehicle, data: dict[str, Any], coefficients: Coefficients | None) -> Any:
     prim = data.get("hull")
     if vehicle.hull is None and prim is not None:
         raise InputError(f"{vehicle.name} does not float", "leave it out", key="hull", value=prim, file=path)
@@ -271,9 +291,10 @@ def _hull(path: Path, vehicle: Vehicle, data: dict[str, Any]) -> Any:
         )
     if prim is None:
         return None
-    if not any(np.any(law) for law in (vehicle.hull.damping, vehicle.hull.quadratic, vehicle.hull.impact)):
+    laws = (vehicle.hull.damping, vehicle.hull.quadratic, vehicle.hull.impact)
+    if (coefficients is None or coefficients.memory is None) and not any(np.any(law) for law in laws):
         _warn_restless(path, vehicle)
-    return replace(vehicle.hull, prim=prim)
+    return replace(vehicle.hull, prim=prim, coefficients=coefficients)
 
 
 def _warn_restless(path: Path, vehicle: Any) -> None:
@@ -281,7 +302,8 @@ def _warn_restless(path: Path, vehicle: Any) -> None:
     usual = {"damping": DAMPING * vehicle.mass, "added_mass": ADDED_MASS * np.diag(vehicle.inertia)}
     remedy = ", ".join(f"{key} = [{', '.join(f'{x:.3g}' for x in row)}]" for key, row in usual.items())
     warnings.warn(
-        f"{path}: physics.damping: missing: without it a boat never comes to rest; begin with {remedy}, impact = 1",
+        f"{path}: physics.damping: missing: without it a boat never comes to rest; begin with {remedy}, impact = 1; "
+        "or compute them: vehsim hydro (pip install 'vehsim[hydro]')",
         stacklevel=5,
     )
 

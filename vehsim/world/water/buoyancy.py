@@ -7,6 +7,7 @@ resistance of every wetted patch with the local velocity through the water; slam
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Protocol
@@ -19,12 +20,14 @@ from vehsim.errors import InputError
 from vehsim.integrators.environment import Environment
 from vehsim.lie.quaternions import cross, matrices
 from vehsim.vehicles.definition.base import State
+from vehsim.vehicles.definition.coefficients import LEVEL
 from vehsim.world.water.height_field import MOST, WaterField
 from vehsim.world.water.hull_mesh import COLUMNS, DEPTH, HEAD, PLACE, THROUGH, HullMesh, Wetted, read_hull, wetted
 from vehsim.world.water.hull_repair import repaired
 from vehsim.world.water.motion import Motion
 from vehsim.world.water.potential import Response, response
 from vehsim.world.water.running import Law, Lift, law_of
+from vehsim.world.water.seakeeping import Seakeeping
 from vehsim.world.water.water import Water
 
 if TYPE_CHECKING:
@@ -43,8 +46,8 @@ turns."""
 FIELD = 1 / 1500
 """Mean deviation of a cell of the water's height field from the surface, as a share of the hull's mean draft, in waves
 as long as the hull or longer; larger in shorter ones, because it averages out."""
-LEVEL = [2, 3, 4]
-"""Yaw, surge and sway in a twist: the motions in the waterplane."""
+OTHER = 0.1
+"""Coefficients are those of another hull if it floats higher or lower by this share of its mean draft."""
 PANEL = 1 / 7
 """Longest edge of the panels that determine how waves act on the hull, as a share of its size."""
 PANELS = 300
@@ -142,7 +145,7 @@ class Afloat(Environment):
     @cached_property
     def response(self) -> Response:
         """How the motion of the water acts on the hull: over its wetted surface at rest, and not at one point."""
-        if not np.any(self.data.added_mass):
+        if not np.any(self.added_mass_at_rest):
             return Response.at_origin()
         hull = self.hull.simplified(PANELS).refined(PANEL * float(self.size.max()))
         top = -float(hull.points[:, 2].min())  # of the origin, where the hull leaves the water
@@ -157,10 +160,34 @@ class Afloat(Environment):
         return law_of(self)
 
     @cached_property
+    def seakeeping(self) -> Seakeeping | None:
+        """What the hull's `Coefficients` say about its motions in the water's waves; None: it has none."""
+        data = self.data.coefficients
+        if data is None:
+            return None
+        deeper = data.height - self.floating()[0]
+        if abs(deeper) > OTHER * self.draft:
+            warnings.warn(
+                f"{self.vehicle.name}: hydrodynamics: the hull floats {deeper:+.3g} m deeper than the one that was "
+                "computed; run vehsim hydro again",
+                stacklevel=2,
+            )
+        return Seakeeping(data, self.water)
+
+    @property
+    def added_mass_at_rest(self) -> Array:
+        """Diagonal (6,) of the added mass: computed or given."""
+        if self.seakeeping is not None:
+            return np.diag(self.seakeeping.added)
+        return np.asarray(self.data.added_mass, float)
+
+    @cached_property
     def added_mass(self) -> Array:
-        """The added mass (6, 6) of the hull at rest: the given diagonal, with the coupling of the hull's potential flow
-        between motions in the waterplane and out of it, such as sway and roll. In the waterplane there is none, as in
-        the planar form of the vehicle."""
+        """The added mass (6, 6) of the hull at rest. Where its diagonal is given, the coupling of motions in the
+        waterplane with those out of it, such as sway with roll, is that of the hull's potential flow. In the waterplane
+        there is none, as in the planar form of the vehicle."""
+        if self.seakeeping is not None:
+            return self.seakeeping.added
         given, own = np.asarray(self.data.added_mass, float), self.response.added
         size = np.sqrt(given / np.maximum(np.diag(own), 1e-9 * max(np.diag(own).max(), 1e-300)))
         added = size[:, None] * own * size
@@ -231,13 +258,13 @@ class Afloat(Environment):
         """Area from above, squared lever arms (6,), and inertia (6,) with a part of the added mass."""
         size = self.size
         arms = np.array([size[1] / 2, size[0] / 2, size[0] / 2, 1, 1, 1]) ** 2
-        return float(size[0] * size[1]), arms, np.diag(self.vehicle.inertia) + 0.25 * np.asarray(self.data.added_mass)
+        return float(size[0] * size[1]), arms, np.diag(self.vehicle.inertia) + 0.25 * self.added_mass_at_rest
 
     def wrench(self, t: float, state: State, controls: Array) -> Array:
         return self.forces(t, state, controls).wrench
 
     def added_inertia(self, t: float, state: State) -> Array | None:
-        if not np.any(self.data.added_mass):
+        if not np.any(self.added_mass_at_rest):
             return None
         if self._last is None or self._last[0] is not state:
             self.forces(t, state, np.zeros(len(self.vehicle.controls)))
@@ -271,7 +298,7 @@ class Afloat(Environment):
             speeds = (into, fastest)
         forces = Forces(torque_force, volume, immersion, speeds, lift)
         depths = elsewhere.height - places[n:, 2]
-        self._couple(forces, t, controls, (R_wb, omega, velocity), elsewhere, depths, entering)
+        self._couple(forces, t, controls, (R_wb, position, omega, velocity), elsewhere, depths, entering)
         self._last = (state, forces)
         return forces
 
@@ -323,19 +350,23 @@ class Afloat(Environment):
         ``water``: at the points of the hull's `response` and at its propulsors; ``depths`` of these places.
         """
         hull = self.data
-        R_wb, omega, velocity = body
+        R_wb, position, omega, velocity = body
         flows, n = water.velocity @ R_wb, len(self.response.points)
-        if np.any(hull.added_mass):
-            added = forces.immersion * self.added_mass
+        if np.any(self.added_mass_at_rest):
             through = np.concatenate([omega, velocity]) - self.response.twist(flows[:n])
-            momentum = added @ through
+            slow = self.added_mass if self.seakeeping is None else self.seakeeping.slow
+            momentum = forces.immersion * slow @ through
             # Kirchhoff's equations in the waterplane, for the motion through the water. Perpendicular to it they would
             # pitch a fast hull out of the water; in reality its stern sheds the flow.
             x, y, turn = momentum[3], momentum[4], omega[2]
             forces.wrench[2:5] += x * through[4] - y * through[3], y * turn, -x * turn
-            # the water's own acceleration, in the axes that turn with the body, carries the hull along
-            change = water.acceleration[:n] @ R_wb - cross(omega, flows[:n])
-            forces.wrench += added @ self.response.twist(change)
+            if self.seakeeping is not None:
+                waves = self.seakeeping.wrench(t, R_wb, position, np.concatenate([omega, velocity]), through)
+                forces.wrench += forces.immersion * waves
+            if self.seakeeping is None or not self.seakeeping.complete:
+                # the water's own acceleration, in the axes that turn with the body, carries the hull along
+                change = water.acceleration[:n] @ R_wb - cross(omega, flows[:n])
+                forces.wrench += forces.immersion * self.added_mass @ self.response.twist(change)
             # water set in motion (von Karman); a hull that leaves takes its water along
             if forces.immersion < 1 and entering > 0:
                 forces.wrench -= entering / self.rest_volume * self.added_mass @ through

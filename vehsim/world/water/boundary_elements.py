@@ -1,0 +1,212 @@
+"""`Coefficients` of a hull from Capytaine, a boundary element method for waves (Ancellin and Dias 2019).
+
+Panels are the hull's triangles below its waterline at rest; a lid on the water inside the hull removes irregular
+frequencies.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import warnings
+from collections.abc import Iterator
+from hashlib import sha256
+from importlib.util import find_spec
+from io import BytesIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.constants import GRAVITY, SEA_WATER
+from vehsim.errors import InputError
+from vehsim.runtime.cache import lookup, store
+from vehsim.runtime.progress import Progress
+from vehsim.vehicles.definition.coefficients import Coefficients
+from vehsim.world.water.hull_mesh import HullMesh, wetted
+from vehsim.world.water.memory import Radiation, fitted
+
+Array = NDArray[np.float64]
+
+LENGTHS = (0.25, 24.0)
+"""Shortest and longest waves, over the hull's length."""
+FREQUENCIES = 40
+HEADINGS = 40
+"""Enough for the phases of the shortest waves along the hull."""
+EXTRA, FINEST, SHARP = 30, 8, 0.1
+"""Most frequencies that are added where a coefficient has a sharp peak, their spacing over the usual one, and the error
+of an interpolation, over the largest value, that asks for them."""
+PANELS = 1000
+"""Most panels: the time grows with the square of their number."""
+SIMPLE = 400
+"""Faces of the hull before it is divided into panels."""
+KIND = "hydro-2"
+"""Of cached results: change it when the method changes."""
+TWIST = [3, 4, 5, 0, 1, 2]
+"""Capytaine's order of the modes, in a twist."""
+MIRROR = np.array([-1.0, 1.0, -1.0, 1.0, -1.0, 1.0])
+"""Signs of a twist in the mirror."""
+ALIKE = 1e-3
+"""Deviation of a hull from its mirror image, over its size."""
+SPECK = 1e-6
+"""Points closer than this share of the hull's length are one."""
+
+
+def available() -> bool:
+    """Whether Capytaine is installed."""
+    return find_spec("capytaine") is not None
+
+
+def panels(hull: HullMesh, height: float) -> tuple[Array, NDArray[np.int64]]:
+    """Points (n, 3) m and triangles (m, 3) of the wetted surface of a ``hull`` about the body frame's origin, which is
+    ``height`` m above the water, at height 0."""
+    size = float(np.ptp(hull.points, axis=0).max())
+    coarse, edge, found = hull.simplified(SIMPLE), size / 4, None
+    while True:
+        mesh = coarse.refined(edge)
+        corners = wetted(np.column_stack([mesh.points, -height - mesh.points[:, 2]]), mesh.faces).corners
+        if found is not None and (len(corners) > PANELS or edge < size / 200):
+            break
+        found, edge = corners, edge / 2**0.25
+    places = found.reshape(-1, 3) + np.array([0.0, 0.0, height])
+    places[:, 2] = np.minimum(places[:, 2], 0.0)
+    places[np.abs(places[:, 2]) < SPECK * size, 2] = 0.0
+    _, first, faces = np.unique(np.round(places / (SPECK * size)), axis=0, return_index=True, return_inverse=True)
+    faces = faces.reshape(-1, 3)
+    a, b, c = faces.T
+    return places[first], faces[(a != b) & (b != c) & (c != a)]
+
+
+def coefficients(hull: HullMesh, height: float, progress: Progress | None = None) -> Coefficients:
+    """Those of a ``hull`` about the body frame's origin, which is ``height`` m above the water, from the cache if they
+    were computed before. Raises ``InputError`` if Capytaine is not installed."""
+    key = _key(hull, height)
+    kept = lookup(KIND, key)
+    if kept is not None:
+        with np.load(BytesIO(kept), allow_pickle=False) as arrays:
+            return Coefficients.of(dict(arrays), hull.name)
+    found = _computed(hull, height, SEA_WATER, progress)
+    store(KIND, key, found.content)
+    return found
+
+
+def _key(hull: HullMesh, height: float) -> str:
+    """A hash of all that they depend on."""
+    digest = sha256(repr((f"{height:.6g}", LENGTHS, FREQUENCIES, HEADINGS, PANELS, SIMPLE)).encode())
+    for part in (np.round(hull.points, 9) + 0.0, hull.faces):
+        digest.update(np.ascontiguousarray(part).tobytes())
+    return digest.hexdigest()
+
+
+def _computed(hull: HullMesh, height: float, density: float, progress: Progress | None) -> Coefficients:
+    if not available():
+        raise InputError("Capytaine is not installed", "pip install 'vehsim[hydro]'", key="hydro", value=hull.name)
+    import capytaine
+
+    points, faces = panels(hull, height)
+    origin = (0.0, 0.0, height)
+    size = float(np.ptp(points[:, :2], axis=0).max())
+    low, high = np.sqrt(2 * np.pi * GRAVITY / (size * np.array(LENGTHS[::-1])))
+    omega = np.linspace(low, high, FREQUENCIES)
+    rows: dict[float, tuple[Array, ...]] = {}
+    headings = 2 * np.pi * np.arange(HEADINGS) / HEADINGS
+    with _quiet():
+        mesh = capytaine.Mesh(points, np.column_stack([faces, faces[:, 2]]))
+        body = capytaine.FloatingBody(
+            mesh,
+            lid_mesh=mesh.generate_lid(),
+            dofs=capytaine.rigid_body_dofs(rotation_center=origin),
+            center_of_mass=origin,
+        )
+        solver, modes = capytaine.BEMSolver(), [list(body.dofs)[k] for k in TWIST]
+        options = {"progress_bar": False, "_check_wavelength": False}
+        common = {"body": body, "rho": density, "g": GRAVITY}
+
+        def solved(w: float) -> tuple[Array, ...]:
+            """Added mass and damping (6, 6), pressure and diffraction (headings, 6)."""
+            if progress:
+                progress("hydro: waves", min(len(rows) / (FREQUENCIES + EXTRA + 1), 1.0))
+            moving = [capytaine.RadiationProblem(radiating_dof=mode, omega=w, **common) for mode in modes]
+            moved = solver.solve_all(moving, **options)
+            added = np.array([[row.added_mass[mode] for mode in modes] for row in moved])
+            if w == np.inf:
+                return (added,)
+            damping = np.array([[row.radiation_damping[mode] for mode in modes] for row in moved])
+            held = [capytaine.DiffractionProblem(wave_direction=b, omega=w, **common) for b in headings]
+            forces = [[row.forces[mode] for mode in modes] for row in solver.solve_all(held, **options)]
+            waves = [capytaine.bem.airy_waves.froude_krylov_force(problem) for problem in held]
+            return added, damping, np.array([[row[mode] for mode in modes] for row in waves]), np.array(forces)
+
+        (infinite,) = solved(np.inf)
+        wanted = omega
+        while len(wanted) and len(rows) + len(wanted) <= FREQUENCIES + EXTRA:
+            for w in wanted:
+                rows[float(w)] = solved(float(w))
+            omega = np.array(sorted(rows))
+            wanted = peaks(omega, np.array([rows[w][1] for w in omega]), (high - low) / FREQUENCIES / FINEST)
+    added, damping, pressure, diffraction = (np.array([rows[w][k] for w in omega]) for k in range(4))
+    if progress:
+        progress("hydro: memory", 1.0)
+    added, damping = (_rounded((each + np.swapaxes(each, 1, 2)) / 2) for each in (added, damping))
+    infinite = _rounded((infinite + infinite.T) / 2)
+    if symmetric(hull):
+        added, damping, infinite = ((each + MIRROR[:, None] * each * MIRROR) / 2 for each in (added, damping, infinite))
+        other = -np.arange(HEADINGS) % HEADINGS
+        pressure, diffraction = ((each + each[:, other] * MIRROR) / 2 for each in (pressure, diffraction))
+    memory = fitted(Radiation(omega, damping, added - infinite))
+    if memory is None:
+        warnings.warn(f"{hull.name}: no model of its radiated waves is good enough: give physics.damping", stacklevel=3)
+    return Coefficients(
+        omega=omega,
+        headings=headings,
+        added=added,
+        damping=damping,
+        infinite=infinite,
+        pressure=_rounded(pressure),
+        diffraction=_rounded(diffraction),
+        density=density,
+        height=height,
+        memory=memory,
+    )
+
+
+def symmetric(hull: HullMesh) -> bool:
+    """Whether port and starboard are mirror images; panels are not, so their coefficients couple heave with roll."""
+    import igl
+
+    mirrored = hull.points * [1.0, -1.0, 1.0]
+    squares = igl.point_mesh_squared_distance(mirrored, hull.points, hull.faces)[0]
+    return bool(np.sqrt(squares.max()) < ALIKE * np.ptp(hull.points, axis=0).max())
+
+
+def peaks(omega: Array, damping: Array, finest: float) -> Array:
+    """Frequencies (k,) between ``omega`` (n,) rad/s, not closer than ``finest``: those that are needed because the
+    ``damping`` (n, 6, 6) at one does not follow from that at the others."""
+    from scipy.interpolate import CubicSpline
+
+    values = np.einsum("nii->ni", damping)
+    values = values / np.maximum(np.abs(values).max(axis=0), 1e-300)
+    sharp = set()
+    for k in range(1, len(omega) - 1):
+        others = np.delete(np.arange(len(omega)), k)
+        if np.abs(CubicSpline(omega[others], values[others])(omega[k]) - values[k]).max() > SHARP:
+            sharp |= {k - 1, k}
+    chosen = [(omega[k] + omega[k + 1]) / 2 for k in sorted(sharp) if omega[k + 1] - omega[k] > finest]
+    return np.array(chosen)
+
+
+def _rounded(values: NDArray) -> NDArray:
+    """Numbers with seven digits of the largest of the same mode: the same on every machine, as far as possible."""
+    unit = 10.0 ** (np.floor(np.log10(max(float(np.abs(values).max()), 1e-300))) - 9)
+    return np.round(values / unit) * unit
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Without Capytaine's messages."""
+    log = logging.getLogger("capytaine")
+    level = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        log.setLevel(level)

@@ -1,0 +1,235 @@
+"""The memory of the water: a state-space model of the waves that a hull radiates.
+
+The kernel of Cummins' equation follows from the damping, ``K(t) = 2 / pi integral B(w) cos(w t) dw`` (Ogilvie 1964).
+The eigensystem realization of its samples (Juang and Pappa 1985) gives poles and inputs; the outputs are fitted to
+damping and added mass by least squares, such that a constant velocity has no force.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehsim.vehicles.definition.coefficients import Memory
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+POWERS = (0.5, 1, 2, 4, 8)
+"""Above the highest frequency, damping falls with a sum of these powers of it, which agrees with the added mass."""
+HIGHEST = 4.0
+"""Up to this multiple of the highest frequency, where damping is negligible."""
+FINE = 3
+"""Samples of the kernel per half period of the highest frequency."""
+LONG = 0.5
+"""Length of the kernel, over the period of the difference of two frequencies: later values are not known."""
+MOST = 240
+"""Most samples of the kernel, halved."""
+ORDERS = (4, 6, 8, 10, 12, 16, 20, 24, 28, 32, 40, 48, 56, 64)
+"""Orders that are tried, until the error is at most `ERROR`; it must not be larger than `WORST`."""
+ERROR, WORST = 0.005, 0.03
+SPREADS, GAIN = (0.0, 0.5, 1.0, 2.0, 4.0), 0.03
+"""Widths of peaks in spacings of the frequencies that are tried, until no motion gains more than this."""
+FAINT = 0.02
+"""The error is relative to the force at each frequency, down to this share of the largest."""
+GUESSED = 0.1
+"""Weight of frequencies above the highest in the fit."""
+WEAK = 1e-6
+"""Modes with less damping than this share of the strongest, over a lever arm that makes them alike, are left out."""
+
+
+@dataclass(frozen=True, eq=False)
+class Radiation:
+    """``damping`` (n, 6, 6) at ``omega`` (n,) rad/s, and the ``excess`` (n, 6, 6) of the added mass over that at
+    infinite frequency: at all frequencies, as functions."""
+
+    omega: Array
+    damping: Array
+    excess: Array
+
+    @cached_property
+    def within(self) -> Callable[[Array], Array]:
+        """The damping (m, 6, 6) up to the highest frequency: a cubic spline from zero at frequency zero."""
+        from scipy.interpolate import CubicSpline
+
+        knots, values = np.concatenate([[0.0], self.omega]), np.concatenate([np.zeros((1, 6, 6)), self.damping])
+        return CubicSpline(knots, values)  # type: ignore[no-any-return]
+
+    def spread(self, width: float) -> Radiation:
+        """With every frequency's damping spread over ``width`` spacings."""
+        w = self.omega
+        share = [np.exp(-0.5 * ((w[:, None] + sign * w) / (width * np.diff(w).mean())) ** 2) for sign in (-1, 1)]
+        damping = np.einsum("mn,nij->mij", share[0] + share[1], self.damping)
+        return Radiation(w, damping / (share[0] + share[1]).sum(axis=1)[:, None, None], self.excess)
+
+    @cached_property
+    def _tail(self) -> Array:
+        """Coefficients (powers, 6, 6) above it, such that ``excess = 2 / pi integral B(v) / (v^2 - w^2) dv`` (Kramers
+        and Kronig) holds well below it."""
+        from scipy.optimize import nnls
+
+        top, used = self.omega[-1], self.omega < 0.8 * self.omega[-1]
+        w = self.omega[used, None]
+        v = top * (np.arange(2000) + 0.5) / 2000
+        smooth = (self.within(v)[None] - self.damping[used, None]) / (v**2 - w**2)[:, :, None, None]
+        principal = np.log((top - w) / (top + w)) / (2 * w)
+        known = smooth.sum(axis=1) * top / 2000 + principal[:, :, None] * self.damping[used]
+        rest = (np.pi / 2 * self.excess[used] - known).reshape(-1, 36)
+        x, weights = _trapezoid(1.0, 60.0, 6000)
+        parts = weights * x ** -np.array(POWERS)[:, None] @ (1 / ((top * x[:, None]) ** 2 - w.T**2)) * top
+        last = self.damping[-1].reshape(36)
+        more = np.linalg.lstsq((parts[1:] - parts[0]).T, rest - np.outer(parts[0], last), rcond=1e-3)[0]
+        found = np.concatenate([last[None] - more.sum(axis=0), more]).reshape(-1, 6, 6)
+        for i in range(6):  # no motion gains energy
+            scale = max(float(np.linalg.norm(rest[:, 7 * i])), 1e-300)
+            rows = np.vstack([parts.T / scale, np.full(len(POWERS), 1e3 / max(last[7 * i], 1e-300))])
+            found[:, i, i] = nnls(rows, np.append(rest[:, 7 * i] / scale, 1e3))[0]
+        return found
+
+    def above(self, omega: Array) -> Array:
+        """The damping (m, 6, 6) above the highest frequency."""
+        share = (self.omega[-1] / omega) ** np.array(POWERS)[:, None]
+        return np.einsum("pm,pij->mij", share, self._tail)
+
+    def kernel(self, times: Array) -> Array:
+        """``K`` (m, 6, 6) at ``times`` (m,) s."""
+        top = self.omega[-1]
+        step = min(np.diff(self.omega).min() / 8, np.pi / 8 / max(float(np.max(times)), 1e-9))
+        found = np.zeros((len(times), 36))
+        for of, low, high in ((self.within, 0.0, top), (self.above, top, 5 * HIGHEST * top)):
+            w, weights = _trapezoid(low, high, int(np.ceil((high - low) / step)))
+            found += np.cos(np.multiply.outer(times, w)) @ (weights[:, None] * of(w).reshape(-1, 36))
+        return 2 / np.pi * found.reshape(-1, 6, 6)
+
+
+def _trapezoid(low: float, high: float, count: int) -> tuple[Array, Array]:
+    """Places and weights of the trapezoidal rule."""
+    places = np.linspace(low, high, count + 1)
+    weights = np.full(count + 1, (high - low) / count)
+    weights[[0, -1]] /= 2
+    return places, weights
+
+
+def fitted(radiation: Radiation) -> Memory | None:
+    """A model of the radiation, with stable poles, in which no motion gains energy; None: there is none.
+
+    Waves that ring between two hulls for longer than the frequencies resolve are damped: their peaks are spread out.
+    """
+    for spread in SPREADS:
+        model = _model(radiation.spread(spread) if spread else radiation, known=not spread)
+        if model is not None:
+            return model
+    return None
+
+
+def gain(memory: Memory, top: float) -> float:
+    """The greatest negative damping up to ``top`` rad/s, of any motion, over the greatest damping."""
+    omega = np.linspace(0, top, 400)
+    found = memory.transfer(omega).real
+    size = np.sqrt(np.maximum(np.abs(np.einsum("nii->ni", found)).max(axis=0), 1e-300))
+    found = (found + np.swapaxes(found, 1, 2)) / 2 / np.multiply.outer(size, size)
+    return float(-np.linalg.eigvalsh(found).min())
+
+
+def _model(radiation: Radiation, known: bool) -> Memory | None:
+    """``known``: whether the added mass agrees with the damping. None: no order is good enough."""
+    omega, damping, excess = radiation.omega, radiation.damping, radiation.excess
+    most = np.abs(np.einsum("nii->ni", damping)).max(axis=0)
+    arm = np.sqrt(most[:3].max() / max(most[3:].max(), 1e-300))
+    used = most > WEAK * most[3:].max() * np.array([arm, arm, arm, 1, 1, 1]) ** 2
+    size = np.where(used, np.sqrt(np.maximum(most, 1e-300)), np.inf)
+    units = np.multiply.outer(size, size)
+    step = np.pi / omega[-1] / FINE
+    count = min(int(LONG * 2 * np.pi / np.diff(omega).min() / step) // 2, MOST)
+    samples = radiation.kernel(step * np.arange(2 * count)) / units
+    index = np.add.outer(np.arange(count), np.arange(count))
+
+    def hankel(first: int) -> Array:
+        return np.asarray(
+            samples[np.minimum(index + first, 2 * count - 1)].transpose(0, 2, 1, 3).reshape(6 * count, -1)
+        )
+
+    above = omega[-1] * np.linspace(1, HIGHEST, len(omega) // 2 + 1)[1:]
+    wanted = np.concatenate([damping + 1j * omega[:, None, None] * excess, radiation.above(above)]) / units
+    every, inside = np.concatenate([omega, above]), np.arange(len(omega) + len(above)) < len(omega)
+    size_of = np.linalg.norm(wanted, axis=(1, 2))
+    relative = 1 / (FAINT + size_of / size_of.max())
+    weights = relative * np.stack([np.where(inside, 1.0, GUESSED), np.where(inside & known, 1.0, 0.0)])
+    left, strength, right = np.linalg.svd(hankel(0), full_matrices=False)
+    shifted, best = hankel(1), None
+    whole = float(np.linalg.norm(wanted[inside] if known else damping / units))
+    for order in ORDERS:
+        root = np.sqrt(strength[:order])
+        system = (left[:, :order] / root).T @ shifted @ (right[:order].T / root)
+        values, vectors = np.linalg.eig(system)
+        inputs = np.linalg.solve(vectors, (root[:, None] * right[:order, :6]).astype(complex))
+        stable = (np.abs(values) < 1) & (values.imag >= 0) & (np.abs(np.angle(values)) < 0.9 * np.pi)
+        poles, inputs = np.log(values[stable]) / step, inputs[stable]
+        outputs = _outputs(poles, inputs, every, wanted, weights)
+        wrong = Memory(poles, inputs, outputs).transfer(omega) - wanted[inside]
+        miss = float(np.linalg.norm(wrong if known else wrong.real)) / whole
+        scale = np.where(used, size, 0.0)
+        model = Memory(poles, inputs * scale, outputs * scale[:, None])
+        if (best is None or miss < best[0]) and gain(model, omega[-1]) < GAIN:
+            best = miss, model
+        if best is not None and best[0] <= ERROR:
+            break
+    return None if best is None or best[0] > WORST else best[1]
+
+
+def _outputs(poles: Complex, inputs: Complex, omega: Array, wanted: NDArray[Any], weights: Array) -> Complex:
+    """Weighted least squares (6, n) for the Fourier transform (m, 6, 6) of a kernel, whose integral is zero."""
+
+    def of(s: Array) -> tuple[Complex, Complex]:
+        """Factors (6 m, n) of the outputs' real and imaginary parts in the transform."""
+        one, two = (
+            (inputs_of.T / (1j * s[:, None, None] - poles_of)).reshape(-1, len(poles)) / 2
+            for poles_of, inputs_of in ((poles, inputs), (poles.conj(), inputs.conj()))
+        )
+        return one + two, 1j * (one - two)
+
+    rows = np.concatenate(of(omega), axis=1)
+    _, s, v = np.linalg.svd(np.concatenate(of(np.zeros(1)), axis=1).real)
+    free = v[int((s > 1e-9 * s.max()).sum()) :].T
+    rows = np.concatenate([rows.real, rows.imag]) @ free
+    target = wanted.transpose(0, 2, 1).reshape(-1, 6)
+    weight = np.concatenate([np.repeat(part, 6) for part in weights])[:, None]
+    found = free @ np.linalg.lstsq(weight * rows, weight * np.concatenate([target.real, target.imag]), rcond=1e-12)[0]
+    n = len(poles)
+    return np.asarray(found[:n] + 1j * found[n:]).T
+
+
+@dataclass(eq=False)
+class Remembered:
+    """The state of a `Memory` while a hull moves: ``x`` (n,), complex, at ``time`` s, when the twist was ``twist``."""
+
+    memory: Memory
+    time: float = np.inf
+    x: NDArray[np.complex128] | None = None
+    twist: Array | None = None
+
+    def wrench(self, t: float, twist: Array) -> Array:
+        """The wrench (6,) at ``t`` s on a hull with a ``twist`` (6,) that changed linearly since the last call: exact.
+
+        An earlier time than that of the last call begins anew, without memory.
+        """
+        poles, h = self.memory.poles, t - self.time
+        if self.x is None or self.twist is None or h < 0:
+            self.x = np.zeros(len(poles), complex)
+        elif h > 0:
+            z = poles * h
+            grown = np.exp(z)
+            # integrals of exp(poles (h - s)) and of exp(poles (h - s)) s / h; by their series if z is small
+            near = np.abs(z) < 1e-2
+            safe = np.where(near, 1.0, z)
+            flat = np.where(near, 1 + z / 2 + z**2 / 6 + z**3 / 24, (grown - 1) / safe)
+            rising = np.where(near, 0.5 + z / 6 + z**2 / 24 + z**3 / 120, (grown - 1 - z) / safe**2)
+            before, after = self.memory.inputs @ self.twist, self.memory.inputs @ twist
+            self.x = grown * self.x + h * (flat * before + rising * (after - before))
+        self.time, self.twist = t, np.array(twist, float)
+        return -(self.memory.outputs @ self.x).real
