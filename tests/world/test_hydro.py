@@ -23,7 +23,7 @@ from vehsim.vehicles.definition.coefficients import Coefficients, Memory
 from vehsim.world.water.boundary_elements import available, peaks
 from vehsim.world.water.buoyancy import Afloat
 from vehsim.world.water.hull_mesh import HullMesh
-from vehsim.world.water.memory import Radiation, Remembered, fitted, gain
+from vehsim.world.water.memory import WEAK, Radiation, Remembered, fitted, gain
 from vehsim.world.water.water import wave
 from vehsim.world.world import Water, World
 
@@ -48,7 +48,7 @@ def afloat(name, waves=None):
 
 
 def radiation(found):
-    return Radiation(found.omega, found.damping, found.added - found.infinite)
+    return Radiation(found.omega, found.damping, found.added)
 
 
 def moving(omega, seconds=60.0, step=0.02):
@@ -92,15 +92,17 @@ def test_a_memory_begins_anew_at_an_earlier_time():
 
 @pytest.mark.parametrize("name", HULLS)
 def test_memory_is_the_convolution_within_two_percent(name):
-    """Over 60 s, with all modes moving at once. The roll of the pontoon, which damps it little, within 8 % here
-    and 17 % in other motions."""
+    """Over 60 s, with all modes moving at once, and with each alone. The pontoon's roll alone, which radiates hardly
+    any waves, within 3 %."""
     found = coefficients(name)
     t, twists = moving(found.omega)
-    wanted = convolved(radiation(found).kernel(t), twists, t[1])
-    error = remembered(found.memory, t, twists) - wanted
-    moved = np.linalg.norm(wanted, axis=0) > 1e-3 * np.linalg.norm(wanted[:, 3:])
-    bound = np.array([0.08 if name == "pontoon" else 0.02, *5 * [0.02]])
-    np.testing.assert_array_less((np.linalg.norm(error, axis=0) / np.linalg.norm(wanted, axis=0))[moved], bound[moved])
+    kernel, size = radiation(found).kernel(t), np.abs(np.einsum("nii->ni", found.damping)).max(axis=0)
+    felt = size > WEAK * size[3:].max()
+    for chosen in (np.ones(6), *np.eye(6)[felt]):
+        wanted = convolved(kernel, twists * chosen, t[1])
+        error = np.linalg.norm(remembered(found.memory, t, twists * chosen) - wanted, axis=0)
+        moved, share = (chosen > 0) & felt, 0.03 if name == "pontoon" and chosen.sum() == 1 else 0.02
+        np.testing.assert_array_less(error[moved], share * np.linalg.norm(wanted, axis=0)[moved])
 
 
 @pytest.mark.parametrize("name", HULLS)

@@ -39,7 +39,7 @@ PANELS = 1000
 """Most panels: the time grows with the square of their number."""
 SIMPLE = 400
 """Faces of the hull before it is divided into panels."""
-KIND = "hydro-2"
+KIND = "hydro-3"
 """Of cached results: change it when the method changes."""
 TWIST = [3, 4, 5, 0, 1, 2]
 """Capytaine's order of the modes, in a twist."""
@@ -152,7 +152,8 @@ def _computed(hull: HullMesh, height: float, density: float, progress: Progress 
         added, damping, infinite = ((each + MIRROR[:, None] * each * MIRROR) / 2 for each in (added, damping, infinite))
         other = -np.arange(HEADINGS) % HEADINGS
         pressure, diffraction = ((each + each[:, other] * MIRROR) / 2 for each in (pressure, diffraction))
-    memory = fitted(Radiation(omega, damping, added - infinite))
+    radiation = Radiation(omega, damping, added)
+    memory = fitted(radiation)
     if memory is None:
         warnings.warn(f"{hull.name}: no model of its radiated waves is good enough: give physics.damping", stacklevel=3)
     return Coefficients(
@@ -160,7 +161,7 @@ def _computed(hull: HullMesh, height: float, density: float, progress: Progress 
         headings=headings,
         added=added,
         damping=damping,
-        infinite=infinite,
+        infinite=_rounded(radiation.infinite),
         pressure=_rounded(pressure),
         diffraction=_rounded(diffraction),
         density=density,

@@ -20,7 +20,7 @@ from vehsim.vehicles.definition.coefficients import Memory
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-POWERS = (0.5, 1, 2, 4, 8)
+POWERS = (2, 4, 8)
 """Above the highest frequency, damping falls with a sum of these powers of it, which agrees with the added mass."""
 HIGHEST = 4.0
 """Up to this multiple of the highest frequency, where damping is negligible."""
@@ -45,12 +45,22 @@ WEAK = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Radiation:
-    """``damping`` (n, 6, 6) at ``omega`` (n,) rad/s, and the ``excess`` (n, 6, 6) of the added mass over that at
-    infinite frequency: at all frequencies, as functions."""
+    """``damping`` (n, 6, 6) and ``added`` mass (n, 6, 6) at ``omega`` (n,) rad/s: at all frequencies, as functions."""
 
     omega: Array
     damping: Array
-    excess: Array
+    added: Array
+
+    @property
+    def infinite(self) -> Array:
+        """The added mass (6, 6) at infinite frequency that agrees with the damping (Ogilvie 1964). That of a panel
+        method does not: its error, small beside the added mass, may be large beside what varies with the frequency."""
+        return self._fit[1]
+
+    @property
+    def excess(self) -> Array:
+        """Of the added mass (n, 6, 6) over that at infinite frequency."""
+        return self.added - self.infinite
 
     @cached_property
     def within(self) -> Callable[[Array], Array]:
@@ -65,12 +75,13 @@ class Radiation:
         w = self.omega
         share = [np.exp(-0.5 * ((w[:, None] + sign * w) / (width * np.diff(w).mean())) ** 2) for sign in (-1, 1)]
         damping = np.einsum("mn,nij->mij", share[0] + share[1], self.damping)
-        return Radiation(w, damping / (share[0] + share[1]).sum(axis=1)[:, None, None], self.excess)
+        return Radiation(w, damping / (share[0] + share[1]).sum(axis=1)[:, None, None], self.added)
 
     @cached_property
-    def _tail(self) -> Array:
-        """Coefficients (powers, 6, 6) above it, such that ``excess = 2 / pi integral B(v) / (v^2 - w^2) dv`` (Kramers
-        and Kronig) holds well below it."""
+    def _fit(self) -> tuple[Array, Array]:
+        """Coefficients (powers, 6, 6) of the damping above the highest frequency, and the added mass (6, 6) at infinite
+        frequency, such that ``excess = 2 / pi integral B(v) / (v^2 - w^2) dv`` (Kramers and Kronig) holds well below
+        it."""
         from scipy.optimize import nnls
 
         top, used = self.omega[-1], self.omega < 0.8 * self.omega[-1]
@@ -79,22 +90,30 @@ class Radiation:
         smooth = (self.within(v)[None] - self.damping[used, None]) / (v**2 - w**2)[:, :, None, None]
         principal = np.log((top - w) / (top + w)) / (2 * w)
         known = smooth.sum(axis=1) * top / 2000 + principal[:, :, None] * self.damping[used]
-        rest = (np.pi / 2 * self.excess[used] - known).reshape(-1, 36)
+        middle = self.added[used].mean(axis=0)
+        rest = (np.pi / 2 * (self.added[used] - middle) - known).reshape(-1, 36)
         x, weights = _trapezoid(1.0, 60.0, 6000)
         parts = weights * x ** -np.array(POWERS)[:, None] @ (1 / ((top * x[:, None]) ** 2 - w.T**2)) * top
         last = self.damping[-1].reshape(36)
-        more = np.linalg.lstsq((parts[1:] - parts[0]).T, rest - np.outer(parts[0], last), rcond=1e-3)[0]
-        found = np.concatenate([last[None] - more.sum(axis=0), more]).reshape(-1, 6, 6)
+        level = np.abs(parts).max()  # of the column of the constant: as large as the others
+        rows = np.column_stack([(parts[1:] - parts[0]).T, np.full(len(w), level)])
+        *more, offset = np.linalg.lstsq(rows, rest - np.outer(parts[0], last), rcond=1e-3)[0]
+        found = np.concatenate([[last - np.sum(more, axis=0)], more]).reshape(-1, 6, 6)
+        offset = offset.reshape(6, 6)
         for i in range(6):  # no motion gains energy
             scale = max(float(np.linalg.norm(rest[:, 7 * i])), 1e-300)
-            rows = np.vstack([parts.T / scale, np.full(len(POWERS), 1e3 / max(last[7 * i], 1e-300))])
-            found[:, i, i] = nnls(rows, np.append(rest[:, 7 * i] / scale, 1e3))[0]
-        return found
+            known_last = np.append(np.full(len(POWERS), 1e3 / max(last[7 * i], 1e-300)), [0, 0])
+            rows = np.vstack(
+                [np.column_stack([parts.T, *level * np.outer([1, -1], np.ones(len(w)))]) / scale, known_last]
+            )
+            *found[:, i, i], up, down = nnls(rows, np.append(rest[:, 7 * i] / scale, 1e3))[0]
+            offset[i, i] = up - down
+        return found, middle + 2 / np.pi * level * offset
 
     def above(self, omega: Array) -> Array:
         """The damping (m, 6, 6) above the highest frequency."""
         share = (self.omega[-1] / omega) ** np.array(POWERS)[:, None]
-        return np.einsum("pm,pij->mij", share, self._tail)
+        return np.einsum("pm,pij->mij", share, self._fit[0])
 
     def kernel(self, times: Array) -> Array:
         """``K`` (m, 6, 6) at ``times`` (m,) s."""
