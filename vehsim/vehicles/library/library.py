@@ -302,8 +302,8 @@ def _warn_restless(path: Path, vehicle: Any) -> None:
     usual = {"damping": DAMPING * vehicle.mass, "added_mass": ADDED_MASS * np.diag(vehicle.inertia)}
     remedy = ", ".join(f"{key} = [{', '.join(f'{x:.3g}' for x in row)}]" for key, row in usual.items())
     warnings.warn(
-        f"{path}: physics.damping: missing: without it a boat never comes to rest; begin with {remedy}, impact = 1; "
-        "or compute them: vehsim hydro (pip install 'vehsim[hydro]')",
+        f"{path}: physics.damping: missing: without it a boat never comes to rest; compute it with vehsim hydro "
+        f"(pip install 'vehsim[hydro]'), or begin with {remedy}, impact = 1",
         stacklevel=5,
     )
 
