@@ -68,14 +68,22 @@ def local_origin(place: Array) -> Array:
     return COARSE * np.round(place / COARSE) if np.abs(place).max() > FAR else np.zeros(3)
 
 
-def author_points(mesh: Any, points: Array) -> None:
-    """The points (n, 3) m of a mesh, and its extent; far from the origin, relative to a translation of the mesh."""
-    from pxr import Gf, Vt
+def author_origin(prim: Any, place: Array) -> Array:
+    """Translate a prim whose points are near ``place`` (3,) m if they are far from the origin; returns the translation
+    (3,), to which its points refer."""
+    from pxr import Gf
 
-    origin = local_origin(points.mean(axis=0))
+    origin = local_origin(place)
     if origin.any():
-        mesh.AddTranslateOp().Set(Gf.Vec3d(*origin.tolist()))
-    single = (points - origin).astype(np.float32)
+        prim.AddTranslateOp().Set(Gf.Vec3d(*origin.tolist()))
+    return origin
+
+
+def author_points(mesh: Any, points: Array) -> None:
+    """The points (n, 3) m of a mesh, and its extent; see `author_origin`."""
+    from pxr import Vt
+
+    single = (points - author_origin(mesh, points.mean(axis=0))).astype(np.float32)
     mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(single))
     mesh.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(np.stack([single.min(axis=0), single.max(axis=0)])))
 

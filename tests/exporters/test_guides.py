@@ -58,6 +58,26 @@ def test_the_force_arrow_points_into_the_bend_and_carries_the_weight(tmp_path, t
     assert np.allclose(tip - root, expected, atol=0.02)
 
 
+def test_at_utm_coordinates_they_are_where_the_motion_is(tmp_path, toys, make_take):
+    """Single precision resolves 0.5 m there."""
+    from pxr import Gf, UsdGeom
+
+    far = np.array([500_000.25, 4_212_000.5, 130.0])
+    event = {"kind": "contact", "with": "dock", "time": 0.5, "place": far, "speed": 1.0, "impulse": 40.0}
+    places = toys.clip(toys.asset(tmp_path / "in" / "toy.usda")).positions + far
+    clip, _, prims = write(tmp_path, toys, make_take, events=(event,), positions=places)
+
+    def points(name, frame):
+        T = UsdGeom.XformCache(frame).GetLocalToWorldTransform(prims[name])
+        given = UsdGeom.PointBased(prims[name]).GetPointsAttr().Get(frame)
+        return np.array([T.Transform(Gf.Vec3d(*map(float, point))) for point in given])
+
+    assert np.abs(points("toy0_path", 1001) - clip.positions).max() < 1e-3
+    assert np.abs(points("toy0_contacts", 1001) - far).max() < 1e-3
+    for frame, place in zip(clip.frames.tolist(), clip.positions, strict=True):
+        assert np.abs(points("toy0_force", frame)[0] - place).max() < 1e-3
+
+
 def test_contacts_have_place_frame_and_impulse(tmp_path, toys, make_take):
     from pxr import UsdGeom
 

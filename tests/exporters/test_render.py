@@ -14,6 +14,8 @@ from vehsim.errors import InputError
 from vehsim.exporters.pictures.frames import render_stage
 from vehsim.exporters.pictures.render import SHADOW_REACH, StageRenderer, bounds_of, shadow_reach
 from vehsim.exporters.usd.metadata import author_points
+from vehsim.exporters.usd.scenery.finishes import FINISHES, coordinates
+from vehsim.exporters.usd.scenery.finishes import picture as tile_of
 from vehsim.exporters.usd.stage import StageReader
 from vehsim.world.world import World
 
@@ -422,8 +424,6 @@ def test_concrete_lies_on_obstacles_to_scale():
 
     from PIL import Image
 
-    from vehsim.exporters.usd.scenery.finishes import FINISHES, coordinates, picture
-
     rng = np.random.default_rng(4)
     for axis in range(3):
         normals = np.tile(np.eye(3)[axis] * [-1, 1, -1], (5, 1))
@@ -432,10 +432,24 @@ def test_concrete_lies_on_obstacles_to_scale():
         st = coordinates(corners, normals, "concrete")
         lengths = [np.linalg.norm(np.diff(x, axis=1), axis=2) for x in (corners, st * FINISHES["concrete"].tile)]
         assert np.allclose(*lengths)
-    with Image.open(io.BytesIO(picture("concrete", (0.4, 0.4, 0.4)))) as image:
+    with Image.open(io.BytesIO(tile_of("concrete", (0.4, 0.4, 0.4)))) as image:
         shade = np.asarray(image, float).mean(axis=2)
     rows = shade.mean(axis=1)
     assert set(np.argsort(rows)[:4]) == {0, 127, 128, 255}
+
+
+@pytest.mark.parametrize("finish", ["concrete", "facade", "bands"])
+def test_finishes_keep_their_scale_and_tiles_at_utm_coordinates(finish):
+    """To 1 mm in single precision, and whole tiles away from where a mesh at the origin would have them."""
+    tile, far = np.array(FINISHES[finish].tile), np.array([500_000.25, 4_212_000.5, 130.0])
+    fits = FINISHES[finish].fits  # the obstacle's height
+    for axis in range(2 if fits else 3):
+        corners = np.random.default_rng(axis).uniform(0, 30, (9, 3, 3)) + far
+        corners[..., axis] = far[axis]
+        st = coordinates(corners, np.tile(np.eye(3)[axis], (9, 1)), finish).astype(np.float32)
+        tiles = (np.delete(corners, axis, axis=2) / tile - st)[..., : 1 if fits else 2]
+        assert np.abs(tiles - np.round(tiles)).max() * tile.max() < 1e-3
+        assert np.ptp(np.round(tiles), axis=(0, 1)).max() == 0
 
 
 def test_pictures_are_the_same_at_utm_coordinates(new_stage):

@@ -20,6 +20,7 @@ from vehsim.exporters.pictures.water import places_of
 from vehsim.exporters.usd.scenery import wake, water_grid
 from vehsim.exporters.usd.scenery import water as authored
 from vehsim.exporters.usd.scenery.wake import Floating, Foam, Wake
+from vehsim.exporters.usd.scenery.water_material import PERIOD, TILE
 from vehsim.exporters.usd.stage import StageReader
 from vehsim.world.water.sea import sea_state, together
 from vehsim.world.water.water import wave
@@ -384,6 +385,22 @@ def test_depth_is_converted_to_world_places():
     assert places[2, 4] == pytest.approx([11.0, 2.0 - 0.8 * 5.0, 3.0 + 2 / 3 * 3.0])
     shifted, _ = places_of(depth, eye, forward, up, (0.5, 0.3), (near, far), shift=(0.1, -0.2))
     assert shifted - places == pytest.approx(np.broadcast_to([0.0, -1.0, -2.0], places.shape))  # right is -Y
+
+
+def test_at_utm_coordinates_it_keeps_its_points_and_its_pictures(tmp_path):
+    """Single precision resolves 0.5 m there."""
+    far = np.array([500_000.25, 4_212_000.5, 0.0])
+    clip = straight(6.0, 0.25, far)
+    world = World(water=Water(0.0, wave(0.3, 9.0, heading=2.0, choppiness=0.6)))
+    take = Take("sea", {"boat": clip}, world, (), Fraction(FPS), (1001, 1007), RenderSettings((320, 180)))
+    grid = water_grid.lay_grid(take)
+    stage = StageReader(take.export(tmp_path) / "sea.usda")
+    on, places = stage.water_net.of, authored.surfaces(take, grid, np.arange(1001.0, 1008.0))
+    for frame, surface in zip(range(1001, 1008), places, strict=True):
+        points = stage.water_at(frame)[0] + stage.origin
+        assert np.abs(points - on(surface.points)).max() < 1e-3
+    nearby = on(grid.xy) - TILE * stage.water_st()
+    assert np.abs(nearby - PERIOD * np.round(nearby[0] / PERIOD)).max() < 1e-3
 
 
 def test_the_surface_has_an_extent_at_every_frame_and_a_rest_pose(shown):

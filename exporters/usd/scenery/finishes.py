@@ -118,14 +118,15 @@ def picture(finish: str, colour: Colour) -> bytes:
 
 def coordinates(corners: Array, normals: Array, finish: str) -> Array:
     """Texture coordinates (m, 3, 2) of triangles ``corners`` (m, 3, 3) m: each projected along its normal's main
-    axis."""
-    main = np.argmax(np.abs(normals), axis=1)
+    axis. They count from a whole number of tiles nearby, because they are stored in single precision."""
+    main, tile = np.argmax(np.abs(normals), axis=1), np.array(FINISHES[finish].tile)
     across = np.array([[1, 2], [0, 2], [0, 1]])[main]
     plane = np.take_along_axis(corners, across[:, None, :].repeat(3, axis=1), axis=2)
+    plane -= np.floor(corners.min(axis=(0, 1))[across] / tile)[:, None] * tile
     if FINISHES[finish].fits:
         low, high = corners[..., 2].min(), corners[..., 2].max()
         plane[..., 1] = np.clip((corners[..., 2] - low) / (high - low), 0.002, 0.998)  # it must not repeat at the ends
-    return np.asarray(plane / FINISHES[finish].tile)
+    return np.asarray(plane / tile)
 
 
 def author_material(stage: Any, path: str, file: Path, relative: str, finish: str, colour: Colour) -> Any:

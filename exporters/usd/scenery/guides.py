@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from vehsim.constants import STANDARD_GRAVITY
 from vehsim.delivery.take import Take
-from vehsim.exporters.usd.metadata import samples
+from vehsim.exporters.usd.metadata import author_origin, local_origin, samples
 
 if TYPE_CHECKING:
     from vehsim.clip.clip import Clip
@@ -82,7 +82,8 @@ def _author_force(stage: Any, prim_path: str, clip: Clip) -> None:
     arrows = _arrows(clip.positions, force * (METRES_PER_G / STANDARD_GRAVITY))
     prim = _curves(stage, prim_path, arrows[:1], ARROW_WIDTH, FORCE)
     prim.GetPrim().SetDocumentation("the sum of all forces but weight; 2 m for each g")
-    for frame, arrow in zip(clip.frames.tolist(), arrows.astype(np.float32), strict=True):
+    near = arrows - local_origin(arrows[0].mean(axis=0))
+    for frame, arrow in zip(clip.frames.tolist(), near.astype(np.float32), strict=True):
         prim.GetPointsAttr().Set([Gf.Vec3f(*point.tolist()) for point in arrow], frame)
         prim.GetExtentAttr().Set(_extent(arrow, ARROW_WIDTH), frame)
 
@@ -140,6 +141,7 @@ def _points(stage: Any, path: str, places: Array, colour: Colour) -> Any:
 def _place(prim: Any, points: Array, width: float, colour: Colour) -> Any:
     from pxr import Gf, UsdGeom, Vt
 
+    points = points - author_origin(prim, points.mean(axis=0))
     prim.CreatePurposeAttr(UsdGeom.Tokens.guide)
     prim.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points.astype(np.float32)))
     prim.CreateWidthsAttr([width])

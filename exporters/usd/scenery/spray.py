@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.constants import GRAVITY
+from vehsim.exporters.usd.metadata import author_origin
 from vehsim.exporters.usd.scenery.wake import Floating, clip_matrices
 from vehsim.exporters.usd.scenery.water_grid import Grid
 from vehsim.exporters.usd.scenery.waterline import aboard
@@ -222,8 +223,9 @@ def _skin(vehicle: Floating, seed: int) -> Skin:
     return Skin(places, cross[face] / size[face, None], float(size.sum()) / 2 / SAMPLES)
 
 
-def author_spray(stage: object, frames: Array, drops: list[Drops]) -> None:
-    """Write ``/water/spray``: drops with velocities and widths, for every frame; nothing if there is none at all."""
+def author_spray(stage: object, frames: Array, drops: list[Drops], near: Array) -> None:
+    """Write ``/water/spray``: drops with velocities and widths, for every frame, on water around ``near`` (3,) m;
+    nothing if there is none at all."""
     from pxr import Gf, UsdGeom, Vt
 
     if not any(len(each.widths) for each in drops):
@@ -234,10 +236,10 @@ def author_spray(stage: object, frames: Array, drops: list[Drops]) -> None:
     points.SetWidthsInterpolation(UsdGeom.Tokens.vertex)
     place, velocity, extent = points.CreatePointsAttr(), points.CreateVelocitiesAttr(), points.CreateExtentAttr()
     width = points.CreateWidthsAttr()
-    empty = Drops.none()
+    empty, origin = Drops.none(), author_origin(points, near)
     for when, each in [(None, empty), *zip(frames.tolist(), drops, strict=True)]:
         at = () if when is None else (when,)
-        single = each.places.astype(np.float32)
+        single = (each.places - origin).astype(np.float32)
         place.Set(Vt.Vec3fArray.FromNumpy(single), *at)
         velocity.Set(Vt.Vec3fArray.FromNumpy(each.velocities.astype(np.float32)), *at)
         width.Set(Vt.FloatArray.FromNumpy(each.widths.astype(np.float32)), *at)

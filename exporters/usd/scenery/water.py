@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim.exporters.usd.metadata import author_stage_metadata
+from vehsim.exporters.usd.metadata import author_origin, author_stage_metadata
 from vehsim.exporters.usd.scenery.spray import Drops, Spray, author_spray
 from vehsim.exporters.usd.scenery.wake import Floating, Foam, Raised, Wake, clip_matrices
 from vehsim.exporters.usd.scenery.water_grid import Grid, lay_grid
@@ -80,21 +80,23 @@ def write_water(take: Take, folder: Path) -> list[Path]:
     author_foam(mesh)
     author_coordinates(mesh, grid.xy)
     picture = bind_material(stage, mesh, folder)
-    _set_points(points.Set, extent.Set, np.column_stack([grid.xy, np.full(len(grid.xy), water.level)]))
+    rest = np.column_stack([grid.xy, np.full(len(grid.xy), water.level)])
+    origin = author_origin(mesh, rest.mean(axis=0))
+    _set_points(points.Set, extent.Set, rest - origin)
     frames = np.arange(take.frames[0], take.frames[1] + 1, dtype=float)
     spray = []
     for frame, shown in zip(frames.tolist(), surfaces(take, grid, frames), strict=True):
         place, normals, foam, lowered, drops = shown
         spray.append(drops)
         points_at, extent_at = (partial(layer.SetTimeSample, each.GetPath(), frame) for each in (points, extent))
-        _set_points(points_at, extent_at, place)
+        _set_points(points_at, extent_at, place - origin)
         halves = Vt.Vec3hArray.FromNumpy(normals.astype(np.float16))
         layer.SetTimeSample("/water/surface.primvars:normals", frame, halves)
         for name, values in (("foam", foam), (LOWERED, lowered)):
             halves = Vt.HalfArray.FromNumpy(values.astype(np.float16))
             layer.SetTimeSample(f"/water/surface.primvars:{name}", frame, halves)
         set_foam(layer, "/water/surface", frame, patches(grid.xy.T, foam, grid.cells))
-    author_spray(stage, frames, spray)
+    author_spray(stage, frames, spray, rest.mean(axis=0))
     layer.Save()
     return [path, picture]
 

@@ -8,6 +8,7 @@ water in another way, in `pictures/water.py`.
 from __future__ import annotations
 
 import io
+import math
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -35,6 +36,9 @@ THREADS, WIDER = (0.15, 0.8), 7.0
 same picture this many times larger, and still further apart, only the mean."""
 TILE, TEXELS, STEEP = 9.0, 256, 0.075
 """The repeating texture of ripples: its side in m and in texels, and the deviation of their slopes."""
+
+PERIOD = float(math.lcm(round(TILE), round(LACE_SIDE), round(LACE_SIDE * WIDER)))
+"""Length over which the pictures of ripples and foam, of both sizes, repeat, m."""
 
 
 def author_foam(mesh: Any) -> None:
@@ -113,12 +117,14 @@ def lace() -> NDArray[np.float32]:
 
 
 def author_coordinates(mesh: Any, xy: Array) -> None:
-    """Texture coordinates ``st`` of the surface: the rest positions of its points (n, 2) m, in tiles of ripples."""
+    """Texture coordinates ``st`` of the surface: the rest positions of its points (n, 2) m, in tiles of ripples. They
+    count from a place nearby at which all its pictures start, because they are stored in single precision."""
     from pxr import Sdf, UsdGeom, Vt
 
     primvars = UsdGeom.PrimvarsAPI(mesh)
     st = primvars.CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex)
-    st.Set(Vt.Vec2fArray.FromNumpy((xy / TILE).astype(np.float32)))
+    nearby = xy - PERIOD * np.round(xy.mean(axis=0) / PERIOD)
+    st.Set(Vt.Vec2fArray.FromNumpy((nearby / TILE).astype(np.float32)))
 
 
 @lru_cache(maxsize=1)

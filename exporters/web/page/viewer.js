@@ -17,7 +17,15 @@ const vehsim = {};
     ["Home End", "first, last frame"], ["L", "loop"], ["0", "orbit"], ["1 to 9", "look through a camera"],
     ["F", "frame the vehicle"], ["P G C", "paths, ghosts at marks, cameras"], ["?", "this help"],
   ];
+  const ICONS = { // of buttons, by id: not every system has a font with these signs
+    start: "M1 1h2v10H1zM11 1v10L4 6z", back: "M8 1 9 2 5 6l4 4-1 1-5-5z", play: "M2 1l9 5-9 5z",
+    pause: "M2 1h3v10H2zM7 1h3v10H7z", forward: "M4 1 3 2l4 4-4 4 1 1 5-5z", end: "M11 1H9v10h2zM1 1v10l7-5z",
+    loop: "M6 1.5A4.5 4.5 0 1 0 10.5 6H9A3 3 0 1 1 6 3v2l3.5-2.75L6-.5z",
+  };
   const element = (id) => document.getElementById(id);
+
+  /** Show an icon in a button. */
+  const draw = (button, icon) => (button.innerHTML = `<svg viewBox="-1 -1 14 14" aria-hidden="true"><path d="${ICONS[icon]}"/></svg>`);
 
   // ---------------------------------------------------------------- the block of bytes
 
@@ -541,7 +549,7 @@ const vehsim = {};
       this.playing = on;
       if (on && this.frame === this.last) this.show(this.first);
       this.started = { at: performance.now(), frame: this.frame };
-      element("play").textContent = on ? "\u275a\u275a" : "\u25b6";
+      draw(element("play"), on ? "pause" : "play");
       element("play").setAttribute("aria-pressed", on);
     }
 
@@ -644,6 +652,7 @@ const vehsim = {};
       bar.replaceChildren();
       const button = (id, text, hint, press) => {
         const made = Object.assign(document.createElement("button"), { id, textContent: text, title: hint });
+        if (ICONS[id]) draw(made, id);
         made.addEventListener("click", () => { press(); made.blur(); });
         bar.append(made);
         return made;
@@ -665,15 +674,15 @@ const vehsim = {};
         });
         made.setAttribute("aria-pressed", this.shown[key]);
       };
-      button("start", "\u23ee", "first frame (Home)", () => this.seek(this.first));
-      button("back", "\u2039", "one frame back (\u2190)", () => this.step(-1));
-      button("play", "\u25b6", "play, pause (Space)", () => this.play());
-      button("forward", "\u203a", "one frame forward (\u2192)", () => this.step(1));
-      button("end", "\u23ed", "last frame (End)", () => this.seek(this.last));
+      button("start", "", "first frame (Home)", () => this.seek(this.first));
+      button("back", "", "one frame back (\u2190)", () => this.step(-1));
+      button("play", "", "play, pause (Space)", () => this.play());
+      button("forward", "", "one frame forward (\u2192)", () => this.step(1));
+      button("end", "", "last frame (End)", () => this.seek(this.last));
       const number = Object.assign(document.createElement("input"), { id: "frame", type: "number", min: this.first, max: this.last, title: "frame" });
       number.addEventListener("change", () => { this.seek(Number(number.value) || this.first); number.blur(); });
       bar.append(number);
-      const loop = button("loop", "\u27f3", "play again at the end (L)", () => {
+      const loop = button("loop", "", "play again at the end (L)", () => {
         this.loop = !this.loop;
         loop.setAttribute("aria-pressed", this.loop);
       });
