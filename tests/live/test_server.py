@@ -563,6 +563,23 @@ def test_a_drag_is_in_the_character_of_the_solved_motion(tmp_path):
     assert np.abs(drawn.positions - session.take.clips["car"].resample().positions).max() < 0.03
 
 
+SPHERE = '[[world.obstacle]]\nshape = "sphere"\ncentre = [30, 5, 30]\nradius = 6\n'
+
+
+def test_a_drag_has_the_segments_of_the_solved_motion(tmp_path):
+    """Those of the shot are too few to pass the obstacle: a draft on them was up to 4 m away."""
+    path = tmp_path / "past.toml"
+    text = SHOT.replace('"car"', '"helicopter"').replace("1073", "1241") + SPHERE
+    path.write_text(text.replace("[0, 0, 0]\nheading", "[0, 0, 30]\nheading").replace("[8, 1, 0]", "[60, 10, 30]"))
+    session = Session(path, tmp_path, lambda *_: None)
+    assert session.solve() is not None
+    solved = session.take.clips["helicopter"]
+    segments = session.take.report["vehicles"]["helicopter"]["segments"]
+    drawn = session._follow(session.shot, "helicopter")
+    assert sum(drawn._iterate.layout.legs) == segments > 8
+    assert np.linalg.norm(drawn.clip().positions - solved.resample().positions, axis=1).max() < 1.0
+
+
 def test_a_hurried_flight_on_few_segments_is_dragged(tmp_path):
     """The plan is a stunt, which these segments cannot follow: the draft is in the character of the shot."""
     path = tmp_path / "hurried.toml"

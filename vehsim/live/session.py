@@ -548,7 +548,8 @@ class Session:
     def _follow(self, shot: Shot, name: str) -> Draft:
         """The draft of a vehicle for the marks and the world of ``shot``, which becomes the present one.
 
-        It is in the character of the solved motion, and solved from the present draft, also where obstacles moved. If
+        It has the character and the segments of the solved motion, because fewer segments or another character may
+        lead to another one far away. It is solved from the present draft, also where obstacles moved. If
         anything else differs than the values of marks, or if that fails, a new one starts from its motion; if that
         fails too, from a new path, at last in the character of the shot. Raises ``VehsimError`` with the reason if
         there is no such motion.
@@ -563,9 +564,11 @@ class Session:
         marks = [as_mark(mark, vehicle) for mark in table.motion.mark]
         others = tuple(self.take.clips[one.name] for one in world.moving)
         rest = table.asset, table.parameters, table.motion.model_copy(update={"mark": None}), shape(marks)
-        driven = self.take.report["vehicles"][name].get("character", table.motion.character)
-        options = table.motion.options() | {"fps": shot.fps}
-        request = (shot.world, others, driven, *rest)
+        solved = self.take.report["vehicles"][name]
+        driven = solved.get("character", table.motion.character)
+        segments = solved.get("segments", table.motion.segments)
+        options = table.motion.options() | {"fps": shot.fps, "segments": segments}
+        request = (shot.world, others, driven, segments, *rest)
         before = self._drafts.get(name)
         now, same = None, before is not None and before.request == request
         if before is not None and before.request[1:] == request[1:]:
