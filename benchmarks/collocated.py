@@ -8,7 +8,7 @@ by the Hermite-Simpson rule (order 4; Hargraves and Paris 1987), with controls l
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -16,20 +16,21 @@ import casadi as ca
 import numpy as np
 
 from vehsim.integrators.continuous import equations_of_motion
-from vehsim.planning.blocks import blocks_of
-from vehsim.planning.certificates import Executed, executed
-from vehsim.planning.constraints.block import assemble, parameter_values, variable_bounds
-from vehsim.planning.guesses.paths import along_paths
+from vehsim.planning import solve as planning
+from vehsim.planning.certificates import Executed
+from vehsim.planning.constraints.block import Block
+from vehsim.planning.constraints.clearance import cover_for
+from vehsim.planning.guesses.routes import find_paths
+from vehsim.planning.iterate import Run
 from vehsim.planning.problem.elements import Element
-from vehsim.planning.problem.layout import Layout
-from vehsim.planning.problem.solver import Solution, Solver
+from vehsim.planning.problem.solver import Solution
 from vehsim.planning.problem.transcription import Array, Transcription
-from vehsim.planning.request.legs import legs_between
 from vehsim.planning.request.marks import Mark
 from vehsim.planning.request.request import make_request
 from vehsim.planning.trajectory import Trajectory
 from vehsim.vehicles import Vehicle
 from vehsim.vehicles.definition.mechanics import free_velocity
+from vehsim.world.world import World
 
 
 class Collocation(Transcription):
@@ -40,11 +41,11 @@ class Collocation(Transcription):
         self.rule = SCHEMES[scheme]
 
     @cached_property
-    def substep(self) -> Element:
+    def variational(self) -> Element:
         """Defects of a segment, with the variables and parameters of DMOC; the velocity ``z`` does not occur in
         them."""
         v = self.symbols("x", "z", "c0", "c1", "x1", "h")
-        wind, start, fraction = ca.SX.sym("wind", 3), ca.SX.sym("start"), ca.SX.sym("fraction")
+        wind = ca.SX.sym("wind", 3)
         flow = self._flow
         c_rate = (v["c1"] - v["c0"]) / v["h"]
 
@@ -53,7 +54,7 @@ class Collocation(Transcription):
 
         defect = self.rule(slope, v["x"], v["x1"], v["h"])
         y = ca.vertcat(*v.values())
-        return Element("dynamics", y, {"wind": wind, "start": start, "fraction": fraction}, g=defect)
+        return Element("dynamics", y, {"wind": wind}, g=defect)
 
     @property
     def _flow(self) -> ca.Function:
@@ -95,30 +96,38 @@ class Collocated:
     executed: Executed
 
 
+@dataclass(frozen=True, eq=False)
+class Unused(Block):
+    """The velocities of segments, which do not occur in collocated dynamics, keep the values of the guess."""
+
+    def bound(self, trajectory: Trajectory, lower: Array, upper: Array) -> None:
+        unused = trajectory.layout.velocity(np.arange(trajectory.layout.segments))
+        lower[unused] = upper[unused] = trajectory.x[unused]
+
+
 def solve(
-    transcription: Transcription, marks: Sequence[Mark], segments: int, order: int = 2, **options: Any
+    transcription: Transcription,
+    marks: Sequence[Mark],
+    segments: int,
+    order: int = 2,
+    world: World | None = None,
+    **options: Any,
 ) -> Collocated:
-    """One solve on ``segments`` from DMOC's initial guess, without coarser or finer levels, in free space.
+    """One solve on ``segments`` from DMOC's initial guess, without coarser or finer levels.
 
     ``transcription``: a `Collocation`, or `transcribe(vehicle)` for DMOC of this ``order``; two marks at given frames;
     ``options``: of `vehsim.plan`, such as ``fps``, ``cost``, ``limits``, ``solver``.
     """
     t = transcription
     request = make_request(
-        t.vehicle, None, marks, **({"fps": 24, "character": "stunt"} | options), segments=segments, refine=False
+        t.vehicle, world, marks, **({"fps": 24, "character": "stunt"} | options), segments=segments, refine=False
     )
-    layout = Layout(t.sizes, (segments,), order)
-    first, last = (mark.frame for mark in request.marks)
-    lengths = np.array([float((last - first) / request.fps) / segments])  # type: ignore[operator]
-    paths = [np.array(leg) for leg in legs_between(request.marks)]
-    guess = Trajectory(request, t, layout, along_paths(t, layout, request.marks, paths, lengths, request.wind))
-    blocks = blocks_of(request, t, None)
-    lower, upper = variable_bounds(guess, blocks)
-    if isinstance(t, Collocation):
-        unused = layout.velocity(np.arange(segments))
-        lower[unused] = upper[unused] = guess.x[unused]
-    problem = assemble(t, layout, blocks)
-    solver = Solver(problem, request.solver, request.max_iterations)
-    solution = solver.solve(guess.x, lower, upper, parameter_values(problem, guess, blocks))
-    g, r, pi, c, steps = Trajectory(request, t, layout, solution.x).knots()
-    return Collocated(solution, g, c, executed(t.mechanics, g, r, pi, c, steps, request.wind))
+    run = Run(request, None)
+    quiet = run.deadline.watched(None)
+    paths = find_paths(request, None, quiet)
+    guess = planning.begin(run, request, t, cover_for(request, paths, quiet), paths, coarse=False)
+    blocks = (*guess.blocks, Unused()) if isinstance(t, Collocation) else guess.blocks
+    solved = planning.solve(run, replace(guess, layout=replace(guess.layout, order=order), blocks=blocks))
+    assert solved.solution is not None
+    g, _, _, c, _ = solved.knots()
+    return Collocated(solved.solution, g, c, solved.run_controls())

@@ -24,7 +24,7 @@ def equations(made):
     """``y -> residuals`` of one segment, with its parameters set."""
     element = simpson(made)
     problem = NonlinearProgram(element.y.shape[0])
-    problem.add(element, np.arange(problem.size), constants={"start": [0.0], "fraction": [1.0]})
+    problem.add(element, np.arange(problem.size))
     p = problem.vector({"wind": WIND})
     y = ca.MX.sym("y", problem.size)
     return ca.Function("residual", [y], [problem.functions()["nlp"](y, p)[1]])

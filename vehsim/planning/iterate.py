@@ -77,7 +77,7 @@ class Iterate(Trajectory):
     """Whether its variables come from a coarser discretisation or an earlier plan, rather than from an initial
     guess."""
     rung: int = -1
-    """Index of its discretisation in `refine.LADDER`."""
+    """Index of its number of segments in `refine.LADDER`; -1 before the climb."""
     executed: Executed = NOT_RUN
     certificate: Certificate | None = None
     tightenings: int = 0

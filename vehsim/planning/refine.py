@@ -20,16 +20,10 @@ from vehsim.planning.trajectory import Trajectory
 EXECUTED, OF_SIZE, OF_CLEARANCE = 0.1, 0.025, 0.5
 """Largest accepted distance between the end of the plan and the end of its executed controls: m, and fractions of the
 vehicle's greatest length and of the clearance; the least of them applies. Above it the plan is refined."""
-LADDER = ((1, 4), (1, 6), (2, 6), (4, 6))
-"""Discretisations of a plan in turn: factor on the requested number of segments, and order. Higher order is cheaper
-than more segments."""
-STIFF_LADDER = ((1, 2), (2, 2), (4, 2), (8, 2))
-"""The same for vehicles with a largest step: substeps of higher orders go back in time, where fast decay is growth."""
-
-
-def ladder(request: Request) -> tuple[tuple[int, int], ...]:
-    """The discretisations of a plan of this vehicle, in turn."""
-    return LADDER if math.isinf(request.vehicle.largest_step) else STIFF_LADDER
+ORDER = 4
+"""The order of refined plans."""
+LADDER = (1, 2, 4, 8)
+"""Factors on the requested number of segments, in turn, of a refined plan."""
 
 
 def execution_tolerance(request: Request) -> float:
@@ -70,9 +64,7 @@ def refine(run: Run, iterate: Iterate, before: Iterate | None = None) -> Iterate
         iterate = resolve(run, iterate, before)
         iterate = replace(iterate, executed=iterate.run_controls())
     climbed = True
-    while (
-        climbed and ends_elsewhere(iterate) and iterate.rung < len(ladder(iterate.request)) - 1 and not run.deadline.cut
-    ):
+    while climbed and ends_elsewhere(iterate) and iterate.rung < len(LADDER) - 1 and not run.deadline.cut:
         iterate, climbed = _climb(run, iterate)
         if climbed:
             iterate = replace(iterate, executed=iterate.run_controls())
@@ -114,7 +106,7 @@ def _step(run: Run, iterate: Iterate, requested: int) -> tuple[Iterate, bool]:
 def _climb(run: Run, iterate: Iterate) -> tuple[Iterate, bool]:
     """The iterate on the next discretisation of the ladder, and whether it was solved there."""
     rung = iterate.rung + 1
-    times, order = ladder(iterate.request)[rung] if iterate.request.refine else (1, 2)
+    times, order = (LADDER[rung], ORDER) if iterate.request.refine else (1, 2)
     return _solved_on(run, replace(iterate, rung=rung), times * iterate.request.segments, order)
 
 
@@ -125,7 +117,7 @@ def _solved_on(run: Run, iterate: Iterate, segments: int, order: int) -> tuple[I
     split = segments // layout.segments
     fine = Layout(iterate.transcription.sizes, tuple(split * n for n in layout.legs), order)
     note = f"; not refined to {segments} segments of order {order}: "
-    if not run.deadline.allows(fine.nodes):
+    if not run.deadline.allows(fine.knots):
         return replace(iterate, note=f"{note}{HURRIED}"), False
     finer = Trajectory(iterate.request, iterate.transcription, fine, prolongate(iterate, fine))
     blocks = tuple(block.prolongate(iterate, finer) for block in iterate.blocks)

@@ -35,7 +35,7 @@ from vehsim.planning.problem.elements import Element, NonlinearProgram
 from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.stage import knot_view
 from vehsim.planning.problem.transcription import Transcription, transcribe
-from vehsim.planning.refine import LADDER
+from vehsim.planning.refine import ORDER
 from vehsim.planning.request.legs import poses_of
 from vehsim.planning.request.marks import Mark
 from vehsim.planning.request.request import Request, make_request
@@ -294,7 +294,7 @@ def _attempt(
         cover = cover_for(request, [poses_of(local)], run.deadline.watched(progress))
         coarse, lengths = Layout(transcription.sizes, (count,)), np.array([local.duration / count])
         x = along_clip(transcription, coarse, request.marks, _flat(local), lengths)
-        layout = replace(coarse, order=LADDER[0][1])
+        layout = replace(coarse, order=ORDER)
         x = prolongate(Trajectory(request, transcription, coarse, x), layout)
         ends = _ends(transcription, layout, _flat(local), edit, window, x)
         blocks = [*_without_costs(request, transcription, cover, ends), ends, _Following(edit, clip)]

@@ -86,8 +86,7 @@ def begin(
         x = along_clip(transcription, layout, marks, clip, lengths)
     guess = Trajectory(request, transcription, layout, x)
     active = tuple(block.activate(guess) for block in blocks)
-    # near terrain and obstacles controls change quickly, so the first discretisation of the ladder is too coarse
-    iterate = Iterate(request, transcription, layout, x, active, paths, rung=-1 + (cover is not None))
+    iterate = Iterate(request, transcription, layout, x, active, paths)
     if math.isfinite(run.deadline.end) and not (run.deadline.kept or run.deadline.late):
         _rehearse(run, iterate)
         run.deadline.guessed = time.monotonic() - began
@@ -162,7 +161,7 @@ def _solve_active(run: Run, iterate: Iterate, start: Start) -> Iterate:
     solution = _answer(run, iterate, solver, start)
     solver.watch = None  # it is kept for later plans
     run.solve_seconds += time.monotonic() - built
-    run.deadline.solved(began, iterate.layout.nodes, solution.out_of_time)
+    run.deadline.solved(began, iterate.layout.knots, solution.out_of_time)
     multipliers = iterate.multipliers
     if solution.success and solution.multipliers is not None:
         multipliers = solution.multipliers, (solver.problem, iterate.layout)

@@ -72,10 +72,10 @@ class Trajectory:
         Velocities and momenta scale inversely with the lengths.
         """
         x, layout, ratio = self.x.copy(), self.layout, self.lengths / lengths
-        per_substep = np.repeat(ratio, np.array(layout.legs) * len(layout.fractions))
-        momenta = layout.node(np.arange(layout.nodes))[sum(self.transcription.sizes[:2]) :]
-        x[momenta] *= np.append(per_substep, per_substep[-1])
-        x[layout.velocity(np.arange(layout.nodes - 1))] *= per_substep
+        per_segment = np.repeat(ratio, layout.legs)
+        momenta = layout.knot(np.arange(layout.knots))[sum(self.transcription.sizes[:2]) :]
+        x[momenta] *= np.append(per_segment, per_segment[-1])
+        x[layout.velocity(np.arange(layout.segments))] *= per_segment
         x[layout.lengths] = lengths
         return x
 

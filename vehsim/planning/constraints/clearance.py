@@ -84,7 +84,7 @@ def _none(transcription: Transcription) -> Any:
     return ca.SX.zeros(transcription.sizes[3])
 
 
-NODES = Site("nodes", ("x", "h"), lambda t, v: knot_view(t, v["x"], _none(t)))
+KNOTS = Site("nodes", ("x", "h"), lambda t, v: knot_view(t, v["x"], _none(t)))
 """The nodes of the discretisation."""
 MIDDLES = Site("middles", ("x", "z", "h"), lambda t, v: middle_view(t, v["x"], v["z"], _none(t), v["h"]))
 """The midpoints of its segments."""
@@ -366,40 +366,35 @@ def clearance_element(
 
 
 def _free_places(layout: Layout, marks: Sequence[Mark]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Indices of the nodes, and of the segments, at which (at whose midpoint) clearance is enforced: not the start, and
+    """Indices of the knots, and of the segments, at which (at whose midpoint) clearance is enforced: not the start, and
     no pose that a mark fixes."""
-    steps, knots = len(layout.fractions), layout.mark_knots
-    free, between = np.arange(layout.nodes) > 0, np.full(layout.segments, steps == 1)
+    knots = layout.mark_knots
+    free, between = np.arange(layout.knots) > 0, np.full(layout.segments, True)
     for i, mark in enumerate(marks):
         if mark.on_ground:  # until the end of its hold
             last = knots[i + 1] if mark.hold else knots[i]
-            free[knots[i] * steps : last * steps + 1] = between[knots[i] : last] = False
-    enforced = np.isin(np.arange(layout.nodes) % steps, (0, layout.middle[0]))
-    return np.flatnonzero(free & enforced), np.flatnonzero(between)
+            free[knots[i] : last + 1] = between[knots[i] : last] = False
+    return np.flatnonzero(free), np.flatnonzero(between)
 
 
 def _places(layout: Layout, marks: Sequence[Mark]) -> dict[Site, NDArray[np.intp]]:
     """Indices of the variables (n, count) of the places by site."""
-    node, half = _free_places(layout, marks)
+    knot, half = _free_places(layout, marks)
     return {
-        NODES: np.vstack([layout.node(node), layout.duration((node - 1) // len(layout.fractions))]),
-        MIDDLES: np.vstack([layout.node(half), layout.velocity(half), layout.duration(half)]),
+        KNOTS: np.vstack([layout.knot(knot), layout.duration(knot - 1)]),
+        MIDDLES: np.vstack([layout.knot(half), layout.velocity(half), layout.duration(half)]),
     }
 
 
 def _split(values: NDArray[Any], layout: Layout, marks: Sequence[Mark]) -> dict[Site, NDArray[Any]]:
     """Values (places, ...) by site."""
-    nodes, _ = _free_places(layout, marks)
-    return {NODES: values[: len(nodes)], MIDDLES: values[len(nodes) :]}
+    knots, _ = _free_places(layout, marks)
+    return {KNOTS: values[: len(knots)], MIDDLES: values[len(knots) :]}
 
 
 def _seconds(trajectory: Trajectory) -> Array:
     """Times of the places (places,), s since frame 0."""
     layout, lengths = trajectory.layout, trajectory.lengths
-    node, half = _free_places(layout, trajectory.request.marks)
-    steps = np.repeat(lengths, layout.legs)
-    knots = np.concatenate([[0.0], np.cumsum(steps)])
-    shares = np.concatenate([[0.0], np.cumsum(layout.fractions)[:-1]])
-    segment, part = np.divmod(node, len(layout.fractions))
-    nodes = knots[segment] + shares[part] * np.append(steps, 0.0)[segment]
-    return np.asarray(trajectory.seconds()[0] + np.concatenate([nodes, knots[half] + steps[half] / 2]))
+    knot, half = _free_places(layout, trajectory.request.marks)
+    seconds = trajectory.seconds()
+    return np.concatenate([seconds[knot], seconds[half] + np.repeat(lengths, layout.legs)[half] / 2])

@@ -1,4 +1,4 @@
-"""The equations of motion: discrete mechanics of every substep, and constant states during holds."""
+"""The equations of motion: discrete mechanics of every segment, and constant states during holds."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from vehsim.planning.constraints.block import Block
 from vehsim.planning.problem.elements import Element, NonlinearProgram, Use
-from vehsim.planning.problem.layout import WHOLE, Layout
+from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.simpson import simpson
 from vehsim.planning.problem.stage import evaluate, knot_view, segment_view
 from vehsim.planning.problem.transcription import Transcription
@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Dynamics(Block):
-    """The discrete mechanics of every substep outside of holds; during holds state and controls are constant.
+    """The discrete mechanics of every segment outside of holds; during holds state and controls are constant.
 
     Controls and joints stay within the vehicle's bounds.
     """
@@ -37,32 +37,27 @@ class Dynamics(Block):
     def key(self, layout: Layout, transcription: Transcription) -> Hashable:
         return "dynamics", tuple(mark.hold > 0 for mark in self.marks)
 
-    def _substeps(self, layout: Layout) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Substeps outside of holds, and those during holds."""
-        every = np.arange(layout.segments * len(layout.fractions))
-        held = held_segments(layout.legs, self.marks)[every // len(layout.fractions)]
-        return every[~held], every[held]
+    def _segments(self, layout: Layout) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Segments outside of holds, and those during holds."""
+        held = held_segments(layout.legs, self.marks)
+        return np.flatnonzero(~held), np.flatnonzero(held)
 
     def add(self, problem: NonlinearProgram, transcription: Transcription, layout: Layout) -> None:
-        moving, still = self._substeps(layout)
-        segment, part = np.divmod(moving, len(layout.fractions))
+        moving, still = self._segments(layout)
         y = [
-            layout.node(moving), layout.velocity(moving), layout.control(segment), layout.control(segment + 1),
-            layout.node(moving + 1), layout.duration(segment),
+            layout.knot(moving), layout.velocity(moving), layout.control(moving), layout.control(moving + 1),
+            layout.knot(moving + 1), layout.duration(moving),
         ]  # fmt: skip
-        starts, fractions = np.cumsum([0.0, *layout.fractions[:-1]]), np.array(layout.fractions)
-        constants = {"start": starts[part][None], "fraction": fractions[part][None]}
-        problem.add(equations(transcription, layout.order), np.vstack(y), constants=constants)
+        problem.add(equations(transcription, layout.order), np.vstack(y))
         if len(still):
-            state = [layout.node(still), layout.velocity(still), layout.node(still + 1)]
+            state = [layout.knot(still), layout.velocity(still), layout.knot(still + 1)]
             problem.add(hold_element(transcription), np.vstack(state))
-            held = np.unique(still // len(layout.fractions))
-            controls = np.vstack([layout.control(held), layout.control(held + 1)])
+            controls = np.vstack([layout.control(still), layout.control(still + 1)])
             problem.add(held_controls_element(transcription), controls)
 
     def bound(self, trajectory: Trajectory, lower: Array, upper: Array) -> None:
         transcription, layout = trajectory.transcription, trajectory.layout
-        knots = layout.control(np.arange(layout.segments + 1))
+        knots = layout.control(np.arange(layout.knots))
         lower[knots] = (np.array([c.lower for c in transcription.vehicle.controls]) / transcription.control_scale)[
             :, None
         ]
@@ -74,24 +69,23 @@ class Dynamics(Block):
     def describe(self, use: Use, occurrence: int, row: int, trajectory: Trajectory) -> str:
         if use.element.name != "dynamics":
             return super().describe(use, occurrence, row, trajectory)
-        layout = trajectory.layout
-        segment = int(self._substeps(layout)[0][occurrence]) // len(layout.fractions)
+        segment = int(self._segments(trajectory.layout)[0][occurrence])
         return f"the motion at frame {trajectory.seconds()[segment] * float(trajectory.request.fps):.0f}"
 
 
 def equations(transcription: Transcription, order: int) -> Element:
-    """The equations of motion of a part of a segment: `simpson` at order 4, else those of a substep."""
-    if order == WHOLE:
+    """The equations of motion of a segment of this order, 2 or 4."""
+    if order == 4:
         return transcription.kept("simpson", lambda: simpson(transcription))
-    return transcription.substep
+    return transcription.variational
 
 
 def bound_joints(trajectory: Trajectory, ranges: Mapping[str, tuple[float, float]], lower: Array, upper: Array) -> None:
-    """Bound joints by name at every node."""
+    """Bound joints by name at every knot."""
     transcription, layout = trajectory.transcription, trajectory.layout
-    nodes = layout.node(np.arange(layout.nodes))
+    knots = layout.knot(np.arange(layout.knots))
     for joint, (low, high) in ranges.items():
-        row = nodes[transcription.sizes[0] + transcription.vehicle.joints.index(joint)]
+        row = knots[transcription.sizes[0] + transcription.vehicle.joints.index(joint)]
         lower[row], upper[row] = np.maximum(lower[row], low), np.minimum(upper[row], high)
 
 
@@ -152,7 +146,7 @@ class UnconstrainedJoints(Block):
         ]
 
     def bound(self, trajectory: Trajectory, lower: Array, upper: Array) -> None:
-        begins = trajectory.layout.node(0)[[self.transcription.sizes[0] + joint for joint in self.joints]]
+        begins = trajectory.layout.knot(0)[[self.transcription.sizes[0] + joint for joint in self.joints]]
         lower[begins] = upper[begins] = trajectory.x[begins]
 
 

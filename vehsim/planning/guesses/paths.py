@@ -40,15 +40,15 @@ def along_paths(
     A path is a polyline (k, 3) m, or of poses (k, 4) with headings in rad. ``aims``: (first knot, last knot, point (3,)
     m, angle rad): between these knots the vehicle heads for the point, plus the angle to the right.
     """
-    fraction, leg = _node_fractions(layout)
+    fraction, leg = _knot_fractions(layout)
     pace = [_pace(marks[j].at_rest, marks[j + 1].at_rest) for j in range(len(paths))]
     s = np.array([np.polyval(pace[j], f) for f, j in zip(fraction, leg, strict=True)])
     positions = np.array([_along(paths[j], f)[:3] for f, j in zip(s, leg, strict=True)])
     headings = _headings(marks, paths, s, leg)
     for first, last, point, offset in aims:
-        nodes = np.arange(first, last + 1) * len(layout.fractions)
-        to_point = np.asarray(point, float)[:2] - positions[nodes, :2]
-        headings[nodes] = np.arctan2(to_point[:, 1], to_point[:, 0]) - offset
+        knots = np.arange(first, last + 1)
+        to_point = np.asarray(point, float)[:2] - positions[knots, :2]
+        headings[knots] = np.arctan2(to_point[:, 1], to_point[:, 0]) - offset
     headings = np.unwrap(headings) if len(aims) else headings
     trimmed = trim(transcription.vehicle, tuple(wind))
     return from_poses(transcription, layout, positions, from_yaw(headings), headings, lengths, trimmed)
@@ -59,19 +59,16 @@ def along_clip(
 ) -> Array:
     """Variables (size,) of a clip of the same vehicle, with its joints and controls, moved onto the marks'
     positions."""
-    fraction, leg = _node_fractions(layout)
+    fraction, leg = _knot_fractions(layout)
     begins, ends = clip_spans(clip, marks)
-    # a hold has no length in the clip: all its nodes are at one time
-    times, node = np.unique(begins[leg] + fraction * (ends - begins)[leg], return_inverse=True)
+    # a hold has no length in the clip: all its knots are at one time
+    times, knot = np.unique(begins[leg] + fraction * (ends - begins)[leg], return_inverse=True)
     motion, (at_marks, mark) = clip.at(times), np.unique(np.append(begins, ends[-1]), return_inverse=True)
     off = mark_positions(marks) - clip.at(at_marks).positions[mark]
-    positions = motion.positions[node] + (1 - fraction)[:, None] * off[leg] + fraction[:, None] * off[leg + 1]
-    headings, controls = poses_of(motion)[node, 3], motion.controls[node]
-    knots = np.arange(layout.segments + 1) * len(layout.fractions)
-    joints = motion.joints[node]
-    return from_poses(
-        transcription, layout, positions, motion.orientations[node], headings, lengths, controls[knots], joints
-    )
+    positions = motion.positions[knot] + (1 - fraction)[:, None] * off[leg] + fraction[:, None] * off[leg + 1]
+    headings, controls = poses_of(motion)[knot, 3], motion.controls[knot]
+    joints = motion.joints[knot]
+    return from_poses(transcription, layout, positions, motion.orientations[knot], headings, lengths, controls, joints)
 
 
 def clip_spans(clip: Clip, marks: Sequence[Mark]) -> tuple[Array, Array]:
@@ -90,9 +87,9 @@ def from_poses(
     c: Array,
     joints: Array | None = None,
 ) -> Array:
-    """Variables from poses (nodes, ...) of the rig root; velocities are differences.
+    """Variables from poses (knots, ...) of the rig root; velocities are differences.
 
-    ``c``: controls (c,), or (segments + 1, c) at knots; ``joints`` (nodes, s): by default values that fit the motion.
+    ``c``: controls (c,), or (knots, c); ``joints`` (knots, s): by default values that fit the motion.
     """
     vehicle, group, m = transcription.vehicle, transcription.vehicle.group, transcription.mechanics
     _, s, n, _ = transcription.sizes
@@ -100,42 +97,31 @@ def from_poses(
     g = group.from_pose(np.hstack([body, quaternions]))
     if group.planar:
         g[:, 0] = headings
-    h = _substep_lengths(layout, lengths)
+    h = np.repeat(lengths, layout.legs)
     xi = _difference(group, g[:-1], g[1:]) / h[:, None]
     if joints is not None:
         r, u = joints, np.diff(joints, axis=0) / h[:, None]
     else:
-        r, u = _joints(vehicle, xi, h) if s else (np.zeros((layout.nodes, 0)), np.zeros((layout.nodes - 1, 0)))
-    at_knots = np.broadcast_to(c, (layout.segments + 1, len(transcription.control_scale)))
+        r, u = _joints(vehicle, xi, h) if s else (np.zeros((layout.knots, 0)), np.zeros((layout.segments, 0)))
+    at_knots = np.broadcast_to(c, (layout.knots, len(transcription.control_scale)))
     x = np.zeros(layout.size)
-    momenta, velocities = np.zeros((layout.nodes, n)), np.zeros((layout.nodes - 1, n))
-    for k in range(layout.nodes - 1):
+    momenta, velocities = np.zeros((layout.knots, n)), np.zeros((layout.segments, n))
+    for k in range(layout.segments):
         pi = np.ravel(np.asarray(m.knot_momentum(r[k], u[k], xi[k])))
-        control = at_knots[k // len(layout.fractions)]
-        momenta[k], velocities[k] = pi, np.ravel(np.asarray(m.knot_velocity_guess(r[k], pi, control)))
+        momenta[k], velocities[k] = pi, np.ravel(np.asarray(m.knot_velocity_guess(r[k], pi, at_knots[k])))
     momenta[-1] = momenta[-2]
-    x[layout.node(np.arange(layout.nodes))] = np.hstack([g, r, momenta / transcription.momentum_scale]).T
-    x[layout.velocity(np.arange(layout.nodes - 1))] = velocities.T
-    x[layout.control(np.arange(layout.segments + 1))] = (at_knots / transcription.control_scale).T
+    x[layout.knot(np.arange(layout.knots))] = np.hstack([g, r, momenta / transcription.momentum_scale]).T
+    x[layout.velocity(np.arange(layout.segments))] = velocities.T
+    x[layout.control(np.arange(layout.knots))] = (at_knots / transcription.control_scale).T
     x[layout.lengths] = lengths
     return x
 
 
-def _node_fractions(layout: Layout) -> tuple[Array, NDArray[np.intp]]:
-    """Fraction of its leg (0 to 1) and leg of every node."""
-    inner = np.concatenate([[0.0], np.cumsum(layout.fractions)[:-1]])
-    fraction, leg = [], []
-    for j, count in enumerate(layout.legs):
-        fraction.append(((np.arange(count)[:, None] + inner) / count).ravel())
-        leg.append(np.full(count * len(inner), j))
-    fraction.append(np.ones(1))
-    leg.append(np.full(1, len(layout.legs) - 1))
-    return np.concatenate(fraction), np.concatenate(leg).astype(np.intp)
-
-
-def _substep_lengths(layout: Layout, lengths: Array) -> Array:
-    per_segment = np.repeat(lengths, layout.legs)
-    return (per_segment[:, None] * np.asarray(layout.fractions)).ravel()
+def _knot_fractions(layout: Layout) -> tuple[Array, NDArray[np.intp]]:
+    """Fraction of its leg (0 to 1) and leg of every knot."""
+    fraction = np.concatenate([*(np.arange(count) / count for count in layout.legs), [1.0]])
+    leg = np.repeat(np.arange(len(layout.legs)), layout.legs)
+    return fraction, np.append(leg, len(layout.legs) - 1)
 
 
 def _pace(rest_before: bool, rest_after: bool) -> Array:
@@ -151,7 +137,7 @@ def _along(path: Array, fraction: float) -> Array:
 
 
 def _headings(marks: Sequence[Mark], paths: Sequence[Array], s: Array, leg: NDArray[np.intp]) -> Array:
-    """Headings (nodes,) rad along the path, blended into the marks' own headings at both ends of a leg."""
+    """Headings (knots,) rad along the path, blended into the marks' own headings at both ends of a leg."""
     out = np.zeros(len(s))
     for i, (f, j) in enumerate(zip(s, leg, strict=True)):
         if paths[j].shape[1] == 4:  # the path has headings

@@ -18,7 +18,7 @@ def prolongate(trajectory: Trajectory, fine: Layout) -> Array:
     transcription, coarse, x = trajectory.transcription, trajectory.layout, trajectory.x
     m, split = transcription.mechanics, fine.segments // coarse.segments
     k = np.arange(coarse.segments)
-    state, z = x[coarse.knot(k)], x[coarse.velocity(k * len(coarse.fractions))]
+    state, z = x[coarse.knot(k)], x[coarse.velocity(k)]
     cuts = np.cumsum([0, *transcription.sizes[:3]])
     g, r, pi = (state[a:b] for a, b in pairwise(cuts))
     pi = pi * transcription.momentum_scale[:, None]
@@ -29,16 +29,12 @@ def prolongate(trajectory: Trajectory, fine: Layout) -> Array:
     y = np.zeros(fine.size)
     advance = m.advance.map(len(k)) if len(k) > 1 else m.advance
     for j in range(split):
-        y[fine.control(k * split + j)] = (c0 + j / split * (c1 - c0)) / transcription.control_scale[:, None]
-        done = 0.0
-        for part, fraction in enumerate(fine.fractions):
-            node = (k * split + j) * len(fine.fractions) + part
-            y[fine.node(node)] = np.vstack([g, r, pi / transcription.momentum_scale[:, None]])
-            ends = [c0 + (j + f) / split * (c1 - c0) for f in (done, done + fraction)]
-            g, r, pi, z, _ = (np.asarray(v) for v in advance(g, r, pi, z, *ends, h * fraction, air))
-            y[fine.velocity(node)] = z
-            done += fraction
-    y[fine.node(fine.nodes - 1)] = x[coarse.node(coarse.nodes - 1)]
+        here, ends = k * split + j, [c0 + (j + end) / split * (c1 - c0) for end in (0, 1)]
+        y[fine.control(here)] = ends[0] / transcription.control_scale[:, None]
+        y[fine.knot(here)] = np.vstack([g, r, pi / transcription.momentum_scale[:, None]])
+        g, r, pi, z, _ = (np.asarray(v) for v in advance(g, r, pi, z, *ends, h, air))
+        y[fine.velocity(here)] = z
+    y[fine.knot(fine.segments)] = x[coarse.knot(coarse.segments)]
     y[fine.control(fine.segments)] = x[coarse.control(coarse.segments)]
     y[fine.lengths] = x[coarse.lengths] / split
     return y

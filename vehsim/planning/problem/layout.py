@@ -8,32 +8,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim.integrators.composition import COMPOSITIONS
-
-WHOLE = 4
-"""The order at which a segment is whole (`vehsim.planning.problem.simpson`); others are compositions of substeps."""
-
 
 @dataclass(frozen=True)
 class Layout:
-    """The layout of the variable vector: ``legs``: the number of segments of each leg, at ``order``."""
+    """The layout of the variable vector: ``legs``: the number of segments of each leg; ``order``: that of their
+    equations of motion, 2 (`Transcription.variational`) or 4 (`vehsim.planning.problem.simpson`)."""
 
     sizes: tuple[int, int, int, int]
     legs: tuple[int, ...]
     order: int = 2
 
     @property
-    def fractions(self) -> tuple[float, ...]:
-        """Fractions of a segment of its parts, which have a node each."""
-        return (1.0,) if self.order == WHOLE else COMPOSITIONS[self.order]
-
-    @property
     def segments(self) -> int:
         return sum(self.legs)
 
     @property
-    def nodes(self) -> int:
-        return self.segments * len(self.fractions) + 1
+    def knots(self) -> int:
+        return self.segments + 1
 
     @property
     def state(self) -> int:
@@ -45,23 +36,19 @@ class Layout:
 
     @property
     def _velocities(self) -> int:
-        return self.nodes * self.state
+        return self.knots * self.state
 
     @property
     def _controls(self) -> int:
-        return self._velocities + (self.nodes - 1) * self.sizes[2]
+        return self._velocities + self.segments * self.sizes[2]
 
     @property
     def _durations(self) -> int:
-        return self._controls + (self.segments + 1) * self.sizes[3]
-
-    def node(self, k: Any) -> NDArray[np.intp]:
-        """Indices (state, count) of nodes ``k``."""
-        return np.arange(self.state)[:, None] + self.state * np.atleast_1d(k)
+        return self._controls + self.knots * self.sizes[3]
 
     def knot(self, k: Any) -> NDArray[np.intp]:
-        """Indices (state, count) of the nodes at knots ``k``."""
-        return self.node(np.atleast_1d(k) * len(self.fractions))
+        """Indices (state, count) of the states at knots ``k``."""
+        return np.arange(self.state)[:, None] + self.state * np.atleast_1d(k)
 
     def velocity(self, k: Any) -> NDArray[np.intp]:
         return self._velocities + np.arange(self.sizes[2])[:, None] + self.sizes[2] * np.atleast_1d(k)
@@ -85,27 +72,17 @@ class Layout:
         return self._durations + np.arange(len(self.legs))
 
     def instants(self, variables: Any) -> NDArray[np.float64]:
-        """Times of variables (n,) of nodes, velocities or controls, in legs since the start; zero for durations."""
-        places, steps = np.asarray(variables), len(self.fractions)
-        node = np.zeros(len(places), np.intp)
-        for first, last, width, every in (
-            (0, self._velocities, self.state, 1),
-            (self._velocities, self._controls, self.sizes[2], 1),
-            (self._controls, self._durations, self.sizes[3], steps),
+        """Times of variables (n,) of states, velocities or controls, in legs since the start; zero for durations."""
+        places = np.asarray(variables)
+        knot = np.zeros(len(places), np.intp)
+        for first, last, width in (
+            (0, self._velocities, self.state),
+            (self._velocities, self._controls, self.sizes[2]),
+            (self._controls, self._durations, self.sizes[3]),
         ):
             inside = (first <= places) & (places < last)
-            node[inside] = (places[inside] - first) // max(width, 1) * every
-        starts = np.concatenate([[0.0], np.cumsum(self.fractions)[:-1]])
-        segments = np.append((np.arange(self.segments)[:, None] + starts).ravel(), self.segments)
-        return np.interp(segments[node], self.mark_knots, np.arange(len(self.mark_knots)))
-
-    @property
-    def middle(self) -> tuple[int, float]:
-        """The substep whose start is nearest to the middle of a segment, and the fraction of the segment at its
-        start."""
-        starts = np.concatenate([[0.0], np.cumsum(self.fractions)[:-1]])
-        part = int(np.argmin(np.abs(starts - 0.5)))
-        return part, float(starts[part])
+            knot[inside] = (places[inside] - first) // max(width, 1)
+        return np.interp(knot, self.mark_knots, np.arange(len(self.mark_knots)))
 
     @property
     def mark_knots(self) -> NDArray[np.intp]:

@@ -50,10 +50,10 @@ def transferred(
 
 
 def _both(coarse: Layout, fine: Layout) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
-    """Indices of corresponding bounded variables in both layouts: those of nodes and of controls."""
+    """Indices of corresponding bounded variables in both layouts: those of states and of controls."""
     return [
-        (coarse.node(np.arange(coarse.nodes)), fine.node(np.arange(fine.nodes))),
-        (coarse.control(np.arange(coarse.segments + 1)), fine.control(np.arange(fine.segments + 1))),
+        (coarse.knot(np.arange(coarse.knots)), fine.knot(np.arange(fine.knots))),
+        (coarse.control(np.arange(coarse.knots)), fine.control(np.arange(fine.knots))),
     ]
 
 

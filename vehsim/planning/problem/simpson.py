@@ -25,15 +25,14 @@ Expr = Any
 def simpson(transcription: Transcription) -> Element:
     """The equations of a segment (x, z, c0, c1, x1, h); ``z`` is the velocity at its middle.
 
-    Rows and parameters are those of `Transcription.substep`: two of momentum, then pose and joints.
+    Rows and parameters are those of `Transcription.variational`: two of momentum, then pose and joints.
     """
     t, m = transcription, transcription.mechanics
-    v = t.symbols("x", "z", "c0", "c1", "x1", "h")
-    wind, start, fraction = ca.SX.sym("wind", 3), ca.SX.sym("start"), ca.SX.sym("fraction")
+    v, wind = t.symbols("x", "z", "c0", "c1", "x1", "h"), ca.SX.sym("wind", 3)
     g, r, pi = t.split(v["x"])
     g1, r1, pi1 = t.split(v["x1"])
-    h, step = v["h"] * fraction, v["c1"] - v["c0"]
-    a, middle, b = ((v["c0"] + (start + s * fraction) * step) * t.control_scale for s in (0.0, 0.5, 1.0))
+    h, step = v["h"], v["c1"] - v["c0"]
+    a, middle, b = ((v["c0"] + s * step) * t.control_scale for s in (0.0, 0.5, 1.0))
     laws, weight = _laws(t), t.weight
     cells = ca.SX.sym("cells", laws.size1_in("cell"), 3)
 
@@ -60,8 +59,7 @@ def simpson(transcription: Transcription) -> Element:
         places = ca.horzcat(*(weight.place(at) for at in (g, g1, gm)))
         models = ca.vertcat(ca.SX.sym("places", 2, 3), cells)
         space = SpatialField(places, models, lambda count, order: weight.relief.cells(count))
-    parameters = {"wind": wind, "start": start, "fraction": fraction}
-    return Element("dynamics", ca.vertcat(*v.values()), parameters, g=ca.vertcat(*residuals), space=space)
+    return Element("dynamics", ca.vertcat(*v.values()), {"wind": wind}, g=ca.vertcat(*residuals), space=space)
 
 
 def _rotation(first: Expr, middle: Expr, last: Expr, h: Expr) -> Expr:

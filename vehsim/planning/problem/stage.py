@@ -27,7 +27,7 @@ UNKNOWN = ca.SX.sym("acceleration", 3)
 
 
 def knot_view(transcription: Transcription, x: Expr, c: Expr, time: Expr = 0.0) -> KnotView:
-    """The view of a node state ``x`` with controls ``c`` over their scale."""
+    """The view of a state ``x`` with controls ``c`` over their scale."""
     g, r, pi = transcription.split(x)
     c = c * transcription.control_scale
     u, xi = transcription.mechanics.knot_velocity(r, pi, c)
@@ -35,7 +35,7 @@ def knot_view(transcription: Transcription, x: Expr, c: Expr, time: Expr = 0.0) 
 
 
 def middle_view(transcription: Transcription, x: Expr, z: Expr, c: Expr, h: Expr, time: Expr = 0.0) -> KnotView:
-    """The view at the midpoint of a substep of length ``h``, from its velocity ``z``; ``c``: its mean controls,
+    """The view at the midpoint of a segment of length ``h``, from its velocity ``z``; ``c``: its mean controls,
     scaled."""
     vehicle, (g, r, _) = transcription.vehicle, transcription.split(x)
     c = c * transcription.control_scale

@@ -1,8 +1,7 @@
-"""A vehicle's discrete mechanics in the optimisation problem: variables of a node and a segment, and their scales.
+"""A vehicle's discrete mechanics in the optimisation problem: variables of a knot and a segment, and their scales.
 
-Variables, knot by knot: node states ``(g, r, pi)``, segment velocities ``z``, knot controls, and a segment duration for
-every leg between two marks. A segment is whole at orders 2 and 4, and seven symmetric substeps (Yoshida) at order 6.
-Momenta and controls are scaled to the size of velocities and of typical controls.
+Variables, knot by knot: states ``(g, r, pi)``, segment velocities ``z``, knot controls, and a segment duration for
+every leg between two marks. Momenta and controls are scaled to the size of velocities and of typical controls.
 """
 
 from __future__ import annotations
@@ -53,7 +52,7 @@ class Transcription:
         return {name: ca.SX.sym(name, shapes[name]) for name in names}
 
     def split(self, x: Any) -> tuple[Any, Any, Any]:
-        """``g, r`` and the unscaled ``pi`` of a node state."""
+        """``g, r`` and the unscaled ``pi`` of a state."""
         size, s, n = self.sizes[:3]
         g, r, pi = ca.vertsplit(x, [0, size, size + s, size + s + n])
         return g, r, pi * self.momentum_scale
@@ -67,31 +66,26 @@ class Transcription:
         return [i for i, name in named if name not in self.vehicle.joint_limits and not ca.depends_on(moved, y["r"][i])]
 
     @cached_property
-    def substep(self) -> Element:
-        """The three discrete equations of a substep: (x, z, c0, c1, x1, h).
+    def variational(self) -> Element:
+        """The discrete equations of a segment of order 2, those of the integrator: (x, z, c0, c1, x1, h).
 
-        Parameters: ``wind`` (3,) m/s; ``start``: where in its segment the substep starts; ``fraction``: its share of
-        the segment.
+        Parameter: ``wind`` (3,) m/s.
         """
-        v = self.symbols("x", "z", "c0", "c1", "x1", "h")
-        wind, start, fraction = ca.SX.sym("wind", 3), ca.SX.sym("start"), ca.SX.sym("fraction")
+        v, wind = self.symbols("x", "z", "c0", "c1", "x1", "h"), ca.SX.sym("wind", 3)
         g, r, pi = self.split(v["x"])
         g1, r1, pi1 = self.split(v["x1"])
-        ca_, cb = v["c0"] * self.control_scale, v["c1"] * self.control_scale
-        ends = (ca_ + start * (cb - ca_), ca_ + (start + fraction) * (cb - ca_))
-        given = (g, r, v["z"], *ends, v["h"] * fraction, wind)
+        given = (g, r, v["z"], v["c0"] * self.control_scale, v["c1"] * self.control_scale, v["h"], wind)
         segment, weight = self._segment, self.weight
         cells = ca.SX.sym("cells", segment.size_in("cell")[0], 2)
         left, _, next_g, next_r = segment(*given, cells[:, 0])
         _, right, _, _ = segment(*given, cells[:, 1])
         residuals = ((left - pi) / self.momentum_scale, (right - pi1) / self.momentum_scale, next_g - g1, next_r - r1)
-        parameters = {"wind": wind, "start": start, "fraction": fraction}
         space = None
         if weight is not None:
             places = ca.horzcat(weight.place(g), weight.place(next_g))
             models = ca.vertcat(ca.SX.sym("places", 2, 2), cells)
             space = SpatialField(places, models, lambda count, order: weight.relief.cells(count))
-        return Element("dynamics", ca.vertcat(*v.values()), parameters, g=ca.vertcat(*residuals), space=space)
+        return Element("dynamics", ca.vertcat(*v.values()), {"wind": wind}, g=ca.vertcat(*residuals), space=space)
 
     @cached_property
     def weight(self) -> Weight | None:
