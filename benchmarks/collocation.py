@@ -68,6 +68,11 @@ CPU times and executed errors are relative to Hermite-Simpson, on 2026-11-24: on
   integrates them exactly. So exact momentum costs accuracy here.
 - Without the velocity at the middle as a variable: 5 to 20 % less CPU time for the helicopter. But holds, clearances at
   the middle and finer levels use it.
+- Order 6, seven substeps of order 2 (Yoshida), as the second step of refinement until 2026-11-24. With twice as many
+  segments of order 4 in its place: canyon flight 10.8 CPU s (before 13.0), landing 23.3 (21.1), river bend 15.9 (16.6),
+  snakeboard to a mark 6.0 (9.2), with costs lower by 0.2, 3, 6 and 7 %.
+- The coarse first solve at order 4 too: CPU times of six examples within 15 %, but parallel parking finds a worse
+  manoeuvre (cost 31.5, before 22.5) in twice the time.
 - Common subexpressions after differentiation: 2 to 10 % fewer instructions per Hessian, for 20 to 70 ms of building.
 """
 
