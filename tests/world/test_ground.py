@@ -252,8 +252,8 @@ def test_the_equations_of_a_plan_are_those_of_the_whole_slope():
     """The discrete equations, with the terrain's cells at both ends, against the spline as one expression."""
     car = on_terrain(CAR, hilly(), [(-20, -10), (25, 14)])
     made = transcribe(car)
-    problem = NonlinearProgram(made.substep.y.shape[0])
-    problem.add(made.substep, np.arange(problem.size), constants={"start": [0.0], "fraction": [1.0]})
+    problem = NonlinearProgram(made.variational.y.shape[0])
+    problem.add(made.variational, np.arange(problem.size))
     step = made.mechanics
     inputs = [step.symbols[name] for name in ("g", "r", "z", "c0", "c1", "h", "wind")]
     segment = ca.Function("segment", inputs, [step.segment[name] for name in ("left", "right", "g1", "r1")])
@@ -276,7 +276,7 @@ def order_four(transcription, x):
     """Residuals at order 4 of one segment with variables ``x``."""
     element = simpson(transcription)
     problem = NonlinearProgram(element.y.shape[0])
-    problem.add(element, np.arange(problem.size), constants={"start": [0.0], "fraction": [1.0]})
+    problem.add(element, np.arange(problem.size))
     return problem.functions()["nlp"](x, problem.vector({"wind": np.zeros(3)}))[1].full().ravel()
 
 
