@@ -206,6 +206,23 @@ def test_a_car_reverses_behind_a_moving_obstacle_instead_of_turning_round() -> N
     assert np.linalg.norm(np.diff(made.clip.positions, axis=0), axis=1).sum() < 16.0
 
 
+@pytest.mark.parametrize(
+    "start, heading, speed, goal", [((-9, -16, 0), 90, 3, (-18, -2, 0)), ((-8, 20, 0), -90, 5, (-16, 0, 0))]
+)
+def test_a_car_waits_for_a_moving_obstacle_instead_of_turning_round(start, heading, speed, goal) -> None:
+    """Both reverse to a goal 16 to 18 m behind; paths around the places where the cars would meet are 45 m long."""
+    turned = (math.cos(math.radians(heading) / 2), 0, 0, math.sin(math.radians(heading) / 2))
+    begins = vehsim.State(position=start, orientation=turned, twist=(0, speed, 0))
+    other = vehsim.simulate(vehsim.load_vehicle("car"), None, start=begins, duration=14.0, fps=24, start_frame=1)
+    still = (0.0, 0.0, 0.0)
+    marks = [Mark(1, position=still, heading=0, velocity=still), Mark(289, position=goal, heading=0, velocity=still)]
+    world = vehsim.World("flat", obstacles=[moving("other", other)])
+    made = vehsim.plan(vehsim.load_vehicle("car"), world, marks, clearance=0.5)
+    assert made.success, made.message
+    length = np.linalg.norm(np.diff(made.clip.positions, axis=0), axis=1).sum()
+    assert length < 1.05 * math.dist(still, goal)
+
+
 def test_the_earliest_frame_is_the_same_in_every_character() -> None:
     messages = []
     for character in CHARACTERS:

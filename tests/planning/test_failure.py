@@ -13,6 +13,7 @@ from itertools import count
 from threading import Thread
 from types import SimpleNamespace
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -28,6 +29,8 @@ from vehsim.planning.explain import elastic
 from vehsim.planning.explain.bounds import strength
 from vehsim.planning.explain.earliest import first_frame
 from vehsim.planning.explain.feasibility import refusals
+from vehsim.planning.problem.elements import Element, NonlinearProgram
+from vehsim.planning.problem.solver import Solver
 from vehsim.planning.request import ranges
 from vehsim.planning.request.marks import Gate
 from vehsim.planning.request.marks_near_obstacles import marks_too_near
@@ -601,3 +604,36 @@ def test_only_marks_with_a_position_have_a_first_frame():
     request = make_request(vehsim.load_vehicle("car"), None, CAR_ASIDE, fps=24, segments=16, terms=terms)
     assert [mark.position is None for mark in request.marks] == [False, True, True, False]
     assert all(first_frame(request, i, i + 1, 41) is None for i in range(3))
+
+
+def test_a_hurried_landing_is_refused_before_it_is_solved():
+    """42 m and a gentle landing in 5 s: the frame that the message names is flown."""
+    heli, world = vehsim.load_vehicle("helicopter"), vehsim.World("flat")
+    start = vehsim.Mark(1, position=(-30, 0, 30), heading=0, velocity=REST)
+
+    def land(frame):
+        return vehsim.plan(heli, world, [start, vehsim.Mark(frame, position=REST, heading=0, on_ground=True)])
+
+    refused = land(121)
+    assert not refused.success and refused.reason == "refused" and refused.iterations < 150
+    earliest = int(re.search(r"mark\[1\].frame = 121 is too early; earliest (\d+)", refused.message)[1])
+    assert 138 < earliest < 150
+
+
+def test_the_least_time_of_a_landing_is_one_that_its_thrust_allows():
+    """Without clearance, the landing's cone gave no number, and the initial guess was called a motion."""
+    heli = vehsim.load_vehicle("helicopter")
+    marks = [
+        vehsim.Mark(1, position=(-30, 0, 30), heading=0, velocity=REST),
+        vehsim.Mark(121, position=REST, heading=0, on_ground=True),
+    ]
+    found = first_frame(make_request(heli, vehsim.World("flat"), marks, fps=24, segments=64), 0, 1, 2)
+    assert found is not None and 120 < found[0] < 145
+
+
+def test_a_solve_that_yields_no_number_meets_nothing():
+    x = ca.SX.sym("x")
+    problem = NonlinearProgram(1)
+    problem.add(Element("bad", x, g=x / (x - x), lower=0.0, upper=np.inf, f=x**2), np.array([[0]]))
+    found = Solver(problem).solve(np.ones(1), -np.ones(1), np.ones(1), np.zeros(0))
+    assert not found.success and found.violation == math.inf

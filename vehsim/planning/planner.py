@@ -25,6 +25,7 @@ from vehsim.planning.certify import refine_and_certify
 from vehsim.planning.constraints.clearance import SLACK, Clearance, SphereCover, cover_for
 from vehsim.planning.constraints.timing import fixed_durations
 from vehsim.planning.deadline import OutOfTime
+from vehsim.planning.explain.elastic import hurried
 from vehsim.planning.explain.feasibility import refusals
 from vehsim.planning.fallbacks import (
     enough_segments,
@@ -413,7 +414,12 @@ def _attempt(request: Request, progress: Progress | None, guess: Any, once: bool
     if refused or run.deadline.hopeless:
         reason: Reason = "refused" if refused else "time limit"
         return _result(run, give_up(iterate, refused or LATE.format(late)), reason)
-    iterate = solve(run, iterate)
+    if not once and (why := hurried(run, iterate)):
+        return _result(run, give_up(iterate, why), "refused")
+    clearance = iterate.block(Clearance)
+    if clearance is not None and clearance.squeezes(iterate):
+        iterate = in_narrow_places(run, iterate, paths, as_clip(request, guess))
+    iterate = iterate if iterate.success else solve(run, iterate)
     relaxed = request
     if not (iterate.success or once or run.deadline.late):
         if request.traits.name != STUNT:  # first find any motion, then apply the character

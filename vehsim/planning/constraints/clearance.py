@@ -222,6 +222,14 @@ class Clearance(Block):
         surface = self._surface(positions[bound], rotations[bound]).min(axis=1)
         return bool((surface > self.required + ROOMY).any())
 
+    def squeezes(self, guess: Trajectory) -> bool:
+        """Whether along a guess the vehicle's surface has room everywhere, but the spheres do not."""
+        if self.cover is None or self.cover.static is None or self.spare is not None or self._landings():
+            return False
+        positions, rotations = self._poses(guess)
+        tight = self._spheres(positions, rotations).min(axis=1) < self.required - ROOMY
+        return bool(tight.any() and (self._surface(positions[tight], rotations[tight]) > self.required).all())
+
     def _poses(self, trajectory: Trajectory) -> tuple[Array, Array]:
         """Positions (places, 3) m and rotations (places, 3, 3) of the vehicle."""
         transcription, found = trajectory.transcription, [np.zeros((0, 12))]

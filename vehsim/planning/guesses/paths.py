@@ -37,12 +37,13 @@ def along_paths(
 ) -> Array:
     """Variables (size,) of a motion along ``paths`` (one per leg), level, at trim controls.
 
-    A path is a polyline (k, 3) m, or of poses (k, 4) with headings in rad. ``aims``: (first knot, last knot, point (3,)
+    A path is a polyline (k, 3) m, of poses (k, 4) with headings in rad, or of poses with shares of the leg's duration
+    (k, 5). ``aims``: (first knot, last knot, point (3,)
     m, angle rad): between these knots the vehicle heads for the point, plus the angle to the right.
     """
     fraction, leg = _knot_fractions(layout)
     pace = [_pace(marks[j].at_rest, marks[j + 1].at_rest) for j in range(len(paths))]
-    s = np.array([np.polyval(pace[j], f) for f, j in zip(fraction, leg, strict=True)])
+    s = np.array([_progress(paths[j], pace[j], f) for f, j in zip(fraction, leg, strict=True)])
     positions = np.array([_along(paths[j], f)[:3] for f, j in zip(s, leg, strict=True)])
     headings = _headings(marks, paths, s, leg)
     for first, last, point, offset in aims:
@@ -130,6 +131,14 @@ def _pace(rest_before: bool, rest_after: bool) -> Array:
     return np.array([a + b - 2, 3 - 2 * a - b, a, 0.0])
 
 
+def _progress(path: Array, pace: Array, fraction: float) -> float:
+    """Share of a path's length after a fraction of the leg's duration: by the path's own shares, or a polynomial."""
+    if path.shape[1] < 5:
+        return float(np.polyval(pace, fraction))
+    steps = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path[:, :3], axis=0), axis=1))])
+    return float(np.interp(fraction, path[:, 4], steps) / max(steps[-1], 1e-9))
+
+
 def _along(path: Array, fraction: float) -> Array:
     steps = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path[:, :3], axis=0), axis=1))])
     at = fraction * steps[-1]
@@ -140,7 +149,7 @@ def _headings(marks: Sequence[Mark], paths: Sequence[Array], s: Array, leg: NDAr
     """Headings (knots,) rad along the path, blended into the marks' own headings at both ends of a leg."""
     out = np.zeros(len(s))
     for i, (f, j) in enumerate(zip(s, leg, strict=True)):
-        if paths[j].shape[1] == 4:  # the path has headings
+        if paths[j].shape[1] > 3:  # the path has headings
             out[i] = _along(paths[j], f)[3]
             continue
         ahead = _along(paths[j], min(1.0, f + 0.03)) - _along(paths[j], max(0.0, f - 0.03))

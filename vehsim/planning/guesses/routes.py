@@ -34,7 +34,7 @@ RUN_UP = 0.5
 
 
 def find_paths(request: Request, guess: Any, progress: Progress) -> list[Array]:
-    """A polyline (k, 3) for every leg between marks, or poses (k, 4) with headings in rad."""
+    """A polyline (k, 3) for every leg between marks, poses (k, 4) with headings in rad, or also with paces (k, 5)."""
     if guess is not None:
         points = poses_of(guess) if isinstance(guess, Clip) else np.asarray(guess, float)
         if points.ndim != 2 or points.shape[1] not in (3, 4) or len(points) < 2:
@@ -122,7 +122,7 @@ def backwards(request: Request, paths: Sequence[Array]) -> list[Array]:
     A leg that is too early for a vehicle that turns round first may be possible in reverse.
     """
     moving = [path_length(path) > 1e-6 for path in paths]
-    if not _drives(request.vehicle) or not any(moving) or any(path.shape[1] == 4 for path in paths):
+    if not _drives(request.vehicle) or not any(moving) or any(path.shape[1] > 3 for path in paths):
         return []
     poses, heading = [], _tail_first(paths[moving.index(True)])[0]
     for path, moves in zip(paths, moving, strict=True):
@@ -150,7 +150,7 @@ def reversing(request: Request) -> Array | None:
 def shunting(request: Request, paths: Sequence[Array]) -> list[Array]:
     """Poses (k, 4) that a vehicle with a turning circle can drive from mark to mark, forwards and backwards; none if
     it has no such circle, or if the paths are such poses already."""
-    if not _drives(request.vehicle) or turning_radius(request.vehicle) == 0 or any(p.shape[1] == 4 for p in paths):
+    if not _drives(request.vehicle) or turning_radius(request.vehicle) == 0 or any(p.shape[1] > 3 for p in paths):
         return []
     vehicle, kept = request.vehicle, [request.marks[i] for i in placed_marks(request.marks)]
     nose, driven = [heading_of(mark) for mark in kept], []

@@ -163,6 +163,7 @@ SOLVERS: dict[str, Callable[[int, Start, End, float], dict[str, Any]]] = {
 magnitude of the cost."""
 
 ACCEPTABLE, MAXIMUM = "Solved_To_Acceptable_Level", "Maximum_Iterations_Exceeded"
+NO_NUMBER = "Invalid_Number_Detected"
 PLAIN = {
     "Solve_Succeeded": "solved",
     ACCEPTABLE: "solved, nearly to the tolerance",
@@ -171,7 +172,7 @@ PLAIN = {
     "Restoration_Failed": "stuck: no step reduces the violations",
     "Search_Direction_Becomes_Too_Small": "stuck: no step reduces the violations",
     "Error_In_Step_Computation": "stuck: the equations became singular",
-    "Invalid_Number_Detected": "a cost or constraint gave no number",
+    NO_NUMBER: "a cost or constraint gave no number",
 }
 """Solver status -> its explanation."""
 STOPPED = {"User_Requested_Stop", "NonIpopt_Exception_Thrown"}
@@ -249,8 +250,10 @@ class Solver:
         stats = solver.stats()
         x, g = np.asarray(answer["x"]).ravel(), np.asarray(answer["g"]).ravel()
         violations = np.maximum.reduce([g_lower - g, g - g_upper, np.zeros_like(g)])
-        cost = float(answer["f"])
-        status, violation = str(stats["return_status"]), float(violations.max(initial=0.0))
+        cost, status = float(answer["f"]), str(stats["return_status"])
+        if status == NO_NUMBER:  # its constraints are reported as zero
+            violations = np.full_like(g, math.inf)
+        violation = float(violations.max(initial=0.0))
         if self.end != "optimal" and status == MAXIMUM and violation <= MET:
             status = ACCEPTABLE
         return Solution(

@@ -44,7 +44,7 @@ def attitude(mark: Mark) -> Array:
 
 def landing_clearance(distance: Any, clearance: Any, touching: Any, tanh: Any = np.tanh) -> Any:
     """The requested clearance, m, at ``distance`` m from a landing, where it is ``touching`` m: a rounded cone."""
-    lack = clearance - touching
+    lack = clearance - touching + 1e-9  # without any clearance too, this is a number
     return clearance - lack * (1 - tanh(SLOPE * distance / lack))
 
 

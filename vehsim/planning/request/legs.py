@@ -100,6 +100,7 @@ def divided(paths: Sequence[Array], marks: Sequence[Mark]) -> list[Array]:
     """Paths (k, ...) between `placed_marks`, divided into one per leg: the marks between are placed by their frames."""
     legs: list[Array] = []
     for path, (i, j) in zip(paths, pairwise(placed_marks(marks)), strict=True):
+        path = path if j == i + 1 else path[:, :4]  # the frames of marks between set the pace
         frames = given_frames(marks[i : j + 1])
         at = frames if np.all(np.isfinite(frames)) else np.arange(j - i + 1.0)
         steps = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path[:, :3], axis=0), axis=1))])

@@ -1,0 +1,63 @@
+"""Paces along paths among moving obstacles, against closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from vehsim.planning.guesses.pacing import FINER, MEETING, STEPS, paced, smoothest, stations
+
+LENGTH, SECONDS = 24.0, 12.0
+
+
+def straight(reverses_after: float = 1.0):
+    """Poses along a straight path, of which the last part is driven back."""
+    there = np.array([[0.0, 0, 0, 0], [LENGTH * reverses_after, 0, 0, 0]])
+    back = [[LENGTH * (2 * reverses_after - 1), 0, 0, 0]] if reverses_after < 1 else []
+    return stations(np.vstack([there, *back]) if back else there)
+
+
+def free():
+    return np.zeros((STEPS + 1, STEPS * FINER + 1), bool)
+
+
+@pytest.mark.parametrize("rests, merit", [((True, True), 12.0), ((True, False), 3.0), ((False, False), 0.0)])
+def test_without_obstacles_the_least_squared_acceleration_is_found(rests, merit):
+    """From rest to rest 12 d^2/t^3, from rest 3 d^2/t^3, between free ends a constant speed; speeds are whole cells."""
+    found, at = smoothest(free(), straight(), SECONDS, rests)
+    exact = merit * LENGTH**2 / SECONDS**3
+    assert exact <= found <= 1.5 * exact
+    assert at[0] == 0 and at[-1] == STEPS * FINER and (np.diff(at) >= 0).all()
+
+
+@pytest.mark.parametrize("first, last", [(0.3, 0.75), (0.6, 1.0), (0.0, 0.4)])
+def test_a_place_that_is_taken_for_a_while_is_passed_before_or_after(first, last):
+    """The middle of the path is taken in these shares of the time."""
+    taken, middle = free(), STEPS * FINER // 2
+    taken[int(first * STEPS) : int(last * STEPS) + 1, middle - 20 : middle + 20] = True
+    merit, at = smoothest(taken, straight(), SECONDS, (True, True))
+    assert not taken[np.arange(STEPS + 1), at].any()
+    easy, _ = smoothest(free(), straight(), SECONDS, (True, True))
+    assert easy <= merit < MEETING
+
+
+def test_a_wall_on_the_way_costs_as_long_as_it_is_met():
+    taken = free()
+    taken[:, 100:200] = True
+    assert smoothest(taken, straight(), SECONDS, (True, True))[0] > MEETING
+
+
+def test_a_vehicle_stops_where_it_changes_its_direction():
+    poses = straight(reverses_after=0.75)
+    turn = int(np.argmax(poses[:, 0]))
+    merit, at = smoothest(free(), poses, SECONDS, (True, True))
+    assert merit < MEETING
+    here = int(np.searchsorted(at, turn))
+    assert at[here + 1] - at[here - 1] <= 6
+
+
+def test_a_paced_path_holds_the_pose_at_every_step():
+    poses = straight()
+    path = paced(poses, np.arange(0, STEPS * FINER + 1, FINER))
+    assert path.shape == (STEPS + 1, 5)
+    assert path[:, 0] == pytest.approx(LENGTH * path[:, 4])
