@@ -75,7 +75,7 @@ class Transcription:
         g, r, pi = self.split(v["x"])
         g1, r1, pi1 = self.split(v["x1"])
         given = (g, r, v["z"], v["c0"] * self.control_scale, v["c1"] * self.control_scale, v["h"], wind)
-        segment, weight = self._segment, self.weight
+        segment, weight = self.segment, self.weight
         cells = ca.SX.sym("cells", segment.size_in("cell")[0], 2)
         left, _, next_g, next_r = segment(*given, cells[:, 0])
         _, right, _, _ = segment(*given, cells[:, 1])
@@ -106,7 +106,7 @@ class Transcription:
         return cell, replace(self.vehicle, potential_energy=replace(self.weight, cell=cell))  # type: ignore[call-arg]
 
     @property
-    def _segment(self) -> ca.Function:
+    def segment(self) -> ca.Function:
         """``(g, r, z, c0, c1, h, wind, cell) -> (left, right, g1, r1)`` of `DiscreteMechanics.segment`; ``cell``: see
         `local`."""
         cell, vehicle = self.local
