@@ -27,6 +27,7 @@ STILLS = {
     "car_over_hills": (1156, "chase"),
     "car_winding": (1253, "chase"),
     "drift_park": (1070, "chase"),
+    "harbour": (1060, "tower"),
     "hopper_flip": (1067, "chase"),
     "landing_on_mark": (1738, "cut"),
     "parallel_park": (1341, "chase"),

@@ -424,6 +424,21 @@ def test_each_wave_fades_by_its_own_length():
         np.testing.assert_allclose(shown[:, 2], Water(surface=waves).height(xy, 1.3), atol=1e-9)
 
 
+def test_the_water_that_is_shown_is_sheltered_by_moles():
+    """Behind a mole, the mesh is on the surface that hulls feel, and lower than before it."""
+    x, y = np.meshgrid(np.linspace(-60, 60, 61), np.linspace(-20, 20, 21))
+    xy = np.column_stack([x.ravel(), y.ravel()])
+    mole = np.array([[0.0, -60.0], [0.0, 60.0]])
+    water = Water(surface=together(wave(1.5, 20.0), choppiness=0.8, moles=[mole]))
+    grid = SimpleNamespace(xy=xy, steps=(np.full(xy.shape, [0.1, 0.0]), np.full(xy.shape, [0.0, 0.1])))
+    shown = np.array([authored._undisturbed(water, grid)(t) for t in (0.0, 0.9, 1.8)])
+    for t, points in zip((0.0, 0.9, 1.8), shown, strict=True):
+        clear = np.abs(points[:, 0]) > 3  # the mole itself is a step
+        np.testing.assert_allclose(points[clear, 2], water.height(points[clear, :2], t), atol=0.02)
+    before, behind = (np.std(shown[:, of, 2]) for of in (xy[:, 0] < -5, xy[:, 0] > 20))
+    assert behind < 0.35 * before
+
+
 def seas(count, spacing=25.0):
     """A take of ``count`` boats on one sea of 2 m."""
     clips = {

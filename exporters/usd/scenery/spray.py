@@ -191,13 +191,15 @@ class Spray:
             0.4 * np.sqrt(self._areas[chosen])[:, None]
         )
         theta = rest @ waves.number.T + waves.phase - waves.omega * t
-        xy = rest - waves.choppiness * np.sin(theta) @ (waves.amplitude[:, None] * waves.along)
+        drift = waves.choppiness * np.sin(theta) @ (waves.amplitude[:, None] * waves.along)
+        left = waves.share(rest - waves.share(rest) * drift)
         swing = waves.amplitude * waves.omega
-        along, up = np.cos(theta) @ (swing[:, None] * waves.along), np.sin(theta) @ swing
+        along, up = left * (np.cos(theta) @ (swing[:, None] * waves.along)), left[:, 0] * (np.sin(theta) @ swing)
         torn = self.breaking.speed * random.uniform(0.15, 0.5, (len(chosen), 1)) * self.breaking.downwind
         velocity = np.column_stack([along + torn, up + random.gamma(2.0, 0.8, len(chosen))])
         velocity += random.normal(scale=0.5, size=velocity.shape)
-        return np.column_stack([xy, self.water.level + np.cos(theta) @ waves.amplitude]), velocity
+        height = left[:, 0] * (np.cos(theta) @ waves.amplitude)
+        return np.column_stack([rest - left * drift, self.water.level + height]), velocity
 
 
 class Skin(NamedTuple):

@@ -194,7 +194,8 @@ def _undisturbed(water: Water, grid: Grid) -> Callable[[float], Array]:
         shift = waves.choppiness * waves.along
         z = cos @ turn.real + sin @ turn.imag
         drift = sin @ (turn.real[:, None] * shift) - cos @ (turn.imag[:, None] * shift)
-        return np.column_stack([xy - drift, water.level + z])
+        left = waves.share(xy - waves.share(xy) * drift)
+        return np.column_stack([xy - left * drift, water.level + left[:, 0] * z])
 
     return at
 

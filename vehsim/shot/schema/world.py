@@ -190,6 +190,13 @@ class VortexTable(Table):
     """the radius at which the speed is greatest, in m"""
 
 
+class MoleTable(Table):
+    """``[[world.water.mole]]``: a line that waves do not cross. Its shape is an obstacle's"""
+
+    line: Annotated[list[Plane], Array, Len(2, 1000)]
+    """the places [x, y] in m along it, two or more"""
+
+
 class WaterTable(Table):
     """``[world.water]``"""
 
@@ -203,6 +210,8 @@ class WaterTable(Table):
     """a [world.water.sea] table"""
     choppiness: Annotated[NotNegative, Field(le=1)] = 0.0
     """0 for round waves, 1 for sharp crests and flat troughs (Gerstner)"""
+    mole: Annotated[list[MoleTable], Array, Len(0, 100)] = Field(default=[])
+    """[[world.water.mole]] tables: waves are lower in their shelter, as they are bent around their ends"""
     grids: Text | None = None
     """an .npz of times, heights, velocities, origin and cell from a liquid solver, relative to the shot file"""
     current: Annotated[list[Annotated[Number, Field(ge=-50, le=50)]], Array, Len(3, 3)] = Field(default=[0.0, 0.0, 0.0])

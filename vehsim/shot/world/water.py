@@ -31,6 +31,9 @@ def check_water(table: WaterTable | None, folder: Path) -> Iterator[Problem]:
     if table is not None and table.grids is not None and (table.wave or table.sea):
         yield Problem("world.water.grids", "waves are given too", "keep one of them", table.grids)
         return
+    if table is not None and table.mole and not (table.wave or table.sea):
+        yield Problem("world.water.mole", "there are no waves", "give waves or a sea, or leave the moles out")
+        return
     try:
         make_water(table, folder)
     except InputError as error:
@@ -68,7 +71,8 @@ def _surface(table: WaterTable, folder: Path) -> Surface | None:
         trains.append(
             sea_state(sea.height, sea.period, sea.seed, heading=heading, spread=spread, peakedness=sea.peakedness)
         )
-    return together(*trains, choppiness=table.choppiness) if trains else None
+    moles = [np.array(mole.line, float) for mole in table.mole]
+    return together(*trains, choppiness=table.choppiness, moles=moles) if trains else None
 
 
 def _current(table: WaterTable) -> Current | None:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from vehsim.constants import GRAVITY
 from vehsim.errors import InputError
+from vehsim.world.water.shelter import Shelter
 from vehsim.world.water.water import Array, Waves
 
 LOWEST, HIGHEST = 0.6, 4.0
@@ -96,9 +99,10 @@ def _directions(count: int, spread: float, random: np.random.Generator) -> Array
     return np.interp(random.permutation(even), share / share[-1], angle)
 
 
-def together(*waves: Waves, choppiness: float) -> Waves:
-    """The sum of several seas or waves."""
+def together(*waves: Waves, choppiness: float, moles: Sequence[Array] = ()) -> Waves:
+    """The sum of several seas or waves, sheltered by ``moles`` along lines (n, 2) m."""
     amplitude, number, phase = (
         np.concatenate([getattr(w, name) for w in waves]) for name in ("amplitude", "number", "phase")
     )
-    return Waves(amplitude, number, phase, choppiness, max(w.wind for w in waves))
+    shelter = Shelter(moles, amplitude, number) if moles else None
+    return Waves(amplitude, number, phase, choppiness, max(w.wind for w in waves), shelter)

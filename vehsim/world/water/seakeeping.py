@@ -88,7 +88,7 @@ class Seakeeping:
     def diffraction(self, waves: Waves, t: float, place: Array, heading: float) -> Array:
         """The wrench (6,) at ``t`` s on a hull at ``place`` (2,) m with its bow at ``heading`` rad from X."""
         phase = waves.rest(place[None], t)[0] @ waves.number.T + waves.phase - waves.omega * t
-        found = (np.exp(1j * phase) @ self._series).reshape(6, -1)
+        found = waves.share(place[None])[0, 0] * (np.exp(1j * phase) @ self._series).reshape(6, -1)
         return np.asarray((found @ np.exp(-1j * heading * self._orders)).real)
 
 

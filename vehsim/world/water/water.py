@@ -21,6 +21,7 @@ from vehsim.world.water.motion import Motion
 
 if TYPE_CHECKING:
     from vehsim.world.water.grids import WaterGrids
+    from vehsim.world.water.shelter import Shelter
 
 Array = NDArray[np.float64]
 
@@ -78,7 +79,7 @@ class Waves:
     ``amplitude`` (k,) m, ``number`` (k, 2) wave vectors rad/m, ``phase`` (k,) rad. ``choppiness`` 0: linear (Airy),
     ``sum a cos(k x - omega t + phase)``; 1: Gerstner, whose particles move on circles, so that crests are sharp and
     troughs flat. ``wind`` m/s: the speed at 10 m of the wind that raises them, 0 for swell; it whitens their crests.
-    Raises ``InputError``, also if the surface would fold.
+    ``shelter``: where moles leave less of them. Raises ``InputError``, also if the surface would fold.
     """
 
     amplitude: Array
@@ -86,6 +87,7 @@ class Waves:
     phase: Array
     choppiness: float = 0.0
     wind: float = 0.0
+    shelter: Shelter | None = None
     omega: Array = field(init=False)
     content_hash: str = field(init=False)
 
@@ -112,6 +114,8 @@ class Waves:
         digest = hashlib.sha256(repr(self.choppiness).encode())
         for rows in (self.amplitude, self.number, self.phase):
             digest.update(rows.tobytes())
+        if self.shelter is not None:
+            digest.update(self.shelter.content_hash.encode())
         object.__setattr__(self, "content_hash", digest.hexdigest())
 
     @cached_property
@@ -162,6 +166,10 @@ class Waves:
         """Root mean square (1/m) of the Laplacian of the height."""
         return float(np.sqrt((self.amplitude**2 * self._k**4).sum() / 2))
 
+    def share(self, xy: Array) -> Array:
+        """Share (n, 1) of the waves that moles leave at ``xy`` (n, 2) m."""
+        return np.ones((len(xy), 1)) if self.shelter is None else self.shelter.share(xy)[:, None]
+
     def rest(self, xy: Array, t: float) -> Array:
         """The rest positions (n, 2) of the water at ``xy`` (n, 2): the inverse of Gerstner's horizontal map."""
         return self._solved(xy, t)[0]
@@ -172,10 +180,11 @@ class Waves:
         velocity, acceleration = np.empty((len(points), 3)), np.empty((len(points), 3))
         for block in self._blocks(len(points)):
             _, cos, sin = self._solved(points[block, :2], t, None if guess is None else guess[block])
-            height[block] = cos @ self.amplitude
+            left = self.share(points[block, :2])
+            height[block] = left[:, 0] * (cos @ self.amplitude)
             below = np.minimum(points[block, 2] - level - height[block], 0.0)
             decay = np.exp(below[:, None] * self._k)
-            ahead, up = (decay * cos) @ self._swing, (decay * sin) @ self._swing
+            ahead, up = left * ((decay * cos) @ self._swing), left * ((decay * sin) @ self._swing)
             velocity[block, :2], velocity[block, 2] = ahead[:, :2], up[:, 2]
             acceleration[block, :2], acceleration[block, 2] = up[:, 3:5], -ahead[:, 5]
             fade[block] = height[block] - ahead[:, 6]
@@ -183,7 +192,8 @@ class Waves:
 
     def heights(self, xy: Array, t: float) -> Array:
         """Heights (n,) m above the level at ``xy`` (n, 2) m and ``t`` s."""
-        return np.concatenate([self._solved(xy[block], t)[1] @ self.amplitude for block in self._blocks(len(xy))])
+        found = [self._solved(xy[block], t)[1] @ self.amplitude for block in self._blocks(len(xy))]
+        return self.share(xy)[:, 0] * np.concatenate(found)
 
     def grid(self, x: Array, y: Array, t: float) -> tuple[Array, Array | None]:
         """See `Surface`. Sums of products of functions of ``x`` and of ``y``; if they do not give the rest positions,
@@ -194,26 +204,28 @@ class Waves:
         def waves(share: Array) -> NDArray[np.complex128]:
             return np.asarray((share * along) @ across.T)
 
-        if self.choppiness == 0:
-            return waves(self.amplitude).real, None
-        gap = np.stack([waves(share).imag.ravel() for share in self._shift.T], axis=1)
         xy = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-        start = xy + _newton(gap, np.stack([waves(share).real.ravel() for share in self._stretch.T], axis=1))
+        left = self.share(xy)
+        if self.choppiness == 0:
+            return left.reshape(len(y), len(x)) * waves(self.amplitude).real, None
+        gap = left * np.stack([waves(share).imag.ravel() for share in self._shift.T], axis=1)
+        start = xy + _newton(gap, left * np.stack([waves(share).real.ravel() for share in self._stretch.T], axis=1))
         height, rest = np.empty(len(xy)), np.empty((len(xy), 2))
         for block in self._blocks(len(xy)):
             found, cos, sin = self._solved(xy[block], t, start[block], NEAR)
-            step = _newton(xy[block] - found + sin @ self._shift, cos @ self._stretch)
-            height[block] = cos @ self.amplitude - (step * (sin @ self._rise)).sum(axis=1)
+            step = _newton(xy[block] - found + left[block] * (sin @ self._shift), left[block] * (cos @ self._stretch))
+            height[block] = left[block, 0] * (cos @ self.amplitude - (step * (sin @ self._rise)).sum(axis=1))
             rest[block] = found + step
         return height.reshape(len(y), len(x)), rest.reshape(len(y), len(x), 2)
 
     def slope(self, xy: Array, t: float) -> Array:
         """Gradient (n, 2) of the height at ``xy`` (n, 2) m and ``t`` s."""
         _, cos, sin = self._solved(xy, t)
-        uphill = -sin @ self._rise
+        left = self.share(xy)
+        uphill = -left * (sin @ self._rise)  # the shelter varies over many waves
         if self.choppiness == 0:
             return uphill
-        shift = cos * (self.choppiness * self.amplitude)
+        shift = left * cos * (self.choppiness * self.amplitude)
         stretch = np.eye(2) - np.einsum("nk,ki,kj->nij", shift, self.along, self.number)
         return np.asarray(np.linalg.solve(np.swapaxes(stretch, 1, 2), uphill[:, :, None])[:, :, 0])
 
@@ -226,15 +238,16 @@ class Waves:
         cos, sin = self._phases(rest, t)
         if self.choppiness == 0:
             return rest, cos, sin
-        share, close = np.ones((len(xy), 1)), 1e-13 * (1 + _larger(xy)) if guess is None else near * self.shortest
-        gap = xy - rest + sin @ self._shift  # the error of the guess: its image minus xy
+        left, share = self.share(xy), np.ones((len(xy), 1))
+        close = 1e-13 * (1 + _larger(xy)) if guess is None else near * self.shortest
+        gap = xy - rest + left * (sin @ self._shift)  # the error of the guess: its image minus xy
         for _ in range(NEWTON):
             size = _larger(gap)
             if (size <= close).all():
                 break
-            tried = rest + share * _newton(gap, cos @ self._stretch)
+            tried = rest + share * _newton(gap, left * (cos @ self._stretch))
             cos_there, sin_there = self._phases(tried, t)
-            gap_there = xy - tried + sin_there @ self._shift
+            gap_there = xy - tried + left * (sin_there @ self._shift)
             better = (_larger(gap_there) < size)[:, None]
             if better.all():
                 rest, cos, sin, gap = tried, cos_there, sin_there, gap_there

@@ -51,13 +51,14 @@ class Folding:
         # A wave moves the water as in Gerstner's waves, whatever the choppiness that is shown.
         stretch = waves.amplitude[:, None] * waves.along[:, [0, 0, 1]] * waves.number[:, [0, 1, 1]]
         self._omega, self._stretch = waves.omega, stretch
+        self._left = waves.share(xy)[:, 0].astype(np.float32)
         self._phases = np.concatenate([np.cos(theta), np.sin(theta)], axis=1).astype(np.float32)
 
     def at(self, t: float) -> NDArray[np.float32]:
         """(n,) at ``t`` s: one minus the determinant of the gradient of the water's place."""
         turn = np.exp(1j * self._omega * t)[:, None] * self._stretch
         xx, yx, yy = (self._phases @ np.concatenate([turn.real, turn.imag]).astype(np.float32)).T
-        return np.asarray(1 - (1 - xx) * (1 - yy) + yx**2)
+        return np.asarray(self._left * (1 - (1 - xx) * (1 - yy) + yx**2))
 
 
 @dataclass(frozen=True, eq=False)
