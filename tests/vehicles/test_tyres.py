@@ -18,7 +18,7 @@ from vehsim.integrators import Integrator
 from vehsim.lie.quaternions import tilt_of
 from vehsim.vehicles import State
 from vehsim.vehicles.models.drift_car import drift_car
-from vehsim.vehicles.models.tyres import Tyre
+from vehsim.vehicles.models.tyres import SURFACES, Tyre
 
 G = 9.81
 M, IZ, LF, LR, H = 1093.2952334674046, 1791.5995300122856, 1.1561957064, 1.4227170936, 0.61373004
@@ -201,3 +201,43 @@ def test_wheels_roll_where_their_rates_are_not_given():
 def test_a_car_that_would_tip_over_is_refused():
     with pytest.raises(InputError, match="lift an axle"):
         vehsim.load_vehicle("drift_car", {"mass_height": 1.2})
+
+
+@pytest.mark.parametrize("name", SURFACES)
+def test_a_surface_changes_peak_and_slope_of_the_tyre_force(name):
+    """The greatest braking force is the surface's share of the tyre's own; so is the slope at small slips."""
+    force = ca.Function("force", [s := ca.SX.sym("s")], [TYRE.on(name).force(s, 0.0)[0]])
+    slips = np.linspace(0, 2, 4001)
+    along = np.ravel(np.array(force.map(len(slips))(slips)))
+    weight = (1 + math.sqrt(1 + 0.05**2)) / 2  # of combined slip, rounded
+    assert along.max() == pytest.approx(weight * SURFACES[name].friction * 1.1739, rel=1e-3)
+    slope = float(force(1e-6)) / 1e-6
+    assert slope == pytest.approx(weight * SURFACES[name].stiffness * 22.303, rel=1e-4)
+
+
+BURCKHARDT = {"asphalt": (1.2801, 23.99, 0.52), "wet asphalt": (0.857, 33.822, 0.347), "snow": (0.1946, 94.129, 0.0646),
+              "ice": (0.05, 306.39, 0.0)}  # fmt: skip
+"""The coefficients of the friction curve c1 (1 - exp(-c2 s)) - c3 s, as given by Kiencke and Nielsen (2005)."""
+
+
+@pytest.mark.parametrize("name", BURCKHARDT)
+def test_the_stiffness_of_a_surface_is_that_of_burckhardt(name):
+    (a, b, c), (a0, b0, c0) = BURCKHARDT[name], BURCKHARDT["asphalt"]
+    assert SURFACES[name].stiffness == pytest.approx((a * b - c) / (a0 * b0 - c0), abs=0.01)
+
+
+def test_a_car_needs_more_way_to_stop_on_gravel():
+    """The handbrake from 10 m/s: on gravel about 1 / 0.54 times the way, locked wheels at both."""
+    ways = []
+    for surface in ("asphalt", "gravel"):
+        car = vehsim.load_vehicle("drift_car", {"surface": surface})
+        controls = np.tile([0.0, 0.0, 8000.0, 0.0], (6000, 1))
+        clip = Integrator(car, 1 / 1200).rollout(State(twist=(0, 10, 0)), controls)
+        assert abs(clip.twists[-1, 1]) < 0.5
+        ways.append(clip.positions[-1, 0])
+    assert 1.5 < ways[1] / ways[0] < 2.1
+
+
+def test_an_unknown_surface_is_refused():
+    with pytest.raises(InputError, match="give one of"):
+        vehsim.load_vehicle("drift_car", {"surface": "grvel"})

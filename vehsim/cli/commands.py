@@ -497,7 +497,8 @@ def vehicles(
         from vehsim.vehicles.library.library import parameters_of
 
         for key, value, what in parameters_of(name):
-            print(f"{key} = {list(value) if isinstance(value, tuple) else value}  # {what}")
+            shown = f'"{value}"' if isinstance(value, str) else list(value) if isinstance(value, tuple) else value
+            print(f"{key} = {shown}  # {what}")
         return
     for name in available():
         vehicle = load_vehicle(name)

@@ -10,7 +10,7 @@ import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 from annotated_types import Ge, Gt, Len
 from pydantic import Field, ValidationError, create_model
@@ -119,8 +119,10 @@ def _prefixed(problem: Problem, prefix: str) -> Problem:
 
 
 def _checked(hint: Any) -> Any:
-    """The type that pydantic checks: lists as TOML and Python give them, finite numbers, their ranges."""
+    """The type that pydantic checks: lists as TOML and Python give them, finite numbers, their ranges, names."""
     base, ranges = _parts(hint)
+    if get_origin(base) is Literal:
+        return base
     if get_origin(base) is Sequence or get_origin(base) is list:
         (entry,) = get_args(base)
         return Annotated[list[_checked(entry)], Array, *ranges]  # type: ignore[misc]
@@ -135,6 +137,8 @@ def _parts(hint: Any) -> tuple[Any, list[Any]]:
 def _words(hint: Any) -> str:
     """A type in words: "a number above zero, in kg"."""
     base, ranges = _parts(hint)
+    if get_origin(base) is Literal:
+        return f"one of {', '.join(map(repr, get_args(base)))}"
     if get_origin(base) in (Sequence, list):
         (entry,) = get_args(base)
         what, _, rest = _words(entry).partition(",")

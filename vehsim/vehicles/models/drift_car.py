@@ -13,14 +13,14 @@ import casadi as ca
 from annotated_types import Gt
 
 from vehsim.constants import GRAVITY
-from vehsim.errors import InputError
 from vehsim.lie import SE2
 from vehsim.rig.rig import Channel
-from vehsim.vehicles.definition.base import Control, Expr
+from vehsim.vehicles.definition.base import Expr
 from vehsim.vehicles.definition.nonholonomic import Nonholonomic
 from vehsim.vehicles.definition.quantities import Distance, Inertia, Length, Mass, Unit
 from vehsim.vehicles.models.ground import ackermann_channels
 from vehsim.vehicles.models.tyres import (
+    CONTROLS,
     LATERAL,
     LONGITUDINAL,
     SPIN,
@@ -28,8 +28,11 @@ from vehsim.vehicles.models.tyres import (
     WEIGHTS_LONGITUDINAL,
     Four,
     Share,
+    SurfaceName,
     Tyre,
     brake,
+    sliding,
+    steered,
 )
 
 LARGEST_STEP = 1 / 1200
@@ -50,6 +53,7 @@ def drift_car(
     half_track: Distance,
     drive_front: Share = 0.0,
     brake_front: Share = 0.6,
+    surface: SurfaceName = "asphalt",
     friction: Annotated[float, Unit(""), Gt(0)] = 1.0,
     low_speed: Annotated[float, Unit("m/s"), Gt(0)] = 3.0,
     tyre_longitudinal: Four = LONGITUDINAL,
@@ -62,8 +66,8 @@ def drift_car(
     ``mass`` kg, ``yaw_inertia`` about the centre of mass kg m^2; ``front``, ``rear``: distances of the axles from it,
     and ``mass_height``, m; ``wheel_radius`` and ``half_track`` m; ``front_inertia``, ``rear_inertia``: both wheels of
     an axle, the driven ones with engine and gears, kg m^2; ``drive_front``, ``brake_front``: the front axle's share of
-    ``drive`` and ``brake`` (drive 0: rear-wheel, 1: front-wheel drive); ``friction``: factor of the surface, 1 on dry
-    asphalt, 0.5 on gravel; ``low_speed`` m/s and the tyres' coefficients: see `Tyre`.
+    ``drive`` and ``brake`` (drive 0: rear-wheel, 1: front-wheel drive); ``surface``: a name of `SURFACES`;
+    ``friction``: factor of its friction; ``low_speed`` m/s and the tyres' coefficients: see `Tyre`.
     Joints: ``psi``, roll of the rear wheels, ``sigma``, tangent of the steering angle, ``psi_front``, roll of the front
     wheels. Controls: ``drive`` on the driven axles, ``brake`` on all wheels and ``handbrake`` on the rear ones [N m],
     ``steering_rate``, the rate of sigma [1/s]. Channels: ``roll_*`` and Ackermann ``steer_*`` [rad]; ``slip_*``, speed
@@ -71,16 +75,9 @@ def drift_car(
     """
     tyre = Tyre(
         tyre_longitudinal, tyre_lateral, tyre_weights_longitudinal, tyre_weights_lateral, friction, low_speed
-    )  # fmt: skip
+    ).on(surface)  # fmt: skip
     wheelbase = front + rear
-    if tyre.peak * mass_height >= min(front, rear):
-        raise InputError(
-            f"the grip of {tyre.peak:.3g} would lift an axle {min(front, rear):g} m from the centre of mass",
-            "lower it",
-            key="physics.mass_height",
-            value=mass_height,
-            subject=name,
-        )
+    tyre.check(mass_height, min(front, rear), "lift an axle", name)
 
     def lagrangian(r: Expr, u: Expr, xi: Expr) -> Expr:
         spin = rear_inertia * u[0] ** 2 + front_inertia * u[2] ** 2
@@ -88,7 +85,7 @@ def drift_car(
 
     def velocities(r: Expr, xi: Expr) -> tuple[Expr, Expr]:
         """Velocity of the front and rear hub (2,), in the wheels' axes."""
-        cosine, sine = _direction(r[1])
+        cosine, sine = steered(r[1])
         across = xi[2] + front * xi[0]
         return (
             ca.vertcat(cosine * xi[1] + sine * across, cosine * across - sine * xi[1]),
@@ -101,7 +98,7 @@ def drift_car(
         ahead = tyre.force(*tyre.slip(hubs[0], wheel_radius * u[2]))
         behind = tyre.force(*tyre.slip(hubs[1], wheel_radius * u[0]))
         # loads depend on the acceleration a, and forces are proportional to loads: linear in a
-        cosine, sine = _direction(r[1])
+        cosine, sine = steered(r[1])
         pull = cosine * ahead[0] - sine * ahead[1]
         a = GRAVITY * (pull * rear + behind[0] * front) / (wheelbase + mass_height * (pull - behind[0]))
         loads = (GRAVITY * rear - a * mass_height, GRAVITY * front + a * mass_height)
@@ -110,7 +107,7 @@ def drift_car(
     def forces(r: Expr, u: Expr, xi: Expr, c: Expr) -> tuple[Expr, Expr]:
         ahead, behind, loads = contact(r, u, xi)
         ahead, behind = ahead * loads[0], behind * loads[1]
-        cosine, sine = _direction(r[1])
+        cosine, sine = steered(r[1])
         push, aside = cosine * ahead[0] - sine * ahead[1], sine * ahead[0] + cosine * ahead[1]
         body = ca.vertcat(front * aside - rear * behind[1], push + behind[0], aside + behind[1])
         on_rear = (
@@ -125,14 +122,8 @@ def drift_car(
         ahead, behind = velocities(r, xi)
         return ca.vertcat(behind[0], 0, ahead[0]) / wheel_radius
 
-    def sliding(axle: int) -> Channel:
-        """Speed of an axle's contact over the ground."""
-
-        def speed(t: Expr, r: Expr, u: Expr, xi: Expr, c: Expr) -> Expr:
-            hub = velocities(r, xi)[axle]
-            return ca.sqrt((hub[0] - wheel_radius * u[(2, 0)[axle]]) ** 2 + hub[1] ** 2)
-
-        return Channel(value=speed)
+    def slip(axle: int) -> Channel:
+        return Channel(value=lambda t, r, u, xi, c: sliding(velocities(r, xi)[axle], wheel_radius * u[(2, 0)[axle]]))
 
     def load(axle: int) -> Channel:
         return Channel(value=lambda t, r, u, xi, c: contact(r, u, xi)[2][axle] / 2)
@@ -147,12 +138,7 @@ def drift_car(
         joints=("psi", "sigma", "psi_front"),
         lagrangian=lagrangian,
         forces=forces,
-        controls=(
-            Control("drive", unit="N m"),
-            Control("brake", lower=0.0, unit="N m"),
-            Control("handbrake", lower=0.0, unit="N m"),
-            Control("steering_rate", unit="1/s"),
-        ),
+        controls=CONTROLS,
         rate_controls={"steering_rate": "sigma"},
         rolling=rolling,
         largest_step=LARGEST_STEP,
@@ -160,13 +146,7 @@ def drift_car(
         channels={
             **ackermann_channels(wheel_radius, wheelbase, half_track),
             **{f"roll_{wheel}": roll((2, 0)[axle]) for wheel, axle in axles.items()},
-            **{f"slip_{wheel}": sliding(axle) for wheel, axle in axles.items()},
+            **{f"slip_{wheel}": slip(axle) for wheel, axle in axles.items()},
             **{f"load_{wheel}": load(axle) for wheel, axle in axles.items()},
         },
     )
-
-
-def _direction(sigma: Expr) -> tuple[Expr, Expr]:
-    """Cosine and sine of the steering angle whose tangent is ``sigma``."""
-    length = ca.sqrt(1 + sigma**2)
-    return 1 / length, sigma / length

@@ -17,11 +17,12 @@ from vehsim.constants import GRAVITY
 from vehsim.errors import InputError
 from vehsim.lie import SE2
 from vehsim.rig.rig import Channel
-from vehsim.vehicles.definition.base import Control, Expr
+from vehsim.vehicles.definition.base import Expr
 from vehsim.vehicles.definition.nonholonomic import Nonholonomic
 from vehsim.vehicles.definition.quantities import Inertia, Length, Mass, Unit
 from vehsim.vehicles.models.ground import steer_channels
 from vehsim.vehicles.models.tyres import (
+    CONTROLS,
     LATERAL,
     LONGITUDINAL,
     SPIN,
@@ -29,8 +30,11 @@ from vehsim.vehicles.models.tyres import (
     WEIGHTS_LONGITUDINAL,
     Four,
     Share,
+    SurfaceName,
     Tyre,
     brake,
+    sliding,
+    steered,
 )
 
 LIFTED = 50.0
@@ -65,6 +69,7 @@ def four_wheel_car(
     drive_front: Share = 0.0,
     locked: Locked = (0.0, 0.0),
     brake_front: Share = 0.6,
+    surface: SurfaceName = "asphalt",
     friction: Annotated[float, Unit(""), Gt(0)] = 1.0,
     low_speed: Annotated[float, Unit("m/s"), Gt(0)] = 3.0,
     tyre_longitudinal: Four = LONGITUDINAL,
@@ -79,8 +84,8 @@ def four_wheel_car(
     engine and gears, as felt at the driven wheels, kg m^2. Of the (front, rear) axle: ``springs`` N/m and ``dampers``
     N s/m of each wheel, anti-roll ``bars`` N m/rad, and whether its differential is ``locked`` (1) or open (0).
     ``drive_front``, ``brake_front``: the front axle's share of ``drive`` and ``brake`` (drive 0: rear-wheel, 0.5:
-    all-wheel with an open centre differential); ``friction``: factor of the surface, 1 on dry asphalt; ``low_speed``
-    and the tyres' coefficients: see `Tyre`.
+    all-wheel with an open centre differential); ``surface``: a name of `SURFACES`; ``friction``: factor of its
+    friction; ``low_speed`` and the tyres' coefficients: see `Tyre`.
     Joints: ``psi_*``, roll of each wheel, or of both wheels of a locked axle, rad; ``sigma``, tangent of the steering
     angle; ``heave`` m, ``pitch`` (nose down) and ``roll`` (left side up) rad of the body on its springs. Controls:
     ``drive`` on the driven axles, ``brake`` on all wheels and ``handbrake`` on the rear ones [N m], ``steering_rate``,
@@ -89,17 +94,9 @@ def four_wheel_car(
     """
     tyre = Tyre(
         tyre_longitudinal, tyre_lateral, tyre_weights_longitudinal, tyre_weights_lateral, friction, low_speed
-    )  # fmt: skip
+    ).on(surface)  # fmt: skip
     wheelbase = front + rear
-    if tyre.peak * mass_height >= min(front, rear, half_track):
-        raise InputError(
-            f"the grip of {tyre.peak:.3g} would tip over a car whose wheels are {min(front, rear, half_track):g} m "
-            "from the centre of mass",
-            "lower it",
-            key="physics.mass_height",
-            value=mass_height,
-            subject=name,
-        )
+    tyre.check(mass_height, min(front, rear, half_track), "tip over a car whose wheels are", name)
     if not set(locked) <= {0, 1}:
         raise InputError("neither open nor locked", "give 0 or 1", key="physics.locked", value=locked, subject=name)
 
@@ -128,11 +125,7 @@ def four_wheel_car(
 
     def heading(wheel: str, r: Expr) -> tuple[Expr, Expr]:
         """Cosine and sine of a wheel's steering angle."""
-        if wheel[0] == "r":
-            return 1.0, 0.0
-        along, across = 1 - places[wheel][1] / wheelbase * r[at["sigma"]], r[at["sigma"]]
-        length = ca.sqrt(along**2 + across**2)
-        return along / length, across / length
+        return (1.0, 0.0) if wheel[0] == "r" else steered(r[at["sigma"]], places[wheel][1] / wheelbase)
 
     def hub(wheel: str, r: Expr, xi: Expr) -> Expr:
         """Velocity of a hub (2,), in the wheel's axes."""
@@ -175,11 +168,7 @@ def four_wheel_car(
         return Channel(value=lambda t, r, u, xi, c: r[at[shafts[wheel]]])
 
     def slip_channel(wheel: str) -> Channel:
-        def speed(t: Expr, r: Expr, u: Expr, xi: Expr, c: Expr) -> Expr:
-            moving = hub(wheel, r, xi)
-            return ca.sqrt((moving[0] - wheel_radius * u[at[shafts[wheel]]]) ** 2 + moving[1] ** 2)
-
-        return Channel(value=speed)
+        return Channel(value=lambda t, r, u, xi, c: sliding(hub(wheel, r, xi), wheel_radius * u[at[shafts[wheel]]]))
 
     def load_channel(wheel: str) -> Channel:
         return Channel(value=lambda t, r, u, xi, c: load(wheel, r, u))
@@ -190,12 +179,7 @@ def four_wheel_car(
         joints=joints,
         lagrangian=lagrangian,
         forces=forces,
-        controls=(
-            Control("drive", unit="N m"),
-            Control("brake", lower=0.0, unit="N m"),
-            Control("handbrake", lower=0.0, unit="N m"),
-            Control("steering_rate", unit="1/s"),
-        ),
+        controls=CONTROLS,
         rate_controls={"steering_rate": "sigma"},
         rolling=rolling,
         attitude=BODY,

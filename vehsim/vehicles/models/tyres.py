@@ -11,14 +11,15 @@ by the cosine weights of eq. 4.E50 and 4.E58. Three things differ, so that the l
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Annotated
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal
 
 import casadi as ca
 from annotated_types import Interval, Len
 
-from vehsim.vehicles.definition.base import Expr
+from vehsim.errors import InputError
+from vehsim.vehicles.definition.base import Control, Expr
 from vehsim.vehicles.definition.quantities import Unit
 
 Share = Annotated[float, Unit(""), Interval(ge=0, le=1)]
@@ -28,6 +29,35 @@ LATERAL: Four = (1.3507, 1.0489, -0.0074722, 21.92)
 WEIGHTS_LONGITUDINAL: Four = (13.276, 13.778, 1.2568, 0.65225)
 WEIGHTS_LATERAL: Four = (7.1433, 9.1916, 1.0719, -0.27572)
 """The tyre of CommonRoad (2020), table 7, from the ADAMS handbook; see `Tyre`."""
+SurfaceName = Literal["asphalt", "wet asphalt", "gravel", "snow", "ice"]
+
+
+@dataclass(frozen=True)
+class Surface:
+    """What the ground does to a tyre: its peak ``friction`` and its slip ``stiffness`` as shares of those on dry
+    asphalt, and the source of both."""
+
+    friction: float
+    stiffness: float
+    source: str
+
+
+NOON = "friction: Noon (1994), means of braking tests: {} over 0.65 on dry asphalt"
+BURCKHARDT = "stiffness: Burckhardt (1993), slope {} over 30.2"
+SURFACES: Mapping[SurfaceName, Surface] = {
+    "asphalt": Surface(1.0, 1.0, "the tyre's own coefficients"),
+    "wet asphalt": Surface(0.77, 0.95, f"{NOON.format(0.5)}; {BURCKHARDT.format(28.6)}"),
+    "gravel": Surface(0.54, 0.6, f"{NOON.format(0.35)}; stiffness: our choice, as on snow, which also shears"),
+    "snow": Surface(0.35, 0.6, f"{NOON.format('0.2 to 0.25')}; {BURCKHARDT.format(18.3)}"),
+    "ice": Surface(0.19, 0.51, f"{NOON.format('0.1 to 0.15')}; {BURCKHARDT.format(15.3)}"),
+}
+CONTROLS = (
+    Control("drive", unit="N m"),
+    Control("brake", lower=0.0, unit="N m"),
+    Control("handbrake", lower=0.0, unit="N m"),
+    Control("steering_rate", unit="1/s"),
+)
+"""The controls of a car whose tyres slip."""
 BRAKING = 1.0
 """Speed of a rim, m/s, below which its brake's torque fades, so that it is smooth at standstill: a handbrake of 8000
 N m brakes wheels to 0.3 m/s."""
@@ -43,7 +73,7 @@ class Tyre:
 
     ``longitudinal``, ``lateral``: shape C, peak friction D, curvature E and slip stiffness K. ``weights_longitudinal``,
     ``weights_lateral``: B1, B2, C and E of combined slip. ``friction``: factor of the peak friction on this surface.
-    ``low_speed``: v_0, m/s.
+    ``low_speed``: v_0, m/s. ``stiffness``: factor of the slip stiffness on this surface.
     """
 
     longitudinal: Sequence[float]
@@ -52,6 +82,12 @@ class Tyre:
     weights_lateral: Sequence[float]
     friction: float
     low_speed: float
+    stiffness: float = 1.0
+
+    def on(self, surface: SurfaceName) -> Tyre:
+        """The same tyre on another surface than dry asphalt."""
+        ground = SURFACES[surface]
+        return replace(self, friction=self.friction * ground.friction, stiffness=self.stiffness * ground.stiffness)
 
     def slip(self, velocity: Expr, rim: Expr) -> tuple[Expr, Expr]:
         """Longitudinal slip and slip angle, rad, of a wheel whose hub moves at ``velocity`` (2,) m/s in the wheel's
@@ -61,8 +97,8 @@ class Tyre:
 
     def force(self, slip: Expr, angle: Expr) -> Expr:
         """Force over load (2,), forward and left in the wheel's axes."""
-        along = _pure(slip, self.longitudinal, self.friction) * _weight(angle, slip, self.weights_longitudinal)
-        aside = _pure(angle, self.lateral, self.friction) * _weight(slip, angle, self.weights_lateral)
+        along = self._pure(slip, self.longitudinal) * _weight(angle, slip, self.weights_longitudinal)
+        aside = self._pure(angle, self.lateral) * _weight(slip, angle, self.weights_lateral)
         return ca.vertcat(along, -aside)
 
     @property
@@ -70,10 +106,17 @@ class Tyre:
         """Greatest force over load in any direction."""
         return self.friction * max(self.longitudinal[1], self.lateral[1])
 
+    def check(self, mass_height: float, nearest: float, fate: str, name: str) -> None:
+        """Raise ``InputError`` if the greatest force turns over a car whose wheels are ``nearest`` m from its centre of
+        mass in the plane, which is ``mass_height`` m above the ground; ``fate``: what would happen."""
+        if self.peak * mass_height >= nearest:
+            message = f"the grip of {self.peak:.3g} would {fate} {nearest:g} m from the centre of mass"
+            raise InputError(message, "lower it", key="physics.mass_height", value=mass_height, subject=name)
 
-def _pure(slip: Expr, coefficients: Sequence[float], friction: float) -> Expr:
-    shape, peak, curvature, stiffness = coefficients
-    return friction * peak * ca.sin(shape * _bent(stiffness / (shape * friction * peak) * slip, curvature))
+    def _pure(self, slip: Expr, coefficients: Sequence[float]) -> Expr:
+        shape, peak, curvature, stiffness = coefficients
+        most, slope = self.friction * peak, self.stiffness * stiffness
+        return most * ca.sin(shape * _bent(slope / (shape * most) * slip, curvature))
 
 
 def _weight(other: Expr, own: Expr, coefficients: Sequence[float]) -> Expr:
@@ -91,3 +134,20 @@ def _bent(x: Expr, curvature: float) -> Expr:
 def brake(torque: Expr, rim: Expr) -> Expr:
     """The torque, N m, by which a brake opposes a rim that turns at ``rim`` m/s."""
     return -torque * rim / ca.sqrt(rim**2 + BRAKING**2)
+
+
+def sliding(hub: Expr, rim: Expr) -> Expr:
+    """Speed of a contact over the ground, m/s, of a wheel whose hub moves at ``hub`` (2,) m/s in the wheel's axes and
+    whose rim turns at ``rim`` m/s."""
+    return ca.sqrt((hub[0] - rim) ** 2 + hub[1] ** 2)
+
+
+def steered(sigma: Expr, aside: float = 0.0) -> tuple[Expr, Expr]:
+    """Cosine and sine of the angle of a steered wheel.
+
+    ``sigma``: tangent of the steering angle in the middle of the axle; ``aside``: how far left the wheel is, over the
+    wheelbase (Ackermann).
+    """
+    along = 1 - aside * sigma
+    length = ca.sqrt(along**2 + sigma**2)
+    return along / length, sigma / length
