@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.errors import ExportError
+from vehsim.exporters.pictures.backdrop import Backdrop
 from vehsim.exporters.pictures.water import WaterView
 
 Picture = NDArray[np.uint8]
@@ -28,8 +29,8 @@ NO_OPENGL = {
     "win32": ("no OpenGL", f"run it in a desktop session with the driver of a GPU, {WITHOUT}"),
 }
 """By `sys.platform`, what is missing where MuJoCo cannot draw, and the remedy."""
-OPAQUE, TRANSLUCENT = 0, 1
-"""Geom groups."""
+OPAQUE, TRANSLUCENT, CASTING = 0, 1, 2
+"""Geom groups; translucent geoms that cast shadows are ``CASTING``."""
 
 
 class Canvas:
@@ -53,9 +54,14 @@ class Canvas:
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
         self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
         self._model = model
-        self.scene = mujoco.MjvScene(model, model.ngeom + 100)
-        self.glass = mujoco.MjvScene(model, model.ngeom + 100)
-        self.solid = mujoco.MjvScene(model, model.ngeom + 100)
+        self._backdrop = Backdrop(model, self._context)
+        self._casting = (model.geom_group == CASTING).any()
+        self.scene, self.glass, self.solid = (mujoco.MjvScene(model, model.ngeom + 100) for _ in range(3))
+        self._shown = [
+            (self.scene, _option(OPAQUE, CASTING)),  # what casts shadows; unseen if it is translucent
+            (self.glass, _option(TRANSLUCENT, CASTING)),
+            (self.solid, _option(OPAQUE)),
+        ]
 
     @property
     def cameras(self) -> Iterator[Any]:
@@ -64,35 +70,44 @@ class Canvas:
             yield from scene.camera
 
     def update(self, data: Any) -> None:
-        """Take geoms and lights from ``data``: all into ``scene``, translucent ones also into the other scenes."""
+        """Take geoms and lights from ``data``."""
         import mujoco
 
-        everything, free, option = mujoco.mjtCatBit.mjCAT_ALL, mujoco.MjvCamera(), mujoco.MjvOption()
-        mujoco.mjv_updateScene(self._model, data, option, None, free, everything, self.scene)
-        for scene, hidden in ((self.glass, OPAQUE), (self.solid, TRANSLUCENT)):
-            option.geomgroup[:] = np.arange(len(option.geomgroup)) != hidden
+        everything, free = mujoco.mjtCatBit.mjCAT_ALL, mujoco.MjvCamera()
+        for scene, option in self._shown:
             mujoco.mjv_updateScene(self._model, data, option, None, free, everything, scene)
+        for geom in self.scene.geoms[: self.scene.ngeom] if self._casting else ():
+            if geom.rgba[3] < 1:
+                geom.rgba[3] = 0
 
     def draw_water(self, water: WaterView, data: Any, frame: float, height: int) -> None:
         """Update the water to a frame, as seen by the camera in a picture of ``height`` px."""
         self._gl.make_current()
         water.draw(self._model, data, self._context, frame, self.scene.camera[0], height)
 
-    def draw(self, scene: Any, size: tuple[int, int], **flags: bool) -> Picture:
-        """Colour (h, w, 3) from the bottom row up.
+    def picture(self, size: tuple[int, int], shadows: bool) -> Picture:
+        """Colour (h, w, 3) of everything in haze, with the sky behind it, from the bottom row up; ``size`` (w, h)."""
+        self._draw(self.scene, size, SHADOW=shadows, FOG=True)
+        self._backdrop.draw_sky(self.scene.camera[0])
+        self._backdrop.draw_glass(self.glass)
+        return self._colour(size)
 
-        ``size`` (w, h) px, within the context's; ``flags``: those of the renderer (SHADOW, FOG, SKYBOX, ...); others
-        are off.
-        """
+    def _draw(self, scene: Any, size: tuple[int, int], **flags: bool) -> None:
+        """``size`` (w, h) px, within the context's; ``flags``: those of the renderer (SHADOW, FOG, ...); others are
+        off."""
         import mujoco
 
         for k, name in enumerate(mujoco.mjtRndFlag.__members__):
             if k < len(scene.flags):
                 scene.flags[k] = flags.get(name.removeprefix("mjRND_"), name == "mjRND_CULL_FACE")
-        rect, colour = mujoco.MjrRect(0, 0, *size), np.empty((*size[::-1], 3), np.uint8)
         self._gl.make_current()
-        mujoco.mjr_render(rect, scene, self._context)
-        mujoco.mjr_readPixels(colour, None, rect, self._context)
+        mujoco.mjr_render(mujoco.MjrRect(0, 0, *size), scene, self._context)
+
+    def _colour(self, size: tuple[int, int]) -> Picture:
+        import mujoco
+
+        colour = np.empty((*size[::-1], 3), np.uint8)
+        mujoco.mjr_readPixels(colour, None, mujoco.MjrRect(0, 0, *size), self._context)
         return colour
 
     def depth(self, size: tuple[int, int]) -> NDArray[np.float32]:
@@ -105,7 +120,8 @@ class Canvas:
 
     def draw_ids(self, size: tuple[int, int]) -> NDArray[np.int64]:
         """The visible opaque geom (h, w), -1 for none, from the bottom row up."""
-        colour = self.draw(self.solid, size, SEGMENT=True, IDCOLOR=True).astype(np.int32)
+        self._draw(self.solid, size, SEGMENT=True, IDCOLOR=True)
+        colour = self._colour(size).astype(np.int32)
         # 0 is the background, then in the scene's order
         drawn = colour[..., 0] + 256 * colour[..., 1] + 65536 * colour[..., 2]
         geoms = np.full(self.solid.ngeom + 1, -1)
@@ -118,6 +134,15 @@ class Canvas:
         self._gl.make_current()
         self._context.free()
         self._gl.free()
+
+
+def _option(*groups: int) -> Any:
+    """What MuJoCo shows: the geoms of some groups."""
+    import mujoco
+
+    option = mujoco.MjvOption()
+    option.geomgroup[:] = np.isin(np.arange(len(option.geomgroup)), groups)
+    return option
 
 
 def _first_line(error: Exception) -> str:

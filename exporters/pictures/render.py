@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim.exporters.pictures.canvas import OPAQUE, TRANSLUCENT, Canvas, Picture
+from vehsim.exporters.pictures.canvas import CASTING, OPAQUE, TRANSLUCENT, Canvas, Picture
 from vehsim.exporters.pictures.contact_shade import Shades
 from vehsim.exporters.pictures.grain import grained, strengths_of
 from vehsim.exporters.pictures.motion_passes import Pixels
@@ -37,8 +37,6 @@ SUPERSAMPLE = 4
 smooths shadow edges and texture, which multisampling cannot."""
 LARGEST = 16_000
 """Longest side of an off-screen buffer, px; 16384 is refused."""
-NEAREST, BILINEAR = 0, 2
-"""Pillow's `Resampling`."""
 HAZE = (10.0, 760.0)
 """Distances at which haze starts and at which it hides everything, m."""
 CLEAR = 4.0
@@ -100,24 +98,14 @@ class StageRenderer:
         canvas, side = self._canvas, self._supersample
         if self._water is not None:
             canvas.draw_water(self._water, self._data, frame, self.size[1])
-        colour = canvas.draw(canvas.scene, self._size, SHADOW=self._shadows, FOG=True)
+        colour = canvas.picture(self._size, self._shadows)
+        if side == 1 and not self._detailed and self._water is None:
+            return np.ascontiguousarray(colour[::-1])
         depth = canvas.depth(self._size)
         if self._water is not None:
             colour = self._wet(colour, depth, camera, frame)
-        colour, opaque = colour[::-1], depth[::-1] > 0
-        if opaque.all():
-            return self._finished(np.asarray(Image.fromarray(colour).reduce(side)), depth, camera, frame)
-        # Haze would hide the sky, so it is drawn separately with the translucent geoms in front of it, at half the
-        # size.
-        half = (-(-self._size[0] // 2), -(-self._size[1] // 2))
-        sky = Image.fromarray(canvas.draw(canvas.glass, half, SKYBOX=True)[::-1])
-        sky = sky.resize(self.size, BILINEAR)
-        left, top, right, bottom = box = _box(opaque, side)
-        behind = sky.crop(tuple(edge // side for edge in box)).resize((right - left, bottom - top), NEAREST)
-        part = slice(top, bottom), slice(left, right)
-        behind.paste(Image.fromarray(colour[part]), mask=Image.fromarray(opaque[part]))
-        sky.paste(behind.reduce(side), (left // side, top // side))
-        return self._finished(np.asarray(sky), depth, camera, frame)
+        picture = np.asarray(Image.fromarray(colour[::-1]).reduce(side))
+        return self._finished(picture, depth, camera, frame)
 
     def passes(self, camera: str, frame: float, kinds: Sequence[str]) -> dict[str, NDArray[Any]]:
         """The passes ``kinds`` of a picture: "depth" (height, width) m along the view, 0 for the background;
@@ -337,16 +325,17 @@ class StageRenderer:
                 materials[shape.surface] = f"material{len(materials)}"
                 author_material(spec, materials[shape.surface], shape.surface, textures)
             _author_mesh(spec, f"shape{k}", shape)
+            casting = self._shadows and _casts_shadow(shape, lower)
             bodies[shape.group].add_geom(
                 name=f"shape{k}",
                 type=mujoco.mjtGeom.mjGEOM_MESH,
                 meshname=f"shape{k}",
                 material=materials[shape.surface],
-                group=OPAQUE if shape.surface.opacity == 1 else TRANSLUCENT,
+                group=OPAQUE if shape.surface.opacity == 1 else CASTING if casting else TRANSLUCENT,
                 contype=0,
                 conaffinity=0,
                 mass=0.0,
-                castshadow=_casts_shadow(shape, lower),
+                castshadow=casting,
             )
         return spec
 

@@ -288,21 +288,38 @@ def test_glass_and_blur_let_the_sun_through(new_stage):
     assert casts == {"/top/solid": True, "/top/blur": False}
 
 
-def test_glass_is_visible_against_the_sky_unless_hidden(new_stage):
-    """Translucent surfaces write no depth: a sky drawn wherever there is none would erase rotors' blur."""
+@pytest.mark.parametrize("opacity", [0.3, 0.5, 0.8])
+def test_glass_is_visible_against_the_sky_unless_hidden(new_stage, opacity):
+    """Translucent surfaces write no depth: a sky drawn wherever there is none would erase rotors' blur. The last one
+    casts a shadow."""
     from pxr import Sdf
 
     plain = picture(new_stage)
     quad(new_stage, "/top/blur", (0, 0, 0), 1.5, (1, 0, 0))
     shader = new_stage.GetPrimAtPath("/top/blur_material/surface")
-    shader.CreateAttribute("inputs:opacity", Sdf.ValueTypeNames.Float).Set(0.5)
+    shader.CreateAttribute("inputs:opacity", Sdf.ValueTypeNames.Float).Set(opacity)
     glass = picture(new_stage)
     assert np.allclose(centroid(np.abs(glass - plain).max(axis=-1) > 15), (SIZE[0] / 2, SIZE[1] / 2), atol=0.5)
     row, column = SIZE[1] // 2, SIZE[0] // 2
     through = glass[row, column, 1:] / plain[row, column, 1:]
-    assert np.allclose(through, 0.5, atol=0.03)  # of red glass, green and blue of the sky
+    assert np.allclose(through, 1 - opacity, atol=0.03)  # of red glass, green and blue of the sky
     quad(new_stage, "/top/wall", (0, -2, 0), 1.5, (0, 1, 0))
     assert picture(new_stage)[row, column, 0] < 60
+
+
+def test_glass_has_its_texture_before_the_sky(new_stage, tmp_path):
+    from PIL import Image
+    from pxr import Sdf
+
+    Image.fromarray(np.repeat(np.uint8([[[255, 0, 0], [0, 0, 255]]]), 2, axis=0)).save(tmp_path / "halves.png")
+    plain = picture(new_stage)
+    quad(new_stage, "/top/pane", (0, 0, 0), 2, (1, 1, 1), "halves.png")
+    shader = new_stage.GetPrimAtPath("/top/pane_material/surface")
+    shader.CreateAttribute("inputs:opacity", Sdf.ValueTypeNames.Float).Set(0.5)
+    changed = picture(new_stage) - plain
+    row, columns = SIZE[1] // 2, (SIZE[0] // 2 - 30, SIZE[0] // 2 + 30)
+    left, right = (changed[row, column] for column in columns)
+    assert left[0] > 30 > left[2] + 60 and right[2] > right[0] + 60
 
 
 def test_frames_are_the_same_from_one_process_or_two(new_stage, tmp_path):
