@@ -206,9 +206,9 @@ def test_a_drive_is_recorded_saved_continued_and_undone(tmp_path):
 
 
 def test_a_drive_ends_when_its_browser_closes(tmp_path):
-    """The one that watches sees it end, and can edit; the recording is kept."""
+    """Long before the shot does. The one that watches sees it end, and can edit; the recording is kept."""
     path = tmp_path / "drive.toml"
-    path.write_text(SHOT)
+    path.write_text(SHOT.replace("schema = 1", "schema = 1\nend_frame = 2000", 1))
 
     async def play():
         async with served(path) as address, browser(address) as first:
@@ -223,6 +223,8 @@ def test_a_drive_ends_when_its_browser_closes(tmp_path):
                 assert state["recordings"][0]["used"] and second.last["role"]["editor"]
 
     asyncio.run(play())
+    last = (tmp_path / "drive.car.001.csv").read_text().splitlines()[-1]
+    assert float(last.split(",")[0]) < 1900
 
 
 def test_recordings_are_compared_and_one_is_used(tmp_path):

@@ -691,11 +691,11 @@ def test_a_browser_that_does_not_read_holds_up_nothing(monkeypatch):
 
 def test_an_error_of_the_system_does_not_end_the_session(path, monkeypatch):
     """Such as a full disk, in the first solve: the page says it, and the next solve works."""
-    solve, failed = Session.solve, []
+    solve, failed, opened = Session.solve, [], threading.Event()
 
     def full_once(self):
         if not failed:
-            failed.append(True)
+            failed.append(opened.wait(PATIENCE))
             raise OSError(errno.ENOSPC, "No space left on device", "/scratch")
         return solve(self)
 
@@ -704,8 +704,11 @@ def test_an_error_of_the_system_does_not_end_the_session(path, monkeypatch):
     async def play():
         async with served(path) as address, browser(address) as page:
             await page.until("role")
+            opened.set()
+            refused = await page.until("refused")
+            assert refused["text"] == "/scratch: No space left on device"
             await page.send(kind="undo")
             assert await page.until("scene")
 
     asyncio.run(play())
-    assert failed
+    assert failed == [True]
